@@ -1,0 +1,38 @@
+//! The derives of `osteoflow-node`; what they emit names `osteoflow_node` only.
+
+use proc_macro::TokenStream;
+use quote::quote;
+use syn::{DeriveInput, parse_macro_input};
+
+mod describe;
+mod port;
+
+/// Input ports from the fields of a struct.
+///
+/// A field of type `T` is a port that takes `T`; `Option<T>` may stay unwired and receives empties; `Vec<T>` collects;
+/// `Unused<T>` is drained; `Value` takes any payload. `#[port(join = "each" | "stamp" | "collect" | "latest" |
+/// "interpolate" | "once", tolerance_ms = .., n = .., max_gap_ms = .., frame = "..", to = "..", from = "..")]`.
+#[proc_macro_derive(Inputs, attributes(port))]
+pub fn inputs(input: TokenStream) -> TokenStream {
+    expand(port::inputs(&parse_macro_input!(input as DeriveInput)))
+}
+
+/// Output ports from the fields of a struct: `T` always has a value, `Emit<T>` a value, an empty or nothing.
+#[proc_macro_derive(Outputs, attributes(port))]
+pub fn outputs(input: TokenStream) -> TokenStream {
+    expand(port::outputs(&parse_macro_input!(input as DeriveInput)))
+}
+
+/// What a kind says of itself: its doc comment and `#[describe(example = "...", literature = ["..."])]`.
+#[proc_macro_derive(Describe, attributes(describe))]
+pub fn describe(input: TokenStream) -> TokenStream {
+    expand(describe::describe(&parse_macro_input!(input as DeriveInput)))
+}
+
+fn expand(tokens: syn::Result<proc_macro2::TokenStream>) -> TokenStream {
+    tokens.unwrap_or_else(|error| {
+        let error = error.into_compile_error();
+        quote!(#error)
+    })
+    .into()
+}

@@ -1,0 +1,230 @@
+use crate::describe::doc_of;
+use proc_macro2::TokenStream;
+use quote::quote;
+use syn::{
+    Data, DeriveInput, Error, Field, Fields, GenericArgument, Ident, LitFloat, LitInt, LitStr, PathArguments, Result,
+    Type,
+};
+
+/// What `#[port(...)]` says.
+#[derive(Default)]
+struct PortAttr {
+    join: Option<LitStr>,
+    n: Option<u32>,
+    tolerance_ms: Option<f64>,
+    max_gap_ms: Option<f64>,
+    frame: Option<LitStr>,
+    to: Option<LitStr>,
+    from: Option<LitStr>,
+}
+
+/// The type of a field, by its outermost name.
+enum Shape<'a> {
+    Plain(&'a Type),
+    Optional(&'a Type),
+    Many(&'a Type),
+    ManyOptional(&'a Type),
+    Unused(&'a Type),
+    Emit(&'a Type),
+    Any,
+}
+
+pub(crate) fn inputs(input: &DeriveInput) -> Result<TokenStream> {
+    let mut ports = Vec::new();
+    let mut takes = Vec::new();
+    for (index, field) in named_fields(input)?.iter().enumerate() {
+        let (ident, name) = name_of(field)?;
+        let attr = attr_of(field)?;
+        let shape = shape_of(&field.ty);
+        let (payload, take, optional, unused) = match &shape {
+            Shape::Plain(t) => (payload(t), quote!(take_one::<#t>), false, false),
+            Shape::Optional(t) => (payload(t), quote!(take_optional::<#t>), true, false),
+            Shape::Many(t) => (payload(t), quote!(take_many::<#t>), false, false),
+            Shape::ManyOptional(t) => (payload(t), quote!(take_many_optional::<#t>), true, false),
+            Shape::Unused(t) => (payload(t), quote!(), true, true),
+            Shape::Any => (quote!(::osteoflow_node::derive::any_payload()), quote!(take_any), false, false),
+            Shape::Emit(t) => return Err(Error::new_spanned(t, "Emit is for outputs; an input is Option<T>")),
+        };
+        let join = join_of(&attr, matches!(shape, Shape::Many(_) | Shape::ManyOptional(_)), field)?;
+        let (doc, frames) = (doc_of(&field.attrs), frames_of(&attr));
+        ports.push(quote! {
+            ::osteoflow_node::InputPort {
+                name: #name, doc: #doc, payload: #payload, join: #join, optional: #optional, unused: #unused,
+                frames: #frames,
+            }
+        });
+        takes.push(if unused {
+            quote!(#ident: ::core::default::Default::default())
+        } else {
+            quote!(#ident: ::osteoflow_node::derive::#take(&mut joined, #index, #name)?)
+        });
+    }
+    let name = &input.ident;
+    Ok(quote! {
+        impl ::osteoflow_node::Inputs for #name {
+            fn ports() -> ::std::vec::Vec<::osteoflow_node::InputPort> {
+                ::std::vec![#(#ports),*]
+            }
+            fn take(mut joined: ::osteoflow_node::Joined) -> ::core::result::Result<Self, ::osteoflow_node::NodeError> {
+                let _ = &mut joined;
+                ::core::result::Result::Ok(Self { #(#takes),* })
+            }
+        }
+    })
+}
+
+pub(crate) fn outputs(input: &DeriveInput) -> Result<TokenStream> {
+    let mut ports = Vec::new();
+    let mut puts = Vec::new();
+    for field in named_fields(input)? {
+        let (ident, name) = name_of(field)?;
+        let attr = attr_of(field)?;
+        if attr.join.is_some() || attr.n.is_some() || attr.tolerance_ms.is_some() || attr.max_gap_ms.is_some() {
+            return Err(Error::new_spanned(field, "an output does not join; only frame, to and from are known here"));
+        }
+        let (payload, put) = match shape_of(&field.ty) {
+            Shape::Plain(t) => (payload(t), quote!(::osteoflow_node::Emission::value(self.#ident))),
+            Shape::Emit(t) => (payload(t), quote!(::osteoflow_node::derive::into_emission(self.#ident))),
+            Shape::Any => {
+                let any = quote!(::osteoflow_node::derive::any_payload());
+                (any, quote!(::osteoflow_node::Emission::Value(self.#ident)))
+            }
+            _ => return Err(Error::new_spanned(&field.ty, "an output is T, or Emit<T> where there may be no value")),
+        };
+        let (doc, frames) = (doc_of(&field.attrs), frames_of(&attr));
+        ports.push(quote! {
+            ::osteoflow_node::OutputPort { name: #name, doc: #doc, payload: #payload, frames: #frames }
+        });
+        puts.push(put);
+    }
+    let name = &input.ident;
+    Ok(quote! {
+        impl ::osteoflow_node::Outputs for #name {
+            fn ports() -> ::osteoflow_node::OutputPorts {
+                ::osteoflow_node::OutputPorts::Fixed(::std::vec![#(#ports),*])
+            }
+            fn put(self, _n_ports: usize) -> ::std::vec::Vec<::osteoflow_node::Emission> {
+                ::std::vec![#(#puts),*]
+            }
+        }
+    })
+}
+
+fn named_fields(input: &DeriveInput) -> Result<Vec<&Field>> {
+    match &input.data {
+        Data::Struct(data) => match &data.fields {
+            Fields::Named(fields) => Ok(fields.named.iter().collect()),
+            Fields::Unit => Ok(Vec::new()),
+            Fields::Unnamed(_) => Err(Error::new_spanned(&input.ident, "ports have names; use a struct with fields")),
+        },
+        _ => Err(Error::new_spanned(&input.ident, "ports are the fields of a struct")),
+    }
+}
+
+fn name_of(field: &Field) -> Result<(&Ident, String)> {
+    let ident = field.ident.as_ref().ok_or_else(|| Error::new_spanned(field, "ports have names"))?;
+    Ok((ident, ident.to_string()))
+}
+
+fn payload(t: &Type) -> TokenStream {
+    quote!(::osteoflow_node::derive::payload_of::<#t, _>())
+}
+
+fn shape_of(ty: &Type) -> Shape<'_> {
+    match generic(ty) {
+        Some(("Option", inner)) => Shape::Optional(inner),
+        Some(("Unused", inner)) => Shape::Unused(inner),
+        Some(("Emit", inner)) => Shape::Emit(inner),
+        Some(("Vec", inner)) => match generic(inner) {
+            Some(("Option", inner)) => Shape::ManyOptional(inner),
+            _ => Shape::Many(inner),
+        },
+        _ if last_segment(ty).is_some_and(|s| s == "Value") => Shape::Any,
+        _ => Shape::Plain(ty),
+    }
+}
+
+fn last_segment(ty: &Type) -> Option<&Ident> {
+    match ty {
+        Type::Path(path) => path.path.segments.last().map(|s| &s.ident),
+        _ => None,
+    }
+}
+
+/// The outer name and the inner type of `Outer<Inner>`, for the names that mean something here.
+fn generic(ty: &Type) -> Option<(&'static str, &Type)> {
+    let Type::Path(path) = ty else { return None };
+    let segment = path.path.segments.last()?;
+    let outer = ["Option", "Vec", "Unused", "Emit"].into_iter().find(|name| segment.ident == name)?;
+    let PathArguments::AngleBracketed(arguments) = &segment.arguments else { return None };
+    match arguments.args.first()? {
+        GenericArgument::Type(inner) => Some((outer, inner)),
+        _ => None,
+    }
+}
+
+fn attr_of(field: &Field) -> Result<PortAttr> {
+    let mut out = PortAttr::default();
+    for attr in field.attrs.iter().filter(|a| a.path().is_ident("port")) {
+        attr.parse_nested_meta(|meta| {
+            if meta.path.is_ident("join") {
+                out.join = Some(meta.value()?.parse()?);
+            } else if meta.path.is_ident("n") {
+                out.n = Some(meta.value()?.parse::<LitInt>()?.base10_parse()?);
+            } else if meta.path.is_ident("tolerance_ms") {
+                out.tolerance_ms = Some(meta.value()?.parse::<LitFloat>()?.base10_parse()?);
+            } else if meta.path.is_ident("max_gap_ms") {
+                out.max_gap_ms = Some(meta.value()?.parse::<LitFloat>()?.base10_parse()?);
+            } else if meta.path.is_ident("frame") {
+                out.frame = Some(meta.value()?.parse()?);
+            } else if meta.path.is_ident("to") {
+                out.to = Some(meta.value()?.parse()?);
+            } else if meta.path.is_ident("from") {
+                out.from = Some(meta.value()?.parse()?);
+            } else {
+                return Err(meta.error("known here: join, n, tolerance_ms, max_gap_ms, frame, to, from"));
+            }
+            Ok(())
+        })?;
+    }
+    Ok(out)
+}
+
+fn join_of(attr: &PortAttr, many: bool, field: &Field) -> Result<TokenStream> {
+    let name = attr.join.as_ref().map_or(if many { "collect".into() } else { "each".into() }, LitStr::value);
+    let ns = |ms: f64| (ms * 1e6).round() as i64;
+    let join = match name.as_str() {
+        "each" => quote!(Each),
+        "stamp" => {
+            let tolerance = ns(attr.tolerance_ms.unwrap_or(0.0));
+            quote!(Stamp { tolerance_ns: #tolerance })
+        }
+        "collect" => match attr.n {
+            Some(n) => quote!(Collect { n: ::core::option::Option::Some(#n) }),
+            None => quote!(Collect { n: ::core::option::Option::None }),
+        },
+        "latest" => quote!(Latest),
+        "interpolate" => match attr.max_gap_ms.map(ns) {
+            Some(gap) => quote!(Interpolate { max_gap_ns: ::core::option::Option::Some(#gap) }),
+            None => quote!(Interpolate { max_gap_ns: ::core::option::Option::None }),
+        },
+        "once" => quote!(Once),
+        _ => {
+            let known = "a port joins by each, stamp, collect, latest, interpolate or once";
+            return Err(Error::new_spanned(&attr.join, known));
+        }
+    };
+    if many != (name == "collect") {
+        return Err(Error::new_spanned(field, "a port that collects is a Vec, and the other way round"));
+    }
+    Ok(quote!(::osteoflow_node::Join::#join))
+}
+
+fn frames_of(attr: &PortAttr) -> TokenStream {
+    let option = |text: &Option<LitStr>| match text {
+        Some(text) => quote!(::core::option::Option::Some(#text)),
+        None => quote!(::core::option::Option::None),
+    };
+    let (frame, to, from) = (option(&attr.frame), option(&attr.to), option(&attr.from));
+    quote!(::osteoflow_node::FrameExpr { frame: #frame, to: #to, from: #from })
+}

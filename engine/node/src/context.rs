@@ -1,0 +1,136 @@
+use crate::{DeclaredPort, Empty, StampNs};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
+
+/// What a node may know of the run beside its inputs: its stamp, its item number, a seeded generator, and whether to stop.
+///
+/// Everything random or timed enters through here, so that a run is a function of graph, inputs and seed.
+pub struct Context {
+    node: Arc<str>,
+    seed: u64,
+    cancelled: Arc<AtomicBool>,
+    declared: Arc<[DeclaredPort]>,
+    stamp_ns: StampNs,
+    item: u64,
+    absent: Vec<(&'static str, Arc<Empty>)>,
+    warnings: Vec<String>,
+}
+
+impl Context {
+    /// A context of the node with this full name, for the engine and for tests.
+    pub fn new(node: impl Into<Arc<str>>, seed: u64, cancelled: Arc<AtomicBool>, declared: Arc<[DeclaredPort]>) -> Self {
+        Self {
+            node: node.into(),
+            seed,
+            cancelled,
+            declared,
+            stamp_ns: 0,
+            item: 0,
+            absent: Vec::new(),
+            warnings: Vec::new(),
+        }
+    }
+
+    /// A context outside any run: seed 0, item 0, stamp 0.
+    pub fn for_test(node: &str) -> Self {
+        Self::new(node, 0, Arc::default(), Arc::from([]))
+    }
+
+    /// The engine's: the next firing begins.
+    pub fn begin(&mut self, item: u64, stamp_ns: StampNs) {
+        (self.item, self.stamp_ns) = (item, stamp_ns);
+        self.absent.clear();
+    }
+
+    /// The engine's: an optional port got nothing, for this reason.
+    pub fn note_absent(&mut self, port: &'static str, empty: Arc<Empty>) {
+        self.absent.push((port, empty));
+    }
+
+    /// The engine's: the warnings since the last call.
+    pub fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
+    }
+
+    /// The node's full name in the graph.
+    pub fn node(&self) -> &str {
+        &self.node
+    }
+
+    /// The firing stamp: the largest among the triggering items'. A source sets its own.
+    pub fn stamp_ns(&self) -> StampNs {
+        self.stamp_ns
+    }
+
+    /// For a source: the stamp of what this call of `next` answers; must not decrease.
+    pub fn set_stamp_ns(&mut self, stamp_ns: StampNs) {
+        self.stamp_ns = stamp_ns;
+    }
+
+    /// The number of this firing, from 0.
+    pub fn item(&self) -> u64 {
+        self.item
+    }
+
+    /// A generator of its own for this run's seed, this node and this item: the same draws whatever ran before.
+    pub fn rng(&self) -> ChaCha8Rng {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        rng.set_stream(fnv1a(self.node.as_bytes()));
+        // Items lie 2^32 words apart, so that no draw of one is a draw of the next.
+        rng.set_word_pos(u128::from(self.item) << 32);
+        rng
+    }
+
+    /// The run's seed.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// Whether the user asked to stop; a long computation looks now and then and returns an error.
+    pub fn cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+
+    /// Why an optional port got nothing at this firing.
+    pub fn absent_reason(&self, port: &str) -> Option<&str> {
+        self.absent.iter().find(|(name, _)| *name == port).map(|(_, empty)| empty.reason.as_str())
+    }
+
+    /// Says something the user should know about this item; shown, counted, and kept in the manifest.
+    pub fn warn(&mut self, message: impl Into<String>) {
+        self.warnings.push(message.into());
+    }
+
+    /// The output ports that the graph declared for this source by `out`, in the graph's order.
+    pub fn declared(&self) -> Arc<[DeclaredPort]> {
+        self.declared.clone()
+    }
+}
+
+/// Fowler, Noll and Vo's hash: the same on every machine and in every version, unlike the standard library's.
+fn fnv1a(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::RngExt;
+
+    fn draws(seed: u64, node: &str, item: u64) -> Vec<u64> {
+        let mut ctx = Context::new(node, seed, Arc::default(), Arc::from([]));
+        ctx.begin(item, 0);
+        let mut rng = ctx.rng();
+        (0..4).map(|_| rng.random()).collect()
+    }
+
+    #[test]
+    fn draws_depend_on_seed_node_and_item_and_on_nothing_else() {
+        assert_eq!(draws(7, "scan", 3), draws(7, "scan", 3));
+        let others = [draws(8, "scan", 3), draws(7, "hole", 3), draws(7, "scan", 4)];
+        assert!(others.iter().all(|other| *other != draws(7, "scan", 3)));
+    }
+}

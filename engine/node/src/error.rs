@@ -1,0 +1,54 @@
+use std::fmt;
+
+/// Why a node could not answer; the engine adds file, line, node and item.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeError {
+    /// What was expected, what was found, and a next step; lower case, no full stop.
+    pub message: String,
+}
+
+impl NodeError {
+    /// An error with this message.
+    pub fn new(message: impl Into<String>) -> Self {
+        Self { message: message.into() }
+    }
+}
+
+impl fmt::Display for NodeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+/// Any error of an algorithm or reader is a node's error, told with its causes.
+impl<E: std::error::Error> From<E> for NodeError {
+    fn from(error: E) -> Self {
+        let mut message = error.to_string();
+        let mut cause = error.source();
+        while let Some(error) = cause {
+            let text = error.to_string();
+            if !message.contains(&text) {
+                message = format!("{message}: {text}");
+            }
+            cause = error.source();
+        }
+        Self { message }
+    }
+}
+
+/// A parameter with a value that no node can be built with.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{message}")]
+pub struct ParamError {
+    /// The parameter at fault, so that the engine can point at its line; empty if it is several.
+    pub parameter: String,
+    /// What was expected, what was found, what to write instead.
+    pub message: String,
+}
+
+impl ParamError {
+    /// An error at `parameter`.
+    pub fn new(parameter: impl Into<String>, message: impl Into<String>) -> Self {
+        Self { parameter: parameter.into(), message: message.into() }
+    }
+}

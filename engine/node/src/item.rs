@@ -1,0 +1,81 @@
+//! The things that travel on a wire, and what a firing takes and gives.
+
+use crate::{NodeError, Payload, StampNs, Value};
+use std::sync::Arc;
+
+/// Why an activation has no result; travels in the place of the value.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Empty {
+    /// The node that could not answer.
+    pub node: String,
+    /// Why.
+    pub reason: String,
+}
+
+/// A numbered, stamped item of a wire.
+#[derive(Debug, Clone)]
+pub struct Item {
+    /// Its place on the wire, from 0, without holes.
+    pub number: u64,
+    /// When what it tells held; never decreases along a wire.
+    pub stamp_ns: StampNs,
+    /// A value, or why there is none.
+    pub body: Body,
+}
+
+/// A value, or why there is none.
+#[derive(Debug, Clone)]
+pub enum Body {
+    /// A payload.
+    Value(Value),
+    /// No result.
+    Empty(Arc<Empty>),
+}
+
+/// What a node or source answers on one port.
+#[derive(Debug, Clone)]
+pub enum Emission {
+    /// A payload.
+    Value(Value),
+    /// No result, for this reason.
+    Empty(String),
+    /// Nothing: only a source may leave a port silent, which then gets progress.
+    Silent,
+}
+
+impl Emission {
+    /// An emission of a payload.
+    pub fn value<T: Payload<By>, By: 'static>(payload: T) -> Self {
+        Self::Value(Value::new(payload))
+    }
+}
+
+/// What one port brings to a firing.
+#[derive(Debug, Clone)]
+pub enum Slot {
+    /// The item that the port's join chose.
+    Item(Item),
+    /// The items that were collected.
+    Items(Vec<Item>),
+    /// There is none: the port is not wired, or nothing came at or before the firing stamp, for this reason.
+    Absent(Arc<Empty>),
+}
+
+/// What all ports bring to a firing, in the order in which they are declared.
+#[derive(Debug, Default)]
+pub struct Joined {
+    /// One slot for each declared port.
+    pub slots: Vec<Slot>,
+}
+
+impl Joined {
+    /// Takes the slot of the port at `index` out.
+    ///
+    /// # Errors
+    /// [`NodeError`] if the engine joined fewer ports than the node declares.
+    pub fn take(&mut self, index: usize) -> Result<Slot, NodeError> {
+        let slot = self.slots.get_mut(index).ok_or_else(|| NodeError::new("the engine joined too few ports"))?;
+        let gone = Empty { node: String::new(), reason: "taken".into() };
+        Ok(std::mem::replace(slot, Slot::Absent(Arc::new(gone))))
+    }
+}

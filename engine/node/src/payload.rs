@@ -1,0 +1,184 @@
+//! What may travel on a wire, and the type-erased form in which the engine carries it.
+
+use crate::{StampNs, View, ViewError};
+use std::{
+    any::{Any, TypeId},
+    fmt,
+    sync::Arc,
+};
+
+/// A type that may travel: a cheap handle with a name, a version and one view.
+///
+/// `By` is any type of the crate that declares the payload; it lets one crate hold the table of what may travel while
+/// the types themselves live in crates that know nothing of nodes. A payload type has exactly one implementation.
+pub trait Payload<By>: Clone + Send + Sync + 'static {
+    /// The name in graph files and recordings, such as `geometry/Cloud`.
+    const NAME: &'static str;
+    /// Raised when the view changes in a way that older readers cannot take.
+    const VERSION: u32;
+    /// Whether [`Payload::interpolate`] gives values, so that a port may join by `interpolate`.
+    const INTERPOLATES: bool = false;
+
+    /// Head and columns, without copying the columns.
+    fn to_view(&self) -> View;
+
+    /// The payload that a view shows.
+    ///
+    /// # Errors
+    /// [`ViewError`] if the view is of something else.
+    fn from_view(view: &View) -> Result<Self, ViewError>;
+
+    /// What `results.json` says of it: millimetres, names as in the docs.
+    fn to_result(&self) -> serde_json::Value;
+
+    /// The value a share `s` of the way from `a` to `b`; `None` where there is none.
+    fn interpolate(_a: &Self, _b: &Self, _s: f64) -> Option<Self> {
+        None
+    }
+
+    /// The schema of its picture for viewers, where it has one.
+    fn display() -> Option<Display> {
+        None
+    }
+
+    /// Its picture for viewers, encoded after [`Payload::display`].
+    fn to_display(&self, _stamp_ns: StampNs) -> Option<Vec<u8>> {
+        None
+    }
+}
+
+/// The channel on which viewers are shown a payload: a schema of another program, such as `foxglove.PointCloud`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Display {
+    /// The schema's name.
+    pub schema_name: String,
+    /// The encoding of the schema's data: `protobuf` or `jsonschema`.
+    pub schema_encoding: String,
+    /// The schema itself.
+    pub schema_data: Vec<u8>,
+    /// The encoding of the messages: `protobuf` or `json`.
+    pub message_encoding: String,
+}
+
+/// A payload type as the engine knows it.
+pub struct PayloadType {
+    /// The name in graph files and recordings.
+    pub name: &'static str,
+    /// The version of its view.
+    pub version: u32,
+    /// Whether ports may join it by `interpolate`.
+    pub interpolates: bool,
+    id: fn() -> TypeId,
+    to_view: fn(&dyn Any) -> View,
+    from_view: fn(&View) -> Result<Value, ViewError>,
+    to_result: fn(&dyn Any) -> serde_json::Value,
+    interpolate: fn(&dyn Any, &dyn Any, f64) -> Option<Value>,
+    display: fn() -> Option<Display>,
+    to_display: fn(&dyn Any, StampNs) -> Option<Vec<u8>>,
+}
+
+struct TypeOf<T, By>(std::marker::PhantomData<(T, By)>);
+
+impl<T: Payload<By>, By: 'static> TypeOf<T, By> {
+    const TYPE: &'static PayloadType = &PayloadType {
+        name: T::NAME,
+        version: T::VERSION,
+        interpolates: T::INTERPOLATES,
+        id: TypeId::of::<T>,
+        to_view: |any| cast::<T>(any).to_view(),
+        from_view: |view| T::from_view(view).map(Value::new),
+        to_result: |any| cast::<T>(any).to_result(),
+        interpolate: |a, b, s| T::interpolate(cast(a), cast(b), s).map(Value::new),
+        display: T::display,
+        to_display: |any, stamp_ns| cast::<T>(any).to_display(stamp_ns),
+    };
+}
+
+fn cast<T: 'static>(any: &dyn Any) -> &T {
+    any.downcast_ref().expect("a value carries its own type")
+}
+
+impl PayloadType {
+    /// The type of `T`.
+    pub fn of<T: Payload<By>, By: 'static>() -> &'static Self {
+        TypeOf::<T, By>::TYPE
+    }
+
+    /// The payload that a view of this type shows.
+    ///
+    /// # Errors
+    /// [`ViewError`] if the view is of something else.
+    pub fn from_view(&self, view: &View) -> Result<Value, ViewError> {
+        (self.from_view)(view)
+    }
+
+    /// The schema of its picture for viewers, where it has one.
+    pub fn display(&self) -> Option<Display> {
+        (self.display)()
+    }
+}
+
+impl PartialEq for PayloadType {
+    fn eq(&self, other: &Self) -> bool {
+        (self.id)() == (other.id)()
+    }
+}
+
+impl fmt::Debug for PayloadType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}@{}", self.name, self.version)
+    }
+}
+
+/// A payload on its way: shared, immutable, and of a type known at run time. Clones are cheap and never copy data.
+#[derive(Clone)]
+pub struct Value {
+    inner: Arc<dyn Any + Send + Sync>,
+    ty: &'static PayloadType,
+}
+
+impl Value {
+    /// Wraps a payload.
+    pub fn new<T: Payload<By>, By: 'static>(payload: T) -> Self {
+        Self { inner: Arc::new(payload), ty: PayloadType::of::<T, By>() }
+    }
+
+    /// Its type.
+    pub fn ty(&self) -> &'static PayloadType {
+        self.ty
+    }
+
+    /// The payload, if it is a `T`.
+    pub fn get<T: 'static>(&self) -> Option<&T> {
+        self.inner.downcast_ref()
+    }
+
+    /// Head and columns, without copying the columns.
+    pub fn to_view(&self) -> View {
+        (self.ty.to_view)(&*self.inner)
+    }
+
+    /// What `results.json` says of it.
+    pub fn to_result(&self) -> serde_json::Value {
+        (self.ty.to_result)(&*self.inner)
+    }
+
+    /// The value a share `s` of the way from `a` to `b`; `None` where there is none or the types differ.
+    pub fn interpolate(a: &Self, b: &Self, s: f64) -> Option<Self> {
+        if a.ty != b.ty {
+            return None;
+        }
+        (a.ty.interpolate)(&*a.inner, &*b.inner, s)
+    }
+
+    /// Its picture for viewers.
+    pub fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
+        (self.ty.to_display)(&*self.inner, stamp_ns)
+    }
+}
+
+impl fmt::Debug for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Value({:?})", self.ty)
+    }
+}

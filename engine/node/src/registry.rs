@@ -1,0 +1,111 @@
+use crate::{
+    Built, Describe, Description, Inputs, Node, Outputs, ParamError, Payload, PayloadType, Role, Source, erased::Erased,
+};
+use std::collections::BTreeMap;
+
+/// The kinds and payload types that a graph may name.
+#[derive(Default)]
+pub struct Registry {
+    kinds: BTreeMap<&'static str, Kind>,
+    payloads: BTreeMap<&'static str, &'static PayloadType>,
+}
+
+/// A kind: its description, and how to build it.
+pub struct Kind {
+    /// Everything known without building.
+    pub description: Description,
+    build: fn(&serde_json::Value) -> Result<Built, ParamError>,
+}
+
+impl Kind {
+    /// Builds a node from checked parameters.
+    ///
+    /// # Errors
+    /// [`ParamError`] if the parameters do not fit together.
+    pub fn build(&self, params: &serde_json::Value) -> Result<Built, ParamError> {
+        (self.build)(params)
+    }
+}
+
+impl Registry {
+    /// Adds a kind of node.
+    ///
+    /// # Panics
+    /// If the kind is there already: two nodes of one name are a bug of whoever collects them.
+    pub fn node<N: Node>(&mut self) -> &mut Self {
+        self.add::<N>(N::KIND, Role::Node, N::Inputs::ports(), N::Outputs::ports(), params_schema::<N::Params>(), |p| {
+            Ok(Built::Node(Box::new(Erased(N::new(read(p)?)?))))
+        })
+    }
+
+    /// Adds a kind of source.
+    ///
+    /// # Panics
+    /// If the kind is there already: two nodes of one name are a bug of whoever collects them.
+    pub fn source<S: Source>(&mut self) -> &mut Self {
+        let role = if S::LIVE { Role::LiveSource } else { Role::Source };
+        self.add::<S>(S::KIND, role, Vec::new(), S::Outputs::ports(), params_schema::<S::Params>(), |p| {
+            Ok(Built::Source(Box::new(Erased(S::new(read(p)?)?))))
+        })
+    }
+
+    /// Adds a payload type, so that graphs may declare ports of it and recordings of it can be read.
+    pub fn payload<T: Payload<By>, By: 'static>(&mut self) -> &mut Self {
+        self.payloads.insert(T::NAME, PayloadType::of::<T, By>());
+        self
+    }
+
+    /// The kind of that name.
+    pub fn kind(&self, kind: &str) -> Option<&Kind> {
+        self.kinds.get(kind)
+    }
+
+    /// All kinds, by name.
+    pub fn kinds(&self) -> impl Iterator<Item = &Kind> {
+        self.kinds.values()
+    }
+
+    /// The payload type of that name.
+    pub fn payload_type(&self, name: &str) -> Option<&'static PayloadType> {
+        self.payloads.get(name).copied()
+    }
+
+    /// All payload types, by name.
+    pub fn payload_types(&self) -> impl Iterator<Item = &'static PayloadType> {
+        self.payloads.values().copied()
+    }
+
+    fn add<D: Describe>(
+        &mut self,
+        kind: &'static str,
+        role: Role,
+        inputs: Vec<crate::InputPort>,
+        outputs: crate::OutputPorts,
+        params: serde_json::Value,
+        build: fn(&serde_json::Value) -> Result<Built, ParamError>,
+    ) -> &mut Self {
+        let (summary, details) = D::DOC.split_once("\n\n").unwrap_or((D::DOC, ""));
+        let description = Description {
+            kind,
+            summary: summary.replace('\n', " ").trim().into(),
+            details: details.trim().into(),
+            role,
+            inputs,
+            outputs,
+            params,
+            example: D::EXAMPLE,
+            literature: D::LITERATURE,
+        };
+        let before = self.kinds.insert(kind, Kind { description, build });
+        assert!(before.is_none(), "two nodes are called {kind}");
+        self
+    }
+}
+
+fn params_schema<P: crate::Parameters>() -> serde_json::Value {
+    schemars::schema_for!(P).to_value()
+}
+
+fn read<P: crate::Parameters>(params: &serde_json::Value) -> Result<P, ParamError> {
+    P::deserialize(params).map_err(|error| ParamError::new("", error.to_string()))
+}

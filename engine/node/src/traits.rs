@@ -1,0 +1,175 @@
+use crate::{Body, Context, Emission, InputPort, Item, Joined, NodeError, OutputPorts, ParamError, Payload, Slot, Value};
+use schemars::JsonSchema;
+use serde::de::DeserializeOwned;
+
+/// A stage of a graph: fires when its ports join, and answers a value or an empty on every output.
+pub trait Node: Describe + Send + Sized + 'static {
+    /// `stage.variant`, as graph files name it.
+    const KIND: &'static str;
+    /// The parameters, with defaults, ranges and reasons in their docs.
+    type Params: Parameters;
+    /// The input ports.
+    type Inputs: Inputs;
+    /// The output ports.
+    type Outputs: Outputs;
+
+    /// Builds the node; only after the whole graph has been checked.
+    ///
+    /// # Errors
+    /// [`ParamError`] for values that no single range can refuse.
+    fn new(params: Self::Params) -> Result<Self, ParamError>;
+
+    /// One firing.
+    ///
+    /// # Errors
+    /// [`NodeError`] if there is no result; the outputs then get an empty with the reason.
+    fn process(&mut self, inputs: Self::Inputs, ctx: &mut Context) -> Result<Self::Outputs, NodeError>;
+}
+
+/// A node without inputs.
+pub trait Source: Describe + Send + Sized + 'static {
+    /// `stage.variant`, as graph files name it.
+    const KIND: &'static str;
+    /// Whether it follows the world's clock, so that lossy wires may hang on it.
+    const LIVE: bool = false;
+    /// The parameters, with defaults, ranges and reasons in their docs.
+    type Params: Parameters;
+    /// The output ports; [`crate::Declared`] where the graph declares them.
+    type Outputs: Outputs;
+
+    /// Builds the source; reads nothing yet.
+    ///
+    /// # Errors
+    /// [`ParamError`] for values that no single range can refuse.
+    fn new(params: Self::Params) -> Result<Self, ParamError>;
+
+    /// The next answer, at the stamp given to [`Context::set_stamp_ns`]; `None` at the end. Ports may stay silent.
+    ///
+    /// # Errors
+    /// [`NodeError`] if nothing more can be read.
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Self::Outputs>, NodeError>;
+}
+
+/// Parameters: read by serde, described by schemars where they live.
+pub trait Parameters: DeserializeOwned + JsonSchema {}
+
+impl<P: DeserializeOwned + JsonSchema> Parameters for P {}
+
+/// What a kind says of itself; derived from the doc comment and `#[describe(example = "...", literature = ["..."])]`.
+pub trait Describe {
+    /// The doc comment: its first paragraph is the summary.
+    const DOC: &'static str;
+    /// The node's table as a graph file would hold it, parameters that matter included; checked in a test.
+    const EXAMPLE: &'static str;
+    /// Paper, section, equation.
+    const LITERATURE: &'static [&'static str];
+}
+
+/// The input ports of a node; derived.
+pub trait Inputs: Sized {
+    /// The ports in order.
+    fn ports() -> Vec<InputPort>;
+
+    /// The values of one firing.
+    ///
+    /// # Errors
+    /// [`NodeError`] if the engine joined something else than declared.
+    fn take(joined: Joined) -> Result<Self, NodeError>;
+}
+
+/// The output ports of a node; derived.
+pub trait Outputs: Sized {
+    /// The ports in order.
+    fn ports() -> OutputPorts;
+
+    /// One emission for each of `n_ports` ports, in order.
+    fn put(self, n_ports: usize) -> Vec<Emission>;
+}
+
+/// The field of an output port that does not always have a value.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Emit<T> {
+    /// A value.
+    Value(T),
+    /// No result, for this reason.
+    Empty(String),
+    /// Nothing at this stamp; only a source may say so.
+    Silent,
+}
+
+impl<T> From<T> for Emit<T> {
+    fn from(value: T) -> Self {
+        Self::Value(value)
+    }
+}
+
+/// The emission of an `Emit<T>` field.
+pub fn into_emission<T: Payload<By>, By: 'static>(emit: Emit<T>) -> Emission {
+    match emit {
+        Emit::Value(value) => Emission::value(value),
+        Emit::Empty(reason) => Emission::Empty(reason),
+        Emit::Silent => Emission::Silent,
+    }
+}
+
+fn value_of<T: Clone + 'static>(item: &Item, port: &str) -> Result<Option<T>, NodeError> {
+    match &item.body {
+        Body::Empty(_) => Ok(None),
+        Body::Value(value) => match value.get::<T>() {
+            Some(payload) => Ok(Some(payload.clone())),
+            None => Err(wrong_type(port, value)),
+        },
+    }
+}
+
+fn wrong_type(port: &str, value: &Value) -> NodeError {
+    NodeError::new(format!("input \"{port}\" was given a {}, which it does not take", value.ty().name))
+}
+
+fn no_value(port: &str) -> NodeError {
+    NodeError::new(format!("input \"{port}\" has no value"))
+}
+
+/// The value of a `T` field.
+pub fn take_one<T: Clone + 'static>(joined: &mut Joined, index: usize, port: &str) -> Result<T, NodeError> {
+    take_optional(joined, index, port)?.ok_or_else(|| no_value(port))
+}
+
+/// The value of an `Option<T>` field.
+pub fn take_optional<T: Clone + 'static>(
+    joined: &mut Joined,
+    index: usize,
+    port: &str,
+) -> Result<Option<T>, NodeError> {
+    match joined.take(index)? {
+        Slot::Item(item) => value_of(&item, port),
+        Slot::Absent(_) => Ok(None),
+        Slot::Items(_) => Err(NodeError::new(format!("input \"{port}\" takes one item, several were joined"))),
+    }
+}
+
+/// The values of a `Vec<T>` field.
+pub fn take_many<T: Clone + 'static>(joined: &mut Joined, index: usize, port: &str) -> Result<Vec<T>, NodeError> {
+    take_many_optional(joined, index, port)?.into_iter().map(|v| v.ok_or_else(|| no_value(port))).collect()
+}
+
+/// The values of a `Vec<Option<T>>` field.
+pub fn take_many_optional<T: Clone + 'static>(
+    joined: &mut Joined,
+    index: usize,
+    port: &str,
+) -> Result<Vec<Option<T>>, NodeError> {
+    match joined.take(index)? {
+        Slot::Items(items) => items.iter().map(|item| value_of(item, port)).collect(),
+        Slot::Item(item) => Ok(vec![value_of(&item, port)?]),
+        Slot::Absent(_) => Ok(Vec::new()),
+    }
+}
+
+/// The value of a [`Value`] field, which takes any payload.
+pub fn take_any(joined: &mut Joined, index: usize, port: &str) -> Result<Value, NodeError> {
+    match joined.take(index)? {
+        Slot::Item(Item { body: Body::Value(value), .. }) => Ok(value),
+        _ => Err(no_value(port)),
+    }
+}

@@ -1,0 +1,262 @@
+//! The one view of a payload: a small head of named fields and named typed columns.
+
+use bytemuck::Pod;
+use std::{fmt, sync::Arc};
+
+/// Bytes that are never changed again, kept alive by whoever allocated them.
+pub type Buffer = Arc<dyn AsRef<[u8]> + Send + Sync>;
+
+/// What a payload looks like to the recorder, to plugins and to `diff`: head fields and columns, both in order.
+#[derive(Clone, Default, Debug, PartialEq)]
+pub struct View {
+    /// Small named values.
+    pub head: Vec<(String, Field)>,
+    /// Bulk data.
+    pub columns: Vec<Column>,
+}
+
+/// A value of a view's head.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Field {
+    /// Yes or no.
+    Bool(bool),
+    /// A count or a stamp.
+    Int(i64),
+    /// A number.
+    Float(f64),
+    /// A few numbers, such as the rows of a matrix.
+    Floats(Vec<f64>),
+    /// Text in UTF-8.
+    Text(String),
+}
+
+/// The type of a column's values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ColumnType {
+    /// 64-bit float.
+    F64 = 1,
+    /// 32-bit float.
+    F32 = 2,
+    /// 64-bit signed integer.
+    I64 = 3,
+    /// 32-bit unsigned integer.
+    U32 = 4,
+    /// Byte.
+    U8 = 5,
+}
+
+impl ColumnType {
+    /// Bytes of one value.
+    pub fn size(self) -> usize {
+        match self {
+            Self::F64 | Self::I64 => 8,
+            Self::F32 | Self::U32 => 4,
+            Self::U8 => 1,
+        }
+    }
+
+    /// The type with this code in a recording.
+    pub fn from_code(code: u8) -> Option<Self> {
+        [Self::F64, Self::F32, Self::I64, Self::U32, Self::U8].into_iter().find(|t| *t as u8 == code)
+    }
+}
+
+/// A named run of rows, each of `width` values of one type, little-endian as in memory.
+#[derive(Clone)]
+pub struct Column {
+    /// The column's name.
+    pub name: String,
+    /// The type of each value.
+    pub kind: ColumnType,
+    /// Values in a row: 3 for points.
+    pub width: u32,
+    /// The rows.
+    pub data: Buffer,
+}
+
+impl Column {
+    /// A column over bytes that `data` keeps alive.
+    pub fn new(name: impl Into<String>, kind: ColumnType, width: u32, data: Buffer) -> Self {
+        Self { name: name.into(), kind, width, data }
+    }
+
+    /// The bytes of the rows.
+    pub fn bytes(&self) -> &[u8] {
+        (*self.data).as_ref()
+    }
+
+    /// The number of rows.
+    pub fn rows(&self) -> usize {
+        self.bytes().len() / (self.kind.size() * self.width as usize).max(1)
+    }
+
+    /// The rows as values of `T`, borrowed where they lie aligned and copied where they do not.
+    ///
+    /// # Errors
+    /// [`ViewError::Rows`] if a row is not the size of a `T` or the bytes end within a row.
+    pub fn rows_of<T: Pod>(&self) -> Result<std::borrow::Cow<'_, [T]>, ViewError> {
+        let (row, size) = (self.kind.size() * self.width as usize, size_of::<T>());
+        if row != size || !self.bytes().len().is_multiple_of(size) {
+            return Err(ViewError::Rows { name: self.name.clone(), row, expected: size, bytes: self.bytes().len() });
+        }
+        Ok(match bytemuck::try_cast_slice(self.bytes()) {
+            Ok(rows) => rows.into(),
+            Err(_) => bytemuck::pod_collect_to_vec(self.bytes()).into(),
+        })
+    }
+}
+
+impl fmt::Debug for Column {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {} x {} {:?}", self.name, self.rows(), self.width, self.kind)
+    }
+}
+
+impl PartialEq for Column {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.name, self.kind, self.width, self.bytes()) == (&other.name, other.kind, other.width, other.bytes())
+    }
+}
+
+/// A view that is not of the payload it should be.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ViewError {
+    /// A head field or column is not there or has another type.
+    #[error("the view has no {what} \"{name}\"")]
+    Missing {
+        /// The kind of thing looked for.
+        what: &'static str,
+        /// Its name.
+        name: String,
+    },
+    /// A column's rows have another size than needed.
+    #[error("column \"{name}\" has rows of {row} bytes in {bytes} bytes, {expected} needed")]
+    Rows {
+        /// The column.
+        name: String,
+        /// Bytes in a row.
+        row: usize,
+        /// Bytes in a row of the type asked for.
+        expected: usize,
+        /// Bytes in all.
+        bytes: usize,
+    },
+    /// The values make no payload.
+    #[error("the view is no valid payload: {0}")]
+    Invalid(String),
+}
+
+impl View {
+    /// A view without fields or columns.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The view with one more head field.
+    pub fn with(mut self, name: &str, field: impl Into<Field>) -> Self {
+        self.head.push((name.into(), field.into()));
+        self
+    }
+
+    /// The view with one more column.
+    pub fn with_column(mut self, column: Column) -> Self {
+        self.columns.push(column);
+        self
+    }
+
+    /// The head field of that name, where there is one.
+    pub fn field(&self, name: &str) -> Option<&Field> {
+        self.head.iter().find(|(n, _)| n == name).map(|(_, f)| f)
+    }
+
+    /// The column of that name.
+    ///
+    /// # Errors
+    /// [`ViewError::Missing`] if there is none.
+    pub fn column(&self, name: &str) -> Result<&Column, ViewError> {
+        let missing = || ViewError::Missing { what: "column", name: name.into() };
+        self.columns.iter().find(|c| c.name == name).ok_or_else(missing)
+    }
+
+    /// The text of that name.
+    ///
+    /// # Errors
+    /// [`ViewError::Missing`] if there is none.
+    pub fn text(&self, name: &str) -> Result<&str, ViewError> {
+        match self.field(name) {
+            Some(Field::Text(text)) => Ok(text),
+            _ => Err(ViewError::Missing { what: "text field", name: name.into() }),
+        }
+    }
+
+    /// The integer of that name.
+    ///
+    /// # Errors
+    /// [`ViewError::Missing`] if there is none.
+    pub fn int(&self, name: &str) -> Result<i64, ViewError> {
+        match self.field(name) {
+            Some(Field::Int(value)) => Ok(*value),
+            _ => Err(ViewError::Missing { what: "integer field", name: name.into() }),
+        }
+    }
+
+    /// The number of that name.
+    ///
+    /// # Errors
+    /// [`ViewError::Missing`] if there is none.
+    pub fn float(&self, name: &str) -> Result<f64, ViewError> {
+        match self.field(name) {
+            Some(Field::Float(value)) => Ok(*value),
+            _ => Err(ViewError::Missing { what: "number field", name: name.into() }),
+        }
+    }
+
+    /// The `N` numbers of that name.
+    ///
+    /// # Errors
+    /// [`ViewError::Missing`] if there are not exactly so many.
+    pub fn floats<const N: usize>(&self, name: &str) -> Result<[f64; N], ViewError> {
+        let missing = || ViewError::Missing { what: "number list", name: format!("{name} of {N}") };
+        match self.field(name) {
+            Some(Field::Floats(values)) => values.as_slice().try_into().map_err(|_| missing()),
+            _ => Err(missing()),
+        }
+    }
+}
+
+impl From<bool> for Field {
+    fn from(value: bool) -> Self {
+        Self::Bool(value)
+    }
+}
+
+impl From<i64> for Field {
+    fn from(value: i64) -> Self {
+        Self::Int(value)
+    }
+}
+
+impl From<f64> for Field {
+    fn from(value: f64) -> Self {
+        Self::Float(value)
+    }
+}
+
+impl From<Vec<f64>> for Field {
+    fn from(values: Vec<f64>) -> Self {
+        Self::Floats(values)
+    }
+}
+
+impl From<&str> for Field {
+    fn from(text: &str) -> Self {
+        Self::Text(text.into())
+    }
+}
+
+impl From<String> for Field {
+    fn from(text: String) -> Self {
+        Self::Text(text)
+    }
+}

@@ -1,0 +1,155 @@
+//! What `check` hands to `run`: a graph whose every name has been resolved and every fault found.
+
+use osteoflow_node::{DeclaredPort, InputPort, PortPayload, Role};
+use std::{path::PathBuf, sync::Arc};
+
+/// A checked graph, ready to be built.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// The graph's name.
+    pub name: String,
+    /// The seed of everything random in the run.
+    pub seed: u64,
+    /// The graph file.
+    pub path: PathBuf,
+    /// The nodes in topological order; where that leaves a choice, in the order of the file.
+    pub nodes: Vec<PlanNode>,
+    /// Every output that has a consumer, once for each consumer.
+    pub links: Vec<Link>,
+    /// The outputs to record: those named by `[record]`, and every source's.
+    pub record: Vec<OutputId>,
+    /// What `results.json` holds, in the order of the file.
+    pub results: Vec<ResultEntry>,
+    /// The files that parameters name, absolute.
+    pub input_files: Vec<PathBuf>,
+    /// The graph as it runs, after `extends`, `--set` and defaults, as the text of a graph file with absolute paths.
+    pub resolved: String,
+}
+
+/// A node of the plan.
+#[derive(Debug, Clone)]
+pub struct PlanNode {
+    /// Its full name in the graph.
+    pub name: Arc<str>,
+    /// Its kind.
+    pub kind: String,
+    /// Node, source or live source.
+    pub role: Role,
+    /// Where its table begins.
+    pub location: Location,
+    /// Checked parameters, paths absolute.
+    pub params: serde_json::Value,
+    /// The outputs that the graph declared by `out`, for sources that take such.
+    pub declared: Arc<[DeclaredPort]>,
+    /// Its inputs, in the order of the kind's ports.
+    pub inputs: Vec<PlanInput>,
+    /// Its outputs, in the order of the kind's ports or of `out`.
+    pub outputs: Vec<PlanOutput>,
+    /// What happens when a firing fails.
+    pub on_error: OnError,
+}
+
+/// An input of a plan's node.
+#[derive(Debug, Clone)]
+pub struct PlanInput {
+    /// The port, with the join that the graph chose.
+    pub port: InputPort,
+    /// The link that feeds it, as an index into [`Plan::links`]; an optional port may have none.
+    pub link: Option<usize>,
+}
+
+/// An output of a plan's node.
+#[derive(Debug, Clone)]
+pub struct PlanOutput {
+    /// The port's name.
+    pub name: String,
+    /// What it gives.
+    pub payload: PortPayload,
+    /// The links it feeds, as indices into [`Plan::links`].
+    pub links: Vec<usize>,
+}
+
+/// An output of a node, by index: the wire `node.port`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct OutputId {
+    /// Index into [`Plan::nodes`].
+    pub node: usize,
+    /// Index into [`PlanNode::outputs`].
+    pub port: usize,
+}
+
+/// One output led to one input over a bounded queue.
+#[derive(Debug, Clone)]
+pub struct Link {
+    /// Where it comes from.
+    pub from: OutputId,
+    /// The consuming node, as an index into [`Plan::nodes`].
+    pub to_node: usize,
+    /// The consuming port, as an index into [`PlanNode::inputs`].
+    pub to_port: usize,
+    /// How many items wait at most.
+    pub capacity: usize,
+    /// How many items wait at most after the queue has been enlarged to let a stuck graph go on.
+    pub max_capacity: usize,
+    /// What happens when it is full.
+    pub policy: Policy,
+}
+
+/// What happens to an item that finds its link full.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Policy {
+    /// The producer waits.
+    Block,
+    /// The oldest waiting item makes room.
+    DropOld,
+    /// The new item is dropped.
+    DropNew,
+    /// Every n-th item is kept, the others are dropped.
+    Sample(u32),
+    /// The run fails.
+    Fail,
+}
+
+/// What happens when a firing fails.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum OnError {
+    /// The node ends; the run goes on without it and reports failure.
+    #[default]
+    Stop,
+    /// The item becomes an empty, the node is built anew and goes on.
+    Skip,
+}
+
+/// An entry of `[results]`.
+#[derive(Debug, Clone)]
+pub struct ResultEntry {
+    /// The dotted key in `results.json`.
+    pub key: String,
+    /// The wire whose last value it is.
+    pub from: OutputId,
+    /// Whether all values of the wire are listed, not only the last.
+    pub all: bool,
+    /// Whether the run may end without it; if not, its absence refuses the run.
+    pub optional: bool,
+    /// Where the entry stands.
+    pub location: Location,
+}
+
+/// A place in a graph file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Location {
+    /// The file.
+    pub file: PathBuf,
+    /// Counted from 1.
+    pub line: usize,
+    /// Counted from 1, in characters.
+    pub column: usize,
+}
+
+impl Plan {
+    /// The wire's name, `node.port`.
+    pub fn wire_name(&self, id: OutputId) -> String {
+        let node = &self.nodes[id.node];
+        format!("{}.{}", node.name, node.outputs[id.port].name)
+    }
+}

@@ -1,0 +1,1 @@
+//! Surface registration as plain functions: Kabsch, ICP, hole detection, regions, metrics.

@@ -1,0 +1,214 @@
+use crate::{Column, Frame, StampNs};
+use nalgebra::{Isometry3, Point3, Vector3};
+use std::sync::Arc;
+
+/// A surface as a camera saw it: `n` finite points in mm, with optional normals and named extra columns.
+///
+/// A cheap handle: clones share the columns. The `viewpoint` is the sensor's pose in the cloud's own frame (camera x
+/// right, y down, z forward); it is carried along by [`Cloud::transformed`] and [`Cloud::selected`], so what the camera
+/// saw can still be asked after the cloud has been moved.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cloud {
+    /// The frame of the coordinates.
+    pub frame: Frame,
+    /// When it was taken.
+    pub stamp_ns: StampNs,
+    /// What it shows, where a stream carries several: `P1` for the scan with the laser on P1.
+    pub label: Option<Arc<str>>,
+    /// `t_frame_sensor`: the pose of the sensor that took it, where known.
+    pub viewpoint: Option<Isometry3<f64>>,
+    points: Column<Point3<f64>>,
+    normals: Option<Column<Vector3<f64>>>,
+    extras: Vec<(Arc<str>, Column<f64>)>,
+}
+
+/// Columns that make no cloud.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CloudError {
+    /// A column's length is not the number of points.
+    #[error("column \"{name}\" has {found} values for {expected} points")]
+    Length {
+        /// The column.
+        name: String,
+        /// The number of points.
+        expected: usize,
+        /// The number of values.
+        found: usize,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error("point {index} is not finite; a reader drops and counts such points")]
+    NotFinite {
+        /// The first such point.
+        index: usize,
+    },
+}
+
+impl Cloud {
+    /// A cloud of `points` in `frame`, without normals or a viewpoint.
+    ///
+    /// # Errors
+    /// [`CloudError::NotFinite`] if a coordinate is NaN or infinite.
+    pub fn new(frame: impl Into<Frame>, points: impl Into<Column<Point3<f64>>>) -> Result<Self, CloudError> {
+        let points = points.into();
+        if let Some(index) = points.iter().position(|p| !p.coords.iter().all(|c| c.is_finite())) {
+            return Err(CloudError::NotFinite { index });
+        }
+        Ok(Self {
+            frame: frame.into(),
+            stamp_ns: 0,
+            label: None,
+            viewpoint: None,
+            points,
+            normals: None,
+            extras: Vec::new(),
+        })
+    }
+
+    /// The same cloud, taken at `stamp_ns`.
+    pub fn at(mut self, stamp_ns: StampNs) -> Self {
+        self.stamp_ns = stamp_ns;
+        self
+    }
+
+    /// The same cloud, seen by a sensor at `t_frame_sensor`.
+    pub fn seen_from(mut self, t_frame_sensor: Isometry3<f64>) -> Self {
+        self.viewpoint = Some(t_frame_sensor);
+        self
+    }
+
+    /// The same cloud, named after what it shows.
+    pub fn labelled(mut self, label: impl Into<Arc<str>>) -> Self {
+        self.label = Some(label.into());
+        self
+    }
+
+    /// The same cloud with unit normals.
+    ///
+    /// # Errors
+    /// [`CloudError::Length`] if there is not one for each point.
+    pub fn with_normals(mut self, normals: impl Into<Column<Vector3<f64>>>) -> Result<Self, CloudError> {
+        let normals = normals.into();
+        self.check_length("normals", normals.len())?;
+        self.normals = Some(normals);
+        Ok(self)
+    }
+
+    /// The same cloud with one more named column, such as `intensity`.
+    ///
+    /// # Errors
+    /// [`CloudError::Length`] if there is not one value for each point.
+    pub fn with_extra(
+        mut self,
+        name: impl Into<Arc<str>>,
+        values: impl Into<Column<f64>>,
+    ) -> Result<Self, CloudError> {
+        let (name, values) = (name.into(), values.into());
+        self.check_length(&name, values.len())?;
+        self.extras.push((name, values));
+        Ok(self)
+    }
+
+    /// The points, `n`, mm.
+    pub fn points(&self) -> &[Point3<f64>] {
+        &self.points
+    }
+
+    /// The points as a column that can be shared.
+    pub fn point_column(&self) -> &Column<Point3<f64>> {
+        &self.points
+    }
+
+    /// Unit normals, one for each point, where known.
+    pub fn normals(&self) -> Option<&[Vector3<f64>]> {
+        self.normals.as_deref()
+    }
+
+    /// The normals as a column that can be shared.
+    pub fn normal_column(&self) -> Option<&Column<Vector3<f64>>> {
+        self.normals.as_ref()
+    }
+
+    /// Further columns by name, in the order they came.
+    pub fn extras(&self) -> &[(Arc<str>, Column<f64>)] {
+        &self.extras
+    }
+
+    /// The number of points.
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Whether there is no point.
+    pub fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+
+    /// The cloud in frame `to`, moved by `t_to_frame`; normals and viewpoint go along, extra columns stay. `O(n)`.
+    pub fn transformed(&self, to: impl Into<Frame>, t_to_frame: &Isometry3<f64>) -> Cloud {
+        Cloud {
+            frame: to.into(),
+            stamp_ns: self.stamp_ns,
+            label: self.label.clone(),
+            viewpoint: self.viewpoint.map(|v| t_to_frame * v),
+            points: self.points.iter().map(|p| t_to_frame * p).collect(),
+            normals: self.normals.as_ref().map(|n| n.iter().map(|n| t_to_frame * n).collect()),
+            extras: self.extras.clone(),
+        }
+    }
+
+    /// The points at `indices`, in that order, with their normals and extra columns.
+    ///
+    /// # Panics
+    /// If an index is out of range.
+    pub fn selected(&self, indices: &[usize]) -> Cloud {
+        Cloud {
+            frame: self.frame.clone(),
+            stamp_ns: self.stamp_ns,
+            label: self.label.clone(),
+            viewpoint: self.viewpoint,
+            points: indices.iter().map(|&i| self.points[i]).collect(),
+            normals: self.normals.as_ref().map(|n| indices.iter().map(|&i| n[i]).collect()),
+            extras: self
+                .extras
+                .iter()
+                .map(|(name, values)| (name.clone(), indices.iter().map(|&i| values[i]).collect()))
+                .collect(),
+        }
+    }
+
+    fn check_length(&self, name: &str, found: usize) -> Result<(), CloudError> {
+        if found == self.len() {
+            return Ok(());
+        }
+        Err(CloudError::Length { name: name.into(), expected: self.len(), found })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_point_that_is_not_finite_makes_no_cloud() {
+        let points = vec![Point3::origin(), Point3::new(0.0, f64::NAN, 0.0)];
+        assert_eq!(Cloud::new("camera", points), Err(CloudError::NotFinite { index: 1 }));
+    }
+
+    #[test]
+    fn moving_a_cloud_moves_its_normals_and_viewpoint_and_keeps_its_extra_columns() {
+        let turn = Isometry3::new(Vector3::new(5.0, 0.0, 0.0), Vector3::z() * std::f64::consts::FRAC_PI_2);
+        let cloud = Cloud::new("camera", vec![Point3::new(1.0, 0.0, 0.0)])
+            .unwrap()
+            .with_normals(vec![Vector3::x()])
+            .unwrap()
+            .with_extra("intensity", vec![7.0])
+            .unwrap()
+            .seen_from(Isometry3::identity());
+        let moved = cloud.transformed("world", &turn);
+        assert!((moved.points()[0] - Point3::new(5.0, 1.0, 0.0)).norm() < 1e-12);
+        assert!((moved.normals().unwrap()[0] - Vector3::y()).norm() < 1e-12);
+        assert_eq!(moved.viewpoint, Some(turn));
+        assert_eq!(&*moved.extras()[0].1, &[7.0]);
+        assert_eq!(moved.selected(&[0, 0]).len(), 2);
+    }
+}

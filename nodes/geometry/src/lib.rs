@@ -1,0 +1,44 @@
+//! Points, clouds, meshes, planes, poses and frames: what every other crate of Osteoflow talks about.
+//!
+//! Lengths are millimetres, angles radians, times nanoseconds, coordinates `f64`; all frames are right-handed.
+//! `t_a_b` takes coordinates in b to coordinates in a, so neighbours cancel in a product:
+//!
+//! ```
+//! use osteoflow_geometry::{Pose, nalgebra::{Isometry3, Point3, Vector3}};
+//!
+//! let t_world_camera = Pose::new("world", "camera", Isometry3::translation(0.0, 0.0, 200.0));
+//! let t_camera_phantom = Pose::new("camera", "phantom", Isometry3::rotation(Vector3::z() * 0.5));
+//! let t_world_phantom = t_world_camera.compose(&t_camera_phantom).unwrap();
+//! assert_eq!(t_world_phantom.isometry * Point3::origin(), Point3::new(0.0, 0.0, 200.0));
+//! assert!(t_camera_phantom.compose(&t_world_camera).is_err(), "phantom does not meet world");
+//! ```
+
+pub use nalgebra;
+
+mod axes;
+mod cloud;
+mod column;
+mod frame;
+mod matrix;
+mod mesh;
+mod plane;
+mod points;
+mod pose;
+mod region;
+
+pub use axes::Axes;
+pub use cloud::{Cloud, CloudError};
+pub use column::Column;
+pub use frame::{Frame, FrameError};
+pub use matrix::{RotationError, isometry_from_matrix, matrix_rows};
+pub use mesh::{Mesh, MeshError, SurfaceOrigin};
+pub use plane::{Plane, PlanePlace, Planes};
+pub use points::{NamedPoint, Points};
+pub use pose::Pose;
+pub use region::Region;
+
+/// Nanoseconds since the Unix epoch; 0 for what has no time, such as a CT surface.
+pub type StampNs = i64;
+
+/// Millimetres in a metre, for readers, writers and views; everything else is in millimetres.
+pub const MM_PER_M: f64 = 1000.0;

@@ -1,0 +1,2 @@
+//! The `osteoflow` command.
+fn main() {}
