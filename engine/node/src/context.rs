@@ -13,6 +13,7 @@ pub struct Context {
     seed: u64,
     cancelled: Arc<AtomicBool>,
     declared: Arc<[DeclaredPort]>,
+    out_dir: Option<Arc<std::path::Path>>,
     stamp_ns: StampNs,
     item: u64,
     absent: Vec<(&'static str, Arc<Empty>)>,
@@ -21,12 +22,18 @@ pub struct Context {
 
 impl Context {
     /// A context of the node with this full name, for the engine and for tests.
-    pub fn new(node: impl Into<Arc<str>>, seed: u64, cancelled: Arc<AtomicBool>, declared: Arc<[DeclaredPort]>) -> Self {
+    pub fn new(
+        node: impl Into<Arc<str>>,
+        seed: u64,
+        cancelled: Arc<AtomicBool>,
+        declared: Arc<[DeclaredPort]>,
+    ) -> Self {
         Self {
             node: node.into(),
             seed,
             cancelled,
             declared,
+            out_dir: None,
             stamp_ns: 0,
             item: 0,
             absent: Vec::new(),
@@ -37,6 +44,12 @@ impl Context {
     /// A context outside any run: seed 0, item 0, stamp 0.
     pub fn for_test(node: &str) -> Self {
         Self::new(node, 0, Arc::default(), Arc::from([]))
+    }
+
+    /// The engine's: nodes that write files write them into this folder.
+    pub fn with_out_dir(mut self, out_dir: Option<Arc<std::path::Path>>) -> Self {
+        self.out_dir = out_dir;
+        self
     }
 
     /// The engine's: the next firing begins.
@@ -102,6 +115,11 @@ impl Context {
     /// Says something the user should know about this item; shown, counted, and kept in the manifest.
     pub fn warn(&mut self, message: impl Into<String>) {
         self.warnings.push(message.into());
+    }
+
+    /// The folder of this run, where a node that writes files puts them; `None` where the run leaves nothing.
+    pub fn out_dir(&self) -> Option<&std::path::Path> {
+        self.out_dir.as_deref()
     }
 
     /// The output ports that the graph declared for this source by `out`, in the graph's order.

@@ -1,4 +1,6 @@
-use crate::{Body, Context, Emission, InputPort, Item, Joined, NodeError, OutputPorts, ParamError, Payload, Slot, Value};
+use crate::{
+    Body, Context, Emission, InputPort, Item, Joined, NodeError, OutputPorts, ParamError, Payload, Slot, Value,
+};
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 

@@ -97,11 +97,7 @@ impl Cloud {
     ///
     /// # Errors
     /// [`CloudError::Length`] if there is not one value for each point.
-    pub fn with_extra(
-        mut self,
-        name: impl Into<Arc<str>>,
-        values: impl Into<Column<f64>>,
-    ) -> Result<Self, CloudError> {
+    pub fn with_extra(mut self, name: impl Into<Arc<str>>, values: impl Into<Column<f64>>) -> Result<Self, CloudError> {
         let (name, values) = (name.into(), values.into());
         self.check_length(&name, values.len())?;
         self.extras.push((name, values));

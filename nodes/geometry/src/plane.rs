@@ -74,10 +74,8 @@ impl Planes {
     /// The same planes in `frame`, all unknown for `reason`.
     pub fn unknown(&self, frame: impl Into<Frame>, stamp_ns: StampNs, reason: &str) -> Planes {
         let reason: Arc<str> = reason.into();
-        let planes = self
-            .planes
-            .iter()
-            .map(|p| Plane { name: p.name.clone(), place: PlanePlace::Unknown(reason.clone()) });
+        let planes =
+            self.planes.iter().map(|p| Plane { name: p.name.clone(), place: PlanePlace::Unknown(reason.clone()) });
         Planes { frame: frame.into(), stamp_ns, planes: planes.collect() }
     }
 }

@@ -56,11 +56,7 @@ impl Points {
         Points {
             frame: to.into(),
             stamp_ns: self.stamp_ns,
-            points: self
-                .points
-                .iter()
-                .map(|p| NamedPoint { position: t_to_frame * p.position, ..p.clone() })
-                .collect(),
+            points: self.points.iter().map(|p| NamedPoint { position: t_to_frame * p.position, ..p.clone() }).collect(),
         }
     }
 }

@@ -30,9 +30,10 @@ pub fn describe(input: TokenStream) -> TokenStream {
 }
 
 fn expand(tokens: syn::Result<proc_macro2::TokenStream>) -> TokenStream {
-    tokens.unwrap_or_else(|error| {
-        let error = error.into_compile_error();
-        quote!(#error)
-    })
-    .into()
+    tokens
+        .unwrap_or_else(|error| {
+            let error = error.into_compile_error();
+            quote!(#error)
+        })
+        .into()
 }
