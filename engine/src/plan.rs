@@ -65,8 +65,21 @@ pub struct PlanOutput {
     pub name: String,
     /// What it gives.
     pub payload: PortPayload,
+    /// The frames of what it gives, as far as `check` could tell.
+    pub frames: PortFrames,
     /// The links it feeds, as indices into [`Plan::links`].
     pub links: Vec<usize>,
+}
+
+/// The frames of what travels on a wire, as far as they are known before the run.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct PortFrames {
+    /// Of anything but a pose.
+    pub frame: Option<String>,
+    /// Of a pose: the frame whose coordinates it gives.
+    pub to: Option<String>,
+    /// Of a pose: the frame whose coordinates it takes.
+    pub from: Option<String>,
 }
 
 /// An output of a node, by index: the wire `node.port`.
