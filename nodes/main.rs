@@ -1,2 +1,36 @@
-//! The `osteoflow` command.
-fn main() {}
+//! The command `osteoflow`: checks, runs, records and plays graphs of nodes.
+//!
+//! `main` only reads the command line, chooses where log lines go, and turns the answer into an exit code; each
+//! subcommand is a file of its own in `commands/`.
+
+mod commands;
+
+use clap::Parser;
+use commands::{Cli, Exit, UsageError};
+use std::{io::Write, process::ExitCode};
+
+fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        // Help and version are answers, everything else is a fault of the command line; clap words both.
+        Err(said) => {
+            let _ = said.print();
+            return if said.use_stderr() { Exit::Usage.into() } else { Exit::Done.into() };
+        }
+    };
+    commands::log::start(&cli.global);
+    match cli.command.execute(&cli.global) {
+        Ok(exit) => exit.into(),
+        // Whoever reads our output may stop reading, as `head` does; that is no error.
+        Err(error) if is_broken_pipe(&error) => Exit::Done.into(),
+        Err(error) => {
+            let _ = writeln!(std::io::stderr(), "{}: {error:#}", cli.global.paint_err("error", "1;31"));
+            if error.chain().any(|cause| cause.is::<UsageError>()) { Exit::Usage.into() } else { Exit::Failed.into() }
+        }
+    }
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    let io = error.chain().find_map(|cause| cause.downcast_ref::<std::io::Error>());
+    io.is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+}

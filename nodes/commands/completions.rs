@@ -1,0 +1,25 @@
+use super::{Cli, Exit, Global};
+use anyhow::Result;
+use clap::{Args, CommandFactory};
+use clap_complete::Shell;
+use std::io::Write;
+
+/// Write a completion script for a shell to stdout.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow completions bash > ~/.local/share/bash-completion/completions/osteoflow
+  osteoflow completions zsh > ~/.zfunc/_osteoflow")]
+pub(crate) struct Completions {
+    /// The shell to complete in.
+    shell: Shell,
+}
+
+impl Completions {
+    pub(crate) fn execute(&self, _global: &Global) -> Result<Exit> {
+        let mut script = Vec::new();
+        clap_complete::generate(self.shell, &mut Cli::command(), "osteoflow", &mut script);
+        std::io::stdout().write_all(&script)?;
+        Ok(Exit::Done)
+    }
+}

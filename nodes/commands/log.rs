@@ -1,0 +1,31 @@
+//! Where log lines go: stderr, so that stdout carries answers only.
+
+use super::Global;
+use tracing::level_filters::LevelFilter;
+
+/// The environment variable that names a level: `off`, `error`, `warn`, `info`, `debug` or `trace`.
+const LEVEL_VARIABLE: &str = "OSTEOFLOW_LOG";
+
+/// Starts logging; the variable outranks the switches.
+pub(crate) fn start(global: &Global) {
+    let by_switch = match (global.quiet, global.verbose) {
+        (true, _) => LevelFilter::ERROR,
+        (false, 0 | 1) => LevelFilter::WARN,
+        (false, 2) => LevelFilter::INFO,
+        (false, 3) => LevelFilter::DEBUG,
+        (false, _) => LevelFilter::TRACE,
+    };
+    let named = std::env::var(LEVEL_VARIABLE).ok();
+    let by_name = named.as_deref().map(str::parse::<LevelFilter>);
+    tracing_subscriber::fmt()
+        .with_max_level(by_name.clone().and_then(Result::ok).unwrap_or(by_switch))
+        .with_writer(std::io::stderr)
+        .with_ansi(global.colour_err())
+        .without_time()
+        .with_target(false)
+        .init();
+    if let Some(Err(_)) = by_name {
+        let said = named.unwrap_or_default();
+        tracing::warn!("{LEVEL_VARIABLE}={said} is no level; off, error, warn, info, debug and trace are");
+    }
+}

@@ -1,0 +1,135 @@
+//! The subcommands, one file each, and what they share: switches, exit codes, the registry.
+
+mod completions;
+mod exit;
+mod inspect;
+pub(crate) mod log;
+mod node_docs;
+mod out_dir;
+mod result_table;
+mod text_table;
+
+pub(crate) use exit::{Exit, UsageError};
+
+use anyhow::Result;
+use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+use std::io::IsTerminal;
+
+/// Register a bone surface by running a graph of nodes.
+///
+/// A graph file names nodes (acquire, calibrate, crop, find the laser spots, fit, ICP, planes, metrics) and wires them.
+/// It is checked before anything runs; a run leaves its results, where they came from, and a recording of its wires.
+#[derive(Debug, Parser)]
+#[command(
+    name = "osteoflow",
+    version,
+    max_term_width = 110,
+    after_help = "\
+Examples:
+  osteoflow run graphs/fibula.toml                          a simulated procedure, from scan to cutting planes
+  osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_plane --set graph.seed=7
+  osteoflow check graphs/fibula.toml                        every fault at its line, nothing is run
+  osteoflow inspect icp.point_to_plane                      what a node takes, gives and needs
+
+Exit codes:
+    0  done
+    1  a file could not be read or written, or something of ours broke
+    2  the command line or the graph has a fault; nothing was run
+    3  the run was refused or a node failed; results.json says why
+  130  interrupted; what was written until then is valid
+
+Research software, not a medical device."
+)]
+pub(crate) struct Cli {
+    #[command(flatten)]
+    pub(crate) global: Global,
+
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+/// Switches that every command takes.
+#[derive(Debug, Args)]
+pub(crate) struct Global {
+    /// How to answer on stdout.
+    #[arg(long, global = true, value_enum, default_value_t = Format::Text, value_name = "FORMAT")]
+    pub(crate) format: Format,
+
+    /// Say nothing but answers and errors.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub(crate) quiet: bool,
+
+    /// Tell more: tables of nodes and wires, then (-vv, -vvv) log lines; OSTEOFLOW_LOG=debug names a level.
+    #[arg(short, long, global = true, action = ArgAction::Count)]
+    pub(crate) verbose: u8,
+
+    /// Whether to colour what a terminal shows; auto: where it is one and NO_COLOR is not set.
+    #[arg(long, global = true, value_enum, default_value_t = Colour::Auto, value_name = "WHEN")]
+    pub(crate) color: Colour,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Format {
+    /// For people.
+    Text,
+    /// For machines: one JSON value on stdout, nothing else there.
+    Json,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Colour {
+    Auto,
+    Always,
+    Never,
+}
+
+impl Global {
+    /// Whether stderr takes colours.
+    pub(crate) fn colour_err(&self) -> bool {
+        self.color.allows(std::io::stderr().is_terminal())
+    }
+
+    /// `text` in an ANSI style such as `1;31`, where stdout takes it.
+    pub(crate) fn paint_out(&self, text: &str, style: &str) -> String {
+        paint(self.color.allows(std::io::stdout().is_terminal()), text, style)
+    }
+
+    /// `text` in an ANSI style such as `1;31`, where stderr takes it.
+    pub(crate) fn paint_err(&self, text: &str, style: &str) -> String {
+        paint(self.colour_err(), text, style)
+    }
+}
+
+impl Colour {
+    fn allows(self, terminal: bool) -> bool {
+        match self {
+            Self::Always => true,
+            Self::Never => false,
+            Self::Auto => terminal && std::env::var_os("NO_COLOR").is_none_or(|v| v.is_empty()),
+        }
+    }
+}
+
+fn paint(coloured: bool, text: &str, style: &str) -> String {
+    if coloured { format!("\x1b[{style}m{text}\x1b[0m") } else { text.into() }
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    Inspect(inspect::Inspect),
+    Completions(completions::Completions),
+}
+
+impl Command {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        match self {
+            Self::Inspect(command) => command.execute(global),
+            Self::Completions(command) => command.execute(global),
+        }
+    }
+}
+
+/// The nodes and payloads that graphs may name.
+pub(crate) fn registry() -> osteoflow_node::Registry {
+    osteoflow_node::Registry::default()
+}

@@ -1,0 +1,175 @@
+//! What a run found, as a reader wants to see it: the known keys of `results.json` as tables in mm and degrees.
+
+use super::text_table::TextTable;
+use osteoflow_geometry::{isometry_from_matrix, nalgebra::Matrix4};
+use serde_json::Value;
+
+/// What stands on every result, on the terminal and in files.
+pub(crate) const NOTICE: &str = "research use only, not for clinical use";
+
+/// The tables of those known keys that `results` holds; other keys are the file's alone.
+pub(crate) fn text(results: &Value) -> String {
+    let mut blocks = vec![banner(results)];
+    if let Some(refused) = results.get("refused") {
+        blocks.push(format!("refused: {}\n", plain(refused)));
+    }
+    let tables =
+        [poses(results), points(results), icp(results), planes(results, "planes_at_scan", "planes at the scan")];
+    blocks.extend(tables.into_iter().flatten());
+    blocks.extend(planes(results, "planes", "planes, latest"));
+    blocks.extend(target_errors(results, "tre_measured_mm", "TRE, measured by stylus"));
+    blocks.extend(target_errors(results, "tre_true_mm", "TRE, true"));
+    blocks.join("\n")
+}
+
+/// Whether it is simulated, and against which surface.
+fn banner(results: &Value) -> String {
+    let mut words = Vec::new();
+    if results.get("simulated") == Some(&Value::Bool(true)) {
+        words.push("SIMULATED".to_owned());
+    }
+    if let Some(surface) = results.get("ct_surface") {
+        words.push(format!("ct_surface = {}", plain(surface)));
+    }
+    words.push(NOTICE.to_owned());
+    format!("{}\n", words.join(", "))
+}
+
+fn poses(results: &Value) -> Option<String> {
+    let mut table = TextTable::new("poses", &["x", "y", "z mm", "rx", "ry", "rz deg"]);
+    for (name, pose) in results.get("poses")?.as_object()? {
+        table.row(name, pose_cells(&pose["matrix"]));
+    }
+    some(table)
+}
+
+/// The origin, and the rotation as a vector along its axis, as long as its angle.
+fn pose_cells(matrix: &Value) -> Vec<String> {
+    let Some(t) = matrix4(matrix).and_then(|m| isometry_from_matrix(&m).ok()) else { return vec!["unknown".into()] };
+    let turn = t.rotation.scaled_axis().map(f64::to_degrees);
+    let origin = t.translation.vector;
+    origin.iter().chain(turn.iter()).map(|&v| fixed(v, 2)).collect()
+}
+
+fn points(results: &Value) -> Option<String> {
+    let mut table = TextTable::new("laser points", &["x", "y", "z mm", "confidence"]);
+    for point in results.get("laser_points")?.as_array()? {
+        let mut cells = numbers(&point["position_mm"], 2);
+        cells.push(point["confidence"].as_f64().map_or_else(|| "-".into(), |c| fixed(c, 2)));
+        cells.extend(point["frame"].as_str().map(|frame| format!("in {frame}")));
+        table.row(plain(&point["name"]), cells);
+    }
+    some(table)
+}
+
+fn icp(results: &Value) -> Option<String> {
+    let icp = results.get("icp")?;
+    let mut table = TextTable::new("icp", &["iterations", "pairs", "rms mm"]);
+    let rms = icp["rms_mm"].as_f64().map_or_else(|| "-".into(), |v| fixed(v, 4));
+    let how = if icp["converged"] == Value::Bool(true) { "converged" } else { "not converged" };
+    let stop = format!("stopped by {}", plain(&icp["stop_reason"]));
+    table.row(how, [plain(&icp["iterations"]), plain(&icp["n_pairs"]), rms, stop]);
+    some(table)
+}
+
+fn planes(results: &Value, key: &str, title: &str) -> Option<String> {
+    let mut table = TextTable::new(title, &["x", "y", "z mm", "nx", "ny", "nz"]);
+    for plane in results.get(key)?.as_array()? {
+        let cells = match (plane.get("unknown"), matrix4(&plane["matrix"])) {
+            (None, Some(m)) => {
+                let mut cells: Vec<_> = (0..3).map(|k| fixed(m[(k, 3)], 2)).collect();
+                cells.extend((0..3).map(|k| fixed(m[(k, 2)], 4)));
+                cells.extend(plane["frame"].as_str().map(|frame| format!("in {frame}")));
+                cells
+            }
+            (reason, _) => {
+                let reason = reason.map_or_else(|| "no matrix".into(), plain);
+                // Beyond the last column, so that a long reason widens no column.
+                [vec!["-".into(); 6], vec![format!("unknown: {reason}")]].concat()
+            }
+        };
+        table.row(plain(&plane["name"]), cells);
+    }
+    some(table)
+}
+
+fn target_errors(results: &Value, key: &str, title: &str) -> Option<String> {
+    let tre = results.get("metrics")?.get(key)?;
+    let mut table = TextTable::new(title, &["x", "y", "z", "norm mm"]);
+    for point in tre["points"].as_array()? {
+        table.row(plain(&point["name"]), components(point));
+    }
+    let mean = tre.get("mean_abs").map(components)?;
+    table.row("mean |.|", mean.into_iter().chain([format!("n = {}", plain(&tre["n"]))]));
+    some(table)
+}
+
+fn components(of: &Value) -> Vec<String> {
+    ["x", "y", "z", "norm"].iter().map(|k| of[k].as_f64().map_or_else(|| "-".into(), |v| fixed(v, 3))).collect()
+}
+
+fn numbers(list: &Value, digits: usize) -> Vec<String> {
+    let list = list.as_array().map(Vec::as_slice).unwrap_or_default();
+    list.iter().map(|v| v.as_f64().map_or_else(|| "-".into(), |v| fixed(v, digits))).collect()
+}
+
+fn matrix4(rows: &Value) -> Option<Matrix4<f64>> {
+    let rows = rows.as_array().filter(|rows| rows.len() == 4)?;
+    let mut m = Matrix4::zeros();
+    for (r, row) in rows.iter().enumerate() {
+        for c in 0..4 {
+            m[(r, c)] = row.get(c)?.as_f64()?;
+        }
+    }
+    Some(m)
+}
+
+/// Fixed digits, and no minus before a zero.
+fn fixed(value: f64, digits: usize) -> String {
+    let text = format!("{value:.digits$}");
+    if text.starts_with('-') && text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.')) { text[1..].into() } else { text }
+}
+
+/// Text as it is, everything else as JSON.
+fn plain(value: &Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
+}
+
+fn some(table: TextTable) -> Option<String> {
+    (!table.is_empty()).then(|| table.lines())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_result_says_that_it_is_simulated_against_what_and_for_what_it_is_no_use() {
+        let said = text(&json!({ "simulated": true, "ct_surface": "simulated_ct" }));
+        assert_eq!(said, "SIMULATED, ct_surface = simulated_ct, research use only, not for clinical use\n");
+    }
+
+    #[test]
+    fn known_keys_become_tables_in_mm_and_degrees() {
+        let quarter_turn = [[0.0, -1.0, 0.0, 1.0], [1.0, 0.0, 0.0, -2.0], [0.0, 0.0, 1.0, 3.5], [0.0, 0.0, 0.0, 1.0]];
+        let point = json!({ "name": "M1", "x": -0.0001, "y": 0.25, "z": -1.5, "norm": 1.52 });
+        let said = text(&json!({
+            "poses": { "t_ct_world": { "to": "ct", "from": "world", "matrix": quarter_turn } },
+            "planes": [
+                { "name": "cut_1", "frame": "world", "stamp_ns": 1, "matrix": quarter_turn },
+                { "name": "cut_2", "unknown": "bone_marker lost at 3 s" },
+            ],
+            "metrics": { "tre_true_mm": { "points": [point], "mean_abs": point, "n": 1 } },
+        }));
+        for expected in [
+            "poses            x      y  z mm    rx    ry  rz deg\n  t_ct_world  1.00  -2.00  3.50  0.00  0.00   90.00\n",
+            "  cut_1       1.00  -2.00  3.50  0.0000  0.0000  1.0000  in world\n",
+            "  cut_2          -      -     -       -       -       -  unknown: bone_marker lost at 3 s\n",
+            "  M1        0.000  0.250  -1.500    1.520\n",
+            "  mean |.|  0.000  0.250  -1.500    1.520  n = 1\n",
+        ] {
+            assert!(said.contains(expected), "{said}\nlacks\n{expected}");
+        }
+    }
+}

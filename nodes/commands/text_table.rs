@@ -1,0 +1,82 @@
+//! Columns of text, aligned: names to the left, numbers to the right.
+
+use std::fmt::Write as _;
+
+/// A table that is printed with a heading and an indent of two.
+pub(crate) struct TextTable {
+    title: String,
+    header: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl TextTable {
+    /// An empty table; `header` names the columns after the first.
+    pub(crate) fn new(title: impl Into<String>, header: &[&str]) -> Self {
+        Self { title: title.into(), header: header.iter().map(|&h| h.into()).collect(), rows: Vec::new() }
+    }
+
+    /// Adds a row: its name, then one cell for each column.
+    pub(crate) fn row(&mut self, name: impl Into<String>, cells: impl IntoIterator<Item = String>) {
+        let mut row = vec![name.into()];
+        row.extend(cells);
+        self.rows.push(row);
+    }
+
+    /// Whether no row was added.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// The lines. A cell beyond the last column is a remark: it stands at the end, to the left.
+    pub(crate) fn lines(&self) -> String {
+        let name_width = self.rows.iter().map(|r| 2 + width(&r[0])).chain([width(&self.title)]).max().unwrap_or(0);
+        let mut widths: Vec<usize> = self.header.iter().map(|h| width(h)).collect();
+        for row in &self.rows {
+            for (column, cell) in widths.iter_mut().zip(&row[1..]) {
+                *column = (*column).max(width(cell));
+            }
+        }
+        let mut out = String::new();
+        line(&mut out, &self.title, name_width, &self.header, &widths);
+        for row in &self.rows {
+            line(&mut out, &format!("  {}", row[0]), name_width, &row[1..], &widths);
+        }
+        out
+    }
+}
+
+fn line(out: &mut String, name: &str, name_width: usize, cells: &[String], widths: &[usize]) {
+    let mut text = name.to_owned();
+    text.extend(std::iter::repeat_n(' ', name_width.saturating_sub(width(name))));
+    for (k, cell) in cells.iter().enumerate() {
+        match widths.get(k) {
+            Some(&column) => {
+                text.extend(std::iter::repeat_n(' ', 2 + column.saturating_sub(width(cell))));
+                text.push_str(cell);
+            }
+            None => {
+                let _ = write!(text, "  {cell}");
+            }
+        }
+    }
+    out.push_str(text.trim_end());
+    out.push('\n');
+}
+
+fn width(text: &str) -> usize {
+    text.chars().count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_stand_left_numbers_right_and_a_remark_at_the_end() {
+        let mut table = TextTable::new("laser points", &["x", "mm"]);
+        table.row("P1", ["-1.25".into(), "3".into(), "in ct".into()]);
+        table.row("P10", ["10.50".into(), "-44".into()]);
+        let expected = "laser points      x   mm\n  P1          -1.25    3  in ct\n  P10         10.50  -44\n";
+        assert_eq!(table.lines(), expected);
+    }
+}
