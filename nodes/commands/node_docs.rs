@@ -145,31 +145,36 @@ fn frames(of: &FrameExpr) -> String {
 }
 
 fn parameters(out: &mut String, title: &str, schema: &Value) {
-    let Some(properties) = schema["properties"].as_object().filter(|p| !p.is_empty()) else {
+    let mut rows = String::new();
+    parameter_rows(&mut rows, "", schema, schema, None);
+    if rows.is_empty() {
         let _ = write!(out, "\n**{title}**: none.\n");
         return;
-    };
-    let required = schema["required"].as_array().map(Vec::as_slice).unwrap_or_default();
-    let _ = write!(
-        out,
-        "\n**{title}**\n\n| Name | Type | Unit | Default | Range | Meaning, and why this default |\n|---|---|---|---|---|---|\n"
-    );
-    for (name, property) in properties {
-        let default = match property.get("default") {
+    }
+    let header = "| Name | Type | Unit | Default | Range | Meaning, and why this default |\n|---|---|---|---|---|---|";
+    let _ = write!(out, "\n**{title}**\n\n{header}\n{rows}");
+}
+
+/// A row for each parameter; those of a table within the table are named `table.parameter`.
+fn parameter_rows(out: &mut String, prefix: &str, table: &Value, root: &Value, defaults: Option<&Value>) {
+    let required = table["required"].as_array().map(Vec::as_slice).unwrap_or_default();
+    for (name, property) in table["properties"].as_object().into_iter().flatten() {
+        let given = defaults.and_then(|d| d.get(name)).or_else(|| property.get("default"));
+        let target = resolved(property, root);
+        if target["properties"].is_object() {
+            parameter_rows(out, &format!("{prefix}{name}."), target, root, given);
+            continue;
+        }
+        let default = match given {
             Some(Value::Null) => "none".into(),
             Some(value) => format!("`{value}`"),
             None if required.iter().any(|r| r == name) => "required".into(),
             None => String::new(),
         };
-        let doc = property["description"].as_str().or_else(|| resolved(property, schema)["description"].as_str());
-        let _ = writeln!(
-            out,
-            "| `{name}` | {} | {} | {default} | {} | {} |",
-            type_of(property, schema),
-            unit(name),
-            range(property),
-            cell(doc.unwrap_or_default())
-        );
+        let doc = property["description"].as_str().or_else(|| target["description"].as_str());
+        let (kind, unit, range, doc) =
+            (type_of(property, root), unit(name), range(property), cell(doc.unwrap_or_default()));
+        let _ = writeln!(out, "| `{prefix}{name}` | {kind} | {unit} | {default} | {range} | {doc} |");
     }
 }
 
@@ -265,9 +270,12 @@ mod tests {
                 "weight": { "$ref": "#/$defs/Weight", "default": "none" },
                 "limit": { "type": ["integer", "null"], "default": null, "exclusiveMinimum": 0 },
                 "path": { "type": "string", "format": "input-path" },
+                "camera": { "$ref": "#/$defs/Camera", "default": { "n_points": 20000 } },
             },
             "required": ["path"],
-            "$defs": { "Weight": { "oneOf": [{ "const": "none" }, { "const": "incidence" }], "description": "How pairs weigh." } },
+            "$defs": { "Weight": { "oneOf": [{ "const": "none" }, { "const": "incidence" }], "description": "How pairs weigh." },
+                "Camera": { "type": "object", "properties": { "n_points": { "type": "integer", "minimum": 1 } } },
+            },
         });
         let mut out = String::new();
         parameters(&mut out, "Parameters", &schema);
@@ -275,6 +283,7 @@ mod tests {
             "| `gate_mm` | number | mm | `5.0` | ≥ 0.1, ≤ 50.0 | 5: twice the \\| error. |",
             "| `weight` | `\"none\"` or `\"incidence\"` |  | `\"none\"` |  | How pairs weigh. |",
             "| `limit` | integer |  | none | > 0 |  |",
+            "| `camera.n_points` | integer |  | `20000` | ≥ 1 |  |",
             "| `path` | path |  | required |  |  |",
         ] {
             assert!(out.contains(row), "{out}\nlacks\n{row}");

@@ -164,8 +164,8 @@ mod tests {
         }));
         for expected in [
             "poses            x      y  z mm    rx    ry  rz deg\n  t_ct_world  1.00  -2.00  3.50  0.00  0.00   90.00\n",
-            "  cut_1       1.00  -2.00  3.50  0.0000  0.0000  1.0000  in world\n",
-            "  cut_2          -      -     -       -       -       -  unknown: bone_marker lost at 3 s\n",
+            "  cut_1         1.00  -2.00  3.50  0.0000  0.0000  1.0000  in world\n",
+            "  cut_2            -      -     -       -       -       -  unknown: bone_marker lost at 3 s\n",
             "  M1        0.000  0.250  -1.500    1.520\n",
             "  mean |.|  0.000  0.250  -1.500    1.520  n = 1\n",
         ] {

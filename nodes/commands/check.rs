@@ -1,0 +1,42 @@
+use super::{Exit, Format, Global, GraphArgs, print_json};
+use anyhow::Result;
+use clap::Args;
+use serde_json::json;
+use std::io::Write;
+
+/// Check a graph without running it: every fault at its line, all in one pass.
+///
+/// Kinds, ports, parameters with their ranges, types and frames along the wires, cycles, missing files. No node is built
+/// and no data is read.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow check graphs/fibula.toml
+  osteoflow check graphs/fibula.toml --set icp.kind=icp.point_to_plane
+  osteoflow check graphs/fibula.toml --format json       faults with file, line and column, for editors")]
+pub(crate) struct Check {
+    #[command(flatten)]
+    graph: GraphArgs,
+}
+
+impl Check {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let (_, Some(checked)) = self.graph.check(global)? else { return Ok(Exit::Usage) };
+        let plan = &checked.plan;
+        match global.format {
+            Format::Json => print_json(&json!({
+                "outcome": Exit::Done.word(),
+                "graph": plan.name,
+                "nodes": plan.nodes.len(),
+                "wires": plan.links.len(),
+                "warnings": checked.warnings.to_json(),
+            }))?,
+            Format::Text if !global.quiet => {
+                let (graph, nodes, wires) = (self.graph.graph.display(), plan.nodes.len(), plan.links.len());
+                writeln!(std::io::stdout(), "{graph}: {nodes} nodes, {wires} wires, no faults")?;
+            }
+            Format::Text => {}
+        }
+        Ok(Exit::Done)
+    }
+}

@@ -1,0 +1,52 @@
+use super::{Exit, Format, Global, registry};
+use anyhow::Result;
+use clap::Args;
+use osteoflow_engine::{Checked, fault::Faults};
+use osteoflow_node::Registry;
+use serde_json::{Value, json};
+use std::{io::Write, path::PathBuf};
+
+/// A graph file and what the command line changes in it.
+#[derive(Debug, Args)]
+pub(crate) struct GraphArgs {
+    /// The graph file.
+    pub(crate) graph: PathBuf,
+
+    /// Change any key of the graph: NODE.PARAMETER=VALUE, NODE.kind=KIND, graph.seed=7; may be given again.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub(crate) sets: Vec<String>,
+}
+
+impl GraphArgs {
+    /// The checked graph, with its warnings told; or all its faults told, and `None`.
+    pub(crate) fn check(&self, global: &Global) -> Result<(Registry, Option<Checked>)> {
+        let registry = registry();
+        match osteoflow_engine::check(&self.graph, &self.sets, &registry) {
+            Ok(checked) => {
+                if !checked.warnings.0.is_empty() && !global.quiet && global.format == Format::Text {
+                    writeln!(std::io::stderr(), "{}\n", checked.warnings.render(global.colour_err()))?;
+                }
+                Ok((registry, Some(checked)))
+            }
+            Err(faults) => {
+                tell(&faults, global)?;
+                Ok((registry, None))
+            }
+        }
+    }
+}
+
+/// All faults: to people on stderr, to machines as the answer.
+fn tell(faults: &Faults, global: &Global) -> Result<()> {
+    match global.format {
+        Format::Text => writeln!(std::io::stderr(), "{}", faults.render(global.colour_err()))?,
+        Format::Json => print_json(&json!({ "outcome": Exit::Usage.word(), "faults": faults.to_json() }))?,
+    }
+    Ok(())
+}
+
+/// The one JSON value that a command answers.
+pub(crate) fn print_json(value: &Value) -> Result<()> {
+    writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(value)?)?;
+    Ok(())
+}

@@ -1,0 +1,90 @@
+//! Which crate may know which: the arrows of docs/architecture.md, read from the manifests.
+
+use std::{collections::BTreeMap, fs, path::Path};
+
+/// Every crate of the workspace, where it lies, and the crates of the workspace that it may depend on.
+const ARROWS: [(&str, &str, &[&str]); 9] = [
+    ("osteoflow-node-macros", "engine/node/macros", &[]),
+    ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
+    ("osteoflow-engine", "engine", &["osteoflow-node"]),
+    ("osteoflow-geometry", "nodes/geometry", &[]),
+    ("osteoflow-algorithms", "nodes/algorithms", &["osteoflow-geometry"]),
+    ("osteoflow-formats", "nodes/formats", &["osteoflow-geometry"]),
+    ("osteoflow-simulation", "nodes/simulation", &["osteoflow-algorithms", "osteoflow-geometry"]),
+    ("osteoflow-payloads", "nodes/payloads", &["osteoflow-node", "osteoflow-geometry", "osteoflow-algorithms"]),
+    (
+        "osteoflow-standard",
+        "nodes/standard",
+        &[
+            "osteoflow-node",
+            "osteoflow-payloads",
+            "osteoflow-algorithms",
+            "osteoflow-formats",
+            "osteoflow-simulation",
+            "osteoflow-geometry",
+        ],
+    ),
+];
+
+/// What reads or writes files, or runs graphs: nothing for a crate of plain functions.
+const NOT_FOR_ALGORITHMS: [&str; 9] =
+    ["mcap", "foxglove", "stl_io", "ply-rs-bw", "csv", "toml", "serde_json", "crossbeam-channel", "tracing"];
+
+fn manifest(folder: &str) -> toml::Table {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder).join("Cargo.toml");
+    let text = fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    text.parse().unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+fn dependencies(manifest: &toml::Table, table: &str) -> Vec<String> {
+    manifest.get(table).and_then(|t| t.as_table()).map(|t| t.keys().cloned().collect()).unwrap_or_default()
+}
+
+#[test]
+fn every_crate_of_the_workspace_has_its_arrows_written_down() {
+    let root = manifest(".");
+    let mut members: Vec<_> =
+        root["workspace"]["members"].as_array().unwrap().iter().map(|m| m.as_str().unwrap()).collect();
+    let mut known: Vec<_> = ARROWS.iter().map(|(_, folder, _)| *folder).collect();
+    members.sort_unstable();
+    known.sort_unstable();
+    assert_eq!(members, known, "a new crate gets a line in ARROWS and in docs/architecture.md");
+    for (name, folder, _) in ARROWS {
+        assert_eq!(manifest(folder)["package"]["name"].as_str(), Some(name), "{folder}");
+    }
+}
+
+#[test]
+fn dependencies_point_one_way_only() {
+    let mut wrong = BTreeMap::new();
+    for (name, folder, allowed) in ARROWS {
+        let manifest = manifest(folder);
+        for table in ["dependencies", "build-dependencies"] {
+            let found = dependencies(&manifest, table);
+            let ours = found.into_iter().filter(|d| d == "osteoflow" || d.starts_with("osteoflow-"));
+            let beyond: Vec<_> = ours.filter(|d| !allowed.contains(&d.as_str())).collect();
+            if !beyond.is_empty() {
+                wrong.insert(name, beyond);
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "arrows that docs/architecture.md does not have: {wrong:?}");
+}
+
+#[test]
+fn algorithms_know_no_engine_no_node_and_no_file() {
+    let found = dependencies(&manifest("nodes/algorithms"), "dependencies");
+    let beyond: Vec<_> = found.iter().filter(|d| NOT_FOR_ALGORITHMS.contains(&d.as_str())).collect();
+    assert!(beyond.is_empty(), "nodes/algorithms depends on {beyond:?}");
+    let geometry = dependencies(&manifest("nodes/geometry"), "dependencies");
+    let beyond: Vec<_> = geometry.iter().filter(|d| NOT_FOR_ALGORITHMS.contains(&d.as_str())).collect();
+    assert!(beyond.is_empty(), "nodes/geometry depends on {beyond:?}");
+}
+
+#[test]
+fn the_engine_names_no_bone_point_or_frame() {
+    let found = dependencies(&manifest("engine"), "dependencies");
+    let geometric = ["nalgebra", "kiddo", "parry3d-f64", "foxglove"];
+    let beyond: Vec<_> = found.iter().filter(|d| geometric.contains(&d.as_str())).collect();
+    assert!(beyond.is_empty(), "engine depends on {beyond:?}");
+}

@@ -1,0 +1,50 @@
+//! docs/nodes is what the nodes say of themselves; `UPDATE=1` writes it anew.
+
+mod common;
+
+use common::{osteoflow, root};
+use std::{collections::BTreeMap, fs, path::Path};
+
+fn pages(folder: &Path) -> BTreeMap<String, String> {
+    let Ok(entries) = fs::read_dir(folder) else { return BTreeMap::new() };
+    let paths = entries.map(|e| e.unwrap().path());
+    paths.map(|p| (p.file_name().unwrap().to_string_lossy().into_owned(), fs::read_to_string(p).unwrap())).collect()
+}
+
+#[test]
+fn docs_nodes_is_what_the_nodes_say_of_themselves() {
+    let kept = root().join("docs/nodes");
+    if std::env::var_os("UPDATE").is_some() {
+        osteoflow().args(["inspect", "--write-docs"]).arg(&kept).assert().success();
+        return;
+    }
+    let fresh = tempfile::tempdir().unwrap();
+    osteoflow().args(["inspect", "--write-docs"]).arg(fresh.path()).assert().success();
+    let (kept, fresh) = (pages(&kept), pages(fresh.path()));
+    assert_eq!(Vec::from_iter(kept.keys()), Vec::from_iter(fresh.keys()), "`osteoflow inspect --write-docs docs/nodes`");
+    for (name, text) in &fresh {
+        assert!(kept[name] == *text, "docs/nodes/{name} is stale: `osteoflow inspect --write-docs docs/nodes`");
+    }
+}
+
+#[test]
+fn every_port_and_parameter_of_a_built_in_node_says_what_it_is() {
+    let registry = osteoflow_standard::registry();
+    let mut silent = Vec::new();
+    for kind in registry.kinds() {
+        let d = &kind.description;
+        silent.extend(d.inputs.iter().filter(|p| p.doc.is_empty()).map(|p| format!("{}: input {}", d.kind, p.name)));
+        if let osteoflow_node::OutputPorts::Fixed(ports) = &d.outputs {
+            silent.extend(ports.iter().filter(|p| p.doc.is_empty()).map(|p| format!("{}: output {}", d.kind, p.name)));
+        }
+        for (name, property) in d.params["properties"].as_object().into_iter().flatten() {
+            if property["description"].as_str().is_none_or(str::is_empty) && property.get("$ref").is_none() {
+                silent.push(format!("{}: parameter {name}", d.kind));
+            }
+        }
+        if d.example.trim().is_empty() {
+            silent.push(format!("{}: no example", d.kind));
+        }
+    }
+    assert!(silent.is_empty(), "{silent:#?}");
+}

@@ -1,0 +1,56 @@
+//! README.md and .ci/run: the two commands that a newcomer types, and that CI types for them.
+
+use std::{fs, path::Path, process::Command};
+
+fn text(name: &str) -> String {
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap()
+}
+
+fn lines_that_begin<'a>(text: &'a str, with: &str) -> Vec<&'a str> {
+    text.lines().filter(|line| line.starts_with(with)).collect()
+}
+
+#[test]
+fn the_readme_has_each_of_its_two_commands_once() {
+    let readme = text("README.md");
+    assert_eq!(lines_that_begin(&readme, "cargo run "), ["cargo run --release -- run graphs/fibula.toml"]);
+    assert_eq!(lines_that_begin(&readme, "cargo test "), ["cargo test --release --workspace"]);
+}
+
+#[test]
+fn ci_takes_both_commands_from_the_readme_and_parses() {
+    let script = text(".ci/run");
+    assert!(script.contains("command_of_readme 'cargo test '") && script.contains("command_of_readme 'cargo run '"));
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(".ci/run");
+    let checked = Command::new("bash").arg("-n").arg(&path).output().unwrap();
+    assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stderr));
+}
+
+#[test]
+fn links_of_the_book_lead_somewhere() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut pages = vec![root.join("README.md"), root.join("CONTRIBUTING.md"), root.join("CHANGELOG.md")];
+    let mut folders = vec![root.join("docs")];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| e == "md") {
+                pages.push(path);
+            }
+        }
+    }
+    let mut dead = Vec::new();
+    for page in pages {
+        let text = fs::read_to_string(&page).unwrap();
+        for target in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
+            let file = target.split('#').next().unwrap_or_default();
+            let local = !target.contains("://") && !target.starts_with("mailto:") && !file.is_empty();
+            if local && !page.parent().unwrap().join(file).exists() {
+                dead.push(format!("{}: {target}", page.strip_prefix(root).unwrap().display()));
+            }
+        }
+    }
+    assert!(dead.is_empty(), "{dead:#?}");
+}

@@ -1,0 +1,137 @@
+//! The node of docs/writing-a-node.md. The page shows pieces of this file, and a test holds them equal.
+
+use osteoflow_geometry::{
+    Cloud,
+    nalgebra::{Isometry3, Point3},
+};
+use osteoflow_node::{
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+};
+
+/// Indices of the points that lie from `min_mm` to `max_mm` away from `origin`, in order. `O(n)`.
+pub fn in_range(points: &[Point3<f64>], origin: &Point3<f64>, min_mm: f64, max_mm: f64) -> Vec<usize> {
+    let inside = |p: &Point3<f64>| (min_mm..=max_mm).contains(&(p - origin).norm());
+    (0..points.len()).filter(|&index| inside(&points[index])).collect()
+}
+
+/// What lies within the camera's working distance.
+///
+/// Structured light is sharp in a certain range only; points before and behind it are noise that no later stage can
+/// tell from bone. Distances are taken from the cloud's viewpoint, so it may have been moved to any frame before.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "crop.range"
+in = { cloud = "recording.scan" }
+max_distance_mm = 250.0
+"#,
+    literature = ["the camera's data sheet: working distance 200 mm, range 50 mm to either side"]
+)]
+pub struct Range(RangeParams);
+
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(crate = "osteoflow_node::serde", default, deny_unknown_fields)]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct RangeParams {
+    /// Nearest distance kept. 150: the near end of the camera's range.
+    #[schemars(range(min = 0.0, max = 10_000.0))]
+    min_distance_mm: f64,
+    /// Farthest distance kept. 250: the far end of the camera's range.
+    #[schemars(range(min = 0.0, max = 10_000.0))]
+    max_distance_mm: f64,
+}
+
+impl Default for RangeParams {
+    fn default() -> Self {
+        Self { min_distance_mm: 150.0, max_distance_mm: 250.0 }
+    }
+}
+
+#[derive(Inputs)]
+pub struct In {
+    /// What the camera saw, with its viewpoint.
+    cloud: Cloud,
+}
+
+#[derive(Outputs)]
+pub struct Out {
+    /// The points in range, in their order.
+    #[port(frame = "cloud")]
+    cloud: Cloud,
+}
+
+impl Node for Range {
+    const KIND: &'static str = "crop.range";
+    type Params = RangeParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: RangeParams) -> Result<Self, ParamError> {
+        if params.min_distance_mm >= params.max_distance_mm {
+            let said = format!("{} mm is not beyond min_distance_mm; swap the two", params.max_distance_mm);
+            return Err(ParamError::new("max_distance_mm", said));
+        }
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let Some(viewpoint) = i.cloud.viewpoint else {
+            return Err(NodeError::new("the cloud does not say where it was seen from; wire it before merging views"));
+        };
+        let origin = Point3::from(viewpoint.translation.vector);
+        let (min_mm, max_mm) = (self.0.min_distance_mm, self.0.max_distance_mm);
+        let kept = in_range(i.cloud.points(), &origin, min_mm, max_mm);
+        if kept.is_empty() {
+            let n = i.cloud.len();
+            return Err(NodeError::new(format!(
+                "none of {n} points lies {min_mm} to {max_mm} mm from the camera; is the cloud in mm?"
+            )));
+        }
+        Ok(Out { cloud: i.cloud.selected(&kept) })
+    }
+}
+
+fn cloud_at(distances_mm: &[f64]) -> Cloud {
+    let points: Vec<_> = distances_mm.iter().map(|&z| Point3::new(0.0, 0.0, z)).collect();
+    Cloud::new("camera", points).unwrap().seen_from(Isometry3::identity())
+}
+
+#[test]
+fn points_out_of_range_are_left_out_wherever_the_cloud_has_been_moved() {
+    let mut node = Range::new(RangeParams::default()).unwrap();
+    let moved = cloud_at(&[100.0, 180.0, 220.0, 300.0]).transformed("world", &Isometry3::translation(5.0, -700.0, 2.0));
+    let kept = node.process(In { cloud: moved }, &mut Context::for_test("crop")).unwrap().cloud;
+    assert_eq!((kept.len(), kept.frame.as_str()), (2, "world"));
+}
+
+#[test]
+fn an_empty_answer_is_an_error_that_asks_for_the_unit() {
+    let mut node = Range::new(RangeParams::default()).unwrap();
+    let in_metres = In { cloud: cloud_at(&[0.18, 0.22]) };
+    let said = node.process(in_metres, &mut Context::for_test("crop")).map(|_| ()).unwrap_err().to_string();
+    assert_eq!(said, "none of 2 points lies 150 to 250 mm from the camera; is the cloud in mm?");
+}
+
+#[test]
+fn a_registry_with_the_node_describes_it() {
+    let mut registry = osteoflow_standard::registry();
+    registry.node::<Range>();
+    let description = &registry.kind("crop.range").unwrap().description;
+    assert_eq!(description.summary, "What lies within the camera's working distance.");
+    assert_eq!(description.params["properties"]["max_distance_mm"]["default"], 250.0);
+}
+
+#[test]
+fn the_page_shows_this_very_code() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let page = std::fs::read_to_string(root.join("docs/writing-a-node.md")).unwrap();
+    let code = std::fs::read_to_string(root.join("tests/writing_a_node.rs")).unwrap();
+    let blocks: Vec<_> = page.split("```rust\n").skip(1).map(|rest| rest.split("```").next().unwrap()).collect();
+    assert!(blocks.len() >= 5, "{} blocks of Rust on the page", blocks.len());
+    for block in blocks {
+        assert!(
+            code.contains(block),
+            "docs/writing-a-node.md shows code that tests/writing_a_node.rs has not:\n{block}"
+        );
+    }
+}
