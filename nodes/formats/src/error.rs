@@ -1,0 +1,40 @@
+use std::path::{Path, PathBuf};
+
+/// A file that could not be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// The file is missing, may not be read, or the disk is full.
+    #[error("{}: cannot be {action}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// `read` or `written`.
+        action: &'static str,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// What the file holds is not what was expected.
+    #[error("{}: {place}: {message}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// Line, byte or key.
+        place: String,
+        /// What was expected, what was found, and what to do.
+        message: String,
+    },
+}
+
+impl FileError {
+    pub(crate) fn content(path: &Path, place: impl Into<String>, message: impl Into<String>) -> Self {
+        Self::Content { path: path.into(), place: place.into(), message: message.into() }
+    }
+
+    pub(crate) fn read(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
+        move |source| Self::Io { path: path.into(), action: "read", source }
+    }
+
+    pub(crate) fn write(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
+        move |source| Self::Io { path: path.into(), action: "written", source }
+    }
+}

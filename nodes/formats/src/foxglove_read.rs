@@ -1,0 +1,505 @@
+//! Foxglove messages to geometry: point clouds, transforms and poses, in protobuf and in JSON.
+//!
+//! Metres become millimetres here and nowhere later. A stamp is the message's own timestamp, which is when the sensor
+//! measured; only where a writer left it out or zero does the publish time stand in.
+//!
+//! JSON is read as it is met in practice: `{sec, nsec}`, `{seconds, nanos}` or RFC 3339 timestamps, field names in
+//! `snake_case` or `camelCase`, point types by number or by name, base64 of either alphabet, `NaN` bare, as text or as
+//! null.
+
+use crate::{
+    LostPose,
+    foxglove_json::{self, JsonCloud, JsonPose, JsonPoseInFrame, JsonTimestamp, JsonTransform, JsonTransforms},
+    mcap_read::{Message, Recording},
+};
+use bytes::Bytes;
+use foxglove::{
+    Decode,
+    messages::{
+        FrameTransform, FrameTransforms, PointCloud, Pose as FoxglovePose, PoseInFrame,
+        Quaternion as FoxgloveQuaternion, Timestamp, Vector3 as FoxgloveVector3, packed_element_field::NumericType,
+    },
+};
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use osteoflow_geometry::{Cloud, Frame, MM_PER_M, Pose, Region, StampNs};
+
+/// The schema of a point cloud.
+pub const POINT_CLOUD: &str = "foxglove.PointCloud";
+/// The schema of one transform.
+pub const FRAME_TRANSFORM: &str = "foxglove.FrameTransform";
+/// The schema of several transforms.
+pub const FRAME_TRANSFORMS: &str = "foxglove.FrameTransforms";
+/// The schema of a pose in a frame, such as a stylus tip.
+pub const POSE_IN_FRAME: &str = "foxglove.PoseInFrame";
+
+/// A translation beyond this is a tracker's code for "not seen", not a place: a kilometre.
+const FARTHEST_M: f64 = 1e3;
+
+/// A quaternion shorter than this holds no direction worth normalising.
+const SHORTEST_QUATERNION: f64 = 1e-6;
+
+/// A message with what is needed to decode it.
+#[derive(Debug, Clone)]
+pub struct Encoded<'a> {
+    /// The schema's name, such as [`POINT_CLOUD`].
+    pub schema_name: &'a str,
+    /// `protobuf` or `json`.
+    pub message_encoding: &'a str,
+    /// When it was sent: stands in for a missing timestamp.
+    pub publish_time_ns: StampNs,
+    /// The message's bytes.
+    pub data: Bytes,
+}
+
+impl<'a> From<&'a Message> for Encoded<'a> {
+    fn from(message: &'a Message) -> Self {
+        Self {
+            schema_name: &message.schema_name,
+            message_encoding: &message.message_encoding,
+            publish_time_ns: message.publish_time_ns,
+            data: message.data.clone(),
+        }
+    }
+}
+
+/// A message that does not give what it should.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FoxgloveError {
+    /// The topic carries something else.
+    #[error("{expected} is needed here, but the topic carries {found}; name another topic")]
+    Schema {
+        /// The schemas that would do.
+        expected: &'static str,
+        /// The schema that is there.
+        found: String,
+    },
+    /// The message is written in another way than protobuf or JSON.
+    #[error("the message is written as \"{found}\", but only protobuf and json can be read")]
+    Encoding {
+        /// The encoding that is there.
+        found: String,
+    },
+    /// The bytes are no such message.
+    #[error("the message is no {schema}: {reason}")]
+    Decode {
+        /// The schema it should follow.
+        schema: String,
+        /// What the decoder said.
+        reason: String,
+    },
+    /// A point field is missing.
+    #[error("the points have no field \"{missing}\"; there are: {found}")]
+    MissingField {
+        /// The field.
+        missing: &'static str,
+        /// The fields that are there.
+        found: String,
+    },
+    /// A point field has a type that is no number.
+    #[error("field \"{field}\" has numeric type {code}, but 1 (uint8) to 8 (float64) are known")]
+    FieldType {
+        /// The field.
+        field: String,
+        /// The type's code.
+        code: i32,
+    },
+    /// A point field reaches beyond its point.
+    #[error("field \"{field}\" ends at byte {end} of a point, but a point has {stride} bytes (point_stride)")]
+    FieldEnd {
+        /// The field.
+        field: String,
+        /// Where it ends.
+        end: u64,
+        /// The bytes of a point.
+        stride: u32,
+    },
+    /// The data is not a whole number of points.
+    #[error(
+        "the data has {n_bytes} bytes, which is no whole number of points of {stride} bytes: {rest} remain; \
+         was the message cut short?"
+    )]
+    Length {
+        /// The bytes there are.
+        n_bytes: usize,
+        /// The bytes of a point.
+        stride: u32,
+        /// What remains behind the last whole point.
+        rest: usize,
+    },
+    /// A pose that is no rigid motion.
+    #[error("the {what} cannot be used: it has {reason}")]
+    Pose {
+        /// Which pose it is.
+        what: &'static str,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A region of interest that cannot be understood.
+    #[error(
+        "metadata \"procedure\", key \"{key}\": {reason}; write three numbers in metres, such as \"-0.1 -0.1 0.2\""
+    )]
+    Region {
+        /// The key.
+        key: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// A cloud read from a message.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CloudRead {
+    /// The finite points, mm, in the message's frame, with the sensor's pose as viewpoint.
+    pub cloud: Cloud,
+    /// How many points the message had.
+    pub n_points_in_message: usize,
+    /// How many of them were NaN or infinite and were left out.
+    pub n_dropped: usize,
+    /// How many kept points had a normal that is none; if there is one, the cloud goes without normals.
+    pub n_bad_normals: usize,
+}
+
+/// A located point, such as the tip of a stylus.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TipRead {
+    /// The frame of the position.
+    pub frame: Frame,
+    /// When it was located.
+    pub stamp_ns: StampNs,
+    /// Where it is, mm.
+    pub position: Point3<f64>,
+    /// How the tool was held, where the message says so.
+    pub orientation: Option<UnitQuaternion<f64>>,
+}
+
+/// The sensor time of a message of any of the schemas; for several transforms, of the first one.
+///
+/// # Errors
+/// [`FoxgloveError`] if the schema or encoding is not known, or the bytes do not follow it.
+pub fn stamp<'a>(message: impl Into<Encoded<'a>>) -> Result<StampNs, FoxgloveError> {
+    let message = message.into();
+    let time = match (message.schema_name, encoding(&message)?) {
+        (POINT_CLOUD, Protobuf) => nanoseconds(decode::<PointCloud>(&message)?.timestamp),
+        (FRAME_TRANSFORM, Protobuf) => nanoseconds(decode::<FrameTransform>(&message)?.timestamp),
+        (POSE_IN_FRAME, Protobuf) => nanoseconds(decode::<PoseInFrame>(&message)?.timestamp),
+        (FRAME_TRANSFORMS, Protobuf) => {
+            decode::<FrameTransforms>(&message)?.transforms.first().and_then(|t| nanoseconds(t.timestamp))
+        }
+        (FRAME_TRANSFORMS, Json) => {
+            parse::<JsonTransforms>(&message)?.transforms.first().and_then(|t| t.timestamp.nanoseconds())
+        }
+        (POINT_CLOUD | FRAME_TRANSFORM | POSE_IN_FRAME, Json) => {
+            parse::<JsonTimestamp>(&message)?.timestamp.nanoseconds()
+        }
+        _ => return Err(wrong_schema("a Foxglove point cloud, transform or pose", &message)),
+    };
+    Ok(time.unwrap_or(message.publish_time_ns))
+}
+
+/// The cloud in a `foxglove.PointCloud`: fields found by name at any stride, order and numeric type, moved by the
+/// message's `pose`, metres turned to mm.
+///
+/// Points with a NaN or infinite coordinate are left out and counted. Normals (`normal_x` .. or `nx` ..) come along when
+/// every kept point has one; other fields are ignored. The viewpoint is the message's `pose`: a sensor looks from the
+/// origin of the frame it measures in. `O(n)`.
+///
+/// # Errors
+/// [`FoxgloveError`], saying what is missing, which bytes do not add up, or that the pose is no rigid motion.
+pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, FoxgloveError> {
+    let message = message.into();
+    let raw: PointCloud = match (message.schema_name, encoding(&message)?) {
+        (POINT_CLOUD, Protobuf) => decode(&message)?,
+        (POINT_CLOUD, Json) => {
+            let cloud: JsonCloud = parse(&message)?;
+            cloud.into_message().map_err(|reason| no_such(&message, reason))?
+        }
+        _ => return Err(wrong_schema(POINT_CLOUD, &message)),
+    };
+    let pose = cloud_pose(raw.pose.as_ref())?;
+    let layout = Layout::of(&raw)?;
+    let n_points_in_message = layout.n_points;
+    let (mut points, mut normals) = (Vec::with_capacity(n_points_in_message), Vec::new());
+    let mut n_bad_normals = 0;
+    for bytes in raw.data.chunks_exact(layout.stride.max(1)).take(n_points_in_message) {
+        let at_m = layout.position.map(|field| field.value(bytes));
+        let point = Point3::from(Vector3::from(at_m) * MM_PER_M);
+        if !point.coords.iter().all(|c| c.is_finite()) {
+            continue;
+        }
+        points.push(pose.map_or(point, |t| t * point));
+        if let Some(fields) = layout.normal {
+            let normal = Vector3::from(fields.map(|field| field.value(bytes)));
+            match normal.try_normalize(1e-9).filter(|n| n.iter().all(|c| c.is_finite())) {
+                Some(normal) => normals.push(pose.map_or(normal, |t| t * normal)),
+                None => n_bad_normals += 1,
+            }
+        }
+    }
+    let n_dropped = n_points_in_message - points.len();
+    let stamp_ns = nanoseconds(raw.timestamp).unwrap_or(message.publish_time_ns);
+    let with_normals = layout.normal.is_some() && n_bad_normals == 0;
+    let mut cloud = Cloud::new(raw.frame_id, points).expect("points that are not finite were left out");
+    if with_normals {
+        cloud = cloud.with_normals(normals).expect("each kept point has its normal");
+    }
+    let cloud = cloud.at(stamp_ns).seen_from(pose.unwrap_or_default());
+    Ok(CloudRead { cloud, n_points_in_message, n_dropped, n_bad_normals })
+}
+
+/// The poses in a `foxglove.FrameTransform` or `foxglove.FrameTransforms`, in order: `t_parent_child`, mm.
+///
+/// A quaternion of another length than one is normalised. One that is all zero or not finite, or a place that is not
+/// finite or beyond a kilometre, is how trackers write a marker they do not see: that one transform is a [`LostPose`],
+/// which a stream turns into an empty.
+///
+/// # Errors
+/// [`FoxgloveError`] if the schema or encoding is another, or the bytes do not follow it.
+pub fn read_transforms<'a>(message: impl Into<Encoded<'a>>) -> Result<Vec<Result<Pose, LostPose>>, FoxgloveError> {
+    let message = message.into();
+    let transforms = match (message.schema_name, encoding(&message)?) {
+        (FRAME_TRANSFORM, Protobuf) => vec![decode::<FrameTransform>(&message)?.into()],
+        (FRAME_TRANSFORM, Json) => vec![parse::<JsonTransform>(&message)?],
+        (FRAME_TRANSFORMS, Protobuf) => {
+            decode::<FrameTransforms>(&message)?.transforms.into_iter().map(JsonTransform::from).collect()
+        }
+        (FRAME_TRANSFORMS, Json) => parse::<JsonTransforms>(&message)?.transforms,
+        _ => return Err(wrong_schema("foxglove.FrameTransform or foxglove.FrameTransforms", &message)),
+    };
+    Ok(transforms.into_iter().map(|t| pose_of(t, message.publish_time_ns)).collect())
+}
+
+/// The point in a `foxglove.PoseInFrame`, mm, such as a stylus tip; its orientation may be missing.
+///
+/// # Errors
+/// [`FoxgloveError::Pose`] if there is no position or it is not finite; otherwise if the schema or encoding is another,
+/// or the bytes do not follow it.
+pub fn read_pose_in_frame<'a>(message: impl Into<Encoded<'a>>) -> Result<TipRead, FoxgloveError> {
+    let message = message.into();
+    let read: JsonPoseInFrame = match (message.schema_name, encoding(&message)?) {
+        (POSE_IN_FRAME, Protobuf) => decode::<PoseInFrame>(&message)?.into(),
+        (POSE_IN_FRAME, Json) => parse(&message)?,
+        _ => return Err(wrong_schema(POSE_IN_FRAME, &message)),
+    };
+    let lost = |reason: &str| FoxgloveError::Pose { what: "located point", reason: reason.into() };
+    let pose = read.pose.ok_or_else(|| lost("no pose"))?;
+    let position = translation(&pose.position.unwrap_or_default()).map_err(|reason| lost(&reason))?;
+    let orientation = pose.orientation.and_then(|q| rotation(&q).ok());
+    let stamp_ns = read.timestamp.nanoseconds().unwrap_or(message.publish_time_ns);
+    Ok(TipRead { frame: read.frame_id.into(), stamp_ns, position: position.into(), orientation })
+}
+
+/// The region of interest that the recording's metadata record `procedure` gives, if it does: keys `roi_camera_min_m` and
+/// `roi_camera_max_m`, three numbers in metres each, in the camera's frame; mm here.
+///
+/// # Errors
+/// [`FoxgloveError::Region`] if only one of both is there, it does not hold three finite numbers, or min lies above max.
+pub fn procedure_region(recording: &Recording) -> Result<Option<Region>, FoxgloveError> {
+    const KEYS: [&str; 2] = ["roi_camera_min_m", "roi_camera_max_m"];
+    let Some(record) = recording.metadata.get("procedure") else { return Ok(None) };
+    let fault = |key: &str, reason: String| FoxgloveError::Region { key: key.into(), reason };
+    let corners = match KEYS.map(|key| record.get(key)) {
+        [None, None] => return Ok(None),
+        [Some(min), Some(max)] => [min, max],
+        [None, _] => return Err(fault(KEYS[0], "it is missing".into())),
+        [_, None] => return Err(fault(KEYS[1], "it is missing".into())),
+    };
+    let corner = |k: usize| {
+        let words = corners[k].split([' ', ',', ';', '\t', '[', ']']).filter(|w| !w.is_empty());
+        let numbers: Vec<f64> = words.filter_map(|w| w.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
+        match numbers[..] {
+            [x, y, z] if corners[k].split([' ', ',', ';', '\t', '[', ']']).filter(|w| !w.is_empty()).count() == 3 => {
+                Ok(Point3::new(x, y, z) * MM_PER_M)
+            }
+            _ => Err(fault(KEYS[k], format!("\"{}\" is not three numbers", corners[k]))),
+        }
+    };
+    let (min, max) = (corner(0)?, corner(1)?);
+    if let Some(axis) = (0..3).find(|&k| min[k] > max[k]) {
+        return Err(fault(KEYS[0], format!("its {} lies above that of {}", ["x", "y", "z"][axis], KEYS[1])));
+    }
+    Ok(Some(Region { frame: "camera".into(), min, max }))
+}
+
+enum Encoding {
+    Protobuf,
+    Json,
+}
+use Encoding::{Json, Protobuf};
+
+fn encoding(message: &Encoded) -> Result<Encoding, FoxgloveError> {
+    match message.message_encoding {
+        "protobuf" => Ok(Protobuf),
+        "json" => Ok(Json),
+        found => Err(FoxgloveError::Encoding { found: found.into() }),
+    }
+}
+
+fn wrong_schema(expected: &'static str, message: &Encoded) -> FoxgloveError {
+    let found = if message.schema_name.is_empty() { "messages without a schema" } else { message.schema_name };
+    FoxgloveError::Schema { expected, found: found.into() }
+}
+
+fn no_such(message: &Encoded, reason: impl ToString) -> FoxgloveError {
+    FoxgloveError::Decode { schema: message.schema_name.into(), reason: reason.to_string() }
+}
+
+fn decode<T: Decode>(message: &Encoded) -> Result<T, FoxgloveError> {
+    T::decode(message.data.clone()).map_err(|error| no_such(message, error))
+}
+
+fn parse<T: serde::de::DeserializeOwned>(message: &Encoded) -> Result<T, FoxgloveError> {
+    foxglove_json::parse(&message.data).map_err(|error| no_such(message, error))
+}
+
+/// A timestamp that says something: zero is what a writer leaves that did not set it.
+fn nanoseconds(timestamp: Option<Timestamp>) -> Option<StampNs> {
+    timestamp.map(|t| StampNs::from(t.sec()) * 1_000_000_000 + StampNs::from(t.nsec())).filter(|&ns| ns != 0)
+}
+
+fn pose_of(transform: JsonTransform, publish_time_ns: StampNs) -> Result<Pose, LostPose> {
+    let stamp_ns = transform.timestamp.nanoseconds().unwrap_or(publish_time_ns);
+    let (to, from): (Frame, Frame) = (transform.parent_frame_id.into(), transform.child_frame_id.into());
+    let lost = |reason| LostPose { to: to.clone(), from: from.clone(), stamp_ns, reason };
+    let translation = translation(&transform.translation.unwrap_or_default()).map_err(&lost)?;
+    let rotation = rotation(&transform.rotation.unwrap_or_default()).map_err(&lost)?;
+    Ok(Pose::new(to.clone(), from.clone(), Isometry3::from_parts(translation.into(), rotation)).at(stamp_ns))
+}
+
+/// The pose of a cloud; none where it is unset or the identity, so that coordinates stay exactly as they are.
+fn cloud_pose(pose: Option<&FoxglovePose>) -> Result<Option<Isometry3<f64>>, FoxgloveError> {
+    let Some(pose) = pose else { return Ok(None) };
+    let fault = |reason| FoxgloveError::Pose { what: "cloud's pose", reason };
+    let translation = translation(&pose.position.unwrap_or_default()).map_err(fault)?;
+    let rotation = pose.orientation.map_or(Ok(UnitQuaternion::identity()), |q| rotation(&q).map_err(fault))?;
+    let pose = Isometry3::from_parts(Translation3::from(translation), rotation);
+    Ok((pose != Isometry3::identity()).then_some(pose))
+}
+
+/// A place in metres as mm, where it is one.
+fn translation(v: &FoxgloveVector3) -> Result<Vector3<f64>, String> {
+    let metres = Vector3::new(v.x, v.y, v.z);
+    if !metres.iter().all(|c| c.is_finite()) {
+        return Err("a position that is not finite".into());
+    }
+    if metres.amax() > FARTHEST_M {
+        return Err(format!("a position {:.1e} m away", metres.amax()));
+    }
+    Ok(metres * MM_PER_M)
+}
+
+fn rotation(q: &FoxgloveQuaternion) -> Result<UnitQuaternion<f64>, String> {
+    let q = Quaternion::new(q.w, q.x, q.y, q.z);
+    if !q.coords.iter().all(|c| c.is_finite()) {
+        return Err("a quaternion that is not finite".into());
+    }
+    if q.coords == nalgebra::Vector4::zeros() {
+        return Err("an all-zero quaternion".into());
+    }
+    let norm = q.norm();
+    if !(SHORTEST_QUATERNION..1.0 / SHORTEST_QUATERNION).contains(&norm) {
+        return Err(format!("a quaternion of length {norm:.1e}"));
+    }
+    Ok(UnitQuaternion::from_quaternion(q))
+}
+
+impl From<FrameTransform> for JsonTransform {
+    fn from(t: FrameTransform) -> Self {
+        Self {
+            timestamp: t.timestamp.into(),
+            parent_frame_id: t.parent_frame_id,
+            child_frame_id: t.child_frame_id,
+            translation: t.translation,
+            rotation: t.rotation,
+        }
+    }
+}
+
+impl From<PoseInFrame> for JsonPoseInFrame {
+    fn from(p: PoseInFrame) -> Self {
+        let pose = p.pose.map(|pose| JsonPose { position: pose.position, orientation: pose.orientation });
+        Self { timestamp: p.timestamp.into(), frame_id: p.frame_id, pose }
+    }
+}
+
+/// A number within a point.
+#[derive(Clone, Copy)]
+struct Field {
+    offset: usize,
+    kind: NumericType,
+}
+
+impl Field {
+    fn value(self, point: &[u8]) -> f64 {
+        fn at<const N: usize>(point: &[u8], offset: usize) -> [u8; N] {
+            std::array::from_fn(|k| point[offset + k])
+        }
+        let o = self.offset;
+        match self.kind {
+            NumericType::Uint8 => point[o].into(),
+            NumericType::Int8 => i8::from_le_bytes(at(point, o)).into(),
+            NumericType::Uint16 => u16::from_le_bytes(at(point, o)).into(),
+            NumericType::Int16 => i16::from_le_bytes(at(point, o)).into(),
+            NumericType::Uint32 => u32::from_le_bytes(at(point, o)).into(),
+            NumericType::Int32 => i32::from_le_bytes(at(point, o)).into(),
+            NumericType::Float32 => f32::from_le_bytes(at(point, o)).into(),
+            NumericType::Float64 => f64::from_le_bytes(at(point, o)),
+            NumericType::Unknown => f64::NAN,
+        }
+    }
+}
+
+/// Where the numbers of a point lie, checked to be within it.
+struct Layout {
+    stride: usize,
+    n_points: usize,
+    position: [Field; 3],
+    normal: Option<[Field; 3]>,
+}
+
+impl Layout {
+    fn of(raw: &PointCloud) -> Result<Self, FoxgloveError> {
+        let stride = raw.point_stride;
+        let [x, y, z] = ["x", "y", "z"].map(|name| Self::field(raw, name));
+        let position = [Self::needed(raw, "x", x?)?, Self::needed(raw, "y", y?)?, Self::needed(raw, "z", z?)?];
+        let normal = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]].into_iter().find_map(|names| {
+            // Normals are an extra: where they are incomplete or of no known type, the cloud goes without.
+            let [x, y, z] = names.map(|name| Self::field(raw, name).ok().flatten());
+            Some([x?, y?, z?])
+        });
+        let n_bytes = raw.data.len();
+        let rest = n_bytes.checked_rem(stride as usize).unwrap_or(n_bytes);
+        if rest != 0 {
+            return Err(FoxgloveError::Length { n_bytes, stride, rest });
+        }
+        let n_points = n_bytes.checked_div(stride as usize).unwrap_or(0);
+        Ok(Self { stride: stride as usize, n_points, position, normal })
+    }
+
+    /// The first field of that name.
+    fn field(raw: &PointCloud, name: &str) -> Result<Option<Field>, FoxgloveError> {
+        let Some(field) = raw.fields.iter().find(|f| f.name == name) else { return Ok(None) };
+        let kind = NumericType::try_from(field.r#type).unwrap_or(NumericType::Unknown);
+        let n_bytes = match kind {
+            NumericType::Uint8 | NumericType::Int8 => 1,
+            NumericType::Uint16 | NumericType::Int16 => 2,
+            NumericType::Uint32 | NumericType::Int32 | NumericType::Float32 => 4,
+            NumericType::Float64 => 8,
+            NumericType::Unknown => {
+                return Err(FoxgloveError::FieldType { field: name.into(), code: field.r#type });
+            }
+        };
+        let end = u64::from(field.offset) + n_bytes;
+        if end > raw.point_stride.into() {
+            return Err(FoxgloveError::FieldEnd { field: name.into(), end, stride: raw.point_stride });
+        }
+        Ok(Some(Field { offset: field.offset as usize, kind }))
+    }
+
+    fn needed(raw: &PointCloud, missing: &'static str, field: Option<Field>) -> Result<Field, FoxgloveError> {
+        field.ok_or_else(|| {
+            let names: Vec<&str> = raw.fields.iter().map(|f| f.name.as_str()).collect();
+            let found = if names.is_empty() { "none".into() } else { names.join(", ") };
+            FoxgloveError::MissingField { missing, found }
+        })
+    }
+}

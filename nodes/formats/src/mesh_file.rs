@@ -1,0 +1,244 @@
+//! Triangle surfaces from STL and PLY files, and to STL.
+
+use crate::{FileError, ply::Ply};
+use nalgebra::{Point3, Vector3};
+use osteoflow_geometry::{Frame, Mesh, MeshError, SurfaceOrigin};
+use std::{collections::HashMap, fmt::Write as _, io::Write as _, path::Path};
+
+const STL_HEADER_BYTES: usize = 84;
+const STL_FACE_BYTES: usize = 50;
+
+/// A surface this small or this large (mm, the box's diagonal) is hardly a bone or a phantom: the unit is in doubt.
+const PLAUSIBLE_MM: std::ops::Range<f64> = 3.0..3000.0;
+
+/// A surface read from a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeshRead {
+    /// The surface, mm.
+    pub mesh: Mesh,
+    /// How many faces without an area were left out.
+    pub n_degenerate: usize,
+    /// What is odd about the file, one sentence each, such as a size that hints at metres.
+    pub notes: Vec<String>,
+}
+
+/// Reads a surface from a binary or ASCII STL or PLY file, told apart by content, not by name.
+///
+/// `unit_mm` is the file's unit in mm: 1 for millimetres, 1000 for metres. STL repeats the corners of each face; corners
+/// with equal bits become one vertex. PLY polygons are cut into fans. Faces without an area are left out and counted.
+/// `O(n)`.
+///
+/// # Errors
+/// [`FileError`] if the file cannot be read, is neither format, is cut short, or holds no triangle or a coordinate that
+/// is not finite.
+pub fn read_mesh(
+    path: &Path,
+    unit_mm: f64,
+    frame: impl Into<Frame>,
+    origin: SurfaceOrigin,
+) -> Result<MeshRead, FileError> {
+    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    let mut notes = Vec::new();
+    let (vertices, faces) =
+        if bytes.starts_with(b"ply") { ply_faces(path, &bytes)? } else { stl_faces(path, &bytes, &mut notes)? };
+    let vertices: Vec<Point3<f64>> = vertices.into_iter().map(|v| v * unit_mm).collect();
+    let n_faces = faces.len();
+    let is_proper = |&[a, b, c]: &[u32; 3]| {
+        // A corner that is not there is for the mesh to name.
+        let corner = |i: u32| vertices.get(i as usize);
+        let (Some(a), Some(b), Some(c)) = (corner(a), corner(b), corner(c)) else { return true };
+        (b - a).cross(&(c - a)) != Vector3::zeros()
+    };
+    let faces: Vec<[u32; 3]> = faces.into_iter().filter(is_proper).collect();
+    let n_degenerate = n_faces - faces.len();
+    let mesh = Mesh::new(frame, origin, vertices, faces).map_err(|error| {
+        let advice = match error {
+            MeshError::Empty => "give the bone's surface, not its points",
+            _ => "export the surface again",
+        };
+        FileError::content(path, "surface", format!("{error}; {advice}"))
+    })?;
+    if n_degenerate > 0 {
+        notes.push(format!("{n_degenerate} of {n_faces} faces have no area and were left out"));
+    }
+    notes.extend(unit_note(&mesh));
+    Ok(MeshRead { mesh, n_degenerate, notes })
+}
+
+/// Writes a surface as binary STL, mm, in single precision.
+///
+/// # Errors
+/// [`FileError::Io`] if the file cannot be written.
+pub fn write_stl(path: &Path, mesh: &Mesh) -> Result<(), FileError> {
+    let mut bytes = Vec::with_capacity(STL_HEADER_BYTES + STL_FACE_BYTES * mesh.faces().len());
+    let mut header = String::from("osteoflow surface, mm, frame ");
+    write!(header, "{}", mesh.frame).expect("a string takes any text");
+    bytes.extend(header.bytes().chain(std::iter::repeat(0)).take(80));
+    bytes.extend((mesh.faces().len() as u32).to_le_bytes());
+    for face in 0..mesh.faces().len() {
+        let normal = mesh.area_vector(face).try_normalize(0.0).unwrap_or_default();
+        let corners = mesh.corners(face).map(|p| p.coords);
+        for vector in std::iter::once(normal).chain(corners) {
+            bytes.extend(vector.iter().flat_map(|&c| (c as f32).to_le_bytes()));
+        }
+        bytes.extend([0, 0]);
+    }
+    let mut file = std::fs::File::create(path).map_err(FileError::write(path))?;
+    file.write_all(&bytes).map_err(FileError::write(path))
+}
+
+type Faces = (Vec<Point3<f64>>, Vec<[u32; 3]>);
+
+fn unit_note(mesh: &Mesh) -> Option<String> {
+    let (mut min, mut max) = (Point3::from([f64::INFINITY; 3]), Point3::from([f64::NEG_INFINITY; 3]));
+    for vertex in mesh.vertices() {
+        (min, max) = (min.inf(vertex), max.sup(vertex));
+    }
+    let span_mm = (max - min).norm();
+    let advice = match span_mm {
+        s if PLAUSIBLE_MM.contains(&s) => return None,
+        s if s < PLAUSIBLE_MM.start => "is the file in metres? then give unit_mm = 1000",
+        _ => "is the file in micrometres? then give unit_mm = 0.001",
+    };
+    Some(format!("the surface spans {span_mm:.3} mm, which is no size of a bone or phantom; {advice}"))
+}
+
+fn stl_faces(path: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<Faces, FileError> {
+    let n_promised = bytes.get(80..84).map(|n| u32::from_le_bytes(n.try_into().expect("four bytes")));
+    let n_expected = n_promised.map(|n| STL_HEADER_BYTES as u64 + STL_FACE_BYTES as u64 * u64::from(n));
+    // The length decides, since many binary files begin with the word that should mark text.
+    if n_expected == Some(bytes.len() as u64) {
+        return Ok(binary_stl(&bytes[STL_HEADER_BYTES..]));
+    }
+    let start = bytes.trim_ascii_start();
+    if start.len() >= 5 && start[..5].eq_ignore_ascii_case(b"solid") && looks_like_text(bytes) {
+        return ascii_stl(path, bytes);
+    }
+    match n_expected {
+        None => {
+            let message = format!("{} bytes are too few for an STL, and a PLY begins with \"ply\"", bytes.len());
+            Err(FileError::content(path, "byte 0", message))
+        }
+        Some(expected) if (bytes.len() as u64) < expected => {
+            let message = format!(
+                "neither STL nor PLY, or cut short: read as a binary STL, the header promises {} triangles \
+                 ({expected} bytes), but the file has {} bytes",
+                n_promised.unwrap_or_default(),
+                bytes.len()
+            );
+            Err(FileError::content(path, "byte 80", message))
+        }
+        Some(expected) => {
+            let extra = bytes.len() as u64 - expected;
+            notes.push(format!("{extra} bytes follow the last triangle and were not read"));
+            Ok(binary_stl(&bytes[STL_HEADER_BYTES..expected as usize]))
+        }
+    }
+}
+
+/// Whether the first kilobyte is text: a binary header is mostly zeros, and floats are not text.
+fn looks_like_text(bytes: &[u8]) -> bool {
+    bytes.iter().take(1024).all(|&b| b >= b' ' || b.is_ascii_whitespace())
+}
+
+/// Gives each place its number; places are equal when their bits are, with no difference between 0 and -0.
+#[derive(Default)]
+struct Corners {
+    vertices: Vec<Point3<f64>>,
+    numbers: HashMap<[u64; 3], u32>,
+}
+
+impl Corners {
+    fn number(&mut self, place: [f64; 3]) -> u32 {
+        let place = place.map(|c| c + 0.0);
+        let Self { vertices, numbers } = self;
+        *numbers.entry(place.map(f64::to_bits)).or_insert_with(|| {
+            vertices.push(place.into());
+            vertices.len() as u32 - 1
+        })
+    }
+}
+
+fn binary_stl(bytes: &[u8]) -> Faces {
+    let mut corners = Corners::default();
+    let faces = bytes.chunks_exact(STL_FACE_BYTES).map(|face| {
+        let float = |k: usize| f64::from(f32::from_le_bytes(face[4 * k..4 * k + 4].try_into().expect("four bytes")));
+        // The normal comes first; it follows from the corners and is not read.
+        [3, 6, 9].map(|k| corners.number([float(k), float(k + 1), float(k + 2)]))
+    });
+    let faces = faces.collect();
+    (corners.vertices, faces)
+}
+
+fn ascii_stl(path: &Path, bytes: &[u8]) -> Result<Faces, FileError> {
+    let mut corners = Corners::default();
+    let (mut faces, mut open, mut closed) = (Vec::new(), Vec::new(), false);
+    for (k, line) in bytes.split(|&b| b == b'\n').enumerate() {
+        let fault = |message: String| FileError::content(path, format!("line {}", k + 1), message);
+        let text = String::from_utf8_lossy(line).to_ascii_lowercase();
+        let words: Vec<&str> = text.split_ascii_whitespace().collect();
+        match words[..] {
+            ["vertex", x, y, z] => {
+                let number = |word: &str| -> Result<f64, FileError> {
+                    word.parse().map_err(|_| fault(format!("\"{word}\" stands where a coordinate should")))
+                };
+                open.push(corners.number([number(x)?, number(y)?, number(z)?]));
+            }
+            ["vertex", ..] => {
+                return Err(fault(format!("a vertex has three numbers, this one has {}", words.len() - 1)));
+            }
+            ["endloop" | "endfacet", ..] if open.is_empty() => {}
+            ["endloop", ..] => match std::mem::take(&mut open)[..] {
+                [a, b, c] => faces.push([a, b, c]),
+                ref other => return Err(fault(format!("a facet has three corners, this one has {}", other.len()))),
+            },
+            ["endsolid", ..] => closed = true,
+            ["solid", ..] => closed = false,
+            [] | ["facet" | "outer", ..] => {}
+            _ => return Err(fault(format!("\"{}\" is no line of an ASCII STL", text.trim()))),
+        }
+    }
+    if !closed {
+        let place = format!("line {}", bytes.split(|&b| b == b'\n').count());
+        return Err(FileError::content(path, place, "the file ends without \"endsolid\"; was it cut short?"));
+    }
+    Ok((corners.vertices, faces))
+}
+
+fn ply_faces(path: &Path, bytes: &[u8]) -> Result<Faces, FileError> {
+    let ply = Ply::parse(path, bytes)?;
+    let missing = |what: &str| FileError::content(path, "header", format!("there is no {what}; is it a surface?"));
+    let vertex = ply.element("vertex").ok_or_else(|| missing("element \"vertex\""))?;
+    let axis = |name: &str| vertex.scalars(name).ok_or_else(|| missing(&format!("vertex property \"{name}\"")));
+    let (x, y, z) = (axis("x")?, axis("y")?, axis("z")?);
+    let vertices = (0..vertex.count).map(|k| Point3::new(x[k], y[k], z[k])).collect();
+    let face = ply.element("face").ok_or_else(|| missing("element \"face\", only points"))?;
+    let mut faces = Vec::with_capacity(face.count);
+    let mut fan = |k: usize, polygon: &[f64]| -> Result<(), FileError> {
+        if let Some(index) = polygon.iter().find(|i| i.fract() != 0.0 || !(0.0..vertex.count as f64).contains(*i)) {
+            let message = format!("it names vertex {index}, but there are {}", vertex.count);
+            return Err(FileError::content(path, format!("face {k}"), message));
+        }
+        // A polygon of fewer than three corners counts as one face without an area.
+        let corners: Vec<u32> = polygon.iter().map(|&i| i as u32).collect();
+        match corners[..] {
+            [] => faces.push([0; 3]),
+            [a] | [a, _] => faces.push([a; 3]),
+            [a, ref rest @ ..] => faces.extend(rest.windows(2).map(|w| [a, w[0], w[1]])),
+        }
+        Ok(())
+    };
+    // The two names that are in use.
+    if let Some(lists) = face.lists("vertex_indices") {
+        for (k, polygon) in lists.enumerate() {
+            fan(k, polygon)?;
+        }
+    } else if let Some(lists) = face.lists("vertex_index") {
+        for (k, polygon) in lists.enumerate() {
+            fan(k, polygon)?;
+        }
+    } else {
+        return Err(missing("face property \"vertex_indices\" or \"vertex_index\""));
+    }
+    Ok((vertices, faces))
+}
