@@ -1,0 +1,249 @@
+//! Coarse registration from a few named points.
+
+use crate::kabsch::{FitError, centroid, kabsch};
+use nalgebra::{Isometry3, Matrix3, Point3};
+use osteoflow_geometry::NamedPoint;
+use serde::{Deserialize, Serialize};
+
+/// Points whose RMS distance from their best line is below this (mm) are refused: with points located to half a
+/// millimetre, the turn about that line would be good to no better than 30 degrees.
+const MIN_OFF_LINE_MM: f64 = 1.0;
+
+/// Another pairing is worth a hint where it leaves less than this share of the RMS residual...
+const HINT_SHARE: f64 = 0.5;
+
+/// ...and the pairing by name leaves more than this (mm), which laser holes or a stylus do not.
+const HINT_ABOVE_MM: f64 = 1.5;
+
+/// Beyond this many points the orders are too many to try.
+const MAX_PERMUTED: usize = 6;
+
+/// A coarse fit and what speaks for and against it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CoarseFit {
+    /// The motion that takes the source points onto the target points.
+    pub t_target_source: Isometry3<f64>,
+    /// What speaks for and against it.
+    pub report: CoarseReport,
+}
+
+/// What speaks for and against a coarse fit.
+///
+/// The residuals (and their RMS, the FRE) are no accuracy: a shift common to all points leaves them unchanged, and so
+/// does a mirror image of the whole configuration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CoarseReport {
+    /// The pairs, in the target's order.
+    pub pairs: Vec<CoarsePair>,
+    /// RMS residual of the pairs, mm. Not an accuracy.
+    pub fre_mm: f64,
+    /// The distances between the points, in the target against in the source: independent of any fit.
+    pub sides: Vec<CoarseSide>,
+    /// RMS distance of the target points from their best line, mm: second singular value over √n. The turn about that
+    /// line is worse known the smaller it is.
+    pub target_off_line_mm: f64,
+    /// The same of the source points, mm.
+    pub source_off_line_mm: f64,
+    /// Source names in an order that would fit far better, where there is one: were two points swapped?
+    pub permutation: Option<Permutation>,
+}
+
+/// One pair of a coarse fit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CoarsePair {
+    /// The name of both points.
+    pub name: String,
+    /// Moved source point minus target point, mm, in the target's frame.
+    pub residual: [f64; 3],
+    /// Its length, mm.
+    pub residual_mm: f64,
+}
+
+/// The distance between two of the points.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CoarseSide {
+    /// One end.
+    pub from: String,
+    /// The other end.
+    pub to: String,
+    /// Its length between the target points, mm.
+    pub target_mm: f64,
+    /// Its length between the source points, mm.
+    pub source_mm: f64,
+    /// Source minus target, mm.
+    pub difference_mm: f64,
+}
+
+/// Another pairing that would fit far better.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Permutation {
+    /// For each target point in order, the source point that fits it.
+    pub source_names: Vec<String>,
+    /// RMS residual it would leave, mm.
+    pub fre_mm: f64,
+}
+
+/// Why there is no coarse fit.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CoarseError {
+    /// A target point has no partner, or a source point has none.
+    #[error("{what} has no partner of that name; the target has {target}, the source has {source_names}")]
+    Name {
+        /// The point without a partner.
+        what: String,
+        /// The target's names.
+        target: String,
+        /// The source's names.
+        source_names: String,
+    },
+    /// Two points share a name.
+    #[error("{name} is there twice among the {side} points; name each point once")]
+    Twice {
+        /// The name.
+        name: String,
+        /// `target` or `source`.
+        side: &'static str,
+    },
+    /// The points lie on a line, or nearly so.
+    #[error(
+        "the {side} points lie {off_line_mm:.2} mm (RMS) off a line, {needed_mm} mm is needed to fix the turn about it; \
+         choose landmarks off the line"
+    )]
+    NearlyCollinear {
+        /// `target` or `source`.
+        side: &'static str,
+        /// What was found.
+        off_line_mm: f64,
+        /// What is needed.
+        needed_mm: f64,
+    },
+    /// The points fix no motion.
+    #[error(transparent)]
+    Fit(#[from] FitError),
+}
+
+/// Rigid motion from three or more points located both in the target (planned on the CT) and in the source (laser holes
+/// or stylus), paired by name; their order does not matter.
+///
+/// # Errors
+/// [`CoarseError`] if names do not pair, there are fewer than three pairs, or the points lie close to a line.
+///
+/// # Source
+/// Section 2.3 of the paper. That FRE does not predict TRE: Fitzpatrick 2009.
+pub fn three_point(target: &[NamedPoint], source: &[NamedPoint]) -> Result<CoarseFit, CoarseError> {
+    let source = paired(target, source)?;
+    let t: Vec<Point3<f64>> = target.iter().map(|p| p.position).collect();
+    let s: Vec<Point3<f64>> = source.iter().map(|p| p.position).collect();
+    let t_target_source = kabsch(&t, &s)?;
+    let (target_off_line_mm, source_off_line_mm) = (off_line_mm(&t), off_line_mm(&s));
+    for (side, off_line_mm) in [("target", target_off_line_mm), ("source", source_off_line_mm)] {
+        if off_line_mm < MIN_OFF_LINE_MM {
+            return Err(CoarseError::NearlyCollinear { side, off_line_mm, needed_mm: MIN_OFF_LINE_MM });
+        }
+    }
+    let pairs: Vec<CoarsePair> = target
+        .iter()
+        .zip(&s)
+        .map(|(target, s)| {
+            let residual = t_target_source * s - target.position;
+            let name = target.name.to_string();
+            CoarsePair { name, residual: residual.into(), residual_mm: residual.norm() }
+        })
+        .collect();
+    let fre_mm = rms(&t_target_source, &t, &s);
+    let report = CoarseReport {
+        pairs,
+        fre_mm,
+        sides: sides(target, &source),
+        target_off_line_mm,
+        source_off_line_mm,
+        permutation: better_order(&t, &source, fre_mm),
+    };
+    Ok(CoarseFit { t_target_source, report })
+}
+
+/// The source points in the order of the target's names.
+fn paired<'a>(target: &[NamedPoint], source: &'a [NamedPoint]) -> Result<Vec<&'a NamedPoint>, CoarseError> {
+    for (side, points) in [("target", target), ("source", source)] {
+        for (k, point) in points.iter().enumerate() {
+            if points[..k].iter().any(|p| p.name == point.name) {
+                return Err(CoarseError::Twice { name: point.name.to_string(), side });
+            }
+        }
+    }
+    let names = |points: &[NamedPoint]| points.iter().map(|p| &*p.name).collect::<Vec<_>>().join(", ");
+    let lonely = |side: &str, name: &str| CoarseError::Name {
+        what: format!("{side} point {name}"),
+        target: names(target),
+        source_names: names(source),
+    };
+    if let Some(extra) = source.iter().find(|s| target.iter().all(|t| t.name != s.name)) {
+        return Err(lonely("source", &extra.name));
+    }
+    target.iter().map(|t| source.iter().find(|s| s.name == t.name).ok_or_else(|| lonely("target", &t.name))).collect()
+}
+
+fn sides(target: &[NamedPoint], source: &[&NamedPoint]) -> Vec<CoarseSide> {
+    let mut sides = Vec::new();
+    for i in 0..target.len() {
+        for j in i + 1..target.len() {
+            let target_mm = (target[i].position - target[j].position).norm();
+            let source_mm = (source[i].position - source[j].position).norm();
+            sides.push(CoarseSide {
+                from: target[i].name.to_string(),
+                to: target[j].name.to_string(),
+                target_mm,
+                source_mm,
+                difference_mm: source_mm - target_mm,
+            });
+        }
+    }
+    sides
+}
+
+/// RMS distance of the points from the line that fits them best, mm.
+fn off_line_mm(points: &[Point3<f64>]) -> f64 {
+    let centre = centroid(points);
+    let scatter: Matrix3<f64> = points.iter().map(|p| (p - centre) * (p - centre).transpose()).sum();
+    let mut squares: [f64; 3] = scatter.symmetric_eigenvalues().into();
+    squares.sort_by(f64::total_cmp);
+    // Off the line lies what the two smaller directions hold; three points have nothing in the smallest.
+    ((squares[0] + squares[1]).max(0.0) / points.len() as f64).sqrt()
+}
+
+fn rms(t_target_source: &Isometry3<f64>, target: &[Point3<f64>], source: &[Point3<f64>]) -> f64 {
+    let squares: f64 = target.iter().zip(source).map(|(t, s)| (t_target_source * s - t).norm_squared()).sum();
+    (squares / target.len() as f64).sqrt()
+}
+
+/// The order of the source points that fits best, where it fits far better than the one by name.
+fn better_order(target: &[Point3<f64>], source: &[&NamedPoint], fre_mm: f64) -> Option<Permutation> {
+    if fre_mm <= HINT_ABOVE_MM || target.len() > MAX_PERMUTED {
+        return None;
+    }
+    let mut best: Option<(f64, Vec<usize>)> = None;
+    permutations(source.len(), &mut |order| {
+        let moved: Vec<Point3<f64>> = order.iter().map(|&k| source[k].position).collect();
+        if let Ok(t) = kabsch(target, &moved) {
+            let left = rms(&t, target, &moved);
+            if best.as_ref().is_none_or(|(least, _)| left < *least) {
+                best = Some((left, order.to_vec()));
+            }
+        }
+    });
+    let (left, order) = best.filter(|(left, _)| *left < HINT_SHARE * fre_mm)?;
+    let source_names = order.iter().map(|&k| source[k].name.to_string()).collect();
+    Some(Permutation { source_names, fre_mm: left })
+}
+
+/// All orders of `0..n`, in lexicographic order.
+fn permutations(n: usize, visit: &mut dyn FnMut(&[usize])) {
+    let mut order: Vec<usize> = (0..n).collect();
+    loop {
+        visit(&order);
+        let Some(i) = (1..n).rev().find(|&i| order[i - 1] < order[i]) else { return };
+        let j = (i..n).rev().find(|&j| order[j] > order[i - 1]).unwrap_or(i);
+        order.swap(i - 1, j);
+        order[i..].reverse();
+    }
+}

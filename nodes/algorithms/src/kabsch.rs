@@ -1,0 +1,82 @@
+//! The rigid motion between paired points.
+
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+/// Below this ratio of singular values the points are a line to working precision: about the rounding of `f64` at
+/// 10 km from the origin.
+const COLLINEAR_RATIO: f64 = 1e-9;
+
+/// Pairs that fix no rigid motion.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FitError {
+    /// The slices do not pair, or there are too few points.
+    #[error("three or more pairs are needed, but there are {n_target} target and {n_source} source points")]
+    Pairing {
+        /// The number of target points.
+        n_target: usize,
+        /// The number of source points.
+        n_source: usize,
+    },
+    /// The points lie on a line, which leaves the spin about it unknown.
+    #[error("the points lie on a line, which leaves the turn about it unknown; add a point off the line")]
+    Collinear,
+    /// A coordinate is NaN or infinite.
+    #[error("pair {index} is not finite; drop it before fitting")]
+    NotFinite {
+        /// The first such pair.
+        index: usize,
+    },
+}
+
+/// Rigid motion that best carries `source` onto `target` in the least-squares sense, pairing points by index.
+///
+/// Lengths in millimetres. Always a proper rotation (det = +1), never a mirror image. `O(n)`.
+///
+/// # Errors
+/// [`FitError::Pairing`] if the slices differ in length or hold fewer than three points;
+/// [`FitError::NotFinite`] if a coordinate is NaN or infinite;
+/// [`FitError::Collinear`] if the points lie on a line, which leaves the spin about it unknown.
+///
+/// # Source
+/// Kabsch 1976; Umeyama 1991, eqs. 38-43 with scale 1. The coarse fit of section 2.3 of the paper.
+pub fn kabsch(target: &[Point3<f64>], source: &[Point3<f64>]) -> Result<Isometry3<f64>, FitError> {
+    if target.len() != source.len() || source.len() < 3 {
+        return Err(FitError::Pairing { n_target: target.len(), n_source: source.len() });
+    }
+    if let Some(index) = target.iter().zip(source).position(|(t, s)| !finite(t) || !finite(s)) {
+        return Err(FitError::NotFinite { index });
+    }
+    let (mean_target, mean_source) = (centroid(target), centroid(source));
+    let covariance: Matrix3<f64> =
+        target.iter().zip(source).map(|(t, s)| (t - mean_target) * (s - mean_source).transpose()).sum();
+    from_covariance(&covariance, &mean_target, &mean_source).ok_or(FitError::Collinear)
+}
+
+/// The motion from the sum of `(t - mean_target)(s - mean_source)ᵀ`; `None` if its rank is below two.
+pub(crate) fn from_covariance(
+    covariance: &Matrix3<f64>,
+    mean_target: &Point3<f64>,
+    mean_source: &Point3<f64>,
+) -> Option<Isometry3<f64>> {
+    let svd = covariance.svd(true, true);
+    if svd.singular_values[1] <= COLLINEAR_RATIO * svd.singular_values[0] {
+        return None;
+    }
+    let (u, v_t) = svd.u.zip(svd.v_t)?;
+    // Noise can favour a reflection; turning over the weakest axis gives the nearest rotation.
+    let turn = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * turn * v_t));
+    let translation = mean_target.coords - rotation * mean_source.coords;
+    Some(Isometry3::from_parts(Translation3::from(translation), rotation))
+}
+
+/// The mean of the points, summed about the first so that a far origin costs no digits; the origin if there are none.
+pub(crate) fn centroid(points: &[Point3<f64>]) -> Point3<f64> {
+    let Some(&first) = points.first() else { return Point3::origin() };
+    let sum: Vector3<f64> = points.iter().map(|p| p - first).sum();
+    first + sum / points.len() as f64
+}
+
+pub(crate) fn finite(point: &Point3<f64>) -> bool {
+    point.coords.iter().all(|c| c.is_finite())
+}

@@ -1,0 +1,102 @@
+//! Landmarks placed by rule.
+
+use crate::mesh_query::MeshQuery;
+use crate::section;
+use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
+use osteoflow_geometry::{Anatomy, NamedPoint};
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// The way out of the bone from which a landmark is looked for, mm: outside any long bone, inside the body.
+const OUTSIDE_MM: f64 = 200.0;
+
+/// Only what lies this near to the bone's middle line belongs to the section, mm: keeps a tibia in the same file out.
+const SECTION_REACH_MM: f64 = 60.0;
+
+/// Where the landmarks of the paper's coarse fit lie on a fibula.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecipeParams {
+    /// P1 above the tip of the malleolus, along the bone, mm. 100: clear of the ankle, where a graft may be taken.
+    #[schemars(range(min = 1.0, max = 1000.0))]
+    pub p1_from_tip_mm: f64,
+    /// P2 above P1, along the bone, mm. 30: the paper's d12.
+    #[schemars(range(min = -500.0, max = 500.0))]
+    pub p2_from_p1_mm: f64,
+    /// P3 above P1, along the bone, mm. 25: the paper's d13, which we read from P1.
+    #[schemars(range(min = -500.0, max = 500.0))]
+    pub p3_from_p1_mm: f64,
+}
+
+impl Default for RecipeParams {
+    fn default() -> Self {
+        Self { p1_from_tip_mm: 100.0, p2_from_p1_mm: 30.0, p3_from_p1_mm: 25.0 }
+    }
+}
+
+/// Why landmarks cannot be placed.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LandmarkError {
+    /// The bone is not there.
+    #[error(
+        "{name} would lie {height_mm} mm above the malleolus tip, where there is no bone; is it cut, or in metres?"
+    )]
+    NoBone {
+        /// The landmark.
+        name: &'static str,
+        /// Its height.
+        height_mm: f64,
+    },
+    /// The directions do not span space.
+    #[error("{what} runs along the bone; the anatomy needs three directions across each other")]
+    Directions {
+        /// The direction.
+        what: &'static str,
+    },
+}
+
+/// P1, P2 and P3 by the paper's recipe, on any surface of a fibula.
+///
+/// The recipe as we take it: P1 on the posterior face, `p1_from_tip_mm` above the tip of the malleolus along the bone;
+/// P2 on the lateral face, `p2_from_p1_mm` above P1; P3 on the posterior face, `p3_from_p1_mm` above P1. The three then
+/// lie on two faces, so that no line holds them. A face is met by a ray from outside, square to the bone, towards the
+/// middle of the bone's outline at that height. The side (left or right) is in the directions of the anatomy.
+///
+/// # Errors
+/// [`LandmarkError`] if the bone does not reach that far, or a direction runs along the bone.
+///
+/// # Source
+/// Section 2.3 of the paper.
+pub fn paper_recipe(
+    bone: &MeshQuery,
+    anatomy: &Anatomy,
+    params: &RecipeParams,
+) -> Result<Vec<NamedPoint>, LandmarkError> {
+    let p1 = params.p1_from_tip_mm;
+    let lateral = across(&anatomy.lateral, anatomy, "lateral")?;
+    let posterior = across(&anatomy.posterior, anatomy, "posterior")?;
+    [("P1", p1, posterior), ("P2", p1 + params.p2_from_p1_mm, lateral), ("P3", p1 + params.p3_from_p1_mm, posterior)]
+        .into_iter()
+        .map(|(name, height_mm, direction)| {
+            let position =
+                on_face(bone, anatomy, height_mm, &direction).ok_or(LandmarkError::NoBone { name, height_mm })?;
+            Ok(NamedPoint::new(name, position))
+        })
+        .collect()
+}
+
+/// Where the surface is met from `direction` at a height above the malleolus tip.
+fn on_face(bone: &MeshQuery, anatomy: &Anatomy, height_mm: f64, direction: &Vector3<f64>) -> Option<Point3<f64>> {
+    let at = anatomy.malleolus_tip + anatomy.proximal.into_inner() * height_mm;
+    let turn = Rotation3::rotation_between(&Vector3::z(), &anatomy.proximal)
+        .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+    let plane = Isometry3::from_parts(at.coords.into(), UnitQuaternion::from_rotation_matrix(&turn));
+    let middle = section::middle(bone.mesh(), &plane, Some(SECTION_REACH_MM))?;
+    bone.cast_ray(&(middle + direction * OUTSIDE_MM), &-direction).map(|hit| hit.point)
+}
+
+/// The part of a direction that is square to the bone, of unit length.
+fn across(direction: &Vector3<f64>, anatomy: &Anatomy, what: &'static str) -> Result<Vector3<f64>, LandmarkError> {
+    let along = anatomy.proximal.into_inner();
+    (direction - along * direction.dot(&along)).try_normalize(0.1).ok_or(LandmarkError::Directions { what })
+}

@@ -1,0 +1,89 @@
+//! Rays and closest points on a triangle mesh.
+
+use crate::kabsch::{centroid, finite};
+use nalgebra::{Point3, Vector3};
+use osteoflow_geometry::Mesh;
+use parry3d_f64::math::Vector as Vec3;
+use parry3d_f64::query::{PointQuery, Ray, RayCast};
+use parry3d_f64::shape::TriMesh;
+use std::sync::Arc;
+
+/// A mesh prepared for ray casts and closest points. Wraps parry3d; its vertices are held about their mean, so that a
+/// bone far from the origin loses no digits. A cheap handle.
+#[derive(Clone)]
+pub struct MeshQuery {
+    mesh: Mesh,
+    shape: Option<Arc<TriMesh>>,
+    centre: Point3<f64>,
+}
+
+/// Where a ray meets a mesh.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RayHit {
+    /// The point on the surface, mm.
+    pub point: Point3<f64>,
+    /// The distance from the ray's origin, mm.
+    pub distance_mm: f64,
+    /// The face that was hit.
+    pub face: usize,
+    /// The face's outward unit normal, whichever side was hit.
+    pub normal: Vector3<f64>,
+}
+
+/// The point of a mesh closest to another.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Closest {
+    /// The point on the surface, mm.
+    pub point: Point3<f64>,
+    /// Its distance, mm.
+    pub distance_mm: f64,
+    /// The face it lies on.
+    pub face: usize,
+    /// The face's outward unit normal.
+    pub normal: Vector3<f64>,
+}
+
+impl MeshQuery {
+    /// Prepares `mesh`; faces without area are never hit. `O(m log m)`.
+    pub fn new(mesh: &Mesh) -> Self {
+        let centre = centroid(mesh.vertices());
+        let vertices = mesh.vertices().iter().map(|v| to_glam(&(v - centre))).collect();
+        let shape = TriMesh::new(vertices, mesh.faces().to_vec()).ok().map(Arc::new);
+        Self { mesh: mesh.clone(), shape, centre }
+    }
+
+    /// The mesh itself.
+    pub fn mesh(&self) -> &Mesh {
+        &self.mesh
+    }
+
+    /// The first face met from `origin` along `direction` (any length but zero), from either side.
+    pub fn cast_ray(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<RayHit> {
+        let direction = direction.try_normalize(0.0).filter(|d| finite(origin) && d.iter().all(|c| c.is_finite()))?;
+        let ray = Ray::new(to_glam(&(origin - self.centre)), to_glam(&direction));
+        let hit = self.shape.as_ref()?.cast_local_ray_and_get_normal(&ray, f64::MAX, false)?;
+        let face = hit.subshape as usize;
+        let distance_mm = hit.time_of_impact;
+        Some(RayHit { point: origin + direction * distance_mm, distance_mm, face, normal: self.normal(face) })
+    }
+
+    /// The point of the surface closest to `point`.
+    pub fn closest_point(&self, point: &Point3<f64>) -> Option<Closest> {
+        let shape = self.shape.as_ref()?;
+        if !finite(point) {
+            return None;
+        }
+        let projection = shape.project_local_point(to_glam(&(point - self.centre)), false);
+        let face = projection.subshape as usize;
+        let found = self.centre + Vector3::new(projection.point.x, projection.point.y, projection.point.z);
+        Some(Closest { point: found, distance_mm: (found - point).norm(), face, normal: self.normal(face) })
+    }
+
+    fn normal(&self, face: usize) -> Vector3<f64> {
+        self.mesh.area_vector(face).try_normalize(0.0).unwrap_or_else(Vector3::zeros)
+    }
+}
+
+fn to_glam(v: &Vector3<f64>) -> Vec3 {
+    Vec3::new(v.x, v.y, v.z)
+}

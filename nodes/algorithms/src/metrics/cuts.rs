@@ -1,0 +1,134 @@
+use super::MetricsError;
+use crate::section;
+use nalgebra::{Isometry3, Point3, Vector3};
+use osteoflow_geometry::{Axes, Mesh, Plane, PlanePlace, Planes};
+use serde::{Deserialize, Serialize};
+
+/// A plane cuts the bone here if the outline lies no farther than this from the plane's origin, mm: more than a fibula
+/// is thick, less than the way to where a bent bone might be cut again.
+const REACH_MM: f64 = 60.0;
+
+/// How far the achieved cuts are from the planned ones.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CutsReport {
+    /// Each planned plane.
+    pub cuts: Vec<CutReport>,
+    /// The segment between each two planes that follow each other in the plan.
+    pub segments: Vec<SegmentReport>,
+    /// Planes.
+    pub n: usize,
+}
+
+/// How far one achieved cut is from the planned one.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CutReport {
+    /// The plane's name.
+    pub name: String,
+    /// Where the bone's middle line meets the planned plane, mm, in the planes' frame.
+    pub at: [f64; 3],
+    /// Way along the planned normal from there to the achieved plane, mm: `(o' - c) · n' / (n · n')`.
+    pub offset_mm: f64,
+    /// Angle between the normals, rad: `acos(n · n')`.
+    pub tilt_rad: f64,
+    /// Turn about the bone's z axis, rad, right-handed: the twist about z of the motion between the planes.
+    pub roll_rad: f64,
+}
+
+/// The length of the segment between two cuts, from middle to middle of the bone.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SegmentReport {
+    /// The first plane.
+    pub from: String,
+    /// The second plane.
+    pub to: String,
+    /// As planned, mm.
+    pub planned_mm: f64,
+    /// As achieved, mm.
+    pub achieved_mm: f64,
+    /// Achieved minus planned, mm.
+    pub difference_mm: f64,
+}
+
+/// Achieved planes against planned ones of the same names, all in one frame (usually `ct`, where the achieved planes come
+/// through the true or measured registration).
+///
+/// Offsets are told where the plane meets the bone: in the middle of the outline that the planned plane cuts out of
+/// `bone`; without a bone, at the plane's own origin.
+///
+/// # Errors
+/// [`MetricsError`] if there is no plane, one has no partner or is unknown, or frames differ.
+pub fn cuts(planned: &Planes, achieved: &Planes, axes: &Axes, bone: Option<&Mesh>) -> Result<CutsReport, MetricsError> {
+    achieved.frame.expect(&planned.frame, "the achieved planes")?;
+    axes.frame.expect(&planned.frame, "the axes")?;
+    if let Some(bone) = bone {
+        bone.frame.expect(&planned.frame, "the bone")?;
+    }
+    if planned.planes.is_empty() {
+        return Err(MetricsError::Empty { what: "planned plane" });
+    }
+    let along = axes.columns.column(2).into_owned();
+    let mut cuts = Vec::new();
+    let mut middles = Vec::new();
+    for plane in planned.planes.iter() {
+        let partner = achieved.planes.iter().find(|p| p.name == plane.name).ok_or_else(|| MetricsError::Unpaired {
+            name: plane.name.to_string(),
+            side: "achieved",
+            found: achieved.planes.iter().map(|p| &*p.name).collect::<Vec<_>>().join(", "),
+        })?;
+        let (plan, cut) = (known(plane)?, known(partner)?);
+        let middle = bone.and_then(|bone| section::middle(bone, plan, Some(REACH_MM)));
+        let at = middle.unwrap_or_else(|| plan * Point3::origin());
+        let report = compare(&plane.name, plan, cut, &at, &along);
+        if !report.offset_mm.is_finite() {
+            return Err(MetricsError::NotFinite { what: format!("the offset of {}", plane.name) });
+        }
+        middles.push((at, at + plan * Vector3::z() * report.offset_mm));
+        cuts.push(report);
+    }
+    let segments = cuts
+        .windows(2)
+        .zip(middles.windows(2))
+        .map(|(cuts, middles)| {
+            let planned_mm = (middles[1].0 - middles[0].0).norm();
+            let achieved_mm = (middles[1].1 - middles[0].1).norm();
+            SegmentReport {
+                from: cuts[0].name.clone(),
+                to: cuts[1].name.clone(),
+                planned_mm,
+                achieved_mm,
+                difference_mm: achieved_mm - planned_mm,
+            }
+        })
+        .collect();
+    Ok(CutsReport { n: cuts.len(), cuts, segments })
+}
+
+fn compare(name: &str, plan: &Isometry3<f64>, cut: &Isometry3<f64>, at: &Point3<f64>, z: &Vector3<f64>) -> CutReport {
+    let (n, n_cut) = (plan * Vector3::z(), cut * Vector3::z());
+    let motion = (cut.rotation * plan.rotation.inverse()).into_inner();
+    // Swing-twist: the part of the quaternion along z is the twist about it.
+    let twist = 2.0 * motion.imag().dot(z).atan2(motion.scalar());
+    let roll_rad = if twist > std::f64::consts::PI {
+        twist - std::f64::consts::TAU
+    } else if twist < -std::f64::consts::PI {
+        twist + std::f64::consts::TAU
+    } else {
+        twist
+    };
+    CutReport {
+        name: name.into(),
+        at: at.coords.into(),
+        offset_mm: (cut * Point3::origin() - at).dot(&n_cut) / n.dot(&n_cut),
+        tilt_rad: n.angle(&n_cut),
+        roll_rad,
+    }
+}
+
+fn known(plane: &Plane) -> Result<&Isometry3<f64>, MetricsError> {
+    match &plane.place {
+        PlanePlace::Known(t) => Ok(t),
+        PlanePlace::Unknown(reason) => {
+            Err(MetricsError::UnknownPlane { name: plane.name.to_string(), reason: reason.to_string() })
+        }
+    }
+}

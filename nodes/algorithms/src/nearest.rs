@@ -1,0 +1,68 @@
+//! Nearest neighbours of points in space.
+
+use crate::kabsch::{centroid, finite};
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use nalgebra::Point3;
+use rayon::prelude::*;
+use std::num::NonZeroUsize;
+
+/// A search tree over points, mm.
+///
+/// Points are held about their centroid, so a cloud 10 km from the origin is searched as exactly as one at it.
+/// Of several points in one place only the one with the lowest index is ever found.
+pub struct Nearest {
+    tree: Option<ImmutableKdTree<f64, 3>>,
+    centre: Point3<f64>,
+}
+
+impl Nearest {
+    /// A tree over `points`; points that are not finite are left out. `O(n log n)`, on all threads of the current pool.
+    pub fn new(points: &[Point3<f64>]) -> Self {
+        let centre = centroid(points);
+        let mut entries: Vec<(u32, [f64; 3])> = (0_u32..)
+            .zip(points)
+            .filter(|(_, p)| finite(p))
+            // Adding 0.0 makes -0.0 and 0.0 one place.
+            .map(|(i, p)| (i, (p - centre).map(|c| c + 0.0).into()))
+            .collect();
+        entries.par_sort_unstable_by(|(i, a), (j, b)| {
+            a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])).then(i.cmp(j))
+        });
+        entries.dedup_by(|later, first| later.1 == first.1);
+        let tree = if entries.is_empty() { None } else { ImmutableKdTree::new_from_entries_parallel(&entries).ok() };
+        Self { tree, centre }
+    }
+
+    /// Index and squared distance (mm²) of the nearest point; `None` if there is none or `point` is not finite.
+    pub fn nearest(&self, point: &Point3<f64>) -> Option<(usize, f64)> {
+        let tree = self.tree.as_ref().filter(|_| finite(point))?;
+        let found = tree.query(&self.about_centre(point)).nearest_one::<SquaredEuclidean<f64>>().execute();
+        Some((found.item as usize, found.distance))
+    }
+
+    /// Indices and squared distances (mm²) of the points no farther than `radius_mm`, by index.
+    pub fn within(&self, point: &Point3<f64>, radius_mm: f64) -> Vec<(usize, f64)> {
+        let Some(tree) = self.tree.as_ref().filter(|_| finite(point)) else { return Vec::new() };
+        let radius = radius_mm * radius_mm;
+        let query = self.about_centre(point);
+        let found = tree.query(&query).within::<SquaredEuclidean<f64>>(radius).unsorted().execute();
+        let mut found: Vec<_> = found.into_iter().map(|f| (f.item as usize, f.distance)).collect();
+        found.sort_unstable_by_key(|f| f.0);
+        found
+    }
+
+    /// Indices and squared distances (mm²) of the `n` nearest points, nearest first, ties by index.
+    pub fn nearest_n(&self, point: &Point3<f64>, n: usize) -> Vec<(usize, f64)> {
+        let (Some(tree), Some(n)) = (self.tree.as_ref().filter(|_| finite(point)), NonZeroUsize::new(n)) else {
+            return Vec::new();
+        };
+        let found = tree.query(&self.about_centre(point)).nearest_n::<SquaredEuclidean<f64>>(n).execute();
+        let mut found: Vec<_> = found.into_iter().map(|f| (f.item as usize, f.distance)).collect();
+        found.sort_unstable_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+        found
+    }
+
+    fn about_centre(&self, point: &Point3<f64>) -> [f64; 3] {
+        (point - self.centre).into()
+    }
+}

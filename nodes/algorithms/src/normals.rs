@@ -1,0 +1,129 @@
+//! Normals of a cloud.
+
+use crate::kabsch::centroid;
+use crate::nearest::Nearest;
+use nalgebra::{Matrix3, Point3, Vector3};
+use osteoflow_geometry::{Cloud, CloudError};
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// From which neighbours a normal is estimated.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct NormalParams {
+    /// Neighbours of a point, itself included. 24: averages depth noise of a quarter of the point spacing to 3 degrees.
+    #[schemars(range(min = 3, max = 1000))]
+    pub neighbours: u32,
+    /// Neighbours farther than this are left out, mm. 3: a quarter of a fibula's thickness, beyond which it bends away.
+    #[schemars(range(min = 1e-3, max = 1e3))]
+    pub max_distance_mm: f64,
+}
+
+impl Default for NormalParams {
+    fn default() -> Self {
+        Self { neighbours: 24, max_distance_mm: 3.0 }
+    }
+}
+
+/// Why there are no normals.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NormalError {
+    /// The cloud does not say where its camera was, so outside cannot be told from inside.
+    #[error("the cloud has no viewpoint, so which side of the surface is outside is unknown; set it where it is read")]
+    NoViewpoint,
+    /// No point has enough neighbours.
+    #[error("no point has two neighbours within {max_distance_mm} mm; is the cloud in mm, or too sparse?")]
+    TooSparse {
+        /// The limit.
+        max_distance_mm: f64,
+    },
+    /// The normals do not fit the cloud.
+    #[error(transparent)]
+    Cloud(#[from] CloudError),
+}
+
+/// The cloud with unit normals: across the plane that fits each point's neighbours best, turned towards the camera.
+///
+/// Points without two neighbours off a line have no normal and are dropped; the second value counts them.
+/// `O(n log n)`.
+///
+/// # Errors
+/// [`NormalError`] if the cloud has no viewpoint, or no point has neighbours.
+pub fn estimate(cloud: &Cloud, params: &NormalParams) -> Result<(Cloud, usize), NormalError> {
+    let camera = Point3::from(cloud.viewpoint.ok_or(NormalError::NoViewpoint)?.translation.vector);
+    let tree = Nearest::new(cloud.points());
+    let normals: Vec<Option<Vector3<f64>>> =
+        cloud.points().par_iter().map(|point| normal(cloud.points(), &tree, point, &camera, params)).collect();
+    let kept: Vec<usize> = (0..normals.len()).filter(|&i| normals[i].is_some()).collect();
+    if kept.is_empty() {
+        return Err(NormalError::TooSparse { max_distance_mm: params.max_distance_mm });
+    }
+    let n_dropped = normals.len() - kept.len();
+    Ok((cloud.selected(&kept).with_normals(normals.into_iter().flatten().collect::<Vec<_>>())?, n_dropped))
+}
+
+fn normal(
+    points: &[Point3<f64>],
+    tree: &Nearest,
+    point: &Point3<f64>,
+    camera: &Point3<f64>,
+    params: &NormalParams,
+) -> Option<Vector3<f64>> {
+    let limit = params.max_distance_mm * params.max_distance_mm;
+    let found = tree.nearest_n(point, params.neighbours as usize);
+    let near: Vec<Point3<f64>> = found.iter().filter(|(_, d)| *d <= limit).map(|(i, _)| points[*i]).collect();
+    let normal = plane_normal(&near)?;
+    Some(if normal.dot(&(camera - point)) < 0.0 { -normal } else { normal })
+}
+
+/// The unit normal of the plane that fits the points best; `None` for points on a line.
+pub(crate) fn plane_normal(points: &[Point3<f64>]) -> Option<Vector3<f64>> {
+    if points.len() < 3 {
+        return None;
+    }
+    let centre = centroid(points);
+    let scatter: Matrix3<f64> = points.iter().map(|p| (p - centre) * (p - centre).transpose()).sum();
+    let eigen = scatter.symmetric_eigen();
+    let mut order = [0, 1, 2];
+    order.sort_by(|&i, &j| eigen.eigenvalues[i].total_cmp(&eigen.eigenvalues[j]));
+    let flat = eigen.eigenvalues[order[1]] > 1e-9 * eigen.eigenvalues[order[2]];
+    flat.then(|| eigen.eigenvectors.column(order[0]).normalize())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Isometry3;
+
+    #[test]
+    fn a_ball_has_normals_along_its_radius_towards_the_camera() {
+        let camera = Point3::new(0.0, 0.0, 50.0);
+        let points: Vec<Point3<f64>> = (0..4000)
+            .map(|i| {
+                let z: f64 = 0.4 + 0.6 * f64::from(i) / 4000.0;
+                let turn = f64::from(i) * 2.399_963;
+                let r = (1.0 - z * z).max(0.0).sqrt();
+                Point3::new(10.0 * r * turn.cos(), 10.0 * r * turn.sin(), 10.0 * z)
+            })
+            .collect();
+        let cloud = Cloud::new("camera", points).unwrap().seen_from(Isometry3::from(camera.coords));
+        let (with, n_dropped) = estimate(&cloud, &NormalParams::default()).unwrap();
+        assert_eq!(n_dropped, 0);
+        for (p, n) in with.points().iter().zip(with.normals().unwrap()) {
+            let off = n.angle(&p.coords);
+            assert!(
+                off < 0.06,
+                "{off} rad at {p}: a one-sided rim neighbourhood of 1 mm on a ball of 10 mm tilts by 0.05"
+            );
+        }
+    }
+
+    #[test]
+    fn a_cloud_too_sparse_or_without_a_camera_is_refused() {
+        let cloud = Cloud::new("camera", vec![Point3::origin(), Point3::new(100.0, 0.0, 0.0)]).unwrap();
+        assert_eq!(estimate(&cloud, &NormalParams::default()), Err(NormalError::NoViewpoint));
+        let seen = cloud.seen_from(Isometry3::identity());
+        assert!(matches!(estimate(&seen, &NormalParams::default()), Err(NormalError::TooSparse { .. })));
+    }
+}

@@ -1,0 +1,30 @@
+//! Where a plane cuts a surface.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use osteoflow_geometry::Mesh;
+
+/// The middle of the outline along which the plane (its z axis is its normal) cuts the mesh nearest to the plane's
+/// origin: the mean of the outline weighted by length. `None` if the plane misses the mesh.
+///
+/// A plane may cut a bent bone twice; only cut edges within `reach_mm` of the plane's origin count, where given. `O(m)`.
+pub fn middle(mesh: &Mesh, t_mesh_plane: &Isometry3<f64>, reach_mm: Option<f64>) -> Option<Point3<f64>> {
+    let (mut length, mut moment) = (0.0, Vector3::zeros());
+    for face in 0..mesh.faces().len() {
+        let corners = mesh.corners(face).map(|p| t_mesh_plane.inverse_transform_point(&p));
+        let mut ends = Vec::with_capacity(2);
+        for k in 0..3 {
+            let (a, b) = (corners[k], corners[(k + 1) % 3]);
+            if (a.z < 0.0) != (b.z < 0.0) {
+                ends.push(a + (b - a) * (a.z / (a.z - b.z)));
+            }
+        }
+        let [a, b] = ends[..] else { continue };
+        let middle = nalgebra::center(&a, &b);
+        if reach_mm.is_some_and(|reach| middle.coords.norm() > reach) {
+            continue;
+        }
+        length += (b - a).norm();
+        moment += middle.coords * (b - a).norm();
+    }
+    (length > 0.0).then(|| t_mesh_plane * Point3::from(moment / length))
+}
