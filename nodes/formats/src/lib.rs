@@ -10,6 +10,7 @@ pub mod mesh_file;
 pub mod plan_file;
 mod ply;
 pub mod poses_csv;
+pub mod recording_write;
 
 pub use error::FileError;
 pub use lost::LostPose;
