@@ -1,1 +1,40 @@
 //! A simulated procedure on a built-in bone: camera, tracker, laser, phantom, stylus and CT, all from one seed.
+//!
+//! [`Procedure::simulate`] gives what a recording of a real procedure holds, clouds, marker poses and stylus points with
+//! stamps, and keeps what really was apart in [`Truth`]. Every error is a parameter with its unit and source, has a
+//! stream of random numbers of its own, and is switched off by 0.
+//!
+//! ```
+//! use osteoflow_simulation::{Procedure, ProcedureParams};
+//!
+//! let procedure = Procedure::simulate(&ProcedureParams::default(), 42).unwrap();
+//! assert_eq!(procedure.scan.len(), 20_000);
+//! assert_eq!(procedure.scan.frame.as_str(), "camera");
+//! assert_eq!(procedure.laser[0].label.as_deref(), Some("P1"));
+//! assert_eq!(procedure.truth.t_world_ct_at_scan.from.as_str(), "ct");
+//! ```
+
+pub mod bone;
+mod camera;
+pub mod ct;
+mod draws;
+mod error;
+mod iso_surface;
+mod params;
+pub mod phantom;
+mod plan;
+pub mod procedure;
+mod rays;
+mod topology;
+mod tracker;
+mod weakest_mode;
+
+pub use bone::BoneParams;
+pub use ct::{CtParams, ct_surface};
+pub use error::SimulationError;
+pub use params::{
+    CameraParams, LaserParams, MotionParams, PhantomParams, ProcedureParams, StylusParams, TrackerParams,
+};
+pub use plan::plan;
+pub use procedure::{Procedure, Truth, t_camera_camera_marker_nominal};
+pub use weakest_mode::{SmoothError, WeakestMode, visible_surface, weakest_mode};

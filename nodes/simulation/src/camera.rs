@@ -1,0 +1,180 @@
+//! The structured-light camera: rays through a grid of pixels onto one surface, and what goes wrong with each.
+
+use crate::draws::{Term, direction, normal, stream};
+use crate::params::CameraParams;
+use crate::rays::Surface;
+use nalgebra::{Isometry3, Point3, Vector3};
+use osteoflow_geometry::{Cloud, CloudError, StampNs};
+use rand::RngExt;
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+
+/// One pixel that sees the surface.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pixel {
+    /// Unit direction of its ray, camera frame.
+    pub(crate) ray: Vector3<f64>,
+    /// True distance along the ray, mm.
+    pub(crate) distance_mm: f64,
+    /// Cosine of the angle between ray and surface normal.
+    pub(crate) cos_incidence: f64,
+}
+
+impl Pixel {
+    /// Where the surface truly is, camera frame.
+    pub(crate) fn point(&self) -> Point3<f64> {
+        Point3::from(self.ray * self.distance_mm)
+    }
+}
+
+/// The stretch of an object that can be seen; the rest is covered by soft tissue.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Stretch {
+    pub(crate) from: Point3<f64>,
+    pub(crate) along: Vector3<f64>,
+    pub(crate) min_mm: f64,
+    pub(crate) max_mm: f64,
+}
+
+impl Stretch {
+    fn holds(&self, point: &Point3<f64>) -> bool {
+        let height = (point - self.from).dot(&self.along);
+        self.min_mm <= height && height <= self.max_mm
+    }
+}
+
+/// More pixels than points, so that dropout, patches and the laser's hole leave enough; the surplus goes at random.
+const SURPLUS: f64 = 1.12;
+
+/// Pixels of the grid that see the surface within `stretch`, in rows, not more aslant than the limit. Geometry alone: no
+/// draw enters, so every scan of one view has the same pixels.
+///
+/// `t_object_camera` leads into the surface's frame. The grid is as fine as `n_points` needs.
+pub(crate) fn view(
+    surface: &Surface,
+    outline: &[Point3<f64>],
+    stretch: Option<&Stretch>,
+    t_object_camera: &Isometry3<f64>,
+    params: &CameraParams,
+) -> Vec<Pixel> {
+    let t_camera_object = t_object_camera.inverse();
+    let seen = outline.iter().filter(|p| stretch.is_none_or(|s| s.holds(p))).map(|p| t_camera_object * p);
+    let window = seen.filter(|p| p.z > 1.0).map(|p| [p.x / p.z, p.y / p.z]).fold(None, |window, [x, y]| {
+        let [x0, x1, y0, y1] = window.unwrap_or([x, x, y, y]);
+        Some([x.min(x0), x.max(x1), y.min(y0), y.max(y1)])
+    });
+    let Some(window) = window else { return Vec::new() };
+    let cast = |step: f64| -> Vec<Pixel> {
+        // Whole steps from the optical axis; a coarse mesh may bulge a little beyond its vertices within the stretch.
+        let [x0, x1, y0, y1] = window;
+        let [first, last] = [x0 / step - 8.0, x1 / step + 8.0].map(|c| c.round() as i64);
+        let [top, bottom] = [y0 / step - 8.0, y1 / step + 8.0].map(|c| c.round() as i64);
+        let rows: Vec<Vec<Pixel>> = (top..=bottom)
+            .into_par_iter()
+            .map(|row| {
+                (first..=last)
+                    .filter_map(|column| {
+                        let ray = Vector3::new(column as f64 * step, row as f64 * step, 1.0).normalize();
+                        let (origin, along) = (Point3::from(t_object_camera.translation.vector), t_object_camera * ray);
+                        let hit = surface.cast(&origin, &along)?;
+                        let cos_incidence = -along.dot(&hit.normal);
+                        let point = origin + along * hit.distance_mm;
+                        let good = cos_incidence >= params.max_incidence_deg.to_radians().cos()
+                            && stretch.is_none_or(|s| s.holds(&point));
+                        good.then_some(Pixel { ray, distance_mm: hit.distance_mm, cos_incidence })
+                    })
+                    .collect()
+            })
+            .collect();
+        rows.into_iter().flatten().collect()
+    };
+    // A coarse grid measures the visible solid angle, from which the real grid's step follows.
+    let extent = (window[1] - window[0]).max(window[3] - window[2]);
+    let probe = extent / 160.0;
+    let solid_angle = cast(probe).len() as f64 * probe * probe;
+    if solid_angle == 0.0 {
+        return Vec::new();
+    }
+    cast((solid_angle / (params.n_points as f64 * SURPLUS)).sqrt())
+}
+
+/// The smooth error of depth that the camera's own calibration leaves, mm: a function of where a point lies in the
+/// camera's frame, the same for every cloud of a run.
+pub(crate) struct DepthBias {
+    waves: Vec<(Vector3<f64>, f64)>,
+    amplitude_mm: f64,
+}
+
+impl DepthBias {
+    pub(crate) fn new(params: &CameraParams, seed: u64) -> Self {
+        const N_WAVES: usize = 24;
+        let mut rng = stream(seed, Term::DepthBias, 0);
+        let waves = (0..N_WAVES)
+            .map(|_| {
+                let wavelength_mm = params.depth_bias_wavelength_mm * 2f64.powf(2.0 * rng.random::<f64>() - 1.0);
+                (direction(&mut rng) * (TAU / wavelength_mm), TAU * rng.random::<f64>())
+            })
+            .collect();
+        Self { waves, amplitude_mm: params.depth_bias_mm * (2.0 / N_WAVES as f64).sqrt() }
+    }
+
+    fn at(&self, point: &Point3<f64>) -> f64 {
+        if self.amplitude_mm == 0.0 {
+            return 0.0;
+        }
+        self.amplitude_mm * self.waves.iter().map(|(k, phase)| (k.dot(&point.coords) + phase).cos()).sum::<f64>()
+    }
+}
+
+/// A laser spot's hole: what lies within `radius_mm` of `spot` (camera frame) is not measured.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Hole {
+    pub(crate) spot: Point3<f64>,
+    pub(crate) radius_mm: f64,
+}
+
+/// A cloud of the view, taken with fresh noise: `scan` numbers the clouds of a run, and with it their draws.
+///
+/// Each draw belongs to a pixel (noise, dropout, thinning) or to a patch, whether it is used or not, so that switching a
+/// term off changes nothing else. At most `n_points` points, in the order of the pixels, frame `camera`.
+pub(crate) fn scan(
+    pixels: &[Pixel],
+    bias: &DepthBias,
+    hole: Option<Hole>,
+    stamp_ns: StampNs,
+    params: &CameraParams,
+    seed: u64,
+    scan: u64,
+) -> Result<Cloud, CloudError> {
+    let mut patch_rng = stream(seed, Term::Patches, scan);
+    let patches: Vec<Point3<f64>> = (0..params.n_patches)
+        .map(|_| patch_rng.random_range(0..pixels.len().max(1)))
+        .filter_map(|pixel| Some(pixels.get(pixel)?.point()))
+        .collect();
+    let (mut noise, mut dropout) = (stream(seed, Term::DepthNoise, scan), stream(seed, Term::Dropout, scan));
+    let mut thinning = stream(seed, Term::Thinning, scan);
+    let within = |p: &Point3<f64>, centre: &Point3<f64>, radius_mm: f64| (p - centre).norm() < radius_mm;
+
+    let mut kept: Vec<(u64, Point3<f64>)> = Vec::with_capacity(pixels.len());
+    for pixel in pixels {
+        let (noise, drop, key) = (normal(&mut noise), dropout.random::<f64>(), thinning.random::<u64>());
+        let truth = pixel.point();
+        if drop < params.dropout
+            || patches.iter().any(|centre| within(&truth, centre, params.patch_radius_mm))
+            || hole.is_some_and(|hole| within(&truth, &hole.spot, hole.radius_mm))
+        {
+            continue;
+        }
+        let spread = params.depth_noise_mm * pixel.cos_incidence.powf(-params.depth_noise_growth);
+        kept.push((key, Point3::from(pixel.ray * (pixel.distance_mm + spread * noise + bias.at(&truth)))));
+    }
+    if kept.len() > params.n_points {
+        let mut keys: Vec<u64> = kept.iter().map(|(key, _)| *key).collect();
+        // Equal keys are as good as impossible; truncation keeps the lower index if they come.
+        let (_, &mut limit, _) = keys.select_nth_unstable(params.n_points - 1);
+        kept.retain(|(key, _)| *key <= limit);
+        kept.truncate(params.n_points);
+    }
+    let points: Vec<Point3<f64>> = kept.into_iter().map(|(_, point)| point).collect();
+    Ok(Cloud::new("camera", points)?.at(stamp_ns).seen_from(Isometry3::identity()))
+}

@@ -1,0 +1,360 @@
+//! Every term of the simulated procedure, its size and where that comes from.
+//!
+//! "Other simulator" means the noise model written beside the recording of the development data, made independently of
+//! this crate; "assumed" means that nobody measured it. A term is switched off by 0.
+
+use crate::{BoneParams, CtParams, SimulationError};
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// A simulated procedure: the bone, what every device does wrong, and by how much.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ProcedureParams {
+    /// The built-in bone.
+    pub bone: BoneParams,
+    /// The CT that the plan's surface comes from.
+    pub ct: CtParams,
+    /// The structured-light camera and its view.
+    pub camera: CameraParams,
+    /// The localiser and the markers.
+    pub tracker: TrackerParams,
+    /// The laser pointer that shows the landmarks.
+    pub laser: LaserParams,
+    /// The calibration phantom and the camera marker's support.
+    pub phantom: PhantomParams,
+    /// The tracked stylus.
+    pub stylus: StylusParams,
+    /// When things happen, and what moves.
+    pub motion: MotionParams,
+}
+
+/// The structured-light camera and its view of the bone.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraParams {
+    /// Points of each cloud. 20,000: the paper's.
+    #[schemars(range(min = 100, max = 500_000))]
+    pub n_points: usize,
+    /// From the camera to the bone's surface. 200 mm: the paper's working distance.
+    #[schemars(range(min = 50.0, max = 1000.0))]
+    pub working_distance_mm: f64,
+    /// Where the stripped bone begins, along the bone from the malleolus tip. 70 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 450.0))]
+    pub scan_from_mm: f64,
+    /// Where the stripped bone ends. 165 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 450.0))]
+    pub scan_to_mm: f64,
+    /// The direction from the bone to the camera, about the bone from lateral (0) towards posterior (90). 45 degrees: both
+    /// faces that carry landmarks are seen at about 45 degrees.
+    #[schemars(range(min = -180.0, max = 180.0))]
+    pub view_azimuth_deg: f64,
+    /// Standard deviation, per axis, of how the hand-held camera's attitude differs from that view. 3 degrees: assumed.
+    #[schemars(range(min = 0.0, max = 15.0))]
+    pub view_spread_deg: f64,
+    /// Standard deviation of depth along the ray, at normal incidence. 0.05 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub depth_noise_mm: f64,
+    /// Depth noise grows as 1 / cos(incidence) to this power. 1: assumed, a slanted pixel spreads over that much depth.
+    #[schemars(range(min = 0.0, max = 4.0))]
+    pub depth_noise_growth: f64,
+    /// Surfaces seen more aslant than this give no point. 72 degrees: other simulator.
+    #[schemars(range(min = 10.0, max = 89.0))]
+    pub max_incidence_deg: f64,
+    /// The share of pixels that fail at random. 0.02: other simulator.
+    #[schemars(range(min = 0.0, max = 0.9))]
+    pub dropout: f64,
+    /// Round patches that are missing from each cloud anew (a highlight, a drop of blood). 3: other simulator.
+    #[schemars(range(min = 0, max = 100))]
+    pub n_patches: u32,
+    /// The radius of such a patch. 1.2 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub patch_radius_mm: f64,
+    /// RMS of the smooth error in depth that the camera's own calibration leaves; one field for all clouds of a run, as it
+    /// belongs to the camera. 0.05 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub depth_bias_mm: f64,
+    /// Over which length that error changes. 60 mm: assumed, a few periods over the field of view.
+    #[schemars(range(min = 10.0, max = 1000.0))]
+    pub depth_bias_wavelength_mm: f64,
+}
+
+impl Default for CameraParams {
+    fn default() -> Self {
+        Self {
+            n_points: 20_000,
+            working_distance_mm: 200.0,
+            scan_from_mm: 70.0,
+            scan_to_mm: 165.0,
+            view_azimuth_deg: 45.0,
+            view_spread_deg: 3.0,
+            depth_noise_mm: 0.05,
+            depth_noise_growth: 1.0,
+            max_incidence_deg: 72.0,
+            dropout: 0.02,
+            n_patches: 3,
+            patch_radius_mm: 1.2,
+            depth_bias_mm: 0.05,
+            depth_bias_wavelength_mm: 60.0,
+        }
+    }
+}
+
+/// The localiser, which tells where the markers are in frame `world`.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrackerParams {
+    /// Samples per second. 20 Hz: other simulator.
+    #[schemars(range(min = 2.0, max = 1000.0))]
+    pub rate_hz: f64,
+    /// The share of samples that are lost. 0.03: other simulator.
+    #[schemars(range(min = 0.0, max = 0.9))]
+    pub lost: f64,
+    /// Standard deviation, per axis, of the constant error of a marker at one place. 0.06 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub placement_mm: f64,
+    /// The same about each axis. 0.023 degrees (0.0004 rad): other simulator.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub placement_deg: f64,
+    /// Standard deviation, per axis, of the white noise of each sample. 0.03 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub noise_mm: f64,
+    /// The same about each axis. 0.0115 degrees (0.0002 rad): other simulator.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub noise_deg: f64,
+    /// How far the localiser's world moves in a minute, in one direction per run. 0.05 mm: assumed, a localiser that warms
+    /// up.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub drift_mm_per_min: f64,
+    /// How long a marker is followed before and after each cloud. 0.6 s: assumed, a dozen samples on either side.
+    #[schemars(range(min = 0.1, max = 1.9))]
+    pub burst_s: f64,
+}
+
+impl Default for TrackerParams {
+    fn default() -> Self {
+        Self {
+            rate_hz: 20.0,
+            lost: 0.03,
+            placement_mm: 0.06,
+            placement_deg: 0.023,
+            noise_mm: 0.03,
+            noise_deg: 0.0115,
+            drift_mm_per_min: 0.05,
+            burst_s: 0.6,
+        }
+    }
+}
+
+/// The laser pointer; its spot blinds the camera.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LaserParams {
+    /// The radius of the disc around the spot where the camera measures nothing. 2 mm: the paper's hole.
+    #[schemars(range(min = 0.2, max = 10.0))]
+    pub hole_radius_mm: f64,
+    /// Standard deviation of aiming across the bone. 0.6 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub aim_across_mm: f64,
+    /// Standard deviation of aiming along the bone. 0.7 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub aim_along_mm: f64,
+}
+
+impl Default for LaserParams {
+    fn default() -> Self {
+        Self { hole_radius_mm: 2.0, aim_across_mm: 0.6, aim_along_mm: 0.7 }
+    }
+}
+
+/// The calibration phantom as printed, and the support that carries the camera's marker.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PhantomParams {
+    /// Standard deviation, per axis, of the printed phantom marker against its CAD. 0.05 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub print_mm: f64,
+    /// The same about each axis. 0.023 degrees (0.0004 rad): other simulator.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub print_deg: f64,
+    /// Standard deviation, per axis, of the camera marker against its nominal pose. 1.5 mm: assumed, "good to a few mm".
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub mounting_mm: f64,
+    /// The same about each axis. 1.2 degrees: assumed, about 2 degrees in all.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub mounting_deg: f64,
+}
+
+impl Default for PhantomParams {
+    fn default() -> Self {
+        Self { print_mm: 0.05, print_deg: 0.023, mounting_mm: 1.5, mounting_deg: 1.2 }
+    }
+}
+
+/// The tracked stylus: the reference of the assessment, and the baseline method.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct StylusParams {
+    /// Standard deviation, per axis, of the tip's constant error, left by its own calibration. 0.1 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub tip_mm: f64,
+    /// Standard deviation, per axis, of each touch of a mark or hole. 0.1 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub touch_mm: f64,
+    /// Points palpated on the surface. 300: the paper's baseline.
+    #[schemars(range(min = 0, max = 10_000))]
+    pub n_palpated: usize,
+    /// Standard deviation, per axis, of the constant error of a palpation, beyond the tip's. 0.3 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub palpation_bias_mm: f64,
+    /// Standard deviation, per axis, of each palpated point. 0.25 mm: other simulator.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub palpation_mm: f64,
+}
+
+impl Default for StylusParams {
+    fn default() -> Self {
+        Self { tip_mm: 0.1, touch_mm: 0.1, n_palpated: 300, palpation_bias_mm: 0.3, palpation_mm: 0.25 }
+    }
+}
+
+/// When the procedure begins, and what moves in it.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct MotionParams {
+    /// Seconds since the Unix epoch at which the procedure begins. 1,750,000,000 (15 June 2025): never 0, which viewers
+    /// refuse.
+    #[schemars(range(min = 1.0, max = 4_000_000_000.0))]
+    pub start_s: u32,
+    /// How far the bone moves after all scans and touches, in a direction drawn per run. 60 mm: assumed, a leg that is
+    /// laid anew.
+    #[schemars(range(min = 0.0, max = 500.0))]
+    pub bone_mm: f64,
+    /// How far it turns meanwhile. 7 degrees: assumed.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub bone_deg: f64,
+    /// How far the bone moves between two scans, each time anew. 0: it is clamped in the paper.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub bone_between_scans_mm: f64,
+    /// How far it turns meanwhile. 0: it is clamped in the paper.
+    #[schemars(range(min = 0.0, max = 30.0))]
+    pub bone_between_scans_deg: f64,
+    /// How far the camera moves between two scans of the bone, each time anew. 0: it stands on an arm.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub camera_between_scans_mm: f64,
+    /// How far it turns meanwhile. 0: it stands on an arm.
+    #[schemars(range(min = 0.0, max = 30.0))]
+    pub camera_between_scans_deg: f64,
+}
+
+impl Default for MotionParams {
+    fn default() -> Self {
+        Self {
+            start_s: 1_750_000_000,
+            bone_mm: 60.0,
+            bone_deg: 7.0,
+            bone_between_scans_mm: 0.0,
+            bone_between_scans_deg: 0.0,
+            camera_between_scans_mm: 0.0,
+            camera_between_scans_deg: 0.0,
+        }
+    }
+}
+
+impl ProcedureParams {
+    /// The same procedure without any error: exact CT, no noise, nothing missing but the laser's hole, nothing mismounted.
+    /// What moves on purpose still moves.
+    pub fn without_errors(self) -> Self {
+        Self {
+            bone: self.bone,
+            ct: CtParams { exact_surface: true, ..self.ct },
+            camera: CameraParams { depth_noise_mm: 0.0, dropout: 0.0, n_patches: 0, depth_bias_mm: 0.0, ..self.camera },
+            tracker: TrackerParams {
+                lost: 0.0,
+                placement_mm: 0.0,
+                placement_deg: 0.0,
+                noise_mm: 0.0,
+                noise_deg: 0.0,
+                drift_mm_per_min: 0.0,
+                ..self.tracker
+            },
+            laser: LaserParams { aim_across_mm: 0.0, aim_along_mm: 0.0, ..self.laser },
+            phantom: PhantomParams { print_mm: 0.0, print_deg: 0.0, mounting_mm: 0.0, mounting_deg: 0.0 },
+            stylus: StylusParams {
+                tip_mm: 0.0,
+                touch_mm: 0.0,
+                palpation_bias_mm: 0.0,
+                palpation_mm: 0.0,
+                ..self.stylus
+            },
+            motion: self.motion,
+        }
+    }
+
+    /// Holds where every number can be used, whatever its source; narrower, advised ranges stand in the schema.
+    pub(crate) fn check(&self) -> Result<(), SimulationError> {
+        let (camera, tracker) = (&self.camera, &self.tracker);
+        let not_negative = "0 or more";
+        let positive = "more than 0";
+        let share = "at least 0 and less than 1";
+        let rules: [(&'static str, f64, bool, &'static str); 37] = [
+            ("bone.length_mm", self.bone.length_mm, self.bone.length_mm >= 100.0, "at least 100"),
+            ("bone.girth", self.bone.girth, self.bone.girth > 0.0, positive),
+            ("bone.edge_mm", self.bone.edge_mm, self.bone.edge_mm >= 0.1, "at least 0.1"),
+            ("bone.unevenness_mm", self.bone.unevenness_mm, self.bone.unevenness_mm >= 0.0, not_negative),
+            ("camera.n_points", camera.n_points as f64, camera.n_points > 0, positive),
+            ("camera.working_distance_mm", camera.working_distance_mm, camera.working_distance_mm > 0.0, positive),
+            ("camera.scan_from_mm", camera.scan_from_mm, camera.scan_from_mm >= 0.0, not_negative),
+            ("camera.scan_to_mm", camera.scan_to_mm, camera.scan_to_mm > camera.scan_from_mm, "beyond scan_from_mm"),
+            ("camera.view_azimuth_deg", camera.view_azimuth_deg, true, "finite"),
+            ("camera.view_spread_deg", camera.view_spread_deg, camera.view_spread_deg >= 0.0, not_negative),
+            ("camera.depth_noise_mm", camera.depth_noise_mm, camera.depth_noise_mm >= 0.0, not_negative),
+            ("camera.depth_noise_growth", camera.depth_noise_growth, camera.depth_noise_growth >= 0.0, not_negative),
+            (
+                "camera.max_incidence_deg",
+                camera.max_incidence_deg,
+                0.0 < camera.max_incidence_deg && camera.max_incidence_deg < 90.0,
+                "between 0 and 90",
+            ),
+            ("camera.dropout", camera.dropout, (0.0..1.0).contains(&camera.dropout), share),
+            ("camera.patch_radius_mm", camera.patch_radius_mm, camera.patch_radius_mm >= 0.0, not_negative),
+            ("camera.depth_bias_mm", camera.depth_bias_mm, camera.depth_bias_mm >= 0.0, not_negative),
+            (
+                "camera.depth_bias_wavelength_mm",
+                camera.depth_bias_wavelength_mm,
+                camera.depth_bias_wavelength_mm > 0.0,
+                positive,
+            ),
+            ("tracker.rate_hz", tracker.rate_hz, (1.0..=1000.0).contains(&tracker.rate_hz), "between 1 and 1000"),
+            ("tracker.lost", tracker.lost, (0.0..1.0).contains(&tracker.lost), share),
+            ("tracker.placement_mm", tracker.placement_mm, tracker.placement_mm >= 0.0, not_negative),
+            ("tracker.placement_deg", tracker.placement_deg, tracker.placement_deg >= 0.0, not_negative),
+            ("tracker.noise_mm", tracker.noise_mm, tracker.noise_mm >= 0.0, not_negative),
+            ("tracker.noise_deg", tracker.noise_deg, tracker.noise_deg >= 0.0, not_negative),
+            ("tracker.drift_mm_per_min", tracker.drift_mm_per_min, tracker.drift_mm_per_min >= 0.0, not_negative),
+            // Scans are 4 s apart and what moves between them does so in the middle 0.2 s.
+            ("tracker.burst_s", tracker.burst_s, 0.0 < tracker.burst_s && tracker.burst_s < 1.9, "between 0 and 1.9"),
+            ("laser.hole_radius_mm", self.laser.hole_radius_mm, self.laser.hole_radius_mm > 0.0, positive),
+            ("laser.aim_across_mm", self.laser.aim_across_mm, self.laser.aim_across_mm >= 0.0, not_negative),
+            ("laser.aim_along_mm", self.laser.aim_along_mm, self.laser.aim_along_mm >= 0.0, not_negative),
+            ("phantom.print_mm", self.phantom.print_mm, self.phantom.print_mm >= 0.0, not_negative),
+            ("phantom.print_deg", self.phantom.print_deg, self.phantom.print_deg >= 0.0, not_negative),
+            ("phantom.mounting_mm", self.phantom.mounting_mm, self.phantom.mounting_mm >= 0.0, not_negative),
+            ("phantom.mounting_deg", self.phantom.mounting_deg, self.phantom.mounting_deg >= 0.0, not_negative),
+            ("stylus.tip_mm", self.stylus.tip_mm, self.stylus.tip_mm >= 0.0, not_negative),
+            ("stylus.touch_mm", self.stylus.touch_mm, self.stylus.touch_mm >= 0.0, not_negative),
+            ("stylus.palpation_mm", self.stylus.palpation_mm, self.stylus.palpation_mm >= 0.0, not_negative),
+            (
+                "stylus.palpation_bias_mm",
+                self.stylus.palpation_bias_mm,
+                self.stylus.palpation_bias_mm >= 0.0,
+                not_negative,
+            ),
+            ("motion.start_s", f64::from(self.motion.start_s), self.motion.start_s > 0, positive),
+        ];
+        match rules.into_iter().find(|&(_, value, holds, _)| !(holds && value.is_finite())) {
+            Some((name, value, _, expected)) => Err(SimulationError::Parameter { name, value, expected }),
+            None => self.ct.check(),
+        }
+    }
+}

@@ -1,0 +1,536 @@
+//! One whole procedure: calibration, scan, three laser scans, stylus, and a bone that moves afterwards.
+
+use crate::camera::{DepthBias, Hole, Pixel, Stretch, scan, view};
+use crate::draws::{Term, attitude, direction, normal, normal3, small_motion, stream};
+use crate::plan::{frame_along, section_centre};
+use crate::rays::Surface;
+use crate::tracker::{Marker, Path, Tracker};
+use crate::{ProcedureParams, SimulationError, bone, ct, phantom, plan};
+use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use osteoflow_geometry::{Anatomy, Cloud, Mesh, NamedPoint, Planes, Points, Pose, Region, StampNs, SurgicalPlan};
+use rand::RngExt;
+
+/// Everything that a recording of a real procedure holds, and, kept apart, the truth.
+///
+/// Clouds lie in frame `camera`, marker poses are `t_world_<marker>` in order of time, stylus points lie in `world`; all
+/// stamps are nanoseconds since the Unix epoch.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Procedure {
+    /// What was planned on the bone, frame `ct`.
+    pub plan: SurgicalPlan,
+    /// The surface that the CT gave, frame `ct`: what a registration may know of the bone.
+    pub ct_surface: Mesh,
+    /// The phantom's CAD, frame `phantom`.
+    pub phantom: Mesh,
+    /// One scan of the phantom.
+    pub phantom_scan: Cloud,
+    /// The full scan of the bone.
+    pub scan: Cloud,
+    /// The same view with the laser on each landmark in turn, labelled `P1`, `P2`, ...: a disc around the spot is missing.
+    pub laser: Vec<Cloud>,
+    /// `t_world_camera_marker`, in bursts around each cloud.
+    pub camera_marker: Vec<Pose>,
+    /// `t_world_phantom_marker`, around the calibration only.
+    pub phantom_marker: Vec<Pose>,
+    /// `t_world_bone_marker`, around each scan, during all touches, and through the bone's last motion.
+    pub bone_marker: Vec<Pose>,
+    /// `t_phantom_phantom_marker` by CAD: not quite what was printed.
+    pub t_phantom_phantom_marker: Pose,
+    /// The stylus on the marks that the laser pointed at: the baseline's start.
+    pub stylus_init: Points,
+    /// The stylus in the assessment holes, M1 to M5 in order.
+    pub stylus_assessment: Points,
+    /// The stylus on the stripped surface, named `1`, `2`, ...: the baseline's cloud.
+    pub stylus_palpation: Points,
+    /// The user's region of interest, frame `camera`.
+    pub region: Option<Region>,
+    /// What really was, for scoring only.
+    pub truth: Truth,
+}
+
+/// What really was. Nothing of it is an input of a registration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Truth {
+    /// The surface that was scanned, frame `ct`.
+    pub bone: Mesh,
+    /// How the camera's marker truly sits.
+    pub t_camera_camera_marker: Pose,
+    /// How the phantom's marker was truly printed.
+    pub t_phantom_phantom_marker: Pose,
+    /// Where the phantom truly was in its scan.
+    pub t_camera_phantom: Pose,
+    /// Where the camera truly was at the full scan.
+    pub t_world_camera_at_scan: Pose,
+    /// Where the bone truly was at the full scan.
+    pub t_world_ct_at_scan: Pose,
+    /// Where the bone truly was at each laser scan.
+    pub t_world_ct_at_laser: Vec<Pose>,
+    /// Where the bone truly was during the touches.
+    pub t_world_ct_at_touches: Pose,
+    /// Where the bone truly is in the end.
+    pub t_world_ct_after_motion: Pose,
+    /// Where the bone's marker truly was at the full scan.
+    pub t_world_bone_marker_at_scan: Pose,
+    /// How the bone's marker truly sits on the bone.
+    pub t_ct_bone_marker: Pose,
+    /// Where the laser spots truly were, frame `ct`: the landmarks with the aiming error.
+    pub laser_spots_ct: Points,
+    /// The same in `world`, each at its own scan.
+    pub laser_spots_world: Points,
+    /// The assessment holes during the touches, frame `world`.
+    pub assessment_world: Points,
+    /// The planned planes at the full scan, frame `world`.
+    pub planes_world_at_scan: Planes,
+    /// The planned planes in the end, frame `world`.
+    pub planes_world_after_motion: Planes,
+}
+
+/// `t_camera_camera_marker` as the support was designed: the marker beside and behind the lens.
+pub fn t_camera_camera_marker_nominal() -> Isometry3<f64> {
+    Isometry3::new(Vector3::new(36.0, -58.0, -21.0), Vector3::new(-0.4, 0.3, 1.1))
+}
+
+/// When each cloud is taken, seconds after the start: the rhythm of the development recording.
+const CALIBRATION_S: f64 = 1.0;
+const SCAN_S: f64 = 11.0;
+const LASER_EVERY_S: f64 = 4.0;
+/// Marks, holes and palpation, and how long each touch takes.
+const TOUCH_EVERY_S: f64 = 0.5;
+const PALPATION_RATE_HZ: f64 = 20.0;
+/// The last motion and the rest after it.
+const MOTION_S: f64 = 2.0;
+const REST_S: f64 = 3.0;
+
+impl Procedure {
+    /// A procedure on the built-in bone. The same parameters and seed give the same bits on any number of threads.
+    ///
+    /// # Errors
+    /// [`SimulationError`] if a parameter makes no sense or leaves nothing to be seen.
+    pub fn simulate(params: &ProcedureParams, seed: u64) -> Result<Self, SimulationError> {
+        params.check()?;
+        let bone = bone::fibula(&params.bone);
+        let plan = plan::plan(&bone, &bone::anatomy(&params.bone))?;
+        Self::simulate_on(&bone, &plan, &phantom::mesh(), params, seed)
+    }
+
+    /// A procedure on any closed bone surface with a plan, calibrated with any phantom. `params.bone` is not used.
+    ///
+    /// Where the plan gives no marker poses, the built-in ones are taken.
+    ///
+    /// # Errors
+    /// As [`Procedure::simulate`]; and if the plan has no anatomy, fewer than three landmarks or no assessment point, or
+    /// lies in another frame than the bone.
+    pub fn simulate_on(
+        bone: &Mesh,
+        plan: &SurgicalPlan,
+        phantom: &Mesh,
+        params: &ProcedureParams,
+        seed: u64,
+    ) -> Result<Self, SimulationError> {
+        params.check()?;
+        let (ct_surface, procedure) = rayon::join(
+            || ct::ct_surface(bone, &params.ct, &mut stream(seed, Term::CtNoise, 0)),
+            || Scene::new(bone, plan, phantom, params, seed)?.run(),
+        );
+        let procedure = procedure?;
+        Ok(Self { ct_surface: ct_surface?, ..procedure })
+    }
+}
+
+/// The operating room: what stands where, and what moves.
+struct Scene<'a> {
+    params: &'a ProcedureParams,
+    seed: u64,
+    plan: &'a SurgicalPlan,
+    anatomy: &'a Anatomy,
+    bone: &'a Mesh,
+    bone_surface: Surface,
+    phantom: &'a Mesh,
+    phantom_surface: Surface,
+    /// `t_world_camera` over time.
+    camera: Path,
+    /// `t_world_ct` over time.
+    bone_path: Path,
+    /// `t_world_phantom`, at rest.
+    phantom_path: Path,
+    t_camera_camera_marker: Isometry3<f64>,
+    t_phantom_phantom_marker_cad: Isometry3<f64>,
+    t_phantom_phantom_marker: Isometry3<f64>,
+    t_ct_bone_marker: Isometry3<f64>,
+    /// When the touches begin, and when the last motion does.
+    touches_s: f64,
+    motion_s: f64,
+}
+
+impl<'a> Scene<'a> {
+    fn new(
+        bone: &'a Mesh,
+        plan: &'a SurgicalPlan,
+        phantom: &'a Mesh,
+        params: &'a ProcedureParams,
+        seed: u64,
+    ) -> Result<Self, SimulationError> {
+        let anatomy = plan.anatomy.as_ref().ok_or(SimulationError::NoAnatomy)?;
+        let needs =
+            [("landmarks", plan.landmarks.points.len(), 3), ("assessment points", plan.assessment.points.len(), 1)];
+        if let Some(&(what, found, needed)) = needs.iter().find(|&&(_, found, needed)| found < needed) {
+            return Err(SimulationError::TooFewPoints { what, found, needed });
+        }
+        plan.landmarks.frame.expect(&bone.frame, "the plan's landmarks")?;
+        plan.assessment.frame.expect(&bone.frame, "the plan's assessment points")?;
+        plan.planes.frame.expect(&bone.frame, "the plan's planes")?;
+        let nothing = |what, hint| SimulationError::NothingVisible { what, hint };
+        let bone_surface = Surface::new(bone).ok_or(nothing("bone", "the mesh is empty"))?;
+        let phantom_surface = Surface::new(phantom).ok_or(nothing("phantom", "the mesh is empty"))?;
+
+        let mut setup = stream(seed, Term::Setup, 0);
+        // The bone lies anyhow in the localiser's world, about 1.2 m from its origin.
+        let middle_mm = (params.camera.scan_from_mm + params.camera.scan_to_mm) / 2.0;
+        let focus =
+            section_centre(bone, anatomy, middle_mm).ok_or(SimulationError::NoSection { height_mm: middle_mm })?;
+        let place = direction(&mut setup) * (1200.0 + 100.0 * normal(&mut setup));
+        let t_world_ct = Translation3::from(place) * attitude(&mut setup) * Translation3::from(-focus.coords);
+        let t_ct_camera = scan_pose(&bone_surface, anatomy, &focus, params, seed)
+            .ok_or(nothing("bone", "scan_from_mm and scan_to_mm should lie on the bone"))?;
+
+        // Between calibration and scan the camera is carried from the phantom to the bone.
+        let mut camera = Path::resting(t_world_ct * t_ct_camera * carried(&mut setup));
+        let t_camera_phantom = phantom_pose(phantom, params, &mut setup);
+        let phantom_path = Path::resting(camera.at(0.0) * t_camera_phantom);
+        let at_phantom = camera.at(0.0);
+        let at_bone = t_world_ct * t_ct_camera;
+        let turn = (at_bone.rotation * at_phantom.rotation.inverse()).scaled_axis();
+        let shift = at_bone.translation.vector - at_phantom.translation.vector;
+        camera.then(CALIBRATION_S + 2.0, SCAN_S - 2.0, shift, turn, Point3::origin());
+
+        let motion = &params.motion;
+        let mut bone_path = Path::resting(t_world_ct);
+        let n_laser = plan.landmarks.points.len();
+        for gap in 0..n_laser {
+            // In the 0.2 s midway between two clouds, outside every burst.
+            let s = SCAN_S + (gap as f64 + 0.5) * LASER_EVERY_S;
+            let mut rng = stream(seed, Term::MotionBetweenScans, gap as u64);
+            let (way, about) = (direction(&mut rng), direction(&mut rng));
+            let (shift, turn) =
+                (way * motion.bone_between_scans_mm, about * motion.bone_between_scans_deg.to_radians());
+            if motion.bone_between_scans_mm > 0.0 || motion.bone_between_scans_deg > 0.0 {
+                bone_path.then(s - 0.1, s + 0.1, shift, turn, focus);
+            }
+            let mut rng = stream(seed, Term::CameraMotionBetweenScans, gap as u64);
+            let (way, about) = (direction(&mut rng), direction(&mut rng));
+            let (shift, turn) =
+                (way * motion.camera_between_scans_mm, about * motion.camera_between_scans_deg.to_radians());
+            if motion.camera_between_scans_mm > 0.0 || motion.camera_between_scans_deg > 0.0 {
+                let in_view = Point3::new(0.0, 0.0, params.camera.working_distance_mm);
+                camera.then(s - 0.1, s + 0.1, shift, turn, in_view);
+            }
+        }
+        let touches_s = SCAN_S + n_laser as f64 * LASER_EVERY_S + 2.0;
+        let n_touches = n_laser + plan.assessment.points.len();
+        let palpation_s = params.stylus.n_palpated as f64 / PALPATION_RATE_HZ;
+        let motion_s = (touches_s + (n_touches + 2) as f64 * TOUCH_EVERY_S + palpation_s + 1.0).ceil();
+        let mut rng = stream(seed, Term::BoneMotion, 0);
+        let (way, about) = (direction(&mut rng), direction(&mut rng));
+        bone_path.then(
+            motion_s,
+            motion_s + MOTION_S,
+            way * motion.bone_mm,
+            about * motion.bone_deg.to_radians(),
+            focus,
+        );
+
+        let design =
+            plan.t_phantom_phantom_marker.as_ref().map_or_else(phantom::t_phantom_phantom_marker, |p| p.isometry);
+        let nominal =
+            plan.t_camera_camera_marker_nominal.as_ref().map_or_else(t_camera_camera_marker_nominal, |p| p.isometry);
+        let wrong = &params.phantom;
+        let print =
+            small_motion(&mut stream(seed, Term::PhantomPrint, 0), wrong.print_mm, wrong.print_deg.to_radians());
+        let mounted = small_motion(
+            &mut stream(seed, Term::CameraMarkerMounting, 0),
+            wrong.mounting_mm,
+            wrong.mounting_deg.to_radians(),
+        );
+        Ok(Self {
+            params,
+            seed,
+            plan,
+            anatomy,
+            bone,
+            bone_surface,
+            phantom,
+            phantom_surface,
+            camera,
+            bone_path,
+            phantom_path,
+            t_camera_camera_marker: nominal * mounted,
+            t_phantom_phantom_marker_cad: design,
+            t_phantom_phantom_marker: design * print,
+            t_ct_bone_marker: bone_marker_pose(anatomy, &focus, &mut setup),
+            touches_s,
+            motion_s,
+        })
+    }
+
+    fn run(&self) -> Result<Procedure, SimulationError> {
+        let params = self.params;
+        let tracker = Tracker {
+            params: &params.tracker,
+            seed: self.seed,
+            start_ns: StampNs::from(params.motion.start_s) * 1_000_000_000,
+        };
+        let bias = DepthBias::new(&params.camera, self.seed);
+
+        let t_phantom_camera = self.phantom_path.at(CALIBRATION_S).inverse() * self.camera.at(CALIBRATION_S);
+        let pixels = view(&self.phantom_surface, self.phantom.vertices(), None, &t_phantom_camera, &params.camera);
+        if pixels.is_empty() {
+            return Err(SimulationError::NothingVisible { what: "phantom", hint: "is its mesh in millimetres?" });
+        }
+        let take = |pixels: &[Pixel], hole, s, number| {
+            scan(pixels, &bias, hole, tracker.stamp(s), &params.camera, self.seed, number)
+        };
+        let phantom_scan = take(&pixels, None, CALIBRATION_S, 0)?;
+
+        let seen = self.bone_view(SCAN_S)?;
+        let full = take(&seen, None, SCAN_S, 1)?;
+        let spots = self.laser_spots();
+        let laser_s = |k: usize| SCAN_S + (k + 1) as f64 * LASER_EVERY_S;
+        let still = self.is_still_between_scans();
+        let laser = spots.points.iter().enumerate().map(|(k, spot)| {
+            let s = laser_s(k);
+            let t_camera_ct = self.t_ct_camera(s).inverse();
+            let hole = Hole { spot: t_camera_ct * spot.position, radius_mm: params.laser.hole_radius_mm };
+            let again = if still { None } else { Some(self.bone_view(s)?) };
+            let pixels = again.as_deref().unwrap_or(&seen);
+            if !pixels.iter().any(|p| (p.point() - hole.spot).norm() < hole.radius_mm) {
+                return Err(SimulationError::SpotHidden { name: spot.name.to_string() });
+            }
+            Ok(take(pixels, Some(hole), s, 2 + k as u64)?.labelled(spot.name.clone()))
+        });
+        let laser = laser.collect::<Result<Vec<_>, SimulationError>>()?;
+
+        let end_s = self.motion_s + MOTION_S + REST_S;
+        let burst = |s: f64| (s - params.tracker.burst_s, s + params.tracker.burst_s);
+        let scans: Vec<(f64, f64)> = (0..=laser.len()).map(|k| burst(SCAN_S + k as f64 * LASER_EVERY_S)).collect();
+        let camera_spans: Vec<_> = std::iter::once(burst(CALIBRATION_S)).chain(scans.iter().copied()).collect();
+        let bone_spans: Vec<_> = scans.into_iter().chain([(self.touches_s - 0.5, end_s)]).collect();
+        let camera_marker = tracker.samples(Marker::Camera, &self.camera, &self.t_camera_camera_marker, &camera_spans);
+        let phantom_marker = tracker.samples(
+            Marker::Phantom,
+            &self.phantom_path,
+            &self.t_phantom_phantom_marker,
+            &[burst(CALIBRATION_S)],
+        );
+        let bone_marker = tracker.samples(Marker::Bone, &self.bone_path, &self.t_ct_bone_marker, &bone_spans);
+
+        let touches = self.touches(&tracker, &spots, &seen);
+        let truth = self.truth(&tracker, spots, laser_s);
+        Ok(Procedure {
+            plan: self.plan.clone(),
+            ct_surface: self.bone.clone(),
+            phantom: self.phantom.clone(),
+            region: Some(region(&seen)),
+            phantom_scan,
+            scan: full,
+            laser,
+            camera_marker,
+            phantom_marker,
+            bone_marker,
+            t_phantom_phantom_marker: Pose::new("phantom", "phantom_marker", self.t_phantom_phantom_marker_cad)
+                .at(tracker.stamp(CALIBRATION_S)),
+            stylus_init: touches.init,
+            stylus_assessment: touches.assessment,
+            stylus_palpation: touches.palpation,
+            truth,
+        })
+    }
+
+    fn t_ct_camera(&self, s: f64) -> Isometry3<f64> {
+        self.bone_path.at(s).inverse() * self.camera.at(s)
+    }
+
+    fn is_still_between_scans(&self) -> bool {
+        let motion = &self.params.motion;
+        [
+            motion.bone_between_scans_mm,
+            motion.bone_between_scans_deg,
+            motion.camera_between_scans_mm,
+            motion.camera_between_scans_deg,
+        ]
+        .iter()
+        .all(|&size| size == 0.0)
+    }
+
+    /// The pixels that see the stripped bone.
+    fn bone_view(&self, s: f64) -> Result<Vec<Pixel>, SimulationError> {
+        let camera = &self.params.camera;
+        let stretch = Stretch {
+            from: self.anatomy.malleolus_tip,
+            along: self.anatomy.proximal.into_inner(),
+            min_mm: camera.scan_from_mm,
+            max_mm: camera.scan_to_mm,
+        };
+        let pixels = view(&self.bone_surface, self.bone.vertices(), Some(&stretch), &self.t_ct_camera(s), camera);
+        if pixels.is_empty() {
+            let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
+            return Err(SimulationError::NothingVisible { what: "bone", hint });
+        }
+        Ok(pixels)
+    }
+
+    /// Where the laser truly points, frame of the bone: the landmarks, off by the aim across and along the bone.
+    fn laser_spots(&self) -> Points {
+        let aim = &self.params.laser;
+        let spots: Vec<NamedPoint> = self
+            .plan
+            .landmarks
+            .points
+            .iter()
+            .enumerate()
+            .map(|(k, landmark)| {
+                let mut rng = stream(self.seed, Term::LaserAim, k as u64);
+                let (across, along) = (normal(&mut rng) * aim.aim_across_mm, normal(&mut rng) * aim.aim_along_mm);
+                let (_, outward) = self.bone_surface.closest(&landmark.position);
+                let around = self.anatomy.proximal.cross(&outward).try_normalize(1e-6).unwrap_or_else(Vector3::zeros);
+                let aimed = landmark.position + around * across + *self.anatomy.proximal * along;
+                NamedPoint::new(landmark.name.clone(), self.bone_surface.closest(&aimed).0)
+            })
+            .collect();
+        Points::new(&self.bone.frame, spots)
+    }
+
+    /// Every touch of the stylus: first the marks, then the holes, then the surface.
+    fn touches(&self, tracker: &Tracker, marks: &Points, seen: &[Pixel]) -> Touches {
+        let stylus = &self.params.stylus;
+        let tip = normal3(&mut stream(self.seed, Term::StylusCalibration, 0)) * stylus.tip_mm;
+        let bias = normal3(&mut stream(self.seed, Term::PalpationBias, 0)) * stylus.palpation_bias_mm;
+        let touch = |name: &str, point_ct: &Point3<f64>, s: f64, error: Vector3<f64>| NamedPoint {
+            stamp_ns: tracker.stamp(s),
+            ..NamedPoint::new(name, self.bone_path.at(s) * point_ct + tracker.drift(s) + tip + error)
+        };
+        let mut rng = stream(self.seed, Term::StylusTouch, 0);
+        let mut in_turn = |points: &Points, first_s: f64| {
+            let touched = points.points.iter().enumerate().map(|(k, point)| {
+                let error = normal3(&mut rng) * stylus.touch_mm;
+                touch(&point.name, &point.position, first_s + k as f64 * TOUCH_EVERY_S, error)
+            });
+            Points::new("world", touched.collect::<Vec<_>>())
+        };
+        let init = in_turn(marks, self.touches_s);
+        let holes_s = self.touches_s + (marks.points.len() + 1) as f64 * TOUCH_EVERY_S;
+        let assessment = in_turn(&self.plan.assessment, holes_s);
+
+        let first_s = holes_s + (assessment.points.len() + 1) as f64 * TOUCH_EVERY_S;
+        let t_ct_camera = self.t_ct_camera(SCAN_S);
+        let mut place = stream(self.seed, Term::PalpationPlace, 0);
+        let mut rng = stream(self.seed, Term::PalpationTouch, 0);
+        let palpation = (0..stylus.n_palpated).map(|k| {
+            let pixel = &seen[place.random_range(0..seen.len())];
+            let error = bias + normal3(&mut rng) * stylus.palpation_mm;
+            let s = first_s + k as f64 / PALPATION_RATE_HZ;
+            touch(&(k + 1).to_string(), &(t_ct_camera * pixel.point()), s, error)
+        });
+        Touches { init, assessment, palpation: Points::new("world", palpation.collect::<Vec<_>>()) }
+    }
+
+    fn truth(&self, tracker: &Tracker, spots: Points, laser_s: impl Fn(usize) -> f64) -> Truth {
+        let ct = &self.bone.frame;
+        let bone_at = |s: f64| Pose::new("world", ct, self.bone_path.at(s)).at(tracker.stamp(s));
+        let end_s = self.motion_s + MOTION_S + REST_S;
+        let in_world = spots.points.iter().enumerate().map(|(k, spot)| NamedPoint {
+            stamp_ns: tracker.stamp(laser_s(k)),
+            ..NamedPoint::new(spot.name.clone(), self.bone_path.at(laser_s(k)) * spot.position)
+        });
+        let planes_at = |s: f64| self.plan.planes.transformed("world", &self.bone_path.at(s)).at(tracker.stamp(s));
+        Truth {
+            bone: self.bone.clone(),
+            t_camera_camera_marker: Pose::new("camera", "camera_marker", self.t_camera_camera_marker),
+            t_phantom_phantom_marker: Pose::new("phantom", "phantom_marker", self.t_phantom_phantom_marker),
+            t_camera_phantom: Pose::new(
+                "camera",
+                "phantom",
+                self.camera.at(CALIBRATION_S).inverse() * self.phantom_path.at(CALIBRATION_S),
+            )
+            .at(tracker.stamp(CALIBRATION_S)),
+            t_world_camera_at_scan: Pose::new("world", "camera", self.camera.at(SCAN_S)).at(tracker.stamp(SCAN_S)),
+            t_world_ct_at_scan: bone_at(SCAN_S),
+            t_world_ct_at_laser: (0..spots.points.len()).map(|k| bone_at(laser_s(k))).collect(),
+            t_world_ct_at_touches: bone_at(self.touches_s),
+            t_world_ct_after_motion: bone_at(end_s),
+            t_world_bone_marker_at_scan: Pose::new(
+                "world",
+                "bone_marker",
+                self.bone_path.at(SCAN_S) * self.t_ct_bone_marker,
+            )
+            .at(tracker.stamp(SCAN_S)),
+            t_ct_bone_marker: Pose::new(ct, "bone_marker", self.t_ct_bone_marker),
+            laser_spots_world: Points::new("world", in_world.collect::<Vec<_>>()),
+            laser_spots_ct: spots,
+            assessment_world: self.plan.assessment.transformed("world", &self.bone_path.at(self.touches_s)),
+            planes_world_at_scan: planes_at(SCAN_S),
+            planes_world_after_motion: planes_at(end_s),
+        }
+    }
+}
+
+struct Touches {
+    init: Points,
+    assessment: Points,
+    palpation: Points,
+}
+
+/// `t_ct_camera` of the scans: at working distance from the surface, x along the bone, held about as planned.
+pub(crate) fn scan_pose(
+    surface: &Surface,
+    anatomy: &Anatomy,
+    focus: &Point3<f64>,
+    params: &ProcedureParams,
+    seed: u64,
+) -> Option<Isometry3<f64>> {
+    let azimuth = params.camera.view_azimuth_deg.to_radians();
+    let towards_camera = *anatomy.lateral * azimuth.cos() + *anatomy.posterior * azimuth.sin();
+    const OUTSIDE_MM: f64 = 60.0;
+    let from = focus + towards_camera * OUTSIDE_MM;
+    let on_surface = from - towards_camera * surface.cast(&from, &-towards_camera)?.distance_mm;
+    // Camera z looks at the bone, x runs proximally, y = z x x.
+    let z = -towards_camera;
+    let looking = frame_along(&z, &z.cross(&anatomy.proximal));
+    let held = normal3(&mut stream(seed, Term::Setup, 1)) * params.camera.view_spread_deg.to_radians();
+    let about_focus = Translation3::from(on_surface.coords) * UnitQuaternion::from_scaled_axis(held);
+    let back = Translation3::new(0.0, 0.0, -params.camera.working_distance_mm);
+    Some(about_focus * looking * back)
+}
+
+/// How the camera differs between its places at the bone and at the phantom.
+fn carried(rng: &mut rand_chacha::ChaCha8Rng) -> Isometry3<f64> {
+    Isometry3::new(normal3(rng) * 60.0, normal3(rng) * 0.2)
+}
+
+/// `t_camera_phantom`: a corner of the phantom towards the camera, so that three faces with blocks are seen, its middle
+/// a tenth beyond the working distance.
+fn phantom_pose(phantom: &Mesh, params: &ProcedureParams, rng: &mut rand_chacha::ChaCha8Rng) -> Isometry3<f64> {
+    let toward = Vector3::new(1.0, 1.0, 1.0).normalize();
+    let corner_on = UnitQuaternion::rotation_between(&toward, &-Vector3::z())
+        .unwrap_or_else(|| UnitQuaternion::from_rotation_matrix(&Rotation3::identity()));
+    let radius = phantom.vertices().iter().map(|v| v.coords.norm()).fold(0.0, f64::max);
+    let spread = params.camera.view_spread_deg.to_radians();
+    let held = UnitQuaternion::from_scaled_axis(normal3(rng) * spread);
+    let aside = normal3(rng) * 4.0;
+    let away = params.camera.working_distance_mm + radius / 2.0;
+    Translation3::from(Vector3::new(0.0, 0.0, away) + aside) * held * corner_on
+}
+
+/// `t_ct_bone_marker`: on a pin in the bone's proximal part, 110 mm beyond the middle of the scan and 45 mm off the bone.
+fn bone_marker_pose(anatomy: &Anatomy, focus: &Point3<f64>, rng: &mut rand_chacha::ChaCha8Rng) -> Isometry3<f64> {
+    let place = focus + *anatomy.proximal * 110.0 + *anatomy.lateral * 45.0;
+    Isometry3::from_parts(place.into(), attitude(rng))
+}
+
+/// A box about what the camera sees, with a margin as a hand would leave.
+fn region(seen: &[Pixel]) -> Region {
+    const MARGIN_MM: f64 = 4.0;
+    let first = seen[0].point();
+    let (min, max) = seen.iter().map(Pixel::point).fold((first, first), |(min, max), p| (min.inf(&p), max.sup(&p)));
+    let margin = Vector3::repeat(MARGIN_MM);
+    Region { frame: "camera".into(), min: min - margin, max: max + margin }
+}

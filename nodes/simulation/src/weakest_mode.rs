@@ -1,0 +1,149 @@
+//! How far a bone lets a registration slide along it.
+
+use crate::camera::{Stretch, view};
+use crate::params::{CameraParams, ProcedureParams};
+use crate::procedure::scan_pose;
+use crate::rays::Surface;
+use crate::{SimulationError, draws, plan::section_centre};
+use nalgebra::{Matrix6, Point3, Unit, Vector3, Vector6};
+use osteoflow_geometry::{Anatomy, Cloud, Mesh};
+use rand::RngExt;
+
+/// The smooth surface errors whose effect is asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SmoothError {
+    /// RMS of the error along the normal, over the points, mm.
+    pub rms_mm: f64,
+    /// Standard deviation of the bumps that it consists of, mm.
+    pub bump_mm: f64,
+    /// How many errors are drawn.
+    pub n_draws: usize,
+}
+
+impl Default for SmoothError {
+    /// 0.3 mm in bumps of 8 mm, 400 draws (which give the RMS within 4 %).
+    fn default() -> Self {
+        Self { rms_mm: 0.3, bump_mm: 8.0, n_draws: 400 }
+    }
+}
+
+/// What a smooth surface error does to a point-to-plane registration, over many draws.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WeakestMode {
+    /// RMS of the slide along the bone, mm.
+    pub slide_mm: f64,
+    /// RMS of the shift across the bone, mm.
+    pub across_mm: f64,
+    /// RMS of the spin about the bone, radians.
+    pub spin_rad: f64,
+    /// How many points hold the surface.
+    pub n_points: usize,
+}
+
+/// How far point-to-plane slides along `axis` when the surface errs smoothly: `None` if the points leave the pose open
+/// (a cylinder, say).
+///
+/// Linearised: with rows `[(p - c) x n, n]` the pose answers an error field e with the least-squares solution of
+/// `row . x = e`. The field is a sum of normal-curve bumps about points of the surface with random heights, scaled to the
+/// asked RMS. Slide and shift are told at the points' centroid c. `O(n_draws * n)`.
+pub fn weakest_mode(
+    points: &[Point3<f64>],
+    normals: &[Vector3<f64>],
+    axis: &Unit<Vector3<f64>>,
+    error: &SmoothError,
+    seed: u64,
+) -> Option<WeakestMode> {
+    let n = points.len();
+    if n < 6 || normals.len() != n {
+        return None;
+    }
+    let centroid = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / n as f64;
+    // Turns are measured at 10 mm, so that all six unknowns are of one kind.
+    const LEVER_MM: f64 = 10.0;
+    let rows: Vec<Vector6<f64>> = points
+        .iter()
+        .zip(normals)
+        .map(|(p, n)| {
+            let turn = (p.coords - centroid).cross(n) / LEVER_MM;
+            Vector6::new(turn.x, turn.y, turn.z, n.x, n.y, n.z)
+        })
+        .collect();
+    let normal_matrix: Matrix6<f64> = rows.iter().map(|row| row * row.transpose()).sum();
+    let eigenvalues = normal_matrix.symmetric_eigenvalues();
+    if eigenvalues.min() <= 1e-9 * eigenvalues.max() {
+        return None;
+    }
+    let solve = normal_matrix.cholesky()?;
+
+    let reach = 3.0 * error.bump_mm;
+    let extent = points.iter().map(|p| (p.coords - centroid).norm()).fold(0.0, f64::max);
+    // Enough bumps that about four overlap along the bone.
+    let n_bumps = (8.0 * extent / error.bump_mm).ceil().clamp(8.0, 200.0) as usize;
+    let (mut slide, mut across, mut spin) = (0.0, 0.0, 0.0);
+    for draw in 0..error.n_draws {
+        let mut rng = draws::stream(seed, draws::Term::SmoothError, draw as u64);
+        let bumps: Vec<(Point3<f64>, f64)> =
+            (0..n_bumps).map(|_| (points[rng.random_range(0..n)], draws::normal(&mut rng))).collect();
+        let field: Vec<f64> = points
+            .iter()
+            .map(|p| {
+                bumps
+                    .iter()
+                    .map(|(centre, height)| (height, (p - centre).norm_squared()))
+                    .filter(|(_, square)| *square < reach * reach)
+                    .map(|(height, square)| height * (-0.5 * square / error.bump_mm.powi(2)).exp())
+                    .sum()
+            })
+            .collect();
+        let rms = (field.iter().map(|e| e * e).sum::<f64>() / n as f64).sqrt();
+        if rms == 0.0 {
+            continue;
+        }
+        let pull: Vector6<f64> = rows.iter().zip(&field).map(|(row, e)| row * *e).sum();
+        let answer = solve.solve(&pull) * (error.rms_mm / rms);
+        let turn = answer.fixed_rows::<3>(0) / LEVER_MM;
+        let shift: Vector3<f64> = answer.fixed_rows::<3>(3).into_owned();
+        let along = shift.dot(axis);
+        slide += along * along;
+        across += shift.norm_squared() - along * along;
+        spin += turn.dot(axis).powi(2);
+    }
+    let mean = |sum: f64| (sum / error.n_draws as f64).sqrt();
+    Some(WeakestMode { slide_mm: mean(slide), across_mm: mean(across), spin_rad: mean(spin), n_points: n })
+}
+
+/// What the camera sees of the stripped bone, without any error: points and outward normals in the frame of `bone`.
+///
+/// # Errors
+/// [`SimulationError::NothingVisible`] or [`SimulationError::NoSection`] if the stretch does not lie on the bone.
+pub fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) -> Result<Cloud, SimulationError> {
+    let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
+    let nothing = SimulationError::NothingVisible { what: "bone", hint };
+    let params = ProcedureParams {
+        camera: CameraParams { view_spread_deg: 0.0, ..camera.clone() },
+        ..ProcedureParams::default()
+    };
+    params.check()?;
+    let surface = Surface::new(bone).ok_or(nothing.clone())?;
+    let middle_mm = (camera.scan_from_mm + camera.scan_to_mm) / 2.0;
+    let focus = section_centre(bone, anatomy, middle_mm).ok_or(SimulationError::NoSection { height_mm: middle_mm })?;
+    let t_ct_camera = scan_pose(&surface, anatomy, &focus, &params, 0).ok_or(nothing.clone())?;
+    let stretch = Stretch {
+        from: anatomy.malleolus_tip,
+        along: anatomy.proximal.into_inner(),
+        min_mm: camera.scan_from_mm,
+        max_mm: camera.scan_to_mm,
+    };
+    let pixels = view(&surface, bone.vertices(), Some(&stretch), &t_ct_camera, &params.camera);
+    if pixels.is_empty() {
+        return Err(nothing);
+    }
+    let (points, normals): (Vec<_>, Vec<_>) = pixels
+        .iter()
+        .map(|pixel| {
+            let point = t_ct_camera * pixel.point();
+            (point, surface.closest(&point).1)
+        })
+        .unzip();
+    Ok(Cloud::new(&bone.frame, points)?.with_normals(normals)?.seen_from(t_ct_camera))
+}
