@@ -1,7 +1,46 @@
 //! Files and foreign streams to geometry and back: STL, PLY, Foxglove messages in MCAP, plans, folders.
+//!
+//! This is where metres end: every reader gives millimetres, finite points and the frame that the file names, and says
+//! what it left out. A reader never repairs silently: what it cannot be sure of is an error with place and remedy, what
+//! it left out is counted.
+//!
+//! | Module | Reads | Writes |
+//! |---|---|---|
+//! | [`mcap_read`] | MCAP recordings of any writer, also damaged ones | |
+//! | [`foxglove_read`] | Foxglove point clouds, transforms and poses, protobuf and JSON | |
+//! | [`recording_write`] | | Foxglove recordings, in any layout |
+//! | [`mesh_file`] | surfaces from STL and PLY | binary STL |
+//! | [`cloud_file`] | points from PLY | binary PLY |
+//! | [`plan_file`] | surgical plans in JSON | the same |
+//! | [`poses_csv`] | poses over time | the same |
+//! | [`folder`] | a whole procedure as a folder of such files | |
+//!
+//! ```
+//! use nalgebra::Point3;
+//! use osteoflow_formats::{foxglove_read::read_cloud, mcap_read::Recording};
+//! use osteoflow_formats::recording_write::{Layout, Stream, recording_bytes};
+//! use osteoflow_geometry::Cloud;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let scan = Cloud::new("camera", vec![Point3::new(1.0, 2.0, 200.0)])?.at(1_750_000_011_000_000_000);
+//! let bytes = recording_bytes(
+//!     &[("/camera/scan", Stream::Clouds(vec![scan.clone()]))],
+//!     &Default::default(),
+//!     &[],
+//!     &Layout::default(),
+//! )?;
+//!
+//! let recording = Recording::from_bytes("example.mcap", &bytes, false)?;
+//! let read = read_cloud(&recording.messages("/camera/scan")[0])?;
+//! assert_eq!((read.cloud.frame.as_str(), read.cloud.stamp_ns), ("camera", scan.stamp_ns));
+//! assert!((read.cloud.points()[0] - scan.points()[0]).norm() < 1e-4, "single precision in metres");
+//! # Ok(())
+//! # }
+//! ```
 
 pub mod cloud_file;
 mod error;
+pub mod folder;
 mod foxglove_json;
 pub mod foxglove_read;
 mod lost;
@@ -11,6 +50,7 @@ pub mod plan_file;
 mod ply;
 pub mod poses_csv;
 pub mod recording_write;
+mod table;
 
 pub use error::FileError;
 pub use lost::LostPose;

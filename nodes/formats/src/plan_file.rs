@@ -177,25 +177,18 @@ impl Keys<'_> {
     }
 
     fn planes(&self) -> Result<Planes, FileError> {
+        // Each plane with its name and, for messages, its key.
         let named: Vec<(String, String, &Value)> = match self.get("planes") {
             None => Vec::new(),
             Some(Value::Object(named)) => {
                 named.iter().map(|(name, value)| (name.clone(), format!("planes.{name}"), value)).collect()
             }
             Some(Value::Array(list)) => {
-                let entry = |(k, value): (usize, &'_ Value)| {
-                    (
-                        value["name"].as_str().map_or_else(|| format!("plane_{}", k + 1), str::to_owned),
-                        format!("planes[{k}]"),
-                    )
-                };
-                list.iter()
-                    .enumerate()
-                    .map(|(k, value)| {
-                        let (name, key) = entry((k, value));
-                        (name, key, value)
-                    })
-                    .collect()
+                let keyed = list.iter().enumerate().map(|(k, value)| {
+                    let name = value["name"].as_str().map_or_else(|| format!("plane_{}", k + 1), str::to_owned);
+                    (name, format!("planes[{k}]"), value)
+                });
+                keyed.collect()
             }
             Some(_) => return Err(self.fault("planes", "a list of 4 x 4 matrices is expected")),
         };

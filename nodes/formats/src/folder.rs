@@ -1,0 +1,431 @@
+//! A procedure as a folder of files, for those who have no recorder.
+//!
+//! A file `procedure.toml` says which file plays which part. Paths are relative to it. This is a complete one:
+//!
+//! ```toml
+//! format  = 1
+//! tracker = true               # false: nothing is tracked; the camera's frame is then called `world`
+//! unit    = "mm"               # "mm", "cm", "m" or "um"; for every file below that does not say its own
+//!
+//! [scan]                       # the bone, seen once in full
+//! file    = "scan.ply"
+//! stamp_s = 11.0               # when it was taken, on the tracker's clock; or stamp_ns = 11_000_000_000
+//!
+//! [[laser]]                    # the same view with the laser spot on a landmark, once for each
+//! label   = "P1"               # the landmark's name in the plan
+//! file    = "laser_p1.ply"
+//! stamp_s = 15.0
+//!
+//! [[laser]]
+//! label   = "P2"
+//! file    = "laser_p2.ply"
+//! stamp_s = 19.0
+//!
+//! [[laser]]
+//! label   = "P3"
+//! file    = "laser_p3.ply"
+//! stamp_s = 23.0
+//! unit    = "m"                # this file alone is in metres
+//!
+//! [phantom_scan]               # the calibration phantom, seen once; only with a tracker
+//! file    = "phantom.ply"
+//! stamp_s = 1.0
+//!
+//! [[poses]]                    # what the tracker saw: t_ns,parent,child,x,y,z,qx,qy,qz,qw
+//! file = "tracker.csv"
+//!
+//! [[stylus]]                   # points touched with the stylus: name,x,y,z and t_ns if known
+//! role  = "assessment"         # "init", "assessment" or "palpation"
+//! file  = "assessment.csv"
+//! frame = "world"
+//!
+//! [region]                     # the part of the camera's view that shows bone, in `unit`
+//! min = [-60, -60, 150]
+//! max = [60, 60, 260]
+//!
+//! [plan]
+//! file = "plan.json"
+//!
+//! [bone]                       # the bone's surface from CT, STL or PLY
+//! file = "fibula.stl"
+//!
+//! [phantom]                    # the phantom's CAD surface, in its own frame
+//! file = "phantom.stl"
+//! ```
+//!
+//! Only `format` is always needed; a graph needs more and says what. Clouds lie in the frame `camera`, or `world` without
+//! a tracker, seen from its origin. Poses go by the name of their child: the role of `world,bone_marker` is
+//! `bone_marker`, that of `phantom,phantom_marker` is `phantom_marker_cad`, since the other is the tracker's. A point
+//! that is NaN is left out and counted in [`FolderStreams::notes`].
+
+use crate::{
+    FileError, LostPose,
+    cloud_file::read_cloud_ply,
+    mesh_file::{MeshRead, read_mesh},
+    plan_file::read_plan,
+    poses_csv::read_poses,
+};
+use nalgebra::{Isometry3, Point3};
+use osteoflow_geometry::{Cloud, Frame, NamedPoint, Pose, Region, StampNs, SurfaceOrigin, SurgicalPlan};
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// The name of the file that says which file plays which part.
+pub const FILE_NAME: &str = "procedure.toml";
+
+/// A folder whose `procedure.toml` has been read and whose files have been found.
+#[derive(Debug, Clone)]
+pub struct ProcedureFolder {
+    /// The `procedure.toml`.
+    pub path: PathBuf,
+    /// Whether anything was tracked; otherwise the camera's frame is called `world`.
+    pub tracked: bool,
+    /// The region of interest in the camera's frame, mm.
+    pub region: Option<Region>,
+    written: Written,
+}
+
+/// What a folder streams, in order of sensor time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FolderStreams {
+    /// The items by stamp; equal stamps in the order of `procedure.toml`.
+    pub items: Vec<FolderItem>,
+    /// What was left out or is odd, one sentence each.
+    pub notes: Vec<String>,
+}
+
+/// One item of a folder's streams.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FolderItem {
+    /// What it is: `scan`, `laser`, `phantom_scan`, `camera_marker`, `bone_marker`, `phantom_marker`,
+    /// `phantom_marker_cad`, `init`, `assessment`, `palpation`, or the child frame of any other pose.
+    pub role: String,
+    /// When it was measured; 0 for a constant.
+    pub stamp_ns: StampNs,
+    /// The item itself.
+    pub body: FolderBody,
+}
+
+/// What an item holds.
+#[derive(Debug, Clone, PartialEq)]
+pub enum FolderBody {
+    /// A scan; laser scans carry their landmark as label.
+    Cloud(Cloud),
+    /// A pose, or why there is none.
+    Pose(Result<Pose, LostPose>),
+    /// A point touched with the stylus, and the frame it lies in.
+    Tip(Frame, NamedPoint),
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Written {
+    format: u32,
+    #[serde(default = "yes")]
+    tracker: bool,
+    #[serde(default)]
+    unit: Unit,
+    scan: Option<ScanFile>,
+    #[serde(default)]
+    laser: Vec<LaserFile>,
+    phantom_scan: Option<ScanFile>,
+    #[serde(default)]
+    poses: Vec<PlainFile>,
+    #[serde(default)]
+    stylus: Vec<StylusFile>,
+    region: Option<WrittenRegion>,
+    plan: Option<PlainFile>,
+    bone: Option<PlainFile>,
+    phantom: Option<PlainFile>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ScanFile {
+    file: PathBuf,
+    unit: Option<Unit>,
+    stamp_s: Option<f64>,
+    stamp_ns: Option<StampNs>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LaserFile {
+    label: String,
+    file: PathBuf,
+    unit: Option<Unit>,
+    stamp_s: Option<f64>,
+    stamp_ns: Option<StampNs>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlainFile {
+    file: PathBuf,
+    unit: Option<Unit>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StylusFile {
+    role: StylusRole,
+    file: PathBuf,
+    #[serde(default = "world")]
+    frame: String,
+    unit: Option<Unit>,
+}
+
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum StylusRole {
+    Init,
+    Assessment,
+    Palpation,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WrittenRegion {
+    min: [f64; 3],
+    max: [f64; 3],
+    unit: Option<Unit>,
+}
+
+#[derive(Debug, Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Unit {
+    #[default]
+    Mm,
+    Cm,
+    M,
+    Um,
+}
+
+impl Unit {
+    fn mm(self) -> f64 {
+        match self {
+            Self::Mm => 1.0,
+            Self::Cm => 10.0,
+            Self::M => 1000.0,
+            Self::Um => 0.001,
+        }
+    }
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn world() -> String {
+    "world".into()
+}
+
+impl ProcedureFolder {
+    /// Reads a `procedure.toml`, or the one in a folder, and looks whether the files it names are there.
+    ///
+    /// # Errors
+    /// [`FileError`], naming line and column of an unknown key, a wrong value or a missing file.
+    pub fn open(path: &Path) -> Result<Self, FileError> {
+        let path = if path.is_dir() { path.join(FILE_NAME) } else { path.to_owned() };
+        let text = std::fs::read_to_string(&path).map_err(FileError::read(&path))?;
+        let written: Written = toml::from_str(&text).map_err(|error| {
+            let place = error.span().map_or_else(|| "line 1".into(), |span| place_of(&text, span.start));
+            FileError::content(&path, place, error.message().trim())
+        })?;
+        let folder = Self { tracked: written.tracker, region: None, path, written };
+        folder.checked(&text)
+    }
+
+    fn checked(mut self, text: &str) -> Result<Self, FileError> {
+        if self.written.format != 1 {
+            let message = format!("format {} is not known, this reader knows 1", self.written.format);
+            return Err(FileError::content(&self.path, "key \"format\"", message));
+        }
+        for file in self.files() {
+            if !self.resolve(file).is_file() {
+                let written = file.display().to_string();
+                let place = text.find(&written).map_or_else(|| "files".into(), |at| place_of(text, at));
+                let message = format!("there is no file \"{written}\"; paths are relative to {}", self.path.display());
+                return Err(FileError::content(&self.path, place, message));
+            }
+        }
+        if !self.tracked && (!self.written.poses.is_empty() || self.written.phantom_scan.is_some()) {
+            let message =
+                "it is false, but [[poses]] or [phantom_scan] are given; set tracker = true or leave them out";
+            return Err(FileError::content(&self.path, "key \"tracker\"", message));
+        }
+        for (k, laser) in self.written.laser.iter().enumerate() {
+            if self.written.laser[..k].iter().any(|other| other.label == laser.label) {
+                let message = format!("label \"{}\" is given twice; each laser scan has its own landmark", laser.label);
+                return Err(FileError::content(&self.path, format!("laser {}", k + 1), message));
+            }
+        }
+        if let Some(region) = &self.written.region {
+            let unit_mm = region.unit.unwrap_or(self.written.unit).mm();
+            let (min, max) = (Point3::from(region.min) * unit_mm, Point3::from(region.max) * unit_mm);
+            // A NaN compares as false, so it is refused here too.
+            if !(0..3).all(|k| min[k] <= max[k]) {
+                let message = format!("min {:?} does not lie below max {:?}", region.min, region.max);
+                return Err(FileError::content(&self.path, "key \"region\"", message));
+            }
+            self.region = Some(Region { frame: self.camera_frame(), min, max });
+        }
+        Ok(self)
+    }
+
+    /// The frame of the clouds.
+    pub fn camera_frame(&self) -> Frame {
+        if self.tracked { "camera".into() } else { "world".into() }
+    }
+
+    /// The plan, where the folder has one.
+    ///
+    /// # Errors
+    /// As [`read_plan`].
+    pub fn plan(&self) -> Result<Option<SurgicalPlan>, FileError> {
+        self.written.plan.as_ref().map(|plan| read_plan(&self.resolve(&plan.file))).transpose()
+    }
+
+    /// The bone's surface from CT, in frame `ct`, where the folder has one.
+    ///
+    /// # Errors
+    /// As [`read_mesh`].
+    pub fn bone(&self) -> Result<Option<MeshRead>, FileError> {
+        self.mesh(&self.written.bone, "ct")
+    }
+
+    /// The phantom's surface in its own frame `phantom`, where the folder has one.
+    ///
+    /// # Errors
+    /// As [`read_mesh`].
+    pub fn phantom(&self) -> Result<Option<MeshRead>, FileError> {
+        self.mesh(&self.written.phantom, "phantom")
+    }
+
+    fn mesh(&self, file: &Option<PlainFile>, frame: &str) -> Result<Option<MeshRead>, FileError> {
+        let Some(file) = file else { return Ok(None) };
+        read_mesh(&self.resolve(&file.file), self.unit_mm(file.unit), frame, SurfaceOrigin::User).map(Some)
+    }
+
+    /// Reads everything that has a time, and gives it in order of sensor time.
+    ///
+    /// # Errors
+    /// [`FileError`] of the file that cannot be read.
+    pub fn streams(&self) -> Result<FolderStreams, FileError> {
+        let (mut items, mut notes) = (Vec::new(), Vec::new());
+        let written = &self.written;
+        if let Some(scan) = &written.phantom_scan {
+            items.push(self.scan("phantom_scan", scan, None, &mut notes)?);
+        }
+        if let Some(scan) = &written.scan {
+            items.push(self.scan("scan", scan, None, &mut notes)?);
+        }
+        for laser in &written.laser {
+            let LaserFile { label, file, unit, stamp_s, stamp_ns } = laser.clone();
+            let scan = ScanFile { file, unit, stamp_s, stamp_ns };
+            items.push(self.scan("laser", &scan, Some(&label), &mut notes)?);
+        }
+        for file in &written.poses {
+            for pose in read_poses(&self.resolve(&file.file), self.unit_mm(file.unit))? {
+                let (to, from, stamp_ns) = match &pose {
+                    Ok(pose) => (&pose.to, &pose.from, pose.stamp_ns),
+                    Err(lost) => (&lost.to, &lost.from, lost.stamp_ns),
+                };
+                let is_cad = to.as_str() == "phantom" && from.as_str() == "phantom_marker";
+                let role = if is_cad { "phantom_marker_cad".into() } else { from.to_string() };
+                items.push(FolderItem { role, stamp_ns, body: FolderBody::Pose(pose) });
+            }
+        }
+        for file in &written.stylus {
+            let role = match file.role {
+                StylusRole::Init => "init",
+                StylusRole::Assessment => "assessment",
+                StylusRole::Palpation => "palpation",
+            };
+            for tip in read_tips(&self.resolve(&file.file), self.unit_mm(file.unit))? {
+                let body = FolderBody::Tip(file.frame.as_str().into(), tip.clone());
+                items.push(FolderItem { role: role.into(), stamp_ns: tip.stamp_ns, body });
+            }
+        }
+        // The sort is stable, so equal stamps keep the order in which the files are named.
+        items.sort_by_key(|item| item.stamp_ns);
+        Ok(FolderStreams { items, notes })
+    }
+
+    fn scan(
+        &self,
+        role: &str,
+        scan: &ScanFile,
+        label: Option<&str>,
+        notes: &mut Vec<String>,
+    ) -> Result<FolderItem, FileError> {
+        let path = self.resolve(&scan.file);
+        let stamp_ns = self.stamp(scan)?;
+        let read = read_cloud_ply(&path, self.unit_mm(scan.unit), self.camera_frame())?;
+        if read.n_dropped > 0 {
+            let (file, n) = (scan.file.display(), read.n_points_in_file);
+            notes.push(format!("{file}: {} of {n} points are not finite and were left out", read.n_dropped));
+        }
+        let mut cloud = read.cloud.at(stamp_ns).seen_from(Isometry3::identity());
+        if let Some(label) = label {
+            cloud = cloud.labelled(label);
+        }
+        Ok(FolderItem { role: role.into(), stamp_ns, body: FolderBody::Cloud(cloud) })
+    }
+
+    fn stamp(&self, scan: &ScanFile) -> Result<StampNs, FileError> {
+        let fault =
+            |message: &str| FileError::content(&self.path, format!("stamp of \"{}\"", scan.file.display()), message);
+        match (scan.stamp_ns, scan.stamp_s) {
+            (Some(_), Some(_)) => Err(fault("give stamp_s or stamp_ns, not both")),
+            (Some(ns), None) => Ok(ns),
+            (None, Some(s)) if s.is_finite() && s.abs() < 9e9 => Ok((s * 1e9).round() as StampNs),
+            (None, Some(_)) => Err(fault("stamp_s is no time in seconds")),
+            (None, None) if self.tracked => {
+                Err(fault("with a tracker a scan needs stamp_s or stamp_ns, to be paired with its poses"))
+            }
+            (None, None) => Ok(0),
+        }
+    }
+
+    fn files(&self) -> impl Iterator<Item = &Path> {
+        let w = &self.written;
+        let scans = w.scan.iter().chain(&w.phantom_scan).map(|f| &f.file);
+        let plain = w.poses.iter().chain(&w.plan).chain(&w.bone).chain(&w.phantom).map(|f| &f.file);
+        let lasers = w.laser.iter().map(|f| &f.file);
+        scans.chain(lasers).chain(plain).chain(w.stylus.iter().map(|f| &f.file)).map(PathBuf::as_path)
+    }
+
+    fn resolve(&self, file: &Path) -> PathBuf {
+        self.path.parent().map_or_else(|| file.to_owned(), |folder| folder.join(file))
+    }
+
+    fn unit_mm(&self, unit: Option<Unit>) -> f64 {
+        unit.unwrap_or(self.written.unit).mm()
+    }
+}
+
+/// Named points from CSV with the header `name,x,y,z` and, if known, `t_ns`; positions in `unit_mm`.
+///
+/// # Errors
+/// [`FileError`], naming the line: a missing column, a word where a number should be, a point that is not finite.
+pub fn read_tips(path: &Path, unit_mm: f64) -> Result<Vec<NamedPoint>, FileError> {
+    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    let table = crate::table::Table::parse(path, &bytes)?;
+    let [name, x, y, z] = [table.column("name")?, table.column("x")?, table.column("y")?, table.column("z")?];
+    let t_ns = table.column("t_ns").ok();
+    let tip = |row: &crate::table::Row| {
+        let position = Point3::new(row.finite(x)?, row.finite(y)?, row.finite(z)?) * unit_mm;
+        let stamp_ns = t_ns.filter(|&k| !row.text(k).is_empty()).map_or(Ok(0), |k| row.whole(k))?;
+        Ok(NamedPoint { stamp_ns, ..NamedPoint::new(row.named(name)?, position) })
+    };
+    table.rows().map(|row| tip(&row)).collect()
+}
+
+/// Line and column of a byte in a text.
+fn place_of(text: &str, at: usize) -> String {
+    let before = &text[..at.min(text.len())];
+    let line = before.matches('\n').count() + 1;
+    let column = before.rsplit('\n').next().unwrap_or_default().chars().count() + 1;
+    format!("line {line}, column {column}")
+}

@@ -1,0 +1,99 @@
+//! CSV with a header, whose faults name line and column.
+
+use crate::FileError;
+use std::path::Path;
+
+/// A CSV file: comma-separated, columns found by name, blank lines and lines that begin with `#` passed over.
+pub(crate) struct Table<'a> {
+    path: &'a Path,
+    header: Vec<String>,
+    records: Vec<(u64, csv::StringRecord)>,
+}
+
+/// One row of a table.
+pub(crate) struct Row<'a> {
+    table: &'a Table<'a>,
+    line: u64,
+    record: &'a csv::StringRecord,
+}
+
+impl<'a> Table<'a> {
+    pub(crate) fn parse(path: &'a Path, bytes: &[u8]) -> Result<Self, FileError> {
+        // Spreadsheets put a byte-order mark in front of the first name.
+        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(bytes);
+        let fault = |error: csv::Error| {
+            let line = error.position().map_or(1, csv::Position::line);
+            let message = match error.kind() {
+                csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+                    format!("the header names {expected_len} columns, this line has {len}")
+                }
+                _ => error.to_string(),
+            };
+            FileError::content(path, format!("line {line}"), message)
+        };
+        let header = reader.headers().map_err(fault)?.iter().map(String::from).collect();
+        let mut records = Vec::new();
+        for record in reader.records() {
+            let record = record.map_err(fault)?;
+            let line = record.position().map_or(0, csv::Position::line);
+            records.push((line, record));
+        }
+        Ok(Self { path, header, records })
+    }
+
+    /// The place of a column.
+    pub(crate) fn column(&self, name: &str) -> Result<usize, FileError> {
+        self.header.iter().position(|h| h == name).ok_or_else(|| {
+            let message = format!("the header has no column \"{name}\"; it reads {}", self.header.join(","));
+            FileError::content(self.path, "line 1", message)
+        })
+    }
+
+    pub(crate) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+        self.records.iter().map(|(line, record)| Row { table: self, line: *line, record })
+    }
+}
+
+impl<'a> Row<'a> {
+    pub(crate) fn text(&self, column: usize) -> &'a str {
+        self.record.get(column).unwrap_or_default()
+    }
+
+    /// A text that must not be empty.
+    pub(crate) fn named(&self, column: usize) -> Result<&'a str, FileError> {
+        match self.text(column) {
+            "" => Err(self.fault(format!("column \"{}\" is empty", self.table.header[column]))),
+            text => Ok(text),
+        }
+    }
+
+    pub(crate) fn whole(&self, column: usize) -> Result<i64, FileError> {
+        let text = self.text(column);
+        let name = &self.table.header[column];
+        text.parse().map_err(|_| self.fault(format!("{name} is \"{text}\", a whole number is expected")))
+    }
+
+    /// A number; NaN where the cell is empty or says so.
+    pub(crate) fn number(&self, column: usize) -> Result<f64, FileError> {
+        let text = self.text(column);
+        let name = &self.table.header[column];
+        if text.is_empty() {
+            return Ok(f64::NAN);
+        }
+        text.parse().map_err(|_| self.fault(format!("{name} is \"{text}\", a number is expected")))
+    }
+
+    /// A number that is not NaN.
+    pub(crate) fn finite(&self, column: usize) -> Result<f64, FileError> {
+        let value = self.number(column)?;
+        if value.is_finite() {
+            return Ok(value);
+        }
+        Err(self.fault(format!("{} is \"{}\", a number is expected", self.table.header[column], self.text(column))))
+    }
+
+    pub(crate) fn fault(&self, message: String) -> FileError {
+        FileError::content(self.table.path, format!("line {}", self.line), message)
+    }
+}
