@@ -1,1 +1,75 @@
-//! The built-in nodes: thin adapters from ports to algorithms, one file per kind.
+//! The built-in nodes: thin adapters from ports to algorithms, one file per kind, folders in pipeline order.
+//!
+//! A node holds no mathematics: it checks frames at its door, calls one function of `osteoflow-algorithms`, and gives
+//! frames and stamps to what comes back.
+//!
+//! ```
+//! let registry = osteoflow_standard::registry();
+//! let icp = registry.kind("icp.point_to_plane").unwrap();
+//! assert!(icp.description.inputs.iter().any(|port| port.name == "init"));
+//! ```
+
+pub mod acquire;
+pub mod calibrate;
+pub mod cloud;
+pub mod coarse;
+pub mod crop;
+pub mod hole;
+pub mod icp;
+pub mod metrics;
+pub mod output;
+pub mod plan;
+pub mod plane;
+pub mod surface;
+pub mod transform;
+
+mod params;
+pub use params::NoParams;
+
+use osteoflow_node::Registry;
+
+/// All built-in kinds and payload types.
+pub fn registry() -> Registry {
+    let mut registry = Registry::default();
+    osteoflow_payloads::register(&mut registry);
+    registry
+        .source::<acquire::folder::Folder>()
+        .source::<acquire::mcap::Mcap>()
+        .source::<acquire::simulated::Simulated>()
+        .source::<plan::file::File>()
+        .source::<plan::simulated::Simulated>()
+        .node::<plan::landmarks::Landmarks>()
+        .source::<surface::file::File>()
+        .source::<surface::simulated::Simulated>()
+        .source::<surface::simulated_phantom::SimulatedPhantom>()
+        .node::<surface::prepare::Prepare>()
+        .node::<calibrate::phantom_icp::PhantomIcp>()
+        .node::<transform::still_average::StillAverage>()
+        .node::<transform::to_world::ToWorld>()
+        .node::<transform::to_bone_marker::ToBoneMarker>()
+        .node::<transform::points_to_bone_marker::PointsToBoneMarker>()
+        .node::<transform::points::Points>()
+        .node::<crop::r#box::Box>()
+        .node::<crop::sphere::Sphere>()
+        .node::<crop::polygon::Polygon>()
+        .node::<crop::slab::Slab>()
+        .node::<cloud::downsample::Downsample>()
+        .node::<cloud::normals::Normals>()
+        .node::<cloud::merge::Merge>()
+        .node::<cloud::from_points::FromPoints>()
+        .node::<hole::cloud_difference::CloudDifference>()
+        .node::<hole::range_image::RangeImage>()
+        .node::<coarse::three_point::ThreePoint>()
+        .node::<icp::point_to_point::PointToPoint>()
+        .node::<icp::point_to_plane::PointToPlane>()
+        .node::<plane::to_world::ToWorld>()
+        .node::<plane::update::Update>()
+        .node::<metrics::tre_measured::TreMeasured>()
+        .node::<metrics::tre_true::TreTrue>()
+        .node::<metrics::cuts::Cuts>()
+        .node::<metrics::fre::Fre>()
+        .node::<metrics::surface::Surface>()
+        .node::<output::ply::Ply>()
+        .node::<output::csv::Csv>();
+    registry
+}

@@ -1,0 +1,378 @@
+//! The payloads of `osteoflow-geometry`: millimetres and `f64`, bit for bit.
+
+use crate::{
+    Table,
+    columns::{from_column, to_column},
+    foxglove,
+};
+use osteoflow_geometry::{
+    Axes, Cloud, Frame, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose, Region, SurfaceOrigin, matrix_rows,
+    nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion},
+};
+use osteoflow_node::{ColumnType, Display, Payload, StampNs, View, ViewError};
+use serde_json::{Value as Json, json};
+use std::sync::Arc;
+
+/// What separates names in one text field; a name holds no line break.
+const LINE: &str = "\n";
+
+/// Translation x, y, z in mm and quaternion x, y, z, w.
+fn numbers(t: &Isometry3<f64>) -> [f64; 7] {
+    let (v, q) = (t.translation.vector, t.rotation.coords);
+    [v.x, v.y, v.z, q.x, q.y, q.z, q.w]
+}
+
+/// The motion of [`numbers`], without a rounding step.
+fn isometry(n: &[f64; 7]) -> Isometry3<f64> {
+    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(n[6], n[3], n[4], n[5]));
+    Isometry3::from_parts(Translation3::new(n[0], n[1], n[2]), rotation)
+}
+
+fn invalid(error: impl std::fmt::Display) -> ViewError {
+    ViewError::Invalid(error.to_string())
+}
+
+fn frame(view: &View) -> Result<Frame, ViewError> {
+    view.text("frame").map(Frame::from)
+}
+
+impl Payload<Table> for Cloud {
+    const NAME: &'static str = "geometry/Cloud";
+    const VERSION: u32 = 1;
+
+    fn to_view(&self) -> View {
+        let mut view = View::new().with("frame", self.frame.as_str()).with("stamp_ns", self.stamp_ns);
+        if let Some(label) = &self.label {
+            view = view.with("label", &**label);
+        }
+        if let Some(viewpoint) = &self.viewpoint {
+            view = view.with("viewpoint", numbers(viewpoint).to_vec());
+        }
+        view = view.with_column(to_column("points", ColumnType::F64, self.point_column()));
+        if let Some(normals) = self.normal_column() {
+            view = view.with_column(to_column("normals", ColumnType::F64, normals));
+        }
+        for (name, values) in self.extras() {
+            view = view.with_column(to_column(&format!("extra/{name}"), ColumnType::F64, values));
+        }
+        view
+    }
+
+    fn from_view(view: &View) -> Result<Self, ViewError> {
+        let mut cloud = Cloud::new(frame(view)?, from_column(view, "points")?).map_err(invalid)?;
+        cloud.stamp_ns = view.int("stamp_ns")?;
+        cloud.label = view.text("label").ok().map(Arc::from);
+        cloud.viewpoint = view.floats("viewpoint").ok().map(|n| isometry(&n));
+        if view.column("normals").is_ok() {
+            cloud = cloud.with_normals(from_column(view, "normals")?).map_err(invalid)?;
+        }
+        for column in &view.columns {
+            if let Some(name) = column.name.strip_prefix("extra/") {
+                cloud = cloud.with_extra(name, from_column(view, &column.name)?).map_err(invalid)?;
+            }
+        }
+        Ok(cloud)
+    }
+
+    fn to_result(&self) -> Json {
+        json!({ "frame": self.frame, "stamp_ns": self.stamp_ns, "label": self.label, "n_points": self.len() })
+    }
+
+    fn display() -> Option<Display> {
+        foxglove::schema::<::foxglove::messages::PointCloud>()
+    }
+
+    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
+        foxglove::points(&self.frame, stamp_ns, self.points())
+    }
+}
+
+impl Payload<Table> for Mesh {
+    const NAME: &'static str = "geometry/Mesh";
+    const VERSION: u32 = 1;
+
+    fn to_view(&self) -> View {
+        View::new()
+            .with("frame", self.frame.as_str())
+            .with("origin", self.origin.to_string())
+            .with_column(to_column("vertices", ColumnType::F64, self.vertex_column()))
+            .with_column(to_column("faces", ColumnType::U32, self.face_column()))
+    }
+
+    fn from_view(view: &View) -> Result<Self, ViewError> {
+        let origin = origin(view.text("origin")?)?;
+        Mesh::new(frame(view)?, origin, from_column(view, "vertices")?, from_column(view, "faces")?).map_err(invalid)
+    }
+
+    fn to_result(&self) -> Json {
+        json!({ "frame": self.frame, "n_vertices": self.vertices().len(), "n_faces": self.faces().len() })
+    }
+
+    fn display() -> Option<Display> {
+        foxglove::schema::<::foxglove::messages::PointCloud>()
+    }
+
+    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
+        foxglove::points(&self.frame, stamp_ns, self.vertices())
+    }
+}
+
+/// The origin of that name in a view.
+pub(crate) fn origin(name: &str) -> Result<SurfaceOrigin, ViewError> {
+    [SurfaceOrigin::Exact, SurfaceOrigin::SimulatedCt, SurfaceOrigin::User]
+        .into_iter()
+        .find(|origin| origin.to_string() == name)
+        .ok_or_else(|| invalid(format!("unknown surface origin \"{name}\"")))
+}
+
+impl Payload<Table> for Pose {
+    const NAME: &'static str = "geometry/Pose";
+    const VERSION: u32 = 1;
+    const INTERPOLATES: bool = true;
+
+    fn to_view(&self) -> View {
+        View::new()
+            .with("to", self.to.as_str())
+            .with("from", self.from.as_str())
+            .with("stamp_ns", self.stamp_ns)
+            .with("isometry", numbers(&self.isometry).to_vec())
+    }
+
+    fn from_view(view: &View) -> Result<Self, ViewError> {
+        Ok(Pose::new(view.text("to")?, view.text("from")?, isometry(&view.floats("isometry")?))
+            .at(view.int("stamp_ns")?))
+    }
+
+    fn to_result(&self) -> Json {
+        json!({ "to": self.to, "from": self.from, "matrix": matrix_rows(&self.isometry) })
+    }
+
+    fn interpolate(a: &Self, b: &Self, s: f64) -> Option<Self> {
+        Pose::interpolate(a, b, s)
+    }
+
+    fn display() -> Option<Display> {
+        foxglove::schema::<::foxglove::messages::FrameTransform>()
+    }
+
+    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
+        foxglove::transform(self, stamp_ns)
+    }
+}
+
+impl Payload<Table> for Points {
+    const NAME: &'static str = "geometry/Points";
+    const VERSION: u32 = 1;
+
+    fn to_view(&self) -> View {
+        let names: Vec<&str> = self.points.iter().map(|p| &*p.name).collect();
+        let stamps: Vec<i64> = self.points.iter().map(|p| p.stamp_ns).collect();
+        // NaN stands for a confidence that was not told.
+        let confidences: Vec<f64> = self.points.iter().map(|p| p.confidence.unwrap_or(f64::NAN)).collect();
+        View::new()
+            .with("frame", self.frame.as_str())
+            .with("stamp_ns", self.stamp_ns)
+            .with("names", names.join(LINE))
+            .with_column(to_column("positions", ColumnType::F64, &self.positions().into()))
+            .with_column(to_column("stamps_ns", ColumnType::I64, &stamps.into()))
+            .with_column(to_column("confidences", ColumnType::F64, &confidences.into()))
+    }
+
+    fn from_view(view: &View) -> Result<Self, ViewError> {
+        let positions = from_column::<Point3<f64>>(view, "positions")?;
+        let stamps = from_column::<i64>(view, "stamps_ns")?;
+        let confidences = from_column::<f64>(view, "confidences")?;
+        let names: Vec<&str> =
+            if positions.is_empty() { Vec::new() } else { view.text("names")?.split(LINE).collect() };
+        if [names.len(), stamps.len(), confidences.len()] != [positions.len(); 3] {
+            return Err(invalid("names, positions, stamps and confidences differ in number"));
+        }
+        let points = (0..names.len()).map(|i| NamedPoint {
+            name: names[i].into(),
+            position: positions[i],
+            stamp_ns: stamps[i],
+            confidence: Some(confidences[i]).filter(|c| !c.is_nan()),
+        });
+        Ok(Points { frame: frame(view)?, stamp_ns: view.int("stamp_ns")?, points: points.collect() })
+    }
+
+    fn to_result(&self) -> Json {
+        let points = self.points.iter().map(|p| {
+            let mut entry = json!({ "name": p.name, "frame": self.frame, "position_mm": p.position.coords.as_slice() });
+            if let Some(confidence) = p.confidence {
+                entry["confidence"] = confidence.into();
+            }
+            entry
+        });
+        Json::Array(points.collect())
+    }
+
+    fn display() -> Option<Display> {
+        foxglove::schema::<::foxglove::messages::PointCloud>()
+    }
+
+    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
+        foxglove::points(&self.frame, stamp_ns, &self.positions())
+    }
+}
+
+impl Payload<Table> for Planes {
+    const NAME: &'static str = "geometry/Planes";
+    const VERSION: u32 = 1;
+
+    fn to_view(&self) -> View {
+        let names: Vec<&str> = self.planes.iter().map(|p| &*p.name).collect();
+        let mut reasons = Vec::new();
+        let mut places = Vec::new();
+        for plane in &*self.planes {
+            match &plane.place {
+                PlanePlace::Known(t) => {
+                    places.push(numbers(t));
+                    reasons.push(String::new());
+                }
+                PlanePlace::Unknown(reason) => {
+                    places.push([f64::NAN; 7]);
+                    reasons.push(reason.replace(LINE, " "));
+                }
+            }
+        }
+        View::new()
+            .with("frame", self.frame.as_str())
+            .with("stamp_ns", self.stamp_ns)
+            .with("names", names.join(LINE))
+            .with("unknown", reasons.join(LINE))
+            .with_column(to_column("isometries", ColumnType::F64, &places.into()))
+    }
+
+    fn from_view(view: &View) -> Result<Self, ViewError> {
+        let places = from_column::<[f64; 7]>(view, "isometries")?;
+        let lines = |name| view.text(name).map(|t| t.split(LINE).collect::<Vec<_>>());
+        let (names, reasons) = if places.is_empty() { (vec![], vec![]) } else { (lines("names")?, lines("unknown")?) };
+        if [names.len(), reasons.len()] != [places.len(); 2] {
+            return Err(invalid("names, reasons and places differ in number"));
+        }
+        let planes = (0..names.len()).map(|i| Plane {
+            name: names[i].into(),
+            place: match reasons[i] {
+                "" => PlanePlace::Known(isometry(&places[i])),
+                reason => PlanePlace::Unknown(reason.into()),
+            },
+        });
+        Ok(Planes { frame: frame(view)?, stamp_ns: view.int("stamp_ns")?, planes: planes.collect() })
+    }
+
+    fn to_result(&self) -> Json {
+        let planes = self.planes.iter().map(|plane| match &plane.place {
+            PlanePlace::Known(t) => json!({
+                "name": plane.name, "frame": self.frame, "stamp_ns": self.stamp_ns, "matrix": matrix_rows(t),
+            }),
+            PlanePlace::Unknown(reason) => json!({ "name": plane.name, "unknown": reason }),
+        });
+        Json::Array(planes.collect())
+    }
+
+    fn display() -> Option<Display> {
+        foxglove::schema::<::foxglove::messages::PosesInFrame>()
+    }
+
+    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
+        foxglove::poses(self, stamp_ns)
+    }
+}
+
+impl Payload<Table> for Region {
+    const NAME: &'static str = "geometry/Region";
+    const VERSION: u32 = 1;
+
+    fn to_view(&self) -> View {
+        View::new()
+            .with("frame", self.frame.as_str())
+            .with("min", self.min.coords.as_slice().to_vec())
+            .with("max", self.max.coords.as_slice().to_vec())
+    }
+
+    fn from_view(view: &View) -> Result<Self, ViewError> {
+        Ok(Region { frame: frame(view)?, min: view.floats("min")?.into(), max: view.floats("max")?.into() })
+    }
+
+    fn to_result(&self) -> Json {
+        json!({ "frame": self.frame, "min_mm": self.min.coords.as_slice(), "max_mm": self.max.coords.as_slice() })
+    }
+}
+
+impl Payload<Table> for Axes {
+    const NAME: &'static str = "geometry/Axes";
+    const VERSION: u32 = 1;
+
+    fn to_view(&self) -> View {
+        View::new()
+            .with("frame", self.frame.as_str())
+            .with("centre", self.centre.coords.as_slice().to_vec())
+            .with("columns", self.columns.as_slice().to_vec())
+    }
+
+    fn from_view(view: &View) -> Result<Self, ViewError> {
+        let columns = Matrix3::from_column_slice(&view.floats::<9>("columns")?);
+        Ok(Axes { frame: frame(view)?, centre: view.floats("centre")?.into(), columns })
+    }
+
+    fn to_result(&self) -> Json {
+        let column = |k: usize| self.columns.column(k).iter().copied().collect::<Vec<f64>>();
+        json!({
+            "frame": self.frame, "centre_mm": self.centre.coords.as_slice(),
+            "x": column(0), "y": column(1), "z": column(2),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_geometry::nalgebra::Vector3;
+    use osteoflow_node::Value;
+
+    fn survives<T: Payload<Table> + PartialEq + std::fmt::Debug>(payload: T) {
+        let view = payload.to_view();
+        let back = T::from_view(&view).unwrap();
+        assert_eq!(back, payload);
+        assert_eq!(back.to_view(), view, "the view of what came back differs");
+    }
+
+    fn turn() -> Isometry3<f64> {
+        Isometry3::new(Vector3::new(0.1, -2e3, 3.3), Vector3::new(0.3, -0.2, 0.9))
+    }
+
+    #[test]
+    fn every_geometry_payload_survives_its_view_bit_for_bit() {
+        let points = vec![Point3::new(0.1, 0.2, 0.3), Point3::new(-1e3, 1e-9, 7.0)];
+        let cloud = Cloud::new("camera", points.clone()).unwrap().at(17).labelled("P1").seen_from(turn());
+        survives(cloud.clone());
+        survives(cloud.with_normals(vec![Vector3::x(); 2]).unwrap().with_extra("grey", vec![1.0, 2.0]).unwrap());
+        let corners = vec![Point3::origin(), Point3::new(1.0, 0.0, 0.0), Point3::new(0.0, 1.0, 0.0)];
+        survives(Mesh::new("ct", SurfaceOrigin::SimulatedCt, corners, vec![[0, 1, 2]]).unwrap());
+        survives(Pose::new("world", "camera", turn()).at(12));
+        let mut p1 = NamedPoint::new("P1", points[0]);
+        (p1.stamp_ns, p1.confidence) = (4, Some(0.9));
+        survives(Points::new("ct", vec![p1, NamedPoint::new("P2", points[1])]));
+        survives(Points::new("ct", vec![]));
+        let planes = Planes::new("ct", vec![Plane::new("plane_1", turn()), Plane::new("plane_2", turn())]).at(3);
+        survives(planes.unknown("world", 5, "the marker was lost"));
+        survives(planes);
+        survives(Region { frame: "camera".into(), min: points[1], max: points[0] });
+        survives(Axes { frame: "ct".into(), centre: points[0], columns: Matrix3::identity() });
+    }
+
+    #[test]
+    fn a_clouds_points_are_not_copied_by_a_view_and_back() {
+        let cloud = Cloud::new("camera", vec![Point3::origin(); 100]).unwrap();
+        let value = Value::new(cloud.clone());
+        let back = Cloud::from_view(&value.to_view()).unwrap();
+        assert_eq!(cloud.points().as_ptr(), back.points().as_ptr());
+    }
+
+    #[test]
+    fn an_unknown_plane_says_so_in_the_results_and_gives_no_matrix() {
+        let planes = Planes::new("ct", vec![Plane::new("plane_1", turn())]).unknown("world", 5, "lost");
+        assert_eq!(planes.to_result(), json!([{ "name": "plane_1", "unknown": "lost" }]));
+    }
+}

@@ -1,0 +1,46 @@
+//! What the algorithms say of their results: one JSON text, as in `results.json`.
+
+use crate::Table;
+use osteoflow_node::{Payload, Registry, View, ViewError};
+
+/// Declares reports as payloads and adds them to a registry.
+macro_rules! reports {
+    ($($name:literal = $report:ty;)*) => {
+        $(
+            impl Payload<Table> for $report {
+                const NAME: &'static str = concat!("report/", $name);
+                const VERSION: u32 = 1;
+
+                fn to_view(&self) -> View {
+                    View::new().with("json", self.to_result().to_string())
+                }
+
+                fn from_view(view: &View) -> Result<Self, ViewError> {
+                    serde_json::from_str(view.text("json")?).map_err(|error| ViewError::Invalid(error.to_string()))
+                }
+
+                fn to_result(&self) -> serde_json::Value {
+                    serde_json::to_value(self).expect("a report is made of numbers, words and lists")
+                }
+            }
+        )*
+
+        /// Adds the reports to a registry.
+        pub(crate) fn register(registry: &mut Registry) {
+            $(registry.payload::<$report, _>();)*
+        }
+    };
+}
+
+reports! {
+    "Calibration" = osteoflow_algorithms::calibrate::PhantomReport;
+    "Coarse" = osteoflow_algorithms::coarse::CoarseReport;
+    "Cuts" = osteoflow_algorithms::metrics::CutsReport;
+    "Fre" = osteoflow_algorithms::metrics::FreReport;
+    "Hole" = osteoflow_algorithms::hole::HoleReport;
+    "Icp" = osteoflow_algorithms::icp::IcpReport;
+    "IcpTrace" = osteoflow_algorithms::icp::IcpTrace;
+    "Motion" = osteoflow_algorithms::still_average::StillReport;
+    "Surface" = osteoflow_algorithms::metrics::SurfaceReport;
+    "Tre" = osteoflow_algorithms::metrics::TreReport;
+}

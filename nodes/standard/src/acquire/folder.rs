@@ -1,0 +1,106 @@
+//! The kind `acquire.folder`.
+
+use super::{
+    playback::{Event, Playback},
+    procedure_ports::{ProcedureOut, ProcedurePorts, Role},
+};
+use osteoflow_formats::folder::{FolderBody, FolderItem, ProcedureFolder};
+use osteoflow_geometry::Points;
+use osteoflow_node::{
+    Context, Describe, Emission, FilePath, NodeError, OutputPorts, Outputs, ParamError, Source, schemars::JsonSchema,
+    serde::Deserialize,
+};
+use osteoflow_payloads::Flag;
+
+/// The streams of a procedure kept as a folder of files, for those who have no recorder.
+///
+/// Its `procedure.toml` says which file plays which part: PLY scans, laser scans, a table of poses, stylus points; with a
+/// tracker, or without (then the camera's frame is the world).
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "acquire.folder"
+path = "procedure"
+"#)]
+pub struct Folder {
+    path: FilePath,
+    playback: Option<Playback<Emission>>,
+}
+
+/// Parameters of [`Folder`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// The folder with `procedure.toml`, or that file.
+    pub path: FilePath,
+}
+
+impl Source for Folder {
+    const KIND: &'static str = "acquire.folder";
+    type Params = Params;
+    type Outputs = ProcedureOut;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self { path: params.path, playback: None })
+    }
+
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<ProcedureOut>, NodeError> {
+        if self.playback.is_none() {
+            self.playback = Some(Playback::new(self.open(ctx)?));
+        }
+        let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
+        ctx.set_stamp_ns(event.stamp_ns);
+        Ok(Some(ProcedureOut::new(event.port, event.what)))
+    }
+}
+
+impl Folder {
+    fn open(&self, ctx: &mut Context) -> Result<Vec<Event<Emission>>, NodeError> {
+        let folder = ProcedureFolder::open(self.path.as_ref())?;
+        let streams = folder.streams()?;
+        streams.notes.into_iter().for_each(|note| ctx.warn(note));
+        let start_ns = streams.items.iter().map(|item| item.stamp_ns).find(|&stamp_ns| stamp_ns != 0).unwrap_or(0);
+        let tracked = streams.items.iter().any(|item| item.role == "bone_marker");
+        let mut events = vec![
+            at(Role::Simulated, start_ns, Emission::value(Flag(false))),
+            at(Role::BoneTracked, start_ns, Emission::value(Flag(tracked))),
+            at(
+                Role::Region,
+                start_ns,
+                match folder.region {
+                    Some(region) => Emission::value(region),
+                    None => Emission::Empty("procedure.toml gives no region of interest".into()),
+                },
+            ),
+        ];
+        if !tracked {
+            let none = Emission::Empty("the folder has no poses of bone_marker".into());
+            events.push(at(Role::BoneMarker, start_ns, none));
+        }
+        events.extend(streams.items.into_iter().filter_map(event));
+        Ok(events)
+    }
+}
+
+fn at(role: Role, stamp_ns: i64, what: Emission) -> Event<Emission> {
+    Event { stamp_ns, port: role as usize, what }
+}
+
+/// The item on the port of its role; `None` for what no port takes.
+fn event(item: FolderItem) -> Option<Event<Emission>> {
+    let name = match item.role.as_str() {
+        "init" => "stylus_init",
+        "assessment" => "stylus_assessment",
+        "palpation" => "stylus_palpation",
+        other => other,
+    };
+    let OutputPorts::Fixed(ports) = ProcedurePorts::ports() else { return None };
+    let port = ports.iter().position(|p| p.name == name)?;
+    let what = match item.body {
+        FolderBody::Cloud(cloud) => Emission::value(cloud),
+        FolderBody::Pose(Ok(pose)) => Emission::value(pose),
+        FolderBody::Pose(Err(lost)) => Emission::Empty(lost.to_string()),
+        FolderBody::Tip(frame, point) => Emission::value(Points::new(frame, vec![point])),
+    };
+    Some(Event { stamp_ns: item.stamp_ns, port, what })
+}

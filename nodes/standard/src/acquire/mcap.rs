@@ -1,0 +1,285 @@
+//! The kind `acquire.mcap`.
+
+use super::{
+    mcap_ports::PortParams,
+    playback::{Event, Playback, silences},
+};
+use osteoflow_formats::{
+    foxglove_read::{self, POSE_IN_FRAME, procedure_region, read_cloud, read_pose_in_frame, read_transforms},
+    mcap_read::{Message, Recording},
+};
+use osteoflow_geometry::{
+    Frame, NamedPoint, Points, Pose, StampNs,
+    nalgebra::{Isometry3, UnitQuaternion},
+};
+use osteoflow_node::{
+    Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, schemars::JsonSchema,
+    serde::Deserialize,
+};
+use osteoflow_payloads::Flag;
+use std::sync::Arc;
+
+/// The streams of a recording in MCAP with Foxglove's schemas, in the order of sensor time.
+///
+/// Each entry of `out` is a port: its `type`, and the topic it comes from. Protobuf and JSON, any chunk compression,
+/// with or without an index. Metres become millimetres; points that are not finite are left out, counted and reported.
+/// A pose that the tracker wrote without seeing the marker is an empty with the reason. Topics that no port names are
+/// listed in the log.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "acquire.mcap"
+path = "recording.mcap"
+out.scan          = { type = "geometry/Cloud", topic = "/camera/scan", frame = "camera" }
+out.laser         = { type = "geometry/Cloud", topics = ["/camera/laser_p1", "/camera/laser_p2"], labels = ["P1", "P2"] }
+out.camera_marker = { type = "geometry/Pose", topic = "/tracker/camera_marker", to = "world", from = "camera_marker" }
+"#)]
+pub struct Mcap {
+    params: Params,
+    playback: Option<Playback<What>>,
+}
+
+/// Parameters of [`Mcap`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// The recording.
+    pub path: FilePath,
+    /// Whether the intact part of a damaged recording is used, and said so. false: a damaged recording is an error.
+    #[serde(default)]
+    pub allow_truncated: bool,
+}
+
+/// What happens on a port; clouds are decoded when their turn comes.
+enum What {
+    Cloud { message: Message, label: Option<Arc<str>> },
+    Ready(Emission),
+}
+
+impl Source for Mcap {
+    const KIND: &'static str = "acquire.mcap";
+    type Params = Params;
+    type Outputs = Declared<PortParams>;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self { params, playback: None })
+    }
+
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Self::Outputs>, NodeError> {
+        if self.playback.is_none() {
+            self.playback = Some(Playback::new(self.open(ctx)?));
+        }
+        let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
+        ctx.set_stamp_ns(event.stamp_ns);
+        let emission = match event.what {
+            What::Ready(emission) => emission,
+            What::Cloud { message, label } => cloud(&message, label, &ctx.declared()[event.port].name, ctx)?,
+        };
+        Ok(Some(Declared::one(event.port, emission)))
+    }
+}
+
+impl Mcap {
+    fn open(&self, ctx: &mut Context) -> Result<Vec<Event<What>>, NodeError> {
+        let ports = ctx.declared();
+        let params = ports.iter().map(DeclaredPort::params).collect::<Result<Vec<PortParams>, _>>()?;
+        let wanted = |topic: &str| {
+            params.iter().any(|p| p.topics().iter().any(|(t, _)| *t == topic) || p.present.as_deref() == Some(topic))
+        };
+        let recording = Recording::open_topics(self.params.path.as_ref(), self.params.allow_truncated, wanted)?;
+        for note in &recording.notes {
+            ctx.warn(note.clone());
+        }
+        for topic in recording.topics().iter().filter(|t| !wanted(&t.name)) {
+            osteoflow_node::tracing::info!(
+                topic = topic.name,
+                schema = topic.schema_name,
+                n_messages = topic.n_messages,
+                "no port takes this topic"
+            );
+        }
+        let mut events = Vec::new();
+        for (port, (declared, params)) in ports.iter().zip(&params).enumerate() {
+            let stream = Port { recording: &recording, declared, params };
+            events.extend(stream.events()?.into_iter().map(|(stamp_ns, what)| Event { stamp_ns, port, what }));
+        }
+        Ok(events)
+    }
+}
+
+/// One declared port over a recording.
+struct Port<'a> {
+    recording: &'a Recording,
+    declared: &'a DeclaredPort,
+    params: &'a PortParams,
+}
+
+impl Port<'_> {
+    fn events(&self) -> Result<Vec<(StampNs, What)>, NodeError> {
+        let start_ns = self.extent().map_or(0, |(start, _)| start);
+        match self.declared.payload.name {
+            "geometry/Region" => Ok(vec![(start_ns, What::Ready(self.region()?))]),
+            "report/Flag" => Ok(vec![(start_ns, What::Ready(Emission::value(Flag(self.flag()))))]),
+            "geometry/Cloud" => self.streams(start_ns, Self::clouds),
+            "geometry/Pose" => self.streams(start_ns, Self::poses),
+            "geometry/Points" => self.streams(start_ns, Self::points),
+            other => Err(self.fault(format!(
+                "a recording gives geometry/Cloud, Pose, Points, Region and report/Flag, but not {other}"
+            ))),
+        }
+    }
+
+    /// The events of all topics of the port, or one empty if there are none and none are needed.
+    fn streams(
+        &self,
+        start_ns: StampNs,
+        read: impl Fn(&Self, &str, Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError>,
+    ) -> Result<Vec<(StampNs, What)>, NodeError> {
+        let topics = self.params.topics();
+        if topics.is_empty() {
+            return Err(self.fault("neither topic nor topics is given".into()));
+        }
+        let mut events = Vec::new();
+        for (topic, label) in topics {
+            if !self.recording.messages(topic).is_empty() {
+                events.extend(read(self, topic, label)?);
+            } else if self.params.optional {
+                let reason = format!("the recording has no messages on {topic}");
+                events.push((start_ns, What::Ready(Emission::Empty(reason))));
+            } else {
+                return Err(self.missing(topic, label));
+            }
+        }
+        Ok(events)
+    }
+
+    fn clouds(&self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
+        let messages = self.recording.messages(topic).iter().enumerate();
+        let events = messages.map(|(i, message)| {
+            let stamp_ns = foxglove_read::stamp(message)?;
+            let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
+            Ok((stamp_ns, What::Cloud { message: message.clone(), label: Some(label.into()) }))
+        });
+        events.collect::<Result<_, NodeError>>().map_err(|error| self.at(topic, error))
+    }
+
+    fn poses(&self, topic: &str, _label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
+        let mut events = Vec::new();
+        for message in self.recording.messages(topic) {
+            events.extend(self.poses_of(topic, message).map_err(|error| self.at(topic, error))?);
+        }
+        if events.is_empty() {
+            let (parent, child) = (self.params.parent.as_deref(), self.params.child.as_deref());
+            let wanted = format!("{} -> {}", child.unwrap_or("any"), parent.unwrap_or("any"));
+            return Err(self.fault(format!("{topic} has no transform {wanted}; see parent and child")));
+        }
+        if let (Some(lost_after_ms), Some((_, end_ns))) = (self.params.lost_after_ms, self.extent()) {
+            let stamps: Vec<StampNs> = events.iter().map(|(stamp, _)| *stamp).collect();
+            let what = last_part(topic).replace('_', " ");
+            let lost = silences(&stamps, (lost_after_ms * 1e6) as StampNs, end_ns, &format!("the {what}"));
+            events.extend(lost.into_iter().map(|(stamp, empty)| (stamp, What::Ready(empty))));
+        }
+        Ok(events)
+    }
+
+    fn poses_of(&self, topic: &str, message: &Message) -> Result<Vec<(StampNs, What)>, NodeError> {
+        if &*message.schema_name == POSE_IN_FRAME {
+            let tip = read_pose_in_frame(message)?;
+            let child = self.params.child.as_deref().unwrap_or(last_part(topic));
+            let rotation = tip.orientation.unwrap_or_else(UnitQuaternion::identity);
+            let pose = Pose::new(tip.frame, child, Isometry3::from_parts(tip.position.into(), rotation));
+            return Ok(vec![(tip.stamp_ns, What::Ready(Emission::value(pose.at(tip.stamp_ns))))]);
+        }
+        let wanted = |to: &Frame, from: &Frame| {
+            self.params.parent.as_deref().is_none_or(|p| p == to.as_str())
+                && self.params.child.as_deref().is_none_or(|c| c == from.as_str())
+        };
+        let events = read_transforms(message)?.into_iter().filter_map(|read| match read {
+            Ok(pose) => wanted(&pose.to, &pose.from).then(|| (pose.stamp_ns, What::Ready(Emission::value(pose)))),
+            Err(lost) => {
+                wanted(&lost.to, &lost.from).then(|| (lost.stamp_ns, What::Ready(Emission::Empty(lost.to_string()))))
+            }
+        });
+        Ok(events.collect())
+    }
+
+    fn points(&self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
+        let mut tips = Vec::new();
+        for message in self.recording.messages(topic) {
+            tips.push(read_pose_in_frame(message).map_err(|error| self.at(topic, error.into()))?);
+        }
+        // Labels count in the order in which the points were touched.
+        tips.sort_by_key(|tip| tip.stamp_ns);
+        let events = tips.into_iter().enumerate().map(|(i, tip)| {
+            let name = match label.or_else(|| self.params.labels.get(i).map(String::as_str)) {
+                Some(label) => label.to_owned(),
+                None => format!("{}_{}", last_part(topic), i + 1),
+            };
+            let mut point = NamedPoint::new(name, tip.position);
+            point.stamp_ns = tip.stamp_ns;
+            (tip.stamp_ns, What::Ready(Emission::value(Points::new(tip.frame, vec![point]))))
+        });
+        Ok(events.collect())
+    }
+
+    fn region(&self) -> Result<Emission, NodeError> {
+        Ok(match procedure_region(self.recording)? {
+            Some(region) => Emission::value(region),
+            None => Emission::Empty("the recording gives no region of interest".into()),
+        })
+    }
+
+    fn flag(&self) -> bool {
+        if let Some(topic) = &self.params.present {
+            return !self.recording.messages(topic).is_empty();
+        }
+        let record = self.params.metadata.as_ref().and_then(|name| self.recording.metadata.get(name));
+        let value = self.params.key.as_ref().and_then(|key| record?.get(key));
+        value.is_some_and(|value| value == "true")
+    }
+
+    /// First and last sensor time of the whole recording, as far as its kept messages tell.
+    fn extent(&self) -> Option<(StampNs, StampNs)> {
+        let times = self.recording.topics().iter().flat_map(|t| self.recording.messages(&t.name));
+        let times = times.map(|m| m.publish_time_ns);
+        times.fold(None, |extent, t| match extent {
+            None => Some((t, t)),
+            Some((start, end)) => Some((t.min(start), t.max(end))),
+        })
+    }
+
+    fn missing(&self, topic: &str, label: Option<&str>) -> NodeError {
+        let what = label.map_or_else(String::new, |label| format!(" ({label})"));
+        let topics = self.recording.topics().iter().filter(|t| t.n_messages > 0);
+        let there: Vec<String> = topics.map(|t| format!("{} ({})", t.name, t.schema_name)).collect();
+        self.fault(format!(
+            "the recording has no messages on {topic}{what}; it has: {}",
+            if there.is_empty() { "none at all".into() } else { there.join(", ") }
+        ))
+    }
+
+    fn at(&self, topic: &str, error: NodeError) -> NodeError {
+        self.fault(format!("topic {topic}: {error}"))
+    }
+
+    fn fault(&self, message: String) -> NodeError {
+        NodeError::new(format!("port \"{}\": {message}", self.declared.name))
+    }
+}
+
+fn cloud(message: &Message, label: Option<Arc<str>>, port: &str, ctx: &mut Context) -> Result<Emission, NodeError> {
+    let read = read_cloud(message).map_err(|error| NodeError::new(format!("port \"{port}\": {error}")))?;
+    let name = label.as_deref().unwrap_or(port);
+    if read.n_dropped > 0 {
+        let (dropped, all) = (read.n_dropped, read.n_points_in_message);
+        ctx.warn(format!("{name}: {dropped} of {all} points are NaN or infinite and were left out"));
+    }
+    let mut cloud = read.cloud;
+    cloud.label = label;
+    Ok(Emission::value(cloud))
+}
+
+/// `camera_marker` of `/tracker/camera_marker`.
+fn last_part(topic: &str) -> &str {
+    topic.rsplit('/').next().unwrap_or(topic)
+}

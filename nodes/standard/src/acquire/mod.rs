@@ -1,0 +1,10 @@
+//! Where data comes in: recordings, folders of files, a simulated procedure.
+
+pub mod folder;
+pub mod mcap;
+mod mcap_ports;
+mod playback;
+mod procedure_ports;
+pub mod simulated;
+
+pub use procedure_ports::{ProcedureOut, ProcedurePorts};

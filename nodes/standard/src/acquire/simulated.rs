@@ -1,0 +1,96 @@
+//! The kind `acquire.simulated`.
+
+use super::{
+    playback::{Event, Playback},
+    procedure_ports::{ProcedureOut, Role},
+};
+use osteoflow_geometry::{Cloud, Points, Pose, StampNs};
+use osteoflow_node::{Context, Describe, Emission, NodeError, ParamError, Source};
+use osteoflow_payloads::Flag;
+use osteoflow_simulation::{Procedure, ProcedureParams};
+
+/// A simulated procedure on the built-in bone: everything that a recording would hold, and the truth beside it.
+///
+/// Camera, tracker, phantom, laser, stylus and their errors are drawn from the run's seed. The truth goes to ports of
+/// its own, for scoring only.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "acquire.simulated"
+camera = { n_points = 20000, depth_noise_mm = 0.05 }
+"#)]
+pub struct Simulated {
+    params: ProcedureParams,
+    playback: Option<Playback<Emission>>,
+}
+
+impl Source for Simulated {
+    const KIND: &'static str = "acquire.simulated";
+    type Params = ProcedureParams;
+    type Outputs = ProcedureOut;
+
+    fn new(params: ProcedureParams) -> Result<Self, ParamError> {
+        Ok(Self { params, playback: None })
+    }
+
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<ProcedureOut>, NodeError> {
+        if self.playback.is_none() {
+            self.playback = Some(Playback::new(events(Procedure::simulate(&self.params, ctx.seed())?)));
+        }
+        let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
+        ctx.set_stamp_ns(event.stamp_ns);
+        Ok(Some(ProcedureOut::new(event.port, event.what)))
+    }
+}
+
+fn events(procedure: Procedure) -> Vec<Event<Emission>> {
+    let mut events = Events(Vec::new());
+    let start_ns = procedure.camera_marker.first().map_or(0, |pose| pose.stamp_ns);
+    let truth = procedure.truth;
+    events.add(Role::Simulated, start_ns, Emission::value(Flag(true)));
+    events.add(Role::BoneTracked, start_ns, Emission::value(Flag(true)));
+    events.add(
+        Role::Region,
+        start_ns,
+        match procedure.region {
+            Some(region) => Emission::value(region),
+            None => Emission::Empty("no region of interest was drawn".into()),
+        },
+    );
+    events.clouds(Role::PhantomScan, [procedure.phantom_scan]);
+    events.clouds(Role::Scan, [procedure.scan]);
+    events.clouds(Role::Laser, procedure.laser);
+    events.poses(Role::CameraMarker, procedure.camera_marker);
+    events.poses(Role::PhantomMarker, procedure.phantom_marker);
+    events.poses(Role::BoneMarker, procedure.bone_marker);
+    events.points(Role::StylusInit, &procedure.stylus_init);
+    events.points(Role::StylusAssessment, &procedure.stylus_assessment);
+    events.points(Role::StylusPalpation, &procedure.stylus_palpation);
+    let t_ct_world_true = truth.t_world_ct_at_scan.inverse();
+    events.add(Role::TCtWorldTrue, start_ns, Emission::value(t_ct_world_true));
+    events.add(Role::TCameraCameraMarkerTrue, start_ns, Emission::value(truth.t_camera_camera_marker));
+    events.0
+}
+
+struct Events(Vec<Event<Emission>>);
+
+impl Events {
+    fn add(&mut self, role: Role, stamp_ns: StampNs, what: Emission) {
+        self.0.push(Event { stamp_ns, port: role as usize, what });
+    }
+
+    fn clouds(&mut self, role: Role, clouds: impl IntoIterator<Item = Cloud>) {
+        clouds.into_iter().for_each(|cloud| self.add(role, cloud.stamp_ns, Emission::value(cloud)));
+    }
+
+    fn poses(&mut self, role: Role, poses: Vec<Pose>) {
+        poses.into_iter().for_each(|pose| self.add(role, pose.stamp_ns, Emission::value(pose)));
+    }
+
+    /// One item for each point, as a stylus gives them.
+    fn points(&mut self, role: Role, points: &Points) {
+        for point in &*points.points {
+            let one = Points::new(&points.frame, vec![point.clone()]);
+            self.add(role, point.stamp_ns, Emission::value(one));
+        }
+    }
+}

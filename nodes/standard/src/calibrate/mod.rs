@@ -1,0 +1,3 @@
+//! The camera's place in its marker.
+
+pub mod phantom_icp;

@@ -1,0 +1,55 @@
+//! The kind `cloud.normals`.
+
+use osteoflow_algorithms::normals::{NormalParams, estimate};
+use osteoflow_geometry::Cloud;
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// A cloud with normals, turned towards the camera that took it.
+///
+/// Points whose neighbourhood gives no normal are left out, counted and reported.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "cloud.normals"
+in   = { cloud = "to_bone.cloud" }
+"#,
+    literature = ["Hoppe et al. 1992, section 3.2"]
+)]
+pub struct Normals(NormalParams);
+
+/// Inputs of [`Normals`].
+#[derive(Inputs)]
+pub struct In {
+    /// The cloud.
+    cloud: Cloud,
+}
+
+/// Outputs of [`Normals`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The points with a normal.
+    #[port(frame = "cloud")]
+    cloud: Cloud,
+}
+
+impl Node for Normals {
+    const KIND: &'static str = "cloud.normals";
+    type Params = NormalParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: NormalParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let (cloud, n_dropped) = estimate(&i.cloud, &self.0)?;
+        if n_dropped > 0 {
+            ctx.warn(format!(
+                "{n_dropped} of {} points have too few neighbours for a normal and were left out",
+                i.cloud.len()
+            ));
+        }
+        Ok(Out { cloud })
+    }
+}

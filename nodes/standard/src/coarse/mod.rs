@@ -1,0 +1,3 @@
+//! Coarse registration, where the fine one starts.
+
+pub mod three_point;

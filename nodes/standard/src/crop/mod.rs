@@ -1,0 +1,46 @@
+//! The region of interest: every kind takes the same ports.
+
+pub mod r#box;
+pub mod polygon;
+pub mod slab;
+pub mod sphere;
+
+use osteoflow_geometry::{Cloud, Region};
+use osteoflow_node::{Inputs, NodeError, Outputs};
+
+/// Inputs of every crop.
+#[derive(Inputs)]
+pub struct In {
+    /// The cloud to crop.
+    cloud: Cloud,
+    /// A region that was drawn beside the recording; only what lies in it, too, is kept. None: the parameters alone.
+    #[port(join = "once", frame = "cloud")]
+    region: Option<Region>,
+}
+
+/// Outputs of every crop.
+#[derive(Outputs)]
+pub struct Out {
+    /// What lies in the region.
+    #[port(frame = "cloud")]
+    cloud: Cloud,
+}
+
+impl In {
+    /// The chosen points that also lie in the drawn region.
+    fn kept(self, chosen: Vec<usize>) -> Result<Out, NodeError> {
+        let mut chosen = chosen;
+        if let Some(region) = &self.region {
+            region.frame.expect(&self.cloud.frame, "the region of interest")?;
+            chosen.retain(|&i| region.contains(&self.cloud.points()[i]));
+        }
+        if chosen.is_empty() {
+            let (n, frame) = (self.cloud.len(), &self.cloud.frame);
+            return Err(NodeError::new(format!(
+                "none of {n} points lies in the region of interest; is it given in mm, in {frame}?"
+            )));
+        }
+        let cloud = if chosen.len() == self.cloud.len() { self.cloud } else { self.cloud.selected(&chosen) };
+        Ok(Out { cloud })
+    }
+}

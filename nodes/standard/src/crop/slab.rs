@@ -1,0 +1,59 @@
+//! The kind `crop.slab`.
+
+use super::{In, Out};
+use osteoflow_algorithms::roi;
+use osteoflow_geometry::nalgebra::{Unit, Vector3};
+use osteoflow_node::{Context, Describe, Node, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
+
+/// What lies between two planes across the bone.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "crop.slab"
+in   = { cloud = "to_ct.cloud" }
+origin_mm = [0.0, 0.0, 0.0]
+direction = [0.0, 0.0, 1.0]
+from_mm = -50.0
+to_mm = 50.0
+"#,
+    literature = ["section 2.3 of the paper"]
+)]
+pub struct Slab(Params);
+
+/// Parameters of [`Slab`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// Where heights are counted from, in the cloud's frame.
+    pub origin_mm: [f64; 3],
+    /// The direction along the bone, of any length.
+    pub direction: [f64; 3],
+    /// The lower height along the direction.
+    pub from_mm: f64,
+    /// The upper height.
+    pub to_mm: f64,
+}
+
+impl Node for Slab {
+    const KIND: &'static str = "crop.slab";
+    type Params = Params;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        if Unit::try_new(Vector3::from(params.direction), 1e-9).is_none() {
+            return Err(ParamError::new("direction", "a direction has a length above zero"));
+        }
+        if params.from_mm >= params.to_mm {
+            return Err(ParamError::new("from_mm", "from_mm is below to_mm"));
+        }
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let direction = Unit::new_normalize(Vector3::from(self.0.direction));
+        let chosen = roi::in_slab(&i.cloud, &self.0.origin_mm.into(), &direction, self.0.from_mm, self.0.to_mm);
+        i.kept(chosen)
+    }
+}

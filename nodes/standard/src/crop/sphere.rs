@@ -1,0 +1,46 @@
+//! The kind `crop.sphere`.
+
+use super::{In, Out};
+use osteoflow_algorithms::roi;
+use osteoflow_node::{Context, Describe, Node, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
+
+/// What lies within a distance of a point.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "crop.sphere"
+in   = { cloud = "recording.scan" }
+centre_mm = [0.0, 0.0, 200.0]
+radius_mm = 80.0
+"#,
+    literature = ["section 2.3 of the paper"]
+)]
+pub struct Sphere(Params);
+
+/// Parameters of [`Sphere`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// The centre in the cloud's frame.
+    pub centre_mm: [f64; 3],
+    /// The radius.
+    #[schemars(range(min = 1e-3, max = 1e6))]
+    pub radius_mm: f64,
+}
+
+impl Node for Sphere {
+    const KIND: &'static str = "crop.sphere";
+    type Params = Params;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let chosen = roi::in_sphere(&i.cloud, &self.0.centre_mm.into(), self.0.radius_mm);
+        i.kept(chosen)
+    }
+}

@@ -1,0 +1,36 @@
+//! The kind `hole.cloud_difference`.
+
+use super::{In, Out};
+use osteoflow_algorithms::hole::{self, HoleParams};
+use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+
+/// The landmark that a laser spot burned out of a scan: what the full scan has and the scan with the laser has not.
+///
+/// Both scans lie in one frame. The missing points' main cluster is the hole; its centre is the landmark.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "hole.cloud_difference"
+in   = { reference = "to_bone.cloud", cloud = "to_bone_laser.cloud" }
+spot_radius_mm = 2.0
+"#,
+    literature = ["section 2.3 of the paper"]
+)]
+pub struct CloudDifference(HoleParams);
+
+impl Node for CloudDifference {
+    const KIND: &'static str = "hole.cloud_difference";
+    type Params = HoleParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: HoleParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        i.check()?;
+        let hole = hole::cloud_difference(&i.reference, &i.cloud, &self.0).map_err(|error| i.refusal(error, ctx))?;
+        Ok(i.out(hole, ctx))
+    }
+}

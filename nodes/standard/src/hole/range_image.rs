@@ -1,0 +1,36 @@
+//! The kind `hole.range_image`.
+
+use super::{In, Out};
+use osteoflow_algorithms::hole::{self, HoleParams};
+use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+
+/// The landmark that a laser spot burned out of a scan, found in the camera's image grid.
+///
+/// Both scans are seen from where the scan with the laser was taken; cells that only the full scan fills are the hole.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "hole.range_image"
+in   = { reference = "to_bone.cloud", cloud = "to_bone_laser.cloud" }
+spot_radius_mm = 2.0
+"#,
+    literature = ["section 2.3 of the paper"]
+)]
+pub struct RangeImage(HoleParams);
+
+impl Node for RangeImage {
+    const KIND: &'static str = "hole.range_image";
+    type Params = HoleParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: HoleParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        i.check()?;
+        let hole = hole::range_image(&i.reference, &i.cloud, &self.0).map_err(|error| i.refusal(error, ctx))?;
+        Ok(i.out(hole, ctx))
+    }
+}

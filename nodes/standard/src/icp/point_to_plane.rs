@@ -1,0 +1,37 @@
+//! The kind `icp.point_to_plane`.
+
+use super::{In, Out, observer};
+use osteoflow_algorithms::icp::{self, IcpParams};
+use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+
+/// Fine registration of a bone surface onto the CT surface by point-to-plane ICP.
+///
+/// Each point is drawn to the plane of the nearest sample and may slide in it, so a start millimetres off along the bone
+/// costs a few steps, not thousands.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "icp.point_to_plane"
+in   = { source = "to_bone.cloud", target = "ct_surface.target", init = "coarse.t_target_source" }
+max_pair_distance_mm = 5.0
+"#,
+    literature = ["Chen & Medioni 1992", "Rusinkiewicz & Levoy 2001, section 3.5"]
+)]
+pub struct PointToPlane(IcpParams);
+
+impl Node for PointToPlane {
+    const KIND: &'static str = "icp.point_to_plane";
+    type Params = IcpParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: IcpParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let init = i.init()?;
+        let fit = icp::point_to_plane(&i.target, i.source.points(), &init, &self.0, &mut observer(ctx))?;
+        Ok(i.out(fit, ctx))
+    }
+}

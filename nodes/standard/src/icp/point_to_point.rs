@@ -1,0 +1,37 @@
+//! The kind `icp.point_to_point`.
+
+use super::{In, Out, observer};
+use osteoflow_algorithms::icp::{self, IcpParams};
+use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+
+/// Fine registration of a bone surface onto the CT surface by point-to-point ICP, the paper's.
+///
+/// Each point is drawn to the nearest sample, which holds it back along the bone: a plain step recovers about a thousandth
+/// of a slide. The report says how far is still to go; see `acceleration` and `stop_step_mm`.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "icp.point_to_point"
+in   = { source = "to_bone.cloud", target = "ct_surface.target", init = "coarse.t_target_source" }
+max_pair_distance_mm = 5.0
+"#,
+    literature = ["Besl & McKay 1992", "section 2.3 of the paper"]
+)]
+pub struct PointToPoint(IcpParams);
+
+impl Node for PointToPoint {
+    const KIND: &'static str = "icp.point_to_point";
+    type Params = IcpParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: IcpParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let init = i.init()?;
+        let fit = icp::point_to_point(&i.target, i.source.points(), &init, &self.0, &mut observer(ctx))?;
+        Ok(i.out(fit, ctx))
+    }
+}

@@ -1,0 +1,20 @@
+//! How well: each states its formula, n and unit.
+
+pub mod cuts;
+pub mod fre;
+pub mod surface;
+pub mod tre_measured;
+pub mod tre_true;
+
+use osteoflow_algorithms::axes::principal_axes;
+use osteoflow_geometry::{Axes, Mesh};
+use osteoflow_node::NodeError;
+
+/// The axes along which errors are told: the plan's if it gives them, else the bone surface's own.
+fn axes(planned: Option<Axes>, bone: Option<&Mesh>) -> Result<Axes, NodeError> {
+    match (planned, bone) {
+        (Some(axes), _) => Ok(axes),
+        (None, Some(bone)) => Ok(principal_axes(bone)),
+        (None, None) => Err(NodeError::new("the plan gives no axes; wire the bone's surface to \"bone\"")),
+    }
+}

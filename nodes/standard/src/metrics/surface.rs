@@ -1,0 +1,73 @@
+//! The kind `metrics.surface`.
+
+use osteoflow_algorithms::{
+    metrics::{SurfaceReport, surface_residual},
+    target::Target,
+};
+use osteoflow_geometry::{Cloud, Pose};
+use osteoflow_node::{
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+};
+
+/// How far the registered scan lies from the CT surface, over the near points and over all of the region.
+///
+/// A surface residual, neither FRE nor TRE: a scan that slid along the bone lies on the surface all the same.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "metrics.surface"
+in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source" }
+"#)]
+pub struct Surface(Params);
+
+/// Parameters of [`Surface`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// Points no farther from the surface than this count as on it. 1 mm: twenty times the camera's noise.
+    #[schemars(range(min = 1e-3, max = 1000.0))]
+    pub max_pair_distance_mm: f64,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { max_pair_distance_mm: 1.0 }
+    }
+}
+
+/// Inputs of [`Surface`].
+#[derive(Inputs)]
+pub struct In {
+    /// The scan.
+    source: Cloud,
+    /// The CT surface.
+    #[port(join = "once", frame = "t_target_source.to")]
+    target: Target,
+    /// The registration.
+    #[port(join = "once", to = "target", from = "source")]
+    t_target_source: Pose,
+}
+
+/// Outputs of [`Surface`].
+#[derive(Outputs)]
+pub struct Out {
+    /// Residuals and the share of inliers.
+    report: SurfaceReport,
+}
+
+impl Node for Surface {
+    const KIND: &'static str = "metrics.surface";
+    type Params = Params;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let t_target_source = i.t_target_source.expect(&i.target.frame, &i.source.frame)?;
+        let limit_mm = self.0.max_pair_distance_mm;
+        Ok(Out { report: surface_residual(&i.target, i.source.points(), &t_target_source, limit_mm)? })
+    }
+}

@@ -1,0 +1,65 @@
+//! The kind `metrics.tre_true`.
+
+use super::axes;
+use osteoflow_algorithms::metrics::{TreReport, tre};
+use osteoflow_geometry::{Axes, Mesh, Points, Pose};
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// Target registration error against the true registration, where it is known, as in a simulation.
+///
+/// Per point `e = t_ct_world * inverse(t_ct_world_true) * p - p`, told along the bone's axes with its sign.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "metrics.tre_true"
+in   = { planned = "plan.assessment", t_ct_world = "planes_at_scan.t_ct_world", t_ct_world_true = "recording.t_ct_world_true", axes = "plan.axes", bone = "bone.mesh" }
+"#,
+    literature = ["section 3.2.1 of the paper"]
+)]
+pub struct TreTrue;
+
+/// Inputs of [`TreTrue`].
+#[derive(Inputs)]
+pub struct In {
+    /// Points on the bone at which the error is told.
+    #[port(join = "once")]
+    planned: Points,
+    /// The registration.
+    #[port(to = "planned", from = "t_ct_world_true.from")]
+    t_ct_world: Pose,
+    /// The true registration.
+    #[port(join = "once", to = "planned", from = "t_ct_world.from")]
+    t_ct_world_true: Pose,
+    /// The axes along which errors are told.
+    #[port(join = "once", frame = "planned")]
+    axes: Option<Axes>,
+    /// The bone's surface, whose principal axes stand in where the plan gives none.
+    #[port(join = "once", frame = "planned")]
+    bone: Option<Mesh>,
+}
+
+/// Outputs of [`TreTrue`].
+#[derive(Outputs)]
+pub struct Out {
+    /// Per point and in summary.
+    report: TreReport,
+}
+
+impl Node for TreTrue {
+    const KIND: &'static str = "metrics.tre_true";
+    type Params = crate::NoParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let error = i.t_ct_world.compose(&i.t_ct_world_true.inverse())?;
+        let error = error.expect(&i.planned.frame, &i.planned.frame)?;
+        let axes = axes(i.axes, i.bone.as_ref())?;
+        axes.frame.expect(&i.planned.frame, "the axes")?;
+        Ok(Out { report: tre(&i.planned.points, &i.planned.points, &error, &axes)? })
+    }
+}

@@ -1,0 +1,7 @@
+use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
+
+/// The parameters of a kind that has none.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct NoParams {}

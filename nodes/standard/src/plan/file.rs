@@ -1,0 +1,44 @@
+//! The kind `plan.file`.
+
+use super::Out;
+use osteoflow_formats::plan_file::read_plan;
+use osteoflow_node::{
+    Context, Describe, FilePath, NodeError, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
+};
+
+/// A surgical plan from a JSON file, in millimetres and the CT frame.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "plan.file"
+path = "plan.json"
+"#)]
+pub struct File {
+    path: FilePath,
+    done: bool,
+}
+
+/// Parameters of [`File`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// The plan.
+    pub path: FilePath,
+}
+
+impl Source for File {
+    const KIND: &'static str = "plan.file";
+    type Params = Params;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self { path: params.path, done: false })
+    }
+
+    fn next(&mut self, _ctx: &mut Context) -> Result<Option<Out>, NodeError> {
+        if std::mem::replace(&mut self.done, true) {
+            return Ok(None);
+        }
+        Ok(Some(read_plan(self.path.as_ref())?.into()))
+    }
+}

@@ -1,0 +1,42 @@
+use osteoflow_geometry::{Axes, Planes, Points, Pose, SurgicalPlan};
+use osteoflow_node::{Emit, Outputs};
+
+/// A plan, port by port; what the plan lacks is an empty that says so.
+#[derive(Outputs)]
+pub struct Out {
+    /// The landmarks P1..P3 that initialise the registration.
+    #[port(frame = "@ct")]
+    landmarks: Points,
+    /// The assessment points M1..M5, which are not used to fit.
+    #[port(frame = "@ct")]
+    assessment: Points,
+    /// The cutting planes.
+    #[port(frame = "@ct")]
+    planes: Planes,
+    /// The axes along which errors are told.
+    #[port(frame = "@ct")]
+    axes: Emit<Axes>,
+    /// `t_phantom_phantom_marker`, known from the phantom's CAD.
+    #[port(to = "@phantom", from = "@phantom_marker")]
+    t_phantom_phantom_marker: Emit<Pose>,
+    /// `t_camera_camera_marker` as designed: where the calibration starts.
+    #[port(to = "@camera", from = "@camera_marker")]
+    t_camera_camera_marker_nominal: Emit<Pose>,
+}
+
+impl From<SurgicalPlan> for Out {
+    fn from(plan: SurgicalPlan) -> Self {
+        Self {
+            landmarks: plan.landmarks,
+            assessment: plan.assessment,
+            planes: plan.planes,
+            axes: or_empty(plan.axes, "axes"),
+            t_phantom_phantom_marker: or_empty(plan.t_phantom_phantom_marker, "phantom marker pose"),
+            t_camera_camera_marker_nominal: or_empty(plan.t_camera_camera_marker_nominal, "nominal camera marker pose"),
+        }
+    }
+}
+
+fn or_empty<T>(value: Option<T>, what: &str) -> Emit<T> {
+    value.map_or_else(|| Emit::Empty(format!("the plan gives no {what}")), Emit::Value)
+}

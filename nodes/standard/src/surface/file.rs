@@ -1,0 +1,71 @@
+//! The kind `surface.file`.
+
+use osteoflow_formats::mesh_file::read_mesh;
+use osteoflow_geometry::{Mesh, SurfaceOrigin};
+use osteoflow_node::{
+    Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
+};
+
+/// A triangle mesh from an STL or PLY file, binary or ASCII.
+#[derive(Describe)]
+#[describe(example = r#"
+kind  = "surface.file"
+path  = "bone.stl"
+frame = "ct"
+"#)]
+pub struct File {
+    params: Params,
+    done: bool,
+}
+
+/// Parameters of [`File`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// The STL or PLY file.
+    pub path: FilePath,
+    /// The frame of its coordinates. `ct`: what a bone's surface is segmented from.
+    #[serde(default = "ct")]
+    pub frame: String,
+    /// Millimetres in the file's unit. 1: mesh files of bones are in millimetres; 1000 for a file in metres.
+    #[serde(default = "one")]
+    #[schemars(range(min = 1e-6, max = 1e6))]
+    pub unit_mm: f64,
+}
+
+fn ct() -> String {
+    "ct".into()
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// Outputs of [`File`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The mesh, once.
+    #[port(frame = "$frame")]
+    mesh: Mesh,
+}
+
+impl Source for File {
+    const KIND: &'static str = "surface.file";
+    type Params = Params;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self { params, done: false })
+    }
+
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
+        if std::mem::replace(&mut self.done, true) {
+            return Ok(None);
+        }
+        let read =
+            read_mesh(self.params.path.as_ref(), self.params.unit_mm, self.params.frame.as_str(), SurfaceOrigin::User)?;
+        read.notes.into_iter().for_each(|note| ctx.warn(note));
+        Ok(Some(Out { mesh: read.mesh }))
+    }
+}

@@ -1,0 +1,6 @@
+//! Surfaces of bone and phantom, and the CT surface prepared for registration.
+
+pub mod file;
+pub mod prepare;
+pub mod simulated;
+pub mod simulated_phantom;

@@ -1,0 +1,63 @@
+//! The kind `surface.simulated`.
+
+use osteoflow_geometry::Mesh;
+use osteoflow_node::{
+    Context, Describe, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
+};
+use osteoflow_simulation::{
+    bone::{self, BoneParams},
+    ct::{self, CtParams},
+};
+
+/// The built-in bone's surface: from a simulated CT, or exact.
+///
+/// A CT surface is not the bone: voxels, blur, noise and a threshold lie between them.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "surface.simulated"
+exact = false
+"#)]
+pub struct Simulated {
+    params: Params,
+    done: bool,
+}
+
+/// Parameters of [`Simulated`].
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// Whether the very surface that the camera scans is given. false: as in an operating room, where only a CT is had.
+    pub exact: bool,
+    /// The bone; the same for every node that simulates it.
+    pub bone: BoneParams,
+    /// The CT.
+    pub ct: CtParams,
+}
+
+/// Outputs of [`Simulated`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The surface, once.
+    #[port(frame = "@ct")]
+    mesh: Mesh,
+}
+
+impl Source for Simulated {
+    const KIND: &'static str = "surface.simulated";
+    type Params = Params;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self { params, done: false })
+    }
+
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
+        if std::mem::replace(&mut self.done, true) {
+            return Ok(None);
+        }
+        let bone = bone::fibula(&self.params.bone);
+        let mesh = if self.params.exact { bone } else { ct::ct_surface(&bone, &self.params.ct, &mut ctx.rng())? };
+        Ok(Some(Out { mesh }))
+    }
+}

@@ -1,0 +1,11 @@
+//! From frame to frame: to the tracker's world, to the marker on the bone.
+
+mod bone_frame;
+pub mod points;
+pub mod points_to_bone_marker;
+pub mod still_average;
+pub mod to_bone_marker;
+pub mod to_world;
+
+pub(crate) use bone_frame::BoneFrame;
+pub use bone_frame::TrackingParams;

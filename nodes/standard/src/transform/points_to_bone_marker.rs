@@ -1,0 +1,60 @@
+//! The kind `transform.points_to_bone_marker`.
+
+use super::{BoneFrame, TrackingParams};
+use osteoflow_geometry::{Points, Pose};
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_payloads::Flag;
+
+/// Points touched in the world, in the frame of the marker on the bone.
+///
+/// The same for a stylus as `transform.to_bone_marker` for a scan: each point is carried over at its own time.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "transform.points_to_bone_marker"
+in   = { points = "recording.stylus_assessment", t_world_bone_marker = "bone_marker.pose" }
+"#)]
+pub struct PointsToBoneMarker(BoneFrame);
+
+/// Inputs of [`PointsToBoneMarker`].
+#[derive(Inputs)]
+pub struct In {
+    /// Points in the world.
+    #[port(frame = "t_world_bone_marker.to")]
+    points: Points,
+    /// The tracked marker on the bone.
+    #[port(join = "interpolate", max_gap_ms = 200.0, to = "points")]
+    t_world_bone_marker: Option<Pose>,
+    /// Whether the bone carries a marker at all. Unwired: it does.
+    #[port(join = "once")]
+    tracked: Option<Flag>,
+}
+
+/// Outputs of [`PointsToBoneMarker`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The points in the bone marker's frame, or in the world where there is no such marker.
+    #[port(frame = "t_world_bone_marker.from")]
+    points: Points,
+    /// Where the bone marker was; the world itself where there is no such marker.
+    #[port(to = "t_world_bone_marker.to", from = "t_world_bone_marker.from")]
+    t_world_bone_marker: Pose,
+}
+
+impl Node for PointsToBoneMarker {
+    const KIND: &'static str = "transform.points_to_bone_marker";
+    type Params = TrackingParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: TrackingParams) -> Result<Self, ParamError> {
+        Ok(Self(BoneFrame::new(params)))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let what = i.points.points.first().map_or("a point", |p| &*p.name);
+        let pose = self.0.pose_at(&i.points.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;
+        let to_bone = pose.inverse();
+        let points = i.points.transformed(&to_bone.to, &to_bone.isometry);
+        Ok(Out { points, t_world_bone_marker: pose.at(ctx.stamp_ns()) })
+    }
+}

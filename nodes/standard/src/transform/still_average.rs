@@ -1,0 +1,127 @@
+//! The kind `transform.still_average`.
+
+use osteoflow_algorithms::still_average::{StillAverage as Mean, StillError, StillReport, still_average};
+use osteoflow_geometry::{Pose, StampNs, nalgebra::Isometry3};
+use osteoflow_node::{
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+};
+use std::collections::VecDeque;
+
+/// A tracked pose, averaged over the time for which the marker has stood still.
+///
+/// One answer for each sample: the mean of the window before it. Where the marker moved within the window, its older
+/// half is left out until the rest stood still, so that a moving marker is not held back.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "transform.still_average"
+in   = { pose = "recording.camera_marker" }
+window_ms = 500.0
+"#,
+    literature = ["Markley et al. 2007, eq. 13"]
+)]
+pub struct StillAverage {
+    params: Params,
+    window: VecDeque<(StampNs, Isometry3<f64>)>,
+}
+
+/// Parameters of [`StillAverage`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// How far back samples count. 500 ms: ten samples at 20 Hz, which leaves a third of the tracker's noise.
+    #[schemars(range(min = 0.0, max = 60_000.0))]
+    pub window_ms: f64,
+    /// A marker stands still while the two halves of the window lie no farther apart. 0.1 mm: three times a tracker's noise.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub still_mm: f64,
+    /// The same for its rotation. 0.05 degrees: five times a tracker's noise.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub still_deg: f64,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { window_ms: 500.0, still_mm: 0.1, still_deg: 0.05 }
+    }
+}
+
+/// Inputs of [`StillAverage`].
+#[derive(Inputs)]
+pub struct In {
+    /// Samples of one marker.
+    pose: Pose,
+}
+
+/// Outputs of [`StillAverage`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The averaged pose, at the sample's stamp.
+    #[port(to = "pose.to", from = "pose.from")]
+    pose: Pose,
+    /// How still the marker stood over the whole window.
+    motion: StillReport,
+}
+
+impl Node for StillAverage {
+    const KIND: &'static str = "transform.still_average";
+    type Params = Params;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self { params, window: VecDeque::new() })
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let oldest_ns = ctx.stamp_ns() - (self.params.window_ms * 1e6) as StampNs;
+        self.window.push_back((ctx.stamp_ns(), i.pose.isometry));
+        while self.window.front().is_some_and(|(stamp_ns, _)| *stamp_ns < oldest_ns) {
+            self.window.pop_front();
+        }
+        let poses: Vec<Isometry3<f64>> = self.window.iter().map(|(_, pose)| *pose).collect();
+        let motion = still_average(&poses, f64::INFINITY, f64::INFINITY)?.report;
+        let isometry = self.still_part(&poses)?.mean;
+        Ok(Out { pose: Pose { isometry, ..i.pose }, motion })
+    }
+}
+
+impl StillAverage {
+    /// The mean of the newest part of the window in which the marker stood still.
+    fn still_part(&self, mut poses: &[Isometry3<f64>]) -> Result<Mean, StillError> {
+        let limit_rad = self.params.still_deg.to_radians();
+        loop {
+            match still_average(poses, self.params.still_mm, limit_rad) {
+                Err(StillError::Moved { .. }) => poses = &poses[poses.len().div_ceil(2)..],
+                answer => return answer,
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_geometry::nalgebra::Vector3;
+
+    fn run(xs: &[f64]) -> Vec<f64> {
+        let mut node = StillAverage::new(Params::default()).unwrap();
+        let mut ctx = Context::for_test("average");
+        let answer = |(k, x): (usize, &f64)| {
+            ctx.begin(k as u64, k as i64 * 50_000_000);
+            let pose = Pose::new("world", "marker", Isometry3::new(Vector3::x() * *x, Vector3::zeros()));
+            node.process(In { pose }, &mut ctx).unwrap().pose.isometry.translation.x
+        };
+        xs.iter().enumerate().map(answer).collect()
+    }
+
+    #[test]
+    fn a_still_marker_is_averaged_and_a_moving_one_is_not_held_back() {
+        let noise: Vec<f64> = (0..11).map(|k| if k % 2 == 0 { 0.03 } else { -0.03 }).collect();
+        let still = run(&noise);
+        assert!(still[10].abs() < 0.01, "eleven samples of 0.03 mm leave {} mm", still[10]);
+        let moving: Vec<f64> = (0..20).map(f64::from).collect();
+        assert_eq!(run(&moving)[19], 19.0);
+    }
+}

@@ -1,0 +1,70 @@
+//! The kind `transform.to_bone_marker`.
+
+use super::{BoneFrame, TrackingParams};
+use osteoflow_algorithms::still_average::StillReport;
+use osteoflow_geometry::{Cloud, Pose};
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_payloads::Flag;
+
+/// A cloud in the frame of the marker on the bone, where clouds of different times lie on each other.
+///
+/// The bone may move between scans; in its marker's frame it does not. The marker's pose is interpolated at the cloud's
+/// stamp. A marker that moved while the scan was taken is reported, for it smears the cloud. Where `tracked` says
+/// no, the cloud stays in the world: then the bone must stand still from scan to scan.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "transform.to_bone_marker"
+in   = { cloud = "to_world.cloud", t_world_bone_marker = "bone_marker.pose", motion = "bone_marker.motion" }
+"#,
+    literature = ["section 2.3 of the paper"]
+)]
+pub struct ToBoneMarker(BoneFrame);
+
+/// Inputs of [`ToBoneMarker`].
+#[derive(Inputs)]
+pub struct In {
+    /// A cloud in the world.
+    #[port(frame = "t_world_bone_marker.to")]
+    cloud: Cloud,
+    /// The tracked marker on the bone.
+    #[port(join = "interpolate", max_gap_ms = 200.0, to = "cloud")]
+    t_world_bone_marker: Option<Pose>,
+    /// How the marker moved in the time before a sample, from `transform.still_average`.
+    #[port(join = "latest")]
+    motion: Option<StillReport>,
+    /// Whether the bone carries a marker at all. Unwired: it does.
+    #[port(join = "once")]
+    tracked: Option<Flag>,
+}
+
+/// Outputs of [`ToBoneMarker`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The cloud in the bone marker's frame, or in the world where there is no such marker.
+    #[port(frame = "t_world_bone_marker.from")]
+    cloud: Cloud,
+    /// Where the bone marker was; the world itself where there is no such marker.
+    #[port(to = "t_world_bone_marker.to", from = "t_world_bone_marker.from")]
+    t_world_bone_marker: Pose,
+}
+
+impl Node for ToBoneMarker {
+    const KIND: &'static str = "transform.to_bone_marker";
+    type Params = TrackingParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: TrackingParams) -> Result<Self, ParamError> {
+        Ok(Self(BoneFrame::new(params)))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let what = i.cloud.label.as_deref().unwrap_or("the scan");
+        let pose = self.0.pose_at(&i.cloud.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;
+        self.0.note_motion(i.motion.as_ref(), what, ctx);
+        let to_bone = pose.inverse();
+        let cloud = i.cloud.transformed(&to_bone.to, &to_bone.isometry);
+        Ok(Out { cloud, t_world_bone_marker: pose.at(i.cloud.stamp_ns) })
+    }
+}
