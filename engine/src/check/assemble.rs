@@ -1,0 +1,82 @@
+use super::{
+    drafts::Draft, frames::Frames, header::Header, inputs::Input, record::Record, resolved, results::Result,
+    wires::Wire,
+};
+use crate::plan::{Link, OutputId, Plan, PlanInput, PlanNode, PlanOutput, ResultEntry};
+use osteoflow_node::Role;
+use std::path::Path;
+
+/// Everything known of a graph without faults.
+pub(super) struct Net<'a> {
+    pub(super) header: Header,
+    pub(super) drafts: Vec<Draft<'a>>,
+    pub(super) inputs: Vec<Vec<Input>>,
+    /// Topological.
+    pub(super) order: Vec<usize>,
+    pub(super) frames: Frames,
+    pub(super) record: Record,
+    pub(super) results: Vec<Result>,
+}
+
+impl Net<'_> {
+    pub(super) fn plan(&self, path: &Path) -> Plan {
+        let mut place = vec![0; self.order.len()];
+        for (index, &draft) in self.order.iter().enumerate() {
+            place[draft] = index;
+        }
+        let id = |(node, port): Wire| OutputId { node: place[node], port };
+        let mut nodes: Vec<_> = self.order.iter().map(|&draft| self.node(draft)).collect();
+        let mut links = Vec::new();
+        for (to_node, &draft) in self.order.iter().enumerate() {
+            for (to_port, input) in self.inputs[draft].iter().enumerate() {
+                let Some(from) = input.from.map(id) else { continue };
+                nodes[from.node].outputs[from.port].links.push(links.len());
+                nodes[to_node].inputs[to_port].link = Some(links.len());
+                let Input { capacity, max_capacity, policy, .. } = *input;
+                links.push(Link { from, to_node, to_port, capacity, max_capacity, policy });
+            }
+        }
+        let mut record: Vec<_> = self.record.wires.iter().map(|&wire| id(wire)).collect();
+        record.sort_unstable();
+        let result = |result: &Result| ResultEntry {
+            key: result.key.clone(),
+            from: id(result.from),
+            all: result.all,
+            optional: result.optional,
+            location: result.key_at.location(),
+        };
+        let mut input_files: Vec<_> = self.drafts.iter().flat_map(|draft| draft.input_files.clone()).collect();
+        input_files.sort();
+        input_files.dedup();
+        Plan {
+            name: self.header.name.clone(),
+            seed: self.header.seed,
+            path: path.into(),
+            nodes,
+            links,
+            record,
+            results: self.results.iter().map(result).collect(),
+            input_files,
+            resolved: resolved::text(self),
+        }
+    }
+
+    fn node(&self, index: usize) -> PlanNode {
+        let draft = &self.drafts[index];
+        let outputs = draft.outputs.iter().flatten().zip(&self.frames[index]);
+        let output = |(output, frames): (&super::drafts::Output, &crate::plan::PortFrames)| {
+            Some(PlanOutput { name: output.name.clone(), payload: output.payload?, frames: frames.clone(), links: Vec::new() })
+        };
+        PlanNode {
+            name: draft.name.into(),
+            kind: draft.kind_name().into(),
+            role: draft.role().unwrap_or(Role::Node),
+            location: draft.name_at.location(),
+            params: draft.params.clone(),
+            declared: draft.declared.clone().into(),
+            inputs: self.inputs[index].iter().map(|i| PlanInput { port: i.port.clone(), link: None }).collect(),
+            outputs: outputs.filter_map(output).collect(),
+            on_error: draft.on_error,
+        }
+    }
+}

@@ -1,0 +1,103 @@
+use super::{
+    Check,
+    drafts::{Draft, Output},
+    frames,
+    header::Header,
+    nearest,
+    schema::Walker,
+    take,
+};
+use crate::{
+    fault::Fault,
+    graph::{Entry, Table},
+    plan::PortFrames,
+};
+use osteoflow_node::{DeclaredPort, FrameExpr, PayloadType, PortPayload};
+use serde_json::Value as Json;
+
+/// The keys of a declared port that are no parameters of it.
+const RESERVED: [&str; 4] = ["type", "frame", "to", "from"];
+
+impl Check<'_> {
+    /// The outputs that a graph declares by `out`.
+    pub(super) fn declared(&mut self, draft: &mut Draft<'_>, schema: &Json, header: &Header) {
+        let (name, kind) = (draft.name, draft.kind_name());
+        let example = "write out = { NAME = { type = \"PAYLOAD\" } } with what it shall give";
+        let Some(out) = draft.table.get("out") else {
+            let fault = Fault::new(format!("node \"{name}\": {kind} gives what out declares, but there is no out"));
+            self.faults.push(fault.at(draft.name_at, "no out here").help(example).follows());
+            return;
+        };
+        let Some(ports) = take::table(&out.value, &format!("node \"{name}\": out"), &mut self.faults) else { return };
+        if ports.0.is_empty() {
+            let fault = Fault::new(format!("node \"{name}\": out declares no output"));
+            self.faults.push(fault.at(&out.value.at, "empty").help(example));
+        }
+        let outputs = ports.0.iter().map(|entry| self.port(draft, entry, schema, header));
+        draft.outputs = Some(outputs.collect());
+    }
+
+    fn port(&mut self, draft: &mut Draft<'_>, entry: &Entry, schema: &Json, header: &Header) -> Output {
+        let (node, name) = (draft.name, entry.key.as_str());
+        let mut output =
+            Output { name: name.into(), payload: None, exprs: FrameExpr::default(), given: PortFrames::default() };
+        if !take::is_name(name) {
+            let fault = Fault::new(format!("node \"{node}\": an output cannot be called {name:?}"));
+            let fault = fault.at(&entry.key_at, "no name");
+            self.faults.push(fault.help("a name has letters, digits, _ and - only"));
+        }
+        let owner = format!("node \"{node}\": out \"{name}\"");
+        let Some(table) = take::table(&entry.value, &owner, &mut self.faults) else { return output };
+        let payload = self.payload(&owner, table, entry);
+        output.payload = payload.map(PortPayload::Type);
+        output.given = PortFrames {
+            frame: self.port_frame(&owner, table, "frame", header),
+            to: self.port_frame(&owner, table, "to", header),
+            from: self.port_frame(&owner, table, "from", header),
+        };
+        let mut walker = Walker {
+            root: schema,
+            owner,
+            path: format!("node.{node}.out.{name}"),
+            kind: draft.kind_name(),
+            kind_at: draft.table.get("kind").map(|kind| &kind.value.at),
+            files: self.files,
+            faults: Vec::new(),
+            input_files: Vec::new(),
+        };
+        let params = walker.table(schema, table, &entry.key_at, "", &RESERVED);
+        self.faults.append(&mut walker.faults);
+        draft.input_files.append(&mut walker.input_files);
+        if let (Some(payload), Some(params)) = (payload, params) {
+            draft.declared.push(DeclaredPort { name: name.into(), payload, params: Json::Object(params) });
+        }
+        output
+    }
+
+    fn payload(&mut self, owner: &str, table: &Table, entry: &Entry) -> Option<&'static PayloadType> {
+        let Some(ty) = table.get("type") else {
+            let fault = Fault::new(format!("{owner} does not say its type")).at(&entry.key_at, "no type here");
+            self.faults.push(fault.help("add type = \"PAYLOAD\"").note_if(self.payloads()).follows());
+            return None;
+        };
+        let found = take::text(&ty.value, &format!("{owner}: type"), &mut self.faults)?;
+        let known = self.registry.payload_type(found);
+        if known.is_none() {
+            let fault = Fault::new(format!("{owner}: there is no payload type \"{found}\""));
+            let help = nearest::help(found, self.registry.payload_types().map(|ty| ty.name));
+            self.faults.push(fault.at(&ty.value.at, "unknown").help_if(help).note_if(self.payloads()));
+        }
+        known
+    }
+
+    fn payloads(&self) -> Option<String> {
+        nearest::list("payload types", self.registry.payload_types().map(|ty| ty.name))
+    }
+
+    fn port_frame(&mut self, owner: &str, table: &Table, key: &str, header: &Header) -> Option<String> {
+        let entry = table.get(key)?;
+        let frame = take::text(&entry.value, &format!("{owner}: {key}"), &mut self.faults)?;
+        self.faults.extend(frames::unknown(frame, &entry.value.at, owner, header));
+        Some(frame.to_owned())
+    }
+}

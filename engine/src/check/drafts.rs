@@ -1,0 +1,209 @@
+use super::{Check, header::Header, nearest, schema::Walker, take};
+use crate::{
+    fault::{Fault, Span},
+    graph::{Entry, Graph, Table, Value},
+    plan::{OnError, PortFrames},
+};
+use osteoflow_node::{DeclaredPort, FrameExpr, Kind, OutputPorts, PortPayload, Role};
+use serde_json::{Map, Value as Json};
+use std::path::PathBuf;
+
+/// The keys of a node that are no parameters.
+pub(super) const RESERVED: [&str; 4] = ["kind", "in", "out", "on_error"];
+
+/// Names that `--set` and `remove` take for the parts of a graph file.
+const NO_NODE: [&str; 6] = ["graph", "node", "record", "results", "extends", "remove"];
+
+/// A node as far as its own table tells.
+pub(super) struct Draft<'a> {
+    pub(super) name: &'a str,
+    pub(super) name_at: &'a Span,
+    /// Known, unless at fault.
+    pub(super) kind: Option<&'a Kind>,
+    pub(super) table: &'a Table,
+    pub(super) params: Json,
+    pub(super) input_files: Vec<PathBuf>,
+    pub(super) declared: Vec<DeclaredPort>,
+    /// Known, unless at fault.
+    pub(super) outputs: Option<Vec<Output>>,
+    pub(super) on_error: OnError,
+}
+
+/// An output of a draft.
+pub(super) struct Output {
+    pub(super) name: String,
+    /// Known, unless at fault.
+    pub(super) payload: Option<PortPayload>,
+    /// The frames as the kind says them.
+    pub(super) exprs: FrameExpr,
+    /// The frames as the graph says them.
+    pub(super) given: PortFrames,
+}
+
+impl Draft<'_> {
+    pub(super) fn role(&self) -> Option<Role> {
+        self.kind.map(|kind| kind.description.role)
+    }
+
+    pub(super) fn is_source(&self) -> bool {
+        matches!(self.role(), Some(Role::Source | Role::LiveSource))
+    }
+
+    pub(super) fn kind_name(&self) -> &'static str {
+        self.kind.map_or("", |kind| kind.description.kind)
+    }
+
+    /// `in`, or the node where it has none: where a missing input is told.
+    pub(super) fn inputs_at(&self) -> &Span {
+        self.table.get("in").map_or(self.name_at, |entry| &entry.key_at)
+    }
+}
+
+impl<'r> Check<'r> {
+    /// The nodes in the order of the file.
+    pub(super) fn drafts<'a>(&mut self, graph: &'a Graph, header: &Header) -> Vec<Draft<'a>>
+    where
+        'r: 'a,
+    {
+        let Some(nodes) = graph.table.get("node") else {
+            let fault = Fault::new("the graph has no node").at(&graph.start(), "no [node.NAME] here");
+            self.faults.push(fault.help("begin with a source: [node.NAME] and its kind").follows());
+            return Vec::new();
+        };
+        let Some(nodes) = take::table(&nodes.value, "node", &mut self.faults) else { return Vec::new() };
+        nodes.0.iter().filter_map(|entry| self.draft(entry, nodes, header)).collect()
+    }
+
+    fn draft<'a>(&mut self, entry: &'a Entry, nodes: &Table, header: &Header) -> Option<Draft<'a>>
+    where
+        'r: 'a,
+    {
+        let name = entry.key.as_str();
+        if !take::is_name(name) {
+            let fault = Fault::new(format!("a node cannot be called {name:?}")).at(&entry.key_at, "no name");
+            self.faults.push(fault.help("a name has letters, digits, _ and - only"));
+        } else if NO_NODE.contains(&name) {
+            let fault = Fault::new(format!("a node cannot be called \"{name}\"")).at(&entry.key_at, "taken");
+            self.faults.push(fault.help("the name is a part of the graph file itself; choose another"));
+        }
+        let Some(table) = entry.value.as_table() else {
+            let message = format!("node \"{name}\" takes a table, found {}", entry.value.found());
+            self.faults.push(Fault::new(message).at(&entry.value.at, "a table is needed").help(format!("write [node.{name}]")));
+            return None;
+        };
+        let kind = self.kind(name, entry, table, nodes);
+        let mut draft = Draft {
+            name,
+            name_at: &entry.key_at,
+            kind,
+            table,
+            params: Json::Object(Map::new()),
+            input_files: Vec::new(),
+            declared: Vec::new(),
+            outputs: None,
+            on_error: self.on_error(name, table),
+        };
+        if let Some(kind) = kind {
+            self.params(&mut draft, kind);
+            self.outputs(&mut draft, kind, header);
+        }
+        Some(draft)
+    }
+
+    fn kind(&mut self, name: &str, entry: &Entry, table: &Table, nodes: &Table) -> Option<&'r Kind> {
+        let Some(kind) = table.get("kind") else {
+            self.faults.push(no_kind(name, entry, nodes));
+            return None;
+        };
+        let found = take::text(&kind.value, &format!("node \"{name}\": kind"), &mut self.faults)?;
+        let known = self.registry.kind(found);
+        if known.is_none() {
+            let kinds: Vec<_> = self.registry.kinds().map(|kind| kind.description.kind).collect();
+            let stage = found.split('.').next().unwrap_or(found);
+            let of_stage: Vec<_> = kinds.iter().copied().filter(|k| k.split('.').next() == Some(stage)).collect();
+            let list = nearest::list(&format!("kinds of {stage}"), of_stage.iter().copied());
+            let list = list.or_else(|| nearest::list("kinds", kinds.iter().copied()));
+            let help = nearest::help(found, of_stage.iter().copied()).or_else(|| nearest::help(found, kinds));
+            let fault = Fault::new(format!("node \"{name}\": there is no kind \"{found}\""));
+            self.faults.push(fault.at(&kind.value.at, "unknown").help_if(help).note_if(list));
+        }
+        known
+    }
+
+    fn on_error(&mut self, name: &str, table: &Table) -> OnError {
+        let Some(entry) = table.get("on_error") else { return OnError::default() };
+        let what = format!("node \"{name}\": on_error");
+        match take::text(&entry.value, &what, &mut self.faults) {
+            Some("skip") => OnError::Skip,
+            Some("stop") | None => OnError::Stop,
+            Some(found) => {
+                let fault = Fault::new(format!("{what} takes one of \"stop\", \"skip\", found the text {found:?}"));
+                let help = nearest::help(found, ["stop", "skip"]);
+                self.faults.push(fault.at(&entry.value.at, "not one of them").help_if(help));
+                OnError::Stop
+            }
+        }
+    }
+
+    fn params(&mut self, draft: &mut Draft<'_>, kind: &Kind) {
+        let schema = &kind.description.params;
+        let properties = schema.get("properties").and_then(Json::as_object).into_iter().flatten();
+        for (taken, _) in properties.filter(|(key, _)| RESERVED.contains(&key.as_str())) {
+            let message = format!("kind {} has a parameter \"{taken}\", which is a key of every node", draft.kind_name());
+            let at = draft.table.get("kind").map_or(draft.name_at, |kind| &kind.value.at);
+            let fault = Fault::new(message).at(at, "cannot be used");
+            self.faults.push(fault.help("its author has to give the parameter another name"));
+        }
+        let mut walker = Walker {
+            root: schema,
+            owner: format!("node \"{}\"", draft.name),
+            path: format!("node.{}", draft.name),
+            kind: draft.kind_name(),
+            kind_at: draft.table.get("kind").map(|kind| &kind.value.at),
+            files: self.files,
+            faults: Vec::new(),
+            input_files: Vec::new(),
+        };
+        if let Some(params) = walker.table(schema, draft.table, draft.name_at, "", &RESERVED) {
+            draft.params = Json::Object(params);
+        }
+        self.faults.append(&mut walker.faults);
+        draft.input_files.append(&mut walker.input_files);
+    }
+
+    fn outputs(&mut self, draft: &mut Draft<'_>, kind: &Kind, header: &Header) {
+        match &kind.description.outputs {
+            OutputPorts::Declared { schema } => self.declared(draft, schema, header),
+            OutputPorts::Fixed(ports) => {
+                let output = |port: &osteoflow_node::OutputPort| Output {
+                    name: port.name.into(),
+                    payload: Some(port.payload),
+                    exprs: port.frames,
+                    given: PortFrames::default(),
+                };
+                draft.outputs = Some(ports.iter().map(output).collect());
+                if let Some(out) = draft.table.get("out") {
+                    let message = format!("node \"{}\": {} has outputs of its own", draft.name, draft.kind_name());
+                    let list = nearest::list("its outputs", ports.iter().map(|port| port.name));
+                    let fault = Fault::new(message).at(&out.key_at, "declares outputs").note_if(list);
+                    self.faults.push(fault.help("take out away"));
+                }
+            }
+        }
+    }
+}
+
+/// A node without a kind: one of the base graph misspelt, or the kind forgotten.
+fn no_kind(name: &str, entry: &Entry, nodes: &Table) -> Fault {
+    let others = nodes.0.iter().filter(|other| {
+        other.key != name && matches!(&other.value.value, Value::Table(table) if table.get("kind").is_some())
+    });
+    let others: Vec<_> = others.map(|other| other.key.as_str()).collect();
+    let help = nearest::help(name, others.iter().copied());
+    if entry.key_at.source.command_line {
+        let fault = Fault::new(format!("there is no node \"{name}\"")).at(&entry.key_at, "unknown");
+        return fault.help_if(help).note_if(nearest::list("nodes", others)).follows();
+    }
+    let fault = Fault::new(format!("node \"{name}\" has no kind")).at(&entry.key_at, "no kind here");
+    fault.help(help.unwrap_or_else(|| "add kind = \"stage.variant\"".into())).follows()
+}

@@ -1,0 +1,76 @@
+use super::{
+    drafts::Draft,
+    inputs::{Input, doc_of, fits},
+};
+use crate::fault::Fault;
+use osteoflow_node::{InputPort, OutputPorts, PortPayload, Registry};
+
+const LIST: usize = 8;
+
+/// What could feed an input.
+pub(super) struct Feed<'a, 'd> {
+    pub(super) drafts: &'a [Draft<'d>],
+    pub(super) inputs: &'a [Vec<Input>],
+    pub(super) registry: &'a Registry,
+}
+
+impl Feed<'_, '_> {
+    /// The fault of an input without a producer.
+    pub(super) fn missing(&self, node: usize, port: &InputPort) -> Fault {
+        let (draft, takes) = (&self.drafts[node], port.payload.name());
+        let message = format!("node \"{}\": input \"{}\" is wired to nothing", draft.name, port.name);
+        let fault = Fault::new(message).at(draft.inputs_at(), format!("needs {}, which takes {takes}", port.name));
+        let behind = self.behind(node);
+        let wires = wires_of(&port.payload, self.drafts, |index| !behind[index]);
+        let help = match wires.is_empty() {
+            false => Some(format!("wire one of: {}", wires.join(", "))),
+            true => self.kinds(&port.payload).map(|kinds| format!("nothing gives {takes} here; kinds that do: {kinds}")),
+        };
+        fault.note_if(doc_of(port)).help_if(help).follows()
+    }
+
+    /// Outputs of other nodes that fit, the same producer's first.
+    pub(super) fn others(takes: &PortPayload, producer: usize, drafts: &[Draft<'_>]) -> Option<String> {
+        let same = wires_of(takes, drafts, |index| index == producer);
+        let wires = if same.is_empty() { wires_of(takes, drafts, |index| index != producer) } else { same };
+        match wires.as_slice() {
+            [] => None,
+            [only] => Some(format!("{only} gives it")),
+            several => Some(format!("these give it: {}", several.join(", "))),
+        }
+    }
+
+    /// The node and all that is fed by it: a wire from there would close a cycle.
+    fn behind(&self, node: usize) -> Vec<bool> {
+        let mut behind = vec![false; self.drafts.len()];
+        let mut open = vec![node];
+        while let Some(index) = open.pop() {
+            if std::mem::replace(&mut behind[index], true) {
+                continue;
+            }
+            let fed = |inputs: &Vec<Input>| inputs.iter().any(|input| input.from.is_some_and(|(from, _)| from == index));
+            open.extend((0..self.drafts.len()).filter(|&other| fed(&self.inputs[other])));
+        }
+        behind
+    }
+
+    fn kinds(&self, takes: &PortPayload) -> Option<String> {
+        let gives = |kind: &&osteoflow_node::Kind| match &kind.description.outputs {
+            OutputPorts::Fixed(ports) => ports.iter().any(|port| port.payload == *takes),
+            OutputPorts::Declared { .. } => false,
+        };
+        let kinds: Vec<_> = self.registry.kinds().filter(gives).map(|kind| kind.description.kind).take(LIST).collect();
+        (!kinds.is_empty()).then(|| kinds.join(", "))
+    }
+}
+
+fn wires_of(takes: &PortPayload, drafts: &[Draft<'_>], of: impl Fn(usize) -> bool) -> Vec<String> {
+    let mut wires = Vec::new();
+    for (_, draft) in drafts.iter().enumerate().filter(|(index, _)| of(*index)) {
+        let outputs = draft.outputs.iter().flatten();
+        let fitting = outputs.filter(|output| output.payload.is_some_and(|gives| fits(takes, &gives)));
+        wires.extend(fitting.map(|output| format!("\"{}.{}\"", draft.name, output.name)));
+    }
+    wires.truncate(LIST);
+    wires
+}

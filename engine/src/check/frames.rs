@@ -1,0 +1,234 @@
+use super::{
+    Check,
+    drafts::Draft,
+    header::Header,
+    inputs::{self, Input, fits},
+    nearest,
+    wires::{self, Wire},
+};
+use crate::{
+    fault::{Fault, Span},
+    plan::PortFrames,
+};
+use serde_json::Value as Json;
+
+/// The frames of every output, by draft.
+pub(super) type Frames = Vec<Vec<PortFrames>>;
+
+/// Which frame of a port.
+#[derive(Clone, Copy, PartialEq)]
+enum Which {
+    Frame,
+    To,
+    From,
+}
+
+impl Which {
+    fn of(self, frames: &PortFrames) -> Option<&String> {
+        match self {
+            Self::Frame => frames.frame.as_ref(),
+            Self::To => frames.to.as_ref(),
+            Self::From => frames.from.as_ref(),
+        }
+    }
+}
+
+/// A frame that a graph names but does not list.
+pub(super) fn unknown(frame: &str, at: &Span, owner: &str, header: &Header) -> Option<Fault> {
+    let (known, listed_at) = header.frames.as_ref()?;
+    if known.iter().any(|name| name == frame) {
+        return None;
+    }
+    let fault = Fault::new(format!("{owner}: there is no frame \"{frame}\"")).at(at, "unknown");
+    let help = nearest::help(frame, known.iter().map(String::as_str));
+    let add = (help.is_none()).then(|| format!("or add \"{frame}\" to frames in [graph]"));
+    let list = nearest::list("frames of this graph", known.iter().map(String::as_str));
+    let fault = if listed_at.source.order == at.source.order { fault } else { fault.also(listed_at, "the known ones") };
+    Some(fault.help_if(help).note_if(list).help_if(add))
+}
+
+impl Check<'_> {
+    /// Carries frames along the wires, and compares them where a port says what it needs.
+    pub(super) fn frames(
+        &mut self,
+        drafts: &[Draft<'_>],
+        inputs: &[Vec<Input>],
+        header: &Header,
+        order: &[usize],
+    ) -> Frames {
+        let mut frames: Frames = vec![Vec::new(); drafts.len()];
+        for &node in order {
+            let draft = &drafts[node];
+            self.frame_params(draft, header);
+            let scope = Scope { draft, inputs: &inputs[node], frames: &frames };
+            for input in inputs[node].iter().filter(|input| !input.port.unused) {
+                self.faults.extend(scope.meet(input, drafts));
+            }
+            let outputs = draft.outputs.iter().flatten().map(|output| {
+                let frame = |given: &Option<String>, expr: Option<&str>| {
+                    given.clone().or_else(|| scope.resolve(expr?, 0))
+                };
+                PortFrames {
+                    frame: frame(&output.given.frame, output.exprs.frame),
+                    to: frame(&output.given.to, output.exprs.to),
+                    from: frame(&output.given.from, output.exprs.from),
+                }
+            });
+            let outputs = outputs.collect();
+            frames[node] = outputs;
+        }
+        frames
+    }
+
+    /// Parameters that name a frame name one of the graph's.
+    fn frame_params(&mut self, draft: &Draft<'_>, header: &Header) {
+        let Some(kind) = draft.kind else { return };
+        let ports = kind.description.inputs.iter().map(|port| port.frames);
+        let outputs = draft.outputs.iter().flatten().map(|output| output.exprs);
+        let mut names: Vec<_> = ports
+            .chain(outputs)
+            .flat_map(|expr| [expr.frame, expr.to, expr.from])
+            .filter_map(|expr| expr?.strip_prefix('$'))
+            .collect();
+        names.sort_unstable();
+        names.dedup();
+        for name in names {
+            let Some(entry) = draft.table.get(name) else { continue };
+            let owner = format!("node \"{}\": {name}", draft.name);
+            let frame = entry.value.as_text();
+            self.faults.extend(frame.and_then(|frame| unknown(frame, &entry.value.at, &owner, header)));
+        }
+    }
+}
+
+/// What the frame texts of one node's ports are about.
+struct Scope<'a, 'd> {
+    draft: &'a Draft<'d>,
+    inputs: &'a [Input],
+    frames: &'a Frames,
+}
+
+impl Scope<'_, '_> {
+    /// The frame that a text of a port names, as far as it is known.
+    fn resolve(&self, expr: &str, depth: usize) -> Option<String> {
+        if let Some(name) = expr.strip_prefix('@') {
+            return Some(name.to_owned());
+        }
+        if let Some(parameter) = expr.strip_prefix('$') {
+            return self.draft.params.get(parameter).and_then(Json::as_str).map(str::to_owned);
+        }
+        let (port, which) = refers(expr);
+        let input = self.inputs.iter().find(|input| input.port.name == port)?;
+        self.found(input, which).or_else(|| {
+            // Nothing is known of what is wired there, but the port may say what it should be. Ports may refer to
+            // each other in a circle; the depth ends it.
+            let exprs = input.port.frames;
+            let expr = match which {
+                Which::Frame => exprs.frame,
+                Which::To => exprs.to,
+                Which::From => exprs.from,
+            };
+            self.resolve(expr.filter(|_| depth < 8)?, depth + 1)
+        })
+    }
+
+    /// The frame of what is wired to an input.
+    fn found(&self, input: &Input, which: Which) -> Option<String> {
+        which.of(self.wired(input.from?)?).cloned()
+    }
+
+    fn wired(&self, (node, port): Wire) -> Option<&PortFrames> {
+        self.frames[node].get(port)
+    }
+
+    /// The fault of an input whose frames are others than its port needs.
+    fn meet(&self, input: &Input, drafts: &[Draft<'_>]) -> Option<Fault> {
+        let exprs = [
+            (Which::Frame, input.port.frames.frame),
+            (Which::To, input.port.frames.to),
+            (Which::From, input.port.frames.from),
+        ];
+        let mut needed = PortFrames::default();
+        let mut differ = Vec::new();
+        for (which, expr) in exprs {
+            let Some(expected) = expr.and_then(|expr| self.resolve(expr, 0)) else { continue };
+            let slot = match which {
+                Which::Frame => &mut needed.frame,
+                Which::To => &mut needed.to,
+                Which::From => &mut needed.from,
+            };
+            *slot = Some(expected.clone());
+            if self.found(input, which).is_some_and(|found| found != expected) {
+                differ.extend(expr);
+            }
+        }
+        if differ.is_empty() {
+            return None;
+        }
+        let (wire, at) = (input.from?, input.at.as_ref()?);
+        let has = say(self.wired(wire)?);
+        let (node, port) = (self.draft.name, input.port.name);
+        let message = format!("node \"{node}\": frames do not meet: input \"{port}\" {}, but \"{}\" {has}", need(&needed), wires::name(wire, drafts));
+        let mut fault = Fault::new(message).at(at, has);
+        for expr in differ {
+            fault = fault.note_if(self.because(expr, drafts));
+        }
+        Some(fault.help_if(self.others(input, &needed, wire, drafts)))
+    }
+
+    /// Where a needed frame comes from.
+    fn because(&self, expr: &str, drafts: &[Draft<'_>]) -> Option<String> {
+        if let Some(parameter) = expr.strip_prefix('$') {
+            return Some(format!("parameter {parameter} is \"{}\"", self.resolve(expr, 0)?));
+        }
+        let (port, _) = refers(expr);
+        let input = self.inputs.iter().find(|input| input.port.name == port)?;
+        let wire = input.from?;
+        Some(format!("input \"{port}\" is wired to \"{}\", which {}", wires::name(wire, drafts), say(self.wired(wire)?)))
+    }
+
+    /// Outputs known to have what is needed.
+    fn others(&self, input: &Input, needed: &PortFrames, wire: Wire, drafts: &[Draft<'_>]) -> Option<String> {
+        let agrees = |needed: &Option<String>, has: &Option<String>| needed.is_none() || needed == has;
+        let mut wires = Vec::new();
+        for (node, outputs) in self.frames.iter().enumerate() {
+            for (port, has) in outputs.iter().enumerate().filter(|(port, _)| (node, *port) != wire) {
+                let payload = inputs::output((node, port), drafts).and_then(|output| output.payload);
+                let all = agrees(&needed.frame, &has.frame) && agrees(&needed.to, &has.to) && agrees(&needed.from, &has.from);
+                if all && payload.is_some_and(|gives| fits(&input.port.payload, &gives)) {
+                    wires.push(format!("\"{}\"", wires::name((node, port), drafts)));
+                }
+            }
+        }
+        wires.truncate(5);
+        (!wires.is_empty()).then(|| format!("wire {} instead", wires.join(" or ")))
+    }
+}
+
+fn refers(expr: &str) -> (&str, Which) {
+    match expr.rsplit_once('.') {
+        Some((port, "to")) => (port, Which::To),
+        Some((port, "from")) => (port, Which::From),
+        Some((port, "frame")) => (port, Which::Frame),
+        _ => (expr, Which::Frame),
+    }
+}
+
+/// `is in ct`, `maps world -> ct`.
+fn say(frames: &PortFrames) -> String {
+    let name = |frame: &Option<String>| frame.clone().unwrap_or_else(|| "?".into());
+    match frames {
+        PortFrames { frame: Some(frame), .. } => format!("is in {frame}"),
+        PortFrames { to, from, .. } => format!("maps {} -> {}", name(from), name(to)),
+    }
+}
+
+fn need(frames: &PortFrames) -> String {
+    match frames {
+        PortFrames { frame: Some(frame), .. } => format!("should be in {frame}"),
+        PortFrames { to, from, .. } => {
+            let name = |frame: &Option<String>| frame.clone().unwrap_or_else(|| "?".into());
+            format!("should map {} -> {}", name(from), name(to))
+        }
+    }
+}

@@ -1,0 +1,152 @@
+use super::{
+    Check, DEFAULT_CAPACITY, DEFAULT_MAX_CAPACITY,
+    drafts::{Draft, Output},
+    feed::Feed,
+    header::Header,
+    nearest, take, trigger,
+    wires::{self, Wire},
+};
+use crate::{
+    fault::{Fault, Span},
+    graph::{Entry, Value},
+    plan::Policy,
+};
+use osteoflow_node::{InputPort, PortPayload};
+
+/// An input as the graph wires it.
+pub(super) struct Input {
+    /// The port, with the join that the graph chose.
+    pub(super) port: InputPort,
+    /// Where it is wired; `None` if it is not.
+    pub(super) at: Option<Span>,
+    /// What it is wired to, unless that is at fault.
+    pub(super) from: Option<Wire>,
+    pub(super) capacity: usize,
+    pub(super) max_capacity: usize,
+    pub(super) policy: Policy,
+}
+
+impl Check<'_> {
+    /// The inputs of each draft, in the order of its kind's ports.
+    pub(super) fn inputs(&mut self, drafts: &[Draft<'_>], header: &Header) -> Vec<Vec<Input>> {
+        let inputs: Vec<_> = drafts.iter().map(|draft| self.node_inputs(draft, drafts, header)).collect();
+        for (index, draft) in drafts.iter().enumerate() {
+            let missing: Vec<_> = inputs[index].iter().filter(|i| i.at.is_none() && !i.port.optional).collect();
+            for input in &missing {
+                let feed = Feed { drafts, inputs: &inputs, registry: self.registry };
+                self.faults.push(feed.missing(index, &input.port));
+            }
+            if missing.is_empty() {
+                self.faults.extend(trigger::never(draft, &inputs[index]));
+            }
+        }
+        inputs
+    }
+
+    fn node_inputs(&mut self, draft: &Draft<'_>, drafts: &[Draft<'_>], header: &Header) -> Vec<Input> {
+        let ports = draft.kind.map_or(&[] as &[InputPort], |kind| &kind.description.inputs);
+        let blank = |port: &InputPort| Input {
+            port: port.clone(),
+            at: None,
+            from: None,
+            capacity: DEFAULT_CAPACITY,
+            max_capacity: DEFAULT_MAX_CAPACITY,
+            policy: Policy::Block,
+        };
+        let mut inputs: Vec<_> = ports.iter().map(blank).collect();
+        let Some(table) = draft.table.get("in") else { return inputs };
+        let Some(table) = take::table(&table.value, &format!("node \"{}\": in", draft.name), &mut self.faults) else {
+            // Nothing is known of the inputs, so that none is missing.
+            return Vec::new();
+        };
+        for entry in &table.0 {
+            let owner = format!("node \"{}\": input \"{}\"", draft.name, entry.key);
+            let index = inputs.iter().position(|input| input.port.name == entry.key);
+            let (from, from_at) = match self.from(entry, &owner) {
+                Some((text, at)) => (wires::find(text, at, &owner, drafts, &mut self.faults), at),
+                None => (None, &entry.value.at),
+            };
+            match index {
+                Some(index) => {
+                    let input = &mut inputs[index];
+                    (input.from, input.at) = (from, Some(from_at.clone()));
+                    self.fits(input, &owner, drafts);
+                    self.options(input, entry, &owner, drafts, header);
+                }
+                None if draft.kind.is_some() => self.faults.push(no_port(draft, entry, table.keys())),
+                None => {}
+            }
+        }
+        inputs
+    }
+
+    /// The text that names the producer.
+    fn from<'a>(&mut self, entry: &'a Entry, owner: &str) -> Option<(&'a str, &'a Span)> {
+        match &entry.value.value {
+            Value::Text(text) => Some((text, &entry.value.at)),
+            Value::Table(table) => match table.get("from") {
+                Some(from) => take::text(&from.value, &format!("{owner}: from"), &mut self.faults).map(|t| (t, &from.value.at)),
+                None => {
+                    let fault = Fault::new(format!("{owner} does not say its producer")).at(&entry.value.at, "no from here");
+                    self.faults.push(fault.help("add from = \"node.port\"").follows());
+                    None
+                }
+            },
+            Value::Array(items) => {
+                let message = format!("{owner} is given {} producers", items.len());
+                let fault = Fault::new(message).at(&entry.value.at, "one is needed");
+                self.faults.push(fault.help("an input has one producer; let a node of its own bring several wires together"));
+                None
+            }
+            _ => {
+                let message = format!("{owner} takes a wire such as \"node.port\", found {}", entry.value.found());
+                self.faults.push(Fault::new(message).at(&entry.value.at, "a text is needed"));
+                None
+            }
+        }
+    }
+
+    /// The producer gives what the port takes.
+    fn fits(&mut self, input: &Input, owner: &str, drafts: &[Draft<'_>]) {
+        let (Some(wire), Some(at)) = (input.from, &input.at) else { return };
+        let Some(output) = output(wire, drafts) else { return };
+        let Some(gives) = output.payload else { return };
+        if fits(&input.port.payload, &gives) {
+            return;
+        }
+        let (takes, gives) = (input.port.payload.name(), gives.name());
+        let message = format!("{owner} takes {takes}, but \"{}\" gives {gives}", wires::name(wire, drafts));
+        let fault = Fault::new(message).at(at, format!("gives {gives}"));
+        let help = Feed::others(&input.port.payload, wire.0, drafts);
+        self.faults.push(fault.note_if(doc_of(&input.port)).help_if(help));
+    }
+}
+
+/// The output of a wire.
+pub(super) fn output<'d>((node, port): Wire, drafts: &'d [Draft<'_>]) -> Option<&'d Output> {
+    drafts[node].outputs.as_ref()?.get(port)
+}
+
+/// Whether a port takes what an output gives. What is only known at run time may fit.
+pub(super) fn fits(takes: &PortPayload, gives: &PortPayload) -> bool {
+    takes == gives || matches!(takes, PortPayload::Any) || matches!(gives, PortPayload::Any)
+}
+
+/// `source: what its author says`.
+pub(super) fn doc_of(port: &InputPort) -> Option<String> {
+    let text = port.doc.split("\n\n").next().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
+    (!text.is_empty()).then(|| format!("{}: {text}", port.name))
+}
+
+fn no_port<'a>(draft: &Draft<'_>, entry: &Entry, given: impl Iterator<Item = &'a str>) -> Fault {
+    let kind = draft.kind_name();
+    let fault = Fault::new(format!("node \"{}\": {kind} has no input \"{}\"", draft.name, entry.key));
+    let fault = fault.at(&entry.key_at, "unknown");
+    if draft.is_source() {
+        return fault.help("it is a source: take in away");
+    }
+    let names = || draft.kind.into_iter().flat_map(|kind| kind.description.inputs.iter().map(|port| port.name));
+    let given: Vec<_> = given.collect();
+    let help = nearest::help(&entry.key, names().filter(|name| !given.contains(name)));
+    fault.help_if(help).note_if(nearest::list("its inputs", names()))
+}

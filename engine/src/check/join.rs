@@ -1,0 +1,184 @@
+use super::{
+    Check,
+    drafts::Draft,
+    header::Header,
+    inputs::{self, Input},
+    nearest, take, wires,
+};
+use crate::{
+    fault::Fault,
+    graph::{Entry, Spanned, Table, Value},
+    plan::Policy,
+};
+use osteoflow_node::{Join, PortPayload, Role};
+
+const KEYS: [&str; 9] =
+    ["from", "capacity", "max_capacity", "policy", "every", "join", "tolerance_ms", "max_gap_ms", "n"];
+const JOINS: [&str; 6] = ["each", "stamp", "collect", "latest", "interpolate", "once"];
+const POLICIES: [&str; 5] = ["block", "drop_old", "drop_new", "sample", "fail"];
+
+impl Check<'_> {
+    /// What an input's table says beside its producer: join, capacity, policy.
+    pub(super) fn options(
+        &mut self,
+        input: &mut Input,
+        entry: &Entry,
+        owner: &str,
+        drafts: &[Draft<'_>],
+        header: &Header,
+    ) {
+        let Value::Table(table) = &entry.value.value else { return };
+        take::only(table, &KEYS, &format!("{owner}: an input"), &mut self.faults);
+        self.join(input, table, owner, drafts);
+        self.capacity(input, table, owner);
+        self.policy(input, table, owner, drafts, header);
+    }
+
+    fn join(&mut self, input: &mut Input, table: &Table, owner: &str, drafts: &[Draft<'_>]) {
+        let declared = input.port.join;
+        let mut join = declared;
+        if let Some(entry) = table.get("join") {
+            let what = format!("{owner}: join");
+            let Some(found) = take::text(&entry.value, &what, &mut self.faults) else { return };
+            join = match found {
+                "each" => Join::Each,
+                "latest" => Join::Latest,
+                "once" => Join::Once,
+                _ if found == declared.name() => declared,
+                "stamp" => Join::Stamp { tolerance_ns: 0 },
+                "collect" => Join::Collect { n: None },
+                "interpolate" => Join::Interpolate { max_gap_ns: None },
+                _ => return self.faults.push(not_a_word(&what, &JOINS, found, &entry.value)),
+            };
+            self.faults.extend(refuse_join(input, join, owner, &entry.value, drafts));
+        }
+        if let Some(entry) = self.goes_with(table, "tolerance_ms", matches!(join, Join::Stamp { .. }), "stamp", owner, join) {
+            if let Some(ns) = take::milliseconds(&entry.value, &format!("{owner}: tolerance_ms"), &mut self.faults) {
+                join = Join::Stamp { tolerance_ns: ns };
+            }
+        }
+        let interpolates = matches!(join, Join::Interpolate { .. });
+        if let Some(entry) = self.goes_with(table, "max_gap_ms", interpolates, "interpolate", owner, join) {
+            if let Some(ns) = take::milliseconds(&entry.value, &format!("{owner}: max_gap_ms"), &mut self.faults) {
+                join = Join::Interpolate { max_gap_ns: Some(ns) };
+            }
+        }
+        if let Some(entry) = self.goes_with(table, "n", matches!(join, Join::Collect { .. }), "collect", owner, join) {
+            if let Some(n) = take::whole(&entry.value, &format!("{owner}: n"), 1, u32::MAX.into(), &mut self.faults) {
+                join = Join::Collect { n: u32::try_from(n).ok() };
+            }
+        }
+        input.port.join = join;
+    }
+
+    /// The entry of a key that goes with one join only.
+    fn goes_with<'t>(
+        &mut self,
+        table: &'t Table,
+        key: &str,
+        goes: bool,
+        with: &str,
+        owner: &str,
+        join: Join,
+    ) -> Option<&'t Entry> {
+        let entry = table.get(key)?;
+        if goes {
+            return Some(entry);
+        }
+        let message = format!("{owner}: {key} goes with join = \"{with}\", but this input joins by {}", join.name());
+        self.faults.push(Fault::new(message).at(&entry.key_at, format!("only with join = \"{with}\"")));
+        None
+    }
+
+    fn capacity(&mut self, input: &mut Input, table: &Table, owner: &str) {
+        let mut take = |key: &str| {
+            let entry = table.get(key)?;
+            let most = u64::try_from(usize::MAX / 2).unwrap_or(u64::MAX);
+            let n = take::whole(&entry.value, &format!("{owner}: {key}"), 1, most, &mut self.faults)?;
+            usize::try_from(n).ok()
+        };
+        let (capacity, max_capacity) = (take("capacity"), take("max_capacity"));
+        input.capacity = capacity.unwrap_or(input.capacity);
+        input.max_capacity = max_capacity.unwrap_or(input.max_capacity.max(input.capacity));
+        if let Some(entry) = table.get("max_capacity").filter(|_| input.max_capacity < input.capacity) {
+            let message =
+                format!("{owner}: max_capacity is {}, less than the capacity of {}", input.max_capacity, input.capacity);
+            self.faults.push(Fault::new(message).at(&entry.value.at, "too small"));
+        }
+    }
+
+    fn policy(&mut self, input: &mut Input, table: &Table, owner: &str, drafts: &[Draft<'_>], header: &Header) {
+        let every = table.get("every");
+        let named = table.get("policy");
+        let Some(entry) = named else {
+            if let Some(every) = every {
+                let message = format!("{owner}: every goes with policy = \"sample\", but this wire blocks");
+                self.faults.push(Fault::new(message).at(&every.key_at, "only with policy = \"sample\""));
+            }
+            return;
+        };
+        let what = format!("{owner}: policy");
+        let Some(found) = take::text(&entry.value, &what, &mut self.faults) else { return };
+        let n = every.and_then(|e| take::whole(&e.value, &format!("{owner}: every"), 1, u32::MAX.into(), &mut self.faults));
+        input.policy = match found {
+            "block" => Policy::Block,
+            "drop_old" => Policy::DropOld,
+            "drop_new" => Policy::DropNew,
+            "fail" => Policy::Fail,
+            "sample" => {
+                if every.is_none() {
+                    let fault = Fault::new(format!("{what} = \"sample\" does not say how many are one too many"));
+                    self.faults.push(fault.at(&entry.value.at, "no every here").help("add every = 2 to keep every second item"));
+                }
+                Policy::Sample(n.and_then(|n| u32::try_from(n).ok()).unwrap_or(1))
+            }
+            _ => return self.faults.push(not_a_word(&what, &POLICIES, found, &entry.value)),
+        };
+        if let Some(every) = every.filter(|_| found != "sample") {
+            let message = format!("{owner}: every goes with policy = \"sample\", but the policy is \"{found}\"");
+            self.faults.push(Fault::new(message).at(&every.key_at, "only with policy = \"sample\""));
+        }
+        let Some(producer) = input.from.map(|(node, _)| &drafts[node]) else { return };
+        let live = producer.role().is_none_or(|role| role == Role::LiveSource);
+        if input.policy != Policy::Block && !live && !header.lossy {
+            let message = format!("{owner} may lose items, but \"{}\" is no live source", producer.name);
+            let fault = Fault::new(message).at(&entry.value.at, "loses items");
+            let note = "a producer that does not follow the world's clock can wait: with \"block\" nothing is lost";
+            let help = "take policy away, or allow loss everywhere by lossy = true in [graph]";
+            self.faults.push(fault.note(note).help(help));
+        }
+    }
+}
+
+fn not_a_word(what: &str, words: &[&str], found: &str, value: &Spanned) -> Fault {
+    let list: Vec<_> = words.iter().map(|word| format!("\"{word}\"")).collect();
+    let fault = Fault::new(format!("{what} takes one of {}, found the text {found:?}", list.join(", ")));
+    fault.at(&value.at, "not one of them").help_if(nearest::help(found, words.iter().copied()))
+}
+
+/// Why the port or what is wired to it cannot be joined so.
+fn refuse_join(input: &Input, join: Join, owner: &str, value: &Spanned, drafts: &[Draft<'_>]) -> Option<Fault> {
+    let (many, collects) = (matches!(input.port.join, Join::Collect { .. }), matches!(join, Join::Collect { .. }));
+    if many != collects {
+        let declared = input.port.join.name();
+        let (takes, label) = if many { ("several items", "gives one item") } else { ("one item", "gives several items") };
+        let fault = Fault::new(format!("{owner} takes {takes} at a time, and cannot join by \"{}\"", join.name()));
+        return Some(fault.at(&value.at, label).help(format!("take join away: its kind joins it by {declared}")));
+    }
+    if !matches!(join, Join::Interpolate { .. }) {
+        return None;
+    }
+    let gives = input.from.and_then(|wire| Some((wire, inputs::output(wire, drafts)?.payload?)));
+    let (name, payload) = match gives {
+        Some((wire, payload)) => (wires::name(wire, drafts), payload),
+        None => (input.port.name.to_owned(), input.port.payload),
+    };
+    match payload {
+        PortPayload::Type(ty) if !ty.interpolates => {
+            let message = format!("{owner} cannot join by \"interpolate\": there is nothing between two {}", ty.name);
+            let fault = Fault::new(message).at(&value.at, format!("\"{name}\" gives {}", ty.name));
+            Some(fault.help("write join = \"latest\" for the newest, or join = \"stamp\" for the one of that time"))
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,83 @@
+use super::{Check, drafts::Draft, inputs::Input, wires};
+use crate::fault::{Fault, Span};
+use petgraph::{algo::tarjan_scc, graph::DiGraph};
+use std::collections::{BTreeSet, VecDeque};
+
+impl Check<'_> {
+    /// The drafts in topological order, where that leaves a choice in the order of the file; faults where wires go in a
+    /// circle.
+    pub(super) fn order(&mut self, drafts: &[Draft<'_>], inputs: &[Vec<Input>]) -> Option<Vec<usize>> {
+        let mut graph = DiGraph::<(), ()>::new();
+        let nodes: Vec<_> = drafts.iter().map(|_| graph.add_node(())).collect();
+        for (to, inputs) in inputs.iter().enumerate() {
+            for (from, _) in inputs.iter().filter_map(|input| input.from) {
+                graph.add_edge(nodes[from], nodes[to], ());
+            }
+        }
+        let mut circles: Vec<BTreeSet<usize>> = Vec::new();
+        for component in tarjan_scc(&graph) {
+            let members: BTreeSet<_> = component.iter().map(|node| node.index()).collect();
+            if members.len() > 1 || component.iter().any(|&node| graph.contains_edge(node, node)) {
+                circles.push(members);
+            }
+        }
+        circles.sort();
+        self.faults.extend(circles.iter().filter_map(|members| cycle(members, drafts, inputs)));
+        circles.is_empty().then(|| sort(inputs))
+    }
+}
+
+fn sort(inputs: &[Vec<Input>]) -> Vec<usize> {
+    let producers = |node: usize| inputs[node].iter().filter_map(|input| input.from).map(|(from, _)| from);
+    let mut waits: Vec<usize> = (0..inputs.len()).map(|node| producers(node).count()).collect();
+    let mut ready: BTreeSet<_> = (0..inputs.len()).filter(|&node| waits[node] == 0).collect();
+    let mut order = Vec::new();
+    while let Some(node) = ready.pop_first() {
+        order.push(node);
+        for other in 0..inputs.len() {
+            let fed = producers(other).filter(|&from| from == node).count();
+            waits[other] -= fed;
+            if fed > 0 && waits[other] == 0 {
+                ready.insert(other);
+            }
+        }
+    }
+    order
+}
+
+/// The fault of the shortest cycle through the first of `members`, named in full.
+fn cycle(members: &BTreeSet<usize>, drafts: &[Draft<'_>], inputs: &[Vec<Input>]) -> Option<Fault> {
+    let &start = members.first()?;
+    let wire = |from: usize, to: usize| -> Option<(&Span, String)> {
+        let input = inputs[to].iter().find(|input| input.from.is_some_and(|(node, _)| node == from))?;
+        Some((input.at.as_ref()?, wires::name(input.from?, drafts)))
+    };
+    let mut before: Vec<Option<usize>> = vec![None; drafts.len()];
+    let mut open = VecDeque::from([start]);
+    let last = 'search: loop {
+        let node = open.pop_front()?;
+        for &next in members.iter().filter(|&&next| wire(node, next).is_some()) {
+            if next == start {
+                break 'search node;
+            }
+            if before[next].is_none() {
+                before[next] = Some(node);
+                open.push_back(next);
+            }
+        }
+    };
+    let mut path = vec![last];
+    while path[path.len() - 1] != start {
+        path.push(before[path[path.len() - 1]]?);
+    }
+    path.reverse();
+    let names: Vec<_> = path.iter().chain([&start]).map(|&node| drafts[node].name).collect();
+    let (at, from) = wire(last, start)?;
+    let mut fault = Fault::new(format!("wires go in a cycle: {}", names.join(" -> ")));
+    fault = fault.at(at, format!("\"{from}\" closes the cycle"));
+    for pair in path.windows(2) {
+        let (at, from) = wire(pair[0], pair[1])?;
+        fault = fault.also(at, format!("\"{from}\""));
+    }
+    Some(fault.help("a node can only take what was made before it; take one of these wires away"))
+}

@@ -1,0 +1,70 @@
+use super::{
+    Check,
+    drafts::Draft,
+    glob, nearest, take,
+    wires::{self, Wire},
+};
+use crate::{
+    fault::Fault,
+    graph::{Graph, Value},
+};
+
+/// What `[record]` asks for.
+pub(super) struct Record {
+    /// The wires, in the order of the drafts and their ports.
+    pub(super) wires: Vec<Wire>,
+}
+
+impl Check<'_> {
+    /// The wires to record: every source's, unless `sources = false`, and those that a pattern of `wires` fits.
+    pub(super) fn record(&mut self, graph: &Graph, drafts: &[Draft<'_>]) -> Record {
+        let mut sources = true;
+        let mut patterns = Vec::new();
+        let table = graph.table.get("record").and_then(|e| take::table(&e.value, "record", &mut self.faults));
+        if let Some(table) = table {
+            take::only(table, &["wires", "sources"], "[record]", &mut self.faults);
+            if let Some(entry) = table.get("sources") {
+                sources = take::boolean(&entry.value, "sources", &mut self.faults).unwrap_or(true);
+            }
+            if let Some(entry) = table.get("wires") {
+                match &entry.value.value {
+                    Value::Array(items) => patterns.extend(items),
+                    Value::Text(_) => patterns.push(&entry.value),
+                    _ => {
+                        let message = format!("wires takes a list such as [\"icp.*\"], found {}", entry.value.found());
+                        self.faults.push(Fault::new(message).at(&entry.value.at, "a list is needed"));
+                    }
+                }
+            }
+        }
+        let mut all: Vec<Wire> = Vec::new();
+        for (node, draft) in drafts.iter().enumerate() {
+            all.extend((0..draft.outputs.as_ref().map_or(0, Vec::len)).map(|port| (node, port)));
+        }
+        let mut chosen: Vec<bool> = all.iter().map(|(node, _)| sources && drafts[*node].is_source()).collect();
+        for pattern in patterns {
+            let Some(text) = take::text(pattern, "wires", &mut self.faults) else { continue };
+            let mut any = false;
+            for (wire, chosen) in all.iter().zip(&mut chosen) {
+                if glob::fits(text, &wires::name(*wire, drafts)) {
+                    (any, *chosen) = (true, true);
+                }
+            }
+            if !any {
+                let fault = Fault::new(format!("nothing to record: no wire is called \"{text}\"")).warning();
+                let names: Vec<_> = all.iter().map(|wire| wires::name(*wire, drafts)).collect();
+                let of_node = drafts.iter().any(|draft| draft.name == text);
+                let help = of_node.then(|| format!("write \"{text}.*\" for all outputs of the node"));
+                let help = help.or_else(|| nearest::help(text, names.iter().map(String::as_str)));
+                let help = help.or_else(|| {
+                    let (node, rest) = text.split_once('.')?;
+                    let near = nearest::name(node, drafts.iter().map(|draft| draft.name))?;
+                    Some(format!("did you mean \"{near}.{rest}\"?"))
+                });
+                self.faults.push(fault.at(&pattern.at, "fits no wire").help_if(help).follows());
+            }
+        }
+        let wires = all.into_iter().zip(chosen).filter_map(|(wire, chosen)| chosen.then_some(wire)).collect();
+        Record { wires }
+    }
+}

@@ -1,0 +1,129 @@
+//! The graph as it runs, as the text of a graph file.
+
+use super::{assemble::Net, drafts::Draft, inputs::Input, wires};
+use crate::plan::{OnError, Policy, PortFrames};
+use osteoflow_node::Join;
+use serde_json::Value as Json;
+use std::fmt::Write;
+
+/// A complete graph file: no `extends`, every default written, every path absolute, every recorded wire named.
+pub(super) fn text(net: &Net<'_>) -> String {
+    let mut out = String::new();
+    line(&mut out, "[graph]");
+    line(&mut out, "format = 1");
+    line(&mut out, &format!("name = {}", quote(&net.header.name)));
+    line(&mut out, &format!("seed = {}", net.header.seed));
+    if let Some((frames, _)) = &net.header.frames {
+        line(&mut out, &format!("frames = {}", list(frames.iter().map(|frame| quote(frame)))));
+    }
+    if net.header.lossy {
+        line(&mut out, "lossy = true");
+    }
+    for (draft, inputs) in net.drafts.iter().zip(&net.inputs) {
+        node(&mut out, draft, inputs, &net.drafts);
+    }
+    line(&mut out, "\n[record]");
+    // Every wire is named, the sources' as well.
+    line(&mut out, "sources = false");
+    let wires = net.record.wires.iter().map(|wire| quote(&wires::name(*wire, &net.drafts)));
+    line(&mut out, &format!("wires = {}", list(wires)));
+    line(&mut out, "\n[results]");
+    for result in &net.results {
+        let mut parts = vec![format!("from = {}", quote(&wires::name(result.from, &net.drafts)))];
+        parts.extend(result.all.then(|| "all = true".into()));
+        parts.extend(result.optional.then(|| "optional = true".into()));
+        line(&mut out, &format!("{} = {{ {} }}", quote(&result.key), parts.join(", ")));
+    }
+    out
+}
+
+fn node(out: &mut String, draft: &Draft<'_>, inputs: &[Input], drafts: &[Draft<'_>]) {
+    line(out, &format!("\n[node.{}]", draft.name));
+    line(out, &format!("kind = {}", quote(draft.kind_name())));
+    if draft.on_error == OnError::Skip {
+        line(out, "on_error = \"skip\"");
+    }
+    for input in inputs {
+        if let Some(wire) = input.from {
+            line(out, &format!("in.{} = {}", input.port.name, wired(input, &wires::name(wire, drafts))));
+        }
+    }
+    for (output, port) in draft.outputs.iter().flatten().zip(draft.declared.iter()) {
+        let mut parts = vec![format!("type = {}", quote(port.payload.name))];
+        let PortFrames { frame, to, from } = &output.given;
+        for (key, frame) in [("frame", frame), ("to", to), ("from", from)] {
+            parts.extend(frame.as_ref().map(|frame| format!("{key} = {}", quote(frame))));
+        }
+        parts.extend(pairs(&port.params));
+        line(out, &format!("out.{} = {{ {} }}", port.name, parts.join(", ")));
+    }
+    for pair in pairs(&draft.params) {
+        line(out, &pair);
+    }
+}
+
+fn wired(input: &Input, from: &str) -> String {
+    let mut parts = vec![format!("from = {}", quote(from)), format!("join = \"{}\"", input.port.join.name())];
+    match input.port.join {
+        Join::Stamp { tolerance_ns } => parts.push(format!("tolerance_ms = {}", milliseconds(tolerance_ns))),
+        Join::Interpolate { max_gap_ns: Some(ns) } => parts.push(format!("max_gap_ms = {}", milliseconds(ns))),
+        Join::Collect { n: Some(n) } => parts.push(format!("n = {n}")),
+        _ => {}
+    }
+    parts.push(format!("capacity = {}", input.capacity));
+    parts.push(format!("max_capacity = {}", input.max_capacity));
+    let policy = match input.policy {
+        Policy::Block => "\"block\"".into(),
+        Policy::DropOld => "\"drop_old\"".into(),
+        Policy::DropNew => "\"drop_new\"".into(),
+        Policy::Fail => "\"fail\"".into(),
+        Policy::Sample(n) => format!("\"sample\", every = {n}"),
+    };
+    parts.push(format!("policy = {policy}"));
+    format!("{{ {} }}", parts.join(", "))
+}
+
+fn milliseconds(ns: i64) -> String {
+    format!("{:?}", ns as f64 / 1e6)
+}
+
+fn pairs(table: &Json) -> Vec<String> {
+    let entries = table.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
+    entries.map(|(key, value)| format!("{} = {}", bare(key), toml(value))).collect()
+}
+
+fn toml(value: &Json) -> String {
+    match value {
+        // A null inside a list cannot come from a graph file, and defaults of lists have none.
+        Json::Null => "\"\"".into(),
+        Json::Bool(value) => value.to_string(),
+        Json::Number(number) => match number.as_f64() {
+            Some(float) if number.is_f64() => format!("{float:?}"),
+            _ => number.to_string(),
+        },
+        Json::String(text) => quote(text),
+        Json::Array(items) => list(items.iter().map(toml)),
+        Json::Object(_) => match pairs(value).as_slice() {
+            [] => "{}".into(),
+            pairs => format!("{{ {} }}", pairs.join(", ")),
+        },
+    }
+}
+
+fn list(items: impl Iterator<Item = String>) -> String {
+    format!("[{}]", items.collect::<Vec<_>>().join(", "))
+}
+
+fn bare(key: &str) -> String {
+    if super::take::is_name(key) { key.into() } else { quote(key) }
+}
+
+/// A basic string: what JSON escapes, TOML takes, and the one control character that JSON leaves is escaped too.
+fn quote(text: &str) -> String {
+    Json::from(text).to_string().replace('\u{7f}', "\\u007F")
+}
+
+fn line(out: &mut String, text: &str) {
+    // Writing to a string cannot fail.
+    let _ = writeln!(out, "{text}");
+}

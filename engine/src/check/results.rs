@@ -1,0 +1,84 @@
+use super::{
+    Check,
+    drafts::Draft,
+    take,
+    wires::{self, Wire},
+};
+use crate::{
+    fault::{Fault, Span},
+    graph::{Entry, Graph, Value},
+};
+
+/// The key that the engine itself writes when a run is refused.
+const REFUSED: &str = "refused";
+
+/// An entry of `[results]`.
+pub(super) struct Result {
+    pub(super) key: String,
+    pub(super) key_at: Span,
+    pub(super) from: Wire,
+    pub(super) all: bool,
+    pub(super) optional: bool,
+}
+
+impl Check<'_> {
+    /// What `[results]` names, in the order of the file.
+    pub(super) fn results(&mut self, graph: &Graph, drafts: &[Draft<'_>]) -> Vec<Result> {
+        let Some(entry) = graph.table.get("results") else { return Vec::new() };
+        let Some(table) = take::table(&entry.value, "results", &mut self.faults) else { return Vec::new() };
+        for (index, entry) in table.0.iter().enumerate() {
+            self.key(entry, &table.0[..index]);
+        }
+        table.0.iter().filter_map(|entry| self.result(entry, drafts)).collect()
+    }
+
+    fn key(&mut self, entry: &Entry, before: &[Entry]) {
+        let key = &entry.key;
+        if key.split('.').any(str::is_empty) {
+            let fault = Fault::new(format!("a result cannot be called {key:?}")).at(&entry.key_at, "a part is empty");
+            self.faults.push(fault.help("write words with dots between them: \"poses.t_ct_world\""));
+        }
+        if key.split('.').next() == Some(REFUSED) {
+            let fault = Fault::new(format!("a result cannot be called \"{key}\"")).at(&entry.key_at, "taken");
+            self.faults.push(fault.help("\"refused\" says why a run has no results; choose another name"));
+        }
+        let inside = |outer: &str, inner: &str| inner.strip_prefix(outer).is_some_and(|rest| rest.starts_with('.'));
+        let clash = before.iter().find(|other| inside(&other.key, key) || inside(key, &other.key));
+        if let Some(other) = clash {
+            let (outer, inner) = if inside(&other.key, key) { (&other.key, key) } else { (key, &other.key) };
+            let message = format!("result \"{inner}\" lies inside \"{outer}\", which is a result itself");
+            let fault = Fault::new(message).at(&entry.key_at, "one of them has to go");
+            self.faults.push(fault.also(&other.key_at, "the other").help("give one of them another name"));
+        }
+    }
+
+    fn result(&mut self, entry: &Entry, drafts: &[Draft<'_>]) -> Option<Result> {
+        let owner = format!("result \"{}\"", entry.key);
+        let (mut all, mut optional) = (false, false);
+        let from = match &entry.value.value {
+            Value::Table(table) => {
+                take::only(table, &["from", "all", "optional"], &owner, &mut self.faults);
+                for (key, slot) in [("all", &mut all), ("optional", &mut optional)] {
+                    let value = table.get(key);
+                    let value = value.and_then(|e| take::boolean(&e.value, &format!("{owner}: {key}"), &mut self.faults));
+                    *slot = value.unwrap_or(false);
+                }
+                let Some(from) = table.get("from") else {
+                    let fault = Fault::new(format!("{owner} does not say its wire")).at(&entry.value.at, "no from here");
+                    self.faults.push(fault.help("add from = \"node.port\"").follows());
+                    return None;
+                };
+                &from.value
+            }
+            Value::Text(_) => &entry.value,
+            _ => {
+                let message = format!("{owner} takes a wire such as \"node.port\", found {}", entry.value.found());
+                self.faults.push(Fault::new(message).at(&entry.value.at, "a text is needed"));
+                return None;
+            }
+        };
+        let text = take::text(from, &format!("{owner}: from"), &mut self.faults)?;
+        let from = wires::find(text, &from.at, &owner, drafts, &mut self.faults)?;
+        Some(Result { key: entry.key.clone(), key_at: entry.key_at.clone(), from, all, optional })
+    }
+}

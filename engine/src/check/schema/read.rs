@@ -1,0 +1,203 @@
+use super::{
+    Quantity, Walker,
+    range::int_limits,
+    shape::{Shape, describe, resolve, shape},
+};
+use crate::{
+    check::{nearest, unit},
+    fault::Fault,
+    graph::{Spanned, Value},
+};
+use serde_json::{Number, Value as Json};
+
+impl<'a> Walker<'a> {
+    /// The value after the schema; `None` where it is at fault.
+    pub(super) fn read(&mut self, schema: &'a Json, value: &Spanned, what: &Quantity) -> Option<Json> {
+        let root = self.root;
+        match (shape(root, schema), &value.value) {
+            (Shape::Bool, Value::Bool(value)) => Some(Json::Bool(*value)),
+            (Shape::Int(range), Value::Int(number)) => {
+                let (low, high) = int_limits(resolve(root, schema));
+                let limit = if *number < low { Some("too small") } else { None };
+                let limit = limit.or((*number > high).then_some("too large"));
+                match range.refuses(*number as f64).or(limit) {
+                    Some(why) => self.refuse(schema, value, what, why),
+                    None => Some(int(*number)),
+                }
+            }
+            (Shape::Int(_), Value::Float(_)) => self.refuse(schema, value, what, "not a whole number"),
+            (Shape::Number(range), Value::Int(_) | Value::Float(_)) => {
+                let number = as_number(value)?;
+                if !number.is_finite() {
+                    return self.refuse(schema, value, what, "not finite");
+                }
+                match range.refuses(number) {
+                    Some(why) => self.refuse(schema, value, what, why),
+                    None => Number::from_f64(number).map(Json::Number),
+                }
+            }
+            (Shape::Text, _) if text(value).is_some() => text(value).map(Json::from),
+            (Shape::Path, _) if text(value).is_some() => self.path(value, text(value)?, what),
+            (Shape::Words(words), _) if text(value).is_some() => {
+                let found = text(value)?;
+                match words.iter().find(|(word, _)| *word == found) {
+                    Some((word, _)) => Some(Json::from(*word)),
+                    None => self.unknown_word(schema, value, what, &words),
+                }
+            }
+            (Shape::List { items, min, max }, Value::Array(values)) => {
+                if values.len() < min || max.is_some_and(|max| values.len() > max) {
+                    return self.refuse(schema, value, what, &format!("{} here", values.len()));
+                }
+                self.list(values.iter().map(|value| (items, value)), what)
+            }
+            (Shape::Tuple(items), Value::Array(values)) => {
+                if values.len() != items.len() {
+                    return self.refuse(schema, value, what, &format!("{} here", values.len()));
+                }
+                self.list(items.into_iter().map(Some).zip(values), what)
+            }
+            (Shape::Table, Value::Table(table)) => {
+                let prefix = format!("{}.", what.name);
+                self.table(resolve(root, schema), table, &value.at, &prefix, &[]).map(Json::Object)
+            }
+            (Shape::Union(branches), _) => self.union(schema, &branches, value, what),
+            (Shape::Any, _) => self.any(value, what),
+            (Shape::Number(_) | Shape::Int(_), Value::Text(found)) => self.text_for_number(schema, value, found, what),
+            _ => self.refuse(schema, value, what, "of another type"),
+        }
+    }
+
+    fn list<'v>(
+        &mut self,
+        values: impl Iterator<Item = (Option<&'a Json>, &'v Spanned)>,
+        what: &Quantity,
+    ) -> Option<Json> {
+        let mut out = Some(Vec::new());
+        for (index, (schema, value)) in values.enumerate() {
+            let item = Quantity { name: format!("{}[{index}]", what.name), doc: what.doc.clone() };
+            let read = match schema {
+                Some(schema) => self.read(schema, value, &item),
+                None => self.any(value, &item),
+            };
+            // Every item is read, so that all faults are seen.
+            out = out.zip(read).map(|(mut list, read)| {
+                list.push(read);
+                list
+            });
+        }
+        out.map(Json::Array)
+    }
+
+    /// A value without a schema, as it stands.
+    fn any(&mut self, value: &Spanned, what: &Quantity) -> Option<Json> {
+        match &value.value {
+            Value::Bool(value) => Some(Json::Bool(*value)),
+            Value::Int(value) => Some(int(*value)),
+            Value::Float(number) => match Number::from_f64(*number) {
+                Some(number) => Some(Json::Number(number)),
+                None => {
+                    self.faults.push(self.fault(what, "a finite number", value).at(&value.at, "not finite"));
+                    None
+                }
+            },
+            Value::Text(text) | Value::Date(text) => Some(Json::String(text.clone())),
+            Value::Array(values) => self.list(values.iter().map(|value| (None, value)), what),
+            Value::Table(table) => {
+                let mut out = serde_json::Map::new();
+                for entry in &table.0 {
+                    let inner = Quantity { name: format!("{}.{}", what.name, entry.key), doc: None };
+                    out.insert(entry.key.clone(), self.any(&entry.value, &inner)?);
+                }
+                Some(Json::Object(out))
+            }
+        }
+    }
+
+    /// `node "icp": max_iterations takes a whole number from 1 to 1000, found 0`.
+    pub(super) fn fault(&self, what: &Quantity, takes: &str, value: &Spanned) -> Fault {
+        let message = format!("{}: {} takes {takes}, found {}", self.owner, what.name, found(value));
+        Fault::new(message).note_if(what.doc.clone())
+    }
+
+    pub(super) fn refuse(&mut self, schema: &Json, value: &Spanned, what: &Quantity, why: &str) -> Option<Json> {
+        let takes = describe(self.root, schema);
+        let mut fault = self.fault(what, &takes, value).at(&value.at, why);
+        if let (Shape::Int(_), Value::Float(number)) = (shape(self.root, schema), &value.value) {
+            if number.fract() == 0.0 && number.abs() < 1e15 {
+                fault = fault.help(format!("write {} = {number:.0}", last(&what.name)));
+            }
+        }
+        self.faults.push(fault);
+        None
+    }
+
+    fn unknown_word(
+        &mut self,
+        schema: &Json,
+        value: &Spanned,
+        what: &Quantity,
+        words: &[(&str, Option<&str>)],
+    ) -> Option<Json> {
+        let takes = describe(self.root, schema);
+        let near = nearest::help(text(value).unwrap_or_default(), words.iter().map(|(word, _)| *word));
+        let mut fault = self.fault(what, &takes, value).at(&value.at, "not one of them").help_if(near);
+        for (word, doc) in words {
+            fault = fault.note_if(doc.map(|doc| format!("\"{word}\": {}", super::table::first_paragraph(doc))));
+        }
+        self.faults.push(fault);
+        None
+    }
+
+    fn text_for_number(&mut self, schema: &Json, value: &Spanned, found: &str, what: &Quantity) -> Option<Json> {
+        let takes = describe(self.root, schema);
+        let name = last(&what.name);
+        let number = match unit::with_unit(found) {
+            Some((number, unit)) => unit::in_unit_of(name, number, unit),
+            None => found.trim().parse::<f64>().ok().filter(|n| n.is_finite()),
+        };
+        let help = number.map(|number| format!("write {name} = {number}, without quotes and unit"));
+        let fault = self.fault(what, &takes, value).at(&value.at, "a text").help_if(help);
+        self.faults.push(fault);
+        None
+    }
+}
+
+/// The last part of a dotted name: what stands on the line.
+fn last(name: &str) -> &str {
+    name.rsplit('.').next().unwrap_or(name)
+}
+
+/// The value as written where that is short, so that `1e3` is not shown as `1000.0`.
+fn found(value: &Spanned) -> String {
+    match &value.value {
+        Value::Int(_) | Value::Float(_) => value.at.text().to_owned(),
+        _ => value.found(),
+    }
+}
+
+fn int(number: i128) -> Json {
+    match (i64::try_from(number), u64::try_from(number)) {
+        (Ok(number), _) => number.into(),
+        (_, Ok(number)) => number.into(),
+        _ => (number as f64).into(),
+    }
+}
+
+pub(super) fn as_number(value: &Spanned) -> Option<f64> {
+    match value.value {
+        Value::Int(number) => Some(number as f64),
+        Value::Float(number) => Some(number),
+        _ => None,
+    }
+}
+
+/// The text; on the command line, where a text needs no quotes, also what looks like a number or a date.
+fn text(value: &Spanned) -> Option<&str> {
+    match &value.value {
+        Value::Text(text) => Some(text),
+        Value::Array(_) | Value::Table(_) => None,
+        _ if value.at.source.command_line => Some(value.at.text()),
+        _ => None,
+    }
+}

@@ -1,0 +1,136 @@
+use super::{
+    Quantity, Walker,
+    read::as_number,
+    shape::{Shape, describe, doc, shape},
+};
+use crate::{
+    check::{nearest, unit},
+    fault::{Fault, Span},
+    graph::{Entry, Table},
+};
+use serde_json::{Map, Value as Json};
+
+impl<'a> Walker<'a> {
+    /// A table after the schema of a struct or map, except for the keys in `skip`; what is not given is filled in.
+    pub(crate) fn table(
+        &mut self,
+        schema: &'a Json,
+        table: &Table,
+        at: &Span,
+        prefix: &str,
+        skip: &[&str],
+    ) -> Option<Map<String, Json>> {
+        let before = self.faults.len();
+        let empty = Map::new();
+        let properties = schema.get("properties").and_then(Json::as_object).unwrap_or(&empty);
+        let more = schema.get("additionalProperties").filter(|more| **more != Json::Bool(false));
+        let mut out = Map::new();
+        for (name, property) in properties.iter().filter(|(name, _)| !skip.contains(&name.as_str())) {
+            let value = match table.get(name) {
+                Some(entry) => self.read_owned(schema, name, entry, prefix),
+                None if is_required(schema, name, self.root, property) => {
+                    self.missing(property, at, name, prefix);
+                    None
+                }
+                // An `Option` that is not given is left out: TOML has no null.
+                None => property.get("default").filter(|default| !default.is_null()).cloned(),
+            };
+            out.extend(value.map(|value| (name.clone(), value)));
+        }
+        let known: Vec<_> = properties.keys().map(String::as_str).filter(|name| !skip.contains(name)).collect();
+        let unknown = |entry: &&Entry| !known.contains(&entry.key.as_str()) && !skip.contains(&entry.key.as_str());
+        for entry in table.0.iter().filter(unknown) {
+            match more {
+                Some(more) => {
+                    let what = Quantity { name: format!("{prefix}{}", entry.key), doc: None };
+                    let value = self.read(more, &entry.value, &what);
+                    out.extend(value.map(|value| (entry.key.clone(), value)));
+                }
+                None => self.unknown(entry, &known, prefix, table),
+            }
+        }
+        (self.faults.len() == before).then_some(out)
+    }
+
+    fn read_owned(&mut self, schema: &'a Json, name: &str, entry: &Entry, prefix: &str) -> Option<Json> {
+        let property = schema.get("properties")?.get(name)?;
+        let what = Quantity { name: format!("{prefix}{name}"), doc: self.say(property, &format!("{prefix}{name}")) };
+        self.read(property, &entry.value, &what)
+    }
+
+    /// `max_iterations: what its author says (default 50)`.
+    fn say(&self, property: &Json, name: &str) -> Option<String> {
+        let text = doc(property).or_else(|| doc(super::shape::resolve(self.root, property)))?;
+        let default = match property.get("default") {
+            Some(default @ (Json::Bool(_) | Json::Number(_) | Json::String(_))) if *default != Json::from("") => {
+                format!(" (default {default})")
+            }
+            _ => String::new(),
+        };
+        Some(format!("{name}: {}{default}", first_paragraph(text)))
+    }
+
+    fn missing(&mut self, property: &Json, at: &Span, name: &str, prefix: &str) {
+        let takes = describe(self.root, property);
+        let message = format!("{}: parameter \"{prefix}{name}\" is missing", self.owner);
+        let example = match shape(self.root, property) {
+            Shape::Path | Shape::Text => "\"..\"",
+            _ => "..",
+        };
+        let fault = Fault::new(message).at(at, format!("needs {name}, {takes}")).follows();
+        let fault = fault.note_if(self.say(property, &format!("{prefix}{name}")));
+        self.faults.push(fault.help(format!("add {name} = {example}")));
+    }
+
+    fn unknown(&mut self, entry: &Entry, known: &[&str], prefix: &str, table: &Table) {
+        let (owner, kind, key) = (&self.owner, self.kind, &entry.key);
+        let inside = if prefix.is_empty() { String::new() } else { format!(" in {}", prefix.trim_end_matches('.')) };
+        let fault = Fault::new(format!("{owner}: {kind} has no parameter \"{key}\"{inside}"));
+        // A name that is given already was not meant a second time.
+        let free = || known.iter().copied().filter(|name| table.get(name).is_none());
+        let value = as_number(&entry.value).filter(|v| v.is_finite());
+        let fault = match unit::other(key, value, free()) {
+            Some(other) => {
+                let fault = fault.at(&entry.key_at, format!("it is given in {}", other.unit));
+                match other.value {
+                    Some(value) => fault.help(format!("write {} = {value:?}", other.name)),
+                    None => fault.help(format!("write {}: the unit is part of the name", other.name)),
+                }
+            }
+            None => {
+                let near = nearest::help(key, free()).or_else(|| nearest::help(key, known.iter().copied()));
+                let list = nearest::list("its parameters", known.iter().copied());
+                let none = known.is_empty().then(|| "it has no parameters here".to_owned());
+                fault.at(&entry.key_at, "unknown").help_if(near).note_if(list.or(none))
+            }
+        };
+        self.faults.push(self.kind_elsewhere(fault, entry, prefix));
+    }
+
+    /// When a variant chose the kind and another file wrote the parameter, both are shown.
+    fn kind_elsewhere(&self, fault: Fault, entry: &Entry, prefix: &str) -> Fault {
+        match self.kind_at {
+            Some(kind_at) if kind_at.source.order < entry.key_at.source.order && !entry.key_at.source.command_line => {
+                let path = format!("{}.{prefix}{}", self.path, entry.key);
+                let take_away = format!("or take it away where the kind is chosen: remove = [\"{path}\"]");
+                fault.also(kind_at, "the kind is chosen here").help(take_away)
+            }
+            _ => fault,
+        }
+    }
+}
+
+/// Whether it must be given. A path whose default is empty must: nobody can read it.
+fn is_required(schema: &Json, name: &str, root: &Json, property: &Json) -> bool {
+    let listed = schema.get("required").and_then(Json::as_array);
+    let listed = listed.is_some_and(|names| names.iter().any(|n| n.as_str() == Some(name)));
+    let empty_path =
+        matches!(shape(root, property), Shape::Path) && property.get("default") == Some(&Json::String(String::new()));
+    listed || empty_path
+}
+
+/// The first paragraph of a doc comment on one line.
+pub(super) fn first_paragraph(text: &str) -> String {
+    let paragraph = text.split("\n\n").next().unwrap_or(text);
+    paragraph.split_whitespace().collect::<Vec<_>>().join(" ")
+}

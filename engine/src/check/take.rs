@@ -1,0 +1,81 @@
+//! Values of the graph file's own keys.
+
+use super::nearest;
+use crate::{
+    fault::Fault,
+    graph::{Entry, Spanned, Table, Value},
+};
+
+/// The text of an entry that must be one.
+pub(super) fn text<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<&'a str> {
+    let text = value.as_text().or_else(|| match &value.value {
+        // On the command line a text needs no quotes, even where it looks like a number.
+        Value::Array(_) | Value::Table(_) => None,
+        _ => value.at.source.command_line.then(|| value.at.text()),
+    });
+    if text.is_none() {
+        faults.push(wrong(value, what, "a text"));
+    }
+    text
+}
+
+pub(super) fn boolean(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<bool> {
+    if let Value::Bool(value) = value.value {
+        return Some(value);
+    }
+    faults.push(wrong(value, what, "true or false"));
+    None
+}
+
+/// A whole number from `least` to `most`.
+pub(super) fn whole(value: &Spanned, what: &str, least: u64, most: u64, faults: &mut Vec<Fault>) -> Option<u64> {
+    if let Value::Int(number) = value.value {
+        if let Some(number) = u64::try_from(number).ok().filter(|n| (least..=most).contains(n)) {
+            return Some(number);
+        }
+    }
+    faults.push(wrong(value, what, &format!("a whole number of at least {least}")));
+    None
+}
+
+/// A duration of at least 0 in milliseconds, in nanoseconds.
+pub(super) fn milliseconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<i64> {
+    let ms = match value.value {
+        Value::Int(number) => number as f64,
+        Value::Float(number) => number,
+        _ => f64::NAN,
+    };
+    // Up to a thousand years, so that nothing overflows.
+    if (0.0..3.2e13).contains(&ms) {
+        return Some((ms * 1e6).round() as i64);
+    }
+    faults.push(wrong(value, what, "a number of milliseconds of at least 0"));
+    None
+}
+
+pub(super) fn table<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<&'a Table> {
+    let table = value.as_table();
+    if table.is_none() {
+        faults.push(wrong(value, what, "a table"));
+    }
+    table
+}
+
+fn wrong(value: &Spanned, what: &str, takes: &str) -> Fault {
+    let message = format!("{what} takes {takes}, found {}", value.found());
+    Fault::new(message).at(&value.at, format!("{takes} is needed"))
+}
+
+/// Faults for the keys of a table that are not known there.
+pub(super) fn only(table: &Table, known: &[&str], place: &str, faults: &mut Vec<Fault>) {
+    for Entry { key, key_at, .. } in table.0.iter().filter(|entry| !known.contains(&entry.key.as_str())) {
+        let fault = Fault::new(format!("{place} has no key \"{key}\"")).at(key_at, "unknown");
+        let help = nearest::help(key, known.iter().copied());
+        faults.push(fault.help_if(help).note_if(nearest::list("known here", known.iter().copied())));
+    }
+}
+
+/// Whether a name may stand in a wire without quotes: letters, digits, `_` and `-`.
+pub(super) fn is_name(name: &str) -> bool {
+    !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
+}

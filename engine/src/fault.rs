@@ -1,0 +1,151 @@
+//! Faults of a graph: where, what was expected, what was found, and what to write instead.
+
+use crate::plan::Location;
+use std::fmt;
+
+mod json;
+mod render;
+mod text;
+
+pub use text::{SourceText, Span};
+
+/// How much a fault weighs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Severity {
+    /// The graph cannot run.
+    Error,
+    /// The graph runs, but hardly as meant.
+    Warning,
+}
+
+/// Something wrong with a graph, at a place in a file or on the command line.
+#[derive(Debug, Clone)]
+pub struct Fault {
+    /// Error or warning.
+    pub severity: Severity,
+    /// What is wrong; lower case, no full stop.
+    pub message: String,
+    /// The place, and what is said beside its caret; a file that cannot be read has none.
+    pub at: Option<(Span, String)>,
+    /// Other places that have to do with it.
+    pub also: Vec<(Span, String)>,
+    /// What the reader may want to know.
+    pub notes: Vec<String>,
+    /// What to write instead.
+    pub help: Vec<String>,
+    /// Whether it may be no more than the consequence of a syntax fault elsewhere.
+    pub(crate) follows: bool,
+}
+
+impl Fault {
+    pub(crate) fn new(message: impl Into<String>) -> Self {
+        let severity = Severity::Error;
+        let (at, also, notes, help) = (None, Vec::new(), Vec::new(), Vec::new());
+        Self { severity, message: message.into(), at, also, notes, help, follows: false }
+    }
+
+    pub(crate) fn warning(mut self) -> Self {
+        self.severity = Severity::Warning;
+        self
+    }
+
+    pub(crate) fn at(mut self, span: &Span, label: impl Into<String>) -> Self {
+        self.at = Some((span.clone(), label.into()));
+        self
+    }
+
+    pub(crate) fn also(mut self, span: &Span, label: impl Into<String>) -> Self {
+        self.also.push((span.clone(), label.into()));
+        self
+    }
+
+    pub(crate) fn note(mut self, note: impl Into<String>) -> Self {
+        self.notes.push(note.into());
+        self
+    }
+
+    pub(crate) fn help(mut self, help: impl Into<String>) -> Self {
+        self.help.push(help.into());
+        self
+    }
+
+    pub(crate) fn help_if(self, help: Option<String>) -> Self {
+        match help {
+            Some(help) => self.help(help),
+            None => self,
+        }
+    }
+
+    pub(crate) fn note_if(self, note: Option<String>) -> Self {
+        match note {
+            Some(note) => self.note(note),
+            None => self,
+        }
+    }
+
+    /// Something is missing that a syntax fault may have swallowed.
+    pub(crate) fn follows(mut self) -> Self {
+        self.follows = true;
+        self
+    }
+
+    /// Where it is.
+    pub fn location(&self) -> Option<Location> {
+        self.at.as_ref().map(|(span, _)| span.location())
+    }
+
+    /// As rustc shows it: the message, file, line and column, the line with a caret, and help. With colours for a
+    /// terminal, or plain.
+    pub fn render(&self, colour: bool) -> String {
+        render::render(self, colour)
+    }
+
+    /// For machines: `severity`, `message`, `file`, `line`, `column`, `end_line`, `end_column`, `label`, `also`, `notes`
+    /// and `help`.
+    pub fn to_json(&self) -> serde_json::Value {
+        json::fault(self)
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.render(false))
+    }
+}
+
+/// Everything wrong with a graph, in the order of the files, the command line last.
+#[derive(Debug, Clone, Default)]
+pub struct Faults(pub Vec<Fault>);
+
+impl Faults {
+    /// All faults as rustc shows its errors, with colours for a terminal or plain, and their number at the end.
+    pub fn render(&self, colour: bool) -> String {
+        let mut text: Vec<_> = self.0.iter().map(|fault| fault.render(colour)).collect();
+        text.push(self.summary());
+        text.join("\n\n")
+    }
+
+    /// How many there are: `3 errors, 1 warning`.
+    pub fn summary(&self) -> String {
+        let count = |severity| self.0.iter().filter(|f| f.severity == severity).count();
+        let say = |n: usize, word: &str| format!("{n} {word}{}", if n == 1 { "" } else { "s" });
+        match (count(Severity::Error), count(Severity::Warning)) {
+            (errors, 0) => say(errors, "error"),
+            (0, warnings) => say(warnings, "warning"),
+            (errors, warnings) => format!("{}, {}", say(errors, "error"), say(warnings, "warning")),
+        }
+    }
+
+    /// For machines: a list of what [`Fault::to_json`] gives.
+    pub fn to_json(&self) -> serde_json::Value {
+        self.0.iter().map(Fault::to_json).collect()
+    }
+}
+
+impl fmt::Display for Faults {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.render(false))
+    }
+}
+
+impl std::error::Error for Faults {}

@@ -1,0 +1,80 @@
+use crate::plan::Location;
+use std::{
+    fmt,
+    ops::Range,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+/// A text that a graph was read from: a file of its `extends` chain, or the command line.
+pub struct SourceText {
+    /// How it is named in faults.
+    pub name: PathBuf,
+    /// What relative paths in it are relative to.
+    pub dir: PathBuf,
+    /// The text.
+    pub text: String,
+    /// Its place among all texts of the graph: the graph file is first, then what it extends, the command line last.
+    pub order: usize,
+    /// Whether it is the command line.
+    pub command_line: bool,
+}
+
+impl fmt::Debug for SourceText {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.name.display())
+    }
+}
+
+/// A range of bytes in a text.
+#[derive(Debug, Clone)]
+pub struct Span {
+    /// The text.
+    pub source: Arc<SourceText>,
+    /// The bytes.
+    pub range: Range<usize>,
+}
+
+impl Span {
+    pub(crate) fn new(source: &Arc<SourceText>, range: Range<usize>) -> Self {
+        Self { source: source.clone(), range }
+    }
+
+    /// What stands there.
+    pub fn text(&self) -> &str {
+        self.source.text.get(self.range.clone()).unwrap_or_default()
+    }
+
+    /// Where it begins.
+    pub fn location(&self) -> Location {
+        let (line, column) = self.position(self.range.start);
+        Location { file: self.source.name.clone(), line, column }
+    }
+
+    /// Line and column of its end, counted from 1, the column in characters.
+    pub fn end(&self) -> (usize, usize) {
+        self.position(self.range.end)
+    }
+
+    fn position(&self, offset: usize) -> (usize, usize) {
+        let text = &self.source.text;
+        let before = text.get(..offset.min(text.len())).unwrap_or(text);
+        let line_start = before.rfind('\n').map_or(0, |at| at + 1);
+        (before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
+    }
+
+    /// The order in which faults are shown.
+    pub(crate) fn key(&self) -> (usize, usize) {
+        (self.source.order, self.range.start)
+    }
+
+    /// Whether both begin on one line of one text.
+    pub(crate) fn same_line(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.source, &other.source) && self.location().line == other.location().line
+    }
+
+    /// The folder that relative paths written here are relative to.
+    pub(crate) fn dir(&self) -> &Path {
+        &self.source.dir
+    }
+}

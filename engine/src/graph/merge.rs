@@ -1,0 +1,54 @@
+use super::tree::{Entry, Spanned, Table, Value};
+
+/// Lays `over` onto `base`, key by key; what is no table replaces.
+///
+/// An input or a result that is a text stands for a table with that `from`, and merges as such: a variant that names
+/// another producer keeps the join, and one that changes the capacity keeps the producer.
+pub(super) fn merge(base: &mut Table, over: Table) {
+    merge_at(base, over, &mut Vec::new());
+}
+
+fn merge_at(base: &mut Table, over: Table, path: &mut Vec<String>) {
+    for entry in over.0 {
+        let Some(old) = base.get_mut(&entry.key) else {
+            base.0.push(entry);
+            continue;
+        };
+        path.push(entry.key.clone());
+        let (old_is_table, new_is_table) = (old.value.as_table().is_some(), entry.value.as_table().is_some());
+        if old_is_table != new_is_table && has_short_form(path) {
+            lengthen(&mut old.value);
+            let mut value = entry.value;
+            lengthen(&mut value);
+            merge_values(old, value, path);
+        } else if old_is_table && new_is_table {
+            merge_values(old, entry.value, path);
+        } else {
+            *old = entry;
+        }
+        path.pop();
+    }
+}
+
+fn merge_values(old: &mut Entry, new: Spanned, path: &mut Vec<String>) {
+    match (&mut old.value.value, new.value) {
+        (Value::Table(base), Value::Table(over)) => merge_at(base, over, path),
+        (_, value) => old.value = Spanned { value, at: new.at },
+    }
+}
+
+fn has_short_form(path: &[String]) -> bool {
+    match path {
+        [node, _, inputs, _] => node == "node" && inputs == "in",
+        [results, _] => results == "results",
+        _ => false,
+    }
+}
+
+/// `"a.b"` as `{ from = "a.b" }`.
+fn lengthen(value: &mut Spanned) {
+    if let Value::Text(_) = value.value {
+        let from = Entry { key: "from".into(), key_at: value.at.clone(), value: value.clone() };
+        value.value = Value::Table(Table(vec![from]));
+    }
+}

@@ -1,0 +1,80 @@
+use crate::fault::Span;
+
+/// A value and where it was written.
+#[derive(Debug, Clone)]
+pub(crate) struct Spanned {
+    pub(crate) value: Value,
+    pub(crate) at: Span,
+}
+
+/// A value of a graph file.
+#[derive(Debug, Clone)]
+pub(crate) enum Value {
+    Bool(bool),
+    Int(i128),
+    Float(f64),
+    Text(String),
+    Date(String),
+    Array(Vec<Spanned>),
+    Table(Table),
+}
+
+/// A key and its value.
+#[derive(Debug, Clone)]
+pub(crate) struct Entry {
+    pub(crate) key: String,
+    pub(crate) key_at: Span,
+    pub(crate) value: Spanned,
+}
+
+/// Entries in the order of the file.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Table(pub(crate) Vec<Entry>);
+
+impl Table {
+    pub(crate) fn get(&self, key: &str) -> Option<&Entry> {
+        self.0.iter().find(|entry| entry.key == key)
+    }
+
+    pub(crate) fn get_mut(&mut self, key: &str) -> Option<&mut Entry> {
+        self.0.iter_mut().find(|entry| entry.key == key)
+    }
+
+    pub(crate) fn remove(&mut self, key: &str) -> Option<Entry> {
+        let index = self.0.iter().position(|entry| entry.key == key)?;
+        Some(self.0.remove(index))
+    }
+
+    pub(crate) fn keys(&self) -> impl Iterator<Item = &str> {
+        self.0.iter().map(|entry| entry.key.as_str())
+    }
+}
+
+impl Spanned {
+    pub(crate) fn as_text(&self) -> Option<&str> {
+        match &self.value {
+            Value::Text(text) => Some(text),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn as_table(&self) -> Option<&Table> {
+        match &self.value {
+            Value::Table(table) => Some(table),
+            _ => None,
+        }
+    }
+
+    /// What was found, in the words of a fault: `the text "5 mm"`, `a list`.
+    pub(crate) fn found(&self) -> String {
+        match &self.value {
+            Value::Bool(value) => value.to_string(),
+            Value::Int(value) => value.to_string(),
+            Value::Float(value) => format!("{value:?}"),
+            Value::Text(text) => format!("the text {text:?}"),
+            Value::Date(text) => format!("the date {text}"),
+            Value::Array(_) => "a list".into(),
+            Value::Table(_) => "a table".into(),
+        }
+    }
+}

@@ -1,0 +1,157 @@
+use crate::{golden::compare, toy};
+use osteoflow_engine::{Checked, check, check_recorded, check_text, draw, plan::Plan};
+use std::path::Path;
+
+const GRAPH: &str = "tests/graphs/everything.toml";
+
+fn checked(path: &str, sets: &[&str]) -> Checked {
+    let sets: Vec<_> = sets.iter().map(|set| set.to_string()).collect();
+    check(Path::new(path), &sets, &toy::registry()).unwrap_or_else(|faults| panic!("{faults}"))
+}
+
+/// The plan without where it was written.
+fn bare(mut plan: Plan) -> String {
+    plan.path = "".into();
+    let nowhere = || osteoflow_engine::plan::Location { file: "".into(), line: 0, column: 0 };
+    plan.nodes.iter_mut().for_each(|node| node.location = nowhere());
+    plan.results.iter_mut().for_each(|result| result.location = nowhere());
+    format!("{plan:#?}")
+}
+
+#[test]
+fn the_resolved_graph_is_checked_again_and_gives_an_equal_plan() {
+    for sets in [&[][..], &["icp.kind=icp.point_to_plane", "remove=[\"node.icp.max_pair_distance_mm\"]", "graph.seed=9"][..]] {
+        let plan = checked(GRAPH, sets).plan;
+        let again = check_text(&plan.resolved, Path::new("elsewhere.toml"), &[], &toy::registry());
+        let again = again.unwrap_or_else(|faults| panic!("{faults}\n{}", plan.resolved));
+        assert_eq!(again.plan.resolved, plan.resolved);
+        assert_eq!(bare(again.plan), bare(plan));
+        assert!(again.warnings.is_empty());
+    }
+}
+
+#[test]
+fn the_resolved_graph_and_the_drawings_are_those_of_the_golden_texts() {
+    let plan = checked(GRAPH, &[]).plan;
+    compare(&plan.resolved, Path::new("tests/graphs/everything.resolved.txt")).unwrap();
+    compare(&draw::mermaid(&plan), Path::new("tests/graphs/everything.mermaid.txt")).unwrap();
+    compare(&draw::dot(&plan), Path::new("tests/graphs/everything.dot.txt")).unwrap();
+}
+
+#[test]
+fn nodes_come_in_topological_order_and_otherwise_as_in_the_file() {
+    let plan = checked(GRAPH, &[]).plan;
+    for link in &plan.links {
+        assert!(link.from.node < link.to_node, "{} comes after its consumer", plan.wire_name(link.from));
+    }
+    let names: Vec<_> = plan.nodes.iter().map(|node| &*node.name).collect();
+    let expected = ["recording", "camera", "transform", "crop", "ct_surface", "icp", "merge", "follow", "write"];
+    assert_eq!(names, expected, "the file names icp and crop before what they need");
+}
+
+#[test]
+fn a_setting_reaches_any_key() {
+    let plan = checked(
+        GRAPH,
+        &[
+            "icp.max_iterations=7",
+            "graph.seed=123",
+            "node.crop.keep=outside",
+            "crop.label=2024",
+            "results.extra.fit=icp.report",
+            "results.report.optional=true",
+            "icp.in.source.capacity=9",
+            "icp.in.source=transform.cloud",
+            "record.wires=[\"crop.*\"]",
+        ],
+    );
+    let plan = plan.plan;
+    let node = |name: &str| plan.nodes.iter().find(|node| &*node.name == name).unwrap();
+    assert_eq!(plan.seed, 123);
+    assert_eq!(node("icp").params["max_iterations"], 7);
+    assert_eq!(node("crop").params["keep"], "outside");
+    assert_eq!(node("crop").params["label"], "2024", "a text needs no quotes on the command line");
+    let extra = plan.results.iter().find(|result| result.key == "extra.fit").unwrap();
+    assert_eq!(plan.wire_name(extra.from), "icp.report");
+    assert!(plan.results.iter().find(|result| result.key == "report").unwrap().optional);
+    let source = &node("icp").inputs[0];
+    let link = &plan.links[source.link.unwrap()];
+    assert_eq!((link.capacity, plan.wire_name(link.from).as_str()), (9, "transform.cloud"));
+    assert!(plan.record.iter().any(|id| plan.wire_name(*id) == "crop.report"));
+    assert!(!plan.record.iter().any(|id| plan.wire_name(*id) == "icp.report"));
+}
+
+#[test]
+fn a_variant_is_its_base_with_a_few_lines_changed() {
+    let base = checked(GRAPH, &[]).plan;
+    let variant = checked("tests/graphs/variants/plane.toml", &[]).plan;
+    let icp = |plan: &Plan| plan.nodes.iter().position(|node| &*node.name == "icp").unwrap();
+    assert_eq!(variant.nodes[icp(&variant)].kind, "icp.point_to_plane");
+    assert_eq!(variant.nodes[icp(&variant)].location.file, Path::new(GRAPH), "its table begins in the base");
+    assert_eq!(variant.nodes.len() + 1, base.nodes.len(), "the camera is removed");
+    assert_eq!(variant.name, "plane");
+    assert_eq!(variant.seed, base.seed);
+    let input = &variant.nodes[icp(&variant)].inputs[0];
+    assert_eq!(variant.links[input.link.unwrap()].capacity, 8, "the variant keeps the producer and changes the capacity");
+    assert_eq!(variant.input_files, base.input_files, "paths are relative to the file that wrote them");
+}
+
+#[test]
+fn frames_go_along_the_wires() {
+    let plan = checked(GRAPH, &[]).plan;
+    let of = |wire: &str| {
+        let found = plan.nodes.iter().flat_map(|node| node.outputs.iter().map(move |output| (node, output)));
+        let (_, output) = found.into_iter().find(|(n, o)| format!("{}.{}", n.name, o.name) == wire).unwrap();
+        output.frames.clone()
+    };
+    assert_eq!(of("recording.scan").frame.as_deref(), Some("camera"));
+    assert_eq!(of("transform.cloud").frame.as_deref(), Some("world"));
+    assert_eq!(of("crop.cloud").frame.as_deref(), Some("world"));
+    let fit = of("icp.t_target_source");
+    assert_eq!((fit.to.as_deref(), fit.from.as_deref()), (Some("ct"), Some("world")));
+}
+
+#[test]
+fn sources_are_recorded_and_what_the_patterns_name() {
+    let plan = checked(GRAPH, &[]).plan;
+    let names: Vec<_> = plan.record.iter().map(|id| plan.wire_name(*id)).collect();
+    for wire in ["recording.scan", "camera.cloud", "ct_surface.target", "icp.report", "icp.t_target_source"] {
+        assert!(names.iter().any(|name| name == wire), "{wire} is not in {names:?}");
+    }
+    assert!(!names.iter().any(|name| name == "crop.cloud"));
+}
+
+#[test]
+fn a_recorded_graph_needs_no_files() {
+    let text = checked(GRAPH, &[]).plan.resolved.replace("surface.txt", "gone.txt");
+    assert!(check_text(&text, Path::new("run.toml"), &[], &toy::registry()).is_err());
+    check_recorded(&text, Path::new("run.toml"), &[], &toy::registry()).unwrap_or_else(|faults| panic!("{faults}"));
+}
+
+#[test]
+fn faults_for_machines_say_file_line_and_column() {
+    let faults = check_text(
+        "[graph]\nformat = 1\n[node.a]\nkind = \"icp.point_to_plan\"\n",
+        Path::new("graph.toml"),
+        &[],
+        &toy::registry(),
+    );
+    let json = faults.unwrap_err().to_json();
+    let expected = serde_json::json!([{
+        "severity": "error",
+        "message": "node \"a\": there is no kind \"icp.point_to_plan\"",
+        "file": "graph.toml", "line": 4, "column": 8, "end_line": 4, "end_column": 27,
+        "label": "unknown",
+        "also": [],
+        "notes": ["kinds of icp: icp.point_to_plane, icp.point_to_point"],
+        "help": ["did you mean \"icp.point_to_plane\"?"],
+    }]);
+    assert_eq!(json, expected);
+}
+
+#[test]
+fn colours_are_for_terminals_only() {
+    let faults = check_text("[graph]\nformat = 2\n", Path::new("g.toml"), &[], &toy::registry()).unwrap_err();
+    assert!(!faults.to_string().contains('\u{1b}'));
+    assert!(faults.render(true).contains('\u{1b}'));
+}
