@@ -1,0 +1,288 @@
+//! Damaged recordings: a named error with its place, the intact part on request, never a panic or an absurd allocation.
+// The counting allocator needs it.
+#![allow(clippy::unwrap_used, unsafe_code)]
+
+use nalgebra::Point3;
+use osteoflow_formats::{
+    foxglove_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
+    mcap_read::{McapError, Recording},
+    recording_write::{Compression, Encoding, Layout, Stream, recording_bytes},
+};
+use osteoflow_geometry::Cloud;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::{
+    alloc::{GlobalAlloc, Layout as Memory, System},
+    collections::BTreeMap,
+    sync::atomic::{AtomicUsize, Ordering},
+};
+
+/// Remembers the largest single piece of memory that was asked for.
+struct Watched;
+
+static LARGEST: AtomicUsize = AtomicUsize::new(0);
+
+unsafe impl GlobalAlloc for Watched {
+    unsafe fn alloc(&self, memory: Memory) -> *mut u8 {
+        LARGEST.fetch_max(memory.size(), Ordering::Relaxed);
+        unsafe { System.alloc(memory) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, memory: Memory) {
+        unsafe { System.dealloc(pointer, memory) }
+    }
+
+    unsafe fn alloc_zeroed(&self, memory: Memory) -> *mut u8 {
+        LARGEST.fetch_max(memory.size(), Ordering::Relaxed);
+        unsafe { System.alloc_zeroed(memory) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, memory: Memory, size: usize) -> *mut u8 {
+        LARGEST.fetch_max(size, Ordering::Relaxed);
+        unsafe { System.realloc(pointer, memory, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Watched = Watched;
+
+fn recording(layout: &Layout) -> Vec<u8> {
+    let cloud = |k: i64| {
+        let points: Vec<_> = (0..20).map(|i| Point3::new(f64::from(i), k as f64, 200.0)).collect();
+        Cloud::new("camera", points).unwrap().at(1_750_000_000_000_000_000 + k)
+    };
+    let tips =
+        (0..6).map(|k| ("world".into(), 1_750_000_001_000_000_000 + k, Point3::new(k as f64, 0.0, 0.0))).collect();
+    let streams = [("/scan", Stream::Clouds((0..6).map(cloud).collect())), ("/stylus", Stream::Tips(tips))];
+    let roi = [("roi_camera_min_m", "0 0 0"), ("roi_camera_max_m", "1 1 1")];
+    let metadata = [("procedure".into(), roi.map(|(k, v)| (k.to_owned(), v.to_owned())).into())].into();
+    recording_bytes(&streams, &metadata, &[], layout).unwrap()
+}
+
+fn small_chunks(compression: Compression) -> Layout {
+    Layout { compression, chunk_bytes: Some(400), ..Layout::default() }
+}
+
+/// The file's records: opcode, and where the record begins and ends.
+fn records(bytes: &[u8]) -> Vec<(u8, usize, usize)> {
+    let mut at = 8;
+    let mut found = Vec::new();
+    while at + 9 <= bytes.len() - 8 {
+        let length = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+        found.push((bytes[at], at, at + 9 + length));
+        at += 9 + length;
+    }
+    found
+}
+
+fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
+    records(bytes).into_iter().filter(|r| r.0 == 6).map(|r| (r.1, r.2)).collect()
+}
+
+fn n_messages(recording: &Recording) -> usize {
+    recording.topics().iter().map(|t| t.n_messages).sum()
+}
+
+#[test]
+fn an_empty_file_is_named_as_such() {
+    let error = Recording::from_bytes("a.mcap", &[], true).unwrap_err();
+    assert!(matches!(error, McapError::Empty { .. }));
+    assert!(error.to_string().starts_with("a.mcap: the file is empty"), "{error}");
+}
+
+#[test]
+fn another_kind_of_file_is_named_as_such() {
+    let error = Recording::from_bytes("a.mcap", b"#ROSBAG V2.0\n", true).unwrap_err();
+    assert!(matches!(error, McapError::WrongMagic { .. }));
+    assert!(error.to_string().contains("ROS 1 bag"), "{error}");
+    let error = Recording::from_bytes("a.mcap", b"\x89MCA", false).unwrap_err();
+    assert!(error.to_string().contains("cut short in its first bytes"), "{error}");
+}
+
+#[test]
+fn a_cut_at_any_byte_is_an_error_with_its_place_and_gives_the_whole_chunks_before_it_on_request() {
+    let bytes = recording(&small_chunks(Compression::Zstd));
+    let whole = chunks(&bytes);
+    let last_chunk = whole.last().unwrap().1;
+    let all = n_messages(&Recording::from_bytes("whole", &bytes, false).unwrap());
+    let mut n_before = 0;
+    for cut in 8..bytes.len() {
+        let error = Recording::from_bytes("cut", &bytes[..cut], false).unwrap_err();
+        assert!(matches!(error, McapError::Truncated { .. }), "cut at {cut}: {error}");
+        let part = Recording::from_bytes("cut", &bytes[..cut], true).unwrap();
+        assert_eq!(part.notes.len(), 1, "cut at {cut}: {:?}", part.notes);
+        let n = n_messages(&part);
+        assert!(n >= n_before, "cut at {cut}: fewer messages than before");
+        assert!(cut < last_chunk || n == all, "cut at {cut}: {n} of {all} messages, although all chunks are whole");
+        n_before = n;
+    }
+    let said = Recording::from_bytes("cut", &bytes[..whole[1].0 + 20], false).unwrap_err().to_string();
+    let place = format!("cut: byte {}: the file ends inside chunk", whole[1].0);
+    assert!(said.starts_with(&place) && said.contains("allow_truncated = true"), "{said}");
+}
+
+#[test]
+fn a_changed_byte_in_a_chunk_is_found_and_that_chunk_alone_left_out_on_request() {
+    for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
+        let mut bytes = recording(&small_chunks(compression));
+        let all = n_messages(&Recording::from_bytes("whole", &bytes, false).unwrap());
+        let (start, end) = chunks(&bytes)[1];
+        // In the middle of the packed records.
+        bytes[(start + end) / 2 + 20] ^= 0x10;
+        let error = Recording::from_bytes("flipped", &bytes, false).unwrap_err();
+        let named = matches!(error, McapError::BadCrc { .. } | McapError::Compression { .. });
+        assert!(named, "{compression:?}: {error}");
+        assert!(error.to_string().starts_with(&format!("flipped: byte {start}: ")), "{error}");
+        let part = Recording::from_bytes("flipped", &bytes, true).unwrap();
+        let n = n_messages(&part);
+        assert!(0 < n && n < all, "{compression:?}: {n} of {all}");
+        assert!(part.notes.iter().any(|note| note.contains(&format!("byte {start}"))), "{:?}", part.notes);
+    }
+}
+
+#[test]
+fn a_changed_byte_outside_chunks_is_found_by_the_crc_of_its_section() {
+    let layout = Layout { chunk_bytes: None, compression: Compression::None, ..Layout::default() };
+    let bytes = recording(&layout);
+    let message = records(&bytes).into_iter().find(|r| r.0 == 5).unwrap();
+    let mut changed = bytes.clone();
+    changed[message.2 - 3] ^= 1;
+    let error = Recording::from_bytes("data", &changed, false).unwrap_err();
+    assert!(matches!(error, McapError::BadCrc { what: "the data section", .. }), "{error}");
+    let statistics = records(&bytes).into_iter().find(|r| r.0 == 11).unwrap();
+    let mut changed = bytes.clone();
+    changed[statistics.2 - 1] ^= 1;
+    let error = Recording::from_bytes("summary", &changed, false).unwrap_err();
+    assert!(matches!(error, McapError::BadCrc { what: "the summary", .. }), "{error}");
+    assert_eq!(n_messages(&Recording::from_bytes("summary", &changed, true).unwrap()), 12);
+}
+
+#[test]
+fn a_length_that_cannot_be_true_is_named_and_costs_no_memory() {
+    let bytes = recording(&small_chunks(Compression::Zstd));
+    let (start, _) = chunks(&bytes)[0];
+    let mut record = bytes.clone();
+    record[start + 1..start + 9].copy_from_slice(&(1_u64 << 60).to_le_bytes());
+    let error = Recording::from_bytes("record", &record, false).unwrap_err();
+    assert!(matches!(error, McapError::Length { what: "chunk", .. }), "{error}");
+    let mut unpacked = bytes.clone();
+    unpacked[start + 25..start + 33].copy_from_slice(&(1_u64 << 50).to_le_bytes());
+    let error = Recording::from_bytes("unpacked", &unpacked, false).unwrap_err();
+    assert!(matches!(error, McapError::Length { what: "the unpacked chunk", .. }), "{error}");
+    let mut larger = bytes;
+    larger[start + 25..start + 33].copy_from_slice(&(1_u64 << 29).to_le_bytes());
+    let error = Recording::from_bytes("larger", &larger, false).unwrap_err();
+    assert!(error.to_string().contains("fewer than the 536870912 bytes it claims"), "{error}");
+}
+
+#[test]
+fn an_unknown_compression_is_named() {
+    let mut bytes = recording(&small_chunks(Compression::Zstd));
+    let (start, _) = chunks(&bytes)[0];
+    let name = bytes[start..].windows(4).position(|w| w == b"zstd").unwrap() + start;
+    bytes[name..name + 4].copy_from_slice(b"bzip");
+    let error = Recording::from_bytes("a", &bytes, false).unwrap_err();
+    assert!(error.to_string().contains("\"bzip\" data cannot be unpacked"), "{error}");
+}
+
+#[test]
+fn a_message_without_its_channel_is_named() {
+    let layout = Layout { chunk_bytes: None, index: false, ..Layout::default() };
+    let bytes = recording(&layout);
+    let channel = records(&bytes).into_iter().find(|r| r.0 == 4).unwrap();
+    let mut without = bytes[..channel.1].to_vec();
+    without.extend(&bytes[channel.2..]);
+    // The data section's CRC no longer fits, so it is taken out: zero stands for none.
+    let end = records(&without).into_iter().find(|r| r.0 == 15).unwrap();
+    without[end.2 - 4..end.2].fill(0);
+    let error = Recording::from_bytes("a", &without, false).unwrap_err();
+    assert!(matches!(error, McapError::UnknownChannel { .. }), "{error}");
+    let part = Recording::from_bytes("a", &without, true).unwrap();
+    assert!(part.notes.iter().any(|note| note.starts_with("6 messages were left out")), "{:?}", part.notes);
+    assert_eq!(part.messages("/stylus").len(), 6);
+}
+
+/// Reads everything that can be read; what matters is that it returns.
+fn read_all(bytes: &[u8]) {
+    for allow_truncated in [false, true] {
+        let Ok(recording) = Recording::from_bytes("fuzzed", bytes, allow_truncated) else { continue };
+        let _ = procedure_region(&recording);
+        for topic in recording.topics() {
+            for message in recording.messages(&topic.name) {
+                let _ = (stamp(message), read_cloud(message), read_transforms(message), read_pose_in_frame(message));
+            }
+        }
+    }
+}
+
+#[test]
+fn no_damage_makes_the_reader_panic_or_ask_for_absurd_memory() {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    LARGEST.store(0, Ordering::Relaxed);
+    for encoding in [Encoding::Protobuf, Encoding::Json] {
+        for (compression, chunk_bytes) in [
+            (Compression::None, Some(400)),
+            (Compression::None, None),
+            (Compression::Lz4, Some(400)),
+            (Compression::Zstd, Some(400)),
+        ] {
+            let layout = Layout { encoding, compression, chunk_bytes, ..Layout::default() };
+            let mut bytes = recording(&layout);
+            // Without stored CRCs damage goes deeper.
+            if rng.random_range(0..2) == 0 {
+                for (start, _) in chunks(&bytes) {
+                    bytes[start + 33..start + 37].fill(0);
+                }
+            }
+            for _ in 0..400 {
+                let mut damaged = bytes.clone();
+                for _ in 0..rng.random_range(1..4) {
+                    let at = rng.random_range(0..damaged.len());
+                    match rng.random_range(0..4) {
+                        0 => damaged[at] ^= 1 << rng.random_range(0..8),
+                        1 => damaged[at] = rng.random_range(0..=255),
+                        2 => {
+                            let end = (at + rng.random_range(1..9)).min(damaged.len());
+                            damaged[at..end].fill(0xFF);
+                        }
+                        _ => damaged.truncate(at.max(1)),
+                    }
+                }
+                read_all(&damaged);
+            }
+        }
+    }
+    let largest = LARGEST.load(Ordering::Relaxed);
+    // The files have 5 kB; unpacking starts with 4 MB at most.
+    assert!(largest <= 16 << 20, "{largest} bytes were asked for in one piece");
+}
+
+#[test]
+fn messages_survive_any_bytes() {
+    use osteoflow_formats::foxglove_read::{Encoded, FRAME_TRANSFORM, FRAME_TRANSFORMS, POINT_CLOUD, POSE_IN_FRAME};
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let samples: BTreeMap<&str, Vec<Vec<u8>>> = ["protobuf", "json"]
+        .into_iter()
+        .map(|name| {
+            let encoding = if name == "json" { Encoding::Json } else { Encoding::Protobuf };
+            let bytes = recording(&Layout { encoding, ..Layout::default() });
+            let recording = Recording::from_bytes("samples", &bytes, false).unwrap();
+            let messages = ["/scan", "/stylus"].map(|topic| recording.messages(topic)[0].data.to_vec());
+            (name, messages.to_vec())
+        })
+        .collect();
+    for _ in 0..3000 {
+        let encoding = ["protobuf", "json"][rng.random_range(0..2)];
+        let mut data = samples[encoding][rng.random_range(0..2)].clone();
+        for _ in 0..rng.random_range(0..4) {
+            let at = rng.random_range(0..data.len());
+            data[at] = rng.random_range(0..=255);
+        }
+        for schema_name in [POINT_CLOUD, FRAME_TRANSFORM, FRAME_TRANSFORMS, POSE_IN_FRAME] {
+            let data = data.clone().into();
+            let message = Encoded { schema_name, message_encoding: encoding, publish_time_ns: 1, data };
+            let _ = (stamp(message.clone()), read_cloud(message.clone()));
+            let _ = (read_transforms(message.clone()), read_pose_in_frame(message));
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! Files made by other programs; each test is skipped where the development data is not there.
+#![allow(clippy::unwrap_used)]
+
+use nalgebra::{Point3, Vector3};
+use osteoflow_formats::{
+    cloud_file::read_cloud_ply,
+    foxglove_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
+    mcap_read::{McapError, Recording},
+    mesh_file::read_mesh,
+    plan_file::{parse_plan, read_plan},
+};
+use osteoflow_geometry::{StampNs, SurfaceOrigin};
+use std::path::PathBuf;
+
+fn data(test: &str) -> Option<PathBuf> {
+    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
+    let folder = std::env::var_os("OSTEOFLOW_DATA").map_or_else(|| PathBuf::from(beside), PathBuf::from);
+    if !folder.join("recordings").is_dir() {
+        println!("skipped: {test}: no development data");
+        return None;
+    }
+    Some(folder)
+}
+
+fn assert_near_mm(found: Point3<f64>, expected: [f64; 3], tolerance_mm: f64) {
+    let off = (found - Point3::from(expected)).norm();
+    assert!(off < tolerance_mm, "{found} is {off} mm from {expected:?}");
+}
+
+#[test]
+fn the_development_procedure_holds_what_its_makers_reader_finds() {
+    let Some(data) = data("the development procedure") else { return };
+    let recording = Recording::open(&data.join("recordings/procedure_dev.mcap"), false).unwrap();
+    assert_eq!(recording.notes, [""; 0]);
+    let told: Vec<_> = recording.topics().iter().map(|t| (t.name.as_str(), t.n_messages)).collect();
+    // Counted with the Python reader.
+    let expected = [
+        ("/tracker/camera_marker", 196),
+        ("/tracker/phantom_marker", 37),
+        ("/phantom/marker_cad", 1),
+        ("/camera/calibration", 1),
+        ("/tracker/bone_marker", 305),
+        ("/camera/scan", 1),
+        ("/camera/laser_p1", 1),
+        ("/camera/laser_p2", 1),
+        ("/camera/laser_p3", 1),
+        ("/stylus/init", 3),
+        ("/stylus/assessment", 5),
+        ("/stylus/palpation", 300),
+    ];
+    assert_eq!(told, expected);
+    assert_eq!(recording.metadata["procedure"]["seed"], "101");
+    assert_eq!(procedure_region(&recording), Ok(None), "this one has no region of interest");
+
+    let scan = read_cloud(&recording.messages("/camera/scan")[0]).unwrap();
+    assert_eq!((scan.n_points_in_message, scan.n_dropped), (20_000, 0));
+    assert_eq!((scan.cloud.frame.as_str(), scan.cloud.stamp_ns), ("camera", 1_750_000_011_000_000_000));
+    // The same bytes as NumPy reads them, in mm.
+    assert_near_mm(scan.cloud.points()[0], [46.89876362681389, -7.711812388151884, 203.04621756076813], 1e-9);
+    assert_near_mm(scan.cloud.points()[19_999], [-47.094009816646576, 8.310537785291672, 203.66047322750092], 1e-9);
+    let mean: Vector3<f64> = scan.cloud.points().iter().map(|p| p.coords / 20_000.0).sum();
+    assert_near_mm(mean.into(), [0.8560085763070674, 0.08707344985632517, 201.90751578360795], 1e-9);
+    assert_eq!(read_cloud(&recording.messages("/camera/calibration")[0]).unwrap().cloud.len(), 13_145);
+
+    let marker = read_transforms(&recording.messages("/tracker/camera_marker")[0]).unwrap().remove(0).unwrap();
+    assert_eq!((marker.to.as_str(), marker.from.as_str()), ("world", "camera_marker"));
+    assert_eq!(marker.stamp_ns, 1_749_999_999_999_859_810, "the sensor's time, not the log's");
+    assert_near_mm(
+        marker.isometry.translation.vector.into(),
+        [181.8333427100312, -101.3576519870127, 1070.6068945087468],
+        1e-9,
+    );
+    assert!((marker.isometry.rotation.j - 0.758_390_895_790_972_4).abs() < 1e-12);
+    let init = read_pose_in_frame(&recording.messages("/stylus/init")[0]).unwrap();
+    assert_near_mm(init.position, [-19.108219689991084, 5.310590812428581, 1223.6622743332525], 1e-9);
+    assert_eq!(init.frame.as_str(), "world");
+    for topic in recording.topics() {
+        let stamps: Vec<StampNs> = recording.messages(&topic.name).iter().map(|m| stamp(m).unwrap()).collect();
+        assert!(stamps.is_sorted(), "{} is not in order of sensor time", topic.name);
+    }
+}
+
+#[test]
+fn the_plan_is_the_same_in_its_file_and_in_the_recording() {
+    let Some(data) = data("the plan") else { return };
+    let path = data.join("recordings/procedure_dev.plan.json");
+    let plan = read_plan(&path).unwrap();
+    let recording = Recording::open(&data.join("recordings/procedure_dev.mcap"), false).unwrap();
+    let attached = std::str::from_utf8(&recording.attachment("plan.json").unwrap().data).unwrap();
+    assert_eq!(parse_plan(&path, attached).unwrap(), plan);
+    let names: Vec<&str> = plan.landmarks.points.iter().map(|p| &*p.name).collect();
+    assert_eq!(names, ["P1", "P2", "P3"]);
+    assert_eq!(plan.assessment.points.len(), 5);
+    let planes: Vec<&str> = plan.planes.planes.iter().map(|p| &*p.name).collect();
+    assert_eq!(planes, ["plane_1", "plane_2"]);
+    assert_near_mm(
+        plan.landmarks.points[0].position,
+        [-86.03160917042067, -84.71615113435571, -954.6846277336338],
+        1e-12,
+    );
+    let cad = read_transforms(&recording.messages("/phantom/marker_cad")[0]).unwrap().remove(0).unwrap();
+    let off = cad.isometry.inverse() * plan.t_phantom_phantom_marker.unwrap().isometry;
+    assert!(
+        off.translation.vector.norm() + off.rotation.angle() < 1e-9,
+        "the plan and the recording agree on the phantom"
+    );
+    assert!(plan.anatomy.is_some() && plan.axes.is_some() && plan.t_camera_camera_marker_nominal.is_some());
+}
+
+#[test]
+fn damaged_files_give_their_named_errors() {
+    let Some(data) = data("damaged files") else { return };
+    let open = |name: &str, allow_truncated| Recording::open(&data.join("mcap").join(name), allow_truncated);
+    assert!(matches!(open("bad_empty.mcap", false), Err(McapError::Empty { .. })));
+    assert!(matches!(open("bad_empty.mcap", true), Err(McapError::Empty { .. })));
+    assert!(matches!(open("bad_wrong_magic.mcap", false), Err(McapError::WrongMagic { .. })));
+    let cut = open("bad_truncated_60pct.mcap", false).unwrap_err();
+    assert!(matches!(cut, McapError::Truncated { .. }), "{cut}");
+    let part = open("bad_truncated_60pct.mcap", true).unwrap();
+    assert_eq!(part.notes.len(), 1, "{:?}", part.notes);
+    assert!(part.topics().iter().map(|t| t.n_messages).sum::<usize>() > 0);
+    for topic in part.topics() {
+        for message in part.messages(&topic.name) {
+            stamp(message).unwrap();
+        }
+    }
+}
+
+#[test]
+fn ros_recordings_list_their_topics_and_say_what_they_carry() {
+    let Some(data) = data("ROS recordings") else { return };
+    for name in ["rosbag2_talker.mcap", "rosbag2_topics_and_services.mcap"] {
+        let recording = Recording::open(&data.join("mcap").join(name), false).unwrap();
+        assert!(!recording.topics().is_empty(), "{name}");
+        for topic in recording.topics() {
+            assert_eq!(topic.message_encoding, "cdr", "{name} {}", topic.name);
+            assert_eq!(recording.messages(&topic.name).len(), topic.n_messages);
+        }
+        let busy = recording.topics().iter().find(|t| t.n_messages > 0).unwrap();
+        let said = read_cloud(&recording.messages(&busy.name)[0]).unwrap_err().to_string();
+        assert!(said.contains("only protobuf and json"), "{said}");
+    }
+}
+
+#[test]
+fn bones_are_closed_surfaces_of_their_size() {
+    let Some(data) = data("bones") else { return };
+    // Faces and the box's diagonal in mm, from the files' own numbers with NumPy.
+    for (name, n_faces, span_mm) in [
+        ("MC22_fibula_r.stl", 8080, 362.3798813970505),
+        ("TLEM2_CT_fibula_r.stl", 31902, 339.7359521506569),
+        ("calibration_phantom.stl", 60, 129.9038105676658),
+        ("myosim_fibula_r.stl", 240, 366.49349138600957),
+        ("myosim_jaw.stl", 2916, 156.29360789010693),
+    ] {
+        let read = read_mesh(&data.join("bones").join(name), 1.0, "ct", SurfaceOrigin::User).unwrap();
+        let mesh = &read.mesh;
+        assert_eq!(mesh.faces().len() + read.n_degenerate, n_faces, "{name}");
+        assert_eq!(read.notes.len(), usize::from(read.n_degenerate > 0), "{name}: {:?}", read.notes);
+        let (min, max) =
+            mesh.vertices().iter().fold((mesh.vertices()[0], mesh.vertices()[0]), |(a, b), v| (a.inf(v), b.sup(v)));
+        assert!(((max - min).norm() - span_mm).abs() < 1e-3, "{name}: {} mm", (max - min).norm());
+        // Merged corners make a closed surface: vertices - edges + faces = 2, with three half edges for each face.
+        if read.n_degenerate == 0 && name != "myosim_jaw.stl" {
+            assert_eq!(mesh.vertices().len() as i64 - mesh.faces().len() as i64 / 2, 2, "{name}");
+        }
+        // In metres the same file is told to be in doubt.
+        let metres = read_mesh(&data.join("bones").join(name), 0.001, "ct", SurfaceOrigin::User).unwrap();
+        assert!(metres.notes.iter().any(|n| n.contains("unit_mm = 1000")), "{name}: {:?}", metres.notes);
+    }
+}
+
+#[test]
+fn a_scanner_cloud_reads_in_metres() {
+    let Some(data) = data("a scanner cloud") else { return };
+    let read = read_cloud_ply(&data.join("scans/small_gicp_source.ply"), 1000.0, "sensor").unwrap();
+    assert_eq!((read.n_points_in_file, read.n_dropped), (69_792, 0));
+    assert_near_mm(read.cloud.points()[0], [4.045109264552593, 2575.1945972442627, -1527.2173881530762], 1e-6);
+}
