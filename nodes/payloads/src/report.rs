@@ -41,6 +41,7 @@ reports! {
     "Icp" = osteoflow_algorithms::icp::IcpReport;
     "IcpTrace" = osteoflow_algorithms::icp::IcpTrace;
     "Motion" = osteoflow_algorithms::still_average::StillReport;
+    "PoseError" = osteoflow_algorithms::metrics::PoseErrorReport;
     "Surface" = osteoflow_algorithms::metrics::SurfaceReport;
     "Tre" = osteoflow_algorithms::metrics::TreReport;
 }

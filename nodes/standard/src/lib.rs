@@ -69,6 +69,7 @@ pub fn registry() -> Registry {
         .node::<metrics::cuts::Cuts>()
         .node::<metrics::fre::Fre>()
         .node::<metrics::surface::Surface>()
+        .node::<metrics::calibration::Calibration>()
         .node::<output::ply::Ply>()
         .node::<output::csv::Csv>();
     registry

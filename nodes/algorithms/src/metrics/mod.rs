@@ -2,11 +2,13 @@
 
 mod cuts;
 mod fre;
+mod pose_error;
 mod surface;
 mod tre;
 
 pub use cuts::{CutReport, CutsReport, SegmentReport, cuts};
 pub use fre::{FrePoint, FreReport, fre};
+pub use pose_error::{PoseErrorReport, pose_error};
 pub use surface::{SurfaceReport, surface_residual};
 pub use tre::{TrePoint, TreReport, TreSummary, tre};
 

@@ -1,5 +1,6 @@
 //! How well: each states its formula, n and unit.
 
+pub mod calibration;
 pub mod cuts;
 pub mod fre;
 pub mod surface;
