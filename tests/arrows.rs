@@ -1,4 +1,5 @@
 //! Which crate may know which: the arrows of docs/architecture.md, read from the manifests.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use std::{collections::BTreeMap, fs, path::Path};
 

@@ -1,4 +1,5 @@
 //! The command line itself: helps, exit codes, what goes to stdout and what to stderr.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
 

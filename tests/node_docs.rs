@@ -1,4 +1,5 @@
 //! docs/nodes is what the nodes say of themselves; `UPDATE=1` writes it anew.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
 
@@ -21,7 +22,11 @@ fn docs_nodes_is_what_the_nodes_say_of_themselves() {
     let fresh = tempfile::tempdir().unwrap();
     osteoflow().args(["inspect", "--write-docs"]).arg(fresh.path()).assert().success();
     let (kept, fresh) = (pages(&kept), pages(fresh.path()));
-    assert_eq!(Vec::from_iter(kept.keys()), Vec::from_iter(fresh.keys()), "`osteoflow inspect --write-docs docs/nodes`");
+    assert_eq!(
+        Vec::from_iter(kept.keys()),
+        Vec::from_iter(fresh.keys()),
+        "`osteoflow inspect --write-docs docs/nodes`"
+    );
     for (name, text) in &fresh {
         assert!(kept[name] == *text, "docs/nodes/{name} is stale: `osteoflow inspect --write-docs docs/nodes`");
     }

@@ -1,4 +1,5 @@
 //! The node of docs/writing-a-node.md. The page shows pieces of this file, and a test holds them equal.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_geometry::{
     Cloud,
@@ -29,6 +30,7 @@ max_distance_mm = 250.0
 )]
 pub struct Range(RangeParams);
 
+/// The distances kept.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(crate = "osteoflow_node::serde", default, deny_unknown_fields)]
 #[schemars(crate = "osteoflow_node::schemars")]
@@ -47,12 +49,14 @@ impl Default for RangeParams {
     }
 }
 
+/// What it takes.
 #[derive(Inputs)]
 pub struct In {
     /// What the camera saw, with its viewpoint.
     cloud: Cloud,
 }
 
+/// What it gives.
 #[derive(Outputs)]
 pub struct Out {
     /// The points in range, in their order.

@@ -1,6 +1,7 @@
 use super::{Exit, Format, Global, GraphArgs, print_json};
 use anyhow::Result;
 use clap::Args;
+use osteoflow_engine::Faults;
 use serde_json::json;
 use std::io::Write;
 
@@ -25,11 +26,11 @@ impl Check {
         let plan = &checked.plan;
         match global.format {
             Format::Json => print_json(&json!({
-                "outcome": Exit::Done.word(),
+                "outcome": Exit::Done.to_json(),
                 "graph": plan.name,
                 "nodes": plan.nodes.len(),
                 "wires": plan.links.len(),
-                "warnings": checked.warnings.to_json(),
+                "warnings": Faults(checked.warnings).to_json(),
             }))?,
             Format::Text if !global.quiet => {
                 let (graph, nodes, wires) = (self.graph.graph.display(), plan.nodes.len(), plan.links.len());

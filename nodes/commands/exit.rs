@@ -11,6 +11,8 @@ pub(crate) enum Exit {
     Usage,
     /// A node failed, or the procedure could not be completed; `results.json` says `refused` and why.
     Refused,
+    /// A replay differs from what was recorded.
+    Differs,
     /// Stopped by Ctrl-C; what was written until then is valid.
     Interrupted,
 }
@@ -23,19 +25,26 @@ impl Exit {
             Self::Failed => 1,
             Self::Usage => 2,
             Self::Refused => 3,
+            Self::Differs => 4,
             Self::Interrupted => 130,
         }
     }
 
-    /// The word for machines.
-    pub(crate) fn word(self) -> &'static str {
+    /// The word for it.
+    fn word(self) -> &'static str {
         match self {
             Self::Done => "done",
             Self::Failed => "failed",
             Self::Usage => "faulty",
             Self::Refused => "refused",
+            Self::Differs => "differs",
             Self::Interrupted => "interrupted",
         }
+    }
+
+    /// The same for machines.
+    pub(crate) fn to_json(self) -> serde_json::Value {
+        serde_json::json!({ "status": self.word(), "exit_code": self.code() })
     }
 }
 

@@ -1,7 +1,7 @@
 use super::{Exit, Format, Global, registry};
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::{Checked, fault::Faults};
+use osteoflow_engine::{Checked, Faults};
 use osteoflow_node::Registry;
 use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf};
@@ -23,8 +23,9 @@ impl GraphArgs {
         let registry = registry();
         match osteoflow_engine::check(&self.graph, &self.sets, &registry) {
             Ok(checked) => {
-                if !checked.warnings.0.is_empty() && !global.quiet && global.format == Format::Text {
-                    writeln!(std::io::stderr(), "{}\n", checked.warnings.render(global.colour_err()))?;
+                if !checked.warnings.is_empty() && !global.quiet && global.format == Format::Text {
+                    let warnings = Faults(checked.warnings.clone());
+                    writeln!(std::io::stderr(), "{}\n", warnings.render(global.colour_err()))?;
                 }
                 Ok((registry, Some(checked)))
             }
@@ -40,7 +41,7 @@ impl GraphArgs {
 fn tell(faults: &Faults, global: &Global) -> Result<()> {
     match global.format {
         Format::Text => writeln!(std::io::stderr(), "{}", faults.render(global.colour_err()))?,
-        Format::Json => print_json(&json!({ "outcome": Exit::Usage.word(), "faults": faults.to_json() }))?,
+        Format::Json => print_json(&json!({ "outcome": Exit::Usage.to_json(), "faults": faults.to_json() }))?,
     }
     Ok(())
 }

@@ -47,10 +47,11 @@ impl Inspect {
                 write!(out, "{}", texts.collect::<Vec<_>>().join("\n"))?;
             }
             Format::Text => {
+                let width = chosen.iter().flat_map(|(_, kinds)| kinds).map(|d| d.kind.len()).max().unwrap_or(0);
                 for (stage, kinds) in &chosen {
                     writeln!(out, "{}", global.paint_out(stage, "1"))?;
                     for kind in kinds {
-                        writeln!(out, "  {:<28} {}", kind.kind, kind.summary)?;
+                        writeln!(out, "  {:<width$}  {}", kind.kind, kind.summary)?;
                     }
                 }
             }

@@ -1,15 +1,27 @@
 //! The subcommands, one file each, and what they share: switches, exit codes, the registry.
 
+mod check;
 mod completions;
 mod exit;
+mod graph;
+mod graph_args;
 mod inspect;
 pub(crate) mod log;
 mod node_docs;
 mod out_dir;
+mod progress;
+mod record;
+mod replay;
 mod result_table;
+mod run;
+mod run_table;
+mod running;
+mod simulate;
+mod simulate_folder;
 mod text_table;
 
 pub(crate) use exit::{Exit, UsageError};
+use graph_args::{GraphArgs, print_json};
 
 use anyhow::Result;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
@@ -26,16 +38,17 @@ use std::io::IsTerminal;
     max_term_width = 110,
     after_help = "\
 Examples:
-  osteoflow run graphs/fibula.toml                          a simulated procedure, from scan to cutting planes
+  osteoflow run graphs/fibula.toml               a simulated procedure, from scan to cutting planes
   osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_plane --set graph.seed=7
-  osteoflow check graphs/fibula.toml                        every fault at its line, nothing is run
-  osteoflow inspect icp.point_to_plane                      what a node takes, gives and needs
+  osteoflow check graphs/fibula.toml             every fault at its line; nothing is run
+  osteoflow inspect icp.point_to_plane           what a node takes, gives and needs
 
 Exit codes:
     0  done
     1  a file could not be read or written, or something of ours broke
     2  the command line or the graph has a fault; nothing was run
     3  the run was refused or a node failed; results.json says why
+    4  a replay differs from what was recorded
   130  interrupted; what was written until then is valid
 
 Research software, not a medical device."
@@ -116,14 +129,26 @@ fn paint(coloured: bool, text: &str, style: &str) -> String {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
+    Run(run::Run),
+    Check(check::Check),
     Inspect(inspect::Inspect),
+    Graph(graph::Graph),
+    Record(record::Record),
+    Replay(replay::Replay),
+    Simulate(simulate::Simulate),
     Completions(completions::Completions),
 }
 
 impl Command {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         match self {
+            Self::Run(command) => command.execute(global),
+            Self::Record(command) => command.execute(global),
+            Self::Replay(command) => command.execute(global),
+            Self::Check(command) => command.execute(global),
             Self::Inspect(command) => command.execute(global),
+            Self::Graph(command) => command.execute(global),
+            Self::Simulate(command) => command.execute(global),
             Self::Completions(command) => command.execute(global),
         }
     }
@@ -131,5 +156,5 @@ impl Command {
 
 /// The nodes and payloads that graphs may name.
 pub(crate) fn registry() -> osteoflow_node::Registry {
-    osteoflow_node::Registry::default()
+    osteoflow_standard::registry()
 }

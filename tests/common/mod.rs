@@ -5,19 +5,19 @@ use assert_cmd::Command;
 use std::path::{Path, PathBuf};
 
 /// The command under test, in the workspace's folder, without the settings of whoever runs the tests.
-pub fn osteoflow() -> Command {
+pub(crate) fn osteoflow() -> Command {
     let mut command = Command::cargo_bin("osteoflow").unwrap();
     command.current_dir(root()).env_remove("OSTEOFLOW_LOG").env("NO_COLOR", "1");
     command
 }
 
 /// The workspace's folder.
-pub fn root() -> &'static Path {
+pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
 /// Development data that is not part of the repository; says so and gives nothing where it is absent.
-pub fn data(test: &str, path: &str) -> Option<PathBuf> {
+pub(crate) fn data(test: &str, path: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("OSTEOFLOW_DATA").map_or_else(|| root().join("../shared/data"), PathBuf::from);
     let path = folder.join(path);
     if path.exists() {
@@ -28,7 +28,7 @@ pub fn data(test: &str, path: &str) -> Option<PathBuf> {
 }
 
 /// Holds generated text equal to a file of the repository; `UPDATE=1` rewrites the file.
-pub fn assert_golden(path: &Path, text: &str) {
+pub(crate) fn assert_golden(path: &Path, text: &str) {
     if std::env::var_os("UPDATE").is_some() {
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(path, text).unwrap();

@@ -1,0 +1,94 @@
+use super::{
+    Exit, Format, Global, GraphArgs, UsageError, print_json,
+    progress::Progress,
+    running::{self, Ran},
+};
+use anyhow::{Context, Result};
+use clap::Args;
+use osteoflow_engine::run::{Outcome, RunOptions};
+use serde_json::json;
+use std::{fs, io::Write, num::NonZeroUsize, path::PathBuf, sync::Arc};
+
+/// Run a graph and record the wires you name into one MCAP file.
+///
+/// What the sources gave is always in it, so that the file alone can be replayed.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow record graphs/fibula.toml --wires 'icp.*' 'planes.*' --out icp.mcap
+  osteoflow record graphs/fibula.toml --wires '*' --out all.mcap
+  osteoflow replay icp.mcap")]
+pub(crate) struct Record {
+    #[command(flatten)]
+    graph: GraphArgs,
+
+    /// Wires as NODE.PORT; * stands for any run of characters.
+    #[arg(long, value_name = "GLOB", num_args = 1.., required = true)]
+    wires: Vec<String>,
+
+    /// The file to write.
+    #[arg(long, value_name = "FILE.mcap")]
+    out: PathBuf,
+
+    /// Replace the file if it is there.
+    #[arg(long)]
+    force: bool,
+
+    /// How many threads run nodes; the recording does not depend on it. Default: the number of cores.
+    #[arg(long, value_name = "N")]
+    workers: Option<NonZeroUsize>,
+}
+
+impl Record {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let file = &self.out;
+        if file.exists() && !self.force {
+            let said = format!("{} is there already; name another file, or replace it with --force", file.display());
+            return Err(UsageError(said).into());
+        }
+        let mut sets = self.graph.sets.clone();
+        sets.push(format!("record.wires={}", json!(self.wires)));
+        let graph = GraphArgs { graph: self.graph.graph.clone(), sets };
+        let (registry, Some(checked)) = graph.check(global)? else { return Ok(Exit::Usage) };
+        let plan = checked.plan;
+
+        // A run writes into a folder; the recording is moved out of it once it is whole.
+        let mut name = file.file_name().context("--out names no file")?.to_owned();
+        name.push(".part");
+        let part = file.with_file_name(name);
+        let _ = fs::remove_dir_all(&part);
+        let cancelled = Arc::default();
+        let options =
+            RunOptions { out_dir: Some(part.clone()), record: true, ..running::options(self.workers, &cancelled)? };
+        let progress = Progress::of_run(&plan, options.workers, global);
+        let n_wires = plan.record.len();
+        let ran = running::watch(progress, cancelled, move |progress| {
+            osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(running::told)
+        })?;
+        let Ran::Ended(report) = ran else {
+            running::say_left(&part, global);
+            return Ok(Exit::Interrupted);
+        };
+        fs::rename(part.join(super::out_dir::RECORDING), file)
+            .with_context(|| format!("{} cannot be written", file.display()))?;
+        fs::remove_dir_all(&part).with_context(|| format!("{} cannot be removed", part.display()))?;
+        let exit = match &report.outcome {
+            Outcome::Complete => Exit::Done,
+            Outcome::Refused(refusal) => {
+                writeln!(std::io::stderr(), "{}: {refusal}", global.paint_err("refused", "1;31"))?;
+                Exit::Refused
+            }
+            Outcome::Interrupted => Exit::Interrupted,
+        };
+        match global.format {
+            Format::Json => print_json(&json!({
+                "outcome": exit.to_json(),
+                "file": file.display().to_string(),
+                "wires": n_wires,
+            }))?,
+            Format::Text if global.quiet => {}
+            Format::Text => writeln!(std::io::stdout(), "{n_wires} wires in {}", file.display())?,
+        }
+        Ok(exit)
+    }
+}

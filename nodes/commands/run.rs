@@ -1,0 +1,128 @@
+use super::{
+    Exit, Format, Global, GraphArgs, out_dir, print_json,
+    progress::Progress,
+    result_table, run_table,
+    running::{self, Ran},
+};
+use anyhow::Result;
+use clap::Args;
+use osteoflow_engine::run::{Outcome, RunOptions, RunReport};
+use serde_json::Value;
+use std::{
+    io::Write,
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+/// Run a graph: check it, run it, leave results, where they came from, and a recording of its wires.
+///
+/// Without --out the files go into runs/GRAPH-TIME in the current folder.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow run graphs/fibula.toml
+  osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_plane --set graph.seed=7
+  osteoflow run graphs/fibula_recorded.toml --set recording.path=R.mcap --set bone.path=B.stl \\
+      --set phantom.path=P.stl --set plan.path=R.plan.json --out DIR
+  osteoflow run graphs/fibula.toml --format json --quiet | jq .metrics.tre_true_mm")]
+pub(crate) struct Run {
+    #[command(flatten)]
+    graph: GraphArgs,
+
+    #[command(flatten)]
+    leave: Leave,
+
+    /// Do not write run.mcap.
+    #[arg(long)]
+    no_record: bool,
+}
+
+/// Where a run leaves its files, and on how many threads it runs.
+#[derive(Debug, Args)]
+pub(crate) struct Leave {
+    /// The folder to leave the files in; one that is not empty is refused.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+
+    /// Take a folder that is not empty, and replace the files of a run in it; nothing else is touched.
+    #[arg(long)]
+    pub(crate) force: bool,
+
+    /// How many threads run nodes; the results do not depend on it. Default: the number of cores.
+    #[arg(long, value_name = "N")]
+    pub(crate) workers: Option<NonZeroUsize>,
+}
+
+impl Run {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let (registry, Some(checked)) = self.graph.check(global)? else { return Ok(Exit::Usage) };
+        let plan = checked.plan;
+        let cancelled = Arc::default();
+        let dir = out_dir::make(self.leave.out.as_deref(), &plan.name, self.leave.force)?;
+        let options = RunOptions {
+            out_dir: Some(dir.clone()),
+            record: !self.no_record,
+            ..running::options(self.leave.workers, &cancelled)?
+        };
+        let progress = Progress::of_run(&plan, options.workers, global);
+        let ran = running::watch(progress, cancelled, move |progress| {
+            osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(running::told)
+        })?;
+        match ran {
+            Ran::Ended(report) => tell(&report, &dir, global),
+            Ran::Left => {
+                running::say_left(&dir, global);
+                Ok(Exit::Interrupted)
+            }
+        }
+    }
+}
+
+/// Tells how a run ended: answers on stdout, everything else on stderr.
+pub(crate) fn tell(report: &RunReport, dir: &Path, global: &Global) -> Result<Exit> {
+    let exit = match &report.outcome {
+        Outcome::Complete => Exit::Done,
+        Outcome::Refused(_) => Exit::Refused,
+        Outcome::Interrupted => Exit::Interrupted,
+    };
+    let mut err = std::io::stderr().lock();
+    for warning in &report.warnings {
+        let word = global.paint_err("warning", "1;33");
+        writeln!(err, "{word}: node \"{}\", item {}: {}", warning.node, warning.item, warning.message)?;
+    }
+    match &report.outcome {
+        Outcome::Refused(refusal) => writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?,
+        Outcome::Interrupted => writeln!(err, "{}: there are no results", global.paint_err("interrupted", "1;33"))?,
+        Outcome::Complete => {}
+    }
+    drop(err);
+    match global.format {
+        Format::Json => print_json(&with_outcome(report, exit, dir))?,
+        Format::Text => print_text(report, dir, global)?,
+    }
+    Ok(exit)
+}
+
+fn print_text(report: &RunReport, dir: &Path, global: &Global) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    if global.verbose > 0 {
+        writeln!(out, "{}", run_table::text(report))?;
+    }
+    if report.outcome == Outcome::Complete {
+        writeln!(out, "{}", result_table::text(&report.results))?;
+    }
+    let files = [out_dir::RESULTS, out_dir::MANIFEST, out_dir::RECORDING].into_iter().filter(|f| dir.join(f).exists());
+    let files = files.collect::<Vec<_>>().join(", ");
+    writeln!(out, "{files} in {} after {:.2} s", dir.display(), report.elapsed.as_secs_f64())?;
+    Ok(())
+}
+
+/// What `results.json` holds, and how the run ended.
+fn with_outcome(report: &RunReport, exit: Exit, dir: &Path) -> Value {
+    let mut outcome = exit.to_json();
+    outcome["out_dir"] = dir.display().to_string().into();
+    let mut all = serde_json::Map::from_iter([("outcome".to_owned(), outcome)]);
+    all.extend(report.results.as_object().cloned().unwrap_or_default());
+    Value::Object(all)
+}

@@ -1,0 +1,182 @@
+use super::{Exit, Global, UsageError};
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+use osteoflow_formats::{
+    mcap_read::Attachment,
+    mesh_file, plan_file,
+    recording_write::{Layout, Stream, write_recording},
+};
+use osteoflow_geometry::{Cloud, Points, Pose, matrix_rows};
+use osteoflow_simulation::{Procedure, ProcedureParams};
+use serde_json::{Value, json};
+use std::{
+    collections::BTreeMap,
+    fs,
+    io::Write,
+    path::{Path, PathBuf},
+};
+
+/// Write the built-in simulated procedure as files that other programs can read.
+///
+/// A recording in Foxglove's schemas (or a folder of plain files), the CT surface, the phantom, the plan, and the truth
+/// for scoring, with a README that says how they were made.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow simulate --seed 7 --out /tmp/procedure
+  osteoflow simulate --points 4000 --out /tmp/small
+  osteoflow run graphs/fibula_recorded.toml --set recording.path=/tmp/procedure/procedure.mcap \\
+      --set bone.path=/tmp/procedure/bone.stl --set phantom.path=/tmp/procedure/phantom.stl \\
+      --set plan.path=/tmp/procedure/plan.json")]
+pub(crate) struct Simulate {
+    /// The seed of everything random in it.
+    #[arg(long, default_value_t = 42)]
+    seed: u64,
+
+    /// Points of each cloud.
+    #[arg(long, default_value_t = 20_000, value_name = "N", value_parser = clap::value_parser!(u64).range(100..=500_000))]
+    points: u64,
+
+    /// How the streams are written.
+    #[arg(long = "as", value_enum, default_value_t = Shape::Mcap, value_name = "SHAPE")]
+    shape: Shape,
+
+    /// The folder to write into.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Replace files that are there already.
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Shape {
+    /// One recording, procedure.mcap.
+    Mcap,
+    /// PLY scans, a CSV of poses, and procedure.toml that names them.
+    Folder,
+}
+
+impl Simulate {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let dir = &self.out;
+        fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
+        let used = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some();
+        if used && !self.force {
+            let said =
+                format!("{} is not empty; name another folder, or replace what is in it with --force", dir.display());
+            return Err(UsageError(said).into());
+        }
+        let mut params = ProcedureParams::default();
+        params.camera.n_points = usize::try_from(self.points)?;
+        let procedure = Procedure::simulate(&params, self.seed)?;
+        match self.shape {
+            Shape::Mcap => write_streams(&dir.join("procedure.mcap"), &procedure, self.seed)?,
+            Shape::Folder => super::simulate_folder::write(dir, &procedure)?,
+        }
+        mesh_file::write_stl(&dir.join("bone.stl"), &procedure.ct_surface)?;
+        mesh_file::write_stl(&dir.join("phantom.stl"), &procedure.phantom)?;
+        plan_file::write_plan(&dir.join("plan.json"), &procedure.plan)?;
+        write_text(&dir.join("truth.json"), &format!("{:#}\n", truth_json(&procedure, self.seed)))?;
+        write_text(&dir.join("README.md"), &self.readme())?;
+        if !global.quiet {
+            writeln!(std::io::stderr(), "SIMULATED procedure of seed {} in {}", self.seed, dir.display())?;
+        }
+        Ok(Exit::Done)
+    }
+
+    fn readme(&self) -> String {
+        let (seed, points) = (self.seed, self.points);
+        let (streams, switch) = match self.shape {
+            Shape::Mcap => ("`procedure.mcap`: the recording, Foxglove schemas in protobuf, metres inside", ""),
+            Shape::Folder => {
+                ("`procedure.toml` and what it names: PLY scans and `poses.csv`, millimetres", " --as folder")
+            }
+        };
+        format!(
+            "# A simulated procedure\n\n\
+             Made by osteoflow {} with\n\n\
+             ```text\nosteoflow simulate --seed {seed} --points {points}{switch} --out DIR\n```\n\n\
+             - {streams}\n\
+             - `bone.stl`: the surface that the simulated CT gave, frame `ct`, mm\n\
+             - `phantom.stl`: the calibration phantom's CAD, frame `phantom`, mm\n\
+             - `plan.json`: landmarks, assessment points, cutting planes, CAD poses, mm\n\
+             - `truth.json`: what really was, for scoring, never an input; `X_T_Y` takes coordinates in Y to X\n\n\
+             SIMULATED: {}. Licence: CC0.\n",
+            env!("CARGO_PKG_VERSION"),
+            super::result_table::NOTICE
+        )
+    }
+}
+
+fn write_text(path: &Path, text: &str) -> Result<()> {
+    fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+}
+
+/// The procedure as one recording: the topics of a real one, the plan attached, the region of interest as metadata.
+fn write_streams(path: &Path, procedure: &Procedure, seed: u64) -> Result<()> {
+    let cloud = |cloud: &Cloud| Stream::Clouds(vec![cloud.clone()]);
+    let poses = |poses: &[Pose]| Stream::Transforms(poses.to_vec());
+    let tips = |points: &Points| {
+        Stream::Tips(points.points.iter().map(|p| (points.frame.clone(), p.stamp_ns, p.position)).collect())
+    };
+    let mut streams = vec![
+        ("/phantom/marker_cad".to_owned(), poses(std::slice::from_ref(&procedure.t_phantom_phantom_marker))),
+        ("/tracker/camera_marker".into(), poses(&procedure.camera_marker)),
+        ("/tracker/phantom_marker".into(), poses(&procedure.phantom_marker)),
+        ("/tracker/bone_marker".into(), poses(&procedure.bone_marker)),
+        ("/camera/calibration".into(), cloud(&procedure.phantom_scan)),
+        ("/camera/scan".into(), cloud(&procedure.scan)),
+    ];
+    streams.extend(procedure.laser.iter().zip(1..).map(|(scan, n)| (format!("/camera/laser_p{n}"), cloud(scan))));
+    streams.push(("/stylus/init".into(), tips(&procedure.stylus_init)));
+    streams.push(("/stylus/assessment".into(), tips(&procedure.stylus_assessment)));
+    streams.push(("/stylus/palpation".into(), tips(&procedure.stylus_palpation)));
+
+    let mut about = BTreeMap::from([("simulated".to_owned(), "true".to_owned()), ("seed".into(), seed.to_string())]);
+    if let Some(region) = &procedure.region {
+        for (key, corner) in [("roi_camera_min_m", &region.min), ("roi_camera_max_m", &region.max)] {
+            let metres = corner.coords / osteoflow_geometry::MM_PER_M;
+            about.insert(key.into(), format!("{} {} {}", metres.x, metres.y, metres.z));
+        }
+    }
+    let plan = format!("{:#}\n", plan_file::plan_json(&procedure.plan));
+    let attachment =
+        Attachment { name: "plan.json".into(), media_type: "application/json".into(), data: plan.into_bytes().into() };
+    let metadata = BTreeMap::from([("procedure".to_owned(), about)]);
+    Ok(write_recording(path, &streams, &metadata, &[attachment], &Layout::default())?)
+}
+
+/// What really was, under the keys that the development recordings' truth has.
+fn truth_json(procedure: &Procedure, seed: u64) -> Value {
+    let truth = &procedure.truth;
+    let matrix = |pose: &Pose| json!(matrix_rows(&pose.isometry));
+    let places =
+        |points: &Points| -> Value { points.points.iter().map(|p| json!(p.position.coords.as_slice())).collect() };
+    let planes = |planes: &osteoflow_geometry::Planes| -> Value {
+        planes.planes.iter().filter_map(|p| Some(json!(matrix_rows(p.isometry()?)))).collect()
+    };
+    let t_camera_world = truth.t_world_camera_at_scan.isometry.inverse();
+    json!({
+        "units": "mm",
+        "convention": "X_T_Y takes coordinates in Y to coordinates in X; 4 x 4, row by row",
+        "simulated": true,
+        "seed": seed,
+        "C_T_Mc": matrix(&truth.t_camera_camera_marker),
+        "P_T_Mp": matrix(&truth.t_phantom_phantom_marker),
+        "C_T_P_calibration": matrix(&truth.t_camera_phantom),
+        "W_T_C_scan": matrix(&truth.t_world_camera_at_scan),
+        "W_T_CT": matrix(&truth.t_world_ct_at_scan),
+        "CT_T_W": matrix(&truth.t_world_ct_at_scan.inverse()),
+        "W_T_Mb_scan": matrix(&truth.t_world_bone_marker_at_scan),
+        "CT_T_Mb": matrix(&truth.t_ct_bone_marker),
+        "W_T_CT_after_motion": matrix(&truth.t_world_ct_after_motion),
+        "laser_spots_CT": places(&truth.laser_spots_ct),
+        "laser_spots_W": places(&truth.laser_spots_world),
+        "laser_spots_C": places(&truth.laser_spots_world.transformed("camera", &t_camera_world)),
+        "assessment_W_true": places(&truth.assessment_world),
+        "planes_W_scan": planes(&truth.planes_world_at_scan),
+        "planes_W_after_motion": planes(&truth.planes_world_after_motion),
+    })
+}
