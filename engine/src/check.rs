@@ -63,12 +63,7 @@ pub fn check(path: &Path, sets: &[String], registry: &Registry) -> Result<Checke
 ///
 /// # Errors
 /// [`Faults`]: every fault of the text, of what it extends and of the settings.
-pub fn check_text(
-    text: &str,
-    virtual_path: &Path,
-    sets: &[String],
-    registry: &Registry,
-) -> Result<Checked, Faults> {
+pub fn check_text(text: &str, virtual_path: &Path, sets: &[String], registry: &Registry) -> Result<Checked, Faults> {
     check_given(text, virtual_path, sets, registry, Files::Needed)
 }
 
@@ -85,13 +80,7 @@ pub fn check_recorded(
     check_given(text, virtual_path, sets, registry, Files::Recorded)
 }
 
-fn check_given(
-    text: &str,
-    path: &Path,
-    sets: &[String],
-    registry: &Registry,
-    files: Files,
-) -> Result<Checked, Faults> {
+fn check_given(text: &str, path: &Path, sets: &[String], registry: &Registry, files: Files) -> Result<Checked, Faults> {
     let mut faults = Vec::new();
     let graph = graph::load_text(text.into(), path, sets, &mut faults);
     Check { registry, files, faults }.run(&graph, path)
@@ -106,7 +95,6 @@ struct Check<'r> {
 
 impl Check<'_> {
     fn run(mut self, graph: &Graph, path: &Path) -> Result<Checked, Faults> {
-        let n_syntax = self.faults.len();
         let header = self.header(graph);
         let drafts = self.drafts(graph, &header);
         let inputs = self.inputs(&drafts, &header);
@@ -114,7 +102,7 @@ impl Check<'_> {
         let frames = order.as_ref().map(|order| self.frames(&drafts, &inputs, &header, order));
         let record = self.record(graph, &drafts);
         let results = self.results(graph, &drafts);
-        let faults = sorted(self.faults, n_syntax);
+        let faults = sorted(self.faults);
         let (errors, warnings): (Vec<_>, Vec<_>) = faults.into_iter().partition(|f| f.severity == Severity::Error);
         match (order, frames) {
             (Some(order), Some(frames)) if errors.is_empty() => {
@@ -127,14 +115,13 @@ impl Check<'_> {
 }
 
 /// In the order of the texts. After a syntax fault, what may be no more than its consequence is left out.
-fn sorted(mut faults: Vec<Fault>, n_syntax: usize) -> Vec<Fault> {
-    let rest = faults.split_off(n_syntax);
-    let broken: Vec<_> = faults.iter().filter_map(|fault| fault.at.as_ref().map(|(span, _)| span.clone())).collect();
+fn sorted(mut faults: Vec<Fault>) -> Vec<Fault> {
+    let hidden: Vec<_> = faults.iter().filter_map(|fault| fault.hides.clone()).collect();
     let consequence = |fault: &Fault| match &fault.at {
-        Some((span, _)) => fault.follows || broken.iter().any(|other| other.same_line(span)),
+        Some((span, _)) => fault.follows || hidden.iter().any(|hidden| hidden.covers(span)),
         None => false,
     };
-    faults.extend(rest.into_iter().filter(|fault| n_syntax == 0 || !consequence(fault)));
+    faults.retain(|fault| hidden.is_empty() || fault.hides.is_some() || !consequence(fault));
     faults.sort_by_key(|fault| fault.at.as_ref().map(|(span, _)| span.key()));
     faults
 }

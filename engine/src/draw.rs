@@ -39,7 +39,8 @@ pub fn dot(plan: &Plan) -> String {
 fn label(plan: &Plan, link: &Link) -> Vec<String> {
     let output = &plan.nodes[link.from.node].outputs[link.from.port];
     let input = &plan.nodes[link.to_node].inputs[link.to_port].port;
-    let ports = if output.name == input.name { output.name.clone() } else { format!("{} as {}", output.name, input.name) };
+    let ports =
+        if output.name == input.name { output.name.clone() } else { format!("{} as {}", output.name, input.name) };
     let mut lines = vec![ports, output.payload.name().to_owned()];
     lines.extend(frames(output));
     lines

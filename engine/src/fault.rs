@@ -35,13 +35,15 @@ pub struct Fault {
     pub help: Vec<String>,
     /// Whether it may be no more than the consequence of a syntax fault elsewhere.
     pub(crate) follows: bool,
+    /// The text that could not be read because of it: what else is said there is not to be trusted.
+    pub(crate) hides: Option<Span>,
 }
 
 impl Fault {
     pub(crate) fn new(message: impl Into<String>) -> Self {
         let severity = Severity::Error;
         let (at, also, notes, help) = (None, Vec::new(), Vec::new(), Vec::new());
-        Self { severity, message: message.into(), at, also, notes, help, follows: false }
+        Self { severity, message: message.into(), at, also, notes, help, follows: false, hides: None }
     }
 
     pub(crate) fn warning(mut self) -> Self {
@@ -87,6 +89,18 @@ impl Fault {
     pub(crate) fn follows(mut self) -> Self {
         self.follows = true;
         self
+    }
+
+    /// This text could not be read, so that something else may seem to be missing.
+    pub(crate) fn hides(mut self, span: &Span) -> Self {
+        self.hides = Some(span.clone());
+        self
+    }
+
+    /// Help of which one is enough: `or ..` where there is some already.
+    pub(crate) fn or_help(self, help: impl std::fmt::Display) -> Self {
+        let or = if self.help.is_empty() { "" } else { "or " };
+        self.help(format!("{or}{help}"))
     }
 
     /// Where it is.

@@ -5,6 +5,7 @@ mod merge;
 mod parse;
 mod results;
 mod set;
+mod syntax;
 mod tree;
 
 pub(crate) use tree::{Entry, Spanned, Table, Value};

@@ -65,7 +65,12 @@ impl Net<'_> {
         let draft = &self.drafts[index];
         let outputs = draft.outputs.iter().flatten().zip(&self.frames[index]);
         let output = |(output, frames): (&super::drafts::Output, &crate::plan::PortFrames)| {
-            Some(PlanOutput { name: output.name.clone(), payload: output.payload?, frames: frames.clone(), links: Vec::new() })
+            Some(PlanOutput {
+                name: output.name.clone(),
+                payload: output.payload?,
+                frames: frames.clone(),
+                links: Vec::new(),
+            })
         };
         PlanNode {
             name: draft.name.into(),

@@ -88,7 +88,9 @@ impl<'r> Check<'r> {
         }
         let Some(table) = entry.value.as_table() else {
             let message = format!("node \"{name}\" takes a table, found {}", entry.value.found());
-            self.faults.push(Fault::new(message).at(&entry.value.at, "a table is needed").help(format!("write [node.{name}]")));
+            self.faults.push(
+                Fault::new(message).at(&entry.value.at, "a table is needed").help(format!("write [node.{name}]")),
+            );
             return None;
         };
         let kind = self.kind(name, entry, table, nodes);
@@ -122,7 +124,10 @@ impl<'r> Check<'r> {
             let stage = found.split('.').next().unwrap_or(found);
             let of_stage: Vec<_> = kinds.iter().copied().filter(|k| k.split('.').next() == Some(stage)).collect();
             let list = nearest::list(&format!("kinds of {stage}"), of_stage.iter().copied());
+            let mut stages: Vec<_> = kinds.iter().filter_map(|kind| kind.split('.').next()).collect();
+            stages.dedup();
             let list = list.or_else(|| nearest::list("kinds", kinds.iter().copied()));
+            let list = list.or_else(|| Some(format!("stages: {}", stages.join(", "))));
             let help = nearest::help(found, of_stage.iter().copied()).or_else(|| nearest::help(found, kinds));
             let fault = Fault::new(format!("node \"{name}\": there is no kind \"{found}\""));
             self.faults.push(fault.at(&kind.value.at, "unknown").help_if(help).note_if(list));
@@ -149,7 +154,8 @@ impl<'r> Check<'r> {
         let schema = &kind.description.params;
         let properties = schema.get("properties").and_then(Json::as_object).into_iter().flatten();
         for (taken, _) in properties.filter(|(key, _)| RESERVED.contains(&key.as_str())) {
-            let message = format!("kind {} has a parameter \"{taken}\", which is a key of every node", draft.kind_name());
+            let message =
+                format!("kind {} has a parameter \"{taken}\", which is a key of every node", draft.kind_name());
             let at = draft.table.get("kind").map_or(draft.name_at, |kind| &kind.value.at);
             let fault = Fault::new(message).at(at, "cannot be used");
             self.faults.push(fault.help("its author has to give the parameter another name"));

@@ -22,9 +22,10 @@ impl Feed<'_, '_> {
         let fault = Fault::new(message).at(draft.inputs_at(), format!("needs {}, which takes {takes}", port.name));
         let behind = self.behind(node);
         let wires = wires_of(&port.payload, self.drafts, |index| !behind[index]);
-        let help = match wires.is_empty() {
-            false => Some(format!("wire one of: {}", wires.join(", "))),
-            true => self.kinds(&port.payload).map(|kinds| format!("nothing gives {takes} here; kinds that do: {kinds}")),
+        let help = match wires.as_slice() {
+            [only] => Some(format!("wire {} = {only}", port.name)),
+            [_, ..] => Some(format!("wire one of these to it: {}", wires.join(", "))),
+            [] => self.kinds(&port.payload).map(|kinds| format!("nothing gives {takes} here; kinds that do: {kinds}")),
         };
         fault.note_if(doc_of(port)).help_if(help).follows()
     }
@@ -48,7 +49,8 @@ impl Feed<'_, '_> {
             if std::mem::replace(&mut behind[index], true) {
                 continue;
             }
-            let fed = |inputs: &Vec<Input>| inputs.iter().any(|input| input.from.is_some_and(|(from, _)| from == index));
+            let fed =
+                |inputs: &Vec<Input>| inputs.iter().any(|input| input.from.is_some_and(|(from, _)| from == index));
             open.extend((0..self.drafts.len()).filter(|&other| fed(&self.inputs[other])));
         }
         behind

@@ -41,10 +41,9 @@ pub(super) fn unknown(frame: &str, at: &Span, owner: &str, header: &Header) -> O
     }
     let fault = Fault::new(format!("{owner}: there is no frame \"{frame}\"")).at(at, "unknown");
     let help = nearest::help(frame, known.iter().map(String::as_str));
-    let add = (help.is_none()).then(|| format!("or add \"{frame}\" to frames in [graph]"));
     let list = nearest::list("frames of this graph", known.iter().map(String::as_str));
     let fault = if listed_at.source.order == at.source.order { fault } else { fault.also(listed_at, "the known ones") };
-    Some(fault.help_if(help).note_if(list).help_if(add))
+    Some(fault.help_if(help).note_if(list).or_help(format!("add \"{frame}\" to frames in [graph]")))
 }
 
 impl Check<'_> {
@@ -65,9 +64,8 @@ impl Check<'_> {
                 self.faults.extend(scope.meet(input, drafts));
             }
             let outputs = draft.outputs.iter().flatten().map(|output| {
-                let frame = |given: &Option<String>, expr: Option<&str>| {
-                    given.clone().or_else(|| scope.resolve(expr?, 0))
-                };
+                let frame =
+                    |given: &Option<String>, expr: Option<&str>| given.clone().or_else(|| scope.resolve(expr?, 0));
                 PortFrames {
                     frame: frame(&output.given.frame, output.exprs.frame),
                     to: frame(&output.given.to, output.exprs.to),
@@ -168,7 +166,11 @@ impl Scope<'_, '_> {
         let (wire, at) = (input.from?, input.at.as_ref()?);
         let has = say(self.wired(wire)?);
         let (node, port) = (self.draft.name, input.port.name);
-        let message = format!("node \"{node}\": frames do not meet: input \"{port}\" {}, but \"{}\" {has}", need(&needed), wires::name(wire, drafts));
+        let message = format!(
+            "node \"{node}\": frames do not meet: input \"{port}\" {}, but \"{}\" {has}",
+            need(&needed),
+            wires::name(wire, drafts)
+        );
         let mut fault = Fault::new(message).at(at, has);
         for expr in differ {
             fault = fault.note_if(self.because(expr, drafts));
@@ -184,7 +186,11 @@ impl Scope<'_, '_> {
         let (port, _) = refers(expr);
         let input = self.inputs.iter().find(|input| input.port.name == port)?;
         let wire = input.from?;
-        Some(format!("input \"{port}\" is wired to \"{}\", which {}", wires::name(wire, drafts), say(self.wired(wire)?)))
+        Some(format!(
+            "input \"{port}\" is wired to \"{}\", which {}",
+            wires::name(wire, drafts),
+            say(self.wired(wire)?)
+        ))
     }
 
     /// Outputs known to have what is needed.
@@ -194,7 +200,8 @@ impl Scope<'_, '_> {
         for (node, outputs) in self.frames.iter().enumerate() {
             for (port, has) in outputs.iter().enumerate().filter(|(port, _)| (node, *port) != wire) {
                 let payload = inputs::output((node, port), drafts).and_then(|output| output.payload);
-                let all = agrees(&needed.frame, &has.frame) && agrees(&needed.to, &has.to) && agrees(&needed.from, &has.from);
+                let all =
+                    agrees(&needed.frame, &has.frame) && agrees(&needed.to, &has.to) && agrees(&needed.from, &has.from);
                 if all && payload.is_some_and(|gives| fits(&input.port.payload, &gives)) {
                     wires.push(format!("\"{}\"", wires::name((node, port), drafts)));
                 }

@@ -19,7 +19,12 @@ pub(super) struct Header {
 impl Check<'_> {
     /// The top level and `[graph]`.
     pub(super) fn header(&mut self, graph: &Graph) -> Header {
-        take::only(&graph.table, &["graph", "node", "record", "results", "extends", "remove"], "a graph file", &mut self.faults);
+        take::only(
+            &graph.table,
+            &["graph", "node", "record", "results", "extends", "remove"],
+            "a graph file",
+            &mut self.faults,
+        );
         let stem = graph.main.name.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let mut header = Header { name: stem.unwrap_or_default(), seed: 0, frames: None, lossy: false };
         let Some(entry) = graph.table.get("graph") else {
@@ -38,8 +43,11 @@ impl Check<'_> {
             Some(format) => match format.value.value {
                 Value::Int(found) if found == i128::from(FORMAT) => {}
                 Value::Int(found) if found > i128::from(FORMAT) => {
-                    let fault = Fault::new(format!("graph format {found} is newer than this program, which reads {FORMAT}"));
-                    faults.push(fault.at(&format.value.at, "newer").help("use the program that wrote the file, or a newer one"));
+                    let fault =
+                        Fault::new(format!("graph format {found} is newer than this program, which reads {FORMAT}"));
+                    faults.push(
+                        fault.at(&format.value.at, "newer").help("use the program that wrote the file, or a newer one"),
+                    );
                 }
                 _ => {
                     let fault = Fault::new(format!("format takes {FORMAT}, found {}", format.value.found()));

@@ -73,7 +73,15 @@ impl Check<'_> {
                     self.fits(input, &owner, drafts);
                     self.options(input, entry, &owner, drafts, header);
                 }
-                None if draft.kind.is_some() => self.faults.push(no_port(draft, entry, table.keys())),
+                None if draft.kind.is_some() => {
+                    self.faults.push(no_port(draft, entry, table.keys()));
+                    let names = ports.iter().map(|port| port.name).filter(|name| table.get(name).is_none());
+                    let meant = nearest::name(&entry.key, names);
+                    // The one that was meant is not missing as well.
+                    if let Some(input) = inputs.iter_mut().find(|input| Some(input.port.name) == meant) {
+                        input.at = Some(from_at.clone());
+                    }
+                }
                 None => {}
             }
         }
@@ -85,9 +93,12 @@ impl Check<'_> {
         match &entry.value.value {
             Value::Text(text) => Some((text, &entry.value.at)),
             Value::Table(table) => match table.get("from") {
-                Some(from) => take::text(&from.value, &format!("{owner}: from"), &mut self.faults).map(|t| (t, &from.value.at)),
+                Some(from) => {
+                    take::text(&from.value, &format!("{owner}: from"), &mut self.faults).map(|t| (t, &from.value.at))
+                }
                 None => {
-                    let fault = Fault::new(format!("{owner} does not say its producer")).at(&entry.value.at, "no from here");
+                    let fault =
+                        Fault::new(format!("{owner} does not say its producer")).at(&entry.value.at, "no from here");
                     self.faults.push(fault.help("add from = \"node.port\"").follows());
                     None
                 }
@@ -95,7 +106,8 @@ impl Check<'_> {
             Value::Array(items) => {
                 let message = format!("{owner} is given {} producers", items.len());
                 let fault = Fault::new(message).at(&entry.value.at, "one is needed");
-                self.faults.push(fault.help("an input has one producer; let a node of its own bring several wires together"));
+                self.faults
+                    .push(fault.help("an input has one producer; let a node of its own bring several wires together"));
                 None
             }
             _ => {

@@ -50,23 +50,28 @@ impl Check<'_> {
                 "interpolate" => Join::Interpolate { max_gap_ns: None },
                 _ => return self.faults.push(not_a_word(&what, &JOINS, found, &entry.value)),
             };
-            self.faults.extend(refuse_join(input, join, owner, &entry.value, drafts));
-        }
-        if let Some(entry) = self.goes_with(table, "tolerance_ms", matches!(join, Join::Stamp { .. }), "stamp", owner, join) {
-            if let Some(ns) = take::milliseconds(&entry.value, &format!("{owner}: tolerance_ms"), &mut self.faults) {
-                join = Join::Stamp { tolerance_ns: ns };
+            if let Some(fault) = refuse_join(input, join, owner, &entry.value, drafts) {
+                self.faults.push(fault);
+                join = declared;
             }
+        }
+        let stamps = matches!(join, Join::Stamp { .. });
+        if let Some(entry) = self.goes_with(table, "tolerance_ms", stamps, "stamp", owner, join)
+            && let Some(ns) = take::milliseconds(&entry.value, &format!("{owner}: tolerance_ms"), &mut self.faults)
+        {
+            join = Join::Stamp { tolerance_ns: ns };
         }
         let interpolates = matches!(join, Join::Interpolate { .. });
-        if let Some(entry) = self.goes_with(table, "max_gap_ms", interpolates, "interpolate", owner, join) {
-            if let Some(ns) = take::milliseconds(&entry.value, &format!("{owner}: max_gap_ms"), &mut self.faults) {
-                join = Join::Interpolate { max_gap_ns: Some(ns) };
-            }
+        if let Some(entry) = self.goes_with(table, "max_gap_ms", interpolates, "interpolate", owner, join)
+            && let Some(ns) = take::milliseconds(&entry.value, &format!("{owner}: max_gap_ms"), &mut self.faults)
+        {
+            join = Join::Interpolate { max_gap_ns: Some(ns) };
         }
-        if let Some(entry) = self.goes_with(table, "n", matches!(join, Join::Collect { .. }), "collect", owner, join) {
-            if let Some(n) = take::whole(&entry.value, &format!("{owner}: n"), 1, u32::MAX.into(), &mut self.faults) {
-                join = Join::Collect { n: u32::try_from(n).ok() };
-            }
+        let collects = matches!(join, Join::Collect { .. });
+        if let Some(entry) = self.goes_with(table, "n", collects, "collect", owner, join)
+            && let Some(n) = take::whole(&entry.value, &format!("{owner}: n"), 1, u32::MAX.into(), &mut self.faults)
+        {
+            join = Join::Collect { n: u32::try_from(n).ok() };
         }
         input.port.join = join;
     }
@@ -101,8 +106,10 @@ impl Check<'_> {
         input.capacity = capacity.unwrap_or(input.capacity);
         input.max_capacity = max_capacity.unwrap_or(input.max_capacity.max(input.capacity));
         if let Some(entry) = table.get("max_capacity").filter(|_| input.max_capacity < input.capacity) {
-            let message =
-                format!("{owner}: max_capacity is {}, less than the capacity of {}", input.max_capacity, input.capacity);
+            let message = format!(
+                "{owner}: max_capacity is {}, less than the capacity of {}",
+                input.max_capacity, input.capacity
+            );
             self.faults.push(Fault::new(message).at(&entry.value.at, "too small"));
         }
     }
@@ -119,7 +126,8 @@ impl Check<'_> {
         };
         let what = format!("{owner}: policy");
         let Some(found) = take::text(&entry.value, &what, &mut self.faults) else { return };
-        let n = every.and_then(|e| take::whole(&e.value, &format!("{owner}: every"), 1, u32::MAX.into(), &mut self.faults));
+        let n =
+            every.and_then(|e| take::whole(&e.value, &format!("{owner}: every"), 1, u32::MAX.into(), &mut self.faults));
         input.policy = match found {
             "block" => Policy::Block,
             "drop_old" => Policy::DropOld,
@@ -128,7 +136,9 @@ impl Check<'_> {
             "sample" => {
                 if every.is_none() {
                     let fault = Fault::new(format!("{what} = \"sample\" does not say how many are one too many"));
-                    self.faults.push(fault.at(&entry.value.at, "no every here").help("add every = 2 to keep every second item"));
+                    self.faults.push(
+                        fault.at(&entry.value.at, "no every here").help("add every = 2 to keep every second item"),
+                    );
                 }
                 Policy::Sample(n.and_then(|n| u32::try_from(n).ok()).unwrap_or(1))
             }
@@ -161,7 +171,8 @@ fn refuse_join(input: &Input, join: Join, owner: &str, value: &Spanned, drafts: 
     let (many, collects) = (matches!(input.port.join, Join::Collect { .. }), matches!(join, Join::Collect { .. }));
     if many != collects {
         let declared = input.port.join.name();
-        let (takes, label) = if many { ("several items", "gives one item") } else { ("one item", "gives several items") };
+        let (takes, label) =
+            if many { ("several items", "gives one item") } else { ("one item", "gives several items") };
         let fault = Fault::new(format!("{owner} takes {takes} at a time, and cannot join by \"{}\"", join.name()));
         return Some(fault.at(&value.at, label).help(format!("take join away: its kind joins it by {declared}")));
     }

@@ -34,10 +34,10 @@ fn sort(inputs: &[Vec<Input>]) -> Vec<usize> {
     let mut order = Vec::new();
     while let Some(node) = ready.pop_first() {
         order.push(node);
-        for other in 0..inputs.len() {
+        for (other, waits) in waits.iter_mut().enumerate() {
             let fed = producers(other).filter(|&from| from == node).count();
-            waits[other] -= fed;
-            if fed > 0 && waits[other] == 0 {
+            *waits -= fed;
+            if fed > 0 && *waits == 0 {
                 ready.insert(other);
             }
         }

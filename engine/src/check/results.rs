@@ -60,11 +60,13 @@ impl Check<'_> {
                 take::only(table, &["from", "all", "optional"], &owner, &mut self.faults);
                 for (key, slot) in [("all", &mut all), ("optional", &mut optional)] {
                     let value = table.get(key);
-                    let value = value.and_then(|e| take::boolean(&e.value, &format!("{owner}: {key}"), &mut self.faults));
+                    let value =
+                        value.and_then(|e| take::boolean(&e.value, &format!("{owner}: {key}"), &mut self.faults));
                     *slot = value.unwrap_or(false);
                 }
                 let Some(from) = table.get("from") else {
-                    let fault = Fault::new(format!("{owner} does not say its wire")).at(&entry.value.at, "no from here");
+                    let fault =
+                        Fault::new(format!("{owner} does not say its wire")).at(&entry.value.at, "no from here");
                     self.faults.push(fault.help("add from = \"node.port\"").follows());
                     return None;
                 };

@@ -29,10 +29,10 @@ pub(super) fn boolean(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> O
 
 /// A whole number from `least` to `most`.
 pub(super) fn whole(value: &Spanned, what: &str, least: u64, most: u64, faults: &mut Vec<Fault>) -> Option<u64> {
-    if let Value::Int(number) = value.value {
-        if let Some(number) = u64::try_from(number).ok().filter(|n| (least..=most).contains(n)) {
-            return Some(number);
-        }
+    if let Value::Int(number) = value.value
+        && let Some(number) = u64::try_from(number).ok().filter(|n| (least..=most).contains(n))
+    {
+        return Some(number);
     }
     faults.push(wrong(value, what, &format!("a whole number of at least {least}")));
     None

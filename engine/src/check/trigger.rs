@@ -18,7 +18,8 @@ pub(super) fn never(draft: &Draft<'_>, inputs: &[Input]) -> Option<Fault> {
     }
     let fault = Fault::new(format!("node \"{}\" never fires: no input of it triggers", draft.name));
     let fault = fault.at(draft.inputs_at(), "none of these triggers");
-    let joins: Vec<_> = used.iter().map(|input| format!("{} joins by {}", input.port.name, input.port.join.name())).collect();
+    let joins: Vec<_> =
+        used.iter().map(|input| format!("{} joins by {}", input.port.name, input.port.join.name())).collect();
     let note = (!joins.is_empty()).then(|| joins.join(", "));
     Some(fault.note_if(note).help("let one input join by each, stamp or collect").follows())
 }

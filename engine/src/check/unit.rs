@@ -60,7 +60,7 @@ pub(super) fn other<'a>(
 
 /// Without the noise of the last bits: 0.005 m are 5 mm, not 5.000000000000001.
 fn round(value: f64) -> f64 {
-    format!("{value:.12e}").parse().unwrap_or(value)
+    format!("{value:.14e}").parse().unwrap_or(value)
 }
 
 /// The number and the unit of a text such as `5 mm`.

@@ -7,13 +7,7 @@ use crate::fault::{Fault, Span};
 pub(super) type Wire = (usize, usize);
 
 /// The output that the text names; `None` without a fault where its node is at fault already.
-pub(super) fn find(
-    text: &str,
-    at: &Span,
-    owner: &str,
-    drafts: &[Draft<'_>],
-    faults: &mut Vec<Fault>,
-) -> Option<Wire> {
+pub(super) fn find(text: &str, at: &Span, owner: &str, drafts: &[Draft<'_>], faults: &mut Vec<Fault>) -> Option<Wire> {
     let Some((node, port)) = text.rsplit_once('.') else {
         faults.push(no_dot(text, at, owner, drafts));
         return None;

@@ -69,8 +69,14 @@ impl Span {
     }
 
     /// Whether both begin on one line of one text.
-    pub(crate) fn same_line(&self, other: &Self) -> bool {
+    fn same_line(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.source, &other.source) && self.location().line == other.location().line
+    }
+
+    /// Whether `other` begins in it or on its line.
+    pub(crate) fn covers(&self, other: &Self) -> bool {
+        let inside = Arc::ptr_eq(&self.source, &other.source) && self.range.contains(&other.range.start);
+        inside || self.same_line(other)
     }
 
     /// The folder that relative paths written here are relative to.

@@ -16,19 +16,21 @@ use std::{
 
 /// The text of a graph file.
 pub(super) fn read(path: &Path) -> Result<String, Box<Fault>> {
-    let shown = path.display();
+    let shown = tidy(path);
+    let shown = shown.display();
     let bytes = fs::read(path).map_err(|error| match error.kind() {
-        io::ErrorKind::NotFound => {
-            Fault::new(format!("there is no graph file {shown}")).help_if(nearest::file(path))
-        }
+        io::ErrorKind::NotFound => Fault::new(format!("there is no graph file {shown}")).help_if(nearest::file(path)),
         _ if path.is_dir() => Fault::new(format!("{shown} is a folder; a graph file is needed")),
         _ => Fault::new(format!("the graph file {shown} cannot be read: {error}")),
     });
     let bytes = bytes.map_err(Box::new)?;
-    String::from_utf8(bytes).map_err(|error| {
+    let text = String::from_utf8(bytes).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
-        Box::new(Fault::new(format!("{shown} is no text: byte {at} is not UTF-8")))
-    })
+        let fault = Fault::new(format!("the graph file {shown} is no text: byte {at} is not UTF-8"));
+        Box::new(fault.help("save it as UTF-8"))
+    })?;
+    // Editors on Windows begin a file with a mark that is no part of the text.
+    Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
 }
 
 /// The files read so far, each extending the next.
@@ -72,7 +74,7 @@ impl<'f> Chain<'f> {
         let Some(entry) = over.remove("extends") else { return Table::default() };
         let Some(text) = entry.value.as_text() else {
             let fault = format!("extends takes the path of a graph file, found {}", entry.value.found());
-            self.faults.push(Fault::new(fault).at(&entry.value.at, "a text is needed"));
+            self.faults.push(Fault::new(fault).at(&entry.value.at, "a text is needed").hides(&entry.value.at));
             return Table::default();
         };
         let base = path.parent().unwrap_or(Path::new("")).join(text);
@@ -80,13 +82,13 @@ impl<'f> Chain<'f> {
         if let Some(start) = self.seen.iter().position(|(seen, _)| *seen == same) {
             let names: Vec<_> = self.seen[start..].iter().map(|(_, name)| name.display().to_string()).collect();
             let message = format!("files extend each other in a circle: {} -> {}", names.join(" -> "), names[0]);
-            self.faults.push(Fault::new(message).at(&entry.value.at, "closes the circle"));
+            self.faults.push(Fault::new(message).at(&entry.value.at, "closes the circle").hides(&entry.value.at));
             return Table::default();
         }
         match read(&base) {
             Ok(text) => self.layer(&base, text).1,
             Err(fault) => {
-                self.faults.push(fault.at(&entry.value.at, "relative to this file"));
+                self.faults.push(fault.at(&entry.value.at, "relative to this file").hides(&entry.value.at));
                 Table::default()
             }
         }

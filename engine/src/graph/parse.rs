@@ -1,13 +1,16 @@
-use super::tree::{Entry, Spanned, Table, Value};
+use super::{
+    syntax,
+    tree::{Entry, Spanned, Table, Value},
+};
 use crate::fault::{Fault, SourceText, Span};
 use std::{ops::Range, sync::Arc};
-use toml::de::{DeTable, DeValue, Error};
+use toml::de::{DeTable, DeValue};
 
 /// The tree of a text, as far as it could be read, and its syntax faults.
 pub(super) fn parse(source: &Arc<SourceText>, faults: &mut Vec<Fault>) -> Table {
     let (table, errors) = DeTable::parse_recoverable(&source.text);
     let tree = convert_table(table.get_ref(), source, 0);
-    faults.extend(errors.iter().map(|error| fault(error, source, &tree)));
+    faults.extend(syntax::faults(&errors, source, &tree));
     tree
 }
 
@@ -53,65 +56,4 @@ fn convert(value: &DeValue<'_>, span: Range<usize>, source: &Arc<SourceText>, of
 
 fn shift(range: Range<usize>, offset: usize) -> Range<usize> {
     range.start + offset..range.end + offset
-}
-
-fn fault(error: &Error, source: &Arc<SourceText>, tree: &Table) -> Fault {
-    let range = error.span().unwrap_or(0..0);
-    let at = Span::new(source, range.clone());
-    if error.message() == "duplicate key" {
-        return duplicate(&at, tree);
-    }
-    let (what, expected) = error.message().split_once(", expected ").unwrap_or((error.message(), ""));
-    let label = if expected.is_empty() { String::new() } else { format!("expected {expected}") };
-    Fault::new(format!("this is not TOML: {what}")).at(&at, label)
-}
-
-/// A key written twice; the tree holds the first.
-fn duplicate(at: &Span, tree: &Table) -> Fault {
-    let key = at.text().trim_matches(['"', '\'']);
-    let mut path = Vec::new();
-    let first = first_of(tree, key, at, &mut path);
-    let is_input = matches!(path.as_slice(), [node, _, inputs] if node == "node" && inputs == "in");
-    let message = match path.as_slice() {
-        [node, name, inputs] if node == "node" && inputs == "in" => {
-            format!("node \"{name}\": input \"{key}\" is given two producers")
-        }
-        [node] if node == "node" => format!("two nodes are called \"{key}\""),
-        _ => format!("\"{key}\" is given twice"),
-    };
-    let fault = Fault::new(message).at(at, "the second");
-    let fault = match &first {
-        Some(first) => fault.also(first, "the first"),
-        None => fault,
-    };
-    if is_input {
-        return fault.help("an input has one producer; let a node of its own bring two wires together");
-    }
-    fault.help("keep one of them")
-}
-
-/// The latest key of that name before `at`, and the path of the table that holds it.
-fn first_of(table: &Table, key: &str, at: &Span, path: &mut Vec<String>) -> Option<Span> {
-    let mut best: Option<(Span, Vec<String>)> = None;
-    let mut here = Vec::new();
-    visit(table, &mut here, &mut |entry, path| {
-        let before = entry.key == key && entry.key_at.range.end <= at.range.start;
-        if before && best.as_ref().is_none_or(|(span, _)| span.range.start <= entry.key_at.range.start) {
-            best = Some((entry.key_at.clone(), path.to_vec()));
-        }
-    });
-    let (span, found) = best?;
-    *path = found;
-    Some(span)
-}
-
-fn visit(table: &Table, path: &mut Vec<String>, see: &mut impl FnMut(&Entry, &[String])) {
-    for entry in &table.0 {
-        see(entry, path);
-        if let Value::Table(inner) = &entry.value.value {
-            path.push(entry.key.clone());
-            visit(inner, path, see);
-            path.pop();
-        }
-    }
 }

@@ -73,7 +73,7 @@ impl Spanned {
             Value::Float(value) => format!("{value:?}"),
             Value::Text(text) => format!("the text {text:?}"),
             Value::Date(text) => format!("the date {text}"),
-            Value::Array(_) => "a list".into(),
+            Value::Array(items) => format!("a list of {}", items.len()),
             Value::Table(_) => "a table".into(),
         }
     }

@@ -18,7 +18,11 @@ pub(crate) fn compare(found: &str, golden: &Path) -> Result<(), String> {
 
 /// What follows `# --set ` in the first lines of a graph.
 fn sets(text: &str) -> Vec<String> {
-    text.lines().map_while(|line| line.strip_prefix("# ")).filter_map(|l| l.strip_prefix("--set ")).map(Into::into).collect()
+    text.lines()
+        .map_while(|line| line.strip_prefix("# "))
+        .filter_map(|l| l.strip_prefix("--set "))
+        .map(Into::into)
+        .collect()
 }
 
 #[test]

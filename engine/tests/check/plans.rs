@@ -20,7 +20,9 @@ fn bare(mut plan: Plan) -> String {
 
 #[test]
 fn the_resolved_graph_is_checked_again_and_gives_an_equal_plan() {
-    for sets in [&[][..], &["icp.kind=icp.point_to_plane", "remove=[\"node.icp.max_pair_distance_mm\"]", "graph.seed=9"][..]] {
+    for sets in
+        [&[][..], &["icp.kind=icp.point_to_plane", "remove=[\"node.icp.max_pair_distance_mm\"]", "graph.seed=9"][..]]
+    {
         let plan = checked(GRAPH, sets).plan;
         let again = check_text(&plan.resolved, Path::new("elsewhere.toml"), &[], &toy::registry());
         let again = again.unwrap_or_else(|faults| panic!("{faults}\n{}", plan.resolved));
@@ -92,7 +94,11 @@ fn a_variant_is_its_base_with_a_few_lines_changed() {
     assert_eq!(variant.name, "plane");
     assert_eq!(variant.seed, base.seed);
     let input = &variant.nodes[icp(&variant)].inputs[0];
-    assert_eq!(variant.links[input.link.unwrap()].capacity, 8, "the variant keeps the producer and changes the capacity");
+    assert_eq!(
+        variant.links[input.link.unwrap()].capacity,
+        8,
+        "the variant keeps the producer and changes the capacity"
+    );
     assert_eq!(variant.input_files, base.input_files, "paths are relative to the file that wrote them");
 }
 
@@ -154,4 +160,14 @@ fn colours_are_for_terminals_only() {
     let faults = check_text("[graph]\nformat = 2\n", Path::new("g.toml"), &[], &toy::registry()).unwrap_err();
     assert!(!faults.to_string().contains('\u{1b}'));
     assert!(faults.render(true).contains('\u{1b}'));
+}
+
+#[test]
+fn a_graph_file_that_is_not_there_is_named_with_the_one_that_was_meant() {
+    let faults = check(Path::new("tests/graphs/everythin.toml"), &[], &toy::registry()).unwrap_err();
+    let text = faults.to_string();
+    assert!(text.contains("there is no graph file tests/graphs/everythin.toml"), "{text}");
+    assert!(text.contains("did you mean \"everything.toml\"?"), "{text}");
+    let folder = check(Path::new("tests/graphs"), &[], &toy::registry()).unwrap_err().to_string();
+    assert!(folder.contains("tests/graphs is a folder; a graph file is needed"), "{folder}");
 }

@@ -1,4 +1,5 @@
 //! A small registry with one of everything that a check looks at.
+#![allow(dead_code, reason = "the nodes are described, never run")]
 
 use osteoflow_node::{
     Context, Declared, Describe, FilePath, Inputs, Node, NodeError, Outputs, ParamError, Payload, Registry, Source,

@@ -123,10 +123,11 @@ impl<'a> Walker<'a> {
     pub(super) fn refuse(&mut self, schema: &Json, value: &Spanned, what: &Quantity, why: &str) -> Option<Json> {
         let takes = describe(self.root, schema);
         let mut fault = self.fault(what, &takes, value).at(&value.at, why);
-        if let (Shape::Int(_), Value::Float(number)) = (shape(self.root, schema), &value.value) {
-            if number.fract() == 0.0 && number.abs() < 1e15 {
-                fault = fault.help(format!("write {} = {number:.0}", last(&what.name)));
-            }
+        if let (Shape::Int(_), Value::Float(number)) = (shape(self.root, schema), &value.value)
+            && number.fract() == 0.0
+            && number.abs() < 1e15
+        {
+            fault = fault.help(format!("write {} = {number:.0}", last(&what.name)));
         }
         self.faults.push(fault);
         None
@@ -156,7 +157,10 @@ impl<'a> Walker<'a> {
             Some((number, unit)) => unit::in_unit_of(name, number, unit),
             None => found.trim().parse::<f64>().ok().filter(|n| n.is_finite()),
         };
-        let help = number.map(|number| format!("write {name} = {number}, without quotes and unit"));
+        let help = number.map(|number| match name.ends_with(']') {
+            true => format!("write {number}, without quotes and unit"),
+            false => format!("write {name} = {number}, without quotes and unit"),
+        });
         let fault = self.fault(what, &takes, value).at(&value.at, "a text").help_if(help);
         self.faults.push(fault);
         None

@@ -29,7 +29,10 @@ impl<'a> Walker<'a> {
             let value = match table.get(name) {
                 Some(entry) => self.read_owned(schema, name, entry, prefix),
                 None if is_required(schema, name, self.root, property) => {
-                    self.missing(property, at, name, prefix);
+                    // One that is there under a name misspelt is not missing as well.
+                    if !table.keys().any(|key| properties.get(key).is_none() && is_meant(key, name, skip)) {
+                        self.missing(property, at, name, prefix);
+                    }
                     None
                 }
                 // An `Option` that is not given is left out: TOML has no null.
@@ -62,7 +65,7 @@ impl<'a> Walker<'a> {
     fn say(&self, property: &Json, name: &str) -> Option<String> {
         let text = doc(property).or_else(|| doc(super::shape::resolve(self.root, property)))?;
         let default = match property.get("default") {
-            Some(default @ (Json::Bool(_) | Json::Number(_) | Json::String(_))) if *default != Json::from("") => {
+            Some(default @ (Json::Bool(_) | Json::Number(_) | Json::String(_))) if default.as_str() != Some("") => {
                 format!(" (default {default})")
             }
             _ => String::new(),
@@ -112,12 +115,16 @@ impl<'a> Walker<'a> {
         match self.kind_at {
             Some(kind_at) if kind_at.source.order < entry.key_at.source.order && !entry.key_at.source.command_line => {
                 let path = format!("{}.{prefix}{}", self.path, entry.key);
-                let take_away = format!("or take it away where the kind is chosen: remove = [\"{path}\"]");
-                fault.also(kind_at, "the kind is chosen here").help(take_away)
+                let take_away = format!("take it away where the kind is chosen: remove = [\"{path}\"]");
+                fault.also(kind_at, "the kind is chosen here").or_help(take_away)
             }
             _ => fault,
         }
     }
+}
+
+fn is_meant(found: &str, name: &str, skip: &[&str]) -> bool {
+    !skip.contains(&found) && (nearest::name(found, [name]).is_some() || unit::other(found, None, [name]).is_some())
 }
 
 /// Whether it must be given. A path whose default is empty must: nobody can read it.

@@ -2,7 +2,11 @@ use super::{
     Quantity, Walker,
     shape::{Shape, shape},
 };
-use crate::graph::{Spanned, Value};
+use crate::{
+    check::nearest,
+    fault::Fault,
+    graph::{Spanned, Value},
+};
 use serde_json::Value as Json;
 
 impl<'a> Walker<'a> {
@@ -35,8 +39,50 @@ impl<'a> Walker<'a> {
                 self.faults.extend(faults);
                 None
             }
-            None => self.refuse(schema, value, what, "none of these"),
+            None => match self.tag(branches) {
+                Some(tag) => self.wrong_tag(&tag, value, what),
+                None => self.refuse(schema, value, what, "none of these"),
+            },
         }
+    }
+
+    /// The key whose fixed word tells the branches apart, and the words.
+    fn tag(&self, branches: &[&'a Json]) -> Option<(String, Vec<&'a str>)> {
+        let words_of = |key: &str| -> Option<Vec<&'a str>> {
+            let word = |branch: &&'a Json| {
+                let schema = super::shape::resolve(self.root, branch);
+                schema.get("properties")?.get(key)?.get("const")?.as_str()
+            };
+            branches.iter().map(word).collect()
+        };
+        let first = super::shape::resolve(self.root, branches.first()?);
+        let mut keys = first.get("properties")?.as_object()?.keys();
+        keys.find_map(|key| Some((key.clone(), words_of(key)?)))
+    }
+
+    fn wrong_tag(&mut self, (tag, words): &(String, Vec<&str>), value: &Spanned, what: &Quantity) -> Option<Json> {
+        let list: Vec<_> = words.iter().map(|word| format!("\"{word}\"")).collect();
+        let takes = format!("one of {}", list.join(", "));
+        let Value::Table(table) = &value.value else {
+            let fault = self.fault(what, &format!("a table with {tag}, {takes}"), value);
+            self.faults.push(fault.at(&value.at, "no table"));
+            return None;
+        };
+        let fault = match table.get(tag) {
+            Some(entry) => {
+                let inner = Quantity { name: format!("{}.{tag}", what.name), doc: what.doc.clone() };
+                let found = entry.value.as_text().unwrap_or_default();
+                let help = nearest::help(found, words.iter().copied());
+                self.fault(&inner, &takes, &entry.value).at(&entry.value.at, "not one of them").help_if(help)
+            }
+            None => {
+                let fault = Fault::new(format!("{}: {} does not say its {tag}", self.owner, what.name));
+                let fault = fault.at(&value.at, format!("no {tag} here")).note_if(what.doc.clone());
+                fault.help(format!("add {tag} = {}", list.join(" or "))).follows()
+            }
+        };
+        self.faults.push(fault);
+        None
     }
 
     /// Whether the value is of the branch's type, and for a table, whether its fixed words agree.

@@ -1,0 +1,148 @@
+use super::tree::{Entry, Table, Value};
+use crate::fault::{Fault, SourceText, Span};
+use std::{ops::Range, sync::Arc};
+use toml::de::Error;
+
+/// The faults of a text that is not TOML, without those that only follow from one before.
+pub(super) fn faults(errors: &[Error], source: &Arc<SourceText>, tree: &Table) -> Vec<Fault> {
+    let mut faults: Vec<Fault> = Vec::new();
+    let mut lost: Vec<Range<usize>> = Vec::new();
+    // What is never closed swallows everything behind it: it is the one fault there.
+    for error in errors.iter().filter(|error| is_unclosed(error)) {
+        let end = error.span().unwrap_or_default().start;
+        let Some(open) = opened(tree, end) else { continue };
+        if lost.iter().any(|lost| lost.contains(&open.range.start)) {
+            continue;
+        }
+        let bracket = if open.text().starts_with('[') { ("list", "]") } else { ("table", "}") };
+        let at = Span::new(source, open.range.start..open.range.start + 1);
+        let fault = Fault::new(format!("this is not TOML: a {} is opened and never closed", bracket.0));
+        faults.push(fault.at(&at, format!("its {} is missing", bracket.1)).hides(&open));
+        lost.push(open.range);
+    }
+    for error in errors {
+        let range = error.span().unwrap_or_default();
+        if lost.iter().any(|lost| lost.start <= range.start && range.start <= lost.end) {
+            continue;
+        }
+        let at = Span::new(source, range);
+        let (fault, swallows) = match error.message() {
+            "duplicate key" => duplicate(&at, tree),
+            message => (wording(message, &at), None),
+        };
+        let hidden = swallows.map_or(at, |range| Span::new(source, range));
+        lost.extend((!hidden.range.is_empty()).then(|| hidden.range.clone()));
+        faults.push(fault.hides(&hidden));
+    }
+    faults
+}
+
+fn is_unclosed(error: &Error) -> bool {
+    error.message().starts_with("unclosed array,") || error.message().starts_with("unclosed inline table")
+}
+
+/// The outermost list or inline table that is still open at `end`, with all that it swallows.
+fn opened(tree: &Table, end: usize) -> Option<Span> {
+    let mut best: Option<Span> = None;
+    visit(tree, &mut Vec::new(), &mut |entry, _| {
+        let at = &entry.value.at;
+        let close = match &entry.value.value {
+            Value::Array(_) if at.text().starts_with('[') => ']',
+            Value::Table(_) if at.text().starts_with('{') => '}',
+            _ => return,
+        };
+        // The parser gives some up at the next header, others at the end of the file.
+        let open = at.range.end >= end || !at.text().trim_end().ends_with(close);
+        if open && at.range.start < end && best.as_ref().is_none_or(|b| at.range.start < b.range.start) {
+            best = Some(Span::new(&at.source, at.range.start..at.range.end.max(end)));
+        }
+    });
+    best
+}
+
+fn wording(message: &str, at: &Span) -> Fault {
+    let (what, expected) = message.split_once(", expected ").unwrap_or((message, ""));
+    if what == "string values must be quoted" {
+        return match at.text().trim() {
+            "" => Fault::new("this is not TOML: a value is missing").at(at, "no value here"),
+            text => {
+                let fault =
+                    Fault::new("this is not TOML: a text needs quotes").at(at, "neither a number nor in quotes");
+                fault.help(format!("write {text:?}"))
+            }
+        };
+    }
+    let label = if expected.is_empty() { String::new() } else { format!("expected {expected}") };
+    Fault::new(format!("this is not TOML: {what}")).at(at, label)
+}
+
+/// A key or table written twice, and the text that has no place because of it. The tree holds the first key.
+fn duplicate(at: &Span, tree: &Table) -> (Fault, Option<Range<usize>>) {
+    let key = at.text().trim_matches(['"', '\'']);
+    if let Some(header) = header_of(at) {
+        let message = match header.strip_prefix("[node.") {
+            Some(_) => format!("two nodes are called \"{key}\""),
+            None => format!("the table {header} is opened twice"),
+        };
+        let text = &at.source.text;
+        let fault = Fault::new(message).at(at, "the second").help("keep one of them, or give it another name");
+        let first = text.find(header).filter(|first| *first < at.range.start);
+        let first = first.map(|first| first + at.range.start - line_start(text, at.range.start));
+        let fault = match first {
+            Some(start) => fault.also(&Span::new(&at.source, start..start + at.range.len()), "the first"),
+            None => fault,
+        };
+        let end = text[at.range.end..].find("\n[").map_or(text.len(), |next| at.range.end + next);
+        return (fault, Some(at.range.start..end));
+    }
+    let mut path = Vec::new();
+    let first = first_of(tree, key, at, &mut path);
+    let (message, help) = match path.as_slice() {
+        [node, name, inputs] if node == "node" && inputs == "in" => (
+            format!("node \"{name}\": input \"{key}\" is given two producers"),
+            "an input has one producer; let a node of its own bring two wires together",
+        ),
+        _ => (format!("\"{key}\" is given twice"), "keep one of them"),
+    };
+    let fault = Fault::new(message).at(at, "the second").help(help);
+    match &first {
+        Some(first) => (fault.also(first, "the first"), None),
+        None => (fault, None),
+    }
+}
+
+/// The table header, such as `[node.icp]`, that the place lies in.
+fn header_of(at: &Span) -> Option<&str> {
+    let text = &at.source.text;
+    let line = text[line_start(text, at.range.start)..].lines().next()?;
+    line.starts_with('[').then(|| line.split_inclusive(']').next().unwrap_or(line))
+}
+
+fn line_start(text: &str, offset: usize) -> usize {
+    text[..offset].rfind('\n').map_or(0, |at| at + 1)
+}
+
+/// The latest key of that name before `at`, and the path of the table that holds it.
+fn first_of(table: &Table, key: &str, at: &Span, path: &mut Vec<String>) -> Option<Span> {
+    let mut best: Option<(Span, Vec<String>)> = None;
+    visit(table, &mut Vec::new(), &mut |entry, path| {
+        let before = entry.key == key && entry.key_at.range.end <= at.range.start;
+        if before && best.as_ref().is_none_or(|(span, _)| span.range.start <= entry.key_at.range.start) {
+            best = Some((entry.key_at.clone(), path.to_vec()));
+        }
+    });
+    let (span, found) = best?;
+    *path = found;
+    Some(span)
+}
+
+fn visit(table: &Table, path: &mut Vec<String>, see: &mut impl FnMut(&Entry, &[String])) {
+    for entry in &table.0 {
+        see(entry, path);
+        if let Value::Table(inner) = &entry.value.value {
+            path.push(entry.key.clone());
+            visit(inner, path, see);
+            path.pop();
+        }
+    }
+}
