@@ -429,3 +429,147 @@ fn place_of(text: &str, at: usize) -> String {
     let column = before.rsplit('\n').next().unwrap_or_default().chars().count() + 1;
     format!("line {line}, column {column}")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{cloud_file::write_ply, mesh_file::write_stl, plan_file::write_plan, poses_csv::write_poses};
+    use osteoflow_geometry::{Mesh, Planes, Points};
+
+    /// The example of the module's page: what a stranger copies must work as it stands.
+    fn example() -> String {
+        let page = include_str!("folder.rs");
+        let lines =
+            page.lines().map_while(|line| line.strip_prefix("//!")).map(|line| line.strip_prefix(' ').unwrap_or(line));
+        let inside =
+            lines.skip_while(|line| !line.starts_with("```toml")).skip(1).take_while(|line| !line.starts_with("```"));
+        inside.collect::<Vec<_>>().join("\n")
+    }
+
+    fn folder() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let point = Point3::new(1.0, 2.0, 200.0);
+        let cloud = Cloud::new("camera", vec![point]).unwrap();
+        for name in ["scan.ply", "laser_p1.ply", "laser_p2.ply", "phantom.ply"] {
+            write_ply(&at(name), &cloud, 1.0).unwrap();
+        }
+        write_ply(&at("laser_p3.ply"), &cloud, 1000.0).unwrap();
+        let pose = |to: &str, from: &str, ns| Pose::new(to, from, Isometry3::translation(1.0, 2.0, 3.0)).at(ns);
+        let poses = [
+            pose("world", "bone_marker", 12_000_000_000),
+            pose("world", "camera_marker", 11_500_000_000),
+            pose("phantom", "phantom_marker", 0),
+            pose("world", "phantom_marker", 900_000_000),
+        ];
+        write_poses(&at("tracker.csv"), &poses).unwrap();
+        std::fs::write(at("assessment.csv"), "name,x,y,z,t_ns\nM1,1,2,3,30000000000\nM2,4,5,6,31000000000\n").unwrap();
+        let triangle = vec![Point3::origin(), Point3::new(30.0, 0.0, 0.0), Point3::new(0.0, 30.0, 0.0)];
+        let mesh = Mesh::new("ct", SurfaceOrigin::User, triangle, vec![[0, 1, 2]]).unwrap();
+        write_stl(&at("fibula.stl"), &mesh).unwrap();
+        write_stl(&at("phantom.stl"), &mesh).unwrap();
+        let none = || Points::new("ct", Vec::new());
+        let plan = SurgicalPlan {
+            landmarks: none(),
+            assessment: none(),
+            planes: Planes::new("ct", Vec::new()),
+            axes: None,
+            anatomy: None,
+            t_phantom_phantom_marker: None,
+            t_camera_camera_marker_nominal: None,
+        };
+        write_plan(&at("plan.json"), &plan).unwrap();
+        std::fs::write(at(FILE_NAME), example()).unwrap();
+        folder
+    }
+
+    #[test]
+    fn the_documented_example_streams_in_order_of_sensor_time() {
+        let folder = folder();
+        let procedure = ProcedureFolder::open(folder.path()).unwrap();
+        let streams = procedure.streams().unwrap();
+        assert_eq!(streams.notes, [""; 0]);
+        let told: Vec<(&str, StampNs)> =
+            streams.items.iter().map(|i| (i.role.as_str(), i.stamp_ns / 100_000_000)).collect();
+        let expected = [
+            ("phantom_marker_cad", 0),
+            ("phantom_marker", 9),
+            ("phantom_scan", 10),
+            ("scan", 110),
+            ("camera_marker", 115),
+            ("bone_marker", 120),
+            ("laser", 150),
+            ("laser", 190),
+            ("laser", 230),
+            ("assessment", 300),
+            ("assessment", 310),
+        ];
+        assert_eq!(told, expected);
+        let clouds: Vec<&Cloud> = streams
+            .items
+            .iter()
+            .filter_map(|i| match &i.body {
+                FolderBody::Cloud(cloud) => Some(cloud),
+                _ => None,
+            })
+            .collect();
+        assert!(
+            clouds.iter().all(|c| (c.points()[0] - Point3::new(1.0, 2.0, 200.0)).norm() < 1e-9),
+            "in mm, whatever the unit"
+        );
+        assert!(clouds.iter().all(|c| c.frame.as_str() == "camera" && c.viewpoint == Some(Isometry3::identity())));
+        assert_eq!(clouds.iter().filter_map(|c| c.label.as_deref()).collect::<Vec<_>>(), ["P1", "P2", "P3"]);
+        assert_eq!(procedure.region.as_ref().unwrap().max, Point3::new(60.0, 60.0, 260.0));
+        assert!(procedure.plan().unwrap().is_some());
+        assert_eq!(procedure.bone().unwrap().unwrap().mesh.frame.as_str(), "ct");
+        assert_eq!(procedure.phantom().unwrap().unwrap().mesh.frame.as_str(), "phantom");
+    }
+
+    #[test]
+    fn without_a_tracker_the_camera_is_the_world_and_needs_no_stamps() {
+        let folder = folder();
+        let text = "format = 1\ntracker = false\n[scan]\nfile = \"scan.ply\"\n[[laser]]\nlabel = \"P1\"\nfile = \"laser_p1.ply\"\n";
+        std::fs::write(folder.path().join(FILE_NAME), text).unwrap();
+        let procedure = ProcedureFolder::open(&folder.path().join(FILE_NAME)).unwrap();
+        let items = procedure.streams().unwrap().items;
+        assert_eq!(items.len(), 2);
+        for item in items {
+            let FolderBody::Cloud(cloud) = item.body else { panic!("only scans were given") };
+            assert_eq!((cloud.frame.as_str(), item.stamp_ns), ("world", 0));
+        }
+    }
+
+    #[test]
+    fn a_fault_names_its_line_or_key() {
+        let folder = folder();
+        let said = |from: &str, to: &str| {
+            let text = example().replace(from, to);
+            assert!(from.is_empty() || text != example(), "{from} is not in the example");
+            std::fs::write(folder.path().join(FILE_NAME), text).unwrap();
+            let result = ProcedureFolder::open(folder.path()).and_then(|p| p.streams());
+            result.unwrap_err().to_string()
+        };
+        for (from, to, expected) in [
+            ("format  = 1", "format = 2", "key \"format\": format 2 is not known, this reader knows 1"),
+            ("[scan]", "[scans]", "line 5, column 2: unknown field `scans`, expected one of"),
+            ("unit    = \"mm\"", "unit = \"inch\"", "line 3, column 8: unknown variant `inch`"),
+            ("\"scan.ply\"", "\"scna.ply\"", "line 6, column 12: there is no file \"scna.ply\"; paths are relative to"),
+            ("stamp_s = 15.0", "", "stamp of \"laser_p1.ply\": with a tracker a scan needs stamp_s or stamp_ns"),
+            ("stamp_s = 15.0", "stamp_s = 15.0\nstamp_ns = 3", "give stamp_s or stamp_ns, not both"),
+            (
+                "tracker = true",
+                "tracker = false",
+                "key \"tracker\": it is false, but [[poses]] or [phantom_scan] are given",
+            ),
+            ("\"P2\"", "\"P1\"", "laser 2: label \"P1\" is given twice"),
+            ("min = [-60", "min = [nan", "key \"region\": min [NaN"),
+            ("label   = \"P1\"", "label = 1", "line 10, column 9: invalid type: integer `1`, expected a string"),
+        ] {
+            let said = said(from, to);
+            assert!(said.contains(expected), "{expected}\n{said}");
+        }
+        std::fs::write(folder.path().join("assessment.csv"), "name,x,y,z\nM1,1,2,\n").unwrap();
+        let said = said("", "");
+        assert!(said.ends_with("assessment.csv: line 2: z is \"\", a number is expected"), "{said}");
+    }
+}

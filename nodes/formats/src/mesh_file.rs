@@ -242,3 +242,174 @@ fn ply_faces(path: &Path, bytes: &[u8]) -> Result<Faces, FileError> {
     }
     Ok((vertices, faces))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A tetrahedron of 40 mm, closed, faces turning outwards.
+    fn tetrahedron() -> Mesh {
+        let corner = |x, y, z| Point3::new(x, y, z);
+        let vertices =
+            vec![corner(0.0, 0.0, 0.0), corner(40.0, 0.0, 0.0), corner(0.0, 40.0, 0.0), corner(0.0, 0.0, 40.0)];
+        let faces = vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]];
+        Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap()
+    }
+
+    fn read(bytes: &[u8]) -> Result<MeshRead, FileError> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        read_mesh(file.path(), 1.0, "ct", SurfaceOrigin::User)
+    }
+
+    fn said(bytes: &[u8]) -> String {
+        read(bytes).unwrap_err().to_string()
+    }
+
+    fn binary() -> Vec<u8> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        write_stl(file.path(), &tetrahedron()).unwrap();
+        std::fs::read(file.path()).unwrap()
+    }
+
+    /// The corners of all faces: the surface, whatever the numbers of its vertices.
+    fn corners(mesh: &Mesh) -> Vec<[Point3<f64>; 3]> {
+        (0..mesh.faces().len()).map(|face| mesh.corners(face)).collect()
+    }
+
+    #[test]
+    fn a_surface_survives_being_written() {
+        let back = read(&binary()).unwrap();
+        assert_eq!(corners(&back.mesh), corners(&tetrahedron()));
+        assert_eq!((back.mesh.vertices().len(), back.n_degenerate, back.notes.len()), (4, 0, 0));
+    }
+
+    #[test]
+    fn a_binary_file_that_begins_with_solid_is_binary() {
+        let mut bytes = binary();
+        bytes[..24].copy_from_slice(b"solid made by a exporter");
+        assert_eq!(corners(&read(&bytes).unwrap().mesh), corners(&tetrahedron()));
+    }
+
+    #[test]
+    fn the_same_surface_is_read_from_every_format() {
+        let mut ascii = String::from(" SOLID bone\r\n");
+        for [a, b, c] in corners(&tetrahedron()) {
+            ascii += "  facet normal 0 0 0\r\n    OUTER LOOP\r\n";
+            for p in [a, b, c] {
+                // 0 and -0 in turn, which are one place.
+                ascii += &format!(
+                    "      vertex {:e} {} {}\r\n",
+                    p.x,
+                    p.y,
+                    if p.z == 0.0 { -p.x.signum() * 0.0 } else { p.z }
+                );
+            }
+            ascii += "    endloop\r\n  endfacet\r\n";
+        }
+        ascii += "endsolid bone\r\n";
+        assert!(ascii.contains(" -0\r"));
+        let back = read(ascii.as_bytes()).unwrap();
+        assert_eq!(corners(&back.mesh), corners(&tetrahedron()));
+        assert_eq!(back.mesh.vertices().len(), 4);
+
+        let text = "ply\nformat ascii 1.0\ncomment bone\nelement vertex 4\nproperty float x\nproperty float y\nproperty double z\n\
+                    property uchar red\nelement face 4\nproperty list uchar int vertex_indices\nend_header\n\
+                    0 0 0 255\n40 0 0 255\n0 40. 0 255\n0 0 4e1 255\n\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n";
+        assert_eq!(corners(&read(text.as_bytes()).unwrap().mesh), corners(&tetrahedron()));
+        let crlf = text.replace('\n', "\r\n").replace("vertex_indices", "vertex_index");
+        assert_eq!(corners(&read(crlf.as_bytes()).unwrap().mesh), corners(&tetrahedron()));
+
+        for big in [false, true] {
+            let order = if big { "big" } else { "little" };
+            let mut bytes = format!(
+                "ply\nformat binary_{order}_endian 1.0\nelement vertex 4\nproperty double z\nproperty float y\nproperty short x\n\
+                 element face 4\nproperty uchar flag\nproperty list uint8 uint32 vertex_indices\nend_header\n"
+            )
+            .into_bytes();
+            let put = |bytes: &mut Vec<u8>, little: &[u8]| {
+                if big { bytes.extend(little.iter().rev()) } else { bytes.extend(little) }
+            };
+            for p in tetrahedron().vertices() {
+                put(&mut bytes, &p.z.to_le_bytes());
+                put(&mut bytes, &(p.y as f32).to_le_bytes());
+                put(&mut bytes, &(p.x as i16).to_le_bytes());
+            }
+            for face in tetrahedron().faces() {
+                bytes.extend([9, 3]);
+                face.iter().for_each(|i| put(&mut bytes, &i.to_le_bytes()));
+            }
+            assert_eq!(corners(&read(&bytes).unwrap().mesh), corners(&tetrahedron()), "{order}");
+        }
+    }
+
+    #[test]
+    fn polygons_are_cut_into_fans_and_faces_without_area_are_counted() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n\
+                    element face 4\nproperty list uchar int vertex_indices\nend_header\n\
+                    0 0 0\n9 0 0\n9 9 0\n0 9 0\n4.5 0 0\n4 0 1 2 3\n3 0 1 1\n3 0 4 1\n2 0 1\n";
+        let back = read(text.as_bytes()).unwrap();
+        assert_eq!(back.mesh.faces(), [[0, 1, 2], [0, 2, 3]]);
+        assert_eq!(back.n_degenerate, 3, "a doubled corner, three on a line, two corners");
+        assert_eq!(back.notes, ["3 of 5 faces have no area and were left out"]);
+    }
+
+    #[test]
+    fn a_bone_in_metres_is_noticed_and_its_unit_can_be_given() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let small = tetrahedron().vertices().iter().map(|v| v / 1000.0).collect::<Vec<_>>();
+        let small = Mesh::new("ct", SurfaceOrigin::User, small, tetrahedron().face_column().clone()).unwrap();
+        write_stl(file.path(), &small).unwrap();
+        let taken = read_mesh(file.path(), 1.0, "ct", SurfaceOrigin::User).unwrap();
+        assert!(
+            taken.notes[0].contains("spans 0.069 mm") && taken.notes[0].contains("unit_mm = 1000"),
+            "{:?}",
+            taken.notes
+        );
+        let told = read_mesh(file.path(), 1000.0, "ct", SurfaceOrigin::User).unwrap();
+        assert_eq!(told.notes, [""; 0]);
+        // 0.04 m in single precision is off by 1e-6 mm.
+        assert!((told.mesh.corners(0)[1].y - 40.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn files_that_are_no_surface_say_why() {
+        let mut cut = binary();
+        cut.truncate(200);
+        assert!(said(&cut).contains("promises 4 triangles (284 bytes), but the file has 200 bytes"), "{}", said(&cut));
+        assert!(said(b"").contains("0 bytes are too few"), "{}", said(b""));
+        let mut nan = binary();
+        nan[96..100].copy_from_slice(&f32::NAN.to_le_bytes());
+        assert!(said(&nan).contains("vertex 0 is not finite"), "{}", said(&nan));
+        let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1,5 0 0\n";
+        assert!(
+            said(text.as_bytes()).contains("line 5: \"1,5\" stands where a coordinate should"),
+            "{}",
+            said(text.as_bytes())
+        );
+        let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nendloop\nendfacet\nendsolid\n";
+        assert!(said(text.as_bytes()).contains("line 5: a facet has three corners, this one has 1"));
+        let text =
+            "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n";
+        assert!(said(text.as_bytes()).contains("without \"endsolid\"; was it cut short?"));
+        let points = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
+        assert!(said(points.as_bytes()).contains("no element \"face\", only points"), "{}", said(points.as_bytes()));
+        let face = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+                    element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n";
+        assert!(
+            said(face.as_bytes()).contains("face 0: it names vertex 1, but there are 1"),
+            "{}",
+            said(face.as_bytes())
+        );
+        let missing = read_mesh("no/such.stl".as_ref(), 1.0, "ct", SurfaceOrigin::User).unwrap_err().to_string();
+        assert!(missing.starts_with("no/such.stl: cannot be read:"), "{missing}");
+    }
+
+    #[test]
+    fn bytes_behind_the_last_triangle_are_told() {
+        let mut bytes = binary();
+        bytes.extend([0; 7]);
+        let back = read(&bytes).unwrap();
+        assert_eq!(back.notes, ["7 bytes follow the last triangle and were not read"]);
+    }
+}

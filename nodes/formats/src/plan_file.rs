@@ -240,3 +240,116 @@ impl Keys<'_> {
         Ok(Some(Anatomy { malleolus_tip: tip.into(), proximal, lateral, posterior }))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Isometry3;
+
+    fn parse(value: &Value) -> Result<SurgicalPlan, FileError> {
+        parse_plan("plan.json".as_ref(), &value.to_string())
+    }
+
+    fn example() -> SurgicalPlan {
+        let point = |name: &str, x: f64| NamedPoint::new(name, Point3::new(x, -2.0 / 3.0, 1e-3));
+        let motion = |x: f64| Isometry3::new(Vector3::new(x, 5.0, -900.0), Vector3::new(0.3, -1.0, x / 9.0));
+        SurgicalPlan {
+            landmarks: Points::new("ct", [point("P2", 1.0), point("P10", 2.0), point("P1", 3.0)]),
+            assessment: Points::new("ct", [point("M1", 4.0)]),
+            planes: Planes::new("ct", [Plane::new("distal", motion(1.0)), Plane::new("proximal", motion(2.0))]),
+            axes: Some(Axes {
+                frame: "ct".into(),
+                centre: Point3::new(1.0, 2.0, 3.0),
+                columns: *motion(3.0).rotation.to_rotation_matrix().matrix(),
+            }),
+            anatomy: Some(Anatomy {
+                malleolus_tip: Point3::new(-92.0, -85.0, -1054.0),
+                proximal: Vector3::z_axis(),
+                lateral: -Vector3::x_axis(),
+                posterior: Vector3::y_axis(),
+            }),
+            t_phantom_phantom_marker: Some(Pose::new("phantom", "phantom_marker", motion(4.0))),
+            t_camera_camera_marker_nominal: Some(Pose::new("camera", "camera_marker", motion(5.0))),
+        }
+    }
+
+    #[test]
+    fn a_plan_survives_being_written_with_its_points_in_their_order() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        write_plan(file.path(), &example()).unwrap();
+        let back = read_plan(file.path()).unwrap();
+        assert_eq!(
+            (&back.landmarks, &back.assessment, &back.anatomy),
+            (&example().landmarks, &example().assessment, &example().anatomy)
+        );
+        let off = |a: &Isometry3<f64>, b: &Isometry3<f64>| (a.to_homogeneous() - b.to_homogeneous()).amax();
+        for (a, b) in back.planes.planes.iter().zip(example().planes.planes.iter()) {
+            assert_eq!(a.name, b.name);
+            assert!(off(a.isometry().unwrap(), b.isometry().unwrap()) < 1e-12);
+        }
+        assert!((back.axes.as_ref().unwrap().columns - example().axes.unwrap().columns).amax() < 1e-12);
+        let poses = |p: &SurgicalPlan| {
+            [p.t_phantom_phantom_marker.clone().unwrap(), p.t_camera_camera_marker_nominal.clone().unwrap()]
+        };
+        for (a, b) in poses(&back).iter().zip(&poses(&example())) {
+            assert!(a.to == b.to && a.from == b.from && off(&a.isometry, &b.isometry) < 1e-12);
+        }
+    }
+
+    #[test]
+    fn what_a_plan_lacks_is_missing_and_what_it_has_more_is_ignored() {
+        let plan = parse(&json!({"surgeon": "N. N.", "planes": null})).unwrap();
+        assert!(plan.landmarks.points.is_empty() && plan.planes.planes.is_empty());
+        assert!(plan.axes.is_none() && plan.anatomy.is_none() && plan.t_phantom_phantom_marker.is_none());
+    }
+
+    #[test]
+    fn planes_are_numbered_unless_they_are_named() {
+        let unit = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 7], [0, 0, 0, 1]]);
+        for (planes, names) in [
+            (json!([unit, unit]), ["plane_1", "plane_2"]),
+            (json!([unit, {"name": "proximal", "matrix": unit}]), ["plane_1", "proximal"]),
+            (json!({"proximal": unit, "distal": unit}), ["proximal", "distal"]),
+        ] {
+            let plan = parse(&json!({"planes": planes})).unwrap();
+            assert_eq!(plan.planes.planes.iter().map(|p| p.name.to_string()).collect::<Vec<_>>(), names);
+            assert_eq!(plan.planes.planes[1].isometry().unwrap().translation.z, 7.0);
+        }
+    }
+
+    #[test]
+    fn a_fault_names_its_key() {
+        let matrix = |z: f64, last: f64| json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, z, 0], [0, 0, 0, last]]);
+        for (plan, expected) in [
+            (json!({"units": "m"}), "key \"units\": a plan is in \"mm\", found \"m\""),
+            (json!({"landmarks": {"P1": [1, 2]}}), "key \"landmarks.P1\": 3 numbers are expected, found [1,2]"),
+            (json!({"landmarks": {"P1": [1, 2, null]}}), "key \"landmarks.P1\": 3 numbers are expected"),
+            (json!({"landmarks": [[1, 2, 3]]}), "key \"landmarks\": an object of named points is expected"),
+            (
+                json!({"planes": [matrix(1.0, 1.0), matrix(-1.0, 1.0)]}),
+                "key \"planes[1]\": the matrix is a mirror image",
+            ),
+            (
+                json!({"phantom_marker_in_phantom": matrix(2.0, 1.0)}),
+                "key \"phantom_marker_in_phantom\": the upper left 3 x 3",
+            ),
+            (
+                json!({"camera_marker_nominal_C_T_Mc": matrix(1.0, 0.0)}),
+                "key \"camera_marker_nominal_C_T_Mc\": the last row",
+            ),
+            (json!({"planes": {"distal": [[1]]}}), "key \"planes.distal\": 4 rows of 4 numbers are expected"),
+            (
+                json!({"pca_axes_columns_xyz": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}),
+                "key \"pca_axes_columns_xyz\": the matrix is a mirror",
+            ),
+            (json!({"proximal": [0, 0, 0]}), "key \"proximal\": a direction cannot be zero"),
+            (json!([]), "line 1: a plan is a JSON object"),
+        ] {
+            let said = parse(&plan).unwrap_err().to_string();
+            assert!(said.starts_with("plan.json: ") && said.contains(expected), "{expected}\n{said}");
+        }
+        let said =
+            parse_plan("plan.json".as_ref(), "{\"landmarks\": {\n\"P1\": [NaN, 0, 0]}}").unwrap_err().to_string();
+        assert!(said.contains("line 2, column 8") && said.contains("no NaN"), "{said}");
+    }
+}

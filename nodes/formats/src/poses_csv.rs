@@ -84,3 +84,68 @@ pub fn write_poses(path: &Path, poses: &[Pose]) -> Result<(), FileError> {
     let bytes = writer.into_inner().expect("memory is always flushed");
     std::fs::write(path, bytes).map_err(FileError::write(path))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    fn read(text: &str) -> Result<Vec<Result<Pose, LostPose>>, FileError> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        read_poses(file.path(), 1.0)
+    }
+
+    #[test]
+    fn poses_survive_being_written_bit_for_bit() {
+        let pose = |k: i64| {
+            let turn = Vector3::new(0.1, -0.7, 2.0) * k as f64;
+            Pose::new("world", "bone, marker", Isometry3::new(Vector3::new(1.0 / 3.0, -2.0, 1e-7), turn)).at(k)
+        };
+        let poses: Vec<Pose> = (0..5).map(pose).collect();
+        let file = tempfile::NamedTempFile::new().unwrap();
+        write_poses(file.path(), &poses).unwrap();
+        let back: Vec<Pose> = read_poses(file.path(), 1.0).unwrap().into_iter().map(Result::unwrap).collect();
+        for (a, b) in back.iter().zip(&poses) {
+            assert_eq!(
+                (&a.to, &a.from, a.stamp_ns, a.isometry.translation),
+                (&b.to, &b.from, b.stamp_ns, b.isometry.translation)
+            );
+            assert!(a.isometry.rotation.angle_to(&b.isometry.rotation) < 1e-12);
+        }
+        assert_eq!(back.len(), 5);
+    }
+
+    #[test]
+    fn columns_may_stand_in_any_order_and_lost_markers_are_told() {
+        let text = "\u{feff}child,parent,qw,qx,qy,qz,x,y,z,t_ns,quality\n# a comment\nm, world ,1,0,0,0,1.5,2,3,10,good\n\n\
+                    m,world,,,,,,,,20,lost\nm,world,0,0,0,0,1,2,3,30,lost\nm,world,nan,0,0,0,1,2,3,40,lost\n";
+        let poses = read(text).unwrap();
+        assert_eq!(poses[0], Ok(Pose::new("world", "m", Isometry3::translation(1.5, 2.0, 3.0)).at(10)));
+        let lost: Vec<(i64, &str)> =
+            poses[1..].iter().map(|p| p.as_ref().unwrap_err()).map(|l| (l.stamp_ns, l.reason.as_str())).collect();
+        let empty = "a row without finite numbers";
+        assert_eq!(lost, [(20, empty), (30, "an all-zero quaternion"), (40, empty)]);
+    }
+
+    #[test]
+    fn a_fault_names_its_line() {
+        let header = "t_ns,parent,child,x,y,z,qx,qy,qz,qw\n";
+        let good = "1,world,m,0,0,0,0,0,0,1\n";
+        for (text, expected) in [
+            ("t_ns,parent,child,x,y,z,qx,qy,qz\n".into(), "line 1: the header has no column \"qw\"; it reads t_ns,"),
+            (String::new(), "line 1: the header has no column \"t_ns\""),
+            (
+                format!("{header}{good}1.5,world,m,0,0,0,0,0,0,1\n"),
+                "line 3: t_ns is \"1.5\", a whole number is expected",
+            ),
+            (format!("{header}{good}{good}1,world,m,0,0,up,0,0,0,1\n"), "line 4: z is \"up\", a number is expected"),
+            (format!("{header}1,world,m,0,0,0,0,0,1\n"), "line 2: the header names 10 columns, this line has 9"),
+            (format!("{header}1,,m,0,0,0,0,0,0,1\n"), "line 2: column \"parent\" is empty"),
+            (format!("{header}1,world,m,0,0,0,10,20,30,1\n"), "line 2: the quaternion has length 37.4"),
+        ] {
+            let said = read(&text).unwrap_err().to_string();
+            assert!(said.contains(expected), "{expected}\n{said}");
+        }
+    }
+}
