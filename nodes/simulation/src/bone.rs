@@ -27,7 +27,7 @@ pub struct BoneParams {
     /// Draws the bone's own unevenness; another seed is another bone of the same kind. Not the run's seed: repeated
     /// procedures are on one bone.
     pub shape_seed: u64,
-    /// Standard deviation of the unevenness drawn by `shape_seed`; 0 gives the smooth formula. 0.25 mm: assumed; with it
+    /// Standard deviation of the unevenness drawn by `shape_seed`; 0 gives the smooth formula. 0.35 mm: assumed; with it
     /// the bone's weakest mode lies between those of the two measured fibulas, see docs/simulation.md.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub unevenness_mm: f64,
@@ -44,7 +44,7 @@ impl Default for BoneParams {
             length_mm: 350.0,
             girth: 1.0,
             shape_seed: 1,
-            unevenness_mm: 0.25,
+            unevenness_mm: 0.35,
             edge_mm: 1.0,
             centre_mm: [-90.0, -85.0, -890.0],
         }
@@ -56,9 +56,11 @@ impl Default for BoneParams {
 /// The same parameters give the same bits. `O(n)` in the number of vertices, about 17,000 by default.
 pub fn fibula(params: &BoneParams) -> Mesh {
     let shape = Shape::new(params);
-    let heights = shape.ring_heights(params.edge_mm);
+    // Finer than this no memory holds.
+    let edge_mm = params.edge_mm.max(0.1);
+    let heights = shape.ring_heights(edge_mm);
     // Sections grow towards the ends; a middling radius gives edges about as long as asked for.
-    let n_around = (TAU * 7.0 * params.girth / params.edge_mm).round().max(12.0) as usize;
+    let n_around = (TAU * 7.0 * params.girth / edge_mm).round().max(12.0) as usize;
     let t_ct_local = t_ct_local(params);
 
     let mut vertices = Vec::with_capacity(heights.len() * n_around + 2);

@@ -2,8 +2,8 @@
 
 use crate::draws::{Term, direction, normal, stream};
 use crate::params::CameraParams;
-use crate::rays::Surface;
 use nalgebra::{Isometry3, Point3, Vector3};
+use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Cloud, CloudError, StampNs};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -18,6 +18,8 @@ pub(crate) struct Pixel {
     pub(crate) distance_mm: f64,
     /// Cosine of the angle between ray and surface normal.
     pub(crate) cos_incidence: f64,
+    /// Outward unit normal of the surface, in its own frame.
+    pub(crate) normal: Vector3<f64>,
 }
 
 impl Pixel {
@@ -51,7 +53,7 @@ const SURPLUS: f64 = 1.12;
 ///
 /// `t_object_camera` leads into the surface's frame. The grid is as fine as `n_points` needs.
 pub(crate) fn view(
-    surface: &Surface,
+    surface: &MeshQuery,
     outline: &[Point3<f64>],
     stretch: Option<&Stretch>,
     t_object_camera: &Isometry3<f64>,
@@ -76,12 +78,11 @@ pub(crate) fn view(
                     .filter_map(|column| {
                         let ray = Vector3::new(column as f64 * step, row as f64 * step, 1.0).normalize();
                         let (origin, along) = (Point3::from(t_object_camera.translation.vector), t_object_camera * ray);
-                        let hit = surface.cast(&origin, &along)?;
+                        let hit = surface.cast_ray(&origin, &along)?;
                         let cos_incidence = -along.dot(&hit.normal);
-                        let point = origin + along * hit.distance_mm;
                         let good = cos_incidence >= params.max_incidence_deg.to_radians().cos()
-                            && stretch.is_none_or(|s| s.holds(&point));
-                        good.then_some(Pixel { ray, distance_mm: hit.distance_mm, cos_incidence })
+                            && stretch.is_none_or(|s| s.holds(&hit.point));
+                        good.then_some(Pixel { ray, distance_mm: hit.distance_mm, cos_incidence, normal: hit.normal })
                     })
                     .collect()
             })
@@ -177,4 +178,78 @@ pub(crate) fn scan(
     }
     let points: Vec<Point3<f64>> = kept.into_iter().map(|(_, point)| point).collect();
     Ok(Cloud::new("camera", points)?.at(stamp_ns).seen_from(Isometry3::identity()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_geometry::{Mesh, SurfaceOrigin};
+
+    /// A square wall of 100 mm, 200 mm before the camera, its normal towards it.
+    fn wall(params: &CameraParams) -> Vec<Pixel> {
+        let corners = [[-50.0, -50.0], [50.0, -50.0], [50.0, 50.0], [-50.0, 50.0]];
+        let vertices: Vec<Point3<f64>> = corners.iter().map(|[x, y]| Point3::new(*x, *y, 200.0)).collect();
+        let faces = vec![[0, 2, 1], [0, 3, 2]];
+        let wall = Mesh::new("ct", SurfaceOrigin::Exact, vertices.clone(), faces).unwrap();
+        view(&MeshQuery::new(&wall), &vertices, None, &Isometry3::identity(), params)
+    }
+
+    fn quiet() -> CameraParams {
+        CameraParams { depth_noise_mm: 0.0, dropout: 0.0, n_patches: 0, depth_bias_mm: 0.0, ..CameraParams::default() }
+    }
+
+    /// The cloud of all pixels that are left, before the surplus goes.
+    fn left(pixels: &[Pixel], params: &CameraParams, seed: u64) -> Cloud {
+        let all = CameraParams { n_points: pixels.len(), ..params.clone() };
+        scan(pixels, &DepthBias::new(params, seed), None, 1, &all, seed, 1).unwrap()
+    }
+
+    #[test]
+    fn the_grid_is_as_fine_as_the_points_need_and_the_surplus_goes() {
+        let params = quiet();
+        let pixels = wall(&params);
+        let share = pixels.len() as f64 / 20_000.0;
+        assert!((1.08..1.16).contains(&share), "{share} pixels for each point");
+        let cloud = scan(&pixels, &DepthBias::new(&params, 1), None, 1, &params, 1, 1).unwrap();
+        assert_eq!(cloud.len(), 20_000);
+        assert!(cloud.points().iter().all(|p| (p.z - 200.0).abs() < 1e-9));
+        assert_eq!(cloud.viewpoint, Some(Isometry3::identity()));
+    }
+
+    #[test]
+    fn dropout_takes_its_share() {
+        let params = CameraParams { dropout: 0.3, ..quiet() };
+        let pixels = wall(&params);
+        let kept = left(&pixels, &params, 1).len() as f64 / pixels.len() as f64;
+        // Four standard errors over 22,000 pixels.
+        assert!((kept - 0.7).abs() < 0.013, "{kept} are kept");
+    }
+
+    #[test]
+    fn patches_take_discs_of_their_radius_anew_in_every_scan() {
+        let params = CameraParams { n_patches: 3, patch_radius_mm: 4.0, ..quiet() };
+        let pixels = wall(&params);
+        let lost = |seed: u64| pixels.len() - left(&pixels, &params, seed).len();
+        let mean = (0..60).map(lost).sum::<usize>() as f64 / 60.0 / pixels.len() as f64;
+        // Three discs in a wall of 100 x 100 mm; some overlap or reach over its edge.
+        let discs = 3.0 * std::f64::consts::PI * 16.0 / 10_000.0;
+        assert!((0.85 * discs..1.001 * discs).contains(&mean), "{mean} of the wall is lost, discs are {discs}");
+        assert_ne!(left(&pixels, &params, 1), left(&pixels, &params, 2));
+    }
+
+    #[test]
+    fn what_is_seen_too_aslant_gives_no_point() {
+        // From its middle, the wall's edges are seen at up to 19.5 degrees.
+        let limit_deg = 10.0;
+        let pixels = wall(&CameraParams { max_incidence_deg: limit_deg, ..quiet() });
+        let steepest = pixels.iter().map(|p| p.cos_incidence).fold(1.0, f64::min).acos().to_degrees();
+        assert!((9.8..=limit_deg).contains(&steepest), "{steepest} degrees");
+    }
+
+    #[test]
+    fn a_surface_behind_the_camera_is_not_seen() {
+        let away = vec![Point3::new(0.0, 0.0, -200.0), Point3::new(9.0, 0.0, -200.0), Point3::new(0.0, 9.0, -200.0)];
+        let mesh = Mesh::new("ct", SurfaceOrigin::Exact, away.clone(), vec![[0, 1, 2]]).unwrap();
+        assert!(view(&MeshQuery::new(&mesh), &away, None, &Isometry3::identity(), &quiet()).is_empty());
+    }
 }

@@ -1,3 +1,4 @@
+use osteoflow_algorithms::landmarks::LandmarkError;
 use osteoflow_geometry::{CloudError, FrameError, MeshError};
 
 /// Why a procedure could not be simulated.
@@ -39,6 +40,12 @@ pub enum SimulationError {
         /// The landmark.
         name: String,
     },
+    /// A planned point is nowhere.
+    #[error("planned point {name} is not finite")]
+    NotFinite {
+        /// The point.
+        name: String,
+    },
     /// A parameter that makes no sense.
     #[error("{name} is {value}, but must be {expected}")]
     Parameter {
@@ -72,6 +79,9 @@ pub enum SimulationError {
         /// How many it may.
         limit: u64,
     },
+    /// The landmarks have no place on this bone.
+    #[error(transparent)]
+    Landmarks(#[from] LandmarkError),
     /// Bone and plan do not lie in one frame.
     #[error(transparent)]
     Frame(#[from] FrameError),

@@ -24,7 +24,6 @@ mod params;
 pub mod phantom;
 mod plan;
 pub mod procedure;
-mod rays;
 mod topology;
 mod tracker;
 mod weakest_mode;

@@ -96,7 +96,7 @@ mod tests {
     fn no_turn_of_the_phantom_looks_like_another() {
         // The 24 turns of a cube: each but the identity must carry some block's corner well off the surface.
         let phantom = mesh();
-        let surface = crate::rays::Surface::new(&phantom).unwrap();
+        let surface = osteoflow_algorithms::mesh_query::MeshQuery::new(&phantom);
         let mut n_turns = 0;
         for code in 0..64 {
             let [a, b, c] = [code % 4, code / 4 % 4, code / 16].map(|q| f64::from(q) * std::f64::consts::FRAC_PI_2);
@@ -112,7 +112,7 @@ mod tests {
                 .iter()
                 .map(|v| {
                     let moved = turn * v;
-                    (surface.closest(&moved).0 - moved).norm()
+                    surface.closest_point(&moved).unwrap().distance_mm
                 })
                 .fold(0.0, f64::max);
             assert!(worst > 5.0, "a turn by {a} {b} {c} rad leaves the phantom within {worst} mm of itself");

@@ -1,8 +1,9 @@
 //! What a surgeon plans on the bone: landmarks, assessment points and two cuts, all by distances from the malleolus tip.
 
-use crate::rays::Surface;
 use crate::{SimulationError, phantom, t_camera_camera_marker_nominal};
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
+use osteoflow_algorithms::landmarks::{self, RecipeParams};
+use osteoflow_algorithms::{axes, mesh_query::MeshQuery, section};
 use osteoflow_geometry::{Anatomy, Mesh, NamedPoint, Plane, Planes, Points, Pose, SurgicalPlan};
 
 /// Which face of the bone a point lies on.
@@ -11,10 +12,6 @@ enum Face {
     Lateral,
     Posterior,
 }
-
-/// Landmarks: mm from the malleolus tip along the bone, and the face.
-const LANDMARKS: [(&str, f64, Face); 3] =
-    [("P1", 100.0, Face::Posterior), ("P2", 130.0, Face::Lateral), ("P3", 125.0, Face::Posterior)];
 
 /// Assessment points, within and beside the stretch between the landmarks.
 const ASSESSMENT: [(&str, f64, Face); 5] = [
@@ -37,7 +34,7 @@ const CUTS: [(&str, f64, f64, f64); 2] = [("plane_1", 180.0, -0.05, 0.24), ("pla
 /// # Errors
 /// [`SimulationError::NoSection`] if the bone does not reach as far as a point or cut.
 pub fn plan(bone: &Mesh, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationError> {
-    let surface = Surface::new(bone).ok_or(SimulationError::NoSection { height_mm: 0.0 })?;
+    let surface = MeshQuery::new(bone);
     let place = |&(name, height_mm, face): &(&str, f64, Face)| -> Result<NamedPoint, SimulationError> {
         let centre = section_centre(bone, anatomy, height_mm).ok_or(SimulationError::NoSection { height_mm })?;
         let way = match face {
@@ -47,13 +44,11 @@ pub fn plan(bone: &Mesh, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationEr
         // From outside, so that an inner wall of the marrow is never taken for the surface.
         const OUTSIDE_MM: f64 = 60.0;
         let from = centre + way.into_inner() * OUTSIDE_MM;
-        let hit = surface.cast(&from, &-way.into_inner()).ok_or(SimulationError::NoSection { height_mm })?;
-        Ok(NamedPoint::new(name, from - way.into_inner() * hit.distance_mm))
+        let hit = surface.cast_ray(&from, &-way.into_inner()).ok_or(SimulationError::NoSection { height_mm })?;
+        Ok(NamedPoint::new(name, hit.point))
     };
-    let points = |rows: &[(&str, f64, Face)]| -> Result<Points, SimulationError> {
-        Ok(Points::new(&bone.frame, rows.iter().map(place).collect::<Result<Vec<_>, _>>()?))
-    };
-    let (landmarks, assessment) = (points(&LANDMARKS)?, points(&ASSESSMENT)?);
+    let landmarks = landmarks::paper_recipe(&surface, anatomy, &RecipeParams::default())?;
+    let assessment = ASSESSMENT.iter().map(place).collect::<Result<Vec<_>, _>>()?;
     let planes = CUTS.iter().map(|&(name, height_mm, to_lateral, to_posterior)| {
         let centre = section_centre(bone, anatomy, height_mm).ok_or(SimulationError::NoSection { height_mm })?;
         let normal = *anatomy.proximal + *anatomy.lateral * to_lateral + *anatomy.posterior * to_posterior;
@@ -61,10 +56,10 @@ pub fn plan(bone: &Mesh, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationEr
     });
     let planes = Planes::new(&bone.frame, planes.collect::<Result<Vec<_>, SimulationError>>()?);
     Ok(SurgicalPlan {
-        landmarks,
-        assessment,
+        landmarks: Points::new(&bone.frame, landmarks),
+        assessment: Points::new(&bone.frame, assessment),
         planes,
-        axes: None,
+        axes: Some(axes::towards(&axes::principal_axes(bone), &anatomy.proximal)),
         anatomy: Some(anatomy.clone()),
         t_phantom_phantom_marker: Some(Pose::new("phantom", "phantom_marker", phantom::t_phantom_phantom_marker())),
         t_camera_camera_marker_nominal: Some(Pose::new("camera", "camera_marker", t_camera_camera_marker_nominal())),
@@ -79,30 +74,13 @@ pub(crate) fn frame_along(z: &Vector3<f64>, about_y: &Vector3<f64>) -> UnitQuate
     UnitQuaternion::from_rotation_matrix(&axes)
 }
 
-/// The middle of the bone's outline at a height above the malleolus tip: where the plane across the bone meets each
-/// face, weighted by length. `None` if it meets none.
+/// The middle of the bone's outline at a height above the malleolus tip; `None` if the bone is not there.
 pub(crate) fn section_centre(bone: &Mesh, anatomy: &Anatomy, height_mm: f64) -> Option<Point3<f64>> {
-    let above = |p: &Point3<f64>| (p - anatomy.malleolus_tip).dot(&anatomy.proximal) - height_mm;
-    let (mut sum, mut length) = (Vector3::zeros(), 0.0);
-    for face in 0..bone.faces().len() {
-        let corners = bone.corners(face);
-        let heights = corners.map(|p| above(&p));
-        let mut ends = [Vector3::zeros(); 2];
-        let mut n = 0;
-        for k in 0..3 {
-            let (i, j) = (k, (k + 1) % 3);
-            if (heights[i] < 0.0) != (heights[j] < 0.0) {
-                ends[n] = corners[i].coords.lerp(&corners[j].coords, heights[i] / (heights[i] - heights[j]));
-                n += 1;
-            }
-        }
-        if n == 2 {
-            let piece = (ends[1] - ends[0]).norm();
-            sum += (ends[0] + ends[1]) * (0.5 * piece);
-            length += piece;
-        }
-    }
-    (length > 0.0).then(|| Point3::from(sum / length))
+    // What lies farther off belongs to another bone of the same file.
+    const REACH_MM: f64 = 60.0;
+    let at = anatomy.malleolus_tip + *anatomy.proximal * height_mm;
+    let across = Isometry3::from_parts(at.into(), frame_along(&anatomy.proximal, &anatomy.posterior));
+    section::middle(bone, &across, Some(REACH_MM))
 }
 
 #[cfg(test)]
@@ -114,17 +92,22 @@ mod tests {
     fn planned_points_lie_on_the_surface_at_their_distance_from_the_tip() {
         let params = BoneParams::default();
         let (bone, axes) = (fibula(&params), anatomy(&params));
-        let surface = Surface::new(&bone).unwrap();
+        let surface = MeshQuery::new(&bone);
         let plan = plan(&bone, &axes).unwrap();
-        for (points, rows) in [(&plan.landmarks, &LANDMARKS[..]), (&plan.assessment, &ASSESSMENT[..])] {
+        let landmarks = [("P1", 100.0), ("P2", 130.0), ("P3", 125.0)];
+        let assessment = ASSESSMENT.map(|(name, height_mm, _)| (name, height_mm));
+        for (points, rows) in [(&plan.landmarks, &landmarks[..]), (&plan.assessment, &assessment[..])] {
             assert_eq!(points.points.len(), rows.len());
-            for (point, row) in points.points.iter().zip(rows) {
-                let off = (surface.closest(&point.position).0 - point.position).norm();
-                assert!(off < 1e-9, "{} is {off} mm off the surface", point.name);
+            for (point, (name, height_mm)) in points.points.iter().zip(rows) {
+                assert_eq!(&*point.name, *name);
+                let off = surface.closest_point(&point.position).unwrap().distance_mm;
+                assert!(off < 1e-9, "{name} is {off} mm off the surface");
                 let height = (point.position - axes.malleolus_tip).dot(&axes.proximal);
-                assert!((height - row.1).abs() < 1e-6, "{} at {height} mm", point.name);
+                assert!((height - height_mm).abs() < 1e-6, "{name} at {height} mm");
             }
         }
+        let along = plan.axes.as_ref().unwrap().columns.column(2).dot(&axes.proximal);
+        assert!(along > 0.99, "the long axis runs proximally: {along}");
         let [first, second] = [0, 1].map(|i| plan.planes.planes[i].normal().unwrap());
         assert!(first.dot(&axes.proximal) > 0.95 && second.dot(&axes.proximal) > 0.95);
     }

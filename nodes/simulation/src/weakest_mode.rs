@@ -3,9 +3,9 @@
 use crate::camera::{Stretch, view};
 use crate::params::{CameraParams, ProcedureParams};
 use crate::procedure::scan_pose;
-use crate::rays::Surface;
 use crate::{SimulationError, draws, plan::section_centre};
 use nalgebra::{Matrix6, Point3, Unit, Vector3, Vector6};
+use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Anatomy, Cloud, Mesh};
 use rand::RngExt;
 
@@ -124,7 +124,7 @@ pub fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) ->
         ..ProcedureParams::default()
     };
     params.check()?;
-    let surface = Surface::new(bone).ok_or(nothing.clone())?;
+    let surface = MeshQuery::new(bone);
     let middle_mm = (camera.scan_from_mm + camera.scan_to_mm) / 2.0;
     let focus = section_centre(bone, anatomy, middle_mm).ok_or(SimulationError::NoSection { height_mm: middle_mm })?;
     let t_ct_camera = scan_pose(&surface, anatomy, &focus, &params, 0).ok_or(nothing.clone())?;
@@ -138,12 +138,6 @@ pub fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) ->
     if pixels.is_empty() {
         return Err(nothing);
     }
-    let (points, normals): (Vec<_>, Vec<_>) = pixels
-        .iter()
-        .map(|pixel| {
-            let point = t_ct_camera * pixel.point();
-            (point, surface.closest(&point).1)
-        })
-        .unzip();
+    let (points, normals): (Vec<_>, Vec<_>) = pixels.iter().map(|p| (t_ct_camera * p.point(), p.normal)).unzip();
     Ok(Cloud::new(&bone.frame, points)?.with_normals(normals)?.seen_from(t_ct_camera))
 }
