@@ -7,6 +7,13 @@
 //! `snake_case` or `camelCase`, point types by number or by name, base64 of either alphabet, `NaN` bare, as text or as
 //! null.
 
+mod fault;
+mod layout;
+#[cfg(test)]
+mod tests;
+
+pub use fault::FoxgloveError;
+
 use crate::{
     LostPose,
     foxglove_json::{self, JsonCloud, JsonPose, JsonPoseInFrame, JsonTimestamp, JsonTransform, JsonTransforms},
@@ -17,9 +24,10 @@ use foxglove::{
     Decode,
     messages::{
         FrameTransform, FrameTransforms, PointCloud, Pose as FoxglovePose, PoseInFrame,
-        Quaternion as FoxgloveQuaternion, Timestamp, Vector3 as FoxgloveVector3, packed_element_field::NumericType,
+        Quaternion as FoxgloveQuaternion, Timestamp, Vector3 as FoxgloveVector3,
     },
 };
+use layout::Layout;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::{Cloud, Frame, MM_PER_M, Pose, Region, StampNs};
 
@@ -60,90 +68,6 @@ impl<'a> From<&'a Message> for Encoded<'a> {
             data: message.data.clone(),
         }
     }
-}
-
-/// A message that does not give what it should.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum FoxgloveError {
-    /// The topic carries something else.
-    #[error("{expected} is needed here, but the topic carries {found}; name another topic")]
-    Schema {
-        /// The schemas that would do.
-        expected: &'static str,
-        /// The schema that is there.
-        found: String,
-    },
-    /// The message is written in another way than protobuf or JSON.
-    #[error("the message is written as \"{found}\", but only protobuf and json can be read")]
-    Encoding {
-        /// The encoding that is there.
-        found: String,
-    },
-    /// The bytes are no such message.
-    #[error("the message is no {schema}: {reason}")]
-    Decode {
-        /// The schema it should follow.
-        schema: String,
-        /// What the decoder said.
-        reason: String,
-    },
-    /// A point field is missing.
-    #[error("the points have no field \"{missing}\"; there are: {found}")]
-    MissingField {
-        /// The field.
-        missing: &'static str,
-        /// The fields that are there.
-        found: String,
-    },
-    /// A point field has a type that is no number.
-    #[error("field \"{field}\" has numeric type {code}, but 1 (uint8) to 8 (float64) are known")]
-    FieldType {
-        /// The field.
-        field: String,
-        /// The type's code.
-        code: i32,
-    },
-    /// A point field reaches beyond its point.
-    #[error("field \"{field}\" ends at byte {end} of a point, but a point has {stride} bytes (point_stride)")]
-    FieldEnd {
-        /// The field.
-        field: String,
-        /// Where it ends.
-        end: u64,
-        /// The bytes of a point.
-        stride: u32,
-    },
-    /// The data is not a whole number of points.
-    #[error(
-        "the data has {n_bytes} bytes, which is no whole number of points of {stride} bytes: {rest} remain; \
-         was the message cut short?"
-    )]
-    Length {
-        /// The bytes there are.
-        n_bytes: usize,
-        /// The bytes of a point.
-        stride: u32,
-        /// What remains behind the last whole point.
-        rest: usize,
-    },
-    /// A pose that is no rigid motion.
-    #[error("the {what} cannot be used: it has {reason}")]
-    Pose {
-        /// Which pose it is.
-        what: &'static str,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A region of interest that cannot be understood.
-    #[error(
-        "metadata \"procedure\", key \"{key}\": {reason}; write three numbers in metres, such as \"-0.1 -0.1 0.2\""
-    )]
-    Region {
-        /// The key.
-        key: String,
-        /// What is wrong with it.
-        reason: String,
-    },
 }
 
 /// A cloud read from a message.
@@ -200,8 +124,8 @@ pub fn stamp<'a>(message: impl Into<Encoded<'a>>) -> Result<StampNs, FoxgloveErr
 /// message's `pose`, metres turned to mm.
 ///
 /// Points with a NaN or infinite coordinate are left out and counted. Normals (`normal_x` .. or `nx` ..) come along when
-/// every kept point has one; other fields are ignored. The viewpoint is the message's `pose`: a sensor looks from the
-/// origin of the frame it measures in. `O(n)`.
+/// every kept point has one; other fields are ignored. The viewpoint is the message's `pose`, or the origin of the frame
+/// where there is none; it is unknown where that frame is no sensor's (`world`, `ct`, `phantom`, a marker). `O(n)`.
 ///
 /// # Errors
 /// [`FoxgloveError`], saying what is missing, which bytes do not add up, or that the pose is no rigid motion.
@@ -242,7 +166,8 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Foxg
     if with_normals {
         cloud = cloud.with_normals(normals).expect("each kept point has its normal");
     }
-    let cloud = cloud.at(stamp_ns).seen_from(pose.unwrap_or_default());
+    cloud.stamp_ns = stamp_ns;
+    cloud.viewpoint = pose.or_else(|| is_sensor_frame(cloud.frame.as_str()).then(Isometry3::identity));
     Ok(CloudRead { cloud, n_points_in_message, n_dropped, n_bad_normals })
 }
 
@@ -373,6 +298,11 @@ fn cloud_pose(pose: Option<&FoxglovePose>) -> Result<Option<Isometry3<f64>>, Fox
     Ok((pose != Isometry3::identity()).then_some(pose))
 }
 
+/// Whether a cloud in that frame was seen from its origin, as far as the name tells.
+fn is_sensor_frame(frame: &str) -> bool {
+    !matches!(frame, "world" | "ct" | "phantom") && !frame.ends_with("_marker")
+}
+
 /// A place in metres as mm, where it is one.
 fn translation(v: &FoxgloveVector3) -> Result<Vector3<f64>, String> {
     let metres = Vector3::new(v.x, v.y, v.z);
@@ -416,357 +346,5 @@ impl From<PoseInFrame> for JsonPoseInFrame {
     fn from(p: PoseInFrame) -> Self {
         let pose = p.pose.map(|pose| JsonPose { position: pose.position, orientation: pose.orientation });
         Self { timestamp: p.timestamp.into(), frame_id: p.frame_id, pose }
-    }
-}
-
-/// A number within a point.
-#[derive(Clone, Copy)]
-struct Field {
-    offset: usize,
-    kind: NumericType,
-}
-
-impl Field {
-    fn value(self, point: &[u8]) -> f64 {
-        fn at<const N: usize>(point: &[u8], offset: usize) -> [u8; N] {
-            std::array::from_fn(|k| point[offset + k])
-        }
-        let o = self.offset;
-        match self.kind {
-            NumericType::Uint8 => point[o].into(),
-            NumericType::Int8 => i8::from_le_bytes(at(point, o)).into(),
-            NumericType::Uint16 => u16::from_le_bytes(at(point, o)).into(),
-            NumericType::Int16 => i16::from_le_bytes(at(point, o)).into(),
-            NumericType::Uint32 => u32::from_le_bytes(at(point, o)).into(),
-            NumericType::Int32 => i32::from_le_bytes(at(point, o)).into(),
-            NumericType::Float32 => f32::from_le_bytes(at(point, o)).into(),
-            NumericType::Float64 => f64::from_le_bytes(at(point, o)),
-            NumericType::Unknown => f64::NAN,
-        }
-    }
-}
-
-/// Where the numbers of a point lie, checked to be within it.
-struct Layout {
-    stride: usize,
-    n_points: usize,
-    position: [Field; 3],
-    normal: Option<[Field; 3]>,
-}
-
-impl Layout {
-    fn of(raw: &PointCloud) -> Result<Self, FoxgloveError> {
-        let stride = raw.point_stride;
-        let [x, y, z] = ["x", "y", "z"].map(|name| Self::field(raw, name));
-        let position = [Self::needed(raw, "x", x?)?, Self::needed(raw, "y", y?)?, Self::needed(raw, "z", z?)?];
-        let normal = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]].into_iter().find_map(|names| {
-            // Normals are an extra: where they are incomplete or of no known type, the cloud goes without.
-            let [x, y, z] = names.map(|name| Self::field(raw, name).ok().flatten());
-            Some([x?, y?, z?])
-        });
-        let n_bytes = raw.data.len();
-        let rest = n_bytes.checked_rem(stride as usize).unwrap_or(n_bytes);
-        if rest != 0 {
-            return Err(FoxgloveError::Length { n_bytes, stride, rest });
-        }
-        let n_points = n_bytes.checked_div(stride as usize).unwrap_or(0);
-        Ok(Self { stride: stride as usize, n_points, position, normal })
-    }
-
-    /// The first field of that name.
-    fn field(raw: &PointCloud, name: &str) -> Result<Option<Field>, FoxgloveError> {
-        let Some(field) = raw.fields.iter().find(|f| f.name == name) else { return Ok(None) };
-        let kind = NumericType::try_from(field.r#type).unwrap_or(NumericType::Unknown);
-        let n_bytes = match kind {
-            NumericType::Uint8 | NumericType::Int8 => 1,
-            NumericType::Uint16 | NumericType::Int16 => 2,
-            NumericType::Uint32 | NumericType::Int32 | NumericType::Float32 => 4,
-            NumericType::Float64 => 8,
-            NumericType::Unknown => {
-                return Err(FoxgloveError::FieldType { field: name.into(), code: field.r#type });
-            }
-        };
-        let end = u64::from(field.offset) + n_bytes;
-        if end > raw.point_stride.into() {
-            return Err(FoxgloveError::FieldEnd { field: name.into(), end, stride: raw.point_stride });
-        }
-        Ok(Some(Field { offset: field.offset as usize, kind }))
-    }
-
-    fn needed(raw: &PointCloud, missing: &'static str, field: Option<Field>) -> Result<Field, FoxgloveError> {
-        field.ok_or_else(|| {
-            let names: Vec<&str> = raw.fields.iter().map(|f| f.name.as_str()).collect();
-            let found = if names.is_empty() { "none".into() } else { names.join(", ") };
-            FoxgloveError::MissingField { missing, found }
-        })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use foxglove::{Encode, messages::PackedElementField};
-
-    fn message(schema_name: &'static str, message_encoding: &'static str, data: impl Into<Bytes>) -> Encoded<'static> {
-        Encoded { schema_name, message_encoding, publish_time_ns: 77, data: data.into() }
-    }
-
-    fn protobuf<M: Encode>(schema_name: &'static str, content: &M) -> Encoded<'static> {
-        let mut data = Vec::new();
-        content.encode(&mut data).unwrap();
-        message(schema_name, "protobuf", data)
-    }
-
-    fn cloud_of(stride: u32, fields: &[(&str, u32, i32)], data: Vec<u8>) -> PointCloud {
-        let field =
-            |&(name, offset, kind): &(&str, u32, i32)| PackedElementField { name: name.into(), offset, r#type: kind };
-        PointCloud {
-            timestamp: Some(Timestamp::new(5, 6)),
-            frame_id: "camera".into(),
-            pose: None,
-            point_stride: stride,
-            fields: fields.iter().map(field).collect(),
-            data: data.into(),
-        }
-    }
-
-    fn xyz_f32(points: &[[f32; 3]]) -> PointCloud {
-        let data = points.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
-        cloud_of(12, &[("x", 0, 7), ("y", 4, 7), ("z", 8, 7)], data)
-    }
-
-    fn read(raw: &PointCloud) -> Result<CloudRead, FoxgloveError> {
-        read_cloud(protobuf(POINT_CLOUD, raw))
-    }
-
-    #[test]
-    fn every_numeric_type_is_read_as_what_it_is() {
-        // Foxglove's codes: 1 is unsigned and 2 signed, the other way round than in ROS.
-        let minus_two: [(i32, Vec<u8>, f64); 8] = [
-            (1, vec![254], 254.0),
-            (2, vec![254], -2.0),
-            (3, (-2_i16).to_le_bytes().into(), 65_534.0),
-            (4, (-2_i16).to_le_bytes().into(), -2.0),
-            (5, (-2_i32).to_le_bytes().into(), 4_294_967_294.0),
-            (6, (-2_i32).to_le_bytes().into(), -2.0),
-            (7, (-2_f32).to_le_bytes().into(), -2.0),
-            (8, (-2_f64).to_le_bytes().into(), -2.0),
-        ];
-        for (code, bytes, metres) in minus_two {
-            let n = bytes.len() as u32;
-            let mut data = vec![3, 4];
-            data.extend(&bytes);
-            let raw = cloud_of(2 + n, &[("z", 0, 1), ("y", 1, 2), ("x", 2, code)], data);
-            let found = read(&raw).unwrap().cloud.points()[0];
-            assert_eq!(found, Point3::new(metres * 1000.0, 4000.0, 3000.0), "type {code}");
-        }
-    }
-
-    #[test]
-    fn points_that_are_not_finite_are_left_out_and_counted() {
-        let (nan, inf) = (f32::NAN, f32::INFINITY);
-        let read = read(&xyz_f32(&[[nan; 3], [0.5, 0.0, 1.0], [0.0, -inf, 0.0], [0.0, 0.0, nan]])).unwrap();
-        assert_eq!((read.n_points_in_message, read.n_dropped), (4, 3));
-        assert_eq!(read.cloud.points(), [Point3::new(500.0, 0.0, 1000.0)]);
-        assert_eq!(read.cloud.stamp_ns, 5_000_000_006);
-    }
-
-    #[test]
-    fn an_empty_cloud_is_a_cloud() {
-        let read = read(&xyz_f32(&[])).unwrap();
-        assert!(read.cloud.is_empty() && read.n_points_in_message == 0);
-    }
-
-    #[test]
-    fn a_pose_moves_points_and_normals_and_is_the_viewpoint() {
-        let mut raw = xyz_f32(&[[0.1, 0.0, 0.0], [0.0, 0.0, 1.0]]);
-        raw.point_stride = 24;
-        raw.fields.extend([("nx", 12), ("ny", 16), ("nz", 20)].map(|(name, offset)| PackedElementField {
-            name: name.into(),
-            offset,
-            r#type: 7,
-        }));
-        raw.data = [0.1, 0.0, 0.0, 2.0, 0.0, 0.0_f32].iter().flat_map(|c| c.to_le_bytes()).collect::<Vec<u8>>().into();
-        // A quarter turn about z and half a metre along y, with a quaternion of twice the length.
-        let q = std::f64::consts::SQRT_2;
-        raw.pose = Some(FoxglovePose {
-            position: Some(FoxgloveVector3 { x: 0.0, y: 0.5, z: 0.0 }),
-            orientation: Some(FoxgloveQuaternion { x: 0.0, y: 0.0, z: q, w: q }),
-        });
-        let cloud = read(&raw).unwrap().cloud;
-        // 0.1 in single precision is off by 1.5e-6 mm.
-        assert!((cloud.points()[0] - Point3::new(0.0, 600.0, 0.0)).norm() < 1e-5);
-        assert!((cloud.normals().unwrap()[0] - Vector3::y()).norm() < 1e-12, "unit length, turned along");
-        assert!((cloud.viewpoint.unwrap() * Point3::origin() - Point3::new(0.0, 500.0, 0.0)).norm() < 1e-9);
-    }
-
-    #[test]
-    fn an_unset_pose_leaves_the_coordinates_as_they_are() {
-        let plain = read(&xyz_f32(&[[0.1, 0.2, 0.3]])).unwrap().cloud;
-        assert_eq!(plain.viewpoint, Some(Isometry3::identity()));
-        let mut raw = xyz_f32(&[[0.1, 0.2, 0.3]]);
-        raw.pose = Some(FoxglovePose { position: None, orientation: None });
-        assert_eq!(read(&raw).unwrap().cloud, plain);
-    }
-
-    #[test]
-    fn a_pose_that_turns_nothing_is_refused() {
-        for (w, said) in [(0.0, "an all-zero quaternion"), (f64::NAN, "a quaternion that is not finite")] {
-            let mut raw = xyz_f32(&[[0.1, 0.2, 0.3]]);
-            let orientation = FoxgloveQuaternion { x: 0.0, y: 0.0, z: 0.0, w };
-            raw.pose = Some(FoxglovePose { position: None, orientation: Some(orientation) });
-            let error = read(&raw).unwrap_err().to_string();
-            assert_eq!(error, format!("the cloud's pose cannot be used: it has {said}"));
-        }
-    }
-
-    #[test]
-    fn bytes_that_do_not_add_up_are_told_with_their_numbers() {
-        let mut raw = xyz_f32(&[[0.1, 0.2, 0.3]; 2]);
-        raw.data = raw.data.slice(..23);
-        let error = read(&raw).unwrap_err().to_string();
-        assert!(
-            error.starts_with("the data has 23 bytes, which is no whole number of points of 12 bytes: 11 remain"),
-            "{error}"
-        );
-        raw.point_stride = 11;
-        assert_eq!(read(&raw), Err(FoxgloveError::FieldEnd { field: "z".into(), end: 12, stride: 11 }));
-        raw.point_stride = 0;
-        assert!(matches!(read(&raw), Err(FoxgloveError::FieldEnd { .. })));
-        raw.fields.pop();
-        assert_eq!(read(&raw), Err(FoxgloveError::FieldEnd { field: "x".into(), end: 4, stride: 0 }));
-        raw.point_stride = 23;
-        assert_eq!(read(&raw), Err(FoxgloveError::MissingField { missing: "z", found: "x, y".into() }));
-        raw.fields[0].r#type = 9;
-        assert_eq!(read(&raw), Err(FoxgloveError::FieldType { field: "x".into(), code: 9 }));
-    }
-
-    #[test]
-    fn a_missing_or_zero_timestamp_gives_way_to_the_publish_time() {
-        let mut raw = xyz_f32(&[[0.0; 3]]);
-        for timestamp in [None, Some(Timestamp::new(0, 0))] {
-            raw.timestamp = timestamp;
-            assert_eq!(read(&raw).unwrap().cloud.stamp_ns, 77);
-            assert_eq!(stamp(protobuf(POINT_CLOUD, &raw)), Ok(77));
-        }
-    }
-
-    #[test]
-    fn a_marker_that_was_not_seen_is_lost_and_not_at_zero() {
-        let nan = f64::NAN;
-        let cases = [
-            (0.0, 0.5, "an all-zero quaternion"),
-            (nan, 0.5, "a quaternion that is not finite"),
-            (1.0, nan, "a position that is not finite"),
-            // What an NDI tracker writes for a missing marker.
-            (1.0, -3.697314e28, "a position 3.7e28 m away"),
-        ];
-        for (w, x, reason) in cases {
-            let transform = FrameTransform {
-                timestamp: Some(Timestamp::new(1, 0)),
-                parent_frame_id: "world".into(),
-                child_frame_id: "bone_marker".into(),
-                translation: Some(FoxgloveVector3 { x, y: 0.0, z: 0.0 }),
-                rotation: Some(FoxgloveQuaternion { x: 0.0, y: 0.0, z: 0.0, w }),
-            };
-            let lost = read_transforms(protobuf(FRAME_TRANSFORM, &transform)).unwrap().remove(0).unwrap_err();
-            assert_eq!((lost.stamp_ns, lost.reason.as_str()), (1_000_000_000, reason));
-            assert!(lost.to_string().starts_with("marker lost: t_world_bone_marker at 1000000000 ns"));
-        }
-    }
-
-    #[test]
-    fn json_is_read_as_writers_spell_it() {
-        let spelt = [
-            r#"{"timestamp":{"sec":1750000001,"nsec":5},"parent_frame_id":"world","child_frame_id":"m",
-                "translation":{"x":1,"y":0.5,"z":0},"rotation":{"x":0,"y":0,"z":0,"w":1}}"#,
-            r#"{"timestamp":"2025-06-15T15:06:41.000000005Z","parentFrameId":"world","childFrameId":"m",
-                "translation":{"x":1.0,"y":5e-1},"rotation":{"w":"1"}}"#,
-            r#"{"timestamp":"2025-06-15T17:06:41.000000005+02:00","parentFrameId":"world","childFrameId":"m",
-                "translation":{"x":1.0,"y":0.5},"rotation":{"w":1.0}}"#,
-            r#"{"timestamp":{"seconds":"1750000001","nanos":5},"parent_frame_id":"world","child_frame_id":"m","more":NaN,
-                "translation":{"x":1,"y":0.5,"z":0},"rotation":{"x":0,"y":0,"z":0,"w":1}}"#,
-        ];
-        for text in spelt {
-            let pose = read_transforms(message(FRAME_TRANSFORM, "json", text)).unwrap().remove(0).unwrap();
-            let expected =
-                Pose::new("world", "m", Isometry3::translation(1000.0, 500.0, 0.0)).at(1_750_000_001_000_000_005);
-            assert_eq!(pose, expected, "{text}");
-            assert_eq!(stamp(message(FRAME_TRANSFORM, "json", text)), Ok(expected.stamp_ns));
-        }
-        let lost = r#"{"parent_frame_id":"w\"NaN","child_frame_id":"m","translation":{"x":NaN,"y":null,"z":-Infinity},
-            "rotation":{"x":"NaN","y":0,"z":0,"w":1}}"#;
-        let lost = read_transforms(message(FRAME_TRANSFORM, "json", lost)).unwrap().remove(0).unwrap_err();
-        assert_eq!((lost.stamp_ns, lost.to.as_str()), (77, "w\"NaN"), "a text that says NaN stays a text");
-    }
-
-    #[test]
-    fn a_json_cloud_is_read_with_types_by_name_and_base64_of_either_alphabet() {
-        // 0.5, -1, 2 in single precision; the second spelling has no padding and the alphabet for URLs.
-        for data in ["AAAAPwAAgL8AAABA", " AAAAPwAAgL8AAABA\n"] {
-            let text = format!(
-                r#"{{"frameId":"camera","pointStride":12,"data":{data:?},"pose":{{"orientation":{{"w":1}}}},
-                "fields":[{{"name":"x","type":"FLOAT32"}},{{"name":"y","offset":4,"type":7}},{{"name":"z","offset":8,"type":"FLOAT32"}}]}}"#
-            );
-            let read = read_cloud(message(POINT_CLOUD, "json", text)).unwrap();
-            assert_eq!(read.cloud.points(), [Point3::new(500.0, -1000.0, 2000.0)]);
-        }
-        let data =
-            [1.5_f32, f32::from_bits(0xFBFF_BFBF), 0.25].iter().flat_map(|c| c.to_le_bytes()).collect::<Vec<_>>();
-        for engine in [base64::prelude::BASE64_URL_SAFE_NO_PAD, base64::prelude::BASE64_STANDARD_NO_PAD] {
-            use base64::Engine;
-            let mut bytes = data.clone();
-            bytes.push(0xFF);
-            let text = format!(
-                r#"{{"point_stride":13,"data":"{}","fields":[{{"name":"x","type":7}},{{"name":"y","offset":4,"type":7}},
-                {{"name":"z","offset":8,"type":7}}]}}"#,
-                engine.encode(&bytes)
-            );
-            let read = read_cloud(message(POINT_CLOUD, "json", text)).unwrap();
-            assert_eq!(read.cloud.points()[0].z, 250.0);
-        }
-        let bad = r#"{"point_stride":12,"data":"A*","fields":[]}"#;
-        let error = read_cloud(message(POINT_CLOUD, "json", bad)).unwrap_err().to_string();
-        assert!(error.starts_with("the message is no foxglove.PointCloud: data is no base64"), "{error}");
-    }
-
-    #[test]
-    fn a_tip_may_lack_its_turn_but_not_its_place() {
-        let tip = |pose| PoseInFrame { timestamp: None, frame_id: "world".into(), pose };
-        let position = Some(FoxgloveVector3 { x: 0.001, y: 0.0, z: 0.0 });
-        let read = |t: &PoseInFrame| read_pose_in_frame(protobuf(POSE_IN_FRAME, t));
-        let found = read(&tip(Some(FoxglovePose { position, orientation: None }))).unwrap();
-        assert_eq!((found.position, found.orientation, found.stamp_ns), (Point3::new(1.0, 0.0, 0.0), None, 77));
-        assert!(read(&tip(None)).unwrap_err().to_string().contains("no pose"));
-    }
-
-    #[test]
-    fn another_schema_or_encoding_is_told_by_name() {
-        let said = read_cloud(message("sensor_msgs/msg/PointCloud2", "cdr", "")).unwrap_err().to_string();
-        assert_eq!(said, "the message is written as \"cdr\", but only protobuf and json can be read");
-        let said = read_transforms(message(POINT_CLOUD, "protobuf", "")).unwrap_err().to_string();
-        assert!(said.contains("but the topic carries foxglove.PointCloud"), "{said}");
-    }
-
-    #[test]
-    fn a_region_that_cannot_be_understood_is_an_error_and_not_ignored() {
-        let recording = |min: &str, max: &str| {
-            let keys = [("roi_camera_min_m", min), ("roi_camera_max_m", max)];
-            let record = keys.into_iter().filter(|k| !k.1.is_empty()).map(|(k, v)| (k.to_owned(), v.to_owned()));
-            let mut recording = Recording::default();
-            recording.metadata.insert("procedure".into(), record.collect());
-            recording
-        };
-        assert_eq!(procedure_region(&recording("", "")), Ok(None));
-        for (min, max, said) in [
-            ("0 0", "1 1 1", "\"0 0\" is not three numbers"),
-            ("0 0 0", "1 1 1 1", "\"1 1 1 1\" is not three numbers"),
-            ("0 0 nan", "1 1 1", "is not three numbers"),
-            ("0 2 0", "1 1 1", "its y lies above that of roi_camera_max_m"),
-            ("0 0 0", "", "key \"roi_camera_max_m\": it is missing"),
-        ] {
-            let error = procedure_region(&recording(min, max)).unwrap_err().to_string();
-            assert!(error.contains(said), "{error}");
-        }
     }
 }

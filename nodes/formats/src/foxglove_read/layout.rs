@@ -1,0 +1,87 @@
+use super::FoxgloveError;
+use foxglove::messages::{PointCloud, packed_element_field::NumericType};
+
+/// A number within a point.
+#[derive(Clone, Copy)]
+pub(super) struct Field {
+    offset: usize,
+    kind: NumericType,
+}
+
+impl Field {
+    /// The number as the message means it.
+    pub(super) fn value(self, point: &[u8]) -> f64 {
+        fn at<const N: usize>(point: &[u8], offset: usize) -> [u8; N] {
+            std::array::from_fn(|k| point[offset + k])
+        }
+        let o = self.offset;
+        match self.kind {
+            NumericType::Uint8 => point[o].into(),
+            NumericType::Int8 => i8::from_le_bytes(at(point, o)).into(),
+            NumericType::Uint16 => u16::from_le_bytes(at(point, o)).into(),
+            NumericType::Int16 => i16::from_le_bytes(at(point, o)).into(),
+            NumericType::Uint32 => u32::from_le_bytes(at(point, o)).into(),
+            NumericType::Int32 => i32::from_le_bytes(at(point, o)).into(),
+            NumericType::Float32 => f32::from_le_bytes(at(point, o)).into(),
+            NumericType::Float64 => f64::from_le_bytes(at(point, o)),
+            NumericType::Unknown => f64::NAN,
+        }
+    }
+}
+
+/// Where the numbers of a point lie, checked to be within it.
+pub(super) struct Layout {
+    pub(super) stride: usize,
+    pub(super) n_points: usize,
+    pub(super) position: [Field; 3],
+    pub(super) normal: Option<[Field; 3]>,
+}
+
+impl Layout {
+    /// Finds the fields of a message by name.
+    pub(super) fn of(raw: &PointCloud) -> Result<Self, FoxgloveError> {
+        let stride = raw.point_stride;
+        let [x, y, z] = ["x", "y", "z"].map(|name| Self::field(raw, name));
+        let position = [Self::needed(raw, "x", x?)?, Self::needed(raw, "y", y?)?, Self::needed(raw, "z", z?)?];
+        let normal = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]].into_iter().find_map(|names| {
+            // Normals are an extra: where they are incomplete or of no known type, the cloud goes without.
+            let [x, y, z] = names.map(|name| Self::field(raw, name).ok().flatten());
+            Some([x?, y?, z?])
+        });
+        let n_bytes = raw.data.len();
+        let rest = n_bytes.checked_rem(stride as usize).unwrap_or(n_bytes);
+        if rest != 0 {
+            return Err(FoxgloveError::Length { n_bytes, stride, rest });
+        }
+        let n_points = n_bytes.checked_div(stride as usize).unwrap_or(0);
+        Ok(Self { stride: stride as usize, n_points, position, normal })
+    }
+
+    /// The first field of that name.
+    fn field(raw: &PointCloud, name: &str) -> Result<Option<Field>, FoxgloveError> {
+        let Some(field) = raw.fields.iter().find(|f| f.name == name) else { return Ok(None) };
+        let kind = NumericType::try_from(field.r#type).unwrap_or(NumericType::Unknown);
+        let n_bytes = match kind {
+            NumericType::Uint8 | NumericType::Int8 => 1,
+            NumericType::Uint16 | NumericType::Int16 => 2,
+            NumericType::Uint32 | NumericType::Int32 | NumericType::Float32 => 4,
+            NumericType::Float64 => 8,
+            NumericType::Unknown => {
+                return Err(FoxgloveError::FieldType { field: name.into(), code: field.r#type });
+            }
+        };
+        let end = u64::from(field.offset) + n_bytes;
+        if end > raw.point_stride.into() {
+            return Err(FoxgloveError::FieldEnd { field: name.into(), end, stride: raw.point_stride });
+        }
+        Ok(Some(Field { offset: field.offset as usize, kind }))
+    }
+
+    fn needed(raw: &PointCloud, missing: &'static str, field: Option<Field>) -> Result<Field, FoxgloveError> {
+        field.ok_or_else(|| {
+            let names: Vec<&str> = raw.fields.iter().map(|f| f.name.as_str()).collect();
+            let found = if names.is_empty() { "none".into() } else { names.join(", ") };
+            FoxgloveError::MissingField { missing, found }
+        })
+    }
+}
