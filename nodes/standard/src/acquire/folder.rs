@@ -35,22 +35,38 @@ pub struct Params {
     pub path: FilePath,
 }
 
+/// An answer on one of the ports of a procedure.
+pub struct Out(ProcedureOut);
+
+impl Outputs for Out {
+    /// The ports of every procedure; whether its clouds lie in the camera or in the world, the folder says when read.
+    fn ports() -> OutputPorts {
+        let OutputPorts::Fixed(mut ports) = ProcedurePorts::ports() else { return ProcedurePorts::ports() };
+        ports.iter_mut().for_each(|port| port.frames.frame = None);
+        OutputPorts::Fixed(ports)
+    }
+
+    fn put(self, n_ports: usize) -> Vec<Emission> {
+        self.0.put(n_ports)
+    }
+}
+
 impl Source for Folder {
     const KIND: &'static str = "acquire.folder";
     type Params = Params;
-    type Outputs = ProcedureOut;
+    type Outputs = Out;
 
     fn new(params: Params) -> Result<Self, ParamError> {
         Ok(Self { path: params.path, playback: None })
     }
 
-    fn next(&mut self, ctx: &mut Context) -> Result<Option<ProcedureOut>, NodeError> {
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
         if self.playback.is_none() {
             self.playback = Some(Playback::new(self.open(ctx)?));
         }
         let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
         ctx.set_stamp_ns(event.stamp_ns);
-        Ok(Some(ProcedureOut::new(event.port, event.what)))
+        Ok(Some(Out(ProcedureOut::new(event.port, event.what))))
     }
 }
 
