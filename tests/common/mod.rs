@@ -2,6 +2,11 @@
 #![allow(dead_code, reason = "each test file is a crate of its own and uses its part")]
 
 use assert_cmd::Command;
+use osteoflow_geometry::{
+    isometry_from_matrix,
+    nalgebra::{Isometry3, Matrix4, Point3},
+};
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// The command under test, in the workspace's folder, without the settings of whoever runs the tests.
@@ -42,4 +47,66 @@ pub(crate) fn assert_golden(path: &Path, text: &str) {
          diff\n--- now\n{text}",
         path.display()
     );
+}
+
+/// Every graph file that ships, by its path from the workspace's folder.
+pub(crate) fn shipped_graphs() -> Vec<String> {
+    let mut folders = vec![root().join("graphs")];
+    let mut found = Vec::new();
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| e == "toml") {
+                found.push(path.strip_prefix(root()).unwrap().to_str().unwrap().to_owned());
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// A run of a graph: its exit code, what it said on stderr, its results, and the folder it left them in.
+pub(crate) struct Ran {
+    pub(crate) code: i32,
+    pub(crate) stderr: String,
+    pub(crate) results: Value,
+    pub(crate) dir: tempfile::TempDir,
+}
+
+/// Runs a graph into a new folder.
+pub(crate) fn run(graph: &str, arguments: &[&str]) -> Ran {
+    let dir = tempfile::tempdir().unwrap();
+    let output = osteoflow().args(["run", graph, "--out"]).arg(dir.path()).args(arguments).output().unwrap();
+    let results = std::fs::read(dir.path().join("results.json")).unwrap_or_default();
+    Ran {
+        code: output.status.code().unwrap(),
+        stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
+        results: serde_json::from_slice(&results).unwrap_or(Value::Null),
+        dir,
+    }
+}
+
+/// The same, for a graph that should come to its end.
+pub(crate) fn run_whole(graph: &str, arguments: &[&str]) -> Ran {
+    let ran = run(graph, arguments);
+    assert_eq!(ran.code, 0, "{graph} {arguments:?}: {}", ran.stderr);
+    ran
+}
+
+/// A pose as results and truths write it: rows of a 4 x 4 matrix, mm.
+pub(crate) fn isometry(rows: &Value) -> Isometry3<f64> {
+    let m = Matrix4::from_fn(|r, c| rows[r][c].as_f64().unwrap_or_else(|| panic!("no matrix: {rows}")));
+    isometry_from_matrix(&m).unwrap()
+}
+
+/// A point as results and truths write it, mm.
+pub(crate) fn point(xyz: &Value) -> Point3<f64> {
+    Point3::from(std::array::from_fn(|k| xyz[k].as_f64().unwrap_or_else(|| panic!("no point: {xyz}"))))
+}
+
+/// A JSON file.
+pub(crate) fn json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))).unwrap()
 }

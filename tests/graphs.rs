@@ -1,0 +1,110 @@
+//! Every graph that ships checks, and its plan (order, types, joins, frames) is the one that was read and kept.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{assert_golden, osteoflow, root, shipped_graphs};
+use osteoflow_engine::plan::{Plan, PlanOutput};
+use std::{fmt::Write, fs, path::Path};
+
+fn plan(graph: &str) -> Plan {
+    let registry = osteoflow_standard::registry();
+    let checked = osteoflow_engine::check(&root().join(graph), &[], &registry);
+    let checked = checked.unwrap_or_else(|faults| panic!("{graph}:\n{faults}"));
+    assert!(checked.warnings.is_empty(), "{graph} has warnings: {:#?}", checked.warnings);
+    checked.plan
+}
+
+/// What a reader wants to see change when a graph changes.
+fn text(plan: &Plan) -> String {
+    let mut out = format!("graph {} (seed {})\n", plan.name, plan.seed);
+    for node in &plan.nodes {
+        let _ = writeln!(out, "\n{} = {}", node.name, node.kind);
+        for input in &node.inputs {
+            let from = match input.link {
+                Some(link) => plan.wire_name(plan.links[link].from),
+                None => "nothing".into(),
+            };
+            let join = if input.port.unused { "unused".into() } else { format!("{:?}", input.port.join) };
+            let _ = writeln!(out, "  {} <- {from} ({join})", input.port.name);
+        }
+        for output in node.outputs.iter().filter(|output| !output.links.is_empty()) {
+            let _ = writeln!(out, "  -> {}: {}{}", output.name, output.payload.name(), frames(output));
+        }
+    }
+    out.push_str("\nresults\n");
+    for entry in &plan.results {
+        let all = if entry.all { ", all" } else { "" };
+        let optional = if entry.optional { ", optional" } else { "" };
+        let _ = writeln!(out, "  {} = {}{all}{optional}", entry.key, plan.wire_name(entry.from));
+    }
+    out
+}
+
+fn frames(output: &PlanOutput) -> String {
+    let known = |frame: &Option<String>| frame.clone().unwrap_or_else(|| "?".into());
+    match &output.frames {
+        f if f.frame.is_some() => format!(" in {}", known(&f.frame)),
+        f if f.to.is_some() || f.from.is_some() => format!(" {} -> {}", known(&f.from), known(&f.to)),
+        _ => String::new(),
+    }
+}
+
+#[test]
+fn every_graph_that_ships_has_the_plan_that_was_kept() {
+    let graphs = shipped_graphs();
+    assert!(graphs.len() >= 9, "{graphs:?}");
+    let folder = root().join("tests/golden/plans");
+    let mut kept: Vec<String> = Vec::new();
+    for graph in &graphs {
+        let name = format!("{}.txt", graph.trim_start_matches("graphs/").trim_end_matches(".toml").replace('/', "_"));
+        assert_golden(&folder.join(&name), &text(&plan(graph)));
+        kept.push(name);
+    }
+    for entry in fs::read_dir(&folder).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        assert!(kept.contains(&name), "tests/golden/plans/{name} belongs to no graph any more");
+    }
+}
+
+#[test]
+fn a_graph_is_named_after_its_file() {
+    for graph in shipped_graphs() {
+        let stem = Path::new(&graph).file_stem().unwrap().to_str().unwrap().to_owned();
+        assert_eq!(plan(&graph).name, stem, "{graph}");
+    }
+}
+
+#[test]
+fn a_variant_is_a_few_lines_over_the_graph_it_extends() {
+    for graph in shipped_graphs().iter().filter(|g| g.starts_with("graphs/variants/")) {
+        let text = fs::read_to_string(root().join(graph)).unwrap();
+        assert!(text.contains("extends"), "{graph} extends nothing");
+        let n_lines = text.lines().filter(|line| !line.trim().is_empty() && !line.starts_with('#')).count();
+        // The stylus baseline takes the camera's half of the graph away, which is the longest of them.
+        assert!(n_lines <= 30, "{graph} has {n_lines} lines");
+    }
+}
+
+#[test]
+fn both_drawings_show_every_node_and_wire() {
+    let plan = plan("graphs/fibula.toml");
+    for (language, arrow) in [("mermaid", "-->"), ("dot", "->")] {
+        let assert = osteoflow().args(["graph", "graphs/fibula.toml", "--as", language]).assert().success();
+        let drawn = String::from_utf8(assert.get_output().stdout.clone()).unwrap();
+        for node in &plan.nodes {
+            assert!(drawn.contains(&*node.name), "{language} lacks {}", node.name);
+        }
+        let n_arrows = drawn.lines().filter(|line| line.contains(arrow)).count();
+        assert_eq!(n_arrows, plan.links.len(), "{language}");
+    }
+}
+
+#[test]
+fn check_tells_machines_how_many_nodes_and_wires_there_are() {
+    let plan = plan("graphs/fibula.toml");
+    let assert = osteoflow().args(["check", "graphs/fibula.toml", "--format", "json"]).assert().success();
+    let told: serde_json::Value = serde_json::from_slice(&assert.get_output().stdout).unwrap();
+    assert_eq!(told["outcome"]["status"], "done");
+    assert_eq!((told["nodes"].as_u64(), told["wires"].as_u64()), (Some(plan.nodes.len() as u64), Some(plan.links.len() as u64)));
+}

@@ -1,0 +1,167 @@
+//! The simulated procedure, whole: keys, accuracy over seeds, same bits twice, and what a swap changes.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{Ran, isometry, root, run, run_whole};
+use osteoflow_engine::{plan::Plan, recording::Recording};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+
+const GRAPH: &str = "graphs/fibula.toml";
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("no number: {value}"))
+}
+
+#[test]
+fn results_hold_the_keys_that_the_book_promises() {
+    let Ran { results, dir, .. } = run_whole(GRAPH, &[]);
+    for (key, to, from) in [("t_camera_camera_marker", "camera", "camera_marker"), ("t_ct_world", "ct", "world")] {
+        let pose = &results["poses"][key];
+        assert_eq!((pose["to"].as_str(), pose["from"].as_str()), (Some(to), Some(from)), "{key}");
+        isometry(&pose["matrix"]);
+    }
+    let names = |list: &Value| list.as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap().to_owned()).collect();
+    let spots: Vec<String> = names(&results["laser_points"]);
+    assert_eq!(spots, ["P1", "P2", "P3"]);
+    for spot in results["laser_points"].as_array().unwrap() {
+        assert_eq!(spot["frame"], "world");
+        assert_eq!(spot["position_mm"].as_array().unwrap().len(), 3);
+        assert!((0.0..=1.0).contains(&number(&spot["confidence"])), "{spot}");
+    }
+    for key in ["planes_at_scan", "planes"] {
+        let planes: Vec<String> = names(&results[key]);
+        assert_eq!(planes.len(), 2, "{key}");
+        for plane in results[key].as_array().unwrap() {
+            assert_eq!(plane["frame"], "world");
+            assert!(number(&plane["stamp_ns"]) > 0.0);
+            isometry(&plane["matrix"]);
+        }
+    }
+    let icp = &results["icp"];
+    assert!(icp["converged"].is_boolean() && icp["stop_reason"].is_string(), "{icp}");
+    assert!(number(&icp["iterations"]) >= 1.0 && number(&icp["n_pairs"]) > 1000.0 && number(&icp["rms_mm"]) > 0.0);
+    for key in ["tre_measured_mm", "tre_true_mm"] {
+        let tre = &results["metrics"][key];
+        assert_eq!(number(&tre["n"]), 5.0);
+        for of in tre["points"].as_array().unwrap().iter().chain([&tre["mean_abs"]]) {
+            let norm = ["x", "y", "z"].map(|k| number(&of[k])).iter().map(|v| v * v).sum::<f64>().sqrt();
+            assert!(number(&of["norm"]) >= norm - 1e-9 || of.get("name").is_none(), "{key}: {of}");
+        }
+    }
+    assert_eq!(results["notice"], "research use only, not for clinical use");
+    assert_eq!(results["simulated"], true);
+    assert_eq!(results["ct_surface"], "simulated_ct");
+    for file in ["results.json", "manifest.json", "run.mcap"] {
+        assert!(dir.path().join(file).exists(), "{file}");
+    }
+}
+
+#[test]
+fn ten_seeds_end_within_the_bands() {
+    for seed in 1..=10 {
+        let ran = run_whole(GRAPH, &["--no-record", "--set", &format!("graph.seed={seed}")]);
+        let tre = &ran.results["metrics"]["tre_true_mm"];
+        for point in tre["points"].as_array().unwrap() {
+            let [x, y, z] = ["x", "y", "z"].map(|k| number(&point[k]).abs());
+            assert!(x < 0.6 && y < 0.6 && z < 1.5, "seed {seed}: {point}");
+        }
+        assert_eq!(ran.results["icp"]["converged"], true, "seed {seed}");
+    }
+}
+
+/// Two runs into two folders give the same bytes of `results.json`.
+fn assert_same_bytes(first: &[&str], second: &[&str]) {
+    let [a, b] = [first, second].map(|arguments| {
+        let ran = run_whole(GRAPH, arguments);
+        std::fs::read(ran.dir.path().join("results.json")).unwrap()
+    });
+    assert!(a == b, "{first:?} and {second:?} differ:\n{}\n{}", String::from_utf8_lossy(&a), String::from_utf8_lossy(&b));
+}
+
+#[test]
+fn the_same_graph_twice_gives_the_same_results_byte_for_byte() {
+    assert_same_bytes(&["--no-record"], &["--no-record"]);
+}
+
+#[test]
+fn neither_workers_nor_recording_nor_where_it_is_called_from_change_the_results() {
+    assert_same_bytes(&["--no-record", "--workers", "1"], &["--workers", "8"]);
+}
+
+/// The recorded items of every wire, as written.
+fn wires(arguments: &[&str]) -> BTreeMap<String, Vec<Vec<u8>>> {
+    let ran = run_whole(GRAPH, &[&["--set", r#"record.wires=["*"]"#], arguments].concat());
+    let recording = Recording::open(&ran.dir.path().join("run.mcap")).unwrap();
+    recording.wires.into_iter().map(|(name, wire)| (name, wire.messages)).collect()
+}
+
+fn different(a: &BTreeMap<String, Vec<Vec<u8>>>, b: &BTreeMap<String, Vec<Vec<u8>>>) -> BTreeSet<String> {
+    assert_eq!(Vec::from_iter(a.keys()), Vec::from_iter(b.keys()));
+    a.iter().filter(|(name, items)| b[*name] != **items).map(|(name, _)| name.clone()).collect()
+}
+
+/// The wires of a node and of everything that follows from it.
+fn downstream(of: &str) -> BTreeSet<String> {
+    let registry = osteoflow_standard::registry();
+    let plan: Plan = osteoflow_engine::check(&root().join(GRAPH), &[], &registry).unwrap().plan;
+    let mut reached: BTreeSet<usize> = (0..plan.nodes.len()).filter(|&n| *plan.nodes[n].name == *of).collect();
+    // Nodes stand in topological order, so one pass reaches everything.
+    for link in &{
+        let mut links = plan.links.clone();
+        links.sort_by_key(|link| link.from.node);
+        links
+    } {
+        if reached.contains(&link.from.node) {
+            reached.insert(link.to_node);
+        }
+    }
+    let wires = reached.iter().flat_map(|&n| plan.nodes[n].outputs.iter().map(move |o| (n, o)));
+    wires.map(|(n, output)| format!("{}.{}", plan.nodes[n].name, output.name)).collect()
+}
+
+#[test]
+fn another_seed_changes_the_scan_and_the_same_seed_does_not() {
+    let (first, again, other) = (wires(&[]), wires(&[]), wires(&["--set", "graph.seed=43"]));
+    assert_eq!(different(&first, &again), BTreeSet::new());
+    assert!(different(&first, &other).contains("recording.scan"));
+}
+
+#[test]
+fn swapping_the_icp_changes_only_what_lies_downstream_of_it() {
+    let changed = different(&wires(&[]), &wires(&["--set", "icp.kind=icp.point_to_plane"]));
+    assert!(changed.contains("icp.t_target_source"), "{changed:?}");
+    let beyond: Vec<_> = changed.difference(&downstream("icp")).cloned().collect();
+    assert!(beyond.is_empty(), "changed, though upstream of icp: {beyond:?}");
+}
+
+#[test]
+fn swapping_the_hole_detector_changes_only_what_lies_downstream_of_it() {
+    let changed = different(&wires(&[]), &wires(&["--set", "hole.kind=hole.range_image"]));
+    assert!(changed.contains("hole.report"), "{changed:?}");
+    let beyond: Vec<_> = changed.difference(&downstream("hole")).cloned().collect();
+    assert!(beyond.is_empty(), "changed, though upstream of hole: {beyond:?}");
+}
+
+#[test]
+fn the_exact_ct_surface_is_a_variant_and_says_so() {
+    let ran = run(GRAPH, &["--no-record", "--set", "bone.exact=true"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    assert_eq!(ran.results["ct_surface"], "exact");
+}
+
+#[test]
+fn on_every_wire_sent_is_received_plus_dropped() {
+    let ran = run_whole(GRAPH, &[]);
+    let manifest = common::json(&ran.dir.path().join("manifest.json"));
+    let links = manifest["links"].as_array().unwrap();
+    assert!(links.len() > 50);
+    for link in links {
+        let [sent, received, dropped] = ["sent", "received", "dropped"].map(|k| link[k].as_u64().unwrap());
+        assert_eq!(sent, received + dropped, "{link}");
+        assert_eq!(dropped, 0, "a graph without lossy wires drops nothing: {link}");
+    }
+    assert!(manifest["resolved_graph"].as_str().unwrap().contains("[node.icp]"));
+    assert!(manifest["command"]["version"].is_string());
+}
