@@ -147,6 +147,10 @@ mod tests {
             ),
             (header(1).replace("float z", "half z"), "line 6: \"half\" is no known property type"),
             (header(1).replace("end_header\n", ""), "the header has no \"end_header\""),
+            (
+                "ply\nformat ascii 1.0\nelement vertex 9\nend_header\n".into(),
+                "the header gives element \"vertex\" no properties",
+            ),
             (header(usize::MAX), "bytes are left; was the file cut short?"),
         ] {
             assert!(said(text.clone()).contains(expected), "{expected}\n{}", said(text));

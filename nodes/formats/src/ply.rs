@@ -99,6 +99,9 @@ impl Element {
 
     /// Makes room, after checking that the file is long enough to hold what its header promises.
     fn reserve(&mut self, lines: &Lines, encoding: Encoding) -> Result<(), FileError> {
+        if self.count > 0 && self.properties.is_empty() {
+            return Err(lines.fault(format!("the header gives element \"{}\" no properties", self.name)));
+        }
         let size = |t: Type| if encoding == Encoding::Ascii { 2 } else { t.n_bytes() };
         let least: usize = self
             .properties

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, unsafe_code)]
 
 use nalgebra::Point3;
+use osteoflow_formats::{cloud_file, mesh_file, plan_file, poses_csv};
 use osteoflow_formats::{
     foxglove_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
     mcap_read::{McapError, Recording},
@@ -285,4 +286,60 @@ fn messages_survive_any_bytes() {
             let _ = (read_transforms(message.clone()), read_pose_in_frame(message));
         }
     }
+}
+
+#[test]
+fn no_damage_to_a_file_makes_its_reader_panic_or_ask_for_absurd_memory() {
+    use osteoflow_geometry::SurfaceOrigin;
+    let header = "element vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n\
+                  property list uchar int vertex_indices\nend_header\n";
+    let ascii_ply =
+        format!("ply\nformat ascii 1.0\n{header}0 0 0\n9 0 0\n9 9 0\n0 9 0\n3 0 1 2\n3 0 2 3\n").into_bytes();
+    let mut binary_ply = format!("ply\nformat binary_little_endian 1.0\n{header}").into_bytes();
+    binary_ply
+        .extend([0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0, 9.0, 0.0_f32].iter().flat_map(|c| c.to_le_bytes()));
+    for face in [[0, 1, 2], [0, 2, 3_i32]] {
+        binary_ply.push(3);
+        binary_ply.extend(face.iter().flat_map(|i| i.to_le_bytes()));
+    }
+    let facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 9 0 0\nvertex 9 9 1e0\nendloop\nendfacet\n";
+    let ascii_stl = format!("solid a\n{facet}{facet}endsolid a\n").into_bytes();
+    let mut binary_stl = vec![0; 80];
+    binary_stl.extend(2_u32.to_le_bytes());
+    binary_stl.extend((0..100).map(|k| k * 7));
+    let poses = b"t_ns,parent,child,x,y,z,qx,qy,qz,qw\n1,world,m,0,0,0,0,0,0,1\n2,world,m,0,0,0,0,0,0,1\n".to_vec();
+    let plan =
+        br#"{"units":"mm","landmarks":{"P1":[1,2,3]},"planes":[[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]]}"#.to_vec();
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let path = file.path();
+    let mut n_read = 0;
+    for whole in [ascii_ply, binary_ply, ascii_stl, binary_stl, poses, plan] {
+        for _ in 0..500 {
+            let mut damaged = whole.clone();
+            for _ in 0..rng.random_range(0..3) {
+                let at = rng.random_range(0..damaged.len());
+                match rng.random_range(0..4) {
+                    0 => damaged[at] ^= 1 << rng.random_range(0..8),
+                    1 => damaged[at] = rng.random_range(b'0'..=b'9'),
+                    2 => damaged.insert(at, rng.random_range(b' '..=b'~')),
+                    _ => damaged.truncate(at.max(1)),
+                }
+            }
+            std::fs::write(path, &damaged).unwrap();
+            n_read += usize::from(mesh_file::read_mesh(path, 1.0, "ct", SurfaceOrigin::User).is_ok());
+            n_read += usize::from(cloud_file::read_cloud_ply(path, 1.0, "camera").is_ok());
+            n_read += usize::from(poses_csv::read_poses(path, 1.0).is_ok());
+            n_read += usize::from(plan_file::read_plan(path).is_ok());
+        }
+    }
+    assert!(
+        (500..4000).contains(&n_read),
+        "{n_read} of 12000 attempts were readable: the damage is too mild or too strong"
+    );
+    assert!(
+        LARGEST.load(Ordering::Relaxed) <= 16 << 20,
+        "{} bytes were asked for in one piece",
+        LARGEST.load(Ordering::Relaxed)
+    );
 }
