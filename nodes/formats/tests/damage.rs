@@ -315,7 +315,7 @@ fn no_damage_to_a_file_makes_its_reader_panic_or_ask_for_absurd_memory() {
     let path = file.path();
     let mut n_read = 0;
     for whole in [ascii_ply, binary_ply, ascii_stl, binary_stl, poses, plan] {
-        for _ in 0..500 {
+        for _ in 0..120 {
             let mut damaged = whole.clone();
             for _ in 0..rng.random_range(0..3) {
                 let at = rng.random_range(0..damaged.len());
@@ -334,8 +334,8 @@ fn no_damage_to_a_file_makes_its_reader_panic_or_ask_for_absurd_memory() {
         }
     }
     assert!(
-        (500..4000).contains(&n_read),
-        "{n_read} of 12000 attempts were readable: the damage is too mild or too strong"
+        (120..960).contains(&n_read),
+        "{n_read} of 2880 attempts were readable: the damage is too mild or too strong"
     );
     assert!(
         LARGEST.load(Ordering::Relaxed) <= 16 << 20,
