@@ -1,0 +1,228 @@
+//! Recordings against the truth: the one that ships, and the development recording where it is at hand.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{Ran, data, isometry, json, point, root, run, run_whole};
+use osteoflow_geometry::nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+const GRAPH: &str = "graphs/fibula_recorded.toml";
+
+/// A recording with its surfaces, its plan, and what really was.
+struct Case {
+    recording: PathBuf,
+    bone: PathBuf,
+    phantom: PathBuf,
+    plan: PathBuf,
+    truth: Value,
+}
+
+impl Case {
+    /// The recording that ships.
+    fn shipped() -> Self {
+        let dir = root().join("tests/data/procedure");
+        Self {
+            recording: dir.join("procedure.mcap"),
+            bone: dir.join("bone.stl"),
+            phantom: dir.join("phantom.stl"),
+            plan: dir.join("plan.json"),
+            truth: json(&dir.join("truth.json")),
+        }
+    }
+
+    /// A recording made by another program on a real bone.
+    fn development(test: &str) -> Option<Self> {
+        Some(Self {
+            recording: data(test, "recordings/procedure_dev.mcap")?,
+            bone: data(test, "bones/TLEM2_CT_fibula_r.stl")?,
+            phantom: data(test, "bones/calibration_phantom.stl")?,
+            plan: data(test, "recordings/procedure_dev.plan.json")?,
+            truth: json(&data(test, "recordings/procedure_dev.truth.json")?),
+        })
+    }
+
+    fn all(test: &str) -> Vec<Self> {
+        std::iter::once(Self::shipped()).chain(Self::development(test)).collect()
+    }
+
+    fn with_plan(&self, plan: &Path, arguments: &[&str]) -> Ran {
+        let sets = [("recording", &*self.recording), ("bone", &self.bone), ("phantom", &self.phantom), ("plan", plan)];
+        let sets: Vec<_> = sets.map(|(node, path)| format!("{node}.path={}", path.display())).into();
+        let sets = sets.iter().flat_map(|set| ["--set", set]);
+        run_whole(GRAPH, &sets.chain(arguments.iter().copied()).collect::<Vec<_>>())
+    }
+
+    fn run(&self, arguments: &[&str]) -> Ran {
+        self.with_plan(&self.plan, arguments)
+    }
+
+    fn t_world_ct(&self) -> Isometry3<f64> {
+        isometry(&self.truth["W_T_CT"])
+    }
+
+    /// Where the assessment points truly were, in the world.
+    fn assessment(&self) -> Vec<Point3<f64>> {
+        self.truth["assessment_W_true"].as_array().unwrap().iter().map(point).collect()
+    }
+
+    /// The axes along which errors are told: z along the bone.
+    fn axes(&self) -> Matrix3<f64> {
+        let plan = json(&self.plan);
+        let rows = &plan["pca_axes_columns_xyz"];
+        if rows.is_array() {
+            return Matrix3::from_fn(|r, c| rows[r][c].as_f64().unwrap());
+        }
+        // Without axes in the plan: z from the malleolus to the knee, x and y across.
+        let z = point(&plan["proximal"]).coords.normalize();
+        let x = point(&plan["lateral"]).coords;
+        let x = (x - z * x.dot(&z)).normalize();
+        Matrix3::from_columns(&[x, z.cross(&x), z])
+    }
+}
+
+fn t_ct_world(ran: &Ran) -> Isometry3<f64> {
+    isometry(&ran.results["poses"]["t_ct_world"]["matrix"])
+}
+
+/// Error norms at the assessment points, mm, of a registration against the true one.
+fn errors_ct(case: &Case, t_ct_world: &Isometry3<f64>) -> Vec<Vector3<f64>> {
+    let truth = case.t_world_ct().inverse();
+    case.assessment().iter().map(|p| t_ct_world * p - truth * p).collect()
+}
+
+#[test]
+fn every_assessment_point_lies_within_the_bands_of_the_truth() {
+    for case in Case::all("every_assessment_point_lies_within_the_bands_of_the_truth") {
+        let ran = case.run(&["--no-record"]);
+        for error in errors_ct(&case, &t_ct_world(&ran)) {
+            let e = case.axes().tr_mul(&error);
+            assert!(e.x.abs() < 0.6 && e.y.abs() < 0.6 && e.z.abs() < 1.5, "{}: {e:?}", case.recording.display());
+        }
+    }
+}
+
+#[test]
+fn the_calibration_lies_within_a_millimetre_and_a_fifth_of_a_degree() {
+    for case in Case::all("the_calibration_lies_within_a_millimetre_and_a_fifth_of_a_degree") {
+        let ran = case.run(&["--no-record"]);
+        let found = isometry(&ran.results["poses"]["t_camera_camera_marker"]["matrix"]);
+        let off = isometry(&case.truth["C_T_Mc"]).inverse() * found;
+        let (mm, degrees) = (off.translation.vector.norm(), off.rotation.angle().to_degrees());
+        assert!(mm < 1.0 && degrees < 0.2, "{}: {mm} mm, {degrees} degrees", case.recording.display());
+    }
+}
+
+#[test]
+fn each_laser_point_lies_within_a_millimetre_of_where_the_spot_truly_was() {
+    for case in Case::all("each_laser_point_lies_within_a_millimetre_of_where_the_spot_truly_was") {
+        let ran = case.run(&["--no-record"]);
+        let found = ran.results["laser_points"].as_array().unwrap();
+        let spots = case.truth["laser_spots_W"].as_array().unwrap();
+        assert_eq!(found.len(), spots.len());
+        for (found, spot) in found.iter().zip(spots) {
+            let off = (point(&found["position_mm"]) - point(spot)).norm();
+            assert!(off < 1.0, "{}: {} is {off} mm off", case.recording.display(), found["name"]);
+        }
+    }
+}
+
+#[test]
+fn planes_lie_right_at_the_scan_and_after_the_motion() {
+    for case in Case::all("planes_lie_right_at_the_scan_and_after_the_motion") {
+        let ran = case.run(&["--no-record"]);
+        for (key, truth) in [("planes_at_scan", "planes_W_scan"), ("planes", "planes_W_after_motion")] {
+            let found = ran.results[key].as_array().unwrap();
+            let true_planes = case.truth[truth].as_array().unwrap();
+            assert_eq!(found.len(), true_planes.len());
+            for (found, truth) in found.iter().zip(true_planes) {
+                let (name, found, truth) = (&found["name"], isometry(&found["matrix"]), isometry(truth));
+                let off = (found.translation.vector - truth.translation.vector).norm();
+                let tilt = (found * Vector3::z()).angle(&(truth * Vector3::z())).to_degrees();
+                assert!(off < 1.5 && tilt < 0.5, "{key} {name}: {off} mm, {tilt} degrees");
+            }
+        }
+    }
+}
+
+fn mean_norm(errors: &[Vector3<f64>]) -> f64 {
+    errors.iter().map(Vector3::norm).sum::<f64>() / errors.len() as f64
+}
+
+#[test]
+fn icp_beats_the_coarse_fit() {
+    for case in Case::all("icp_beats_the_coarse_fit") {
+        // No step of ICP leaves the coarse fit as it is.
+        let fine = mean_norm(&errors_ct(&case, &t_ct_world(&case.run(&["--no-record"]))));
+        let coarse = case.run(&["--set", r#"results."poses.coarse"="coarse.t_target_source""#]);
+        let t_ct_bone_marker = isometry(&coarse.results["poses"]["coarse"]["matrix"]);
+        let t_world_bone_marker = isometry(&case.truth["W_T_Mb_scan"]);
+        let coarse = mean_norm(&errors_ct(&case, &(t_ct_bone_marker * t_world_bone_marker.inverse())));
+        assert!(fine < 0.7 * coarse, "{}: {coarse} mm to {fine} mm", case.recording.display());
+    }
+}
+
+/// A plan whose landmarks all lie `mm` further along the bone, which a fit of landmarks alone cannot see.
+fn displaced(case: &Case, mm: f64, dir: &Path) -> PathBuf {
+    let mut plan = json(&case.plan);
+    let along = point(&plan["proximal"]).coords.normalize() * mm;
+    for (_, landmark) in plan["landmarks"].as_object_mut().unwrap() {
+        let moved = point(landmark) + along;
+        *landmark = json!([moved.x, moved.y, moved.z]);
+    }
+    let path = dir.join("displaced.plan.json");
+    std::fs::write(&path, plan.to_string()).unwrap();
+    path
+}
+
+/// How far two registrations are apart at the cuts, mm.
+fn apart_at_cuts(case: &Case, a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
+    let planes = case.truth["planes_W_scan"].as_array().unwrap();
+    let cuts = planes.iter().map(|plane| Point3::from(isometry(plane).translation.vector));
+    cuts.map(|cut| (a * cut - b * cut).norm()).fold(0.0, f64::max)
+}
+
+#[test]
+fn point_to_plane_forgets_a_shift_of_all_landmarks_along_the_bone() {
+    for case in Case::all("point_to_plane_forgets_a_shift_of_all_landmarks_along_the_bone") {
+        let dir = tempfile::tempdir().unwrap();
+        let swap = ["--no-record", "--set", "icp.kind=icp.point_to_plane"];
+        let straight = t_ct_world(&case.run(&swap));
+        let shifted = t_ct_world(&case.with_plan(&displaced(&case, 8.0, dir.path()), &swap));
+        let apart = apart_at_cuts(&case, &straight, &shifted);
+        assert!(apart < 0.3, "{}: {apart} mm apart at the cuts", case.recording.display());
+    }
+}
+
+#[test]
+fn point_to_point_says_how_far_it_still_has_to_go() {
+    for case in Case::all("point_to_point_says_how_far_it_still_has_to_go") {
+        let dir = tempfile::tempdir().unwrap();
+        let ran = case.with_plan(&displaced(&case, 8.0, dir.path()), &["--no-record"]);
+        let icp = &ran.results["icp"];
+        assert!(icp["remaining_mm"].is_number() || icp["converged"] == true, "{icp}");
+    }
+}
+
+#[test]
+fn damaged_recordings_are_refused_by_name_and_what_is_intact_is_used_only_when_asked_for() {
+    let test = "damaged_recordings_are_refused_by_name_and_what_is_intact_is_used_only_when_asked_for";
+    for (file, words) in
+        [("bad_empty", "is empty"), ("bad_wrong_magic", "89 4D 43 41 50"), ("bad_truncated_60pct", "allow_truncated = true")]
+    {
+        let Some(path) = data(test, &format!("mcap/{file}.mcap")) else { return };
+        let set = format!("recording.path={}", path.display());
+        let ran = run(GRAPH, &["--set", &set]);
+        assert_eq!(ran.code, 3, "{file}: {}", ran.stderr);
+        assert!(ran.stderr.contains(words) && ran.stderr.contains("node \"recording\""), "{}", ran.stderr);
+        assert!(ran.results["refused"]["reason"].as_str().unwrap().contains(words), "{}", ran.results);
+        assert!(ran.results.get("poses").is_none(), "{}", ran.results);
+    }
+    let Some(path) = data(test, "mcap/bad_truncated_60pct.mcap") else { return };
+    let set = format!("recording.path={}", path.display());
+    let ran = run(GRAPH, &["--set", &set, "--set", "recording.allow_truncated=true"]);
+    assert_eq!(ran.code, 3);
+    // What was used is said, and so is what the cut took away.
+    assert!(ran.stderr.contains("are used") && ran.stderr.contains("/camera/laser_p3"), "{}", ran.stderr);
+}

@@ -1,0 +1,62 @@
+//! The built-in procedure as files for other programs, and as the data that the shipped graphs name.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{json, osteoflow, root, run_whole};
+use std::{fs, path::Path};
+
+fn simulate(dir: &Path, arguments: &[&str]) {
+    osteoflow().args(["simulate", "--points", "2000", "--out"]).arg(dir).args(arguments).assert().success();
+}
+
+#[test]
+fn the_same_seed_writes_the_same_bytes_and_another_seed_another_scan() {
+    let dir = tempfile::tempdir().unwrap();
+    let (first, again, other) = (dir.path().join("1"), dir.path().join("2"), dir.path().join("3"));
+    simulate(&first, &["--seed", "5"]);
+    simulate(&again, &["--seed", "5"]);
+    simulate(&other, &["--seed", "6"]);
+    for file in ["procedure.mcap", "bone.stl", "phantom.stl", "plan.json", "truth.json", "README.md"] {
+        assert!(fs::read(first.join(file)).unwrap() == fs::read(again.join(file)).unwrap(), "{file}");
+    }
+    for file in ["procedure.mcap", "truth.json"] {
+        assert!(fs::read(first.join(file)).unwrap() != fs::read(other.join(file)).unwrap(), "{file}");
+    }
+}
+
+#[test]
+fn a_folder_in_use_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    simulate(dir.path(), &[]);
+    osteoflow().args(["simulate", "--out"]).arg(dir.path()).assert().code(2);
+    simulate(dir.path(), &["--force"]);
+}
+
+#[test]
+fn the_readme_of_the_data_names_the_seed_and_the_command() {
+    for (folder, switch) in [("procedure", ""), ("folder", " --as folder")] {
+        let readme = fs::read_to_string(root().join("tests/data").join(folder).join("README.md")).unwrap();
+        let command = format!("osteoflow simulate --seed 42 --points 10000{switch} --out DIR");
+        assert!(readme.contains(&command), "{folder}: {readme}");
+        assert!(readme.contains("SIMULATED"));
+        let truth = json(&root().join("tests/data").join(folder).join("truth.json"));
+        assert_eq!((truth["seed"].as_u64(), truth["simulated"].as_bool()), (Some(42), Some(true)));
+    }
+}
+
+#[test]
+fn a_recording_and_a_folder_of_one_procedure_give_the_same_registration() {
+    let poses = ["graphs/fibula_recorded.toml", "graphs/fibula_folder.toml"].map(|graph| {
+        let ran = run_whole(graph, &["--no-record"]);
+        common::isometry(&ran.results["poses"]["t_ct_world"]["matrix"])
+    });
+    let truth = json(&root().join("tests/data/procedure/truth.json"));
+    for spot in truth["assessment_W_true"].as_array().unwrap() {
+        let spot = common::point(spot);
+        let apart = (poses[0] * spot - poses[1] * spot).norm();
+        // A recording holds coordinates as 32-bit floats; ICP ends within its own stop rule of 0.01 mm of the same place,
+        // from either side and along the weakest direction.
+        assert!(apart < 0.1, "{apart} mm apart");
+    }
+}
