@@ -1,10 +1,24 @@
 //! Runs a typed graph of nodes: check, plan, run, record and replay; no bone, point or frame is named in it.
 
+mod channel;
 pub mod check;
+mod codec;
 pub mod draw;
 pub mod fault;
 mod graph;
+mod join;
+mod manifest;
 pub mod plan;
+pub mod record;
+pub mod recording;
+pub mod replay;
+mod results;
+pub mod run;
+#[cfg(test)]
+mod toy;
 
 pub use check::{Checked, check, check_recorded, check_text};
 pub use fault::{Fault, Faults};
+pub use recording::Recording;
+pub use replay::{ReplayReport, replay};
+pub use run::{Event, Observer, Outcome, Refusal, RunError, RunOptions, RunReport, run};

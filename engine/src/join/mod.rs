@@ -1,0 +1,361 @@
+//! Which items make a node fire: the joins as a state machine of its own, without threads or channels.
+//!
+//! The machine is offered items, progress and ends of its ports in any order between ports, and answers activations.
+//! What it answers depends on the items and their stamps alone, never on when they were offered: where a later item
+//! could still change the answer, it waits until progress, an item beyond or the end has ruled that out.
+
+mod port;
+#[cfg(test)]
+mod tests;
+
+pub(crate) use port::PortSpec;
+use port::{Match, NodeEnd, Port, Ready};
+
+use osteoflow_node::{Body, Empty, Item, Join, Joined, Slot, StampNs};
+use std::sync::Arc;
+
+/// What the machine answers.
+#[derive(Debug)]
+pub(crate) enum Step {
+    /// More must be offered first.
+    Wait,
+    /// The node fires, or is skipped.
+    Activate(Activation),
+    /// There will be no further activation; what is still offered is drained.
+    Ended,
+}
+
+/// One activation.
+#[derive(Debug)]
+pub(crate) struct Activation {
+    /// The largest of the triggers' stamps.
+    pub(crate) stamp_ns: StampNs,
+    /// What the ports bring, or why the node is skipped.
+    pub(crate) joined: Result<Joined, Arc<Empty>>,
+    /// Why optional ports bring nothing.
+    pub(crate) absent: Vec<(&'static str, Arc<Empty>)>,
+}
+
+/// A second value came to a port that takes a constant.
+#[derive(Debug, PartialEq)]
+pub(crate) struct SecondItem {
+    /// The port.
+    pub(crate) port: &'static str,
+    /// The number of the item on its wire.
+    pub(crate) number: u64,
+}
+
+/// The joins of one node.
+pub(crate) struct Joiner {
+    node: Arc<str>,
+    ports: Vec<Port>,
+    /// The stamp of the last activation; the next is not before it.
+    last_stamp: StampNs,
+    fired: bool,
+    ended: bool,
+    stopped: bool,
+}
+
+/// The stamp that the triggers agree on.
+enum Anchor {
+    Wait,
+    Ended,
+    At(StampNs),
+}
+
+/// What a port brings to the activation at hand.
+enum Choice {
+    Slot(Slot),
+    Empty(Arc<Empty>),
+    Absent(String),
+}
+
+impl Joiner {
+    pub(crate) fn new(node: Arc<str>, ports: Vec<PortSpec>) -> Self {
+        let ports = ports.into_iter().map(Port::new).collect();
+        Self { node, ports, last_stamp: StampNs::MIN, fired: false, ended: false, stopped: false }
+    }
+
+    /// Whether the port could use one more item now.
+    pub(crate) fn wants(&self, port: usize) -> bool {
+        self.ended || self.ports[port].wants()
+    }
+
+    /// Gives the port its next item.
+    ///
+    /// # Errors
+    /// [`SecondItem`] if a constant is already there; the item is dropped.
+    pub(crate) fn offer(&mut self, port: usize, item: Item) -> Result<(), SecondItem> {
+        let end = match (self.ended, self.stopped) {
+            (_, true) => NodeEnd::Stopped,
+            (true, false) => NodeEnd::Ended,
+            (false, false) => NodeEnd::Open,
+        };
+        self.ports[port].offer(item, end)
+    }
+
+    /// Nothing more comes to the port before `stamp_ns`.
+    pub(crate) fn progress(&mut self, port: usize, stamp_ns: StampNs) {
+        let port = &mut self.ports[port];
+        port.progress = port.progress.max(stamp_ns);
+    }
+
+    /// Nothing more comes to the port.
+    pub(crate) fn end(&mut self, port: usize) {
+        self.ports[port].ended = true;
+    }
+
+    /// There will be no further activation, by the caller's decision: what is offered from now on is drained.
+    pub(crate) fn stop(&mut self) {
+        (self.ended, self.stopped) = (true, true);
+    }
+
+    /// The number of items that came to the port and were part of no activation because no partner came.
+    pub(crate) fn unmatched(&self, port: usize) -> u64 {
+        self.ports[port].unmatched
+    }
+
+    /// The earliest stamp that a further activation can have.
+    pub(crate) fn progress_out(&self) -> StampNs {
+        self.trigger_bound().max(self.last_stamp)
+    }
+
+    /// The same by the triggers alone. An optional port counts only with an item in hand, as it may yet end without.
+    fn trigger_bound(&self) -> StampNs {
+        let open = || self.ports.iter().filter(|p| !p.finished());
+        let bound = if self.ports.iter().any(Port::is_step) {
+            let sure = |p: &&Port| p.is_step() && (!p.spec.optional || p.head_stamp().is_some());
+            let sure = open().filter(sure).map(Port::bound).max();
+            sure.or_else(|| open().filter(|p| p.is_step()).map(Port::bound).min())
+        } else if self.ports.iter().any(|p| p.is_stamp() && !p.spec.optional) {
+            open().filter(|p| p.is_stamp() && !p.spec.optional).map(Port::bound).max()
+        } else {
+            open().filter(|p| p.is_stamp()).map(Port::bound).min()
+        };
+        bound.unwrap_or(StampNs::MIN)
+    }
+
+    /// The next activation, if what was offered decides it.
+    pub(crate) fn step(&mut self) -> Step {
+        if self.ended {
+            return Step::Ended;
+        }
+        let bound = self.progress_out();
+        self.ports.iter_mut().for_each(|port| port.advance(bound));
+        match self.anchor() {
+            Anchor::Wait => Step::Wait,
+            Anchor::Ended => {
+                self.ended = true;
+                self.ports.iter_mut().for_each(Port::leave_unmatched);
+                Step::Ended
+            }
+            Anchor::At(stamp_ns) => self.activate(stamp_ns).map_or(Step::Wait, Step::Activate),
+        }
+    }
+
+    fn anchor(&mut self) -> Anchor {
+        if self.ports.iter().any(Port::is_step) {
+            self.anchor_in_step()
+        } else if self.ports.iter().any(|p| p.is_stamp() && !p.spec.optional) {
+            self.anchor_by_stamp()
+        } else if self.ports.iter().any(Port::is_stamp) {
+            self.anchor_by_any_stamp()
+        } else {
+            self.anchor_once()
+        }
+    }
+
+    /// `each` and `collect`: one turn of each; an optional port that has ended no longer counts.
+    fn anchor_in_step(&self) -> Anchor {
+        let (mut waiting, mut stamp) = (false, None);
+        for port in self.ports.iter().filter(|p| p.is_step()) {
+            match port.ready() {
+                Ready::At(at) => stamp = stamp.max(Some(at)),
+                Ready::Ended if port.spec.optional => {}
+                Ready::Ended => return Anchor::Ended,
+                Ready::Waiting => waiting = true,
+            }
+        }
+        match stamp {
+            _ if waiting => Anchor::Wait,
+            Some(stamp) => Anchor::At(stamp),
+            None => Anchor::Ended,
+        }
+    }
+
+    /// `stamp` alone: the heads of all plain ports lie within their tolerances of the latest of them.
+    fn anchor_by_stamp(&mut self) -> Anchor {
+        let required = |p: &&mut Port| p.is_stamp() && !p.spec.optional;
+        loop {
+            let bound = self.trigger_bound();
+            let mut waiting = false;
+            for port in self.ports.iter_mut().filter(required) {
+                port.drop_before(bound.saturating_sub(port.tolerance_ns()));
+                match port.ready() {
+                    Ready::At(_) => {}
+                    Ready::Ended => return Anchor::Ended,
+                    Ready::Waiting => waiting = true,
+                }
+            }
+            if waiting {
+                return Anchor::Wait;
+            }
+            let latest = self.ports.iter_mut().filter(required).map(|p| p.bound()).max().unwrap_or(StampNs::MIN);
+            if self.ports.iter_mut().filter(required).any(|p| p.bound() < latest.saturating_sub(p.tolerance_ns())) {
+                continue;
+            }
+            // Where several items of a port lie within the tolerance, the newest up to the stamp is the nearest.
+            if self.ports.iter_mut().filter(required).all(|p| p.settle_up_to(latest)) {
+                return Anchor::At(latest);
+            }
+            return Anchor::Wait;
+        }
+    }
+
+    /// `stamp` with optional ports only: the earliest head, and whatever lies within the tolerances of it.
+    fn anchor_by_any_stamp(&self) -> Anchor {
+        let stamps = self.ports.iter().filter(|p| p.is_stamp());
+        let Some(earliest) = stamps.clone().filter_map(|p| p.head_stamp()).min() else {
+            return if stamps.clone().all(Port::finished) { Anchor::Ended } else { Anchor::Wait };
+        };
+        if stamps.clone().all(|p| p.head_stamp().is_some() || p.passed(earliest)) {
+            Anchor::At(earliest)
+        } else {
+            Anchor::Wait
+        }
+    }
+
+    /// No trigger: the node fires once, when all its constants are there.
+    fn anchor_once(&self) -> Anchor {
+        if self.fired {
+            return Anchor::Ended;
+        }
+        let mut constants = self.ports.iter().filter(|p| p.is_once());
+        if constants.clone().any(|p| p.kept.is_none() && !p.ended) {
+            return Anchor::Wait;
+        }
+        let stamp = constants.clone().filter_map(|p| p.kept.as_ref().map(|item| item.stamp_ns)).max();
+        let samplers_pending = constants.next().is_none() && self.ports.iter().any(|p| p.is_sampler() && !p.ended);
+        if samplers_pending { Anchor::Wait } else { Anchor::At(stamp.unwrap_or(0)) }
+    }
+
+    /// The activation at `anchor`; `None` if more must be offered first.
+    fn activate(&mut self, anchor: StampNs) -> Option<Activation> {
+        let anchored = self.stamps_are_anchored();
+        let mut stamp_ns = anchor.max(self.last_stamp);
+        for port in self.ports.iter_mut().filter(|p| p.is_stamp() && anchored(p)) {
+            match port.match_at(anchor) {
+                Match::Wait => return None,
+                Match::Head(at) => stamp_ns = stamp_ns.max(at),
+                Match::Nothing => {}
+            }
+        }
+        let anchor_of = |port: &Port| anchored(port).then_some(anchor);
+
+        // The triggers decide first: where one brings no value, nothing else need be waited for.
+        let mut skip = None;
+        for port in self.ports.iter().filter(|p| p.is_trigger()) {
+            skip = skip.or_else(|| reason_to_skip(&self.node, port, &port.peek_trigger(anchor_of(port))));
+        }
+        if skip.is_none() {
+            let mut settled = true;
+            for port in self.ports.iter_mut().filter(|p| p.is_sampler()) {
+                settled &= port.settle_sample(stamp_ns);
+            }
+            settled &= !self.ports.iter().any(|p| p.is_once() && p.kept.is_none() && !p.ended);
+            if !settled {
+                return None;
+            }
+            for port in self.ports.iter().filter(|p| !p.is_trigger()) {
+                skip = skip.or_else(|| reason_to_skip(&self.node, port, &port.peek_constant(stamp_ns)));
+            }
+        }
+
+        let mut absent = Vec::new();
+        let mut slots = Vec::with_capacity(self.ports.len());
+        for port in &mut self.ports {
+            let choice = match port.is_trigger() {
+                true => port.take_trigger(anchored(port).then_some(anchor)),
+                false if skip.is_some() => continue,
+                false => port.peek_constant(stamp_ns),
+            };
+            let (slot, reason) = match choice {
+                Choice::Slot(slot) => (slot, None),
+                Choice::Empty(empty) => (Slot::Absent(empty.clone()), Some(empty)),
+                Choice::Absent(reason) => {
+                    let empty = Arc::new(Empty { node: self.node.to_string(), reason });
+                    (Slot::Absent(empty.clone()), Some(empty))
+                }
+            };
+            if let Slot::Items(items) = &slot {
+                absent.extend(items.iter().find_map(empty_of).map(|empty| (port.spec.name, empty)));
+            }
+            slots.push(slot);
+            absent.extend(reason.map(|empty| (port.spec.name, empty)));
+        }
+        (self.last_stamp, self.fired) = (stamp_ns, true);
+        let joined = match skip {
+            Some(empty) => Err(empty),
+            None => Ok(Joined { slots }),
+        };
+        Some(Activation { stamp_ns, joined, absent })
+    }
+
+    /// Which `stamp` ports follow the anchor; the others made it.
+    fn stamps_are_anchored(&self) -> fn(&Port) -> bool {
+        if self.ports.iter().any(Port::is_step) || !self.ports.iter().any(|p| p.is_stamp() && !p.spec.optional) {
+            |p| p.is_stamp()
+        } else {
+            |p| p.is_stamp() && p.spec.optional
+        }
+    }
+}
+
+/// Why a plain port that brings no value skips the activation: the original empty, or what is absent and where.
+fn reason_to_skip(node: &Arc<str>, port: &Port, choice: &Choice) -> Option<Arc<Empty>> {
+    if port.spec.optional || port.spec.unused {
+        return None;
+    }
+    match choice {
+        Choice::Empty(empty) => Some(empty.clone()),
+        Choice::Absent(reason) => {
+            let reason = format!("input \"{}\": {reason}", port.spec.name);
+            Some(Arc::new(Empty { node: node.to_string(), reason }))
+        }
+        Choice::Slot(Slot::Items(items)) => items.iter().find_map(empty_of),
+        Choice::Slot(_) => None,
+    }
+}
+
+fn empty_of(item: &Item) -> Option<Arc<Empty>> {
+    match &item.body {
+        Body::Empty(empty) => Some(empty.clone()),
+        Body::Value(_) => None,
+    }
+}
+
+/// The slot of a single item: an empty becomes absent with its own reason.
+fn choice_of(item: Item) -> Choice {
+    match empty_of(&item) {
+        Some(empty) => Choice::Empty(empty),
+        None => Choice::Slot(Slot::Item(item)),
+    }
+}
+
+/// A span of time in words: `2.05 s`, `0.2 s`, `12.5 ms` below a tenth of a second, `350 ns` below a microsecond.
+fn span(ns: i128) -> String {
+    let rounded = |value: f64| format!("{}", (value * 1e3).round() / 1e3);
+    match ns {
+        ..1_000 => format!("{ns} ns"),
+        1_000..100_000_000 => format!("{} ms", rounded(ns as f64 / 1e6)),
+        _ => format!("{} s", rounded(ns as f64 / 1e9)),
+    }
+}
+
+/// The join rule of a port, for those that ask by kind.
+fn tolerance_of(join: Join) -> StampNs {
+    match join {
+        Join::Stamp { tolerance_ns } => tolerance_ns,
+        _ => 0,
+    }
+}

@@ -1,0 +1,352 @@
+use super::{Choice, SecondItem, choice_of, span, tolerance_of};
+use osteoflow_node::{Body, Item, Join, Slot, StampNs, Value};
+use std::collections::VecDeque;
+
+/// A port as the machine needs to know it.
+#[derive(Debug, Clone)]
+pub(crate) struct PortSpec {
+    /// Its name.
+    pub(crate) name: &'static str,
+    /// How its items are chosen.
+    pub(crate) join: Join,
+    /// Whether the node takes nothing for an answer.
+    pub(crate) optional: bool,
+    /// Whether its items are drained.
+    pub(crate) unused: bool,
+    /// The wire that feeds it, `node.port`, if one does.
+    pub(crate) wire: Option<String>,
+}
+
+/// The state of a port.
+pub(super) struct Port {
+    pub(super) spec: PortSpec,
+    /// Items that wait for their turn; few, except where `collect` gathers.
+    queue: VecDeque<Item>,
+    /// `once`: the constant. `latest`, `interpolate`: the newest item not after the earliest possible stamp.
+    pub(super) kept: Option<Item>,
+    /// Nothing more comes before this stamp.
+    pub(super) progress: StampNs,
+    /// Nothing more comes.
+    pub(super) ended: bool,
+    pub(super) n_received: u64,
+    pub(super) unmatched: u64,
+    /// `collect` of all has had its turn.
+    done: bool,
+}
+
+/// Whether the node still fires.
+#[derive(Clone, Copy)]
+pub(super) enum NodeEnd {
+    Open,
+    Ended,
+    Stopped,
+}
+
+/// Whether a port has its turn together.
+pub(super) enum Ready {
+    At(StampNs),
+    Waiting,
+    Ended,
+}
+
+/// What a `stamp` port has near a stamp.
+pub(super) enum Match {
+    Wait,
+    Head(StampNs),
+    Nothing,
+}
+
+impl Port {
+    pub(super) fn new(spec: PortSpec) -> Self {
+        let ended = spec.wire.is_none();
+        let queue = VecDeque::new();
+        let progress = StampNs::MIN;
+        Self { spec, queue, kept: None, progress, ended, n_received: 0, unmatched: 0, done: false }
+    }
+
+    fn wired(&self) -> bool {
+        self.spec.wire.is_some() && !self.spec.unused
+    }
+
+    /// In step with others: `each` and `collect`.
+    pub(super) fn is_step(&self) -> bool {
+        self.wired() && matches!(self.spec.join, Join::Each | Join::Collect { .. })
+    }
+
+    pub(super) fn is_stamp(&self) -> bool {
+        self.wired() && matches!(self.spec.join, Join::Stamp { .. })
+    }
+
+    pub(super) fn is_trigger(&self) -> bool {
+        self.is_step() || self.is_stamp()
+    }
+
+    pub(super) fn is_sampler(&self) -> bool {
+        self.wired() && matches!(self.spec.join, Join::Latest | Join::Interpolate { .. })
+    }
+
+    pub(super) fn is_once(&self) -> bool {
+        self.wired() && matches!(self.spec.join, Join::Once)
+    }
+
+    pub(super) fn tolerance_ns(&self) -> StampNs {
+        tolerance_of(self.spec.join)
+    }
+
+    pub(super) fn wants(&self) -> bool {
+        if self.spec.unused {
+            return true;
+        }
+        match self.spec.join {
+            Join::Each | Join::Latest | Join::Interpolate { .. } => self.queue.is_empty(),
+            Join::Stamp { .. } => self.queue.len() < 2,
+            Join::Collect { n } => n.is_none_or(|n| self.queue.len() < n as usize),
+            Join::Once => true,
+        }
+    }
+
+    pub(super) fn offer(&mut self, item: Item, node: NodeEnd) -> Result<(), SecondItem> {
+        self.n_received += 1;
+        self.progress = self.progress.max(item.stamp_ns);
+        if self.is_once() {
+            return match &self.kept {
+                None => {
+                    self.kept = Some(item);
+                    Ok(())
+                }
+                // The producer failed after it had given the constant; its failure is told elsewhere.
+                Some(_) if matches!(item.body, Body::Empty(_)) => Ok(()),
+                Some(_) => Err(SecondItem { port: self.spec.name, number: item.number }),
+            };
+        }
+        match node {
+            NodeEnd::Open if self.wired() => self.queue.push_back(item),
+            NodeEnd::Ended if self.is_trigger() => self.unmatched += 1,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// The node has ended: what waits had no partner.
+    pub(super) fn leave_unmatched(&mut self) {
+        if self.is_trigger() {
+            self.unmatched += self.queue.len() as u64;
+        }
+        self.queue.clear();
+    }
+
+    /// The stamp of the item whose turn is next.
+    pub(super) fn head_stamp(&self) -> Option<StampNs> {
+        self.queue.front().map(|item| item.stamp_ns)
+    }
+
+    /// The earliest stamp that the port's next turn can have; a collection may end with what it holds.
+    pub(super) fn bound(&self) -> StampNs {
+        let decisive = match self.spec.join {
+            Join::Collect { .. } => self.queue.back(),
+            _ => self.queue.front(),
+        };
+        decisive.map_or(self.progress, |item| item.stamp_ns)
+    }
+
+    /// Whether `collect` has what it waits for.
+    fn collected(&self) -> bool {
+        match self.spec.join {
+            Join::Collect { n: Some(n) } => self.queue.len() >= n as usize,
+            _ => false,
+        }
+    }
+
+    /// Whether the port has nothing left for any further activation.
+    pub(super) fn finished(&self) -> bool {
+        self.done || (self.ended && self.queue.is_empty())
+    }
+
+    /// Whether nothing more comes at or before `stamp_ns`, beside what waits.
+    pub(super) fn passed(&self, stamp_ns: StampNs) -> bool {
+        self.ended || self.progress > stamp_ns
+    }
+
+    /// The port's turn: the next item, or the collection.
+    pub(super) fn ready(&self) -> Ready {
+        if self.finished() {
+            return Ready::Ended;
+        }
+        let complete = match self.spec.join {
+            Join::Collect { .. } => self.ended || self.collected(),
+            _ => true,
+        };
+        match complete && !self.queue.is_empty() {
+            true => Ready::At(self.bound()),
+            false => Ready::Waiting,
+        }
+    }
+
+    /// Drops heads before `stamp_ns`: no partner can come for them.
+    pub(super) fn drop_before(&mut self, stamp_ns: StampNs) {
+        while self.head_stamp().is_some_and(|at| at < stamp_ns) {
+            self.queue.pop_front();
+            self.unmatched += 1;
+        }
+    }
+
+    /// Makes the newest item at or before `stamp_ns` the head; `false` if a newer one may still come.
+    pub(super) fn settle_up_to(&mut self, stamp_ns: StampNs) -> bool {
+        while self.head_stamp().is_some_and(|at| at < stamp_ns) {
+            match self.queue.get(1) {
+                Some(next) if next.stamp_ns <= stamp_ns => {
+                    self.queue.pop_front();
+                    self.unmatched += 1;
+                }
+                Some(_) => return true,
+                None => return self.passed(stamp_ns),
+            }
+        }
+        true
+    }
+
+    /// Makes the item nearest to `anchor` the head, the earlier of two equally near, and says whether it is near enough.
+    pub(super) fn match_at(&mut self, anchor: StampNs) -> Match {
+        let tolerance = self.tolerance_ns();
+        let (from, to) = (anchor.saturating_sub(tolerance), anchor.saturating_add(tolerance));
+        loop {
+            self.drop_before(from);
+            let Some(at) = self.head_stamp() else {
+                return if self.passed(to) { Match::Nothing } else { Match::Wait };
+            };
+            if at >= anchor {
+                return if at <= to { Match::Head(at) } else { Match::Nothing };
+            }
+            let distance = anchor.saturating_sub(at);
+            match self.queue.get(1).map(|next| next.stamp_ns.saturating_sub(anchor).saturating_abs()) {
+                Some(next) if next < distance => {
+                    self.queue.pop_front();
+                    self.unmatched += 1;
+                }
+                Some(_) => return Match::Head(at),
+                None if self.ended || self.progress >= anchor.saturating_add(distance) => return Match::Head(at),
+                None => return Match::Wait,
+            }
+        }
+    }
+
+    /// What the trigger brings; `anchor` where the port is matched to the other triggers' stamp.
+    pub(super) fn peek_trigger(&self, anchor: Option<StampNs>) -> Choice {
+        match self.spec.join {
+            Join::Collect { n } => match n {
+                _ if self.queue.is_empty() => Choice::Absent(self.nothing_left()),
+                Some(n) if self.queue.len() < n as usize => {
+                    Choice::Absent(format!("{} of {n} items came before the end", self.queue.len()))
+                }
+                _ => Choice::Slot(Slot::Items(self.queue.iter().cloned().collect())),
+            },
+            Join::Stamp { tolerance_ns } => {
+                let far = |item: &Item| anchor.is_some_and(|a| a.abs_diff(item.stamp_ns) > tolerance_ns.unsigned_abs());
+                match self.queue.front() {
+                    Some(item) if !far(item) => choice_of(item.clone()),
+                    _ => Choice::Absent(format!(
+                        "no item of {} within {} of the stamp",
+                        self.wire(),
+                        span(tolerance_ns.into())
+                    )),
+                }
+            }
+            _ => match self.queue.front() {
+                Some(item) => choice_of(item.clone()),
+                None => Choice::Absent(self.nothing_left()),
+            },
+        }
+    }
+
+    /// The same, and the items are used up.
+    pub(super) fn take_trigger(&mut self, anchor: Option<StampNs>) -> Choice {
+        let choice = self.peek_trigger(anchor);
+        match self.spec.join {
+            Join::Collect { n } => {
+                self.queue.clear();
+                self.done = n.is_none();
+            }
+            _ if matches!(choice, Choice::Absent(_)) => {}
+            _ => drop(self.queue.pop_front()),
+        }
+        choice
+    }
+
+    /// Keeps the newest item not after `stamp_ns`, the earliest that can still be asked for.
+    pub(super) fn advance(&mut self, stamp_ns: StampNs) {
+        if self.is_sampler() {
+            while self.head_stamp().is_some_and(|at| at <= stamp_ns) {
+                self.kept = self.queue.pop_front();
+            }
+        }
+    }
+
+    /// Reads a sampler up to `stamp_ns`; `false` if what the port brings there is not yet decided.
+    pub(super) fn settle_sample(&mut self, stamp_ns: StampNs) -> bool {
+        self.advance(stamp_ns);
+        let between = matches!(self.spec.join, Join::Interpolate { .. })
+            && self.kept.as_ref().is_none_or(|kept| kept.stamp_ns < stamp_ns && matches!(kept.body, Body::Value(_)));
+        // Before the first item, too, the one beyond is waited for: the reason names its distance.
+        let needs_next = between || self.kept.is_none();
+        !self.queue.is_empty() || self.ended || (!needs_next && self.passed(stamp_ns))
+    }
+
+    /// What a constant or a sampler brings at `stamp_ns`.
+    pub(super) fn peek_constant(&self, stamp_ns: StampNs) -> Choice {
+        if !self.wired() {
+            return Choice::Absent(match self.spec.unused {
+                true => "the node does not use it".into(),
+                false => "nothing is wired to it".into(),
+            });
+        }
+        match (&self.kept, self.spec.join) {
+            (Some(item), Join::Once) => choice_of(item.clone()),
+            (None, Join::Once) => Choice::Absent(format!("no item ever came on {}", self.wire())),
+            (Some(item), Join::Interpolate { max_gap_ns }) if item.stamp_ns != stamp_ns => {
+                self.between(item, max_gap_ns, stamp_ns)
+            }
+            (Some(item), _) => choice_of(item.clone()),
+            (None, _) => Choice::Absent(match self.head_stamp() {
+                Some(first) => {
+                    let after = span(i128::from(first) - i128::from(stamp_ns));
+                    format!("the first sample of {} is {after} after the stamp", self.wire())
+                }
+                None => format!("no item ever came on {}", self.wire()),
+            }),
+        }
+    }
+
+    fn between(&self, before: &Item, max_gap_ns: Option<i64>, stamp_ns: StampNs) -> Choice {
+        let Body::Value(a) = &before.body else { return choice_of(before.clone()) };
+        let Some(after) = self.queue.front() else {
+            let since = span(i128::from(stamp_ns) - i128::from(before.stamp_ns));
+            return Choice::Absent(format!("the last sample of {} is {since} before the stamp", self.wire()));
+        };
+        let Body::Value(b) = &after.body else { return choice_of(after.clone()) };
+        let gap = i128::from(after.stamp_ns) - i128::from(before.stamp_ns);
+        if let Some(max) = max_gap_ns.filter(|max| gap > i128::from(*max)) {
+            let (gap, max) = (span(gap), span(max.into()));
+            return Choice::Absent(format!("the nearest samples are {gap} apart around the stamp, {max} allowed"));
+        }
+        let share = (i128::from(stamp_ns) - i128::from(before.stamp_ns)) as f64 / gap as f64;
+        match Value::interpolate(a, b, share) {
+            Some(value) => Choice::Slot(Slot::Item(Item { number: before.number, stamp_ns, body: Body::Value(value) })),
+            None => Choice::Absent(format!(
+                "there is no value between the samples of {} around the stamp, {} apart: frames differ, or half a turn lies between",
+                self.wire(),
+                span(gap)
+            )),
+        }
+    }
+
+    fn wire(&self) -> &str {
+        self.spec.wire.as_deref().unwrap_or("the wire")
+    }
+
+    fn nothing_left(&self) -> String {
+        match self.n_received {
+            0 => format!("no item ever came on {}", self.wire()),
+            n => format!("{} ended after {n} items", self.wire()),
+        }
+    }
+}

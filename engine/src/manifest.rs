@@ -1,0 +1,167 @@
+//! What `manifest.json` says: what ran, from what, where, when, and the figures of nodes and links.
+
+use crate::{
+    plan::Plan,
+    record::Counts,
+    run::{Outcome, RunOptions, RunReport},
+};
+use serde_json::{Value as Json, json};
+use sha2::{Digest, Sha256};
+use std::{
+    fs::File,
+    io::{self, Read},
+    path::{Path, PathBuf},
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+
+/// The manifest of a run that has ended.
+pub(crate) fn manifest(
+    plan: &Plan,
+    options: &RunOptions,
+    report: &RunReport,
+    recorded: Option<&Counts>,
+    inputs: Vec<Json>,
+    began: SystemTime,
+    ended: SystemTime,
+) -> Json {
+    let outcome = match &report.outcome {
+        Outcome::Complete | Outcome::Interrupted => json!({ "status": report.outcome.status() }),
+        Outcome::Refused(r) => json!({
+            "status": "refused", "node": r.node, "kind": r.kind, "item": r.item, "reason": r.reason,
+            "panicked": r.panicked, "file": r.location.file.display().to_string(), "line": r.location.line,
+        }),
+    };
+    let nodes = report.nodes.iter().map(|n| {
+        json!({
+            "name": n.name, "items": n.items, "skipped": n.skipped, "failed": n.failed, "busy_ms": ms(n.busy),
+            "p50_ms": ms(n.p50), "p95_ms": ms(n.p95), "p99_ms": ms(n.p99),
+        })
+    });
+    let links = report.links.iter().map(|l| {
+        json!({
+            "from": l.from, "to": l.to, "sent": l.sent, "received": l.received, "dropped": l.dropped,
+            "unmatched": l.unmatched, "highest_fill": l.highest_fill, "capacity": l.capacity,
+        })
+    });
+    let enlargements =
+        report.enlargements.iter().map(|e| json!({ "from": e.from, "to": e.to, "before": e.before, "after": e.after }));
+    let warnings = report.warnings.iter().map(|w| json!({ "node": w.node, "item": w.item, "message": w.message }));
+    let recorded = recorded.map(|counts| -> Json {
+        counts.iter().map(|(wire, (items, values))| json!({ "wire": wire, "items": items, "values": values })).collect()
+    });
+    json!({
+        "graph": { "name": plan.name, "file": plan.path.display().to_string(), "seed": plan.seed },
+        "outcome": outcome,
+        "began": rfc3339(began),
+        "ended": rfc3339(ended),
+        "elapsed_ms": ms(report.elapsed),
+        "engine_version": env!("CARGO_PKG_VERSION"),
+        "command": options.command,
+        "workers": options.workers,
+        "inputs": inputs,
+        "nodes": nodes.collect::<Json>(),
+        "links": links.collect::<Json>(),
+        "enlargements": enlargements.collect::<Json>(),
+        "warnings": warnings.collect::<Json>(),
+        "recorded": recorded,
+        "resolved_graph": plan.resolved,
+    })
+}
+
+fn ms(time: Duration) -> f64 {
+    (time.as_nanos() as f64 / 1e3).round() / 1e3
+}
+
+/// Each input file with its size and SHA-256; a folder stands for the files in it, by name.
+pub(crate) fn hashes(paths: &[PathBuf]) -> Vec<Json> {
+    let mut out = Vec::new();
+    for path in paths {
+        let mut files = Vec::new();
+        match list(path, &mut files) {
+            Ok(()) => out.extend(files.iter().map(|file| entry(file))),
+            Err(error) => out.push(json!({ "path": path.display().to_string(), "error": error.to_string() })),
+        }
+    }
+    out
+}
+
+fn list(path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
+    if !path.is_dir() {
+        files.push(path.into());
+        return Ok(());
+    }
+    let mut entries = std::fs::read_dir(path)?.map(|e| e.map(|e| e.path())).collect::<io::Result<Vec<_>>>()?;
+    entries.sort();
+    // A link that leads back up would never end.
+    entries.retain(|path| !(path.is_symlink() && path.is_dir()));
+    entries.iter().try_for_each(|path| list(path, files))
+}
+
+fn entry(path: &Path) -> Json {
+    match sha256(path) {
+        Ok((bytes, hash)) => json!({ "path": path.display().to_string(), "bytes": bytes, "sha256": hash }),
+        Err(error) => json!({ "path": path.display().to_string(), "error": error.to_string() }),
+    }
+}
+
+/// A file's size and its SHA-256 in hexadecimal.
+fn sha256(path: &Path) -> io::Result<(u64, String)> {
+    let mut file = File::open(path)?;
+    let (mut hasher, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);
+    loop {
+        let n = file.read(&mut buffer)?;
+        if n == 0 {
+            break;
+        }
+        bytes += n as u64;
+        hasher.update(&buffer[..n]);
+    }
+    Ok((bytes, hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()))
+}
+
+/// A time as `2026-11-21T02:34:06.123Z`.
+fn rfc3339(time: SystemTime) -> String {
+    let since = time.duration_since(UNIX_EPOCH).unwrap_or_default();
+    let (days, second) = ((since.as_secs() / 86_400) as i64, since.as_secs() % 86_400);
+    let (year, month, day) = civil(days);
+    let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{:03}Z", since.subsec_millis())
+}
+
+/// Year, month and day so many days after 1970-01-01, counted in eras of 400 years that begin in March.
+fn civil(days: i64) -> (i64, i64, i64) {
+    let days = days + 719_468;
+    let (era, day) = (days.div_euclid(146_097), days.rem_euclid(146_097));
+    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let day = day - (153 * month + 2) / 5 + 1;
+    let month = if month < 10 { month + 3 } else { month - 9 };
+    (era * 400 + year + i64::from(month <= 2), month, day)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_told_as_rfc_3339() {
+        let at = |s: u64, ms: u32| rfc3339(UNIX_EPOCH + Duration::new(s, ms * 1_000_000));
+        assert_eq!(at(0, 0), "1970-01-01T00:00:00.000Z");
+        assert_eq!(at(951_782_399, 5), "2000-02-28T23:59:59.005Z");
+        assert_eq!(at(951_782_400, 0), "2000-02-29T00:00:00.000Z");
+        assert_eq!(at(1_795_228_446, 120), "2026-11-21T02:34:06.120Z");
+    }
+
+    #[test]
+    fn a_folder_stands_for_its_files_with_their_hashes() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("b"), "abc").unwrap();
+        std::fs::write(dir.path().join("a"), "").unwrap();
+        let hashes = hashes(&[dir.path().into(), dir.path().join("gone")]);
+        let of = |i: usize| hashes[i]["sha256"].as_str().unwrap_or("none").to_owned();
+        assert_eq!(of(0), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
+        assert_eq!(of(1), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+        assert!(hashes[2]["error"].is_string());
+    }
+}

@@ -1,0 +1,129 @@
+//! Runs a checked graph: what a run takes, what it tells while it goes, and what it leaves.
+//!
+//! The graph is a Kahn network. Every link is a bounded queue; a node fires when its ports join and its outputs have
+//! room, so that nobody waits inside a send and one worker can run any graph. Results and recorded wires are the same
+//! for any number of workers.
+
+mod cell;
+mod panics;
+mod report;
+mod runtime;
+mod scheduler;
+#[cfg(test)]
+mod tests;
+
+pub(crate) use report::Failure;
+pub use report::{
+    BuildFault, Enlargement, Event, LinkStats, NodeStats, Observer, Outcome, Refusal, RunError, RunOptions, RunReport,
+    Warning,
+};
+pub(crate) use runtime::{Substitutes, Tap, refusal};
+
+use crate::{
+    manifest,
+    plan::Plan,
+    record::Recorder,
+    results::{self, Ended},
+};
+use osteoflow_node::Registry;
+use runtime::Runtime;
+use std::{path::Path, time::SystemTime};
+
+/// Runs the graph to its end and writes what `options` ask for.
+///
+/// A node that fails, a result that did not come and an interruption are outcomes in the report; `results.json` then
+/// holds the reason and no results.
+///
+/// # Errors
+/// [`RunError`] if a node cannot be built from its parameters, or a file of the run cannot be written.
+pub fn run(
+    plan: &Plan,
+    registry: &Registry,
+    options: &RunOptions,
+    observer: &dyn Observer,
+) -> Result<RunReport, RunError> {
+    run_with(plan, registry, options, observer, Substitutes::new(), None)
+}
+
+/// The same, with some sources replaced and a further tap on the wires.
+pub(crate) fn run_with(
+    plan: &Plan,
+    registry: &Registry,
+    options: &RunOptions,
+    observer: &dyn Observer,
+    substitutes: Substitutes,
+    tap: Option<&dyn Tap>,
+) -> Result<RunReport, RunError> {
+    let began = SystemTime::now();
+    let mut runtime = Runtime::build(plan, registry, options, observer, substitutes)?;
+    let out_dir = options.out_dir.as_deref();
+    if let Some(dir) = out_dir {
+        std::fs::create_dir_all(dir).map_err(|source| RunError::Write { path: dir.into(), source })?;
+    }
+    // Hashing the inputs takes as long as reading them; it goes beside the run.
+    let hashes = out_dir.map(|_| {
+        let files = plan.input_files.clone();
+        std::thread::spawn(move || manifest::hashes(&files))
+    });
+    let recorder = match out_dir.filter(|_| options.record) {
+        Some(dir) => Some(Recorder::create(&dir.join("run.mcap"), plan)?),
+        None => None,
+    };
+    let taps: Vec<&dyn Tap> = recorder.iter().map(|r| r as &dyn Tap).chain(tap).collect();
+    runtime.tap(&taps);
+    runtime.run();
+    let ended = runtime.into_ended();
+    drop(taps);
+    let (outcome, results) = results::collect(plan, options, &ended);
+    let recorded = recorder.map(|recorder| recorder.finish(outcome.status(), &results, options)).transpose();
+    let report = report_of(plan, ended, outcome, results);
+    if let Some(dir) = out_dir {
+        write_json(&dir.join("results.json"), &report.results)?;
+        let hashes = hashes.and_then(|thread| thread.join().ok()).unwrap_or_default();
+        let recorded = recorded.as_ref().ok().and_then(Option::as_ref);
+        write_json(
+            &dir.join("manifest.json"),
+            &manifest::manifest(plan, options, &report, recorded, hashes, began, SystemTime::now()),
+        )?;
+    }
+    recorded?;
+    Ok(report)
+}
+
+fn report_of(plan: &Plan, ended: Ended, outcome: Outcome, results: serde_json::Value) -> RunReport {
+    let mut warnings = ended.warnings;
+    // A failure that does not refuse the run must not pass unseen.
+    let refused = match &outcome {
+        Outcome::Refused(refusal) => refusal.item.map(|item| (refusal.node.clone(), item)),
+        _ => None,
+    };
+    warnings.extend(ended.failures.into_iter().filter_map(|failure| {
+        let node = plan.nodes[failure.node].name.to_string();
+        (refused != Some((node.clone(), failure.item))).then_some(Warning {
+            node,
+            item: failure.item,
+            message: failure.reason,
+        })
+    }));
+    RunReport {
+        outcome,
+        results,
+        nodes: ended.nodes,
+        links: ended.links,
+        enlargements: ended.enlargements,
+        warnings,
+        elapsed: ended.elapsed,
+    }
+}
+
+/// Writes a file whole or not at all.
+fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), RunError> {
+    let write = || {
+        let mut text = serde_json::to_string_pretty(value)?;
+        text.push('\n');
+        let part = path.with_extension("json.part");
+        std::fs::write(&part, text)?;
+        std::fs::rename(&part, path)
+    };
+    write().map_err(|source: std::io::Error| RunError::Write { path: path.into(), source })
+}

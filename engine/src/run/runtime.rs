@@ -1,0 +1,343 @@
+//! The nodes and links of a run, as the scheduler steps them.
+
+use super::{
+    BuildFault, Enlargement, Event, Failure, Observer, Refusal, RunError, RunOptions, Warning,
+    cell::{Cell, Core, Input, Output},
+    panics,
+    scheduler::{Scheduler, Stepped, Wake, Work},
+};
+use crate::{
+    channel::{self, LinkState, RecvEnd, SendEnd},
+    join::{Joiner, PortSpec},
+    plan::{OutputId, Plan, PlanNode, Policy},
+    results::{Ended, Keep},
+};
+use osteoflow_node::{AnySource, Built, Context, Item, Registry};
+use std::{
+    collections::BTreeMap,
+    path::Path,
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+/// Sources that take the place of the plan's, by the index of the node.
+pub(crate) type Substitutes = BTreeMap<usize, Box<dyn AnySource>>;
+
+/// Sees every item of the recorded wires, in order along each wire, and changes nothing.
+pub(crate) trait Tap: Sync {
+    /// An item has been put on the wire.
+    fn item(&self, wire: OutputId, item: &Item);
+}
+
+/// A run under way.
+pub(super) struct Runtime<'a> {
+    pub(super) plan: &'a Plan,
+    registry: &'a Registry,
+    observer: &'a dyn Observer,
+    cancelled: Arc<AtomicBool>,
+    /// The wish to stop has changed what the run did.
+    interrupted: AtomicBool,
+    n_workers: usize,
+    cells: Vec<Mutex<Cell>>,
+    pub(super) links: Vec<LinkState>,
+    taps: Vec<&'a dyn Tap>,
+    failures: Mutex<Vec<Failure>>,
+    warnings: Mutex<Vec<(usize, Warning)>>,
+    enlargements: Mutex<Vec<Enlargement>>,
+    stall: Mutex<Option<Failure>>,
+    elapsed: Duration,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // A poisoned lock means that a worker unwinds already; its panic is the one to be seen.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl<'a> Runtime<'a> {
+    /// Builds every node; nothing runs yet.
+    ///
+    /// # Errors
+    /// [`RunError::Build`] with all nodes that cannot be built.
+    pub(super) fn build(
+        plan: &'a Plan,
+        registry: &'a Registry,
+        options: &RunOptions,
+        observer: &'a dyn Observer,
+        mut substitutes: Substitutes,
+    ) -> Result<Self, RunError> {
+        let mut bodies = Vec::with_capacity(plan.nodes.len());
+        let mut faults = Vec::new();
+        for (index, node) in plan.nodes.iter().enumerate() {
+            let substitute = substitutes.remove(&index).map(Built::Source);
+            match substitute.map_or_else(|| build(registry, node), Ok) {
+                Ok(built) => bodies.push(built),
+                Err(fault) => faults.push(fault),
+            }
+        }
+        if !faults.is_empty() {
+            return Err(RunError::Build(faults));
+        }
+
+        let (mut links, mut sends, mut recvs) = (Vec::new(), Vec::new(), Vec::new());
+        for (index, link) in plan.links.iter().enumerate() {
+            let producer = &plan.nodes[link.from.node].name;
+            let wire = plan.wire_name(link.from);
+            let (state, send, recv) = channel::link(index, link.capacity, link.policy, producer, &wire);
+            links.push(state);
+            sends.push(Some(send));
+            recvs.push(Some(recv));
+        }
+        let out_dir: Option<Arc<Path>> = options.out_dir.as_deref().map(Arc::from);
+        let mut cells = Vec::with_capacity(plan.nodes.len());
+        for (index, built) in bodies.into_iter().enumerate() {
+            let node = &plan.nodes[index];
+            let context = Context::new(node.name.clone(), plan.seed, options.cancelled.clone(), node.declared.clone())
+                .with_out_dir(out_dir.clone());
+            let core = match built {
+                Built::Source(source) => Core::Source(source),
+                Built::Node(built) => Core::Node(built, joiner(plan, node)),
+            };
+            let inputs = node
+                .inputs
+                .iter()
+                .enumerate()
+                .filter_map(|(port, input)| Some(Input { port, recv: recvs[input.link?].take()? }));
+            let outputs = node.outputs.iter().enumerate().map(|(port, output)| {
+                let id = OutputId { node: index, port };
+                let links = output.links.iter().filter_map(|link| sends[*link].take());
+                let kept = plan.results.iter().filter(|entry| entry.from == id);
+                let keep = kept.map(|entry| if entry.all { Keep::All } else { Keep::Last }).max();
+                let keep = keep.unwrap_or(Keep::Count);
+                Output::new(id, output.payload, links.collect(), plan.record.contains(&id), keep)
+            });
+            cells.push(Mutex::new(Cell::new(index, core, context, inputs.collect(), outputs.collect())));
+        }
+        Ok(Self {
+            plan,
+            registry,
+            observer,
+            cancelled: options.cancelled.clone(),
+            interrupted: AtomicBool::new(false),
+            n_workers: options.workers.max(1),
+            cells,
+            links,
+            taps: Vec::new(),
+            failures: Mutex::default(),
+            warnings: Mutex::default(),
+            enlargements: Mutex::default(),
+            stall: Mutex::default(),
+            elapsed: Duration::ZERO,
+        })
+    }
+
+    pub(super) fn tap(&mut self, taps: &[&'a dyn Tap]) {
+        self.taps = taps.to_vec();
+    }
+
+    /// Runs to the end; everything that happened is in the runtime then.
+    pub(super) fn run(&mut self) {
+        let began = Instant::now();
+        Scheduler::new(self.cells.len(), self.n_workers).run(self);
+        self.elapsed = began.elapsed();
+    }
+
+    /// What the run leaves in memory.
+    pub(super) fn into_ended(self) -> Ended {
+        let interrupted = self.interrupted.load(Ordering::Relaxed);
+        let cells: Vec<Cell> =
+            self.cells.into_iter().map(|cell| cell.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
+        let mut failures = self.failures.into_inner().unwrap_or_else(PoisonError::into_inner);
+        // In the order of the plan, not of time: the first failure is the same on any number of workers.
+        failures.sort_by_key(|failure| (failure.node, failure.item));
+        let mut warnings = self.warnings.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let stall = self.stall.into_inner().unwrap_or_else(PoisonError::into_inner);
+        warnings.extend(cells.iter().flat_map(|cell| cell.unmatched_warning(self.plan)));
+        warnings.sort_by_key(|(node, warning)| (*node, warning.item));
+        Ended {
+            interrupted,
+            nodes: cells.iter().map(|cell| cell.stats(&self.plan.nodes[cell.index].name)).collect(),
+            links: (0..self.plan.links.len())
+                .filter_map(|link| link_stats(self.plan, &cells, link, stall.is_some()))
+                .collect(),
+            outputs: cells.into_iter().map(|cell| cell.outputs.into_iter().map(Output::into_kept).collect()).collect(),
+            failures,
+            stall,
+            warnings: warnings.into_iter().map(|(_, warning)| warning).collect(),
+            enlargements: self.enlargements.into_inner().unwrap_or_else(PoisonError::into_inner),
+            elapsed: self.elapsed,
+        }
+    }
+
+    /// Builds a node anew after it failed.
+    pub(super) fn rebuild(&self, node: usize) -> Result<Built, String> {
+        build(self.registry, &self.plan.nodes[node]).map_err(|fault| fault.message)
+    }
+
+    pub(super) fn cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn note_interrupted(&self) {
+        self.interrupted.store(true, Ordering::Relaxed);
+    }
+
+    pub(super) fn event(&self, event: &Event<'_>) {
+        self.observer.event(event);
+    }
+
+    pub(super) fn to_taps(&self, wire: OutputId, item: &Item) {
+        self.taps.iter().for_each(|tap| tap.item(wire, item));
+    }
+
+    pub(super) fn fail(&self, failure: Failure) {
+        if self.cancelled() {
+            // A long computation was asked to stop, and did.
+            self.note_interrupted();
+        }
+        self.event(&Event::Failed(&refusal(self.plan, &failure)));
+        locked(&self.failures).push(failure);
+    }
+
+    pub(super) fn warn(&self, node: usize, item: u64, messages: Vec<String>) {
+        for message in messages {
+            let warning = Warning { node: self.plan.nodes[node].name.to_string(), item, message };
+            self.event(&Event::Warned(&warning));
+            locked(&self.warnings).push((node, warning));
+        }
+    }
+
+    /// Enlarges the smallest full link that a producer waits for, and names that producer.
+    fn enlarge_smallest(&self) -> Option<usize> {
+        let waits = |link: usize| {
+            let from = self.plan.links[link].from;
+            let cell = locked(&self.cells[from.node]);
+            let send = cell.outputs[from.port].links.iter().find(|send| send.link == link)?;
+            (send.fill() >= send.capacity && self.links[link].is_blocked()).then_some(send.capacity)
+        };
+        let full = |link: &usize| matches!(self.plan.links[*link].policy, Policy::Block | Policy::Sample(_));
+        let full = (0..self.links.len()).filter(full).filter_map(|link| Some((waits(link)?, link)));
+        let (capacity, index) = full.filter(|(n, link)| *n < self.plan.links[*link].max_capacity).min()?;
+        let link = &self.plan.links[index];
+        let after = (capacity * 2).min(link.max_capacity);
+        let (mut producer, mut consumer) = (locked(&self.cells[link.from.node]), locked(&self.cells[link.to_node]));
+        let send = producer.outputs[link.from.port].links.iter_mut().find(|send| send.link == index)?;
+        let recv = consumer.inputs.iter_mut().find(|input| input.recv.link == index)?;
+        channel::enlarge(send, &mut recv.recv, after);
+        let (from, to) = ends(self.plan, index);
+        let enlargement = Enlargement { from, to, before: capacity, after };
+        self.event(&Event::Enlarged(&enlargement));
+        locked(&self.enlargements).push(enlargement);
+        Some(link.from.node)
+    }
+
+    /// Nothing can run, and no link may be made longer: which are full, and which do their consumers wait for.
+    fn note_stall(&self) {
+        let open: Vec<usize> = (0..self.cells.len()).filter(|node| !locked(&self.cells[*node]).is_done()).collect();
+        let Some(first) = open.first() else { return };
+        let (mut full, mut empty) = (Vec::new(), Vec::new());
+        for (index, link) in self.plan.links.iter().enumerate() {
+            let cell = locked(&self.cells[link.from.node]);
+            let Some(send) = cell.outputs[link.from.port].links.iter().find(|send| send.link == index) else {
+                continue;
+            };
+            let (from, to) = ends(self.plan, index);
+            if send.fill() >= send.capacity && self.links[index].is_blocked() {
+                full.push(format!("{from} -> {to} ({} items)", send.capacity));
+            } else if open.contains(&link.to_node) && open.contains(&link.from.node) && send.fill() == 0 {
+                empty.push(format!("{from} -> {to}"));
+            }
+        }
+        let list = |links: Vec<String>| if links.is_empty() { "none".into() } else { links.join(", ") };
+        let reason = format!(
+            "the graph is stuck: nothing can run; full: {}; empty: {}; give the full links a larger max_capacity",
+            list(full),
+            list(empty)
+        );
+        let failure = Failure { node: *first, item: 0, reason, panicked: false, skipped: false };
+        self.event(&Event::Failed(&refusal(self.plan, &failure)));
+        *locked(&self.stall) = Some(failure);
+    }
+}
+
+impl Work for Runtime<'_> {
+    fn step(&self, node: usize, wake: &mut Wake<'_>) -> Stepped {
+        locked(&self.cells[node]).step(self, wake)
+    }
+
+    fn relieve(&self) -> Option<usize> {
+        let producer = self.enlarge_smallest();
+        if producer.is_none() {
+            self.note_stall();
+        }
+        producer
+    }
+}
+
+fn build(registry: &Registry, node: &PlanNode) -> Result<Built, BuildFault> {
+    let fault = |parameter: String, message: String| BuildFault {
+        node: node.name.to_string(),
+        location: node.location.clone(),
+        parameter,
+        message,
+    };
+    let Some(kind) = registry.kind(&node.kind) else {
+        return Err(fault(String::new(), format!("there is no kind \"{}\" here", node.kind)));
+    };
+    match panics::catch(|| kind.build(&node.params)) {
+        Ok(built) => built.map_err(|error| fault(error.parameter, error.message)),
+        Err(panic) => Err(fault(String::new(), panic)),
+    }
+}
+
+fn joiner(plan: &Plan, node: &PlanNode) -> Joiner {
+    let ports = node.inputs.iter().map(|input| PortSpec {
+        name: input.port.name,
+        join: input.port.join,
+        optional: input.port.optional,
+        unused: input.port.unused,
+        wire: input.link.map(|link| plan.wire_name(plan.links[link].from)),
+    });
+    Joiner::new(node.name.clone(), ports.collect())
+}
+
+/// The wire and the port that a link joins.
+fn ends(plan: &Plan, link: usize) -> (String, String) {
+    let link = &plan.links[link];
+    let to = &plan.nodes[link.to_node];
+    (plan.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name))
+}
+
+fn link_stats(plan: &Plan, cells: &[Cell], index: usize, stuck: bool) -> Option<super::LinkStats> {
+    let link = &plan.links[index];
+    let send: &SendEnd = cells[link.from.node].outputs[link.from.port].links.iter().find(|s| s.link == index)?;
+    let consumer = &cells[link.to_node];
+    let recv: &RecvEnd = &consumer.inputs.iter().find(|input| input.recv.link == index)?.recv;
+    let (from, to) = ends(plan, index);
+    Some(super::LinkStats {
+        from,
+        to,
+        sent: send.sent,
+        received: recv.received,
+        // What still waited when a stuck graph was given up is lost.
+        dropped: if stuck { send.sent - recv.received } else { send.dropped },
+        unmatched: consumer.unmatched(link.to_port),
+        highest_fill: send.highest_fill,
+        capacity: send.capacity,
+    })
+}
+
+/// A failure with its node's name and place.
+pub(crate) fn refusal(plan: &Plan, failure: &Failure) -> Refusal {
+    let node = &plan.nodes[failure.node];
+    Refusal {
+        node: node.name.to_string(),
+        kind: node.kind.clone(),
+        item: Some(failure.item),
+        location: node.location.clone(),
+        reason: failure.reason.clone(),
+        panicked: failure.panicked,
+    }
+}

@@ -1,0 +1,292 @@
+//! Which node runs next, on which worker; nothing here knows of items.
+//!
+//! A node is idle, queued or running, and is told of news by [`Wake::node`]; news that come while it runs make it look
+//! again. A worker goes on with the node it has just made ready, the furthest downstream first; the others it hands to
+//! the workers that sleep. When the last worker finds nothing, nothing can run: that state is exact.
+
+use std::sync::{
+    Condvar, Mutex, MutexGuard, PoisonError,
+    atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering, fence},
+};
+
+const IDLE: u8 = 0;
+const QUEUED: u8 = 1;
+const RUNNING: u8 = 2;
+const RUNNING_WITH_NEWS: u8 = 3;
+
+/// How often a worker looks before it sleeps: some microseconds, less than waking it costs.
+const LOOKS_BEFORE_SLEEP: usize = 200;
+
+/// What the scheduler runs.
+pub(super) trait Work: Sync {
+    /// One step of a node; no two steps of one node run at once.
+    fn step(&self, node: usize, wake: &mut Wake<'_>) -> Stepped;
+
+    /// Nothing can run: wakes a node if something can be done about it. No step runs meanwhile.
+    fn relieve(&self) -> Option<usize>;
+}
+
+/// What a step did.
+#[derive(Debug, PartialEq)]
+pub(super) enum Stepped {
+    /// The node fired; it may be able to go on.
+    Fired,
+    /// The node waits for news.
+    Idle,
+}
+
+/// Takes note of nodes that have news.
+pub(super) struct Wake<'a> {
+    states: &'a [AtomicU8],
+    made_ready: &'a mut Vec<usize>,
+}
+
+impl Wake<'_> {
+    /// Tells `node` that an item, progress, an end or room has come; after the fact.
+    pub(super) fn node(&mut self, node: usize) {
+        // Either this sees the node running or idle, or the node, on its way to run, sees the fact.
+        fence(Ordering::SeqCst);
+        let state = &self.states[node];
+        let mut now = state.load(Ordering::Relaxed);
+        loop {
+            let next = match now {
+                IDLE => QUEUED,
+                RUNNING => RUNNING_WITH_NEWS,
+                _ => return,
+            };
+            match state.compare_exchange_weak(now, next, Ordering::AcqRel, Ordering::Relaxed) {
+                Ok(IDLE) => return self.made_ready.push(node),
+                Ok(_) => return,
+                Err(other) => now = other,
+            }
+        }
+    }
+}
+
+pub(super) struct Scheduler {
+    states: Vec<AtomicU8>,
+    queue: Mutex<Queue>,
+    wakeup: Condvar,
+    /// The length of the queue, for a look without the lock.
+    n_queued: AtomicUsize,
+    /// Set when a worker died of a bug of ours: the others must not wait for it.
+    abandoned: AtomicBool,
+    n_workers: usize,
+}
+
+#[derive(Default)]
+struct Queue {
+    ready: ReadySet,
+    n_asleep: usize,
+    finished: bool,
+}
+
+impl Scheduler {
+    /// All nodes begin queued.
+    pub(super) fn new(n_nodes: usize, n_workers: usize) -> Self {
+        let mut queue = Queue::default();
+        (0..n_nodes).for_each(|node| queue.ready.insert(node));
+        Self {
+            states: (0..n_nodes).map(|_| AtomicU8::new(QUEUED)).collect(),
+            queue: Mutex::new(queue),
+            wakeup: Condvar::new(),
+            n_queued: AtomicUsize::new(n_nodes),
+            abandoned: AtomicBool::new(false),
+            n_workers: n_workers.max(1),
+        }
+    }
+
+    /// Runs until nothing can run and nothing can be done about it; one worker is the calling thread.
+    pub(super) fn run(&self, work: &dyn Work) {
+        std::thread::scope(|scope| {
+            for worker in 1..self.n_workers {
+                // As much stack as the main thread has: a node must not care where it runs.
+                let thread = std::thread::Builder::new().name(format!("worker-{worker}")).stack_size(8 << 20);
+                if let Err(error) = thread.spawn_scoped(scope, || self.work(work)) {
+                    tracing::warn!("worker {worker} could not be started, the others do its work: {error}");
+                    self.lock().n_asleep += 1;
+                }
+            }
+            self.work(work);
+        });
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn work(&self, work: &dyn Work) {
+        let _guard = Abandon(self);
+        let mut made_ready = Vec::new();
+        let mut next = None;
+        while let Some(node) = next.take().or_else(|| self.pop(work)) {
+            self.run_node(node, work, &mut made_ready);
+            next = self.hand_out(&mut made_ready);
+        }
+    }
+
+    /// Steps the node until it waits, or until another one has become ready.
+    fn run_node(&self, node: usize, work: &dyn Work, made_ready: &mut Vec<usize>) {
+        let state = &self.states[node];
+        state.store(RUNNING, Ordering::Relaxed);
+        fence(Ordering::SeqCst);
+        loop {
+            match work.step(node, &mut Wake { states: &self.states, made_ready }) {
+                Stepped::Fired if made_ready.is_empty() => {}
+                Stepped::Fired => {
+                    state.store(QUEUED, Ordering::Release);
+                    made_ready.push(node);
+                    return;
+                }
+                Stepped::Idle => {
+                    if state.compare_exchange(RUNNING, IDLE, Ordering::AcqRel, Ordering::Acquire).is_ok() {
+                        return;
+                    }
+                    state.store(RUNNING, Ordering::Relaxed);
+                    fence(Ordering::SeqCst);
+                }
+            }
+        }
+    }
+
+    /// Keeps the node furthest downstream and gives the others to whoever is free.
+    fn hand_out(&self, made_ready: &mut Vec<usize>) -> Option<usize> {
+        let furthest = made_ready.iter().copied().max()?;
+        if made_ready.len() > 1 {
+            let mut queue = self.lock();
+            made_ready.iter().filter(|node| **node != furthest).for_each(|node| queue.ready.insert(*node));
+            self.n_queued.store(queue.ready.len, Ordering::Relaxed);
+            let n_asleep = queue.n_asleep;
+            drop(queue);
+            (1..made_ready.len()).take(n_asleep).for_each(|_| self.wakeup.notify_one());
+        }
+        made_ready.clear();
+        Some(furthest)
+    }
+
+    fn pop(&self, work: &dyn Work) -> Option<usize> {
+        if self.n_workers > 1 {
+            let _ = (0..LOOKS_BEFORE_SLEEP).find(|_| {
+                std::hint::spin_loop();
+                self.n_queued.load(Ordering::Relaxed) > 0
+            });
+        }
+        let mut queue = self.lock();
+        loop {
+            if queue.finished || self.abandoned.load(Ordering::Relaxed) {
+                return None;
+            }
+            if let Some(node) = queue.ready.pop_last() {
+                self.n_queued.store(queue.ready.len, Ordering::Relaxed);
+                return Some(node);
+            }
+            queue.n_asleep += 1;
+            if queue.n_asleep == self.n_workers {
+                match work.relieve() {
+                    Some(node) => {
+                        let before = self.states[node].swap(QUEUED, Ordering::AcqRel);
+                        if before == IDLE {
+                            queue.ready.insert(node);
+                        }
+                    }
+                    None => {
+                        queue.finished = true;
+                        self.wakeup.notify_all();
+                    }
+                }
+            } else {
+                queue = self.wakeup.wait(queue).unwrap_or_else(PoisonError::into_inner);
+            }
+            queue.n_asleep -= 1;
+        }
+    }
+}
+
+/// Lets the other workers go when this one unwinds.
+struct Abandon<'a>(&'a Scheduler);
+
+impl Drop for Abandon<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.abandoned.store(true, Ordering::Relaxed);
+            let _queue = self.0.lock();
+            self.0.wakeup.notify_all();
+        }
+    }
+}
+
+/// The queued nodes; the one furthest downstream goes first, so that queues stay short.
+#[derive(Default)]
+struct ReadySet {
+    words: Vec<u64>,
+    len: usize,
+}
+
+impl ReadySet {
+    fn insert(&mut self, node: usize) {
+        let (word, bit) = (node / 64, 1u64 << (node % 64));
+        if self.words.len() <= word {
+            self.words.resize(word + 1, 0);
+        }
+        self.len += usize::from(self.words[word] & bit == 0);
+        self.words[word] |= bit;
+    }
+
+    fn pop_last(&mut self) -> Option<usize> {
+        let (word, bits) = self.words.iter_mut().enumerate().rev().find(|(_, bits)| **bits != 0)?;
+        let bit = 63 - bits.leading_zeros() as usize;
+        *bits &= !(1 << bit);
+        self.len -= 1;
+        Some(word * 64 + bit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_node_furthest_downstream_comes_first() {
+        let mut set = ReadySet::default();
+        [3, 130, 64, 3].into_iter().for_each(|node| set.insert(node));
+        assert_eq!(set.len, 3);
+        assert_eq!(
+            [set.pop_last(), set.pop_last(), set.pop_last(), set.pop_last()],
+            [Some(130), Some(64), Some(3), None]
+        );
+    }
+
+    /// A ring of counters: each step passes one token on.
+    struct Ring(Vec<AtomicUsize>);
+
+    impl Work for Ring {
+        fn step(&self, node: usize, wake: &mut Wake<'_>) -> Stepped {
+            let Ok(left) = self.0[node].fetch_update(Ordering::AcqRel, Ordering::Acquire, |n| n.checked_sub(1)) else {
+                return Stepped::Idle;
+            };
+            let next = (node + 1) % self.0.len();
+            if next != 0 {
+                self.0[next].fetch_add(1, Ordering::AcqRel);
+                wake.node(next);
+            }
+            let _ = left;
+            Stepped::Fired
+        }
+
+        fn relieve(&self) -> Option<usize> {
+            None
+        }
+    }
+
+    #[test]
+    fn every_token_gets_through_on_any_number_of_workers() {
+        for n_workers in [1, 2, 8] {
+            for _ in 0..20 {
+                let ring = Ring((0..5).map(|node| AtomicUsize::new(if node == 0 { 500 } else { 0 })).collect());
+                Scheduler::new(5, n_workers).run(&ring);
+                let left: Vec<_> = ring.0.iter().map(|n| n.load(Ordering::Relaxed)).collect();
+                assert_eq!(left, [0; 5], "tokens left on {n_workers} workers");
+            }
+        }
+    }
+}
