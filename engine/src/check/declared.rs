@@ -77,27 +77,32 @@ impl Check<'_> {
     fn payload(&mut self, owner: &str, table: &Table, entry: &Entry) -> Option<&'static PayloadType> {
         let Some(ty) = table.get("type") else {
             let fault = Fault::new(format!("{owner} does not say its type")).at(&entry.key_at, "no type here");
-            self.faults.push(fault.help("add type = \"PAYLOAD\"").note_if(self.payloads()).follows());
+            let (_, list) = self.payloads("");
+            self.faults.push(fault.help("add type = \"PAYLOAD\"").note_if(list).follows());
             return None;
         };
         let found = take::text(&ty.value, &format!("{owner}: type"), &mut self.faults)?;
         let known = self.registry.payload_type(found);
         if known.is_none() {
             let fault = Fault::new(format!("{owner}: there is no payload type \"{found}\""));
-            let help = nearest::help(found, self.registry.payload_types().map(|ty| ty.name));
-            self.faults.push(fault.at(&ty.value.at, "unknown").help_if(help).note_if(self.payloads()));
+            let (help, list) = self.payloads(found);
+            self.faults.push(fault.at(&ty.value.at, "unknown").help_if(help).note_if(list));
         }
         known
     }
 
-    fn payloads(&self) -> Option<String> {
-        nearest::list("payload types", self.registry.payload_types().map(|ty| ty.name))
+    fn payloads(&self, found: &str) -> (Option<String>, Option<String>) {
+        let names: Vec<_> = self.registry.payload_types().map(|ty| ty.name).collect();
+        nearest::hint(found, "payload types", names)
     }
 
     fn port_frame(&mut self, owner: &str, table: &Table, key: &str, header: &Header) -> Option<String> {
         let entry = table.get(key)?;
         let frame = take::text(&entry.value, &format!("{owner}: {key}"), &mut self.faults)?;
-        self.faults.extend(frames::unknown(frame, &entry.value.at, owner, header));
-        Some(frame.to_owned())
+        let fault = frames::unknown(frame, &entry.value.at, owner, header);
+        // What is no frame is not carried on, or every node behind would complain.
+        let known = fault.is_none().then(|| frame.to_owned());
+        self.faults.extend(fault);
+        known
     }
 }

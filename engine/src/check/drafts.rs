@@ -53,9 +53,19 @@ impl Draft<'_> {
         self.kind.map_or("", |kind| kind.description.kind)
     }
 
+    /// The node; or its kind, where a variant or the command line chose it anew. There, what is missing is told.
+    pub(super) fn begins_at(&self) -> &Span {
+        let kind_at = self.table.get("kind").map(|kind| &kind.value.at);
+        kind_at.filter(|at| at.source.order != self.name_at.source.order).unwrap_or(self.name_at)
+    }
+
     /// `in`, or the node where it has none: where a missing input is told.
     pub(super) fn inputs_at(&self) -> &Span {
-        self.table.get("in").map_or(self.name_at, |entry| &entry.key_at)
+        let at = self.begins_at();
+        if at.source.order != self.name_at.source.order {
+            return at;
+        }
+        self.table.get("in").map_or(at, |entry| &entry.key_at)
     }
 }
 
@@ -93,6 +103,10 @@ impl<'r> Check<'r> {
             );
             return None;
         };
+        if let Some(fault) = nearly_there(name, entry, nodes) {
+            self.faults.push(fault);
+            return None;
+        }
         let kind = self.kind(name, entry, table, nodes);
         let mut draft = Draft {
             name,
@@ -170,7 +184,7 @@ impl<'r> Check<'r> {
             faults: Vec::new(),
             input_files: Vec::new(),
         };
-        if let Some(params) = walker.table(schema, draft.table, draft.name_at, "", &RESERVED) {
+        if let Some(params) = walker.table(schema, draft.table, draft.begins_at(), "", &RESERVED) {
             draft.params = Json::Object(params);
         }
         self.faults.append(&mut walker.faults);
@@ -199,17 +213,27 @@ impl<'r> Check<'r> {
     }
 }
 
+/// A node that only the command line has, called nearly as another: that one was meant.
+fn nearly_there(name: &str, entry: &Entry, nodes: &Table) -> Option<Fault> {
+    if !entry.key_at.source.command_line {
+        return None;
+    }
+    let others = || nodes.0.iter().filter(|other| !other.key_at.source.command_line).map(|other| other.key.as_str());
+    let has_kind = entry.value.as_table().is_some_and(|table| table.get("kind").is_some());
+    let (help, list) = nearest::hint(name, "nodes", others());
+    if has_kind && help.is_none() {
+        return None;
+    }
+    let fault = Fault::new(format!("there is no node \"{name}\"")).at(&entry.key_at, "unknown");
+    Some(fault.help_if(help).note_if(list).follows())
+}
+
 /// A node without a kind: one of the base graph misspelt, or the kind forgotten.
 fn no_kind(name: &str, entry: &Entry, nodes: &Table) -> Fault {
     let others = nodes.0.iter().filter(|other| {
         other.key != name && matches!(&other.value.value, Value::Table(table) if table.get("kind").is_some())
     });
-    let others: Vec<_> = others.map(|other| other.key.as_str()).collect();
-    let help = nearest::help(name, others.iter().copied());
-    if entry.key_at.source.command_line {
-        let fault = Fault::new(format!("there is no node \"{name}\"")).at(&entry.key_at, "unknown");
-        return fault.help_if(help).note_if(nearest::list("nodes", others)).follows();
-    }
+    let help = nearest::help(name, others.map(|other| other.key.as_str()));
     let fault = Fault::new(format!("node \"{name}\" has no kind")).at(&entry.key_at, "no kind here");
     fault.help(help.unwrap_or_else(|| "add kind = \"stage.variant\"".into())).follows()
 }

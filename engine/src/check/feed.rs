@@ -3,7 +3,7 @@ use super::{
     inputs::{Input, doc_of, fits},
 };
 use crate::fault::Fault;
-use osteoflow_node::{InputPort, OutputPorts, PortPayload, Registry};
+use osteoflow_node::{FrameExpr, InputPort, OutputPorts, PortPayload, Registry};
 
 const LIST: usize = 8;
 
@@ -21,7 +21,7 @@ impl Feed<'_, '_> {
         let message = format!("node \"{}\": input \"{}\" is wired to nothing", draft.name, port.name);
         let fault = Fault::new(message).at(draft.inputs_at(), format!("needs {}, which takes {takes}", port.name));
         let behind = self.behind(node);
-        let wires = wires_of(&port.payload, self.drafts, |index| !behind[index]);
+        let wires = self.ranked(port, &behind);
         let help = match wires.as_slice() {
             [only] => Some(format!("wire {} = {only}", port.name)),
             [_, ..] => Some(format!("wire one of these to it: {}", wires.join(", "))),
@@ -54,6 +54,23 @@ impl Feed<'_, '_> {
             open.extend((0..self.drafts.len()).filter(|&other| fed(&self.inputs[other])));
         }
         behind
+    }
+
+    /// What fits, first what is called so, then what relates its frames so.
+    fn ranked(&self, port: &InputPort, behind: &[bool]) -> Vec<String> {
+        let mut wires: Vec<(u8, String)> = Vec::new();
+        for (draft, _) in self.drafts.iter().zip(behind).filter(|(_, behind)| !**behind) {
+            for output in draft.outputs.iter().flatten() {
+                if output.payload.is_some_and(|gives| fits(&port.payload, &gives)) {
+                    let alike = output.exprs == port.frames && port.frames != FrameExpr::default();
+                    let rank = if output.name == port.name { 0 } else { 2 - u8::from(alike) };
+                    wires.push((rank, format!("\"{}.{}\"", draft.name, output.name)));
+                }
+            }
+        }
+        wires.sort_by_key(|(rank, _)| *rank);
+        wires.truncate(LIST);
+        wires.into_iter().map(|(_, wire)| wire).collect()
     }
 
     fn kinds(&self, takes: &PortPayload) -> Option<String> {

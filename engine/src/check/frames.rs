@@ -58,14 +58,23 @@ impl Check<'_> {
         let mut frames: Frames = vec![Vec::new(); drafts.len()];
         for &node in order {
             let draft = &drafts[node];
-            self.frame_params(draft, header);
+            let mut at_fault = self.frame_params(draft, header);
             let scope = Scope { draft, inputs: &inputs[node], frames: &frames };
+            let mut told: Vec<(&str, &str)> = Vec::new();
             for input in inputs[node].iter().filter(|input| !input.port.unused) {
-                self.faults.extend(scope.meet(input, drafts));
+                let Some((fault, others)) = scope.meet(input, drafts) else { continue };
+                at_fault = true;
+                // Ports that name each other do not meet from either side; once is enough.
+                if !others.iter().any(|other| told.contains(&(other, input.port.name))) {
+                    self.faults.push(fault);
+                }
+                told.extend(others.iter().map(|other| (input.port.name, *other)));
             }
+            // What a node at fault would give is not carried on: every node behind would complain.
             let outputs = draft.outputs.iter().flatten().map(|output| {
-                let frame =
-                    |given: &Option<String>, expr: Option<&str>| given.clone().or_else(|| scope.resolve(expr?, 0));
+                let frame = |given: &Option<String>, expr: Option<&str>| {
+                    given.clone().or_else(|| scope.resolve(expr.filter(|_| !at_fault)?, 0))
+                };
                 PortFrames {
                     frame: frame(&output.given.frame, output.exprs.frame),
                     to: frame(&output.given.to, output.exprs.to),
@@ -78,9 +87,10 @@ impl Check<'_> {
         frames
     }
 
-    /// Parameters that name a frame name one of the graph's.
-    fn frame_params(&mut self, draft: &Draft<'_>, header: &Header) {
-        let Some(kind) = draft.kind else { return };
+    /// Parameters that name a frame name one of the graph's; whether one does not.
+    fn frame_params(&mut self, draft: &Draft<'_>, header: &Header) -> bool {
+        let Some(kind) = draft.kind else { return false };
+        let before = self.faults.len();
         let ports = kind.description.inputs.iter().map(|port| port.frames);
         let outputs = draft.outputs.iter().flatten().map(|output| output.exprs);
         let mut names: Vec<_> = ports
@@ -96,6 +106,7 @@ impl Check<'_> {
             let frame = entry.value.as_text();
             self.faults.extend(frame.and_then(|frame| unknown(frame, &entry.value.at, &owner, header)));
         }
+        self.faults.len() > before
     }
 }
 
@@ -139,8 +150,8 @@ impl Scope<'_, '_> {
         self.frames[node].get(port)
     }
 
-    /// The fault of an input whose frames are others than its port needs.
-    fn meet(&self, input: &Input, drafts: &[Draft<'_>]) -> Option<Fault> {
+    /// The fault of an input whose frames are others than its port needs, and the ports that its needs come from.
+    fn meet(&self, input: &Input, drafts: &[Draft<'_>]) -> Option<(Fault, Vec<&'static str>)> {
         let exprs = [
             (Which::Frame, input.port.frames.frame),
             (Which::To, input.port.frames.to),
@@ -172,25 +183,29 @@ impl Scope<'_, '_> {
             wires::name(wire, drafts)
         );
         let mut fault = Fault::new(message).at(at, has);
-        for expr in differ {
-            fault = fault.note_if(self.because(expr, drafts));
+        for expr in &differ {
+            fault = self.because(expr, fault);
         }
-        Some(fault.help_if(self.others(input, &needed, wire, drafts)))
+        let others = differ.iter().map(|expr| refers(expr).0).collect();
+        Some((fault.help_if(self.others(input, &needed, wire, drafts)), others))
     }
 
-    /// Where a needed frame comes from.
-    fn because(&self, expr: &str, drafts: &[Draft<'_>]) -> Option<String> {
+    /// Shows where a needed frame comes from.
+    fn because(&self, expr: &str, fault: Fault) -> Fault {
         if let Some(parameter) = expr.strip_prefix('$') {
-            return Some(format!("parameter {parameter} is \"{}\"", self.resolve(expr, 0)?));
+            let Some(frame) = self.resolve(expr, 0) else { return fault };
+            return match self.draft.table.get(parameter) {
+                Some(entry) => fault.also(&entry.value.at, format!("{parameter} is {frame}")),
+                None => fault.note(format!("{parameter} is {frame} by default")),
+            };
         }
         let (port, _) = refers(expr);
-        let input = self.inputs.iter().find(|input| input.port.name == port)?;
-        let wire = input.from?;
-        Some(format!(
-            "input \"{port}\" is wired to \"{}\", which {}",
-            wires::name(wire, drafts),
-            say(self.wired(wire)?)
-        ))
+        let input = self.inputs.iter().find(|input| input.port.name == port);
+        let wired = input.and_then(|input| Some((input.at.as_ref()?, self.wired(input.from?)?)));
+        match wired {
+            Some((at, frames)) => fault.also(at, say(frames)),
+            None => fault,
+        }
     }
 
     /// Outputs known to have what is needed.

@@ -160,5 +160,6 @@ fn no_port<'a>(draft: &Draft<'_>, entry: &Entry, given: impl Iterator<Item = &'a
     let names = || draft.kind.into_iter().flat_map(|kind| kind.description.inputs.iter().map(|port| port.name));
     let given: Vec<_> = given.collect();
     let help = nearest::help(&entry.key, names().filter(|name| !given.contains(name)));
+    let help = help.or_else(|| nearest::help(&entry.key, names()));
     fault.help_if(help).note_if(nearest::list("its inputs", names()))
 }

@@ -2,7 +2,11 @@
 
 use std::path::Path;
 
-const LIST: usize = 14;
+/// So many names are shown beside a suggestion.
+const SHORT: usize = 14;
+
+/// So many names are shown where there is no suggestion.
+const LONG: usize = 40;
 
 /// The known name that was probably meant.
 pub(crate) fn name<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
@@ -35,8 +39,23 @@ pub(crate) fn help<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) ->
 
 /// `known here: a, b, c`, where that is short.
 pub(crate) fn list<'a>(what: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
+    list_of(what, known, SHORT)
+}
+
+/// The name that was probably meant, and the known ones; without a suggestion also where they are many.
+pub(crate) fn hint<'a>(
+    found: &str,
+    what: &str,
+    known: impl IntoIterator<Item = &'a str> + Clone,
+) -> (Option<String>, Option<String>) {
+    let help = help(found, known.clone());
+    let most = if help.is_some() { SHORT } else { LONG };
+    (help, list_of(what, known, most))
+}
+
+fn list_of<'a>(what: &str, known: impl IntoIterator<Item = &'a str>, most: usize) -> Option<String> {
     let known: Vec<_> = known.into_iter().collect();
-    (!known.is_empty() && known.len() <= LIST).then(|| format!("{what}: {}", known.join(", ")))
+    (!known.is_empty() && known.len() <= most).then(|| format!("{what}: {}", known.join(", ")))
 }
 
 /// A file beside the missing one that was probably meant, or the folder that is missing.

@@ -13,10 +13,10 @@ pub(super) fn find(text: &str, at: &Span, owner: &str, drafts: &[Draft<'_>], fau
         return None;
     };
     let Some(index) = drafts.iter().position(|draft| draft.name == node) else {
-        let names = || drafts.iter().map(|draft| draft.name);
+        let (_, list) = nearest::hint(node, "nodes", drafts.iter().map(|draft| draft.name));
         let fault = Fault::new(format!("{owner} is wired to \"{text}\", but there is no node \"{node}\""));
         let fault = fault.at(at, "no such node").help_if(near_node(node, port, drafts));
-        faults.push(fault.note_if(nearest::list("nodes", names())).follows());
+        faults.push(fault.note_if(list).follows());
         return None;
     };
     let outputs = drafts[index].outputs.as_ref()?;

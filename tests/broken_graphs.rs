@@ -1,0 +1,62 @@
+//! Every broken graph under tests/broken gives its exact text; every shipped graph has none. `UPDATE=1` writes the
+//! texts anew, and the diff is read.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+use osteoflow_engine::{Faults, check, check_text};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+/// What follows `# --set ` in the first lines of a graph.
+fn sets(text: &str) -> Vec<String> {
+    let comments = text.lines().map_while(|line| line.strip_prefix("# "));
+    comments.filter_map(|line| line.strip_prefix("--set ")).map(str::to_owned).collect()
+}
+
+fn graphs(folder: &str) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).unwrap_or_else(|error| panic!("{folder}: {error}"));
+    let mut files: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
+    files.retain(|path| path.extension().is_some_and(|ext| ext == "toml"));
+    files.sort();
+    files
+}
+
+#[test]
+fn every_broken_graph_gives_its_exact_text() {
+    let registry = osteoflow_standard::registry();
+    let files = graphs("tests/broken");
+    assert!(files.len() >= 30, "{} broken graphs, 30 wanted", files.len());
+    let mut wrong = String::new();
+    for path in &files {
+        let text = fs::read_to_string(path).unwrap();
+        let found = match check(path, &sets(&text), &registry) {
+            Ok(checked) => format!("accepted\n{}\n", Faults(checked.warnings)),
+            Err(faults) => format!("{faults}\n"),
+        };
+        let found = found.replace(env!("CARGO_MANIFEST_DIR"), "$ROOT");
+        let golden = path.with_extension("txt");
+        if std::env::var_os("UPDATE").is_some() {
+            fs::write(&golden, &found).unwrap();
+        }
+        let expected = fs::read_to_string(&golden).unwrap_or_default();
+        if expected != found {
+            wrong += &format!("{} holds\n{expected}\nbut found\n{found}\n", golden.display());
+        }
+        assert!(!found.starts_with("accepted"), "{} is not broken", path.display());
+    }
+    assert!(wrong.is_empty(), "{wrong}");
+}
+
+#[test]
+fn every_shipped_graph_is_accepted_and_so_is_what_it_resolves_to() {
+    let registry = osteoflow_standard::registry();
+    for path in graphs("graphs").into_iter().chain(graphs("graphs/variants")) {
+        let checked = check(&path, &[], &registry).unwrap_or_else(|faults| panic!("{faults}"));
+        assert!(checked.warnings.is_empty(), "{}", Faults(checked.warnings));
+        let resolved = checked.plan.resolved;
+        let again = check_text(&resolved, Path::new("resolved.toml"), &[], &registry);
+        let again = again.unwrap_or_else(|faults| panic!("{}: {faults}", path.display()));
+        assert_eq!(again.plan.resolved, resolved, "{} resolves to itself", path.display());
+    }
+}
