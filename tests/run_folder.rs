@@ -52,7 +52,8 @@ fn without_out_a_new_folder_is_made_under_runs_in_the_current_folder() {
 fn a_faulty_graph_leaves_no_folder() {
     let here = tempfile::tempdir().unwrap();
     let graph = root().join(GRAPH);
-    let assert = osteoflow().current_dir(here.path()).arg("run").arg(&graph).args(["--set", "calibration.no_such=1"]).assert();
+    let assert =
+        osteoflow().current_dir(here.path()).arg("run").arg(&graph).args(["--set", "calibration.no_such=1"]).assert();
     assert.code(2);
     assert!(!here.path().join("runs").exists());
 }
@@ -67,7 +68,8 @@ fn json_on_stdout_is_the_results_and_the_outcome_and_nothing_else() {
     results.remove("outcome");
     assert_eq!(Value::Object(results), json(&dir.path().join("results.json")));
 
-    let faulty = osteoflow().args(["run", GRAPH, "--format", "json", "--set", "calibration.no_such=1"]).output().unwrap();
+    let faulty =
+        osteoflow().args(["run", GRAPH, "--format", "json", "--set", "calibration.no_such=1"]).output().unwrap();
     let told: Value = serde_json::from_slice(&faulty.stdout).unwrap();
     assert_eq!(told["outcome"]["status"], "faulty");
     assert_eq!(told["faults"].as_array().unwrap().len(), 1);

@@ -1,0 +1,149 @@
+//! A procedure that cannot be completed ends with its reason and place, and with no pose that could pass for a result.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{Ran, run};
+use osteoflow_formats::{
+    mesh_file, plan_file,
+    recording_write::{Layout, Stream, write_recording},
+};
+use osteoflow_geometry::{Cloud, Points, Pose, StampNs};
+use osteoflow_simulation::{Procedure, ProcedureParams};
+use std::collections::BTreeMap;
+
+const GRAPH: &str = "graphs/fibula_recorded.toml";
+const SECOND_NS: StampNs = 1_000_000_000;
+
+fn procedure(n_points: usize) -> Procedure {
+    let mut params = ProcedureParams::default();
+    params.camera.n_points = n_points;
+    Procedure::simulate(&params, 42).unwrap()
+}
+
+/// The topics of a procedure, without those named.
+fn streams(of: &Procedure, without: &[&str]) -> Vec<(String, Stream)> {
+    let clouds = |cloud: &Cloud| Stream::Clouds(vec![cloud.clone()]);
+    let poses = |poses: &[Pose]| Stream::Transforms(poses.to_vec());
+    let tips = |points: &Points| {
+        Stream::Tips(points.points.iter().map(|p| (points.frame.clone(), p.stamp_ns, p.position)).collect())
+    };
+    let mut all = vec![
+        ("/tracker/camera_marker".to_owned(), poses(&of.camera_marker)),
+        ("/tracker/phantom_marker".into(), poses(&of.phantom_marker)),
+        ("/tracker/bone_marker".into(), poses(&of.bone_marker)),
+        ("/camera/calibration".into(), clouds(&of.phantom_scan)),
+        ("/camera/scan".into(), clouds(&of.scan)),
+        ("/stylus/assessment".into(), tips(&of.stylus_assessment)),
+    ];
+    all.extend(of.laser.iter().zip(1..).map(|(scan, n)| (format!("/camera/laser_p{n}"), clouds(scan))));
+    all.retain(|(topic, _)| !without.contains(&topic.as_str()));
+    all
+}
+
+/// Runs a procedure as a recording.
+fn run_procedure(of: &Procedure, without: &[&str], arguments: &[&str]) -> Ran {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |file: &str| dir.path().join(file);
+    let region = of.region.as_ref().unwrap();
+    let corner = |c: [f64; 3]| c.map(|mm| (mm / 1000.0).to_string()).join(" ");
+    let about = BTreeMap::from([
+        ("simulated".to_owned(), "true".to_owned()),
+        ("roi_camera_min_m".into(), corner(region.min.coords.into())),
+        ("roi_camera_max_m".into(), corner(region.max.coords.into())),
+    ]);
+    let metadata = BTreeMap::from([("procedure".to_owned(), about)]);
+    write_recording(&at("r.mcap"), &streams(of, without), &metadata, &[], &Layout::default()).unwrap();
+    mesh_file::write_stl(&at("bone.stl"), &of.ct_surface).unwrap();
+    mesh_file::write_stl(&at("phantom.stl"), &of.phantom).unwrap();
+    plan_file::write_plan(&at("plan.json"), &of.plan).unwrap();
+    let files = [("recording", "r.mcap"), ("bone", "bone.stl"), ("phantom", "phantom.stl"), ("plan", "plan.json")];
+    let sets = files.map(|(node, file)| format!("{node}.path={}", at(file).display()));
+    let sets: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).chain(arguments.iter().copied()).collect();
+    run(GRAPH, &sets)
+}
+
+/// Exit code, message and results of a refusal; `words` must be in both.
+fn assert_refused(ran: &Ran, words: &[&str]) {
+    assert_eq!(ran.code, 3, "{}", ran.stderr);
+    let refused = &ran.results["refused"];
+    let reason = refused["reason"].as_str().unwrap_or_else(|| panic!("no reason: {}", ran.results));
+    for word in words {
+        assert!(ran.stderr.contains(word), "{}\nlacks {word}", ran.stderr);
+        assert!(reason.contains(word) || refused["node"] == *word, "{refused}\nlacks {word}");
+    }
+    for key in ["poses", "laser_points", "planes", "planes_at_scan", "metrics"] {
+        assert!(ran.results.get(key).is_none(), "{key} in the results of a refused run");
+    }
+}
+
+/// The same poses without those within `seconds` of a stamp.
+fn lost(poses: &[Pose], around: StampNs, seconds: i64) -> Vec<Pose> {
+    poses.iter().filter(|p| (p.stamp_ns - around).abs() > seconds * SECOND_NS).cloned().collect()
+}
+
+#[test]
+fn the_untouched_procedure_is_completed() {
+    let ran = run_procedure(&procedure(10_000), &[], &["--no-record"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+}
+
+#[test]
+fn a_missing_laser_scan_is_named() {
+    assert_refused(&run_procedure(&procedure(10_000), &["/camera/laser_p2"], &[]), &["/camera/laser_p2", "P2"]);
+}
+
+#[test]
+fn a_missing_full_scan_is_named() {
+    assert_refused(&run_procedure(&procedure(10_000), &["/camera/scan"], &[]), &["/camera/scan"]);
+}
+
+#[test]
+fn a_missing_calibration_scan_is_named() {
+    assert_refused(&run_procedure(&procedure(10_000), &["/camera/calibration"], &[]), &["/camera/calibration"]);
+}
+
+#[test]
+fn a_laser_scan_without_a_hole_is_refused_with_its_landmark() {
+    let mut procedure = procedure(10_000);
+    let stamp_ns = procedure.laser[1].stamp_ns;
+    procedure.laser[1] = procedure.scan.clone().at(stamp_ns).labelled("P2");
+    assert_refused(&run_procedure(&procedure, &[], &[]), &["hole", "P2"]);
+}
+
+#[test]
+fn a_cloud_too_sparse_to_show_the_hole_is_refused() {
+    assert_refused(&run_procedure(&procedure(1_000), &[], &[]), &["hole", "P1"]);
+}
+
+#[test]
+fn a_bone_marker_lost_at_the_scan_is_refused_instead_of_taken_from_before() {
+    let mut procedure = procedure(10_000);
+    procedure.bone_marker = lost(&procedure.bone_marker, procedure.scan.stamp_ns, 1);
+    assert_refused(&run_procedure(&procedure, &[], &[]), &["bone_marker"]);
+}
+
+#[test]
+fn a_camera_marker_lost_at_the_scan_is_refused_instead_of_taken_from_before() {
+    let mut procedure = procedure(10_000);
+    procedure.camera_marker = lost(&procedure.camera_marker, procedure.scan.stamp_ns, 1);
+    assert_refused(&run_procedure(&procedure, &[], &[]), &["camera_marker"]);
+}
+
+#[test]
+fn planes_are_unknown_once_the_marker_is_lost_and_known_at_the_scan() {
+    let mut procedure = procedure(10_000);
+    let end = procedure.bone_marker.last().unwrap().stamp_ns;
+    procedure.bone_marker = lost(&procedure.bone_marker, end, 2);
+    // The tracker goes on: it sees the camera's marker to the end.
+    let seen = procedure.camera_marker.last().unwrap().clone();
+    procedure.camera_marker.extend((0..40).map(|k| seen.clone().at(end - 2 * SECOND_NS + k * SECOND_NS / 20)));
+    let ran = run_procedure(&procedure, &[], &["--no-record"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    for plane in ran.results["planes_at_scan"].as_array().unwrap() {
+        assert!(plane["matrix"].is_array(), "{plane}");
+    }
+    for plane in ran.results["planes"].as_array().unwrap() {
+        assert!(plane["unknown"].is_string() && plane.get("matrix").is_none(), "{plane}");
+    }
+}
