@@ -20,6 +20,8 @@ pub(crate) struct Pixel {
     pub(crate) cos_incidence: f64,
     /// Outward unit normal of the surface, in its own frame.
     pub(crate) normal: Vector3<f64>,
+    /// Whether it is the object that is seen, not what lies around it.
+    pub(crate) on_object: bool,
 }
 
 impl Pixel {
@@ -48,19 +50,26 @@ impl Stretch {
 /// More pixels than points, so that dropout, patches and the laser's hole leave enough; the surplus goes at random.
 const SURPLUS: f64 = 1.12;
 
-/// Pixels of the grid that see the surface within `stretch`, in rows, not more aslant than the limit. Geometry alone: no
-/// draw enters, so every scan of one view has the same pixels.
+/// What stands before the camera, all in one frame.
+#[derive(Clone, Copy)]
+pub(crate) struct Sight<'a> {
+    pub(crate) object: &'a MeshQuery,
+    /// The part of the object that is not covered; all of it where absent.
+    pub(crate) stretch: Option<&'a Stretch>,
+    /// What lies around it and may hide it.
+    pub(crate) around: Option<&'a MeshQuery>,
+}
+
+/// Pixels of the grid that see the object within its stretch or what lies around it, in rows, not more aslant than the
+/// limit. Geometry alone: no draw enters, so every scan of one view has the same pixels.
 ///
-/// `t_object_camera` leads into the surface's frame. The grid is as fine as `n_points` needs.
-pub(crate) fn view(
-    surface: &MeshQuery,
-    outline: &[Point3<f64>],
-    stretch: Option<&Stretch>,
-    t_object_camera: &Isometry3<f64>,
-    params: &CameraParams,
-) -> Vec<Pixel> {
+/// `t_object_camera` leads into the surfaces' frame. The grid is as fine as `n_points` needs.
+pub(crate) fn view(sight: &Sight<'_>, t_object_camera: &Isometry3<f64>, params: &CameraParams) -> Vec<Pixel> {
+    let Sight { object, stretch, around } = *sight;
     let t_camera_object = t_object_camera.inverse();
-    let seen = outline.iter().filter(|p| stretch.is_none_or(|s| s.holds(p))).map(|p| t_camera_object * p);
+    let outline = around.unwrap_or(object).mesh().vertices();
+    let stretch_seen = if around.is_some() { None } else { stretch };
+    let seen = outline.iter().filter(|p| stretch_seen.is_none_or(|s| s.holds(p))).map(|p| t_camera_object * p);
     let window = seen.filter(|p| p.z > 1.0).map(|p| [p.x / p.z, p.y / p.z]).fold(None, |window, [x, y]| {
         let [x0, x1, y0, y1] = window.unwrap_or([x, x, y, y]);
         Some([x.min(x0), x.max(x1), y.min(y0), y.max(y1)])
@@ -78,11 +87,23 @@ pub(crate) fn view(
                     .filter_map(|column| {
                         let ray = Vector3::new(column as f64 * step, row as f64 * step, 1.0).normalize();
                         let (origin, along) = (Point3::from(t_object_camera.translation.vector), t_object_camera * ray);
-                        let hit = surface.cast_ray(&origin, &along)?;
+                        let before = around.and_then(|a| a.cast_ray(&origin, &along));
+                        let behind = object.cast_ray(&origin, &along);
+                        let on_object = match (&before, &behind) {
+                            (Some(before), Some(behind)) => behind.distance_mm <= before.distance_mm,
+                            (before, _) => before.is_none(),
+                        };
+                        let hit = if on_object { behind? } else { before? };
                         let cos_incidence = -along.dot(&hit.normal);
                         let good = cos_incidence >= params.max_incidence_deg.to_radians().cos()
-                            && stretch.is_none_or(|s| s.holds(&hit.point));
-                        good.then_some(Pixel { ray, distance_mm: hit.distance_mm, cos_incidence, normal: hit.normal })
+                            && (!on_object || stretch.is_none_or(|s| s.holds(&hit.point)));
+                        good.then_some(Pixel {
+                            ray,
+                            distance_mm: hit.distance_mm,
+                            cos_incidence,
+                            normal: hit.normal,
+                            on_object,
+                        })
                     })
                     .collect()
             })
@@ -190,8 +211,9 @@ mod tests {
         let corners = [[-50.0, -50.0], [50.0, -50.0], [50.0, 50.0], [-50.0, 50.0]];
         let vertices: Vec<Point3<f64>> = corners.iter().map(|[x, y]| Point3::new(*x, *y, 200.0)).collect();
         let faces = vec![[0, 2, 1], [0, 3, 2]];
-        let wall = Mesh::new("ct", SurfaceOrigin::Exact, vertices.clone(), faces).unwrap();
-        view(&MeshQuery::new(&wall), &vertices, None, &Isometry3::identity(), params)
+        let wall = Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap();
+        let sight = Sight { object: &MeshQuery::new(&wall), stretch: None, around: None };
+        view(&sight, &Isometry3::identity(), params)
     }
 
     fn quiet() -> CameraParams {
@@ -249,7 +271,8 @@ mod tests {
     #[test]
     fn a_surface_behind_the_camera_is_not_seen() {
         let away = vec![Point3::new(0.0, 0.0, -200.0), Point3::new(9.0, 0.0, -200.0), Point3::new(0.0, 9.0, -200.0)];
-        let mesh = Mesh::new("ct", SurfaceOrigin::Exact, away.clone(), vec![[0, 1, 2]]).unwrap();
-        assert!(view(&MeshQuery::new(&mesh), &away, None, &Isometry3::identity(), &quiet()).is_empty());
+        let mesh = Mesh::new("ct", SurfaceOrigin::Exact, away, vec![[0, 1, 2]]).unwrap();
+        let sight = Sight { object: &MeshQuery::new(&mesh), stretch: None, around: None };
+        assert!(view(&sight, &Isometry3::identity(), &quiet()).is_empty());
     }
 }

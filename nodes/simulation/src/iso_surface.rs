@@ -21,7 +21,7 @@ pub(crate) struct Grid {
 pub(crate) fn make_well_composed(volume: &mut [f32], grid: &Grid, level: f32) -> usize {
     let [nx, ny, nz] = grid.size;
     let step = [1, nx, nx * ny];
-    let just_above = f32::from_bits(level.to_bits() + 64);
+    let just_above = level + (1e-5 * level.abs()).max(1e-6);
     let mut n_raised = 0;
     loop {
         let before = n_raised;

@@ -24,6 +24,7 @@ mod params;
 pub mod phantom;
 mod plan;
 pub mod procedure;
+mod surroundings;
 mod topology;
 mod tracker;
 mod weakest_mode;

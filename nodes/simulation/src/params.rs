@@ -45,6 +45,9 @@ pub struct CameraParams {
     /// Where the stripped bone ends. 165 mm: other simulator.
     #[schemars(range(min = 0.0, max = 450.0))]
     pub scan_to_mm: f64,
+    /// Whether the wound's bed and the skin around the stripped bone are seen too, and take their share of the points. false:
+    /// in the paper the user's region of interest has taken them away.
+    pub surroundings: bool,
     /// The direction from the bone to the camera, about the bone from lateral (0) towards posterior (90). 45 degrees: both
     /// faces that carry landmarks are seen at about 45 degrees.
     #[schemars(range(min = -180.0, max = 180.0))]
@@ -86,6 +89,7 @@ impl Default for CameraParams {
             working_distance_mm: 200.0,
             scan_from_mm: 70.0,
             scan_to_mm: 165.0,
+            surroundings: false,
             view_azimuth_deg: 45.0,
             view_spread_deg: 3.0,
             depth_noise_mm: 0.05,

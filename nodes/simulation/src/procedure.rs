@@ -1,8 +1,9 @@
 //! One whole procedure: calibration, scan, three laser scans, stylus, and a bone that moves afterwards.
 
-use crate::camera::{DepthBias, Hole, Pixel, Stretch, scan, view};
+use crate::camera::{DepthBias, Hole, Pixel, Sight, Stretch, scan, view};
 use crate::draws::{Term, attitude, direction, normal, normal3, small_motion, stream};
 use crate::plan::{frame_along, section_centre};
+use crate::surroundings::surroundings;
 use crate::tracker::{Marker, Path, Tracker};
 use crate::{ProcedureParams, SimulationError, bone, ct, phantom, plan};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -145,6 +146,8 @@ struct Scene<'a> {
     anatomy: &'a Anatomy,
     bone: &'a Mesh,
     bone_surface: MeshQuery,
+    /// What else is seen in the wound, in the bone's frame.
+    around: Option<MeshQuery>,
     phantom: &'a Mesh,
     phantom_surface: MeshQuery,
     /// `t_world_camera` over time.
@@ -191,6 +194,13 @@ impl<'a> Scene<'a> {
         let t_world_ct = Translation3::from(place) * attitude(&mut setup) * Translation3::from(-focus.coords);
         let t_ct_camera = scan_pose(&bone_surface, anatomy, &focus, params, seed)
             .ok_or(nothing("bone", "scan_from_mm and scan_to_mm should lie on the bone"))?;
+
+        let around = params.camera.surroundings.then(|| {
+            let stretch_mm = [params.camera.scan_from_mm, params.camera.scan_to_mm];
+            surroundings(bone, anatomy, &towards_camera(anatomy, params), stretch_mm)
+                .ok_or(nothing("bone", "scan_from_mm and scan_to_mm should lie on the bone"))
+        });
+        let around = around.transpose()?.map(|mesh| MeshQuery::new(&mesh));
 
         // Between calibration and scan the camera is carried from the phantom to the bone.
         let mut camera = Path::resting(t_world_ct * t_ct_camera * carried(&mut setup));
@@ -257,6 +267,7 @@ impl<'a> Scene<'a> {
             anatomy,
             bone,
             bone_surface,
+            around,
             phantom,
             phantom_surface,
             camera,
@@ -281,7 +292,8 @@ impl<'a> Scene<'a> {
         let bias = DepthBias::new(&params.camera, self.seed);
 
         let t_phantom_camera = self.phantom_path.at(CALIBRATION_S).inverse() * self.camera.at(CALIBRATION_S);
-        let pixels = view(&self.phantom_surface, self.phantom.vertices(), None, &t_phantom_camera, &params.camera);
+        let sight = Sight { object: &self.phantom_surface, stretch: None, around: None };
+        let pixels = view(&sight, &t_phantom_camera, &params.camera);
         if pixels.is_empty() {
             return Err(SimulationError::NothingVisible { what: "phantom", hint: "is its mesh in millimetres?" });
         }
@@ -301,7 +313,7 @@ impl<'a> Scene<'a> {
             let hole = Hole { spot: t_camera_ct * spot.position, radius_mm: params.laser.hole_radius_mm };
             let again = if still { None } else { Some(self.bone_view(s)?) };
             let pixels = again.as_deref().unwrap_or(&seen);
-            if !pixels.iter().any(|p| (p.point() - hole.spot).norm() < hole.radius_mm) {
+            if !pixels.iter().any(|p| p.on_object && (p.point() - hole.spot).norm() < hole.radius_mm) {
                 return Err(SimulationError::SpotHidden { name: spot.name.to_string() });
             }
             Ok(take(pixels, Some(hole), s, 2 + k as u64)?.labelled(spot.name.clone()))
@@ -322,13 +334,14 @@ impl<'a> Scene<'a> {
         );
         let bone_marker = tracker.samples(Marker::Bone, &self.bone_path, &self.t_ct_bone_marker, &bone_spans);
 
-        let touches = self.touches(&tracker, &spots, &seen);
+        let on_bone: Vec<Pixel> = seen.iter().copied().filter(|p| p.on_object).collect();
+        let touches = self.touches(&tracker, &spots, &on_bone);
         let truth = self.truth(&tracker, spots, laser_s);
         Ok(Procedure {
             plan: self.plan.clone(),
             ct_surface: self.bone.clone(),
             phantom: self.phantom.clone(),
-            region: Some(region(&seen)),
+            region: Some(region(&on_bone)),
             phantom_scan,
             scan: full,
             laser,
@@ -369,8 +382,9 @@ impl<'a> Scene<'a> {
             min_mm: camera.scan_from_mm,
             max_mm: camera.scan_to_mm,
         };
-        let pixels = view(&self.bone_surface, self.bone.vertices(), Some(&stretch), &self.t_ct_camera(s), camera);
-        if pixels.is_empty() {
+        let sight = Sight { object: &self.bone_surface, stretch: Some(&stretch), around: self.around.as_ref() };
+        let pixels = view(&sight, &self.t_ct_camera(s), camera);
+        if !pixels.iter().any(|p| p.on_object) {
             let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
             return Err(SimulationError::NothingVisible { what: "bone", hint });
         }
@@ -475,6 +489,12 @@ struct Touches {
     palpation: Points,
 }
 
+/// The direction from the bone to the camera as planned, of unit length.
+fn towards_camera(anatomy: &Anatomy, params: &ProcedureParams) -> Vector3<f64> {
+    let azimuth = params.camera.view_azimuth_deg.to_radians();
+    (*anatomy.lateral * azimuth.cos() + *anatomy.posterior * azimuth.sin()).normalize()
+}
+
 /// `t_ct_camera` of the scans: at working distance from the surface, x along the bone, held about as planned.
 pub(crate) fn scan_pose(
     surface: &MeshQuery,
@@ -483,8 +503,7 @@ pub(crate) fn scan_pose(
     params: &ProcedureParams,
     seed: u64,
 ) -> Option<Isometry3<f64>> {
-    let azimuth = params.camera.view_azimuth_deg.to_radians();
-    let towards_camera = *anatomy.lateral * azimuth.cos() + *anatomy.posterior * azimuth.sin();
+    let towards_camera = towards_camera(anatomy, params);
     const OUTSIDE_MM: f64 = 60.0;
     let from = focus + towards_camera * OUTSIDE_MM;
     let on_surface = surface.cast_ray(&from, &-towards_camera)?.point;
@@ -522,7 +541,7 @@ fn bone_marker_pose(anatomy: &Anatomy, focus: &Point3<f64>, rng: &mut rand_chach
     Isometry3::from_parts(place.into(), attitude(rng))
 }
 
-/// A box about what the camera sees, with a margin as a hand would leave.
+/// A box about what the camera sees of the bone, with a margin as a hand would leave.
 fn region(seen: &[Pixel]) -> Region {
     const MARGIN_MM: f64 = 4.0;
     let first = seen[0].point();

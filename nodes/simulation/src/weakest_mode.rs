@@ -1,6 +1,6 @@
 //! How far a bone lets a registration slide along it.
 
-use crate::camera::{Stretch, view};
+use crate::camera::{Sight, Stretch, view};
 use crate::params::{CameraParams, ProcedureParams};
 use crate::procedure::scan_pose;
 use crate::{SimulationError, draws, plan::section_centre};
@@ -134,7 +134,8 @@ pub fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) ->
         min_mm: camera.scan_from_mm,
         max_mm: camera.scan_to_mm,
     };
-    let pixels = view(&surface, bone.vertices(), Some(&stretch), &t_ct_camera, &params.camera);
+    let sight = Sight { object: &surface, stretch: Some(&stretch), around: None };
+    let pixels = view(&sight, &t_ct_camera, &params.camera);
     if pixels.is_empty() {
         return Err(nothing);
     }

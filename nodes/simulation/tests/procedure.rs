@@ -287,6 +287,37 @@ fn a_bone_and_a_camera_that_move_between_scans_still_meet_in_the_markers_frame()
 }
 
 #[test]
+fn with_surroundings_the_region_still_holds_the_bone_and_a_crop_takes_most_of_the_rest_away() {
+    let mut params = without_errors();
+    params.camera.surroundings = true;
+    let procedure = simulate(&params, 11);
+    let bone = MeshQuery::new(&procedure.truth.bone);
+    let t_ct_camera = t_ct_camera(&procedure);
+    let region = procedure.region.as_ref().unwrap();
+    let (mut on_bone, mut beside, mut beside_within) = (0, 0, 0);
+    for p in procedure.scan.points() {
+        if bone.closest_point(&(t_ct_camera * p)).unwrap().distance_mm < 1e-8 {
+            on_bone += 1;
+            assert!(region.contains(p), "the bone's point {p} lies outside the region");
+        } else {
+            beside += 1;
+            beside_within += usize::from(region.contains(p));
+        }
+    }
+    assert!(on_bone > 2_000 && beside > 8_000, "{on_bone} points on the bone, {beside} beside it");
+    assert!(beside_within < beside / 4, "{beside_within} of {beside} points beside the bone are left by the region");
+    // The holes are on the bone, and palpation keeps to it.
+    for (cloud, spot) in procedure.laser.iter().zip(procedure.truth.laser_spots_ct.points.iter()) {
+        let nearest = cloud.points().iter().map(|p| (t_ct_camera * p - spot.position).norm()).fold(f64::MAX, f64::min);
+        assert!((2.0..2.8).contains(&nearest), "{nearest} mm");
+    }
+    for touch in procedure.stylus_palpation.points.iter() {
+        let t_ct_world = procedure.truth.t_world_ct_at_touches.isometry.inverse();
+        assert!(bone.closest_point(&(t_ct_world * touch.position)).unwrap().distance_mm < 1e-8);
+    }
+}
+
+#[test]
 fn a_measured_bone_and_another_phantom_can_be_simulated_on() {
     const NAME: &str = "a_measured_bone_and_another_phantom_can_be_simulated_on";
     for name in ["TLEM2_CT_fibula_r", "MC22_fibula_r"] {
