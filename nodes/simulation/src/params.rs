@@ -237,16 +237,16 @@ pub struct MotionParams {
     /// How far it turns meanwhile. 7 degrees: assumed.
     #[schemars(range(min = 0.0, max = 90.0))]
     pub bone_deg: f64,
-    /// How far the bone moves between two scans, each time anew. 0: it is clamped in the paper.
+    /// How far the bone moves between two scans, each time anew. 0: assumed, the leg is held.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub bone_between_scans_mm: f64,
-    /// How far it turns meanwhile. 0: it is clamped in the paper.
+    /// How far it turns meanwhile. 0: assumed, the leg is held.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub bone_between_scans_deg: f64,
-    /// How far the camera moves between two scans of the bone, each time anew. 0: it stands on an arm.
+    /// How far the camera moves between two scans of the bone, each time anew. 0: assumed, it stands on an arm.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub camera_between_scans_mm: f64,
-    /// How far it turns meanwhile. 0: it stands on an arm.
+    /// How far it turns meanwhile. 0: assumed, it stands on an arm.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub camera_between_scans_deg: f64,
 }
