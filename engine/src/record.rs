@@ -7,7 +7,7 @@
 use crate::{
     codec,
     plan::{OutputId, Plan},
-    run::{RunOptions, Tap},
+    run::{RunOptions, Tap, catch_panic},
 };
 use crossbeam_channel::{Receiver, Sender, bounded};
 use mcap::{Compression, McapError, WriteOptions, Writer, records::MessageHeader, records::Metadata};
@@ -63,10 +63,12 @@ pub enum RecordError {
         source: McapError,
     },
     /// A payload could not show itself.
-    #[error("the writer of {} stopped at a bug in a payload's view", .path.display())]
+    #[error("cannot write {}: the view of a payload {said}", .path.display())]
     Panicked {
         /// The file.
         path: PathBuf,
+        /// The panic, with the wire.
+        said: String,
     },
 }
 
@@ -84,7 +86,7 @@ pub(crate) type Counts = BTreeMap<String, (u64, u64)>;
 pub(crate) struct Recorder {
     path: PathBuf,
     queue: Sender<Entry>,
-    writer: JoinHandle<Result<Counts, McapError>>,
+    writer: JoinHandle<Result<Counts, Stopped>>,
 }
 
 impl Recorder {
@@ -97,7 +99,7 @@ impl Recorder {
         let writer = std::thread::Builder::new().name("recorder".into()).spawn(move || {
             let mut outcome = BTreeMap::new();
             let written = items.iter().try_for_each(|entry| match entry {
-                Entry::Item(wire, item) => sink.item(wire, &item),
+                Entry::Item(wire, item) => catch_panic(|| sink.item(wire, &item)).map_err(Stopped::Panic)?,
                 Entry::Outcome(metadata) => {
                     outcome = metadata;
                     Ok(())
@@ -105,10 +107,10 @@ impl Recorder {
             });
             match written.and_then(|()| sink.end(outcome)) {
                 Ok(()) => Ok(sink.counts()),
-                Err(error) => {
-                    // Dropping a writer that failed would try once more, and panic.
-                    drop(sink.writer.into_inner());
-                    Err(error)
+                Err(stopped) => {
+                    // What is whole stays: the chunks and, where the disk lets it, the summary.
+                    drop(sink);
+                    Err(stopped)
                 }
             }
         });
@@ -127,10 +129,25 @@ impl Recorder {
         // If the writer has stopped, it says why below.
         let _ = self.queue.send(Entry::Outcome(outcome));
         drop(self.queue);
+        let path = self.path;
         match self.writer.join() {
-            Ok(written) => written.map_err(|source| RecordError::Write { path: self.path, source }),
-            Err(_) => Err(RecordError::Panicked { path: self.path }),
+            Ok(Ok(counts)) => Ok(counts),
+            Ok(Err(Stopped::Mcap(source))) => Err(RecordError::Write { path, source }),
+            Ok(Err(Stopped::Panic(said))) => Err(RecordError::Panicked { path, said }),
+            Err(_) => Err(RecordError::Panicked { path, said: "panicked".into() }),
         }
+    }
+}
+
+/// What ends a writer before its time.
+enum Stopped {
+    Mcap(McapError),
+    Panic(String),
+}
+
+impl From<McapError> for Stopped {
+    fn from(error: McapError) -> Self {
+        Self::Mcap(error)
     }
 }
 
@@ -218,7 +235,7 @@ impl Sink {
         Ok(Self { writer, wires, first_stamp: None, waiting: Vec::new() })
     }
 
-    fn item(&mut self, id: OutputId, item: &Item) -> Result<(), McapError> {
+    fn item(&mut self, id: OutputId, item: &Item) -> Result<(), Stopped> {
         let Some(wire) = self.wires.get_mut(&id) else { return Ok(()) };
         wire.n_items += 1;
         wire.n_values += u64::from(matches!(item.body, Body::Value(_)));
@@ -241,18 +258,18 @@ impl Sink {
         }
     }
 
-    fn show_waiting(&mut self, stamp_ns: StampNs) -> Result<(), McapError> {
+    fn show_waiting(&mut self, stamp_ns: StampNs) -> Result<(), Stopped> {
         let waiting = std::mem::take(&mut self.waiting);
         waiting.iter().try_for_each(|(id, item)| self.show(*id, item, stamp_ns))
     }
 
-    fn show(&mut self, id: OutputId, item: &Item, stamp_ns: StampNs) -> Result<(), McapError> {
+    fn show(&mut self, id: OutputId, item: &Item, stamp_ns: StampNs) -> Result<(), Stopped> {
         let (Some(channel), Body::Value(value)) = (self.wires[&id].view, &item.body) else { return Ok(()) };
         let Some(picture) = value.to_display(stamp_ns) else { return Ok(()) };
-        self.writer.write_to_known_channel(&header(channel, item, stamp_ns), &picture)
+        Ok(self.writer.write_to_known_channel(&header(channel, item, stamp_ns), &picture)?)
     }
 
-    fn end(&mut self, outcome: BTreeMap<String, String>) -> Result<(), McapError> {
+    fn end(&mut self, outcome: BTreeMap<String, String>) -> Result<(), Stopped> {
         // Viewers take no time of zero; a run without any time is shown at its first nanosecond.
         self.show_waiting(self.first_stamp.unwrap_or(1))?;
         let counts = self.wires.values();

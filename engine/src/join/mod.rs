@@ -94,10 +94,12 @@ impl Joiner {
         self.ports[port].offer(item, end)
     }
 
-    /// Nothing more comes to the port before `stamp_ns`.
-    pub(crate) fn progress(&mut self, port: usize, stamp_ns: StampNs) {
+    /// Nothing more comes to the port before `stamp_ns`; `true` if that is news.
+    pub(crate) fn progress(&mut self, port: usize, stamp_ns: StampNs) -> bool {
         let port = &mut self.ports[port];
+        let news = stamp_ns > port.progress;
         port.progress = port.progress.max(stamp_ns);
+        news
     }
 
     /// Nothing more comes to the port.

@@ -1,4 +1,4 @@
-use super::{Choice, SecondItem, choice_of, span, tolerance_of};
+use super::{Choice, SecondItem, choice_of, empty_of, span, tolerance_of};
 use osteoflow_node::{Body, Item, Join, Slot, StampNs, Value};
 use std::collections::VecDeque;
 
@@ -236,6 +236,11 @@ impl Port {
             Join::Collect { n } => match n {
                 _ if self.queue.is_empty() => Choice::Absent(self.nothing_left()),
                 Some(n) if self.queue.len() < n as usize => {
+                    // What is missing may be missing because of what failed before.
+                    let empty = self.queue.iter().find_map(empty_of).filter(|_| !self.spec.optional);
+                    if let Some(empty) = empty {
+                        return Choice::Empty(empty);
+                    }
                     Choice::Absent(format!("{} of {n} items came before the end", self.queue.len()))
                 }
                 _ => Choice::Slot(Slot::Items(self.queue.iter().cloned().collect())),
@@ -346,6 +351,7 @@ impl Port {
     fn nothing_left(&self) -> String {
         match self.n_received {
             0 => format!("no item ever came on {}", self.wire()),
+            1 => format!("{} ended after 1 item", self.wire()),
             n => format!("{} ended after {n} items", self.wire()),
         }
     }

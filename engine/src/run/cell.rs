@@ -212,7 +212,7 @@ impl Cell {
         room
     }
 
-    /// Takes what the joins can use; `true` if something came.
+    /// Takes what the joins can use; `true` if an item, progress or an end came.
     fn pull(&mut self, run: &Runtime<'_>, wake: &mut Wake<'_>) -> bool {
         let (Core::Node(_, joiner) | Core::Gone(Some(joiner))) = &mut self.core else { return false };
         let mut pulled = false;
@@ -239,7 +239,8 @@ impl Cell {
                         pulled = true;
                     }
                     Received::Nothing(progress) => {
-                        joiner.progress(*port, progress);
+                        // A sampler may want more once the triggers have gone on.
+                        pulled |= joiner.progress(*port, progress);
                         break;
                     }
                     Received::Ended => {
@@ -478,7 +479,8 @@ impl Cell {
         let unmatched = ports.filter_map(|(port, input)| {
             let (n, wire) = (self.unmatched(port), plan.links[input.link?].from);
             let (name, wire) = (input.port.name, plan.wire_name(wire));
-            (n > 0).then(|| format!("input \"{name}\": {n} items of {wire} found no partner to fire with"))
+            let items = if n == 1 { "item" } else { "items" };
+            (n > 0).then(|| format!("input \"{name}\": {n} {items} of {wire} found no partner to fire with"))
         });
         let warning = |message| Warning { node: self.context.node().to_owned(), item: self.item, message };
         unmatched.map(|message| (self.index, warning(message))).collect()

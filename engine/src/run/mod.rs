@@ -12,6 +12,7 @@ mod scheduler;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use panics::catch as catch_panic;
 pub(crate) use report::Failure;
 pub use report::{
     BuildFault, Enlargement, Event, LinkStats, NodeStats, Observer, Outcome, Refusal, RunError, RunOptions, RunReport,

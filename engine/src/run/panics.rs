@@ -16,7 +16,7 @@ thread_local! {
 ///
 /// The first call puts a hook before the process's own, which keeps the place of a node's panic in the place of printing
 /// it; all other panics go to the hook that was there.
-pub(super) fn catch<T>(f: impl FnOnce() -> T) -> Result<T, String> {
+pub(crate) fn catch<T>(f: impl FnOnce() -> T) -> Result<T, String> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
         let before = take_hook();

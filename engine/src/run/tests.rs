@@ -142,8 +142,10 @@ fn progress_passes_through_nodes_that_do_not_fire() {
         .node("to_world", "toy.add", json!({}), &[("a", "smooth.out", None), ("b", "recording.p0", Some(Join::Latest))])
         .result("x", "to_world.out", false, false)
         .plan();
-    let report = check(&plan);
-    assert_eq!((report.results["x"].as_f64(), report.enlargements.len()), (Some(1299.0), 0));
+    for _ in 0..20 {
+        let report = check(&plan);
+        assert_eq!((report.results["x"].as_f64(), report.enlargements.len()), (Some(1299.0), 0));
+    }
 }
 
 /// Three numbers through `first`, then `second`; `other` is a branch of its own.
@@ -581,7 +583,7 @@ fn warnings_of_nodes_and_items_without_partner_are_told() {
         .plan();
     let report = check(&plan);
     let said: Vec<_> = report.warnings.iter().map(|w| format!("{}/{}: {}", w.node, w.item, w.message)).collect();
-    let unmatched = "add/1: input \"b\": 1 items of scan.p0 found no partner to fire with";
+    let unmatched = "add/1: input \"b\": 1 item of scan.p0 found no partner to fire with";
     assert_eq!(said, [unmatched, "warns/0: 99 is nearly 100"]);
     let unmatched: Vec<_> = report.links.iter().map(|l| (l.to.as_str(), l.unmatched)).collect();
     assert_eq!(unmatched, [("add.a", 0), ("add.b", 1), ("warns.a", 0)]);
