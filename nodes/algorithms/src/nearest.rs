@@ -4,14 +4,15 @@ use crate::kabsch::{centroid, finite};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::Point3;
 use rayon::prelude::*;
-use std::num::NonZeroUsize;
+use std::{num::NonZeroUsize, sync::Arc};
 
-/// A search tree over points, mm.
+/// A search tree over points, mm. A cheap handle.
 ///
 /// Points are held about their centroid, so a cloud 10 km from the origin is searched as exactly as one at it.
 /// Of several points in one place only the one with the lowest index is ever found.
+#[derive(Clone)]
 pub struct Nearest {
-    tree: Option<ImmutableKdTree<f64, 3>>,
+    tree: Option<Arc<ImmutableKdTree<f64, 3>>>,
     centre: Point3<f64>,
 }
 
@@ -29,7 +30,11 @@ impl Nearest {
             a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])).then(i.cmp(j))
         });
         entries.dedup_by(|later, first| later.1 == first.1);
-        let tree = if entries.is_empty() { None } else { ImmutableKdTree::new_from_entries_parallel(&entries).ok() };
+        let tree = if entries.is_empty() {
+            None
+        } else {
+            ImmutableKdTree::new_from_entries_parallel(&entries).ok().map(Arc::new)
+        };
         Self { tree, centre }
     }
 
@@ -60,6 +65,11 @@ impl Nearest {
         let mut found: Vec<_> = found.into_iter().map(|f| (f.item as usize, f.distance)).collect();
         found.sort_unstable_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
         found
+    }
+
+    /// The centroid of the points.
+    pub(crate) fn centre(&self) -> &Point3<f64> {
+        &self.centre
     }
 
     fn about_centre(&self, point: &Point3<f64>) -> [f64; 3] {

@@ -3,7 +3,7 @@
 use crate::nearest::Nearest;
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Column, Frame, SurfaceOrigin};
-use std::{fmt, sync::Arc};
+use std::fmt;
 
 /// What a scan is registered onto: points in mm, their unit normals where known, and a search tree over them.
 ///
@@ -16,7 +16,7 @@ pub struct Target {
     pub origin: SurfaceOrigin,
     points: Column<Point3<f64>>,
     normals: Option<Column<Vector3<f64>>>,
-    tree: Arc<Nearest>,
+    tree: Nearest,
 }
 
 /// Points that make no target.
@@ -67,7 +67,7 @@ impl Target {
         if let Some(index) = wild_point.or(wild_normal) {
             return Err(TargetError::NotFinite { index });
         }
-        let tree = Arc::new(Nearest::new(&points));
+        let tree = Nearest::new(&points);
         Ok(Self { frame: frame.into(), origin, points, normals, tree })
     }
 

@@ -53,11 +53,6 @@ impl Acceleration {
         Self { depth: (depth as usize).min(MAX_DEPTH), history: Vec::new() }
     }
 
-    /// Forgets everything: what was learnt before a rejected step no longer holds.
-    pub(super) fn clear(&mut self) {
-        self.history.clear();
-    }
-
     /// The fixed point as extrapolated from the history and the newest `x -> g`; `g` itself without a history.
     pub(super) fn next(&mut self, x: Vector6<f64>, g: Vector6<f64>) -> Vector6<f64> {
         let f = g - x;

@@ -2,15 +2,47 @@
 
 mod acceleration;
 mod observability;
+mod pairing;
 mod run;
+mod surface;
 
 pub use observability::{Observability, WeakDirection};
 
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3};
+use osteoflow_geometry::Cloud;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
+
+/// What moves: the points of a scan, mm, and where the camera that took it stood, where known.
+///
+/// Made from a slice of points or from a [`Cloud`], whose viewpoint it takes. With a camera, points pair only with the
+/// side of the target that faces it: a scan that starts some millimetres deep in a thin bone would else be drawn to the
+/// far side. A cloud merged from several views has no viewpoint, and pairs with all of the target.
+#[derive(Debug, Clone, Copy)]
+pub struct Source<'a> {
+    points: &'a [Point3<f64>],
+    camera: Option<Point3<f64>>,
+}
+
+impl<'a> From<&'a [Point3<f64>]> for Source<'a> {
+    fn from(points: &'a [Point3<f64>]) -> Self {
+        Self { points, camera: None }
+    }
+}
+
+impl<'a> From<&'a Vec<Point3<f64>>> for Source<'a> {
+    fn from(points: &'a Vec<Point3<f64>>) -> Self {
+        Self { points, camera: None }
+    }
+}
+
+impl<'a> From<&'a Cloud> for Source<'a> {
+    fn from(cloud: &'a Cloud) -> Self {
+        Self { points: cloud.points(), camera: cloud.viewpoint.map(|v| v.translation.vector.into()) }
+    }
+}
 
 /// How an ICP pairs, weighs and stops; the same for every variant.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -84,6 +116,8 @@ pub enum StopReason {
     Residual,
     /// `max_iterations` were used up.
     Iterations,
+    /// No step lowers the residual any more, although the way still to go is not short.
+    Stalled,
     /// The observer broke it off.
     Cancelled,
 }
@@ -112,8 +146,13 @@ pub struct IcpReport {
     pub step_mm: f64,
     /// Turn of the last step, rad.
     pub step_rad: f64,
-    /// Estimated way still to go, mm; `None` before two steps could be compared.
+    /// Way still to go along the motions that the pairs hold, mm, as RMS movement of the source points: from the last
+    /// pairs, `N⁺ Jᵀr` with `N` along the target's normals. A crawl of `point_to_point` shows here, however short its
+    /// steps are.
     pub remaining_mm: Option<f64>,
+    /// How far from its least a `point_to_point` can come to rest, mm, one standard deviation: its residual is rough, as
+    /// points prefer to stay with the target samples they have. Denser samples make it finer. None for planes.
+    pub resolution_mm: Option<f64>,
     /// Which motions the pairs hold, and which they leave free.
     pub observability: Observability,
 }
@@ -133,6 +172,8 @@ pub struct IcpStep {
     pub step_mm: f64,
     /// Turn of the step, rad.
     pub step_rad: f64,
+    /// Way still to go before the step, mm; see [`IcpReport::remaining_mm`].
+    pub remaining_mm: Option<f64>,
     /// Whether the step was extrapolated.
     pub accelerated: bool,
     /// The motion after the step.
@@ -206,14 +247,14 @@ pub enum IcpError {
 /// # Source
 /// Besl and McKay 1992; section 2.3 of the paper. Its stop rule "E < 0.01 mm" cannot be read as a sum or as a mean above
 /// the noise, so ours estimates the way still to go.
-pub fn point_to_point(
+pub fn point_to_point<'a>(
     target: &Target,
-    source: &[Point3<f64>],
+    source: impl Into<Source<'a>>,
     init: &Isometry3<f64>,
     params: &IcpParams,
     observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<()>,
 ) -> Result<IcpFit, IcpError> {
-    run::run(run::Residual::Point, target, source, init, params, observer)
+    run::run(pairing::Residual::Point, target, source.into(), init, params, observer)
 }
 
 /// Registers `source` onto `target` by the distances along the target's normals, from `init`.
@@ -226,12 +267,12 @@ pub fn point_to_point(
 ///
 /// # Source
 /// Chen and Medioni 1992; Low 2004 for the linearisation.
-pub fn point_to_plane(
+pub fn point_to_plane<'a>(
     target: &Target,
-    source: &[Point3<f64>],
+    source: impl Into<Source<'a>>,
     init: &Isometry3<f64>,
     params: &IcpParams,
     observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<()>,
 ) -> Result<IcpFit, IcpError> {
-    run::run(run::Residual::Plane, target, source, init, params, observer)
+    run::run(pairing::Residual::Plane, target, source.into(), init, params, observer)
 }

@@ -37,18 +37,10 @@ pub struct WeakDirection {
     pub rotation: [f64; 3],
 }
 
-/// The normal matrix of pairs, unknowns `(shift, turn · lever arm)`.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Normal {
-    pub(super) matrix: Matrix6<f64>,
-    pub(super) n: usize,
-    pub(super) lever_arm_mm: f64,
-}
-
 impl Observability {
-    pub(super) fn new(normal: &Normal) -> Self {
-        let scaled = normal.matrix / normal.n.max(1) as f64;
-        let (values, vectors) = sorted_eigen(&scaled);
+    /// From `JᵀJ / n` along the normals, unknowns `(shift, turn · lever arm)`.
+    pub(super) fn new(hold: &Matrix6<f64>, lever_arm_mm: f64) -> Self {
+        let (values, vectors) = sorted_eigen(hold);
         let direction = |k: usize| {
             let v = upright(vectors.column(k).into_owned());
             WeakDirection {
@@ -61,7 +53,7 @@ impl Observability {
         Self {
             eigenvalues: values.into(),
             condition: Some(values[0] / values[5]).filter(|c| c.is_finite() && *c > 0.0),
-            lever_arm_mm: normal.lever_arm_mm,
+            lever_arm_mm,
             weakest: direction(5),
             undetermined: (0..6).rev().filter(free).map(direction).collect(),
         }
