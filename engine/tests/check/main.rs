@@ -2,6 +2,7 @@
 
 #![allow(missing_docs)]
 
+mod damage;
 mod golden;
 mod plans;
 mod toy;
