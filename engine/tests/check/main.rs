@@ -1,6 +1,7 @@
 //! Every fault of a graph has its exact text; a good graph has its exact plan. `UPDATE=1` writes the texts anew.
 
-#![allow(missing_docs)]
+#![allow(missing_docs, reason = "a test has no readers of its docs")]
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod damage;
 mod golden;
