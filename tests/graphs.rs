@@ -106,5 +106,8 @@ fn check_tells_machines_how_many_nodes_and_wires_there_are() {
     let assert = osteoflow().args(["check", "graphs/fibula.toml", "--format", "json"]).assert().success();
     let told: serde_json::Value = serde_json::from_slice(&assert.get_output().stdout).unwrap();
     assert_eq!(told["outcome"]["status"], "done");
-    assert_eq!((told["nodes"].as_u64(), told["wires"].as_u64()), (Some(plan.nodes.len() as u64), Some(plan.links.len() as u64)));
+    assert_eq!(
+        (told["nodes"].as_u64(), told["wires"].as_u64()),
+        (Some(plan.nodes.len() as u64), Some(plan.links.len() as u64))
+    );
 }

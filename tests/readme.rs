@@ -1,6 +1,8 @@
 //! README.md and .ci/run: the two commands that a newcomer types, and that CI types for them.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
+mod common;
+
 use std::{fs, path::Path, process::Command};
 
 fn text(name: &str) -> String {
@@ -16,6 +18,28 @@ fn the_readme_has_each_of_its_two_commands_once() {
     let readme = text("README.md");
     assert_eq!(lines_that_begin(&readme, "cargo run "), ["cargo run --release -- run graphs/fibula.toml"]);
     assert_eq!(lines_that_begin(&readme, "cargo test "), ["cargo test --release --workspace"]);
+}
+
+/// The table of the ICP swap: kind, mean TRE in mm.
+fn told() -> Vec<(String, f64)> {
+    let readme = text("README.md");
+    let rows = lines_that_begin(&readme, "| `icp.point_").into_iter().map(|row| {
+        let cells: Vec<_> = row.split('|').map(|cell| cell.trim().trim_matches('`')).collect();
+        (cells[1].to_owned(), cells[2].trim_end_matches(" mm").parse().unwrap())
+    });
+    rows.collect()
+}
+
+#[test]
+fn the_numbers_of_the_icp_swap_are_those_of_this_program() {
+    let told = told();
+    assert_eq!(told.len(), 2, "{told:?}");
+    for (kind, told_mm) in told {
+        let ran = common::run_whole("graphs/fibula.toml", &["--no-record", "--set", &format!("icp.kind={kind}")]);
+        let found_mm = ran.results["metrics"]["tre_true_mm"]["mean_abs"]["norm"].as_f64().unwrap();
+        // The README rounds to 0.01 mm; a change that moves results further is worth a new line there.
+        assert!((found_mm - told_mm).abs() < 0.02, "{kind}: README.md says {told_mm} mm, it is {found_mm:.3} mm");
+    }
 }
 
 #[test]

@@ -9,7 +9,7 @@ use osteoflow_formats::{
     recording_write::{Layout, Stream, write_recording},
 };
 use osteoflow_geometry::{Cloud, Points, Pose, StampNs};
-use osteoflow_simulation::{Procedure, ProcedureParams};
+use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, ct_surface};
 use std::collections::BTreeMap;
 
 const GRAPH: &str = "graphs/fibula_recorded.toml";
@@ -54,7 +54,8 @@ fn run_procedure(of: &Procedure, without: &[&str], arguments: &[&str]) -> Ran {
     ]);
     let metadata = BTreeMap::from([("procedure".to_owned(), about)]);
     write_recording(&at("r.mcap"), &streams(of, without), &metadata, &[], &Layout::default()).unwrap();
-    mesh_file::write_stl(&at("bone.stl"), &of.ct_surface).unwrap();
+    let ct_surface = ct_surface(&of.truth.bone, &CtParams::default(), 1).unwrap();
+    mesh_file::write_stl(&at("bone.stl"), &ct_surface).unwrap();
     mesh_file::write_stl(&at("phantom.stl"), &of.phantom).unwrap();
     plan_file::write_plan(&at("plan.json"), &of.plan).unwrap();
     let files = [("recording", "r.mcap"), ("bone", "bone.stl"), ("phantom", "phantom.stl"), ("plan", "plan.json")];

@@ -22,7 +22,8 @@ fn results_hold_the_keys_that_the_book_promises() {
         assert_eq!((pose["to"].as_str(), pose["from"].as_str()), (Some(to), Some(from)), "{key}");
         isometry(&pose["matrix"]);
     }
-    let names = |list: &Value| list.as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap().to_owned()).collect();
+    let names =
+        |list: &Value| list.as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap().to_owned()).collect();
     let spots: Vec<String> = names(&results["laser_points"]);
     assert_eq!(spots, ["P1", "P2", "P3"]);
     for spot in results["laser_points"].as_array().unwrap() {
@@ -77,7 +78,12 @@ fn assert_same_bytes(first: &[&str], second: &[&str]) {
         let ran = run_whole(GRAPH, arguments);
         std::fs::read(ran.dir.path().join("results.json")).unwrap()
     });
-    assert!(a == b, "{first:?} and {second:?} differ:\n{}\n{}", String::from_utf8_lossy(&a), String::from_utf8_lossy(&b));
+    assert!(
+        a == b,
+        "{first:?} and {second:?} differ:\n{}\n{}",
+        String::from_utf8_lossy(&a),
+        String::from_utf8_lossy(&b)
+    );
 }
 
 #[test]
@@ -107,12 +113,10 @@ fn downstream(of: &str) -> BTreeSet<String> {
     let registry = osteoflow_standard::registry();
     let plan: Plan = osteoflow_engine::check(&root().join(GRAPH), &[], &registry).unwrap().plan;
     let mut reached: BTreeSet<usize> = (0..plan.nodes.len()).filter(|&n| *plan.nodes[n].name == *of).collect();
-    // Nodes stand in topological order, so one pass reaches everything.
-    for link in &{
-        let mut links = plan.links.clone();
-        links.sort_by_key(|link| link.from.node);
-        links
-    } {
+    let mut links = plan.links.clone();
+    // Nodes stand in topological order, so one pass over the links in that order reaches everything.
+    links.sort_by_key(|link| link.from.node);
+    for link in links.iter() {
         if reached.contains(&link.from.node) {
             reached.insert(link.to_node);
         }

@@ -43,7 +43,9 @@ pub(crate) fn make(asked: Option<&Path>, graph: &str, force: bool) -> Result<Pat
 /// A new folder `<graph>-<time>`, with `-2`, `-3` ... where two runs begin in one second.
 fn make_new(parent: &Path, graph: &str, now: SystemTime) -> Result<PathBuf> {
     fs::create_dir_all(parent).with_context(|| format!("{} cannot be made a folder", parent.display()))?;
-    let stem = format!("{graph}-{}", stamp_text(now));
+    // A graph may have any name; a folder's has no separators in it.
+    let plain = |c: char| if c.is_alphanumeric() || "-_".contains(c) { c } else { '_' };
+    let stem = format!("{}-{}", graph.chars().map(plain).collect::<String>(), stamp_text(now));
     for n in 1.. {
         let dir = parent.join(if n == 1 { stem.clone() } else { format!("{stem}-{n}") });
         match fs::create_dir(&dir) {
@@ -97,6 +99,13 @@ mod tests {
         let made: Vec<_> = (0..3).map(|_| make_new(parent.path(), "fibula", now).unwrap()).collect();
         let names: Vec<_> = made.iter().map(|d| d.file_name().unwrap().to_str().unwrap()).collect();
         assert_eq!(names, ["fibula-20260314-092653", "fibula-20260314-092653-2", "fibula-20260314-092653-3"]);
+    }
+
+    #[test]
+    fn the_name_of_a_graph_leads_nowhere_else() {
+        let parent = tempfile::tempdir().unwrap();
+        let made = make_new(parent.path(), "../a b", UNIX_EPOCH).unwrap();
+        assert_eq!(made, parent.path().join("___a_b-19700101-000000"));
     }
 
     #[test]
