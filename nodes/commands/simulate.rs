@@ -7,7 +7,7 @@ use osteoflow_formats::{
     recording_write::{Layout, Stream, write_recording},
 };
 use osteoflow_geometry::{Cloud, Points, Pose, matrix_rows};
-use osteoflow_simulation::{Procedure, ProcedureParams};
+use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, ct_surface};
 use serde_json::{Value, json};
 use std::{
     collections::BTreeMap,
@@ -75,7 +75,8 @@ impl Simulate {
             Shape::Mcap => write_streams(&dir.join("procedure.mcap"), &procedure, self.seed)?,
             Shape::Folder => super::simulate_folder::write(dir, &procedure)?,
         }
-        mesh_file::write_stl(&dir.join("bone.stl"), &procedure.ct_surface)?;
+        let ct_surface = ct_surface(&procedure.truth.bone, &CtParams::default(), self.seed)?;
+        mesh_file::write_stl(&dir.join("bone.stl"), &ct_surface)?;
         mesh_file::write_stl(&dir.join("phantom.stl"), &procedure.phantom)?;
         plan_file::write_plan(&dir.join("plan.json"), &procedure.plan)?;
         write_text(&dir.join("truth.json"), &format!("{:#}\n", truth_json(&procedure, self.seed)))?;

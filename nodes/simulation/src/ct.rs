@@ -1,6 +1,7 @@
 //! A simulated CT: what a scanner and a threshold make of the bone's surface.
 
 use crate::SimulationError;
+use crate::draws::{Term, stream};
 use crate::iso_surface::{Grid, iso_surface, make_well_composed};
 use crate::topology::{largest_component, open_edges};
 use nalgebra::Vector3;
@@ -16,9 +17,6 @@ use serde::Deserialize;
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CtParams {
-    /// Leaves the CT out: the registration's surface is the scanned one itself. False: a bone and its CT are never the
-    /// same surface.
-    pub exact_surface: bool,
     /// Edge of the cubic voxels. 0.7 mm: a clinical CT of the leg.
     #[schemars(range(min = 0.2, max = 3.0))]
     pub voxel_mm: f64,
@@ -45,7 +43,6 @@ pub struct CtParams {
 impl Default for CtParams {
     fn default() -> Self {
         Self {
-            exact_surface: false,
             voxel_mm: 0.7,
             blur_mm: 0.5,
             noise_hu: 50.0,
@@ -89,23 +86,18 @@ impl CtParams {
 const MAX_VOXELS: u64 = 64_000_000;
 
 /// The bone's outer surface as a CT shows it: voxels, blur, noise, threshold, iso-surface (surface nets); only the largest
-/// connected piece. In the frame of `bone`, origin [`SurfaceOrigin::SimulatedCt`], or `bone` itself where
-/// `exact_surface` asks for it.
+/// connected piece. In the frame of `bone`, origin [`SurfaceOrigin::SimulatedCt`].
 ///
-/// The grid lies on the bone by chance (from `rng`), as it does in a scanner. Voxels hold the share of bone in them as
+/// The grid lies on the bone by chance (from `seed`), as it does in a scanner. Voxels hold the share of bone in them as
 /// that of a plane at the surface's distance: exact for faces across an axis, off by a few hundredths for slanted ones.
 /// `O(voxels)`; a fibula takes about a tenth of a second.
 ///
 /// # Errors
 /// [`SimulationError::NotClosed`] if the surface has open edges; [`SimulationError::CtTooLarge`] and
 /// [`SimulationError::NoBoneInCt`] if the voxels do not suit the bone; [`SimulationError::Parameter`].
-pub fn ct_surface(bone: &Mesh, params: &CtParams, rng: &mut ChaCha8Rng) -> Result<Mesh, SimulationError> {
+pub fn ct_surface(bone: &Mesh, params: &CtParams, seed: u64) -> Result<Mesh, SimulationError> {
     params.check()?;
-    if params.exact_surface {
-        let mut exact = bone.clone();
-        exact.origin = SurfaceOrigin::Exact;
-        return Ok(exact);
-    }
+    let rng = &mut stream(seed, Term::CtNoise, 0);
     match open_edges(bone) {
         0 => {}
         n_open_edges => return Err(SimulationError::NotClosed { n_open_edges }),
@@ -356,10 +348,6 @@ mod tests {
     use nalgebra::Point3;
     use osteoflow_algorithms::mesh_query::MeshQuery;
 
-    fn rng(seed: u64) -> ChaCha8Rng {
-        ChaCha8Rng::seed_from_u64(seed)
-    }
-
     /// Signed distances of the CT's vertices from the bone, positive outside, mm.
     fn off_surface(bone: &Mesh, ct: &Mesh) -> Vec<f64> {
         let surface = MeshQuery::new(bone);
@@ -380,7 +368,7 @@ mod tests {
     #[test]
     fn the_ct_surface_is_closed_and_near_the_bone_but_not_on_it() {
         let bone = fibula(&BoneParams::default());
-        let ct = ct_surface(&bone, &CtParams::default(), &mut rng(1)).unwrap();
+        let ct = ct_surface(&bone, &CtParams::default(), 1).unwrap();
         assert_closed_and_outward(&ct);
         assert_eq!((ct.origin, &ct.frame), (SurfaceOrigin::SimulatedCt, &bone.frame));
         let off = off_surface(&bone, &ct);
@@ -397,7 +385,7 @@ mod tests {
     fn without_blur_and_noise_only_the_voxels_remain() {
         let bone = fibula(&BoneParams::default());
         let params = CtParams { voxel_mm: 0.3, blur_mm: 0.0, noise_hu: 0.0, ..CtParams::default() };
-        let ct = ct_surface(&bone, &params, &mut rng(1)).unwrap();
+        let ct = ct_surface(&bone, &params, 1).unwrap();
         let (mean, rms) = mean_and_rms(&off_surface(&bone, &ct));
         assert!(mean.abs() < 0.01 && rms < 0.02, "mean {mean} mm, RMS {rms} mm with voxels of 0.3 mm");
     }
@@ -407,7 +395,7 @@ mod tests {
         let bone = fibula(&BoneParams::default());
         let at = |threshold_hu: f64| {
             let params = CtParams { blur_mm: 0.8, noise_hu: 0.0, threshold_hu, ..CtParams::default() };
-            mean_and_rms(&off_surface(&bone, &ct_surface(&bone, &params, &mut rng(1)).unwrap())).0
+            mean_and_rms(&off_surface(&bone, &ct_surface(&bone, &params, 1).unwrap())).0
         };
         // 290 HU is 20 % of the way: a flat edge blurred by 0.8 mm, and by the voxel's own 0.7 / sqrt(12), passes it
         // 0.8416 standard deviations outside.
@@ -430,8 +418,7 @@ mod tests {
             assert!((rms - 1.0).abs() < 0.06, "{rms} for sigma {sigma}");
         }
         let bone = fibula(&BoneParams { edge_mm: 2.0, ..BoneParams::default() });
-        let [one, again, other] =
-            [1, 1, 2].map(|seed| ct_surface(&bone, &CtParams::default(), &mut rng(seed)).unwrap());
+        let [one, again, other] = [1, 1, 2].map(|seed| ct_surface(&bone, &CtParams::default(), seed).unwrap());
         assert_eq!(one, again);
         assert_ne!(one, other);
     }
@@ -440,13 +427,13 @@ mod tests {
     fn what_makes_no_ct_is_refused_with_the_reason() {
         let bone = fibula(&BoneParams { edge_mm: 3.0, ..BoneParams::default() });
         let open = Mesh::new("ct", SurfaceOrigin::User, bone.vertices().to_vec(), bone.faces()[1..].to_vec()).unwrap();
-        let said = ct_surface(&open, &CtParams::default(), &mut rng(1)).unwrap_err();
+        let said = ct_surface(&open, &CtParams::default(), 1).unwrap_err();
         assert_eq!(said, SimulationError::NotClosed { n_open_edges: 3 });
         let fine = CtParams { voxel_mm: 0.06, ..CtParams::default() };
-        assert!(matches!(ct_surface(&bone, &fine, &mut rng(1)), Err(SimulationError::CtTooLarge { .. })));
+        assert!(matches!(ct_surface(&bone, &fine, 1), Err(SimulationError::CtTooLarge { .. })));
         let coarse = CtParams { voxel_mm: 60.0, ..CtParams::default() };
-        assert!(matches!(ct_surface(&bone, &coarse, &mut rng(1)), Err(SimulationError::NoBoneInCt { .. })));
+        assert!(matches!(ct_surface(&bone, &coarse, 1), Err(SimulationError::NoBoneInCt { .. })));
         let absurd = CtParams { threshold_hu: 5000.0, ..CtParams::default() };
-        assert!(matches!(ct_surface(&bone, &absurd, &mut rng(1)), Err(SimulationError::Parameter { .. })));
+        assert!(matches!(ct_surface(&bone, &absurd, 1), Err(SimulationError::Parameter { .. })));
     }
 }

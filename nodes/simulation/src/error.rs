@@ -59,7 +59,7 @@ pub enum SimulationError {
     /// The surface to be scanned in the CT has an inside and an outside nowhere.
     #[error(
         "{n_open_edges} edges of the surface are open, so what is bone is not known; repair the mesh, or take the exact \
-         surface (ct.exact_surface = true)"
+         surface (exact = true)"
     )]
     NotClosed {
         /// How many edges are not shared by two faces that turn alike.

@@ -3,7 +3,7 @@
 //! "Other simulator" means the noise model written beside the recording of the development data, made independently of
 //! this crate; "assumed" means that nobody measured it. A term is switched off by 0.
 
-use crate::{BoneParams, CtParams, SimulationError};
+use crate::{BoneParams, SimulationError};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -13,8 +13,6 @@ use serde::Deserialize;
 pub struct ProcedureParams {
     /// The built-in bone.
     pub bone: BoneParams,
-    /// The CT that the plan's surface comes from.
-    pub ct: CtParams,
     /// The structured-light camera and its view.
     pub camera: CameraParams,
     /// The localiser and the markers.
@@ -266,12 +264,11 @@ impl Default for MotionParams {
 }
 
 impl ProcedureParams {
-    /// The same procedure without any error: exact CT, no noise, nothing missing but the laser's hole, nothing mismounted.
+    /// The same procedure without any error: no noise, nothing missing but the laser's hole, nothing mismounted.
     /// What moves on purpose still moves.
     pub fn without_errors(self) -> Self {
         Self {
             bone: self.bone,
-            ct: CtParams { exact_surface: true, ..self.ct },
             camera: CameraParams { depth_noise_mm: 0.0, dropout: 0.0, n_patches: 0, depth_bias_mm: 0.0, ..self.camera },
             tracker: TrackerParams {
                 lost: 0.0,
@@ -358,7 +355,7 @@ impl ProcedureParams {
         ];
         match rules.into_iter().find(|&(_, value, holds, _)| !(holds && value.is_finite())) {
             Some((name, value, _, expected)) => Err(SimulationError::Parameter { name, value, expected }),
-            None => self.ct.check(),
+            None => Ok(()),
         }
     }
 }

@@ -5,7 +5,7 @@ use crate::draws::{Term, attitude, direction, normal, normal3, small_motion, str
 use crate::plan::{frame_along, section_centre};
 use crate::surroundings::surroundings;
 use crate::tracker::{Marker, Path, Tracker};
-use crate::{ProcedureParams, SimulationError, bone, ct, phantom, plan};
+use crate::{ProcedureParams, SimulationError, bone, phantom, plan};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Anatomy, Cloud, Mesh, NamedPoint, Planes, Points, Pose, Region, StampNs, SurgicalPlan};
@@ -19,8 +19,6 @@ use rand::RngExt;
 pub struct Procedure {
     /// What was planned on the bone, frame `ct`.
     pub plan: SurgicalPlan,
-    /// The surface that the CT gave, frame `ct`: what a registration may know of the bone.
-    pub ct_surface: Mesh,
     /// The phantom's CAD, frame `phantom`.
     pub phantom: Mesh,
     /// One scan of the phantom.
@@ -129,12 +127,7 @@ impl Procedure {
         seed: u64,
     ) -> Result<Self, SimulationError> {
         params.check()?;
-        let (ct_surface, procedure) = rayon::join(
-            || ct::ct_surface(bone, &params.ct, &mut stream(seed, Term::CtNoise, 0)),
-            || Scene::new(bone, plan, phantom, params, seed)?.run(),
-        );
-        let procedure = procedure?;
-        Ok(Self { ct_surface: ct_surface?, ..procedure })
+        Scene::new(bone, plan, phantom, params, seed)?.run()
     }
 }
 
@@ -339,7 +332,6 @@ impl<'a> Scene<'a> {
         let truth = self.truth(&tracker, spots, laser_s);
         Ok(Procedure {
             plan: self.plan.clone(),
-            ct_surface: self.bone.clone(),
             phantom: self.phantom.clone(),
             region: Some(region(&on_bone)),
             phantom_scan,

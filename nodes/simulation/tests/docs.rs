@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use osteoflow_simulation::ProcedureParams;
+use osteoflow_simulation::{CtParams, ProcedureParams};
 use serde_json::Value;
 use std::fmt::Write;
 
@@ -31,6 +31,8 @@ fn the_documented_error_terms_are_the_parameters_own_words() {
     let mut table =
         "| parameter | default | meaning, and where the value comes from |\n| --- | --- | --- |\n".to_owned();
     rows(&schema, &schema, "", &mut table);
+    let ct = schemars::schema_for!(CtParams).to_value();
+    rows(&ct, &ct, "ct.", &mut table);
     for table_name in ["bone", "ct", "camera", "tracker", "laser", "phantom", "stylus", "motion"] {
         assert!(table.contains(&format!("| `{table_name}.")), "{table_name} has no row");
     }

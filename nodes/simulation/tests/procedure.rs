@@ -7,7 +7,9 @@ mod common;
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::{Cloud, Mesh, Pose, StampNs, SurfaceOrigin};
-use osteoflow_simulation::{CameraParams, Procedure, ProcedureParams, SimulationError, TrackerParams, phantom, plan};
+use osteoflow_simulation::{
+    CameraParams, CtParams, Procedure, ProcedureParams, SimulationError, TrackerParams, ct_surface, phantom, plan,
+};
 
 fn simulate(params: &ProcedureParams, seed: u64) -> Procedure {
     Procedure::simulate(params, seed).unwrap()
@@ -66,7 +68,6 @@ fn without_errors_the_streams_alone_carry_every_cloud_onto_its_surface() {
         let procedure = simulate(&without_errors(), seed);
         let scan = procedure.scan.stamp_ns;
         let truth = &procedure.truth;
-        assert_eq!(procedure.ct_surface.origin, SurfaceOrigin::Exact);
         assert_eq!(procedure.scan.len(), 20_000);
 
         // Equation 1, from the streams at the calibration; the phantom's own pose is checked by its scan.
@@ -193,7 +194,6 @@ fn the_same_seed_gives_the_same_bits_on_any_number_of_threads() {
 fn another_seed_is_another_procedure_on_the_same_bone() {
     let (one, other) = (simulate(&ProcedureParams::default(), 1), simulate(&ProcedureParams::default(), 2));
     assert_ne!(one.scan, other.scan);
-    assert_ne!(one.ct_surface, other.ct_surface);
     assert_ne!(one.truth.t_world_ct_at_scan, other.truth.t_world_ct_at_scan);
     assert_eq!(one.truth.bone, other.truth.bone);
     assert_eq!(one.plan, other.plan);
@@ -226,9 +226,6 @@ fn switching_one_term_off_leaves_the_others_draws_as_they_were() {
         no_lost.bone_marker.iter().filter(|p| full.bone_marker.iter().any(|q| q.stamp_ns == p.stamp_ns)).collect();
     assert_eq!(kept, full.bone_marker.iter().collect::<Vec<_>>());
     assert!(no_lost.bone_marker.len() > full.bone_marker.len());
-
-    let exact = with(|p| p.ct.exact_surface = true);
-    assert_eq!((&exact.scan, &exact.bone_marker), (&full.scan, &full.bone_marker));
 }
 
 #[test]
@@ -329,10 +326,10 @@ fn a_measured_bone_and_another_phantom_can_be_simulated_on() {
         let exact = Procedure::simulate_on(&bone, &plan, &phantom::mesh(), &without_errors(), 1).unwrap();
         assert_eq!(exact.scan.len(), 20_000);
         assert!(worst_off(&exact.scan, &t_ct_camera(&exact), &bone) < 1e-8);
-        let noisy = Procedure::simulate_on(&bone, &plan, &phantom::mesh(), &ProcedureParams::default(), 1).unwrap();
-        assert_eq!(noisy.ct_surface.origin, SurfaceOrigin::SimulatedCt);
+        let ct = ct_surface(&bone, &CtParams::default(), 1).unwrap();
+        assert_eq!(ct.origin, SurfaceOrigin::SimulatedCt);
         let surface = MeshQuery::new(&bone);
-        let off = rms(noisy.ct_surface.vertices().iter().map(|v| surface.closest_point(v).unwrap().distance_mm));
+        let off = rms(ct.vertices().iter().map(|v| surface.closest_point(v).unwrap().distance_mm));
         assert!((0.02..0.15).contains(&off), "{off} mm between {name} and its CT surface");
     }
 }

@@ -57,7 +57,7 @@ impl Source for Simulated {
             return Ok(None);
         }
         let bone = bone::fibula(&self.params.bone);
-        let mesh = if self.params.exact { bone } else { ct::ct_surface(&bone, &self.params.ct, &mut ctx.rng())? };
+        let mesh = if self.params.exact { bone } else { ct::ct_surface(&bone, &self.params.ct, ctx.seed())? };
         Ok(Some(Out { mesh }))
     }
 }
