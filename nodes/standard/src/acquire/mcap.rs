@@ -17,7 +17,7 @@ use osteoflow_node::{
     serde::Deserialize,
 };
 use osteoflow_payloads::Flag;
-use std::sync::Arc;
+use std::{collections::BTreeSet, sync::Arc};
 
 /// The streams of a recording in MCAP with Foxglove's schemas, in the order of sensor time.
 ///
@@ -169,9 +169,7 @@ impl Port<'_> {
             events.extend(self.poses_of(topic, message).map_err(|error| self.at(topic, error))?);
         }
         if events.is_empty() {
-            let (parent, child) = (self.params.parent.as_deref(), self.params.child.as_deref());
-            let wanted = format!("{} -> {}", child.unwrap_or("any"), parent.unwrap_or("any"));
-            return Err(self.fault(format!("{topic} has no transform {wanted}; see parent and child")));
+            return Err(self.no_such_transform(topic));
         }
         if let (Some(lost_after_ms), Some((_, end_ns))) = (self.params.lost_after_ms, self.extent()) {
             let stamps: Vec<StampNs> = events.iter().map(|(stamp, _)| *stamp).collect();
@@ -246,6 +244,16 @@ impl Port<'_> {
             None => Some((t, t)),
             Some((start, end)) => Some((t.min(start), t.max(end))),
         })
+    }
+
+    /// No transform of the topic lies between the frames that the port wants.
+    fn no_such_transform(&self, topic: &str) -> NodeError {
+        let read = self.recording.messages(topic).iter().filter_map(|message| read_transforms(message).ok()).flatten();
+        let there: BTreeSet<String> = read.filter_map(Result::ok).map(|t| format!("{} -> {}", t.from, t.to)).collect();
+        let (parent, child) = (self.params.parent.as_deref(), self.params.child.as_deref());
+        let wanted = format!("{} -> {}", child.unwrap_or("any"), parent.unwrap_or("any"));
+        let there: Vec<String> = there.into_iter().collect();
+        self.fault(format!("{topic} has no transform {wanted}, but {}; set child and parent", there.join(", ")))
     }
 
     fn missing(&self, topic: &str, label: Option<&str>) -> NodeError {
