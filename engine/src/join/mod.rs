@@ -54,6 +54,20 @@ pub(crate) struct Joiner {
     fired: bool,
     ended: bool,
     stopped: bool,
+    mode: Mode,
+}
+
+/// What makes the node fire.
+#[derive(Clone, Copy)]
+enum Mode {
+    /// `each` and `collect`; `stamp` ports follow them.
+    Step,
+    /// Plain `stamp` ports; optional ones follow them.
+    Stamp,
+    /// Optional `stamp` ports alone.
+    AnyStamp,
+    /// No trigger.
+    Once,
 }
 
 /// The stamp that the triggers agree on.
@@ -72,8 +86,17 @@ enum Choice {
 
 impl Joiner {
     pub(crate) fn new(node: Arc<str>, ports: Vec<PortSpec>) -> Self {
-        let ports = ports.into_iter().map(Port::new).collect();
-        Self { node, ports, last_stamp: StampNs::MIN, fired: false, ended: false, stopped: false }
+        let ports: Vec<_> = ports.into_iter().map(Port::new).collect();
+        let mode = if ports.iter().any(Port::is_step) {
+            Mode::Step
+        } else if ports.iter().any(|p| p.is_stamp() && !p.spec.optional) {
+            Mode::Stamp
+        } else if ports.iter().any(Port::is_stamp) {
+            Mode::AnyStamp
+        } else {
+            Mode::Once
+        };
+        Self { mode, node, ports, last_stamp: StampNs::MIN, fired: false, ended: false, stopped: false }
     }
 
     /// Whether the port could use one more item now.
@@ -125,14 +148,15 @@ impl Joiner {
     /// The same by the triggers alone. An optional port counts only with an item in hand, as it may yet end without.
     fn trigger_bound(&self) -> StampNs {
         let open = || self.ports.iter().filter(|p| !p.finished());
-        let bound = if self.ports.iter().any(Port::is_step) {
-            let sure = |p: &&Port| p.is_step() && (!p.spec.optional || p.head_stamp().is_some());
-            let sure = open().filter(sure).map(Port::bound).max();
-            sure.or_else(|| open().filter(|p| p.is_step()).map(Port::bound).min())
-        } else if self.ports.iter().any(|p| p.is_stamp() && !p.spec.optional) {
-            open().filter(|p| p.is_stamp() && !p.spec.optional).map(Port::bound).max()
-        } else {
-            open().filter(|p| p.is_stamp()).map(Port::bound).min()
+        let bound = match self.mode {
+            Mode::Step => {
+                let sure = |p: &&Port| p.is_step() && (!p.spec.optional || p.head_stamp().is_some());
+                let sure = open().filter(sure).map(Port::bound).max();
+                sure.or_else(|| open().filter(|p| p.is_step()).map(Port::bound).min())
+            }
+            Mode::Stamp => open().filter(|p| p.is_stamp() && !p.spec.optional).map(Port::bound).max(),
+            Mode::AnyStamp => open().filter(|p| p.is_stamp()).map(Port::bound).min(),
+            Mode::Once => None,
         };
         bound.unwrap_or(StampNs::MIN)
     }
@@ -156,14 +180,11 @@ impl Joiner {
     }
 
     fn anchor(&mut self) -> Anchor {
-        if self.ports.iter().any(Port::is_step) {
-            self.anchor_in_step()
-        } else if self.ports.iter().any(|p| p.is_stamp() && !p.spec.optional) {
-            self.anchor_by_stamp()
-        } else if self.ports.iter().any(Port::is_stamp) {
-            self.anchor_by_any_stamp()
-        } else {
-            self.anchor_once()
+        match self.mode {
+            Mode::Step => self.anchor_in_step(),
+            Mode::Stamp => self.anchor_by_stamp(),
+            Mode::AnyStamp => self.anchor_by_any_stamp(),
+            Mode::Once => self.anchor_once(),
         }
     }
 
@@ -257,7 +278,7 @@ impl Joiner {
         // The triggers decide first: where one brings no value, nothing else need be waited for.
         let mut skip = None;
         for port in self.ports.iter().filter(|p| p.is_trigger()) {
-            skip = skip.or_else(|| reason_to_skip(&self.node, port, &port.peek_trigger(anchor_of(port))));
+            skip = skip.or_else(|| reason_to_skip(&self.node, port, &port.trigger_gap(anchor_of(port))?));
         }
         if skip.is_none() {
             let mut settled = true;
@@ -305,10 +326,9 @@ impl Joiner {
 
     /// Which `stamp` ports follow the anchor; the others made it.
     fn stamps_are_anchored(&self) -> fn(&Port) -> bool {
-        if self.ports.iter().any(Port::is_step) || !self.ports.iter().any(|p| p.is_stamp() && !p.spec.optional) {
-            |p| p.is_stamp()
-        } else {
-            |p| p.is_stamp() && p.spec.optional
+        match self.mode {
+            Mode::Stamp => |p| p.is_stamp() && p.spec.optional,
+            _ => |p| p.is_stamp(),
         }
     }
 }
@@ -324,7 +344,6 @@ fn reason_to_skip(node: &Arc<str>, port: &Port, choice: &Choice) -> Option<Arc<E
             let reason = format!("input \"{}\": {reason}", port.spec.name);
             Some(Arc::new(Empty { node: node.to_string(), reason }))
         }
-        Choice::Slot(Slot::Items(items)) => items.iter().find_map(empty_of),
         Choice::Slot(_) => None,
     }
 }

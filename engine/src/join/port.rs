@@ -17,9 +17,21 @@ pub(crate) struct PortSpec {
     pub(crate) wire: Option<String>,
 }
 
+/// The part that a port plays in its node's joins.
+#[derive(Clone, Copy, PartialEq)]
+enum Role {
+    Step,
+    Stamp,
+    Sampler,
+    Once,
+    /// Not wired, or drained.
+    Nothing,
+}
+
 /// The state of a port.
 pub(super) struct Port {
     pub(super) spec: PortSpec,
+    role: Role,
     /// Items that wait for their turn; few, except where `collect` gathers.
     queue: VecDeque<Item>,
     /// `once`: the constant. `latest`, `interpolate`: the newest item not after the earliest possible stamp.
@@ -58,23 +70,30 @@ pub(super) enum Match {
 
 impl Port {
     pub(super) fn new(spec: PortSpec) -> Self {
+        let role = match spec.join {
+            _ if spec.wire.is_none() || spec.unused => Role::Nothing,
+            Join::Each | Join::Collect { .. } => Role::Step,
+            Join::Stamp { .. } => Role::Stamp,
+            Join::Latest | Join::Interpolate { .. } => Role::Sampler,
+            Join::Once => Role::Once,
+        };
         let ended = spec.wire.is_none();
         let queue = VecDeque::new();
         let progress = StampNs::MIN;
-        Self { spec, queue, kept: None, progress, ended, n_received: 0, unmatched: 0, done: false }
+        Self { spec, role, queue, kept: None, progress, ended, n_received: 0, unmatched: 0, done: false }
     }
 
     fn wired(&self) -> bool {
-        self.spec.wire.is_some() && !self.spec.unused
+        self.role != Role::Nothing
     }
 
     /// In step with others: `each` and `collect`.
     pub(super) fn is_step(&self) -> bool {
-        self.wired() && matches!(self.spec.join, Join::Each | Join::Collect { .. })
+        self.role == Role::Step
     }
 
     pub(super) fn is_stamp(&self) -> bool {
-        self.wired() && matches!(self.spec.join, Join::Stamp { .. })
+        self.role == Role::Stamp
     }
 
     pub(super) fn is_trigger(&self) -> bool {
@@ -82,11 +101,11 @@ impl Port {
     }
 
     pub(super) fn is_sampler(&self) -> bool {
-        self.wired() && matches!(self.spec.join, Join::Latest | Join::Interpolate { .. })
+        self.role == Role::Sampler
     }
 
     pub(super) fn is_once(&self) -> bool {
-        self.wired() && matches!(self.spec.join, Join::Once)
+        self.role == Role::Once
     }
 
     pub(super) fn tolerance_ns(&self) -> StampNs {
@@ -230,51 +249,51 @@ impl Port {
         }
     }
 
-    /// What the trigger brings; `anchor` where the port is matched to the other triggers' stamp.
-    pub(super) fn peek_trigger(&self, anchor: Option<StampNs>) -> Choice {
-        match self.spec.join {
-            Join::Collect { n } => match n {
-                _ if self.queue.is_empty() => Choice::Absent(self.nothing_left()),
-                Some(n) if self.queue.len() < n as usize => {
+    /// Why the trigger brings no value, if so; `anchor` where the port is matched to the other triggers' stamp.
+    pub(super) fn trigger_gap(&self, anchor: Option<StampNs>) -> Option<Choice> {
+        let choice = match (self.spec.join, self.queue.front()) {
+            (Join::Collect { n }, Some(_)) => {
+                let empty = self.queue.iter().find_map(empty_of).filter(|_| !self.spec.optional);
+                let n = n.map_or(0, |n| n as usize);
+                match empty {
                     // What is missing may be missing because of what failed before.
-                    let empty = self.queue.iter().find_map(empty_of).filter(|_| !self.spec.optional);
-                    if let Some(empty) = empty {
-                        return Choice::Empty(empty);
-                    }
-                    Choice::Absent(format!("{} of {n} items came before the end", self.queue.len()))
-                }
-                _ => Choice::Slot(Slot::Items(self.queue.iter().cloned().collect())),
-            },
-            Join::Stamp { tolerance_ns } => {
-                let far = |item: &Item| anchor.is_some_and(|a| a.abs_diff(item.stamp_ns) > tolerance_ns.unsigned_abs());
-                match self.queue.front() {
-                    Some(item) if !far(item) => choice_of(item.clone()),
-                    _ => Choice::Absent(format!(
-                        "no item of {} within {} of the stamp",
-                        self.wire(),
-                        span(tolerance_ns.into())
-                    )),
+                    Some(empty) => Choice::Empty(empty),
+                    None if self.queue.len() >= n => return None,
+                    None => Choice::Absent(format!("{} of {n} items came before the end", self.queue.len())),
                 }
             }
-            _ => match self.queue.front() {
-                Some(item) => choice_of(item.clone()),
-                None => Choice::Absent(self.nothing_left()),
-            },
-        }
+            (Join::Stamp { tolerance_ns }, head) => {
+                let near =
+                    |item: &&Item| anchor.is_none_or(|a| a.abs_diff(item.stamp_ns) <= tolerance_ns.unsigned_abs());
+                match head.filter(near) {
+                    Some(item) => Choice::Empty(empty_of(item)?),
+                    None => {
+                        let within = span(tolerance_ns.into());
+                        Choice::Absent(format!("no item of {} within {within} of the stamp", self.wire()))
+                    }
+                }
+            }
+            (_, Some(item)) => Choice::Empty(empty_of(item)?),
+            (_, None) => Choice::Absent(self.nothing_left()),
+        };
+        Some(choice)
     }
 
-    /// The same, and the items are used up.
+    /// What the trigger brings; its items are used up.
     pub(super) fn take_trigger(&mut self, anchor: Option<StampNs>) -> Choice {
-        let choice = self.peek_trigger(anchor);
-        match self.spec.join {
-            Join::Collect { n } => {
-                self.queue.clear();
-                self.done = n.is_none();
-            }
-            _ if matches!(choice, Choice::Absent(_)) => {}
-            _ => drop(self.queue.pop_front()),
+        let gap = self.trigger_gap(anchor);
+        if let Join::Collect { n } = self.spec.join {
+            self.done = n.is_none();
+            let items = std::mem::take(&mut self.queue);
+            return gap.unwrap_or_else(|| Choice::Slot(Slot::Items(items.into())));
         }
-        choice
+        match gap {
+            Some(Choice::Absent(reason)) => Choice::Absent(reason),
+            gap => {
+                let item = self.queue.pop_front();
+                gap.or(item.map(|item| Choice::Slot(Slot::Item(item)))).expect("a trigger without a gap has an item")
+            }
+        }
     }
 
     /// Keeps the newest item not after `stamp_ns`, the earliest that can still be asked for.

@@ -35,7 +35,15 @@ pub(super) struct Cell {
     failed: u64,
     /// How long each firing took, ns.
     took: Vec<u64>,
+    /// The same in all, ns.
+    busy: u64,
+    cheap: bool,
 }
+
+/// A node whose firings take no longer on average is not worth handing to another worker, which takes as long.
+const CHEAP_NS: u64 = 10_000;
+/// After so many firings a node's duration is known well enough.
+const FIRINGS_TO_KNOW: u64 = 4;
 
 /// What the cell runs.
 pub(super) enum Core {
@@ -103,14 +111,16 @@ impl Output {
             run.to_taps(self.id, &item);
         }
         self.kept.count(&item, self.keep);
+        let Some((last, others)) = self.links.split_last_mut() else { return Ok(()) };
         let mut full = None;
-        for send in &mut self.links {
-            let link = send.link;
-            if send.send(item.clone()).is_err() {
-                full = full.or(Some(link));
+        let mut put = |send: &mut SendEnd, item: Item| {
+            if send.send(item).is_err() {
+                full = full.or(Some(send.link));
             }
-            wake.node(run.plan.links[link].to_node);
-        }
+            wake.node(run.plan.links[send.link].to_node);
+        };
+        others.iter_mut().for_each(|send| put(send, item.clone()));
+        put(last, item);
         full.map_or(Ok(()), Err)
     }
 
@@ -146,6 +156,8 @@ impl Cell {
             skipped: 0,
             failed: 0,
             took: Vec::new(),
+            busy: 0,
+            cheap: false,
         }
     }
 
@@ -313,7 +325,15 @@ impl Cell {
         wake: &mut Wake<'_>,
     ) {
         run.warn(self.index, item, self.context.take_warnings());
-        let took = Duration::from_nanos(self.took.last().copied().unwrap_or(0));
+        let took = self.took.last().copied().unwrap_or(0);
+        self.busy += took;
+        let n_fired = self.took.len() as u64;
+        let cheap = n_fired >= FIRINGS_TO_KNOW && self.busy < CHEAP_NS * n_fired;
+        if cheap != self.cheap {
+            self.cheap = cheap;
+            run.note_cheap(self.index, cheap);
+        }
+        let took = Duration::from_nanos(took);
         run.event(&Event::Fired { node: self.context.node(), item, stamp_ns, took });
         let answered = match answered {
             Ok(Ok(emissions)) => self.checked(stamp_ns, emissions.unwrap_or_default(), run),
@@ -499,7 +519,7 @@ impl Cell {
             items: self.item,
             skipped: self.skipped,
             failed: self.failed,
-            busy: Duration::from_nanos(took.iter().sum()),
+            busy: Duration::from_nanos(self.busy),
             p50: percentile(50),
             p95: percentile(95),
             p99: percentile(99),

@@ -42,6 +42,8 @@ pub(super) struct Runtime<'a> {
     interrupted: AtomicBool,
     n_workers: usize,
     cells: Vec<Mutex<Cell>>,
+    /// The nodes whose firings have taken microseconds so far.
+    cheap: Vec<AtomicBool>,
     pub(super) links: Vec<LinkState>,
     taps: Vec<&'a dyn Tap>,
     failures: Mutex<Vec<Failure>>,
@@ -122,6 +124,7 @@ impl<'a> Runtime<'a> {
             cancelled: options.cancelled.clone(),
             interrupted: AtomicBool::new(false),
             n_workers: options.workers.max(1),
+            cheap: cells.iter().map(|_| AtomicBool::new(false)).collect(),
             cells,
             links,
             taps: Vec::new(),
@@ -178,6 +181,10 @@ impl<'a> Runtime<'a> {
 
     pub(super) fn cancelled(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn note_cheap(&self, node: usize, cheap: bool) {
+        self.cheap[node].store(cheap, Ordering::Relaxed);
     }
 
     pub(super) fn note_interrupted(&self) {
@@ -265,6 +272,10 @@ impl<'a> Runtime<'a> {
 impl Work for Runtime<'_> {
     fn step(&self, node: usize, wake: &mut Wake<'_>) -> Stepped {
         locked(&self.cells[node]).step(self, wake)
+    }
+
+    fn is_cheap(&self, node: usize) -> bool {
+        self.cheap[node].load(Ordering::Relaxed)
     }
 
     fn relieve(&self) -> Option<usize> {

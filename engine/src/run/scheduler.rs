@@ -1,8 +1,10 @@
 //! Which node runs next, on which worker; nothing here knows of items.
 //!
 //! A node is idle, queued or running, and is told of news by [`Wake::node`]; news that come while it runs make it look
-//! again. A worker goes on with the node it has just made ready, the furthest downstream first; the others it hands to
-//! the workers that sleep. When the last worker finds nothing, nothing can run: that state is exact.
+//! again. A worker goes on with the nodes it has just made ready, the furthest downstream first. Those that may take
+//! long go to the queue that all workers share, and before such a one everything else does; handing over a node that
+//! takes microseconds would cost more than running it. When the last worker finds nothing, nothing can run: that state
+//! is exact.
 
 use std::sync::{
     Condvar, Mutex, MutexGuard, PoisonError,
@@ -17,10 +19,16 @@ const RUNNING_WITH_NEWS: u8 = 3;
 /// How often a worker looks before it sleeps: some microseconds, less than waking it costs.
 const LOOKS_BEFORE_SLEEP: usize = 200;
 
+/// How often a node that takes microseconds fires before those it has made ready have their turn.
+const FIRINGS_IN_A_ROW: usize = 16;
+
 /// What the scheduler runs.
 pub(super) trait Work: Sync {
     /// One step of a node; no two steps of one node run at once.
     fn step(&self, node: usize, wake: &mut Wake<'_>) -> Stepped;
+
+    /// Whether the node takes so little time that handing it to another worker is not worth it.
+    fn is_cheap(&self, node: usize) -> bool;
 
     /// Nothing can run: wakes a node if something can be done about it. No step runs meanwhile.
     fn relieve(&self) -> Option<usize>;
@@ -117,26 +125,32 @@ impl Scheduler {
 
     fn work(&self, work: &dyn Work) {
         let _guard = Abandon(self);
-        let mut made_ready = Vec::new();
-        let mut next = None;
-        while let Some(node) = next.take().or_else(|| self.pop(work)) {
+        let (mut made_ready, mut own) = (Vec::new(), ReadySet::default());
+        while let Some(node) = own.pop_last().or_else(|| self.pop(work)) {
+            if self.n_workers > 1 && own.len > 0 {
+                let all = !work.is_cheap(node);
+                self.share(&mut own, |other| all || !work.is_cheap(other));
+            }
             self.run_node(node, work, &mut made_ready);
-            next = self.hand_out(&mut made_ready);
+            made_ready.drain(..).for_each(|node| own.insert(node));
         }
     }
 
-    /// Steps the node until it waits, or until another one has become ready.
+    /// Steps the node until it waits or others should have their turn.
     fn run_node(&self, node: usize, work: &dyn Work, made_ready: &mut Vec<usize>) {
         let state = &self.states[node];
         state.store(RUNNING, Ordering::Relaxed);
         fence(Ordering::SeqCst);
+        let mut n_fired = 0;
         loop {
             match work.step(node, &mut Wake { states: &self.states, made_ready }) {
-                Stepped::Fired if made_ready.is_empty() => {}
                 Stepped::Fired => {
-                    state.store(QUEUED, Ordering::Release);
-                    made_ready.push(node);
-                    return;
+                    n_fired += 1;
+                    if !made_ready.is_empty() && (n_fired >= FIRINGS_IN_A_ROW || !work.is_cheap(node)) {
+                        state.store(QUEUED, Ordering::Release);
+                        made_ready.push(node);
+                        return;
+                    }
                 }
                 Stepped::Idle => {
                     if state.compare_exchange(RUNNING, IDLE, Ordering::AcqRel, Ordering::Acquire).is_ok() {
@@ -149,19 +163,18 @@ impl Scheduler {
         }
     }
 
-    /// Keeps the node furthest downstream and gives the others to whoever is free.
-    fn hand_out(&self, made_ready: &mut Vec<usize>) -> Option<usize> {
-        let furthest = made_ready.iter().copied().max()?;
-        if made_ready.len() > 1 {
-            let mut queue = self.lock();
-            made_ready.iter().filter(|node| **node != furthest).for_each(|node| queue.ready.insert(*node));
-            self.n_queued.store(queue.ready.len, Ordering::Relaxed);
-            let n_asleep = queue.n_asleep;
-            drop(queue);
-            (1..made_ready.len()).take(n_asleep).for_each(|_| self.wakeup.notify_one());
+    /// Moves nodes from a worker's own to the queue of all, and wakes those who sleep.
+    fn share(&self, own: &mut ReadySet, which: impl Fn(usize) -> bool) {
+        let shared = own.split_off(which);
+        if shared.len == 0 {
+            return;
         }
-        made_ready.clear();
-        Some(furthest)
+        let mut queue = self.lock();
+        queue.ready.append(&shared);
+        self.n_queued.store(queue.ready.len, Ordering::Relaxed);
+        let n_asleep = queue.n_asleep;
+        drop(queue);
+        (0..shared.len.min(n_asleep)).for_each(|_| self.wakeup.notify_one());
     }
 
     fn pop(&self, work: &dyn Work) -> Option<usize> {
@@ -232,6 +245,26 @@ impl ReadySet {
         self.words[word] |= bit;
     }
 
+    /// Takes the nodes out that are asked for.
+    fn split_off(&mut self, which: impl Fn(usize) -> bool) -> Self {
+        let mut out = Self::default();
+        for (word, bits) in self.words.iter_mut().enumerate() {
+            let before = *bits;
+            for bit in (0..64).filter(|bit| before >> bit & 1 == 1 && which(word * 64 + bit)) {
+                *bits &= !(1 << bit);
+                self.len -= 1;
+                out.insert(word * 64 + bit);
+            }
+        }
+        out
+    }
+
+    fn append(&mut self, other: &Self) {
+        for (word, bits) in other.words.iter().enumerate() {
+            (0..64).filter(|bit| bits >> bit & 1 == 1).for_each(|bit| self.insert(word * 64 + bit));
+        }
+    }
+
     fn pop_last(&mut self) -> Option<usize> {
         let (word, bits) = self.words.iter_mut().enumerate().rev().find(|(_, bits)| **bits != 0)?;
         let bit = 63 - bits.leading_zeros() as usize;
@@ -250,6 +283,9 @@ mod tests {
         let mut set = ReadySet::default();
         [3, 130, 64, 3].into_iter().for_each(|node| set.insert(node));
         assert_eq!(set.len, 3);
+        let mut odd = set.split_off(|node| node % 2 == 1);
+        assert_eq!((set.len, odd.len, odd.pop_last()), (2, 1, Some(3)));
+        set.insert(3);
         assert_eq!(
             [set.pop_last(), set.pop_last(), set.pop_last(), set.pop_last()],
             [Some(130), Some(64), Some(3), None]
@@ -271,6 +307,10 @@ mod tests {
             }
             let _ = left;
             Stepped::Fired
+        }
+
+        fn is_cheap(&self, node: usize) -> bool {
+            node % 2 == 1
         }
 
         fn relieve(&self) -> Option<usize> {
