@@ -4,6 +4,7 @@
 mod common;
 
 use common::{json, osteoflow, root, run_whole};
+use serde_json::Value;
 use std::{fs, path::Path};
 
 fn simulate(dir: &Path, arguments: &[&str]) {
@@ -42,6 +43,54 @@ fn the_readme_of_the_data_names_the_seed_and_the_command() {
         assert!(readme.contains("SIMULATED"));
         let truth = json(&root().join("tests/data").join(folder).join("truth.json"));
         assert_eq!((truth["seed"].as_u64(), truth["simulated"].as_bool()), (Some(42), Some(true)));
+    }
+}
+
+/// Every number in two JSON values of one shape lies within `tolerance`.
+fn assert_alike(a: &Value, b: &Value, tolerance: f64, place: &str) {
+    match (a, b) {
+        (Value::Object(a), Value::Object(b)) => {
+            assert_eq!(Vec::from_iter(a.keys()), Vec::from_iter(b.keys()), "{place}");
+            a.iter().for_each(|(key, value)| assert_alike(value, &b[key], tolerance, &format!("{place}.{key}")));
+        }
+        (Value::Array(a), Value::Array(b)) => {
+            assert_eq!(a.len(), b.len(), "{place}");
+            a.iter().zip(b).enumerate().for_each(|(k, (a, b))| assert_alike(a, b, tolerance, &format!("{place}[{k}]")));
+        }
+        _ => match (a.as_f64(), b.as_f64()) {
+            (Some(x), Some(y)) => assert!((x - y).abs() <= tolerance, "{place} is {x}, its command gives {y}"),
+            _ => assert_eq!(a, b, "{place}"),
+        },
+    }
+}
+
+#[test]
+fn the_data_that_ships_is_what_its_command_makes() {
+    for (folder, switches) in [("procedure", &[][..]), ("folder", &["--as", "folder"])] {
+        let kept = root().join("tests/data").join(folder);
+        let command = |dir: &Path, more: &[&str]| {
+            let mut command = osteoflow();
+            command.args(["simulate", "--seed", "42", "--points", "10000", "--out"]).arg(dir).args(switches).args(more);
+            command.assert().success();
+        };
+        if std::env::var_os("UPDATE").is_some() {
+            command(&kept, &["--force"]);
+            continue;
+        }
+        let fresh = tempfile::tempdir().unwrap();
+        command(fresh.path(), &[]);
+        let names = |dir: &Path| {
+            let mut names: Vec<_> = fs::read_dir(dir).unwrap().map(|e| e.unwrap().file_name()).collect();
+            names.sort();
+            names
+        };
+        assert_eq!(names(&kept), names(fresh.path()), "{folder}: `UPDATE=1 cargo test --release` writes it anew");
+        for file in ["truth.json", "plan.json"] {
+            // Another machine's sine may differ in the last bit; a stale file differs by much more.
+            assert_alike(&json(&kept.join(file)), &json(&fresh.path().join(file)), 1e-6, &format!("{folder}/{file}"));
+        }
+        let [size, fresh_size] = [&*kept, fresh.path()].map(|dir| fs::metadata(dir.join("bone.stl")).unwrap().len());
+        assert_eq!(size, fresh_size, "{folder}/bone.stl has another number of faces");
     }
 }
 
