@@ -53,3 +53,31 @@ fn every_port_and_parameter_of_a_built_in_node_says_what_it_is() {
     }
     assert!(silent.is_empty(), "{silent:#?}");
 }
+
+#[test]
+fn every_example_names_its_kind_and_its_ports_and_builds_the_node() {
+    let registry = osteoflow_standard::registry();
+    for kind in registry.kinds() {
+        let d = &kind.description;
+        let table: toml::Table = d.example.parse().unwrap_or_else(|e| panic!("{}: {e}\n{}", d.kind, d.example));
+        assert_eq!(table["kind"].as_str(), Some(d.kind));
+        let ports = |key: &str| table.get(key).and_then(|t| t.as_table()).map(|t| Vec::from_iter(t.keys().cloned()));
+        for port in ports("in").unwrap_or_default() {
+            assert!(d.inputs.iter().any(|p| p.name == port), "{}: the example wires \"{port}\"", d.kind);
+        }
+        let needed = d.inputs.iter().filter(|p| !p.optional && !p.unused).map(|p| p.name.to_owned());
+        for port in needed {
+            assert!(ports("in").unwrap_or_default().contains(&port), "{}: the example lacks \"{port}\"", d.kind);
+        }
+        let params = table.into_iter().filter(|(key, _)| !["kind", "in", "out", "on_error"].contains(&key.as_str()));
+        let params: toml::Table = params.collect();
+        let known = d.params["properties"].as_object();
+        for name in params.keys() {
+            assert!(known.is_some_and(|k| k.contains_key(name)), "{}: the example sets \"{name}\"", d.kind);
+        }
+        let params = serde_json::to_value(params).unwrap();
+        if let Err(error) = kind.build(&params) {
+            panic!("{}: the example does not build: {error}", d.kind);
+        }
+    }
+}
