@@ -1,15 +1,23 @@
 //! The camera's place in its marker, from one scan of a phantom of known shape.
 
-use crate::icp::{self, IcpError, IcpParams, IcpReport};
+use crate::icp::{self, IcpError, IcpParams, IcpReport, Source};
+use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;
 use crate::sample;
 use crate::target::{Target, TargetError};
-use nalgebra::{Isometry3, Point3};
-use osteoflow_geometry::Mesh;
+use nalgebra::{Isometry3, Matrix3, Matrix3x6, Matrix6, Point3, Vector3, Vector6};
+use osteoflow_geometry::{Column, Mesh};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::ops::ControlFlow;
+use std::{collections::BTreeMap, ops::ControlFlow};
+
+/// Residuals within a cell of this size count as one error, mm: a camera's smooth distortion reaches about so far.
+pub const CELL_MM: f64 = 10.0;
+
+/// A face is looked at from so far outside, mm: beyond rounding, within any gap between parts.
+const JUST_OUTSIDE_MM: f64 = 1e-3;
 
 /// How the phantom's CAD is brought onto its scan.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -25,7 +33,8 @@ pub struct PhantomParams {
     /// Give up after so many steps. 200: ten times what a phantom takes.
     #[schemars(range(min = 1, max = 100000))]
     pub max_iterations: u32,
-    /// Points drawn from the CAD's surface. 60000: half a millimetre apart on a cube of 60 mm.
+    /// Points drawn from the CAD's surface. 40000: less than a millimetre apart on a cube of 60 mm, and
+    /// on flat faces the spacing does not matter.
     #[schemars(range(min = 100, max = 10000000))]
     pub n_samples: u32,
     /// Distance from the camera at which the error caused by the calibration is told, mm. 200: the paper's.
@@ -43,7 +52,7 @@ impl Default for PhantomParams {
             max_pair_distance_mm: 10.0,
             trim_fraction: 0.1,
             max_iterations: 200,
-            n_samples: 60_000,
+            n_samples: 40_000,
             working_distance_mm: 200.0,
             max_rms_mm: 0.5,
         }
@@ -76,13 +85,13 @@ pub struct PhantomReport {
     pub moved_mm: f64,
     /// Turn between the nominal pose and the fit, rad.
     pub moved_rad: f64,
-    /// Standard deviation of the rotation, rad, as the residuals predict it; see `docs` of [`phantom_icp`].
+    /// Standard deviation of the rotation, rad, as the residuals predict it; see [`phantom_icp`].
     pub rotation_sd_rad: f64,
-    /// Standard deviation of the position of the phantom's centroid, mm.
+    /// Standard deviation of the position of the centroid of what was seen of it, mm.
     pub translation_sd_mm: f64,
     /// The working distance, mm.
     pub working_distance_mm: f64,
-    /// Error predicted for a point there, one standard deviation, mm.
+    /// Error predicted for a point so far in front of the camera, RMS over its three directions, mm; see [`phantom_icp`].
     pub error_at_working_distance_mm: f64,
     /// What 0.1 degree would cause there, mm: 0.35 mm at 200 mm.
     pub error_of_tenth_degree_mm: f64,
@@ -125,20 +134,26 @@ pub enum CalibrationError {
 
 /// Registers the phantom's CAD to its scan (in the camera's frame, camera at the origin), from a nominal pose.
 ///
+/// Only what a camera can see of the CAD takes part: CAD programs export a body as overlapping closed parts, whose inner
+/// faces are buried in other parts, and of the rest only what faces the camera. Points pair with samples of those faces
+/// and are moved by their distance along the normals; the worst pairs, at edges, are left out.
+///
+/// The report's standard deviations come from the residuals as they are, not from their number: residuals of one region
+/// err together (a camera bends its surfaces), so the sums over cells of [`CELL_MM`] count as the independent errors
+/// (a sandwich estimate clustered by cell).
+///
 /// # Errors
 /// [`CalibrationError`]
 ///
 /// # Source
-/// Section 2.2 of the paper.
+/// Section 2.2 of the paper. For the clustered covariance: Liang and Zeger 1986.
 pub fn phantom_icp(
     scan: &[Point3<f64>],
     phantom: &Mesh,
     t_camera_phantom_nominal: &Isometry3<f64>,
     params: &PhantomParams,
 ) -> Result<PhantomFit, CalibrationError> {
-    let _ = MeshQuery::new(phantom);
-    let samples = sample::surface(phantom, params.n_samples as usize, &mut ChaCha8Rng::seed_from_u64(0));
-    let target = Target::new(&phantom.frame, phantom.origin, samples.points, Some(samples.normals.into()))?;
+    let target = visible(phantom, params.n_samples as usize)?;
     let icp_params = IcpParams {
         max_pair_distance_mm: params.max_pair_distance_mm,
         trim_fraction: params.trim_fraction,
@@ -146,23 +161,122 @@ pub fn phantom_icp(
         ..IcpParams::default()
     };
     let start = t_camera_phantom_nominal.inverse();
-    let fit = icp::point_to_plane(&target, scan, &start, &icp_params, &mut |_| ControlFlow::Continue(()))?;
+    let source = Source::seen_from(scan, Point3::origin());
+    let fit = icp::point_to_plane(&target, source, &start, &icp_params, &mut |_| ControlFlow::Continue(()))?;
+    let n_free = fit.report.observability.undetermined.len();
+    if n_free > 0 {
+        return Err(CalibrationError::Undetermined { n_free });
+    }
+    if fit.report.rms_mm > params.max_rms_mm {
+        return Err(CalibrationError::Residual { rms_mm: fit.report.rms_mm, limit_mm: params.max_rms_mm });
+    }
+    let t_camera_phantom = fit.t_target_source.inverse();
+    let pairs = pairs(&target, scan, &fit.t_target_source, params.max_pair_distance_mm);
+    let mut distances: Vec<f64> = pairs.iter().map(|p| p.residual_mm.abs()).collect();
+    distances.sort_by(f64::total_cmp);
+    let at = |share: f64| distances[((distances.len() - 1) as f64 * share).round() as usize];
+    let kept = at(1.0 - params.trim_fraction);
+    let used: Vec<Pair> = pairs.into_iter().filter(|p| p.residual_mm.abs() <= kept).collect();
+    let spread = Spread::new(&used, &t_camera_phantom);
+    let moved = t_camera_phantom.inverse() * t_camera_phantom_nominal;
+    let moved_squares: f64 = used.iter().map(|p| (moved * p.phantom - p.phantom).norm_squared()).sum();
+    let ahead = Point3::new(0.0, 0.0, params.working_distance_mm);
     let report = PhantomReport {
         n_points: scan.len(),
         n_pairs: fit.report.n_pairs,
         rms_mm: fit.report.rms_mm,
-        median_mm: fit.report.rms_mm,
-        p95_mm: fit.report.rms_mm,
-        moved_mm: 0.0,
-        moved_rad: fit.t_target_source.rotation.angle_to(&start.rotation),
-        rotation_sd_rad: 0.0,
-        translation_sd_mm: 0.0,
+        median_mm: at(0.5),
+        p95_mm: at(0.95),
+        moved_mm: (moved_squares / used.len() as f64).sqrt(),
+        moved_rad: moved.rotation.angle(),
+        rotation_sd_rad: spread.rotation_sd_rad(),
+        translation_sd_mm: spread.error_at(&spread.centre),
         working_distance_mm: params.working_distance_mm,
-        error_at_working_distance_mm: 0.0,
+        error_at_working_distance_mm: spread.error_at(&ahead),
         error_of_tenth_degree_mm: 0.1_f64.to_radians() * params.working_distance_mm,
         icp: fit.report,
     };
-    Ok(PhantomFit { t_camera_phantom: fit.t_target_source.inverse(), report })
+    Ok(PhantomFit { t_camera_phantom, report })
+}
+
+/// Samples of the faces that are not buried in another part of the body.
+fn visible(phantom: &Mesh, n: usize) -> Result<Target, CalibrationError> {
+    let query = MeshQuery::new(phantom);
+    let samples = sample::surface(phantom, n, &mut ChaCha8Rng::seed_from_u64(0));
+    let seen: Vec<bool> = samples
+        .points
+        .par_iter()
+        .zip(&samples.normals)
+        .map(|(point, normal)| !query.is_inside(&(point + normal * JUST_OUTSIDE_MM)))
+        .collect();
+    let kept = |i: &usize| seen[*i];
+    let indices: Vec<usize> = (0..seen.len()).filter(kept).collect();
+    if indices.is_empty() {
+        return Err(CalibrationError::NoSurface);
+    }
+    let points: Vec<Point3<f64>> = indices.iter().map(|&i| samples.points[i]).collect();
+    let normals: Column<Vector3<f64>> = indices.iter().map(|&i| samples.normals[i]).collect();
+    Ok(Target::new(&phantom.frame, phantom.origin, points, Some(normals))?)
+}
+
+/// A scan point on its face.
+struct Pair {
+    /// The scan point in the phantom's frame.
+    phantom: Point3<f64>,
+    normal: Vector3<f64>,
+    residual_mm: f64,
+}
+
+fn pairs(target: &Target, scan: &[Point3<f64>], t_phantom_camera: &Isometry3<f64>, max_mm: f64) -> Vec<Pair> {
+    let normals = target.normals().unwrap_or_default();
+    let pair = |point: &Point3<f64>| {
+        let phantom = t_phantom_camera * point;
+        let (index, _) = target.nearest(&phantom, max_mm)?;
+        let normal = *normals.get(index)?;
+        Some(Pair { phantom, normal, residual_mm: (phantom - target.points()[index]).dot(&normal) })
+    };
+    let found: Vec<Option<Pair>> = scan.par_iter().map(pair).collect();
+    found.into_iter().flatten().collect()
+}
+
+/// How far the phantom's pose may be off: the covariance of a small motion of it, in the camera's frame.
+struct Spread {
+    /// Of shift (mm) and turn (rad) about `centre`.
+    covariance: Matrix6<f64>,
+    /// The phantom's seen points' centroid, in the camera's frame, mm.
+    centre: Point3<f64>,
+}
+
+impl Spread {
+    fn new(pairs: &[Pair], t_camera_phantom: &Isometry3<f64>) -> Self {
+        let points: Vec<Point3<f64>> = pairs.iter().map(|p| t_camera_phantom * p.phantom).collect();
+        let centre = centroid(&points);
+        let mut normal = Matrix6::zeros();
+        let mut cells: BTreeMap<[i64; 3], Vector6<f64>> = BTreeMap::new();
+        for (pair, point) in pairs.iter().zip(&points) {
+            let n = t_camera_phantom * pair.normal;
+            let turn = (point - centre).cross(&n);
+            let row = Vector6::new(n.x, n.y, n.z, turn.x, turn.y, turn.z);
+            normal += row * row.transpose();
+            let cell = std::array::from_fn(|k| (pair.phantom[k] / CELL_MM).floor() as i64);
+            *cells.entry(cell).or_insert_with(Vector6::zeros) += row * pair.residual_mm;
+        }
+        let middle: Matrix6<f64> = cells.values().map(|sum| sum * sum.transpose()).sum();
+        let inverse = normal.try_inverse().unwrap_or_else(Matrix6::zeros);
+        Self { covariance: inverse * middle * inverse, centre }
+    }
+
+    fn rotation_sd_rad(&self) -> f64 {
+        (3..6).map(|k| self.covariance[(k, k)]).sum::<f64>().max(0.0).sqrt()
+    }
+
+    /// RMS error of a point in the camera's frame, mm: the shift plus what the turn does there.
+    fn error_at(&self, point: &Point3<f64>) -> f64 {
+        let mut motion = Matrix3x6::zeros();
+        motion.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
+        motion.fixed_view_mut::<3, 3>(0, 3).copy_from(&-(point - self.centre).cross_matrix());
+        (motion * self.covariance * motion.transpose()).trace().max(0.0).sqrt()
+    }
 }
 
 /// `t_c_mc = t_c_p * t_p_mp * t_mp_w * t_w_mc`: where the camera marker is in the camera's frame.

@@ -8,6 +8,9 @@ use parry3d_f64::query::{PointQuery, Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
 use std::sync::Arc;
 
+/// A ray goes on from so far behind a face, mm: beyond rounding, before any next face.
+const STEP_PAST_MM: f64 = 1e-6;
+
 /// A mesh prepared for ray casts and closest points. Wraps parry3d; its vertices are held about their mean, so that a
 /// bone far from the origin loses no digits. A cheap handle.
 #[derive(Clone)]
@@ -77,6 +80,21 @@ impl MeshQuery {
         let face = projection.subshape as usize;
         let found = self.centre + Vector3::new(projection.point.x, projection.point.y, projection.point.z);
         Some(Closest { point: found, distance_mm: (found - point).norm(), face, normal: self.normal(face) })
+    }
+
+    /// Whether the point lies inside one of the closed parts of the mesh: more faces are left than entered on the way out.
+    ///
+    /// Parts may overlap, as CAD programs export them. A point on a face counts as inside or outside by chance.
+    pub fn is_inside(&self, point: &Point3<f64>) -> bool {
+        // Off every axis, so that the ray does not run along an edge of a box.
+        let direction = Vector3::new(0.412_371, 0.576_923, 0.705_128).normalize();
+        let (mut from, mut left) = (*point, 0);
+        for _ in 0..self.mesh.faces().len() {
+            let Some(hit) = self.cast_ray(&from, &direction) else { break };
+            left += if hit.normal.dot(&direction) > 0.0 { 1 } else { -1 };
+            from = hit.point + direction * STEP_PAST_MM;
+        }
+        left > 0
     }
 
     fn normal(&self, face: usize) -> Vector3<f64> {

@@ -1,19 +1,40 @@
-use super::spot::{Scene, find};
+use super::scene::Scene;
+use super::spot::{Missing, find};
 use super::{Hole, HoleError, HoleParams};
 use osteoflow_geometry::Cloud;
+use rayon::prelude::*;
+
+/// A reference point is missing where the nearest point of the other scan is farther than this many spacings: twice what
+/// a grid that lies askew leaves, so that a lost point or two leave no gap.
+const GAP: f64 = 1.8;
+
+/// A gap below this share of the median spacing is none, whatever the spacing around it: saves looking closer.
+const LEAST: f64 = 0.7;
 
 /// The hole as the paper finds it: the reference scan minus the scan with the laser.
 ///
-/// A reference point is missing where the laser scan has no point within a distance that follows the local spacing.
-/// Both clouds in one frame. `O(n log n)`.
+/// A reference point is missing where the laser scan has no point within a distance that follows the local spacing, so
+/// that a surface seen at a slant does not come apart. Among the missing points a disc of the spot's radius is looked
+/// for; its centre is fitted to its rim, from inside by the missing points and from outside by those that are there, so
+/// that a hole of which another loss hides a part keeps its centre. What lies at the border of the common view has no rim
+/// and is no hole. Both clouds in one frame. `O(n log n)`.
 ///
 /// # Errors
 /// [`HoleError`]: no hole, more than one, too sparse to resolve it, or scans that do not lie on each other.
 ///
 /// # Source
-/// Section 2.3 of the paper, where the missing set's largest cluster gives the spot.
+/// Section 2.3 of the paper, where the centre of the missing set's largest cluster is the spot.
 pub fn cloud_difference(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Result<Hole, HoleError> {
     let scene = Scene::new(reference, cloud, params)?;
-    let missing = scene.without_neighbour();
-    find(&scene, &missing, params)
+    // What the scans are apart must not look like a gap.
+    let gap = |i: usize| (GAP * scene.spacing_mm(i)).hypot(2.0 * scene.residual_mm);
+    let least = scene.median_spacing() * LEAST;
+    let is_missing = |i: &usize| {
+        let nearest = scene.cloud_tree.nearest(&scene.reference[*i]);
+        nearest.is_none_or(|(_, square)| square > least * least && square > gap(*i).powi(2))
+    };
+    let indices: Vec<usize> = (0..scene.reference.len()).into_par_iter().filter(is_missing).collect();
+    // A point this close to the rim still has a neighbour beyond it.
+    let margin_mm = indices.iter().map(|&i| gap(i)).sum::<f64>() / indices.len().max(1) as f64;
+    find(&scene, &Missing { indices, margin_mm }, params)
 }

@@ -1,77 +1,303 @@
-//! What all detectors share: the two scans, and the search for a disc among the missing points.
+//! The search for a disc among the missing points, which all detectors share.
 
+use super::scene::Scene;
 use super::{Hole, HoleError, HoleParams, HoleReport};
 use crate::kabsch::centroid;
-use crate::nearest::Nearest;
-use nalgebra::Point3;
-use osteoflow_geometry::Cloud;
+use crate::normals::plane_normal;
+use nalgebra::{Matrix2, Matrix6, Point3, Vector2, Vector3, Vector6};
+use rayon::prelude::*;
 
-/// Both scans, with trees.
-pub(super) struct Scene<'a> {
-    pub(super) reference: &'a [Point3<f64>],
-    pub(super) cloud: &'a [Point3<f64>],
-    reference_tree: Nearest,
-    cloud_tree: Nearest,
-    spacing_mm: f64,
+/// A disc needs points at least this share of its radius apart: less than ten would else be missing of it.
+const MAX_SPACING: f64 = 0.32;
+
+/// Fewer missing points together are dropout.
+const MIN_CLUSTER: usize = 4;
+
+/// A gap so many times too large or too small is none: other losses of a scan are a little over half as large.
+const WRONG_SIZE: f64 = 1.6;
+
+/// Directions into which the rim is divided.
+const SECTORS: usize = 12;
+
+/// A direction of the rim is there where the scan has this share of the points that the reference has.
+const THERE: f64 = 0.4;
+
+/// So many directions of the rim may be missing where the reference shows them: another loss may touch the hole, but the
+/// border of the common view leaves half of them empty.
+const MAX_LOST_SECTORS: usize = 4;
+
+/// So many directions must be there: at a silhouette half of them show nothing in either scan.
+const MIN_SEEN_SECTORS: usize = 4;
+
+/// A second hole this share as sure as the first one leaves it open which is meant.
+const ALIKE: f64 = 0.6;
+
+/// Width of the bell that weighs the points of a surface patch, in parts of its reach.
+const WIDTH: f64 = 0.2;
+
+/// Steps of the fit of a centre; it settles in five.
+const FIT_STEPS: usize = 30;
+
+/// Reference points without a partner, by index in order.
+pub(super) struct Missing {
+    pub(super) indices: Vec<usize>,
+    /// So far inside the rim points are still told as there, mm.
+    pub(super) margin_mm: f64,
 }
 
-impl<'a> Scene<'a> {
-    pub(super) fn new(reference: &'a Cloud, cloud: &'a Cloud, _params: &HoleParams) -> Result<Self, HoleError> {
-        for (what, scan) in [("reference", reference), ("laser", cloud)] {
-            if scan.len() < 3 {
-                return Err(HoleError::Empty { what });
-            }
-        }
-        let reference_tree = Nearest::new(reference.points());
-        let cloud_tree = Nearest::new(cloud.points());
-        let mut gaps: Vec<f64> = reference
-            .points()
-            .iter()
-            .filter_map(|p| reference_tree.nearest_n(p, 5).last().map(|(_, d)| d.sqrt()))
-            .collect();
-        gaps.sort_by(f64::total_cmp);
-        let spacing_mm = gaps[gaps.len() / 2];
-        Ok(Self { reference: reference.points(), cloud: cloud.points(), reference_tree, cloud_tree, spacing_mm })
-    }
-
-    pub(super) fn without_neighbour(&self) -> Vec<usize> {
-        let radius = 2.0 * self.spacing_mm;
-        let alone = |p: &Point3<f64>| self.cloud_tree.nearest(p).is_none_or(|(_, d)| d > radius * radius);
-        (0..self.reference.len()).filter(|&i| alone(&self.reference[i])).collect()
-    }
+/// A place that was looked at.
+struct Candidate {
+    hole: Hole,
+    n_lost: usize,
+    n_seen: usize,
 }
 
-pub(super) fn find(scene: &Scene<'_>, missing: &[usize], params: &HoleParams) -> Result<Hole, HoleError> {
-    let radius = params.spot_radius_mm;
-    let is_missing = |i: &usize| missing.binary_search(i).is_ok();
-    let inside = |p: &Point3<f64>| {
-        scene.reference_tree.within(p, radius).into_iter().map(|(i, _)| i).filter(is_missing).collect::<Vec<usize>>()
+/// The one hole among the missing points.
+pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) -> Result<Hole, HoleError> {
+    let mut is_missing = vec![false; scene.reference.len()];
+    missing.indices.iter().for_each(|&i| is_missing[i] = true);
+    let seeds = seeds(scene, missing, &is_missing, params.spot_radius_mm);
+    let mut candidates: Vec<Candidate> =
+        seeds.par_iter().filter_map(|seed| judge(scene, missing, &is_missing, seed, params)).collect();
+    for candidate in &mut candidates {
+        candidate.hole.report.n_candidates = seeds.len();
+    }
+    candidates.sort_by(|a, b| b.hole.confidence.total_cmp(&a.hole.confidence));
+    let sure = |c: &&Candidate| {
+        c.hole.confidence >= params.min_confidence && c.n_lost <= MAX_LOST_SECTORS && c.n_seen >= MIN_SEEN_SECTORS
     };
-    let best = missing.iter().map(|&i| inside(&scene.reference[i])).max_by_key(Vec::len).unwrap_or_default();
-    if best.len() < 10 {
-        return Err(HoleError::None {
-            expected_radius_mm: radius,
-            n_missing: missing.len(),
-            best: format!("no more than {} of them lie together", best.len()),
+    let Some(best) = candidates.iter().find(sure) else {
+        return Err(none(scene, missing, candidates.first(), params));
+    };
+    if best.hole.report.spacing_mm > MAX_SPACING * params.spot_radius_mm {
+        return Err(too_sparse(best.hole.report.spacing_mm, params));
+    }
+    // Seeds of one hole settle in one place.
+    let apart = |c: &&Candidate| (c.hole.centre - best.hole.centre).norm() > params.spot_radius_mm;
+    let rivals: Vec<&Candidate> = candidates
+        .iter()
+        .filter(sure)
+        .filter(apart)
+        .filter(|c| c.hole.confidence > ALIKE * best.hole.confidence)
+        .collect();
+    if let Some(rival) = rivals.first() {
+        return Err(HoleError::Several {
+            n: rivals.len() + 1,
+            first: best.hole.centre.coords.into(),
+            second: rival.hole.centre.coords.into(),
+            first_confidence: best.hole.confidence,
+            second_confidence: rival.hole.confidence,
         });
     }
-    let centre = centroid(&best.iter().map(|&i| scene.reference[i]).collect::<Vec<_>>());
-    let n_expected = scene.reference_tree.within(&centre, radius).len();
-    let empty_share = best.len() as f64 / n_expected.max(1) as f64;
+    Ok(best.hole.clone())
+}
+
+fn too_sparse(spacing_mm: f64, params: &HoleParams) -> HoleError {
+    let needed_mm = MAX_SPACING * params.spot_radius_mm;
+    HoleError::TooSparse { what: "reference", spacing_mm, needed_mm, expected_radius_mm: params.spot_radius_mm }
+}
+
+/// Why there is no hole, in words.
+fn none(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, params: &HoleParams) -> HoleError {
+    let spacing_mm = scene.median_spacing();
+    if spacing_mm > MAX_SPACING * params.spot_radius_mm {
+        return too_sparse(spacing_mm, params);
+    }
+    let best = match best {
+        None => "no two of them lie together".to_owned(),
+        Some(Candidate { hole, n_lost, .. }) if *n_lost > MAX_LOST_SECTORS => {
+            let share = *n_lost as f64 / SECTORS as f64 * 100.0;
+            format!(
+                "the best gap, at {:.1?} mm, lies at the border of the laser scan, which ends in {share:.0} % of the \
+                 directions around it",
+                <[f64; 3]>::from(hole.centre.coords)
+            )
+        }
+        Some(Candidate { hole, .. }) => format!(
+            "the best gap, at {:.1?} mm, has a radius of {:.1} mm, is empty by {:.0} % and has {:.0} % of its rim \
+             (confidence {:.2}, {} needed)",
+            <[f64; 3]>::from(hole.centre.coords),
+            hole.radius_mm,
+            hole.report.empty_share * 100.0,
+            hole.report.rim_share * 100.0,
+            hole.confidence,
+            params.min_confidence
+        ),
+    };
+    HoleError::None { expected_radius_mm: params.spot_radius_mm, n_missing: missing.indices.len(), best }
+}
+
+/// Missing points with the most missing points around, no two within a disc of each other.
+fn seeds(scene: &Scene<'_>, missing: &Missing, is_missing: &[bool], radius_mm: f64) -> Vec<Point3<f64>> {
+    let crowd = |&i: &usize| {
+        let around = scene.reference_tree.within(&scene.reference[i], radius_mm);
+        (around.into_iter().filter(|(j, _)| is_missing[*j]).count(), i)
+    };
+    let mut crowds: Vec<(usize, usize)> = missing.indices.par_iter().map(crowd).collect();
+    crowds.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut taken = vec![false; scene.reference.len()];
+    let mut seeds = Vec::new();
+    for (n, i) in crowds {
+        if n < MIN_CLUSTER {
+            break;
+        }
+        if !taken[i] {
+            seeds.push(scene.reference[i]);
+            scene.reference_tree.within(&scene.reference[i], radius_mm).iter().for_each(|(j, _)| taken[*j] = true);
+        }
+    }
+    seeds
+}
+
+/// Fits a disc to what is missing around `seed` and tells how much of a hole it is.
+fn judge(
+    scene: &Scene<'_>,
+    missing: &Missing,
+    is_missing: &[bool],
+    seed: &Point3<f64>,
+    params: &HoleParams,
+) -> Option<Candidate> {
+    let radius = params.spot_radius_mm;
+    let lost = |around: &Point3<f64>, reach: f64| -> Vec<usize> {
+        let near = scene.reference_tree.within(around, reach);
+        near.into_iter().map(|(i, _)| i).filter(|i| is_missing[*i]).collect()
+    };
+    let start = centroid(&lost(seed, radius).iter().map(|&i| scene.reference[i]).collect::<Vec<_>>());
+    let local = lost(&start, 2.0 * radius);
+    let spacing_mm = local.iter().map(|&i| scene.spacing_mm(i)).sum::<f64>() / local.len().max(1) as f64;
+    let patch = Patch::new(scene, &start, 2.0 * radius)?;
+    let inside: Vec<Point3<f64>> = local.iter().map(|&i| scene.reference[i]).collect();
+    let outside: Vec<Point3<f64>> =
+        scene.cloud_tree.within(&start, 3.0 * radius).into_iter().map(|(i, _)| scene.cloud[i]).collect();
+    let band = spacing_mm.max(0.1 * radius);
+    let inner = (radius - missing.margin_mm - band).max(0.1 * radius);
+    let rough = patch.fit(&inside, inner, &outside, radius + band);
+    let patch = Patch::new(scene, &rough, 2.0 * radius).unwrap_or(patch);
+    let centre = patch.fit(&inside, inner, &outside, radius + band);
+
+    let count = |points: &crate::nearest::Nearest, reach: f64| points.within(&centre, reach).len() as f64;
+    let core = (radius - spacing_mm / 2.0).max(0.5 * radius);
+    let expected = |reach: f64| scene.density * count(&scene.reference_tree, reach);
+    let empty_share = (1.0 - count(&scene.cloud_tree, core) / expected(core).max(1.0)).clamp(0.0, 1.0);
+    // Of a wider disc the share that is missing tells the radius, without the rim's blur.
+    let wide = 1.4 * radius;
+    let share = (1.0 - count(&scene.cloud_tree, wide) / expected(wide).max(1.0)).clamp(0.0, 1.0);
+    let radius_mm = wide * share.sqrt();
+    let size_share = (1.0 - (radius_mm / radius).ln().abs() / WRONG_SIZE.ln()).clamp(0.0, 1.0);
+    let (n_seen, n_lost) = rim(scene, &patch, &centre, radius, spacing_mm);
+    let rim_share = n_seen as f64 / SECTORS as f64;
+    let confidence = empty_share * rim_share * size_share;
     let report = HoleReport {
         n_reference: scene.reference.len(),
         n_cloud: scene.cloud.len(),
-        n_missing: missing.len(),
-        n_hole: best.len(),
-        n_candidates: 1,
-        spacing_mm: scene.spacing_mm,
-        scan_residual_mm: 0.0,
-        radius_mm: radius * empty_share.sqrt(),
+        n_missing: missing.indices.len(),
+        n_hole: lost(&centre, radius).len(),
+        n_candidates: 0,
+        spacing_mm,
+        scan_residual_mm: scene.residual_mm,
+        radius_mm,
         expected_radius_mm: radius,
         empty_share,
-        rim_share: 1.0,
-        size_share: 1.0,
-        confidence: empty_share,
+        rim_share,
+        size_share,
+        confidence,
     };
-    Ok(Hole { centre, radius_mm: report.radius_mm, confidence: report.confidence, report })
+    Some(Candidate { hole: Hole { centre, radius_mm, confidence, report }, n_lost, n_seen })
+}
+
+/// Directions of the rim where the scan is there again, and those where it should be and is not.
+fn rim(scene: &Scene<'_>, patch: &Patch, centre: &Point3<f64>, radius: f64, spacing_mm: f64) -> (usize, usize) {
+    let reach = radius + (0.6 * radius).max(2.0 * spacing_mm);
+    let sectors = |points: &[Point3<f64>], tree: &crate::nearest::Nearest| {
+        let mut sectors = [0.0; SECTORS];
+        for (i, square) in tree.within(centre, reach) {
+            if square > radius * radius {
+                let offset = patch.local(&points[i]) - patch.local(centre);
+                let turn = (offset.y.atan2(offset.x) / std::f64::consts::TAU).rem_euclid(1.0);
+                sectors[((turn * SECTORS as f64) as usize).min(SECTORS - 1)] += 1.0;
+            }
+        }
+        sectors
+    };
+    let expected = sectors(scene.reference, &scene.reference_tree).map(|n| n * scene.density);
+    let found = sectors(scene.cloud, &scene.cloud_tree);
+    let pairs = || found.iter().zip(&expected);
+    let n_seen = pairs().filter(|(found, expected)| **found >= 1.0 && **found >= THERE * **expected).count();
+    let n_lost = pairs().filter(|(found, expected)| **expected >= 2.0 && **found < THERE * **expected).count();
+    (n_seen, n_lost)
+}
+
+/// The reference's surface around a place, as a quadratic height over its tangent plane.
+struct Patch {
+    origin: Point3<f64>,
+    axes: [Vector3<f64>; 3],
+    height: Vector6<f64>,
+}
+
+impl Patch {
+    fn new(scene: &Scene<'_>, origin: &Point3<f64>, reach_mm: f64) -> Option<Self> {
+        let around: Vec<Point3<f64>> =
+            scene.reference_tree.within(origin, reach_mm).into_iter().map(|(i, _)| scene.reference[i]).collect();
+        let z = plane_normal(&around)?;
+        let x = z.cross(&Vector3::ith(z.iamin(), 1.0)).normalize();
+        let mut patch = Self { origin: *origin, axes: [x, z.cross(&x), z], height: Vector6::zeros() };
+        let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
+        for point in &around {
+            let [x, y, z] = patch.local(point).into();
+            // A bone bends within a spot's radius more than a quadratic can follow, so what is near counts most.
+            let weight = (-(x * x + y * y) / (2.0 * (WIDTH * reach_mm).powi(2))).exp();
+            let row = monomials(x, y);
+            normal += row * row.transpose() * weight;
+            right += row * (z * weight);
+        }
+        // A little of the identity keeps bends flat that too few points would fix.
+        let damped = normal + Matrix6::identity() * 1e-3;
+        patch.height = damped.cholesky()?.solve(&right);
+        Some(patch)
+    }
+
+    /// Coordinates along the patch's axes.
+    fn local(&self, point: &Point3<f64>) -> Vector3<f64> {
+        let offset = point - self.origin;
+        Vector3::from(self.axes.map(|axis| axis.dot(&offset)))
+    }
+
+    fn on_surface(&self, at: &Vector2<f64>) -> Point3<f64> {
+        let z = self.height.dot(&monomials(at.x, at.y));
+        self.origin + self.axes[0] * at.x + self.axes[1] * at.y + self.axes[2] * z
+    }
+
+    /// The place on the surface with the points `inside` closer than `inner` and those `outside` farther than `outer`, in
+    /// the least-squares sense: from both sides the rim pulls at the centre until it lies in the middle.
+    fn fit(&self, inside: &[Point3<f64>], inner: f64, outside: &[Point3<f64>], outer: f64) -> Point3<f64> {
+        let mut at = Vector2::zeros();
+        for _ in 0..FIT_STEPS {
+            let centre = self.on_surface(&at);
+            let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
+            let mut pull = |point: &Point3<f64>, excess: &dyn Fn(f64) -> f64| {
+                let offset = point - centre;
+                let distance = offset.norm();
+                let excess = excess(distance);
+                if excess != 0.0 && distance > 0.0 {
+                    let direction = Vector2::new(self.axes[0].dot(&offset), self.axes[1].dot(&offset)) / distance;
+                    normal += direction * direction.transpose();
+                    right += direction * excess;
+                }
+            };
+            inside.iter().for_each(|p| pull(p, &|d| (d - inner).max(0.0)));
+            outside.iter().for_each(|p| pull(p, &|d| (d - outer).min(0.0)));
+            // The identity counts as one point in every direction: where the rim is open, the centre stays.
+            let Some(inverse) = (normal + Matrix2::identity()).try_inverse() else { break };
+            let step = inverse * right;
+            at += step;
+            if step.norm() < 1e-6 {
+                break;
+            }
+        }
+        self.on_surface(&at)
+    }
+}
+
+fn monomials(x: f64, y: f64) -> Vector6<f64> {
+    Vector6::new(1.0, x, y, x * x, x * y, y * y)
 }

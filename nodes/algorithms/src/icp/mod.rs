@@ -26,6 +26,13 @@ pub struct Source<'a> {
     camera: Option<Point3<f64>>,
 }
 
+impl<'a> Source<'a> {
+    /// Points taken by a camera that stood at `camera`, mm, in the points' frame.
+    pub fn seen_from(points: &'a [Point3<f64>], camera: Point3<f64>) -> Self {
+        Self { points, camera: Some(camera) }
+    }
+}
+
 impl<'a> From<&'a [Point3<f64>]> for Source<'a> {
     fn from(points: &'a [Point3<f64>]) -> Self {
         Self { points, camera: None }

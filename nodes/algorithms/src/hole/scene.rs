@@ -1,0 +1,110 @@
+//! The reference scan and the scan with the laser, side by side.
+
+use super::{HoleError, HoleParams};
+use crate::nearest::Nearest;
+use crate::normals::plane_normal;
+use nalgebra::Point3;
+use osteoflow_geometry::Cloud;
+
+/// Neighbours that the spacing around a point is told from: the first ring of a square grid.
+const RING: usize = 8;
+
+/// At most so many points are looked at for what is told of a whole scan.
+const LOOKED_AT: usize = 1000;
+
+/// Neighbours that a scan's surface is told from.
+const AROUND: usize = 12;
+
+/// Both scans in one frame, with trees and spacing.
+pub(super) struct Scene<'a> {
+    pub(super) reference: &'a [Point3<f64>],
+    pub(super) cloud: &'a [Point3<f64>],
+    pub(super) reference_tree: Nearest,
+    pub(super) cloud_tree: Nearest,
+    /// How many times coarser the scan with the laser is than the reference; 1 where it is finer.
+    coarser: f64,
+    /// Points of the scan with the laser for each point of the reference, where both are.
+    pub(super) density: f64,
+    /// Median distance of the scan with the laser from the reference's surface, mm.
+    pub(super) residual_mm: f64,
+}
+
+impl<'a> Scene<'a> {
+    /// # Errors
+    /// [`HoleError::Empty`], [`HoleError::ScansApart`].
+    pub(super) fn new(reference: &'a Cloud, cloud: &'a Cloud, params: &HoleParams) -> Result<Self, HoleError> {
+        for (what, scan) in [("reference", reference), ("laser", cloud)] {
+            if scan.len() <= AROUND {
+                return Err(HoleError::Empty { what });
+            }
+        }
+        let (reference, cloud) = (reference.points(), cloud.points());
+        let (reference_tree, cloud_tree) = (Nearest::new(reference), Nearest::new(cloud));
+        let mut scene =
+            Self { reference, cloud, reference_tree, cloud_tree, coarser: 1.0, density: 1.0, residual_mm: 0.0 };
+        let mut of_cloud: Vec<f64> = thinned(cloud).map(|p| spacing(&scene.cloud_tree, p)).collect();
+        scene.coarser = (median(&mut of_cloud) / scene.median_spacing()).max(1.0);
+        scene.residual_mm = scene.median_residual(params.spot_radius_mm);
+        if scene.residual_mm > params.max_scan_residual_mm {
+            let limit_mm = params.max_scan_residual_mm;
+            return Err(HoleError::ScansApart { residual_mm: scene.residual_mm, limit_mm });
+        }
+        let mut density: Vec<f64> = thinned(reference)
+            .step_by(4)
+            .map(|p| {
+                let count = |tree: &Nearest| tree.within(p, params.spot_radius_mm).len() as f64;
+                count(&scene.cloud_tree) / count(&scene.reference_tree)
+            })
+            .filter(|share| *share > 0.0)
+            .collect();
+        scene.density = median(&mut density).max(f64::MIN_POSITIVE);
+        Ok(scene)
+    }
+
+    /// Spacing around a reference point, mm, in whichever scan is coarser.
+    pub(super) fn spacing_mm(&self, index: usize) -> f64 {
+        self.coarser * spacing(&self.reference_tree, &self.reference[index])
+    }
+
+    /// Median of [`Scene::spacing_mm`].
+    pub(super) fn median_spacing(&self) -> f64 {
+        median(
+            &mut thinned(self.reference).map(|p| self.coarser * spacing(&self.reference_tree, p)).collect::<Vec<_>>(),
+        )
+    }
+
+    /// Median distance of the scan with the laser from the planes through its neighbours in the reference, over what
+    /// both show; over everything where they show nothing together.
+    fn median_residual(&self, reach_mm: f64) -> f64 {
+        let residuals: Vec<(f64, f64)> = thinned(self.cloud)
+            .map(|p| {
+                let found = self.reference_tree.nearest_n(p, AROUND);
+                let near = found.first().map_or(f64::MAX, |(_, square)| square.sqrt());
+                let around: Vec<Point3<f64>> = found.iter().map(|(i, _)| self.reference[*i]).collect();
+                let centre = crate::kabsch::centroid(&around);
+                (near, plane_normal(&around).map_or(near, |n| n.dot(&(p - centre)).abs()))
+            })
+            .collect();
+        let mut shared: Vec<f64> = residuals.iter().filter(|(near, _)| *near <= reach_mm).map(|(_, d)| *d).collect();
+        if shared.len() * 5 < residuals.len() {
+            shared = residuals.iter().map(|(near, _)| *near).collect();
+        }
+        median(&mut shared)
+    }
+}
+
+/// From the farthest of the first ring, so that a grid seen at a slant counts by its wide side, mm.
+fn spacing(tree: &Nearest, point: &Point3<f64>) -> f64 {
+    tree.nearest_n(point, RING + 1).last().map_or(0.0, |(_, square)| (square / 2.0).sqrt())
+}
+
+/// About [`LOOKED_AT`] points, evenly along the scan.
+fn thinned(points: &[Point3<f64>]) -> impl Iterator<Item = &Point3<f64>> {
+    points.iter().step_by(points.len().div_ceil(LOOKED_AT).max(1))
+}
+
+/// The middle value; zero of none.
+pub(super) fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
