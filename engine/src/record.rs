@@ -239,39 +239,37 @@ impl Sink {
         let Some(wire) = self.wires.get_mut(&id) else { return Ok(()) };
         wire.n_items += 1;
         wire.n_values += u64::from(matches!(item.body, Body::Value(_)));
-        // The message itself holds the stamp as it is, negative ones too.
-        let header = header(wire.exact, item, item.stamp_ns);
-        let (has_view, bytes) = (wire.view.is_some(), codec::encode(item));
-        self.writer.write_to_known_channel(&header, &bytes)?;
         if item.stamp_ns > 0 && self.first_stamp.is_none() {
             self.first_stamp = Some(item.stamp_ns);
-            self.show_waiting(item.stamp_ns)?;
+            self.write_waiting(item.stamp_ns)?;
         }
-        match (has_view, item.stamp_ns > 0, self.first_stamp) {
-            (false, ..) => Ok(()),
-            (true, true, _) => self.show(id, item, item.stamp_ns),
-            (true, false, Some(first)) => self.show(id, item, first),
-            (true, false, None) => {
+        match self.first_stamp {
+            Some(first) => self.write(id, item, if item.stamp_ns > 0 { item.stamp_ns } else { first }),
+            None => {
                 self.waiting.push((id, item.clone()));
                 Ok(())
             }
         }
     }
 
-    fn show_waiting(&mut self, stamp_ns: StampNs) -> Result<(), Stopped> {
+    fn write_waiting(&mut self, log_time_ns: StampNs) -> Result<(), Stopped> {
         let waiting = std::mem::take(&mut self.waiting);
-        waiting.iter().try_for_each(|(id, item)| self.show(*id, item, stamp_ns))
+        waiting.iter().try_for_each(|(id, item)| self.write(*id, item, log_time_ns))
     }
 
-    fn show(&mut self, id: OutputId, item: &Item, stamp_ns: StampNs) -> Result<(), Stopped> {
-        let (Some(channel), Body::Value(value)) = (self.wires[&id].view, &item.body) else { return Ok(()) };
-        let Some(picture) = value.to_display(stamp_ns) else { return Ok(()) };
-        Ok(self.writer.write_to_known_channel(&header(channel, item, stamp_ns), &picture)?)
+    /// Writes an item and its picture. The exact message holds the stamp as it is, zero and negative ones too; its log
+    /// time is one that viewers take.
+    fn write(&mut self, id: OutputId, item: &Item, log_time_ns: StampNs) -> Result<(), Stopped> {
+        let (exact, view) = (self.wires[&id].exact, self.wires[&id].view);
+        self.writer.write_to_known_channel(&header(exact, item, log_time_ns), &codec::encode(item))?;
+        let (Some(channel), Body::Value(value)) = (view, &item.body) else { return Ok(()) };
+        let Some(picture) = value.to_display(log_time_ns) else { return Ok(()) };
+        Ok(self.writer.write_to_known_channel(&header(channel, item, log_time_ns), &picture)?)
     }
 
     fn end(&mut self, outcome: BTreeMap<String, String>) -> Result<(), Stopped> {
         // Viewers take no time of zero; a run without any time is shown at its first nanosecond.
-        self.show_waiting(self.first_stamp.unwrap_or(1))?;
+        self.write_waiting(self.first_stamp.unwrap_or(1))?;
         let counts = self.wires.values();
         let counts = counts.map(|w| (w.name.clone(), format!("{} items, {} values", w.n_items, w.n_values)));
         let metadata = counts.collect();
@@ -286,7 +284,7 @@ impl Sink {
     }
 }
 
-fn header(channel_id: u16, item: &Item, stamp_ns: StampNs) -> MessageHeader {
-    let time = stamp_ns.max(0) as u64;
+fn header(channel_id: u16, item: &Item, log_time_ns: StampNs) -> MessageHeader {
+    let time = log_time_ns as u64;
     MessageHeader { channel_id, sequence: item.number as u32, log_time: time, publish_time: time }
 }

@@ -75,7 +75,6 @@ impl Joined {
     /// [`NodeError`] if the engine joined fewer ports than the node declares.
     pub fn take(&mut self, index: usize) -> Result<Slot, NodeError> {
         let slot = self.slots.get_mut(index).ok_or_else(|| NodeError::new("the engine joined too few ports"))?;
-        let gone = Empty { node: String::new(), reason: "taken".into() };
-        Ok(std::mem::replace(slot, Slot::Absent(Arc::new(gone))))
+        Ok(std::mem::replace(slot, Slot::Items(Vec::new())))
     }
 }

@@ -49,6 +49,7 @@ pub fn registry() -> Registry {
         .node::<transform::to_bone_marker::ToBoneMarker>()
         .node::<transform::points_to_bone_marker::PointsToBoneMarker>()
         .node::<transform::points::Points>()
+        .node::<transform::first_of::FirstOf>()
         .node::<crop::r#box::Box>()
         .node::<crop::sphere::Sphere>()
         .node::<crop::polygon::Polygon>()

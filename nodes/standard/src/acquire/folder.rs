@@ -74,9 +74,10 @@ impl Folder {
     fn open(&self, ctx: &mut Context) -> Result<Vec<Event<Emission>>, NodeError> {
         let folder = ProcedureFolder::open(self.path.as_ref())?;
         let streams = folder.streams()?;
-        streams.notes.into_iter().for_each(|note| ctx.warn(note));
+        streams.notes.iter().for_each(|note| ctx.warn(note));
         let start_ns = streams.items.iter().map(|item| item.stamp_ns).find(|&stamp_ns| stamp_ns != 0).unwrap_or(0);
-        let tracked = streams.items.iter().any(|item| item.role == "bone_marker");
+        let has = |role: &str| streams.items.iter().any(|item| item.role == role);
+        let tracked = has("bone_marker");
         let mut events = vec![
             at(Role::Simulated, start_ns, Emission::value(Flag(false))),
             at(Role::BoneTracked, start_ns, Emission::value(Flag(tracked))),
@@ -89,9 +90,10 @@ impl Folder {
                 },
             ),
         ];
-        if !tracked {
-            let none = Emission::Empty("the folder has no poses of bone_marker".into());
-            events.push(at(Role::BoneMarker, start_ns, none));
+        for (role, name) in [(Role::BoneMarker, "bone_marker"), (Role::PhantomMarkerCad, "phantom_marker_cad")] {
+            if !has(name) {
+                events.push(at(role, start_ns, Emission::Empty(format!("the folder has no poses of {name}"))));
+            }
         }
         events.extend(streams.items.into_iter().filter_map(event));
         Ok(events)

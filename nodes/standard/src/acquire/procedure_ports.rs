@@ -20,6 +20,9 @@ pub struct ProcedurePorts {
     /// The marker on the phantom, tracked.
     #[port(to = "@world", from = "@phantom_marker")]
     phantom_marker: Emit<Pose>,
+    /// Where the marker sits on the phantom, known from its CAD; else an empty.
+    #[port(to = "@phantom", from = "@phantom_marker")]
+    phantom_marker_cad: Emit<Pose>,
     /// The marker on the bone, tracked.
     #[port(to = "@world", from = "@bone_marker")]
     bone_marker: Emit<Pose>,
@@ -56,6 +59,7 @@ pub(crate) enum Role {
     Laser,
     CameraMarker,
     PhantomMarker,
+    PhantomMarkerCad,
     BoneMarker,
     BoneTracked,
     Region,

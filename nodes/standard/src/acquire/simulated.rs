@@ -62,6 +62,7 @@ fn events(procedure: Procedure) -> Vec<Event<Emission>> {
     events.poses(Role::CameraMarker, procedure.camera_marker);
     events.poses(Role::PhantomMarker, procedure.phantom_marker);
     events.poses(Role::BoneMarker, procedure.bone_marker);
+    events.add(Role::PhantomMarkerCad, start_ns, Emission::value(procedure.t_phantom_phantom_marker));
     events.points(Role::StylusInit, &procedure.stylus_init);
     events.points(Role::StylusAssessment, &procedure.stylus_assessment);
     events.points(Role::StylusPalpation, &procedure.stylus_palpation);

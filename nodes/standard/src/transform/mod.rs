@@ -1,6 +1,7 @@
 //! From frame to frame: to the tracker's world, to the marker on the bone.
 
 mod bone_frame;
+pub mod first_of;
 pub mod points;
 pub mod points_to_bone_marker;
 pub mod still_average;
