@@ -160,6 +160,9 @@ pub struct IcpReport {
     /// How far from its least a `point_to_point` can come to rest, mm, one standard deviation: its residual is rough, as
     /// points prefer to stay with the target samples they have. Denser samples make it finer. None for planes.
     pub resolution_mm: Option<f64>,
+    /// What a `point_to_point` leaves although it has come to rest, mm: how far a first step along the target's normals
+    /// would move the source from here (RMS of its points), mostly along the bone. None for planes.
+    pub left_mm: Option<f64>,
     /// Which motions the pairs hold, and which they leave free.
     pub observability: Observability,
 }

@@ -92,7 +92,7 @@ pub(super) fn run(
         Some(end) => Descent { pairing: all.pair(&end.state)?, ..end },
         None => descend(&all, state, 1, &mut trace, observer)?,
     };
-    let report = report(&all, &end, &trace);
+    let report = IcpReport { left_mm: left_mm(&all, &end.state), ..report(&all, &end, &trace) };
     Ok(IcpFit { t_target_source: end.state.isometry(&source_centre), report, trace })
 }
 
@@ -158,6 +158,7 @@ fn descend(
     let mut best = (state, pairing.clone());
     let (mut share, mut last_way_mm) = (1.0, None);
     let mut calm = 0;
+    let mut plainly = false;
     loop {
         let x = state.since(&start, lever_arm_mm);
         let leap = problem.newton(&pairing);
@@ -173,7 +174,8 @@ fn descend(
         last_way_mm = Some(way_mm);
         let remaining_mm = Some(way_mm * share);
         // Twice in a row, unless nothing moves: a state can look calm while passing by.
-        let resolution_mm = problem.resolution_mm(&pairing).filter(|_| params.acceleration > 0).unwrap_or(0.0);
+        let resolution_mm =
+            problem.resolution_mm(&pairing).filter(|_| params.acceleration > 0 && !plainly).unwrap_or(0.0);
         let is_calm = remaining_mm.is_some_and(|r| r <= params.stop_step_mm.max(resolution_mm));
         calm = if is_calm { calm + 1 } else { 0 };
         let done = |reason, pairing| Ok(Descent { state, pairing, reason, converged: is_calm, remaining_mm });
@@ -181,7 +183,11 @@ fn descend(
         // What is rough can hold the source far from the least; a look beyond the roughness tells.
         let probed = if settled { lower_beyond(problem, &state, &pairing, resolution_mm) } else { None };
         if settled && probed.is_none() {
-            return done(StopReason::Step, pairing);
+            // Among the roughness only plain steps find the pairs that stay.
+            if remaining_mm.is_some_and(|r| r <= params.stop_step_mm) || plainly {
+                return done(StopReason::Step, pairing);
+            }
+            (plainly, calm) = (true, 0);
         }
         if trace.steps.len() >= params.max_iterations as usize {
             return done(StopReason::Iterations, pairing);
@@ -190,7 +196,7 @@ fn descend(
         // No farther than pairs reach: beyond, the model knows nothing.
         let cut = (params.max_pair_distance_mm / leap.norm()).min(1.0);
         let candidates: Vec<(State, bool)> = match problem.residual {
-            Residual::Point if params.acceleration == 0 => vec![(plain, false)],
+            Residual::Point if params.acceleration == 0 || plainly => vec![(plain, false)],
             Residual::Point => {
                 let far = start.moved(&acceleration.next(x, g), lever_arm_mm);
                 vec![(state.moved(&(leap * cut), lever_arm_mm), true), (far, true), (plain, false)]
@@ -271,6 +277,15 @@ fn lower_beyond(
     best
 }
 
+/// How far a step along the normals would still move a source that `point_to_point` has brought to rest, mm.
+fn left_mm(problem: &Problem<'_>, state: &State) -> Option<f64> {
+    if problem.residual == Residual::Plane {
+        return None;
+    }
+    let planes = Problem { residual: Residual::Plane, arms: problem.arms.clone(), ..*problem };
+    planes.pair(state).ok().map(|pairing| planes.newton(&pairing).norm())
+}
+
 fn report(problem: &Problem<'_>, end: &Descent, trace: &IcpTrace) -> IcpReport {
     let sums = &end.pairing.sums;
     let last = trace.steps.last();
@@ -287,6 +302,7 @@ fn report(problem: &Problem<'_>, end: &Descent, trace: &IcpTrace) -> IcpReport {
         step_rad: last.map_or(0.0, |s| s.step_rad),
         remaining_mm: end.remaining_mm,
         resolution_mm: problem.resolution_mm(&end.pairing),
+        left_mm: None,
         observability: Observability::new(&(sums.hold / sums.n as f64), problem.lever_arm_mm),
     }
 }
