@@ -97,15 +97,15 @@ fn the_data_that_ships_is_what_its_command_makes() {
 #[test]
 fn a_recording_and_a_folder_of_one_procedure_give_the_same_registration() {
     let poses = ["graphs/fibula_recorded.toml", "graphs/fibula_folder.toml"].map(|graph| {
-        let ran = run_whole(graph, &["--no-record"]);
+        let ran = run_whole(graph, &["--no-record", "--set", "icp.kind=icp.point_to_plane"]);
         common::isometry(&ran.results["poses"]["t_ct_world"]["matrix"])
     });
     let truth = json(&root().join("tests/data/procedure/truth.json"));
     for spot in truth["assessment_W_true"].as_array().unwrap() {
         let spot = common::point(spot);
         let apart = (poses[0] * spot - poses[1] * spot).norm();
-        // A recording holds coordinates as 32-bit floats; ICP ends within its own stop rule of 0.01 mm of the same place,
-        // from either side and along the weakest direction.
-        assert!(apart < 0.1, "{apart} mm apart");
+        // A recording holds coordinates as 32-bit floats, which moves points by 0.00002 mm; point-to-plane ends within its
+        // stop rule of 0.01 mm of one place, from either side, and points beside the scan move up to twice as far.
+        assert!(apart < 0.05, "{apart} mm apart");
     }
 }
