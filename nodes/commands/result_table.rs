@@ -64,11 +64,12 @@ fn points(results: &Value) -> Option<String> {
 
 fn icp(results: &Value) -> Option<String> {
     let icp = results.get("icp")?;
-    let mut table = TextTable::new("icp", &["iterations", "pairs", "rms mm"]);
+    let mut table = TextTable::new("icp", &["iterations", "pairs", "rms mm", "leaves mm"]);
     let rms = icp["rms_mm"].as_f64().map_or_else(|| "-".into(), |v| fixed(v, 4));
     let how = if icp["converged"] == Value::Bool(true) { "converged" } else { "not converged" };
     let stop = format!("stopped by {}", plain(&icp["stop_reason"]));
-    table.row(how, [plain(&icp["iterations"]), plain(&icp["n_pairs"]), rms, stop]);
+    let leaves = icp["left_mm"].as_f64().or(icp["remaining_mm"].as_f64()).map_or_else(|| "-".into(), |v| fixed(v, 3));
+    table.row(how, [plain(&icp["iterations"]), plain(&icp["n_pairs"]), rms, leaves, stop]);
     some(table)
 }
 

@@ -124,8 +124,9 @@ pub fn stamp<'a>(message: impl Into<Encoded<'a>>) -> Result<StampNs, FoxgloveErr
 /// message's `pose`, metres turned to mm.
 ///
 /// Points with a NaN or infinite coordinate are left out and counted. Normals (`normal_x` .. or `nx` ..) come along when
-/// every kept point has one; other fields are ignored. The viewpoint is the message's `pose`, or the origin of the frame
-/// where there is none; it is unknown where that frame is no sensor's (`world`, `ct`, `phantom`, a marker). `O(n)`.
+/// every kept point has one; other fields are ignored. The viewpoint is the origin of the frame, for a
+/// sensor looks from there, whatever `pose` its points are given in; in a frame that is no sensor's (`world`, `ct`,
+/// `phantom`, a marker) it is the `pose`, or unknown where there is none. `O(n)`.
 ///
 /// # Errors
 /// [`FoxgloveError`], saying what is missing, which bytes do not add up, or that the pose is no rigid motion.
@@ -167,7 +168,7 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Foxg
         cloud = cloud.with_normals(normals).expect("each kept point has its normal");
     }
     cloud.stamp_ns = stamp_ns;
-    cloud.viewpoint = pose.or_else(|| is_sensor_frame(cloud.frame.as_str()).then(Isometry3::identity));
+    cloud.viewpoint = if is_sensor_frame(cloud.frame.as_str()) { Some(Isometry3::identity()) } else { pose };
     Ok(CloudRead { cloud, n_points_in_message, n_dropped, n_bad_normals })
 }
 

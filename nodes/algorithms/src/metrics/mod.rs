@@ -53,11 +53,11 @@ pub enum MetricsError {
     },
 }
 
-/// Name, target and source position of each target point.
-fn paired(
-    target: &[NamedPoint],
-    source: &[NamedPoint],
-) -> Result<Vec<(String, Point3<f64>, Point3<f64>)>, MetricsError> {
+/// Name, target and source position of a point.
+type PointPair = (String, Point3<f64>, Point3<f64>);
+
+/// The pair of each target point.
+fn paired(target: &[NamedPoint], source: &[NamedPoint]) -> Result<Vec<PointPair>, MetricsError> {
     if target.is_empty() {
         return Err(MetricsError::Empty { what: "point" });
     }

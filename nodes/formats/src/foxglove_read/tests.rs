@@ -72,7 +72,7 @@ fn an_empty_cloud_is_a_cloud() {
 }
 
 #[test]
-fn a_pose_moves_points_and_normals_and_is_the_viewpoint() {
+fn a_pose_moves_points_and_normals_while_the_camera_stays_at_its_own_origin() {
     let mut raw = xyz_f32(&[[0.1, 0.0, 0.0], [0.0, 0.0, 1.0]]);
     raw.point_stride = 24;
     raw.fields.extend([("nx", 12), ("ny", 16), ("nz", 20)].map(|(name, offset)| PackedElementField {
@@ -91,7 +91,10 @@ fn a_pose_moves_points_and_normals_and_is_the_viewpoint() {
     // 0.1 in single precision is off by 1.5e-6 mm.
     assert!((cloud.points()[0] - Point3::new(0.0, 600.0, 0.0)).norm() < 1e-5);
     assert!((cloud.normals().unwrap()[0] - Vector3::y()).norm() < 1e-12, "unit length, turned along");
-    assert!((cloud.viewpoint.unwrap() * Point3::origin() - Point3::new(0.0, 500.0, 0.0)).norm() < 1e-9);
+    assert_eq!(cloud.viewpoint, Some(Isometry3::identity()));
+    raw.frame_id = "world".into();
+    let seen_from = read(&raw).unwrap().cloud.viewpoint.unwrap() * Point3::origin();
+    assert!((seen_from - Point3::new(0.0, 500.0, 0.0)).norm() < 1e-9, "in the world the pose is the sensor's");
 }
 
 #[test]

@@ -3,7 +3,9 @@
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::coarse::{self, CoarseReport};
 use osteoflow_geometry::{Points, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+};
 
 /// The rigid motion that best carries located landmarks onto the planned ones.
 ///
@@ -17,7 +19,24 @@ in   = { target = "plan.landmarks", source = { from = "hole.point", n = 3 } }
 "#,
     literature = ["Kabsch 1976", "section 2.3 of the paper"]
 )]
-pub struct ThreePoint;
+pub struct ThreePoint(Params);
+
+/// Parameters of [`ThreePoint`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// Points that fit worse than this (RMS) are not the planned landmarks. 10 mm: landmarks that a ruler placed 10 mm off
+    /// still pass, a spot found on the wrong side of the scan does not.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub max_fre_mm: f64,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { max_fre_mm: 10.0 }
+    }
+}
 
 /// Inputs of [`ThreePoint`].
 #[derive(Inputs)]
@@ -42,18 +61,40 @@ pub struct Out {
 
 impl Node for ThreePoint {
     const KIND: &'static str = "coarse.three_point";
-    type Params = crate::NoParams;
+    type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self(params))
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let source = in_one_list(&i.source)?;
+        if i.target.points.is_empty() {
+            let next = "plan.landmarks places P1..P3 on the bone's surface";
+            return Err(NodeError::new(format!("the plan gives no landmarks to fit to; {next}")));
+        }
         let fit = coarse::three_point(&i.target.points, &source.points)?;
+        if fit.report.fre_mm > self.0.max_fre_mm {
+            return Err(NodeError::new(misfit(&fit.report, self.0.max_fre_mm)));
+        }
         let pose = Pose::new(&i.target.frame, &source.frame, fit.t_target_source).at(ctx.stamp_ns());
         Ok(Out { t_target_source: pose, report: fit.report })
     }
+}
+
+/// What does not fit, told by the sides, which need no registration.
+fn misfit(report: &CoarseReport, limit_mm: f64) -> String {
+    let sides = report.sides.iter().map(|s| {
+        let (from, to, target, source) = (&s.from, &s.to, s.target_mm, s.source_mm);
+        format!("{from}-{to} is {source:.1} mm in the scan and {target:.1} mm in the plan")
+    });
+    let sides: Vec<String> = sides.collect();
+    format!(
+        "the points miss the planned landmarks by {:.1} mm (RMS), {limit_mm} mm is allowed: {}; was a spot found at the \
+         wrong place, or are two landmarks exchanged?",
+        report.fre_mm,
+        sides.join(", ")
+    )
 }

@@ -5,7 +5,7 @@ use osteoflow_payloads::Flag;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Parameters of the nodes that go over to the bone marker's frame.
+/// Parameters of the nodes that carry data by a tracked marker.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
@@ -53,11 +53,19 @@ impl BoneFrame {
 
     /// Reports a marker that moved while the scan was taken.
     pub(crate) fn note_motion(&self, motion: Option<&StillReport>, what: &str, ctx: &mut Context) {
-        let Some(motion) = motion.filter(|m| m.drift_mm > self.0.flag_motion_above_mm) else { return };
-        ctx.warn(format!(
-            "the bone marker moved by {:.2} mm over the {} samples before {what} was taken (more than {} mm): \
-             the cloud may be smeared",
-            motion.drift_mm, motion.n, self.0.flag_motion_above_mm
-        ));
+        note_motion("bone", motion, self.0.flag_motion_above_mm, what, ctx);
     }
+}
+
+/// Reports a marker that moved by more than `limit_mm` while the scan was taken.
+pub(crate) fn note_motion(marker: &str, motion: Option<&StillReport>, limit_mm: f64, what: &str, ctx: &mut Context) {
+    // The means of the window's halves lie half of the window's motion apart.
+    let Some((motion, moved_mm)) = motion.map(|m| (m, 2.0 * m.drift_mm)).filter(|(_, moved)| *moved > limit_mm) else {
+        return;
+    };
+    ctx.warn(format!(
+        "the {marker} marker moved by {moved_mm:.2} mm over the {} samples before {what} was taken (more than {limit_mm} \
+         mm): the cloud may be smeared",
+        motion.n
+    ));
 }

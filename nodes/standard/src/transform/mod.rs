@@ -8,5 +8,5 @@ pub mod still_average;
 pub mod to_bone_marker;
 pub mod to_world;
 
-pub(crate) use bone_frame::BoneFrame;
 pub use bone_frame::TrackingParams;
+pub(crate) use bone_frame::{BoneFrame, note_motion};

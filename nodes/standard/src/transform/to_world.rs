@@ -1,5 +1,7 @@
 //! The kind `transform.to_world`.
 
+use super::{TrackingParams, note_motion};
+use osteoflow_algorithms::still_average::StillReport;
 use osteoflow_geometry::{Cloud, Pose};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
@@ -7,16 +9,17 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamE
 ///
 /// `cloud_world = t_world_camera_marker * inverse(t_camera_camera_marker) * cloud_camera`. The camera marker's pose is
 /// interpolated at the cloud's stamp; where the tracker did not see the marker for longer than `max_gap_ms` around it,
-/// there is no result: a stale pose is never used.
+/// there is no result: a stale pose is never used. A marker that
+/// moved while the scan was taken is reported.
 #[derive(Describe)]
 #[describe(
     example = r#"
 kind = "transform.to_world"
-in   = { cloud = "crop.cloud", t_world_camera_marker = "camera_marker.pose", calibration = "calibration.t_camera_camera_marker" }
+in   = { cloud = "crop.cloud", t_world_camera_marker = "camera_marker.pose", motion = "camera_marker.motion", calibration = "calibration.t_camera_camera_marker" }
 "#,
     literature = ["section 2.2 of the paper"]
 )]
-pub struct ToWorld;
+pub struct ToWorld(TrackingParams);
 
 /// Inputs of [`ToWorld`].
 #[derive(Inputs)]
@@ -27,6 +30,9 @@ pub struct In {
     /// The tracked marker on the camera.
     #[port(join = "interpolate", max_gap_ms = 200.0, from = "calibration.from")]
     t_world_camera_marker: Pose,
+    /// How the marker moved in the time before a sample, from `transform.still_average`.
+    #[port(join = "latest")]
+    motion: Option<StillReport>,
     /// `t_camera_camera_marker`, equation 1.
     #[port(join = "once", to = "cloud")]
     calibration: Pose,
@@ -45,17 +51,19 @@ pub struct Out {
 
 impl Node for ToWorld {
     const KIND: &'static str = "transform.to_world";
-    type Params = crate::NoParams;
+    type Params = TrackingParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
+    fn new(params: TrackingParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
     }
 
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let t_world_camera = i.t_world_camera_marker.compose(&i.calibration.inverse())?;
         i.cloud.frame.expect(&t_world_camera.from, "the cloud")?;
+        let what = i.cloud.label.as_deref().unwrap_or("the scan");
+        note_motion("camera", i.motion.as_ref(), self.0.flag_motion_above_mm, what, ctx);
         let cloud = i.cloud.transformed(&t_world_camera.to, &t_world_camera.isometry);
         Ok(Out { cloud, t_world_camera: t_world_camera.at(i.cloud.stamp_ns) })
     }
