@@ -27,8 +27,8 @@ pub struct HoleParams {
     /// bone or the camera has then moved by more than the hole's centre may be off.
     #[schemars(range(min = 1e-3, max = 10.0))]
     pub max_scan_residual_mm: f64,
-    /// Refuse a hole that is less sure than this. 0.4: a loss of 1.2 mm radius for other reasons gets 0.35 at most, a hole
-    /// at the silhouette with half of its rim 0.45.
+    /// Refuse a hole that is less sure than this. 0.4: losses of 1.2 mm radius for other reasons rarely
+    /// get more, a hole on the face of a bone 0.7 and more.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_confidence: f64,
 }
@@ -46,7 +46,7 @@ pub struct Hole {
     pub centre: Point3<f64>,
     /// Radius of the disc that is missing, as measured, mm.
     pub radius_mm: f64,
-    /// How sure it is, 0 to 1: the product of the three shares in the report.
+    /// How sure it is, 0 to 1: from the three shares in the report.
     pub confidence: f64,
     /// What it was judged by.
     pub report: HoleReport,
@@ -75,11 +75,13 @@ pub struct HoleReport {
     pub expected_radius_mm: f64,
     /// Share of the expected points inside the hole that are indeed missing.
     pub empty_share: f64,
+    /// Share of the disc that the reference shows: less where the hole reaches over the silhouette.
+    pub seen_share: f64,
     /// Share of the rim, by direction, where the scan with the laser is there again.
     pub rim_share: f64,
     /// 1 where the radius is as expected, falling to 0 where it is 1.6 times too small or too large.
     pub size_share: f64,
-    /// `empty_share · rim_share · size_share`.
+    /// `empty_share² · seen_share · √rim_share · size_share`: a hole is empty whatever else is lost around it.
     pub confidence: f64,
 }
 

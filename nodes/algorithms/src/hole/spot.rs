@@ -16,6 +16,9 @@ const MIN_CLUSTER: usize = 4;
 /// A gap so many times too large or too small is none: other losses of a scan are a little over half as large.
 const WRONG_SIZE: f64 = 1.6;
 
+/// Area that one point stands for, in squares of its spacing: a disc as wide as the ring around it holds nine points.
+const RING_AREA: f64 = 2.0 * std::f64::consts::PI / 9.0;
+
 /// Directions into which the rim is divided.
 const SECTORS: usize = 12;
 
@@ -30,13 +33,19 @@ const MAX_LOST_SECTORS: usize = 4;
 const MIN_SEEN_SECTORS: usize = 4;
 
 /// A second hole this share as sure as the first one leaves it open which is meant.
-const ALIKE: f64 = 0.6;
+const ALIKE: f64 = 0.5;
 
 /// Width of the bell that weighs the points of a surface patch, in parts of its reach.
 const WIDTH: f64 = 0.2;
 
-/// Steps of the fit of a centre; it settles in five.
-const FIT_STEPS: usize = 30;
+/// Steps of the fit of a centre; each half settles in five.
+const FIT_STEPS: usize = 24;
+
+/// How much more a point that is there says than one that is missing.
+const SURE: f64 = 2.0;
+
+/// A missing point so many bands outside the disc is missing for another reason.
+const BEYOND: f64 = 3.0;
 
 /// Reference points without a partner, by index in order.
 pub(super) struct Missing {
@@ -171,9 +180,9 @@ fn judge(
         scene.cloud_tree.within(&start, 3.0 * radius).into_iter().map(|(i, _)| scene.cloud[i]).collect();
     let band = spacing_mm.max(0.1 * radius);
     let inner = (radius - missing.margin_mm - band).max(0.1 * radius);
-    let rough = patch.fit(&inside, inner, &outside, radius + band);
+    let rough = patch.fit(&inside, inner, &outside, radius + band, band);
     let patch = Patch::new(scene, &rough, 2.0 * radius).unwrap_or(patch);
-    let centre = patch.fit(&inside, inner, &outside, radius + band);
+    let centre = patch.fit(&inside, inner, &outside, radius + band, band);
 
     let count = |points: &crate::nearest::Nearest, reach: f64| points.within(&centre, reach).len() as f64;
     let core = (radius - spacing_mm / 2.0).max(0.5 * radius);
@@ -186,7 +195,10 @@ fn judge(
     let size_share = (1.0 - (radius_mm / radius).ln().abs() / WRONG_SIZE.ln()).clamp(0.0, 1.0);
     let (n_seen, n_lost) = rim(scene, &patch, &centre, radius, spacing_mm);
     let rim_share = n_seen as f64 / SECTORS as f64;
-    let confidence = empty_share * rim_share * size_share;
+    let area: f64 =
+        scene.reference_tree.within(&centre, core).iter().map(|(i, _)| scene.spacing_mm(*i).powi(2) * RING_AREA).sum();
+    let seen_share = (area / (std::f64::consts::PI * core * core)).min(1.0);
+    let confidence = empty_share.powi(2) * seen_share * rim_share.sqrt() * size_share;
     let report = HoleReport {
         n_reference: scene.reference.len(),
         n_cloud: scene.cloud.len(),
@@ -198,6 +210,7 @@ fn judge(
         radius_mm,
         expected_radius_mm: radius,
         empty_share,
+        seen_share,
         rim_share,
         size_share,
         confidence,
@@ -269,30 +282,33 @@ impl Patch {
 
     /// The place on the surface with the points `inside` closer than `inner` and those `outside` farther than `outer`, in
     /// the least-squares sense: from both sides the rim pulls at the centre until it lies in the middle.
-    fn fit(&self, inside: &[Point3<f64>], inner: f64, outside: &[Point3<f64>], outer: f64) -> Point3<f64> {
+    ///
+    /// A point that is there is sure to be no part of the hole; one that is missing may be missing for another reason,
+    /// so the latter pull no harder than from `band` away, and at last not at all from far beyond.
+    fn fit(&self, inside: &[Point3<f64>], inner: f64, outside: &[Point3<f64>], outer: f64, band: f64) -> Point3<f64> {
         let mut at = Vector2::zeros();
-        for _ in 0..FIT_STEPS {
+        for round in 0..FIT_STEPS {
             let centre = self.on_surface(&at);
             let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
-            let mut pull = |point: &Point3<f64>, excess: &dyn Fn(f64) -> f64| {
+            let mut pull = |point: &Point3<f64>, limit: f64, weight: &dyn Fn(f64) -> f64| {
                 let offset = point - centre;
                 let distance = offset.norm();
-                let excess = excess(distance);
-                if excess != 0.0 && distance > 0.0 {
+                let (excess, weight) = (distance - limit, weight(distance - limit));
+                if weight > 0.0 && distance > 0.0 {
                     let direction = Vector2::new(self.axes[0].dot(&offset), self.axes[1].dot(&offset)) / distance;
-                    normal += direction * direction.transpose();
-                    right += direction * excess;
+                    normal += direction * direction.transpose() * weight;
+                    right += direction * (excess * weight);
                 }
             };
-            inside.iter().for_each(|p| pull(p, &|d| (d - inner).max(0.0)));
-            outside.iter().for_each(|p| pull(p, &|d| (d - outer).min(0.0)));
+            let missing = |excess: f64| match excess {
+                e if e <= 0.0 || (round >= FIT_STEPS / 2 && e > BEYOND * band) => 0.0,
+                e => (band / e).min(1.0),
+            };
+            inside.iter().for_each(|p| pull(p, inner, &missing));
+            outside.iter().for_each(|p| pull(p, outer, &|excess| if excess < 0.0 { SURE } else { 0.0 }));
             // The identity counts as one point in every direction: where the rim is open, the centre stays.
             let Some(inverse) = (normal + Matrix2::identity()).try_inverse() else { break };
-            let step = inverse * right;
-            at += step;
-            if step.norm() < 1e-6 {
-                break;
-            }
+            at += inverse * right;
         }
         self.on_surface(&at)
     }
