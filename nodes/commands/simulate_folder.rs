@@ -10,7 +10,7 @@ use std::{fmt::Write as _, fs, path::Path};
 pub(super) fn write(dir: &Path, procedure: &Procedure) -> Result<()> {
     let mut toml = String::from(
         "# A simulated procedure as plain files. Lengths in mm, times on the tracker's clock.\n\
-         format  = 1\ntracker = true\nunit    = \"mm\"\n",
+         format    = 1\ntracker   = true\nsimulated = true\nunit      = \"mm\"\n",
     );
     scan(dir, &mut toml, "[scan]", "scan.ply", &procedure.scan)?;
     for (cloud, n) in procedure.laser.iter().zip(1..) {

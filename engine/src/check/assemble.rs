@@ -76,7 +76,7 @@ impl Net<'_> {
             name: draft.name.into(),
             kind: draft.kind_name().into(),
             role: draft.role().unwrap_or(Role::Node),
-            location: draft.name_at.location(),
+            location: draft.told_at().location(),
             params: draft.params.clone(),
             declared: draft.declared.clone().into(),
             inputs: self.inputs[index].iter().map(|i| PlanInput { port: i.port.clone(), link: None }).collect(),

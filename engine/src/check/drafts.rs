@@ -59,6 +59,11 @@ impl Draft<'_> {
         kind_at.filter(|at| at.source.order != self.name_at.source.order).unwrap_or(self.name_at)
     }
 
+    /// Where a run tells of the node: where a file of the chain chose its kind, else where the node begins.
+    pub(super) fn told_at(&self) -> &Span {
+        Some(self.begins_at()).filter(|at| !at.source.command_line).unwrap_or(self.name_at)
+    }
+
     /// `in`, or the node where it has none: where a missing input is told.
     pub(super) fn inputs_at(&self) -> &Span {
         let at = self.begins_at();

@@ -5,6 +5,7 @@
 //! ```toml
 //! format  = 1
 //! tracker = true               # false: nothing is tracked; the camera's frame is then called `world`
+//! simulated = false            # whether all this was simulated, which every result then says
 //! unit    = "mm"               # "mm", "cm", "m" or "um"; for every file below that does not say its own
 //!
 //! [scan]                       # the bone, seen once in full
@@ -80,6 +81,8 @@ pub struct ProcedureFolder {
     pub path: PathBuf,
     /// Whether anything was tracked; otherwise the camera's frame is called `world`.
     pub tracked: bool,
+    /// Whether all this was simulated, as the folder says.
+    pub simulated: bool,
     /// The region of interest in the camera's frame, mm.
     pub region: Option<Region>,
     written: Written,
@@ -123,6 +126,8 @@ struct Written {
     format: u32,
     #[serde(default = "yes")]
     tracker: bool,
+    #[serde(default)]
+    simulated: bool,
     #[serde(default)]
     unit: Unit,
     scan: Option<ScanFile>,
@@ -232,7 +237,7 @@ impl ProcedureFolder {
             let place = error.span().map_or_else(|| "line 1".into(), |span| place_of(&text, span.start));
             FileError::content(&path, place, error.message().trim())
         })?;
-        let folder = Self { tracked: written.tracker, region: None, path, written };
+        let folder = Self { tracked: written.tracker, simulated: written.simulated, region: None, path, written };
         folder.checked(&text)
     }
 

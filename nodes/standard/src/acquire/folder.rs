@@ -79,7 +79,7 @@ impl Folder {
         let has = |role: &str| streams.items.iter().any(|item| item.role == role);
         let tracked = has("bone_marker");
         let mut events = vec![
-            at(Role::Simulated, start_ns, Emission::value(Flag(false))),
+            at(Role::Simulated, start_ns, Emission::value(Flag(folder.simulated))),
             at(Role::BoneTracked, start_ns, Emission::value(Flag(tracked))),
             at(
                 Role::Region,
