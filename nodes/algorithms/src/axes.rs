@@ -47,3 +47,58 @@ pub fn towards(axes: &Axes, proximal: &Vector3<f64>) -> Axes {
 fn upright(v: Vector3<f64>) -> Vector3<f64> {
     if v[v.iamax()] < 0.0 { -v } else { v }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shapes::{cuboid, shaft};
+    use nalgebra::{Isometry3, Vector3};
+
+    #[test]
+    fn a_box_has_its_edges_as_axes_longest_last_and_right_handed() {
+        let turn = Isometry3::new(Vector3::new(5.0, 6.0, 7e3), Vector3::new(0.2, -0.3, 0.4));
+        let mesh = cuboid([-5.0, -50.0, -10.0], [5.0, 50.0, 10.0]).transformed("ct", &turn);
+        let axes = principal_axes(&mesh);
+        assert!((axes.centre.coords - turn.translation.vector).norm() < 1e-9);
+        for (k, edge) in [(0, Vector3::x()), (1, Vector3::z()), (2, Vector3::y())] {
+            let along = axes.columns.column(k).dot(&(turn * edge)).abs();
+            assert!((along - 1.0).abs() < 1e-9, "axis {k}: {along}");
+        }
+        assert!((axes.columns.determinant() - 1.0).abs() < 1e-12);
+        for k in [1, 2] {
+            let axis = axes.columns.column(k);
+            assert!(axis[axis.iamax()] > 0.0);
+        }
+    }
+
+    #[test]
+    fn a_finer_mesh_of_the_same_surface_has_the_same_axes() {
+        let mesh = shaft();
+        let split: Vec<[u32; 3]> = mesh.faces().to_vec();
+        // Every second face once more in four parts: the same surface, unevenly meshed.
+        let (mut vertices, mut faces) = (mesh.vertices().to_vec(), Vec::new());
+        for (k, [a, b, c]) in split.into_iter().enumerate() {
+            if k % 2 == 0 {
+                faces.push([a, b, c]);
+                continue;
+            }
+            let n = vertices.len() as u32;
+            for (p, q) in [(a, b), (b, c), (c, a)] {
+                vertices.push(nalgebra::center(&vertices[p as usize], &vertices[q as usize]));
+            }
+            faces.extend([[a, n, n + 2], [n, b, n + 1], [n + 2, n + 1, c], [n, n + 1, n + 2]]);
+        }
+        let finer = Mesh::new("ct", mesh.origin, vertices, faces).unwrap();
+        let (coarse, fine) = (principal_axes(&mesh), principal_axes(&finer));
+        assert!((coarse.columns - fine.columns).amax() < 1e-9 && (coarse.centre - fine.centre).norm() < 1e-9);
+    }
+
+    #[test]
+    fn z_can_be_turned_towards_the_knee() {
+        let axes = principal_axes(&shaft());
+        assert!(axes.columns.column(2).z > 0.9);
+        let down = towards(&axes, &-Vector3::z());
+        assert!(down.columns.column(2).z < -0.9 && (down.columns.determinant() - 1.0).abs() < 1e-12);
+        assert_eq!(towards(&axes, &Vector3::z()), axes);
+    }
+}

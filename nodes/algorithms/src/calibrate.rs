@@ -16,6 +16,10 @@ use std::{collections::BTreeMap, ops::ControlFlow};
 /// Residuals within a cell of this size count as one error, mm: a camera's smooth distortion reaches about so far.
 pub const CELL_MM: f64 = 10.0;
 
+/// A motion of 1 mm must cause this RMS residual, mm. Three faces give 0.4; where faces are missing, points that pair
+/// across an edge still give 0.03.
+const MIN_HOLD_PER_MM: f64 = 0.1;
+
 /// A face is looked at from so far outside, mm: beyond rounding, within any gap between parts.
 const JUST_OUTSIDE_MM: f64 = 1e-3;
 
@@ -44,6 +48,10 @@ pub struct PhantomParams {
     /// camera's noise; above it the start was wrong, or it is another phantom.
     #[schemars(range(min = 0.001, max = 100.0))]
     pub max_rms_mm: f64,
+    /// Refuse where a larger share of the points within `max_pair_distance_mm` lies farther than `3 max_rms_mm` from the
+    /// CAD's faces. 0.2: a little of a table may be near the phantom, but a face that lies elsewhere is another phantom.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub max_off_share: f64,
 }
 
 impl Default for PhantomParams {
@@ -55,6 +63,7 @@ impl Default for PhantomParams {
             n_samples: 40_000,
             working_distance_mm: 200.0,
             max_rms_mm: 0.5,
+            max_off_share: 0.2,
         }
     }
 }
@@ -122,6 +131,21 @@ pub enum CalibrationError {
         /// Allowed.
         limit_mm: f64,
     },
+    /// Part of the scan lies off the CAD.
+    #[error(
+        "{:.0} % of the phantom's scan lies more than {limit_mm:.1} mm from its CAD, {:.0} % is allowed; is it this \
+         phantom, cropped from what stands around it?",
+        share * 100.0,
+        allowed * 100.0
+    )]
+    Off {
+        /// Found.
+        share: f64,
+        /// Allowed.
+        allowed: f64,
+        /// What counts as off.
+        limit_mm: f64,
+    },
     /// The scan leaves part of the pose free.
     #[error(
         "the scan of the phantom leaves {n_free} of 6 motions free; show at least three of its faces to the camera"
@@ -163,18 +187,25 @@ pub fn phantom_icp(
     let start = t_camera_phantom_nominal.inverse();
     let source = Source::seen_from(scan, Point3::origin());
     let fit = icp::point_to_plane(&target, source, &start, &icp_params, &mut |_| ControlFlow::Continue(()))?;
-    let n_free = fit.report.observability.undetermined.len();
-    if n_free > 0 {
-        return Err(CalibrationError::Undetermined { n_free });
-    }
     if fit.report.rms_mm > params.max_rms_mm {
         return Err(CalibrationError::Residual { rms_mm: fit.report.rms_mm, limit_mm: params.max_rms_mm });
+    }
+    let held = |eigenvalue: &&f64| eigenvalue.sqrt() >= MIN_HOLD_PER_MM;
+    let n_free = 6 - fit.report.observability.eigenvalues.iter().filter(held).count();
+    if n_free > 0 {
+        return Err(CalibrationError::Undetermined { n_free });
     }
     let t_camera_phantom = fit.t_target_source.inverse();
     let pairs = pairs(&target, scan, &fit.t_target_source, params.max_pair_distance_mm);
     let mut distances: Vec<f64> = pairs.iter().map(|p| p.residual_mm.abs()).collect();
     distances.sort_by(f64::total_cmp);
     let at = |share: f64| distances[((distances.len() - 1) as f64 * share).round() as usize];
+    let limit_mm = 3.0 * params.max_rms_mm;
+    let n_off = distances.len() - distances.partition_point(|d| *d <= limit_mm);
+    let share = n_off as f64 / distances.len() as f64;
+    if share > params.max_off_share {
+        return Err(CalibrationError::Off { share, allowed: params.max_off_share, limit_mm });
+    }
     let kept = at(1.0 - params.trim_fraction);
     let used: Vec<Pair> = pairs.into_iter().filter(|p| p.residual_mm.abs() <= kept).collect();
     let spread = Spread::new(&used, &t_camera_phantom);
@@ -304,4 +335,98 @@ pub fn nominal_t_camera_phantom(
         * t_world_camera_marker.inverse()
         * t_world_phantom_marker
         * t_phantom_phantom_marker.inverse()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shapes::{cuboid, shaft, together};
+    use nalgebra::UnitQuaternion;
+    use rand_distr::{Distribution, Normal};
+
+    /// A cube with blocks on three of its faces, sunk into it: their lower faces and the cube's faces below are hidden.
+    fn phantom() -> Mesh {
+        let cube = cuboid([-30.0; 3], [30.0; 3]);
+        let blocks = [
+            cuboid([-20.0, -10.0, 25.0], [5.0, 20.0, 42.0]),
+            cuboid([25.0, -22.0, -15.0], [38.0, -2.0, 20.0]),
+            cuboid([-12.0, 25.0, -25.0], [18.0, 36.0, 4.0]),
+        ];
+        blocks.iter().fold(cube, |body, block| together(&body, block))
+    }
+
+    /// Three faces to the camera, 230 mm away.
+    fn pose() -> Isometry3<f64> {
+        let diagonal = Vector3::new(1.0, 0.8, 0.9);
+        let look = UnitQuaternion::rotation_between(&diagonal, &-Vector3::z()).unwrap();
+        Isometry3::from_parts(
+            Vector3::new(4.0, -3.0, 230.0).into(),
+            UnitQuaternion::from_euler_angles(0.0, 0.0, 0.4) * look,
+        )
+    }
+
+    /// What a camera at the origin sees, with depth noise and a smooth distortion of 0.05 mm each.
+    fn scan(phantom: &Mesh, t_camera_phantom: &Isometry3<f64>) -> Vec<Point3<f64>> {
+        let query = MeshQuery::new(&phantom.transformed("camera", t_camera_phantom));
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        let noise = Normal::new(0.0, 0.05).unwrap();
+        let mut points = Vec::new();
+        for i in -100..100 {
+            for j in -100..100 {
+                let ray = Vector3::new(f64::from(i) * 0.003, f64::from(j) * 0.003, 1.0).normalize();
+                if let Some(hit) = query.cast_ray(&Point3::origin(), &ray) {
+                    let bend = 0.05 * (hit.point.x / 20.0).sin() * (hit.point.y / 25.0).cos();
+                    points.push(hit.point + ray * (bend + noise.sample(&mut rng)));
+                }
+            }
+        }
+        points
+    }
+
+    #[test]
+    fn the_phantom_is_found_from_a_nominal_pose_some_millimetres_and_degrees_off() {
+        let truth = pose();
+        let scan = scan(&phantom(), &truth);
+        for (shift, turn) in [([5.0, -4.0, 3.0], [0.02, 0.03, -0.02]), ([-6.0, 3.0, -4.0], [-0.03, 0.02, 0.03])] {
+            let off = Isometry3::from_parts(Vector3::from(shift).into(), UnitQuaternion::from_scaled_axis(turn.into()));
+            let fit = phantom_icp(&scan, &phantom(), &(truth * off), &PhantomParams::default()).unwrap();
+            let error = fit.t_camera_phantom.inverse() * truth;
+            let (mm, degrees) = (error.translation.vector.norm(), error.rotation.angle().to_degrees());
+            assert!(mm < 0.1 && degrees < 0.06, "{mm:.3} mm and {degrees:.3} degrees: {:?}", fit.report);
+            assert!((fit.report.moved_rad - off.rotation.angle()).abs() < 0.002);
+            assert!((fit.report.error_of_tenth_degree_mm - 0.349).abs() < 0.001);
+            let predicted = fit.report.error_at_working_distance_mm;
+            assert!(predicted > 1e-3 && predicted < 0.1, "{predicted} mm predicted");
+        }
+    }
+
+    #[test]
+    fn another_body_and_a_single_face_are_refused() {
+        let truth = pose();
+        let round = shaft().transformed("ct", &Isometry3::translation(0.0, 30.0, -40.0));
+        let wrong = phantom_icp(&scan(&round, &truth), &phantom(), &truth, &PhantomParams::default());
+        assert!(matches!(wrong, Err(CalibrationError::Residual { .. })), "{wrong:?}");
+        // Half of what the camera saw stands in front of the phantom.
+        let mut crowded = scan(&phantom(), &truth);
+        let covered: Vec<Point3<f64>> = crowded.iter().map(|p| p + Vector3::new(0.0, 0.0, -8.0)).collect();
+        crowded.extend(covered);
+        let crowded =
+            phantom_icp(&crowded, &phantom(), &truth, &PhantomParams { trim_fraction: 0.6, ..Default::default() });
+        assert!(matches!(crowded, Err(CalibrationError::Off { .. })), "{crowded:?}");
+        let cube = cuboid([-30.0; 3], [30.0; 3]);
+        let facing = Isometry3::translation(0.0, 0.0, 230.0);
+        let one_face = phantom_icp(&scan(&cube, &facing), &cube, &facing, &PhantomParams::default());
+        assert!(matches!(one_face, Err(CalibrationError::Undetermined { n_free: 3 })), "{one_face:?}");
+        let nowhere = phantom_icp(&[], &cube, &facing, &PhantomParams::default());
+        assert!(matches!(nowhere, Err(CalibrationError::Icp(IcpError::TooFewPoints { .. }))));
+    }
+
+    #[test]
+    fn equation_1_and_the_nominal_pose_are_inverse_to_each_other() {
+        let m = |k: f64| Isometry3::new(Vector3::new(k, 2.0 * k, -k), Vector3::new(0.1 * k, -0.2, 0.3 * k));
+        let (t_p_mp, t_w_mp, t_w_mc, t_c_mc) = (m(1.0), m(2.0), m(3.0), m(4.0));
+        let t_c_p = nominal_t_camera_phantom(&t_c_mc, &t_p_mp, &t_w_mp, &t_w_mc);
+        let again = equation_1(&t_c_p, &t_p_mp, &t_w_mp, &t_w_mc);
+        assert!((again.to_homogeneous() - t_c_mc.to_homogeneous()).amax() < 1e-12);
+    }
 }

@@ -247,3 +247,75 @@ fn permutations(n: usize, visit: &mut dyn FnMut(&[usize])) {
         order[i..].reverse();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    fn named(points: &[[f64; 3]]) -> Vec<NamedPoint> {
+        points.iter().enumerate().map(|(k, p)| NamedPoint::new(format!("P{}", k + 1), Point3::from(*p))).collect()
+    }
+
+    fn triangle() -> Vec<NamedPoint> {
+        named(&[[0.0, 0.0, 100.0], [6.0, -6.0, 130.0], [-1.0, 1.0, 125.0]])
+    }
+
+    fn moved(points: &[NamedPoint], by: &Isometry3<f64>) -> Vec<NamedPoint> {
+        points.iter().map(|p| NamedPoint::new(p.name.clone(), by * p.position)).collect()
+    }
+
+    #[test]
+    fn points_pair_by_name_whatever_their_order() {
+        let truth = Isometry3::new(Vector3::new(3.0, 4.0, 5.0), Vector3::new(0.1, 2.0, -0.4));
+        let mut source = moved(&triangle(), &truth.inverse());
+        source.rotate_left(1);
+        let fit = three_point(&triangle(), &source).unwrap();
+        assert!((fit.t_target_source.to_homogeneous() - truth.to_homogeneous()).amax() < 1e-12);
+        assert_eq!(fit.report.pairs[0].name, "P1");
+        assert!(fit.report.fre_mm < 1e-12 && fit.report.permutation.is_none());
+        assert!(fit.report.sides.iter().all(|s| s.difference_mm.abs() < 1e-12));
+    }
+
+    #[test]
+    fn a_shift_of_all_points_leaves_the_fre_unchanged() {
+        let noisy = named(&[[0.4, 0.0, 100.0], [6.0, -6.3, 130.0], [-1.0, 1.0, 125.5]]);
+        let here = three_point(&triangle(), &noisy).unwrap().report;
+        let there = three_point(&triangle(), &moved(&noisy, &Isometry3::translation(0.0, 0.0, 10.0))).unwrap().report;
+        assert!(here.fre_mm > 0.1 && (here.fre_mm - there.fre_mm).abs() < 1e-12);
+    }
+
+    #[test]
+    fn swapped_points_are_hinted_at_with_the_better_order() {
+        let mut source = triangle();
+        let (a, b) = (source[0].position, source[2].position);
+        (source[0].position, source[2].position) = (b, a);
+        let hint = three_point(&triangle(), &source).unwrap().report.permutation.unwrap();
+        assert_eq!(hint.source_names, ["P3", "P2", "P1"]);
+        assert!(hint.fre_mm < 1e-12);
+    }
+
+    #[test]
+    fn collinearity_is_judged_in_millimetres() {
+        let nearly = named(&[[0.0, 0.0, 0.0], [0.0, 0.8, 15.0], [0.0, 0.0, 30.0]]);
+        let error = three_point(&nearly, &nearly).unwrap_err();
+        assert!(matches!(error, CoarseError::NearlyCollinear { side: "target", .. }), "{error}");
+        assert!(error.to_string().contains("0.38 mm"), "{error}");
+        // An apex 9 mm off a base lies 6 mm off the best line, the base 3 mm: √((36 + 9 + 9) / 3).
+        let apex = named(&[[0.0, 0.0, 0.0], [0.0, 9.0, 15.0], [0.0, 0.0, 30.0]]);
+        let report = three_point(&apex, &apex).unwrap().report;
+        assert!((report.target_off_line_mm - 18_f64.sqrt()).abs() < 1e-12, "{}", report.target_off_line_mm);
+    }
+
+    #[test]
+    fn names_that_do_not_pair_are_told() {
+        let three = triangle();
+        let mut other = three.clone();
+        other[1].name = "Q2".into();
+        let said = three_point(&three, &other).unwrap_err().to_string();
+        assert!(said.contains("Q2") && said.contains("P1, P2, P3"), "{said}");
+        other[1].name = "P1".into();
+        assert!(matches!(three_point(&three, &other), Err(CoarseError::Twice { side: "source", .. })));
+        assert!(matches!(three_point(&three[..2], &three[..2]), Err(CoarseError::Fit(FitError::Pairing { .. }))));
+    }
+}

@@ -80,3 +80,55 @@ pub(crate) fn centroid(points: &[Point3<f64>]) -> Point3<f64> {
 pub(crate) fn finite(point: &Point3<f64>) -> bool {
     point.coords.iter().all(|c| c.is_finite())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    fn motion(seed: f64) -> Isometry3<f64> {
+        Isometry3::new(Vector3::new(seed, -3.0 * seed, 7.0), Vector3::new(seed.sin(), 0.4, seed.cos()) * 1.3)
+    }
+
+    fn corners() -> Vec<Point3<f64>> {
+        [[0.0, 0.0, 0.0], [30.0, 0.0, 2.0], [5.0, 11.0, -4.0], [-7.0, 3.0, 19.0]].map(Point3::from).to_vec()
+    }
+
+    #[test]
+    fn a_turn_of_30_degrees_about_z_is_found() {
+        let truth = Isometry3::new(Vector3::new(1.0, 2.0, 3.0), Vector3::z() * (PI / 6.0));
+        let target: Vec<_> = corners().iter().map(|p| truth * p).collect();
+        let fit = kabsch(&target, &corners()).unwrap();
+        assert!((fit.to_homogeneous() - truth.to_homogeneous()).amax() < 1e-13, "{fit}");
+    }
+
+    #[test]
+    fn moving_the_source_multiplies_the_answer_and_swapping_inverts_it() {
+        let target: Vec<_> = corners().iter().map(|p| motion(2.0) * p + Vector3::new(0.1, -0.2, 0.05)).collect();
+        let fit = kabsch(&target, &corners()).unwrap();
+        let moved: Vec<_> = corners().iter().map(|p| motion(5.0) * p).collect();
+        let again = kabsch(&target, &moved).unwrap();
+        assert!((again.to_homogeneous() - (fit * motion(5.0).inverse()).to_homogeneous()).amax() < 1e-12);
+        let back = kabsch(&corners(), &target).unwrap();
+        assert!(((back * fit).to_homogeneous() - nalgebra::Matrix4::identity()).amax() < 1e-12);
+    }
+
+    #[test]
+    fn a_mirror_image_is_answered_by_a_proper_rotation() {
+        let target: Vec<_> = corners().iter().map(|p| Point3::new(-p.x, p.y, p.z)).collect();
+        let fit = kabsch(&target, &corners()).unwrap();
+        assert!((fit.rotation.to_rotation_matrix().matrix().determinant() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn lines_too_few_points_and_nans_are_refused() {
+        let line: Vec<_> = (0..5).map(|i| Point3::new(f64::from(i), 2.0 * f64::from(i), 1e6)).collect();
+        assert_eq!(kabsch(&line, &line), Err(FitError::Collinear));
+        assert_eq!(kabsch(&[Point3::origin(); 4], &[Point3::origin(); 4]), Err(FitError::Collinear));
+        assert_eq!(kabsch(&corners()[..2], &corners()[..2]), Err(FitError::Pairing { n_target: 2, n_source: 2 }));
+        assert_eq!(kabsch(&corners(), &corners()[..3]), Err(FitError::Pairing { n_target: 4, n_source: 3 }));
+        let mut wild = corners();
+        wild[2].y = f64::NAN;
+        assert_eq!(kabsch(&corners(), &wild), Err(FitError::NotFinite { index: 2 }));
+    }
+}

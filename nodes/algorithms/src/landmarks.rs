@@ -100,3 +100,41 @@ fn across(direction: &Vector3<f64>, anatomy: &Anatomy, what: &'static str) -> Re
     let along = anatomy.proximal.into_inner();
     (direction - along * direction.dot(&along)).try_normalize(0.1).ok_or(LandmarkError::Directions { what })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shapes::cuboid;
+    use nalgebra::Unit;
+
+    fn anatomy(proximal: Vector3<f64>) -> Anatomy {
+        Anatomy {
+            malleolus_tip: Point3::new(0.0, 0.0, 0.0),
+            proximal: Unit::new_normalize(proximal),
+            lateral: Vector3::x_axis(),
+            posterior: Vector3::y_axis(),
+        }
+    }
+
+    #[test]
+    fn landmarks_lie_on_their_faces_at_their_heights_either_way_up() {
+        for up in [1.0, -1.0] {
+            let (low, high) = if up > 0.0 { (0.0, 300.0) } else { (-300.0, 0.0) };
+            let bone = MeshQuery::new(&cuboid([-4.0, -5.0, low], [6.0, 7.0, high]));
+            let points = paper_recipe(&bone, &anatomy(Vector3::z() * up), &RecipeParams::default()).unwrap();
+            let expected = [[1.0, 7.0, 100.0], [6.0, 1.0, 130.0], [1.0, 7.0, 125.0]];
+            for (point, [x, y, z]) in points.iter().zip(expected) {
+                assert!((point.position - Point3::new(x, y, z * up)).norm() < 1e-9, "{point:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_bone_too_short_and_a_direction_along_it_are_refused() {
+        let bone = MeshQuery::new(&cuboid([-4.0, -5.0, 0.0], [6.0, 7.0, 120.0]));
+        let short = paper_recipe(&bone, &anatomy(Vector3::z()), &RecipeParams::default());
+        assert!(matches!(short, Err(LandmarkError::NoBone { name: "P2", .. })), "{short:?}");
+        let along = paper_recipe(&bone, &anatomy(Vector3::x()), &RecipeParams::default());
+        assert_eq!(along, Err(LandmarkError::Directions { what: "lateral" }));
+    }
+}

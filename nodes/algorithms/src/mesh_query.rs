@@ -105,3 +105,36 @@ impl MeshQuery {
 fn to_glam(v: &Vector3<f64>) -> Vec3 {
     Vec3::new(v.x, v.y, v.z)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shapes::{cuboid, together};
+    use nalgebra::Isometry3;
+
+    #[test]
+    fn rays_and_closest_points_name_their_face_far_from_the_origin_too() {
+        for far in [0.0, 1e7] {
+            let mesh = cuboid([0.0; 3], [10.0, 20.0, 30.0]).transformed("ct", &Isometry3::translation(far, 0.0, far));
+            let query = MeshQuery::new(&mesh);
+            let hit = query.cast_ray(&Point3::new(far + 2.0, 3.0, far + 100.0), &Vector3::new(0.0, 0.0, -4.0)).unwrap();
+            assert!((hit.distance_mm - 70.0).abs() < 1e-6 && hit.normal == Vector3::z());
+            assert_eq!(mesh.area_vector(hit.face).normalize(), Vector3::z());
+            let closest = query.closest_point(&Point3::new(far + 2.0, -3.0, far + 5.0)).unwrap();
+            assert!((closest.distance_mm - 3.0).abs() < 1e-6 && closest.normal == -Vector3::y());
+            assert_eq!(query.cast_ray(&Point3::new(far, 0.0, far + 100.0), &Vector3::z()), None);
+        }
+        let query = MeshQuery::new(&cuboid([0.0; 3], [1.0; 3]));
+        assert_eq!(query.cast_ray(&Point3::origin(), &Vector3::zeros()), None);
+        assert_eq!(query.closest_point(&Point3::new(f64::NAN, 0.0, 0.0)), None);
+    }
+
+    #[test]
+    fn inside_overlapping_parts_is_inside() {
+        let query = MeshQuery::new(&together(&cuboid([0.0; 3], [10.0; 3]), &cuboid([5.0; 3], [15.0; 3])));
+        for (point, inside) in [(2.0, true), (7.0, true), (12.0, true), (-1.0, false), (16.0, false)] {
+            assert_eq!(query.is_inside(&Point3::new(point, point, point)), inside, "{point}");
+        }
+        assert!(!query.is_inside(&Point3::new(12.0, 2.0, 2.0)));
+    }
+}

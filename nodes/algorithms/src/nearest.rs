@@ -19,10 +19,11 @@ pub struct Nearest {
 impl Nearest {
     /// A tree over `points`; points that are not finite are left out. `O(n log n)`, on all threads of the current pool.
     pub fn new(points: &[Point3<f64>]) -> Self {
-        let centre = centroid(points);
-        let mut entries: Vec<(u32, [f64; 3])> = (0_u32..)
-            .zip(points)
-            .filter(|(_, p)| finite(p))
+        let known: Vec<(u32, Point3<f64>)> =
+            (0_u32..).zip(points).filter(|(_, p)| finite(p)).map(|(i, p)| (i, *p)).collect();
+        let centre = centroid(&known.iter().map(|(_, p)| *p).collect::<Vec<_>>());
+        let mut entries: Vec<(u32, [f64; 3])> = known
+            .into_iter()
             // Adding 0.0 makes -0.0 and 0.0 one place.
             .map(|(i, p)| (i, (p - centre).map(|c| c + 0.0).into()))
             .collect();
@@ -74,5 +75,49 @@ impl Nearest {
 
     fn about_centre(&self, point: &Point3<f64>) -> [f64; 3] {
         (point - self.centre).into()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_of_many_is_found_far_from_the_origin_too() {
+        for far in [0.0, 1e3, 1e7] {
+            let points: Vec<_> = (0..3000)
+                .map(|i| Point3::new(f64::from(i * 37 % 101), f64::from(i * 53 % 97), f64::from(i * 71 % 89)))
+                .map(|p| p + nalgebra::Vector3::repeat(far))
+                .collect();
+            let tree = Nearest::new(&points);
+            for k in 0..50 {
+                let query = points[k * 59] + nalgebra::Vector3::new(0.3, -0.2, 0.1);
+                let brute = points.iter().map(|p| (p - query).norm_squared()).fold(f64::INFINITY, f64::min);
+                let (index, square) = tree.nearest(&query).unwrap();
+                assert!((square - brute).abs() < 1e-6 && ((points[index] - query).norm_squared() - brute).abs() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn of_points_in_one_place_the_lowest_index_is_found() {
+        let mut points = vec![Point3::new(1.0, 2.0, 3.0); 100];
+        points.insert(0, Point3::new(-0.0, 0.0, 0.0));
+        points.push(Point3::origin());
+        let tree = Nearest::new(&points);
+        assert_eq!(tree.nearest(&Point3::new(1.0, 2.0, 3.1)).unwrap().0, 1);
+        assert_eq!(tree.within(&Point3::origin(), 10.0).len(), 2);
+        assert_eq!(tree.nearest_n(&Point3::origin(), 5).iter().map(|f| f.0).collect::<Vec<_>>(), [0, 1]);
+    }
+
+    #[test]
+    fn no_points_and_queries_that_are_not_finite_find_nothing() {
+        let tree = Nearest::new(&[]);
+        assert_eq!(tree.nearest(&Point3::origin()), None);
+        assert!(tree.within(&Point3::origin(), 1.0).is_empty() && tree.nearest_n(&Point3::origin(), 3).is_empty());
+        let tree = Nearest::new(&[Point3::origin(), Point3::new(f64::NAN, 0.0, 0.0)]);
+        assert_eq!(tree.nearest(&Point3::new(f64::NAN, 0.0, 0.0)), None);
+        assert_eq!(tree.nearest(&Point3::new(3.0, 0.0, 0.0)), Some((0, 9.0)));
+        assert!(tree.nearest_n(&Point3::origin(), 0).is_empty());
     }
 }

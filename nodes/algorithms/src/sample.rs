@@ -42,3 +42,49 @@ pub fn surface(mesh: &Mesh, n: usize, rng: &mut ChaCha8Rng) -> Samples {
     }
     samples
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh_query::MeshQuery;
+    use crate::shapes::{cuboid, shaft};
+    use rand_chacha::rand_core::SeedableRng;
+
+    #[test]
+    fn faces_get_points_by_their_area_whatever_their_number() {
+        let samples = surface(&cuboid([0.0; 3], [10.0, 20.0, 30.0]), 22_000, &mut ChaCha8Rng::seed_from_u64(1));
+        // 200, 300 and 600 of 1100 mm² on each pair of sides.
+        for (axis, share) in [(2, 4000), (1, 6000), (0, 12_000)] {
+            let n = samples.normals.iter().filter(|n| n[axis].abs() == 1.0).count();
+            assert!(n.abs_diff(share) <= 4, "{n} of {share} points across axis {axis}");
+        }
+        let middle: nalgebra::Vector3<f64> = samples.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / 22_000.0;
+        assert!((middle - Vector3::new(5.0, 10.0, 15.0)).norm() < 0.2, "{middle}");
+    }
+
+    #[test]
+    fn points_lie_on_the_surface_with_its_normals_and_follow_the_seed() {
+        let mesh = shaft();
+        let draw = |seed| surface(&mesh, 500, &mut ChaCha8Rng::seed_from_u64(seed));
+        let query = MeshQuery::new(&mesh);
+        let samples = draw(1);
+        for (p, n) in samples.points.iter().zip(&samples.normals) {
+            let closest = query.closest_point(p).unwrap();
+            assert!(closest.distance_mm < 1e-9 && (n.norm() - 1.0).abs() < 1e-12);
+            assert!(query.is_inside(&(p - n * 1e-3)) && !query.is_inside(&(p + n * 1e-3)));
+        }
+        assert_eq!(samples, draw(1));
+        assert_ne!(samples, draw(2));
+    }
+
+    #[test]
+    fn faces_without_area_get_nothing() {
+        let flat = Mesh::new("ct", mesh_origin(), vec![Point3::origin(); 3], vec![[0, 1, 2]]).unwrap();
+        assert!(surface(&flat, 10, &mut ChaCha8Rng::seed_from_u64(1)).points.is_empty());
+        assert!(surface(&shaft(), 0, &mut ChaCha8Rng::seed_from_u64(1)).points.is_empty());
+    }
+
+    fn mesh_origin() -> osteoflow_geometry::SurfaceOrigin {
+        osteoflow_geometry::SurfaceOrigin::Exact
+    }
+}

@@ -82,13 +82,13 @@ pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) ->
         return Err(too_sparse(best.hole.report.spacing_mm, params));
     }
     // Seeds of one hole settle in one place.
-    let apart = |c: &&Candidate| (c.hole.centre - best.hole.centre).norm() > params.spot_radius_mm;
-    let rivals: Vec<&Candidate> = candidates
-        .iter()
-        .filter(sure)
-        .filter(apart)
-        .filter(|c| c.hole.confidence > ALIKE * best.hole.confidence)
-        .collect();
+    let mut rivals: Vec<&Candidate> = Vec::new();
+    for candidate in candidates.iter().filter(sure).filter(|c| c.hole.confidence > ALIKE * best.hole.confidence) {
+        let apart = |other: &&Candidate| (candidate.hole.centre - other.hole.centre).norm() > params.spot_radius_mm;
+        if apart(&best) && rivals.iter().all(apart) {
+            rivals.push(candidate);
+        }
+    }
     if let Some(rival) = rivals.first() {
         return Err(HoleError::Several {
             n: rivals.len() + 1,

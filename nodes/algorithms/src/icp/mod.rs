@@ -5,6 +5,8 @@ mod observability;
 mod pairing;
 mod run;
 mod surface;
+#[cfg(test)]
+mod tests;
 
 pub use observability::{Observability, WeakDirection};
 

@@ -184,7 +184,8 @@ fn descend(
         let probed = if settled { lower_beyond(problem, &state, &pairing, resolution_mm) } else { None };
         if settled && probed.is_none() {
             // Among the roughness only plain steps find the pairs that stay.
-            if remaining_mm.is_some_and(|r| r <= params.stop_step_mm) || plainly {
+            // A subset only brings the source near.
+            if remaining_mm.is_some_and(|r| r <= params.stop_step_mm) || plainly || every > 1 {
                 return done(StopReason::Step, pairing);
             }
             (plainly, calm) = (true, 0);

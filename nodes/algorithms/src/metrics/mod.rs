@@ -82,3 +82,102 @@ fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
     let above = (below + 1).min(last);
     Some(sorted[below] + (sorted[above] - sorted[below]) * (place - below as f64))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shapes::{cuboid, shaft};
+    use crate::{sample, target::Target};
+    use nalgebra::{Isometry3, Matrix3, Vector3};
+    use osteoflow_geometry::{Axes, Plane, Planes, SurfaceOrigin};
+    use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+    fn named(points: &[[f64; 3]]) -> Vec<NamedPoint> {
+        points.iter().enumerate().map(|(k, p)| NamedPoint::new(format!("M{}", k + 1), Point3::from(*p))).collect()
+    }
+
+    fn axes() -> Axes {
+        Axes { frame: "ct".into(), centre: Point3::origin(), columns: Matrix3::identity() }
+    }
+
+    #[test]
+    fn the_error_is_told_with_sign_along_the_axes() {
+        let target = named(&[[0.0, 0.0, 0.0], [10.0, 0.0, 50.0]]);
+        let source = named(&[[0.3, -0.4, 1.0], [9.7, 0.0, 48.0]]);
+        let report = tre(&target, &source, &Isometry3::identity(), &axes()).unwrap();
+        assert_eq!((report.points[0].z, report.points[1].z), (1.0, -2.0));
+        assert!((report.points[0].transverse - 0.5).abs() < 1e-12 && report.points[1].axial == 2.0);
+        assert!((report.mean_signed.z + 0.5).abs() < 1e-12 && (report.mean_abs.z - 1.5).abs() < 1e-12);
+        assert!((report.rms.z - 2.5_f64.sqrt()).abs() < 1e-12 && report.max.z == 2.0);
+        assert!((report.p95.z - 1.95).abs() < 1e-12 && report.n == 2);
+        // Turning the axes over turns the sign.
+        let turned = Axes { columns: Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)), ..axes() };
+        assert_eq!(tre(&target, &source, &Isometry3::identity(), &turned).unwrap().points[0].z, -1.0);
+        assert!(matches!(
+            tre(&target, &source[..1], &Isometry3::identity(), &axes()),
+            Err(MetricsError::Unpaired { .. })
+        ));
+        assert!(matches!(tre(&[], &source, &Isometry3::identity(), &axes()), Err(MetricsError::Empty { .. })));
+    }
+
+    #[test]
+    fn a_shift_of_planned_points_shows_in_the_tre_and_not_in_the_fre() {
+        let target = named(&[[0.0, 0.0, 0.0], [9.0, 0.0, 20.0], [0.0, 7.0, 30.0]]);
+        let moved = Isometry3::translation(0.0, 0.0, 5.0);
+        let source: Vec<_> =
+            target.iter().map(|p| NamedPoint::new(p.name.clone(), moved.inverse() * p.position)).collect();
+        let report = fre(&target, &source, &moved).unwrap();
+        assert!(report.rms_mm < 1e-12 && report.n == 3 && report.points.len() == 3);
+        assert!((tre(&target, &source, &Isometry3::identity(), &axes()).unwrap().mean_signed.z + 5.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn cuts_tell_offset_tilt_roll_and_length() {
+        let bone = cuboid([0.0; 3], [10.0, 12.0, 100.0]);
+        let plane = |name: &str, z: f64| Plane::new(name, Isometry3::translation(4.0, 5.0, z));
+        let planned = Planes::new("ct", vec![plane("lower", 20.0), plane("upper", 60.0)]);
+        let motion = Isometry3::new(Vector3::new(3.0, 0.0, 2.0), Vector3::z() * 0.1);
+        let report = cuts(&planned, &planned.transformed("ct", &motion), &axes(), Some(&bone)).unwrap();
+        for cut in &report.cuts {
+            assert!(
+                (cut.offset_mm - 2.0).abs() < 1e-9 && cut.tilt_rad.abs() < 1e-7 && (cut.roll_rad - 0.1).abs() < 1e-9
+            );
+            assert!(
+                (cut.at[0] - 5.0).abs() < 1e-9 && (cut.at[1] - 6.0).abs() < 1e-9,
+                "the middle of the bone: {:?}",
+                cut.at
+            );
+        }
+        let segment = &report.segments[0];
+        assert!((segment.planned_mm - 40.0).abs() < 1e-9 && segment.difference_mm.abs() < 1e-9);
+        // A tilt about x through the plane's own origin moves the cut in the bone's middle, 1 mm away along y.
+        let tilted = Planes::new(
+            "ct",
+            vec![
+                Plane::new("lower", planned.planes[0].isometry().unwrap() * Isometry3::rotation(Vector3::x() * 0.05)),
+                plane("upper", 60.0),
+            ],
+        );
+        let report = cuts(&planned, &tilted, &axes(), Some(&bone)).unwrap();
+        assert!((report.cuts[0].tilt_rad - 0.05).abs() < 1e-9);
+        assert!((report.cuts[0].offset_mm - 0.05_f64.tan()).abs() < 1e-9, "{}", report.cuts[0].offset_mm);
+        assert!((report.segments[0].difference_mm + 0.05_f64.tan()).abs() < 1e-9);
+        let lost = planned.unknown("ct", 0, "marker lost");
+        assert!(cuts(&planned, &lost, &axes(), None).unwrap_err().to_string().contains("marker lost"));
+        assert!(matches!(cuts(&planned, &planned.unknown("world", 0, ""), &axes(), None), Err(MetricsError::Frame(_))));
+    }
+
+    #[test]
+    fn the_surface_residual_is_free_of_the_samples_spacing() {
+        let samples = sample::surface(&shaft(), 20_000, &mut ChaCha8Rng::seed_from_u64(1));
+        let source: Vec<_> = sample::surface(&shaft(), 3000, &mut ChaCha8Rng::seed_from_u64(2)).points;
+        let target = Target::new("ct", SurfaceOrigin::Exact, samples.points, Some(samples.normals.into())).unwrap();
+        let report = surface_residual(&target, &source, &Isometry3::identity(), 2.0).unwrap();
+        assert!(report.rms_all_mm < 0.03 && report.inlier_share == 1.0 && report.n == 3000, "{report:?}");
+        let mut spoilt = source;
+        spoilt.extend((0..1000).map(|k| Point3::new(30.0, 0.0, f64::from(k) / 10.0)));
+        let report = surface_residual(&target, &spoilt, &Isometry3::identity(), 2.0).unwrap();
+        assert!((report.inlier_share - 0.75).abs() < 1e-12 && report.rms_all_mm > 5.0 && report.rms_kept_mm < 0.03);
+        assert!(surface_residual(&target, &[], &Isometry3::identity(), 2.0).is_err());
+    }
+}

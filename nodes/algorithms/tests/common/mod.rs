@@ -1,5 +1,11 @@
 //! Bones from files and what a camera sees of them.
-#![allow(dead_code, reason = "each test file uses its own part")]
+#![allow(
+    dead_code,
+    unreachable_pub,
+    missing_docs,
+    clippy::unwrap_used,
+    reason = "a helper of tests, each using its own part"
+)]
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
