@@ -31,7 +31,7 @@ impl Node for PointToPoint {
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let init = i.init()?;
-        let fit = icp::point_to_point(&i.target, i.source.points(), &init, &self.0, &mut observer(ctx))?;
+        let fit = icp::point_to_point(&i.target, &i.source, &init, &self.0, &mut observer(ctx))?;
         Ok(i.out(fit, ctx))
     }
 }
