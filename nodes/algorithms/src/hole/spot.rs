@@ -61,6 +61,13 @@ struct Candidate {
     n_seen: usize,
 }
 
+impl Candidate {
+    /// How it stands against its rivals: a strip that is lost at a steep edge goes on around the disc, a spot does not.
+    fn standing(&self) -> f64 {
+        self.hole.confidence * (1.0 - self.n_lost as f64 / SECTORS as f64).powi(2)
+    }
+}
+
 /// The one hole among the missing points.
 pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) -> Result<Hole, HoleError> {
     let mut is_missing = vec![false; scene.reference.len()];
@@ -71,7 +78,7 @@ pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) ->
     for candidate in &mut candidates {
         candidate.hole.report.n_candidates = seeds.len();
     }
-    candidates.sort_by(|a, b| b.hole.confidence.total_cmp(&a.hole.confidence));
+    candidates.sort_by(|a, b| b.standing().total_cmp(&a.standing()));
     let sure = |c: &&Candidate| {
         c.hole.confidence >= params.min_confidence && c.n_lost <= MAX_LOST_SECTORS && c.n_seen >= MIN_SEEN_SECTORS
     };
@@ -83,7 +90,7 @@ pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) ->
     }
     // Seeds of one hole settle in one place.
     let mut rivals: Vec<&Candidate> = Vec::new();
-    for candidate in candidates.iter().filter(sure).filter(|c| c.hole.confidence > ALIKE * best.hole.confidence) {
+    for candidate in candidates.iter().filter(sure).filter(|c| c.standing() > ALIKE * best.standing()) {
         let apart = |other: &&Candidate| (candidate.hole.centre - other.hole.centre).norm() > params.spot_radius_mm;
         if apart(&best) && rivals.iter().all(apart) {
             rivals.push(candidate);
