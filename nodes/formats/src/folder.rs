@@ -5,7 +5,6 @@
 //! ```toml
 //! format  = 1
 //! tracker = true               # false: nothing is tracked; the camera's frame is then called `world`
-//! simulated = false            # whether all this was simulated, which every result then says
 //! unit    = "mm"               # "mm", "cm", "m" or "um"; for every file below that does not say its own
 //!
 //! [scan]                       # the bone, seen once in full
@@ -54,7 +53,8 @@
 //! file = "phantom.stl"
 //! ```
 //!
-//! Only `format` is always needed; a graph needs more and says what. Clouds lie in the frame `camera`, or `world` without
+//! Only `format` is always needed; a graph needs more and says what. A folder that was simulated says so by
+//! `simulated = true`, and every result of it then does. Clouds lie in the frame `camera`, or `world` without
 //! a tracker, seen from its origin. Poses go by the name of their child: the role of `world,bone_marker` is
 //! `bone_marker`, that of `phantom,phantom_marker` is `phantom_marker_cad`, since the other is the tracker's. A point
 //! that is NaN is left out and counted in [`FolderStreams::notes`].
