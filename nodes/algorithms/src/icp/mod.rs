@@ -76,8 +76,9 @@ pub struct IcpParams {
     /// steps, millimetres away; the report then does not say converged.
     #[schemars(range(min = 0.0, max = 10.0))]
     pub stop_residual_mm: f64,
-    /// How many earlier steps the next one is extrapolated from (Anderson). 5: as in the literature; 0: none, which
-    /// takes hundreds of steps for `point_to_point`, where each step recovers 0.1 % of a slide along the bone.
+    /// How many earlier steps the next one is extrapolated from (Anderson). 5: as in the literature; 0: plain steps only,
+    /// without leaps along the normals either, which takes hundreds of steps for `point_to_point`, where each step recovers
+    /// 0.1 % of a slide along the bone.
     #[schemars(range(min = 0, max = 5))]
     pub acceleration: u32,
     /// First run on every n-th source point until converged, then on all. 8: saves most of the time and ends in the
@@ -134,7 +135,8 @@ pub enum StopReason {
 /// How an ICP ended. What it leaves is a surface residual, neither FRE nor TRE.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IcpReport {
-    /// Whether the way still to go is estimated to be below `stop_step_mm`.
+    /// Whether `remaining_mm` is not above `stop_step_mm`: the variant has come to rest. A `point_to_point` may rest away
+    /// from its least; see `resolution_mm` and `left_mm`.
     pub converged: bool,
     /// Why it stopped.
     pub stop_reason: StopReason,
@@ -250,7 +252,9 @@ pub enum IcpError {
 
 /// Registers `source` onto `target` by the distances between paired points, from `init`.
 ///
-/// Each source point pairs with the nearest target point; Kabsch moves the source. `O(n log m)` a step. The result does
+/// Each source point pairs with the nearest target point. A step along the target's normals or an extrapolated one is
+/// taken where it lowers the residual, else Kabsch moves the source, as it always does with `acceleration = 0`; the last
+/// steps are Kabsch's until the pairs stay. `O(n log m)` a step. The result does
 /// not depend on the number of threads, nor (but for rounding) on the order of the points.
 ///
 /// # Errors
