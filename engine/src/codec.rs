@@ -1,21 +1,25 @@
 //! The bytes of an item in a recording: its place, its stamp, and its view or the reason why it has none.
 //!
 //! All numbers are little-endian. The head is 40 bytes: `OSTEOVW1`, stamp (i64, ns), number (u64), body (u8: 0 value,
-//! 1 empty), three zero bytes, number of head fields (u32), number of columns (u32), four zero bytes. A text is its
-//! length (u32) and its UTF-8 bytes. A head field is its type (u8: 1 bool, 2 integer, 3 number, 4 numbers, 5 text), its
+//! 1 empty, 2 value that names its payload), three zero bytes, number of head fields (u32), number of columns (u32),
+//! four zero bytes. A text is its length (u32) and its UTF-8 bytes. A value on a wire that takes any payload names its
+//! own first: its name as a text and its version (u32). A head field is its type (u8: 1 bool, 2 integer, 3 number, 4 numbers, 5 text), its
 //! name and its value (u8, i64, f64, count (u32) and f64 each, text). A column is its name, its type (u8: 1 f64, 2 f32,
 //! 3 i64, 4 u32, 5 u8), its width (u32), its bytes (u64), zeros up to a multiple of 8 from the start of the message, and
 //! the rows. An empty has the node and the reason as two texts in the place of fields and columns.
 
-use osteoflow_node::{Body, Column, ColumnType, Empty, Field, Item, PayloadType, StampNs, View, ViewError};
+use osteoflow_node::{
+    Body, Column, ColumnType, Empty, Field, Item, PayloadType, PortPayload, StampNs, View, ViewError,
+};
 use std::sync::Arc;
 
 /// What the schema of an exact channel says of its messages.
 pub(crate) const LAYOUT: &str = "\
-Little-endian. Head, 40 bytes: 'OSTEOVW1'; i64 stamp_ns; u64 number on the wire; u8 body (0 value, 1 empty); 3 zero bytes; \
-u32 n_fields; u32 n_columns; 4 zero bytes.
+Little-endian. Head, 40 bytes: 'OSTEOVW1'; i64 stamp_ns; u64 number on the wire; u8 body (0 value, 1 empty, 2 value \
+that names its payload); 3 zero bytes; u32 n_fields; u32 n_columns; 4 zero bytes.
 text = u32 length, UTF-8 bytes.
 Empty: text node, text reason.
+Value: where body is 2, first text payload, u32 version; then fields, then columns.
 Field (n_fields times): u8 type (1 bool, 2 i64, 3 f64, 4 f64 list, 5 text), text name, then u8 | i64 | f64 | u32 count and \
 count x f64 | text.
 Column (n_columns times): text name; u8 type (1 f64, 2 f32, 3 i64, 4 u32, 5 u8); u32 width (values in a row); u64 n_bytes; \
@@ -24,6 +28,12 @@ Lengths are millimetres, angles radians, times nanoseconds.
 ";
 
 const MAGIC: &[u8; 8] = b"OSTEOVW1";
+/// A head is small; a longer one is damage, and each of its fields would cost more memory than it has bytes.
+const MAX_PARTS: u32 = 1 << 16;
+
+const VALUE: u8 = 0;
+const EMPTY: u8 = 1;
+const NAMED_VALUE: u8 = 2;
 
 /// A message that is no item.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -54,6 +64,8 @@ pub struct RecordedItem {
     pub number: u64,
     /// When what it tells held.
     pub stamp_ns: StampNs,
+    /// The payload's name and the version of its view, on a wire that takes any payload.
+    pub payload: Option<(String, u32)>,
     /// The view of its value, or why there is none.
     pub body: Result<View, Empty>,
 }
@@ -72,24 +84,41 @@ impl RecordedItem {
     }
 }
 
-/// The bytes of an item.
+/// The bytes of an item on a wire whose payload is known.
+#[cfg(test)]
 pub(crate) fn encode(item: &Item) -> Vec<u8> {
-    let view = match &item.body {
-        Body::Value(value) => Ok(value.to_view()),
-        Body::Empty(empty) => Err(empty),
+    encode_parts(item, false)
+}
+
+/// The bytes of an item on a wire of this payload; one that takes any has values name their own.
+pub(crate) fn encode_on(payload: PortPayload, item: &Item) -> Vec<u8> {
+    encode_parts(item, matches!(payload, PortPayload::Any))
+}
+
+fn encode_parts(item: &Item, names_payload: bool) -> Vec<u8> {
+    let (kind, view) = match &item.body {
+        Body::Value(value) if names_payload => (NAMED_VALUE, Ok((value.ty(), value.to_view()))),
+        Body::Value(value) => (VALUE, Ok((value.ty(), value.to_view()))),
+        Body::Empty(empty) => (EMPTY, Err(empty)),
     };
-    let n_bytes = view.as_ref().map_or(64, |v| v.columns.iter().map(|c| c.bytes().len() + 64).sum::<usize>() + 256);
-    let mut out = Vec::with_capacity(n_bytes);
+    let bulk = |view: &View| view.columns.iter().map(|c| c.bytes().len() + 64).sum::<usize>();
+    let mut out = Vec::with_capacity(view.as_ref().map_or(64, |(_, view)| bulk(view) + 256));
     out.extend_from_slice(MAGIC);
     out.extend_from_slice(&item.stamp_ns.to_le_bytes());
     out.extend_from_slice(&item.number.to_le_bytes());
-    out.extend_from_slice(&[u8::from(view.is_err()), 0, 0, 0]);
-    let (n_fields, n_columns) = view.as_ref().map_or((0, 0), |v| (v.head.len(), v.columns.len()));
+    out.extend_from_slice(&[kind, 0, 0, 0]);
+    let (n_fields, n_columns) = view.as_ref().map_or((0, 0), |(_, v)| (v.head.len(), v.columns.len()));
     put_count(&mut out, n_fields);
     put_count(&mut out, n_columns);
     put_count(&mut out, 0);
     match view {
-        Ok(view) => put_view(&mut out, &view),
+        Ok((ty, view)) => {
+            if names_payload {
+                put_text(&mut out, ty.name);
+                out.extend_from_slice(&ty.version.to_le_bytes());
+            }
+            put_view(&mut out, &view);
+        }
         Err(empty) => {
             put_text(&mut out, &empty.node);
             put_text(&mut out, &empty.reason);
@@ -165,21 +194,43 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<RecordedItem, CodecError> {
     let [kind, ..] = reader.array::<4>()?;
     let (n_fields, n_columns) = (reader.count()?, reader.count()?);
     reader.count()?;
+    if n_fields > MAX_PARTS || n_columns > MAX_PARTS {
+        return Err(CodecError::Invalid("it claims more than 65536 fields or columns"));
+    }
+    let payload = match kind {
+        NAMED_VALUE => Some((reader.text()?.to_owned(), reader.count()?)),
+        _ => None,
+    };
     let body = match kind {
-        0 => Ok(reader.view(n_fields, n_columns)?),
-        1 => Err(Empty { node: reader.text()?.into(), reason: reader.text()?.into() }),
+        VALUE | NAMED_VALUE => Ok(reader.view(n_fields, n_columns)?),
+        EMPTY => Err(Empty { node: reader.text()?.into(), reason: reader.text()?.into() }),
         _ => return Err(CodecError::Invalid("its body is neither value nor empty")),
     };
     if reader.at != bytes.len() {
         return Err(CodecError::Invalid("bytes follow its last part"));
     }
-    Ok(RecordedItem { number, stamp_ns, body })
+    Ok(RecordedItem { number, stamp_ns, payload, body })
+}
+
+/// What every message begins with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Head {
+    pub(crate) number: u64,
+    pub(crate) stamp_ns: StampNs,
+    pub(crate) is_empty: bool,
+}
+
+/// The head of a message, where it is an item at all; the rest is not looked at.
+pub(crate) fn head(bytes: &[u8]) -> Option<Head> {
+    let head = bytes.get(..40)?.strip_prefix(MAGIC)?;
+    let word = |at: usize| head[at..at + 8].try_into().expect("eight bytes");
+    let (stamp_ns, number) = (i64::from_le_bytes(word(0)), u64::from_le_bytes(word(8)));
+    (head[16] <= NAMED_VALUE).then_some(Head { number, stamp_ns, is_empty: head[16] == EMPTY })
 }
 
 /// The number that a message bears, where it is an item at all.
 pub(crate) fn number(bytes: &[u8]) -> Option<u64> {
-    let number = bytes.strip_prefix(MAGIC)?.get(8..16)?;
-    Some(u64::from_le_bytes(number.try_into().ok()?))
+    head(bytes).map(|head| head.number)
 }
 
 struct Reader<'a> {
@@ -316,7 +367,24 @@ mod tests {
     fn an_empty_comes_back_with_its_node_and_reason() {
         let empty = Empty { node: "hole".into(), reason: "no hole".into() };
         let item = Item { number: 1, stamp_ns: 5, body: Body::Empty(Arc::new(empty.clone())) };
-        assert_eq!(decode(&encode(&item)).unwrap(), RecordedItem { number: 1, stamp_ns: 5, body: Err(empty) });
+        let recorded = RecordedItem { number: 1, stamp_ns: 5, payload: None, body: Err(empty) };
+        assert_eq!(decode(&encode(&item)).unwrap(), recorded);
+    }
+
+    #[test]
+    fn on_a_wire_that_takes_anything_a_value_names_its_payload() {
+        let recorded = decode(&encode_on(PortPayload::Any, &wave(vec![2.5]))).unwrap();
+        assert_eq!(recorded.payload, Some(("toy/Wave".into(), 2)));
+        let item = recorded.into_item(PayloadType::of::<Wave, _>()).unwrap();
+        let Body::Value(value) = item.body else { panic!("a value was recorded") };
+        assert_eq!(value.get::<Wave>().unwrap().samples, [2.5]);
+    }
+
+    #[test]
+    fn a_head_that_claims_too_many_fields_is_refused() {
+        let mut bytes = encode(&wave(vec![1.0]));
+        bytes[28..32].copy_from_slice(&u32::MAX.to_le_bytes());
+        assert!(matches!(decode(&bytes), Err(CodecError::Invalid(_))));
     }
 
     #[test]

@@ -178,6 +178,7 @@ struct Wire {
     name: String,
     exact: u16,
     view: Option<u16>,
+    payload: PortPayload,
     n_items: u64,
     n_values: u64,
 }
@@ -230,7 +231,10 @@ impl Sink {
                 }
                 None => None,
             };
-            wires.insert(id, Wire { name, exact, view, n_items: 0, n_values: 0 });
+            wires.insert(
+                id,
+                Wire { name, exact, view, payload: node.outputs[id.port].payload, n_items: 0, n_values: 0 },
+            );
         }
         Ok(Self { writer, wires, first_stamp: None, waiting: Vec::new() })
     }
@@ -260,8 +264,8 @@ impl Sink {
     /// Writes an item and its picture. The exact message holds the stamp as it is, zero and negative ones too; its log
     /// time is one that viewers take.
     fn write(&mut self, id: OutputId, item: &Item, log_time_ns: StampNs) -> Result<(), Stopped> {
-        let (exact, view) = (self.wires[&id].exact, self.wires[&id].view);
-        self.writer.write_to_known_channel(&header(exact, item, log_time_ns), &codec::encode(item))?;
+        let Wire { exact, view, payload, .. } = self.wires[&id];
+        self.writer.write_to_known_channel(&header(exact, item, log_time_ns), &codec::encode_on(payload, item))?;
         let (Some(channel), Body::Value(value)) = (view, &item.body) else { return Ok(()) };
         let Some(picture) = value.to_display(log_time_ns) else { return Ok(()) };
         Ok(self.writer.write_to_known_channel(&header(channel, item, log_time_ns), &picture)?)

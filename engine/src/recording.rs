@@ -9,12 +9,13 @@ use mcap::{
     records::Record,
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
-use osteoflow_node::{Item, Registry};
+use osteoflow_node::{Body, Item, PayloadType, Registry};
 use std::{
     collections::BTreeMap,
     fs::File,
     io::{self, Read},
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 /// No record of ours is longer; a longer one is damage, and is not believed.
@@ -161,20 +162,33 @@ impl Recording {
     pub fn items(&self, wire: &str, registry: &Registry) -> Result<Vec<Item>, RecordingError> {
         let fault = |number: u64, reason: String| RecordingError::Item { wire: wire.into(), number, reason };
         let recorded = self.wires.get(wire).ok_or_else(|| fault(0, "the wire was not recorded".into()))?;
-        let payload = &recorded.payload;
-        let ty =
-            registry.payload_type(payload).ok_or_else(|| fault(0, format!("no payload {payload} is known here")))?;
-        if ty.version != recorded.version {
-            let (found, known) = (recorded.version, ty.version);
-            return Err(fault(0, format!("it holds version {found} of {payload}, version {known} is known here")));
-        }
         let items = recorded.items().map_err(|(number, error)| fault(number, error.to_string()))?;
         let typed = items.into_iter().map(|item| {
             let number = item.number;
-            item.into_item(ty).map_err(|error| fault(number, error.to_string()))
+            // An empty shows nothing, so on a wire that takes any payload it needs no type.
+            let named = item.payload.clone().unwrap_or((recorded.payload.clone(), recorded.version));
+            match &item.body {
+                Err(empty) => {
+                    let body = Body::Empty(Arc::new(empty.clone()));
+                    Ok(Item { number, stamp_ns: item.stamp_ns, body })
+                }
+                Ok(_) => {
+                    let ty = known(&named.0, named.1, registry).map_err(|reason| fault(number, reason))?;
+                    item.into_item(ty).map_err(|error| fault(number, error.to_string()))
+                }
+            }
         });
         typed.collect()
     }
+}
+
+/// The payload of that name and version.
+fn known(name: &str, version: u32, registry: &Registry) -> Result<&'static PayloadType, String> {
+    let ty = registry.payload_type(name).ok_or_else(|| format!("no payload {name} is known here"))?;
+    if ty.version != version {
+        return Err(format!("it holds version {version} of {name}, version {} is known here", ty.version));
+    }
+    Ok(ty)
 }
 
 /// Along a wire items are numbered from 0 without holes.

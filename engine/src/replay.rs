@@ -8,7 +8,7 @@ use crate::{
     recording::{Recording, RecordingError},
     run::{self, Observer, RunError, RunOptions, RunReport, Substitutes, Tap},
 };
-use osteoflow_node::{AnySource, Body, Context, Emission, Item, NodeError, Registry, Role, StampNs};
+use osteoflow_node::{AnySource, Body, Context, Emission, Item, NodeError, PortPayload, Registry, Role, StampNs};
 use std::{
     collections::{BTreeMap, VecDeque},
     path::Path,
@@ -101,6 +101,7 @@ pub(crate) fn replay_plan(
     plan.record = recording.wires.keys().filter_map(|name| names.get(name).copied()).collect();
     let compare = Compare {
         wires: plan.record.iter().map(|id| (*id, Mutex::default())).collect(),
+        payloads: plan.record.iter().map(|id| (*id, plan.nodes[id.node].outputs[id.port].payload)).collect(),
         recorded: plan.record.iter().map(|id| (*id, &recording.wires[&plan.wire_name(*id)].messages)).collect(),
     };
     let mut options = options.clone();
@@ -184,6 +185,7 @@ impl AnySource for Player {
 struct Compare<'a> {
     wires: BTreeMap<OutputId, Mutex<Seen>>,
     recorded: BTreeMap<OutputId, &'a Vec<Vec<u8>>>,
+    payloads: BTreeMap<OutputId, PortPayload>,
 }
 
 #[derive(Default)]
@@ -200,7 +202,7 @@ impl Tap for Compare<'_> {
         if seen.first_difference.is_some() {
             return;
         }
-        let bytes = codec::encode(item);
+        let bytes = codec::encode_on(self.payloads[&wire], item);
         let recorded = usize::try_from(item.number).ok().and_then(|number| recorded.get(number));
         if let Some(recorded) = recorded.filter(|recorded| **recorded != bytes) {
             seen.first_difference = Some((item.number, difference(recorded, &bytes)));
