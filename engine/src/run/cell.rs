@@ -292,7 +292,8 @@ impl Cell {
         let n_ports = self.outputs.len();
         let Core::Node(node, _) = &mut self.core else { unreachable!("an open cell has its node") };
         let (context, took) = (&mut self.context, &mut self.took);
-        let answered = timed(item, context, took, |context| node.fire(joined, n_ports, context));
+        let (began, answered) = timed(item, context, took, |context| node.fire(joined, n_ports, context));
+        self.tell_taps(item, began, run);
         self.after(item, stamp_ns, answered.map(|emissions| emissions.map(Some)), run, wake);
     }
 
@@ -303,7 +304,7 @@ impl Cell {
         let n_ports = self.outputs.len();
         let Core::Source(source) = &mut self.core else { unreachable!("only a source is called") };
         let (context, took) = (&mut self.context, &mut self.took);
-        let answered = timed(item, context, took, |context| source.next(n_ports, context));
+        let (began, answered) = timed(item, context, took, |context| source.next(n_ports, context));
         let stamp_ns = self.context.stamp_ns();
         if matches!(answered, Ok(Ok(None))) {
             // The look that found the end is no answer.
@@ -312,7 +313,12 @@ impl Cell {
             return self.end(run, wake);
         }
         self.item += 1;
+        self.tell_taps(item, began, run);
         self.after(item, stamp_ns, answered, run, wake);
+    }
+
+    fn tell_taps(&self, item: u64, began: Instant, run: &Runtime<'_>) {
+        run.fired_to_taps(self.index, item, began, Duration::from_nanos(self.took.last().copied().unwrap_or(0)));
     }
 
     /// What follows a firing: warnings, the answers on their way, or the failure.
@@ -538,12 +544,12 @@ fn timed<T>(
     context: &mut Context,
     took: &mut Vec<u64>,
     call: impl FnOnce(&mut Context) -> Result<T, NodeError>,
-) -> Result<Result<T, NodeError>, String> {
+) -> (Instant, Result<Result<T, NodeError>, String>) {
     let _span = tracing::debug_span!("fire", node = context.node(), item).entered();
     let began = Instant::now();
     let answered = panics::catch(|| call(context));
     took.push(began.elapsed().as_nanos() as u64);
-    answered
+    (began, answered)
 }
 
 /// Drops what the node was built of; a panic there changes nothing any more.

@@ -30,6 +30,9 @@ pub(crate) type Substitutes = BTreeMap<usize, Box<dyn AnySource>>;
 pub(crate) trait Tap: Sync {
     /// An item has been put on the wire.
     fn item(&self, wire: OutputId, item: &Item);
+
+    /// A node fired, or a source answered: when, since the run began, and for how long.
+    fn fired(&self, _node: usize, _item: u64, _began: Duration, _took: Duration) {}
 }
 
 /// A run under way.
@@ -50,6 +53,7 @@ pub(super) struct Runtime<'a> {
     warnings: Mutex<Vec<(usize, Warning)>>,
     enlargements: Mutex<Vec<Enlargement>>,
     stall: Mutex<Option<Failure>>,
+    began: Instant,
     elapsed: Duration,
 }
 
@@ -132,6 +136,7 @@ impl<'a> Runtime<'a> {
             warnings: Mutex::default(),
             enlargements: Mutex::default(),
             stall: Mutex::default(),
+            began: Instant::now(),
             elapsed: Duration::ZERO,
         })
     }
@@ -142,9 +147,9 @@ impl<'a> Runtime<'a> {
 
     /// Runs to the end; everything that happened is in the runtime then.
     pub(super) fn run(&mut self) {
-        let began = Instant::now();
+        self.began = Instant::now();
         Scheduler::new(self.cells.len(), self.n_workers).run(self);
-        self.elapsed = began.elapsed();
+        self.elapsed = self.began.elapsed();
     }
 
     /// What the run leaves in memory.
@@ -197,6 +202,13 @@ impl<'a> Runtime<'a> {
 
     pub(super) fn to_taps(&self, wire: OutputId, item: &Item) {
         self.taps.iter().for_each(|tap| tap.item(wire, item));
+    }
+
+    pub(super) fn fired_to_taps(&self, node: usize, item: u64, began: Instant, took: Duration) {
+        if !self.taps.is_empty() {
+            let began = began.saturating_duration_since(self.began);
+            self.taps.iter().for_each(|tap| tap.fired(node, item, began, took));
+        }
     }
 
     pub(super) fn fail(&self, failure: Failure) {
