@@ -162,12 +162,11 @@ struct Player {
 }
 
 impl AnySource for Player {
-    fn next(&mut self, n_ports: usize, ctx: &mut Context) -> Result<Option<Vec<Emission>>, NodeError> {
+    fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError> {
         let heads = self.ports.iter().filter_map(|port| port.front());
-        let Some(stamp_ns) = heads.map(|item| item.stamp_ns).min() else { return Ok(None) };
+        let Some(stamp_ns) = heads.map(|item| item.stamp_ns).min() else { return Ok(false) };
         ctx.set_stamp_ns(stamp_ns);
-        let mut out = vec![Emission::Silent; n_ports];
-        for (port, emission) in self.ports.iter_mut().zip(&mut out) {
+        for (port, emission) in self.ports.iter_mut().zip(out) {
             if port.front().is_some_and(|item| item.stamp_ns == stamp_ns)
                 && let Some(item) = port.pop_front()
             {
@@ -177,7 +176,7 @@ impl AnySource for Player {
                 };
             }
         }
-        Ok(Some(out))
+        Ok(true)
     }
 }
 

@@ -4,20 +4,20 @@ use crate::{Context, Emission, Inputs, Joined, Node, NodeError, Outputs, Source}
 
 /// A node of any kind.
 pub trait AnyNode: Send {
-    /// One firing: what [`Node::process`] answers, one emission for each port.
+    /// One firing: puts what [`Node::process`] answers into `out`, which holds a silent emission for each port.
     ///
     /// # Errors
     /// What the node says.
-    fn fire(&mut self, joined: Joined, n_ports: usize, ctx: &mut Context) -> Result<Vec<Emission>, NodeError>;
+    fn fire(&mut self, joined: &Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError>;
 }
 
 /// A source of any kind.
 pub trait AnySource: Send {
-    /// What [`Source::next`] answers, one emission for each port.
+    /// Puts what [`Source::next`] answers into `out`, which holds a silent emission for each port; `false` at the end.
     ///
     /// # Errors
     /// What the source says.
-    fn next(&mut self, n_ports: usize, ctx: &mut Context) -> Result<Option<Vec<Emission>>, NodeError>;
+    fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError>;
 }
 
 /// A built node or source.
@@ -31,14 +31,15 @@ pub enum Built {
 pub(crate) struct Erased<N>(pub(crate) N);
 
 impl<N: Node> AnyNode for Erased<N> {
-    fn fire(&mut self, joined: Joined, n_ports: usize, ctx: &mut Context) -> Result<Vec<Emission>, NodeError> {
+    fn fire(&mut self, joined: &Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError> {
         let inputs = N::Inputs::take(joined)?;
-        Ok(self.0.process(inputs, ctx)?.put(n_ports))
+        self.0.process(inputs, ctx)?.put(out);
+        Ok(())
     }
 }
 
 impl<S: Source> AnySource for Erased<S> {
-    fn next(&mut self, n_ports: usize, ctx: &mut Context) -> Result<Option<Vec<Emission>>, NodeError> {
-        Ok(self.0.next(ctx)?.map(|out| out.put(n_ports)))
+    fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError> {
+        Ok(self.0.next(ctx)?.map(|answer| answer.put(out)).is_some())
     }
 }

@@ -61,7 +61,8 @@ pub enum Slot {
     Absent(Arc<Empty>),
 }
 
-/// What all ports bring to a firing, in the order in which they are declared.
+/// What all ports bring to a firing, in the order in which they are declared; lent to the node, so that a firing that
+/// fails still has its items.
 #[derive(Debug, Default)]
 pub struct Joined {
     /// One slot for each declared port.
@@ -69,12 +70,11 @@ pub struct Joined {
 }
 
 impl Joined {
-    /// Takes the slot of the port at `index` out.
+    /// What the port at `index` brings.
     ///
     /// # Errors
     /// [`NodeError`] if the engine joined fewer ports than the node declares.
-    pub fn take(&mut self, index: usize) -> Result<Slot, NodeError> {
-        let slot = self.slots.get_mut(index).ok_or_else(|| NodeError::new("the engine joined too few ports"))?;
-        Ok(std::mem::replace(slot, Slot::Items(Vec::new())))
+    pub fn slot(&self, index: usize) -> Result<&Slot, NodeError> {
+        self.slots.get(index).ok_or_else(|| NodeError::new("the engine joined too few ports"))
     }
 }

@@ -204,12 +204,10 @@ impl<P: JsonSchema + Send> Outputs for Declared<P> {
         OutputPorts::Declared { schema: schemars::schema_for!(P).to_value() }
     }
 
-    fn put(self, n_ports: usize) -> Vec<Emission> {
-        let mut out = vec![Emission::Silent; n_ports];
+    fn put(self, out: &mut [Emission]) {
         for (port, emission) in self.answers {
             out[port] = emission;
         }
-        out
     }
 }
 

@@ -72,11 +72,11 @@ pub trait Inputs: Sized {
     /// The ports in order.
     fn ports() -> Vec<InputPort>;
 
-    /// The values of one firing.
+    /// The values of one firing: handles on what `joined` keeps.
     ///
     /// # Errors
     /// [`NodeError`] if the engine joined something else than declared.
-    fn take(joined: Joined) -> Result<Self, NodeError>;
+    fn take(joined: &Joined) -> Result<Self, NodeError>;
 }
 
 /// The output ports of a node; derived.
@@ -84,8 +84,8 @@ pub trait Outputs: Sized {
     /// The ports in order.
     fn ports() -> OutputPorts;
 
-    /// One emission for each of `n_ports` ports, in order.
-    fn put(self, n_ports: usize) -> Vec<Emission>;
+    /// Puts an emission for each port into `out`, in order; `out` holds one for each, all silent.
+    fn put(self, out: &mut [Emission]);
 }
 
 /// The field of an output port that does not always have a value.
@@ -114,6 +114,11 @@ pub fn into_emission<T: Payload<By>, By: 'static>(emit: Emit<T>) -> Emission {
     }
 }
 
+/// Puts the emissions of an `Outputs` struct into their places.
+pub fn put<const N: usize>(out: &mut [Emission], emissions: [Emission; N]) {
+    out.iter_mut().zip(emissions).for_each(|(place, emission)| *place = emission);
+}
+
 fn value_of<T: Clone + 'static>(item: &Item, port: &str) -> Result<Option<T>, NodeError> {
     match &item.body {
         Body::Empty(_) => Ok(None),
@@ -133,45 +138,41 @@ fn no_value(port: &str) -> NodeError {
 }
 
 /// The value of a `T` field.
-pub fn take_one<T: Clone + 'static>(joined: &mut Joined, index: usize, port: &str) -> Result<T, NodeError> {
+pub fn take_one<T: Clone + 'static>(joined: &Joined, index: usize, port: &str) -> Result<T, NodeError> {
     take_optional(joined, index, port)?.ok_or_else(|| no_value(port))
 }
 
 /// The value of an `Option<T>` field.
-pub fn take_optional<T: Clone + 'static>(
-    joined: &mut Joined,
-    index: usize,
-    port: &str,
-) -> Result<Option<T>, NodeError> {
-    match joined.take(index)? {
-        Slot::Item(item) => value_of(&item, port),
+pub fn take_optional<T: Clone + 'static>(joined: &Joined, index: usize, port: &str) -> Result<Option<T>, NodeError> {
+    match joined.slot(index)? {
+        Slot::Item(item) => value_of(item, port),
         Slot::Absent(_) => Ok(None),
         Slot::Items(_) => Err(NodeError::new(format!("input \"{port}\" takes one item, several were joined"))),
     }
 }
 
 /// The values of a `Vec<T>` field.
-pub fn take_many<T: Clone + 'static>(joined: &mut Joined, index: usize, port: &str) -> Result<Vec<T>, NodeError> {
+pub fn take_many<T: Clone + 'static>(joined: &Joined, index: usize, port: &str) -> Result<Vec<T>, NodeError> {
     take_many_optional(joined, index, port)?.into_iter().map(|v| v.ok_or_else(|| no_value(port))).collect()
 }
 
 /// The values of a `Vec<Option<T>>` field.
 pub fn take_many_optional<T: Clone + 'static>(
-    joined: &mut Joined,
+    joined: &Joined,
     index: usize,
     port: &str,
 ) -> Result<Vec<Option<T>>, NodeError> {
-    match joined.take(index)? {
+    match joined.slot(index)? {
         Slot::Items(items) => items.iter().map(|item| value_of(item, port)).collect(),
-        Slot::Item(item) => Ok(vec![value_of(&item, port)?]),
+        Slot::Item(item) => Ok(vec![value_of(item, port)?]),
         Slot::Absent(_) => Ok(Vec::new()),
     }
 }
 
 /// The value of a [`Value`] field, which takes any payload.
-pub fn take_any(joined: &mut Joined, index: usize, port: &str) -> Result<Value, NodeError> {
-    match joined.take(index)? {
-        Slot::Item(Item { body: Body::Value(value), .. }) => Ok(value),
+pub fn take_any(joined: &Joined, index: usize, port: &str) -> Result<Value, NodeError> {
+    match joined.slot(index)? {
+        Slot::Item(Item { body: Body::Value(value), .. }) => Ok(value.clone()),
         _ => Err(no_value(port)),
     }
 }

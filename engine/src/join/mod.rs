@@ -30,10 +30,8 @@ pub(crate) enum Step {
 pub(crate) struct Activation {
     /// The largest of the triggers' stamps.
     pub(crate) stamp_ns: StampNs,
-    /// What the ports bring, or why the node is skipped.
-    pub(crate) joined: Result<Joined, Arc<Empty>>,
-    /// Why optional ports bring nothing.
-    pub(crate) absent: Vec<(&'static str, Arc<Empty>)>,
+    /// Why the node is skipped, if it is; if not, [`Joiner::joined`] holds what the ports bring.
+    pub(crate) skip: Option<Arc<Empty>>,
 }
 
 /// A second value came to a port that takes a constant.
@@ -49,6 +47,10 @@ pub(crate) struct SecondItem {
 pub(crate) struct Joiner {
     node: Arc<str>,
     ports: Vec<Port>,
+    /// What the ports bring to the activation at hand.
+    joined: Joined,
+    /// Why optional ports bring nothing to it.
+    absent: Vec<(&'static str, Arc<Empty>)>,
     /// The stamp of the last activation; the next is not before it.
     last_stamp: StampNs,
     fired: bool,
@@ -86,7 +88,7 @@ enum Choice {
 
 impl Joiner {
     pub(crate) fn new(node: Arc<str>, ports: Vec<PortSpec>) -> Self {
-        let ports: Vec<_> = ports.into_iter().map(Port::new).collect();
+        let ports: Vec<_> = ports.into_iter().map(|spec| Port::new(&node, spec)).collect();
         let mode = if ports.iter().any(Port::is_step) {
             Mode::Step
         } else if ports.iter().any(|p| p.is_stamp() && !p.spec.optional) {
@@ -96,7 +98,17 @@ impl Joiner {
         } else {
             Mode::Once
         };
-        Self { mode, node, ports, last_stamp: StampNs::MIN, fired: false, ended: false, stopped: false }
+        Self {
+            mode,
+            node,
+            ports,
+            joined: Joined::default(),
+            absent: Vec::new(),
+            last_stamp: StampNs::MIN,
+            fired: false,
+            ended: false,
+            stopped: false,
+        }
     }
 
     /// Whether the port could use one more item now.
@@ -133,6 +145,26 @@ impl Joiner {
     /// There will be no further activation, by the caller's decision: what is offered from now on is drained.
     pub(crate) fn stop(&mut self) {
         (self.ended, self.stopped) = (true, true);
+    }
+
+    /// What the ports bring to the activation at hand, until it is released.
+    pub(crate) fn joined(&self) -> &Joined {
+        &self.joined
+    }
+
+    /// Why optional ports bring nothing to the activation at hand.
+    pub(crate) fn take_absent(&mut self) -> impl Iterator<Item = (&'static str, Arc<Empty>)> {
+        self.absent.drain(..)
+    }
+
+    /// The activation at hand is over: its items are let go.
+    pub(crate) fn release(&mut self) {
+        for (slot, port) in self.joined.slots.drain(..).zip(&mut self.ports) {
+            if let Slot::Items(items) = slot {
+                port.reuse(items);
+            }
+        }
+        self.absent.clear();
     }
 
     /// The number of items that came to the port and were part of no activation because no partner came.
@@ -294,8 +326,7 @@ impl Joiner {
             }
         }
 
-        let mut absent = Vec::new();
-        let mut slots = Vec::with_capacity(self.ports.len());
+        self.release();
         for port in &mut self.ports {
             let choice = match port.is_trigger() {
                 true => port.take_trigger(anchored(port).then_some(anchor)),
@@ -311,17 +342,17 @@ impl Joiner {
                 }
             };
             if let Slot::Items(items) = &slot {
-                absent.extend(items.iter().find_map(empty_of).map(|empty| (port.spec.name, empty)));
+                self.absent.extend(items.iter().find_map(empty_of).map(|empty| (port.spec.name, empty)));
             }
-            slots.push(slot);
-            absent.extend(reason.map(|empty| (port.spec.name, empty)));
+            self.joined.slots.push(slot);
+            self.absent.extend(reason.map(|empty| (port.spec.name, empty)));
         }
         (self.last_stamp, self.fired) = (stamp_ns, true);
-        let joined = match skip {
-            Some(empty) => Err(empty),
-            None => Ok(Joined { slots }),
-        };
-        Some(Activation { stamp_ns, joined, absent })
+        if skip.is_some() {
+            // Ports that were not asked have no slot, so that what there is means nothing.
+            self.release();
+        }
+        Some(Activation { stamp_ns, skip })
     }
 
     /// Which `stamp` ports follow the anchor; the others made it.

@@ -1,6 +1,6 @@
 use super::{Choice, SecondItem, choice_of, empty_of, span, tolerance_of};
-use osteoflow_node::{Body, Item, Join, Slot, StampNs, Value};
-use std::collections::VecDeque;
+use osteoflow_node::{Body, Empty, Item, Join, Slot, StampNs, Value};
+use std::{collections::VecDeque, sync::Arc};
 
 /// A port as the machine needs to know it.
 #[derive(Debug, Clone)]
@@ -44,6 +44,10 @@ pub(super) struct Port {
     pub(super) unmatched: u64,
     /// `collect` of all has had its turn.
     done: bool,
+    /// Room for the next collection.
+    spare: Vec<Item>,
+    /// Why a port that brings nothing in any case does so.
+    nothing: Option<Arc<Empty>>,
 }
 
 /// Whether the node still fires.
@@ -69,7 +73,7 @@ pub(super) enum Match {
 }
 
 impl Port {
-    pub(super) fn new(spec: PortSpec) -> Self {
+    pub(super) fn new(node: &str, spec: PortSpec) -> Self {
         let role = match spec.join {
             _ if spec.wire.is_none() || spec.unused => Role::Nothing,
             Join::Each | Join::Collect { .. } => Role::Step,
@@ -80,7 +84,26 @@ impl Port {
         let ended = spec.wire.is_none();
         let queue = VecDeque::new();
         let progress = StampNs::MIN;
-        Self { spec, role, queue, kept: None, progress, ended, n_received: 0, unmatched: 0, done: false }
+        let reason = match (spec.unused, spec.optional) {
+            (true, _) => Some("the node does not use it"),
+            (false, true) => Some("nothing is wired to it"),
+            (false, false) => None,
+        };
+        let nothing = reason.filter(|_| role == Role::Nothing);
+        let nothing = nothing.map(|reason| Arc::new(Empty { node: node.into(), reason: reason.into() }));
+        Self {
+            spec,
+            role,
+            queue,
+            kept: None,
+            progress,
+            ended,
+            n_received: 0,
+            unmatched: 0,
+            done: false,
+            spare: Vec::new(),
+            nothing,
+        }
     }
 
     fn wired(&self) -> bool {
@@ -284,8 +307,15 @@ impl Port {
         let gap = self.trigger_gap(anchor);
         if let Join::Collect { n } = self.spec.join {
             self.done = n.is_none();
-            let items = std::mem::take(&mut self.queue);
-            return gap.unwrap_or_else(|| Choice::Slot(Slot::Items(items.into())));
+            let mut items = std::mem::take(&mut self.spare);
+            items.extend(self.queue.drain(..));
+            return match gap {
+                Some(gap) => {
+                    self.reuse(items);
+                    gap
+                }
+                None => Choice::Slot(Slot::Items(items)),
+            };
         }
         match gap {
             Some(Choice::Absent(reason)) => Choice::Absent(reason),
@@ -294,6 +324,12 @@ impl Port {
                 gap.or(item.map(|item| Choice::Slot(Slot::Item(item)))).expect("a trigger without a gap has an item")
             }
         }
+    }
+
+    /// A collection is over: its room is kept for the next.
+    pub(super) fn reuse(&mut self, mut items: Vec<Item>) {
+        items.clear();
+        self.spare = items;
     }
 
     /// Keeps the newest item not after `stamp_ns`, the earliest that can still be asked for.
@@ -318,10 +354,10 @@ impl Port {
     /// What a constant or a sampler brings at `stamp_ns`.
     pub(super) fn peek_constant(&self, stamp_ns: StampNs) -> Choice {
         if !self.wired() {
-            return Choice::Absent(match self.spec.unused {
-                true => "the node does not use it".into(),
-                false => "nothing is wired to it".into(),
-            });
+            return match &self.nothing {
+                Some(empty) => Choice::Empty(empty.clone()),
+                None => Choice::Absent("nothing is wired to it".into()),
+            };
         }
         match (&self.kept, self.spec.join) {
             (Some(item), Join::Once) => choice_of(item.clone()),

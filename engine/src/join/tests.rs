@@ -32,7 +32,7 @@ fn items(offers: &[Offer]) -> Vec<Item> {
 }
 
 /// An activation in words: its stamp, and the slots or the reason.
-fn told(activation: &Activation) -> String {
+fn told(joined: &Joined, activation: &Activation) -> String {
     let number = |item: &Item| match &item.body {
         Body::Value(value) => format!("{}", value.get::<Number>().unwrap().0),
         Body::Empty(empty) => format!("({})", empty.reason),
@@ -42,9 +42,9 @@ fn told(activation: &Activation) -> String {
         Slot::Items(items) => format!("[{}]", items.iter().map(number).collect::<Vec<_>>().join(" ")),
         Slot::Absent(empty) => format!("<{}>", empty.reason),
     };
-    let said = match &activation.joined {
-        Ok(joined) => joined.slots.iter().map(slot).collect::<Vec<_>>().join(" "),
-        Err(empty) => format!("skipped by {}: {}", empty.node, empty.reason),
+    let said = match &activation.skip {
+        None => joined.slots.iter().map(slot).collect::<Vec<_>>().join(" "),
+        Some(empty) => format!("skipped by {}: {}", empty.node, empty.reason),
     };
     format!("{}: {said}", activation.stamp_ns)
 }
@@ -79,7 +79,7 @@ fn run(ports: &[PortSpec], offers: &[Vec<Offer>], turns: impl Iterator<Item = us
                 }
                 Step::Activate(activation) => {
                     assert!(activation.stamp_ns >= promised, "{} after progress {promised}", activation.stamp_ns);
-                    out.push(told(&activation));
+                    out.push(told(joiner.joined(), &activation));
                 }
             }
         }

@@ -26,6 +26,8 @@ pub(super) struct Cell {
     context: Context,
     pub(super) inputs: Vec<Input>,
     pub(super) outputs: Vec<Output>,
+    /// What the node answers, by output; silent between firings.
+    emissions: Vec<Emission>,
     phase: Phase,
     /// The number of the next activation.
     item: u64,
@@ -149,6 +151,7 @@ impl Cell {
             core,
             context,
             inputs,
+            emissions: vec![Emission::Silent; outputs.len()],
             outputs,
             phase: Phase::Open,
             item: 0,
@@ -276,37 +279,33 @@ impl Cell {
         let (item, stamp_ns) = (self.item, activation.stamp_ns);
         self.item += 1;
         self.stamp_ns = stamp_ns;
-        let joined = match activation.joined {
-            Ok(joined) => joined,
-            Err(empty) => {
-                self.skipped += 1;
-                run.event(&Event::Skipped { node: self.context.node(), item, reason: &empty.reason });
-                self.send_empties(empty, run, wake);
-                return;
-            }
-        };
-        self.context.begin(item, stamp_ns);
-        for (port, empty) in activation.absent {
-            self.context.note_absent(port, empty);
+        if let Some(empty) = activation.skip {
+            self.skipped += 1;
+            run.event(&Event::Skipped { node: self.context.node(), item, reason: &empty.reason });
+            self.send_empties(empty, run, wake);
+            return;
         }
-        let n_ports = self.outputs.len();
-        let Core::Node(node, _) = &mut self.core else { unreachable!("an open cell has its node") };
-        let (context, took) = (&mut self.context, &mut self.took);
-        let (began, answered) = timed(item, context, took, |context| node.fire(joined, n_ports, context));
+        self.context.begin(item, stamp_ns);
+        let Core::Node(node, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
+        joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
+        let (context, took, out) = (&mut self.context, &mut self.took, &mut self.emissions);
+        let (began, answered) = timed(item, context, took, |context| node.fire(joiner.joined(), out, context));
         self.tell_taps(item, began, run);
-        self.after(item, stamp_ns, answered.map(|emissions| emissions.map(Some)), run, wake);
+        self.after(item, stamp_ns, answered, run, wake);
+        if let Core::Node(_, joiner) = &mut self.core {
+            joiner.release();
+        }
     }
 
     fn call_source(&mut self, run: &Runtime<'_>, wake: &mut Wake<'_>) {
         self.started(run);
         let item = self.item;
         self.context.begin(item, known(self.stamp_ns));
-        let n_ports = self.outputs.len();
         let Core::Source(source) = &mut self.core else { unreachable!("only a source is called") };
-        let (context, took) = (&mut self.context, &mut self.took);
-        let (began, answered) = timed(item, context, took, |context| source.next(n_ports, context));
+        let (context, took, out) = (&mut self.context, &mut self.took, &mut self.emissions);
+        let (began, answered) = timed(item, context, took, |context| source.next(out, context));
         let stamp_ns = self.context.stamp_ns();
-        if matches!(answered, Ok(Ok(None))) {
+        if matches!(answered, Ok(Ok(false))) {
             // The look that found the end is no answer.
             self.took.pop();
             run.warn(self.index, item, self.context.take_warnings());
@@ -314,19 +313,20 @@ impl Cell {
         }
         self.item += 1;
         self.tell_taps(item, began, run);
-        self.after(item, stamp_ns, answered, run, wake);
+        self.after(item, stamp_ns, answered.map(|answer| answer.map(drop)), run, wake);
     }
 
     fn tell_taps(&self, item: u64, began: Instant, run: &Runtime<'_>) {
         run.fired_to_taps(self.index, item, began, Duration::from_nanos(self.took.last().copied().unwrap_or(0)));
     }
 
-    /// What follows a firing: warnings, the answers on their way, or the failure.
+    /// What follows a firing: warnings, the answers on their way, or the failure. The items of a firing that failed are
+    /// still in the joiner.
     fn after(
         &mut self,
         item: u64,
         stamp_ns: StampNs,
-        answered: Result<Result<Option<Vec<Emission>>, NodeError>, String>,
+        answered: Result<Result<(), NodeError>, String>,
         run: &Runtime<'_>,
         wake: &mut Wake<'_>,
     ) {
@@ -342,18 +342,20 @@ impl Cell {
         let took = Duration::from_nanos(took);
         run.event(&Event::Fired { node: self.context.node(), item, stamp_ns, took });
         let answered = match answered {
-            Ok(Ok(emissions)) => self.checked(stamp_ns, emissions.unwrap_or_default(), run),
+            Ok(Ok(())) => self.check(stamp_ns, run).map_err(|reason| (reason, false)),
             Ok(Err(error)) => Err((error.message, false)),
             Err(panic) => Err((panic, true)),
         };
         match answered {
-            Ok(emissions) => {
+            Ok(()) => {
                 self.stamp_ns = stamp_ns;
-                if let Err(reason) = self.send_all(stamp_ns, emissions, run, wake) {
+                if let Err(reason) = self.send_all(stamp_ns, run, wake) {
                     self.fail(item, reason, false, false, run);
                 }
             }
             Err((reason, panicked)) => {
+                // What it answered before it failed counts for nothing.
+                self.emissions.fill(Emission::Silent);
                 let skips = run.plan.nodes[self.index].on_error == OnError::Skip;
                 let rebuilt = match (&self.core, skips) {
                     // A source built anew would begin again from its start.
@@ -379,51 +381,33 @@ impl Cell {
         }
     }
 
-    /// The emissions, if they keep what every node promises.
-    fn checked(
-        &self,
-        stamp_ns: StampNs,
-        emissions: Vec<Emission>,
-        run: &Runtime<'_>,
-    ) -> Result<Vec<Emission>, (String, bool)> {
-        if emissions.len() != self.outputs.len() {
-            let (found, expected) = (emissions.len(), self.outputs.len());
-            return Err((format!("it answered on {found} outputs, {expected} expected"), false));
-        }
-        for (output, emission) in self.outputs.iter().zip(&emissions) {
+    /// Whether the emissions keep what every node promises.
+    fn check(&self, stamp_ns: StampNs, run: &Runtime<'_>) -> Result<(), String> {
+        for (output, emission) in self.outputs.iter().zip(&self.emissions) {
             let port = || format!("output {}", run.plan.nodes[output.id.node].outputs[output.id.port].name);
             match (emission, &output.payload) {
                 (Emission::Silent, _) if !matches!(self.core, Core::Source(_)) => {
-                    return Err((format!("{} stayed silent, which only a source may", port()), false));
+                    return Err(format!("{} stayed silent, which only a source may", port()));
                 }
                 (Emission::Silent, _) => {}
                 (Emission::Value(value), PortPayload::Type(ty)) if value.ty() != *ty => {
-                    return Err((format!("{} gave {:?}, {ty:?} expected", port(), value.ty()), false));
+                    return Err(format!("{} gave {:?}, {ty:?} expected", port(), value.ty()));
                 }
                 _ if stamp_ns < output.floor => {
                     let said = "stamps never decrease along a wire";
-                    return Err((
-                        format!("{} gave stamp {stamp_ns} ns after {} ns; {said}", port(), output.floor),
-                        false,
-                    ));
+                    return Err(format!("{} gave stamp {stamp_ns} ns after {} ns; {said}", port(), output.floor));
                 }
                 _ => {}
             }
         }
-        Ok(emissions)
+        Ok(())
     }
 
-    fn send_all(
-        &mut self,
-        stamp_ns: StampNs,
-        emissions: Vec<Emission>,
-        run: &Runtime<'_>,
-        wake: &mut Wake<'_>,
-    ) -> Result<(), String> {
+    fn send_all(&mut self, stamp_ns: StampNs, run: &Runtime<'_>, wake: &mut Wake<'_>) -> Result<(), String> {
         let mut full = Ok(());
         let mut silent = false;
-        for (port, emission) in emissions.into_iter().enumerate() {
-            let body = match emission {
+        for port in 0..self.outputs.len() {
+            let body = match std::mem::replace(&mut self.emissions[port], Emission::Silent) {
                 Emission::Value(value) => Body::Value(value),
                 Emission::Empty(reason) => Body::Empty(self.empty(reason)),
                 Emission::Silent => {

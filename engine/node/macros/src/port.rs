@@ -56,7 +56,7 @@ pub(crate) fn inputs(input: &DeriveInput) -> Result<TokenStream> {
         takes.push(if unused {
             quote!(#ident: ::core::default::Default::default())
         } else {
-            quote!(#ident: ::osteoflow_node::derive::#take(&mut joined, #index, #name)?)
+            quote!(#ident: ::osteoflow_node::derive::#take(joined, #index, #name)?)
         });
     }
     let name = &input.ident;
@@ -65,8 +65,8 @@ pub(crate) fn inputs(input: &DeriveInput) -> Result<TokenStream> {
             fn ports() -> ::std::vec::Vec<::osteoflow_node::InputPort> {
                 ::std::vec![#(#ports),*]
             }
-            fn take(mut joined: ::osteoflow_node::Joined) -> ::core::result::Result<Self, ::osteoflow_node::NodeError> {
-                let _ = &mut joined;
+            fn take(joined: &::osteoflow_node::Joined) -> ::core::result::Result<Self, ::osteoflow_node::NodeError> {
+                let _ = joined;
                 ::core::result::Result::Ok(Self { #(#takes),* })
             }
         }
@@ -103,8 +103,8 @@ pub(crate) fn outputs(input: &DeriveInput) -> Result<TokenStream> {
             fn ports() -> ::osteoflow_node::OutputPorts {
                 ::osteoflow_node::OutputPorts::Fixed(::std::vec![#(#ports),*])
             }
-            fn put(self, _n_ports: usize) -> ::std::vec::Vec<::osteoflow_node::Emission> {
-                ::std::vec![#(#puts),*]
+            fn put(self, out: &mut [::osteoflow_node::Emission]) {
+                ::osteoflow_node::derive::put(out, [#(#puts),*]);
             }
         }
     })

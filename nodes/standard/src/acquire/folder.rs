@@ -46,8 +46,8 @@ impl Outputs for Out {
         OutputPorts::Fixed(ports)
     }
 
-    fn put(self, n_ports: usize) -> Vec<Emission> {
-        self.0.put(n_ports)
+    fn put(self, out: &mut [Emission]) {
+        self.0.put(out);
     }
 }
 

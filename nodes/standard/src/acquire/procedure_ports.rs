@@ -88,10 +88,8 @@ impl Outputs for ProcedureOut {
         ProcedurePorts::ports()
     }
 
-    fn put(self, n_ports: usize) -> Vec<Emission> {
-        let mut out = vec![Emission::Silent; n_ports];
+    fn put(self, out: &mut [Emission]) {
         out[self.port] = self.emission;
-        out
     }
 }
 
