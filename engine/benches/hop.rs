@@ -133,7 +133,7 @@ fn chain(registry: &Registry, n_relays: usize) -> Plan {
         to_node: index + 1,
         to_port: 0,
         capacity: 4,
-        max_capacity: 64,
+        max_bytes: 1 << 20,
         policy: Policy::Block,
     };
     Plan {

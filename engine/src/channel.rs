@@ -3,11 +3,14 @@
 //! The producing node holds the [`SendEnd`], the consuming node the [`RecvEnd`]; what both look at is the [`LinkState`].
 
 use crate::plan::Policy;
-use crossbeam_channel::{Receiver, Sender, TryRecvError, TrySendError, bounded};
+use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded, unbounded};
 use osteoflow_node::{Body, Empty, Item, StampNs};
-use std::sync::{
-    Arc,
-    atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering, fence},
+use std::{
+    collections::BTreeSet,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering, fence},
+    },
 };
 
 /// What both ends of a link look at.
@@ -16,8 +19,25 @@ pub(crate) struct LinkState {
     progress: AtomicI64,
     /// The producer waits for room.
     blocked: AtomicBool,
+    /// The bytes of all items that the consumer has taken; only the consumer writes it.
+    received_bytes: AtomicU64,
     /// How many items the producer has numbered; known when the queue is closed.
     total: AtomicU64,
+    /// The stamp of the last of them; known when the queue is closed.
+    final_stamp: AtomicI64,
+}
+
+/// What a link holds at most, and what happens then.
+#[derive(Debug, Clone)]
+pub(crate) struct Limits {
+    /// Waiting items.
+    pub(crate) capacity: usize,
+    /// Waiting bytes.
+    pub(crate) max_bytes: u64,
+    /// What happens to an item that finds the link full.
+    pub(crate) policy: Policy,
+    /// In a replay: the numbers of the items that were dropped, in the place of the policy's decisions.
+    pub(crate) recorded_drops: Option<BTreeSet<u64>>,
 }
 
 /// The producer's end.
@@ -27,12 +47,16 @@ pub(crate) struct SendEnd {
     tx: Sender<Item>,
     /// The consumer's end too, where the oldest waiting item is to make room.
     oldest: Option<Receiver<Item>>,
-    policy: Policy,
-    pub(crate) capacity: usize,
+    pub(crate) limits: Limits,
     /// Items numbered so far, those dropped included.
     pub(crate) sent: u64,
     pub(crate) dropped: u64,
     pub(crate) highest_fill: usize,
+    /// The bytes of all items put into the queue and not taken back.
+    sent_bytes: u64,
+    last_stamp: StampNs,
+    /// The last item was dropped.
+    in_gap: bool,
 }
 
 /// The consumer's end.
@@ -44,10 +68,10 @@ pub(crate) struct RecvEnd {
     next_number: u64,
     /// An item that waits until empties have taken the places of those dropped before it.
     held: Option<Item>,
-    last_stamp: StampNs,
     /// What takes the place of a dropped item.
     dropped: Arc<Empty>,
     pub(crate) received: u64,
+    received_bytes: u64,
     pub(crate) ended: bool,
 }
 
@@ -65,45 +89,69 @@ pub(crate) enum Received {
 pub(crate) struct Full;
 
 /// A link's two ends. `wire` and `producer` are for the empties that take the places of dropped items.
-pub(crate) fn link(
-    index: usize,
-    capacity: usize,
-    policy: Policy,
-    producer: &str,
-    wire: &str,
-) -> (LinkState, SendEnd, RecvEnd) {
-    let (tx, rx) = bounded(capacity.max(1));
-    let oldest = matches!(policy, Policy::DropOld).then(|| rx.clone());
-    let state =
-        LinkState { progress: AtomicI64::new(StampNs::MIN), blocked: AtomicBool::new(false), total: AtomicU64::new(0) };
-    let policy_name = match policy {
+pub(crate) fn link(index: usize, limits: Limits, producer: &str, wire: &str) -> (LinkState, SendEnd, RecvEnd) {
+    let limits = Limits { capacity: limits.capacity.max(1), ..limits };
+    let (tx, rx) = queue(limits.capacity);
+    let drops_oldest = limits.policy == Policy::DropOld && limits.recorded_drops.is_none();
+    let oldest = drops_oldest.then(|| rx.clone());
+    let state = LinkState {
+        progress: AtomicI64::new(StampNs::MIN),
+        blocked: AtomicBool::new(false),
+        received_bytes: AtomicU64::new(0),
+        total: AtomicU64::new(0),
+        final_stamp: AtomicI64::new(StampNs::MIN),
+    };
+    let policy = match limits.policy {
         Policy::Sample(n) => format!("sample, one in {n}"),
         Policy::DropOld => "drop_old".into(),
         Policy::DropNew => "drop_new".into(),
-        Policy::Block | Policy::Fail => "block".into(),
+        Policy::Fail => "fail".into(),
+        Policy::Block => "block".into(),
     };
-    let dropped = Empty { node: producer.into(), reason: format!("dropped on {wire} by its policy {policy_name}") };
-    let capacity = capacity.max(1);
-    let send = SendEnd { link: index, tx, oldest, policy, capacity, sent: 0, dropped: 0, highest_fill: 0 };
+    let dropped = Empty { node: producer.into(), reason: format!("dropped on {wire} by its policy {policy}") };
+    let send = SendEnd {
+        link: index,
+        tx,
+        oldest,
+        limits,
+        sent: 0,
+        dropped: 0,
+        highest_fill: 0,
+        sent_bytes: 0,
+        last_stamp: StampNs::MIN,
+        in_gap: false,
+    };
     let recv = RecvEnd {
         link: index,
         rx,
         next_number: 0,
         held: None,
-        last_stamp: StampNs::MIN,
         dropped: Arc::new(dropped),
         received: 0,
+        received_bytes: 0,
         ended: false,
     };
     (state, send, recv)
 }
 
-impl LinkState {
-    /// Promises that nothing more comes before `stamp_ns`; after the items that precede it have been sent.
-    pub(crate) fn set_progress(&self, stamp_ns: StampNs) {
-        self.progress.store(stamp_ns, Ordering::Release);
-    }
+/// A queue for so many items. A short one has its places from the beginning; a long one takes memory as it fills, and is
+/// kept within its bounds by [`SendEnd::is_full`].
+#[allow(clippy::disallowed_methods, reason = "who sends asks `is_full` first, which bounds it")]
+fn queue(capacity: usize) -> (Sender<Item>, Receiver<Item>) {
+    const SHORT: usize = 256;
+    if capacity <= SHORT { bounded(capacity) } else { unbounded() }
+}
 
+/// What an item counts on a wire that is bounded in bytes: never nothing, so that no queue is without bound.
+fn n_bytes(item: &Item) -> u64 {
+    let body = match &item.body {
+        Body::Value(value) => value.n_bytes(),
+        Body::Empty(empty) => size_of::<Empty>() + empty.reason.len(),
+    };
+    (size_of::<Item>() + body) as u64
+}
+
+impl LinkState {
     /// Whether the producer waits for room on this link.
     pub(crate) fn is_blocked(&self) -> bool {
         self.blocked.load(Ordering::Relaxed)
@@ -111,75 +159,103 @@ impl LinkState {
 }
 
 impl SendEnd {
-    fn is_full(&self) -> bool {
-        self.tx.len() >= self.capacity
+    /// How many items wait.
+    pub(crate) fn fill(&self) -> usize {
+        self.tx.len()
+    }
+
+    /// How many bytes wait.
+    pub(crate) fn bytes(&self, state: &LinkState) -> u64 {
+        // What the consumer has taken and not yet counted still waits by this count.
+        self.sent_bytes.saturating_sub(state.received_bytes.load(Ordering::Relaxed))
+    }
+
+    /// Whether it holds as many items, or as many bytes, as it may.
+    pub(crate) fn is_full(&self, state: &LinkState) -> bool {
+        self.fill() >= self.limits.capacity || self.bytes(state) >= self.limits.max_bytes
+    }
+
+    /// Whether the item with this number goes into the queue, however full that is.
+    fn keeps(&self, number: u64) -> bool {
+        match (&self.limits.recorded_drops, self.limits.policy) {
+            (Some(drops), _) => !drops.contains(&number),
+            (None, Policy::Sample(n)) => number.is_multiple_of(n.max(1).into()),
+            (None, _) => true,
+        }
+    }
+
+    /// Whether the producer waits while the link is full.
+    fn waits(&self) -> bool {
+        self.limits.recorded_drops.is_some() || matches!(self.limits.policy, Policy::Block | Policy::Sample(_))
     }
 
     /// Whether the next item can be sent now. Where not, the consumer will say when there is room.
     pub(crate) fn has_room(&self, state: &LinkState) -> bool {
-        let needs_room = match self.policy {
-            Policy::Block => true,
-            Policy::Sample(n) => self.sent.is_multiple_of(n.max(1).into()),
-            Policy::DropOld | Policy::DropNew | Policy::Fail => false,
-        };
-        if !needs_room || !self.is_full() {
+        if !self.waits() || !self.is_full(state) || !self.keeps(self.sent) {
             return true;
         }
         state.blocked.store(true, Ordering::Relaxed);
         // Either the consumer, after taking an item, sees the flag, or this second look sees the room.
         fence(Ordering::SeqCst);
-        !self.is_full()
+        !self.is_full(state)
     }
 
-    /// Sends the next item, or drops one by the link's policy.
+    /// Sends the next item, or drops one by the link's policy; `dropped` is told the numbers of those that go.
     ///
     /// # Errors
     /// [`Full`] where the policy is to fail; the item is dropped.
-    pub(crate) fn send(&mut self, item: Item) -> Result<(), Full> {
+    pub(crate) fn send(&mut self, item: Item, state: &LinkState, dropped: &mut dyn FnMut(u64)) -> Result<(), Full> {
         let number = self.sent;
         self.sent += 1;
-        if let Policy::Sample(n) = self.policy
-            && !number.is_multiple_of(n.max(1).into())
-        {
-            self.dropped += 1;
+        self.last_stamp = item.stamp_ns;
+        self.in_gap = false;
+        if !self.keeps(number) {
+            self.drop_it(number, dropped);
+            self.in_gap = true;
+            // Where the link was to fail when full, it did so at this item.
+            return if self.limits.policy == Policy::Fail { Err(Full) } else { Ok(()) };
+        }
+        while self.oldest.is_some() && self.is_full(state) {
+            let Some(oldest) = self.oldest.as_ref().and_then(|oldest| oldest.try_recv().ok()) else { break };
+            self.sent_bytes -= n_bytes(&oldest);
+            self.drop_it(oldest.number, dropped);
+        }
+        let refuses = !self.waits() && self.oldest.is_none();
+        let bytes = n_bytes(&item);
+        if !(refuses && self.is_full(state)) && self.tx.try_send(item).is_ok() {
+            self.sent_bytes += bytes;
+            self.highest_fill = self.highest_fill.max(self.fill());
             return Ok(());
         }
-        let mut item = item;
-        loop {
-            match self.tx.try_send(item) {
-                Ok(()) => {
-                    self.highest_fill = self.highest_fill.max(self.tx.len());
-                    return Ok(());
-                }
-                Err(TrySendError::Full(back)) => {
-                    if let Some(oldest) = &self.oldest {
-                        self.dropped += u64::from(oldest.try_recv().is_ok());
-                        item = back;
-                        continue;
-                    }
-                    self.dropped += 1;
-                    // A `block` link is sent to only after `has_room`; were that broken, it must not pass in silence.
-                    return if matches!(self.policy, Policy::Fail | Policy::Block) { Err(Full) } else { Ok(()) };
-                }
-                Err(TrySendError::Disconnected(_)) => {
-                    self.dropped += 1;
-                    return Ok(());
-                }
-            }
+        self.drop_it(number, dropped);
+        self.in_gap = true;
+        // A link that blocks is sent to only after `has_room`; were that broken, it must not pass in silence.
+        if self.limits.policy == Policy::DropNew && refuses { Ok(()) } else { Err(Full) }
+    }
+
+    fn drop_it(&mut self, number: u64, dropped: &mut dyn FnMut(u64)) {
+        self.dropped += 1;
+        dropped(number);
+    }
+
+    /// Promises that nothing more comes before `stamp_ns`; after the items that precede it have been sent.
+    ///
+    /// After a dropped item the promise waits for the next item: the empty in the place of the dropped one takes its
+    /// stamp from there, and must not be overtaken.
+    pub(crate) fn promise(&self, state: &LinkState, stamp_ns: StampNs) -> bool {
+        if !self.in_gap {
+            state.progress.store(stamp_ns, Ordering::Release);
         }
+        !self.in_gap
     }
 
     /// Nothing more comes: the consumer sees the end after the last item.
     pub(crate) fn close(&mut self, state: &LinkState) {
+        state.final_stamp.store(self.last_stamp, Ordering::Relaxed);
         state.total.store(self.sent, Ordering::Release);
         // The queue closes when its last sender goes; what is kept here has no receiver and takes nothing.
         let (tx, _) = bounded(1);
         (self.tx, self.oldest) = (tx, None);
-    }
-
-    /// How many items wait.
-    pub(crate) fn fill(&self) -> usize {
-        self.tx.len()
     }
 }
 
@@ -194,13 +270,15 @@ impl RecvEnd {
         match self.rx.try_recv() {
             Ok(item) => {
                 self.received += 1;
+                self.received_bytes += n_bytes(&item);
+                state.received_bytes.store(self.received_bytes, Ordering::Relaxed);
                 fence(Ordering::SeqCst);
                 let unblocks = state.blocked.load(Ordering::Relaxed) && state.blocked.swap(false, Ordering::Relaxed);
                 self.in_order(item, unblocks)
             }
             Err(TryRecvError::Empty) => Received::Nothing(progress),
             Err(TryRecvError::Disconnected) if self.next_number < state.total.load(Ordering::Acquire) => {
-                let stamp_ns = self.last_stamp;
+                let stamp_ns = state.final_stamp.load(Ordering::Relaxed);
                 Received::Item { item: self.empty_in_place(stamp_ns), unblocks: false }
             }
             Err(TryRecvError::Disconnected) => {
@@ -217,7 +295,6 @@ impl RecvEnd {
             return Received::Item { item: self.empty_in_place(stamp_ns), unblocks };
         }
         self.next_number = item.number + 1;
-        self.last_stamp = item.stamp_ns;
         Received::Item { item, unblocks }
     }
 
@@ -230,7 +307,7 @@ impl RecvEnd {
 
 /// Gives the link a longer queue; nobody may send or receive meanwhile, which holding both ends ensures.
 pub(crate) fn enlarge(send: &mut SendEnd, recv: &mut RecvEnd, capacity: usize) {
-    let (tx, rx) = bounded(capacity);
+    let (tx, rx) = queue(capacity);
     for item in recv.rx.try_iter() {
         // The new queue is the longer one.
         let _ = tx.try_send(item);
@@ -238,74 +315,127 @@ pub(crate) fn enlarge(send: &mut SendEnd, recv: &mut RecvEnd, capacity: usize) {
     if send.oldest.is_some() {
         send.oldest = Some(rx.clone());
     }
-    (send.tx, recv.rx, send.capacity) = (tx, rx, capacity);
+    (send.tx, recv.rx, send.limits.capacity) = (tx, rx, capacity);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    const EACH: u64 = size_of::<Item>() as u64 + size_of::<Empty>() as u64 + 4;
+
     fn item(number: u64) -> Item {
         let empty = Empty { node: "test".into(), reason: "none".into() };
         Item { number, stamp_ns: number as i64, body: Body::Empty(Arc::new(empty)) }
     }
 
-    /// Sends `n` items at once and receives what comes: (number, reason).
-    fn through(policy: Policy, capacity: usize, n: u64) -> (Vec<(u64, String)>, SendEnd, RecvEnd) {
-        let (state, mut send, mut recv) = link(0, capacity, policy, "a", "a.x");
+    fn limits(policy: Policy, capacity: usize) -> Limits {
+        Limits { capacity, max_bytes: u64::MAX, policy, recorded_drops: None }
+    }
+
+    /// Sends `n` items at once and receives what comes: (number, stamp, reason); then the numbers that were dropped.
+    fn through(limits: Limits, n: u64) -> (Vec<(u64, i64, String)>, Vec<u64>) {
+        let (state, mut send, mut recv) = link(0, limits, "a", "a.x");
+        let mut told = Vec::new();
         for number in 0..n {
             if send.has_room(&state) {
-                let _ = send.send(item(number));
+                let _ = send.send(item(number), &state, &mut |number| told.push(number));
             }
         }
         send.close(&state);
         let mut out = Vec::new();
         while let Received::Item { item, .. } = recv.receive(&state) {
             let Body::Empty(empty) = item.body else { panic!("only empties were sent") };
-            out.push((item.number, empty.reason.clone()));
+            out.push((item.number, item.stamp_ns, empty.reason.clone()));
         }
-        (out, send, recv)
+        assert_eq!(send.sent, recv.received + send.dropped, "sent = received + dropped");
+        assert_eq!(send.bytes(&state), 0, "nothing waits any more");
+        assert_eq!(told.len() as u64, send.dropped);
+        (out, told)
     }
 
+    /// Which of six items come through a link that holds two, by its policy and in a replay of its drops.
     fn check(policy: Policy, kept: &[u64]) {
-        let (out, send, recv) = through(policy, 2, 6);
-        assert_eq!(out.iter().map(|(n, _)| *n).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5], "{policy:?} keeps every place");
-        let came: Vec<_> = out.iter().filter(|(_, reason)| reason == "none").map(|(n, _)| *n).collect();
+        let (out, mut told) = through(limits(policy, 2), 6);
+        assert_eq!(out.iter().map(|o| o.0).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5], "{policy:?} keeps every place");
+        let came: Vec<_> = out.iter().filter(|o| o.2 == "none").map(|o| o.0).collect();
         assert_eq!(came, kept, "{policy:?}");
-        assert_eq!(send.sent, recv.received + send.dropped, "{policy:?}: sent = received + dropped");
+        told.sort_unstable();
+        let lost: Vec<_> = (0..6).filter(|n| !kept.contains(n)).collect();
+        assert_eq!(told, lost, "{policy:?} tells what it drops");
+        // However much room there is in a replay.
+        let replayed = Limits { recorded_drops: Some(told.into_iter().collect()), ..limits(policy, 9) };
+        assert_eq!(through(replayed, 6), (out, lost), "{policy:?}, replayed");
     }
 
     #[test]
-    fn a_dropped_item_leaves_an_empty_in_its_place() {
+    fn a_dropped_item_leaves_an_empty_in_its_place_and_a_replay_drops_the_same() {
         check(Policy::DropOld, &[4, 5]);
         check(Policy::DropNew, &[0, 1]);
-        let (out, ..) = through(Policy::DropNew, 2, 6);
-        assert_eq!(out[5].1, "dropped on a.x by its policy drop_new");
+        check(Policy::Sample(3), &[0, 3]);
+        check(Policy::Fail, &[0, 1]);
+        let (out, _) = through(limits(Policy::DropNew, 2), 6);
+        assert_eq!(out[5].2, "dropped on a.x by its policy drop_new");
     }
 
     #[test]
-    fn sample_keeps_one_in_n() {
-        let (out, send, recv) = through(Policy::Sample(3), 2, 6);
-        let came: Vec<_> = out.iter().filter(|(_, reason)| reason == "none").map(|(n, _)| *n).collect();
-        assert_eq!((came, out.len()), (vec![0, 3], 6));
-        assert_eq!(send.sent, recv.received + send.dropped);
+    fn the_place_of_a_dropped_item_has_the_stamp_of_what_follows() {
+        let stamps = |policy| through(limits(policy, 9), 6).0.iter().map(|o| o.1).collect::<Vec<_>>();
+        assert_eq!(stamps(Policy::Sample(3)), [0, 3, 3, 3, 5, 5]);
+    }
+
+    #[test]
+    fn a_promise_waits_for_the_item_after_a_dropped_one() {
+        let (state, mut send, mut recv) = link(0, limits(Policy::Sample(2), 9), "a", "a.x");
+        let give = |send: &mut SendEnd, n| assert!(send.send(item(n), &state, &mut |_| ()).is_ok());
+        give(&mut send, 0);
+        assert!(send.promise(&state, 0));
+        give(&mut send, 1);
+        assert!(!send.promise(&state, 7), "the place of item 1 is not yet taken");
+        let Received::Item { .. } = recv.receive(&state) else { panic!("item 0 waits") };
+        assert!(matches!(recv.receive(&state), Received::Nothing(0)));
+        give(&mut send, 9);
+        assert!(send.promise(&state, 9));
+        let Received::Item { item, .. } = recv.receive(&state) else { panic!("item 1 is an empty now") };
+        assert_eq!((item.number, item.stamp_ns), (1, 9));
     }
 
     #[test]
     fn a_full_link_that_blocks_takes_nothing_and_one_that_fails_says_so() {
-        let (state, mut send, _recv) = link(0, 1, Policy::Block, "a", "a.x");
-        assert!(send.has_room(&state) && send.send(item(0)).is_ok() && !send.has_room(&state));
+        let send_to = |send: &mut SendEnd, state: &LinkState, n| send.send(item(n), state, &mut |_| ()).is_ok();
+        let (state, mut send, _recv) = link(0, limits(Policy::Block, 1), "a", "a.x");
+        assert!(send.has_room(&state) && send_to(&mut send, &state, 0) && !send.has_room(&state));
         assert!(state.is_blocked());
-        let (state, mut send, _recv) = link(0, 1, Policy::Fail, "a", "a.x");
-        assert!(send.send(item(0)).is_ok() && send.has_room(&state) && send.send(item(1)).is_err());
+        let (state, mut send, _recv) = link(0, limits(Policy::Fail, 1), "a", "a.x");
+        assert!(send_to(&mut send, &state, 0) && send.has_room(&state) && !send_to(&mut send, &state, 1));
+    }
+
+    #[test]
+    fn bytes_bound_a_link_as_items_do_and_one_large_item_passes() {
+        for (max_bytes, room_for) in [(1, 1), (EACH, 1), (EACH + 1, 2), (5 * EACH, 5)] {
+            let limits = Limits { max_bytes, ..limits(Policy::Block, 100) };
+            let (state, mut send, mut recv) = link(0, limits, "a", "a.x");
+            let mut n_sent = 0;
+            while send.has_room(&state) {
+                assert!(send.send(item(n_sent), &state, &mut |_| ()).is_ok());
+                n_sent += 1;
+            }
+            assert_eq!((n_sent, send.bytes(&state)), (room_for, room_for * EACH), "{max_bytes} bytes");
+            let Received::Item { unblocks, .. } = recv.receive(&state) else { panic!("an item waits") };
+            assert!(unblocks && send.has_room(&state), "{max_bytes} bytes: what is taken makes room");
+        }
+        let limits = Limits { max_bytes: 2 * EACH, ..limits(Policy::DropOld, 100) };
+        let (_, told) = through(limits, 6);
+        assert_eq!(told, [0, 1, 2, 3]);
     }
 
     #[test]
     fn an_enlarged_link_keeps_its_items_in_order() {
-        let (state, mut send, mut recv) = link(0, 2, Policy::Block, "a", "a.x");
-        (0..2).for_each(|n| assert!(send.send(item(n)).is_ok()));
+        let (state, mut send, mut recv) = link(0, limits(Policy::Block, 2), "a", "a.x");
+        let give = |send: &mut SendEnd, n| assert!(send.send(item(n), &state, &mut |_| ()).is_ok());
+        (0..2).for_each(|n| give(&mut send, n));
         enlarge(&mut send, &mut recv, 4);
-        (2..4).for_each(|n| assert!(send.has_room(&state) && send.send(item(n)).is_ok()));
+        (2..4).for_each(|n| give(&mut send, n));
         assert!(!send.has_room(&state));
         for expected in 0..4 {
             let Received::Item { item, unblocks } = recv.receive(&state) else { panic!("four items wait") };

@@ -32,11 +32,11 @@ use std::path::Path;
 /// How many items wait on a wire, where the graph does not say.
 pub const DEFAULT_CAPACITY: usize = 4;
 
-/// How many items wait at most on a wire that was enlarged to let a stuck graph go on, where the graph does not say.
+/// How many bytes wait at most on a wire, where the graph does not say.
 ///
-/// A million: clouds are handles, so that even such a queue is small beside what it holds on to; a graph that needs more
-/// collects without end.
-pub const DEFAULT_MAX_CAPACITY: usize = 1_000_000;
+/// 256 MiB: eight seconds of a camera that gives clouds of 1 MB at 30 Hz, or an hour of poses at 250 Hz. A wire that needs
+/// more waits for something that will hardly come, and a dozen such wires still fit into a laptop's memory.
+pub const DEFAULT_MAX_BYTES: u64 = 256 << 20;
 
 /// A graph without faults.
 #[derive(Debug)]

@@ -100,10 +100,10 @@ pub struct Link {
     pub to_node: usize,
     /// The consuming port, as an index into [`PlanNode::inputs`].
     pub to_port: usize,
-    /// How many items wait at most.
+    /// How many items wait at most, as long as the graph need not be let go on by a longer queue.
     pub capacity: usize,
-    /// How many items wait at most after the queue has been enlarged to let a stuck graph go on.
-    pub max_capacity: usize,
+    /// Beyond so many waiting bytes it is full, however long it is; an item that is larger by itself still passes.
+    pub max_bytes: u64,
     /// What happens when it is full.
     pub policy: Policy,
 }

@@ -6,7 +6,7 @@ use crate::{
     fault::Faults,
     plan::{OutputId, Plan},
     recording::{Recording, RecordingError},
-    run::{self, Observer, RunError, RunOptions, RunReport, Substitutes, Tap},
+    run::{self, Observer, Replayed, RunError, RunOptions, RunReport, Substitutes, Tap},
 };
 use osteoflow_node::{AnySource, Body, Context, Emission, Item, NodeError, PortPayload, Registry, Role, StampNs};
 use std::{
@@ -96,7 +96,7 @@ pub(crate) fn replay_plan(
 ) -> Result<ReplayReport, ReplayError> {
     // Their content went into the recording; the files themselves are not read.
     plan.input_files.clear();
-    let substitutes = played(&plan, recording, registry)?;
+    let replayed = Replayed { substitutes: played(&plan, recording, registry)?, ..Replayed::default() };
     let names = output_names(&plan);
     plan.record = recording.wires.keys().filter_map(|name| names.get(name).copied()).collect();
     let compare = Compare {
@@ -106,7 +106,7 @@ pub(crate) fn replay_plan(
     };
     let mut options = options.clone();
     options.fixed_results.clone_from(&recording.fixed_results);
-    let report = run::run_with(&plan, registry, &options, observer, substitutes, Some(&compare))?;
+    let report = run::run_with(&plan, registry, &options, observer, replayed, Some(&compare))?;
     let results_equal = match &recording.results {
         Some(recorded) if !recording.interrupted => Some(same_results(recorded, &report.results)),
         _ => None,

@@ -307,7 +307,7 @@ impl Toy {
                 let link = self.plan.links.len();
                 self.plan.nodes[from.node].outputs[from.port].links.push(link);
                 let policy = Policy::Block;
-                self.plan.links.push(Link { from, to_node, to_port, capacity: 4, max_capacity: 1 << 16, policy });
+                self.plan.links.push(Link { from, to_node, to_port, capacity: 4, max_bytes: 1 << 20, policy });
                 link
             });
             plan_inputs.push(PlanInput { port, link });

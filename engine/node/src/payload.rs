@@ -31,6 +31,12 @@ pub trait Payload<By>: Clone + Send + Sync + 'static {
     /// What `results.json` says of it: millimetres, names as in the docs.
     fn to_result(&self) -> serde_json::Value;
 
+    /// How much memory it holds on to, bulk and all: what a wire counts that is bounded in bytes. Asked for every item
+    /// on every wire, so it reads lengths and walks nothing. Columns shared with another payload count in both.
+    fn n_bytes(&self) -> usize {
+        size_of::<Self>()
+    }
+
     /// The value a share `s` of the way from `a` to `b`; `None` where there is none.
     fn interpolate(_a: &Self, _b: &Self, _s: f64) -> Option<Self> {
         None
@@ -72,6 +78,7 @@ pub struct PayloadType {
     to_view: fn(&dyn Any) -> View,
     from_view: fn(&View) -> Result<Value, ViewError>,
     to_result: fn(&dyn Any) -> serde_json::Value,
+    n_bytes: fn(&dyn Any) -> usize,
     interpolate: fn(&dyn Any, &dyn Any, f64) -> Option<Value>,
     display: fn() -> Option<Display>,
     to_display: fn(&dyn Any, StampNs) -> Option<Vec<u8>>,
@@ -88,6 +95,7 @@ impl<T: Payload<By>, By: 'static> TypeOf<T, By> {
         to_view: |any| cast::<T>(any).to_view(),
         from_view: |view| T::from_view(view).map(Value::new),
         to_result: |any| cast::<T>(any).to_result(),
+        n_bytes: |any| cast::<T>(any).n_bytes(),
         interpolate: |a, b, s| T::interpolate(cast(a), cast(b), s).map(Value::new),
         display: T::display,
         to_display: |any, stamp_ns| cast::<T>(any).to_display(stamp_ns),
@@ -161,6 +169,11 @@ impl Value {
     /// What `results.json` says of it.
     pub fn to_result(&self) -> serde_json::Value {
         (self.ty.to_result)(&*self.inner)
+    }
+
+    /// How much memory it holds on to, bulk and all.
+    pub fn n_bytes(&self) -> usize {
+        (self.ty.n_bytes)(&*self.inner)
     }
 
     /// The value a share `s` of the way from `a` to `b`; `None` where there is none or the types differ.

@@ -32,8 +32,8 @@ impl Net<'_> {
                 let Some(from) = input.from.map(id) else { continue };
                 nodes[from.node].outputs[from.port].links.push(links.len());
                 nodes[to_node].inputs[to_port].link = Some(links.len());
-                let Input { capacity, max_capacity, policy, .. } = *input;
-                links.push(Link { from, to_node, to_port, capacity, max_capacity, policy });
+                let Input { capacity, max_bytes, policy, .. } = *input;
+                links.push(Link { from, to_node, to_port, capacity, max_bytes, policy });
             }
         }
         let mut record: Vec<_> = self.record.wires.iter().map(|&wire| id(wire)).collect();

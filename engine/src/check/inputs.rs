@@ -1,5 +1,5 @@
 use super::{
-    Check, DEFAULT_CAPACITY, DEFAULT_MAX_CAPACITY,
+    Check, DEFAULT_CAPACITY, DEFAULT_MAX_BYTES,
     drafts::{Draft, Output},
     feed::Feed,
     header::Header,
@@ -22,7 +22,7 @@ pub(super) struct Input {
     /// What it is wired to, unless that is at fault.
     pub(super) from: Option<Wire>,
     pub(super) capacity: usize,
-    pub(super) max_capacity: usize,
+    pub(super) max_bytes: u64,
     pub(super) policy: Policy,
 }
 
@@ -50,7 +50,7 @@ impl Check<'_> {
             at: None,
             from: None,
             capacity: DEFAULT_CAPACITY,
-            max_capacity: DEFAULT_MAX_CAPACITY,
+            max_bytes: DEFAULT_MAX_BYTES,
             policy: Policy::Block,
         };
         let mut inputs: Vec<_> = ports.iter().map(blank).collect();

@@ -12,8 +12,7 @@ use crate::{
 };
 use osteoflow_node::{Join, PortPayload, Role};
 
-const KEYS: [&str; 9] =
-    ["from", "capacity", "max_capacity", "policy", "every", "join", "tolerance_ms", "max_gap_ms", "n"];
+const KEYS: [&str; 9] = ["from", "capacity", "max_bytes", "policy", "every", "join", "tolerance_ms", "max_gap_ms", "n"];
 const JOINS: [&str; 6] = ["each", "stamp", "collect", "latest", "interpolate", "once"];
 const POLICIES: [&str; 5] = ["block", "drop_old", "drop_new", "sample", "fail"];
 
@@ -96,21 +95,14 @@ impl Check<'_> {
     }
 
     fn capacity(&mut self, input: &mut Input, table: &Table, owner: &str) {
-        let mut take = |key: &str| {
-            let entry = table.get(key)?;
+        if let Some(entry) = table.get("capacity") {
             let most = u64::try_from(usize::MAX / 2).unwrap_or(u64::MAX);
-            let n = take::whole(&entry.value, &format!("{owner}: {key}"), 1, most, &mut self.faults)?;
-            usize::try_from(n).ok()
-        };
-        let (capacity, max_capacity) = (take("capacity"), take("max_capacity"));
-        input.capacity = capacity.unwrap_or(input.capacity);
-        input.max_capacity = max_capacity.unwrap_or(input.max_capacity.max(input.capacity));
-        if let Some(entry) = table.get("max_capacity").filter(|_| input.max_capacity < input.capacity) {
-            let message = format!(
-                "{owner}: max_capacity is {}, less than the capacity of {}",
-                input.max_capacity, input.capacity
-            );
-            self.faults.push(Fault::new(message).at(&entry.value.at, "too small"));
+            let n = take::whole(&entry.value, &format!("{owner}: capacity"), 1, most, &mut self.faults);
+            input.capacity = n.and_then(|n| usize::try_from(n).ok()).unwrap_or(input.capacity);
+        }
+        if let Some(entry) = table.get("max_bytes") {
+            let n = take::bytes(&entry.value, &format!("{owner}: max_bytes"), &mut self.faults);
+            input.max_bytes = n.unwrap_or(input.max_bytes);
         }
     }
 

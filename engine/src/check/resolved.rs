@@ -71,7 +71,7 @@ fn wired(input: &Input, from: &str) -> String {
         _ => {}
     }
     parts.push(format!("capacity = {}", input.capacity));
-    parts.push(format!("max_capacity = {}", input.max_capacity));
+    parts.push(format!("max_bytes = {}", input.max_bytes));
     let policy = match input.policy {
         Policy::Block => "\"block\"".into(),
         Policy::DropOld => "\"drop_old\"".into(),

@@ -38,6 +38,40 @@ pub(super) fn whole(value: &Spanned, what: &str, least: u64, most: u64, faults: 
     None
 }
 
+/// A number of bytes of at least 1: a whole number, or a text with a unit such as `64 MiB`.
+pub(super) fn bytes(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<u64> {
+    let n = match &value.value {
+        Value::Int(number) => u64::try_from(*number).ok(),
+        Value::Text(text) => bytes_of(text),
+        _ => None,
+    };
+    if let Some(n) = n.filter(|n| *n > 0) {
+        return Some(n);
+    }
+    faults.push(wrong(value, what, "a whole number of bytes of at least 1, or a text such as \"64 MiB\""));
+    None
+}
+
+/// The bytes of `1.5 GiB`; a unit is needed, and nothing beyond 2⁶³ bytes is one.
+fn bytes_of(text: &str) -> Option<u64> {
+    let text = text.trim();
+    let end = text.find(|c: char| c.is_ascii_alphabetic())?;
+    let (number, unit) = text.split_at(end);
+    let size: u64 = match unit {
+        "B" => 1,
+        "kB" => 1_000,
+        "MB" => 1_000_000,
+        "GB" => 1_000_000_000,
+        "KiB" => 1 << 10,
+        "MiB" => 1 << 20,
+        "GiB" => 1 << 30,
+        _ => return None,
+    };
+    let plain = number.trim().chars().all(|c| c.is_ascii_digit() || c == '.');
+    let bytes = plain.then(|| number.trim().parse::<f64>().ok())?? * size as f64;
+    (bytes < i64::MAX as f64).then_some(bytes.round() as u64)
+}
+
 /// A duration of at least 0 in milliseconds, in nanoseconds.
 pub(super) fn milliseconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<i64> {
     let ms = match value.value {

@@ -116,10 +116,11 @@ impl Output {
         let Some((last, others)) = self.links.split_last_mut() else { return Ok(()) };
         let mut full = None;
         let mut put = |send: &mut SendEnd, item: Item| {
-            if send.send(item).is_err() {
-                full = full.or(Some(send.link));
+            let link = send.link;
+            if send.send(item, &run.links[link], &mut |number| run.dropped(link, number)).is_err() {
+                full = full.or(Some(link));
             }
-            wake.node(run.plan.links[send.link].to_node);
+            wake.node(run.plan.links[link].to_node);
         };
         others.iter_mut().for_each(|send| put(send, item.clone()));
         put(last, item);
@@ -129,8 +130,7 @@ impl Output {
     fn promise(&mut self, stamp_ns: StampNs, run: &Runtime<'_>, wake: &mut Wake<'_>) {
         if stamp_ns > self.floor {
             self.floor = stamp_ns;
-            for send in &self.links {
-                run.links[send.link].set_progress(stamp_ns);
+            for send in self.links.iter().filter(|send| send.promise(&run.links[send.link], stamp_ns)) {
                 wake.node(run.plan.links[send.link].to_node);
             }
         }
@@ -425,11 +425,12 @@ impl Cell {
             let link = &run.plan.links[link];
             let to = &run.plan.nodes[link.to_node];
             format!(
-                "the link {} -> {}.{} is full with {} items, and its policy is to fail; give it more capacity or block",
+                "the link {} -> {}.{} is full at {} items or {} bytes, and its policy is to fail; let it hold more, or block",
                 run.plan.wire_name(link.from),
                 to.name,
                 to.inputs[link.to_port].port.name,
-                link.capacity
+                link.capacity,
+                link.max_bytes
             )
         })
     }

@@ -18,7 +18,7 @@ pub use report::{
     BuildFault, Enlargement, Event, LinkStats, NodeStats, Observer, Outcome, Refusal, RunError, RunOptions, RunReport,
     Warning,
 };
-pub(crate) use runtime::{Substitutes, Tap, refusal};
+pub(crate) use runtime::{Replayed, Substitutes, Tap, refusal};
 
 use crate::{
     manifest,
@@ -43,20 +43,20 @@ pub fn run(
     options: &RunOptions,
     observer: &dyn Observer,
 ) -> Result<RunReport, RunError> {
-    run_with(plan, registry, options, observer, Substitutes::new(), None)
+    run_with(plan, registry, options, observer, Replayed::default(), None)
 }
 
-/// The same, with some sources replaced and a further tap on the wires.
+/// The same, with what a replay takes from the record and a further tap on the wires.
 pub(crate) fn run_with(
     plan: &Plan,
     registry: &Registry,
     options: &RunOptions,
     observer: &dyn Observer,
-    substitutes: Substitutes,
+    replayed: Replayed,
     tap: Option<&dyn Tap>,
 ) -> Result<RunReport, RunError> {
     let began = SystemTime::now();
-    let mut runtime = Runtime::build(plan, registry, options, observer, substitutes)?;
+    let mut runtime = Runtime::build(plan, registry, options, observer, replayed)?;
     let out_dir = options.out_dir.as_deref();
     if let Some(dir) = out_dir {
         std::fs::create_dir_all(dir).map_err(|source| RunError::Write { path: dir.into(), source })?;

@@ -7,14 +7,14 @@ use super::{
     scheduler::{Scheduler, Stepped, Wake, Work},
 };
 use crate::{
-    channel::{self, LinkState, RecvEnd, SendEnd},
+    channel::{self, Limits, LinkState, RecvEnd, SendEnd},
     join::{Joiner, PortSpec},
-    plan::{OutputId, Plan, PlanNode, Policy},
+    plan::{OutputId, Plan, PlanNode},
     results::{Ended, Keep},
 };
 use osteoflow_node::{AnySource, Built, Context, Item, Registry};
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     path::Path,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
@@ -26,6 +26,16 @@ use std::{
 /// Sources that take the place of the plan's, by the index of the node.
 pub(crate) type Substitutes = BTreeMap<usize, Box<dyn AnySource>>;
 
+/// What a replay takes from the record, where a run asks the world.
+#[derive(Default)]
+pub(crate) struct Replayed {
+    /// What plays in the place of sources.
+    pub(crate) substitutes: Substitutes,
+    /// The numbers of the items that policies dropped, by the index of the link; a link that is not named dropped none.
+    /// `None`: policies decide.
+    pub(crate) drops: Option<BTreeMap<usize, BTreeSet<u64>>>,
+}
+
 /// Sees every item of the recorded wires, in order along each wire, and changes nothing.
 pub(crate) trait Tap: Sync {
     /// An item has been put on the wire.
@@ -33,6 +43,10 @@ pub(crate) trait Tap: Sync {
 
     /// A node fired, or a source answered: when, since the run began, and for how long.
     fn fired(&self, _node: usize, _item: u64, _began: Duration, _took: Duration) {}
+
+    /// The policy of a link, by its index in the plan, has dropped the item with this number; on any link, recorded or
+    /// not. In the order of the numbers along a link.
+    fn dropped(&self, _link: usize, _number: u64) {}
 }
 
 /// A run under way.
@@ -72,12 +86,12 @@ impl<'a> Runtime<'a> {
         registry: &'a Registry,
         options: &RunOptions,
         observer: &'a dyn Observer,
-        mut substitutes: Substitutes,
+        mut replayed: Replayed,
     ) -> Result<Self, RunError> {
         let mut bodies = Vec::with_capacity(plan.nodes.len());
         let mut faults = Vec::new();
         for (index, node) in plan.nodes.iter().enumerate() {
-            let substitute = substitutes.remove(&index).map(Built::Source);
+            let substitute = replayed.substitutes.remove(&index).map(Built::Source);
             match substitute.map_or_else(|| build(registry, node), Ok) {
                 Ok(built) => bodies.push(built),
                 Err(fault) => faults.push(fault),
@@ -91,7 +105,13 @@ impl<'a> Runtime<'a> {
         for (index, link) in plan.links.iter().enumerate() {
             let producer = &plan.nodes[link.from.node].name;
             let wire = plan.wire_name(link.from);
-            let (state, send, recv) = channel::link(index, link.capacity, link.policy, producer, &wire);
+            let limits = Limits {
+                capacity: link.capacity,
+                max_bytes: link.max_bytes,
+                policy: link.policy,
+                recorded_drops: replayed.drops.as_mut().map(|drops| drops.remove(&index).unwrap_or_default()),
+            };
+            let (state, send, recv) = channel::link(index, limits, producer, &wire);
             links.push(state);
             sends.push(Some(send));
             recvs.push(Some(recv));
@@ -211,6 +231,10 @@ impl<'a> Runtime<'a> {
         }
     }
 
+    pub(super) fn dropped(&self, link: usize, number: u64) {
+        self.taps.iter().for_each(|tap| tap.dropped(link, number));
+    }
+
     pub(super) fn fail(&self, failure: Failure) {
         if self.cancelled() {
             // A long computation was asked to stop, and did.
@@ -228,25 +252,35 @@ impl<'a> Runtime<'a> {
         }
     }
 
+    /// The producer's end of a link.
+    fn with_send<T>(&self, index: usize, look: impl FnOnce(&SendEnd) -> T) -> Option<T> {
+        let from = self.plan.links[index].from;
+        let cell = locked(&self.cells[from.node]);
+        cell.outputs[from.port].links.iter().find(|send| send.link == index).map(look)
+    }
+
     /// Enlarges the smallest full link that a producer waits for, and names that producer.
     fn enlarge_smallest(&self) -> Option<usize> {
-        let waits = |link: usize| {
-            let from = self.plan.links[link].from;
-            let cell = locked(&self.cells[from.node]);
-            let send = cell.outputs[from.port].links.iter().find(|send| send.link == link)?;
-            (send.fill() >= send.capacity && self.links[link].is_blocked()).then_some(send.capacity)
-        };
-        let full = |link: &usize| matches!(self.plan.links[*link].policy, Policy::Block | Policy::Sample(_));
-        let full = (0..self.links.len()).filter(full).filter_map(|link| Some((waits(link)?, link)));
-        let (capacity, index) = full.filter(|(n, link)| *n < self.plan.links[*link].max_capacity).min()?;
+        let n_links = 0..self.links.len();
+        let waited_for = n_links.filter(|link| self.links[*link].is_blocked());
+        let growing = waited_for.filter_map(|index| {
+            let state = &self.links[index];
+            let grows = |send: &SendEnd| {
+                let limits = &send.limits;
+                let grows = send.fill() >= limits.capacity && send.bytes(state) < limits.max_bytes;
+                grows.then_some(limits.capacity)
+            };
+            Some((self.with_send(index, grows)??, index))
+        });
+        let (before, index) = growing.min()?;
+        let after = before.saturating_mul(2);
         let link = &self.plan.links[index];
-        let after = (capacity * 2).min(link.max_capacity);
         let (mut producer, mut consumer) = (locked(&self.cells[link.from.node]), locked(&self.cells[link.to_node]));
         let send = producer.outputs[link.from.port].links.iter_mut().find(|send| send.link == index)?;
         let recv = consumer.inputs.iter_mut().find(|input| input.recv.link == index)?;
         channel::enlarge(send, &mut recv.recv, after);
         let (from, to) = ends(self.plan, index);
-        let enlargement = Enlargement { from, to, before: capacity, after };
+        let enlargement = Enlargement { from, to, before, after };
         self.event(&Event::Enlarged(&enlargement));
         locked(&self.enlargements).push(enlargement);
         Some(link.from.node)
@@ -258,20 +292,19 @@ impl<'a> Runtime<'a> {
         let Some(first) = open.first() else { return };
         let (mut full, mut empty) = (Vec::new(), Vec::new());
         for (index, link) in self.plan.links.iter().enumerate() {
-            let cell = locked(&self.cells[link.from.node]);
-            let Some(send) = cell.outputs[link.from.port].links.iter().find(|send| send.link == index) else {
-                continue;
-            };
+            let state = &self.links[index];
+            let look = |send: &SendEnd| (send.is_full(state), send.fill(), send.bytes(state));
+            let Some((is_full, n_items, n_bytes)) = self.with_send(index, look) else { continue };
             let (from, to) = ends(self.plan, index);
-            if send.fill() >= send.capacity && self.links[index].is_blocked() {
-                full.push(format!("{from} -> {to} ({} items)", send.capacity));
-            } else if open.contains(&link.to_node) && open.contains(&link.from.node) && send.fill() == 0 {
+            if is_full && state.is_blocked() {
+                full.push(format!("{from} -> {to} ({n_items} items, {n_bytes} bytes)"));
+            } else if open.contains(&link.to_node) && open.contains(&link.from.node) && n_items == 0 {
                 empty.push(format!("{from} -> {to}"));
             }
         }
         let list = |links: Vec<String>| if links.is_empty() { "none".into() } else { links.join(", ") };
         let reason = format!(
-            "the graph is stuck: nothing can run; full: {}; empty: {}; give the full links a larger max_capacity",
+            "the graph is stuck: nothing can run; full: {}; empty: {}; give the full links a larger max_bytes",
             list(full),
             list(empty)
         );
@@ -348,7 +381,7 @@ fn link_stats(plan: &Plan, cells: &[Cell], index: usize, stuck: bool) -> Option<
         dropped: if stuck { send.sent - recv.received } else { send.dropped },
         unmatched: consumer.unmatched(link.to_port),
         highest_fill: send.highest_fill,
-        capacity: send.capacity,
+        capacity: send.limits.capacity,
     })
 }
 

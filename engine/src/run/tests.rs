@@ -4,7 +4,7 @@ use crate::{
     plan::{OutputId, Policy},
     recording::Recording,
     replay::replay_plan,
-    toy::{Toy, registry},
+    toy::{Number, Toy, registry},
 };
 use osteoflow_node::{Item, Join};
 use serde_json::{Value as Json, json};
@@ -41,7 +41,7 @@ fn check(plan: &Plan) -> RunReport {
     let mut last = None;
     for workers in [1, 2, 8] {
         let keep = Keep::default();
-        let report = run_with(plan, &registry(), &options(workers), &(), Substitutes::new(), Some(&keep)).unwrap();
+        let report = run_with(plan, &registry(), &options(workers), &(), Replayed::default(), Some(&keep)).unwrap();
         for link in &report.links {
             assert_eq!(link.sent, link.received + link.dropped, "{} -> {} on {workers} workers", link.from, link.to);
         }
@@ -97,12 +97,18 @@ fn a_stuck_graph_goes_on_with_a_longer_queue_and_the_same_results() {
 #[test]
 fn a_graph_that_may_not_grow_is_refused_with_the_full_and_the_empty_links() {
     let mut plan = parks();
-    plan.links.iter_mut().for_each(|link| link.max_capacity = 16);
+    // Twenty numbers; the queue of four has been doubled to 32 by then.
+    let max_bytes = 20 * (size_of::<Item>() + size_of::<Number>()) as u64;
+    plan.links.iter_mut().for_each(|link| link.max_bytes = max_bytes);
     let report = check(&plan);
     let refusal = refusal_of(&report);
-    let expected = "the graph is stuck: nothing can run; full: recording.p0 -> follow.a (16 items); \
-                    empty: recording.p1 -> fit.a, fit.out -> follow.b; give the full links a larger max_capacity";
-    assert_eq!((refusal.node.as_str(), refusal.reason.as_str()), ("recording", expected));
+    let expected = format!(
+        "the graph is stuck: nothing can run; full: recording.p0 -> follow.a (20 items, {max_bytes} bytes); \
+         empty: recording.p1 -> fit.a, fit.out -> follow.b; give the full links a larger max_bytes"
+    );
+    assert_eq!((refusal.node.as_str(), &refusal.reason), ("recording", &expected));
+    let sizes: Vec<_> = report.enlargements.iter().map(|e| (e.to.as_str(), e.after)).collect();
+    assert_eq!(sizes, [("follow.a", 8), ("follow.a", 16), ("follow.a", 32)]);
     assert!(report.results.get("plane").is_none() && report.results["notice"] == "toy");
 }
 
@@ -333,7 +339,7 @@ fn a_full_link_that_must_not_be_full_refuses_the_run() {
     for workers in [1, 8] {
         let report = run(&plan, &registry(), &options(workers), &()).unwrap();
         let said = &refusal_of(&report).reason;
-        assert!(said.starts_with("the link live.p0 -> both.a is full with 4 items"), "{said}");
+        assert!(said.starts_with("the link live.p0 -> both.a is full at 4 items or 1048576 bytes, and"), "{said}");
     }
 }
 

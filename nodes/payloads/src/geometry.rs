@@ -74,6 +74,12 @@ impl Payload<Table> for Cloud {
         Ok(cloud)
     }
 
+    fn n_bytes(&self) -> usize {
+        let normals = self.normals().map_or(0, size_of_val);
+        let extras: usize = self.extras().iter().map(|(_, values)| size_of_val(&**values)).sum();
+        size_of::<Self>() + size_of_val(self.points()) + normals + extras
+    }
+
     fn to_result(&self) -> Json {
         json!({ "frame": self.frame, "stamp_ns": self.stamp_ns, "label": self.label, "n_points": self.len() })
     }
@@ -102,6 +108,10 @@ impl Payload<Table> for Mesh {
     fn from_view(view: &View) -> Result<Self, ViewError> {
         let origin = origin(view.text("origin")?)?;
         Mesh::new(frame(view)?, origin, from_column(view, "vertices")?, from_column(view, "faces")?).map_err(invalid)
+    }
+
+    fn n_bytes(&self) -> usize {
+        size_of::<Self>() + size_of_val(self.vertices()) + size_of_val(self.faces())
     }
 
     fn to_result(&self) -> Json {
@@ -196,6 +206,10 @@ impl Payload<Table> for Points {
         Ok(Points { frame: frame(view)?, stamp_ns: view.int("stamp_ns")?, points: points.collect() })
     }
 
+    fn n_bytes(&self) -> usize {
+        size_of::<Self>() + size_of_val(&*self.points)
+    }
+
     fn to_result(&self) -> Json {
         let points = self.points.iter().map(|p| {
             let mut entry = json!({ "name": p.name, "frame": self.frame, "position_mm": p.position.coords.as_slice() });
@@ -259,6 +273,10 @@ impl Payload<Table> for Planes {
             },
         });
         Ok(Planes { frame: frame(view)?, stamp_ns: view.int("stamp_ns")?, planes: planes.collect() })
+    }
+
+    fn n_bytes(&self) -> usize {
+        size_of::<Self>() + size_of_val(&*self.planes)
     }
 
     fn to_result(&self) -> Json {
@@ -360,6 +378,15 @@ mod tests {
         survives(planes);
         survives(Region { frame: "camera".into(), min: points[1], max: points[0] });
         survives(Axes { frame: "ct".into(), centre: points[0], columns: Matrix3::identity() });
+    }
+
+    #[test]
+    fn a_cloud_counts_its_columns_as_bytes() {
+        let cloud = Cloud::new("camera", vec![Point3::origin(); 1000]).unwrap();
+        let n_bytes = |cloud: &Cloud| Value::new(cloud.clone()).n_bytes() - size_of::<Cloud>();
+        assert_eq!(n_bytes(&cloud), 1000 * 24);
+        let full = cloud.with_normals(vec![Vector3::x(); 1000]).unwrap().with_extra("grey", vec![0.0; 1000]).unwrap();
+        assert_eq!(n_bytes(&full), 1000 * (24 + 24 + 8));
     }
 
     #[test]

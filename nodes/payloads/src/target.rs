@@ -33,6 +33,12 @@ impl Payload<Table> for Target {
             .map_err(|error| ViewError::Invalid(error.to_string()))
     }
 
+    /// The tree holds each point once more.
+    fn n_bytes(&self) -> usize {
+        let points = size_of_val(self.points());
+        size_of::<Self>() + 2 * points + self.normals().map_or(0, size_of_val)
+    }
+
     fn to_result(&self) -> Json {
         json!({ "frame": self.frame, "n_points": self.points().len(), "ct_surface": self.origin })
     }

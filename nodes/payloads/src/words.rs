@@ -18,6 +18,10 @@ impl Payload<Table> for Text {
         Ok(Self(view.text("text")?.into()))
     }
 
+    fn n_bytes(&self) -> usize {
+        size_of::<Self>() + self.0.len()
+    }
+
     fn to_result(&self) -> serde_json::Value {
         (*self.0).into()
     }
