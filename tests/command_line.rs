@@ -6,13 +6,14 @@ mod common;
 use common::osteoflow;
 
 /// Every subcommand, with a word that its own help must hold.
-const COMMANDS: [(&str, &str); 8] = [
+const COMMANDS: [(&str, &str); 9] = [
     ("run", "--no-record"),
     ("check", "--set"),
     ("inspect", "--write-docs"),
     ("graph", "mermaid"),
     ("record", "--wires"),
     ("replay", "--out"),
+    ("digest", "sha256sum"),
     ("simulate", "--seed"),
     ("completions", "bash"),
 ];

@@ -3,6 +3,8 @@
 mod channel;
 pub mod check;
 mod codec;
+pub mod container;
+pub mod digest;
 pub mod draw;
 pub mod fault;
 mod graph;
@@ -11,6 +13,7 @@ mod manifest;
 pub mod plan;
 pub mod record;
 pub mod recording;
+pub mod recover;
 pub mod replay;
 mod results;
 pub mod run;

@@ -2,26 +2,18 @@
 
 use crate::{
     codec::{self, CodecError, RecordedItem},
-    record::{EXACT_ENCODING, EXACT_TOPIC, FORMAT_VERSION, OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
-};
-use mcap::{
-    McapError,
-    records::Record,
-    sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
+    container::{self, Carries, Channels, Damage, Place, Record, Visit, Walk, WalkError, Wire},
+    record::{FORMAT_VERSION, OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
+    recover::{self, RECOVERED_METADATA},
 };
 use osteoflow_node::{Body, Item, PayloadType, Registry};
 use std::{
     collections::BTreeMap,
-    fs::File,
-    io::{self, Read},
+    io,
+    ops::ControlFlow,
     path::{Path, PathBuf},
     sync::Arc,
 };
-
-/// No record of ours is longer; a longer one is damage, and is not believed.
-const MAX_RECORD_BYTES: usize = 1 << 30;
-/// What is read at a time at most, whatever a record claims to need.
-const READ_BYTES: usize = 1 << 20;
 
 /// A recording that cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -89,6 +81,72 @@ pub struct Recording {
     pub truncated: Option<String>,
 }
 
+/// What a recording says of its run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct About {
+    /// The graph as it ran, as the text of a graph file.
+    pub graph: String,
+    /// The graph file it came from.
+    pub graph_file: PathBuf,
+    /// The graph's name.
+    pub name: String,
+    /// The run's seed.
+    pub seed: u64,
+    /// The version of the program that wrote it.
+    pub version: String,
+    /// What `results.json` held; `None` where the run did not get so far.
+    pub results: Option<serde_json::Value>,
+    /// Constants that the command had put into `results.json`.
+    pub fixed_results: Vec<(String, serde_json::Value)>,
+    /// Whether the user had stopped the run.
+    pub interrupted: bool,
+}
+
+/// Metadata records, by name.
+pub(crate) type MetadataRecords = BTreeMap<String, BTreeMap<String, String>>;
+
+impl About {
+    /// What the metadata records say; `truncated` is why some may be missing.
+    pub(crate) fn of(path: &Path, metadata: &MetadataRecords, truncated: Option<&str>) -> Result<Self, RecordingError> {
+        let foreign = |reason: String| RecordingError::Foreign { path: path.into(), reason };
+        let run = metadata.get(RUN_METADATA).ok_or_else(|| {
+            foreign(match truncated {
+                Some(reason) => reason.into(),
+                None => format!("it has no metadata record \"{RUN_METADATA}\""),
+            })
+        })?;
+        let entry = |key: &str| run.get(key).cloned().ok_or_else(|| foreign(format!("its metadata lacks \"{key}\"")));
+        let version = entry("format_version")?;
+        if version != FORMAT_VERSION.to_string() {
+            return Err(RecordingError::Version { path: path.into(), found: version });
+        }
+        let outcome = metadata.get(OUTCOME_METADATA);
+        let json = |key: &str| outcome?.get(key).and_then(|text| serde_json::from_str(text).ok());
+        let fixed: Option<serde_json::Value> = json("fixed_results");
+        let fixed = fixed.as_ref().and_then(|fixed| fixed.as_object());
+        Ok(Self {
+            graph: entry("graph")?,
+            graph_file: entry("graph_file")?.into(),
+            name: entry("name")?,
+            seed: entry("seed")?.parse().map_err(|_| foreign("its seed is no number".into()))?,
+            version: entry("version")?,
+            results: json("results"),
+            fixed_results: fixed.into_iter().flatten().map(|(key, value)| (key.clone(), value.clone())).collect(),
+            interrupted: outcome.and_then(|o| o.get("status")).is_some_and(|status| status == "interrupted"),
+        })
+    }
+}
+
+impl RecordingError {
+    /// Of a file that cannot be passed over at all.
+    pub(crate) fn of(path: &Path, error: WalkError) -> Self {
+        match error {
+            WalkError::Io(source) => Self::Read { path: path.into(), source },
+            WalkError::NoMcap(reason) => Self::Foreign { path: path.into(), reason },
+        }
+    }
+}
+
 /// The items of one wire.
 #[derive(Debug, Default, Clone)]
 pub struct RecordedWire {
@@ -114,45 +172,40 @@ impl RecordedWire {
 }
 
 impl Recording {
-    /// Reads a recording from its start to its end, or to where it was cut short.
+    /// Reads a recording from its start to its end, or to where it was cut short or damaged. Of one that was recovered
+    /// from such a file, what lay before the damage is read: items behind it may rest on items that are lost.
     ///
     /// # Errors
     /// [`RecordingError`] if the file is not a recording of a run, or its wires have holes.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let mut reading = Reading::default();
         let truncated = reading.read(path)?;
-        let foreign = |reason: String| RecordingError::Foreign { path: path.into(), reason };
-        let run = reading.metadata.remove(RUN_METADATA).ok_or_else(|| {
-            foreign(match &truncated {
-                Some(reason) => reason.clone(),
-                None => format!("it has no metadata record \"{RUN_METADATA}\""),
-            })
-        })?;
-        let entry = |key: &str| run.get(key).cloned().ok_or_else(|| foreign(format!("its metadata lacks \"{key}\"")));
-        let version = entry("format_version")?;
-        if version != FORMAT_VERSION.to_string() {
-            return Err(RecordingError::Version { path: path.into(), found: version });
-        }
+        let recovered = reading.metadata.remove(RECOVERED_METADATA);
+        let about = About::of(path, &reading.metadata, truncated.as_deref())?;
         let finished = reading.metadata.contains_key(WIRES_METADATA);
-        let outcome = reading.metadata.remove(OUTCOME_METADATA).unwrap_or_default();
-        let json = |key: &str| outcome.get(key).and_then(|text| serde_json::from_str(text).ok());
-        let fixed: Option<serde_json::Value> = json("fixed_results");
-        let fixed = fixed.as_ref().and_then(|fixed| fixed.as_object());
-        let recording = Self {
+        let truncated = truncated
+            .or_else(|| recovered.as_ref().map(|_| "it was recovered from a damaged file".into()))
+            .or_else(|| (!finished).then(|| "the run did not finish it".into()));
+        let limits = recovered.map(|recovered| recover::before_damage(&recovered));
+        let mut wires = BTreeMap::new();
+        for (name, gathered) in reading.wires {
+            let limit = limits.as_ref().map_or(u64::MAX, |limits| limits.get(&name).copied().unwrap_or(0));
+            let wire = numbered(&name, gathered, limit, truncated.is_some())?;
+            wires.insert(name, wire);
+        }
+        Ok(Self {
             path: path.into(),
-            graph: entry("graph")?,
-            graph_file: entry("graph_file")?.into(),
-            name: entry("name")?,
-            seed: entry("seed")?.parse().map_err(|_| foreign("its seed is no number".into()))?,
-            version: entry("version")?,
-            results: json("results"),
-            fixed_results: fixed.into_iter().flatten().map(|(key, value)| (key.clone(), value.clone())).collect(),
-            interrupted: outcome.get("status").is_some_and(|status| status == "interrupted"),
-            truncated: truncated.or_else(|| (!finished).then(|| "the run did not finish it".into())),
-            wires: reading.wires.into_values().collect(),
-        };
-        recording.wires.iter().try_for_each(|(name, wire)| numbered(name, wire))?;
-        Ok(recording)
+            graph: about.graph,
+            graph_file: about.graph_file,
+            name: about.name,
+            seed: about.seed,
+            version: about.version,
+            results: about.results,
+            fixed_results: about.fixed_results,
+            interrupted: about.interrupted,
+            truncated,
+            wires,
+        })
     }
 
     /// The items of a wire, with their payloads.
@@ -191,85 +244,76 @@ fn known(name: &str, version: u32, registry: &Registry) -> Result<&'static Paylo
     Ok(ty)
 }
 
-/// Along a wire items are numbered from 0 without holes.
-fn numbered(name: &str, wire: &RecordedWire) -> Result<(), RecordingError> {
-    for (message, expected) in wire.messages.iter().zip(0..) {
-        let found = codec::number(message);
-        if found != Some(expected) {
-            let found = found.map_or("a damaged item".into(), |n| format!("item {n}"));
-            let reason = format!("{found} stands in its place; the file is damaged");
-            return Err(RecordingError::Item { wire: name.into(), number: expected, reason });
-        }
-    }
-    Ok(())
-}
-
+/// What a pass over the file gathers, up to the first damage: what lies behind it may rest on what is lost.
 #[derive(Default)]
 struct Reading {
+    channels: Channels,
     metadata: BTreeMap<String, BTreeMap<String, String>>,
-    /// By channel id: the wire's name and what came on it.
-    wires: BTreeMap<u16, (String, RecordedWire)>,
+    wires: BTreeMap<String, Gathered>,
+    damage: Option<Damage>,
+}
+
+struct Gathered {
+    about: Wire,
+    /// By number, in the order of the file.
+    messages: Vec<(Option<u64>, Vec<u8>)>,
 }
 
 impl Reading {
-    /// Reads records to the end; answers what ended a file that was cut short.
     fn read(&mut self, path: &Path) -> Result<Option<String>, RecordingError> {
-        let io = |source| RecordingError::Read { path: path.into(), source };
-        let mut file = File::open(path).map_err(io)?;
-        let options =
-            LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(MAX_RECORD_BYTES);
-        let mut reader = LinearReader::new_with_options(options);
-        while let Some(event) = reader.next_event() {
-            match event {
-                Ok(LinearReadEvent::ReadRequest(n_bytes)) => {
-                    let n_bytes = n_bytes.min(READ_BYTES);
-                    let n_read = file.read(reader.insert(n_bytes)).map_err(io)?;
-                    reader.notify_read(n_read);
-                }
-                Ok(LinearReadEvent::Record { data, opcode }) => match mcap::parse_record(opcode, data) {
-                    Ok(record) => self.take(record),
-                    Err(error) => return Ok(Some(told(&error))),
-                },
-                Err(McapError::BadMagic) if self.metadata.is_empty() => {
-                    let reason = "it is no MCAP file".into();
-                    return Err(RecordingError::Foreign { path: path.into(), reason });
-                }
-                Err(error) => return Ok(Some(told(&error))),
-            }
-        }
-        Ok(None)
+        let mut walk = Walk::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
+        let end = walk.run(self).map_err(|error| RecordingError::of(path, error))?;
+        let damages: Vec<_> = self.damage.take().into_iter().collect();
+        Ok(container::told(&damages, &end))
     }
+}
 
-    fn take(&mut self, record: Record<'_>) {
+impl Visit for Reading {
+    fn record(&mut self, _: Place, record: Record<'_>) -> ControlFlow<()> {
         match record {
-            Record::Metadata(metadata) => drop(self.metadata.insert(metadata.name, metadata.metadata)),
-            Record::Channel(channel) if channel.message_encoding == EXACT_ENCODING => {
-                let Some(name) = channel.topic.strip_prefix(EXACT_TOPIC) else { return };
-                let about = |key: &str| channel.metadata.get(key).cloned().unwrap_or_default();
-                // The summary repeats the channels.
-                self.wires.entry(channel.id).or_insert_with(|| {
-                    let wire = RecordedWire {
-                        payload: about("payload"),
-                        version: about("version").parse().unwrap_or(0),
-                        source: about("source") == "true",
-                        messages: Vec::new(),
-                    };
-                    (name.to_owned(), wire)
-                });
+            Record::Metadata { name, entries } => drop(self.metadata.insert(name.into(), entries)),
+            Record::Channel(channel) => {
+                if let Carries::Exact(wire) = self.channels.add(channel) {
+                    let gathered = || Gathered { about: wire.clone(), messages: Vec::new() };
+                    self.wires.entry(wire.name.clone()).or_insert_with(gathered);
+                }
             }
-            Record::Message { header, data } => {
-                if let Some((_, wire)) = self.wires.get_mut(&header.channel_id) {
-                    wire.messages.push(data.into_owned());
+            Record::Message(message) => {
+                if let Some(Carries::Exact(wire)) = self.channels.get(message.channel_id)
+                    && let Some(gathered) = self.wires.get_mut(&wire.name)
+                {
+                    gathered.messages.push((codec::number(message.data), message.data.to_vec()));
                 }
             }
             _ => {}
         }
+        ControlFlow::Continue(())
+    }
+
+    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        self.damage = Some(damage);
+        ControlFlow::Break(())
     }
 }
 
-fn told(error: &McapError) -> String {
-    match error {
-        McapError::UnexpectedEof => "the file was cut short".into(),
-        other => format!("the file is damaged: {other}"),
+/// The wire's items in the order of their numbers, from 0 without holes; of a file that lacks some, those before the
+/// first hole, and not more than `limit`.
+fn numbered(name: &str, gathered: Gathered, limit: u64, partial: bool) -> Result<RecordedWire, RecordingError> {
+    let Gathered { about, mut messages } = gathered;
+    // Not an item at all: it comes first and is told below.
+    messages.sort_by_key(|(number, _)| *number);
+    let mut wire =
+        RecordedWire { payload: about.payload, version: about.version, source: about.source, messages: Vec::new() };
+    for ((found, message), expected) in messages.into_iter().zip(0..) {
+        if expected >= limit || (partial && found.is_some_and(|n| n > expected)) {
+            break;
+        }
+        if found != Some(expected) {
+            let found = found.map_or("a damaged item".into(), |n| format!("item {n}"));
+            let reason = format!("{found} stands in its place; `osteoflow validate` tells all that is wrong");
+            return Err(RecordingError::Item { wire: name.into(), number: expected, reason });
+        }
+        wire.messages.push(message);
     }
+    Ok(wire)
 }

@@ -2,6 +2,7 @@
 
 mod check;
 mod completions;
+mod digest;
 mod exit;
 mod graph;
 mod graph_args;
@@ -10,6 +11,7 @@ pub(crate) mod log;
 mod node_docs;
 mod out_dir;
 mod progress;
+mod reading;
 mod record;
 mod replay;
 mod result_table;
@@ -135,6 +137,7 @@ pub(crate) enum Command {
     Graph(graph::Graph),
     Record(record::Record),
     Replay(replay::Replay),
+    Digest(digest::Digest),
     Simulate(simulate::Simulate),
     Completions(completions::Completions),
 }
@@ -145,6 +148,7 @@ impl Command {
             Self::Run(command) => command.execute(global),
             Self::Record(command) => command.execute(global),
             Self::Replay(command) => command.execute(global),
+            Self::Digest(command) => command.execute(global),
             Self::Check(command) => command.execute(global),
             Self::Inspect(command) => command.execute(global),
             Self::Graph(command) => command.execute(global),

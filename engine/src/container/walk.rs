@@ -1,0 +1,417 @@
+//! One pass over a file, from its magic to its end, past damage.
+
+use super::{
+    chunk::{MAX_RECORD_BYTES, Unpacking, unpack},
+    record::{self, ChunkHead, RECORD_HEAD, Record},
+    resync,
+};
+use mcap::{MAGIC, records::op};
+use std::{
+    fmt,
+    fs::File,
+    io::{self, BufRead, BufReader, Read, Seek, SeekFrom},
+    ops::{ControlFlow, Range},
+    path::Path,
+};
+
+/// A head that names a compression longer than this is damaged.
+const MAX_CHUNK_HEAD: u64 = 64;
+
+/// Where a record lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Place {
+    /// The byte of the file at which the record, or the chunk around it, begins.
+    pub offset: u64,
+    /// The byte within the unpacked chunk, for a record in a chunk.
+    pub in_chunk: Option<u64>,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.in_chunk {
+            None => write!(f, "byte {}", self.offset),
+            Some(at) => write!(f, "byte {at} of the unpacked chunk at byte {}", self.offset),
+        }
+    }
+}
+
+/// A part of a file that could not be read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Damage {
+    /// The bytes that are lost.
+    pub bytes: Range<u64>,
+    /// What is wrong there.
+    pub what: String,
+}
+
+impl fmt::Display for Damage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "bytes {} to {}: {}", self.bytes.start, self.bytes.end, self.what)
+    }
+}
+
+/// How a file ends.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum End {
+    /// With its footer and magic; so many bytes follow.
+    Whole { trailing: u64 },
+    /// Without.
+    CutShort(Damage),
+    /// Nobody wanted more.
+    Stopped,
+}
+
+/// What a pass finds, as it finds it.
+pub(crate) trait Visit {
+    /// A record that is intact. A chunk's records come behind its head, and only if all of them are intact.
+    fn record(&mut self, place: Place, record: Record<'_>) -> ControlFlow<()>;
+
+    /// Bytes that are lost; the pass goes on behind them.
+    fn damage(&mut self, damage: Damage) -> ControlFlow<()>;
+
+    /// How far it has come, in bytes of the file.
+    fn progress(&mut self, _at: u64, _of: u64) {}
+}
+
+/// A file that cannot be passed over at all.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum WalkError {
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    #[error("{0}")]
+    NoMcap(String),
+}
+
+/// A pass over a file. Never more is held than one record or unpacked chunk, whatever the file claims.
+pub(crate) struct Walk<R> {
+    reader: BufReader<R>,
+    n_bytes: u64,
+    body: Vec<u8>,
+}
+
+/// What became of one record.
+enum Step {
+    Next(u64),
+    /// The footer with the closing magic was there.
+    End(u64),
+    /// Damaged; where the next record should begin, if the lengths can be believed.
+    Damaged(String, Option<u64>),
+    Stopped,
+}
+
+impl Walk<File> {
+    /// A pass over a file.
+    pub(crate) fn open(path: &Path) -> io::Result<Self> {
+        let file = File::open(path)?;
+        let metadata = file.metadata()?;
+        if !metadata.is_file() {
+            return Err(io::Error::other("it is no regular file; a recording is read from a file"));
+        }
+        Ok(Self::new(file, metadata.len()))
+    }
+}
+
+impl<R: Read + Seek> Walk<R> {
+    pub(crate) fn new(reader: R, n_bytes: u64) -> Self {
+        Self { reader: BufReader::with_capacity(1 << 16, reader), n_bytes, body: Vec::new() }
+    }
+
+    /// The file's length.
+    pub(crate) fn n_bytes(&self) -> u64 {
+        self.n_bytes
+    }
+
+    /// Tells `visit` everything, from the first record to the last.
+    pub(crate) fn run(&mut self, visit: &mut impl Visit) -> Result<End, WalkError> {
+        if let Some(damage) = self.start_magic()?
+            && visit.damage(damage).is_break()
+        {
+            return Ok(End::Stopped);
+        }
+        let mut at = MAGIC.len() as u64;
+        loop {
+            visit.progress(at, self.n_bytes);
+            match self.step(at, visit)? {
+                Step::Next(next) => at = next,
+                Step::End(end) => return Ok(End::Whole { trailing: self.n_bytes - end }),
+                Step::Stopped => return Ok(End::Stopped),
+                Step::Damaged(what, next) => {
+                    let next = match next {
+                        Some(next) if self.begins_record(next)? => Some(next),
+                        _ => resync::next_record(&mut self.reader, at + 1, self.n_bytes)?,
+                    };
+                    let damage = Damage { bytes: at..next.unwrap_or(self.n_bytes), what };
+                    match next {
+                        Some(next) => {
+                            if visit.damage(damage).is_break() {
+                                return Ok(End::Stopped);
+                            }
+                            at = next;
+                        }
+                        None => return Ok(End::CutShort(damage)),
+                    }
+                }
+            }
+        }
+    }
+
+    /// Tells `visit` the schemas and channels that the summary repeats, where the file has one: a damaged chunk may be
+    /// the only other place that describes a channel.
+    pub(crate) fn summary(&mut self, visit: &mut impl Visit) -> Result<(), WalkError> {
+        let n_tail = RECORD_HEAD + 20 + MAGIC.len() as u64;
+        if self.n_bytes < n_tail + MAGIC.len() as u64 {
+            return Ok(());
+        }
+        let tail = self.read_at(self.n_bytes - n_tail, n_tail)?;
+        if tail[0] != op::FOOTER || tail[n_tail as usize - MAGIC.len()..] != *MAGIC {
+            return Ok(());
+        }
+        let mut at = u64::from_le_bytes(tail[9..17].try_into().expect("eight bytes"));
+        let end = self.n_bytes - n_tail;
+        while at != 0 && at + RECORD_HEAD <= end {
+            let (opcode, length) = self.head(at)?;
+            let Some(next) = (at + RECORD_HEAD).checked_add(length).filter(|next| *next <= end) else { break };
+            if matches!(opcode, op::SCHEMA | op::CHANNEL) {
+                let body = self.read_at(at + RECORD_HEAD, length)?;
+                let Ok(record) = record::parse(opcode, &body) else { break };
+                if visit.record(Place { offset: at, in_chunk: None }, record).is_break() {
+                    break;
+                }
+            }
+            at = next;
+        }
+        Ok(())
+    }
+
+    /// Looks for the magic; answers what is wrong with it where a header follows all the same.
+    fn start_magic(&mut self) -> Result<Option<Damage>, WalkError> {
+        let n_magic = MAGIC.len() as u64;
+        let start = self.read_at(0, self.n_bytes.min(n_magic))?;
+        let reason = match start.as_slice() {
+            s if s == MAGIC => return Ok(None),
+            [] => "it is empty; was the program stopped before anything was written",
+            s if MAGIC.starts_with(s) => "it was cut short in its first bytes",
+            _ => "it is no MCAP file",
+        };
+        if self.n_bytes > n_magic + RECORD_HEAD {
+            let (opcode, length) = self.head(n_magic)?;
+            let fits = length < u64::from(u16::MAX).min(self.n_bytes - n_magic - RECORD_HEAD);
+            if opcode == op::HEADER && fits {
+                let body = self.read_at(n_magic + RECORD_HEAD, length)?;
+                if record::parse(opcode, &body).is_ok() {
+                    return Ok(Some(Damage { bytes: 0..n_magic, what: "the magic of MCAP is damaged".into() }));
+                }
+            }
+        }
+        Err(WalkError::NoMcap(reason.into()))
+    }
+
+    fn seek(&mut self, to: u64) -> io::Result<()> {
+        let here = self.reader.stream_position()?;
+        // Keeps what is buffered where it can.
+        match i64::try_from(i128::from(to) - i128::from(here)) {
+            Ok(by) => self.reader.seek_relative(by),
+            Err(_) => self.reader.seek(SeekFrom::Start(to)).map(drop),
+        }
+    }
+
+    /// Reads `n` bytes that lie within the file.
+    fn read_at(&mut self, at: u64, n: u64) -> io::Result<Vec<u8>> {
+        self.seek(at)?;
+        let mut bytes = vec![0; n as usize];
+        self.reader.read_exact(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn head(&mut self, at: u64) -> io::Result<(u8, u64)> {
+        self.seek(at)?;
+        let mut head = [0; RECORD_HEAD as usize];
+        self.reader.read_exact(&mut head)?;
+        Ok((head[0], u64::from_le_bytes(head[1..].try_into().expect("eight bytes follow the opcode"))))
+    }
+
+    /// Whether a record, or the end of the file, can be at this place.
+    fn begins_record(&mut self, at: u64) -> io::Result<bool> {
+        if at + RECORD_HEAD > self.n_bytes {
+            return Ok(at == self.n_bytes);
+        }
+        let (opcode, length) = self.head(at)?;
+        Ok((op::HEADER..=op::DATA_END).contains(&opcode) && length <= self.n_bytes - at - RECORD_HEAD)
+    }
+
+    fn step(&mut self, at: u64, visit: &mut impl Visit) -> Result<Step, WalkError> {
+        let left = self.n_bytes - at;
+        if left < RECORD_HEAD {
+            let what = if left == 0 { "the file ends without its end record" } else { "the file ends within a record" };
+            return Ok(Step::Damaged(what.into(), None));
+        }
+        let (opcode, length) = self.head(at)?;
+        let left = left - RECORD_HEAD;
+        if opcode == 0 {
+            return Ok(Step::Damaged("no record begins with a zero byte".into(), None));
+        }
+        if length > left {
+            let name = record::name(opcode);
+            let what = format!("a {name} claims {length} bytes, the file has {left} more");
+            return Ok(Step::Damaged(what, None));
+        }
+        let next = at + RECORD_HEAD + length;
+        let place = Place { offset: at, in_chunk: None };
+        if opcode == op::CHUNK {
+            return self.chunk(place, length, visit);
+        }
+        if length > MAX_RECORD_BYTES {
+            let name = record::name(opcode);
+            let what = format!("a {name} of {length} bytes; at most {MAX_RECORD_BYTES} are read at once");
+            return Ok(Step::Damaged(what, Some(next)));
+        }
+        let mut body = std::mem::take(&mut self.body);
+        body.clear();
+        self.reader.by_ref().take(length).read_to_end(&mut body)?;
+        let step = match record::parse(opcode, &body) {
+            Err(what) => Step::Damaged(format!("{}: {what}", record::name(opcode)), Some(next)),
+            // An opcode of no version of the format is one that was damaged, unless what follows vouches for it.
+            Ok(Record::Other) if opcode > op::DATA_END && !self.begins_record(next)? => {
+                Step::Damaged(format!("no record has opcode {opcode}"), None)
+            }
+            Ok(Record::Footer { .. }) if !self.closes(next)? => {
+                Step::Damaged("the closing magic does not follow the footer".into(), None)
+            }
+            Ok(record) => {
+                let end = matches!(record, Record::Footer { .. }).then_some(next + MAGIC.len() as u64);
+                match (visit.record(place, record), end) {
+                    (ControlFlow::Break(()), _) => Step::Stopped,
+                    (ControlFlow::Continue(()), Some(end)) => Step::End(end),
+                    (ControlFlow::Continue(()), None) => Step::Next(next),
+                }
+            }
+        };
+        self.body = body;
+        Ok(step)
+    }
+
+    /// Whether the closing magic is at this place.
+    fn closes(&mut self, at: u64) -> io::Result<bool> {
+        let n = MAGIC.len() as u64;
+        Ok(at + n <= self.n_bytes && self.read_at(at, n)? == MAGIC)
+    }
+
+    fn chunk(&mut self, place: Place, length: u64, visit: &mut impl Visit) -> Result<Step, WalkError> {
+        let next = place.offset + RECORD_HEAD + length;
+        let mut body = std::mem::take(&mut self.body);
+        let unpacked = self.unpacked(place.offset, length, &mut body)?;
+        let step = match unpacked {
+            Err((what, consistent)) => Step::Damaged(format!("chunk: {what}"), consistent.then_some(next)),
+            Ok(head) => match check_records(&body) {
+                Err(what) => Step::Damaged(format!("chunk: {what}"), Some(next)),
+                Ok(()) => match tell_chunk(place, head, &body, visit) {
+                    ControlFlow::Break(()) => Step::Stopped,
+                    ControlFlow::Continue(()) => Step::Next(next),
+                },
+            },
+        };
+        self.body = body;
+        Ok(step)
+    }
+
+    /// Unpacks the chunk at `at` into `out`; or what is wrong, and whether its head agrees with the record's length.
+    fn unpacked(&mut self, at: u64, length: u64, out: &mut Vec<u8>) -> io::Result<Result<ChunkHead, (String, bool)>> {
+        let start = self.read_at(at + RECORD_HEAD, length.min(MAX_CHUNK_HEAD))?;
+        let head = match record::chunk_head(&start, length) {
+            Ok(head) => head,
+            Err(what) => return Ok(Err((what, false))),
+        };
+        self.seek(at + head.n_head)?;
+        match unpack(&head, self.reader.by_ref().take(head.n_packed), out) {
+            Ok(()) => Ok(Ok(head)),
+            Err(Unpacking::Io(error)) => Err(error),
+            Err(Unpacking::Damaged(what)) => Ok(Err((what, true))),
+        }
+    }
+
+    /// The unpacked chunk at a place where a pass has found one.
+    #[allow(dead_code)]
+    pub(crate) fn chunk_at(&mut self, at: u64) -> io::Result<Vec<u8>> {
+        let (_, length) = self.head(at)?;
+        let mut out = Vec::new();
+        match self.unpacked(at, length, &mut out)? {
+            Ok(_) => Ok(out),
+            Err((what, _)) => Err(io::Error::other(format!("the chunk at byte {at} has changed: {what}"))),
+        }
+    }
+
+    /// `n` bytes at a place where a pass has found them.
+    #[allow(dead_code)]
+    pub(crate) fn bytes_at(&mut self, at: u64, n: u64) -> io::Result<Vec<u8>> {
+        if at.checked_add(n).is_none_or(|end| end > self.n_bytes) {
+            return Err(io::Error::other(format!("the file has changed: byte {at} is beyond its end")));
+        }
+        self.read_at(at, n)
+    }
+
+    /// The CRC of the bytes of a part of the file.
+    #[allow(dead_code)]
+    pub(crate) fn crc(&mut self, bytes: Range<u64>) -> io::Result<u32> {
+        self.seek(bytes.start)?;
+        let mut hasher = crc32fast::Hasher::new();
+        let mut left = bytes.end - bytes.start;
+        while left > 0 {
+            let buffer = self.reader.fill_buf()?;
+            if buffer.is_empty() {
+                return Err(io::ErrorKind::UnexpectedEof.into());
+            }
+            let n = buffer.len().min(usize::try_from(left).unwrap_or(usize::MAX));
+            hasher.update(&buffer[..n]);
+            self.reader.consume(n);
+            left -= n as u64;
+        }
+        Ok(hasher.finalize())
+    }
+}
+
+/// The records of an unpacked chunk: where each begins, its opcode and its content.
+fn records(chunk: &[u8]) -> impl Iterator<Item = Result<(u64, u8, &[u8]), String>> {
+    let mut at = 0;
+    std::iter::from_fn(move || {
+        let left = &chunk[at..];
+        if left.is_empty() {
+            return None;
+        }
+        let Some((head, rest)) = left.split_at_checked(RECORD_HEAD as usize) else {
+            at = chunk.len();
+            return Some(Err(format!("{} bytes remain at its end, too few for a record", left.len())));
+        };
+        let length = u64::from_le_bytes(head[1..].try_into().expect("eight bytes follow the opcode"));
+        let Some(body) = usize::try_from(length).ok().and_then(|n| rest.get(..n)) else {
+            let place = at;
+            at = chunk.len();
+            let (name, n_left) = (record::name(head[0]), rest.len());
+            return Some(Err(format!("a {name} at its byte {place} claims {length} bytes, {n_left} are left")));
+        };
+        let start = at as u64;
+        at += RECORD_HEAD as usize + body.len();
+        Some(Ok((start, head[0], body)))
+    })
+}
+
+fn check_records(chunk: &[u8]) -> Result<(), String> {
+    for entry in records(chunk) {
+        let (at, opcode, body) = entry?;
+        let parsed = record::parse(opcode, body);
+        let record = parsed.map_err(|what| format!("a {} at its byte {at}: {what}", record::name(opcode)))?;
+        if !matches!(record, Record::Schema { .. } | Record::Channel(_) | Record::Message(_) | Record::Other) {
+            return Err(format!("a {} at its byte {at} does not belong into a chunk", record::name(opcode)));
+        }
+    }
+    Ok(())
+}
+
+fn tell_chunk(place: Place, head: ChunkHead, chunk: &[u8], visit: &mut impl Visit) -> ControlFlow<()> {
+    visit.record(place, Record::Chunk(head))?;
+    for (at, opcode, body) in records(chunk).filter_map(Result::ok) {
+        if let Ok(record) = record::parse(opcode, body) {
+            visit.record(Place { in_chunk: Some(at), ..place }, record)?;
+        }
+    }
+    ControlFlow::Continue(())
+}

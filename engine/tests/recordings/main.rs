@@ -1,0 +1,6 @@
+//! Recordings read back: digests, checks, differences, and what is saved from damaged files.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod digest;
+mod rewrite;
+mod toy;

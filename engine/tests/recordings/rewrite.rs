@@ -1,0 +1,81 @@
+//! The same messages in another file: other order, other chunks, other compression.
+
+use mcap::{Compression, WriteOptions, Writer, records::MessageHeader, records::Record};
+use std::{collections::BTreeMap, fs, path::Path};
+
+/// A generator for tests: small, and the same everywhere.
+pub(crate) struct Draw(pub(crate) u64);
+
+impl Draw {
+    pub(crate) fn below(&mut self, n: u64) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (z ^ (z >> 31)) % n.max(1)
+    }
+}
+
+pub(crate) struct Layout {
+    pub(crate) chunk_bytes: Option<u64>,
+    pub(crate) compression: Option<Compression>,
+    pub(crate) shuffle: Option<u64>,
+}
+
+/// Writes what `from` holds to `to`; `change` may alter a message's topic, header and bytes, or leave it out.
+pub(crate) fn rewrite(
+    from: &Path,
+    to: &Path,
+    layout: &Layout,
+    mut change: impl FnMut(&str, &mut MessageHeader, &mut Vec<u8>) -> bool,
+) {
+    let bytes = fs::read(from).unwrap();
+    let mut metadata = Vec::new();
+    for record in mcap::read::LinearReader::new(&bytes).unwrap() {
+        if let Record::Metadata(m) = record.unwrap() {
+            metadata.push(m);
+        }
+    }
+    let mut messages = Vec::new();
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        messages.push(message.unwrap());
+    }
+    if let Some(seed) = layout.shuffle {
+        let mut draw = Draw(seed);
+        for i in (1..messages.len()).rev() {
+            messages.swap(i, draw.below(i as u64 + 1) as usize);
+        }
+    }
+    let options = WriteOptions::new()
+        .profile("osteoflow")
+        .compression(layout.compression)
+        .use_chunks(layout.chunk_bytes.is_some())
+        .chunk_size(layout.chunk_bytes);
+    let mut writer: Writer<_> = options.create(fs::File::create(to).unwrap()).unwrap();
+    let mut ids = BTreeMap::new();
+    for message in &messages {
+        let channel = &message.channel;
+        let id = *ids.entry(channel.topic.clone()).or_insert_with(|| {
+            let schema = channel.schema.as_ref().unwrap();
+            let schema = writer.add_schema(&schema.name, &schema.encoding, &schema.data).unwrap();
+            writer.add_channel(schema, &channel.topic, &channel.message_encoding, &channel.metadata).unwrap()
+        });
+        let mut header = MessageHeader {
+            channel_id: id,
+            sequence: message.sequence,
+            log_time: message.log_time,
+            publish_time: message.publish_time,
+        };
+        let mut data = message.data.to_vec();
+        if change(&channel.topic, &mut header, &mut data) {
+            writer.write_to_known_channel(&header, &data).unwrap();
+        }
+    }
+    metadata.iter().for_each(|m| writer.write_metadata(m).unwrap());
+    writer.finish().unwrap();
+}
+
+/// The same, with nothing changed.
+pub(crate) fn copy(from: &Path, to: &Path, layout: &Layout) {
+    rewrite(from, to, layout, |_, _, _| true);
+}
