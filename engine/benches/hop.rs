@@ -3,7 +3,9 @@
 use crossbeam_channel::bounded;
 use divan::{Bencher, counter::ItemsCount};
 use osteoflow_engine::{
-    plan::{Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, PortFrames},
+    plan::{
+        Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, PortFrames, RecordSettings,
+    },
     run::{RunOptions, run},
 };
 use osteoflow_node::{
@@ -143,6 +145,7 @@ fn chain(registry: &Registry, n_relays: usize) -> Plan {
         nodes: (0..=n_relays).map(node).collect(),
         links: (0..n_relays).map(link).collect(),
         record: Vec::new(),
+        recording: RecordSettings::default(),
         results: Vec::new(),
         input_files: Vec::new(),
         resolved: String::new(),

@@ -8,6 +8,7 @@
 //! 3 i64, 4 u32, 5 u8), its width (u32), its bytes (u64), zeros up to a multiple of 8 from the start of the message, and
 //! the rows. An empty has the node and the reason as two texts in the place of fields and columns.
 
+use crate::record::Parts;
 use osteoflow_node::{
     Body, Column, ColumnType, Empty, Field, Item, PayloadType, PortPayload, StampNs, View, ViewError,
 };
@@ -87,47 +88,54 @@ impl RecordedItem {
 /// The bytes of an item on a wire whose payload is known.
 #[cfg(test)]
 pub(crate) fn encode(item: &Item) -> Vec<u8> {
-    encode_parts(item, false)
+    named_parts(item, false).concat()
 }
 
 /// The bytes of an item on a wire of this payload; one that takes any has values name their own.
 pub(crate) fn encode_on(payload: PortPayload, item: &Item) -> Vec<u8> {
-    encode_parts(item, matches!(payload, PortPayload::Any))
+    parts_on(payload, item).concat()
 }
 
-fn encode_parts(item: &Item, names_payload: bool) -> Vec<u8> {
+/// The same, with the rows of columns left where the payload has them.
+pub(crate) fn parts_on(payload: PortPayload, item: &Item) -> Parts {
+    named_parts(item, matches!(payload, PortPayload::Any))
+}
+
+fn named_parts(item: &Item, names_payload: bool) -> Parts {
     let (kind, view) = match &item.body {
         Body::Value(value) if names_payload => (NAMED_VALUE, Ok((value.ty(), value.to_view()))),
         Body::Value(value) => (VALUE, Ok((value.ty(), value.to_view()))),
         Body::Empty(empty) => (EMPTY, Err(empty)),
     };
-    let bulk = |view: &View| view.columns.iter().map(|c| c.bytes().len() + 64).sum::<usize>();
-    let mut out = Vec::with_capacity(view.as_ref().map_or(64, |(_, view)| bulk(view) + 256));
+    let mut parts = Parts::default();
+    let out = parts.tail();
+    out.reserve(256);
     out.extend_from_slice(MAGIC);
     out.extend_from_slice(&item.stamp_ns.to_le_bytes());
     out.extend_from_slice(&item.number.to_le_bytes());
     out.extend_from_slice(&[kind, 0, 0, 0]);
     let (n_fields, n_columns) = view.as_ref().map_or((0, 0), |(_, v)| (v.head.len(), v.columns.len()));
-    put_count(&mut out, n_fields);
-    put_count(&mut out, n_columns);
-    put_count(&mut out, 0);
+    put_count(out, n_fields);
+    put_count(out, n_columns);
+    put_count(out, 0);
     match view {
         Ok((ty, view)) => {
             if names_payload {
-                put_text(&mut out, ty.name);
+                put_text(out, ty.name);
                 out.extend_from_slice(&ty.version.to_le_bytes());
             }
-            put_view(&mut out, &view);
+            put_view(&mut parts, &view);
         }
         Err(empty) => {
-            put_text(&mut out, &empty.node);
-            put_text(&mut out, &empty.reason);
+            put_text(out, &empty.node);
+            put_text(out, &empty.reason);
         }
     }
-    out
+    parts
 }
 
-fn put_view(out: &mut Vec<u8>, view: &View) {
+fn put_view(parts: &mut Parts, view: &View) {
+    let out = parts.tail();
     for (name, field) in &view.head {
         out.push(match field {
             Field::Bool(_) => 1,
@@ -149,21 +157,25 @@ fn put_view(out: &mut Vec<u8>, view: &View) {
         }
     }
     for column in &view.columns {
+        let out = parts.tail();
         put_text(out, &column.name);
         out.push(column.kind as u8);
         out.extend_from_slice(&column.width.to_le_bytes());
         out.extend_from_slice(&(column.bytes().len() as u64).to_le_bytes());
-        out.resize(out.len().next_multiple_of(8), 0);
-        put_rows(out, column);
+        let n_zeros = parts.len().next_multiple_of(8) - parts.len();
+        parts.tail().extend_from_slice(&[0; 8][..n_zeros]);
+        put_rows(parts, column);
     }
 }
 
 /// Columns lie in memory as the machine has them; the file has them little-endian.
-fn put_rows(out: &mut Vec<u8>, column: &Column) {
-    let start = out.len();
-    out.extend_from_slice(column.bytes());
+fn put_rows(parts: &mut Parts, column: &Column) {
     if cfg!(target_endian = "big") {
-        swap(&mut out[start..], column.kind.size());
+        let mut rows = column.bytes().to_vec();
+        swap(&mut rows, column.kind.size());
+        parts.bytes(rows);
+    } else {
+        parts.rows(&column.data);
     }
 }
 

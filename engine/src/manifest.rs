@@ -1,8 +1,8 @@
 //! What `manifest.json` says: what ran, from what, where, when, and the figures of nodes and links.
 
 use crate::{
-    plan::Plan,
-    record::Counts,
+    plan::{Plan, Sources},
+    record::{Counts, FORMAT_VERSION, RecordError},
     run::{Outcome, RunOptions, RunReport},
 };
 use serde_json::{Value as Json, json};
@@ -11,6 +11,7 @@ use std::{
     fs::File,
     io::{self, Read},
     path::{Path, PathBuf},
+    thread::{self, JoinHandle},
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
@@ -19,10 +20,9 @@ pub(crate) fn manifest(
     plan: &Plan,
     options: &RunOptions,
     report: &RunReport,
-    recorded: Option<&Counts>,
-    inputs: Vec<Json>,
-    began: SystemTime,
-    ended: SystemTime,
+    recorded: Option<&Result<Counts, RecordError>>,
+    inputs: &[Json],
+    (began, ended): (SystemTime, SystemTime),
 ) -> Json {
     let outcome = match &report.outcome {
         Outcome::Complete | Outcome::Interrupted => json!({ "status": report.outcome.status() }),
@@ -46,8 +46,18 @@ pub(crate) fn manifest(
     let enlargements =
         report.enlargements.iter().map(|e| json!({ "from": e.from, "to": e.to, "before": e.before, "after": e.after }));
     let warnings = report.warnings.iter().map(|w| json!({ "node": w.node, "item": w.item, "message": w.message }));
-    let recorded = recorded.map(|counts| -> Json {
-        counts.iter().map(|(wire, (items, values))| json!({ "wire": wire, "items": items, "values": values })).collect()
+    let recording = recorded.map(|recorded| match recorded {
+        Ok(counts) => {
+            let wires = counts.iter();
+            let wires = wires.map(|(wire, (items, values))| json!({ "wire": wire, "items": items, "values": values }));
+            json!({
+                "format_version": FORMAT_VERSION,
+                "sources": if plan.recording.sources == Sources::Hashes { "hashes" } else { "wires" },
+                "compression": plan.recording.compression.name(),
+                "wires": wires.collect::<Json>(),
+            })
+        }
+        Err(error) => json!({ "error": error.to_string() }),
     });
     json!({
         "graph": { "name": plan.name, "file": plan.path.display().to_string(), "seed": plan.seed },
@@ -59,17 +69,39 @@ pub(crate) fn manifest(
         "command": options.command,
         "workers": options.workers,
         "inputs": inputs,
+        "plugins": [],
         "nodes": nodes.collect::<Json>(),
         "links": links.collect::<Json>(),
         "enlargements": enlargements.collect::<Json>(),
         "warnings": warnings.collect::<Json>(),
-        "recorded": recorded,
+        "recording": recording,
         "resolved_graph": plan.resolved,
     })
 }
 
 fn ms(time: Duration) -> f64 {
     (time.as_nanos() as f64 / 1e3).round() / 1e3
+}
+
+/// The hashes of a run's input files, computed on a thread of their own.
+pub(crate) struct Hashes {
+    thread: Option<JoinHandle<Vec<Json>>>,
+    done: Vec<Json>,
+}
+
+impl Hashes {
+    pub(crate) fn begin(plan: &Plan) -> Self {
+        let files = plan.input_files.clone();
+        Self { thread: Some(thread::spawn(move || hashes(&files))), done: Vec::new() }
+    }
+
+    /// All of them, once they are there.
+    pub(crate) fn done(&mut self) -> &[Json] {
+        if let Some(hashes) = self.thread.take().and_then(|thread| thread.join().ok()) {
+            self.done = hashes;
+        }
+        &self.done
+    }
 }
 
 /// Each input file with its size and SHA-256; a folder stands for the files in it, by name.
@@ -105,7 +137,7 @@ fn entry(path: &Path) -> Json {
 }
 
 /// A file's size and its SHA-256 in hexadecimal.
-fn sha256(path: &Path) -> io::Result<(u64, String)> {
+pub(crate) fn sha256(path: &Path) -> io::Result<(u64, String)> {
     let mut file = File::open(path)?;
     let (mut hasher, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);
     loop {

@@ -1,5 +1,6 @@
 //! What `check` hands to `run`: a graph whose every name has been resolved and every fault found.
 
+use crate::record::Compression;
 use osteoflow_node::{DeclaredPort, InputPort, PortPayload, Role};
 use std::{path::PathBuf, sync::Arc};
 
@@ -18,12 +19,41 @@ pub struct Plan {
     pub links: Vec<Link>,
     /// The outputs to record: those named by `[record]`, and every source's.
     pub record: Vec<OutputId>,
+    /// How they are recorded.
+    pub recording: RecordSettings,
     /// What `results.json` holds, in the order of the file.
     pub results: Vec<ResultEntry>,
     /// The files that parameters name, absolute.
     pub input_files: Vec<PathBuf>,
     /// The graph as it runs, after `extends`, `--set` and defaults, as the text of a graph file with absolute paths.
     pub resolved: String,
+}
+
+/// How wires are recorded: what `[record]` says beside their names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RecordSettings {
+    /// What a replay has of the sources.
+    pub sources: Sources,
+    /// How the file is packed.
+    pub compression: Compression,
+    /// Whether payloads with a picture for viewers are written as pictures too.
+    pub views: bool,
+}
+
+impl Default for RecordSettings {
+    fn default() -> Self {
+        Self { sources: Sources::Wires, compression: Compression::default(), views: true }
+    }
+}
+
+/// What a replay has of the sources.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Sources {
+    /// Their items.
+    #[default]
+    Wires,
+    /// The hashes of the files they read, which are read again; what reads no file is run again.
+    Hashes,
 }
 
 /// A node of the plan.

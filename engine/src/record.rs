@@ -1,24 +1,40 @@
 //! Writes `run.mcap`: a tap on the recorded wires that never changes what flows.
 //!
-//! Items are cheap handles; views are made, compressed and written on a thread of their own, so that a node waits only
-//! when the disk is slower than the graph. Each wire has an exact channel, `/exact/<node.port>`, and beside it, where
-//! its payload has a picture for viewers, `/view/<node.port>`.
+//! Items are cheap handles; views are made, packed and written on a thread of their own, so that a node waits only when
+//! the disk is slower than the graph. Each wire has an exact channel, `/exact/<node.port>`, and beside it, where its
+//! payload has a picture for viewers, `/view/<node.port>`. When nodes fired stands on `/run/timing`, what policies
+//! dropped on `/run/drops`.
+//!
+//! What a replay needs stands at the front, and what waits is written as a chunk several times a second: a run that is
+//! killed leaves a recording that can be read, and replayed, up to its last whole chunk.
+
+mod mcap_file;
+mod queue;
+mod sink;
+
+pub use mcap_file::Compression;
+pub(crate) use mcap_file::Parts;
 
 use crate::{
-    codec,
-    plan::{OutputId, Plan},
+    plan::{OutputId, Plan, Sources},
     run::{RunOptions, Tap, catch_panic},
 };
-use crossbeam_channel::{Receiver, Sender, bounded};
-use mcap::{Compression, McapError, WriteOptions, Writer, records::MessageHeader, records::Metadata};
-use osteoflow_node::{Body, Item, PortPayload, StampNs};
+use mcap_file::McapFile;
+use osteoflow_node::{Body, Item};
+use queue::Queue;
 use serde_json::Value as Json;
+use sink::{Sink, Stopped};
 use std::{
     collections::BTreeMap,
     fs::File,
-    io::BufWriter,
+    io,
     path::{Path, PathBuf},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
     thread::JoinHandle,
+    time::{Duration, Instant},
 };
 
 /// The version of the recording's own records; raised when older readers cannot take them.
@@ -29,19 +45,27 @@ pub const EXACT_ENCODING: &str = "osteoflow-view";
 pub const EXACT_TOPIC: &str = "/exact/";
 /// What the topics of channels for viewers begin with.
 pub const VIEW_TOPIC: &str = "/view/";
-/// The metadata record that names the graph, its seed and the program.
+/// The metadata record that names the graph, its seed and the version of the engine.
 pub const RUN_METADATA: &str = "osteoflow";
+/// The metadata record that tells of the program and the machine.
+pub const PROGRAM_METADATA: &str = "osteoflow.program";
+/// The metadata record with the SHA-256 of each input file; at the front where sources are known by it, else at the end.
+pub const INPUTS_METADATA: &str = "osteoflow.inputs";
+/// The metadata record with the SHA-256 of each plugin.
+pub const PLUGINS_METADATA: &str = "osteoflow.plugins";
 /// The metadata record that counts the items of each wire; only a recording that was finished has it.
 pub const WIRES_METADATA: &str = "osteoflow.wires";
 /// The metadata record that holds the results, and the constants among them.
 pub const OUTCOME_METADATA: &str = "osteoflow.outcome";
 
-/// How many items wait for the writer at most.
-const QUEUE: usize = 32;
-/// Chunks of this size compress well and lose little where a file is cut short.
-const CHUNK_BYTES: u64 = 1 << 20;
-/// Measured coordinates hardly compress; more effort buys time lost and no space.
-const ZSTD_LEVEL: u32 = 1;
+/// How often the writer looks for what has come.
+const PATIENCE: Duration = Duration::from_millis(20);
+/// What waits no longer than this is written as a chunk, however short: so much a kill can take away.
+const FLUSH_EVERY: Duration = Duration::from_millis(200);
+/// Constants wait so long for a stamp that is a time; a viewer is then shown them at the first nanosecond.
+const WAIT_FOR_TIME: Duration = Duration::from_secs(2);
+/// So many firings are handed over at once.
+const FIRINGS: usize = 4096;
 
 /// A recording that could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -52,15 +76,15 @@ pub enum RecordError {
         /// The file.
         path: PathBuf,
         /// Why.
-        source: std::io::Error,
+        source: io::Error,
     },
     /// The file could not be written to its end.
-    #[error("cannot write {}: {}; what came before may be whole", .path.display(), told(.source))]
+    #[error("cannot write {}: {source}; the run was ended, and what was recorded before is whole", .path.display())]
     Write {
         /// The file.
         path: PathBuf,
         /// Why.
-        source: McapError,
+        source: io::Error,
     },
     /// A payload could not show itself.
     #[error("cannot write {}: the view of a payload {said}", .path.display())]
@@ -70,13 +94,30 @@ pub enum RecordError {
         /// The panic, with the wire.
         said: String,
     },
-}
-
-fn told(error: &McapError) -> String {
-    match error {
-        McapError::Io(io) => io.to_string(),
-        other => other.to_string(),
-    }
+    /// An item is longer than any reader takes.
+    #[error(
+        "cannot write {}: item {number} of {wire} has {n_bytes} bytes, and a recording holds items of up to a gigabyte; \
+         take the wire out of [record]",
+        .path.display()
+    )]
+    TooLong {
+        /// The file.
+        path: PathBuf,
+        /// The wire.
+        wire: String,
+        /// The item's number.
+        number: u64,
+        /// Its length.
+        n_bytes: usize,
+    },
+    /// A file that a source reads cannot be hashed, so that the recording could not name it.
+    #[error("cannot read {path} to name it in the recording: {reason}")]
+    Input {
+        /// The file.
+        path: String,
+        /// Why.
+        reason: String,
+    },
 }
 
 /// What a finished recording holds of each wire: items, and how many of them are values.
@@ -85,210 +126,212 @@ pub(crate) type Counts = BTreeMap<String, (u64, u64)>;
 /// A recording under way.
 pub(crate) struct Recorder {
     path: PathBuf,
-    queue: Sender<Entry>,
+    shared: Arc<Shared>,
     writer: JoinHandle<Result<Counts, Stopped>>,
 }
 
+/// What those who record and the writer look at.
+struct Shared {
+    queue: Queue<Entry>,
+    firings: Mutex<Vec<Firing>>,
+    /// Set when the writer fails: the run then ends.
+    cancelled: Arc<AtomicBool>,
+}
+
+/// What waits for the writer.
+enum Entry {
+    Item(OutputId, Item),
+    Firings(Vec<Firing>),
+    Dropped(usize, u64),
+    /// Metadata that ends the recording.
+    End(Vec<(&'static str, BTreeMap<String, String>)>),
+}
+
+/// A node's firing by the wall clock.
+struct Firing {
+    node: usize,
+    item: u64,
+    /// Since the run began.
+    began: Duration,
+    took: Duration,
+}
+
 impl Recorder {
-    /// Begins a recording with the graph and the channels of its recorded wires.
-    pub(crate) fn create(path: &Path, plan: &Plan) -> Result<Self, RecordError> {
-        let file = File::create(path).map_err(|source| RecordError::Create { path: path.into(), source })?;
+    /// Begins a recording with the graph and the channels of its recorded wires; `inputs` are the hashes of the files
+    /// that sources read, where a replay is to know them by these.
+    pub(crate) fn create(
+        path: &Path,
+        plan: &Plan,
+        options: &RunOptions,
+        inputs: Option<&[Json]>,
+    ) -> Result<Self, RecordError> {
+        let create = |source| RecordError::Create { path: path.into(), source };
         let write = |source| RecordError::Write { path: path.into(), source };
-        let mut sink = Sink::begin(file, plan).map_err(write)?;
-        let (queue, items): (_, Receiver<Entry>) = bounded(QUEUE);
+        let inputs = inputs.map(named_inputs).transpose()?;
+        let file = File::create(path).map_err(create)?;
+        let sink = begin(file, plan, options, inputs).map_err(write)?;
+        let shared =
+            Arc::new(Shared { queue: Queue::new(), firings: Mutex::default(), cancelled: options.cancelled.clone() });
+        let (seen, path) = (shared.clone(), path.to_owned());
         let writer = std::thread::Builder::new().name("recorder".into()).spawn(move || {
-            let mut outcome = BTreeMap::new();
-            let written = items.iter().try_for_each(|entry| match entry {
-                Entry::Item(wire, item) => catch_panic(|| sink.item(wire, &item)).map_err(Stopped::Panic)?,
-                Entry::Outcome(metadata) => {
-                    outcome = metadata;
-                    Ok(())
-                }
-            });
-            match written.and_then(|()| sink.end(outcome)) {
-                Ok(()) => Ok(sink.counts()),
-                Err(stopped) => {
-                    // What is whole stays: the chunks and, where the disk lets it, the summary.
-                    drop(sink);
-                    Err(stopped)
-                }
+            let written = catch_panic(|| record(sink, &seen)).unwrap_or_else(|said| Err(Stopped::Panic(said)));
+            if written.is_err() {
+                // Nobody waits for a writer that is gone, and a run that leaves no recording goes on for nothing.
+                seen.queue.die();
+                seen.cancelled.store(true, Ordering::Relaxed);
             }
+            written
         });
-        let writer = writer.map_err(|source| RecordError::Create { path: path.into(), source })?;
-        Ok(Self { path: path.into(), queue, writer })
+        Ok(Self { shared, writer: writer.map_err(create)?, path })
     }
 
     /// Writes what waits and what came of the run, and closes the file.
-    pub(crate) fn finish(self, status: &str, results: &Json, options: &RunOptions) -> Result<Counts, RecordError> {
+    pub(crate) fn finish(
+        self,
+        status: &str,
+        results: &Json,
+        options: &RunOptions,
+        inputs: Option<&[Json]>,
+    ) -> Result<Counts, RecordError> {
         let fixed: Json = options.fixed_results.iter().cloned().collect::<serde_json::Map<_, _>>().into();
         let outcome = BTreeMap::from([
             ("status".into(), status.into()),
             ("results".into(), results.to_string()),
             ("fixed_results".into(), fixed.to_string()),
         ]);
-        // If the writer has stopped, it says why below.
-        let _ = self.queue.send(Entry::Outcome(outcome));
-        drop(self.queue);
-        let path = self.path;
+        let mut end = vec![(OUTCOME_METADATA, outcome)];
+        end.extend(inputs.map(|inputs| (INPUTS_METADATA, all_inputs(inputs))));
+        let queue = &self.shared.queue;
+        queue.put(Entry::Firings(self.shared.take_firings()), 0);
+        queue.put(Entry::End(end), 0);
+        queue.close();
         match self.writer.join() {
-            Ok(Ok(counts)) => Ok(counts),
-            Ok(Err(Stopped::Mcap(source))) => Err(RecordError::Write { path, source }),
-            Ok(Err(Stopped::Panic(said))) => Err(RecordError::Panicked { path, said }),
-            Err(_) => Err(RecordError::Panicked { path, said: "panicked".into() }),
+            Ok(written) => written.map_err(|stopped| stopped.told(&self.path)),
+            Err(_) => Err(RecordError::Panicked { path: self.path, said: "panicked".into() }),
         }
     }
 }
 
-/// What ends a writer before its time.
-enum Stopped {
-    Mcap(McapError),
-    Panic(String),
-}
-
-impl From<McapError> for Stopped {
-    fn from(error: McapError) -> Self {
-        Self::Mcap(error)
+impl Shared {
+    fn take_firings(&self) -> Vec<Firing> {
+        std::mem::take(&mut *self.firings.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
 impl Tap for Recorder {
     fn item(&self, wire: OutputId, item: &Item) {
-        // If the writer has stopped, `finish` says why.
-        let _ = self.queue.send(Entry::Item(wire, item.clone()));
+        let n_bytes = match &item.body {
+            Body::Value(value) => value.n_bytes(),
+            Body::Empty(empty) => empty.reason.len(),
+        };
+        self.shared.queue.put(Entry::Item(wire, item.clone()), n_bytes);
+    }
+
+    fn fired(&self, node: usize, item: u64, began: Duration, took: Duration) {
+        let mut firings = self.shared.firings.lock().unwrap_or_else(PoisonError::into_inner);
+        firings.push(Firing { node, item, began, took });
+        if firings.len() >= FIRINGS {
+            let all = std::mem::take(&mut *firings);
+            drop(firings);
+            self.shared.queue.put(Entry::Firings(all), FIRINGS * size_of::<Firing>());
+        }
+    }
+
+    fn dropped(&self, link: usize, number: u64) {
+        self.shared.queue.put(Entry::Dropped(link, number), 0);
     }
 }
 
-/// What waits for the writer.
-enum Entry {
-    Item(OutputId, Item),
-    Outcome(BTreeMap<String, String>),
-}
-
-/// The file and its channels.
-struct Sink {
-    writer: Writer<BufWriter<File>>,
-    wires: BTreeMap<OutputId, Wire>,
-    /// The first stamp that is a time: when a constant, which has none, is shown to viewers.
-    first_stamp: Option<StampNs>,
-    /// Constants that wait for it.
-    waiting: Vec<(OutputId, Item)>,
-}
-
-struct Wire {
-    name: String,
-    exact: u16,
-    view: Option<u16>,
-    payload: PortPayload,
-    n_items: u64,
-    n_values: u64,
-}
-
-impl Sink {
-    fn begin(file: File, plan: &Plan) -> Result<Self, McapError> {
-        let options = WriteOptions::new()
-            .profile("osteoflow")
-            .library(concat!("osteoflow ", env!("CARGO_PKG_VERSION")))
-            .compression(Some(Compression::Zstd))
-            .compression_level(ZSTD_LEVEL)
-            .compression_threads(0)
-            .chunk_size(Some(CHUNK_BYTES));
-        let mut writer = options.create(BufWriter::new(file))?;
-        writer.write_metadata(&Metadata {
-            name: RUN_METADATA.into(),
-            metadata: BTreeMap::from([
-                ("format_version".into(), FORMAT_VERSION.to_string()),
-                ("graph".into(), plan.resolved.clone()),
-                ("graph_file".into(), plan.path.display().to_string()),
-                ("name".into(), plan.name.clone()),
-                ("seed".into(), plan.seed.to_string()),
-                ("version".into(), env!("CARGO_PKG_VERSION").into()),
-            ]),
-        })?;
-        let mut wires = BTreeMap::new();
-        for &id in &plan.record {
-            let node = &plan.nodes[id.node];
-            let name = plan.wire_name(id);
-            let (payload, version, display) = match node.outputs[id.port].payload {
-                PortPayload::Type(ty) => (ty.name, ty.version, ty.display()),
-                PortPayload::Any => ("any", 0, None),
-            };
-            let schema =
-                writer.add_schema(&format!("{payload}@{version}"), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
-            let about = BTreeMap::from([
-                ("node".into(), node.name.to_string()),
-                ("port".into(), node.outputs[id.port].name.clone()),
-                ("kind".into(), node.kind.clone()),
-                ("payload".into(), payload.into()),
-                ("version".into(), version.to_string()),
-                ("source".into(), (!matches!(node.role, osteoflow_node::Role::Node)).to_string()),
-            ]);
-            let exact = writer.add_channel(schema, &format!("{EXACT_TOPIC}{name}"), EXACT_ENCODING, &about)?;
-            let view = match display {
-                Some(d) => {
-                    let schema = writer.add_schema(&d.schema_name, &d.schema_encoding, &d.schema_data)?;
-                    let topic = format!("{VIEW_TOPIC}{name}");
-                    Some(writer.add_channel(schema, &topic, &d.message_encoding, &BTreeMap::new())?)
-                }
-                None => None,
-            };
-            wires.insert(
-                id,
-                Wire { name, exact, view, payload: node.outputs[id.port].payload, n_items: 0, n_values: 0 },
-            );
-        }
-        Ok(Self { writer, wires, first_stamp: None, waiting: Vec::new() })
+/// The file with everything that is known before the run.
+fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<Texts>) -> io::Result<Sink> {
+    let library = concat!("osteoflow ", env!("CARGO_PKG_VERSION"));
+    let mut file = McapFile::begin(file, library, plan.recording.compression)?;
+    let sources = match plan.recording.sources {
+        Sources::Wires => "wires",
+        Sources::Hashes => "hashes",
+    };
+    file.metadata(
+        RUN_METADATA,
+        &BTreeMap::from([
+            ("format_version".into(), FORMAT_VERSION.to_string()),
+            ("graph".into(), plan.resolved.clone()),
+            ("graph_file".into(), plan.path.display().to_string()),
+            ("name".into(), plan.name.clone()),
+            ("seed".into(), plan.seed.to_string()),
+            ("sources".into(), sources.into()),
+            ("version".into(), env!("CARGO_PKG_VERSION").into()),
+        ]),
+    )?;
+    let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    let program = options.command.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
+    file.metadata(PROGRAM_METADATA, &program.map(|(key, value)| (key.clone(), text(value))).collect())?;
+    file.metadata(PLUGINS_METADATA, &Texts::new())?;
+    if let Some(inputs) = inputs {
+        file.metadata(INPUTS_METADATA, &inputs)?;
     }
+    let mut sink = Sink::begin(file, plan)?;
+    // From here on a file that is cut short tells which wires it was to hold.
+    sink.file.flush()?;
+    Ok(sink)
+}
 
-    fn item(&mut self, id: OutputId, item: &Item) -> Result<(), Stopped> {
-        let Some(wire) = self.wires.get_mut(&id) else { return Ok(()) };
-        wire.n_items += 1;
-        wire.n_values += u64::from(matches!(item.body, Body::Value(_)));
-        if item.stamp_ns > 0 && self.first_stamp.is_none() {
-            self.first_stamp = Some(item.stamp_ns);
-            self.write_waiting(item.stamp_ns)?;
+type Texts = BTreeMap<String, String>;
+
+/// The hash of each file.
+fn named_inputs(inputs: &[Json]) -> Result<Texts, RecordError> {
+    if let Some(unread) = inputs.iter().find(|input| input["sha256"].as_str().is_none()) {
+        let text = |key: &str| unread[key].as_str().unwrap_or("unknown").to_owned();
+        return Err(RecordError::Input { path: text("path"), reason: text("error") });
+    }
+    Ok(all_inputs(inputs))
+}
+
+/// The hash of each file, or why there is none.
+fn all_inputs(inputs: &[Json]) -> Texts {
+    let entry = |input: &Json| {
+        let text = |key: &str| input[key].as_str().map(str::to_owned);
+        let hash = text("sha256").or_else(|| Some(format!("unread: {}", text("error")?)));
+        Some((text("path")?, hash?))
+    };
+    inputs.iter().filter_map(entry).collect()
+}
+
+/// The writer's life: until the queue is closed and empty, or the file takes nothing more.
+fn record(mut sink: Sink, shared: &Shared) -> Result<Counts, Stopped> {
+    let mut flushed = Instant::now();
+    let began = flushed;
+    let mut end = Vec::new();
+    loop {
+        let (batch, closed) = shared.queue.take(PATIENCE);
+        if batch.is_empty() && closed {
+            break;
         }
-        match self.first_stamp {
-            Some(first) => self.write(id, item, if item.stamp_ns > 0 { item.stamp_ns } else { first }),
-            None => {
-                self.waiting.push((id, item.clone()));
-                Ok(())
+        let mut drops = Vec::new();
+        for (entry, n_bytes) in batch {
+            match entry {
+                Entry::Item(wire, item) => sink.item(wire, item, n_bytes)?,
+                Entry::Firings(firings) => sink.firings(&firings)?,
+                Entry::Dropped(link, number) => drops.push((link, number)),
+                Entry::End(metadata) => end = metadata,
             }
+            shared.queue.release(n_bytes);
+        }
+        sink.drops(&drops)?;
+        if flushed.elapsed() >= FLUSH_EVERY {
+            sink.firings(&shared.take_firings())?;
+            if sink.waits_for_time() && began.elapsed() >= WAIT_FOR_TIME {
+                sink.begin_time(1)?;
+            }
+            sink.file.flush()?;
+            flushed = Instant::now();
         }
     }
-
-    fn write_waiting(&mut self, log_time_ns: StampNs) -> Result<(), Stopped> {
-        let waiting = std::mem::take(&mut self.waiting);
-        waiting.iter().try_for_each(|(id, item)| self.write(*id, item, log_time_ns))
-    }
-
-    /// Writes an item and its picture. The exact message holds the stamp as it is, zero and negative ones too; its log
-    /// time is one that viewers take.
-    fn write(&mut self, id: OutputId, item: &Item, log_time_ns: StampNs) -> Result<(), Stopped> {
-        let Wire { exact, view, payload, .. } = self.wires[&id];
-        self.writer.write_to_known_channel(&header(exact, item, log_time_ns), &codec::encode_on(payload, item))?;
-        let (Some(channel), Body::Value(value)) = (view, &item.body) else { return Ok(()) };
-        let Some(picture) = value.to_display(log_time_ns) else { return Ok(()) };
-        Ok(self.writer.write_to_known_channel(&header(channel, item, log_time_ns), &picture)?)
-    }
-
-    fn end(&mut self, outcome: BTreeMap<String, String>) -> Result<(), Stopped> {
-        // Viewers take no time of zero; a run without any time is shown at its first nanosecond.
-        self.write_waiting(self.first_stamp.unwrap_or(1))?;
-        let counts = self.wires.values();
-        let counts = counts.map(|w| (w.name.clone(), format!("{} items, {} values", w.n_items, w.n_values)));
-        let metadata = counts.collect();
-        self.writer.write_metadata(&Metadata { name: WIRES_METADATA.into(), metadata })?;
-        self.writer.write_metadata(&Metadata { name: OUTCOME_METADATA.into(), metadata: outcome })?;
-        self.writer.finish()?;
-        Ok(())
-    }
-
-    fn counts(&self) -> Counts {
-        self.wires.values().map(|w| (w.name.clone(), (w.n_items, w.n_values))).collect()
-    }
-}
-
-fn header(channel_id: u16, item: &Item, log_time_ns: StampNs) -> MessageHeader {
-    let time = log_time_ns as u64;
-    MessageHeader { channel_id, sequence: item.number as u32, log_time: time, publish_time: time }
+    // Viewers take no time of zero; a run without any time is shown at its first nanosecond.
+    sink.begin_time(1)?;
+    let counts = sink.counts();
+    let told = |(items, values): &(u64, u64)| format!("{items} items, {values} values");
+    sink.file.metadata(WIRES_METADATA, &counts.iter().map(|(wire, n)| (wire.clone(), told(n))).collect())?;
+    end.iter().try_for_each(|(name, metadata)| sink.file.metadata(name, metadata))?;
+    sink.file.finish()?;
+    Ok(counts)
 }

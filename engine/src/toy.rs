@@ -261,6 +261,7 @@ impl Toy {
                 nodes: Vec::new(),
                 links: Vec::new(),
                 record: Vec::new(),
+                recording: Default::default(),
                 results: Vec::new(),
                 input_files: Vec::new(),
                 resolved: "[graph]\nname = \"toy\"\n".into(),

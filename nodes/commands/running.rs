@@ -42,9 +42,16 @@ pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>
 
 /// What the manifest says of the program and the machine; determinism is promised for equal features.
 fn about_command() -> serde_json::Value {
+    let revision = env!("OSTEOFLOW_BUILD_GIT_REVISION");
     json!({
         "name": "osteoflow",
         "version": env!("CARGO_PKG_VERSION"),
+        "git_revision": if revision.is_empty() { serde_json::Value::Null } else { revision.into() },
+        "compiler": env!("OSTEOFLOW_BUILD_COMPILER"),
+        "target": env!("OSTEOFLOW_BUILD_TARGET"),
+        "target_features": env!("OSTEOFLOW_BUILD_TARGET_FEATURES"),
+        "rustflags": env!("OSTEOFLOW_BUILD_RUSTFLAGS"),
+        "opt_level": env!("OSTEOFLOW_BUILD_OPT_LEVEL"),
         "profile": if cfg!(debug_assertions) { "debug" } else { "release" },
         "arguments": std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>(),
         "os": std::env::consts::OS,

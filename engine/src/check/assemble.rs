@@ -55,6 +55,7 @@ impl Net<'_> {
             nodes,
             links,
             record,
+            recording: self.record.settings,
             results: self.results.iter().map(result).collect(),
             input_files,
             resolved: resolved::text(self),

@@ -7,24 +7,52 @@ use super::{
 use crate::{
     fault::Fault,
     graph::{Graph, Value},
+    plan::{RecordSettings, Sources},
+    record::Compression,
 };
 
 /// What `[record]` asks for.
 pub(super) struct Record {
     /// The wires, in the order of the drafts and their ports.
     pub(super) wires: Vec<Wire>,
+    pub(super) settings: RecordSettings,
 }
 
 impl Check<'_> {
-    /// The wires to record: every source's, unless `sources = false`, and those that a pattern of `wires` fits.
+    /// The wires to record: every source's, unless `sources` says otherwise, and those that a pattern of `wires` fits.
     pub(super) fn record(&mut self, graph: &Graph, drafts: &[Draft<'_>]) -> Record {
         let mut sources = true;
+        let mut settings = RecordSettings::default();
         let mut patterns = Vec::new();
         let table = graph.table.get("record").and_then(|e| take::table(&e.value, "record", &mut self.faults));
         if let Some(table) = table {
-            take::only(table, &["wires", "sources"], "[record]", &mut self.faults);
+            take::only(table, &["wires", "sources", "compression", "views"], "[record]", &mut self.faults);
             if let Some(entry) = table.get("sources") {
-                sources = take::boolean(&entry.value, "sources", &mut self.faults).unwrap_or(true);
+                match &entry.value.value {
+                    Value::Bool(recorded) => sources = *recorded,
+                    Value::Text(text) if text == "hash" => {
+                        (sources, settings.sources) = (false, Sources::Hashes);
+                    }
+                    _ => {
+                        let message = format!("sources takes true, false or \"hash\", found {}", entry.value.found());
+                        let help = "\"hash\" names the files that sources read by SHA-256 and does not copy them";
+                        self.faults.push(Fault::new(message).at(&entry.value.at, "not known").help(help));
+                    }
+                }
+            }
+            if let Some(entry) = table.get("compression") {
+                let ways = Compression::ALL.map(|way| format!("\"{}\"", way.name())).join(", ");
+                match take::text(&entry.value, "compression", &mut self.faults).map(Compression::of_name) {
+                    Some(Some(way)) => settings.compression = way,
+                    Some(None) => {
+                        let message = format!("compression takes one of {ways}, found {}", entry.value.found());
+                        self.faults.push(Fault::new(message).at(&entry.value.at, "not known"));
+                    }
+                    None => {}
+                }
+            }
+            if let Some(entry) = table.get("views") {
+                settings.views = take::boolean(&entry.value, "views", &mut self.faults).unwrap_or(true);
             }
             if let Some(entry) = table.get("wires") {
                 match &entry.value.value {
@@ -68,6 +96,6 @@ impl Check<'_> {
             }
         }
         let wires = all.into_iter().zip(chosen).filter_map(|(wire, chosen)| chosen.then_some(wire)).collect();
-        Record { wires }
+        Record { wires, settings }
     }
 }

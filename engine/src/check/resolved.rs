@@ -1,7 +1,7 @@
 //! The graph as it runs, as the text of a graph file.
 
 use super::{assemble::Net, drafts::Draft, inputs::Input, wires};
-use crate::plan::{OnError, Policy, PortFrames};
+use crate::plan::{OnError, Policy, PortFrames, RecordSettings, Sources};
 use osteoflow_node::Join;
 use serde_json::Value as Json;
 use std::fmt::Write;
@@ -24,7 +24,10 @@ pub(super) fn text(net: &Net<'_>) -> String {
     }
     line(&mut out, "\n[record]");
     // Every wire is named, the sources' as well.
-    line(&mut out, "sources = false");
+    let RecordSettings { sources, compression, views } = net.record.settings;
+    line(&mut out, if sources == Sources::Hashes { "sources = \"hash\"" } else { "sources = false" });
+    line(&mut out, &format!("compression = {}", quote(compression.name())));
+    line(&mut out, &format!("views = {views}"));
     let wires = net.record.wires.iter().map(|wire| quote(&wires::name(*wire, &net.drafts)));
     line(&mut out, &format!("wires = {}", list(wires)));
     line(&mut out, "\n[results]");

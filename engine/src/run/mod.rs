@@ -21,8 +21,8 @@ pub use report::{
 pub(crate) use runtime::{Replayed, Substitutes, Tap, refusal};
 
 use crate::{
-    manifest,
-    plan::Plan,
+    manifest::{self, Hashes},
+    plan::{Plan, Sources},
     record::Recorder,
     results::{self, Ended},
 };
@@ -61,13 +61,14 @@ pub(crate) fn run_with(
     if let Some(dir) = out_dir {
         std::fs::create_dir_all(dir).map_err(|source| RunError::Write { path: dir.into(), source })?;
     }
-    // Hashing the inputs takes as long as reading them; it goes beside the run.
-    let hashes = out_dir.map(|_| {
-        let files = plan.input_files.clone();
-        std::thread::spawn(move || manifest::hashes(&files))
-    });
+    // Hashing the inputs takes as long as reading them; it goes beside the run, unless the recording begins with it.
+    let mut hashes = out_dir.map(|_| Hashes::begin(plan));
     let recorder = match out_dir.filter(|_| options.record) {
-        Some(dir) => Some(Recorder::create(&dir.join("run.mcap"), plan)?),
+        Some(dir) => {
+            let by_hash = plan.recording.sources == Sources::Hashes;
+            let inputs = hashes.as_mut().filter(|_| by_hash).map(|hashes| hashes.done());
+            Some(Recorder::create(&dir.join("run.mcap"), plan, options, inputs)?)
+        }
         None => None,
     };
     let taps: Vec<&dyn Tap> = recorder.iter().map(|r| r as &dyn Tap).chain(tap).collect();
@@ -75,19 +76,24 @@ pub(crate) fn run_with(
     runtime.run();
     let ended = runtime.into_ended();
     drop(taps);
-    let (outcome, results) = results::collect(plan, options, &ended);
-    let recorded = recorder.map(|recorder| recorder.finish(outcome.status(), &results, options)).transpose();
+    let (outcome, mut results) = results::collect(plan, options, &ended);
+    let inputs = hashes.as_mut().map(|hashes| hashes.done()).unwrap_or_default();
+    let recorded = recorder.map(|recorder| {
+        let at_end = (plan.recording.sources != Sources::Hashes).then_some(inputs);
+        recorder.finish(outcome.status(), &results, options, at_end)
+    });
+    if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
+        // It was not the user who stopped the run.
+        results["refused"] = serde_json::json!({ "reason": error.to_string() });
+    }
     let report = report_of(plan, ended, outcome, results);
     if let Some(dir) = out_dir {
         write_json(&dir.join("results.json"), &report.results)?;
-        let hashes = hashes.and_then(|thread| thread.join().ok()).unwrap_or_default();
-        let recorded = recorded.as_ref().ok().and_then(Option::as_ref);
-        write_json(
-            &dir.join("manifest.json"),
-            &manifest::manifest(plan, options, &report, recorded, hashes, began, SystemTime::now()),
-        )?;
+        let times = (began, SystemTime::now());
+        let manifest = manifest::manifest(plan, options, &report, recorded.as_ref(), inputs, times);
+        write_json(&dir.join("manifest.json"), &manifest)?;
     }
-    recorded?;
+    recorded.transpose()?;
     Ok(report)
 }
 

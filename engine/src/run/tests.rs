@@ -416,7 +416,7 @@ fn a_run_leaves_results_manifest_and_a_recording_that_replays_to_the_same() {
     assert_eq!(manifest["outcome"]["status"], "complete");
     assert_eq!(manifest["inputs"][0]["sha256"].as_str().unwrap()[..8], *"ba7816bf");
     assert_eq!(manifest["links"][0]["from"], "recording.p1");
-    assert_eq!(manifest["recorded"][0], json!({ "wire": "fit.out", "items": 1, "values": 1 }));
+    assert_eq!(manifest["recording"]["wires"][0], json!({ "wire": "fit.out", "items": 1, "values": 1 }));
 
     let recording = Recording::open(&out.join("run.mcap")).unwrap();
     assert_eq!((recording.name.as_str(), recording.seed, &recording.truncated), ("toy", 7, &None));
@@ -492,6 +492,7 @@ fn viewers_see_constants_at_the_first_time_of_the_run() {
         ("/exact/add.out", (0, 5_000)),
         ("/exact/plan.p0", (0, 5_000)),
         ("/exact/scan.p0", (0, 5_000)),
+        ("/run/timing", (0, 5_000)),
         ("/view/add.out", (0, 5_000)),
         ("/view/plan.p0", (0, 5_000)),
         ("/view/scan.p0", (0, 5_000)),
