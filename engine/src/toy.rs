@@ -7,7 +7,11 @@ use osteoflow_node::{
     Outputs, ParamError, Payload, PortPayload, Registry, Source, View, ViewError, schemars, serde,
     serde_json::{self, Value as Json},
 };
-use std::sync::Arc;
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Condvar, Mutex},
+    time::{Duration, Instant},
+};
 
 /// A number.
 #[derive(Debug, Clone, PartialEq)]
@@ -91,6 +95,93 @@ pub(crate) struct ScriptParams {
     calls: Vec<Call>,
 }
 
+/// The same, live: with a delay that it promises between its ports, and what a device does beside answering.
+#[derive(Describe)]
+pub(crate) struct LiveScript {
+    script: Script,
+    max_delay_ns: i64,
+    silent_after_ms: u64,
+}
+
+#[derive(serde::Deserialize, schemars::JsonSchema)]
+#[serde(crate = "serde")]
+#[schemars(crate = "schemars")]
+pub(crate) struct LiveParams {
+    calls: Vec<Call>,
+    #[serde(default)]
+    max_delay_ns: i64,
+    #[serde(default = "hour")]
+    silent_after_ms: u64,
+}
+
+fn hour() -> u64 {
+    3_600_000
+}
+
+impl Source for LiveScript {
+    const KIND: &'static str = "toy.live";
+    const LIVE: bool = true;
+    type Params = LiveParams;
+    type Outputs = Declared<ScriptParams>;
+
+    fn new(params: LiveParams) -> Result<Self, ParamError> {
+        let script = Script { calls: params.calls.into_iter() };
+        Ok(Self { script, max_delay_ns: params.max_delay_ns, silent_after_ms: params.silent_after_ms })
+    }
+
+    fn max_delay_ns(&self) -> i64 {
+        self.max_delay_ns
+    }
+
+    fn silent_after(&self) -> Duration {
+        Duration::from_millis(self.silent_after_ms)
+    }
+
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Declared<ScriptParams>>, NodeError> {
+        match self.script.calls.as_slice().first().and_then(|call| call.device.as_deref()) {
+            Some(name) if name.starts_with("waits") => {
+                Gate::of(&format!("in {name}")).open();
+                assert!(!ctx.wait_until(Instant::now() + HOUR), "an hour has passed");
+                return Ok(None);
+            }
+            Some(name) if name.starts_with("deaf") => loop {
+                Gate::of(&format!("in {name}")).open();
+                std::thread::park();
+            },
+            Some("panics") => panic!("the device is on fire"),
+            Some(gate) => Gate::of(gate).pass(ctx),
+            None => {}
+        }
+        self.script.next(ctx)
+    }
+}
+
+const HOUR: Duration = Duration::from_secs(3600);
+
+/// Holds a node until a test opens it.
+#[derive(Clone, Default)]
+pub(crate) struct Gate(Arc<(Mutex<bool>, Condvar)>);
+
+impl Gate {
+    /// The gate of that name; tests run side by side, so that each takes names of its own.
+    pub(crate) fn of(name: &str) -> Self {
+        static GATES: Mutex<BTreeMap<String, Gate>> = Mutex::new(BTreeMap::new());
+        GATES.lock().unwrap().entry(name.into()).or_default().clone()
+    }
+
+    pub(crate) fn open(&self) {
+        *self.0.0.lock().unwrap() = true;
+        self.0.1.notify_all();
+    }
+
+    fn pass(&self, ctx: &Context) {
+        let mut open = self.0.0.lock().unwrap();
+        while !*open && !ctx.cancelled() {
+            open = self.0.1.wait_timeout(open, Duration::from_millis(10)).unwrap().0;
+        }
+    }
+}
+
 /// A call's stamp and what it gives on ports: a number, or null for an empty.
 #[derive(Clone, serde::Deserialize, schemars::JsonSchema)]
 #[serde(crate = "serde")]
@@ -100,6 +191,9 @@ struct Call {
     give: Vec<(usize, Option<f64>)>,
     #[serde(default)]
     fail: Option<String>,
+    /// `waits ..` or `deaf ..` to the wish to stop, either opens the gate `in ..`; `panics`; or the name of a gate to pass.
+    #[serde(default)]
+    device: Option<String>,
 }
 
 impl Source for Script {
@@ -152,12 +246,14 @@ pub(crate) struct AddParams {
     bad: bool,
     /// How long a firing takes.
     sleep_us: u64,
+    /// The gate that each firing passes.
+    gate: Option<String>,
 }
 
 #[allow(clippy::derivable_impls)]
 impl Default for AddParams {
     fn default() -> Self {
-        Self { noise: false, bad: false, sleep_us: 0 }
+        Self { noise: false, bad: false, sleep_us: 0, gate: None }
     }
 }
 
@@ -186,6 +282,9 @@ impl Node for Adder {
         use osteoflow_node::rand::RngExt;
         if self.0.sleep_us > 0 {
             std::thread::sleep(std::time::Duration::from_micros(self.0.sleep_us));
+        }
+        if let Some(gate) = &self.0.gate {
+            Gate::of(gate).pass(ctx);
         }
         if i.a.0 == 13.0 {
             return Err(NodeError::new("13 is not a number to add to"));
@@ -242,7 +341,7 @@ impl Node for Sum {
 pub(crate) fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Number, _>().payload::<Wave, _>();
-    registry.source::<Script>().node::<Adder>().node::<Sum>();
+    registry.source::<Script>().source::<LiveScript>().node::<Adder>().node::<Sum>();
     registry
 }
 
@@ -270,7 +369,12 @@ impl Toy {
     }
 
     /// A script with ports `p0`, `p1` ...
-    pub(crate) fn script(mut self, name: &str, n_ports: usize, calls: Json) -> Self {
+    pub(crate) fn script(self, name: &str, n_ports: usize, calls: Json) -> Self {
+        self.source(name, Script::KIND, n_ports, serde_json::json!({ "calls": calls }))
+    }
+
+    /// A source whose ports `p0`, `p1` ... the graph declares.
+    pub(crate) fn source(mut self, name: &str, kind: &str, n_ports: usize, params: Json) -> Self {
         let ty = registry().payload_type(Number::NAME).unwrap();
         let ports = (0..n_ports).map(|i| format!("p{i}"));
         let declared =
@@ -282,7 +386,7 @@ impl Toy {
             links: Vec::new(),
         });
         let (declared, outputs) = (declared.collect(), outputs.collect());
-        self.push(name, Script::KIND, serde_json::json!({ "calls": calls }), declared, outputs, Vec::new());
+        self.push(name, kind, params, declared, outputs, Vec::new());
         self
     }
 

@@ -1,8 +1,11 @@
 use crate::{DeclaredPort, Empty, StampNs};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
-use std::sync::{
-    Arc,
-    atomic::{AtomicBool, Ordering},
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
 };
 
 /// What a node may know of the run beside its inputs: its stamp, its item number, a seeded generator, and whether to stop.
@@ -105,6 +108,19 @@ impl Context {
     /// Whether the user asked to stop; a long computation looks now and then and returns an error.
     pub fn cancelled(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed)
+    }
+
+    /// For a live source: waits until then; `false` if the user asked to stop meanwhile.
+    pub fn wait_until(&self, then: Instant) -> bool {
+        /// Short enough for someone who waits for the run to stop.
+        const LOOK: Duration = Duration::from_millis(50);
+        while !self.cancelled() {
+            match then.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
+                Some(left) => std::thread::sleep(left.min(LOOK)),
+                None => return true,
+            }
+        }
+        false
     }
 
     /// Why an optional port got nothing at this firing.

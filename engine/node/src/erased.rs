@@ -1,6 +1,7 @@
 //! Nodes as the engine holds them: without their types.
 
-use crate::{Context, Emission, Inputs, Joined, Node, NodeError, Outputs, Source};
+use crate::{Context, Emission, Inputs, Joined, Node, NodeError, Outputs, Source, StampNs, traits::SILENT_AFTER};
+use std::time::Duration;
 
 /// A node of any kind.
 pub trait AnyNode: Send {
@@ -18,6 +19,16 @@ pub trait AnySource: Send {
     /// # Errors
     /// What the source says.
     fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError>;
+
+    /// What [`Source::max_delay_ns`] says.
+    fn max_delay_ns(&self) -> StampNs {
+        0
+    }
+
+    /// What [`Source::silent_after`] says.
+    fn silent_after(&self) -> Duration {
+        SILENT_AFTER
+    }
 }
 
 /// A built node or source.
@@ -41,5 +52,13 @@ impl<N: Node> AnyNode for Erased<N> {
 impl<S: Source> AnySource for Erased<S> {
     fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError> {
         Ok(self.0.next(ctx)?.map(|answer| answer.put(out)).is_some())
+    }
+
+    fn max_delay_ns(&self) -> StampNs {
+        self.0.max_delay_ns()
+    }
+
+    fn silent_after(&self) -> Duration {
+        self.0.silent_after()
     }
 }

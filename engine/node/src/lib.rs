@@ -92,7 +92,7 @@ pub use item::{Body, Emission, Empty, Item, Joined, Slot};
 pub use payload::{Display, Payload, PayloadType, Value};
 pub use port::{Declared, DeclaredPort, FrameExpr, InputPort, Join, OutputPort, OutputPorts, PortPayload, Unused};
 pub use registry::{Kind, Registry};
-pub use traits::{Describe, Emit, Inputs, Node, Outputs, Parameters, Source};
+pub use traits::{Describe, Emit, Inputs, Node, Outputs, Parameters, SILENT_AFTER, Source};
 pub use view::{Buffer, Column, ColumnType, Field, View, ViewError};
 
 /// Nanoseconds since the Unix epoch; 0 for what has no time.

@@ -3,6 +3,7 @@ use crate::{
 };
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
+use std::time::Duration;
 
 /// A stage of a graph: fires when its ports join, and answers a value or an empty on every output.
 pub trait Node: Describe + Send + Sized + 'static {
@@ -28,6 +29,10 @@ pub trait Node: Describe + Send + Sized + 'static {
     fn process(&mut self, inputs: Self::Inputs, ctx: &mut Context) -> Result<Self::Outputs, NodeError>;
 }
 
+/// After how long without an answer a live source counts as silent where it does not say so itself: 5 s, longer than any
+/// camera takes between two clouds, and short enough for someone who stands beside it.
+pub const SILENT_AFTER: Duration = Duration::from_secs(5);
+
 /// A node without inputs.
 pub trait Source: Describe + Send + Sized + 'static {
     /// `stage.variant`, as graph files name it.
@@ -45,7 +50,22 @@ pub trait Source: Describe + Send + Sized + 'static {
     /// [`ParamError`] for values that no single range can refuse.
     fn new(params: Self::Params) -> Result<Self, ParamError>;
 
+    /// For a live source: how far the stamp of an item on one port may lie behind the newest on any other, ns. Where its
+    /// other ports have come so far, nothing more is waited for on a port that stays silent; what comes later than that
+    /// is late, and an empty stands in its place. 0: all ports come in the order of their stamps.
+    fn max_delay_ns(&self) -> crate::StampNs {
+        0
+    }
+
+    /// For a live source: after how long without an answer the run says that it is silent.
+    fn silent_after(&self) -> Duration {
+        SILENT_AFTER
+    }
+
     /// The next answer, at the stamp given to [`Context::set_stamp_ns`]; `None` at the end. Ports may stay silent.
+    ///
+    /// A live source may wait for its device here, on a thread of its own. It notices the wish to stop
+    /// ([`Context::cancelled`], [`Context::wait_until`]) within half a second; else the run ends without it.
     ///
     /// # Errors
     /// [`NodeError`] if nothing more can be read.

@@ -50,9 +50,68 @@ const FIRINGS_TO_KNOW: u64 = 4;
 /// What the cell runs.
 pub(super) enum Core {
     Source(Box<dyn AnySource>),
+    /// Its source is on a thread of its own.
+    Live(LiveCore),
     Node(Box<dyn AnyNode>, Joiner),
     /// It has failed; what it was built of is gone.
     Gone(Option<Joiner>),
+}
+
+/// What the cell of a live source knows of it.
+pub(super) struct LiveCore {
+    /// No item comes later than so long after the newest.
+    max_delay_ns: StampNs,
+    /// The newest stamp of all outputs.
+    newest_ns: StampNs,
+    /// It is not asked, because an output has no room.
+    waits: bool,
+}
+
+/// What a live source has answered.
+pub(super) struct Answer {
+    /// The number of the answer.
+    pub(super) item: u64,
+    stamp_ns: StampNs,
+    emissions: Vec<Emission>,
+    warnings: Vec<String>,
+    began: Instant,
+    took: u64,
+    answered: Result<Result<bool, NodeError>, String>,
+}
+
+/// Whether a live source is asked for its next answer.
+pub(super) enum Asked {
+    Next {
+        item: u64,
+        stamp_ns: StampNs,
+    },
+    /// Its outputs lack room.
+    WhenThereIsRoom,
+    /// It has ended.
+    Never,
+}
+
+impl Core {
+    pub(super) fn live(max_delay_ns: StampNs) -> Self {
+        Self::Live(LiveCore { max_delay_ns, newest_ns: StampNs::MIN, waits: false })
+    }
+}
+
+impl Answer {
+    /// Asks the source.
+    pub(super) fn of(
+        source: &mut dyn AnySource,
+        context: &mut Context,
+        n_ports: usize,
+        item: u64,
+        stamp_ns: StampNs,
+    ) -> Self {
+        context.begin(item, stamp_ns);
+        let (mut emissions, mut took) = (vec![Emission::Silent; n_ports], Vec::new());
+        let (began, answered) = timed(item, context, &mut took, |context| source.next(&mut emissions, context));
+        let (stamp_ns, warnings, took) = (context.stamp_ns(), context.take_warnings(), took.pop().unwrap_or(0));
+        Self { item, stamp_ns, emissions, warnings, began, took, answered }
+    }
 }
 
 /// A wired input.
@@ -73,6 +132,16 @@ pub(super) struct Output {
     /// Nothing may come before this stamp any more.
     floor: StampNs,
     kept: Kept,
+    late: Late,
+}
+
+/// Items that a live source gave later than it had promised.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Late {
+    /// How many.
+    n_items: u64,
+    /// How much too late the latest of them was.
+    most_ns: StampNs,
 }
 
 enum Phase {
@@ -87,7 +156,17 @@ enum Phase {
 
 impl Output {
     pub(super) fn new(id: OutputId, payload: PortPayload, links: Vec<SendEnd>, recorded: bool, keep: Keep) -> Self {
-        Self { id, payload, links, recorded, keep, next_number: 0, floor: StampNs::MIN, kept: Kept::default() }
+        Self {
+            id,
+            payload,
+            links,
+            recorded,
+            keep,
+            next_number: 0,
+            floor: StampNs::MIN,
+            kept: Kept::default(),
+            late: Late::default(),
+        }
     }
 
     pub(super) fn into_kept(self) -> Kept {
@@ -316,6 +395,102 @@ impl Cell {
         self.after(item, stamp_ns, answered.map(|answer| answer.map(drop)), run, wake);
     }
 
+    pub(super) fn is_live(&self) -> bool {
+        matches!(self.core, Core::Live(_))
+    }
+
+    /// How many activations there were.
+    pub(super) fn n_items(&self) -> u64 {
+        self.item
+    }
+
+    /// Whether a live source waited for room; it does no more.
+    pub(super) fn take_waits(&mut self) -> bool {
+        match &mut self.core {
+            Core::Live(live) => std::mem::take(&mut live.waits),
+            _ => false,
+        }
+    }
+
+    /// What a live source has answered goes on its way.
+    pub(super) fn answered(&mut self, answer: Answer, run: &Runtime<'_>, wake: &mut Wake<'_>) {
+        self.started(run);
+        answer.warnings.into_iter().for_each(|warning| self.context.warn(warning));
+        if matches!(answer.answered, Ok(Ok(false))) {
+            if run.cancelled() {
+                // It ended because it was asked to.
+                run.note_interrupted();
+            }
+            run.warn(self.index, answer.item, self.context.take_warnings());
+            return self.end(run, wake);
+        }
+        self.item += 1;
+        self.took.push(answer.took);
+        self.emissions = answer.emissions;
+        self.tell_taps(answer.item, answer.began, run);
+        self.after(answer.item, answer.stamp_ns, answer.answered.map(|answer| answer.map(drop)), run, wake);
+    }
+
+    /// Whether a live source can be asked for its next answer; ends it where it is to end.
+    pub(super) fn ask(&mut self, run: &Runtime<'_>, wake: &mut Wake<'_>) -> Asked {
+        let Core::Live(_) = self.core else { return Asked::Never };
+        if !self.has_room(run) {
+            let Core::Live(live) = &mut self.core else { unreachable!("it was live a moment ago") };
+            live.waits = true;
+            return Asked::WhenThereIsRoom;
+        }
+        match &self.phase {
+            Phase::Failing(empty) => {
+                let empty = empty.clone();
+                self.send_empties(empty, run, wake);
+                self.end(run, wake);
+                Asked::Never
+            }
+            Phase::Open if !run.cancelled() => Asked::Next { item: self.item, stamp_ns: known(self.stamp_ns) },
+            _ => {
+                self.interrupt(run, wake);
+                Asked::Never
+            }
+        }
+    }
+
+    /// Ends a live source because of the wish to stop; `false` if it has failed and has still to say so.
+    pub(super) fn interrupt(&mut self, run: &Runtime<'_>, wake: &mut Wake<'_>) -> bool {
+        let ends = matches!(self.phase, Phase::Open);
+        if ends {
+            run.note_interrupted();
+            self.end(run, wake);
+        }
+        ends
+    }
+
+    /// A live source cannot be asked.
+    pub(super) fn fail_live(&mut self, reason: String, run: &Runtime<'_>) {
+        self.fail(self.item, reason, false, false, run);
+    }
+
+    /// What a live source gives later than it has promised is an empty in its place, at the stamp up to which nothing was
+    /// to come any more.
+    fn empty_the_late(&mut self, stamp_ns: StampNs) {
+        let Core::Live(live) = &mut self.core else { return };
+        live.newest_ns = live.newest_ns.max(stamp_ns);
+        for (output, emission) in self.outputs.iter_mut().zip(&mut self.emissions) {
+            if stamp_ns >= output.floor || matches!(emission, Emission::Silent) {
+                continue;
+            }
+            let late_ns = output.floor.saturating_sub(stamp_ns);
+            output.late.n_items += 1;
+            output.late.most_ns = output.late.most_ns.max(late_ns);
+            if let Emission::Value(_) = emission {
+                *emission = Emission::Empty(format!(
+                    "it came {} after its wire had been promised to be complete; the source promises a delay of at most {}",
+                    milliseconds(late_ns),
+                    milliseconds(live.max_delay_ns)
+                ));
+            }
+        }
+    }
+
     fn tell_taps(&self, item: u64, began: Instant, run: &Runtime<'_>) {
         run.fired_to_taps(self.index, item, began, Duration::from_nanos(self.took.last().copied().unwrap_or(0)));
     }
@@ -342,13 +517,16 @@ impl Cell {
         let took = Duration::from_nanos(took);
         run.event(&Event::Fired { node: self.context.node(), item, stamp_ns, took });
         let answered = match answered {
-            Ok(Ok(())) => self.check(stamp_ns, run).map_err(|reason| (reason, false)),
+            Ok(Ok(())) => {
+                self.empty_the_late(stamp_ns);
+                self.check(stamp_ns, run).map_err(|reason| (reason, false))
+            }
             Ok(Err(error)) => Err((error.message, false)),
             Err(panic) => Err((panic, true)),
         };
         match answered {
             Ok(()) => {
-                self.stamp_ns = stamp_ns;
+                self.stamp_ns = self.stamp_ns.max(stamp_ns);
                 if let Err(reason) = self.send_all(stamp_ns, run, wake) {
                     self.fail(item, reason, false, false, run);
                 }
@@ -386,14 +564,14 @@ impl Cell {
         for (output, emission) in self.outputs.iter().zip(&self.emissions) {
             let port = || format!("output {}", run.plan.nodes[output.id.node].outputs[output.id.port].name);
             match (emission, &output.payload) {
-                (Emission::Silent, _) if !matches!(self.core, Core::Source(_)) => {
+                (Emission::Silent, _) if !matches!(self.core, Core::Source(_) | Core::Live(_)) => {
                     return Err(format!("{} stayed silent, which only a source may", port()));
                 }
                 (Emission::Silent, _) => {}
                 (Emission::Value(value), PortPayload::Type(ty)) if value.ty() != *ty => {
                     return Err(format!("{} gave {:?}, {ty:?} expected", port(), value.ty()));
                 }
-                _ if stamp_ns < output.floor => {
+                _ if stamp_ns < output.floor && !self.is_live() => {
                     let said = "stamps never decrease along a wire";
                     return Err(format!("{} gave stamp {stamp_ns} ns after {} ns; {said}", port(), output.floor));
                 }
@@ -415,9 +593,14 @@ impl Cell {
                     continue;
                 }
             };
-            full = full.and(self.outputs[port].send(stamp_ns, body, run, wake));
+            let output = &mut self.outputs[port];
+            // Only a late item's stamp lies before the floor.
+            full = full.and(output.send(stamp_ns.max(output.floor), body, run, wake));
         }
-        if silent {
+        if let Core::Live(live) = &self.core {
+            let promised = live.newest_ns.saturating_sub(live.max_delay_ns);
+            self.outputs.iter_mut().for_each(|output| output.promise(promised, run, wake));
+        } else if silent {
             // After the items: nothing at this stamp is overtaken by its progress.
             self.outputs.iter_mut().for_each(|output| output.promise(stamp_ns, run, wake));
         }
@@ -497,6 +680,19 @@ impl Cell {
         unmatched.map(|message| (self.index, warning(message))).collect()
     }
 
+    /// Says so where items came later than promised.
+    pub(super) fn late_warning(&self, plan: &Plan) -> Vec<(usize, Warning)> {
+        let late = self.outputs.iter().filter(|output| output.late.n_items > 0);
+        let message = |output: &Output| {
+            let Late { n_items, most_ns } = output.late;
+            let items = if n_items == 1 { "item" } else { "items" };
+            let (wire, most) = (plan.wire_name(output.id), milliseconds(most_ns));
+            format!("{wire}: {n_items} {items} came late, by up to {most} more than promised, and are empties")
+        };
+        let warning = |message| Warning { node: self.context.node().to_owned(), item: self.item, message };
+        late.map(|output| (self.index, warning(message(output)))).collect()
+    }
+
     pub(super) fn stats(&self, name: &str) -> NodeStats {
         let mut took = self.took.clone();
         took.sort_unstable();
@@ -516,6 +712,10 @@ impl Cell {
             p99: percentile(99),
         }
     }
+}
+
+fn milliseconds(ns: StampNs) -> String {
+    format!("{} ms", ns as f64 / 1e6)
 }
 
 /// The stamp of what has none yet is 0.
@@ -538,7 +738,7 @@ fn timed<T>(
 }
 
 /// Drops what the node was built of; a panic there changes nothing any more.
-fn discard<T>(built: T) {
+pub(super) fn discard<T>(built: T) {
     if let Err(panic) = panics::catch(move || drop(built)) {
         tracing::warn!("a node that had ended {panic}");
     }

@@ -5,6 +5,9 @@
 //! for any number of workers.
 
 mod cell;
+mod live;
+#[cfg(test)]
+mod live_tests;
 mod panics;
 mod report;
 mod runtime;

@@ -3,6 +3,7 @@
 use super::{
     BuildFault, Enlargement, Event, Failure, Observer, Refusal, RunError, RunOptions, Warning,
     cell::{Cell, Core, Input, Output},
+    live::{self, Live, Mailbox, News},
     panics,
     scheduler::{Scheduler, Stepped, Wake, Work},
 };
@@ -12,13 +13,13 @@ use crate::{
     plan::{OutputId, Plan, PlanNode},
     results::{Ended, Keep},
 };
-use osteoflow_node::{AnySource, Built, Context, Item, Registry};
+use osteoflow_node::{AnySource, Built, Context, Item, Registry, Role};
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicUsize, Ordering},
     },
     time::{Duration, Instant},
 };
@@ -69,6 +70,11 @@ pub(super) struct Runtime<'a> {
     stall: Mutex<Option<Failure>>,
     began: Instant,
     elapsed: Duration,
+    /// Live sources that have not begun.
+    sources: Mutex<Vec<Live>>,
+    /// Live sources that are asked for their next answer.
+    n_pending: AtomicUsize,
+    pub(super) mailbox: Mailbox,
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -92,8 +98,9 @@ impl<'a> Runtime<'a> {
         let mut faults = Vec::new();
         for (index, node) in plan.nodes.iter().enumerate() {
             let substitute = replayed.substitutes.remove(&index).map(Built::Source);
+            let live = node.role == Role::LiveSource && substitute.is_none();
             match substitute.map_or_else(|| build(registry, node), Ok) {
-                Ok(built) => bodies.push(built),
+                Ok(built) => bodies.push((built, live)),
                 Err(fault) => faults.push(fault),
             }
         }
@@ -118,11 +125,19 @@ impl<'a> Runtime<'a> {
         }
         let out_dir: Option<Arc<Path>> = options.out_dir.as_deref().map(Arc::from);
         let mut cells = Vec::with_capacity(plan.nodes.len());
-        for (index, built) in bodies.into_iter().enumerate() {
+        let mut sources = Vec::new();
+        for (index, (built, live)) in bodies.into_iter().enumerate() {
             let node = &plan.nodes[index];
-            let context = Context::new(node.name.clone(), plan.seed, options.cancelled.clone(), node.declared.clone())
-                .with_out_dir(out_dir.clone());
+            let context = || {
+                Context::new(node.name.clone(), plan.seed, options.cancelled.clone(), node.declared.clone())
+                    .with_out_dir(out_dir.clone())
+            };
             let core = match built {
+                Built::Source(source) if live => {
+                    let max_delay_ns = source.max_delay_ns().max(0);
+                    sources.push(Live { node: index, source, context: context(), n_ports: node.outputs.len() });
+                    Core::live(max_delay_ns)
+                }
                 Built::Source(source) => Core::Source(source),
                 Built::Node(built) => Core::Node(built, joiner(plan, node)),
             };
@@ -139,7 +154,7 @@ impl<'a> Runtime<'a> {
                 let keep = keep.unwrap_or(Keep::Count);
                 Output::new(id, output.payload, links.collect(), plan.record.contains(&id), keep)
             });
-            cells.push(Mutex::new(Cell::new(index, core, context, inputs.collect(), outputs.collect())));
+            cells.push(Mutex::new(Cell::new(index, core, context(), inputs.collect(), outputs.collect())));
         }
         Ok(Self {
             plan,
@@ -158,6 +173,9 @@ impl<'a> Runtime<'a> {
             stall: Mutex::default(),
             began: Instant::now(),
             elapsed: Duration::ZERO,
+            n_pending: AtomicUsize::new(sources.len()),
+            mailbox: Mailbox::new(sources.len()),
+            sources: Mutex::new(sources),
         })
     }
 
@@ -168,7 +186,12 @@ impl<'a> Runtime<'a> {
     /// Runs to the end; everything that happened is in the runtime then.
     pub(super) fn run(&mut self) {
         self.began = Instant::now();
-        Scheduler::new(self.cells.len(), self.n_workers).run(self);
+        let sources = std::mem::take(&mut *locked(&self.sources));
+        let scheduler = Scheduler::new(self.cells.len(), self.n_workers);
+        match sources.is_empty() {
+            true => scheduler.run(self),
+            false => live::run(self, &scheduler, sources),
+        }
         self.elapsed = self.began.elapsed();
     }
 
@@ -183,6 +206,7 @@ impl<'a> Runtime<'a> {
         let mut warnings = self.warnings.into_inner().unwrap_or_else(PoisonError::into_inner);
         let stall = self.stall.into_inner().unwrap_or_else(PoisonError::into_inner);
         warnings.extend(cells.iter().flat_map(|cell| cell.unmatched_warning(self.plan)));
+        warnings.extend(cells.iter().flat_map(|cell| cell.late_warning(self.plan)));
         warnings.sort_by_key(|(node, warning)| (*node, warning.item));
         Ended {
             interrupted,
@@ -206,6 +230,26 @@ impl<'a> Runtime<'a> {
 
     pub(super) fn cancelled(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed)
+    }
+
+    /// A node under way, for the thread that serves live sources.
+    pub(super) fn cell(&self, node: usize) -> MutexGuard<'_, Cell> {
+        locked(&self.cells[node])
+    }
+
+    /// One live source less is pending; whether it was the last.
+    pub(super) fn no_longer_pending(&self) -> bool {
+        self.n_pending.fetch_sub(1, Ordering::AcqRel) == 1
+    }
+
+    /// No live source can run.
+    pub(super) fn fail_live(&self, reason: &str, scheduler: &Scheduler) {
+        for cell in self.cells.iter().filter(|cell| locked(cell).is_live()) {
+            locked(cell).fail_live(reason.to_owned(), self);
+            // Nothing waits on its links yet, so that there is room for the reason.
+            scheduler.outside(|wake| locked(cell).ask(self, wake));
+            self.n_pending.fetch_sub(1, Ordering::AcqRel);
+        }
     }
 
     pub(super) fn note_cheap(&self, node: usize, cheap: bool) {
@@ -316,7 +360,20 @@ impl<'a> Runtime<'a> {
 
 impl Work for Runtime<'_> {
     fn step(&self, node: usize, wake: &mut Wake<'_>) -> Stepped {
-        locked(&self.cells[node]).step(self, wake)
+        let mut cell = locked(&self.cells[node]);
+        if cell.is_live() {
+            if cell.take_waits() {
+                self.n_pending.fetch_add(1, Ordering::AcqRel);
+                // It holds one such word for each source, and the source is told again only after it has waited again.
+                let _ = self.mailbox.tx.try_send(News::Room(node));
+            }
+            return Stepped::Idle;
+        }
+        cell.step(self, wake)
+    }
+
+    fn is_pending(&self) -> bool {
+        self.n_pending.load(Ordering::Acquire) > 0
     }
 
     fn is_cheap(&self, node: usize) -> bool {

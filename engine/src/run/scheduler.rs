@@ -30,6 +30,12 @@ pub(super) trait Work: Sync {
     /// Whether the node takes so little time that handing it to another worker is not worth it.
     fn is_cheap(&self, node: usize) -> bool;
 
+    /// Whether something outside may still wake a node. Once it says no, and a look at what it has woken before brings
+    /// nothing, it says no until a step has been made.
+    fn is_pending(&self) -> bool {
+        false
+    }
+
     /// Nothing can run: wakes a node if something can be done about it. No step runs meanwhile.
     fn relieve(&self) -> Option<usize>;
 }
@@ -119,6 +125,26 @@ impl Scheduler {
         });
     }
 
+    /// Does what wakes nodes on a thread that is no worker; the workers go on with them.
+    pub(super) fn outside<T>(&self, does: impl FnOnce(&mut Wake<'_>) -> T) -> T {
+        let (mut made_ready, mut ready) = (Vec::new(), ReadySet::default());
+        let done = does(&mut Wake { states: &self.states, made_ready: &mut made_ready });
+        made_ready.into_iter().for_each(|node| ready.insert(node));
+        self.put(&ready);
+        done
+    }
+
+    /// What was pending is so no more: a worker looks whether anything can still run.
+    pub(super) fn look_again(&self) {
+        let _queue = self.lock();
+        self.wakeup.notify_one();
+    }
+
+    /// Lets the workers go when the thread that holds it unwinds.
+    pub(super) fn guard(&self) -> impl Drop + '_ {
+        Abandon(self)
+    }
+
     fn lock(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -165,16 +191,20 @@ impl Scheduler {
 
     /// Moves nodes from a worker's own to the queue of all, and wakes those who sleep.
     fn share(&self, own: &mut ReadySet, which: impl Fn(usize) -> bool) {
-        let shared = own.split_off(which);
-        if shared.len == 0 {
+        self.put(&own.split_off(which));
+    }
+
+    /// Puts nodes into the queue of all, and wakes those who sleep.
+    fn put(&self, nodes: &ReadySet) {
+        if nodes.len == 0 {
             return;
         }
         let mut queue = self.lock();
-        queue.ready.append(&shared);
+        queue.ready.append(nodes);
         self.n_queued.store(queue.ready.len, Ordering::Relaxed);
         let n_asleep = queue.n_asleep;
         drop(queue);
-        (0..shared.len.min(n_asleep)).for_each(|_| self.wakeup.notify_one());
+        (0..nodes.len.min(n_asleep)).for_each(|_| self.wakeup.notify_one());
     }
 
     fn pop(&self, work: &dyn Work) -> Option<usize> {
@@ -194,7 +224,7 @@ impl Scheduler {
                 return Some(node);
             }
             queue.n_asleep += 1;
-            if queue.n_asleep == self.n_workers {
+            if queue.n_asleep == self.n_workers && !work.is_pending() {
                 match work.relieve() {
                     Some(node) => {
                         let before = self.states[node].swap(QUEUED, Ordering::AcqRel);

@@ -17,7 +17,7 @@ use std::{
 };
 
 /// Calls that give one number each on one port: (stamp, port, number).
-fn calls(calls: &[(i64, usize, f64)]) -> Json {
+pub(super) fn calls(calls: &[(i64, usize, f64)]) -> Json {
     calls.iter().map(|(stamp_ns, port, x)| json!({ "stamp_ns": stamp_ns, "give": [[port, x]] })).collect()
 }
 
@@ -31,12 +31,12 @@ impl Tap for Keep {
     }
 }
 
-fn options(workers: usize) -> RunOptions {
+pub(super) fn options(workers: usize) -> RunOptions {
     RunOptions { workers, fixed_results: vec![("notice".into(), json!("toy"))], ..RunOptions::default() }
 }
 
 /// Runs on 1, 2 and 8 workers, compares results and every recorded item, and answers the last report.
-fn check(plan: &Plan) -> RunReport {
+pub(super) fn check(plan: &Plan) -> RunReport {
     let mut first: Option<(Json, BTreeMap<_, _>)> = None;
     let mut last = None;
     for workers in [1, 2, 8] {
@@ -55,7 +55,7 @@ fn check(plan: &Plan) -> RunReport {
     last.unwrap()
 }
 
-fn refusal_of(report: &RunReport) -> &Refusal {
+pub(super) fn refusal_of(report: &RunReport) -> &Refusal {
     match &report.outcome {
         Outcome::Refused(refusal) => refusal,
         other => panic!("{other:?} where a refusal was expected"),
@@ -514,7 +514,7 @@ fn a_file_of_another_program_is_named_as_such() {
 }
 
 /// Graphs of random shape and joins: layers of nodes over two sources.
-fn random_plan(seed: u64) -> Plan {
+pub(super) fn random_plan(seed: u64) -> Plan {
     let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
     let mut draw = |n: u64| {
         state ^= state << 13;

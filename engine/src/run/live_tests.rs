@@ -1,0 +1,287 @@
+//! Live sources: what they share with all others, what they promise, and how they are stopped.
+
+use super::{
+    tests::{calls, check, options, refusal_of},
+    *,
+};
+use crate::{
+    plan::Policy,
+    toy::{Gate, Number, Toy, registry},
+};
+use osteoflow_node::{Item, Join};
+use serde_json::{Value as Json, json};
+use std::sync::Mutex;
+
+/// Calls that give one number each: (stamp, port, number).
+type Given<'a> = &'a [(i64, usize, f64)];
+
+fn live(name: &str, n_ports: usize, given: Given<'_>, params: Json) -> Toy {
+    let mut params = params;
+    params["calls"] = calls(given);
+    Toy::new().source(name, "toy.live", n_ports, params)
+}
+
+/// 135 samples of a marker before the one scan that lets `follow` begin.
+fn parks() -> Plan {
+    let mut given: Vec<_> = (0..135).map(|i| (i, 0, i as f64 + 0.25)).collect();
+    given.push((135, 1, 1000.0));
+    given.extend((136..200).map(|i| (i, 0, i as f64 + 0.25)));
+    live("recording", 2, &given, json!({}))
+        .node("fit", "toy.add", json!({}), &[("a", "recording.p1", None)])
+        .node("follow", "toy.add", json!({}), &[("a", "recording.p0", None), ("b", "fit.out", Some(Join::Once))])
+        .record(&["follow.out", "fit.out", "recording.p0", "recording.p1"])
+        .result("all", "follow.out", true, false)
+        .plan()
+}
+
+#[test]
+fn a_live_source_runs_any_graph_on_any_number_of_workers() {
+    for _ in 0..10 {
+        let report = check(&parks());
+        assert_eq!(report.outcome, Outcome::Complete);
+        assert_eq!(report.results["all"].as_array().unwrap().len(), 199);
+        let sizes: Vec<_> = report.enlargements.iter().map(|e| (e.to.as_str(), e.after)).collect();
+        let to = |n| ("follow.a", n);
+        assert_eq!(sizes, [to(8), to(16), to(32), to(64), to(128), to(256)]);
+    }
+}
+
+#[test]
+fn a_live_source_that_waits_for_room_is_not_waited_for() {
+    let mut plan = parks();
+    plan.links.iter_mut().for_each(|link| link.max_bytes = 20 * (size_of::<Item>() + size_of::<Number>()) as u64);
+    for _ in 0..10 {
+        let report = check(&plan);
+        let said = &refusal_of(&report).reason;
+        assert!(said.starts_with("the graph is stuck: nothing can run; full: recording.p0 -> follow.a (20 "), "{said}");
+    }
+}
+
+#[test]
+fn two_live_sources_and_one_that_is_none_join_by_stamps_alone() {
+    let given = |shift: i64| (0..60).map(|i| (i * 10 + shift, 0, 200.0 + i as f64)).collect::<Vec<_>>();
+    let plan = live("camera", 1, &given(3), json!({}))
+        .source("tracker", "toy.live", 1, json!({ "calls": calls(&given(0)) }))
+        .script("plan", 1, calls(&[(0, 0, 0.5)]))
+        .node(
+            "place",
+            "toy.add",
+            json!({}),
+            &[("a", "camera.p0", None), ("b", "tracker.p0", Some(Join::Interpolate { max_gap_ns: None }))],
+        )
+        .node("shift", "toy.add", json!({}), &[("a", "place.out", None), ("b", "plan.p0", Some(Join::Once))])
+        .record(&["place.out", "shift.out"])
+        .result("all", "shift.out", true, false)
+        .plan();
+    for _ in 0..10 {
+        let report = check(&plan);
+        let all = report.results["all"].as_array().unwrap_or_else(|| panic!("{:?}", report.outcome));
+        for (i, value) in all.iter().enumerate().take(59) {
+            let expected = (200.0 + i as f64) + (200.0 + i as f64 + 0.3) + 0.5;
+            assert!(
+                (value.as_f64().unwrap_or_else(|| panic!("{i}: {all:?}")) - expected).abs() < 1e-12,
+                "{i}: {value}"
+            );
+        }
+        assert_eq!(all[59], json!(259.5), "after the last sample there is nothing to add");
+    }
+}
+
+#[test]
+fn what_comes_later_than_promised_is_an_empty_in_its_place() {
+    // Port 1 may lie 5 behind port 0; once it is 8 behind, and once its own stamps go back.
+    let given = [(10, 0, 1.0), (6, 1, 2.0), (20, 0, 3.0), (12, 1, 4.0), (18, 1, 5.0), (16, 1, 6.0), (30, 0, 7.0)];
+    let plan = live("devices", 2, &given, json!({ "max_delay_ns": 5 }))
+        .node("one", "toy.add", json!({}), &[("a", "devices.p1", None)])
+        .node("other", "toy.add", json!({}), &[("a", "devices.p0", None), ("b", "devices.p1", Some(Join::Latest))])
+        .record(&["devices.p1", "one.out", "other.out"])
+        .result("one", "one.out", true, false)
+        .result("other", "other.out", true, false)
+        .plan();
+    let report = check(&plan);
+    let late = |ns: u32| {
+        let by = format!("0.00000{ns} ms");
+        let said = format!(
+            "it came {by} after its wire had been promised to be complete; the source promises a delay of at most \
+             0.000005 ms"
+        );
+        json!({ "unknown": said, "node": "devices" })
+    };
+    assert_eq!(report.results["one"], json!([2.0, late(3), 5.0, late(2)]));
+    // At 10 the newest of port 1 is 2; at 20 and at 30 it is the late item's empty at 18: unknown, so that nothing is added.
+    assert_eq!(report.results["other"], json!([3.0, 3.0, 7.0]));
+    let said: Vec<_> = report.warnings.iter().map(|w| w.message.as_str()).collect();
+    assert_eq!(said, ["devices.p1: 2 items came late, by up to 0.000003 ms more than promised, and are empties"]);
+    let stamps: Vec<_> = report.links.iter().map(|l| (l.sent, l.received, l.dropped)).collect();
+    assert_eq!(stamps, [(4, 4, 0), (3, 3, 0), (4, 4, 0)]);
+}
+
+#[test]
+fn a_live_source_that_fails_or_panics_refuses_the_run_as_any_node_does() {
+    let failing = json!({ "stamp_ns": 2, "give": [], "fail": "the cable is out" });
+    let panicking = json!({ "stamp_ns": 2, "give": [[0, 1.0]], "device": "panics" });
+    for (last, expected) in [(failing, "the cable is out"), (panicking, "the device is on fire")] {
+        let script = json!({ "calls": [{ "stamp_ns": 1, "give": [[0, 5.0]] }, last] });
+        let plan = Toy::new()
+            .source("scan", "toy.live", 1, script)
+            .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
+            .node("sum", "toy.sum", json!({}), &[("all", "scan.p0", None)])
+            .record(&["scan.p0", "first.out"])
+            .result("pose", "first.out", false, false)
+            .plan();
+        let report = check(&plan);
+        let refusal = refusal_of(&report);
+        assert_eq!((refusal.node.as_str(), refusal.item), ("scan", Some(1)));
+        assert!(refusal.reason.ends_with(expected), "{}", refusal.reason);
+    }
+}
+
+/// Asks the run to stop when the sink has fired.
+struct StopAfter(Arc<AtomicBool>);
+
+impl Observer for StopAfter {
+    fn event(&self, event: &Event<'_>) {
+        if let Event::Fired { node: "sink", .. } = event {
+            self.0.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
+
+#[test]
+fn an_interrupted_run_ends_although_a_source_waits_for_its_device() {
+    for (device, workers) in [("waits", 1), ("waits", 2), ("deaf", 1), ("deaf", 2)] {
+        // The sink fires once the source is in its device, and then the run is to stop.
+        let name = format!("{device} {workers}");
+        let last = json!({ "stamp_ns": 2, "give": [[0, 1.0]], "device": name });
+        let script = json!({ "calls": [{ "stamp_ns": 1, "give": [[0, 5.0]] }, last] });
+        let plan = Toy::new()
+            .source("scan", "toy.live", 1, script)
+            .node("sink", "toy.add", json!({ "gate": format!("in {name}") }), &[("a", "scan.p0", None)])
+            .result("pose", "sink.out", false, false)
+            .plan();
+        let options = options(workers);
+        let stop = StopAfter(options.cancelled.clone());
+        let report = run(&plan, &registry(), &options, &stop).unwrap();
+        assert_eq!(report.outcome, Outcome::Interrupted, "{device}");
+        let said: Vec<_> = report.warnings.iter().map(|w| w.message.as_str()).collect();
+        match device {
+            "deaf" => assert_eq!(said, ["it did not notice the wish to stop within 0.5 s; the run ends without it"]),
+            _ => assert_eq!(said, [""; 0]),
+        }
+    }
+}
+
+/// Opens a gate at the first warning.
+struct OpenAtWarning(Gate);
+
+impl Observer for OpenAtWarning {
+    fn event(&self, event: &Event<'_>) {
+        if let Event::Warned(_) = event {
+            self.0.open();
+        }
+    }
+}
+
+#[test]
+fn a_live_source_that_falls_silent_is_reported_once_and_again_when_it_comes_back() {
+    let calls = json!([
+        { "stamp_ns": 1, "give": [[0, 5.0]] },
+        { "stamp_ns": 2, "give": [[0, 6.0]], "device": "silence" },
+        { "stamp_ns": 3, "give": [[0, 7.0]] },
+    ]);
+    let plan = Toy::new()
+        .source("scan", "toy.live", 1, json!({ "calls": calls, "silent_after_ms": 1 }))
+        .node("sink", "toy.add", json!({}), &[("a", "scan.p0", None)])
+        .result("all", "sink.out", true, false)
+        .plan();
+    let report = run(&plan, &registry(), &options(1), &OpenAtWarning(Gate::of("silence"))).unwrap();
+    assert_eq!(report.results["all"], json!([5.0, 6.0, 7.0]), "silence changes no result");
+    let of = |begin: &str| report.warnings.iter().filter(|w| w.message.starts_with(begin)).count();
+    assert!(of("it has given nothing for ") >= 1, "{:?}", report.warnings);
+    assert_eq!(of("it has given nothing for "), of("it gave something again after "));
+}
+
+/// Opens a gate when the source has ended.
+struct OpenAtEnd<'a>(Gate, &'a str);
+
+impl Observer for OpenAtEnd<'_> {
+    fn event(&self, event: &Event<'_>) {
+        if matches!(event, Event::Ended { node } if *node == self.1) {
+            self.0.open();
+        }
+    }
+}
+
+/// Keeps what was dropped.
+#[derive(Default)]
+struct Dropped(Mutex<BTreeMap<usize, BTreeSet<u64>>>, Mutex<Vec<(OutputId, Vec<u8>)>>);
+
+use crate::{codec, plan::OutputId};
+use std::collections::{BTreeMap, BTreeSet};
+
+impl Tap for Dropped {
+    fn item(&self, wire: OutputId, item: &Item) {
+        self.1.lock().unwrap().push((wire, codec::encode(item)));
+    }
+
+    fn dropped(&self, link: usize, number: u64) {
+        assert!(self.0.lock().unwrap().entry(link).or_default().insert(number), "{number} was dropped twice");
+    }
+}
+
+#[test]
+fn a_sink_that_does_not_keep_up_loses_what_the_policy_says_and_a_replay_loses_the_same() {
+    let n = 500;
+    let given: Vec<_> = (0..n).map(|i| (i, 0, i as f64 + 0.5)).collect();
+    for (case, policy) in [Policy::DropOld, Policy::DropNew, Policy::Sample(7), Policy::Block].into_iter().enumerate() {
+        for (max_bytes, workers) in [(u64::MAX, 1), (u64::MAX, 2), (150, 2)] {
+            let gate = format!("overload {case} {max_bytes} {workers}");
+            // A source that is not held up ends while the sink is still at its first item.
+            let holds = matches!(policy, Policy::DropOld | Policy::DropNew);
+            let params = if holds { json!({ "gate": gate }) } else { json!({}) };
+            let plan = live("camera", 1, &given, json!({}))
+                .node("sink", "toy.add", params, &[("a", "camera.p0", None)])
+                .node("all", "toy.sum", json!({}), &[("all", "camera.p0", None)])
+                .link("all.all", |link| link.capacity = 1000)
+                .link("sink.a", |link| (link.policy, link.max_bytes) = (policy, max_bytes))
+                .record(&["sink.out"])
+                .result("all", "sink.out", true, false)
+                .result("sum", "all.out", false, false)
+                .plan();
+            let seen = Dropped::default();
+            let observer = OpenAtEnd(Gate::of(&gate), "camera");
+            let live = run_with(&plan, &registry(), &options(workers), &observer, Replayed::default(), Some(&seen));
+            let live = live.unwrap();
+            assert_eq!(live.outcome, Outcome::Complete, "{policy:?}");
+            let link = live.links.iter().find(|link| link.to == "sink.a").unwrap();
+            assert_eq!((link.sent, link.sent), (n as u64, link.received + link.dropped), "{policy:?}");
+            let drops = seen.0.into_inner().unwrap();
+            assert_eq!(drops.values().map(BTreeSet::len).sum::<usize>() as u64, link.dropped, "{policy:?}");
+            let results = live.results["all"].as_array().unwrap();
+            assert_eq!(results.len(), n as usize, "a dropped item leaves an empty in its place");
+            match policy {
+                Policy::DropOld => {
+                    assert_eq!(results[n as usize - 1], json!(n as f64 - 0.5), "the newest comes through")
+                }
+                Policy::DropNew => assert_eq!(results[0], json!(0.5), "the oldest comes through"),
+                Policy::Sample(_) => assert_eq!(link.received, (n as u64).div_ceil(7)),
+                _ => assert_eq!(link.dropped, 0),
+            }
+            assert!(!holds || link.dropped > n as u64 / 2, "{policy:?} dropped {} only", link.dropped);
+            Gate::of(&gate).open();
+            for workers in [1, 8] {
+                let replayed = Replayed { drops: Some(drops.clone()), ..Replayed::default() };
+                let again = Dropped::default();
+                let report = run_with(&plan, &registry(), &options(workers), &(), replayed, Some(&again)).unwrap();
+                assert_eq!(report.results, live.results, "{policy:?} on {workers} workers");
+                assert_eq!(again.0.into_inner().unwrap(), drops, "{policy:?} on {workers} workers");
+                assert_eq!(again.1.into_inner().unwrap(), *seen.1.lock().unwrap(), "{policy:?} on {workers} workers");
+            }
+        }
+    }
+}
