@@ -6,9 +6,10 @@ mod common;
 use common::osteoflow;
 
 /// Every subcommand, with a word that its own help must hold.
-const COMMANDS: [(&str, &str); 9] = [
+const COMMANDS: [(&str, &str); 10] = [
     ("run", "--no-record"),
     ("check", "--set"),
+    ("expand", "extends"),
     ("inspect", "--write-docs"),
     ("graph", "mermaid"),
     ("record", "--wires"),

@@ -6,19 +6,22 @@ mod drafts;
 mod feed;
 mod frames;
 mod glob;
-mod header;
+pub(crate) mod header;
 mod inputs;
 mod join;
+mod module;
 pub(crate) mod nearest;
 mod order;
 mod record;
 mod resolved;
 mod results;
 mod schema;
-mod take;
+pub(crate) mod take;
 mod trigger;
-mod unit;
+pub(crate) mod unit;
 mod wires;
+
+pub use module::{Module, ModuleDescription, ModuleInput, ModuleOutput, ModuleParam};
 
 use crate::{
     fault::{Fault, Faults, Severity},
@@ -28,6 +31,11 @@ use crate::{
 use osteoflow_node::Registry;
 use schema::Files;
 use std::path::Path;
+
+/// The known name that was probably meant by `found`.
+pub fn nearest<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    nearest::name(found, known)
+}
 
 /// How many items wait on a wire, where the graph does not say.
 pub const DEFAULT_CAPACITY: usize = 4;
@@ -47,14 +55,35 @@ pub struct Checked {
     pub warnings: Vec<Fault>,
 }
 
+/// A file without faults: a graph, or a module that graphs use.
+#[derive(Debug)]
+pub enum CheckedFile {
+    /// It runs.
+    Graph(Checked),
+    /// Other graphs use it.
+    Module(Module),
+}
+
 /// Checks the graph file at `path` with the command line's settings, each `KEY=VALUE`.
 ///
 /// # Errors
-/// [`Faults`]: every fault of the file, of what it extends and of the settings.
+/// [`Faults`]: every fault of the file, of what it extends, of the modules it uses and of the settings.
 pub fn check(path: &Path, sets: &[String], registry: &Registry) -> Result<Checked, Faults> {
     let mut faults = Vec::new();
     match graph::load(path, sets, &mut faults) {
-        Some(graph) => Check { registry, files: Files::Needed, faults }.run(&graph, path),
+        Some(graph) => Check::new(registry, Files::Needed, faults).graph(&graph, path),
+        None => Err(Faults(faults)),
+    }
+}
+
+/// The same for a file that may also be a module's.
+///
+/// # Errors
+/// [`Faults`]: every fault of the file, of what it extends, of the modules it uses and of the settings.
+pub fn check_file(path: &Path, sets: &[String], registry: &Registry) -> Result<CheckedFile, Faults> {
+    let mut faults = Vec::new();
+    match graph::load(path, sets, &mut faults) {
+        Some(graph) => Check::new(registry, Files::Needed, faults).run(&graph, path),
         None => Err(Faults(faults)),
     }
 }
@@ -83,35 +112,97 @@ pub fn check_recorded(
 fn check_given(text: &str, path: &Path, sets: &[String], registry: &Registry, files: Files) -> Result<Checked, Faults> {
     let mut faults = Vec::new();
     let graph = graph::load_text(text.into(), path, sets, &mut faults);
-    Check { registry, files, faults }.run(&graph, path)
+    Check::new(registry, files, faults).graph(&graph, path)
 }
 
 /// One check: what graphs may name, and the faults found so far.
 struct Check<'r> {
     registry: &'r Registry,
     files: Files,
+    names: wires::Names,
     faults: Vec<Fault>,
 }
 
-impl Check<'_> {
-    fn run(mut self, graph: &Graph, path: &Path) -> Result<Checked, Faults> {
+impl<'r> Check<'r> {
+    fn new(registry: &'r Registry, files: Files, faults: Vec<Fault>) -> Self {
+        Self { registry, files, names: wires::Names::default(), faults }
+    }
+
+    /// A graph; a module is a fault.
+    fn graph(mut self, graph: &Graph, path: &Path) -> Result<Checked, Faults> {
+        if let Some(interface) = &graph.interface {
+            self.refuse_module(&interface.at);
+        }
+        match self.run(graph, path)? {
+            CheckedFile::Graph(checked) => Ok(checked),
+            CheckedFile::Module(_) => Err(Faults::default()),
+        }
+    }
+
+    fn run(mut self, graph: &Graph, path: &Path) -> Result<CheckedFile, Faults> {
+        self.names = wires::Names { modules: graph.modules.clone(), removed: graph.removed.clone() };
         let header = self.header(graph);
         let drafts = self.drafts(graph, &header);
         let inputs = self.inputs(&drafts, &header);
+        self.outlets(graph, &drafts);
+        if let Some(interface) = &graph.interface {
+            self.inlets(interface, &drafts, &inputs);
+            graph::no_results(&graph.table, "NODE.PORT", &mut self.faults);
+        }
         let order = self.order(&drafts, &inputs);
         let frames = order.as_ref().map(|order| self.frames(&drafts, &inputs, &header, order));
         let record = self.record(graph, &drafts);
         let results = self.results(graph, &drafts);
-        let faults = sorted(self.faults);
+        let faults = told(sorted(self.faults));
         let (errors, warnings): (Vec<_>, Vec<_>) = faults.into_iter().partition(|f| f.severity == Severity::Error);
         match (order, frames) {
             (Some(order), Some(frames)) if errors.is_empty() => {
+                let describe = |interface| module::describe(interface, &header.name, &drafts, &inputs, &self.names);
+                let description = graph.interface.as_ref().map(describe);
                 let net = assemble::Net { header, drafts, inputs, order, frames, record, results };
-                Ok(Checked { plan: net.plan(path), warnings })
+                let plan = net.plan(path);
+                Ok(match description {
+                    Some(description) => CheckedFile::Module(Module { description, plan, warnings }),
+                    None => CheckedFile::Graph(Checked { plan, warnings }),
+                })
             }
             _ => Err(Faults(errors.into_iter().chain(warnings).collect())),
         }
     }
+}
+
+/// Says of each fault within a module where the module is used; one of a module that is used twice is told once.
+fn told(faults: Vec<Fault>) -> Vec<Fault> {
+    let mut out: Vec<Fault> = Vec::new();
+    for mut fault in faults {
+        let mut uses = Vec::new();
+        let mut source = fault.at.as_ref().map(|(span, _)| span.source.clone());
+        while let Some(used) = source.as_ref().and_then(|source| source.used.as_ref()) {
+            uses.push((used.at.clone(), format!("used here as \"{}\"", used.node)));
+            source = Some(used.at.source.clone());
+        }
+        let same = out.iter_mut().find(|other| !uses.is_empty() && is_same(other, &fault));
+        match same {
+            Some(other) => other.also.extend(uses.into_iter().take(1)),
+            None => {
+                fault.also.extend(uses);
+                out.push(fault);
+            }
+        }
+    }
+    out
+}
+
+/// Whether both are about one place of a file that is read for each use of a module, in other words for each.
+fn is_same(a: &Fault, b: &Fault) -> bool {
+    let (Some((a_at, a_label)), Some((b_at, b_label))) = (&a.at, &b.at) else { return false };
+    let (Some(a_use), Some(b_use)) = (&a_at.source.used, &b_at.source.used) else { return false };
+    let bare = |text: &str, used: &crate::fault::Use| text.replace(&format!("\"{}/", used.node), "\"");
+    a_at.source.name == b_at.source.name
+        && a_at.range == b_at.range
+        && a_label == b_label
+        && a_use.node != b_use.node
+        && bare(&a.message, a_use) == bare(&b.message, b_use)
 }
 
 /// In the order of the texts. After a syntax fault, what may be no more than its consequence is left out.

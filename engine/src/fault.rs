@@ -7,7 +7,7 @@ mod json;
 mod render;
 mod text;
 
-pub use text::{SourceText, Span};
+pub use text::{SourceText, Span, Use};
 
 /// How much a fault weighs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,24 +1,39 @@
 //! A graph file as read: `extends` and `--set` merged into one tree, every value with the place it was written at.
 
+mod edit;
 mod extends;
+mod interface;
 mod merge;
+mod modules;
 mod parse;
+mod remove;
 mod results;
 mod set;
 mod syntax;
 mod tree;
 
-pub(crate) use tree::{Entry, Spanned, Table, Value};
+pub(crate) use {
+    interface::{Inlet, Interface, Knob, Outlet},
+    modules::{KIND as MODULE, Module, no_results},
+    remove::Removed,
+    tree::{Entry, Spanned, Table, Value},
+};
 
 use crate::fault::{Fault, SourceText, Span};
 use std::{path::Path, sync::Arc};
 
-/// The merged tree of a graph.
+/// The merged tree of a graph, with nodes in the place of modules.
 pub(crate) struct Graph {
     /// The top-level table.
     pub(crate) table: Table,
     /// The graph file itself.
     pub(crate) main: Arc<SourceText>,
+    /// What was taken away by `remove`.
+    pub(crate) removed: Removed,
+    /// The modules that nodes have taken the place of.
+    pub(crate) modules: Vec<Module>,
+    /// What the file declares, if it is a module itself.
+    pub(crate) interface: Option<Interface>,
 }
 
 impl Graph {
@@ -28,7 +43,7 @@ impl Graph {
     }
 }
 
-/// Reads the graph file at `path`, what it extends, and the command line's settings.
+/// Reads the graph file at `path`, what it extends, the modules it uses, and the command line's settings.
 pub(crate) fn load(path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Option<Graph> {
     match extends::read(path) {
         Ok(text) => Some(load_text(text, path, sets, faults)),
@@ -41,9 +56,15 @@ pub(crate) fn load(path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Opt
 
 /// The same with the text of the graph file at hand.
 pub(crate) fn load_text(text: String, path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Graph {
-    let mut chain = extends::Chain::new(path, faults);
+    let mut removed = Removed::default();
+    let mut chain = extends::Chain::new(path, &mut removed, faults);
     let (main, mut table) = chain.load(text);
     let n_texts = chain.len();
-    set::apply(&mut table, sets, n_texts, faults);
-    Graph { table, main }
+    let edits = set::apply(&mut table, sets, &mut removed, faults);
+    let interface = interface::read(&mut table, faults);
+    if let Some(interface) = &interface {
+        modules::stand_alone(&mut table, interface, faults);
+    }
+    let modules = modules::Flattener::new(path, n_texts, &mut removed, faults).flatten(&mut table, edits);
+    Graph { table, main, removed, modules, interface }
 }

@@ -20,7 +20,7 @@ pub mod run;
 #[cfg(test)]
 mod toy;
 
-pub use check::{Checked, check, check_recorded, check_text};
+pub use check::{Checked, CheckedFile, Module, check, check_file, check_recorded, check_text};
 pub use fault::{Fault, Faults};
 pub use recording::Recording;
 pub use replay::{ReplayReport, replay};

@@ -1,7 +1,7 @@
 use super::{Exit, Format, Global, GraphArgs, print_json};
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::Faults;
+use osteoflow_engine::{CheckedFile, Faults};
 use serde_json::json;
 use std::io::Write;
 
@@ -13,6 +13,7 @@ use std::io::Write;
 #[command(after_help = "\
 Examples:
   osteoflow check graphs/fibula.toml
+  osteoflow check graphs/modules/laser_point.toml        a module is checked alone as well
   osteoflow check graphs/fibula.toml --set icp.kind=icp.point_to_plane
   osteoflow check graphs/fibula.toml --format json       faults with file, line and column, for editors")]
 pub(crate) struct Check {
@@ -22,19 +23,29 @@ pub(crate) struct Check {
 
 impl Check {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let (_, Some(checked)) = self.graph.check(global)? else { return Ok(Exit::Usage) };
-        let plan = &checked.plan;
+        let Some(file) = self.graph.check_file(global)? else { return Ok(Exit::Usage) };
+        let (plan, warnings, is_module) = match file {
+            CheckedFile::Graph(checked) => (checked.plan, checked.warnings, false),
+            CheckedFile::Module(module) => (module.plan, module.warnings, true),
+        };
         match global.format {
             Format::Json => print_json(&json!({
                 "outcome": Exit::Done.to_json(),
                 "graph": plan.name,
+                "module": is_module,
                 "nodes": plan.nodes.len(),
                 "wires": plan.links.len(),
-                "warnings": Faults(checked.warnings).to_json(),
+                "warnings": Faults(warnings).to_json(),
             }))?,
             Format::Text if !global.quiet => {
                 let (graph, nodes, wires) = (self.graph.graph.display(), plan.nodes.len(), plan.links.len());
-                writeln!(std::io::stdout(), "{graph}: {nodes} nodes, {wires} wires, no faults")?;
+                let module = if is_module { "a module of " } else { "" };
+                let warned = match warnings.len() {
+                    0 => String::new(),
+                    1 => ", 1 warning".into(),
+                    n => format!(", {n} warnings"),
+                };
+                writeln!(std::io::stdout(), "{graph}: {module}{nodes} nodes, {wires} wires, no faults{warned}")?;
             }
             Format::Text => {}
         }

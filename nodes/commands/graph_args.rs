@@ -1,7 +1,7 @@
 use super::{Exit, Format, Global, registry};
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::{Checked, Faults};
+use osteoflow_engine::{Checked, CheckedFile, Fault, Faults, Module};
 use osteoflow_node::Registry;
 use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf};
@@ -23,10 +23,7 @@ impl GraphArgs {
         let registry = registry();
         match osteoflow_engine::check(&self.graph, &self.sets, &registry) {
             Ok(checked) => {
-                if !checked.warnings.is_empty() && !global.quiet && global.format == Format::Text {
-                    let warnings = Faults(checked.warnings.clone());
-                    writeln!(std::io::stderr(), "{}\n", warnings.render(global.colour_err()))?;
-                }
+                warn(&checked.warnings, global)?;
                 Ok((registry, Some(checked)))
             }
             Err(faults) => {
@@ -35,6 +32,31 @@ impl GraphArgs {
             }
         }
     }
+}
+
+impl GraphArgs {
+    /// The same for a file that may also be a module's.
+    pub(crate) fn check_file(&self, global: &Global) -> Result<Option<CheckedFile>> {
+        match osteoflow_engine::check_file(&self.graph, &self.sets, &registry()) {
+            Ok(file) => {
+                let (CheckedFile::Graph(Checked { warnings, .. }) | CheckedFile::Module(Module { warnings, .. })) =
+                    &file;
+                warn(warnings, global)?;
+                Ok(Some(file))
+            }
+            Err(faults) => {
+                tell(&faults, global)?;
+                Ok(None)
+            }
+        }
+    }
+}
+
+fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
+    if !warnings.is_empty() && !global.quiet && global.format == Format::Text {
+        writeln!(std::io::stderr(), "{}\n", Faults(warnings.to_vec()).render(global.colour_err()))?;
+    }
+    Ok(())
 }
 
 /// All faults: to people on stderr, to machines as the answer.

@@ -1,11 +1,16 @@
-use super::{Exit, Format, Global, UsageError, node_docs, registry};
+use super::{Exit, Format, Global, GraphArgs, UsageError, module_docs, node_docs, print_json, registry};
 use anyhow::{Context, Result};
 use clap::Args;
-use osteoflow_node::Registry;
+use osteoflow_engine::CheckedFile;
+use osteoflow_node::{Description, OutputPorts, Registry};
 use serde_json::json;
-use std::{fs, io::Write, path::PathBuf};
+use std::{
+    fs,
+    io::Write,
+    path::{Path, PathBuf},
+};
 
-/// Show which nodes there are, and what one of them takes, gives and needs.
+/// Show which nodes and payloads there are, and what a kind or a module takes, gives and needs.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -13,10 +18,16 @@ Examples:
   osteoflow inspect icp                    the kinds of one stage
   osteoflow inspect icp.point_to_plane     one kind: ports, joins, parameters, example, literature
   osteoflow inspect icp.point_to_plane --format json
+  osteoflow inspect graphs/modules/laser_point.toml        a module: inputs, outputs, parameters
+  osteoflow inspect --payloads             what may travel on a wire
   osteoflow inspect --write-docs docs/nodes")]
 pub(crate) struct Inspect {
-    /// A kind such as `icp.point_to_plane`, or a stage such as `icp`; everything if not given.
+    /// A kind such as `icp.point_to_plane`, a stage such as `icp`, or the file of a module; every kind if not given.
     kind: Option<String>,
+
+    /// List the payload types: the words for `type` in `out`, and what gives and takes each.
+    #[arg(long, conflicts_with_all = ["kind", "markdown", "write_docs"])]
+    payloads: bool,
 
     /// Print Markdown, as in docs/nodes, for a list of kinds too.
     #[arg(long)]
@@ -32,6 +43,12 @@ impl Inspect {
         let registry = registry();
         if let Some(dir) = &self.write_docs {
             return write_docs(&registry, dir);
+        }
+        if self.payloads {
+            return payloads(&registry, global);
+        }
+        if let Some(file) = self.kind.as_deref().filter(|kind| is_file(kind, &registry)) {
+            return self.module(file, global);
         }
         let chosen = self.chosen(&registry)?;
         let mut out = std::io::stdout().lock();
@@ -59,6 +76,21 @@ impl Inspect {
         Ok(Exit::Done)
     }
 
+    /// What a module declares.
+    fn module(&self, file: &str, global: &Global) -> Result<Exit> {
+        let graph = GraphArgs { graph: file.into(), sets: Vec::new() };
+        let Some(checked) = graph.check_file(global)? else { return Ok(Exit::Usage) };
+        let CheckedFile::Module(module) = checked else {
+            let said = format!("{file} is a graph, but no module; `osteoflow check` and `osteoflow graph` show graphs");
+            return Err(UsageError(said).into());
+        };
+        match global.format {
+            Format::Json => print_json(&json!(module.description))?,
+            Format::Text => write!(std::io::stdout(), "{}", module_docs::markdown(&module.description, file))?,
+        }
+        Ok(Exit::Done)
+    }
+
     /// The kinds asked for, by stage.
     fn chosen<'r>(&self, registry: &'r Registry) -> Result<Vec<(&'r str, Vec<&'r osteoflow_node::Description>)>> {
         let all = node_docs::by_stage(registry);
@@ -70,11 +102,59 @@ impl Inspect {
         });
         let chosen: Vec<_> = chosen.collect();
         if chosen.is_empty() {
-            let said = format!("no node or stage is called \"{asked}\"; `osteoflow inspect` lists them");
+            let kinds = registry.kinds().map(|kind| kind.description.kind);
+            let near = osteoflow_engine::check::nearest(
+                asked,
+                kinds.chain(node_docs::by_stage(registry).iter().map(|(s, _)| *s)),
+            );
+            let near = near.map(|near| format!("did you mean \"{near}\"? ")).unwrap_or_default();
+            let said = format!("no node or stage is called \"{asked}\"; {near}`osteoflow inspect` lists them");
             return Err(UsageError(said).into());
         }
         Ok(chosen)
     }
+}
+
+/// Whether a word names a file, not a kind.
+fn is_file(word: &str, registry: &Registry) -> bool {
+    registry.kind(word).is_none() && (word.ends_with(".toml") || Path::new(word).is_file())
+}
+
+/// The payload types, and the kinds that give and take each.
+fn payloads(registry: &Registry, global: &Global) -> Result<Exit> {
+    let gives = |name: &str| {
+        kinds_with(registry, |d| match &d.outputs {
+            OutputPorts::Fixed(ports) => ports.iter().any(|port| port.payload.name() == name),
+            OutputPorts::Declared { .. } => false,
+        })
+    };
+    let takes =
+        |name: &str| kinds_with(registry, |d| d.inputs.iter().any(|port| port.payload.name() == name && !port.unused));
+    let types: Vec<_> = registry.payload_types().collect();
+    if global.format == Format::Json {
+        let rows = types.iter().map(|ty| {
+            json!({ "type": ty.name, "version": ty.version, "interpolates": ty.interpolates, "given_by": gives(ty.name), "taken_by": takes(ty.name) })
+        });
+        print_json(&rows.collect())?;
+        return Ok(Exit::Done);
+    }
+    let mut out = std::io::stdout().lock();
+    for ty in types {
+        let between = if ty.interpolates { "; joins by interpolate" } else { "" };
+        writeln!(out, "{} (version {}{between})", global.paint_out(ty.name, "1"), ty.version)?;
+        for (word, kinds) in [("given by", gives(ty.name)), ("taken by", takes(ty.name))] {
+            let list =
+                if kinds.is_empty() { "no kind; a source may declare it by out".into() } else { kinds.join(", ") };
+            if word == "given by" || !kinds.is_empty() {
+                writeln!(out, "  {word} {list}")?;
+            }
+        }
+    }
+    Ok(Exit::Done)
+}
+
+fn kinds_with(registry: &Registry, is: impl Fn(&Description) -> bool) -> Vec<&'static str> {
+    registry.kinds().filter(|kind| is(&kind.description)).map(|kind| kind.description.kind).collect()
 }
 
 fn write_docs(registry: &Registry, dir: &PathBuf) -> Result<Exit> {

@@ -4,10 +4,12 @@ mod check;
 mod completions;
 mod digest;
 mod exit;
+mod expand;
 mod graph;
 mod graph_args;
 mod inspect;
 pub(crate) mod log;
+mod module_docs;
 mod node_docs;
 mod out_dir;
 mod progress;
@@ -133,6 +135,7 @@ fn paint(coloured: bool, text: &str, style: &str) -> String {
 pub(crate) enum Command {
     Run(run::Run),
     Check(check::Check),
+    Expand(expand::Expand),
     Inspect(inspect::Inspect),
     Graph(graph::Graph),
     Record(record::Record),
@@ -150,6 +153,7 @@ impl Command {
             Self::Replay(command) => command.execute(global),
             Self::Digest(command) => command.execute(global),
             Self::Check(command) => command.execute(global),
+            Self::Expand(command) => command.execute(global),
             Self::Inspect(command) => command.execute(global),
             Self::Graph(command) => command.execute(global),
             Self::Simulate(command) => command.execute(global),

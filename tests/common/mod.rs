@@ -49,8 +49,18 @@ pub(crate) fn assert_golden(path: &Path, text: &str) {
     );
 }
 
-/// Every graph file that ships, by its path from the workspace's folder.
+/// Every graph that ships, by its path from the workspace's folder.
 pub(crate) fn shipped_graphs() -> Vec<String> {
+    shipped_files().into_iter().filter(|path| !path.starts_with("graphs/modules/")).collect()
+}
+
+/// Every module that ships.
+pub(crate) fn shipped_modules() -> Vec<String> {
+    shipped_files().into_iter().filter(|path| path.starts_with("graphs/modules/")).collect()
+}
+
+/// Every graph file that ships.
+fn shipped_files() -> Vec<String> {
     let mut folders = vec![root().join("graphs")];
     let mut found = Vec::new();
     while let Some(folder) = folders.pop() {

@@ -1,7 +1,7 @@
 use super::{Check, header::Header, nearest, schema::Walker, take};
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Graph, Table, Value},
+    graph::{Entry, Graph, MODULE, Table, Value},
     plan::{OnError, PortFrames},
 };
 use osteoflow_node::{DeclaredPort, FrameExpr, Kind, OutputPorts, PortPayload, Role};
@@ -12,7 +12,7 @@ use std::path::PathBuf;
 pub(super) const RESERVED: [&str; 4] = ["kind", "in", "out", "on_error"];
 
 /// Names that `--set` and `remove` take for the parts of a graph file.
-const NO_NODE: [&str; 6] = ["graph", "node", "record", "results", "extends", "remove"];
+const NO_NODE: [&str; 7] = ["graph", "node", "record", "results", "extends", "remove", "module"];
 
 /// A node as far as its own table tells.
 pub(super) struct Draft<'a> {
@@ -94,7 +94,7 @@ impl<'r> Check<'r> {
         'r: 'a,
     {
         let name = entry.key.as_str();
-        if !take::is_name(name) {
+        if !take::is_node_name(name) {
             let fault = Fault::new(format!("a node cannot be called {name:?}")).at(&entry.key_at, "no name");
             self.faults.push(fault.help("a name has letters, digits, _ and - only"));
         } else if NO_NODE.contains(&name) {
@@ -147,7 +147,8 @@ impl<'r> Check<'r> {
             stages.dedup();
             let list = list.or_else(|| nearest::list("kinds", kinds.iter().copied()));
             let list = list.or_else(|| Some(format!("stages: {}", stages.join(", "))));
-            let help = nearest::help(found, of_stage.iter().copied()).or_else(|| nearest::help(found, kinds));
+            let known = kinds.into_iter().chain([MODULE]);
+            let help = nearest::help(found, of_stage.iter().copied()).or_else(|| nearest::help(found, known));
             let fault = Fault::new(format!("node \"{name}\": there is no kind \"{found}\""));
             self.faults.push(fault.at(&kind.value.at, "unknown").help_if(help).note_if(list));
         }

@@ -2,7 +2,7 @@ use super::{
     drafts::Draft,
     inputs::{Input, doc_of, fits},
 };
-use crate::fault::Fault;
+use crate::{fault::Fault, graph::Removed};
 use osteoflow_node::{FrameExpr, InputPort, OutputPorts, PortPayload, Registry};
 
 const LIST: usize = 8;
@@ -12,6 +12,7 @@ pub(super) struct Feed<'a, 'd> {
     pub(super) drafts: &'a [Draft<'d>],
     pub(super) inputs: &'a [Vec<Input>],
     pub(super) registry: &'a Registry,
+    pub(super) removed: &'a Removed,
 }
 
 impl Feed<'_, '_> {
@@ -26,6 +27,10 @@ impl Feed<'_, '_> {
             [only] => Some(format!("wire {} = {only}", port.name)),
             [_, ..] => Some(format!("wire one of these to it: {}", wires.join(", "))),
             [] => self.kinds(&port.payload).map(|kinds| format!("nothing gives {takes} here; kinds that do: {kinds}")),
+        };
+        let fault = match self.removed.at(&format!("node.{}.in.{}", draft.name, port.name)) {
+            Some(removed) => fault.also(removed, "removed here"),
+            None => fault,
         };
         fault.note_if(doc_of(port)).help_if(help).follows()
     }

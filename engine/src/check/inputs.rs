@@ -21,6 +21,8 @@ pub(super) struct Input {
     pub(super) at: Option<Span>,
     /// What it is wired to, unless that is at fault.
     pub(super) from: Option<Wire>,
+    /// The input of the module at hand that feeds it, where a module is checked alone.
+    pub(super) outside: Option<String>,
     pub(super) capacity: usize,
     pub(super) max_bytes: u64,
     pub(super) policy: Policy,
@@ -33,7 +35,7 @@ impl Check<'_> {
         for (index, draft) in drafts.iter().enumerate() {
             let missing: Vec<_> = inputs[index].iter().filter(|i| i.at.is_none() && !i.port.optional).collect();
             for input in &missing {
-                let feed = Feed { drafts, inputs: &inputs, registry: self.registry };
+                let feed = Feed { drafts, inputs: &inputs, registry: self.registry, removed: &self.names.removed };
                 self.faults.push(feed.missing(index, &input.port));
             }
             if missing.is_empty() {
@@ -49,6 +51,7 @@ impl Check<'_> {
             port: port.clone(),
             at: None,
             from: None,
+            outside: None,
             capacity: DEFAULT_CAPACITY,
             max_bytes: DEFAULT_MAX_BYTES,
             policy: Policy::Block,
@@ -62,14 +65,15 @@ impl Check<'_> {
         for entry in &table.0 {
             let owner = format!("node \"{}\": input \"{}\"", draft.name, entry.key);
             let index = inputs.iter().position(|input| input.port.name == entry.key);
-            let (from, from_at) = match self.from(entry, &owner) {
-                Some((text, at)) => (wires::find(text, at, &owner, drafts, &mut self.faults), at),
+            let outside = outside(entry);
+            let (from, from_at) = match outside.is_none().then(|| self.from(entry, &owner)).flatten() {
+                Some((text, at)) => (wires::find(text, at, &owner, drafts, &self.names, &mut self.faults), at),
                 None => (None, &entry.value.at),
             };
             match index {
                 Some(index) => {
                     let input = &mut inputs[index];
-                    (input.from, input.at) = (from, Some(from_at.clone()));
+                    (input.from, input.at, input.outside) = (from, Some(from_at.clone()), outside);
                     self.fits(input, &owner, drafts);
                     self.options(input, entry, &owner, drafts, header);
                 }
@@ -131,6 +135,18 @@ impl Check<'_> {
         let fault = Fault::new(message).at(at, format!("gives {gives}"));
         let help = Feed::others(&input.port.payload, wire.0, drafts);
         self.faults.push(fault.note_if(doc_of(&input.port)).help_if(help));
+    }
+}
+
+/// The module's input that feeds the port, where a module is checked alone.
+fn outside(entry: &Entry) -> Option<String> {
+    let from = match &entry.value.value {
+        Value::Table(table) => &table.get("from")?.value.value,
+        value => value,
+    };
+    match from {
+        Value::Outside(name) => Some(name.clone()),
+        _ => None,
     }
 }
 

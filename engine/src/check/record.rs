@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Graph, Value},
+    graph::{Graph, Module, Value},
     plan::{RecordSettings, Sources},
     record::Compression,
 };
@@ -78,18 +78,41 @@ impl Check<'_> {
                     (any, *chosen) = (true, true);
                 }
             }
+            // An output of a module is the wire within that it stands for.
+            for module in &self.names.modules {
+                for (name, _, at) in module.outputs.iter().flatten() {
+                    let alias = format!("{}.{name}", module.node);
+                    if !glob::fits(text, &alias) {
+                        continue;
+                    }
+                    // What the module declares wrongly is told there.
+                    let wire = self.names.flat(&alias, at, "", &mut Vec::new());
+                    let wire = wire.and_then(|wire| all.iter().position(|w| wires::name(*w, drafts) == wire));
+                    any = true;
+                    if let Some(index) = wire {
+                        chosen[index] = true;
+                    }
+                }
+            }
             // A node at fault may have the outputs that were meant.
             let node = text.split('.').next().unwrap_or(text);
             let unknown = drafts.iter().any(|draft| draft.outputs.is_none() && glob::fits(node, draft.name));
+            let unknown =
+                unknown || self.names.modules.iter().any(|m| m.outputs.is_none() && glob::fits(node, &m.node));
             if !any && !unknown {
                 let fault = Fault::new(format!("nothing to record: no wire is called \"{text}\"")).warning();
-                let names: Vec<_> = all.iter().map(|wire| wires::name(*wire, drafts)).collect();
-                let of_node = drafts.iter().any(|draft| draft.name == text);
+                let outputs = |m: &Module| -> Vec<String> {
+                    m.outputs.iter().flatten().map(|(name, ..)| format!("{}.{name}", m.node)).collect()
+                };
+                let names = all.iter().map(|wire| wires::name(*wire, drafts));
+                let names: Vec<_> = names.chain(self.names.modules.iter().flat_map(outputs)).collect();
+                let of_node = drafts.iter().any(|draft| draft.name == text) || self.names.module(text).is_some();
                 let help = of_node.then(|| format!("write \"{text}.*\" for all outputs of the node"));
                 let help = help.or_else(|| nearest::help(text, names.iter().map(String::as_str)));
                 let help = help.or_else(|| {
                     let (node, rest) = text.split_once('.')?;
-                    let near = nearest::name(node, drafts.iter().map(|draft| draft.name))?;
+                    let modules = self.names.modules.iter().map(|module| module.node.as_str());
+                    let near = nearest::name(node, drafts.iter().map(|draft| draft.name).chain(modules))?;
                     Some(format!("did you mean \"{near}.{rest}\"?"))
                 });
                 self.faults.push(fault.at(&pattern.at, "fits no wire").help_if(help).follows());

@@ -41,7 +41,7 @@ pub(super) fn text(net: &Net<'_>) -> String {
 }
 
 fn node(out: &mut String, draft: &Draft<'_>, inputs: &[Input], drafts: &[Draft<'_>]) {
-    line(out, &format!("\n[node.{}]", draft.name));
+    line(out, &format!("\n[node.{}]", bare(draft.name)));
     line(out, &format!("kind = {}", quote(draft.kind_name())));
     if draft.on_error == OnError::Skip {
         line(out, "on_error = \"skip\"");

@@ -80,7 +80,7 @@ impl Check<'_> {
             }
         };
         let text = take::text(from, &format!("{owner}: from"), &mut self.faults)?;
-        let from = wires::find(text, &from.at, &owner, drafts, &mut self.faults)?;
+        let from = wires::find(text, &from.at, &owner, drafts, &self.names, &mut self.faults)?;
         Some(Result { key: entry.key.clone(), key_at: entry.key_at.clone(), from, all, optional })
     }
 }

@@ -7,10 +7,10 @@ use crate::{
 };
 
 /// The text of an entry that must be one.
-pub(super) fn text<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<&'a str> {
+pub(crate) fn text<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<&'a str> {
     let text = value.as_text().or_else(|| match &value.value {
         // On the command line a text needs no quotes, even where it looks like a number.
-        Value::Array(_) | Value::Table(_) => None,
+        Value::Array(_) | Value::Table(_) | Value::Outside(_) => None,
         _ => value.at.source.command_line.then(|| value.at.text()),
     });
     if text.is_none() {
@@ -19,7 +19,7 @@ pub(super) fn text<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) 
     text
 }
 
-pub(super) fn boolean(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<bool> {
+pub(crate) fn boolean(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<bool> {
     if let Value::Bool(value) = value.value {
         return Some(value);
     }
@@ -28,7 +28,7 @@ pub(super) fn boolean(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> O
 }
 
 /// A whole number from `least` to `most`.
-pub(super) fn whole(value: &Spanned, what: &str, least: u64, most: u64, faults: &mut Vec<Fault>) -> Option<u64> {
+pub(crate) fn whole(value: &Spanned, what: &str, least: u64, most: u64, faults: &mut Vec<Fault>) -> Option<u64> {
     if let Value::Int(number) = value.value
         && let Some(number) = u64::try_from(number).ok().filter(|n| (least..=most).contains(n))
     {
@@ -73,7 +73,7 @@ fn bytes_of(text: &str) -> Option<u64> {
 }
 
 /// A duration of at least 0 in milliseconds, in nanoseconds.
-pub(super) fn milliseconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<i64> {
+pub(crate) fn milliseconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<i64> {
     let ms = match value.value {
         Value::Int(number) => number as f64,
         Value::Float(number) => number,
@@ -87,7 +87,7 @@ pub(super) fn milliseconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>)
     None
 }
 
-pub(super) fn table<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<&'a Table> {
+pub(crate) fn table<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<&'a Table> {
     let table = value.as_table();
     if table.is_none() {
         faults.push(wrong(value, what, "a table"));
@@ -101,7 +101,7 @@ fn wrong(value: &Spanned, what: &str, takes: &str) -> Fault {
 }
 
 /// Faults for the keys of a table that are not known there.
-pub(super) fn only(table: &Table, known: &[&str], place: &str, faults: &mut Vec<Fault>) {
+pub(crate) fn only(table: &Table, known: &[&str], place: &str, faults: &mut Vec<Fault>) {
     for Entry { key, key_at, .. } in table.0.iter().filter(|entry| !known.contains(&entry.key.as_str())) {
         let fault = Fault::new(format!("{place} has no key \"{key}\"")).at(key_at, "unknown");
         let help = nearest::help(key, known.iter().copied());
@@ -109,7 +109,12 @@ pub(super) fn only(table: &Table, known: &[&str], place: &str, faults: &mut Vec<
     }
 }
 
+/// Whether it may name a node: a name, or names with `/` between them, as modules give to the nodes within.
+pub(crate) fn is_node_name(name: &str) -> bool {
+    name.split('/').all(is_name)
+}
+
 /// Whether a name may stand in a wire without quotes: letters, digits, `_` and `-`.
-pub(super) fn is_name(name: &str) -> bool {
+pub(crate) fn is_name(name: &str) -> bool {
     !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
 }

@@ -33,17 +33,17 @@ fn split(name: &str) -> (&str, Option<&'static Unit>) {
 }
 
 /// The known name of the same quantity in another unit, and the value in it.
-pub(super) struct Other<'a> {
+pub(crate) struct Other<'a> {
     /// The known name.
-    pub(super) name: &'a str,
+    pub(crate) name: &'a str,
     /// Its unit.
-    pub(super) unit: &'static str,
+    pub(crate) unit: &'static str,
     /// The value in that unit, where it was a number in a unit that can be turned into it.
-    pub(super) value: Option<f64>,
+    pub(crate) value: Option<f64>,
 }
 
 /// Whether an unknown name is a known one with the unit wrong or left out.
-pub(super) fn other<'a>(
+pub(crate) fn other<'a>(
     found: &str,
     value: Option<f64>,
     known: impl IntoIterator<Item = &'a str>,
@@ -64,7 +64,7 @@ fn round(value: f64) -> f64 {
 }
 
 /// The number and the unit of a text such as `5 mm`.
-pub(super) fn with_unit(text: &str) -> Option<(f64, &str)> {
+pub(crate) fn with_unit(text: &str) -> Option<(f64, &str)> {
     let text = text.trim();
     let end = text.find(|c: char| c.is_alphabetic() && c != 'e' && c != 'E')?;
     let (number, unit) = text.split_at(end);
@@ -74,7 +74,7 @@ pub(super) fn with_unit(text: &str) -> Option<(f64, &str)> {
 }
 
 /// The value of `number` in `unit` in the unit that `name` ends in.
-pub(super) fn in_unit_of(name: &str, number: f64, unit: &str) -> Option<f64> {
+pub(crate) fn in_unit_of(name: &str, number: f64, unit: &str) -> Option<f64> {
     let (_, to) = split(name);
     let from = UNITS.iter().find(|u| u.suffix == unit)?;
     let to = to.filter(|to| to.kind == from.kind)?;

@@ -1,22 +1,81 @@
 //! What a text such as `crop.cloud` names.
 
 use super::{drafts::Draft, nearest};
-use crate::fault::{Fault, Span};
+use crate::{
+    fault::{Fault, Span},
+    graph::{Module, Removed},
+};
+
+/// What a wire may name beside the nodes that are there.
+#[derive(Default)]
+pub(super) struct Names {
+    pub(super) modules: Vec<Module>,
+    pub(super) removed: Removed,
+}
+
+impl Names {
+    pub(super) fn module(&self, node: &str) -> Option<&Module> {
+        self.modules.iter().find(|module| module.node == node)
+    }
+
+    /// The name of the wire that an output of a module stands for; others stand for themselves. `None` with a fault for
+    /// an output that the module does not have, and without where the module is at fault.
+    pub(super) fn flat(&self, text: &str, at: &Span, owner: &str, faults: &mut Vec<Fault>) -> Option<String> {
+        let mut text = text.to_owned();
+        // An output of a module may be one of a module within.
+        while let Some((module, port)) = text.rsplit_once('.').and_then(|(node, port)| Some((self.module(node)?, port)))
+        {
+            let outputs = module.outputs.as_ref()?;
+            let Some((_, wire, _)) = outputs.iter().find(|(name, ..)| name == port) else {
+                let file = module.file.display();
+                let message = format!("{owner} is wired to \"{text}\", but module {file} has no output \"{port}\"");
+                let names = || outputs.iter().map(|(name, ..)| name.as_str());
+                let near = nearest::name(port, names()).map(|near| format!("did you mean \"{}.{near}\"?", module.node));
+                let list = nearest::list("its outputs", names());
+                let none = outputs.is_empty().then(|| "it declares no outputs".to_owned());
+                let within = format!("a wire within is named \"{}/NODE.PORT\"", module.node);
+                let fault = Fault::new(message).at(at, "no such output").help_if(near);
+                faults.push(fault.note_if(list.or(none)).note(within).follows());
+                return None;
+            };
+            text.clone_from(wire);
+        }
+        Some(text)
+    }
+}
 
 /// An output by the index of its node among the drafts, and its own among the node's outputs.
 pub(super) type Wire = (usize, usize);
 
 /// The output that the text names; `None` without a fault where its node is at fault already.
-pub(super) fn find(text: &str, at: &Span, owner: &str, drafts: &[Draft<'_>], faults: &mut Vec<Fault>) -> Option<Wire> {
+pub(super) fn find(
+    text: &str,
+    at: &Span,
+    owner: &str,
+    drafts: &[Draft<'_>],
+    names: &Names,
+    faults: &mut Vec<Fault>,
+) -> Option<Wire> {
+    let text = &names.flat(text, at, owner, faults)?;
     let Some((node, port)) = text.rsplit_once('.') else {
-        faults.push(no_dot(text, at, owner, drafts));
+        faults.push(no_dot(text, at, owner, drafts, names));
         return None;
     };
     let Some(index) = drafts.iter().position(|draft| draft.name == node) else {
-        let (_, list) = nearest::hint(node, "nodes", drafts.iter().map(|draft| draft.name));
+        let known =
+            drafts.iter().map(|draft| draft.name).chain(names.modules.iter().map(|module| module.node.as_str()));
+        let (_, list) = nearest::hint(node, "nodes", known);
         let fault = Fault::new(format!("{owner} is wired to \"{text}\", but there is no node \"{node}\""));
-        let fault = fault.at(at, "no such node").help_if(near_node(node, port, drafts));
-        faults.push(fault.note_if(list).follows());
+        let fault = fault.at(at, "no such node");
+        faults.push(match names.removed.at(&format!("node.{node}")) {
+            Some(removed) => {
+                let help = format!("remove what takes \"{text}\" as well, or wire it to another node");
+                fault.also(removed, format!("\"{node}\" is removed here")).help(help)
+            }
+            None => fault.help_if(near_node(node, port, drafts, names)).note_if(list),
+        });
+        let last = faults.len() - 1;
+        faults[last].follows = true;
         return None;
     };
     let outputs = drafts[index].outputs.as_ref()?;
@@ -33,20 +92,32 @@ pub(super) fn find(text: &str, at: &Span, owner: &str, drafts: &[Draft<'_>], fau
     found.map(|port| (index, port))
 }
 
-fn near_node(node: &str, port: &str, drafts: &[Draft<'_>]) -> Option<String> {
-    let near = nearest::name(node, drafts.iter().map(|draft| draft.name))?;
+fn near_node(node: &str, port: &str, drafts: &[Draft<'_>], names: &Names) -> Option<String> {
+    let modules = names.modules.iter().map(|module| module.node.as_str());
+    // Within a module its name may be missing: `icp` for `registration/icp`.
+    let near = nearest::name(node, drafts.iter().map(|draft| draft.name).chain(modules))?;
+    if let Some(outputs) = names.module(near).and_then(|module| module.outputs.as_ref()) {
+        let there = outputs.iter().any(|(name, ..)| name == port);
+        return Some(match there {
+            true => format!("did you mean \"{near}.{port}\"?"),
+            false => format!("did you mean the module \"{near}\"?"),
+        });
+    }
     let outputs = drafts.iter().find(|draft| draft.name == near)?.outputs.as_ref();
     let there = outputs.is_some_and(|outputs| outputs.iter().any(|output| output.name == port));
     Some(if there { format!("did you mean \"{near}.{port}\"?") } else { format!("did you mean node \"{near}\"?") })
 }
 
-fn no_dot(text: &str, at: &Span, owner: &str, drafts: &[Draft<'_>]) -> Fault {
+fn no_dot(text: &str, at: &Span, owner: &str, drafts: &[Draft<'_>], names: &Names) -> Fault {
     let fault = Fault::new(format!("{owner} takes a wire, which is written node.port, found {text:?}"));
     let fault = fault.at(at, "no dot here");
     let outputs = drafts.iter().find(|draft| draft.name == text).and_then(|draft| draft.outputs.as_ref());
+    let outputs = outputs.map(|outputs| outputs.iter().map(|output| output.name.as_str()).collect());
+    let module = names.module(text).and_then(|module| module.outputs.as_ref());
+    let outputs: Option<Vec<&str>> = outputs.or(module.map(|m| m.iter().map(|(name, ..)| name.as_str()).collect()));
     match outputs {
         Some(outputs) => {
-            let wires: Vec<_> = outputs.iter().map(|output| format!("\"{text}.{}\"", output.name)).collect();
+            let wires: Vec<_> = outputs.iter().map(|output| format!("\"{text}.{output}\"")).collect();
             fault.help(format!("write {}", wires.join(" or ")))
         }
         None => fault.help_if(nearest::help(text, drafts.iter().map(|draft| draft.name))),

@@ -14,10 +14,21 @@ pub struct SourceText {
     pub dir: PathBuf,
     /// The text.
     pub text: String,
-    /// Its place among all texts of the graph: the graph file is first, then what it extends, the command line last.
+    /// Its place among all texts of the graph: the graph file is first, then what it extends, then modules, the command
+    /// line last.
     pub order: usize,
     /// Whether it is the command line.
     pub command_line: bool,
+    /// The node that uses it, if it is the file of a module or what that extends.
+    pub used: Option<Use>,
+}
+
+/// A use of a module.
+pub struct Use {
+    /// The full name of the node.
+    pub node: String,
+    /// Where the node begins.
+    pub at: Span,
 }
 
 impl fmt::Debug for SourceText {

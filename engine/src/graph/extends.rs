@@ -1,12 +1,7 @@
-use super::{
-    merge::merge,
-    parse::parse,
-    results,
-    tree::{Table, Value},
-};
+use super::{merge::merge, parse::parse, remove::Removed, results, tree::Table};
 use crate::{
     check::nearest,
-    fault::{Fault, SourceText, Span},
+    fault::{Fault, SourceText, Span, Use},
 };
 use std::{
     fs, io,
@@ -38,12 +33,22 @@ pub(super) struct Chain<'f> {
     path: PathBuf,
     /// Canonical paths, to see a cycle through links, and the names shown.
     seen: Vec<(PathBuf, PathBuf)>,
+    /// The place of the first text among all of the graph.
+    order: usize,
+    /// The node that uses the file as a module.
+    used: Option<(String, Span)>,
+    removed: &'f mut Removed,
     faults: &'f mut Vec<Fault>,
 }
 
 impl<'f> Chain<'f> {
-    pub(super) fn new(path: &Path, faults: &'f mut Vec<Fault>) -> Self {
-        Self { path: path.into(), seen: Vec::new(), faults }
+    pub(super) fn new(path: &Path, removed: &'f mut Removed, faults: &'f mut Vec<Fault>) -> Self {
+        Self { path: path.into(), seen: Vec::new(), order: 0, used: None, removed, faults }
+    }
+
+    /// The chain of a module.
+    pub(super) fn used(self, node: &str, at: &Span, order: usize) -> Self {
+        Self { used: Some((node.into(), at.clone())), order, ..self }
     }
 
     pub(super) fn len(&self) -> usize {
@@ -59,12 +64,14 @@ impl<'f> Chain<'f> {
     fn layer(&mut self, path: &Path, text: String) -> (Arc<SourceText>, Table) {
         let name = tidy(path);
         let dir = std::path::absolute(path).ok().and_then(|p| p.parent().map(Path::to_path_buf)).unwrap_or_default();
-        let source = Arc::new(SourceText { name, dir, text, order: self.seen.len(), command_line: false });
+        let used = self.used.as_ref().map(|(node, at)| Use { node: node.clone(), at: at.clone() });
+        let order = self.order + self.seen.len();
+        let source = Arc::new(SourceText { name, dir, text, order, command_line: false, used });
         self.seen.push((canonical(path), source.name.clone()));
         let mut over = parse(&source, self.faults);
         results::flatten(&mut over, self.faults);
         let mut base = self.base(&mut over, path);
-        remove(&mut base, &mut over, self.faults);
+        self.removed.take_from(&mut base, &mut over, self.faults);
         merge(&mut base, over);
         (source, base)
     }
@@ -96,7 +103,7 @@ impl<'f> Chain<'f> {
 }
 
 /// The path without `x/..`, for show.
-fn tidy(path: &Path) -> PathBuf {
+pub(super) fn tidy(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for component in path.components() {
         match component {
@@ -110,68 +117,6 @@ fn tidy(path: &Path) -> PathBuf {
     out
 }
 
-fn canonical(path: &Path) -> PathBuf {
+pub(super) fn canonical(path: &Path) -> PathBuf {
     fs::canonicalize(path).unwrap_or_else(|_| std::path::absolute(path).unwrap_or_else(|_| path.into()))
-}
-
-/// Takes from `base` what `remove` of `over` names.
-pub(super) fn remove(base: &mut Table, over: &mut Table, faults: &mut Vec<Fault>) {
-    let Some(entry) = over.remove("remove") else { return };
-    let Value::Array(items) = &entry.value.value else {
-        let message = format!("remove takes a list such as [\"node.x\", \"results.y\"], found {}", entry.value.found());
-        faults.push(Fault::new(message).at(&entry.value.at, "a list is needed"));
-        return;
-    };
-    for item in items {
-        match item.as_text() {
-            Some(path) => {
-                if !remove_path(base, path) {
-                    faults.push(nothing_there(base, path, &item.at));
-                }
-            }
-            None => {
-                let message = format!("remove takes texts such as \"node.x\", found {}", item.found());
-                faults.push(Fault::new(message).at(&item.at, "a text is needed"));
-            }
-        }
-    }
-}
-
-fn remove_path(table: &mut Table, path: &str) -> bool {
-    if table.remove(path).is_some() {
-        return true;
-    }
-    // The key of a result has dots of its own, and a group of results is named by what they share.
-    let group = format!("{path}.");
-    let before = table.0.len();
-    table.0.retain(|entry| !entry.key.starts_with(&group));
-    if table.0.len() < before {
-        return true;
-    }
-    path.match_indices('.').any(|(dot, _)| match table.get_mut(&path[..dot]) {
-        Some(entry) => match &mut entry.value.value {
-            Value::Table(inner) => remove_path(inner, &path[dot + 1..]),
-            _ => false,
-        },
-        None => false,
-    })
-}
-
-fn nothing_there(base: &Table, path: &str, at: &Span) -> Fault {
-    let mut known = Vec::new();
-    for entry in &base.0 {
-        if let Value::Table(inner) = &entry.value.value {
-            known.extend(inner.keys().map(|key| format!("{}.{key}", entry.key)));
-            if entry.key == "node" {
-                for node in &inner.0 {
-                    let keys = node.value.as_table().into_iter().flat_map(Table::keys);
-                    known.extend(keys.map(|key| format!("node.{}.{key}", node.key)));
-                }
-            }
-        }
-    }
-    let message = format!("nothing to remove: the extended graph has no \"{path}\"");
-    let near = nearest::name(path, known.iter().map(String::as_str));
-    let help = near.map(|near| format!("did you mean \"{near}\"?"));
-    Fault::new(message).at(at, "not there").help_if(help).follows()
 }

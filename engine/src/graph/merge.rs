@@ -8,6 +8,11 @@ pub(super) fn merge(base: &mut Table, over: Table) {
     merge_at(base, over, &mut Vec::new());
 }
 
+/// The same for tables of nodes by name.
+pub(super) fn merge_nodes(base: &mut Table, over: Table) {
+    merge_at(base, over, &mut vec!["node".into()]);
+}
+
 fn merge_at(base: &mut Table, over: Table, path: &mut Vec<String>) {
     for entry in over.0 {
         let Some(old) = base.get_mut(&entry.key) else {
@@ -47,7 +52,7 @@ fn has_short_form(path: &[String]) -> bool {
 
 /// `"a.b"` as `{ from = "a.b" }`.
 fn lengthen(value: &mut Spanned) {
-    if let Value::Text(_) = value.value {
+    if let Value::Text(_) | Value::Outside(_) = value.value {
         let from = Entry { key: "from".into(), key_at: value.at.clone(), value: value.clone() };
         value.value = Value::Table(Table(vec![from]));
     }

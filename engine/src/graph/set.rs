@@ -1,75 +1,104 @@
 use super::{
-    extends,
+    edit::{Edit, Step},
     merge::merge,
     parse::parse_value,
+    remove::Removed,
     tree::{Entry, Spanned, Table, Value},
 };
 use crate::fault::{Fault, SourceText, Span};
 use std::{ops::Range, path::PathBuf, sync::Arc};
 
-const TOP: [&str; 5] = ["graph", "node", "record", "results", "remove"];
+const TOP: [&str; 6] = ["graph", "node", "record", "results", "remove", "module"];
 const PREFIX: &str = "--set ";
 
-/// Lays the command line's `--set KEY=VALUE` onto the graph, in their order.
-pub(super) fn apply(table: &mut Table, sets: &[String], order: usize, faults: &mut Vec<Fault>) {
+/// Lays the command line's `--set KEY=VALUE` onto the graph, in their order; answers those that lie inside modules.
+pub(super) fn apply(table: &mut Table, sets: &[String], removed: &mut Removed, faults: &mut Vec<Fault>) -> Vec<Edit> {
+    let mut inside = Vec::new();
     if sets.is_empty() {
-        return;
+        return inside;
     }
     let lines: Vec<_> = sets.iter().map(|set| format!("{PREFIX}{set}")).collect();
     let dir = std::env::current_dir().unwrap_or_default();
     let name = PathBuf::from("command line");
-    let source = Arc::new(SourceText { name, dir, text: lines.join("\n"), order, command_line: true });
+    let (text, order) = (lines.join("\n"), usize::MAX);
+    let source = Arc::new(SourceText { name, dir, text, order, command_line: true, used: None });
     let mut start = 0;
     for line in &lines {
-        match overlay(&source, start + PREFIX.len()..start + line.len(), table) {
-            Ok(mut over) => {
-                extends::remove(table, &mut over, faults);
+        match Setting::read(&source, start + PREFIX.len()..start + line.len(), table) {
+            Ok(Setting::Overlay(mut over)) => {
+                removed.take_from(table, &mut over, faults);
                 merge(table, over);
             }
+            Ok(Setting::Edit(edit)) if edit.is_inside_a_module(table) => inside.push(edit),
+            Ok(Setting::Edit(edit)) => faults.extend(edit.apply(table).err().map(|fault| *fault)),
             Err(fault) => faults.push(*fault),
         }
         start += line.len() + 1;
     }
+    inside
 }
 
-/// One setting as a graph file would hold it.
-fn overlay(source: &Arc<SourceText>, range: Range<usize>, table: &Table) -> Result<Table, Box<Fault>> {
-    let text = &source.text[range.clone()];
-    let span = Span::new(source, range.clone());
-    let form = "write KEY=VALUE, such as icp.max_iterations=50 or graph.seed=7";
-    let no_form = |label: &str| Box::new(Fault::new("--set takes KEY=VALUE").at(&span, label).help(form));
-    let Some(equals) = text.find('=') else { return Err(no_form("no = here")) };
-    let keys = keys(&text[..equals], range.start);
-    if keys.iter().any(|(key, _)| key.is_empty()) {
-        return Err(no_form("a part of the key is empty"));
+/// What one `--set` asks for.
+enum Setting {
+    /// Keys and a value, as a graph file would hold them.
+    Overlay(Table),
+    /// An item of a list, or more of them.
+    Edit(Edit),
+}
+
+impl Setting {
+    fn read(source: &Arc<SourceText>, range: Range<usize>, table: &Table) -> Result<Self, Box<Fault>> {
+        let text = &source.text[range.clone()];
+        let span = Span::new(source, range.clone());
+        let form = "write KEY=VALUE, such as icp.max_iterations=50 or graph.seed=7";
+        let no_form = |label: &str| Box::new(Fault::new("--set takes KEY=VALUE").at(&span, label).help(form));
+        let Some(equals) = text.find('=') else { return Err(no_form("no = here")) };
+        let append = text[..equals].ends_with('+');
+        let key_end = equals - usize::from(append);
+        let mut path = Vec::new();
+        for part in parts(&text[..key_end], range.start) {
+            let (key, indices) = indices(source, part)?;
+            if key.0.is_empty() {
+                return Err(no_form("a part of the key is empty"));
+            }
+            path.push((key, indices));
+        }
+        let (first, at) = &path[0].0;
+        if first == "extends" {
+            let fault = Fault::new("extends belongs in a graph file").at(&span, "not on the command line");
+            return Err(Box::new(fault.help("name another graph file instead")));
+        }
+        if !TOP.contains(&first.as_str()) {
+            // `icp.max_iterations` is short for `node.icp.max_iterations`.
+            let key = ("node".into(), at.start..at.start);
+            path.insert(0, (key, Vec::new()));
+        }
+        let value = value(source, range.start + equals + 1..range.end);
+        if append || path.iter().any(|(_, indices)| !indices.is_empty()) {
+            let key_at = Span::new(source, range.start..range.start + text[..key_end].trim_end().len());
+            let steps = path.into_iter().flat_map(|(key, indices)| {
+                std::iter::once(Step::Key(key.0, Span::new(source, key.1)))
+                    .chain(indices.into_iter().map(|(n, at)| Step::Index(n, Span::new(source, at))))
+            });
+            return Ok(Self::Edit(Edit { steps: steps.collect(), append, value, key_at }));
+        }
+        let mut path: Vec<Key> = path.into_iter().map(|(key, _)| key).collect();
+        if path[0].0 == "results" {
+            path = result_path(path, table);
+        }
+        Ok(Self::Overlay(nest(source, &path, value)))
     }
-    if keys[0].0 == "extends" {
-        let fault = Fault::new("extends belongs in a graph file").at(&span, "not on the command line");
-        return Err(Box::new(fault.help("name another graph file instead")));
-    }
-    let mut path = keys;
-    if !TOP.contains(&path[0].0.as_str()) {
-        // `icp.max_iterations` is short for `node.icp.max_iterations`.
-        let at = path[0].1.clone();
-        path.insert(0, ("node".into(), at.start..at.start));
-    }
-    if path[0].0 == "results" {
-        path = result_path(path, table);
-    }
-    let value = value(source, range.start + equals + 1..range.end);
-    Ok(nest(source, &path, value))
 }
 
 type Key = (String, Range<usize>);
+type Index = (usize, Range<usize>);
 
-/// The parts of a dotted key; a part in quotes may hold dots.
-fn keys(text: &str, offset: usize) -> Vec<Key> {
-    let (mut keys, mut start, mut quote) = (Vec::new(), 0, None);
+/// The parts of a dotted key as written; a part in quotes may hold dots.
+fn parts(text: &str, offset: usize) -> Vec<Range<usize>> {
+    let (mut parts, mut start, mut quote) = (Vec::new(), 0, None);
     let mut cut = |part: &str, start: usize| {
         let blank = part.len() - part.trim_start().len();
-        let part = part.trim();
-        let at = offset + start + blank..offset + start + blank + part.len();
-        keys.push((part.trim_matches(['"', '\'']).to_owned(), at));
+        parts.push(offset + start + blank..offset + start + blank + part.trim().len());
     };
     for (at, c) in text.char_indices() {
         match (c, quote) {
@@ -83,7 +112,31 @@ fn keys(text: &str, offset: usize) -> Vec<Key> {
         }
     }
     cut(&text[start..], start);
-    keys
+    parts
+}
+
+/// A part of a key, and the indices that follow it: `rounds[1]`.
+fn indices(source: &Arc<SourceText>, at: Range<usize>) -> Result<(Key, Vec<Index>), Box<Fault>> {
+    let text = &source.text[at.clone()];
+    let quoted = text.starts_with(['"', '\'']);
+    let end = if quoted { text.rfind(['"', '\'']).map_or(text.len(), |q| q + 1) } else { text.len() };
+    let bracket = text[if quoted { end } else { 0 }..].find('[').map(|b| b + if quoted { end } else { 0 });
+    let key_end = bracket.unwrap_or(text.len());
+    let key = (text[..key_end].trim().trim_matches(['"', '\'']).to_owned(), at.start..at.start + key_end);
+    let mut found = Vec::new();
+    let mut rest = key_end;
+    while rest < text.len() {
+        let close = text[rest..].find(']').map(|close| rest + close);
+        let number = close.and_then(|close| text[rest..close].strip_prefix('[')?.trim().parse().ok());
+        let (Some(close), Some(number)) = (close, number) else {
+            let here = Span::new(source, at.start + rest..at.end);
+            let fault = Fault::new("an item of a list is named by its number").at(&here, "no number in brackets");
+            return Err(Box::new(fault.help("write list[0] for the first item, list[1] for the second")));
+        };
+        found.push((number, at.start + rest..at.start + close + 1));
+        rest = close + 1;
+    }
+    Ok((key, found))
 }
 
 /// The key of a result has dots of its own; only `all`, `optional` and `from` of an entry that is there go deeper.

@@ -17,6 +17,8 @@ pub(crate) enum Value {
     Date(String),
     Array(Vec<Spanned>),
     Table(Table),
+    /// What the graph that uses this module will wire to the input of that name.
+    Outside(String),
 }
 
 /// A key and its value.
@@ -65,6 +67,23 @@ impl Spanned {
         }
     }
 
+    /// The value for a program.
+    pub(crate) fn to_json(&self) -> serde_json::Value {
+        match &self.value {
+            Value::Bool(value) => (*value).into(),
+            Value::Int(value) => match (i64::try_from(*value), u64::try_from(*value)) {
+                (Ok(value), _) => value.into(),
+                (_, Ok(value)) => value.into(),
+                _ => (*value as f64).into(),
+            },
+            Value::Float(value) => (*value).into(),
+            Value::Text(text) | Value::Date(text) => text.as_str().into(),
+            Value::Array(items) => items.iter().map(Self::to_json).collect(),
+            Value::Table(table) => table.0.iter().map(|e| (e.key.clone(), e.value.to_json())).collect(),
+            Value::Outside(_) => serde_json::Value::Null,
+        }
+    }
+
     /// What was found, in the words of a fault: `the text "5 mm"`, `a list`.
     pub(crate) fn found(&self) -> String {
         match &self.value {
@@ -75,6 +94,7 @@ impl Spanned {
             Value::Date(text) => format!("the date {text}"),
             Value::Array(items) => format!("a list of {}", items.len()),
             Value::Table(_) => "a table".into(),
+            Value::Outside(name) => format!("the module's input \"{name}\""),
         }
     }
 }

@@ -5,5 +5,6 @@
 
 mod damage;
 mod golden;
+mod modules;
 mod plans;
 mod toy;

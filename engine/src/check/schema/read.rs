@@ -111,6 +111,8 @@ impl<'a> Walker<'a> {
                 }
                 Some(Json::Object(out))
             }
+            // Only inputs are ever led outside.
+            Value::Outside(_) => None,
         }
     }
 
@@ -200,7 +202,7 @@ pub(super) fn as_number(value: &Spanned) -> Option<f64> {
 fn text(value: &Spanned) -> Option<&str> {
     match &value.value {
         Value::Text(text) => Some(text),
-        Value::Array(_) | Value::Table(_) => None,
+        Value::Array(_) | Value::Table(_) | Value::Outside(_) => None,
         _ if value.at.source.command_line => Some(value.at.text()),
         _ => None,
     }

@@ -1,0 +1,199 @@
+//! What a module declares: the inputs it takes, the outputs it gives and the parameters it has.
+
+use super::tree::{Entry, Spanned, Table, Value};
+use crate::{
+    check::{nearest, take},
+    fault::{Fault, Span},
+};
+
+/// The keys of a node that uses a module, which no parameter of the module may be called.
+const RESERVED: [&str; 5] = ["kind", "file", "in", "out", "on_error"];
+
+/// The table `[module]` of a graph file.
+#[derive(Debug, Clone)]
+pub(crate) struct Interface {
+    pub(crate) at: Span,
+    pub(crate) doc: String,
+    pub(crate) inputs: Vec<Inlet>,
+    pub(crate) outputs: Vec<Outlet>,
+    pub(crate) params: Vec<Knob>,
+}
+
+/// An input of a module: the ports within that it feeds.
+#[derive(Debug, Clone)]
+pub(crate) struct Inlet {
+    pub(crate) name: String,
+    pub(crate) name_at: Span,
+    pub(crate) doc: String,
+    /// `node.port`, each with its place.
+    pub(crate) to: Vec<(String, Span)>,
+    pub(crate) optional: bool,
+}
+
+/// An output of a module: a wire within.
+#[derive(Debug, Clone)]
+pub(crate) struct Outlet {
+    pub(crate) name: String,
+    pub(crate) doc: String,
+    pub(crate) from: String,
+    pub(crate) from_at: Span,
+}
+
+/// A parameter of a module: keys of nodes within.
+#[derive(Debug, Clone)]
+pub(crate) struct Knob {
+    pub(crate) name: String,
+    pub(crate) doc: String,
+    /// `node.key`, each with its place.
+    pub(crate) to: Vec<(String, Span)>,
+    pub(crate) default: Option<Spanned>,
+    pub(crate) required: bool,
+}
+
+/// Takes `[module]` out of a graph file.
+pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interface> {
+    let entry = table.remove("module")?;
+    let at = entry.key_at.clone();
+    let mut interface =
+        Interface { at, doc: String::new(), inputs: Vec::new(), outputs: Vec::new(), params: Vec::new() };
+    let Some(module) = take::table(&entry.value, "module", faults) else { return Some(interface) };
+    take::only(module, &["doc", "inputs", "outputs", "params"], "[module]", faults);
+    interface.doc = doc(module, "module", faults);
+    for entry in entries(module, "inputs", "an input", faults) {
+        let owner = format!("module input \"{}\"", entry.key);
+        let table = long(entry, "to");
+        let keys = ["to", "doc", "optional"];
+        let Some(table) = known(&table, &keys, &owner, faults) else { continue };
+        interface.inputs.push(Inlet {
+            name: entry.key.clone(),
+            name_at: entry.key_at.clone(),
+            doc: doc(table, &owner, faults),
+            to: targets(table, entry, &owner, "node.port", faults),
+            optional: flag(table, "optional", &owner, faults),
+        });
+    }
+    for entry in entries(module, "outputs", "an output", faults) {
+        let owner = format!("module output \"{}\"", entry.key);
+        let table = long(entry, "from");
+        let Some(table) = known(&table, &["from", "doc"], &owner, faults) else { continue };
+        let doc = doc(table, &owner, faults);
+        match table.get("from") {
+            Some(from) => {
+                let Some(wire) = take::text(&from.value, &format!("{owner}: from"), faults) else { continue };
+                let (name, from_at) = (entry.key.clone(), from.value.at.clone());
+                interface.outputs.push(Outlet { name, doc, from: wire.into(), from_at });
+            }
+            None => {
+                let fault = Fault::new(format!("{owner} does not say its wire")).at(&entry.value.at, "no from here");
+                faults.push(fault.help("add from = \"node.port\", an output of a node of this file").follows());
+            }
+        }
+    }
+    for entry in entries(module, "params", "a parameter", faults) {
+        let owner = format!("module parameter \"{}\"", entry.key);
+        if RESERVED.contains(&entry.key.as_str()) {
+            let fault = Fault::new(format!("a module's parameter cannot be called \"{}\"", entry.key));
+            let fault = fault.at(&entry.key_at, "taken");
+            faults.push(fault.help("it is a key of the node that uses the module; choose another name"));
+            continue;
+        }
+        let table = long(entry, "to");
+        let Some(table) = known(&table, &["to", "doc", "default", "required"], &owner, faults) else { continue };
+        let knob = Knob {
+            name: entry.key.clone(),
+            doc: doc(table, &owner, faults),
+            to: targets(table, entry, &owner, "node.parameter", faults),
+            default: table.get("default").map(|default| default.value.clone()),
+            required: flag(table, "required", &owner, faults),
+        };
+        if let (Some(default), true) = (&knob.default, knob.required) {
+            let fault = Fault::new(format!("{owner} is required, but has a default"));
+            faults.push(fault.at(&default.at, "never used").help("keep one of them"));
+        }
+        interface.params.push(knob);
+    }
+    Some(interface)
+}
+
+fn entries<'t>(module: &'t Table, key: &str, what: &str, faults: &mut Vec<Fault>) -> &'t [Entry] {
+    let Some(entry) = module.get(key) else { return &[] };
+    let Some(table) = take::table(&entry.value, &format!("[module] {key}"), faults) else { return &[] };
+    for entry in table.0.iter().filter(|entry| !take::is_name(&entry.key)) {
+        let fault = Fault::new(format!("{what} of a module cannot be called {:?}", entry.key));
+        faults.push(fault.at(&entry.key_at, "no name").help("a name has letters, digits, _ and - only"));
+    }
+    &table.0
+}
+
+/// `"a.b"` or `["a.b", "c.d"]` as `{ to = .. }`.
+fn long(entry: &Entry, key: &str) -> Spanned {
+    match &entry.value.value {
+        Value::Text(_) | Value::Array(_) => {
+            let inner = Entry { key: key.into(), key_at: entry.value.at.clone(), value: entry.value.clone() };
+            Spanned { value: Value::Table(Table(vec![inner])), at: entry.value.at.clone() }
+        }
+        _ => entry.value.clone(),
+    }
+}
+
+fn known<'t>(value: &'t Spanned, keys: &[&str], owner: &str, faults: &mut Vec<Fault>) -> Option<&'t Table> {
+    let table = take::table(value, owner, faults)?;
+    take::only(table, keys, owner, faults);
+    Some(table)
+}
+
+fn doc(table: &Table, owner: &str, faults: &mut Vec<Fault>) -> String {
+    let entry = table.get("doc");
+    entry.and_then(|e| take::text(&e.value, &format!("{owner}: doc"), faults)).unwrap_or_default().into()
+}
+
+fn flag(table: &Table, key: &str, owner: &str, faults: &mut Vec<Fault>) -> bool {
+    let entry = table.get(key);
+    entry.and_then(|e| take::boolean(&e.value, &format!("{owner}: {key}"), faults)).unwrap_or(false)
+}
+
+fn targets(table: &Table, entry: &Entry, owner: &str, form: &str, faults: &mut Vec<Fault>) -> Vec<(String, Span)> {
+    let Some(to) = table.get("to") else {
+        let fault = Fault::new(format!("{owner} leads nowhere")).at(&entry.key_at, "no to here");
+        faults.push(fault.help(format!("add to = \"{form}\", or a list of such")).follows());
+        return Vec::new();
+    };
+    let items = match &to.value.value {
+        Value::Array(items) => items.as_slice(),
+        _ => std::slice::from_ref(&to.value),
+    };
+    if items.is_empty() {
+        let fault = Fault::new(format!("{owner} leads nowhere")).at(&to.value.at, "empty");
+        faults.push(fault.help(format!("write to = \"{form}\", or take it away")));
+    }
+    let mut targets = Vec::new();
+    for item in items {
+        let Some(text) = take::text(item, &format!("{owner}: to"), faults) else { continue };
+        match text.split_once('.') {
+            Some((node, key)) if !node.is_empty() && !key.is_empty() => targets.push((text.into(), item.at.clone())),
+            _ => {
+                let fault = Fault::new(format!("{owner}: to takes {form}, found {text:?}"));
+                faults.push(fault.at(&item.at, "no dot here").help(format!("write to = \"{form}\"")));
+            }
+        }
+    }
+    targets
+}
+
+/// The name that was probably meant, and the known ones.
+pub(super) fn hint<'a>(found: &str, what: &str, known: impl Iterator<Item = &'a str> + Clone) -> Hint {
+    let (help, list) = nearest::hint(found, what, known);
+    Hint { help, list }
+}
+
+/// What may help a reader who wrote an unknown name.
+pub(super) struct Hint {
+    help: Option<String>,
+    list: Option<String>,
+}
+
+impl Hint {
+    pub(super) fn on(self, fault: Fault) -> Fault {
+        fault.help_if(self.help).note_if(self.list)
+    }
+}

@@ -1,0 +1,63 @@
+use super::{Exit, Format, Global, GraphArgs, print_json};
+use anyhow::Result;
+use clap::Args;
+use osteoflow_engine::{Faults, plan::Plan};
+use serde_json::json;
+use std::{collections::BTreeMap, io::Write};
+
+/// Print the graph as it runs: one flat file after extends, modules, --set and defaults.
+///
+/// The answer is a graph file itself, with every default written, absolute paths and every recorded wire named; it checks
+/// to the same plan and runs to the same results. A comment over each node says where it was written.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow expand graphs/variants/fibula_modules.toml
+  osteoflow expand graphs/fibula.toml --set icp.kind=icp.point_to_plane > flat.toml
+  diff <(osteoflow expand a.toml) <(osteoflow expand b.toml)        what two experiments differ in")]
+pub(crate) struct Expand {
+    #[command(flatten)]
+    graph: GraphArgs,
+}
+
+impl Expand {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let (_, Some(checked)) = self.graph.check(global)? else { return Ok(Exit::Usage) };
+        let plan = &checked.plan;
+        match global.format {
+            Format::Json => print_json(&json!({
+                "outcome": Exit::Done.to_json(),
+                "graph": plan.name,
+                "expanded": plan.resolved,
+                "nodes": plan.nodes.iter().map(|node| json!({
+                    "name": &*node.name,
+                    "kind": node.kind,
+                    "file": node.location.file.display().to_string(),
+                    "line": node.location.line,
+                })).collect::<Vec<_>>(),
+                "warnings": Faults(checked.warnings.clone()).to_json(),
+            }))?,
+            Format::Text => write!(std::io::stdout(), "{}", commented(plan))?,
+        }
+        Ok(Exit::Done)
+    }
+}
+
+/// The flat graph, with a comment over each node that says where it was written.
+fn commented(plan: &Plan) -> String {
+    let places: BTreeMap<String, String> = plan
+        .nodes
+        .iter()
+        .map(|node| {
+            let quoted = if node.name.contains('/') { format!("\"{}\"", node.name) } else { node.name.to_string() };
+            (format!("[node.{quoted}]"), format!("# {}:{}\n", node.location.file.display(), node.location.line))
+        })
+        .collect();
+    let mut out = String::new();
+    for line in plan.resolved.lines() {
+        out += places.get(line).map_or("", String::as_str);
+        out += line;
+        out.push('\n');
+    }
+    out
+}

@@ -1,0 +1,68 @@
+//! What a module declares, as Markdown.
+
+use osteoflow_engine::check::ModuleDescription;
+use std::fmt::Write as _;
+
+/// A module, and how a graph uses it.
+pub(crate) fn markdown(of: &ModuleDescription, file: &str) -> String {
+    let mut out = format!("## {} (a module)\n", of.name);
+    if !of.doc.is_empty() {
+        let _ = write!(out, "\n{}\n", of.doc.trim());
+    }
+    out += "\n**Inputs**";
+    match of.inputs.is_empty() {
+        true => out += ": none.\n",
+        false => out += "\n\n| Input | Takes | Join | Feeds | |\n|---|---|---|---|---|\n",
+    }
+    for input in &of.inputs {
+        let doc = if input.optional { format!("Optional. {}", input.doc) } else { input.doc.clone() };
+        let joins: Vec<_> = input.joins.iter().map(|join| format!("`{join}`")).collect();
+        let (joins, to, doc) = (joins.join(", "), code(&input.to), cell(&doc));
+        let _ = writeln!(out, "| `{}` | `{}` | {joins} | {to} | {doc} |", input.name, input.payload);
+    }
+    out += "\n**Outputs**";
+    match of.outputs.is_empty() {
+        true => out += ": none.\n",
+        false => out += "\n\n| Output | Gives | Wire within | |\n|---|---|---|---|\n",
+    }
+    for output in &of.outputs {
+        let _ =
+            writeln!(out, "| `{}` | `{}` | `{}` | {} |", output.name, output.payload, output.from, cell(&output.doc));
+    }
+    out += "\n**Parameters**";
+    match of.params.is_empty() {
+        true => out += ": none.\n",
+        false => out += "\n\n| Name | Default | Sets | |\n|---|---|---|---|\n",
+    }
+    for param in &of.params {
+        let default = match (&param.default, param.required) {
+            (_, true) => "required".into(),
+            (Some(default), _) => format!("`{default}`"),
+            (None, _) => String::new(),
+        };
+        let _ = writeln!(out, "| `{}` | {default} | {} | {} |", param.name, code(&param.to), cell(&param.doc));
+    }
+    out += "\n**Nodes**\n\n";
+    for (name, kind) in &of.nodes {
+        let _ = writeln!(out, "- `{name}`: {kind}");
+    }
+    let wired = of.inputs.iter().filter(|input| !input.optional).map(|input| format!("{} = \"node.port\"", input.name));
+    let wired: Vec<_> = wired.collect();
+    let set = of.params.iter().filter(|param| param.required).map(|param| format!("{} = ..\n", param.name));
+    let set: String = set.collect();
+    let inputs = if wired.is_empty() { String::new() } else { format!("in   = {{ {} }}\n", wired.join(", ")) };
+    let _ = write!(
+        out,
+        "\n**Example**\n\n```toml\n[node.{}]\nkind = \"module\"\nfile = \"{file}\"\n{inputs}{set}```\n",
+        of.name
+    );
+    out
+}
+
+fn code(names: &[String]) -> String {
+    names.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ")
+}
+
+fn cell(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|")
+}
