@@ -52,6 +52,8 @@ pub(crate) struct SendEnd {
     pub(crate) sent: u64,
     pub(crate) dropped: u64,
     pub(crate) highest_fill: usize,
+    /// So many items fit in for certain: the consumer only makes more room.
+    room: usize,
     /// The bytes of all items put into the queue and not taken back.
     sent_bytes: u64,
     last_stamp: StampNs,
@@ -117,6 +119,7 @@ pub(crate) fn link(index: usize, limits: Limits, producer: &str, wire: &str) -> 
         sent: 0,
         dropped: 0,
         highest_fill: 0,
+        room: 0,
         sent_bytes: 0,
         last_stamp: StampNs::MIN,
         in_gap: false,
@@ -190,14 +193,23 @@ impl SendEnd {
     }
 
     /// Whether the next item can be sent now. Where not, the consumer will say when there is room.
-    pub(crate) fn has_room(&self, state: &LinkState) -> bool {
-        if !self.waits() || !self.is_full(state) || !self.keeps(self.sent) {
+    pub(crate) fn has_room(&mut self, state: &LinkState) -> bool {
+        if self.room > 0 && self.bytes(state) < self.limits.max_bytes {
+            return true;
+        }
+        if !self.waits() || !self.look_for_room(state) || !self.keeps(self.sent) {
             return true;
         }
         state.blocked.store(true, Ordering::Relaxed);
         // Either the consumer, after taking an item, sees the flag, or this second look sees the room.
         fence(Ordering::SeqCst);
-        !self.is_full(state)
+        !self.look_for_room(state)
+    }
+
+    /// Counts the room anew; whether the link is full.
+    fn look_for_room(&mut self, state: &LinkState) -> bool {
+        self.room = self.limits.capacity.saturating_sub(self.fill());
+        self.room == 0 || self.bytes(state) >= self.limits.max_bytes
     }
 
     /// Sends the next item, or drops one by the link's policy; `dropped` is told the numbers of those that go.
@@ -224,7 +236,10 @@ impl SendEnd {
         let bytes = n_bytes(&item);
         if !(refuses && self.is_full(state)) && self.tx.try_send(item).is_ok() {
             self.sent_bytes += bytes;
-            self.highest_fill = self.highest_fill.max(self.fill());
+            self.room = self.room.saturating_sub(1);
+            if self.limits.capacity - self.room > self.highest_fill {
+                self.highest_fill = self.highest_fill.max(self.fill());
+            }
             return Ok(());
         }
         self.drop_it(number, dropped);
@@ -315,7 +330,7 @@ pub(crate) fn enlarge(send: &mut SendEnd, recv: &mut RecvEnd, capacity: usize) {
     if send.oldest.is_some() {
         send.oldest = Some(rx.clone());
     }
-    (send.tx, recv.rx, send.limits.capacity) = (tx, rx, capacity);
+    (send.tx, recv.rx, send.limits.capacity, send.room) = (tx, rx, capacity, 0);
 }
 
 #[cfg(test)]

@@ -17,6 +17,7 @@ pub mod recover;
 pub mod replay;
 mod results;
 pub mod run;
+mod sync;
 #[cfg(test)]
 mod toy;
 

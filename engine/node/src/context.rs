@@ -66,6 +66,11 @@ impl Context {
         self.absent.push((port, empty));
     }
 
+    /// The engine's: whether [`Context::take_warnings`] has any.
+    pub fn has_warnings(&self) -> bool {
+        !self.warnings.is_empty()
+    }
+
     /// The engine's: the warnings since the last call.
     pub fn take_warnings(&mut self) -> Vec<String> {
         std::mem::take(&mut self.warnings)

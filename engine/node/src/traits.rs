@@ -134,11 +134,6 @@ pub fn into_emission<T: Payload<By>, By: 'static>(emit: Emit<T>) -> Emission {
     }
 }
 
-/// Puts the emissions of an `Outputs` struct into their places.
-pub fn put<const N: usize>(out: &mut [Emission], emissions: [Emission; N]) {
-    out.iter_mut().zip(emissions).for_each(|(place, emission)| *place = emission);
-}
-
 fn value_of<T: Clone + 'static>(item: &Item, port: &str) -> Result<Option<T>, NodeError> {
     match &item.body {
         Body::Empty(_) => Ok(None),

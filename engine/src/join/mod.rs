@@ -57,6 +57,8 @@ pub(crate) struct Joiner {
     ended: bool,
     stopped: bool,
     mode: Mode,
+    /// Every port is wired, plain and `each`: the commonest joins have a way of their own to the same answers.
+    pub(crate) in_lock_step: bool,
 }
 
 /// What makes the node fire.
@@ -98,6 +100,7 @@ impl Joiner {
         } else {
             Mode::Once
         };
+        let in_lock_step = !ports.is_empty() && ports.iter().all(Port::is_plain_each);
         Self {
             mode,
             node,
@@ -108,10 +111,19 @@ impl Joiner {
             fired: false,
             ended: false,
             stopped: false,
+            in_lock_step,
         }
     }
 
+    /// Whether an item is missing without which no activation can follow, whatever else comes first. It may be `false`
+    /// where one is missing.
+    #[inline]
+    pub(crate) fn lacks_item(&self) -> bool {
+        self.in_lock_step && self.ports.iter().any(|port| port.head().is_none())
+    }
+
     /// Whether the port could use one more item now.
+    #[inline]
     pub(crate) fn wants(&self, port: usize) -> bool {
         self.ended || self.ports[port].wants()
     }
@@ -120,6 +132,7 @@ impl Joiner {
     ///
     /// # Errors
     /// [`SecondItem`] if a constant is already there; the item is dropped.
+    #[inline]
     pub(crate) fn offer(&mut self, port: usize, item: Item) -> Result<(), SecondItem> {
         let end = match (self.ended, self.stopped) {
             (_, true) => NodeEnd::Stopped,
@@ -130,6 +143,7 @@ impl Joiner {
     }
 
     /// Nothing more comes to the port before `stamp_ns`; `true` if that is news.
+    #[inline]
     pub(crate) fn progress(&mut self, port: usize, stamp_ns: StampNs) -> bool {
         let port = &mut self.ports[port];
         let news = stamp_ns > port.progress;
@@ -148,17 +162,23 @@ impl Joiner {
     }
 
     /// What the ports bring to the activation at hand, until it is released.
+    #[inline]
     pub(crate) fn joined(&self) -> &Joined {
         &self.joined
     }
 
     /// Why optional ports bring nothing to the activation at hand.
+    #[inline]
     pub(crate) fn take_absent(&mut self) -> impl Iterator<Item = (&'static str, Arc<Empty>)> {
         self.absent.drain(..)
     }
 
     /// The activation at hand is over: its items are let go.
+    #[inline]
     pub(crate) fn release(&mut self) {
+        if self.in_lock_step {
+            return self.joined.slots.clear();
+        }
         for (slot, port) in self.joined.slots.drain(..).zip(&mut self.ports) {
             if let Slot::Items(items) = slot {
                 port.reuse(items);
@@ -194,10 +214,36 @@ impl Joiner {
     }
 
     /// The next activation, if what was offered decides it.
+    #[inline]
     pub(crate) fn step(&mut self) -> Step {
         if self.ended {
             return Step::Ended;
         }
+        if self.in_lock_step
+            && let Some(activation) = self.activate_in_lock_step()
+        {
+            return Step::Activate(activation);
+        }
+        self.step_by_rules()
+    }
+
+    /// The activation where all ports hold a value; anything else is left to the rules.
+    fn activate_in_lock_step(&mut self) -> Option<Activation> {
+        let mut stamp_ns = self.last_stamp;
+        for port in &self.ports {
+            match port.head()? {
+                Item { body: Body::Value(_), stamp_ns: at, .. } => stamp_ns = stamp_ns.max(*at),
+                Item { body: Body::Empty(_), .. } => return None,
+            }
+        }
+        let slots = &mut self.joined.slots;
+        slots.clear();
+        slots.extend(self.ports.iter_mut().filter_map(Port::take_head).map(Slot::Item));
+        (self.last_stamp, self.fired) = (stamp_ns, true);
+        Some(Activation { stamp_ns, skip: None })
+    }
+
+    fn step_by_rules(&mut self) -> Step {
         let bound = self.progress_out();
         self.ports.iter_mut().for_each(|port| port.advance(bound));
         match self.anchor() {

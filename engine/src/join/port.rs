@@ -110,6 +110,21 @@ impl Port {
         self.role != Role::Nothing
     }
 
+    /// Whether the port is wired, takes no empties, and joins by `each`.
+    pub(super) fn is_plain_each(&self) -> bool {
+        self.role == Role::Step && self.spec.join == Join::Each && !self.spec.optional
+    }
+
+    #[inline]
+    pub(super) fn head(&self) -> Option<&Item> {
+        self.queue.front()
+    }
+
+    #[inline]
+    pub(super) fn take_head(&mut self) -> Option<Item> {
+        self.queue.pop_front()
+    }
+
     /// In step with others: `each` and `collect`.
     pub(super) fn is_step(&self) -> bool {
         self.role == Role::Step
@@ -135,6 +150,7 @@ impl Port {
         tolerance_of(self.spec.join)
     }
 
+    #[inline]
     pub(super) fn wants(&self) -> bool {
         if self.spec.unused {
             return true;
@@ -147,6 +163,7 @@ impl Port {
         }
     }
 
+    #[inline]
     pub(super) fn offer(&mut self, item: Item, node: NodeEnd) -> Result<(), SecondItem> {
         self.n_received += 1;
         self.progress = self.progress.max(item.stamp_ns);

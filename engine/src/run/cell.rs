@@ -1,9 +1,11 @@
 //! A node under way: takes what its ports offer, fires, and puts the answers on its links.
 
 use super::{
-    Event, Failure, NodeStats, Warning, panics,
+    Event, Failure, NodeStats, Warning,
+    histogram::Histogram,
+    panics,
     runtime::Runtime,
-    scheduler::{Stepped, Wake},
+    scheduler::{Stepped, Turn},
 };
 use crate::{
     channel::{LinkState, Received, RecvEnd, SendEnd},
@@ -35,10 +37,8 @@ pub(super) struct Cell {
     stamp_ns: StampNs,
     skipped: u64,
     failed: u64,
-    /// How long each firing took, ns.
-    took: Vec<u64>,
-    /// The same in all, ns.
-    busy: u64,
+    /// How long firings took.
+    took: Histogram,
     cheap: bool,
 }
 
@@ -69,13 +69,9 @@ pub(super) struct LiveCore {
 
 /// What a live source has answered.
 pub(super) struct Answer {
-    /// The number of the answer.
-    pub(super) item: u64,
-    stamp_ns: StampNs,
+    firing: Firing,
     emissions: Vec<Emission>,
     warnings: Vec<String>,
-    began: Instant,
-    took: u64,
     answered: Result<Result<bool, NodeError>, String>,
 }
 
@@ -97,7 +93,21 @@ impl Core {
     }
 }
 
+/// A firing that is over.
+#[derive(Clone, Copy)]
+struct Firing {
+    item: u64,
+    stamp_ns: StampNs,
+    began: Instant,
+    took: Duration,
+}
+
 impl Answer {
+    /// The number of the answer.
+    pub(super) fn item(&self) -> u64 {
+        self.firing.item
+    }
+
     /// Asks the source.
     pub(super) fn of(
         source: &mut dyn AnySource,
@@ -107,10 +117,11 @@ impl Answer {
         stamp_ns: StampNs,
     ) -> Self {
         context.begin(item, stamp_ns);
-        let (mut emissions, mut took) = (vec![Emission::Silent; n_ports], Vec::new());
-        let (began, answered) = timed(item, context, &mut took, |context| source.next(&mut emissions, context));
-        let (stamp_ns, warnings, took) = (context.stamp_ns(), context.take_warnings(), took.pop().unwrap_or(0));
-        Self { item, stamp_ns, emissions, warnings, began, took, answered }
+        let mut emissions = vec![Emission::Silent; n_ports];
+        let began = Instant::now();
+        let answered = called(item, context, |context| source.next(&mut emissions, context));
+        let firing = Firing { item, stamp_ns: context.stamp_ns(), began, took: began.elapsed() };
+        Self { firing, emissions, warnings: context.take_warnings(), answered }
     }
 }
 
@@ -173,9 +184,9 @@ impl Output {
         self.kept
     }
 
-    fn has_room(&self, states: &[LinkState]) -> bool {
+    fn has_room(&mut self, states: &[LinkState]) -> bool {
         let mut room = true;
-        for send in &self.links {
+        for send in &mut self.links {
             // To the last: every full link notes that its producer waits.
             room &= send.has_room(&states[send.link]);
         }
@@ -184,7 +195,7 @@ impl Output {
 
     /// # Errors
     /// The index of a link that was full and must not be.
-    fn send(&mut self, stamp_ns: StampNs, body: Body, run: &Runtime<'_>, wake: &mut Wake<'_>) -> Result<(), usize> {
+    fn send(&mut self, stamp_ns: StampNs, body: Body, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Result<(), usize> {
         let item = Item { number: self.next_number, stamp_ns, body };
         self.next_number += 1;
         self.floor = stamp_ns;
@@ -199,26 +210,26 @@ impl Output {
             if send.send(item, &run.links[link], &mut |number| run.dropped(link, number)).is_err() {
                 full = full.or(Some(link));
             }
-            wake.node(run.plan.links[link].to_node);
+            turn.wake(run.plan.links[link].to_node);
         };
         others.iter_mut().for_each(|send| put(send, item.clone()));
         put(last, item);
         full.map_or(Ok(()), Err)
     }
 
-    fn promise(&mut self, stamp_ns: StampNs, run: &Runtime<'_>, wake: &mut Wake<'_>) {
+    fn promise(&mut self, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         if stamp_ns > self.floor {
             self.floor = stamp_ns;
             for send in self.links.iter().filter(|send| send.promise(&run.links[send.link], stamp_ns)) {
-                wake.node(run.plan.links[send.link].to_node);
+                turn.wake(run.plan.links[send.link].to_node);
             }
         }
     }
 
-    fn close(&mut self, run: &Runtime<'_>, wake: &mut Wake<'_>) {
+    fn close(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         for send in &mut self.links {
             send.close(&run.links[send.link]);
-            wake.node(run.plan.links[send.link].to_node);
+            turn.wake(run.plan.links[send.link].to_node);
         }
     }
 }
@@ -237,8 +248,7 @@ impl Cell {
             stamp_ns: StampNs::MIN,
             skipped: 0,
             failed: 0,
-            took: Vec::new(),
-            busy: 0,
+            took: Histogram::default(),
             cheap: false,
         }
     }
@@ -247,67 +257,99 @@ impl Cell {
         matches!(self.phase, Phase::Done)
     }
 
-    /// Fires once, if inputs and outputs allow it.
-    pub(super) fn step(&mut self, run: &Runtime<'_>, wake: &mut Wake<'_>) -> Stepped {
+    /// Fires as long as inputs and outputs allow it and no other node should have its turn.
+    pub(super) fn step(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Stepped {
         loop {
-            match &self.phase {
-                Phase::Done => return Stepped::Idle,
-                Phase::Draining => {
-                    self.pull(run, wake);
+            let stepped = match (&self.phase, &self.core) {
+                (Phase::Open, Core::Node(..)) => self.step_node(run, turn),
+                (Phase::Open, _) => self.step_source(run, turn),
+                (Phase::Failing(empty), _) => {
+                    let empty = empty.clone();
+                    self.step_failing(empty, run, turn)
+                }
+                (Phase::Draining, _) => {
+                    self.pull(run, turn);
                     if self.inputs.iter().all(|input| input.recv.ended) {
                         self.phase = Phase::Done;
                     }
-                    return Stepped::Idle;
+                    Some(Stepped::Idle)
                 }
-                _ if !self.has_room(run) => return Stepped::Idle,
-                Phase::Failing(empty) => {
-                    let empty = empty.clone();
-                    self.send_empties(empty, run, wake);
-                    self.end(run, wake);
-                }
-                Phase::Open if matches!(self.core, Core::Source(_)) => {
-                    if run.cancelled() {
-                        run.note_interrupted();
-                        self.end(run, wake);
-                    } else {
-                        self.call_source(run, wake);
-                        return Stepped::Fired;
-                    }
-                }
-                Phase::Open => {
-                    let pulled = self.pull(run, wake);
-                    let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
-                    match joiner.step() {
-                        Step::Activate(activation) => {
-                            self.activate(activation, run, wake);
-                            return Stepped::Fired;
-                        }
-                        Step::Ended => self.end(run, wake),
-                        Step::Wait if pulled => {}
-                        Step::Wait => {
-                            let promised = joiner.progress_out();
-                            if promised > self.stamp_ns {
-                                self.stamp_ns = promised;
-                                self.outputs.iter_mut().for_each(|output| output.promise(promised, run, wake));
-                            }
-                            return Stepped::Idle;
-                        }
-                    }
-                }
+                (Phase::Done, _) => Some(Stepped::Idle),
+            };
+            if let Some(stepped) = stepped {
+                return stepped;
             }
         }
     }
 
-    fn has_room(&self, run: &Runtime<'_>) -> bool {
+    fn step_source(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Stepped> {
+        if !self.has_room(run) {
+            return Some(Stepped::Idle);
+        }
+        if run.cancelled() {
+            run.note_interrupted();
+            self.end(run, turn);
+            return None;
+        }
+        self.call_source(run, turn);
+        (!turn.goes_on(self.cheap)).then_some(Stepped::Fired)
+    }
+
+    fn step_node(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Stepped> {
+        let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
+        // What fires as soon as all its items are there needs room only then: waiting for room that it has no use for,
+        // it would be woken for nothing.
+        let in_lock_step = joiner.in_lock_step;
+        if !in_lock_step && !self.has_room(run) {
+            return Some(Stepped::Idle);
+        }
+        let pulled = self.pull(run, turn);
+        let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
+        if in_lock_step && !joiner.lacks_item() && !self.has_room(run) {
+            return Some(Stepped::Idle);
+        }
+        let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
+        match joiner.step() {
+            Step::Activate(activation) => {
+                self.activate(activation, run, turn);
+                (!turn.goes_on(self.cheap)).then_some(Stepped::Fired)
+            }
+            Step::Ended => {
+                // The end is no item: it needs no room.
+                self.end(run, turn);
+                None
+            }
+            Step::Wait if pulled => None,
+            Step::Wait => {
+                let promised = joiner.progress_out();
+                if promised > self.stamp_ns {
+                    self.stamp_ns = promised;
+                    self.outputs.iter_mut().for_each(|output| output.promise(promised, run, turn));
+                }
+                Some(Stepped::Idle)
+            }
+        }
+    }
+
+    fn step_failing(&mut self, empty: Arc<Empty>, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Stepped> {
+        if !self.has_room(run) {
+            return Some(Stepped::Idle);
+        }
+        self.send_empties(empty, run, turn);
+        self.end(run, turn);
+        None
+    }
+
+    fn has_room(&mut self, run: &Runtime<'_>) -> bool {
         let mut room = true;
-        for output in &self.outputs {
+        for output in &mut self.outputs {
             room &= output.has_room(&run.links);
         }
         room
     }
 
     /// Takes what the joins can use; `true` if an item, progress or an end came.
-    fn pull(&mut self, run: &Runtime<'_>, wake: &mut Wake<'_>) -> bool {
+    fn pull(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> bool {
         let (Core::Node(_, joiner) | Core::Gone(Some(joiner))) = &mut self.core else { return false };
         let mut pulled = false;
         for Input { port, recv } in &mut self.inputs {
@@ -316,7 +358,7 @@ impl Cell {
                 match recv.receive(state) {
                     Received::Item { item, unblocks } => {
                         if unblocks {
-                            wake.node(run.plan.links[recv.link].from.node);
+                            turn.wake(run.plan.links[recv.link].from.node);
                         }
                         if let Err(second) = joiner.offer(*port, item) {
                             let wire = run.plan.wire_name(run.plan.links[recv.link].from);
@@ -353,7 +395,7 @@ impl Cell {
         }
     }
 
-    fn activate(&mut self, activation: Activation, run: &Runtime<'_>, wake: &mut Wake<'_>) {
+    fn activate(&mut self, activation: Activation, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         self.started(run);
         let (item, stamp_ns) = (self.item, activation.stamp_ns);
         self.item += 1;
@@ -361,38 +403,40 @@ impl Cell {
         if let Some(empty) = activation.skip {
             self.skipped += 1;
             run.event(&Event::Skipped { node: self.context.node(), item, reason: &empty.reason });
-            self.send_empties(empty, run, wake);
+            self.send_empties(empty, run, turn);
             return;
         }
         self.context.begin(item, stamp_ns);
+        let began = self.begins(run, turn);
         let Core::Node(node, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
         joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
-        let (context, took, out) = (&mut self.context, &mut self.took, &mut self.emissions);
-        let (began, answered) = timed(item, context, took, |context| node.fire(joiner.joined(), out, context));
-        self.tell_taps(item, began, run);
-        self.after(item, stamp_ns, answered, run, wake);
+        let (context, out) = (&mut self.context, &mut self.emissions);
+        let answered = called(item, context, |context| node.fire(joiner.joined(), out, context));
+        let firing = Firing { item, stamp_ns, began, took: took_since(began, turn) };
+        self.after(firing, answered, run, turn);
         if let Core::Node(_, joiner) = &mut self.core {
             joiner.release();
         }
     }
 
-    fn call_source(&mut self, run: &Runtime<'_>, wake: &mut Wake<'_>) {
+    fn call_source(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         self.started(run);
         let item = self.item;
         self.context.begin(item, known(self.stamp_ns));
+        let began = self.begins(run, turn);
         let Core::Source(source) = &mut self.core else { unreachable!("only a source is called") };
-        let (context, took, out) = (&mut self.context, &mut self.took, &mut self.emissions);
-        let (began, answered) = timed(item, context, took, |context| source.next(out, context));
+        let (context, out) = (&mut self.context, &mut self.emissions);
+        let answered = called(item, context, |context| source.next(out, context));
         let stamp_ns = self.context.stamp_ns();
         if matches!(answered, Ok(Ok(false))) {
             // The look that found the end is no answer.
-            self.took.pop();
-            run.warn(self.index, item, self.context.take_warnings());
-            return self.end(run, wake);
+            turn.clock = None;
+            self.pass_warnings_on(item, run);
+            return self.end(run, turn);
         }
         self.item += 1;
-        self.tell_taps(item, began, run);
-        self.after(item, stamp_ns, answered.map(|answer| answer.map(drop)), run, wake);
+        let firing = Firing { item, stamp_ns, began, took: took_since(began, turn) };
+        self.after(firing, answered.map(|answer| answer.map(drop)), run, turn);
     }
 
     pub(super) fn is_live(&self) -> bool {
@@ -413,7 +457,7 @@ impl Cell {
     }
 
     /// What a live source has answered goes on its way.
-    pub(super) fn answered(&mut self, answer: Answer, run: &Runtime<'_>, wake: &mut Wake<'_>) {
+    pub(super) fn answered(&mut self, answer: Answer, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         self.started(run);
         answer.warnings.into_iter().for_each(|warning| self.context.warn(warning));
         if matches!(answer.answered, Ok(Ok(false))) {
@@ -421,18 +465,16 @@ impl Cell {
                 // It ended because it was asked to.
                 run.note_interrupted();
             }
-            run.warn(self.index, answer.item, self.context.take_warnings());
-            return self.end(run, wake);
+            self.pass_warnings_on(answer.firing.item, run);
+            return self.end(run, turn);
         }
         self.item += 1;
-        self.took.push(answer.took);
         self.emissions = answer.emissions;
-        self.tell_taps(answer.item, answer.began, run);
-        self.after(answer.item, answer.stamp_ns, answer.answered.map(|answer| answer.map(drop)), run, wake);
+        self.after(answer.firing, answer.answered.map(|answer| answer.map(drop)), run, turn);
     }
 
     /// Whether a live source can be asked for its next answer; ends it where it is to end.
-    pub(super) fn ask(&mut self, run: &Runtime<'_>, wake: &mut Wake<'_>) -> Asked {
+    pub(super) fn ask(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Asked {
         let Core::Live(_) = self.core else { return Asked::Never };
         if !self.has_room(run) {
             let Core::Live(live) = &mut self.core else { unreachable!("it was live a moment ago") };
@@ -442,24 +484,24 @@ impl Cell {
         match &self.phase {
             Phase::Failing(empty) => {
                 let empty = empty.clone();
-                self.send_empties(empty, run, wake);
-                self.end(run, wake);
+                self.send_empties(empty, run, turn);
+                self.end(run, turn);
                 Asked::Never
             }
             Phase::Open if !run.cancelled() => Asked::Next { item: self.item, stamp_ns: known(self.stamp_ns) },
             _ => {
-                self.interrupt(run, wake);
+                self.interrupt(run, turn);
                 Asked::Never
             }
         }
     }
 
     /// Ends a live source because of the wish to stop; `false` if it has failed and has still to say so.
-    pub(super) fn interrupt(&mut self, run: &Runtime<'_>, wake: &mut Wake<'_>) -> bool {
+    pub(super) fn interrupt(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> bool {
         let ends = matches!(self.phase, Phase::Open);
         if ends {
             run.note_interrupted();
-            self.end(run, wake);
+            self.end(run, turn);
         }
         ends
     }
@@ -491,30 +533,43 @@ impl Cell {
         }
     }
 
-    fn tell_taps(&self, item: u64, began: Instant, run: &Runtime<'_>) {
-        run.fired_to_taps(self.index, item, began, Duration::from_nanos(self.took.last().copied().unwrap_or(0)));
+    /// When the firing begins. Where the worker has only kept its books since the last one ended, that is now.
+    fn begins(&self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Instant {
+        if !self.cheap {
+            turn.hand_over();
+        }
+        match turn.clock {
+            // A tap may have waited for the disk.
+            Some(clock) if !run.is_tapped() => clock,
+            _ => Instant::now(),
+        }
+    }
+
+    fn pass_warnings_on(&mut self, item: u64, run: &Runtime<'_>) {
+        if self.context.has_warnings() {
+            run.warn(self.index, item, self.context.take_warnings());
+        }
     }
 
     /// What follows a firing: warnings, the answers on their way, or the failure. The items of a firing that failed are
     /// still in the joiner.
     fn after(
         &mut self,
-        item: u64,
-        stamp_ns: StampNs,
+        firing: Firing,
         answered: Result<Result<(), NodeError>, String>,
         run: &Runtime<'_>,
-        wake: &mut Wake<'_>,
+        turn: &mut Turn<'_>,
     ) {
-        run.warn(self.index, item, self.context.take_warnings());
-        let took = self.took.last().copied().unwrap_or(0);
-        self.busy += took;
-        let n_fired = self.took.len() as u64;
-        let cheap = n_fired >= FIRINGS_TO_KNOW && self.busy < CHEAP_NS * n_fired;
+        let Firing { item, stamp_ns, began, took } = firing;
+        self.took.count(took.as_nanos() as u64);
+        let n_fired = self.took.n();
+        let cheap = n_fired >= FIRINGS_TO_KNOW && self.took.sum_ns() / CHEAP_NS < n_fired;
         if cheap != self.cheap {
             self.cheap = cheap;
             run.note_cheap(self.index, cheap);
         }
-        let took = Duration::from_nanos(took);
+        run.fired_to_taps(self.index, item, began, took);
+        self.pass_warnings_on(item, run);
         run.event(&Event::Fired { node: self.context.node(), item, stamp_ns, took });
         let answered = match answered {
             Ok(Ok(())) => {
@@ -527,7 +582,7 @@ impl Cell {
         match answered {
             Ok(()) => {
                 self.stamp_ns = self.stamp_ns.max(stamp_ns);
-                if let Err(reason) = self.send_all(stamp_ns, run, wake) {
+                if let Err(reason) = self.send_all(stamp_ns, run, turn) {
                     self.fail(item, reason, false, false, run);
                 }
             }
@@ -547,7 +602,7 @@ impl Cell {
                             discard(std::mem::replace(old, node));
                         }
                         let empty = self.empty(reason);
-                        self.send_empties(empty, run, wake);
+                        self.send_empties(empty, run, turn);
                     }
                     Some(Err(why)) => {
                         let reason = format!("{reason}; and it cannot be built anew: {why}");
@@ -581,7 +636,7 @@ impl Cell {
         Ok(())
     }
 
-    fn send_all(&mut self, stamp_ns: StampNs, run: &Runtime<'_>, wake: &mut Wake<'_>) -> Result<(), String> {
+    fn send_all(&mut self, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Result<(), String> {
         let mut full = Ok(());
         let mut silent = false;
         for port in 0..self.outputs.len() {
@@ -595,14 +650,14 @@ impl Cell {
             };
             let output = &mut self.outputs[port];
             // Only a late item's stamp lies before the floor.
-            full = full.and(output.send(stamp_ns.max(output.floor), body, run, wake));
+            full = full.and(output.send(stamp_ns.max(output.floor), body, run, turn));
         }
         if let Core::Live(live) = &self.core {
             let promised = live.newest_ns.saturating_sub(live.max_delay_ns);
-            self.outputs.iter_mut().for_each(|output| output.promise(promised, run, wake));
+            self.outputs.iter_mut().for_each(|output| output.promise(promised, run, turn));
         } else if silent {
             // After the items: nothing at this stamp is overtaken by its progress.
-            self.outputs.iter_mut().for_each(|output| output.promise(stamp_ns, run, wake));
+            self.outputs.iter_mut().for_each(|output| output.promise(stamp_ns, run, turn));
         }
         full.map_err(|link| {
             let link = &run.plan.links[link];
@@ -622,11 +677,11 @@ impl Cell {
         Arc::new(Empty { node: self.context.node().to_owned(), reason })
     }
 
-    fn send_empties(&mut self, empty: Arc<Empty>, run: &Runtime<'_>, wake: &mut Wake<'_>) {
+    fn send_empties(&mut self, empty: Arc<Empty>, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         for output in &mut self.outputs {
             let stamp_ns = known(self.stamp_ns.max(output.floor));
             // A link that fails when full has been told of already.
-            let _ = output.send(stamp_ns, Body::Empty(empty.clone()), run, wake);
+            let _ = output.send(stamp_ns, Body::Empty(empty.clone()), run, turn);
         }
     }
 
@@ -639,9 +694,9 @@ impl Cell {
     }
 
     /// No firing follows: the outputs end, the inputs are drained.
-    fn end(&mut self, run: &Runtime<'_>, wake: &mut Wake<'_>) {
+    fn end(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         let failed = matches!(self.phase, Phase::Failing(_));
-        self.outputs.iter_mut().for_each(|output| output.close(run, wake));
+        self.outputs.iter_mut().for_each(|output| output.close(run, turn));
         run.event(&Event::Ended { node: self.context.node() });
         self.core = match std::mem::replace(&mut self.core, Core::Gone(None)) {
             Core::Node(node, mut joiner) => {
@@ -694,22 +749,16 @@ impl Cell {
     }
 
     pub(super) fn stats(&self, name: &str) -> NodeStats {
-        let mut took = self.took.clone();
-        took.sort_unstable();
-        // The smallest duration that so many in 100 firings do not exceed.
-        let percentile = |share: usize| {
-            let rank = (took.len() * share).div_ceil(100).saturating_sub(1);
-            Duration::from_nanos(took.get(rank).copied().unwrap_or(0))
-        };
+        let spread = self.took.spread();
         NodeStats {
             name: name.into(),
             items: self.item,
             skipped: self.skipped,
             failed: self.failed,
-            busy: Duration::from_nanos(self.busy),
-            p50: percentile(50),
-            p95: percentile(95),
-            p99: percentile(99),
+            busy: Duration::from_nanos(self.took.sum_ns()),
+            p50: spread.p50,
+            p95: spread.p95,
+            p99: spread.p99,
         }
     }
 }
@@ -723,18 +772,21 @@ fn known(stamp_ns: StampNs) -> StampNs {
     if stamp_ns == StampNs::MIN { 0 } else { stamp_ns }
 }
 
-/// Calls the node in its span, times it and catches its panic.
-fn timed<T>(
+/// The time since a firing began, which may be when the next one does.
+fn took_since(began: Instant, turn: &mut Turn<'_>) -> Duration {
+    let ended = Instant::now();
+    turn.clock = Some(ended);
+    ended.saturating_duration_since(began)
+}
+
+/// Calls the node in its span and catches its panic.
+fn called<T>(
     item: u64,
     context: &mut Context,
-    took: &mut Vec<u64>,
     call: impl FnOnce(&mut Context) -> Result<T, NodeError>,
-) -> (Instant, Result<Result<T, NodeError>, String>) {
+) -> Result<Result<T, NodeError>, String> {
     let _span = tracing::debug_span!("fire", node = context.node(), item).entered();
-    let began = Instant::now();
-    let answered = panics::catch(|| call(context));
-    took.push(began.elapsed().as_nanos() as u64);
-    (began, answered)
+    panics::catch(|| call(context))
 }
 
 /// Drops what the node was built of; a panic there changes nothing any more.

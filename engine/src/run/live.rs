@@ -160,15 +160,15 @@ impl Server<'_, '_> {
         let (asked, told) = (device.asked.take(), std::mem::take(&mut device.told_silent));
         if let (Some(asked), true) = (asked, told) {
             let said = format!("it gave something again after {}", seconds(asked.elapsed()));
-            self.run.warn(node, answer.item, vec![said]);
+            self.run.warn(node, answer.item(), vec![said]);
         }
-        self.scheduler.outside(|wake| self.run.cell(node).answered(answer, self.run, wake));
+        self.scheduler.outside(|turn| self.run.cell(node).answered(answer, self.run, turn));
         self.ask(node);
     }
 
     /// Asks a source that counts as pending for its next answer; where it cannot be asked, it is pending no more.
     fn ask(&mut self, node: usize) {
-        let asked = self.scheduler.outside(|wake| self.run.cell(node).ask(self.run, wake));
+        let asked = self.scheduler.outside(|turn| self.run.cell(node).ask(self.run, turn));
         if let Asked::Next { item, stamp_ns } = asked {
             if let Some(device) = self.device(node) {
                 device.asked = Some(Instant::now());
@@ -212,7 +212,7 @@ impl Server<'_, '_> {
                 continue;
             }
             let was_pending = device.asked.take().is_some();
-            let ended = self.scheduler.outside(|wake| self.run.cell(device.node).interrupt(self.run, wake));
+            let ended = self.scheduler.outside(|turn| self.run.cell(device.node).interrupt(self.run, turn));
             if !ended {
                 // It has failed, and its outputs wait for room to say so.
                 continue;

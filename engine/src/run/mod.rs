@@ -5,6 +5,7 @@
 //! for any number of workers.
 
 mod cell;
+mod histogram;
 mod live;
 #[cfg(test)]
 mod live_tests;
@@ -15,6 +16,7 @@ mod scheduler;
 #[cfg(test)]
 mod tests;
 
+pub use histogram::Spread;
 pub(crate) use panics::catch as catch_panic;
 pub(crate) use report::Failure;
 pub use report::{

@@ -5,7 +5,7 @@ use super::{
     cell::{Cell, Core, Input, Output},
     live::{self, Live, Mailbox, News},
     panics,
-    scheduler::{Scheduler, Stepped, Wake, Work},
+    scheduler::{Scheduler, Stepped, Turn, Work},
 };
 use crate::{
     channel::{self, Limits, LinkState, RecvEnd, SendEnd},
@@ -59,6 +59,7 @@ pub(super) struct Runtime<'a> {
     /// The wish to stop has changed what the run did.
     interrupted: AtomicBool,
     n_workers: usize,
+    shuffle: Option<u64>,
     cells: Vec<Mutex<Cell>>,
     /// The nodes whose firings have taken microseconds so far.
     cheap: Vec<AtomicBool>,
@@ -163,6 +164,7 @@ impl<'a> Runtime<'a> {
             cancelled: options.cancelled.clone(),
             interrupted: AtomicBool::new(false),
             n_workers: options.workers.max(1),
+            shuffle: options.shuffle,
             cheap: cells.iter().map(|_| AtomicBool::new(false)).collect(),
             cells,
             links,
@@ -187,7 +189,7 @@ impl<'a> Runtime<'a> {
     pub(super) fn run(&mut self) {
         self.began = Instant::now();
         let sources = std::mem::take(&mut *locked(&self.sources));
-        let scheduler = Scheduler::new(self.cells.len(), self.n_workers);
+        let scheduler = Scheduler::new(self.cells.len(), self.n_workers, self.shuffle);
         match sources.is_empty() {
             true => scheduler.run(self),
             false => live::run(self, &scheduler, sources),
@@ -247,7 +249,7 @@ impl<'a> Runtime<'a> {
         for cell in self.cells.iter().filter(|cell| locked(cell).is_live()) {
             locked(cell).fail_live(reason.to_owned(), self);
             // Nothing waits on its links yet, so that there is room for the reason.
-            scheduler.outside(|wake| locked(cell).ask(self, wake));
+            scheduler.outside(|turn| locked(cell).ask(self, turn));
             self.n_pending.fetch_sub(1, Ordering::AcqRel);
         }
     }
@@ -268,8 +270,12 @@ impl<'a> Runtime<'a> {
         self.taps.iter().for_each(|tap| tap.item(wire, item));
     }
 
+    pub(super) fn is_tapped(&self) -> bool {
+        !self.taps.is_empty()
+    }
+
     pub(super) fn fired_to_taps(&self, node: usize, item: u64, began: Instant, took: Duration) {
-        if !self.taps.is_empty() {
+        if self.is_tapped() {
             let began = began.saturating_duration_since(self.began);
             self.taps.iter().for_each(|tap| tap.fired(node, item, began, took));
         }
@@ -359,7 +365,7 @@ impl<'a> Runtime<'a> {
 }
 
 impl Work for Runtime<'_> {
-    fn step(&self, node: usize, wake: &mut Wake<'_>) -> Stepped {
+    fn step(&self, node: usize, turn: &mut Turn<'_>) -> Stepped {
         let mut cell = locked(&self.cells[node]);
         if cell.is_live() {
             if cell.take_waits() {
@@ -369,7 +375,7 @@ impl Work for Runtime<'_> {
             }
             return Stepped::Idle;
         }
-        cell.step(self, wake)
+        cell.step(self, turn)
     }
 
     fn is_pending(&self) -> bool {

@@ -1,31 +1,33 @@
 //! Which node runs next, on which worker; nothing here knows of items.
 //!
-//! A node is idle, queued or running, and is told of news by [`Wake::node`]; news that come while it runs make it look
+//! A node is idle, queued or running, and is told of news by [`Turn::wake`]; news that come while it runs make it look
 //! again. A worker goes on with the nodes it has just made ready, the furthest downstream first. Those that may take
 //! long go to the queue that all workers share, and before such a one everything else does; handing over a node that
 //! takes microseconds would cost more than running it. When the last worker finds nothing, nothing can run: that state
 //! is exact.
+//!
+//! All synchronisation comes from [`crate::sync`], so that a test can put a model checker in its place.
 
-use std::sync::{
-    Condvar, Mutex, MutexGuard, PoisonError,
+use crate::sync::{
+    Condvar, LOOKS_BEFORE_SLEEP, Mutex, MutexGuard, PoisonError,
     atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering, fence},
+    delay, on_workers,
 };
+use std::time::Instant;
 
 const IDLE: u8 = 0;
 const QUEUED: u8 = 1;
 const RUNNING: u8 = 2;
 const RUNNING_WITH_NEWS: u8 = 3;
 
-/// How often a worker looks before it sleeps: some microseconds, less than waking it costs.
-const LOOKS_BEFORE_SLEEP: usize = 200;
-
-/// How often a node that takes microseconds fires before those it has made ready have their turn.
+/// How often a node that takes microseconds fires before others have their turn.
 const FIRINGS_IN_A_ROW: usize = 16;
 
 /// What the scheduler runs.
-pub(super) trait Work: Sync {
-    /// One step of a node; no two steps of one node run at once.
-    fn step(&self, node: usize, wake: &mut Wake<'_>) -> Stepped;
+pub(crate) trait Work: Sync {
+    /// Runs a node until it waits, or until [`Turn::goes_on`] says that others should have their turn; no two turns of
+    /// one node run at once.
+    fn step(&self, node: usize, turn: &mut Turn<'_>) -> Stepped;
 
     /// Whether the node takes so little time that handing it to another worker is not worth it.
     fn is_cheap(&self, node: usize) -> bool;
@@ -36,48 +38,20 @@ pub(super) trait Work: Sync {
         false
     }
 
-    /// Nothing can run: wakes a node if something can be done about it. No step runs meanwhile.
+    /// Nothing can run: wakes a node if something can be done about it. No turn is taken meanwhile.
     fn relieve(&self) -> Option<usize>;
 }
 
-/// What a step did.
+/// How a turn ended.
 #[derive(Debug, PartialEq)]
-pub(super) enum Stepped {
-    /// The node fired; it may be able to go on.
+pub(crate) enum Stepped {
+    /// The node may be able to go on.
     Fired,
     /// The node waits for news.
     Idle,
 }
 
-/// Takes note of nodes that have news.
-pub(super) struct Wake<'a> {
-    states: &'a [AtomicU8],
-    made_ready: &'a mut Vec<usize>,
-}
-
-impl Wake<'_> {
-    /// Tells `node` that an item, progress, an end or room has come; after the fact.
-    pub(super) fn node(&mut self, node: usize) {
-        // Either this sees the node running or idle, or the node, on its way to run, sees the fact.
-        fence(Ordering::SeqCst);
-        let state = &self.states[node];
-        let mut now = state.load(Ordering::Relaxed);
-        loop {
-            let next = match now {
-                IDLE => QUEUED,
-                RUNNING => RUNNING_WITH_NEWS,
-                _ => return,
-            };
-            match state.compare_exchange_weak(now, next, Ordering::AcqRel, Ordering::Relaxed) {
-                Ok(IDLE) => return self.made_ready.push(node),
-                Ok(_) => return,
-                Err(other) => now = other,
-            }
-        }
-    }
-}
-
-pub(super) struct Scheduler {
+pub(crate) struct Scheduler {
     states: Vec<AtomicU8>,
     queue: Mutex<Queue>,
     wakeup: Condvar,
@@ -86,6 +60,7 @@ pub(super) struct Scheduler {
     /// Set when a worker died of a bug of ours: the others must not wait for it.
     abandoned: AtomicBool,
     n_workers: usize,
+    shuffle: Option<u64>,
 }
 
 #[derive(Default)]
@@ -96,8 +71,8 @@ struct Queue {
 }
 
 impl Scheduler {
-    /// All nodes begin queued.
-    pub(super) fn new(n_nodes: usize, n_workers: usize) -> Self {
+    /// All nodes begin queued. With a seed in `shuffle` it does at random what chance could do.
+    pub(crate) fn new(n_nodes: usize, n_workers: usize, shuffle: Option<u64>) -> Self {
         let mut queue = Queue::default();
         (0..n_nodes).for_each(|node| queue.ready.insert(node));
         Self {
@@ -107,41 +82,41 @@ impl Scheduler {
             n_queued: AtomicUsize::new(n_nodes),
             abandoned: AtomicBool::new(false),
             n_workers: n_workers.max(1),
+            shuffle,
         }
     }
 
     /// Runs until nothing can run and nothing can be done about it; one worker is the calling thread.
-    pub(super) fn run(&self, work: &dyn Work) {
-        std::thread::scope(|scope| {
-            for worker in 1..self.n_workers {
-                // As much stack as the main thread has: a node must not care where it runs.
-                let thread = std::thread::Builder::new().name(format!("worker-{worker}")).stack_size(8 << 20);
-                if let Err(error) = thread.spawn_scoped(scope, || self.work(work)) {
-                    tracing::warn!("worker {worker} could not be started, the others do its work: {error}");
-                    self.lock().n_asleep += 1;
-                }
-            }
-            self.work(work);
-        });
+    pub(crate) fn run(&self, work: &dyn Work) {
+        let without = |worker, error| {
+            tracing::warn!("worker {worker} could not be started, the others do its work: {error}");
+            let mut queue = self.lock();
+            queue.n_asleep += 1;
+            // Those who sleep counted on it.
+            drop(queue);
+            self.wakeup.notify_all();
+        };
+        on_workers(self.n_workers, &|worker| self.work(worker, work), &without);
     }
 
     /// Does what wakes nodes on a thread that is no worker; the workers go on with them.
-    pub(super) fn outside<T>(&self, does: impl FnOnce(&mut Wake<'_>) -> T) -> T {
-        let (mut made_ready, mut ready) = (Vec::new(), ReadySet::default());
-        let done = does(&mut Wake { states: &self.states, made_ready: &mut made_ready });
-        made_ready.into_iter().for_each(|node| ready.insert(node));
-        self.put(&ready);
+    pub(crate) fn outside<T>(&self, does: impl FnOnce(&mut Turn<'_>) -> T) -> T {
+        let mut turn = Turn::new(self, None);
+        let done = does(&mut turn);
+        turn.settle();
+        self.put(&turn.own);
         done
     }
 
     /// What was pending is so no more: a worker looks whether anything can still run.
-    pub(super) fn look_again(&self) {
+    pub(crate) fn look_again(&self) {
         let _queue = self.lock();
         self.wakeup.notify_one();
     }
 
     /// Lets the workers go when the thread that holds it unwinds.
-    pub(super) fn guard(&self) -> impl Drop + '_ {
+    #[allow(dead_code, reason = "the model of the scheduler has no such thread")]
+    pub(crate) fn guard(&self) -> impl Drop + '_ {
         Abandon(self)
     }
 
@@ -149,49 +124,31 @@ impl Scheduler {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn work(&self, work: &dyn Work) {
-        let _guard = Abandon(self);
-        let (mut made_ready, mut own) = (Vec::new(), ReadySet::default());
-        while let Some(node) = own.pop_last().or_else(|| self.pop(work)) {
-            if self.n_workers > 1 && own.len > 0 {
-                let all = !work.is_cheap(node);
-                self.share(&mut own, |other| all || !work.is_cheap(other));
-            }
-            self.run_node(node, work, &mut made_ready);
-            made_ready.drain(..).for_each(|node| own.insert(node));
-        }
-    }
-
-    /// Steps the node until it waits or others should have their turn.
-    fn run_node(&self, node: usize, work: &dyn Work, made_ready: &mut Vec<usize>) {
+    /// Notes that the node has news; `true` if it was idle, and must be queued. A fence comes before.
+    fn make_ready(&self, node: usize) -> bool {
         let state = &self.states[node];
-        state.store(RUNNING, Ordering::Relaxed);
-        fence(Ordering::SeqCst);
-        let mut n_fired = 0;
+        let mut now = state.load(Ordering::Relaxed);
         loop {
-            match work.step(node, &mut Wake { states: &self.states, made_ready }) {
-                Stepped::Fired => {
-                    n_fired += 1;
-                    if !made_ready.is_empty() && (n_fired >= FIRINGS_IN_A_ROW || !work.is_cheap(node)) {
-                        state.store(QUEUED, Ordering::Release);
-                        made_ready.push(node);
-                        return;
-                    }
-                }
-                Stepped::Idle => {
-                    if state.compare_exchange(RUNNING, IDLE, Ordering::AcqRel, Ordering::Acquire).is_ok() {
-                        return;
-                    }
-                    state.store(RUNNING, Ordering::Relaxed);
-                    fence(Ordering::SeqCst);
-                }
+            let next = match now {
+                IDLE => QUEUED,
+                RUNNING => RUNNING_WITH_NEWS,
+                _ => return false,
+            };
+            match state.compare_exchange_weak(now, next, Ordering::AcqRel, Ordering::Relaxed) {
+                Ok(before) => return before == IDLE,
+                Err(other) => now = other,
             }
         }
     }
 
-    /// Moves nodes from a worker's own to the queue of all, and wakes those who sleep.
-    fn share(&self, own: &mut ReadySet, which: impl Fn(usize) -> bool) {
-        self.put(&own.split_off(which));
+    fn work(&self, worker: usize, work: &dyn Work) {
+        let _guard = Abandon(self);
+        let mut turn = Turn::new(self, self.shuffle.map(|seed| Dice::new(seed, worker)));
+        while let Some(node) = turn.next(work) {
+            turn.share_before(node, work);
+            turn.disturb();
+            turn.take(node, work);
+        }
     }
 
     /// Puts nodes into the queue of all, and wakes those who sleep.
@@ -207,7 +164,8 @@ impl Scheduler {
         (0..nodes.len.min(n_asleep)).for_each(|_| self.wakeup.notify_one());
     }
 
-    fn pop(&self, work: &dyn Work) -> Option<usize> {
+    /// The next node of the queue of all; waits for one.
+    fn pop(&self, work: &dyn Work, dice: &mut Option<Dice>) -> Option<usize> {
         if self.n_workers > 1 {
             let _ = (0..LOOKS_BEFORE_SLEEP).find(|_| {
                 std::hint::spin_loop();
@@ -219,7 +177,7 @@ impl Scheduler {
             if queue.finished || self.abandoned.load(Ordering::Relaxed) {
                 return None;
             }
-            if let Some(node) = queue.ready.pop_last() {
+            if let Some(node) = queue.ready.pop(dice) {
                 self.n_queued.store(queue.ready.len, Ordering::Relaxed);
                 return Some(node);
             }
@@ -227,8 +185,8 @@ impl Scheduler {
             if queue.n_asleep == self.n_workers && !work.is_pending() {
                 match work.relieve() {
                     Some(node) => {
-                        let before = self.states[node].swap(QUEUED, Ordering::AcqRel);
-                        if before == IDLE {
+                        fence(Ordering::SeqCst);
+                        if self.make_ready(node) {
                             queue.ready.insert(node);
                         }
                     }
@@ -245,6 +203,127 @@ impl Scheduler {
     }
 }
 
+/// A worker, seen from the node whose turn it is: takes note of the nodes that have news.
+pub(crate) struct Turn<'a> {
+    scheduler: &'a Scheduler,
+    /// Nodes that are ready and that this worker will run unless others do.
+    own: ReadySet,
+    /// Nodes that have news of this turn.
+    told: ReadySet,
+    /// Firings of this turn.
+    n_fired: usize,
+    /// When the last firing ended, if the worker has done nothing but its bookkeeping since.
+    pub(crate) clock: Option<Instant>,
+    dice: Option<Dice>,
+}
+
+impl<'a> Turn<'a> {
+    fn new(scheduler: &'a Scheduler, dice: Option<Dice>) -> Self {
+        let (own, told) = Default::default();
+        Self { scheduler, own, told, n_fired: 0, clock: None, dice }
+    }
+
+    /// Notes that `node` has got an item, progress, an end or room; it learns of it when the turn ends.
+    pub(crate) fn wake(&mut self, node: usize) {
+        self.told.insert(node);
+    }
+
+    /// The node has fired: whether it may fire again in this turn. What takes long ends its turn each time, so that
+    /// those it has made ready can begin elsewhere.
+    pub(crate) fn goes_on(&mut self, cheap: bool) -> bool {
+        self.n_fired += 1;
+        let at_random = self.dice.as_mut().is_some_and(|dice| dice.one_in(3));
+        cheap && self.n_fired < FIRINGS_IN_A_ROW && !at_random
+    }
+
+    /// A firing that may take long begins: others may run meanwhile what is ready here.
+    pub(crate) fn hand_over(&mut self) {
+        if self.scheduler.n_workers > 1 {
+            self.settle();
+            self.share(|_| true);
+        }
+    }
+
+    fn next(&mut self, work: &dyn Work) -> Option<usize> {
+        self.own.pop(&mut self.dice).or_else(|| {
+            self.clock = None;
+            self.scheduler.pop(work, &mut self.dice)
+        })
+    }
+
+    /// Runs the node until it waits or others should have their turn.
+    fn take(&mut self, node: usize, work: &dyn Work) {
+        let state = &self.scheduler.states[node];
+        self.n_fired = 0;
+        loop {
+            state.store(RUNNING, Ordering::Relaxed);
+            // What was told before is seen from here on.
+            fence(Ordering::SeqCst);
+            let stepped = work.step(node, self);
+            self.settle();
+            match stepped {
+                Stepped::Fired => {
+                    state.store(QUEUED, Ordering::Release);
+                    self.own.insert(node);
+                    return;
+                }
+                Stepped::Idle => {
+                    if state.compare_exchange(RUNNING, IDLE, Ordering::AcqRel, Ordering::Acquire).is_ok() {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Tells the nodes that have news.
+    fn settle(&mut self) {
+        if self.told.len == 0 {
+            return;
+        }
+        // Either this sees the node running or idle, or the node, on its way to run, sees the fact.
+        fence(Ordering::SeqCst);
+        while let Some(node) = self.told.pop_last() {
+            if self.scheduler.make_ready(node) {
+                self.own.insert(node);
+            }
+        }
+    }
+
+    fn share_before(&mut self, node: usize, work: &dyn Work) {
+        if self.scheduler.n_workers > 1 && self.own.len > 0 {
+            let mut all = !work.is_cheap(node);
+            if let Some(dice) = &mut self.dice {
+                all ^= dice.one_in(4);
+            }
+            self.share(|other| all || !work.is_cheap(other));
+        }
+    }
+
+    /// Moves nodes from the worker's own to the queue of all.
+    fn share(&mut self, which: impl Fn(usize) -> bool) {
+        self.scheduler.put(&self.own.split_off(which));
+    }
+
+    /// With a seed to shuffle by: delays, nodes that run without news, and workers that wake without reason.
+    fn disturb(&mut self) {
+        let Some(dice) = &mut self.dice else { return };
+        if dice.one_in(8) {
+            delay(dice.below(200));
+        }
+        if dice.one_in(8) {
+            let node = dice.below(self.scheduler.states.len());
+            fence(Ordering::SeqCst);
+            if self.scheduler.make_ready(node) {
+                self.own.insert(node);
+            }
+        }
+        if dice.one_in(16) {
+            self.scheduler.wakeup.notify_all();
+        }
+    }
+}
+
 /// Lets the other workers go when this one unwinds.
 struct Abandon<'a>(&'a Scheduler);
 
@@ -255,6 +334,30 @@ impl Drop for Abandon<'_> {
             let _queue = self.0.lock();
             self.0.wakeup.notify_all();
         }
+    }
+}
+
+/// What decides where the run is shuffled; on one worker the same seed decides the same way.
+struct Dice(u64);
+
+impl Dice {
+    fn new(seed: u64, worker: usize) -> Self {
+        // Steele, Lea and Flood's mixer: neighbouring seeds lie far apart. Zero would stay zero.
+        let mut z = seed.wrapping_add((worker as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        Self((z ^ (z >> 31)) | 1)
+    }
+
+    fn below(&mut self, n: usize) -> usize {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        ((self.0 >> 33) % n.max(1) as u64) as usize
+    }
+
+    fn one_in(&mut self, n: usize) -> bool {
+        self.below(n) == 0
     }
 }
 
@@ -295,7 +398,24 @@ impl ReadySet {
         }
     }
 
+    /// The node furthest downstream, or with dice any.
+    fn pop(&mut self, dice: &mut Option<Dice>) -> Option<usize> {
+        match dice {
+            Some(dice) if self.len > 1 => {
+                let skipped = dice.below(self.len);
+                let behind: Vec<_> = (0..skipped).filter_map(|_| self.pop_last()).collect();
+                let node = self.pop_last();
+                behind.into_iter().for_each(|node| self.insert(node));
+                node
+            }
+            _ => self.pop_last(),
+        }
+    }
+
     fn pop_last(&mut self) -> Option<usize> {
+        if self.len == 0 {
+            return None;
+        }
         let (word, bits) = self.words.iter_mut().enumerate().rev().find(|(_, bits)| **bits != 0)?;
         let bit = 63 - bits.leading_zeros() as usize;
         *bits &= !(1 << bit);
@@ -322,21 +442,36 @@ mod tests {
         );
     }
 
+    #[test]
+    fn dice_take_every_ready_node_once() {
+        let mut set = ReadySet::default();
+        (0..100).for_each(|node| set.insert(node));
+        let mut dice = Some(Dice::new(0, 0));
+        let mut taken: Vec<_> = std::iter::from_fn(|| set.pop(&mut dice)).collect();
+        assert!(!taken.is_sorted_by(|a, b| a > b), "some order of its own");
+        taken.sort_unstable();
+        assert_eq!(taken, (0..100).collect::<Vec<_>>());
+    }
+
     /// A ring of counters: each step passes one token on.
     struct Ring(Vec<AtomicUsize>);
 
     impl Work for Ring {
-        fn step(&self, node: usize, wake: &mut Wake<'_>) -> Stepped {
-            let Ok(left) = self.0[node].fetch_update(Ordering::AcqRel, Ordering::Acquire, |n| n.checked_sub(1)) else {
-                return Stepped::Idle;
-            };
-            let next = (node + 1) % self.0.len();
-            if next != 0 {
-                self.0[next].fetch_add(1, Ordering::AcqRel);
-                wake.node(next);
+        fn step(&self, node: usize, turn: &mut Turn<'_>) -> Stepped {
+            loop {
+                let taken = self.0[node].fetch_update(Ordering::AcqRel, Ordering::Acquire, |n| n.checked_sub(1));
+                if taken.is_err() {
+                    return Stepped::Idle;
+                }
+                let next = (node + 1) % self.0.len();
+                if next != 0 {
+                    self.0[next].fetch_add(1, Ordering::AcqRel);
+                    turn.wake(next);
+                }
+                if !turn.goes_on(self.is_cheap(node)) {
+                    return Stepped::Fired;
+                }
             }
-            let _ = left;
-            Stepped::Fired
         }
 
         fn is_cheap(&self, node: usize) -> bool {
@@ -351,11 +486,11 @@ mod tests {
     #[test]
     fn every_token_gets_through_on_any_number_of_workers() {
         for n_workers in [1, 2, 8] {
-            for _ in 0..20 {
+            for shuffle in (0..20).map(|seed| (seed >= 10).then_some(seed)) {
                 let ring = Ring((0..5).map(|node| AtomicUsize::new(if node == 0 { 500 } else { 0 })).collect());
-                Scheduler::new(5, n_workers).run(&ring);
+                Scheduler::new(5, n_workers, shuffle).run(&ring);
                 let left: Vec<_> = ring.0.iter().map(|n| n.load(Ordering::Relaxed)).collect();
-                assert_eq!(left, [0; 5], "tokens left on {n_workers} workers");
+                assert_eq!(left, [0; 5], "tokens left on {n_workers} workers, shuffled by {shuffle:?}");
             }
         }
     }
