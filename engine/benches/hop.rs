@@ -1,18 +1,18 @@
-//! What a hop costs: an item from one node to the next on one worker and on two, beside the bare channel.
+//! What the engine costs beside what it is made of: items through nodes, and the same items through bare channels of the
+//! same capacity, in one run. What each figure means stands in `docs/performance.md`.
 
-use crossbeam_channel::bounded;
+#[allow(dead_code, reason = "the test that counts allocations uses the rest")]
+mod graph;
+
+use crossbeam_channel::{Receiver, Sender, bounded};
 use divan::{Bencher, counter::ItemsCount};
+use graph::{CAPACITY, Megabyte, Number, chain, plan, registry};
 use osteoflow_engine::{
-    plan::{
-        Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, PortFrames, RecordSettings,
-    },
+    plan::Plan,
     run::{RunOptions, run},
 };
-use osteoflow_node::{
-    Body, Context, Describe, Inputs, Item, Node, NodeError, OutputPorts, Outputs, ParamError, Payload, Registry,
-    Source, Value, View, ViewError, schemars, serde, serde_json,
-};
-use std::sync::Arc;
+use osteoflow_node::{Body, Item, Registry, Value};
+use serde_json::json;
 
 const ITEMS: u64 = 20_000;
 const HOPS: usize = 8;
@@ -21,171 +21,194 @@ fn main() {
     divan::main();
 }
 
-/// A number.
-#[derive(Clone)]
-struct Number(f64);
-
-impl Payload<Number> for Number {
-    const NAME: &'static str = "bench/Number";
-    const VERSION: u32 = 1;
-
-    fn to_view(&self) -> View {
-        View::new().with("value", self.0)
-    }
-
-    fn from_view(view: &View) -> Result<Self, ViewError> {
-        Ok(Self(view.float("value")?))
-    }
-
-    fn to_result(&self) -> serde_json::Value {
-        self.0.into()
-    }
-}
-
-#[derive(Default, serde::Deserialize, schemars::JsonSchema)]
-#[serde(default, crate = "serde")]
-#[schemars(crate = "schemars")]
-struct NoParams {}
-
-/// Counts up.
-#[derive(Describe)]
-struct Count(u64);
-
-#[derive(Inputs)]
-struct In {
-    /// A number.
-    number: Number,
-}
-
-#[derive(Outputs)]
-struct Out {
-    /// The same number.
-    number: Number,
-}
-
-impl Source for Count {
-    const KIND: &'static str = "bench.count";
-    type Params = NoParams;
-    type Outputs = Out;
-
-    fn new(_: NoParams) -> Result<Self, ParamError> {
-        Ok(Self(0))
-    }
-
-    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
-        self.0 += 1;
-        ctx.set_stamp_ns(self.0 as i64);
-        Ok((self.0 <= ITEMS).then_some(Out { number: Number(self.0 as f64) }))
-    }
-}
-
-/// Hands on what it gets.
-#[derive(Describe)]
-struct Relay;
-
-impl Node for Relay {
-    const KIND: &'static str = "bench.relay";
-    type Params = NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
-    fn new(_: NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _: &mut Context) -> Result<Out, NodeError> {
-        Ok(Out { number: i.number })
-    }
-}
-
-fn registry() -> Registry {
-    let mut registry = Registry::default();
-    registry.payload::<Number, _>().source::<Count>().node::<Relay>();
-    registry
-}
-
-/// A source and so many relays in a row.
-fn chain(registry: &Registry, n_relays: usize) -> Plan {
-    let location = Location { file: "bench.toml".into(), line: 1, column: 1 };
-    let node = |index: usize| {
-        let kind = if index == 0 { Count::KIND } else { Relay::KIND };
-        let description = &registry.kind(kind).expect("the kind is registered").description;
-        let OutputPorts::Fixed(outputs) = &description.outputs else { unreachable!("the ports are fixed") };
-        let inputs = description.inputs.iter().map(|port| PlanInput { port: port.clone(), link: Some(index - 1) });
-        let outputs = outputs.iter().map(|port| PlanOutput {
-            name: port.name.into(),
-            payload: port.payload,
-            frames: PortFrames::default(),
-            links: (index < n_relays).then_some(index).into_iter().collect(),
-        });
-        PlanNode {
-            name: Arc::from(format!("n{index}")),
-            kind: kind.into(),
-            role: description.role,
-            location: location.clone(),
-            params: serde_json::json!({}),
-            declared: Arc::from([]),
-            inputs: inputs.collect(),
-            outputs: outputs.collect(),
-            on_error: OnError::Stop,
-        }
-    };
-    let link = |index: usize| Link {
-        from: OutputId { node: index, port: 0 },
-        to_node: index + 1,
-        to_port: 0,
-        capacity: 4,
-        max_bytes: 1 << 20,
-        policy: Policy::Block,
-    };
-    Plan {
-        name: "bench".into(),
-        seed: 1,
-        path: "bench.toml".into(),
-        nodes: (0..=n_relays).map(node).collect(),
-        links: (0..n_relays).map(link).collect(),
-        record: Vec::new(),
-        recording: RecordSettings::default(),
-        results: Vec::new(),
-        input_files: Vec::new(),
-        resolved: String::new(),
-    }
-}
-
-/// Items through nodes; counted per hop.
-#[divan::bench(args = [1, 2])]
-fn through_nodes(bencher: Bencher<'_, '_>, workers: usize) {
-    let registry = registry();
-    let plan = chain(&registry, HOPS);
+/// Runs the plan again and again; `n_hops` are counted for each item.
+fn bench(bencher: Bencher<'_, '_>, registry: &Registry, plan: &Plan, workers: usize, n_items: u64, n_hops: usize) {
     let options = RunOptions { workers, ..RunOptions::default() };
     bencher
-        .counter(ItemsCount::new(ITEMS * HOPS as u64))
-        .bench_local(|| run(&plan, &registry, &options, &()).expect("the chain runs"));
+        .counter(ItemsCount::new(n_items * n_hops.max(1) as u64))
+        .bench_local(|| run(plan, registry, &options, &()).expect("the graph runs"));
 }
 
-/// The source alone: what its calls and the run itself cost, to be taken off.
-#[divan::bench]
-fn no_hop(bencher: Bencher<'_, '_>) {
-    let registry = registry();
-    let plan = chain(&registry, 0);
-    bencher
-        .counter(ItemsCount::new(ITEMS))
-        .bench_local(|| run(&plan, &registry, &RunOptions::default(), &()).expect("the source runs"));
+fn item(number: u64, value: &Value) -> Item {
+    Item { number, stamp_ns: number as i64, body: Body::Value(value.clone()) }
+}
+
+/// So many threads in a row after the calling one, which sends; the last one only takes.
+fn through_threads(n_hops: usize, n_items: u64, value: &Value) {
+    let (ends, mut rest): (Vec<Sender<Item>>, Vec<Receiver<Item>>) = (0..n_hops).map(|_| bounded(CAPACITY)).unzip();
+    let mut senders = ends.into_iter();
+    let first = senders.next().expect("there is a hop");
+    std::thread::scope(|scope| {
+        for rx in rest.drain(..) {
+            let tx = senders.next();
+            scope.spawn(move || {
+                for item in rx {
+                    match &tx {
+                        Some(tx) => tx.send(item).expect("the next thread takes it"),
+                        None => drop(divan::black_box(item)),
+                    }
+                }
+            });
+        }
+        (0..n_items).for_each(|number| first.send(item(number, value)).expect("the first thread takes it"));
+        drop(first);
+    });
 }
 
 /// The same items through bare channels on one thread.
-#[divan::bench]
-fn through_channels(bencher: Bencher<'_, '_>) {
-    bencher.counter(ItemsCount::new(ITEMS * HOPS as u64)).bench_local(|| {
-        let channels: Vec<_> = (0..HOPS).map(|_| bounded::<Item>(4)).collect();
-        for number in 0..ITEMS {
-            let body = Body::Value(Value::new(Number(number as f64)));
-            let mut item = Item { number, stamp_ns: number as i64, body };
-            for (tx, rx) in &channels {
-                tx.try_send(item).expect("there is room");
-                item = rx.try_recv().expect("an item waits");
-            }
-            divan::black_box(item);
+fn through_channels(n_hops: usize, n_items: u64, value: &Value) {
+    let channels: Vec<_> = (0..n_hops).map(|_| bounded::<Item>(CAPACITY)).collect();
+    for number in 0..n_items {
+        let mut item = item(number, value);
+        for (tx, rx) in &channels {
+            tx.try_send(item).expect("there is room");
+            item = rx.try_recv().expect("an item waits");
         }
-    });
+        divan::black_box(item);
+    }
+}
+
+/// One hop, eight times: items are counted per hop.
+mod hop {
+    use super::*;
+
+    /// The source alone: what its calls and the run itself cost, to be taken off.
+    #[divan::bench]
+    fn source_alone(bencher: Bencher<'_, '_>) {
+        let registry = registry();
+        bench(bencher, &registry, &chain(&registry, "bench.count", ITEMS, "bench.relay", 0, 0), 1, ITEMS, 0);
+    }
+
+    /// Nodes that hand on what they get.
+    #[divan::bench(args = [1, 2])]
+    fn hand_on(bencher: Bencher<'_, '_>, workers: usize) {
+        let registry = registry();
+        let plan = chain(&registry, "bench.count", ITEMS, "bench.relay", HOPS, 0);
+        bench(bencher, &registry, &plan, workers, ITEMS, HOPS);
+    }
+
+    /// Nodes that make a new payload, which is an allocation.
+    #[divan::bench(args = [1, 2])]
+    fn make_anew(bencher: Bencher<'_, '_>, workers: usize) {
+        let registry = registry();
+        let plan = chain(&registry, "bench.count", ITEMS, "bench.next", HOPS, 0);
+        bench(bencher, &registry, &plan, workers, ITEMS, HOPS);
+    }
+
+    #[divan::bench]
+    fn bare_channels_on_one_thread(bencher: Bencher<'_, '_>) {
+        let value = Value::new(Number(1.0));
+        bencher.counter(ItemsCount::new(ITEMS * HOPS as u64)).bench_local(|| through_channels(HOPS, ITEMS, &value));
+    }
+
+    #[divan::bench]
+    fn bare_channels_between_threads(bencher: Bencher<'_, '_>) {
+        let value = Value::new(Number(1.0));
+        bencher.counter(ItemsCount::new(ITEMS * HOPS as u64)).bench_local(|| through_threads(HOPS, ITEMS, &value));
+    }
+}
+
+/// Two nodes, one channel: what a second thread brings and costs where there is nothing to compute.
+mod pair {
+    use super::*;
+
+    #[divan::bench(args = [1, 2])]
+    fn engine(bencher: Bencher<'_, '_>, workers: usize) {
+        let registry = registry();
+        let plan = chain(&registry, "bench.count", ITEMS, "bench.relay", 1, 0);
+        bench(bencher, &registry, &plan, workers, ITEMS, 1);
+    }
+
+    #[divan::bench]
+    fn bare_channel_between_threads(bencher: Bencher<'_, '_>) {
+        let value = Value::new(Number(1.0));
+        bencher.counter(ItemsCount::new(ITEMS)).bench_local(|| through_threads(1, ITEMS, &value));
+    }
+}
+
+/// Ten nodes that compute for 20 µs each: items are counted per node, so that two cores give twice as many at best.
+mod chain_of_10 {
+    use super::*;
+
+    const FEW: u64 = 200;
+    const SPIN_US: u64 = 20;
+
+    #[divan::bench(args = [1, 2], sample_count = 10)]
+    fn engine(bencher: Bencher<'_, '_>, workers: usize) {
+        let registry = registry();
+        let plan = chain(&registry, "bench.count", FEW, "bench.relay", 10, SPIN_US);
+        bench(bencher, &registry, &plan, workers, FEW, 10);
+    }
+
+    /// A thread for each node.
+    #[divan::bench(sample_count = 10)]
+    fn bare_channels_between_threads(bencher: Bencher<'_, '_>) {
+        let value = Value::new(Number(1.0));
+        bencher.counter(ItemsCount::new(FEW * 10)).bench_local(|| {
+            let (senders, receivers): (Vec<_>, Vec<_>) = (0..10).map(|_| bounded::<Item>(CAPACITY)).unzip();
+            let mut senders = senders.into_iter();
+            let first = senders.next().expect("there is a hop");
+            std::thread::scope(|scope| {
+                for rx in receivers {
+                    let tx = senders.next();
+                    scope.spawn(move || {
+                        for item in rx {
+                            graph::spin(SPIN_US);
+                            tx.iter().for_each(|tx| tx.send(item.clone()).expect("the next thread takes it"));
+                        }
+                    });
+                }
+                (0..FEW).for_each(|number| first.send(item(number, &value)).expect("the first thread takes it"));
+                drop(first);
+            });
+        });
+    }
+}
+
+/// One source, eight consumers: items are counted per consumer.
+mod fan_out_to_8 {
+    use super::*;
+
+    #[divan::bench(args = [1, 2])]
+    fn engine(bencher: Bencher<'_, '_>, workers: usize) {
+        let registry = registry();
+        let mut nodes = vec![("bench.count", json!({ "items": ITEMS }), None)];
+        nodes.extend((0..8).map(|_| ("bench.relay", json!({}), Some(0))));
+        bench(bencher, &registry, &plan(&registry, &nodes), workers, ITEMS, 8);
+    }
+
+    #[divan::bench]
+    fn bare_channels_between_threads(bencher: Bencher<'_, '_>) {
+        let value = Value::new(Number(1.0));
+        bencher.counter(ItemsCount::new(ITEMS * 8)).bench_local(|| {
+            let (senders, receivers): (Vec<_>, Vec<_>) = (0..8).map(|_| bounded::<Item>(CAPACITY)).unzip();
+            std::thread::scope(|scope| {
+                for rx in receivers {
+                    scope.spawn(move || rx.iter().for_each(|item| drop(divan::black_box(item))));
+                }
+                for number in 0..ITEMS {
+                    senders.iter().for_each(|tx| tx.send(item(number, &value)).expect("a thread takes it"));
+                }
+                drop(senders);
+            });
+        });
+    }
+}
+
+/// A megabyte through ten nodes: items are counted per hop. Nothing of it is copied.
+mod megabyte_through_10 {
+    use super::*;
+
+    #[divan::bench(args = [1, 2])]
+    fn engine(bencher: Bencher<'_, '_>, workers: usize) {
+        let registry = registry();
+        let plan = chain(&registry, "bench.frames", ITEMS, "bench.relay", 10, 0);
+        bench(bencher, &registry, &plan, workers, ITEMS, 10);
+    }
+
+    #[divan::bench]
+    fn bare_channels_on_one_thread(bencher: Bencher<'_, '_>) {
+        let value = Value::new(Megabyte::new());
+        bencher.counter(ItemsCount::new(ITEMS * 10)).bench_local(|| through_channels(10, ITEMS, &value));
+    }
 }

@@ -1,7 +1,7 @@
 //! Kinds that do next to nothing, and plans made of them: for the benches, and for the test that counts allocations.
 
 use osteoflow_engine::plan::{
-    Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, PortFrames,
+    Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, PortFrames, RecordSettings,
 };
 use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, OutputPorts, Outputs, ParamError, Payload, Registry, Source, Value,
@@ -10,11 +10,11 @@ use osteoflow_node::{
 use std::sync::Arc;
 
 /// How many items wait on a wire, as where a graph says nothing.
-pub const CAPACITY: usize = 4;
+pub(crate) const CAPACITY: usize = 4;
 
 /// A number.
 #[derive(Clone)]
-pub struct Number(pub f64);
+pub(crate) struct Number(pub(crate) f64);
 
 impl Payload<Number> for Number {
     const NAME: &'static str = "bench/Number";
@@ -35,11 +35,11 @@ impl Payload<Number> for Number {
 
 /// A megabyte behind a handle.
 #[derive(Clone)]
-pub struct Megabyte(pub Arc<Vec<u8>>);
+pub(crate) struct Megabyte(pub(crate) Arc<Vec<u8>>);
 
 impl Megabyte {
     /// One with something in it.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self(Arc::new((0..1 << 20).map(|i: u32| i as u8).collect()))
     }
 }
@@ -69,7 +69,7 @@ impl Payload<Megabyte> for Megabyte {
 #[derive(Default, serde::Deserialize, schemars::JsonSchema)]
 #[serde(default, crate = "serde")]
 #[schemars(crate = "schemars")]
-pub struct Items {
+pub(crate) struct Items {
     items: u64,
 }
 
@@ -77,17 +77,17 @@ pub struct Items {
 #[derive(Default, serde::Deserialize, schemars::JsonSchema)]
 #[serde(default, crate = "serde")]
 #[schemars(crate = "schemars")]
-pub struct Spin {
+pub(crate) struct Spin {
     spin_us: u64,
 }
 
 /// Counts up.
 #[derive(Describe)]
-pub struct Count(u64, u64);
+pub(crate) struct Count(u64, u64);
 
 /// A number.
 #[derive(Outputs)]
-pub struct NumberOut {
+pub(crate) struct NumberOut {
     /// The number.
     out: Number,
 }
@@ -110,11 +110,11 @@ impl Source for Count {
 
 /// Gives the same megabyte again and again: a handle on it, made once.
 #[derive(Describe)]
-pub struct Frames(u64, u64, Value);
+pub(crate) struct Frames(u64, u64, Value);
 
 /// Whatever it is.
 #[derive(Outputs)]
-pub struct AnyOut {
+pub(crate) struct AnyOut {
     /// A value.
     out: Value,
 }
@@ -135,13 +135,23 @@ impl Source for Frames {
     }
 }
 
+/// Computes for so long.
+pub(crate) fn spin(us: u64) {
+    if us > 0 {
+        let began = std::time::Instant::now();
+        while began.elapsed().as_micros() < us.into() {
+            std::hint::spin_loop();
+        }
+    }
+}
+
 /// Hands on the value it gets.
 #[derive(Describe)]
-pub struct Relay(Spin);
+pub(crate) struct Relay(Spin);
 
 /// Whatever it is.
 #[derive(Inputs)]
-pub struct AnyIn {
+pub(crate) struct AnyIn {
     /// A value.
     value: Value,
 }
@@ -157,23 +167,18 @@ impl Node for Relay {
     }
 
     fn process(&mut self, i: AnyIn, _: &mut Context) -> Result<AnyOut, NodeError> {
-        if self.0.spin_us > 0 {
-            let began = std::time::Instant::now();
-            while began.elapsed().as_micros() < self.0.spin_us.into() {
-                std::hint::spin_loop();
-            }
-        }
+        spin(self.0.spin_us);
         Ok(AnyOut { out: i.value })
     }
 }
 
 /// Makes a new number of the one it gets.
 #[derive(Describe)]
-pub struct Next;
+pub(crate) struct Next;
 
 /// A number.
 #[derive(Inputs)]
-pub struct NumberIn {
+pub(crate) struct NumberIn {
     /// A number.
     number: Number,
 }
@@ -194,7 +199,7 @@ impl Node for Next {
 }
 
 /// All of the kinds.
-pub fn registry() -> Registry {
+pub(crate) fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Number, _>().payload::<Megabyte, _>();
     registry.source::<Count>().source::<Frames>().node::<Relay>().node::<Next>();
@@ -202,7 +207,7 @@ pub fn registry() -> Registry {
 }
 
 /// A plan of nodes, each with its kind, its parameters and the node that feeds it.
-pub fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Option<usize>)]) -> Plan {
+pub(crate) fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Option<usize>)]) -> Plan {
     let location = Location { file: "bench.toml".into(), line: 1, column: 1 };
     let mut links: Vec<Link> = Vec::new();
     let mut planned: Vec<PlanNode> = Vec::new();
@@ -251,11 +256,12 @@ pub fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Option<usize
         results: Vec::new(),
         input_files: Vec::new(),
         resolved: String::new(),
+        recording: RecordSettings::default(),
     }
 }
 
 /// A source of so many items and so many nodes in a row.
-pub fn chain(registry: &Registry, source: &str, n_items: u64, node: &str, n_nodes: usize, spin_us: u64) -> Plan {
+pub(crate) fn chain(registry: &Registry, source: &str, n_items: u64, node: &str, n_nodes: usize, spin_us: u64) -> Plan {
     let mut nodes = vec![(source, serde_json::json!({ "items": n_items }), None)];
     nodes.extend((0..n_nodes).map(|index| (node, serde_json::json!({ "spin_us": spin_us }), Some(index))));
     plan(registry, &nodes)
