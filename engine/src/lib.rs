@@ -15,6 +15,7 @@ pub mod record;
 pub mod recording;
 pub mod recover;
 pub mod replay;
+pub mod repro;
 mod results;
 pub mod run;
 mod sync;

@@ -46,6 +46,12 @@ pub(crate) fn manifest(
     let enlargements =
         report.enlargements.iter().map(|e| json!({ "from": e.from, "to": e.to, "before": e.before, "after": e.after }));
     let warnings = report.warnings.iter().map(|w| json!({ "node": w.node, "item": w.item, "message": w.message }));
+    let saved = report
+        .saved
+        .bundles
+        .iter()
+        .map(|b| json!({ "node": b.node, "item": b.item, "dir": b.dir.display().to_string() }));
+    let not_saved = report.saved.more.iter().map(|(node, n)| json!({ "node": node, "failures": n }));
     let recording = recorded.map(|recorded| match recorded {
         Ok(counts) => {
             let wires = counts.iter();
@@ -75,6 +81,8 @@ pub(crate) fn manifest(
         "enlargements": enlargements.collect::<Json>(),
         "warnings": warnings.collect::<Json>(),
         "recording": recording,
+        "injected": options.inject.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "repro": { "bundles": saved.collect::<Json>(), "not_saved": not_saved.collect::<Json>() },
         "resolved_graph": plan.resolved,
     })
 }

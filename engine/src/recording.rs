@@ -236,7 +236,7 @@ impl Recording {
 }
 
 /// The payload of that name and version.
-fn known(name: &str, version: u32, registry: &Registry) -> Result<&'static PayloadType, String> {
+pub(crate) fn known(name: &str, version: u32, registry: &Registry) -> Result<&'static PayloadType, String> {
     let ty = registry.payload_type(name).ok_or_else(|| format!("no payload {name} is known here"))?;
     if ty.version != version {
         return Err(format!("it holds version {version} of {name}, version {} is known here", ty.version));

@@ -2,6 +2,7 @@
 
 use crate::{
     plan::{OutputId, Plan, ResultEntry},
+    repro::Saved,
     run::{Enlargement, Failure, LinkStats, NodeStats, Outcome, Refusal, RunOptions, Warning},
 };
 use osteoflow_node::{Body, Item, Role};
@@ -23,6 +24,7 @@ pub(crate) struct Ended {
     pub(crate) links: Vec<LinkStats>,
     pub(crate) enlargements: Vec<Enlargement>,
     pub(crate) elapsed: Duration,
+    pub(crate) saved: Saved,
 }
 
 /// How much of a wire the results need.
@@ -97,8 +99,12 @@ fn values<'a>(plan: &'a Plan, ended: &Ended) -> Result<Vec<(&'a str, Json)>, Ref
     Ok(values)
 }
 
-/// Whether a failure refuses the run: not if all that follows from the node are results that may be missing.
+/// Whether a failure refuses the run: not if all that follows from the node are results that may be missing. A panic is
+/// a bug, and may not pass as a result that happened not to come.
 fn refuses(plan: &Plan, failure: &Failure) -> bool {
+    if failure.panicked {
+        return !failure.skipped;
+    }
     let mut reached = vec![false; plan.nodes.len()];
     reached[failure.node] = true;
     for node in failure.node..plan.nodes.len() {

@@ -338,10 +338,35 @@ impl Node for Sum {
     }
 }
 
+/// Sums what there is of what it collects.
+#[derive(Describe)]
+pub(crate) struct SumOfSome;
+
+#[derive(Inputs)]
+pub(crate) struct SomeIn {
+    /// What to sum.
+    all: Vec<Option<Number>>,
+}
+
+impl Node for SumOfSome {
+    const KIND: &'static str = "toy.some";
+    type Params = NoParams;
+    type Inputs = SomeIn;
+    type Outputs = NumberOut;
+
+    fn new(_: NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: SomeIn, _: &mut Context) -> Result<NumberOut, NodeError> {
+        Ok(NumberOut { out: Number(i.all.iter().flatten().map(|n| n.0).sum()) })
+    }
+}
+
 pub(crate) fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Number, _>().payload::<Wave, _>();
-    registry.source::<Script>().source::<LiveScript>().node::<Adder>().node::<Sum>();
+    registry.source::<Script>().source::<LiveScript>().node::<Adder>().node::<Sum>().node::<SumOfSome>();
     registry
 }
 

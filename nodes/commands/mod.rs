@@ -16,6 +16,7 @@ mod progress;
 mod reading;
 mod record;
 mod replay;
+mod repro;
 mod result_table;
 mod run;
 mod run_table;
@@ -52,7 +53,7 @@ Exit codes:
     1  a file could not be read or written, or something of ours broke
     2  the command line or the graph has a fault; nothing was run
     3  the run was refused or a node failed; results.json says why
-    4  a replay differs from what was recorded
+    4  a replay differs from what was recorded, or a repro from how the node failed
   130  interrupted; what was written until then is valid
 
 Research software, not a medical device."
@@ -141,6 +142,7 @@ pub(crate) enum Command {
     Record(record::Record),
     Replay(replay::Replay),
     Digest(digest::Digest),
+    Repro(repro::Repro),
     Simulate(simulate::Simulate),
     Completions(completions::Completions),
 }
@@ -152,6 +154,7 @@ impl Command {
             Self::Record(command) => command.execute(global),
             Self::Replay(command) => command.execute(global),
             Self::Digest(command) => command.execute(global),
+            Self::Repro(command) => command.execute(global),
             Self::Check(command) => command.execute(global),
             Self::Expand(command) => command.execute(global),
             Self::Inspect(command) => command.execute(global),

@@ -15,6 +15,9 @@ pub(crate) const RESULTS: &str = "results.json";
 /// How the results came about: graph, versions, hashes, machine, times, counts.
 pub(crate) const MANIFEST: &str = "manifest.json";
 
+/// A folder with a repro bundle for each failure.
+pub(crate) const REPRO: &str = "repro";
+
 /// Makes the folder: `asked` where given, else a new one under `runs/` in the current folder.
 ///
 /// # Errors
@@ -37,7 +40,25 @@ pub(crate) fn make(asked: Option<&Path>, graph: &str, force: bool) -> Result<Pat
             _ => {}
         }
     }
+    remove_bundles(&dir.join(REPRO)).with_context(|| format!("{} cannot be replaced", dir.join(REPRO).display()))?;
     Ok(dir.to_owned())
+}
+
+/// Removes the bundles of an earlier run; whatever else lies beside them stays, and then the folder does too.
+fn remove_bundles(folder: &Path) -> io::Result<()> {
+    let entries = match fs::read_dir(folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        entries => entries?,
+    };
+    for entry in entries {
+        let path = entry?.path();
+        let unfinished = path.extension().is_some_and(|end| end == "part") && path.is_dir();
+        if unfinished || path.join("repro.json").is_file() {
+            fs::remove_dir_all(path)?;
+        }
+    }
+    let _ = fs::remove_dir(folder);
+    Ok(())
 }
 
 /// A new folder `<graph>-<time>`, with `-2`, `-3` ... where two runs begin in one second.

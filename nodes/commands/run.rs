@@ -1,12 +1,12 @@
 use super::{
-    Exit, Format, Global, GraphArgs, out_dir, print_json,
+    Exit, Format, Global, GraphArgs, UsageError, out_dir, print_json,
     progress::Progress,
     result_table, run_table,
     running::{self, Ran},
 };
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::run::{Outcome, RunOptions, RunReport};
+use osteoflow_engine::run::{Injection, Outcome, RunOptions, RunReport};
 use serde_json::Value;
 use std::{
     io::Write,
@@ -25,6 +25,7 @@ Examples:
   osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_plane --set graph.seed=7
   osteoflow run graphs/fibula_recorded.toml --set recording.path=R.mcap --set bone.path=B.stl \\
       --set phantom.path=P.stl --set plan.path=R.plan.json --out DIR
+  osteoflow run graphs/fibula.toml --inject icp --out R && osteoflow repro R/repro/icp-0
   osteoflow run graphs/fibula.toml --format json --quiet | jq .metrics.tre_true_mm")]
 pub(crate) struct Run {
     #[command(flatten)]
@@ -36,6 +37,11 @@ pub(crate) struct Run {
     /// Do not write run.mcap.
     #[arg(long)]
     no_record: bool,
+
+    /// For testing how a graph fails: let a node panic, or answer an error, in the place of its own work at this item
+    /// (0 if not given); may be given again.
+    #[arg(long, value_name = "NODE[@ITEM][=panic|error]")]
+    inject: Vec<String>,
 }
 
 /// Where a run leaves its files, and on how many threads it runs.
@@ -58,11 +64,14 @@ impl Run {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let (registry, Some(checked)) = self.graph.check(global)? else { return Ok(Exit::Usage) };
         let plan = checked.plan;
+        let inject = self.inject.iter().map(|text| Injection::parse(text, &plan)).collect::<Result<_, _>>();
+        let inject = inject.map_err(|said| UsageError(format!("--inject: {said}")))?;
         let cancelled = Arc::default();
         let dir = out_dir::make(self.leave.out.as_deref(), &plan.name, self.leave.force)?;
         let options = RunOptions {
             out_dir: Some(dir.clone()),
             record: !self.no_record,
+            inject,
             ..running::options(self.leave.workers, &cancelled)?
         };
         let progress = Progress::of_run(&plan, options.workers, global);
@@ -96,12 +105,26 @@ pub(crate) fn tell(report: &RunReport, dir: &Path, global: &Global) -> Result<Ex
         Outcome::Interrupted => writeln!(err, "{}: there are no results", global.paint_err("interrupted", "1;33"))?,
         Outcome::Complete => {}
     }
+    if !global.quiet {
+        tell_saved(&mut err, report)?;
+    }
     drop(err);
     match global.format {
         Format::Json => print_json(&with_outcome(report, exit, dir))?,
         Format::Text => print_text(report, dir, global)?,
     }
     Ok(exit)
+}
+
+/// How to see a failure again.
+fn tell_saved(err: &mut impl Write, report: &RunReport) -> Result<()> {
+    for bundle in &report.saved.bundles {
+        writeln!(err, "to see it again, alone: osteoflow repro {}", bundle.dir.display())?;
+    }
+    for (node, n) in &report.saved.more {
+        writeln!(err, "node \"{node}\" failed {n} more times, which are not saved")?;
+    }
+    Ok(())
 }
 
 fn print_text(report: &RunReport, dir: &Path, global: &Global) -> Result<()> {

@@ -2,7 +2,7 @@
 
 use super::{Global, UsageError, out_dir, progress::Progress};
 use anyhow::{Context, Result, anyhow};
-use osteoflow_engine::run::{RunError, RunOptions};
+use osteoflow_engine::run::{RunError, RunOptions, mark_helper_thread};
 use serde_json::json;
 use std::{
     num::NonZeroUsize,
@@ -30,7 +30,8 @@ enum News<T> {
 /// Options common to all runs, and the pool of `workers` threads for what is parallel inside a node.
 pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>) -> Result<RunOptions> {
     let workers = workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
-    rayon::ThreadPoolBuilder::new().num_threads(workers).build_global().context("no threads for the algorithms")?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
+    pool.build_global().context("no threads for the algorithms")?;
     Ok(RunOptions {
         workers,
         fixed_results: vec![("notice".into(), super::result_table::NOTICE.into())],
@@ -124,7 +125,7 @@ fn listen<T: Send + 'static>(
 /// A node that cannot be built from its parameters is a fault of the graph, whatever else is one of the machine.
 pub(crate) fn told(error: RunError) -> anyhow::Error {
     match error {
-        RunError::Build(_) => UsageError(error.to_string()).into(),
+        RunError::Build(_) | RunError::Inject(_) => UsageError(error.to_string()).into(),
         other => other.into(),
     }
 }

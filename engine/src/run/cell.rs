@@ -11,6 +11,7 @@ use crate::{
     channel::{LinkState, Received, RecvEnd, SendEnd},
     join::{Activation, Joiner, Step},
     plan::{OnError, OutputId, Plan},
+    repro::Failed,
     results::{Keep, Kept},
 };
 use osteoflow_node::{
@@ -587,6 +588,11 @@ impl Cell {
                 }
             }
             Err((reason, panicked)) => {
+                let joined = match &self.core {
+                    Core::Node(_, joiner) => Some(joiner.joined()),
+                    _ => None,
+                };
+                run.save(&Failed { node: self.index, item, stamp_ns, joined, reason: &reason, panicked });
                 // What it answered before it failed counts for nothing.
                 self.emissions.fill(Emission::Silent);
                 let skips = run.plan.nodes[self.index].on_error == OnError::Skip;
@@ -616,21 +622,14 @@ impl Cell {
 
     /// Whether the emissions keep what every node promises.
     fn check(&self, stamp_ns: StampNs, run: &Runtime<'_>) -> Result<(), String> {
+        let is_source = matches!(self.core, Core::Source(_) | Core::Live(_));
         for (output, emission) in self.outputs.iter().zip(&self.emissions) {
-            let port = || format!("output {}", run.plan.nodes[output.id.node].outputs[output.id.port].name);
-            match (emission, &output.payload) {
-                (Emission::Silent, _) if !matches!(self.core, Core::Source(_) | Core::Live(_)) => {
-                    return Err(format!("{} stayed silent, which only a source may", port()));
-                }
-                (Emission::Silent, _) => {}
-                (Emission::Value(value), PortPayload::Type(ty)) if value.ty() != *ty => {
-                    return Err(format!("{} gave {:?}, {ty:?} expected", port(), value.ty()));
-                }
-                _ if stamp_ns < output.floor && !self.is_live() => {
-                    let said = "stamps never decrease along a wire";
-                    return Err(format!("{} gave stamp {stamp_ns} ns after {} ns; {said}", port(), output.floor));
-                }
-                _ => {}
+            // What comes late from a live source is told apart where it is sent.
+            let floor = if self.is_live() { StampNs::MIN } else { output.floor };
+            let fault = emission_fault(&output.payload, floor, emission, is_source, stamp_ns);
+            if let Some(fault) = fault {
+                let name = &run.plan.nodes[output.id.node].outputs[output.id.port].name;
+                return Err(format!("output {name} {fault}"));
             }
         }
         Ok(())
@@ -767,8 +766,29 @@ fn milliseconds(ns: StampNs) -> String {
     format!("{} ms", ns as f64 / 1e6)
 }
 
+/// What an emission breaks of what every node promises: an answer on each output, of its type, in the order of time.
+pub(crate) fn emission_fault(
+    payload: &PortPayload,
+    floor: StampNs,
+    emission: &Emission,
+    is_source: bool,
+    stamp_ns: StampNs,
+) -> Option<String> {
+    match (emission, payload) {
+        (Emission::Silent, _) if is_source => None,
+        (Emission::Silent, _) => Some("stayed silent, which only a source may".into()),
+        (Emission::Value(value), PortPayload::Type(ty)) if value.ty() != *ty => {
+            Some(format!("gave {:?}, {ty:?} expected", value.ty()))
+        }
+        _ if stamp_ns < floor => {
+            Some(format!("gave stamp {stamp_ns} ns after {floor} ns; stamps never decrease along a wire"))
+        }
+        _ => None,
+    }
+}
+
 /// The stamp of what has none yet is 0.
-fn known(stamp_ns: StampNs) -> StampNs {
+pub(crate) fn known(stamp_ns: StampNs) -> StampNs {
     if stamp_ns == StampNs::MIN { 0 } else { stamp_ns }
 }
 

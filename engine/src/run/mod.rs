@@ -6,6 +6,8 @@
 
 mod cell;
 mod histogram;
+mod inject;
+mod kept;
 mod live;
 #[cfg(test)]
 mod live_tests;
@@ -17,7 +19,11 @@ mod scheduler;
 mod tests;
 
 pub use histogram::Spread;
-pub(crate) use panics::catch as catch_panic;
+pub(crate) use cell::{emission_fault, known};
+pub(crate) use inject::planned_failure;
+pub use inject::{Injected, Injection};
+pub use panics::mark_helper_thread;
+pub(crate) use panics::{catch as catch_panic, show as show_panics};
 pub(crate) use report::Failure;
 pub use report::{
     BuildFault, Enlargement, Event, LinkStats, NodeStats, Observer, Outcome, Refusal, RunError, RunOptions, RunReport,
@@ -125,6 +131,7 @@ fn report_of(plan: &Plan, ended: Ended, outcome: Outcome, results: serde_json::V
         enlargements: ended.enlargements,
         warnings,
         elapsed: ended.elapsed,
+        saved: ended.saved,
     }
 }
 

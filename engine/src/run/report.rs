@@ -1,6 +1,7 @@
 //! What a run takes, tells and answers.
 
-use crate::{plan::Location, record::RecordError};
+use super::Injection;
+use crate::{plan::Location, record::RecordError, repro::Saved};
 use osteoflow_node::StampNs;
 use std::{
     fmt,
@@ -27,6 +28,8 @@ pub struct RunOptions {
     pub cancelled: Arc<AtomicBool>,
     /// What the command says of itself and the machine, for the manifest.
     pub command: serde_json::Value,
+    /// Firings that are made to fail, for testing how a graph fails.
+    pub inject: Vec<Injection>,
 }
 
 impl Default for RunOptions {
@@ -39,6 +42,7 @@ impl Default for RunOptions {
             fixed_results: Vec::new(),
             cancelled: Arc::default(),
             command: serde_json::Value::Null,
+            inject: Vec::new(),
         }
     }
 }
@@ -185,6 +189,8 @@ pub struct RunReport {
     pub warnings: Vec<Warning>,
     /// From the first step to the last.
     pub elapsed: Duration,
+    /// The failed items that were saved, to be run again alone.
+    pub saved: Saved,
 }
 
 /// A node's figures.
@@ -235,6 +241,9 @@ pub enum RunError {
     /// Nodes cannot be built from their parameters.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Build(Vec<BuildFault>),
+    /// A failure was to be injected into a node that the graph does not have.
+    #[error("{0}")]
+    Inject(String),
     /// A file of the run cannot be written.
     #[error("cannot write {}: {source}", .path.display())]
     Write {

@@ -3,6 +3,8 @@
 use super::{
     BuildFault, Enlargement, Event, Failure, Observer, Refusal, RunError, RunOptions, Warning,
     cell::{Cell, Core, Input, Output},
+    inject::{Injection, Planned},
+    kept::Kept,
     live::{self, Live, Mailbox, News},
     panics,
     scheduler::{Scheduler, Stepped, Turn, Work},
@@ -11,6 +13,7 @@ use crate::{
     channel::{self, Limits, LinkState, RecvEnd, SendEnd},
     join::{Joiner, PortSpec},
     plan::{OutputId, Plan, PlanNode},
+    repro::{Failed, Saver},
     results::{Ended, Keep},
 };
 use osteoflow_node::{AnySource, Built, Context, Item, Registry, Role};
@@ -65,8 +68,10 @@ pub(super) struct Runtime<'a> {
     cheap: Vec<AtomicBool>,
     pub(super) links: Vec<LinkState>,
     taps: Vec<&'a dyn Tap>,
-    failures: Mutex<Vec<Failure>>,
-    warnings: Mutex<Vec<(usize, Warning)>>,
+    kept: Mutex<Kept>,
+    /// The failures to put in on purpose, by node.
+    planned: Vec<Arc<Planned>>,
+    saver: Option<Saver>,
     enlargements: Mutex<Vec<Enlargement>>,
     stall: Mutex<Option<Failure>>,
     began: Instant,
@@ -95,13 +100,15 @@ impl<'a> Runtime<'a> {
         observer: &'a dyn Observer,
         mut replayed: Replayed,
     ) -> Result<Self, RunError> {
+        options.inject.iter().try_for_each(|injection| injection.check(plan)).map_err(RunError::Inject)?;
+        let planned: Vec<_> = plan.nodes.iter().map(|node| Planned::of(&node.name, &options.inject)).collect();
         let mut bodies = Vec::with_capacity(plan.nodes.len());
         let mut faults = Vec::new();
         for (index, node) in plan.nodes.iter().enumerate() {
             let substitute = replayed.substitutes.remove(&index).map(Built::Source);
             let live = node.role == Role::LiveSource && substitute.is_none();
             match substitute.map_or_else(|| build(registry, node), Ok) {
-                Ok(built) => bodies.push((built, live)),
+                Ok(built) => bodies.push((planned[index].into_node(built), live)),
                 Err(fault) => faults.push(fault),
             }
         }
@@ -169,8 +176,9 @@ impl<'a> Runtime<'a> {
             cells,
             links,
             taps: Vec::new(),
-            failures: Mutex::default(),
-            warnings: Mutex::default(),
+            kept: Mutex::new(Kept::new(plan.nodes.len())),
+            planned,
+            saver: Saver::new(plan, options),
             enlargements: Mutex::default(),
             stall: Mutex::default(),
             began: Instant::now(),
@@ -202,10 +210,16 @@ impl<'a> Runtime<'a> {
         let interrupted = self.interrupted.load(Ordering::Relaxed);
         let cells: Vec<Cell> =
             self.cells.into_iter().map(|cell| cell.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
-        let mut failures = self.failures.into_inner().unwrap_or_else(PoisonError::into_inner);
-        // In the order of the plan, not of time: the first failure is the same on any number of workers.
-        failures.sort_by_key(|failure| (failure.node, failure.item));
-        let mut warnings = self.warnings.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let kept = self.kept.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let (failures, mut warnings) = kept.finish(self.plan);
+        if !interrupted {
+            warnings.extend(
+                self.planned
+                    .iter()
+                    .enumerate()
+                    .flat_map(|(node, planned)| planned.missed().map(move |injection| (node, missed(injection)))),
+            );
+        }
         let stall = self.stall.into_inner().unwrap_or_else(PoisonError::into_inner);
         warnings.extend(cells.iter().flat_map(|cell| cell.unmatched_warning(self.plan)));
         warnings.extend(cells.iter().flat_map(|cell| cell.late_warning(self.plan)));
@@ -222,12 +236,14 @@ impl<'a> Runtime<'a> {
             warnings: warnings.into_iter().map(|(_, warning)| warning).collect(),
             enlargements: self.enlargements.into_inner().unwrap_or_else(PoisonError::into_inner),
             elapsed: self.elapsed,
+            saved: self.saver.map(|saver| saver.finish(self.plan)).unwrap_or_default(),
         }
     }
 
     /// Builds a node anew after it failed.
     pub(super) fn rebuild(&self, node: usize) -> Result<Built, String> {
-        build(self.registry, &self.plan.nodes[node]).map_err(|fault| fault.message)
+        let built = build(self.registry, &self.plan.nodes[node]).map_err(|fault| fault.message)?;
+        Ok(self.planned[node].into_node(built))
     }
 
     pub(super) fn cancelled(&self) -> bool {
@@ -291,14 +307,25 @@ impl<'a> Runtime<'a> {
             self.note_interrupted();
         }
         self.event(&Event::Failed(&refusal(self.plan, &failure)));
-        locked(&self.failures).push(failure);
+        locked(&self.kept).failure(failure);
+    }
+
+    /// Saves the items of a failed firing, so that it can be run again alone.
+    #[cold]
+    pub(super) fn save(&self, failed: &Failed<'_>) {
+        // A computation that was asked to stop, and did, has not failed by itself.
+        let Some(saver) = self.saver.as_ref().filter(|_| !self.cancelled()) else { return };
+        let injected = self.planned[failed.node].at(failed.item);
+        if let Err(why) = saver.save(self.plan, failed, injected) {
+            self.warn(failed.node, failed.item, vec![why]);
+        }
     }
 
     pub(super) fn warn(&self, node: usize, item: u64, messages: Vec<String>) {
         for message in messages {
             let warning = Warning { node: self.plan.nodes[node].name.to_string(), item, message };
             self.event(&Event::Warned(&warning));
-            locked(&self.warnings).push((node, warning));
+            locked(&self.kept).warning(node, warning);
         }
     }
 
@@ -420,6 +447,12 @@ fn joiner(plan: &Plan, node: &PlanNode) -> Joiner {
         wire: input.link.map(|link| plan.wire_name(plan.links[link].from)),
     });
     Joiner::new(node.name.clone(), ports.collect())
+}
+
+/// Says that a failure that was to be put in never was.
+fn missed(injection: &Injection) -> Warning {
+    let message = format!("{injection} was not injected: the node did not fire at item {}", injection.item);
+    Warning { node: injection.node.clone(), item: injection.item, message }
 }
 
 /// The wire and the port that a link joins.

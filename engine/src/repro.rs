@@ -1,0 +1,223 @@
+//! Runs a failed node again, alone, on the very item at which it failed.
+//!
+//! A run saves the item of a failure as a *repro bundle*, a folder `repro/<node>-<item>/` with three files:
+//!
+//! - `repro.json`: the node with its parameters, the firing (item, stamp, seed), what its ports brought, the failure, and
+//!   the program that failed ([`Bundle`]);
+//! - `inputs.mcap`: the items that its ports had joined, exactly: one channel `/exact/<port>` for each port that brought
+//!   any, in the encoding of recordings; a source has none, it is called from its start instead;
+//! - `README.txt`: the same in words, and how to go on.
+
+mod bundle;
+mod items;
+mod save;
+#[cfg(test)]
+mod tests;
+
+pub use bundle::{Bundle, Declared, Failure, Given, Input, Node, Output, Program, ReproError, Shown};
+pub(crate) use save::{Failed, Saver};
+pub use save::{Saved, SavedBundle};
+
+use crate::run::{catch_panic, emission_fault, known, planned_failure, show_panics};
+use osteoflow_node::{
+    Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, PortPayload, Registry, Role, Slot, StampNs,
+};
+use std::{
+    path::Path,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+/// What came of a repro.
+#[derive(Debug)]
+pub struct ReproReport {
+    /// What was run again.
+    pub bundle: Bundle,
+    /// How it failed this time; `None` if it did not fail.
+    pub failure: Option<Failure>,
+    /// Whether that is the failure of the bundle.
+    pub same: bool,
+    /// For a source: how often it answered before the call that failed, or before its end.
+    pub n_calls: u64,
+    /// What the node warned of.
+    pub warnings: Vec<String>,
+    /// How this program differs from the one that failed.
+    pub differences: Vec<String>,
+    /// How long the node worked.
+    pub took: Duration,
+}
+
+/// Runs the node of a bundle again on its item. With `backtrace`, panics are shown by the process's hook as well.
+///
+/// # Errors
+/// [`ReproError`] if the bundle cannot be read or its node cannot be built here.
+pub fn repro(dir: &Path, registry: &Registry, program: Program, backtrace: bool) -> Result<ReproReport, ReproError> {
+    let bundle = Bundle::open(dir)?;
+    let node = &bundle.node;
+    let kind = registry.kind(&node.kind).ok_or_else(|| ReproError::Kind(node.kind.clone()))?;
+    let build = |message: String| ReproError::Build { node: node.name.clone(), message };
+    let built = match catch_panic(|| kind.build(&node.params)) {
+        Ok(built) => built.map_err(|error| build(error.to_string()))?,
+        Err(panic) => return Err(build(panic)),
+    };
+    let built = planned_failure(built, &node.name, bundle.item, bundle.injected);
+    let outputs = node.outputs.iter().map(|output| Ok((output.name.as_str(), payload(registry, &output.payload)?)));
+    let outputs: Vec<(&str, PortPayload)> = outputs.collect::<Result<_, ReproError>>()?;
+    let declared = node.declared.iter().map(|port| {
+        let PortPayload::Type(payload) = payload(registry, &port.payload)? else {
+            return Err(ReproError::Payload(port.payload.clone()));
+        };
+        Ok(DeclaredPort { name: port.name.clone(), payload, params: port.params.clone() })
+    });
+    let declared: Arc<[DeclaredPort]> = declared.collect::<Result<Vec<_>, ReproError>>()?.into();
+    // What it writes goes nowhere: the folder is taken away again.
+    let scratch = bundle.out_dir.as_ref().map(|_| Scratch::make()).transpose().map_err(ReproError::Scratch)?;
+    let out_dir = scratch.as_ref().map(|scratch| Arc::from(scratch.0.as_path()));
+    let mut context = Context::new(node.name.clone(), bundle.seed, Arc::default(), declared).with_out_dir(out_dir);
+    if backtrace {
+        show_panics();
+    }
+
+    let began = Instant::now();
+    let mut n_calls = 0;
+    let failed = match built {
+        Built::Node(mut built) => {
+            let joined = joined(&bundle, dir, kind, registry, &mut context)?;
+            let mut out = vec![Emission::Silent; outputs.len()];
+            let answered = catch_panic(|| built.fire(&joined, &mut out, &mut context));
+            let floors = vec![StampNs::MIN; outputs.len()];
+            failure(answered, &outputs, &floors, &out, Role::Node, bundle.stamp_ns).err()
+        }
+        Built::Source(mut source) => {
+            let mut floors = vec![StampNs::MIN; outputs.len()];
+            let mut stamp_ns = StampNs::MIN;
+            loop {
+                context.begin(n_calls, known(stamp_ns));
+                let mut out = vec![Emission::Silent; outputs.len()];
+                let mut more = true;
+                let answered = catch_panic(|| source.next(&mut out, &mut context).map(|answer| more = answer));
+                stamp_ns = context.stamp_ns();
+                if let Err(failed) = failure(answered, &outputs, &floors, &out, Role::Source, stamp_ns) {
+                    break Some(failed);
+                }
+                if !more || n_calls == bundle.item {
+                    break None;
+                }
+                n_calls += 1;
+                let silent = out.iter().any(|emission| matches!(emission, Emission::Silent));
+                let given = floors.iter_mut().zip(&out);
+                given.for_each(|(floor, emission)| {
+                    if silent || !matches!(emission, Emission::Silent) {
+                        *floor = stamp_ns.max(*floor);
+                    }
+                });
+            }
+        }
+    };
+    let took = began.elapsed();
+    let mut failed = failed;
+    if let (Some(failed), Some(scratch), Some(out_dir)) = (&mut failed, &scratch, &bundle.out_dir) {
+        let (here, there) = (scratch.0.display().to_string(), out_dir.display().to_string());
+        failed.reason = failed.reason.replace(&here, &there);
+    }
+    let differences = bundle.program.differences(&program);
+    let same_program = bundle.program.sha256 == program.sha256 && program.sha256.is_some();
+    let at_call = node.role == Role::Node || n_calls == bundle.item;
+    let same = at_call && failed.as_ref().is_some_and(|failed| failed.is(&bundle.failure, same_program));
+    let warnings = context.take_warnings();
+    Ok(ReproReport { bundle, failure: failed, same, n_calls, warnings, differences, took })
+}
+
+fn payload(registry: &Registry, name: &str) -> Result<PortPayload, ReproError> {
+    if name == PortPayload::Any.name() {
+        return Ok(PortPayload::Any);
+    }
+    let ty: Option<&'static PayloadType> = registry.payload_type(name);
+    ty.map(PortPayload::Type).ok_or_else(|| ReproError::Payload(name.into()))
+}
+
+/// What the ports had brought, in the order of the kind's ports, and the firing begun.
+fn joined(
+    bundle: &Bundle,
+    dir: &Path,
+    kind: &osteoflow_node::Kind,
+    registry: &Registry,
+    context: &mut Context,
+) -> Result<Joined, ReproError> {
+    let mut items = items::read(&dir.join(bundle::INPUTS), registry)?;
+    context.begin(bundle.item, bundle.stamp_ns);
+    let mut slots = Vec::new();
+    for port in &kind.description.inputs {
+        let missing = || ReproError::Port { kind: bundle.node.kind.clone(), port: port.name.into() };
+        let input = bundle.inputs.iter().find(|input| input.port == port.name).ok_or_else(missing)?;
+        let mut came = items.remove(port.name).unwrap_or_default();
+        slots.push(match &input.given {
+            Given::Item => {
+                if came.len() != 1 {
+                    return Err(ReproError::Count { port: port.name.into(), found: came.len(), expected: 1 });
+                }
+                Slot::Item(came.remove(0))
+            }
+            Given::Items { n, absent } => {
+                if came.len() != *n {
+                    return Err(ReproError::Count { port: port.name.into(), found: came.len(), expected: *n });
+                }
+                absent.iter().for_each(|empty| context.note_absent(port.name, Arc::new(empty.clone())));
+                Slot::Items(came)
+            }
+            Given::Absent { empty } => {
+                let empty: Arc<Empty> = Arc::new(empty.clone());
+                context.note_absent(port.name, empty.clone());
+                Slot::Absent(empty)
+            }
+        });
+    }
+    Ok(Joined { slots })
+}
+
+/// How the firing failed, if it did: an error, a panic, or answers that break what every node promises.
+fn failure(
+    answered: Result<Result<(), osteoflow_node::NodeError>, String>,
+    outputs: &[(&str, PortPayload)],
+    floors: &[StampNs],
+    out: &[Emission],
+    role: Role,
+    stamp_ns: StampNs,
+) -> Result<(), Failure> {
+    match answered {
+        Err(reason) => Err(Failure { reason, panicked: true }),
+        Ok(Err(error)) => Err(Failure { reason: error.message, panicked: false }),
+        Ok(Ok(())) => {
+            let mut emissions = outputs.iter().zip(floors).zip(out);
+            let fault = emissions.find_map(|(((name, payload), floor), emission)| {
+                let fault = emission_fault(payload, *floor, emission, role != Role::Node, stamp_ns)?;
+                Some(format!("output {name} {fault}"))
+            });
+            fault.map_or(Ok(()), |reason| Err(Failure { reason, panicked: false }))
+        }
+    }
+}
+
+/// A folder that goes when this does.
+struct Scratch(std::path::PathBuf);
+
+impl Scratch {
+    fn make() -> std::io::Result<Self> {
+        let parent = std::env::temp_dir();
+        for n in 0u32.. {
+            let dir = parent.join(format!("osteoflow-repro-{}-{n}", std::process::id()));
+            match std::fs::create_dir(&dir) {
+                Ok(()) => return Ok(Self(dir)),
+                Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Err(std::io::Error::other("no name is left for a folder"))
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}

@@ -1,0 +1,332 @@
+//! `repro.json`: a failed firing as data.
+
+use crate::{recording::RecordingError, run::Injected};
+use osteoflow_node::{Empty, Role, StampNs};
+use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
+use std::path::{Path, PathBuf};
+
+/// The version of the bundle; raised when older readers cannot take it.
+pub(super) const FORMAT_VERSION: u32 = 1;
+/// What was saved.
+pub(super) const BUNDLE: &str = "repro.json";
+/// The joined items.
+pub(super) const INPUTS: &str = "inputs.mcap";
+/// The same in words.
+pub(super) const README: &str = "README.txt";
+/// No `repro.json` of ours is longer; a longer file is something else.
+const MAX_BYTES: u64 = 256 << 20;
+
+/// A failed firing.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Bundle {
+    /// The version of this format.
+    pub format_version: u32,
+    /// The graph's name.
+    pub graph: String,
+    /// Where the node stands: `file:line`.
+    pub location: String,
+    /// The node.
+    pub node: Node,
+    /// The number of the firing, from 0; for a source, of the call.
+    pub item: u64,
+    /// The stamp of the firing.
+    pub stamp_ns: StampNs,
+    /// The run's seed.
+    pub seed: u64,
+    /// What each port brought, in the order of the kind's ports; nothing for a source.
+    pub inputs: Vec<Input>,
+    /// How it failed.
+    pub failure: Failure,
+    /// How it was made to fail, if it was.
+    #[serde(default, with = "injected", skip_serializing_if = "Option::is_none")]
+    pub injected: Option<Injected>,
+    /// The run's folder, where it had one: nodes that write files write them there.
+    pub out_dir: Option<PathBuf>,
+    /// The program that failed.
+    pub program: Program,
+}
+
+/// The node of a bundle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Node {
+    /// Its full name.
+    pub name: String,
+    /// Its kind.
+    pub kind: String,
+    /// Whether it is a source.
+    #[serde(with = "role")]
+    pub role: Role,
+    /// `stop` or `skip`.
+    pub on_error: String,
+    /// Its table in the resolved graph, as the text of a graph file; for reading.
+    pub table: String,
+    /// Its parameters as it was built from them; paths are absolute.
+    pub params: Json,
+    /// The outputs that the graph declared.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub declared: Vec<Declared>,
+    /// Its outputs.
+    pub outputs: Vec<Output>,
+}
+
+/// An output.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Output {
+    /// Its name.
+    pub name: String,
+    /// The payload's name.
+    pub payload: String,
+}
+
+/// An output that the graph declared.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Declared {
+    /// Its name.
+    pub name: String,
+    /// The payload's name.
+    pub payload: String,
+    /// Its parameters.
+    pub params: Json,
+}
+
+/// What one port brought.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Input {
+    /// The port.
+    pub port: String,
+    /// The join that chose it.
+    pub join: String,
+    /// The wire that feeds it, where one does.
+    pub wire: Option<String>,
+    /// Items or none.
+    #[serde(flatten)]
+    pub given: Given,
+    /// The items, for reading; they themselves are in `inputs.mcap`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub items: Vec<Shown>,
+}
+
+/// How a port's items came.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "given", rename_all = "snake_case")]
+pub enum Given {
+    /// One item.
+    Item,
+    /// A list.
+    Items {
+        /// How many.
+        n: usize,
+        /// The first of them that has no value, if one has not.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        absent: Option<Empty>,
+    },
+    /// None.
+    Absent {
+        /// Why.
+        empty: Empty,
+    },
+}
+
+/// An item in short.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Shown {
+    /// Its place on its wire.
+    pub number: u64,
+    /// Its stamp.
+    pub stamp_ns: StampNs,
+    /// The payload's name; `None` for an empty.
+    pub payload: Option<String>,
+    /// Why it is empty.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub empty: Option<String>,
+    /// Its size in `inputs.mcap`.
+    pub bytes: u64,
+    /// Its columns: name and number of rows.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub columns: Vec<(String, u64)>,
+    /// Its texts, such as the names of frames.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub texts: Vec<(String, String)>,
+}
+
+/// How a firing failed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Failure {
+    /// What it said; of a panic with its place.
+    pub reason: String,
+    /// Whether it panicked.
+    pub panicked: bool,
+}
+
+impl Failure {
+    /// The file and line of a panic, and what was said there.
+    pub fn place(&self) -> (Option<&str>, &str) {
+        let placed = self.reason.strip_prefix("panicked at ").filter(|_| self.panicked);
+        match placed.and_then(|rest| rest.split_once(": ")) {
+            Some((place, message)) => (Some(place), message),
+            None => (None, &self.reason),
+        }
+    }
+
+    /// Whether both are one failure. In another program a panic's line may have moved; its file and words have not.
+    pub(super) fn is(&self, other: &Self, same_program: bool) -> bool {
+        if same_program || self.panicked != other.panicked {
+            return self == other;
+        }
+        let ((own, said), (others, was_said)) = (self.place(), other.place());
+        let file = |place: Option<&str>| place.and_then(|p| p.rsplit_once(':')).map(|(file, _)| file.to_owned());
+        said == was_said && file(own) == file(others)
+    }
+}
+
+/// A program, as far as its failures may depend on it.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Program {
+    /// The engine's version.
+    pub engine_version: String,
+    /// SHA-256 of the executable, where it could be read.
+    pub sha256: Option<String>,
+    /// What the command says of itself and the machine, CPU features among it.
+    pub command: Json,
+}
+
+impl Program {
+    /// This program, and what the command says of itself.
+    pub fn current(command: Json) -> Self {
+        let executable = std::env::current_exe().ok().and_then(|path| crate::manifest::sha256(&path).ok());
+        Self { engine_version: env!("CARGO_PKG_VERSION").into(), sha256: executable.map(|(_, hash)| hash), command }
+    }
+
+    /// How `now` differs, in words.
+    pub(super) fn differences(&self, now: &Self) -> Vec<String> {
+        let mut out = Vec::new();
+        if self.engine_version != now.engine_version {
+            out.push(format!("it failed in version {}, this is version {}", self.engine_version, now.engine_version));
+        } else if self.sha256 != now.sha256 {
+            out.push("it failed in another build of this version".into());
+        }
+        for (key, what) in [("architecture", "on"), ("cpu_features", "with the CPU features")] {
+            let (was, is) = (&self.command[key], &now.command[key]);
+            if was != is && !was.is_null() && !is.is_null() {
+                out.push(format!("it failed {what} {was}, here is {is}"));
+            }
+        }
+        out
+    }
+}
+
+impl Bundle {
+    /// Reads a bundle's description; `dir` is its folder or its `repro.json`.
+    ///
+    /// # Errors
+    /// [`ReproError`] if it is not there, damaged, or of a later version.
+    pub fn open(dir: &Path) -> Result<Self, ReproError> {
+        let path = dir.join(BUNDLE);
+        let read = |source| ReproError::Read { path: path.clone(), source };
+        let foreign = |reason: String| ReproError::Foreign { path: path.clone(), reason };
+        if std::fs::metadata(&path).map_err(read)?.len() > MAX_BYTES {
+            return Err(foreign("it is too long".into()));
+        }
+        let json: Json =
+            serde_json::from_slice(&std::fs::read(&path).map_err(read)?).map_err(|error| foreign(error.to_string()))?;
+        match json.get("format_version").and_then(Json::as_u64) {
+            Some(version) if version == u64::from(FORMAT_VERSION) => {}
+            Some(found) => return Err(foreign(format!("it has version {found}, this program reads {FORMAT_VERSION}"))),
+            None => return Err(foreign("it has no format_version".into())),
+        }
+        serde_json::from_value(json).map_err(|error| foreign(error.to_string()))
+    }
+}
+
+/// A bundle that cannot be run again.
+#[derive(Debug, thiserror::Error)]
+pub enum ReproError {
+    /// A file of it cannot be read.
+    #[error("cannot read {}: {source}; a repro bundle is a folder repro/NODE-ITEM of a run", .path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Its description is no description of a bundle.
+    #[error("{} describes no failed firing: {reason}", .path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// Its items cannot be read.
+    #[error(transparent)]
+    Items(#[from] RecordingError),
+    /// Its kind is unknown here.
+    #[error("there is no kind \"{0}\" here; run the bundle with the program that saved it")]
+    Kind(String),
+    /// A payload is unknown here.
+    #[error("there is no payload \"{0}\" here; run the bundle with the program that saved it")]
+    Payload(String),
+    /// The kind has a port that the bundle says nothing of.
+    #[error("{kind} has an input \"{port}\" here, which the bundle lacks; run it with the program that saved it")]
+    Port {
+        /// The kind.
+        kind: String,
+        /// The port.
+        port: String,
+    },
+    /// Items are missing.
+    #[error("input \"{port}\" has {found} items in inputs.mcap, {expected} expected; the bundle is damaged")]
+    Count {
+        /// The port.
+        port: String,
+        /// Items found.
+        found: usize,
+        /// Items that the description promises.
+        expected: usize,
+    },
+    /// The node cannot be built from its parameters.
+    #[error("node \"{node}\" cannot be built from the bundle's parameters: {message}")]
+    Build {
+        /// The node.
+        node: String,
+        /// Why.
+        message: String,
+    },
+    /// No folder for what the node writes.
+    #[error("no folder can be made for what the node writes: {0}")]
+    Scratch(std::io::Error),
+}
+
+mod role {
+    use osteoflow_node::Role;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+
+    pub(super) fn serialize<S: Serializer>(role: &Role, serializer: S) -> Result<S::Ok, S::Error> {
+        role.serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Role, D::Error> {
+        match String::deserialize(deserializer)?.as_str() {
+            "node" => Ok(Role::Node),
+            "source" => Ok(Role::Source),
+            "live_source" => Ok(Role::LiveSource),
+            other => Err(D::Error::custom(format!("\"{other}\" is no role; node, source and live_source are"))),
+        }
+    }
+}
+
+mod injected {
+    use crate::run::Injected;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+
+    pub(super) fn serialize<S: Serializer>(how: &Option<Injected>, serializer: S) -> Result<S::Ok, S::Error> {
+        how.map(Injected::name).serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Injected>, D::Error> {
+        let Some(name) = Option::<String>::deserialize(deserializer)? else { return Ok(None) };
+        let how = Injected::from_name(&name);
+        how.map(Some).ok_or_else(|| D::Error::custom(format!("\"{name}\" is no injection; panic and error are")))
+    }
+}

@@ -1,0 +1,320 @@
+//! Saves a failed firing while the run goes on.
+
+use super::{
+    bundle::{self, Bundle, Declared, Failure, Given, Input, Node, Output, Program, Shown},
+    items::Items,
+};
+use crate::{
+    plan::{OnError, Plan, PlanNode},
+    run::{Injected, RunOptions, catch_panic},
+};
+use mcap::McapError;
+use osteoflow_node::{Body, Empty, Field, Item, Joined, PayloadType, PortPayload, Role, Slot, StampNs};
+use std::{
+    fmt::Write as _,
+    io,
+    path::{Path, PathBuf},
+    sync::{
+        Mutex, OnceLock, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+/// So many failures of one node are saved; the rest is counted.
+const MOST_PER_NODE: u64 = 5;
+/// The folder for bundles in the run's folder.
+pub(crate) const FOLDER: &str = "repro";
+
+/// The bundles that a run left.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Saved {
+    /// The bundles, in the order of the plan.
+    pub bundles: Vec<SavedBundle>,
+    /// Failures that were not saved because the node had failed so often already: node and how many.
+    pub more: Vec<(String, u64)>,
+}
+
+/// A bundle that a run left.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SavedBundle {
+    /// The node.
+    pub node: String,
+    /// The number of its firing.
+    pub item: u64,
+    /// The bundle's folder.
+    pub dir: PathBuf,
+}
+
+/// A firing that failed.
+pub(crate) struct Failed<'a> {
+    /// Index into the plan.
+    pub(crate) node: usize,
+    pub(crate) item: u64,
+    pub(crate) stamp_ns: StampNs,
+    /// What the ports brought; `None` for a source.
+    pub(crate) joined: Option<&'a Joined>,
+    pub(crate) reason: &'a str,
+    pub(crate) panicked: bool,
+}
+
+/// Saves the failures of a run.
+pub(crate) struct Saver {
+    folder: PathBuf,
+    out_dir: PathBuf,
+    command: serde_json::Value,
+    program: OnceLock<Program>,
+    /// Failures so far, by node.
+    failed: Vec<AtomicU64>,
+    saved: Mutex<Vec<(usize, SavedBundle)>>,
+}
+
+impl Saver {
+    /// Saves into the run's folder, where the run has one.
+    pub(crate) fn new(plan: &Plan, options: &RunOptions) -> Option<Self> {
+        let out_dir = options.out_dir.as_ref()?;
+        Some(Self {
+            folder: out_dir.join(FOLDER),
+            out_dir: out_dir.clone(),
+            command: options.command.clone(),
+            program: OnceLock::new(),
+            failed: plan.nodes.iter().map(|_| AtomicU64::new(0)).collect(),
+            saved: Mutex::default(),
+        })
+    }
+
+    /// Saves a failed firing, which may have been made to fail, unless the node has failed too often already.
+    ///
+    /// # Errors
+    /// Why it could not be saved, in words; the failure itself is not touched by that.
+    pub(crate) fn save(&self, plan: &Plan, failed: &Failed<'_>, injected: Option<Injected>) -> Result<(), String> {
+        if self.failed[failed.node].fetch_add(1, Ordering::Relaxed) >= MOST_PER_NODE {
+            return Ok(());
+        }
+        let name = &plan.nodes[failed.node].name;
+        let written = catch_panic(|| self.write(plan, failed, injected));
+        let dir = written.and_then(|written| written.map_err(|error| error.to_string()));
+        let dir = dir.map_err(|why| format!("its item could not be saved as a repro bundle: {why}"))?;
+        let bundle = SavedBundle { node: name.to_string(), item: failed.item, dir };
+        self.saved.lock().unwrap_or_else(PoisonError::into_inner).push((failed.node, bundle));
+        Ok(())
+    }
+
+    /// What was saved, and what was not.
+    pub(crate) fn finish(self, plan: &Plan) -> Saved {
+        let mut saved = self.saved.into_inner().unwrap_or_else(PoisonError::into_inner);
+        saved.sort_by_key(|(node, bundle)| (*node, bundle.item));
+        let more = plan.nodes.iter().zip(&self.failed).filter_map(|(node, failed)| {
+            let n = failed.load(Ordering::Relaxed).saturating_sub(MOST_PER_NODE);
+            (n > 0).then(|| (node.name.to_string(), n))
+        });
+        Saved { more: more.collect(), bundles: saved.into_iter().map(|(_, bundle)| bundle).collect() }
+    }
+
+    /// The bundle appears under its name only once it is whole.
+    fn write(&self, plan: &Plan, failed: &Failed<'_>, injected: Option<Injected>) -> io::Result<PathBuf> {
+        std::fs::create_dir_all(&self.folder)?;
+        let (part, dir) = self.free(&plan.nodes[failed.node].name, failed.item)?;
+        let inputs = match failed.joined {
+            Some(joined) => write_inputs(&part.join(bundle::INPUTS), plan, failed, joined).map_err(|e| match e {
+                McapError::Io(error) => error,
+                other => io::Error::other(other),
+            })?,
+            None => Vec::new(),
+        };
+        let program = self.program.get_or_init(|| Program::current(self.command.clone())).clone();
+        let bundle = Bundle { injected, ..describe(plan, failed, inputs, &self.out_dir, program) };
+        let mut text = serde_json::to_string_pretty(&bundle)?;
+        text.push('\n');
+        std::fs::write(part.join(bundle::BUNDLE), text)?;
+        std::fs::write(part.join(bundle::README), readme(&bundle, &dir))?;
+        std::fs::rename(&part, &dir)?;
+        Ok(dir)
+    }
+
+    /// A folder to write in, and the name it gets: names that a file system does not take may fall together.
+    fn free(&self, node: &str, item: u64) -> io::Result<(PathBuf, PathBuf)> {
+        let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
+        let mut stem: String = node.chars().map(plain).take(100).collect();
+        if stem.starts_with('.') {
+            stem.insert(0, '_');
+        }
+        for n in 1u32.. {
+            let name = if n == 1 { format!("{stem}-{item}") } else { format!("{stem}-{item}-{n}") };
+            let (part, dir) = (self.folder.join(format!("{name}.part")), self.folder.join(name));
+            match std::fs::create_dir(&part) {
+                Ok(()) if dir.exists() => std::fs::remove_dir(&part)?,
+                Ok(()) => return Ok((part, dir)),
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Err(io::Error::other("no name is left for the bundle"))
+    }
+}
+
+fn write_inputs(path: &Path, plan: &Plan, failed: &Failed<'_>, joined: &Joined) -> Result<Vec<Input>, McapError> {
+    let node = &plan.nodes[failed.node];
+    let mut items = Items::create(path, &node.name, failed.item)?;
+    let mut inputs = Vec::new();
+    for (input, slot) in node.inputs.iter().zip(&joined.slots) {
+        let came: &[Item] = match slot {
+            Slot::Item(item) => std::slice::from_ref(item),
+            Slot::Items(items) => items,
+            Slot::Absent(_) => &[],
+        };
+        let given = match slot {
+            Slot::Item(_) => Given::Item,
+            Slot::Items(items) => Given::Items { n: items.len(), absent: items.iter().find_map(empty).cloned() },
+            Slot::Absent(empty) => Given::Absent { empty: (**empty).clone() },
+        };
+        let mut shown = Vec::new();
+        if !came.is_empty() {
+            let port = items.port(input.port.name, input.port.payload, payload_type(input.port.payload, came))?;
+            for item in came {
+                let bytes = items.item(&port, item, failed.stamp_ns)?;
+                shown.push(show(item, bytes));
+            }
+        }
+        inputs.push(Input {
+            port: input.port.name.into(),
+            join: input.port.join.name().into(),
+            wire: input.link.map(|link| plan.wire_name(plan.links[link].from)),
+            given,
+            items: shown,
+        });
+    }
+    items.finish()?;
+    Ok(inputs)
+}
+
+/// A wire carries one type; where the port takes any, its first value tells which.
+fn payload_type(port: PortPayload, items: &[Item]) -> Option<&'static PayloadType> {
+    match port {
+        PortPayload::Type(ty) => Some(ty),
+        PortPayload::Any => items.iter().find_map(|item| match &item.body {
+            Body::Value(value) => Some(value.ty()),
+            Body::Empty(_) => None,
+        }),
+    }
+}
+
+fn empty(item: &Item) -> Option<&Empty> {
+    match &item.body {
+        Body::Empty(empty) => Some(empty),
+        Body::Value(_) => None,
+    }
+}
+
+fn show(item: &Item, bytes: u64) -> Shown {
+    let mut shown = Shown {
+        number: item.number,
+        stamp_ns: item.stamp_ns,
+        payload: None,
+        empty: None,
+        bytes,
+        columns: Vec::new(),
+        texts: Vec::new(),
+    };
+    match &item.body {
+        Body::Value(value) => {
+            let view = value.to_view();
+            shown.payload = Some(value.ty().name.into());
+            shown.columns = view.columns.iter().map(|column| (column.name.clone(), column.rows() as u64)).collect();
+            shown.texts = view
+                .head
+                .into_iter()
+                .filter_map(|(name, field)| match field {
+                    Field::Text(text) if text.len() <= 80 => Some((name, text)),
+                    _ => None,
+                })
+                .collect();
+        }
+        Body::Empty(empty) => shown.empty = Some(empty.reason.clone()),
+    }
+    shown
+}
+
+fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path, program: Program) -> Bundle {
+    let node = &plan.nodes[failed.node];
+    let declared = node.declared.iter().map(|port| Declared {
+        name: port.name.clone(),
+        payload: port.payload.name.into(),
+        params: port.params.clone(),
+    });
+    let outputs =
+        node.outputs.iter().map(|output| Output { name: output.name.clone(), payload: output.payload.name().into() });
+    Bundle {
+        format_version: bundle::FORMAT_VERSION,
+        graph: plan.name.clone(),
+        location: format!("{}:{}", node.location.file.display(), node.location.line),
+        node: Node {
+            name: node.name.to_string(),
+            kind: node.kind.clone(),
+            role: node.role,
+            on_error: if node.on_error == OnError::Skip { "skip" } else { "stop" }.into(),
+            table: table(plan, node),
+            params: node.params.clone(),
+            declared: declared.collect(),
+            outputs: outputs.collect(),
+        },
+        item: failed.item,
+        stamp_ns: failed.stamp_ns,
+        seed: plan.seed,
+        inputs,
+        failure: Failure { reason: failed.reason.into(), panicked: failed.panicked },
+        injected: None,
+        out_dir: Some(std::path::absolute(out_dir).unwrap_or_else(|_| out_dir.into())),
+        program,
+    }
+}
+
+/// The node's table: its lines of the resolved graph, from its header to the next.
+fn table(plan: &Plan, node: &PlanNode) -> String {
+    let header = |line: &str| line.starts_with('[') && line.ends_with(']');
+    let own = [format!("[node.{}]", node.name), format!("[node.\"{}\"]", node.name)];
+    let mut lines = plan.resolved.lines().skip_while(|line| !own.iter().any(|own| own == line));
+    let mut text: String = lines.next().map(|line| format!("{line}\n")).unwrap_or_default();
+    lines.take_while(|line| !header(line) && !line.is_empty()).for_each(|line| {
+        let _ = writeln!(text, "{line}");
+    });
+    text
+}
+
+fn readme(bundle: &Bundle, dir: &Path) -> String {
+    let node = &bundle.node;
+    let how = if bundle.failure.panicked { "panicked" } else { "failed" };
+    let mut text = format!(
+        "Node \"{}\" ({}) of graph \"{}\" {how} at item {}, {}:\n\n    {}\n\n",
+        node.name,
+        node.kind,
+        bundle.graph,
+        bundle.item,
+        bundle.location,
+        bundle.failure.reason.replace('\n', "\n    "),
+    );
+    if let Some(how) = bundle.injected {
+        let _ = writeln!(text, "The failure was injected for a test (run --inject ...={}).\n", how.name());
+    }
+    let _ = writeln!(text, "To see it fail again, alone:\n\n    osteoflow repro {}\n", dir.display());
+    if node.role == Role::Node {
+        text.push_str(
+            "repro.json   the node, its parameters, the firing, the failure\n\
+             inputs.mcap  the items that its ports had joined, exactly; /view/... shows them in viewers\n",
+        );
+        if bundle.item > 0 {
+            text.push_str(
+                "\nA node that remembers earlier items may need them to fail. The bundle holds this item alone; then run the\n\
+                 node and what follows it from the recording:\n\n    ",
+            );
+            let _ = writeln!(text, "osteoflow replay run.mcap --from {}", node.name);
+        }
+    } else {
+        text.push_str("repro.json   the source, its parameters, at which call it failed\n\n");
+        let n = bundle.item;
+        let _ = writeln!(text, "It is a source: it is called from its start until call {n}, and reads the same files.");
+        if node.role == Role::LiveSource {
+            text.push_str("It is live: what it read from the world then is not here, so it may not fail again.\n");
+        }
+    }
+    text
+}

@@ -1,0 +1,186 @@
+use super::{Exit, Format, Global, UsageError, print_json, registry, running, text_table::TextTable};
+use anyhow::Result;
+use clap::Args;
+use osteoflow_engine::repro::{self, Bundle, Given, Program, ReproError, ReproReport, Shown};
+use osteoflow_node::Role;
+use serde_json::{Value, json};
+use std::{io::Write, num::NonZeroUsize, path::PathBuf, sync::Arc};
+
+/// Run a failed node again, alone, on the very item at which it failed.
+///
+/// A run saves the items of a failing node in its folder under repro/NODE-ITEM, five for each node at most. A source is
+/// called from its start to the call that failed. With RUST_BACKTRACE=1 a panic prints its backtrace.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow repro runs/fibula-20260314-092653/repro/icp-0
+  RUST_BACKTRACE=1 osteoflow repro runs/fibula-20260314-092653/repro/icp-0
+  osteoflow repro DIR --format json | jq .same
+
+Exit codes:
+    0  the same failure came again
+    1  the bundle could not be read
+    2  this program lacks the kind, or cannot build it from the bundle's parameters
+    4  the node fails in another way, or does not fail any more")]
+pub(crate) struct Repro {
+    /// The bundle: a folder repro/NODE-ITEM of a run.
+    dir: PathBuf,
+
+    /// How many threads algorithms use; the results do not depend on it. Default: the number of cores.
+    #[arg(long, value_name = "N")]
+    workers: Option<NonZeroUsize>,
+}
+
+impl Repro {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let options = running::options(self.workers, &Arc::default())?;
+        let backtrace = std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0");
+        let program = Program::current(options.command);
+        let report = repro::repro(&self.dir, &registry(), program, backtrace).map_err(|error| match error {
+            ReproError::Kind(_) | ReproError::Payload(_) | ReproError::Port { .. } | ReproError::Build { .. } => {
+                UsageError(error.to_string()).into()
+            }
+            other => anyhow::Error::from(other),
+        })?;
+        let exit = if report.same { Exit::Done } else { Exit::Differs };
+        match global.format {
+            Format::Json => print_json(&as_json(&report, exit))?,
+            Format::Text => print_text(&report, backtrace, global)?,
+        }
+        Ok(exit)
+    }
+}
+
+fn print_text(report: &ReproReport, backtrace: bool, global: &Global) -> Result<()> {
+    let bundle = &report.bundle;
+    let mut err = std::io::stderr().lock();
+    for difference in &report.differences {
+        writeln!(err, "{}: {difference}", global.paint_err("warning", "1;33"))?;
+    }
+    for warning in &report.warnings {
+        writeln!(err, "{}: node \"{}\": {warning}", global.paint_err("warning", "1;33"), bundle.node.name)?;
+    }
+    drop(err);
+    let mut out = std::io::stdout().lock();
+    let (name, kind) = (&bundle.node.name, &bundle.node.kind);
+    writeln!(out, "node \"{name}\" ({kind}), item {}, {}", bundle.item, bundle.location)?;
+    if global.verbose > 0 {
+        writeln!(out, "\n{}", bundle.node.table)?;
+    }
+    if bundle.node.role == Role::Node {
+        writeln!(out, "{}", inputs(bundle))?;
+    } else {
+        writeln!(out, "a source, called {} times before the call that failed\n", bundle.item)?;
+    }
+    let (red, green) = (global.paint_out("failed", "1;31"), global.paint_out("same", "1;32"));
+    writeln!(out, "{red} then: {}", bundle.failure.reason)?;
+    match &report.failure {
+        Some(_) if report.same => writeln!(out, "{red} now:  the {green}")?,
+        Some(failure) if bundle.node.role != Role::Node && report.n_calls != bundle.item => {
+            writeln!(out, "{red} now:  at call {} already: {}", report.n_calls, failure.reason)?;
+        }
+        Some(failure) => writeln!(out, "{red} now:  in another way: {}", failure.reason)?,
+        None => writeln!(out, "now it does not fail")?,
+    }
+    if let Some(how) = bundle.injected {
+        writeln!(out, "the {} was injected for a test (run --inject)", how.name())?;
+    }
+    if report.same && bundle.failure.panicked && !backtrace {
+        writeln!(out, "RUST_BACKTRACE=1 shows how it came there")?;
+    }
+    if !report.same {
+        writeln!(out, "{}", why_not(bundle))?;
+    }
+    Ok(())
+}
+
+/// What may be the cause where a failure does not come again.
+fn why_not(bundle: &Bundle) -> String {
+    let name = &bundle.node.name;
+    match bundle.node.role {
+        Role::Node if bundle.item > 0 => format!(
+            "a node that remembers earlier items may need them; run it from the recording: \
+             osteoflow replay RUN/run.mcap --from {name}"
+        ),
+        Role::Node => "what it depends on beside its item (files, the program, the machine) may have changed".into(),
+        Role::Source => "the files that it reads may have changed since".into(),
+        Role::LiveSource => "a live source gives what the world gives; this time it was something else".into(),
+    }
+}
+
+/// A row for each port, or for each of the first items of a list.
+fn inputs(bundle: &Bundle) -> String {
+    let mut table = TextTable::new("inputs", &["join", "item", "stamp s", "bytes"]);
+    for input in &bundle.inputs {
+        let join = || input.join.clone();
+        match &input.given {
+            Given::Absent { empty } => {
+                let dash = || "-".to_owned();
+                table.row(&input.port, [join(), dash(), dash(), dash(), format!("absent: {}", empty.reason)]);
+            }
+            Given::Item | Given::Items { .. } => {
+                const SHOWN: usize = 5;
+                for item in input.items.iter().take(SHOWN) {
+                    table.row(
+                        &input.port,
+                        [join(), item.number.to_string(), stamp(item), item.bytes.to_string(), about(item)],
+                    );
+                }
+                if input.items.len() > SHOWN {
+                    let rest: u64 = input.items[SHOWN..].iter().map(|item| item.bytes).sum();
+                    let more = format!("... {} more", input.items.len() - SHOWN);
+                    table.row(&input.port, [join(), more, String::new(), rest.to_string()]);
+                }
+                if input.items.is_empty() {
+                    table.row(&input.port, [join(), "none".into(), String::new(), String::new()]);
+                }
+            }
+        }
+    }
+    table.lines()
+}
+
+fn stamp(item: &Shown) -> String {
+    format!("{:.6}", item.stamp_ns as f64 / 1e9)
+}
+
+/// The payload, its sizes, and its texts, which name its frames.
+fn about(item: &Shown) -> String {
+    let Some(payload) = &item.payload else {
+        return format!("empty: {}", item.empty.as_deref().unwrap_or_default());
+    };
+    let columns = item.columns.iter().map(|(name, rows)| format!("{rows} {name}"));
+    let texts = item.texts.iter().filter(|(_, text)| !text.is_empty()).map(|(name, text)| format!("{name} {text}"));
+    let parts: Vec<_> = columns.chain(texts).collect();
+    if parts.is_empty() { payload.clone() } else { format!("{payload}: {}", parts.join(", ")) }
+}
+
+fn as_json(report: &ReproReport, exit: Exit) -> Value {
+    let failure = |failure: &repro::Failure| {
+        let (place, message) = failure.place();
+        json!({ "reason": failure.reason, "panicked": failure.panicked, "place": place, "message": message })
+    };
+    let bundle = &report.bundle;
+    json!({
+        "outcome": exit.to_json(),
+        "same": report.same,
+        "node": bundle.node.name,
+        "kind": bundle.node.kind,
+        "item": bundle.item,
+        "location": bundle.location,
+        "stamp_ns": bundle.stamp_ns,
+        "seed": bundle.seed,
+        "inputs": bundle.inputs,
+        "failed_then": failure(&bundle.failure),
+        "failed_now": report.failure.as_ref().map(failure),
+        "injected": bundle.injected.map(repro_injected),
+        "calls": (bundle.node.role != Role::Node).then_some(report.n_calls),
+        "warnings": report.warnings,
+        "differences": report.differences,
+        "took_ms": report.took.as_secs_f64() * 1e3,
+    })
+}
+
+fn repro_injected(how: osteoflow_engine::run::Injected) -> &'static str {
+    how.name()
+}
