@@ -15,6 +15,7 @@ const COMMANDS: [(&str, &str); 10] = [
     ("record", "--wires"),
     ("replay", "--out"),
     ("digest", "sha256sum"),
+    ("repro", "RUST_BACKTRACE"),
     ("simulate", "--seed"),
     ("completions", "bash"),
 ];
