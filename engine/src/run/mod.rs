@@ -18,8 +18,8 @@ mod scheduler;
 #[cfg(test)]
 mod tests;
 
-pub use histogram::Spread;
 pub(crate) use cell::{emission_fault, known};
+pub use histogram::Spread;
 pub(crate) use inject::planned_failure;
 pub use inject::{Injected, Injection};
 pub use panics::mark_helper_thread;
