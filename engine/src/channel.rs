@@ -103,14 +103,7 @@ pub(crate) fn link(index: usize, limits: Limits, producer: &str, wire: &str) -> 
         total: AtomicU64::new(0),
         final_stamp: AtomicI64::new(StampNs::MIN),
     };
-    let policy = match limits.policy {
-        Policy::Sample(n) => format!("sample, one in {n}"),
-        Policy::DropOld => "drop_old".into(),
-        Policy::DropNew => "drop_new".into(),
-        Policy::Fail => "fail".into(),
-        Policy::Block => "block".into(),
-    };
-    let dropped = Empty { node: producer.into(), reason: format!("dropped on {wire} by its policy {policy}") };
+    let dropped = Empty { node: producer.into(), reason: format!("dropped on {wire} by its policy {}", limits.policy) };
     let send = SendEnd {
         link: index,
         tx,

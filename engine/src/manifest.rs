@@ -40,7 +40,7 @@ pub(crate) fn manifest(
     let links = report.links.iter().map(|l| {
         json!({
             "from": l.from, "to": l.to, "sent": l.sent, "received": l.received, "dropped": l.dropped,
-            "unmatched": l.unmatched, "highest_fill": l.highest_fill, "capacity": l.capacity,
+            "late": l.late, "unmatched": l.unmatched, "highest_fill": l.highest_fill, "capacity": l.capacity,
         })
     });
     let enlargements =

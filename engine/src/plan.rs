@@ -2,7 +2,7 @@
 
 use crate::record::Compression;
 use osteoflow_node::{DeclaredPort, InputPort, PortPayload, Role};
-use std::{path::PathBuf, sync::Arc};
+use std::{fmt, path::PathBuf, sync::Arc};
 
 /// A checked graph, ready to be built.
 #[derive(Debug, Clone)]
@@ -151,6 +151,18 @@ pub enum Policy {
     Sample(u32),
     /// The run fails.
     Fail,
+}
+
+impl fmt::Display for Policy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Block => f.write_str("block"),
+            Self::DropOld => f.write_str("drop_old"),
+            Self::DropNew => f.write_str("drop_new"),
+            Self::Sample(n) => write!(f, "sample, one in {n}"),
+            Self::Fail => f.write_str("fail"),
+        }
+    }
 }
 
 /// What happens when a firing fails.

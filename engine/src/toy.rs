@@ -248,12 +248,16 @@ pub(crate) struct AddParams {
     sleep_us: u64,
     /// The gate that each firing passes.
     gate: Option<String>,
+    /// Adds the time of day, and 1024 times how often it found time left in a budget of so many microseconds.
+    budget_us: Option<u64>,
+    /// After so many looks it does without.
+    most_looks: u64,
 }
 
 #[allow(clippy::derivable_impls)]
 impl Default for AddParams {
     fn default() -> Self {
-        Self { noise: false, bad: false, sleep_us: 0, gate: None }
+        Self { noise: false, bad: false, sleep_us: 0, gate: None, budget_us: None, most_looks: u64::MAX }
     }
 }
 
@@ -296,8 +300,14 @@ impl Node for Adder {
         if i.a.0 == 99.0 {
             ctx.warn("99 is nearly 100");
         }
+        let mut from_clock = 0.0;
+        if let Some(us) = self.0.budget_us {
+            let mut budget = ctx.budget(Duration::from_micros(us));
+            let n_looks = (0..self.0.most_looks).take_while(|_| !budget.is_over()).count();
+            from_clock = ctx.clock_ns() as f64 + n_looks as f64 * 1024.0;
+        }
         let noise: f64 = if self.0.noise { ctx.rng().random() } else { 0.0 };
-        Ok(NumberOut { out: Number(i.a.0 + i.b.map_or(0.0, |b| b.0) + noise) })
+        Ok(NumberOut { out: Number(i.a.0 + i.b.map_or(0.0, |b| b.0) + noise + from_clock) })
     }
 }
 

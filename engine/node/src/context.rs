@@ -1,4 +1,7 @@
-use crate::{DeclaredPort, Empty, StampNs};
+use crate::{
+    Budget, DeclaredPort, Empty, Reading, StampNs,
+    reading::{NotRecorded, Readings},
+};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use std::{
     sync::{
@@ -21,6 +24,7 @@ pub struct Context {
     item: u64,
     absent: Vec<(&'static str, Arc<Empty>)>,
     warnings: Vec<String>,
+    readings: Readings,
 }
 
 impl Context {
@@ -41,6 +45,7 @@ impl Context {
             item: 0,
             absent: Vec::new(),
             warnings: Vec::new(),
+            readings: Readings::default(),
         }
     }
 
@@ -59,6 +64,17 @@ impl Context {
     pub fn begin(&mut self, item: u64, stamp_ns: StampNs) {
         (self.item, self.stamp_ns) = (item, stamp_ns);
         self.absent.clear();
+        self.readings.begin();
+    }
+
+    /// The engine's: in a replay, what the record holds of this firing's readings of the clock; after [`Context::begin`].
+    pub fn give_readings(&mut self, recorded: &[Reading]) {
+        self.readings.give(recorded);
+    }
+
+    /// The engine's: what this firing took from the clock.
+    pub fn take_readings(&mut self) -> Vec<Reading> {
+        self.readings.take()
     }
 
     /// The engine's: an optional port got nothing, for this reason.
@@ -108,6 +124,31 @@ impl Context {
     /// The run's seed.
     pub fn seed(&self) -> u64 {
         self.seed
+    }
+
+    /// The time of day, ns since the Unix epoch: recorded with this firing, and answered from the record in a replay.
+    ///
+    /// When something was measured is the item's stamp; this is for what a node itself does at a time.
+    pub fn clock_ns(&mut self) -> StampNs {
+        let (ns, missing) = self.readings.clock();
+        self.warn_of(missing);
+        ns
+    }
+
+    /// A budget of time for this firing: recorded as the number of looks that found time left, and in a replay over at the
+    /// same look.
+    pub fn budget(&mut self, limit: Duration) -> Budget {
+        let (budget, missing) = self.readings.budget(limit);
+        self.warn_of(missing);
+        budget
+    }
+
+    fn warn_of(&mut self, missing: Option<NotRecorded>) {
+        if missing.is_some() {
+            self.warn(
+                "this firing asks the clock otherwise than the recorded one did, so that it is answered by the clock",
+            );
+        }
     }
 
     /// Whether the user asked to stop; a long computation looks now and then and returns an error.

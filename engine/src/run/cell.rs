@@ -181,6 +181,11 @@ impl Output {
         }
     }
 
+    /// How many items a live source gave later than it had promised.
+    pub(super) fn n_late(&self) -> u64 {
+        self.late.n_items
+    }
+
     pub(super) fn into_kept(self) -> Kept {
         self.kept
     }
@@ -407,8 +412,7 @@ impl Cell {
             self.send_empties(empty, run, turn);
             return;
         }
-        self.context.begin(item, stamp_ns);
-        let began = self.begins(run, turn);
+        let began = self.begin(item, stamp_ns, run, turn);
         let Core::Node(node, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
         joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
         let (context, out) = (&mut self.context, &mut self.emissions);
@@ -423,8 +427,7 @@ impl Cell {
     fn call_source(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         self.started(run);
         let item = self.item;
-        self.context.begin(item, known(self.stamp_ns));
-        let began = self.begins(run, turn);
+        let began = self.begin(item, known(self.stamp_ns), run, turn);
         let Core::Source(source) = &mut self.core else { unreachable!("only a source is called") };
         let (context, out) = (&mut self.context, &mut self.emissions);
         let answered = called(item, context, |context| source.next(out, context));
@@ -534,8 +537,12 @@ impl Cell {
         }
     }
 
-    /// When the firing begins. Where the worker has only kept its books since the last one ended, that is now.
-    fn begins(&self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Instant {
+    /// Begins a firing, and says when that is: where the worker has only kept its books since the last one ended, then.
+    fn begin(&mut self, item: u64, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Instant {
+        self.context.begin(item, stamp_ns);
+        if let Some(readings) = run.recorded_readings(self.index, item) {
+            self.context.give_readings(readings);
+        }
         if !self.cheap {
             turn.hand_over();
         }
@@ -570,6 +577,7 @@ impl Cell {
             run.note_cheap(self.index, cheap);
         }
         run.fired_to_taps(self.index, item, began, took);
+        run.readings_to_taps(self.index, item, &self.context.take_readings());
         self.pass_warnings_on(item, run);
         run.event(&Event::Fired { node: self.context.node(), item, stamp_ns, took });
         let answered = match answered {

@@ -5,12 +5,19 @@ use super::{
     *,
 };
 use crate::{
-    plan::Policy,
+    codec,
+    plan::{OutputId, Policy},
     toy::{Gate, Number, Toy, registry},
 };
-use osteoflow_node::{Item, Join};
+use osteoflow_node::{Item, Join, Reading};
 use serde_json::{Value as Json, json};
-use std::sync::Mutex;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
+};
 
 /// Calls that give one number each: (stamp, port, number).
 type Given<'a> = &'a [(i64, usize, f64)];
@@ -147,11 +154,6 @@ impl Observer for StopAfter {
     }
 }
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicBool, Ordering},
-};
-
 #[test]
 fn an_interrupted_run_ends_although_a_source_waits_for_its_device() {
     for (device, workers) in [("waits", 1), ("waits", 2), ("deaf", 1), ("deaf", 2)] {
@@ -221,9 +223,6 @@ impl Observer for OpenAtEnd<'_> {
 #[derive(Default)]
 struct Dropped(Mutex<BTreeMap<usize, BTreeSet<u64>>>, Mutex<Vec<(OutputId, Vec<u8>)>>);
 
-use crate::{codec, plan::OutputId};
-use std::collections::{BTreeMap, BTreeSet};
-
 impl Tap for Dropped {
     fn item(&self, wire: OutputId, item: &Item) {
         self.1.lock().unwrap().push((wire, codec::encode(item)));
@@ -264,6 +263,9 @@ fn a_sink_that_does_not_keep_up_loses_what_the_policy_says_and_a_replay_loses_th
             assert_eq!(drops.values().map(BTreeSet::len).sum::<usize>() as u64, link.dropped, "{policy:?}");
             let results = live.results["all"].as_array().unwrap();
             assert_eq!(results.len(), n as usize, "a dropped item leaves an empty in its place");
+            let said = format!("camera.p0 -> sink.a dropped {} of its {n} items by its policy {policy}", link.dropped);
+            let warned = live.warnings.iter().any(|warning| warning.message == said);
+            assert_eq!(warned, link.dropped > 0, "{:?}", live.warnings);
             match policy {
                 Policy::DropOld => {
                     assert_eq!(results[n as usize - 1], json!(n as f64 - 0.5), "the newest comes through")
@@ -283,5 +285,60 @@ fn a_sink_that_does_not_keep_up_loses_what_the_policy_says_and_a_replay_loses_th
                 assert_eq!(again.1.into_inner().unwrap(), *seen.1.lock().unwrap(), "{policy:?} on {workers} workers");
             }
         }
+    }
+}
+
+/// Keeps what firings took from the clock.
+#[derive(Default)]
+struct Readings(Mutex<BTreeMap<(usize, u64), Vec<Reading>>>);
+
+impl Tap for Readings {
+    fn item(&self, _: OutputId, _: &Item) {}
+
+    fn live(&self, node: usize, item: u64, readings: &[Reading]) {
+        let before = self.0.lock().unwrap().insert((node, item), readings.to_vec());
+        assert_eq!(before, None, "the readings of a firing are told once");
+    }
+}
+
+#[test]
+fn what_a_node_takes_from_the_clock_is_told_and_answered_from_the_record_in_a_replay() {
+    let given: Vec<_> = (0..6).map(|i| (i, 0, i as f64)).collect();
+    // A budget that is over, and one that no look finds over.
+    for (budget_us, most_looks) in [(300, u64::MAX), (3_600_000_000_u64, 7)] {
+        let plan = live("scan", 1, &given, json!({}))
+            .node("plain", "toy.add", json!({}), &[("a", "scan.p0", None)])
+            .node(
+                "timed",
+                "toy.add",
+                json!({ "budget_us": budget_us, "most_looks": most_looks }),
+                &[("a", "plain.out", None)],
+            )
+            .record(&["timed.out"])
+            .result("all", "timed.out", true, false)
+            .plan();
+        let seen = Readings::default();
+        let live = run_with(&plan, &registry(), &options(2), &(), Replayed::default(), Some(&seen)).unwrap();
+        let readings = seen.0.into_inner().unwrap();
+        let timed = plan.nodes.iter().position(|node| &*node.name == "timed").unwrap();
+        assert_eq!(readings.keys().copied().collect::<Vec<_>>(), (0..6).map(|i| (timed, i)).collect::<Vec<_>>());
+        for readings in readings.values() {
+            let [Reading::Budget { looks, over }, Reading::Clock { ns }] = readings[..] else {
+                panic!("{readings:?}: a budget and then the clock were asked for")
+            };
+            assert!(ns > 1_600_000_000_000_000_000 && over == (most_looks > 7), "{readings:?}");
+            assert!(over || looks == 7, "{readings:?}");
+        }
+        for workers in [1, 8] {
+            let replayed = Replayed { readings: Some(readings.clone()), ..Replayed::default() };
+            let again = Readings::default();
+            let report = run_with(&plan, &registry(), &options(workers), &(), replayed, Some(&again)).unwrap();
+            assert_eq!((&report.results, report.warnings.len()), (&live.results, 0));
+            assert_eq!(again.0.into_inner().unwrap(), readings);
+        }
+        // What the record lacks is answered by the clock, and said.
+        let replayed = Replayed { readings: Some(BTreeMap::new()), ..Replayed::default() };
+        let report = run_with(&plan, &registry(), &options(1), &(), replayed, None).unwrap();
+        assert_eq!(report.warnings.len(), 12, "two readings of six firings: {:?}", report.warnings);
     }
 }

@@ -227,6 +227,8 @@ pub struct LinkStats {
     pub received: u64,
     /// Items dropped by its policy.
     pub dropped: u64,
+    /// Items of its wire that a live source gave later than it had promised; they are empties.
+    pub late: u64,
     /// Items taken from it that had no partner to fire with.
     pub unmatched: u64,
     /// The most items that ever waited.

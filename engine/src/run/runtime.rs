@@ -1,7 +1,7 @@
 //! The nodes and links of a run, as the scheduler steps them.
 
 use super::{
-    BuildFault, Enlargement, Event, Failure, Observer, Refusal, RunError, RunOptions, Warning,
+    BuildFault, Enlargement, Event, Failure, LinkStats, Observer, Refusal, RunError, RunOptions, Warning,
     cell::{Cell, Core, Input, Output},
     inject::{Injection, Planned},
     kept::Kept,
@@ -12,11 +12,11 @@ use super::{
 use crate::{
     channel::{self, Limits, LinkState, RecvEnd, SendEnd},
     join::{Joiner, PortSpec},
-    plan::{OutputId, Plan, PlanNode},
+    plan::{OutputId, Plan, PlanNode, Policy},
     repro::{Failed, Saver},
     results::{Ended, Keep},
 };
-use osteoflow_node::{AnySource, Built, Context, Item, Registry, Role};
+use osteoflow_node::{AnySource, Built, Context, Item, Reading, Registry, Role};
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
@@ -38,6 +38,9 @@ pub(crate) struct Replayed {
     /// The numbers of the items that policies dropped, by the index of the link; a link that is not named dropped none.
     /// `None`: policies decide.
     pub(crate) drops: Option<BTreeMap<usize, BTreeSet<u64>>>,
+    /// What firings took from the clock, by the index of the node and the number of the firing; one that is not named took
+    /// nothing. `None`: the clock answers.
+    pub(crate) readings: Option<BTreeMap<(usize, u64), Vec<Reading>>>,
 }
 
 /// Sees every item of the recorded wires, in order along each wire, and changes nothing.
@@ -47,6 +50,9 @@ pub(crate) trait Tap: Sync {
 
     /// A node fired, or a source answered: when, since the run began, and for how long.
     fn fired(&self, _node: usize, _item: u64, _began: Duration, _took: Duration) {}
+
+    /// What a firing, or an answer of a source that is not live, took from the clock; once, when it is over.
+    fn live(&self, _node: usize, _item: u64, _readings: &[Reading]) {}
 
     /// The policy of a link, by its index in the plan, has dropped the item with this number; on any link, recorded or
     /// not. In the order of the numbers along a link.
@@ -76,6 +82,7 @@ pub(super) struct Runtime<'a> {
     stall: Mutex<Option<Failure>>,
     began: Instant,
     elapsed: Duration,
+    readings: Option<BTreeMap<(usize, u64), Vec<Reading>>>,
     /// Live sources that have not begun.
     sources: Mutex<Vec<Live>>,
     /// Live sources that are asked for their next answer.
@@ -183,6 +190,7 @@ impl<'a> Runtime<'a> {
             stall: Mutex::default(),
             began: Instant::now(),
             elapsed: Duration::ZERO,
+            readings: replayed.readings,
             n_pending: AtomicUsize::new(sources.len()),
             mailbox: Mailbox::new(sources.len()),
             sources: Mutex::new(sources),
@@ -223,13 +231,23 @@ impl<'a> Runtime<'a> {
         let stall = self.stall.into_inner().unwrap_or_else(PoisonError::into_inner);
         warnings.extend(cells.iter().flat_map(|cell| cell.unmatched_warning(self.plan)));
         warnings.extend(cells.iter().flat_map(|cell| cell.late_warning(self.plan)));
+        let links = (0..self.plan.links.len())
+            .filter_map(|link| link_stats(self.plan, &cells, link, stall.is_some()))
+            .collect::<Vec<_>>();
+        let lossy = self.plan.links.iter().zip(&links).filter(|(link, _)| link.policy != Policy::Block);
+        warnings.extend(lossy.filter(|(_, stats)| stats.dropped > 0).map(|(link, stats)| {
+            let LinkStats { from, to, sent, dropped, .. } = stats;
+            let items = if *sent == 1 { "item" } else { "items" };
+            let message =
+                format!("{from} -> {to} dropped {dropped} of its {sent} {items} by its policy {}", link.policy);
+            let (node, item) = (link.from.node, cells[link.from.node].n_items());
+            (node, Warning { node: self.plan.nodes[node].name.to_string(), item, message })
+        }));
         warnings.sort_by_key(|(node, warning)| (*node, warning.item));
         Ended {
             interrupted,
             nodes: cells.iter().map(|cell| cell.stats(&self.plan.nodes[cell.index].name)).collect(),
-            links: (0..self.plan.links.len())
-                .filter_map(|link| link_stats(self.plan, &cells, link, stall.is_some()))
-                .collect(),
+            links,
             outputs: cells.into_iter().map(|cell| cell.outputs.into_iter().map(Output::into_kept).collect()).collect(),
             failures,
             stall,
@@ -294,6 +312,18 @@ impl<'a> Runtime<'a> {
         if self.is_tapped() {
             let began = began.saturating_duration_since(self.began);
             self.taps.iter().for_each(|tap| tap.fired(node, item, began, took));
+        }
+    }
+
+    /// What the record holds of a firing's readings of the clock, in a replay.
+    pub(super) fn recorded_readings(&self, node: usize, item: u64) -> Option<&[Reading]> {
+        let readings = self.readings.as_ref()?;
+        Some(readings.get(&(node, item)).map_or(&[], Vec::as_slice))
+    }
+
+    pub(super) fn readings_to_taps(&self, node: usize, item: u64, readings: &[Reading]) {
+        if !readings.is_empty() {
+            self.taps.iter().for_each(|tap| tap.live(node, item, readings));
         }
     }
 
@@ -462,19 +492,20 @@ fn ends(plan: &Plan, link: usize) -> (String, String) {
     (plan.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name))
 }
 
-fn link_stats(plan: &Plan, cells: &[Cell], index: usize, stuck: bool) -> Option<super::LinkStats> {
+fn link_stats(plan: &Plan, cells: &[Cell], index: usize, stuck: bool) -> Option<LinkStats> {
     let link = &plan.links[index];
     let send: &SendEnd = cells[link.from.node].outputs[link.from.port].links.iter().find(|s| s.link == index)?;
     let consumer = &cells[link.to_node];
     let recv: &RecvEnd = &consumer.inputs.iter().find(|input| input.recv.link == index)?.recv;
     let (from, to) = ends(plan, index);
-    Some(super::LinkStats {
+    Some(LinkStats {
         from,
         to,
         sent: send.sent,
         received: recv.received,
         // What still waited when a stuck graph was given up is lost.
         dropped: if stuck { send.sent - recv.received } else { send.dropped },
+        late: cells[link.from.node].outputs[link.from.port].n_late(),
         unmatched: consumer.unmatched(link.to_port),
         highest_fill: send.highest_fill,
         capacity: send.limits.capacity,
