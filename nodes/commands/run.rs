@@ -42,6 +42,11 @@ pub(crate) struct Run {
     /// (0 if not given); may be given again.
     #[arg(long, value_name = "NODE[@ITEM][=panic|error]")]
     inject: Vec<String>,
+
+    /// For testing: delay threads, wake them without reason and reorder nodes, by chance from this seed. The results
+    /// are the same with any seed and without, on any number of workers.
+    #[arg(long, value_name = "SEED")]
+    shuffle: Option<u64>,
 }
 
 /// Where a run leaves its files, and on how many threads it runs.
@@ -72,6 +77,8 @@ impl Run {
             out_dir: Some(dir.clone()),
             record: !self.no_record,
             inject,
+
+            shuffle: self.shuffle,
             ..running::options(self.leave.workers, &cancelled)?
         };
         let progress = Progress::of_run(&plan, options.workers, global);

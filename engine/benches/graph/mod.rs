@@ -172,6 +172,39 @@ impl Node for Relay {
     }
 }
 
+/// Takes a megabyte and hands on the very same.
+#[derive(Describe)]
+pub(crate) struct Look;
+
+/// A megabyte.
+#[derive(Inputs)]
+pub(crate) struct MegabyteIn {
+    /// The megabyte.
+    megabyte: Megabyte,
+}
+
+/// The megabyte.
+#[derive(Outputs)]
+pub(crate) struct MegabyteOut {
+    /// The megabyte.
+    out: Megabyte,
+}
+
+impl Node for Look {
+    const KIND: &'static str = "bench.look";
+    type Params = Spin;
+    type Inputs = MegabyteIn;
+    type Outputs = MegabyteOut;
+
+    fn new(_: Spin) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: MegabyteIn, _: &mut Context) -> Result<MegabyteOut, NodeError> {
+        Ok(MegabyteOut { out: i.megabyte })
+    }
+}
+
 /// Makes a new number of the one it gets.
 #[derive(Describe)]
 pub(crate) struct Next;
@@ -202,7 +235,7 @@ impl Node for Next {
 pub(crate) fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Number, _>().payload::<Megabyte, _>();
-    registry.source::<Count>().source::<Frames>().node::<Relay>().node::<Next>();
+    registry.source::<Count>().source::<Frames>().node::<Relay>().node::<Next>().node::<Look>();
     registry
 }
 

@@ -581,6 +581,30 @@ fn random_graphs_give_the_same_on_any_number_of_workers() {
 }
 
 #[test]
+fn random_graphs_give_the_same_however_threads_are_interleaved() {
+    let (n_graphs, n_shuffles) = if std::env::var_os("SLOW_TESTS").is_some() { (60, 40) } else { (12, 6) };
+    for graph in 0..n_graphs {
+        let plan = random_plan(graph);
+        let recorded = |workers: usize, shuffle: Option<u64>| {
+            let keep = Keep::default();
+            let options = RunOptions { shuffle, ..options(workers) };
+            let report = run_with(&plan, &registry(), &options, &(), Replayed::default(), Some(&keep)).unwrap();
+            for link in &report.links {
+                assert_eq!(link.sent, link.received + link.dropped, "{} -> {}, {shuffle:?}", link.from, link.to);
+            }
+            (report.results, report.enlargements.len(), keep.0.into_inner().unwrap())
+        };
+        let expected = recorded(1, None);
+        for shuffle in 0..n_shuffles {
+            for workers in [1, 2, 8] {
+                let found = recorded(workers, Some(shuffle));
+                assert_eq!(found, expected, "graph {graph}, shuffle {shuffle}, {workers} workers");
+            }
+        }
+    }
+}
+
+#[test]
 fn warnings_of_nodes_and_items_without_partner_are_told() {
     let plan = Toy::new()
         .script("scan", 2, calls(&[(1, 0, 99.0), (2, 1, 1.0), (3, 0, 1.0)]))
