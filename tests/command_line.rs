@@ -16,6 +16,8 @@ const COMMANDS: &[(&str, &str)] = &[
     ("replay", "--out"),
     ("digest", "sha256sum"),
     ("repro", "RUST_BACKTRACE"),
+    ("validate", "sound"),
+    ("recover", "OUT"),
     ("simulate", "--seed"),
     ("completions", "bash"),
 ];

@@ -6,13 +6,12 @@
 
 mod chunk;
 mod fields;
-#[allow(dead_code, reason = "checks of the container read the rest")]
 mod record;
 mod resync;
 mod walk;
 mod wires;
 
-pub(crate) use record::{Channel, Record};
+pub(crate) use record::{Attachment, Channel, ChunkHead, ChunkIndex, MESSAGE_HEAD, Message, Record, Statistics};
 pub use walk::{Damage, Place};
 pub(crate) use walk::{End, Visit, Walk, WalkError};
 pub(crate) use wires::{Carries, Channels, Wire, told};

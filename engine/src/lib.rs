@@ -10,6 +10,7 @@ pub mod fault;
 mod graph;
 mod join;
 mod manifest;
+mod numbers;
 pub mod plan;
 pub mod record;
 pub mod recording;
@@ -21,6 +22,7 @@ pub mod run;
 mod sync;
 #[cfg(test)]
 mod toy;
+pub mod validate;
 
 pub use check::{Checked, CheckedFile, Module, check, check_file, check_recorded, check_text};
 pub use fault::{Fault, Faults};

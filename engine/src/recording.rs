@@ -235,6 +235,12 @@ impl Recording {
     }
 }
 
+/// Items and values of a wire, as the metadata record of counts tells them.
+pub(crate) fn counts(said: &str) -> Option<(u64, u64)> {
+    let (items, values) = said.strip_suffix(" values")?.split_once(" items, ")?;
+    Some((items.parse().ok()?, values.parse().ok()?))
+}
+
 /// The payload of that name and version.
 pub(crate) fn known(name: &str, version: u32, registry: &Registry) -> Result<&'static PayloadType, String> {
     let ty = registry.payload_type(name).ok_or_else(|| format!("no payload {name} is known here"))?;

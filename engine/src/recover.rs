@@ -1,11 +1,413 @@
-//! Writes what is intact of a damaged recording into a sound file.
+//! Writes what is intact of a damaged recording into a sound file, and says what is missing.
+//!
+//! A chunk is intact or lost: its CRC vouches for all of it or for nothing. Chunks behind damage are found again by the
+//! lengths of their records. Every intact item is kept under its own number; nothing is shifted into a hole. The file
+//! written says in a metadata record of its own what is missing, and how many items of each wire lay before the first
+//! damage: so far a replay can compute, since what lies behind may rest on what is lost.
 
-use std::collections::BTreeMap;
+use crate::{
+    codec,
+    container::{Attachment, Carries, Channel, Channels, Damage, End, Message, Place, Record, Visit, Walk},
+    digest::Progress,
+    numbers::Numbers,
+    record::{INPUTS_METADATA, OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
+    recording::{RecordingError, counts},
+};
+use mcap::{Compression, McapError, WriteOptions, Writer, records::MessageHeader, records::Metadata};
+use serde_json::json;
+use std::{
+    borrow::Cow,
+    collections::{BTreeMap, BTreeSet},
+    fs::{self, File},
+    io::{self, BufWriter},
+    ops::{ControlFlow, RangeInclusive},
+    path::{Path, PathBuf},
+};
 
 /// The metadata record of a recovered file: what is missing.
 pub const RECOVERED_METADATA: &str = "osteoflow.recovered";
 
+const CHUNK_BYTES: u64 = 1 << 20;
+const ZSTD_LEVEL: u32 = 1;
+
+/// A file that could not be recovered.
+#[derive(Debug, thiserror::Error)]
+pub enum RecoverError {
+    /// The damaged file cannot be read.
+    #[error(transparent)]
+    Read(#[from] RecordingError),
+    /// Nothing is ever overwritten.
+    #[error("{} is there already; name another file", .path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The new file cannot be written.
+    #[error("cannot write {}: {source}; nothing of it was left", .path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: McapError,
+    },
+    /// There is nothing to write.
+    #[error("nothing in {} is intact: {said}; no file was written", .path.display())]
+    Nothing {
+        /// The damaged file.
+        path: PathBuf,
+        /// What is wrong with it.
+        said: String,
+    },
+}
+
+/// What was saved, and what was not.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecoverReport {
+    /// Bytes of the damaged file.
+    pub n_bytes: u64,
+    /// Parts that are lost, by their place in the damaged file.
+    pub damages: Vec<Damage>,
+    /// Messages in the new file, pictures for viewers among them.
+    pub n_messages: u64,
+    /// The wires, by name.
+    pub wires: Vec<RecoveredWire>,
+    /// What the file no longer says of the run.
+    pub lost: Vec<String>,
+    /// Messages whose channels nothing describes any more; they are left out.
+    pub n_unknown: u64,
+}
+
+/// A wire and what is left of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecoveredWire {
+    /// `node.port`.
+    pub wire: String,
+    /// Items in the new file.
+    pub n_items: u64,
+    /// How many of them lay before the first damage.
+    pub before_damage: u64,
+    /// Numbers that are known to be missing: those below the largest, and those up to the count where that is left.
+    pub missing: Vec<RangeInclusive<u64>>,
+    /// Whether more may be missing behind the last, because the count is lost.
+    pub open_end: bool,
+}
+
+impl RecoverReport {
+    /// Bytes of the damaged file that are lost.
+    pub fn bytes_lost(&self) -> u64 {
+        self.damages.iter().map(|damage| damage.bytes.end - damage.bytes.start).sum()
+    }
+
+    /// Whether nothing is missing.
+    pub fn is_whole(&self) -> bool {
+        self.damages.is_empty() && self.lost.is_empty() && self.n_unknown == 0
+    }
+
+    /// Whether the new file still says which graph ran.
+    pub fn is_recording(&self) -> bool {
+        !self.lost.iter().any(|lost| lost.contains(&format!("\"{RUN_METADATA}\"")))
+    }
+}
+
 /// How many items of each wire lay before the first damage.
 pub(crate) fn before_damage(recovered: &BTreeMap<String, String>) -> BTreeMap<String, u64> {
     recovered.get("before_damage").and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
+}
+
+/// Writes what is intact of `from` to `to`, which must not be there.
+///
+/// # Errors
+/// [`RecoverError`] if `from` cannot be read or holds nothing, or `to` is there or cannot be written.
+pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<RecoverReport, RecoverError> {
+    let failed = |error| RecoverError::Read(RecordingError::of(from, error));
+    let mut walk = Walk::open(from).map_err(|error| failed(error.into()))?;
+    let summary = Summary::of(&mut walk).map_err(failed)?;
+    let file = File::options().write(true).create_new(true).open(to).map_err(|error| match error.kind() {
+        io::ErrorKind::AlreadyExists => RecoverError::Exists { path: to.into() },
+        _ => RecoverError::Write { path: to.into(), source: error.into() },
+    })?;
+    let mut saving = Saving::new(BufWriter::new(file), summary, progress);
+    let result = walk.run(&mut saving).map_err(failed).and_then(|end| {
+        let written = saving.finish(from, &end, walk.n_bytes());
+        written.map_err(|source| RecoverError::Write { path: to.into(), source })
+    });
+    match result {
+        Ok(report) if report.n_messages == 0 && !report.is_recording() => {
+            let _ = fs::remove_file(to);
+            let said = report.damages.first().map_or("it holds no messages".into(), ToString::to_string);
+            Err(RecoverError::Nothing { path: from.into(), said })
+        }
+        Ok(report) => Ok(report),
+        Err(error) => {
+            // The file is ours: it was not there before.
+            let _ = fs::remove_file(to);
+            Err(error)
+        }
+    }
+}
+
+/// Schemas and channels as the summary repeats them.
+#[derive(Default)]
+struct Summary {
+    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
+    channels: BTreeMap<u16, Channel>,
+}
+
+impl Summary {
+    fn of(walk: &mut Walk<File>) -> Result<Self, crate::container::WalkError> {
+        let mut summary = Self::default();
+        walk.summary(&mut summary)?;
+        Ok(summary)
+    }
+}
+
+impl Visit for Summary {
+    fn record(&mut self, _: Place, record: Record<'_>) -> ControlFlow<()> {
+        match record {
+            Record::Schema { id, name, encoding, data } => {
+                self.schemas.entry(id).or_insert_with(|| (name.into(), encoding.into(), data.to_vec()));
+            }
+            Record::Channel(channel) => drop(self.channels.entry(channel.id).or_insert(channel)),
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn damage(&mut self, _: Damage) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+}
+
+struct Saving<'a> {
+    /// What is to be written to; a writer once the header is known.
+    file: Option<BufWriter<File>>,
+    writer: Option<Writer<BufWriter<File>>>,
+    failed: Option<McapError>,
+    known: Summary,
+    channels: Channels,
+    /// Ids in the new file by those in the old one.
+    ids: BTreeMap<u16, u16>,
+    wires: BTreeMap<String, Numbers>,
+    before_damage: Option<BTreeMap<String, u64>>,
+    counts: BTreeMap<String, u64>,
+    metadata: BTreeSet<String>,
+    recovered_before: Option<BTreeMap<String, String>>,
+    damages: Vec<Damage>,
+    n_messages: u64,
+    n_unknown: u64,
+    progress: Progress<'a>,
+}
+
+impl<'a> Saving<'a> {
+    fn new(file: BufWriter<File>, known: Summary, progress: Progress<'a>) -> Self {
+        Self {
+            file: Some(file),
+            writer: None,
+            failed: None,
+            known,
+            channels: Channels::default(),
+            ids: BTreeMap::new(),
+            wires: BTreeMap::new(),
+            before_damage: None,
+            counts: BTreeMap::new(),
+            metadata: BTreeSet::new(),
+            recovered_before: None,
+            damages: Vec::new(),
+            n_messages: 0,
+            n_unknown: 0,
+            progress,
+        }
+    }
+
+    fn writer(&mut self, profile: &str) -> Result<&mut Writer<BufWriter<File>>, McapError> {
+        if let Some(file) = self.file.take() {
+            let options = WriteOptions::new()
+                .profile(profile)
+                .library(concat!("osteoflow ", env!("CARGO_PKG_VERSION")))
+                .compression(Some(Compression::Zstd))
+                .compression_level(ZSTD_LEVEL)
+                .compression_threads(0)
+                .chunk_size(Some(CHUNK_BYTES));
+            self.writer = Some(options.create(file)?);
+        }
+        self.writer.as_mut().ok_or(McapError::AttemptedWriteAfterFailure)
+    }
+
+    fn take(&mut self, record: Record<'_>) -> Result<(), McapError> {
+        match record {
+            Record::Header { profile, .. } => drop(self.writer(profile)?),
+            Record::Schema { id, name, encoding, data } => {
+                self.known.schemas.entry(id).or_insert_with(|| (name.into(), encoding.into(), data.to_vec()));
+            }
+            Record::Channel(channel) => {
+                let id = channel.id;
+                self.known.channels.entry(id).or_insert(channel);
+                self.channel(id)?;
+            }
+            Record::Message(message) => self.message(&message)?,
+            Record::Attachment(attachment) => self.attach(&attachment)?,
+            Record::Metadata { name, entries } => self.metadata(name, entries)?,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// The channel's id in the new file, which describes it from now on; none where nothing in the old one does.
+    fn channel(&mut self, id: u16) -> Result<Option<u16>, McapError> {
+        if let Some(&id) = self.ids.get(&id) {
+            return Ok(Some(id));
+        }
+        let Some(channel) = self.known.channels.get(&id).cloned() else { return Ok(None) };
+        let schema = match channel.schema_id {
+            0 => None,
+            schema_id => match self.known.schemas.get(&schema_id).cloned() {
+                Some(schema) => Some(schema),
+                None => return Ok(None),
+            },
+        };
+        let writer = self.writer("")?;
+        let schema = match schema {
+            Some((name, encoding, data)) => writer.add_schema(&name, &encoding, &data)?,
+            None => 0,
+        };
+        let new = writer.add_channel(schema, &channel.topic, &channel.message_encoding, &channel.metadata)?;
+        self.ids.insert(id, new);
+        if let Carries::Exact(wire) = self.channels.add(channel) {
+            self.wires.entry(wire.name.clone()).or_default();
+        }
+        Ok(Some(new))
+    }
+
+    fn message(&mut self, message: &Message<'_>) -> Result<(), McapError> {
+        let Some(channel_id) = self.channel(message.channel_id)? else {
+            self.n_unknown += 1;
+            return Ok(());
+        };
+        if let Some(Carries::Exact(wire)) = self.channels.get(message.channel_id)
+            && let Some(number) = codec::number(message.data)
+        {
+            self.wires.entry(wire.name.clone()).or_default().insert(number);
+        }
+        self.n_messages += 1;
+        let Message { sequence, log_time, publish_time, data, .. } = *message;
+        self.writer("")?.write_to_known_channel(&MessageHeader { channel_id, sequence, log_time, publish_time }, data)
+    }
+
+    fn attach(&mut self, attachment: &Attachment<'_>) -> Result<(), McapError> {
+        let attachment = mcap::Attachment {
+            log_time: attachment.log_time,
+            create_time: attachment.create_time,
+            name: attachment.name.into(),
+            media_type: attachment.media_type.into(),
+            data: Cow::Borrowed(attachment.data),
+        };
+        self.writer("")?.attach(&attachment)
+    }
+
+    fn metadata(&mut self, name: &str, entries: BTreeMap<String, String>) -> Result<(), McapError> {
+        if name == RECOVERED_METADATA {
+            self.recovered_before = Some(entries);
+            return Ok(());
+        }
+        if name == WIRES_METADATA {
+            self.counts = entries.iter().filter_map(|(wire, said)| Some((wire.clone(), counts(said)?.0))).collect();
+        }
+        self.metadata.insert(name.into());
+        self.writer("")?.write_metadata(&Metadata { name: name.into(), metadata: entries })
+    }
+
+    fn leading(&self) -> BTreeMap<String, u64> {
+        self.wires.iter().map(|(wire, numbers)| (wire.clone(), numbers.leading())).collect()
+    }
+
+    /// Writes what is missing, and the file's end.
+    fn finish(mut self, from: &Path, end: &End, n_bytes: u64) -> Result<RecoverReport, McapError> {
+        if let Some(error) = self.failed.take() {
+            return Err(error);
+        }
+        if let End::CutShort(damage) = end {
+            let _ = self.damage(damage.clone());
+        }
+        let mut before = self.before_damage.take().unwrap_or_else(|| self.leading());
+        if let Some(recovered) = &self.recovered_before {
+            let limits = before_damage(recovered);
+            before.iter_mut().for_each(|(wire, n)| *n = (*n).min(limits.get(wire).copied().unwrap_or(0)));
+        }
+        let counted = self.metadata.contains(WIRES_METADATA);
+        let wires = self.wires.iter().map(|(wire, numbers)| RecoveredWire {
+            wire: wire.clone(),
+            n_items: numbers.len(),
+            // A wire that the file described only behind the damage had nothing before it.
+            before_damage: before.get(wire).copied().unwrap_or(0),
+            missing: numbers.missing(self.counts.get(wire).copied()),
+            open_end: !counted,
+        });
+        let is_ours = self.metadata.iter().any(|name| name.starts_with(RUN_METADATA)) || !self.wires.is_empty();
+        let parts = [
+            (RUN_METADATA, "the graph, its seed and the program"),
+            (WIRES_METADATA, "how many items each wire had"),
+            (OUTCOME_METADATA, "the results"),
+        ];
+        // Where inputs are hashed at the end, they are lost with the counts.
+        let inputs = (INPUTS_METADATA, "the hashes of the inputs");
+        let parts = parts.iter().chain((!counted).then_some(&inputs));
+        let parts = parts.filter(|(name, _)| is_ours && !self.metadata.contains(*name));
+        let report = RecoverReport {
+            n_bytes,
+            wires: wires.collect(),
+            damages: std::mem::take(&mut self.damages),
+            n_messages: self.n_messages,
+            lost: parts.map(|(name, what)| format!("{what} (\"{name}\")")).collect(),
+            n_unknown: self.n_unknown,
+        };
+        if is_ours && (!report.is_whole() || self.recovered_before.is_some()) {
+            let metadata = about(&report, from, self.recovered_before.take());
+            self.writer("")?.write_metadata(&Metadata { name: RECOVERED_METADATA.into(), metadata })?;
+        }
+        self.writer("")?.finish()?;
+        Ok(report)
+    }
+}
+
+/// The metadata record of the new file.
+fn about(report: &RecoverReport, from: &Path, earlier: Option<BTreeMap<String, String>>) -> BTreeMap<String, String> {
+    let mut lines: Vec<String> = earlier.into_iter().filter_map(|mut earlier| earlier.remove("damage")).collect();
+    let name = from.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    lines.extend(report.damages.iter().map(|damage| format!("{name}: {damage}")));
+    let before: serde_json::Map<_, _> =
+        report.wires.iter().map(|wire| (wire.wire.clone(), wire.before_damage.into())).collect();
+    let missing = report.wires.iter().filter(|wire| !wire.missing.is_empty());
+    let ranges = |wire: &RecoveredWire| wire.missing.iter().map(|r| json!([r.start(), r.end()])).collect();
+    let missing: serde_json::Map<_, _> = missing.map(|wire| (wire.wire.clone(), ranges(wire))).collect();
+    BTreeMap::from([
+        ("damage".into(), lines.join("\n")),
+        ("bytes_lost".into(), report.bytes_lost().to_string()),
+        ("before_damage".into(), serde_json::Value::from(before).to_string()),
+        ("missing".into(), serde_json::Value::from(missing).to_string()),
+        ("lost".into(), report.lost.join("\n")),
+    ])
+}
+
+impl Visit for Saving<'_> {
+    fn record(&mut self, _: Place, record: Record<'_>) -> ControlFlow<()> {
+        match self.take(record) {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(error) => {
+                self.failed = Some(error);
+                ControlFlow::Break(())
+            }
+        }
+    }
+
+    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        if self.before_damage.is_none() {
+            self.before_damage = Some(self.leading());
+        }
+        self.damages.push(damage);
+        ControlFlow::Continue(())
+    }
+
+    fn progress(&mut self, at: u64, of: u64) {
+        (self.progress)(at, of);
+    }
 }

@@ -7,6 +7,8 @@ pub(crate) enum Exit {
     Done,
     /// A file could not be read or written, or something of ours broke.
     Failed,
+    /// A file that was to be checked is not sound; everything that is wrong was told.
+    Unsound,
     /// The command line or the graph has a fault; nothing was run.
     Usage,
     /// A node failed, or the procedure could not be completed; `results.json` says `refused` and why.
@@ -22,7 +24,7 @@ impl Exit {
     pub(crate) fn code(self) -> u8 {
         match self {
             Self::Done => 0,
-            Self::Failed => 1,
+            Self::Failed | Self::Unsound => 1,
             Self::Usage => 2,
             Self::Refused => 3,
             Self::Differs => 4,
@@ -35,6 +37,7 @@ impl Exit {
         match self {
             Self::Done => "done",
             Self::Failed => "failed",
+            Self::Unsound => "unsound",
             Self::Usage => "faulty",
             Self::Refused => "refused",
             Self::Differs => "differs",

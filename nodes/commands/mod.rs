@@ -15,6 +15,7 @@ mod out_dir;
 mod progress;
 mod reading;
 mod record;
+mod recover;
 mod replay;
 mod repro;
 mod result_table;
@@ -24,6 +25,7 @@ mod running;
 mod simulate;
 mod simulate_folder;
 mod text_table;
+mod validate;
 
 pub(crate) use exit::{Exit, UsageError};
 use graph_args::{GraphArgs, print_json};
@@ -50,10 +52,10 @@ Examples:
 
 Exit codes:
     0  done
-    1  a file could not be read or written, or something of ours broke
+    1  a file could not be read or written or is not sound, or something of ours broke
     2  the command line or the graph has a fault; nothing was run
     3  the run was refused or a node failed; results.json says why
-    4  a replay differs from what was recorded, or a repro from how the node failed
+    4  a replay or a recording differs from another, or a repro from how the node failed
   130  interrupted; what was written until then is valid
 
 Research software, not a medical device."
@@ -142,6 +144,8 @@ pub(crate) enum Command {
     Record(record::Record),
     Replay(replay::Replay),
     Digest(digest::Digest),
+    Validate(validate::Validate),
+    Recover(recover::Recover),
     Repro(repro::Repro),
     Simulate(simulate::Simulate),
     Completions(completions::Completions),
@@ -155,6 +159,8 @@ impl Command {
             Self::Replay(command) => command.execute(global),
             Self::Digest(command) => command.execute(global),
             Self::Repro(command) => command.execute(global),
+            Self::Validate(command) => command.execute(global),
+            Self::Recover(command) => command.execute(global),
             Self::Check(command) => command.execute(global),
             Self::Expand(command) => command.execute(global),
             Self::Inspect(command) => command.execute(global),

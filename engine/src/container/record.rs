@@ -12,11 +12,9 @@ pub(crate) const MESSAGE_HEAD: u64 = RECORD_HEAD + 22;
 pub(crate) enum Record<'a> {
     Header {
         profile: &'a str,
-        library: &'a str,
     },
     Footer {
         summary_start: u64,
-        summary_offset_start: u64,
         crc: u32,
     },
     Schema {
@@ -43,7 +41,6 @@ pub(crate) enum Record<'a> {
     },
     MetadataIndex {
         offset: u64,
-        length: u64,
         name: &'a str,
     },
     DataEnd {
@@ -105,7 +102,7 @@ pub(crate) struct Attachment<'a> {
     pub(crate) data: &'a [u8],
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Statistics {
     pub(crate) n_messages: u64,
     pub(crate) n_schemas: u16,
@@ -142,12 +139,17 @@ pub(crate) fn name(opcode: u8) -> &'static str {
 pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
     let mut fields = Fields::new(body);
     Ok(match opcode {
-        op::HEADER => Record::Header { profile: fields.text()?, library: fields.text()? },
+        op::HEADER => {
+            let profile = fields.text()?;
+            fields.text()?;
+            Record::Header { profile }
+        }
         op::FOOTER => {
-            let (summary_start, summary_offset_start) = (fields.u64()?, fields.u64()?);
+            let summary_start = fields.u64()?;
+            fields.u64()?;
             let crc = fields.u32()?;
             fields.end()?;
-            Record::Footer { summary_start, summary_offset_start, crc }
+            Record::Footer { summary_start, crc }
         }
         op::SCHEMA => {
             let (id, name, encoding) = (fields.u16()?, fields.text()?, fields.text()?);
@@ -211,8 +213,6 @@ pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
                 let channel = counts.u16()?;
                 by_channel.insert(channel, counts.u64()?);
             }
-            let n = (n_messages, n_schemas, n_channels, n_attachments, n_metadata, n_chunks);
-            let (n_messages, n_schemas, n_channels, n_attachments, n_metadata, n_chunks) = n;
             Record::Statistics(Statistics {
                 n_messages,
                 n_schemas,
@@ -230,7 +230,9 @@ pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
             Record::Metadata { name, entries }
         }
         op::METADATA_INDEX => {
-            Record::MetadataIndex { offset: fields.u64()?, length: fields.u64()?, name: fields.text()? }
+            let offset = fields.u64()?;
+            fields.u64()?;
+            Record::MetadataIndex { offset, name: fields.text()? }
         }
         op::DATA_END => {
             let crc = fields.u32()?;

@@ -2,5 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod digest;
+mod recover;
 mod rewrite;
 mod toy;
+mod validate;

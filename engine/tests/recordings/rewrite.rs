@@ -52,6 +52,9 @@ pub(crate) fn rewrite(
         .use_chunks(layout.chunk_bytes.is_some())
         .chunk_size(layout.chunk_bytes);
     let mut writer: Writer<_> = options.create(fs::File::create(to).unwrap()).unwrap();
+    // As the recorder has it: the graph first, counts and results last.
+    let (front, back): (Vec<_>, Vec<_>) = metadata.iter().partition(|m| m.name == "osteoflow");
+    front.iter().for_each(|m| writer.write_metadata(m).unwrap());
     let mut ids = BTreeMap::new();
     for message in &messages {
         let channel = &message.channel;
@@ -71,7 +74,7 @@ pub(crate) fn rewrite(
             writer.write_to_known_channel(&header, &data).unwrap();
         }
     }
-    metadata.iter().for_each(|m| writer.write_metadata(m).unwrap());
+    back.iter().for_each(|m| writer.write_metadata(m).unwrap());
     writer.finish().unwrap();
 }
 

@@ -1,0 +1,273 @@
+//! Checks a recording from its first byte to its last and lists everything that is wrong with it.
+
+mod container;
+mod items;
+
+use crate::{
+    check::check_recorded,
+    container::{Channels, Damage, End, Place, Record, Visit, Walk},
+    digest::Progress,
+    record::{OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
+    recording::{About, MetadataRecords, RecordingError},
+    recover::RECOVERED_METADATA,
+};
+use container::Container;
+use items::Items;
+use osteoflow_node::Registry;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fmt,
+    fs::File,
+    ops::ControlFlow,
+    path::Path,
+};
+
+/// Of each kind of finding so many are listed; the others are counted.
+const LISTED: u64 = 100;
+
+/// Something that is wrong, or worth knowing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Finding {
+    /// The wire, where it is of one.
+    pub wire: Option<String>,
+    /// The item's number, where it is of one.
+    pub item: Option<u64>,
+    /// Where in the file it lies, where that is known.
+    pub place: Option<Place>,
+    /// What is wrong.
+    pub what: String,
+}
+
+impl Finding {
+    fn new(place: impl Into<Option<Place>>, what: impl Into<String>) -> Self {
+        Self { wire: None, item: None, place: place.into(), what: what.into() }
+    }
+
+    fn of(wire: &str, item: impl Into<Option<u64>>, place: impl Into<Option<Place>>, what: impl Into<String>) -> Self {
+        Self { wire: Some(wire.into()), item: item.into(), place: place.into(), what: what.into() }
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(wire) = &self.wire {
+            write!(f, "wire {wire}")?;
+            if let Some(item) = self.item {
+                write!(f, ", item {item}")?;
+            }
+            f.write_str(": ")?;
+        }
+        f.write_str(&self.what)?;
+        match self.place {
+            Some(place) => write!(f, " ({place})"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Findings, of which only so many of one kind are kept.
+#[derive(Debug, Default)]
+pub(crate) struct Findings {
+    listed: Vec<Finding>,
+    n_by_kind: BTreeMap<&'static str, u64>,
+}
+
+impl Findings {
+    /// Takes a finding; `kind` groups those that differ only in where they are.
+    fn add(&mut self, kind: &'static str, finding: Finding) {
+        let n = self.n_by_kind.entry(kind).or_default();
+        *n += 1;
+        if *n <= LISTED {
+            self.listed.push(finding);
+        }
+    }
+
+    fn n(&self) -> u64 {
+        self.n_by_kind.values().sum()
+    }
+}
+
+/// A wire as it was found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ValidatedWire {
+    /// `node.port`.
+    pub wire: String,
+    /// `payload@version`.
+    pub payload: String,
+    /// Items on its exact channel.
+    pub n_items: u64,
+    /// How many of them are values.
+    pub n_values: u64,
+    /// Pictures for viewers.
+    pub n_views: u64,
+}
+
+/// What a check found.
+#[derive(Debug)]
+pub struct ValidateReport {
+    /// Whether it is a recording of a run; if not, only the container was checked.
+    pub is_recording: bool,
+    /// What is wrong, in the order in which it was met.
+    pub findings: Vec<Finding>,
+    /// How many there are; not all are listed where many are of one kind.
+    pub n_findings: u64,
+    /// What is worth knowing and not wrong.
+    pub notes: Vec<String>,
+    /// The wires, by name.
+    pub wires: Vec<ValidatedWire>,
+    /// Messages in the file.
+    pub n_messages: u64,
+    /// Chunks in the file.
+    pub n_chunks: u64,
+    /// Bytes of the file.
+    pub n_bytes: u64,
+}
+
+impl ValidateReport {
+    /// Whether nothing is wrong.
+    pub fn is_sound(&self) -> bool {
+        self.n_findings == 0
+    }
+}
+
+/// Checks a file. Of an MCAP file of another program the container is checked. Memory: one chunk, and an index.
+///
+/// # Errors
+/// [`RecordingError`] if the file cannot be read, or is no MCAP file.
+pub fn validate(path: &Path, registry: &Registry, progress: Progress<'_>) -> Result<ValidateReport, RecordingError> {
+    let failed = |error| RecordingError::of(path, error);
+    let mut walk = Walk::open(path).map_err(|error| failed(error.into()))?;
+    let channels = Channels::of_summary(&mut walk).map_err(failed)?;
+    let mut pass = Pass {
+        findings: Findings::default(),
+        container: Container::default(),
+        items: Items::new(channels, registry),
+        metadata: MetadataRecords::new(),
+        progress,
+    };
+    let end = walk.run(&mut pass).map_err(failed)?;
+    let Pass { mut findings, container, mut items, metadata, .. } = pass;
+    if let End::CutShort(damage) = &end {
+        let what = format!("the file was cut short: {damage}; `osteoflow recover` saves what is before");
+        findings.add("end", Finding::new(None, what));
+    }
+    let mut notes = Vec::new();
+    if let End::Whole { trailing } = end
+        && trailing > 0
+    {
+        notes.push(format!("{trailing} bytes follow the closing magic; they are not read"));
+    }
+    let (n_messages, n_chunks) = (container.n_messages(), container.n_chunks());
+    container.finish(&mut walk, &mut findings).map_err(|error| failed(error.into()))?;
+    let is_recording = metadata.contains_key(RUN_METADATA) || items.has_wires();
+    if is_recording {
+        check_metadata(path, &metadata, registry, &mut findings, &mut notes);
+        items.finish(&metadata, &mut findings, &mut notes);
+    } else {
+        notes.push("it is no recording of a run: only the container was checked".into());
+    }
+    Ok(ValidateReport {
+        is_recording,
+        n_findings: findings.n(),
+        findings: findings.listed,
+        notes,
+        wires: items.wires(),
+        n_messages,
+        n_chunks,
+        n_bytes: walk.n_bytes(),
+    })
+}
+
+/// That the recording says what it must of its run.
+fn check_metadata(
+    path: &Path,
+    metadata: &MetadataRecords,
+    registry: &Registry,
+    findings: &mut Findings,
+    notes: &mut Vec<String>,
+) {
+    let recovered = metadata.get(RECOVERED_METADATA);
+    let mut missing = |finding: String| match recovered {
+        // What a recovered file lacks was told when it was written.
+        Some(_) => notes.push(finding),
+        None => findings.add("metadata", Finding::new(None, finding)),
+    };
+    let known: BTreeSet<_> = metadata.keys().map(String::as_str).collect();
+    for name in [RUN_METADATA, WIRES_METADATA, OUTCOME_METADATA] {
+        if !known.contains(name) {
+            let why = if name == RUN_METADATA { "" } else { "; the run did not finish it" };
+            missing(format!("the metadata record \"{name}\" is missing{why}"));
+        }
+    }
+    if known.contains(RUN_METADATA) {
+        match About::of(path, metadata, None) {
+            Err(error) => findings.add("metadata", Finding::new(None, error.to_string())),
+            Ok(about) => {
+                if let Err(error) = about.graph.parse::<toml::Table>() {
+                    let what = format!("the recorded graph is no TOML: {}", error.message());
+                    findings.add("metadata", Finding::new(None, what));
+                } else if check_recorded(&about.graph, &about.graph_file, &[], registry).is_err() {
+                    notes.push("the recorded graph does not fit this program, so it cannot be replayed here".into());
+                }
+            }
+        }
+    }
+    for key in ["results", "fixed_results"] {
+        let text = metadata.get(OUTCOME_METADATA).map(|outcome| outcome.get(key));
+        match text {
+            Some(None) => {
+                findings.add("metadata", Finding::new(None, format!("\"{OUTCOME_METADATA}\" lacks \"{key}\"")))
+            }
+            Some(Some(text)) => {
+                if let Err(error) = serde_json::from_str::<serde_json::Value>(text) {
+                    let what = format!("\"{key}\" of \"{OUTCOME_METADATA}\" is no JSON: {error}");
+                    findings.add("metadata", Finding::new(None, what));
+                }
+            }
+            None => {}
+        }
+    }
+    if recovered.is_some() {
+        notes.push("it was recovered from a damaged file and is a part of what was recorded".into());
+    }
+}
+
+struct Pass<'a> {
+    findings: Findings,
+    container: Container,
+    items: Items<'a>,
+    metadata: MetadataRecords,
+    progress: Progress<'a>,
+}
+
+impl Visit for Pass<'_> {
+    fn record(&mut self, place: Place, record: Record<'_>) -> ControlFlow<()> {
+        self.container.record(place, &record, &mut self.findings);
+        match record {
+            Record::Metadata { name, entries } => {
+                let earlier = self.metadata.insert(name.into(), entries);
+                if earlier.is_some() {
+                    let what = format!("a second metadata record \"{name}\"");
+                    self.findings.add("metadata", Finding::new(place, what));
+                }
+            }
+            Record::Channel(channel) => self.items.channel(channel),
+            Record::Message(message) => self.items.message(place, &message, &mut self.findings),
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        self.container.damage(&damage);
+        self.findings.add("damage", Finding::new(None, damage.to_string()));
+        ControlFlow::Continue(())
+    }
+
+    fn progress(&mut self, at: u64, of: u64) {
+        (self.progress)(at, of);
+    }
+}
+
+/// What [`Container::finish`] reads again.
+type FileWalk = Walk<File>;

@@ -1,0 +1,258 @@
+use super::{FileWalk, Finding, Findings};
+use crate::container::{Channel, ChunkHead, ChunkIndex, Damage, MESSAGE_HEAD, Place, Record, Statistics};
+use std::{collections::BTreeMap, io};
+
+/// What the format itself promises: descriptions before use, indexes and counts that hold, sums of the whole.
+#[derive(Default)]
+pub(super) struct Container {
+    header: bool,
+    schemas: BTreeMap<u16, (String, String)>,
+    channels: BTreeMap<u16, Channel>,
+    n_by_channel: BTreeMap<u16, u64>,
+    n_attachments: u32,
+    n_metadata: u32,
+    chunks: BTreeMap<u64, Chunk>,
+    /// The chunk whose records are being told.
+    open: Option<u64>,
+    /// The chunk that message indexes are of, and what they index.
+    indexed: BTreeMap<u16, u64>,
+    damaged: bool,
+    data_end: Option<(u64, u32)>,
+    footer: Option<(u64, u64, u32)>,
+    statistics: Option<Statistics>,
+    /// Metadata records by their place.
+    metadata: BTreeMap<u64, String>,
+    n_chunk_indexes: u64,
+}
+
+struct Chunk {
+    head: ChunkHead,
+    /// Log times of its messages: least and greatest.
+    times: Option<(u64, u64)>,
+    n_by_channel: BTreeMap<u16, u64>,
+}
+
+impl Container {
+    pub(super) fn n_messages(&self) -> u64 {
+        self.n_by_channel.values().sum()
+    }
+
+    pub(super) fn n_chunks(&self) -> u64 {
+        self.chunks.len() as u64
+    }
+
+    pub(super) fn damage(&mut self, _: &Damage) {
+        self.damaged = true;
+        self.open = None;
+    }
+
+    pub(super) fn record(&mut self, place: Place, record: &Record<'_>, findings: &mut Findings) {
+        if place.in_chunk.is_none() {
+            self.top_level(place, record, findings);
+        }
+        let mut wrong = |what: String| findings.add("description", Finding::new(place, what));
+        match record {
+            Record::Schema { id: 0, .. } => wrong("a schema has the id 0, which says that there is none".into()),
+            Record::Schema { id, name, encoding, .. } => {
+                let schema = ((*name).to_owned(), (*encoding).to_owned());
+                if self.schemas.entry(*id).or_insert_with(|| schema.clone()) != &schema {
+                    wrong(format!("schema {id} is described twice, differently"));
+                }
+            }
+            Record::Channel(channel) => {
+                let (id, schema) = (channel.id, channel.schema_id);
+                if schema != 0 && !self.schemas.contains_key(&schema) {
+                    wrong(format!(
+                        "channel {id} (\"{}\") names schema {schema}, which is not described",
+                        channel.topic
+                    ));
+                }
+                if self.channels.entry(id).or_insert_with(|| channel.clone()) != channel {
+                    wrong(format!("channel {id} (\"{}\") is described twice, differently", channel.topic));
+                }
+            }
+            Record::Message(message) => {
+                *self.n_by_channel.entry(message.channel_id).or_default() += 1;
+                if !self.channels.contains_key(&message.channel_id) {
+                    wrong(format!("a message of channel {}, which is not described before it", message.channel_id));
+                }
+                if let Some(chunk) =
+                    self.open.filter(|_| place.in_chunk.is_some()).and_then(|at| self.chunks.get_mut(&at))
+                {
+                    let time = message.log_time;
+                    chunk.times = Some(chunk.times.map_or((time, time), |(a, b)| (a.min(time), b.max(time))));
+                    *chunk.n_by_channel.entry(message.channel_id).or_default() += 1;
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn top_level(&mut self, place: Place, record: &Record<'_>, findings: &mut Findings) {
+        let mut wrong = |what: String| findings.add("container", Finding::new(place, what));
+        match record {
+            Record::Header { .. } if self.header => wrong("a second header".into()),
+            Record::Header { .. } => {}
+            _ if !self.header && !self.damaged => wrong("the first record is no header".into()),
+            _ => {}
+        }
+        self.header = true;
+        match record {
+            Record::MessageIndex { channel_id, entries } => {
+                *self.indexed.entry(*channel_id).or_default() += entries.len() as u64;
+                return self.message_index(place, *channel_id, entries, findings);
+            }
+            Record::Chunk(head) => {
+                self.close_chunk(findings);
+                let chunk = Chunk { head: head.clone(), times: None, n_by_channel: BTreeMap::new() };
+                self.chunks.insert(place.offset, chunk);
+                self.open = Some(place.offset);
+                return;
+            }
+            Record::Message(_) | Record::Schema { .. } | Record::Channel(_) => {}
+            Record::Attachment(_) => self.n_attachments += 1,
+            Record::Metadata { name, .. } => {
+                self.n_metadata += 1;
+                self.metadata.insert(place.offset, (*name).into());
+            }
+            Record::MetadataIndex { offset, name, .. } => {
+                let there = self.metadata.get(offset).is_some_and(|there| there == name);
+                if !there && !self.damaged {
+                    wrong(format!(
+                        "the summary names the metadata record \"{name}\" at byte {offset}, where it is not"
+                    ));
+                }
+            }
+            Record::DataEnd { crc } => {
+                if self.data_end.replace((place.offset, *crc)).is_some() {
+                    wrong("a second data end".into());
+                }
+            }
+            Record::Footer { summary_start, crc, .. } => self.footer = Some((place.offset, *summary_start, *crc)),
+            Record::Statistics(statistics) => {
+                self.statistics = Some(statistics.clone());
+            }
+            Record::ChunkIndex(index) => {
+                self.n_chunk_indexes += 1;
+                self.chunk_index(place, index, findings);
+            }
+            Record::Header { .. } | Record::Other => {}
+        }
+        if !matches!(record, Record::Message(_) | Record::Schema { .. } | Record::Channel(_)) {
+            self.close_chunk(findings);
+        }
+    }
+
+    fn message_index(&mut self, place: Place, channel: u16, entries: &[(u64, u64)], findings: &mut Findings) {
+        let mut wrong = |what: String| findings.add("index", Finding::new(place, what));
+        let Some(chunk) = self.open.and_then(|at| self.chunks.get(&at)) else {
+            if !self.damaged {
+                wrong(format!("an index of channel {channel} follows no chunk"));
+            }
+            return;
+        };
+        let outside = entries.iter().find(|(_, offset)| offset.saturating_add(MESSAGE_HEAD) > chunk.head.n_unpacked);
+        if let Some((_, offset)) = outside {
+            wrong(format!("an index of channel {channel} points at byte {offset} of its chunk, beyond its end"));
+        }
+    }
+
+    /// Compares a chunk with what its head and its indexes say.
+    fn close_chunk(&mut self, findings: &mut Findings) {
+        let indexed = std::mem::take(&mut self.indexed);
+        let Some(at) = self.open.take() else { return };
+        let Some(chunk) = self.chunks.get_mut(&at) else { return };
+        let place = Place { offset: at, in_chunk: None };
+        let (head, counts) = (&chunk.head, std::mem::take(&mut chunk.n_by_channel));
+        let said = (head.start_time, head.end_time);
+        if let Some(times) = chunk.times.filter(|times| *times != said) {
+            let what = format!(
+                "the chunk claims log times from {} to {}, its messages have {} to {}",
+                said.0, said.1, times.0, times.1
+            );
+            findings.add("chunk times", Finding::new(place, what));
+        }
+        if !indexed.is_empty() && indexed != counts {
+            let what = format!("its message indexes count {indexed:?} by channel, it holds {counts:?}");
+            findings.add("index", Finding::new(place, what));
+        }
+    }
+
+    fn chunk_index(&mut self, place: Place, index: &ChunkIndex, findings: &mut Findings) {
+        let mut wrong = |what: String| findings.add("index", Finding::new(place, what));
+        let Some(chunk) = self.chunks.get(&index.offset) else {
+            if !self.damaged {
+                wrong(format!("the summary names a chunk at byte {}, where none begins", index.offset));
+            }
+            return;
+        };
+        let head = &chunk.head;
+        let said = (index.start_time, index.end_time, index.length, index.n_packed, index.n_unpacked);
+        let found = (head.start_time, head.end_time, head.n_record, head.n_packed, head.n_unpacked);
+        if said != found || index.compression != head.compression {
+            wrong(format!("the summary tells otherwise of the chunk at byte {} than the chunk itself", index.offset));
+        }
+    }
+
+    /// Compares the whole with its sums and its summary.
+    pub(super) fn finish(mut self, walk: &mut FileWalk, findings: &mut Findings) -> io::Result<()> {
+        self.close_chunk(findings);
+        let mut crc = |walk: &mut FileWalk, what: &str, bytes: std::ops::Range<u64>, stored: u32| -> io::Result<()> {
+            let place = Place { offset: bytes.start, in_chunk: None };
+            // Zero says that the writer did not compute one.
+            if stored != 0 && bytes.start <= bytes.end {
+                let found = walk.crc(bytes)?;
+                if found != stored {
+                    let said = format!("the CRC of {what} is {found:08x}, but {stored:08x} was recorded");
+                    findings.add("crc", Finding::new(place, said));
+                }
+            }
+            Ok(())
+        };
+        if let Some((at, stored)) = self.data_end {
+            crc(walk, "the data section", 0..at, stored)?;
+        }
+        if let Some((at, summary_start, stored)) = self.footer {
+            let after_data = self.data_end.map(|(at, _)| at + 13);
+            let start = if summary_start == 0 { at } else { summary_start };
+            // Up to and with the footer's own two offsets.
+            crc(walk, "the summary", start..at + 25, stored)?;
+            if summary_start != 0 && after_data.is_some_and(|data| data != summary_start) {
+                let what = format!("the footer says that the summary begins at byte {summary_start}, but it does not");
+                findings.add("container", Finding::new(Place { offset: at, in_chunk: None }, what));
+            }
+            if self.data_end.is_none() {
+                findings.add("container", Finding::new(None, "the record that ends the data is missing"));
+            }
+        }
+        if let Some(said) = &self.statistics {
+            let n_messages = self.n_messages();
+            let counts = [
+                ("messages", said.n_messages, n_messages),
+                ("schemas", said.n_schemas.into(), self.schemas.len() as u64),
+                ("channels", said.n_channels.into(), self.channels.len() as u64),
+                ("attachments", said.n_attachments.into(), self.n_attachments.into()),
+                ("metadata records", said.n_metadata.into(), self.n_metadata.into()),
+                ("chunks", said.n_chunks.into(), self.chunks.len() as u64),
+            ];
+            for (what, said, found) in counts.iter().filter(|(_, said, found)| said != found) {
+                let what = format!("the summary counts {said} {what}, the file holds {found}");
+                findings.add("statistics", Finding::new(None, what));
+            }
+            for (id, said) in &said.by_channel {
+                let found = self.n_by_channel.get(id).copied().unwrap_or(0);
+                if *said != found {
+                    let topic = self.channels.get(id).map_or("unknown", |channel| channel.topic.as_str());
+                    let what = format!("the summary counts {said} messages of \"{topic}\", the file holds {found}");
+                    findings.add("statistics", Finding::new(None, what));
+                }
+            }
+        }
+        if self.n_chunk_indexes > 0 && self.n_chunk_indexes != self.chunks.len() as u64 {
+            let what =
+                format!("the summary indexes {} chunks, the file holds {}", self.n_chunk_indexes, self.chunks.len());
+            findings.add("statistics", Finding::new(None, what));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,287 @@
+use super::{Finding, Findings, ValidatedWire};
+use crate::{
+    codec,
+    container::{Carries, Channel, Channels, Message, Place, Wire},
+    numbers::Numbers,
+    record::WIRES_METADATA,
+    recording::{MetadataRecords, counts},
+    recover::RECOVERED_METADATA,
+};
+use osteoflow_node::{Registry, StampNs};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    ops::RangeInclusive,
+};
+
+/// What a recording promises of its wires: numbers without holes, stamps that never decrease, items that decode.
+pub(super) struct Items<'a> {
+    channels: Channels,
+    encodings: BTreeMap<u16, String>,
+    registry: &'a Registry,
+    wires: BTreeMap<String, Checked>,
+    /// The earliest and the latest stamp that is a time.
+    times: Option<(StampNs, StampNs)>,
+    /// Items without a time, by log time: one of them, and its place.
+    timeless: BTreeMap<u64, (String, u64, Place)>,
+    unknown_payloads: BTreeSet<String>,
+}
+
+#[derive(Default)]
+struct Checked {
+    about: Option<Wire>,
+    numbers: Numbers,
+    n_values: u64,
+    /// Stamps and places of items that came before their turn.
+    early: BTreeMap<u64, (StampNs, Place)>,
+    next: u64,
+    last_stamp_ns: Option<StampNs>,
+    views: Numbers,
+}
+
+impl<'a> Items<'a> {
+    pub(super) fn new(channels: Channels, registry: &'a Registry) -> Self {
+        let wires = channels.wires().map(|wire| {
+            let checked = Checked { about: Some(wire.clone()), ..Checked::default() };
+            (wire.name.clone(), checked)
+        });
+        let wires = wires.collect();
+        Self {
+            channels,
+            encodings: BTreeMap::new(),
+            registry,
+            wires,
+            times: None,
+            timeless: BTreeMap::new(),
+            unknown_payloads: BTreeSet::new(),
+        }
+    }
+
+    pub(super) fn has_wires(&self) -> bool {
+        self.wires.values().any(|wire| wire.about.is_some())
+    }
+
+    pub(super) fn channel(&mut self, channel: Channel) {
+        self.encodings.entry(channel.id).or_insert_with(|| channel.message_encoding.clone());
+        match self.channels.add(channel) {
+            Carries::Exact(wire) => {
+                self.wires.entry(wire.name.clone()).or_default().about.get_or_insert_with(|| wire.clone());
+            }
+            Carries::View(_) | Carries::Other => {}
+        }
+    }
+
+    pub(super) fn message(&mut self, place: Place, message: &Message<'_>, findings: &mut Findings) {
+        match self.channels.get(message.channel_id).cloned() {
+            Some(Carries::Exact(wire)) => self.item(&wire, place, message, findings),
+            Some(Carries::View(wire)) => self.view(&wire, place, message, findings),
+            Some(Carries::Other) | None => {}
+        }
+    }
+
+    fn item(&mut self, wire: &Wire, place: Place, message: &Message<'_>, findings: &mut Findings) {
+        let name = &wire.name;
+        let item = match codec::decode(message.data) {
+            Ok(item) => item,
+            Err(error) => {
+                let number = codec::number(message.data);
+                return findings.add("item", Finding::of(name, number, place, error.to_string()));
+            }
+        };
+        let (number, stamp_ns) = (item.number, item.stamp_ns);
+        let mut wrong = |kind: &'static str, what: String| findings.add(kind, Finding::of(name, number, place, what));
+        if message.sequence != number as u32 {
+            wrong("sequence", format!("its message has sequence {}", message.sequence));
+        }
+        if stamp_ns > 0 {
+            self.times = Some(self.times.map_or((stamp_ns, stamp_ns), |(a, b)| (a.min(stamp_ns), b.max(stamp_ns))));
+            if message.log_time != stamp_ns as u64 {
+                wrong("log time", format!("its log time is {}, its stamp {stamp_ns}", message.log_time));
+            }
+        } else if message.log_time == 0 {
+            wrong("log time", "its log time is zero, which viewers take for 1970".into());
+        } else {
+            self.timeless.entry(message.log_time).or_insert_with(|| (name.clone(), number, place));
+        }
+        let is_value = item.body.is_ok();
+        if is_value {
+            let (payload, version) = item.payload.clone().unwrap_or((wire.payload.clone(), wire.version));
+            match self.registry.payload_type(&payload).filter(|ty| ty.version == version) {
+                None => drop(self.unknown_payloads.insert(format!("{payload}@{version}"))),
+                Some(ty) => {
+                    if let Err(error) = item.into_item(ty) {
+                        wrong("item", format!("it is no {payload}: {error}"));
+                    }
+                }
+            }
+        }
+        let Some(checked) = self.wires.get_mut(name) else { return };
+        checked.n_values += u64::from(is_value);
+        if !checked.numbers.insert(number) {
+            return wrong("number", "the number stands there twice".into());
+        }
+        checked.early.insert(number, (stamp_ns, place));
+        while let Some((stamp_ns, place)) = checked.early.remove(&checked.next) {
+            let last = checked.last_stamp_ns.replace(stamp_ns);
+            if let Some(last) = last.filter(|last| *last > stamp_ns) {
+                let what = format!("its stamp {stamp_ns} is before {last}, that of the item before it");
+                findings.add("stamp", Finding::of(name, checked.next, place, what));
+            }
+            checked.next += 1;
+        }
+    }
+
+    fn view(&mut self, wire: &str, place: Place, message: &Message<'_>, findings: &mut Findings) {
+        let number = u64::from(message.sequence);
+        let mut wrong =
+            |what: String| findings.add("view", Finding::of(wire, number, place, format!("its picture {what}")));
+        match self.encodings.get(&message.channel_id).map(String::as_str) {
+            Some("json") => {
+                if let Err(error) = serde_json::from_slice::<serde::de::IgnoredAny>(message.data) {
+                    wrong(format!("is no JSON: {error}"));
+                }
+            }
+            Some("protobuf") if !is_protobuf(message.data) => wrong("is no protobuf".into()),
+            _ => {}
+        }
+        if !self.wires.entry(wire.into()).or_default().views.insert(number) {
+            wrong("stands there twice".into());
+        }
+    }
+
+    /// Compares the wires with the counts that the run left.
+    pub(super) fn finish(&mut self, metadata: &MetadataRecords, findings: &mut Findings, notes: &mut Vec<String>) {
+        let recovered = metadata.get(RECOVERED_METADATA);
+        let known_missing = recovered.map(missing).unwrap_or_default();
+        let said = metadata.get(WIRES_METADATA);
+        for (name, wire) in &mut self.wires {
+            // What follows a hole has no neighbour to compare with but those behind it.
+            let mut last = wire.last_stamp_ns;
+            for (number, (stamp_ns, place)) in std::mem::take(&mut wire.early) {
+                if let Some(before) = last.replace(stamp_ns).filter(|before| *before > stamp_ns) {
+                    let what = format!("its stamp {stamp_ns} is before {before}, that of an item before it");
+                    findings.add("stamp", Finding::of(name, number, place, what));
+                }
+            }
+            let count = said.and_then(|said| said.get(name));
+            let expected = count.and_then(|said| counts(said));
+            match (count, expected) {
+                (Some(said), None) => {
+                    let what = format!("\"{WIRES_METADATA}\" says \"{said}\", which is no count");
+                    findings.add("count", Finding::of(name, None, None, what));
+                }
+                (None, _) if said.is_some() && wire.about.is_some() => {
+                    let what = format!("\"{WIRES_METADATA}\" does not count it");
+                    findings.add("count", Finding::of(name, None, None, what));
+                }
+                _ => {}
+            }
+            let holes = wire.numbers.missing(expected.map(|(items, _)| items));
+            let known = known_missing.get(name);
+            for hole in holes.iter().filter(|hole| !known.is_some_and(|known| known.contains(hole))) {
+                let range = if hole.start() == hole.end() { String::new() } else { format!(" to {}", hole.end()) };
+                findings.add("hole", Finding::of(name, *hole.start(), None, format!("missing{range}")));
+            }
+            if let Some((items, values)) = expected.filter(|_| recovered.is_none()) {
+                let found = (wire.numbers.len(), wire.n_values);
+                if holes.is_empty() && found != (items, values) {
+                    let (n_items, n_values) = found;
+                    let what =
+                        format!("{items} items and {values} values were counted, {n_items} and {n_values} are there");
+                    findings.add("count", Finding::of(name, None, None, what));
+                }
+            }
+            let n_shown = wire.views.len();
+            if wire.about.is_none() {
+                let what = format!("{n_shown} pictures for viewers, but no exact channel");
+                findings.add("view", Finding::of(name, None, None, what));
+            } else if n_shown > wire.n_values && recovered.is_none() {
+                let what = format!("{n_shown} pictures for viewers of {} values", wire.n_values);
+                findings.add("view", Finding::of(name, None, None, what));
+            }
+        }
+        for name in said.into_iter().flat_map(|said| said.keys()) {
+            if !self.wires.contains_key(name) && recovered.is_none() {
+                findings.add("count", Finding::of(name, None, None, "it was counted, but has no channel"));
+            }
+        }
+        self.check_timeless(findings);
+        if !self.unknown_payloads.is_empty() {
+            let names: Vec<_> = self.unknown_payloads.iter().map(String::as_str).collect();
+            notes.push(format!("payloads that are unknown here, so only their form was checked: {}", names.join(", ")));
+        }
+    }
+
+    /// An item without a time of its own is logged at one that the run had.
+    fn check_timeless(&self, findings: &mut Findings) {
+        for (&log_time, (wire, number, place)) in &self.timeless {
+            let fits = match self.times {
+                Some((first, last)) => log_time == 1 || (first as u64..=last as u64).contains(&log_time),
+                None => log_time == 1,
+            };
+            if !fits {
+                let what = format!("it has no time of its own, and its log time {log_time} is no time of the run");
+                findings.add("log time", Finding::of(wire, *number, *place, what));
+            }
+        }
+    }
+
+    pub(super) fn wires(&self) -> Vec<ValidatedWire> {
+        let wires = self.wires.iter().filter_map(|(name, wire)| {
+            let about = wire.about.as_ref()?;
+            Some(ValidatedWire {
+                wire: name.clone(),
+                payload: format!("{}@{}", about.payload, about.version),
+                n_items: wire.numbers.len(),
+                n_values: wire.n_values,
+                n_views: wire.views.len(),
+            })
+        });
+        wires.collect()
+    }
+}
+
+/// The holes that a recovered file tells of.
+fn missing(recovered: &BTreeMap<String, String>) -> BTreeMap<String, Vec<RangeInclusive<u64>>> {
+    let told = recovered.get("missing").and_then(|text| serde_json::from_str(text).ok());
+    let told: BTreeMap<String, Vec<(u64, u64)>> = told.unwrap_or_default();
+    told.into_iter().map(|(wire, holes)| (wire, holes.into_iter().map(|(a, b)| a..=b).collect())).collect()
+}
+
+/// Whether the bytes have the form of a protobuf message: fields of known kinds, each whole.
+fn is_protobuf(bytes: &[u8]) -> bool {
+    if bytes.is_empty() {
+        return true;
+    }
+    fn varint(bytes: &mut &[u8]) -> Option<u64> {
+        let mut value = 0_u64;
+        for shift in (0..70).step_by(7) {
+            let (&byte, rest) = bytes.split_first()?;
+            *bytes = rest;
+            value |= u64::from(byte & 0x7f).checked_shl(shift)?;
+            if byte < 0x80 {
+                return Some(value);
+            }
+        }
+        None
+    }
+    let mut bytes = bytes;
+    let mut field = || {
+        let key = varint(&mut bytes)?;
+        let n = match key & 7 {
+            0 => varint(&mut bytes).map(|_| 0)?,
+            1 => 8,
+            2 => usize::try_from(varint(&mut bytes)?).ok()?,
+            5 => 4,
+            _ => return None,
+        };
+        bytes = bytes.get(n..).filter(|_| key >> 3 != 0)?;
+        Some(bytes.is_empty())
+    };
+    loop {
+        match field() {
+            Some(true) => return true,
+            Some(false) => {}
+            None => return false,
+        }
+    }
+}

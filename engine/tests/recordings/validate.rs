@@ -1,0 +1,166 @@
+use crate::{
+    rewrite::{Layout, copy, rewrite},
+    toy::{record, registry},
+};
+use osteoflow_engine::{
+    recover::recover,
+    validate::{ValidateReport, validate},
+};
+use std::{fs, path::Path};
+
+const SMALL: Layout = Layout { chunk_bytes: Some(4096), compression: None, shuffle: None };
+
+fn of(path: &Path) -> ValidateReport {
+    validate(path, &registry(), &mut |_, _| {}).unwrap()
+}
+
+fn said(report: &ValidateReport) -> Vec<String> {
+    report.findings.iter().map(ToString::to_string).collect()
+}
+
+/// That one of the findings begins so.
+fn assert_says(report: &ValidateReport, expected: &str) {
+    let said = said(report);
+    assert!(said.iter().any(|s| s.contains(expected)), "\"{expected}\" is not among {said:#?}");
+}
+
+#[test]
+fn what_a_run_leaves_is_sound_and_so_is_it_in_another_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = record(dir.path(), &[], 4);
+    let report = of(&path);
+    assert!(report.is_recording && report.is_sound(), "{:#?}", said(&report));
+    assert_eq!(report.notes, [] as [String; 0]);
+    let cut = report.wires.iter().find(|wire| wire.wire == "cut.short").unwrap();
+    assert_eq!((cut.n_items, cut.n_values, cut.n_views), (40, 32, 32));
+    let shuffled = dir.path().join("shuffled.mcap");
+    copy(&path, &shuffled, &Layout { shuffle: Some(3), ..SMALL });
+    let report = of(&shuffled);
+    assert!(report.is_sound(), "{:#?}", said(&report));
+}
+
+#[test]
+fn everything_that_is_wrong_with_items_is_found_at_once_with_wire_and_item() {
+    let dir = tempfile::tempdir().unwrap();
+    let original = record(dir.path(), &[], 1);
+    let path = dir.path().join("wrong.mcap");
+    rewrite(&original, &path, &SMALL, |topic, header, data| match (topic, header.sequence) {
+        ("/exact/beat.wave", 3) => false,
+        ("/exact/beat.wave", 5) => {
+            // An earlier stamp.
+            data[8..16].copy_from_slice(&7_i64.to_le_bytes());
+            header.log_time = 7;
+            true
+        }
+        ("/exact/beat.wave", 6) => {
+            header.log_time += 1;
+            true
+        }
+        ("/exact/cut.short", 2) => {
+            data.truncate(50);
+            true
+        }
+        ("/exact/cut.short", 10) => {
+            data[16] = 9;
+            true
+        }
+        ("/exact/constant.wave", 0) => {
+            header.log_time = 3;
+            true
+        }
+        ("/view/cut.short", 1) => {
+            data.truncate(3);
+            true
+        }
+        _ => true,
+    });
+    let report = of(&path);
+    assert_says(&report, "wire beat.wave, item 3: missing");
+    assert_says(&report, "wire beat.wave, item 5: its stamp 7 is before");
+    assert_says(&report, "wire beat.wave, item 6: its log time is 6001001, its stamp 6001000");
+    assert_says(&report, "wire cut.short, item 2: the message holds");
+    assert_says(&report, "wire cut.short, item 9: the number stands there twice");
+    assert_says(&report, "wire cut.short, item 9: its message has sequence 10");
+    assert_says(&report, "wire cut.short, item 1: its picture is no JSON");
+    assert_says(&report, "wire constant.wave, item 0: it has no time of its own, and its log time 3");
+    assert!(
+        report.findings.iter().filter(|f| f.item.is_some()).all(|f| f.place.is_some() || f.what.starts_with("missing"))
+    );
+}
+
+#[test]
+fn every_bit_that_is_turned_over_is_found() {
+    let dir = tempfile::tempdir().unwrap();
+    let original = record(dir.path(), &["beat.n=6", "beat.rows=3"], 1);
+    let path = dir.path().join("small.mcap");
+    let bytes = fs::read(&original).unwrap();
+    let mut unseen = Vec::new();
+    for at in (0..bytes.len()).step_by(7) {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 1 << (at % 8);
+        fs::write(&path, &damaged).unwrap();
+        if let Ok(report) = validate(&path, &registry(), &mut |_, _| {})
+            && report.is_sound()
+        {
+            unseen.push(at);
+        }
+    }
+    assert_eq!(unseen, [] as [usize; 0], "of {} bytes", bytes.len());
+}
+
+#[test]
+fn every_cut_is_found_and_what_is_recovered_is_sound_and_says_that_it_is_a_part() {
+    let dir = tempfile::tempdir().unwrap();
+    let original = record(dir.path(), &[], 1);
+    let path = dir.path().join("chunked.mcap");
+    copy(&original, &path, &SMALL);
+    let bytes = fs::read(&path).unwrap();
+    for i in 1..20 {
+        let at = bytes.len() * i / 20;
+        fs::write(&path, &bytes[..at]).unwrap();
+        let report = of(&path);
+        assert_says(&report, "the file was cut short");
+        let out = dir.path().join(format!("{i}.mcap"));
+        if recover(&path, &out, &mut |_, _| {}).is_ok() {
+            let report = of(&out);
+            assert!(report.is_sound(), "{at}: {:#?}", said(&report));
+            assert!(
+                report.notes.iter().any(|note| note.contains("is a part of what was recorded")),
+                "{:?}",
+                report.notes
+            );
+        }
+        // Damage in the middle as well.
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 4;
+        fs::write(&path, &damaged).unwrap();
+        assert!(!of(&path).is_sound(), "byte {at}");
+        let out = dir.path().join(format!("{i}-middle.mcap"));
+        recover(&path, &out, &mut |_, _| {}).unwrap();
+        let report = of(&out);
+        assert!(report.is_sound(), "{at}: {:#?}", said(&report));
+    }
+}
+
+#[test]
+fn of_a_file_of_another_program_the_container_is_checked() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("other.mcap");
+    let mut writer = mcap::Writer::new(fs::File::create(&path).unwrap()).unwrap();
+    let channel = writer.add_channel(0, "/chatter", "json", &Default::default()).unwrap();
+    for sequence in 0..50 {
+        let header = mcap::records::MessageHeader { channel_id: channel, sequence, log_time: 5, publish_time: 5 };
+        writer.write_to_known_channel(&header, b"{}").unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    let report = of(&path);
+    assert!(report.is_sound() && !report.is_recording, "{:#?}", said(&report));
+    assert!(report.notes[0].contains("no recording of a run"), "{:?}", report.notes);
+    assert_eq!(report.n_messages, 50);
+    let mut bytes = fs::read(&path).unwrap();
+    let at = bytes.len() - 60;
+    bytes[at] ^= 1;
+    fs::write(&path, bytes).unwrap();
+    assert!(!of(&path).is_sound());
+}

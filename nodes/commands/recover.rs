@@ -1,0 +1,116 @@
+use super::{Exit, Format, Global, UsageError, print_json, reading::Reading, text_table::TextTable};
+use anyhow::Result;
+use clap::Args;
+use osteoflow_engine::recover::{RecoverError, RecoverReport, RecoveredWire, recover};
+use serde_json::{Value, json};
+use std::{io::Write, path::PathBuf};
+
+/// Write what is intact of a damaged recording into a sound file, and say what is missing.
+///
+/// Every chunk whose CRC holds is kept, those behind damage too. Items keep their numbers; nothing is shifted into a
+/// hole. A replay of the new file computes what lay before the first damage; `digest`, `diff` and `validate` take all of
+/// it and say that it is a part. Nothing is overwritten.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow recover killed/run.mcap saved.mcap
+  osteoflow validate saved.mcap && osteoflow replay saved.mcap")]
+pub(crate) struct Recover {
+    /// The damaged file; it is only read.
+    #[arg(value_name = "IN")]
+    from: PathBuf,
+
+    /// The file to write; it must not be there.
+    #[arg(value_name = "OUT")]
+    to: PathBuf,
+}
+
+impl Recover {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let mut reading = Reading::begin("recovering", &self.from, global);
+        let report = recover(&self.from, &self.to, &mut |at, of| reading.at(at, of));
+        drop(reading);
+        let report = report.map_err(|error| match error {
+            RecoverError::Exists { .. } => UsageError(error.to_string()).into(),
+            other => anyhow::Error::from(other),
+        })?;
+        match global.format {
+            Format::Json => print_json(&self.as_json(&report))?,
+            Format::Text => self.print_text(&report, global)?,
+        }
+        Ok(Exit::Done)
+    }
+
+    fn print_text(&self, report: &RecoverReport, global: &Global) -> Result<()> {
+        let mut out = std::io::stdout().lock();
+        if !global.quiet {
+            let mut table = TextTable::new("wires", &["items"]);
+            for wire in &report.wires {
+                table.row(&wire.wire, [wire.n_items.to_string(), missing(wire)]);
+            }
+            writeln!(out, "{}", table.lines())?;
+        }
+        for damage in &report.damages {
+            writeln!(out, "lost: {damage}")?;
+        }
+        for lost in &report.lost {
+            writeln!(out, "lost: {lost}")?;
+        }
+        if report.n_unknown > 0 {
+            writeln!(out, "lost: {} messages of channels that nothing describes any more", report.n_unknown)?;
+        }
+        if !report.is_recording() {
+            writeln!(out, "without the graph it can be digested and compared, but not replayed")?;
+        }
+        let (n, of) = (report.bytes_lost(), report.n_bytes);
+        let what = if report.is_whole() { "nothing is missing".into() } else { format!("{n} of {of} bytes are lost") };
+        writeln!(out, "{} messages in {}; {what}", report.n_messages, self.to.display())?;
+        Ok(())
+    }
+
+    fn as_json(&self, report: &RecoverReport) -> Value {
+        let damages = report
+            .damages
+            .iter()
+            .map(|damage| json!({ "from_byte": damage.bytes.start, "to_byte": damage.bytes.end, "what": damage.what }));
+        let wires = report.wires.iter().map(|wire| {
+            json!({
+                "wire": wire.wire,
+                "items": wire.n_items,
+                "before_damage": wire.before_damage,
+                "missing": wire.missing.iter().map(|hole| [*hole.start(), *hole.end()]).collect::<Vec<_>>(),
+                "open_end": wire.open_end,
+            })
+        });
+        json!({
+            "outcome": Exit::Done.to_json(),
+            "file": self.to.display().to_string(),
+            "whole": report.is_whole(),
+            "messages": report.n_messages,
+            "bytes": report.n_bytes,
+            "bytes_lost": report.bytes_lost(),
+            "damages": damages.collect::<Value>(),
+            "lost": report.lost,
+            "messages_of_unknown_channels": report.n_unknown,
+            "wires": wires.collect::<Value>(),
+        })
+    }
+}
+
+/// The numbers that are missing, in words.
+fn missing(wire: &RecoveredWire) -> String {
+    let range = |r: &std::ops::RangeInclusive<u64>| match (*r.start(), *r.end()) {
+        (first, last) if first == last => first.to_string(),
+        (first, last) => format!("{first} to {last}"),
+    };
+    let mut parts: Vec<_> = wire.missing.iter().take(5).map(range).collect();
+    if wire.missing.len() > 5 {
+        parts.push(format!("{} more runs", wire.missing.len() - 5));
+    }
+    match (parts.is_empty(), wire.open_end) {
+        (true, true) => "its end may be missing".into(),
+        (true, false) => String::new(),
+        (false, true) => format!("missing: {}; its end may be missing too", parts.join(", ")),
+        (false, false) => format!("missing: {}", parts.join(", ")),
+    }
+}

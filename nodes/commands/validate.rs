@@ -1,0 +1,99 @@
+use super::{Exit, Format, Global, print_json, reading::Reading, registry, text_table::TextTable};
+use anyhow::Result;
+use clap::Args;
+use osteoflow_engine::validate::{Finding, ValidateReport, validate};
+use serde_json::{Value, json};
+use std::{io::Write, path::PathBuf};
+
+/// Check a recording from its first byte to its last, and list everything that is wrong with it.
+///
+/// Sums of chunks and of the whole, descriptions, indexes and counts; each wire's numbers without holes, stamps that
+/// never decrease, items that decode; what the run says of itself. Exit code 0: sound; 1: not. Of an MCAP file of another
+/// program the container is checked, and it is said that it is no recording of a run.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow validate runs/fibula-20260314-092653/run.mcap
+  osteoflow validate run.mcap --format json
+  osteoflow recover run.mcap saved.mcap          what to do with one that is not sound")]
+pub(crate) struct Validate {
+    /// The run.mcap of a run, or any MCAP file.
+    file: PathBuf,
+}
+
+impl Validate {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let mut reading = Reading::begin("checking", &self.file, global);
+        let report = validate(&self.file, &registry(), &mut |at, of| reading.at(at, of))?;
+        drop(reading);
+        let exit = if report.is_sound() { Exit::Done } else { Exit::Unsound };
+        match global.format {
+            Format::Json => print_json(&self.as_json(&report, exit))?,
+            Format::Text => self.print_text(&report, global)?,
+        }
+        Ok(exit)
+    }
+
+    fn print_text(&self, report: &ValidateReport, global: &Global) -> Result<()> {
+        let mut out = std::io::stdout().lock();
+        if !global.quiet && !report.wires.is_empty() {
+            let mut table = TextTable::new("wires", &["payload", "items", "values", "views"]);
+            for wire in &report.wires {
+                let counts = [wire.n_items, wire.n_values, wire.n_views].map(|n| n.to_string());
+                table.row(&wire.wire, std::iter::once(wire.payload.clone()).chain(counts));
+            }
+            writeln!(out, "{}", table.lines())?;
+        }
+        for finding in &report.findings {
+            writeln!(out, "{}: {finding}", global.paint_out("wrong", "1;31"))?;
+        }
+        let n_more = report.n_findings - report.findings.len() as u64;
+        if n_more > 0 {
+            writeln!(out, "{}: {n_more} more of these kinds", global.paint_out("wrong", "1;31"))?;
+        }
+        if !global.quiet {
+            report.notes.iter().try_for_each(|note| writeln!(out, "note: {note}"))?;
+        }
+        let verdict = match report.n_findings {
+            0 => "sound".to_owned(),
+            n => format!("not sound: {n} findings"),
+        };
+        let (file, n_messages, n_chunks) = (self.file.display(), report.n_messages, report.n_chunks);
+        writeln!(out, "{file}: {verdict}; {n_messages} messages in {n_chunks} chunks, {} bytes", report.n_bytes)?;
+        Ok(())
+    }
+
+    fn as_json(&self, report: &ValidateReport, exit: Exit) -> Value {
+        let finding = |finding: &Finding| {
+            json!({
+                "wire": finding.wire,
+                "item": finding.item,
+                "byte": finding.place.map(|place| place.offset),
+                "byte_in_chunk": finding.place.and_then(|place| place.in_chunk),
+                "what": finding.what,
+            })
+        };
+        let wires = report.wires.iter().map(|wire| {
+            json!({
+                "wire": wire.wire,
+                "payload": wire.payload,
+                "items": wire.n_items,
+                "values": wire.n_values,
+                "views": wire.n_views,
+            })
+        });
+        json!({
+            "outcome": exit.to_json(),
+            "file": self.file.display().to_string(),
+            "sound": report.is_sound(),
+            "recording": report.is_recording,
+            "findings": report.findings.iter().map(finding).collect::<Value>(),
+            "n_findings": report.n_findings,
+            "notes": report.notes,
+            "messages": report.n_messages,
+            "chunks": report.n_chunks,
+            "bytes": report.n_bytes,
+            "wires": wires.collect::<Value>(),
+        })
+    }
+}
