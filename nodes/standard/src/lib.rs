@@ -35,6 +35,7 @@ pub fn registry() -> Registry {
     registry
         .source::<acquire::folder::Folder>()
         .source::<acquire::mcap::Mcap>()
+        .source::<acquire::mcap_live::McapLive>()
         .source::<acquire::simulated::Simulated>()
         .source::<plan::file::File>()
         .source::<plan::simulated::Simulated>()

@@ -51,7 +51,7 @@ pub struct Params {
 }
 
 /// What happens on a port; clouds are decoded when their turn comes.
-enum What {
+pub(super) enum What {
     Cloud { message: Message, label: Option<Arc<str>> },
     Ready(Emission),
 }
@@ -67,19 +67,33 @@ impl Source for Mcap {
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Self::Outputs>, NodeError> {
         if self.playback.is_none() {
-            self.playback = Some(Playback::new(self.open(ctx)?));
+            self.playback = Some(self.playback(ctx)?);
         }
         let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
         ctx.set_stamp_ns(event.stamp_ns);
-        let emission = match event.what {
-            What::Ready(emission) => emission,
-            What::Cloud { message, label } => cloud(&message, label, &ctx.declared()[event.port].name, ctx)?,
-        };
-        Ok(Some(Declared::one(event.port, emission)))
+        Ok(Some(Declared::one(event.port, Self::emission(event, ctx)?)))
     }
 }
 
 impl Mcap {
+    /// The streams of the recording at `path`.
+    pub(super) fn of(path: FilePath, allow_truncated: bool) -> Self {
+        Self { params: Params { path, allow_truncated }, playback: None }
+    }
+
+    /// Everything that happens, in the order of its stamps.
+    pub(super) fn playback(&self, ctx: &mut Context) -> Result<Playback<What>, NodeError> {
+        Ok(Playback::new(self.open(ctx)?))
+    }
+
+    /// What an event gives on its port.
+    pub(super) fn emission(event: Event<What>, ctx: &mut Context) -> Result<Emission, NodeError> {
+        match event.what {
+            What::Ready(emission) => Ok(emission),
+            What::Cloud { message, label } => cloud(&message, label, &ctx.declared()[event.port].name, ctx),
+        }
+    }
+
     fn open(&self, ctx: &mut Context) -> Result<Vec<Event<What>>, NodeError> {
         let ports = ctx.declared();
         let params = ports.iter().map(DeclaredPort::params).collect::<Result<Vec<PortParams>, _>>()?;

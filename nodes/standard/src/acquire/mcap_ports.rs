@@ -1,6 +1,6 @@
 use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 
-/// What one port of `acquire.mcap` takes from the recording; `type` says what it makes of it.
+/// What one port of `acquire.mcap` and `acquire.mcap_live` takes from the recording; `type` says what it makes of it.
 ///
 /// `geometry/Cloud` from `foxglove.PointCloud`; `geometry/Pose` from `foxglove.FrameTransform(s)` and
 /// `foxglove.PoseInFrame`; `geometry/Points`, one point at a time, from `foxglove.PoseInFrame`; `geometry/Region` and

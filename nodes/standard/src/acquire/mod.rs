@@ -2,6 +2,7 @@
 
 pub mod folder;
 pub mod mcap;
+pub mod mcap_live;
 mod mcap_ports;
 mod playback;
 mod procedure_ports;

@@ -1,0 +1,43 @@
+//! Live sources from the command line: the recording that ships, played as if its devices sent it.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{json, osteoflow, run, run_whole};
+use serde_json::Value;
+
+const RECORDED: &str = "graphs/fibula_recorded.toml";
+const LIVE: &str = "graphs/variants/fibula_live.toml";
+/// So fast that only the graph takes time.
+const AT_ONCE: &str = "recording.rate=1e9";
+
+#[test]
+fn a_live_source_gives_the_results_of_the_recording_it_plays() {
+    let recorded = run_whole(RECORDED, &["--no-record"]);
+    let jitter = ["recording.jitter_ms=20", "recording.max_delay_ms=20"];
+    for sets in [&[][..], &jitter] {
+        for workers in ["1", "8"] {
+            let mut arguments = vec!["--no-record", "--workers", workers, "--set", AT_ONCE];
+            arguments.extend(sets.iter().flat_map(|set| ["--set", set]));
+            let live = run_whole(LIVE, &arguments);
+            assert_eq!(live.results, recorded.results, "{sets:?} on {workers} workers");
+            assert!(!live.stderr.contains("late"), "{}", live.stderr);
+        }
+    }
+}
+
+#[test]
+fn what_comes_later_than_promised_is_counted_and_told_and_replays_the_same() {
+    let arguments = ["--set", AT_ONCE, "--set", "recording.jitter_ms=200", "--set", "recording.max_delay_ms=5"];
+    let live = run(LIVE, &arguments);
+    let late = "recording.region: 1 item came late, by up to ";
+    assert!(live.stderr.contains(late), "{}", live.stderr);
+    let manifest = json(&live.dir.path().join("manifest.json"));
+    let of = |link: &Value, key: &str| link[key].as_u64().unwrap();
+    let links = manifest["links"].as_array().unwrap();
+    assert!(links.iter().any(|link| link["from"] == "recording.region" && of(link, "late") == 1), "{links:?}");
+    assert!(links.iter().all(|link| of(link, "sent") == of(link, "received") + of(link, "dropped")));
+    let replay = osteoflow().arg("replay").arg(live.dir.path().join("run.mcap")).output().unwrap();
+    let said = String::from_utf8_lossy(&replay.stdout);
+    assert!(said.contains("0 of these differ"), "{said}{}", String::from_utf8_lossy(&replay.stderr));
+}
