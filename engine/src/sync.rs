@@ -29,3 +29,18 @@ pub(crate) fn delay(length: usize) {
         _ => std::thread::sleep(std::time::Duration::from_micros(length as u64 / 4)),
     }
 }
+
+/// Repeats what may come out differently; a model checker has its own way to do so.
+#[cfg(test)]
+pub(crate) fn many_times(test: impl Fn() + Send + Sync + 'static) {
+    (0..50).for_each(|_| test());
+}
+
+/// Calls `a` on a thread of its own and `b` on this one, and returns when both have.
+#[cfg(test)]
+pub(crate) fn beside(a: &(dyn Fn() + Sync), b: &(dyn Fn() + Sync)) {
+    std::thread::scope(|scope| {
+        scope.spawn(a);
+        b();
+    });
+}

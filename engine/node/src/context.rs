@@ -61,6 +61,7 @@ impl Context {
     }
 
     /// The engine's: the next firing begins.
+    #[inline]
     pub fn begin(&mut self, item: u64, stamp_ns: StampNs) {
         (self.item, self.stamp_ns) = (item, stamp_ns);
         self.absent.clear();
@@ -83,6 +84,7 @@ impl Context {
     }
 
     /// The engine's: whether [`Context::take_warnings`] has any.
+    #[inline]
     pub fn has_warnings(&self) -> bool {
         !self.warnings.is_empty()
     }
@@ -93,21 +95,25 @@ impl Context {
     }
 
     /// The node's full name in the graph.
+    #[inline]
     pub fn node(&self) -> &str {
         &self.node
     }
 
     /// The firing stamp: the largest among the triggering items'. A source sets its own.
+    #[inline]
     pub fn stamp_ns(&self) -> StampNs {
         self.stamp_ns
     }
 
     /// For a source: the stamp of what this call of `next` answers; must not decrease.
+    #[inline]
     pub fn set_stamp_ns(&mut self, stamp_ns: StampNs) {
         self.stamp_ns = stamp_ns;
     }
 
     /// The number of this firing, from 0.
+    #[inline]
     pub fn item(&self) -> u64 {
         self.item
     }

@@ -74,6 +74,7 @@ impl Joined {
     ///
     /// # Errors
     /// [`NodeError`] if the engine joined fewer ports than the node declares.
+    #[inline]
     pub fn slot(&self, index: usize) -> Result<&Slot, NodeError> {
         self.slots.get(index).ok_or_else(|| NodeError::new("the engine joined too few ports"))
     }

@@ -127,6 +127,7 @@ impl PayloadType {
 }
 
 impl PartialEq for PayloadType {
+    #[inline]
     fn eq(&self, other: &Self) -> bool {
         // One type may have several of these, one for each crate that asked first.
         std::ptr::eq(self, other) || (self.id)() == (other.id)()
@@ -153,11 +154,13 @@ impl Value {
     }
 
     /// Its type.
+    #[inline]
     pub fn ty(&self) -> &'static PayloadType {
         self.ty
     }
 
     /// The payload, if it is a `T`.
+    #[inline]
     pub fn get<T: 'static>(&self) -> Option<&T> {
         self.inner.downcast_ref()
     }
@@ -173,6 +176,7 @@ impl Value {
     }
 
     /// How much memory it holds on to, bulk and all.
+    #[inline]
     pub fn n_bytes(&self) -> usize {
         (self.ty.n_bytes)(&*self.inner)
     }

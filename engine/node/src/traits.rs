@@ -185,6 +185,7 @@ pub fn take_many_optional<T: Clone + 'static>(
 }
 
 /// The value of a [`Value`] field, which takes any payload.
+#[inline]
 pub fn take_any(joined: &Joined, index: usize, port: &str) -> Result<Value, NodeError> {
     match joined.slot(index)? {
         Slot::Item(Item { body: Body::Value(value), .. }) => Ok(value.clone()),

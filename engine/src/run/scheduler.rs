@@ -427,6 +427,7 @@ impl ReadySet {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sync::{beside, many_times};
 
     #[test]
     fn the_node_furthest_downstream_comes_first() {
@@ -453,45 +454,136 @@ mod tests {
         assert_eq!(taken, (0..100).collect::<Vec<_>>());
     }
 
-    /// A ring of counters: each step passes one token on.
-    struct Ring(Vec<AtomicUsize>);
+    /// Tokens in a row of bounded places, which a node takes from its own place and puts into the next. These tests also
+    /// run in `tests/scheduler_model.rs`, where a model checker tries interleavings of every operation on shared memory.
+    struct Row {
+        places: Vec<AtomicUsize>,
+        /// How many tokens a place holds at most; the last node takes them out of the row.
+        room: Vec<AtomicUsize>,
+        through: AtomicUsize,
+        n_running: AtomicUsize,
+        /// Tokens that come from outside and have not yet.
+        n_pending: AtomicUsize,
+        n_relieved: AtomicUsize,
+    }
 
-    impl Work for Ring {
+    impl Row {
+        fn new(n_nodes: usize, first: usize, room: usize, n_pending: usize) -> Self {
+            Self {
+                places: (0..n_nodes).map(|node| AtomicUsize::new(if node == 0 { first } else { 0 })).collect(),
+                room: (0..n_nodes).map(|_| AtomicUsize::new(room)).collect(),
+                through: AtomicUsize::new(0),
+                n_running: AtomicUsize::new(0),
+                n_pending: AtomicUsize::new(n_pending),
+                n_relieved: AtomicUsize::new(0),
+            }
+        }
+
+        fn can_fire(&self, node: usize) -> bool {
+            let of = |n: &AtomicUsize| n.load(Ordering::SeqCst);
+            let next = node + 1;
+            of(&self.places[node]) > 0 && (next == self.places.len() || of(&self.places[next]) < of(&self.room[next]))
+        }
+    }
+
+    impl Work for Row {
         fn step(&self, node: usize, turn: &mut Turn<'_>) -> Stepped {
-            loop {
-                let taken = self.0[node].fetch_update(Ordering::AcqRel, Ordering::Acquire, |n| n.checked_sub(1));
-                if taken.is_err() {
-                    return Stepped::Idle;
+            assert_eq!(
+                self.n_running.fetch_or(1 << node, Ordering::SeqCst) >> node & 1,
+                0,
+                "{node} runs twice at once"
+            );
+            let mut stepped = Stepped::Idle;
+            while self.can_fire(node) {
+                self.places[node].fetch_sub(1, Ordering::SeqCst);
+                if node > 0 {
+                    turn.wake(node - 1);
                 }
-                let next = (node + 1) % self.0.len();
-                if next != 0 {
-                    self.0[next].fetch_add(1, Ordering::AcqRel);
-                    turn.wake(next);
+                if node + 1 < self.places.len() {
+                    self.places[node + 1].fetch_add(1, Ordering::SeqCst);
+                    turn.wake(node + 1);
+                } else {
+                    self.through.fetch_add(1, Ordering::SeqCst);
                 }
                 if !turn.goes_on(self.is_cheap(node)) {
-                    return Stepped::Fired;
+                    stepped = Stepped::Fired;
+                    break;
                 }
             }
+            self.n_running.fetch_and(!(1 << node), Ordering::SeqCst);
+            stepped
         }
 
         fn is_cheap(&self, node: usize) -> bool {
             node % 2 == 1
         }
 
+        fn is_pending(&self) -> bool {
+            self.n_pending.load(Ordering::SeqCst) > 0
+        }
+
         fn relieve(&self) -> Option<usize> {
-            None
+            assert_eq!(self.n_running.load(Ordering::SeqCst), 0, "a node runs while nothing can");
+            assert_eq!((0..self.places.len()).find(|node| self.can_fire(*node)), None, "this node can run");
+            assert_eq!(self.n_pending.load(Ordering::SeqCst), 0, "something is still to come");
+            let stuck = (0..self.places.len()).find(|node| self.places[*node].load(Ordering::SeqCst) > 0)?;
+            self.room[stuck + 1].fetch_add(1, Ordering::SeqCst);
+            self.n_relieved.fetch_add(1, Ordering::SeqCst);
+            Some(stuck)
         }
     }
 
     #[test]
     fn every_token_gets_through_on_any_number_of_workers() {
-        for n_workers in [1, 2, 8] {
-            for shuffle in (0..20).map(|seed| (seed >= 10).then_some(seed)) {
-                let ring = Ring((0..5).map(|node| AtomicUsize::new(if node == 0 { 500 } else { 0 })).collect());
-                Scheduler::new(5, n_workers, shuffle).run(&ring);
-                let left: Vec<_> = ring.0.iter().map(|n| n.load(Ordering::Relaxed)).collect();
-                assert_eq!(left, [0; 5], "tokens left on {n_workers} workers, shuffled by {shuffle:?}");
+        for n_workers in [1, 2, 3] {
+            for shuffle in [None, Some(1)] {
+                many_times(move || {
+                    let row = Row::new(3, 3, 1, 0);
+                    Scheduler::new(3, n_workers, shuffle).run(&row);
+                    assert_eq!(
+                        row.through.load(Ordering::SeqCst),
+                        3,
+                        "on {n_workers} workers, shuffled by {shuffle:?}"
+                    );
+                    assert_eq!(row.n_relieved.load(Ordering::SeqCst), 0, "it was never stuck");
+                });
             }
+        }
+    }
+
+    #[test]
+    fn what_is_stuck_is_relieved_once_all_workers_sleep() {
+        for n_workers in [1, 2, 3] {
+            many_times(move || {
+                let row = Row::new(3, 2, 0, 0);
+                Scheduler::new(3, n_workers, None).run(&row);
+                let n_relieved = row.n_relieved.load(Ordering::SeqCst);
+                // Twice at the first node with something to give, once at the next.
+                assert_eq!((row.through.load(Ordering::SeqCst), n_relieved), (2, 3), "on {n_workers} workers");
+            });
+        }
+    }
+
+    #[test]
+    fn a_node_woken_from_outside_runs_and_the_run_waits_for_what_is_pending() {
+        for n_workers in [1, 2] {
+            many_times(move || {
+                let row = Row::new(2, 0, 1, 2);
+                let scheduler = Scheduler::new(2, n_workers, None);
+                let feed = || {
+                    for _ in 0..2 {
+                        scheduler.outside(|turn| {
+                            row.places[0].fetch_add(1, Ordering::SeqCst);
+                            turn.wake(0);
+                        });
+                        if row.n_pending.fetch_sub(1, Ordering::SeqCst) == 1 {
+                            scheduler.look_again();
+                        }
+                    }
+                };
+                beside(&feed, &|| scheduler.run(&row));
+                assert_eq!(row.through.load(Ordering::SeqCst), 2, "on {n_workers} workers");
+            });
         }
     }
 }
