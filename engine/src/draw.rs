@@ -1,38 +1,81 @@
-//! Pictures of a plan: nodes with their kinds, and on each arrow the ports, the payload and, where known, its frames.
+//! Pictures of a graph: nodes with their kinds, wires with their ports, and, of a run, its figures on them.
+
+mod layout;
+mod of_run;
+mod svg;
+mod text;
+
+pub use of_run::{percent, time};
+pub use svg::svg;
+pub use text::{dot, mermaid};
 
 use crate::plan::{Link, Plan, PlanOutput, PortFrames};
 use osteoflow_node::Role;
-use std::fmt::Write;
 
-/// The plan as a Mermaid flowchart, as Markdown viewers draw it.
-pub fn mermaid(plan: &Plan) -> String {
-    let mut out = String::from("flowchart LR\n");
-    for (index, node) in plan.nodes.iter().enumerate() {
-        let (open, close) = if node.role == Role::Node { ("[", "]") } else { ("([", "])") };
-        let text = format!("<b>{}</b><br/>{}", html(&node.name), html(&node.kind));
-        let _ = writeln!(out, "    n{index}{open}\"{text}\"{close}");
-    }
-    for link in &plan.links {
-        let label = label(plan, link).iter().map(|line| html(line)).collect::<Vec<_>>().join("<br/>");
-        let _ = writeln!(out, "    n{} -- \"{label}\" --> n{}", link.from.node, link.to_node);
-    }
-    out
+/// A graph to be drawn.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Picture {
+    /// The graph's name.
+    pub name: String,
+    /// What a run was and how it ended; empty for a graph.
+    pub about: Vec<String>,
+    /// The nodes in topological order.
+    pub nodes: Vec<Node>,
+    /// The wires, each from one node to another.
+    pub wires: Vec<Wire>,
 }
 
-/// The plan as a Graphviz graph.
-pub fn dot(plan: &Plan) -> String {
-    let mut out = format!("digraph {} {{\n    rankdir = LR;\n    node [shape = box];\n", quote(&plan.name));
-    for (index, node) in plan.nodes.iter().enumerate() {
-        let style = if node.role == Role::Node { "" } else { ", style = rounded" };
-        let text = quote(&format!("{}\n{}", node.name, node.kind));
-        let _ = writeln!(out, "    n{index} [label = {text}{style}];");
+/// A node of a picture.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Node {
+    /// Its full name.
+    pub name: String,
+    /// Its kind.
+    pub kind: String,
+    /// Whether it has no inputs by its kind.
+    pub is_source: bool,
+    /// Figures of a run, a line each.
+    pub figures: Vec<String>,
+    /// Its share of the time that all nodes were busy, of a run.
+    pub share: Option<f64>,
+    /// Why it failed, if it did.
+    pub failed: Option<String>,
+}
+
+/// A wire of a picture.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Wire {
+    /// Index of the producing node.
+    pub from: usize,
+    /// Index of the consuming node.
+    pub to: usize,
+    /// What stands on it.
+    pub label: Vec<String>,
+    /// Items dropped, of a run.
+    pub dropped: u64,
+    /// All that is known of it.
+    pub about: String,
+}
+
+impl Picture {
+    /// The picture of a checked graph.
+    pub fn of_plan(plan: &Plan) -> Self {
+        let nodes = plan.nodes.iter().map(|node| Node {
+            name: node.name.to_string(),
+            kind: node.kind.clone(),
+            is_source: node.role != Role::Node,
+            ..Node::default()
+        });
+        let wires = plan.links.iter().map(|link| {
+            let label = label(plan, link);
+            let to = &plan.nodes[link.to_node];
+            let ends = format!("{} -> {}.{}", plan.wire_name(link.from), to.name, to.inputs[link.to_port].port.name);
+            let join = to.inputs[link.to_port].port.join.name();
+            let about = format!("{ends}: {}, joined by {join}", label[1..].join(", "));
+            Wire { from: link.from.node, to: link.to_node, label, dropped: 0, about }
+        });
+        Self { name: plan.name.clone(), about: Vec::new(), nodes: nodes.collect(), wires: wires.collect() }
     }
-    for link in &plan.links {
-        let text = quote(&label(plan, link).join("\n"));
-        let _ = writeln!(out, "    n{} -> n{} [label = {text}];", link.from.node, link.to_node);
-    }
-    out.push_str("}\n");
-    out
 }
 
 /// Ports, payload, frames.
@@ -58,10 +101,33 @@ fn frames(output: &PlanOutput) -> Option<String> {
     }
 }
 
-fn html(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+/// Text as markup takes it; characters that XML forbids are left out.
+fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\n' | '\t' => out.push(c),
+            c if c < ' ' || matches!(c, '\u{7f}' | '\u{fffe}' | '\u{ffff}') => {}
+            c => out.push(c),
+        }
+    }
+    out
 }
 
-fn quote(text: &str) -> String {
-    format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n"))
+/// The classes that colour nodes by their share of the busy time: the least share, the colour, what the legend says.
+pub(crate) const SHARES: [(f64, &str, &str); 5] = [
+    (0.0, "#eef1f4", "below 1 %"),
+    (0.01, "#fdf0c4", "1 %"),
+    (0.05, "#fbd37a", "5 %"),
+    (0.15, "#f5a353", "15 %"),
+    (0.30, "#ec7f5b", "30 % and more"),
+];
+
+/// The class of a share.
+fn class_of(share: f64) -> usize {
+    SHARES.iter().rposition(|(least, ..)| share >= *least).unwrap_or(0)
 }

@@ -5,6 +5,7 @@ use crate::{
     record::{Counts, FORMAT_VERSION, RecordError},
     run::{Outcome, RunOptions, RunReport},
 };
+use osteoflow_node::Role;
 use serde_json::{Value as Json, json};
 use sha2::{Digest, Sha256};
 use std::{
@@ -31,9 +32,9 @@ pub(crate) fn manifest(
             "panicked": r.panicked, "file": r.location.file.display().to_string(), "line": r.location.line,
         }),
     };
-    let nodes = report.nodes.iter().map(|n| {
+    let nodes = report.nodes.iter().zip(&plan.nodes).map(|(n, planned)| {
         json!({
-            "name": n.name, "items": n.items, "skipped": n.skipped, "failed": n.failed, "busy_ms": ms(n.busy),
+            "name": n.name, "kind": planned.kind, "source": planned.role != Role::Node, "items": n.items, "skipped": n.skipped, "failed": n.failed, "busy_ms": ms(n.busy),
             "p50_ms": ms(n.p50), "p95_ms": ms(n.p95), "p99_ms": ms(n.p99),
         })
     });
@@ -88,7 +89,7 @@ pub(crate) fn manifest(
 }
 
 fn ms(time: Duration) -> f64 {
-    (time.as_nanos() as f64 / 1e3).round() / 1e3
+    time.as_nanos() as f64 / 1e6
 }
 
 /// The hashes of a run's input files, computed on a thread of their own.

@@ -1,17 +1,30 @@
-use super::{Exit, Global, GraphArgs};
-use anyhow::Result;
+use super::{Exit, Global, GraphArgs, UsageError, out_dir};
+use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
-use std::io::Write;
+use osteoflow_engine::draw::{self, Picture};
+use std::{
+    io::Write,
+    path::{Path, PathBuf},
+};
 
-/// Draw a graph as text: nodes by stage, types and frames on the wires.
+/// Draw a graph, or a run with its figures: where the time went, how many items passed each wire, what was dropped.
+///
+/// Of a run, nodes are coloured by their share of the time, wires bear the number of their items, dropped items are red,
+/// and a node that failed is framed, with its reason as its tip. The run's folder is enough for that.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   osteoflow graph graphs/fibula.toml                          mermaid, for a page that renders it
+  osteoflow graph graphs/fibula.toml --as svg > fibula.svg    for a browser; needs no other program
+  osteoflow graph --run runs/fibula-20260314-092653 --as svg > run.svg
   osteoflow graph graphs/fibula.toml --as dot | dot -Tsvg > fibula.svg")]
 pub(crate) struct Graph {
     #[command(flatten)]
-    graph: GraphArgs,
+    graph: Option<GraphArgs>,
+
+    /// Draw this run instead: its folder, or its manifest.json.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["graph", "sets"], required_unless_present = "graph")]
+    run: Option<PathBuf>,
 
     /// The language to draw in.
     #[arg(long = "as", value_enum, default_value_t = Language::Mermaid, value_name = "LANGUAGE")]
@@ -24,16 +37,36 @@ enum Language {
     Mermaid,
     /// For Graphviz.
     Dot,
+    /// For browsers and papers.
+    Svg,
 }
 
 impl Graph {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let (_, Some(checked)) = self.graph.check(global)? else { return Ok(Exit::Usage) };
+        let picture = match (&self.run, &self.graph) {
+            (Some(run), _) => of_run(run)?,
+            (None, Some(graph)) => {
+                let (_, Some(checked)) = graph.check(global)? else { return Ok(Exit::Usage) };
+                Picture::of_plan(&checked.plan)
+            }
+            (None, None) => return Err(UsageError("name a graph file, or a run by --run".into()).into()),
+        };
         let drawn = match self.language {
-            Language::Mermaid => osteoflow_engine::draw::mermaid(&checked.plan),
-            Language::Dot => osteoflow_engine::draw::dot(&checked.plan),
+            Language::Mermaid => draw::mermaid(&picture),
+            Language::Dot => draw::dot(&picture),
+            Language::Svg => draw::svg(&picture),
         };
         writeln!(std::io::stdout(), "{}", drawn.trim_end())?;
         Ok(Exit::Done)
     }
+}
+
+/// The picture of a run by its folder or its manifest.
+fn of_run(run: &Path) -> Result<Picture> {
+    let path = if run.is_dir() { run.join(out_dir::MANIFEST) } else { run.to_owned() };
+    let shown = path.display();
+    let text = std::fs::read_to_string(&path)
+        .with_context(|| format!("{shown} cannot be read; --run takes the folder of a run that has ended"))?;
+    let manifest = serde_json::from_str(&text).with_context(|| format!("{shown} is no manifest of a run"))?;
+    Picture::of_run(&manifest).map_err(|why| anyhow::anyhow!("{shown} is no manifest of a run: {why}"))
 }

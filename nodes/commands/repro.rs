@@ -1,7 +1,10 @@
 use super::{Exit, Format, Global, UsageError, print_json, registry, running, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::repro::{self, Bundle, Given, Program, ReproError, ReproReport, Shown};
+use osteoflow_engine::{
+    repro::{self, Bundle, Given, Program, ReproError, ReproReport, Shown},
+    run::Injected,
+};
 use osteoflow_node::Role;
 use serde_json::{Value, json};
 use std::{io::Write, num::NonZeroUsize, path::PathBuf, sync::Arc};
@@ -150,7 +153,11 @@ fn about(item: &Shown) -> String {
         return format!("empty: {}", item.empty.as_deref().unwrap_or_default());
     };
     let columns = item.columns.iter().map(|(name, rows)| format!("{rows} {name}"));
-    let texts = item.texts.iter().filter(|(_, text)| !text.is_empty()).map(|(name, text)| format!("{name} {text}"));
+    let texts = item
+        .texts
+        .iter()
+        .filter(|(_, text)| !text.is_empty())
+        .map(|(name, text)| format!("{name} {}", text.replace('\n', " ")));
     let parts: Vec<_> = columns.chain(texts).collect();
     if parts.is_empty() { payload.clone() } else { format!("{payload}: {}", parts.join(", ")) }
 }
@@ -173,14 +180,10 @@ fn as_json(report: &ReproReport, exit: Exit) -> Value {
         "inputs": bundle.inputs,
         "failed_then": failure(&bundle.failure),
         "failed_now": report.failure.as_ref().map(failure),
-        "injected": bundle.injected.map(repro_injected),
+        "injected": bundle.injected.map(Injected::name),
         "calls": (bundle.node.role != Role::Node).then_some(report.n_calls),
         "warnings": report.warnings,
         "differences": report.differences,
         "took_ms": report.took.as_secs_f64() * 1e3,
     })
-}
-
-fn repro_injected(how: osteoflow_engine::run::Injected) -> &'static str {
-    how.name()
 }

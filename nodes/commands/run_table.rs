@@ -1,21 +1,31 @@
 //! What `--verbose` shows of a run: where the time went, and what went over the wires.
 
 use super::text_table::TextTable;
-use osteoflow_engine::run::RunReport;
+use osteoflow_engine::{
+    draw::{percent, time},
+    run::RunReport,
+};
 use std::{collections::BTreeMap, time::Duration};
 
 /// A table of nodes and a table of links, both in the order of the plan.
 pub(crate) fn text(report: &RunReport) -> String {
-    let mut nodes = TextTable::new("nodes", &["items", "skipped", "failed", "busy ms", "p50", "p95", "p99 ms"]);
+    let header = ["busy", "share", "items", "skipped", "failed", "p50", "p95", "p99"];
+    let mut nodes = TextTable::new("nodes", &header);
+    let busy: f64 = report.nodes.iter().map(|n| n.busy.as_secs_f64()).sum();
+    let slowest = report.nodes.iter().map(|n| n.busy).max().unwrap_or_default();
     for n in &report.nodes {
-        let counts = [n.items, n.skipped, n.failed].map(|count| count.to_string());
-        nodes.row(&n.name, counts.into_iter().chain([n.busy, n.p50, n.p95, n.p99].map(ms)));
+        let share = if busy > 0.0 { n.busy.as_secs_f64() / busy } else { 0.0 };
+        let counts = [n.items, n.skipped, n.failed].map(counted);
+        let cells = [told(n.busy), percent(share)].into_iter().chain(counts).chain([n.p50, n.p95, n.p99].map(told));
+        let mark = (n.busy == slowest && !slowest.is_zero()).then(|| "<- slowest".into());
+        nodes.row(&n.name, cells.chain(mark));
     }
-    let mut links = TextTable::new("wires", &["sent", "received", "dropped", "highest fill", "capacity"]);
+    let mut links = TextTable::new("wires", &["sent", "received", "dropped", "highest fill"]);
     for l in &report.links {
-        let counts = [l.sent, l.received, l.dropped, l.highest_fill as u64, l.capacity as u64];
+        let counts = [l.sent, l.received, l.dropped].map(counted);
+        let fill = format!("{} of {}", l.highest_fill, l.capacity);
         let remark = (l.unmatched > 0).then(|| format!("{} without a partner", l.unmatched));
-        links.row(format!("{} -> {}", l.from, l.to), counts.iter().map(u64::to_string).chain(remark));
+        links.row(format!("{} -> {}", l.from, l.to), counts.into_iter().chain([fill]).chain(remark));
     }
     let mut text = format!("{}\n{}", nodes.lines(), links.lines());
     // A queue grows in steps; how far it grew is what matters.
@@ -29,6 +39,11 @@ pub(crate) fn text(report: &RunReport) -> String {
     text
 }
 
-fn ms(time: Duration) -> String {
-    format!("{:.2}", time.as_secs_f64() * 1e3)
+fn told(duration: Duration) -> String {
+    time(duration.as_secs_f64() * 1e3)
+}
+
+/// A count; a dash stands for none, so that the others are seen.
+fn counted(count: u64) -> String {
+    if count == 0 { "-".into() } else { count.to_string() }
 }

@@ -90,6 +90,9 @@ pub(super) struct Runtime<'a> {
     pub(super) mailbox: Mailbox,
 }
 
+/// So many full and empty links are named where a graph is stuck.
+const MOST_LINKS: usize = 8;
+
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // A poisoned lock means that a worker unwinds already; its panic is the one to be seen.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
@@ -397,7 +400,7 @@ impl<'a> Runtime<'a> {
     fn note_stall(&self) {
         let open: Vec<usize> = (0..self.cells.len()).filter(|node| !locked(&self.cells[*node]).is_done()).collect();
         let Some(first) = open.first() else { return };
-        let (mut full, mut empty) = (Vec::new(), Vec::new());
+        let (mut full, mut empty, mut stuck) = (Vec::new(), Vec::new(), BTreeSet::new());
         for (index, link) in self.plan.links.iter().enumerate() {
             let state = &self.links[index];
             let look = |send: &SendEnd| (send.is_full(state), send.fill(), send.bytes(state));
@@ -405,11 +408,19 @@ impl<'a> Runtime<'a> {
             let (from, to) = ends(self.plan, index);
             if is_full && state.is_blocked() {
                 full.push(format!("{from} -> {to} ({n_items} items, {n_bytes} bytes)"));
+                stuck.insert(link.to_node);
             } else if open.contains(&link.to_node) && open.contains(&link.from.node) && n_items == 0 {
-                empty.push(format!("{from} -> {to}"));
+                empty.push((link.to_node, format!("{from} -> {to}")));
             }
         }
-        let list = |links: Vec<String>| if links.is_empty() { "none".into() } else { links.join(", ") };
+        // What those wait for who do not empty the full ones comes first.
+        empty.sort_by_key(|(to_node, _)| !stuck.contains(to_node));
+        let empty = empty.into_iter().map(|(_, link)| link).collect();
+        let list = |links: Vec<String>| match links.len() {
+            0 => "none".into(),
+            n if n <= MOST_LINKS => links.join(", "),
+            n => format!("{} and {} more", links[..MOST_LINKS].join(", "), n - MOST_LINKS),
+        };
         let reason = format!(
             "the graph is stuck: nothing can run; full: {}; empty: {}; give the full links a larger max_bytes",
             list(full),

@@ -104,7 +104,7 @@ fn a_graph_that_may_not_grow_is_refused_with_the_full_and_the_empty_links() {
     let refusal = refusal_of(&report);
     let expected = format!(
         "the graph is stuck: nothing can run; full: recording.p0 -> follow.a (20 items, {max_bytes} bytes); \
-         empty: recording.p1 -> fit.a, fit.out -> follow.b; give the full links a larger max_bytes"
+         empty: fit.out -> follow.b, recording.p1 -> fit.a; give the full links a larger max_bytes"
     );
     assert_eq!((refusal.node.as_str(), &refusal.reason), ("recording", &expected));
     let sizes: Vec<_> = report.enlargements.iter().map(|e| (e.to.as_str(), e.after)).collect();

@@ -36,8 +36,8 @@ fn the_resolved_graph_is_checked_again_and_gives_an_equal_plan() {
 fn the_resolved_graph_and_the_drawings_are_those_of_the_golden_texts() {
     let plan = checked(GRAPH, &[]).plan;
     compare(&plan.resolved, Path::new("tests/graphs/everything.resolved.txt")).unwrap();
-    compare(&draw::mermaid(&plan), Path::new("tests/graphs/everything.mermaid.txt")).unwrap();
-    compare(&draw::dot(&plan), Path::new("tests/graphs/everything.dot.txt")).unwrap();
+    compare(&draw::mermaid(&draw::Picture::of_plan(&plan)), Path::new("tests/graphs/everything.mermaid.txt")).unwrap();
+    compare(&draw::dot(&draw::Picture::of_plan(&plan)), Path::new("tests/graphs/everything.dot.txt")).unwrap();
 }
 
 #[test]
