@@ -15,6 +15,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("record", "--wires"),
     ("replay", "--out"),
     ("digest", "sha256sum"),
+    ("diff", "--tolerance"),
     ("repro", "RUST_BACKTRACE"),
     ("validate", "sound"),
     ("recover", "OUT"),

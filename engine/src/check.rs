@@ -23,6 +23,8 @@ mod wires;
 
 pub use module::{Module, ModuleDescription, ModuleInput, ModuleOutput, ModuleParam};
 
+pub(crate) use glob::fits as glob_fits;
+
 use crate::{
     fault::{Fault, Faults, Severity},
     graph::{self, Graph},

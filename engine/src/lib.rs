@@ -4,6 +4,7 @@ mod channel;
 pub mod check;
 mod codec;
 pub mod container;
+pub mod diff;
 pub mod digest;
 pub mod draw;
 pub mod fault;

@@ -312,7 +312,10 @@ impl<'a> Saving<'a> {
         if name == WIRES_METADATA {
             self.counts = entries.iter().filter_map(|(wire, said)| Some((wire.clone(), counts(said)?.0))).collect();
         }
-        self.metadata.insert(name.into());
+        // A record that damage has doubled is written once.
+        if !self.metadata.insert(name.into()) {
+            return Ok(());
+        }
         self.writer("")?.write_metadata(&Metadata { name: name.into(), metadata: entries })
     }
 

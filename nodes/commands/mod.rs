@@ -2,6 +2,7 @@
 
 mod check;
 mod completions;
+mod diff;
 mod digest;
 mod exit;
 mod expand;
@@ -144,6 +145,7 @@ pub(crate) enum Command {
     Record(record::Record),
     Replay(replay::Replay),
     Digest(digest::Digest),
+    Diff(diff::Diff),
     Validate(validate::Validate),
     Recover(recover::Recover),
     Repro(repro::Repro),
@@ -158,6 +160,7 @@ impl Command {
             Self::Record(command) => command.execute(global),
             Self::Replay(command) => command.execute(global),
             Self::Digest(command) => command.execute(global),
+            Self::Diff(command) => command.execute(global),
             Self::Repro(command) => command.execute(global),
             Self::Validate(command) => command.execute(global),
             Self::Recover(command) => command.execute(global),

@@ -18,6 +18,9 @@ pub trait Payload<By>: Clone + Send + Sync + 'static {
     const VERSION: u32;
     /// Whether [`Payload::interpolate`] gives values, so that a port may join by `interpolate`.
     const INTERPOLATES: bool = false;
+    /// Units of the view's head fields and columns whose names do not say them by a suffix such as `_mm`: by name, the
+    /// unit, or `pose` for rows of translation x, y, z in mm and quaternion x, y, z, w. Recordings carry them.
+    const UNITS: &'static [(&'static str, &'static str)] = &[];
 
     /// Head and columns, without copying the columns.
     fn to_view(&self) -> View;
@@ -74,6 +77,8 @@ pub struct PayloadType {
     pub version: u32,
     /// Whether ports may join it by `interpolate`.
     pub interpolates: bool,
+    /// Units of head fields and columns whose names do not say them.
+    pub units: &'static [(&'static str, &'static str)],
     id: fn() -> TypeId,
     to_view: fn(&dyn Any) -> View,
     from_view: fn(&View) -> Result<Value, ViewError>,
@@ -91,6 +96,7 @@ impl<T: Payload<By>, By: 'static> TypeOf<T, By> {
         name: T::NAME,
         version: T::VERSION,
         interpolates: T::INTERPOLATES,
+        units: T::UNITS,
         id: TypeId::of::<T>,
         to_view: |any| cast::<T>(any).to_view(),
         from_view: |view| T::from_view(view).map(Value::new),

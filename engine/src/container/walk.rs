@@ -330,7 +330,6 @@ impl<R: Read + Seek> Walk<R> {
     }
 
     /// The unpacked chunk at a place where a pass has found one.
-    #[allow(dead_code)]
     pub(crate) fn chunk_at(&mut self, at: u64) -> io::Result<Vec<u8>> {
         let (_, length) = self.head(at)?;
         let mut out = Vec::new();
@@ -341,7 +340,6 @@ impl<R: Read + Seek> Walk<R> {
     }
 
     /// `n` bytes at a place where a pass has found them.
-    #[allow(dead_code)]
     pub(crate) fn bytes_at(&mut self, at: u64, n: u64) -> io::Result<Vec<u8>> {
         if at.checked_add(n).is_none_or(|end| end > self.n_bytes) {
             return Err(io::Error::other(format!("the file has changed: byte {at} is beyond its end")));
@@ -350,7 +348,6 @@ impl<R: Read + Seek> Walk<R> {
     }
 
     /// The CRC of the bytes of a part of the file.
-    #[allow(dead_code)]
     pub(crate) fn crc(&mut self, bytes: Range<u64>) -> io::Result<u32> {
         self.seek(bytes.start)?;
         let mut hasher = crc32fast::Hasher::new();

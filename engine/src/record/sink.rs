@@ -81,10 +81,12 @@ impl Sink {
         for &id in &plan.record {
             let (node, output) = (&plan.nodes[id.node], &plan.nodes[id.node].outputs[id.port]);
             let name = plan.wire_name(id);
-            let (payload, version, display) = match output.payload {
-                PortPayload::Type(ty) => (ty.name, ty.version, ty.display()),
-                PortPayload::Any => ("any", 0, None),
+            let (payload, version, units, display) = match output.payload {
+                PortPayload::Type(ty) => (ty.name, ty.version, ty.units, ty.display()),
+                PortPayload::Any => ("any", 0, &[] as &[_], None),
             };
+            let units: serde_json::Map<_, _> =
+                units.iter().map(|(name, unit)| ((*name).into(), (*unit).into())).collect();
             let schema = file.schema(&format!("{payload}@{version}"), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
             let about = BTreeMap::from([
                 ("node".into(), node.name.to_string()),
@@ -92,6 +94,7 @@ impl Sink {
                 ("kind".into(), node.kind.clone()),
                 ("payload".into(), payload.into()),
                 ("version".into(), version.to_string()),
+                ("units".into(), Json::Object(units).to_string()),
                 ("source".into(), (node.role != Role::Node).to_string()),
             ]);
             let exact = file.channel(schema, &format!("{EXACT_TOPIC}{name}"), EXACT_ENCODING, &about)?;

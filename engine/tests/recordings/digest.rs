@@ -39,7 +39,7 @@ fn order_chunks_compression_and_log_times_do_not_change_a_digest() {
     ];
     for (i, (chunk_bytes, compression, shuffle)) in layouts.into_iter().enumerate() {
         let path = dir.path().join(format!("{i}.mcap"));
-        let layout = Layout { chunk_bytes, compression, shuffle };
+        let layout = Layout { chunk_bytes, compression, shuffle, crc: true };
         rewrite(&original, &path, &layout, |_, header, _| {
             header.log_time += 17;
             true
@@ -54,7 +54,7 @@ fn a_recording_in_another_order_replays_and_so_does_a_wire_that_takes_anything()
     let dir = tempfile::tempdir().unwrap();
     let original = record(dir.path(), &[], 2);
     let path = dir.path().join("shuffled.mcap");
-    copy(&original, &path, &Layout { chunk_bytes: Some(4096), compression: None, shuffle: Some(9) });
+    copy(&original, &path, &Layout { chunk_bytes: Some(4096), compression: None, shuffle: Some(9), crc: true });
     let report = replay(&path, &registry(), &RunOptions::default(), &()).unwrap();
     assert!(report.is_equal(), "{:#?}", report.wires);
     let recording = osteoflow_engine::Recording::open(&path).unwrap();
@@ -83,7 +83,7 @@ fn a_wire_with_two_items_of_one_number_has_no_digest() {
     let dir = tempfile::tempdir().unwrap();
     let original = record(dir.path(), &[], 1);
     let path = dir.path().join("doubled.mcap");
-    let layout = Layout { chunk_bytes: Some(4096), compression: None, shuffle: None };
+    let layout = Layout { chunk_bytes: Some(4096), compression: None, shuffle: None, crc: true };
     rewrite(&original, &path, &layout, |topic, _, data| {
         if topic == "/exact/cut.short" && data[16] == 8 {
             data[16] = 7;

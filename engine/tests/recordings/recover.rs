@@ -24,7 +24,7 @@ type Flip<'a> = &'a dyn Fn(&mut Vec<u8>);
 fn chunked(dir: &Path) -> PathBuf {
     let original = record(dir, &[], 1);
     let path = dir.join("chunked.mcap");
-    copy(&original, &path, &Layout { chunk_bytes: Some(4096), compression: None, shuffle: None });
+    copy(&original, &path, &Layout { chunk_bytes: Some(4096), compression: None, shuffle: None, crc: true });
     path
 }
 

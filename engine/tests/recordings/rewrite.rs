@@ -20,6 +20,8 @@ pub(crate) struct Layout {
     pub(crate) chunk_bytes: Option<u64>,
     pub(crate) compression: Option<Compression>,
     pub(crate) shuffle: Option<u64>,
+    /// Whether chunks are summed; damage in others goes further.
+    pub(crate) crc: bool,
 }
 
 /// Writes what `from` holds to `to`; `change` may alter a message's topic, header and bytes, or leave it out.
@@ -49,6 +51,7 @@ pub(crate) fn rewrite(
     let options = WriteOptions::new()
         .profile("osteoflow")
         .compression(layout.compression)
+        .calculate_chunk_crcs(layout.crc)
         .use_chunks(layout.chunk_bytes.is_some())
         .chunk_size(layout.chunk_bytes);
     let mut writer: Writer<_> = options.create(fs::File::create(to).unwrap()).unwrap();

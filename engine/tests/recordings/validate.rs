@@ -8,7 +8,7 @@ use osteoflow_engine::{
 };
 use std::{fs, path::Path};
 
-const SMALL: Layout = Layout { chunk_bytes: Some(4096), compression: None, shuffle: None };
+const SMALL: Layout = Layout { chunk_bytes: Some(4096), compression: None, shuffle: None, crc: true };
 
 fn of(path: &Path) -> ValidateReport {
     validate(path, &registry(), &mut |_, _| {}).unwrap()

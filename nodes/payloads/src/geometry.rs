@@ -39,6 +39,7 @@ fn frame(view: &View) -> Result<Frame, ViewError> {
 impl Payload<Table> for Cloud {
     const NAME: &'static str = "geometry/Cloud";
     const VERSION: u32 = 1;
+    const UNITS: &'static [(&'static str, &'static str)] = &[("points", "mm"), ("viewpoint", "pose")];
 
     fn to_view(&self) -> View {
         let mut view = View::new().with("frame", self.frame.as_str()).with("stamp_ns", self.stamp_ns);
@@ -96,6 +97,7 @@ impl Payload<Table> for Cloud {
 impl Payload<Table> for Mesh {
     const NAME: &'static str = "geometry/Mesh";
     const VERSION: u32 = 1;
+    const UNITS: &'static [(&'static str, &'static str)] = &[("vertices", "mm")];
 
     fn to_view(&self) -> View {
         View::new()
@@ -139,6 +141,7 @@ impl Payload<Table> for Pose {
     const NAME: &'static str = "geometry/Pose";
     const VERSION: u32 = 1;
     const INTERPOLATES: bool = true;
+    const UNITS: &'static [(&'static str, &'static str)] = &[("isometry", "pose")];
 
     fn to_view(&self) -> View {
         View::new()
@@ -173,6 +176,7 @@ impl Payload<Table> for Pose {
 impl Payload<Table> for Points {
     const NAME: &'static str = "geometry/Points";
     const VERSION: u32 = 1;
+    const UNITS: &'static [(&'static str, &'static str)] = &[("positions", "mm")];
 
     fn to_view(&self) -> View {
         let names: Vec<&str> = self.points.iter().map(|p| &*p.name).collect();
@@ -233,6 +237,7 @@ impl Payload<Table> for Points {
 impl Payload<Table> for Planes {
     const NAME: &'static str = "geometry/Planes";
     const VERSION: u32 = 1;
+    const UNITS: &'static [(&'static str, &'static str)] = &[("isometries", "pose")];
 
     fn to_view(&self) -> View {
         let names: Vec<&str> = self.planes.iter().map(|p| &*p.name).collect();
@@ -301,6 +306,7 @@ impl Payload<Table> for Planes {
 impl Payload<Table> for Region {
     const NAME: &'static str = "geometry/Region";
     const VERSION: u32 = 1;
+    const UNITS: &'static [(&'static str, &'static str)] = &[("min", "mm"), ("max", "mm")];
 
     fn to_view(&self) -> View {
         View::new()
@@ -321,6 +327,7 @@ impl Payload<Table> for Region {
 impl Payload<Table> for Axes {
     const NAME: &'static str = "geometry/Axes";
     const VERSION: u32 = 1;
+    const UNITS: &'static [(&'static str, &'static str)] = &[("centre", "mm")];
 
     fn to_view(&self) -> View {
         View::new()

@@ -12,6 +12,7 @@ use serde_json::{Value as Json, json};
 impl Payload<Table> for Target {
     const NAME: &'static str = "algorithms/Target";
     const VERSION: u32 = 1;
+    const UNITS: &'static [(&'static str, &'static str)] = &[("points", "mm")];
 
     fn to_view(&self) -> View {
         let mut view = View::new()

@@ -1,0 +1,163 @@
+//! Where each item of a recording lies, and its digest: two recordings are compared without holding either.
+
+use crate::{
+    codec,
+    container::{self, Carries, Channels, Damage, MESSAGE_HEAD, Place, Record, Visit, Walk, Wire},
+    digest::Digest,
+    record::{RUN_METADATA, WIRES_METADATA},
+    recording::{About, MetadataRecords, RecordingError},
+    recover::RECOVERED_METADATA,
+};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    fs::File,
+    io,
+    ops::ControlFlow,
+    path::{Path, PathBuf},
+    rc::Rc,
+};
+
+/// Unpacked chunks that are kept for the next item.
+const KEPT_BYTES: usize = 64 << 20;
+
+/// An item's place.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Entry {
+    pub(super) number: u64,
+    pub(super) digest: Digest,
+    pub(super) place: Place,
+    n_bytes: u32,
+}
+
+/// The items of a wire, by number.
+pub(super) struct Indexed {
+    pub(super) about: Wire,
+    pub(super) entries: Vec<Entry>,
+}
+
+/// A recording, indexed.
+pub(super) struct Index {
+    path: PathBuf,
+    walk: Walk<File>,
+    pub(super) about: Option<About>,
+    pub(super) wires: BTreeMap<String, Indexed>,
+    pub(super) incomplete: Option<String>,
+    pub(super) metadata: MetadataRecords,
+    chunks: VecDeque<(u64, Rc<Vec<u8>>)>,
+}
+
+impl Index {
+    pub(super) fn of(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Self, RecordingError> {
+        let failed = |error| RecordingError::of(path, error);
+        let mut walk = Walk::open(path).map_err(|error| failed(error.into()))?;
+        let channels = Channels::of_summary(&mut walk).map_err(failed)?;
+        let wires = channels.wires().map(|wire| {
+            let indexed = Indexed { about: wire.clone(), entries: Vec::new() };
+            (wire.name.clone(), indexed)
+        });
+        let mut pass =
+            Pass { wires: wires.collect(), channels, metadata: BTreeMap::new(), damages: Vec::new(), progress };
+        let end = walk.run(&mut pass).map_err(failed)?;
+        let Pass { mut wires, metadata, damages, .. } = pass;
+        let mut incomplete = container::told(&damages, &end);
+        if wires.is_empty() && !metadata.contains_key(RUN_METADATA) {
+            let reason = incomplete.unwrap_or_else(|| "it has no exact channel".into());
+            return Err(RecordingError::Foreign { path: path.into(), reason });
+        }
+        if incomplete.is_none() {
+            incomplete = match metadata {
+                ref m if m.contains_key(RECOVERED_METADATA) => Some("it was recovered from a damaged file".into()),
+                ref m if !m.contains_key(WIRES_METADATA) => Some("the run did not finish it".into()),
+                _ => None,
+            };
+        }
+        for (name, wire) in &mut wires {
+            wire.entries.sort_by_key(|entry| entry.number);
+            if let Some(pair) = wire.entries.windows(2).find(|pair| pair[0].number == pair[1].number) {
+                let reason = "the number stands there twice; `osteoflow validate` tells all that is wrong".into();
+                return Err(RecordingError::Item { wire: name.clone(), number: pair[0].number, reason });
+            }
+        }
+        let about = About::of(path, &metadata, None).ok();
+        Ok(Self { path: path.into(), walk, about, wires, incomplete, metadata, chunks: VecDeque::new() })
+    }
+
+    pub(super) fn n_bytes(&self) -> u64 {
+        self.walk.n_bytes()
+    }
+
+    /// The bytes of an item.
+    pub(super) fn message(&mut self, entry: &Entry) -> Result<Vec<u8>, RecordingError> {
+        self.read(entry).map_err(|source| RecordingError::Read { path: self.path.clone(), source })
+    }
+
+    fn read(&mut self, entry: &Entry) -> io::Result<Vec<u8>> {
+        let Some(at) = entry.place.in_chunk else {
+            return self.walk.bytes_at(entry.place.offset + MESSAGE_HEAD, entry.n_bytes.into());
+        };
+        let chunk = self.chunk(entry.place.offset)?;
+        let start = usize::try_from(at + MESSAGE_HEAD).unwrap_or(usize::MAX);
+        let bytes = start.checked_add(entry.n_bytes as usize).and_then(|end| chunk.get(start..end));
+        bytes.map(<[u8]>::to_vec).ok_or_else(|| io::Error::other("the file has changed while it was read"))
+    }
+
+    fn chunk(&mut self, at: u64) -> io::Result<Rc<Vec<u8>>> {
+        if let Some(found) = self.chunks.iter().position(|(offset, _)| *offset == at)
+            && let Some(kept) = self.chunks.remove(found)
+        {
+            let chunk = kept.1.clone();
+            self.chunks.push_back(kept);
+            return Ok(chunk);
+        }
+        let chunk = Rc::new(self.walk.chunk_at(at)?);
+        self.chunks.push_back((at, chunk.clone()));
+        let kept = |chunks: &VecDeque<(u64, Rc<Vec<u8>>)>| chunks.iter().map(|(_, chunk)| chunk.len()).sum::<usize>();
+        while self.chunks.len() > 1 && kept(&self.chunks) > KEPT_BYTES {
+            self.chunks.pop_front();
+        }
+        Ok(chunk)
+    }
+}
+
+struct Pass<'a> {
+    channels: Channels,
+    wires: BTreeMap<String, Indexed>,
+    metadata: MetadataRecords,
+    damages: Vec<Damage>,
+    progress: &'a mut dyn FnMut(u64, u64),
+}
+
+impl Visit for Pass<'_> {
+    fn record(&mut self, place: Place, record: Record<'_>) -> ControlFlow<()> {
+        match record {
+            Record::Metadata { name, entries } => drop(self.metadata.insert(name.into(), entries)),
+            Record::Channel(channel) => {
+                if let Carries::Exact(wire) = self.channels.add(channel) {
+                    let indexed = || Indexed { about: wire.clone(), entries: Vec::new() };
+                    self.wires.entry(wire.name.clone()).or_insert_with(indexed);
+                }
+            }
+            Record::Message(message) => {
+                if let Some(Carries::Exact(wire)) = self.channels.get(message.channel_id)
+                    && let Some(indexed) = self.wires.get_mut(&wire.name)
+                    && let Some(number) = codec::number(message.data)
+                    && let Ok(n_bytes) = message.data.len().try_into()
+                {
+                    let digest = Digest::of(message.data);
+                    indexed.entries.push(Entry { number, digest, place, n_bytes });
+                }
+            }
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        self.damages.push(damage);
+        ControlFlow::Continue(())
+    }
+
+    fn progress(&mut self, at: u64, of: u64) {
+        (self.progress)(at, of);
+    }
+}

@@ -1,0 +1,199 @@
+use super::{Exit, Format, Global, UsageError, print_json, reading::Reading, text_table::TextTable};
+use anyhow::Result;
+use clap::Args;
+use osteoflow_engine::diff::{DiffOptions, DiffReport, Difference, Largest, Side, WireDiff, diff};
+use serde_json::{Value, json};
+use std::{io::Write, path::PathBuf};
+
+/// Compare two recordings: where they part first, and how far each wire differs.
+///
+/// First is what the graph computes first: wires in the topological order of the graph in A, items by number. Bits are
+/// compared, so that NaN equals NaN and -0.0 differs from 0.0. Exit code 0: equal; 4: they differ.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow diff runs/first/run.mcap runs/second/run.mcap
+  osteoflow diff a.mcap b.mcap --wires 'icp.*' 'planes.*'
+  osteoflow diff a.mcap b.mcap --tolerance 1e-9  equal within a millionth of a micrometre, in mm and rad alike")]
+pub(crate) struct Diff {
+    /// The first recording; its graph gives the order.
+    a: PathBuf,
+
+    /// The second one.
+    b: PathBuf,
+
+    /// Wires as NODE.PORT; * stands for any run of characters. Default: all.
+    #[arg(long, value_name = "GLOB", num_args = 1..)]
+    wires: Vec<String>,
+
+    /// Numbers that differ by no more than this, each in its own unit, count as equal.
+    #[arg(long, value_name = "VALUE", default_value_t = 0.0)]
+    tolerance: f64,
+}
+
+impl Diff {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        if !(self.tolerance >= 0.0 && self.tolerance.is_finite()) {
+            let said = format!("--tolerance takes a number that is not negative, not {}", self.tolerance);
+            return Err(UsageError(said).into());
+        }
+        let options = DiffOptions { wires: self.wires.clone(), tolerance: self.tolerance };
+        let mut reading = Reading::begin("comparing", &self.a, global);
+        let report = diff(&self.a, &self.b, &options, &mut |at, of| reading.at(at, of))?;
+        drop(reading);
+        if report.wires.is_empty() && !self.wires.is_empty() {
+            let said = format!("no wire of either recording is called {}", self.wires.join(" or "));
+            return Err(UsageError(said).into());
+        }
+        let exit = if report.is_equal() { Exit::Done } else { Exit::Differs };
+        match global.format {
+            Format::Json => print_json(&as_json(&report, exit))?,
+            Format::Text => self.print_text(&report, global)?,
+        }
+        Ok(exit)
+    }
+
+    fn print_text(&self, report: &DiffReport, global: &Global) -> Result<()> {
+        let word = global.paint_err("warning", "1;33");
+        for (path, side) in [&self.a, &self.b].into_iter().zip(&report.sides) {
+            if let Some(reason) = &side.incomplete {
+                let path = path.display();
+                writeln!(std::io::stderr(), "{word}: {path} may lack items ({reason}); what is there is compared")?;
+            }
+        }
+        let mut out = std::io::stdout().lock();
+        if let Some(first) = &report.first {
+            let (wire, item) = (&first.wire, first.item);
+            writeln!(out, "{}: wire {wire}, item {item}", global.paint_out("first divergence", "1;31"))?;
+            writeln!(out, "  {}", first.what.field)?;
+            writeln!(out, "  A  {}", first.what.a)?;
+            writeln!(out, "  B  {}", first.what.b)?;
+            let apart = apart(&first.what);
+            if !apart.is_empty() {
+                writeln!(out, "  {apart}")?;
+            }
+            writeln!(out)?;
+        }
+        if !global.quiet {
+            let mut table = TextTable::new("wires", &["A", "B", "differ", "largest ulp"]);
+            for wire in &report.wires {
+                let [n_a, n_b] = wire.n_items;
+                let ulp = if wire.largest == Largest::default() { String::new() } else { wire.largest.ulp.to_string() };
+                let differ = (wire.n_differ + wire.n_only[0] + wire.n_only[1]).to_string();
+                table.row(&wire.wire, [n_a.to_string(), n_b.to_string(), differ, ulp, remark(wire)]);
+            }
+            writeln!(out, "{}", table.lines())?;
+            for said in sides(report) {
+                writeln!(out, "{said}")?;
+            }
+        }
+        let n_differ = report.wires.iter().filter(|wire| !wire.is_equal()).count();
+        let n = report.wires.len();
+        match n_differ {
+            0 if report.wires.iter().any(|wire| wire.n_within > 0) => {
+                writeln!(out, "equal within {:e}: {n} wires", self.tolerance)?;
+            }
+            0 => writeln!(out, "equal: {n} wires")?,
+            _ => writeln!(out, "{n_differ} of {n} wires differ")?,
+        }
+        Ok(())
+    }
+}
+
+/// How far two values lie apart, in words.
+fn apart(what: &Difference) -> String {
+    let mut parts = Vec::new();
+    if let Some(distance) = what.distance {
+        parts.push(format!("{distance:e} {}", what.unit.as_deref().unwrap_or("")).trim_end().to_owned() + " apart");
+    }
+    parts.extend(what.ulp.map(|ulp| format!("{ulp} ulp")));
+    parts.extend(what.note.clone());
+    parts.join(", ")
+}
+
+/// What there is to say of a wire beside its counts.
+fn remark(wire: &WireDiff) -> String {
+    let mut parts = Vec::new();
+    match wire.there {
+        [true, false] => parts.push("only in A".into()),
+        [false, true] => parts.push("only in B".into()),
+        _ => {
+            for (side, n) in ["A", "B"].iter().zip(wire.n_only).filter(|(_, n)| *n > 0) {
+                parts.push(format!("{n} only in {side}"));
+            }
+            if wire.payloads[0] != wire.payloads[1] {
+                parts.push(format!("{} and {}", wire.payloads[0], wire.payloads[1]));
+            }
+        }
+    }
+    parts
+        .extend(wire.largest.by_unit.iter().map(|(unit, distance)| format!("{distance:.3e} {unit}").trim().to_owned()));
+    let counts = [(wire.n_stamps, "stamps"), (wire.n_empties, "empties"), (wire.n_within, "within the tolerance")];
+    parts.extend(counts.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")));
+    if parts.is_empty() && wire.is_equal() { "equal".into() } else { parts.join(", ") }
+}
+
+/// What differs between the runs themselves.
+fn sides(report: &DiffReport) -> Vec<String> {
+    let [a, b] = &report.sides;
+    let mut said = Vec::new();
+    let mut compare = |what: &str, get: fn(&Side) -> Option<String>| {
+        let told = |side: &Side| get(side).unwrap_or_else(|| "unknown".into());
+        if get(a) != get(b) {
+            said.push(format!("{what}: A {}, B {}", told(a), told(b)));
+        }
+    };
+    compare("graph", |side| side.graph.clone());
+    compare("seed", |side| side.seed.map(|seed| seed.to_string()));
+    compare("version", |side| side.version.clone());
+    if report.same_graph == Some(false) {
+        said.push("the graphs, as they ran, are not the same text".into());
+    }
+    if report.same_results == Some(false) {
+        said.push("the results differ".into());
+    }
+    said
+}
+
+fn as_json(report: &DiffReport, exit: Exit) -> Value {
+    let difference = |what: &Difference| {
+        json!({
+            "field": what.field, "a": what.a, "b": what.b,
+            "ulp": what.ulp, "distance": what.distance, "unit": what.unit, "note": what.note,
+        })
+    };
+    let wires = report.wires.iter().map(|wire| {
+        json!({
+            "wire": wire.wire,
+            "equal": wire.is_equal(),
+            "in_a": wire.there[0], "in_b": wire.there[1],
+            "items_a": wire.n_items[0], "items_b": wire.n_items[1],
+            "payload_a": wire.payloads[0], "payload_b": wire.payloads[1],
+            "differ": wire.n_differ,
+            "within_tolerance": wire.n_within,
+            "only_in_a": wire.n_only[0], "only_in_b": wire.n_only[1],
+            "stamps": wire.n_stamps,
+            "empties": wire.n_empties,
+            "largest_ulp": wire.largest.ulp,
+            "largest_by_unit": wire.largest.by_unit,
+            "first": wire.first.as_ref().map(|(item, what)| json!({ "item": item, "what": difference(what) })),
+        })
+    });
+    let side = |side: &Side| {
+        json!({
+            "graph": side.graph, "seed": side.seed, "version": side.version, "incomplete": side.incomplete,
+        })
+    };
+    json!({
+        "outcome": exit.to_json(),
+        "equal": report.is_equal(),
+        "first": report.first.as_ref().map(|first| {
+            json!({ "wire": first.wire, "item": first.item, "what": difference(&first.what) })
+        }),
+        "same_graph": report.same_graph,
+        "same_results": report.same_results,
+        "a": side(&report.sides[0]),
+        "b": side(&report.sides[1]),
+        "wires": wires.collect::<Value>(),
+    })
+}
