@@ -80,7 +80,9 @@ fn verbose_shows_where_the_time_went_and_what_the_wires_carried_and_quiet_shows_
     let dir = tempfile::tempdir().unwrap();
     let output = osteoflow().args(["run", GRAPH, "-v", "--out"]).arg(dir.path().join("a")).output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
-    for words in ["p99 ms", "highest fill", "calibration", "recording.phantom_scan -> calibration.cloud"] {
+    for words in
+        ["share", "p99", "<- slowest", "highest fill", "calibration", "recording.phantom_scan -> calibration.cloud"]
+    {
         assert!(said.contains(words), "{said}\nlacks {words}");
     }
     let output = osteoflow().args(["run", GRAPH, "--quiet", "--out"]).arg(dir.path().join("b")).output().unwrap();
