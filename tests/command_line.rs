@@ -12,6 +12,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("expand", "extends"),
     ("inspect", "--write-docs"),
     ("graph", "mermaid"),
+    ("schema", "#:schema"),
     ("record", "--wires"),
     ("replay", "--out"),
     ("digest", "sha256sum"),

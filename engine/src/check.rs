@@ -16,6 +16,11 @@ mod record;
 mod resolved;
 mod results;
 mod schema;
+pub(crate) mod schema_words {
+    //! Words of the graph file that its schema lists.
+    pub(crate) use super::join::{JOINS, POLICIES};
+}
+mod starve;
 pub(crate) mod take;
 mod trigger;
 pub(crate) mod unit;
@@ -153,6 +158,9 @@ impl<'r> Check<'r> {
         }
         let order = self.order(&drafts, &inputs);
         let frames = order.as_ref().map(|order| self.frames(&drafts, &inputs, &header, order));
+        if let Some(order) = &order {
+            self.faults.extend(starve::warnings(&drafts, &inputs, order));
+        }
         let record = self.record(graph, &drafts);
         let results = self.results(graph, &drafts);
         let faults = told(sorted(self.faults));

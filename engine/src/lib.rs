@@ -20,6 +20,7 @@ pub mod replay;
 pub mod repro;
 mod results;
 pub mod run;
+pub mod schema;
 mod sync;
 #[cfg(test)]
 mod toy;

@@ -23,6 +23,7 @@ mod result_table;
 mod run;
 mod run_table;
 mod running;
+mod schema;
 mod simulate;
 mod simulate_folder;
 mod text_table;
@@ -142,6 +143,7 @@ pub(crate) enum Command {
     Expand(expand::Expand),
     Inspect(inspect::Inspect),
     Graph(graph::Graph),
+    Schema(schema::Schema),
     Record(record::Record),
     Replay(replay::Replay),
     Digest(digest::Digest),
@@ -168,6 +170,7 @@ impl Command {
             Self::Expand(command) => command.execute(global),
             Self::Inspect(command) => command.execute(global),
             Self::Graph(command) => command.execute(global),
+            Self::Schema(command) => command.execute(global),
             Self::Simulate(command) => command.execute(global),
             Self::Completions(command) => command.execute(global),
         }

@@ -66,6 +66,9 @@ pub(crate) fn markdown(of: &Description) -> String {
     }
     match of.role {
         Role::Node => inputs(&mut out, &of.inputs),
+        Role::Source if of.constant => out.push_str(
+            "\nA source of constants: one item on each output, without a time (stamp 0). It has no inputs.\n",
+        ),
         Role::Source => out.push_str("\nA source: it has no inputs.\n"),
         Role::LiveSource => {
             out.push_str("\nA live source: it follows the world's clock, so lossy wires may hang on it.\n")

@@ -12,6 +12,8 @@ pub struct Description {
     pub details: String,
     /// Node or source.
     pub role: Role,
+    /// Whether it is a source of constants: one item on each output, without a time (stamp 0).
+    pub constant: bool,
     /// Its input ports; none for a source.
     pub inputs: Vec<InputPort>,
     /// Its output ports.

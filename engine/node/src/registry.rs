@@ -46,7 +46,11 @@ impl Registry {
         let role = if S::LIVE { Role::LiveSource } else { Role::Source };
         self.add::<S>(S::KIND, role, Vec::new(), S::Outputs::ports(), params_schema::<S::Params>(), |p| {
             Ok(Built::Source(Box::new(Erased(S::new(read(p)?)?))))
-        })
+        });
+        if let Some(kind) = self.kinds.get_mut(S::KIND) {
+            kind.description.constant = S::CONSTANT;
+        }
+        self
     }
 
     /// Adds a payload type, so that graphs may declare ports of it and recordings of it can be read.
@@ -90,6 +94,7 @@ impl Registry {
             summary: summary.replace('\n', " ").trim().into(),
             details: details.trim().into(),
             role,
+            constant: false,
             inputs,
             outputs,
             params,

@@ -39,6 +39,8 @@ pub trait Source: Describe + Send + Sized + 'static {
     const KIND: &'static str;
     /// Whether it follows the world's clock, so that lossy wires may hang on it.
     const LIVE: bool = false;
+    /// Whether it gives constants: one item on each output, without a time (stamp 0), and then ends.
+    const CONSTANT: bool = false;
     /// The parameters, with defaults, ranges and reasons in their docs.
     type Params: Parameters;
     /// The output ports; [`crate::Declared`] where the graph declares them.

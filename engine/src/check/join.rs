@@ -13,8 +13,8 @@ use crate::{
 use osteoflow_node::{Join, PortPayload, Role};
 
 const KEYS: [&str; 9] = ["from", "capacity", "max_bytes", "policy", "every", "join", "tolerance_ms", "max_gap_ms", "n"];
-const JOINS: [&str; 6] = ["each", "stamp", "collect", "latest", "interpolate", "once"];
-const POLICIES: [&str; 5] = ["block", "drop_old", "drop_new", "sample", "fail"];
+pub(crate) const JOINS: [&str; 6] = ["each", "stamp", "collect", "latest", "interpolate", "once"];
+pub(crate) const POLICIES: [&str; 5] = ["block", "drop_old", "drop_new", "sample", "fail"];
 
 impl Check<'_> {
     /// What an input's table says beside its producer: join, capacity, policy.

@@ -173,6 +173,49 @@ fn stamp_within_a_tolerance_takes_the_newest_up_to_the_latest_head() {
 }
 
 #[test]
+fn stamp_pairs_items_of_equal_stamps_in_their_order() {
+    let offers = [vec![V(2, 1.0), V(2, 2.0), V(2, 3.0), V(4, 4.0)], vec![V(2, 20.0), V(2, 21.0), V(4, 40.0)]];
+    check(&[plain(stamp(0)), plain(stamp(0))], &offers, &["2: 1 20", "2: 2 21", "4: 4 40"]);
+    assert_eq!(run(&[plain(stamp(0)), plain(stamp(0))], &offers, 0..).1, [1, 0], "the third has no partner");
+}
+
+#[test]
+fn stamp_matches_an_empty_as_it_matches_a_value() {
+    let offers = [vec![V(1, 1.0), Lost(2), V(3, 3.0)], vec![V(1, 10.0), V(2, 20.0), V(3, 30.0)]];
+    let expected = ["1: 1 10", "2: skipped by marker: lost", "3: 3 30"];
+    check(&[plain(stamp(0)), plain(stamp(0))], &offers, &expected);
+}
+
+#[test]
+fn of_two_items_equally_near_stamp_takes_the_earlier() {
+    let offers = [vec![V(10, 1.0)], vec![V(9, 90.0), V(11, 110.0)]];
+    check(&[plain(EACH), plain(stamp(2))], &offers, &["10: 1 90"]);
+    let offers = [vec![V(10, 1.0)], vec![V(8, 80.0), V(11, 110.0)]];
+    check(&[plain(EACH), plain(stamp(2))], &offers, &["11: 1 110"]);
+}
+
+#[test]
+fn of_several_samples_at_one_stamp_the_last_counts() {
+    let offers = [vec![V(10, 1.0), V(15, 2.0)], vec![V(10, 100.0), V(10, 200.0), V(20, 300.0)]];
+    check(&[plain(EACH), plain(interpolate(10))], &offers, &["10: 1 200", "15: 2 250"]);
+    check(&[plain(EACH), plain(Join::Latest)], &offers, &["10: 1 200", "15: 2 200"]);
+}
+
+#[test]
+fn a_sampler_that_has_ended_is_read_to_its_last_item() {
+    let offers = [vec![V(1, 1.0), V(9, 9.0)], vec![V(1, 10.0)]];
+    check(&[plain(EACH), plain(Join::Latest)], &offers, &["1: 1 10", "9: 9 10"]);
+    let last = "9: skipped by node: input \"port\": the last sample of from.wire is 8 ns before the stamp";
+    check(&[plain(EACH), plain(interpolate(100))], &offers, &["1: 1 10", last]);
+}
+
+#[test]
+fn collect_beside_each_goes_in_step_a_collection_a_turn() {
+    let offers = [vec![V(1, 1.0), V(2, 2.0), V(3, 3.0), V(4, 4.0)], vec![V(5, 50.0), V(6, 60.0), V(7, 70.0)]];
+    check(&[plain(collect(2)), plain(EACH)], &offers, &["5: [1 2] 50", "6: [3 4] 60"]);
+}
+
+#[test]
 fn stamp_beside_each_takes_the_nearest_and_skips_where_none_is_near() {
     let offers = [vec![V(10, 1.0), V(20, 2.0), V(30, 3.0)], vec![V(9, 9.0), V(10, 10.0), V(25, 25.0), V(31, 31.0)]];
     let none = "20: skipped by node: input \"port\": no item of from.wire within 2 ns of the stamp";

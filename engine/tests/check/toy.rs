@@ -68,9 +68,13 @@ macro_rules! node {
 
 macro_rules! source {
     ($name:ident, $kind:literal, $live:literal, $params:ty, $outputs:ty) => {
+        source!($name, $kind, $live, false, $params, $outputs);
+    };
+    ($name:ident, $kind:literal, $live:literal, $constant:literal, $params:ty, $outputs:ty) => {
         impl Source for $name {
             const KIND: &'static str = $kind;
             const LIVE: bool = $live;
+            const CONSTANT: bool = $constant;
             type Params = $params;
             type Outputs = $outputs;
 
@@ -155,7 +159,7 @@ pub(crate) struct SurfaceOut {
     report: Report,
 }
 
-source!(Surface, "surface.read", false, SurfaceParams, SurfaceOut);
+source!(Surface, "surface.read", false, true, SurfaceParams, SurfaceOut);
 
 /// Keeps what lies in a box.
 #[derive(Describe)]

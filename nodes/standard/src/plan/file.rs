@@ -28,6 +28,7 @@ pub struct Params {
 
 impl Source for File {
     const KIND: &'static str = "plan.file";
+    const CONSTANT: bool = true;
     type Params = Params;
     type Outputs = Out;
 

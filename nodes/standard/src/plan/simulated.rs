@@ -28,6 +28,7 @@ pub struct Params {
 
 impl Source for Simulated {
     const KIND: &'static str = "plan.simulated";
+    const CONSTANT: bool = true;
     type Params = Params;
     type Outputs = Out;
 

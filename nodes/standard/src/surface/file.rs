@@ -52,6 +52,7 @@ pub struct Out {
 
 impl Source for File {
     const KIND: &'static str = "surface.file";
+    const CONSTANT: bool = true;
     type Params = Params;
     type Outputs = Out;
 

@@ -45,6 +45,7 @@ pub struct Out {
 
 impl Source for Simulated {
     const KIND: &'static str = "surface.simulated";
+    const CONSTANT: bool = true;
     type Params = Params;
     type Outputs = Out;
 

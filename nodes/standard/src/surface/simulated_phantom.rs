@@ -23,6 +23,7 @@ pub struct Out {
 
 impl Source for SimulatedPhantom {
     const KIND: &'static str = "surface.simulated_phantom";
+    const CONSTANT: bool = true;
     type Params = crate::NoParams;
     type Outputs = Out;
 

@@ -1,0 +1,160 @@
+//! Warnings of joins that never fire, or only once where a stream is wired: what roles and descriptions tell for certain.
+
+use super::{drafts::Draft, inputs::Input, wires};
+use crate::fault::Fault;
+use osteoflow_node::{Join, OutputPorts, Role};
+
+/// How many items come on the outputs of a node.
+#[derive(Clone, Copy, PartialEq)]
+enum Count {
+    /// At most one, whatever comes in.
+    One,
+    /// As many as the world gives: more than one, for all that is known.
+    Stream,
+    Unknown,
+}
+
+/// What is known of the outputs of a node.
+#[derive(Clone, Copy)]
+struct Flow {
+    count: Count,
+    /// Whether every item has stamp 0: it comes from constants alone.
+    timeless: bool,
+}
+
+/// Warnings, in topological order of the nodes.
+pub(super) fn warnings(drafts: &[Draft<'_>], inputs: &[Vec<Input>], order: &[usize]) -> Vec<Fault> {
+    let mut flows = vec![Flow { count: Count::Unknown, timeless: false }; drafts.len()];
+    let mut faults = Vec::new();
+    for &node in order {
+        let node_of = Node { draft: &drafts[node], inputs: &inputs[node], flows: &flows, drafts };
+        if drafts[node].role() == Some(Role::Node) {
+            faults.extend(node_of.warnings());
+        }
+        flows[node] = node_of.flow();
+    }
+    faults
+}
+
+struct Node<'a, 'd> {
+    draft: &'a Draft<'d>,
+    inputs: &'a [Input],
+    flows: &'a [Flow],
+    drafts: &'a [Draft<'d>],
+}
+
+impl<'a> Node<'a, '_> {
+    /// The inputs that matter, each with what comes there.
+    fn wired(&self) -> impl Iterator<Item = (&'a Input, Flow)> {
+        let flows = self.flows;
+        let used = self.inputs.iter().filter(|input| !input.port.unused);
+        used.filter_map(move |input| Some((input, flows[input.from?.0])))
+    }
+
+    fn triggers(&self) -> impl Iterator<Item = (&'a Input, Flow)> {
+        self.wired().filter(|(input, _)| input.port.join.triggers())
+    }
+
+    fn flow(&self) -> Flow {
+        let unknown = Flow { count: Count::Unknown, timeless: false };
+        match self.draft.role() {
+            // Of several outputs some may give a single item; the only one is what the source is live for.
+            Some(Role::LiveSource) if self.has_one_output_of_its_own() => {
+                return Flow { count: Count::Stream, timeless: false };
+            }
+            Some(Role::Source) if self.draft.kind.is_some_and(|kind| kind.description.constant) => {
+                return Flow { count: Count::One, timeless: true };
+            }
+            Some(Role::Node) => {}
+            _ => return unknown,
+        }
+        // What a module is given from outside, and what is at fault, may be anything.
+        if self.inputs.iter().any(|input| input.at.is_some() && input.from.is_none()) {
+            return unknown;
+        }
+        let fires: Vec<_> = self.triggers().collect();
+        if fires.is_empty() {
+            return Flow { count: Count::One, timeless: self.wired().all(|(_, flow)| flow.timeless) };
+        }
+        // An optional port that has ended no longer counts, so only the others bound how often the node fires.
+        let bounds = |(input, flow): &(&Input, Flow)| match input.port.join {
+            Join::Collect { n: None } => true,
+            _ => flow.count == Count::One,
+        };
+        let one = fires.iter().any(|trigger| !trigger.0.port.optional && bounds(trigger)) || fires.iter().all(bounds);
+        let each_of_a_stream =
+            |(input, flow): &(&Input, Flow)| matches!(input.port.join, Join::Each) && flow.count == Count::Stream;
+        let count = match one {
+            true => Count::One,
+            false if fires.iter().all(each_of_a_stream) => Count::Stream,
+            false => Count::Unknown,
+        };
+        Flow { count, timeless: fires.iter().all(|(_, flow)| flow.timeless) }
+    }
+
+    fn has_one_output_of_its_own(&self) -> bool {
+        let outputs = self.draft.kind.map(|kind| &kind.description.outputs);
+        matches!(outputs, Some(OutputPorts::Fixed(ports)) if ports.len() == 1)
+    }
+
+    fn warnings(&self) -> Vec<Fault> {
+        let stream = self.triggers().find(|(_, flow)| flow.count == Count::Stream);
+        let timed = self.triggers().find(|(_, flow)| !flow.timeless && self.follows_a_clock(flow));
+        let mut faults = Vec::new();
+        for (input, flow) in self.wired() {
+            let (Some(at), Some(from)) = (&input.at, input.from) else { continue };
+            let (wire, port) = (wires::name(from, self.drafts), input.port.name);
+            let warn = |what: String| Fault::new(format!("node \"{}\": {what}", self.draft.name)).warning();
+            let never = if input.port.optional { "it never has a value" } else { "the node never has a result" };
+            faults.extend(match input.port.join {
+                Join::Once if flow.count == Count::Stream => Some(
+                    warn(format!("input \"{port}\" takes one item for the whole run, but \"{wire}\" is a stream"))
+                        .at(at, "gives more than one item")
+                        .note("a second item on an input that joins by once fails the run")
+                        .help("write join = \"latest\" for the newest, or join = \"each\" to go in step"),
+                ),
+                Join::Collect { n: Some(n) } if n > 1 && flow.count == Count::One => Some(
+                    warn(format!("input \"{port}\" collects {n} items, but \"{wire}\" gives one"))
+                        .at(at, format!("{n} never come"))
+                        .note(format!("{never}: 1 of {n} items came before the end"))
+                        .help("write n = 1, or take n away to collect all until the end"),
+                ),
+                Join::Each if flow.count == Count::One && !input.port.optional => stream.map(|(other, _)| {
+                    let other_wire = other.from.map(|from| wires::name(from, self.drafts)).unwrap_or_default();
+                    let fault =
+                        warn(format!("fires once: input \"{port}\" takes each item of \"{wire}\", which gives one"));
+                    let fault = fault.at(at, "one item");
+                    let fault = match &other.at {
+                        Some(at) => fault.also(at, "a stream, of which the rest has no partner"),
+                        None => fault,
+                    };
+                    let note = format!(
+                        "inputs that join by each go in step, so all but one of \"{other_wire}\" are left over"
+                    );
+                    fault
+                        .note(note)
+                        .help(format!("write join = \"once\" for {port}: a constant is there at every firing"))
+                }),
+                Join::Stamp { .. } if flow.timeless => timed.map(|_| {
+                    warn(format!("input \"{port}\" joins by stamp, but \"{wire}\" is a constant without a time"))
+                        .at(at, "its stamp is 0")
+                        .note(format!("{never}: no item of a stream that follows a clock has that stamp"))
+                        .help("write join = \"once\": a constant is there at every firing")
+                }),
+                Join::Interpolate { .. } if flow.timeless && flow.count == Count::One => timed.map(|_| {
+                    warn(format!("input \"{port}\" joins by interpolate, but \"{wire}\" is a constant without a time"))
+                        .at(at, "one sample, at stamp 0")
+                        .note(format!("{never}: a constant has no neighbours to read between"))
+                        .help("write join = \"once\": a constant is there at every firing")
+                }),
+                _ => None,
+            });
+        }
+        faults
+    }
+
+    /// Whether items have times that are surely not 0.
+    fn follows_a_clock(&self, flow: &Flow) -> bool {
+        flow.count == Count::Stream
+    }
+}

@@ -1,0 +1,37 @@
+use super::{Exit, Global, UsageError, registry};
+use anyhow::Result;
+use clap::Args;
+use osteoflow_engine::schema;
+use std::io::Write;
+
+/// Write the JSON Schema of the graph file, so that editors complete kinds and parameters and mark what is wrong.
+///
+/// It is made from what the nodes say of themselves. A TOML language server (taplo, Even Better TOML) finds it by the
+/// first line of a graph: #:schema PATH, relative to the graph.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow schema > graphs/osteoflow.schema.json
+  osteoflow schema --kind icp.point_to_plane       the table of one node")]
+pub(crate) struct Schema {
+    /// Only the table of a node of this kind.
+    #[arg(long, value_name = "KIND")]
+    kind: Option<String>,
+}
+
+impl Schema {
+    pub(crate) fn execute(&self, _: &Global) -> Result<Exit> {
+        let registry = registry();
+        let schema = match &self.kind {
+            None => schema::schema(&registry),
+            Some(kind) => schema::kind_schema(&registry, kind).ok_or_else(|| {
+                let kinds = registry.kinds().map(|kind| kind.description.kind);
+                let near = osteoflow_engine::check::nearest(kind, kinds);
+                let near = near.map(|near| format!("did you mean \"{near}\"? ")).unwrap_or_default();
+                UsageError(format!("there is no kind \"{kind}\"; {near}`osteoflow inspect` lists them"))
+            })?,
+        };
+        writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&schema)?)?;
+        Ok(Exit::Done)
+    }
+}

@@ -1,0 +1,108 @@
+//! The schema that editors read is that of the nodes, every shipped graph fits it, and what is wrong does not.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{assert_golden, osteoflow, root, shipped_graphs, shipped_modules};
+use jsonschema::Validator;
+use serde_json::Value;
+use std::fs;
+
+fn schema() -> Value {
+    osteoflow_engine::schema::schema(&osteoflow_standard::registry())
+}
+
+fn validator() -> Validator {
+    jsonschema::draft7::new(&schema()).unwrap()
+}
+
+fn graph(text: &str) -> Value {
+    serde_json::to_value(text.parse::<toml::Table>().unwrap_or_else(|error| panic!("{error}\n{text}"))).unwrap()
+}
+
+#[test]
+fn the_schema_beside_the_graphs_is_that_of_the_nodes() {
+    let text = serde_json::to_string_pretty(&schema()).unwrap() + "\n";
+    assert_golden(&root().join("graphs/osteoflow.schema.json"), &text);
+    let said = osteoflow().arg("schema").assert().success();
+    assert_eq!(String::from_utf8(said.get_output().stdout.clone()).unwrap(), text);
+    jsonschema::draft7::meta::validate(&schema()).unwrap();
+}
+
+#[test]
+fn every_shipped_graph_names_the_schema_in_its_first_line_and_fits_it() {
+    let validator = validator();
+    for path in shipped_graphs().into_iter().chain(shipped_modules()) {
+        let text = fs::read_to_string(root().join(&path)).unwrap();
+        let named =
+            text.lines().next().unwrap().strip_prefix("#:schema ").unwrap_or_else(|| panic!("{path} names none"));
+        let named = root().join(&path).parent().unwrap().join(named);
+        let expected = fs::canonicalize(root().join("graphs/osteoflow.schema.json")).unwrap();
+        assert_eq!(fs::canonicalize(&named).unwrap(), expected, "{path}");
+        let wrong: Vec<_> = validator.iter_errors(&graph(&text)).map(|error| error.to_string()).collect();
+        assert!(wrong.is_empty(), "{path}: {wrong:#?}");
+    }
+}
+
+#[test]
+fn every_expanded_graph_fits_the_schema() {
+    let validator = validator();
+    let registry = osteoflow_standard::registry();
+    for path in shipped_graphs() {
+        let plan = osteoflow_engine::check(&root().join(&path), &[], &registry).unwrap().plan;
+        let wrong: Vec<_> = validator.iter_errors(&graph(&plan.resolved)).map(|error| error.to_string()).collect();
+        assert!(wrong.is_empty(), "{path}: {wrong:#?}");
+    }
+}
+
+/// A schema sees one file: in a variant the kind stands in the extended graph, and is written into the tables here.
+#[test]
+fn broken_graphs_whose_kinds_and_parameters_are_wrong_do_not_fit() {
+    let validator = validator();
+    let registry = osteoflow_standard::registry();
+    let base = osteoflow_engine::check(&root().join("graphs/fibula.toml"), &[], &registry).unwrap().plan;
+    // What the extended graph wrote, and the words of no kind, are not there to be seen.
+    let elsewhere = ["parameter_of_the_other_kind", "parameters_missing"];
+    let (mut n_seen, mut unseen) = (0, Vec::new());
+    for entry in fs::read_dir(root().join("tests/broken")).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
+        let meant =
+            ["kind_", "parameter", "nested_", "list_", "input_misspelt"].iter().any(|word| name.starts_with(word));
+        if path.extension().is_none_or(|ext| ext != "toml") || !meant || elsewhere.contains(&name.as_str()) {
+            continue;
+        }
+        let mut value = graph(&fs::read_to_string(&path).unwrap());
+        for (node, table) in value["node"].as_object_mut().unwrap() {
+            let known = base.nodes.iter().find(|known| *known.name == **node);
+            let table = table.as_object_mut().unwrap();
+            table.entry("kind").or_insert_with(|| known.map_or(Value::Null, |known| known.kind.clone().into()));
+        }
+        n_seen += 1;
+        if validator.is_valid(&value) {
+            unseen.push(name);
+        }
+    }
+    assert!(n_seen >= 10, "only {n_seen} broken graphs looked at");
+    assert!(unseen.is_empty(), "{unseen:?} fit the schema");
+}
+
+#[test]
+fn the_example_of_every_kind_fits_its_own_schema() {
+    let registry = osteoflow_standard::registry();
+    for kind in registry.kinds() {
+        let description = &kind.description;
+        let schema = osteoflow_engine::schema::kind_schema(&registry, description.kind).unwrap();
+        let validator = jsonschema::draft7::new(&schema).unwrap();
+        let wrong: Vec<_> = validator.iter_errors(&graph(description.example)).map(|e| e.to_string()).collect();
+        assert!(wrong.is_empty(), "{}: {wrong:#?}", description.kind);
+    }
+}
+
+#[test]
+fn a_kind_that_is_not_there_is_told_with_the_one_that_was_meant() {
+    let output = osteoflow().args(["schema", "--kind", "icp.point_to_plan"]).output().unwrap();
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text.contains("did you mean \"icp.point_to_plane\"?"), "{text}");
+}
