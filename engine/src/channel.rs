@@ -6,9 +6,9 @@ use crate::plan::Policy;
 use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded, unbounded};
 use osteoflow_node::{Body, Empty, Item, StampNs};
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeSet, VecDeque},
     sync::{
-        Arc,
+        Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering, fence},
     },
 };
@@ -23,8 +23,8 @@ pub(crate) struct LinkState {
     received_bytes: AtomicU64,
     /// How many items the producer has numbered; known when the queue is closed.
     total: AtomicU64,
-    /// The stamp of the last of them; known when the queue is closed.
-    final_stamp: AtomicI64,
+    /// Numbers and stamps of dropped items whose places the consumer has not yet come to, in their order.
+    gaps: Mutex<VecDeque<(u64, StampNs)>>,
 }
 
 /// What a link holds at most, and what happens then.
@@ -56,7 +56,6 @@ pub(crate) struct SendEnd {
     room: usize,
     /// The bytes of all items put into the queue and not taken back.
     sent_bytes: u64,
-    last_stamp: StampNs,
     /// The last item was dropped.
     in_gap: bool,
 }
@@ -70,6 +69,7 @@ pub(crate) struct RecvEnd {
     next_number: u64,
     /// An item that waits until empties have taken the places of those dropped before it.
     held: Option<Item>,
+    last_stamp: StampNs,
     /// What takes the place of a dropped item.
     dropped: Arc<Empty>,
     pub(crate) received: u64,
@@ -101,7 +101,7 @@ pub(crate) fn link(index: usize, limits: Limits, producer: &str, wire: &str) -> 
         blocked: AtomicBool::new(false),
         received_bytes: AtomicU64::new(0),
         total: AtomicU64::new(0),
-        final_stamp: AtomicI64::new(StampNs::MIN),
+        gaps: Mutex::default(),
     };
     let dropped = Empty { node: producer.into(), reason: format!("dropped on {wire} by its policy {}", limits.policy) };
     let send = SendEnd {
@@ -114,7 +114,6 @@ pub(crate) fn link(index: usize, limits: Limits, producer: &str, wire: &str) -> 
         highest_fill: 0,
         room: 0,
         sent_bytes: 0,
-        last_stamp: StampNs::MIN,
         in_gap: false,
     };
     let recv = RecvEnd {
@@ -122,6 +121,7 @@ pub(crate) fn link(index: usize, limits: Limits, producer: &str, wire: &str) -> 
         rx,
         next_number: 0,
         held: None,
+        last_stamp: StampNs::MIN,
         dropped: Arc::new(dropped),
         received: 0,
         received_bytes: 0,
@@ -148,6 +148,10 @@ fn n_bytes(item: &Item) -> u64 {
 }
 
 impl LinkState {
+    fn gaps(&self) -> MutexGuard<'_, VecDeque<(u64, StampNs)>> {
+        self.gaps.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Whether the producer waits for room on this link.
     pub(crate) fn is_blocked(&self) -> bool {
         self.blocked.load(Ordering::Relaxed)
@@ -212,18 +216,20 @@ impl SendEnd {
     pub(crate) fn send(&mut self, item: Item, state: &LinkState, dropped: &mut dyn FnMut(u64)) -> Result<(), Full> {
         let number = self.sent;
         self.sent += 1;
-        self.last_stamp = item.stamp_ns;
+        let stamp_ns = item.stamp_ns;
         self.in_gap = false;
         if !self.keeps(number) {
-            self.drop_it(number, dropped);
+            self.drop_it(number, stamp_ns, &mut state.gaps(), dropped);
             self.in_gap = true;
             // Where the link was to fail when full, it did so at this item.
             return if self.limits.policy == Policy::Fail { Err(Full) } else { Ok(()) };
         }
         while self.oldest.is_some() && self.is_full(state) {
+            // Who sees the next item sees the gap before it.
+            let mut gaps = state.gaps();
             let Some(oldest) = self.oldest.as_ref().and_then(|oldest| oldest.try_recv().ok()) else { break };
             self.sent_bytes -= n_bytes(&oldest);
-            self.drop_it(oldest.number, dropped);
+            self.drop_it(oldest.number, oldest.stamp_ns, &mut gaps, dropped);
         }
         let refuses = !self.waits() && self.oldest.is_none();
         let bytes = n_bytes(&item);
@@ -235,21 +241,28 @@ impl SendEnd {
             }
             return Ok(());
         }
-        self.drop_it(number, dropped);
+        self.drop_it(number, stamp_ns, &mut state.gaps(), dropped);
         self.in_gap = true;
         // A link that blocks is sent to only after `has_room`; were that broken, it must not pass in silence.
         if self.limits.policy == Policy::DropNew && refuses { Ok(()) } else { Err(Full) }
     }
 
-    fn drop_it(&mut self, number: u64, dropped: &mut dyn FnMut(u64)) {
+    fn drop_it(
+        &mut self,
+        number: u64,
+        stamp_ns: StampNs,
+        gaps: &mut VecDeque<(u64, StampNs)>,
+        dropped: &mut dyn FnMut(u64),
+    ) {
         self.dropped += 1;
+        gaps.push_back((number, stamp_ns));
         dropped(number);
     }
 
     /// Promises that nothing more comes before `stamp_ns`; after the items that precede it have been sent.
     ///
-    /// After a dropped item the promise waits for the next item: the empty in the place of the dropped one takes its
-    /// stamp from there, and must not be overtaken.
+    /// After a dropped item the promise waits for the next item: only then does the consumer come to the empty in the place
+    /// of the dropped one, which must not be overtaken.
     pub(crate) fn promise(&self, state: &LinkState, stamp_ns: StampNs) -> bool {
         if !self.in_gap {
             state.progress.store(stamp_ns, Ordering::Release);
@@ -259,7 +272,6 @@ impl SendEnd {
 
     /// Nothing more comes: the consumer sees the end after the last item.
     pub(crate) fn close(&mut self, state: &LinkState) {
-        state.final_stamp.store(self.last_stamp, Ordering::Relaxed);
         state.total.store(self.sent, Ordering::Release);
         // The queue closes when its last sender goes; what is kept here has no receiver and takes nothing.
         let (tx, _) = bounded(1);
@@ -271,7 +283,7 @@ impl RecvEnd {
     /// The next item, in the order of numbers.
     pub(crate) fn receive(&mut self, state: &LinkState) -> Received {
         if let Some(item) = self.held.take() {
-            return self.in_order(item, false);
+            return self.in_order(item, state, false);
         }
         // Before the queue: an item that precedes this progress is then seen in the queue.
         let progress = state.progress.load(Ordering::Acquire);
@@ -282,12 +294,11 @@ impl RecvEnd {
                 state.received_bytes.store(self.received_bytes, Ordering::Relaxed);
                 fence(Ordering::SeqCst);
                 let unblocks = state.blocked.load(Ordering::Relaxed) && state.blocked.swap(false, Ordering::Relaxed);
-                self.in_order(item, unblocks)
+                self.in_order(item, state, unblocks)
             }
             Err(TryRecvError::Empty) => Received::Nothing(progress),
             Err(TryRecvError::Disconnected) if self.next_number < state.total.load(Ordering::Acquire) => {
-                let stamp_ns = state.final_stamp.load(Ordering::Relaxed);
-                Received::Item { item: self.empty_in_place(stamp_ns), unblocks: false }
+                Received::Item { item: self.empty_in_place(state), unblocks: false }
             }
             Err(TryRecvError::Disconnected) => {
                 self.ended = true;
@@ -296,19 +307,24 @@ impl RecvEnd {
         }
     }
 
-    fn in_order(&mut self, item: Item, unblocks: bool) -> Received {
+    fn in_order(&mut self, item: Item, state: &LinkState, unblocks: bool) -> Received {
         if item.number > self.next_number {
-            let stamp_ns = item.stamp_ns;
             self.held = Some(item);
-            return Received::Item { item: self.empty_in_place(stamp_ns), unblocks };
+            return Received::Item { item: self.empty_in_place(state), unblocks };
         }
         self.next_number = item.number + 1;
+        self.last_stamp = item.stamp_ns;
         Received::Item { item, unblocks }
     }
 
-    fn empty_in_place(&mut self, stamp_ns: StampNs) -> Item {
+    /// What stands in the place of the next item, which was dropped: with its number and its stamp.
+    fn empty_in_place(&mut self, state: &LinkState) -> Item {
         let number = self.next_number;
         self.next_number += 1;
+        let gap = state.gaps().pop_front();
+        debug_assert_eq!(gap.map(|(dropped, _)| dropped), Some(number), "every drop leaves its place");
+        let stamp_ns = gap.map_or(self.last_stamp, |(_, stamp_ns)| stamp_ns);
+        self.last_stamp = stamp_ns;
         Item { number, stamp_ns, body: Body::Empty(self.dropped.clone()) }
     }
 }
@@ -387,9 +403,10 @@ mod tests {
     }
 
     #[test]
-    fn the_place_of_a_dropped_item_has_the_stamp_of_what_follows() {
+    fn the_place_of_a_dropped_item_has_its_number_and_its_stamp() {
         let stamps = |policy| through(limits(policy, 9), 6).0.iter().map(|o| o.1).collect::<Vec<_>>();
-        assert_eq!(stamps(Policy::Sample(3)), [0, 3, 3, 3, 5, 5]);
+        assert_eq!(stamps(Policy::Sample(3)), [0, 1, 2, 3, 4, 5]);
+        assert_eq!(stamps(Policy::Block), [0, 1, 2, 3, 4, 5]);
     }
 
     #[test]
@@ -405,7 +422,7 @@ mod tests {
         give(&mut send, 9);
         assert!(send.promise(&state, 9));
         let Received::Item { item, .. } = recv.receive(&state) else { panic!("item 1 is an empty now") };
-        assert_eq!((item.number, item.stamp_ns), (1, 9));
+        assert_eq!((item.number, item.stamp_ns), (1, 1));
     }
 
     #[test]

@@ -342,3 +342,20 @@ fn what_a_node_takes_from_the_clock_is_told_and_answered_from_the_record_in_a_re
         assert_eq!(report.warnings.len(), 12, "two readings of six firings: {:?}", report.warnings);
     }
 }
+
+#[test]
+fn what_comes_through_a_lossy_wire_still_meets_the_item_of_its_stamp() {
+    let given: Vec<_> = (0..12).flat_map(|i| [(i * 10, 0, 100.0 + i as f64), (i * 10, 1, 0.5)]).collect();
+    for (join, met) in [(Join::Stamp { tolerance_ns: 0 }, 4), (Join::Latest, 4)] {
+        let plan = live("both", 2, &given, json!({}))
+            .node("add", "toy.add", json!({}), &[("a", "both.p0", None), ("b", "both.p1", Some(join))])
+            .link("add.b", |link| link.policy = Policy::Sample(3))
+            .record(&["add.out"])
+            .result("all", "add.out", true, false)
+            .plan();
+        let report = check(&plan);
+        let all = report.results["all"].as_array().unwrap();
+        let expected: Vec<_> = (0..12).map(|i| json!(100.0 + i as f64 + if i % 3 == 0 { 0.5 } else { 0.0 })).collect();
+        assert_eq!((all, expected.iter().filter(|x| x.as_f64().unwrap().fract() > 0.0).count()), (&expected, met));
+    }
+}
