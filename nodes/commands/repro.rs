@@ -99,12 +99,12 @@ fn print_text(report: &ReproReport, backtrace: bool, global: &Global) -> Result<
 
 /// What may be the cause where a failure does not come again.
 fn why_not(bundle: &Bundle) -> String {
-    let name = &bundle.node.name;
     match bundle.node.role {
-        Role::Node if bundle.item > 0 => format!(
-            "a node that remembers earlier items may need them; run it from the recording: \
-             osteoflow replay RUN/run.mcap --from {name}"
-        ),
+        Role::Node if bundle.item > 0 => {
+            "a node that remembers earlier items may need them; run the graph again from the \
+                                          recording of its run: osteoflow replay RUN/run.mcap"
+                .into()
+        }
         Role::Node => "what it depends on beside its item (files, the program, the machine) may have changed".into(),
         Role::Source => "the files that it reads may have changed since".into(),
         Role::LiveSource => "a live source gives what the world gives; this time it was something else".into(),

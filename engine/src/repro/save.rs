@@ -304,9 +304,9 @@ fn readme(bundle: &Bundle, dir: &Path) -> String {
         if bundle.item > 0 {
             text.push_str(
                 "\nA node that remembers earlier items may need them to fail. The bundle holds this item alone; then run the\n\
-                 node and what follows it from the recording:\n\n    ",
+                 graph again from the recording of its run:\n\n    ",
             );
-            let _ = writeln!(text, "osteoflow replay run.mcap --from {}", node.name);
+            text.push_str("osteoflow replay run.mcap\n");
         }
     } else {
         text.push_str("repro.json   the source, its parameters, at which call it failed\n\n");
