@@ -29,5 +29,5 @@ pub mod validate;
 pub use check::{Checked, CheckedFile, Module, check, check_file, check_recorded, check_text};
 pub use fault::{Fault, Faults};
 pub use recording::Recording;
-pub use replay::{ReplayReport, replay};
+pub use replay::{ReplayOptions, ReplayReport, replay};
 pub use run::{Event, Observer, Outcome, Refusal, RunError, RunOptions, RunReport, run};

@@ -17,6 +17,7 @@ pub(crate) use mcap_file::Parts;
 
 use crate::{
     plan::{OutputId, Plan, Sources},
+    recording::RecordedFailure,
     run::{RunOptions, Tap, catch_panic},
 };
 use mcap_file::McapFile;
@@ -45,6 +46,10 @@ pub const EXACT_ENCODING: &str = "osteoflow-view";
 pub const EXACT_TOPIC: &str = "/exact/";
 /// What the topics of channels for viewers begin with.
 pub const VIEW_TOPIC: &str = "/view/";
+/// The topic of when nodes fired, by the wall clock.
+pub const TIMING_TOPIC: &str = "/run/timing";
+/// The topic of what policies dropped.
+pub const DROPS_TOPIC: &str = "/run/drops";
 /// The metadata record that names the graph, its seed and the version of the engine.
 pub const RUN_METADATA: &str = "osteoflow";
 /// The metadata record that tells of the program and the machine.
@@ -190,6 +195,7 @@ impl Recorder {
         self,
         status: &str,
         results: &Json,
+        failures: &[RecordedFailure],
         options: &RunOptions,
         inputs: Option<&[Json]>,
     ) -> Result<Counts, RecordError> {
@@ -198,6 +204,7 @@ impl Recorder {
             ("status".into(), status.into()),
             ("results".into(), results.to_string()),
             ("fixed_results".into(), fixed.to_string()),
+            ("failures".into(), serde_json::json!(failures).to_string()),
         ]);
         let mut end = vec![(OUTCOME_METADATA, outcome)];
         end.extend(inputs.map(|inputs| (INPUTS_METADATA, all_inputs(inputs))));
@@ -296,6 +303,15 @@ fn all_inputs(inputs: &[Json]) -> Texts {
     inputs.iter().filter_map(entry).collect()
 }
 
+/// What a message on [`DROPS_TOPIC`] tells: wire, input and number of each item.
+pub(crate) fn dropped(message: &[u8]) -> Vec<(String, String, u64)> {
+    #[derive(serde::Deserialize)]
+    struct Message {
+        drops: Vec<(String, String, u64)>,
+    }
+    serde_json::from_slice::<Message>(message).map(|message| message.drops).unwrap_or_default()
+}
+
 /// The writer's life: until the queue is closed and empty, or the file takes nothing more.
 fn record(mut sink: Sink, shared: &Shared) -> Result<Counts, Stopped> {
     let mut flushed = Instant::now();
@@ -309,7 +325,11 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<Counts, Stopped> {
         let mut drops = Vec::new();
         for (entry, n_bytes) in batch {
             match entry {
-                Entry::Item(wire, item) => sink.item(wire, item, n_bytes)?,
+                Entry::Item(wire, item) => {
+                    // What follows from a drop stands behind it, so that a file that is cut short has both or neither.
+                    sink.drops(&std::mem::take(&mut drops))?;
+                    sink.item(wire, item, n_bytes)?;
+                }
                 Entry::Firings(firings) => sink.firings(&firings)?,
                 Entry::Dropped(link, number) => drops.push((link, number)),
                 Entry::End(metadata) => end = metadata,

@@ -3,12 +3,13 @@
 use crate::{
     codec::{self, CodecError, RecordedItem},
     container::{self, Carries, Channels, Damage, Place, Record, Visit, Walk, WalkError, Wire},
-    record::{FORMAT_VERSION, OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
+    plan::Sources,
+    record::{self, DROPS_TOPIC, FORMAT_VERSION, INPUTS_METADATA, OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
     recover::{self, RECOVERED_METADATA},
 };
 use osteoflow_node::{Body, Item, PayloadType, Registry};
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     io,
     ops::ControlFlow,
     path::{Path, PathBuf},
@@ -79,6 +80,27 @@ pub struct Recording {
     pub interrupted: bool,
     /// Where a file was cut short or is damaged: what ends it. What came before is intact and here.
     pub truncated: Option<String>,
+    /// What a replay has of the sources.
+    pub sources: Sources,
+    /// The SHA-256 of each input file, by its path, or why there is none.
+    pub inputs: BTreeMap<String, String>,
+    /// The numbers of the items that policies dropped, by wire and input.
+    pub drops: BTreeMap<(String, String), BTreeSet<u64>>,
+    /// Which nodes failed at which item, and why.
+    pub failures: Vec<RecordedFailure>,
+}
+
+/// A node's failure.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct RecordedFailure {
+    /// The node.
+    pub node: String,
+    /// Its activation, from 0.
+    pub item: u64,
+    /// What it said.
+    pub reason: String,
+    /// Whether the node went on with the next item.
+    pub skipped: bool,
 }
 
 /// What a recording says of its run.
@@ -183,6 +205,9 @@ impl Recording {
         let recovered = reading.metadata.remove(RECOVERED_METADATA);
         let about = About::of(path, &reading.metadata, truncated.as_deref())?;
         let finished = reading.metadata.contains_key(WIRES_METADATA);
+        let told = |name: &str, key: &str| reading.metadata.get(name).and_then(|entries| entries.get(key));
+        let by_hash = told(RUN_METADATA, "sources").is_some_and(|sources| sources == "hashes");
+        let failures = told(OUTCOME_METADATA, "failures").and_then(|text| serde_json::from_str(text).ok());
         let truncated = truncated
             .or_else(|| recovered.as_ref().map(|_| "it was recovered from a damaged file".into()))
             .or_else(|| (!finished).then(|| "the run did not finish it".into()));
@@ -205,6 +230,10 @@ impl Recording {
             interrupted: about.interrupted,
             truncated,
             wires,
+            sources: if by_hash { Sources::Hashes } else { Sources::Wires },
+            inputs: reading.metadata.remove(INPUTS_METADATA).unwrap_or_default(),
+            drops: reading.drops,
+            failures: failures.unwrap_or_default(),
         })
     }
 
@@ -256,6 +285,7 @@ struct Reading {
     channels: Channels,
     metadata: BTreeMap<String, BTreeMap<String, String>>,
     wires: BTreeMap<String, Gathered>,
+    drops: BTreeMap<(String, String), BTreeSet<u64>>,
     damage: Option<Damage>,
 }
 
@@ -289,6 +319,10 @@ impl Visit for Reading {
                     && let Some(gathered) = self.wires.get_mut(&wire.name)
                 {
                     gathered.messages.push((codec::number(message.data), message.data.to_vec()));
+                } else if self.channels.topic(message.channel_id) == Some(DROPS_TOPIC) {
+                    for (wire, input, number) in record::dropped(message.data) {
+                        self.drops.entry((wire, input)).or_default().insert(number);
+                    }
                 }
             }
             _ => {}

@@ -1,19 +1,79 @@
-//! Runs a recording again: its sources' wires are played, everything downstream is computed anew and compared.
+//! Runs a recording again: recorded wires are played, what follows from them is computed anew and compared.
+
+mod compare;
+mod player;
+mod select;
 
 use crate::{
-    check::check_recorded,
-    codec,
+    check::{check, check_recorded},
     fault::Faults,
-    plan::{OutputId, Plan},
+    manifest,
+    plan::{OutputId, Plan, Sources},
     recording::{Recording, RecordingError},
-    run::{self, Observer, Replayed, RunError, RunOptions, RunReport, Substitutes, Tap},
+    run::{self, Observer, Replayed, RunError, RunOptions, RunReport, Substitutes},
 };
-use osteoflow_node::{AnySource, Body, Context, Emission, Item, NodeError, PortPayload, Registry, Role, StampNs};
+use compare::Compare;
+use osteoflow_node::{Body, Item, Join, PortPayload, Registry, Role, StampNs};
+use player::{Failing, Pace, Player};
+use select::Part;
 use std::{
-    collections::{BTreeMap, VecDeque},
-    path::Path,
-    sync::{Mutex, PoisonError},
+    collections::{BTreeMap, BTreeSet},
+    path::{Path, PathBuf},
+    str::FromStr,
+    sync::Arc,
 };
+
+/// What to change in a replay; by default nothing.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ReplayOptions {
+    /// Only this node, and what follows from it, is computed anew.
+    pub from: Option<String>,
+    /// Settings of the graph, each `KEY=VALUE`.
+    pub sets: Vec<String>,
+    /// The graph file to play the recorded wires into, in the place of the recorded graph.
+    pub graph: Option<PathBuf>,
+    /// How many seconds of the recording go by in one; `None`: as fast as can be. The result does not depend on it.
+    pub rate: Option<f64>,
+    /// Nothing before it is played, constants excepted.
+    pub start: Option<Moment>,
+    /// Nothing after it is played, constants excepted.
+    pub end: Option<Moment>,
+}
+
+/// A time in a recording: `12.5` is seconds after its first stamp, `1750000000418500000ns` a stamp.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Moment {
+    /// Seconds after the first stamp.
+    Seconds(f64),
+    /// A stamp.
+    Stamp(StampNs),
+}
+
+impl FromStr for Moment {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong =
+            || format!("a time is seconds after the first stamp, such as 12.5, or a stamp such as 1750ns: {text}");
+        match text.strip_suffix("ns") {
+            Some(stamp) => stamp.trim().parse().map(Self::Stamp).map_err(|_| wrong()),
+            None => {
+                let seconds: f64 = text.trim().parse().map_err(|_| wrong())?;
+                if seconds.is_finite() { Ok(Self::Seconds(seconds)) } else { Err(wrong()) }
+            }
+        }
+    }
+}
+
+impl Moment {
+    fn stamp(self, first_ns: StampNs) -> StampNs {
+        match self {
+            Self::Stamp(stamp_ns) => stamp_ns,
+            // Beyond what a stamp can tell it stays at the last one.
+            Self::Seconds(seconds) => first_ns.saturating_add((seconds * 1e9).round() as StampNs),
+        }
+    }
+}
 
 /// A recording that cannot be run again.
 #[derive(Debug, thiserror::Error)]
@@ -21,14 +81,66 @@ pub enum ReplayError {
     /// The file cannot be read.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The graph in it does not fit the kinds of this program.
-    #[error("the recorded graph does not fit this program:\n{0}")]
-    Graph(Faults),
+    /// The graph has faults, or does not fit the kinds of this program.
+    #[error("{}:\n{faults}", if *.recorded { "the recorded graph does not fit this program" } else { "the graph has faults" })]
+    Graph {
+        /// What is wrong.
+        faults: Faults,
+        /// Whether it is the recorded graph as it was.
+        recorded: bool,
+    },
     /// A source's wire is not in it.
-    #[error("the recording lacks the source wire {wire}, so nothing after it can be computed")]
+    #[error(
+        "the recording lacks the source wire {wire}, so nothing after it can be computed; record it, or name a node \
+         behind it that can be computed from recorded wires"
+    )]
     Missing {
         /// The wire.
         wire: String,
+    },
+    /// Nothing that was recorded can be played into the graph.
+    #[error("no recorded wire is an output of a source of {}; recorded are {recorded}", .graph.display())]
+    NothingFits {
+        /// The graph.
+        graph: PathBuf,
+        /// The recorded source wires.
+        recorded: String,
+    },
+    /// A recorded wire has another payload in the graph.
+    #[error("wire {wire} was recorded with {recorded}, and carries {found} in the graph")]
+    Payload {
+        /// The wire.
+        wire: String,
+        /// What was recorded.
+        recorded: String,
+        /// What the graph has.
+        found: String,
+    },
+    /// There is no such node.
+    #[error("there is no node \"{node}\" in the graph; it has {known}")]
+    NoNode {
+        /// What was asked for.
+        node: String,
+        /// The nodes there are.
+        known: String,
+    },
+    /// A setting of a node that is not computed.
+    #[error("--set {set} changes nothing: the wires of \"{node}\" are played from the recording")]
+    NoEffect {
+        /// The setting.
+        set: String,
+        /// The node.
+        node: String,
+    },
+    /// A file that a source reads is not the one that the run had read.
+    #[error("{} is not the file that the run had read: sha256 {expected} expected, {found} found", .path.display())]
+    Input {
+        /// The file.
+        path: PathBuf,
+        /// The hash in the recording.
+        expected: String,
+        /// The file's hash, or why it has none.
+        found: String,
     },
     /// The run itself.
     #[error(transparent)]
@@ -40,12 +152,27 @@ pub enum ReplayError {
 pub struct ReplayReport {
     /// The run.
     pub run: RunReport,
-    /// Each recorded wire, by name.
+    /// Each recorded wire, in the topological order of the graph; last those that it does not have.
     pub wires: Vec<WireComparison>,
-    /// Whether the results are the recorded ones; `None` where the recording has none to compare with.
+    /// Whether the results are the recorded ones; `None` where there are none to compare with.
     pub results_equal: Option<bool>,
+    /// Why nothing is compared; `None` where it is.
+    pub not_compared: Option<String>,
     /// What ended a recording that was cut short; then the items up to there are compared.
     pub truncated: Option<String>,
+    /// Nodes that were computed beside those asked for, because their wires were not recorded.
+    pub computed_too: Vec<String>,
+}
+
+/// What a replay did with a wire.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WirePart {
+    /// Its recorded items were played.
+    Played,
+    /// It was computed anew.
+    Computed,
+    /// The graph does not have it.
+    Absent,
 }
 
 /// A wire as recorded and as computed anew.
@@ -53,207 +180,336 @@ pub struct ReplayReport {
 pub struct WireComparison {
     /// The wire, `node.port`.
     pub wire: String,
-    /// Whether it was played, not computed.
-    pub source: bool,
+    /// What was done with it.
+    pub part: WirePart,
     /// Items in the recording.
     pub n_recorded: u64,
     /// Items in the replay.
     pub n_replayed: u64,
-    /// The first item that differs in any bit, and how.
-    pub first_difference: Option<(u64, String)>,
+    /// Items that were compared, up to the first that differs.
+    pub n_compared: u64,
+    /// The first item that differs in any bit.
+    pub first_difference: Option<Difference>,
+}
+
+/// Where a wire first differs, and how.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Difference {
+    /// The item's number.
+    pub item: u64,
+    /// What was recorded, what came.
+    pub what: String,
 }
 
 impl ReplayReport {
     /// Whether every wire and the results are, bit for bit, the recorded ones.
     pub fn is_equal(&self) -> bool {
-        self.wires.iter().all(|wire| wire.first_difference.is_none()) && self.results_equal != Some(false)
+        self.first_divergence().is_none() && self.results_equal != Some(false)
+    }
+
+    /// The wire that differs first in the topological order of the graph; of one node's, the one that differs at the
+    /// first item.
+    pub fn first_divergence(&self) -> Option<&WireComparison> {
+        let node = |wire: &WireComparison| wire.wire.split('.').next().unwrap_or_default().to_owned();
+        let item = |wire: &&WireComparison| wire.first_difference.as_ref().map(|d| d.item);
+        let first = self.wires.iter().find(|wire| wire.first_difference.is_some())?;
+        let of_node = self.wires.iter().filter(|wire| wire.first_difference.is_some() && node(wire) == node(first));
+        of_node.min_by_key(item)
     }
 }
 
-/// Runs the graph of a recording again, with the recorded items of its sources, and compares every recorded wire and the
-/// results. The files that the graph names need not be there.
+/// Runs the graph of a recording again and compares every recorded wire that is computed, and the results. Of the files
+/// that the graph names only those are read whose sources were recorded by their hashes.
 ///
 /// # Errors
-/// [`ReplayError`] if the recording cannot be read or its graph cannot be run here.
+/// [`ReplayError`] if the recording cannot be read, or what is asked for cannot be run from it.
 pub fn replay(
     path: &Path,
+    changes: &ReplayOptions,
     registry: &Registry,
     options: &RunOptions,
     observer: &dyn Observer,
 ) -> Result<ReplayReport, ReplayError> {
     let recording = Recording::open(path)?;
-    let plan = check_recorded(&recording.graph, &recording.graph_file, &[], registry).map_err(ReplayError::Graph)?.plan;
-    replay_plan(plan, &recording, registry, options, observer)
+    let sets = &changes.sets;
+    let checked = match &changes.graph {
+        // Files of sources that are played need not be there; a graph file that cannot be read is a fault.
+        Some(graph) => match std::fs::read_to_string(graph) {
+            Ok(text) => check_recorded(&text, graph, sets, registry),
+            Err(_) => check(graph, sets, registry),
+        },
+        None => check_recorded(&recording.graph, &recording.graph_file, sets, registry),
+    };
+    let recorded = changes.graph.is_none() && sets.is_empty();
+    let plan = checked.map_err(|faults| ReplayError::Graph { faults, recorded })?.plan;
+    replay_plan(&plan, &recording, changes, registry, options, observer)
 }
 
 /// The same with a graph that has been checked.
 pub(crate) fn replay_plan(
-    mut plan: Plan,
+    plan: &Plan,
     recording: &Recording,
+    changes: &ReplayOptions,
     registry: &Registry,
     options: &RunOptions,
     observer: &dyn Observer,
 ) -> Result<ReplayReport, ReplayError> {
-    // Their content went into the recording; the files themselves are not read.
-    plan.input_files.clear();
-    let replayed = Replayed { substitutes: played(&plan, recording, registry)?, ..Replayed::default() };
-    let names = output_names(&plan);
-    plan.record = recording.wires.keys().filter_map(|name| names.get(name).copied()).collect();
-    let compare = Compare {
-        wires: plan.record.iter().map(|id| (*id, Mutex::default())).collect(),
-        payloads: plan.record.iter().map(|id| (*id, plan.nodes[id.node].outputs[id.port].payload)).collect(),
-        recorded: plan.record.iter().map(|id| (*id, &recording.wires[&plan.wire_name(*id)].messages)).collect(),
+    let recorded = recorded_outputs(plan, recording)?;
+    let parts = parts(plan, recording, changes, &recorded)?;
+    sets_take_effect(plan, changes, &parts)?;
+    let computed = |index: usize| parts[index] == Part::Computed;
+    let runs_sources = plan.nodes.iter().enumerate().any(|(i, node)| node.role != Role::Node && computed(i));
+    if runs_sources && recording.sources == Sources::Hashes {
+        inputs_are_the_same(plan, recording)?;
+    }
+    let computed_too = computed_too(plan, changes, &parts);
+
+    let mut reduced = select::reduce(&Plan { record: recorded.iter().copied().collect(), ..plan.clone() }, &parts);
+    if !runs_sources {
+        // Their content went into the recording; the files themselves are not read.
+        reduced.input_files.clear();
+    }
+    let computes: BTreeSet<_> =
+        plan.nodes.iter().enumerate().filter(|(i, _)| computed(*i)).map(|(_, n)| &*n.name).collect();
+    let is_computed = |node: usize| computes.contains(&*reduced.nodes[node].name);
+    let replayed = Replayed {
+        substitutes: players(&reduced, recording, changes, registry, is_computed)?,
+        drops: Some(drops(&reduced, recording)),
     };
+    let not_compared = (changes.start.is_some() || changes.end.is_some())
+        .then(|| "only a part of the recording was played, and a part of a run is another run".to_owned());
+    let compare = Compare::new(&reduced, recording, is_computed, not_compared.is_none());
     let mut options = options.clone();
-    options.fixed_results.clone_from(&recording.fixed_results);
-    let report = run::run_with(&plan, registry, &options, observer, replayed, Some(&compare))?;
-    let results_equal = match &recording.results {
-        Some(recorded) if !recording.interrupted => Some(same_results(recorded, &report.results)),
-        _ => None,
-    };
+    if changes.graph.is_none() {
+        options.fixed_results.clone_from(&recording.fixed_results);
+    }
+    if changes.rate.is_some() {
+        // A player that waits for its time holds a worker.
+        options.workers += replayed.substitutes.len();
+    }
+    let report = run::run_with(&reduced, registry, &options, observer, replayed, Some(&compare))?;
+
+    let whole = not_compared.is_none() && changes.graph.is_none() && changes.from.is_none() && !recording.interrupted;
+    let results_equal = recording.results.as_ref().filter(|_| whole);
+    let results_equal =
+        results_equal.map(|recorded| same_results(recorded, &report.results, is_computed_name(&computes)));
     Ok(ReplayReport {
         run: report,
-        wires: recording.wires.keys().map(|name| compare.of(name, recording, names.get(name).copied())).collect(),
+        wires: comparisons(&reduced, recording, changes, &compare, &computes),
         results_equal,
+        not_compared,
         truncated: recording.truncated.clone(),
+        computed_too,
     })
 }
 
-/// For each source one that gives the recorded items.
-fn played(plan: &Plan, recording: &Recording, registry: &Registry) -> Result<Substitutes, ReplayError> {
-    let mut substitutes = Substitutes::new();
-    for (index, node) in plan.nodes.iter().enumerate().filter(|(_, node)| node.role != Role::Node) {
-        let mut ports = Vec::new();
-        for port in 0..node.outputs.len() {
-            let wire = plan.wire_name(OutputId { node: index, port });
-            if !recording.wires.contains_key(&wire) {
-                return Err(ReplayError::Missing { wire });
-            }
-            ports.push(recording.items(&wire, registry)?.into());
+fn is_computed_name<'a>(computes: &'a BTreeSet<&str>) -> impl Fn(&str) -> bool + 'a {
+    |name| computes.contains(name)
+}
+
+/// The outputs of the plan that were recorded.
+fn recorded_outputs(plan: &Plan, recording: &Recording) -> Result<BTreeSet<OutputId>, ReplayError> {
+    let mut recorded = BTreeSet::new();
+    for id in (0..plan.nodes.len()).flat_map(|node| select::outputs(plan, node)) {
+        let name = plan.wire_name(id);
+        let Some(wire) = recording.wires.get(&name) else { continue };
+        if let PortPayload::Type(ty) = plan.nodes[id.node].outputs[id.port].payload
+            && ty.name != wire.payload
+        {
+            return Err(ReplayError::Payload { wire: name, recorded: wire.payload.clone(), found: ty.name.into() });
         }
-        substitutes.insert(index, Box::new(Player { ports }) as Box<dyn AnySource>);
+        recorded.insert(id);
     }
-    Ok(substitutes)
+    Ok(recorded)
 }
 
-fn output_names(plan: &Plan) -> BTreeMap<String, OutputId> {
-    let nodes = plan.nodes.iter().enumerate();
-    let ids = nodes.flat_map(|(node, n)| (0..n.outputs.len()).map(move |port| OutputId { node, port }));
-    ids.map(|id| (plan.wire_name(id), id)).collect()
-}
-
-/// Results are compared whole. Of a refusal, node and reason: a source that had failed is played, and plays on to its
-/// end, so that its activations are counted otherwise.
-fn same_results(recorded: &serde_json::Value, replayed: &serde_json::Value) -> bool {
-    let refused = |results: &serde_json::Value| {
-        let refused = results.get("refused")?;
-        Some((refused.get("node").cloned(), refused.get("reason").cloned()))
+fn parts(
+    plan: &Plan,
+    recording: &Recording,
+    changes: &ReplayOptions,
+    recorded: &BTreeSet<OutputId>,
+) -> Result<Vec<Part>, ReplayError> {
+    let is_recorded = |index: usize| select::outputs(plan, index).any(|id| recorded.contains(&id));
+    if let Some(graph) = &changes.graph {
+        let plays = |(index, node): (usize, &crate::plan::PlanNode)| node.role != Role::Node && is_recorded(index);
+        if !plan.nodes.iter().enumerate().any(plays) && changes.from.is_none() {
+            let sources = recording.wires.iter().filter(|(_, wire)| wire.source).map(|(name, _)| name.as_str());
+            let recorded = sources.collect::<Vec<_>>().join(", ");
+            return Err(ReplayError::NothingFits { graph: graph.clone(), recorded });
+        }
+    }
+    // Another graph may have sources of its own; what a live source gave comes only once.
+    let runs = |index: usize| match plan.nodes[index].role {
+        Role::LiveSource => false,
+        _ => recording.sources == Sources::Hashes || (changes.graph.is_some() && !is_recorded(index)),
     };
-    match (refused(recorded), refused(replayed)) {
-        (None, None) => recorded == replayed,
-        (recorded, replayed) => recorded == replayed,
-    }
-}
-
-/// Gives recorded items in the order of their stamps. In which order wires of one stamp are given does not matter: what
-/// is computed depends on items and stamps alone.
-struct Player {
-    ports: Vec<VecDeque<Item>>,
-}
-
-impl AnySource for Player {
-    fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError> {
-        let heads = self.ports.iter().filter_map(|port| port.front());
-        let Some(stamp_ns) = heads.map(|item| item.stamp_ns).min() else { return Ok(false) };
-        ctx.set_stamp_ns(stamp_ns);
-        for (port, emission) in self.ports.iter_mut().zip(out) {
-            if port.front().is_some_and(|item| item.stamp_ns == stamp_ns)
-                && let Some(item) = port.pop_front()
-            {
-                *emission = match item.body {
-                    Body::Value(value) => Emission::Value(value),
-                    Body::Empty(empty) => Emission::Empty(empty.reason.clone()),
-                };
-            }
+    let parts = match &changes.from {
+        None => select::all(plan, recorded, runs),
+        Some(name) => {
+            let Some(node) = plan.nodes.iter().position(|node| *node.name == **name) else {
+                let known = plan.nodes.iter().map(|node| &*node.name).collect::<Vec<_>>().join(", ");
+                return Err(ReplayError::NoNode { node: name.clone(), known });
+            };
+            select::from(plan, recorded, node, runs)
         }
-        Ok(true)
-    }
+    };
+    parts.map_err(|wire| ReplayError::Missing { wire: plan.wire_name(wire) })
 }
 
-/// Compares items as they come.
-struct Compare<'a> {
-    wires: BTreeMap<OutputId, Mutex<Seen>>,
-    recorded: BTreeMap<OutputId, &'a Vec<Vec<u8>>>,
-    payloads: BTreeMap<OutputId, PortPayload>,
-}
-
-#[derive(Default)]
-struct Seen {
-    n_items: u64,
-    first_difference: Option<(u64, String)>,
-}
-
-impl Tap for Compare<'_> {
-    fn item(&self, wire: OutputId, item: &Item) {
-        let (Some(seen), Some(recorded)) = (self.wires.get(&wire), self.recorded.get(&wire)) else { return };
-        let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
-        seen.n_items += 1;
-        if seen.first_difference.is_some() {
-            return;
-        }
-        let bytes = codec::encode_on(self.payloads[&wire], item);
-        let recorded = usize::try_from(item.number).ok().and_then(|number| recorded.get(number));
-        if let Some(recorded) = recorded.filter(|recorded| **recorded != bytes) {
-            seen.first_difference = Some((item.number, difference(recorded, &bytes)));
+/// What a setting says of a node that is played has no effect, and is hardly meant.
+fn sets_take_effect(plan: &Plan, changes: &ReplayOptions, parts: &[Part]) -> Result<(), ReplayError> {
+    for set in &changes.sets {
+        let key = set.split('=').next().unwrap_or_default().trim();
+        let key = key.strip_prefix("node.").unwrap_or(key);
+        let named = |name: &str| key.strip_prefix(name).is_some_and(|rest| rest.starts_with('.'));
+        let node = plan.nodes.iter().zip(parts).find(|(node, _)| named(&node.name));
+        if let Some((node, Part::Played | Part::Left)) = node {
+            return Err(ReplayError::NoEffect { set: set.clone(), node: node.name.to_string() });
         }
     }
+    Ok(())
 }
 
-impl Compare<'_> {
-    fn of(&self, name: &str, recording: &Recording, id: Option<OutputId>) -> WireComparison {
-        let wire = &recording.wires[name];
-        let n_recorded = wire.messages.len() as u64;
-        let (n_replayed, mut first_difference) = match id.and_then(|id| self.wires.get(&id)) {
-            Some(seen) => {
-                let seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
-                (seen.n_items, seen.first_difference.clone())
-            }
-            None => (0, Some((0, "the graph of this program has no such wire".into()))),
+/// The files that sources are going to read are those that the run had read.
+fn inputs_are_the_same(plan: &Plan, recording: &Recording) -> Result<(), ReplayError> {
+    for input in manifest::hashes(&plan.input_files) {
+        let text = |key: &str| input[key].as_str().unwrap_or_default().to_owned();
+        let (path, hash) = (text("path"), text("sha256"));
+        let expected = match recording.inputs.get(&path) {
+            Some(expected) => expected.clone(),
+            // A file that has moved: any of the files will do.
+            None if recording.inputs.values().any(|expected| *expected == hash) => continue,
+            None => "of one of the recorded files".into(),
         };
-        // Of a recording cut short, wires end at different times, and nothing follows from that.
-        if n_recorded != n_replayed && recording.truncated.is_none() && first_difference.is_none() {
-            let said = format!("{n_recorded} items were recorded, {n_replayed} came");
-            first_difference = Some((n_recorded.min(n_replayed), said));
+        if expected != hash {
+            let found = if hash.is_empty() { text("error") } else { hash };
+            return Err(ReplayError::Input { path: path.into(), expected, found });
         }
-        WireComparison { wire: name.into(), source: wire.source, n_recorded, n_replayed, first_difference }
     }
+    Ok(())
 }
 
-/// What differs first in two messages of one number.
-fn difference(recorded: &[u8], replayed: &[u8]) -> String {
-    let (Ok(a), Ok(b)) = (codec::decode(recorded), codec::decode(replayed)) else {
-        return "the recorded item is damaged".into();
+/// Nodes before the one asked for that are computed, because what they give was not recorded.
+fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[Part]) -> Vec<String> {
+    let Some(from) = changes.from.as_ref().and_then(|name| plan.nodes.iter().position(|n| *n.name == **name)) else {
+        return Vec::new();
     };
-    let stamp = |stamp_ns: StampNs| format!("stamp {stamp_ns} ns");
-    if a.stamp_ns != b.stamp_ns {
-        return format!("{} was recorded, {} came", stamp(a.stamp_ns), stamp(b.stamp_ns));
+    let mut follows = vec![false; plan.nodes.len()];
+    follows[from] = true;
+    for index in from..plan.nodes.len() {
+        let inputs = plan.nodes[index].inputs.iter().filter_map(|input| Some(plan.links[input.link?].from.node));
+        follows[index] |= inputs.into_iter().any(|node| follows[node]);
     }
-    match (a.body, b.body) {
-        (Ok(a), Ok(b)) => {
-            let field = a.head.iter().zip(&b.head).find(|(a, b)| a != b);
-            let column = a.columns.iter().zip(&b.columns).find(|(a, b)| a != b);
-            match (field, column) {
-                (Some(((name, a), (_, b))), _) => format!("{name} was {a:?}, is {b:?}"),
-                (None, Some((a, b))) => {
-                    format!("column {} differs: {} rows were recorded, {} came", a.name, a.rows(), b.rows())
-                }
-                (None, None) => {
-                    "the views have different parts, or differ in the sign of a zero or the bits of a NaN".into()
-                }
-            }
+    let nodes = plan.nodes.iter().enumerate();
+    let too = nodes.filter(|(index, _)| parts[*index] == Part::Computed && !follows[*index]);
+    too.map(|(_, node)| node.name.to_string()).collect()
+}
+
+/// For each node that is played one that gives the recorded items.
+fn players(
+    plan: &Plan,
+    recording: &Recording,
+    changes: &ReplayOptions,
+    registry: &Registry,
+    is_computed: impl Fn(usize) -> bool,
+) -> Result<Substitutes, ReplayError> {
+    let mut items: BTreeMap<OutputId, Vec<Item>> = BTreeMap::new();
+    for &id in plan.record.iter().filter(|id| !is_computed(id.node)) {
+        items.insert(id, recording.items(&plan.wire_name(id), registry)?);
+    }
+    let stamps = items.values().flatten().map(|item| item.stamp_ns).filter(|stamp_ns| *stamp_ns > 0);
+    let first_ns = stamps.min().unwrap_or(0);
+    let start = changes.start.map_or(StampNs::MIN, |start| start.stamp(first_ns));
+    let end = changes.end.map_or(StampNs::MAX, |end| end.stamp(first_ns));
+    for (id, items) in &mut items {
+        if !is_constant(plan, *id) {
+            // What has no time is a constant too.
+            items.retain(|item| item.stamp_ns <= 0 || (start..=end).contains(&item.stamp_ns));
         }
-        (Err(a), Err(b)) => format!("it was empty ({}), and is for another reason ({})", a.reason, b.reason),
-        (Ok(_), Err(empty)) => format!("a value was recorded, none came: {}", empty.reason),
-        (Err(empty), Ok(_)) => format!("a value came where none was recorded: {}", empty.reason),
     }
+    let first_ns = first_ns.max(start);
+    let pace = changes.rate.map(|rate| Arc::new(Pace { rate, first_ns, began: Default::default() }));
+    let mut players = Substitutes::new();
+    for (index, node) in plan.nodes.iter().enumerate().filter(|(index, _)| !is_computed(*index)) {
+        let ports = select::outputs(plan, index).map(|id| items.remove(&id).unwrap_or_default());
+        let mut ports: Vec<_> = ports.collect();
+        let failed = recording.failures.iter().find(|failure| *failure.node == *node.name && !failure.skipped);
+        let failure = failed.and_then(|failed| failing(&mut ports, &failed.node, &failed.reason));
+        let ports = ports.into_iter().map(Into::into).collect();
+        players.insert(index, Box::new(Player { ports, failure, pace: pace.clone() }));
+    }
+    Ok(players)
+}
+
+/// Takes away the empties with which a failing node had ended its wires: its failure is played in their place.
+fn failing(ports: &mut [Vec<Item>], node: &str, reason: &str) -> Option<Failing> {
+    let last = |item: &Item| matches!(&item.body, Body::Empty(e) if *e.node == *node && *e.reason == *reason);
+    let mut stamp_ns = None;
+    for items in ports {
+        if let Some(item) = items.pop_if(|item| last(item)) {
+            stamp_ns = stamp_ns.max(Some(item.stamp_ns));
+        }
+    }
+    Some(Failing { reason: reason.into(), stamp_ns: stamp_ns?, promised: false })
+}
+
+/// Whether all that takes the output takes one item for the whole run.
+fn is_constant(plan: &Plan, id: OutputId) -> bool {
+    let mut links = select::consumers(plan, id).peekable();
+    links.peek().is_some() && links.all(|link| plan.nodes[link.to_node].inputs[link.to_port].port.join == Join::Once)
+}
+
+/// What policies had dropped, by the index of the link.
+fn drops(plan: &Plan, recording: &Recording) -> BTreeMap<usize, BTreeSet<u64>> {
+    let of = |index: usize| {
+        let link = &plan.links[index];
+        let to = &plan.nodes[link.to_node];
+        let ends = (plan.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name));
+        Some((index, recording.drops.get(&ends)?.clone()))
+    };
+    (0..plan.links.len()).filter_map(of).collect()
+}
+
+/// Each recorded wire, in the order of the plan.
+fn comparisons(
+    reduced: &Plan,
+    recording: &Recording,
+    changes: &ReplayOptions,
+    compare: &Compare<'_>,
+    computes: &BTreeSet<&str>,
+) -> Vec<WireComparison> {
+    let mut left: BTreeSet<_> = recording.wires.keys().map(String::as_str).collect();
+    let mut wires = Vec::new();
+    for &id in &reduced.record {
+        let name = reduced.wire_name(id);
+        left.remove(name.as_str());
+        let computed = computes.contains(&*reduced.nodes[id.node].name);
+        let part = if computed { WirePart::Computed } else { WirePart::Played };
+        wires.push(compare.of(&name, recording, Some(id), part));
+    }
+    for name in left {
+        let mut wire = compare.of(name, recording, None, WirePart::Absent);
+        if changes.graph.is_none() && changes.sets.is_empty() {
+            let what = "the graph of this program has no such wire".into();
+            wire.first_difference = Some(Difference { item: 0, what });
+        }
+        wires.push(wire);
+    }
+    wires
+}
+
+/// Results are compared whole. Of a refusal by a node that is played, node and reason: its activations are counted
+/// otherwise.
+fn same_results(
+    recorded: &serde_json::Value,
+    replayed: &serde_json::Value,
+    is_computed: impl Fn(&str) -> bool,
+) -> bool {
+    let node = recorded["refused"]["node"].as_str();
+    if node.is_none_or(is_computed) {
+        return recorded == replayed;
+    }
+    let refused =
+        |results: &serde_json::Value| (results["refused"]["node"].clone(), results["refused"]["reason"].clone());
+    refused(recorded) == refused(replayed)
 }

@@ -10,27 +10,70 @@ use super::{
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
-    replay::{ReplayError, ReplayReport, WireComparison},
+    replay::{Difference, Moment, ReplayError, ReplayOptions, ReplayReport, WireComparison, WirePart},
     run::{Outcome, RunOptions},
 };
 use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf, sync::Arc};
 
-/// Run again from a recording alone, and compare every recorded wire bit for bit.
+/// Run again from a recording alone, and compare every recorded wire that is computed, bit for bit.
 ///
 /// The sources' recorded items stand for their nodes, everything downstream is computed anew. The files that the graph
-/// named need not be there. Without --out nothing is written.
+/// named need not be there, unless it says `[record] sources = "hash"`: these are read again, if they are still the same.
+/// The first divergence is the first in the order of the graph. Without --out nothing is written.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   osteoflow replay runs/fibula-20260314-092653/run.mcap
-  osteoflow replay run.mcap --workers 1 --out again")]
+  osteoflow replay run.mcap --set icp.max_pair_distance_mm=3     what a parameter changes, and where first
+  osteoflow replay run.mcap --from icp --set icp.kind=icp.point_to_plane --out again
+  osteoflow replay run.mcap --graph other.toml                   the recorded streams through another graph
+  osteoflow replay run.mcap --rate 1 --start 10 --end 20.5       ten seconds of it, as fast as they went
+
+Exit codes: 0 equal, 4 differs; 3 where the run is refused again, for the same reason.")]
 pub(crate) struct Replay {
     /// The run.mcap of a run, or a file of `osteoflow record`.
     file: PathBuf,
 
+    /// Compute only this node and what follows from it; all that enters is played as recorded.
+    #[arg(long, value_name = "NODE")]
+    from: Option<String>,
+
+    /// Change any key of the recorded graph, as `osteoflow run` does; may be given again.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    sets: Vec<String>,
+
+    /// Play the recorded wires into this graph: those that have the name of a wire of one of its sources.
+    #[arg(long, value_name = "OTHER.toml")]
+    graph: Option<PathBuf>,
+
+    /// How many seconds of the recording go by in one, or max; the result does not depend on it.
+    #[arg(long, value_name = "RATE", default_value = "max", value_parser = rate)]
+    rate: Rate,
+
+    /// Play nothing before: seconds after the first stamp, or a stamp such as 1750000000418500000ns. Constants are
+    /// always played. A part of a run is another run, so nothing is compared then.
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+    start: Option<Moment>,
+
+    /// Play nothing after.
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+    end: Option<Moment>,
+
     #[command(flatten)]
     leave: Leave,
+}
+
+/// How fast to play; `None`: as fast as can be.
+#[derive(Debug, Clone, Copy)]
+struct Rate(Option<f64>);
+
+fn rate(text: &str) -> Result<Rate, String> {
+    match text.parse::<f64>() {
+        _ if text == "max" => Ok(Rate(None)),
+        Ok(rate) if rate > 0.0 && rate.is_finite() => Ok(Rate(Some(rate))),
+        _ => Err("a rate is a number above 0, such as 1 or 0.5, or max".into()),
+    }
 }
 
 impl Replay {
@@ -43,18 +86,20 @@ impl Replay {
             record: dir.is_some(),
             ..running::options(self.leave.workers, &cancelled)?
         };
+        let changes = ReplayOptions {
+            from: self.from.clone(),
+            sets: self.sets.clone(),
+            graph: self.graph.clone(),
+            rate: self.rate.0,
+            start: self.start,
+            end: self.end,
+        };
         let what = format!("replaying {}: {} workers", self.file.display(), options.workers);
         let (progress, file) = (Progress::begin(&what, None, global), self.file.clone());
         let colour = global.colour_err();
         let ran = running::watch(progress, cancelled, move |progress| {
-            osteoflow_engine::replay::replay(&file, &registry(), &options, progress).map_err(|error| match error {
-                ReplayError::Graph(faults) => {
-                    let said = format!("the recorded graph does not fit this program\n{}", faults.render(colour));
-                    UsageError(said).into()
-                }
-                ReplayError::Run(error) => running::told(error),
-                other => other.into(),
-            })
+            let replayed = osteoflow_engine::replay::replay(&file, &changes, &registry(), &options, progress);
+            replayed.map_err(|error| told(error, colour))
         })?;
         let report = match ran {
             Ran::Ended(report) => report,
@@ -85,6 +130,13 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
         let word = global.paint_err("warning", "1;33");
         writeln!(err, "{word}: the recording ends early ({reason}); what is before that is compared")?;
     }
+    if let Some(reason) = &report.not_compared {
+        writeln!(err, "{}: nothing is compared: {reason}", global.paint_err("note", "1;36"))?;
+    }
+    if !report.computed_too.is_empty() {
+        let (word, nodes) = (global.paint_err("note", "1;36"), report.computed_too.join(", "));
+        writeln!(err, "{word}: computed too, because what they give was not recorded: {nodes}")?;
+    }
     if let Outcome::Refused(refusal) = &report.run.outcome {
         writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?;
     }
@@ -104,42 +156,82 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
     if report.run.outcome == Outcome::Complete {
         writeln!(out, "{}", result_table::text(&report.run.results))?;
     }
-    let (computed, played): (Vec<_>, Vec<_>) = report.wires.iter().partition(|wire| !wire.source);
-    let n_different = computed.iter().filter(|wire| wire.first_difference.is_some()).count();
+    if let Some(wire) = report.first_divergence()
+        && let Some(Difference { item, what }) = &wire.first_difference
+    {
+        let word = global.paint_out("first divergence", "1;31");
+        writeln!(out, "{word}: wire {}, item {item}: {what}", wire.wire)?;
+    }
+    let count = |part: WirePart| report.wires.iter().filter(|wire| wire.part == part).count();
+    let n_different = report.wires.iter().filter(|wire| wire.first_difference.is_some()).count();
     let results = match report.results_equal {
         Some(true) => ", results equal",
         Some(false) => ", results differ",
         None => ", no recorded results to compare",
     };
-    let (n_computed, n_played) = (computed.len(), played.len());
-    writeln!(out, "{n_played} wires played, {n_computed} computed anew, {n_different} of these differ{results}")?;
+    let (n_computed, n_played) = (count(WirePart::Computed), count(WirePart::Played));
+    write!(out, "{n_played} wires played, {n_computed} computed anew")?;
+    match &report.not_compared {
+        Some(_) => writeln!(out, ", none compared")?,
+        None => writeln!(out, ", {n_different} differ{results}")?,
+    }
     Ok(())
 }
 
+/// What cannot be asked of this recording is a matter of the command line; all else is one of files.
+fn told(error: ReplayError, colour: bool) -> anyhow::Error {
+    match error {
+        ReplayError::Graph { faults, recorded } => {
+            let what = if recorded { "the recorded graph does not fit this program" } else { "the graph has faults" };
+            UsageError(format!("{what}\n{}", faults.render(colour))).into()
+        }
+        ReplayError::NothingFits { .. }
+        | ReplayError::Payload { .. }
+        | ReplayError::NoNode { .. }
+        | ReplayError::NoEffect { .. } => UsageError(error.to_string()).into(),
+        ReplayError::Run(error) => running::told(error),
+        other => other.into(),
+    }
+}
+
 fn verdict(wire: &WireComparison) -> String {
-    match (&wire.first_difference, wire.source) {
-        (Some((number, what)), _) => format!("differs first at item {number}: {what}"),
-        (None, true) => "played".into(),
-        (None, false) => "equal".into(),
+    match (&wire.first_difference, wire.part) {
+        (Some(Difference { item, what }), _) => format!("differs first at item {item}: {what}"),
+        (None, WirePart::Played) => "played".into(),
+        (None, WirePart::Absent) => "not in this graph".into(),
+        (None, WirePart::Computed) if wire.n_compared == wire.n_recorded => "equal".into(),
+        (None, WirePart::Computed) => format!("{} compared, equal", wire.n_compared),
     }
 }
 
 fn as_json(report: &ReplayReport, exit: Exit) -> Value {
-    let wires = report.wires.iter().map(|wire| {
+    let difference = |wire: &WireComparison| {
         let difference = wire.first_difference.as_ref();
+        difference.map(|d| json!({ "wire": wire.wire, "item": d.item, "what": d.what }))
+    };
+    let wires = report.wires.iter().map(|wire| {
+        let part = match wire.part {
+            WirePart::Played => "played",
+            WirePart::Computed => "computed",
+            WirePart::Absent => "absent",
+        };
         json!({
             "wire": wire.wire,
-            "source": wire.source,
+            "part": part,
             "recorded": wire.n_recorded,
             "replayed": wire.n_replayed,
-            "first_difference": difference.map(|(number, what)| json!({ "item": number, "what": what })),
+            "compared": wire.n_compared,
+            "first_difference": difference(wire),
         })
     });
     json!({
         "outcome": exit.to_json(),
         "equal": report.is_equal(),
         "results_equal": report.results_equal,
+        "first_divergence": report.first_divergence().and_then(difference),
+        "not_compared": report.not_compared,
         "truncated": report.truncated,
+        "computed_too": report.computed_too,
         "wires": wires.collect::<Value>(),
         "results": report.run.results,
     })

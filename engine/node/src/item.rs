@@ -39,6 +39,8 @@ pub enum Emission {
     Value(Value),
     /// No result, for this reason.
     Empty(String),
+    /// No result, for the reason of a node upstream: how a recorded empty is played.
+    PassedOn(Arc<Empty>),
     /// Nothing: only a source may leave a port silent, which then gets progress.
     Silent,
 }

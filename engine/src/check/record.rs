@@ -69,7 +69,12 @@ impl Check<'_> {
         for (node, draft) in drafts.iter().enumerate() {
             all.extend((0..draft.outputs.as_ref().map_or(0, Vec::len)).map(|port| (node, port)));
         }
-        let mut chosen: Vec<bool> = all.iter().map(|(node, _)| sources && drafts[*node].is_source()).collect();
+        // What a live source gave comes only once; no file holds it.
+        let live = |node: usize| {
+            settings.sources == Sources::Hashes && drafts[node].role() == Some(osteoflow_node::Role::LiveSource)
+        };
+        let mut chosen: Vec<bool> =
+            all.iter().map(|(node, _)| live(*node) || (sources && drafts[*node].is_source())).collect();
         for pattern in patterns {
             let Some(text) = take::text(pattern, "wires", &mut self.faults) else { continue };
             let mut any = false;

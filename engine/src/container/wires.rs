@@ -73,6 +73,11 @@ impl Channels {
         self.by_id.get(&id).map(|(_, carries)| carries)
     }
 
+    /// The topic of a channel that has been met.
+    pub(crate) fn topic(&self, id: u16) -> Option<&str> {
+        self.by_id.get(&id).map(|(channel, _)| &*channel.topic)
+    }
+
     /// The wires of exact channels.
     pub(crate) fn wires(&self) -> impl Iterator<Item = &Wire> {
         self.by_id.values().filter_map(|(_, carries)| match carries {

@@ -1,5 +1,5 @@
 use super::{
-    EXACT_ENCODING, EXACT_TOPIC, Firing, RecordError, VIEW_TOPIC,
+    DROPS_TOPIC, EXACT_ENCODING, EXACT_TOPIC, Firing, RecordError, TIMING_TOPIC, VIEW_TOPIC,
     mcap_file::{McapFile, MessageHead, Parts},
 };
 use crate::{
@@ -9,11 +9,6 @@ use crate::{
 use osteoflow_node::{Body, Item, PortPayload, Role, StampNs};
 use serde_json::{Value as Json, json};
 use std::{collections::BTreeMap, fmt::Write, io};
-
-/// When nodes fired, by the wall clock.
-pub(super) const TIMING: &str = "/run/timing";
-/// What policies dropped.
-pub(super) const DROPS: &str = "/run/drops";
 
 /// A reader takes no longer record; an item has to leave room for what else its chunk holds.
 const MAX_ITEM_BYTES: usize = (1 << 30) - (16 << 20);
@@ -153,7 +148,7 @@ impl Sink {
             let _ = write!(text, "{comma}[{node},{},{began},{took}]", firing.item);
         }
         text.push_str("]}");
-        self.tell(TIMING, text.into_bytes())
+        self.tell(TIMING_TOPIC, text.into_bytes())
     }
 
     /// What policies dropped: a link's index and the item's number.
@@ -166,7 +161,7 @@ impl Sink {
             json!([from, to, number])
         });
         let message = json!({ "drops": rows.collect::<Json>() });
-        self.tell(DROPS, message.to_string().into_bytes())
+        self.tell(DROPS_TOPIC, message.to_string().into_bytes())
     }
 
     /// Writes a message about the run itself, at the latest time there is.
@@ -243,7 +238,7 @@ fn told_schema(topic: &str) -> (&'static str, Json) {
         })
     };
     match topic {
-        TIMING => {
+        TIMING_TOPIC => {
             let doc = "node, item, when it began in ns since the run began, how long it took in ns; by the wall clock";
             ("osteoflow.Timing", rows("firings", doc))
         }

@@ -650,6 +650,7 @@ impl Cell {
             let body = match std::mem::replace(&mut self.emissions[port], Emission::Silent) {
                 Emission::Value(value) => Body::Value(value),
                 Emission::Empty(reason) => Body::Empty(self.empty(reason)),
+                Emission::PassedOn(empty) => Body::Empty(empty),
                 Emission::Silent => {
                     silent = true;
                     continue;

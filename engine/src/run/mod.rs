@@ -35,6 +35,7 @@ use crate::{
     manifest::{self, Hashes},
     plan::{Plan, Sources},
     record::Recorder,
+    recording::RecordedFailure,
     results::{self, Ended},
 };
 use osteoflow_node::Registry;
@@ -91,7 +92,8 @@ pub(crate) fn run_with(
     let inputs = hashes.as_mut().map(|hashes| hashes.done()).unwrap_or_default();
     let recorded = recorder.map(|recorder| {
         let at_end = (plan.recording.sources != Sources::Hashes).then_some(inputs);
-        recorder.finish(outcome.status(), &results, options, at_end)
+        let failures: Vec<_> = ended.failures.iter().map(|failure| recorded(plan, failure)).collect();
+        recorder.finish(outcome.status(), &results, &failures, options, at_end)
     });
     if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
         // It was not the user who stopped the run.
@@ -106,6 +108,11 @@ pub(crate) fn run_with(
     }
     recorded.transpose()?;
     Ok(report)
+}
+
+fn recorded(plan: &Plan, failure: &Failure) -> RecordedFailure {
+    let Failure { item, skipped, .. } = *failure;
+    RecordedFailure { node: plan.nodes[failure.node].name.to_string(), item, reason: failure.reason.clone(), skipped }
 }
 
 fn report_of(plan: &Plan, ended: Ended, outcome: Outcome, results: serde_json::Value) -> RunReport {

@@ -3,7 +3,7 @@ use crate::{
     codec,
     plan::{OutputId, Policy},
     recording::Recording,
-    replay::replay_plan,
+    replay::{ReplayOptions, replay_plan},
     toy::{Number, Toy, registry},
 };
 use osteoflow_node::{Item, Join};
@@ -426,19 +426,21 @@ fn a_run_leaves_results_manifest_and_a_recording_that_replays_to_the_same() {
 
     for workers in [1, 8] {
         let again = RunOptions { workers, ..RunOptions::default() };
-        let replayed = replay_plan(plan.clone(), &recording, &registry(), &again, &()).unwrap();
+        let replayed = replay_plan(&plan, &recording, &ReplayOptions::default(), &registry(), &again, &()).unwrap();
         assert!(replayed.is_equal(), "{:#?}", replayed.wires);
         assert_eq!((replayed.run.results, replayed.results_equal), (report.results.clone(), Some(true)));
     }
 
     // Another seed draws other noise: the replay says where it first differs.
     plan.seed = 8;
-    let replayed = replay_plan(plan, &recording, &registry(), &RunOptions::default(), &()).unwrap();
+    let replayed =
+        replay_plan(&plan, &recording, &ReplayOptions::default(), &registry(), &RunOptions::default(), &()).unwrap();
     assert!(!replayed.is_equal() && replayed.results_equal == Some(false));
     let of = |wire: &str| replayed.wires.iter().find(|w| w.wire == wire).unwrap().clone();
     assert_eq!(of("fit.out").first_difference, None);
-    let (number, said) = of("follow.out").first_difference.unwrap();
-    assert!(number == 0 && said.starts_with("value was Float(1000."), "{number}: {said}");
+    let difference = of("follow.out").first_difference.unwrap();
+    assert!(difference.item == 0 && difference.what.starts_with("value was Float(1000."), "{difference:?}");
+    assert_eq!(replayed.first_divergence().unwrap().wire, "follow.out");
 }
 
 #[test]

@@ -1,0 +1,292 @@
+//! What a recording is for: a run is repeated from it alone, in part or with changes, and a kill leaves it readable.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{json, osteoflow, root, run, run_whole};
+use osteoflow_engine::{Recording, digest::Digest};
+use serde_json::Value;
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    time::Duration,
+};
+
+const RECORDED: &str = "graphs/fibula_recorded.toml";
+/// The quickest graph that leaves everything.
+const QUICK: &str = "graphs/calibration.toml";
+
+fn slow() -> bool {
+    std::env::var_os("SLOW_TESTS").is_some()
+}
+
+/// What a replay answered and its exit code.
+fn replay(recording: &Path, arguments: &[&str]) -> (i32, Value, String) {
+    let output = osteoflow().args(["replay", "--format", "json"]).arg(recording).args(arguments).output().unwrap();
+    let told = serde_json::from_slice(&output.stdout).unwrap_or(Value::Null);
+    (output.status.code().unwrap(), told, String::from_utf8_lossy(&output.stderr).into_owned())
+}
+
+fn digest(recording: &Path) -> Digest {
+    let report = osteoflow_engine::digest::digest(recording, &mut |_, _| {}).unwrap();
+    assert_eq!(report.incomplete, None, "{}", recording.display());
+    report.digest.unwrap()
+}
+
+fn part_of(told: &Value, wire: &str) -> (String, Value) {
+    let wires = told["wires"].as_array().unwrap();
+    let found = wires.iter().find(|w| w["wire"] == wire).unwrap_or_else(|| panic!("no {wire} in {told:#}"));
+    (found["part"].as_str().unwrap().to_owned(), found["first_difference"].clone())
+}
+
+/// The recording of a run of the recorded procedure.
+fn recorded() -> (common::Ran, PathBuf) {
+    let ran = run_whole(RECORDED, &[]);
+    let recording = ran.dir.path().join("run.mcap");
+    (ran, recording)
+}
+
+#[test]
+fn shuffled_runs_on_any_number_of_workers_give_one_digest_and_replay_exactly() {
+    let n_runs = if slow() { 200 } else { 4 };
+    for graph in ["graphs/fibula.toml", RECORDED] {
+        let mut first = None;
+        for seed in 0..n_runs {
+            let (seed, workers) = (seed.to_string(), ["1", "2", "8"][seed % 3]);
+            let ran = run_whole(graph, &["--workers", workers, "--shuffle", &seed]);
+            let recording = ran.dir.path().join("run.mcap");
+            let found = digest(&recording);
+            let first = *first.get_or_insert(found);
+            assert_eq!(found, first, "{graph}, {workers} workers, shuffled with {seed}");
+            if seed.len() > 1 && !seed.ends_with('0') {
+                continue;
+            }
+            let again = ran.dir.path().join("again");
+            let (code, told, said) = replay(&recording, &["--out", again.to_str().unwrap()]);
+            assert_eq!((code, told["equal"].as_bool()), (0, Some(true)), "{said}{told:#}");
+            assert_eq!(digest(&again.join("run.mcap")), first, "the replay's recording is the run's");
+            assert_eq!(json(&again.join("results.json")), ran.results);
+        }
+    }
+}
+
+#[test]
+fn one_changed_parameter_diverges_first_at_its_node_and_nowhere_upstream() {
+    let (_ran, recording) = recorded();
+    let (code, told, said) = replay(&recording, &["--set", "icp.max_pair_distance_mm=3"]);
+    assert_eq!(code, 4, "{said}");
+    let first = &told["first_divergence"];
+    assert!(first["wire"].as_str().unwrap().starts_with("icp.") && first["item"] == 0, "{first}");
+    for wire in ["to_bone.cloud", "hole.point", "coarse.t_target_source", "calibration.t_camera_camera_marker"] {
+        assert_eq!(part_of(&told, wire), ("computed".into(), Value::Null), "{wire} is upstream");
+    }
+    assert!(part_of(&told, "planes_at_scan.planes").1.is_object(), "what follows differs too");
+    assert_eq!(part_of(&told, "recording.scan").0, "played");
+
+    // Another method in the place of the first.
+    let (code, told, said) = replay(&recording, &["--set", "icp.kind=icp.point_to_plane"]);
+    assert_eq!(code, 4, "{said}");
+    assert!(told["first_divergence"]["wire"].as_str().unwrap().starts_with("icp."), "{}", told["first_divergence"]);
+}
+
+#[test]
+fn from_a_node_on_only_what_follows_is_computed_and_the_rest_is_played() {
+    let (ran, recording) = recorded();
+    let again = ran.dir.path().join("again");
+    let (code, told, said) = replay(&recording, &["--from", "icp", "--out", again.to_str().unwrap()]);
+    assert_eq!((code, told["equal"].as_bool()), (0, Some(true)), "{said}{told:#}");
+    for (wire, part) in
+        [("to_bone.cloud", "played"), ("hole.point", "played"), ("icp.t_target_source", "computed"), ("planes.planes", "computed")]
+    {
+        assert_eq!(part_of(&told, wire).0, part, "{wire}");
+    }
+    // The prepared target is not recorded: its node is computed from the recorded mesh, and said.
+    assert_eq!(told["computed_too"], serde_json::json!(["ct_surface", "bone_marker"]));
+    assert_eq!(digest(&again.join("run.mcap")), digest(&recording), "its recording holds all that was recorded");
+    let (code, ..) = replay(&again.join("run.mcap"), &[]);
+    assert_eq!(code, 0, "and can itself be replayed whole");
+
+    let (code, told, _) = replay(&recording, &["--from", "icp", "--set", "icp.max_pair_distance_mm=3"]);
+    assert_eq!((code, told["first_divergence"]["item"].as_u64()), (4, Some(0)));
+    for (arguments, words) in [
+        (["--from", "icq"].as_slice(), "no node \"icq\""),
+        (&["--from", "icp", "--set", "hole.min_points=3"], "changes nothing"),
+        (&["--set", "recording.path=x"], "changes nothing"),
+        (&["--set", "icp.no_such=3"], "no_such"),
+        (&["--rate", "0"], "above 0"),
+        (&["--start", "soon"], "seconds after the first stamp"),
+    ] {
+        let (code, _, said) = replay(&recording, arguments);
+        assert!(code == 2 && said.contains(words), "{arguments:?}: {code}: {said}");
+    }
+}
+
+#[test]
+fn recorded_streams_play_into_another_graph_that_has_their_wires() {
+    let (ran, recording) = recorded();
+    let other = "graphs/variants/fibula_recorded_point_to_plane.toml";
+    let (code, told, said) = replay(&recording, &["--graph", other]);
+    assert_eq!(code, 4, "{said}");
+    assert!(told["first_divergence"]["wire"].as_str().unwrap().starts_with("icp."), "{}", told["first_divergence"]);
+    let straight = run_whole(other, &["--no-record"]);
+    assert_eq!(told["results"]["poses"], straight.results["poses"], "as if it had run on the file itself");
+
+    let foreign = ran.dir.path().join("foreign.toml");
+    fs::write(&foreign, "[graph]\nformat = 1\n[node.other]\nkind = \"surface.simulated\"\n[results]\nmesh = \"other.mesh\"\n").unwrap();
+    let (code, _, said) = replay(&recording, &["--graph", foreign.to_str().unwrap()]);
+    assert!(code == 2 && said.contains("no recorded wire") && said.contains("recording.scan"), "{said}");
+}
+
+#[test]
+fn the_rate_changes_no_result_and_a_part_of_a_recording_is_played_and_not_compared() {
+    let (_ran, recording) = recorded();
+    // Fifty seconds in a quarter of one.
+    let (code, told, said) = replay(&recording, &["--rate", "200", "--workers", "1"]);
+    assert_eq!((code, told["equal"].as_bool()), (0, Some(true)), "{said}");
+
+    let first = Recording::open(&recording).unwrap().wires["recording.bone_marker"].messages.len() as u64;
+    let (_, told, said) = replay(&recording, &["--end", "20"]);
+    assert!(told["not_compared"].as_str().unwrap().contains("part"), "{told:#}");
+    let played = |told: &Value| {
+        let wires = told["wires"].as_array().unwrap();
+        wires.iter().find(|w| w["wire"] == "recording.bone_marker").unwrap()["replayed"].as_u64().unwrap()
+    };
+    assert!(played(&told) > 0 && played(&told) < first, "{} of {first}: {said}", played(&told));
+    let (_, later, _) = replay(&recording, &["--start", "20.000000001"]);
+    assert_eq!(played(&told) + played(&later), first, "every item is before or after");
+    let mesh = later["wires"].as_array().unwrap().iter().find(|w| w["wire"] == "bone.mesh").unwrap();
+    assert_eq!(mesh["replayed"], 1, "a constant is always played");
+}
+
+#[test]
+fn sources_named_by_hash_are_read_again_and_only_if_they_are_the_same() {
+    let dir = tempfile::tempdir().unwrap();
+    let copy = dir.path().join("bone.stl");
+    fs::copy(root().join("tests/data/procedure/bone.stl"), &copy).unwrap();
+    let set = format!("bone.path={}", copy.display());
+    let ran = run_whole(RECORDED, &["--set", "record.sources=hash", "--set", &set]);
+    let recording = ran.dir.path().join("run.mcap");
+    let whole = recorded();
+    let size = |path: &Path| fs::metadata(path).unwrap().len();
+    assert!(size(&recording) < size(&whole.1) / 2, "{} bytes where the scans are not in it", size(&recording));
+    let (code, told, said) = replay(&recording, &[]);
+    assert_eq!((code, told["equal"].as_bool()), (0, Some(true)), "{said}{told:#}");
+
+    let mut bytes = fs::read(&copy).unwrap();
+    bytes[200] ^= 1;
+    fs::write(&copy, &bytes).unwrap();
+    let (code, _, said) = replay(&recording, &[]);
+    assert!(code == 1 && said.contains("bone.stl") && said.contains("expected") && said.contains("found"), "{said}");
+    fs::remove_file(&copy).unwrap();
+    let (code, _, said) = replay(&recording, &[]);
+    assert!(code == 1 && said.contains("bone.stl"), "{said}");
+    let moved = format!("bone.path={}", root().join("tests/data/procedure/bone.stl").display());
+    let (code, _, said) = replay(&recording, &["--set", &moved]);
+    assert_eq!(code, 0, "a file that has moved is known by its hash: {said}");
+
+    // What is simulated is simulated again.
+    let ran = run_whole(QUICK, &["--set", "record.sources=hash"]);
+    let (code, told, said) = replay(&ran.dir.path().join("run.mcap"), &[]);
+    assert_eq!((code, told["equal"].as_bool()), (0, Some(true)), "{said}");
+}
+
+#[test]
+fn a_refused_run_replays_to_the_same_refusal() {
+    // No hole is that small.
+    let ran = run(RECORDED, &["--set", "hole.min_points=1000000"]);
+    assert_eq!(ran.code, 3, "{}", ran.stderr);
+    let recording = ran.dir.path().join("run.mcap");
+    let (code, told, said) = replay(&recording, &[]);
+    assert_eq!((code, told["equal"].as_bool(), told["results_equal"].as_bool()), (3, Some(true), Some(true)), "{said}");
+    assert_eq!(told["results"]["refused"], ran.results["refused"]);
+    let (code, told, _) = replay(&recording, &["--set", "hole.min_points=10"]);
+    assert_eq!(code, 4, "it is not refused any more: {told:#}");
+    assert!(told["first_divergence"]["wire"].as_str().unwrap().starts_with("hole."));
+}
+
+#[test]
+fn a_recording_tells_what_it_was_made_from_and_how() {
+    let ran = run_whole(QUICK, &["--set", "record.compression=none", "--set", "record.views=false"]);
+    let bytes = fs::read(ran.dir.path().join("run.mcap")).unwrap();
+    let text = String::from_utf8_lossy(&bytes);
+    for words in ["git_revision", "rustc ", "target_features", "cpu_features", "osteoflow.plugins", "osteoflow.inputs"] {
+        assert!(text.contains(words), "{words}");
+    }
+    assert!(text.contains("/run/timing") && !text.contains("/view/"), "pictures were switched off");
+    let manifest = json(&ran.dir.path().join("manifest.json"));
+    assert_eq!(manifest["recording"]["compression"], "none");
+    assert!(manifest["command"]["compiler"].as_str().unwrap().starts_with("rustc"));
+    assert!(manifest["command"].get("git_revision").is_some());
+}
+
+/// A run that is killed after this time; its recording, if it has come so far.
+#[cfg(unix)]
+fn killed(dir: &Path, after: Duration) -> Option<PathBuf> {
+    let mut child = Command::new(assert_cmd::cargo::cargo_bin("osteoflow"))
+        .current_dir(root())
+        .args(["run", RECORDED, "--force", "--set", "record.wires=[\"*\"]", "--out"])
+        .arg(dir)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(after);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    Some(dir.join("run.mcap")).filter(|path| path.exists())
+}
+
+#[test]
+#[cfg(unix)]
+fn a_kill_at_any_instant_leaves_a_recording_that_is_read_and_replayed_up_to_its_last_chunk() {
+    let n_kills: u64 = if slow() { 100 } else { 10 };
+    let dir = tempfile::tempdir().unwrap();
+    let (mut n_read, mut n_items) = (0, 0);
+    for kill in 0..n_kills {
+        // Spread over a run's second and a half, by steps that do not repeat.
+        let after = Duration::from_micros(kill * 1_618_033 % 1_500_000);
+        let Some(path) = killed(dir.path(), after) else { continue };
+        match Recording::open(&path) {
+            Ok(recording) => {
+                n_read += 1;
+                n_items += recording.wires.values().map(|wire| wire.messages.len()).sum::<usize>();
+                assert!(!recording.graph.is_empty(), "the graph stands at the front");
+                if recording.wires.is_empty() || (kill > 5 && kill % 10 != 0) {
+                    continue;
+                }
+                let (code, told, said) = replay(&path, &[]);
+                assert!(told["wires"].as_array().is_some_and(|wires| wires.iter().all(|w| w["first_difference"].is_null())),
+                    "killed after {after:?}: {code}: {said}{told:#}");
+            }
+            Err(error) => {
+                let said = error.to_string();
+                assert!(said.contains("is no recording of a run"), "killed after {after:?}: {said}");
+            }
+        }
+    }
+    assert!(n_read > 0 && n_items > 0, "{n_read} of {n_kills} were read, with {n_items} items");
+}
+
+#[test]
+#[cfg(unix)]
+fn a_disk_that_is_full_ends_the_run_with_the_file_named_and_leaves_the_rest_whole() {
+    let dir = tempfile::tempdir().unwrap();
+    let program = assert_cmd::cargo::cargo_bin("osteoflow");
+    // The largest file that this shell's children may write has 200 blocks of 1 KiB; the recording needs more.
+    let script = format!(
+        "trap '' XFSZ; ulimit -f 200; exec {} run {RECORDED} --set record.compression=none --out {}",
+        program.display(),
+        dir.path().display()
+    );
+    let output = Command::new("bash").current_dir(root()).args(["-c", &script]).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("run.mcap") && said.contains("cannot write"), "{said}");
+    let results = json(&dir.path().join("results.json"));
+    let manifest = json(&dir.path().join("manifest.json"));
+    assert!(manifest["recording"]["error"].as_str().unwrap().contains("run.mcap"), "{}", manifest["recording"]);
+    assert!(results["refused"]["reason"].as_str().is_none_or(|reason| reason.contains("run.mcap")), "{results}");
+    let recording = Recording::open(&dir.path().join("run.mcap")).unwrap();
+    assert!(recording.truncated.is_some() && !recording.wires.is_empty());
+}
