@@ -23,6 +23,9 @@ use std::{
     sync::Arc,
 };
 
+/// The key of `results.json` that names the node from which on a replay had computed.
+const COMPUTED_FROM: &str = "computed_from";
+
 /// What to change in a replay; by default nothing.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ReplayOptions {
@@ -282,6 +285,11 @@ pub(crate) fn replay_plan(
     let mut options = options.clone();
     if changes.graph.is_none() {
         options.fixed_results.clone_from(&recording.fixed_results);
+        options.fixed_results.retain(|(key, _)| key != COMPUTED_FROM);
+    }
+    if let Some(from) = &changes.from {
+        // Not all results of the graph are among them.
+        options.fixed_results.push((COMPUTED_FROM.into(), from.as_str().into()));
     }
     if changes.rate.is_some() {
         // A player that waits for its time holds a worker.
@@ -290,7 +298,7 @@ pub(crate) fn replay_plan(
     let report = run::run_with(&reduced, registry, &options, observer, replayed, Some(&compare))?;
 
     let whole = not_compared.is_none() && changes.graph.is_none() && changes.from.is_none() && !recording.interrupted;
-    let results_equal = recording.results.as_ref().filter(|_| whole);
+    let results_equal = recording.results.as_ref().filter(|results| whole && results.get(COMPUTED_FROM).is_none());
     let results_equal =
         results_equal.map(|recorded| same_results(recorded, &report.results, is_computed_name(&computes)));
     Ok(ReplayReport {

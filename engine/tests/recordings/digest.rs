@@ -3,7 +3,7 @@ use crate::{
     toy::{checked, record, registry},
 };
 use mcap::Compression;
-use osteoflow_engine::{RunOptions, digest::DigestReport, digest::digest, replay};
+use osteoflow_engine::{ReplayOptions, RunOptions, digest::DigestReport, digest::digest, replay};
 use std::{fs, path::Path};
 
 fn of(path: &Path) -> DigestReport {
@@ -55,7 +55,7 @@ fn a_recording_in_another_order_replays_and_so_does_a_wire_that_takes_anything()
     let original = record(dir.path(), &[], 2);
     let path = dir.path().join("shuffled.mcap");
     copy(&original, &path, &Layout { chunk_bytes: Some(4096), compression: None, shuffle: Some(9), crc: true });
-    let report = replay(&path, &registry(), &RunOptions::default(), &()).unwrap();
+    let report = replay(&path, &ReplayOptions::default(), &registry(), &RunOptions::default(), &()).unwrap();
     assert!(report.is_equal(), "{:#?}", report.wires);
     let recording = osteoflow_engine::Recording::open(&path).unwrap();
     let items = recording.items("pass.thing", &registry()).unwrap();
