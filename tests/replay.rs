@@ -54,7 +54,7 @@ fn shuffled_runs_on_any_number_of_workers_give_one_digest_and_replay_exactly() {
         let mut first = None;
         for seed in 0..n_runs {
             let (seed, workers) = (seed.to_string(), ["1", "2", "8"][seed % 3]);
-            let ran = run_whole(graph, &["--workers", workers]);
+            let ran = run_whole(graph, &["--workers", workers, "--shuffle", &seed]);
             let recording = ran.dir.path().join("run.mcap");
             let found = digest(&recording);
             let first = *first.get_or_insert(found);

@@ -3,7 +3,7 @@
 //! Items are cheap handles; views are made, packed and written on a thread of their own, so that a node waits only when
 //! the disk is slower than the graph. Each wire has an exact channel, `/exact/<node.port>`, and beside it, where its
 //! payload has a picture for viewers, `/view/<node.port>`. When nodes fired stands on `/run/timing`, what policies
-//! dropped on `/run/drops`.
+//! dropped on `/run/drops`, what they took from the clock on `/run/live`.
 //!
 //! What a replay needs stands at the front, and what waits is written as a chunk several times a second: a run that is
 //! killed leaves a recording that can be read, and replayed, up to its last whole chunk.
@@ -21,7 +21,7 @@ use crate::{
     run::{RunOptions, Tap, catch_panic},
 };
 use mcap_file::McapFile;
-use osteoflow_node::{Body, Item};
+use osteoflow_node::{Body, Item, Reading};
 use queue::Queue;
 use serde_json::Value as Json;
 use sink::{Sink, Stopped};
@@ -50,6 +50,8 @@ pub const VIEW_TOPIC: &str = "/view/";
 pub const TIMING_TOPIC: &str = "/run/timing";
 /// The topic of what policies dropped.
 pub const DROPS_TOPIC: &str = "/run/drops";
+/// The topic of what firings took from the clock.
+pub const LIVE_TOPIC: &str = "/run/live";
 /// The metadata record that names the graph, its seed and the version of the engine.
 pub const RUN_METADATA: &str = "osteoflow";
 /// The metadata record that tells of the program and the machine.
@@ -148,6 +150,7 @@ enum Entry {
     Item(OutputId, Item),
     Firings(Vec<Firing>),
     Dropped(usize, u64),
+    Live(usize, u64, Vec<Reading>),
     /// Metadata that ends the recording.
     End(Vec<(&'static str, BTreeMap<String, String>)>),
 }
@@ -244,6 +247,10 @@ impl Tap for Recorder {
         }
     }
 
+    fn live(&self, node: usize, item: u64, readings: &[Reading]) {
+        self.shared.queue.put(Entry::Live(node, item, readings.to_vec()), size_of_val(readings));
+    }
+
     fn dropped(&self, link: usize, number: u64) {
         self.shared.queue.put(Entry::Dropped(link, number), 0);
     }
@@ -312,6 +319,14 @@ pub(crate) fn dropped(message: &[u8]) -> Vec<(String, String, u64)> {
     serde_json::from_slice::<Message>(message).map(|message| message.drops).unwrap_or_default()
 }
 
+/// What a message on [`LIVE_TOPIC`] tells.
+#[derive(serde::Deserialize)]
+pub(crate) struct Taken {
+    pub(crate) node: String,
+    pub(crate) item: u64,
+    pub(crate) readings: Vec<Reading>,
+}
+
 /// The writer's life: until the queue is closed and empty, or the file takes nothing more.
 fn record(mut sink: Sink, shared: &Shared) -> Result<Counts, Stopped> {
     let mut flushed = Instant::now();
@@ -332,6 +347,7 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<Counts, Stopped> {
                 }
                 Entry::Firings(firings) => sink.firings(&firings)?,
                 Entry::Dropped(link, number) => drops.push((link, number)),
+                Entry::Live(node, item, readings) => sink.live(node, item, &readings)?,
                 Entry::End(metadata) => end = metadata,
             }
             shared.queue.release(n_bytes);

@@ -4,10 +4,12 @@ use crate::{
     codec::{self, CodecError, RecordedItem},
     container::{self, Carries, Channels, Damage, Place, Record, Visit, Walk, WalkError, Wire},
     plan::Sources,
-    record::{self, DROPS_TOPIC, FORMAT_VERSION, INPUTS_METADATA, OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
+    record::{
+        self, DROPS_TOPIC, FORMAT_VERSION, INPUTS_METADATA, LIVE_TOPIC, OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA,
+    },
     recover::{self, RECOVERED_METADATA},
 };
-use osteoflow_node::{Body, Item, PayloadType, Registry};
+use osteoflow_node::{Body, Item, PayloadType, Reading, Registry};
 use std::{
     collections::{BTreeMap, BTreeSet},
     io,
@@ -86,6 +88,8 @@ pub struct Recording {
     pub inputs: BTreeMap<String, String>,
     /// The numbers of the items that policies dropped, by wire and input.
     pub drops: BTreeMap<(String, String), BTreeSet<u64>>,
+    /// What firings took from the clock, by node and the number of the firing.
+    pub readings: BTreeMap<(String, u64), Vec<Reading>>,
     /// Which nodes failed at which item, and why.
     pub failures: Vec<RecordedFailure>,
 }
@@ -200,7 +204,7 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] if the file is not a recording of a run, or its wires have holes.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        let mut reading = Reading::default();
+        let mut reading = Pass::default();
         let truncated = reading.read(path)?;
         let recovered = reading.metadata.remove(RECOVERED_METADATA);
         let about = About::of(path, &reading.metadata, truncated.as_deref())?;
@@ -233,6 +237,7 @@ impl Recording {
             sources: if by_hash { Sources::Hashes } else { Sources::Wires },
             inputs: reading.metadata.remove(INPUTS_METADATA).unwrap_or_default(),
             drops: reading.drops,
+            readings: reading.readings,
             failures: failures.unwrap_or_default(),
         })
     }
@@ -281,11 +286,12 @@ pub(crate) fn known(name: &str, version: u32, registry: &Registry) -> Result<&'s
 
 /// What a pass over the file gathers, up to the first damage: what lies behind it may rest on what is lost.
 #[derive(Default)]
-struct Reading {
+struct Pass {
     channels: Channels,
     metadata: BTreeMap<String, BTreeMap<String, String>>,
     wires: BTreeMap<String, Gathered>,
     drops: BTreeMap<(String, String), BTreeSet<u64>>,
+    readings: BTreeMap<(String, u64), Vec<Reading>>,
     damage: Option<Damage>,
 }
 
@@ -295,7 +301,7 @@ struct Gathered {
     messages: Vec<(Option<u64>, Vec<u8>)>,
 }
 
-impl Reading {
+impl Pass {
     fn read(&mut self, path: &Path) -> Result<Option<String>, RecordingError> {
         let mut walk = Walk::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
         let end = walk.run(self).map_err(|error| RecordingError::of(path, error))?;
@@ -304,7 +310,7 @@ impl Reading {
     }
 }
 
-impl Visit for Reading {
+impl Visit for Pass {
     fn record(&mut self, _: Place, record: Record<'_>) -> ControlFlow<()> {
         match record {
             Record::Metadata { name, entries } => drop(self.metadata.insert(name.into(), entries)),
@@ -323,6 +329,10 @@ impl Visit for Reading {
                     for (wire, input, number) in record::dropped(message.data) {
                         self.drops.entry((wire, input)).or_default().insert(number);
                     }
+                } else if self.channels.topic(message.channel_id) == Some(LIVE_TOPIC)
+                    && let Ok(record::Taken { node, item, readings }) = serde_json::from_slice(message.data)
+                {
+                    self.readings.insert((node, item), readings);
                 }
             }
             _ => {}

@@ -3,6 +3,8 @@
 mod compare;
 mod player;
 mod select;
+#[cfg(test)]
+mod tests;
 
 use crate::{
     check::{check, check_recorded},
@@ -13,7 +15,7 @@ use crate::{
     run::{self, Observer, Replayed, RunError, RunOptions, RunReport, Substitutes},
 };
 use compare::Compare;
-use osteoflow_node::{Body, Item, Join, PortPayload, Registry, Role, StampNs};
+use osteoflow_node::{Body, Item, Join, PortPayload, Reading, Registry, Role, StampNs};
 use player::{Failing, Pace, Player};
 use select::Part;
 use std::{
@@ -275,9 +277,12 @@ pub(crate) fn replay_plan(
     let computes: BTreeSet<_> =
         plan.nodes.iter().enumerate().filter(|(i, _)| computed(*i)).map(|(_, n)| &*n.name).collect();
     let is_computed = |node: usize| computes.contains(&*reduced.nodes[node].name);
+    let Players { substitutes, cut } = players(&reduced, recording, changes, registry, is_computed)?;
     let replayed = Replayed {
-        substitutes: players(&reduced, recording, changes, registry, is_computed)?,
-        drops: Some(drops(&reduced, recording)),
+        substitutes,
+        drops: Some(drops(&reduced, recording, &cut)),
+        // Where the beginning is left out, firings are numbered otherwise, and the clock answers.
+        readings: changes.start.is_none().then(|| readings(&reduced, recording)),
     };
     let not_compared = (changes.start.is_some() || changes.end.is_some())
         .then(|| "only a part of the recording was played, and a part of a run is another run".to_owned());
@@ -413,6 +418,13 @@ fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[Part]) -> Vec<Str
     too.map(|(_, node)| node.name.to_string()).collect()
 }
 
+/// What is played.
+struct Players {
+    substitutes: Substitutes,
+    /// How many items are left out at the beginning of a wire.
+    cut: BTreeMap<OutputId, u64>,
+}
+
 /// For each node that is played one that gives the recorded items.
 fn players(
     plan: &Plan,
@@ -420,7 +432,8 @@ fn players(
     changes: &ReplayOptions,
     registry: &Registry,
     is_computed: impl Fn(usize) -> bool,
-) -> Result<Substitutes, ReplayError> {
+) -> Result<Players, ReplayError> {
+    let mut cut = BTreeMap::new();
     let mut items: BTreeMap<OutputId, Vec<Item>> = BTreeMap::new();
     for &id in plan.record.iter().filter(|id| !is_computed(id.node)) {
         items.insert(id, recording.items(&plan.wire_name(id), registry)?);
@@ -431,6 +444,8 @@ fn players(
     let end = changes.end.map_or(StampNs::MAX, |end| end.stamp(first_ns));
     for (id, items) in &mut items {
         if !is_constant(plan, *id) {
+            let before = items.iter().filter(|item| item.stamp_ns > 0 && item.stamp_ns < start);
+            cut.insert(*id, before.count() as u64);
             // What has no time is a constant too.
             items.retain(|item| item.stamp_ns <= 0 || (start..=end).contains(&item.stamp_ns));
         }
@@ -446,7 +461,7 @@ fn players(
         let ports = ports.into_iter().map(Into::into).collect();
         players.insert(index, Box::new(Player { ports, failure, pace: pace.clone() }));
     }
-    Ok(players)
+    Ok(Players { substitutes: players, cut })
 }
 
 /// Takes away the empties with which a failing node had ended its wires: its failure is played in their place.
@@ -467,15 +482,24 @@ fn is_constant(plan: &Plan, id: OutputId) -> bool {
     links.peek().is_some() && links.all(|link| plan.nodes[link.to_node].inputs[link.to_port].port.join == Join::Once)
 }
 
-/// What policies had dropped, by the index of the link.
-fn drops(plan: &Plan, recording: &Recording) -> BTreeMap<usize, BTreeSet<u64>> {
+/// What policies had dropped, by the index of the link; numbers are those of the items as they are played.
+fn drops(plan: &Plan, recording: &Recording, cut: &BTreeMap<OutputId, u64>) -> BTreeMap<usize, BTreeSet<u64>> {
     let of = |index: usize| {
         let link = &plan.links[index];
         let to = &plan.nodes[link.to_node];
         let ends = (plan.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name));
-        Some((index, recording.drops.get(&ends)?.clone()))
+        let n_cut = cut.get(&link.from).copied().unwrap_or(0);
+        let numbers = recording.drops.get(&ends)?.iter().filter_map(|number| number.checked_sub(n_cut));
+        Some((index, numbers.collect()))
     };
     (0..plan.links.len()).filter_map(of).collect()
+}
+
+/// What firings had taken from the clock, by the index of the node.
+fn readings(plan: &Plan, recording: &Recording) -> BTreeMap<(usize, u64), Vec<Reading>> {
+    let place = |name: &str| plan.nodes.iter().position(|node| *node.name == *name);
+    let all = recording.readings.iter();
+    all.filter_map(|((node, item), readings)| Some(((place(node)?, *item), readings.clone()))).collect()
 }
 
 /// Each recorded wire, in the order of the plan.

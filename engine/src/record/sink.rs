@@ -1,12 +1,12 @@
 use super::{
-    DROPS_TOPIC, EXACT_ENCODING, EXACT_TOPIC, Firing, RecordError, TIMING_TOPIC, VIEW_TOPIC,
+    DROPS_TOPIC, EXACT_ENCODING, EXACT_TOPIC, Firing, LIVE_TOPIC, RecordError, TIMING_TOPIC, VIEW_TOPIC,
     mcap_file::{McapFile, MessageHead, Parts},
 };
 use crate::{
     codec,
     plan::{OutputId, Plan},
 };
-use osteoflow_node::{Body, Item, PortPayload, Role, StampNs};
+use osteoflow_node::{Body, Item, PortPayload, Reading, Role, StampNs};
 use serde_json::{Value as Json, json};
 use std::{collections::BTreeMap, fmt::Write, io};
 
@@ -164,6 +164,12 @@ impl Sink {
         self.tell(DROPS_TOPIC, message.to_string().into_bytes())
     }
 
+    /// What a firing took from the clock.
+    pub(super) fn live(&mut self, node: usize, item: u64, readings: &[Reading]) -> Result<(), Stopped> {
+        let message = json!({ "node": self.nodes[node], "item": item, "readings": readings });
+        self.tell(LIVE_TOPIC, message.to_string().into_bytes())
+    }
+
     /// Writes a message about the run itself, at the latest time there is.
     fn tell(&mut self, topic: &'static str, message: Vec<u8>) -> Result<(), Stopped> {
         let Some(time_ns) = self.time_ns else {
@@ -241,6 +247,14 @@ fn told_schema(topic: &str) -> (&'static str, Json) {
         TIMING_TOPIC => {
             let doc = "node, item, when it began in ns since the run began, how long it took in ns; by the wall clock";
             ("osteoflow.Timing", rows("firings", doc))
+        }
+        LIVE_TOPIC => {
+            let properties = json!({
+                "node": { "type": "string" },
+                "item": { "type": "integer", "description": "number of the firing" },
+                "readings": { "type": "array", "description": "in order; a replay answers with them" },
+            });
+            ("osteoflow.Live", json!({ "type": "object", "properties": properties }))
         }
         _ => ("osteoflow.Drops", rows("drops", "wire, input, number of the item that the input's policy dropped")),
     }

@@ -3,7 +3,7 @@ use crate::{
     toy::{record, registry},
 };
 use osteoflow_engine::{
-    Recording, RunOptions,
+    Recording, ReplayOptions, RunOptions,
     digest::digest,
     recover::{RecoverError, RecoverReport, recover},
     replay,
@@ -62,7 +62,8 @@ fn a_file_cut_anywhere_gives_every_whole_chunk_in_a_sound_file_that_replays() {
                     let recording = Recording::open(&out).unwrap();
                     assert!(recording.truncated.as_ref().is_some_and(|said| said.contains("recovered")));
                     if recording.wires.contains_key("constant.wave") && recording.wires.len() == 4 {
-                        let replayed = replay(&out, &registry(), &RunOptions::default(), &()).unwrap();
+                        let replayed =
+                            replay(&out, &ReplayOptions::default(), &registry(), &RunOptions::default(), &()).unwrap();
                         assert!(replayed.is_equal(), "{at}: {:#?}", replayed.wires);
                         n_replayed += 1;
                     }
@@ -107,7 +108,7 @@ fn chunks_behind_a_damaged_one_are_found_and_holes_are_named() {
         // Nothing is shifted: what is read for a replay ends before the hole.
         let recording = Recording::open(&out).unwrap();
         assert_eq!(recording.wires["beat.wave"].messages.len() as u64, beat.before_damage);
-        let replayed = replay(&out, &registry(), &RunOptions::default(), &()).unwrap();
+        let replayed = replay(&out, &ReplayOptions::default(), &registry(), &RunOptions::default(), &()).unwrap();
         assert!(replayed.is_equal() && replayed.truncated.is_some(), "{i}: {:#?}", replayed.wires);
         let digests = digest(&out, &mut |_, _| {}).unwrap();
         assert!(digests.incomplete.is_none() && digests.partial.is_some(), "{i}: {digests:?}");
@@ -131,7 +132,7 @@ fn a_whole_recording_comes_out_whole() {
     assert!(report.is_whole(), "{report:?}");
     let [before, after] = [&path, &out].map(|path| digest(path, &mut |_, _| {}).unwrap());
     assert_eq!((before.digest, before.wires, None), (after.digest, after.wires, after.partial));
-    assert!(replay(&out, &registry(), &RunOptions::default(), &()).unwrap().is_equal());
+    assert!(replay(&out, &ReplayOptions::default(), &registry(), &RunOptions::default(), &()).unwrap().is_equal());
 }
 
 #[test]
