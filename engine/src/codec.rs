@@ -369,6 +369,24 @@ mod tests {
     }
 
     #[test]
+    fn the_worked_example_of_the_book_is_what_is_written() {
+        let page = include_str!("../../docs/recording.md");
+        let example = page.split("```hex\n").nth(1).unwrap().split("```").next().unwrap();
+        let bytes = |line: &str| -> Vec<u8> {
+            let hex = line.get(5..28.min(line.len())).unwrap().split_whitespace();
+            hex.map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
+        };
+        let mut written = Vec::new();
+        for line in example.lines() {
+            assert_eq!(line[..3].trim().parse(), Ok(written.len()), "{line}");
+            written.extend(bytes(line));
+        }
+        let wave = Wave { label: "hello".into(), samples: vec![1.5, -0.0] };
+        let item = Item { number: 7, stamp_ns: 1000, body: Body::Value(Value::new(wave)) };
+        assert_eq!(written, encode(&item));
+    }
+
+    #[test]
     fn columns_lie_at_multiples_of_eight_bytes() {
         let bytes = encode(&wave(vec![1.5]));
         let rows = bytes.windows(8).position(|w| w == 1.5f64.to_le_bytes()).unwrap();

@@ -302,7 +302,9 @@ pub(crate) fn replay_plan(
     }
     let report = run::run_with(&reduced, registry, &options, observer, replayed, Some(&compare))?;
 
-    let whole = not_compared.is_none() && changes.graph.is_none() && changes.from.is_none() && !recording.interrupted;
+    // Of a part of a recording other results come than of the whole.
+    let partial = recording.interrupted || recording.truncated.is_some();
+    let whole = not_compared.is_none() && changes.graph.is_none() && changes.from.is_none() && !partial;
     let results_equal = recording.results.as_ref().filter(|results| whole && results.get(COMPUTED_FROM).is_none());
     let results_equal =
         results_equal.map(|recorded| same_results(recorded, &report.results, is_computed_name(&computes)));

@@ -14,7 +14,7 @@ use std::{io::Write, path::PathBuf};
 Examples:
   osteoflow diff runs/first/run.mcap runs/second/run.mcap
   osteoflow diff a.mcap b.mcap --wires 'icp.*' 'planes.*'
-  osteoflow diff a.mcap b.mcap --tolerance 1e-9  equal within a millionth of a micrometre, in mm and rad alike")]
+  osteoflow diff a.mcap b.mcap --tolerance 1e-9  equal within 1e-9 mm and 1e-9 rad")]
 pub(crate) struct Diff {
     /// The first recording; its graph gives the order.
     a: PathBuf,

@@ -178,7 +178,8 @@ impl<'a> Items<'a> {
             let holes = wire.numbers.missing(expected.map(|(items, _)| items));
             let known = known_missing.get(name);
             for hole in holes.iter().filter(|hole| !known.is_some_and(|known| known.contains(hole))) {
-                let range = if hole.start() == hole.end() { String::new() } else { format!(" to {}", hole.end()) };
+                let range =
+                    if hole.start() == hole.end() { String::new() } else { format!(", up to item {}", hole.end()) };
                 findings.add("hole", Finding::of(name, *hole.start(), None, format!("missing{range}")));
             }
             if let Some((items, values)) = expected.filter(|_| recovered.is_none()) {

@@ -38,7 +38,7 @@ impl Payload<Wave> for Wave {
     }
 
     fn to_result(&self) -> Json {
-        self.samples.len().into()
+        self.label.as_str().into()
     }
 
     fn display() -> Option<Display> {
@@ -228,6 +228,9 @@ in   = { thing = "cut.short" }
 
 [record]
 wires = ["*"]
+
+[results]
+"last" = "beat.wave"
 "#;
 
 pub(crate) fn checked(sets: &[&str]) -> Checked {
