@@ -79,8 +79,8 @@ pub(crate) struct RecvEnd {
 
 /// What a look into the queue brings.
 pub(crate) enum Received {
-    /// An item; `unblocks` if the producer had waited for its room.
-    Item { item: Item, unblocks: bool },
+    /// An item; whether the producer had waited for its room is asked by [`RecvEnd::unblocks`].
+    Item(Item),
     /// Nothing yet, and nothing before this stamp.
     Nothing(StampNs),
     /// Nothing any more.
@@ -283,7 +283,7 @@ impl RecvEnd {
     /// The next item, in the order of numbers.
     pub(crate) fn receive(&mut self, state: &LinkState) -> Received {
         if let Some(item) = self.held.take() {
-            return self.in_order(item, state, false);
+            return self.in_order(item, state);
         }
         // Before the queue: an item that precedes this progress is then seen in the queue.
         let progress = state.progress.load(Ordering::Acquire);
@@ -292,13 +292,11 @@ impl RecvEnd {
                 self.received += 1;
                 self.received_bytes += n_bytes(&item);
                 state.received_bytes.store(self.received_bytes, Ordering::Relaxed);
-                fence(Ordering::SeqCst);
-                let unblocks = state.blocked.load(Ordering::Relaxed) && state.blocked.swap(false, Ordering::Relaxed);
-                self.in_order(item, state, unblocks)
+                self.in_order(item, state)
             }
             Err(TryRecvError::Empty) => Received::Nothing(progress),
             Err(TryRecvError::Disconnected) if self.next_number < state.total.load(Ordering::Acquire) => {
-                Received::Item { item: self.empty_in_place(state), unblocks: false }
+                Received::Item(self.empty_in_place(state))
             }
             Err(TryRecvError::Disconnected) => {
                 self.ended = true;
@@ -307,14 +305,19 @@ impl RecvEnd {
         }
     }
 
-    fn in_order(&mut self, item: Item, state: &LinkState, unblocks: bool) -> Received {
+    fn in_order(&mut self, item: Item, state: &LinkState) -> Received {
         if item.number > self.next_number {
             self.held = Some(item);
-            return Received::Item { item: self.empty_in_place(state), unblocks };
+            return Received::Item(self.empty_in_place(state));
         }
         self.next_number = item.number + 1;
         self.last_stamp = item.stamp_ns;
-        Received::Item { item, unblocks }
+        Received::Item(item)
+    }
+
+    /// Whether the producer waits for room, of which it is to be told now; after items were taken, and a fence.
+    pub(crate) fn unblocks(&self, state: &LinkState) -> bool {
+        state.blocked.load(Ordering::Relaxed) && state.blocked.swap(false, Ordering::Relaxed)
     }
 
     /// What stands in the place of the next item, which was dropped: with its number and its stamp.
@@ -368,7 +371,7 @@ mod tests {
         }
         send.close(&state);
         let mut out = Vec::new();
-        while let Received::Item { item, .. } = recv.receive(&state) {
+        while let Received::Item(item) = recv.receive(&state) {
             let Body::Empty(empty) = item.body else { panic!("only empties were sent") };
             out.push((item.number, item.stamp_ns, empty.reason.clone()));
         }
@@ -417,11 +420,11 @@ mod tests {
         assert!(send.promise(&state, 0));
         give(&mut send, 1);
         assert!(!send.promise(&state, 7), "the place of item 1 is not yet taken");
-        let Received::Item { .. } = recv.receive(&state) else { panic!("item 0 waits") };
+        let Received::Item(_) = recv.receive(&state) else { panic!("item 0 waits") };
         assert!(matches!(recv.receive(&state), Received::Nothing(0)));
         give(&mut send, 9);
         assert!(send.promise(&state, 9));
-        let Received::Item { item, .. } = recv.receive(&state) else { panic!("item 1 is an empty now") };
+        let Received::Item(item) = recv.receive(&state) else { panic!("item 1 is an empty now") };
         assert_eq!((item.number, item.stamp_ns), (1, 1));
     }
 
@@ -446,8 +449,8 @@ mod tests {
                 n_sent += 1;
             }
             assert_eq!((n_sent, send.bytes(&state)), (room_for, room_for * EACH), "{max_bytes} bytes");
-            let Received::Item { unblocks, .. } = recv.receive(&state) else { panic!("an item waits") };
-            assert!(unblocks && send.has_room(&state), "{max_bytes} bytes: what is taken makes room");
+            let Received::Item(_) = recv.receive(&state) else { panic!("an item waits") };
+            assert!(recv.unblocks(&state) && send.has_room(&state), "{max_bytes} bytes: what is taken makes room");
         }
         let limits = Limits { max_bytes: 2 * EACH, ..limits(Policy::DropOld, 100) };
         let (_, told) = through(limits, 6);
@@ -463,8 +466,8 @@ mod tests {
         (2..4).for_each(|n| give(&mut send, n));
         assert!(!send.has_room(&state));
         for expected in 0..4 {
-            let Received::Item { item, unblocks } = recv.receive(&state) else { panic!("four items wait") };
-            assert_eq!((item.number, unblocks), (expected, expected == 0));
+            let Received::Item(item) = recv.receive(&state) else { panic!("four items wait") };
+            assert_eq!((item.number, recv.unblocks(&state)), (expected, expected == 0));
         }
     }
 }

@@ -73,6 +73,12 @@ impl Context {
         self.readings.give(recorded);
     }
 
+    /// The engine's: whether this firing took anything from the clock.
+    #[inline]
+    pub fn has_readings(&self) -> bool {
+        self.readings.has_any()
+    }
+
     /// The engine's: what this firing took from the clock.
     pub fn take_readings(&mut self) -> Vec<Reading> {
         self.readings.take()

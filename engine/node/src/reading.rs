@@ -95,6 +95,11 @@ impl Readings {
         self.recorded = Some(recorded.iter().copied().collect());
     }
 
+    #[inline]
+    pub(crate) fn has_any(&self) -> bool {
+        !self.taken.is_empty()
+    }
+
     /// What was taken since the firing began.
     pub(crate) fn take(&mut self) -> Vec<Reading> {
         let told = |taken| match taken {

@@ -127,6 +127,16 @@ impl<T> From<T> for Emit<T> {
     }
 }
 
+/// Puts the value of a `T` field into a place that is silent.
+#[inline]
+pub fn put_value(place: &mut Emission, value: Value) {
+    // Known to be silent from here on, the place is written at once: a move through the stack costs as much as a channel.
+    if !matches!(place, Emission::Silent) {
+        *place = Emission::Silent;
+    }
+    *place = Emission::Value(value);
+}
+
 /// The emission of an `Emit<T>` field.
 pub fn into_emission<T: Payload<By>, By: 'static>(emit: Emit<T>) -> Emission {
     match emit {

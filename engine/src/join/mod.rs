@@ -57,8 +57,13 @@ pub(crate) struct Joiner {
     ended: bool,
     stopped: bool,
     mode: Mode,
-    /// Every port is wired, plain and `each`: the commonest joins have a way of their own to the same answers.
+    /// Every port is wired, plain and `each`: the commonest joins have a way of their own to the same answers. Items go
+    /// straight to the slots of the firing; where one is empty or missing, they go to the ports, and the rules decide.
     pub(crate) in_lock_step: bool,
+    /// In lock step: how many slots have no item.
+    n_vacant: usize,
+    /// In lock step: the slots are those of an activation that has not been released.
+    at_hand: bool,
 }
 
 /// What makes the node fire.
@@ -101,11 +106,14 @@ impl Joiner {
             Mode::Once
         };
         let in_lock_step = !ports.is_empty() && ports.iter().all(Port::is_plain_each);
+        let n_vacant = if in_lock_step { ports.len() } else { 0 };
         Self {
             mode,
             node,
             ports,
-            joined: Joined::default(),
+            joined: Joined { slots: (0..n_vacant).map(|_| VACANT).collect() },
+            n_vacant,
+            at_hand: false,
             absent: Vec::new(),
             last_stamp: StampNs::MIN,
             fired: false,
@@ -119,13 +127,13 @@ impl Joiner {
     /// where one is missing.
     #[inline]
     pub(crate) fn lacks_item(&self) -> bool {
-        self.in_lock_step && self.ports.iter().any(|port| port.head().is_none())
+        self.n_vacant > 0 && (0..self.ports.len()).any(|port| self.ports[port].wants() && is_vacant(&self.joined.slots[port]))
     }
 
     /// Whether the port could use one more item now.
     #[inline]
     pub(crate) fn wants(&self, port: usize) -> bool {
-        self.ended || self.ports[port].wants()
+        self.ended || (self.ports[port].wants() && (!self.in_lock_step || is_vacant(&self.joined.slots[port])))
     }
 
     /// Gives the port its next item.
@@ -134,6 +142,12 @@ impl Joiner {
     /// [`SecondItem`] if a constant is already there; the item is dropped.
     #[inline]
     pub(crate) fn offer(&mut self, port: usize, item: Item) -> Result<(), SecondItem> {
+        if self.in_lock_step && !self.ended {
+            self.ports[port].note(&item);
+            self.joined.slots[port] = Slot::Item(item);
+            self.n_vacant -= 1;
+            return Ok(());
+        }
         let end = match (self.ended, self.stopped) {
             (_, true) => NodeEnd::Stopped,
             (true, false) => NodeEnd::Ended,
@@ -177,8 +191,14 @@ impl Joiner {
     #[inline]
     pub(crate) fn release(&mut self) {
         if self.in_lock_step {
-            return self.joined.slots.clear();
+            self.joined.slots.iter_mut().for_each(|slot| *slot = VACANT);
+            (self.n_vacant, self.at_hand) = (self.ports.len(), false);
+            return;
         }
+        self.clear_slots();
+    }
+
+    fn clear_slots(&mut self) {
         for (slot, port) in self.joined.slots.drain(..).zip(&mut self.ports) {
             if let Slot::Items(items) = slot {
                 port.reuse(items);
@@ -219,28 +239,45 @@ impl Joiner {
         if self.ended {
             return Step::Ended;
         }
-        if self.in_lock_step
-            && let Some(activation) = self.activate_in_lock_step()
-        {
-            return Step::Activate(activation);
+        if !self.in_lock_step {
+            return self.step_by_rules();
         }
-        self.step_by_rules()
+        if self.at_hand {
+            self.release();
+        }
+        if let Some(stamp_ns) = self.stamp_in_lock_step() {
+            (self.last_stamp, self.fired, self.at_hand) = (stamp_ns, true, true);
+            return Step::Activate(Activation { stamp_ns, skip: None });
+        }
+        self.leave_lock_step();
+        let step = self.step_by_rules();
+        self.at_hand = matches!(step, Step::Activate(_));
+        if !self.at_hand {
+            self.joined.slots.resize_with(self.ports.len(), || VACANT);
+        }
+        step
     }
 
-    /// The activation where all ports hold a value; anything else is left to the rules.
-    fn activate_in_lock_step(&mut self) -> Option<Activation> {
-        let mut stamp_ns = self.last_stamp;
-        for port in &self.ports {
-            match port.head()? {
-                Item { body: Body::Value(_), stamp_ns: at, .. } => stamp_ns = stamp_ns.max(*at),
-                Item { body: Body::Empty(_), .. } => return None,
+    /// The stamp of the activation where every slot holds a value; anything else is left to the rules.
+    #[inline]
+    fn stamp_in_lock_step(&self) -> Option<StampNs> {
+        if self.n_vacant > 0 {
+            return None;
+        }
+        self.joined.slots.iter().try_fold(self.last_stamp, |stamp_ns, slot| match slot {
+            Slot::Item(Item { body: Body::Value(_), stamp_ns: at, .. }) => Some(stamp_ns.max(*at)),
+            _ => None,
+        })
+    }
+
+    /// Moves the items from the slots to the ports, where the rules look for them.
+    fn leave_lock_step(&mut self) {
+        for (slot, port) in self.joined.slots.drain(..).zip(&mut self.ports) {
+            if let Slot::Item(item) = slot {
+                port.put_back(item);
             }
         }
-        let slots = &mut self.joined.slots;
-        slots.clear();
-        slots.extend(self.ports.iter_mut().filter_map(Port::take_head).map(Slot::Item));
-        (self.last_stamp, self.fired) = (stamp_ns, true);
-        Some(Activation { stamp_ns, skip: None })
+        self.n_vacant = self.ports.len();
     }
 
     fn step_by_rules(&mut self) -> Step {
@@ -372,7 +409,7 @@ impl Joiner {
             }
         }
 
-        self.release();
+        self.clear_slots();
         for port in &mut self.ports {
             let choice = match port.is_trigger() {
                 true => port.take_trigger(anchored(port).then_some(anchor)),
@@ -408,6 +445,14 @@ impl Joiner {
             _ => |p| p.is_stamp(),
         }
     }
+}
+
+/// A slot of a node in lock step that has no item yet.
+const VACANT: Slot = Slot::Items(Vec::new());
+
+#[inline]
+fn is_vacant(slot: &Slot) -> bool {
+    matches!(slot, Slot::Items(_))
 }
 
 /// Why a plain port that brings no value skips the activation: the original empty, or what is absent and where.

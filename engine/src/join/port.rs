@@ -115,14 +115,16 @@ impl Port {
         self.role == Role::Step && self.spec.join == Join::Each && !self.spec.optional
     }
 
+    /// Takes note of an item that goes straight to its slot.
     #[inline]
-    pub(super) fn head(&self) -> Option<&Item> {
-        self.queue.front()
+    pub(super) fn note(&mut self, item: &Item) {
+        self.n_received += 1;
+        self.progress = self.progress.max(item.stamp_ns);
     }
 
-    #[inline]
-    pub(super) fn take_head(&mut self) -> Option<Item> {
-        self.queue.pop_front()
+    /// An item that was noted waits here after all; nothing else does.
+    pub(super) fn put_back(&mut self, item: Item) {
+        self.queue.push_back(item);
     }
 
     /// In step with others: `each` and `collect`.
@@ -165,8 +167,7 @@ impl Port {
 
     #[inline]
     pub(super) fn offer(&mut self, item: Item, node: NodeEnd) -> Result<(), SecondItem> {
-        self.n_received += 1;
-        self.progress = self.progress.max(item.stamp_ns);
+        self.note(&item);
         if self.is_once() {
             return match &self.kept {
                 None => {

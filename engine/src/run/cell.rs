@@ -29,6 +29,8 @@ pub(super) struct Cell {
     context: Context,
     pub(super) inputs: Vec<Input>,
     pub(super) outputs: Vec<Output>,
+    /// It has taken items since it last told of room.
+    has_taken: bool,
     /// What the node answers, by output; silent between firings.
     emissions: Vec<Emission>,
     phase: Phase,
@@ -247,6 +249,7 @@ impl Cell {
             core,
             context,
             inputs,
+            has_taken: false,
             emissions: vec![Emission::Silent; outputs.len()],
             outputs,
             phase: Phase::Open,
@@ -274,7 +277,7 @@ impl Cell {
                     self.step_failing(empty, run, turn)
                 }
                 (Phase::Draining, _) => {
-                    self.pull(run, turn);
+                    self.pull(run);
                     if self.inputs.iter().all(|input| input.recv.ended) {
                         self.phase = Phase::Done;
                     }
@@ -283,7 +286,21 @@ impl Cell {
                 (Phase::Done, _) => Some(Stepped::Idle),
             };
             if let Some(stepped) = stepped {
+                self.tell_of_room(run, turn);
                 return stepped;
+            }
+        }
+    }
+
+    /// Tells the producers that wait for it that there is room.
+    fn tell_of_room(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+        if !std::mem::take(&mut self.has_taken) {
+            return;
+        }
+        turn.fence();
+        for Input { recv, .. } in &self.inputs {
+            if recv.unblocks(&run.links[recv.link]) {
+                turn.wake(run.plan.links[recv.link].from.node);
             }
         }
     }
@@ -309,7 +326,7 @@ impl Cell {
         if !in_lock_step && !self.has_room(run) {
             return Some(Stepped::Idle);
         }
-        let pulled = self.pull(run, turn);
+        let pulled = self.pull(run);
         let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
         if in_lock_step && !joiner.lacks_item() && !self.has_room(run) {
             return Some(Stepped::Idle);
@@ -355,17 +372,15 @@ impl Cell {
     }
 
     /// Takes what the joins can use; `true` if an item, progress or an end came.
-    fn pull(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> bool {
+    fn pull(&mut self, run: &Runtime<'_>) -> bool {
         let (Core::Node(_, joiner) | Core::Gone(Some(joiner))) = &mut self.core else { return false };
         let mut pulled = false;
         for Input { port, recv } in &mut self.inputs {
             let state = &run.links[recv.link];
             while !recv.ended && joiner.wants(*port) {
                 match recv.receive(state) {
-                    Received::Item { item, unblocks } => {
-                        if unblocks {
-                            turn.wake(run.plan.links[recv.link].from.node);
-                        }
+                    Received::Item(item) => {
+                        self.has_taken = true;
                         if let Err(second) = joiner.offer(*port, item) {
                             let wire = run.plan.wire_name(run.plan.links[recv.link].from);
                             let reason = format!(
@@ -544,6 +559,7 @@ impl Cell {
             self.context.give_readings(readings);
         }
         if !self.cheap {
+            self.tell_of_room(run, turn);
             turn.hand_over();
         }
         match turn.clock {
@@ -577,7 +593,9 @@ impl Cell {
             run.note_cheap(self.index, cheap);
         }
         run.fired_to_taps(self.index, item, began, took);
-        run.readings_to_taps(self.index, item, &self.context.take_readings());
+        if self.context.has_readings() {
+            run.readings_to_taps(self.index, item, &self.context.take_readings());
+        }
         self.pass_warnings_on(item, run);
         run.event(&Event::Fired { node: self.context.node(), item, stamp_ns, took });
         let answered = match answered {

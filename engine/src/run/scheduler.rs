@@ -210,6 +210,8 @@ pub(crate) struct Turn<'a> {
     own: ReadySet,
     /// Nodes that have news of this turn.
     told: ReadySet,
+    /// Nothing that others must see has been done since the last fence.
+    is_fenced: bool,
     /// Firings of this turn.
     n_fired: usize,
     /// When the last firing ended, if the worker has done nothing but its bookkeeping since.
@@ -220,7 +222,7 @@ pub(crate) struct Turn<'a> {
 impl<'a> Turn<'a> {
     fn new(scheduler: &'a Scheduler, dice: Option<Dice>) -> Self {
         let (own, told) = Default::default();
-        Self { scheduler, own, told, n_fired: 0, clock: None, dice }
+        Self { scheduler, own, told, is_fenced: false, n_fired: 0, clock: None, dice }
     }
 
     /// Notes that `node` has got an item, progress, an end or room; it learns of it when the turn ends.
@@ -242,6 +244,7 @@ impl<'a> Turn<'a> {
             self.settle();
             self.share(|_| true);
         }
+        self.is_fenced = false;
     }
 
     fn next(&mut self, work: &dyn Work) -> Option<usize> {
@@ -276,13 +279,22 @@ impl<'a> Turn<'a> {
         }
     }
 
+    /// What the node has done so far comes before what it, or the end of its turn, looks at next.
+    pub(crate) fn fence(&mut self) {
+        fence(Ordering::SeqCst);
+        self.is_fenced = true;
+    }
+
     /// Tells the nodes that have news.
     fn settle(&mut self) {
+        let is_fenced = std::mem::take(&mut self.is_fenced);
         if self.told.len == 0 {
             return;
         }
         // Either this sees the node running or idle, or the node, on its way to run, sees the fact.
-        fence(Ordering::SeqCst);
+        if !is_fenced {
+            fence(Ordering::SeqCst);
+        }
         while let Some(node) = self.told.pop_last() {
             if self.scheduler.make_ready(node) {
                 self.own.insert(node);

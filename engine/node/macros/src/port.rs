@@ -83,11 +83,11 @@ pub(crate) fn outputs(input: &DeriveInput) -> Result<TokenStream> {
             return Err(Error::new_spanned(field, "an output does not join; only frame, to and from are known here"));
         }
         let (payload, put) = match shape_of(&field.ty) {
-            Shape::Plain(t) => (payload(t), quote!(::osteoflow_node::Emission::value(self.#ident))),
-            Shape::Emit(t) => (payload(t), quote!(::osteoflow_node::derive::into_emission(self.#ident))),
+            Shape::Plain(t) => (payload(t), quote!(::osteoflow_node::derive::put_value(place, ::osteoflow_node::Value::new(self.#ident)))),
+            Shape::Emit(t) => (payload(t), quote!(*place = ::osteoflow_node::derive::into_emission(self.#ident))),
             Shape::Any => {
                 let any = quote!(::osteoflow_node::derive::any_payload());
-                (any, quote!(::osteoflow_node::Emission::Value(self.#ident)))
+                (any, quote!(::osteoflow_node::derive::put_value(place, self.#ident)))
             }
             _ => return Err(Error::new_spanned(&field.ty, "an output is T, or Emit<T> where there may be no value")),
         };
@@ -106,7 +106,10 @@ pub(crate) fn outputs(input: &DeriveInput) -> Result<TokenStream> {
             }
             fn put(self, out: &mut [::osteoflow_node::Emission]) {
                 let _ = &out;
-                #(out[#places] = #puts;)*
+                #({
+                    let place = &mut out[#places];
+                    #puts;
+                })*
             }
         }
     })
