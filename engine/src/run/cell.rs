@@ -42,6 +42,8 @@ pub(super) struct Cell {
     failed: u64,
     /// How long firings took.
     took: Histogram,
+    /// Firings of this turn that are timed together, and when the first began.
+    together: Option<(u64, Instant)>,
     cheap: bool,
 }
 
@@ -101,8 +103,8 @@ impl Core {
 struct Firing {
     item: u64,
     stamp_ns: StampNs,
-    began: Instant,
-    took: Duration,
+    /// When it began and how long it took; not known of one that is timed together with others.
+    timed: Option<(Instant, Duration)>,
 }
 
 impl Answer {
@@ -123,7 +125,7 @@ impl Answer {
         let mut emissions = vec![Emission::Silent; n_ports];
         let began = Instant::now();
         let answered = called(item, context, |context| source.next(&mut emissions, context));
-        let firing = Firing { item, stamp_ns: context.stamp_ns(), began, took: began.elapsed() };
+        let firing = Firing { item, stamp_ns: context.stamp_ns(), timed: Some((began, began.elapsed())) };
         Self { firing, emissions, warnings: context.take_warnings(), answered }
     }
 }
@@ -258,6 +260,7 @@ impl Cell {
             skipped: 0,
             failed: 0,
             took: Histogram::default(),
+            together: None,
             cheap: false,
         }
     }
@@ -286,6 +289,7 @@ impl Cell {
                 (Phase::Done, _) => Some(Stepped::Idle),
             };
             if let Some(stepped) = stepped {
+                self.time_together(run, turn);
                 self.tell_of_room(run, turn);
                 return stepped;
             }
@@ -302,6 +306,24 @@ impl Cell {
             if recv.unblocks(&run.links[recv.link]) {
                 turn.wake(run.plan.links[recv.link].from.node);
             }
+        }
+    }
+
+    /// Counts the firings of this turn that are timed together, each with an equal share.
+    fn time_together(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+        if let Some((n, began)) = self.together.take() {
+            self.count(n, took_since(began, turn), run);
+        }
+    }
+
+    /// Counts firings, and whether such a node is worth handing over.
+    fn count(&mut self, n: u64, took: Duration, run: &Runtime<'_>) {
+        self.took.count(n, took.as_nanos() as u64);
+        let n_fired = self.took.n();
+        let cheap = n_fired >= FIRINGS_TO_KNOW && self.took.sum_ns() / CHEAP_NS < n_fired;
+        if cheap != self.cheap {
+            self.cheap = cheap;
+            run.note_cheap(self.index, cheap);
         }
     }
 
@@ -432,8 +454,8 @@ impl Cell {
         joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
         let (context, out) = (&mut self.context, &mut self.emissions);
         let answered = called(item, context, |context| node.fire(joiner.joined(), out, context));
-        let firing = Firing { item, stamp_ns, began, took: took_since(began, turn) };
-        self.after(firing, answered, run, turn);
+        let timed = began.map(|began| (began, took_since(began, turn)));
+        self.after(Firing { item, stamp_ns, timed }, answered, run, turn);
         if let Core::Node(_, joiner) = &mut self.core {
             joiner.release();
         }
@@ -449,13 +471,16 @@ impl Cell {
         let stamp_ns = self.context.stamp_ns();
         if matches!(answered, Ok(Ok(false))) {
             // The look that found the end is no answer.
+            if began.is_none() {
+                self.together = self.together.map(|(n, began)| (n - 1, began)).filter(|(n, _)| *n > 0);
+            }
             turn.clock = None;
             self.pass_warnings_on(item, run);
             return self.end(run, turn);
         }
         self.item += 1;
-        let firing = Firing { item, stamp_ns, began, took: took_since(began, turn) };
-        self.after(firing, answered.map(|answer| answer.map(drop)), run, turn);
+        let timed = began.map(|began| (began, took_since(began, turn)));
+        self.after(Firing { item, stamp_ns, timed }, answered.map(|answer| answer.map(drop)), run, turn);
     }
 
     pub(super) fn is_live(&self) -> bool {
@@ -553,7 +578,10 @@ impl Cell {
     }
 
     /// Begins a firing, and says when that is: where the worker has only kept its books since the last one ended, then.
-    fn begin(&mut self, item: u64, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Instant {
+    ///
+    /// A node that takes microseconds is timed together with the other firings of its turn, since looking at the clock
+    /// would take as long as a channel; the recording has each firing by itself.
+    fn begin(&mut self, item: u64, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Instant> {
         self.context.begin(item, stamp_ns);
         if let Some(readings) = run.recorded_readings(self.index, item) {
             self.context.give_readings(readings);
@@ -562,11 +590,16 @@ impl Cell {
             self.tell_of_room(run, turn);
             turn.hand_over();
         }
-        match turn.clock {
-            // A tap may have waited for the disk.
-            Some(clock) if !run.is_tapped() => clock,
-            _ => Instant::now(),
+        // A tap may have waited for the disk.
+        let clock = turn.clock.filter(|_| !run.is_tapped());
+        if !self.cheap || run.is_tapped() {
+            return Some(clock.unwrap_or_else(Instant::now));
         }
+        match &mut self.together {
+            Some((n, _)) => *n += 1,
+            None => self.together = Some((1, clock.unwrap_or_else(Instant::now))),
+        }
+        None
     }
 
     fn pass_warnings_on(&mut self, item: u64, run: &Runtime<'_>) {
@@ -584,20 +617,16 @@ impl Cell {
         run: &Runtime<'_>,
         turn: &mut Turn<'_>,
     ) {
-        let Firing { item, stamp_ns, began, took } = firing;
-        self.took.count(took.as_nanos() as u64);
-        let n_fired = self.took.n();
-        let cheap = n_fired >= FIRINGS_TO_KNOW && self.took.sum_ns() / CHEAP_NS < n_fired;
-        if cheap != self.cheap {
-            self.cheap = cheap;
-            run.note_cheap(self.index, cheap);
+        let Firing { item, stamp_ns, timed } = firing;
+        if let Some((began, took)) = timed {
+            self.count(1, took, run);
+            run.fired_to_taps(self.index, item, began, took);
         }
-        run.fired_to_taps(self.index, item, began, took);
         if self.context.has_readings() {
             run.readings_to_taps(self.index, item, &self.context.take_readings());
         }
         self.pass_warnings_on(item, run);
-        run.event(&Event::Fired { node: self.context.node(), item, stamp_ns, took });
+        run.event(&Event::Fired { node: self.context.node(), item, stamp_ns });
         let answered = match answered {
             Ok(Ok(())) => {
                 self.empty_the_late(stamp_ns);

@@ -31,14 +31,16 @@ pub struct Spread {
 }
 
 impl Histogram {
-    pub(super) fn count(&mut self, ns: u64) {
+    /// Counts `n` durations that took `ns` together, each with an equal share.
+    pub(super) fn count(&mut self, n: u64, ns: u64) {
         if self.counts.is_empty() {
             self.counts = vec![0; class(u64::MAX) + 1];
         }
-        self.counts[class(ns)] += 1;
-        self.n += 1;
+        let each = ns / n.max(1);
+        self.counts[class(each)] += n;
+        self.n += n;
         self.sum_ns = self.sum_ns.saturating_add(ns);
-        self.max_ns = self.max_ns.max(ns);
+        self.max_ns = self.max_ns.max(each);
     }
 
     pub(super) fn n(&self) -> u64 {
@@ -105,7 +107,7 @@ mod tests {
         let mut histogram = Histogram::default();
         assert_eq!(histogram.spread(), Spread::default());
         let mut all: Vec<u64> = (0..1000).map(|i| i * i * 37 % 1_000_003).collect();
-        all.iter().for_each(|ns| histogram.count(*ns));
+        all.iter().for_each(|ns| histogram.count(1, *ns));
         all.sort_unstable();
         let spread = histogram.spread();
         for (found, rank) in [(spread.p50, 500), (spread.p95, 950), (spread.p99, 990), (spread.max, 1000)] {

@@ -74,8 +74,6 @@ pub enum Event<'a> {
         item: u64,
         /// Its stamp; for a source how far it has come.
         stamp_ns: StampNs,
-        /// How long it took.
-        took: Duration,
     },
     /// An activation was skipped because an input had no value.
     Skipped {
