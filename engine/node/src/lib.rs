@@ -104,5 +104,7 @@ pub type StampNs = i64;
 #[doc(hidden)]
 pub mod derive {
     pub use crate::port::{any_payload, payload_of};
-    pub use crate::traits::{into_emission, take_any, take_many, put_value, take_many_optional, take_one, take_optional};
+    pub use crate::traits::{
+        into_emission, put_value, take_any, take_many, take_many_optional, take_one, take_optional,
+    };
 }

@@ -127,7 +127,8 @@ impl Joiner {
     /// where one is missing.
     #[inline]
     pub(crate) fn lacks_item(&self) -> bool {
-        self.n_vacant > 0 && (0..self.ports.len()).any(|port| self.ports[port].wants() && is_vacant(&self.joined.slots[port]))
+        self.n_vacant > 0
+            && (0..self.ports.len()).any(|port| self.ports[port].wants() && is_vacant(&self.joined.slots[port]))
     }
 
     /// Whether the port could use one more item now.
@@ -251,7 +252,8 @@ impl Joiner {
         }
         self.leave_lock_step();
         let step = self.step_by_rules();
-        self.at_hand = matches!(step, Step::Activate(_));
+        // What is skipped has been released, and its slots are vacant.
+        self.at_hand = matches!(&step, Step::Activate(Activation { skip: None, .. }));
         if !self.at_hand {
             self.joined.slots.resize_with(self.ports.len(), || VACANT);
         }
@@ -268,6 +270,13 @@ impl Joiner {
             Slot::Item(Item { body: Body::Value(_), stamp_ns: at, .. }) => Some(stamp_ns.max(*at)),
             _ => None,
         })
+    }
+
+    /// From now on the rules decide everything.
+    #[cfg(test)]
+    fn leave_lock_step_for_good(&mut self) {
+        self.leave_lock_step();
+        (self.in_lock_step, self.n_vacant) = (false, 0);
     }
 
     /// Moves the items from the slots to the ports, where the rules look for them.

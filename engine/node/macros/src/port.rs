@@ -83,7 +83,10 @@ pub(crate) fn outputs(input: &DeriveInput) -> Result<TokenStream> {
             return Err(Error::new_spanned(field, "an output does not join; only frame, to and from are known here"));
         }
         let (payload, put) = match shape_of(&field.ty) {
-            Shape::Plain(t) => (payload(t), quote!(::osteoflow_node::derive::put_value(place, ::osteoflow_node::Value::new(self.#ident)))),
+            Shape::Plain(t) => (
+                payload(t),
+                quote!(::osteoflow_node::derive::put_value(place, ::osteoflow_node::Value::new(self.#ident))),
+            ),
             Shape::Emit(t) => (payload(t), quote!(*place = ::osteoflow_node::derive::into_emission(self.#ident))),
             Shape::Any => {
                 let any = quote!(::osteoflow_node::derive::any_payload());
