@@ -79,6 +79,11 @@ fn one_changed_parameter_diverges_first_at_its_node_and_nowhere_upstream() {
     assert_eq!(code, 4, "{said}");
     let first = &told["first_divergence"];
     assert!(first["wire"].as_str().unwrap().starts_with("icp.") && first["item"] == 0, "{first}");
+    let what = &first["what"];
+    assert!(
+        what["field"].as_str().unwrap().starts_with("isometry") && what["distance"].as_f64().unwrap() > 0.0,
+        "{what}"
+    );
     for wire in ["to_bone.cloud", "hole.point", "coarse.t_target_source", "calibration.t_camera_camera_marker"] {
         assert_eq!(part_of(&told, wire), ("computed".into(), Value::Null), "{wire} is upstream");
     }

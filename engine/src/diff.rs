@@ -11,7 +11,13 @@ mod order;
 
 pub use compare::{Difference, Largest};
 
-use crate::{check::glob_fits, codec, digest::Progress, record::OUTCOME_METADATA, recording::RecordingError};
+use crate::{
+    check::glob_fits,
+    codec::{self, RecordedItem},
+    digest::Progress,
+    record::OUTCOME_METADATA,
+    recording::RecordingError,
+};
 use compare::{Compare, ItemDifference, Units};
 use index::{Entry, Index, Indexed};
 use std::{cmp::Ordering, collections::BTreeSet, path::Path};
@@ -105,6 +111,11 @@ impl DiffReport {
     pub fn is_equal(&self) -> bool {
         self.wires.iter().all(WireDiff::is_equal)
     }
+}
+
+/// The first thing in which two items differ in any bit; `units` are those of the payload's fields and columns.
+pub(crate) fn first_difference(a: &RecordedItem, b: &RecordedItem, units: &[(&str, &str)]) -> Option<Difference> {
+    Compare::items(a, b, &Units::given(units), 0.0).first
 }
 
 /// Compares two recordings. Memory: an index of both, and some unpacked chunks.

@@ -8,6 +8,7 @@ mod tests;
 
 use crate::{
     check::{check, check_recorded},
+    diff,
     fault::Faults,
     manifest,
     plan::{OutputId, Plan, Sources},
@@ -202,8 +203,8 @@ pub struct WireComparison {
 pub struct Difference {
     /// The item's number.
     pub item: u64,
-    /// What was recorded, what came.
-    pub what: String,
+    /// What was recorded (`a`), what came (`b`), and how far they lie apart.
+    pub what: diff::Difference,
 }
 
 impl ReplayReport {
@@ -524,7 +525,7 @@ fn comparisons(
     for name in left {
         let mut wire = compare.of(name, recording, None, WirePart::Absent);
         if changes.graph.is_none() && changes.sets.is_empty() {
-            let what = "the graph of this program has no such wire".into();
+            let what = diff::Difference::other("wire", "recorded", "not in the graph of this program");
             wire.first_difference = Some(Difference { item: 0, what });
         }
         wires.push(wire);

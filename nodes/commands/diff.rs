@@ -101,7 +101,7 @@ impl Diff {
 }
 
 /// How far two values lie apart, in words.
-fn apart(what: &Difference) -> String {
+pub(super) fn apart(what: &Difference) -> String {
     let mut parts = Vec::new();
     if let Some(distance) = what.distance {
         parts.push(format!("{distance:e} {}", what.unit.as_deref().unwrap_or("")).trim_end().to_owned() + " apart");
@@ -155,13 +155,14 @@ fn sides(report: &DiffReport) -> Vec<String> {
     said
 }
 
+pub(super) fn difference(what: &Difference) -> Value {
+    json!({
+        "field": what.field, "a": what.a, "b": what.b,
+        "ulp": what.ulp, "distance": what.distance, "unit": what.unit, "note": what.note,
+    })
+}
+
 fn as_json(report: &DiffReport, exit: Exit) -> Value {
-    let difference = |what: &Difference| {
-        json!({
-            "field": what.field, "a": what.a, "b": what.b,
-            "ulp": what.ulp, "distance": what.distance, "unit": what.unit, "note": what.note,
-        })
-    };
     let wires = report.wires.iter().map(|wire| {
         json!({
             "wire": wire.wire,

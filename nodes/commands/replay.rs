@@ -1,5 +1,5 @@
 use super::{
-    Exit, Format, Global, UsageError, out_dir, print_json,
+    Exit, Format, Global, UsageError, diff, out_dir, print_json,
     progress::Progress,
     registry, result_table,
     run::Leave,
@@ -160,7 +160,7 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
         && let Some(Difference { item, what }) = &wire.first_difference
     {
         let word = global.paint_out("first divergence", "1;31");
-        writeln!(out, "{word}: wire {}, item {item}: {what}", wire.wire)?;
+        writeln!(out, "{word}: wire {}, item {item}: {}", wire.wire, told_difference(what))?;
     }
     let count = |part: WirePart| report.wires.iter().filter(|wire| wire.part == part).count();
     let n_different = report.wires.iter().filter(|wire| wire.first_difference.is_some()).count();
@@ -194,9 +194,16 @@ fn told(error: ReplayError, colour: bool) -> anyhow::Error {
     }
 }
 
+/// Field, both values and how far they lie apart.
+fn told_difference(what: &osteoflow_engine::diff::Difference) -> String {
+    let apart = diff::apart(what);
+    let apart = if apart.is_empty() { apart } else { format!(" ({apart})") };
+    format!("{}: {} was recorded, {} came{apart}", what.field, what.a, what.b)
+}
+
 fn verdict(wire: &WireComparison) -> String {
     match (&wire.first_difference, wire.part) {
-        (Some(Difference { item, what }), _) => format!("differs first at item {item}: {what}"),
+        (Some(Difference { item, what }), _) => format!("differs first at item {item}, in {}", what.field),
         (None, WirePart::Played) => "played".into(),
         (None, WirePart::Absent) => "not in this graph".into(),
         (None, WirePart::Computed) if wire.n_compared == wire.n_recorded => "equal".into(),
@@ -207,7 +214,7 @@ fn verdict(wire: &WireComparison) -> String {
 fn as_json(report: &ReplayReport, exit: Exit) -> Value {
     let difference = |wire: &WireComparison| {
         let difference = wire.first_difference.as_ref();
-        difference.map(|d| json!({ "wire": wire.wire, "item": d.item, "what": d.what }))
+        difference.map(|d| json!({ "wire": wire.wire, "item": d.item, "what": diff::difference(&d.what) }))
     };
     let wires = report.wires.iter().map(|wire| {
         let part = match wire.part {

@@ -39,6 +39,14 @@ pub struct Difference {
     pub note: Option<String>,
 }
 
+impl Difference {
+    /// Of what is no number.
+    pub(crate) fn other(field: impl Into<String>, a: impl Into<String>, b: impl Into<String>) -> Self {
+        let (field, a, b) = (field.into(), a.into(), b.into());
+        Self { field, a, b, ulp: None, distance: None, unit: None, note: None }
+    }
+}
+
 /// All that two items differ in.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct ItemDifference {
@@ -94,6 +102,10 @@ pub(super) struct Units(BTreeMap<String, String>);
 impl Units {
     pub(super) fn of(told: &str) -> Self {
         Self(serde_json::from_str(told).unwrap_or_default())
+    }
+
+    pub(super) fn given(units: &[(&str, &str)]) -> Self {
+        Self(units.iter().map(|(name, unit)| ((*name).into(), (*unit).into())).collect())
     }
 
     fn of_name(&self, name: &str) -> Option<&str> {

@@ -2,12 +2,12 @@
 
 use super::{Difference, WireComparison, WirePart};
 use crate::{
-    codec,
+    codec, diff,
     plan::{OutputId, Plan},
     recording::Recording,
     run::Tap,
 };
-use osteoflow_node::{Item, PortPayload, StampNs};
+use osteoflow_node::{Item, PortPayload};
 use std::{
     collections::BTreeMap,
     sync::{Mutex, PoisonError},
@@ -69,7 +69,7 @@ impl<'a> Compare<'a> {
         comparison.first_difference.clone_from(&seen.first);
         // Of a run that did not come to its end, wires end at different times, and nothing follows from that.
         if wire.recorded.is_some() && !wire.partial && seen.first.is_none() && n_recorded != seen.n_items {
-            let what = format!("{n_recorded} items were recorded, {} came", seen.n_items);
+            let what = diff::Difference::other("items", n_recorded.to_string(), seen.n_items.to_string());
             comparison.first_difference = Some(Difference { item: n_recorded.min(seen.n_items), what });
         }
         comparison
@@ -94,7 +94,7 @@ impl Tap for Compare<'_> {
             seen.over = true;
         } else {
             seen.n_compared += 1;
-            seen.first = Some(Difference { item: item.number, what: difference(recorded, &bytes) });
+            seen.first = Some(Difference { item: item.number, what: difference(wire.payload, recorded, &bytes) });
         }
     }
 }
@@ -106,30 +106,14 @@ fn stopped(recorded: &[u8], replayed: &[u8]) -> bool {
 }
 
 /// What differs first in two messages of one number.
-fn difference(recorded: &[u8], replayed: &[u8]) -> String {
-    let (Ok(a), Ok(b)) = (codec::decode(recorded), codec::decode(replayed)) else {
-        return "the recorded item is damaged".into();
+fn difference(payload: PortPayload, recorded: &[u8], replayed: &[u8]) -> diff::Difference {
+    let units = match payload {
+        PortPayload::Type(ty) => ty.units,
+        PortPayload::Any => &[],
     };
-    let stamp = |stamp_ns: StampNs| format!("stamp {stamp_ns} ns");
-    if a.stamp_ns != b.stamp_ns {
-        return format!("{} was recorded, {} came", stamp(a.stamp_ns), stamp(b.stamp_ns));
-    }
-    match (a.body, b.body) {
-        (Ok(a), Ok(b)) => {
-            let field = a.head.iter().zip(&b.head).find(|(a, b)| a != b);
-            let column = a.columns.iter().zip(&b.columns).find(|(a, b)| a != b);
-            match (field, column) {
-                (Some(((name, a), (_, b))), _) => format!("{name} was {a:?}, is {b:?}"),
-                (None, Some((a, b))) => {
-                    format!("column {} differs: {} rows were recorded, {} came", a.name, a.rows(), b.rows())
-                }
-                (None, None) => {
-                    "the views have different parts, or differ in the sign of a zero or the bits of a NaN".into()
-                }
-            }
-        }
-        (Err(a), Err(b)) => format!("it was empty ({}), and is for another reason ({})", a.reason, b.reason),
-        (Ok(_), Err(empty)) => format!("a value was recorded, none came: {}", empty.reason),
-        (Err(empty), Ok(_)) => format!("a value came where none was recorded: {}", empty.reason),
+    match (codec::decode(recorded), codec::decode(replayed)) {
+        (Ok(a), Ok(b)) => diff::first_difference(&a, &b, units)
+            .unwrap_or_else(|| diff::Difference::other("bytes", "as recorded", "the same values in other bytes")),
+        (Err(error), _) | (_, Err(error)) => diff::Difference::other("item", error.to_string(), "an item"),
     }
 }
