@@ -44,6 +44,12 @@ pub(crate) fn manifest(
             "late": l.late, "unmatched": l.unmatched, "highest_fill": l.highest_fill, "capacity": l.capacity,
         })
     });
+    let latencies = report.latencies.iter().map(|l| {
+        json!({
+            "source": l.source, "sink": l.sink, "firings": l.firings, "p50_ms": ms(l.spread.p50),
+            "p95_ms": ms(l.spread.p95), "p99_ms": ms(l.spread.p99), "max_ms": ms(l.spread.max),
+        })
+    });
     let enlargements =
         report.enlargements.iter().map(|e| json!({ "from": e.from, "to": e.to, "before": e.before, "after": e.after }));
     let warnings = report.warnings.iter().map(|w| json!({ "node": w.node, "item": w.item, "message": w.message }));
@@ -79,6 +85,7 @@ pub(crate) fn manifest(
         "plugins": [],
         "nodes": nodes.collect::<Json>(),
         "links": links.collect::<Json>(),
+        "latencies": latencies.collect::<Json>(),
         "enlargements": enlargements.collect::<Json>(),
         "warnings": warnings.collect::<Json>(),
         "recording": recording,

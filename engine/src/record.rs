@@ -21,7 +21,7 @@ use crate::{
     run::{RunOptions, Tap, catch_panic},
 };
 use mcap_file::McapFile;
-use osteoflow_node::{Body, Item, Reading};
+use osteoflow_node::{Body, Item, Reading, StampNs};
 use queue::Queue;
 use serde_json::Value as Json;
 use sink::{Sink, Stopped};
@@ -237,7 +237,7 @@ impl Tap for Recorder {
         self.shared.queue.put(Entry::Item(wire, item.clone()), n_bytes);
     }
 
-    fn fired(&self, node: usize, item: u64, began: Duration, took: Duration) {
+    fn fired(&self, node: usize, item: u64, _: StampNs, began: Duration, took: Duration) {
         let mut firings = self.shared.firings.lock().unwrap_or_else(PoisonError::into_inner);
         firings.push(Firing { node, item, began, took });
         if firings.len() >= FIRINGS {

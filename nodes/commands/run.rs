@@ -76,6 +76,8 @@ impl Run {
         let options = RunOptions {
             out_dir: Some(dir.clone()),
             record: !self.no_record,
+            // A recorded run times every firing in any case.
+            latency: !self.no_record || global.verbose > 0,
             inject,
 
             shuffle: self.shuffle,

@@ -28,6 +28,14 @@ pub(crate) fn text(report: &RunReport) -> String {
         links.row(format!("{} -> {}", l.from, l.to), counts.into_iter().chain([fill]).chain(remark));
     }
     let mut text = format!("{}\n{}", nodes.lines(), links.lines());
+    if !report.latencies.is_empty() {
+        let mut latencies = TextTable::new("from source to sink", &["firings", "p50", "p95", "p99", "longest"]);
+        for l in &report.latencies {
+            let spread = [l.spread.p50, l.spread.p95, l.spread.p99, l.spread.max].map(told);
+            latencies.row(format!("{} -> {}", l.source, l.sink), [counted(l.firings)].into_iter().chain(spread));
+        }
+        text.push_str(&format!("\n{}", latencies.lines()));
+    }
     // A queue grows in steps; how far it grew is what matters.
     let mut grown: BTreeMap<(&str, &str), (usize, usize)> = BTreeMap::new();
     for e in &report.enlargements {

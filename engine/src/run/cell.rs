@@ -620,7 +620,7 @@ impl Cell {
         let Firing { item, stamp_ns, timed } = firing;
         if let Some((began, took)) = timed {
             self.count(1, took, run);
-            run.fired_to_taps(self.index, item, began, took);
+            run.fired_to_taps(self.index, item, stamp_ns, began, took);
         }
         if self.context.has_readings() {
             run.readings_to_taps(self.index, item, &self.context.take_readings());

@@ -8,6 +8,7 @@ mod cell;
 mod histogram;
 mod inject;
 mod kept;
+mod latency;
 mod live;
 #[cfg(test)]
 mod live_tests;
@@ -22,6 +23,8 @@ pub(crate) use cell::{emission_fault, known};
 pub use histogram::Spread;
 pub(crate) use inject::planned_failure;
 pub use inject::{Injected, Injection};
+use latency::Latency;
+pub use latency::LatencyStats;
 pub use panics::mark_helper_thread;
 pub(crate) use panics::{catch as catch_panic, show as show_panics};
 pub(crate) use report::Failure;
@@ -83,7 +86,9 @@ pub(crate) fn run_with(
         }
         None => None,
     };
-    let taps: Vec<&dyn Tap> = recorder.iter().map(|r| r as &dyn Tap).chain(tap).collect();
+    let latency = options.latency.then(|| Latency::new(plan));
+    let taps = recorder.iter().map(|r| r as &dyn Tap).chain(latency.iter().map(|l| l as &dyn Tap)).chain(tap);
+    let taps: Vec<_> = taps.collect();
     runtime.tap(&taps);
     runtime.run();
     let ended = runtime.into_ended();
@@ -99,7 +104,8 @@ pub(crate) fn run_with(
         // It was not the user who stopped the run.
         results["refused"] = serde_json::json!({ "reason": error.to_string() });
     }
-    let report = report_of(plan, ended, outcome, results);
+    let mut report = report_of(plan, ended, outcome, results);
+    report.latencies = latency.map(|latency| latency.stats(plan)).unwrap_or_default();
     if let Some(dir) = out_dir {
         write_json(&dir.join("results.json"), &report.results)?;
         let times = (began, SystemTime::now());
@@ -135,6 +141,7 @@ fn report_of(plan: &Plan, ended: Ended, outcome: Outcome, results: serde_json::V
         results,
         nodes: ended.nodes,
         links: ended.links,
+        latencies: Vec::new(),
         enlargements: ended.enlargements,
         warnings,
         elapsed: ended.elapsed,

@@ -1,6 +1,6 @@
 //! What a run takes, tells and answers.
 
-use super::Injection;
+use super::{Injection, LatencyStats};
 use crate::{plan::Location, record::RecordError, repro::Saved};
 use osteoflow_node::StampNs;
 use std::{
@@ -22,6 +22,8 @@ pub struct RunOptions {
     pub out_dir: Option<PathBuf>,
     /// Whether the plan's recorded wires are written to `run.mcap`.
     pub record: bool,
+    /// Whether the time from each source to each sink is measured; every firing is then timed by itself.
+    pub latency: bool,
     /// Constants that `results.json` begins with, by dotted key.
     pub fixed_results: Vec<(String, serde_json::Value)>,
     /// Set from outside, it stops the sources; what is under way is finished.
@@ -39,6 +41,7 @@ impl Default for RunOptions {
             shuffle: None,
             out_dir: None,
             record: false,
+            latency: false,
             fixed_results: Vec::new(),
             cancelled: Arc::default(),
             command: serde_json::Value::Null,
@@ -181,6 +184,8 @@ pub struct RunReport {
     pub nodes: Vec<NodeStats>,
     /// Figures for each link, in the order of the plan.
     pub links: Vec<LinkStats>,
+    /// From each source to each sink, where [`RunOptions::latency`] asks for it.
+    pub latencies: Vec<LatencyStats>,
     /// Queues that were made longer, in the order in which it happened.
     pub enlargements: Vec<Enlargement>,
     /// What nodes said, in the order of the plan.

@@ -16,7 +16,7 @@ use crate::{
     repro::{Failed, Saver},
     results::{Ended, Keep},
 };
-use osteoflow_node::{AnySource, Built, Context, Item, Reading, Registry, Role};
+use osteoflow_node::{AnySource, Built, Context, Item, Reading, Registry, Role, StampNs};
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
@@ -48,8 +48,8 @@ pub(crate) trait Tap: Sync {
     /// An item has been put on the wire.
     fn item(&self, wire: OutputId, item: &Item);
 
-    /// A node fired, or a source answered: when, since the run began, and for how long.
-    fn fired(&self, _node: usize, _item: u64, _began: Duration, _took: Duration) {}
+    /// A node fired at this stamp, or a source answered: when, since the run began, and for how long.
+    fn fired(&self, _node: usize, _item: u64, _stamp_ns: StampNs, _began: Duration, _took: Duration) {}
 
     /// What a firing, or an answer of a source that is not live, took from the clock; once, when it is over.
     fn live(&self, _node: usize, _item: u64, _readings: &[Reading]) {}
@@ -311,10 +311,10 @@ impl<'a> Runtime<'a> {
         !self.taps.is_empty()
     }
 
-    pub(super) fn fired_to_taps(&self, node: usize, item: u64, began: Instant, took: Duration) {
+    pub(super) fn fired_to_taps(&self, node: usize, item: u64, stamp_ns: StampNs, began: Instant, took: Duration) {
         if self.is_tapped() {
             let began = began.saturating_duration_since(self.began);
-            self.taps.iter().for_each(|tap| tap.fired(node, item, began, took));
+            self.taps.iter().for_each(|tap| tap.fired(node, item, stamp_ns, began, took));
         }
     }
 

@@ -609,6 +609,31 @@ fn random_graphs_give_the_same_however_threads_are_interleaved() {
 }
 
 #[test]
+fn the_time_from_each_source_to_each_sink_is_measured_where_asked() {
+    let script: Vec<_> = (1..50).map(|i| (i, 0, 1.0)).collect();
+    let plan = Toy::new()
+        .script("scan", 1, calls(&script))
+        .script("plan", 1, calls(&[(0, 0, 1.0)]))
+        .node("a", "toy.add", json!({}), &[("a", "scan.p0", None)])
+        .node("b", "toy.add", json!({}), &[("a", "a.out", None), ("b", "plan.p0", Some(Join::Once))])
+        .node("other", "toy.add", json!({}), &[("a", "scan.p0", None)])
+        .plan();
+    let report = run(&plan, &registry(), &RunOptions { latency: true, ..options(2) }, &()).unwrap();
+    let pairs: Vec<_> = report.latencies.iter().map(|l| (l.source.as_str(), l.sink.as_str(), l.firings)).collect();
+    assert_eq!(pairs.iter().filter(|(.., n)| *n == 49).count(), 3, "{pairs:?}");
+    let mut names: Vec<_> = pairs.iter().map(|(source, sink, _)| (*source, *sink)).collect();
+    names.sort_unstable();
+    assert_eq!(names, [("plan", "b"), ("scan", "b"), ("scan", "other")]);
+    for l in &report.latencies {
+        assert!(
+            l.spread.p50 <= l.spread.p99 && l.spread.p99 <= l.spread.max && l.spread.max <= report.elapsed,
+            "{l:?}"
+        );
+    }
+    assert!(run(&plan, &registry(), &options(2), &()).unwrap().latencies.is_empty());
+}
+
+#[test]
 fn warnings_of_nodes_and_items_without_partner_are_told() {
     let plan = Toy::new()
         .script("scan", 2, calls(&[(1, 0, 99.0), (2, 1, 1.0), (3, 0, 1.0)]))
