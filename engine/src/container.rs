@@ -1,8 +1,8 @@
 //! Reads MCAP files of any writer, whole or damaged: guards every length before it asks for memory, checks every CRC,
 //! and finds the next record behind damage.
 //!
-//! The `mcap` crate writes our recordings; it is not used to read them, because it makes room for what a damaged length
-//! claims, and stops at the first fault without saying where.
+//! The `mcap` crate is not used to read them, because it makes room for what a damaged length claims, and stops at the first
+//! fault without saying where (`docs/decisions/0010`).
 
 mod chunk;
 mod fields;
