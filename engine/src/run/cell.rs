@@ -1,5 +1,14 @@
 //! A node under way: takes what its ports offer, fires, and puts the answers on its links.
 
+mod live;
+mod output;
+
+pub(crate) use output::emission_fault;
+pub(super) use {
+    live::{Answer, Asked},
+    output::Output,
+};
+
 use super::{
     Event, Failure, NodeStats, Warning,
     histogram::Histogram,
@@ -8,15 +17,13 @@ use super::{
     scheduler::{Stepped, Turn},
 };
 use crate::{
-    channel::{LinkState, Received, RecvEnd, SendEnd},
+    channel::{Received, RecvEnd},
     join::{Activation, Joiner, Step},
-    plan::{OnError, OutputId, Plan},
+    plan::{OnError, Plan},
     repro::Failed,
-    results::{Keep, Kept},
 };
-use osteoflow_node::{
-    AnyNode, AnySource, Body, Built, Context, Emission, Empty, Item, NodeError, PortPayload, StampNs,
-};
+use live::LiveCore;
+use osteoflow_node::{AnyNode, AnySource, Body, Built, Context, Emission, Empty, NodeError, StampNs};
 use std::{
     sync::Arc,
     time::{Duration, Instant},
@@ -62,36 +69,6 @@ pub(super) enum Core {
     Gone(Option<Joiner>),
 }
 
-/// What the cell of a live source knows of it.
-pub(super) struct LiveCore {
-    /// No item comes later than so long after the newest.
-    max_delay_ns: StampNs,
-    /// The newest stamp of all outputs.
-    newest_ns: StampNs,
-    /// It is not asked, because an output has no room.
-    waits: bool,
-}
-
-/// What a live source has answered.
-pub(super) struct Answer {
-    firing: Firing,
-    emissions: Vec<Emission>,
-    warnings: Vec<String>,
-    answered: Result<Result<bool, NodeError>, String>,
-}
-
-/// Whether a live source is asked for its next answer.
-pub(super) enum Asked {
-    Next {
-        item: u64,
-        stamp_ns: StampNs,
-    },
-    /// Its outputs lack room.
-    WhenThereIsRoom,
-    /// It has ended.
-    Never,
-}
-
 impl Core {
     pub(super) fn live(max_delay_ns: StampNs) -> Self {
         Self::Live(LiveCore { max_delay_ns, newest_ns: StampNs::MIN, waits: false })
@@ -107,57 +84,11 @@ struct Firing {
     timed: Option<(Instant, Duration)>,
 }
 
-impl Answer {
-    /// The number of the answer.
-    pub(super) fn item(&self) -> u64 {
-        self.firing.item
-    }
-
-    /// Asks the source.
-    pub(super) fn of(
-        source: &mut dyn AnySource,
-        context: &mut Context,
-        n_ports: usize,
-        item: u64,
-        stamp_ns: StampNs,
-    ) -> Self {
-        context.begin(item, stamp_ns);
-        let mut emissions = vec![Emission::Silent; n_ports];
-        let began = Instant::now();
-        let answered = called(item, context, |context| source.next(&mut emissions, context));
-        let firing = Firing { item, stamp_ns: context.stamp_ns(), timed: Some((began, began.elapsed())) };
-        Self { firing, emissions, warnings: context.take_warnings(), answered }
-    }
-}
-
 /// A wired input.
 pub(super) struct Input {
     /// The port's index among the node's.
     pub(super) port: usize,
     pub(super) recv: RecvEnd,
-}
-
-/// An output and the links it feeds.
-pub(super) struct Output {
-    id: OutputId,
-    payload: PortPayload,
-    pub(super) links: Vec<SendEnd>,
-    recorded: bool,
-    keep: Keep,
-    next_number: u64,
-    /// Nothing may come before this stamp any more.
-    floor: StampNs,
-    kept: Kept,
-    late: Late,
-}
-
-/// Items that a live source gave later than it had promised.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Late {
-    /// How many.
-    n_items: u64,
-    /// How much too late the latest of them was.
-    most_ns: StampNs,
 }
 
 enum Phase {
@@ -168,80 +99,6 @@ enum Phase {
     /// It fires no more, and takes what still comes so that nobody waits for it.
     Draining,
     Done,
-}
-
-impl Output {
-    pub(super) fn new(id: OutputId, payload: PortPayload, links: Vec<SendEnd>, recorded: bool, keep: Keep) -> Self {
-        Self {
-            id,
-            payload,
-            links,
-            recorded,
-            keep,
-            next_number: 0,
-            floor: StampNs::MIN,
-            kept: Kept::default(),
-            late: Late::default(),
-        }
-    }
-
-    /// How many items a live source gave later than it had promised.
-    pub(super) fn n_late(&self) -> u64 {
-        self.late.n_items
-    }
-
-    pub(super) fn into_kept(self) -> Kept {
-        self.kept
-    }
-
-    fn has_room(&mut self, states: &[LinkState]) -> bool {
-        let mut room = true;
-        for send in &mut self.links {
-            // To the last: every full link notes that its producer waits.
-            room &= send.has_room(&states[send.link]);
-        }
-        room
-    }
-
-    /// # Errors
-    /// The index of a link that was full and must not be.
-    fn send(&mut self, stamp_ns: StampNs, body: Body, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Result<(), usize> {
-        let item = Item { number: self.next_number, stamp_ns, body };
-        self.next_number += 1;
-        self.floor = stamp_ns;
-        if self.recorded {
-            run.to_taps(self.id, &item);
-        }
-        self.kept.count(&item, self.keep);
-        let Some((last, others)) = self.links.split_last_mut() else { return Ok(()) };
-        let mut full = None;
-        let mut put = |send: &mut SendEnd, item: Item| {
-            let link = send.link;
-            if send.send(item, &run.links[link], &mut |number| run.dropped(link, number)).is_err() {
-                full = full.or(Some(link));
-            }
-            turn.wake(run.plan.links[link].to_node);
-        };
-        others.iter_mut().for_each(|send| put(send, item.clone()));
-        put(last, item);
-        full.map_or(Ok(()), Err)
-    }
-
-    fn promise(&mut self, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) {
-        if stamp_ns > self.floor {
-            self.floor = stamp_ns;
-            for send in self.links.iter().filter(|send| send.promise(&run.links[send.link], stamp_ns)) {
-                turn.wake(run.plan.links[send.link].to_node);
-            }
-        }
-    }
-
-    fn close(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
-        for send in &mut self.links {
-            send.close(&run.links[send.link]);
-            turn.wake(run.plan.links[send.link].to_node);
-        }
-    }
 }
 
 impl Cell {
@@ -483,98 +340,9 @@ impl Cell {
         self.after(Firing { item, stamp_ns, timed }, answered.map(|answer| answer.map(drop)), run, turn);
     }
 
-    pub(super) fn is_live(&self) -> bool {
-        matches!(self.core, Core::Live(_))
-    }
-
     /// How many activations there were.
     pub(super) fn n_items(&self) -> u64 {
         self.item
-    }
-
-    /// Whether a live source waited for room; it does no more.
-    pub(super) fn take_waits(&mut self) -> bool {
-        match &mut self.core {
-            Core::Live(live) => std::mem::take(&mut live.waits),
-            _ => false,
-        }
-    }
-
-    /// What a live source has answered goes on its way.
-    pub(super) fn answered(&mut self, answer: Answer, run: &Runtime<'_>, turn: &mut Turn<'_>) {
-        self.started(run);
-        answer.warnings.into_iter().for_each(|warning| self.context.warn(warning));
-        if matches!(answer.answered, Ok(Ok(false))) {
-            if run.cancelled() {
-                // It ended because it was asked to.
-                run.note_interrupted();
-            }
-            self.pass_warnings_on(answer.firing.item, run);
-            return self.end(run, turn);
-        }
-        self.item += 1;
-        self.emissions = answer.emissions;
-        self.after(answer.firing, answer.answered.map(|answer| answer.map(drop)), run, turn);
-    }
-
-    /// Whether a live source can be asked for its next answer; ends it where it is to end.
-    pub(super) fn ask(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Asked {
-        let Core::Live(_) = self.core else { return Asked::Never };
-        if !self.has_room(run) {
-            let Core::Live(live) = &mut self.core else { unreachable!("it was live a moment ago") };
-            live.waits = true;
-            return Asked::WhenThereIsRoom;
-        }
-        match &self.phase {
-            Phase::Failing(empty) => {
-                let empty = empty.clone();
-                self.send_empties(empty, run, turn);
-                self.end(run, turn);
-                Asked::Never
-            }
-            Phase::Open if !run.cancelled() => Asked::Next { item: self.item, stamp_ns: known(self.stamp_ns) },
-            _ => {
-                self.interrupt(run, turn);
-                Asked::Never
-            }
-        }
-    }
-
-    /// Ends a live source because of the wish to stop; `false` if it has failed and has still to say so.
-    pub(super) fn interrupt(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> bool {
-        let ends = matches!(self.phase, Phase::Open);
-        if ends {
-            run.note_interrupted();
-            self.end(run, turn);
-        }
-        ends
-    }
-
-    /// A live source cannot be asked.
-    pub(super) fn fail_live(&mut self, reason: String, run: &Runtime<'_>) {
-        self.fail(self.item, reason, false, false, run);
-    }
-
-    /// What a live source gives later than it has promised is an empty in its place, at the stamp up to which nothing was
-    /// to come any more.
-    fn empty_the_late(&mut self, stamp_ns: StampNs) {
-        let Core::Live(live) = &mut self.core else { return };
-        live.newest_ns = live.newest_ns.max(stamp_ns);
-        for (output, emission) in self.outputs.iter_mut().zip(&mut self.emissions) {
-            if stamp_ns >= output.floor || matches!(emission, Emission::Silent) {
-                continue;
-            }
-            let late_ns = output.floor.saturating_sub(stamp_ns);
-            output.late.n_items += 1;
-            output.late.most_ns = output.late.most_ns.max(late_ns);
-            if let Emission::Value(_) = emission {
-                *emission = Emission::Empty(format!(
-                    "it came {} after its wire had been promised to be complete; the source promises a delay of at most {}",
-                    milliseconds(late_ns),
-                    milliseconds(live.max_delay_ns)
-                ));
-            }
-        }
     }
 
     /// Begins a firing, and says when that is: where the worker has only kept its books since the last one ended, then.
@@ -790,19 +558,6 @@ impl Cell {
         unmatched.map(|message| (self.index, warning(message))).collect()
     }
 
-    /// Says so where items came later than promised.
-    pub(super) fn late_warning(&self, plan: &Plan) -> Vec<(usize, Warning)> {
-        let late = self.outputs.iter().filter(|output| output.late.n_items > 0);
-        let message = |output: &Output| {
-            let Late { n_items, most_ns } = output.late;
-            let items = if n_items == 1 { "item" } else { "items" };
-            let (wire, most) = (plan.wire_name(output.id), milliseconds(most_ns));
-            format!("{wire}: {n_items} {items} came late, by up to {most} more than promised, and are empties")
-        };
-        let warning = |message| Warning { node: self.context.node().to_owned(), item: self.item, message };
-        late.map(|output| (self.index, warning(message(output)))).collect()
-    }
-
     pub(super) fn stats(&self, name: &str) -> NodeStats {
         let spread = self.took.spread();
         NodeStats {
@@ -815,31 +570,6 @@ impl Cell {
             p95: spread.p95,
             p99: spread.p99,
         }
-    }
-}
-
-fn milliseconds(ns: StampNs) -> String {
-    format!("{} ms", ns as f64 / 1e6)
-}
-
-/// What an emission breaks of what every node promises: an answer on each output, of its type, in the order of time.
-pub(crate) fn emission_fault(
-    payload: &PortPayload,
-    floor: StampNs,
-    emission: &Emission,
-    is_source: bool,
-    stamp_ns: StampNs,
-) -> Option<String> {
-    match (emission, payload) {
-        (Emission::Silent, _) if is_source => None,
-        (Emission::Silent, _) => Some("stayed silent, which only a source may".into()),
-        (Emission::Value(value), PortPayload::Type(ty)) if value.ty() != *ty => {
-            Some(format!("gave {:?}, {ty:?} expected", value.ty()))
-        }
-        _ if stamp_ns < floor => {
-            Some(format!("gave stamp {stamp_ns} ns after {floor} ns; stamps never decrease along a wire"))
-        }
-        _ => None,
     }
 }
 
