@@ -12,6 +12,8 @@
 //! | [`mesh_file`] | surfaces from STL and PLY | binary STL |
 //! | [`cloud_file`] | points from PLY | binary PLY |
 //! | [`plan_file`] | surgical plans in JSON | the same |
+//! | [`shape_file`] | a surface or a cloud, whichever a file holds: STL, PLY, XYZ, CSV | |
+//! | [`pose_file`] | one rigid motion: a matrix as text or JSON, an ITK transform | |
 //! | [`poses_csv`] | poses over time | the same |
 //! | [`folder`] | a whole procedure as a folder of such files | |
 //!
@@ -39,6 +41,7 @@
 //! ```
 
 pub mod cloud_file;
+mod cloud_text;
 mod error;
 pub mod folder;
 mod foxglove_json;
@@ -48,8 +51,10 @@ pub mod mcap_read;
 pub mod mesh_file;
 pub mod plan_file;
 mod ply;
+pub mod pose_file;
 pub mod poses_csv;
 pub mod recording_write;
+pub mod shape_file;
 mod table;
 
 pub use error::FileError;

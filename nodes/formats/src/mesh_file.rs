@@ -38,9 +38,44 @@ pub fn read_mesh(
     origin: SurfaceOrigin,
 ) -> Result<MeshRead, FileError> {
     let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    if bytes.starts_with(b"ply") {
+        return mesh_of_ply(path, &Ply::parse(path, &bytes)?, unit_mm, frame, origin);
+    }
+    mesh_of_stl(path, &bytes, unit_mm, frame, origin)
+}
+
+/// The surface in the bytes of an STL file.
+pub(crate) fn mesh_of_stl(
+    path: &Path,
+    bytes: &[u8],
+    unit_mm: f64,
+    frame: impl Into<Frame>,
+    origin: SurfaceOrigin,
+) -> Result<MeshRead, FileError> {
     let mut notes = Vec::new();
-    let (vertices, faces) =
-        if bytes.starts_with(b"ply") { ply_faces(path, &bytes)? } else { stl_faces(path, &bytes, &mut notes)? };
+    let faces = stl_faces(path, bytes, &mut notes)?;
+    mesh_of_faces(path, faces, notes, unit_mm, frame.into(), origin)
+}
+
+/// The surface in a PLY file.
+pub(crate) fn mesh_of_ply(
+    path: &Path,
+    ply: &Ply,
+    unit_mm: f64,
+    frame: impl Into<Frame>,
+    origin: SurfaceOrigin,
+) -> Result<MeshRead, FileError> {
+    mesh_of_faces(path, ply_faces(path, ply)?, Vec::new(), unit_mm, frame.into(), origin)
+}
+
+fn mesh_of_faces(
+    path: &Path,
+    (vertices, faces): Faces,
+    mut notes: Vec<String>,
+    unit_mm: f64,
+    frame: Frame,
+    origin: SurfaceOrigin,
+) -> Result<MeshRead, FileError> {
     let vertices: Vec<Point3<f64>> = vertices.into_iter().map(|v| v * unit_mm).collect();
     let n_faces = faces.len();
     let is_proper = |&[a, b, c]: &[u32; 3]| {
@@ -61,7 +96,7 @@ pub fn read_mesh(
     if n_degenerate > 0 {
         notes.push(format!("{n_degenerate} of {n_faces} faces have no area and were left out"));
     }
-    notes.extend(unit_note(&mesh));
+    notes.extend(size_note(mesh.vertices(), "surface spans"));
     Ok(MeshRead { mesh, n_degenerate, notes })
 }
 
@@ -89,18 +124,19 @@ pub fn write_stl(path: &Path, mesh: &Mesh) -> Result<(), FileError> {
 
 type Faces = (Vec<Point3<f64>>, Vec<[u32; 3]>);
 
-fn unit_note(mesh: &Mesh) -> Option<String> {
+/// What is odd about the size of a surface or a cloud; `what` says which.
+pub(crate) fn size_note(points: &[Point3<f64>], what: &str) -> Option<String> {
     let (mut min, mut max) = (Point3::from([f64::INFINITY; 3]), Point3::from([f64::NEG_INFINITY; 3]));
-    for vertex in mesh.vertices() {
-        (min, max) = (min.inf(vertex), max.sup(vertex));
+    for point in points {
+        (min, max) = (min.inf(point), max.sup(point));
     }
-    let span_mm = (max - min).norm();
+    let span_mm = Some((max - min).norm()).filter(|_| !points.is_empty())?;
     let advice = match span_mm {
         s if PLAUSIBLE_MM.contains(&s) => return None,
         s if s < PLAUSIBLE_MM.start => "is the file in metres? then give unit_mm = 1000",
         _ => "is the file in micrometres? then give unit_mm = 0.001",
     };
-    Some(format!("the surface spans {span_mm:.3} mm, which is no size of a bone or phantom; {advice}"))
+    Some(format!("the {what} {span_mm:.3} mm, which is no size of a bone or phantom; {advice}"))
 }
 
 fn stl_faces(path: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<Faces, FileError> {
@@ -205,8 +241,7 @@ fn ascii_stl(path: &Path, bytes: &[u8]) -> Result<Faces, FileError> {
     Ok((corners.vertices, faces))
 }
 
-fn ply_faces(path: &Path, bytes: &[u8]) -> Result<Faces, FileError> {
-    let ply = Ply::parse(path, bytes)?;
+fn ply_faces(path: &Path, ply: &Ply) -> Result<Faces, FileError> {
     let missing = |what: &str| FileError::content(path, "header", format!("there is no {what}; is it a surface?"));
     let vertex = ply.element("vertex").ok_or_else(|| missing("element \"vertex\""))?;
     let axis = |name: &str| vertex.scalars(name).ok_or_else(|| missing(&format!("vertex property \"{name}\"")));

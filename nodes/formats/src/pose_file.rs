@@ -1,0 +1,358 @@
+//! One rigid motion in a file: a 4 × 4 matrix as text or JSON, an ITK transform, or what `osteoflow register` wrote.
+//!
+//! | File | Taken for |
+//! |---|---|
+//! | 16 numbers, row by row, between blanks, commas, semicolons or brackets; `#`, `//` and `%` begin a comment | the matrix |
+//! | JSON: 16 numbers, four rows of four, or an object with such under `T`, `t_target_source` or `matrix` | the matrix |
+//! | ITK `.tfm` or `.txt` that begins with `#Insight Transform File` | the **inverse** of what it holds |
+//!
+//! An ITK transform takes points of the fixed image to the moving one, and 3D Slicer writes the inverse of the transform
+//! it shows; so the motion of a model onto another is the inverse of its file. Such files are LPS, as CT is here.
+
+use crate::FileError;
+use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, UnitQuaternion, Vector3};
+use osteoflow_geometry::isometry_from_matrix;
+use serde_json::Value;
+use std::path::Path;
+
+/// A rotation farther than this from the numbers in its file is told.
+const TOLD: f64 = 1e-6;
+
+/// The keys under which a JSON object may hold the matrix, in the order in which they are looked for.
+const KEYS: [&str; 3] = ["T", "t_target_source", "matrix"];
+
+const ITK_MARK: &str = "#Insight Transform File";
+
+/// A rigid motion read from a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseRead {
+    /// The motion, translation in mm.
+    pub isometry: Isometry3<f64>,
+    /// What was done to the numbers, one sentence each.
+    pub notes: Vec<String>,
+}
+
+/// Reads a rigid motion from a text, JSON or ITK file, told apart by content; see [the module](self).
+///
+/// `unit_mm` is the unit of its translation in mm: 1 for millimetres. The rotation may be written with few digits: the
+/// nearest rotation is taken, and told where it is farther than 10⁻⁶ from the numbers.
+///
+/// # Errors
+/// [`FileError`] if the file cannot be read, holds no 16 numbers, or what it holds scales, shears, mirrors or projects.
+pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
+    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    if bytes.starts_with(b"\x89HDF") {
+        return Err(fault(path, "byte 0", "an HDF5 transform is not read; save it as text (.tfm)"));
+    }
+    let text = std::str::from_utf8(&bytes)
+        .map_err(|error| fault(path, format!("byte {}", error.valid_up_to()), "no text; a 4 x 4 matrix is expected"))?;
+    let text = text.trim_start_matches('\u{feff}');
+    let mut notes = Vec::new();
+    let mut matrix = match text.trim_start() {
+        itk if itk.starts_with(ITK_MARK) => {
+            notes.push("an ITK transform leads from fixed to moving; its inverse is taken".into());
+            let matrix = itk_matrix(path, itk)?;
+            rigid(path, &matrix)?.inverse().to_homogeneous()
+        }
+        json if json.starts_with('{') => json_matrix(path, json)?,
+        // A list may also be one that numpy printed, which is no JSON.
+        list if list.starts_with('[') && serde_json::from_str::<Value>(list).is_ok() => json_matrix(path, list)?,
+        _ => text_matrix(path, text)?,
+    };
+    for row in 0..3 {
+        matrix[(row, 3)] *= unit_mm;
+    }
+    let isometry = rigid(path, &matrix)?;
+    let off = (isometry.to_homogeneous() - matrix).fixed_view::<3, 3>(0, 0).amax();
+    if off > TOLD {
+        notes.push(format!("the rotation is written with few digits; the nearest one is {off:.1e} away and is taken"));
+    }
+    Ok(PoseRead { isometry, notes })
+}
+
+fn fault(path: &Path, place: impl Into<String>, message: impl Into<String>) -> FileError {
+    FileError::content(path, place, message)
+}
+
+fn rigid(path: &Path, matrix: &Matrix4<f64>) -> Result<Isometry3<f64>, FileError> {
+    if !matrix.iter().all(|c| c.is_finite()) {
+        return Err(fault(path, "matrix", "a number is not finite"));
+    }
+    isometry_from_matrix(matrix).map_err(|error| fault(path, "matrix", error.to_string()))
+}
+
+fn text_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
+    let mut numbers = Vec::new();
+    for (line, row) in text.lines().enumerate() {
+        let end = ["#", "//", "%"].iter().filter_map(|mark| row.find(mark)).min().unwrap_or(row.len());
+        let between = |c: char| c.is_whitespace() || ",;[]()".contains(c);
+        for word in row[..end].split(between).filter(|word| !word.is_empty()) {
+            let number: f64 = word.parse().map_err(|_| {
+                fault(path, format!("line {}", line + 1), format!("\"{word}\" stands where a number should"))
+            })?;
+            numbers.push(number);
+        }
+    }
+    sixteen(path, &numbers)
+}
+
+fn sixteen(path: &Path, numbers: &[f64]) -> Result<Matrix4<f64>, FileError> {
+    if numbers.len() == 16 {
+        return Ok(Matrix4::from_row_slice(numbers));
+    }
+    let message = format!("16 numbers are expected, a 4 x 4 matrix row by row, but there are {}", numbers.len());
+    Err(fault(path, "matrix", message))
+}
+
+fn json_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
+    let value: Value = serde_json::from_str(text)
+        .map_err(|error| fault(path, format!("line {}", error.line()), format!("no JSON: {error}")))?;
+    let mut found = &value;
+    // `t_target_source` of a run's results is an object with `matrix` in it.
+    while let Some(object) = found.as_object() {
+        found = KEYS.iter().find_map(|key| object.get(*key)).ok_or_else(|| {
+            let keys: Vec<_> = object.keys().map(String::as_str).collect();
+            let message = format!("none of the keys {} is there; there are: {}", KEYS.join(", "), keys.join(", "));
+            fault(path, "object", message)
+        })?;
+    }
+    let rows = found.as_array().map(Vec::as_slice).unwrap_or_default();
+    let cells: Vec<&Value> = match rows {
+        [first, ..] if first.is_array() => {
+            if let Some(row) = rows.iter().position(|row| row.as_array().is_none_or(|row| row.len() != 4)) {
+                return Err(fault(path, format!("row {}", row + 1), "a row of a 4 x 4 matrix has four numbers"));
+            }
+            rows.iter().filter_map(Value::as_array).flatten().collect()
+        }
+        _ => rows.iter().collect(),
+    };
+    let number = |cell: &&Value| cell.as_f64().ok_or_else(|| fault(path, "matrix", format!("{cell} is no number")));
+    sixteen(path, &cells.iter().map(number).collect::<Result<Vec<_>, _>>()?)
+}
+
+/// The matrix of an ITK transform as written, about its centre.
+fn itk_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
+    let line_of = |key: &str| {
+        let mut found = text.lines().filter_map(|line| line.trim().strip_prefix(key)?.trim_start().strip_prefix(':'));
+        (found.next().map(str::trim), found.next().is_some())
+    };
+    let (Some(kind), more) = line_of("Transform") else {
+        return Err(fault(path, "header", "there is no line \"Transform:\"; was the file cut short?"));
+    };
+    if more || kind.starts_with("Composite") {
+        return Err(fault(
+            path,
+            "Transform",
+            "several transforms; harden them into one linear transform and save that",
+        ));
+    }
+    let numbers = |key: &str| -> Result<Vec<f64>, FileError> {
+        let words = line_of(key).0.unwrap_or_default().split_whitespace();
+        let number = |word: &str| {
+            word.parse::<f64>().map_err(|_| fault(path, key, format!("\"{word}\" stands where a number should")))
+        };
+        words.map(number).collect()
+    };
+    let (parameters, fixed) = (numbers("Parameters")?, numbers("FixedParameters")?);
+    let name = kind.split('_').next().unwrap_or(kind);
+    let (rotation, shift) = match (name, &parameters[..]) {
+        ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", [matrix @ .., x, y, z])
+            if matrix.len() == 9 =>
+        {
+            (Matrix3::from_row_slice(matrix), Vector3::new(*x, *y, *z))
+        }
+        ("Euler3DTransform", &[a, b, c, x, y, z]) => {
+            let turn = |axis: Vector3<f64>, angle: f64| Rotation3::new(axis * angle).into_inner();
+            let [rx, ry, rz] = [turn(Vector3::x(), a), turn(Vector3::y(), b), turn(Vector3::z(), c)];
+            // The fourth fixed parameter says in which order.
+            let zyx = fixed.get(3).is_some_and(|order| *order != 0.0);
+            (if zyx { rz * ry * rx } else { rz * rx * ry }, Vector3::new(x, y, z))
+        }
+        ("VersorRigid3DTransform", &[i, j, k, x, y, z]) => {
+            let w = (1.0 - i * i - j * j - k * k).max(0.0).sqrt();
+            let versor = UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k));
+            (versor.to_rotation_matrix().into_inner(), Vector3::new(x, y, z))
+        }
+        ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", found) => {
+            return Err(fault(path, "Parameters", format!("12 numbers are expected, but there are {}", found.len())));
+        }
+        ("Euler3DTransform" | "VersorRigid3DTransform", found) => {
+            return Err(fault(path, "Parameters", format!("6 numbers are expected, but there are {}", found.len())));
+        }
+        _ => {
+            let message = format!("\"{kind}\" is no rigid transform in 3D; save a linear one");
+            return Err(fault(path, "Transform", message));
+        }
+    };
+    let centre = match &fixed[..] {
+        [] => Vector3::zeros(),
+        [x, y, z, ..] => Vector3::new(*x, *y, *z),
+        found => {
+            let message = format!("a centre has three numbers, but there are {}", found.len());
+            return Err(fault(path, "FixedParameters", message));
+        }
+    };
+    let mut matrix = rotation.to_homogeneous();
+    matrix.fixed_view_mut::<3, 1>(0, 3).copy_from(&(shift + centre - rotation * centre));
+    Ok(matrix)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Point3;
+
+    fn read(text: &str) -> Result<PoseRead, FileError> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        read_pose(file.path(), 1.0)
+    }
+
+    /// What is said of a text, without the file's name.
+    fn said(text: &str) -> String {
+        let said = read(text).unwrap_err().to_string();
+        said.split_once(": ").unwrap().1.to_owned()
+    }
+
+    fn motion() -> Isometry3<f64> {
+        Isometry3::new(Vector3::new(12.5, -3.0, 900.0), Vector3::new(0.3, -0.2, 0.9))
+    }
+
+    fn assert_is(found: &Isometry3<f64>, expected: &Isometry3<f64>, tolerance: f64) {
+        let off = (found.to_homogeneous() - expected.to_homogeneous()).amax();
+        assert!(off <= tolerance, "{found} is {off} from {expected}");
+    }
+
+    fn rows(separator: &str) -> String {
+        let rows = osteoflow_geometry::matrix_rows(&motion());
+        rows.map(|row| row.map(|c| format!("{c:?}")).join(separator)).join("\n")
+    }
+
+    #[test]
+    fn one_motion_is_read_from_every_way_of_writing_it() {
+        let nested = format!("{:?}", osteoflow_geometry::matrix_rows(&motion()));
+        let flat = format!("[{}]", rows(", ").replace('\n', ", "));
+        for text in [
+            rows(" "),
+            format!("# moves the scan\n{} // last row\n", rows(", ")),
+            format!("% as exported\r\n{}\r\n", rows(";\t").replace('\n', "\r\n")),
+            format!("\u{feff}{}", rows("  ")),
+            // As numpy prints it.
+            format!("[[{}]]", rows(" ").replace('\n', "]\n [")),
+            nested.clone(),
+            flat.clone(),
+            format!("{{\"iterations\": 3, \"T\": {flat}}}"),
+            format!("{{\"t_target_source\": {{\"to\": \"ct\", \"matrix\": {nested}}}}}"),
+        ] {
+            let found = read(&text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+            assert_is(&found.isometry, &motion(), 1e-12);
+            assert!(found.notes.is_empty(), "{:?}\n{text}", found.notes);
+        }
+    }
+
+    #[test]
+    fn translations_may_be_in_metres() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "1 0 0 0.0125\n0 1 0 -3\n0 0 1 0\n0 0 0 1\n").unwrap();
+        let found = read_pose(file.path(), 1000.0).unwrap().isometry;
+        assert_eq!(found.translation.vector, Vector3::new(12.5, -3000.0, 0.0));
+    }
+
+    #[test]
+    fn few_digits_give_the_nearest_rotation_and_are_told() {
+        let text: Vec<_> = motion().to_homogeneous().transpose().iter().map(|c| format!("{c:.4}")).collect();
+        let found = read(&text.join(" ")).unwrap();
+        assert_is(&found.isometry, &motion(), 2e-4);
+        let r = found.isometry.rotation.to_rotation_matrix().into_inner();
+        assert!((r.transpose() * r - Matrix3::identity()).amax() < 1e-14);
+        assert_eq!(found.notes.len(), 1, "{:?}", found.notes);
+        assert!(found.notes[0].starts_with("the rotation is written with few digits"), "{:?}", found.notes);
+    }
+
+    #[test]
+    fn an_itk_transform_is_the_inverse_of_what_it_holds_and_turns_about_its_centre() {
+        let r = motion().rotation.to_rotation_matrix();
+        let parameters: Vec<_> =
+            r.matrix().transpose().iter().chain(&[5.0, 6.0, 7.0]).map(|c| format!("{c:?}")).collect();
+        let head = "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\nParameters: ";
+        let text = format!("{head}{}\nFixedParameters: 10 20 30\n", parameters.join(" "));
+        let found = read(&text).unwrap();
+        // The centre of the turn is only shifted.
+        let centre = Point3::new(10.0, 20.0, 30.0);
+        let moved = centre + Vector3::new(5.0, 6.0, 7.0);
+        assert!((found.isometry * moved - centre).norm() < 1e-12, "{}", found.isometry);
+        assert!(found.isometry.rotation.angle_to(&motion().rotation.inverse()) < 1e-12);
+        assert_eq!(found.notes, ["an ITK transform leads from fixed to moving; its inverse is taken"]);
+    }
+
+    #[test]
+    fn rotations_by_angles_and_by_a_versor_are_read_too() {
+        let head = "#Insight Transform File V1.0\nTransform: ";
+        let quarter = std::f64::consts::FRAC_PI_2;
+        let euler = |order: &str| {
+            let text = format!(
+                "{head}Euler3DTransform_double_3_3\nParameters: {quarter} {quarter} 0 1 2 3\nFixedParameters: 0 0 0{order}\n"
+            );
+            read(&text).unwrap().isometry.inverse()
+        };
+        // About y first, then x: z goes to x and stays there. With the fourth fixed parameter x comes first.
+        assert!((euler("") * Point3::new(0.0, 0.0, 1.0) - Point3::new(2.0, 2.0, 3.0)).norm() < 1e-12);
+        assert!((euler(" 1") * Point3::new(0.0, 0.0, 1.0) - Point3::new(1.0, 1.0, 3.0)).norm() < 1e-12);
+        let half = (quarter / 2.0).sin();
+        let text =
+            format!("{head}VersorRigid3DTransform_double_3_3\nParameters: 0 0 {half} 1 2 3\nFixedParameters: 0 0 0\n");
+        let found = read(&text).unwrap().isometry.inverse();
+        assert!((found * Point3::new(1.0, 0.0, 0.0) - Point3::new(1.0, 3.0, 3.0)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_no_rigid_motion_says_why() {
+        let itk = |rest: &str| format!("#Insight Transform File V1.0\n{rest}\n");
+        for (text, expected) in [
+            (
+                "1 0 0 0 0 1 0 0 0 0 1 0".into(),
+                "matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 12",
+            ),
+            (String::new(), "matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 0"),
+            ("1 0 0 0\n0 one 0 0".into(), "line 2: \"one\" stands where a number should"),
+            (
+                "1 0 0 0 0 1 0 0 0 0 1 0 5 6 7 1".into(),
+                "matrix: the last row of a rigid motion is 0 0 0 1; is the matrix written column by column?",
+            ),
+            (
+                "2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1".into(),
+                "matrix: the upper left 3 x 3 is not a rotation: its columns are off by 3.000; is there a scale in it?",
+            ),
+            (
+                "1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1".into(),
+                "matrix: the matrix is a mirror image (determinant -1); are two axes swapped, or is it RAS where LPS is \
+                 meant?",
+            ),
+            ("1 0 0 nan 0 1 0 0 0 0 1 0 0 0 0 1".into(), "matrix: a number is not finite"),
+            ("{\"pose\": 1}".into(), "object: none of the keys T, t_target_source, matrix is there; there are: pose"),
+            ("{\"T\": [1, 2".into(), "line 1: no JSON: EOF while parsing a list at line 1 column 11"),
+            ("{\"T\": [[1, 0], [0, 1]]}".into(), "row 1: a row of a 4 x 4 matrix has four numbers"),
+            (
+                "{\"T\": \"identity\"}".into(),
+                "matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 0",
+            ),
+            (
+                itk("Transform: BSplineTransform_double_3_3\nParameters: 1"),
+                "Transform: \"BSplineTransform_double_3_3\" is no rigid transform in 3D; save a linear one",
+            ),
+            (
+                itk("Transform: AffineTransform_double_3_3\nParameters: 1 0 0"),
+                "Parameters: 12 numbers are expected, but there are 3",
+            ),
+            (
+                itk("Transform: CompositeTransform_double_3_3"),
+                "Transform: several transforms; harden them into one linear transform and save that",
+            ),
+            (itk(""), "header: there is no line \"Transform:\"; was the file cut short?"),
+        ] {
+            assert_eq!(said(&text), expected, "{text}");
+        }
+        let missing = read_pose("no/such.txt".as_ref(), 1.0).unwrap_err().to_string();
+        assert!(missing.starts_with("no/such.txt: cannot be read:"), "{missing}");
+    }
+}
