@@ -1,5 +1,6 @@
 //! Finds everything wrong with a graph in one pass, before any node is built, and plans it.
 
+mod alone;
 mod assemble;
 mod declared;
 mod drafts;
@@ -26,6 +27,8 @@ mod trigger;
 pub(crate) mod unit;
 mod wires;
 
+pub use crate::graph::Given;
+pub use alone::parameters;
 pub use module::{Module, ModuleDescription, ModuleInput, ModuleOutput, ModuleParam};
 
 pub(crate) use glob::fits as glob_fits;

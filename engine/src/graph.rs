@@ -16,8 +16,11 @@ pub(crate) use {
     interface::{Inlet, Interface, Knob, Outlet},
     modules::{KIND as MODULE, Module, no_results},
     remove::Removed,
+    set::table_of,
     tree::{Entry, Spanned, Table, Value},
 };
+
+pub use set::Given;
 
 use crate::fault::{Fault, SourceText, Span};
 use std::{path::Path, sync::Arc};

@@ -24,7 +24,7 @@ pub(super) fn apply(table: &mut Table, sets: &[String], removed: &mut Removed, f
     let source = Arc::new(SourceText { name, dir, text, order, command_line: true, used: None });
     let mut start = 0;
     for line in &lines {
-        match Setting::read(&source, start + PREFIX.len()..start + line.len(), table) {
+        match Setting::read(&source, start + PREFIX.len()..start + line.len(), Some(table)) {
             Ok(Setting::Overlay(mut over)) => {
                 removed.take_from(table, &mut over, faults);
                 merge(table, over);
@@ -38,6 +38,65 @@ pub(super) fn apply(table: &mut Table, sets: &[String], removed: &mut Removed, f
     inside
 }
 
+/// A parameter of a node that no graph file holds, as the command line gives it.
+#[derive(Debug, Clone, Copy)]
+pub enum Given<'a> {
+    /// `--set KEY=VALUE`.
+    Set(&'a str),
+    /// An option of its own, such as `--max-iterations 50`.
+    Option {
+        /// The option without its dashes.
+        option: &'a str,
+        /// The parameter it stands for.
+        key: &'a str,
+        /// The value in the words of a graph file.
+        value: &'a str,
+    },
+}
+
+/// The table of a node of which only the command line tells, in its order: what comes later outranks. And all of the
+/// command line, for faults about what is not there.
+pub(crate) fn table_of(given: &[Given<'_>], faults: &mut Vec<Fault>) -> (Table, Span) {
+    let lines: Vec<_> = given
+        .iter()
+        .map(|given| match given {
+            Given::Set(text) => format!("{PREFIX}{text}"),
+            Given::Option { option, value, .. } => format!("--{option} {value}"),
+        })
+        .collect();
+    let source = Arc::new(SourceText {
+        name: PathBuf::from("command line"),
+        dir: std::env::current_dir().unwrap_or_default(),
+        text: lines.join("\n"),
+        order: usize::MAX,
+        command_line: true,
+        used: None,
+    });
+    let mut table = Table::default();
+    let mut start = 0;
+    for (given, line) in given.iter().zip(&lines) {
+        let end = start + line.len();
+        match given {
+            Given::Set(_) => match Setting::read(&source, start + PREFIX.len()..end, None) {
+                Ok(Setting::Overlay(over)) => merge(&mut table, over),
+                Ok(Setting::Edit(edit)) => faults.extend(edit.apply(&mut table).err().map(|fault| *fault)),
+                Err(fault) => faults.push(*fault),
+            },
+            Given::Option { option, key, .. } => {
+                let key_end = start + 2 + option.len();
+                let entry = Entry {
+                    key: (*key).into(),
+                    key_at: Span::new(&source, start..key_end),
+                    value: value(&source, key_end..end),
+                };
+                merge(&mut table, Table(vec![entry]));
+            }
+        }
+        start = end + 1;
+    }
+    (table, Span::new(&source, 0..0))
+}
+
 /// What one `--set` asks for.
 enum Setting {
     /// Keys and a value, as a graph file would hold them.
@@ -47,10 +106,14 @@ enum Setting {
 }
 
 impl Setting {
-    fn read(source: &Arc<SourceText>, range: Range<usize>, table: &Table) -> Result<Self, Box<Fault>> {
+    /// Without a graph the key is that of a node's parameter.
+    fn read(source: &Arc<SourceText>, range: Range<usize>, graph: Option<&Table>) -> Result<Self, Box<Fault>> {
         let text = &source.text[range.clone()];
         let span = Span::new(source, range.clone());
-        let form = "write KEY=VALUE, such as icp.max_iterations=50 or graph.seed=7";
+        let form = match graph {
+            Some(_) => "write KEY=VALUE, such as icp.max_iterations=50 or graph.seed=7",
+            None => "write KEY=VALUE, such as max_iterations=50",
+        };
         let no_form = |label: &str| Box::new(Fault::new("--set takes KEY=VALUE").at(&span, label).help(form));
         let Some(equals) = text.find('=') else { return Err(no_form("no = here")) };
         let append = text[..equals].ends_with('+');
@@ -64,11 +127,11 @@ impl Setting {
             path.push((key, indices));
         }
         let (first, at) = &path[0].0;
-        if first == "extends" {
+        if first == "extends" && graph.is_some() {
             let fault = Fault::new("extends belongs in a graph file").at(&span, "not on the command line");
             return Err(Box::new(fault.help("name another graph file instead")));
         }
-        if !TOP.contains(&first.as_str()) {
+        if graph.is_some() && !TOP.contains(&first.as_str()) {
             // `icp.max_iterations` is short for `node.icp.max_iterations`.
             let key = ("node".into(), at.start..at.start);
             path.insert(0, (key, Vec::new()));
@@ -83,8 +146,10 @@ impl Setting {
             return Ok(Self::Edit(Edit { steps: steps.collect(), append, value, key_at }));
         }
         let mut path: Vec<Key> = path.into_iter().map(|(key, _)| key).collect();
-        if path[0].0 == "results" {
-            path = result_path(path, table);
+        if let Some(graph) = graph
+            && path[0].0 == "results"
+        {
+            path = result_path(path, graph);
         }
         Ok(Self::Overlay(nest(source, &path, value)))
     }

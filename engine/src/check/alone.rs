@@ -1,0 +1,31 @@
+use super::schema::{Files, Walker};
+use crate::{
+    fault::Faults,
+    graph::{self, Given},
+};
+use osteoflow_node::Description;
+use serde_json::Value as Json;
+
+/// The parameters of a node of this kind that no graph holds: what `given` says, and defaults. Read as those of a graph
+/// file are: the same names, types, ranges and faults. `owner` is what has them, in the words of a fault.
+///
+/// # Errors
+/// [`Faults`]: every parameter that is unknown, of the wrong type, out of range or missing.
+pub fn parameters(kind: &Description, owner: &str, given: &[Given<'_>]) -> Result<Json, Faults> {
+    let mut faults = Vec::new();
+    let (table, at) = graph::table_of(given, &mut faults);
+    let mut walker = Walker {
+        root: &kind.params,
+        owner: owner.into(),
+        path: owner.into(),
+        kind: kind.kind,
+        kind_at: None,
+        files: Files::Needed,
+        faults,
+        input_files: Vec::new(),
+    };
+    match walker.table(&kind.params, &table, &at, "", &[]) {
+        Some(params) if walker.faults.is_empty() => Ok(Json::Object(params)),
+        _ => Err(Faults(super::told(super::sorted(walker.faults)))),
+    }
+}

@@ -1,0 +1,42 @@
+//! Parameters that only the command line gives.
+
+use crate::{golden::compare, toy};
+use osteoflow_engine::check::{Given, parameters};
+use serde_json::json;
+use std::path::Path;
+
+fn option<'a>(option: &'a str, key: &'a str, value: &'a str) -> Given<'a> {
+    Given::Option { option, key, value }
+}
+
+fn read(given: &[Given<'_>]) -> Result<serde_json::Value, String> {
+    let registry = toy::registry();
+    let kind = &registry.kind("icp.point_to_point").unwrap().description;
+    parameters(kind, "register", given).map_err(|faults| faults.render(false))
+}
+
+#[test]
+fn what_is_not_given_has_its_default_and_what_comes_later_outranks() {
+    let plain = json!({ "max_iterations": 50, "max_pair_distance_mm": 5.0, "tolerance_rad": 1e-6 });
+    assert_eq!(read(&[]).unwrap(), plain);
+    let given = [
+        Given::Set("max_iterations=7"),
+        option("max-pair-distance-mm", "max_pair_distance_mm", "3"),
+        Given::Set(" max_iterations = 8 "),
+        option("max-pair-distance-mm", "max_pair_distance_mm", "2.5"),
+    ];
+    let expected = json!({ "max_iterations": 8, "max_pair_distance_mm": 2.5, "tolerance_rad": 1e-6 });
+    assert_eq!(read(&given).unwrap(), expected);
+}
+
+#[test]
+fn faults_are_those_of_a_graph_and_show_what_was_typed() {
+    let faults = read(&[
+        Given::Set("max_pair_distance=3"),
+        option("max-iterations", "max_iterations", "0"),
+        Given::Set("tolerance_rad"),
+        Given::Set("tolerance_rad=1 mrad"),
+        Given::Set("graph.seed=7"),
+    ]);
+    compare(&faults.unwrap_err(), Path::new("tests/check/alone.txt")).unwrap();
+}
