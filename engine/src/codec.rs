@@ -8,11 +8,11 @@
 //! 3 i64, 4 u32, 5 u8), its width (u32), its bytes (u64), zeros up to a multiple of 8 from the start of the message, and
 //! the rows. An empty has the node and the reason as two texts in the place of fields and columns.
 
-use crate::record::Parts;
+use crate::{record::Parts, store::Entry};
 use osteoflow_node::{
-    Body, Column, ColumnType, Empty, Field, Item, PayloadType, PortPayload, StampNs, View, ViewError,
+    Body, Buffer, Column, ColumnType, Empty, Field, Item, PayloadType, PortPayload, StampNs, View, ViewError,
 };
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 /// What the schema of an exact channel says of its messages.
 pub(crate) const LAYOUT: &str = "\
@@ -198,7 +198,21 @@ fn put_text(out: &mut Vec<u8>, text: &str) {
 /// # Errors
 /// [`CodecError`] if the bytes are damaged. No length is believed before the bytes it asks for are there.
 pub(crate) fn decode(bytes: &[u8]) -> Result<RecordedItem, CodecError> {
-    let mut reader = Reader { bytes, at: 0 };
+    decode_by(Reader { bytes, at: 0, entry: None })
+}
+
+/// The same of a part of a store's entry, over whose bytes the columns lie.
+///
+/// # Errors
+/// As [`decode`]; a part that the entry does not have is short.
+pub(crate) fn decode_entry(entry: &Entry, range: Range<usize>) -> Result<RecordedItem, CodecError> {
+    let short = CodecError::Short { needed: range.end as u64, left: entry.bytes().len() };
+    let bytes = entry.bytes().get(range.clone()).ok_or(short)?;
+    decode_by(Reader { bytes, at: 0, entry: Some((entry, range.start)) })
+}
+
+fn decode_by(mut reader: Reader<'_>) -> Result<RecordedItem, CodecError> {
+    let bytes = reader.bytes;
     if reader.take(8).is_ok_and(|magic| magic != MAGIC) || bytes.len() < 8 {
         return Err(CodecError::Magic);
     }
@@ -248,6 +262,8 @@ pub(crate) fn number(bytes: &[u8]) -> Option<u64> {
 struct Reader<'a> {
     bytes: &'a [u8],
     at: usize,
+    /// The entry that the bytes are of, and where in it they begin.
+    entry: Option<(&'a Entry, usize)>,
 }
 
 impl<'a> Reader<'a> {
@@ -319,7 +335,14 @@ impl<'a> Reader<'a> {
         if !(rows.len() as u64).is_multiple_of((kind.size() as u64 * u64::from(width)).max(1)) {
             return Err(CodecError::Invalid("a column ends within a row"));
         }
-        Ok(Column::new(name, kind, width, Arc::new(Aligned::new(rows, kind.size()))))
+        let data: Buffer = match self.entry {
+            Some((entry, start)) if cfg!(target_endian = "little") => {
+                let end = start + self.at;
+                entry.part(end - rows.len()..end)
+            }
+            _ => Arc::new(Aligned::new(rows, kind.size())),
+        };
+        Ok(Column::new(name, kind, width, data))
     }
 }
 

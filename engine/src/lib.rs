@@ -21,6 +21,7 @@ pub mod repro;
 mod results;
 pub mod run;
 pub mod schema;
+pub mod store;
 mod sync;
 #[cfg(test)]
 mod toy;

@@ -1,13 +1,14 @@
 //! What `manifest.json` says: what ran, from what, where, when, and the figures of nodes and links.
 
 use crate::{
+    digest::Digest,
     plan::{Plan, Sources},
     record::{Counts, FORMAT_VERSION, RecordError},
     run::{Outcome, RunOptions, RunReport},
 };
 use osteoflow_node::Role;
 use serde_json::{Value as Json, json};
-use sha2::{Digest, Sha256};
+use sha2::{Digest as _, Sha256};
 use std::{
     fs::File,
     io::{self, Read},
@@ -147,13 +148,13 @@ fn list(path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
 
 fn entry(path: &Path) -> Json {
     match sha256(path) {
-        Ok((bytes, hash)) => json!({ "path": path.display().to_string(), "bytes": bytes, "sha256": hash }),
+        Ok((bytes, hash)) => json!({ "path": path.display().to_string(), "bytes": bytes, "sha256": hash.to_string() }),
         Err(error) => json!({ "path": path.display().to_string(), "error": error.to_string() }),
     }
 }
 
-/// A file's size and its SHA-256 in hexadecimal.
-pub(crate) fn sha256(path: &Path) -> io::Result<(u64, String)> {
+/// A file's size and its SHA-256.
+pub(crate) fn sha256(path: &Path) -> io::Result<(u64, Digest)> {
     let mut file = File::open(path)?;
     let (mut hasher, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);
     loop {
@@ -164,7 +165,7 @@ pub(crate) fn sha256(path: &Path) -> io::Result<(u64, String)> {
         bytes += n as u64;
         hasher.update(&buffer[..n]);
     }
-    Ok((bytes, hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()))
+    Ok((bytes, Digest(hasher.finalize().into())))
 }
 
 /// A time as `2026-11-21T02:34:06.123Z`.

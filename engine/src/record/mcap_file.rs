@@ -124,7 +124,8 @@ impl Parts {
         all
     }
 
-    fn slices(&self) -> impl Iterator<Item = &[u8]> {
+    /// All in the pieces in which they lie.
+    pub(crate) fn slices(&self) -> impl Iterator<Item = &[u8]> {
         self.parts.iter().map(Part::bytes).chain([&*self.tail]).filter(|slice| !slice.is_empty())
     }
 

@@ -195,7 +195,8 @@ impl Program {
     /// This program, and what the command says of itself.
     pub fn current(command: Json) -> Self {
         let executable = std::env::current_exe().ok().and_then(|path| crate::manifest::sha256(&path).ok());
-        Self { engine_version: env!("CARGO_PKG_VERSION").into(), sha256: executable.map(|(_, hash)| hash), command }
+        let sha256 = executable.map(|(_, hash)| hash.to_string());
+        Self { engine_version: env!("CARGO_PKG_VERSION").into(), sha256, command }
     }
 
     /// How `now` differs, in words.

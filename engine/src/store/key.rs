@@ -1,0 +1,110 @@
+use super::payload;
+use crate::digest::Digest;
+use osteoflow_node::Value;
+use sha2::{Digest as _, Sha256};
+use std::fmt;
+
+/// What an entry lies under: the SHA-256 of all that decides it, and the space of names that this belongs to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Key {
+    space: &'static str,
+    digest: Digest,
+}
+
+impl Key {
+    /// Begins a key in a space of names such as `answer`: lower-case letters and underscores.
+    ///
+    /// # Panics
+    /// If the space has another name, which is a bug of ours.
+    pub fn of(space: &'static str) -> KeyInMaking {
+        let plain = |c: u8| c.is_ascii_lowercase() || c == b'_';
+        assert!(!space.is_empty() && space.bytes().all(plain), "\"{space}\" is no name for a space of keys");
+        let mut hasher = Sha256::new();
+        hasher.update(FORMAT);
+        KeyInMaking { space, hasher }.text("space", space)
+    }
+
+    /// The space of names.
+    pub fn space(&self) -> &'static str {
+        self.space
+    }
+
+    /// The digest.
+    pub fn digest(&self) -> Digest {
+        self.digest
+    }
+}
+
+/// `space-0123abcd...`
+impl fmt::Display for Key {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}-{}", self.space, self.digest)
+    }
+}
+
+/// Raised when a part is hashed otherwise than before, so that no older entry answers.
+const FORMAT: &[u8] = b"osteoflow key 1\n";
+
+/// A key whose parts are still added; their order counts.
+#[derive(Clone)]
+pub struct KeyInMaking {
+    space: &'static str,
+    hasher: Sha256,
+}
+
+impl KeyInMaking {
+    /// Adds named bytes.
+    #[must_use]
+    pub fn bytes(mut self, name: &str, bytes: &[u8]) -> Self {
+        self.begin(name, bytes.len());
+        self.hasher.update(bytes);
+        self
+    }
+
+    /// Adds a named text.
+    #[must_use]
+    pub fn text(self, name: &str, text: &str) -> Self {
+        self.bytes(name, text.as_bytes())
+    }
+
+    /// Adds a named number.
+    #[must_use]
+    pub fn number(self, name: &str, number: u64) -> Self {
+        self.bytes(name, &number.to_le_bytes())
+    }
+
+    /// Adds named JSON; the order of an object's keys does not matter.
+    #[must_use]
+    pub fn json(self, name: &str, json: &serde_json::Value) -> Self {
+        let mut sorted = json.clone();
+        sorted.sort_all_objects();
+        self.text(name, &sorted.to_string())
+    }
+
+    /// Adds a named payload: its type, the version of its view, and its view, bit for bit.
+    #[must_use]
+    pub fn value(mut self, name: &str, value: &Value) -> Self {
+        let message = payload::message(value);
+        self.begin(name, message.len());
+        message.slices().for_each(|slice| self.hasher.update(slice));
+        self
+    }
+
+    /// Adds the digest of something that was hashed elsewhere.
+    #[must_use]
+    pub fn digest(self, name: &str, digest: Digest) -> Self {
+        self.bytes(name, &digest.0)
+    }
+
+    /// The key.
+    pub fn done(self) -> Key {
+        Key { space: self.space, digest: Digest(self.hasher.finalize().into()) }
+    }
+
+    /// Name and length stand before the bytes, so that no two lists of parts run into one.
+    fn begin(&mut self, name: &str, n_bytes: usize) {
+        self.hasher.update((name.len() as u64).to_le_bytes());
+        self.hasher.update(name);
+        self.hasher.update((n_bytes as u64).to_le_bytes());
+    }
+}

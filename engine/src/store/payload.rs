@@ -1,0 +1,36 @@
+//! Payloads in the store: the message of an item, as in a recording, without number and stamp.
+
+use super::{Entry, Key, Store, StoreError};
+use crate::{codec, record::Parts};
+use osteoflow_node::{Body, Item, Payload, PayloadType, PortPayload, Value};
+use std::ops::Range;
+
+/// The bytes of a payload: name and version of its type, and its view. Columns stay where they are.
+pub(crate) fn message(value: &Value) -> Parts {
+    codec::parts_on(PortPayload::Any, &Item { number: 0, stamp_ns: 0, body: Body::Value(value.clone()) })
+}
+
+/// The payload of a message in an entry, over the entry's bytes; `None` if it is of another type or version.
+pub(crate) fn decoded(entry: &Entry, range: Range<usize>, ty: &PayloadType) -> Option<Value> {
+    let item = codec::decode_entry(entry, range).ok()?;
+    let is_of = item.payload.as_ref().is_some_and(|(name, version)| name == ty.name && *version == ty.version);
+    let view = item.body.ok().filter(|_| is_of)?;
+    ty.from_view(&view).ok()
+}
+
+impl Store {
+    /// The payload under the key; its columns lie in the entry's bytes. `None` also if it is of another type or version.
+    pub fn load<T: Payload<By>, By: 'static>(&self, key: &Key) -> Option<T> {
+        let entry = self.get(key)?;
+        decoded(&entry, 0..entry.bytes().len(), PayloadType::of::<T, By>())?.get::<T>().cloned()
+    }
+
+    /// Keeps a payload under the key.
+    ///
+    /// # Errors
+    /// As [`Store::put`].
+    pub fn save<T: Payload<By>, By: 'static>(&self, key: &Key, payload: &T) -> Result<(), StoreError> {
+        let message = message(&Value::new(payload.clone()));
+        self.put(key, &message.slices().collect::<Vec<_>>())
+    }
+}

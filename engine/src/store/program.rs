@@ -1,0 +1,135 @@
+//! What computes: this program, the libraries it has loaded, and what the processor offers.
+//!
+//! A revision does not tell a changed tree from a clean one, so the program's file is hashed, once: the hash is kept in the
+//! store by the file's place, size and times. The mathematics of the system's library differ between its versions and,
+//! chosen when the program starts, between processors; so both belong to it.
+
+use super::{Key, Store};
+use crate::{digest::Digest, manifest::sha256};
+use std::{
+    fs::{File, Metadata},
+    io,
+    path::{Path, PathBuf},
+    sync::OnceLock,
+    time::SystemTime,
+};
+
+pub(super) fn digest(store: &Store) -> Option<Digest> {
+    // Neither changes while the process lives.
+    static DIGEST: OnceLock<Option<Digest>> = OnceLock::new();
+    *DIGEST.get_or_init(|| match own_file(store) {
+        Ok(own) => {
+            let mut all = Key::of("program").digest("file", own).text("machine", &machine());
+            for library in libraries() {
+                all = all.text("library", &library);
+            }
+            Some(all.done().digest())
+        }
+        Err(error) => {
+            tracing::warn!("the program's own file cannot be read, so that nothing is kept: {error}");
+            None
+        }
+    })
+}
+
+/// The digest of the program's file.
+fn own_file(store: &Store) -> io::Result<Digest> {
+    let path = std::env::current_exe()?;
+    // This opens the file that runs, even if another has been put in its place since.
+    let running = Path::new("/proc/self/exe");
+    let open = if cfg!(target_os = "linux") { running } else { &path };
+    let key = Key::of("file_hash").text("path", &path.to_string_lossy());
+    let key = key.text("stamp", &stamp(&File::open(open)?.metadata()?)).done();
+    if let Some(kept) = store.get(&key).and_then(|entry| entry.bytes().try_into().ok()) {
+        return Ok(Digest(kept));
+    }
+    let (_, digest) = sha256(open)?;
+    // Where it cannot be kept it is computed again; what it is for says why.
+    let _ = store.put(&key, &[&digest.0]);
+    Ok(digest)
+}
+
+/// Size and times of a file, and where the system tells it, which file it is: a new one has another stamp.
+fn stamp(file: &Metadata) -> String {
+    let modified = file.modified().ok().and_then(|time| time.duration_since(SystemTime::UNIX_EPOCH).ok());
+    let stamp = format!("{} bytes, {modified:?}", file.len());
+    #[cfg(unix)]
+    let stamp = {
+        use std::os::unix::fs::MetadataExt;
+        format!("{stamp}, {}.{:09}, {}:{}", file.ctime(), file.ctime_nsec(), file.dev(), file.ino())
+    };
+    stamp
+}
+
+/// The libraries that the process runs code of beside its own file, each with its size and time; known on Linux only.
+fn libraries() -> Vec<String> {
+    let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
+    let own = std::env::current_exe().unwrap_or_default();
+    let mut paths: Vec<PathBuf> = maps
+        .lines()
+        // address perms offset dev inode path
+        .filter(|line| line.split_whitespace().nth(1).is_some_and(|flags| flags.contains('x')))
+        .filter_map(|line| line.find('/').map(|at| PathBuf::from(&line[at..])))
+        .filter(|path| *path != own)
+        .collect();
+    paths.sort();
+    paths.dedup();
+    let told = |path: PathBuf| {
+        let metadata = path.metadata().ok();
+        let time = metadata.as_ref().and_then(|m| m.modified().ok()?.duration_since(SystemTime::UNIX_EPOCH).ok());
+        format!("{}, {:?} bytes, {time:?}", path.display(), metadata.map(|m| m.len()))
+    };
+    paths.into_iter().map(told).collect()
+}
+
+/// System, architecture and the features by which libraries choose their code.
+fn machine() -> String {
+    format!("{} {} {}", std::env::consts::OS, std::env::consts::ARCH, features().join(" "))
+}
+
+#[cfg(target_arch = "x86_64")]
+fn features() -> Vec<&'static str> {
+    let known = [
+        ("sse3", is_x86_feature_detected!("sse3")),
+        ("ssse3", is_x86_feature_detected!("ssse3")),
+        ("sse4.1", is_x86_feature_detected!("sse4.1")),
+        ("sse4.2", is_x86_feature_detected!("sse4.2")),
+        ("avx", is_x86_feature_detected!("avx")),
+        ("f16c", is_x86_feature_detected!("f16c")),
+        ("avx2", is_x86_feature_detected!("avx2")),
+        ("fma", is_x86_feature_detected!("fma")),
+        ("avx512f", is_x86_feature_detected!("avx512f")),
+        ("avx512dq", is_x86_feature_detected!("avx512dq")),
+        ("avx512vl", is_x86_feature_detected!("avx512vl")),
+    ];
+    known.into_iter().filter_map(|(name, has)| has.then_some(name)).collect()
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn features() -> Vec<&'static str> {
+    Vec::new()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::Settings;
+
+    #[test]
+    fn a_program_is_known_by_its_bytes_and_the_hash_is_kept() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::open(Settings::in_dir(dir.path()));
+        let own = own_file(&store).unwrap();
+        assert_eq!(own, sha256(&std::env::current_exe().unwrap()).unwrap().1);
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+        assert_eq!(own_file(&store).unwrap(), own);
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn the_library_with_the_mathematics_belongs_to_it() {
+        let libraries = libraries();
+        assert!(libraries.iter().any(|library| library.contains("libc.so")), "{libraries:?}");
+        assert!(libraries.iter().all(|library| library.contains("Some(")), "{libraries:?}");
+    }
+}
