@@ -8,6 +8,7 @@ use common::osteoflow;
 /// Every subcommand, with a word that its own help must hold.
 const COMMANDS: &[(&str, &str)] = &[
     ("run", "--no-record"),
+    ("register", "--init"),
     ("check", "--set"),
     ("expand", "extends"),
     ("inspect", "--write-docs"),

@@ -60,7 +60,7 @@ fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
 }
 
 /// All faults: to people on stderr, to machines as the answer.
-fn tell(faults: &Faults, global: &Global) -> Result<()> {
+pub(super) fn tell(faults: &Faults, global: &Global) -> Result<()> {
     match global.format {
         Format::Text => writeln!(std::io::stderr(), "{}", faults.render(global.colour_err()))?,
         Format::Json => print_json(&json!({ "outcome": Exit::Usage.to_json(), "faults": faults.to_json() }))?,

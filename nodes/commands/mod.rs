@@ -17,6 +17,7 @@ mod progress;
 mod reading;
 mod record;
 mod recover;
+mod register;
 mod replay;
 mod repro;
 mod result_table;
@@ -51,12 +52,13 @@ Examples:
   osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_plane --set graph.seed=7
   osteoflow check graphs/fibula.toml             every fault at its line; nothing is run
   osteoflow inspect icp.point_to_plane           what a node takes, gives and needs
+  osteoflow register bone.stl scan.ply --init T.txt   two files, no graph
 
 Exit codes:
     0  done
     1  a file could not be read or written or is not sound, or something of ours broke
     2  the command line or the graph has a fault; nothing was run
-    3  the run was refused or a node failed; results.json says why
+    3  the run was refused or a node failed, or a registration has no answer; it is said why
     4  a replay or a recording differs from another, or a repro from how the node failed
   130  interrupted; what was written until then is valid
 
@@ -139,6 +141,7 @@ fn paint(coloured: bool, text: &str, style: &str) -> String {
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     Run(run::Run),
+    Register(register::Register),
     Check(check::Check),
     Expand(expand::Expand),
     Inspect(inspect::Inspect),
@@ -159,6 +162,7 @@ impl Command {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         match self {
             Self::Run(command) => command.execute(global),
+            Self::Register(command) => command.execute(global),
             Self::Record(command) => command.execute(global),
             Self::Replay(command) => command.execute(global),
             Self::Digest(command) => command.execute(global),

@@ -59,6 +59,12 @@ impl Progress {
         Self::begin(&what, Some(nodes), global)
     }
 
+    /// Shows nothing; what is done shows itself.
+    pub(crate) fn hidden() -> Self {
+        let state = State { busy: Vec::new(), n_ended: 0, n_items: 0, shown: Instant::now() };
+        Self { bar: ProgressBar::hidden(), state: Mutex::new(state) }
+    }
+
     /// Takes the line away.
     pub(crate) fn end(&self) {
         self.bar.finish_and_clear();

@@ -42,7 +42,7 @@ pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>
 }
 
 /// What the manifest says of the program and the machine; determinism is promised for equal features.
-fn about_command() -> serde_json::Value {
+pub(crate) fn about_command() -> serde_json::Value {
     let revision = env!("OSTEOFLOW_BUILD_GIT_REVISION");
     json!({
         "name": "osteoflow",

@@ -1,0 +1,155 @@
+//! The registration itself, as often as asked, and timed.
+
+use super::{
+    Params,
+    inputs::{Inputs, ms_since},
+    method::Method,
+};
+use crate::commands::{Format, Global};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use osteoflow_algorithms::icp::{IcpFit, IcpStep, StopReason};
+use serde::Serialize;
+use std::{
+    io::IsTerminal,
+    ops::ControlFlow,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+/// What is done faster shows nothing.
+const PATIENCE: Duration = Duration::from_millis(400);
+/// How often the line is written anew.
+const REFRESH: Duration = Duration::from_millis(60);
+
+/// What is to be done.
+pub(super) struct Work {
+    pub(super) method: &'static Method,
+    pub(super) params: Params,
+    pub(super) inputs: Arc<Inputs>,
+    pub(super) repeat: u32,
+    pub(super) cancelled: Arc<AtomicBool>,
+    pub(super) shown: Shown,
+}
+
+/// How it ended.
+pub(super) enum Ended {
+    /// With a pose.
+    Fit(Box<Aligned>),
+    /// There is none, and why.
+    Refused(String),
+    /// By Ctrl-C.
+    Interrupted,
+}
+
+/// A pose, and what it took.
+pub(super) struct Aligned {
+    pub(super) fit: IcpFit,
+    pub(super) timings: Timings,
+    /// Whether each repeat gave the same bits.
+    pub(super) same_bits: bool,
+}
+
+/// How long each repeat took, ms.
+#[derive(Debug, Default, Serialize)]
+pub(super) struct Timings {
+    pub(super) prep_target_ms: Vec<f64>,
+    pub(super) prep_source_ms: Vec<f64>,
+    pub(super) align_ms: Vec<f64>,
+    /// Processor time of `align_ms`, all threads together.
+    pub(super) cpu_ms: Vec<f64>,
+}
+
+impl Work {
+    pub(super) fn run(mut self) -> Ended {
+        let mut timings = Timings::default();
+        let mut first: Option<IcpFit> = None;
+        let mut same_bits = true;
+        for n in 1..=self.repeat {
+            let began = Instant::now();
+            let target = match self.inputs.target.prepare() {
+                Ok(target) => target,
+                Err(error) => return Ended::Refused(error.to_string()),
+            };
+            timings.prep_target_ms.push(ms_since(began));
+            // The methods order the source themselves, within align.
+            timings.prep_source_ms.push(0.0);
+
+            let source = self.inputs.source.cloud().into();
+            let (shown, cancelled) = (&mut self.shown, &self.cancelled);
+            let mut observer = |step: &IcpStep| {
+                shown.at(n, step);
+                if cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            };
+            let (began, cpu) = (Instant::now(), cpu_ms());
+            let fit = (self.method.register)(&target, source, &self.inputs.init, &self.params.icp, &mut observer);
+            timings.align_ms.push(ms_since(began));
+            timings.cpu_ms.extend(cpu_ms().zip(cpu).map(|(after, before)| after - before));
+            match fit {
+                Err(error) => return Ended::Refused(error.to_string()),
+                Ok(fit) if fit.report.stop_reason == StopReason::Cancelled => return Ended::Interrupted,
+                Ok(fit) => {
+                    same_bits &= first.as_ref().is_none_or(|first| first.t_target_source == fit.t_target_source);
+                    first.get_or_insert(fit);
+                }
+            }
+        }
+        match first {
+            Some(fit) => Ended::Fit(Box::new(Aligned { fit, timings, same_bits })),
+            None => Ended::Interrupted,
+        }
+    }
+}
+
+/// Processor time of the process, ms; not known everywhere.
+#[cfg(unix)]
+fn cpu_ms() -> Option<f64> {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    Some(time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6)
+}
+
+#[cfg(not(unix))]
+fn cpu_ms() -> Option<f64> {
+    None
+}
+
+/// A line that moves on a terminal while it lasts; nothing elsewhere.
+pub(super) struct Shown {
+    bar: Option<ProgressBar>,
+    told: bool,
+    repeat: u32,
+    began: Instant,
+    last: Instant,
+}
+
+impl Shown {
+    pub(super) fn new(repeat: u32, global: &Global) -> Self {
+        let told = !global.quiet && global.format == Format::Text && std::io::stderr().is_terminal();
+        Self { bar: None, told, repeat, began: Instant::now(), last: Instant::now() }
+    }
+
+    fn at(&mut self, n: u32, step: &IcpStep) {
+        if !self.told || self.began.elapsed() < PATIENCE || self.last.elapsed() < REFRESH {
+            return;
+        }
+        self.last = Instant::now();
+        let bar = self.bar.get_or_insert_with(|| {
+            let style = ProgressStyle::with_template("{spinner} {wide_msg}").expect("the template is fixed");
+            ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
+        });
+        let (repeat, iteration, rms_mm) = (self.repeat, step.iteration, step.rms_mm);
+        let which = if repeat > 1 { format!("{n} of {repeat}  ") } else { String::new() };
+        bar.set_message(format!("{which}step {iteration}  {} pairs  RMS {rms_mm:.4} mm", step.n_pairs));
+        bar.tick();
+    }
+}
+
+impl Drop for Shown {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}

@@ -1,0 +1,439 @@
+//! `osteoflow register`: two files, one registration.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::osteoflow;
+use osteoflow_algorithms::sample;
+use osteoflow_formats::{cloud_file::write_ply, mesh_file::write_stl};
+use osteoflow_geometry::{
+    Cloud, Mesh, isometry_from_matrix, matrix_rows,
+    nalgebra::{Isometry3, Matrix4, Point3, Vector3},
+};
+use osteoflow_simulation::{BoneParams, bone};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use serde_json::Value;
+use std::{fmt::Write as _, fs, process::Output};
+
+/// Points drawn from the bone as the target, where a file holds points.
+const N_TARGET: usize = 30_000;
+
+/// The built-in bone and a scan of its distal half from the lateral side, as files; where the scan really is, and a
+/// start some millimetres and degrees off.
+struct Case {
+    dir: tempfile::TempDir,
+    t_target_source: Isometry3<f64>,
+    init: Isometry3<f64>,
+}
+
+impl Case {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let params = BoneParams::default();
+        let (mesh, anatomy) = (bone::fibula(&params), bone::anatomy(&params));
+        write_stl(&dir.path().join("bone.stl"), &mesh).unwrap();
+        fs::write(dir.path().join("bone.ply"), ply_of(&mesh)).unwrap();
+
+        let target = sample::surface(&mesh, N_TARGET, &mut ChaCha8Rng::seed_from_u64(1));
+        let bare = Cloud::new("ct", target.points).unwrap();
+        write_ply(&dir.path().join("bare.ply"), &bare, 1.0).unwrap();
+        let with_normals = bare.with_normals(target.normals).unwrap();
+        write_ply(&dir.path().join("points.ply"), &with_normals, 1.0).unwrap();
+
+        let t_target_source = Isometry3::new(Vector3::new(120.0, -340.0, 900.0), Vector3::new(0.4, -1.1, 2.0));
+        let seen = sample::surface(&mesh, 24_000, &mut ChaCha8Rng::seed_from_u64(2));
+        let scan = seen.points.iter().zip(&seen.normals).filter(|(p, n)| {
+            let height_mm = (**p - anatomy.malleolus_tip).dot(&anatomy.proximal);
+            (0.0..150.0).contains(&height_mm) && n.dot(&anatomy.lateral) > 0.2
+        });
+        let scan: Vec<_> = scan.map(|(p, _)| t_target_source.inverse() * p).collect();
+        let scan = Cloud::new("camera", scan).unwrap();
+        write_ply(&dir.path().join("scan.ply"), &scan, 1.0).unwrap();
+        let mut text = String::from("x,y,z\n");
+        scan.points().iter().for_each(|p| writeln!(text, "{:?},{:?},{:?}", p.x, p.y, p.z).unwrap());
+        fs::write(dir.path().join("scan.csv"), text).unwrap();
+        write_ply(&dir.path().join("scan_in_metres.ply"), &scan, 1000.0).unwrap();
+
+        let centre = t_target_source * Point3::from(mean(scan.points()));
+        let off = Isometry3::new(Vector3::new(1.5, -1.0, 2.0), Vector3::new(0.01, -0.02, 0.03));
+        let init = Isometry3::from(centre.coords) * off * Isometry3::from(-centre.coords) * t_target_source;
+        let case = Self { dir, t_target_source, init };
+        case.write("init.txt", &text_of(&init));
+        case
+    }
+
+    fn path(&self, name: &str) -> std::path::PathBuf {
+        self.dir.path().join(name)
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        fs::write(self.path(name), text).unwrap();
+    }
+
+    /// `osteoflow register` in the folder of the files.
+    fn register(&self, arguments: &[&str]) -> Output {
+        let mut command = osteoflow();
+        command.current_dir(self.dir.path()).arg("register").args(arguments).output().unwrap()
+    }
+
+    /// The same as JSON, from the start at hand.
+    fn answer(&self, target: &str, source: &str, arguments: &[&str]) -> Value {
+        let all = [&[target, source, "--init", "init.txt", "--format", "json"], arguments].concat();
+        let output = self.register(&all);
+        assert_eq!(output.status.code(), Some(0), "{all:?}: {}", said(&output));
+        last_line(&output)
+    }
+
+    /// What a command that fails says on stderr.
+    fn fault(&self, code: i32, arguments: &[&str]) -> String {
+        let output = self.register(arguments);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", said(&output));
+        assert!(output.stdout.is_empty(), "{arguments:?}");
+        said(&output)
+    }
+
+    /// How far the points of the scan are from where they belong, mm, at most.
+    fn off_mm(&self, answer: &Value) -> f64 {
+        let (found, truth) = (pose(answer), &self.t_target_source);
+        let corners = [Vector3::zeros(), Vector3::x() * 100.0, Vector3::y() * 100.0, Vector3::z() * 100.0];
+        let centre = truth.inverse_transform_point(&Point3::new(0.0, 0.0, -100.0));
+        corners.iter().map(|c| (found * (centre + c) - truth * (centre + c)).norm()).fold(0.0, f64::max)
+    }
+}
+
+fn mean(points: &[Point3<f64>]) -> Vector3<f64> {
+    points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64
+}
+
+fn ply_of(mesh: &Mesh) -> String {
+    let (n, m) = (mesh.vertices().len(), mesh.faces().len());
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {n}\nproperty double x\nproperty double y\nproperty double z\n\
+         element face {m}\nproperty list uchar int vertex_indices\nend_header\n"
+    );
+    mesh.vertices().iter().for_each(|v| writeln!(text, "{:?} {:?} {:?}", v.x, v.y, v.z).unwrap());
+    mesh.faces().iter().for_each(|[a, b, c]| writeln!(text, "3 {a} {b} {c}").unwrap());
+    text
+}
+
+fn text_of(t: &Isometry3<f64>) -> String {
+    matrix_rows(t).map(|row| row.map(|c| format!("{c:?}")).join(" ") + "\n").concat()
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn last_line(output: &Output) -> Value {
+    let stdout = String::from_utf8(output.stdout.clone()).unwrap();
+    serde_json::from_str(stdout.lines().last().unwrap_or_else(|| panic!("no answer: {}", said(output)))).unwrap()
+}
+
+fn pose(answer: &Value) -> Isometry3<f64> {
+    let numbers: Vec<f64> = answer["T"].as_array().unwrap().iter().map(|c| c.as_f64().unwrap()).collect();
+    assert_eq!(numbers.len(), 16);
+    isometry_from_matrix(&Matrix4::from_row_slice(&numbers)).unwrap()
+}
+
+#[test]
+fn a_scan_is_registered_onto_whatever_file_holds_the_bone() {
+    let case = Case::new();
+    for (target, normals, n_faces) in [("bone.stl", true, true), ("bone.ply", true, true), ("points.ply", true, false)]
+    {
+        let answer = case.answer(target, "scan.ply", &["--target-points", "30000"]);
+        let off_mm = case.off_mm(&answer);
+        assert!(off_mm < 0.05, "{target}: {off_mm} mm; samples lie within 0.01 mm of the chords of the surface");
+        assert_eq!(answer["converged"], true, "{target}");
+        let told = &answer["target"];
+        assert_eq!((told["n_points"].as_u64(), told["normals"].as_bool()), (Some(30_000), Some(normals)));
+        assert_eq!(told["n_faces"].is_u64(), n_faces, "{target}");
+    }
+    let from_text = case.answer("points.ply", "scan.csv", &[]);
+    assert_eq!(from_text["T"], case.answer("points.ply", "scan.ply", &[])["T"], "text holds every bit");
+    // The vertices of a surface are points as well.
+    let itself = case.register(&["points.ply", "bone.stl", "--format", "json"]);
+    let turned = pose(&last_line(&itself));
+    assert!(turned.translation.vector.norm() < 0.05 && turned.rotation.angle() < 1e-3, "{turned}");
+    let notes = last_line(&itself)["notes"].to_string();
+    assert!(notes.contains("no --init: the registration starts where the files put the source"), "{notes}");
+    assert!(notes.contains("bone.stl: a surface; its vertices are taken as the points"), "{notes}");
+}
+
+#[test]
+fn files_in_metres_give_the_same_pose() {
+    let case = Case::new();
+    let plain = pose(&case.answer("points.ply", "scan.ply", &[]));
+    let metres = pose(&case.answer("points.ply", "scan_in_metres.ply", &["--source-unit-mm", "1000"]));
+    assert!((plain.to_homogeneous() - metres.to_homogeneous()).amax() < 1e-6);
+    let mut init = case.init;
+    init.translation.vector /= 1000.0;
+    case.write("init_in_metres.txt", &text_of(&init));
+    let arguments =
+        ["points.ply", "scan.ply", "--init", "init_in_metres.txt", "--init-unit-mm", "1000", "--format", "json"];
+    let metres = pose(&last_line(&case.register(&arguments)));
+    assert!((plain.to_homogeneous() - metres.to_homogeneous()).amax() < 1e-6);
+    // Without its unit the scan is a speck, and what is odd about it is told with the option that mends it.
+    let told = case.fault(3, &["points.ply", "scan_in_metres.ply", "--init", "init.txt"]);
+    assert!(told.contains("note: scan_in_metres.ply: the points span 0."), "{told}");
+    assert!(told.contains("is the file in metres? then give --source-unit-mm 1000"), "{told}");
+}
+
+#[test]
+fn every_way_of_writing_the_start_is_the_same_start() {
+    let case = Case::new();
+    let rows = format!("{:?}", matrix_rows(&case.init));
+    case.write("rows.json", &rows);
+    case.write("object.json", &format!("{{\"T\": {rows}}}"));
+    let inverse = case.init.inverse();
+    let (r, t) = (inverse.rotation.to_rotation_matrix().into_inner(), inverse.translation.vector);
+    let parameters: Vec<_> = r.transpose().iter().chain(t.iter()).map(|c| format!("{c:?}")).collect();
+    let head = "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\n";
+    case.write("init.tfm", &format!("{head}Parameters: {}\nFixedParameters: 0 0 0\n", parameters.join(" ")));
+    let plain = case.answer("points.ply", "scan.ply", &[]);
+    for file in ["rows.json", "object.json", "init.tfm"] {
+        let output = case.register(&["points.ply", "scan.ply", "--init", file, "--format", "json"]);
+        let answer = last_line(&output);
+        assert!((pose(&answer).to_homogeneous() - pose(&plain).to_homogeneous()).amax() < 1e-6, "{file}");
+        assert_eq!(answer["init"]["file"], file);
+    }
+    // What was written is a start, too: nothing is left to go from there.
+    for file in ["pose.txt", "pose.json"] {
+        case.answer("points.ply", "scan.ply", &["--out", file]);
+        let output = case.register(&["points.ply", "scan.ply", "--init", file, "--format", "json"]);
+        let moved = (pose(&last_line(&output)).to_homogeneous() - pose(&plain).to_homogeneous()).amax();
+        assert!(moved < 0.02, "{file}: {moved} mm, both within the stop rule of 0.01 mm");
+    }
+}
+
+#[test]
+fn the_answer_says_how_it_came_about() {
+    let case = Case::new();
+    let output = case.register(&["points.ply", "scan.ply", "--init", "init.txt", "--repeat", "3", "--format", "json"]);
+    assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 1, "one JSON value on one line");
+    let answer = last_line(&output);
+    for key in ["prep_target_ms", "prep_source_ms", "align_ms", "cpu_ms"] {
+        let ms = answer[key].as_array().unwrap_or_else(|| panic!("{key}: {answer}"));
+        assert_eq!(ms.len(), 3, "{key}");
+        assert!(ms.iter().all(|ms| ms.as_f64().is_some_and(|ms| ms >= 0.0)), "{key}: {ms:?}");
+    }
+    assert!(answer["load_ms"].as_f64().unwrap() > 0.0);
+    assert_eq!(answer["outcome"]["exit_code"], 0);
+    assert_eq!(answer["method"], "point_to_plane");
+    assert_eq!(answer["stop_reason"], answer["report"]["stop_reason"]);
+    assert_eq!(answer["same_bits"], true);
+    assert_eq!(answer["warnings"].as_array().unwrap().len(), 0, "{answer}");
+    assert_eq!(answer["undetermined"].as_array().unwrap().len(), 0);
+    assert!(answer["iterations"].as_u64().unwrap() > 0 && answer["rms_mm"].as_f64().unwrap() < 0.05);
+    assert_eq!(answer["n_pairs"], answer["source"]["n_points"]);
+    assert!(answer["remaining_mm"].as_f64().unwrap() <= answer["params"]["stop_step_mm"].as_f64().unwrap());
+    assert_eq!(answer["command"]["version"], env!("CARGO_PKG_VERSION"));
+    assert!(answer.get("trace").is_none(), "only with -v");
+}
+
+#[test]
+fn the_same_bits_come_from_one_two_and_eight_threads() {
+    let case = Case::new();
+    for method in ["point_to_plane", "point_to_point"] {
+        let poses = ["1", "2", "8"].map(|workers| {
+            let more = ["--workers", workers, "--method", method, "--target-points", "20000"];
+            case.answer("bone.stl", "scan.ply", &more)["T"].to_string()
+        });
+        assert!(poses[0] == poses[1] && poses[0] == poses[2], "{method}: {poses:?}");
+    }
+}
+
+#[test]
+fn a_fixed_number_of_steps_is_taken_with_all_points() {
+    let case = Case::new();
+    let fixed = ["--stop", "fixed", "--max-iterations", "4", "-v"];
+    let answer = case.answer("points.ply", "scan.ply", &fixed);
+    assert_eq!(answer["iterations"], 4);
+    let trace = answer["trace"].as_array().unwrap();
+    assert_eq!(trace.len(), 4);
+    assert!(trace.iter().all(|step| step["every"] == 1), "{answer}");
+    // Not to have converged is what was asked for.
+    assert_eq!((&answer["converged"], answer["warnings"].as_array().unwrap().len()), (&Value::Bool(false), 0));
+}
+
+#[test]
+fn what_makes_a_pose_doubtful_is_said_loudly() {
+    let case = Case::new();
+    let arguments = ["points.ply", "scan.ply", "--init", "init.txt", "--max-iterations", "1", "--format", "json"];
+    let output = case.register(&arguments);
+    assert_eq!(output.status.code(), Some(0));
+    assert!(
+        said(&output).starts_with("warning: not converged: max_iterations are used up; about "),
+        "{}",
+        said(&output)
+    );
+    let answer = last_line(&output);
+    assert_eq!(answer["converged"], false);
+    assert!(answer["warnings"][0].as_str().unwrap().starts_with("not converged"), "{answer}");
+
+    // A plane slides in itself and turns about its normal.
+    let mut plane = String::new();
+    for k in 0..10_000 {
+        writeln!(plane, "{} {} 0 0 0 1", f64::from(k % 100) * 0.5, f64::from(k / 100) * 0.5).unwrap();
+    }
+    case.write("plane.xyz", &plane);
+    let output = case.register(&["plane.xyz", "plane.xyz", "--format", "json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    let answer = last_line(&output);
+    assert_eq!(answer["undetermined"].as_array().unwrap().len(), 3, "{answer}");
+    let loud = said(&output);
+    assert_eq!(loud.matches("warning: the surfaces leave ").count(), 3, "{loud}");
+    assert!(loud.contains("undetermined: along it the pose says what the start said"), "{loud}");
+}
+
+#[test]
+fn without_an_answer_there_is_no_pose() {
+    let case = Case::new();
+    case.write("two.xyz", "0 0 0\n1 1 1\n");
+    case.write("empty.xyz", "nan nan nan\n");
+    for (arguments, expected) in [
+        (
+            &["bare.ply", "scan.ply", "--init", "init.txt"][..],
+            "refused: the target has no normals, which point_to_plane needs; sample it from a mesh or estimate them\n",
+        ),
+        (&["points.ply", "two.xyz"], "refused: 2 source points, 10 are needed; is the crop empty?\n"),
+        (
+            &["empty.xyz", "scan.ply"],
+            "refused: the target has no points; is the surface empty, or was nothing sampled from it?\n",
+        ),
+        (&["points.ply", "empty.xyz"], "refused: 0 source points, 10 are needed; is the crop empty?\n"),
+    ] {
+        let told = case.fault(3, arguments);
+        assert!(told.ends_with(expected), "{arguments:?}: {told}");
+    }
+    let far = case.fault(3, &["points.ply", "scan.ply"]);
+    assert!(
+        far.contains("source points lie within 5 mm of the target, 10 are needed; the nearest target point is"),
+        "{far}"
+    );
+    let output = case.register(&["points.ply", "two.xyz", "--format", "json", "--out", "pose.txt"]);
+    let answer = last_line(&output);
+    assert_eq!((answer["outcome"]["status"].as_str(), answer.get("T")), (Some("refused"), None));
+    assert_eq!(answer["refused"]["reason"], "2 source points, 10 are needed; is the crop empty?");
+    assert!(!case.path("pose.txt").exists());
+}
+
+#[test]
+fn a_file_that_is_not_sound_is_named_with_its_place() {
+    let case = Case::new();
+    case.write("scaled.txt", "2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n");
+    case.write("short.txt", "1 0 0 0\n");
+    case.write("words.xyz", "0 0 0\n1 one 1\n");
+    for (arguments, expected) in [
+        (
+            &["points.ply", "scan.ply", "--init", "scaled.txt"][..],
+            "scaled.txt: matrix: the upper left 3 x 3 is not a rotation: its columns are off by 3.000; is there a scale in it?",
+        ),
+        (
+            &["points.ply", "scan.ply", "--init", "short.txt"],
+            "short.txt: matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 4",
+        ),
+        (&["points.ply", "words.xyz"], "words.xyz: line 2: \"one\" stands where a number should"),
+        (&["no.stl", "scan.ply"], "no.stl: cannot be read: No such file or directory (os error 2)"),
+    ] {
+        assert_eq!(case.fault(1, arguments), format!("error: {expected}\n"), "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_fault_of_the_command_line_names_what_was_probably_meant() {
+    let case = Case::new();
+    let files = ["points.ply", "scan.ply", "--init", "init.txt"];
+    let with = |more: &[&str]| case.fault(2, &[&files, more].concat());
+    let told = with(&["--set", "max_pair_distance=3", "--max-iterations", "0"]);
+    for expected in [
+        "register: icp.point_to_plane has no parameter \"max_pair_distance\"",
+        "help: write max_pair_distance_mm",
+        "1 | --max-iterations 0",
+        "register: max_iterations takes a whole number from 1 to 100000, found 0",
+        "2 errors",
+    ] {
+        assert!(told.contains(expected), "{expected}\n{told}");
+    }
+    assert!(with(&["--method", "point_to_plain"]).contains("point_to_plane"));
+    assert!(with(&["--camera", "1,2"]).contains("three finite numbers are expected, such as 0,0,0"));
+    assert!(with(&["--unit-mm", "0"]).contains("1 for millimetres, 1000 for metres"));
+    let json = case.register(&[&files[..], &["--set", "trim=1", "--format", "json"]].concat());
+    let faults: Value = serde_json::from_slice(&json.stdout).unwrap();
+    assert_eq!((json.status.code(), faults["faults"].as_array().unwrap().len()), (Some(2), 1));
+}
+
+#[test]
+fn parameters_are_those_of_the_node_and_settings_outrank_options() {
+    let case = Case::new();
+    let more = ["--max-pair-distance-mm", "8", "--set", "trim_fraction=0.1", "--set", "max_pair_distance_mm=7"];
+    let answer = case.answer("points.ply", "scan.ply", &more);
+    assert_eq!(
+        (&answer["params"]["max_pair_distance_mm"], &answer["params"]["trim_fraction"]),
+        (&7.0.into(), &0.1.into())
+    );
+    let share = answer["n_pairs"].as_f64().unwrap() / answer["source"]["n_points"].as_f64().unwrap();
+    assert!((share - 0.9).abs() < 1e-3, "{share}");
+}
+
+#[test]
+fn nothing_is_overwritten() {
+    let case = Case::new();
+    for option in ["--out", "--trace"] {
+        case.write("mine.txt", "mine");
+        let told = case.fault(2, &["points.ply", "scan.ply", "--init", "init.txt", option, "mine.txt"]);
+        assert_eq!(told, "error: mine.txt is there already; name another file, nothing is overwritten\n");
+        assert_eq!(fs::read_to_string(case.path("mine.txt")).unwrap(), "mine");
+    }
+}
+
+#[test]
+fn a_trace_holds_every_step_and_ends_at_the_pose() {
+    let case = Case::new();
+    let answer = case.answer("points.ply", "scan.ply", &["--trace", "steps.csv", "--out", "pose.txt"]);
+    let text = fs::read_to_string(case.path("steps.csv")).unwrap();
+    let lines: Vec<_> = text.lines().collect();
+    assert!(lines[0].starts_with("iteration,every,n_pairs,rms_mm,step_mm,step_rad,"), "{}", lines[0]);
+    assert!(lines[0].ends_with("t_00,t_01,t_02,t_03,t_10,t_11,t_12,t_13,t_20,t_21,t_22,t_23"), "{}", lines[0]);
+    assert_eq!(lines.len() as u64, answer["iterations"].as_u64().unwrap() + 1);
+    let columns = lines[0].split(',').count();
+    assert!(lines.iter().all(|line| line.split(',').count() == columns));
+    let pose = fs::read_to_string(case.path("pose.txt")).unwrap();
+    assert!(pose.starts_with("# takes scan.ply to points.ply: 4 x 4, row by row, mm\n"), "{pose}");
+    let written: Vec<f64> = pose.lines().skip(2).flat_map(str::split_whitespace).map(|c| c.parse().unwrap()).collect();
+    assert_eq!(Value::from(written), answer["T"]);
+}
+
+#[test]
+fn people_are_told_the_pose_and_how_it_ended() {
+    let case = Case::new();
+    let output = case.register(&["points.ply", "scan.ply", "--init", "init.txt", "-v"]);
+    let text = String::from_utf8(output.stdout.clone()).unwrap();
+    for expected in [
+        "steps  every  n_pairs",
+        "research use only, not for clinical use\n",
+        "target  points.ply, 30000 points with normals\n",
+        "method  point_to_plane, pairing ",
+        "t_target_source, mm\n",
+        "  converged     yes: less is left to go than stop_step_mm\n",
+        "  left free     nothing; held least is ",
+        "  prep_target ",
+    ] {
+        assert!(text.contains(expected), "{expected}\n{text}");
+    }
+    assert_eq!(said(&output), "");
+    let quiet = case.register(&["points.ply", "scan.ply", "--init", "init.txt", "-q", "--max-iterations", "1"]);
+    assert_eq!(said(&quiet), "", "-q leaves answers and errors");
+    assert!(String::from_utf8(quiet.stdout).unwrap().contains("converged     NO: max_iterations are used up"));
+}
+
+#[test]
+fn a_camera_keeps_points_from_the_side_that_it_did_not_see() {
+    let case = Case::new();
+    let anatomy = bone::anatomy(&BoneParams::default());
+    let camera = anatomy.malleolus_tip + anatomy.proximal.scale(75.0) + anatomy.lateral.scale(300.0);
+    let camera = case.t_target_source.inverse() * camera;
+    let camera = format!("{},{},{}", camera.x, camera.y, camera.z);
+    let answer = case.answer("points.ply", "scan.ply", &["--camera", &camera, "--max-pair-distance-mm", "10"]);
+    assert!(case.off_mm(&answer) < 0.05, "{} mm", case.off_mm(&answer));
+    assert!(answer["source"]["camera"].is_array());
+}
