@@ -24,6 +24,7 @@ struct Case {
     dir: tempfile::TempDir,
     t_target_source: Isometry3<f64>,
     init: Isometry3<f64>,
+    scan: Vec<Point3<f64>>,
 }
 
 impl Case {
@@ -57,7 +58,7 @@ impl Case {
         let centre = t_target_source * Point3::from(mean(scan.points()));
         let off = Isometry3::new(Vector3::new(1.5, -1.0, 2.0), Vector3::new(0.01, -0.02, 0.03));
         let init = Isometry3::from(centre.coords) * off * Isometry3::from(-centre.coords) * t_target_source;
-        let case = Self { dir, t_target_source, init };
+        let case = Self { dir, t_target_source, init, scan: scan.points().to_vec() };
         case.write("init.txt", &text_of(&init));
         case
     }
@@ -270,6 +271,16 @@ fn what_makes_a_pose_doubtful_is_said_loudly() {
     assert_eq!(answer["converged"], false);
     assert!(answer["warnings"][0].as_str().unwrap().starts_with("not converged"), "{answer}");
 
+    // Half a turn about the bone is another place to rest.
+    let centre = case.t_target_source * Point3::from(mean(&case.scan));
+    let axis = bone::anatomy(&BoneParams::default()).proximal.scale(2.2);
+    let half = Isometry3::from(centre.coords) * Isometry3::rotation(axis) * Isometry3::from(-centre.coords);
+    case.write("turned.txt", &text_of(&(half * case.t_target_source)));
+    let output = case.register(&["points.ply", "scan.ply", "--init", "turned.txt"]);
+    let told = said(&output);
+    assert!(told.contains("warning: it turned the source by "), "{told}\n{}", String::from_utf8_lossy(&output.stdout));
+    assert!(told.contains(" degrees from where it started, farther than it can be trusted to find back"), "{told}");
+
     // A plane slides in itself and turns about its normal.
     let mut plane = String::new();
     for k in 0..10_000 {
@@ -436,4 +447,40 @@ fn a_camera_keeps_points_from_the_side_that_it_did_not_see() {
     let answer = case.answer("points.ply", "scan.ply", &["--camera", &camera, "--max-pair-distance-mm", "10"]);
     assert!(case.off_mm(&answer) < 0.05, "{} mm", case.off_mm(&answer));
     assert!(answer["source"]["camera"].is_array());
+}
+
+/// Whether two words are equal, or numbers that the last digits of another machine's sine may tell apart.
+fn alike(a: &str, b: &str) -> bool {
+    match (a.parse::<f64>(), b.parse::<f64>()) {
+        (Ok(a), Ok(b)) => (a - b).abs() <= 2e-3,
+        _ => a == b,
+    }
+}
+
+#[test]
+fn the_readme_shows_what_the_command_prints() {
+    let path = common::root().join("README.md");
+    let readme = fs::read_to_string(&path).unwrap();
+    let section = readme.find("## Register two files").unwrap();
+    let command = readme[section..].lines().find_map(|line| line.strip_prefix("osteoflow ")).unwrap();
+    let output = osteoflow().args(command.split(' ')).output().unwrap();
+    assert_eq!((output.status.code(), said(&output)), (Some(0), String::new()));
+    let printed = String::from_utf8(output.stdout).unwrap();
+    let fence = "```text\n";
+    let start = section + readme[section..].find(fence).unwrap() + fence.len();
+    let end = start + readme[start..].find("```").unwrap();
+    if std::env::var_os("UPDATE").is_some() {
+        fs::write(path, format!("{}{printed}{}", &readme[..start], &readme[end..])).unwrap();
+        return;
+    }
+    // Times are the machine's.
+    let untimed = |text: &str| text.split("\ntime ").next().unwrap().to_owned();
+    let (told, printed) = (untimed(&readme[start..end]), untimed(&printed));
+    let differs = told.lines().zip(printed.lines()).find(|(a, b)| {
+        let words = |line: &str| line.split([' ', ',', '(', ')']).map(String::from).collect::<Vec<_>>();
+        let (a, b) = (words(a), words(b));
+        a.len() != b.len() || !a.iter().zip(&b).all(|(a, b)| alike(a, b))
+    });
+    let advice = "`UPDATE=1 cargo test --release --test register` writes it anew";
+    assert!(differs.is_none() && told.lines().count() == printed.lines().count(), "{advice}: {differs:?}\n{printed}");
 }

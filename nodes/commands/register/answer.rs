@@ -19,6 +19,10 @@ use std::{fmt::Write as _, io::Write, path::Path};
 /// What a `point_to_point` may leave without a word, mm: what a tracker can tell.
 const LEFT_MM: f64 = 0.1;
 
+/// A start is doubted where the registration turned the source by more, degrees: a coarse fit is off by a few, and a bone
+/// that is nearly round about its axis has places to rest all around it.
+const TURNED_DEG: f64 = 30.0;
+
 /// A motion is called a shift or a turn where so much of it is.
 const MOSTLY: f64 = 0.95;
 
@@ -92,6 +96,11 @@ impl About<'_> {
         if let Some(left_mm) = report.left_mm.filter(|mm| *mm > LEFT_MM) {
             let said = format!("it came to rest, but a step along the normals would still move it by {left_mm:.2} mm");
             warnings.push(format!("{said}; try --method point_to_plane"));
+        }
+        let turned_deg = aligned.fit.t_target_source.rotation.angle_to(&self.inputs.init.rotation).to_degrees();
+        if turned_deg > TURNED_DEG {
+            let said = format!("it turned the source by {turned_deg:.0} degrees from where it started");
+            warnings.push(format!("{said}, farther than it can be trusted to find back; is --init right?"));
         }
         if !aligned.same_bits {
             warnings.push("the repeats gave different poses, which only a limit of time should do".into());
@@ -195,7 +204,8 @@ impl About<'_> {
         }
         let _ = writeln!(out, "\n{}", how_it_ended(&fit.report, self.params, &self.moved(&fit.t_target_source)));
         let timings = &aligned.timings;
-        let mut table = TextTable::new("time", &["median", "least", "most ms"]);
+        let columns: &[&str] = if asked.repeat > 1 { &["median", "least", "most ms"] } else { &["ms"] };
+        let mut table = TextTable::new("time", columns);
         table.row("load", [format!("{:.1}", inputs.load.sum())]);
         let rows = [
             ("prep_target", &timings.prep_target_ms),
@@ -207,7 +217,7 @@ impl About<'_> {
             let mut ms = ms.clone();
             ms.sort_by(f64::total_cmp);
             let cells = [median(&ms), ms[0], ms[ms.len() - 1]];
-            table.row(name, cells.iter().take(if ms.len() > 1 { 3 } else { 1 }).map(|ms| format!("{ms:.1}")));
+            table.row(name, cells.iter().take(columns.len()).map(|ms| format!("{ms:.1}")));
         }
         let _ = write!(out, "{}", table.lines());
         for file in asked.out.iter().chain(&asked.trace) {
