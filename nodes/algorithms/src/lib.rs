@@ -44,6 +44,7 @@ pub mod axes;
 pub mod calibrate;
 pub mod coarse;
 pub mod downsample;
+pub mod field;
 pub mod hole;
 pub mod icp;
 pub mod kabsch;
