@@ -42,6 +42,7 @@
 
 pub mod axes;
 pub mod calibrate;
+mod cells;
 pub mod coarse;
 pub mod downsample;
 pub mod field;

@@ -2,7 +2,7 @@
 
 use crate::kabsch::{centroid, finite};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use std::{num::NonZeroUsize, sync::Arc};
 
@@ -19,13 +19,23 @@ pub struct Nearest {
 impl Nearest {
     /// A tree over `points`; points that are not finite are left out. `O(n log n)`, on all threads of the current pool.
     pub fn new(points: &[Point3<f64>]) -> Self {
-        let known: Vec<(u32, Point3<f64>)> =
-            (0_u32..).zip(points).filter(|(_, p)| finite(p)).map(|(i, p)| (i, *p)).collect();
-        let centre = centroid(&known.iter().map(|(_, p)| *p).collect::<Vec<_>>());
-        let mut entries: Vec<(u32, [f64; 3])> = known
+        let known: Vec<Point3<f64>> = points.iter().filter(|p| finite(p)).copied().collect();
+        let centre = centroid(&known);
+        drop(known);
+        let about = (0_u32..).zip(points).filter(|(_, p)| finite(p)).map(|(i, p)| (i, p - centre));
+        Self::of(about.collect(), centre)
+    }
+
+    /// A tree over finite points that are given about a centre, as queries then are too.
+    pub(crate) fn about_origin(points: &[Vector3<f64>]) -> Self {
+        Self::of((0_u32..).zip(points.iter().copied()).collect(), Point3::origin())
+    }
+
+    fn of(points: Vec<(u32, Vector3<f64>)>, centre: Point3<f64>) -> Self {
+        let mut entries: Vec<(u32, [f64; 3])> = points
             .into_iter()
             // Adding 0.0 makes -0.0 and 0.0 one place.
-            .map(|(i, p)| (i, (p - centre).map(|c| c + 0.0).into()))
+            .map(|(i, p)| (i, p.map(|c| c + 0.0).into()))
             .collect();
         entries.par_sort_unstable_by(|(i, a), (j, b)| {
             a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])).then(i.cmp(j))
@@ -68,11 +78,6 @@ impl Nearest {
         found
     }
 
-    /// The centroid of the points.
-    pub(crate) fn centre(&self) -> &Point3<f64> {
-        &self.centre
-    }
-
     fn about_centre(&self, point: &Point3<f64>) -> [f64; 3] {
         (point - self.centre).into()
     }
@@ -87,11 +92,11 @@ mod tests {
         for far in [0.0, 1e3, 1e7] {
             let points: Vec<_> = (0..3000)
                 .map(|i| Point3::new(f64::from(i * 37 % 101), f64::from(i * 53 % 97), f64::from(i * 71 % 89)))
-                .map(|p| p + nalgebra::Vector3::repeat(far))
+                .map(|p| p + Vector3::repeat(far))
                 .collect();
             let tree = Nearest::new(&points);
             for k in 0..50 {
-                let query = points[k * 59] + nalgebra::Vector3::new(0.3, -0.2, 0.1);
+                let query = points[k * 59] + Vector3::new(0.3, -0.2, 0.1);
                 let brute = points.iter().map(|p| (p - query).norm_squared()).fold(f64::INFINITY, f64::min);
                 let (index, square) = tree.nearest(&query).unwrap();
                 assert!((square - brute).abs() < 1e-6 && ((points[index] - query).norm_squared() - brute).abs() < 1e-6);

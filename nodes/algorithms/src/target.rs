@@ -1,13 +1,26 @@
 //! A surface prepared for registration.
 
+use crate::cells::{Cells, Nearby};
+use crate::kabsch::centroid;
+use crate::mesh_query::MeshQuery;
 use crate::nearest::Nearest;
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Column, Frame, SurfaceOrigin};
-use std::fmt;
+use std::{
+    fmt,
+    sync::{Arc, OnceLock},
+};
 
-/// What a scan is registered onto: points in mm, their unit normals where known, and a search tree over them.
+/// Of so many points one is kept in the thinned surface that a registration starts on.
+const THIN: usize = 32;
+
+/// A surface of fewer points is not thinned.
+const MIN_THINNED: usize = 2000;
+
+/// What a scan is registered onto: points in mm, their unit normals where known, and what finds the nearest of them.
 ///
-/// A cheap handle: clones share everything.
+/// May hold the mesh that the points were drawn from. A cheap handle: clones share
+/// everything, and what is needed for searching is built once, when first asked for or by [`Target::prepare`].
 #[derive(Clone)]
 pub struct Target {
     /// The frame of the points.
@@ -16,7 +29,8 @@ pub struct Target {
     pub origin: SurfaceOrigin,
     points: Column<Point3<f64>>,
     normals: Option<Column<Vector3<f64>>>,
-    tree: Nearest,
+    mesh: Option<MeshQuery>,
+    index: Arc<OnceLock<Index>>,
 }
 
 /// Points that make no target.
@@ -44,7 +58,7 @@ pub enum TargetError {
 impl Target {
     /// A target of `points` in `frame`, with one unit normal for each point where they are known.
     ///
-    /// `O(n log n)`, on all threads of the current pool.
+    /// `O(n)`.
     ///
     /// # Errors
     /// [`TargetError`] if there are no points, a number is not finite, or normals and points differ in number.
@@ -67,8 +81,30 @@ impl Target {
         if let Some(index) = wild_point.or(wild_normal) {
             return Err(TargetError::NotFinite { index });
         }
-        let tree = Nearest::new(&points);
-        Ok(Self { frame: frame.into(), origin, points, normals, tree })
+        let index = Arc::new(OnceLock::new());
+        Ok(Self { frame: frame.into(), origin, points, normals, mesh: None, index })
+    }
+
+    /// The target with the mesh that its points were drawn from, in the same frame.
+    pub fn with_mesh(self, mesh: MeshQuery) -> Self {
+        Self { mesh: Some(mesh), ..self }
+    }
+
+    /// The mesh that the points were drawn from, where given.
+    pub fn mesh(&self) -> Option<&MeshQuery> {
+        self.mesh.as_ref()
+    }
+
+    /// Builds now what registration with neighbour caching would build when first asked: the cells and the thinned surface.
+    ///
+    /// `O(n)`. See also [`Target::prepare_tree`].
+    pub fn prepare(&self) {
+        self.index().thin();
+    }
+
+    /// What finds the nearest of the points.
+    pub(crate) fn index(&self) -> &Index {
+        self.index.get_or_init(|| Index::new(&self.points))
     }
 
     /// The points, `n`, mm.
@@ -93,14 +129,16 @@ impl Target {
 
     /// Index and distance (mm) of the point nearest to `point`, if it is no farther than `max_mm`.
     pub fn nearest(&self, point: &Point3<f64>, max_mm: f64) -> Option<(usize, f64)> {
-        let (index, squared) = self.tree.nearest(point)?;
-        let distance = squared.sqrt();
-        (distance <= max_mm).then_some((index, distance))
+        let index = self.index();
+        let (found, squared) = index.nearest(&(point - index.centre), max_mm).nearest?;
+        Some((found as usize, squared.sqrt()))
     }
 
-    /// The tree over the points.
-    pub fn tree(&self) -> &Nearest {
-        &self.tree
+    /// Builds now the tree of all points, which registration with `pairing = "tree"` and partners far away need.
+    ///
+    /// `O(n log n)`, on all threads of the current pool.
+    pub fn prepare_tree(&self) {
+        self.index().tree();
     }
 }
 
@@ -116,5 +154,69 @@ impl PartialEq for Target {
 impl fmt::Debug for Target {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Target({} points in {}, {})", self.points.len(), self.frame, self.origin)
+    }
+}
+
+/// What finds the nearest of many points; positions are about their centroid, so that nothing is lost far from the origin.
+pub(crate) struct Index {
+    pub(crate) centre: Point3<f64>,
+    /// The points about the centre, in the order given.
+    pub(crate) local: Vec<Vector3<f64>>,
+    pub(crate) cells: Cells,
+    thin: OnceLock<Thin>,
+    tree: OnceLock<Nearest>,
+}
+
+/// A few of many points, evenly spread, and a tree over them.
+pub(crate) struct Thin {
+    items: Vec<u32>,
+    tree: Nearest,
+}
+
+impl Index {
+    pub(crate) fn new(points: &[Point3<f64>]) -> Self {
+        let centre = centroid(points);
+        let local: Vec<Vector3<f64>> = points.iter().map(|p| p - centre).collect();
+        let cells = Cells::new(&local);
+        Self { centre, local, cells, thin: OnceLock::new(), tree: OnceLock::new() }
+    }
+
+    /// The tree over all points, about the centre.
+    pub(crate) fn tree(&self) -> &Nearest {
+        self.tree.get_or_init(|| Nearest::about_origin(&self.local))
+    }
+
+    /// The nearest point no farther than `limit_mm` from `query`, which is about the centre.
+    #[inline]
+    pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64) -> Nearby {
+        self.cells.nearest(query, limit_mm).unwrap_or_else(|| self.nearest_by_tree(query, limit_mm))
+    }
+
+    #[cold]
+    fn nearest_by_tree(&self, query: &Vector3<f64>, limit_mm: f64) -> Nearby {
+        match self.tree().nearest(&Point3::from(*query)) {
+            Some((item, square)) if square <= limit_mm * limit_mm => {
+                Nearby { nearest: Some((item as u32, square)), free_square: square }
+            }
+            found => Nearby { nearest: None, free_square: found.map_or(f64::INFINITY, |(_, square)| square) },
+        }
+    }
+
+    /// A few of the points.
+    pub(crate) fn thin(&self) -> &Thin {
+        self.thin.get_or_init(|| {
+            let every = (self.local.len() / MIN_THINNED).clamp(1, THIN);
+            let items: Vec<u32> = self.cells.items().iter().copied().step_by(every).collect();
+            let points: Vec<Vector3<f64>> = items.iter().map(|&i| self.local[i as usize]).collect();
+            Thin { items, tree: Nearest::about_origin(&points) }
+        })
+    }
+}
+
+impl Thin {
+    /// Index among all points and squared distance (mm²) of the nearest of the few.
+    pub(crate) fn nearest(&self, query: &Vector3<f64>) -> Option<(u32, f64)> {
+        let (found, square) = self.tree.nearest(&Point3::from(*query))?;
+        Some((self.items[found], square))
     }
 }

@@ -1,204 +1,92 @@
 //! Fine registration of a scanned surface onto a prepared target.
+//!
+//! Five parts make a variant, each in a room of its own: what is minimised ([`residual`](self), one file for each),
+//! which points pair (`pairing`), how much a pair counts (`weights`), how a step is solved (`step`), and when to stop
+//! (`stop`). `run` takes them from coarse subsets of the source to all of it.
 
 mod acceleration;
 mod observability;
 mod pairing;
+mod params;
+mod planes;
+mod points;
+mod problem;
+mod report;
+mod residual;
 mod run;
+mod source;
+mod step;
+mod stop;
+mod sums;
 mod surface;
 #[cfg(test)]
 mod tests;
+mod weights;
 
 pub use observability::{Observability, WeakDirection};
+pub use params::{IcpParams, Kernel, PairingKind, PublishedReading, StepRule};
+pub use report::{Halt, IcpFit, IcpReport, IcpStep, IcpTrace};
+pub use source::Source;
+pub use stop::{StopReason, StopRule};
 
 use crate::target::Target;
-use nalgebra::{Isometry3, Point3};
-use osteoflow_geometry::Cloud;
+use nalgebra::Isometry3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 
-/// What moves: the points of a scan, mm, and where the camera that took it stood, where known.
-///
-/// Made from a slice of points or from a [`Cloud`], whose viewpoint it takes. With a camera, points pair only with the
-/// side of the target that faces it: a scan that starts some millimetres deep in a thin bone would else be drawn to the
-/// far side. A cloud merged from several views has no viewpoint, and pairs with all of the target.
-#[derive(Debug, Clone, Copy)]
-pub struct Source<'a> {
-    points: &'a [Point3<f64>],
-    camera: Option<Point3<f64>>,
+/// A variant of ICP, named by its residual.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// [`point_to_point`]
+    PointToPoint,
+    /// [`point_to_plane`]
+    PointToPlane,
+    /// [`symmetric`]
+    Symmetric,
+    /// [`generalized`]
+    Generalized,
+    /// [`point_to_mesh`]
+    PointToMesh,
 }
 
-impl<'a> Source<'a> {
-    /// Points taken by a camera that stood at `camera`, mm, in the points' frame.
-    pub fn seen_from(points: &'a [Point3<f64>], camera: Point3<f64>) -> Self {
-        Self { points, camera: Some(camera) }
-    }
-}
+impl Method {
+    /// All of them.
+    pub const ALL: [Self; 5] =
+        [Self::PointToPoint, Self::PointToPlane, Self::Symmetric, Self::Generalized, Self::PointToMesh];
 
-impl<'a> From<&'a [Point3<f64>]> for Source<'a> {
-    fn from(points: &'a [Point3<f64>]) -> Self {
-        Self { points, camera: None }
-    }
-}
-
-impl<'a> From<&'a Vec<Point3<f64>>> for Source<'a> {
-    fn from(points: &'a Vec<Point3<f64>>) -> Self {
-        Self { points, camera: None }
-    }
-}
-
-impl<'a> From<&'a Cloud> for Source<'a> {
-    fn from(cloud: &'a Cloud) -> Self {
-        Self { points: cloud.points(), camera: cloud.viewpoint.map(|v| v.translation.vector.into()) }
-    }
-}
-
-/// How an ICP pairs, weighs and stops; the same for every variant.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct IcpParams {
-    /// Pairs farther apart are not used, mm. 5: twice the largest error of a three-point fit to laser holes, and less
-    /// than half the thickness of a fibula, so that no point pairs with the far side.
-    #[schemars(range(min = 1e-6, max = 1e6))]
-    pub max_pair_distance_mm: f64,
-    /// Share of the pairs, the worst first, that a step leaves out. 0: a cropped scan of bare bone shows nothing else.
-    #[schemars(range(min = 0.0, max = 0.9))]
-    pub trim_fraction: f64,
-    /// Give up after so many steps, all levels together. 500: two to ten times what real bones take.
-    #[schemars(range(min = 1, max = 100000))]
-    pub max_iterations: u32,
-    /// Converged where the way still to go, as estimated from the last steps, is shorter than this, mm. 0.01: a tenth
-    /// of what the tracker can tell. A step is the RMS movement of the source points.
-    #[schemars(range(min = 0.0, max = 10.0))]
-    pub stop_step_mm: f64,
-    /// Stop, too, where the RMS residual changes by less than this in a step, mm. 0: never. Close to a coarse fit the
-    /// residual of a bone hardly changes while it still slides along its axis, so 0.01 here stops after three or four
-    /// steps, millimetres away; the report then does not say converged.
-    #[schemars(range(min = 0.0, max = 10.0))]
-    pub stop_residual_mm: f64,
-    /// How many earlier steps the next one is extrapolated from (Anderson). 5: as in the literature; 0: plain steps only,
-    /// without leaps along the normals either, which takes hundreds of steps for `point_to_point`, where each step recovers
-    /// 0.1 % of a slide along the bone.
-    #[schemars(range(min = 0, max = 5))]
-    pub acceleration: u32,
-    /// First run on every n-th source point until converged, then on all. 8: saves most of the time and ends in the
-    /// same place; 1: all points from the start.
-    #[schemars(range(min = 1, max = 1000))]
-    pub first_every: u32,
-    /// Fewer pairs than this are an error. 10: six unknowns and something left to judge them by.
-    #[schemars(range(min = 3, max = 1000000))]
-    pub min_pairs: u32,
-}
-
-impl Default for IcpParams {
-    fn default() -> Self {
-        Self {
-            max_pair_distance_mm: 5.0,
-            trim_fraction: 0.0,
-            max_iterations: 500,
-            stop_step_mm: 0.01,
-            stop_residual_mm: 0.0,
-            acceleration: 5,
-            first_every: 8,
-            min_pairs: 10,
+    /// Its name in graphs and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::PointToPoint => "point_to_point",
+            Self::PointToPlane => "point_to_plane",
+            Self::Symmetric => "symmetric",
+            Self::Generalized => "generalized",
+            Self::PointToMesh => "point_to_mesh",
         }
     }
 }
 
-/// Where an ICP ended.
-#[derive(Debug, Clone, PartialEq)]
-pub struct IcpFit {
-    /// The motion that takes the source onto the target.
-    pub t_target_source: Isometry3<f64>,
-    /// How it ended.
-    pub report: IcpReport,
-    /// How it got there.
-    pub trace: IcpTrace,
-}
-
-/// Why an ICP stopped.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum StopReason {
-    /// The way still to go is shorter than `stop_step_mm`.
-    Step,
-    /// The residual changed by less than `stop_residual_mm`.
-    Residual,
-    /// `max_iterations` were used up.
-    Iterations,
-    /// No step lowers the residual any more, although the way still to go is not short.
-    Stalled,
-    /// The observer broke it off.
-    Cancelled,
-}
-
-/// How an ICP ended. What it leaves is a surface residual, neither FRE nor TRE.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct IcpReport {
-    /// Whether `remaining_mm` is not above `stop_step_mm`: the variant has come to rest. A `point_to_point` may rest away
-    /// from its least; see `resolution_mm` and `left_mm`.
-    pub converged: bool,
-    /// Why it stopped.
-    pub stop_reason: StopReason,
-    /// Steps taken, all levels together.
-    pub iterations: u32,
-    /// Source points.
-    pub n_source: usize,
-    /// Pairs that the last step used: near enough and not trimmed.
-    pub n_pairs: usize,
-    /// `n_pairs / n_source`.
-    pub pair_share: f64,
-    /// RMS over those pairs of what this variant minimises, mm: the distance between points (`point_to_point`), or
-    /// along the target's normal (`point_to_plane`).
-    pub rms_mm: f64,
-    /// RMS over those pairs of the distance between points, mm.
-    pub point_rms_mm: f64,
-    /// RMS movement of the source points by the last step, mm.
-    pub step_mm: f64,
-    /// Turn of the last step, rad.
-    pub step_rad: f64,
-    /// Way still to go along the motions that the pairs hold, mm, as RMS movement of the source points: from the last
-    /// pairs, `N⁺ Jᵀr` with `N` along the target's normals. A crawl of `point_to_point` shows here, however short its
-    /// steps are.
-    pub remaining_mm: Option<f64>,
-    /// How far from its least a `point_to_point` can come to rest, mm, one standard deviation: its residual is rough, as
-    /// points prefer to stay with the target samples they have. Denser samples make it finer. None for planes.
-    pub resolution_mm: Option<f64>,
-    /// What a `point_to_point` leaves although it has come to rest, mm: how far a first step along the target's normals
-    /// would move the source from here (RMS of its points), mostly along the bone. None for planes.
-    pub left_mm: Option<f64>,
-    /// Which motions the pairs hold, and which they leave free.
-    pub observability: Observability,
-}
-
-/// One step of an ICP, as its observer sees it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct IcpStep {
-    /// Counted from 1, all levels together.
-    pub iteration: u32,
-    /// Every n-th source point took part.
-    pub every: u32,
-    /// Pairs used.
-    pub n_pairs: usize,
-    /// RMS residual of the pairs before the step, mm.
-    pub rms_mm: f64,
-    /// RMS movement of the source points by the step, mm.
-    pub step_mm: f64,
-    /// Turn of the step, rad.
-    pub step_rad: f64,
-    /// Way still to go before the step, mm; see [`IcpReport::remaining_mm`].
-    pub remaining_mm: Option<f64>,
-    /// Whether the step was extrapolated.
-    pub accelerated: bool,
-    /// The motion after the step.
-    pub t_target_source: Isometry3<f64>,
-}
-
-/// The steps of an ICP in order.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct IcpTrace {
-    /// One entry for each step.
-    pub steps: Vec<IcpStep>,
+/// Registers `source` onto `target` by the variant `method`, from `init`.
+///
+/// # Errors
+/// [`IcpError`], as the function of that name.
+pub fn register<'a>(
+    method: Method,
+    target: &Target,
+    source: impl Into<Source<'a>>,
+    init: &Isometry3<f64>,
+    params: &IcpParams,
+    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
+) -> Result<IcpFit, IcpError> {
+    match method {
+        Method::PointToPoint => point_to_point(target, source, init, params, observer),
+        Method::PointToPlane => point_to_plane(target, source, init, params, observer),
+        Method::Symmetric => symmetric(target, source, init, params, observer),
+        Method::Generalized => generalized(target, source, init, params, observer),
+        Method::PointToMesh => point_to_mesh(target, source, init, params, observer),
+    }
 }
 
 /// Why an ICP has no result.
@@ -230,8 +118,25 @@ pub enum IcpError {
         min_pairs: usize,
     },
     /// The variant needs normals that the target does not have.
-    #[error("the target has no normals, which point_to_plane needs; sample it from a mesh or estimate them")]
+    #[error("the target has no normals, which this variant needs; sample it from a mesh or estimate them")]
     NoNormals,
+    /// The variant needs the mesh that the target's points were drawn from.
+    #[error("the target has no triangles, which point_to_mesh needs; prepare it from a mesh")]
+    NoMesh,
+    /// The target was prepared without a closest-point field.
+    #[error("the target has no closest-point field, which pairing = \"field\" needs; prepare it with field = true")]
+    NoField,
+    /// There is not one normal for each source point.
+    #[error("the source has {n_normals} normals for {n_points} points")]
+    SourceNormals {
+        /// The number of points.
+        n_points: usize,
+        /// The number of normals.
+        n_normals: usize,
+    },
+    /// A published reading was asked of another variant.
+    #[error("published_reading is what the paper may have done, which is point_to_point; leave it out here")]
+    NotPublished,
     /// A source point or the start is NaN or infinite.
     #[error("{what} is not finite; drop such points before the registration")]
     NotFinite {
@@ -268,9 +173,9 @@ pub fn point_to_point<'a>(
     source: impl Into<Source<'a>>,
     init: &Isometry3<f64>,
     params: &IcpParams,
-    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<()>,
+    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
 ) -> Result<IcpFit, IcpError> {
-    run::run(pairing::Residual::Point, target, source.into(), init, params, observer)
+    run::points(target, source.into(), init, params, observer)
 }
 
 /// Registers `source` onto `target` by the distances along the target's normals, from `init`.
@@ -288,7 +193,65 @@ pub fn point_to_plane<'a>(
     source: impl Into<Source<'a>>,
     init: &Isometry3<f64>,
     params: &IcpParams,
-    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<()>,
+    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
 ) -> Result<IcpFit, IcpError> {
-    run::run(pairing::Residual::Plane, target, source.into(), init, params, observer)
+    run::planes::<residual::PointToPlane>(target, source.into(), init, params, observer)
+}
+
+/// Registers `source` onto `target` by the distances along the mean of both points' normals, from `init`.
+///
+/// As [`point_to_plane`], but exact where the surface is a sphere or a cylinder, so it takes longer steps there. Needs the
+/// source's normals; they are estimated from 20 neighbours where it has none.
+///
+/// # Errors
+/// [`IcpError`], and [`IcpError::NoNormals`] if the target has none.
+///
+/// # Source
+/// Rusinkiewicz 2019.
+pub fn symmetric<'a>(
+    target: &Target,
+    source: impl Into<Source<'a>>,
+    init: &Isometry3<f64>,
+    params: &IcpParams,
+    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
+) -> Result<IcpFit, IcpError> {
+    run::planes::<residual::Symmetric>(target, source.into(), init, params, observer)
+}
+
+/// Registers `source` onto `target` by the Mahalanobis distances between small planes at both points (GICP), from `init`.
+///
+/// Needs the source's normals; they are estimated from 20 neighbours where it has none.
+///
+/// # Errors
+/// [`IcpError`], and [`IcpError::NoNormals`] if the target has none.
+///
+/// # Source
+/// Segal, Haehnel and Thrun 2009, with covariances from the normals (section III-B).
+pub fn generalized<'a>(
+    target: &Target,
+    source: impl Into<Source<'a>>,
+    init: &Isometry3<f64>,
+    params: &IcpParams,
+    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
+) -> Result<IcpFit, IcpError> {
+    run::planes::<residual::Generalized>(target, source.into(), init, params, observer)
+}
+
+/// Registers `source` onto `target` by the distances to the closest points of the target's triangles, from `init`.
+///
+/// Free of the error of sampling the surface; each partner costs several times that of a sample.
+///
+/// # Errors
+/// [`IcpError`], and [`IcpError::NoMesh`] if the target was not prepared from a mesh.
+///
+/// # Source
+/// Besl and McKay 1992 for the closest points; Pottmann, Huang, Yang and Hu 2006 for the step.
+pub fn point_to_mesh<'a>(
+    target: &Target,
+    source: impl Into<Source<'a>>,
+    init: &Isometry3<f64>,
+    params: &IcpParams,
+    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
+) -> Result<IcpFit, IcpError> {
+    run::planes::<residual::PointToMesh>(target, source.into(), init, params, observer)
 }

@@ -1,6 +1,6 @@
 //! Which motions the pairs of an ICP hold.
 
-use nalgebra::{Matrix6, Vector3, Vector6};
+use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 
 /// Below this RMS residual (mm) for a motion of 1 mm, a motion counts as free: ten millimetres of slide would then
@@ -74,20 +74,4 @@ pub(super) fn sorted_eigen(matrix: &Matrix6<f64>) -> (Vector6<f64>, Matrix6<f64>
 fn upright(v: Vector6<f64>) -> Vector6<f64> {
     let largest = v.iamax();
     if v[largest] < 0.0 { -v } else { v }
-}
-
-/// The Jacobian row of one pair: how the residual along `normal` changes with a shift and a turn about the centre.
-pub(super) fn plane_row(normal: &Vector3<f64>, arm: &Vector3<f64>, lever_arm_mm: f64) -> Vector6<f64> {
-    let turn = arm.cross(normal) / lever_arm_mm;
-    Vector6::new(normal.x, normal.y, normal.z, turn.x, turn.y, turn.z)
-}
-
-/// `JᵀJ` of one point-to-point pair at `arm` from the centre.
-pub(super) fn point_block(arm: &Vector3<f64>, lever_arm_mm: f64) -> Matrix6<f64> {
-    let cross = (arm / lever_arm_mm).cross_matrix();
-    let mut block = Matrix6::identity();
-    block.fixed_view_mut::<3, 3>(0, 3).copy_from(&-cross);
-    block.fixed_view_mut::<3, 3>(3, 0).copy_from(&cross);
-    block.fixed_view_mut::<3, 3>(3, 3).copy_from(&(-cross * cross));
-    block
 }

@@ -1,11 +1,10 @@
 //! The part of a target that a scan can pair with.
 
-use crate::nearest::Nearest;
 use crate::normals::plane_normal;
-use crate::target::Target;
+use crate::target::{Index, Target};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
-use std::borrow::Cow;
+use std::{borrow::Cow, ops::Deref};
 
 /// A target point may turn away from the camera by so much and still be kept: sine of the angle past the silhouette.
 /// 0.34 is 20 degrees, more than a start is off.
@@ -21,44 +20,74 @@ const NEIGHBOURS: usize = 10;
 /// A scan that starts this many pair distances off may still find partners with estimated normals.
 const REACH: f64 = 4.0;
 
-/// Points to pair with, a normal for each (zero where unknown), and their tree.
+/// Points to pair with, and a normal for each (zero where unknown).
 pub(super) struct Surface<'a> {
-    pub(super) points: Cow<'a, [Point3<f64>]>,
+    pub(super) index: Shared<'a>,
     pub(super) normals: Cow<'a, [Vector3<f64>]>,
-    pub(super) tree: Nearest,
+    /// Where the camera stood, about the index's centre, and 1 where the normals point outwards, -1 where inwards.
+    pub(super) camera: Option<(Vector3<f64>, f64)>,
+}
+
+/// An index of the whole target or of a part of it.
+pub(super) enum Shared<'a> {
+    Whole(&'a Index),
+    Part(Box<Index>),
+}
+
+impl Deref for Shared<'_> {
+    type Target = Index;
+
+    #[inline]
+    fn deref(&self) -> &Index {
+        match self {
+            Shared::Whole(index) => index,
+            Shared::Part(index) => index,
+        }
+    }
 }
 
 impl<'a> Surface<'a> {
     /// What of `target` faces `camera`, or all of it; `near` is the scan as it starts.
     pub(super) fn new(target: &'a Target, camera: Option<&Point3<f64>>, near: &[Point3<f64>], pair_mm: f64) -> Self {
         let points = target.points();
+        let whole = Shared::Whole(target.index());
         let Some(normals) = target.normals() else {
             let normals = Cow::Owned(estimated(target, near, REACH * pair_mm));
-            return Self { points: Cow::Borrowed(points), normals, tree: target.tree().clone() };
+            return Self { index: whole, normals, camera: None };
         };
-        if let Some((camera, side)) = camera.zip(side(target, normals)) {
-            let faces = |i: &usize| {
-                let sight = camera - points[*i];
-                normals[*i].dot(&sight) * side > -PAST_SILHOUETTE * sight.norm()
-            };
-            let kept: Vec<usize> = (0..points.len()).filter(faces).collect();
-            if !kept.is_empty() {
-                let points: Vec<Point3<f64>> = kept.iter().map(|&i| points[i]).collect();
-                let tree = Nearest::new(&points);
-                return Self { points: points.into(), normals: kept.iter().map(|&i| normals[i]).collect(), tree };
-            }
+        let centre = whole.centre;
+        let camera = camera.zip(side(target, normals)).map(|(camera, side)| (camera - centre, side));
+        let Some((eye, side)) = camera else { return Self { index: whole, normals: normals.into(), camera: None } };
+        let kept: Vec<usize> =
+            (0..points.len()).filter(|&i| faces(&(eye - whole.local[i]), &(normals[i] * side))).collect();
+        if kept.is_empty() || kept.len() == points.len() {
+            return Self { index: whole, normals: normals.into(), camera };
         }
-        Self { points: points.into(), normals: normals.into(), tree: target.tree().clone() }
+        let points: Vec<Point3<f64>> = kept.iter().map(|&i| points[i]).collect();
+        let index = Index::new(&points);
+        let camera = Some((eye + (centre - index.centre), side));
+        let normals: Vec<Vector3<f64>> = kept.iter().map(|&i| normals[i]).collect();
+        Self { index: Shared::Part(Box::new(index)), normals: normals.into(), camera }
     }
+
+    /// Whether a place on the surface with this normal may be seen by the camera; true without one.
+    #[inline]
+    pub(super) fn faces(&self, at: &Vector3<f64>, normal: &Vector3<f64>) -> bool {
+        self.camera.is_none_or(|(eye, side)| faces(&(eye - at), &(normal * side)))
+    }
+}
+
+#[inline]
+fn faces(sight: &Vector3<f64>, outward: &Vector3<f64>) -> bool {
+    outward.dot(sight) > -PAST_SILHOUETTE * sight.norm()
 }
 
 /// 1 where the normals point outwards, -1 where the faces were turned inside out, none where that cannot be told.
 fn side(target: &Target, normals: &[Vector3<f64>]) -> Option<f64> {
-    let centre = target.tree().centre();
     let (mut along, mut length) = (0.0, 0.0);
-    for (p, n) in target.points().iter().zip(normals) {
-        along += (p - centre).dot(n);
-        length += (p - centre).norm() * n.norm();
+    for (p, n) in target.index().local.iter().zip(normals) {
+        along += p.dot(n);
+        length += p.norm() * n.norm();
     }
     ((along / length).abs() > OUTWARD_SHARE).then_some(along.signum())
 }
@@ -67,15 +96,15 @@ fn side(target: &Target, normals: &[Vector3<f64>]) -> Option<f64> {
 fn estimated(target: &Target, near: &[Point3<f64>], reach_mm: f64) -> Vec<Vector3<f64>> {
     let (min, max) = near.iter().fold((near[0], near[0]), |(min, max), p| (min.inf(p), max.sup(p)));
     let reach = Vector3::repeat(reach_mm);
-    let (min, max) = (min - reach, max + reach);
-    let points = target.points();
-    let normal = |p: &Point3<f64>| {
+    let index = target.index();
+    let (min, max) = (min - reach - index.centre, max + reach - index.centre);
+    let normal = |p: &Vector3<f64>| {
         if (0..3).any(|k| p[k] < min[k] || p[k] > max[k]) {
             return Vector3::zeros();
         }
-        let around: Vec<Point3<f64>> =
-            target.tree().nearest_n(p, NEIGHBOURS).into_iter().map(|(i, _)| points[i]).collect();
+        let around = index.tree().nearest_n(&Point3::from(*p), NEIGHBOURS);
+        let around: Vec<Point3<f64>> = around.into_iter().map(|(i, _)| Point3::from(index.local[i])).collect();
         plane_normal(&around).unwrap_or_else(Vector3::zeros)
     };
-    points.par_iter().map(normal).collect()
+    index.local.par_iter().map(normal).collect()
 }

@@ -1,7 +1,7 @@
 use super::*;
 use crate::sample;
 use crate::shapes::{cuboid, shaft};
-use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
@@ -18,7 +18,7 @@ fn start() -> Isometry3<f64> {
     Isometry3::new(Vector3::new(0.8, -1.0, 1.5), Vector3::new(0.01, -0.02, 0.03))
 }
 
-fn go_on(_: &IcpStep) -> ControlFlow<()> {
+fn go_on(_: &IcpStep) -> ControlFlow<Halt> {
     ControlFlow::Continue(())
 }
 
@@ -121,7 +121,7 @@ fn trimming_leaves_out_what_does_not_belong() {
     // A film 2 mm off one side: tissue.
     source.extend((0..600).map(|k| Point3::new(11.0 + 0.0002 * f64::from(k), 0.0, 10.0 + f64::from(k) / 6.0)));
     let run = |trim_fraction| {
-        let params = IcpParams { trim_fraction, ..IcpParams::default() };
+        let params = IcpParams { trim_fraction, gate_sigmas: 0.0, ..IcpParams::default() };
         point_to_plane(&target, &source, &start(), &params, &mut go_on).unwrap()
     };
     let (kept, trimmed) = (run(0.0), run(0.2));
@@ -141,7 +141,7 @@ fn an_observer_breaks_off_and_the_report_says_so() {
     let mut seen = 0;
     let mut observer = |step: &IcpStep| {
         seen = step.iteration;
-        if step.iteration == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if step.iteration == 2 { ControlFlow::Break(Halt::Cancelled) } else { ControlFlow::Continue(()) }
     };
     let fit = point_to_point(&target, &source, &start(), &IcpParams::default(), &mut observer).unwrap();
     assert_eq!((fit.report.stop_reason, fit.report.iterations, seen), (StopReason::Cancelled, 2, 2));

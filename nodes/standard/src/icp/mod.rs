@@ -1,15 +1,18 @@
 //! Fine registration of the scan onto the CT surface: every kind takes the same ports and parameters.
 
+pub mod generalized;
+pub mod point_to_mesh;
 pub mod point_to_plane;
 pub mod point_to_point;
+pub mod symmetric;
 
 use osteoflow_algorithms::{
-    icp::{IcpFit, IcpReport, IcpStep, IcpTrace},
+    icp::{self, Halt, IcpParams, IcpReport, IcpStep, IcpTrace, Method, PublishedReading},
     target::Target,
 };
-use osteoflow_geometry::{Cloud, FrameError, Pose, nalgebra::Isometry3};
-use osteoflow_node::{Context, Inputs, Outputs};
-use std::ops::ControlFlow;
+use osteoflow_geometry::{Cloud, Pose};
+use osteoflow_node::{Context, Inputs, NodeError, Outputs, ParamError};
+use std::{ops::ControlFlow, time::Duration};
 
 /// Inputs of every ICP.
 #[derive(Inputs)]
@@ -36,19 +39,34 @@ pub struct Out {
     trace: IcpTrace,
 }
 
-impl In {
-    /// The motion to start from: the one check of frames.
-    fn init(&self) -> Result<Isometry3<f64>, FrameError> {
-        self.init.expect(&self.target.frame, &self.source.frame)
-    }
-
-    fn out(&self, fit: IcpFit, ctx: &Context) -> Out {
-        let pose = Pose::new(&self.target.frame, &self.source.frame, fit.t_target_source);
-        Out { t_target_source: pose.at(ctx.stamp_ns()), report: fit.report, trace: fit.trace }
+/// Refuses what only `point_to_point` knows.
+fn own_rules(params: IcpParams) -> Result<IcpParams, ParamError> {
+    match params.published_reading {
+        PublishedReading::None => Ok(params),
+        _ => Err(ParamError::new(
+            "published_reading",
+            "this is what the paper may have done with icp.point_to_point; leave it out, or use that kind",
+        )),
     }
 }
 
-/// Ends an ICP when the user stops the run.
-fn observer(ctx: &Context) -> impl FnMut(&IcpStep) -> ControlFlow<()> {
-    |_| if ctx.cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+impl In {
+    /// Registers by a variant, until the user stops the run or the time is up.
+    fn register(&self, method: Method, params: &IcpParams, ctx: &mut Context) -> Result<Out, NodeError> {
+        let init = self.init.expect(&self.target.frame, &self.source.frame)?; // the one check of frames
+        let limit = Some(params.stop_after_ms).filter(|ms| *ms > 0.0);
+        let mut budget = limit.map(|ms| ctx.budget(Duration::from_secs_f64(ms / 1e3)));
+        let mut observer = |_: &IcpStep| {
+            if ctx.cancelled() {
+                ControlFlow::Break(Halt::Cancelled)
+            } else if budget.as_mut().is_some_and(|budget| budget.is_over()) {
+                ControlFlow::Break(Halt::Time)
+            } else {
+                ControlFlow::Continue(())
+            }
+        };
+        let fit = icp::register(method, &self.target, &self.source, &init, params, &mut observer)?;
+        let pose = Pose::new(&self.target.frame, &self.source.frame, fit.t_target_source);
+        Ok(Out { t_target_source: pose.at(ctx.stamp_ns()), report: fit.report, trace: fit.trace })
+    }
 }

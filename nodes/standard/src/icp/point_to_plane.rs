@@ -1,7 +1,7 @@
 //! The kind `icp.point_to_plane`.
 
-use super::{In, Out, observer};
-use osteoflow_algorithms::icp::{self, IcpParams};
+use super::{In, Out, own_rules};
+use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 
 /// Fine registration of a bone surface onto the CT surface by point-to-plane ICP.
@@ -26,12 +26,10 @@ impl Node for PointToPlane {
     type Outputs = Out;
 
     fn new(params: IcpParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
+        Ok(Self(own_rules(params)?))
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let init = i.init()?;
-        let fit = icp::point_to_plane(&i.target, &i.source, &init, &self.0, &mut observer(ctx))?;
-        Ok(i.out(fit, ctx))
+        i.register(Method::PointToPlane, &self.0, ctx)
     }
 }

@@ -1,13 +1,14 @@
 //! The kind `icp.point_to_point`.
 
-use super::{In, Out, observer};
-use osteoflow_algorithms::icp::{self, IcpParams};
+use super::{In, Out};
+use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 
 /// Fine registration of a bone surface onto the CT surface by point-to-point ICP, the paper's.
 ///
 /// Each point is drawn to the nearest sample, which holds it back along the bone: a plain step recovers about a thousandth
-/// of a slide. The report says how far is still to go; see `acceleration` and `stop_step_mm`.
+/// of a slide. The report says how far is still to go; see `acceleration` and `stop_step_mm`,
+/// and `published_reading` for what the paper may have done.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -30,8 +31,6 @@ impl Node for PointToPoint {
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let init = i.init()?;
-        let fit = icp::point_to_point(&i.target, &i.source, &init, &self.0, &mut observer(ctx))?;
-        Ok(i.out(fit, ctx))
+        i.register(Method::PointToPoint, &self.0, ctx)
     }
 }

@@ -1,0 +1,63 @@
+//! Partners for source points: one file for each way of finding them.
+
+mod cached;
+mod mesh;
+mod tree;
+
+pub(super) use cached::Cached;
+pub(super) use mesh::Mesh;
+pub(super) use tree::{Thinned, Tree};
+
+use nalgebra::Vector3;
+
+/// No partner is known.
+const NONE: u32 = u32::MAX;
+
+/// The partner of a source point, and how long it surely stays that. About the centre of the target's index, mm.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Known {
+    /// Where it is.
+    pub(super) target: Vector3<f64>,
+    /// Its unit normal; zero where unknown.
+    pub(super) normal: Vector3<f64>,
+    /// Its index, or `NONE`.
+    item: u32,
+    /// Where the source point was when it was found.
+    at: Vector3<f64>,
+    /// No other partner lies closer than this to that place.
+    free_mm: f64,
+}
+
+impl Known {
+    pub(super) const NOTHING: Self = Self {
+        target: Vector3::new(0.0, 0.0, 0.0),
+        normal: Vector3::new(0.0, 0.0, 0.0),
+        item: NONE,
+        at: Vector3::new(0.0, 0.0, 0.0),
+        free_mm: f64::NEG_INFINITY,
+    };
+
+    /// Whether there is a partner.
+    #[inline]
+    pub(super) fn is_some(&self) -> bool {
+        self.item != NONE
+    }
+
+    #[inline]
+    fn set(&mut self, item: u32, target: Vector3<f64>, normal: Vector3<f64>) {
+        (self.item, self.target, self.normal) = (item, target, normal);
+    }
+
+    #[inline]
+    fn clear(&mut self) {
+        self.item = NONE;
+    }
+}
+
+/// A way of finding partners.
+pub(super) trait Pairing: Sync {
+    /// Makes `known` the partner of a source point at `moved`, if there is one within `reach_mm`.
+    ///
+    /// `known` is what the last call for this source point left.
+    fn find(&self, moved: &Vector3<f64>, reach_mm: f64, known: &mut Known);
+}

@@ -1,0 +1,35 @@
+//! The kind `icp.generalized`.
+
+use super::{In, Out, own_rules};
+use osteoflow_algorithms::icp::{IcpParams, Method};
+use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+
+/// Fine registration of a bone surface onto the CT surface by generalized ICP (GICP), plane to plane.
+///
+/// Each point is drawn to its partner where both may lie anywhere nearby on their planes. Its normals are estimated where
+/// the cloud has none, which takes longer than the registration itself.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "icp.generalized"
+in   = { source = "to_bone.cloud", target = "ct_surface.target", init = "coarse.t_target_source" }
+max_pair_distance_mm = 5.0
+"#,
+    literature = ["Segal, Haehnel & Thrun 2009"]
+)]
+pub struct Generalized(IcpParams);
+
+impl Node for Generalized {
+    const KIND: &'static str = "icp.generalized";
+    type Params = IcpParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: IcpParams) -> Result<Self, ParamError> {
+        Ok(Self(own_rules(params)?))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        i.register(Method::Generalized, &self.0, ctx)
+    }
+}

@@ -1,0 +1,35 @@
+//! The kind `icp.point_to_mesh`.
+
+use super::{In, Out, own_rules};
+use osteoflow_algorithms::icp::{IcpParams, Method};
+use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+
+/// Fine registration of a bone surface onto the CT surface by the closest points of its triangles.
+///
+/// Free of the error of sampling the surface. The target must have been prepared from a mesh; each partner costs several
+/// times that of a sample.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "icp.point_to_mesh"
+in   = { source = "to_bone.cloud", target = "ct_surface.target", init = "coarse.t_target_source" }
+max_pair_distance_mm = 5.0
+"#,
+    literature = ["Besl & McKay 1992", "Pottmann, Huang, Yang & Hu 2006, section 3"]
+)]
+pub struct PointToMesh(IcpParams);
+
+impl Node for PointToMesh {
+    const KIND: &'static str = "icp.point_to_mesh";
+    type Params = IcpParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: IcpParams) -> Result<Self, ParamError> {
+        Ok(Self(own_rules(params)?))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        i.register(Method::PointToMesh, &self.0, ctx)
+    }
+}
