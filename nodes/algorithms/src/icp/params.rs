@@ -27,9 +27,10 @@ pub struct IcpParams {
     /// the cloud has none.
     #[schemars(range(min = 0.0, max = 180.0))]
     pub max_normal_angle_deg: f64,
-    /// The gate: no residual beyond so many times the spread of all counts, and those below half of that count fully; half
-    /// as wide on the levels that are not the last. 5: bare bone keeps every weight, and half of the points some
-    /// millimetres off lose theirs. 0: no gate, all pairs within `max_pair_distance_mm` count.
+    /// The gate: no residual beyond so many times the spread of those on the bone counts, and those below two thirds of it
+    /// count fully. 5: bare bone keeps every weight, and up to half of the points some millimetres off lose theirs. 0:
+    /// no gate, all pairs within `max_pair_distance_mm` count. On levels that are not the last, it lies just beyond the
+    /// better half of the points.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub gate_sigmas: f64,
     /// Depth noise of the camera, mm: the spread of residuals is never taken for less. 0.1: a structured-light camera's

@@ -8,9 +8,26 @@ const QUARTER_SIGMAS: f64 = 0.318_639_363_964_375_15;
 /// Steps shorter than this share of the spread do not change it.
 const SETTLED: f64 = 0.1;
 
-/// On the way, the gate lies at this share of where it lies at the end: what is off must be left out before the pose is
-/// right, and a few good pairs more or less do not matter yet.
-const EARLY: f64 = 0.5;
+/// The gate on the way keeps this share of all points at full weight.
+const BETTER_HALF: f64 = 0.45;
+
+/// Of a Gaussian's absolute values that share lies below this many standard deviations.
+const BETTER_HALF_SIGMAS: f64 = 0.597_760_126_042_478;
+
+/// Full weight reaches to this share of the gate, from where it falls.
+const FLAT: f64 = 2.0 / 3.0;
+
+/// The last level looks for partners in so many times the reach that the one before ended with: its gate may be wider.
+const WIDER: f64 = 4.0;
+
+/// Residuals within so many spreads are taken for the bone's when the spread is taken again.
+const INNER_SIGMAS: f64 = 4.0;
+
+/// And so often at most.
+const ROUNDS: u32 = 5;
+
+/// Of a Gaussian's absolute values half lie below this many standard deviations.
+const MEDIAN_SIGMAS: f64 = 0.674_489_750_196_081_7;
 
 /// Constants of the kernels, in standard deviations, at which they are 95 % as efficient as least squares on Gaussian
 /// noise. Source: Holland and Welsch 1977.
@@ -30,8 +47,7 @@ pub(super) struct Weights {
     pub(super) reach_mm: f64,
     /// Squared residuals above this are trimmed, mm².
     pub(super) worst_square: f64,
-    /// Where the gate lies, in spreads.
-    gate_sigmas: f64,
+    last: bool,
 }
 
 impl Weights {
@@ -41,7 +57,7 @@ impl Weights {
             kernel: params.kernel,
             scale_mm: f64::INFINITY,
             gate_mm: f64::INFINITY,
-            gate_sigmas: params.gate_sigmas * EARLY,
+            last: false,
             reach_mm,
             worst_square: f64::INFINITY,
         }
@@ -49,28 +65,37 @@ impl Weights {
 
     /// The same for the last level: the spread is to be learnt anew from all points, and the gate is as wide as asked for.
     pub(super) fn for_last(self, params: &IcpParams) -> Self {
-        let reach_mm = (self.reach_mm / EARLY).min(params.max_pair_distance_mm);
-        Self { gate_sigmas: params.gate_sigmas, ..Self::open(params, reach_mm) }
+        let reach_mm = (self.reach_mm * WIDER).min(params.max_pair_distance_mm);
+        Self { last: true, ..Self::open(params, reach_mm) }
     }
 
-    /// Shrinks to what the squared residuals of all source points tell, infinite for those without a partner; never
+    /// Narrows to what the squared residuals of all source points tell, infinite for those without a partner; never
     /// widens, so that weights cannot swing to and fro.
     ///
-    /// The spread is taken from the quarter of the points that fit best: with up to half of them off the bone these still
-    /// lie on it, where the median would not.
+    /// On the way the gate lies just beyond the better half of the points: with up to half of them off the bone, these
+    /// still lie on it. On the last level the spread is first taken from the better quarter, then from all points
+    /// within the gate until both agree.
     pub(super) fn shrink(&mut self, squares: &mut [f64], params: &IcpParams, slack_mm: f64) {
         if (params.gate_sigmas == 0.0 && self.kernel == Kernel::None) || squares.is_empty() {
             return;
         }
-        let quarter = squares.len() / 4;
-        let square = *squares.select_nth_unstable_by(quarter, f64::total_cmp).1;
-        let scale_mm = (square.sqrt() / QUARTER_SIGMAS).max(params.noise_mm);
-        if scale_mm < self.scale_mm {
-            self.scale_mm = scale_mm;
-            if self.gate_sigmas > 0.0 {
-                self.gate_mm = (self.gate_sigmas * scale_mm).max(params.gate_sigmas * params.noise_mm);
-                self.reach_mm = self.reach_mm.min(self.gate_mm + slack_mm);
+        let (scale_mm, gate_mm) = match self.last {
+            true => {
+                let scale_mm = spread_mm(squares, params);
+                (scale_mm, params.gate_sigmas * scale_mm)
             }
+            false => {
+                let half_mm = quantile(squares, BETTER_HALF);
+                (
+                    (half_mm / BETTER_HALF_SIGMAS).max(params.noise_mm),
+                    (half_mm / FLAT).max(params.gate_sigmas * params.noise_mm),
+                )
+            }
+        };
+        self.scale_mm = self.scale_mm.min(scale_mm);
+        if params.gate_sigmas > 0.0 && gate_mm < self.gate_mm {
+            self.gate_mm = gate_mm;
+            self.reach_mm = self.reach_mm.min(self.gate_mm + slack_mm);
         }
     }
 
@@ -86,25 +111,28 @@ impl Weights {
         if square > self.worst_square {
             return (0.0, self.worst_square);
         }
-        let half = self.gate_mm / 2.0;
-        if self.kernel == Kernel::None && square <= half * half {
+        let flat = self.gate_mm * FLAT;
+        if self.kernel == Kernel::None && square <= flat * flat {
             return (1.0, square);
         }
-        self.falling(square, half)
+        self.falling(square, flat)
     }
 
     #[inline(never)]
-    fn falling(&self, square: f64, half: f64) -> (f64, f64) {
+    fn falling(&self, square: f64, flat: f64) -> (f64, f64) {
         let residual = square.sqrt();
         let (by_kernel, cost) = self.by_kernel(square, residual);
-        if residual <= half {
+        if residual <= flat {
             return (by_kernel, cost);
         }
-        let u = ((residual - half) / half).min(1.0);
+        let width = self.gate_mm - flat;
+        let u = ((residual - flat) / width).min(1.0);
         let by_gate = (1.0 - u * u) * (1.0 - u * u);
         // The integral of 2 w(r) r.
-        let beyond = u + u * u / 2.0 - 2.0 / 3.0 * u.powi(3) - u.powi(4) / 2.0 + u.powi(5) / 5.0 + u.powi(6) / 6.0;
-        let gated = half * half * (1.0 + 2.0 * beyond);
+        let (u2, u4) = (u * u, u.powi(4));
+        let gated = flat * flat
+            + 2.0 * flat * width * u * (1.0 - 2.0 / 3.0 * u2 + u4 / 5.0)
+            + width * width * u2 * (1.0 - u2 + u4 / 3.0);
         (by_gate * by_kernel, cost.min(gated))
     }
 
@@ -133,13 +161,32 @@ impl Weights {
 
     /// What a source point without a partner costs, mm².
     pub(super) fn unpaired(&self) -> f64 {
-        let reach = self.reach_mm * self.reach_mm;
-        if self.kernel == Kernel::None && !self.gate_mm.is_finite() {
-            reach
-        } else {
-            self.falling(reach.min(1e300), self.gate_mm / 2.0).1
-        }
+        self.falling(self.reach_mm * self.reach_mm, self.gate_mm * FLAT).1
     }
+}
+
+/// The spread of the residuals as of a Gaussian's, mm, not below the noise.
+fn spread_mm(squares: &mut [f64], params: &IcpParams) -> f64 {
+    let mut scale_mm = (quantile(squares, 0.25) / QUARTER_SIGMAS).max(params.noise_mm);
+    for _ in 0..ROUNDS {
+        let inner = INNER_SIGMAS * scale_mm;
+        let mut near: Vec<f64> = squares.iter().copied().filter(|s| *s < inner * inner).collect();
+        if near.is_empty() {
+            break;
+        }
+        let narrower = (quantile(&mut near, 0.5) / MEDIAN_SIGMAS).max(params.noise_mm);
+        if narrower >= scale_mm {
+            break;
+        }
+        scale_mm = narrower;
+    }
+    scale_mm
+}
+
+/// The root of the squared residual that this share of all lies below, mm.
+fn quantile(squares: &mut [f64], share: f64) -> f64 {
+    let k = ((squares.len() as f64 * share) as usize).min(squares.len() - 1);
+    squares.select_nth_unstable_by(k, f64::total_cmp).1.sqrt()
 }
 
 #[cfg(test)]
@@ -154,8 +201,8 @@ mod tests {
         let weights = Weights::open(&params, 20.0);
         let mut weights = weights.for_last(&params);
         weights.shrink(&mut squares, &params, 0.0);
-        // Uniform up to 0.2 mm: the quarter of all is the median of those on the bone, 0.1 mm.
-        assert!((weights.scale_mm - 0.1 / QUARTER_SIGMAS).abs() < 0.002, "{weights:?}");
+        // Uniform up to 0.2 mm: the median of those on the bone is 0.1 mm.
+        assert!((weights.scale_mm - 0.1 / MEDIAN_SIGMAS).abs() < 0.002, "{weights:?}");
         assert_eq!(weights.of(100.0).0, 0.0);
         assert_eq!(weights.of(0.2 * 0.2), (1.0, 0.2 * 0.2));
         let before = weights;
@@ -168,7 +215,7 @@ mod tests {
         for kernel in [Kernel::None, Kernel::Huber, Kernel::Tukey, Kernel::Welsch] {
             let params = IcpParams {
                 kernel,
-                gate_sigmas: if kernel == Kernel::None { 8.0 } else { 0.0 },
+                gate_sigmas: if kernel == Kernel::None { 5.0 } else { 0.0 },
                 ..IcpParams::default()
             };
             let mut weights = Weights::open(&params, 50.0);
