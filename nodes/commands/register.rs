@@ -84,7 +84,8 @@ pub(crate) struct Register {
           value_parser = PossibleValuesParser::new(method::METHODS.iter().map(Method::possible_value)))]
     method: String,
 
-    /// How pairs are found: tree, cached or field. Default: as the method's node.
+    /// How pairs are found: cached (the nearest samples, kept while none can be nearer), tree (searched anew at every
+    /// step), or field (looked up in a grid). Default: as the method's node.
     #[arg(long, value_name = "PAIRING")]
     pairing: Option<String>,
 
@@ -175,14 +176,9 @@ impl Stop {
     }
 }
 
-/// What makes a method take its steps to the last, on all points: parameters, of which not every kind has all.
-const FIXED: [(&str, &str); 5] = [
-    ("stop_step_mm", "0.0"),
-    ("stop_step_rad", "0.0"),
-    ("stop_residual_mm", "0.0"),
-    ("first_every", "1"),
-    ("levels", "[]"),
-];
+/// What makes a method take its steps to the last, on all points.
+const FIXED: [(&str, &str); 4] =
+    [("stop_step_mm", "0.0"), ("stop_step_rad", "0.0"), ("stop_residual_mm", "0.0"), ("levels", "[]")];
 
 impl Register {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
@@ -194,7 +190,7 @@ impl Register {
         let workers = self.workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
         let pool = pool.build().context("no threads for the registration")?;
-        let inputs = Arc::new(pool.install(|| Inputs::read(self))?);
+        let inputs = Arc::new(pool.install(|| Inputs::read(self, method))?);
         if global.format == Format::Text && !global.quiet {
             for note in &inputs.notes {
                 writeln!(std::io::stderr(), "{}: {note}", global.paint_err("note", "1"))?;
@@ -234,8 +230,7 @@ impl Register {
         let given = options
             .iter()
             .filter_map(|(option, key, value)| Some(Given::Option { option, key, value: value.as_deref()? }));
-        let has = |key: &str| kind.description.params["properties"].get(key).is_some();
-        let fixed = FIXED.iter().filter(|(key, _)| self.stop == Stop::Fixed && has(key));
+        let fixed = FIXED.iter().filter(|_| self.stop == Stop::Fixed);
         let fixed = fixed.map(|&(key, value)| Given::Option { option: "stop fixed", key, value });
         let given: Vec<_> = given.chain(self.sets.iter().map(|set| Given::Set(set))).chain(fixed).collect();
         let as_json = match parameters(&kind.description, "register", &given) {

@@ -7,7 +7,7 @@ use super::{
 };
 use crate::commands::{Format, Global};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use osteoflow_algorithms::icp::{IcpFit, IcpStep, StopReason};
+use osteoflow_algorithms::icp::{self, Halt, IcpFit, IcpStep, StopReason};
 use serde::Serialize;
 use std::{
     io::IsTerminal,
@@ -69,22 +69,29 @@ impl Work {
         let mut same_bits = true;
         for n in 1..=self.repeat {
             let began = Instant::now();
-            let target = match self.inputs.target.prepare() {
+            let target = match self.inputs.target.prepare(self.params.icp.pairing) {
                 Ok(target) => target,
                 Err(error) => return Ended::Refused(error.to_string()),
             };
             timings.prep_target_ms.push(ms_since(began));
-            // The methods order the source themselves, within align.
+            // The methods order the source themselves, and estimate its normals where they need them, within align.
             timings.prep_source_ms.push(0.0);
 
-            let source = self.inputs.source.cloud().into();
             let (shown, cancelled) = (&mut self.shown, &self.cancelled);
+            let limit_ms = self.params.icp.stop_after_ms;
+            let (began, cpu) = (Instant::now(), cpu_ms());
             let mut observer = |step: &IcpStep| {
                 shown.at(n, step);
-                if cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+                if cancelled.load(Ordering::Relaxed) {
+                    ControlFlow::Break(Halt::Cancelled)
+                } else if limit_ms > 0.0 && ms_since(began) >= limit_ms {
+                    ControlFlow::Break(Halt::Time)
+                } else {
+                    ControlFlow::Continue(())
+                }
             };
-            let (began, cpu) = (Instant::now(), cpu_ms());
-            let fit = (self.method.register)(&target, source, &self.inputs.init, &self.params.icp, &mut observer);
+            let (source, init) = (self.inputs.source.cloud(), &self.inputs.init);
+            let fit = icp::register(self.method.icp, &target, source, init, &self.params.icp, &mut observer);
             timings.align_ms.push(ms_since(began));
             timings.cpu_ms.extend(cpu_ms().zip(cpu).map(|(after, before)| after - before));
             match fit {

@@ -171,7 +171,7 @@ impl About<'_> {
     }
 
     fn pairing(&self) -> &str {
-        self.params.as_json.get("pairing").and_then(Value::as_str).unwrap_or("tree")
+        self.params.as_json.get("pairing").and_then(Value::as_str).unwrap_or_default()
     }
 
     /// The matrix as text that this command and others read.
@@ -266,6 +266,7 @@ fn why(reason: StopReason) -> &'static str {
         StopReason::Step => "less is left to go than stop_step_mm",
         StopReason::Residual => "the residual changed by less than stop_residual_mm",
         StopReason::Iterations => "max_iterations are used up",
+        StopReason::Time => "stop_after_ms are used up",
         StopReason::Stalled => "no step lowers the residual any more",
         StopReason::Cancelled => "it was interrupted",
     }

@@ -1,8 +1,10 @@
 //! What the files hold.
 
-use super::Register;
+use super::{Register, method::Method};
 use anyhow::{Result, anyhow};
 use osteoflow_algorithms::{
+    icp::PairingKind,
+    mesh_query::MeshQuery,
     sample,
     target::{Target, TargetError},
 };
@@ -11,7 +13,7 @@ use osteoflow_formats::{
     shape_file::{Shape, shape_of_bytes},
 };
 use osteoflow_geometry::{
-    Cloud, Column, Frame, SurfaceOrigin,
+    Cloud, Column, Frame, Mesh, SurfaceOrigin,
     nalgebra::{Isometry3, Point3, Vector3},
 };
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -54,6 +56,8 @@ pub(super) struct TargetFile {
     normals: Option<Column<Vector3<f64>>>,
     /// How many faces the points were drawn from, if it is a surface.
     n_faces: Option<usize>,
+    /// The surface itself, where the method needs it.
+    mesh: Option<Mesh>,
 }
 
 /// What moves.
@@ -67,7 +71,7 @@ pub(super) struct SourceFile {
 
 impl Inputs {
     /// Reads all files.
-    pub(super) fn read(asked: &Register) -> Result<Self> {
+    pub(super) fn read(asked: &Register, method: &Method) -> Result<Self> {
         let mut notes = Vec::new();
         let mut load = LoadMs::default();
         let unit = |of_file: Option<f64>| of_file.unwrap_or(asked.unit_mm);
@@ -76,7 +80,7 @@ impl Inputs {
         let shape = shape(&asked.target, unit(asked.target_unit_mm), TARGET, "target", &mut notes)?;
         load.target = ms_since(began);
         let began = Instant::now();
-        let target = TargetFile::of(shape, usize::try_from(asked.target_points)?, asked.seed);
+        let target = TargetFile::of(shape, usize::try_from(asked.target_points)?, asked.seed, method.needs_mesh);
         load.sample = ms_since(began);
 
         let began = Instant::now();
@@ -120,23 +124,35 @@ fn told(error: FileError) -> anyhow::Error {
 }
 
 impl TargetFile {
-    fn of(shape: Shape, n_points: usize, seed: u64) -> Self {
+    fn of(shape: Shape, n_points: usize, seed: u64, keep_mesh: bool) -> Self {
         match shape {
             Shape::Mesh(read) => {
                 let samples = sample::surface(&read.mesh, n_points, &mut ChaCha8Rng::seed_from_u64(seed));
                 let n_faces = Some(read.mesh.faces().len());
-                Self { points: samples.points.into(), normals: Some(samples.normals.into()), n_faces }
+                let mesh = keep_mesh.then_some(read.mesh);
+                Self { points: samples.points.into(), normals: Some(samples.normals.into()), n_faces, mesh }
             }
             Shape::Cloud(read, _) => {
                 let (points, normals) = (read.cloud.point_column().clone(), read.cloud.normal_column().cloned());
-                Self { points, normals, n_faces: None }
+                Self { points, normals, n_faces: None, mesh: None }
             }
         }
     }
 
     /// The target with all that is built for it once.
-    pub(super) fn prepare(&self) -> Result<Target, TargetError> {
-        Target::new(TARGET, SurfaceOrigin::User, self.points.clone(), self.normals.clone())
+    pub(super) fn prepare(&self, pairing: PairingKind) -> Result<Target, TargetError> {
+        let target = Target::new(TARGET, SurfaceOrigin::User, self.points.clone(), self.normals.clone())?;
+        let target = match &self.mesh {
+            Some(mesh) => target.with_mesh(MeshQuery::new(mesh)),
+            None => target,
+        };
+        match pairing {
+            PairingKind::Tree => {
+                target.prepare_tree();
+            }
+            PairingKind::Cached | PairingKind::Field => target.prepare(),
+        }
+        Ok(target)
     }
 
     pub(super) fn to_json(&self, file: &Path) -> Value {
