@@ -407,7 +407,9 @@ mod tests {
         let truth = pose();
         let round = shaft().transformed("ct", &Isometry3::translation(0.0, 30.0, -40.0));
         let wrong = phantom_icp(&scan(&round, &truth), &phantom(), &truth, &PhantomParams::default());
-        assert!(matches!(wrong, Err(CalibrationError::Residual { .. })), "{wrong:?}");
+        // A cylinder drawn as close as it comes: either the rest is too large, or its turn about the axis is free.
+        let refused = matches!(wrong, Err(CalibrationError::Residual { .. } | CalibrationError::Undetermined { .. }));
+        assert!(refused, "{wrong:?}");
         // Half of what the camera saw stands in front of the phantom: whichever half is trimmed, the rest does not do.
         let mut crowded = scan(&phantom(), &truth);
         let covered: Vec<Point3<f64>> = crowded.iter().map(|p| p + Vector3::new(0.0, 0.0, -8.0)).collect();

@@ -41,7 +41,7 @@ pub(super) struct Weights {
     kernel: Kernel,
     /// The spread of the residuals, mm; infinite until known.
     scale_mm: f64,
-    /// No residual beyond counts, mm; full weight up to half of it.
+    /// No residual beyond counts, mm; full weight up to [`FLAT`] of it.
     gate_mm: f64,
     /// No pair farther apart is looked for, mm.
     pub(super) reach_mm: f64,
