@@ -73,6 +73,10 @@ pub(crate) fn manifest(
         }
         Err(error) => json!({ "error": error.to_string() }),
     });
+    let recalled = report.recalled.iter().map(|r| json!({ "node": r.node, "item": r.item, "key": r.key }));
+    let recalled = recalled.collect::<Json>();
+    let store = options.store.as_ref();
+    let store = store.map(|store| json!({ "dir": store.dir().display().to_string(), "recalled": recalled }));
     json!({
         "graph": { "name": plan.name, "file": plan.path.display().to_string(), "seed": plan.seed },
         "outcome": outcome,
@@ -90,6 +94,7 @@ pub(crate) fn manifest(
         "enlargements": enlargements.collect::<Json>(),
         "warnings": warnings.collect::<Json>(),
         "recording": recording,
+        "store": store,
         "injected": options.inject.iter().map(ToString::to_string).collect::<Vec<_>>(),
         "repro": { "bundles": saved.collect::<Json>(), "not_saved": not_saved.collect::<Json>() },
         "resolved_graph": plan.resolved,

@@ -289,6 +289,8 @@ pub(crate) fn replay_plan(
         .then(|| "only a part of the recording was played, and a part of a run is another run".to_owned());
     let compare = Compare::new(&reduced, recording, is_computed, not_compared.is_none());
     let mut options = options.clone();
+    // A replay shows that computing again gives the same; what is taken from the store is not computed.
+    options.store = None;
     if changes.graph.is_none() {
         options.fixed_results.clone_from(&recording.fixed_results);
         options.fixed_results.retain(|(key, _)| key != COMPUTED_FROM);

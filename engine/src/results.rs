@@ -3,7 +3,7 @@
 use crate::{
     plan::{OutputId, Plan, ResultEntry},
     repro::Saved,
-    run::{Enlargement, Failure, LinkStats, NodeStats, Outcome, Refusal, RunOptions, Warning},
+    run::{Enlargement, Failure, LinkStats, NodeStats, Outcome, Recalled, Refusal, RunOptions, Warning},
 };
 use osteoflow_node::{Body, Item, Role};
 use serde_json::{Map, Value as Json, json};
@@ -25,6 +25,7 @@ pub(crate) struct Ended {
     pub(crate) enlargements: Vec<Enlargement>,
     pub(crate) elapsed: Duration,
     pub(crate) saved: Saved,
+    pub(crate) recalled: Vec<Recalled>,
 }
 
 /// How much of a wire the results need.

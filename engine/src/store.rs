@@ -28,6 +28,7 @@ mod tests;
 
 pub use entry::Entry;
 pub use key::{Key, KeyInMaking};
+pub(crate) use payload::{message, payload_of};
 pub use settings::{Settings, SettingsError};
 
 use crate::digest::Digest;

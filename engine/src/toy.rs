@@ -373,9 +373,100 @@ impl Node for SumOfSome {
     }
 }
 
+/// Doubles; its answers are decided by its inputs, so it says. Refuses 13, panics at 666.
+#[derive(Describe)]
+pub(crate) struct Kept(KeptParams);
+
+/// The same, with its seed.
+#[derive(Describe)]
+pub(crate) struct KeptWithSeed(KeptParams);
+
+#[derive(Default, serde::Deserialize, schemars::JsonSchema)]
+#[serde(default, crate = "serde")]
+#[schemars(crate = "schemars")]
+pub(crate) struct KeptParams {
+    /// What counts its firings.
+    counter: String,
+    /// What it takes from its context: `draws`, `stamp`, `clock`.
+    takes: Option<String>,
+}
+
+#[derive(Outputs)]
+pub(crate) struct KeptOut {
+    /// The double.
+    out: Number,
+    /// The same, if it is positive.
+    positive: Emit<Number>,
+}
+
+impl KeptParams {
+    fn answer(&self, i: &AddIn, ctx: &mut Context) -> Result<KeptOut, NodeError> {
+        use osteoflow_node::rand::RngExt;
+        *locked_counts().entry(self.counter.clone()).or_default() += 1;
+        if i.a.0 == 13.0 {
+            return Err(NodeError::new("13 is not a number to double"));
+        }
+        assert!(i.a.0 != 666.0, "the beast");
+        if i.a.0 == 99.0 {
+            ctx.warn("99 is nearly 100");
+        }
+        let taken = match self.takes.as_deref() {
+            Some("draws") => ctx.rng().random(),
+            Some("stamp") => ctx.stamp_ns() as f64,
+            Some("clock") => ctx.clock_ns() as f64,
+            _ => 0.0,
+        };
+        let out = Number(2.0 * i.a.0 + i.b.as_ref().map_or(0.0, |b| b.0) + taken);
+        let positive = if out.0 > 0.0 { out.clone().into() } else { Emit::Empty("it is not positive".into()) };
+        Ok(KeptOut { out, positive })
+    }
+}
+
+fn locked_counts() -> std::sync::MutexGuard<'static, BTreeMap<String, u64>> {
+    static COUNTS: Mutex<BTreeMap<String, u64>> = Mutex::new(BTreeMap::new());
+    COUNTS.lock().unwrap()
+}
+
+/// How often nodes with this counter have fired; tests run side by side, so that each takes names of its own.
+pub(crate) fn n_fired(counter: &str) -> u64 {
+    locked_counts().get(counter).copied().unwrap_or(0)
+}
+
+impl Node for Kept {
+    const KIND: &'static str = "toy.kept";
+    const KEPT: osteoflow_node::Kept = osteoflow_node::Kept::ByInputs;
+    type Params = KeptParams;
+    type Inputs = AddIn;
+    type Outputs = KeptOut;
+
+    fn new(params: KeptParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: AddIn, ctx: &mut Context) -> Result<KeptOut, NodeError> {
+        self.0.answer(&i, ctx)
+    }
+}
+
+impl Node for KeptWithSeed {
+    const KIND: &'static str = "toy.kept_with_seed";
+    const KEPT: osteoflow_node::Kept = osteoflow_node::Kept::ByInputsAndSeed;
+    type Params = KeptParams;
+    type Inputs = AddIn;
+    type Outputs = KeptOut;
+
+    fn new(params: KeptParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: AddIn, ctx: &mut Context) -> Result<KeptOut, NodeError> {
+        self.0.answer(&i, ctx)
+    }
+}
+
 pub(crate) fn registry() -> Registry {
     let mut registry = Registry::default();
-    registry.payload::<Number, _>().payload::<Wave, _>();
+    registry.payload::<Number, _>().payload::<Wave, _>().node::<Kept>().node::<KeptWithSeed>();
     registry.source::<Script>().source::<LiveScript>().node::<Adder>().node::<Sum>().node::<SumOfSome>();
     registry
 }

@@ -1,6 +1,7 @@
 use super::{
     Exit, Format, Global, GraphArgs, UsageError, print_json,
     progress::Progress,
+    run::Keep,
     running::{self, Ran},
 };
 use anyhow::{Context, Result};
@@ -37,6 +38,9 @@ pub(crate) struct Record {
     /// How many threads run nodes; the recording does not depend on it. Default: the number of cores.
     #[arg(long, value_name = "N")]
     workers: Option<NonZeroUsize>,
+
+    #[command(flatten)]
+    keep: Keep,
 }
 
 impl Record {
@@ -58,8 +62,12 @@ impl Record {
         let part = file.with_file_name(name);
         let _ = fs::remove_dir_all(&part);
         let cancelled = Arc::default();
-        let options =
-            RunOptions { out_dir: Some(part.clone()), record: true, ..running::options(self.workers, &cancelled)? };
+        let options = RunOptions {
+            out_dir: Some(part.clone()),
+            record: true,
+            store: self.keep.store()?,
+            ..running::options(self.workers, &cancelled)?
+        };
         let progress = Progress::of_run(&plan, options.workers, global);
         let n_wires = plan.record.len();
         let ran = running::watch(progress, cancelled, move |progress| {

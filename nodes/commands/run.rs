@@ -6,7 +6,10 @@ use super::{
 };
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::run::{Injection, Outcome, RunOptions, RunReport};
+use osteoflow_engine::{
+    run::{Injection, Outcome, RunOptions, RunReport},
+    store::{Settings, Store},
+};
 use serde_json::Value;
 use std::{
     io::Write,
@@ -33,6 +36,9 @@ pub(crate) struct Run {
 
     #[command(flatten)]
     leave: Leave,
+
+    #[command(flatten)]
+    keep: Keep,
 
     /// Do not write run.mcap.
     #[arg(long)]
@@ -65,6 +71,25 @@ pub(crate) struct Leave {
     pub(crate) workers: Option<NonZeroUsize>,
 }
 
+/// Whether answers are kept from one run to the next.
+#[derive(Debug, Args)]
+pub(crate) struct Keep {
+    /// Compute everything: neither look answers up in the store nor keep them there. The results are the same with and
+    /// without it. OSTEOFLOW_CACHE names the store's folder, or is `off`; OSTEOFLOW_CACHE_MAX_MB says how much it holds
+    /// (1 GiB).
+    #[arg(long)]
+    no_cache: bool,
+}
+
+impl Keep {
+    /// The store that the environment names, unless it is not wanted.
+    pub(crate) fn store(&self) -> Result<Option<Arc<Store>>> {
+        let settings =
+            if self.no_cache { None } else { Settings::from_env().map_err(|e| UsageError(e.to_string()))? };
+        Ok(settings.map(|settings| Arc::new(Store::open(settings))))
+    }
+}
+
 impl Run {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let (registry, Some(checked)) = self.graph.check(global)? else { return Ok(Exit::Usage) };
@@ -79,8 +104,8 @@ impl Run {
             // A recorded run times every firing in any case.
             latency: !self.no_record || global.verbose > 0,
             inject,
-
             shuffle: self.shuffle,
+            store: self.keep.store()?,
             ..running::options(self.leave.workers, &cancelled)?
         };
         let progress = Progress::of_run(&plan, options.workers, global);

@@ -1,5 +1,5 @@
 use crate::{
-    Budget, DeclaredPort, Empty, Reading, StampNs,
+    Budget, DeclaredPort, Empty, Kept, Reading, StampNs,
     reading::{NotRecorded, Readings},
 };
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -25,6 +25,17 @@ pub struct Context {
     absent: Vec<(&'static str, Arc<Empty>)>,
     warnings: Vec<String>,
     readings: Readings,
+    asked: Asked,
+}
+
+/// What a firing took from its context, apart from readings of the clock. Set through a shared context, also by threads
+/// of the node.
+#[derive(Default)]
+struct Asked {
+    /// The generator, or what it is seeded by.
+    generator: AtomicBool,
+    /// Stamp or folder.
+    rest: AtomicBool,
 }
 
 impl Context {
@@ -46,6 +57,7 @@ impl Context {
             absent: Vec::new(),
             warnings: Vec::new(),
             readings: Readings::default(),
+            asked: Asked::default(),
         }
     }
 
@@ -84,6 +96,23 @@ impl Context {
         self.readings.take()
     }
 
+    /// The engine's: what the firing takes from here on counts for [`Context::is_within`].
+    pub fn watch(&mut self) {
+        self.asked = Asked::default();
+    }
+
+    /// The engine's: whether what this firing took decides nothing that `kept` leaves out.
+    pub fn is_within(&self, kept: Kept) -> bool {
+        let Asked { generator, rest } = &self.asked;
+        let drew = generator.load(Ordering::Relaxed);
+        let took_more = rest.load(Ordering::Relaxed) || self.readings.has_any();
+        match kept {
+            Kept::No => false,
+            Kept::ByInputs => !drew && !took_more,
+            Kept::ByInputsAndSeed => !took_more,
+        }
+    }
+
     /// The engine's: an optional port got nothing, for this reason.
     pub fn note_absent(&mut self, port: &'static str, empty: Arc<Empty>) {
         self.absent.push((port, empty));
@@ -95,6 +124,11 @@ impl Context {
         !self.warnings.is_empty()
     }
 
+    /// The engine's: the warnings that [`Context::take_warnings`] would give.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
     /// The engine's: the warnings since the last call.
     pub fn take_warnings(&mut self) -> Vec<String> {
         std::mem::take(&mut self.warnings)
@@ -103,12 +137,14 @@ impl Context {
     /// The node's full name in the graph.
     #[inline]
     pub fn node(&self) -> &str {
+        self.asked.generator.store(true, Ordering::Relaxed);
         &self.node
     }
 
     /// The firing stamp: the largest among the triggering items'. A source sets its own.
     #[inline]
     pub fn stamp_ns(&self) -> StampNs {
+        self.asked.rest.store(true, Ordering::Relaxed);
         self.stamp_ns
     }
 
@@ -121,11 +157,13 @@ impl Context {
     /// The number of this firing, from 0.
     #[inline]
     pub fn item(&self) -> u64 {
+        self.asked.generator.store(true, Ordering::Relaxed);
         self.item
     }
 
     /// A generator of its own for this run's seed, this node and this item: the same draws whatever ran before.
     pub fn rng(&self) -> ChaCha8Rng {
+        self.asked.generator.store(true, Ordering::Relaxed);
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(fnv1a(self.node.as_bytes()));
         // Items lie 2^32 words apart, so that no draw of one is a draw of the next.
@@ -135,6 +173,7 @@ impl Context {
 
     /// The run's seed.
     pub fn seed(&self) -> u64 {
+        self.asked.generator.store(true, Ordering::Relaxed);
         self.seed
     }
 
@@ -193,6 +232,7 @@ impl Context {
 
     /// The folder of this run, where a node that writes files puts them; `None` where the run leaves nothing.
     pub fn out_dir(&self) -> Option<&std::path::Path> {
+        self.asked.rest.store(true, Ordering::Relaxed);
         self.out_dir.as_deref()
     }
 

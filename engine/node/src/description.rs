@@ -14,6 +14,8 @@ pub struct Description {
     pub role: Role,
     /// Whether it is a source of constants: one item on each output, without a time (stamp 0).
     pub constant: bool,
+    /// Whether its answers are kept from one run to the next.
+    pub kept: Kept,
     /// Its input ports; none for a source.
     pub inputs: Vec<InputPort>,
     /// Its output ports.
@@ -36,4 +38,22 @@ pub enum Role {
     Source,
     /// A source that follows the world's clock.
     LiveSource,
+}
+
+/// Whether the answers of a kind are kept from one run to the next, and what decides them beside the program and the
+/// parameters. A run that finds an answer in the store emits it instead of firing the node.
+///
+/// Worth it where computing takes tens of milliseconds and the same inputs come again. A node of such a kind remembers
+/// nothing of earlier firings, reads no file, and takes from its [`crate::Context`] no more than it says here: an answer
+/// for which it took more is not kept, and the run warns of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kept {
+    /// It is computed at every firing.
+    #[default]
+    No,
+    /// It is kept: what the input ports bring decides it.
+    ByInputs,
+    /// It is kept: so do the draws of [`crate::Context::rng`], which seed, node name and item decide.
+    ByInputsAndSeed,
 }

@@ -85,7 +85,7 @@ mod traits;
 mod view;
 
 pub use context::Context;
-pub use description::{Description, Role};
+pub use description::{Description, Kept, Role};
 pub use erased::{AnyNode, AnySource, Built};
 pub use error::{NodeError, ParamError};
 pub use file::FilePath;

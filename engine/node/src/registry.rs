@@ -1,5 +1,6 @@
 use crate::{
-    Built, Describe, Description, Inputs, Node, Outputs, ParamError, Payload, PayloadType, Role, Source, erased::Erased,
+    Built, Describe, Description, FilePath, Inputs, Kept, Node, Outputs, ParamError, Payload, PayloadType, Role,
+    Source, erased::Erased,
 };
 use std::collections::BTreeMap;
 
@@ -31,11 +32,23 @@ impl Registry {
     /// Adds a kind of node.
     ///
     /// # Panics
-    /// If the kind is there already: two nodes of one name are a bug of whoever collects them.
+    /// If the kind is there already: two nodes of one name are a bug of whoever collects them. If its answers are kept
+    /// although a parameter names a file, whose content would not decide them.
     pub fn node<N: Node>(&mut self) -> &mut Self {
-        self.add::<N>(N::KIND, Role::Node, N::Inputs::ports(), N::Outputs::ports(), params_schema::<N::Params>(), |p| {
-            Ok(Built::Node(Box::new(Erased(N::new(read(p)?)?))))
-        })
+        self.add::<N>(
+            N::KIND,
+            Role::Node,
+            N::Inputs::ports(),
+            N::Outputs::ports(),
+            params_schema::<N::Params>(),
+            |p| Ok(Built::Node(Box::new(Erased(N::new(read(p)?)?)))),
+        );
+        if let Some(kind) = self.kinds.get_mut(N::KIND) {
+            kind.description.kept = N::KEPT;
+            let reads = N::KEPT != Kept::No && kind.description.params.to_string().contains(FilePath::SCHEMA_FORMAT);
+            assert!(!reads, "{} reads a file, so its answers cannot be kept; let a source read it", N::KIND);
+        }
+        self
     }
 
     /// Adds a kind of source.
@@ -95,6 +108,7 @@ impl Registry {
             details: details.trim().into(),
             role,
             constant: false,
+            kept: Kept::No,
             inputs,
             outputs,
             params,

@@ -1,5 +1,5 @@
 use crate::{
-    Body, Context, Emission, InputPort, Item, Joined, NodeError, OutputPorts, ParamError, Payload, Slot, Value,
+    Body, Context, Emission, InputPort, Item, Joined, Kept, NodeError, OutputPorts, ParamError, Payload, Slot, Value,
 };
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
@@ -9,6 +9,8 @@ use std::time::Duration;
 pub trait Node: Describe + Send + Sized + 'static {
     /// `stage.variant`, as graph files name it.
     const KIND: &'static str;
+    /// Whether its answers are kept from one run to the next.
+    const KEPT: Kept = Kept::No;
     /// The parameters, with defaults, ranges and reasons in their docs.
     type Params: Parameters;
     /// The input ports.

@@ -310,7 +310,11 @@ impl Cell {
         let Core::Node(node, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
         joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
         let (context, out) = (&mut self.context, &mut self.emissions);
-        let answered = called(item, context, |context| node.fire(joiner.joined(), out, context));
+        let recall = run.recall(self.index);
+        let answered = called(item, context, |context| match recall {
+            Some(recall) => recall.fire(self.index, node.as_mut(), joiner.joined(), out, context),
+            None => node.fire(joiner.joined(), out, context),
+        });
         let timed = began.map(|began| (began, took_since(began, turn)));
         self.after(Firing { item, stamp_ns, timed }, answered, run, turn);
         if let Core::Node(_, joiner) = &mut self.core {

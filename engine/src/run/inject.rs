@@ -113,6 +113,11 @@ impl Planned {
         Arc::new(Self(own.map(|injection| (injection.clone(), AtomicBool::new(false))).collect()))
     }
 
+    /// Whether the node is to fail nowhere.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// How the firing is to fail, if it is.
     pub(crate) fn at(&self, item: u64) -> Option<Injected> {
         let (injection, happened) = self.0.iter().find(|(injection, _)| injection.item == item)?;

@@ -13,6 +13,7 @@ mod live;
 #[cfg(test)]
 mod live_tests;
 mod panics;
+mod recall;
 mod report;
 mod runtime;
 mod scheduler;
@@ -27,6 +28,7 @@ use latency::Latency;
 pub use latency::LatencyStats;
 pub use panics::mark_helper_thread;
 pub(crate) use panics::{catch as catch_panic, show as show_panics};
+pub use recall::Recalled;
 pub(crate) use report::Failure;
 pub use report::{
     BuildFault, Enlargement, Event, LinkStats, NodeStats, Observer, Outcome, Refusal, RunError, RunOptions, RunReport,
@@ -146,6 +148,7 @@ fn report_of(plan: &Plan, ended: Ended, outcome: Outcome, results: serde_json::V
         warnings,
         elapsed: ended.elapsed,
         saved: ended.saved,
+        recalled: ended.recalled,
     }
 }
 

@@ -1,7 +1,7 @@
 //! What a run takes, tells and answers.
 
-use super::{Injection, LatencyStats};
-use crate::{plan::Location, record::RecordError, repro::Saved};
+use super::{Injection, LatencyStats, Recalled};
+use crate::{plan::Location, record::RecordError, repro::Saved, store::Store};
 use osteoflow_node::StampNs;
 use std::{
     fmt,
@@ -32,6 +32,9 @@ pub struct RunOptions {
     pub command: serde_json::Value,
     /// Firings that are made to fail, for testing how a graph fails.
     pub inject: Vec<Injection>,
+    /// Where answers of kinds that are worth it are kept from one run to the next, and looked up before such a node
+    /// fires. The results and recorded wires are the same with and without; `None` computes everything.
+    pub store: Option<Arc<Store>>,
 }
 
 impl Default for RunOptions {
@@ -46,6 +49,7 @@ impl Default for RunOptions {
             cancelled: Arc::default(),
             command: serde_json::Value::Null,
             inject: Vec::new(),
+            store: None,
         }
     }
 }
@@ -194,6 +198,8 @@ pub struct RunReport {
     pub elapsed: Duration,
     /// The failed items that were saved, to be run again alone.
     pub saved: Saved,
+    /// The answers that came from the store, in the order of the plan.
+    pub recalled: Vec<Recalled>,
 }
 
 /// A node's figures.

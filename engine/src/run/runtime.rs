@@ -7,6 +7,7 @@ use super::{
     kept::Kept,
     live::{self, Live, Mailbox, News},
     panics,
+    recall::Recall,
     scheduler::{Scheduler, Stepped, Turn, Work},
 };
 use crate::{
@@ -78,6 +79,7 @@ pub(super) struct Runtime<'a> {
     /// The failures to put in on purpose, by node.
     planned: Vec<Arc<Planned>>,
     saver: Option<Saver>,
+    recall: Option<Recall<'a>>,
     enlargements: Mutex<Vec<Enlargement>>,
     stall: Mutex<Option<Failure>>,
     began: Instant,
@@ -112,6 +114,7 @@ impl<'a> Runtime<'a> {
     ) -> Result<Self, RunError> {
         options.inject.iter().try_for_each(|injection| injection.check(plan)).map_err(RunError::Inject)?;
         let planned: Vec<_> = plan.nodes.iter().map(|node| Planned::of(&node.name, &options.inject)).collect();
+        let recall = options.store.as_ref().map(|store| Recall::new(store, plan, registry, &planned));
         let mut bodies = Vec::with_capacity(plan.nodes.len());
         let mut faults = Vec::new();
         for (index, node) in plan.nodes.iter().enumerate() {
@@ -189,6 +192,7 @@ impl<'a> Runtime<'a> {
             kept: Mutex::new(Kept::new(plan.nodes.len())),
             planned,
             saver: Saver::new(plan, options),
+            recall,
             enlargements: Mutex::default(),
             stall: Mutex::default(),
             began: Instant::now(),
@@ -257,8 +261,14 @@ impl<'a> Runtime<'a> {
             warnings: warnings.into_iter().map(|(_, warning)| warning).collect(),
             enlargements: self.enlargements.into_inner().unwrap_or_else(PoisonError::into_inner),
             elapsed: self.elapsed,
+            recalled: self.recall.map(Recall::finish).unwrap_or_default(),
             saved: self.saver.map(|saver| saver.finish(self.plan)).unwrap_or_default(),
         }
+    }
+
+    /// The store, where it keeps the answers of the node.
+    pub(super) fn recall(&self, node: usize) -> Option<&Recall<'a>> {
+        self.recall.as_ref().filter(|recall| recall.keeps(node))
     }
 
     /// Builds a node anew after it failed.

@@ -1,20 +1,21 @@
 //! Payloads in the store: the message of an item, as in a recording, without number and stamp.
 
-use super::{Entry, Key, Store, StoreError};
-use crate::{codec, record::Parts};
+use super::{Key, Store, StoreError};
+use crate::{
+    codec::{self, RecordedItem},
+    record::Parts,
+};
 use osteoflow_node::{Body, Item, Payload, PayloadType, PortPayload, Value};
-use std::ops::Range;
 
 /// The bytes of a payload: name and version of its type, and its view. Columns stay where they are.
 pub(crate) fn message(value: &Value) -> Parts {
     codec::parts_on(PortPayload::Any, &Item { number: 0, stamp_ns: 0, body: Body::Value(value.clone()) })
 }
 
-/// The payload of a message in an entry, over the entry's bytes; `None` if it is of another type or version.
-pub(crate) fn decoded(entry: &Entry, range: Range<usize>, ty: &PayloadType) -> Option<Value> {
-    let item = codec::decode_entry(entry, range).ok()?;
-    let is_of = item.payload.as_ref().is_some_and(|(name, version)| name == ty.name && *version == ty.version);
-    let view = item.body.ok().filter(|_| is_of)?;
+/// The payload of a message, over the entry's bytes; `None` if it is of another type or version.
+pub(crate) fn payload_of(message: RecordedItem, ty: &PayloadType) -> Option<Value> {
+    let is_of = message.payload.is_some_and(|(name, version)| name == ty.name && version == ty.version);
+    let view = message.body.ok().filter(|_| is_of)?;
     ty.from_view(&view).ok()
 }
 
@@ -22,7 +23,8 @@ impl Store {
     /// The payload under the key; its columns lie in the entry's bytes. `None` also if it is of another type or version.
     pub fn load<T: Payload<By>, By: 'static>(&self, key: &Key) -> Option<T> {
         let entry = self.get(key)?;
-        decoded(&entry, 0..entry.bytes().len(), PayloadType::of::<T, By>())?.get::<T>().cloned()
+        let message = codec::decode_entry(&entry, 0..entry.bytes().len()).ok()?;
+        payload_of(message, PayloadType::of::<T, By>())?.get::<T>().cloned()
     }
 
     /// Keeps a payload under the key.

@@ -3,7 +3,7 @@
 use osteoflow_algorithms::{sample, target::Target};
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, Kept, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Text;
 
@@ -54,6 +54,7 @@ pub struct Out {
 
 impl Node for Prepare {
     const KIND: &'static str = "surface.prepare";
+    const KEPT: Kept = Kept::ByInputsAndSeed;
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
