@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{json, osteoflow, root, run, run_whole};
+use common::{json, osteoflow, osteoflow_to_spawn, program, root, run, run_whole};
 use osteoflow_engine::{Recording, digest::Digest};
 use serde_json::Value;
 use std::{
@@ -237,8 +237,7 @@ fn a_recording_tells_what_it_was_made_from_and_how() {
 /// A run that is killed after this time; its recording, if it has come so far.
 #[cfg(unix)]
 fn killed(dir: &Path, after: Duration) -> Option<PathBuf> {
-    let mut child = Command::new(assert_cmd::cargo::cargo_bin("osteoflow"))
-        .current_dir(root())
+    let mut child = osteoflow_to_spawn()
         .args(["run", RECORDED, "--force", "--set", "record.wires=[\"*\"]", "--out"])
         .arg(dir)
         .stdout(Stdio::null())
@@ -288,11 +287,10 @@ fn a_kill_at_any_instant_leaves_a_recording_that_is_read_and_replayed_up_to_its_
 #[cfg(unix)]
 fn a_disk_that_is_full_ends_the_run_with_the_file_named_and_leaves_the_rest_whole() {
     let dir = tempfile::tempdir().unwrap();
-    let program = assert_cmd::cargo::cargo_bin("osteoflow");
     // The largest file that this shell's children may write has 200 blocks of 1 KiB; the recording needs more.
     let script = format!(
-        "trap '' XFSZ; ulimit -f 200; exec {} run {RECORDED} --set record.compression=none --out {}",
-        program.display(),
+        "trap '' XFSZ; ulimit -f 200; OSTEOFLOW_CACHE=off exec {} run {RECORDED} --set record.compression=none --out {}",
+        program().display(),
         dir.path().display()
     );
     let output = Command::new("bash").current_dir(root()).args(["-c", &script]).output().unwrap();

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{json, osteoflow, root, run_whole};
+use common::{json, osteoflow, osteoflow_to_spawn, root, run_whole};
 use serde_json::Value;
 use std::{
     fs,
@@ -133,9 +133,7 @@ fn replaying_what_is_no_recording_says_so() {
 #[cfg(unix)]
 fn ctrl_c_stops_in_order_and_leaves_valid_files() {
     let dir = tempfile::tempdir().unwrap();
-    let binary = assert_cmd::cargo::cargo_bin("osteoflow");
-    let mut child = Command::new(binary)
-        .current_dir(root())
+    let mut child = osteoflow_to_spawn()
         // Half a million points take long enough to be interrupted.
         .args(["run", "graphs/fibula.toml", "--set", "recording.camera.n_points=500000", "--out"])
         .arg(dir.path())

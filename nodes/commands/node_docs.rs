@@ -1,6 +1,6 @@
 //! A kind's description as Markdown: the same words for `inspect` and for `docs/nodes`.
 
-use osteoflow_node::{Description, FrameExpr, InputPort, Join, OutputPorts, Registry, Role};
+use osteoflow_node::{Description, FrameExpr, InputPort, Join, Kept, OutputPorts, Registry, Role};
 use serde_json::{Map, Value};
 use std::{collections::BTreeMap, fmt::Write as _};
 
@@ -63,6 +63,13 @@ pub(crate) fn markdown(of: &Description) -> String {
     let mut out = format!("## {}\n\n{}\n", of.kind, of.summary);
     if !of.details.is_empty() {
         let _ = write!(out, "\n{}\n", of.details);
+    }
+    match of.kept {
+        Kept::No => {}
+        Kept::ByInputs => out.push_str("\nIts answers are kept in the store: parameters and inputs decide them.\n"),
+        Kept::ByInputsAndSeed => {
+            out.push_str("\nIts answers are kept in the store: parameters, inputs and the run's seed decide them.\n");
+        }
     }
     match of.role {
         Role::Node => inputs(&mut out, &of.inputs),

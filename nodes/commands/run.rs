@@ -96,7 +96,7 @@ impl Run {
         let plan = checked.plan;
         let inject = self.inject.iter().map(|text| Injection::parse(text, &plan)).collect::<Result<_, _>>();
         let inject = inject.map_err(|said| UsageError(format!("--inject: {said}")))?;
-        let cancelled = Arc::default();
+        let (store, cancelled) = (self.keep.store()?, Arc::default());
         let dir = out_dir::make(self.leave.out.as_deref(), &plan.name, self.leave.force)?;
         let options = RunOptions {
             out_dir: Some(dir.clone()),
@@ -105,7 +105,7 @@ impl Run {
             latency: !self.no_record || global.verbose > 0,
             inject,
             shuffle: self.shuffle,
-            store: self.keep.store()?,
+            store,
             ..running::options(self.leave.workers, &cancelled)?
         };
         let progress = Progress::of_run(&plan, options.workers, global);

@@ -9,11 +9,23 @@ use osteoflow_geometry::{
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// The command under test, in the workspace's folder, without the settings of whoever runs the tests.
+/// The command under test, in the workspace's folder, without the settings of whoever runs the tests and without their
+/// store: what one test has computed is not there for the next.
 pub(crate) fn osteoflow() -> Command {
-    let mut command = Command::cargo_bin("osteoflow").unwrap();
+    Command::from_std(osteoflow_to_spawn())
+}
+
+/// The same, for a test that does more with the process than wait for its end.
+pub(crate) fn osteoflow_to_spawn() -> std::process::Command {
+    let mut command = std::process::Command::new(program());
     command.current_dir(root()).env_remove("OSTEOFLOW_LOG").env("NO_COLOR", "1");
+    command.env("OSTEOFLOW_CACHE", "off").env_remove("OSTEOFLOW_CACHE_MAX_MB");
     command
+}
+
+/// The program under test; [`osteoflow`] calls it with the settings that tests need.
+pub(crate) fn program() -> PathBuf {
+    assert_cmd::cargo::cargo_bin("osteoflow")
 }
 
 /// The workspace's folder.
