@@ -1,4 +1,5 @@
 //! The store of kept answers, as the command uses it: cold and warm runs are the same to the last bit.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
 
