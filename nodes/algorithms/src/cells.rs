@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 /// Points a cell holds on average where it holds any: fewer cost look-ups of cells, more cost distances.
-const PER_CELL: f64 = 3.0;
+const PER_CELL: f64 = 2.0;
 
 /// Cells along each edge of a block; only blocks that hold points have cells.
 const EDGE: u32 = 4;
@@ -151,6 +151,68 @@ impl Cells {
     /// than three cells around the query's own.
     #[inline]
     pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64) -> Option<Nearby> {
+        self.nearest_in_eight(query, limit_mm).or_else(|| self.nearest_in_rings(query, limit_mm))
+    }
+
+    /// The nearest point if it lies in the two by two by two cells whose middle is nearest to the query, and surely none
+    /// outside of them is nearer; what is close to a surface mostly is answered here.
+    #[inline]
+    fn nearest_in_eight(&self, query: &Vector3<f64>, limit_mm: f64) -> Option<Nearby> {
+        let u = (query - self.min) / self.cell_mm - Vector3::repeat(0.5);
+        if !(0..3).all(|k| u[k] >= 0.0 && u[k] < f64::from(self.n_blocks[k] * EDGE - 1)) {
+            return None;
+        }
+        let first = [u.x as u32, u.y as u32, u.z as u32];
+        // To the nearest side of the eight, in cells: from a half to one.
+        let seen = (0..3).map(|k| 1.0 - (u[k] - f64::from(first[k]) - 0.5).abs()).fold(f64::INFINITY, f64::min);
+        let seen_square = (seen * self.cell_mm).powi(2);
+        let mut best = Best::within(limit_mm * limit_mm);
+        for (x, y) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            let [x, y, z] = [first[0] + x, first[1] + y, first[2]];
+            if z % EDGE + 1 < EDGE {
+                self.add(self.run(x, y, z, 2), query, &mut best);
+            } else {
+                self.add(self.run(x, y, z, 1), query, &mut best);
+                self.add(self.run(x, y, z + 1, 1), query, &mut best);
+            }
+        }
+        (best.search_square() <= seen_square).then(|| self.nearby(&best, seen_square))
+    }
+
+    /// What a search found within the limit, if it saw everything within `seen_square`.
+    #[inline]
+    fn nearby(&self, best: &Best, seen_square: f64) -> Nearby {
+        let near = best.square <= best.limit_square;
+        let free_square = if near { best.second } else { best.square };
+        Nearby { nearest: near.then(|| (self.items[best.at], best.square)), free_square: free_square.min(seen_square) }
+    }
+
+    /// The points of `n` cells of a block that follow each other along z.
+    #[inline]
+    fn run(&self, x: u32, y: u32, z: u32, n: usize) -> std::ops::Range<usize> {
+        let block = ((x / EDGE) * self.n_blocks[1] + y / EDGE) * self.n_blocks[2] + z / EDGE;
+        match self.blocks[block as usize] {
+            NONE => 0..0,
+            number => {
+                let k = (number * CELLS + ((x % EDGE) * EDGE + y % EDGE) * EDGE + z % EDGE) as usize;
+                self.starts[k] as usize..self.starts[k + n] as usize
+            }
+        }
+    }
+
+    #[inline]
+    fn add(&self, range: std::ops::Range<usize>, query: &Vector3<f64>, best: &mut Best) {
+        for (at, point) in range.clone().zip(&self.points[range]) {
+            let square = (point - query).norm_squared();
+            let farther = if square < best.square { best.square } else { square };
+            best.second = if farther < best.second { farther } else { best.second };
+            if square < best.square || (square == best.square && self.items[at] < self.items[best.at]) {
+                (best.at, best.square) = (at, square);
+            }
+        }
+    }
+
+    fn nearest_in_rings(&self, query: &Vector3<f64>, limit_mm: f64) -> Option<Nearby> {
         let limit_square = limit_mm * limit_mm;
         let own = self.cell(query);
         if (0..3).any(|k| own[k] < -MAX_RING || own[k] - MAX_RING > (self.n_blocks[k] * EDGE) as i32) {
@@ -165,23 +227,22 @@ impl Cells {
             [below * below, 0.0, above * above]
         });
         let margin = (0..3).map(|k| within[k].min(h - within[k])).fold(f64::INFINITY, f64::min);
-        let mut best = Best { item: NONE, square: limit_square, second: f64::INFINITY };
+        let mut best = Best::within(limit_mm * limit_mm);
         let mut skipped = f64::INFINITY;
-        self.look(own, query, &mut best);
+        self.add(self.range(own), query, &mut best);
         for [x, y, z] in AROUND {
             let square = gap[0][x as usize] + gap[1][y as usize] + gap[2][z as usize];
-            if square > best.square {
+            if square > best.search_square() {
                 skipped = skipped.min(square);
             } else {
-                self.look([own[0] + x - 1, own[1] + y - 1, own[2] + z - 1], query, &mut best);
+                self.add(self.range([own[0] + x - 1, own[1] + y - 1, own[2] + z - 1]), query, &mut best);
             }
         }
         let mut ring = 1;
         loop {
             let seen_mm = f64::from(ring) * h + margin;
-            if best.square <= seen_mm * seen_mm {
-                let nearest = (best.item != NONE).then_some((best.item, best.square));
-                return Some(Nearby { nearest, free_square: best.second.min(skipped).min(seen_mm * seen_mm) });
+            if best.search_square() <= seen_mm * seen_mm {
+                return Some(self.nearby(&best, skipped.min(seen_mm * seen_mm)));
             }
             if ring == MAX_RING {
                 return None;
@@ -215,38 +276,36 @@ impl Cells {
                 let edge = x.abs() == ring || y.abs() == ring;
                 for z in (-ring..=ring).step_by(if edge { 1 } else { 2 * ring as usize }) {
                     let square = gap(0, x) + gap(1, y) + gap(2, z);
-                    if square > best.square {
+                    if square > best.search_square() {
                         *skipped = skipped.min(square);
                     } else {
-                        self.look([own[0] + x, own[1] + y, own[2] + z], query, best);
+                        self.add(self.range([own[0] + x, own[1] + y, own[2] + z]), query, best);
                     }
                 }
             }
         }
     }
-
-    #[inline]
-    fn look(&self, cell: [i32; 3], query: &Vector3<f64>, best: &mut Best) {
-        let range = self.range(cell);
-        for (point, item) in self.points[range.clone()].iter().zip(&self.items[range]) {
-            let square = (point - query).norm_squared();
-            if square < best.square || (square == best.square && *item < best.item) {
-                // The limit itself is no neighbour.
-                if best.item != NONE {
-                    best.second = best.square;
-                }
-                (best.item, best.square) = (*item, square);
-            } else if square < best.second {
-                best.second = square;
-            }
-        }
-    }
 }
 
+/// The nearest point so far, by its place among those sorted, and how near it and the second are.
 struct Best {
-    item: u32,
+    at: usize,
     square: f64,
     second: f64,
+    /// Nothing farther is asked for, mm².
+    limit_square: f64,
+}
+
+impl Best {
+    fn within(limit_square: f64) -> Self {
+        Self { at: 0, square: f64::INFINITY, second: f64::INFINITY, limit_square }
+    }
+
+    /// What lies farther need not be looked at, mm².
+    #[inline]
+    fn search_square(&self) -> f64 {
+        if self.square < self.limit_square { self.square } else { self.limit_square }
+    }
 }
 
 /// The 26 cells around a cell, as steps plus one: first those across a face, then an edge, then a corner.

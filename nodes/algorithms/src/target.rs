@@ -1,6 +1,7 @@
 //! A surface prepared for registration.
 
 use crate::cells::{Cells, Nearby};
+use crate::field::ClosestPointField;
 use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;
 use crate::nearest::Nearest;
@@ -19,7 +20,7 @@ const MIN_THINNED: usize = 2000;
 
 /// What a scan is registered onto: points in mm, their unit normals where known, and what finds the nearest of them.
 ///
-/// May hold the mesh that the points were drawn from. A cheap handle: clones share
+/// May hold the mesh that the points were drawn from, and a closest-point field of it. A cheap handle: clones share
 /// everything, and what is needed for searching is built once, when first asked for or by [`Target::prepare`].
 #[derive(Clone)]
 pub struct Target {
@@ -30,6 +31,7 @@ pub struct Target {
     points: Column<Point3<f64>>,
     normals: Option<Column<Vector3<f64>>>,
     mesh: Option<MeshQuery>,
+    field: Option<ClosestPointField>,
     index: Arc<OnceLock<Index>>,
 }
 
@@ -82,7 +84,7 @@ impl Target {
             return Err(TargetError::NotFinite { index });
         }
         let index = Arc::new(OnceLock::new());
-        Ok(Self { frame: frame.into(), origin, points, normals, mesh: None, index })
+        Ok(Self { frame: frame.into(), origin, points, normals, mesh: None, field: None, index })
     }
 
     /// The target with the mesh that its points were drawn from, in the same frame.
@@ -93,6 +95,16 @@ impl Target {
     /// The mesh that the points were drawn from, where given.
     pub fn mesh(&self) -> Option<&MeshQuery> {
         self.mesh.as_ref()
+    }
+
+    /// The target with a closest-point field of the same surface, in the same frame.
+    pub fn with_field(self, field: ClosestPointField) -> Self {
+        Self { field: Some(field), ..self }
+    }
+
+    /// The closest-point field, where given.
+    pub fn field(&self) -> Option<&ClosestPointField> {
+        self.field.as_ref()
     }
 
     /// Builds now what registration with neighbour caching would build when first asked: the cells and the thinned surface.

@@ -4,7 +4,7 @@ use super::IcpError;
 use super::acceleration::State;
 use super::params::StepRule;
 use super::problem::Problem;
-use super::report::{IcpStep, Observer};
+use super::report::Observer;
 use super::residual::Residual;
 use super::run::Descent;
 use super::step::{damped, grain_mm, newton};
@@ -79,22 +79,13 @@ pub(super) fn descend<R: Residual>(
                 converged: fine,
                 remaining_mm,
                 change_mm: None,
+                pace,
             });
         }
         // No farther than pairs reach: beyond, the model knows nothing.
         let cut = (params.max_pair_distance_mm / way_mm).min(1.0);
         let before = sums.clone();
-        let step = |next: &State, step_mm: f64| IcpStep {
-            iteration: 0,
-            every: problem.every,
-            n_pairs: before.n,
-            rms_mm: before.rms_mm(),
-            step_mm,
-            step_rad: next.rotation.angle_to(&state.rotation),
-            remaining_mm,
-            accelerated: false,
-            t_target_source: next.isometry(&problem.source.centre),
-        };
+        let step = |next: &State, step_mm: f64| problem.step(&before, &state, next, step_mm, remaining_mm);
         if enough {
             // The last step is taken on trust: it is shorter than what matters.
             let motion = full * share;
@@ -109,6 +100,7 @@ pub(super) fn descend<R: Residual>(
                 converged: fine,
                 remaining_mm: left,
                 change_mm: None,
+                pace,
             });
         }
         let recent = costs.len().saturating_sub(PATIENCE);
@@ -146,6 +138,7 @@ pub(super) fn descend<R: Residual>(
                 converged,
                 remaining_mm: Some(remaining_mm),
                 change_mm: None,
+                pace,
             });
         };
         let change_mm = (found.rms_mm() - sums.rms_mm()).abs();
@@ -164,11 +157,12 @@ pub(super) fn descend<R: Residual>(
                 converged: false,
                 remaining_mm,
                 change_mm: Some(change_mm),
+                pace,
             });
         }
         let narrower = weights;
         if !weights.settled(params, step_mm) {
-            sums = problem.pair(&state, &mut partners, &mut weights, true)?;
+            sums = problem.weigh(&state, &partners, &mut weights, true)?;
             if weights != narrower {
                 // Costs under other weights cannot be compared.
                 costs = vec![problem.energy(&sums)];

@@ -7,7 +7,7 @@ use super::report::{IcpStep, Observer};
 use super::residual::PointToPoint;
 use super::run::Descent;
 use super::step::{kabsch, newton, resolution_mm, weakest};
-use super::stop::StopReason;
+use super::stop::{Pace, StopReason};
 use super::sums::Sums;
 use super::weights::Weights;
 
@@ -53,6 +53,7 @@ pub(super) fn descend(
                 converged: is_calm,
                 remaining_mm: Some(remaining_mm),
                 change_mm,
+                pace: Pace::default(),
             })
         };
         let settled = remaining_mm == 0.0 || calm >= 2;
@@ -105,20 +106,12 @@ pub(super) fn descend(
                 converged,
                 remaining_mm: Some(remaining_mm),
                 change_mm: None,
+                pace: Pace::default(),
             });
         };
-        let step = IcpStep {
-            iteration: 0,
-            every: problem.every,
-            n_pairs: sums.n,
-            rms_mm: sums.rms_mm(),
-            step_mm: (next.since(&start, lever_arm_mm) - x).norm(),
-            step_rad: next.rotation.angle_to(&state.rotation),
-            remaining_mm: Some(remaining_mm),
-            accelerated,
-            t_target_source: next.isometry(&problem.source.centre),
-        };
-        let step_mm = step.step_mm;
+        let step_mm = (next.since(&start, lever_arm_mm) - x).norm();
+        let step = problem.step(&sums, &state, &next, step_mm, Some(remaining_mm));
+        let step = IcpStep { accelerated, ..step };
         let change_mm = (found.rms_mm() - sums.rms_mm()).abs();
         (state, sums) = (next, found);
         n_steps += 1;

@@ -4,6 +4,7 @@ use super::IcpError;
 use super::acceleration::State;
 use super::pairing::{Known, Pairing};
 use super::params::IcpParams;
+use super::report::IcpStep;
 use super::residual::{Pair, Residual};
 use super::source::Prepared;
 use super::sums::Sums;
@@ -63,6 +64,7 @@ impl<'a, R: Residual> Problem<'a, R> {
         shrink: bool,
     ) -> Result<Sums, IcpError> {
         let at = At::new(state, self.surface);
+        // Residuals decide the weights first.
         let two_passes = shrink || self.params.trim_fraction > 0.0;
         let mut sums: Vec<Sums> = Vec::new();
         partners
@@ -79,24 +81,64 @@ impl<'a, R: Residual> Problem<'a, R> {
             })
             .collect_into_vec(&mut sums);
         if two_passes {
-            if shrink {
-                weights.shrink(&mut partners.squares.clone(), self.params, 2.0 * self.surface.index.cells.cell_mm());
-            }
-            weights.worst_square = self.worst(&partners.squares);
-            partners
-                .known
-                .par_chunks(CHUNK)
-                .zip(partners.squares.par_chunks(CHUNK))
-                .enumerate()
-                .map(|(chunk, (known, squares))| self.sum(&at, chunk * CHUNK, known, squares, weights))
-                .collect_into_vec(&mut sums);
+            return self.weigh(state, partners, weights, shrink);
         }
+        self.total(state, &sums)
+    }
+
+    /// Sums over the pairs that [`pair`](Self::pair) found at `state`; with `shrink` under weights that are first narrowed.
+    pub(super) fn weigh(
+        &self,
+        state: &State,
+        partners: &Partners,
+        weights: &mut Weights,
+        shrink: bool,
+    ) -> Result<Sums, IcpError> {
+        if shrink {
+            weights.shrink(&mut partners.squares.clone(), self.params, 2.0 * self.surface.index.cells.cell_mm());
+        }
+        weights.worst_square = self.worst(&partners.squares);
+        let at = At::new(state, self.surface);
+        let mut sums: Vec<Sums> = Vec::new();
+        partners
+            .known
+            .par_chunks(CHUNK)
+            .zip(partners.squares.par_chunks(CHUNK))
+            .enumerate()
+            .map(|(chunk, (known, squares))| self.sum(&at, chunk * CHUNK, known, squares, weights))
+            .collect_into_vec(&mut sums);
+        self.total(state, &sums)
+    }
+
+    fn total(&self, state: &State, sums: &[Sums]) -> Result<Sums, IcpError> {
         let sums = sums.iter().fold(Sums::ZERO, Sums::add);
         let min_pairs = self.params.min_pairs.max(3) as usize;
         if sums.n < min_pairs {
             return Err(self.too_few(state, sums.n, min_pairs));
         }
         Ok(sums)
+    }
+
+    /// A step as its observer sees it: from `state`, where these sums were found.
+    pub(super) fn step(
+        &self,
+        sums: &Sums,
+        state: &State,
+        next: &State,
+        step_mm: f64,
+        remaining_mm: Option<f64>,
+    ) -> IcpStep {
+        IcpStep {
+            iteration: 0,
+            every: self.every,
+            n_pairs: sums.n,
+            rms_mm: sums.rms_mm(),
+            step_mm,
+            step_rad: next.rotation.angle_to(&state.rotation),
+            remaining_mm,
+            accelerated: false,
+            t_target_source: next.isometry(&self.source.centre),
+        }
     }
 
     /// Mean cost of a source point, mm²: what the steps bring down.

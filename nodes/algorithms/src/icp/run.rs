@@ -2,14 +2,14 @@
 
 use super::acceleration::State;
 use super::observability::Observability;
-use super::pairing::{Cached, Mesh, Pairing, Thinned, Tree};
+use super::pairing::{Cached, Field, Mesh, Pairing, Thinned, Tree};
 use super::params::{IcpParams, PairingKind, PublishedReading};
 use super::problem::Problem;
 use super::report::{Halt, IcpFit, IcpReport, IcpStep, IcpTrace, Observer};
 use super::residual::{PointToPlane, PointToPoint, Residual};
 use super::source::{Prepared, Source};
 use super::step;
-use super::stop::{StopReason, rules};
+use super::stop::{Pace, StopReason, rules};
 use super::sums::Sums;
 use super::surface::Surface;
 use super::weights::Weights;
@@ -38,6 +38,7 @@ pub(super) struct Descent {
     pub(super) converged: bool,
     pub(super) remaining_mm: Option<f64>,
     pub(super) change_mm: Option<f64>,
+    pub(super) pace: Pace,
 }
 
 /// A variant's descent at one level: from a state, with weights; whether it is the last; for at most so many steps.
@@ -104,7 +105,9 @@ fn run<R: Residual>(
         (None, PairingKind::Tree) => &tree,
         (None, _) => &cached,
     };
-    let fast: Option<&dyn Pairing> = None;
+    let field =
+        target.field().filter(|_| params.pairing == PairingKind::Field).map(|field| Field::new(&surface, field));
+    let fast: Option<&dyn Pairing> = field.as_ref().map(|field| field as &dyn Pairing);
 
     let mut observer = Observer { trace: IcpTrace::default(), caller };
     let left = |observer: &Observer<'_>| params.max_iterations - observer.trace.steps.len() as u32;
@@ -139,15 +142,24 @@ fn run<R: Residual>(
         (Some(reason), _) => {
             let sums = exact.pair(&state, &mut exact.partners(), &mut weights, false)?;
             let remaining_mm = Some(step::newton(&sums).norm());
-            Descent { state, sums, weights, reason, converged: false, remaining_mm, change_mm: None }
+            Descent {
+                state,
+                sums,
+                weights,
+                reason,
+                converged: false,
+                remaining_mm,
+                change_mm: None,
+                pace: Pace::default(),
+            }
         }
         (None, None) => descend(&exact, state, weights, true, left(&observer), &mut observer)?,
         (None, Some(fast)) => {
             let problem = Problem::new(&surface, fast, params, 1, exact.source.clone(), back.as_ref());
             let end = descend(&problem, state, weights, true, left(&observer), &mut observer)?;
             match params.field_exact_steps.min(left(&observer)) {
-                n if n == 0 || end.reason != StopReason::Step => end,
-                n => descend(&exact, end.state, end.weights, true, n, &mut observer)?,
+                n if n == 0 || end.reason != StopReason::Step || !R::TARGET_NORMALS => end,
+                n => polish(&exact, end, n, &mut observer)?,
             }
         }
     };
@@ -157,6 +169,37 @@ fn run<R: Residual>(
     }
     let report = report(&exact.source, params, &end, &observer.trace);
     Ok(IcpFit { t_target_source: end.state.isometry(&exact.source.centre), report, trace: observer.trace })
+}
+
+/// Takes what has come to rest on looked-up pairs to where exact pairs rest: at most `n` Gauss-Newton steps.
+///
+/// They are a few micrometres long, so each is taken on trust and shrinks what is left as those before did.
+fn polish<R: Residual>(
+    problem: &Problem<'_, R>,
+    mut end: Descent,
+    n: u32,
+    observer: &mut Observer<'_>,
+) -> Result<Descent, IcpError> {
+    let mut partners = problem.partners();
+    for _ in 0..n {
+        end.sums = problem.pair(&end.state, &mut partners, &mut end.weights, false)?;
+        let motion = step::newton(&end.sums);
+        let step_mm = motion.norm();
+        let remaining_mm = end.pace.left_mm(step_mm);
+        let next = end.state.moved(&motion, problem.source.lever_arm_mm);
+        let seen = observer.see(problem.step(&end.sums, &end.state, &next, step_mm, remaining_mm));
+        end.state = next;
+        end.remaining_mm = end.pace.left_after_mm(step_mm);
+        end.converged = end.remaining_mm.is_some_and(|r| r <= problem.params.stop_step_mm);
+        if let Some(reason) = seen {
+            return Ok(Descent { reason, ..end });
+        }
+        if end.converged {
+            break;
+        }
+    }
+    end.reason = if end.converged { StopReason::Step } else { StopReason::Iterations };
+    Ok(end)
 }
 
 fn check<R: Residual>(
@@ -172,7 +215,7 @@ fn check<R: Residual>(
     if R::MESH && target.mesh().is_none() {
         return Err(IcpError::NoMesh);
     }
-    if params.pairing == PairingKind::Field {
+    if params.pairing == PairingKind::Field && target.field().is_none() {
         return Err(IcpError::NoField);
     }
     let min_pairs = params.min_pairs.max(3) as usize;

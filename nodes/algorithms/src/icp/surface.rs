@@ -56,7 +56,7 @@ impl<'a> Surface<'a> {
             return Self { index: whole, normals, camera: None };
         };
         let centre = whole.centre;
-        let camera = camera.zip(side(target, normals)).map(|(camera, side)| (camera - centre, side));
+        let camera = camera.and_then(|camera| Some((camera - centre, side(target, normals)?)));
         let Some((eye, side)) = camera else { return Self { index: whole, normals: normals.into(), camera: None } };
         let kept: Vec<usize> =
             (0..points.len()).filter(|&i| faces(&(eye - whole.local[i]), &(normals[i] * side))).collect();

@@ -1,4 +1,6 @@
 use super::*;
+use crate::field::{ClosestPointField, FieldParams};
+use crate::mesh_query::MeshQuery;
 use crate::sample;
 use crate::shapes::{cuboid, shaft};
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
@@ -162,4 +164,54 @@ fn a_report_survives_json_and_parameters_refuse_what_they_do_not_know() {
     assert_eq!(read.stop_reason, fit.report.stop_reason);
     assert_eq!(serde_json::from_str::<IcpParams>("{}").unwrap(), IcpParams::default());
     assert!(serde_json::from_str::<IcpParams>(r#"{"max_pair_distance": 3}"#).is_err());
+}
+
+/// Every variant, every way of pairing: the target with all that they need.
+fn whole_target(mesh: &Mesh, n: usize) -> Target {
+    let query = MeshQuery::new(mesh);
+    let field = ClosestPointField::of_mesh(&query, &FieldParams::default()).unwrap();
+    target(mesh, n).with_mesh(query).with_field(field)
+}
+
+#[test]
+fn every_variant_finds_the_motion_by_every_pairing() {
+    let (target, source) = (whole_target(&shaft(), 40_000), source(&shaft(), 5000));
+    for method in Method::ALL {
+        for pairing in [PairingKind::Cached, PairingKind::Tree, PairingKind::Field] {
+            let params = IcpParams { pairing, ..IcpParams::default() };
+            let fit = register(method, &target, &source, &start(), &params, &mut go_on).unwrap();
+            let limit = if method == Method::PointToPoint { 0.2 } else { 0.02 };
+            let error = off(&fit, &Isometry3::identity(), &source);
+            assert!(error < limit && fit.report.converged, "{method:?} {pairing:?}: {error} mm, {:?}", fit.report);
+        }
+    }
+}
+
+#[test]
+fn cached_pairs_are_those_of_the_tree_and_an_exact_pass_ends_the_field_there_too() {
+    let (target, source) = (whole_target(&shaft(), 40_000), source(&shaft(), 5000));
+    let run = |pairing, field_exact_steps| {
+        let tight = IcpParams { stop_step_mm: 1e-9, stop_step_rad: 1e-12, ..IcpParams::default() };
+        let loose = IcpParams { field_exact_steps, ..IcpParams::default() };
+        let params = if pairing == PairingKind::Field { loose } else { tight };
+        let params = IcpParams { pairing, levels: vec![], ..params };
+        point_to_plane(&target, &source, &start(), &params, &mut go_on).unwrap()
+    };
+    let tree = run(PairingKind::Tree, 0);
+    assert_eq!(run(PairingKind::Cached, 0).t_target_source, tree.t_target_source, "the same pairs, the same bits");
+    let (alone, ended) = (run(PairingKind::Field, 0), run(PairingKind::Field, 3));
+    let apart = |fit: &IcpFit| off(fit, &tree.t_target_source, &source);
+    assert!(apart(&ended) < 1e-3 && apart(&ended) < apart(&alone), "{} and {}", apart(&ended), apart(&alone));
+    assert!(alone.report.iterations < ended.report.iterations);
+}
+
+#[test]
+fn what_a_variant_needs_of_the_target_is_named_where_it_is_missing() {
+    let (target, source) = (target(&shaft(), 5000), source(&shaft(), 1000));
+    let field = IcpParams { pairing: PairingKind::Field, ..IcpParams::default() };
+    assert_eq!(point_to_plane(&target, &source, &start(), &field, &mut go_on).unwrap_err(), IcpError::NoField);
+    let plain = IcpParams::default();
+    assert_eq!(point_to_mesh(&target, &source, &start(), &plain, &mut go_on).unwrap_err(), IcpError::NoMesh);
+    let published = IcpParams { published_reading: PublishedReading::Change001, ..plain };
+    assert_eq!(symmetric(&target, &source, &start(), &published, &mut go_on).unwrap_err(), IcpError::NotPublished);
 }

@@ -1,10 +1,12 @@
 //! Partners for source points: one file for each way of finding them.
 
 mod cached;
+mod field;
 mod mesh;
 mod tree;
 
 pub(super) use cached::Cached;
+pub(super) use field::Field;
 pub(super) use mesh::Mesh;
 pub(super) use tree::{Thinned, Tree};
 
