@@ -15,7 +15,7 @@ impl Generalized {
     #[inline]
     fn information(pair: &Pair) -> Matrix3<f64> {
         let flat = |n: &nalgebra::Vector3<f64>| Matrix3::identity() - n * n.transpose() * (1.0 - ALONG_NORMAL);
-        let covariance = flat(&pair.normal) + flat(&pair.source_normal);
+        let covariance = flat(&pair.normal) + flat(pair.sound_source_normal());
         // Its least eigenvalue is twice the variance along the normals, so there is an inverse.
         covariance.try_inverse().unwrap_or_else(Matrix3::zeros) * (2.0 * ALONG_NORMAL)
     }

@@ -27,6 +27,18 @@ pub(super) struct Pair {
     pub(super) source_normal: Vector3<f64>,
 }
 
+/// Cosine of 30 degrees.
+const ASTRAY: f64 = 0.866;
+
+impl Pair {
+    /// The source point's normal, or its partner's where it is unknown or lies more than 30 degrees off: such a one was
+    /// estimated across an edge or from what is no bone.
+    #[inline]
+    fn sound_source_normal(&self) -> &Vector3<f64> {
+        if self.source_normal.dot(&self.normal) < ASTRAY { &self.normal } else { &self.source_normal }
+    }
+}
+
 /// What a variant minimises: the sum over the pairs of a squared residual.
 pub(super) trait Residual: Send + Sync + 'static {
     /// Whether the target's normals are needed.

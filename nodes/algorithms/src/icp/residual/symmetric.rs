@@ -11,12 +11,12 @@ impl Residual for Symmetric {
 
     #[inline]
     fn square(pair: &Pair) -> f64 {
-        (pair.gap.dot(&(pair.normal + pair.source_normal)) / 2.0).powi(2)
+        (pair.gap.dot(&(pair.normal + pair.sound_source_normal())) / 2.0).powi(2)
     }
 
     #[inline]
     fn add(pair: &Pair, weight: f64, lever_arm_mm: f64, sums: &mut Sums) {
-        let normal = (pair.normal + pair.source_normal) / 2.0;
+        let normal = (pair.normal + pair.sound_source_normal()) / 2.0;
         // Half of the turn is the target's, about the middle of the pair.
         let middle = pair.arm - pair.gap / 2.0;
         sums.add_row(&plane_row(&normal, &middle, lever_arm_mm), pair.gap.dot(&normal), weight);
