@@ -41,11 +41,13 @@
 //! ```
 
 pub mod axes;
+mod boxes;
 pub mod calibrate;
 mod cells;
 pub mod coarse;
 pub mod downsample;
 pub mod field;
+mod handfuls;
 pub mod hole;
 pub mod icp;
 pub mod kabsch;

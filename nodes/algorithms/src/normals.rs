@@ -1,5 +1,10 @@
 //! Normals of a cloud.
 
+mod surface;
+
+pub use surface::of_surface;
+pub(crate) use surface::without_side;
+
 use crate::kabsch::centroid;
 use crate::nearest::Nearest;
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -37,6 +42,18 @@ pub enum NormalError {
     TooSparse {
         /// The limit.
         max_distance_mm: f64,
+    },
+    /// A point is NaN or infinite.
+    #[error("point {index} is not finite; drop it before normals are estimated")]
+    NotFinite {
+        /// The first such point.
+        index: usize,
+    },
+    /// A point and those around it make no plane.
+    #[error("point {index} and its nearest lie on a line or in one place, so there is no normal; is this a surface?")]
+    NoPlane {
+        /// The first such point, along the order of the search.
+        index: usize,
     },
     /// The normals do not fit the cloud.
     #[error(transparent)]

@@ -1,8 +1,8 @@
 //! One grid of a field: blocks of nodes near the surface.
 
-use super::boxes::Extent;
 use super::four::Four;
 use super::{FieldError, Node, Surface};
+use crate::boxes::Extent;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 

@@ -10,7 +10,6 @@
 //! Each node's own prediction `dₖ + gₖ·(p - xₖ)` errs by half the curvature one way, the blend of the `dₖ` by as much the
 //! other way; with the factor one half both cancel, and the distance to any quadric is exact.
 
-mod boxes;
 mod four;
 mod level;
 mod parts;
@@ -22,9 +21,9 @@ mod triangles;
 pub use parts::FieldParts;
 
 use crate::axes::principal_axes;
+use crate::boxes::Extent;
 use crate::kabsch::{centroid, finite};
 use crate::mesh_query::MeshQuery;
-use boxes::Extent;
 use four::Four;
 use level::Grid;
 use nalgebra::{Matrix3, Point3, Vector3};

@@ -1,22 +1,14 @@
 //! The closest point of a surface that is known by points and normals.
 
-use super::boxes::{Boxes, Extent, WIDE, along_curve, below, bits};
 use super::{Nearest, Node, Surface};
+use crate::boxes::{Extent, below, bits};
+use crate::handfuls::{HANDFUL, Handful, Handfuls, halves};
 use nalgebra::{Matrix3, Point3, Vector3};
 use parry3d_f64::glamx::Vec4;
-
-/// Samples a leaf holds.
-const LEAF: usize = WIDE;
-
-/// So far away that a sample weighs nothing, mm; its square is an `f32` still.
-const NOWHERE: f32 = 1e15;
 
 /// Samples within the radius of an average. 40: weights fall off towards its rim, so that about fifteen count, which
 /// averages facets and noise, and a fibula 10 mm thick bends by less than 0.1 mm over the 0.8 mm of 10 samples a mm².
 const AVERAGED: usize = 30;
-
-/// The radius is the median over so many samples, spread evenly.
-const MEASURED: usize = 500;
 
 /// A fit serves where the foot lies nearer to its middle than this share of the radius.
 const CENTRED: f64 = 0.3;
@@ -24,18 +16,11 @@ const CENTRED: f64 = 0.3;
 /// The mean normal of an average is shorter than this where its samples do not agree which side is outside.
 const AGREEMENT: f64 = 0.3;
 
-/// Eight samples side by side, about the first: for each axis four and four.
-struct Leaf {
-    first: Vector3<f64>,
-    at: [[Vec4; 2]; 3],
-    normal: [[Vec4; 2]; 3],
-}
-
 /// Samples of a surface along a space-filling curve.
 pub(super) struct Samples {
-    leaves: Vec<Leaf>,
-    n: usize,
-    boxes: Boxes,
+    points: Handfuls,
+    /// Of each handful: for each axis four and four.
+    normals: Vec<[[Vec4; 2]; 3]>,
     extent: Extent,
     radius: f64,
 }
@@ -59,80 +44,41 @@ impl Samples {
         axes: &Matrix3<f64>,
     ) -> Self {
         let places: Vec<Vector3<f64>> = points.iter().map(|p| axes.tr_mul(&(p - centre))).collect();
-        let order = along_curve(&places);
-        let mut leaves = Vec::with_capacity(places.len().div_ceil(LEAF));
-        let mut extents = Vec::with_capacity(leaves.capacity());
-        for eight in order.chunks(LEAF) {
-            let first = places[eight[0] as usize];
-            let (mut at, mut normal) = ([[NOWHERE; LEAF]; 3], [[0.0; LEAF]; 3]);
-            for (k, &i) in eight.iter().enumerate() {
-                let (away, turned) = (places[i as usize] - first, axes.tr_mul(&normals[i as usize]));
-                for axis in 0..3 {
-                    at[axis][k] = away[axis] as f32;
-                    normal[axis][k] = turned[axis] as f32;
-                }
-            }
-            let halves = |of: [f32; LEAF]| [Vec4::from_slice(&of[..4]), Vec4::from_slice(&of[4..])];
-            extents.push(Extent::of(eight.iter().map(|&i| &places[i as usize])));
-            leaves.push(Leaf { first, at: at.map(halves), normal: normal.map(halves) });
-        }
-        let mut made =
-            Self { leaves, n: places.len(), boxes: Boxes::new(&extents), extent: Extent::of(&places), radius: 0.0 };
-        made.radius = made.typical_radius();
-        made
-    }
-
-    /// Within which a sample has [`AVERAGED`] others, mm: the median.
-    fn typical_radius(&self) -> f64 {
-        let every = self.n.div_ceil(MEASURED);
-        let wanted = AVERAGED.min(self.n);
-        let mut radii: Vec<f64> = (0..self.n)
-            .step_by(every)
-            .map(|i| {
-                let at = self.place(i as u32);
-                let mut nearest: Vec<f64> = Vec::with_capacity(wanted + 1);
-                self.boxes.nearest(&at, f64::INFINITY, |leaf| {
-                    for squared in self.leaves[leaf].squared(&at).iter().flat_map(|four| four.to_array()) {
-                        let squared = f64::from(squared);
-                        let place = nearest.partition_point(|&n| n <= squared);
-                        if place < wanted {
-                            nearest.insert(place, squared);
-                            nearest.truncate(wanted);
-                        }
-                    }
-                    if nearest.len() == wanted { nearest[wanted - 1] } else { f64::INFINITY }
-                });
-                nearest[wanted - 1].sqrt()
+        let points = Handfuls::new(&places);
+        let normals = points
+            .order
+            .chunks(HANDFUL)
+            .map(|eight| {
+                let turned = |k: usize| eight.get(k).map_or(Vector3::zeros(), |&i| axes.tr_mul(&normals[i as usize]));
+                let turned: [Vector3<f64>; HANDFUL] = std::array::from_fn(turned);
+                [0, 1, 2].map(|axis| halves(turned.map(|n| n[axis] as f32)))
             })
             .collect();
-        radii.sort_unstable_by(f64::total_cmp);
-        radii[radii.len() / 2]
+        let radius = points.typical_radius(AVERAGED);
+        Self { points, normals, extent: Extent::of(&places), radius }
     }
 
     /// The share of samples whose normal points opposite to that of the next one along the curve, if that is near.
     pub(super) fn disagreement(&self) -> f64 {
         let (mut near, mut opposite) = (0_usize, 0_usize);
-        for leaf in &self.leaves {
-            for k in 1..LEAF {
-                if (leaf.place(k) - leaf.place(k - 1)).norm() < self.radius {
+        for (handful, normals) in self.points.handfuls.iter().zip(&self.normals) {
+            let normal = |k: usize| Vector3::from(normals.map(|halves| halves[k / 4][k % 4]));
+            for k in 1..HANDFUL {
+                if (handful.place(k) - handful.place(k - 1)).norm() < self.radius {
                     near += 1;
-                    opposite += usize::from(leaf.normal_of(k).dot(&leaf.normal_of(k - 1)) < 0.0);
+                    opposite += usize::from(normal(k).dot(&normal(k - 1)) < 0.0);
                 }
             }
         }
         opposite as f64 / near.max(1) as f64
     }
 
-    fn place(&self, which: u32) -> Vector3<f64> {
-        self.leaves[which as usize / LEAF].place(which as usize % LEAF)
-    }
-
     /// Weights fall from one to zero at the radius, smoothly: `(1 - s²)²`.
     fn sums(&self, about: &Vector3<f64>) -> Sums {
         let mut sums = [Vec4::ZERO; 9];
         let scale = (1.0 / (self.radius * self.radius)) as f32;
-        self.boxes.around(&Extent { min: *about, max: *about }, self.radius, |leaf| {
-            self.leaves[leaf].add(about, scale, &mut sums);
+        self.points.boxes.around(&Extent { min: *about, max: *about }, self.radius, |k| {
+            add(&self.points.handfuls[k], &self.normals[k], about, scale, &mut sums);
         });
         let [weight, x, y, z, nx, ny, nz, at_normal, at_at] =
             sums.map(|four| four.to_array().into_iter().map(f64::from).sum());
@@ -140,48 +86,24 @@ impl Samples {
     }
 }
 
-impl Leaf {
-    fn place(&self, k: usize) -> Vector3<f64> {
-        self.first + Vector3::from(self.at.map(|halves| f64::from(halves[k / 4][k % 4])))
-    }
-
-    fn normal_of(&self, k: usize) -> Vector3<f64> {
-        Vector3::from(self.normal.map(|halves| f64::from(halves[k / 4][k % 4])))
-    }
-
-    /// Squared distances of the samples from `at`.
-    #[inline(always)]
-    fn squared(&self, at: &Vector3<f64>) -> [Vec4; 2] {
-        let away = at - self.first;
-        [0, 1].map(|half| {
-            let [x, y, z] = [0, 1, 2].map(|axis| {
-                let d = self.at[axis][half] - away[axis] as f32;
-                d * d
-            });
-            x + y + z
-        })
-    }
-
-    #[inline(always)]
-    fn add(&self, about: &Vector3<f64>, scale: f32, sums: &mut [Vec4; 9]) {
-        let away = about - self.first;
-        let (ax, ay, az) = (away.x as f32, away.y as f32, away.z as f32);
-        for half in 0..2 {
-            let (x, y, z) = (self.at[0][half] - ax, self.at[1][half] - ay, self.at[2][half] - az);
-            let [nx, ny, nz] = self.normal.map(|halves| halves[half]);
-            let squared = x * x + y * y + z * z;
-            let left = (Vec4::ONE - squared * scale).max(Vec4::ZERO);
-            let w = left * left;
-            sums[0] += w;
-            sums[1] += w * x;
-            sums[2] += w * y;
-            sums[3] += w * z;
-            sums[4] += w * nx;
-            sums[5] += w * ny;
-            sums[6] += w * nz;
-            sums[7] += w * (x * nx + y * ny + z * nz);
-            sums[8] += w * squared;
-        }
+#[inline(always)]
+fn add(points: &Handful, normals: &[[Vec4; 2]; 3], about: &Vector3<f64>, scale: f32, sums: &mut [Vec4; 9]) {
+    let away = points.from(about);
+    for half in 0..2 {
+        let [x, y, z] = away.map(|halves| halves[half]);
+        let [nx, ny, nz] = normals.map(|halves| halves[half]);
+        let squared = x * x + y * y + z * z;
+        let left = (Vec4::ONE - squared * scale).max(Vec4::ZERO);
+        let w = left * left;
+        sums[0] += w;
+        sums[1] += w * x;
+        sums[2] += w * y;
+        sums[3] += w * z;
+        sums[4] += w * nx;
+        sums[5] += w * ny;
+        sums[6] += w * nz;
+        sums[7] += w * (x * nx + y * ny + z * nz);
+        sums[8] += w * squared;
     }
 }
 
@@ -225,7 +147,7 @@ impl Sphere {
 
 impl Surface for Samples {
     fn n(&self) -> usize {
-        self.n
+        self.points.len()
     }
 
     fn extent(&self) -> Extent {
@@ -235,14 +157,14 @@ impl Surface for Samples {
     fn nearest(&self, at: &Vector3<f64>, hint: Option<u32>) -> Nearest {
         let mut best = Nearest { squared: f64::INFINITY, which: 0 };
         if let Some(which) = hint {
-            best = Nearest { squared: (self.place(which) - at).norm_squared() * (1.0 + 1e-6), which };
+            best = Nearest { squared: (self.points.place(which) - at).norm_squared() * (1.0 + 1e-6), which };
         }
-        self.boxes.nearest(at, best.squared, |leaf| {
-            let squared = self.leaves[leaf].squared(at);
+        self.points.boxes.nearest(at, best.squared, |handful| {
+            let squared = self.points.handfuls[handful].squared(at);
             for k in bits(below(&squared, best.squared as f32)) {
                 let squared = f64::from(squared[k / 4][k % 4]);
                 if squared < best.squared {
-                    best = Nearest { squared, which: (leaf * LEAF + k) as u32 };
+                    best = Nearest { squared, which: (handful * HANDFUL + k) as u32 };
                 }
             }
             best.squared
@@ -251,7 +173,7 @@ impl Surface for Samples {
     }
 
     fn node(&self, at: &Vector3<f64>, nearest: &Nearest) -> Node {
-        let nearest = self.place(nearest.which);
+        let nearest = self.points.place(nearest.which);
         let mut about = nearest;
         let mut found = None;
         // About the nearest sample, then about where that puts the foot, unless it is there already.

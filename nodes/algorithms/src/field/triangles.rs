@@ -1,7 +1,7 @@
 //! The closest point of a triangle mesh, and on which side of it one is.
 
-use super::boxes::{Boxes, Extent, along_curve};
 use super::{Nearest, Node, Surface};
+use crate::boxes::{Boxes, Extent, along_curve};
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_geometry::Mesh;
 

@@ -2,15 +2,9 @@
 
 use crate::kabsch::centroid;
 use crate::morton;
-use crate::nearest::Nearest;
-use crate::normals::plane_normal;
+use crate::normals;
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::Cloud;
-use rayon::prelude::*;
-
-/// Neighbours that a source point's normal is estimated from: averages depth noise of a quarter of the point spacing to 3
-/// degrees.
-const NEIGHBOURS: usize = 20;
 
 /// What moves: the points of a scan, mm; their normals, where known; and where the camera that took it stood, where known.
 ///
@@ -77,7 +71,7 @@ impl Prepared {
         let lever_arm_mm = Some((squares / arms.len() as f64).sqrt()).filter(|l| *l > 0.0).unwrap_or(1.0);
         let normals = with_normals.then(|| match source.normals {
             Some(normals) => order.iter().map(|&i| normals[i as usize]).collect(),
-            None => estimated(&arms),
+            None => normals::without_side(&arms),
         });
         Self { centre, arms, normals, lever_arm_mm }
     }
@@ -88,14 +82,4 @@ impl Prepared {
         let normals = self.normals.as_ref().map(|normals| normals.iter().copied().step_by(n).collect());
         Self { arms, normals, ..*self }
     }
-}
-
-fn estimated(arms: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
-    let tree = Nearest::about_origin(arms);
-    let normal = |arm: &Vector3<f64>| {
-        let around = tree.nearest_n(&Point3::from(*arm), NEIGHBOURS);
-        let around: Vec<Point3<f64>> = around.into_iter().map(|(i, _)| Point3::from(arms[i])).collect();
-        plane_normal(&around).unwrap_or_else(Vector3::zeros)
-    };
-    arms.par_iter().map(normal).collect()
 }

@@ -1,9 +1,8 @@
 //! The part of a target that a scan can pair with.
 
-use crate::normals::plane_normal;
+use crate::normals;
 use crate::target::{Index, Target};
 use nalgebra::{Point3, Vector3};
-use rayon::prelude::*;
 use std::{borrow::Cow, ops::Deref};
 
 /// A target point may turn away from the camera by so much and still be kept: sine of the angle past the silhouette.
@@ -13,9 +12,6 @@ const PAST_SILHOUETTE: f64 = 0.34;
 /// The normals of a closed surface point away from its middle on average. A bone thirty times as long as thick gives
 /// 0.05 of what a ball gives; below this share (a flat or open surface) nothing is known of their side.
 const OUTWARD_SHARE: f64 = 0.02;
-
-/// Neighbours that the normal of a target point is estimated from, where the target has none.
-const NEIGHBOURS: usize = 10;
 
 /// A scan that starts this many pair distances off may still find partners with estimated normals.
 const REACH: f64 = 4.0;
@@ -98,13 +94,12 @@ fn estimated(target: &Target, near: &[Point3<f64>], reach_mm: f64) -> Vec<Vector
     let reach = Vector3::repeat(reach_mm);
     let index = target.index();
     let (min, max) = (min - reach - index.centre, max + reach - index.centre);
-    let normal = |p: &Vector3<f64>| {
-        if (0..3).any(|k| p[k] < min[k] || p[k] > max[k]) {
-            return Vector3::zeros();
-        }
-        let around = index.tree().nearest_n(&Point3::from(*p), NEIGHBOURS);
-        let around: Vec<Point3<f64>> = around.into_iter().map(|(i, _)| Point3::from(index.local[i])).collect();
-        plane_normal(&around).unwrap_or_else(Vector3::zeros)
-    };
-    index.local.par_iter().map(normal).collect()
+    let inside = |p: &Vector3<f64>| (0..3).all(|k| p[k] >= min[k] && p[k] <= max[k]);
+    let inside: Vec<usize> = (0..index.local.len()).filter(|&i| inside(&index.local[i])).collect();
+    let places: Vec<Vector3<f64>> = inside.iter().map(|&i| index.local[i]).collect();
+    let mut all = vec![Vector3::zeros(); index.local.len()];
+    for (i, normal) in inside.into_iter().zip(normals::without_side(&places)) {
+        all[i] = normal;
+    }
+    all
 }

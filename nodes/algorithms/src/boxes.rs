@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use parry3d_f64::glamx::Vec4;
 
 /// Boxes a group holds: two registers of four `f32` for each side.
-pub(super) const WIDE: usize = 8;
+pub(crate) const WIDE: usize = 8;
 
 /// Rounding of a box and of what is asked, as a share of the largest coordinate.
 const ROUNDING: f32 = 8.0 * f32::EPSILON;
@@ -78,14 +78,14 @@ impl Group {
 
 /// A bit for each of eight that is below `limit`.
 #[inline(always)]
-pub(super) fn below(squared: &[Vec4; 2], limit: f32) -> u32 {
+pub(crate) fn below(squared: &[Vec4; 2], limit: f32) -> u32 {
     let limit = Vec4::splat(limit);
     squared[0].cmplt(limit).bitmask() | squared[1].cmplt(limit).bitmask() << 4
 }
 
 /// The numbers of the bits that are set, lowest first.
 #[inline(always)]
-pub(super) fn bits(mut mask: u32) -> impl Iterator<Item = usize> {
+pub(crate) fn bits(mut mask: u32) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
         let lowest = (mask != 0).then(|| mask.trailing_zeros() as usize)?;
         mask &= mask - 1;
@@ -189,23 +189,38 @@ impl Boxes {
     }
 }
 
-/// Indices of points along a Morton curve through their bounding box, ties by index. Finite points only.
+/// Indices of points along a Morton curve through their bounding box, ties by index. Finite points only. `O(n)`.
 pub(crate) fn along_curve(points: &[Vector3<f64>]) -> Vec<u32> {
     let extent = Extent::of(points);
     let scale = 1023.0 / (extent.max - extent.min).max().max(f64::MIN_POSITIVE);
-    let mut keyed: Vec<u64> = (0_u64..)
-        .zip(points)
-        .map(|(i, p)| {
+    let mut keyed: Vec<(u32, u32)> = points
+        .iter()
+        .zip(0..)
+        .map(|(p, i)| {
             let cell = (p - extent.min) * scale;
-            (spread(cell.x as u64) | spread(cell.y as u64) << 1 | spread(cell.z as u64) << 2) << 32 | i
+            (spread(cell.x as u32) | spread(cell.y as u32) << 1 | spread(cell.z as u32) << 2, i)
         })
         .collect();
-    keyed.sort_unstable();
-    keyed.into_iter().map(|key| key as u32).collect()
+    // Ten bits at a time, the lowest first; none of the three changes the order of equals.
+    let mut sorted = vec![(0, 0); keyed.len()];
+    for shift in [0, 10, 20] {
+        let digit = |key: u32| (key >> shift & 1023) as usize;
+        let mut next = [0; 1024];
+        keyed.iter().for_each(|(key, _)| next[digit(*key)] += 1);
+        let mut n = 0;
+        next.iter_mut().for_each(|next| n += std::mem::replace(next, n));
+        for entry in &keyed {
+            let next = &mut next[digit(entry.0)];
+            sorted[*next] = *entry;
+            *next += 1;
+        }
+        std::mem::swap(&mut keyed, &mut sorted);
+    }
+    keyed.into_iter().map(|(_, i)| i).collect()
 }
 
 /// The lowest ten bits, two zeros between each.
-fn spread(bits: u64) -> u64 {
+fn spread(bits: u32) -> u32 {
     let mut x = bits & 0x3ff;
     x = (x | x << 16) & 0x0300_00ff;
     x = (x | x << 8) & 0x0300_f00f;

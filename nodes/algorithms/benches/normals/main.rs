@@ -1,0 +1,67 @@
+//! What normals of a surface cost and how exact they are, beside a plane through the exact twenty nearest.
+//!
+//! In processor time, the fastest of some runs, on one thread; bone and samples as in the bench of the field.
+
+#[path = "../field/bone.rs"]
+#[allow(dead_code, reason = "the other bench uses the rest")]
+mod bone;
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use osteoflow_algorithms::nearest::Nearest;
+use osteoflow_algorithms::normals;
+use rustix::time::{ClockId, clock_gettime};
+
+/// Processor time of the process, s.
+fn processor_time() -> f64 {
+    let time = clock_gettime(ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+fn timed<T>(n: usize, mut run: impl FnMut() -> T) -> (f64, Option<T>) {
+    (0..n).fold((f64::INFINITY, None), |(least, _), _| {
+        let began = processor_time();
+        let made = run();
+        (least.min(processor_time() - began), Some(made))
+    })
+}
+
+/// Across the plane through the twenty nearest points.
+fn of_twenty_nearest(points: &[Point3<f64>]) -> Vec<Vector3<f64>> {
+    let tree = Nearest::new(points);
+    points
+        .iter()
+        .map(|point| {
+            let near: Vec<_> = tree.nearest_n(point, 20).iter().map(|&(k, _)| points[k] - point).collect();
+            let mean = near.iter().sum::<Vector3<f64>>() / near.len() as f64;
+            let spread: Matrix3<f64> = near.iter().map(|p| (p - mean) * (p - mean).transpose()).sum();
+            let eigen = spread.symmetric_eigen();
+            eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned()
+        })
+        .collect()
+}
+
+/// RMS and 99th percentile of the angle between lines, degrees.
+fn apart(what: &str, a: &[Vector3<f64>], b: &[Vector3<f64>]) {
+    let mut angles: Vec<f64> = a.iter().zip(b).map(|(a, b)| a.angle(b).min((-a).angle(b)).to_degrees()).collect();
+    angles.sort_by(f64::total_cmp);
+    let rms = (angles.iter().map(|v| v * v).sum::<f64>() / angles.len() as f64).sqrt();
+    println!(
+        "  {what}: RMS {rms:.2}, median {:.2}, 99 % {:.2} degrees",
+        angles[angles.len() / 2],
+        angles[angles.len() * 99 / 100]
+    );
+}
+
+fn main() {
+    rayon::ThreadPoolBuilder::new().num_threads(1).build_global().expect("the first pool");
+    let samples = bone::samples(&bone::bone(), 150_000);
+    let (ours_s, ours) = timed(5, || normals::of_surface(&samples.points).expect("a bone"));
+    let (exact_s, exact) = timed(1, || of_twenty_nearest(&samples.points));
+    let (ours, exact) = (ours.unwrap_or_default(), exact.unwrap_or_default());
+    println!("{} points: {:.0} ms; of the exact twenty nearest {:.0} ms", ours.len(), ours_s * 1e3, exact_s * 1e3);
+    apart("from each other", &ours, &exact);
+    apart("from the faces", &ours, &samples.normals);
+    apart("twenty nearest from the faces", &exact, &samples.normals);
+    let inwards = ours.iter().zip(&samples.normals).filter(|(a, b)| a.dot(b) < 0.0).count();
+    println!("  {inwards} point inwards");
+}
