@@ -121,7 +121,7 @@ fn ten_kilometres_from_the_origin_the_answer_is_the_same() {
     let target = bone.target(60_000);
     let init = displaced(&middle(&source), 3.0, 0.05, 6);
     let here = plane(&target, &source, &init, &IcpParams::default()).t_target_source;
-    for (far, tolerance) in [(1e4, 1e-5), (1e7, 2e-3)] {
+    for (far, tolerance) in [(1e4, 1e-6), (1e7, 1e-4)] {
         let away = Isometry3::translation(far, -far, far);
         let points: Vec<Point3<f64>> = target.points().iter().map(|p| away * p).collect();
         let moved = Target::new("ct", target.origin, points, target.normal_column().cloned()).unwrap();
@@ -130,7 +130,7 @@ fn ten_kilometres_from_the_origin_the_answer_is_the_same() {
         let there = plane(&moved, &source, &init, &IcpParams::default()).t_target_source;
         let expected = away * here * away.inverse();
         let off = apart(&there, &expected, source.points());
-        // f64 holds 2e-9 mm at 10 km; near ties between partners then fall otherwise.
+        // f64 holds 2e-9 mm at 10 km.
         assert!(off < tolerance, "{far} mm away: {off} mm");
     }
 }

@@ -30,6 +30,22 @@ impl State {
         Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
     }
 
+    /// The state after the screw motion that begins as `motion`: what turns about an axis away from the centroid stays on
+    /// its circle.
+    pub(super) fn screwed(&self, motion: &Vector6<f64>, lever_arm_mm: f64) -> State {
+        let (shift, turn) = (motion.fixed_rows::<3>(0).into_owned(), motion.fixed_rows::<3>(3) / lever_arm_mm);
+        let angle = turn.norm();
+        let mut bent = *motion;
+        if angle > 1e-6 {
+            let (across, twice) = (turn.cross(&shift), turn.cross(&turn.cross(&shift)));
+            let shift = shift
+                + across * ((1.0 - angle.cos()) / angle.powi(2))
+                + twice * ((angle - angle.sin()) / angle.powi(3));
+            bent.fixed_rows_mut::<3>(0).copy_from(&shift);
+        }
+        self.moved(&bent, lever_arm_mm)
+    }
+
     /// The state that lies `motion` after this one: the inverse of [`State::since`].
     pub(super) fn moved(&self, motion: &Vector6<f64>, lever_arm_mm: f64) -> State {
         let turn = Vector3::new(motion[3], motion[4], motion[5]) / lever_arm_mm;

@@ -1,11 +1,29 @@
 //! Which motions the pairs of an ICP hold.
 
+use super::acceleration::State;
+use super::pairing::Pairing;
+use super::params::IcpParams;
+use super::problem::Problem;
+use super::residual::PointToPlane;
+use super::source::Prepared;
+use super::surface::Surface;
+use super::weights::Weights;
 use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 
 /// Below this RMS residual (mm) for a motion of 1 mm, a motion counts as free: ten millimetres of slide would then
 /// hide in a residual of 0.05 mm, the depth noise of the camera.
 pub(super) const FREE_PER_MM: f64 = 0.005;
+
+/// What is held less than this is looked at again by moving the source: the normals of samples beside the foot tell of a
+/// hold by that much on any curved surface, even on a ball.
+const DOUBTFUL_PER_MM: f64 = 0.05;
+
+/// How far the source is moved for that, mm: beyond the spacing of the samples, within the shape of the bone.
+const PROBE_MM: f64 = 2.0;
+
+/// About so many source points are moved.
+const PROBED: usize = 2500;
 
 /// Which motions of the source the pairs hold, from the normal matrix `JᵀJ` at the end.
 ///
@@ -38,8 +56,49 @@ pub struct WeakDirection {
 }
 
 impl Observability {
+    /// What a pose holds: along the target's normals alone (`hold` is `JᵀJ / n` along them, where known), and where that is
+    /// little, by how much the distances from the surface grow when the source is moved.
+    pub(super) fn at(
+        surface: &Surface<'_>,
+        pairing: &dyn Pairing,
+        params: &IcpParams,
+        source: &Prepared,
+        state: &State,
+        mut weights: Weights,
+        hold: Option<Matrix6<f64>>,
+    ) -> Self {
+        let every = (source.arms.len() / PROBED).max(1);
+        let problem: Problem<'_, PointToPlane> =
+            Problem::new(surface, pairing, params, every as u32, source.every(every), None);
+        let mut partners = problem.partners();
+        let mut energy_and_hold = |state: &State| {
+            let sums = problem.pair(state, &mut partners, &mut weights, false).ok()?;
+            Some((problem.energy(&sums), sums.hold / sums.weight))
+        };
+        let hold = match hold {
+            Some(hold) => hold,
+            None => energy_and_hold(state).map_or_else(Matrix6::zeros, |(_, hold)| hold),
+        };
+        let (mut values, vectors) = sorted_eigen(&hold);
+        let doubtful = |value: f64| (FREE_PER_MM..DOUBTFUL_PER_MM).contains(&value.max(0.0).sqrt());
+        if !values.iter().any(|v| doubtful(*v)) {
+            return Self::new(&hold, source.lever_arm_mm);
+        }
+        for k in (0..6).filter(|&k| doubtful(values[k])).collect::<Vec<_>>() {
+            let mut energy = |way_mm: f64| {
+                let motion: Vector6<f64> = vectors.column(k) * way_mm;
+                energy_and_hold(&state.screwed(&motion, source.lever_arm_mm)).map(|(energy, _)| energy)
+            };
+            if let (Some(back), Some(here), Some(on)) = (energy(-PROBE_MM), energy(0.0), energy(PROBE_MM)) {
+                let rise = ((back + on) / 2.0 - here) / (PROBE_MM * PROBE_MM);
+                values[k] = values[k].min(rise.max(0.0));
+            }
+        }
+        Self::new(&(vectors * Matrix6::from_diagonal(&values) * vectors.transpose()), source.lever_arm_mm)
+    }
+
     /// From `JᵀJ / n` along the normals, unknowns `(shift, turn · lever arm)`.
-    pub(super) fn new(hold: &Matrix6<f64>, lever_arm_mm: f64) -> Self {
+    fn new(hold: &Matrix6<f64>, lever_arm_mm: f64) -> Self {
         let (values, vectors) = sorted_eigen(hold);
         let direction = |k: usize| {
             let v = upright(vectors.column(k).into_owned());
@@ -51,7 +110,7 @@ impl Observability {
         };
         let free = |k: &usize| values[*k].max(0.0).sqrt() < FREE_PER_MM;
         Self {
-            eigenvalues: values.into(),
+            eigenvalues: values.map(|v| v.max(0.0)).into(),
             condition: Some(values[0] / values[5]).filter(|c| c.is_finite() && *c > 0.0),
             lever_arm_mm,
             weakest: direction(5),

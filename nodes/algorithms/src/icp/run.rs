@@ -167,7 +167,11 @@ fn run<R: Residual>(
     if end.converged {
         end.reason = if matches!(end.reason, StopReason::Iterations) { StopReason::Step } else { end.reason };
     }
-    let report = report(&exact.source, params, &end, &observer.trace);
+    // Source normals, too, say what a symmetric or generalized step may do, but nothing of the surface's hold.
+    let hold = (!R::SOURCE_NORMALS).then(|| end.sums.hold / end.sums.weight);
+    let look = fast.unwrap_or(exact.pairing);
+    let observability = Observability::at(&surface, look, params, &exact.source, &end.state, end.weights, hold);
+    let report = report(&exact.source, params, &end, &observer.trace, observability);
     Ok(IcpFit { t_target_source: end.state.isometry(&exact.source.centre), report, trace: observer.trace })
 }
 
@@ -234,7 +238,13 @@ fn check<R: Residual>(
     Ok(())
 }
 
-fn report(source: &Prepared, params: &IcpParams, end: &Descent, trace: &IcpTrace) -> IcpReport {
+fn report(
+    source: &Prepared,
+    params: &IcpParams,
+    end: &Descent,
+    trace: &IcpTrace,
+    observability: Observability,
+) -> IcpReport {
     let sums = &end.sums;
     let last = trace.steps.last();
     let iterations = trace.steps.len() as u32;
@@ -259,6 +269,6 @@ fn report(source: &Prepared, params: &IcpParams, end: &Descent, trace: &IcpTrace
         left_mm: None,
         normal_matrix: std::array::from_fn(|i| std::array::from_fn(|j| normal_matrix[(i, j)])),
         centroid_mm: end.state.centre.coords.into(),
-        observability: Observability::new(&(sums.hold / sums.weight), source.lever_arm_mm),
+        observability,
     }
 }

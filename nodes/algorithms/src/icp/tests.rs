@@ -215,3 +215,128 @@ fn what_a_variant_needs_of_the_target_is_named_where_it_is_missing() {
     let published = IcpParams { published_reading: PublishedReading::Change001, ..plain };
     assert_eq!(symmetric(&target, &source, &start(), &published, &mut go_on).unwrap_err(), IcpError::NotPublished);
 }
+
+/// Every variant by every pairing, with a name for it.
+fn variants() -> impl Iterator<Item = (Method, IcpParams, String)> {
+    let pairings = [PairingKind::Cached, PairingKind::Tree, PairingKind::Field];
+    Method::ALL.into_iter().flat_map(move |method| {
+        pairings.map(|pairing| {
+            let params = IcpParams { pairing, ..IcpParams::default() };
+            (method, params, format!("{} by {pairing:?}", method.name()))
+        })
+    })
+}
+
+#[test]
+fn metres_and_kilometres_away_every_variant_gives_the_same_answer() {
+    let (mesh, source) = (shaft(), source(&shaft(), 3000));
+    let here = whole_target(&mesh, 20_000);
+    for (far_mm, tolerance_mm) in [(1e4, 1e-6), (1e7, 1e-4)] {
+        let away = Isometry3::translation(far_mm, -far_mm, far_mm);
+        let moved: Vec<_> = source.iter().map(|p| away * p).collect();
+        let query = MeshQuery::new(&mesh.transformed("ct", &away));
+        let field = ClosestPointField::of_mesh(&query, &FieldParams::default()).unwrap();
+        let points: Vec<_> = here.points().iter().map(|p| away * p).collect();
+        let there = Target::new("ct", SurfaceOrigin::Exact, points, here.normal_column().cloned()).unwrap();
+        let there = there.with_mesh(query).with_field(field);
+        for (method, params, name) in variants() {
+            let expected = register(method, &here, &source, &start(), &params, &mut go_on).unwrap();
+            let init = away * start() * away.inverse();
+            let found = register(method, &there, &moved, &init, &params, &mut go_on).unwrap();
+            let error = off(&found, &(away * expected.t_target_source * away.inverse()), &moved);
+            assert!(error < tolerance_mm, "{name}, {far_mm} mm away: {error} mm");
+        }
+    }
+}
+
+#[test]
+fn threads_change_no_bit_of_any_variant() {
+    let (target, source) = (whole_target(&shaft(), 20_000), source(&shaft(), 3000));
+    for (method, params, name) in variants() {
+        let params = IcpParams { trim_fraction: 0.05, max_normal_angle_deg: 60.0, ..params };
+        let [one, two, eight] = [1, 2, 8].map(|n| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+            pool.install(|| register(method, &target, &source, &start(), &params, &mut go_on).unwrap())
+        });
+        assert_eq!(one, two, "{name}");
+        assert_eq!(one, eight, "{name}");
+    }
+}
+
+/// A closed surface of revolution about z through the circles `(radius, z)`, of flat faces a degree and a half wide.
+fn revolved(circles: &[(f64, f64)]) -> Mesh {
+    let (around, n) = (240_u32, circles.len() as u32);
+    let (first, last) = (circles[0], circles[circles.len() - 1]);
+    let mut vertices = vec![Point3::new(0.0, 0.0, first.1), Point3::new(0.0, 0.0, last.1)];
+    vertices.extend(circles.iter().flat_map(|&(radius, z)| {
+        (0..around).map(move |j| {
+            let turn = f64::from(j) / f64::from(around) * std::f64::consts::TAU;
+            Point3::new(radius * turn.cos(), radius * turn.sin(), z)
+        })
+    }));
+    let index = |i: u32, j: u32| 2 + i * around + j % around;
+    let mut faces: Vec<[u32; 3]> = Vec::new();
+    for j in 0..around {
+        faces.push([0, index(0, j + 1), index(0, j)]);
+        faces.push([1, index(n - 1, j), index(n - 1, j + 1)]);
+        for i in 0..n - 1 {
+            let [a, b, c, d] = [index(i, j), index(i, j + 1), index(i + 1, j + 1), index(i + 1, j)];
+            faces.extend([[a, b, c], [a, c, d]]);
+        }
+    }
+    Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap()
+}
+
+fn ball(radius: f64) -> Mesh {
+    let polar = |k: i32| f64::from(k) / 120.0 * std::f64::consts::PI;
+    let circles: Vec<_> = (1..120).map(|k| (radius * polar(k).sin(), -radius * polar(k).cos())).collect();
+    revolved(&circles)
+}
+
+#[test]
+fn what_holds_no_pose_is_refused_by_name_or_flagged() {
+    let grid = |n: usize| (0..n * n).map(move |k| ((k % n) as f64 * 0.7, (k / n) as f64 * 0.7));
+    let on_plane: Vec<_> = grid(40).map(|(x, y)| Point3::new(x - 14.0, y - 14.0, 10.0)).collect();
+    let on_line: Vec<_> = (0..800).map(|k| Point3::new(0.0, f64::from(k) * 0.02 - 8.0, 10.0)).collect();
+    let on_ball: Vec<_> =
+        grid(40).map(|(x, y)| Vector3::new(x - 14.0, y - 14.0, 14.0).normalize() * 10.0).map(Point3::from).collect();
+    let slab = whole_target(&cuboid([-40.0, -40.0, -10.0], [40.0, 40.0, 10.0]), 40_000);
+    let round = whole_target(&ball(10.0), 40_000);
+    let rod = whole_target(&revolved(&[(8.0, -60.0), (8.0, 60.0)]), 40_000);
+    let on_rod: Vec<_> = grid(40)
+        .map(|(x, y)| ((x - 14.0) / 10.0, y - 14.0))
+        .map(|(turn, z)| Point3::new(8.0 * turn.cos(), 8.0 * turn.sin(), z))
+        .collect();
+    let in_one_place = vec![Point3::new(1.0, 2.0, 10.0); 800];
+    let init = Isometry3::new(Vector3::new(0.3, -0.2, 0.4), Vector3::new(0.01, 0.02, -0.01));
+    for (method, params, name) in variants() {
+        // Free are three motions along a plane, slide and spin of a rod, three turns of a ball, and all of a line or a
+        // point but those across the surface.
+        for (what, target, source, n_free) in [
+            ("plane", &slab, &on_plane, 3),
+            ("line", &slab, &on_line, 4),
+            ("rod", &rod, &on_rod, 2),
+            ("ball", &round, &on_ball, 3),
+            ("one place", &slab, &in_one_place, 5),
+        ] {
+            match register(method, target, source, &init, &params, &mut go_on) {
+                Ok(fit) => {
+                    let free = &fit.report.observability.undetermined;
+                    assert!(free.len() >= n_free, "{name}, {what}: {:?}", fit.report.observability.eigenvalues);
+                    assert!(fit.t_target_source.to_homogeneous().iter().all(|c| c.is_finite()));
+                    assert_ne!(fit.t_target_source, Isometry3::identity(), "{name}, {what}");
+                }
+                Err(error) => assert!(!error.to_string().is_empty()),
+            }
+        }
+        let two = register(method, &slab, &on_plane[..2], &init, &params, &mut go_on);
+        assert_eq!(two.unwrap_err(), IcpError::TooFewPoints { n_source: 2, min_pairs: 10 }, "{name}");
+        let none: &[Point3<f64>] = &[];
+        let empty = register(method, &slab, none, &init, &params, &mut go_on);
+        assert_eq!(empty.unwrap_err(), IcpError::TooFewPoints { n_source: 0, min_pairs: 10 }, "{name}");
+        let mut wild = on_plane.clone();
+        wild[7].y = f64::NAN;
+        let wild = register(method, &slab, &wild, &init, &params, &mut go_on).unwrap_err();
+        assert_eq!(wild, IcpError::NotFinite { what: "source point 7".into() }, "{name}");
+    }
+}
