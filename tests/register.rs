@@ -159,6 +159,23 @@ fn a_scan_is_registered_onto_whatever_file_holds_the_bone() {
 }
 
 #[test]
+fn normals_that_the_target_has_not_are_estimated_where_the_method_needs_them() {
+    let case = Case::new();
+    for method in ["point_to_plane", "symmetric", "generalized"] {
+        let answer = case.answer("bare.ply", "scan.ply", &["--method", method]);
+        let off_mm = case.off_mm(&answer);
+        assert!(off_mm < 0.05, "{method}: {off_mm} mm; samples lie within 0.01 mm of the chords of the surface");
+        assert_eq!(
+            (&answer["target"]["normals"], &answer["target"]["normals_estimated"]),
+            (&true.into(), &true.into())
+        );
+        assert!(answer["notes"].to_string().contains("bare.ply: no normals; they are estimated"), "{answer}");
+    }
+    let points = case.answer("bare.ply", "scan.ply", &["--method", "point_to_point"]);
+    assert_eq!((&points["target"]["normals"], &points["target"]["normals_estimated"]), (&false.into(), &false.into()));
+}
+
+#[test]
 fn files_in_metres_give_the_same_pose() {
     let case = Case::new();
     let plain = pose(&case.answer("points.ply", "scan.ply", &[]));
@@ -338,11 +355,12 @@ fn what_makes_a_pose_doubtful_is_said_loudly() {
 fn without_an_answer_there_is_no_pose() {
     let case = Case::new();
     case.write("two.xyz", "0 0 0\n1 1 1\n");
+    case.write("line.xyz", &(0..300).map(|k| format!("{k} 0 0\n")).collect::<String>());
     case.write("empty.xyz", "nan nan nan\n");
     for (arguments, expected) in [
         (
-            &["bare.ply", "scan.ply", "--init", "init.txt"][..],
-            "refused: the target has no normals, which this variant needs; sample it from a mesh or estimate them\n",
+            &["line.xyz", "scan.ply", "--init", "init.txt"][..],
+            "and its nearest lie on a line or in one place, so there is no normal; is this a surface?\n",
         ),
         (&["points.ply", "two.xyz"], "refused: 2 source points, 10 are needed; is the crop empty?\n"),
         (

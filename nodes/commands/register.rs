@@ -37,13 +37,13 @@ use std::{
 /// Register one file onto another, without a graph: the SOURCE moves, the TARGET stays.
 ///
 /// The same methods, parameters and defaults as the nodes `icp.*`. TARGET is a surface (STL, PLY with faces), from which
-/// points are drawn as surface.prepare does, or points (PLY, XYZ, CSV), with normals where the file has them. SOURCE is
-/// points, or the vertices of a surface. Lengths are millimetres; each file lies in a frame of its own, and the answer
+/// points are drawn as surface.prepare does, or points (PLY, XYZ, CSV), with normals where the file has them; else these
+/// are estimated where the method needs them. SOURCE is points, or the vertices of a surface. Lengths are millimetres; each file lies in a frame of its own, and the answer
 /// takes coordinates in the source's frame to the target's.
 ///
 /// That it has not converged, or that the surfaces leave a motion free, is said on stderr and in the JSON, and is no
-/// failure: look at it before you use the pose. Exit code 3 where there is no answer: too few pairs, no normals, points
-/// that are not there.
+/// failure: look at it before you use the pose. Exit code 3 where there is no answer: too few pairs, no surface to take
+/// normals from, points that are not there.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -57,7 +57,7 @@ The parameters for --set: osteoflow inspect icp.point_to_plane
 
 Timings:
   load         reading and parsing the files, drawing points from a surface
-  prep_target  what is built once for a target: trees, cells, fields
+  prep_target  what is built once for a target: estimated normals, trees, cells, fields
   prep_source  what a method needs of the source alone
   align        the registration; cpu is its processor time
 

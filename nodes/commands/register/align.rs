@@ -71,7 +71,7 @@ impl Work {
             let began = Instant::now();
             let target = match self.inputs.target.prepare(self.params.icp.pairing) {
                 Ok(target) => target,
-                Err(error) => return Ended::Refused(error.to_string()),
+                Err(error) => return Ended::Refused(error),
             };
             timings.prep_target_ms.push(ms_since(began));
             // The methods order the source themselves, and estimate its normals where they need them, within align.

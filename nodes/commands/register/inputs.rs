@@ -2,12 +2,7 @@
 
 use super::{Register, method::Method};
 use anyhow::{Result, anyhow};
-use osteoflow_algorithms::{
-    icp::PairingKind,
-    mesh_query::MeshQuery,
-    sample,
-    target::{Target, TargetError},
-};
+use osteoflow_algorithms::{icp::PairingKind, mesh_query::MeshQuery, normals, sample, target::Target};
 use osteoflow_formats::{
     FileError, pose_file,
     shape_file::{Shape, shape_of_bytes},
@@ -54,6 +49,8 @@ impl LoadMs {
 pub(super) struct TargetFile {
     points: Column<Point3<f64>>,
     normals: Option<Column<Vector3<f64>>>,
+    /// Whether the method needs normals that the file has not.
+    estimates: bool,
     /// How many faces the points were drawn from, if it is a surface.
     n_faces: Option<usize>,
     /// The surface itself, where the method needs it.
@@ -80,7 +77,14 @@ impl Inputs {
         let shape = shape(&asked.target, unit(asked.target_unit_mm), TARGET, "target", &mut notes)?;
         load.target = ms_since(began);
         let began = Instant::now();
-        let target = TargetFile::of(shape, usize::try_from(asked.target_points)?, asked.seed, method.needs_mesh);
+        let target = TargetFile::of(shape, usize::try_from(asked.target_points)?, asked.seed, method);
+        if target.estimates {
+            notes.push(format!(
+                "{}: no normals; they are estimated from the points, outwards as of a closed surface; of an open one the \
+                 side is a guess, and matters with --camera only",
+                asked.target.display()
+            ));
+        }
         load.sample = ms_since(began);
 
         let began = Instant::now();
@@ -124,24 +128,31 @@ fn told(error: FileError) -> anyhow::Error {
 }
 
 impl TargetFile {
-    fn of(shape: Shape, n_points: usize, seed: u64, keep_mesh: bool) -> Self {
+    fn of(shape: Shape, n_points: usize, seed: u64, method: &Method) -> Self {
         match shape {
             Shape::Mesh(read) => {
                 let samples = sample::surface(&read.mesh, n_points, &mut ChaCha8Rng::seed_from_u64(seed));
                 let n_faces = Some(read.mesh.faces().len());
-                let mesh = keep_mesh.then_some(read.mesh);
-                Self { points: samples.points.into(), normals: Some(samples.normals.into()), n_faces, mesh }
+                let mesh = method.needs_mesh.then_some(read.mesh);
+                let normals = Some(samples.normals.into());
+                Self { points: samples.points.into(), normals, estimates: false, n_faces, mesh }
             }
             Shape::Cloud(read, _) => {
                 let (points, normals) = (read.cloud.point_column().clone(), read.cloud.normal_column().cloned());
-                Self { points, normals, n_faces: None, mesh: None }
+                let estimates = normals.is_none() && method.needs_normals;
+                Self { points, normals, estimates, n_faces: None, mesh: None }
             }
         }
     }
 
-    /// The target with all that is built for it once.
-    pub(super) fn prepare(&self, pairing: PairingKind) -> Result<Target, TargetError> {
-        let target = Target::new(TARGET, SurfaceOrigin::User, self.points.clone(), self.normals.clone())?;
+    /// The target with all that is built for it once; an error says why there is none.
+    pub(super) fn prepare(&self, pairing: PairingKind) -> Result<Target, String> {
+        let normals = match self.estimates {
+            true => Some(normals::of_surface(&self.points).map_err(|e| e.to_string())?.into()),
+            false => self.normals.clone(),
+        };
+        let target = Target::new(TARGET, SurfaceOrigin::User, self.points.clone(), normals);
+        let target = target.map_err(|e| e.to_string())?;
         let target = match &self.mesh {
             Some(mesh) => target.with_mesh(MeshQuery::new(mesh)),
             None => target,
@@ -160,7 +171,8 @@ impl TargetFile {
             "file": file.display().to_string(),
             "n_points": self.points.len(),
             "n_faces": self.n_faces,
-            "normals": self.normals.is_some(),
+            "normals": self.normals.is_some() || self.estimates,
+            "normals_estimated": self.estimates,
         })
     }
 
@@ -169,6 +181,7 @@ impl TargetFile {
         match (self.n_faces, &self.normals) {
             (Some(n_faces), _) => format!("{n} points drawn from {n_faces} faces"),
             (None, Some(_)) => format!("{n} points with normals"),
+            (None, None) if self.estimates => format!("{n} points, their normals estimated"),
             (None, None) => format!("{n} points without normals"),
         }
     }

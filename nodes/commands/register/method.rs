@@ -13,6 +13,8 @@ pub(super) struct Method {
     about: &'static str,
     /// Whether the target's triangles are needed.
     pub(super) needs_mesh: bool,
+    /// Whether the target's normals are needed.
+    pub(super) needs_normals: bool,
 }
 
 pub(super) const DEFAULT: &str = "point_to_plane";
@@ -23,30 +25,35 @@ pub(super) const METHODS: [Method; 5] = [
         kind: "icp.point_to_plane",
         about: "distances along the target's normals: slides freely, needs few steps; the one to begin with",
         needs_mesh: false,
+        needs_normals: true,
     },
     Method {
         icp: icp::Method::PointToPoint,
         kind: "icp.point_to_point",
         about: "distances between points: for targets without normals, and to compare; held back along a bone",
         needs_mesh: false,
+        needs_normals: false,
     },
     Method {
         icp: icp::Method::Symmetric,
         kind: "icp.symmetric",
         about: "distances along the normals of both sides: draws from farther away on curved bone",
         needs_mesh: false,
+        needs_normals: true,
     },
     Method {
         icp: icp::Method::Generalized,
         kind: "icp.generalized",
         about: "distances weighed by the flatness of both sides (GICP), to compare with others",
         needs_mesh: false,
+        needs_normals: true,
     },
     Method {
         icp: icp::Method::PointToMesh,
         kind: "icp.point_to_mesh",
         about: "distances to the target's triangles: no error of sampling, several times the cost; needs a surface",
         needs_mesh: true,
+        needs_normals: false,
     },
 ];
 

@@ -44,6 +44,7 @@ pub fn registry() -> Registry {
         .source::<surface::simulated::Simulated>()
         .source::<surface::simulated_phantom::SimulatedPhantom>()
         .node::<surface::prepare::Prepare>()
+        .node::<surface::prepare_cloud::PrepareCloud>()
         .node::<calibrate::phantom_icp::PhantomIcp>()
         .node::<transform::still_average::StillAverage>()
         .node::<transform::to_world::ToWorld>()

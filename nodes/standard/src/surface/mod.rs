@@ -2,5 +2,6 @@
 
 pub mod file;
 pub mod prepare;
+pub mod prepare_cloud;
 pub mod simulated;
 pub mod simulated_phantom;
