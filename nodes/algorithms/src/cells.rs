@@ -44,6 +44,40 @@ pub(crate) struct Nearby {
     pub(crate) free_square: f64,
 }
 
+impl Nearby {
+    /// The nearest point of all, as a tree found it, if it is no farther than `limit_mm`.
+    #[cold]
+    pub(crate) fn within(limit_mm: f64, found: Option<(usize, f64)>) -> Self {
+        let near = found.filter(|(_, square)| *square <= limit_mm * limit_mm);
+        Self {
+            nearest: near.map(|(item, square)| (item as u32, square)),
+            free_square: found.map_or(f64::INFINITY, |(_, square)| square),
+        }
+    }
+}
+
+/// Which of the points a search is about.
+pub(crate) trait Keep: Copy {
+    /// Whether it is all of them.
+    const ALL: bool;
+
+    /// Whether it is about this one.
+    fn keeps(&self, item: u32, point: &Vector3<f64>) -> bool;
+}
+
+/// All points.
+#[derive(Clone, Copy)]
+pub(crate) struct All;
+
+impl Keep for All {
+    const ALL: bool = true;
+
+    #[inline]
+    fn keeps(&self, _: u32, _: &Vector3<f64>) -> bool {
+        true
+    }
+}
+
 impl Cells {
     /// Sorts finite `points` into cells. `O(n)`.
     pub(crate) fn new(points: &[Vector3<f64>]) -> Self {
@@ -147,17 +181,17 @@ impl Cells {
         }
     }
 
-    /// The nearest point no farther than `limit_mm`; `None` if the search would have to go on for more
+    /// The nearest of the points to `keep` no farther than `limit_mm`; `None` if the search would have to go on for more
     /// than three cells around the query's own.
     #[inline]
-    pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64) -> Option<Nearby> {
-        self.nearest_in_eight(query, limit_mm).or_else(|| self.nearest_in_rings(query, limit_mm))
+    pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64, keep: impl Keep) -> Option<Nearby> {
+        self.nearest_in_eight(query, limit_mm, keep).or_else(|| self.nearest_in_rings(query, limit_mm, keep))
     }
 
     /// The nearest point if it lies in the two by two by two cells whose middle is nearest to the query, and surely none
     /// outside of them is nearer; what is close to a surface mostly is answered here.
     #[inline]
-    fn nearest_in_eight(&self, query: &Vector3<f64>, limit_mm: f64) -> Option<Nearby> {
+    fn nearest_in_eight(&self, query: &Vector3<f64>, limit_mm: f64, keep: impl Keep) -> Option<Nearby> {
         let u = (query - self.min) / self.cell_mm - Vector3::repeat(0.5);
         if !(0..3).all(|k| u[k] >= 0.0 && u[k] < f64::from(self.n_blocks[k] * EDGE - 1)) {
             return None;
@@ -170,10 +204,10 @@ impl Cells {
         for (x, y) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             let [x, y, z] = [first[0] + x, first[1] + y, first[2]];
             if z % EDGE + 1 < EDGE {
-                self.add(self.run(x, y, z, 2), query, &mut best);
+                self.add(self.run(x, y, z, 2), query, keep, &mut best);
             } else {
-                self.add(self.run(x, y, z, 1), query, &mut best);
-                self.add(self.run(x, y, z + 1, 1), query, &mut best);
+                self.add(self.run(x, y, z, 1), query, keep, &mut best);
+                self.add(self.run(x, y, z + 1, 1), query, keep, &mut best);
             }
         }
         (best.search_square() <= seen_square).then(|| self.nearby(&best, seen_square))
@@ -201,9 +235,12 @@ impl Cells {
     }
 
     #[inline]
-    fn add(&self, range: std::ops::Range<usize>, query: &Vector3<f64>, best: &mut Best) {
+    fn add(&self, range: std::ops::Range<usize>, query: &Vector3<f64>, keep: impl Keep, best: &mut Best) {
         for (at, point) in range.clone().zip(&self.points[range]) {
             let square = (point - query).norm_squared();
+            if !self.matters(at, square, keep, best) {
+                continue;
+            }
             let farther = if square < best.square { best.square } else { square };
             best.second = if farther < best.second { farther } else { best.second };
             if square < best.square || (square == best.square && self.items[at] < self.items[best.at]) {
@@ -212,7 +249,13 @@ impl Cells {
         }
     }
 
-    fn nearest_in_rings(&self, query: &Vector3<f64>, limit_mm: f64) -> Option<Nearby> {
+    /// Whether a point is one to keep, if that makes a difference.
+    #[inline]
+    fn matters<K: Keep>(&self, at: usize, square: f64, keep: K, best: &Best) -> bool {
+        K::ALL || (square < best.second && keep.keeps(self.items[at], &self.points[at]))
+    }
+
+    fn nearest_in_rings(&self, query: &Vector3<f64>, limit_mm: f64, keep: impl Keep) -> Option<Nearby> {
         let limit_square = limit_mm * limit_mm;
         let own = self.cell(query);
         if (0..3).any(|k| own[k] < -MAX_RING || own[k] - MAX_RING > (self.n_blocks[k] * EDGE) as i32) {
@@ -220,7 +263,7 @@ impl Cells {
             return (square > limit_square).then_some(Nearby { nearest: None, free_square: square });
         }
         let h = self.cell_mm;
-        let within = (query - self.min) - Vector3::new(f64::from(own[0]), f64::from(own[1]), f64::from(own[2])) * h;
+        let within = self.within(query, own);
         // Squared distances from the query to the cells before, at and after its own along each axis.
         let gap = [0, 1, 2].map(|k| {
             let (below, above) = (within[k], h - within[k]);
@@ -229,13 +272,14 @@ impl Cells {
         let margin = (0..3).map(|k| within[k].min(h - within[k])).fold(f64::INFINITY, f64::min);
         let mut best = Best::within(limit_mm * limit_mm);
         let mut skipped = f64::INFINITY;
-        self.add(self.range(own), query, &mut best);
+        self.add(self.range(own), query, keep, &mut best);
         for [x, y, z] in AROUND {
             let square = gap[0][x as usize] + gap[1][y as usize] + gap[2][z as usize];
             if square > best.search_square() {
                 skipped = skipped.min(square);
             } else {
-                self.add(self.range([own[0] + x - 1, own[1] + y - 1, own[2] + z - 1]), query, &mut best);
+                let range = self.range([own[0] + x - 1, own[1] + y - 1, own[2] + z - 1]);
+                self.add(range, query, keep, &mut best);
             }
         }
         let mut ring = 1;
@@ -248,8 +292,14 @@ impl Cells {
                 return None;
             }
             ring += 1;
-            self.look_at_ring(own, ring, query, &within, &mut best, &mut skipped);
+            self.look_at_ring(own, ring, query, keep, &mut best, &mut skipped);
         }
+    }
+
+    /// Where the query lies in its own cell, mm from its lowest corner.
+    #[inline]
+    fn within(&self, query: &Vector3<f64>, own: [i32; 3]) -> Vector3<f64> {
+        (query - self.min) - Vector3::from(own.map(f64::from)) * self.cell_mm
     }
 
     #[cold]
@@ -258,11 +308,11 @@ impl Cells {
         own: [i32; 3],
         ring: i32,
         query: &Vector3<f64>,
-        within: &Vector3<f64>,
+        keep: impl Keep,
         best: &mut Best,
         skipped: &mut f64,
     ) {
-        let h = self.cell_mm;
+        let (h, within) = (self.cell_mm, self.within(query, own));
         let gap = |k: usize, step: i32| {
             let mm = match step {
                 0 => 0.0,
@@ -279,7 +329,7 @@ impl Cells {
                     if square > best.search_square() {
                         *skipped = skipped.min(square);
                     } else {
-                        self.add(self.range([own[0] + x, own[1] + y, own[2] + z]), query, best);
+                        self.add(self.range([own[0] + x, own[1] + y, own[2] + z]), query, keep, best);
                     }
                 }
             }
@@ -353,7 +403,7 @@ mod tests {
             let off = Vector3::new(0.3, -0.2, 0.1) * (k % 7) as f64;
             let query = points[k * 7] + off;
             for limit_mm in [0.2, 1.0, 50.0] {
-                let Some(found) = cells.nearest(&query, limit_mm) else { continue };
+                let Some(found) = cells.nearest(&query, limit_mm, All) else { continue };
                 n_near += 1;
                 let mut squares: Vec<(f64, u32)> = points.iter().map(|p| (p - query).norm_squared()).zip(0..).collect();
                 squares.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -369,10 +419,10 @@ mod tests {
     #[test]
     fn equal_points_give_the_lowest_index_and_no_free_room() {
         let cells = Cells::new(&[Vector3::repeat(1.0), Vector3::repeat(0.0), Vector3::repeat(1.0)]);
-        let found = cells.nearest(&Vector3::repeat(1.0), 0.5).unwrap();
+        let found = cells.nearest(&Vector3::repeat(1.0), 0.5, All).unwrap();
         assert_eq!(found, Nearby { nearest: Some((0, 0.0)), free_square: 0.0 });
         let cells = Cells::new(&[]);
-        assert_eq!(cells.nearest(&Vector3::repeat(1.0), 0.0).map(|n| n.nearest), Some(None));
+        assert_eq!(cells.nearest(&Vector3::repeat(1.0), 0.0, All).map(|n| n.nearest), Some(None));
     }
 
     #[test]
@@ -380,7 +430,7 @@ mod tests {
         let mut points = sheet(500);
         points.push(Vector3::repeat(1e7));
         let cells = Cells::new(&points);
-        assert_eq!(cells.nearest(&points[500], 1.0).unwrap().nearest, Some((500, 0.0)));
-        assert_eq!(cells.nearest(&Vector3::repeat(-1e9), 0.5).map(|n| n.nearest), Some(None));
+        assert_eq!(cells.nearest(&points[500], 1.0, All).unwrap().nearest, Some((500, 0.0)));
+        assert_eq!(cells.nearest(&Vector3::repeat(-1e9), 0.5, All).map(|n| n.nearest), Some(None));
     }
 }

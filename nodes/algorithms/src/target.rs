@@ -1,6 +1,6 @@
 //! A surface prepared for registration.
 
-use crate::cells::{Cells, Nearby};
+use crate::cells::{All, Cells, Nearby};
 use crate::field::ClosestPointField;
 use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;
@@ -175,12 +175,12 @@ pub(crate) struct Index {
     /// The points about the centre, in the order given.
     pub(crate) local: Vec<Vector3<f64>>,
     pub(crate) cells: Cells,
-    thin: OnceLock<Thin>,
+    thin: OnceLock<Subset>,
     tree: OnceLock<Nearest>,
 }
 
-/// A few of many points, evenly spread, and a tree over them.
-pub(crate) struct Thin {
+/// Some of the points, and a tree over them.
+pub(crate) struct Subset {
     items: Vec<u32>,
     tree: Nearest,
 }
@@ -201,34 +201,34 @@ impl Index {
     /// The nearest point no farther than `limit_mm` from `query`, which is about the centre.
     #[inline]
     pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64) -> Nearby {
-        self.cells.nearest(query, limit_mm).unwrap_or_else(|| self.nearest_by_tree(query, limit_mm))
+        let close = self.cells.nearest(query, limit_mm, All);
+        close.unwrap_or_else(|| Nearby::within(limit_mm, self.tree().nearest(&Point3::from(*query))))
     }
 
-    #[cold]
-    fn nearest_by_tree(&self, query: &Vector3<f64>, limit_mm: f64) -> Nearby {
-        match self.tree().nearest(&Point3::from(*query)) {
-            Some((item, square)) if square <= limit_mm * limit_mm => {
-                Nearby { nearest: Some((item as u32, square)), free_square: square }
-            }
-            found => Nearby { nearest: None, free_square: found.map_or(f64::INFINITY, |(_, square)| square) },
-        }
-    }
-
-    /// A few of the points.
-    pub(crate) fn thin(&self) -> &Thin {
+    /// A few of the points, evenly spread.
+    pub(crate) fn thin(&self) -> &Subset {
         self.thin.get_or_init(|| {
             let every = (self.local.len() / MIN_THINNED).clamp(1, THIN);
-            let items: Vec<u32> = self.cells.items().iter().copied().step_by(every).collect();
-            let points: Vec<Vector3<f64>> = items.iter().map(|&i| self.local[i as usize]).collect();
-            Thin { items, tree: Nearest::about_origin(&points) }
+            self.subset(self.cells.items().iter().copied().step_by(every).collect())
         })
+    }
+
+    /// These of the points.
+    pub(crate) fn subset(&self, items: Vec<u32>) -> Subset {
+        let points: Vec<Vector3<f64>> = items.iter().map(|&i| self.local[i as usize]).collect();
+        Subset { items, tree: Nearest::about_origin(&points) }
     }
 }
 
-impl Thin {
-    /// Index among all points and squared distance (mm²) of the nearest of the few.
-    pub(crate) fn nearest(&self, query: &Vector3<f64>) -> Option<(u32, f64)> {
+impl Subset {
+    /// Their indices among all points.
+    pub(crate) fn items(&self) -> &[u32] {
+        &self.items
+    }
+
+    /// Index among all points and squared distance (mm²) of the nearest of them.
+    pub(crate) fn nearest(&self, query: &Vector3<f64>) -> Option<(usize, f64)> {
         let (found, square) = self.tree.nearest(&Point3::from(*query))?;
-        Some((self.items[found], square))
+        Some((self.items[found] as usize, square))
     }
 }

@@ -10,7 +10,7 @@ use super::source::Prepared;
 use super::sums::Sums;
 use super::surface::Surface;
 use super::weights::Weights;
-use crate::cells::Cells;
+use crate::cells::{All, Cells};
 use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
 use std::marker::PhantomData;
@@ -187,7 +187,7 @@ impl<'a, R: Residual> Problem<'a, R> {
         let partner = at.rotation.inverse() * (known.target - at.centre);
         let own = (partner - self.source.arms[i]).norm();
         // Found within its own distance, so only a nearer one can contradict.
-        match cells.nearest(&partner, own) {
+        match cells.nearest(&partner, own, All) {
             Some(found) => found.nearest.is_none_or(|(_, square)| square >= own * own * (1.0 - 1e-12)),
             None => false,
         }
@@ -208,10 +208,9 @@ impl<'a, R: Residual> Problem<'a, R> {
             let arm = at.rotation * self.source.arms[first + k];
             let pair = self.as_pair(at, first + k, &arm, known);
             if self.params.incidence_weights
-                && let Some((eye, _)) = self.surface.camera
+                && let Some(sight) = self.surface.sight(&known.target)
             {
-                let sight = (eye - known.target).normalize();
-                weight *= sight.dot(&known.normal).powi(2);
+                weight *= sight.normalize().dot(&known.normal).powi(2);
             }
             sums.n += 1;
             sums.weight += weight;
@@ -235,7 +234,7 @@ impl<'a, R: Residual> Problem<'a, R> {
     fn too_few(&self, state: &State, n_pairs: usize, min_pairs: usize) -> IcpError {
         let at = At::new(state, self.surface);
         let nearest = |arm: &Vector3<f64>| {
-            let found = self.surface.index.nearest(&(at.centre + at.rotation * arm), f64::MAX.sqrt());
+            let found = self.surface.nearest(&(at.centre + at.rotation * arm), f64::MAX.sqrt());
             found.nearest.map_or(f64::INFINITY, |(_, square)| square)
         };
         IcpError::TooFewPairs {

@@ -29,7 +29,7 @@ impl Pairing for Cached<'_> {
         } else if reach_mm < room_mm {
             return;
         }
-        let found = self.0.index.nearest(moved, limit_mm);
+        let found = self.0.nearest(moved, limit_mm);
         known.at = *moved;
         known.free_mm = found.free_square.sqrt();
         match found.nearest {

@@ -1,6 +1,6 @@
 use super::{Known, Pairing};
 use crate::icp::surface::Surface;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 /// The nearest samples, searched anew in a k-d tree.
 pub(in crate::icp) struct Tree<'a>(pub(in crate::icp) &'a Surface<'a>);
@@ -8,7 +8,7 @@ pub(in crate::icp) struct Tree<'a>(pub(in crate::icp) &'a Surface<'a>);
 impl Pairing for Tree<'_> {
     #[inline]
     fn find(&self, moved: &Vector3<f64>, reach_mm: f64, known: &mut Known) {
-        let found = self.0.index.tree().nearest(&Point3::from(*moved)).map(|(item, square)| (item as u32, square));
+        let found = self.0.nearest_by_tree(moved);
         set(self.0, found, reach_mm, known);
     }
 }
@@ -19,13 +19,13 @@ pub(in crate::icp) struct Thinned<'a>(pub(in crate::icp) &'a Surface<'a>);
 impl Pairing for Thinned<'_> {
     #[inline]
     fn find(&self, moved: &Vector3<f64>, reach_mm: f64, known: &mut Known) {
-        set(self.0, self.0.index.thin().nearest(moved), reach_mm, known);
+        set(self.0, self.0.nearest_of_few(moved), reach_mm, known);
     }
 }
 
-fn set(surface: &Surface<'_>, found: Option<(u32, f64)>, reach_mm: f64, known: &mut Known) {
+fn set(surface: &Surface<'_>, found: Option<(usize, f64)>, reach_mm: f64, known: &mut Known) {
     match found.filter(|(_, square)| *square <= reach_mm * reach_mm) {
-        Some((item, _)) => known.set(item, surface.index.local[item as usize], surface.normals[item as usize]),
+        Some((item, _)) => known.set(item as u32, surface.index.local[item], surface.normals[item]),
         None => known.clear(),
     }
 }
