@@ -66,13 +66,14 @@ impl Group {
     /// Squared distances of the boxes from the box asked, none above the true one but for rounding.
     #[inline(always)]
     fn squared(&self, min: &[Vec4; 3], max: &[Vec4; 3]) -> [Vec4; 2] {
-        [0, 1].map(|half| {
-            let [x, y, z] = [0, 1, 2].map(|axis| {
+        let half = |half: usize| {
+            let gap = |axis: usize| {
                 let gap = (self.min[axis][half] - max[axis]).max(min[axis] - self.max[axis][half]).max(Vec4::ZERO);
                 gap * gap
-            });
-            x + y + z
-        })
+            };
+            gap(0) + gap(1) + gap(2)
+        };
+        [half(0), half(1)]
     }
 }
 

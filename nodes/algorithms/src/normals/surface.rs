@@ -21,8 +21,8 @@ const CHANGE: f64 = 4.0;
 
 /// Points that follow each other along the curve share a search for neighbours: so many, within so many radii; and of these
 /// eight, within fewer radii, share what may lie within the radius of one of them.
-const TOGETHER: (usize, f64) = (16, 6.0);
-const EIGHT: (usize, f64) = (8, 3.0);
+const TOGETHER: (usize, f64) = (24, 4.0);
+const EIGHT: (usize, f64) = (8, 2.0);
 
 /// A radius serves a point with no fewer and no more neighbours than these; else its own nearest are searched for.
 const FEWEST: f32 = 9.0;
@@ -55,9 +55,9 @@ const CHUNK: usize = 512;
 
 /// Unit normals of a surface that is known by points alone, outwards where that can be told.
 ///
-/// Across the plane that fits a point's neighbours best, about twenty: those within the radius that holds twenty about the
-/// first of eight points that lie together. Sides are made to agree from point to point, the clearest pairs first; then
-/// each connected part is turned so that its normals point away from its middle on the whole, as those of every closed
+/// Across the plane that fits a point's neighbours best, about twenty: those within a radius that holds twenty on average
+/// of the points thereabouts. Sides are made to agree from point to point, the clearest pairs first; then each connected
+/// part is turned so that its normals point away from its middle on the whole, as those of every closed
 /// surface do. So a closed surface gets outward normals. An open one (a single view, a crop) gets normals that agree, but
 /// on which side is a guess: a point-to-plane registration does not mind, a closest-point field does. A closed surface
 /// within another, such as the wall of a marrow cavity, counts as a bone of its own. Sheets closer to each other than
@@ -85,7 +85,7 @@ pub fn of_surface(points: &[Point3<f64>]) -> Result<Vec<Vector3<f64>>, NormalErr
         fitted.push(normal.ok_or(NormalError::NoPlane { index: index as usize })?);
     }
     orient(&along, &mut fitted, fits.iter().flat_map(|fit| &fit.edges).copied());
-    let mut normals = vec![Vector3::zeros(); points.len()];
+    let mut normals = places;
     for (normal, &index) in fitted.into_iter().zip(&handfuls.order) {
         normals[index as usize] = normal;
     }
@@ -142,13 +142,11 @@ struct Work<'a> {
     n_near: usize,
 }
 
-/// Points about the first of some: side by side, four at a time, and each by itself with its number along the curve.
+/// Points about the first of some, side by side, four at a time, with the number of the first of the four along the curve.
 #[derive(Default)]
 struct Around {
     base: Vector3<f64>,
-    fours: Vec<[Vec4; 3]>,
-    each: Vec<Vec4>,
-    numbers: Vec<u32>,
+    fours: Vec<([Vec4; 3], u32)>,
 }
 
 /// Sums over the neighbours of four points, each about its own.
@@ -162,7 +160,8 @@ struct Moments {
 impl<'a> Work<'a> {
     /// Begins with the radius that serves a point.
     fn new(handfuls: &'a Handfuls, along: &'a [Vector3<f64>], first: usize, with_edges: bool) -> Self {
-        let (normals, edges, around, near, numbers) = Default::default();
+        let (around, near, numbers) = Default::default();
+        let (normals, edges) = (Vec::with_capacity(CHUNK), Vec::with_capacity(if with_edges { 3 * CHUNK } else { 0 }));
         let mut nearest = Vec::new();
         handfuls.nearest_n(&along[first], NEIGHBOURS, &mut nearest);
         let radius = nearest.last().map_or(0.0, |(squared, _)| f64::from(squared.sqrt()));
@@ -183,10 +182,13 @@ impl<'a> Work<'a> {
                 first = eight.end;
             }
             let mean = n_neighbours / together.len() as f64;
+            let wanted = (NEIGHBOURS as f64 / mean).clamp(1.0 / CHANGE, CHANGE).sqrt();
             if TYPICAL.contains(&mean) {
+                // What comes next is much the same.
+                self.radius *= wanted.sqrt().sqrt();
                 return together.len();
             }
-            self.radius *= (NEIGHBOURS as f64 / mean).clamp(1.0 / CHANGE, CHANGE).sqrt();
+            self.radius *= wanted;
             self.normals.truncate(n_normals);
             self.edges.truncate(n_edges);
         }
@@ -213,22 +215,14 @@ impl<'a> Work<'a> {
 
     /// Gathers what lies within the radius of an extent, about a point.
     fn gather(&mut self, base: usize, extent: &Extent) {
-        let Around { base: at, fours, each, numbers } = &mut self.around;
-        *at = self.along[base];
+        let Self { handfuls, along, radius, around: Around { base: at, fours }, .. } = self;
+        *at = along[base];
         fours.clear();
-        each.clear();
-        numbers.clear();
-        self.handfuls.boxes.around(extent, self.radius, |k| {
-            let away = self.handfuls.handfuls[k].from(at);
-            for half in 0..2 {
-                let four = away.map(|halves| halves[half]);
-                let [x, y, z] = four.map(|four| four.to_array());
-                fours.push(four);
-                for n in 0..4 {
-                    each.push(Vec4::new(x[n], y[n], z[n], 0.0));
-                    numbers.push((k * HANDFUL + half * 4 + n) as u32);
-                }
-            }
+        handfuls.boxes.around(extent, *radius, |k| {
+            let [x, y, z] = handfuls.handfuls[k].from(at);
+            let first = (k * HANDFUL) as u32;
+            fours.push(([x[0], y[0], z[0]], first));
+            fours.push(([x[1], y[1], z[1]], first + 4));
         });
     }
 
@@ -251,8 +245,6 @@ impl<'a> Work<'a> {
             }
         }
         if self.with_edges {
-            // Later ones are tied to it in turn, but of a few alone none may be.
-            let after = if n < EIGHT.0 { 0 } else { eight.start as u32 };
             for (k, place) in places.iter().enumerate().take(n) {
                 let this = (eight.start + k) as u32;
                 let follows = k > 0 && (places[k - 1] - place).norm() <= self.radius;
@@ -260,8 +252,8 @@ impl<'a> Work<'a> {
                     self.edges.push((this - 1, this));
                 }
                 // Two of eight are enough to tie them to those around.
-                if !follows || k == 4 {
-                    self.tie(this, place, after);
+                if !follows {
+                    self.tie(this, place);
                 }
             }
         }
@@ -274,25 +266,26 @@ impl<'a> Work<'a> {
         let side = |side: Vector3<f64>| (side - around.base).map(|c| Vec4::splat(c as f32)).data.0[0];
         let (min, max) = (side(extent.min), side(extent.max));
         let limit = Vec4::splat(squared(*radius));
-        if near.len() < around.each.len() {
-            near.resize(around.each.len(), Vec4::ZERO);
-            numbers.resize(around.each.len(), 0);
+        let most = 4 * around.fours.len();
+        if near.len() < most {
+            near.resize(most, Vec4::ZERO);
+            numbers.resize(most, 0);
         }
-        let (near, numbers) = (&mut near[..around.each.len()], &mut numbers[..around.each.len()]);
+        let (near, numbers) = (&mut near[..most], &mut numbers[..most]);
         let mut n = 0;
-        let each = around.each.chunks_exact(4).zip(around.numbers.chunks_exact(4));
-        for (four, (each, number)) in around.fours.iter().zip(each) {
-            let [x, y, z] = [0, 1, 2].map(|axis| {
-                let gap = (min[axis] - four[axis]).max(four[axis] - max[axis]).max(Vec4::ZERO);
-                gap * gap
-            });
-            let within = (x + y + z).cmple(limit).bitmask();
+        for (four, first) in &around.fours {
+            let [x, y, z] = four;
+            let dx = (min[0] - *x).max(*x - max[0]).max(Vec4::ZERO);
+            let dy = (min[1] - *y).max(*y - max[1]).max(Vec4::ZERO);
+            let dz = (min[2] - *z).max(*z - max[2]).max(Vec4::ZERO);
+            let within = (dx * dx + dy * dy + dz * dz).cmple(limit).bitmask();
             if within == 0 {
                 continue;
             }
             // Each is written, and the next takes its place where it is not near: quicker than to ask.
+            let (x, y, z) = (x.to_array(), y.to_array(), z.to_array());
             for k in 0..4 {
-                (near[n], numbers[n]) = (each[k], number[k]);
+                (near[n], numbers[n]) = (Vec4::new(x[k], y[k], z[k], 0.0), first + k as u32);
                 n += (within >> k & 1) as usize;
             }
         }
@@ -313,14 +306,14 @@ impl<'a> Work<'a> {
     }
 
     /// Ties a point to one of each handful nearby, of those that come after a number.
-    fn tie(&mut self, this: u32, place: &Vector3<f64>, after: u32) {
+    fn tie(&mut self, this: u32, place: &Vector3<f64>) {
         let place = (place - self.around.base).map(|c| c as f32);
         let place = Vec4::new(place.x, place.y, place.z, 0.0);
         let limit = squared(self.radius);
         let mut last = this / HANDFUL as u32;
         for (near, &number) in self.near[..self.n_near].iter().zip(&self.numbers) {
             let handful = number / HANDFUL as u32;
-            if number > after && handful != last && (near - place).length_squared() <= limit {
+            if handful != last && (near - place).length_squared() <= limit {
                 self.edges.push((this, number));
                 last = handful;
             }
@@ -475,9 +468,8 @@ fn orient(along: &[Vector3<f64>], normals: &mut [Vector3<f64>], edges: impl Iter
         let (n, m) = (&normals[i as usize], &normals[j as usize]);
         let between = along[j as usize] - along[i as usize];
         let off = n.dot(&between).abs().max(m.dot(&between).abs());
-        let share = off / between.norm();
-        if share > ACROSS {
-            across.push((share, (i, j)));
+        if off * off > ACROSS * ACROSS * between.norm_squared() {
+            across.push((off / between.norm(), (i, j)));
             continue;
         }
         let agreement = n.dot(m);
