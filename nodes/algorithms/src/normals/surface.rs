@@ -79,12 +79,12 @@ pub fn of_surface(points: &[Point3<f64>]) -> Result<Vec<Vector3<f64>>, NormalErr
     let places: Vec<Vector3<f64>> = points.iter().map(|p| p - centre).collect();
     let handfuls = Handfuls::new(&places);
     let along = handfuls.along(&places);
-    let fits = fitted(&handfuls, &along, true);
+    let (planes, edges) = fitted(&handfuls, &along, true);
     let mut fitted: Vec<Vector3<f64>> = Vec::with_capacity(points.len());
-    for (normal, &index) in fits.iter().flat_map(|fit| &fit.normals).zip(&handfuls.order) {
+    for (normal, &index) in planes.into_iter().flatten().zip(&handfuls.order) {
         fitted.push(normal.ok_or(NormalError::NoPlane { index: index as usize })?);
     }
-    orient(&along, &mut fitted, fits.iter().flat_map(|fit| &fit.edges).copied());
+    orient(&along, &mut fitted, edges.into_iter().flatten());
     let mut normals = places;
     for (normal, &index) in fitted.into_iter().zip(&handfuls.order) {
         normals[index as usize] = normal;
@@ -99,38 +99,38 @@ pub(crate) fn without_side(places: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let handfuls = Handfuls::new(places);
     let along = handfuls.along(places);
     let mut normals = vec![Vector3::zeros(); places.len()];
-    let fits = fitted(&handfuls, &along, false);
-    for (normal, &index) in fits.iter().flat_map(|fit| &fit.normals).zip(&handfuls.order) {
+    let (planes, _) = fitted(&handfuls, &along, false);
+    for (normal, &index) in planes.into_iter().flatten().zip(&handfuls.order) {
         normals[index as usize] = normal.unwrap_or_default();
     }
     normals
 }
 
-/// The planes of all points, chunk by chunk along the curve.
-fn fitted<'a>(handfuls: &'a Handfuls, along: &'a [Vector3<f64>], with_edges: bool) -> Vec<Work<'a>> {
+/// The planes of all points, chunk by chunk along the curve, and who is tied to whom if asked for.
+fn fitted(handfuls: &Handfuls, along: &[Vector3<f64>], with_edges: bool) -> (Vec<Vec<Plane>>, Vec<Vec<Edge>>) {
     let n = along.len();
-    let fit = |chunk: usize| {
-        let all = chunk * CHUNK..((chunk + 1) * CHUNK).min(n);
-        let mut work = Work::new(handfuls, along, all.start, with_edges);
-        let mut first = all.start;
-        while first < all.end {
-            first += work.fit(first..all.end);
-        }
-        work
-    };
-    (0..n.div_ceil(CHUNK)).into_par_iter().map(fit).collect()
+    (0..n.div_ceil(CHUNK))
+        .into_par_iter()
+        .map_init(
+            || Work::new(handfuls, along, with_edges),
+            |work, chunk| work.chunk(chunk * CHUNK..((chunk + 1) * CHUNK).min(n)),
+        )
+        .unzip()
 }
+
+/// The normal of a point, where it has one.
+type Plane = Option<Vector3<f64>>;
 
 /// Two neighbours, by their numbers along the curve.
 type Edge = (u32, u32);
 
-/// What a chunk of points gives, and room for its work.
+/// What a chunk of points gives, and room for its work, which serves one chunk after another.
 struct Work<'a> {
     handfuls: &'a Handfuls,
     /// The points along the curve.
     along: &'a [Vector3<f64>],
     with_edges: bool,
-    normals: Vec<Option<Vector3<f64>>>,
+    normals: Vec<Plane>,
     edges: Vec<Edge>,
     /// What served the points before.
     radius: f64,
@@ -158,14 +158,23 @@ struct Moments {
 }
 
 impl<'a> Work<'a> {
-    /// Begins with the radius that serves a point.
-    fn new(handfuls: &'a Handfuls, along: &'a [Vector3<f64>], first: usize, with_edges: bool) -> Self {
-        let (around, near, numbers) = Default::default();
-        let (normals, edges) = (Vec::with_capacity(CHUNK), Vec::with_capacity(if with_edges { 3 * CHUNK } else { 0 }));
-        let mut nearest = Vec::new();
-        handfuls.nearest_n(&along[first], NEIGHBOURS, &mut nearest);
-        let radius = nearest.last().map_or(0.0, |(squared, _)| f64::from(squared.sqrt()));
-        Self { handfuls, along, with_edges, normals, edges, radius, nearest, around, near, numbers, n_near: 0 }
+    fn new(handfuls: &'a Handfuls, along: &'a [Vector3<f64>], with_edges: bool) -> Self {
+        let (normals, edges, nearest, around, near, numbers) = Default::default();
+        let (radius, n_near) = (0.0, 0);
+        Self { handfuls, along, with_edges, normals, edges, radius, nearest, around, near, numbers, n_near }
+    }
+
+    /// The normals and edges of some points; begins with the radius that serves the first.
+    fn chunk(&mut self, points: Range<usize>) -> (Vec<Plane>, Vec<Edge>) {
+        self.handfuls.nearest_n(&self.along[points.start], NEIGHBOURS, &mut self.nearest);
+        self.radius = self.nearest.last().map_or(0.0, |(squared, _)| f64::from(squared.sqrt()));
+        self.normals = Vec::with_capacity(points.len());
+        self.edges = Vec::with_capacity(if self.with_edges { 3 * points.len() } else { 0 });
+        let mut first = points.start;
+        while first < points.end {
+            first += self.fit(first..points.end);
+        }
+        (std::mem::take(&mut self.normals), std::mem::take(&mut self.edges))
     }
 
     /// Appends the normals of those of these points that lie together with the first, and to which neighbours they are
