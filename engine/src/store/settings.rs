@@ -28,7 +28,7 @@ pub struct SettingsError {
 }
 
 impl Settings {
-    /// 1 GiB: some hundred prepared surfaces of 7 MB, or the closest-point fields of ten bones, and less than one day of
+    /// 1 GiB: a hundred prepared surfaces of 10 MB, or sixty with their closest-point fields, and less than one day of
     /// recordings takes.
     pub const MAX_BYTES: u64 = 1 << 30;
 

@@ -1,6 +1,7 @@
 //! Nearest neighbours close by: a list of the points in each cell of a grid.
 
 use nalgebra::Vector3;
+use osteoflow_geometry::Column;
 
 /// Points a cell holds on average where it holds any: fewer cost look-ups of cells, more cost distances.
 const PER_CELL: f64 = 2.0;
@@ -33,6 +34,19 @@ pub(crate) struct Cells {
     points: Vec<Vector3<f64>>,
     /// The index that each point was given with.
     items: Vec<u32>,
+}
+
+/// The cells of points as flat columns, for files. The points themselves are not among them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CellParts {
+    /// The edge of a cell, mm.
+    pub cell_mm: f64,
+    /// Which blocks of four cells along each edge hold points, in the order of the grid (z fastest).
+    pub blocks: Column<u32>,
+    /// For each cell of each such block where its points begin among the items, and the number of points at the end.
+    pub starts: Column<u32>,
+    /// Indices of the points, cell after cell.
+    pub items: Column<u32>,
 }
 
 /// What lies next to a query.
@@ -81,24 +95,19 @@ impl Keep for All {
 impl Cells {
     /// Sorts finite `points` into cells. `O(n)`.
     pub(crate) fn new(points: &[Vector3<f64>]) -> Self {
-        let (mut min, mut max) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-        for p in points {
-            (min, max) = (min.inf(p), max.sup(p));
-        }
-        if points.is_empty() {
-            (min, max) = (Vector3::zeros(), Vector3::zeros());
-        }
-        let extent = max - min;
+        let (min, max) = extremes(points);
         // The number of cells that a surface occupies falls with the square of their size.
-        let trial_mm = (extent.max() / 256.0).max(f64::MIN_POSITIVE.sqrt());
-        let trial = Self::sorted(points, &min, &max, trial_mm);
+        let trial_mm = ((max - min).max() / 256.0).max(f64::MIN_POSITIVE.sqrt());
+        let trial = Self::sorted(points, trial_mm);
         let n_occupied = trial.starts.windows(2).filter(|w| w[0] < w[1]).count().max(1);
         let per_cell = points.len() as f64 / n_occupied as f64;
         let cell_mm = trial_mm * (PER_CELL / per_cell).sqrt();
-        Self::sorted(points, &min, &max, cell_mm)
+        Self::sorted(points, cell_mm)
     }
 
-    fn sorted(points: &[Vector3<f64>], min: &Vector3<f64>, max: &Vector3<f64>, cell_mm: f64) -> Self {
+    /// A grid around the points, none of which it has; its cells are larger than asked where they would be too many.
+    fn without_points(points: &[Vector3<f64>], cell_mm: f64) -> Self {
+        let (min, max) = extremes(points);
         let extent = max - min;
         let edge = f64::from(EDGE);
         let volume = |cell: f64| extent.iter().map(|e| (e / (cell * edge)).floor() + 1.0).product::<f64>();
@@ -107,17 +116,21 @@ impl Cells {
             cell_mm *= 1.5;
         }
         let n_blocks = [0, 1, 2].map(|k| (extent[k] / (cell_mm * edge)) as u32 + 1);
-        let mut cells = Self {
+        Self {
             cell_mm,
-            min: *min,
-            max: *max,
+            min,
+            max,
             n_blocks,
             blocks: vec![NONE; n_blocks.iter().map(|n| *n as usize).product()],
             starts: Vec::new(),
-            points: vec![Vector3::zeros(); points.len()],
-            items: vec![0; points.len()],
-        };
-        let places: Vec<(u32, u32)> = points.iter().map(|p| cells.place(&cells.cell(p))).collect();
+            points: Vec::new(),
+            items: Vec::new(),
+        }
+    }
+
+    fn sorted(points: &[Vector3<f64>], cell_mm: f64) -> Self {
+        let mut cells = Self::without_points(points, cell_mm);
+        let places: Vec<(u32, u32)> = points.iter().map(|p| cells.place(&cells.cell_of(p))).collect();
         for (block, _) in &places {
             cells.blocks[*block as usize] = 0;
         }
@@ -135,6 +148,8 @@ impl Cells {
             cells.starts[k] += cells.starts[k - 1];
         }
         let mut next = cells.starts.clone();
+        cells.points = vec![Vector3::zeros(); points.len()];
+        cells.items = vec![0; points.len()];
         for (item, (point, place)) in (0_u32..).zip(points.iter().zip(&places)) {
             let at = &mut next[slot(&cells.blocks, *place)];
             cells.points[*at as usize] = *point;
@@ -142,6 +157,63 @@ impl Cells {
             *at += 1;
         }
         cells
+    }
+
+    /// What cannot be told from the points without sorting them.
+    pub(crate) fn to_parts(&self) -> CellParts {
+        let held = (0_u32..).zip(&self.blocks).filter(|(_, number)| **number != NONE);
+        CellParts {
+            cell_mm: self.cell_mm,
+            blocks: held.map(|(block, _)| block).collect(),
+            starts: self.starts.clone().into(),
+            items: self.items.clone().into(),
+        }
+    }
+
+    /// The cells of finite `points` that were sorted before; tells what is wrong where they are not those points' cells.
+    ///
+    /// Every point is looked at, so that damaged parts are refused and never give a wrong neighbour. `O(n)`.
+    pub(crate) fn from_parts(points: &[Vector3<f64>], parts: &CellParts) -> Result<Self, String> {
+        let cell_mm = parts.cell_mm;
+        let (held, starts, items): (&[u32], &[u32], &[u32]) = (&parts.blocks, &parts.starts, &parts.items);
+        if !(cell_mm > 0.0 && cell_mm.is_finite()) {
+            return Err(format!("its cells are {cell_mm} mm large"));
+        }
+        let mut cells = Self::without_points(points, cell_mm);
+        if cells.cell_mm != cell_mm {
+            return Err(format!("cells of {cell_mm} mm are too many for its points"));
+        }
+        if !held.is_sorted_by(|a, b| a < b) || held.last().is_some_and(|last| *last as usize >= cells.blocks.len()) {
+            return Err("its blocks of cells are not in order".into());
+        }
+        if starts.len() != held.len() * CELLS as usize + 1 || items.len() != points.len() {
+            return Err(format!("it has {} cells with {} points", starts.len().saturating_sub(1), items.len()));
+        }
+        if starts[0] != 0 || starts[starts.len() - 1] as usize != points.len() || !starts.is_sorted() {
+            return Err("the points of its cells are not in order".into());
+        }
+        for (number, block) in (0..).zip(held) {
+            cells.blocks[*block as usize] = number;
+        }
+        cells.points.reserve_exact(points.len());
+        let mut before = None;
+        for (at, &item) in (0..).zip(items) {
+            let point = points.get(item as usize);
+            let bounds = point.and_then(|point| {
+                let (block, cell) = cells.place(&cells.cell_of(point));
+                let slot = cells.blocks[block as usize] as usize * CELLS as usize + cell as usize;
+                starts.get(slot..slot + 2)
+            });
+            let is_there = bounds.is_some_and(|b| b[0] <= at && at < b[1] && (at == b[0] || before < Some(item)));
+            let Some(point) = point.filter(|_| is_there) else {
+                return Err(format!("point {item} lies in another cell"));
+            };
+            cells.points.push(*point);
+            before = Some(item);
+        }
+        cells.starts = starts.to_vec();
+        cells.items = items.to_vec();
+        Ok(cells)
     }
 
     /// The edge of a cell, mm.
@@ -159,7 +231,15 @@ impl Cells {
         [u.x.floor() as i32, u.y.floor() as i32, u.z.floor() as i32]
     }
 
+    /// The cell of a point that the grid lies around: none is below zero, so the next whole number towards zero will do.
+    #[inline]
+    fn cell_of(&self, point: &Vector3<f64>) -> [i32; 3] {
+        let u = (point - self.min) / self.cell_mm;
+        [u.x as i32, u.y as i32, u.z as i32]
+    }
+
     /// The block of a cell within the grid, and the cell's number in it.
+    #[inline]
     fn place(&self, cell: &[i32; 3]) -> (u32, u32) {
         let [x, y, z] = cell.map(|c| c as u32);
         let block = ((x / EDGE) * self.n_blocks[1] + y / EDGE) * self.n_blocks[2] + z / EDGE;
@@ -337,6 +417,19 @@ impl Cells {
     }
 }
 
+/// The corners of the points' bounding box; the origin where there are none.
+fn extremes(points: &[Vector3<f64>]) -> (Vector3<f64>, Vector3<f64>) {
+    let Some(first) = points.first() else { return (Vector3::zeros(), Vector3::zeros()) };
+    let (mut min, mut max) = (*first, *first);
+    for p in points {
+        for k in 0..3 {
+            min[k] = if p[k] < min[k] { p[k] } else { min[k] };
+            max[k] = if p[k] > max[k] { p[k] } else { max[k] };
+        }
+    }
+    (min, max)
+}
+
 /// The nearest point so far, by its place among those sorted, and how near it and the second are.
 struct Best {
     at: usize,
@@ -414,6 +507,45 @@ mod tests {
             }
         }
         assert!(n_near > 600, "{n_near} answers");
+    }
+
+    #[test]
+    fn cells_come_back_from_their_parts_and_others_are_refused() {
+        let points = sheet(3000);
+        let cells = Cells::new(&points);
+        let parts = cells.to_parts();
+        let back = Cells::from_parts(&points, &parts).unwrap();
+        assert_eq!((&back.points, &back.blocks), (&cells.points, &cells.blocks));
+        assert_eq!((back.min, back.max, back.n_blocks), (cells.min, cells.max, cells.n_blocks));
+        assert_eq!(back.to_parts(), parts);
+        for of_few in [&points[..1], &[points[0]; 3]] {
+            let cells = Cells::new(of_few);
+            assert_eq!(Cells::from_parts(of_few, &cells.to_parts()).unwrap().points, cells.points);
+        }
+
+        let refused = |points: &[Vector3<f64>], damage: &dyn Fn(&mut CellParts), why: &str| {
+            let mut parts = parts.clone();
+            damage(&mut parts);
+            let error = Cells::from_parts(points, &parts).err();
+            assert!(error.as_ref().is_some_and(|error| error.contains(why)), "{why}: {error:?}");
+        };
+        let changed = |column: &Column<u32>, at: usize, value: u32| {
+            let mut values = column.to_vec();
+            values[at] = value;
+            Column::from(values)
+        };
+        refused(&points, &|p| p.cell_mm = f64::NAN, "NaN mm large");
+        refused(&points, &|p| p.cell_mm = 1e-9, "too many");
+        refused(&points, &|p| p.cell_mm *= 1.5, "");
+        refused(&points, &|p| p.blocks = changed(&p.blocks, 0, u32::MAX), "not in order");
+        refused(&points, &|p| p.starts = changed(&p.starts, 5, u32::MAX), "not in order");
+        refused(&points, &|p| p.starts = p.starts[1..].to_vec().into(), "cells with 3000 points");
+        refused(&points, &|p| p.items = changed(&p.items, 7, p.items[8]), "another cell");
+        refused(&points, &|p| p.items = changed(&p.items, 7, u32::MAX), "another cell");
+        refused(&points[1..], &|_| {}, "3000 points");
+        let mut moved = points.clone();
+        moved[40] += Vector3::repeat(2.0 * cells.cell_mm);
+        refused(&moved, &|_| {}, "another cell");
     }
 
     #[test]

@@ -6,17 +6,22 @@ use osteoflow_geometry::Mesh;
 use parry3d_f64::math::Vector as Vec3;
 use parry3d_f64::query::{PointQuery, Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// A ray goes on from so far behind a face, mm: beyond rounding, before any next face.
 const STEP_PAST_MM: f64 = 1e-6;
 
 /// A mesh prepared for ray casts and closest points. Wraps parry3d; its vertices are held about their mean, so that a
-/// bone far from the origin loses no digits. A cheap handle.
+/// bone far from the origin loses no digits. A cheap handle: clones share what is built for searching when first asked for.
 #[derive(Clone)]
 pub struct MeshQuery {
     mesh: Mesh,
-    shape: Option<Arc<TriMesh>>,
+    searched: Arc<OnceLock<Searched>>,
+}
+
+struct Searched {
+    /// Where the mesh can be searched at all.
+    shape: Option<TriMesh>,
     centre: Point3<f64>,
 }
 
@@ -47,12 +52,23 @@ pub struct Closest {
 }
 
 impl MeshQuery {
-    /// Prepares `mesh`; faces without area are never hit. `O(m log m)`.
+    /// Of `mesh`; faces without area are never hit.
     pub fn new(mesh: &Mesh) -> Self {
-        let centre = centroid(mesh.vertices());
-        let vertices = mesh.vertices().iter().map(|v| to_glam(&(v - centre))).collect();
-        let shape = TriMesh::new(vertices, mesh.faces().to_vec()).ok().map(Arc::new);
-        Self { mesh: mesh.clone(), shape, centre }
+        Self { mesh: mesh.clone(), searched: Arc::default() }
+    }
+
+    /// Builds now what the first question would build. `O(m log m)`.
+    pub fn prepare(&self) {
+        self.searched();
+    }
+
+    #[inline]
+    fn searched(&self) -> &Searched {
+        self.searched.get_or_init(|| {
+            let centre = centroid(self.mesh.vertices());
+            let vertices = self.mesh.vertices().iter().map(|v| to_glam(&(v - centre))).collect();
+            Searched { shape: TriMesh::new(vertices, self.mesh.faces().to_vec()).ok(), centre }
+        })
     }
 
     /// The mesh itself.
@@ -63,8 +79,9 @@ impl MeshQuery {
     /// The first face met from `origin` along `direction` (any length but zero), from either side.
     pub fn cast_ray(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<RayHit> {
         let direction = direction.try_normalize(0.0).filter(|d| finite(origin) && d.iter().all(|c| c.is_finite()))?;
-        let ray = Ray::new(to_glam(&(origin - self.centre)), to_glam(&direction));
-        let hit = self.shape.as_ref()?.cast_local_ray_and_get_normal(&ray, f64::MAX, false)?;
+        let Searched { shape, centre } = self.searched();
+        let ray = Ray::new(to_glam(&(origin - centre)), to_glam(&direction));
+        let hit = shape.as_ref()?.cast_local_ray_and_get_normal(&ray, f64::MAX, false)?;
         let face = hit.subshape as usize;
         let distance_mm = hit.time_of_impact;
         Some(RayHit { point: origin + direction * distance_mm, distance_mm, face, normal: self.normal(face) })
@@ -72,13 +89,11 @@ impl MeshQuery {
 
     /// The point of the surface closest to `point`.
     pub fn closest_point(&self, point: &Point3<f64>) -> Option<Closest> {
-        let shape = self.shape.as_ref()?;
-        if !finite(point) {
-            return None;
-        }
-        let projection = shape.project_local_point(to_glam(&(point - self.centre)), false);
+        let Searched { shape, centre } = self.searched();
+        let shape = shape.as_ref().filter(|_| finite(point))?;
+        let projection = shape.project_local_point(to_glam(&(point - centre)), false);
         let face = projection.subshape as usize;
-        let found = self.centre + Vector3::new(projection.point.x, projection.point.y, projection.point.z);
+        let found = centre + Vector3::new(projection.point.x, projection.point.y, projection.point.z);
         Some(Closest { point: found, distance_mm: (found - point).norm(), face, normal: self.normal(face) })
     }
 

@@ -1,5 +1,9 @@
 //! A surface prepared for registration.
 
+mod parts;
+
+pub use crate::cells::CellParts;
+
 use crate::cells::{All, Cells, Nearby};
 use crate::field::ClosestPointField;
 use crate::kabsch::centroid;
@@ -54,6 +58,12 @@ pub enum TargetError {
     NotFinite {
         /// The first such point.
         index: usize,
+    },
+    /// Stored cells are not those of the points.
+    #[error("the target's stored index is damaged: {what}; prepare the target again")]
+    Damaged {
+        /// What is wrong.
+        what: String,
     },
 }
 
@@ -187,9 +197,12 @@ pub(crate) struct Subset {
 
 impl Index {
     pub(crate) fn new(points: &[Point3<f64>]) -> Self {
-        let centre = centroid(points);
-        let local: Vec<Vector3<f64>> = points.iter().map(|p| p - centre).collect();
+        let (centre, local) = about_centre(points);
         let cells = Cells::new(&local);
+        Self::of(centre, local, cells)
+    }
+
+    fn of(centre: Point3<f64>, local: Vec<Vector3<f64>>, cells: Cells) -> Self {
         Self { centre, local, cells, thin: OnceLock::new(), tree: OnceLock::new() }
     }
 
@@ -218,6 +231,11 @@ impl Index {
         let points: Vec<Vector3<f64>> = items.iter().map(|&i| self.local[i as usize]).collect();
         Subset { items, tree: Nearest::about_origin(&points) }
     }
+}
+
+fn about_centre(points: &[Point3<f64>]) -> (Point3<f64>, Vec<Vector3<f64>>) {
+    let centre = centroid(points);
+    (centre, points.iter().map(|p| p - centre).collect())
 }
 
 impl Subset {

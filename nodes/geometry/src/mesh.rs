@@ -78,9 +78,10 @@ impl Mesh {
         if let Some(vertex) = vertices.iter().position(|v| !v.coords.iter().all(|c| c.is_finite())) {
             return Err(MeshError::NotFinite { vertex });
         }
+        let n_vertices = vertices.len();
         for (face, corners) in faces.iter().enumerate() {
-            if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertices.len()) {
-                return Err(MeshError::Index { face, vertex, n_vertices: vertices.len() });
+            if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= n_vertices) {
+                return Err(MeshError::Index { face, vertex, n_vertices });
             }
         }
         Ok(Self { frame: frame.into(), origin, vertices, faces })

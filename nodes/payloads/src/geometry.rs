@@ -28,7 +28,7 @@ fn isometry(n: &[f64; 7]) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(n[0], n[1], n[2]), rotation)
 }
 
-fn invalid(error: impl std::fmt::Display) -> ViewError {
+pub(crate) fn invalid(error: impl std::fmt::Display) -> ViewError {
     ViewError::Invalid(error.to_string())
 }
 

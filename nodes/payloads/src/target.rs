@@ -2,42 +2,94 @@ use crate::{
     Table,
     columns::{from_column, to_column},
     foxglove,
-    geometry::origin,
+    geometry::{invalid, origin},
 };
-use osteoflow_algorithms::target::Target;
+use osteoflow_algorithms::{
+    field::{ClosestPointField, FieldParts},
+    mesh_query::MeshQuery,
+    target::{CellParts, Target},
+};
+use osteoflow_geometry::Mesh;
 use osteoflow_node::{ColumnType, Display, Payload, StampNs, View, ViewError};
 use serde_json::{Value as Json, json};
 
-/// The view holds points and normals; the tree over them is built again when it is read back.
+/// The head field that tells that the view has cells.
+const CELL_MM: &str = "cell_mm";
+
+fn has(view: &View, column: &str) -> bool {
+    view.column(column).is_ok()
+}
+
+/// The view holds all that a registration needs, so that one read back is ready: points, normals, the cells that they are
+/// found by, the mesh that they were drawn from, and its closest-point field. All but the points may be missing; cells
+/// (`cell_mm` and three columns) are then built when they are needed.
 impl Payload<Table> for Target {
     const NAME: &'static str = "algorithms/Target";
-    const VERSION: u32 = 1;
-    const UNITS: &'static [(&'static str, &'static str)] = &[("points", "mm")];
+    const VERSION: u32 = 2;
+    const UNITS: &'static [(&'static str, &'static str)] = &[("points", "mm"), ("mesh/vertices", "mm")];
 
     fn to_view(&self) -> View {
+        let cells = self.to_parts();
         let mut view = View::new()
             .with("frame", self.frame.as_str())
             .with("origin", self.origin.to_string())
+            .with(CELL_MM, cells.cell_mm)
             .with_column(to_column("points", ColumnType::F64, self.point_column()));
         if let Some(normals) = self.normal_column() {
             view = view.with_column(to_column("normals", ColumnType::F64, normals));
+        }
+        view = view
+            .with_column(to_column("cells/blocks", ColumnType::U32, &cells.blocks))
+            .with_column(to_column("cells/starts", ColumnType::U32, &cells.starts))
+            .with_column(to_column("cells/items", ColumnType::U32, &cells.items));
+        if let Some(mesh) = self.mesh().map(MeshQuery::mesh) {
+            view = view
+                .with_column(to_column("mesh/vertices", ColumnType::F64, mesh.vertex_column()))
+                .with_column(to_column("mesh/faces", ColumnType::U32, mesh.face_column()));
+        }
+        if let Some(field) = self.field().map(ClosestPointField::to_parts) {
+            view = view
+                .with_column(to_column("field/head", ColumnType::F64, &field.head))
+                .with_column(to_column("field/index", ColumnType::U32, &field.index))
+                .with_column(to_column("field/nodes", ColumnType::F32, &field.nodes));
         }
         view
     }
 
     fn from_view(view: &View) -> Result<Self, ViewError> {
-        let normals = match view.column("normals") {
-            Ok(_) => Some(from_column(view, "normals")?),
-            Err(_) => None,
-        };
-        Target::new(view.text("frame")?, origin(view.text("origin")?)?, from_column(view, "points")?, normals)
-            .map_err(|error| ViewError::Invalid(error.to_string()))
+        let normals = has(view, "normals").then(|| from_column(view, "normals")).transpose()?;
+        let (frame, origin) = (view.text("frame")?, origin(view.text("origin")?)?);
+        let mut target = Target::new(frame, origin, from_column(view, "points")?, normals).map_err(invalid)?;
+        if view.field(CELL_MM).is_some() {
+            let cells = CellParts {
+                cell_mm: view.float(CELL_MM)?,
+                blocks: from_column(view, "cells/blocks")?,
+                starts: from_column(view, "cells/starts")?,
+                items: from_column(view, "cells/items")?,
+            };
+            target = target.with_parts(&cells).map_err(invalid)?;
+        }
+        if has(view, "mesh/faces") {
+            let (vertices, faces) = (from_column(view, "mesh/vertices")?, from_column(view, "mesh/faces")?);
+            let mesh = Mesh::new(frame, origin, vertices, faces).map_err(invalid)?;
+            target = target.with_mesh(MeshQuery::new(&mesh));
+        }
+        if has(view, "field/head") {
+            let field = FieldParts {
+                head: from_column(view, "field/head")?,
+                index: from_column(view, "field/index")?,
+                nodes: from_column(view, "field/nodes")?,
+            };
+            target = target.with_field(ClosestPointField::from_parts(field).map_err(invalid)?);
+        }
+        Ok(target)
     }
 
-    /// The tree holds each point once more.
+    /// The cells hold each point twice more.
     fn n_bytes(&self) -> usize {
-        let points = size_of_val(self.points());
-        size_of::<Self>() + 2 * points + self.normals().map_or(0, size_of_val)
+        let mesh = self.mesh().map_or(0, |mesh| mesh.mesh().n_bytes());
+        let field = self.field().map_or(0, ClosestPointField::n_bytes);
+        size_of::<Self>() + 3 * size_of_val(self.points()) + self.normals().map_or(0, size_of_val) + mesh + field
     }
 
     fn to_result(&self) -> Json {
@@ -50,5 +102,107 @@ impl Payload<Table> for Target {
 
     fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
         foxglove::points(&self.frame, stamp_ns, self.points())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_algorithms::{
+        field::FieldParams,
+        icp::{self, IcpParams, Method, PairingKind},
+    };
+    use osteoflow_geometry::{
+        Column, SurfaceOrigin,
+        nalgebra::{Isometry3, Point3, Vector3},
+    };
+
+    /// A bent tube, open at its ends.
+    fn tube() -> Mesh {
+        let (rings, around) = (41_u32, 24_u32);
+        let point = |i: u32, j: u32| {
+            let (z, turn) = (f64::from(i), f64::from(j) / f64::from(around) * std::f64::consts::TAU);
+            let radius = 6.0 + 0.9 * (3.0 * turn).cos() + 0.5 * (z / 5.0).sin();
+            Point3::new(radius * turn.cos() + 0.01 * z * z, radius * turn.sin(), z)
+        };
+        let vertices: Vec<_> = (0..rings).flat_map(|i| (0..around).map(move |j| point(i, j))).collect();
+        let index = |i: u32, j: u32| i * around + j % around;
+        let faces: Vec<_> = (0..rings - 1)
+            .flat_map(|i| (0..around).map(move |j| (i, j)))
+            .flat_map(|(i, j)| {
+                let (a, b, c, d) = (index(i, j), index(i, j + 1), index(i + 1, j), index(i + 1, j + 1));
+                [[a, b, c], [b, d, c]]
+            })
+            .collect();
+        Mesh::new("ct", SurfaceOrigin::SimulatedCt, vertices, faces).unwrap()
+    }
+
+    /// The middles of the tube's faces, with all that a registration may need.
+    fn target() -> Target {
+        let mesh = tube();
+        let faces = 0..mesh.faces().len();
+        let middle = |face| Point3::from(mesh.corners(face).iter().map(|c| c.coords).sum::<Vector3<f64>>() / 3.0);
+        let points: Vec<_> = faces.clone().map(middle).collect();
+        let normals: Vec<_> = faces.map(|face| mesh.area_vector(face).normalize()).collect();
+        let query = MeshQuery::new(&mesh);
+        let field = ClosestPointField::of_mesh(&query, &FieldParams::default()).unwrap();
+        let target = Target::new("ct", SurfaceOrigin::SimulatedCt, points, Some(normals.into()));
+        target.unwrap().with_mesh(query).with_field(field)
+    }
+
+    #[test]
+    fn a_target_that_is_read_back_registers_to_the_same_bits() {
+        let target = target();
+        let back = Target::from_view(&target.to_view()).unwrap();
+        assert_eq!(back.to_view(), target.to_view());
+        assert_eq!(back, target);
+        let t = Isometry3::new(Vector3::new(0.4, -0.3, 0.5), Vector3::new(0.02, 0.03, -0.01));
+        let source: Vec<_> = target.points().iter().step_by(3).map(|p| t * p).collect();
+        for (method, pairing) in [
+            (Method::PointToPlane, PairingKind::Cached),
+            (Method::PointToPlane, PairingKind::Tree),
+            (Method::PointToPlane, PairingKind::Field),
+            (Method::PointToMesh, PairingKind::Cached),
+        ] {
+            let params = IcpParams { pairing, ..IcpParams::default() };
+            let poses = [&target, &back].map(|target| {
+                let fit = icp::register(method, target, &*source, &Isometry3::identity(), &params, &mut |_| {
+                    std::ops::ControlFlow::Continue(())
+                });
+                fit.unwrap().t_target_source
+            });
+            assert_eq!(poses[0], poses[1], "{method:?} with {pairing:?}");
+            let left_mm = (poses[0] * t).translation.vector.norm();
+            assert!(left_mm < 0.1, "{method:?} with {pairing:?}: {left_mm} mm from the truth, faces are 1 mm large");
+        }
+    }
+
+    #[test]
+    fn points_alone_make_a_target_and_what_is_damaged_makes_none() {
+        let whole = target().to_view();
+        let without = |ends: &[&str]| {
+            let mut view = whole.clone();
+            view.head.retain(|(name, _)| name != CELL_MM);
+            view.columns.retain(|column| !ends.iter().any(|end| column.name.starts_with(end)));
+            Target::from_view(&view).unwrap()
+        };
+        let bare = without(&["normals", "cells", "mesh", "field"]);
+        assert!(bare.normals().is_none() && bare.mesh().is_none() && bare.field().is_none());
+        assert_eq!(without(&["cells"]).to_view(), whole, "cells are built again, the same");
+
+        for name in ["cells/items", "mesh/faces", "field/index"] {
+            let mut view = whole.clone();
+            let damaged = view.columns.iter_mut().find(|column| column.name == name).unwrap();
+            let mut rows = damaged.rows_of::<[u32; 1]>().unwrap_or_default().concat();
+            if rows.is_empty() {
+                rows = damaged.rows_of::<[u32; 3]>().unwrap().concat();
+            }
+            rows[5] = u32::MAX - 1;
+            *damaged = osteoflow_node::Column {
+                data: to_column("", ColumnType::U32, &Column::from(rows)).data,
+                ..damaged.clone()
+            };
+            assert!(matches!(Target::from_view(&view), Err(ViewError::Invalid(_))), "{name}");
+        }
     }
 }

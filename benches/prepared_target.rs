@@ -1,0 +1,99 @@
+//! What a target costs: to prepare it, and to have it back from the store. In processor time, which other programs on
+//! the machine disturb less than a clock on the wall, the fastest of many runs; all work is done by one thread unless
+//! `THREADS` says otherwise. The store's files are in the system's cache, as right after they were written.
+//!
+//! `OSTEOFLOW_BONE=fibula.stl cargo bench --bench prepared_target` measures on a bone (STL or PLY, mm), by default on the
+//! built-in one; `POINTS=20000` draws so many points, by default 150 000.
+
+use osteoflow_algorithms::{
+    field::{ClosestPointField, FieldParams},
+    mesh_query::MeshQuery,
+    sample,
+    target::Target,
+};
+use osteoflow_engine::store::{Key, Settings, Store};
+use osteoflow_formats::shape_file::{Shape, shape_of_bytes};
+use osteoflow_geometry::Mesh;
+use osteoflow_node::{Payload, Value};
+use osteoflow_payloads::Table;
+use osteoflow_simulation::bone::{BoneParams, fibula};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use rustix::time::{ClockId, clock_gettime};
+use std::path::Path;
+
+const RUNS: usize = 20;
+
+/// Processor time of the process, s.
+fn processor_time() -> f64 {
+    let time = clock_gettime(ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+/// Tells the least time of many runs; what the last gave.
+fn told<T>(what: &str, mut run: impl FnMut() -> T) -> T {
+    let mut least = f64::INFINITY;
+    let mut made = None;
+    for _ in 0..RUNS {
+        drop(made.take());
+        let began = processor_time();
+        made = Some(run());
+        least = least.min(processor_time() - began);
+    }
+    println!("{:>8.2} ms  {what}", least * 1e3);
+    made.expect("it ran")
+}
+
+fn number(name: &str, default: usize) -> usize {
+    std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|e| panic!("{name}={text}: {e}")))
+}
+
+fn bone() -> Mesh {
+    let Ok(file) = std::env::var("OSTEOFLOW_BONE") else { return fibula(&BoneParams::default()) };
+    let bytes = std::fs::read(&file).unwrap_or_else(|e| panic!("{file}: {e}"));
+    match shape_of_bytes(Path::new(&file), &bytes, 1.0, "ct") {
+        Ok(Shape::Mesh(read)) => read.mesh,
+        Ok(Shape::Cloud(..)) => panic!("{file} holds no surface"),
+        Err(error) => panic!("{error}"),
+    }
+}
+
+fn drawn(mesh: &Mesh, n_points: usize) -> Target {
+    let samples = sample::surface(mesh, n_points, &mut ChaCha8Rng::seed_from_u64(1));
+    let target = Target::new(&mesh.frame, mesh.origin, samples.points, Some(samples.normals.into()));
+    target.expect("a bone has points").with_mesh(MeshQuery::new(mesh))
+}
+
+fn main() {
+    rayon::ThreadPoolBuilder::new().num_threads(number("THREADS", 1)).build_global().expect("the first pool");
+    let (mesh, n_points) = (bone(), number("POINTS", 150_000));
+    println!("{n_points} points of {} faces", mesh.faces().len());
+
+    told("points and normals drawn", || drawn(&mesh, n_points));
+    let target = told("prepared: drawn and laid out in cells", || {
+        let target = drawn(&mesh, n_points);
+        target.prepare();
+        target
+    });
+
+    let field = told("closest-point field of the mesh", || {
+        ClosestPointField::of_mesh(&MeshQuery::new(&mesh), &FieldParams::default()).expect("a bone has a field")
+    });
+
+    let dir = tempfile::tempdir().expect("a folder for the store");
+    let store = Store::open(Settings::in_dir(dir.path()));
+    told("key of the mesh", || Key::of("bench").value("mesh", &Value::new(mesh.clone())).done());
+    for (what, target) in [("target", target.clone()), ("target with field", target.with_field(field))] {
+        let key = Key::of("bench").text("what", what).done();
+        told(&format!("{what} kept in the store"), || store.save(&key, &target).expect("the store can be written"));
+        told("    read from the store, bytes alone", || store.get(&key).expect("it was kept"));
+        told("    read from the store", || store.load::<Target, Table>(&key).expect("it was kept"));
+        let back = told("    read from the store and ready to register onto", || {
+            let target: Target = store.load(&key).expect("it was kept");
+            target.prepare();
+            target
+        });
+        assert_eq!(back.to_view(), target.to_view(), "what is read is what was kept, to the bit");
+        let n_bytes: usize = back.to_view().columns.iter().map(|column| column.bytes().len()).sum();
+        println!("{:>8.2} MB in the store", n_bytes as f64 / 1e6);
+    }
+}
