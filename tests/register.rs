@@ -74,7 +74,8 @@ impl Case {
     /// `osteoflow register` in the folder of the files.
     fn register(&self, arguments: &[&str]) -> Output {
         let mut command = osteoflow();
-        command.current_dir(self.dir.path()).arg("register").args(arguments).output().unwrap()
+        command.current_dir(self.dir.path()).env("OSTEOFLOW_CACHE", self.path("store"));
+        command.arg("register").args(arguments).output().unwrap()
     }
 
     /// The same as JSON, from the start at hand.
@@ -503,6 +504,50 @@ fn a_camera_keeps_points_from_the_side_that_it_did_not_see() {
     let answer = case.answer("points.ply", "scan.ply", &["--camera", &camera, "--max-pair-distance-mm", "10"]);
     assert!(case.off_mm(&answer) < 0.05, "{} mm", case.off_mm(&answer));
     assert!(answer["source"]["camera"].is_array());
+}
+
+#[test]
+fn what_was_prepared_before_comes_from_the_store_and_gives_the_same_bits() {
+    let case = Case::new();
+    let answer = |target: &str, more: &[&str]| {
+        let answer = case.answer(target, "scan.ply", &[&["--target-points", "20000"], more].concat());
+        (answer["target"]["from_store"].as_bool().unwrap(), answer)
+    };
+    for target in ["bone.stl", "points.ply", "bare.ply"] {
+        for options in [&[][..], &["--pairing", "field"]] {
+            let (cold, warm) = (answer(target, options), answer(target, options));
+            assert_eq!((cold.0, warm.0), (false, true), "{target} {options:?}");
+            for key in ["T", "rms_mm", "n_pairs", "report", "notes"] {
+                assert_eq!(cold.1[key], warm.1[key], "{target} {options:?}: {key}");
+            }
+            for key in ["n_points", "n_faces", "normals", "normals_estimated"] {
+                assert_eq!(cold.1["target"][key], warm.1["target"][key], "{target} {options:?}: {key}");
+            }
+        }
+    }
+    assert!(!answer("bare.ply", &["--method", "point_to_point"]).0, "what asks for no normals gets none");
+    for (more, from_store, why) in [
+        (&["--no-cache"][..], false, "it was not to be asked"),
+        (&["--seed", "3"], false, "other points"),
+        (&["--target-unit-mm", "1.01", "--max-pair-distance-mm", "1000"], false, "another size"),
+        (&["--method", "point_to_mesh"], true, "the triangles are kept, too"),
+        (&["--pairing", "tree"], true, "the same, but for the tree"),
+    ] {
+        assert_eq!(answer("bone.stl", more).0, from_store, "{why}");
+    }
+    let mut bytes = fs::read(case.path("bone.stl")).unwrap();
+    bytes[10] = b'!';
+    fs::write(case.path("bone.stl"), bytes).unwrap();
+    assert!(!answer("bone.stl", &[]).0, "another file of that name");
+
+    let drawn = sample::surface(&bone::fibula(&BoneParams::default()), 5000, &mut ChaCha8Rng::seed_from_u64(1));
+    let mut odd = String::from("x,y,z\nnan,nan,nan\n");
+    drawn.points.iter().for_each(|p| writeln!(odd, "{:?},{:?},{:?}", p.x, p.y, p.z).unwrap());
+    case.write("odd.csv", &odd);
+    for _ in 0..2 {
+        let (from_store, answer) = answer("odd.csv", &[]);
+        assert!(!from_store && answer["notes"].to_string().contains("not finite"), "it is told every time");
+    }
 }
 
 /// Whether two words are equal, or numbers that the last digits of another machine's sine may tell apart.

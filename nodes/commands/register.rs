@@ -11,6 +11,7 @@ use super::{
     graph_args::tell,
     progress::Progress,
     registry,
+    run::Keep,
     running::{self, Ran},
 };
 use align::{Ended, Work};
@@ -56,7 +57,7 @@ Examples:
 The parameters for --set: osteoflow inspect icp.point_to_plane
 
 Timings:
-  load         reading and parsing the files, drawing points from a surface
+  load         reading and parsing the files, drawing points from a surface, or the prepared target from the store
   prep_target  what is built once for a target: estimated normals, trees, cells, fields
   prep_source  what a method needs of the source alone
   align        the registration; cpu is its processor time
@@ -145,6 +146,9 @@ pub(crate) struct Register {
     #[arg(long, value_name = "N")]
     workers: Option<NonZeroUsize>,
 
+    #[command(flatten)]
+    keep: Keep,
+
     /// Prepare and register so many times, for the timings.
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     repeat: u32,
@@ -190,7 +194,7 @@ impl Register {
         let workers = self.workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
         let pool = pool.build().context("no threads for the registration")?;
-        let inputs = Arc::new(pool.install(|| Inputs::read(self, method))?);
+        let inputs = Arc::new(pool.install(|| Inputs::read(self, method, params.icp.pairing))?);
         if global.format == Format::Text && !global.quiet {
             for note in &inputs.notes {
                 writeln!(std::io::stderr(), "{}: {note}", global.paint_err("note", "1"))?;

@@ -69,11 +69,14 @@ impl Work {
         let mut same_bits = true;
         for n in 1..=self.repeat {
             let began = Instant::now();
-            let target = match self.inputs.target.prepare(self.params.icp.pairing) {
+            let target = match self.inputs.target.prepare(self.method, self.params.icp.pairing) {
                 Ok(target) => target,
-                Err(error) => return Ended::Refused(error),
+                Err(error) => return Ended::Refused(error.to_string()),
             };
             timings.prep_target_ms.push(ms_since(began));
+            if n == 1 {
+                self.inputs.target.keep(&target);
+            }
             // The methods order the source themselves, and estimate its normals where they need them, within align.
             timings.prep_source_ms.push(0.0);
 

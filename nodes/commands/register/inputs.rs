@@ -1,8 +1,15 @@
 //! What the files hold.
 
 use super::{Register, method::Method};
-use anyhow::{Result, anyhow};
-use osteoflow_algorithms::{icp::PairingKind, mesh_query::MeshQuery, normals, sample, target::Target};
+use anyhow::{Result, anyhow, bail};
+use osteoflow_algorithms::{
+    field::{ClosestPointField, FieldParams},
+    icp::PairingKind,
+    mesh_query::MeshQuery,
+    normals, sample,
+    target::Target,
+};
+use osteoflow_engine::store::{Key, Store};
 use osteoflow_formats::{
     FileError, pose_file,
     shape_file::{Shape, shape_of_bytes},
@@ -11,9 +18,10 @@ use osteoflow_geometry::{
     Cloud, Column, Frame, Mesh, SurfaceOrigin,
     nalgebra::{Isometry3, Point3, Vector3},
 };
+use osteoflow_payloads::Table;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde_json::{Value, json};
-use std::{fs, path::Path, time::Instant};
+use std::{fs, path::Path, sync::Arc, time::Instant};
 
 /// The frames of the two files.
 const TARGET: &str = "target";
@@ -45,16 +53,33 @@ impl LoadMs {
     }
 }
 
+/// What a registration asks of its target.
+struct Needs {
+    normals: bool,
+    field: bool,
+}
+
 /// What stays.
 pub(super) struct TargetFile {
-    points: Column<Point3<f64>>,
-    normals: Option<Column<Vector3<f64>>>,
+    found: Found,
     /// Whether the method needs normals that the file has not.
     estimates: bool,
-    /// How many faces the points were drawn from, if it is a surface.
-    n_faces: Option<usize>,
-    /// The surface itself, where the method needs it.
-    mesh: Option<Mesh>,
+    /// Whether registration asks for a closest-point field.
+    with_field: bool,
+    /// What is prepared of it is kept here for the next run.
+    place: Option<(Arc<Store>, Key)>,
+}
+
+enum Found {
+    /// Prepared by an earlier run.
+    Kept(Target),
+    /// In the file.
+    Read {
+        points: Column<Point3<f64>>,
+        normals: Option<Column<Vector3<f64>>>,
+        /// The surface that the points were drawn from, if it is one.
+        mesh: Option<Mesh>,
+    },
 }
 
 /// What moves.
@@ -68,16 +93,14 @@ pub(super) struct SourceFile {
 
 impl Inputs {
     /// Reads all files.
-    pub(super) fn read(asked: &Register, method: &Method) -> Result<Self> {
+    pub(super) fn read(asked: &Register, method: &Method, pairing: PairingKind) -> Result<Self> {
         let mut notes = Vec::new();
         let mut load = LoadMs::default();
         let unit = |of_file: Option<f64>| of_file.unwrap_or(asked.unit_mm);
 
-        let began = Instant::now();
-        let shape = shape(&asked.target, unit(asked.target_unit_mm), TARGET, "target", &mut notes)?;
-        load.target = ms_since(began);
-        let began = Instant::now();
-        let target = TargetFile::of(shape, usize::try_from(asked.target_points)?, asked.seed, method);
+        let unit_mm = unit(asked.target_unit_mm);
+        let needs = Needs { normals: method.needs_normals, field: pairing == PairingKind::Field };
+        let target = TargetFile::read(asked, unit_mm, &needs, &mut notes, &mut load)?;
         if target.estimates {
             notes.push(format!(
                 "{}: no normals; they are estimated from the points, outwards as of a closed surface; of an open one the \
@@ -85,10 +108,10 @@ impl Inputs {
                 asked.target.display()
             ));
         }
-        load.sample = ms_since(began);
 
         let began = Instant::now();
-        let shape = self::shape(&asked.source, unit(asked.source_unit_mm), SOURCE, "source", &mut notes)?;
+        let bytes = bytes(&asked.source)?;
+        let shape = shape(&asked.source, &bytes, unit(asked.source_unit_mm), SOURCE, "source", &mut notes)?;
         let source = SourceFile::of(shape, asked.camera, &mut notes, &asked.source)?;
         load.source = ms_since(began);
 
@@ -109,9 +132,12 @@ impl Inputs {
     }
 }
 
-fn shape(file: &Path, unit_mm: f64, frame: &str, which: &str, notes: &mut Vec<String>) -> Result<Shape> {
-    let read = fs::read(file).map_err(|source| FileError::Io { path: file.into(), action: "read", source });
-    let shape = read.and_then(|bytes| shape_of_bytes(file, &bytes, unit_mm, Frame::from(frame))).map_err(told)?;
+fn bytes(file: &Path) -> Result<Vec<u8>> {
+    fs::read(file).map_err(|source| told(FileError::Io { path: file.into(), action: "read", source }))
+}
+
+fn shape(file: &Path, bytes: &[u8], unit_mm: f64, frame: &str, which: &str, notes: &mut Vec<String>) -> Result<Shape> {
+    let shape = shape_of_bytes(file, bytes, unit_mm, Frame::from(frame)).map_err(told)?;
     let found = match &shape {
         Shape::Mesh(read) => &read.notes,
         Shape::Cloud(_, notes) => notes,
@@ -128,63 +154,136 @@ fn told(error: FileError) -> anyhow::Error {
 }
 
 impl TargetFile {
-    fn of(shape: Shape, n_points: usize, seed: u64, method: &Method) -> Self {
-        match shape {
-            Shape::Mesh(read) => {
-                let samples = sample::surface(&read.mesh, n_points, &mut ChaCha8Rng::seed_from_u64(seed));
-                let n_faces = Some(read.mesh.faces().len());
-                let mesh = method.needs_mesh.then_some(read.mesh);
-                let normals = Some(samples.normals.into());
-                Self { points: samples.points.into(), normals, estimates: false, n_faces, mesh }
-            }
-            Shape::Cloud(read, _) => {
-                let (points, normals) = (read.cloud.point_column().clone(), read.cloud.normal_column().cloned());
-                let estimates = normals.is_none() && method.needs_normals;
-                Self { points, normals, estimates, n_faces: None, mesh: None }
+    /// Reads the file, or has from the store what an earlier run prepared of the same bytes.
+    fn read(asked: &Register, unit_mm: f64, needs: &Needs, notes: &mut Vec<String>, load: &mut LoadMs) -> Result<Self> {
+        let began = Instant::now();
+        let bytes = bytes(&asked.target)?;
+        let with_field = needs.field;
+        let place = asked.keep.store()?.and_then(|store| {
+            let key = Key::of("register_target").digest("program", store.program()?).bytes("file", &bytes);
+            let key = key.number("unit_mm", unit_mm.to_bits()).number("n_points", asked.target_points);
+            // Of what the pairings need only the field is kept beside the rest.
+            Some((store, key.number("seed", asked.seed).number("field", with_field.into())))
+        });
+        let place = |estimates: bool| {
+            let (store, key) = place.as_ref()?;
+            Some((store.clone(), key.clone().number("estimates", estimates.into()).done()))
+        };
+        for estimates in [false, true] {
+            let kept = place(estimates).and_then(|(store, key)| store.load::<Target, Table>(&key));
+            let serves = |target: &Target| if needs.normals { target.normals().is_some() } else { !estimates };
+            if let Some(target) = kept.filter(serves) {
+                load.target = ms_since(began);
+                return Ok(Self { found: Found::Kept(target), estimates, with_field, place: None });
             }
         }
+        let n_notes = notes.len();
+        let shape = shape(&asked.target, &bytes, unit_mm, TARGET, "target", notes)?;
+        load.target = ms_since(began);
+
+        let began = Instant::now();
+        let (points, normals, mesh) = match shape {
+            Shape::Mesh(read) => {
+                let n_points = usize::try_from(asked.target_points)?;
+                let samples = sample::surface(&read.mesh, n_points, &mut ChaCha8Rng::seed_from_u64(asked.seed));
+                (samples.points.into(), Some(samples.normals.into()), Some(read.mesh))
+            }
+            Shape::Cloud(read, _) => (read.cloud.point_column().clone(), read.cloud.normal_column().cloned(), None),
+        };
+        load.sample = ms_since(began);
+        let estimates = normals.is_none() && needs.normals;
+        // A file with something odd about it is read again, so that it is told again.
+        let place = place(estimates).filter(|_| notes.len() == n_notes);
+        Ok(Self { found: Found::Read { points, normals, mesh }, estimates, with_field, place })
     }
 
     /// The target with all that is built for it once; an error says why there is none.
-    pub(super) fn prepare(&self, pairing: PairingKind) -> Result<Target, String> {
-        let normals = match self.estimates {
-            true => Some(normals::of_surface(&self.points).map_err(|e| e.to_string())?.into()),
-            false => self.normals.clone(),
-        };
-        let target = Target::new(TARGET, SurfaceOrigin::User, self.points.clone(), normals);
-        let target = target.map_err(|e| e.to_string())?;
-        let target = match &self.mesh {
-            Some(mesh) => target.with_mesh(MeshQuery::new(mesh)),
-            None => target,
+    pub(super) fn prepare(&self, method: &Method, pairing: PairingKind) -> Result<Target> {
+        let target = match &self.found {
+            Found::Kept(target) => target.clone(),
+            Found::Read { points, normals, mesh } => {
+                let normals = if self.estimates { Some(normals::of_surface(points)?.into()) } else { normals.clone() };
+                let target = Target::new(TARGET, SurfaceOrigin::User, points.clone(), normals)?;
+                let mesh = mesh.as_ref().map(MeshQuery::new);
+                let field = self.with_field.then(|| field(&target, mesh.as_ref())).transpose()?;
+                let target = mesh.into_iter().fold(target, Target::with_mesh);
+                field.into_iter().fold(target, Target::with_field)
+            }
         };
         match pairing {
-            PairingKind::Tree => {
-                target.prepare_tree();
-            }
+            PairingKind::Tree => target.prepare_tree(),
             PairingKind::Cached | PairingKind::Field => target.prepare(),
         }
+        if let Some(mesh) = target.mesh().filter(|_| method.needs_mesh) {
+            mesh.prepare();
+        }
         Ok(target)
+    }
+
+    /// Keeps what was prepared for the next run, where that is wanted.
+    pub(super) fn keep(&self, prepared: &Target) {
+        if let Some((store, key)) = &self.place
+            && let Err(error) = store.save::<Target, Table>(key, prepared)
+        {
+            tracing::warn!("{error}");
+        }
+    }
+
+    fn n_points(&self) -> usize {
+        match &self.found {
+            Found::Kept(target) => target.points().len(),
+            Found::Read { points, .. } => points.len(),
+        }
+    }
+
+    fn has_normals(&self) -> bool {
+        match &self.found {
+            Found::Kept(target) => target.normals().is_some(),
+            Found::Read { normals, .. } => normals.is_some(),
+        }
+    }
+
+    /// How many faces the points were drawn from, if it is a surface.
+    fn n_faces(&self) -> Option<usize> {
+        let mesh = match &self.found {
+            Found::Kept(target) => target.mesh().map(MeshQuery::mesh),
+            Found::Read { mesh, .. } => mesh.as_ref(),
+        };
+        mesh.map(|mesh| mesh.faces().len())
     }
 
     pub(super) fn to_json(&self, file: &Path) -> Value {
         json!({
             "file": file.display().to_string(),
-            "n_points": self.points.len(),
-            "n_faces": self.n_faces,
-            "normals": self.normals.is_some() || self.estimates,
+            "n_points": self.n_points(),
+            "n_faces": self.n_faces(),
+            "normals": self.has_normals() || self.estimates,
             "normals_estimated": self.estimates,
+            "from_store": matches!(self.found, Found::Kept(_)),
         })
     }
 
     pub(super) fn in_words(&self) -> String {
-        let n = self.points.len();
-        match (self.n_faces, &self.normals) {
+        let n = self.n_points();
+        let what = match (self.n_faces(), self.has_normals()) {
             (Some(n_faces), _) => format!("{n} points drawn from {n_faces} faces"),
-            (None, Some(_)) => format!("{n} points with normals"),
-            (None, None) if self.estimates => format!("{n} points, their normals estimated"),
-            (None, None) => format!("{n} points without normals"),
-        }
+            (None, _) if self.estimates => format!("{n} points, their normals estimated"),
+            (None, true) => format!("{n} points with normals"),
+            (None, false) => format!("{n} points without normals"),
+        };
+        let prepared = if matches!(self.found, Found::Kept(_)) { ", prepared by an earlier run" } else { "" };
+        format!("{what}{prepared}")
     }
+}
+
+/// The closest-point field of a surface, or of points with normals.
+fn field(target: &Target, mesh: Option<&MeshQuery>) -> Result<ClosestPointField> {
+    let params = FieldParams::default();
+    Ok(match (mesh, target.normals()) {
+        (Some(mesh), _) => ClosestPointField::of_mesh(mesh, &params)?,
+        (None, Some(normals)) => ClosestPointField::of_points(target.points(), normals, &params)?,
+        (None, None) => bail!("the target has no normals, which its field needs; give a surface, or --pairing cached"),
+    })
 }
 
 impl SourceFile {

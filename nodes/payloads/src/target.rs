@@ -25,7 +25,7 @@ fn has(view: &View, column: &str) -> bool {
 /// (`cell_mm` and three columns) are then built when they are needed.
 impl Payload<Table> for Target {
     const NAME: &'static str = "algorithms/Target";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 1;
     const UNITS: &'static [(&'static str, &'static str)] = &[("points", "mm"), ("mesh/vertices", "mm")];
 
     fn to_view(&self) -> View {

@@ -32,7 +32,7 @@ pub struct In {
 /// Outputs of [`PrepareCloud`].
 #[derive(Outputs)]
 pub struct Out {
-    /// Points, normals and tree.
+    /// Points, normals, and the cells that they are found by.
     #[port(frame = "cloud")]
     target: Target,
     /// Where the surface comes from: `user`.
@@ -57,6 +57,7 @@ impl Node for PrepareCloud {
         };
         let origin = SurfaceOrigin::User;
         let target = Target::new(&i.cloud.frame, origin, i.cloud.point_column().clone(), Some(normals))?;
+        target.prepare();
         Ok(Out { target, ct_surface: Text(origin.to_string().into()) })
     }
 }
