@@ -10,6 +10,7 @@ use super::run::Descent;
 use super::step::{damped, grain_mm, newton};
 use super::stop::{Pace, StopReason};
 use super::weights::Weights;
+use nalgebra::Vector6;
 
 /// The cost may rise for so many steps, as pairs and with them normals change.
 const PATIENCE: usize = 3;
@@ -17,8 +18,20 @@ const PATIENCE: usize = 3;
 /// Share of the cost by which changing pairs may raise it while the pose gets better.
 const SLACK: f64 = 1e-3;
 
-/// A step at least this many times as long as the one before does not come closer.
-const CONTRACTING: f64 = 0.7;
+/// Where steps shrink by no more than this, pairs and with them normals change as fast as the pose.
+const CRAWL: f64 = 0.5;
+
+/// Cosine between two steps that go the same way.
+const SAME_WAY: f64 = 0.9;
+
+/// A stride is at most so many steps long.
+const LONGEST: f64 = 10.0;
+
+/// Between two strides so many steps are taken as they are, to see what the first one did.
+const BETWEEN: usize = 2;
+
+/// After so many steps none of which was shorter than all before, they go in circles.
+const CIRCLES: usize = 10;
 
 /// Shares of a Gauss-Newton step that are tried until one does not raise the cost.
 const SHARES: [f64; 4] = [1.0, 0.5, 0.25, 0.125];
@@ -37,12 +50,12 @@ const ROUGH_GRAINS: f64 = 4.0;
 const GRAIN_SHARE: f64 = 0.5;
 
 /// Iterates until the way still to go is short, nothing lowers the cost any more, the steps are used up, or the observer
-/// breaks off. A level that is not the `last` ends as soon as its own noise hides what it could still gain.
+/// breaks off. A level that is not the last ends as soon as its own noise hides what it could still gain.
 pub(super) fn descend<R: Residual>(
     problem: &Problem<'_, R>,
     start: State,
     mut weights: Weights,
-    last: bool,
+    is_last: bool,
     max_steps: u32,
     observer: &mut Observer<'_>,
 ) -> Result<Descent, IcpError> {
@@ -52,23 +65,33 @@ pub(super) fn descend<R: Residual>(
     let mut sums = problem.pair(&state, &mut partners, &mut weights, true)?;
     let mut costs = vec![problem.energy(&sums)];
     let mut pace = Pace::default();
-    let (mut share, mut damping) = (1.0_f64, MIN_DAMPING * 100.0);
-    let mut last_step_mm: Option<f64> = None;
-    let mut n_steps = 0;
+    let mut damping = MIN_DAMPING * 100.0;
+    let mut last: Option<Vector6<f64>> = None;
+    let mut shortest_mm = f64::INFINITY;
+    let (mut n_no_shorter, mut n_plain, mut n_steps) = (0, 0, 0);
+    let mut visited = Vec::new();
     loop {
         let full = newton(&sums);
-        let way_mm = full.norm();
-        // Where pairs and with them normals change to and fro, steps go to and fro across the least: halving them then
-        // halves how far it can be.
         let flat = costs.len() > 1 && costs[costs.len() - 1] > (1.0 - SLACK) * costs[costs.len() - 2];
-        if flat && last_step_mm.is_some_and(|l| way_mm > CONTRACTING * l) {
-            share *= 0.5;
+        let stride = match &last {
+            Some(last) if flat => stride(&full, last, n_plain),
+            _ => 1.0,
+        };
+        n_plain = if stride > 1.0 { 0 } else { n_plain + 1 };
+        if stride > 1.0 {
+            pace.crawls(1.0 - 1.0 / stride);
         }
-        last_step_mm = Some(way_mm);
-        let remaining_mm = pace.remaining_mm(way_mm * share);
-        let turn_rad = full.fixed_rows::<3>(3).norm() / lever_arm_mm * share;
+        last = Some(full);
+        let aim = full * stride;
+        let way_mm = aim.norm();
+        let remaining_mm = pace.remaining_mm(full.norm());
+        let turn_rad = full.fixed_rows::<3>(3).norm() / lever_arm_mm;
         let fine = remaining_mm.is_some_and(|r| r <= params.stop_step_mm) && turn_rad <= params.stop_step_rad;
-        let enough = fine || (!last && way_mm * share <= GRAIN_SHARE * grain_mm(&sums));
+        n_no_shorter = if full.norm() < shortest_mm { 0 } else { n_no_shorter + 1 };
+        shortest_mm = shortest_mm.min(full.norm());
+        let circles = flat && n_no_shorter >= CIRCLES;
+        visited.push(state);
+        let enough = fine || (!is_last && (circles || full.norm() <= GRAIN_SHARE * grain_mm(&sums)));
         let spent = n_steps >= max_steps;
         if spent || (enough && max_steps == 0) {
             return Ok(Descent {
@@ -82,13 +105,29 @@ pub(super) fn descend<R: Residual>(
                 pace,
             });
         }
+        if circles && is_last {
+            // Where pairs change to and fro the least lies within the circle.
+            let recent = &visited[visited.len() - CIRCLES..];
+            let circle_mm = recent.iter().map(|v| v.since(&state, lever_arm_mm).norm()).fold(0.0, f64::max);
+            let converged = circle_mm <= params.stop_step_mm;
+            return Ok(Descent {
+                state,
+                sums,
+                weights,
+                reason: if converged { StopReason::Step } else { StopReason::Stalled },
+                converged,
+                remaining_mm: Some(circle_mm),
+                change_mm: None,
+                pace,
+            });
+        }
         // No farther than pairs reach: beyond, the model knows nothing.
         let cut = (params.max_pair_distance_mm / way_mm).min(1.0);
         let before = sums.clone();
         let step = |next: &State, step_mm: f64| problem.step(&before, &state, next, step_mm, remaining_mm);
         if enough {
             // The last step is taken on trust: it is shorter than what matters.
-            let motion = full * share;
+            let motion = aim;
             let next = state.moved(&motion, lever_arm_mm);
             let seen = observer.see(step(&next, motion.norm()));
             let left = pace.left_after_mm(motion.norm());
@@ -109,9 +148,9 @@ pub(super) fn descend<R: Residual>(
         let mut taken = None;
         for k in 0..SHARES.len() {
             let motion = match params.step {
-                StepRule::GaussNewton => full * (SHARES[k] * share * cut),
+                StepRule::GaussNewton => aim * (SHARES[k] * cut),
                 StepRule::LevenbergMarquardt => {
-                    let motion = damped(&sums, damping * DAMPINGS[k]) * share;
+                    let motion = damped(&sums, damping * DAMPINGS[k]);
                     motion * (params.max_pair_distance_mm / motion.norm()).min(1.0)
                 }
             };
@@ -121,13 +160,13 @@ pub(super) fn descend<R: Residual>(
                 && (motion.norm() <= rough_mm || problem.energy(&found) <= limit)
             {
                 damping = (damping * DAMPINGS[k] * if k == 0 { 0.1 } else { 1.0 }).max(MIN_DAMPING);
-                taken = Some((candidate, found, motion.norm()));
+                taken = Some((candidate, found, motion));
                 break;
             }
         }
-        let Some((next, found, step_mm)) = taken else {
+        let Some((next, found, motion)) = taken else {
             // Not even the shortest share of the step lowers the cost, so its least lies within that share.
-            let remaining_mm = way_mm * share * SHARES[SHARES.len() - 1];
+            let remaining_mm = way_mm * SHARES[SHARES.len() - 1];
             let converged = remaining_mm <= params.stop_step_mm;
             let reason = if converged { StopReason::Step } else { StopReason::Stalled };
             return Ok(Descent {
@@ -141,6 +180,7 @@ pub(super) fn descend<R: Residual>(
                 pace,
             });
         };
+        let step_mm = motion.norm();
         let change_mm = (found.rms_mm() - sums.rms_mm()).abs();
         let seen = observer.see(step(&next, step_mm));
         n_steps += 1;
@@ -168,5 +208,21 @@ pub(super) fn descend<R: Residual>(
                 costs = vec![problem.energy(&sums)];
             }
         }
+    }
+}
+
+/// How many times a step is to be taken at once where steps crawl the same way, or swing to and fro: to where they would
+/// end at the rate of the last two (Aitken).
+fn stride(full: &Vector6<f64>, last: &Vector6<f64>, n_plain: usize) -> f64 {
+    let rate = full.norm() / last.norm().max(f64::MIN_POSITIVE);
+    let agreement = full.dot(last) / (full.norm() * last.norm()).max(f64::MIN_POSITIVE);
+    if rate < CRAWL {
+        1.0
+    } else if agreement < -CRAWL {
+        1.0 / (1.0 + rate.min(1.0))
+    } else if agreement > SAME_WAY && rate < 1.0 && n_plain >= BETWEEN {
+        (1.0 / (1.0 - rate)).min(LONGEST)
+    } else {
+        1.0
     }
 }

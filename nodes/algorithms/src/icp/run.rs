@@ -29,6 +29,9 @@ const THINNED_FROM: u32 = 16;
 /// The first subset is pulled in from so many times the pair distance, so that no part of it is left behind at the start.
 const PULL_REACH: f64 = 2.0;
 
+/// So many exact steps after those on looked-up pairs are taken on trust.
+const ON_TRUST: u32 = 2;
+
 /// How the descent at one level ended.
 pub(super) struct Descent {
     pub(super) state: State,
@@ -159,7 +162,11 @@ fn run<R: Residual>(
             let end = descend(&problem, state, weights, true, left(&observer), &mut observer)?;
             match params.field_exact_steps.min(left(&observer)) {
                 n if n == 0 || end.reason != StopReason::Step || !R::TARGET_NORMALS => end,
-                n => polish(&exact, end, n, &mut observer)?,
+                n => match polish(&exact, end, n.min(ON_TRUST), &mut observer)? {
+                    end if end.reason != StopReason::Iterations || n <= ON_TRUST => end,
+                    // The bone holds its scan so little that the exact pairs' rest lies elsewhere.
+                    end => descend(&exact, end.state, end.weights, true, n - ON_TRUST, &mut observer)?,
+                },
             }
         }
     };

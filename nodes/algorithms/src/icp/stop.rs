@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 /// A crawl leaves at most so many steps out of sight.
 const MAX_RATE: f64 = 0.999;
 
+/// A crawl that is hurried along is taken for no slower than this.
+const CRAWL: f64 = 0.9;
+
 /// What a step is taken to leave where no step before tells: half of itself.
 const UNKNOWN_RATE: f64 = 0.5;
 
@@ -45,9 +48,16 @@ pub struct StopRule {
 pub(super) struct Pace {
     last_mm: Option<f64>,
     rate: Option<f64>,
+    /// The slowest rate at which steps shrank before something hurried them.
+    crawl: f64,
 }
 
 impl Pace {
+    /// Steps shrink no faster than at this rate, whatever hurries the next ones.
+    pub(super) fn crawls(&mut self, rate: f64) {
+        self.crawl = self.crawl.max(rate.min(CRAWL));
+    }
+
     /// The way still to go before a step of this length: `step / (1 - rate)`, with the rate at which steps shrink.
     /// None while steps grow: nothing tells then.
     pub(super) fn remaining_mm(&mut self, step_mm: f64) -> Option<f64> {
@@ -59,12 +69,12 @@ impl Pace {
 
     /// The way still to go after the last step of this length has been taken, too.
     pub(super) fn left_after_mm(&self, step_mm: f64) -> Option<f64> {
-        self.left_mm(step_mm).map(|left| left * self.rate.unwrap_or(UNKNOWN_RATE))
+        self.left_mm(step_mm).map(|left| left * self.rate.unwrap_or(UNKNOWN_RATE).max(self.crawl))
     }
 
     /// The way still to go before a step of this length, which is not followed.
     pub(super) fn left_mm(&self, step_mm: f64) -> Option<f64> {
-        let rate = self.rate.unwrap_or(UNKNOWN_RATE);
+        let rate = self.rate.unwrap_or(UNKNOWN_RATE).max(self.crawl);
         (rate < 1.0 || step_mm == 0.0).then(|| if step_mm == 0.0 { 0.0 } else { step_mm / (1.0 - rate.min(MAX_RATE)) })
     }
 }

@@ -5,6 +5,7 @@ use crate::sample;
 use crate::shapes::{cuboid, shaft};
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
+use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 fn target(mesh: &Mesh, n: usize) -> Target {
@@ -338,5 +339,25 @@ fn what_holds_no_pose_is_refused_by_name_or_flagged() {
         wild[7].y = f64::NAN;
         let wild = register(method, &slab, &wild, &init, &params, &mut go_on).unwrap_err();
         assert_eq!(wild, IcpError::NotFinite { what: "source point 7".into() }, "{name}");
+    }
+}
+
+#[test]
+fn starts_on_either_side_of_a_crawl_end_in_one_place() {
+    // A strip of the shaft: its turn and its slide are held by little, so steps shrink slowly.
+    let mesh = shaft();
+    let target = target(&mesh, 20_000);
+    let drawn = sample::surface(&mesh, 20_000, &mut ChaCha8Rng::seed_from_u64(2));
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let seen = drawn.points.iter().zip(&drawn.normals).filter(|(p, n)| n.x > 0.6 && (30.0..90.0).contains(&p.z));
+    let source: Vec<_> = seen.map(|(p, n)| p + n * (0.2 * (rng.random::<f64>() - 0.5))).collect();
+    for method in [Method::PointToPlane, Method::Symmetric] {
+        let [above, below] = [4.0, -4.0].map(|slide| {
+            let init = Isometry3::new(Vector3::new(0.5, 0.3, slide), Vector3::new(0.01, 0.01, 0.02));
+            register(method, &target, &source, &init, &IcpParams::default(), &mut go_on).unwrap()
+        });
+        let apart = off(&above, &below.t_target_source, &source);
+        assert!(above.report.converged && below.report.converged, "{:?} {:?}", above.report, below.report);
+        assert!(apart < 0.005, "{method:?}: {apart} mm apart after {} steps", above.report.iterations);
     }
 }
