@@ -76,11 +76,18 @@ pub fn of_surface(points: &[Point3<f64>]) -> Result<Vec<Vector3<f64>>, NormalErr
         return Err(NormalError::NotFinite { index });
     }
     let centre = centroid(points);
-    let places: Vec<Vector3<f64>> = points.iter().map(|p| p - centre).collect();
+    with_side(points.iter().map(|p| p - centre).collect())
+}
+
+fn with_side(places: Vec<Vector3<f64>>) -> Result<Vec<Vector3<f64>>, NormalError> {
     let handfuls = Handfuls::new(&places);
+    if let Some(once) = Once::of(&places, &handfuls.order) {
+        let normals = with_side(once.places.clone()).map_err(|error| once.told(error))?;
+        return Ok(once.for_all(&normals));
+    }
     let along = handfuls.along(&places);
     let (planes, edges) = fitted(&handfuls, &along, true);
-    let mut fitted: Vec<Vector3<f64>> = Vec::with_capacity(points.len());
+    let mut fitted: Vec<Vector3<f64>> = Vec::with_capacity(places.len());
     for (normal, &index) in planes.into_iter().flatten().zip(&handfuls.order) {
         fitted.push(normal.ok_or(NormalError::NoPlane { index: index as usize })?);
     }
@@ -97,6 +104,9 @@ pub fn of_surface(points: &[Point3<f64>]) -> Result<Vec<Vector3<f64>>, NormalErr
 /// As [`of_surface`], without what it does for their sides.
 pub(crate) fn without_side(places: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let handfuls = Handfuls::new(places);
+    if let Some(once) = Once::of(places, &handfuls.order) {
+        return once.for_all(&without_side(&once.places));
+    }
     let along = handfuls.along(places);
     let mut normals = vec![Vector3::zeros(); places.len()];
     let (planes, _) = fitted(&handfuls, &along, false);
@@ -104,6 +114,47 @@ pub(crate) fn without_side(places: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
         normals[index as usize] = normal.unwrap_or_default();
     }
     normals
+}
+
+/// Points of which many lie in one place, each place once: a thousand equal points are no neighbours that tell of a plane.
+struct Once {
+    places: Vec<Vector3<f64>>,
+    /// Of each point, the number of its place.
+    which: Vec<u32>,
+}
+
+impl Once {
+    /// Without what equals the point before it along the curve; none where nothing does.
+    fn of(places: &[Vector3<f64>], order: &[u32]) -> Option<Self> {
+        let repeats = |pair: &[u32]| places[pair[0] as usize] == places[pair[1] as usize];
+        if !order.windows(2).any(repeats) {
+            return None;
+        }
+        let mut once = Self { places: Vec::new(), which: vec![0; places.len()] };
+        for &i in order {
+            let place = places[i as usize];
+            if once.places.last() != Some(&place) {
+                once.places.push(place);
+            }
+            once.which[i as usize] = once.places.len() as u32 - 1;
+        }
+        Some(once)
+    }
+
+    fn for_all(&self, normals: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+        self.which.iter().map(|&place| normals[place as usize]).collect()
+    }
+
+    /// The error of a place as that of the first point there.
+    fn told(&self, error: NormalError) -> NormalError {
+        match error {
+            NormalError::NoPlane { index } => {
+                let first = self.which.iter().position(|&place| place as usize == index);
+                NormalError::NoPlane { index: first.unwrap_or(index) }
+            }
+            error => error,
+        }
+    }
 }
 
 /// The planes of all points, chunk by chunk along the curve, and who is tied to whom if asked for.
