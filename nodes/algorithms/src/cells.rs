@@ -1,6 +1,6 @@
 //! Nearest neighbours close by: a list of the points in each cell of a grid.
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::Column;
 
 /// Points a cell holds on average where it holds any: fewer cost look-ups of cells, more cost distances.
@@ -54,6 +54,8 @@ pub struct CellParts {
 pub(crate) struct Nearby {
     /// Index and squared distance of the nearest point, mm²; of several equally near the lowest index.
     pub(crate) nearest: Option<(u32, f64)>,
+    /// Its place among the points as the cells have them, where these found it.
+    pub(crate) at: Option<u32>,
     /// No *other* point lies closer than this, squared, mm².
     pub(crate) free_square: f64,
 }
@@ -65,6 +67,7 @@ impl Nearby {
         let near = found.filter(|(_, square)| *square <= limit_mm * limit_mm);
         Self {
             nearest: near.map(|(item, square)| (item as u32, square)),
+            at: None,
             free_square: found.map_or(f64::INFINITY, |(_, square)| square),
         }
     }
@@ -92,22 +95,64 @@ impl Keep for All {
     }
 }
 
+/// Points as seen from a centre.
+struct About<'a> {
+    points: &'a [Point3<f64>],
+    centre: &'a Point3<f64>,
+}
+
+impl About<'_> {
+    fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    fn get(&self, item: usize) -> Option<Vector3<f64>> {
+        self.points.get(item).map(|point| point - self.centre)
+    }
+
+    fn iter(&self) -> impl Iterator<Item = Vector3<f64>> {
+        self.points.iter().map(|point| point - self.centre)
+    }
+
+    /// The lowest and highest of each coordinate; zero where there are no points.
+    fn extremes(&self) -> (Vector3<f64>, Vector3<f64>) {
+        let first = self.get(0).unwrap_or_else(Vector3::zeros);
+        let (mut min, mut max) = (first, first);
+        for p in self.iter() {
+            for k in 0..3 {
+                min[k] = if p[k] < min[k] { p[k] } else { min[k] };
+                max[k] = if p[k] > max[k] { p[k] } else { max[k] };
+            }
+        }
+        (min, max)
+    }
+}
+
+/// The edge of the cells that hold the right number of these points, mm. `O(n)`.
+pub(crate) fn cell_mm(points: &[Point3<f64>], centre: &Point3<f64>) -> f64 {
+    let points = About { points, centre };
+    let (min, max) = points.extremes();
+    // The number of cells that a surface occupies falls with the square of their size.
+    let trial_mm = ((max - min).max() / 256.0).max(f64::MIN_POSITIVE.sqrt());
+    let grid = Cells::without_points(&points, trial_mm);
+    let mut occupied = vec![0_u64; grid.blocks.len()];
+    for point in points.iter() {
+        let (block, cell) = grid.place(&grid.cell_of(&point));
+        occupied[block as usize] |= 1 << cell;
+    }
+    let n_occupied = occupied.iter().map(|block| block.count_ones()).sum::<u32>().max(1);
+    trial_mm * (PER_CELL * f64::from(n_occupied) / points.len().max(1) as f64).sqrt()
+}
+
 impl Cells {
     /// Sorts finite `points` into cells. `O(n)`.
-    pub(crate) fn new(points: &[Vector3<f64>]) -> Self {
-        let (min, max) = extremes(points);
-        // The number of cells that a surface occupies falls with the square of their size.
-        let trial_mm = ((max - min).max() / 256.0).max(f64::MIN_POSITIVE.sqrt());
-        let trial = Self::sorted(points, trial_mm);
-        let n_occupied = trial.starts.windows(2).filter(|w| w[0] < w[1]).count().max(1);
-        let per_cell = points.len() as f64 / n_occupied as f64;
-        let cell_mm = trial_mm * (PER_CELL / per_cell).sqrt();
-        Self::sorted(points, cell_mm)
+    pub(crate) fn new(points: &[Point3<f64>], centre: &Point3<f64>, cell_mm: f64) -> Self {
+        Self::sorted(&About { points, centre }, cell_mm)
     }
 
     /// A grid around the points, none of which it has; its cells are larger than asked where they would be too many.
-    fn without_points(points: &[Vector3<f64>], cell_mm: f64) -> Self {
-        let (min, max) = extremes(points);
+    fn without_points(points: &About<'_>, cell_mm: f64) -> Self {
+        let (min, max) = points.extremes();
         let extent = max - min;
         let edge = f64::from(EDGE);
         let volume = |cell: f64| extent.iter().map(|e| (e / (cell * edge)).floor() + 1.0).product::<f64>();
@@ -128,9 +173,9 @@ impl Cells {
         }
     }
 
-    fn sorted(points: &[Vector3<f64>], cell_mm: f64) -> Self {
+    fn sorted(points: &About<'_>, cell_mm: f64) -> Self {
         let mut cells = Self::without_points(points, cell_mm);
-        let places: Vec<(u32, u32)> = points.iter().map(|p| cells.place(&cells.cell_of(p))).collect();
+        let places: Vec<(u32, u32)> = points.iter().map(|p| cells.place(&cells.cell_of(&p))).collect();
         for (block, _) in &places {
             cells.blocks[*block as usize] = 0;
         }
@@ -152,7 +197,7 @@ impl Cells {
         cells.items = vec![0; points.len()];
         for (item, (point, place)) in (0_u32..).zip(points.iter().zip(&places)) {
             let at = &mut next[slot(&cells.blocks, *place)];
-            cells.points[*at as usize] = *point;
+            cells.points[*at as usize] = point;
             cells.items[*at as usize] = item;
             *at += 1;
         }
@@ -173,7 +218,8 @@ impl Cells {
     /// The cells of finite `points` that were sorted before; tells what is wrong where they are not those points' cells.
     ///
     /// Every point is looked at, so that damaged parts are refused and never give a wrong neighbour. `O(n)`.
-    pub(crate) fn from_parts(points: &[Vector3<f64>], parts: &CellParts) -> Result<Self, String> {
+    pub(crate) fn from_parts(points: &[Point3<f64>], centre: &Point3<f64>, parts: &CellParts) -> Result<Self, String> {
+        let points = &About { points, centre };
         let cell_mm = parts.cell_mm;
         let (held, starts, items): (&[u32], &[u32], &[u32]) = (&parts.blocks, &parts.starts, &parts.items);
         if !(cell_mm > 0.0 && cell_mm.is_finite()) {
@@ -200,6 +246,7 @@ impl Cells {
         for (at, &item) in (0..).zip(items) {
             let point = points.get(item as usize);
             let bounds = point.and_then(|point| {
+                let point = &point;
                 let (block, cell) = cells.place(&cells.cell_of(point));
                 let slot = cells.blocks[block as usize] as usize * CELLS as usize + cell as usize;
                 starts.get(slot..slot + 2)
@@ -208,7 +255,7 @@ impl Cells {
             let Some(point) = point.filter(|_| is_there) else {
                 return Err(format!("point {item} lies in another cell"));
             };
-            cells.points.push(*point);
+            cells.points.push(point);
             before = Some(item);
         }
         cells.starts = starts.to_vec();
@@ -216,9 +263,10 @@ impl Cells {
         Ok(cells)
     }
 
-    /// The edge of a cell, mm.
-    pub(crate) fn cell_mm(&self) -> f64 {
-        self.cell_mm
+    /// A point by its place among those sorted.
+    #[inline]
+    pub(crate) fn point(&self, at: u32) -> Vector3<f64> {
+        self.points[at as usize]
     }
 
     /// Indices as given, in the order of the cells: neighbours in it are mostly neighbours in space.
@@ -270,7 +318,7 @@ impl Cells {
 
     /// The nearest point if it lies in the two by two by two cells whose middle is nearest to the query, and surely none
     /// outside of them is nearer; what is close to a surface mostly is answered here.
-    #[inline]
+    #[inline(always)]
     fn nearest_in_eight(&self, query: &Vector3<f64>, limit_mm: f64, keep: impl Keep) -> Option<Nearby> {
         let u = (query - self.min) / self.cell_mm - Vector3::repeat(0.5);
         if !(0..3).all(|k| u[k] >= 0.0 && u[k] < f64::from(self.n_blocks[k] * EDGE - 1)) {
@@ -298,11 +346,15 @@ impl Cells {
     fn nearby(&self, best: &Best, seen_square: f64) -> Nearby {
         let near = best.square <= best.limit_square;
         let free_square = if near { best.second } else { best.square };
-        Nearby { nearest: near.then(|| (self.items[best.at], best.square)), free_square: free_square.min(seen_square) }
+        Nearby {
+            nearest: near.then(|| (self.items[best.at], best.square)),
+            at: near.then_some(best.at as u32),
+            free_square: free_square.min(seen_square),
+        }
     }
 
     /// The points of `n` cells of a block that follow each other along z.
-    #[inline]
+    #[inline(always)]
     fn run(&self, x: u32, y: u32, z: u32, n: usize) -> std::ops::Range<usize> {
         let block = ((x / EDGE) * self.n_blocks[1] + y / EDGE) * self.n_blocks[2] + z / EDGE;
         match self.blocks[block as usize] {
@@ -314,7 +366,7 @@ impl Cells {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn add(&self, range: std::ops::Range<usize>, query: &Vector3<f64>, keep: impl Keep, best: &mut Best) {
         for (at, point) in range.clone().zip(&self.points[range]) {
             let square = (point - query).norm_squared();
@@ -330,7 +382,7 @@ impl Cells {
     }
 
     /// Whether a point is one to keep, if that makes a difference.
-    #[inline]
+    #[inline(always)]
     fn matters<K: Keep>(&self, at: usize, square: f64, keep: K, best: &Best) -> bool {
         K::ALL || (square < best.second && keep.keeps(self.items[at], &self.points[at]))
     }
@@ -340,7 +392,7 @@ impl Cells {
         let own = self.cell(query);
         if (0..3).any(|k| own[k] < -MAX_RING || own[k] - MAX_RING > (self.n_blocks[k] * EDGE) as i32) {
             let square = (query - query.sup(&self.min).inf(&self.max)).norm_squared();
-            return (square > limit_square).then_some(Nearby { nearest: None, free_square: square });
+            return (square > limit_square).then_some(Nearby { nearest: None, at: None, free_square: square });
         }
         let h = self.cell_mm;
         let within = self.within(query, own);
@@ -418,18 +470,6 @@ impl Cells {
 }
 
 /// The corners of the points' bounding box; the origin where there are none.
-fn extremes(points: &[Vector3<f64>]) -> (Vector3<f64>, Vector3<f64>) {
-    let Some(first) = points.first() else { return (Vector3::zeros(), Vector3::zeros()) };
-    let (mut min, mut max) = (*first, *first);
-    for p in points {
-        for k in 0..3 {
-            min[k] = if p[k] < min[k] { p[k] } else { min[k] };
-            max[k] = if p[k] > max[k] { p[k] } else { max[k] };
-        }
-    }
-    (min, max)
-}
-
 /// The nearest point so far, by its place among those sorted, and how near it and the second are.
 struct Best {
     at: usize,
@@ -476,13 +516,17 @@ const fn around() -> [[i32; 3]; 26] {
 mod tests {
     use super::*;
 
+    fn cells_of(points: &[Point3<f64>]) -> Cells {
+        Cells::new(points, &Point3::origin(), cell_mm(points, &Point3::origin()))
+    }
+
     /// Points on a bent sheet, without a pattern.
-    fn sheet(n: u32) -> Vec<Vector3<f64>> {
+    fn sheet(n: u32) -> Vec<Point3<f64>> {
         let part = |k: u32, m: u32| f64::from(k.wrapping_mul(2_654_435_761).wrapping_mul(m) >> 8) / f64::from(1 << 24);
         (0..n)
             .map(|k| {
                 let (u, v) = (part(k, 1) * 40.0, part(k, 7919) * 25.0);
-                Vector3::new(u, v, 0.1 * u * u / 4.0 + v.sin())
+                Point3::new(u, v, 0.1 * u * u / 4.0 + v.sin())
             })
             .collect()
     }
@@ -490,15 +534,16 @@ mod tests {
     #[test]
     fn the_nearest_and_what_is_free_around_it_are_as_by_trying_all() {
         let points = sheet(3000);
-        let cells = Cells::new(&points);
+        let cells = cells_of(&points);
         let mut n_near = 0;
         for k in 0..400_usize {
             let off = Vector3::new(0.3, -0.2, 0.1) * (k % 7) as f64;
-            let query = points[k * 7] + off;
+            let query = points[k * 7].coords + off;
             for limit_mm in [0.2, 1.0, 50.0] {
                 let Some(found) = cells.nearest(&query, limit_mm, All) else { continue };
                 n_near += 1;
-                let mut squares: Vec<(f64, u32)> = points.iter().map(|p| (p - query).norm_squared()).zip(0..).collect();
+                let mut squares: Vec<(f64, u32)> =
+                    points.iter().map(|p| (p.coords - query).norm_squared()).zip(0..).collect();
                 squares.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
                 let expected = Some((squares[0].1, squares[0].0)).filter(|n| n.1 <= limit_mm * limit_mm);
                 assert_eq!(found.nearest, expected, "query {k}, limit {limit_mm}");
@@ -512,21 +557,21 @@ mod tests {
     #[test]
     fn cells_come_back_from_their_parts_and_others_are_refused() {
         let points = sheet(3000);
-        let cells = Cells::new(&points);
+        let cells = cells_of(&points);
         let parts = cells.to_parts();
-        let back = Cells::from_parts(&points, &parts).unwrap();
+        let back = Cells::from_parts(&points, &Point3::origin(), &parts).unwrap();
         assert_eq!((&back.points, &back.blocks), (&cells.points, &cells.blocks));
         assert_eq!((back.min, back.max, back.n_blocks), (cells.min, cells.max, cells.n_blocks));
         assert_eq!(back.to_parts(), parts);
         for of_few in [&points[..1], &[points[0]; 3]] {
-            let cells = Cells::new(of_few);
-            assert_eq!(Cells::from_parts(of_few, &cells.to_parts()).unwrap().points, cells.points);
+            let cells = cells_of(of_few);
+            assert_eq!(Cells::from_parts(of_few, &Point3::origin(), &cells.to_parts()).unwrap().points, cells.points);
         }
 
-        let refused = |points: &[Vector3<f64>], damage: &dyn Fn(&mut CellParts), why: &str| {
+        let refused = |points: &[Point3<f64>], damage: &dyn Fn(&mut CellParts), why: &str| {
             let mut parts = parts.clone();
             damage(&mut parts);
-            let error = Cells::from_parts(points, &parts).err();
+            let error = Cells::from_parts(points, &Point3::origin(), &parts).err();
             assert!(error.as_ref().is_some_and(|error| error.contains(why)), "{why}: {error:?}");
         };
         let changed = |column: &Column<u32>, at: usize, value: u32| {
@@ -550,19 +595,19 @@ mod tests {
 
     #[test]
     fn equal_points_give_the_lowest_index_and_no_free_room() {
-        let cells = Cells::new(&[Vector3::repeat(1.0), Vector3::repeat(0.0), Vector3::repeat(1.0)]);
+        let cells = cells_of(&[1.0, 0.0, 1.0].map(|c| Point3::from(Vector3::repeat(c))));
         let found = cells.nearest(&Vector3::repeat(1.0), 0.5, All).unwrap();
-        assert_eq!(found, Nearby { nearest: Some((0, 0.0)), free_square: 0.0 });
-        let cells = Cells::new(&[]);
+        assert_eq!((found.nearest, found.free_square), (Some((0, 0.0)), 0.0));
+        let cells = cells_of(&[]);
         assert_eq!(cells.nearest(&Vector3::repeat(1.0), 0.0, All).map(|n| n.nearest), Some(None));
     }
 
     #[test]
     fn points_strewn_wide_and_queries_far_outside_are_no_matter() {
         let mut points = sheet(500);
-        points.push(Vector3::repeat(1e7));
-        let cells = Cells::new(&points);
-        assert_eq!(cells.nearest(&points[500], 1.0, All).unwrap().nearest, Some((500, 0.0)));
+        points.push(Vector3::repeat(1e7).into());
+        let cells = cells_of(&points);
+        assert_eq!(cells.nearest(&points[500].coords, 1.0, All).unwrap().nearest, Some((500, 0.0)));
         assert_eq!(cells.nearest(&Vector3::repeat(-1e9), 0.5, All).map(|n| n.nearest), Some(None));
     }
 }

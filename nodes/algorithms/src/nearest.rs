@@ -23,20 +23,17 @@ impl Nearest {
         let centre = centroid(&known);
         drop(known);
         let about = (0_u32..).zip(points).filter(|(_, p)| finite(p)).map(|(i, p)| (i, p - centre));
-        Self::of(about.collect(), centre)
+        Self::of(about, centre)
     }
 
-    /// A tree over finite points that are given about a centre, as queries then are too.
-    pub(crate) fn about_origin(points: &[Vector3<f64>]) -> Self {
-        Self::of((0_u32..).zip(points.iter().copied()).collect(), Point3::origin())
+    /// A tree over finite points about a centre, as queries then are given, too.
+    pub(crate) fn about(centre: &Point3<f64>, points: impl Iterator<Item = Point3<f64>>) -> Self {
+        Self::of((0_u32..).zip(points.map(|p| p - centre)), Point3::origin())
     }
 
-    fn of(points: Vec<(u32, Vector3<f64>)>, centre: Point3<f64>) -> Self {
-        let mut entries: Vec<(u32, [f64; 3])> = points
-            .into_iter()
-            // Adding 0.0 makes -0.0 and 0.0 one place.
-            .map(|(i, p)| (i, p.map(|c| c + 0.0).into()))
-            .collect();
+    fn of(points: impl Iterator<Item = (u32, Vector3<f64>)>, centre: Point3<f64>) -> Self {
+        // Adding 0.0 makes -0.0 and 0.0 one place.
+        let mut entries: Vec<(u32, [f64; 3])> = points.map(|(i, p)| (i, p.map(|c| c + 0.0).into())).collect();
         entries.par_sort_unstable_by(|(i, a), (j, b)| {
             a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])).then(i.cmp(j))
         });

@@ -4,7 +4,7 @@ mod parts;
 
 pub use crate::cells::CellParts;
 
-use crate::cells::{All, Cells, Nearby};
+use crate::cells::{All, Cells, Nearby, cell_mm};
 use crate::field::ClosestPointField;
 use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;
@@ -121,7 +121,16 @@ impl Target {
     ///
     /// `O(n)`. See also [`Target::prepare_tree`].
     pub fn prepare(&self) {
-        self.index().thin();
+        let index = self.index();
+        index.thin();
+        if let Some(normals) = &self.normals {
+            index.normals.get_or_init(|| index.cells().items().iter().map(|&i| normals[i as usize]).collect());
+        }
+    }
+
+    /// Normals in the order of the cells, if [`Target::prepare`] was called.
+    pub(crate) fn normals_along(&self) -> Option<&[Vector3<f64>]> {
+        self.index().normals.get().map(Vec::as_slice)
     }
 
     /// What finds the nearest of the points.
@@ -180,11 +189,15 @@ impl fmt::Debug for Target {
 }
 
 /// What finds the nearest of many points; positions are about their centroid, so that nothing is lost far from the origin.
+///
+/// Each part is built when first asked for.
 pub(crate) struct Index {
     pub(crate) centre: Point3<f64>,
-    /// The points about the centre, in the order given.
-    pub(crate) local: Vec<Vector3<f64>>,
-    pub(crate) cells: Cells,
+    points: Column<Point3<f64>>,
+    cell_mm: OnceLock<f64>,
+    cells: OnceLock<Cells>,
+    /// In the order of the cells.
+    normals: OnceLock<Vec<Vector3<f64>>>,
     thin: OnceLock<Subset>,
     tree: OnceLock<Nearest>,
 }
@@ -196,46 +209,59 @@ pub(crate) struct Subset {
 }
 
 impl Index {
-    pub(crate) fn new(points: &[Point3<f64>]) -> Self {
-        let (centre, local) = about_centre(points);
-        let cells = Cells::new(&local);
-        Self::of(centre, local, cells)
+    pub(crate) fn new(points: &Column<Point3<f64>>) -> Self {
+        let (cell_mm, cells, normals, thin, tree) = Default::default();
+        Self { centre: centroid(points), points: points.clone(), cell_mm, cells, normals, thin, tree }
     }
 
-    fn of(centre: Point3<f64>, local: Vec<Vector3<f64>>, cells: Cells) -> Self {
-        Self { centre, local, cells, thin: OnceLock::new(), tree: OnceLock::new() }
+    fn with_cells(self, cells: Cells, cell_mm: f64) -> Self {
+        Self { cells: OnceLock::from(cells), cell_mm: OnceLock::from(cell_mm), ..self }
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// A point about the centre, mm.
+    #[inline]
+    pub(crate) fn local(&self, item: usize) -> Vector3<f64> {
+        self.points[item] - self.centre
+    }
+
+    /// The edge of the cells, mm: somewhat more than the spacing of the points.
+    pub(crate) fn cell_mm(&self) -> f64 {
+        *self.cell_mm.get_or_init(|| cell_mm(&self.points, &self.centre))
+    }
+
+    pub(crate) fn cells(&self) -> &Cells {
+        self.cells.get_or_init(|| Cells::new(&self.points, &self.centre, self.cell_mm()))
     }
 
     /// The tree over all points, about the centre.
     pub(crate) fn tree(&self) -> &Nearest {
-        self.tree.get_or_init(|| Nearest::about_origin(&self.local))
+        self.tree.get_or_init(|| Nearest::about(&self.centre, self.points.iter().copied()))
     }
 
     /// The nearest point no farther than `limit_mm` from `query`, which is about the centre.
     #[inline]
     pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64) -> Nearby {
-        let close = self.cells.nearest(query, limit_mm, All);
+        let close = self.cells().nearest(query, limit_mm, All);
         close.unwrap_or_else(|| Nearby::within(limit_mm, self.tree().nearest(&Point3::from(*query))))
     }
 
     /// A few of the points, evenly spread.
     pub(crate) fn thin(&self) -> &Subset {
         self.thin.get_or_init(|| {
-            let every = (self.local.len() / MIN_THINNED).clamp(1, THIN);
-            self.subset(self.cells.items().iter().copied().step_by(every).collect())
+            let every = (self.len() / MIN_THINNED).clamp(1, THIN);
+            self.subset(self.cells().items().iter().copied().step_by(every).collect())
         })
     }
 
     /// These of the points.
     pub(crate) fn subset(&self, items: Vec<u32>) -> Subset {
-        let points: Vec<Vector3<f64>> = items.iter().map(|&i| self.local[i as usize]).collect();
-        Subset { items, tree: Nearest::about_origin(&points) }
+        let tree = Nearest::about(&self.centre, items.iter().map(|&i| self.points[i as usize]));
+        Subset { items, tree }
     }
-}
-
-fn about_centre(points: &[Point3<f64>]) -> (Point3<f64>, Vec<Vector3<f64>>) {
-    let centre = centroid(points);
-    (centre, points.iter().map(|p| p - centre).collect())
 }
 
 impl Subset {

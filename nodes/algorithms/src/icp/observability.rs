@@ -15,9 +15,10 @@ use serde::{Deserialize, Serialize};
 /// hide in a residual of 0.05 mm, the depth noise of the camera.
 pub(super) const FREE_PER_MM: f64 = 0.005;
 
-/// What is held less than this is looked at again by moving the source: the normals of samples beside the foot tell of a
-/// hold by that much on any curved surface, even on a ball.
-const DOUBTFUL_PER_MM: f64 = 0.05;
+/// The normals of samples beside the foot tell of a hold on any curved surface, even on a ball: by their distance over its
+/// radius. What is held by less than a cell of the samples over a bone's radius of so many mm is looked at again by moving
+/// the source.
+const BONE_RADIUS_MM: f64 = 10.0;
 
 /// How far the source is moved for that, mm: beyond the spacing of the samples, within the shape of the bone.
 const PROBE_MM: f64 = 2.0;
@@ -80,7 +81,8 @@ impl Observability {
             None => energy_and_hold(state).map_or_else(Matrix6::zeros, |(_, hold)| hold),
         };
         let (mut values, vectors) = sorted_eigen(&hold);
-        let doubtful = |value: f64| (FREE_PER_MM..DOUBTFUL_PER_MM).contains(&value.max(0.0).sqrt());
+        let doubt_per_mm = surface.index.cell_mm() / BONE_RADIUS_MM;
+        let doubtful = |value: f64| (FREE_PER_MM..doubt_per_mm).contains(&value.max(0.0).sqrt());
         if !values.iter().any(|v| doubtful(*v)) {
             return Self::new(&hold, source.lever_arm_mm);
         }

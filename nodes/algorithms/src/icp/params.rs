@@ -16,11 +16,11 @@ pub struct IcpParams {
     /// `tree` in a fifth of its time. `tree`: searched anew at every step. `field`: the closest point of the surface as
     /// looked up in a grid that the target must have been prepared with, for registration at camera rate.
     pub pairing: PairingKind,
-    /// With `field`: at most so many steps on exact pairs at the end, until the way still to go is short. 100: the result
-    /// is that of exact pairs within a micrometre, mostly after one or two. 0: the field alone. `point_to_point` takes
-    /// none, as exact pairs would hold it back among the samples.
-    #[schemars(range(max = 100_000))]
-    pub field_exact_steps: u32,
+    /// With `field`: whether all points end on exact pairs, after subsets were taken near by the field. true: the result is
+    /// that of exact pairs. false: the field alone, for a third of the time; as smooth as the field, it may rest some
+    /// hundredths of a millimetre off. `point_to_point` never ends on exact pairs, which would hold it back among the
+    /// samples.
+    pub field_exact: bool,
     /// Whether a pair is used only where the source point is, in turn, the nearest to its partner. false: a scan covers a
     /// part of the bone, and each of its points has a partner.
     pub reciprocal: bool,
@@ -92,7 +92,7 @@ impl Default for IcpParams {
         Self {
             max_pair_distance_mm: 5.0,
             pairing: PairingKind::Cached,
-            field_exact_steps: 100,
+            field_exact: true,
             reciprocal: false,
             max_normal_angle_deg: 180.0,
             gate_sigmas: 5.0,

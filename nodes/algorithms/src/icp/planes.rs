@@ -102,7 +102,6 @@ pub(super) fn descend<R: Residual>(
                 converged: fine,
                 remaining_mm,
                 change_mm: None,
-                pace,
             });
         }
         if circles && is_last {
@@ -118,7 +117,6 @@ pub(super) fn descend<R: Residual>(
                 converged,
                 remaining_mm: Some(circle_mm),
                 change_mm: None,
-                pace,
             });
         }
         // No farther than pairs reach: beyond, the model knows nothing.
@@ -139,7 +137,6 @@ pub(super) fn descend<R: Residual>(
                 converged: fine,
                 remaining_mm: left,
                 change_mm: None,
-                pace,
             });
         }
         let recent = costs.len().saturating_sub(PATIENCE);
@@ -177,7 +174,6 @@ pub(super) fn descend<R: Residual>(
                 converged,
                 remaining_mm: Some(remaining_mm),
                 change_mm: None,
-                pace,
             });
         };
         let step_mm = motion.norm();
@@ -197,7 +193,6 @@ pub(super) fn descend<R: Residual>(
                 converged: false,
                 remaining_mm,
                 change_mm: Some(change_mm),
-                pace,
             });
         }
         let narrower = weights;

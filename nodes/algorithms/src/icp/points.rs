@@ -7,7 +7,7 @@ use super::report::{IcpStep, Observer};
 use super::residual::PointToPoint;
 use super::run::Descent;
 use super::step::{kabsch, newton, resolution_mm, weakest};
-use super::stop::{Pace, StopReason};
+use super::stop::StopReason;
 use super::sums::Sums;
 use super::weights::Weights;
 
@@ -53,7 +53,6 @@ pub(super) fn descend(
                 converged: is_calm,
                 remaining_mm: Some(remaining_mm),
                 change_mm,
-                pace: Pace::default(),
             })
         };
         let settled = remaining_mm == 0.0 || calm >= 2;
@@ -106,7 +105,6 @@ pub(super) fn descend(
                 converged,
                 remaining_mm: Some(remaining_mm),
                 change_mm: None,
-                pace: Pace::default(),
             });
         };
         let step_mm = (next.since(&start, lever_arm_mm) - x).norm();

@@ -9,12 +9,12 @@ use super::report::{Halt, IcpFit, IcpReport, IcpStep, IcpTrace, Observer};
 use super::residual::{PointToPlane, PointToPoint, Residual};
 use super::source::{Prepared, Source};
 use super::step;
-use super::stop::{Pace, StopReason, rules};
+use super::stop::{StopReason, rules};
 use super::sums::Sums;
 use super::surface::Surface;
 use super::weights::Weights;
 use super::{IcpError, planes, points};
-use crate::cells::Cells;
+use crate::cells::{Cells, cell_mm};
 use crate::kabsch::finite;
 use crate::target::Target;
 use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
@@ -29,9 +29,6 @@ const THINNED_FROM: u32 = 16;
 /// The first subset is pulled in from so many times the pair distance, so that no part of it is left behind at the start.
 const PULL_REACH: f64 = 2.0;
 
-/// So many exact steps after those on looked-up pairs are taken on trust.
-const ON_TRUST: u32 = 2;
-
 /// How the descent at one level ended.
 pub(super) struct Descent {
     pub(super) state: State,
@@ -41,7 +38,6 @@ pub(super) struct Descent {
     pub(super) converged: bool,
     pub(super) remaining_mm: Option<f64>,
     pub(super) change_mm: Option<f64>,
-    pub(super) pace: Pace,
 }
 
 /// A variant's descent at one level: from a state, with weights; whether it is the last; for at most so many steps.
@@ -100,7 +96,10 @@ fn run<R: Residual>(
         None => all.arms.iter().map(|a| start.centre + start.rotation * a).collect(),
     };
     let surface = Surface::new(target, camera.as_ref(), &near, params.max_pair_distance_mm);
-    let back = params.reciprocal.then(|| Cells::new(&all.arms));
+    let back = params.reciprocal.then(|| {
+        let arms: Vec<Point3<f64>> = all.arms.iter().copied().map(Point3::from).collect();
+        Cells::new(&arms, &Point3::origin(), cell_mm(&arms, &Point3::origin()))
+    });
     let (cached, tree, thinned) = (Cached(&surface), Tree(&surface), Thinned(&surface));
     let mesh = target.mesh().filter(|_| R::MESH).map(|mesh| Mesh::new(&surface, mesh));
     let exact: &dyn Pairing = match (&mesh, params.pairing) {
@@ -111,16 +110,21 @@ fn run<R: Residual>(
     let field =
         target.field().filter(|_| params.pairing == PairingKind::Field).map(|field| Field::new(&surface, field));
     let fast: Option<&dyn Pairing> = field.as_ref().map(|field| field as &dyn Pairing);
+    // Between points exact pairs would hold the source back among the samples.
+    let last = fast.filter(|_| !params.field_exact || !R::TARGET_NORMALS).unwrap_or(exact);
 
     let mut observer = Observer { trace: IcpTrace::default(), caller };
     let left = |observer: &Observer<'_>| params.max_iterations - observer.trace.steps.len() as u32;
     let mut state = start;
     let mut weights = Weights::open(params, params.max_pair_distance_mm * PULL_REACH);
     let mut halted = None;
-    for (k, &every) in params.levels.iter().enumerate() {
-        if every < 2 || all.arms.len() / (every as usize) < MIN_SUBSET {
-            continue;
-        }
+    let worth = |every: &u32| *every >= 2 && all.arms.len() / (*every as usize) >= MIN_SUBSET;
+    let mut levels: Vec<u32> = params.levels.iter().copied().filter(worth).collect();
+    if fast.is_some() && params.field_exact && levels.is_empty() {
+        // Too few points for a subset: the field takes all of them near.
+        levels.push(1);
+    }
+    for (k, every) in levels.into_iter().enumerate() {
         let pairing = match fast {
             Some(fast) => fast,
             None if every >= THINNED_FROM && params.pairing == PairingKind::Cached => &thinned,
@@ -140,77 +144,25 @@ fn run<R: Residual>(
         }
     }
     let mut weights = weights.for_last(params);
-    let exact = Problem::new(&surface, exact, params, 1, all, back.as_ref());
-    let mut end = match (halted, fast) {
-        (Some(reason), _) => {
-            let sums = exact.pair(&state, &mut exact.partners(), &mut weights, false)?;
+    let last = Problem::new(&surface, last, params, 1, all, back.as_ref());
+    let mut end = match halted {
+        Some(reason) => {
+            let sums = last.pair(&state, &mut last.partners(), &mut weights, false)?;
             let remaining_mm = Some(step::newton(&sums).norm());
-            Descent {
-                state,
-                sums,
-                weights,
-                reason,
-                converged: false,
-                remaining_mm,
-                change_mm: None,
-                pace: Pace::default(),
-            }
+            Descent { state, sums, weights, reason, converged: false, remaining_mm, change_mm: None }
         }
-        (None, None) => descend(&exact, state, weights, true, left(&observer), &mut observer)?,
-        (None, Some(fast)) => {
-            let problem = Problem::new(&surface, fast, params, 1, exact.source.clone(), back.as_ref());
-            let end = descend(&problem, state, weights, true, left(&observer), &mut observer)?;
-            match params.field_exact_steps.min(left(&observer)) {
-                n if n == 0 || end.reason != StopReason::Step || !R::TARGET_NORMALS => end,
-                n => match polish(&exact, end, n.min(ON_TRUST), &mut observer)? {
-                    end if end.reason != StopReason::Iterations || n <= ON_TRUST => end,
-                    // The bone holds its scan so little that the exact pairs' rest lies elsewhere.
-                    end => descend(&exact, end.state, end.weights, true, n - ON_TRUST, &mut observer)?,
-                },
-            }
-        }
+        None => descend(&last, state, weights, true, left(&observer), &mut observer)?,
     };
-    at_end(&exact, &end.state);
+    at_end(&last, &end.state);
     if end.converged {
         end.reason = if matches!(end.reason, StopReason::Iterations) { StopReason::Step } else { end.reason };
     }
     // Source normals, too, say what a symmetric or generalized step may do, but nothing of the surface's hold.
     let hold = (!R::SOURCE_NORMALS).then(|| end.sums.hold / end.sums.weight);
-    let look = fast.unwrap_or(exact.pairing);
-    let observability = Observability::at(&surface, look, params, &exact.source, &end.state, end.weights, hold);
-    let report = report(&exact.source, params, &end, &observer.trace, observability);
-    Ok(IcpFit { t_target_source: end.state.isometry(&exact.source.centre), report, trace: observer.trace })
-}
-
-/// Takes what has come to rest on looked-up pairs to where exact pairs rest: at most `n` Gauss-Newton steps.
-///
-/// They are a few micrometres long, so each is taken on trust and shrinks what is left as those before did.
-fn polish<R: Residual>(
-    problem: &Problem<'_, R>,
-    mut end: Descent,
-    n: u32,
-    observer: &mut Observer<'_>,
-) -> Result<Descent, IcpError> {
-    let mut partners = problem.partners();
-    for _ in 0..n {
-        end.sums = problem.pair(&end.state, &mut partners, &mut end.weights, false)?;
-        let motion = step::newton(&end.sums);
-        let step_mm = motion.norm();
-        let remaining_mm = end.pace.left_mm(step_mm);
-        let next = end.state.moved(&motion, problem.source.lever_arm_mm);
-        let seen = observer.see(problem.step(&end.sums, &end.state, &next, step_mm, remaining_mm));
-        end.state = next;
-        end.remaining_mm = end.pace.left_after_mm(step_mm);
-        end.converged = end.remaining_mm.is_some_and(|r| r <= problem.params.stop_step_mm);
-        if let Some(reason) = seen {
-            return Ok(Descent { reason, ..end });
-        }
-        if end.converged {
-            break;
-        }
-    }
-    end.reason = if end.converged { StopReason::Step } else { StopReason::Iterations };
-    Ok(end)
+    let look = fast.unwrap_or(last.pairing);
+    let observability = Observability::at(&surface, look, params, &last.source, &end.state, end.weights, hold);
+    let report = report(&last.source, params, &end, &observer.trace, observability);
+    Ok(IcpFit { t_target_source: end.state.isometry(&last.source.centre), report, trace: observer.trace })
 }
 
 fn check<R: Residual>(

@@ -72,8 +72,7 @@ impl Pace {
         self.left_mm(step_mm).map(|left| left * self.rate.unwrap_or(UNKNOWN_RATE).max(self.crawl))
     }
 
-    /// The way still to go before a step of this length, which is not followed.
-    pub(super) fn left_mm(&self, step_mm: f64) -> Option<f64> {
+    fn left_mm(&self, step_mm: f64) -> Option<f64> {
         let rate = self.rate.unwrap_or(UNKNOWN_RATE).max(self.crawl);
         (rate < 1.0 || step_mm == 0.0).then(|| if step_mm == 0.0 { 0.0 } else { step_mm / (1.0 - rate.min(MAX_RATE)) })
     }

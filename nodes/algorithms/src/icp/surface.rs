@@ -21,6 +21,8 @@ const REACH: f64 = 4.0;
 pub(super) struct Surface<'a> {
     pub(super) index: &'a Index,
     pub(super) normals: Cow<'a, [Vector3<f64>]>,
+    /// The same in the order of the cells, so that neighbours in space are neighbours in memory.
+    along: Option<&'a [Vector3<f64>]>,
     camera: Option<Camera>,
     /// What faces the camera, for searches beyond the cells.
     facing: OnceLock<Subset>,
@@ -44,7 +46,16 @@ impl<'a> Surface<'a> {
             Some(normals) => (normals.into(), camera.and_then(|c| Camera::new(index, normals, c - index.centre))),
             None => (Cow::Owned(estimated(index, near, REACH * pair_mm)), None),
         };
-        Self { index, normals, camera, facing: OnceLock::new() }
+        Self { index, normals, along: target.normals_along(), camera, facing: OnceLock::new() }
+    }
+
+    /// A point and its normal, by its index and its place in the cells.
+    #[inline]
+    pub(super) fn point_and_normal(&self, item: u32, at: Option<u32>) -> (Vector3<f64>, Vector3<f64>) {
+        match (at, self.along) {
+            (Some(at), Some(along)) => (self.index.cells().point(at), along[at as usize]),
+            _ => (self.index.local(item as usize), self.normals[item as usize]),
+        }
     }
 
     /// Whether a place on the surface with this normal may be seen by the camera; true without one.
@@ -64,7 +75,7 @@ impl<'a> Surface<'a> {
         match &self.camera {
             None => self.index.nearest(query, limit_mm),
             Some(camera) => {
-                let close = self.index.cells.nearest(query, limit_mm, Facing { camera, normals: &self.normals });
+                let close = self.index.cells().nearest(query, limit_mm, Facing { camera, normals: &self.normals });
                 close.unwrap_or_else(|| Nearby::within(limit_mm, self.facing(camera).nearest(query)))
             }
         }
@@ -85,8 +96,8 @@ impl<'a> Surface<'a> {
 
     fn facing(&self, camera: &Camera) -> &Subset {
         self.facing.get_or_init(|| {
-            let sees = |i: &u32| camera.may_see(&self.index.local[*i as usize], &self.normals[*i as usize]);
-            self.index.subset((0..self.index.local.len() as u32).filter(sees).collect())
+            let sees = |i: &u32| camera.may_see(&self.index.local(*i as usize), &self.normals[*i as usize]);
+            self.index.subset((0..self.index.len() as u32).filter(sees).collect())
         })
     }
 }
@@ -96,7 +107,7 @@ impl Camera {
     fn new(index: &Index, normals: &[Vector3<f64>], eye: Vector3<f64>) -> Option<Self> {
         let all = index.thin().items();
         let side = side(index, normals, all)?;
-        let sees = |i: &u32| faces(&(eye - index.local[*i as usize]), &(normals[*i as usize] * side));
+        let sees = |i: &u32| faces(&(eye - index.local(*i as usize)), &(normals[*i as usize] * side));
         let seen: Vec<u32> = all.iter().copied().filter(sees).collect();
         (!seen.is_empty()).then(|| Self { eye, side, thin: index.subset(seen) })
     }
@@ -133,7 +144,7 @@ fn faces(sight: &Vector3<f64>, outward: &Vector3<f64>) -> bool {
 fn side(index: &Index, normals: &[Vector3<f64>], items: &[u32]) -> Option<f64> {
     let (mut along, mut length) = (0.0, 0.0);
     for &i in items {
-        let (p, n) = (&index.local[i as usize], &normals[i as usize]);
+        let (p, n) = (index.local(i as usize), &normals[i as usize]);
         along += p.dot(n);
         length += p.norm() * n.norm();
     }
@@ -146,9 +157,9 @@ fn estimated(index: &Index, near: &[Point3<f64>], reach_mm: f64) -> Vec<Vector3<
     let reach = Vector3::repeat(reach_mm);
     let (min, max) = (min - reach - index.centre, max + reach - index.centre);
     let inside = |p: &Vector3<f64>| (0..3).all(|k| p[k] >= min[k] && p[k] <= max[k]);
-    let inside: Vec<usize> = (0..index.local.len()).filter(|&i| inside(&index.local[i])).collect();
-    let places: Vec<Vector3<f64>> = inside.iter().map(|&i| index.local[i]).collect();
-    let mut all = vec![Vector3::zeros(); index.local.len()];
+    let inside: Vec<usize> = (0..index.len()).filter(|&i| inside(&index.local(i))).collect();
+    let places: Vec<Vector3<f64>> = inside.iter().map(|&i| index.local(i)).collect();
+    let mut all = vec![Vector3::zeros(); index.len()];
     for (i, normal) in inside.into_iter().zip(normals::without_side(&places)) {
         all[i] = normal;
     }

@@ -191,16 +191,16 @@ fn every_variant_finds_the_motion_by_every_pairing() {
 #[test]
 fn cached_pairs_are_those_of_the_tree_and_an_exact_pass_ends_the_field_there_too() {
     let (target, source) = (whole_target(&shaft(), 40_000), source(&shaft(), 5000));
-    let run = |pairing, field_exact_steps| {
+    let run = |pairing, field_exact| {
         let tight = IcpParams { stop_step_mm: 1e-9, stop_step_rad: 1e-12, ..IcpParams::default() };
-        let loose = IcpParams { field_exact_steps, ..IcpParams::default() };
+        let loose = IcpParams { field_exact, ..IcpParams::default() };
         let params = if pairing == PairingKind::Field { loose } else { tight };
         let params = IcpParams { pairing, levels: vec![], ..params };
         point_to_plane(&target, &source, &start(), &params, &mut go_on).unwrap()
     };
-    let tree = run(PairingKind::Tree, 0);
-    assert_eq!(run(PairingKind::Cached, 0).t_target_source, tree.t_target_source, "the same pairs, the same bits");
-    let (alone, ended) = (run(PairingKind::Field, 0), run(PairingKind::Field, 3));
+    let tree = run(PairingKind::Tree, true);
+    assert_eq!(run(PairingKind::Cached, true).t_target_source, tree.t_target_source, "the same pairs, the same bits");
+    let (alone, ended) = (run(PairingKind::Field, false), run(PairingKind::Field, true));
     let apart = |fit: &IcpFit| off(fit, &tree.t_target_source, &source);
     assert!(apart(&ended) < 1e-3 && apart(&ended) < apart(&alone), "{} and {}", apart(&ended), apart(&alone));
     assert!(alone.report.iterations < ended.report.iterations);

@@ -1,14 +1,14 @@
 //! The cells of a target as flat columns, for files: to lay a hundred thousand points out in them takes ten times as long
 //! as to read the columns.
 
-use super::{CellParts, Index, Target, TargetError, about_centre};
+use super::{CellParts, Index, Target, TargetError};
 use crate::cells::Cells;
 use std::sync::{Arc, OnceLock};
 
 impl Target {
     /// The cells that the points are found by, as columns; built now if they were not.
     pub fn to_parts(&self) -> CellParts {
-        self.index().cells.to_parts()
+        self.index().cells().to_parts()
     }
 
     /// The target with the cells that the columns hold, which are then not built.
@@ -18,9 +18,10 @@ impl Target {
     /// # Errors
     /// [`TargetError::Damaged`] if they are not the cells of these points.
     pub fn with_parts(self, parts: &CellParts) -> Result<Self, TargetError> {
-        let (centre, local) = about_centre(&self.points);
-        let cells = Cells::from_parts(&local, parts).map_err(|what| TargetError::Damaged { what })?;
-        let index = Arc::new(OnceLock::from(Index::of(centre, local, cells)));
+        let index = Index::new(&self.points);
+        let cells = Cells::from_parts(&self.points, &index.centre, parts);
+        let index = index.with_cells(cells.map_err(|what| TargetError::Damaged { what })?, parts.cell_mm);
+        let index = Arc::new(OnceLock::from(index));
         Ok(Self { index, ..self })
     }
 }

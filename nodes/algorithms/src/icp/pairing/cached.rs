@@ -33,7 +33,10 @@ impl Pairing for Cached<'_> {
         known.at = *moved;
         known.free_mm = found.free_square.sqrt();
         match found.nearest {
-            Some((item, _)) => known.set(item, self.0.index.local[item as usize], self.0.normals[item as usize]),
+            Some((item, _)) => {
+                let (target, normal) = self.0.point_and_normal(item, found.at);
+                known.set(item, target, normal);
+            }
             None => known.clear(),
         }
     }

@@ -25,7 +25,7 @@ impl Pairing for Thinned<'_> {
 
 fn set(surface: &Surface<'_>, found: Option<(usize, f64)>, reach_mm: f64, known: &mut Known) {
     match found.filter(|(_, square)| *square <= reach_mm * reach_mm) {
-        Some((item, _)) => known.set(item as u32, surface.index.local[item], surface.normals[item]),
+        Some((item, _)) => known.set(item as u32, surface.index.local(item), surface.normals[item]),
         None => known.clear(),
     }
 }
