@@ -14,7 +14,7 @@ const CELLS: u32 = EDGE * EDGE * EDGE;
 const MAX_BLOCKS: f64 = (1 << 22) as f64;
 
 /// A search goes no farther than so many cells around its own; beyond, a tree is faster.
-const MAX_RING: i32 = 3;
+const MAX_RING: i32 = 4;
 
 const NONE: u32 = u32::MAX;
 
@@ -310,7 +310,7 @@ impl Cells {
     }
 
     /// The nearest of the points to `keep` no farther than `limit_mm`; `None` if the search would have to go on for more
-    /// than three cells around the query's own.
+    /// than four cells around the query's own.
     #[inline]
     pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64, keep: impl Keep) -> Option<Nearby> {
         self.nearest_in_eight(query, limit_mm, keep).or_else(|| self.nearest_in_rings(query, limit_mm, keep))

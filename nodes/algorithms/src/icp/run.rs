@@ -143,7 +143,7 @@ fn run<R: Residual>(
             }
         }
     }
-    let mut weights = weights.for_last(params);
+    let mut weights = weights.for_last(params, 2.0 * surface.index.cell_mm());
     let last = Problem::new(&surface, last, params, 1, all, back.as_ref());
     let mut end = match halted {
         Some(reason) => {

@@ -14,11 +14,14 @@ const BETTER_HALF: f64 = 0.45;
 /// Of a Gaussian's absolute values that share lies below this many standard deviations.
 const BETTER_HALF_SIGMAS: f64 = 0.597_760_126_042_478;
 
+/// On the way partners are those of a thinned target or of few points, and rougher by this factor than the noise.
+const ON_THE_WAY: f64 = 2.0;
+
 /// Full weight reaches to this share of the gate, from where it falls.
 const FLAT: f64 = 2.0 / 3.0;
 
-/// The last level looks for partners in so many times the reach that the one before ended with: its gate may be wider.
-const WIDER: f64 = 4.0;
+/// The last level looks for partners beyond the gate that the spread so far gives by this factor: it may find more.
+const WIDER: f64 = 2.0;
 
 /// Residuals within so many spreads are taken for the bone's when the spread is taken again.
 const INNER_SIGMAS: f64 = 4.0;
@@ -64,9 +67,11 @@ impl Weights {
     }
 
     /// The same for the last level: the spread is to be learnt anew from all points, and the gate is as wide as asked for.
-    pub(super) fn for_last(self, params: &IcpParams) -> Self {
-        let reach_mm = (self.reach_mm * WIDER).min(params.max_pair_distance_mm);
-        Self { last: true, ..Self::open(params, reach_mm) }
+    pub(super) fn for_last(self, params: &IcpParams, slack_mm: f64) -> Self {
+        // Infinite where no level came before.
+        let reach_mm = params.gate_sigmas * WIDER * self.scale_mm + slack_mm;
+        let gated = params.gate_sigmas > 0.0 && reach_mm < params.max_pair_distance_mm;
+        Self { last: true, ..Self::open(params, if gated { reach_mm } else { params.max_pair_distance_mm }) }
     }
 
     /// Narrows to what the squared residuals of all source points tell, infinite for those without a partner; never
@@ -87,8 +92,8 @@ impl Weights {
             false => {
                 let half_mm = quantile(squares, BETTER_HALF);
                 (
-                    (half_mm / BETTER_HALF_SIGMAS).max(params.noise_mm),
-                    (half_mm / FLAT).max(params.gate_sigmas * params.noise_mm),
+                    (half_mm / BETTER_HALF_SIGMAS).max(ON_THE_WAY * params.noise_mm),
+                    (half_mm / FLAT).max(params.gate_sigmas * ON_THE_WAY * params.noise_mm),
                 )
             }
         };
@@ -199,7 +204,7 @@ mod tests {
             (0..1000).map(|k| if k % 2 == 0 { 100.0 } else { (f64::from(k) / 5000.0).powi(2) }).collect();
         let params = IcpParams { noise_mm: 0.01, ..IcpParams::default() };
         let weights = Weights::open(&params, 20.0);
-        let mut weights = weights.for_last(&params);
+        let mut weights = weights.for_last(&params, 0.0);
         weights.shrink(&mut squares, &params, 0.0);
         // Uniform up to 0.2 mm: the median of those on the bone is 0.1 mm.
         assert!((weights.scale_mm - 0.1 / MEDIAN_SIGMAS).abs() < 0.002, "{weights:?}");
