@@ -95,7 +95,7 @@ impl<'a, R: Residual> Problem<'a, R> {
         shrink: bool,
     ) -> Result<Sums, IcpError> {
         if shrink {
-            weights.shrink(&mut partners.squares.clone(), self.params, 2.0 * self.surface.index.cell_mm());
+            weights.shrink(&partners.squares, self.params, 2.0 * self.surface.index.cell_mm());
         }
         weights.worst_square = self.worst(&partners.squares);
         let at = At::new(state, self.surface);
