@@ -28,14 +28,14 @@ pub struct IcpParams {
     /// the cloud has none.
     #[schemars(range(min = 0.0, max = 180.0))]
     pub max_normal_angle_deg: f64,
-    /// The gate: no residual beyond so many times the spread of those on the bone counts, and those below two thirds of it
+    /// The gate: no residual beyond so many times the spread of those on the bone counts, and those below 0.85 of it
     /// count fully. 5: bare bone keeps every weight, and up to half of the points some millimetres off lose theirs. 0:
     /// no gate, all pairs within `max_pair_distance_mm` count. On levels that are not the last, it lies just beyond the
     /// better half of the points.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub gate_sigmas: f64,
-    /// The least depth noise that the camera may have, mm: the spread of residuals is never taken for less. 0.05: a good
-    /// structured-light camera's at 300 mm; where there is more, the residuals tell.
+    /// Depth noise of the camera, mm: the spread of residuals is never taken for less. 0.07: a structured-light camera's at
+    /// 300 mm. Where it has less, the gate is wider than need be; where more, the residuals tell.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub noise_mm: f64,
     /// How a residual's weight falls with its size, beside the shrinking reach; the scale is the spread of the
@@ -96,7 +96,7 @@ impl Default for IcpParams {
             reciprocal: false,
             max_normal_angle_deg: 180.0,
             gate_sigmas: 5.0,
-            noise_mm: 0.05,
+            noise_mm: 0.07,
             kernel: Kernel::None,
             trim_fraction: 0.0,
             incidence_weights: false,

@@ -15,10 +15,14 @@ const BETTER_HALF: f64 = 0.45;
 const BETTER_HALF_SIGMAS: f64 = 0.597_760_126_042_478;
 
 /// On the way partners are those of a thinned target or of few points, and rougher by this factor than the noise.
-const ON_THE_WAY: f64 = 2.0;
+const ON_THE_WAY: f64 = 1.5;
 
-/// Full weight reaches to this share of the gate, from where it falls.
+/// On the way full weight reaches to this share of the gate, from where it falls.
 const FLAT: f64 = 2.0 / 3.0;
+
+/// On the last level it reaches farther: where noise alone meets the fall, a pose that little holds has several places of
+/// rest.
+const FLAT_AT_LAST: f64 = 0.85;
 
 /// The last level looks for partners beyond the gate that the spread so far gives by this factor: it may find more.
 const WIDER: f64 = 2.0;
@@ -47,7 +51,7 @@ pub(super) struct Weights {
     kernel: Kernel,
     /// The spread of the residuals, mm; infinite until known.
     scale_mm: f64,
-    /// No residual beyond counts, mm; full weight up to [`FLAT`] of it.
+    /// No residual beyond counts, mm; full weight up to a share of it.
     gate_mm: f64,
     /// No pair farther apart is looked for, mm.
     pub(super) reach_mm: f64,
@@ -109,6 +113,12 @@ impl Weights {
         }
     }
 
+    /// Full weight up to here, mm.
+    #[inline]
+    fn flat_mm(&self) -> f64 {
+        self.gate_mm * if self.last { FLAT_AT_LAST } else { FLAT }
+    }
+
     /// Whether residuals would hardly narrow these weights any more after a step of this length.
     pub(super) fn settled(&self, params: &IcpParams, step_mm: f64) -> bool {
         let by_scale = params.gate_sigmas > 0.0 || self.kernel != Kernel::None;
@@ -121,7 +131,7 @@ impl Weights {
         if square > self.worst_square {
             return (0.0, self.worst_square);
         }
-        let flat = self.gate_mm * FLAT;
+        let flat = self.flat_mm();
         if self.kernel == Kernel::None && square <= flat * flat {
             return (1.0, square);
         }
@@ -171,7 +181,7 @@ impl Weights {
 
     /// What a source point without a partner costs, mm².
     pub(super) fn unpaired(&self) -> f64 {
-        self.falling(self.reach_mm * self.reach_mm, self.gate_mm * FLAT).1
+        self.falling(self.reach_mm * self.reach_mm, self.flat_mm()).1
     }
 }
 
