@@ -82,14 +82,18 @@ impl Payload<Table> for Target {
             };
             target = target.with_field(ClosestPointField::from_parts(field).map_err(invalid)?);
         }
+        if view.field(CELL_MM).is_some() {
+            target.prepare();
+        }
         Ok(target)
     }
 
-    /// The cells hold each point twice more.
+    /// The cells hold each point and its normal once more.
     fn n_bytes(&self) -> usize {
         let mesh = self.mesh().map_or(0, |mesh| mesh.mesh().n_bytes());
         let field = self.field().map_or(0, ClosestPointField::n_bytes);
-        size_of::<Self>() + 3 * size_of_val(self.points()) + self.normals().map_or(0, size_of_val) + mesh + field
+        let normals = self.normals().map_or(0, size_of_val);
+        size_of::<Self>() + 2 * (size_of_val(self.points()) + normals) + mesh + field
     }
 
     fn to_result(&self) -> Json {

@@ -1,9 +1,14 @@
 //! The kind `surface.prepare_cloud`.
 
-use crate::NoParams;
-use osteoflow_algorithms::{normals, target::Target};
+use osteoflow_algorithms::{
+    field::{ClosestPointField, FieldParams},
+    normals,
+    target::Target,
+};
 use osteoflow_geometry::{Cloud, SurfaceOrigin};
-use osteoflow_node::{Context, Describe, Inputs, Kept, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{
+    Context, Describe, Inputs, Kept, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+};
 use osteoflow_payloads::Text;
 
 /// The points of a surface prepared for registration, where there are no faces; their normals are estimated where missing.
@@ -19,7 +24,17 @@ in   = { cloud = "ct_points.cloud" }
 "#,
     literature = ["Hoppe et al. 1992, sections 3.2 and 3.3"]
 )]
-pub struct PrepareCloud;
+pub struct PrepareCloud(Params);
+
+/// Parameters of [`PrepareCloud`].
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// Whether a closest-point field of the surface is made, for registration with `pairing = "field"`. Off: it takes
+    /// about half a second and some megabytes, and is kept between runs. It needs normals that point outwards.
+    pub field: bool,
+}
 
 /// Inputs of [`PrepareCloud`].
 #[derive(Inputs)]
@@ -42,12 +57,12 @@ pub struct Out {
 impl Node for PrepareCloud {
     const KIND: &'static str = "surface.prepare_cloud";
     const KEPT: Kept = Kept::ByInputs;
-    type Params = NoParams;
+    type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self(params))
     }
 
     fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
@@ -55,9 +70,36 @@ impl Node for PrepareCloud {
             Some(given) => given.clone(),
             None => normals::of_surface(i.cloud.points())?.into(),
         };
+        let field =
+            self.0.field.then(|| ClosestPointField::of_points(i.cloud.points(), &normals, &FieldParams::default()));
         let origin = SurfaceOrigin::User;
         let target = Target::new(&i.cloud.frame, origin, i.cloud.point_column().clone(), Some(normals))?;
+        let target = field.transpose()?.into_iter().fold(target, Target::with_field);
         target.prepare();
         Ok(Out { target, ct_surface: Text(origin.to_string().into()) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_geometry::nalgebra::{Point3, Vector3};
+
+    #[test]
+    fn a_cloud_without_normals_becomes_a_target_that_serves_every_pairing() {
+        // Points of a ball, evenly by the golden angle.
+        let on_ball = |k: u32| {
+            let (z, turn) = (1.0 - (f64::from(k) + 0.5) / 2000.0, 2.399_963 * f64::from(k));
+            let across = (1.0 - z * z).sqrt();
+            Point3::from(Vector3::new(across * turn.cos(), across * turn.sin(), z) * 20.0)
+        };
+        let cloud = Cloud::new("ct", (0..4000).map(on_ball).collect::<Vec<_>>()).expect("a cloud");
+        let mut node = PrepareCloud::new(Params { field: true }).expect("a node");
+        let made = node.process(In { cloud }, &mut Context::for_test("ct")).expect("a target");
+        let normals = made.target.normals().expect("estimated");
+        assert!(made.target.points().iter().zip(normals).all(|(p, n)| p.coords.dot(n) > 19.5), "outwards");
+        let field = made.target.field().expect("asked for");
+        let found = field.at(&Point3::new(0.0, 0.0, 22.0)).expect("near");
+        assert!((found.distance_mm - 2.0).abs() < 0.05, "{found:?}");
     }
 }
