@@ -23,9 +23,6 @@ use std::ops::ControlFlow;
 /// A subset is run first only where it keeps so many points.
 const MIN_SUBSET: usize = 500;
 
-/// Subsets that leave out so many points pair with a thinned target, too.
-const THINNED_FROM: u32 = 16;
-
 /// The first subset is pulled in from so many times the pair distance, so that no part of it is left behind at the start.
 const PULL_REACH: f64 = 2.0;
 
@@ -127,7 +124,8 @@ fn run<R: Residual>(
     for (k, every) in levels.into_iter().enumerate() {
         let pairing = match fast {
             Some(fast) => fast,
-            None if every >= THINNED_FROM && params.pairing == PairingKind::Cached => &thinned,
+            // The first level comes from farthest away, where a few of the target's points do.
+            None if k == 0 && params.pairing == PairingKind::Cached => &thinned,
             None => exact,
         };
         if k > 0 {
