@@ -188,7 +188,9 @@ pub fn phantom_icp(
     };
     let start = t_camera_phantom_nominal.inverse();
     let source = Source::seen_from(scan, Point3::origin());
-    let fit = icp::point_to_plane(&target, source, &start, &icp_params, &mut |_| ControlFlow::Continue(()))?;
+    let fit = icp::register(icp::Method::PointToPlane, &target, source, &start, &icp_params, &mut |_| {
+        ControlFlow::Continue(())
+    })?;
     if fit.report.rms_mm > params.max_rms_mm {
         return Err(CalibrationError::Residual { rms_mm: fit.report.rms_mm, limit_mm: params.max_rms_mm });
     }

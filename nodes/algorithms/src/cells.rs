@@ -141,7 +141,17 @@ pub(crate) fn cell_mm(points: &[Point3<f64>], centre: &Point3<f64>) -> f64 {
         occupied[block as usize] |= 1 << cell;
     }
     let n_occupied = occupied.iter().map(|block| block.count_ones()).sum::<u32>().max(1);
-    trial_mm * (PER_CELL * f64::from(n_occupied) / points.len().max(1) as f64).sqrt()
+    let wanted_mm = trial_mm * (PER_CELL * f64::from(n_occupied) / points.len().max(1) as f64).sqrt();
+    large_enough(&(max - min), wanted_mm)
+}
+
+/// The edge asked for, or larger where that would make too many cells, mm.
+fn large_enough(extent: &Vector3<f64>, mut cell_mm: f64) -> f64 {
+    let n_blocks = |mm: f64| extent.iter().map(|e| (e / (mm * f64::from(EDGE))).floor() + 1.0).product::<f64>();
+    while n_blocks(cell_mm) > MAX_BLOCKS {
+        cell_mm *= 1.5;
+    }
+    cell_mm
 }
 
 impl Cells {
@@ -154,13 +164,8 @@ impl Cells {
     fn without_points(points: &About<'_>, cell_mm: f64) -> Self {
         let (min, max) = points.extremes();
         let extent = max - min;
-        let edge = f64::from(EDGE);
-        let volume = |cell: f64| extent.iter().map(|e| (e / (cell * edge)).floor() + 1.0).product::<f64>();
-        let mut cell_mm = cell_mm;
-        while volume(cell_mm) > MAX_BLOCKS {
-            cell_mm *= 1.5;
-        }
-        let n_blocks = [0, 1, 2].map(|k| (extent[k] / (cell_mm * edge)) as u32 + 1);
+        let cell_mm = large_enough(&extent, cell_mm);
+        let n_blocks = [0, 1, 2].map(|k| (extent[k] / (cell_mm * f64::from(EDGE))) as u32 + 1);
         Self {
             cell_mm,
             min,
@@ -246,8 +251,7 @@ impl Cells {
         for (at, &item) in (0..).zip(items) {
             let point = points.get(item as usize);
             let bounds = point.and_then(|point| {
-                let point = &point;
-                let (block, cell) = cells.place(&cells.cell_of(point));
+                let (block, cell) = cells.place(&cells.cell_of(&point));
                 let slot = cells.blocks[block as usize] as usize * CELLS as usize + cell as usize;
                 starts.get(slot..slot + 2)
             });
@@ -299,14 +303,7 @@ impl Cells {
         if (0..3).any(|k| cell[k] < 0 || cell[k] as u32 >= self.n_blocks[k] * EDGE) {
             return 0..0;
         }
-        let (block, cell) = self.place(&cell);
-        match self.blocks[block as usize] {
-            NONE => 0..0,
-            number => {
-                let k = (number * CELLS + cell) as usize;
-                self.starts[k] as usize..self.starts[k + 1] as usize
-            }
-        }
+        self.run(cell, 1)
     }
 
     /// The nearest of the points to `keep` no farther than `limit_mm`; `None` if the search would have to go on for more
@@ -324,18 +321,18 @@ impl Cells {
         if !(0..3).all(|k| u[k] >= 0.0 && u[k] < f64::from(self.n_blocks[k] * EDGE - 1)) {
             return None;
         }
-        let first = [u.x as u32, u.y as u32, u.z as u32];
+        let first = [u.x as i32, u.y as i32, u.z as i32];
         // To the nearest side of the eight, in cells: from a half to one.
         let seen = (0..3).map(|k| 1.0 - (u[k] - f64::from(first[k]) - 0.5).abs()).fold(f64::INFINITY, f64::min);
         let seen_square = (seen * self.cell_mm).powi(2);
         let mut best = Best::within(limit_mm * limit_mm);
         for (x, y) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             let [x, y, z] = [first[0] + x, first[1] + y, first[2]];
-            if z % EDGE + 1 < EDGE {
-                self.add(self.run(x, y, z, 2), query, keep, &mut best);
+            if z as u32 % EDGE + 1 < EDGE {
+                self.add(self.run([x, y, z], 2), query, keep, &mut best);
             } else {
-                self.add(self.run(x, y, z, 1), query, keep, &mut best);
-                self.add(self.run(x, y, z + 1, 1), query, keep, &mut best);
+                self.add(self.run([x, y, z], 1), query, keep, &mut best);
+                self.add(self.run([x, y, z + 1], 1), query, keep, &mut best);
             }
         }
         (best.search_square() <= seen_square).then(|| self.nearby(&best, seen_square))
@@ -355,12 +352,12 @@ impl Cells {
 
     /// The points of `n` cells of a block that follow each other along z.
     #[inline(always)]
-    fn run(&self, x: u32, y: u32, z: u32, n: usize) -> std::ops::Range<usize> {
-        let block = ((x / EDGE) * self.n_blocks[1] + y / EDGE) * self.n_blocks[2] + z / EDGE;
+    fn run(&self, cell: [i32; 3], n: usize) -> std::ops::Range<usize> {
+        let (block, cell) = self.place(&cell);
         match self.blocks[block as usize] {
             NONE => 0..0,
             number => {
-                let k = (number * CELLS + ((x % EDGE) * EDGE + y % EDGE) * EDGE + z % EDGE) as usize;
+                let k = (number * CELLS + cell) as usize;
                 self.starts[k] as usize..self.starts[k + n] as usize
             }
         }
@@ -469,7 +466,6 @@ impl Cells {
     }
 }
 
-/// The corners of the points' bounding box; the origin where there are none.
 /// The nearest point so far, by its place among those sorted, and how near it and the second are.
 struct Best {
     at: usize,
@@ -607,6 +603,8 @@ mod tests {
         let mut points = sheet(500);
         points.push(Vector3::repeat(1e7).into());
         let cells = cells_of(&points);
+        // Larger than their number asks for, and told as large as they are, so that what is read back is the same.
+        assert_eq!(cells.cell_mm, cell_mm(&points, &Point3::origin()));
         assert_eq!(cells.nearest(&points[500].coords, 1.0, All).unwrap().nearest, Some((500, 0.0)));
         assert_eq!(cells.nearest(&Vector3::repeat(-1e9), 0.5, All).map(|n| n.nearest), Some(None));
     }

@@ -31,7 +31,8 @@
 //!
 //! let t_ct_camera = Isometry3::new(Vector3::new(1.0, -0.5, 0.8), Vector3::new(0.02, 0.03, -0.02));
 //! let scan: Vec<_> = points.iter().map(|p| t_ct_camera.inverse() * p).collect();
-//! let fit = icp::point_to_plane(&target, &scan, &Isometry3::identity(), &Default::default(), &mut |step| {
+//! let (method, start) = (icp::Method::PointToPlane, Isometry3::identity());
+//! let fit = icp::register(method, &target, &scan, &start, &Default::default(), &mut |step| {
 //!     println!("{} RMS {:.3} mm", step.iteration, step.rms_mm);
 //!     ControlFlow::Continue(())
 //! })?;

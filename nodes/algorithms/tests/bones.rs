@@ -26,11 +26,11 @@ fn middle(cloud: &Cloud) -> Point3<f64> {
 }
 
 fn point(target: &Target, source: &Cloud, init: &Isometry3<f64>, params: &IcpParams) -> IcpFit {
-    icp::point_to_point(target, source, init, params, &mut |_| ControlFlow::Continue(())).unwrap()
+    icp::register(icp::Method::PointToPoint, target, source, init, params, &mut |_| ControlFlow::Continue(())).unwrap()
 }
 
 fn plane(target: &Target, source: &Cloud, init: &Isometry3<f64>, params: &IcpParams) -> IcpFit {
-    icp::point_to_plane(target, source, init, params, &mut |_| ControlFlow::Continue(())).unwrap()
+    icp::register(icp::Method::PointToPlane, target, source, init, params, &mut |_| ControlFlow::Continue(())).unwrap()
 }
 
 /// How far a result is from the truth, which is no motion.

@@ -39,15 +39,22 @@ use std::ops::ControlFlow;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
-    /// [`point_to_point`]
+    /// The distances between paired points. A step along the target's normals or an extrapolated one is taken where it
+    /// lowers the residual, else Kabsch moves the source, as it always does with `acceleration = 0`; the last steps are
+    /// Kabsch's until the pairs stay. Source: Besl and McKay 1992; section 2.3 of the paper, whose stop rule "E < 0.01 mm"
+    /// cannot be read as a sum or as a mean above the noise, so ours estimates the way still to go.
     PointToPoint,
-    /// [`point_to_plane`]
+    /// The distances along the target's normals. Slides along the surface freely, so it needs few steps. Source: Chen and
+    /// Medioni 1992; Low 2004 for the linearisation.
     PointToPlane,
-    /// [`symmetric`]
+    /// The distances along the mean of both points' normals. Exact where the surface is a sphere or a cylinder, so it takes
+    /// longer steps there. Source: Rusinkiewicz 2019.
     Symmetric,
-    /// [`generalized`]
+    /// The Mahalanobis distances between small planes at both points (GICP). Source: Segal, Haehnel and Thrun 2009, with
+    /// covariances from the normals (section III-B).
     Generalized,
-    /// [`point_to_mesh`]
+    /// The distances to the closest points of the target's triangles, free of the error of sampling the surface. Source:
+    /// Besl and McKay 1992 for the closest points; Pottmann, Huang, Yang and Hu 2006 for the step.
     PointToMesh,
 }
 
@@ -70,8 +77,13 @@ impl Method {
 
 /// Registers `source` onto `target` by the variant `method`, from `init`.
 ///
+/// Each source point pairs with the nearest target point, and steps about the source's centroid move the source. Normals of
+/// the source, where the variant needs them, are estimated from about 20 neighbours where it has none. `O(n log m)` a step.
+/// The result does not depend on the number of threads, nor (but for rounding) on the order of the points.
+///
 /// # Errors
-/// [`IcpError`], as the function of that name.
+/// [`IcpError`]; [`IcpError::NoNormals`] or [`IcpError::NoMesh`] where the target lacks what the variant needs. Reaching the
+/// iteration limit is a result, with `converged = false`.
 pub fn register<'a>(
     method: Method,
     target: &Target,
@@ -80,12 +92,13 @@ pub fn register<'a>(
     params: &IcpParams,
     observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
 ) -> Result<IcpFit, IcpError> {
+    let source = source.into();
     match method {
-        Method::PointToPoint => point_to_point(target, source, init, params, observer),
-        Method::PointToPlane => point_to_plane(target, source, init, params, observer),
-        Method::Symmetric => symmetric(target, source, init, params, observer),
-        Method::Generalized => generalized(target, source, init, params, observer),
-        Method::PointToMesh => point_to_mesh(target, source, init, params, observer),
+        Method::PointToPoint => run::points(target, source, init, params, observer),
+        Method::PointToPlane => run::planes::<residual::PointToPlane>(target, source, init, params, observer),
+        Method::Symmetric => run::planes::<residual::Symmetric>(target, source, init, params, observer),
+        Method::Generalized => run::planes::<residual::Generalized>(target, source, init, params, observer),
+        Method::PointToMesh => run::planes::<residual::PointToMesh>(target, source, init, params, observer),
     }
 }
 
@@ -153,105 +166,4 @@ pub enum IcpError {
         /// What it should be.
         expected: &'static str,
     },
-}
-
-/// Registers `source` onto `target` by the distances between paired points, from `init`.
-///
-/// Each source point pairs with the nearest target point. A step along the target's normals or an extrapolated one is
-/// taken where it lowers the residual, else Kabsch moves the source, as it always does with `acceleration = 0`; the last
-/// steps are Kabsch's until the pairs stay. `O(n log m)` a step. The result does
-/// not depend on the number of threads, nor (but for rounding) on the order of the points.
-///
-/// # Errors
-/// [`IcpError`]; reaching the iteration limit is a result, with `converged = false`.
-///
-/// # Source
-/// Besl and McKay 1992; section 2.3 of the paper. Its stop rule "E < 0.01 mm" cannot be read as a sum or as a mean above
-/// the noise, so ours estimates the way still to go.
-pub fn point_to_point<'a>(
-    target: &Target,
-    source: impl Into<Source<'a>>,
-    init: &Isometry3<f64>,
-    params: &IcpParams,
-    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
-) -> Result<IcpFit, IcpError> {
-    run::points(target, source.into(), init, params, observer)
-}
-
-/// Registers `source` onto `target` by the distances along the target's normals, from `init`.
-///
-/// Each source point pairs with the nearest target point; a Gauss-Newton step on SE(3) about the source's centroid moves
-/// the source. Slides along the surface freely, so it needs few steps. `O(n log m)` a step.
-///
-/// # Errors
-/// [`IcpError`], and [`IcpError::NoNormals`] if the target has none.
-///
-/// # Source
-/// Chen and Medioni 1992; Low 2004 for the linearisation.
-pub fn point_to_plane<'a>(
-    target: &Target,
-    source: impl Into<Source<'a>>,
-    init: &Isometry3<f64>,
-    params: &IcpParams,
-    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
-) -> Result<IcpFit, IcpError> {
-    run::planes::<residual::PointToPlane>(target, source.into(), init, params, observer)
-}
-
-/// Registers `source` onto `target` by the distances along the mean of both points' normals, from `init`.
-///
-/// As [`point_to_plane`], but exact where the surface is a sphere or a cylinder, so it takes longer steps there. Needs the
-/// source's normals; they are estimated from 20 neighbours where it has none.
-///
-/// # Errors
-/// [`IcpError`], and [`IcpError::NoNormals`] if the target has none.
-///
-/// # Source
-/// Rusinkiewicz 2019.
-pub fn symmetric<'a>(
-    target: &Target,
-    source: impl Into<Source<'a>>,
-    init: &Isometry3<f64>,
-    params: &IcpParams,
-    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
-) -> Result<IcpFit, IcpError> {
-    run::planes::<residual::Symmetric>(target, source.into(), init, params, observer)
-}
-
-/// Registers `source` onto `target` by the Mahalanobis distances between small planes at both points (GICP), from `init`.
-///
-/// Needs the source's normals; they are estimated from 20 neighbours where it has none.
-///
-/// # Errors
-/// [`IcpError`], and [`IcpError::NoNormals`] if the target has none.
-///
-/// # Source
-/// Segal, Haehnel and Thrun 2009, with covariances from the normals (section III-B).
-pub fn generalized<'a>(
-    target: &Target,
-    source: impl Into<Source<'a>>,
-    init: &Isometry3<f64>,
-    params: &IcpParams,
-    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
-) -> Result<IcpFit, IcpError> {
-    run::planes::<residual::Generalized>(target, source.into(), init, params, observer)
-}
-
-/// Registers `source` onto `target` by the distances to the closest points of the target's triangles, from `init`.
-///
-/// Free of the error of sampling the surface; each partner costs several times that of a sample.
-///
-/// # Errors
-/// [`IcpError`], and [`IcpError::NoMesh`] if the target was not prepared from a mesh.
-///
-/// # Source
-/// Besl and McKay 1992 for the closest points; Pottmann, Huang, Yang and Hu 2006 for the step.
-pub fn point_to_mesh<'a>(
-    target: &Target,
-    source: impl Into<Source<'a>>,
-    init: &Isometry3<f64>,
-    params: &IcpParams,
-    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
-) -> Result<IcpFit, IcpError> {
-    run::planes::<residual::PointToMesh>(target, source.into(), init, params, observer)
 }

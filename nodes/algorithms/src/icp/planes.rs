@@ -74,7 +74,7 @@ pub(super) fn descend<R: Residual>(
         let full = newton(&sums);
         let flat = costs.len() > 1 && costs[costs.len() - 1] > (1.0 - SLACK) * costs[costs.len() - 2];
         let stride = match &last {
-            Some(last) if flat => stride(&full, last, n_plain),
+            Some(last) if flat && params.step == StepRule::GaussNewton => stride(&full, last, n_plain),
             _ => 1.0,
         };
         n_plain = if stride > 1.0 { 0 } else { n_plain + 1 };
@@ -92,17 +92,8 @@ pub(super) fn descend<R: Residual>(
         let circles = flat && n_no_shorter >= CIRCLES;
         visited.push(state);
         let enough = fine || (!is_last && (circles || full.norm() <= GRAIN_SHARE * grain_mm(&sums)));
-        let spent = n_steps >= max_steps;
-        if spent || (enough && max_steps == 0) {
-            return Ok(Descent {
-                state,
-                sums,
-                weights,
-                reason: StopReason::Iterations,
-                converged: fine,
-                remaining_mm,
-                change_mm: None,
-            });
+        if n_steps >= max_steps {
+            return Ok(Descent { converged: fine, remaining_mm, ..Descent::at(state, sums, weights) });
         }
         if circles && is_last {
             // Where pairs change to and fro the least lies within the circle.
@@ -110,13 +101,10 @@ pub(super) fn descend<R: Residual>(
             let circle_mm = recent.iter().map(|v| v.since(&state, lever_arm_mm).norm()).fold(0.0, f64::max);
             let converged = circle_mm <= params.stop_step_mm;
             return Ok(Descent {
-                state,
-                sums,
-                weights,
                 reason: if converged { StopReason::Step } else { StopReason::Stalled },
                 converged,
                 remaining_mm: Some(circle_mm),
-                change_mm: None,
+                ..Descent::at(state, sums, weights)
             });
         }
         // No farther than pairs reach: beyond, the model knows nothing.
@@ -130,13 +118,10 @@ pub(super) fn descend<R: Residual>(
             let seen = observer.see(step(&next, motion.norm()));
             let left = pace.left_after_mm(motion.norm());
             return Ok(Descent {
-                state: next,
-                sums,
-                weights,
                 reason: seen.unwrap_or(StopReason::Step),
                 converged: fine,
                 remaining_mm: left,
-                change_mm: None,
+                ..Descent::at(next, sums, weights)
             });
         }
         let recent = costs.len().saturating_sub(PATIENCE);
@@ -167,13 +152,10 @@ pub(super) fn descend<R: Residual>(
             let converged = remaining_mm <= params.stop_step_mm;
             let reason = if converged { StopReason::Step } else { StopReason::Stalled };
             return Ok(Descent {
-                state,
-                sums,
-                weights,
                 reason,
                 converged,
                 remaining_mm: Some(remaining_mm),
-                change_mm: None,
+                ..Descent::at(state, sums, weights)
             });
         };
         let step_mm = motion.norm();
@@ -186,13 +168,10 @@ pub(super) fn descend<R: Residual>(
         if let Some(reason) = seen.or(by_residual.then_some(StopReason::Residual)) {
             let remaining_mm = pace.left_after_mm(step_mm);
             return Ok(Descent {
-                state,
-                sums,
-                weights,
                 reason,
-                converged: false,
                 remaining_mm,
                 change_mm: Some(change_mm),
+                ..Descent::at(state, sums, weights)
             });
         }
         let narrower = weights;

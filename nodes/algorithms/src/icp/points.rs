@@ -46,13 +46,11 @@ pub(super) fn descend(
         calm = if is_calm { calm + 1 } else { 0 };
         let done = |state, sums, weights, reason, change_mm| {
             Ok(Descent {
-                state,
-                sums,
-                weights,
                 reason,
                 converged: is_calm,
                 remaining_mm: Some(remaining_mm),
                 change_mm,
+                ..Descent::at(state, sums, weights)
             })
         };
         let settled = remaining_mm == 0.0 || calm >= 2;
@@ -98,13 +96,10 @@ pub(super) fn descend(
             let converged = remaining_mm <= params.stop_step_mm;
             let reason = if converged { StopReason::Step } else { StopReason::Stalled };
             return Ok(Descent {
-                state,
-                sums,
-                weights,
                 reason,
                 converged,
                 remaining_mm: Some(remaining_mm),
-                change_mm: None,
+                ..Descent::at(state, sums, weights)
             });
         };
         let step_mm = (next.since(&start, lever_arm_mm) - x).norm();

@@ -37,6 +37,14 @@ pub(super) struct Descent {
     pub(super) change_mm: Option<f64>,
 }
 
+impl Descent {
+    /// At this state, with these sums under these weights; why it ended there is for the caller to say.
+    pub(super) fn at(state: State, sums: Sums, weights: Weights) -> Self {
+        let (remaining_mm, change_mm) = (None, None);
+        Self { state, sums, weights, reason: StopReason::Iterations, converged: false, remaining_mm, change_mm }
+    }
+}
+
 /// A variant's descent at one level: from a state, with weights; whether it is the last; for at most so many steps.
 type Descend<R> = fn(&Problem<'_, R>, State, Weights, bool, u32, &mut Observer<'_>) -> Result<Descent, IcpError>;
 
@@ -147,7 +155,7 @@ fn run<R: Residual>(
         Some(reason) => {
             let sums = last.pair(&state, &mut last.partners(), &mut weights, false)?;
             let remaining_mm = Some(step::newton(&sums).norm());
-            Descent { state, sums, weights, reason, converged: false, remaining_mm, change_mm: None }
+            Descent { reason, remaining_mm, ..Descent::at(state, sums, weights) }
         }
         None => descend(&last, state, weights, true, left(&observer), &mut observer)?,
     };

@@ -38,9 +38,9 @@ fn both_variants_find_the_motion_and_moving_the_source_multiplies_the_answer() {
     let init = start() * motion;
     let params = IcpParams::default();
     // Samples half a millimetre apart: planes are held to their grain, points to their resolution.
-    let plane = point_to_plane(&target, &moved, &init, &params, &mut go_on).unwrap();
+    let plane = register(Method::PointToPlane, &target, &moved, &init, &params, &mut go_on).unwrap();
     assert!(off(&plane, &motion, &moved) < 0.02 && plane.report.converged, "{:?}", plane.report);
-    let point = point_to_point(&target, &moved, &init, &params, &mut go_on).unwrap();
+    let point = register(Method::PointToPoint, &target, &moved, &init, &params, &mut go_on).unwrap();
     assert!(off(&point, &motion, &moved) < 0.2 && point.report.converged, "{:?}", point.report);
     for fit in [&plane, &point] {
         assert!(fit.report.observability.undetermined.is_empty());
@@ -54,9 +54,9 @@ fn a_target_without_normals_serves_points_and_is_refused_for_planes() {
     let with = target(&shaft(), 40_000);
     let without = Target::new("ct", SurfaceOrigin::User, with.points().to_vec(), None).unwrap();
     let source = source(&shaft(), 5000);
-    let fit = point_to_point(&without, &source, &start(), &IcpParams::default(), &mut go_on).unwrap();
+    let fit = register(Method::PointToPoint, &without, &source, &start(), &IcpParams::default(), &mut go_on).unwrap();
     assert!(off(&fit, &Isometry3::identity(), &source) < 0.2 && fit.report.converged, "{:?}", fit.report);
-    let refused = point_to_plane(&without, &source, &start(), &IcpParams::default(), &mut go_on);
+    let refused = register(Method::PointToPlane, &without, &source, &start(), &IcpParams::default(), &mut go_on);
     assert_eq!(refused.unwrap_err(), IcpError::NoNormals);
 }
 
@@ -64,19 +64,23 @@ fn a_target_without_normals_serves_points_and_is_refused_for_planes() {
 fn too_few_pairs_say_how_far_away_the_target_is() {
     let (target, source) = (target(&shaft(), 2000), source(&shaft(), 500));
     let far = Isometry3::translation(412.0, 0.0, 0.0);
-    let error = point_to_plane(&target, &source, &far, &IcpParams::default(), &mut go_on).unwrap_err();
+    let error = register(Method::PointToPlane, &target, &source, &far, &IcpParams::default(), &mut go_on).unwrap_err();
     assert!(matches!(error, IcpError::TooFewPairs { n_pairs: 0, n_source: 500, .. }), "{error}");
     assert!(error.to_string().contains("is init right, and are both in mm?"), "{error}");
-    let few = point_to_point(&target, &source[..5], &start(), &IcpParams::default(), &mut go_on);
+    let few = register(Method::PointToPoint, &target, &source[..5], &start(), &IcpParams::default(), &mut go_on);
     assert_eq!(few.unwrap_err(), IcpError::TooFewPoints { n_source: 5, min_pairs: 10 });
     let none: &[Point3<f64>] = &[];
-    assert!(point_to_point(&target, none, &start(), &IcpParams::default(), &mut go_on).is_err());
+    assert!(register(Method::PointToPoint, &target, none, &start(), &IcpParams::default(), &mut go_on).is_err());
     let mut wild = source.clone();
     wild[7].x = f64::INFINITY;
-    let error = point_to_point(&target, &wild, &start(), &IcpParams::default(), &mut go_on).unwrap_err();
+    let error =
+        register(Method::PointToPoint, &target, &wild, &start(), &IcpParams::default(), &mut go_on).unwrap_err();
     assert!(error.to_string().contains("source point 7"), "{error}");
     let gate = IcpParams { max_pair_distance_mm: f64::NAN, ..IcpParams::default() };
-    assert!(matches!(point_to_point(&target, &source, &start(), &gate, &mut go_on), Err(IcpError::Parameter { .. })));
+    assert!(matches!(
+        register(Method::PointToPoint, &target, &source, &start(), &gate, &mut go_on),
+        Err(IcpError::Parameter { .. })
+    ));
 }
 
 #[test]
@@ -85,7 +89,8 @@ fn what_a_plane_leaves_free_is_flagged_and_stays_where_the_start_said() {
     let on_top: Vec<_> =
         (0..2500).map(|k| Point3::new(30.0 + f64::from(k % 50), 30.0 + f64::from(k / 50), 0.0)).collect();
     let init = Isometry3::new(Vector3::new(3.0, -2.0, 0.8), Vector3::new(0.004, 0.006, 0.0));
-    let fit = point_to_plane(
+    let fit = register(
+        Method::PointToPlane,
         &slab,
         Source::seen_from(&on_top, Point3::new(50.0, 50.0, 300.0)),
         &init,
@@ -108,8 +113,8 @@ fn points_on_a_line_keep_the_turn_of_the_start() {
     let line: Vec<_> = (0..200).map(|k| Point3::new(5.0, 0.0, f64::from(k) / 2.0)).collect();
     let init = Isometry3::from_parts(Translation3::new(0.5, 0.0, 0.0), UnitQuaternion::identity());
     let params = IcpParams::default();
-    let by_plane = point_to_plane(&target, &line, &init, &params, &mut go_on).unwrap();
-    let by_point = point_to_point(&target, &line, &init, &params, &mut go_on).unwrap();
+    let by_plane = register(Method::PointToPlane, &target, &line, &init, &params, &mut go_on).unwrap();
+    let by_point = register(Method::PointToPoint, &target, &line, &init, &params, &mut go_on).unwrap();
     for fit in [by_plane, by_point] {
         assert!(!fit.report.observability.undetermined.is_empty(), "{:?}", fit.report);
         assert!(fit.t_target_source.rotation.angle() < 0.1 && (fit.t_target_source * line[100]).x - 5.0 < 0.1);
@@ -125,7 +130,7 @@ fn trimming_leaves_out_what_does_not_belong() {
     source.extend((0..600).map(|k| Point3::new(11.0 + 0.0002 * f64::from(k), 0.0, 10.0 + f64::from(k) / 6.0)));
     let run = |trim_fraction| {
         let params = IcpParams { trim_fraction, gate_sigmas: 0.0, ..IcpParams::default() };
-        point_to_plane(&target, &source, &start(), &params, &mut go_on).unwrap()
+        register(Method::PointToPlane, &target, &source, &start(), &params, &mut go_on).unwrap()
     };
     let (kept, trimmed) = (run(0.0), run(0.2));
     let error = |fit: &IcpFit| off(fit, &Isometry3::identity(), &source[..n]);
@@ -146,11 +151,11 @@ fn an_observer_breaks_off_and_the_report_says_so() {
         seen = step.iteration;
         if step.iteration == 2 { ControlFlow::Break(Halt::Cancelled) } else { ControlFlow::Continue(()) }
     };
-    let fit = point_to_point(&target, &source, &start(), &IcpParams::default(), &mut observer).unwrap();
+    let fit = register(Method::PointToPoint, &target, &source, &start(), &IcpParams::default(), &mut observer).unwrap();
     assert_eq!((fit.report.stop_reason, fit.report.iterations, seen), (StopReason::Cancelled, 2, 2));
     assert!(!fit.report.converged);
     let one = IcpParams { max_iterations: 1, ..IcpParams::default() };
-    let fit = point_to_point(&target, &source, &start(), &one, &mut go_on).unwrap();
+    let fit = register(Method::PointToPoint, &target, &source, &start(), &one, &mut go_on).unwrap();
     assert_eq!((fit.report.stop_reason, fit.report.converged), (StopReason::Iterations, false));
     assert!(fit.report.remaining_mm.unwrap() > 0.05, "{:?}", fit.report);
 }
@@ -158,7 +163,7 @@ fn an_observer_breaks_off_and_the_report_says_so() {
 #[test]
 fn a_report_survives_json_and_parameters_refuse_what_they_do_not_know() {
     let (target, source) = (target(&shaft(), 5000), source(&shaft(), 1000));
-    let fit = point_to_plane(&target, &source, &start(), &IcpParams::default(), &mut go_on).unwrap();
+    let fit = register(Method::PointToPlane, &target, &source, &start(), &IcpParams::default(), &mut go_on).unwrap();
     let text = serde_json::to_string(&fit.report).unwrap();
     assert!(text.contains(r#""stop_reason":"step""#) && !text.contains("null,\"observability\":null"), "{text}");
     let read: IcpReport = serde_json::from_str(&text).unwrap();
@@ -196,7 +201,7 @@ fn cached_pairs_are_those_of_the_tree_and_an_exact_pass_ends_the_field_there_too
         let loose = IcpParams { field_exact, ..IcpParams::default() };
         let params = if pairing == PairingKind::Field { loose } else { tight };
         let params = IcpParams { pairing, levels: vec![], ..params };
-        point_to_plane(&target, &source, &start(), &params, &mut go_on).unwrap()
+        register(Method::PointToPlane, &target, &source, &start(), &params, &mut go_on).unwrap()
     };
     let tree = run(PairingKind::Tree, true);
     assert_eq!(run(PairingKind::Cached, true).t_target_source, tree.t_target_source, "the same pairs, the same bits");
@@ -210,11 +215,20 @@ fn cached_pairs_are_those_of_the_tree_and_an_exact_pass_ends_the_field_there_too
 fn what_a_variant_needs_of_the_target_is_named_where_it_is_missing() {
     let (target, source) = (target(&shaft(), 5000), source(&shaft(), 1000));
     let field = IcpParams { pairing: PairingKind::Field, ..IcpParams::default() };
-    assert_eq!(point_to_plane(&target, &source, &start(), &field, &mut go_on).unwrap_err(), IcpError::NoField);
+    assert_eq!(
+        register(Method::PointToPlane, &target, &source, &start(), &field, &mut go_on).unwrap_err(),
+        IcpError::NoField
+    );
     let plain = IcpParams::default();
-    assert_eq!(point_to_mesh(&target, &source, &start(), &plain, &mut go_on).unwrap_err(), IcpError::NoMesh);
+    assert_eq!(
+        register(Method::PointToMesh, &target, &source, &start(), &plain, &mut go_on).unwrap_err(),
+        IcpError::NoMesh
+    );
     let published = IcpParams { published_reading: PublishedReading::Change001, ..plain };
-    assert_eq!(symmetric(&target, &source, &start(), &published, &mut go_on).unwrap_err(), IcpError::NotPublished);
+    assert_eq!(
+        register(Method::Symmetric, &target, &source, &start(), &published, &mut go_on).unwrap_err(),
+        IcpError::NotPublished
+    );
 }
 
 /// Every variant by every pairing, with a name for it.
