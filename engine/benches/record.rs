@@ -12,7 +12,7 @@ use osteoflow_engine::{
     run::{RunOptions, run},
 };
 use osteoflow_node::{
-    Buffer, Column, ColumnType, Context, Describe, Display, NodeError, OutputPorts, Outputs, ParamError, Payload,
+    Buffer, Column, ColumnType, Context, Describe, Display, NodeError, OutputPorts, Outputs, ParamError, Part, Payload,
     Registry, Source, StampNs, View, ViewError, schemars, serde, serde_json,
 };
 use std::{
@@ -36,6 +36,7 @@ struct Cloud(Buffer);
 impl Payload<Cloud> for Cloud {
     const NAME: &'static str = "bench/Cloud";
     const VERSION: u32 = 1;
+    const SCHEMA: &'static [Part] = &[Part::text("frame"), Part::column("points", ColumnType::F64, 3)];
 
     fn to_view(&self) -> View {
         View::new().with("frame", "camera").with_column(Column::new("points", ColumnType::F64, 3, self.0.clone()))

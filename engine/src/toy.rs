@@ -4,7 +4,7 @@
 use crate::plan::{Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, ResultEntry};
 use osteoflow_node::{
     Column, ColumnType, Context, Declared, Describe, Emission, Emit, Inputs, Join, Node, NodeError, OutputPorts,
-    Outputs, ParamError, Payload, PortPayload, Registry, Source, View, ViewError, schemars, serde,
+    Outputs, ParamError, Part, Payload, PortPayload, Registry, Source, View, ViewError, schemars, serde,
     serde_json::{self, Value as Json},
 };
 use std::{
@@ -20,6 +20,7 @@ pub(crate) struct Number(pub(crate) f64);
 impl Payload<Number> for Number {
     const NAME: &'static str = "toy/Number";
     const VERSION: u32 = 1;
+    const SCHEMA: &'static [Part] = &[Part::float("value")];
     const INTERPOLATES: bool = true;
 
     fn to_view(&self) -> View {
@@ -62,6 +63,7 @@ pub(crate) struct Wave {
 impl Payload<Wave> for Wave {
     const NAME: &'static str = "toy/Wave";
     const VERSION: u32 = 2;
+    const SCHEMA: &'static [Part] = &[Part::text("label"), Part::column("samples", ColumnType::F64, 1)];
 
     fn to_view(&self) -> View {
         let bytes: Vec<u8> = self.samples.iter().flat_map(|s| s.to_ne_bytes()).collect();

@@ -4,8 +4,8 @@ use osteoflow_engine::plan::{
     Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, PortFrames, RecordSettings,
 };
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, OutputPorts, Outputs, ParamError, Payload, Registry, Source, Value,
-    View, ViewError, schemars, serde, serde_json,
+    Context, Describe, Inputs, Node, NodeError, OutputPorts, Outputs, ParamError, Part, Payload, Registry, Source,
+    Value, View, ViewError, schemars, serde, serde_json,
 };
 use std::sync::Arc;
 
@@ -19,6 +19,7 @@ pub(crate) struct Number(pub(crate) f64);
 impl Payload<Number> for Number {
     const NAME: &'static str = "bench/Number";
     const VERSION: u32 = 1;
+    const SCHEMA: &'static [Part] = &[Part::float("value")];
 
     fn to_view(&self) -> View {
         View::new().with("value", self.0)
@@ -47,6 +48,7 @@ impl Megabyte {
 impl Payload<Megabyte> for Megabyte {
     const NAME: &'static str = "bench/Megabyte";
     const VERSION: u32 = 1;
+    const SCHEMA: &'static [Part] = &[Part::float("bytes")];
 
     fn to_view(&self) -> View {
         View::new().with("bytes", self.0.len() as f64)

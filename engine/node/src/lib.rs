@@ -4,16 +4,17 @@
 //! comment, an `Inputs` and an `Outputs` struct with derived ports, a parameter struct, and [`Node::process`]:
 //!
 //! ```
-//! use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Parameters, Payload, View, ViewError};
+//! use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Parameters, Part, Payload, View, ViewError};
 //! use osteoflow_node::{schemars, serde};
 //!
-//! // What travels: any cheap handle with a name, a version and a view.
+//! // What travels: any cheap handle with a name, a version and a view, of which it says what the view holds.
 //! #[derive(Clone)]
 //! struct Length(f64);
 //!
 //! impl Payload<Length> for Length {
 //!     const NAME: &'static str = "example/Length";
 //!     const VERSION: u32 = 1;
+//!     const SCHEMA: &'static [Part] = &[Part::float("mm")];
 //!     fn to_view(&self) -> View { View::new().with("mm", self.0) }
 //!     fn from_view(view: &View) -> Result<Self, ViewError> { Ok(Self(view.float("mm")?)) }
 //!     fn to_result(&self) -> serde_json::Value { self.0.into() }
@@ -77,6 +78,7 @@ mod erased;
 mod error;
 mod file;
 mod item;
+mod part;
 mod payload;
 mod port;
 mod reading;
@@ -90,6 +92,7 @@ pub use erased::{AnyNode, AnySource, Built};
 pub use error::{NodeError, ParamError};
 pub use file::FilePath;
 pub use item::{Body, Emission, Empty, Item, Joined, Slot};
+pub use part::{Part, SchemaError, Shape};
 pub use payload::{Display, Payload, PayloadType, Value};
 pub use port::{Declared, DeclaredPort, FrameExpr, InputPort, Join, OutputPort, OutputPorts, PortPayload, Unused};
 pub use reading::{Budget, Reading};

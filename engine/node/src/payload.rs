@@ -1,6 +1,6 @@
 //! What may travel on a wire, and the type-erased form in which the engine carries it.
 
-use crate::{StampNs, View, ViewError};
+use crate::{Part, StampNs, View, ViewError};
 use std::{
     any::{Any, TypeId},
     fmt,
@@ -16,11 +16,10 @@ pub trait Payload<By>: Clone + Send + Sync + 'static {
     const NAME: &'static str;
     /// Raised when the view changes in a way that older readers cannot take.
     const VERSION: u32;
+    /// What every view of it holds: head fields, then columns. [`View::check`] holds a view against it.
+    const SCHEMA: &'static [Part];
     /// Whether [`Payload::interpolate`] gives values, so that a port may join by `interpolate`.
     const INTERPOLATES: bool = false;
-    /// Units of the view's head fields and columns whose names do not say them by a suffix such as `_mm`: by name, the
-    /// unit, or `pose` for rows of translation x, y, z in mm and quaternion x, y, z, w. Recordings carry them.
-    const UNITS: &'static [(&'static str, &'static str)] = &[];
 
     /// Head and columns, without copying the columns.
     fn to_view(&self) -> View;
@@ -77,8 +76,8 @@ pub struct PayloadType {
     pub version: u32,
     /// Whether ports may join it by `interpolate`.
     pub interpolates: bool,
-    /// Units of head fields and columns whose names do not say them.
-    pub units: &'static [(&'static str, &'static str)],
+    /// What its views hold.
+    pub schema: &'static [Part],
     id: fn() -> TypeId,
     to_view: fn(&dyn Any) -> View,
     from_view: fn(&View) -> Result<Value, ViewError>,
@@ -96,7 +95,7 @@ impl<T: Payload<By>, By: 'static> TypeOf<T, By> {
         name: T::NAME,
         version: T::VERSION,
         interpolates: T::INTERPOLATES,
-        units: T::UNITS,
+        schema: T::SCHEMA,
         id: TypeId::of::<T>,
         to_view: |any| cast::<T>(any).to_view(),
         from_view: |view| T::from_view(view).map(Value::new),
@@ -116,6 +115,12 @@ impl PayloadType {
     /// The type of `T`.
     pub fn of<T: Payload<By>, By: 'static>() -> &'static Self {
         TypeOf::<T, By>::TYPE
+    }
+
+    /// Units of head fields and columns whose names do not say them, by name: a unit, or `pose` for rows of translation
+    /// x, y, z in mm and quaternion x, y, z, w. Recordings carry them.
+    pub fn units(&self) -> Vec<(&'static str, &'static str)> {
+        Part::units(self.schema)
     }
 
     /// The payload that a view of this type shows.

@@ -1,5 +1,6 @@
 //! The one view of a payload: a small head of named fields and named typed columns.
 
+use crate::Shape;
 use bytemuck::Pod;
 use std::{fmt, sync::Arc};
 
@@ -53,6 +54,17 @@ impl ColumnType {
             Self::F64 | Self::I64 => 8,
             Self::F32 | Self::U32 => 4,
             Self::U8 => 1,
+        }
+    }
+
+    /// Its name: `f64` and the like.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::F64 => "f64",
+            Self::F32 => "f32",
+            Self::I64 => "i64",
+            Self::U32 => "u32",
+            Self::U8 => "u8",
         }
     }
 
@@ -141,6 +153,62 @@ pub enum ViewError {
         expected: usize,
         /// Bytes in all.
         bytes: usize,
+    },
+    /// A head field holds another type.
+    #[error("field \"{name}\" is {found}, {expected} needed")]
+    FieldType {
+        /// The field.
+        name: String,
+        /// What it holds.
+        found: Shape,
+        /// What it should hold.
+        expected: Shape,
+    },
+    /// A column holds another type.
+    #[error("column \"{name}\" holds {}, {} needed", .found.name(), .expected.name())]
+    ColumnType {
+        /// The column.
+        name: String,
+        /// The type of its values.
+        found: ColumnType,
+        /// The type they should have.
+        expected: ColumnType,
+    },
+    /// A column's rows have more or fewer values.
+    #[error("column \"{name}\" has {found} values in a row, {expected} needed")]
+    Width {
+        /// The column.
+        name: String,
+        /// Values in a row.
+        found: u32,
+        /// Values that there should be.
+        expected: u32,
+    },
+    /// A column's last row is not whole.
+    #[error("column \"{name}\" ends within a row: {bytes} bytes in rows of {row}")]
+    CutRow {
+        /// The column.
+        name: String,
+        /// Bytes in all.
+        bytes: usize,
+        /// Bytes in a row.
+        row: usize,
+    },
+    /// A head field or column that the payload's schema does not have.
+    #[error("the view has a {what} \"{name}\" that its payload does not have")]
+    Unknown {
+        /// Field or column.
+        what: &'static str,
+        /// Its name.
+        name: String,
+    },
+    /// Two head fields or columns of one name.
+    #[error("the view has two {what} \"{name}\"")]
+    Twice {
+        /// Fields or columns.
+        what: &'static str,
+        /// Their name.
+        name: String,
     },
     /// The values make no payload.
     #[error("the view is no valid payload: {0}")]

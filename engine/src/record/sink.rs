@@ -77,8 +77,8 @@ impl Sink {
             let (node, output) = (&plan.nodes[id.node], &plan.nodes[id.node].outputs[id.port]);
             let name = plan.wire_name(id);
             let (payload, version, units, display) = match output.payload {
-                PortPayload::Type(ty) => (ty.name, ty.version, ty.units, ty.display()),
-                PortPayload::Any => ("any", 0, &[] as &[_], None),
+                PortPayload::Type(ty) => (ty.name, ty.version, ty.units(), ty.display()),
+                PortPayload::Any => ("any", 0, Vec::new(), None),
             };
             let units: serde_json::Map<_, _> =
                 units.iter().map(|(name, unit)| ((*name).into(), (*unit).into())).collect();

@@ -108,11 +108,11 @@ fn stopped(recorded: &[u8], replayed: &[u8]) -> bool {
 /// What differs first in two messages of one number.
 fn difference(payload: PortPayload, recorded: &[u8], replayed: &[u8]) -> diff::Difference {
     let units = match payload {
-        PortPayload::Type(ty) => ty.units,
-        PortPayload::Any => &[],
+        PortPayload::Type(ty) => ty.units(),
+        PortPayload::Any => Vec::new(),
     };
     match (codec::decode(recorded), codec::decode(replayed)) {
-        (Ok(a), Ok(b)) => diff::first_difference(&a, &b, units)
+        (Ok(a), Ok(b)) => diff::first_difference(&a, &b, &units)
             .unwrap_or_else(|| diff::Difference::other("bytes", "as recorded", "the same values in other bytes")),
         (Err(error), _) | (_, Err(error)) => diff::Difference::other("item", error.to_string(), "an item"),
     }

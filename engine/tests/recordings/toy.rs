@@ -2,7 +2,7 @@
 
 use osteoflow_engine::{Checked, RunOptions, check_text, run};
 use osteoflow_node::{
-    Column, ColumnType, Context, Describe, Display, Emit, Inputs, Node, NodeError, Outputs, ParamError, Payload,
+    Column, ColumnType, Context, Describe, Display, Emit, Inputs, Node, NodeError, Outputs, ParamError, Part, Payload,
     Registry, Source, StampNs, Value, View, ViewError, schemars, serde,
     serde_json::{self, Value as Json},
 };
@@ -21,6 +21,12 @@ pub(crate) struct Wave {
 impl Payload<Wave> for Wave {
     const NAME: &'static str = "toy/Wave";
     const VERSION: u32 = 3;
+    const SCHEMA: &'static [Part] = &[
+        Part::text("label"),
+        Part::float("gain_mm"),
+        Part::text("json"),
+        Part::column("samples_mm", ColumnType::F64, 2),
+    ];
 
     fn to_view(&self) -> View {
         let bytes: Vec<u8> = self.samples.iter().flat_map(|s| s.to_ne_bytes()).collect();

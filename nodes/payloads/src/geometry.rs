@@ -9,7 +9,7 @@ use osteoflow_geometry::{
     Axes, Cloud, Frame, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose, Region, SurfaceOrigin, matrix_rows,
     nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion},
 };
-use osteoflow_node::{ColumnType, Display, Payload, StampNs, View, ViewError};
+use osteoflow_node::{ColumnType, Display, Part, Payload, StampNs, View, ViewError};
 use serde_json::{Value as Json, json};
 use std::sync::Arc;
 
@@ -39,7 +39,15 @@ fn frame(view: &View) -> Result<Frame, ViewError> {
 impl Payload<Table> for Cloud {
     const NAME: &'static str = "geometry/Cloud";
     const VERSION: u32 = 1;
-    const UNITS: &'static [(&'static str, &'static str)] = &[("points", "mm"), ("viewpoint", "pose")];
+    const SCHEMA: &'static [Part] = &[
+        Part::text("frame"),
+        Part::int("stamp_ns"),
+        Part::text("label").optional(),
+        Part::float_list("viewpoint").optional().unit("pose").doc("the sensor's pose, 7 numbers"),
+        Part::column("points", ColumnType::F64, 3).unit("mm"),
+        Part::column("normals", ColumnType::F64, 3).optional().doc("of length 1, one for each point"),
+        Part::column("extra/*", ColumnType::F64, 1).doc("a value for each point, by name"),
+    ];
 
     fn to_view(&self) -> View {
         let mut view = View::new().with("frame", self.frame.as_str()).with("stamp_ns", self.stamp_ns);
@@ -97,7 +105,12 @@ impl Payload<Table> for Cloud {
 impl Payload<Table> for Mesh {
     const NAME: &'static str = "geometry/Mesh";
     const VERSION: u32 = 1;
-    const UNITS: &'static [(&'static str, &'static str)] = &[("vertices", "mm")];
+    const SCHEMA: &'static [Part] = &[
+        Part::text("frame"),
+        Part::text("origin").doc("where the surface comes from: exact, simulated_ct or user"),
+        Part::column("vertices", ColumnType::F64, 3).unit("mm"),
+        Part::column("faces", ColumnType::U32, 3).doc("indices of the corners of triangles"),
+    ];
 
     fn to_view(&self) -> View {
         View::new()
@@ -140,8 +153,13 @@ pub(crate) fn origin(name: &str) -> Result<SurfaceOrigin, ViewError> {
 impl Payload<Table> for Pose {
     const NAME: &'static str = "geometry/Pose";
     const VERSION: u32 = 1;
+    const SCHEMA: &'static [Part] = &[
+        Part::text("to"),
+        Part::text("from"),
+        Part::int("stamp_ns"),
+        Part::floats("isometry", 7).unit("pose").doc("takes coordinates in from to coordinates in to"),
+    ];
     const INTERPOLATES: bool = true;
-    const UNITS: &'static [(&'static str, &'static str)] = &[("isometry", "pose")];
 
     fn to_view(&self) -> View {
         View::new()
@@ -176,7 +194,14 @@ impl Payload<Table> for Pose {
 impl Payload<Table> for Points {
     const NAME: &'static str = "geometry/Points";
     const VERSION: u32 = 1;
-    const UNITS: &'static [(&'static str, &'static str)] = &[("positions", "mm")];
+    const SCHEMA: &'static [Part] = &[
+        Part::text("frame"),
+        Part::int("stamp_ns"),
+        Part::text("names").doc("one a line"),
+        Part::column("positions", ColumnType::F64, 3).unit("mm"),
+        Part::column("stamps_ns", ColumnType::I64, 1),
+        Part::column("confidences", ColumnType::F64, 1).doc("NaN where none was told"),
+    ];
 
     fn to_view(&self) -> View {
         let names: Vec<&str> = self.points.iter().map(|p| &*p.name).collect();
@@ -237,7 +262,13 @@ impl Payload<Table> for Points {
 impl Payload<Table> for Planes {
     const NAME: &'static str = "geometry/Planes";
     const VERSION: u32 = 1;
-    const UNITS: &'static [(&'static str, &'static str)] = &[("isometries", "pose")];
+    const SCHEMA: &'static [Part] = &[
+        Part::text("frame"),
+        Part::int("stamp_ns"),
+        Part::text("names").doc("one a line"),
+        Part::text("unknown").doc("for each plane a line: why its place is unknown, or nothing"),
+        Part::column("isometries", ColumnType::F64, 7).unit("pose").doc("NaN where the place is unknown"),
+    ];
 
     fn to_view(&self) -> View {
         let names: Vec<&str> = self.planes.iter().map(|p| &*p.name).collect();
@@ -306,7 +337,8 @@ impl Payload<Table> for Planes {
 impl Payload<Table> for Region {
     const NAME: &'static str = "geometry/Region";
     const VERSION: u32 = 1;
-    const UNITS: &'static [(&'static str, &'static str)] = &[("min", "mm"), ("max", "mm")];
+    const SCHEMA: &'static [Part] =
+        &[Part::text("frame"), Part::floats("min", 3).unit("mm"), Part::floats("max", 3).unit("mm")];
 
     fn to_view(&self) -> View {
         View::new()
@@ -327,7 +359,11 @@ impl Payload<Table> for Region {
 impl Payload<Table> for Axes {
     const NAME: &'static str = "geometry/Axes";
     const VERSION: u32 = 1;
-    const UNITS: &'static [(&'static str, &'static str)] = &[("centre", "mm")];
+    const SCHEMA: &'static [Part] = &[
+        Part::text("frame"),
+        Part::floats("centre", 3).unit("mm"),
+        Part::floats("columns", 9).doc("the axes x, y, z, three numbers each"),
+    ];
 
     fn to_view(&self) -> View {
         View::new()
@@ -358,6 +394,7 @@ mod tests {
 
     fn survives<T: Payload<Table> + PartialEq + std::fmt::Debug>(payload: T) {
         let view = payload.to_view();
+        assert_eq!(view.check(T::SCHEMA), Ok(()), "{} does not fit its schema", T::NAME);
         let back = T::from_view(&view).unwrap();
         assert_eq!(back, payload);
         assert_eq!(back.to_view(), view, "the view of what came back differs");

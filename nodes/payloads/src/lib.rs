@@ -42,3 +42,29 @@ pub fn register(registry: &mut Registry) {
         .payload::<Flag, _>();
     report::register(registry);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_node::{Part, Value};
+
+    #[test]
+    fn every_payload_of_the_table_has_a_schema_whose_names_are_unique() {
+        let mut registry = Registry::default();
+        register(&mut registry);
+        assert!(registry.payload_types().count() > 20);
+        for ty in registry.payload_types() {
+            assert!(!ty.schema.is_empty(), "{ty:?} shows nothing");
+            assert_eq!(Part::check_all(ty.schema), Ok(()), "{ty:?}");
+        }
+    }
+
+    #[test]
+    fn words_and_reports_fit_their_schemas() {
+        // One macro writes the views of all reports.
+        let report = osteoflow_algorithms::icp::IcpTrace::default();
+        for value in [Value::new(Text("here".into())), Value::new(Flag(true)), Value::new(report)] {
+            assert_eq!(value.to_view().check(value.ty().schema), Ok(()), "{value:?}");
+        }
+    }
+}

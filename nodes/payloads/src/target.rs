@@ -10,7 +10,7 @@ use osteoflow_algorithms::{
     target::{CellParts, Target},
 };
 use osteoflow_geometry::Mesh;
-use osteoflow_node::{ColumnType, Display, Payload, StampNs, View, ViewError};
+use osteoflow_node::{ColumnType, Display, Part, Payload, StampNs, View, ViewError};
 use serde_json::{Value as Json, json};
 
 /// The head field that tells that the view has cells.
@@ -26,7 +26,21 @@ fn has(view: &View, column: &str) -> bool {
 impl Payload<Table> for Target {
     const NAME: &'static str = "algorithms/Target";
     const VERSION: u32 = 1;
-    const UNITS: &'static [(&'static str, &'static str)] = &[("points", "mm"), ("mesh/vertices", "mm")];
+    const SCHEMA: &'static [Part] = &[
+        Part::text("frame"),
+        Part::text("origin").doc("where the surface comes from: exact, simulated_ct or user"),
+        Part::float(CELL_MM).optional(),
+        Part::column("points", ColumnType::F64, 3).unit("mm"),
+        Part::column("normals", ColumnType::F64, 3).optional(),
+        Part::column("cells/blocks", ColumnType::U32, 1).optional(),
+        Part::column("cells/starts", ColumnType::U32, 1).optional(),
+        Part::column("cells/items", ColumnType::U32, 1).optional(),
+        Part::column("mesh/vertices", ColumnType::F64, 3).optional().unit("mm"),
+        Part::column("mesh/faces", ColumnType::U32, 3).optional(),
+        Part::column("field/head", ColumnType::F64, 1).optional(),
+        Part::column("field/index", ColumnType::U32, 1).optional(),
+        Part::column("field/nodes", ColumnType::F32, 1).optional(),
+    ];
 
     fn to_view(&self) -> View {
         let cells = self.to_parts();
@@ -157,6 +171,7 @@ mod tests {
     #[test]
     fn a_target_that_is_read_back_registers_to_the_same_bits() {
         let target = target();
+        assert_eq!(target.to_view().check(Target::SCHEMA), Ok(()));
         let back = Target::from_view(&target.to_view()).unwrap();
         assert_eq!(back.to_view(), target.to_view());
         assert_eq!(back, target);
@@ -191,6 +206,7 @@ mod tests {
             Target::from_view(&view).unwrap()
         };
         let bare = without(&["normals", "cells", "mesh", "field"]);
+        assert_eq!(bare.to_view().check(Target::SCHEMA), Ok(()));
         assert!(bare.normals().is_none() && bare.mesh().is_none() && bare.field().is_none());
         assert_eq!(without(&["cells"]).to_view(), whole, "cells are built again, the same");
 

@@ -1,5 +1,5 @@
 use crate::Table;
-use osteoflow_node::{Payload, View, ViewError};
+use osteoflow_node::{Part, Payload, View, ViewError};
 use std::sync::Arc;
 
 /// A word or sentence that belongs to a result, such as where the CT surface comes from.
@@ -9,6 +9,7 @@ pub struct Text(pub Arc<str>);
 impl Payload<Table> for Text {
     const NAME: &'static str = "report/Text";
     const VERSION: u32 = 1;
+    const SCHEMA: &'static [Part] = &[Part::text("text")];
 
     fn to_view(&self) -> View {
         View::new().with("text", &*self.0)
@@ -34,6 +35,7 @@ pub struct Flag(pub bool);
 impl Payload<Table> for Flag {
     const NAME: &'static str = "report/Flag";
     const VERSION: u32 = 1;
+    const SCHEMA: &'static [Part] = &[Part::bool("flag")];
 
     fn to_view(&self) -> View {
         View::new().with("flag", self.0)

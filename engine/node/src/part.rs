@@ -1,0 +1,460 @@
+//! What a payload type says its views hold: the schema of its head fields and columns.
+
+use crate::{Column, ColumnType, Field, View, ViewError};
+use serde::{Serialize, Serializer, ser::SerializeMap};
+use std::fmt;
+
+/// One head field or column of a payload's view. A schema is a list of them, fields before columns:
+///
+/// ```
+/// use osteoflow_node::{ColumnType, Part, View};
+///
+/// const SCHEMA: &[Part] = &[
+///     Part::text("frame"),
+///     Part::float_list("viewpoint").optional().unit("pose"),
+///     Part::column("points", ColumnType::F64, 3).unit("mm"),
+///     Part::column("extra/*", ColumnType::F64, 1).doc("values of the points, by name"),
+/// ];
+/// let error = View::new().with("frame", "camera").check(SCHEMA).unwrap_err();
+/// assert_eq!(error.to_string(), "the view has no column \"points\"");
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Part {
+    /// Its name. A column's that ends in `/*` stands for any number of columns, none too, whose names begin so.
+    pub name: &'static str,
+    /// What it holds.
+    pub shape: Shape,
+    /// Whether a view may lack it.
+    pub optional: bool,
+    /// The unit where the name does not say it by a suffix such as `_mm`: a unit, or `pose` for rows of translation
+    /// x, y, z in mm and quaternion x, y, z, w. Otherwise empty.
+    pub unit: &'static str,
+    /// What it means, where the name does not say it. Otherwise empty.
+    pub doc: &'static str,
+}
+
+/// What a part of a view holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shape {
+    /// Yes or no.
+    Bool,
+    /// A count or a stamp.
+    Int,
+    /// A number.
+    Float,
+    /// So many numbers, always.
+    Floats(u32),
+    /// Any number of numbers.
+    FloatList,
+    /// Text in UTF-8.
+    Text,
+    /// Rows.
+    Column {
+        /// The type of each value.
+        kind: ColumnType,
+        /// Values in a row.
+        width: u32,
+    },
+}
+
+/// A list of parts that is no schema.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("the schema is not valid: {0}")]
+pub struct SchemaError(pub(crate) String);
+
+impl Part {
+    /// A yes or no.
+    pub const fn bool(name: &'static str) -> Self {
+        Self::new(name, Shape::Bool)
+    }
+
+    /// A count or a stamp.
+    pub const fn int(name: &'static str) -> Self {
+        Self::new(name, Shape::Int)
+    }
+
+    /// A number.
+    pub const fn float(name: &'static str) -> Self {
+        Self::new(name, Shape::Float)
+    }
+
+    /// `n` numbers, always.
+    pub const fn floats(name: &'static str, n: u32) -> Self {
+        Self::new(name, Shape::Floats(n))
+    }
+
+    /// Any number of numbers.
+    pub const fn float_list(name: &'static str) -> Self {
+        Self::new(name, Shape::FloatList)
+    }
+
+    /// Text in UTF-8.
+    pub const fn text(name: &'static str) -> Self {
+        Self::new(name, Shape::Text)
+    }
+
+    /// Rows of `width` values.
+    pub const fn column(name: &'static str, kind: ColumnType, width: u32) -> Self {
+        Self::new(name, Shape::Column { kind, width })
+    }
+
+    const fn new(name: &'static str, shape: Shape) -> Self {
+        Self { name, shape, optional: false, unit: "", doc: "" }
+    }
+
+    /// The same, which a view may lack. Only a text, a number, a list of any length and a column may: across the C
+    /// boundary an absent text, list or column has no pointer, and an absent number is NaN, so that an optional number
+    /// must not be NaN where it is there. So many numbers that may be absent are a [`Part::float_list`].
+    ///
+    /// # Panics
+    /// For another shape, in a constant when it is compiled.
+    pub const fn optional(mut self) -> Self {
+        assert!(self.shape.may_be_absent(), "only a text, a number, a list of any length and a column may be absent");
+        self.optional = true;
+        self
+    }
+
+    /// The same, in this unit.
+    pub const fn unit(mut self, unit: &'static str) -> Self {
+        self.unit = unit;
+        self
+    }
+
+    /// The same, with what it means.
+    pub const fn doc(mut self, doc: &'static str) -> Self {
+        self.doc = doc;
+        self
+    }
+
+    /// Whether it is a column and no head field.
+    pub const fn is_column(&self) -> bool {
+        matches!(self.shape, Shape::Column { .. })
+    }
+
+    /// What the columns' names begin with, where it stands for any number of them: `extra/` of `extra/*`.
+    pub fn prefix(&self) -> Option<&'static str> {
+        self.name.strip_suffix('*').filter(|prefix| prefix.ends_with('/') && self.is_column())
+    }
+
+    /// Whether the list is a schema: each name once, fields before columns, and optional only what may be.
+    ///
+    /// # Errors
+    /// [`SchemaError`] with the first part that is wrong.
+    pub fn check_all(schema: &[Self]) -> Result<(), SchemaError> {
+        for (index, part) in schema.iter().enumerate() {
+            let before = &schema[..index];
+            let wrong = if part.name.is_empty() {
+                "it has no name"
+            } else if before.iter().any(|other| other.name == part.name) {
+                "the name stands there twice"
+            } else if !part.is_column() && before.iter().any(Self::is_column) {
+                "a head field stands before all columns"
+            } else if part.name.contains('*') && part.prefix().is_none() {
+                "only the name of a column ends in \"/*\", and no name has another *"
+            } else if part.optional && !part.shape.may_be_absent() {
+                "only a text, a number, a list of any length and a column may be absent"
+            } else if matches!(part.shape, Shape::Floats(0) | Shape::Column { width: 0, .. }) {
+                "it holds no values; one at least is needed"
+            } else {
+                continue;
+            };
+            return Err(SchemaError(format!("part \"{}\": {wrong}", part.name)));
+        }
+        Ok(())
+    }
+
+    /// Units of head fields and columns whose names do not say them: columns first, as recordings have them.
+    pub(crate) fn units(schema: &'static [Self]) -> Vec<(&'static str, &'static str)> {
+        let of = |columns: bool| schema.iter().filter(move |part| part.is_column() == columns && !part.unit.is_empty());
+        of(true).chain(of(false)).map(|part| (part.name, part.unit)).collect()
+    }
+
+    fn stands_for(&self, column: &str) -> bool {
+        self.is_column() && (self.name == column || self.prefix().is_some_and(|prefix| column.starts_with(prefix)))
+    }
+}
+
+impl Shape {
+    const fn may_be_absent(self) -> bool {
+        matches!(self, Self::Float | Self::FloatList | Self::Text | Self::Column { .. })
+    }
+
+    /// The kind of thing, as [`ViewError::Missing`] names it.
+    fn what(self) -> &'static str {
+        match self {
+            Self::Bool => "yes or no",
+            Self::Int => "integer field",
+            Self::Float => "number field",
+            Self::Floats(_) | Self::FloatList => "number list",
+            Self::Text => "text field",
+            Self::Column { .. } => "column",
+        }
+    }
+
+    fn takes(self, field: &Field) -> bool {
+        match (self, field) {
+            (Self::Bool, Field::Bool(_))
+            | (Self::Int, Field::Int(_))
+            | (Self::Float, Field::Float(_))
+            | (Self::FloatList, Field::Floats(_))
+            | (Self::Text, Field::Text(_)) => true,
+            (Self::Floats(n), Field::Floats(values)) => values.len() == n as usize,
+            _ => false,
+        }
+    }
+
+    /// The shape of a field's value.
+    fn of(field: &Field) -> Self {
+        match field {
+            Field::Bool(_) => Self::Bool,
+            Field::Int(_) => Self::Int,
+            Field::Float(_) => Self::Float,
+            Field::Floats(values) => Self::Floats(values.len() as u32),
+            Field::Text(_) => Self::Text,
+        }
+    }
+}
+
+impl fmt::Display for Shape {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Bool => write!(f, "a yes or no"),
+            Self::Int => write!(f, "an integer"),
+            Self::Float => write!(f, "a number"),
+            Self::Floats(n) => write!(f, "a list of {n} numbers"),
+            Self::FloatList => write!(f, "a list of numbers"),
+            Self::Text => write!(f, "a text"),
+            Self::Column { kind, width } => write!(f, "a column of {width} x {}", kind.name()),
+        }
+    }
+}
+
+/// A field is `{"name", "field", "length"}` with field `bool`, `int`, `float`, `floats` or `text`, and a length where it
+/// is fixed; a column is `{"name", "column", "width"}` with column `f64` and the like. `optional`, `unit` and `doc`
+/// follow where there is something to say.
+impl Serialize for Part {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        map.serialize_entry("name", self.name)?;
+        let field = match self.shape {
+            Shape::Bool => "bool",
+            Shape::Int => "int",
+            Shape::Float => "float",
+            Shape::Floats(_) | Shape::FloatList => "floats",
+            Shape::Text => "text",
+            Shape::Column { .. } => "",
+        };
+        match self.shape {
+            Shape::Column { kind, width } => {
+                map.serialize_entry("column", kind.name())?;
+                map.serialize_entry("width", &width)?;
+            }
+            _ => map.serialize_entry("field", field)?,
+        }
+        if let Shape::Floats(n) = self.shape {
+            map.serialize_entry("length", &n)?;
+        }
+        if self.optional {
+            map.serialize_entry("optional", &true)?;
+        }
+        for (key, text) in [("unit", self.unit), ("doc", self.doc)] {
+            if !text.is_empty() {
+                map.serialize_entry(key, text)?;
+            }
+        }
+        map.end()
+    }
+}
+
+impl View {
+    /// Whether the view has all that a schema says, of the types it says, and nothing else.
+    ///
+    /// # Errors
+    /// [`ViewError`] with the first head field or column that is missing, wrong or too many.
+    pub fn check(&self, schema: &[Part]) -> Result<(), ViewError> {
+        for part in schema {
+            let there = match part.shape {
+                Shape::Column { .. } => part.prefix().is_some() || self.columns.iter().any(|c| c.name == part.name),
+                _ => self.field(part.name).is_some(),
+            };
+            if !there && !part.optional {
+                return Err(ViewError::Missing { what: part.shape.what(), name: part.name.into() });
+            }
+        }
+        for (index, (name, field)) in self.head.iter().enumerate() {
+            let Some(part) = schema.iter().find(|part| !part.is_column() && part.name == name) else {
+                return Err(ViewError::Unknown { what: "field", name: name.clone() });
+            };
+            if self.head[..index].iter().any(|(other, _)| other == name) {
+                return Err(ViewError::Twice { what: "fields", name: name.clone() });
+            }
+            if !part.shape.takes(field) {
+                let (found, expected) = (Shape::of(field), part.shape);
+                return Err(ViewError::FieldType { name: name.clone(), found, expected });
+            }
+        }
+        for (index, column) in self.columns.iter().enumerate() {
+            let of_name = schema.iter().find(|part| part.is_column() && part.name == column.name);
+            let part = of_name.or_else(|| schema.iter().find(|part| part.stands_for(&column.name)));
+            let Some(Shape::Column { kind, width }) = part.map(|part| part.shape) else {
+                return Err(ViewError::Unknown { what: "column", name: column.name.clone() });
+            };
+            if self.columns[..index].iter().any(|other| other.name == column.name) {
+                return Err(ViewError::Twice { what: "columns", name: column.name.clone() });
+            }
+            column.check(kind, width)?;
+        }
+        Ok(())
+    }
+}
+
+impl Column {
+    /// Whether it has whole rows of `width` values of `kind`.
+    fn check(&self, kind: ColumnType, width: u32) -> Result<(), ViewError> {
+        let name = || self.name.clone();
+        if self.kind != kind {
+            return Err(ViewError::ColumnType { name: name(), found: self.kind, expected: kind });
+        }
+        if self.width != width {
+            return Err(ViewError::Width { name: name(), found: self.width, expected: width });
+        }
+        let (bytes, row) = (self.bytes().len(), kind.size() * width as usize);
+        if !bytes.is_multiple_of(row) {
+            return Err(ViewError::CutRow { name: name(), bytes, row });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+
+    const SCHEMA: &[Part] = &[
+        Part::bool("is_whole"),
+        Part::int("stamp_ns"),
+        Part::float("gain_mm").optional(),
+        Part::floats("centre", 3).unit("mm"),
+        Part::float_list("viewpoint").optional().unit("pose"),
+        Part::text("label").optional(),
+        Part::column("points", ColumnType::F64, 3).unit("mm"),
+        Part::column("faces", ColumnType::U32, 3).optional().doc("corners of triangles"),
+        Part::column("extra/*", ColumnType::F32, 1),
+    ];
+
+    fn column(name: &str, kind: ColumnType, width: u32, n_bytes: usize) -> Column {
+        Column::new(name, kind, width, Arc::new(vec![0_u8; n_bytes]))
+    }
+
+    fn view() -> View {
+        View::new().with("stamp_ns", 7).with("is_whole", true).with("centre", vec![0.0; 3]).with_column(column(
+            "points",
+            ColumnType::F64,
+            3,
+            48,
+        ))
+    }
+
+    #[test]
+    fn a_view_fits_its_schema_with_and_without_what_is_optional() {
+        assert_eq!(view().check(SCHEMA), Ok(()));
+        let full = view()
+            .with("gain_mm", 1.5)
+            .with("viewpoint", vec![0.0; 7])
+            .with("label", "a")
+            .with_column(column("faces", ColumnType::U32, 3, 0))
+            .with_column(column("extra/grey", ColumnType::F32, 1, 8))
+            .with_column(column("extra/heat", ColumnType::F32, 1, 8));
+        assert_eq!(full.check(SCHEMA), Ok(()));
+    }
+
+    #[test]
+    fn each_way_not_to_fit_has_a_message_of_its_own() {
+        let without = |name: &str| {
+            let mut view = view();
+            view.head.retain(|(n, _)| n != name);
+            view.columns.retain(|c| c.name != name);
+            view
+        };
+        let cases = [
+            (without("is_whole"), "the view has no yes or no \"is_whole\""),
+            (without("points"), "the view has no column \"points\""),
+            (
+                without("centre").with("centre", vec![0.0; 2]),
+                "field \"centre\" is a list of 2 numbers, a list of 3 numbers needed",
+            ),
+            (without("stamp_ns").with("stamp_ns", 1.0), "field \"stamp_ns\" is a number, an integer needed"),
+            (
+                without("points").with_column(column("points", ColumnType::F32, 3, 24)),
+                "column \"points\" holds f32, f64 needed",
+            ),
+            (
+                without("points").with_column(column("points", ColumnType::F64, 2, 48)),
+                "column \"points\" has 2 values in a row, 3 needed",
+            ),
+            (
+                without("points").with_column(column("points", ColumnType::F64, 3, 40)),
+                "column \"points\" ends within a row: 40 bytes in rows of 24",
+            ),
+            (
+                view().with_column(column("extra/grey", ColumnType::F64, 1, 8)),
+                "column \"extra/grey\" holds f64, f32 needed",
+            ),
+            (view().with("colour", "red"), "the view has a field \"colour\" that its payload does not have"),
+            (view().with("points", "red"), "the view has a field \"points\" that its payload does not have"),
+            (
+                view().with_column(column("extra", ColumnType::F32, 1, 8)),
+                "the view has a column \"extra\" that its payload does not have",
+            ),
+            (view().with("stamp_ns", 8), "the view has two fields \"stamp_ns\""),
+            (view().with_column(column("points", ColumnType::F64, 3, 24)), "the view has two columns \"points\""),
+        ];
+        for (view, expected) in cases {
+            assert_eq!(view.check(SCHEMA).unwrap_err().to_string(), expected);
+        }
+    }
+
+    #[test]
+    fn what_is_no_schema_is_refused() {
+        assert_eq!(Part::check_all(SCHEMA), Ok(()));
+        let points = Part::column("points", ColumnType::F64, 3);
+        let may_lack = Part { optional: true, ..Part::floats("centre", 3) };
+        let cases: [(&[Part], &str); 7] = [
+            (&[points, points], "twice"),
+            (&[points, Part::text("frame")], "before all columns"),
+            (&[may_lack], "may be absent"),
+            (&[Part::text("extra/*")], "/*"),
+            (&[Part::column("a*b", ColumnType::U8, 1)], "/*"),
+            (&[Part::column("a", ColumnType::U8, 0)], "no values"),
+            (&[Part::text("")], "no name"),
+        ];
+        for (schema, expected) in cases {
+            let error = Part::check_all(schema).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "may be absent")]
+    fn an_integer_cannot_be_optional() {
+        let _ = Part::int("stamp_ns").optional();
+    }
+
+    #[test]
+    fn units_are_told_columns_first() {
+        assert_eq!(Part::units(SCHEMA), [("points", "mm"), ("centre", "mm"), ("viewpoint", "pose")]);
+    }
+
+    #[test]
+    fn a_schema_is_told_in_json_without_what_goes_without_saying() {
+        let told = serde_json::to_string(&[SCHEMA[1], SCHEMA[3], SCHEMA[4], SCHEMA[7]]).unwrap();
+        let expected = [
+            r#"[{"name":"stamp_ns","field":"int"}"#,
+            r#"{"name":"centre","field":"floats","length":3,"unit":"mm"}"#,
+            r#"{"name":"viewpoint","field":"floats","optional":true,"unit":"pose"}"#,
+            r#"{"name":"faces","column":"u32","width":3,"optional":true,"doc":"corners of triangles"}]"#,
+        ];
+        assert_eq!(told, expected.join(","));
+    }
+}
