@@ -76,7 +76,7 @@ impl RecordedItem {
     ///
     /// # Errors
     /// [`CodecError::View`] if the view is not one of `ty`.
-    pub fn into_item(self, ty: &PayloadType) -> Result<Item, CodecError> {
+    pub fn into_item(self, ty: &'static PayloadType) -> Result<Item, CodecError> {
         let body = match self.body {
             Ok(view) => Body::Value(ty.from_view(&view)?),
             Err(empty) => Body::Empty(Arc::new(empty)),

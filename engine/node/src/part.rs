@@ -169,6 +169,13 @@ impl Part {
         of(true).chain(of(false)).map(|part| (part.name, part.unit)).collect()
     }
 
+    /// The first two parts in which schemas differ; what is said of a part is not looked at.
+    pub(crate) fn first_difference(a: &[Self], b: &[Self]) -> Option<(Option<Self>, Option<Self>)> {
+        let bare = |part: Option<&Self>| part.map(|part| Self { doc: "", ..*part });
+        let parts = (0..a.len().max(b.len())).map(|index| (bare(a.get(index)), bare(b.get(index))));
+        parts.into_iter().find(|(a, b)| a != b)
+    }
+
     fn stands_for(&self, column: &str) -> bool {
         self.is_column() && (self.name == column || self.prefix().is_some_and(|prefix| column.starts_with(prefix)))
     }
@@ -212,6 +219,19 @@ impl Shape {
             Field::Floats(values) => Self::Floats(values.len() as u32),
             Field::Text(_) => Self::Text,
         }
+    }
+}
+
+/// For messages: `column "points" of 3 x f64 in mm`.
+impl fmt::Display for Part {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { name, shape, optional, unit, .. } = self;
+        f.write_str(if *optional { "optional " } else { "" })?;
+        match shape {
+            Shape::Column { kind, width } => write!(f, "column \"{name}\" of {width} x {}", kind.name())?,
+            shape => write!(f, "field \"{name}\", {shape}")?,
+        }
+        if unit.is_empty() { Ok(()) } else { write!(f, " in {unit}") }
     }
 }
 

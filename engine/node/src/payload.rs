@@ -68,7 +68,8 @@ pub struct Display {
     pub message_encoding: String,
 }
 
-/// A payload type as the engine knows it.
+/// A payload type as the engine knows it: of a Rust type, or [`PayloadType::free`]. Two are equal if their values are of
+/// one Rust type, and name, version and schema the same.
 pub struct PayloadType {
     /// The name in graph files and recordings.
     pub name: &'static str,
@@ -78,14 +79,14 @@ pub struct PayloadType {
     pub interpolates: bool,
     /// What its views hold.
     pub schema: &'static [Part],
-    id: fn() -> TypeId,
-    to_view: fn(&dyn Any) -> View,
-    from_view: fn(&View) -> Result<Value, ViewError>,
-    to_result: fn(&dyn Any) -> serde_json::Value,
-    n_bytes: fn(&dyn Any) -> usize,
-    interpolate: fn(&dyn Any, &dyn Any, f64) -> Option<Value>,
-    display: fn() -> Option<Display>,
-    to_display: fn(&dyn Any, StampNs) -> Option<Vec<u8>>,
+    pub(crate) id: fn() -> TypeId,
+    pub(crate) to_view: fn(&dyn Any) -> View,
+    pub(crate) from_view: fn(&'static PayloadType, &View) -> Result<Value, ViewError>,
+    pub(crate) to_result: fn(&dyn Any) -> serde_json::Value,
+    pub(crate) n_bytes: fn(&dyn Any) -> usize,
+    pub(crate) interpolate: fn(&dyn Any, &dyn Any, f64) -> Option<Value>,
+    pub(crate) display: fn() -> Option<Display>,
+    pub(crate) to_display: fn(&dyn Any, StampNs) -> Option<Vec<u8>>,
 }
 
 struct TypeOf<T, By>(std::marker::PhantomData<(T, By)>);
@@ -98,7 +99,7 @@ impl<T: Payload<By>, By: 'static> TypeOf<T, By> {
         schema: T::SCHEMA,
         id: TypeId::of::<T>,
         to_view: |any| cast::<T>(any).to_view(),
-        from_view: |view| T::from_view(view).map(Value::new),
+        from_view: |_, view| T::from_view(view).map(Value::new),
         to_result: |any| cast::<T>(any).to_result(),
         n_bytes: |any| cast::<T>(any).n_bytes(),
         interpolate: |a, b, s| T::interpolate(cast(a), cast(b), s).map(Value::new),
@@ -127,8 +128,8 @@ impl PayloadType {
     ///
     /// # Errors
     /// [`ViewError`] if the view is of something else.
-    pub fn from_view(&self, view: &View) -> Result<Value, ViewError> {
-        (self.from_view)(view)
+    pub fn from_view(&'static self, view: &View) -> Result<Value, ViewError> {
+        (self.from_view)(self, view)
     }
 
     /// The schema of its picture for viewers, where it has one.
@@ -141,7 +142,10 @@ impl PartialEq for PayloadType {
     #[inline]
     fn eq(&self, other: &Self) -> bool {
         // One type may have several of these, one for each crate that asked first.
-        std::ptr::eq(self, other) || (self.id)() == (other.id)()
+        std::ptr::eq(self, other)
+            || ((self.id)() == (other.id)()
+                && (self.name, self.version) == (other.name, other.version)
+                && Part::first_difference(self.schema, other.schema).is_none())
     }
 }
 
@@ -154,8 +158,8 @@ impl fmt::Debug for PayloadType {
 /// A payload on its way: shared, immutable, and of a type known at run time. Clones are cheap and never copy data.
 #[derive(Clone)]
 pub struct Value {
-    inner: Arc<dyn Any + Send + Sync>,
-    ty: &'static PayloadType,
+    pub(crate) inner: Arc<dyn Any + Send + Sync>,
+    pub(crate) ty: &'static PayloadType,
 }
 
 impl Value {

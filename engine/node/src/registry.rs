@@ -1,5 +1,5 @@
 use crate::{
-    Built, Describe, Description, FilePath, Inputs, Kept, Node, Outputs, ParamError, Payload, PayloadType, Role,
+    Built, Describe, Description, FilePath, Inputs, Kept, Node, Outputs, ParamError, Part, Payload, PayloadType, Role,
     Source, erased::Erased,
 };
 use std::collections::BTreeMap;
@@ -9,6 +9,37 @@ use std::collections::BTreeMap;
 pub struct Registry {
     kinds: BTreeMap<&'static str, Kind>,
     payloads: BTreeMap<&'static str, &'static PayloadType>,
+}
+
+/// Two payload types of one name, which cannot both be known.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PayloadClash {
+    /// They have two versions.
+    #[error(
+        "payload {name} is known with version {known} and comes with version {new}; build both against one of them"
+    )]
+    Version {
+        /// The name.
+        name: &'static str,
+        /// The version known before.
+        known: u32,
+        /// The version that was to be added.
+        new: u32,
+    },
+    /// Their views hold different things.
+    #[error(
+        "payload {name}@{version} is known with {known} and comes with {new}; raise the version where a view changes"
+    )]
+    Schema {
+        /// The name.
+        name: &'static str,
+        /// The version of both.
+        version: u32,
+        /// The first part that differs, of the type known before.
+        known: String,
+        /// The same of the type that was to be added.
+        new: String,
+    },
 }
 
 /// A kind: its description, and how to build it.
@@ -70,6 +101,26 @@ impl Registry {
     pub fn payload<T: Payload<By>, By: 'static>(&mut self) -> &mut Self {
         self.payloads.insert(T::NAME, PayloadType::of::<T, By>());
         self
+    }
+
+    /// Adds a payload type that was made at run time, and gives the one that is known from now on: the one before, where
+    /// there was one with the same version and schema.
+    ///
+    /// # Errors
+    /// [`PayloadClash`] if another version or schema is known by that name.
+    pub fn add_payload_type(&mut self, ty: &'static PayloadType) -> Result<&'static PayloadType, PayloadClash> {
+        let name = ty.name;
+        let known = *self.payloads.entry(name).or_insert(ty);
+        if known.version != ty.version {
+            return Err(PayloadClash::Version { name, known: known.version, new: ty.version });
+        }
+        match Part::first_difference(known.schema, ty.schema) {
+            None => Ok(known),
+            Some((known, new)) => {
+                let told = |part: Option<Part>| part.map_or("nothing there".into(), |part| part.to_string());
+                Err(PayloadClash::Schema { name, version: ty.version, known: told(known), new: told(new) })
+            }
+        }
     }
 
     /// The kind of that name.

@@ -15,7 +15,7 @@ use crate::{
     store::{Entry, Key, KeyInMaking, Store, message, payload_of},
 };
 use osteoflow_node::{
-    AnyNode, Body, Context, Emission, Empty, Item, Joined, Kept, NodeError, PayloadType, PortPayload, Registry, Slot,
+    AnyNode, Body, Context, Emission, Empty, Item, Joined, Kept, NodeError, PortPayload, Registry, Slot,
 };
 use std::{
     ops::Range,
@@ -177,7 +177,7 @@ impl<'a> Recall<'a> {
         if let Err(empty) = message.body {
             return Some(Emission::Empty(empty.reason));
         }
-        let ty: &PayloadType = match port {
+        let ty = match port {
             PortPayload::Type(ty) => ty,
             PortPayload::Any => self.registry.payload_type(&message.payload.as_ref()?.0)?,
         };

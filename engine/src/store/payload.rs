@@ -13,7 +13,7 @@ pub(crate) fn message(value: &Value) -> Parts {
 }
 
 /// The payload of a message, over the entry's bytes; `None` if it is of another type or version.
-pub(crate) fn payload_of(message: RecordedItem, ty: &PayloadType) -> Option<Value> {
+pub(crate) fn payload_of(message: RecordedItem, ty: &'static PayloadType) -> Option<Value> {
     let is_of = message.payload.is_some_and(|(name, version)| name == ty.name && version == ty.version);
     let view = message.body.ok().filter(|_| is_of)?;
     ty.from_view(&view).ok()
