@@ -1,5 +1,9 @@
 //! Reads `run.mcap` back: the graph that ran, and the items of every recorded wire.
 
+mod types;
+
+pub(crate) use types::RecordedTypes;
+
 use crate::{
     codec::{self, CodecError, RecordedItem},
     container::{self, Carries, Channels, Damage, Place, Record, Visit, Walk, WalkError, Wire},
@@ -92,6 +96,7 @@ pub struct Recording {
     pub readings: BTreeMap<(String, u64), Vec<Reading>>,
     /// Which nodes failed at which item, and why.
     pub failures: Vec<RecordedFailure>,
+    types: RecordedTypes,
 }
 
 /// A node's failure.
@@ -216,8 +221,9 @@ impl Recording {
             .or_else(|| recovered.as_ref().map(|_| "it was recovered from a damaged file".into()))
             .or_else(|| (!finished).then(|| "the run did not finish it".into()));
         let limits = recovered.map(|recovered| recover::before_damage(&recovered));
-        let mut wires = BTreeMap::new();
+        let (mut wires, mut types) = (BTreeMap::new(), RecordedTypes::default());
         for (name, gathered) in reading.wires {
+            types.add(&gathered.about);
             let limit = limits.as_ref().map_or(u64::MAX, |limits| limits.get(&name).copied().unwrap_or(0));
             let wire = numbered(&name, gathered, limit, truncated.is_some())?;
             wires.insert(name, wire);
@@ -239,7 +245,13 @@ impl Recording {
             drops: reading.drops,
             readings: reading.readings,
             failures: failures.unwrap_or_default(),
+            types,
         })
+    }
+
+    /// The registry, with the recording's payload types that it lacks: their schemas are in the file.
+    pub fn registry(&self, known: &Registry) -> Registry {
+        self.types.registry(known)
     }
 
     /// The items of a wire, with their payloads.

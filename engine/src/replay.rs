@@ -237,6 +237,7 @@ pub fn replay(
     observer: &dyn Observer,
 ) -> Result<ReplayReport, ReplayError> {
     let recording = Recording::open(path)?;
+    let registry = &recording.registry(registry);
     let sets = &changes.sets;
     let checked = match &changes.graph {
         // Files of sources that are played need not be there; a graph file that cannot be read is a fault.

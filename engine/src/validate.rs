@@ -161,7 +161,7 @@ pub fn validate(path: &Path, registry: &Registry, progress: Progress<'_>) -> Res
     container.finish(&mut walk, &mut findings).map_err(|error| failed(error.into()))?;
     let is_recording = metadata.contains_key(RUN_METADATA) || items.has_wires();
     if is_recording {
-        check_metadata(path, &metadata, registry, &mut findings, &mut notes);
+        check_metadata(path, &metadata, &items.registry(), &mut findings, &mut notes);
         items.finish(&metadata, &mut findings, &mut notes);
     } else {
         notes.push("it is no recording of a run: only the container was checked".into());

@@ -1,7 +1,7 @@
 //! What a payload type says its views hold: the schema of its head fields and columns.
 
-use crate::{Column, ColumnType, Field, View, ViewError};
-use serde::{Serialize, Serializer, ser::SerializeMap};
+use crate::{Column, ColumnType, Field, View, ViewError, free::kept};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error, ser::SerializeMap};
 use std::fmt;
 
 /// One head field or column of a payload's view. A schema is a list of them, fields before columns:
@@ -56,6 +56,9 @@ pub enum Shape {
         width: u32,
     },
 }
+
+/// A longer schema is a mistake, and would be walked for each item.
+const MAX_PARTS: usize = 1024;
 
 /// A list of parts that is no schema.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -136,11 +139,15 @@ impl Part {
         self.name.strip_suffix('*').filter(|prefix| prefix.ends_with('/') && self.is_column())
     }
 
-    /// Whether the list is a schema: each name once, fields before columns, and optional only what may be.
+    /// Whether the list is a schema: at most 1024 parts, each name once, fields before columns, and optional only what
+    /// may be.
     ///
     /// # Errors
     /// [`SchemaError`] with the first part that is wrong.
     pub fn check_all(schema: &[Self]) -> Result<(), SchemaError> {
+        if schema.len() > MAX_PARTS {
+            return Err(SchemaError(format!("it has {} parts, {MAX_PARTS} are the most", schema.len())));
+        }
         for (index, part) in schema.iter().enumerate() {
             let before = &schema[..index];
             let wrong = if part.name.is_empty() {
@@ -286,6 +293,49 @@ impl Serialize for Part {
     }
 }
 
+/// As it was written; its texts are kept until the program ends.
+impl<'de> Deserialize<'de> for Part {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        struct Told {
+            name: String,
+            field: Option<String>,
+            length: Option<u32>,
+            column: Option<String>,
+            width: Option<u32>,
+            #[serde(default)]
+            optional: bool,
+            #[serde(default)]
+            unit: String,
+            #[serde(default)]
+            doc: String,
+        }
+        let told = Told::deserialize(deserializer)?;
+        let shape = match (told.field.as_deref(), told.length, told.column.as_deref(), told.width) {
+            (Some("bool"), None, None, None) => Some(Shape::Bool),
+            (Some("int"), None, None, None) => Some(Shape::Int),
+            (Some("float"), None, None, None) => Some(Shape::Float),
+            (Some("floats"), None, None, None) => Some(Shape::FloatList),
+            (Some("floats"), Some(n), None, None) => Some(Shape::Floats(n)),
+            (Some("text"), None, None, None) => Some(Shape::Text),
+            (None, None, Some(kind), Some(width)) => {
+                ColumnType::ALL.into_iter().find(|t| t.name() == kind).map(|kind| Shape::Column { kind, width })
+            }
+            _ => None,
+        };
+        let unknown = || D::Error::custom(format!("part \"{}\" is neither a head field nor a column", told.name));
+        let (shape, optional) = (shape.ok_or_else(unknown)?, told.optional);
+        Ok(Self { name: kept(&told.name), shape, optional, unit: kept(&told.unit), doc: kept(&told.doc) })
+    }
+}
+
+/// The first name that stands there twice.
+fn twice<'a>(names: impl Iterator<Item = &'a str>) -> Option<String> {
+    let mut names: Vec<_> = names.collect();
+    names.sort_unstable();
+    names.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| pair[0].to_owned())
+}
+
 impl View {
     /// Whether the view has all that a schema says, of the types it says, and nothing else.
     ///
@@ -301,28 +351,28 @@ impl View {
                 return Err(ViewError::Missing { what: part.shape.what(), name: part.name.into() });
             }
         }
-        for (index, (name, field)) in self.head.iter().enumerate() {
+        for (name, field) in &self.head {
             let Some(part) = schema.iter().find(|part| !part.is_column() && part.name == name) else {
                 return Err(ViewError::Unknown { what: "field", name: name.clone() });
             };
-            if self.head[..index].iter().any(|(other, _)| other == name) {
-                return Err(ViewError::Twice { what: "fields", name: name.clone() });
-            }
             if !part.shape.takes(field) {
                 let (found, expected) = (Shape::of(field), part.shape);
                 return Err(ViewError::FieldType { name: name.clone(), found, expected });
             }
         }
-        for (index, column) in self.columns.iter().enumerate() {
+        for column in &self.columns {
             let of_name = schema.iter().find(|part| part.is_column() && part.name == column.name);
             let part = of_name.or_else(|| schema.iter().find(|part| part.stands_for(&column.name)));
             let Some(Shape::Column { kind, width }) = part.map(|part| part.shape) else {
                 return Err(ViewError::Unknown { what: "column", name: column.name.clone() });
             };
-            if self.columns[..index].iter().any(|other| other.name == column.name) {
-                return Err(ViewError::Twice { what: "columns", name: column.name.clone() });
-            }
             column.check(kind, width)?;
+        }
+        if let Some(name) = twice(self.head.iter().map(|(name, _)| name.as_str())) {
+            return Err(ViewError::Twice { what: "fields", name });
+        }
+        if let Some(name) = twice(self.columns.iter().map(|column| column.name.as_str())) {
+            return Err(ViewError::Twice { what: "columns", name });
         }
         Ok(())
     }
@@ -476,5 +526,11 @@ mod tests {
             r#"{"name":"faces","column":"u32","width":3,"optional":true,"doc":"corners of triangles"}]"#,
         ];
         assert_eq!(told, expected.join(","));
+        let back: Vec<Part> = serde_json::from_str(&serde_json::to_string(SCHEMA).unwrap()).unwrap();
+        assert_eq!(back, SCHEMA);
+        for wrong in [r#"{"name":"a","field":"colour"}"#, r#"{"name":"a","column":"f64"}"#, r#"{"name":"a"}"#] {
+            let error = serde_json::from_str::<Part>(wrong).unwrap_err().to_string();
+            assert!(error.contains("part \"a\" is neither a head field nor a column"), "{error}");
+        }
     }
 }

@@ -2,12 +2,12 @@ use crate::{
     Built, Describe, Description, FilePath, Inputs, Kept, Node, Outputs, ParamError, Part, Payload, PayloadType, Role,
     Source, erased::Erased,
 };
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::Arc};
 
 /// The kinds and payload types that a graph may name.
-#[derive(Default)]
+#[derive(Default, Clone)]
 pub struct Registry {
-    kinds: BTreeMap<&'static str, Kind>,
+    kinds: BTreeMap<&'static str, Arc<Kind>>,
     payloads: BTreeMap<&'static str, &'static PayloadType>,
 }
 
@@ -74,7 +74,7 @@ impl Registry {
             params_schema::<N::Params>(),
             |p| Ok(Built::Node(Box::new(Erased(N::new(read(p)?)?)))),
         );
-        if let Some(kind) = self.kinds.get_mut(N::KIND) {
+        if let Some(kind) = self.kinds.get_mut(N::KIND).and_then(Arc::get_mut) {
             kind.description.kept = N::KEPT;
             let reads = N::KEPT != Kept::No && kind.description.params.to_string().contains(FilePath::SCHEMA_FORMAT);
             assert!(!reads, "{} reads a file, so its answers cannot be kept; let a source read it", N::KIND);
@@ -91,7 +91,7 @@ impl Registry {
         self.add::<S>(S::KIND, role, Vec::new(), S::Outputs::ports(), params_schema::<S::Params>(), |p| {
             Ok(Built::Source(Box::new(Erased(S::new(read(p)?)?))))
         });
-        if let Some(kind) = self.kinds.get_mut(S::KIND) {
+        if let Some(kind) = self.kinds.get_mut(S::KIND).and_then(Arc::get_mut) {
             kind.description.constant = S::CONSTANT;
         }
         self
@@ -125,12 +125,12 @@ impl Registry {
 
     /// The kind of that name.
     pub fn kind(&self, kind: &str) -> Option<&Kind> {
-        self.kinds.get(kind)
+        self.kinds.get(kind).map(|kind| &**kind)
     }
 
     /// All kinds, by name.
     pub fn kinds(&self) -> impl Iterator<Item = &Kind> {
-        self.kinds.values()
+        self.kinds.values().map(|kind| &**kind)
     }
 
     /// The payload type of that name.
@@ -166,7 +166,7 @@ impl Registry {
             example: D::EXAMPLE,
             literature: D::LITERATURE,
         };
-        let before = self.kinds.insert(kind, Kind { description, build });
+        let before = self.kinds.insert(kind, Arc::new(Kind { description, build }));
         assert!(before.is_none(), "two nodes are called {kind}");
         self
     }

@@ -48,6 +48,9 @@ pub enum ColumnType {
 }
 
 impl ColumnType {
+    /// All of them.
+    pub(crate) const ALL: [Self; 5] = [Self::F64, Self::F32, Self::I64, Self::U32, Self::U8];
+
     /// Bytes of one value.
     pub fn size(self) -> usize {
         match self {
@@ -70,7 +73,7 @@ impl ColumnType {
 
     /// The type with this code in a recording.
     pub fn from_code(code: u8) -> Option<Self> {
-        [Self::F64, Self::F32, Self::I64, Self::U32, Self::U8].into_iter().find(|t| *t as u8 == code)
+        Self::ALL.into_iter().find(|t| *t as u8 == code)
     }
 }
 

@@ -28,6 +28,8 @@ pub(crate) struct Wire {
     pub(crate) source: bool,
     /// The units of fields and columns whose names do not say them.
     pub(crate) units: String,
+    /// What the payload's views hold, as JSON; `None` where the channel does not say it.
+    pub(crate) schema: Option<String>,
 }
 
 /// What the channel carries.
@@ -40,6 +42,7 @@ pub(crate) fn carries(channel: &Channel) -> Carries {
             version: about("version").parse().unwrap_or(0),
             source: about("source") == "true",
             units: about("units"),
+            schema: channel.metadata.get("schema").cloned(),
         });
     }
     match channel.topic.strip_prefix(VIEW_TOPIC) {

@@ -6,7 +6,7 @@ use crate::{
     codec,
     plan::{OutputId, Plan},
 };
-use osteoflow_node::{Body, Item, PortPayload, Reading, Role, StampNs};
+use osteoflow_node::{Body, Item, PayloadType, PortPayload, Reading, Role, StampNs};
 use serde_json::{Value as Json, json};
 use std::{collections::BTreeMap, fmt::Write, io};
 
@@ -76,14 +76,16 @@ impl Sink {
         for &id in &plan.record {
             let (node, output) = (&plan.nodes[id.node], &plan.nodes[id.node].outputs[id.port]);
             let name = plan.wire_name(id);
-            let (payload, version, units, display) = match output.payload {
-                PortPayload::Type(ty) => (ty.name, ty.version, ty.units(), ty.display()),
-                PortPayload::Any => ("any", 0, Vec::new(), None),
+            let ty = match output.payload {
+                PortPayload::Type(ty) => Some(ty),
+                PortPayload::Any => None,
             };
+            let (payload, version) = ty.map_or(("any", 0), |ty| (ty.name, ty.version));
+            let units = ty.map(PayloadType::units).unwrap_or_default();
             let units: serde_json::Map<_, _> =
-                units.iter().map(|(name, unit)| ((*name).into(), (*unit).into())).collect();
+                units.into_iter().map(|(name, unit)| (name.into(), unit.into())).collect();
             let schema = file.schema(&format!("{payload}@{version}"), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
-            let about = BTreeMap::from([
+            let mut about = BTreeMap::from([
                 ("node".into(), node.name.to_string()),
                 ("port".into(), output.name.clone()),
                 ("kind".into(), node.kind.clone()),
@@ -92,8 +94,11 @@ impl Sink {
                 ("units".into(), Json::Object(units).to_string()),
                 ("source".into(), (node.role != Role::Node).to_string()),
             ]);
+            if let Some(ty) = ty {
+                about.insert("schema".into(), serde_json::to_string(ty.schema)?);
+            }
             let exact = file.channel(schema, &format!("{EXACT_TOPIC}{name}"), EXACT_ENCODING, &about)?;
-            let view = match display.filter(|_| views) {
+            let view = match ty.and_then(PayloadType::display).filter(|_| views) {
                 Some(d) => {
                     let schema = file.schema(&d.schema_name, &d.schema_encoding, &d.schema_data)?;
                     let topic = format!("{VIEW_TOPIC}{name}");

@@ -1,10 +1,10 @@
 use super::{Finding, Findings, ValidatedWire};
 use crate::{
-    codec,
+    codec::{self, CodecError},
     container::{Carries, Channel, Channels, Message, Place, Wire},
     numbers::Numbers,
     record::WIRES_METADATA,
-    recording::{MetadataRecords, counts},
+    recording::{MetadataRecords, RecordedTypes, counts},
     recover::RECOVERED_METADATA,
 };
 use osteoflow_node::{Registry, StampNs};
@@ -18,6 +18,7 @@ pub(super) struct Items<'a> {
     channels: Channels,
     encodings: BTreeMap<u16, String>,
     registry: &'a Registry,
+    types: RecordedTypes,
     wires: BTreeMap<String, Checked>,
     /// The earliest and the latest stamp that is a time.
     times: Option<(StampNs, StampNs)>,
@@ -40,6 +41,8 @@ struct Checked {
 
 impl<'a> Items<'a> {
     pub(super) fn new(channels: Channels, registry: &'a Registry) -> Self {
+        let mut types = RecordedTypes::default();
+        channels.wires().for_each(|wire| types.add(wire));
         let wires = channels.wires().map(|wire| {
             let checked = Checked { about: Some(wire.clone()), ..Checked::default() };
             (wire.name.clone(), checked)
@@ -49,11 +52,17 @@ impl<'a> Items<'a> {
             channels,
             encodings: BTreeMap::new(),
             registry,
+            types,
             wires,
             times: None,
             timeless: BTreeMap::new(),
             unknown_payloads: BTreeSet::new(),
         }
+    }
+
+    /// The registry, with the recording's payload types that it lacks.
+    pub(super) fn registry(&self) -> Registry {
+        self.types.registry(self.registry)
     }
 
     pub(super) fn has_wires(&self) -> bool {
@@ -64,6 +73,7 @@ impl<'a> Items<'a> {
         self.encodings.entry(channel.id).or_insert_with(|| channel.message_encoding.clone());
         match self.channels.add(channel) {
             Carries::Exact(wire) => {
+                self.types.add(wire);
                 self.wires.entry(wire.name.clone()).or_default().about.get_or_insert_with(|| wire.clone());
             }
             Carries::View(_) | Carries::Other => {}
@@ -105,10 +115,12 @@ impl<'a> Items<'a> {
         let is_value = item.body.is_ok();
         if is_value {
             let (payload, version) = item.payload.clone().unwrap_or((wire.payload.clone(), wire.version));
-            match self.registry.payload_type(&payload).filter(|ty| ty.version == version) {
+            let ty = self.registry.payload_type(&payload).filter(|ty| ty.version == version);
+            match ty.or_else(|| self.types.get(&payload, version)) {
                 None => drop(self.unknown_payloads.insert(format!("{payload}@{version}"))),
                 Some(ty) => {
-                    if let Err(error) = item.into_item(ty) {
+                    let fits = item.body.as_ref().map_or(Ok(()), |view| view.check(ty.schema));
+                    if let Err(error) = fits.map_err(CodecError::from).and_then(|()| item.into_item(ty)) {
                         wrong("item", format!("it is no {payload}: {error}"));
                     }
                 }
@@ -204,6 +216,9 @@ impl<'a> Items<'a> {
             if !self.wires.contains_key(name) && recovered.is_none() {
                 findings.add("count", Finding::of(name, None, None, "it was counted, but has no channel"));
             }
+        }
+        for (payload, fault) in self.types.faults() {
+            findings.add("schema", Finding::new(None, format!("the schema of {payload} is damaged: {fault}")));
         }
         self.check_timeless(findings);
         if !self.unknown_payloads.is_empty() {

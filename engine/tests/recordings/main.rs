@@ -6,5 +6,6 @@ mod diff;
 mod digest;
 mod recover;
 mod rewrite;
+mod schema;
 mod toy;
 mod validate;

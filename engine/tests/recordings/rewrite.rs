@@ -29,7 +29,22 @@ pub(crate) fn rewrite(
     from: &Path,
     to: &Path,
     layout: &Layout,
+    change: impl FnMut(&str, &mut MessageHeader, &mut Vec<u8>) -> bool,
+) {
+    write(from, to, layout, change, |_| ());
+}
+
+/// The same messages; `change` may alter what a channel says of itself.
+pub(crate) fn rewrite_about(from: &Path, to: &Path, layout: &Layout, change: impl Fn(&mut BTreeMap<String, String>)) {
+    write(from, to, layout, |_, _, _| true, change);
+}
+
+fn write(
+    from: &Path,
+    to: &Path,
+    layout: &Layout,
     mut change: impl FnMut(&str, &mut MessageHeader, &mut Vec<u8>) -> bool,
+    change_about: impl Fn(&mut BTreeMap<String, String>),
 ) {
     let bytes = fs::read(from).unwrap();
     let mut metadata = Vec::new();
@@ -64,7 +79,9 @@ pub(crate) fn rewrite(
         let id = *ids.entry(channel.topic.clone()).or_insert_with(|| {
             let schema = channel.schema.as_ref().unwrap();
             let schema = writer.add_schema(&schema.name, &schema.encoding, &schema.data).unwrap();
-            writer.add_channel(schema, &channel.topic, &channel.message_encoding, &channel.metadata).unwrap()
+            let mut about = channel.metadata.clone();
+            change_about(&mut about);
+            writer.add_channel(schema, &channel.topic, &channel.message_encoding, &about).unwrap()
         });
         let mut header = MessageHeader {
             channel_id: id,

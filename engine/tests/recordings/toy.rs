@@ -2,8 +2,8 @@
 
 use osteoflow_engine::{Checked, RunOptions, check_text, run};
 use osteoflow_node::{
-    Column, ColumnType, Context, Describe, Display, Emit, Inputs, Node, NodeError, Outputs, ParamError, Part, Payload,
-    Registry, Source, StampNs, Value, View, ViewError, schemars, serde,
+    Column, ColumnType, Context, Declared, Describe, Display, Emit, Inputs, Node, NodeError, Outputs, ParamError, Part,
+    Payload, Registry, Source, StampNs, Value, View, ViewError, schemars, serde,
     serde_json::{self, Value as Json},
 };
 use std::{
@@ -199,6 +199,24 @@ impl Node for Pass {
 
     fn process(&mut self, i: AnyIn, _: &mut Context) -> Result<AnyOut, NodeError> {
         Ok(AnyOut { thing: i.thing })
+    }
+}
+
+/// Outputs that a graph declares, for what is played in its place.
+#[derive(Describe)]
+pub(crate) struct Played;
+
+impl Source for Played {
+    const KIND: &'static str = "toy.played";
+    type Params = NoParams;
+    type Outputs = Declared<NoParams>;
+
+    fn new(_: NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn next(&mut self, _: &mut Context) -> Result<Option<Declared<NoParams>>, NodeError> {
+        Err(NodeError::new("only to be played"))
     }
 }
 

@@ -1,0 +1,57 @@
+//! The payload types that a recording tells of, so that it can be read where nothing else is known of them.
+
+use crate::container::Wire;
+use osteoflow_node::{OutputPort, OutputPorts, Part, PayloadType, PortPayload, Registry};
+use std::collections::BTreeMap;
+
+/// For each payload of a recording's wires, by name and version, the type that its schema makes, or why it makes none.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct RecordedTypes(BTreeMap<(String, u32), Result<&'static PayloadType, String>>);
+
+impl RecordedTypes {
+    /// Takes what a wire's channel says; channels of earlier programs, and of wires that take anything, say nothing.
+    pub(crate) fn add(&mut self, wire: &Wire) {
+        let Some(schema) = &wire.schema else { return };
+        let of = || {
+            let schema: Vec<Part> = serde_json::from_str(schema).map_err(|error| error.to_string())?;
+            PayloadType::free(&wire.payload, wire.version, schema).map_err(|error| error.to_string())
+        };
+        self.0.entry((wire.payload.clone(), wire.version)).or_insert_with(of);
+    }
+
+    /// The type of that name and version.
+    pub(crate) fn get(&self, name: &str, version: u32) -> Option<&'static PayloadType> {
+        self.0.get(&(name.to_owned(), version))?.as_ref().ok().copied()
+    }
+
+    /// Payloads whose schemas make no type, and why.
+    pub(crate) fn faults(&self) -> impl Iterator<Item = (String, &str)> {
+        let all = self.0.iter();
+        all.filter_map(|((name, version), ty)| Some((format!("{name}@{version}"), ty.as_ref().err()?.as_str())))
+    }
+
+    /// The registry, and what it does not know of the recording's payloads. What goes by the name of one there, or is on
+    /// a port of a kind, is better known than by a schema, and stands.
+    pub(crate) fn registry(&self, known: &Registry) -> Registry {
+        let mut registry = known.clone();
+        let ports = known.kinds().flat_map(|kind| {
+            let inputs = kind.description.inputs.iter().map(|port| port.payload);
+            let outputs: &[OutputPort] = match &kind.description.outputs {
+                OutputPorts::Fixed(outputs) => outputs,
+                OutputPorts::Declared { .. } => &[],
+            };
+            inputs.chain(outputs.iter().map(|port| port.payload))
+        });
+        let types = ports.filter_map(|payload| match payload {
+            PortPayload::Type(ty) => Some(ty),
+            PortPayload::Any => None,
+        });
+        for ty in types.chain(self.0.values().filter_map(|ty| ty.as_ref().ok().copied())) {
+            if registry.payload_type(ty.name).is_none() {
+                // There is none that it could differ from.
+                let _ = registry.add_payload_type(ty);
+            }
+        }
+        registry
+    }
+}
