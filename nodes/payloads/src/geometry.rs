@@ -14,7 +14,7 @@ use serde_json::{Value as Json, json};
 use std::sync::Arc;
 
 /// What separates names in one text field; a name holds no line break.
-const LINE: &str = "\n";
+pub(crate) const LINE: &str = "\n";
 
 /// Translation x, y, z in mm and quaternion x, y, z, w.
 fn numbers(t: &Isometry3<f64>) -> [f64; 7] {

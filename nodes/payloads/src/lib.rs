@@ -15,11 +15,13 @@
 mod columns;
 mod foxglove;
 mod geometry;
+mod metrics;
 mod report;
 mod target;
 mod words;
 
-pub use words::{Flag, Text};
+pub use metrics::{Metric, Metrics, MetricsError};
+pub use words::{Flag, Json, Text};
 
 use osteoflow_node::Registry;
 
@@ -39,7 +41,9 @@ pub fn register(registry: &mut Registry) {
         .payload::<Axes, _>()
         .payload::<osteoflow_algorithms::target::Target, _>()
         .payload::<Text, _>()
-        .payload::<Flag, _>();
+        .payload::<Flag, _>()
+        .payload::<Json, _>()
+        .payload::<Metrics, _>();
     report::register(registry);
 }
 
@@ -63,7 +67,8 @@ mod tests {
     fn words_and_reports_fit_their_schemas() {
         // One macro writes the views of all reports.
         let report = osteoflow_algorithms::icp::IcpTrace::default();
-        for value in [Value::new(Text("here".into())), Value::new(Flag(true)), Value::new(report)] {
+        let json = Json(serde_json::json!({ "n": 1 }).into());
+        for value in [Value::new(Text("here".into())), Value::new(Flag(true)), Value::new(json), Value::new(report)] {
             assert_eq!(value.to_view().check(value.ty().schema), Ok(()), "{value:?}");
         }
     }

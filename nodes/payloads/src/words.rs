@@ -52,3 +52,44 @@ impl Payload<Table> for Flag {
         self.0.into()
     }
 }
+
+/// Any JSON: what a node has to say for which no other payload is made. In `results.json` it stands as it is.
+///
+/// A number in it has no unit but the suffix of its key; numbers are better told as [`crate::Metrics`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Json(pub Arc<serde_json::Value>);
+
+impl Payload<Table> for Json {
+    const NAME: &'static str = "report/Json";
+    const VERSION: u32 = 1;
+    const SCHEMA: &'static [Part] = &[Part::text("json")];
+
+    fn to_view(&self) -> View {
+        View::new().with("json", self.0.to_string())
+    }
+
+    fn from_view(view: &View) -> Result<Self, ViewError> {
+        let json = serde_json::from_str(view.text("json")?).map_err(|error| ViewError::Invalid(error.to_string()))?;
+        Ok(Self(Arc::new(json)))
+    }
+
+    fn to_result(&self) -> serde_json::Value {
+        (*self.0).clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn json_comes_back_with_its_keys_in_order_and_its_numbers_to_the_bit() {
+        let json = Json(Arc::new(json!({ "z": [0.1, -0.0, 1e308, u64::MAX], "a": { "b": null, "c": "µ" } })));
+        let back = Json::from_view(&json.to_view()).unwrap();
+        assert_eq!(back.to_result().to_string(), json.to_result().to_string());
+        assert_eq!(back.0["z"][0].as_f64().map(f64::to_bits), Some(0.1_f64.to_bits()));
+        let said = Json::from_view(&View::new().with("json", "{")).unwrap_err().to_string();
+        assert!(said.starts_with("the view is no valid payload"), "{said}");
+    }
+}
