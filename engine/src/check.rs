@@ -40,7 +40,7 @@ use crate::{
 };
 use osteoflow_node::Registry;
 use schema::Files;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The known name that was probably meant by `found`.
 pub fn nearest<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
@@ -96,6 +96,13 @@ pub fn check_file(path: &Path, sets: &[String], registry: &Registry) -> Result<C
         Some(graph) => Check::new(registry, Files::Needed, faults).run(&graph, path),
         None => Err(Faults(faults)),
     }
+}
+
+/// The files that the graph's text stands in: the graph file, what it extends and the modules it uses, whether they can be
+/// read or not.
+pub fn texts(path: &Path, sets: &[String]) -> Vec<PathBuf> {
+    let loaded = graph::load(path, sets, &mut Vec::new());
+    loaded.map_or_else(|| vec![path.into()], |graph| graph.texts)
 }
 
 /// Checks the text of a graph file as if it stood at `virtual_path`, which its relative paths are relative to.

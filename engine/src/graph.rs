@@ -23,7 +23,10 @@ pub(crate) use {
 pub use set::Given;
 
 use crate::fault::{Fault, SourceText, Span};
-use std::{path::Path, sync::Arc};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 /// The merged tree of a graph, with nodes in the place of modules.
 pub(crate) struct Graph {
@@ -37,6 +40,8 @@ pub(crate) struct Graph {
     pub(crate) modules: Vec<Module>,
     /// What the file declares, if it is a module itself.
     pub(crate) interface: Option<Interface>,
+    /// The files of the text: the graph file, what it extends and the modules it uses, whether they could be read or not.
+    pub(crate) texts: Vec<PathBuf>,
 }
 
 impl Graph {
@@ -63,11 +68,14 @@ pub(crate) fn load_text(text: String, path: &Path, sets: &[String], faults: &mut
     let mut chain = extends::Chain::new(path, &mut removed, faults);
     let (main, mut table) = chain.load(text);
     let n_texts = chain.len();
+    let mut texts = vec![path.into()];
+    texts.append(&mut chain.texts);
     let edits = set::apply(&mut table, sets, &mut removed, faults);
     let interface = interface::read(&mut table, faults);
     if let Some(interface) = &interface {
         modules::stand_alone(&mut table, interface, faults);
     }
-    let modules = modules::Flattener::new(path, n_texts, &mut removed, faults).flatten(&mut table, edits);
-    Graph { table, main, removed, modules, interface }
+    let (modules, of_modules) = modules::Flattener::new(path, n_texts, &mut removed, faults).flatten(&mut table, edits);
+    texts.extend(of_modules);
+    Graph { table, main, removed, modules, interface, texts }
 }

@@ -12,6 +12,7 @@ mod graph;
 mod join;
 mod manifest;
 mod numbers;
+mod part;
 pub mod plan;
 pub mod record;
 pub mod recording;
@@ -21,11 +22,13 @@ pub mod repro;
 mod results;
 pub mod run;
 pub mod schema;
+mod stamp;
 pub mod store;
 mod sync;
 #[cfg(test)]
 mod toy;
 pub mod validate;
+pub mod watch;
 
 pub use check::{Checked, CheckedFile, Module, check, check_file, check_recorded, check_text};
 pub use fault::{Fault, Faults};

@@ -139,7 +139,8 @@ pub(crate) fn hashes(paths: &[PathBuf]) -> Vec<Json> {
     out
 }
 
-fn list(path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
+/// The file, or all files in the folder and those in it, by name.
+pub(crate) fn list(path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
     if !path.is_dir() {
         files.push(path.into());
         return Ok(());

@@ -67,8 +67,12 @@ pub struct PlanNode {
     pub role: Role,
     /// Where its table begins.
     pub location: Location,
+    /// The SHA-256 of the plugin library that the kind comes from; `None` for a kind of the program itself.
+    pub plugin: Option<Arc<str>>,
     /// Checked parameters, paths absolute.
     pub params: serde_json::Value,
+    /// The files that its parameters name, absolute.
+    pub files: Vec<PathBuf>,
     /// The outputs that the graph declared by `out`, for sources that take such.
     pub declared: Arc<[DeclaredPort]>,
     /// Its inputs, in the order of the kind's ports.

@@ -1,7 +1,6 @@
 //! Runs a recording again: recorded wires are played, what follows from them is computed anew and compared.
 
 mod compare;
-mod player;
 mod select;
 #[cfg(test)]
 mod tests;
@@ -11,14 +10,13 @@ use crate::{
     diff,
     fault::Faults,
     manifest,
+    part::{self, Failing, Pace, Part, Player},
     plan::{OutputId, Plan, Sources},
     recording::{Recording, RecordingError},
     run::{self, Observer, Replayed, RunError, RunOptions, RunReport, Substitutes},
 };
 use compare::Compare;
 use osteoflow_node::{Body, Item, Join, PortPayload, Reading, Registry, Role, StampNs};
-use player::{Failing, Pace, Player};
-use select::Part;
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
@@ -271,7 +269,7 @@ pub(crate) fn replay_plan(
     }
     let computed_too = computed_too(plan, changes, &parts);
 
-    let mut reduced = select::reduce(&Plan { record: recorded.iter().copied().collect(), ..plan.clone() }, &parts);
+    let mut reduced = part::reduce(&Plan { record: recorded.iter().copied().collect(), ..plan.clone() }, &parts);
     if !runs_sources {
         // Their content went into the recording; the files themselves are not read.
         reduced.input_files.clear();
@@ -329,7 +327,7 @@ fn is_computed_name<'a>(computes: &'a BTreeSet<&str>) -> impl Fn(&str) -> bool +
 /// The outputs of the plan that were recorded.
 fn recorded_outputs(plan: &Plan, recording: &Recording) -> Result<BTreeSet<OutputId>, ReplayError> {
     let mut recorded = BTreeSet::new();
-    for id in (0..plan.nodes.len()).flat_map(|node| select::outputs(plan, node)) {
+    for id in (0..plan.nodes.len()).flat_map(|node| part::outputs(plan, node)) {
         let name = plan.wire_name(id);
         let Some(wire) = recording.wires.get(&name) else { continue };
         if let PortPayload::Type(ty) = plan.nodes[id.node].outputs[id.port].payload
@@ -348,7 +346,7 @@ fn parts(
     changes: &ReplayOptions,
     recorded: &BTreeSet<OutputId>,
 ) -> Result<Vec<Part>, ReplayError> {
-    let is_recorded = |index: usize| select::outputs(plan, index).any(|id| recorded.contains(&id));
+    let is_recorded = |index: usize| part::outputs(plan, index).any(|id| recorded.contains(&id));
     if let Some(graph) = &changes.graph {
         let plays = |(index, node): (usize, &crate::plan::PlanNode)| node.role != Role::Node && is_recorded(index);
         if !plan.nodes.iter().enumerate().any(plays) && changes.from.is_none() {
@@ -415,10 +413,7 @@ fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[Part]) -> Vec<Str
     };
     let mut follows = vec![false; plan.nodes.len()];
     follows[from] = true;
-    for index in from..plan.nodes.len() {
-        let inputs = plan.nodes[index].inputs.iter().filter_map(|input| Some(plan.links[input.link?].from.node));
-        follows[index] |= inputs.into_iter().any(|node| follows[node]);
-    }
+    part::follow(plan, &mut follows);
     let nodes = plan.nodes.iter().enumerate();
     let too = nodes.filter(|(index, _)| parts[*index] == Part::Computed && !follows[*index]);
     too.map(|(_, node)| node.name.to_string()).collect()
@@ -460,7 +455,7 @@ fn players(
     let pace = changes.rate.map(|rate| Arc::new(Pace { rate, first_ns, began: Default::default() }));
     let mut players = Substitutes::new();
     for (index, node) in plan.nodes.iter().enumerate().filter(|(index, _)| !is_computed(*index)) {
-        let ports = select::outputs(plan, index).map(|id| items.remove(&id).unwrap_or_default());
+        let ports = part::outputs(plan, index).map(|id| items.remove(&id).unwrap_or_default());
         let mut ports: Vec<_> = ports.collect();
         let failed = recording.failures.iter().find(|failure| *failure.node == *node.name && !failure.skipped);
         let failure = failed.and_then(|failed| failing(&mut ports, &failed.node, &failed.reason));
@@ -484,7 +479,7 @@ fn failing(ports: &mut [Vec<Item>], node: &str, reason: &str) -> Option<Failing>
 
 /// Whether all that takes the output takes one item for the whole run.
 fn is_constant(plan: &Plan, id: OutputId) -> bool {
-    let mut links = select::consumers(plan, id).peekable();
+    let mut links = part::consumers(plan, id).peekable();
     links.peek().is_some() && links.all(|link| plan.nodes[link.to_node].inputs[link.to_port].port.join == Join::Once)
 }
 

@@ -37,13 +37,18 @@ pub(crate) enum Keep {
 }
 
 /// What is kept of a wire.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub(crate) struct Kept {
     n_items: u64,
     items: Vec<Item>,
 }
 
 impl Kept {
+    /// The items that were kept, in their order.
+    pub(crate) fn items(&self) -> &[Item] {
+        &self.items
+    }
+
     /// Counts an item of the wire, and keeps it where the results need it.
     pub(crate) fn count(&mut self, item: &Item, keep: Keep) {
         self.n_items += 1;

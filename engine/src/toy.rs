@@ -561,8 +561,19 @@ impl Toy {
         let role = registry().kind(kind).unwrap().description.role;
         let location = Location { file: "toy.toml".into(), line: 10 + self.plan.nodes.len(), column: 1 };
         let (name, kind) = (Arc::from(name), kind.to_owned());
-        let on_error = OnError::Stop;
-        self.plan.nodes.push(PlanNode { name, kind, role, location, params, declared, inputs, outputs, on_error });
+        self.plan.nodes.push(PlanNode {
+            name,
+            kind,
+            role,
+            location,
+            plugin: None,
+            params,
+            files: Vec::new(),
+            declared,
+            inputs,
+            outputs,
+            on_error: OnError::Stop,
+        });
     }
 
     pub(crate) fn wire(&self, name: &str) -> OutputId {

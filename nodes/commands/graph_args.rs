@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf};
 
 /// A graph file and what the command line changes in it.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 pub(crate) struct GraphArgs {
     /// The graph file.
     pub(crate) graph: PathBuf,
@@ -52,7 +52,8 @@ impl GraphArgs {
     }
 }
 
-fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
+/// What is hardly meant, to people.
+pub(super) fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
     if !warnings.is_empty() && !global.quiet && global.format == Format::Text {
         writeln!(std::io::stderr(), "{}\n", Faults(warnings.to_vec()).render(global.colour_err()))?;
     }
@@ -63,9 +64,14 @@ fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
 pub(super) fn tell(faults: &Faults, global: &Global) -> Result<()> {
     match global.format {
         Format::Text => writeln!(std::io::stderr(), "{}", faults.render(global.colour_err()))?,
-        Format::Json => print_json(&json!({ "outcome": Exit::Usage.to_json(), "faults": faults.to_json() }))?,
+        Format::Json => print_json(&as_json(faults))?,
     }
     Ok(())
+}
+
+/// The same as one JSON value.
+pub(super) fn as_json(faults: &Faults) -> Value {
+    json!({ "outcome": Exit::Usage.to_json(), "faults": faults.to_json() })
 }
 
 /// The one JSON value that a command answers.

@@ -29,6 +29,7 @@ mod simulate;
 mod simulate_folder;
 mod text_table;
 mod validate;
+mod watch;
 
 pub(crate) use exit::{Exit, UsageError};
 use graph_args::{GraphArgs, print_json};
@@ -73,7 +74,7 @@ pub(crate) struct Cli {
 }
 
 /// Switches that every command takes.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 pub(crate) struct Global {
     /// How to answer on stdout.
     #[arg(long, global = true, value_enum, default_value_t = Format::Text, value_name = "FORMAT")]

@@ -67,8 +67,29 @@ fn make_new(parent: &Path, graph: &str, now: SystemTime) -> Result<PathBuf> {
     // A graph may have any name; a folder's has no separators in it.
     let plain = |c: char| if c.is_alphanumeric() || "-_".contains(c) { c } else { '_' };
     let stem = format!("{}-{}", graph.chars().map(plain).collect::<String>(), stamp_text(now));
-    for n in 1.. {
-        let dir = parent.join(if n == 1 { stem.clone() } else { format!("{stem}-{n}") });
+    make_numbered(parent, &stem, 1)
+}
+
+/// The folder for a run after the one that left its files in `dir`: beside it, `dir-2`, `dir-3` and so on.
+///
+/// # Errors
+/// If it cannot be made, or `dir` is the root, which has nothing beside it.
+pub(crate) fn make_after(dir: &Path) -> Result<PathBuf> {
+    // A name such as `.` has no end to put a number to.
+    let dir = match dir.file_name() {
+        Some(_) => dir.to_owned(),
+        None => std::path::absolute(dir).with_context(|| format!("{} is no folder", dir.display()))?,
+    };
+    let (Some(parent), Some(name)) = (dir.parent(), dir.file_name()) else {
+        return Err(UsageError(format!("{} has nothing beside it; name another folder", dir.display())).into());
+    };
+    make_numbered(parent, &name.to_string_lossy(), 2)
+}
+
+/// The first folder of this name and a number that is not there yet; the first of all has no number.
+fn make_numbered(parent: &Path, stem: &str, first: u32) -> Result<PathBuf> {
+    for n in first.. {
+        let dir = parent.join(if n == 1 { stem.to_owned() } else { format!("{stem}-{n}") });
         match fs::create_dir(&dir) {
             Ok(()) => return Ok(dir),
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
@@ -120,6 +141,15 @@ mod tests {
         let made: Vec<_> = (0..3).map(|_| make_new(parent.path(), "fibula", now).unwrap()).collect();
         let names: Vec<_> = made.iter().map(|d| d.file_name().unwrap().to_str().unwrap()).collect();
         assert_eq!(names, ["fibula-20260314-092653", "fibula-20260314-092653-2", "fibula-20260314-092653-3"]);
+    }
+
+    #[test]
+    fn a_later_run_gets_the_next_folder_beside_the_first() {
+        let parent = tempfile::tempdir().unwrap();
+        fs::create_dir(parent.path().join("out-3")).unwrap();
+        let made: Vec<_> = (0..2).map(|_| make_after(&parent.path().join("out")).unwrap()).collect();
+        assert_eq!(made, [parent.path().join("out-2"), parent.path().join("out-4")]);
+        assert!(make_after(Path::new("/")).is_err());
     }
 
     #[test]

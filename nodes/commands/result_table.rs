@@ -9,17 +9,41 @@ pub(crate) const NOTICE: &str = "research use only, not for clinical use";
 
 /// The tables of those known keys that `results` holds; other keys are the file's alone.
 pub(crate) fn text(results: &Value) -> String {
+    blocks(results, tables(results))
+}
+
+/// The same, with what stood in the tables of an earlier run below what has become other.
+pub(crate) fn text_beside(results: &Value, earlier: &Value) -> String {
+    let mut now = tables(results);
+    let earlier = tables(earlier);
+    for table in &mut now {
+        if let Some(was) = earlier.iter().find(|was| was.title() == table.title()) {
+            table.beside(was);
+        }
+    }
+    blocks(results, now)
+}
+
+fn blocks(results: &Value, tables: Vec<TextTable>) -> String {
     let mut blocks = vec![banner(results)];
     if let Some(refused) = results.get("refused") {
         blocks.push(format!("refused: {}\n", plain(refused)));
     }
-    let tables =
-        [poses(results), points(results), icp(results), planes(results, "planes_at_scan", "planes at the scan")];
-    blocks.extend(tables.into_iter().flatten());
-    blocks.extend(planes(results, "planes", "planes, latest"));
-    blocks.extend(target_errors(results, "tre_measured_mm", "TRE, measured by stylus"));
-    blocks.extend(target_errors(results, "tre_true_mm", "TRE, true"));
+    blocks.extend(tables.iter().map(TextTable::lines));
     blocks.join("\n")
+}
+
+fn tables(results: &Value) -> Vec<TextTable> {
+    let tables = [
+        poses(results),
+        points(results),
+        icp(results),
+        planes(results, "planes_at_scan", "planes at the scan"),
+        planes(results, "planes", "planes, latest"),
+        target_errors(results, "tre_measured_mm", "TRE, measured by stylus"),
+        target_errors(results, "tre_true_mm", "TRE, true"),
+    ];
+    tables.into_iter().flatten().collect()
 }
 
 /// Whether it is simulated, and against which surface.
@@ -35,7 +59,7 @@ fn banner(results: &Value) -> String {
     format!("{}\n", words.join(", "))
 }
 
-fn poses(results: &Value) -> Option<String> {
+fn poses(results: &Value) -> Option<TextTable> {
     let mut table = TextTable::new("poses", &["x", "y", "z mm", "rx", "ry", "rz deg"]);
     for (name, pose) in results.get("poses")?.as_object()? {
         table.row(name, pose_cells(&pose["matrix"]));
@@ -51,7 +75,7 @@ fn pose_cells(matrix: &Value) -> Vec<String> {
     origin.iter().chain(turn.iter()).map(|&v| fixed(v, 2)).collect()
 }
 
-fn points(results: &Value) -> Option<String> {
+fn points(results: &Value) -> Option<TextTable> {
     let mut table = TextTable::new("laser points", &["x", "y", "z mm", "confidence"]);
     for point in results.get("laser_points")?.as_array()? {
         let mut cells = numbers(&point["position_mm"], 2);
@@ -62,7 +86,7 @@ fn points(results: &Value) -> Option<String> {
     some(table)
 }
 
-fn icp(results: &Value) -> Option<String> {
+fn icp(results: &Value) -> Option<TextTable> {
     let icp = results.get("icp")?;
     let mut table = TextTable::new("icp", &["iterations", "pairs", "rms mm", "leaves mm"]);
     let rms = icp["rms_mm"].as_f64().map_or_else(|| "-".into(), |v| fixed(v, 4));
@@ -73,7 +97,7 @@ fn icp(results: &Value) -> Option<String> {
     some(table)
 }
 
-fn planes(results: &Value, key: &str, title: &str) -> Option<String> {
+fn planes(results: &Value, key: &str, title: &str) -> Option<TextTable> {
     let mut table = TextTable::new(title, &["x", "y", "z mm", "nx", "ny", "nz"]);
     for plane in results.get(key)?.as_array()? {
         let cells = match (plane.get("unknown"), matrix4(&plane["matrix"])) {
@@ -94,7 +118,7 @@ fn planes(results: &Value, key: &str, title: &str) -> Option<String> {
     some(table)
 }
 
-fn target_errors(results: &Value, key: &str, title: &str) -> Option<String> {
+fn target_errors(results: &Value, key: &str, title: &str) -> Option<TextTable> {
     let tre = results.get("metrics")?.get(key)?;
     let mut table = TextTable::new(title, &["x", "y", "z", "norm mm"]);
     for point in tre["points"].as_array()? {
@@ -136,8 +160,8 @@ fn plain(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
-fn some(table: TextTable) -> Option<String> {
-    (!table.is_empty()).then(|| table.lines())
+fn some(table: TextTable) -> Option<TextTable> {
+    (!table.is_empty()).then_some(table)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@ use super::{
     progress::Progress,
     result_table, run_table,
     running::{self, Ran},
+    watch,
 };
 use anyhow::Result;
 use clap::Args;
@@ -21,28 +22,37 @@ use std::{
 /// Run a graph: check it, run it, leave results, where they came from, and a recording of its wires.
 ///
 /// Without --out the files go into runs/GRAPH-TIME in the current folder.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 #[command(after_help = "\
 Examples:
   osteoflow run graphs/fibula.toml
   osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_plane --set graph.seed=7
   osteoflow run graphs/fibula_recorded.toml --set recording.path=R.mcap --set bone.path=B.stl \\
       --set phantom.path=P.stl --set plan.path=R.plan.json --out DIR
+  osteoflow run graphs/fibula.toml --watch              then edit the graph: each save is run within the second
   osteoflow run graphs/fibula.toml --inject icp --out R && osteoflow repro R/repro/icp-0
   osteoflow run graphs/fibula.toml --format json --quiet | jq .metrics.tre_true_mm")]
 pub(crate) struct Run {
     #[command(flatten)]
-    graph: GraphArgs,
+    pub(super) graph: GraphArgs,
 
     #[command(flatten)]
-    leave: Leave,
+    pub(super) leave: Leave,
 
     #[command(flatten)]
-    keep: Keep,
+    pub(super) keep: Keep,
+
+    /// Run again whenever the graph file is saved, or a file that it extends, uses as a module or names in a parameter:
+    /// from the first changed node on, the results of all others are kept (in memory). A rerun leaves results.json and
+    /// manifest.json in a folder of its own: a new one under runs/, or with --out DIR in DIR-2, DIR-3 and so on. Ctrl-C
+    /// ends it, with exit code 0 between two runs and 130 during one. With --format json each run is a line of JSON. Live
+    /// sources are refused.
+    #[arg(long, conflicts_with = "inject")]
+    watch: bool,
 
     /// Do not write run.mcap.
     #[arg(long)]
-    no_record: bool,
+    pub(super) no_record: bool,
 
     /// For testing how a graph fails: let a node panic, or answer an error, in the place of its own work at this item
     /// (0 if not given); may be given again.
@@ -52,11 +62,11 @@ pub(crate) struct Run {
     /// For testing: delay threads, wake them without reason and reorder nodes, by chance from this seed. The results
     /// are the same with any seed and without, on any number of workers.
     #[arg(long, value_name = "SEED")]
-    shuffle: Option<u64>,
+    pub(super) shuffle: Option<u64>,
 }
 
 /// Where a run leaves its files, and on how many threads it runs.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 pub(crate) struct Leave {
     /// The folder to leave the files in; one that is not empty is refused.
     #[arg(long, value_name = "DIR")]
@@ -72,7 +82,7 @@ pub(crate) struct Leave {
 }
 
 /// Whether answers are kept from one run to the next.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 pub(crate) struct Keep {
     /// Compute everything: neither look answers up in the store nor keep them there. The results are the same with and
     /// without it. OSTEOFLOW_CACHE names the store's folder, or is `off`; OSTEOFLOW_CACHE_MAX_MB says how much it holds
@@ -92,6 +102,9 @@ impl Keep {
 
 impl Run {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        if self.watch {
+            return watch::execute(self, global);
+        }
         let (registry, Some(checked)) = self.graph.check(global)? else { return Ok(Exit::Usage) };
         let plan = checked.plan;
         let inject = self.inject.iter().map(|text| Injection::parse(text, &plan)).collect::<Result<_, _>>();
@@ -124,6 +137,16 @@ impl Run {
 
 /// Tells how a run ended: answers on stdout, everything else on stderr.
 pub(crate) fn tell(report: &RunReport, dir: &Path, global: &Global) -> Result<Exit> {
+    let exit = tell_end(report, global)?;
+    match global.format {
+        Format::Json => print_json(&with_outcome(report, exit, dir))?,
+        Format::Text => print_text(report, &result_table::text(&report.results), dir, global)?,
+    }
+    Ok(exit)
+}
+
+/// What goes to stderr: warnings, and why there are no results.
+pub(super) fn tell_end(report: &RunReport, global: &Global) -> Result<Exit> {
     let exit = match &report.outcome {
         Outcome::Complete => Exit::Done,
         Outcome::Refused(_) => Exit::Refused,
@@ -142,11 +165,6 @@ pub(crate) fn tell(report: &RunReport, dir: &Path, global: &Global) -> Result<Ex
     if !global.quiet {
         tell_saved(&mut err, report)?;
     }
-    drop(err);
-    match global.format {
-        Format::Json => print_json(&with_outcome(report, exit, dir))?,
-        Format::Text => print_text(report, dir, global)?,
-    }
     Ok(exit)
 }
 
@@ -161,13 +179,14 @@ fn tell_saved(err: &mut impl Write, report: &RunReport) -> Result<()> {
     Ok(())
 }
 
-fn print_text(report: &RunReport, dir: &Path, global: &Global) -> Result<()> {
+/// The tables, and where the files lie.
+pub(super) fn print_text(report: &RunReport, table: &str, dir: &Path, global: &Global) -> Result<()> {
     let mut out = std::io::stdout().lock();
     if global.verbose > 0 {
         writeln!(out, "{}", run_table::text(report))?;
     }
     if report.outcome == Outcome::Complete {
-        writeln!(out, "{}", result_table::text(&report.results))?;
+        writeln!(out, "{table}")?;
     }
     let files = [out_dir::RESULTS, out_dir::MANIFEST, out_dir::RECORDING].into_iter().filter(|f| dir.join(f).exists());
     let files = files.collect::<Vec<_>>().join(", ");
@@ -176,7 +195,7 @@ fn print_text(report: &RunReport, dir: &Path, global: &Global) -> Result<()> {
 }
 
 /// What `results.json` holds, and how the run ended.
-fn with_outcome(report: &RunReport, exit: Exit, dir: &Path) -> Value {
+pub(super) fn with_outcome(report: &RunReport, exit: Exit, dir: &Path) -> Value {
     let mut outcome = exit.to_json();
     outcome["out_dir"] = dir.display().to_string().into();
     let mut all = serde_json::Map::from_iter([("outcome".to_owned(), outcome)]);

@@ -27,6 +27,27 @@ impl TextTable {
         self.rows.is_empty()
     }
 
+    /// The table's title.
+    pub(crate) fn title(&self) -> &str {
+        &self.title
+    }
+
+    /// Puts below each row what it was in an earlier table, where that was other. A row alone in its table may have had
+    /// another name.
+    pub(crate) fn beside(&mut self, earlier: &Self) {
+        let alone = self.rows.len() == 1 && earlier.rows.len() == 1;
+        let mut rows = Vec::new();
+        for row in std::mem::take(&mut self.rows) {
+            let was = earlier.rows.iter().find(|was| was[0] == row[0]).or(earlier.rows.first().filter(|_| alone));
+            let was = was.filter(|was| **was != row).map(|was| {
+                let name = if was[0] == row[0] { "  was".into() } else { format!("  was {}", was[0]) };
+                std::iter::once(name).chain(was[1..].iter().cloned()).collect()
+            });
+            rows.extend([row].into_iter().chain(was));
+        }
+        self.rows = rows;
+    }
+
     /// The lines. A cell beyond the last column is a remark: it stands at the end, to the left.
     pub(crate) fn lines(&self) -> String {
         let name_width = self.rows.iter().map(|r| 2 + width(&r[0])).chain([width(&self.title)]).max().unwrap_or(0);
@@ -78,5 +99,20 @@ mod tests {
         table.row("P10", ["10.50".into(), "-44".into()]);
         let expected = "laser points      x   mm\n  P1          -1.25    3  in ct\n  P10         10.50  -44\n";
         assert_eq!(table.lines(), expected);
+    }
+
+    #[test]
+    fn what_a_row_was_stands_below_it_where_it_was_other() {
+        let table = |rows: &[(&str, &str)]| {
+            let mut table = TextTable::new("icp", &["mm"]);
+            rows.iter().for_each(|(name, cell)| table.row(*name, [(*cell).to_owned()]));
+            table
+        };
+        let mut now = table(&[("P1", "1.0"), ("P2", "2.5"), ("P3", "3.0")]);
+        now.beside(&table(&[("P1", "1.0"), ("P2", "2.0")]));
+        assert_eq!(now.lines(), "icp       mm\n  P1     1.0\n  P2     2.5\n    was  2.0\n  P3     3.0\n");
+        let mut now = table(&[("converged", "1.0")]);
+        now.beside(&table(&[("not converged", "2.0")]));
+        assert!(now.lines().contains("    was not converged  2.0\n"), "{}", now.lines());
     }
 }

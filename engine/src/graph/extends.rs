@@ -33,6 +33,8 @@ pub(super) struct Chain<'f> {
     path: PathBuf,
     /// Canonical paths, to see a cycle through links, and the names shown.
     seen: Vec<(PathBuf, PathBuf)>,
+    /// The files that are extended, whether they could be read or not.
+    pub(super) texts: Vec<PathBuf>,
     /// The place of the first text among all of the graph.
     order: usize,
     /// The node that uses the file as a module.
@@ -43,7 +45,7 @@ pub(super) struct Chain<'f> {
 
 impl<'f> Chain<'f> {
     pub(super) fn new(path: &Path, removed: &'f mut Removed, faults: &'f mut Vec<Fault>) -> Self {
-        Self { path: path.into(), seen: Vec::new(), order: 0, used: None, removed, faults }
+        Self { path: path.into(), seen: Vec::new(), texts: Vec::new(), order: 0, used: None, removed, faults }
     }
 
     /// The chain of a module.
@@ -92,6 +94,7 @@ impl<'f> Chain<'f> {
             self.faults.push(Fault::new(message).at(&entry.value.at, "closes the circle").hides(&entry.value.at));
             return Table::default();
         }
+        self.texts.push(base.clone());
         match read(&base) {
             Ok(text) => self.layer(&base, text).1,
             Err(fault) => {

@@ -42,6 +42,7 @@ pub(super) struct Flattener<'f> {
     /// Canonical paths of the files that hold a node, outermost first, with the names shown; by the module's node.
     files: BTreeMap<String, Vec<(PathBuf, PathBuf)>>,
     n_texts: usize,
+    texts: Vec<PathBuf>,
     modules: Vec<Module>,
     removed: &'f mut Removed,
     faults: &'f mut Vec<Fault>,
@@ -51,11 +52,11 @@ impl<'f> Flattener<'f> {
     /// For the graph file at `path`, which with what it extends has `n_texts` texts.
     pub(super) fn new(path: &Path, n_texts: usize, removed: &'f mut Removed, faults: &'f mut Vec<Fault>) -> Self {
         let files = BTreeMap::from([(String::new(), vec![(extends::canonical(path), extends::tidy(path))])]);
-        Self { files, n_texts, modules: Vec::new(), removed, faults }
+        Self { files, n_texts, texts: Vec::new(), modules: Vec::new(), removed, faults }
     }
 
-    /// Puts nodes in the place of modules until there is none.
-    pub(super) fn flatten(mut self, table: &mut Table, mut edits: Vec<Edit>) -> Vec<Module> {
+    /// Puts nodes in the place of modules until there is none; answers the modules, and the files asked for.
+    pub(super) fn flatten(mut self, table: &mut Table, mut edits: Vec<Edit>) -> (Vec<Module>, Vec<PathBuf>) {
         let mut at = 0;
         while let Some(nodes) = nodes_of(table) {
             let Some(entry) = nodes.0.get(at) else { break };
@@ -74,7 +75,7 @@ impl<'f> Flattener<'f> {
         }
         self.removed.not_found(table, self.faults);
         self.faults.extend(edits.iter().map(Edit::not_found));
-        self.modules
+        (self.modules, self.texts)
     }
 
     /// Puts the nodes of a module at their place, under what the graph says of each of them.
@@ -123,6 +124,7 @@ impl<'f> Flattener<'f> {
         let path = relative(&file.value.at, text);
         module.file = extends::tidy(&path);
         self.see_no_circle(node, &path, &file.value.at)?;
+        self.texts.push(path.clone());
         let text = match extends::read(&path) {
             Ok(text) => text,
             Err(fault) => {
@@ -135,6 +137,7 @@ impl<'f> Flattener<'f> {
         let mut chain = Chain::new(&path, self.removed, self.faults).used(node, &user.key_at, before);
         let (main, mut inner) = chain.load(text);
         self.n_texts += chain.len();
+        self.texts.append(&mut chain.texts);
         let Some(interface) = interface::read(&mut inner, self.faults) else {
             let message = format!("node \"{node}\": {} is a graph, but no module", module.file.display());
             let fault = Fault::new(message).at(&file.value.at, "has no [module]");

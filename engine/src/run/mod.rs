@@ -41,7 +41,7 @@ use crate::{
     plan::{Plan, Sources},
     record::Recorder,
     recording::RecordedFailure,
-    results::{self, Ended},
+    results::{self, Ended, Keep},
 };
 use osteoflow_node::Registry;
 use runtime::Runtime;
@@ -72,8 +72,32 @@ pub(crate) fn run_with(
     replayed: Replayed,
     tap: Option<&dyn Tap>,
 ) -> Result<RunReport, RunError> {
+    run_part(plan, registry, options, observer, replayed, tap, None)
+}
+
+/// What a run is a part of, where the rest of it is at hand.
+pub(crate) struct Whole<'a> {
+    /// The plan of the whole, which results and manifest are of.
+    pub(crate) plan: &'a Plan,
+    /// Puts the rest beside what the part has left; of that, every item of every wire is there.
+    pub(crate) complete: &'a mut dyn FnMut(Ended) -> Ended,
+    /// What the manifest says under `watch`.
+    pub(crate) about: Option<serde_json::Value>,
+}
+
+/// The same, for a plan that may be a part of another.
+pub(crate) fn run_part(
+    plan: &Plan,
+    registry: &Registry,
+    options: &RunOptions,
+    observer: &dyn Observer,
+    replayed: Replayed,
+    tap: Option<&dyn Tap>,
+    whole: Option<Whole<'_>>,
+) -> Result<RunReport, RunError> {
     let began = SystemTime::now();
-    let mut runtime = Runtime::build(plan, registry, options, observer, replayed)?;
+    let keep = if whole.is_some() { Keep::All } else { Keep::Count };
+    let mut runtime = Runtime::build(plan, registry, options, observer, replayed, keep)?;
     let out_dir = options.out_dir.as_deref();
     if let Some(dir) = out_dir {
         std::fs::create_dir_all(dir).map_err(|source| RunError::Write { path: dir.into(), source })?;
@@ -93,8 +117,16 @@ pub(crate) fn run_with(
     let taps: Vec<_> = taps.collect();
     runtime.tap(&taps);
     runtime.run();
-    let ended = runtime.into_ended();
+    let mut ended = runtime.into_ended();
     drop(taps);
+    let latencies = latency.map(|latency| latency.stats(plan)).unwrap_or_default();
+    let (plan, about) = match whole {
+        Some(whole) => {
+            ended = (whole.complete)(ended);
+            (whole.plan, whole.about)
+        }
+        None => (plan, None),
+    };
     let (outcome, mut results) = results::collect(plan, options, &ended);
     let inputs = hashes.as_mut().map(|hashes| hashes.done()).unwrap_or_default();
     let recorded = recorder.map(|recorder| {
@@ -107,11 +139,14 @@ pub(crate) fn run_with(
         results["refused"] = serde_json::json!({ "reason": error.to_string() });
     }
     let mut report = report_of(plan, ended, outcome, results);
-    report.latencies = latency.map(|latency| latency.stats(plan)).unwrap_or_default();
+    report.latencies = latencies;
     if let Some(dir) = out_dir {
         write_json(&dir.join("results.json"), &report.results)?;
         let times = (began, SystemTime::now());
-        let manifest = manifest::manifest(plan, options, &report, recorded.as_ref(), inputs, times);
+        let mut manifest = manifest::manifest(plan, options, &report, recorded.as_ref(), inputs, times);
+        if let Some(about) = about {
+            manifest["watch"] = about;
+        }
         write_json(&dir.join("manifest.json"), &manifest)?;
     }
     recorded.transpose()?;

@@ -101,7 +101,7 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl<'a> Runtime<'a> {
-    /// Builds every node; nothing runs yet.
+    /// Builds every node; nothing runs yet. Of every wire at least `keep` is kept.
     ///
     /// # Errors
     /// [`RunError::Build`] with all nodes that cannot be built.
@@ -111,6 +111,7 @@ impl<'a> Runtime<'a> {
         options: &RunOptions,
         observer: &'a dyn Observer,
         mut replayed: Replayed,
+        keep: Keep,
     ) -> Result<Self, RunError> {
         options.inject.iter().try_for_each(|injection| injection.check(plan)).map_err(RunError::Inject)?;
         let planned: Vec<_> = plan.nodes.iter().map(|node| Planned::of(&node.name, &options.inject)).collect();
@@ -171,7 +172,7 @@ impl<'a> Runtime<'a> {
                 let id = OutputId { node: index, port };
                 let links = output.links.iter().filter_map(|link| sends[*link].take());
                 let kept = plan.results.iter().filter(|entry| entry.from == id);
-                let keep = kept.map(|entry| if entry.all { Keep::All } else { Keep::Last }).max();
+                let keep = kept.map(|entry| if entry.all { Keep::All } else { Keep::Last }).chain([keep]).max();
                 let keep = keep.unwrap_or(Keep::Count);
                 Output::new(id, output.payload, links.collect(), plan.record.contains(&id), keep)
             });

@@ -5,9 +5,9 @@
 //! chosen when the program starts, between processors; so both belong to it.
 
 use super::{Key, Store};
-use crate::{digest::Digest, manifest::sha256};
+use crate::{digest::Digest, manifest::sha256, stamp::stamp};
 use std::{
-    fs::{File, Metadata},
+    fs::File,
     io,
     path::{Path, PathBuf},
     sync::OnceLock,
@@ -47,18 +47,6 @@ fn own_file(store: &Store) -> io::Result<Digest> {
     // Where it cannot be kept it is computed again; what it is for says why.
     let _ = store.put(&key, &[&digest.0]);
     Ok(digest)
-}
-
-/// Size and times of a file, and where the system tells it, which file it is: a new one has another stamp.
-fn stamp(file: &Metadata) -> String {
-    let modified = file.modified().ok().and_then(|time| time.duration_since(SystemTime::UNIX_EPOCH).ok());
-    let stamp = format!("{} bytes, {modified:?}", file.len());
-    #[cfg(unix)]
-    let stamp = {
-        use std::os::unix::fs::MetadataExt;
-        format!("{stamp}, {}.{:09}, {}:{}", file.ctime(), file.ctime_nsec(), file.dev(), file.ino())
-    };
-    stamp
 }
 
 /// The libraries that the process runs code of beside its own file, each with its size and time; known on Linux only.

@@ -1,4 +1,4 @@
-//! Plays recorded items in the place of a node.
+//! Plays items at hand in the place of a node.
 
 use osteoflow_node::{AnySource, Body, Context, Emission, Item, NodeError, StampNs};
 use std::{
@@ -7,31 +7,31 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Gives recorded items in the order of their stamps. In which order wires of one stamp are given does not matter: what
+/// Gives its items in the order of their stamps. In which order wires of one stamp are given does not matter: what
 /// is computed depends on items and stamps alone.
-pub(super) struct Player {
+pub(crate) struct Player {
     /// The items of each port.
-    pub(super) ports: Vec<VecDeque<Item>>,
+    pub(crate) ports: Vec<VecDeque<Item>>,
     /// Where the node failed: what it said, at the stamp that its outputs had come to.
-    pub(super) failure: Option<Failing>,
-    pub(super) pace: Option<Arc<Pace>>,
+    pub(crate) failure: Option<Failing>,
+    pub(crate) pace: Option<Arc<Pace>>,
 }
 
 /// A failure that is played.
-pub(super) struct Failing {
-    pub(super) reason: String,
-    pub(super) stamp_ns: StampNs,
+pub(crate) struct Failing {
+    pub(crate) reason: String,
+    pub(crate) stamp_ns: StampNs,
     /// The outputs have come to the stamp.
-    pub(super) promised: bool,
+    pub(crate) promised: bool,
 }
 
 /// The clock by which items are given.
-pub(super) struct Pace {
+pub(crate) struct Pace {
     /// How many seconds of the recording go by in one.
-    pub(super) rate: f64,
+    pub(crate) rate: f64,
     /// Where the recording begins.
-    pub(super) first_ns: StampNs,
-    pub(super) began: OnceLock<Instant>,
+    pub(crate) first_ns: StampNs,
+    pub(crate) began: OnceLock<Instant>,
 }
 
 impl Pace {

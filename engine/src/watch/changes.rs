@@ -1,0 +1,122 @@
+//! What differs between two plans of a graph, as far as it decides what its nodes compute.
+
+use super::{Memory, Stamps};
+use crate::plan::{Plan, PlanNode, Policy};
+use serde_json::Value as Json;
+use std::collections::BTreeSet;
+
+/// A value in a change is shown up to so many characters.
+const MOST_CHARACTERS: usize = 40;
+
+/// What is computed anew for its own sake, not only for what comes before it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Change {
+    /// The node; `graph` where it concerns all.
+    pub node: String,
+    /// What is other than before, such as `max_pair_distance_mm 5.0 -> 3.0`.
+    pub why: Vec<String>,
+}
+
+/// Another seed: any node may draw.
+pub(super) fn seed(before: u64, now: u64) -> Change {
+    Change { node: "graph".into(), why: vec![format!("seed {before} -> {now}")] }
+}
+
+/// The changed nodes, by their index in the new plan.
+pub(super) fn of(memory: &Memory, plan: &Plan, files: &Stamps) -> Vec<(usize, Change)> {
+    let old = &memory.plan;
+    let change = |(index, node): (usize, &PlanNode)| {
+        let why = match old.nodes.iter().position(|before| before.name == node.name) {
+            None => vec!["new".into()],
+            Some(before) => {
+                let mut why = differences(old, &old.nodes[before], plan, node);
+                let changed = node.files.iter().filter(|file| !files.agree(&memory.files, file));
+                why.extend(changed.map(|file| format!("{} has changed", file.display())));
+                why.extend(memory.unsound[before].then(|| "did not come to its end before".into()));
+                why
+            }
+        };
+        (!why.is_empty()).then(|| (index, Change { node: node.name.to_string(), why }))
+    };
+    plan.nodes.iter().enumerate().filter_map(change).collect()
+}
+
+/// Nodes of the old plan that the new one does not have.
+pub(super) fn removed(old: &Plan, plan: &Plan) -> Vec<String> {
+    let gone = old.nodes.iter().filter(|before| plan.nodes.iter().all(|node| node.name != before.name));
+    gone.map(|node| node.name.to_string()).collect()
+}
+
+fn differences(old: &Plan, before: &PlanNode, plan: &Plan, node: &PlanNode) -> Vec<String> {
+    let mut why = Vec::new();
+    if before.kind != node.kind {
+        // Another kind has other parameters.
+        why.push(format!("kind {} -> {}", before.kind, node.kind));
+    } else {
+        params("", &before.params, &node.params, &mut why);
+    }
+    if before.plugin != node.plugin {
+        why.push("the plugin of its kind has changed".into());
+    }
+    if before.on_error != node.on_error {
+        why.push("on_error".into());
+    }
+    let outputs = |node: &PlanNode| -> Vec<_> {
+        node.outputs.iter().map(|output| (output.name.clone(), output.payload.name())).collect()
+    };
+    let declared = |node: &PlanNode| -> Vec<_> {
+        node.declared.iter().map(|port| (port.name.clone(), port.payload.name, port.params.clone())).collect()
+    };
+    if outputs(before) != outputs(node) || declared(before) != declared(node) {
+        why.push("out".into());
+    }
+    inputs(old, before, plan, node, &mut why);
+    why
+}
+
+fn params(name: &str, before: &Json, now: &Json, why: &mut Vec<String>) {
+    match (before, now) {
+        _ if before == now => {}
+        (Json::Object(before), Json::Object(now)) => {
+            let keys: BTreeSet<_> = before.keys().chain(now.keys()).collect();
+            for key in keys {
+                let name = if name.is_empty() { key.clone() } else { format!("{name}.{key}") };
+                params(&name, before.get(key).unwrap_or(&Json::Null), now.get(key).unwrap_or(&Json::Null), why);
+            }
+        }
+        _ => why.push(format!("{name} {} -> {}", shown(before), shown(now))),
+    }
+}
+
+fn shown(value: &Json) -> String {
+    let text = match value {
+        Json::Null => "none".into(),
+        Json::String(text) => text.clone(),
+        other => other.to_string(),
+    };
+    match text.char_indices().nth(MOST_CHARACTERS) {
+        Some((at, _)) => format!("{}..", &text[..at]),
+        None => text,
+    }
+}
+
+fn inputs(old: &Plan, before: &PlanNode, plan: &Plan, node: &PlanNode, why: &mut Vec<String>) {
+    let wire = |plan: &Plan, link: Option<usize>| link.map(|link| plan.wire_name(plan.links[link].from));
+    for input in &node.inputs {
+        let port = input.port.name;
+        let Some(was) = before.inputs.iter().find(|input| input.port.name == port) else { continue };
+        let (from, now) = (wire(old, was.link), wire(plan, input.link));
+        if from != now {
+            let told = |wire: Option<String>| wire.unwrap_or_else(|| "unwired".into());
+            why.push(format!("in.{port} {} -> {}", told(from), told(now)));
+        } else if was.port.join != input.port.join || policy(old, was.link) != policy(plan, input.link) {
+            why.push(format!("in.{port}"));
+        }
+    }
+}
+
+/// What a wire may lose; how much waits on one that blocks decides nothing.
+fn policy(plan: &Plan, link: Option<usize>) -> Option<(Policy, usize, u64)> {
+    let link = &plan.links[link?];
+    (link.policy != Policy::Block).then_some((link.policy, link.capacity, link.max_bytes))
+}
