@@ -14,6 +14,7 @@ mod manifest;
 mod numbers;
 mod part;
 pub mod plan;
+pub mod plugin;
 pub mod record;
 pub mod recording;
 pub mod recover;

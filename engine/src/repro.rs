@@ -20,7 +20,8 @@ pub use save::{Saved, SavedBundle};
 
 use crate::run::{catch_panic, emission_fault, known, planned_failure, show_panics};
 use osteoflow_node::{
-    Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, PortPayload, Registry, Role, Slot, StampNs,
+    Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, PortPayload, Registry, Role, Site, Slot,
+    StampNs,
 };
 use std::{
     path::Path,
@@ -56,11 +57,6 @@ pub fn repro(dir: &Path, registry: &Registry, program: Program, backtrace: bool)
     let node = &bundle.node;
     let kind = registry.kind(&node.kind).ok_or_else(|| ReproError::Kind(node.kind.clone()))?;
     let build = |message: String| ReproError::Build { node: node.name.clone(), message };
-    let built = match catch_panic(|| kind.build(&node.params)) {
-        Ok(built) => built.map_err(|error| build(error.to_string()))?,
-        Err(panic) => return Err(build(panic)),
-    };
-    let built = planned_failure(built, &node.name, bundle.item, bundle.injected);
     let outputs = node.outputs.iter().map(|output| Ok((output.name.as_str(), payload(registry, &output.payload)?)));
     let outputs: Vec<(&str, PortPayload)> = outputs.collect::<Result<_, ReproError>>()?;
     let declared = node.declared.iter().map(|port| {
@@ -70,6 +66,13 @@ pub fn repro(dir: &Path, registry: &Registry, program: Program, backtrace: bool)
         Ok(DeclaredPort { name: port.name.clone(), payload, params: port.params.clone() })
     });
     let declared: Arc<[DeclaredPort]> = declared.collect::<Result<Vec<_>, ReproError>>()?.into();
+    let joins = kind.description.inputs.iter().map(|port| port.join).collect();
+    let site = Site { node: node.name.as_str().into(), seed: bundle.seed, declared: declared.clone(), joins };
+    let built = match catch_panic(|| kind.build(&node.params, &site)) {
+        Ok(built) => built.map_err(|error| build(error.to_string()))?,
+        Err(panic) => return Err(build(panic)),
+    };
+    let built = planned_failure(built, &node.name, bundle.item, bundle.injected);
     // What it writes goes nowhere: the folder is taken away again.
     let scratch = bundle.out_dir.as_ref().map(|_| Scratch::make()).transpose().map_err(ReproError::Scratch)?;
     let out_dir = scratch.as_ref().map(|scratch| Arc::from(scratch.0.as_path()));

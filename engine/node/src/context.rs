@@ -1,5 +1,6 @@
 use crate::{
     Budget, DeclaredPort, Empty, Kept, Reading, StampNs,
+    plugin::Host,
     reading::{NotRecorded, Readings},
 };
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -26,6 +27,8 @@ pub struct Context {
     warnings: Vec<String>,
     readings: Readings,
     asked: Asked,
+    /// In a plugin, during a firing: the program, which answers in the place of what stands here.
+    host: Option<Host>,
 }
 
 /// What a firing took from its context, apart from readings of the clock. Set through a shared context, also by threads
@@ -58,12 +61,23 @@ impl Context {
             warnings: Vec::new(),
             readings: Readings::default(),
             asked: Asked::default(),
+            host: None,
         }
     }
 
     /// A context outside any run: seed 0, item 0, stamp 0.
     pub fn for_test(node: &str) -> Self {
         Self::new(node, 0, Arc::default(), Arc::from([]))
+    }
+
+    /// The plugin's: the program answers from here on.
+    pub(crate) fn enter(&mut self, host: Host) {
+        self.host = Some(host);
+    }
+
+    /// The plugin's: the firing is over.
+    pub(crate) fn leave(&mut self) {
+        self.host = None;
     }
 
     /// The engine's: nodes that write files write them into this folder.
@@ -137,6 +151,9 @@ impl Context {
     /// The node's full name in the graph.
     #[inline]
     pub fn node(&self) -> &str {
+        if let Some(host) = &self.host {
+            return host.node();
+        }
         self.asked.generator.store(true, Ordering::Relaxed);
         &self.node
     }
@@ -144,6 +161,9 @@ impl Context {
     /// The firing stamp: the largest among the triggering items'. A source sets its own.
     #[inline]
     pub fn stamp_ns(&self) -> StampNs {
+        if let Some(host) = &self.host {
+            return host.stamp_ns();
+        }
         self.asked.rest.store(true, Ordering::Relaxed);
         self.stamp_ns
     }
@@ -151,28 +171,45 @@ impl Context {
     /// For a source: the stamp of what this call of `next` answers; must not decrease.
     #[inline]
     pub fn set_stamp_ns(&mut self, stamp_ns: StampNs) {
+        if let Some(host) = &mut self.host {
+            return host.set_stamp_ns(stamp_ns);
+        }
         self.stamp_ns = stamp_ns;
     }
 
     /// The number of this firing, from 0.
     #[inline]
     pub fn item(&self) -> u64 {
+        if let Some(host) = &self.host {
+            return host.item();
+        }
         self.asked.generator.store(true, Ordering::Relaxed);
         self.item
     }
 
     /// A generator of its own for this run's seed, this node and this item: the same draws whatever ran before.
     pub fn rng(&self) -> ChaCha8Rng {
-        self.asked.generator.store(true, Ordering::Relaxed);
-        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
-        rng.set_stream(fnv1a(self.node.as_bytes()));
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed());
+        rng.set_stream(fnv1a(self.node().as_bytes()));
         // Items lie 2^32 words apart, so that no draw of one is a draw of the next.
-        rng.set_word_pos(u128::from(self.item) << 32);
+        rng.set_word_pos(u128::from(self.item()) << 32);
         rng
+    }
+
+    /// The `index`-th 64 bits that [`Context::rng`] would draw.
+    pub fn random(&self, index: u64) -> u64 {
+        use rand_chacha::rand_core::Rng as _;
+        let mut rng = self.rng();
+        // Words are of 32 bits.
+        rng.set_word_pos(rng.get_word_pos() + 2 * u128::from(index));
+        rng.next_u64()
     }
 
     /// The run's seed.
     pub fn seed(&self) -> u64 {
+        if let Some(host) = &self.host {
+            return host.seed();
+        }
         self.asked.generator.store(true, Ordering::Relaxed);
         self.seed
     }
@@ -181,6 +218,9 @@ impl Context {
     ///
     /// When something was measured is the item's stamp; this is for what a node itself does at a time.
     pub fn clock_ns(&mut self) -> StampNs {
+        if let Some(host) = &mut self.host {
+            return host.clock_ns();
+        }
         let (ns, missing) = self.readings.clock();
         self.warn_of(missing);
         ns
@@ -189,6 +229,9 @@ impl Context {
     /// A budget of time for this firing: recorded as the number of looks that found time left, and in a replay over at the
     /// same look.
     pub fn budget(&mut self, limit: Duration) -> Budget {
+        if let Some(host) = &mut self.host {
+            return Budget::of_host(host.budget(limit.as_nanos().try_into().unwrap_or(u64::MAX)));
+        }
         let (budget, missing) = self.readings.budget(limit);
         self.warn_of(missing);
         budget
@@ -204,6 +247,9 @@ impl Context {
 
     /// Whether the user asked to stop; a long computation looks now and then and returns an error.
     pub fn cancelled(&self) -> bool {
+        if let Some(host) = &self.host {
+            return host.cancelled();
+        }
         self.cancelled.load(Ordering::Relaxed)
     }
 
@@ -222,16 +268,25 @@ impl Context {
 
     /// Why an optional port got nothing at this firing.
     pub fn absent_reason(&self, port: &str) -> Option<&str> {
+        if let Some(host) = &self.host {
+            return host.absent_reason(port);
+        }
         self.absent.iter().find(|(name, _)| *name == port).map(|(_, empty)| empty.reason.as_str())
     }
 
     /// Says something the user should know about this item; shown, counted, and kept in the manifest.
     pub fn warn(&mut self, message: impl Into<String>) {
-        self.warnings.push(message.into());
+        match &mut self.host {
+            Some(host) => host.warn(&message.into()),
+            None => self.warnings.push(message.into()),
+        }
     }
 
     /// The folder of this run, where a node that writes files puts them; `None` where the run leaves nothing.
     pub fn out_dir(&self) -> Option<&std::path::Path> {
+        if let Some(host) = &self.host {
+            return host.out_dir();
+        }
         self.asked.rest.store(true, Ordering::Relaxed);
         self.out_dir.as_deref()
     }

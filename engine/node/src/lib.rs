@@ -72,6 +72,7 @@ extern crate self as osteoflow_node;
 pub use osteoflow_node_macros::{Describe, Inputs, Outputs};
 pub use {rand, rand_chacha, schemars, serde, serde_json, tracing};
 
+pub mod abi;
 mod context;
 mod description;
 mod erased;
@@ -81,9 +82,12 @@ mod free;
 mod item;
 mod part;
 mod payload;
+#[doc(hidden)]
+pub mod plugin;
 mod port;
 mod reading;
 mod registry;
+mod site;
 mod traits;
 mod view;
 
@@ -98,7 +102,8 @@ pub use part::{Part, SchemaError, Shape};
 pub use payload::{Display, Payload, PayloadType, Value};
 pub use port::{Declared, DeclaredPort, FrameExpr, InputPort, Join, OutputPort, OutputPorts, PortPayload, Unused};
 pub use reading::{Budget, Reading};
-pub use registry::{Kind, PayloadClash, Registry};
+pub use registry::{Kind, KindClash, PayloadClash, Registry};
+pub use site::Site;
 pub use traits::{Describe, Emit, Inputs, Node, Outputs, Parameters, SILENT_AFTER, Source};
 pub use view::{Buffer, Column, ColumnType, Field, View, ViewError};
 

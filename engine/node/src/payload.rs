@@ -118,6 +118,31 @@ impl PayloadType {
         TypeOf::<T, By>::TYPE
     }
 
+    /// A type whose values a plugin holds for the program, which alone knows what they are. Never freed: there is one for
+    /// each payload that a plugin has met.
+    pub(crate) fn of_held<T: 'static>(
+        name: &str,
+        version: u32,
+        schema: Vec<Part>,
+        to_view: fn(&dyn Any) -> View,
+        to_result: fn(&dyn Any) -> serde_json::Value,
+    ) -> &'static Self {
+        Box::leak(Box::new(Self {
+            name: String::leak(name.to_owned()),
+            version,
+            interpolates: false,
+            schema: Vec::leak(schema),
+            id: TypeId::of::<T>,
+            to_view,
+            from_view: |_, _| Err(ViewError::Invalid("a value that the program holds is made of no view".into())),
+            to_result,
+            n_bytes: |_| 0,
+            interpolate: |_, _, _| None,
+            display: || None,
+            to_display: |_, _| None,
+        }))
+    }
+
     /// Units of head fields and columns whose names do not say them, by name: a unit, or `pose` for rows of translation
     /// x, y, z in mm and quaternion x, y, z, w. Recordings carry them.
     pub fn units(&self) -> Vec<(&'static str, &'static str)> {
@@ -168,10 +193,21 @@ impl Value {
         Self { inner: Arc::new(payload), ty: PayloadType::of::<T, By>() }
     }
 
+    /// What a plugin holds for the program.
+    pub(crate) fn held<T: Send + Sync + 'static>(held: T, ty: &'static PayloadType) -> Self {
+        Self { inner: Arc::new(held), ty }
+    }
+
     /// Its type.
     #[inline]
     pub fn ty(&self) -> &'static PayloadType {
         self.ty
+    }
+
+    /// Whether both are the very same value.
+    #[inline]
+    pub fn is_same(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.inner, &other.inner)
     }
 
     /// The payload, if it is a `T`.

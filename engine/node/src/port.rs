@@ -57,6 +57,14 @@ pub enum PortPayload {
 }
 
 impl PortPayload {
+    /// The type, if it is one.
+    pub fn ty(&self) -> Option<&'static PayloadType> {
+        match self {
+            Self::Type(ty) => Some(ty),
+            Self::Any => None,
+        }
+    }
+
     /// The type's name, or `any`.
     pub fn name(&self) -> &'static str {
         match self {

@@ -1,7 +1,7 @@
 //! What a node takes from the world's clock: data of the run, recorded with the firing and answered from the record in a
 //! replay.
 
-use crate::StampNs;
+use crate::{StampNs, plugin::HostBudget};
 use serde::{Deserialize, Serialize};
 use std::{
     collections::VecDeque,
@@ -35,7 +35,16 @@ pub enum Reading {
 /// Whether it is over is decided by the clock once, when the graph first runs; a replay answers every look as it was
 /// answered then. So look at it at places that the inputs alone decide, such as the end of each iteration, and from one
 /// thread.
-pub struct Budget {
+pub struct Budget(Keeper);
+
+/// Who looks at the clock.
+enum Keeper {
+    Own(OwnBudget),
+    /// Of a plugin's firing.
+    Host(HostBudget),
+}
+
+struct OwnBudget {
     began: Instant,
     limit: Duration,
     looks: Arc<Looks>,
@@ -50,8 +59,21 @@ struct Looks {
 }
 
 impl Budget {
+    pub(crate) fn of_host(budget: HostBudget) -> Self {
+        Self(Keeper::Host(budget))
+    }
+
     /// Whether the time is up; from then on always.
     pub fn is_over(&mut self) -> bool {
+        match &mut self.0 {
+            Keeper::Own(budget) => budget.is_over(),
+            Keeper::Host(budget) => budget.is_over(),
+        }
+    }
+}
+
+impl OwnBudget {
+    fn is_over(&mut self) -> bool {
         if self.looks.over.load(Ordering::Relaxed) {
             return true;
         }
@@ -129,7 +151,7 @@ impl Readings {
         };
         let looks = Arc::new(Looks::default());
         self.taken.push(Taken::Budget(looks.clone()));
-        (Budget { began: Instant::now(), limit, looks, recorded }, missing)
+        (Budget(Keeper::Own(OwnBudget { began: Instant::now(), limit, looks, recorded })), missing)
     }
 }
 

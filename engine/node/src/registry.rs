@@ -1,6 +1,6 @@
 use crate::{
     Built, Describe, Description, FilePath, Inputs, Kept, Node, Outputs, ParamError, Part, Payload, PayloadType, Role,
-    Source, erased::Erased,
+    Site, Source, erased::Erased,
 };
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -46,16 +46,26 @@ pub enum PayloadClash {
 pub struct Kind {
     /// Everything known without building.
     pub description: Description,
-    build: fn(&serde_json::Value) -> Result<Built, ParamError>,
+    /// The SHA-256 of the library that brings it; `None` if it is built in.
+    pub plugin: Option<Arc<str>>,
+    build: Box<Build>,
 }
+
+/// Builds a node from checked parameters.
+type Build = dyn Fn(&serde_json::Value, &Site) -> Result<Built, ParamError> + Send + Sync;
+
+/// A kind that is known already.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("there is a kind \"{0}\" already")]
+pub struct KindClash(pub &'static str);
 
 impl Kind {
     /// Builds a node from checked parameters.
     ///
     /// # Errors
     /// [`ParamError`] if the parameters do not fit together.
-    pub fn build(&self, params: &serde_json::Value) -> Result<Built, ParamError> {
-        (self.build)(params)
+    pub fn build(&self, params: &serde_json::Value, site: &Site) -> Result<Built, ParamError> {
+        (self.build)(params, site)
     }
 }
 
@@ -72,7 +82,7 @@ impl Registry {
             N::Inputs::ports(),
             N::Outputs::ports(),
             params_schema::<N::Params>(),
-            |p| Ok(Built::Node(Box::new(Erased(N::new(read(p)?)?)))),
+            |p, _| Ok(Built::Node(Box::new(Erased(N::new(read(p)?)?)))),
         );
         if let Some(kind) = self.kinds.get_mut(N::KIND).and_then(Arc::get_mut) {
             kind.description.kept = N::KEPT;
@@ -88,7 +98,7 @@ impl Registry {
     /// If the kind is there already: two nodes of one name are a bug of whoever collects them.
     pub fn source<S: Source>(&mut self) -> &mut Self {
         let role = if S::LIVE { Role::LiveSource } else { Role::Source };
-        self.add::<S>(S::KIND, role, Vec::new(), S::Outputs::ports(), params_schema::<S::Params>(), |p| {
+        self.add::<S>(S::KIND, role, Vec::new(), S::Outputs::ports(), params_schema::<S::Params>(), |p, _| {
             Ok(Built::Source(Box::new(Erased(S::new(read(p)?)?))))
         });
         if let Some(kind) = self.kinds.get_mut(S::KIND).and_then(Arc::get_mut) {
@@ -123,6 +133,25 @@ impl Registry {
         }
     }
 
+    /// Adds a kind that the library with this SHA-256 brings.
+    ///
+    /// # Errors
+    /// [`KindClash`] if a kind is known by that name.
+    pub fn add_kind(
+        &mut self,
+        description: Description,
+        plugin: Arc<str>,
+        build: impl Fn(&serde_json::Value, &Site) -> Result<Built, ParamError> + Send + Sync + 'static,
+    ) -> Result<(), KindClash> {
+        let kind = description.kind;
+        if self.kinds.contains_key(kind) {
+            return Err(KindClash(kind));
+        }
+        let added = Kind { description, plugin: Some(plugin), build: Box::new(build) };
+        self.kinds.insert(kind, Arc::new(added));
+        Ok(())
+    }
+
     /// The kind of that name.
     pub fn kind(&self, kind: &str) -> Option<&Kind> {
         self.kinds.get(kind).map(|kind| &**kind)
@@ -150,7 +179,7 @@ impl Registry {
         inputs: Vec<crate::InputPort>,
         outputs: crate::OutputPorts,
         params: serde_json::Value,
-        build: fn(&serde_json::Value) -> Result<Built, ParamError>,
+        build: fn(&serde_json::Value, &Site) -> Result<Built, ParamError>,
     ) -> &mut Self {
         let (summary, details) = D::DOC.split_once("\n\n").unwrap_or((D::DOC, ""));
         let description = Description {
@@ -166,7 +195,8 @@ impl Registry {
             example: D::EXAMPLE,
             literature: D::LITERATURE,
         };
-        let before = self.kinds.insert(kind, Arc::new(Kind { description, build }));
+        let added = Kind { description, plugin: None, build: Box::new(build) };
+        let before = self.kinds.insert(kind, Arc::new(added));
         assert!(before.is_none(), "two nodes are called {kind}");
         self
     }

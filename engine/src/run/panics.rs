@@ -93,6 +93,10 @@ fn hook(info: &PanicHookInfo<'_>, before: &dyn Fn(&PanicHookInfo<'_>)) {
 /// A caught panic in words.
 #[cold]
 fn told(payload: Box<dyn Any + Send>) -> String {
+    let payload = match payload.downcast::<Told>() {
+        Ok(told) => return told.0,
+        Err(payload) => payload,
+    };
     let message = message_of(&*payload).to_owned();
     let own = LATEST.take().filter(|kept| kept.message == message);
     // Dropping what was thrown may panic again, and so on.
@@ -108,6 +112,14 @@ fn told(payload: Box<dyn Any + Send>) -> String {
         Some(kept) => format!("panicked at {}: {message}", kept.place),
         None => format!("panicked: {message}"),
     }
+}
+
+/// A panic that a plugin has caught and told.
+struct Told(String);
+
+/// Goes on unwinding in the place of a plugin, whose panic could not cross.
+pub(crate) fn resume_told(said: String) -> ! {
+    std::panic::resume_unwind(Box::new(Told(said)))
 }
 
 fn message_of(payload: &(dyn Any + Send)) -> &str {

@@ -17,7 +17,7 @@ use crate::{
     repro::{Failed, Saver},
     results::{Ended, Keep},
 };
-use osteoflow_node::{AnySource, Built, Context, Item, Reading, Registry, Role, StampNs};
+use osteoflow_node::{AnySource, Built, Context, Item, Reading, Registry, Role, Site, StampNs};
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
@@ -121,7 +121,7 @@ impl<'a> Runtime<'a> {
         for (index, node) in plan.nodes.iter().enumerate() {
             let substitute = replayed.substitutes.remove(&index).map(Built::Source);
             let live = node.role == Role::LiveSource && substitute.is_none();
-            match substitute.map_or_else(|| build(registry, node), Ok) {
+            match substitute.map_or_else(|| build(registry, node, plan.seed), Ok) {
                 Ok(built) => bodies.push((planned[index].into_node(built), live)),
                 Err(fault) => faults.push(fault),
             }
@@ -274,7 +274,7 @@ impl<'a> Runtime<'a> {
 
     /// Builds a node anew after it failed.
     pub(super) fn rebuild(&self, node: usize) -> Result<Built, String> {
-        let built = build(self.registry, &self.plan.nodes[node]).map_err(|fault| fault.message)?;
+        let built = build(self.registry, &self.plan.nodes[node], self.plan.seed).map_err(|fault| fault.message)?;
         Ok(self.planned[node].into_node(built))
     }
 
@@ -474,7 +474,7 @@ impl Work for Runtime<'_> {
     }
 }
 
-fn build(registry: &Registry, node: &PlanNode) -> Result<Built, BuildFault> {
+fn build(registry: &Registry, node: &PlanNode, seed: u64) -> Result<Built, BuildFault> {
     let fault = |parameter: String, message: String| BuildFault {
         node: node.name.to_string(),
         location: node.location.clone(),
@@ -484,7 +484,9 @@ fn build(registry: &Registry, node: &PlanNode) -> Result<Built, BuildFault> {
     let Some(kind) = registry.kind(&node.kind) else {
         return Err(fault(String::new(), format!("there is no kind \"{}\" here", node.kind)));
     };
-    match panics::catch(|| kind.build(&node.params)) {
+    let joins = node.inputs.iter().map(|input| input.port.join).collect();
+    let site = Site { node: node.name.clone(), seed, declared: node.declared.clone(), joins };
+    match panics::catch(|| kind.build(&node.params, &site)) {
         Ok(built) => built.map_err(|error| fault(error.parameter, error.message)),
         Err(panic) => Err(fault(String::new(), panic)),
     }

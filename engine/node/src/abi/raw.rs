@@ -1,0 +1,164 @@
+//! Texts and lists behind pointers that the other side gave.
+//!
+//! That a pointer leads to as much as its length says cannot be checked: it is what the other side promises by the header.
+//! What can be checked is: null, alignment, lengths beyond memory, UTF-8.
+#![allow(unsafe_code, reason = "reads through pointers from the other side of the boundary")]
+
+use super::{AbiError, Text};
+use std::mem::MaybeUninit;
+
+/// The entries of a list; none where its length is 0.
+///
+/// # Errors
+/// [`AbiError`] naming `what` if it is null, unaligned or too long.
+///
+/// # Safety
+/// Where `data` is neither null nor unaligned, it leads to `length` entries that nobody writes to during `'a`.
+pub unsafe fn list<'a, T>(data: *const T, length: u64, what: &str) -> Result<&'a [T], AbiError> {
+    if length == 0 {
+        return Ok(&[]);
+    }
+    if data.is_null() {
+        return Err(AbiError::Null(what.into()));
+    }
+    if !data.is_aligned() {
+        return Err(AbiError::Unaligned(what.into()));
+    }
+    let n_bytes = length.checked_mul(size_of::<T>() as u64).filter(|n| *n <= isize::MAX as u64);
+    if n_bytes.is_none() {
+        return Err(AbiError::Length(what.into(), length));
+    }
+    // SAFETY: not null, aligned, no longer than memory; the caller vouches for the entries.
+    Ok(unsafe { std::slice::from_raw_parts(data, length as usize) })
+}
+
+/// A text; `None` where it is missing.
+///
+/// # Errors
+/// [`AbiError`] naming `what` if it is too long or not UTF-8.
+///
+/// # Safety
+/// Where `text.data` is not null it leads to `text.length` bytes that nobody writes to during `'a`.
+pub unsafe fn text<'a>(text: Text, what: &str) -> Result<Option<&'a str>, AbiError> {
+    if text.data.is_null() {
+        return if text.length == 0 { Ok(None) } else { Err(AbiError::Null(what.into())) };
+    }
+    // SAFETY: as the caller vouches.
+    let bytes = unsafe { list(text.data, text.length, what) }?;
+    std::str::from_utf8(bytes).map(Some).map_err(|_| AbiError::Utf8(what.into()))
+}
+
+/// A text that must be there.
+///
+/// # Errors
+/// [`AbiError`] naming `what` if it is missing, too long or not UTF-8.
+///
+/// # Safety
+/// As for [`text`].
+pub unsafe fn needed<'a>(given: Text, what: &str) -> Result<&'a str, AbiError> {
+    // SAFETY: as the caller vouches.
+    unsafe { text(given, what) }?.ok_or_else(|| AbiError::Null(what.into()))
+}
+
+/// A struct that may be read from any bytes, zeros too, and from a shorter one of an older minor: what that does not have
+/// is zero.
+///
+/// # Safety
+/// Every pattern of bits is a valid value.
+pub unsafe trait Plain: Copy {
+    /// Its size in minor 0: a smaller one is no such struct.
+    const LEAST: usize;
+}
+
+macro_rules! plain {
+    ($($name:ident)*) => {
+        $(
+            // SAFETY: numbers, raw pointers, and function pointers that may be null.
+            unsafe impl Plain for super::$name {
+                const LEAST: usize = size_of::<super::$name>();
+            }
+        )*
+    };
+}
+
+plain! { Kind Input Output Payload Part Column Text Plugin }
+
+/// The entries of a list of structs as the other side compiled them, each as far as this side knows it.
+///
+/// # Errors
+/// [`AbiError`] naming `what`, as [`list`]; [`AbiError::Size`] if the other side's struct is smaller than in minor 0.
+///
+/// # Safety
+/// As for [`list`], with entries that begin every `size` bytes.
+pub unsafe fn entries<T: Plain>(data: *const T, length: u64, size: u32, what: &str) -> Result<Vec<T>, AbiError> {
+    if (size as usize) < T::LEAST {
+        return Err(AbiError::Size { what: what.into(), found: size, needed: T::LEAST as u32 });
+    }
+    let n_bytes = length.checked_mul(size.into()).ok_or_else(|| AbiError::Length(what.into(), length))?;
+    if !data.is_aligned() || !(size as usize).is_multiple_of(align_of::<T>()) {
+        return Err(AbiError::Unaligned(what.into()));
+    }
+    // SAFETY: as the caller vouches; bytes need no alignment.
+    let bytes = unsafe { list(data.cast::<u8>(), n_bytes, what) }?;
+    Ok(bytes.chunks_exact(size as usize).map(of_bytes).collect())
+}
+
+/// The struct that begins these bytes; zeros where they end before it does.
+fn of_bytes<T: Plain>(bytes: &[u8]) -> T {
+    let mut entry = MaybeUninit::<T>::zeroed();
+    let n_bytes = bytes.len().min(size_of::<T>());
+    // SAFETY: both are that long and apart from each other, and any bits are a valid `T`.
+    unsafe {
+        entry.as_mut_ptr().cast::<u8>().copy_from_nonoverlapping(bytes.as_ptr(), n_bytes);
+        entry.assume_init()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[repr(C)]
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    struct Grown {
+        first: u64,
+        /// In a later minor.
+        second: u32,
+    }
+
+    // SAFETY: two numbers.
+    unsafe impl Plain for Grown {
+        const LEAST: usize = 8;
+    }
+
+    #[test]
+    fn structs_of_an_older_and_of_a_newer_minor_are_read_as_far_as_both_sides_know_them() {
+        let numbers = [1_u64, 2, 3, 4, 5, 6];
+        // SAFETY: the list holds what is said.
+        let read = |n, size| unsafe { entries::<Grown>(numbers.as_ptr().cast(), n, size, "numbers") };
+        let grown = |first, second| Grown { first, second };
+        assert_eq!(read(2, 8).unwrap(), [grown(1, 0), grown(2, 0)]);
+        assert_eq!(read(2, 24).unwrap(), [grown(1, 2), grown(4, 5)]);
+        assert!(matches!(read(1, 7), Err(AbiError::Size { found: 7, needed: 8, .. })));
+        assert!(matches!(read(1, 20), Err(AbiError::Unaligned(_))));
+        assert!(matches!(read(u64::MAX, 24), Err(AbiError::Length(..))));
+    }
+
+    #[test]
+    fn what_leads_nowhere_is_named() {
+        // SAFETY: nothing is read through them.
+        unsafe {
+            assert_eq!(
+                list::<u64>(std::ptr::null(), 3, "the ports").unwrap_err().to_string(),
+                "the ports is a null pointer"
+            );
+            assert_eq!(list::<u64>(std::ptr::null(), 0, "the ports"), Ok(&[][..]));
+            assert!(matches!(list(std::ptr::without_provenance::<u64>(1), 1, "x"), Err(AbiError::Unaligned(_))));
+            assert!(matches!(list(std::ptr::dangling::<u64>(), u64::MAX, "x"), Err(AbiError::Length(..))));
+            let bytes = [0xff_u8, 0xfe];
+            assert!(matches!(text(Text { data: bytes.as_ptr(), length: 2 }, "x"), Err(AbiError::Utf8(_))));
+            assert_eq!(text(Text::NONE, "x"), Ok(None));
+            assert_eq!(text(Text::of(""), "x"), Ok(Some("")));
+        }
+    }
+}

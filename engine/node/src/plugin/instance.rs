@@ -1,0 +1,211 @@
+//! Built nodes, as the program calls them.
+#![allow(unsafe_code, reason = "is called through pointers")]
+
+use super::{Host, panic};
+use crate::{
+    AnyNode, Body, Built, Context, DeclaredPort, Emission, Empty, Item, Joined, Kind, NodeError, OutputPorts,
+    ParamError, PayloadType, PortPayload, Site, Slot, Value, abi,
+};
+use std::{ffi::c_void, sync::Arc, time::Duration};
+
+/// A built node and what its firings use again.
+pub(super) struct Instance {
+    built: Built,
+    context: Context,
+    joined: Joined,
+    out: Vec<Emission>,
+    inputs: Vec<PortPayload>,
+    /// The types of outputs, where the kind fixes them.
+    outputs: Vec<Option<&'static PayloadType>>,
+    /// What ports joined by `once` have brought.
+    constants: Vec<Option<Value>>,
+}
+
+/// Calls `f` and says through the program's functions how it failed, if it did.
+fn guarded(host: Host, f: impl FnOnce() -> Result<i32, NodeError>) -> i32 {
+    match panic::catch(f) {
+        Ok(Ok(status)) => status,
+        Ok(Err(error)) => {
+            host.fail("", &error.message);
+            abi::status::FAILED
+        }
+        Err(said) => {
+            host.fail("", &said);
+            abi::status::PANICKED
+        }
+    }
+}
+
+/// [`abi::Kind::create`]
+pub(super) unsafe extern "C" fn create(
+    kind: *const abi::Kind,
+    firing: *const abi::Firing,
+    params: abi::Text,
+    node: *mut *mut c_void,
+) -> i32 {
+    // SAFETY: the program calls as the header says: with our own kind, and a firing that outlives the call.
+    let (kind, host) = unsafe { (&*(*kind).data.cast::<Kind>(), Host::of(&*firing)) };
+    guarded(host, || {
+        // SAFETY: as above.
+        let params = unsafe { abi::text(params, "the parameters") }?.unwrap_or("{}");
+        match Instance::new(kind, &serde_json::from_str(params)?, host) {
+            Ok(instance) => {
+                // SAFETY: as above: a place for the node.
+                unsafe { node.write(Box::into_raw(Box::new(instance)).cast()) };
+                Ok(abi::status::OK)
+            }
+            Err(error) => {
+                host.fail(&error.parameter, &error.message);
+                Ok(abi::status::FAILED)
+            }
+        }
+    })
+}
+
+/// [`abi::Kind::fire`]
+pub(super) unsafe extern "C" fn fire(node: *mut c_void, firing: *const abi::Firing) -> i32 {
+    // SAFETY: the program calls as the header says: with what `create` gave, from one thread at a time.
+    let (instance, firing) = unsafe { (&mut *node.cast::<Instance>(), &*firing) };
+    // SAFETY: it is used until this call returns.
+    let host = unsafe { Host::of(firing) };
+    instance.context.enter(host);
+    let status = guarded(host, || {
+        // SAFETY: as above: the program's own firing.
+        unsafe { instance.join(firing, host) }?;
+        instance.fire(host)
+    });
+    instance.context.leave();
+    // Values are released also where the node panicked.
+    if let Err(said) = panic::catch(|| instance.clear()) {
+        tracing::warn!("after a firing, what it used {said}");
+    }
+    status
+}
+
+/// [`abi::Kind::destroy`]
+pub(super) unsafe extern "C" fn destroy(node: *mut c_void) {
+    // SAFETY: the program calls it once with what `create` gave.
+    let instance = unsafe { Box::from_raw(node.cast::<Instance>()) };
+    if let Err(said) = panic::catch(|| drop(instance)) {
+        tracing::warn!("a node that had ended {said}");
+    }
+}
+
+/// [`abi::Kind::max_delay_ns`]
+pub(super) unsafe extern "C" fn max_delay_ns(node: *mut c_void) -> i64 {
+    // SAFETY: as for `fire`.
+    let instance = unsafe { &*node.cast::<Instance>() };
+    match &instance.built {
+        Built::Source(source) => panic::catch(|| source.max_delay_ns()).unwrap_or(0),
+        Built::Node(_) => 0,
+    }
+}
+
+/// [`abi::Kind::silent_after_ns`]
+pub(super) unsafe extern "C" fn silent_after_ns(node: *mut c_void) -> i64 {
+    // SAFETY: as for `fire`.
+    let instance = unsafe { &*node.cast::<Instance>() };
+    let after = match &instance.built {
+        Built::Source(source) => panic::catch(|| source.silent_after()).unwrap_or(crate::SILENT_AFTER),
+        Built::Node(_) => crate::SILENT_AFTER,
+    };
+    Duration::as_nanos(&after).try_into().unwrap_or(i64::MAX)
+}
+
+impl Instance {
+    fn new(kind: &Kind, params: &serde_json::Value, host: Host) -> Result<Self, ParamError> {
+        let about = &kind.description;
+        let outputs = match &about.outputs {
+            OutputPorts::Fixed(ports) => ports.iter().map(|port| port.payload.ty()).collect(),
+            OutputPorts::Declared { .. } => Vec::new(),
+        };
+        let declared = host.declared().map_err(|error| ParamError::new("out", error.message))?;
+        let declared = declared.into_iter().map(|(name, payload, params)| match serde_json::from_str(&params) {
+            Ok(params) => Ok(DeclaredPort { name, payload, params }),
+            Err(error) => Err(ParamError::new("out", error.to_string())),
+        });
+        let declared = declared.collect::<Result<Arc<[_]>, _>>()?;
+        let n_outputs = outputs.len().max(declared.len());
+        let built = kind.build(params, &Site::alone(host.node()))?;
+        Ok(Self {
+            built,
+            context: Context::new(host.node(), host.seed(), Arc::default(), declared),
+            joined: Joined::default(),
+            out: vec![Emission::Silent; n_outputs],
+            constants: vec![None; about.inputs.len()],
+            inputs: about.inputs.iter().map(|port| port.payload).collect(),
+            outputs,
+        })
+    }
+
+    /// Makes values of what the ports bring.
+    ///
+    /// # Safety
+    /// `firing` is the program's, at hand.
+    unsafe fn join(&mut self, firing: &abi::Firing, host: Host) -> Result<(), NodeError> {
+        // SAFETY: as the caller vouches, in this and the following.
+        let slots = unsafe { abi::list(firing.slots, firing.n_slots, "the slots of a firing") }?;
+        self.joined.slots.clear();
+        for (index, slot) in slots.iter().enumerate() {
+            let payload = self.inputs.get(index).copied().unwrap_or(PortPayload::Any);
+            // SAFETY: as above.
+            let items = unsafe { abi::list(slot.items, slot.n_items, "the items of a slot") }?;
+            let is_constant = slot.flags & abi::slot::CONSTANT != 0;
+            let mut item = |item: &abi::Item| -> Result<Item, NodeError> {
+                let known = self.constants.get(index).and_then(Option::as_ref).filter(|_| is_constant);
+                // SAFETY: as above.
+                let body = match (item.value.is_null(), known) {
+                    (true, _) => Body::Empty(unsafe { empty(item) }?),
+                    (false, Some(value)) => Body::Value(value.clone()),
+                    (false, None) => Body::Value(match payload {
+                        PortPayload::Type(ty) => unsafe { host.read(item.value, ty) }?,
+                        PortPayload::Any => unsafe { host.hold(item.value, item.payload) }?,
+                    }),
+                };
+                if let (true, Body::Value(value), Some(place)) = (is_constant, &body, self.constants.get_mut(index)) {
+                    *place = Some(value.clone());
+                }
+                Ok(Item { number: item.number, stamp_ns: item.stamp_ns, body })
+            };
+            self.joined.slots.push(match (slot.what, items) {
+                (abi::slot::ITEM, [one]) => Slot::Item(item(one)?),
+                // SAFETY: as above.
+                (abi::slot::ABSENT, [one]) => Slot::Absent(unsafe { empty(one) }?),
+                _ => Slot::Items(items.iter().map(item).collect::<Result<_, _>>()?),
+            });
+        }
+        Ok(())
+    }
+
+    fn fire(&mut self, host: Host) -> Result<i32, NodeError> {
+        match &mut self.built {
+            Built::Node(node) => AnyNode::fire(&mut **node, &self.joined, &mut self.out, &mut self.context)?,
+            Built::Source(source) => {
+                if !source.next(&mut self.out, &mut self.context)? {
+                    return Ok(abi::status::END);
+                }
+            }
+        }
+        for (port, emission) in self.out.iter_mut().enumerate() {
+            let emission = std::mem::replace(emission, Emission::Silent);
+            if !matches!(emission, Emission::Silent) {
+                host.emit(port, self.outputs.get(port).copied().flatten(), emission)?;
+            }
+        }
+        Ok(abi::status::OK)
+    }
+
+    /// Lets go of what the firing used.
+    fn clear(&mut self) {
+        self.joined.slots.clear();
+        self.out.iter_mut().for_each(|emission| *emission = Emission::Silent);
+    }
+}
+
+/// # Safety
+/// The item is one of the firing's.
+unsafe fn empty(item: &abi::Item) -> Result<Arc<Empty>, NodeError> {
+    // SAFETY: as the caller vouches.
+    let text = |text| unsafe { abi::text(text, "a reason") }.map(|text| text.unwrap_or_default().to_owned());
+    Ok(Arc::new(Empty { node: text(item.empty_node)?, reason: text(item.empty_reason)? }))
+}

@@ -1,0 +1,506 @@
+//! The program's functions, as a plugin calls them. Each catches its panics: nothing unwinds into a plugin.
+#![allow(unsafe_code, reason = "is called through pointers")]
+
+use crate::run::catch_panic;
+use osteoflow_node::{
+    Budget, Context, Emission, PayloadType, PortPayload, Site, Value, ViewError,
+    abi::{self, Text, param, status},
+    serde_json::Value as Json,
+};
+use std::{mem, sync::OnceLock, time::Duration};
+
+/// A value as it is lent: with its view, once somebody asks for it.
+pub(super) struct Lent {
+    value: Value,
+    view: OnceLock<Option<Box<abi::Lent>>>,
+    result: OnceLock<String>,
+}
+
+impl Lent {
+    pub(super) fn new(value: Value) -> Self {
+        Self { value, view: OnceLock::new(), result: OnceLock::new() }
+    }
+
+    pub(super) fn is(&self, value: &Value) -> bool {
+        self.value.is_same(value)
+    }
+
+    pub(super) fn handle(&self) -> *const abi::Value {
+        std::ptr::from_ref(self).cast()
+    }
+}
+
+/// What a node is called with.
+pub(super) enum At<'a> {
+    /// While it is built.
+    Site(&'a Site),
+    /// At a firing.
+    Firing(&'a mut Context),
+}
+
+/// A call of a plugin under way.
+pub(super) struct Run<'a> {
+    pub(super) at: At<'a>,
+    pub(super) about: &'a super::node::About,
+    pub(super) params: &'a Json,
+    pub(super) out: &'a mut [Emission],
+    /// The parameter at fault, and why.
+    pub(super) failed: Option<(String, String)>,
+    /// What is lent until the call returns.
+    pub(super) lent: Vec<LentParam>,
+}
+
+/// A parameter's value, kept where it is.
+pub(super) struct LentParam {
+    text: String,
+    numbers: Vec<f64>,
+}
+
+impl Run<'_> {
+    pub(super) fn handle(&mut self) -> *mut abi::Run {
+        std::ptr::from_mut(self).cast()
+    }
+
+    fn context(&self) -> Option<&Context> {
+        match &self.at {
+            At::Firing(context) => Some(context),
+            At::Site(_) => None,
+        }
+    }
+
+    fn context_mut(&mut self) -> Option<&mut Context> {
+        match &mut self.at {
+            At::Firing(context) => Some(context),
+            At::Site(_) => None,
+        }
+    }
+
+    fn fail(&mut self, parameter: &str, message: String) {
+        // What went wrong first is why the rest did.
+        self.failed.get_or_insert((parameter.into(), message));
+    }
+
+    fn put(&mut self, port: u64, answer: impl FnOnce(PortPayload) -> Result<Emission, String>) -> Result<(), String> {
+        let index = usize::try_from(port).ok().filter(|port| *port < self.out.len());
+        let index = index.ok_or_else(|| format!("it answers on output {port}, but has {}", self.out.len()))?;
+        let (name, payload) = &self.about.outputs.get(index).ok_or("its outputs are not known yet")?;
+        let named = |said: String| format!("output \"{name}\": {said}");
+        if !matches!(self.out[index], Emission::Silent) {
+            return Err(named("it is answered twice in one firing".into()));
+        }
+        self.out[index] = answer(*payload).map_err(named)?;
+        Ok(())
+    }
+}
+
+/// # Safety
+/// `run` is what the program called with, and that call has not returned.
+unsafe fn with<T>(run: *mut abi::Run, otherwise: T, f: impl FnOnce(&mut Run<'_>) -> T) -> T {
+    // SAFETY: as the caller vouches; a plugin calls these functions from one thread at a time.
+    let run = unsafe { &mut *run.cast::<Run<'_>>() };
+    match catch_panic(|| f(&mut *run)) {
+        Ok(answer) => answer,
+        Err(said) => {
+            run.fail("", said);
+            otherwise
+        }
+    }
+}
+
+/// # Safety
+/// As for [`with`], but from any threads of the node.
+unsafe fn look<T>(run: *const abi::Run, otherwise: T, f: impl FnOnce(&Run<'_>) -> T) -> T {
+    // SAFETY: as the caller vouches.
+    let run = unsafe { &*run.cast::<Run<'_>>() };
+    catch_panic(|| f(run)).unwrap_or(otherwise)
+}
+
+/// # Safety
+/// As for [`with`].
+unsafe fn answer(run: *mut abi::Run, f: impl FnOnce(&mut Run<'_>) -> Result<(), String>) -> i32 {
+    // SAFETY: as the caller vouches.
+    unsafe {
+        with(run, status::FAILED, |run| match f(run) {
+            Ok(()) => status::OK,
+            Err(said) => {
+                run.fail("", said);
+                status::FAILED
+            }
+        })
+    }
+}
+
+/// # Safety
+/// `value` is one that the program has lent, or that `hold` gave.
+unsafe fn lent<'a>(value: *const abi::Value) -> &'a Lent {
+    // SAFETY: as the caller vouches.
+    unsafe { &*value.cast::<Lent>() }
+}
+
+unsafe extern "C" fn view(value: *const abi::Value, view: *mut abi::View) -> i32 {
+    // SAFETY: the header has it called so.
+    let lent = unsafe { lent(value) };
+    let made = catch_panic(|| {
+        let ty = lent.value.ty();
+        let made = lent.view.get_or_init(|| {
+            let made = abi::Lent::new(lent.value.to_view(), ty.schema);
+            made.inspect_err(|error| tracing::error!("a {} has no view for a plugin: {error}", ty.name))
+                .ok()
+                .map(Box::new)
+        });
+        made.as_ref().map(|made| made.view())
+    });
+    match made {
+        Ok(Some(made)) => {
+            // SAFETY: the header has it called with a place for a view.
+            unsafe { view.write(made) };
+            status::OK
+        }
+        Ok(None) => status::FAILED,
+        Err(said) => {
+            tracing::error!("a view for a plugin: {said}");
+            status::FAILED
+        }
+    }
+}
+
+unsafe extern "C" fn result(value: *const abi::Value) -> Text {
+    // SAFETY: the header has it called so.
+    let lent = unsafe { lent(value) };
+    let made = catch_panic(|| lent.result.get_or_init(|| lent.value.to_result().to_string()));
+    made.map_or(Text::NONE, |text| Text::of(text))
+}
+
+unsafe extern "C" fn hold(value: *const abi::Value) -> *const abi::Value {
+    // SAFETY: the header has it called so.
+    let lent = unsafe { lent(value) };
+    Box::into_raw(Box::new(Lent::new(lent.value.clone()))).cast_const().cast()
+}
+
+unsafe extern "C" fn release(held: *const abi::Value) {
+    // SAFETY: the header has it called once with what `hold` gave.
+    let lent = unsafe { Box::from_raw(held.cast_mut().cast::<Lent>()) };
+    // What a payload does when it is dropped must not unwind into the plugin.
+    if let Err(said) = catch_panic(|| drop(lent)) {
+        tracing::warn!("a value that a plugin had held {said}");
+    }
+}
+
+/// The columns of a plugin's answer, which are released from here on.
+///
+/// # Safety
+/// `view` is a plugin's, as the header says, and outlives the answer.
+unsafe fn given<'a>(view: *const abi::View) -> Result<abi::Crossing<'a>, String> {
+    if view.is_null() || !view.is_aligned() {
+        return Err("the view of an answer is a null pointer".into());
+    }
+    // SAFETY: as the caller vouches.
+    unsafe { abi::Crossing::new(&*view, abi::Origin::Given) }.map_err(|error| error.to_string())
+}
+
+fn taken(given: abi::Crossing<'_>, ty: &'static PayloadType) -> Result<Emission, String> {
+    let named = |error: ViewError| format!("{}: {error}", ty.name);
+    let view = given.take(ty.schema).map_err(named)?;
+    view.check(ty.schema).map_err(named)?;
+    ty.from_view(&view).map(Emission::Value).map_err(named)
+}
+
+unsafe extern "C" fn emit(run: *mut abi::Run, port: u64, view: *const abi::View) -> i32 {
+    // SAFETY: the header has it called so.
+    unsafe {
+        answer(run, |run| {
+            let given = given(view)?;
+            run.put(port, |payload| match payload {
+                PortPayload::Type(ty) => taken(given, ty),
+                PortPayload::Any => Err("it takes any payload, so the answer must name its own: emit_as".into()),
+            })
+        })
+    }
+}
+
+unsafe extern "C" fn emit_as(run: *mut abi::Run, port: u64, name: Text, version: u32, view: *const abi::View) -> i32 {
+    // SAFETY: the header has it called so.
+    unsafe {
+        answer(run, |run| {
+            let given = given(view)?;
+            let name = abi::needed(name, "the name of a payload").map_err(|error| error.to_string())?;
+            let types = &run.about.types;
+            let known = types.iter().find(|ty| ty.name == name && ty.version == version).copied();
+            run.put(port, |payload| {
+                let ty = payload.ty().filter(|ty| ty.name == name && ty.version == version).or(known);
+                let ty = ty.ok_or_else(|| format!("there is no payload {name}@{version} here"))?;
+                expect(payload, ty)?;
+                taken(given, ty)
+            })
+        })
+    }
+}
+
+fn expect(payload: PortPayload, found: &PayloadType) -> Result<(), String> {
+    match payload.ty() {
+        Some(ty) if ty != found => Err(format!("it gives {}, but was answered with {}", ty.name, found.name)),
+        _ => Ok(()),
+    }
+}
+
+unsafe extern "C" fn emit_value(run: *mut abi::Run, port: u64, value: *const abi::Value) -> i32 {
+    // SAFETY: the header has it called so.
+    unsafe {
+        answer(run, |run| {
+            if value.is_null() {
+                return Err(format!("output {port} is answered with a value that is a null pointer"));
+            }
+            let value = &lent(value).value;
+            run.put(port, |payload| expect(payload, value.ty()).map(|()| Emission::Value(value.clone())))
+        })
+    }
+}
+
+unsafe extern "C" fn emit_empty(run: *mut abi::Run, port: u64, reason: Text) -> i32 {
+    // SAFETY: the header has it called so.
+    unsafe {
+        answer(run, |run| {
+            let reason = abi::text(reason, "the reason").map_err(|error| error.to_string())?;
+            let reason = reason.filter(|reason| !reason.is_empty()).unwrap_or("the node gives no reason");
+            run.put(port, |_| Ok(Emission::Empty(reason.into())))
+        })
+    }
+}
+
+unsafe extern "C" fn fail(run: *mut abi::Run, parameter: Text, message: Text) {
+    // SAFETY: the header has it called so.
+    unsafe {
+        with(run, (), |run| {
+            let text = |text| {
+                abi::text(text, "the message").unwrap_or_else(|error| {
+                    tracing::warn!("a plugin says why it failed, but {error}");
+                    None
+                })
+            };
+            let message = text(message).unwrap_or_default().to_owned();
+            // An empty message means that a function of ours has said why.
+            if !message.is_empty() {
+                run.fail(text(parameter).unwrap_or_default(), message);
+            }
+        });
+    }
+}
+
+unsafe extern "C" fn node(run: *const abi::Run) -> Text {
+    // SAFETY: the header has it called so.
+    unsafe {
+        look(run, Text::NONE, |run| match &run.at {
+            At::Site(site) => Text::of(&site.node),
+            At::Firing(context) => Text::of(context.node()),
+        })
+    }
+}
+
+unsafe extern "C" fn item(run: *const abi::Run) -> u64 {
+    // SAFETY: the header has it called so.
+    unsafe { look(run, 0, |run| run.context().map_or(0, Context::item)) }
+}
+
+unsafe extern "C" fn stamp_ns(run: *const abi::Run) -> i64 {
+    // SAFETY: the header has it called so.
+    unsafe { look(run, 0, |run| run.context().map_or(0, Context::stamp_ns)) }
+}
+
+unsafe extern "C" fn set_stamp_ns(run: *mut abi::Run, stamp_ns: i64) {
+    // SAFETY: the header has it called so.
+    unsafe {
+        with(run, (), |run| {
+            if let Some(context) = run.context_mut() {
+                context.set_stamp_ns(stamp_ns);
+            }
+        });
+    }
+}
+
+unsafe extern "C" fn seed(run: *const abi::Run) -> u64 {
+    // SAFETY: the header has it called so.
+    unsafe {
+        look(run, 0, |run| match &run.at {
+            At::Site(site) => site.seed,
+            At::Firing(context) => context.seed(),
+        })
+    }
+}
+
+unsafe extern "C" fn random(run: *const abi::Run, index: u64) -> u64 {
+    // SAFETY: the header has it called so.
+    unsafe { look(run, 0, |run| run.context().map_or(0, |context| context.random(index))) }
+}
+
+unsafe extern "C" fn clock_ns(run: *mut abi::Run) -> i64 {
+    // SAFETY: the header has it called so.
+    unsafe { with(run, 0, |run| run.context_mut().map_or(0, Context::clock_ns)) }
+}
+
+unsafe extern "C" fn budget(run: *mut abi::Run, limit_ns: u64) -> *mut abi::Budget {
+    // SAFETY: the header has it called so.
+    unsafe {
+        with(run, std::ptr::null_mut(), |run| {
+            let budget = run.context_mut().map(|context| context.budget(Duration::from_nanos(limit_ns)));
+            Box::into_raw(Box::new(budget)).cast()
+        })
+    }
+}
+
+unsafe extern "C" fn budget_is_over(budget: *mut abi::Budget) -> i32 {
+    // SAFETY: the header has it called with what `budget` gave, from one thread at a time; null is one of a firing that failed.
+    let budget = unsafe { budget.cast::<Option<Budget>>().as_mut() };
+    let over = budget.and_then(Option::as_mut).map(|budget| catch_panic(|| budget.is_over()).unwrap_or(true));
+    i32::from(over.unwrap_or(true))
+}
+
+unsafe extern "C" fn budget_release(budget: *mut abi::Budget) {
+    if !budget.is_null() {
+        // SAFETY: the header has it called once with what `budget` gave.
+        drop(unsafe { Box::from_raw(budget.cast::<Option<Budget>>()) });
+    }
+}
+
+unsafe extern "C" fn cancelled(run: *const abi::Run) -> i32 {
+    // SAFETY: the header has it called so.
+    unsafe { look(run, 0, |run| i32::from(run.context().is_some_and(Context::cancelled))) }
+}
+
+unsafe extern "C" fn warn(run: *mut abi::Run, message: Text) {
+    // SAFETY: the header has it called so.
+    unsafe {
+        with(run, (), |run| {
+            let message = abi::text(message, "the warning").ok().flatten().unwrap_or("a warning that is no text");
+            match run.context_mut() {
+                Some(context) => context.warn(message),
+                None => tracing::warn!("while it was built: {message}"),
+            }
+        });
+    }
+}
+
+unsafe extern "C" fn absent_reason(run: *const abi::Run, port: Text) -> Text {
+    // SAFETY: the header has it called so.
+    unsafe {
+        look(run, Text::NONE, |run| {
+            let port = abi::text(port, "a port").ok().flatten().unwrap_or_default();
+            Text::of_option(run.context().and_then(|context| context.absent_reason(port)))
+        })
+    }
+}
+
+unsafe extern "C" fn out_dir(run: *const abi::Run) -> Text {
+    // SAFETY: the header has it called so.
+    unsafe { look(run, Text::NONE, |run| Text::of_option(run.context().and_then(|c| c.out_dir()?.to_str()))) }
+}
+
+unsafe extern "C" fn parameter(run: *mut abi::Run, name: Text, place: *mut abi::Param) {
+    let numbers = abi::Numbers { data: std::ptr::null(), length: 0 };
+    let mut found =
+        abi::Param { what: param::MISSING, boolean: 0, number: 0.0, text: Text::NONE, numbers, json: Text::NONE };
+    // SAFETY: the header has it called so.
+    unsafe {
+        with(run, (), |run| {
+            let name = abi::text(name, "a parameter").ok().flatten().unwrap_or_default();
+            let Some(value) = run.about.param(run.params, name) else { return };
+            let list = value.as_array().map(|list| list.iter().map(Json::as_f64).collect::<Option<Vec<_>>>());
+            let text = value.as_str().map(str::to_owned).unwrap_or_else(|| value.to_string());
+            // What text and numbers point to stays where it is when the list of them grows.
+            run.lent.push(LentParam { text, numbers: list.flatten().unwrap_or_default() });
+            let Some(lent) = run.lent.last() else { return };
+            match value {
+                Json::Bool(yes) => (found.what, found.boolean) = (param::BOOL, u32::from(*yes)),
+                Json::Number(number) => {
+                    (found.what, found.number) = (param::NUMBER, number.as_f64().unwrap_or_default());
+                }
+                Json::String(_) => (found.what, found.text) = (param::TEXT, Text::of(&lent.text)),
+                Json::Array(list) if lent.numbers.len() == list.len() => {
+                    (found.what, found.numbers) = (param::NUMBERS, abi::Numbers::of(&lent.numbers));
+                }
+                _ => (found.what, found.json) = (param::OTHER, Text::of(&lent.text)),
+            }
+        });
+        place.write(found);
+    }
+}
+
+unsafe extern "C" fn n_declared(run: *const abi::Run) -> u64 {
+    // SAFETY: the header has it called so.
+    unsafe { look(run, 0, |run| run.about.declared.len() as u64) }
+}
+
+unsafe extern "C" fn declared(run: *const abi::Run, index: u64, place: *mut abi::Declared) -> i32 {
+    // SAFETY: the header has it called so.
+    unsafe {
+        look(run, status::FAILED, |run| {
+            let Some(port) = usize::try_from(index).ok().and_then(|index| run.about.declared.get(index)) else {
+                return status::FAILED;
+            };
+            place.write(abi::Declared {
+                name: Text::of(&port.name),
+                payload: port.payload,
+                params: Text::of(&port.params),
+            });
+            status::OK
+        })
+    }
+}
+
+unsafe extern "C" fn log_level() -> u32 {
+    use tracing::level_filters::LevelFilter;
+    match LevelFilter::current() {
+        LevelFilter::OFF => 0,
+        LevelFilter::ERROR => 1,
+        LevelFilter::WARN => 2,
+        LevelFilter::INFO => 3,
+        LevelFilter::DEBUG => 4,
+        _ => 5,
+    }
+}
+
+unsafe extern "C" fn log(level: u32, target: Text, message: Text) {
+    // SAFETY: the header has it called so.
+    let [target, message] = [target, message].map(|text| unsafe { abi::text(text, "a log line") }.ok().flatten());
+    let (target, message) = (target.unwrap_or("plugin"), message.unwrap_or_default());
+    // A subscriber's panic stays here.
+    let _ = catch_panic(|| match level {
+        1 => tracing::error!(target: "plugin", "{target}: {message}"),
+        2 => tracing::warn!(target: "plugin", "{target}: {message}"),
+        3 => tracing::info!(target: "plugin", "{target}: {message}"),
+        4 => tracing::debug!(target: "plugin", "{target}: {message}"),
+        _ => tracing::trace!(target: "plugin", "{target}: {message}"),
+    });
+}
+
+/// The table of functions that every plugin is given.
+pub(super) static HOST: abi::Host = abi::Host {
+    size: mem::size_of::<abi::Host>() as u64,
+    view,
+    result,
+    hold,
+    release,
+    emit,
+    emit_as,
+    emit_value,
+    emit_empty,
+    fail,
+    node,
+    item,
+    stamp_ns,
+    set_stamp_ns,
+    seed,
+    random,
+    clock_ns,
+    budget,
+    budget_is_over,
+    budget_release,
+    cancelled,
+    warn,
+    absent_reason,
+    out_dir,
+    param: parameter,
+    n_declared,
+    declared,
+    log_level,
+    log,
+};

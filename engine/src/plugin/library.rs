@@ -1,0 +1,324 @@
+//! A shared library, loaded and read.
+#![allow(unsafe_code, reason = "loads a library and reads what it describes")]
+
+use super::about::{InputAbout, KindAbout, OutputsAbout, PluginAbout, PortAbout};
+use osteoflow_node::{
+    Join, Kept, Role,
+    abi::{self, AbiError, kind, panics},
+};
+use std::{
+    path::{Path, PathBuf},
+    sync::Once,
+};
+
+/// A library that is no plugin for this program; each names the file.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {why}", path.display())]
+pub struct LibraryError {
+    /// The file.
+    pub path: PathBuf,
+    /// What is wrong with it.
+    pub why: Why,
+}
+
+/// What is wrong with a library.
+#[derive(Debug, thiserror::Error)]
+pub enum Why {
+    /// The system does not load it.
+    #[error("the system cannot load it: {0}")]
+    Load(String),
+    /// It does not export the function.
+    #[error(
+        "it has no function osteoflow_describe, so it is no plugin; close the crate with osteoflow_node::export!, or export the function of osteoflow.h"
+    )]
+    NoSymbol,
+    /// The function answers null.
+    #[error("its description is a null pointer; what it printed may say why")]
+    NoDescription,
+    /// The description does not begin as it must.
+    #[error("its description does not begin with OSTEOPLG, so it is no plugin of this program")]
+    Magic,
+    /// It speaks another interface.
+    #[error("it speaks version {}.{} of the plugin interface, this program {}.{}; build it with the SDK of this program", found.0, found.1, ours.0, ours.1)]
+    Version {
+        /// Of the plugin.
+        found: (u32, u32),
+        /// Of the program.
+        ours: (u32, u32),
+    },
+    /// Its structs are smaller than they ever were.
+    #[error("its {what} has {found} bytes, at least {needed} are needed by version {}.{}; it speaks {}.{}", ours.0, ours.1, theirs.0, theirs.1)]
+    Size {
+        /// The struct.
+        what: &'static str,
+        /// Bytes as it was compiled.
+        found: u32,
+        /// Bytes that are needed.
+        needed: u32,
+        /// The program's version.
+        ours: (u32, u32),
+        /// The plugin's version.
+        theirs: (u32, u32),
+    },
+    /// Its panics would end the program.
+    #[error(
+        "it was built with panic = \"abort\", so that a panic of a node would end the program; build it with panic = \"unwind\""
+    )]
+    PanicAbort,
+    /// A part of the description is not sound.
+    #[error("its description is not sound: {0}")]
+    Unsound(String),
+}
+
+impl From<AbiError> for Why {
+    fn from(error: AbiError) -> Self {
+        Self::Unsound(error.to_string())
+    }
+}
+
+/// A loaded plugin.
+pub struct Library {
+    about: PluginAbout,
+    kinds: Vec<abi::Kind>,
+    start: Option<unsafe extern "C" fn(*const abi::Host)>,
+    started: Once,
+}
+
+// SAFETY: what the pointers lead to lives as long as the library, which is never unloaded, and never changes.
+unsafe impl Send for Library {}
+// SAFETY: as above.
+unsafe impl Sync for Library {}
+
+const OURS: (u32, u32) = (abi::MAJOR, abi::MINOR);
+
+impl Library {
+    /// Loads the library at `path` and reads its description. Its initialisers run: a library that crashes there takes
+    /// the process with it.
+    ///
+    /// # Errors
+    /// [`LibraryError`] naming the file.
+    pub fn load(path: &Path) -> Result<Self, LibraryError> {
+        let absolute = std::path::absolute(path).unwrap_or_else(|_| path.into());
+        Self::of(&absolute).map_err(|why| LibraryError { path: path.into(), why })
+    }
+
+    fn of(path: &Path) -> Result<Self, Why> {
+        // SAFETY: what a library does when it is loaded is its author's; the docs say so.
+        let library = unsafe { open(path) }.map_err(|error| Why::Load(said(&error)))?;
+        // Never unloaded: descriptions, buffers and threads of it may outlive every use.
+        let library = Box::leak(Box::new(library));
+        // SAFETY: the header gives the function this type.
+        let describe = unsafe { library.get::<abi::DescribeFn>(abi::SYMBOL.as_bytes()) };
+        let describe = describe.map_err(|_| Why::NoSymbol)?;
+        // SAFETY: as above.
+        let plugin = unsafe { describe() };
+        // SAFETY: what the function answers is a description, or what can be told from one by its first bytes.
+        unsafe { Self::read(plugin) }
+    }
+
+    /// # Safety
+    /// `plugin` is null, or leads to a description as the header says, at least to the bytes of magic, version and sizes.
+    unsafe fn read(plugin: *const abi::Plugin) -> Result<Self, Why> {
+        if plugin.is_null() {
+            return Err(Why::NoDescription);
+        }
+        if !plugin.is_aligned() {
+            return Err(Why::Unsound("it is not aligned".into()));
+        }
+        // SAFETY: as the caller vouches: magic and version lie at the same place in every version.
+        let (magic, theirs) = unsafe { ((*plugin).magic, ((*plugin).abi_major, (*plugin).abi_minor)) };
+        if magic != abi::MAGIC {
+            return Err(Why::Magic);
+        }
+        if theirs.0 != abi::MAJOR {
+            return Err(Why::Version { found: theirs, ours: OURS });
+        }
+        // SAFETY: within this major sizes follow.
+        let sizes = unsafe { (*plugin).sizes };
+        check_sizes(&sizes, theirs)?;
+        // SAFETY: it is as large as its size says.
+        let about = unsafe { abi::entries(plugin, 1, sizes.plugin, "the description") }?[0];
+        if about.panic == panics::ABORT {
+            return Err(Why::PanicAbort);
+        }
+        // SAFETY: as the caller vouches, in this and the following.
+        let kinds = unsafe { abi::entries(about.kinds, about.n_kinds, sizes.kind, "the kinds") }?;
+        // SAFETY: as above.
+        let payloads = unsafe { abi::entries(about.payloads, about.n_payloads, sizes.payload, "the payloads") }?;
+        // SAFETY: as above.
+        let payloads = payloads.iter().map(|payload| unsafe { abi::schema::read(payload, sizes.part) });
+        // SAFETY: as above.
+        let text = |text, what| unsafe { abi::text(text, what) }.map(|text| text.unwrap_or_default().to_owned());
+        let described = PluginAbout {
+            name: text(about.name, "the plugin's name")?,
+            version: text(about.version, "the plugin's version")?,
+            sdk: text(about.sdk, "the plugin's SDK")?,
+            compiler: text(about.compiler, "the plugin's compiler")?,
+            abi: theirs,
+            // SAFETY: as above.
+            kinds: kinds.iter().map(|kind| unsafe { read_kind(kind, &sizes) }).collect::<Result<_, _>>()?,
+            payloads: payloads.collect::<Result<_, _>>()?,
+        };
+        Ok(Self { about: described, kinds, start: about.start, started: Once::new() })
+    }
+
+    /// What it says of itself.
+    pub fn about(&self) -> &PluginAbout {
+        &self.about
+    }
+
+    /// The kind at this place of [`PluginAbout::kinds`].
+    pub(super) fn kind(&self, index: usize) -> &abi::Kind {
+        &self.kinds[index]
+    }
+
+    /// Tells it once that nodes are going to be built.
+    pub(super) fn start(&self, host: &'static abi::Host) {
+        self.started.call_once(|| {
+            if let Some(start) = self.start {
+                // SAFETY: the header has it called so.
+                unsafe { start(host) };
+            }
+        });
+    }
+}
+
+/// # Safety
+/// Runs the library's initialisers.
+#[cfg(unix)]
+unsafe fn open(path: &Path) -> Result<libloading::Library, libloading::Error> {
+    use libloading::os::unix::{Library, RTLD_LOCAL, RTLD_NOW};
+    // Now: what is missing is told now. Local: what two plugins call alike stays apart.
+    // SAFETY: as the caller vouches.
+    unsafe { Library::open(Some(path), RTLD_NOW | RTLD_LOCAL) }.map(Into::into)
+}
+
+/// # Safety
+/// Runs the library's initialisers.
+#[cfg(not(unix))]
+unsafe fn open(path: &Path) -> Result<libloading::Library, libloading::Error> {
+    // SAFETY: as the caller vouches.
+    unsafe { libloading::Library::new(path) }
+}
+
+/// What the system says, which libloading has as the cause.
+fn said(error: &libloading::Error) -> String {
+    std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string)
+}
+
+fn check_sizes(found: &abi::Sizes, theirs: (u32, u32)) -> Result<(), Why> {
+    // Those of minor 0, which are today's.
+    let least = abi::Sizes::OURS;
+    let pairs = [
+        ("osteoflow_plugin", found.plugin, least.plugin),
+        ("osteoflow_kind", found.kind, least.kind),
+        ("osteoflow_input", found.input, least.input),
+        ("osteoflow_output", found.output, least.output),
+        ("osteoflow_payload", found.payload, least.payload),
+        ("osteoflow_part", found.part, least.part),
+        ("osteoflow_host", found.host, least.host),
+        ("osteoflow_firing", found.firing, least.firing),
+        ("osteoflow_slot", found.slot, least.slot),
+        ("osteoflow_item", found.item, least.item),
+        ("osteoflow_view", found.view, least.view),
+        ("osteoflow_column", found.column, least.column),
+        ("osteoflow_param", found.param, least.param),
+        ("osteoflow_declared", found.declared, least.declared),
+    ];
+    match pairs.into_iter().find(|(_, found, needed)| found < needed) {
+        Some((what, found, needed)) => Err(Why::Size { what, found, needed, ours: OURS, theirs }),
+        None => Ok(()),
+    }
+}
+
+/// # Safety
+/// `kind` is one of a plugin's description.
+unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindAbout, AbiError> {
+    // SAFETY: as the caller vouches, in this and the following.
+    let name = unsafe { abi::needed(given.kind, "the name of a kind") }?.to_owned();
+    let what = |part: &str| format!("{part} of kind {name}");
+    // SAFETY: as above.
+    let text = |text, part: &str| unsafe { abi::text(text, &what(part)) }.map(|t| t.map(str::to_owned));
+    let missing = |part: &str| AbiError::Null(what(part));
+    let has = (given.create.is_some(), given.fire.is_some(), given.destroy.is_some());
+    if let Some(part) = match has {
+        (false, ..) => Some("the function create"),
+        (_, false, _) => Some("the function fire"),
+        (.., false) => Some("the function destroy"),
+        _ => None,
+    } {
+        return Err(missing(part));
+    }
+    let json = |given: Option<String>, part: &str| match given {
+        None => Ok(None),
+        Some(given) => serde_json::from_str(&given)
+            .map(Some)
+            .map_err(|error| AbiError::Json { what: what(part), error: error.to_string() }),
+    };
+    let params = json(text(given.params_schema, "the parameters' schema")?, "the parameters' schema")?;
+    let declared = json(text(given.declared_schema, "the outputs' schema")?, "the outputs' schema")?;
+    // SAFETY: as above.
+    let literature = unsafe { abi::list(given.literature, given.n_literature, &what("the literature")) }?;
+    // SAFETY: as above.
+    let inputs = unsafe { abi::entries(given.inputs, given.n_inputs, sizes.input, &what("the inputs")) }?;
+    // SAFETY: as above.
+    let outputs = unsafe { abi::entries(given.outputs, given.n_outputs, sizes.output, &what("the outputs")) }?;
+    let code = |part: &str, code| AbiError::Code(what(part), code);
+    let port = |name: abi::Text, doc, payload, version, frames: [abi::Text; 3]| -> Result<PortAbout, AbiError> {
+        let port = text(name, "the name of a port")?.ok_or_else(|| missing("the name of a port"))?;
+        let [frame, to, from] = frames.map(|frame| text(frame, "a frame of a port"));
+        Ok(PortAbout {
+            doc: text(doc, &format!("the doc of port \"{port}\""))?.unwrap_or_default(),
+            payload: text(payload, &format!("the payload of port \"{port}\""))?.map(|name| (name, version)),
+            frames: [frame?, to?, from?],
+            name: port,
+        })
+    };
+    let input = |input: &abi::Input| -> Result<InputAbout, AbiError> {
+        let frames = [input.frame, input.to, input.from];
+        let port = port(input.name, input.doc, input.payload, input.version, frames)?;
+        let join = match input.join {
+            kind::EACH => Join::Each,
+            kind::STAMP => Join::Stamp { tolerance_ns: input.join_ns },
+            kind::COLLECT => Join::Collect { n: Some(input.join_n).filter(|n| *n > 0) },
+            kind::LATEST => Join::Latest,
+            kind::INTERPOLATE => Join::Interpolate { max_gap_ns: Some(input.join_ns).filter(|ns| *ns >= 0) },
+            kind::ONCE => Join::Once,
+            unknown => return Err(code(&format!("the join of port \"{}\"", port.name), unknown)),
+        };
+        let (optional, unused) = (input.flags & kind::OPTIONAL != 0, input.flags & kind::UNUSED != 0);
+        Ok(InputAbout { port, join, optional, unused })
+    };
+    let output = |output: &abi::Output| {
+        let frames = [output.frame, output.to, output.from];
+        port(output.name, output.doc, output.payload, output.version, frames)
+    };
+    Ok(KindAbout {
+        doc: text(given.doc, "the doc")?.unwrap_or_default(),
+        params: params.unwrap_or_else(|| serde_json::json!({ "type": "object", "additionalProperties": false })),
+        example: text(given.example, "the example")?.unwrap_or_default(),
+        literature: literature
+            .iter()
+            .map(|source| text(*source, "the literature").map(Option::unwrap_or_default))
+            .collect::<Result<_, _>>()?,
+        role: match given.role {
+            kind::NODE => Role::Node,
+            kind::SOURCE => Role::Source,
+            kind::LIVE_SOURCE => Role::LiveSource,
+            unknown => return Err(code("the role", unknown)),
+        },
+        constant: given.flags & kind::CONSTANT != 0,
+        kept: match given.kept {
+            0 => Kept::No,
+            1 => Kept::ByInputs,
+            2 => Kept::ByInputsAndSeed,
+            unknown => return Err(code("what is kept", unknown)),
+        },
+        inputs: inputs.iter().map(input).collect::<Result<_, _>>()?,
+        outputs: match declared {
+            Some(schema) => OutputsAbout::Declared(schema),
+            None => OutputsAbout::Fixed(outputs.iter().map(output).collect::<Result<_, _>>()?),
+        },
+        kind: name,
+    })
+}

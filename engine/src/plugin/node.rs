@@ -1,0 +1,333 @@
+//! A plugin's node, as the engine holds it.
+#![allow(unsafe_code, reason = "calls a plugin's functions")]
+
+use super::{
+    Library,
+    host::{At, HOST, Lent, Run},
+};
+use crate::run::resume_told;
+use osteoflow_node::{
+    AnyNode, AnySource, Body, Built, Context, Emission, Empty, Item, Join, Joined, NodeError, ParamError, PayloadType,
+    PortPayload, Role, SILENT_AFTER, Site, Slot, StampNs,
+    abi::{self, Text, slot, status},
+    serde_json::Value as Json,
+};
+use std::{
+    collections::BTreeMap,
+    ffi::c_void,
+    ptr,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
+
+/// What is known of a kind whose node is built.
+pub(super) struct About {
+    /// JSON Schema of the parameters.
+    pub(super) schema: Json,
+    /// Names and payloads of the outputs.
+    pub(super) outputs: Vec<(String, PortPayload)>,
+    pub(super) declared: Vec<DeclaredAbout>,
+    /// The payloads that outputs for any may give.
+    pub(super) types: Arc<[&'static PayloadType]>,
+}
+
+/// An output that the graph declared, as it is lent.
+pub(super) struct DeclaredAbout {
+    pub(super) name: String,
+    pub(super) payload: *const abi::Payload,
+    pub(super) params: String,
+}
+
+// SAFETY: payloads as they cross are leaked and never change.
+unsafe impl Send for DeclaredAbout {}
+// SAFETY: as above.
+unsafe impl Sync for DeclaredAbout {}
+
+impl About {
+    /// A parameter by its dotted path: as given, else the schema's default.
+    pub(super) fn param<'a>(&'a self, params: &'a Json, path: &str) -> Option<&'a Json> {
+        let mut steps = path.split('.');
+        let given = steps.try_fold(params, |at, step| at.get(step));
+        given.or_else(|| {
+            let mut schema = &self.schema;
+            for step in path.split('.') {
+                schema = schema.get("properties")?.get(step)?;
+                if let Some(name) = schema.get("$ref").and_then(Json::as_str) {
+                    schema = self.schema.pointer(name.trim_start_matches('#'))?;
+                }
+            }
+            schema.get("default")
+        })
+    }
+}
+
+/// A payload type as it crosses; made once.
+fn crossing(ty: &'static PayloadType) -> *const abi::Payload {
+    static KNOWN: Mutex<BTreeMap<usize, usize>> = Mutex::new(BTreeMap::new());
+    let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    *known.entry(ptr::from_ref(ty) as usize).or_insert_with(|| ptr::from_ref(abi::schema::describe(ty)) as usize)
+        as *const abi::Payload
+}
+
+/// Builds a node of the kind at `index` of the library.
+pub(super) fn build(
+    library: &'static Library,
+    index: usize,
+    outputs: &[(String, PortPayload)],
+    types: Arc<[&'static PayloadType]>,
+    params: &Json,
+    site: &Site,
+) -> Result<Built, ParamError> {
+    library.start(&HOST);
+    let kind = library.kind(index);
+    let described = &library.about().kinds[index];
+    let declared = site.declared.iter().map(|port| DeclaredAbout {
+        name: port.name.clone(),
+        payload: crossing(port.payload),
+        params: port.params.to_string(),
+    });
+    let about = About {
+        schema: described.params.clone(),
+        outputs: match site.declared.is_empty() {
+            true => outputs.to_vec(),
+            false => site.declared.iter().map(|p| (p.name.clone(), PortPayload::Type(p.payload))).collect(),
+        },
+        declared: declared.collect(),
+        types,
+    };
+    let text = params.to_string();
+    let mut node = ptr::null_mut();
+    let mut run = Run { at: At::Site(site), about: &about, params, out: &mut [], failed: None, lent: Vec::new() };
+    let firing = abi::Firing {
+        size: size_of::<abi::Firing>() as u64,
+        host: &HOST,
+        run: run.handle(),
+        slots: ptr::null(),
+        n_slots: 0,
+    };
+    let create = kind.create.expect("a kind without it is refused when its library is read");
+    // SAFETY: called as the header says: with the plugin's own kind, and texts and a run that outlive the call.
+    let answered = unsafe { create(kind, &firing, Text::of(&text), &mut node) };
+    let (parameter, message) = run.failed.take().unwrap_or_default();
+    match answered {
+        status::OK if message.is_empty() && !node.is_null() => {}
+        status::OK if message.is_empty() => {
+            return Err(ParamError::new("", "the plugin built a node that is a null pointer"));
+        }
+        status::PANICKED => resume_told(message),
+        _ if message.is_empty() => {
+            return Err(ParamError::new(
+                "",
+                format!("the plugin answers {answered} in the place of a node, and no reason"),
+            ));
+        }
+        _ => return Err(ParamError::new(parameter, message)),
+    }
+    let n_inputs = described.inputs.len();
+    let node = PluginNode {
+        library,
+        index,
+        node,
+        about,
+        params: params.clone(),
+        is_source: described.role != Role::Node,
+        constants: (0..n_inputs)
+            .map(|port| matches!(site.joins.get(port), Some(Join::Once)).then_some(Constant(None)))
+            .collect(),
+        values: Vec::new(),
+        items: Vec::new(),
+        slots: Vec::new(),
+        payloads: Vec::new(),
+    };
+    Ok(match described.role {
+        Role::Node => Built::Node(Box::new(node)),
+        Role::Source | Role::LiveSource => Built::Source(Box::new(node)),
+    })
+}
+
+/// The value of a port joined by `once`, whose view is made once.
+struct Constant(Option<Box<Lent>>);
+
+struct PluginNode {
+    library: &'static Library,
+    index: usize,
+    node: *mut c_void,
+    about: About,
+    params: Json,
+    is_source: bool,
+    /// For each input: whether it is a constant.
+    constants: Vec<Option<Constant>>,
+    // What firings use again.
+    values: Vec<Lent>,
+    items: Vec<abi::Item>,
+    slots: Vec<abi::Slot>,
+    payloads: Vec<(*const PayloadType, *const abi::Payload)>,
+}
+
+// SAFETY: the header has a node used by one thread at a time, not always the same one; the lists are empty between firings.
+unsafe impl Send for PluginNode {}
+
+impl Drop for PluginNode {
+    fn drop(&mut self) {
+        let destroy = self.library.kind(self.index).destroy;
+        // SAFETY: called once with what `create` gave.
+        unsafe { destroy.expect("a kind without it is refused when its library is read")(self.node) };
+    }
+}
+
+impl PluginNode {
+    /// Lays out what the ports bring.
+    fn lay(&mut self, joined: &Joined) {
+        for (port, brought) in joined.slots.iter().enumerate() {
+            let items = match brought {
+                Slot::Item(item) => std::slice::from_ref(item),
+                Slot::Items(items) => items.as_slice(),
+                Slot::Absent(_) => &[],
+            };
+            for item in items {
+                if let Body::Value(value) = &item.body {
+                    match self.constants.get_mut(port) {
+                        Some(Some(Constant(known))) => {
+                            if !known.as_ref().is_some_and(|known| known.is(value)) {
+                                *known = Some(Box::new(Lent::new(value.clone())));
+                            }
+                        }
+                        _ => self.values.push(Lent::new(value.clone())),
+                    }
+                }
+            }
+        }
+        // From here on the values stay where they are.
+        let mut next = self.values.iter();
+        for (port, brought) in joined.slots.iter().enumerate() {
+            let constant = self.constants.get(port).and_then(Option::as_ref);
+            let mut one = |item: &Item| match &item.body {
+                Body::Empty(empty) => empty_item(item.number, item.stamp_ns, empty),
+                Body::Value(value) => {
+                    let lent = match constant {
+                        Some(Constant(known)) => known.as_deref(),
+                        None => next.next(),
+                    };
+                    abi::Item {
+                        number: item.number,
+                        stamp_ns: item.stamp_ns,
+                        value: lent.map_or(ptr::null(), Lent::handle),
+                        payload: payload_of(&mut self.payloads, value.ty()),
+                        empty_node: Text::NONE,
+                        empty_reason: Text::NONE,
+                    }
+                }
+            };
+            match brought {
+                Slot::Item(item) => self.items.push(one(item)),
+                Slot::Items(items) => self.items.extend(items.iter().map(one)),
+                Slot::Absent(empty) => self.items.push(empty_item(0, 0, empty)),
+            }
+        }
+        // And from here on the items.
+        let mut first = 0;
+        for (port, brought) in joined.slots.iter().enumerate() {
+            let (what, n_items) = match brought {
+                Slot::Item(_) => (slot::ITEM, 1),
+                Slot::Items(items) => (slot::ITEMS, items.len()),
+                Slot::Absent(_) => (slot::ABSENT, 1),
+            };
+            let is_constant = self.constants.get(port).is_some_and(Option::is_some);
+            let items = self.items[first..first + n_items].as_ptr();
+            let flags = if is_constant { slot::CONSTANT } else { 0 };
+            self.slots.push(abi::Slot { what, flags, items, n_items: n_items as u64 });
+            first += n_items;
+        }
+    }
+
+    /// Calls the plugin; `false` at a source's end.
+    fn call(&mut self, joined: &Joined, out: &mut [Emission], context: &mut Context) -> Result<bool, NodeError> {
+        self.lay(joined);
+        let mut run = Run {
+            at: At::Firing(context),
+            about: &self.about,
+            params: &self.params,
+            out,
+            failed: None,
+            lent: Vec::new(),
+        };
+        let firing = abi::Firing {
+            size: size_of::<abi::Firing>() as u64,
+            host: &HOST,
+            run: run.handle(),
+            slots: self.slots.as_ptr(),
+            n_slots: self.slots.len() as u64,
+        };
+        let fire = self.library.kind(self.index).fire;
+        // SAFETY: called as the header says: with what `create` gave, from one thread at a time, and a firing that
+        // outlives the call.
+        let answered =
+            unsafe { fire.expect("a kind without it is refused when its library is read")(self.node, &firing) };
+        let failed = run.failed.take();
+        self.slots.clear();
+        self.items.clear();
+        self.values.clear();
+        match (answered, failed) {
+            (status::OK, None) => Ok(true),
+            (status::END, None) if self.is_source => Ok(false),
+            (status::PANICKED, failed) => resume_told(failed.map_or_else(|| "panicked".into(), |(_, said)| said)),
+            (_, Some((parameter, message))) if parameter.is_empty() => Err(NodeError::new(message)),
+            (_, Some((parameter, message))) => Err(NodeError::new(format!("{parameter}: {message}"))),
+            (status::FAILED, None) => Err(NodeError::new("the plugin failed without saying why")),
+            (unknown, None) => Err(NodeError::new(format!("the plugin answers {unknown}, which means nothing"))),
+        }
+    }
+}
+
+fn payload_of(
+    known: &mut Vec<(*const PayloadType, *const abi::Payload)>,
+    ty: &'static PayloadType,
+) -> *const abi::Payload {
+    if let Some((_, payload)) = known.iter().find(|(known, _)| ptr::eq(*known, ty)) {
+        return *payload;
+    }
+    let payload = crossing(ty);
+    known.push((ty, payload));
+    payload
+}
+
+fn empty_item(number: u64, stamp_ns: StampNs, empty: &Empty) -> abi::Item {
+    abi::Item {
+        number,
+        stamp_ns,
+        value: ptr::null(),
+        payload: ptr::null(),
+        empty_node: Text::of(&empty.node),
+        empty_reason: Text::of(&empty.reason),
+    }
+}
+
+impl AnyNode for PluginNode {
+    fn fire(&mut self, joined: &Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError> {
+        self.call(joined, out, ctx)?;
+        // A node answers on every output.
+        for emission in out.iter_mut().filter(|emission| matches!(emission, Emission::Silent)) {
+            *emission = Emission::Empty("the node gave no value".into());
+        }
+        Ok(())
+    }
+}
+
+impl AnySource for PluginNode {
+    fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError> {
+        self.call(&Joined::default(), out, ctx)
+    }
+
+    fn max_delay_ns(&self) -> StampNs {
+        let ask = self.library.kind(self.index).max_delay_ns;
+        // SAFETY: called with what `create` gave.
+        ask.map_or(0, |ask| unsafe { ask(self.node) })
+    }
+
+    fn silent_after(&self) -> Duration {
+        let ask = self.library.kind(self.index).silent_after_ns;
+        // SAFETY: called with what `create` gave.
+        let ns = ask.map(|ask| unsafe { ask(self.node) });
+        ns.and_then(|ns| u64::try_from(ns).ok()).map_or(SILENT_AFTER, Duration::from_nanos)
+    }
+}

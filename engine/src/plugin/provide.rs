@@ -1,0 +1,174 @@
+//! A plugin's kinds and payloads in the registry.
+
+use super::{
+    Library,
+    about::{InputAbout, KindAbout, OutputsAbout, PluginAbout, PortAbout},
+    node,
+};
+use osteoflow_node::{
+    Description, FrameExpr, InputPort, KindClash, OutputPort, OutputPorts, PayloadClash, PayloadType, PortPayload,
+    Registry, SchemaError,
+};
+use std::{collections::BTreeSet, sync::Arc};
+
+/// Why a plugin cannot stand beside what is known already.
+#[derive(Debug, thiserror::Error)]
+pub enum ProvideError {
+    /// A kind has a name that is taken, or that no graph can write.
+    #[error(transparent)]
+    Kind(#[from] KindClash),
+    /// It was built against another payload.
+    #[error(transparent)]
+    Payload(#[from] PayloadClash),
+    /// A payload of its own is described in a way that makes none.
+    #[error("payload {payload}: {error}")]
+    Schema {
+        /// The payload.
+        payload: String,
+        /// What is wrong.
+        error: SchemaError,
+    },
+    /// A port names a payload that nobody knows.
+    #[error("port \"{port}\" of kind {kind} names the payload {payload}@{version}, {known}")]
+    Unknown {
+        /// The kind.
+        kind: String,
+        /// The port.
+        port: String,
+        /// The payload.
+        payload: String,
+        /// Its version.
+        version: u32,
+        /// What is known instead.
+        known: String,
+    },
+    /// A description that would be no kind.
+    #[error("kind {kind}: {why}")]
+    Unsound {
+        /// The kind.
+        kind: String,
+        /// What is wrong.
+        why: String,
+    },
+}
+
+/// Adds the kinds and payloads of a plugin to a registry. `load` gives the library when the first node is built.
+///
+/// # Errors
+/// [`ProvideError`]; then kinds and payloads that came before the fault are in the registry.
+pub fn provide(
+    registry: &mut Registry,
+    about: &PluginAbout,
+    sha256: &Arc<str>,
+    load: impl Fn() -> Result<&'static Library, String> + Clone + Send + Sync + 'static,
+) -> Result<(), ProvideError> {
+    for payload in &about.payloads {
+        let free = PayloadType::free(&payload.name, payload.version, payload.schema.clone());
+        let free = free.map_err(|error| ProvideError::Schema { payload: payload.name.clone(), error })?;
+        registry.add_payload_type(free)?;
+    }
+    let types: Arc<[&'static PayloadType]> = registry.payload_types().collect();
+    for (index, kind) in about.kinds.iter().enumerate() {
+        let description = describe(registry, kind)?;
+        let outputs: Vec<(String, PortPayload)> = match &description.outputs {
+            OutputPorts::Fixed(ports) => ports.iter().map(|port| (port.name.into(), port.payload)).collect(),
+            OutputPorts::Declared { .. } => Vec::new(),
+        };
+        let (load, types) = (load.clone(), types.clone());
+        registry.add_kind(description, sha256.clone(), move |params, site| {
+            let library = load().map_err(|said| osteoflow_node::ParamError::new("", said))?;
+            node::build(library, index, &outputs, types.clone(), params, site)
+        })?;
+    }
+    Ok(())
+}
+
+/// Names live as long as the process, as the library does.
+fn kept(text: &str) -> &'static str {
+    String::leak(text.to_owned())
+}
+
+fn describe(registry: &Registry, kind: &KindAbout) -> Result<Description, ProvideError> {
+    let unsound = |why: String| ProvideError::Unsound { kind: kind.kind.clone(), why };
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '.' || c == '-';
+    if !kind.kind.contains('.') || !kind.kind.chars().all(plain) {
+        return Err(unsound("a kind is called stage.variant, with letters, digits, _ and - only".into()));
+    }
+    let (summary, details) = kind.doc.split_once("\n\n").unwrap_or((&kind.doc, ""));
+    let inputs = kind.inputs.iter().map(|input| input_port(registry, kind, input)).collect::<Result<Vec<_>, _>>()?;
+    let outputs = match &kind.outputs {
+        OutputsAbout::Fixed(ports) => {
+            OutputPorts::Fixed(ports.iter().map(|port| output_port(registry, kind, port)).collect::<Result<_, _>>()?)
+        }
+        OutputsAbout::Declared(schema) => OutputPorts::Declared { schema: schema.clone() },
+    };
+    let names = |names: Vec<&'static str>| names.iter().collect::<BTreeSet<_>>().len() == names.len();
+    let outputs_differ = match &outputs {
+        OutputPorts::Fixed(ports) => names(ports.iter().map(|port| port.name).collect()),
+        OutputPorts::Declared { .. } => true,
+    };
+    if !names(inputs.iter().map(|port| port.name).collect()) || !outputs_differ {
+        return Err(unsound("two of its ports have one name".into()));
+    }
+    if !kind.params.is_object() {
+        return Err(unsound("the schema of its parameters is no JSON object".into()));
+    }
+    Ok(Description {
+        kind: kept(&kind.kind),
+        summary: summary.replace('\n', " ").trim().into(),
+        details: details.trim().into(),
+        role: kind.role,
+        constant: kind.constant,
+        kept: kind.kept,
+        inputs,
+        outputs,
+        params: kind.params.clone(),
+        example: kept(&kind.example),
+        literature: Vec::leak(kind.literature.iter().map(|source| kept(source)).collect()),
+    })
+}
+
+fn payload(registry: &Registry, kind: &KindAbout, port: &PortAbout) -> Result<PortPayload, ProvideError> {
+    let Some((name, version)) = &port.payload else { return Ok(PortPayload::Any) };
+    match registry.payload_type(name) {
+        Some(ty) if ty.version == *version => Ok(PortPayload::Type(ty)),
+        known => Err(ProvideError::Unknown {
+            kind: kind.kind.clone(),
+            port: port.name.clone(),
+            payload: name.clone(),
+            version: *version,
+            known: match known {
+                Some(ty) => {
+                    format!("this program has version {}; build the plugin with the SDK of this program", ty.version)
+                }
+                None => "which nothing describes; describe it in the plugin, or load the plugin that does".into(),
+            },
+        }),
+    }
+}
+
+fn frames(port: &PortAbout) -> FrameExpr {
+    let [frame, to, from] = port.frames.each_ref().map(|frame| frame.as_deref().map(kept));
+    FrameExpr { frame, to, from }
+}
+
+fn input_port(registry: &Registry, kind: &KindAbout, input: &InputAbout) -> Result<InputPort, ProvideError> {
+    Ok(InputPort {
+        name: kept(&input.port.name),
+        doc: kept(&input.port.doc),
+        payload: payload(registry, kind, &input.port)?,
+        join: input.join,
+        optional: input.optional,
+        unused: input.unused,
+        frames: frames(&input.port),
+    })
+}
+
+fn output_port(registry: &Registry, kind: &KindAbout, port: &PortAbout) -> Result<OutputPort, ProvideError> {
+    Ok(OutputPort {
+        name: kept(&port.name),
+        doc: kept(&port.doc),
+        payload: payload(registry, kind, port)?,
+        frames: frames(port),
+    })
+}

@@ -1,0 +1,87 @@
+//! Libraries built for these tests, loaded and run: in C by the system's compiler, in Rust as examples of this crate.
+
+#[path = "../benches/graph/mod.rs"]
+#[allow(dead_code, reason = "the benches use the rest")]
+mod graph;
+
+use graph::{chain, registry};
+use osteoflow_engine::{
+    plan::ResultEntry,
+    plugin::{Library, provide},
+    run::{Outcome, RunOptions, run},
+};
+use osteoflow_node::Registry;
+use std::{
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+/// The library of a C file beside this test, or `None` where there is no compiler.
+fn c_library(name: &str) -> Option<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("lib{name}.so"));
+    let compiled = Command::new("cc")
+        .args(["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-I"])
+        .arg(root.join("node/include"))
+        .arg(root.join(format!("tests/plugins/c/{name}.c")))
+        .arg("-o")
+        .arg(&library)
+        .output();
+    match compiled {
+        Ok(output) => assert!(output.status.success(), "{name}.c: {}", String::from_utf8_lossy(&output.stderr)),
+        Err(error) => {
+            println!("skipped {name}.c: there is no C compiler here: {error}");
+            return None;
+        }
+    }
+    Some(library)
+}
+
+/// The library of an example of this crate.
+fn rust_library(name: &str) -> PathBuf {
+    let built = Command::new(env!("CARGO"))
+        .args(["build", "--release", "-p", "osteoflow-engine", "--example", name])
+        .status()
+        .expect("cargo runs");
+    assert!(built.success(), "the example {name} builds");
+    // deps/plugins-HASH stands beside examples/.
+    let deps = std::env::current_exe().expect("this test has a file");
+    deps.parent().and_then(Path::parent).expect("in target/PROFILE/deps").join(format!("examples/lib{name}.so"))
+}
+
+fn with_library(path: &Path) -> Registry {
+    let mut registry = registry();
+    let library: &'static Library = Box::leak(Box::new(Library::load(path).expect("the library is a plugin")));
+    provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).expect("its kinds are new");
+    registry
+}
+
+/// What the last of three nodes in a row gives for the numbers 1 to 5.
+fn last_number(registry: &Registry, kind: &str) -> serde_json::Value {
+    let mut plan = chain(registry, "bench.count", 5, kind, 3, 0);
+    plan.results = vec![ResultEntry {
+        key: "numbers".into(),
+        from: osteoflow_engine::plan::OutputId { node: 3, port: 0 },
+        all: true,
+        optional: false,
+        location: plan.nodes[0].location.clone(),
+    }];
+    let report = run(&plan, registry, &RunOptions::default(), &()).expect("the chain runs");
+    assert_eq!(report.outcome, Outcome::Complete, "{:?}", report.results);
+    report.results["numbers"].clone()
+}
+
+#[test]
+fn nodes_of_a_plugin_in_rust_answer_as_built_in_ones() {
+    let registry = with_library(&rust_library("plugin_relay"));
+    assert_eq!(last_number(&registry, "rust.next"), last_number(&registry, "bench.next"));
+    assert_eq!(last_number(&registry, "rust.relay"), last_number(&registry, "bench.relay"));
+}
+
+#[test]
+fn nodes_of_a_plugin_in_c_answer_as_built_in_ones() {
+    let Some(library) = c_library("relay") else { return };
+    let registry = with_library(&library);
+    assert_eq!(last_number(&registry, "c.next"), last_number(&registry, "bench.next"));
+    assert_eq!(last_number(&registry, "c.relay"), last_number(&registry, "bench.relay"));
+}
