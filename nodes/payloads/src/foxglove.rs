@@ -16,8 +16,22 @@ use osteoflow_node::{Display, StampNs};
 
 const NS_PER_S: i64 = 1_000_000_000;
 
-/// The channel of a message type.
-pub(crate) fn schema<M: Encode>() -> Option<Display> {
+/// The channel of [`points`].
+pub(crate) fn points_schema() -> Option<Display> {
+    schema::<PointCloud>()
+}
+
+/// The channel of [`transform`].
+pub(crate) fn transform_schema() -> Option<Display> {
+    schema::<FrameTransform>()
+}
+
+/// The channel of [`poses`].
+pub(crate) fn poses_schema() -> Option<Display> {
+    schema::<PosesInFrame>()
+}
+
+fn schema<M: Encode>() -> Option<Display> {
     let schema = M::get_schema()?;
     Some(Display {
         schema_name: schema.name,

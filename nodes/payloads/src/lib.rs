@@ -11,16 +11,26 @@
 //! let back = registry.payload_type("geometry/Pose").unwrap().from_view(&value.to_view()).unwrap();
 //! assert_eq!(back.get::<Pose>(), Some(&pose));
 //! ```
+//!
+//! Who writes a plugin needs this crate and `osteoflow-node` only: [`geometry`] and [`algorithms`] are those that the payloads
+//! are made of. Two features, both on by default, are left out where a short build counts: `viewer` (pictures for Foxglove,
+//! which the program makes, never a plugin) and `algorithms` (`algorithms/Target`, and what algorithms report).
 
 mod columns;
+#[cfg_attr(not(feature = "viewer"), path = "no_foxglove.rs")]
 mod foxglove;
-mod geometry;
 mod metrics;
+mod of_geometry;
+#[cfg(feature = "algorithms")]
 mod report;
+#[cfg(feature = "algorithms")]
 mod target;
 mod words;
 
 pub use metrics::{Metric, Metrics, MetricsError};
+#[cfg(feature = "algorithms")]
+pub use osteoflow_algorithms as algorithms;
+pub use osteoflow_geometry as geometry;
 pub use words::{Flag, Json, Text};
 
 use osteoflow_node::Registry;
@@ -39,32 +49,37 @@ pub fn register(registry: &mut Registry) {
         .payload::<Planes, _>()
         .payload::<Region, _>()
         .payload::<Axes, _>()
-        .payload::<osteoflow_algorithms::target::Target, _>()
         .payload::<Text, _>()
         .payload::<Flag, _>()
         .payload::<Json, _>()
         .payload::<Metrics, _>();
-    report::register(registry);
+    #[cfg(feature = "algorithms")]
+    {
+        registry.payload::<algorithms::target::Target, _>();
+        report::register(registry);
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use osteoflow_node::{Part, Value};
+    use osteoflow_node::Part;
 
     #[test]
     fn every_payload_of_the_table_has_a_schema_whose_names_are_unique() {
         let mut registry = Registry::default();
         register(&mut registry);
-        assert!(registry.payload_types().count() > 20);
+        assert!(registry.payload_types().count() > 10);
         for ty in registry.payload_types() {
             assert!(!ty.schema.is_empty(), "{ty:?} shows nothing");
             assert_eq!(Part::check_all(ty.schema), Ok(()), "{ty:?}");
         }
     }
 
+    #[cfg(feature = "algorithms")]
     #[test]
     fn words_and_reports_fit_their_schemas() {
+        use osteoflow_node::Value;
         // One macro writes the views of all reports.
         let report = osteoflow_algorithms::icp::IcpTrace::default();
         let json = Json(serde_json::json!({ "n": 1 }).into());

@@ -3,7 +3,7 @@
 use crate::{
     Table,
     columns::{from_column, to_column},
-    geometry::{LINE, invalid},
+    of_geometry::{LINE, invalid},
 };
 use osteoflow_node::{ColumnType, Part, Payload, View, ViewError};
 use serde_json::{Map, Value as Json};

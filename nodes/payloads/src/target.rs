@@ -2,7 +2,7 @@ use crate::{
     Table,
     columns::{from_column, to_column},
     foxglove,
-    geometry::{invalid, origin},
+    of_geometry::{invalid, origin},
 };
 use osteoflow_algorithms::{
     field::{ClosestPointField, FieldParts},
@@ -115,7 +115,7 @@ impl Payload<Table> for Target {
     }
 
     fn display() -> Option<Display> {
-        foxglove::schema::<::foxglove::messages::PointCloud>()
+        foxglove::points_schema()
     }
 
     fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {

@@ -94,7 +94,7 @@ impl Payload<Table> for Cloud {
     }
 
     fn display() -> Option<Display> {
-        foxglove::schema::<::foxglove::messages::PointCloud>()
+        foxglove::points_schema()
     }
 
     fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
@@ -134,7 +134,7 @@ impl Payload<Table> for Mesh {
     }
 
     fn display() -> Option<Display> {
-        foxglove::schema::<::foxglove::messages::PointCloud>()
+        foxglove::points_schema()
     }
 
     fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
@@ -183,7 +183,7 @@ impl Payload<Table> for Pose {
     }
 
     fn display() -> Option<Display> {
-        foxglove::schema::<::foxglove::messages::FrameTransform>()
+        foxglove::transform_schema()
     }
 
     fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
@@ -251,7 +251,7 @@ impl Payload<Table> for Points {
     }
 
     fn display() -> Option<Display> {
-        foxglove::schema::<::foxglove::messages::PointCloud>()
+        foxglove::points_schema()
     }
 
     fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
@@ -326,7 +326,7 @@ impl Payload<Table> for Planes {
     }
 
     fn display() -> Option<Display> {
-        foxglove::schema::<::foxglove::messages::PosesInFrame>()
+        foxglove::poses_schema()
     }
 
     fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
