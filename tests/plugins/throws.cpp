@@ -1,0 +1,56 @@
+// Hands on what it gets, and throws on two items: an exception with words, and one without.
+#include "osteoflow_geometry.h"
+
+#include <exception>
+#include <stdexcept>
+
+static int32_t create(const osteoflow_kind *kind, const osteoflow_firing *, osteoflow_text, void **node) {
+    *node = const_cast<osteoflow_kind *>(kind);
+    return OSTEOFLOW_OK;
+}
+
+static void relay(const osteoflow_firing *firing) {
+    if (firing->slots[0].items[0].number == 1) {
+        throw std::runtime_error("the spline turned inside out");
+    }
+    if (firing->slots[0].items[0].number == 2) {
+        throw 42;
+    }
+    firing->host->emit_value(firing->run, 0, firing->slots[0].items[0].value);
+}
+
+static int32_t fire(void *, const osteoflow_firing *firing) {
+    try {
+        relay(firing);
+        return OSTEOFLOW_OK;
+    } catch (const std::exception &error) {
+        return osteoflow_fail(firing, error.what());
+    } catch (...) {
+        return osteoflow_fail(firing, "an exception was thrown that is no std::exception");
+    }
+}
+
+static void destroy(void *) {}
+
+static const osteoflow_input inputs[] = {
+    { OSTEOFLOW_TEXT("value"), OSTEOFLOW_TEXT("Any."), OSTEOFLOW_NO_TEXT, 0, 0, OSTEOFLOW_JOIN_EACH, 0, 0,
+      OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT },
+};
+static const osteoflow_output outputs[] = {
+    { OSTEOFLOW_TEXT("value"), OSTEOFLOW_TEXT("The same."), OSTEOFLOW_NO_TEXT, 0, 0, OSTEOFLOW_NO_TEXT,
+      OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT },
+};
+static const osteoflow_kind kinds[] = {
+    { OSTEOFLOW_TEXT("cpp.throws"), OSTEOFLOW_TEXT("Throws on the second and third item."), OSTEOFLOW_NO_TEXT,
+      OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT, NULL, 0, inputs, 1, outputs, 1, OSTEOFLOW_ROLE_NODE, OSTEOFLOW_KEPT_NO, 0,
+      0, NULL, create, fire, destroy, NULL, NULL },
+};
+
+extern "C" const osteoflow_plugin *osteoflow_describe(void) {
+    static const osteoflow_plugin plugin = {
+        { 'O', 'S', 'T', 'E', 'O', 'P', 'L', 'G' }, OSTEOFLOW_ABI_MAJOR, OSTEOFLOW_ABI_MINOR, OSTEOFLOW_SIZES,
+        OSTEOFLOW_PANIC_NONE, 0, OSTEOFLOW_TEXT("throws"), OSTEOFLOW_TEXT("1"), OSTEOFLOW_TEXT(OSTEOFLOW_SDK),
+        OSTEOFLOW_TEXT(OSTEOFLOW_COMPILER), kinds, 1, NULL, 0, NULL,
+    };
+    return &plugin;
+}

@@ -1,0 +1,507 @@
+//! Plugins in C and C++, built by the system's compiler with the two headers alone: the examples answer as the built-in
+//! kinds do, no bulk is copied on the way in or out, and a payload that the program does not know goes from one plugin to
+//! another and into a recording.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+use osteoflow_engine::{
+    Event, Observer, Outcome, ReplayOptions, RunOptions, RunReport, check, check_text,
+    digest::digest,
+    plan::Plan,
+    plugin::{Library, provide},
+    replay, run,
+    validate::validate,
+};
+use osteoflow_geometry::{
+    Cloud, Column,
+    nalgebra::{Point3, Vector3},
+};
+use osteoflow_node::{
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Registry, Source, schemars, serde,
+};
+use osteoflow_payloads::Text;
+use serde_json::Value;
+use std::{
+    path::{Path, PathBuf},
+    process::Command,
+    sync::{Arc, Mutex, OnceLock},
+};
+
+mod common;
+
+use common::root;
+
+const EXAMPLES: &str = "nodes/payloads/examples/c";
+
+/// The library of a C or C++ file, or `None` where there is no compiler.
+fn library(file: &str) -> Option<PathBuf> {
+    let is_c = file.ends_with(".c");
+    let (compiler, standard) = if is_c { ("cc", "-std=c11") } else { ("c++", "-std=c++11") };
+    let name = Path::new(file).file_stem().unwrap().to_str().unwrap();
+    // Each test has its own: a library is loaded once in a process, and counts what it gave.
+    let test = std::thread::current().name().unwrap().to_owned();
+    let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("lib{name}_{test}.so"));
+    let compiled = Command::new(compiler)
+        .current_dir(root())
+        .args([standard, "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-shared", "-fPIC"])
+        .args(["-I", "engine/node/include", "-I", "nodes/payloads/include", file, "-o"])
+        .arg(&library)
+        .output();
+    match compiled {
+        Ok(output) => assert!(output.status.success(), "{file}: {}", String::from_utf8_lossy(&output.stderr)),
+        Err(error) => {
+            println!("skipped {file}: there is no {compiler} here: {error}");
+            return None;
+        }
+    }
+    Some(library)
+}
+
+/// The library of nodes/payloads/examples/plugin_cloud.rs.
+fn rust_library() -> PathBuf {
+    let built = Command::new(env!("CARGO"))
+        .current_dir(root())
+        .args(["build", "--release", "-p", "osteoflow-payloads", "--example", "plugin_cloud"])
+        .status()
+        .unwrap();
+    assert!(built.success(), "the example plugin_cloud builds");
+    // deps/plugins_c-HASH stands beside examples/.
+    let deps = std::env::current_exe().unwrap();
+    deps.parent().and_then(Path::parent).unwrap().join("examples/libplugin_cloud.so")
+}
+
+/// The built-in kinds, those of this file, and those of these libraries.
+fn registry(libraries: &[&Path]) -> Registry {
+    let mut registry = osteoflow_standard::registry();
+    registry.source::<Give>().node::<Address>().node::<Keep>().node::<Dress>();
+    for path in libraries {
+        let library: &'static Library = Box::leak(Box::new(Library::load(path).unwrap()));
+        provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).unwrap();
+    }
+    registry
+}
+
+fn plan(graph: &str, registry: &Registry) -> Plan {
+    let graph = format!("[graph]\nformat = 1\n{graph}");
+    check_text(&graph, &root().join("test.toml"), &[], registry).unwrap_or_else(|faults| panic!("{faults}")).plan
+}
+
+/// Runs a graph; what came of it.
+fn try_run(graph: &str, registry: &Registry) -> RunReport {
+    run(&plan(graph, registry), registry, &RunOptions::default(), &()).unwrap()
+}
+
+/// The results of a graph that comes to its end.
+fn results(graph: &str, registry: &Registry) -> Value {
+    let report = try_run(graph, registry);
+    assert_eq!(report.outcome, Outcome::Complete, "{graph}");
+    report.results
+}
+
+/// Runs a plan into a folder, recorded.
+fn recorded(plan: &Plan, registry: &Registry, dir: &Path) -> PathBuf {
+    let options = RunOptions { out_dir: Some(dir.into()), record: true, ..RunOptions::default() };
+    let report = run(plan, registry, &options, &()).unwrap();
+    assert_eq!(report.outcome, Outcome::Complete);
+    dir.join("run.mcap")
+}
+
+// ---- Kinds of these tests ----------------------------------------------------------------------------------------------
+
+#[derive(Default, serde::Deserialize, schemars::JsonSchema)]
+#[serde(default, crate = "serde")]
+#[schemars(crate = "schemars")]
+struct NoParams {}
+
+#[derive(Inputs)]
+struct CloudIn {
+    /// A cloud.
+    cloud: Cloud,
+}
+
+#[derive(Outputs)]
+struct TextOut {
+    /// What was seen.
+    text: Text,
+}
+
+#[derive(Outputs)]
+struct CloudOut {
+    /// A cloud.
+    cloud: Cloud,
+}
+
+fn address(cloud: &Cloud) -> Text {
+    Text(cloud.points().as_ptr().addr().to_string().into())
+}
+
+/// A cloud of the program's, and where its points lie.
+#[derive(Describe)]
+struct Give(bool);
+
+#[derive(Outputs)]
+struct GiveOut {
+    /// A cloud.
+    cloud: Cloud,
+    /// Where its points lie.
+    text: Text,
+}
+
+impl Source for Give {
+    const KIND: &'static str = "test.give";
+    type Params = NoParams;
+    type Outputs = GiveOut;
+
+    fn new(_: NoParams) -> Result<Self, ParamError> {
+        Ok(Self(false))
+    }
+
+    fn next(&mut self, _: &mut Context) -> Result<Option<GiveOut>, NodeError> {
+        let ended = std::mem::replace(&mut self.0, true);
+        let cloud = Cloud::new("camera", [1.0, 2.0, 3.0].map(|x| Point3::new(x, 0.0, -x)).to_vec())?;
+        Ok((!ended).then(|| GiveOut { text: address(&cloud), cloud }))
+    }
+}
+
+/// Where the points of a cloud lie.
+#[derive(Describe)]
+struct Address;
+
+impl Node for Address {
+    const KIND: &'static str = "test.address";
+    type Params = NoParams;
+    type Inputs = CloudIn;
+    type Outputs = TextOut;
+
+    fn new(_: NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: CloudIn, _: &mut Context) -> Result<TextOut, NodeError> {
+        Ok(TextOut { text: address(&i.cloud) })
+    }
+}
+
+/// Keeps a cloud beyond the run.
+#[derive(Describe)]
+struct Keep;
+
+static KEPT: Mutex<Option<Cloud>> = Mutex::new(None);
+
+impl Node for Keep {
+    const KIND: &'static str = "test.keep";
+    type Params = NoParams;
+    type Inputs = CloudIn;
+    type Outputs = TextOut;
+
+    fn new(_: NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: CloudIn, _: &mut Context) -> Result<TextOut, NodeError> {
+        let text = address(&i.cloud);
+        *KEPT.lock().unwrap() = Some(i.cloud);
+        Ok(TextOut { text })
+    }
+}
+
+/// The cloud with all that a cloud may have.
+#[derive(Describe)]
+struct Dress;
+
+impl Node for Dress {
+    const KIND: &'static str = "test.dress";
+    type Params = NoParams;
+    type Inputs = CloudIn;
+    type Outputs = CloudOut;
+
+    fn new(_: NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: CloudIn, _: &mut Context) -> Result<CloudOut, NodeError> {
+        let normals: Column<Vector3<f64>> = i.cloud.points().iter().map(|p| p.coords.normalize()).collect();
+        let grey: Column<f64> = i.cloud.points().iter().map(|p| p.x.sin()).collect();
+        let nearness: Column<f64> = i.cloud.points().iter().map(|p| 1.0 / p.z).collect();
+        assert!(i.cloud.viewpoint.is_some() && i.cloud.stamp_ns != 0, "a scan has both");
+        let cloud = i.cloud.with_normals(normals)?.with_extra("grey", grey)?.with_extra("nearness", nearness)?;
+        Ok(CloudOut { cloud: cloud.labelled("P1 µ") })
+    }
+}
+
+// ---- The examples ------------------------------------------------------------------------------------------------------
+
+/// A scan of the built-in bone, dressed and cropped; its wires are recorded.
+fn crop(kind: &str, rest: &str) -> String {
+    format!(
+        r#"
+        [node.recording]
+        kind = "acquire.simulated"
+        camera = {{ n_points = 2000 }}
+        [node.dress]
+        kind = "test.dress"
+        in = {{ cloud = "recording.scan" }}
+        [node.crop]
+        kind = "{kind}"
+        in = {{ cloud = "dress.cloud", region = "recording.region" }}
+        {rest}
+        [record]
+        wires = ["dress.cloud", "crop.cloud"]
+        [results]
+        cloud = "crop.cloud"
+        "#
+    )
+}
+
+#[test]
+fn the_crop_in_c_gives_the_built_in_ones_cloud_to_the_last_bit() {
+    let Some(library) = library(&format!("{EXAMPLES}/crop_box.c")) else { return };
+    let registry = registry(&[&library]);
+    let bounds = "min_mm = [-15.0, -100.0, 0.0]\nmax_mm = [20.5, 4.0, 1000.0]";
+    for (rest, cuts) in [(bounds, true), ("max_mm = [1000.0, 1.5, 1000.0]", true), ("", false)] {
+        let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let built_in = recorded(&plan(&crop("crop.box", rest), &registry), &registry, a.path());
+        let in_c = recorded(&plan(&crop("crop_c.box", rest), &registry), &registry, b.path());
+        let [built_in, in_c] = [&built_in, &in_c].map(|path| digest(path, &mut |_, _| {}).unwrap());
+        let of = |report: &osteoflow_engine::digest::DigestReport, wire: &str| {
+            report.wires.iter().find(|w| w.wire == wire).and_then(|w| w.digest).unwrap()
+        };
+        assert_eq!(of(&in_c, "crop.cloud"), of(&built_in, "crop.cloud"), "{rest}");
+        assert_eq!(of(&in_c, "crop.cloud") != of(&in_c, "dress.cloud"), cuts, "{rest}");
+    }
+}
+
+#[test]
+fn the_crop_in_c_refuses_what_the_built_in_one_refuses_in_its_words() {
+    let Some(library) = library(&format!("{EXAMPLES}/crop_box.c")) else { return };
+    let registry = registry(&[&library]);
+    let said =
+        |kind: &str, rest: &str| match run(&plan(&crop(kind, rest), &registry), &registry, &RunOptions::default(), &())
+        {
+            Ok(RunReport { outcome: Outcome::Refused(refusal), .. }) => refusal.to_string(),
+            Ok(report) => panic!("{:?}", report.outcome),
+            Err(error) => error.to_string(),
+        };
+    let nothing = said("crop_c.box", "max_mm = [-1e5, 0.0, 0.0]");
+    assert!(nothing.contains("points lies in the region of interest; is it given in mm, in camera?"), "{nothing}");
+    assert_eq!(nothing, said("crop.box", "max_mm = [-1e5, 0.0, 0.0]"));
+    let turned_over = said("crop_c.box", "min_mm = [0.0, 5.0, 0.0]\nmax_mm = [1.0, 4.0, 1.0]");
+    assert!(turned_over.contains("y reaches from 5 to 4; min is below max"), "{turned_over}");
+    assert_eq!(turned_over, said("crop.box", "min_mm = [0.0, 5.0, 0.0]\nmax_mm = [1.0, 4.0, 1.0]"));
+
+    let faults = |kind: &str, rest: &str| {
+        let graph = format!("[graph]\nformat = 1\n{}", crop(kind, rest));
+        let faults = check_text(&graph, Path::new("test.toml"), &[], &registry).unwrap_err();
+        faults.0.iter().map(|fault| fault.message.replace("crop_c.", "crop.")).collect::<Vec<_>>()
+    };
+    for rest in ["min_mm = [0.0, 5.0]", "min_mm = 5", "min = [0.0, 5.0, 1.0]"] {
+        assert_eq!(faults("crop_c.box", rest), faults("crop.box", rest), "{rest}");
+    }
+}
+
+/// The shipped procedure with these settings, registered by every fourth point of the scan.
+fn fibula(sets: &[&str], registry: &Registry) -> Plan {
+    let thinned = [
+        "thin.kind=cloud.downsample",
+        "thin.in.cloud=to_bone.cloud",
+        "thin.every=4",
+        "icp.in.source=thin.cloud",
+        "results.pose=icp.t_target_source",
+    ];
+    let all: Vec<_> = thinned.iter().chain(sets).map(|set| (*set).to_owned()).collect();
+    check(&root().join("graphs/fibula.toml"), &all, registry).unwrap_or_else(|faults| panic!("{faults}")).plan
+}
+
+#[test]
+fn the_icp_in_cpp_comes_to_rest_where_the_built_in_one_does_to_a_billionth_of_a_millimetre() {
+    let Some(library) = library(&format!("{EXAMPLES}/icp.cpp")) else { return };
+    let registry = registry(&[&library]);
+    let options = RunOptions::default();
+    let ran = |sets: &[&str]| {
+        let report = run(&fibula(sets, &registry), &registry, &options, &()).unwrap();
+        assert_eq!(report.outcome, Outcome::Complete);
+        report.results
+    };
+    let built_in = ran(&["icp.published_reading=iterations", "icp.max_iterations=5000"]);
+    let in_cpp = ran(&["icp.kind=icp_cpp.point_to_point", "icp.max_iterations=5000"]);
+    let [a, b] = [&built_in, &in_cpp].map(|results| common::isometry(&results["pose"]["matrix"]));
+    let centre = a.inverse() * common::point(&built_in["icp"]["centroid_mm"]);
+    let ends = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| centre + axis * 100.0);
+    let off_mm = ends.iter().chain([&centre]).map(|p| (a * p - b * p).norm()).fold(0.0, f64::max);
+    println!("{off_mm:.1e} mm apart; steps: {} and {}", built_in["icp"]["iterations"], in_cpp["icp"]["iterations"]);
+    assert!(off_mm < 1e-9, "{off_mm} mm apart within 100 mm of the scan's centroid");
+    assert_eq!(in_cpp["icp"]["converged"], true, "no pair changes any more");
+    assert_eq!(in_cpp["icp"]["n_pairs"], built_in["icp"]["n_pairs"]);
+    let rms = |results: &Value| results["icp"]["rms_mm"].as_f64().unwrap();
+    assert!((rms(&in_cpp) - rms(&built_in)).abs() < 1e-9, "{} and {} mm", rms(&in_cpp), rms(&built_in));
+}
+
+#[test]
+fn an_exception_of_the_icp_is_the_nodes_error_and_the_other_branches_finish() {
+    let Some(library) = library(&format!("{EXAMPLES}/icp.cpp")) else { return };
+    let registry = registry(&[&library]);
+    let plan = fibula(&["icp.kind=icp_cpp.point_to_point", "icp.max_pair_distance_mm=0.000001"], &registry);
+    let report = run(&plan, &registry, &RunOptions::default(), &()).unwrap();
+    let Outcome::Refused(refusal) = report.outcome else { panic!("{:?}", report.outcome) };
+    let said = refusal.to_string();
+    assert!(
+        said.contains("icp") && said.contains("source points lie within 0.000001 mm of the target, 10 are"),
+        "{said}"
+    );
+    let hole = report.nodes.iter().find(|node| node.name == "hole").unwrap();
+    assert_eq!((hole.items, hole.failed), (3, 0), "the other branches finished");
+}
+
+/// Keeps the failures of a run.
+#[derive(Default)]
+struct Failures(Mutex<Vec<String>>);
+
+impl Observer for Failures {
+    fn event(&self, event: &Event<'_>) {
+        if let Event::Failed(refusal) = event {
+            self.0.lock().unwrap().push(refusal.to_string());
+        }
+    }
+}
+
+#[test]
+fn exceptions_in_cpp_are_named_errors_and_the_run_goes_on() {
+    let Some(library) = library("tests/plugins/throws.cpp") else { return };
+    let registry = registry(&[&library]);
+    let graph = r#"
+        [node.recording]
+        kind = "acquire.simulated"
+        camera = { n_points = 200 }
+        [node.relay]
+        kind = "cpp.throws"
+        in = { value = "recording.stylus_assessment" }
+        on_error = "skip"
+        [results]
+        points = { from = "relay.value", all = true }
+    "#;
+    let failures = Failures::default();
+    let report = run(&plan(graph, &registry), &registry, &RunOptions::default(), &failures).unwrap();
+    let told = failures.0.into_inner().unwrap();
+    let relay = report.nodes.iter().find(|node| node.name == "relay").unwrap();
+    assert_eq!((relay.items, relay.failed), (5, 2));
+    let told = if told.is_empty() { report.warnings.iter().map(|w| w.message.clone()).collect() } else { told };
+    assert!(told.iter().any(|said| said.contains("the spline turned inside out")), "{told:?}");
+    assert!(told.iter().any(|said| said.contains("an exception was thrown that is no std::exception")), "{told:?}");
+    let unknown: Vec<_> = (0..5).map(|item| report.results["points"][item].get("unknown").is_some()).collect();
+    assert_eq!(unknown, [false, true, true, false, false], "{}", report.results);
+}
+
+// ---- No bulk is copied -------------------------------------------------------------------------------------------------
+
+/// A source of clouds and where they are looked at; both say where the points lie.
+fn from_to(give: &str, rest: &str, address: &str) -> String {
+    format!(
+        r#"
+        [node.give]
+        kind = "{give}"
+        {rest}
+        [node.relay]
+        kind = "crop.box"
+        in = {{ cloud = "give.cloud" }}
+        [node.address]
+        kind = "{address}"
+        in = {{ cloud = "relay.cloud" }}
+        [results]
+        given = "give.text"
+        found = "address.text"
+        "#
+    )
+}
+
+/// How many of the blocks that a plugin gave it has been told to release: `1 of 2`.
+fn released(prefix: &str, registry: &Registry) -> String {
+    let graph = format!("[node.released]\nkind = \"{prefix}.released\"\n[results]\ntext = \"released.text\"\n");
+    results(&graph, registry)["text"].as_str().unwrap().into()
+}
+
+/// The points of clouds lie on either side where the other has them, and each block is released once, after its last use.
+fn no_bulk_is_copied(prefix: &str, library: &Path, refused: &[(&str, &str, usize)]) {
+    let registry = registry(&[library]);
+    let (give, address) = (format!("{prefix}.give"), format!("{prefix}.address"));
+    for (give, address) in [("test.give", &*address), (&give, "test.address"), (&give, &address)] {
+        let told = results(&from_to(give, "", address), &registry);
+        assert_eq!(told["given"], told["found"], "from {give} to {address}");
+    }
+    assert_eq!(released(prefix, &registry), "2 of 2", "when the runs are over");
+
+    let told = results(&from_to(&give, "", "test.keep"), &registry);
+    assert_eq!(released(prefix, &registry), "2 of 3", "one is still in use");
+    let kept = KEPT.lock().unwrap().take().unwrap();
+    assert_eq!((&told["given"], kept.points()[1]), (&Value::from(&*address_text(&kept)), Point3::new(3.0, 4.0, 5.0)));
+    drop(kept);
+    assert_eq!(released(prefix, &registry), "3 of 3", "after the last use");
+
+    let mut n = 3;
+    for (how, why, n_given) in refused {
+        let report = try_run(&from_to(&give, &format!("how = \"{how}\""), "test.address"), &registry);
+        let Outcome::Refused(refusal) = report.outcome else { panic!("{how}: {:?}", report.outcome) };
+        assert!(refusal.to_string().contains(why), "{how}: {refusal}");
+        n += n_given;
+        assert_eq!(released(prefix, &registry), format!("{n} of {n}"), "refused: {how}");
+    }
+}
+
+fn address_text(cloud: &Cloud) -> Arc<str> {
+    address(cloud).0
+}
+
+/// Only one of the two tests at a time has a cloud kept.
+static ONE_AT_A_TIME: OnceLock<Mutex<()>> = OnceLock::new();
+
+#[test]
+fn no_bulk_is_copied_to_or_from_a_plugin_in_c() {
+    let Some(library) = library("tests/plugins/address.c") else { return };
+    let _alone = ONE_AT_A_TIME.get_or_init(Default::default).lock().unwrap_or_else(|error| error.into_inner());
+    let refused = [("nan", "is not finite", 1), ("port", "answers on output 7, but has 2", 1), ("twice", "twice", 2)];
+    no_bulk_is_copied("c", &library, &refused);
+}
+
+#[test]
+fn no_bulk_is_copied_to_or_from_a_plugin_in_rust() {
+    let library = rust_library();
+    let _alone = ONE_AT_A_TIME.get_or_init(Default::default).lock().unwrap_or_else(|error| error.into_inner());
+    no_bulk_is_copied("rust", &library, &[("normals", "1 values for 3 points", 1)]);
+}
+
+// ---- A payload of a plugin's own ----------------------------------------------------------------------------------------
+
+#[test]
+fn a_payload_that_only_plugins_know_goes_from_one_to_another_and_into_a_recording() {
+    let Some(give) = library("tests/plugins/spline_give.c") else { return };
+    let Some(length) = library("tests/plugins/spline_length.cpp") else { return };
+    let graph = r#"
+        [node.splines]
+        kind = "acme.splines"
+        [node.length]
+        kind = "acme.length"
+        in = { spline = "splines.spline" }
+        [record]
+        wires = ["splines.*", "length.*"]
+        [results]
+        lengths = { from = "length.report", all = true }
+        last = "splines.spline"
+    "#;
+    let both = registry(&[&give, &length]);
+    let (first, again) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let recording = recorded(&plan(graph, &both), &both, first.path());
+    let told = common::json(&first.path().join("results.json"));
+    let lengths: Vec<_> = told["lengths"].as_array().unwrap().iter().map(|row| row["length_mm"].as_f64()).collect();
+    assert_eq!(lengths, [5.0, 10.0, 15.0].map(Some));
+    assert_eq!(told["lengths"][1]["n_knots"], 0.0, "a field may be missing: {told}");
+
+    let options = RunOptions { out_dir: Some(again.path().into()), record: true, ..RunOptions::default() };
+    let replayed = replay(&recording, &ReplayOptions::default(), &both, &options, &()).unwrap();
+    assert!(replayed.is_equal() && replayed.wires.iter().any(|wire| wire.n_compared == 3), "{replayed:?}");
+    let digests = [&recording, &again.path().join("run.mcap")].map(|path| digest(path, &mut |_, _| {}).unwrap().digest);
+    assert_eq!(digests[0], digests[1]);
+
+    // The recording says what a spline is, so nobody needs the plugin to check it.
+    for known in [&both, &osteoflow_standard::registry()] {
+        let report = validate(&recording, known, &mut |_, _| {}).unwrap();
+        assert!(report.is_sound(), "{:?}", report.findings);
+    }
+}
