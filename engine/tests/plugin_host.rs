@@ -1,0 +1,207 @@
+//! What a plugin's nodes ask of the program: the same kinds, loaded and built in, give the same answers, warnings,
+//! reasons and log lines.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+#[path = "plugins/kinds.rs"]
+mod kinds;
+
+use osteoflow_engine::{
+    Recording, ReplayOptions, RunOptions, RunReport, check_text,
+    plugin::{Library, provide},
+    replay, run,
+};
+use osteoflow_node::{Registry, tracing};
+use serde_json::Value;
+use std::{
+    fmt::{Debug, Write},
+    path::Path,
+    process::Command,
+    sync::{Mutex, Once, OnceLock},
+};
+
+/// A registry with the kinds built in.
+fn built_in() -> Registry {
+    let mut registry = Registry::default();
+    registry.payload::<kinds::Number, _>().payload::<kinds::Words, _>();
+    registry.source::<kinds::Count>().source::<kinds::Always>().source::<kinds::Declare>();
+    registry.node::<kinds::Draw>().node::<kinds::Clock>().node::<kinds::Perhaps>();
+    registry.node::<kinds::Four>().node::<kinds::Panic>();
+    registry
+}
+
+/// A registry with the same kinds from the library.
+fn loaded() -> Registry {
+    static LIBRARY: OnceLock<Library> = OnceLock::new();
+    listen();
+    let library: &'static Library = LIBRARY.get_or_init(|| {
+        let built = Command::new(env!("CARGO"))
+            .args(["build", "--release", "-p", "osteoflow-engine", "--example", "plugin_kinds"])
+            .status();
+        assert!(built.unwrap().success(), "the example builds");
+        // deps/plugin_host-HASH stands beside examples/.
+        let deps = std::env::current_exe().unwrap();
+        let name = format!("{}plugin_kinds{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
+        Library::load(&deps.parent().and_then(Path::parent).unwrap().join("examples").join(name)).unwrap()
+    });
+    let mut registry = Registry::default();
+    provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).unwrap();
+    registry
+}
+
+const HEAD: &str = "[graph]\nformat = 1\nname = \"asks\"\nseed = 7\n\n[node.count]\nkind = \"ask.count\"\n\n";
+
+/// Runs what follows [`HEAD`] in a graph.
+fn ran(registry: &Registry, rest: &str, options: &RunOptions) -> RunReport {
+    let checked = check_text(&format!("{HEAD}{rest}"), Path::new("asks.toml"), &[], registry);
+    let plan = checked.unwrap_or_else(|faults| panic!("{faults:?}")).plan;
+    run(&plan, registry, options, &()).unwrap()
+}
+
+/// What a run says, apart from times.
+fn told(report: &RunReport) -> String {
+    let said = format!("{}\n{:?}\n{:?}", report.results, report.warnings, report.outcome);
+    // The compiler names the file of a panic by the way it came to it.
+    said.replace("engine/examples/../tests", "engine/tests")
+}
+
+/// The results of a graph, the same loaded and built in, on one worker and on four.
+fn same(rest: &str) -> (RunReport, Value) {
+    let expected = ran(&built_in(), rest, &RunOptions::default());
+    for workers in [1, 4] {
+        let found = ran(&loaded(), rest, &RunOptions { workers, ..RunOptions::default() });
+        assert_eq!(told(&found), told(&expected), "{workers} workers");
+    }
+    let results = expected.results.clone();
+    (expected, results)
+}
+
+#[test]
+fn draws_warnings_and_stamps_of_a_loaded_node_are_those_of_the_built_in_one() {
+    let (report, results) = same(
+        "[node.draw]\nkind = \"ask.draw\"\nin = { number = \"count.number\" }\n\n[results]\ndrawn = { from = \"draw.out\", \
+         all = true }\n",
+    );
+    assert_eq!(results["drawn"].as_array().unwrap().len(), 9);
+    assert_eq!(report.warnings.len(), 1);
+    assert_eq!(report.warnings[0].message, "the third item of draw at 12 ns");
+}
+
+#[test]
+fn sources_of_a_plugin_give_constants_silence_and_empties_and_ports_that_the_graph_declares() {
+    let (_, results) = same(
+        "[node.always]\nkind = \"ask.always\"\n\n[node.declare]\nkind = \"ask.declare\"\nout = { a = { type = \"ask/Number\", \
+         value = 1.5 }, b = { type = \"ask/Number\", value = -2.0 } }\n\n[results]\nalways = \"always.out\"\na = \
+         \"declare.a\"\nb = \"declare.b\"\nthird = { from = \"count.third\", all = true, optional = true }\n",
+    );
+    assert_eq!(results["always"]["value"], 0.5);
+    assert_eq!([&results["a"]["value"], &results["b"]["value"]], [1.5, -2.0]);
+}
+
+#[test]
+fn optional_ports_get_their_reason_and_collecting_ones_their_numbers() {
+    let (_, results) = same(
+        "[node.always]\nkind = \"ask.always\"\n\n[node.perhaps]\nkind = \"ask.perhaps\"\nin = { number = \"count.number\", \
+         other = \"count.third\" }\n\n[node.four]\nkind = \"ask.four\"\nin = { numbers = \"count.number\", constant = \
+         \"always.out\" }\n\n[results]\nperhaps = { from = \"perhaps.out\", all = true }\nfours = { from = \"four.out\", \
+         all = true }\n",
+    );
+    assert_eq!(results["perhaps"][0]["words"], "0: Some(0.0), there");
+    assert_eq!(results["perhaps"][2]["words"], "2: None, 1 is no third");
+    assert_eq!(results["fours"][0]["value"], 0.5 + 1.0 + 2.0 + 3.0);
+}
+
+#[test]
+fn a_panic_in_a_plugin_is_told_with_its_place_and_a_node_that_goes_on_is_built_anew() {
+    let graph = |on_error: &str| {
+        format!(
+            "[node.panic]\nkind = \"ask.panic\"\nin = {{ number = \"count.number\" }}\non_error = \"{on_error}\"\n\n[results]\n\
+             firings = {{ from = \"panic.out\", all = true, optional = true }}\n"
+        )
+    };
+    let (skipped, results) = same(&graph("skip"));
+    let firings: Vec<_> = results["firings"].as_array().unwrap().iter().map(|f| f["value"].as_f64()).collect();
+    // The third firing panics and the fifth fails: each time the count begins again.
+    assert_eq!(firings.into_iter().flatten().collect::<Vec<_>>(), [1.0, 2.0, 3.0, 1.0, 1.0, 2.0, 3.0]);
+    let failed = skipped.nodes.iter().find(|node| node.name == "panic").unwrap();
+    assert_eq!(failed.failed, 2);
+
+    let stopped = ran(&loaded(), &graph("stop").replace(", optional = true", ""), &RunOptions::default());
+    let told = format!("{:?}", stopped.outcome);
+    assert!(told.contains("three is a crowd") && told.contains("kinds.rs:"), "{told}");
+    assert!(told.contains("panicked: true"), "{told}");
+}
+
+#[test]
+fn readings_of_the_clock_by_a_plugin_are_recorded_and_answered_in_a_replay() {
+    let dir = tempfile::tempdir().unwrap();
+    let rest = "[node.clock]\nkind = \"ask.clock\"\nin = { number = \"count.number\" }\n\n[record]\nwires = [\"clock.*\"]\n\n\
+                [results]\nread = { from = \"clock.out\", all = true }\n";
+    let options = RunOptions { out_dir: Some(dir.path().into()), record: true, ..RunOptions::default() };
+    let report = ran(&loaded(), rest, &options);
+    let recording = dir.path().join("run.mcap");
+    assert_eq!(Recording::open(&recording).unwrap().readings.len(), 9, "each firing read the clock");
+    let again = replay(&recording, &ReplayOptions::default(), &loaded(), &RunOptions::default(), &()).unwrap();
+    assert!(again.is_equal() && again.results_equal == Some(true), "{:#?}", again.wires);
+    assert_eq!(again.run.results["read"], report.results["read"]);
+    assert!(again.run.warnings.is_empty(), "{:?}", again.run.warnings);
+}
+
+/// The log lines of this process.
+static LINES: Mutex<Vec<String>> = Mutex::new(Vec::new());
+
+struct Listener;
+
+impl tracing::Subscriber for Listener {
+    fn enabled(&self, about: &tracing::Metadata<'_>) -> bool {
+        *about.level() <= tracing::Level::INFO
+    }
+
+    fn max_level_hint(&self) -> Option<tracing::level_filters::LevelFilter> {
+        Some(tracing::level_filters::LevelFilter::INFO)
+    }
+
+    fn new_span(&self, _: &tracing::span::Attributes<'_>) -> tracing::span::Id {
+        tracing::span::Id::from_u64(1)
+    }
+
+    fn record(&self, _: &tracing::span::Id, _: &tracing::span::Record<'_>) {}
+
+    fn record_follows_from(&self, _: &tracing::span::Id, _: &tracing::span::Id) {}
+
+    fn event(&self, event: &tracing::Event<'_>) {
+        struct Fields(String);
+        impl tracing::field::Visit for Fields {
+            fn record_debug(&mut self, field: &tracing::field::Field, value: &dyn Debug) {
+                write!(self.0, " {field}={value:?}").unwrap();
+            }
+        }
+        let about = event.metadata();
+        let mut line = Fields(format!("{} {}:", about.level(), about.target()));
+        event.record(&mut line);
+        LINES.lock().unwrap().push(line.0);
+    }
+
+    fn enter(&self, _: &tracing::span::Id) {}
+
+    fn exit(&self, _: &tracing::span::Id) {}
+}
+
+/// Hears what is logged from here on; before the library is started, which asks for the level once.
+fn listen() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| tracing::subscriber::set_global_default(Listener).unwrap());
+}
+
+#[test]
+fn what_a_plugin_logs_is_in_the_log_of_the_program_with_its_target_and_fields() {
+    ran(
+        &loaded(),
+        "[node.logged]\nkind = \"ask.draw\"\nin = { number = \"count.number\" }\n\n[results]\nlast = \"logged.out\"\n",
+        &RunOptions::default(),
+    );
+    let lines = LINES.lock().unwrap();
+    let from_plugin: Vec<_> = lines.iter().filter(|line| line.starts_with("INFO plugin:")).collect();
+    let found = from_plugin.iter().any(|line| line.contains("asks: drew once item=8 name=\"draw\""));
+    assert!(found, "{from_plugin:#?}");
+    assert!(!lines.iter().any(|line| line.contains("nobody listens")), "{lines:#?}");
+}
