@@ -505,3 +505,20 @@ fn a_payload_that_only_plugins_know_goes_from_one_to_another_and_into_a_recordin
         assert!(report.is_sound(), "{:?}", report.findings);
     }
 }
+
+// ---- The page ----------------------------------------------------------------------------------------------------------
+
+#[test]
+fn the_page_about_plugins_shows_this_very_code() {
+    let text = |path: &str| std::fs::read_to_string(root().join(path)).unwrap();
+    let sources =
+        [format!("{EXAMPLES}/crop_box.c"), format!("{EXAMPLES}/icp.cpp"), "tests/plugins/acme_spline.h".into()]
+            .map(|path| text(&path));
+    let page = text("docs/writing-a-plugin.md");
+    let blocks = ["```c\n", "```cpp\n"].map(|fence| page.split(fence).skip(1).collect::<Vec<_>>()).concat();
+    assert!(blocks.len() >= 6, "{} blocks of C and C++ on the page", blocks.len());
+    for block in blocks {
+        let block = block.split("```").next().unwrap();
+        assert!(sources.iter().any(|source| source.contains(block)), "the page shows code that is not there:\n{block}");
+    }
+}
