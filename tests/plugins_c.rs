@@ -394,13 +394,18 @@ fn exceptions_in_cpp_are_named_errors_and_the_run_goes_on() {
 
 /// A source of clouds and where they are looked at; both say where the points lie.
 fn from_to(give: &str, rest: &str, address: &str) -> String {
+    by(give, rest, "crop.box", address)
+}
+
+/// The same by way of another kind.
+fn by(give: &str, rest: &str, relay: &str, address: &str) -> String {
     format!(
         r#"
         [node.give]
         kind = "{give}"
         {rest}
         [node.relay]
-        kind = "crop.box"
+        kind = "{relay}"
         in = {{ cloud = "give.cloud" }}
         [node.address]
         kind = "{address}"
@@ -458,6 +463,15 @@ fn no_bulk_is_copied_to_or_from_a_plugin_in_c() {
     let _alone = ONE_AT_A_TIME.get_or_init(Default::default).lock().unwrap_or_else(|error| error.into_inner());
     let refused = [("nan", "is not finite", 1), ("port", "answers on output 7, but has 2", 1), ("twice", "twice", 2)];
     no_bulk_is_copied("c", &library, &refused);
+
+    // What came in goes out under another head.
+    let registry = registry(&[&library]);
+    for give in ["test.give", "c.give"] {
+        let told = results(&by(give, "", "c.hand_on", "test.keep"), &registry);
+        let kept = KEPT.lock().unwrap().take().unwrap();
+        assert_eq!((&told["given"], kept.label.as_deref()), (&Value::from(&*address_text(&kept)), Some("handed on")));
+    }
+    assert_eq!(released("c", &registry), "8 of 8");
 }
 
 #[test]

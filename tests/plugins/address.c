@@ -51,6 +51,20 @@ static int32_t address(void *node, const osteoflow_firing *firing) {
     return points == NULL ? osteoflow_fail(firing, "no points") : emit_address(firing, 0, points->data);
 }
 
+/* The same columns under another head. */
+static int32_t hand_on(void *node, const osteoflow_firing *firing) {
+    (void)node;
+    osteoflow_view view;
+    if (osteoflow_input_view(firing, 0, &view) != OSTEOFLOW_OK || view.n_columns != 1) {
+        return osteoflow_fail(firing, "the cloud cannot be read");
+    }
+    osteoflow_cloud head = *(const osteoflow_cloud *)view.head;
+    head.label = osteoflow_text_of("handed on");
+    const osteoflow_column points = osteoflow_held_column(&view.columns[0]);
+    const osteoflow_view out = { &head, sizeof head, &points, 1 };
+    return firing->host->emit(firing->run, 0, &out);
+}
+
 /* The rows are overwritten when they are released: whoever read them afterwards would see it. */
 static void release(void *rows) {
     memset(rows, 0xff, 9 * sizeof(double));
@@ -107,11 +121,11 @@ static const osteoflow_input cloud_in[] = {
     { .name = OSTEOFLOW_TEXT("cloud"), .doc = OSTEOFLOW_TEXT("A cloud."), .payload = OSTEOFLOW_TEXT(OSTEOFLOW_CLOUD),
       .version = OSTEOFLOW_CLOUD_VERSION },
 };
-/* Each kind takes as many as it has outputs. */
 static const osteoflow_output text_out[] = {
     { .name = OSTEOFLOW_TEXT("text"), .doc = OSTEOFLOW_TEXT("What was seen."),
       .payload = OSTEOFLOW_TEXT(OSTEOFLOW_WORDS), .version = OSTEOFLOW_WORDS_VERSION },
 };
+/* Of which a kind may have the first alone. */
 static const osteoflow_output cloud_out[] = {
     { .name = OSTEOFLOW_TEXT("cloud"), .doc = OSTEOFLOW_TEXT("A cloud."), .payload = OSTEOFLOW_TEXT(OSTEOFLOW_CLOUD),
       .version = OSTEOFLOW_CLOUD_VERSION },
@@ -123,6 +137,9 @@ static const osteoflow_kind kinds[] = {
     { .kind = OSTEOFLOW_TEXT("c.address"), .doc = OSTEOFLOW_TEXT("Where the points of a cloud lie."),
       .inputs = cloud_in, .n_inputs = 1, .outputs = text_out, .n_outputs = 1,
       .create = create, .fire = address, .destroy = free },
+    { .kind = OSTEOFLOW_TEXT("c.hand_on"), .doc = OSTEOFLOW_TEXT("The same points, labelled."),
+      .inputs = cloud_in, .n_inputs = 1, .outputs = cloud_out, .n_outputs = 1,
+      .create = create, .fire = hand_on, .destroy = free },
     { .kind = OSTEOFLOW_TEXT("c.give"), .doc = OSTEOFLOW_TEXT("A cloud of its own."),
       .params_schema = OSTEOFLOW_TEXT("{ \"type\": \"object\", \"properties\": { \"how\": { \"type\": \"string\" } } }"),
       .outputs = cloud_out, .n_outputs = 2, .role = OSTEOFLOW_ROLE_SOURCE,
