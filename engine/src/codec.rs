@@ -317,7 +317,7 @@ impl<'a> Reader<'a> {
                 5 => Field::Text(self.text()?.into()),
                 _ => return Err(CodecError::Invalid("a head field has an unknown type")),
             };
-            view.head.push((name, field));
+            view.head.push((name.into(), field));
         }
         for _ in 0..n_columns {
             view.columns.push(self.column()?);

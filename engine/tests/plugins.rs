@@ -1,9 +1,12 @@
 //! Libraries built for these tests, loaded and run: in C by the system's compiler, in Rust as examples of this crate.
 
+#[path = "plugins/build.rs"]
+mod build;
 #[path = "../benches/graph/mod.rs"]
 #[allow(dead_code, reason = "the benches use the rest")]
 mod graph;
 
+use build::{c_library, rust_library};
 use graph::{chain, registry};
 use osteoflow_engine::{
     plan::ResultEntry,
@@ -11,43 +14,7 @@ use osteoflow_engine::{
     run::{Outcome, RunOptions, run},
 };
 use osteoflow_node::Registry;
-use std::{
-    path::{Path, PathBuf},
-    process::Command,
-};
-
-/// The library of a C file beside this test, or `None` where there is no compiler.
-fn c_library(name: &str) -> Option<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("lib{name}.so"));
-    let compiled = Command::new("cc")
-        .args(["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-I"])
-        .arg(root.join("node/include"))
-        .arg(root.join(format!("tests/plugins/c/{name}.c")))
-        .arg("-o")
-        .arg(&library)
-        .output();
-    match compiled {
-        Ok(output) => assert!(output.status.success(), "{name}.c: {}", String::from_utf8_lossy(&output.stderr)),
-        Err(error) => {
-            println!("skipped {name}.c: there is no C compiler here: {error}");
-            return None;
-        }
-    }
-    Some(library)
-}
-
-/// The library of an example of this crate.
-fn rust_library(name: &str) -> PathBuf {
-    let built = Command::new(env!("CARGO"))
-        .args(["build", "--release", "-p", "osteoflow-engine", "--example", name])
-        .status()
-        .expect("cargo runs");
-    assert!(built.success(), "the example {name} builds");
-    // deps/plugins-HASH stands beside examples/.
-    let deps = std::env::current_exe().expect("this test has a file");
-    deps.parent().and_then(Path::parent).expect("in target/PROFILE/deps").join(format!("examples/lib{name}.so"))
-}
+use std::path::Path;
 
 fn with_library(path: &Path) -> Registry {
     let mut registry = registry();

@@ -103,10 +103,10 @@ fn to_json(view: &View) -> Json {
         Field::Int(value) => (*value).into(),
         Field::Float(value) => (*value).into(),
         Field::Floats(values) => values.as_slice().into(),
-        Field::Text(text) => text.as_str().into(),
+        Field::Text(text) => (**text).into(),
     };
-    let mut told: Map<_, _> = view.head.iter().map(|(name, value)| (name.clone(), field(value))).collect();
-    told.extend(view.columns.iter().map(|column| (column.name.clone(), rows(column))));
+    let mut told: Map<_, _> = view.head.iter().map(|(name, value)| (name.to_string(), field(value))).collect();
+    told.extend(view.columns.iter().map(|column| (column.name.to_string(), rows(column))));
     told.into()
 }
 

@@ -105,7 +105,7 @@ pub use reading::{Budget, Reading};
 pub use registry::{Kind, KindClash, PayloadClash, Registry};
 pub use site::Site;
 pub use traits::{Describe, Emit, Inputs, Node, Outputs, Parameters, SILENT_AFTER, Source};
-pub use view::{Buffer, Column, ColumnType, Field, View, ViewError};
+pub use view::{Buffer, Column, ColumnType, Field, Name, View, ViewError};
 
 /// Nanoseconds since the Unix epoch; 0 for what has no time.
 pub type StampNs = i64;

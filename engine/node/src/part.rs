@@ -342,36 +342,47 @@ impl View {
     /// # Errors
     /// [`ViewError`] with the first head field or column that is missing, wrong or too many.
     pub fn check(&self, schema: &[Part]) -> Result<(), ViewError> {
-        for part in schema {
-            let there = match part.shape {
-                Shape::Column { .. } => part.prefix().is_some() || self.columns.iter().any(|c| c.name == part.name),
-                _ => self.field(part.name).is_some(),
-            };
-            if !there && !part.optional {
+        for part in schema.iter().filter(|part| !part.is_column() && !part.optional) {
+            if self.field(part.name).is_none() {
                 return Err(ViewError::Missing { what: part.shape.what(), name: part.name.into() });
             }
         }
         for (name, field) in &self.head {
             let Some(part) = schema.iter().find(|part| !part.is_column() && part.name == name) else {
-                return Err(ViewError::Unknown { what: "field", name: name.clone() });
+                return Err(ViewError::Unknown { what: "field", name: name.to_string() });
             };
             if !part.shape.takes(field) {
                 let (found, expected) = (Shape::of(field), part.shape);
-                return Err(ViewError::FieldType { name: name.clone(), found, expected });
+                return Err(ViewError::FieldType { name: name.to_string(), found, expected });
+            }
+        }
+        if let Some(name) = twice(self.head.iter().map(|(name, _)| &**name)) {
+            return Err(ViewError::Twice { what: "fields", name });
+        }
+        self.check_columns(schema)
+    }
+
+    /// The same of its columns alone: the fields have been read by the schema.
+    ///
+    /// # Errors
+    /// [`ViewError`] with the first column that is missing, wrong or too many.
+    pub fn check_columns(&self, schema: &[Part]) -> Result<(), ViewError> {
+        for part in schema.iter().filter(|part| part.is_column() && !part.optional && part.prefix().is_none()) {
+            if !self.columns.iter().any(|column| column.name == part.name) {
+                return Err(ViewError::Missing { what: part.shape.what(), name: part.name.into() });
             }
         }
         for column in &self.columns {
             let of_name = schema.iter().find(|part| part.is_column() && part.name == column.name);
             let part = of_name.or_else(|| schema.iter().find(|part| part.stands_for(&column.name)));
             let Some(Shape::Column { kind, width }) = part.map(|part| part.shape) else {
-                return Err(ViewError::Unknown { what: "column", name: column.name.clone() });
+                return Err(ViewError::Unknown { what: "column", name: column.name.to_string() });
             };
             column.check(kind, width)?;
         }
-        if let Some(name) = twice(self.head.iter().map(|(name, _)| name.as_str())) {
-            return Err(ViewError::Twice { what: "fields", name });
-        }
-        if let Some(name) = twice(self.columns.iter().map(|column| column.name.as_str())) {
+        if self.columns.len() > 1
+            && let Some(name) = twice(self.columns.iter().map(|column| &*column.name))
+        {
             return Err(ViewError::Twice { what: "columns", name });
         }
         Ok(())
@@ -381,7 +392,7 @@ impl View {
 impl Column {
     /// Whether it has whole rows of `width` values of `kind`.
     fn check(&self, kind: ColumnType, width: u32) -> Result<(), ViewError> {
-        let name = || self.name.clone();
+        let name = || self.name.to_string();
         if self.kind != kind {
             return Err(ViewError::ColumnType { name: name(), found: self.kind, expected: kind });
         }
@@ -413,7 +424,7 @@ mod tests {
         Part::column("extra/*", ColumnType::F32, 1),
     ];
 
-    fn column(name: &str, kind: ColumnType, width: u32, n_bytes: usize) -> Column {
+    fn column(name: &'static str, kind: ColumnType, width: u32, n_bytes: usize) -> Column {
         Column::new(name, kind, width, Arc::new(vec![0_u8; n_bytes]))
     }
 

@@ -198,6 +198,12 @@ impl Value {
         Self { inner: Arc::new(held), ty }
     }
 
+    /// What was given to [`Value::held`], if it was one.
+    pub(crate) fn into_held<T: Send + Sync + 'static>(self) -> Result<Arc<T>, Self> {
+        let Self { inner, ty } = self;
+        inner.downcast().map_err(|inner| Self { inner, ty })
+    }
+
     /// Its type.
     #[inline]
     pub fn ty(&self) -> &'static PayloadType {

@@ -2,16 +2,19 @@
 
 use crate::Shape;
 use bytemuck::Pod;
-use std::{fmt, sync::Arc};
+use std::{borrow::Cow, fmt, sync::Arc};
 
 /// Bytes that are never changed again, kept alive by whoever allocated them.
 pub type Buffer = Arc<dyn AsRef<[u8]> + Send + Sync>;
+
+/// The name of a head field or column; that of a schema costs nothing.
+pub type Name = Cow<'static, str>;
 
 /// What a payload looks like to the recorder, to plugins and to `diff`: head fields and columns, both in order.
 #[derive(Clone, Default, Debug, PartialEq)]
 pub struct View {
     /// Small named values.
-    pub head: Vec<(String, Field)>,
+    pub head: Vec<(Name, Field)>,
     /// Bulk data.
     pub columns: Vec<Column>,
 }
@@ -28,7 +31,7 @@ pub enum Field {
     /// A few numbers, such as the rows of a matrix.
     Floats(Vec<f64>),
     /// Text in UTF-8.
-    Text(String),
+    Text(Arc<str>),
 }
 
 /// The type of a column's values.
@@ -81,7 +84,7 @@ impl ColumnType {
 #[derive(Clone)]
 pub struct Column {
     /// The column's name.
-    pub name: String,
+    pub name: Name,
     /// The type of each value.
     pub kind: ColumnType,
     /// Values in a row: 3 for points.
@@ -92,7 +95,7 @@ pub struct Column {
 
 impl Column {
     /// A column over bytes that `data` keeps alive.
-    pub fn new(name: impl Into<String>, kind: ColumnType, width: u32, data: Buffer) -> Self {
+    pub fn new(name: impl Into<Name>, kind: ColumnType, width: u32, data: Buffer) -> Self {
         Self { name: name.into(), kind, width, data }
     }
 
@@ -113,7 +116,12 @@ impl Column {
     pub fn rows_of<T: Pod>(&self) -> Result<std::borrow::Cow<'_, [T]>, ViewError> {
         let (row, size) = (self.kind.size() * self.width as usize, size_of::<T>());
         if row != size || !self.bytes().len().is_multiple_of(size) {
-            return Err(ViewError::Rows { name: self.name.clone(), row, expected: size, bytes: self.bytes().len() });
+            return Err(ViewError::Rows {
+                name: self.name.to_string(),
+                row,
+                expected: size,
+                bytes: self.bytes().len(),
+            });
         }
         Ok(match bytemuck::try_cast_slice(self.bytes()) {
             Ok(rows) => rows.into(),
@@ -225,7 +233,7 @@ impl View {
     }
 
     /// The view with one more head field.
-    pub fn with(mut self, name: &str, field: impl Into<Field>) -> Self {
+    pub fn with(mut self, name: impl Into<Name>, field: impl Into<Field>) -> Self {
         self.head.push((name.into(), field.into()));
         self
     }
@@ -257,6 +265,17 @@ impl View {
     pub fn text(&self, name: &str) -> Result<&str, ViewError> {
         match self.field(name) {
             Some(Field::Text(text)) => Ok(text),
+            _ => Err(ViewError::Missing { what: "text field", name: name.into() }),
+        }
+    }
+
+    /// The text of that name, shared with the view.
+    ///
+    /// # Errors
+    /// [`ViewError::Missing`] if there is none.
+    pub fn shared_text(&self, name: &str) -> Result<Arc<str>, ViewError> {
+        match self.field(name) {
+            Some(Field::Text(text)) => Ok(text.clone()),
             _ => Err(ViewError::Missing { what: "text field", name: name.into() }),
         }
     }
@@ -326,8 +345,14 @@ impl From<&str> for Field {
     }
 }
 
+impl From<Arc<str>> for Field {
+    fn from(text: Arc<str>) -> Self {
+        Self::Text(text)
+    }
+}
+
 impl From<String> for Field {
     fn from(text: String) -> Self {
-        Self::Text(text)
+        Self::Text(text.into())
     }
 }

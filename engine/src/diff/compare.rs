@@ -181,12 +181,12 @@ impl<'a> Compare<'a> {
     fn views(&mut self, a: &View, b: &View) {
         for (place, ((name, a), (other, b))) in a.head.iter().zip(&b.head).enumerate() {
             if name != other {
-                return self.other(format!("name of head field {place}"), name.clone(), other.clone());
+                return self.other(format!("name of head field {place}"), name.to_string(), other.to_string());
             }
             self.field(name, a, b);
         }
         if a.head.len() != b.head.len() {
-            let names = |view: &View| view.head.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ");
+            let names = |view: &View| view.head.iter().map(|(name, _)| &**name).collect::<Vec<_>>().join(", ");
             self.other("head fields", names(a), names(b));
         }
         for (a, b) in a.columns.iter().zip(&b.columns) {
@@ -198,7 +198,7 @@ impl<'a> Compare<'a> {
             }
         }
         if a.columns.len() != b.columns.len() {
-            let names = |view: &View| view.columns.iter().map(|c| c.name.as_str()).collect::<Vec<_>>().join(", ");
+            let names = |view: &View| view.columns.iter().map(|c| &*c.name).collect::<Vec<_>>().join(", ");
             self.other("columns", names(a), names(b));
         }
     }
@@ -222,10 +222,10 @@ impl<'a> Compare<'a> {
                     let n_before = self.found.n_numbers;
                     self.json(name, name, &x, &y);
                     if self.found.n_numbers == n_before && !self.found.other {
-                        self.other(name, a.clone(), b.clone());
+                        self.other(name, a.to_string(), b.to_string());
                     }
                 }
-                _ => self.other(name, a.clone(), b.clone()),
+                _ => self.other(name, a.to_string(), b.to_string()),
             },
             _ => self.other(name, told(a), told(b)),
         }
@@ -271,7 +271,7 @@ impl<'a> Compare<'a> {
         if row_bytes == 0 {
             return;
         }
-        let name = a.name.as_str();
+        let name = &*a.name;
         let rows = a.bytes().chunks_exact(row_bytes).zip(b.bytes().chunks_exact(row_bytes)).enumerate();
         for (row, (x, y)) in rows.filter(|(_, (x, y))| x != y) {
             for (index, (x, y)) in x.chunks_exact(size).zip(y.chunks_exact(size)).enumerate() {

@@ -1,32 +1,115 @@
 //! The program's functions, as a plugin calls them. Each catches its panics: nothing unwinds into a plugin.
 #![allow(unsafe_code, reason = "is called through pointers")]
 
-use crate::run::catch_panic;
+use crate::run::{catch_panic, panic_told};
 use osteoflow_node::{
     Budget, Context, Emission, PayloadType, PortPayload, Site, Value, ViewError,
     abi::{self, Text, param, status},
     serde_json::Value as Json,
 };
-use std::{mem, sync::OnceLock, time::Duration};
+use std::{
+    mem::{self, ManuallyDrop},
+    panic::{AssertUnwindSafe, catch_unwind},
+    ptr,
+    sync::atomic::{AtomicPtr, Ordering},
+    time::Duration,
+};
 
 /// A value as it is lent: with its view, once somebody asks for it.
 pub(super) struct Lent {
-    value: Value,
-    view: OnceLock<Option<Box<abi::Lent>>>,
-    result: OnceLock<String>,
+    /// Not dropped with this: see [`Held`].
+    value: ManuallyDrop<Value>,
+    view: Lazy<Option<abi::Lent>>,
+    result: Lazy<String>,
+}
+
+/// Made when it is first asked for, from whatever thread; a `OnceLock` takes three times as long, which a firing feels.
+struct Lazy<T>(AtomicPtr<T>);
+
+impl<T> Lazy<T> {
+    const fn new() -> Self {
+        Self(AtomicPtr::new(ptr::null_mut()))
+    }
+
+    fn get_or(&self, make: impl FnOnce() -> T) -> &T {
+        let mut made = self.0.load(Ordering::Acquire);
+        if made.is_null() {
+            let new = Box::into_raw(Box::new(make()));
+            match self.0.compare_exchange(ptr::null_mut(), new, Ordering::AcqRel, Ordering::Acquire) {
+                Ok(_) => made = new,
+                Err(first) => {
+                    // SAFETY: another thread was first, so nobody has seen this one.
+                    drop(unsafe { Box::from_raw(new) });
+                    made = first;
+                }
+            }
+        }
+        // SAFETY: it came from a box, was published whole, and is freed with this only.
+        unsafe { &*made }
+    }
+}
+
+impl<T> Drop for Lazy<T> {
+    fn drop(&mut self) {
+        let made = *self.0.get_mut();
+        if !made.is_null() {
+            // SAFETY: it came from a box, and nobody else has it.
+            drop(unsafe { Box::from_raw(made) });
+        }
+    }
 }
 
 impl Lent {
-    pub(super) fn new(value: Value) -> Self {
-        Self { value, view: OnceLock::new(), result: OnceLock::new() }
-    }
-
-    pub(super) fn is(&self, value: &Value) -> bool {
-        self.value.is_same(value)
+    /// A value that somebody else keeps for as long as it is lent: counting it again would cost as much as a channel.
+    ///
+    /// # Safety
+    /// `value` outlives every use of this.
+    pub(super) unsafe fn borrowed(value: &Value) -> Self {
+        // SAFETY: as the caller vouches; it is not dropped.
+        Self::of(unsafe { ptr::read(value) })
     }
 
     pub(super) fn handle(&self) -> *const abi::Value {
-        std::ptr::from_ref(self).cast()
+        ptr::from_ref(self).cast()
+    }
+
+    fn of(value: Value) -> Self {
+        Self { value: ManuallyDrop::new(value), view: Lazy::new(), result: Lazy::new() }
+    }
+}
+
+/// A value that is kept while it is lent.
+#[repr(transparent)]
+pub(super) struct Held(Lent);
+
+impl Held {
+    pub(super) fn new(value: Value) -> Self {
+        Self(Lent::of(value))
+    }
+
+    pub(super) fn is(&self, value: &Value) -> bool {
+        self.0.value.is_same(value)
+    }
+
+    pub(super) fn lent(&self) -> &Lent {
+        &self.0
+    }
+
+    fn into_value(self) -> Value {
+        let mut held = ManuallyDrop::new(self);
+        // SAFETY: the value is taken once, and the rest dropped once, as `held` itself is not.
+        unsafe {
+            let value = ManuallyDrop::take(&mut held.0.value);
+            ptr::drop_in_place(&mut held.0);
+            value
+        }
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        // SAFETY: it is dropped once, here.
+        unsafe { ManuallyDrop::drop(&mut self.0.value) };
     }
 }
 
@@ -58,7 +141,7 @@ pub(super) struct LentParam {
 
 impl Run<'_> {
     pub(super) fn handle(&mut self) -> *mut abi::Run {
-        std::ptr::from_mut(self).cast()
+        ptr::from_mut(self).cast()
     }
 
     fn context(&self) -> Option<&Context> {
@@ -98,10 +181,11 @@ impl Run<'_> {
 unsafe fn with<T>(run: *mut abi::Run, otherwise: T, f: impl FnOnce(&mut Run<'_>) -> T) -> T {
     // SAFETY: as the caller vouches; a plugin calls these functions from one thread at a time.
     let run = unsafe { &mut *run.cast::<Run<'_>>() };
-    match catch_panic(|| f(&mut *run)) {
+    // The node's own firing catches panics already; here one is only kept from unwinding into the plugin.
+    match catch_unwind(AssertUnwindSafe(|| f(&mut *run))) {
         Ok(answer) => answer,
-        Err(said) => {
-            run.fail("", said);
+        Err(payload) => {
+            run.fail("", panic_told(payload));
             otherwise
         }
     }
@@ -142,13 +226,11 @@ unsafe extern "C" fn view(value: *const abi::Value, view: *mut abi::View) -> i32
     let lent = unsafe { lent(value) };
     let made = catch_panic(|| {
         let ty = lent.value.ty();
-        let made = lent.view.get_or_init(|| {
+        let made = lent.view.get_or(|| {
             let made = abi::Lent::new(lent.value.to_view(), ty.schema);
-            made.inspect_err(|error| tracing::error!("a {} has no view for a plugin: {error}", ty.name))
-                .ok()
-                .map(Box::new)
+            made.inspect_err(|error| tracing::error!("a {} has no view for a plugin: {error}", ty.name)).ok()
         });
-        made.as_ref().map(|made| made.view())
+        made.as_ref().map(abi::Lent::view)
     });
     match made {
         Ok(Some(made)) => {
@@ -167,21 +249,21 @@ unsafe extern "C" fn view(value: *const abi::Value, view: *mut abi::View) -> i32
 unsafe extern "C" fn result(value: *const abi::Value) -> Text {
     // SAFETY: the header has it called so.
     let lent = unsafe { lent(value) };
-    let made = catch_panic(|| lent.result.get_or_init(|| lent.value.to_result().to_string()));
+    let made = catch_panic(|| lent.result.get_or(|| lent.value.to_result().to_string()));
     made.map_or(Text::NONE, |text| Text::of(text))
 }
 
 unsafe extern "C" fn hold(value: *const abi::Value) -> *const abi::Value {
     // SAFETY: the header has it called so.
     let lent = unsafe { lent(value) };
-    Box::into_raw(Box::new(Lent::new(lent.value.clone()))).cast_const().cast()
+    Box::into_raw(Box::new(Held::new((*lent.value).clone()))).cast_const().cast()
 }
 
 unsafe extern "C" fn release(held: *const abi::Value) {
     // SAFETY: the header has it called once with what `hold` gave.
-    let lent = unsafe { Box::from_raw(held.cast_mut().cast::<Lent>()) };
+    let held = unsafe { Box::from_raw(held.cast_mut().cast::<Held>()) };
     // What a payload does when it is dropped must not unwind into the plugin.
-    if let Err(said) = catch_panic(|| drop(lent)) {
+    if let Err(said) = catch_panic(|| drop(held)) {
         tracing::warn!("a value that a plugin had held {said}");
     }
 }
@@ -201,7 +283,7 @@ unsafe fn given<'a>(view: *const abi::View) -> Result<abi::Crossing<'a>, String>
 fn taken(given: abi::Crossing<'_>, ty: &'static PayloadType) -> Result<Emission, String> {
     let named = |error: ViewError| format!("{}: {error}", ty.name);
     let view = given.take(ty.schema).map_err(named)?;
-    view.check(ty.schema).map_err(named)?;
+    view.check_columns(ty.schema).map_err(named)?;
     ty.from_view(&view).map(Emission::Value).map_err(named)
 }
 
@@ -250,10 +332,21 @@ unsafe extern "C" fn emit_value(run: *mut abi::Run, port: u64, value: *const abi
             if value.is_null() {
                 return Err(format!("output {port} is answered with a value that is a null pointer"));
             }
-            let value = &lent(value).value;
+            let value = &*lent(value).value;
             run.put(port, |payload| expect(payload, value.ty()).map(|()| Emission::Value(value.clone())))
         })
     }
+}
+
+unsafe extern "C" fn emit_held(run: *mut abi::Run, port: u64, held: *const abi::Value) -> i32 {
+    if held.is_null() {
+        // SAFETY: as below.
+        return unsafe { emit_value(run, port, held) };
+    }
+    // SAFETY: the header has it called with what `hold` gave, which it takes over.
+    let value = unsafe { Box::from_raw(held.cast_mut().cast::<Held>()) }.into_value();
+    // SAFETY: the header has it called so.
+    unsafe { answer(run, |run| run.put(port, |payload| expect(payload, value.ty()).map(|()| Emission::Value(value)))) }
 }
 
 unsafe extern "C" fn emit_empty(run: *mut abi::Run, port: u64, reason: Text) -> i32 {
@@ -340,7 +433,7 @@ unsafe extern "C" fn clock_ns(run: *mut abi::Run) -> i64 {
 unsafe extern "C" fn budget(run: *mut abi::Run, limit_ns: u64) -> *mut abi::Budget {
     // SAFETY: the header has it called so.
     unsafe {
-        with(run, std::ptr::null_mut(), |run| {
+        with(run, ptr::null_mut(), |run| {
             let budget = run.context_mut().map(|context| context.budget(Duration::from_nanos(limit_ns)));
             Box::into_raw(Box::new(budget)).cast()
         })
@@ -395,7 +488,7 @@ unsafe extern "C" fn out_dir(run: *const abi::Run) -> Text {
 }
 
 unsafe extern "C" fn parameter(run: *mut abi::Run, name: Text, place: *mut abi::Param) {
-    let numbers = abi::Numbers { data: std::ptr::null(), length: 0 };
+    let numbers = abi::Numbers { data: ptr::null(), length: 0 };
     let mut found =
         abi::Param { what: param::MISSING, boolean: 0, number: 0.0, text: Text::NONE, numbers, json: Text::NONE };
     // SAFETY: the header has it called so.
@@ -482,6 +575,7 @@ pub(super) static HOST: abi::Host = abi::Host {
     emit,
     emit_as,
     emit_value,
+    emit_held,
     emit_empty,
     fail,
     node,

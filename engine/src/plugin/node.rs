@@ -3,7 +3,7 @@
 
 use super::{
     Library,
-    host::{At, HOST, Lent, Run},
+    host::{At, HOST, Held, Lent, Run},
 };
 use crate::run::resume_told;
 use osteoflow_node::{
@@ -146,7 +146,7 @@ pub(super) fn build(
 }
 
 /// The value of a port joined by `once`, whose view is made once.
-struct Constant(Option<Box<Lent>>);
+struct Constant(Option<Box<Held>>);
 
 struct PluginNode {
     library: &'static Library,
@@ -189,10 +189,11 @@ impl PluginNode {
                     match self.constants.get_mut(port) {
                         Some(Some(Constant(known))) => {
                             if !known.as_ref().is_some_and(|known| known.is(value)) {
-                                *known = Some(Box::new(Lent::new(value.clone())));
+                                *known = Some(Box::new(Held::new(value.clone())));
                             }
                         }
-                        _ => self.values.push(Lent::new(value.clone())),
+                        // SAFETY: `joined` outlives the call for which it is laid out, after which the list is emptied.
+                        _ => self.values.push(unsafe { Lent::borrowed(value) }),
                     }
                 }
             }
@@ -205,7 +206,7 @@ impl PluginNode {
                 Body::Empty(empty) => empty_item(item.number, item.stamp_ns, empty),
                 Body::Value(value) => {
                     let lent = match constant {
-                        Some(Constant(known)) => known.as_deref(),
+                        Some(Constant(known)) => known.as_deref().map(Held::lent),
                         None => next.next(),
                     };
                     abi::Item {

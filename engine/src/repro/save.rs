@@ -219,12 +219,12 @@ fn show(item: &Item, bytes: u64) -> Shown {
         Body::Value(value) => {
             let view = value.to_view();
             shown.payload = Some(value.ty().name.into());
-            shown.columns = view.columns.iter().map(|column| (column.name.clone(), column.rows() as u64)).collect();
+            shown.columns = view.columns.iter().map(|column| (column.name.to_string(), column.rows() as u64)).collect();
             shown.texts = view
                 .head
                 .into_iter()
                 .filter_map(|(name, field)| match field {
-                    Field::Text(text) if text.len() <= 80 => Some((name, text)),
+                    Field::Text(text) if text.len() <= 80 => Some((name.to_string(), text.to_string())),
                     _ => None,
                 })
                 .collect();

@@ -27,7 +27,7 @@ pub use inject::{Injected, Injection};
 use latency::Latency;
 pub use latency::LatencyStats;
 pub use panics::mark_helper_thread;
-pub(crate) use panics::{catch as catch_panic, resume_told, show as show_panics};
+pub(crate) use panics::{catch as catch_panic, resume_told, show as show_panics, told as panic_told};
 pub use recall::Recalled;
 pub(crate) use report::Failure;
 pub use report::{

@@ -92,7 +92,7 @@ fn hook(info: &PanicHookInfo<'_>, before: &dyn Fn(&PanicHookInfo<'_>)) {
 
 /// A caught panic in words.
 #[cold]
-fn told(payload: Box<dyn Any + Send>) -> String {
+pub(crate) fn told(payload: Box<dyn Any + Send>) -> String {
     let payload = match payload.downcast::<Told>() {
         Ok(told) => return told.0,
         Err(payload) => payload,

@@ -12,6 +12,11 @@ impl Frame {
         &self.0
     }
 
+    /// The name, shared.
+    pub fn shared(&self) -> Arc<str> {
+        self.0.clone()
+    }
+
     /// Holds where this frame is `other`.
     ///
     /// # Errors
@@ -27,6 +32,12 @@ impl Frame {
 impl From<&str> for Frame {
     fn from(name: &str) -> Self {
         Self(name.into())
+    }
+}
+
+impl From<Arc<str>> for Frame {
+    fn from(name: Arc<str>) -> Self {
+        Self(name)
     }
 }
 

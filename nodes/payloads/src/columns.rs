@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 use osteoflow_geometry::Column as Values;
-use osteoflow_node::{Buffer, Column, ColumnType, View, ViewError};
+use osteoflow_node::{Buffer, Column, ColumnType, Name, View, ViewError};
 use std::{marker::PhantomData, sync::Arc};
 
 struct Bytes<T>(Values<T>);
@@ -23,7 +23,7 @@ impl<T: Pod> AsRef<[T]> for Rows<T> {
 }
 
 /// A view's column over the same values.
-pub(crate) fn to_column<T: Pod + Send + Sync>(name: &str, kind: ColumnType, values: &Values<T>) -> Column {
+pub(crate) fn to_column<T: Pod + Send + Sync>(name: impl Into<Name>, kind: ColumnType, values: &Values<T>) -> Column {
     let width = (size_of::<T>() / kind.size()) as u32;
     Column::new(name, kind, width, Arc::new(Bytes(values.clone())))
 }

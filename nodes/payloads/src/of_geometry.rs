@@ -11,7 +11,6 @@ use osteoflow_geometry::{
 };
 use osteoflow_node::{ColumnType, Display, Part, Payload, StampNs, View, ViewError};
 use serde_json::{Value as Json, json};
-use std::sync::Arc;
 
 /// What separates names in one text field; a name holds no line break.
 pub(crate) const LINE: &str = "\n";
@@ -33,7 +32,7 @@ pub(crate) fn invalid(error: impl std::fmt::Display) -> ViewError {
 }
 
 fn frame(view: &View) -> Result<Frame, ViewError> {
-    view.text("frame").map(Frame::from)
+    view.shared_text("frame").map(Frame::from)
 }
 
 impl Payload<Table> for Cloud {
@@ -50,9 +49,9 @@ impl Payload<Table> for Cloud {
     ];
 
     fn to_view(&self) -> View {
-        let mut view = View::new().with("frame", self.frame.as_str()).with("stamp_ns", self.stamp_ns);
+        let mut view = View::new().with("frame", self.frame.shared()).with("stamp_ns", self.stamp_ns);
         if let Some(label) = &self.label {
-            view = view.with("label", &**label);
+            view = view.with("label", label.clone());
         }
         if let Some(viewpoint) = &self.viewpoint {
             view = view.with("viewpoint", numbers(viewpoint).to_vec());
@@ -62,7 +61,7 @@ impl Payload<Table> for Cloud {
             view = view.with_column(to_column("normals", ColumnType::F64, normals));
         }
         for (name, values) in self.extras() {
-            view = view.with_column(to_column(&format!("extra/{name}"), ColumnType::F64, values));
+            view = view.with_column(to_column(format!("extra/{name}"), ColumnType::F64, values));
         }
         view
     }
@@ -70,7 +69,7 @@ impl Payload<Table> for Cloud {
     fn from_view(view: &View) -> Result<Self, ViewError> {
         let mut cloud = Cloud::new(frame(view)?, from_column(view, "points")?).map_err(invalid)?;
         cloud.stamp_ns = view.int("stamp_ns")?;
-        cloud.label = view.text("label").ok().map(Arc::from);
+        cloud.label = view.shared_text("label").ok();
         cloud.viewpoint = view.floats("viewpoint").ok().map(|n| isometry(&n));
         if view.column("normals").is_ok() {
             cloud = cloud.with_normals(from_column(view, "normals")?).map_err(invalid)?;
@@ -114,7 +113,7 @@ impl Payload<Table> for Mesh {
 
     fn to_view(&self) -> View {
         View::new()
-            .with("frame", self.frame.as_str())
+            .with("frame", self.frame.shared())
             .with("origin", self.origin.to_string())
             .with_column(to_column("vertices", ColumnType::F64, self.vertex_column()))
             .with_column(to_column("faces", ColumnType::U32, self.face_column()))
@@ -163,14 +162,14 @@ impl Payload<Table> for Pose {
 
     fn to_view(&self) -> View {
         View::new()
-            .with("to", self.to.as_str())
-            .with("from", self.from.as_str())
+            .with("to", self.to.shared())
+            .with("from", self.from.shared())
             .with("stamp_ns", self.stamp_ns)
             .with("isometry", numbers(&self.isometry).to_vec())
     }
 
     fn from_view(view: &View) -> Result<Self, ViewError> {
-        Ok(Pose::new(view.text("to")?, view.text("from")?, isometry(&view.floats("isometry")?))
+        Ok(Pose::new(view.shared_text("to")?, view.shared_text("from")?, isometry(&view.floats("isometry")?))
             .at(view.int("stamp_ns")?))
     }
 
@@ -209,7 +208,7 @@ impl Payload<Table> for Points {
         // NaN stands for a confidence that was not told.
         let confidences: Vec<f64> = self.points.iter().map(|p| p.confidence.unwrap_or(f64::NAN)).collect();
         View::new()
-            .with("frame", self.frame.as_str())
+            .with("frame", self.frame.shared())
             .with("stamp_ns", self.stamp_ns)
             .with("names", names.join(LINE))
             .with_column(to_column("positions", ColumnType::F64, &self.positions().into()))
@@ -287,7 +286,7 @@ impl Payload<Table> for Planes {
             }
         }
         View::new()
-            .with("frame", self.frame.as_str())
+            .with("frame", self.frame.shared())
             .with("stamp_ns", self.stamp_ns)
             .with("names", names.join(LINE))
             .with("unknown", reasons.join(LINE))
@@ -342,7 +341,7 @@ impl Payload<Table> for Region {
 
     fn to_view(&self) -> View {
         View::new()
-            .with("frame", self.frame.as_str())
+            .with("frame", self.frame.shared())
             .with("min", self.min.coords.as_slice().to_vec())
             .with("max", self.max.coords.as_slice().to_vec())
     }
@@ -367,7 +366,7 @@ impl Payload<Table> for Axes {
 
     fn to_view(&self) -> View {
         View::new()
-            .with("frame", self.frame.as_str())
+            .with("frame", self.frame.shared())
             .with("centre", self.centre.coords.as_slice().to_vec())
             .with("columns", self.columns.as_slice().to_vec())
     }

@@ -45,7 +45,7 @@ impl Payload<Table> for Target {
     fn to_view(&self) -> View {
         let cells = self.to_parts();
         let mut view = View::new()
-            .with("frame", self.frame.as_str())
+            .with("frame", self.frame.shared())
             .with("origin", self.origin.to_string())
             .with(CELL_MM, cells.cell_mm)
             .with_column(to_column("points", ColumnType::F64, self.point_column()));

@@ -2,7 +2,8 @@
 #![allow(unsafe_code, reason = "reads a struct whose layout is known at run time only")]
 
 use super::{Numbers, Text, raw};
-use crate::{Field, Part, Shape, View, ViewError};
+use crate::{Field, Name, Part, Shape, View, ViewError};
+use smallvec::SmallVec;
 use std::ptr;
 
 /// Where each field of a schema lies in its head, and how large the head is.
@@ -41,9 +42,12 @@ fn size_of_field(shape: Shape) -> Option<(usize, usize)> {
     })
 }
 
+/// The words of a head: those of most payloads need no memory of their own.
+pub(super) type Words = SmallVec<[u64; 12]>;
+
 /// The head of a view; its texts and lists stay where the view has them.
-pub(super) fn write(view: &View, schema: &[Part]) -> Result<Vec<u64>, ViewError> {
-    let mut head = vec![0_u64; head_size(schema).div_ceil(8)];
+pub(super) fn write(view: &View, schema: &[Part]) -> Result<Words, ViewError> {
+    let mut head: Words = smallvec::smallvec![0_u64; head_size(schema).div_ceil(8)];
     let start = head.as_mut_ptr().cast::<u8>();
     for (part, at) in places(schema) {
         // SAFETY: `places` and `head_size` lay out the same fields, so each lies within the head; writes need no alignment.
@@ -86,8 +90,8 @@ fn missing(part: &Part) -> ViewError {
 pub(super) unsafe fn read(
     head: *const std::ffi::c_void,
     size: u64,
-    schema: &[Part],
-) -> Result<Vec<(String, Field)>, ViewError> {
+    schema: &'static [Part],
+) -> Result<Vec<(Name, Field)>, ViewError> {
     let needed = head_size(schema);
     if size < needed as u64 {
         let said = format!("its head has {size} bytes, the struct of its schema has {needed}");

@@ -187,6 +187,7 @@ structs! {
         emit: unsafe extern "C" fn(*mut Run, u64, *const View) -> i32,
         emit_as: unsafe extern "C" fn(*mut Run, u64, Text, u32, *const View) -> i32,
         emit_value: unsafe extern "C" fn(*mut Run, u64, *const Value) -> i32,
+        emit_held: unsafe extern "C" fn(*mut Run, u64, *const Value) -> i32,
         emit_empty: unsafe extern "C" fn(*mut Run, u64, Text) -> i32,
         fail: unsafe extern "C" fn(*mut Run, Text, Text),
         node: unsafe extern "C" fn(*const Run) -> Text,

@@ -2,15 +2,15 @@
 #![allow(unsafe_code, reason = "hands buffers over, each with the function that releases it")]
 
 use super::{AbiError, Column, Owner, Text, head, raw};
-use crate::{Buffer, Part, View, ViewError};
+use crate::{Buffer, Name, Part, View, ViewError};
 use std::{ffi::c_void, ptr, sync::Arc};
 
 /// A view made ready to cross: what it points to lives as long as this.
 pub struct Lent {
-    head: Vec<u64>,
+    head: head::Words,
     columns: Vec<Column>,
-    /// What the pointers lead to.
-    _view: Box<View>,
+    /// What the pointers lead to: texts, lists and buffers, which stay where they are when this moves.
+    _view: View,
 }
 
 // SAFETY: nothing of it changes once it is made, and buffers may be used and released from any thread.
@@ -39,9 +39,7 @@ impl Lent {
         Self::with(view, schema, |buffer| Owner { self_: token(buffer), hold: None, release: Some(release) })
     }
 
-    fn with(view: View, schema: &[Part], owner: impl Fn(&Buffer) -> Owner) -> Result<Self, ViewError> {
-        // Boxed, so that what the head points to stays where it is.
-        let mut view = Box::new(view);
+    fn with(mut view: View, schema: &[Part], owner: impl Fn(&Buffer) -> Owner) -> Result<Self, ViewError> {
         view.columns.iter_mut().for_each(align);
         let head = head::write(&view, schema)?;
         let columns = view.columns.iter().map(|column| {
@@ -193,7 +191,7 @@ impl<'a> Crossing<'a> {
     ///
     /// # Errors
     /// [`ViewError`] if a pointer is null or unaligned, a length impossible, a code unknown, or the head too short.
-    pub fn take(self, schema: &[Part]) -> Result<View, ViewError> {
+    pub fn take(self, schema: &'static [Part]) -> Result<View, ViewError> {
         let invalid = |error: AbiError| ViewError::Invalid(error.to_string());
         // SAFETY: as the caller of `new` vouches.
         let head = unsafe { head::read(self.head.0, self.head.1, schema) }?;
@@ -202,7 +200,10 @@ impl<'a> Crossing<'a> {
             // SAFETY: as the caller of `new` vouches.
             let name = unsafe { raw::needed(column.name, "the name of a column") }.map_err(invalid)?;
             // SAFETY: as the caller of `new` vouches.
-            out.columns.push(unsafe { take_column(column, name, held) }.map_err(invalid)?);
+            let taken = unsafe { take_column(column, name, held) }.map_err(invalid)?;
+            // The schema's own text where it has it: names of columns need no memory then.
+            let known = schema.iter().find(|part| part.name == name).map(|part| Name::Borrowed(part.name));
+            out.columns.push(crate::Column { name: known.unwrap_or_else(|| Name::Owned(name.into())), ..taken });
         }
         Ok(out)
     }
@@ -240,5 +241,5 @@ unsafe fn take_column(column: &Column, name: &str, held: Held) -> Result<crate::
         let rows = all.chunks(column.stride as usize).flat_map(|chunk| &chunk[..row as usize]);
         Arc::new(rows.copied().collect::<Vec<u8>>())
     };
-    Ok(crate::Column::new(name, kind, column.width, data))
+    Ok(crate::Column::new("", kind, column.width, data))
 }

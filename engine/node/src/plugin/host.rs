@@ -2,7 +2,7 @@
 #![allow(unsafe_code, reason = "calls the functions of the program")]
 
 use crate::{Emission, NodeError, Part, PayloadType, StampNs, Value, View, ViewError, abi};
-use std::{any::Any, cell::RefCell};
+use std::{any::Any, cell::RefCell, sync::Arc};
 
 /// The program's functions for the firing at hand.
 #[derive(Clone, Copy)]
@@ -125,10 +125,14 @@ impl Host {
                 // SAFETY: as above.
                 unsafe { (self.table.emit_empty)(self.run, port, abi::Text::of(&empty.reason)) }
             }
-            Emission::Value(value) => match value.get::<Handle>() {
-                // SAFETY: as above; the handle is the program's.
-                Some(handle) => unsafe { (self.table.emit_value)(self.run, port, handle.value) },
-                None => {
+            Emission::Value(value) => match value.into_held::<Handle>() {
+                Ok(handle) => match Arc::try_unwrap(handle) {
+                    // SAFETY: as above; the program takes the handle over.
+                    Ok(handle) => unsafe { (self.table.emit_held)(self.run, port, handle.into_raw()) },
+                    // SAFETY: as above; the handle is the program's.
+                    Err(handle) => unsafe { (self.table.emit_value)(self.run, port, handle.value) },
+                },
+                Err(value) => {
                     let ty = value.ty();
                     let given = abi::Lent::given(value.to_view(), ty.schema)?;
                     let view = given.view();
@@ -193,6 +197,10 @@ impl Handle {
         any.downcast_ref().expect("a handle's type has handles")
     }
 
+    fn into_raw(self) -> *const abi::Value {
+        std::mem::ManuallyDrop::new(self).value
+    }
+
     fn to_view(&self) -> View {
         // SAFETY: it is held.
         unsafe { view_of(self.table, self.value, self.schema) }.unwrap_or_default()
@@ -214,7 +222,7 @@ impl Drop for Handle {
 
 /// # Safety
 /// The value is lent or held.
-unsafe fn view_of(table: &abi::Host, value: *const abi::Value, schema: &[Part]) -> Result<View, ViewError> {
+unsafe fn view_of(table: &abi::Host, value: *const abi::Value, schema: &'static [Part]) -> Result<View, ViewError> {
     let mut view = abi::View { head: std::ptr::null(), head_size: 0, columns: std::ptr::null(), n_columns: 0 };
     // SAFETY: as the caller vouches; the program fills the view in.
     if unsafe { (table.view)(value, &mut view) } != abi::status::OK {

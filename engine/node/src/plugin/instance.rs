@@ -72,11 +72,15 @@ pub(super) unsafe extern "C" fn fire(node: *mut c_void, firing: *const abi::Firi
     let status = guarded(host, || {
         // SAFETY: as above: the program's own firing.
         unsafe { instance.join(firing, host) }?;
-        instance.fire(host)
+        let answered = instance.fire(host);
+        instance.clear();
+        answered
     });
     instance.context.leave();
     // Values are released also where the node panicked.
-    if let Err(said) = panic::catch(|| instance.clear()) {
+    if status == abi::status::PANICKED
+        && let Err(said) = panic::catch(|| instance.clear())
+    {
         tracing::warn!("after a firing, what it used {said}");
     }
     status
@@ -186,6 +190,8 @@ impl Instance {
                 }
             }
         }
+        // What was only handed on is the answer's alone then.
+        self.joined.slots.clear();
         for (port, emission) in self.out.iter_mut().enumerate() {
             let emission = std::mem::replace(emission, Emission::Silent);
             if !matches!(emission, Emission::Silent) {
