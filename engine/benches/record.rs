@@ -169,6 +169,7 @@ fn plan(registry: &Registry, n_items: u32, recording: Option<RecordSettings>) ->
         recording: recording.unwrap_or_default(),
         results: Vec::new(),
         input_files: Vec::new(),
+        plugins: Vec::new(),
         resolved: String::new(),
     }
 }

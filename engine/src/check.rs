@@ -37,6 +37,7 @@ use crate::{
     fault::{Fault, Faults, Severity},
     graph::{self, Graph},
     plan::Plan,
+    plugin::{Kinds, Known},
 };
 use osteoflow_node::Registry;
 use schema::Files;
@@ -63,6 +64,8 @@ pub struct Checked {
     pub plan: Plan,
     /// What is hardly meant.
     pub warnings: Vec<Fault>,
+    /// The kinds to build it from: those it was checked with.
+    pub registry: Registry,
 }
 
 /// A file without faults: a graph, or a module that graphs use.
@@ -78,10 +81,10 @@ pub enum CheckedFile {
 ///
 /// # Errors
 /// [`Faults`]: every fault of the file, of what it extends, of the modules it uses and of the settings.
-pub fn check(path: &Path, sets: &[String], registry: &Registry) -> Result<Checked, Faults> {
+pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Result<Checked, Faults> {
     let mut faults = Vec::new();
     match graph::load(path, sets, &mut faults) {
-        Some(graph) => Check::new(registry, Files::Needed, faults).graph(&graph, path),
+        Some(graph) => Check::new(&known(&graph, &kinds.into()), Files::Needed, faults).graph(&graph, path),
         None => Err(Faults(faults)),
     }
 }
@@ -90,27 +93,34 @@ pub fn check(path: &Path, sets: &[String], registry: &Registry) -> Result<Checke
 ///
 /// # Errors
 /// [`Faults`]: every fault of the file, of what it extends, of the modules it uses and of the settings.
-pub fn check_file(path: &Path, sets: &[String], registry: &Registry) -> Result<CheckedFile, Faults> {
+pub fn check_file(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Result<CheckedFile, Faults> {
     let mut faults = Vec::new();
     match graph::load(path, sets, &mut faults) {
-        Some(graph) => Check::new(registry, Files::Needed, faults).run(&graph, path),
+        Some(graph) => Check::new(&known(&graph, &kinds.into()), Files::Needed, faults).run(&graph, path),
         None => Err(Faults(faults)),
     }
 }
 
-/// The files that the graph's text stands in: the graph file, what it extends and the modules it uses, whether they can be
-/// read or not.
-pub fn texts(path: &Path, sets: &[String]) -> Vec<PathBuf> {
-    let loaded = graph::load(path, sets, &mut Vec::new());
-    loaded.map_or_else(|| vec![path.into()], |graph| graph.texts)
+/// The files that the graph itself stands in: the graph file, what it extends, the modules it uses and the libraries of
+/// plugins, whether they can be read or not.
+pub fn files(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Vec<PathBuf> {
+    let (kinds, loaded) = (kinds.into(), graph::load(path, sets, &mut Vec::new()));
+    let (mut files, plugins) = loaded.map_or_else(|| (vec![path.into()], Vec::new()), |g| (g.texts, g.plugins));
+    files.extend(kinds.files(&plugins));
+    files
 }
 
 /// Checks the text of a graph file as if it stood at `virtual_path`, which its relative paths are relative to.
 ///
 /// # Errors
 /// [`Faults`]: every fault of the text, of what it extends and of the settings.
-pub fn check_text(text: &str, virtual_path: &Path, sets: &[String], registry: &Registry) -> Result<Checked, Faults> {
-    check_given(text, virtual_path, sets, registry, Files::Needed)
+pub fn check_text(
+    text: &str,
+    virtual_path: &Path,
+    sets: &[String],
+    kinds: impl Into<Kinds>,
+) -> Result<Checked, Faults> {
+    check_given(text, virtual_path, sets, &kinds.into(), Files::Needed)
 }
 
 /// Checks the text of a graph whose sources are going to be played from a recording: the files it names may be gone.
@@ -121,28 +131,33 @@ pub fn check_recorded(
     text: &str,
     virtual_path: &Path,
     sets: &[String],
-    registry: &Registry,
+    kinds: impl Into<Kinds>,
 ) -> Result<Checked, Faults> {
-    check_given(text, virtual_path, sets, registry, Files::Recorded)
+    check_given(text, virtual_path, sets, &kinds.into(), Files::Recorded)
 }
 
-fn check_given(text: &str, path: &Path, sets: &[String], registry: &Registry, files: Files) -> Result<Checked, Faults> {
+fn check_given(text: &str, path: &Path, sets: &[String], kinds: &Kinds, files: Files) -> Result<Checked, Faults> {
     let mut faults = Vec::new();
     let graph = graph::load_text(text.into(), path, sets, &mut faults);
-    Check::new(registry, files, faults).graph(&graph, path)
+    Check::new(&known(&graph, kinds), files, faults).graph(&graph, path)
+}
+
+fn known(graph: &Graph, kinds: &Kinds) -> Known {
+    kinds.with(&graph.plugins)
 }
 
 /// One check: what graphs may name, and the faults found so far.
 struct Check<'r> {
-    registry: &'r Registry,
+    known: &'r Known,
     files: Files,
     names: wires::Names,
     faults: Vec<Fault>,
 }
 
 impl<'r> Check<'r> {
-    fn new(registry: &'r Registry, files: Files, faults: Vec<Fault>) -> Self {
-        Self { registry, files, names: wires::Names::default(), faults }
+    fn new(known: &'r Known, files: Files, mut faults: Vec<Fault>) -> Self {
+        faults.extend(known.faults());
+        Self { known, files, names: wires::Names::default(), faults }
     }
 
     /// A graph; a module is a fault.
@@ -179,11 +194,12 @@ impl<'r> Check<'r> {
             (Some(order), Some(frames)) if errors.is_empty() => {
                 let describe = |interface| module::describe(interface, &header.name, &drafts, &inputs, &self.names);
                 let description = graph.interface.as_ref().map(describe);
-                let net = assemble::Net { header, drafts, inputs, order, frames, record, results };
+                let plugins = assemble::plugins(self.known, &drafts);
+                let net = assemble::Net { header, plugins, drafts, inputs, order, frames, record, results };
                 let plan = net.plan(path);
                 Ok(match description {
                     Some(description) => CheckedFile::Module(Module { description, plan, warnings }),
-                    None => CheckedFile::Graph(Checked { plan, warnings }),
+                    None => CheckedFile::Graph(Checked { plan, warnings, registry: self.known.registry.clone() }),
                 })
             }
             _ => Err(Faults(errors.into_iter().chain(warnings).collect())),

@@ -6,6 +6,7 @@ mod interface;
 mod merge;
 mod modules;
 mod parse;
+mod plugins;
 mod remove;
 mod results;
 mod set;
@@ -22,7 +23,10 @@ pub(crate) use {
 
 pub use set::Given;
 
-use crate::fault::{Fault, SourceText, Span};
+use crate::{
+    fault::{Fault, SourceText, Span},
+    plugin::Named,
+};
 use std::{
     path::{Path, PathBuf},
     sync::Arc,
@@ -42,6 +46,8 @@ pub(crate) struct Graph {
     pub(crate) interface: Option<Interface>,
     /// The files of the text: the graph file, what it extends and the modules it uses, whether they could be read or not.
     pub(crate) texts: Vec<PathBuf>,
+    /// The plugins that these files name: of a file after those of what it extends, of modules last.
+    pub(crate) plugins: Vec<Named>,
 }
 
 impl Graph {
@@ -70,12 +76,14 @@ pub(crate) fn load_text(text: String, path: &Path, sets: &[String], faults: &mut
     let n_texts = chain.len();
     let mut texts = vec![path.into()];
     texts.append(&mut chain.texts);
+    let mut plugins = std::mem::take(&mut chain.plugins);
     let edits = set::apply(&mut table, sets, &mut removed, faults);
     let interface = interface::read(&mut table, faults);
     if let Some(interface) = &interface {
         modules::stand_alone(&mut table, interface, faults);
     }
-    let (modules, of_modules) = modules::Flattener::new(path, n_texts, &mut removed, faults).flatten(&mut table, edits);
-    texts.extend(of_modules);
-    Graph { table, main, removed, modules, interface, texts }
+    let within = modules::Flattener::new(path, n_texts, &mut removed, faults).flatten(&mut table, edits);
+    texts.extend(within.texts);
+    plugins.extend(within.plugins);
+    Graph { table, main, removed, modules: within.modules, interface, texts, plugins }
 }

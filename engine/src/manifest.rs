@@ -87,7 +87,7 @@ pub(crate) fn manifest(
         "command": options.command,
         "workers": options.workers,
         "inputs": inputs,
-        "plugins": [],
+        "plugins": plan.plugins,
         "nodes": nodes.collect::<Json>(),
         "links": links.collect::<Json>(),
         "latencies": latencies.collect::<Json>(),

@@ -1,7 +1,8 @@
 //! What `check` hands to `run`: a graph whose every name has been resolved and every fault found.
 
-use crate::record::Compression;
+use crate::{plugin::Plugin, record::Compression};
 use osteoflow_node::{DeclaredPort, InputPort, PortPayload, Role};
+use serde::{Deserialize, Serialize, Serializer};
 use std::{fmt, path::PathBuf, sync::Arc};
 
 /// A checked graph, ready to be built.
@@ -25,8 +26,61 @@ pub struct Plan {
     pub results: Vec<ResultEntry>,
     /// The files that parameters name, absolute.
     pub input_files: Vec<PathBuf>,
+    /// The plugins that the graph names, and others whose kinds it has.
+    pub plugins: Vec<PlanPlugin>,
     /// The graph as it runs, after `extends`, `--set` and defaults, as the text of a graph file with absolute paths.
     pub resolved: String,
+}
+
+/// A plugin of a graph.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PlanPlugin {
+    /// Its name.
+    pub name: String,
+    /// Its version.
+    pub version: String,
+    /// Its library, absolute.
+    #[serde(serialize_with = "as_text")]
+    pub path: PathBuf,
+    /// The library's SHA-256.
+    pub sha256: String,
+    /// The version of the plugin interface that it speaks.
+    pub abi: (u32, u32),
+    /// What it was built with.
+    pub sdk: String,
+    /// The compiler that built it.
+    pub compiler: String,
+    /// Those of its kinds that the graph has.
+    pub kinds: Vec<String>,
+}
+
+impl PlanPlugin {
+    /// What a graph that has these of its kinds says of a plugin.
+    pub(crate) fn of(plugin: &Plugin, kinds: Vec<String>) -> Self {
+        Self {
+            name: plugin.about.name.clone(),
+            version: plugin.about.version.clone(),
+            path: plugin.path.clone(),
+            sha256: plugin.sha256.to_string(),
+            abi: plugin.about.abi,
+            sdk: plugin.about.sdk.clone(),
+            compiler: plugin.about.compiler.clone(),
+            kinds,
+        }
+    }
+
+    /// How `now` is another library, in words; `None` if it is the same.
+    pub(crate) fn difference(&self, now: &Self) -> Option<String> {
+        let (was, is) = (&self.sha256, &now.sha256);
+        (was != is).then(|| {
+            let (name, then, path) = (&self.name, &self.version, now.path.display());
+            format!("plugin {name} {then} was another library: sha256 {was}, here is {} {is} ({path})", now.version)
+        })
+    }
+}
+
+fn as_text<S: Serializer>(path: &std::path::Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&path.to_string_lossy())
 }
 
 /// How wires are recorded: what `[record]` says beside their names.

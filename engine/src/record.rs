@@ -16,7 +16,7 @@ pub use mcap_file::Compression;
 pub(crate) use mcap_file::Parts;
 
 use crate::{
-    plan::{OutputId, Plan, Sources},
+    plan::{OutputId, Plan, PlanPlugin, Sources},
     recording::RecordedFailure,
     run::{RunOptions, Tap, catch_panic},
 };
@@ -279,7 +279,9 @@ fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<Texts>) -
     let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let program = options.command.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
     file.metadata(PROGRAM_METADATA, &program.map(|(key, value)| (key.clone(), text(value))).collect())?;
-    file.metadata(PLUGINS_METADATA, &Texts::new())?;
+    let plugin =
+        |plugin: &PlanPlugin| (plugin.path.to_string_lossy().into_owned(), serde_json::json!(plugin).to_string());
+    file.metadata(PLUGINS_METADATA, &plan.plugins.iter().map(plugin).collect())?;
     if let Some(inputs) = inputs {
         file.metadata(INPUTS_METADATA, &inputs)?;
     }

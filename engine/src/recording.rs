@@ -7,9 +7,10 @@ pub(crate) use types::RecordedTypes;
 use crate::{
     codec::{self, CodecError, RecordedItem},
     container::{self, Carries, Channels, Damage, Place, Record, Visit, Walk, WalkError, Wire},
-    plan::Sources,
+    plan::{PlanPlugin, Sources},
     record::{
-        self, DROPS_TOPIC, FORMAT_VERSION, INPUTS_METADATA, LIVE_TOPIC, OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA,
+        self, DROPS_TOPIC, FORMAT_VERSION, INPUTS_METADATA, LIVE_TOPIC, OUTCOME_METADATA, PLUGINS_METADATA,
+        RUN_METADATA, WIRES_METADATA,
     },
     recover::{self, RECOVERED_METADATA},
 };
@@ -90,6 +91,8 @@ pub struct Recording {
     pub sources: Sources,
     /// The SHA-256 of each input file, by its path, or why there is none.
     pub inputs: BTreeMap<String, String>,
+    /// The plugins of the graph, with the SHA-256 of their libraries.
+    pub plugins: Vec<PlanPlugin>,
     /// The numbers of the items that policies dropped, by wire and input.
     pub drops: BTreeMap<(String, String), BTreeSet<u64>>,
     /// What firings took from the clock, by node and the number of the firing.
@@ -216,6 +219,8 @@ impl Recording {
         let finished = reading.metadata.contains_key(WIRES_METADATA);
         let told = |name: &str, key: &str| reading.metadata.get(name).and_then(|entries| entries.get(key));
         let by_hash = told(RUN_METADATA, "sources").is_some_and(|sources| sources == "hashes");
+        let plugins = reading.metadata.get(PLUGINS_METADATA).into_iter().flat_map(|plugins| plugins.values());
+        let plugins = plugins.filter_map(|text| serde_json::from_str(text).ok()).collect();
         let failures = told(OUTCOME_METADATA, "failures").and_then(|text| serde_json::from_str(text).ok());
         let truncated = truncated
             .or_else(|| recovered.as_ref().map(|_| "it was recovered from a damaged file".into()))
@@ -242,6 +247,7 @@ impl Recording {
             wires,
             sources: if by_hash { Sources::Hashes } else { Sources::Wires },
             inputs: reading.metadata.remove(INPUTS_METADATA).unwrap_or_default(),
+            plugins,
             drops: reading.drops,
             readings: reading.readings,
             failures: failures.unwrap_or_default(),

@@ -12,6 +12,7 @@ use crate::{
     manifest,
     part::{self, Failing, Pace, Part, Player},
     plan::{OutputId, Plan, Sources},
+    plugin::Kinds,
     recording::{Recording, RecordingError},
     run::{self, Observer, Replayed, RunError, RunOptions, RunReport, Substitutes},
 };
@@ -166,6 +167,8 @@ pub struct ReplayReport {
     pub truncated: Option<String>,
     /// Nodes that were computed beside those asked for, because their wires were not recorded.
     pub computed_too: Vec<String>,
+    /// How the libraries of plugins differ from those that the run had.
+    pub differences: Vec<String>,
 }
 
 /// What a replay did with a wire.
@@ -230,24 +233,25 @@ impl ReplayReport {
 pub fn replay(
     path: &Path,
     changes: &ReplayOptions,
-    registry: &Registry,
+    kinds: impl Into<Kinds>,
     options: &RunOptions,
     observer: &dyn Observer,
 ) -> Result<ReplayReport, ReplayError> {
     let recording = Recording::open(path)?;
-    let registry = &recording.registry(registry);
+    let kinds: Kinds = kinds.into();
+    let kinds = &kinds.over(recording.registry(kinds.registry()));
     let sets = &changes.sets;
     let checked = match &changes.graph {
         // Files of sources that are played need not be there; a graph file that cannot be read is a fault.
         Some(graph) => match std::fs::read_to_string(graph) {
-            Ok(text) => check_recorded(&text, graph, sets, registry),
-            Err(_) => check(graph, sets, registry),
+            Ok(text) => check_recorded(&text, graph, sets, kinds),
+            Err(_) => check(graph, sets, kinds),
         },
-        None => check_recorded(&recording.graph, &recording.graph_file, sets, registry),
+        None => check_recorded(&recording.graph, &recording.graph_file, sets, kinds),
     };
     let recorded = changes.graph.is_none() && sets.is_empty();
-    let plan = checked.map_err(|faults| ReplayError::Graph { faults, recorded })?.plan;
-    replay_plan(&plan, &recording, changes, registry, options, observer)
+    let checked = checked.map_err(|faults| ReplayError::Graph { faults, recorded })?;
+    replay_plan(&checked.plan, &recording, changes, &checked.registry, options, observer)
 }
 
 /// The same with a graph that has been checked.
@@ -267,6 +271,11 @@ pub(crate) fn replay_plan(
     if runs_sources && recording.sources == Sources::Hashes {
         inputs_are_the_same(plan, recording)?;
     }
+    let differences = recording.plugins.iter().filter_map(|then| {
+        let now = plan.plugins.iter().find(|now| now.name == then.name)?;
+        then.difference(now)
+    });
+    let differences = differences.collect();
     let computed_too = computed_too(plan, changes, &parts);
 
     let mut reduced = part::reduce(&Plan { record: recorded.iter().copied().collect(), ..plan.clone() }, &parts);
@@ -317,6 +326,7 @@ pub(crate) fn replay_plan(
         not_compared,
         truncated: recording.truncated.clone(),
         computed_too,
+        differences,
     })
 }
 

@@ -18,7 +18,11 @@ pub use bundle::{Bundle, Declared, Failure, Given, Input, Node, Output, Program,
 pub(crate) use save::{Failed, Saver};
 pub use save::{Saved, SavedBundle};
 
-use crate::run::{catch_panic, emission_fault, known, planned_failure, show_panics};
+use crate::{
+    plan::PlanPlugin,
+    plugin::{Kinds, Named},
+    run::{self, catch_panic, emission_fault, planned_failure, show_panics},
+};
 use osteoflow_node::{
     Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, PortPayload, Registry, Role, Site, Slot,
     StampNs,
@@ -52,9 +56,21 @@ pub struct ReproReport {
 ///
 /// # Errors
 /// [`ReproError`] if the bundle cannot be read or its node cannot be built here.
-pub fn repro(dir: &Path, registry: &Registry, program: Program, backtrace: bool) -> Result<ReproReport, ReproError> {
+pub fn repro(
+    dir: &Path,
+    kinds: impl Into<Kinds>,
+    program: Program,
+    backtrace: bool,
+) -> Result<ReproReport, ReproError> {
+    let kinds: Kinds = kinds.into();
     let bundle = Bundle::open(dir)?;
     let node = &bundle.node;
+    let named: Vec<_> = node.plugin.iter().map(|plugin| Named::file(&plugin.path)).collect();
+    let known = kinds.with(&named);
+    let registry = &known.registry;
+    if let Some(refused) = known.refused.iter().find(|refused| refused.is_asked()) {
+        return Err(ReproError::Plugin { path: refused.path.clone(), why: refused.why.clone() });
+    }
     let kind = registry.kind(&node.kind).ok_or_else(|| ReproError::Kind(node.kind.clone()))?;
     let build = |message: String| ReproError::Build { node: node.name.clone(), message };
     let outputs = node.outputs.iter().map(|output| Ok((output.name.as_str(), payload(registry, &output.payload)?)));
@@ -95,7 +111,7 @@ pub fn repro(dir: &Path, registry: &Registry, program: Program, backtrace: bool)
             let mut floors = vec![StampNs::MIN; outputs.len()];
             let mut stamp_ns = StampNs::MIN;
             loop {
-                context.begin(n_calls, known(stamp_ns));
+                context.begin(n_calls, run::known(stamp_ns));
                 let mut out = vec![Emission::Silent; outputs.len()];
                 let mut more = true;
                 let answered = catch_panic(|| source.next(&mut out, &mut context).map(|answer| more = answer));
@@ -123,7 +139,10 @@ pub fn repro(dir: &Path, registry: &Registry, program: Program, backtrace: bool)
         let (here, there) = (scratch.0.display().to_string(), out_dir.display().to_string());
         failed.reason = failed.reason.replace(&here, &there);
     }
-    let differences = bundle.program.differences(&program);
+    let mut differences = bundle.program.differences(&program);
+    if let (Some(then), Some(now)) = (&node.plugin, known.of_kind(&node.kind)) {
+        differences.extend(then.difference(&PlanPlugin::of(now, Vec::new())));
+    }
     let same_program = bundle.program.sha256 == program.sha256 && program.sha256.is_some();
     let at_call = node.role == Role::Node || n_calls == bundle.item;
     let same = at_call && failed.as_ref().is_some_and(|failed| failed.is(&bundle.failure, same_program));

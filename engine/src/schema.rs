@@ -37,6 +37,10 @@ pub fn schema(registry: &Registry) -> Value {
         "type": "object",
         "properties": {
             "extends": { "type": "string", "description": "The graph file that this one changes, relative to this file." },
+            "plugins": {
+                "description": "Libraries with kinds of nodes, relative to this file: \"libmy_nodes.so\", or \"my_nodes\" for short.",
+                "type": "array", "items": { "type": "string" },
+            },
             "remove": {
                 "description": "What is taken away from the extended graph: \"node.x\", \"node.x.key\", \"results.y\".",
                 "type": "array", "items": { "type": "string" },

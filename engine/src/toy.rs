@@ -491,6 +491,7 @@ impl Toy {
                 recording: Default::default(),
                 results: Vec::new(),
                 input_files: Vec::new(),
+                plugins: Vec::new(),
                 resolved: "[graph]\nname = \"toy\"\n".into(),
             },
         }

@@ -3,6 +3,7 @@
 mod container;
 mod items;
 
+use crate::plugin::Kinds;
 use crate::{
     check::check_recorded,
     container::{Channels, Damage, End, Place, Record, Visit, Walk},
@@ -13,7 +14,6 @@ use crate::{
 };
 use container::Container;
 use items::Items;
-use osteoflow_node::Registry;
 use std::{
     collections::{BTreeMap, BTreeSet},
     fmt,
@@ -134,14 +134,19 @@ impl ValidateReport {
 ///
 /// # Errors
 /// [`RecordingError`] if the file cannot be read, or is no MCAP file.
-pub fn validate(path: &Path, registry: &Registry, progress: Progress<'_>) -> Result<ValidateReport, RecordingError> {
+pub fn validate(
+    path: &Path,
+    kinds: impl Into<Kinds>,
+    progress: Progress<'_>,
+) -> Result<ValidateReport, RecordingError> {
+    let kinds: Kinds = kinds.into();
     let failed = |error| RecordingError::of(path, error);
     let mut walk = Walk::open(path).map_err(|error| failed(error.into()))?;
     let channels = Channels::of_summary(&mut walk).map_err(failed)?;
     let mut pass = Pass {
         findings: Findings::default(),
         container: Container::default(),
-        items: Items::new(channels, registry),
+        items: Items::new(channels, kinds.registry()),
         metadata: MetadataRecords::new(),
         progress,
     };
@@ -161,7 +166,7 @@ pub fn validate(path: &Path, registry: &Registry, progress: Progress<'_>) -> Res
     container.finish(&mut walk, &mut findings).map_err(|error| failed(error.into()))?;
     let is_recording = metadata.contains_key(RUN_METADATA) || items.has_wires();
     if is_recording {
-        check_metadata(path, &metadata, &items.registry(), &mut findings, &mut notes);
+        check_metadata(path, &metadata, &kinds.over(items.registry()), &mut findings, &mut notes);
         items.finish(&metadata, &mut findings, &mut notes);
     } else {
         notes.push("it is no recording of a run: only the container was checked".into());
@@ -182,7 +187,7 @@ pub fn validate(path: &Path, registry: &Registry, progress: Progress<'_>) -> Res
 fn check_metadata(
     path: &Path,
     metadata: &MetadataRecords,
-    registry: &Registry,
+    kinds: &Kinds,
     findings: &mut Findings,
     notes: &mut Vec<String>,
 ) {
@@ -206,7 +211,7 @@ fn check_metadata(
                 if let Err(error) = about.graph.parse::<toml::Table>() {
                     let what = format!("the recorded graph is no TOML: {}", error.message());
                     findings.add("metadata", Finding::new(None, what));
-                } else if check_recorded(&about.graph, &about.graph_file, &[], registry).is_err() {
+                } else if check_recorded(&about.graph, &about.graph_file, &[], kinds).is_err() {
                     notes.push("the recorded graph does not fit this program, so it cannot be replayed here".into());
                 }
             }

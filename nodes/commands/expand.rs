@@ -22,7 +22,7 @@ pub(crate) struct Expand {
 
 impl Expand {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let (_, Some(checked)) = self.graph.check(global)? else { return Ok(Exit::Usage) };
+        let Some(checked) = self.graph.check(global)? else { return Ok(Exit::Usage) };
         let plan = &checked.plan;
         match global.format {
             Format::Json => print_json(&json!({

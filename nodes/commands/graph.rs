@@ -46,7 +46,7 @@ impl Graph {
         let picture = match (&self.run, &self.graph) {
             (Some(run), _) => of_run(run)?,
             (None, Some(graph)) => {
-                let (_, Some(checked)) = graph.check(global)? else { return Ok(Exit::Usage) };
+                let Some(checked) = graph.check(global)? else { return Ok(Exit::Usage) };
                 Picture::of_plan(&checked.plan)
             }
             (None, None) => return Err(UsageError("name a graph file, or a run by --run".into()).into()),

@@ -1,8 +1,7 @@
-use super::{Exit, Format, Global, registry};
+use super::{Exit, Format, Global, PluginArgs};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{Checked, CheckedFile, Fault, Faults, Module};
-use osteoflow_node::Registry;
 use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf};
 
@@ -15,20 +14,22 @@ pub(crate) struct GraphArgs {
     /// Change any key of the graph: NODE.PARAMETER=VALUE, NODE.kind=KIND, graph.seed=7; may be given again.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub(crate) sets: Vec<String>,
+
+    #[command(flatten)]
+    pub(crate) plugins: PluginArgs,
 }
 
 impl GraphArgs {
     /// The checked graph, with its warnings told; or all its faults told, and `None`.
-    pub(crate) fn check(&self, global: &Global) -> Result<(Registry, Option<Checked>)> {
-        let registry = registry();
-        match osteoflow_engine::check(&self.graph, &self.sets, &registry) {
+    pub(crate) fn check(&self, global: &Global) -> Result<Option<Checked>> {
+        match osteoflow_engine::check(&self.graph, &self.sets, self.plugins.kinds()?) {
             Ok(checked) => {
                 warn(&checked.warnings, global)?;
-                Ok((registry, Some(checked)))
+                Ok(Some(checked))
             }
             Err(faults) => {
                 tell(&faults, global)?;
-                Ok((registry, None))
+                Ok(None)
             }
         }
     }
@@ -37,7 +38,7 @@ impl GraphArgs {
 impl GraphArgs {
     /// The same for a file that may also be a module's.
     pub(crate) fn check_file(&self, global: &Global) -> Result<Option<CheckedFile>> {
-        match osteoflow_engine::check_file(&self.graph, &self.sets, &registry()) {
+        match osteoflow_engine::check_file(&self.graph, &self.sets, self.plugins.kinds()?) {
             Ok(file) => {
                 let (CheckedFile::Graph(Checked { warnings, .. }) | CheckedFile::Module(Module { warnings, .. })) =
                     &file;

@@ -1,7 +1,9 @@
-use super::{Exit, Format, Global, GraphArgs, UsageError, module_docs, node_docs, print_json, registry};
+use super::{
+    Exit, Format, Global, GraphArgs, PluginArgs, UsageError, module_docs, node_docs, plugins, print_json, registry,
+};
 use anyhow::{Context, Result};
 use clap::Args;
-use osteoflow_engine::CheckedFile;
+use osteoflow_engine::{CheckedFile, plugin::Plugin};
 use osteoflow_node::{Description, OutputPorts, Registry};
 use serde_json::json;
 use std::{
@@ -19,6 +21,7 @@ Examples:
   osteoflow inspect icp.point_to_plane     one kind: ports, joins, parameters, example, literature
   osteoflow inspect icp.point_to_plane --format json
   osteoflow inspect graphs/modules/laser_point.toml        a module: inputs, outputs, parameters
+  osteoflow inspect --plugin libmy_nodes.so my.kind        a kind of a plugin
   osteoflow inspect --payloads             what may travel on a wire
   osteoflow inspect --write-docs docs/nodes")]
 pub(crate) struct Inspect {
@@ -28,6 +31,14 @@ pub(crate) struct Inspect {
     /// List the payload types: the words for `type` in `out`, and what gives and takes each.
     #[arg(long, conflicts_with_all = ["kind", "markdown", "write_docs"])]
     payloads: bool,
+
+    /// List the plugins that are found by --plugin and OSTEOFLOW_PLUGIN_PATH: what each is and was built with, or why it
+    /// is refused.
+    #[arg(long = "plugins", conflicts_with_all = ["kind", "payloads", "markdown", "write_docs"])]
+    list_plugins: bool,
+
+    #[command(flatten)]
+    plugins: PluginArgs,
 
     /// Print Markdown, as in docs/nodes, for a list of kinds too.
     #[arg(long)]
@@ -40,27 +51,43 @@ pub(crate) struct Inspect {
 
 impl Inspect {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let registry = registry();
         if let Some(dir) = &self.write_docs {
-            return write_docs(&registry, dir);
+            return write_docs(&registry(), dir);
         }
+        let known = self.plugins.kinds()?.known();
+        if self.list_plugins {
+            return plugins::table(&known, global);
+        }
+        let exit = plugins::tell_refused(&known, global)?;
+        let registry = &known.registry;
         if self.payloads {
-            return payloads(&registry, global);
+            return payloads(registry, global).map(|_| exit);
         }
-        if let Some(file) = self.kind.as_deref().filter(|kind| is_file(kind, &registry)) {
+        if let Some(file) = self.kind.as_deref().filter(|kind| is_file(kind, registry)) {
             return self.module(file, global);
         }
-        let chosen = self.chosen(&registry)?;
+        let chosen = self.chosen(registry)?;
         let mut out = std::io::stdout().lock();
         let whole = self.kind.as_deref().is_some_and(|kind| registry.kind(kind).is_some());
         match global.format {
             Format::Json => {
                 let kinds: Vec<_> = chosen.iter().flat_map(|(_, kinds)| kinds).collect();
-                let value = if whole { json!(kinds[0]) } else { json!(kinds) };
+                let of = |kind: &&Description| {
+                    let mut value = json!(kind);
+                    if let Some(plugin) = known.of_kind(kind.kind) {
+                        let (about, file) = (&plugin.about, plugin.path.to_string_lossy());
+                        value["plugin"] = json!({ "name": about.name, "version": about.version, "file": file });
+                    }
+                    value
+                };
+                let value = if whole { of(kinds[0]) } else { kinds.into_iter().map(of).collect() };
                 writeln!(out, "{}", serde_json::to_string_pretty(&value)?)?;
             }
             Format::Text if whole || self.markdown => {
-                let texts = chosen.iter().flat_map(|(_, kinds)| kinds).map(|d| node_docs::markdown(d));
+                let texts = chosen.iter().flat_map(|(_, kinds)| kinds).map(|d| match known.of_kind(d.kind) {
+                    Some(plugin) => format!("{}\n{}.\n", node_docs::markdown(d).trim_end(), from(plugin)),
+                    None => node_docs::markdown(d),
+                });
                 write!(out, "{}", texts.collect::<Vec<_>>().join("\n"))?;
             }
             Format::Text => {
@@ -68,17 +95,19 @@ impl Inspect {
                 for (stage, kinds) in &chosen {
                     writeln!(out, "{}", global.paint_out(stage, "1"))?;
                     for kind in kinds {
-                        writeln!(out, "  {:<width$}  {}", kind.kind, kind.summary)?;
+                        let from =
+                            known.of_kind(kind.kind).map(|plugin| format!(" ({})", from(plugin))).unwrap_or_default();
+                        writeln!(out, "  {:<width$}  {}{from}", kind.kind, kind.summary)?;
                     }
                 }
             }
         }
-        Ok(Exit::Done)
+        Ok(exit)
     }
 
     /// What a module declares.
     fn module(&self, file: &str, global: &Global) -> Result<Exit> {
-        let graph = GraphArgs { graph: file.into(), sets: Vec::new() };
+        let graph = GraphArgs { graph: file.into(), sets: Vec::new(), plugins: self.plugins.clone() };
         let Some(checked) = graph.check_file(global)? else { return Ok(Exit::Usage) };
         let CheckedFile::Module(module) = checked else {
             let said = format!("{file} is a graph, but no module; `osteoflow check` and `osteoflow graph` show graphs");
@@ -113,6 +142,12 @@ impl Inspect {
         }
         Ok(chosen)
     }
+}
+
+/// Where a kind comes from.
+fn from(plugin: &Plugin) -> String {
+    let about = &plugin.about;
+    format!("from plugin {} {} ({})", about.name, about.version, plugin.path.display())
 }
 
 /// Whether a word names a file, not a kind.

@@ -13,6 +13,7 @@ pub(crate) mod log;
 mod module_docs;
 mod node_docs;
 mod out_dir;
+mod plugins;
 mod progress;
 mod reading;
 mod record;
@@ -33,6 +34,7 @@ mod watch;
 
 pub(crate) use exit::{Exit, UsageError};
 use graph_args::{GraphArgs, print_json};
+use plugins::PluginArgs;
 
 use anyhow::Result;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
@@ -157,6 +159,7 @@ pub(crate) enum Command {
     Repro(repro::Repro),
     Simulate(simulate::Simulate),
     Completions(completions::Completions),
+    PluginProbe(plugins::PluginProbe),
 }
 
 impl Command {
@@ -178,6 +181,7 @@ impl Command {
             Self::Schema(command) => command.execute(global),
             Self::Simulate(command) => command.execute(global),
             Self::Completions(command) => command.execute(global),
+            Self::PluginProbe(command) => command.execute(),
         }
     }
 }

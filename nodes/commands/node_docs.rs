@@ -83,7 +83,9 @@ pub(crate) fn markdown(of: &Description) -> String {
     }
     outputs(&mut out, &of.outputs);
     parameters(&mut out, "Parameters", &of.params);
-    let _ = write!(out, "\n**Example**\n\n```toml\n{}\n```\n", of.example.trim());
+    if !of.example.is_empty() {
+        let _ = write!(out, "\n**Example**\n\n```toml\n{}\n```\n", of.example.trim());
+    }
     if !of.literature.is_empty() {
         out.push_str("\n**Literature**\n\n");
         for source in of.literature {

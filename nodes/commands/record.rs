@@ -52,9 +52,9 @@ impl Record {
         }
         let mut sets = self.graph.sets.clone();
         sets.push(format!("record.wires={}", json!(self.wires)));
-        let graph = GraphArgs { graph: self.graph.graph.clone(), sets };
-        let (registry, Some(checked)) = graph.check(global)? else { return Ok(Exit::Usage) };
-        let plan = checked.plan;
+        let graph = GraphArgs { sets, ..self.graph.clone() };
+        let Some(checked) = graph.check(global)? else { return Ok(Exit::Usage) };
+        let (plan, registry) = (checked.plan, checked.registry);
 
         // A run writes into a folder; the recording is moved out of it once it is whole.
         let mut name = file.file_name().context("--out names no file")?.to_owned();

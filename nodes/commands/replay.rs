@@ -1,7 +1,7 @@
 use super::{
-    Exit, Format, Global, UsageError, diff, out_dir, print_json,
+    Exit, Format, Global, PluginArgs, UsageError, diff, out_dir, print_json,
     progress::Progress,
-    registry, result_table,
+    result_table,
     run::Leave,
     run_table,
     running::{self, Ran},
@@ -61,6 +61,9 @@ pub(crate) struct Replay {
     end: Option<Moment>,
 
     #[command(flatten)]
+    plugins: PluginArgs,
+
+    #[command(flatten)]
     leave: Leave,
 }
 
@@ -96,9 +99,9 @@ impl Replay {
         };
         let what = format!("replaying {}: {} workers", self.file.display(), options.workers);
         let (progress, file) = (Progress::begin(&what, None, global), self.file.clone());
-        let colour = global.colour_err();
+        let (colour, kinds) = (global.colour_err(), self.plugins.kinds()?);
         let ran = running::watch(progress, cancelled, move |progress| {
-            let replayed = osteoflow_engine::replay::replay(&file, &changes, &registry(), &options, progress);
+            let replayed = osteoflow_engine::replay::replay(&file, &changes, kinds, &options, progress);
             replayed.map_err(|error| told(error, colour))
         })?;
         let report = match ran {
@@ -129,6 +132,9 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
     if let Some(reason) = &report.truncated {
         let word = global.paint_err("warning", "1;33");
         writeln!(err, "{word}: the recording ends early ({reason}); what is before that is compared")?;
+    }
+    for difference in &report.differences {
+        writeln!(err, "{}: {difference}", global.paint_err("warning", "1;33"))?;
     }
     if let Some(reason) = &report.not_compared {
         writeln!(err, "{}: nothing is compared: {reason}", global.paint_err("note", "1;36"))?;
@@ -239,6 +245,7 @@ fn as_json(report: &ReplayReport, exit: Exit) -> Value {
         "not_compared": report.not_compared,
         "truncated": report.truncated,
         "computed_too": report.computed_too,
+        "differences": report.differences,
         "wires": wires.collect::<Value>(),
         "results": report.run.results,
     })

@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, UsageError, print_json, registry, running, text_table::TextTable};
+use super::{Exit, Format, Global, PluginArgs, UsageError, print_json, running, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
@@ -32,6 +32,9 @@ pub(crate) struct Repro {
     /// How many threads algorithms use; the results do not depend on it. Default: the number of cores.
     #[arg(long, value_name = "N")]
     workers: Option<NonZeroUsize>,
+
+    #[command(flatten)]
+    plugins: PluginArgs,
 }
 
 impl Repro {
@@ -39,12 +42,15 @@ impl Repro {
         let options = running::options(self.workers, &Arc::default())?;
         let backtrace = std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0");
         let program = Program::current(options.command);
-        let report = repro::repro(&self.dir, &registry(), program, backtrace).map_err(|error| match error {
-            ReproError::Kind(_) | ReproError::Payload(_) | ReproError::Port { .. } | ReproError::Build { .. } => {
-                UsageError(error.to_string()).into()
-            }
-            other => anyhow::Error::from(other),
-        })?;
+        let report =
+            repro::repro(&self.dir, self.plugins.kinds()?, program, backtrace).map_err(|error| match error {
+                ReproError::Kind(_)
+                | ReproError::Payload(_)
+                | ReproError::Port { .. }
+                | ReproError::Plugin { .. }
+                | ReproError::Build { .. } => UsageError(error.to_string()).into(),
+                other => anyhow::Error::from(other),
+            })?;
         let exit = if report.same { Exit::Done } else { Exit::Differs };
         match global.format {
             Format::Json => print_json(&as_json(&report, exit))?,

@@ -1,4 +1,4 @@
-use super::{Exit, Global, UsageError, registry};
+use super::{Exit, Global, PluginArgs, UsageError, plugins};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::schema;
@@ -17,11 +17,16 @@ pub(crate) struct Schema {
     /// Only the table of a node of this kind.
     #[arg(long, value_name = "KIND")]
     kind: Option<String>,
+
+    #[command(flatten)]
+    plugins: PluginArgs,
 }
 
 impl Schema {
-    pub(crate) fn execute(&self, _: &Global) -> Result<Exit> {
-        let registry = registry();
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let known = self.plugins.kinds()?.known();
+        let exit = plugins::tell_refused(&known, global)?;
+        let registry = known.registry;
         let schema = match &self.kind {
             None => schema::schema(&registry),
             Some(kind) => schema::kind_schema(&registry, kind).ok_or_else(|| {
@@ -32,6 +37,6 @@ impl Schema {
             })?,
         };
         writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&schema)?)?;
-        Ok(Exit::Done)
+        Ok(exit)
     }
 }

@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, print_json, reading::Reading, registry, text_table::TextTable};
+use super::{Exit, Format, Global, PluginArgs, print_json, reading::Reading, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::validate::{Finding, ValidateReport, validate};
@@ -19,12 +19,15 @@ Examples:
 pub(crate) struct Validate {
     /// The run.mcap of a run, or any MCAP file.
     file: PathBuf,
+
+    #[command(flatten)]
+    plugins: PluginArgs,
 }
 
 impl Validate {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let mut reading = Reading::begin("checking", &self.file, global);
-        let report = validate(&self.file, &registry(), &mut |at, of| reading.at(at, of))?;
+        let report = validate(&self.file, self.plugins.kinds()?, &mut |at, of| reading.at(at, of))?;
         drop(reading);
         let exit = if report.is_sound() { Exit::Done } else { Exit::Unsound };
         match global.format {

@@ -3,14 +3,14 @@
 use super::{
     Exit, Format, Global, UsageError, graph_args, out_dir,
     progress::Progress,
-    registry, result_table,
+    result_table,
     run::{self, Run},
     running::{self, Ran},
 };
 use anyhow::{Result, anyhow};
 use osteoflow_engine::{
     Checked, check,
-    check::texts,
+    check::files,
     check_recorded,
     plan::Plan,
     run::{Outcome, RunError, RunOptions, RunReport},
@@ -71,7 +71,8 @@ impl Watch {
         let mut seen = Instant::now();
         loop {
             // Before they are read: what is saved from here on is seen as a change.
-            let graph = Stamps::of(texts(&self.run.graph.graph, &self.run.graph.sets));
+            let graph = &self.run.graph;
+            let graph = Stamps::of(files(&graph.graph, &graph.sets, graph.plugins.kinds()?));
             let stamps = match self.look(seen)? {
                 Looked::Files(files) => graph.and(&files),
                 Looked::Interrupted => return Ok(Exit::Interrupted),
@@ -85,9 +86,9 @@ impl Watch {
 
     /// Checks the graph, and runs what has changed.
     fn look(&mut self, seen: Instant) -> Result<Looked> {
-        let registry = registry();
+        let kinds = self.run.graph.plugins.kinds()?;
         let (path, sets) = (&self.run.graph.graph, &self.run.graph.sets);
-        let Checked { plan, warnings } = match check(path, sets, &registry) {
+        let Checked { plan, warnings, registry } = match check(path, sets, &kinds) {
             Ok(checked) => checked,
             Err(faults) => {
                 match self.global.format {
@@ -96,7 +97,7 @@ impl Watch {
                 }
                 // A file that is missing may come.
                 let text = fs::read_to_string(path).unwrap_or_default();
-                let files = check_recorded(&text, path, sets, &registry).map(|checked| Stamps::of_plan(&checked.plan));
+                let files = check_recorded(&text, path, sets, &kinds).map(|checked| Stamps::of_plan(&checked.plan));
                 return Ok(Looked::Files(files.unwrap_or_default()));
             }
         };

@@ -292,6 +292,7 @@ pub(crate) fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Optio
         record: Vec::new(),
         results: Vec::new(),
         input_files: Vec::new(),
+        plugins: Vec::new(),
         resolved: String::new(),
         recording: RecordSettings::default(),
     }

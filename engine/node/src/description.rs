@@ -1,5 +1,5 @@
 use crate::{InputPort, OutputPorts};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Everything known of a kind without building it: the one source of `inspect`, the docs, the schema and the faults.
 #[derive(Debug, Clone, Serialize)]
@@ -29,7 +29,7 @@ pub struct Description {
 }
 
 /// Whether a kind has inputs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
     /// Fires when its inputs join.
@@ -46,7 +46,7 @@ pub enum Role {
 /// Worth it where computing takes tens of milliseconds and the same inputs come again. A node of such a kind remembers
 /// nothing of earlier firings, reads no file, and takes from its [`crate::Context`] no more than it says here: an answer
 /// for which it took more is not kept, and the run warns of it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kept {
     /// It is computed at every firing.

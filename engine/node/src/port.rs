@@ -1,6 +1,6 @@
 use crate::{Emission, Emit, Outputs, Payload, PayloadType};
 use schemars::JsonSchema;
-use serde::{Serialize, Serializer, de::DeserializeOwned};
+use serde::{Deserialize, Serialize, Serializer, de::DeserializeOwned};
 use std::marker::PhantomData;
 
 /// An input port as declared by a node.
@@ -87,7 +87,7 @@ impl Serialize for PortPayload {
 }
 
 /// How a port's items are chosen for a firing.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "rule", rename_all = "snake_case")]
 pub enum Join {
     /// The next item: ports joined so go in step. Triggers.

@@ -2,13 +2,19 @@ use crate::{
     Built, Describe, Description, FilePath, Inputs, Kept, Node, Outputs, ParamError, Part, Payload, PayloadType, Role,
     Site, Source, erased::Erased,
 };
-use std::{collections::BTreeMap, sync::Arc};
+use std::{collections::BTreeMap, fmt, sync::Arc};
 
 /// The kinds and payload types that a graph may name.
 #[derive(Default, Clone)]
 pub struct Registry {
     kinds: BTreeMap<&'static str, Arc<Kind>>,
     payloads: BTreeMap<&'static str, &'static PayloadType>,
+}
+
+impl fmt::Debug for Registry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_set().entries(self.kinds.keys()).entries(self.payloads.keys()).finish()
+    }
 }
 
 /// Two payload types of one name, which cannot both be known.

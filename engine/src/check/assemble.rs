@@ -2,13 +2,17 @@ use super::{
     drafts::Draft, frames::Frames, header::Header, inputs::Input, record::Record, resolved, results::Result,
     wires::Wire,
 };
-use crate::plan::{Link, OutputId, Plan, PlanInput, PlanNode, PlanOutput, ResultEntry};
+use crate::{
+    plan::{Link, OutputId, Plan, PlanInput, PlanNode, PlanOutput, PlanPlugin, ResultEntry},
+    plugin::Known,
+};
 use osteoflow_node::Role;
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 /// Everything known of a graph without faults.
 pub(super) struct Net<'a> {
     pub(super) header: Header,
+    pub(super) plugins: Vec<PlanPlugin>,
     pub(super) drafts: Vec<Draft<'a>>,
     pub(super) inputs: Vec<Vec<Input>>,
     /// Topological.
@@ -16,6 +20,17 @@ pub(super) struct Net<'a> {
     pub(super) frames: Frames,
     pub(super) record: Record,
     pub(super) results: Vec<Result>,
+}
+
+/// The plugins that the graph names, and others whose kinds it has.
+pub(super) fn plugins(known: &Known, drafts: &[Draft<'_>]) -> Vec<PlanPlugin> {
+    let used = known.plugins.iter().filter_map(|plugin| {
+        let of_plugin = drafts.iter().filter_map(|draft| draft.kind);
+        let of_plugin = of_plugin.filter(|kind| kind.plugin.as_ref() == Some(&plugin.sha256));
+        let kinds: BTreeSet<_> = of_plugin.map(|kind| kind.description.kind.to_owned()).collect();
+        (plugin.named || !kinds.is_empty()).then(|| PlanPlugin::of(plugin, kinds.into_iter().collect()))
+    });
+    used.collect()
 }
 
 impl Net<'_> {
@@ -58,6 +73,7 @@ impl Net<'_> {
             recording: self.record.settings,
             results: self.results.iter().map(result).collect(),
             input_files,
+            plugins: self.plugins.clone(),
             resolved: resolved::text(self),
         }
     }
@@ -78,7 +94,7 @@ impl Net<'_> {
             kind: draft.kind_name().into(),
             role: draft.role().unwrap_or(Role::Node),
             location: draft.told_at().location(),
-            plugin: None,
+            plugin: draft.kind.and_then(|kind| kind.plugin.clone()),
             params: draft.params.clone(),
             files: draft.input_files.clone(),
             declared: draft.declared.clone().into(),

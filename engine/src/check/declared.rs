@@ -82,7 +82,7 @@ impl Check<'_> {
             return None;
         };
         let found = take::text(&ty.value, &format!("{owner}: type"), &mut self.faults)?;
-        let known = self.registry.payload_type(found);
+        let known = self.known.registry.payload_type(found);
         if known.is_none() {
             let fault = Fault::new(format!("{owner}: there is no payload type \"{found}\""));
             let (help, list) = self.payloads(found);
@@ -92,7 +92,7 @@ impl Check<'_> {
     }
 
     fn payloads(&self, found: &str) -> (Option<String>, Option<String>) {
-        let names: Vec<_> = self.registry.payload_types().map(|ty| ty.name).collect();
+        let names: Vec<_> = self.known.registry.payload_types().map(|ty| ty.name).collect();
         nearest::hint(found, "payload types", names)
     }
 

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 pub(super) const RESERVED: [&str; 4] = ["kind", "in", "out", "on_error"];
 
 /// Names that `--set` and `remove` take for the parts of a graph file.
-const NO_NODE: [&str; 7] = ["graph", "node", "record", "results", "extends", "remove", "module"];
+const NO_NODE: [&str; 8] = ["graph", "node", "record", "results", "extends", "remove", "module", "plugins"];
 
 /// A node as far as its own table tells.
 pub(super) struct Draft<'a> {
@@ -137,9 +137,9 @@ impl<'r> Check<'r> {
             return None;
         };
         let found = take::text(&kind.value, &format!("node \"{name}\": kind"), &mut self.faults)?;
-        let known = self.registry.kind(found);
+        let known = self.known.registry.kind(found);
         if known.is_none() {
-            let kinds: Vec<_> = self.registry.kinds().map(|kind| kind.description.kind).collect();
+            let kinds: Vec<_> = self.known.registry.kinds().map(|kind| kind.description.kind).collect();
             let stage = found.split('.').next().unwrap_or(found);
             let of_stage: Vec<_> = kinds.iter().copied().filter(|k| k.split('.').next() == Some(stage)).collect();
             let list = nearest::list(&format!("kinds of {stage}"), of_stage.iter().copied());
@@ -150,7 +150,12 @@ impl<'r> Check<'r> {
             let known = kinds.into_iter().chain([MODULE]);
             let help = nearest::help(found, of_stage.iter().copied()).or_else(|| nearest::help(found, known));
             let fault = Fault::new(format!("node \"{name}\": there is no kind \"{found}\""));
-            self.faults.push(fault.at(&kind.value.at, "unknown").help_if(help).note_if(list));
+            let fault = fault.at(&kind.value.at, "unknown").help_if(help);
+            let refused: Vec<_> = self.known.refused.iter().map(|plugin| plugin.path.display().to_string()).collect();
+            self.faults.push(match refused.is_empty() {
+                true => fault.note_if(list),
+                false => fault.note(format!("it may be of a plugin that is refused: {}", refused.join(", "))),
+            });
         }
         known
     }

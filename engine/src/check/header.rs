@@ -9,7 +9,7 @@ use std::sync::Arc;
 const FORMAT: u64 = 1;
 
 /// The tables and keys of a graph file.
-const TOP: [&str; 7] = ["graph", "node", "record", "results", "extends", "remove", "module"];
+const TOP: [&str; 8] = ["graph", "node", "record", "results", "extends", "remove", "module", "plugins"];
 
 /// What `[graph]` says.
 pub(crate) struct Header {

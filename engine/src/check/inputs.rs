@@ -35,7 +35,8 @@ impl Check<'_> {
         for (index, draft) in drafts.iter().enumerate() {
             let missing: Vec<_> = inputs[index].iter().filter(|i| i.at.is_none() && !i.port.optional).collect();
             for input in &missing {
-                let feed = Feed { drafts, inputs: &inputs, registry: self.registry, removed: &self.names.removed };
+                let feed =
+                    Feed { drafts, inputs: &inputs, registry: &self.known.registry, removed: &self.names.removed };
                 self.faults.push(feed.missing(index, &input.port));
             }
             if missing.is_empty() {

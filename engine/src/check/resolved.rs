@@ -9,6 +9,10 @@ use std::fmt::Write;
 /// A complete graph file: no `extends`, every default written, every path absolute, every recorded wire named.
 pub(super) fn text(net: &Net<'_>) -> String {
     let mut out = String::new();
+    if !net.plugins.is_empty() {
+        let paths = net.plugins.iter().map(|plugin| quote(&plugin.path.to_string_lossy()));
+        line(&mut out, &format!("plugins = {}\n", list(paths)));
+    }
     line(&mut out, "[graph]");
     line(&mut out, "format = 1");
     line(&mut out, &format!("name = {}", quote(&net.header.name)));

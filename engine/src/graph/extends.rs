@@ -1,7 +1,8 @@
-use super::{merge::merge, parse::parse, remove::Removed, results, tree::Table};
+use super::{merge::merge, parse::parse, plugins, remove::Removed, results, tree::Table};
 use crate::{
     check::nearest,
     fault::{Fault, SourceText, Span, Use},
+    plugin::Named,
 };
 use std::{
     fs, io,
@@ -35,6 +36,8 @@ pub(super) struct Chain<'f> {
     seen: Vec<(PathBuf, PathBuf)>,
     /// The files that are extended, whether they could be read or not.
     pub(super) texts: Vec<PathBuf>,
+    /// The plugins that they name, those of a file after those of what it extends.
+    pub(super) plugins: Vec<Named>,
     /// The place of the first text among all of the graph.
     order: usize,
     /// The node that uses the file as a module.
@@ -45,7 +48,8 @@ pub(super) struct Chain<'f> {
 
 impl<'f> Chain<'f> {
     pub(super) fn new(path: &Path, removed: &'f mut Removed, faults: &'f mut Vec<Fault>) -> Self {
-        Self { path: path.into(), seen: Vec::new(), texts: Vec::new(), order: 0, used: None, removed, faults }
+        let (seen, texts, plugins) = (Vec::new(), Vec::new(), Vec::new());
+        Self { path: path.into(), seen, texts, plugins, order: 0, used: None, removed, faults }
     }
 
     /// The chain of a module.
@@ -72,7 +76,9 @@ impl<'f> Chain<'f> {
         self.seen.push((canonical(path), source.name.clone()));
         let mut over = parse(&source, self.faults);
         results::flatten(&mut over, self.faults);
+        let named = plugins::take(&mut over, self.faults);
         let mut base = self.base(&mut over, path);
+        self.plugins.extend(named);
         self.removed.take_from(&mut base, &mut over, self.faults);
         merge(&mut base, over);
         (source, base)

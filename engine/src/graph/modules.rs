@@ -11,6 +11,7 @@ use super::{
 use crate::{
     check::{header, nearest, take, unit},
     fault::{Fault, Span},
+    plugin::Named,
 };
 use std::{
     collections::BTreeMap,
@@ -44,19 +45,29 @@ pub(super) struct Flattener<'f> {
     n_texts: usize,
     texts: Vec<PathBuf>,
     modules: Vec<Module>,
+    plugins: Vec<Named>,
     removed: &'f mut Removed,
     faults: &'f mut Vec<Fault>,
+}
+
+/// What modules bring along beside their nodes.
+pub(super) struct Within {
+    pub(super) modules: Vec<Module>,
+    /// The files asked for.
+    pub(super) texts: Vec<PathBuf>,
+    /// The plugins that they name.
+    pub(super) plugins: Vec<Named>,
 }
 
 impl<'f> Flattener<'f> {
     /// For the graph file at `path`, which with what it extends has `n_texts` texts.
     pub(super) fn new(path: &Path, n_texts: usize, removed: &'f mut Removed, faults: &'f mut Vec<Fault>) -> Self {
         let files = BTreeMap::from([(String::new(), vec![(extends::canonical(path), extends::tidy(path))])]);
-        Self { files, n_texts, texts: Vec::new(), modules: Vec::new(), removed, faults }
+        Self { files, n_texts, texts: Vec::new(), modules: Vec::new(), plugins: Vec::new(), removed, faults }
     }
 
-    /// Puts nodes in the place of modules until there is none; answers the modules, and the files asked for.
-    pub(super) fn flatten(mut self, table: &mut Table, mut edits: Vec<Edit>) -> (Vec<Module>, Vec<PathBuf>) {
+    /// Puts nodes in the place of modules until there is none.
+    pub(super) fn flatten(mut self, table: &mut Table, mut edits: Vec<Edit>) -> Within {
         let mut at = 0;
         while let Some(nodes) = nodes_of(table) {
             let Some(entry) = nodes.0.get(at) else { break };
@@ -75,7 +86,7 @@ impl<'f> Flattener<'f> {
         }
         self.removed.not_found(table, self.faults);
         self.faults.extend(edits.iter().map(Edit::not_found));
-        (self.modules, self.texts)
+        Within { modules: self.modules, texts: self.texts, plugins: self.plugins }
     }
 
     /// Puts the nodes of a module at their place, under what the graph says of each of them.
@@ -138,6 +149,7 @@ impl<'f> Flattener<'f> {
         let (main, mut inner) = chain.load(text);
         self.n_texts += chain.len();
         self.texts.append(&mut chain.texts);
+        self.plugins.append(&mut chain.plugins);
         let Some(interface) = interface::read(&mut inner, self.faults) else {
             let message = format!("node \"{node}\": {} is a graph, but no module", module.file.display());
             let fault = Fault::new(message).at(&file.value.at, "has no [module]");

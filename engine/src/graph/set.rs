@@ -131,6 +131,10 @@ impl Setting {
             let fault = Fault::new("extends belongs in a graph file").at(&span, "not on the command line");
             return Err(Box::new(fault.help("name another graph file instead")));
         }
+        if first == "plugins" && graph.is_some() {
+            let fault = Fault::new("plugins belongs in a graph file").at(&span, "not on the command line");
+            return Err(Box::new(fault.help("name the library by --plugin FILE instead")));
+        }
         if graph.is_some() && !TOP.contains(&first.as_str()) {
             // `icp.max_iterations` is short for `node.icp.max_iterations`.
             let key = ("node".into(), at.start..at.start);

@@ -1,10 +1,11 @@
 //! What a plugin says of itself, in Rust's own words.
 
 use osteoflow_node::abi::schema::PayloadAbout;
+use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 
 /// A plugin's description.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PluginAbout {
     /// Its name.
     pub name: String,
@@ -23,7 +24,7 @@ pub struct PluginAbout {
 }
 
 /// A kind as its plugin describes it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct KindAbout {
     /// `stage.variant`.
     pub kind: String,
@@ -48,7 +49,7 @@ pub struct KindAbout {
 }
 
 /// An input as its plugin describes it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InputAbout {
     /// Name, payload and frames.
     pub port: PortAbout,
@@ -61,7 +62,7 @@ pub struct InputAbout {
 }
 
 /// What inputs and outputs have in common.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PortAbout {
     /// Its name.
     pub name: String,
@@ -74,7 +75,7 @@ pub struct PortAbout {
 }
 
 /// The outputs as a plugin describes them.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum OutputsAbout {
     /// The kind's own.
     Fixed(Vec<PortAbout>),

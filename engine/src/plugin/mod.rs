@@ -4,10 +4,17 @@
 
 mod about;
 mod host;
+mod kinds;
 mod library;
+mod load;
 mod node;
+mod probe;
 mod provide;
 
 pub use about::{InputAbout, KindAbout, OutputsAbout, PluginAbout, PortAbout};
+pub(crate) use kinds::Named;
+pub use kinds::{Finder, Kinds, Known, Plugin, Refused};
 pub use library::{Library, LibraryError, Why};
+pub(crate) use load::is_plugin;
+pub use probe::{Prober, answer};
 pub use provide::{ProvideError, provide};

@@ -1,6 +1,6 @@
 //! `repro.json`: a failed firing as data.
 
-use crate::{recording::RecordingError, run::Injected};
+use crate::{plan::PlanPlugin, recording::RecordingError, run::Injected};
 use osteoflow_node::{Empty, Role, StampNs};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
@@ -61,6 +61,9 @@ pub struct Node {
     pub on_error: String,
     /// Its table in the resolved graph, as the text of a graph file; for reading.
     pub table: String,
+    /// The plugin that its kind is of.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plugin: Option<PlanPlugin>,
     /// Its parameters as it was built from them; paths are absolute.
     pub params: Json,
     /// The outputs that the graph declared.
@@ -265,6 +268,14 @@ pub enum ReproError {
     /// Its kind is unknown here.
     #[error("there is no kind \"{0}\" here; run the bundle with the program that saved it")]
     Kind(String),
+    /// Its plugin, or one that was asked for, is refused here.
+    #[error("plugin {} is refused: {why}", .path.display())]
+    Plugin {
+        /// The library.
+        path: PathBuf,
+        /// Why.
+        why: String,
+    },
     /// A payload is unknown here.
     #[error("there is no payload \"{0}\" here; run the bundle with the program that saved it")]
     Payload(String),

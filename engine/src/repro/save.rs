@@ -253,6 +253,7 @@ fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path
             role: node.role,
             on_error: if node.on_error == OnError::Skip { "skip" } else { "stop" }.into(),
             table: table(plan, node),
+            plugin: plan.plugins.iter().find(|plugin| Some(&*plugin.sha256) == node.plugin.as_deref()).cloned(),
             params: node.params.clone(),
             declared: declared.collect(),
             outputs: outputs.collect(),

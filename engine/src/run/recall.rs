@@ -12,7 +12,7 @@ use crate::{
     codec,
     plan::{Plan, PlanNode},
     record::Parts,
-    store::{Entry, Key, KeyInMaking, Store, message, payload_of},
+    store::{Entry, Key, KeyInMaking, Store, brought, message, payload_of},
 };
 use osteoflow_node::{
     AnyNode, Body, Context, Emission, Empty, Item, Joined, Kept, NodeError, PortPayload, Registry, Slot,
@@ -20,7 +20,7 @@ use osteoflow_node::{
 use std::{
     ops::Range,
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex, OnceLock, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
 };
@@ -44,6 +44,8 @@ pub(super) struct Recall<'a> {
     /// What decides the answers of each node; `None` where they are not kept.
     nodes: Vec<Option<Kept>>,
     recalled: Mutex<Vec<(usize, Recalled)>>,
+    /// The libraries that plugins have brought along.
+    brought: OnceLock<Vec<String>>,
     /// The store cannot be written, which has been said.
     cannot_keep: AtomicBool,
 }
@@ -65,6 +67,7 @@ impl<'a> Recall<'a> {
             registry,
             nodes: nodes.collect(),
             recalled: Mutex::default(),
+            brought: OnceLock::new(),
             cannot_keep: AtomicBool::new(false),
         }
     }
@@ -122,6 +125,11 @@ impl<'a> Recall<'a> {
             .digest("program", self.store.program()?)
             .text("kind", &node.kind)
             .json("params", &node.params);
+        if let Some(plugin) = &node.plugin {
+            key = key.text("plugin", plugin);
+            // All nodes are built, so all of them are there.
+            key = self.brought.get_or_init(brought).iter().fold(key, |key, library| key.text("library", library));
+        }
         if kept == Kept::ByInputsAndSeed {
             key = key.number("seed", context.seed()).text("node", context.node()).number("item", context.item());
         }

@@ -20,8 +20,8 @@ pub(super) fn digest(store: &Store) -> Option<Digest> {
     *DIGEST.get_or_init(|| match own_file(store) {
         Ok(own) => {
             let mut all = Key::of("program").digest("file", own).text("machine", &machine());
-            for library in libraries() {
-                all = all.text("library", &library);
+            for library in LIBRARIES.get_or_init(libraries) {
+                all = all.text("library", library);
             }
             Some(all.done().digest())
         }
@@ -58,7 +58,7 @@ fn libraries() -> Vec<String> {
         // address perms offset dev inode path
         .filter(|line| line.split_whitespace().nth(1).is_some_and(|flags| flags.contains('x')))
         .filter_map(|line| line.find('/').map(|at| PathBuf::from(&line[at..])))
-        .filter(|path| *path != own)
+        .filter(|path| *path != own && !crate::plugin::is_plugin(path))
         .collect();
     paths.sort();
     paths.dedup();
@@ -68,6 +68,22 @@ fn libraries() -> Vec<String> {
         format!("{}, {:?} bytes, {time:?}", path.display(), metadata.map(|m| m.len()))
     };
     paths.into_iter().map(told).collect()
+}
+
+/// What was loaded when the first plugin was going to be.
+static LIBRARIES: OnceLock<Vec<String>> = OnceLock::new();
+
+/// Takes down what belongs to the program, before a plugin brings libraries of its own.
+pub(crate) fn note_program() {
+    LIBRARIES.get_or_init(libraries);
+}
+
+/// The libraries that plugins have brought along, themselves not among them.
+pub(crate) fn brought() -> Vec<String> {
+    let own = LIBRARIES.get_or_init(libraries);
+    let mut now = libraries();
+    now.retain(|library| !own.contains(library));
+    now
 }
 
 /// System, architecture and the features by which libraries choose their code.

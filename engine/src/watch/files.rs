@@ -33,7 +33,6 @@ impl Stamps {
 
     /// Of all that a plan reads beside its text.
     pub fn of_plan(plan: &Plan) -> Self {
-        // The libraries of plugins belong here too, as soon as a plan names them.
         Self::of(plan.input_files.iter().cloned())
     }
 

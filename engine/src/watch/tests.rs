@@ -331,7 +331,7 @@ fn the_files_of_a_graph_are_its_text_what_it_extends_and_its_modules_whether_the
     let dir = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
     let texts = || {
-        let texts = crate::check::texts(&dir.path().join("graph.toml"), &[]);
+        let texts = crate::check::files(&dir.path().join("graph.toml"), &[], &registry());
         texts.iter().map(|path| path.file_name().unwrap().to_str().unwrap().to_owned()).collect::<Vec<_>>()
     };
     assert_eq!(texts(), ["graph.toml"]);

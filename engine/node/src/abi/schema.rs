@@ -3,6 +3,7 @@
 
 use super::{AbiError, Part, Payload, Text, part, raw};
 use crate::{ColumnType, PayloadType, Shape};
+use serde::{Deserialize, Serialize};
 
 /// A payload's description as it crosses; made once for each type, and kept for good.
 pub fn describe(ty: &PayloadType) -> &'static Payload {
@@ -40,7 +41,7 @@ fn part_of(part: &crate::Part) -> Part {
 }
 
 /// A payload as the other side describes it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PayloadAbout {
     /// Its name.
     pub name: String,

@@ -1,0 +1,381 @@
+//! The kinds that graphs may name: a program's own, and those of plugins that are found.
+
+use super::{PluginAbout, Prober, ProvideError, load, probe, provide};
+use crate::{
+    check::nearest,
+    digest::Digest,
+    fault::{Fault, Span},
+    manifest::sha256,
+    stamp::stamp,
+    store::{Key, Store},
+};
+use osteoflow_node::{Registry, abi};
+use std::{
+    collections::BTreeSet,
+    env::consts::{DLL_EXTENSION, DLL_PREFIX, DLL_SUFFIX},
+    fs::{self, File},
+    io,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+/// The kinds of a program, and where more are found. A [`Registry`] alone stands for a program that loads no plugins.
+#[derive(Debug, Clone)]
+pub struct Kinds {
+    registry: Registry,
+    finder: Option<Arc<Finder>>,
+}
+
+/// How plugins are found and looked at.
+#[derive(Debug)]
+pub struct Finder {
+    /// Looks at a library.
+    pub prober: Prober,
+    /// Where descriptions are kept from one time to the next.
+    pub store: Option<Arc<Store>>,
+    /// Libraries beside those of the graph; one takes the place of a graph's that has the same file name.
+    pub asked: Vec<PathBuf>,
+    /// Folders whose libraries are all looked at, and in which a graph's names without a folder are looked for.
+    pub folders: Vec<PathBuf>,
+}
+
+/// A library that is a plugin.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plugin {
+    /// The file, absolute.
+    pub path: PathBuf,
+    /// Its SHA-256.
+    pub sha256: Arc<str>,
+    /// What it says of itself.
+    pub about: PluginAbout,
+    /// Whether the graph names it.
+    pub named: bool,
+}
+
+/// What is known with plugins.
+#[derive(Debug)]
+pub struct Known {
+    /// All kinds and payloads.
+    pub registry: Registry,
+    /// The plugins, in the order in which they were added.
+    pub plugins: Vec<Arc<Plugin>>,
+    /// What is no plugin, or cannot stand beside the others.
+    pub refused: Vec<Refused>,
+}
+
+/// A plugin that was refused.
+#[derive(Debug, Clone)]
+pub struct Refused {
+    /// The file, or the name under which none was found.
+    pub path: PathBuf,
+    /// Why.
+    pub why: String,
+    origin: Origin,
+    note: Option<String>,
+    help: Option<String>,
+}
+
+/// Who names a plugin.
+#[derive(Debug, Clone)]
+enum Origin {
+    /// A graph, as it is written there.
+    Graph(String, Option<Span>),
+    /// The command line.
+    Asked,
+    /// A folder that was looked through.
+    Folder,
+}
+
+/// A plugin that a graph names.
+#[derive(Debug, Clone)]
+pub(crate) struct Named {
+    pub(crate) text: String,
+    /// What it is relative to.
+    pub(crate) dir: PathBuf,
+    pub(crate) at: Option<Span>,
+}
+
+impl Named {
+    /// Of a file that a recording names.
+    pub(crate) fn file(path: &Path) -> Self {
+        Self { text: path.display().to_string(), dir: PathBuf::new(), at: None }
+    }
+}
+
+impl From<&Registry> for Kinds {
+    fn from(registry: &Registry) -> Self {
+        Self { registry: registry.clone(), finder: None }
+    }
+}
+
+impl From<&Self> for Kinds {
+    fn from(kinds: &Self) -> Self {
+        kinds.clone()
+    }
+}
+
+impl Kinds {
+    /// The kinds of a program that loads plugins.
+    pub fn new(registry: Registry, finder: Finder) -> Self {
+        Self { registry, finder: Some(Arc::new(finder)) }
+    }
+
+    /// The program's own.
+    pub fn registry(&self) -> &Registry {
+        &self.registry
+    }
+
+    /// The same over a registry that knows more.
+    #[must_use]
+    pub fn over(&self, registry: Registry) -> Self {
+        Self { registry, finder: self.finder.clone() }
+    }
+
+    /// What is known without a graph.
+    pub fn known(&self) -> Known {
+        self.with(&[])
+    }
+
+    /// What is known with the plugins that a graph names. What it and the command line name comes first: a plugin of a
+    /// folder that clashes with one of those is left out.
+    pub(crate) fn with(&self, named: &[Named]) -> Known {
+        let mut known = Known { registry: self.registry.clone(), plugins: Vec::new(), refused: Vec::new() };
+        let Some(finder) = &self.finder else {
+            let why = "this program loads no plugins";
+            known.refused.extend(named.iter().map(|named| Refused::of(named, why.into())));
+            return known;
+        };
+        let asked: Vec<_> =
+            finder.asked.iter().map(|path| (path, find(path, &finder.places(Path::new(""), path)))).collect();
+        for (path, found) in &asked {
+            match found {
+                Some(found) => known.add(finder, found, Origin::Asked),
+                None => known.refused.push(finder.not_found(path, &finder.places(Path::new(""), path), Origin::Asked)),
+            }
+        }
+        for named in named {
+            let text = Path::new(&named.text);
+            let names = names(text);
+            let stands_in = asked.iter().find(|(path, found)| {
+                let file = found.as_deref().unwrap_or(path).file_name();
+                names.iter().any(|name| Some(name.as_os_str()) == file)
+            });
+            let origin = Origin::Graph(named.text.clone(), named.at.clone());
+            let places = finder.places(&named.dir, text);
+            match stands_in {
+                Some((_, Some(found))) => known.add(finder, found, origin),
+                Some((_, None)) => {}
+                None => match find(text, &places) {
+                    Some(found) => known.add(finder, &found, origin),
+                    None => known.refused.push(finder.not_found(text, &places, origin)),
+                },
+            }
+        }
+        for library in finder.folders.iter().flat_map(|folder| libraries(folder)) {
+            known.add(finder, &library, Origin::Folder);
+        }
+        known
+    }
+
+    /// The files of plugins, and where they would be, as far as they are known by name.
+    pub(crate) fn files(&self, named: &[Named]) -> Vec<PathBuf> {
+        let Some(finder) = &self.finder else { return Vec::new() };
+        let candidates = |dir: &Path, path: &Path| -> Vec<PathBuf> {
+            let places = finder.places(dir, path);
+            places.iter().flat_map(|place| names(path).into_iter().map(|name| place.join(name))).collect()
+        };
+        let mut files: Vec<_> = finder.asked.iter().flat_map(|path| candidates(Path::new(""), path)).collect();
+        files.extend(named.iter().flat_map(|named| candidates(&named.dir, Path::new(&named.text))));
+        files.extend(finder.folders.iter().flat_map(|folder| libraries(folder)));
+        files
+    }
+}
+
+impl Finder {
+    /// The folders in which a path is looked for.
+    fn places(&self, dir: &Path, path: &Path) -> Vec<PathBuf> {
+        let parent = path.parent().unwrap_or(Path::new(""));
+        let mut places = vec![dir.join(parent)];
+        if parent == Path::new("") {
+            places.extend(self.folders.iter().cloned());
+        }
+        places
+    }
+
+    fn not_found(&self, path: &Path, places: &[PathBuf], origin: Origin) -> Refused {
+        let names: Vec<_> = names(path).iter().map(|name| name.display().to_string()).collect();
+        let places: Vec<_> = places
+            .iter()
+            .map(|place| if place == Path::new("") { ".".into() } else { place.display().to_string() })
+            .collect();
+        let note = format!("looked for {} in {}", names.join(", "), places.join(", "));
+        let help = places.first().and_then(|place| nearest::file(&Path::new(place).join(path.file_name()?)));
+        Refused { path: path.into(), why: "there is no such file".into(), origin, note: Some(note), help }
+    }
+
+    /// The library at `path`, looked at by another process, or as it was kept when that was done.
+    fn look_at(&self, path: &Path) -> Result<Plugin, String> {
+        let unread = |error: io::Error| format!("it cannot be read: {error}");
+        // While it is looked at it may be built anew.
+        for _ in 0..3 {
+            let before = stamp(&fs::metadata(path).map_err(unread)?);
+            let digest = self.sha256(path, &before).map_err(unread)?;
+            let key = self.key(path, &before, digest);
+            let kept = key.as_ref().and_then(|key| self.store.as_ref()?.get(key));
+            let kept = kept.and_then(|entry| serde_json::from_slice(entry.bytes()).ok());
+            let about = match kept {
+                Some(about) => Ok(about),
+                None => probe::probe(&self.prober, path).map_err(|error| error.to_string()),
+            };
+            if stamp(&fs::metadata(path).map_err(unread)?) != before {
+                continue;
+            }
+            let about: PluginAbout = about?;
+            if let (Some(key), Some(store)) = (&key, &self.store)
+                && let Ok(json) = serde_json::to_vec(&about)
+            {
+                // Where it cannot be kept it is looked at again.
+                let _ = store.put(key, &[&json]);
+            }
+            return Ok(Plugin { path: path.into(), sha256: digest.to_string().into(), about, named: false });
+        }
+        Err("it changes while it is looked at; is it being built?".into())
+    }
+
+    fn key(&self, path: &Path, stamp: &str, digest: Digest) -> Option<Key> {
+        let key = Key::of("plugin_probe").text("path", &path.to_string_lossy()).text("stamp", stamp);
+        let key = key.digest("file", digest).digest("program", self.store.as_ref()?.program()?);
+        Some(key.number("abi", u64::from(abi::MAJOR) << 32 | u64::from(abi::MINOR)).done())
+    }
+
+    fn sha256(&self, path: &Path, stamp: &str) -> io::Result<Digest> {
+        let Some(store) = &self.store else { return Ok(sha256(path)?.1) };
+        let key = Key::of("file_hash").text("path", &path.to_string_lossy()).text("stamp", stamp).done();
+        if let Some(kept) = store.get(&key).and_then(|entry| entry.bytes().try_into().ok()) {
+            return Ok(Digest(kept));
+        }
+        let (_, digest) = sha256(path)?;
+        let _ = store.put(&key, &[&digest.0]);
+        Ok(digest)
+    }
+}
+
+impl Known {
+    fn add(&mut self, finder: &Finder, path: &Path, origin: Origin) {
+        let named = matches!(origin, Origin::Graph(..));
+        let path = &absolute(path);
+        if self.refused.iter().any(|refused| refused.path == *path) {
+            return;
+        }
+        if let Some(known) = self.plugins.iter_mut().find(|plugin| plugin.path == *path) {
+            Arc::make_mut(known).named |= named;
+            return;
+        }
+        match finder.look_at(path).and_then(|plugin| self.provide(Plugin { named, ..plugin })) {
+            Ok(()) => {}
+            Err(why) => self.refused.push(Refused { path: path.clone(), why, origin, note: None, help: None }),
+        }
+    }
+
+    /// Adds all that a plugin has, or nothing.
+    fn provide(&mut self, plugin: Plugin) -> Result<(), String> {
+        if let Some(same) = self.plugins.iter_mut().find(|other| other.sha256 == plugin.sha256) {
+            // The same library twice is one.
+            Arc::make_mut(same).named |= plugin.named;
+            return Ok(());
+        }
+        let plugin = Arc::new(plugin);
+        let (mut registry, loaded) = (self.registry.clone(), plugin.clone());
+        let provided = provide(&mut registry, &plugin.about, &plugin.sha256, move || load::load(&loaded));
+        provided.map_err(|error| match error {
+            ProvideError::Kind(clash) => match self.of_kind(clash.0) {
+                Some(other) => format!("{clash}, of plugin {} ({})", other.about.name, other.path.display()),
+                None => format!("{clash}, of the program itself"),
+            },
+            other => other.to_string(),
+        })?;
+        self.registry = registry;
+        self.plugins.push(plugin);
+        Ok(())
+    }
+
+    /// The plugin that brings a kind.
+    pub fn of_kind(&self, kind: &str) -> Option<&Plugin> {
+        let sha256 = self.registry.kind(kind)?.plugin.as_ref()?;
+        self.plugins.iter().find(|plugin| plugin.sha256 == *sha256).map(|plugin| &**plugin)
+    }
+
+    /// What was refused, as faults; what only lies in a folder is a warning.
+    pub fn faults(&self) -> Vec<Fault> {
+        self.refused.iter().map(Refused::fault).collect()
+    }
+}
+
+impl Refused {
+    fn of(named: &Named, why: String) -> Self {
+        let origin = Origin::Graph(named.text.clone(), named.at.clone());
+        Self { path: named.dir.join(&named.text), why, origin, note: None, help: None }
+    }
+
+    /// Whether somebody asked for it by name.
+    pub fn is_asked(&self) -> bool {
+        !matches!(self.origin, Origin::Folder)
+    }
+
+    fn fault(&self) -> Fault {
+        let fault = match &self.origin {
+            Origin::Graph(text, at) => {
+                let fault = Fault::new(format!("plugin \"{text}\" is refused: {}", self.why));
+                match at {
+                    Some(at) => fault.at(at, "no plugin"),
+                    None => fault,
+                }
+            }
+            Origin::Asked => Fault::new(format!("plugin {} is refused: {}", self.path.display(), self.why)),
+            Origin::Folder => Fault::new(format!("plugin {} is left out: {}", self.path.display(), self.why)).warning(),
+        };
+        fault.note_if(self.note.clone()).help_if(self.help.clone())
+    }
+}
+
+/// The file names that a name of a plugin may stand for: `lib` and `.so` may be left out.
+fn names(path: &Path) -> Vec<PathBuf> {
+    let Some(name) = path.file_name().map(|name| name.to_string_lossy().into_owned()) else { return Vec::new() };
+    let is_library = path.extension().is_some_and(|e| ["so", "dylib", "dll"].iter().any(|library| e == *library))
+        || name.contains(".so.");
+    let mut names = vec![PathBuf::from(&name)];
+    if !is_library {
+        names.push(format!("{DLL_PREFIX}{name}{DLL_SUFFIX}").into());
+        names.push(format!("{name}{DLL_SUFFIX}").into());
+    }
+    let mut seen = BTreeSet::new();
+    names.retain(|name| seen.insert(name.clone()));
+    names
+}
+
+fn find(path: &Path, places: &[PathBuf]) -> Option<PathBuf> {
+    let names = names(path);
+    let mut candidates = places.iter().flat_map(|place| names.iter().map(move |name| place.join(name)));
+    candidates.find(|file| file.is_file()).map(|file| absolute(&file))
+}
+
+/// The path without links among its folders; the file keeps its name.
+fn absolute(path: &Path) -> PathBuf {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
+    let dir = path.parent().and_then(|dir| dir.canonicalize().ok());
+    match (dir, path.file_name()) {
+        (Some(dir), Some(name)) => dir.join(name),
+        _ => path,
+    }
+}
+
+/// The libraries of a folder, by name; none if it cannot be read.
+fn libraries(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut files: Vec<_> = entries.map(|entry| entry.path()).collect();
+    files.retain(|file| {
+        file.extension().is_some_and(|e| e == DLL_EXTENSION) && File::open(file).is_ok() && file.is_file()
+    });
+    files.sort();
+    files
+}

@@ -1,0 +1,419 @@
+//! Plugins from the graph to the recording: found, looked at, run, rebuilt, refused. They are compiled here, from C.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+#![cfg(unix)]
+
+mod common;
+
+use common::{assert_golden, json, osteoflow_to_spawn, root};
+use serde_json::{Value, json};
+use std::{
+    env::consts::DLL_SUFFIX,
+    fs,
+    io::{BufRead, BufReader},
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    sync::mpsc::sync_channel,
+    thread,
+    time::Duration,
+};
+
+/// So long a test waits for a line before it fails instead of hanging.
+const LIMIT: Duration = Duration::from_secs(120);
+
+const GRAPH: &str = r#"
+[graph]
+format = 1
+
+[node.give]
+kind   = "toy.give"
+number = 40
+
+[node.add]
+kind = "toy.add"
+in   = { number = "give.number" }
+
+[record]
+wires = ["*"]
+
+[results]
+sum = "add.sum"
+"#;
+
+fn slow() -> bool {
+    std::env::var_os("SLOW_TESTS").is_some()
+}
+
+/// A folder with a graph and what was compiled for it.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    /// With `graph.toml` of this text; `None` where there is no C compiler.
+    fn new(graph: &str) -> Option<Self> {
+        if let Err(error) = Command::new("cc").arg("--version").output() {
+            println!("skipped: there is no C compiler here: {error}");
+            return None;
+        }
+        let folder = Self(tempfile::tempdir().unwrap());
+        fs::write(folder.path("graph.toml"), graph).unwrap();
+        Some(folder)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// Compiles a C file of tests/plugins; the library takes its place at once.
+    fn compile(&self, source: &str, library: &str, arguments: &[&str]) -> PathBuf {
+        let (library, made) = (self.path(library), self.path("made"));
+        fs::create_dir_all(library.parent().unwrap()).unwrap();
+        let compiled = Command::new("cc")
+            .args(["-std=c11", "-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-I"])
+            .arg(root().join("engine/node/include"))
+            .arg("-I")
+            .arg(root().join("nodes/payloads/include"))
+            .arg(root().join("tests/plugins").join(source))
+            .args(["-D_POSIX_C_SOURCE=200809L", "-o"])
+            .arg(&made)
+            .args(arguments)
+            .output()
+            .unwrap();
+        assert!(compiled.status.success(), "{source}: {}", String::from_utf8_lossy(&compiled.stderr));
+        fs::rename(&made, &library).unwrap();
+        library
+    }
+
+    fn toy(&self, library: &str, add: &str) -> PathBuf {
+        self.compile("toy.c", library, &[&format!("-DADD={add}")])
+    }
+
+    fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = osteoflow_to_spawn();
+        command.current_dir(self.0.path()).args(arguments);
+        command.env_remove("OSTEOFLOW_PLUGIN_PATH").env("OSTEOFLOW_PLUGIN_TIMEOUT_S", "60");
+        command
+    }
+
+    /// Exit code, stdout and stderr, with the folder's name left out.
+    fn says(&self, command: &mut Command) -> (i32, String, String) {
+        let output = command.output().unwrap();
+        let dir = self.0.path().canonicalize().unwrap();
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).replace(dir.to_str().unwrap(), "DIR");
+        (output.status.code().unwrap_or(-1), text(&output.stdout), text(&output.stderr))
+    }
+
+    fn run(&self, arguments: &[&str]) -> (i32, String, String) {
+        self.says(&mut self.command(&[&["run", "graph.toml", "--force", "--out", "out"], arguments].concat()))
+    }
+
+    /// The last number of a run that came to its end.
+    fn sum(&self, arguments: &[&str]) -> Value {
+        let (code, _, err) = self.run(arguments);
+        assert_eq!(code, 0, "{err}");
+        json(&self.path("out/results.json"))["sum"].clone()
+    }
+}
+
+fn naming(plugins: &str) -> String {
+    format!("plugins = {plugins}\n{GRAPH}")
+}
+
+fn sha256(path: &Path) -> String {
+    osteoflow_engine::digest::Digest::of(&fs::read(path).unwrap()).to_string()
+}
+
+#[test]
+fn a_graph_names_its_plugin_by_file_or_by_name_relative_to_itself() {
+    let Some(folder) = Folder::new("") else { return };
+    let file = format!("libtoy{DLL_SUFFIX}");
+    folder.toy(&file, "1");
+    folder.toy(&format!("deep/{file}"), "2");
+    let sums = [(format!("[\"{file}\"]"), 43.0), ("[\"toy\"]".into(), 43.0), ("[\"deep/toy\"]".into(), 44.0)];
+    for (plugins, sum) in sums {
+        fs::write(folder.path("graph.toml"), naming(&plugins)).unwrap();
+        assert_eq!(folder.sum(&[]), json!({ "value": sum }), "{plugins}");
+    }
+    // What a graph extends names its own, relative to itself.
+    fs::write(folder.path("deep/base.toml"), naming("[\"toy\"]")).unwrap();
+    fs::write(folder.path("graph.toml"), "extends = \"deep/base.toml\"\n").unwrap();
+    assert_eq!(folder.sum(&[]), json!({ "value": 44.0 }));
+}
+
+#[test]
+fn the_command_line_and_folders_of_the_environment_bring_plugins_too() {
+    let Some(folder) = Folder::new(GRAPH) else { return };
+    let (code, _, err) = folder.run(&[]);
+    assert_eq!(code, 2);
+    assert!(err.contains("there is no kind \"toy.give\""), "{err}");
+    let library = format!("libtoy{DLL_SUFFIX}");
+    folder.toy(&format!("far/{library}"), "1");
+    assert_eq!(folder.sum(&["--plugin", "far/toy"]), json!({ "value": 43.0 }));
+    let mut by_path = folder.command(&["run", "graph.toml", "--force", "--out", "out"]);
+    let (code, _, err) = folder.says(by_path.env("OSTEOFLOW_PLUGIN_PATH", folder.path("far")));
+    assert_eq!(code, 0, "{err}");
+    // One that the command line names stands for one of the same file name that the graph names.
+    folder.toy(&format!("near/{library}"), "100");
+    fs::write(folder.path("graph.toml"), naming("[\"near/toy\"]")).unwrap();
+    assert_eq!(folder.sum(&[]), json!({ "value": 142.0 }));
+    assert_eq!(folder.sum(&["--plugin", &format!("far/{library}")]), json!({ "value": 43.0 }));
+}
+
+#[test]
+fn a_run_says_which_libraries_it_had_and_a_replay_says_which_are_others() {
+    let Some(folder) = Folder::new(&naming("[\"toy\"]")) else { return };
+    let library = folder.toy(&format!("libtoy{DLL_SUFFIX}"), "1");
+    assert_eq!(folder.sum(&[]), json!({ "value": 43.0 }));
+    let manifest = json(&folder.path("out/manifest.json"));
+    let first = sha256(&library);
+    assert_eq!(
+        manifest["plugins"],
+        json!([{
+            "name": "toy", "version": "1.2.3", "path": library.canonicalize().unwrap(), "sha256": first,
+            "abi": [1, 0], "sdk": "osteoflow.h 1.0", "compiler": "a compiler", "kinds": ["toy.add", "toy.give"],
+        }])
+    );
+    let (code, _, err) = folder.says(folder.command(&["replay", "out/run.mcap"]).current_dir("/"));
+    assert_eq!(code, 1, "a path of another folder: {err}");
+    let recording = folder.path("out/run.mcap");
+    let replay = || folder.says(folder.command(&["replay", "--quiet", recording.to_str().unwrap()]).current_dir("/"));
+    let (code, out, err) = replay();
+    assert_eq!((code, err.as_str()), (0, ""), "{out}");
+    assert_eq!(folder.says(&mut folder.command(&["validate", "out/run.mcap"])).0, 0);
+    // The same library built with another constant.
+    folder.toy(&format!("libtoy{DLL_SUFFIX}"), "2");
+    let (code, out, err) = replay();
+    assert_eq!(code, 4, "{out}{err}");
+    let other = sha256(&library);
+    let said = format!("plugin toy 1.2.3 was another library: sha256 {first}, here is 1.2.3 {other} (DIR/");
+    assert!(err.contains(&said), "{err}");
+    assert!(out.contains("first divergence: wire add.sum, item 0"), "{out}");
+    // And gone.
+    fs::remove_file(&library).unwrap();
+    let (code, _, err) = replay();
+    assert_eq!(code, 2, "{err}");
+    assert!(err.contains("libtoy") && err.contains("there is no such file"), "{err}");
+}
+
+#[test]
+fn a_failed_item_of_a_plugins_node_fails_again_alone() {
+    let graph = naming("[\"toy\"]").replace("number = 40", "number = 999");
+    let Some(folder) = Folder::new(&graph) else { return };
+    let library = format!("libtoy{DLL_SUFFIX}");
+    folder.toy(&library, "1");
+    assert_eq!(folder.run(&[]).0, 3);
+    let (code, out, err) = folder.says(&mut folder.command(&["repro", "out/repro/add-0"]));
+    assert_eq!((code, err.as_str()), (0, ""), "{out}");
+    assert!(out.contains("a thousand is too much"), "{out}");
+    folder.toy(&library, "0.5");
+    let (code, out, err) = folder.says(&mut folder.command(&["repro", "out/repro/add-0"]));
+    assert_eq!(code, 4, "{out}{err}");
+    assert!(err.contains("plugin toy 1.2.3 was another library"), "{err}");
+}
+
+#[test]
+fn check_knows_ports_and_parameters_of_a_plugin_as_those_of_the_program() {
+    let graph =
+        naming("[\"toy\"]").replace("number = 40", "number = 5001").replace("number = \"give", "nubmer = \"give");
+    let Some(folder) = Folder::new(&graph) else { return };
+    folder.toy(&format!("libtoy{DLL_SUFFIX}"), "1");
+    let (code, _, err) = folder.says(&mut folder.command(&["check", "graph.toml"]));
+    assert_eq!(code, 2);
+    assert!(err.contains("graph.toml:8:10") && err.contains("5000"), "{err}");
+    assert!(err.contains("did you mean \"number\"?"), "{err}");
+    let (code, schema, _) = folder.says(&mut folder.command(&["schema", "--plugin", "toy"]));
+    assert_eq!(code, 0);
+    assert!(schema.contains("\"toy.add\""));
+}
+
+#[test]
+fn inspect_shows_where_a_kind_comes_from_and_what_a_plugin_was_built_with() {
+    let Some(folder) = Folder::new(GRAPH) else { return };
+    folder.toy(&format!("libtoy{DLL_SUFFIX}"), "1");
+    let file = format!("DIR/libtoy{DLL_SUFFIX}");
+    let inspect = |arguments: &[&str]| {
+        let (code, out, err) = folder.says(&mut folder.command(&[&["inspect", "--plugin", "toy"], arguments].concat()));
+        assert_eq!((code, err.as_str()), (0, ""), "{out}");
+        out
+    };
+    let kind = inspect(&["toy.give"]);
+    assert!(kind.contains("Gives three numbers") && kind.contains("≤ 5000"), "{kind}");
+    assert!(kind.contains(&format!("from plugin toy 1.2.3 ({file})")), "{kind}");
+    assert!(inspect(&[]).contains(&format!("Adds to a number. (from plugin toy 1.2.3 ({file}))")));
+    let table = inspect(&["--plugins"]);
+    assert!(table.contains("toy.give, toy.add in") && table.contains("osteoflow.h 1.0"), "{table}");
+    let json: Value = serde_json::from_str(&inspect(&["--plugins", "--format", "json"])).unwrap();
+    assert_eq!(json["plugins"][0]["kinds"], json!(["toy.give", "toy.add"]));
+    assert_eq!(json["refused"], json!([]));
+}
+
+#[test]
+fn what_a_plugin_says_is_kept_until_its_file_is_another() {
+    let Some(folder) = Folder::new(&naming("[\"toy\"]")) else { return };
+    let library = folder.toy(&format!("libtoy{DLL_SUFFIX}"), "1");
+    let store = folder.path("store");
+    let kept = || {
+        let (code, _, err) = folder.says(folder.command(&["check", "graph.toml"]).env("OSTEOFLOW_CACHE", &store));
+        assert_eq!(code, 0, "{err}");
+        let names = fs::read_dir(&store).unwrap().map(|entry| entry.unwrap().file_name());
+        names.filter(|name| name.to_string_lossy().contains("plugin_probe")).count()
+    };
+    assert_eq!([kept(), kept()], [1, 1]);
+    folder.toy(&format!("libtoy{DLL_SUFFIX}"), "2");
+    assert_eq!([kept(), kept()], [2, 2]);
+    // A kept answer of a plugin's kind belongs to that very library.
+    let sum = || {
+        let mut run = folder.command(&["run", "graph.toml", "--force", "--out", "out"]);
+        assert_eq!(folder.says(run.env("OSTEOFLOW_CACHE", &store)).0, 0);
+        let n_recalled = json(&folder.path("out/manifest.json"))["store"]["recalled"].as_array().unwrap().len();
+        (json(&folder.path("out/results.json"))["sum"]["value"].clone(), n_recalled)
+    };
+    assert_eq!([sum(), sum()], [(json!(44.0), 0), (json!(44.0), 3)]);
+    folder.toy(&format!("libtoy{DLL_SUFFIX}"), "3");
+    assert_eq!([sum(), sum()], [(json!(45.0), 0), (json!(45.0), 3)]);
+    assert!(library.exists());
+}
+
+#[test]
+fn a_plugin_that_is_rebuilt_during_a_watch_is_run_at_once() {
+    let Some(folder) = Folder::new(&naming("[\"toy\"]")) else { return };
+    let library = format!("libtoy{DLL_SUFFIX}");
+    folder.toy(&library, "1");
+    let mut child = folder
+        .command(&["run", "--watch", "graph.toml", "--out", "out", "--format", "json"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let (tell, lines) = sync_channel(1000);
+    let stdout = BufReader::new(child.stdout.take().unwrap());
+    thread::spawn(move || stdout.lines().map_while(Result::ok).try_for_each(|line| tell.send(line)));
+    let next = || -> Value { serde_json::from_str(&lines.recv_timeout(LIMIT).expect("the watch answers")).unwrap() };
+    assert_eq!(next()["sum"], json!({ "value": 43.0 }));
+    folder.toy(&library, "2");
+    let second = next();
+    assert_eq!(second["sum"], json!({ "value": 44.0 }), "{second}");
+    assert!(second.to_string().contains("the plugin of its kind has changed"), "{second}");
+    // Written over in place, as `cp` does, while the program has the one before loaded.
+    let third = folder.toy("third", "3");
+    fs::copy(&third, folder.path(&library)).unwrap();
+    let third = next();
+    assert_eq!(third["sum"], json!({ "value": 45.0 }), "{third}");
+    // Half a library is a fault; the watch goes on with the next whole one.
+    fs::write(folder.path(&library), "half").unwrap();
+    assert_eq!(next()["outcome"]["exit_code"], 2);
+    folder.toy(&library, "4");
+    assert_eq!(next()["sum"], json!({ "value": 46.0 }));
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+/// A bad library in every way that there is a file for, beside a good one: what `check` says of the graph that names both.
+#[test]
+#[cfg(target_os = "linux")]
+fn each_bad_library_is_refused_by_name_and_everything_else_is_checked() {
+    let Some(folder) = Folder::new("") else { return };
+    folder.toy("libgood.so", "1");
+    let graph = naming("[\"bad\", \"good\"]").replace("number = 40", "number = 9999");
+    fs::write(folder.path("graph.toml"), graph).unwrap();
+    for bad in bad_libraries(&folder, |name| !name.starts_with("emit_")) {
+        let mut check = folder.command(&["check", "graph.toml"]);
+        let (code, _, err) = folder.says(check.env("OSTEOFLOW_PLUGIN_TIMEOUT_S", timeout(&bad)));
+        assert_eq!(code, 2, "{bad}: {err}");
+        assert!(err.contains("5000"), "{bad}: the parameter of the good one is a fault too: {err}");
+        assert_golden(&root().join(format!("tests/plugins/bad/{bad}.txt")), &err);
+        // And where nobody asked for it, it is left out.
+        let mut inspect = folder.command(&["inspect", "toy"]);
+        inspect.env("OSTEOFLOW_PLUGIN_PATH", folder.0.path()).env("OSTEOFLOW_PLUGIN_TIMEOUT_S", timeout(&bad));
+        let (code, out, err) = folder.says(&mut inspect);
+        assert_eq!(code, 0, "{bad}: {err}");
+        assert!(out.contains("toy.add") && err.contains("libbad.so is left out: "), "{bad}: {out}{err}");
+    }
+}
+
+/// What a plugin does at a firing is checked by the program: the run is refused, and says by which node.
+#[test]
+#[cfg(target_os = "linux")]
+fn each_bad_answer_of_a_plugin_is_refused_by_name() {
+    let Some(folder) = Folder::new(&naming("[\"bad\"]")) else { return };
+    for bad in bad_libraries(&folder, |name| name.starts_with("emit_")) {
+        let (code, _, err) = folder.run(&["--quiet"]);
+        assert_eq!(code, 3, "{bad}: {err}");
+        assert_golden(&root().join(format!("tests/plugins/bad/{bad}.txt")), &err);
+    }
+}
+
+/// Makes `libbad.so` of each file in tests/plugins/bad, one after the other, and of two that are no libraries.
+fn bad_libraries<'f>(folder: &'f Folder, is_wanted: fn(&str) -> bool) -> impl Iterator<Item = String> + 'f {
+    let files = fs::read_dir(root().join("tests/plugins/bad")).unwrap().map(|entry| entry.unwrap().path());
+    let names = files.filter(|file| file.extension().is_some_and(|e| e == "c"));
+    let mut names: Vec<_> = names.map(|file| file.file_stem().unwrap().to_str().unwrap().to_owned()).collect();
+    names.extend(["text_file".into(), "truncated".into()]);
+    names.retain(|name| name != "dependency" && is_wanted(name));
+    names.sort();
+    names.into_iter().inspect(|name| {
+        let library = folder.path("libbad.so");
+        match name.as_str() {
+            "text_file" => fs::write(&library, "plugins = [\"libbad.so\"]\n").unwrap(),
+            "truncated" => fs::write(&library, &fs::read(folder.path("libgood.so")).unwrap()[..200]).unwrap(),
+            "missing_dependency" => {
+                let dependency = folder.compile("bad/dependency.c", "libdependency.so", &[]);
+                let here = format!("-L{}", folder.0.path().display());
+                folder.compile("bad/missing_dependency.c", "libbad.so", &[&here, "-ldependency"]);
+                fs::remove_file(dependency).unwrap();
+            }
+            _ => drop(folder.compile(&format!("bad/{name}.c"), "libbad.so", &["-Wno-unused-function"])),
+        }
+    })
+}
+
+/// Short where one is waited for, long where a busy machine must not be taken for a library that hangs.
+fn timeout(bad: &str) -> &'static str {
+    if bad == "hang" { "0.5" } else { "60" }
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_library_that_was_cut_or_damaged_anywhere_never_takes_the_program_with_it() {
+    let Some(folder) = Folder::new(&naming("[\"bad\"]")) else { return };
+    let good = fs::read(folder.toy("libgood.so", "1")).unwrap();
+    let check = |what: &str, bytes: &[u8]| {
+        fs::write(folder.path("libbad.so"), bytes).unwrap();
+        let mut check = folder.command(&["check", "graph.toml"]);
+        let (code, _, err) = folder.says(check.env("OSTEOFLOW_PLUGIN_TIMEOUT_S", "5"));
+        assert!(code == 0 || (code == 2 && err.contains("plugin \"bad\" is refused: ")), "{what}: {code} {err}");
+    };
+    for eighth in 0..8 {
+        check(&format!("{eighth} eighths"), &good[..good.len() * eighth / 8]);
+    }
+    let mut random = 1u64;
+    for _ in 0..if slow() { 1000 } else { 40 } {
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let (at, bit) = ((random >> 33) as usize % good.len(), random >> 61);
+        let mut bytes = good.clone();
+        bytes[at] ^= 1 << bit;
+        check(&format!("bit {bit} of byte {at}"), &bytes);
+    }
+}
+
+#[test]
+fn two_plugins_with_one_kind_are_a_fault_and_the_same_library_twice_is_none() {
+    let Some(folder) = Folder::new(&naming("[\"a\", \"b\"]")) else { return };
+    let first = folder.toy(&format!("liba{DLL_SUFFIX}"), "1");
+    fs::copy(first, folder.path(&format!("libb{DLL_SUFFIX}"))).unwrap();
+    assert_eq!(folder.sum(&[]), json!({ "value": 43.0 }));
+    folder.toy(&format!("libb{DLL_SUFFIX}"), "2");
+    let (code, _, err) = folder.run(&[]);
+    assert_eq!(code, 2);
+    let said = "plugin \"b\" is refused: there is a kind \"toy.give\" already, of plugin toy (DIR/liba";
+    assert!(err.contains(said) && err.contains("graph.toml:1:17"), "{err}");
+}
+
+#[test]
+fn a_wire_between_a_plugin_and_the_program_that_does_not_fit_is_a_fault_at_its_place() {
+    let graph =
+        format!("{}\n[node.crop]\nkind = \"cloud.merge\"\nin = {{ clouds = \"add.sum\" }}\n", naming("[\"toy\"]"));
+    let Some(folder) = Folder::new(&graph) else { return };
+    folder.toy(&format!("libtoy{DLL_SUFFIX}"), "1");
+    let (code, _, err) = folder.says(&mut folder.command(&["check", "graph.toml"]));
+    assert_eq!(code, 2);
+    assert!(err.contains("takes geometry/Cloud, but \"add.sum\" gives toy/Number"), "{err}");
+    assert!(err.contains("graph.toml:22:"), "{err}");
+}

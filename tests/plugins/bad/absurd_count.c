@@ -1,0 +1,3 @@
+/* More kinds than there can be. */
+#define KINDS kinds, UINT64_MAX / 2
+#include "../toy.c"

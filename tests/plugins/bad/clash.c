@@ -1,0 +1,3 @@
+/* A payload of the program, described otherwise. */
+#define PAYLOAD "geometry/Pose"
+#include "../toy.c"

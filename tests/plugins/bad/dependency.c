@@ -1,0 +1,6 @@
+/* What another library calls. */
+int dependency(void);
+
+int dependency(void) {
+    return 1;
+}

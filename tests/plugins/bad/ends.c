@@ -1,0 +1,9 @@
+/* Ends the process when it is loaded. */
+#include <stdio.h>
+
+#include "../toy.c"
+
+__attribute__((constructor)) static void end(void) {
+    fputs("no licence\n", stderr);
+    exit(7);
+}

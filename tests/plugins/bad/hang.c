@@ -1,0 +1,10 @@
+/* Waits for ever when it is loaded. */
+#include <unistd.h>
+
+#include "../toy.c"
+
+__attribute__((constructor)) static void hang(void) {
+    for (;;) {
+        pause();
+    }
+}

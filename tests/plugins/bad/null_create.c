@@ -1,0 +1,3 @@
+/* A kind that nobody can build. */
+#define CREATE NULL
+#include "../toy.c"

@@ -1,0 +1,6 @@
+/* Describes nothing. */
+#include "osteoflow.h"
+
+const osteoflow_plugin *osteoflow_describe(void) {
+    return NULL;
+}

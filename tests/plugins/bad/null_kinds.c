@@ -1,0 +1,3 @@
+/* Two kinds nowhere. */
+#define KINDS NULL, 2
+#include "../toy.c"

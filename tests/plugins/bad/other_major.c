@@ -1,0 +1,3 @@
+/* A later interface. */
+#define VERSION OSTEOFLOW_ABI_MAJOR + 1, 7
+#include "../toy.c"

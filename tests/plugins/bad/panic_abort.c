@@ -1,0 +1,3 @@
+/* What panics ends the program. */
+#define PANIC OSTEOFLOW_PANIC_ABORT
+#include "../toy.c"

@@ -1,0 +1,3 @@
+/* A kind of the program. */
+#define KIND_OF_ADD OSTEOFLOW_TEXT("icp.point_to_point")
+#include "../toy.c"

@@ -1,0 +1,3 @@
+/* Another first word. */
+#define MAGIC 'O', 'T', 'H', 'E', 'R', 'P', 'L', 'G'
+#include "../toy.c"
