@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, fs, path::Path};
 
 /// Every crate of the workspace, where it lies, and the crates of the workspace that it may depend on.
-const ARROWS: [(&str, &str, &[&str]); 9] = [
+const ARROWS: [(&str, &str, &[&str]); 10] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
     ("osteoflow-engine", "engine", &["osteoflow-node"]),
@@ -25,6 +25,8 @@ const ARROWS: [(&str, &str, &[&str]); 9] = [
             "osteoflow-geometry",
         ],
     ),
+    // The plugin to begin with knows what every plugin may know.
+    ("my_icp", "nodes/template/rust", &["osteoflow-node", "osteoflow-payloads"]),
 ];
 
 /// What reads or writes files, or runs graphs: nothing for a crate of plain functions.

@@ -22,6 +22,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("validate", "sound"),
     ("recover", "OUT"),
     ("simulate", "--seed"),
+    ("new", "plugin"),
     ("completions", "bash"),
 ];
 

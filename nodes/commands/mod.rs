@@ -11,6 +11,7 @@ mod graph_args;
 mod inspect;
 pub(crate) mod log;
 mod module_docs;
+mod new;
 mod node_docs;
 mod out_dir;
 mod plugins;
@@ -158,6 +159,7 @@ pub(crate) enum Command {
     Recover(recover::Recover),
     Repro(repro::Repro),
     Simulate(simulate::Simulate),
+    New(new::New),
     Completions(completions::Completions),
     PluginProbe(plugins::PluginProbe),
 }
@@ -180,6 +182,7 @@ impl Command {
             Self::Graph(command) => command.execute(global),
             Self::Schema(command) => command.execute(global),
             Self::Simulate(command) => command.execute(global),
+            Self::New(command) => command.execute(global),
             Self::Completions(command) => command.execute(global),
             Self::PluginProbe(command) => command.execute(),
         }

@@ -1,0 +1,290 @@
+use super::{Exit, Format, Global, UsageError, print_json, registry};
+use anyhow::{Context, Result};
+use clap::{Args, Subcommand, ValueEnum};
+use serde_json::json;
+use std::{
+    fs,
+    io::Write,
+    path::{Path, PathBuf},
+};
+
+/// Begin something of your own.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow new plugin my_icp                 a crate with an ICP of its own, a test and a graph
+  osteoflow new plugin my_crop --lang c")]
+pub(crate) struct New {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    Plugin(Plugin),
+}
+
+/// Write a plugin to begin with: one node, its test, a graph that runs it, and a README.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow new plugin my_icp                 in Rust; the SDK is fetched at the revision of this program
+  osteoflow new plugin my_icp --sdk ~/osteoflow     the SDK of a checkout
+  osteoflow new plugin my_crop --lang c       in C; the headers are written beside it")]
+struct Plugin {
+    /// What it is called: the crate, its folder, and the stage of its kind, as in `my_icp.point_to_point`.
+    name: String,
+
+    /// The language that it is written in.
+    #[arg(long, value_enum, default_value_t = Lang::Rust)]
+    lang: Lang,
+
+    /// A checkout of Osteoflow to build against, in the place of the revision that this program was built from.
+    #[arg(long, value_name = "PATH")]
+    sdk: Option<PathBuf>,
+
+    /// The folder to write into, new or empty; NAME if not given.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Lang {
+    /// A crate.
+    Rust,
+    /// A folder with a Makefile; also for C++.
+    C,
+}
+
+/// A file of a template: where it goes, and what is in it.
+type File = (&'static str, &'static str);
+
+/// What `nodes/template` holds, in which the plugin is called by `placeholder`.
+struct Template {
+    placeholder: &'static str,
+    build: &'static str,
+    files: &'static [File],
+}
+
+const RUST: Template = Template {
+    placeholder: "my_icp",
+    build: "cargo build --release",
+    files: &[
+        ("Cargo.toml", include_str!("../template/rust/Cargo.toml")),
+        ("src/lib.rs", include_str!("../template/rust/src/lib.rs")),
+        ("graphs/my_icp.toml", include_str!("../template/rust/graphs/my_icp.toml")),
+        ("README.md", include_str!("../template/rust/README.md")),
+        (".gitignore", "/target\n/runs\n"),
+    ],
+};
+
+const C: Template = Template {
+    placeholder: "my_crop",
+    build: "make",
+    files: &[
+        ("Makefile", include_str!("../template/c/Makefile")),
+        ("my_crop.c", include_str!("../template/c/my_crop.c")),
+        ("my_crop_test.c", include_str!("../template/c/my_crop_test.c")),
+        ("osteoflow.h", include_str!("../../engine/node/include/osteoflow.h")),
+        ("osteoflow_geometry.h", include_str!("../payloads/include/osteoflow_geometry.h")),
+        ("graphs/my_crop.toml", include_str!("../template/c/graphs/my_crop.toml")),
+        ("README.md", include_str!("../template/c/README.md")),
+        (".gitignore", "/build\n/runs\n"),
+    ],
+};
+
+/// The graph that those of the templates extend.
+const FIBULA: File = ("graphs/fibula.toml", include_str!("../../graphs/fibula.toml"));
+
+/// Where the template's crate lies, as its manifest in this repository says.
+const NODE_PATH: &str = "path = \"../../../engine/node\"";
+const PAYLOADS_PATH: &str = "path = \"../../payloads\"";
+
+/// What a crate needs that does not lie in this repository.
+const ALONE: &str = "
+# A crate that stands alone, in whatever folder it lies.
+[workspace]
+
+[profile.release]
+# The program makes a panic an error of its node; a library that aborts is refused.
+panic = \"unwind\"
+";
+
+/// Names that are no crate's.
+const NOT_FOR_CRATES: &[&str] = &[
+    "abstract",
+    "alloc",
+    "as",
+    "async",
+    "await",
+    "become",
+    "box",
+    "break",
+    "const",
+    "continue",
+    "core",
+    "crate",
+    "do",
+    "dyn",
+    "else",
+    "enum",
+    "extern",
+    "false",
+    "final",
+    "fn",
+    "for",
+    "gen",
+    "if",
+    "impl",
+    "in",
+    "let",
+    "loop",
+    "macro",
+    "match",
+    "mod",
+    "move",
+    "mut",
+    "osteoflow_node",
+    "osteoflow_payloads",
+    "override",
+    "priv",
+    "proc_macro",
+    "pub",
+    "ref",
+    "return",
+    "self",
+    "static",
+    "std",
+    "struct",
+    "super",
+    "test",
+    "trait",
+    "true",
+    "try",
+    "type",
+    "typeof",
+    "unsafe",
+    "unsized",
+    "use",
+    "virtual",
+    "where",
+    "while",
+    "yield",
+];
+
+impl New {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let What::Plugin(plugin) = &self.what;
+        plugin.execute(global)
+    }
+}
+
+impl Plugin {
+    fn execute(&self, global: &Global) -> Result<Exit> {
+        check_name(&self.name)?;
+        let dir = self.out.clone().unwrap_or_else(|| PathBuf::from(&self.name));
+        let (template, sdk) = match self.lang {
+            Lang::Rust => (&RUST, self.sdk()?),
+            Lang::C if self.sdk.is_some() => {
+                let said = "--sdk is for Rust; in C the headers of this program are written beside the plugin";
+                return Err(UsageError(said.into()).into());
+            }
+            Lang::C => (&C, Sdk::default()),
+        };
+        fs::create_dir_all(&dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
+        if fs::read_dir(&dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some() {
+            let said = format!("{} is not empty; name another folder with --out", dir.display());
+            return Err(UsageError(said).into());
+        }
+        // An editor finds the schema beside the shipped graphs only.
+        let fibula =
+            FIBULA.1.split_once('\n').filter(|(line, _)| line.starts_with("#:schema")).map_or(FIBULA.1, |f| f.1);
+        write(&dir, FIBULA.0, fibula)?;
+        for (path, text) in template.files {
+            let mut text = text.replace(template.placeholder, &self.name);
+            if *path == "Cargo.toml" {
+                text = text.replace(NODE_PATH, &sdk.node).replace(PAYLOADS_PATH, &sdk.payloads) + ALONE;
+            }
+            write(&dir, &path.replace(template.placeholder, &self.name), &text)?;
+        }
+        let commands = [
+            format!("cd {}", dir.display()),
+            template.build.to_owned(),
+            format!("osteoflow run graphs/{}.toml", self.name),
+        ];
+        match global.format {
+            Format::Json => print_json(&json!({ "folder": dir, "note": sdk.note, "commands": commands }))?,
+            Format::Text => {
+                let mut out = std::io::stdout().lock();
+                if let Some(note) = sdk.note.filter(|_| !global.quiet) {
+                    writeln!(out, "note: {note}\n")?;
+                }
+                writeln!(out, "written; next:")?;
+                commands.iter().try_for_each(|command| writeln!(out, "  {command}"))?;
+            }
+        }
+        Ok(Exit::Done)
+    }
+
+    /// Where the crate finds what it is built against.
+    fn sdk(&self) -> Result<Sdk> {
+        if let Some(checkout) = &self.sdk {
+            let crate_in = |folder: &str| -> Result<String> {
+                let path = checkout.join(folder);
+                if !path.join("Cargo.toml").is_file() {
+                    let said = format!("--sdk: there is no {}; name a checkout of Osteoflow", path.display());
+                    return Err(UsageError(said).into());
+                }
+                let path = path.canonicalize().with_context(|| format!("{} cannot be read", path.display()))?;
+                Ok(format!("path = {:?}", path))
+            };
+            return Ok(Sdk { node: crate_in("engine/node")?, payloads: crate_in("nodes/payloads")?, note: None });
+        }
+        let revision = env!("OSTEOFLOW_BUILD_GIT_REVISION");
+        let (commit, changed) = revision.split_once(',').map_or((revision, false), |(commit, _)| (commit, true));
+        if commit.is_empty() {
+            let said = "this program was built outside git, so that it knows no revision of its SDK; name a checkout of \
+                        Osteoflow with --sdk";
+            return Err(UsageError(said.into()).into());
+        }
+        let git = format!("git = {:?}, rev = {commit:?}", env!("CARGO_PKG_REPOSITORY"));
+        let note = changed.then(|| {
+            format!("this program was built from sources that differ from their commit {commit}; --sdk names them")
+        });
+        Ok(Sdk { node: git.clone(), payloads: git, note })
+    }
+}
+
+/// Where the crates of the SDK lie, as a manifest says it.
+#[derive(Default)]
+struct Sdk {
+    node: String,
+    payloads: String,
+    note: Option<String>,
+}
+
+/// Refuses what cannot be the name of a crate and of a stage.
+fn check_name(name: &str) -> Result<()> {
+    let snake = name.starts_with(|c: char| c.is_ascii_lowercase())
+        && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
+    let registry = registry();
+    let is_stage = |kind: &str| kind.split_once('.').is_some_and(|(stage, _)| stage == name);
+    let said = if !snake {
+        format!("\"{name}\" is not in snake case; write it as my_icp: a small letter, then small letters, digits and _")
+    } else if NOT_FOR_CRATES.contains(&name) {
+        format!("\"{name}\" is a word of Rust or a crate that is there already; take another, such as my_{name}")
+    } else if registry.kinds().any(|kind| is_stage(kind.description.kind)) {
+        format!("\"{name}\" is a stage of built-in nodes; take another name, such as my_{name}")
+    } else {
+        return Ok(());
+    };
+    Err(UsageError(said).into())
+}
+
+fn write(dir: &Path, path: &str, text: &str) -> Result<()> {
+    let path = dir.join(path);
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder).with_context(|| format!("{} cannot be made a folder", folder.display()))?;
+    }
+    fs::write(&path, text).with_context(|| format!("{} cannot be written", path.display()))
+}
