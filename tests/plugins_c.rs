@@ -351,6 +351,26 @@ fn an_exception_of_the_icp_is_the_nodes_error_and_the_other_branches_finish() {
     assert_eq!((hole.items, hole.failed), (3, 0), "the other branches finished");
 }
 
+#[test]
+fn a_graph_names_the_libraries_and_one_word_swaps_crop_and_icp() {
+    let Some(crop) = library(&format!("{EXAMPLES}/crop_box.c")) else { return };
+    let Some(icp) = library(&format!("{EXAMPLES}/icp.cpp")) else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let graph = dir.path().join("graph.toml");
+    let base = root().join("graphs/fibula.toml");
+    std::fs::write(&graph, format!("extends = {base:?}\nplugins = [{crop:?}, {icp:?}]\n")).unwrap();
+    let graph = graph.to_str().unwrap();
+    let digest_of = |ran: &common::Ran| digest(&ran.dir.path().join("run.mcap"), &mut |_, _| {}).unwrap().digest;
+    let bounds = ["--set", "crop.max_mm=[1000.0, 1000.0, 206.0]"];
+    let built_in = common::run_whole(graph, &bounds);
+    let swapped = common::run_whole(graph, &[&bounds[..], &["--set", "crop.kind=crop_c.box"]].concat());
+    assert_eq!(digest_of(&swapped), digest_of(&built_in), "no wire of the procedure differs by a bit");
+    assert!(built_in.results["icp"]["n_source"].as_u64().unwrap() < 19_000, "something is cut off");
+    let in_cpp = common::run_whole(graph, &["--set", "icp.kind=icp_cpp.point_to_point"]);
+    assert_eq!(in_cpp.results["icp"]["converged"], true);
+    assert!(common::json(&in_cpp.dir.path().join("manifest.json")).to_string().contains("icp_cpp.point_to_point"));
+}
+
 /// Keeps the failures of a run.
 #[derive(Default)]
 struct Failures(Mutex<Vec<String>>);
