@@ -39,11 +39,10 @@ impl PluginArgs {
 
 /// This program itself, called to look at a library.
 fn prober() -> Result<Prober> {
-    let program = match cfg!(target_os = "linux") {
-        // This is the file that runs, even if another has been put in its place since.
-        true => "/proc/self/exe".into(),
-        false => env::current_exe().context("the program's own file is not known")?,
-    };
+    let own = env::current_exe().context("the program's own file is not known")?;
+    // Where another file has been put in its place since, this is still the one that runs. Not otherwise: in a program
+    // that runs under valgrind it is valgrind.
+    let program = if own.is_file() { own } else { "/proc/self/exe".into() };
     let said = env::var(TIMEOUT).ok().filter(|said| !said.is_empty());
     let timeout = match said.as_deref().map(str::parse::<f64>) {
         None => Prober::TIMEOUT,

@@ -56,7 +56,8 @@ typedef struct give {
     int given;
 } give;
 
-static int32_t create_give(const osteoflow_kind *kind, const osteoflow_firing *firing, osteoflow_text params, void **node) {
+static int32_t create_give(const osteoflow_kind *kind, const osteoflow_firing *firing, osteoflow_text params,
+                           void **node) {
     (void)kind;
     (void)params;
     give *new = malloc(sizeof *new);
@@ -91,7 +92,8 @@ static int32_t emit_number(const osteoflow_firing *firing, double value) {
 }
 #endif
 
-static int32_t create_add(const osteoflow_kind *kind, const osteoflow_firing *firing, osteoflow_text params, void **node) {
+static int32_t create_add(const osteoflow_kind *kind, const osteoflow_firing *firing, osteoflow_text params,
+                          void **node) {
     (void)firing;
     (void)params;
     *node = (void *)kind;
@@ -120,8 +122,12 @@ static void destroy_add(void *node) {
 static const osteoflow_input add_in[] = {
     { OSTEOFLOW_TEXT("number"), OSTEOFLOW_TEXT("A number."), NUMBER, 0, OSTEOFLOW_JOIN_EACH, 0, 0, NO_FRAMES },
 };
-static const osteoflow_output give_out[] = { { OSTEOFLOW_TEXT("number"), OSTEOFLOW_TEXT("Numbers."), NUMBER, 0, NO_FRAMES } };
-static const osteoflow_output add_out[] = { { OSTEOFLOW_TEXT("sum"), OSTEOFLOW_TEXT("The sum."), GIVEN, 1, 0, NO_FRAMES } };
+static const osteoflow_output give_out[] = {
+    { OSTEOFLOW_TEXT("number"), OSTEOFLOW_TEXT("Numbers."), NUMBER, 0, NO_FRAMES },
+};
+static const osteoflow_output add_out[] = {
+    { OSTEOFLOW_TEXT("sum"), OSTEOFLOW_TEXT("The sum."), GIVEN, 1, 0, NO_FRAMES },
+};
 
 static const osteoflow_kind kinds[] = {
     { OSTEOFLOW_TEXT("toy.give"), OSTEOFLOW_TEXT("Gives three numbers."),
