@@ -60,7 +60,8 @@ fn library(file: &str) -> Option<PathBuf> {
 fn rust_library() -> PathBuf {
     let built = Command::new(env!("CARGO"))
         .current_dir(root())
-        .args(["build", "--release", "-p", "osteoflow-payloads", "--example", "plugin_cloud"])
+        // With all of the workspace, so that nothing is compiled again with other features.
+        .args(["build", "--release", "--workspace", "--example", "plugin_cloud"])
         .status()
         .unwrap();
     assert!(built.success(), "the example plugin_cloud builds");

@@ -2,6 +2,9 @@
 //! reasons and log lines.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
+#[path = "plugins/build.rs"]
+#[allow(dead_code, reason = "other tests build in C, too")]
+mod build;
 #[path = "plugins/kinds.rs"]
 mod kinds;
 
@@ -15,7 +18,6 @@ use serde_json::Value;
 use std::{
     fmt::{Debug, Write},
     path::Path,
-    process::Command,
     sync::{Mutex, Once, OnceLock},
 };
 
@@ -33,16 +35,8 @@ fn built_in() -> Registry {
 fn loaded() -> Registry {
     static LIBRARY: OnceLock<Library> = OnceLock::new();
     listen();
-    let library: &'static Library = LIBRARY.get_or_init(|| {
-        let built = Command::new(env!("CARGO"))
-            .args(["build", "--release", "-p", "osteoflow-engine", "--example", "plugin_kinds"])
-            .status();
-        assert!(built.unwrap().success(), "the example builds");
-        // deps/plugin_host-HASH stands beside examples/.
-        let deps = std::env::current_exe().unwrap();
-        let name = format!("{}plugin_kinds{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
-        Library::load(&deps.parent().and_then(Path::parent).unwrap().join("examples").join(name)).unwrap()
-    });
+    let library: &'static Library =
+        LIBRARY.get_or_init(|| Library::load(&build::rust_library("plugin_kinds")).expect("the library is a plugin"));
     let mut registry = Registry::default();
     provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).unwrap();
     registry

@@ -28,8 +28,9 @@ pub(crate) fn c_library(name: &str) -> Option<PathBuf> {
 
 /// The library of an example of this crate.
 pub(crate) fn rust_library(name: &str) -> PathBuf {
+    // With all of the workspace, so that nothing is compiled again with other features.
     let built = Command::new(env!("CARGO"))
-        .args(["build", "--release", "-p", "osteoflow-engine", "--example", name])
+        .args(["build", "--release", "--workspace", "--example", name])
         .status()
         .expect("cargo runs");
     assert!(built.success(), "the example {name} builds");
