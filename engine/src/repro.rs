@@ -101,9 +101,9 @@ pub fn repro(
     let mut n_calls = 0;
     let failed = match built {
         Built::Node(mut built) => {
-            let joined = joined(&bundle, dir, kind, registry, &mut context)?;
+            let mut joined = joined(&bundle, dir, kind, registry, &mut context)?;
             let mut out = vec![Emission::Silent; outputs.len()];
-            let answered = catch_panic(|| built.fire(&joined, &mut out, &mut context));
+            let answered = catch_panic(|| built.fire(&mut joined, &mut out, &mut context));
             let floors = vec![StampNs::MIN; outputs.len()];
             failure(answered, &outputs, &floors, &out, Role::Node, bundle.stamp_ns).err()
         }
@@ -194,7 +194,7 @@ fn joined(
             }
         });
     }
-    Ok(Joined { slots })
+    Ok(Joined { slots, is_spent: false })
 }
 
 /// How the firing failed, if it did: an error, a panic, or answers that break what every node promises.

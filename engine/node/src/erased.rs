@@ -9,7 +9,7 @@ pub trait AnyNode: Send {
     ///
     /// # Errors
     /// What the node says.
-    fn fire(&mut self, joined: &Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError>;
+    fn fire(&mut self, joined: &mut Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError>;
 }
 
 /// A source of any kind.
@@ -42,7 +42,7 @@ pub enum Built {
 pub(crate) struct Erased<N>(pub(crate) N);
 
 impl<N: Node> AnyNode for Erased<N> {
-    fn fire(&mut self, joined: &Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError> {
+    fn fire(&mut self, joined: &mut Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError> {
         let inputs = N::Inputs::take(joined)?;
         self.0.process(inputs, ctx)?.put(out);
         Ok(())

@@ -69,9 +69,23 @@ pub enum Slot {
 pub struct Joined {
     /// One slot for each declared port.
     pub slots: Vec<Slot>,
+    /// Nobody needs the values afterwards, so they may be taken out; else what a node takes is a handle more on each.
+    pub is_spent: bool,
 }
 
 impl Joined {
+    /// The value of the port at `index`, if it brings one and values may be taken out; the slot is left without items.
+    pub(crate) fn take_out(&mut self, index: usize) -> Option<Value> {
+        let slot = self.slots.get_mut(index).filter(|_| self.is_spent)?;
+        if !matches!(slot, Slot::Item(Item { body: Body::Value(_), .. })) {
+            return None;
+        }
+        match std::mem::replace(slot, Slot::Items(Vec::new())) {
+            Slot::Item(Item { body: Body::Value(value), .. }) => Some(value),
+            _ => None,
+        }
+    }
+
     /// What the port at `index` brings.
     ///
     /// # Errors

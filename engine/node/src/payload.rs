@@ -222,6 +222,11 @@ impl Value {
         self.inner.downcast_ref()
     }
 
+    /// The payload, if it is a `T`: itself where this is the only handle, else one more handle on it.
+    pub(crate) fn into_payload<T: Clone + Send + Sync + 'static>(self) -> Result<T, Self> {
+        self.into_held().map(Arc::unwrap_or_clone)
+    }
+
     /// Head and columns, without copying the columns.
     pub fn to_view(&self) -> View {
         (self.ty.to_view)(&*self.inner)

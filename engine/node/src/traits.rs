@@ -96,11 +96,11 @@ pub trait Inputs: Sized {
     /// The ports in order.
     fn ports() -> Vec<InputPort>;
 
-    /// The values of one firing: handles on what `joined` keeps.
+    /// The values of one firing: handles on what `joined` keeps, or the very values where it is spent.
     ///
     /// # Errors
     /// [`NodeError`] if the engine joined something else than declared.
-    fn take(joined: &Joined) -> Result<Self, NodeError>;
+    fn take(joined: &mut Joined) -> Result<Self, NodeError>;
 }
 
 /// The output ports of a node; derived.
@@ -167,12 +167,23 @@ fn no_value(port: &str) -> NodeError {
 }
 
 /// The value of a `T` field.
-pub fn take_one<T: Clone + 'static>(joined: &Joined, index: usize, port: &str) -> Result<T, NodeError> {
+pub fn take_one<T: Clone + Send + Sync + 'static>(
+    joined: &mut Joined,
+    index: usize,
+    port: &str,
+) -> Result<T, NodeError> {
     take_optional(joined, index, port)?.ok_or_else(|| no_value(port))
 }
 
 /// The value of an `Option<T>` field.
-pub fn take_optional<T: Clone + 'static>(joined: &Joined, index: usize, port: &str) -> Result<Option<T>, NodeError> {
+pub fn take_optional<T: Clone + Send + Sync + 'static>(
+    joined: &mut Joined,
+    index: usize,
+    port: &str,
+) -> Result<Option<T>, NodeError> {
+    if let Some(value) = joined.take_out(index) {
+        return value.into_payload().map(Some).map_err(|value| wrong_type(port, &value));
+    }
     match joined.slot(index)? {
         Slot::Item(item) => value_of(item, port),
         Slot::Absent(_) => Ok(None),
@@ -181,13 +192,13 @@ pub fn take_optional<T: Clone + 'static>(joined: &Joined, index: usize, port: &s
 }
 
 /// The values of a `Vec<T>` field.
-pub fn take_many<T: Clone + 'static>(joined: &Joined, index: usize, port: &str) -> Result<Vec<T>, NodeError> {
+pub fn take_many<T: Clone + 'static>(joined: &mut Joined, index: usize, port: &str) -> Result<Vec<T>, NodeError> {
     take_many_optional(joined, index, port)?.into_iter().map(|v| v.ok_or_else(|| no_value(port))).collect()
 }
 
 /// The values of a `Vec<Option<T>>` field.
 pub fn take_many_optional<T: Clone + 'static>(
-    joined: &Joined,
+    joined: &mut Joined,
     index: usize,
     port: &str,
 ) -> Result<Vec<Option<T>>, NodeError> {
@@ -200,7 +211,10 @@ pub fn take_many_optional<T: Clone + 'static>(
 
 /// The value of a [`Value`] field, which takes any payload.
 #[inline]
-pub fn take_any(joined: &Joined, index: usize, port: &str) -> Result<Value, NodeError> {
+pub fn take_any(joined: &mut Joined, index: usize, port: &str) -> Result<Value, NodeError> {
+    if let Some(value) = joined.take_out(index) {
+        return Ok(value);
+    }
     match joined.slot(index)? {
         Slot::Item(Item { body: Body::Value(value), .. }) => Ok(value.clone()),
         _ => Err(no_value(port)),

@@ -111,7 +111,7 @@ impl Joiner {
             mode,
             node,
             ports,
-            joined: Joined { slots: (0..n_vacant).map(|_| VACANT).collect() },
+            joined: Joined { slots: (0..n_vacant).map(|_| VACANT).collect(), is_spent: false },
             n_vacant,
             at_hand: false,
             absent: Vec::new(),
@@ -180,6 +180,12 @@ impl Joiner {
     #[inline]
     pub(crate) fn joined(&self) -> &Joined {
         &self.joined
+    }
+
+    /// The same for the node that takes it.
+    #[inline]
+    pub(crate) fn joined_mut(&mut self) -> &mut Joined {
+        &mut self.joined
     }
 
     /// Why optional ports bring nothing to the activation at hand.

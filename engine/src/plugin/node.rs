@@ -304,7 +304,7 @@ fn empty_item(number: u64, stamp_ns: StampNs, empty: &Empty) -> abi::Item {
 }
 
 impl AnyNode for PluginNode {
-    fn fire(&mut self, joined: &Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError> {
+    fn fire(&mut self, joined: &mut Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError> {
         self.call(joined, out, ctx)?;
         // A node answers on every output.
         for emission in out.iter_mut().filter(|emission| matches!(emission, Emission::Silent)) {

@@ -312,8 +312,8 @@ impl Cell {
         let (context, out) = (&mut self.context, &mut self.emissions);
         let recall = run.recall(self.index);
         let answered = called(item, context, |context| match recall {
-            Some(recall) => recall.fire(self.index, node.as_mut(), joiner.joined(), out, context),
-            None => node.fire(joiner.joined(), out, context),
+            Some(recall) => recall.fire(self.index, node.as_mut(), joiner.joined_mut(), out, context),
+            None => node.fire(joiner.joined_mut(), out, context),
         });
         let timed = began.map(|began| (began, took_since(began, turn)));
         self.after(Firing { item, stamp_ns, timed }, answered, run, turn);

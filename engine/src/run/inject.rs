@@ -161,7 +161,7 @@ impl<T> Failing<T> {
 }
 
 impl AnyNode for Failing<Box<dyn AnyNode>> {
-    fn fire(&mut self, joined: &Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError> {
+    fn fire(&mut self, joined: &mut Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError> {
         self.fail(ctx)?;
         self.inner.fire(joined, out, ctx)
     }

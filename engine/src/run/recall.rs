@@ -89,7 +89,7 @@ impl<'a> Recall<'a> {
         &self,
         index: usize,
         node: &mut dyn AnyNode,
-        joined: &Joined,
+        joined: &mut Joined,
         out: &mut [Emission],
         context: &mut Context,
     ) -> Result<(), NodeError> {

@@ -65,7 +65,7 @@ pub(crate) fn inputs(input: &DeriveInput) -> Result<TokenStream> {
             fn ports() -> ::std::vec::Vec<::osteoflow_node::InputPort> {
                 ::std::vec![#(#ports),*]
             }
-            fn take(joined: &::osteoflow_node::Joined) -> ::core::result::Result<Self, ::osteoflow_node::NodeError> {
+            fn take(joined: &mut ::osteoflow_node::Joined) -> ::core::result::Result<Self, ::osteoflow_node::NodeError> {
                 let _ = joined;
                 ::core::result::Result::Ok(Self { #(#takes),* })
             }

@@ -134,7 +134,7 @@ impl Instance {
         Ok(Self {
             built,
             context: Context::new(host.node(), host.seed(), Arc::default(), declared),
-            joined: Joined::default(),
+            joined: Joined { slots: Vec::new(), is_spent: true },
             out: vec![Emission::Silent; n_outputs],
             constants: vec![None; about.inputs.len()],
             inputs: about.inputs.iter().map(|port| port.payload).collect(),
@@ -183,7 +183,7 @@ impl Instance {
 
     fn fire(&mut self, host: Host) -> Result<i32, NodeError> {
         match &mut self.built {
-            Built::Node(node) => AnyNode::fire(&mut **node, &self.joined, &mut self.out, &mut self.context)?,
+            Built::Node(node) => AnyNode::fire(&mut **node, &mut self.joined, &mut self.out, &mut self.context)?,
             Built::Source(source) => {
                 if !source.next(&mut self.out, &mut self.context)? {
                     return Ok(abi::status::END);
