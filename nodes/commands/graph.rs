@@ -1,4 +1,4 @@
-use super::{Exit, Global, GraphArgs, UsageError, out_dir};
+use super::{Exit, Global, GraphArgs, PluginArgs, UsageError, out_dir};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use osteoflow_engine::draw::{self, Picture};
@@ -19,11 +19,19 @@ Examples:
   osteoflow graph --run runs/fibula-20260314-092653 --as svg > run.svg
   osteoflow graph graphs/fibula.toml --as dot | dot -Tsvg > fibula.svg")]
 pub(crate) struct Graph {
+    /// The graph file.
+    #[arg(required_unless_present = "run")]
+    graph: Option<PathBuf>,
+
+    /// Change any key of the graph: NODE.PARAMETER=VALUE, NODE.kind=KIND, graph.seed=7; may be given again.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    sets: Vec<String>,
+
     #[command(flatten)]
-    graph: Option<GraphArgs>,
+    plugins: PluginArgs,
 
     /// Draw this run instead: its folder, or its manifest.json.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["graph", "sets"], required_unless_present = "graph")]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["graph", "sets", "plugins"])]
     run: Option<PathBuf>,
 
     /// The language to draw in.
@@ -46,7 +54,8 @@ impl Graph {
         let picture = match (&self.run, &self.graph) {
             (Some(run), _) => of_run(run)?,
             (None, Some(graph)) => {
-                let Some(checked) = graph.check(global)? else { return Ok(Exit::Usage) };
+                let (graph, sets, plugins) = (graph.clone(), self.sets.clone(), self.plugins.clone());
+                let Some(checked) = (GraphArgs { graph, sets, plugins }).check(global)? else { return Ok(Exit::Usage) };
                 Picture::of_plan(&checked.plan)
             }
             (None, None) => return Err(UsageError("name a graph file, or a run by --run".into()).into()),
