@@ -424,9 +424,6 @@ fn a_wire_between_a_plugin_and_the_program_that_does_not_fit_is_a_fault_at_its_p
 #[test]
 #[cfg(target_os = "linux")]
 fn a_run_with_a_plugin_touches_no_memory_that_is_not_its_own() {
-    if !slow() {
-        return;
-    }
     if let Err(error) = Command::new("valgrind").arg("--version").output() {
         println!("skipped: valgrind is missing: {error}");
         return;
