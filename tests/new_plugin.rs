@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::{Ran, isometry, osteoflow, root, run_whole};
+use common::{Ran, build, is_slow_run, isometry, osteoflow, root, run_whole};
 use serde_json::Value;
 use std::{
     env::consts::{DLL_PREFIX, DLL_SUFFIX},
@@ -60,13 +60,8 @@ fn assert_registers_as_built_in(folder: &Path, library_file: &Path) {
 
 #[test]
 fn the_crate_registers_as_the_built_in_icp_does_to_1e_9_mm_and_logs_through_the_program() {
-    // With all of the workspace, so that nothing is compiled again with other features.
-    let mut cargo = Command::new(env!("CARGO"));
-    done(cargo.current_dir(root()).args(["build", "--release", "--workspace", "--example", "plugin_template"]));
-    let deps = std::env::current_exe().unwrap();
-    let examples = deps.parent().and_then(Path::parent).unwrap().join("examples");
     let (_dir, folder) = written_crate("my_icp");
-    assert_registers_as_built_in(&folder, &examples.join(library("plugin_template")));
+    assert_registers_as_built_in(&folder, &build::example("plugin_template"));
 
     let graph = folder.join("graphs/my_icp.toml");
     let out = folder.join("out");
@@ -97,10 +92,6 @@ fn alone(toolchain: &[&str], profile: &[&str]) {
     let built = if profile.is_empty() { "debug" } else { "release" };
     assert_registers_as_built_in(&folder, &target.join(built).join(library("my_icp")));
     cargo("test");
-}
-
-fn is_slow_run() -> bool {
-    std::env::var_os("SLOW_TESTS").is_some()
 }
 
 #[test]

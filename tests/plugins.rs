@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{assert_golden, json, osteoflow_to_spawn, root};
+use common::{assert_golden, build, is_slow_run, json, osteoflow_to_spawn, root};
 use serde_json::{Value, json};
 use std::{
     env::consts::DLL_SUFFIX,
@@ -39,10 +39,6 @@ wires = ["*"]
 sum = "add.sum"
 "#;
 
-fn slow() -> bool {
-    std::env::var_os("SLOW_TESTS").is_some()
-}
-
 /// A folder with a graph and what was compiled for it.
 struct Folder(tempfile::TempDir);
 
@@ -66,18 +62,8 @@ impl Folder {
     fn compile(&self, source: &str, library: &str, arguments: &[&str]) -> PathBuf {
         let (library, made) = (self.path(library), self.path("made"));
         fs::create_dir_all(library.parent().unwrap()).unwrap();
-        let compiled = Command::new("cc")
-            .args(["-std=c11", "-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-I"])
-            .arg(root().join("engine/node/include"))
-            .arg("-I")
-            .arg(root().join("nodes/payloads/include"))
-            .arg(root().join("tests/plugins").join(source))
-            .args(["-D_POSIX_C_SOURCE=200809L", "-o"])
-            .arg(&made)
-            .args(arguments)
-            .output()
-            .unwrap();
-        assert!(compiled.status.success(), "{source}: {}", String::from_utf8_lossy(&compiled.stderr));
+        let arguments = [&["-D_POSIX_C_SOURCE=200809L"], arguments].concat();
+        assert!(build::compile(&Path::new("tests/plugins").join(source), &made, &arguments), "there was a compiler");
         fs::rename(&made, &library).unwrap();
         library
     }
@@ -385,7 +371,7 @@ fn a_library_that_was_cut_or_damaged_anywhere_never_takes_the_program_with_it() 
         check(&format!("{eighth} eighths"), &good[..good.len() * eighth / 8]);
     }
     let mut random = 1u64;
-    for _ in 0..if slow() { 1000 } else { 40 } {
+    for _ in 0..if is_slow_run() { 1000 } else { 40 } {
         random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let (at, bit) = ((random >> 33) as usize % good.len(), random >> 61);
         let mut bytes = good.clone();

@@ -22,52 +22,22 @@ use osteoflow_payloads::Text;
 use serde_json::Value;
 use std::{
     path::{Path, PathBuf},
-    process::Command,
     sync::{Arc, Mutex, OnceLock},
 };
 
 mod common;
 
-use common::root;
+use common::{build, root};
 
 const EXAMPLES: &str = "nodes/payloads/examples/c";
 
 /// The library of a C or C++ file, or `None` where there is no compiler.
 fn library(file: &str) -> Option<PathBuf> {
-    let is_c = file.ends_with(".c");
-    let (compiler, standard) = if is_c { ("cc", "-std=c11") } else { ("c++", "-std=c++11") };
     let name = Path::new(file).file_stem().unwrap().to_str().unwrap();
     // Each test has its own: a library is loaded once in a process, and counts what it gave.
     let test = std::thread::current().name().unwrap().to_owned();
     let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("lib{name}_{test}.so"));
-    let compiled = Command::new(compiler)
-        .current_dir(root())
-        .args([standard, "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-shared", "-fPIC"])
-        .args(["-I", "engine/node/include", "-I", "nodes/payloads/include", file, "-o"])
-        .arg(&library)
-        .output();
-    match compiled {
-        Ok(output) => assert!(output.status.success(), "{file}: {}", String::from_utf8_lossy(&output.stderr)),
-        Err(error) => {
-            println!("skipped {file}: there is no {compiler} here: {error}");
-            return None;
-        }
-    }
-    Some(library)
-}
-
-/// The library of nodes/payloads/examples/plugin_cloud.rs.
-fn rust_library() -> PathBuf {
-    let built = Command::new(env!("CARGO"))
-        .current_dir(root())
-        // With all of the workspace, so that nothing is compiled again with other features.
-        .args(["build", "--release", "--workspace", "--example", "plugin_cloud"])
-        .status()
-        .unwrap();
-    assert!(built.success(), "the example plugin_cloud builds");
-    // deps/plugins_c-HASH stands beside examples/.
-    let deps = std::env::current_exe().unwrap();
-    deps.parent().and_then(Path::parent).unwrap().join("examples/libplugin_cloud.so")
+    build::compile(Path::new(file), &library, &[]).then_some(library)
 }
 
 /// The built-in kinds, those of this file, and those of these libraries.
@@ -497,7 +467,7 @@ fn no_bulk_is_copied_to_or_from_a_plugin_in_c() {
 
 #[test]
 fn no_bulk_is_copied_to_or_from_a_plugin_in_rust() {
-    let library = rust_library();
+    let library = build::example("plugin_cloud");
     let _alone = ONE_AT_A_TIME.get_or_init(Default::default).lock().unwrap_or_else(|error| error.into_inner());
     no_bulk_is_copied("rust", &library, &[("normals", "1 values for 3 points", 1)]);
 }

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{json, osteoflow, osteoflow_to_spawn, program, root, run, run_whole};
+use common::{is_slow_run, json, osteoflow, osteoflow_to_spawn, program, root, run, run_whole};
 use osteoflow_engine::{Recording, digest::Digest};
 use serde_json::Value;
 use std::{
@@ -16,10 +16,6 @@ use std::{
 const RECORDED: &str = "graphs/fibula_recorded.toml";
 /// The quickest graph that leaves everything.
 const QUICK: &str = "graphs/calibration.toml";
-
-fn slow() -> bool {
-    std::env::var_os("SLOW_TESTS").is_some()
-}
 
 /// What a replay answered and its exit code.
 fn replay(recording: &Path, arguments: &[&str]) -> (i32, Value, String) {
@@ -49,7 +45,7 @@ fn recorded() -> (common::Ran, PathBuf) {
 
 #[test]
 fn shuffled_runs_on_any_number_of_workers_give_one_digest_and_replay_exactly() {
-    let n_runs = if slow() { 200 } else { 3 };
+    let n_runs = if is_slow_run() { 200 } else { 3 };
     for graph in ["graphs/fibula.toml", RECORDED] {
         let mut first = None;
         for seed in 0..n_runs {
@@ -253,7 +249,7 @@ fn killed(dir: &Path, after: Duration) -> Option<PathBuf> {
 #[test]
 #[cfg(unix)]
 fn a_kill_at_any_instant_leaves_a_recording_that_is_read_and_replayed_up_to_its_last_chunk() {
-    let n_kills: u64 = if slow() { 100 } else { 10 };
+    let n_kills: u64 = if is_slow_run() { 100 } else { 10 };
     let dir = tempfile::tempdir().unwrap();
     let (mut n_read, mut n_items) = (0, 0);
     for kill in 0..n_kills {

@@ -6,13 +6,14 @@ mod build;
 #[allow(dead_code, reason = "the other benches use the rest")]
 mod graph;
 
-use graph::{chain, registry};
+use graph::{chain, registry, sources};
 use osteoflow_engine::{
-    plan::Plan,
     plugin::{Library, provide},
     run::{RunOptions, run},
 };
+use osteoflow_node::Registry;
 use rustix::time::{ClockId, clock_gettime};
+use std::path::Path;
 
 const ITEMS: u64 = 20_000;
 const HOPS: usize = 8;
@@ -24,34 +25,45 @@ fn thread_time() -> i64 {
     time.tv_sec * 1_000_000_000 + time.tv_nsec
 }
 
-fn main() {
-    let mut registry = registry();
-    for path in build::c_library("relay").into_iter().chain([build::rust_library("plugin_relay")]) {
-        let library: &'static Library = Box::leak(Box::new(Library::load(&path).expect("the library is a plugin")));
-        provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).expect("its kinds are new");
-    }
-    let fastest = |plan: &Plan| {
+/// What a hop through nodes of this kind costs, ns.
+fn per_hop(registry: &Registry, kind: &str) -> f64 {
+    let fastest = |n_nodes| {
+        let plan = chain(registry, "bench.count", ITEMS, kind, n_nodes, 0);
         let one = || {
             let began = thread_time();
-            run(plan, &registry, &RunOptions::default(), &()).expect("the chain runs");
+            run(&plan, registry, &RunOptions::default(), &()).expect("the chain runs");
             thread_time() - began
         };
         (0..RUNS).map(|_| one()).min().expect("there are runs")
     };
-    let plan = |kind: &str, n_nodes| chain(&registry, "bench.count", ITEMS, kind, n_nodes, 0);
-    let per_hop = |kind: &str| {
-        let (few, many) = (fastest(&plan(kind, 1)), fastest(&plan(kind, 1 + HOPS)));
-        (many - few) as f64 / (ITEMS * HOPS as u64) as f64
-    };
-    for (node, what) in [("relay", "handed on"), ("next", "made anew")] {
-        let built_in = per_hop(&format!("bench.{node}"));
-        println!("{what}: {built_in:.1} ns per hop");
-        for language in ["c", "rust"] {
-            let kind = format!("{language}.{node}");
-            if registry.kind(&kind).is_some() {
-                let plugin = per_hop(&kind);
-                println!("{what} by a plugin ({language}): {plugin:.1} ns per hop, {:.1} more", plugin - built_in);
-            }
+    let (few, many) = (fastest(1), fastest(1 + HOPS));
+    (many - few) as f64 / (ITEMS * HOPS as u64) as f64
+}
+
+/// The same kinds from a library.
+fn loaded(library: &Path) -> Registry {
+    let mut registry = sources();
+    let library: &'static Library = Box::leak(Box::new(Library::load(library).expect("the library is a plugin")));
+    provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).expect("its kinds are new");
+    registry
+}
+
+fn main() {
+    let c = Path::new(env!("CARGO_TARGET_TMPDIR")).join("librelay_timed.so");
+    let mut plugins = vec![("Rust", loaded(&build::example("plugin_relay")))];
+    if build::compile(Path::new("engine/tests/plugins/c/relay.c"), &c, &[]) {
+        plugins.push(("C", loaded(&c)));
+    }
+    let built_in = registry();
+    for (kind, what) in [("bench.relay", "handed on"), ("bench.next", "made anew")] {
+        let built_in_ns = per_hop(&built_in, kind);
+        println!("{what}: {built_in_ns:.1} ns per hop");
+        for (language, registry) in &plugins {
+            let plugin_ns = per_hop(registry, kind);
+            println!(
+                "{what} by a plugin in {language}: {plugin_ns:.1} ns per hop, {:.1} more",
+                plugin_ns - built_in_ns
+            );
         }
     }
 }

@@ -36,7 +36,7 @@ fn loaded() -> Registry {
     static LIBRARY: OnceLock<Library> = OnceLock::new();
     listen();
     let library: &'static Library =
-        LIBRARY.get_or_init(|| Library::load(&build::rust_library("plugin_kinds")).expect("the library is a plugin"));
+        LIBRARY.get_or_init(|| Library::load(&build::example("plugin_kinds")).expect("the library is a plugin"));
     let mut registry = Registry::default();
     provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).unwrap();
     registry

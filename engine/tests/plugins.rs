@@ -6,8 +6,7 @@ mod build;
 #[allow(dead_code, reason = "the benches use the rest")]
 mod graph;
 
-use build::{c_library, rust_library};
-use graph::{chain, registry};
+use graph::{chain, registry, sources};
 use osteoflow_engine::{
     plan::ResultEntry,
     plugin::{Library, provide},
@@ -16,8 +15,9 @@ use osteoflow_engine::{
 use osteoflow_node::Registry;
 use std::path::Path;
 
+/// The sources of the benches, with the nodes of a library.
 fn with_library(path: &Path) -> Registry {
-    let mut registry = registry();
+    let mut registry = sources();
     let library: &'static Library = Box::leak(Box::new(Library::load(path).expect("the library is a plugin")));
     provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).expect("its kinds are new");
     registry
@@ -38,17 +38,22 @@ fn last_number(registry: &Registry, kind: &str) -> serde_json::Value {
     report.results["numbers"].clone()
 }
 
+fn assert_answers_as_built_in(library: &Path) {
+    let (built_in, loaded) = (registry(), with_library(library));
+    for kind in ["bench.next", "bench.relay"] {
+        assert_eq!(last_number(&loaded, kind), last_number(&built_in, kind), "{kind}");
+    }
+}
+
 #[test]
 fn nodes_of_a_plugin_in_rust_answer_as_built_in_ones() {
-    let registry = with_library(&rust_library("plugin_relay"));
-    assert_eq!(last_number(&registry, "rust.next"), last_number(&registry, "bench.next"));
-    assert_eq!(last_number(&registry, "rust.relay"), last_number(&registry, "bench.relay"));
+    assert_answers_as_built_in(&build::example("plugin_relay"));
 }
 
 #[test]
 fn nodes_of_a_plugin_in_c_answer_as_built_in_ones() {
-    let Some(library) = c_library("relay") else { return };
-    let registry = with_library(&library);
-    assert_eq!(last_number(&registry, "c.next"), last_number(&registry, "bench.next"));
-    assert_eq!(last_number(&registry, "c.relay"), last_number(&registry, "bench.relay"));
+    let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join("librelay_tested.so");
+    if build::compile(Path::new("engine/tests/plugins/c/relay.c"), &library, &[]) {
+        assert_answers_as_built_in(&library);
+    }
 }

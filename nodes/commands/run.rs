@@ -42,12 +42,11 @@ pub(crate) struct Run {
     #[command(flatten)]
     pub(super) keep: Keep,
 
-    /// Run again whenever the graph file is saved, or a file that it extends, uses as a module or names in a parameter, or a
-    /// plugin is rebuilt:
-    /// from the first changed node on, the results of all others are kept (in memory). A rerun leaves results.json and
-    /// manifest.json in a folder of its own: a new one under runs/, or with --out DIR in DIR-2, DIR-3 and so on. Ctrl-C
-    /// ends it, with exit code 0 between two runs and 130 during one. With --format json each run is a line of JSON. Live
-    /// sources are refused.
+    /// Run again whenever the graph file is saved, or a file that it extends, uses as a module or names in a parameter,
+    /// or a plugin is rebuilt: from the first changed node on, the results of all others are kept (in memory). A rerun
+    /// leaves results.json and manifest.json in a folder of its own: a new one under runs/, or with --out DIR in DIR-2,
+    /// DIR-3 and so on. Ctrl-C ends it, with exit code 0 between two runs and 130 during one. With --format json each run
+    /// is a line of JSON. Live sources are refused.
     #[arg(long, conflicts_with = "inject")]
     watch: bool,
 

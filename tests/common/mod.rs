@@ -1,6 +1,10 @@
 //! What the tests of the command share.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses its part")]
 
+/// Builds plugins.
+#[path = "../../engine/tests/plugins/build.rs"]
+pub(crate) mod build;
+
 use assert_cmd::Command;
 use osteoflow_geometry::{
     isometry_from_matrix,
@@ -42,6 +46,11 @@ pub(crate) fn data(test: &str, path: &str) -> Option<PathBuf> {
     }
     eprintln!("skipped: {test}: no development data");
     None
+}
+
+/// Whether the tests that take long are wanted.
+pub(crate) fn is_slow_run() -> bool {
+    std::env::var_os("SLOW_TESTS").is_some()
 }
 
 /// Holds generated text equal to a file of the repository; `UPDATE=1` rewrites the file.

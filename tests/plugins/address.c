@@ -149,18 +149,4 @@ static const osteoflow_kind kinds[] = {
       .create = create, .fire = released, .destroy = free },
 };
 
-const osteoflow_plugin *osteoflow_describe(void) {
-    static const osteoflow_plugin plugin = {
-        .magic = { 'O', 'S', 'T', 'E', 'O', 'P', 'L', 'G' },
-        .abi_major = OSTEOFLOW_ABI_MAJOR,
-        .abi_minor = OSTEOFLOW_ABI_MINOR,
-        .sizes = OSTEOFLOW_SIZES,
-        .name = OSTEOFLOW_TEXT("address"),
-        .version = OSTEOFLOW_TEXT("1"),
-        .sdk = OSTEOFLOW_TEXT(OSTEOFLOW_SDK),
-        .compiler = OSTEOFLOW_TEXT(OSTEOFLOW_COMPILER),
-        .kinds = kinds,
-        .n_kinds = sizeof kinds / sizeof kinds[0],
-    };
-    return &plugin;
-}
+OSTEOFLOW_PLUGIN("address", "1", kinds)

@@ -46,20 +46,4 @@ static const osteoflow_kind kinds[] = {
       .n_outputs = 1, .role = OSTEOFLOW_ROLE_SOURCE, .create = create, .fire = next, .destroy = free },
 };
 
-const osteoflow_plugin *osteoflow_describe(void) {
-    static const osteoflow_plugin plugin = {
-        .magic = { 'O', 'S', 'T', 'E', 'O', 'P', 'L', 'G' },
-        .abi_major = OSTEOFLOW_ABI_MAJOR,
-        .abi_minor = OSTEOFLOW_ABI_MINOR,
-        .sizes = OSTEOFLOW_SIZES,
-        .name = OSTEOFLOW_TEXT("spline_give"),
-        .version = OSTEOFLOW_TEXT("1"),
-        .sdk = OSTEOFLOW_TEXT(OSTEOFLOW_SDK),
-        .compiler = OSTEOFLOW_TEXT(OSTEOFLOW_COMPILER),
-        .kinds = kinds,
-        .n_kinds = 1,
-        .payloads = acme_payloads,
-        .n_payloads = 1,
-    };
-    return &plugin;
-}
+OSTEOFLOW_PLUGIN_WITH("spline_give", "1", kinds, acme_payloads)

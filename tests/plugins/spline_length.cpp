@@ -49,11 +49,4 @@ static const osteoflow_kind kinds[] = {
       length, destroy, NULL, NULL },
 };
 
-extern "C" const osteoflow_plugin *osteoflow_describe(void) {
-    static const osteoflow_plugin plugin = {
-        { 'O', 'S', 'T', 'E', 'O', 'P', 'L', 'G' }, OSTEOFLOW_ABI_MAJOR, OSTEOFLOW_ABI_MINOR, OSTEOFLOW_SIZES,
-        OSTEOFLOW_PANIC_NONE, 0, OSTEOFLOW_TEXT("spline_length"), OSTEOFLOW_TEXT("1"), OSTEOFLOW_TEXT(OSTEOFLOW_SDK),
-        OSTEOFLOW_TEXT(OSTEOFLOW_COMPILER), kinds, 1, acme_payloads, 1, NULL,
-    };
-    return &plugin;
-}
+OSTEOFLOW_PLUGIN_WITH("spline_length", "1", kinds, acme_payloads)

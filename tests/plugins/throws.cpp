@@ -46,11 +46,4 @@ static const osteoflow_kind kinds[] = {
       0, NULL, create, fire, destroy, NULL, NULL },
 };
 
-extern "C" const osteoflow_plugin *osteoflow_describe(void) {
-    static const osteoflow_plugin plugin = {
-        { 'O', 'S', 'T', 'E', 'O', 'P', 'L', 'G' }, OSTEOFLOW_ABI_MAJOR, OSTEOFLOW_ABI_MINOR, OSTEOFLOW_SIZES,
-        OSTEOFLOW_PANIC_NONE, 0, OSTEOFLOW_TEXT("throws"), OSTEOFLOW_TEXT("1"), OSTEOFLOW_TEXT(OSTEOFLOW_SDK),
-        OSTEOFLOW_TEXT(OSTEOFLOW_COMPILER), kinds, 1, NULL, 0, NULL,
-    };
-    return &plugin;
-}
+OSTEOFLOW_PLUGIN("throws", "1", kinds)

@@ -29,6 +29,13 @@
 #ifndef KIND_OF_ADD
 #define KIND_OF_ADD OSTEOFLOW_TEXT("toy.add")
 #endif
+/* The node's port and parameters. */
+#ifndef PORT_OF_ADD
+#define PORT_OF_ADD OSTEOFLOW_TEXT("number")
+#endif
+#ifndef PARAMS_OF_ADD
+#define PARAMS_OF_ADD OSTEOFLOW_NO_TEXT
+#endif
 #ifndef CREATE
 #define CREATE create_add
 #endif
@@ -120,7 +127,7 @@ static void destroy_add(void *node) {
 #define NUMBER OSTEOFLOW_TEXT(PAYLOAD), 1
 #define NO_FRAMES OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT
 static const osteoflow_input add_in[] = {
-    { OSTEOFLOW_TEXT("number"), OSTEOFLOW_TEXT("A number."), NUMBER, 0, OSTEOFLOW_JOIN_EACH, 0, 0, NO_FRAMES },
+    { PORT_OF_ADD, OSTEOFLOW_TEXT("A number."), NUMBER, 0, OSTEOFLOW_JOIN_EACH, 0, 0, NO_FRAMES },
 };
 static const osteoflow_output give_out[] = {
     { OSTEOFLOW_TEXT("number"), OSTEOFLOW_TEXT("Numbers."), NUMBER, 0, NO_FRAMES },
@@ -135,7 +142,7 @@ static const osteoflow_kind kinds[] = {
                      "\"type\": \"number\", \"default\": 0, \"maximum\": 5000}}, \"additionalProperties\": false}"),
       OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT, NULL, 0, NULL, 0, give_out, 1, OSTEOFLOW_ROLE_SOURCE, OSTEOFLOW_KEPT_NO,
       0, 0, NULL, create_give, fire_give, destroy_give, NULL, NULL },
-    { KIND_OF_ADD, OSTEOFLOW_TEXT("Adds to a number."), OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT,
+    { KIND_OF_ADD, OSTEOFLOW_TEXT("Adds to a number."), PARAMS_OF_ADD, OSTEOFLOW_NO_TEXT,
       OSTEOFLOW_NO_TEXT, NULL, 0, add_in, 1, add_out, 1, OSTEOFLOW_ROLE_NODE, OSTEOFLOW_KEPT_BY_INPUTS, 0, 0, NULL,
       CREATE, fire_add, destroy_add, NULL, NULL },
 };

@@ -497,6 +497,24 @@ OSTEOFLOW_EXPORT const osteoflow_plugin *osteoflow_describe(void);
 #endif
 #define OSTEOFLOW_SDK "osteoflow.h 1.0"
 
+/*
+ * Exports a plugin of the kinds in an array, in C and in C++: OSTEOFLOW_PLUGIN("my_crop", "1.0.0", kinds), without a
+ * semicolon; the other one for a plugin that describes payloads as well.
+ */
+#define OSTEOFLOW_PLUGIN(name, version, kinds) OSTEOFLOW_EXPORT_PLUGIN(name, version, kinds, NULL, 0)
+#define OSTEOFLOW_PLUGIN_WITH(name, version, kinds, payloads) \
+    OSTEOFLOW_EXPORT_PLUGIN(name, version, kinds, payloads, sizeof(payloads) / sizeof((payloads)[0]))
+#define OSTEOFLOW_EXPORT_PLUGIN(its_name, its_version, its_kinds, its_payloads, n_its_payloads) \
+    const osteoflow_plugin *osteoflow_describe(void) { \
+        static const osteoflow_plugin plugin = { \
+            { 'O', 'S', 'T', 'E', 'O', 'P', 'L', 'G' }, OSTEOFLOW_ABI_MAJOR, OSTEOFLOW_ABI_MINOR, OSTEOFLOW_SIZES, \
+            OSTEOFLOW_PANIC_NONE, 0, OSTEOFLOW_TEXT(its_name), OSTEOFLOW_TEXT(its_version), \
+            OSTEOFLOW_TEXT(OSTEOFLOW_SDK), OSTEOFLOW_TEXT(OSTEOFLOW_COMPILER), its_kinds, \
+            sizeof(its_kinds) / sizeof((its_kinds)[0]), its_payloads, n_its_payloads, NULL, \
+        }; \
+        return &plugin; \
+    }
+
 static inline osteoflow_text osteoflow_text_of(const char *zero_terminated) {
     osteoflow_text text;
     text.data = zero_terminated;

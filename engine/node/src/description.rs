@@ -1,4 +1,4 @@
-use crate::{InputPort, OutputPorts};
+use crate::{FilePath, InputPort, OutputPorts};
 use serde::{Deserialize, Serialize};
 
 /// Everything known of a kind without building it: the one source of `inspect`, the docs, the schema and the faults.
@@ -26,6 +26,13 @@ pub struct Description {
     pub example: &'static str,
     /// Paper, section, equation.
     pub literature: &'static [&'static str],
+}
+
+impl Description {
+    /// Whether a parameter names a file, whose content then decides what the kind gives.
+    pub fn names_files(&self) -> bool {
+        self.params.to_string().contains(FilePath::SCHEMA_FORMAT)
+    }
 }
 
 /// Whether a kind has inputs.

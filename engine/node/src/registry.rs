@@ -1,6 +1,6 @@
 use crate::{
-    Built, Describe, Description, FilePath, Inputs, Kept, Node, Outputs, ParamError, Part, Payload, PayloadType, Role,
-    Site, Source, erased::Erased,
+    Built, Describe, Description, Inputs, Kept, Node, Outputs, ParamError, Part, Payload, PayloadType, Role, Site,
+    Source, erased::Erased,
 };
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
@@ -92,7 +92,7 @@ impl Registry {
         );
         if let Some(kind) = self.kinds.get_mut(N::KIND).and_then(Arc::get_mut) {
             kind.description.kept = N::KEPT;
-            let reads = N::KEPT != Kept::No && kind.description.params.to_string().contains(FilePath::SCHEMA_FORMAT);
+            let reads = N::KEPT != Kept::No && kind.description.names_files();
             assert!(!reads, "{} reads a file, so its answers cannot be kept; let a source read it", N::KIND);
         }
         self

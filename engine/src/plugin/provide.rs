@@ -5,9 +5,10 @@ use super::{
     about::{InputAbout, KindAbout, OutputsAbout, PluginAbout, PortAbout},
     node,
 };
+use crate::check::take;
 use osteoflow_node::{
-    Description, FrameExpr, InputPort, KindClash, OutputPort, OutputPorts, PayloadClash, PayloadType, PortPayload,
-    Registry, SchemaError,
+    Description, FrameExpr, InputPort, Kept, KindClash, OutputPort, OutputPorts, PayloadClash, PayloadType,
+    PortPayload, Registry, SchemaError,
 };
 use std::{collections::BTreeSet, sync::Arc};
 
@@ -90,8 +91,7 @@ fn kept(text: &str) -> &'static str {
 
 fn describe(registry: &Registry, kind: &KindAbout) -> Result<Description, ProvideError> {
     let unsound = |why: String| ProvideError::Unsound { kind: kind.kind.clone(), why };
-    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '.' || c == '-';
-    if !kind.kind.contains('.') || !kind.kind.chars().all(plain) {
+    if !kind.kind.contains('.') || !kind.kind.split('.').all(take::is_name) {
         return Err(unsound("a kind is called stage.variant, with letters, digits, _ and - only".into()));
     }
     let (summary, details) = kind.doc.split_once("\n\n").unwrap_or((&kind.doc, ""));
@@ -102,18 +102,22 @@ fn describe(registry: &Registry, kind: &KindAbout) -> Result<Description, Provid
         }
         OutputsAbout::Declared(schema) => OutputPorts::Declared { schema: schema.clone() },
     };
-    let names = |names: Vec<&'static str>| names.iter().collect::<BTreeSet<_>>().len() == names.len();
-    let outputs_differ = match &outputs {
-        OutputPorts::Fixed(ports) => names(ports.iter().map(|port| port.name).collect()),
-        OutputPorts::Declared { .. } => true,
+    let given = match &outputs {
+        OutputPorts::Fixed(ports) => ports.iter().map(|port| port.name).collect(),
+        OutputPorts::Declared { .. } => Vec::new(),
     };
-    if !names(inputs.iter().map(|port| port.name).collect()) || !outputs_differ {
-        return Err(unsound("two of its ports have one name".into()));
+    for names in [inputs.iter().map(|port| port.name).collect(), given] {
+        if let Some(name) = names.iter().find(|name| !take::is_name(name)) {
+            return Err(unsound(format!("a port is called {name:?}, but a name has letters, digits, _ and - only")));
+        }
+        if names.iter().collect::<BTreeSet<_>>().len() < names.len() {
+            return Err(unsound("two of its ports have one name".into()));
+        }
     }
     if !kind.params.is_object() {
         return Err(unsound("the schema of its parameters is no JSON object".into()));
     }
-    Ok(Description {
+    let description = Description {
         kind: kept(&kind.kind),
         summary: summary.replace('\n', " ").trim().into(),
         details: details.trim().into(),
@@ -125,7 +129,11 @@ fn describe(registry: &Registry, kind: &KindAbout) -> Result<Description, Provid
         params: kind.params.clone(),
         example: kept(&kind.example),
         literature: Vec::leak(kind.literature.iter().map(|source| kept(source)).collect()),
-    })
+    };
+    if kind.kept != Kept::No && description.names_files() {
+        return Err(unsound("it reads a file, so its answers cannot be kept; let a source read it".into()));
+    }
+    Ok(description)
 }
 
 fn payload(registry: &Registry, kind: &KindAbout, port: &PortAbout) -> Result<PortPayload, ProvideError> {

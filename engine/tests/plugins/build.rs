@@ -1,40 +1,56 @@
-//! Builds the plugins of tests and benches.
+//! Builds the plugins of tests and benches, of this crate and of the whole.
 
 use std::{
     path::{Path, PathBuf},
     process::Command,
 };
 
-/// The library of a C file in `c/`, or `None` where there is no compiler.
-pub(crate) fn c_library(name: &str) -> Option<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("lib{name}.so"));
-    let compiled = Command::new("cc")
-        .args(["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-I"])
-        .arg(root.join("node/include"))
-        .arg(root.join(format!("tests/plugins/c/{name}.c")))
-        .arg("-o")
-        .arg(&library)
-        .output();
-    match compiled {
-        Ok(output) => assert!(output.status.success(), "{name}.c: {}", String::from_utf8_lossy(&output.stderr)),
-        Err(error) => {
-            println!("skipped {name}.c: there is no C compiler here: {error}");
-            return None;
-        }
-    }
-    Some(library)
+/// The workspace's folder, from whichever crate this stands in.
+fn root() -> &'static Path {
+    let mut folders = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
+    folders.find(|folder| folder.join("engine/node/include").is_dir()).expect("a crate of the workspace")
 }
 
-/// The library of an example of this crate.
-pub(crate) fn rust_library(name: &str) -> PathBuf {
-    // With all of the workspace, so that nothing is compiled again with other features.
+/// Compiles a C or C++ file, given from the workspace's folder, into a library; `false`, and a word on it, where there is
+/// no compiler.
+pub(crate) fn compile(source: &Path, library: &Path, arguments: &[&str]) -> bool {
+    let is_c = source.extension().is_some_and(|extension| extension == "c");
+    let (compiler, standard) = if is_c { ("cc", "-std=c11") } else { ("c++", "-std=c++11") };
+    let compiled = Command::new(compiler)
+        .current_dir(root())
+        .args([standard, "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-shared", "-fPIC"])
+        .args(["-I", "engine/node/include", "-I", "nodes/payloads/include"])
+        .arg(source)
+        .arg("-o")
+        .arg(library)
+        .args(arguments)
+        .output();
+    match compiled {
+        Ok(output) if output.status.success() => true,
+        Ok(output) => panic!("{}: {}", source.display(), String::from_utf8_lossy(&output.stderr)),
+        Err(error) => {
+            println!("skipped {}: there is no {compiler} here: {error}", source.display());
+            false
+        }
+    }
+}
+
+/// The library of an example of the workspace, in the profile of whoever asks.
+pub(crate) fn example(name: &str) -> PathBuf {
+    // Its own file, deps/NAME-HASH, stands beside examples/.
+    let own = std::env::current_exe().expect("the process has a file");
+    let target = own.parent().and_then(Path::parent).expect("in target/PROFILE/deps");
+    let profile = match target.file_name().and_then(|name| name.to_str()) {
+        Some("debug") => "dev",
+        Some(profile) => profile,
+        None => "release",
+    };
     let built = Command::new(env!("CARGO"))
-        .args(["build", "--release", "--workspace", "--example", name])
+        .current_dir(root())
+        // With all of the workspace, so that nothing is compiled again with other features.
+        .args(["build", "--profile", profile, "--workspace", "--example", name])
         .status()
         .expect("cargo runs");
     assert!(built.success(), "the example {name} builds");
-    // The test's or bench's own file, deps/NAME-HASH, stands beside examples/.
-    let deps = std::env::current_exe().expect("the process has a file");
-    deps.parent().and_then(Path::parent).expect("in target/PROFILE/deps").join(format!("examples/lib{name}.so"))
+    target.join(format!("examples/{}{name}{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX))
 }

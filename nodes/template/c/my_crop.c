@@ -1,6 +1,6 @@
 /*
  * A node in C to begin with: my_crop.sphere keeps what lies within a distance of a point. Change it, run make, run the
- * graph. Read from the end: osteoflow_describe says what the plugin holds, and everything else hangs on it.
+ * graph. Read from the end: it says what the plugin holds, and everything else hangs on it.
  */
 #include "osteoflow_geometry.h"
 
@@ -155,19 +155,4 @@ static const osteoflow_kind kinds[] = {
       .destroy = destroy },
 };
 
-const osteoflow_plugin *osteoflow_describe(void) {
-    static const osteoflow_plugin plugin = {
-        .magic = { 'O', 'S', 'T', 'E', 'O', 'P', 'L', 'G' },
-        .abi_major = OSTEOFLOW_ABI_MAJOR,
-        .abi_minor = OSTEOFLOW_ABI_MINOR,
-        .sizes = OSTEOFLOW_SIZES,
-        .panic = OSTEOFLOW_PANIC_NONE,
-        .name = OSTEOFLOW_TEXT("my_crop"),
-        .version = OSTEOFLOW_TEXT("0.1.0"),
-        .sdk = OSTEOFLOW_TEXT(OSTEOFLOW_SDK),
-        .compiler = OSTEOFLOW_TEXT(OSTEOFLOW_COMPILER),
-        .kinds = kinds,
-        .n_kinds = sizeof kinds / sizeof kinds[0],
-    };
-    return &plugin;
-}
+OSTEOFLOW_PLUGIN("my_crop", "0.1.0", kinds)

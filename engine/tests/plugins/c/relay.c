@@ -60,21 +60,14 @@ static const osteoflow_output number_out[] = {
 };
 
 static const osteoflow_kind kinds[] = {
-    { OSTEOFLOW_TEXT("c.relay"), OSTEOFLOW_TEXT("Hands on the value it gets."),
+    { OSTEOFLOW_TEXT("bench.relay"), OSTEOFLOW_TEXT("Hands on the value it gets."),
       OSTEOFLOW_TEXT("{\"type\": \"object\", \"properties\": {\"spin_us\": {\"type\": \"integer\", \"default\": 0}}}"),
       OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT, NULL, 0, any_in, 1, any_out, 1, OSTEOFLOW_ROLE_NODE, OSTEOFLOW_KEPT_NO,
       0, 0, NULL, create, relay, destroy, NULL, NULL },
-    { OSTEOFLOW_TEXT("c.next"), OSTEOFLOW_TEXT("Makes a number one larger."),
+    { OSTEOFLOW_TEXT("bench.next"), OSTEOFLOW_TEXT("Makes a number one larger."),
       OSTEOFLOW_TEXT("{\"type\": \"object\", \"properties\": {\"spin_us\": {\"type\": \"integer\", \"default\": 0}}}"),
       OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT, NULL, 0, number_in, 1, number_out, 1, OSTEOFLOW_ROLE_NODE,
       OSTEOFLOW_KEPT_NO, 0, 0, NULL, create, next, destroy, NULL, NULL },
 };
 
-const osteoflow_plugin *osteoflow_describe(void) {
-    static const osteoflow_plugin plugin = {
-        { 'O', 'S', 'T', 'E', 'O', 'P', 'L', 'G' }, OSTEOFLOW_ABI_MAJOR, OSTEOFLOW_ABI_MINOR, OSTEOFLOW_SIZES,
-        OSTEOFLOW_PANIC_NONE, 0, OSTEOFLOW_TEXT("relay"), OSTEOFLOW_TEXT("1"), OSTEOFLOW_TEXT(OSTEOFLOW_SDK),
-        OSTEOFLOW_TEXT(OSTEOFLOW_COMPILER), kinds, sizeof kinds / sizeof kinds[0], payloads, 1, NULL,
-    };
-    return &plugin;
-}
+OSTEOFLOW_PLUGIN_WITH("relay", "1", kinds, payloads)

@@ -4,7 +4,7 @@
  *   cc -std=c11 -O2 -shared -fPIC -I engine/node/include -I nodes/payloads/include \
  *      nodes/payloads/examples/c/crop_box.c -o libcrop_box.so
  *
- * Read from the end: osteoflow_describe says what the plugin holds, and everything else hangs on it.
+ * Read from the end: it says what the plugin holds, and everything else hangs on it.
  */
 #include "osteoflow_geometry.h"
 
@@ -206,19 +206,4 @@ static const osteoflow_kind kinds[] = {
       .destroy = destroy },
 };
 
-const osteoflow_plugin *osteoflow_describe(void) {
-    static const osteoflow_plugin plugin = {
-        .magic = { 'O', 'S', 'T', 'E', 'O', 'P', 'L', 'G' },
-        .abi_major = OSTEOFLOW_ABI_MAJOR,
-        .abi_minor = OSTEOFLOW_ABI_MINOR,
-        .sizes = OSTEOFLOW_SIZES,
-        .panic = OSTEOFLOW_PANIC_NONE,
-        .name = OSTEOFLOW_TEXT("crop_box"),
-        .version = OSTEOFLOW_TEXT("1.0.0"),
-        .sdk = OSTEOFLOW_TEXT(OSTEOFLOW_SDK),
-        .compiler = OSTEOFLOW_TEXT(OSTEOFLOW_COMPILER),
-        .kinds = kinds,
-        .n_kinds = 1,
-    };
-    return &plugin;
-}
+OSTEOFLOW_PLUGIN("crop_box", "1.0.0", kinds)

@@ -681,11 +681,4 @@ const osteoflow_kind kinds[] = {
 
 } // namespace
 
-extern "C" const osteoflow_plugin *osteoflow_describe(void) {
-    static const osteoflow_plugin plugin = {
-        { 'O', 'S', 'T', 'E', 'O', 'P', 'L', 'G' }, OSTEOFLOW_ABI_MAJOR, OSTEOFLOW_ABI_MINOR, OSTEOFLOW_SIZES,
-        OSTEOFLOW_PANIC_NONE, 0, OSTEOFLOW_TEXT("icp"), OSTEOFLOW_TEXT("1.0.0"), OSTEOFLOW_TEXT(OSTEOFLOW_SDK),
-        OSTEOFLOW_TEXT(OSTEOFLOW_COMPILER), kinds, 1, NULL, 0, NULL,
-    };
-    return &plugin;
-}
+OSTEOFLOW_PLUGIN("icp", "1.0.0", kinds)
