@@ -7,7 +7,8 @@ use osteoflow_formats::{
     recording_write::{Layout, Stream, write_recording},
 };
 use osteoflow_geometry::{Cloud, Points, Pose, matrix_rows};
-use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, ct_surface};
+use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, Subject, ct_surface, phantom};
+use osteoflow_standard::own_bone;
 use serde_json::{Value, json};
 use std::{
     collections::BTreeMap,
@@ -16,7 +17,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Write the built-in simulated procedure as files that other programs can read.
+/// Write a simulated procedure, on the built-in bone or on one of your own, as files that other programs can read.
 ///
 /// A recording in Foxglove's schemas (or a folder of plain files), the CT surface, the phantom, the plan, and the truth
 /// for scoring, with a README that says how they were made.
@@ -25,6 +26,7 @@ use std::{
 Examples:
   osteoflow simulate --seed 7 --out /tmp/procedure
   osteoflow simulate --points 4000 --out /tmp/small
+  osteoflow simulate --bone fibula.stl --plan anatomy.json --out /tmp/mine
   osteoflow run graphs/fibula_recorded.toml --set recording.path=/tmp/procedure/procedure.mcap \\
       --set bone.path=/tmp/procedure/bone.stl --set phantom.path=/tmp/procedure/phantom.stl \\
       --set plan.path=/tmp/procedure/plan.json")]
@@ -36,6 +38,14 @@ pub(crate) struct Simulate {
     /// Points of each cloud.
     #[arg(long, default_value_t = 20_000, value_name = "N", value_parser = clap::value_parser!(u64).range(100..=500_000))]
     points: u64,
+
+    /// Simulate on this bone: a closed surface, STL or PLY, mm, in the CT's coordinates. Needs --plan.
+    #[arg(long, value_name = "FILE", requires = "plan")]
+    bone: Option<PathBuf>,
+
+    /// Its plan, plan.json, or its anatomy alone, also under a key named after the bone's file.
+    #[arg(long, value_name = "FILE", requires = "bone")]
+    plan: Option<PathBuf>,
 
     /// How the streams are written.
     #[arg(long = "as", value_enum, default_value_t = Shape::Mcap, value_name = "SHAPE")]
@@ -70,7 +80,14 @@ impl Simulate {
         }
         let mut params = ProcedureParams::default();
         params.camera.n_points = usize::try_from(self.points)?;
-        let procedure = Procedure::simulate(&params, self.seed)?;
+        let subject = match (&self.bone, &self.plan) {
+            (Some(bone), Some(plan)) => own_bone::read(bone, plan).map_err(|error| anyhow::anyhow!("{error}"))?,
+            _ => Subject::built_in(&params.bone)?,
+        };
+        for note in &subject.notes {
+            writeln!(std::io::stderr(), "warning: {note}")?;
+        }
+        let procedure = Procedure::simulate_on(&subject.bone, &subject.plan, &phantom::mesh(), &params, self.seed)?;
         match self.shape {
             Shape::Mcap => write_streams(&dir.join("procedure.mcap"), &procedure, self.seed)?,
             Shape::Folder => super::simulate_folder::write(dir, &procedure)?,
@@ -95,16 +112,23 @@ impl Simulate {
                 ("`procedure.toml` and what it names: PLY scans and `poses.csv`, millimetres", " --as folder")
             }
         };
+        let (own, licence) = match (&self.bone, &self.plan) {
+            (Some(bone), Some(plan)) => (
+                format!(" --bone {} --plan {}", bone.display(), plan.display()),
+                "that of the bone, which these files show",
+            ),
+            _ => (String::new(), "CC0"),
+        };
         format!(
             "# A simulated procedure\n\n\
              Made by osteoflow {} with\n\n\
-             ```text\nosteoflow simulate --seed {seed} --points {points}{switch} --out DIR\n```\n\n\
+             ```text\nosteoflow simulate --seed {seed} --points {points}{own}{switch} --out DIR\n```\n\n\
              - {streams}\n\
              - `bone.stl`: the surface that the simulated CT gave, frame `ct`, mm\n\
              - `phantom.stl`: the calibration phantom's CAD, frame `phantom`, mm\n\
              - `plan.json`: landmarks, assessment points, cutting planes, CAD poses, mm\n\
              - `truth.json`: what really was, for scoring, never an input; `X_T_Y` takes coordinates in Y to X\n\n\
-             SIMULATED: {}. Licence: CC0.\n",
+             SIMULATED: {}. Licence: {licence}.\n",
             env!("CARGO_PKG_VERSION"),
             super::result_table::NOTICE
         )

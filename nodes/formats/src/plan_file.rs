@@ -13,7 +13,8 @@
 //!
 //! Matrices are written row by row. Planes are `t_ct_plane`, the plane's own z axis being its normal; they are called
 //! `plane_1`, `plane_2` .. unless `planes` is an object of names, or its entries are objects with `name` and `matrix`.
-//! Every key may be missing; unknown keys are ignored.
+//! Every key may be missing; unknown keys are ignored. A file for several bones has such an object under each bone's name,
+//! as [`read_plan_of`] takes it.
 
 use crate::FileError;
 use nalgebra::{Matrix3, Matrix4, Point3, Unit, Vector3};
@@ -32,11 +33,37 @@ pub fn read_plan(path: &Path) -> Result<SurgicalPlan, FileError> {
     parse_plan(path, &text)
 }
 
+/// Reads the plan of one bone: from the object under the key `bone` where the file has one, else as [`read_plan`].
+///
+/// # Errors
+/// As [`read_plan`]; and if the file is for several bones, but not for this one.
+pub fn read_plan_of(path: &Path, bone: &str) -> Result<SurgicalPlan, FileError> {
+    let text = std::fs::read_to_string(path).map_err(FileError::read(path))?;
+    let root = parse_root(path, &text)?;
+    if let Some(Value::Object(own)) = root.get(bone) {
+        return plan_of(path, own);
+    }
+    let bones: Vec<&str> = root.iter().filter(|(_, value)| value.is_object()).map(|(key, _)| key.as_str()).collect();
+    if !bones.is_empty() && !OWN_KEYS.iter().any(|key| root.contains_key(*key)) {
+        let message =
+            format!("the file tells of {}, not of \"{bone}\"; name the bone's file or its key alike", bones.join(", "));
+        return Err(FileError::content(path, "the outermost object", message));
+    }
+    plan_of(path, &root)
+}
+
+/// Keys by which the outermost object is a plan itself.
+const OWN_KEYS: [&str; 6] = ["units", "landmarks", "assessment", "planes", "malleolus_tip", "proximal"];
+
 /// Reads a plan from its text, such as a recording's attachment `plan.json`; `path` stands for the file in errors.
 ///
 /// # Errors
 /// As [`read_plan`].
 pub fn parse_plan(path: &Path, text: &str) -> Result<SurgicalPlan, FileError> {
+    plan_of(path, &parse_root(path, text)?)
+}
+
+fn parse_root(path: &Path, text: &str) -> Result<Map<String, Value>, FileError> {
     let text = text.trim_start_matches('\u{feff}');
     let root: Value = serde_json::from_str(text).map_err(|error| {
         let place = format!("line {}, column {}", error.line(), error.column());
@@ -45,7 +72,11 @@ pub fn parse_plan(path: &Path, text: &str) -> Result<SurgicalPlan, FileError> {
     let Value::Object(root) = root else {
         return Err(FileError::content(path, "line 1", "a plan is a JSON object with keys such as \"landmarks\""));
     };
-    let plan = Keys { path, root: &root };
+    Ok(root)
+}
+
+fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<SurgicalPlan, FileError> {
+    let plan = Keys { path, root };
     plan.check_units()?;
     let landmarks = plan.points("landmarks")?;
     let assessment = plan.points("assessment")?;
@@ -301,6 +332,19 @@ mod tests {
         let plan = parse(&json!({"surgeon": "N. N.", "planes": null})).unwrap();
         assert!(plan.landmarks.points.is_empty() && plan.planes.planes.is_empty());
         assert!(plan.axes.is_none() && plan.anatomy.is_none() && plan.t_phantom_phantom_marker.is_none());
+    }
+
+    #[test]
+    fn a_file_for_several_bones_gives_the_one_asked_for_and_names_those_it_has() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let anatomy = |x: f64| json!({"malleolus_tip": [x, 0, 0], "proximal": [0, 0, 1], "lateral": [1, 0, 0], "posterior": [0, 1, 0]});
+        let tip = |bone: &str| read_plan_of(file.path(), bone).map(|plan| plan.anatomy.unwrap().malleolus_tip.x);
+        std::fs::write(file.path(), json!({"left": anatomy(1.0), "right": anatomy(2.0)}).to_string()).unwrap();
+        assert_eq!((tip("left").unwrap(), tip("right").unwrap()), (1.0, 2.0));
+        let said = tip("middle").unwrap_err().to_string();
+        assert!(said.contains("the file tells of left, right, not of \"middle\""), "{said}");
+        std::fs::write(file.path(), anatomy(3.0).to_string()).unwrap();
+        assert_eq!(tip("middle").unwrap(), 3.0);
     }
 
     #[test]

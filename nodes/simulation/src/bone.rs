@@ -4,7 +4,9 @@
 //! section is a rounded triangle about a slightly bowed centre line, with three ridges that wander along the shaft and a
 //! seeded, smooth unevenness; malleolus and head are swellings that close as half ellipsoids.
 
+use crate::SimulationError;
 use crate::draws::normal;
+use crate::error::hold;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use osteoflow_geometry::{Anatomy, Mesh, SurfaceOrigin};
 use rand::{RngExt, SeedableRng};
@@ -48,6 +50,17 @@ impl Default for BoneParams {
             edge_mm: 1.0,
             centre_mm: [-90.0, -85.0, -890.0],
         }
+    }
+}
+
+impl BoneParams {
+    pub(crate) fn check(&self) -> Result<(), SimulationError> {
+        hold([
+            ("bone.length_mm", self.length_mm, self.length_mm >= 100.0, "at least 100"),
+            ("bone.girth", self.girth, self.girth > 0.0, "more than 0"),
+            ("bone.edge_mm", self.edge_mm, self.edge_mm >= 0.1, "at least 0.1"),
+            ("bone.unevenness_mm", self.unevenness_mm, self.unevenness_mm >= 0.0, "0 or more"),
+        ])
     }
 }
 

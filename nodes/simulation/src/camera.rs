@@ -130,7 +130,7 @@ pub(crate) struct DepthBias {
 impl DepthBias {
     pub(crate) fn new(params: &CameraParams, seed: u64) -> Self {
         const N_WAVES: usize = 24;
-        let mut rng = stream(seed, Term::DepthBias, 0);
+        let mut rng = stream(params.bias_seed.unwrap_or(seed), Term::DepthBias, 0);
         let waves = (0..N_WAVES)
             .map(|_| {
                 let wavelength_mm = params.depth_bias_wavelength_mm * 2f64.powf(2.0 * rng.random::<f64>() - 1.0);

@@ -58,8 +58,8 @@ pub enum SimulationError {
     },
     /// The surface to be scanned in the CT has an inside and an outside nowhere.
     #[error(
-        "{n_open_edges} edges of the surface are open, so what is bone is not known; repair the mesh, or take the exact \
-         surface (exact = true)"
+        "{n_open_edges} edges of the bone's surface are open, so what is bone is not known; close its holes and export it \
+         again"
     )]
     NotClosed {
         /// How many edges are not shared by two faces that turn alike.
@@ -91,4 +91,15 @@ pub enum SimulationError {
     /// Points that make no cloud.
     #[error(transparent)]
     Cloud(#[from] CloudError),
+}
+
+/// A value that must be finite and fulfil something: its name, the value, whether it does, and what it must be.
+pub(crate) type Rule = (&'static str, f64, bool, &'static str);
+
+/// The first rule that does not hold, as an error.
+pub(crate) fn hold(rules: impl IntoIterator<Item = Rule>) -> Result<(), SimulationError> {
+    match rules.into_iter().find(|&(_, value, holds, _)| !(holds && value.is_finite())) {
+        Some((name, value, _, expected)) => Err(SimulationError::Parameter { name, value, expected }),
+        None => Ok(()),
+    }
 }

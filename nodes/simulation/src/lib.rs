@@ -24,6 +24,7 @@ mod params;
 pub mod phantom;
 mod plan;
 pub mod procedure;
+mod subject;
 mod surroundings;
 mod topology;
 mod tracker;
@@ -35,6 +36,7 @@ pub use error::SimulationError;
 pub use params::{
     CameraParams, LaserParams, MotionParams, PhantomParams, ProcedureParams, StylusParams, TrackerParams,
 };
-pub use plan::plan;
+pub use plan::{complete, plan};
 pub use procedure::{Procedure, Truth, t_camera_camera_marker_nominal};
+pub use subject::Subject;
 pub use weakest_mode::{SmoothError, WeakestMode, visible_surface, weakest_mode};

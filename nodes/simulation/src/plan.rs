@@ -61,8 +61,35 @@ pub fn plan(bone: &Mesh, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationEr
         planes,
         axes: Some(axes::towards(&axes::principal_axes(bone), &anatomy.proximal)),
         anatomy: Some(anatomy.clone()),
-        t_phantom_phantom_marker: Some(Pose::new("phantom", "phantom_marker", phantom::t_phantom_phantom_marker())),
-        t_camera_camera_marker_nominal: Some(Pose::new("camera", "camera_marker", t_camera_camera_marker_nominal())),
+        t_phantom_phantom_marker: Some(phantom_marker()),
+        t_camera_camera_marker_nominal: Some(nominal_camera_marker()),
+    })
+}
+
+fn phantom_marker() -> Pose {
+    Pose::new("phantom", "phantom_marker", phantom::t_phantom_phantom_marker())
+}
+
+fn nominal_camera_marker() -> Pose {
+    Pose::new("camera", "camera_marker", t_camera_camera_marker_nominal())
+}
+
+/// What a plan of a user's own lacks, from the bone: all points and cuts, where it is an anatomy alone (as [`plan`]); the
+/// bone's axes; the built-in phantom's and support's marker poses.
+///
+/// # Errors
+/// As [`plan`]; and [`SimulationError::NoAnatomy`], since without one no camera can be placed.
+pub fn complete(plan: SurgicalPlan, bone: &Mesh) -> Result<SurgicalPlan, SimulationError> {
+    let anatomy = plan.anatomy.as_ref().ok_or(SimulationError::NoAnatomy)?;
+    if plan.landmarks.points.is_empty() && plan.assessment.points.is_empty() && plan.planes.planes.is_empty() {
+        return self::plan(bone, anatomy);
+    }
+    let axes = plan.axes.unwrap_or_else(|| axes::towards(&axes::principal_axes(bone), &anatomy.proximal));
+    Ok(SurgicalPlan {
+        axes: Some(axes),
+        t_phantom_phantom_marker: Some(plan.t_phantom_phantom_marker.unwrap_or_else(phantom_marker)),
+        t_camera_camera_marker_nominal: Some(plan.t_camera_camera_marker_nominal.unwrap_or_else(nominal_camera_marker)),
+        ..plan
     })
 }
 

@@ -5,7 +5,7 @@ use crate::draws::{Term, attitude, direction, normal, normal3, small_motion, str
 use crate::plan::{frame_along, section_centre};
 use crate::surroundings::surroundings;
 use crate::tracker::{Marker, Path, Tracker};
-use crate::{ProcedureParams, SimulationError, bone, phantom, plan};
+use crate::{ProcedureParams, SimulationError, Subject, phantom};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Anatomy, Cloud, Mesh, NamedPoint, Planes, Points, Pose, Region, StampNs, SurgicalPlan};
@@ -106,9 +106,7 @@ impl Procedure {
     /// # Errors
     /// [`SimulationError`] if a parameter makes no sense or leaves nothing to be seen.
     pub fn simulate(params: &ProcedureParams, seed: u64) -> Result<Self, SimulationError> {
-        params.check()?;
-        let bone = bone::fibula(&params.bone);
-        let plan = plan::plan(&bone, &bone::anatomy(&params.bone))?;
+        let Subject { bone, plan, .. } = Subject::built_in(&params.bone)?;
         Self::simulate_on(&bone, &plan, &phantom::mesh(), params, seed)
     }
 
@@ -246,10 +244,13 @@ impl<'a> Scene<'a> {
         let nominal =
             plan.t_camera_camera_marker_nominal.as_ref().map_or_else(t_camera_camera_marker_nominal, |p| p.isometry);
         let wrong = &params.phantom;
-        let print =
-            small_motion(&mut stream(seed, Term::PhantomPrint, 0), wrong.print_mm, wrong.print_deg.to_radians());
+        let print = small_motion(
+            &mut stream(wrong.print_seed.unwrap_or(seed), Term::PhantomPrint, 0),
+            wrong.print_mm,
+            wrong.print_deg.to_radians(),
+        );
         let mounted = small_motion(
-            &mut stream(seed, Term::CameraMarkerMounting, 0),
+            &mut stream(wrong.mounting_seed.unwrap_or(seed), Term::CameraMarkerMounting, 0),
             wrong.mounting_mm,
             wrong.mounting_deg.to_radians(),
         );
@@ -523,7 +524,7 @@ fn phantom_pose(phantom: &Mesh, params: &ProcedureParams, rng: &mut rand_chacha:
     let spread = params.camera.view_spread_deg.to_radians();
     let held = UnitQuaternion::from_scaled_axis(normal3(rng) * spread);
     let aside = normal3(rng) * 4.0;
-    let away = params.camera.working_distance_mm + radius / 2.0;
+    let away = params.phantom.distance_mm.unwrap_or(params.camera.working_distance_mm) + radius / 2.0;
     Translation3::from(Vector3::new(0.0, 0.0, away) + aside) * held * corner_on
 }
 
@@ -545,14 +546,14 @@ fn region(seen: &[Pixel]) -> Region {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{LaserParams, StylusParams};
+    use crate::{LaserParams, StylusParams, bone, plan};
 
     const RUNS: u64 = 400;
 
     /// What one scene gives under many seeds for the draws; where things stand is drawn once.
     fn over_seeds<T>(params: &ProcedureParams, what: impl Fn(&Scene<'_>, &[Pixel]) -> T) -> Vec<T> {
         let bone = bone::fibula(&params.bone);
-        let plan = plan::plan(&bone, &bone::anatomy(&params.bone)).unwrap();
+        let plan = plan(&bone, &bone::anatomy(&params.bone)).unwrap();
         let phantom = phantom::mesh();
         let mut scene = Scene::new(&bone, &plan, &phantom, params, 1).unwrap();
         let seen = scene.bone_view(SCAN_S).unwrap();

@@ -54,7 +54,6 @@ pub(crate) fn largest_component(vertices: Vec<Point3<f64>>, faces: &[[u32; 3]]) 
 }
 
 /// The volume inside, mm³, negative if the faces turn the wrong way.
-#[cfg(test)]
 pub(crate) fn volume_mm3(mesh: &Mesh) -> f64 {
     let about = mesh.vertices()[0];
     (0..mesh.faces().len())

@@ -18,8 +18,8 @@ fn rows(schema: &Value, of: &Value, prefix: &str, out: &mut String) {
             rows(schema, inner, &format!("{prefix}{name}."), out);
             continue;
         }
-        let default = &property["default"];
-        assert!(!default.is_null(), "{prefix}{name} has no default in its schema");
+        let default = property.get("default").unwrap_or_else(|| panic!("{prefix}{name} has no default in its schema"));
+        let default = if default.is_null() { "none".to_owned() } else { default.to_string() };
         let words = property["description"].as_str().unwrap().replace('\n', " ");
         writeln!(out, "| `{prefix}{name}` | {default} | {words} |").unwrap();
     }

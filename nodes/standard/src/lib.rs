@@ -23,6 +23,7 @@ pub mod plane;
 pub mod surface;
 pub mod transform;
 
+pub mod own_bone;
 mod params;
 pub use params::NoParams;
 

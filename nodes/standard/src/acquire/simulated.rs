@@ -4,12 +4,15 @@ use super::{
     playback::{Event, Playback},
     procedure_ports::{ProcedureOut, Role},
 };
+use crate::own_bone::OwnBone;
 use osteoflow_geometry::{Cloud, Points, Pose, StampNs};
-use osteoflow_node::{Context, Describe, Emission, NodeError, ParamError, Source};
+use osteoflow_node::{
+    Context, Describe, Emission, NodeError, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
+};
 use osteoflow_payloads::Flag;
-use osteoflow_simulation::{Procedure, ProcedureParams};
+use osteoflow_simulation::{Procedure, ProcedureParams, phantom};
 
-/// A simulated procedure on the built-in bone: everything that a recording would hold, and the truth beside it.
+/// A simulated procedure on the built-in bone, or on one of your own: everything that a recording would hold, and the truth beside it.
 ///
 /// Camera, tracker, phantom, laser, stylus and their errors are drawn from the run's seed. The truth goes to ports of
 /// its own, for scoring only.
@@ -19,22 +22,40 @@ kind = "acquire.simulated"
 camera = { n_points = 20000, depth_noise_mm = 0.05 }
 "#)]
 pub struct Simulated {
-    params: ProcedureParams,
+    params: Params,
     playback: Option<Playback<Emission>>,
+}
+
+/// Parameters of [`Simulated`].
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(default, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// A bone of your own.
+    #[serde(flatten)]
+    pub own: OwnBone,
+    /// Every error term.
+    #[serde(flatten)]
+    pub procedure: ProcedureParams,
 }
 
 impl Source for Simulated {
     const KIND: &'static str = "acquire.simulated";
-    type Params = ProcedureParams;
+    type Params = Params;
     type Outputs = ProcedureOut;
 
-    fn new(params: ProcedureParams) -> Result<Self, ParamError> {
+    fn new(params: Params) -> Result<Self, ParamError> {
+        let params = Params { own: params.own.checked()?, ..params };
         Ok(Self { params, playback: None })
     }
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<ProcedureOut>, NodeError> {
         if self.playback.is_none() {
-            self.playback = Some(Playback::new(events(Procedure::simulate(&self.params, ctx.seed())?)));
+            let Params { own, procedure } = &self.params;
+            let subject = own.subject(&procedure.bone)?;
+            let phantom = phantom::mesh();
+            let procedure = Procedure::simulate_on(&subject.bone, &subject.plan, &phantom, procedure, ctx.seed())?;
+            self.playback = Some(Playback::new(events(procedure)));
         }
         let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
         ctx.set_stamp_ns(event.stamp_ns);

@@ -1,13 +1,11 @@
 //! The kind `plan.simulated`.
 
 use super::Out;
+use crate::own_bone::OwnBone;
 use osteoflow_node::{Context, Describe, NodeError, ParamError, Source, schemars::JsonSchema, serde::Deserialize};
-use osteoflow_simulation::{
-    bone::{self, BoneParams},
-    plan,
-};
+use osteoflow_simulation::BoneParams;
 
-/// The plan for the built-in bone.
+/// The plan for the simulated bone.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "plan.simulated"
@@ -19,10 +17,13 @@ pub struct Simulated {
 
 /// Parameters of [`Simulated`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[serde(default, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// The bone; the same for every node that simulates it.
+    /// A bone of your own.
+    #[serde(flatten)]
+    pub own: OwnBone,
+    /// The built-in bone; the same for every node that simulates it.
     pub bone: BoneParams,
 }
 
@@ -33,14 +34,16 @@ impl Source for Simulated {
     type Outputs = Out;
 
     fn new(params: Params) -> Result<Self, ParamError> {
+        let params = Params { own: params.own.checked()?, ..params };
         Ok(Self { params, done: false })
     }
 
-    fn next(&mut self, _ctx: &mut Context) -> Result<Option<Out>, NodeError> {
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
         if std::mem::replace(&mut self.done, true) {
             return Ok(None);
         }
-        let bone = &self.params.bone;
-        Ok(Some(plan(&bone::fibula(bone), &bone::anatomy(bone))?.into()))
+        let subject = self.params.own.subject(&self.params.bone)?;
+        subject.notes.into_iter().for_each(|note| ctx.warn(note));
+        Ok(Some(subject.plan.into()))
     }
 }

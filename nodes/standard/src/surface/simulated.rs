@@ -1,15 +1,16 @@
 //! The kind `surface.simulated`.
 
+use crate::own_bone::OwnBone;
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{
     Context, Describe, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_simulation::{
-    bone::{self, BoneParams},
+    BoneParams,
     ct::{self, CtParams},
 };
 
-/// The built-in bone's surface: from a simulated CT, or exact.
+/// The simulated bone's surface: from a simulated CT, or exact.
 ///
 /// A CT surface is not the bone: voxels, blur, noise and a threshold lie between them.
 #[derive(Describe)]
@@ -24,12 +25,15 @@ pub struct Simulated {
 
 /// Parameters of [`Simulated`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[serde(default, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
     /// Whether the very surface that the camera scans is given. false: as in an operating room, where only a CT is had.
     pub exact: bool,
-    /// The bone; the same for every node that simulates it.
+    /// A bone of your own.
+    #[serde(flatten)]
+    pub own: OwnBone,
+    /// The built-in bone; the same for every node that simulates it.
     pub bone: BoneParams,
     /// The CT.
     pub ct: CtParams,
@@ -50,6 +54,7 @@ impl Source for Simulated {
     type Outputs = Out;
 
     fn new(params: Params) -> Result<Self, ParamError> {
+        let params = Params { own: params.own.checked()?, ..params };
         Ok(Self { params, done: false })
     }
 
@@ -57,7 +62,7 @@ impl Source for Simulated {
         if std::mem::replace(&mut self.done, true) {
             return Ok(None);
         }
-        let bone = bone::fibula(&self.params.bone);
+        let bone = self.params.own.subject(&self.params.bone)?.bone;
         let mesh = if self.params.exact { bone } else { ct::ct_surface(&bone, &self.params.ct, ctx.seed())? };
         Ok(Some(Out { mesh }))
     }

@@ -1,0 +1,51 @@
+//! What a procedure is simulated on: a bone and its plan.
+
+use crate::topology::{open_edges, volume_mm3};
+use crate::{BoneParams, SimulationError, bone, complete, plan};
+use osteoflow_geometry::{Mesh, SurgicalPlan};
+
+/// A bone with its plan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Subject {
+    /// The exact surface, closed, normals outward, frame `ct`.
+    pub bone: Mesh,
+    /// What is planned on it: landmarks, assessment points, cuts, axes, anatomy, marker poses.
+    pub plan: SurgicalPlan,
+    /// What was put right about the surface, one sentence each.
+    pub notes: Vec<String>,
+}
+
+impl Subject {
+    /// The built-in bone and its plan.
+    ///
+    /// # Errors
+    /// [`SimulationError`] if parameters make a bone too short for the plan.
+    pub fn built_in(params: &BoneParams) -> Result<Self, SimulationError> {
+        params.check()?;
+        let bone = bone::fibula(params);
+        let plan = plan(&bone, &bone::anatomy(params))?;
+        Ok(Self { bone, plan, notes: Vec::new() })
+    }
+
+    /// Any closed surface, with a plan or with an anatomy alone, from which the plan is then made. A surface whose faces
+    /// all turn inward, as a mirrored bone's do, is turned over.
+    ///
+    /// # Errors
+    /// [`SimulationError::NotClosed`]; and as [`complete`].
+    pub fn of(bone: Mesh, plan: SurgicalPlan) -> Result<Self, SimulationError> {
+        let n_open_edges = open_edges(&bone);
+        if n_open_edges > 0 {
+            return Err(SimulationError::NotClosed { n_open_edges });
+        }
+        let mut notes = Vec::new();
+        let bone = if volume_mm3(&bone) < 0.0 {
+            notes.push("the bone's faces turn inward, as a mirrored bone's do; they were turned over".to_owned());
+            let faces: Vec<[u32; 3]> = bone.faces().iter().map(|&[a, b, c]| [a, c, b]).collect();
+            Mesh::new(&bone.frame, bone.origin, bone.vertices().to_vec(), faces)?
+        } else {
+            bone
+        };
+        let plan = complete(plan, &bone)?;
+        Ok(Self { bone, plan, notes })
+    }
+}
