@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, fs, path::Path};
 
 /// Every crate of the workspace, where it lies, and the crates of the workspace that it may depend on.
-const ARROWS: [(&str, &str, &[&str]); 10] = [
+const ARROWS: [(&str, &str, &[&str]); 11] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
     ("osteoflow-engine", "engine", &["osteoflow-node"]),
@@ -12,6 +12,7 @@ const ARROWS: [(&str, &str, &[&str]); 10] = [
     ("osteoflow-algorithms", "nodes/algorithms", &["osteoflow-geometry"]),
     ("osteoflow-formats", "nodes/formats", &["osteoflow-geometry"]),
     ("osteoflow-simulation", "nodes/simulation", &["osteoflow-algorithms", "osteoflow-geometry"]),
+    ("osteoflow-statistics", "nodes/statistics", &[]),
     ("osteoflow-payloads", "nodes/payloads", &["osteoflow-node", "osteoflow-geometry", "osteoflow-algorithms"]),
     (
         "osteoflow-standard",
@@ -76,12 +77,11 @@ fn dependencies_point_one_way_only() {
 
 #[test]
 fn algorithms_know_no_engine_no_node_and_no_file() {
-    let found = dependencies(&manifest("nodes/algorithms"), "dependencies");
-    let beyond: Vec<_> = found.iter().filter(|d| NOT_FOR_ALGORITHMS.contains(&d.as_str())).collect();
-    assert!(beyond.is_empty(), "nodes/algorithms depends on {beyond:?}");
-    let geometry = dependencies(&manifest("nodes/geometry"), "dependencies");
-    let beyond: Vec<_> = geometry.iter().filter(|d| NOT_FOR_ALGORITHMS.contains(&d.as_str())).collect();
-    assert!(beyond.is_empty(), "nodes/geometry depends on {beyond:?}");
+    for folder in ["nodes/algorithms", "nodes/geometry", "nodes/statistics"] {
+        let found = dependencies(&manifest(folder), "dependencies");
+        let beyond: Vec<_> = found.iter().filter(|d| NOT_FOR_ALGORITHMS.contains(&d.as_str())).collect();
+        assert!(beyond.is_empty(), "{folder} depends on {beyond:?}");
+    }
 }
 
 #[test]

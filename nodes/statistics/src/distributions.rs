@@ -1,0 +1,37 @@
+//! The distributions of `statrs`, by the few questions asked here.
+
+use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
+
+/// `Φ⁻¹(p)`.
+pub(crate) fn normal_quantile(p: f64) -> f64 {
+    Normal::standard().inverse_cdf(p)
+}
+
+/// `Φ(z)`.
+pub(crate) fn normal_cdf(z: f64) -> f64 {
+    Normal::standard().cdf(z)
+}
+
+/// The normal quantile that leaves `(1 - level) / 2` on each side: 1.96 for 0.95.
+pub(crate) fn two_sided_z(level: f64) -> f64 {
+    normal_quantile(0.5 + level / 2.0)
+}
+
+/// The same of Student's t with `df` degrees of freedom.
+pub(crate) fn two_sided_t(level: f64, df: usize) -> f64 {
+    students_t(df).inverse_cdf(0.5 + level / 2.0)
+}
+
+/// Probability of Student's t above `t`.
+pub(crate) fn t_above(t: f64, df: usize) -> f64 {
+    students_t(df).sf(t)
+}
+
+/// The value that chi-squared with `df` degrees of freedom stays under with probability `p`.
+pub(crate) fn chi_squared_quantile(p: f64, df: usize) -> f64 {
+    ChiSquared::new(df as f64).expect("df is at least 1").inverse_cdf(p)
+}
+
+fn students_t(df: usize) -> StudentsT {
+    StudentsT::new(0.0, 1.0, df as f64).expect("df is at least 1")
+}

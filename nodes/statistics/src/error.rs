@@ -1,0 +1,111 @@
+//! Why a statistic could not be computed.
+
+use thiserror::Error;
+
+/// Why a statistic could not be computed.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum StatisticsError {
+    /// Fewer values, pairs or units than the statistic needs.
+    #[error("{found} {what}, at least {needed} needed; measure more, or report the single values")]
+    TooFew {
+        /// What is counted.
+        what: String,
+        /// How many there are.
+        found: usize,
+        /// How many the statistic needs.
+        needed: usize,
+    },
+    /// A value is NaN or infinite.
+    #[error("value {index} is {value}; leave rows without a number out, and say how many they were")]
+    NotFinite {
+        /// Its place in the column, from 0.
+        index: usize,
+        /// The value.
+        value: f64,
+    },
+    /// Two columns that belong together have different lengths.
+    #[error("one column has {left} rows, the other {right}; give both for the same rows")]
+    Lengths {
+        /// Rows of the first column.
+        left: usize,
+        /// Rows of the second column.
+        right: usize,
+    },
+    /// All values are equal, so there is no spread to compare with.
+    #[error("all {n} {what} are {value}, without any spread; state that instead of a test")]
+    Constant {
+        /// What is equal.
+        what: &'static str,
+        /// How many there are.
+        n: usize,
+        /// The value.
+        value: f64,
+    },
+    /// A level, alpha or p-value that does not lie between 0 and 1.
+    #[error("{name} is {value}, but must lie between 0 and {below}; 95 % is 0.95")]
+    OutOfRange {
+        /// Which number.
+        name: &'static str,
+        /// The number.
+        value: f64,
+        /// What it must not exceed.
+        below: f64,
+    },
+    /// The margin of equivalence is not a positive number.
+    #[error("the margin of equivalence is {0}; state the largest difference that does not matter, above 0")]
+    Margin(f64),
+    /// More hits than rows.
+    #[error("{n_hits} hits in {n} rows; a share counts hits among rows")]
+    Hits {
+        /// Rows counted as hits.
+        n_hits: usize,
+        /// All rows.
+        n: usize,
+    },
+    /// A row names more or fewer units than there are levels.
+    #[error("row {row} names {found} units for the levels {levels}; give one label for each level")]
+    Path {
+        /// The row, from 0.
+        row: usize,
+        /// Labels it has.
+        found: usize,
+        /// The levels, highest first.
+        levels: String,
+    },
+    /// Units without a level.
+    #[error("no level of units is named; name at least the highest, such as \"bone\"")]
+    NoLevel,
+}
+
+impl StatisticsError {
+    /// `Err` if there are fewer than `needed`.
+    pub(crate) fn too_few(what: &str, found: usize, needed: usize) -> Result<(), Self> {
+        if found >= needed { Ok(()) } else { Err(Self::TooFew { what: what.into(), found, needed }) }
+    }
+
+    /// `Err` at the first value that is no number.
+    pub(crate) fn not_finite(values: &[f64]) -> Result<(), Self> {
+        match values.iter().position(|v| !v.is_finite()) {
+            None => Ok(()),
+            Some(index) => Err(Self::NotFinite { index, value: values[index] }),
+        }
+    }
+
+    /// `Err` if two columns differ in length.
+    pub(crate) fn lengths(left: usize, right: usize) -> Result<(), Self> {
+        if left == right { Ok(()) } else { Err(Self::Lengths { left, right }) }
+    }
+
+    /// `Err` if `value` does not lie strictly between 0 and `below`.
+    pub(crate) fn out_of_range(name: &'static str, value: f64, below: f64) -> Result<(), Self> {
+        if value > 0.0 && value < below { Ok(()) } else { Err(Self::OutOfRange { name, value, below }) }
+    }
+
+    /// `Err` if all values are equal; `values` is not empty.
+    pub(crate) fn constant(what: &'static str, values: &[f64]) -> Result<(), Self> {
+        if values.iter().any(|v| *v != values[0]) {
+            return Ok(());
+        }
+        Err(Self::Constant { what, n: values.len(), value: values[0] })
+    }
+}

@@ -1,0 +1,40 @@
+//! Several tests at once.
+
+use crate::StatisticsError;
+
+/// Holm's correction: p-values to be compared with alpha when several tests are made, in the order given.
+///
+/// With m p-values in ascending order, the k-th (from 0) becomes `(m - k) p`, at most 1, and never less than the one
+/// before. The chance of any false finding among all m is then at most alpha, whatever hangs together. Give it all tests
+/// that were made, not those that came out well.
+///
+/// # Errors
+/// [`StatisticsError::OutOfRange`] if one is not within 0 to 1.
+///
+/// # Source
+/// Holm 1979, Scandinavian Journal of Statistics 6:65-70.
+pub fn holm(p_values: &[f64]) -> Result<Vec<f64>, StatisticsError> {
+    if let Some(value) = p_values.iter().copied().find(|p| !(0.0..=1.0).contains(p)) {
+        return Err(StatisticsError::OutOfRange { name: "a p-value", value, below: 1.0 });
+    }
+    let mut order: Vec<usize> = (0..p_values.len()).collect();
+    order.sort_unstable_by(|a, b| p_values[*a].total_cmp(&p_values[*b]));
+    let (mut corrected, mut least) = (vec![0.0; p_values.len()], 0.0_f64);
+    for (k, i) in order.into_iter().enumerate() {
+        least = least.max((p_values.len() - k) as f64 * p_values[i]).min(1.0);
+        corrected[i] = least;
+    }
+    Ok(corrected)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_p_value_is_refused() {
+        assert!(matches!(holm(&[0.1, f64::NAN]), Err(StatisticsError::OutOfRange { .. })));
+        assert!(matches!(holm(&[1.2]), Err(StatisticsError::OutOfRange { .. })));
+        assert_eq!(holm(&[]), Ok(vec![]));
+    }
+}

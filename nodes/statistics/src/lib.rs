@@ -1,0 +1,93 @@
+//! What a publication of registration experiments counts and tests: plain functions on columns of numbers.
+//!
+//! A table of experiments has a row for each thing measured: the error at a point, of a procedure, on a bone. Rows of
+//! one procedure share its tracker and its start, rows of one bone share its shape, so they are not independent, and a
+//! thousand of them on one bone say nothing about other bones. Each column of values therefore comes with [`Units`]:
+//! which bone, which procedure, which point a row belongs to, highest level first. **n is the number of units at the
+//! highest level**: 200 starts on one scan of one bone are n = 1 bone.
+//!
+//! | You ask | You call |
+//! |---|---|
+//! | how large are the errors? | [`Summary::of`] |
+//! | how sure is that number, for other bones? | [`bootstrap_mean`], [`bootstrap`], [`bootstrap_rows`] |
+//! | which share lies under 2 mm? | [`wilson_clustered`], [`wilson`] for independent rows |
+//! | is A better than B on the same procedures? | [`wilcoxon`], then [`holm`] over all pairs compared |
+//! | are A and B the same, for all that matters? | [`tost`] with a margin stated beforehand |
+//! | how far do two methods lie apart for one measurement? | [`bland_altman`], [`bland_altman_repeated`] |
+//! | how well does a measurement repeat? | [`repeatability`] |
+//! | does the error follow a cause? | [`pearson`], [`spearman`] |
+//!
+//! Tests and correlations take each row as independent. Where rows repeat within a unit, [`unit_means`] gives one value
+//! for each unit first.
+//!
+//! What cannot be computed is a [`StatisticsError`]. An estimate whose interval cannot be computed keeps its value and
+//! says why there is no interval ([`NoInterval`]), so that a table can print both. Numbers that are NaN or infinite are
+//! refused: a run that failed has no error in mm; it counts in a share, as a row that is not under the limit.
+//!
+//! Nothing here reads a file or a clock. Draws come from ChaCha8 with the seed that is given, and sums run in an order
+//! that does not hang on that of the rows, so the same table gives the same answer; p-values pass through the
+//! platform's `ln` and `exp`, which may differ in the last digit. Distributions are those of the crate `statrs`; the
+//! known answers of the tests come from scipy and statsmodels (`tests/golden.py`).
+//!
+//! ```
+//! use osteoflow_statistics::{BootstrapParams, NoInterval, Summary, Units, bootstrap_mean, wilson_clustered};
+//!
+//! // Three bones, two procedures each: the error along z in mm.
+//! let paths = [["A", "1"], ["A", "2"], ["B", "1"], ["B", "2"], ["C", "1"], ["C", "2"]];
+//! let error_z_mm = [0.4, 0.6, -0.1, 0.1, 1.9, 2.1];
+//! let units = Units::new(&["bone", "procedure"], &paths)?;
+//! assert_eq!(units.n_units(), [3, 6]);
+//!
+//! let summary = Summary::of(&error_z_mm)?;
+//! assert!((summary.mean - 0.833).abs() < 1e-3 && (summary.rms - 1.194).abs() < 1e-3);
+//!
+//! // Drawn are bones, with all that was measured on them.
+//! let bias = bootstrap_mean(&units, &error_z_mm, &BootstrapParams::default())?;
+//! let interval = bias.interval.expect("three bones");
+//! assert!(interval.low < 0.1 && interval.high > 1.9);
+//! assert!(bias.few_units, "three bones are fewer than five");
+//!
+//! let under_2_mm: Vec<bool> = error_z_mm.iter().map(|e| e.abs() <= 2.0).collect();
+//! let share = wilson_clustered(&units, &under_2_mm, 0.95)?;
+//! assert_eq!((share.n_hits, share.n), (5, 6));
+//!
+//! // One bone: the share is known, but nothing says how other bones would do.
+//! let one_bone = Units::new(&["bone", "procedure"], &paths[..2])?;
+//! let share = wilson_clustered(&one_bone, &under_2_mm[..2], 0.95)?;
+//! assert_eq!(share.share, 1.0);
+//! assert_eq!(share.interval, Err(NoInterval::OneUnit { unit: "bone".into() }));
+//! # Ok::<(), osteoflow_statistics::StatisticsError>(())
+//! ```
+
+mod anova;
+mod bland_altman;
+mod bootstrap;
+mod correlation;
+mod distributions;
+mod error;
+mod hodges_lehmann;
+mod holm;
+mod interval;
+mod quantile;
+mod ranks;
+mod repeatability;
+mod summary;
+mod tost;
+mod units;
+mod wilcoxon;
+mod wilson;
+
+pub use bland_altman::{BlandAltman, bland_altman, bland_altman_repeated};
+pub use bootstrap::{Bootstrap, BootstrapKind, BootstrapParams, FEW_UNITS, bootstrap, bootstrap_mean, bootstrap_rows};
+pub use correlation::{Correlation, pearson, spearman};
+pub use error::StatisticsError;
+pub use hodges_lehmann::hodges_lehmann;
+pub use holm::holm;
+pub use interval::{Interval, NoInterval};
+pub use quantile::{median, quantile};
+pub use repeatability::{Repeatability, repeatability};
+pub use summary::Summary;
+pub use tost::{Tost, tost};
+pub use units::{UnitMeans, Units, unit_means};
+pub use wilcoxon::{Alternative, Wilcoxon, WilcoxonMethod, WilcoxonParams, wilcoxon};
+pub use wilson::{Share, wilson, wilson_clustered};

@@ -1,0 +1,87 @@
+//! What one column of errors comes to.
+
+use serde::Serialize;
+
+use crate::{StatisticsError, quantile};
+
+/// What one column of errors comes to, in the unit of its values.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Summary {
+    /// Rows. Not the n of a claim about other bones: that is the number of units at the highest level.
+    pub n: usize,
+    /// `Σx / n`: the **bias**, where the values are signed.
+    pub mean: f64,
+    /// `√(Σ(x - mean)² / (n - 1))`; none for a single row, which has no spread.
+    pub sd: Option<f64>,
+    /// `√(Σx² / n)`: bias and spread in one number.
+    pub rms: f64,
+    /// The middle value.
+    pub median: f64,
+    /// What 95 % of the rows lie under, linear between neighbours ([`quantile`]).
+    pub p95: f64,
+    /// Smallest value.
+    pub min: f64,
+    /// Largest value.
+    pub max: f64,
+    /// `Σ|x| / n`.
+    pub mean_abs: f64,
+}
+
+impl Summary {
+    /// Summary of a column; the order of its rows changes no bit. `O(n log n)`.
+    ///
+    /// # Errors
+    /// [`StatisticsError::TooFew`] if it is empty, [`StatisticsError::NotFinite`] if a value is NaN or infinite.
+    pub fn of(values: &[f64]) -> Result<Self, StatisticsError> {
+        StatisticsError::too_few("values", values.len(), 1)?;
+        StatisticsError::not_finite(values)?;
+        let mut values = values.to_vec();
+        // Sums in the order of size are the same whichever run finished first.
+        values.sort_unstable_by(f64::total_cmp);
+        let n = values.len();
+        let mean = mean(&values);
+        let mean_of = |f: fn(f64) -> f64| values.iter().map(|x| f(*x)).sum::<f64>() / n as f64;
+        Ok(Self {
+            n,
+            mean,
+            sd: (n > 1).then(|| sd(&values)),
+            rms: mean_of(|x| x * x).sqrt(),
+            min: values[0],
+            max: values[n - 1],
+            mean_abs: mean_of(f64::abs),
+            median: quantile(&mut values, 0.5),
+            p95: quantile(&mut values, 0.95),
+        })
+    }
+}
+
+/// Arithmetic mean of values that are there.
+pub(crate) fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Standard deviation with `n - 1`, of two values or more.
+pub(crate) fn sd(values: &[f64]) -> f64 {
+    let mean = mean(values);
+    (values.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (values.len() - 1) as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_row_has_a_mean_but_no_spread() {
+        let summary = Summary::of(&[-1.5]).unwrap();
+        assert_eq!((summary.n, summary.mean, summary.sd), (1, -1.5, None));
+        assert_eq!((summary.rms, summary.mean_abs, summary.median, summary.p95), (1.5, 1.5, -1.5, -1.5));
+    }
+
+    #[test]
+    fn nothing_and_no_number_are_refused() {
+        assert!(matches!(Summary::of(&[]), Err(StatisticsError::TooFew { found: 0, needed: 1, .. })));
+        let refused = Summary::of(&[1.0, f64::NAN]).unwrap_err();
+        assert!(matches!(refused, StatisticsError::NotFinite { index: 1, value } if value.is_nan()));
+        assert!(matches!(Summary::of(&[f64::INFINITY]), Err(StatisticsError::NotFinite { index: 0, .. })));
+    }
+}
