@@ -94,8 +94,8 @@ pub struct Bootstrap {
 ///
 /// # Source
 /// Davison & Hinkley 1997, Bootstrap Methods and their Application, section 3.8 (drawing at the highest level only);
-/// Field & Welsh 2007, J. R. Statist. Soc. B 69:369-390. Expanded: Hesterberg 2015, The American Statistician 69:371-386,
-/// section 5. BCa: Efron 1987, JASA 82:171-185, with the jackknife over units; ties with the estimate count half to each
+/// Field & Welsh 2007, J. R. Statist. Soc. B 69:369-390. Expanded: Hesterberg 2015, The American Statistician 69:371-386.
+/// BCa: Efron 1987, JASA 82:171-185, with the jackknife over units; ties with the estimate count half to each
 /// side.
 pub fn bootstrap(
     units: &Units,
@@ -162,7 +162,9 @@ fn draw_units(
     let mut all: Vec<usize> = (0..units.n_units()[0]).collect();
     let n_units = all.len();
     let estimate = statistic(&all);
-    StatisticsError::not_finite(&[estimate])?;
+    if !estimate.is_finite() {
+        return Err(StatisticsError::Statistic { n_rows: units.n_rows(), value: estimate });
+    }
 
     let interval = if n_units < 2 {
         Err(NoInterval::OneUnit { unit: units.highest().into() })

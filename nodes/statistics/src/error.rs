@@ -23,6 +23,14 @@ pub enum StatisticsError {
         /// The value.
         value: f64,
     },
+    /// A statistic handed to the bootstrap is NaN or infinite for all rows.
+    #[error("the statistic of all {n_rows} rows is {value}; can it be computed from so few or such equal values?")]
+    Statistic {
+        /// Rows of the table.
+        n_rows: usize,
+        /// What the statistic gave.
+        value: f64,
+    },
     /// Two columns that belong together have different lengths.
     #[error("one column has {left} rows, the other {right}; give both for the same rows")]
     Lengths {

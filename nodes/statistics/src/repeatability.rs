@@ -43,9 +43,9 @@ pub struct Repeatability {
 /// [`StatisticsError::Lengths`], [`StatisticsError::NotFinite`], [`StatisticsError::Constant`] if all values are equal.
 ///
 /// # Source
-/// Bland & Altman 1996, BMJ 313:744 (s_w) and 1999, Stat. Methods Med. Res. 8:135-160, section 3 (coefficient); Shrout &
+/// Bland & Altman 1996, BMJ 313:744 (s_w) and 1999, Stat. Methods Med. Res. 8:135-160 (coefficient); Shrout &
 /// Fleiss 1979, Psychological Bulletin 86:420-428 (ICC(1,1)); n0: Searle, Casella & McCulloch 1992, Variance Components,
-/// section 3.6.
+/// chapter 3.
 pub fn repeatability<G: Ord>(group_of: &[G], values: &[f64]) -> Result<Repeatability, StatisticsError> {
     StatisticsError::lengths(group_of.len(), values.len())?;
     StatisticsError::not_finite(values)?;
