@@ -21,6 +21,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("repro", "RUST_BACKTRACE"),
     ("validate", "sound"),
     ("recover", "OUT"),
+    ("sweep", "--resume"),
     ("simulate", "--seed"),
     ("new", "plugin"),
     ("completions", "bash"),

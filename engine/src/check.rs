@@ -38,6 +38,7 @@ use crate::{
     graph::{self, Graph},
     plan::Plan,
     plugin::{Kinds, Known},
+    sweep,
 };
 use osteoflow_node::Registry;
 use schema::Files;
@@ -66,6 +67,8 @@ pub struct Checked {
     pub warnings: Vec<Fault>,
     /// The kinds to build it from: those it was checked with.
     pub registry: Registry,
+    /// What `[sweep]` says, where the graph has it.
+    pub sweep: Option<Box<sweep::Spec>>,
 }
 
 /// A file without faults: a graph, or a module that graphs use.
@@ -85,6 +88,15 @@ pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Result<Ch
     let mut faults = Vec::new();
     match graph::load(path, sets, &mut faults) {
         Some(graph) => Check::new(&known(&graph, &kinds.into()), Files::Needed, faults).graph(&graph, path),
+        None => Err(Faults(faults)),
+    }
+}
+
+/// The same for a run of a sweep: with what its row sets, in the words of the graph file and relative to it.
+pub(crate) fn check_row(path: &Path, sets: &[String], row: &[String], kinds: Kinds) -> Result<Checked, Faults> {
+    let mut faults = Vec::new();
+    match graph::load_row(path, sets, row, &mut faults) {
+        Some(graph) => Check::new(&known(&graph, &kinds), Files::Needed, faults).graph(&graph, path),
         None => Err(Faults(faults)),
     }
 }
@@ -188,6 +200,7 @@ impl<'r> Check<'r> {
         }
         let record = self.record(graph, &drafts);
         let results = self.results(graph, &drafts);
+        let sweep = sweep::read(&graph.table, &mut self.faults).map(Box::new);
         let faults = told(sorted(self.faults));
         let (errors, warnings): (Vec<_>, Vec<_>) = faults.into_iter().partition(|f| f.severity == Severity::Error);
         match (order, frames) {
@@ -199,7 +212,9 @@ impl<'r> Check<'r> {
                 let plan = net.plan(path);
                 Ok(match description {
                     Some(description) => CheckedFile::Module(Module { description, plan, warnings }),
-                    None => CheckedFile::Graph(Checked { plan, warnings, registry: self.known.registry.clone() }),
+                    None => {
+                        CheckedFile::Graph(Checked { plan, warnings, registry: self.known.registry.clone(), sweep })
+                    }
                 })
             }
             _ => Err(Faults(errors.into_iter().chain(warnings).collect())),

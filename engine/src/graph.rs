@@ -68,8 +68,23 @@ pub(crate) fn load(path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Opt
     }
 }
 
+/// The same for a run of a sweep, whose settings stand in the graph file.
+pub(crate) fn load_row(path: &Path, sets: &[String], row: &[String], faults: &mut Vec<Fault>) -> Option<Graph> {
+    match extends::read(path) {
+        Ok(text) => Some(load_with(text, path, &[set::Sets::command_line(sets), set::Sets::row(row, path)], faults)),
+        Err(fault) => {
+            faults.push(*fault);
+            None
+        }
+    }
+}
+
 /// The same with the text of the graph file at hand.
 pub(crate) fn load_text(text: String, path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Graph {
+    load_with(text, path, &[set::Sets::command_line(sets)], faults)
+}
+
+fn load_with(text: String, path: &Path, sets: &[set::Sets<'_>], faults: &mut Vec<Fault>) -> Graph {
     let mut removed = Removed::default();
     let mut chain = extends::Chain::new(path, &mut removed, faults);
     let (main, mut table) = chain.load(text);
@@ -77,7 +92,7 @@ pub(crate) fn load_text(text: String, path: &Path, sets: &[String], faults: &mut
     let mut texts = vec![path.into()];
     texts.append(&mut chain.texts);
     let mut plugins = std::mem::take(&mut chain.plugins);
-    let edits = set::apply(&mut table, sets, &mut removed, faults);
+    let edits = sets.iter().flat_map(|sets| set::apply(&mut table, sets, &mut removed, faults)).collect();
     let interface = interface::read(&mut table, faults);
     if let Some(interface) = &interface {
         modules::stand_alone(&mut table, interface, faults);

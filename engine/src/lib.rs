@@ -25,6 +25,7 @@ pub mod run;
 pub mod schema;
 mod stamp;
 pub mod store;
+pub mod sweep;
 mod sync;
 #[cfg(test)]
 mod toy;

@@ -59,6 +59,7 @@ pub fn schema(registry: &Registry) -> Value {
                 "additionalProperties": { "$ref": "#/definitions/result" },
             },
             "module": module(),
+            "sweep": sweep(),
         },
         "additionalProperties": false,
         "anyOf": [{ "required": ["graph"] }, { "required": ["extends"] }],
@@ -134,6 +135,72 @@ fn module() -> Value {
             "params": { "type": "object", "description": "Parameters, and the keys of nodes within that each sets.", "additionalProperties": entry("to", json!({
                 "to": targets, "doc": doc(), "default": {}, "required": { "type": "boolean", "default": false },
             })) },
+        },
+        "additionalProperties": false,
+    })
+}
+
+fn sweep() -> Value {
+    let texts =
+        |description: &str| json!({ "type": "array", "items": { "type": "string" }, "description": description });
+    let key = json!({ "type": "string", "description": "What it sets, as --set takes it: \"icp.kind\"." });
+    let keys = texts("Several keys that take the same value.");
+    let two = |description: &str| json!({ "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2, "description": description });
+    let numbers = |description: &str| json!({ "type": "object", "additionalProperties": { "type": "number" }, "description": description });
+    json!({
+        "description": "Which values `osteoflow sweep` runs the graph with, and which numbers it takes out of each run.",
+        "type": "object",
+        "properties": {
+            "repeat": { "type": "integer", "minimum": 1, "default": 1, "description": "How often each setting is run: with the seeds graph.seed, +1, +2 and so on." },
+            "same_seed": { "type": "boolean", "default": false, "description": "Whether all repeats have the graph's seed, so that only what is drawn tells them apart." },
+            "units": texts("What is resampled and counted, the highest first: names of factors, and one name for the repeats."),
+            "pair": { "type": "array", "items": { "anyOf": [{ "type": "string" }, { "type": "array", "items": { "type": "string" } }] }, "description": "Factors that go together, value by value; all others are crossed." },
+            "factor": {
+                "description": "What is varied by a list of values; the first varies slowest.",
+                "type": "object",
+                "additionalProperties": { "type": "object", "properties": {
+                    "key": key, "keys": keys,
+                    "values": { "type": "array", "description": "The values; a table sets keys of its own." },
+                    "labels": texts("What stands in the tables for each value."),
+                    "from": { "type": "number", "description": "The first of n values." },
+                    "to": { "type": "number", "description": "The last of n values." },
+                    "n": { "type": "integer", "minimum": 2, "description": "How many values, evenly spaced." },
+                    "log": { "type": "boolean", "default": false, "description": "Whether they are evenly spaced in the logarithm." },
+                }, "additionalProperties": false },
+            },
+            "draw": {
+                "description": "What is drawn anew for each repeat, the same under all factors.",
+                "type": "object",
+                "additionalProperties": { "type": "object", "properties": {
+                    "key": key, "keys": keys,
+                    "uniform": two("Evenly from the first number to the second."),
+                    "normal": two("Mean and standard deviation."),
+                    "log_uniform": two("Evenly in the logarithm, from the first number to the second."),
+                    "integers": two("A whole number from the first to the second, both included."),
+                    "choice": { "type": "array", "minItems": 1, "description": "One of these." },
+                }, "additionalProperties": false },
+            },
+            "columns": { "type": "object", "additionalProperties": { "type": "string" }, "description": "Columns of runs.csv, named with their unit, and where each stands in results.json." },
+            "points": {
+                "description": "Lists of points for points.csv, named with their unit.",
+                "type": "object",
+                "additionalProperties": { "type": "object", "properties": {
+                    "from": { "type": "string", "description": "Where the list stands in results.json." },
+                    "name": { "type": "string", "default": "name", "description": "The key of a point's name." },
+                    "axes": texts("The keys of its values. Default: x, y, z."),
+                }, "required": ["from"], "additionalProperties": false },
+            },
+            "limit": numbers("For columns: the share of runs below is told."),
+            "compare": {
+                "description": "What is compared, paired by all that is not the factor.",
+                "type": "object",
+                "properties": {
+                    "factor": { "type": "string", "description": "The factor whose values are compared." },
+                    "to": { "description": "The value that the others are compared with. Default: the first." },
+                    "margin": numbers("For columns: the largest difference that does not matter, for the test of equivalence."),
+                },
+                "required": ["factor"], "additionalProperties": false,
+            },
         },
         "additionalProperties": false,
     })

@@ -29,6 +29,7 @@ mod running;
 mod schema;
 mod simulate;
 mod simulate_folder;
+mod sweep;
 mod text_table;
 mod validate;
 mod watch;
@@ -158,6 +159,7 @@ pub(crate) enum Command {
     Validate(validate::Validate),
     Recover(recover::Recover),
     Repro(repro::Repro),
+    Sweep(sweep::Sweep),
     Simulate(simulate::Simulate),
     New(new::New),
     Completions(completions::Completions),
@@ -181,6 +183,7 @@ impl Command {
             Self::Inspect(command) => command.execute(global),
             Self::Graph(command) => command.execute(global),
             Self::Schema(command) => command.execute(global),
+            Self::Sweep(command) => command.execute(global),
             Self::Simulate(command) => command.execute(global),
             Self::New(command) => command.execute(global),
             Self::Completions(command) => command.execute(global),

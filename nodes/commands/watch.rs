@@ -88,7 +88,7 @@ impl Watch {
     fn look(&mut self, seen: Instant) -> Result<Looked> {
         let kinds = self.run.graph.plugins.kinds()?;
         let (path, sets) = (&self.run.graph.graph, &self.run.graph.sets);
-        let Checked { plan, warnings, registry } = match check(path, sets, &kinds) {
+        let Checked { plan, warnings, registry, .. } = match check(path, sets, &kinds) {
             Ok(checked) => checked,
             Err(faults) => {
                 match self.global.format {

@@ -9,7 +9,7 @@ use std::sync::Arc;
 const FORMAT: u64 = 1;
 
 /// The tables and keys of a graph file.
-const TOP: [&str; 8] = ["graph", "node", "record", "results", "extends", "remove", "module", "plugins"];
+const TOP: [&str; 9] = ["graph", "node", "record", "results", "extends", "remove", "module", "plugins", "sweep"];
 
 /// What `[graph]` says.
 pub(crate) struct Header {

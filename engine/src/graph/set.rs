@@ -1,25 +1,50 @@
 use super::{
     edit::{Edit, Step},
+    extends::tidy,
     merge::merge,
     parse::parse_value,
     remove::Removed,
     tree::{Entry, Spanned, Table, Value},
 };
 use crate::fault::{Fault, SourceText, Span};
-use std::{ops::Range, path::PathBuf, sync::Arc};
+use std::{
+    ops::Range,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
-const TOP: [&str; 6] = ["graph", "node", "record", "results", "remove", "module"];
+const TOP: [&str; 7] = ["graph", "node", "record", "results", "remove", "module", "sweep"];
 const PREFIX: &str = "--set ";
 
-/// Lays the command line's `--set KEY=VALUE` onto the graph, in their order; answers those that lie inside modules.
-pub(super) fn apply(table: &mut Table, sets: &[String], removed: &mut Removed, faults: &mut Vec<Fault>) -> Vec<Edit> {
+/// Settings, each `KEY=VALUE`, and where they stand.
+pub(super) struct Sets<'a> {
+    sets: &'a [String],
+    name: PathBuf,
+    /// What their relative paths are relative to.
+    dir: PathBuf,
+}
+
+impl<'a> Sets<'a> {
+    /// Those of the command line.
+    pub(super) fn command_line(sets: &'a [String]) -> Self {
+        Self { sets, name: "command line".into(), dir: std::env::current_dir().unwrap_or_default() }
+    }
+
+    /// Those of a run of the sweep that the graph file at `path` asks for.
+    pub(super) fn row(sets: &'a [String], path: &Path) -> Self {
+        let dir = std::path::absolute(path).ok().and_then(|path| path.parent().map(Path::to_path_buf));
+        Self { sets, name: format!("[sweep] of {}", tidy(path).display()).into(), dir: dir.unwrap_or_default() }
+    }
+}
+
+/// Lays settings onto the graph, in their order; answers those that lie inside modules.
+pub(super) fn apply(table: &mut Table, sets: &Sets<'_>, removed: &mut Removed, faults: &mut Vec<Fault>) -> Vec<Edit> {
     let mut inside = Vec::new();
-    if sets.is_empty() {
+    if sets.sets.is_empty() {
         return inside;
     }
-    let lines: Vec<_> = sets.iter().map(|set| format!("{PREFIX}{set}")).collect();
-    let dir = std::env::current_dir().unwrap_or_default();
-    let name = PathBuf::from("command line");
+    let lines: Vec<_> = sets.sets.iter().map(|set| format!("{PREFIX}{set}")).collect();
+    let (name, dir) = (sets.name.clone(), sets.dir.clone());
     let (text, order) = (lines.join("\n"), usize::MAX);
     let source = Arc::new(SourceText { name, dir, text, order, command_line: true, used: None });
     let mut start = 0;

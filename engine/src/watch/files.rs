@@ -43,6 +43,11 @@ impl Stamps {
         self
     }
 
+    /// What was seen of a file; `None` if it was not looked at.
+    pub(crate) fn get(&self, path: &Path) -> Option<&str> {
+        self.0.get(path).map(String::as_str)
+    }
+
     /// Whether both have seen the file alike.
     pub(super) fn agree(&self, other: &Self, path: &Path) -> bool {
         self.0.get(path) == other.0.get(path)

@@ -1,0 +1,92 @@
+//! The runs of a sweep: every setting with every repeat, in one order.
+
+use super::spec::{Distribution, Draw, Spec};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use serde_json::{Value as Json, json};
+use sha2::{Digest as _, Sha256};
+
+/// A run of a sweep, before it is run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Row {
+    /// Its number, from 0: the factors in the order of the file, the first the slowest; then the repeats.
+    pub run: usize,
+    /// The values of the factors, of what is drawn, and the repeat's number, by name, in the order of the columns.
+    pub values: Vec<(String, Json)>,
+    /// The seed of the run.
+    pub seed: u64,
+    /// What it sets in the graph, as `--set` takes it; the seed is among it.
+    pub sets: Vec<String>,
+}
+
+/// Every run of a sweep over a graph with this seed.
+pub fn rows(spec: &Spec, seed: u64) -> Vec<Row> {
+    let blocks = spec.blocks();
+    let sizes: Vec<usize> = blocks.iter().map(|block| spec.factors[block[0]].levels.len()).collect();
+    let n_settings: usize = sizes.iter().product();
+    let mut rows = Vec::with_capacity(n_settings * spec.repeat);
+    for setting in 0..n_settings {
+        let mut level_of = vec![0; spec.factors.len()];
+        let mut rest = setting;
+        for (block, size) in blocks.iter().zip(&sizes).rev() {
+            block.iter().for_each(|&factor| level_of[factor] = rest % size);
+            rest /= size;
+        }
+        for repeat in 0..spec.repeat {
+            let mut row = Row { run: rows.len(), values: Vec::new(), seed, sets: Vec::new() };
+            for (factor, &level) in spec.factors.iter().zip(&level_of) {
+                let level = &factor.levels[level];
+                row.values.push((factor.name.clone(), level.label.clone()));
+                row.sets.extend(level.sets.iter().cloned());
+            }
+            row.values.push((spec.repeat_name.clone(), repeat.into()));
+            for draw in &spec.draws {
+                let value = draw.value(seed, repeat as u64);
+                row.sets.extend(draw.keys.iter().map(|key| format!("{key}={}", toml(&value))));
+                row.values.push((draw.name.clone(), value));
+            }
+            if !spec.same_seed {
+                row.seed = seed.wrapping_add(repeat as u64);
+                row.sets.push(format!("graph.seed={}", row.seed));
+            }
+            rows.push(row);
+        }
+    }
+    rows
+}
+
+impl Draw {
+    /// What is drawn for a repeat: decided by the seed, the name and the repeat's number, and by nothing else.
+    fn value(&self, seed: u64, repeat: u64) -> Json {
+        let mut hasher = Sha256::new();
+        hasher.update(b"osteoflow sweep draw 1\n");
+        hasher.update(seed.to_le_bytes());
+        hasher.update(repeat.to_le_bytes());
+        hasher.update(self.name.as_bytes());
+        let mut rng = ChaCha8Rng::from_seed(hasher.finalize().into());
+        match &self.distribution {
+            Distribution::Uniform([a, b]) => json!(a + rng.random::<f64>() * (b - a)),
+            Distribution::Normal([mean, sd]) => json!(mean + sd * rng.sample::<f64, _>(StandardNormal)),
+            Distribution::LogUniform([a, b]) => json!((a.ln() + rng.random::<f64>() * (b.ln() - a.ln())).exp()),
+            Distribution::Integers([a, b]) => json!(rng.random_range(*a..=*b)),
+            Distribution::Choice(values) => values[rng.random_range(0..values.len())].clone(),
+        }
+    }
+}
+
+/// A JSON value as a graph file writes it.
+fn toml(value: &Json) -> String {
+    match value {
+        Json::Number(number) => match number.as_f64().filter(|_| number.is_f64()) {
+            Some(float) => format!("{float:?}"),
+            None => number.to_string(),
+        },
+        Json::Array(items) => format!("[{}]", items.iter().map(toml).collect::<Vec<_>>().join(", ")),
+        Json::Object(entries) => {
+            let entries = entries.iter().map(|(key, value)| format!("{} = {}", Json::from(key.as_str()), toml(value)));
+            format!("{{ {} }}", entries.collect::<Vec<_>>().join(", "))
+        }
+        other => other.to_string(),
+    }
+}

@@ -1,0 +1,326 @@
+//! The folder of a sweep: what was asked, and one file for each run that came to its end.
+//!
+//! A run's file is written under another name and then renamed, so that a file is whole or not there, whenever the
+//! program is stopped.
+
+use super::{
+    design::Row,
+    spec::Spec,
+    table::{write_points, write_runs},
+};
+use serde_json::{Value as Json, json};
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+/// The frozen graph, without the settings of any run.
+pub const GRAPH: &str = "sweep.toml";
+/// What was asked: design, hash, versions.
+pub const DESIGN: &str = "sweep.json";
+/// The folder of the runs.
+pub const RUNS_DIR: &str = "runs";
+/// One row for each run.
+pub const RUNS: &str = "runs.csv";
+/// One row for each run, point and axis.
+pub const POINTS: &str = "points.csv";
+
+/// Raised when the files are laid out otherwise than before.
+const FORMAT: u64 = 1;
+
+/// Why a sweep's folder cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum FolderError {
+    /// It is not that of a sweep.
+    #[error("{path} holds no sweep ({DESIGN} is missing); name the folder that `osteoflow sweep` has left")]
+    NoSweep {
+        /// The folder.
+        path: String,
+    },
+    /// It holds another sweep.
+    #[error(
+        "{path} holds another sweep: {what}; restore what has changed (the graph as it was is {path}/{GRAPH}), or begin \
+         anew in another folder"
+    )]
+    Other {
+        /// The folder.
+        path: String,
+        /// What differs.
+        what: String,
+    },
+    /// A file has another form than this program writes.
+    #[error("{path} is not what a sweep writes: {what}")]
+    Form {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        what: String,
+    },
+    /// Runs are missing.
+    #[error("{n} of {all} runs are in none of the folders, the first is run {first}; run the missing shards too")]
+    Missing {
+        /// So many.
+        n: usize,
+        /// Of so many.
+        all: usize,
+        /// The first of them.
+        first: usize,
+    },
+    /// A file could not be read.
+    #[error("{path} cannot be read: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// Why.
+        source: io::Error,
+    },
+    /// A file could not be written.
+    #[error("{path} cannot be written: {source}")]
+    Write {
+        /// The file.
+        path: String,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+/// A run of a sweep that came to its end.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Done {
+    /// Its number.
+    pub run: usize,
+    /// Its seed.
+    pub seed: u64,
+    /// The values of factors, draws and repeat.
+    pub values: Vec<(String, Json)>,
+    /// `complete`, `refused` or `failed`.
+    pub status: String,
+    /// Why there are no results.
+    pub reason: Option<String>,
+    /// What the nodes warned of.
+    pub warnings: Vec<String>,
+    /// What the graph's `[results]` names, as in `results.json`.
+    pub results: Json,
+}
+
+impl Done {
+    /// The value of a factor, of what is drawn, or the repeat's number.
+    pub fn value(&self, name: &str) -> Option<&Json> {
+        self.values.iter().find(|(known, _)| known == name).map(|(_, value)| value)
+    }
+
+    pub(super) fn of(row: &Row, status: &str, reason: Option<String>, warnings: Vec<String>, results: Json) -> Self {
+        let (values, status) = (row.values.clone(), status.to_owned());
+        Self { run: row.run, seed: row.seed, values, status, reason, warnings, results }
+    }
+}
+
+/// The folder of a sweep.
+#[derive(Debug, Clone)]
+pub struct Folder {
+    dir: PathBuf,
+    /// What `sweep.json` says.
+    pub about: Json,
+}
+
+impl Folder {
+    /// Begins a sweep in an empty folder.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn begin(dir: &Path, graph: &str, about: Json) -> Result<Self, FolderError> {
+        let mut about = about;
+        about["format"] = FORMAT.into();
+        let folder = Self { dir: dir.into(), about };
+        fs::create_dir_all(dir.join(RUNS_DIR)).map_err(|source| folder.cannot_write(RUNS_DIR, source))?;
+        folder.write(GRAPH, graph.as_bytes())?;
+        // This comes last: a folder that has it has all.
+        folder.write(DESIGN, format!("{:#}\n", folder.about).as_bytes())?;
+        Ok(folder)
+    }
+
+    /// Opens the folder of a sweep.
+    ///
+    /// # Errors
+    /// If it holds none, or one that this program cannot read.
+    pub fn open(dir: &Path) -> Result<Self, FolderError> {
+        let path = dir.join(DESIGN);
+        let text = match fs::read_to_string(&path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                return Err(FolderError::NoSweep { path: dir.display().to_string() });
+            }
+            text => text.map_err(|source| FolderError::Read { path: path.display().to_string(), source })?,
+        };
+        let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
+        let about: Json = serde_json::from_str(&text).map_err(|error| form(error.to_string()))?;
+        match about["format"].as_u64() {
+            Some(FORMAT) => Ok(Self { dir: dir.into(), about }),
+            Some(other) => Err(form(format!("format {other}, this program reads {FORMAT}"))),
+            None => Err(form("it does not say its format".into())),
+        }
+    }
+
+    /// The folder itself.
+    pub fn dir(&self) -> &Path {
+        &self.dir
+    }
+
+    /// The hash of all that decides the runs.
+    pub fn hash(&self) -> &str {
+        self.about["hash"].as_str().unwrap_or_default()
+    }
+
+    /// How many runs the whole sweep has.
+    pub fn n_runs(&self) -> usize {
+        self.about["n_runs"].as_u64().unwrap_or_default() as usize
+    }
+
+    /// What is asked of the runs, as the folder says.
+    ///
+    /// # Errors
+    /// If the folder says it otherwise than this program does.
+    pub fn spec(&self) -> Result<Spec, FolderError> {
+        let path = self.dir.join(DESIGN).display().to_string();
+        serde_json::from_value(self.about["sweep"].clone()).map_err(|e| FolderError::Form { path, what: e.to_string() })
+    }
+
+    /// The numbers of the runs that are there, ascending.
+    ///
+    /// # Errors
+    /// If the folder cannot be read.
+    pub fn runs(&self) -> Result<Vec<usize>, FolderError> {
+        let dir = self.dir.join(RUNS_DIR);
+        let cannot = |source| FolderError::Read { path: dir.display().to_string(), source };
+        let mut runs = Vec::new();
+        for entry in fs::read_dir(&dir).map_err(cannot)? {
+            let name = entry.map_err(cannot)?.file_name();
+            runs.extend(name.to_str().and_then(|name| name.strip_suffix(".json")?.parse::<usize>().ok()));
+        }
+        runs.sort_unstable();
+        Ok(runs)
+    }
+
+    /// Every run that is there, by number.
+    ///
+    /// # Errors
+    /// If the folder cannot be read; a run that cannot be read is an error in its place.
+    pub fn done(&self) -> Result<impl Iterator<Item = Result<Done, FolderError>>, FolderError> {
+        Ok(self.runs()?.into_iter().map(|run| self.read(run)))
+    }
+
+    /// One run.
+    ///
+    /// # Errors
+    /// If it is not there or is not what a sweep writes.
+    pub fn read(&self, run: usize) -> Result<Done, FolderError> {
+        let path = self.dir.join(RUNS_DIR).join(file_name(run));
+        let text = fs::read_to_string(&path);
+        let text = text.map_err(|source| FolderError::Read { path: path.display().to_string(), source })?;
+        let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
+        let json: Json = serde_json::from_str(&text).map_err(|error| form(error.to_string()))?;
+        let values = json["values"].as_object().ok_or_else(|| form("no values".into()))?;
+        let warnings = json["warnings"].as_array().into_iter().flatten();
+        Ok(Done {
+            run,
+            seed: json["seed"].as_u64().ok_or_else(|| form("no seed".into()))?,
+            values: values.iter().map(|(name, value)| (name.clone(), value.clone())).collect(),
+            status: json["status"].as_str().ok_or_else(|| form("no status".into()))?.into(),
+            reason: json["reason"].as_str().map(str::to_owned),
+            warnings: warnings.filter_map(Json::as_str).map(str::to_owned).collect(),
+            results: json["results"].clone(),
+        })
+    }
+
+    /// Keeps a run that came to its end, with what it set in the graph.
+    pub(super) fn keep(&self, done: &Done, sets: &[String]) -> Result<(), FolderError> {
+        let values: serde_json::Map<_, _> = done.values.iter().cloned().collect();
+        let json = json!({
+            "run": done.run, "seed": done.seed, "values": values, "set": sets, "status": done.status,
+            "reason": done.reason, "warnings": done.warnings, "results": done.results,
+        });
+        self.write(&format!("{RUNS_DIR}/{}", file_name(done.run)), format!("{json}\n").as_bytes())
+    }
+
+    /// Writes `runs.csv` and `points.csv` from the runs that are there.
+    ///
+    /// # Errors
+    /// If a run cannot be read, or a table not be written.
+    pub fn write_tables(&self) -> Result<(), FolderError> {
+        let spec = self.spec()?;
+        let mut text = Vec::new();
+        write_runs(self, &spec, &mut text)?;
+        self.write(RUNS, &text)?;
+        text.clear();
+        write_points(self, &spec, &mut text)?;
+        self.write(POINTS, &text)
+    }
+
+    /// Writes a file of the folder whole or not at all.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), FolderError> {
+        let path = self.dir.join(name);
+        // Two processes may resume one sweep at a time; neither writes into the other's file.
+        let part = self.dir.join(format!("{name}.{}.part", std::process::id()));
+        let written = fs::write(&part, bytes).and_then(|()| fs::rename(&part, &path));
+        written.map_err(|source| self.cannot_write(name, source))
+    }
+
+    pub(super) fn cannot_write(&self, name: &str, source: impl Into<io::Error>) -> FolderError {
+        FolderError::Write { path: self.dir.join(name).display().to_string(), source: source.into() }
+    }
+}
+
+/// Puts the runs of shards together in a new folder, and writes the tables of the whole.
+///
+/// # Errors
+/// If the folders are of different sweeps, or a run is in none of them.
+pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
+    let first = &shards[0];
+    for other in &shards[1..] {
+        same(first, other)?;
+    }
+    let mut about = first.about.clone();
+    let of_shard = |shard: &Folder| json!({ "dir": shard.dir.display().to_string(), "shard": shard.about["shard"], "command": shard.about["command"] });
+    about["merged"] = shards.iter().map(of_shard).collect();
+    about["shard"] = Json::Null;
+    let mut from = std::collections::BTreeMap::new();
+    for shard in shards {
+        for run in shard.runs()? {
+            from.entry(run).or_insert(shard);
+        }
+    }
+    let all = first.n_runs();
+    let mut missing = (0..all).filter(|run| !from.contains_key(run));
+    if let Some(run) = missing.next() {
+        return Err(FolderError::Missing { n: 1 + missing.count(), all, first: run });
+    }
+    let graph = first.dir.join(GRAPH);
+    let graph =
+        fs::read_to_string(&graph).map_err(|source| FolderError::Read { path: graph.display().to_string(), source })?;
+    let folder = Folder::begin(dir, &graph, about)?;
+    for (run, shard) in from {
+        let name = format!("{RUNS_DIR}/{}", file_name(run));
+        let path = shard.dir.join(&name);
+        let bytes = fs::read(&path).map_err(|source| FolderError::Read { path: path.display().to_string(), source })?;
+        folder.write(&name, &bytes)?;
+    }
+    folder.write_tables()?;
+    Ok(folder)
+}
+
+/// Whether both folders are of one sweep.
+fn same(a: &Folder, b: &Folder) -> Result<(), FolderError> {
+    match a.hash() == b.hash() {
+        true => Ok(()),
+        false => {
+            let what = format!("its hash is {}, that of {} is {}", b.hash(), a.dir.display(), a.hash());
+            Err(FolderError::Other { path: b.dir.display().to_string(), what })
+        }
+    }
+}
+
+fn file_name(run: usize) -> String {
+    format!("{run:06}.json")
+}

@@ -1,0 +1,164 @@
+//! What runs of a sweep have in common: nodes that would give the same items in several of them.
+//!
+//! A run is a function of its inputs, so what a node gives is decided by its name, its kind and program, its parameters
+//! and the files they name, the run's seed, how its ports join, and what feeds them. The digest over all that is the
+//! node's key; nodes of two runs with one key give the same items, which are computed once.
+
+use crate::{
+    digest::Digest,
+    plan::{Plan, Policy},
+    results::Kept,
+    run::{NodeStats, Warning},
+    store::Key,
+    watch::Stamps,
+};
+use serde_json::json;
+use std::{collections::BTreeMap, sync::Arc};
+
+/// The keys of a plan's nodes, in its order.
+pub(super) fn keys(plan: &Plan, files: &Stamps) -> Vec<Digest> {
+    let mut keys: Vec<Digest> = Vec::with_capacity(plan.nodes.len());
+    for node in &plan.nodes {
+        let mut key = Key::of("node")
+            .text("name", &node.name)
+            .text("kind", &node.kind)
+            .text("plugin", node.plugin.as_deref().unwrap_or_default())
+            .number("seed", plan.seed)
+            .json("params", &node.params)
+            .text("on_error", &format!("{:?}", node.on_error));
+        for port in node.declared.iter() {
+            key = key.text("out", &port.name).text("type", port.payload.name).json("params", &port.params);
+        }
+        for output in &node.outputs {
+            key = key.text("frames", &format!("{} {:?}", output.name, output.frames));
+        }
+        for file in &node.files {
+            key = key.text("file", &file.to_string_lossy()).text("stamp", files.get(file).unwrap_or_default());
+        }
+        for input in &node.inputs {
+            key = key.text("in", input.port.name).text("join", &format!("{:?}", input.port.join));
+            if let Some(link) = input.link.map(|link| &plan.links[link]) {
+                let port = &plan.nodes[link.from.node].outputs[link.from.port].name;
+                key = key.digest("from", keys[link.from.node]).text("port", port);
+                if link.policy != Policy::Block {
+                    let policy = json!([link.policy.to_string(), link.capacity, link.max_bytes]);
+                    key = key.json("policy", &policy);
+                }
+            }
+        }
+        keys.push(key.done().digest());
+    }
+    keys
+}
+
+/// What a node has left, for the other runs.
+pub(super) struct Left {
+    pub(super) outputs: Vec<Kept>,
+    pub(super) stats: NodeStats,
+    pub(super) warnings: Vec<Warning>,
+}
+
+/// What is known of a key that several runs have.
+enum State {
+    /// Nobody has it yet.
+    Open,
+    /// A run is computing it.
+    UnderWay,
+    /// It is there.
+    Done(Arc<Left>),
+}
+
+struct Entry {
+    /// The runs to come that have it.
+    n_users: usize,
+    state: State,
+}
+
+/// The nodes that several runs have, and what they have left so far; each is let go with the last run that has it.
+#[derive(Default)]
+pub(super) struct Shared(BTreeMap<Digest, Entry>);
+
+impl Shared {
+    /// Of the runs to come; what only one of them has is no matter of this.
+    pub(super) fn of<'a>(runs: impl Iterator<Item = &'a [Digest]>) -> Self {
+        let mut entries: BTreeMap<Digest, Entry> = BTreeMap::new();
+        for key in runs.flatten() {
+            entries.entry(*key).or_insert(Entry { n_users: 0, state: State::Open }).n_users += 1;
+        }
+        entries.retain(|_, entry| entry.n_users > 1);
+        Self(entries)
+    }
+
+    /// Whether a run can begin without computing what another one is computing already.
+    pub(super) fn is_free(&self, keys: &[Digest]) -> bool {
+        !keys.iter().any(|key| matches!(self.0.get(key), Some(Entry { state: State::UnderWay, .. })))
+    }
+
+    /// What is there for a run that begins, by node; what it will share is under way from now on.
+    pub(super) fn begin(&mut self, keys: &[Digest]) -> Vec<Option<Arc<Left>>> {
+        let take = |key| match self.0.get_mut(key) {
+            Some(Entry { state: State::Done(left), .. }) => Some(left.clone()),
+            Some(entry) => {
+                entry.state = State::UnderWay;
+                None
+            }
+            None => None,
+        };
+        keys.iter().map(take).collect()
+    }
+
+    /// Takes what a run has left, for the nodes that it computed soundly.
+    pub(super) fn end(&mut self, keys: &[Digest], mut left: Vec<Option<Left>>) {
+        for (index, key) in keys.iter().enumerate() {
+            let Some(entry) = self.0.get_mut(key) else { continue };
+            entry.n_users -= 1;
+            if entry.n_users == 0 {
+                self.0.remove(key);
+            } else if matches!(entry.state, State::UnderWay) {
+                let left = left.get_mut(index).and_then(Option::take);
+                entry.state = left.map_or(State::Open, |left| State::Done(Arc::new(left)));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key(n: u8) -> Digest {
+        Digest([n; 32])
+    }
+
+    fn left() -> Left {
+        let none = std::time::Duration::ZERO;
+        let (name, busy, p50, p95, p99) = (String::new(), none, none, none, none);
+        let stats = NodeStats { name, items: 0, skipped: 0, failed: 0, busy, p50, p95, p99 };
+        Left { outputs: Vec::new(), stats, warnings: Vec::new() }
+    }
+
+    #[test]
+    fn what_two_runs_share_is_computed_once_and_let_go_with_the_last() {
+        let runs = [[key(1), key(2)], [key(1), key(3)]];
+        let mut shared = Shared::of(runs.iter().map(|run| &run[..]));
+        assert_eq!(shared.0.len(), 1, "only what both have");
+        assert!(shared.begin(&runs[0]).iter().all(Option::is_none));
+        assert!(!shared.is_free(&runs[1]), "the first run is computing it");
+        shared.end(&runs[0], vec![Some(left()), Some(left())]);
+        assert!(shared.is_free(&runs[1]));
+        let found = shared.begin(&runs[1]);
+        assert!(found[0].is_some() && found[1].is_none());
+        shared.end(&runs[1], vec![None, Some(left())]);
+        assert!(shared.0.is_empty(), "nobody will ask for it any more");
+    }
+
+    #[test]
+    fn what_failed_is_computed_anew_by_the_next_run() {
+        let runs = [[key(1)], [key(1)], [key(1)]];
+        let mut shared = Shared::of(runs.iter().map(|run| &run[..]));
+        shared.begin(&runs[0]);
+        shared.end(&runs[0], vec![None]);
+        assert!(shared.is_free(&runs[1]), "free to be computed again");
+        assert!(shared.begin(&runs[1])[0].is_none());
+    }
+}

@@ -1,0 +1,128 @@
+//! The tables of a sweep: one row for each run, and one for each run, point and axis.
+
+use super::{
+    folder::{Done, Folder, FolderError},
+    spec::Spec,
+};
+use serde_json::Value as Json;
+use std::io::Write;
+
+/// What a run's results hold at a path such as `metrics.tre_true_mm.mean_signed.z`.
+///
+/// A part is the key of an object, or of a list the number of an item from 0, or the `name` of one.
+pub fn at_path<'a>(results: &'a Json, path: &str) -> Option<&'a Json> {
+    path.split('.').try_fold(results, |at, part| match at {
+        Json::Object(object) => object.get(part),
+        Json::Array(items) => match part.parse::<usize>() {
+            Ok(index) => items.get(index),
+            Err(_) => items.iter().find(|item| item.get("name").and_then(Json::as_str) == Some(part)),
+        },
+        _ => None,
+    })
+}
+
+/// What a cell holds: numbers to their last bit, words as they are, nothing for null.
+fn cell(value: &Json) -> String {
+    match value {
+        Json::Null => String::new(),
+        Json::String(text) => text.clone(),
+        other => other.to_string(),
+    }
+}
+
+/// Names of the factors, of what is drawn and of the repeats, as columns.
+fn names(spec: &Spec) -> impl Iterator<Item = &str> {
+    let factors = spec.factors.iter().map(|factor| factor.name.as_str());
+    factors.chain([spec.repeat_name.as_str()]).chain(spec.draws.iter().map(|draw| draw.name.as_str()))
+}
+
+/// Writes `runs.csv`: run, factors, repeat, draws, seed, status, the columns of the sweep, and the reason where there are
+/// no results.
+///
+/// # Errors
+/// If a run cannot be read or the table not be written.
+pub fn write_runs(folder: &Folder, spec: &Spec, out: impl Write) -> Result<(), FolderError> {
+    let mut table = csv::Writer::from_writer(out);
+    let head = ["run"].into_iter().chain(names(spec)).chain(["seed", "status"]);
+    let head = head.chain(spec.columns.iter().map(|column| column.name.as_str())).chain(["reason"]);
+    table.write_record(head).map_err(|e| folder.cannot_write(super::folder::RUNS, e))?;
+    for done in folder.done()? {
+        let done = done?;
+        let mut row = vec![done.run.to_string()];
+        row.extend(names(spec).map(|name| done.value(name).map(cell).unwrap_or_default()));
+        row.extend([done.seed.to_string(), done.status.clone()]);
+        row.extend(
+            spec.columns.iter().map(|column| at_path(&done.results, &column.path).map(cell).unwrap_or_default()),
+        );
+        row.push(done.reason.clone().unwrap_or_default());
+        table.write_record(row).map_err(|e| folder.cannot_write(super::folder::RUNS, e))?;
+    }
+    table.flush().map_err(|e| folder.cannot_write(super::folder::RUNS, e))
+}
+
+/// A value at a point along an axis.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PointValue<'a> {
+    /// What is measured, with its unit.
+    pub measure: &'a str,
+    /// The point's name, or its number from 0.
+    pub point: String,
+    /// The axis.
+    pub axis: &'a str,
+    /// The value, signed.
+    pub value: f64,
+}
+
+/// What a run says at its points.
+pub fn point_values<'a>(spec: &'a Spec, done: &Done) -> Vec<PointValue<'a>> {
+    let mut out = Vec::new();
+    for column in &spec.points {
+        let Some(Json::Array(items)) = at_path(&done.results, &column.path) else { continue };
+        for (index, item) in items.iter().enumerate() {
+            let point = item.get(&column.label).map_or_else(|| index.to_string(), cell);
+            for axis in &column.axes {
+                if let Some(value) = at_path(item, axis).and_then(Json::as_f64) {
+                    out.push(PointValue { measure: &column.name, point: point.clone(), axis, value });
+                }
+            }
+        }
+    }
+    out
+}
+
+/// Writes `points.csv`, long: run, factors, repeat, draws, seed, measure, point, axis, value.
+///
+/// # Errors
+/// If a run cannot be read or the table not be written.
+pub fn write_points(folder: &Folder, spec: &Spec, out: impl Write) -> Result<(), FolderError> {
+    let mut table = csv::Writer::from_writer(out);
+    let head = ["run"].into_iter().chain(names(spec)).chain(["seed", "measure", "point", "axis", "value"]);
+    table.write_record(head).map_err(|e| folder.cannot_write(super::folder::POINTS, e))?;
+    for done in folder.done()? {
+        let done = done?;
+        let mut own = vec![done.run.to_string()];
+        own.extend(names(spec).map(|name| done.value(name).map(cell).unwrap_or_default()));
+        own.push(done.seed.to_string());
+        for point in point_values(spec, &done) {
+            let value = Json::from(point.value).to_string();
+            let row = own.iter().map(String::as_str).chain([point.measure, &point.point, point.axis, &value]);
+            table.write_record(row).map_err(|e| folder.cannot_write(super::folder::POINTS, e))?;
+        }
+    }
+    table.flush().map_err(|e| folder.cannot_write(super::folder::POINTS, e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_path_leads_through_objects_numbers_and_names() {
+        let results = json!({ "cuts": { "planes": [{ "name": "plane_1", "offset_mm": 1.5 }, { "name": "plane_2" }] } });
+        assert_eq!(at_path(&results, "cuts.planes.0.offset_mm"), Some(&json!(1.5)));
+        assert_eq!(at_path(&results, "cuts.planes.plane_1.offset_mm"), Some(&json!(1.5)));
+        assert_eq!(at_path(&results, "cuts.planes.plane_3.offset_mm"), None);
+        assert_eq!(at_path(&results, "cuts.planes.7"), None);
+    }
+}

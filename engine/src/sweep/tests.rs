@@ -1,0 +1,329 @@
+use super::*;
+use crate::{
+    run::RunOptions,
+    toy::{n_fired, registry},
+};
+use serde_json::json;
+use std::{fs, path::PathBuf};
+
+/// A graph of toys: `shared` is what all runs of a seed have in common.
+fn graph(counter: &str, sweep: &str) -> String {
+    format!(
+        r#"
+[graph]
+format = 1
+name = "toy"
+seed = 7
+
+[node.scan]
+kind  = "toy.script"
+out   = {{ p0 = {{ type = "toy/Number", calls = [] }} }}
+calls = [{{ stamp_ns = 10, give = [[0, 1.5]] }}]
+
+[node.shared]
+kind    = "toy.kept_with_seed"
+in      = {{ a = "scan.p0" }}
+counter = "{counter}"
+takes   = "draws"
+
+[node.last]
+kind  = "toy.add"
+in    = {{ a = "shared.out", b = "scan.p0" }}
+
+[results]
+"values.shared" = "shared.out"
+"values.last"   = "last.out"
+all             = {{ from = "shared.out", all = true }}
+{sweep}"#
+    )
+}
+
+struct Desk {
+    dir: tempfile::TempDir,
+    graph: PathBuf,
+}
+
+impl Desk {
+    fn new(text: &str) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let graph = dir.path().join("toy.toml");
+        fs::write(&graph, text).unwrap();
+        Self { dir, graph }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    fn check(&self) -> Sweep {
+        check(&self.graph, &[], &registry(), 2).unwrap_or_else(|faults| panic!("{}", faults.render(false)))
+    }
+
+    /// The faults of a graph that has some.
+    fn faults(&self) -> String {
+        check(&self.graph, &[], &registry(), 2).map(|_| ()).unwrap_err().render(false)
+    }
+
+    /// Sweeps into a new folder and answers its tables.
+    fn sweep(&self, out: &str, options: &SweepOptions) -> (Swept, String, String) {
+        let sweep = self.check();
+        let folder = sweep.begin(&self.path(out), options).unwrap();
+        let swept = sweep.run(&folder, options, &()).unwrap();
+        folder.write_tables().unwrap();
+        let read = |name| fs::read_to_string(self.path(out).join(name)).unwrap();
+        (swept, read(RUNS), read(POINTS))
+    }
+}
+
+fn options(workers: usize, share: bool) -> SweepOptions {
+    SweepOptions { workers, run: RunOptions::default(), share, shard: None }
+}
+
+const SIX: &str = r#"
+[sweep]
+repeat = 3
+units  = ["trial"]
+[sweep.factor]
+noise = { key = "last.noise", values = [false, true] }
+[sweep.columns]
+last   = "values.last"
+[sweep.points]
+all = { from = "all", axes = [] }
+"#;
+
+#[test]
+fn the_tables_are_the_same_for_any_number_of_workers_with_and_without_sharing() {
+    let desk = Desk::new(&graph("sweep-same", SIX));
+    let (swept, runs, points) = desk.sweep("one", &options(1, false));
+    assert_eq!((swept.n_run, swept.n_shared, swept.n_computed), (6, 0, 18));
+    for (name, workers, share) in [("a", 1, true), ("b", 2, true), ("c", 8, true), ("d", 8, false)] {
+        assert_eq!(desk.sweep(name, &options(workers, share)).1, runs, "{workers} workers, sharing: {share}");
+        assert_eq!(desk.sweep(&format!("{name}2"), &options(workers, share)).2, points);
+    }
+    let lines: Vec<_> = runs.lines().collect();
+    assert_eq!(lines[0], "run,noise,trial,seed,status,last,reason");
+    assert!(lines[1].starts_with("0,false,0,7,complete,"), "{}", lines[1]);
+    assert!(lines[6].starts_with("5,true,2,9,complete,"), "{}", lines[6]);
+}
+
+#[test]
+fn what_runs_have_in_common_is_computed_once() {
+    let desk = Desk::new(&graph("sweep-once", SIX));
+    let (swept, ..) = desk.sweep("out", &options(4, true));
+    assert_eq!(n_fired("sweep-once"), 3, "once for each of three seeds");
+    assert_eq!((swept.n_shared, swept.n_computed), (6, 12), "scan and shared of three runs came from three others");
+}
+
+#[test]
+fn a_sweep_that_was_stopped_goes_on_where_it_was_and_leaves_the_same_tables() {
+    let desk = Desk::new(&graph("sweep-resume", SIX));
+    let (_, runs, points) = desk.sweep("whole", &options(2, true));
+    desk.sweep("cut", &options(2, true));
+    // What a kill leaves: runs that are there whole, others that are not, and a file half written under another name.
+    for run in [1, 4, 5] {
+        fs::remove_file(desk.path("cut/runs").join(format!("{run:06}.json"))).unwrap();
+    }
+    fs::write(desk.path("cut/runs/000001.json.99.part"), "{\"run\":").unwrap();
+    fs::remove_file(desk.path("cut").join(RUNS)).unwrap();
+    let sweep = desk.check();
+    let folder = sweep.resume(&desk.path("cut")).unwrap();
+    let swept = sweep.run(&folder, &options(2, true), &()).unwrap();
+    assert_eq!((swept.n_before, swept.n_run, swept.n_missing), (3, 3, 0));
+    folder.write_tables().unwrap();
+    assert_eq!(fs::read_to_string(desk.path("cut").join(RUNS)).unwrap(), runs);
+    assert_eq!(fs::read_to_string(desk.path("cut").join(POINTS)).unwrap(), points);
+}
+
+#[test]
+fn a_changed_graph_does_not_go_on_in_the_folder_of_another() {
+    let desk = Desk::new(&graph("sweep-changed", SIX));
+    desk.sweep("out", &options(1, true));
+    fs::write(&desk.graph, graph("sweep-changed", &SIX.replace("[false, true]", "[true, false]"))).unwrap();
+    let said = desk.check().resume(&desk.path("out")).unwrap_err().to_string();
+    assert!(said.contains("are not those it was begun with") && said.contains("sweep.toml"), "{said}");
+    let said = desk.check().resume(&desk.path("nothing")).unwrap_err().to_string();
+    assert!(said.contains("holds no sweep"), "{said}");
+}
+
+#[test]
+fn shards_put_together_are_the_whole_and_a_missing_one_is_named() {
+    let desk = Desk::new(&graph("sweep-shards", SIX));
+    let (_, runs, points) = desk.sweep("whole", &options(2, true));
+    let shards: Vec<_> = (1..=4)
+        .map(|index| {
+            let dir = format!("shard{index}");
+            desk.sweep(&dir, &SweepOptions { shard: Some(Shard { index, of: 4 }), ..options(1, true) });
+            Folder::open(&desk.path(&dir)).unwrap()
+        })
+        .collect();
+    let said = merge(&shards[..3], &desk.path("part")).unwrap_err().to_string();
+    assert!(said.starts_with("2 of 6 runs are in none of the folders"), "{said}");
+    merge(&shards, &desk.path("merged")).unwrap();
+    assert_eq!(fs::read_to_string(desk.path("merged").join(RUNS)).unwrap(), runs);
+    assert_eq!(fs::read_to_string(desk.path("merged").join(POINTS)).unwrap(), points);
+}
+
+#[test]
+fn a_failing_run_is_a_row_with_its_reason_and_the_others_go_on() {
+    let sweep = r#"
+[sweep.factor]
+number = { key = "scan.calls[0].give[0][1]", values = [1.0, 13.0, 666.0, 2.0] }
+[sweep.columns]
+last = "values.last"
+"#;
+    let text = graph("sweep-fails", sweep).replace(r#""toy.kept_with_seed""#, r#""toy.add""#);
+    let desk = Desk::new(&text.replace("counter = \"sweep-fails\"\ntakes   = \"draws\"\n", ""));
+    let (swept, runs, _) = desk.sweep("out", &options(2, true));
+    assert_eq!((swept.n_run, swept.n_without), (4, 2));
+    let lines: Vec<_> = runs.lines().collect();
+    assert_eq!(lines[1], "0,1.0,0,7,complete,2.0,");
+    assert!(lines[2].starts_with("1,13.0,0,7,refused,,") && lines[2].contains("13 is not a number"), "{}", lines[2]);
+    assert!(lines[3].starts_with("2,666.0,0,7,refused,,") && lines[3].contains("the beast"), "{}", lines[3]);
+    assert_eq!(lines[4], "3,2.0,0,7,complete,4.0,");
+}
+
+#[test]
+fn paired_factors_go_together_and_others_are_crossed() {
+    let factor = |name: &str, values: Json| {
+        let levels = values.as_array().unwrap().iter();
+        let levels = levels.map(|label| Level { label: label.clone(), sets: vec![format!("n.{name}={label}")] });
+        Factor { name: name.into(), levels: levels.collect() }
+    };
+    let spec = Spec {
+        repeat: 2,
+        repeat_name: "trial".into(),
+        same_seed: true,
+        factors: vec![factor("a", json!([1, 2])), factor("b", json!(["x", "y"])), factor("c", json!([10, 20]))],
+        pair: vec![vec!["a".into(), "c".into()]],
+        draws: vec![Draw {
+            name: "d".into(),
+            keys: vec!["n.d".into(), "m.d".into()],
+            distribution: Distribution::Uniform([-1.0, 1.0]),
+        }],
+        units: Vec::new(),
+        columns: Vec::new(),
+        points: Vec::new(),
+        limits: Vec::new(),
+        compare: None,
+    };
+    let rows = rows(&spec, 5);
+    let told: Vec<_> = rows
+        .iter()
+        .map(|row| row.values[..4].iter().map(|(_, v)| v.to_string()).collect::<Vec<_>>().join(" "))
+        .collect();
+    let expected = [
+        "1 \"x\" 10 0",
+        "1 \"x\" 10 1",
+        "1 \"y\" 10 0",
+        "1 \"y\" 10 1",
+        "2 \"x\" 20 0",
+        "2 \"x\" 20 1",
+        "2 \"y\" 20 0",
+        "2 \"y\" 20 1",
+    ];
+    assert_eq!(told, expected);
+    assert_eq!(rows[0].values[4], rows[2].values[4], "a draw is the same under all factors");
+    assert_ne!(rows[0].values[4], rows[1].values[4], "and anew for each repeat");
+    assert!(rows.iter().all(|row| row.seed == 5 && !row.sets.iter().any(|set| set.starts_with("graph.seed"))));
+    assert_eq!(rows[0].sets.iter().filter(|set| set.contains(".d=")).count(), 2);
+}
+
+#[test]
+fn draws_are_distributed_as_they_say() {
+    let draw = |distribution| Draw { name: "d".into(), keys: Vec::new(), distribution };
+    let values = |distribution| {
+        let spec = Spec {
+            repeat: 4000,
+            repeat_name: "r".into(),
+            same_seed: true,
+            factors: Vec::new(),
+            pair: Vec::new(),
+            draws: vec![draw(distribution)],
+            units: Vec::new(),
+            columns: Vec::new(),
+            points: Vec::new(),
+            limits: Vec::new(),
+            compare: None,
+        };
+        rows(&spec, 1).into_iter().map(|row| row.values[1].1.clone()).collect::<Vec<_>>()
+    };
+    let numbers = |distribution| values(distribution).iter().map(|v| v.as_f64().unwrap()).collect::<Vec<_>>();
+    let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
+    let sd = |x: &[f64]| (x.iter().map(|v| (v - mean(x)).powi(2)).sum::<f64>() / x.len() as f64).sqrt();
+    // Each bound is four standard errors of 4000 draws.
+    let uniform = numbers(Distribution::Uniform([-10.0, 10.0]));
+    assert!(uniform.iter().all(|x| (-10.0..=10.0).contains(x)) && mean(&uniform).abs() < 0.37, "{}", mean(&uniform));
+    assert!((sd(&uniform) - 5.7735).abs() < 0.2, "{}", sd(&uniform));
+    let normal = numbers(Distribution::Normal([3.0, 2.0]));
+    assert!(
+        (mean(&normal) - 3.0).abs() < 0.13 && (sd(&normal) - 2.0).abs() < 0.09,
+        "{} {}",
+        mean(&normal),
+        sd(&normal)
+    );
+    let log = numbers(Distribution::LogUniform([1.0, 100.0]));
+    let below_ten = log.iter().filter(|x| **x < 10.0).count();
+    assert!((below_ten as f64 - 2000.0).abs() < 127.0, "{below_ten}");
+    let whole = numbers(Distribution::Integers([1, 4]));
+    assert!((1..=4).all(|k| (whole.iter().filter(|x| **x == f64::from(k)).count() as f64 - 1000.0).abs() < 110.0));
+    let choice = values(Distribution::Choice(vec![json!("a"), json!("b")]));
+    assert!((choice.iter().filter(|v| *v == "a").count() as f64 - 2000.0).abs() < 127.0);
+}
+
+#[test]
+fn every_fault_of_a_sweep_is_told_at_its_line() {
+    let sweep = r#"
+[sweep]
+repeat = 0
+tile   = 3
+units  = ["nois", "trial"]
+pair   = [["noise", "short"]]
+limit  = { las = 2.0 }
+[sweep.factor]
+noise = { key = "last.noise", values = [false, true] }
+short = { key = "last.sleep_us", values = [1] }
+twice = { key = "last.sleep_us", values = [1, 1] }
+none  = { values = [1] }
+range = { key = "last.sleep_us", from = 0.0, to = 1.0 }
+run   = { key = "last.noise", values = [true] }
+[sweep.draw]
+d = { key = "last.sleep_us", uniform = [2.0, 1.0] }
+e = { key = "last.sleep_us" }
+[sweep.columns]
+last = "values.last"
+[sweep.points]
+all = { axes = ["x"] }
+"#;
+    let said = Desk::new(&graph("sweep-faults", sweep)).faults();
+    for expected in [
+        "repeat takes a whole number of at least 1, found 0",
+        "[sweep] has no key \"tile\"",
+        "units \"nois\" and \"trial\" are no factors",
+        "paired factors \"noise\", \"short\" have different numbers of values",
+        "limit: there is no column \"las\"",
+        "did you mean \"last\"?",
+        "factor \"twice\" has the value 1 twice",
+        "factor \"none\" does not say what it sets",
+        "factor \"range\" does not say how many values",
+        "a column of the sweep cannot be called \"run\"",
+        "draw \"d\": uniform takes two numbers, the smaller first",
+        "draw \"e\" needs one distribution",
+        "points \"all\" does not say its list",
+    ] {
+        assert!(said.contains(expected), "{expected}\n---\n{said}");
+    }
+    assert_eq!(
+        said.matches("toy.toml:").count(),
+        said.matches(" --> ").count() + said.matches("::: ").count(),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_fault_of_one_run_is_told_with_the_settings_of_that_run() {
+    let sweep = "[sweep.factor]\nwait = { key = \"last.sleep_us\", values = [1, \"long\"] }\n";
+    let said = Desk::new(&graph("sweep-row", sweep)).faults();
+    assert!(said.contains("in run 1 of the sweep: wait = \"long\", repeat = 0"), "{said}");
+    let said = Desk::new(&graph("sweep-none", "")).faults();
+    assert!(said.contains("has no table [sweep]"), "{said}");
+}

@@ -1,0 +1,248 @@
+use super::{Exit, Format, Global, PluginArgs, UsageError, graph_args, out_dir, print_json, run::Keep, running};
+use anyhow::Result;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use osteoflow_engine::sweep::{self, Done, Folder, FolderError, Shard, Sweep as Checked, SweepOptions, Swept, Watcher};
+use serde_json::json;
+use std::{
+    fs,
+    io::{IsTerminal, Write},
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+/// Run a graph many times as its table [sweep] says, and make tables of what came out.
+///
+/// Leaves runs.csv (one row a run), points.csv (one row for each run, point and axis), summary.json, and each run's
+/// results. A run that fails is a row with its reason. A sweep that was stopped, by whatever, goes on with --resume.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow sweep graphs/paper/sensitivity.toml
+  osteoflow sweep graphs/paper/sensitivity.toml --set sweep.repeat=20 --set icp.kind=icp.point_to_plane
+  osteoflow sweep graphs/paper/sensitivity.toml --out S          stopped half-way, by kill -9 or a power cut:
+  osteoflow sweep graphs/paper/sensitivity.toml --out S --resume
+  osteoflow sweep G.toml --shard 2/8 --out S2                    the second of eight machines, or of a job array:
+  osteoflow sweep --merge S1 S2 S3 S4 S5 S6 S7 S8 --out S
+
+In a graph file:
+  [sweep]
+  repeat = 10                                         seeds graph.seed, +1, +2 ...
+  [sweep.factor]
+  icp = { key = \"icp.kind\", values = [\"icp.point_to_point\", \"icp.point_to_plane\"] }
+  [sweep.columns]
+  tre_mm = \"metrics.tre_true_mm.mean_abs.norm\"        where it stands in results.json
+All keys: docs/sweeps.md")]
+pub(crate) struct Sweep {
+    /// The graph file, with a table [sweep].
+    #[arg(required_unless_present = "merge")]
+    graph: Option<PathBuf>,
+
+    /// Change any key of the graph in all runs, also of [sweep]: sweep.repeat=20; may be given again.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    sets: Vec<String>,
+
+    #[command(flatten)]
+    plugins: PluginArgs,
+
+    /// The folder to leave the files in; one that is not empty is refused. Default: a new one under runs/.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+
+    /// Go on in the folder of this very sweep: runs that are there stay. Refused if graph, inputs, plugins or the program
+    /// have changed since.
+    #[arg(long, requires = "out")]
+    resume: bool,
+
+    /// Run the K-th of N parts of the sweep, from 1; --merge puts them together.
+    #[arg(long, value_name = "K/N", value_parser = shard)]
+    shard: Option<Shard>,
+
+    /// Put the runs of shards together in the folder of --out.
+    #[arg(long, value_name = "DIR", num_args = 1.., requires = "out", conflicts_with_all = ["graph", "shard", "resume"])]
+    merge: Vec<PathBuf>,
+
+    /// How many runs go on at a time; the tables do not depend on it. Default: the number of cores.
+    #[arg(long, value_name = "N")]
+    workers: Option<NonZeroUsize>,
+
+    /// List the runs and what each sets in the graph; run nothing.
+    #[arg(long)]
+    dry_run: bool,
+
+    /// Compute in each run what several have in common, in the place of once for all. The tables are the same.
+    #[arg(long)]
+    no_share: bool,
+
+    #[command(flatten)]
+    keep: Keep,
+}
+
+fn shard(text: &str) -> Result<Shard, String> {
+    let parts = text.split_once('/').and_then(|(k, n)| Some((k.parse().ok()?, n.parse().ok()?)));
+    match parts {
+        Some((index, of)) if 1 <= index && index <= of => Ok(Shard { index, of }),
+        _ => Err("a part is K/N with K from 1 to N, such as 2/8".into()),
+    }
+}
+
+impl Sweep {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        match &self.graph {
+            None => self.merged(global),
+            Some(graph) => self.swept(graph, global),
+        }
+    }
+
+    fn merged(&self, global: &Global) -> Result<Exit> {
+        let shards = self.merge.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>, _>>().map_err(told)?;
+        let folder = sweep::merge(&shards, &new_dir(self.out.as_deref(), "")?).map_err(told)?;
+        let swept = Swept { n_before: folder.n_runs(), ..Swept::default() };
+        tell(&folder, &swept, Duration::ZERO, global)
+    }
+
+    fn swept(&self, graph: &Path, global: &Global) -> Result<Exit> {
+        let cancelled = Arc::default();
+        let run = running::options(self.workers, &cancelled)?;
+        let workers = run.workers;
+        let sweep = match sweep::check(graph, &self.sets, self.plugins.kinds()?, workers) {
+            Ok(sweep) => sweep,
+            Err(faults) => {
+                graph_args::tell(&faults, global)?;
+                return Ok(Exit::Usage);
+            }
+        };
+        graph_args::warn(&sweep.warnings, global)?;
+        if self.dry_run {
+            return list(&sweep, global);
+        }
+        let run = osteoflow_engine::RunOptions { store: self.keep.store()?, ..run };
+        let options = SweepOptions { workers, run, share: !self.no_share, shard: self.shard };
+        let folder = match (&self.out, self.resume) {
+            (Some(dir), true) => sweep.resume(dir).map_err(told)?,
+            (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, &options).map_err(told)?,
+        };
+        let began = Instant::now();
+        let bar = Bar::begin(&sweep, &folder, &options, global)?;
+        let of_thread = folder.clone();
+        let ran = running::watch(super::progress::Progress::hidden(), cancelled, move |_| {
+            let swept = sweep.run(&of_thread, &options, &bar)?;
+            bar.0.finish_and_clear();
+            Ok(swept)
+        })?;
+        match ran {
+            running::Ran::Ended(swept) => tell(&folder, &swept, began.elapsed(), global),
+            running::Ran::Left => Ok(Exit::Interrupted),
+        }
+    }
+}
+
+/// Another command line helps where the folder is not what was meant.
+fn told(error: FolderError) -> anyhow::Error {
+    match error {
+        FolderError::NoSweep { .. } | FolderError::Other { .. } | FolderError::Missing { .. } => {
+            UsageError(error.to_string()).into()
+        }
+        other => other.into(),
+    }
+}
+
+/// An empty folder; one with a sweep in it may be gone on with.
+fn new_dir(asked: Option<&Path>, graph: &str) -> Result<PathBuf> {
+    if let Some(dir) = asked.filter(|dir| dir.join(sweep::DESIGN).is_file()) {
+        let dir = dir.display();
+        let said = format!("{dir} holds a sweep already; go on with it by --resume, or name another folder");
+        return Err(UsageError(said).into());
+    }
+    if let Some(dir) = asked.filter(|dir| fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some())) {
+        return Err(UsageError(format!("{} is not empty; name another folder", dir.display())).into());
+    }
+    out_dir::make(asked, graph, false)
+}
+
+/// How far the sweep has come, and how long it will still take.
+struct Bar(ProgressBar);
+
+impl Bar {
+    fn begin(sweep: &Checked, folder: &Folder, options: &SweepOptions, global: &Global) -> Result<Self> {
+        let told = !global.quiet && global.format == Format::Text;
+        let terminal = std::io::stderr().is_terminal();
+        let there = folder.runs().map_err(self::told)?.len();
+        if told && !terminal {
+            let (name, n, workers) = (&sweep.plan.name, sweep.n_runs(), options.workers);
+            let there = if there > 0 { format!(", {there} of them there already") } else { String::new() };
+            let shard = options.shard.map_or_else(String::new, |s| format!(", part {} of {}", s.index, s.of));
+            writeln!(std::io::stderr(), "sweeping {name}: {n} runs{there}{shard}, {workers} at a time")?;
+        }
+        let target = if told && terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let n = match options.shard {
+            Some(Shard { index, of }) => sweep.n_runs() * index / of - sweep.n_runs() * (index - 1) / of,
+            None => sweep.n_runs(),
+        };
+        let bar = ProgressBar::with_draw_target(Some(n.saturating_sub(there) as u64), target);
+        let style =
+            ProgressStyle::with_template("{spinner} {bar:24} {pos}/{len} runs  {elapsed} gone, {eta} left  {msg}");
+        bar.set_style(style.expect("the template is fixed").progress_chars("=> "));
+        if told && terminal {
+            bar.enable_steady_tick(Duration::from_millis(120));
+        }
+        Ok(Self(bar))
+    }
+}
+
+impl Watcher for Bar {
+    fn ended(&self, done: &Done) {
+        if let Some(reason) = &done.reason {
+            self.0.set_message(format!("run {}: {reason}", done.run));
+        }
+        self.0.inc(1);
+    }
+}
+
+fn list(sweep: &Checked, global: &Global) -> Result<Exit> {
+    if global.format == Format::Json {
+        let runs = sweep.rows().map(|row| {
+            let values: serde_json::Map<_, _> = row.values.iter().cloned().collect();
+            json!({ "run": row.run, "seed": row.seed, "values": values, "set": row.sets })
+        });
+        print_json(&json!({ "hash": sweep.hash().to_string(), "runs": runs.collect::<Vec<_>>() }))?;
+        return Ok(Exit::Done);
+    }
+    let mut out = std::io::stdout().lock();
+    for row in sweep.rows() {
+        writeln!(out, "run {}: {}", row.run, row.sets.join(" "))?;
+    }
+    Ok(Exit::Done)
+}
+
+/// Writes the tables, and tells how the sweep ended.
+fn tell(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Result<Exit> {
+    folder.write_tables().map_err(told)?;
+    let (dir, n_here) = (folder.dir().display(), swept.n_before + swept.n_run);
+    let exit = if swept.n_missing > 0 { Exit::Interrupted } else { Exit::Done };
+    if global.format == Format::Json {
+        let mut outcome = exit.to_json();
+        outcome["out_dir"] = dir.to_string().into();
+        let runs = json!({
+            "there_before": swept.n_before, "run": swept.n_run, "without_results": swept.n_without,
+            "missing": swept.n_missing, "nodes_computed": swept.n_computed, "nodes_shared": swept.n_shared,
+        });
+        print_json(&json!({ "outcome": outcome, "runs": runs }))?;
+        return Ok(exit);
+    }
+    if swept.n_missing > 0 && !global.quiet {
+        let word = global.paint_err("interrupted", "1;33");
+        writeln!(std::io::stderr(), "{word}: {} runs are missing; go on with --out {dir} --resume", swept.n_missing)?;
+    }
+    let mut out = std::io::stdout().lock();
+    if swept.n_without > 0 {
+        writeln!(out, "{} of {n_here} runs have no results; runs.csv says why", swept.n_without)?;
+    }
+    if global.verbose > 0 {
+        writeln!(out, "{} nodes computed, {} taken from other runs", swept.n_computed, swept.n_shared)?;
+    }
+    writeln!(out, "{n_here} runs in {dir} after {:.2} s", took.as_secs_f64())?;
+    Ok(exit)
+}
