@@ -1,4 +1,8 @@
-//! The camera's place in its marker, from one scan of a phantom of known shape.
+//! The camera's place in its marker, from one scan of a phantom of known shape; and the tip of a stylus.
+
+mod pivot;
+
+pub use pivot::{PivotError, PivotReport, pivot};
 
 use crate::icp::{self, IcpError, IcpParams, IcpReport, Source};
 use crate::kabsch::centroid;

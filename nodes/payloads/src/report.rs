@@ -35,13 +35,16 @@ macro_rules! reports {
 
 reports! {
     "Calibration" = osteoflow_algorithms::calibrate::PhantomReport;
+    "Check" = osteoflow_algorithms::metrics::CheckReport;
     "Coarse" = osteoflow_algorithms::coarse::CoarseReport;
     "Cuts" = osteoflow_algorithms::metrics::CutsReport;
     "Fre" = osteoflow_algorithms::metrics::FreReport;
     "Hole" = osteoflow_algorithms::hole::HoleReport;
     "Icp" = osteoflow_algorithms::icp::IcpReport;
     "IcpTrace" = osteoflow_algorithms::icp::IcpTrace;
+    "LaserSpot" = osteoflow_algorithms::metrics::LaserSpotReport;
     "Motion" = osteoflow_algorithms::still_average::StillReport;
+    "Pivot" = osteoflow_algorithms::calibrate::PivotReport;
     "PoseError" = osteoflow_algorithms::metrics::PoseErrorReport;
     "Surface" = osteoflow_algorithms::metrics::SurfaceReport;
     "Tre" = osteoflow_algorithms::metrics::TreReport;

@@ -1,13 +1,14 @@
 //! The structured-light camera: rays through a grid of pixels onto one surface, and what goes wrong with each.
 
-use crate::draws::{Term, direction, normal, stream};
-use crate::params::CameraParams;
-use nalgebra::{Isometry3, Point3, Vector3};
+use crate::bone::smoothstep;
+use crate::draws::{Term, normal, stream};
+use crate::params::{CameraParams, PeriosteumParams};
+use crate::waves::Waves;
+use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Cloud, CloudError, StampNs};
 use rand::RngExt;
 use rayon::prelude::*;
-use std::f64::consts::TAU;
 
 /// One pixel that sees the surface.
 #[derive(Debug, Clone, Copy)]
@@ -123,72 +124,136 @@ pub(crate) fn view(sight: &Sight<'_>, t_object_camera: &Isometry3<f64>, params: 
 /// The smooth error of depth that the camera's own calibration leaves, mm: a function of where a point lies in the
 /// camera's frame, the same for every cloud of a run.
 pub(crate) struct DepthBias {
-    waves: Vec<(Vector3<f64>, f64)>,
-    amplitude_mm: f64,
+    waves: Waves,
+    rms_mm: f64,
 }
 
 impl DepthBias {
     pub(crate) fn new(params: &CameraParams, seed: u64) -> Self {
-        const N_WAVES: usize = 24;
-        let mut rng = stream(params.bias_seed.unwrap_or(seed), Term::DepthBias, 0);
-        let waves = (0..N_WAVES)
-            .map(|_| {
-                let wavelength_mm = params.depth_bias_wavelength_mm * 2f64.powf(2.0 * rng.random::<f64>() - 1.0);
-                (direction(&mut rng) * (TAU / wavelength_mm), TAU * rng.random::<f64>())
-            })
-            .collect();
-        Self { waves, amplitude_mm: params.depth_bias_mm * (2.0 / N_WAVES as f64).sqrt() }
+        let rng = &mut stream(params.bias_seed.unwrap_or(seed), Term::DepthBias, 0);
+        Self { waves: Waves::new(rng, params.depth_bias_wavelength_mm), rms_mm: params.depth_bias_mm }
     }
 
-    fn at(&self, point: &Point3<f64>) -> f64 {
-        if self.amplitude_mm == 0.0 {
-            return 0.0;
-        }
-        self.amplitude_mm * self.waves.iter().map(|(k, phase)| (k.dot(&point.coords) + phase).cos()).sum::<f64>()
+    /// Added to the distance along the ray.
+    pub(crate) fn at(&self, point: &Point3<f64>) -> f64 {
+        self.waves.scaled(self.rms_mm, point)
     }
 }
 
-/// A laser spot's hole: what lies within `radius_mm` of `spot` (camera frame) is not measured.
+/// A laser spot's hole, camera frame: what lies within `radius_mm` of the spot, or of the beam, is not measured.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Hole {
     pub(crate) spot: Point3<f64>,
     pub(crate) radius_mm: f64,
+    /// The way of the beam, where the disc is the beam's cross-section; else the hole is a ball.
+    pub(crate) beam: Option<Unit<Vector3<f64>>>,
 }
 
-/// A cloud of the view, taken with fresh noise: `scan` numbers the clouds of a run, and with it their draws.
+impl Hole {
+    pub(crate) fn takes(&self, point: &Point3<f64>) -> bool {
+        // Farther along the beam lies another surface.
+        const REACH_MM: f64 = 20.0;
+        let off = point - self.spot;
+        match self.beam {
+            None => off.norm() < self.radius_mm,
+            Some(beam) => {
+                let along = off.dot(&beam);
+                along.abs() < REACH_MM && (off - *beam * along).norm() < self.radius_mm
+            }
+        }
+    }
+}
+
+/// What lies on a bone in a wound: a film, blood, and that it shines.
+pub(crate) struct Wound {
+    /// Thickness of the periosteum that is left, a field in the bone's frame.
+    pub(crate) periosteum: Option<Periosteum>,
+    /// Middles of the pools of blood, frame of the bone.
+    pub(crate) pools: Vec<Point3<f64>>,
+}
+
+/// A patchy film on the bone.
+pub(crate) struct Periosteum {
+    waves: Waves,
+    thickness_mm: f64,
+    threshold: f64,
+}
+
+impl Periosteum {
+    pub(crate) fn new(params: &PeriosteumParams, seed: u64) -> Option<Self> {
+        let rng = &mut stream(params.film_seed.unwrap_or(seed), Term::Periosteum, 0);
+        // The logistic curve stands in for the normal one; they differ by at most a hundredth.
+        let threshold = -(params.share / (1.0 - params.share)).ln() / 1.702;
+        (params.thickness_mm > 0.0).then(|| Self {
+            waves: Waves::new(rng, params.patch_mm),
+            thickness_mm: params.thickness_mm,
+            threshold,
+        })
+    }
+
+    /// 0 where it is scraped off, rising to the whole thickness; mm along the normal.
+    fn at(&self, point: &Point3<f64>) -> f64 {
+        self.thickness_mm * smoothstep(self.waves.scaled(1.0, point) - self.threshold)
+    }
+}
+
+/// One picture to be taken.
+pub(crate) struct Shot<'a> {
+    pub(crate) pixels: &'a [Pixel],
+    pub(crate) t_object_camera: Isometry3<f64>,
+    pub(crate) hole: Option<Hole>,
+    pub(crate) wound: Option<&'a Wound>,
+    pub(crate) stamp_ns: StampNs,
+    /// Numbers the clouds of a run, and with it their draws.
+    pub(crate) number: u64,
+}
+
+/// A cloud of the view, taken with fresh noise.
 ///
 /// Each draw belongs to a pixel (noise, dropout, thinning) or to a patch, whether it is used or not, so that switching a
 /// term off changes nothing else. At most `n_points` points, in the order of the pixels, frame `camera`.
-pub(crate) fn scan(
-    pixels: &[Pixel],
-    bias: &DepthBias,
-    hole: Option<Hole>,
-    stamp_ns: StampNs,
-    params: &CameraParams,
-    seed: u64,
-    scan: u64,
-) -> Result<Cloud, CloudError> {
-    let mut patch_rng = stream(seed, Term::Patches, scan);
+pub(crate) fn scan(shot: &Shot<'_>, bias: &DepthBias, params: &CameraParams, seed: u64) -> Result<Cloud, CloudError> {
+    let Shot { pixels, t_object_camera, hole, wound, stamp_ns, number } = *shot;
+    let mut patch_rng = stream(seed, Term::Patches, number);
     let patches: Vec<Point3<f64>> = (0..params.n_patches)
         .map(|_| patch_rng.random_range(0..pixels.len().max(1)))
         .filter_map(|pixel| Some(pixels.get(pixel)?.point()))
         .collect();
-    let (mut noise, mut dropout) = (stream(seed, Term::DepthNoise, scan), stream(seed, Term::Dropout, scan));
-    let mut thinning = stream(seed, Term::Thinning, scan);
+    let pools: Vec<Point3<f64>> =
+        wound.map_or(&[][..], |w| &w.pools).iter().map(|p| t_object_camera.inverse_transform_point(p)).collect();
+    let periosteum = wound.and_then(|w| w.periosteum.as_ref());
+    let mut specular = (wound.is_some() && params.specular_dropout > 0.0).then(|| stream(seed, Term::Specular, number));
+    let mirror_cos = params.specular_deg.to_radians().cos();
+    let projector = Point3::new(params.projector_mm, 0.0, 0.0);
+    let (mut noise, mut dropout) = (stream(seed, Term::DepthNoise, number), stream(seed, Term::Dropout, number));
+    let mut thinning = stream(seed, Term::Thinning, number);
     let within = |p: &Point3<f64>, centre: &Point3<f64>, radius_mm: f64| (p - centre).norm() < radius_mm;
 
     let mut kept: Vec<(u64, Point3<f64>)> = Vec::with_capacity(pixels.len());
     for pixel in pixels {
         let (noise, drop, key) = (normal(&mut noise), dropout.random::<f64>(), thinning.random::<u64>());
+        let shines = specular.as_mut().is_some_and(|rng| rng.random::<f64>() < params.specular_dropout);
         let truth = pixel.point();
         if drop < params.dropout
             || patches.iter().any(|centre| within(&truth, centre, params.patch_radius_mm))
-            || hole.is_some_and(|hole| within(&truth, &hole.spot, hole.radius_mm))
+            || hole.is_some_and(|hole| hole.takes(&truth))
+            || pools.iter().any(|centre| within(&truth, centre, params.pool_radius_mm))
         {
             continue;
         }
+        if shines {
+            // A mirror sends the projector's light into the lens where its normal halves the angle between the two.
+            let halfway = ((projector - truth).normalize() - pixel.ray).normalize();
+            if t_object_camera.inverse_transform_vector(&pixel.normal).dot(&halfway) > mirror_cos {
+                continue;
+            }
+        }
+        let film_mm = match periosteum {
+            Some(film) if pixel.on_object => film.at(&(t_object_camera * truth)) / pixel.cos_incidence,
+            _ => 0.0,
+        };
         let spread = params.depth_noise_mm * pixel.cos_incidence.powf(-params.depth_noise_growth);
-        kept.push((key, Point3::from(pixel.ray * (pixel.distance_mm + spread * noise + bias.at(&truth)))));
+        kept.push((key, Point3::from(pixel.ray * (pixel.distance_mm - film_mm + spread * noise + bias.at(&truth)))));
     }
     if kept.len() > params.n_points {
         let mut keys: Vec<u64> = kept.iter().map(|(key, _)| *key).collect();
@@ -220,10 +285,14 @@ mod tests {
         CameraParams { depth_noise_mm: 0.0, dropout: 0.0, n_patches: 0, depth_bias_mm: 0.0, ..CameraParams::default() }
     }
 
+    fn shot(pixels: &[Pixel]) -> Shot<'_> {
+        Shot { pixels, t_object_camera: Isometry3::identity(), hole: None, wound: None, stamp_ns: 1, number: 1 }
+    }
+
     /// The cloud of all pixels that are left, before the surplus goes.
     fn left(pixels: &[Pixel], params: &CameraParams, seed: u64) -> Cloud {
         let all = CameraParams { n_points: pixels.len(), ..params.clone() };
-        scan(pixels, &DepthBias::new(params, seed), None, 1, &all, seed, 1).unwrap()
+        scan(&shot(pixels), &DepthBias::new(params, seed), &all, seed).unwrap()
     }
 
     #[test]
@@ -232,7 +301,7 @@ mod tests {
         let pixels = wall(&params);
         let share = pixels.len() as f64 / 20_000.0;
         assert!((1.08..1.16).contains(&share), "{share} pixels for each point");
-        let cloud = scan(&pixels, &DepthBias::new(&params, 1), None, 1, &params, 1, 1).unwrap();
+        let cloud = scan(&shot(&pixels), &DepthBias::new(&params, 1), &params, 1).unwrap();
         assert_eq!(cloud.len(), 20_000);
         assert!(cloud.points().iter().all(|p| (p.z - 200.0).abs() < 1e-9));
         assert_eq!(cloud.viewpoint, Some(Isometry3::identity()));

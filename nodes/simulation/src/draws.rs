@@ -31,6 +31,19 @@ pub(crate) enum Term {
     CtNoise = 20,
     CameraMotionBetweenScans = 21,
     SmoothError = 22,
+    RulerShared = 23,
+    RulerEach = 24,
+    Periosteum = 25,
+    BloodPools = 26,
+    Specular = 27,
+    MarkerSlip = 28,
+    CheckPlace = 29,
+    CheckPrint = 30,
+    CheckReading = 31,
+    CtBumps = 32,
+    LaserBeam = 33,
+    Pivoting = 34,
+    StylusAttitude = 35,
 }
 
 /// The stream of `term`; `item` tells scans, markers or placements apart.

@@ -1,4 +1,4 @@
-use osteoflow_algorithms::landmarks::LandmarkError;
+use osteoflow_algorithms::{calibrate::PivotError, landmarks::LandmarkError};
 use osteoflow_geometry::{CloudError, FrameError, MeshError};
 
 /// Why a procedure could not be simulated.
@@ -79,6 +79,9 @@ pub enum SimulationError {
         /// How many it may.
         limit: u64,
     },
+    /// The stylus' pivot calibration has no result.
+    #[error(transparent)]
+    Pivot(#[from] PivotError),
     /// The landmarks have no place on this bone.
     #[error(transparent)]
     Landmarks(#[from] LandmarkError),

@@ -16,6 +16,7 @@
 
 pub mod bone;
 mod camera;
+mod check_piece;
 pub mod ct;
 mod draws;
 mod error;
@@ -24,17 +25,20 @@ mod params;
 pub mod phantom;
 mod plan;
 pub mod procedure;
+mod stylus;
 mod subject;
 mod surroundings;
 mod topology;
 mod tracker;
+mod waves;
 mod weakest_mode;
 
 pub use bone::BoneParams;
 pub use ct::{CtParams, ct_surface};
 pub use error::SimulationError;
 pub use params::{
-    CameraParams, LaserParams, MotionParams, PhantomParams, ProcedureParams, StylusParams, TrackerParams,
+    CameraParams, CheckParams, LaserDisc, LaserParams, MotionParams, PeriosteumParams, PhantomParams, ProcedureParams,
+    RulerParams, StylusParams, TrackerParams,
 };
 pub use plan::{complete, plan};
 pub use procedure::{Procedure, Truth, t_camera_camera_marker_nominal};

@@ -6,7 +6,7 @@
 use crate::error::hold;
 use crate::{BoneParams, SimulationError};
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// A simulated procedure: the bone, what every device does wrong, and by how much.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
@@ -22,8 +22,14 @@ pub struct ProcedureParams {
     pub laser: LaserParams,
     /// The calibration phantom and the camera marker's support.
     pub phantom: PhantomParams,
+    /// The printed piece with holes by which a calibration is checked.
+    pub check: CheckParams,
     /// The tracked stylus.
     pub stylus: StylusParams,
+    /// The ruler by which the marks are measured off on the bone.
+    pub ruler: RulerParams,
+    /// What is left of the periosteum on the stripped bone.
+    pub periosteum: PeriosteumParams,
     /// When things happen, and what moves.
     pub motion: MotionParams,
 }
@@ -72,6 +78,23 @@ pub struct CameraParams {
     /// The radius of such a patch. 1.2 mm: other simulator.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub patch_radius_mm: f64,
+    /// Round pools of blood on the bone, in the same place in all clouds of a run, none on a mark. 0: off; assumed 3 where
+    /// the wound bleeds.
+    #[schemars(range(min = 0, max = 100))]
+    pub n_pools: u32,
+    /// The radius of such a pool. 3 mm: assumed, a large drop.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub pool_radius_mm: f64,
+    /// The share of the bone's pixels that fail where it mirrors the projector into the lens, each cloud anew. 0: off, a
+    /// bone wiped dry; assumed 0.7 where it is wet.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub specular_dropout: f64,
+    /// How far the surface's normal may be from the mirror's for that. 8 degrees: assumed, the gloss of a wet surface.
+    #[schemars(range(min = 0.0, max = 45.0))]
+    pub specular_deg: f64,
+    /// How far beside the lens the projector stands, along the camera's x. 80 mm: assumed, a hand-held scanner's base.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub projector_mm: f64,
     /// RMS of the smooth error in depth that the camera's own calibration leaves; one field for all clouds of a run, as it
     /// belongs to the camera. 0.05 mm: other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
@@ -99,6 +122,11 @@ impl Default for CameraParams {
             dropout: 0.02,
             n_patches: 3,
             patch_radius_mm: 1.2,
+            n_pools: 0,
+            pool_radius_mm: 3.0,
+            specular_dropout: 0.0,
+            specular_deg: 8.0,
+            projector_mm: 80.0,
             depth_bias_mm: 0.05,
             depth_bias_wavelength_mm: 60.0,
             bias_seed: None,
@@ -135,6 +163,9 @@ pub struct TrackerParams {
     /// How long a marker is followed before and after each cloud. 0.6 s: assumed, a dozen samples on either side.
     #[schemars(range(min = 0.1, max = 1.9))]
     pub burst_s: f64,
+    /// Whether there is no localiser, as in vivo: the camera at the full scan is the world, its marker's poses are
+    /// identities, and there is neither bone marker nor stylus nor check piece. false: the paper's bench.
+    pub none: bool,
 }
 
 impl Default for TrackerParams {
@@ -148,6 +179,7 @@ impl Default for TrackerParams {
             noise_deg: 0.0115,
             drift_mm_per_min: 0.05,
             burst_s: 0.6,
+            none: false,
         }
     }
 }
@@ -165,11 +197,39 @@ pub struct LaserParams {
     /// Standard deviation of aiming along the bone. 0.7 mm: other simulator.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub aim_along_mm: f64,
+    /// Where the camera is blind about the spot. `ball`: other simulator.
+    pub disc: LaserDisc,
+    /// Standard deviation, about each axis across it, of how a beam's way differs from the camera's ray to the spot. 10
+    /// degrees: assumed, a pointer held beside the camera.
+    #[schemars(range(min = 0.0, max = 30.0))]
+    pub beam_deg: f64,
+    /// Whether the assessment marks are pointed at too, after the landmarks, as in vivo, where no stylus touches them. false:
+    /// the paper's bench.
+    pub assessment: bool,
+}
+
+/// The shape of a laser spot's hole.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LaserDisc {
+    /// All of the surface within the radius of the spot.
+    #[default]
+    Ball,
+    /// All of the surface in the beam: a disc across it, drawn out where the surface is slanted, and cut off where the
+    /// surface ends, as on a ridge.
+    Beam,
 }
 
 impl Default for LaserParams {
     fn default() -> Self {
-        Self { hole_radius_mm: 2.0, aim_across_mm: 0.6, aim_along_mm: 0.7 }
+        Self {
+            hole_radius_mm: 2.0,
+            aim_across_mm: 0.6,
+            aim_along_mm: 0.7,
+            disc: LaserDisc::Ball,
+            beam_deg: 10.0,
+            assessment: false,
+        }
     }
 }
 
@@ -212,6 +272,67 @@ impl Default for PhantomParams {
     }
 }
 
+/// A printed piece with twelve holes and a marker, which the camera sees where the phantom stood and where the bone lies.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct CheckParams {
+    /// Standard deviation, per axis, of a hole's place as read from the cloud. 0.1 mm: assumed, half the spacing of the
+    /// points.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub reading_mm: f64,
+    /// Standard deviation, per axis, of a printed hole against the piece's CAD. 0.05 mm: as the phantom's.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub print_mm: f64,
+    /// Draws the print's error. None: by the run's seed; a number where many procedures are with one piece.
+    pub print_seed: Option<u64>,
+}
+
+impl Default for CheckParams {
+    fn default() -> Self {
+        Self { reading_mm: 0.1, print_mm: 0.05, print_seed: None }
+    }
+}
+
+/// How far the marks on the bone are from where they were planned: measured off from the malleolus with a ruler, and carried
+/// back onto the surface. The laser, the holes and the stylus follow the marks.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RulerParams {
+    /// Standard deviation, along the bone, of the place from which all marks are measured: the malleolus under the skin. 0:
+    /// off, marks as planned.
+    #[schemars(range(min = 0.0, max = 30.0))]
+    pub shared_mm: f64,
+    /// Standard deviation, along the bone, of each mark on its own. 0: off.
+    #[schemars(range(min = 0.0, max = 30.0))]
+    pub each_mm: f64,
+    /// Standard deviation, across the bone, of each mark. 0: off.
+    #[schemars(range(min = 0.0, max = 30.0))]
+    pub across_mm: f64,
+}
+
+/// A patchy film on the bone, seen by the camera in the bone's place: always towards the camera. The stylus pierces it.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PeriosteumParams {
+    /// The greatest thickness. 0: off, a bone scraped clean; assumed up to 0.5 mm where it is not.
+    #[schemars(range(min = 0.0, max = 3.0))]
+    pub thickness_mm: f64,
+    /// The share of the surface that has some. 0.5: assumed.
+    #[schemars(range(min = 0.01, max = 0.99))]
+    pub share: f64,
+    /// The wavelength of the patches. 15 mm: assumed, a few strokes of a scraper.
+    #[schemars(range(min = 1.0, max = 500.0))]
+    pub patch_mm: f64,
+    /// Draws the patches. None: by the run's seed; a number where many procedures are on one stripped bone.
+    pub film_seed: Option<u64>,
+}
+
+impl Default for PeriosteumParams {
+    fn default() -> Self {
+        Self { thickness_mm: 0.0, share: 0.5, patch_mm: 15.0, film_seed: None }
+    }
+}
+
 /// The tracked stylus: the reference of the assessment, and the baseline method.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -231,11 +352,30 @@ pub struct StylusParams {
     /// Standard deviation, per axis, of each palpated point. 0.25 mm: other simulator.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub palpation_mm: f64,
+    /// Poses of a pivot calibration before the procedure. 0: none, the tip's error is drawn (`tip_mm`); else it is what the
+    /// calibration leaves of these poses, and the stylus' marker is tracked at every touch.
+    #[schemars(range(min = 0, max = 10_000))]
+    pub pivot_poses: usize,
+    /// How far the stylus is tilted about its tip in the calibration. 30 degrees: assumed, as markers stay in view.
+    #[schemars(range(min = 1.0, max = 80.0))]
+    pub pivot_deg: f64,
+    /// Standard deviation, per axis, of the tip's place in the dimple that it is turned in. 0.05 mm: assumed.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub dimple_mm: f64,
 }
 
 impl Default for StylusParams {
     fn default() -> Self {
-        Self { tip_mm: 0.1, touch_mm: 0.1, n_palpated: 300, palpation_bias_mm: 0.3, palpation_mm: 0.25 }
+        Self {
+            tip_mm: 0.1,
+            touch_mm: 0.1,
+            n_palpated: 300,
+            palpation_bias_mm: 0.3,
+            palpation_mm: 0.25,
+            pivot_poses: 0,
+            pivot_deg: 30.0,
+            dimple_mm: 0.05,
+        }
     }
 }
 
@@ -266,6 +406,12 @@ pub struct MotionParams {
     /// How far it turns meanwhile. 0: assumed, it stands on an arm.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub camera_between_scans_deg: f64,
+    /// How far the bone's marker slips on the bone between the scans and the touches. 0: off, a marker that holds.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub marker_slip_mm: f64,
+    /// How far it turns meanwhile. 0: off.
+    #[schemars(range(min = 0.0, max = 30.0))]
+    pub marker_slip_deg: f64,
 }
 
 impl Default for MotionParams {
@@ -278,6 +424,8 @@ impl Default for MotionParams {
             bone_between_scans_deg: 0.0,
             camera_between_scans_mm: 0.0,
             camera_between_scans_deg: 0.0,
+            marker_slip_mm: 0.0,
+            marker_slip_deg: 0.0,
         }
     }
 }
@@ -288,7 +436,15 @@ impl ProcedureParams {
     pub fn without_errors(self) -> Self {
         Self {
             bone: self.bone,
-            camera: CameraParams { depth_noise_mm: 0.0, dropout: 0.0, n_patches: 0, depth_bias_mm: 0.0, ..self.camera },
+            camera: CameraParams {
+                depth_noise_mm: 0.0,
+                dropout: 0.0,
+                n_patches: 0,
+                n_pools: 0,
+                specular_dropout: 0.0,
+                depth_bias_mm: 0.0,
+                ..self.camera
+            },
             tracker: TrackerParams {
                 lost: 0.0,
                 placement_mm: 0.0,
@@ -311,15 +467,19 @@ impl ProcedureParams {
                 touch_mm: 0.0,
                 palpation_bias_mm: 0.0,
                 palpation_mm: 0.0,
+                dimple_mm: 0.0,
                 ..self.stylus
             },
-            motion: self.motion,
+            check: CheckParams { reading_mm: 0.0, print_mm: 0.0, ..self.check },
+            ruler: RulerParams::default(),
+            periosteum: PeriosteumParams { thickness_mm: 0.0, ..self.periosteum },
+            motion: MotionParams { marker_slip_mm: 0.0, marker_slip_deg: 0.0, ..self.motion },
         }
     }
 
     /// Holds where every number can be used, whatever its source; narrower, advised ranges stand in the schema.
     pub(crate) fn check(&self) -> Result<(), SimulationError> {
-        let (camera, tracker) = (&self.camera, &self.tracker);
+        let (camera, tracker, film) = (&self.camera, &self.tracker, &self.periosteum);
         let not_negative = "0 or more";
         let positive = "more than 0";
         let share = "at least 0 and less than 1";
@@ -379,6 +539,33 @@ impl ProcedureParams {
                 self.stylus.palpation_bias_mm >= 0.0,
                 not_negative,
             ),
+            (
+                "stylus.pivot_deg",
+                self.stylus.pivot_deg,
+                0.0 < self.stylus.pivot_deg && self.stylus.pivot_deg < 90.0,
+                "between 0 and 90",
+            ),
+            ("stylus.dimple_mm", self.stylus.dimple_mm, self.stylus.dimple_mm >= 0.0, not_negative),
+            ("camera.pool_radius_mm", camera.pool_radius_mm, camera.pool_radius_mm >= 0.0, not_negative),
+            (
+                "camera.specular_dropout",
+                camera.specular_dropout,
+                (0.0..=1.0).contains(&camera.specular_dropout),
+                "between 0 and 1",
+            ),
+            ("camera.specular_deg", camera.specular_deg, camera.specular_deg >= 0.0, not_negative),
+            ("camera.projector_mm", camera.projector_mm, camera.projector_mm >= 0.0, not_negative),
+            ("laser.beam_deg", self.laser.beam_deg, self.laser.beam_deg >= 0.0, not_negative),
+            ("check.reading_mm", self.check.reading_mm, self.check.reading_mm >= 0.0, not_negative),
+            ("check.print_mm", self.check.print_mm, self.check.print_mm >= 0.0, not_negative),
+            ("ruler.shared_mm", self.ruler.shared_mm, self.ruler.shared_mm >= 0.0, not_negative),
+            ("ruler.each_mm", self.ruler.each_mm, self.ruler.each_mm >= 0.0, not_negative),
+            ("ruler.across_mm", self.ruler.across_mm, self.ruler.across_mm >= 0.0, not_negative),
+            ("periosteum.thickness_mm", film.thickness_mm, film.thickness_mm >= 0.0, not_negative),
+            ("periosteum.share", film.share, 0.0 < film.share && film.share < 1.0, "between 0 and 1"),
+            ("periosteum.patch_mm", film.patch_mm, film.patch_mm > 0.0, positive),
+            ("motion.marker_slip_mm", self.motion.marker_slip_mm, self.motion.marker_slip_mm >= 0.0, not_negative),
+            ("motion.marker_slip_deg", self.motion.marker_slip_deg, self.motion.marker_slip_deg >= 0.0, not_negative),
             ("motion.start_s", f64::from(self.motion.start_s), self.motion.start_s > 0, positive),
         ])
     }

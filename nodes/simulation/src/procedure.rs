@@ -1,12 +1,15 @@
 //! One whole procedure: calibration, scan, three laser scans, stylus, and a bone that moves afterwards.
 
-use crate::camera::{DepthBias, Hole, Pixel, Sight, Stretch, scan, view};
+use crate::camera::{DepthBias, Hole, Periosteum, Pixel, Shot, Sight, Stretch, Wound, scan, view};
+use crate::check_piece::{Look, look_at};
 use crate::draws::{Term, attitude, direction, normal, normal3, small_motion, stream};
+use crate::params::LaserDisc;
 use crate::plan::{frame_along, section_centre};
+use crate::stylus::{self, Stylus};
 use crate::surroundings::surroundings;
 use crate::tracker::{Marker, Path, Tracker};
-use crate::{ProcedureParams, SimulationError, Subject, phantom};
-use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use crate::{ProcedureParams, RulerParams, SimulationError, Subject, phantom};
+use nalgebra::{Isometry3, Point3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Anatomy, Cloud, Mesh, NamedPoint, Planes, Points, Pose, Region, StampNs, SurgicalPlan};
 use rand::RngExt;
@@ -41,6 +44,13 @@ pub struct Procedure {
     pub stylus_assessment: Points,
     /// The stylus on the stripped surface, named `1`, `2`, ...: the baseline's cloud.
     pub stylus_palpation: Points,
+    /// The holes of the check piece as read from its cloud, frame `camera`, and as localiser and CAD give them, frame `world`:
+    /// first where the phantom stood (`calibration_1`, ..), then where the bone lies (`working_1`, ..).
+    pub check: Vec<(Points, Points)>,
+    /// `t_world_stylus_marker` while the stylus was turned about its tip; none where that was not asked for.
+    pub stylus_pivoting: Vec<Pose>,
+    /// `t_world_stylus_marker` at each touch, after such a calibration.
+    pub stylus_marker: Vec<Pose>,
     /// The user's region of interest, frame `camera`.
     pub region: Option<Region>,
     /// What really was, for scoring only.
@@ -72,7 +82,15 @@ pub struct Truth {
     pub t_world_bone_marker_at_scan: Pose,
     /// How the bone's marker truly sits on the bone.
     pub t_ct_bone_marker: Pose,
-    /// Where the laser spots truly were, frame `ct`: the landmarks with the aiming error.
+    /// How it sits during the touches, when it may have slipped.
+    pub t_ct_bone_marker_at_touches: Pose,
+    /// The marks that the laser was to show, frame `ct`: the planned points with the ruler's error.
+    pub laser_marks_ct: Points,
+    /// The assessment marks, frame `ct`: the planned points with the ruler's error.
+    pub assessment_ct: Points,
+    /// The stylus' tip in its marker's frame, where its marker is tracked.
+    pub stylus_tip: Option<Point3<f64>>,
+    /// Where the laser spots truly were, frame `ct`: the marks with the aiming error.
     pub laser_spots_ct: Points,
     /// The same in `world`, each at its own scan.
     pub laser_spots_world: Points,
@@ -151,6 +169,10 @@ struct Scene<'a> {
     t_phantom_phantom_marker_cad: Isometry3<f64>,
     t_phantom_phantom_marker: Isometry3<f64>,
     t_ct_bone_marker: Isometry3<f64>,
+    t_ct_bone_marker_slipped: Isometry3<f64>,
+    /// The marks on the bone: what the laser shows in turn, and what is assessed, frame of the bone.
+    laser_marks: Points,
+    assessment: Points,
     /// When the touches begin, and when the last motion does.
     touches_s: f64,
     motion_s: f64,
@@ -182,9 +204,11 @@ impl<'a> Scene<'a> {
         let focus =
             section_centre(bone, anatomy, middle_mm).ok_or(SimulationError::NoSection { height_mm: middle_mm })?;
         let place = direction(&mut setup) * (1200.0 + 100.0 * normal(&mut setup));
-        let t_world_ct = Translation3::from(place) * attitude(&mut setup) * Translation3::from(-focus.coords);
+        let lies = Translation3::from(place) * attitude(&mut setup) * Translation3::from(-focus.coords);
         let t_ct_camera = scan_pose(&bone_surface, anatomy, &focus, params, seed)
             .ok_or(nothing("bone", "scan_from_mm and scan_to_mm should lie on the bone"))?;
+        // Without a localiser the camera is the world.
+        let t_world_ct = if params.tracker.none { t_ct_camera.inverse() } else { lies };
 
         let around = params.camera.surroundings.then(|| {
             let stretch_mm = [params.camera.scan_from_mm, params.camera.scan_to_mm];
@@ -194,7 +218,9 @@ impl<'a> Scene<'a> {
         let around = around.transpose()?.map(|mesh| MeshQuery::new(&mesh));
 
         // Between calibration and scan the camera is carried from the phantom to the bone.
-        let mut camera = Path::resting(t_world_ct * t_ct_camera * carried(&mut setup));
+        let before = carried(&mut setup);
+        let before = if params.tracker.none { Isometry3::identity() } else { before };
+        let mut camera = Path::resting(t_world_ct * t_ct_camera * before);
         let t_camera_phantom = phantom_pose(phantom, params, &mut setup);
         let phantom_path = Path::resting(camera.at(0.0) * t_camera_phantom);
         let at_phantom = camera.at(0.0);
@@ -205,7 +231,15 @@ impl<'a> Scene<'a> {
 
         let motion = &params.motion;
         let mut bone_path = Path::resting(t_world_ct);
-        let n_laser = plan.landmarks.points.len();
+        let ruler = Ruler { params: &params.ruler, surface: &bone_surface, anatomy, seed };
+        let landmarks = ruler.marks(&plan.landmarks, 0)?;
+        let assessment = ruler.marks(&plan.assessment, plan.landmarks.points.len())?;
+        let mut shown = landmarks.points.to_vec();
+        if params.laser.assessment {
+            shown.extend(assessment.points.iter().cloned());
+        }
+        let laser_marks = Points::new(&bone.frame, shown);
+        let n_laser = laser_marks.points.len();
         for gap in 0..n_laser {
             // In the 0.2 s midway between two clouds, outside every burst.
             let s = SCAN_S + (gap as f64 + 0.5) * LASER_EVERY_S;
@@ -226,7 +260,7 @@ impl<'a> Scene<'a> {
             }
         }
         let touches_s = SCAN_S + n_laser as f64 * LASER_EVERY_S + 2.0;
-        let n_touches = n_laser + plan.assessment.points.len();
+        let n_touches = landmarks.points.len() + assessment.points.len();
         let palpation_s = params.stylus.n_palpated as f64 / PALPATION_RATE_HZ;
         let motion_s = (touches_s + (n_touches + 2) as f64 * TOUCH_EVERY_S + palpation_s + 1.0).ceil();
         let mut rng = stream(seed, Term::BoneMotion, 0);
@@ -254,6 +288,11 @@ impl<'a> Scene<'a> {
             wrong.mounting_mm,
             wrong.mounting_deg.to_radians(),
         );
+        let t_ct_bone_marker = bone_marker_pose(anatomy, &focus, &mut setup);
+        let mut slip = stream(seed, Term::MarkerSlip, 0);
+        let (way, about) = (direction(&mut slip), direction(&mut slip));
+        let slip = Isometry3::new(way * motion.marker_slip_mm, about * motion.marker_slip_deg.to_radians());
+        let has_slipped = motion.marker_slip_mm > 0.0 || motion.marker_slip_deg > 0.0;
         Ok(Self {
             params,
             seed,
@@ -267,10 +306,13 @@ impl<'a> Scene<'a> {
             camera,
             bone_path,
             phantom_path,
-            t_camera_camera_marker: nominal * mounted,
+            t_camera_camera_marker: if params.tracker.none { Isometry3::identity() } else { nominal * mounted },
             t_phantom_phantom_marker_cad: design,
             t_phantom_phantom_marker: design * print,
-            t_ct_bone_marker: bone_marker_pose(anatomy, &focus, &mut setup),
+            t_ct_bone_marker_slipped: if has_slipped { t_ct_bone_marker * slip } else { t_ct_bone_marker },
+            t_ct_bone_marker,
+            laser_marks,
+            assessment,
             touches_s,
             motion_s,
         })
@@ -291,26 +333,37 @@ impl<'a> Scene<'a> {
         if pixels.is_empty() {
             return Err(SimulationError::NothingVisible { what: "phantom", hint: "is its mesh in millimetres?" });
         }
-        let take = |pixels: &[Pixel], hole, s, number| {
-            scan(pixels, &bias, hole, tracker.stamp(s), &params.camera, self.seed, number)
-        };
-        let phantom_scan = take(&pixels, None, CALIBRATION_S, 0)?;
+        let take = |shot: Shot<'_>| scan(&shot, &bias, &params.camera, self.seed);
+        let stamp = |s: f64| tracker.stamp(s);
+        let phantom_scan = take(Shot {
+            pixels: &pixels,
+            t_object_camera: t_phantom_camera,
+            hole: None,
+            wound: None,
+            stamp_ns: stamp(CALIBRATION_S),
+            number: 0,
+        })?;
 
         let seen = self.bone_view(SCAN_S)?;
-        let full = take(&seen, None, SCAN_S, 1)?;
+        let on_bone: Vec<Pixel> = seen.iter().copied().filter(|p| p.on_object).collect();
         let spots = self.laser_spots()?;
+        let wound = self.wound(&on_bone, &spots);
+        let of_bone = |pixels: &[Pixel], hole, s: f64, number| {
+            let t_object_camera = self.t_ct_camera(s);
+            take(Shot { pixels, t_object_camera, hole, wound: Some(&wound), stamp_ns: stamp(s), number })
+        };
+        let full = of_bone(&seen, None, SCAN_S, 1)?;
         let laser_s = |k: usize| SCAN_S + (k + 1) as f64 * LASER_EVERY_S;
         let still = self.is_still_between_scans();
         let laser = spots.points.iter().enumerate().map(|(k, spot)| {
             let s = laser_s(k);
-            let t_camera_ct = self.t_ct_camera(s).inverse();
-            let hole = Hole { spot: t_camera_ct * spot.position, radius_mm: params.laser.hole_radius_mm };
+            let hole = self.hole(k, &(self.t_ct_camera(s).inverse() * spot.position));
             let again = if still { None } else { Some(self.bone_view(s)?) };
             let pixels = again.as_deref().unwrap_or(&seen);
             if !pixels.iter().any(|p| p.on_object && (p.point() - hole.spot).norm() < hole.radius_mm) {
                 return Err(SimulationError::SpotHidden { name: spot.name.to_string() });
             }
-            Ok(take(pixels, Some(hole), s, 2 + k as u64)?.labelled(spot.name.clone()))
+            Ok(of_bone(pixels, Some(hole), s, 2 + k as u64)?.labelled(spot.name.clone()))
         });
         let laser = laser.collect::<Result<Vec<_>, SimulationError>>()?;
 
@@ -319,17 +372,32 @@ impl<'a> Scene<'a> {
         let scans: Vec<(f64, f64)> = (0..=laser.len()).map(|k| burst(SCAN_S + k as f64 * LASER_EVERY_S)).collect();
         let camera_spans: Vec<_> = std::iter::once(burst(CALIBRATION_S)).chain(scans.iter().copied()).collect();
         let bone_spans: Vec<_> = scans.into_iter().chain([(self.touches_s - 0.5, end_s)]).collect();
-        let camera_marker = tracker.samples(Marker::Camera, &self.camera, &self.t_camera_camera_marker, &camera_spans);
-        let phantom_marker = tracker.samples(
+        let on_camera = |_| self.t_camera_camera_marker;
+        let mut camera_marker = tracker.samples(Marker::Camera, &self.camera, on_camera, &camera_spans);
+        let mut phantom_marker = tracker.samples(
             Marker::Phantom,
             &self.phantom_path,
-            &self.t_phantom_phantom_marker,
+            |_| self.t_phantom_phantom_marker,
             &[burst(CALIBRATION_S)],
         );
-        let bone_marker = tracker.samples(Marker::Bone, &self.bone_path, &self.t_ct_bone_marker, &bone_spans);
-
-        let on_bone: Vec<Pixel> = seen.iter().copied().filter(|p| p.on_object).collect();
-        let touches = self.touches(&tracker, &spots, &on_bone);
+        let on_marked_bone = |s: f64| self.t_ct_bone_marker_at(s);
+        let mut bone_marker = tracker.samples(Marker::Bone, &self.bone_path, on_marked_bone, &bone_spans);
+        let mut check = Vec::new();
+        let mut touches = Touches::default();
+        if params.tracker.none {
+            camera_marker.iter_mut().for_each(|pose| pose.isometry = Isometry3::identity());
+            phantom_marker.clear();
+            bone_marker.clear();
+        } else {
+            let far_mm = params.phantom.distance_mm.unwrap_or(params.camera.working_distance_mm);
+            let look = |name, s, distance_mm| Look { name, s, t_world_camera: self.camera.at(s), distance_mm };
+            let looks = [
+                look("calibration", CALIBRATION_S, far_mm),
+                look("working", SCAN_S, params.camera.working_distance_mm),
+            ];
+            check = look_at(&looks, &tracker, &bias, &params.check, params.camera.view_spread_deg.to_radians());
+            touches = self.touches(&tracker, &spots, &on_bone)?;
+        }
         let truth = self.truth(&tracker, spots, laser_s);
         Ok(Procedure {
             plan: self.plan.clone(),
@@ -346,12 +414,49 @@ impl<'a> Scene<'a> {
             stylus_init: touches.init,
             stylus_assessment: touches.assessment,
             stylus_palpation: touches.palpation,
+            check,
+            stylus_pivoting: touches.pivoting,
+            stylus_marker: touches.marker,
             truth,
         })
     }
 
     fn t_ct_camera(&self, s: f64) -> Isometry3<f64> {
         self.bone_path.at(s).inverse() * self.camera.at(s)
+    }
+
+    fn t_ct_bone_marker_at(&self, s: f64) -> Isometry3<f64> {
+        if s < self.touches_s - 0.5 { self.t_ct_bone_marker } else { self.t_ct_bone_marker_slipped }
+    }
+
+    /// What lies on the bone.
+    fn wound(&self, seen: &[Pixel], spots: &Points) -> Wound {
+        let params = &self.params.camera;
+        let t_ct_camera = self.t_ct_camera(SCAN_S);
+        let mut rng = stream(self.seed, Term::BloodPools, 0);
+        let place = |_| t_ct_camera * seen[rng.random_range(0..seen.len())].point();
+        // Marks are wiped clean, else nothing could be shown there.
+        let clear_mm = params.pool_radius_mm + 1.5 * self.params.laser.hole_radius_mm;
+        let is_clear = |pool: &Point3<f64>| spots.points.iter().all(|s| (s.position - pool).norm() > clear_mm);
+        let n_pools = if seen.is_empty() { 0 } else { params.n_pools };
+        Wound {
+            periosteum: Periosteum::new(&self.params.periosteum, self.seed),
+            pools: (0..n_pools).map(place).filter(is_clear).collect(),
+        }
+    }
+
+    /// The hole about the `k`-th spot, camera frame.
+    fn hole(&self, k: usize, spot: &Point3<f64>) -> Hole {
+        let laser = &self.params.laser;
+        let beam = match laser.disc {
+            LaserDisc::Ball => None,
+            LaserDisc::Beam => {
+                let rng = &mut stream(self.seed, Term::LaserBeam, k as u64);
+                let tilt = UnitQuaternion::from_scaled_axis(normal3(rng) * laser.beam_deg.to_radians());
+                Some(Unit::new_normalize(tilt * spot.coords))
+            }
+        };
+        Hole { spot: *spot, radius_mm: laser.hole_radius_mm, beam }
     }
 
     fn is_still_between_scans(&self) -> bool {
@@ -384,60 +489,67 @@ impl<'a> Scene<'a> {
         Ok(pixels)
     }
 
-    /// Where the laser truly points, frame of the bone: the landmarks, off by the aim across and along the bone.
+    /// Where the laser truly points, frame of the bone: the marks, off by the aim across and along the bone.
     fn laser_spots(&self) -> Result<Points, SimulationError> {
         let aim = &self.params.laser;
-        let spots = self.plan.landmarks.points.iter().enumerate().map(|(k, landmark)| {
-            let on_bone = |point: &Point3<f64>| {
-                let name = landmark.name.to_string();
-                self.bone_surface.closest_point(point).ok_or(SimulationError::NotFinite { name })
-            };
+        let spots = self.laser_marks.points.iter().enumerate().map(|(k, mark)| {
             let mut rng = stream(self.seed, Term::LaserAim, k as u64);
             let (across, along) = (normal(&mut rng) * aim.aim_across_mm, normal(&mut rng) * aim.aim_along_mm);
-            let outward = on_bone(&landmark.position)?.normal;
-            let around = self.anatomy.proximal.cross(&outward).try_normalize(1e-6).unwrap_or_else(Vector3::zeros);
-            let aimed = landmark.position + around * across + *self.anatomy.proximal * along;
-            Ok(NamedPoint::new(landmark.name.clone(), on_bone(&aimed)?.point))
+            beside(mark, across, along, &self.bone_surface, self.anatomy)
         });
         Ok(Points::new(&self.bone.frame, spots.collect::<Result<Vec<_>, SimulationError>>()?))
     }
 
     /// Every touch of the stylus: first the marks, then the holes, then the surface.
-    fn touches(&self, tracker: &Tracker, marks: &Points, seen: &[Pixel]) -> Touches {
-        let stylus = &self.params.stylus;
-        let tip = normal3(&mut stream(self.seed, Term::StylusCalibration, 0)) * stylus.tip_mm;
-        let bias = normal3(&mut stream(self.seed, Term::PalpationBias, 0)) * stylus.palpation_bias_mm;
-        let touch = |name: &str, point_ct: &Point3<f64>, s: f64, error: Vector3<f64>| NamedPoint {
-            stamp_ns: tracker.stamp(s),
-            ..NamedPoint::new(name, self.bone_path.at(s) * point_ct + tracker.drift(s) + tip + error)
+    fn touches(&self, tracker: &Tracker<'_>, spots: &Points, seen: &[Pixel]) -> Result<Touches, SimulationError> {
+        let params = &self.params.stylus;
+        let tip = normal3(&mut stream(self.seed, Term::StylusCalibration, 0)) * params.tip_mm;
+        let bias = normal3(&mut stream(self.seed, Term::PalpationBias, 0)) * params.palpation_bias_mm;
+        // Turned about its tip beside the phantom, while the camera is carried.
+        let dimple = self.phantom_path.at(CALIBRATION_S) * Point3::new(120.0, 0.0, 0.0);
+        let mut tracked = match params.pivot_poses {
+            0 => None,
+            _ => Some(Stylus::calibrated(tracker, params, &dimple, (CALIBRATION_S + 2.0, SCAN_S - 2.0))?),
+        };
+        let towards_hand = towards_camera(self.anatomy, self.params);
+        let mut touch = |name: &str, point_ct: &Point3<f64>, s: f64, error: Vector3<f64>| {
+            let at = self.bone_path.at(s) * point_ct;
+            let told = match &mut tracked {
+                None => at + tracker.drift(s) + tip + error,
+                Some(stylus) => stylus.touch(&(at + error), &(self.bone_path.at(s) * towards_hand), s),
+            };
+            NamedPoint { stamp_ns: tracker.stamp(s), ..NamedPoint::new(name, told) }
         };
         let mut rng = stream(self.seed, Term::StylusTouch, 0);
-        let mut in_turn = |points: &Points, first_s: f64| {
-            let touched = points.points.iter().enumerate().map(|(k, point)| {
-                let error = normal3(&mut rng) * stylus.touch_mm;
-                touch(&point.name, &point.position, first_s + k as f64 * TOUCH_EVERY_S, error)
+        let n_landmarks = self.plan.landmarks.points.len();
+        let holes_s = self.touches_s + (n_landmarks + 1) as f64 * TOUCH_EVERY_S;
+        let marks = [(&spots.points[..n_landmarks], self.touches_s), (&self.assessment.points[..], holes_s)];
+        let [init, assessment] = marks.map(|(marks, first_s)| {
+            let touched = marks.iter().enumerate().map(|(k, mark)| {
+                let error = normal3(&mut rng) * params.touch_mm;
+                touch(&mark.name, &mark.position, first_s + k as f64 * TOUCH_EVERY_S, error)
             });
             Points::new("world", touched.collect::<Vec<_>>())
-        };
-        let init = in_turn(marks, self.touches_s);
-        let holes_s = self.touches_s + (marks.points.len() + 1) as f64 * TOUCH_EVERY_S;
-        let assessment = in_turn(&self.plan.assessment, holes_s);
+        });
 
         let first_s = holes_s + (assessment.points.len() + 1) as f64 * TOUCH_EVERY_S;
         let t_ct_camera = self.t_ct_camera(SCAN_S);
         let mut place = stream(self.seed, Term::PalpationPlace, 0);
         let mut rng = stream(self.seed, Term::PalpationTouch, 0);
-        let palpation = (0..stylus.n_palpated).map(|k| {
+        let palpation = (0..params.n_palpated).map(|k| {
             let pixel = &seen[place.random_range(0..seen.len())];
-            let error = bias + normal3(&mut rng) * stylus.palpation_mm;
+            let error = bias + normal3(&mut rng) * params.palpation_mm;
             let s = first_s + k as f64 / PALPATION_RATE_HZ;
             touch(&(k + 1).to_string(), &(t_ct_camera * pixel.point()), s, error)
         });
-        Touches { init, assessment, palpation: Points::new("world", palpation.collect::<Vec<_>>()) }
+        let palpation = Points::new("world", palpation.collect::<Vec<_>>());
+        let (pivoting, marker) = tracked.map_or_else(Default::default, |stylus| (stylus.pivoting, stylus.touching));
+        Ok(Touches { init, assessment, palpation, pivoting, marker })
     }
 
     fn truth(&self, tracker: &Tracker, spots: Points, laser_s: impl Fn(usize) -> f64) -> Truth {
         let ct = &self.bone.frame;
+        let is_tracked = !self.params.tracker.none && self.params.stylus.pivot_poses > 0;
         let bone_at = |s: f64| Pose::new("world", ct, self.bone_path.at(s)).at(tracker.stamp(s));
         let end_s = self.motion_s + MOTION_S + REST_S;
         let in_world = spots.points.iter().enumerate().map(|(k, spot)| NamedPoint {
@@ -467,9 +579,13 @@ impl<'a> Scene<'a> {
             )
             .at(tracker.stamp(SCAN_S)),
             t_ct_bone_marker: Pose::new(ct, "bone_marker", self.t_ct_bone_marker),
+            t_ct_bone_marker_at_touches: Pose::new(ct, "bone_marker", self.t_ct_bone_marker_slipped),
+            laser_marks_ct: self.laser_marks.clone(),
+            assessment_ct: self.assessment.clone(),
+            stylus_tip: is_tracked.then_some(stylus::TIP),
             laser_spots_world: Points::new("world", in_world.collect::<Vec<_>>()),
             laser_spots_ct: spots,
-            assessment_world: self.plan.assessment.transformed("world", &self.bone_path.at(self.touches_s)),
+            assessment_world: self.assessment.transformed("world", &self.bone_path.at(self.touches_s)),
             planes_world_at_scan: planes_at(SCAN_S),
             planes_world_after_motion: planes_at(end_s),
         }
@@ -480,6 +596,57 @@ struct Touches {
     init: Points,
     assessment: Points,
     palpation: Points,
+    pivoting: Vec<Pose>,
+    marker: Vec<Pose>,
+}
+
+impl Default for Touches {
+    fn default() -> Self {
+        let none = || Points::new("world", Vec::new());
+        Self { init: none(), assessment: none(), palpation: none(), pivoting: Vec::new(), marker: Vec::new() }
+    }
+}
+
+/// What marks planned points on the bone.
+struct Ruler<'a> {
+    params: &'a RulerParams,
+    surface: &'a MeshQuery,
+    anatomy: &'a Anatomy,
+    seed: u64,
+}
+
+impl Ruler<'_> {
+    /// The marks of planned points, `first` other points before them having theirs.
+    fn marks(&self, planned: &Points, first: usize) -> Result<Points, SimulationError> {
+        let RulerParams { shared_mm, each_mm, across_mm } = *self.params;
+        if [shared_mm, each_mm, across_mm] == [0.0; 3] {
+            return Ok(planned.clone());
+        }
+        let shared = normal(&mut stream(self.seed, Term::RulerShared, 0)) * shared_mm;
+        let marks = planned.points.iter().enumerate().map(|(k, point)| {
+            let mut rng = stream(self.seed, Term::RulerEach, (first + k) as u64);
+            let (along, across) = (normal(&mut rng) * each_mm, normal(&mut rng) * across_mm);
+            beside(point, across, shared + along, self.surface, self.anatomy)
+        });
+        Ok(Points::new(&planned.frame, marks.collect::<Result<Vec<_>, SimulationError>>()?))
+    }
+}
+
+/// The place of the surface so far across and along the bone from a point on it.
+fn beside(
+    point: &NamedPoint,
+    across_mm: f64,
+    along_mm: f64,
+    surface: &MeshQuery,
+    anatomy: &Anatomy,
+) -> Result<NamedPoint, SimulationError> {
+    let on_bone = |place: &Point3<f64>| {
+        surface.closest_point(place).ok_or(SimulationError::NotFinite { name: point.name.to_string() })
+    };
+    let outward = on_bone(&point.position)?.normal;
+    let around = anatomy.proximal.cross(&outward).try_normalize(1e-6).unwrap_or_else(Vector3::zeros);
+    let moved = point.position + around * across_mm + *anatomy.proximal * along_mm;
+    Ok(NamedPoint::new(point.name.clone(), on_bone(&moved)?.point))
 }
 
 /// The direction from the bone to the camera as planned, of unit length.
@@ -606,7 +773,7 @@ mod tests {
         let params = ProcedureParams { stylus, ..small_and_exact() };
         let off = over_seeds(&params, |scene, seen| {
             let tracker = Tracker { params: &params.tracker, seed: scene.seed, start_ns: 1 };
-            let touched = scene.touches(&tracker, &scene.plan.landmarks, seen);
+            let touched = scene.touches(&tracker, &scene.plan.landmarks, seen).unwrap();
             let truth = scene.plan.assessment.transformed("world", &scene.bone_path.at(scene.touches_s));
             let off = touched.assessment.points.iter().zip(truth.points.iter()).map(|(a, b)| a.position - b.position);
             off.collect::<Vec<_>>()
@@ -625,7 +792,7 @@ mod tests {
         let (common, fresh): (Vec<f64>, Vec<f64>) = over_seeds(&params, |scene, seen| {
             let tracker = Tracker { params: &params.tracker, seed: scene.seed, start_ns: 1 };
             let t_ct_world = scene.bone_path.at(scene.touches_s).inverse();
-            let touched = scene.touches(&tracker, &scene.plan.landmarks, seen).palpation;
+            let touched = scene.touches(&tracker, &scene.plan.landmarks, seen).unwrap().palpation;
             assert_eq!(touched.points.len(), 300);
             // The nearest of the pixels that the points were taken from is not the one: the same draws give it again.
             let mut place = stream(scene.seed, Term::PalpationPlace, 0);

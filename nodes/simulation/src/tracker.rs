@@ -6,6 +6,7 @@ use crate::params::TrackerParams;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::{Pose, StampNs};
 use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 
 /// A rigid thing's way through the world: at rest but for some moves.
 #[derive(Debug, Clone)]
@@ -65,6 +66,8 @@ pub(crate) enum Marker {
     Camera = 0,
     Phantom = 1,
     Bone = 2,
+    Check = 3,
+    Stylus = 4,
 }
 
 impl Marker {
@@ -73,6 +76,8 @@ impl Marker {
             Self::Camera => "camera_marker",
             Self::Phantom => "phantom_marker",
             Self::Bone => "bone_marker",
+            Self::Check => "check_marker",
+            Self::Stylus => "stylus_marker",
         }
     }
 }
@@ -96,16 +101,41 @@ impl Tracker<'_> {
         way * (self.params.drift_mm_per_min * s / 60.0)
     }
 
-    /// Samples of `marker`, which sits at `t_thing_marker` on what moves along `path`, during `spans` (seconds, apart and in
+    /// Samples of `marker`, which sits at `t_thing_marker` (a function of the time) on what moves along `path`, during `spans` (seconds, apart and in
     /// order), as `t_world_marker`. Lost samples are absent.
     pub(crate) fn samples(
         &self,
         marker: Marker,
         path: &Path,
-        t_thing_marker: &Isometry3<f64>,
+        t_thing_marker: impl Fn(f64) -> Isometry3<f64>,
         spans: &[(f64, f64)],
     ) -> Vec<Pose> {
-        let item = marker as u64;
+        self.samples_of(marker, marker as u64, path, t_thing_marker, |s| self.placement(marker, path, s), spans)
+    }
+
+    /// The same of a thing that rests at its `place`-th place, with draws of that place's own.
+    pub(crate) fn samples_at_place(
+        &self,
+        marker: Marker,
+        place: u64,
+        path: &Path,
+        t_thing_marker: impl Fn(f64) -> Isometry3<f64>,
+        spans: &[(f64, f64)],
+    ) -> Vec<Pose> {
+        let (shift, turn) = self.placement_at(marker, place);
+        let item = (marker as u64) << 16 | place;
+        self.samples_of(marker, item, path, t_thing_marker, |_| Isometry3::new(shift, turn), spans)
+    }
+
+    fn samples_of(
+        &self,
+        marker: Marker,
+        item: u64,
+        path: &Path,
+        t_thing_marker: impl Fn(f64) -> Isometry3<f64>,
+        placement: impl Fn(f64) -> Isometry3<f64>,
+        spans: &[(f64, f64)],
+    ) -> Vec<Pose> {
         let (mut noise, mut loss) =
             (stream(self.seed, Term::TrackerNoise, item), stream(self.seed, Term::TrackerLoss, item));
         let period_s = 1.0 / self.params.rate_hz;
@@ -120,8 +150,8 @@ impl Tracker<'_> {
                 if loss.random::<f64>() < self.params.lost {
                     continue;
                 }
-                let truth = path.at(s) * t_thing_marker;
-                let seen = Translation3::from(self.drift(s)) * truth * self.placement(marker, path, s) * jitter;
+                let truth = path.at(s) * t_thing_marker(s);
+                let seen = Translation3::from(self.drift(s)) * truth * placement(s) * jitter;
                 samples.push(Pose::new("world", marker.frame(), seen).at(self.stamp(s)));
             }
         }
@@ -131,17 +161,34 @@ impl Tracker<'_> {
     /// The constant error of a marker where it rests; on its way to the next place one goes over into the other.
     fn placement(&self, marker: Marker, path: &Path, s: f64) -> Isometry3<f64> {
         let (place, share) = path.place(s);
-        let error = |place: u64| {
-            let mut rng = stream(self.seed, Term::TrackerPlacement, (marker as u64) << 16 | place);
-            let shift = normal3(&mut rng) * self.params.placement_mm;
-            (shift, normal3(&mut rng) * self.params.placement_deg.to_radians())
-        };
-        let (mut shift, mut turn) = error(place);
+        let (mut shift, mut turn) = self.placement_at(marker, place);
         if share > 0.0 {
-            let (next_shift, next_turn) = error(place + 1);
+            let (next_shift, next_turn) = self.placement_at(marker, place + 1);
             (shift, turn) = (shift.lerp(&next_shift, share), turn.lerp(&next_turn, share));
         }
         Isometry3::new(shift, turn)
+    }
+
+    /// Shift and turn of a marker's constant error at one of its places.
+    fn placement_at(&self, marker: Marker, place: u64) -> (Vector3<f64>, Vector3<f64>) {
+        let mut rng = stream(self.seed, Term::TrackerPlacement, (marker as u64) << 16 | place);
+        let shift = normal3(&mut rng) * self.params.placement_mm;
+        (shift, normal3(&mut rng) * self.params.placement_deg.to_radians())
+    }
+
+    /// One sample of a marker that truly is at `t_world_marker`, at its `place`-th place; `noise` is the marker's stream.
+    pub(crate) fn sample(
+        &self,
+        marker: Marker,
+        t_world_marker: &Isometry3<f64>,
+        place: u64,
+        s: f64,
+        noise: &mut ChaCha8Rng,
+    ) -> Pose {
+        let (shift, turn) = self.placement_at(marker, place);
+        let jitter = small_motion(noise, self.params.noise_mm, self.params.noise_deg.to_radians());
+        let seen = Translation3::from(self.drift(s)) * t_world_marker * Isometry3::new(shift, turn) * jitter;
+        Pose::new("world", marker.frame(), seen).at(self.stamp(s))
     }
 }
 
@@ -184,7 +231,7 @@ mod tests {
     fn white_noise_and_lost_samples_are_as_large_as_asked_for() {
         let params = TrackerParams { noise_mm: 0.03, noise_deg: 0.0115, lost: 0.03, ..quiet() };
         let rest = Path::resting(Isometry3::translation(100.0, 0.0, 0.0));
-        let samples = tracker(&params, 5).samples(Marker::Bone, &rest, &Isometry3::identity(), &[(0.0, 500.0)]);
+        let samples = tracker(&params, 5).samples(Marker::Bone, &rest, |_| Isometry3::identity(), &[(0.0, 500.0)]);
         let lost = 1.0 - samples.len() as f64 / 10_000.0;
         // Four standard errors of a share of 0.03 over 10,000.
         assert!((lost - 0.03).abs() < 0.007, "{lost} of the samples are lost");
@@ -205,8 +252,12 @@ mod tests {
         for seed in 0..RUNS {
             let mut path = Path::resting(Isometry3::identity());
             path.then(1.0, 2.0, Vector3::x(), Vector3::zeros(), Point3::origin());
-            let samples =
-                tracker(&params, seed).samples(Marker::Bone, &path, &Isometry3::identity(), &[(0.0, 0.9), (2.1, 3.0)]);
+            let samples = tracker(&params, seed).samples(
+                Marker::Bone,
+                &path,
+                |_| Isometry3::identity(),
+                &[(0.0, 0.9), (2.1, 3.0)],
+            );
             let (before, after): (Vec<&Pose>, Vec<&Pose>) =
                 samples.iter().partition(|p| p.stamp_ns < 1_750_000_001_500_000_000);
             assert!(before.iter().all(|p| p.isometry == before[0].isometry));
@@ -226,7 +277,7 @@ mod tests {
         let samples = tracker(&quiet(), 1).samples(
             Marker::Camera,
             &Path::resting(Isometry3::identity()),
-            &Isometry3::identity(),
+            |_| Isometry3::identity(),
             &[(0.4, 1.6), (10.4, 11.6)],
         );
         assert!(samples.windows(2).all(|w| w[0].stamp_ns < w[1].stamp_ns));

@@ -47,6 +47,8 @@ pub fn registry() -> Registry {
         .node::<surface::prepare::Prepare>()
         .node::<surface::prepare_cloud::PrepareCloud>()
         .node::<calibrate::phantom_icp::PhantomIcp>()
+        .node::<calibrate::stylus_pivot::StylusPivot>()
+        .node::<transform::stylus_tip::StylusTip>()
         .node::<transform::still_average::StillAverage>()
         .node::<transform::to_world::ToWorld>()
         .node::<transform::to_bone_marker::ToBoneMarker>()
@@ -77,6 +79,8 @@ pub fn registry() -> Registry {
         .node::<metrics::fre::Fre>()
         .node::<metrics::surface::Surface>()
         .node::<metrics::calibration::Calibration>()
+        .node::<metrics::check_points::CheckPoints>()
+        .node::<metrics::laser_spot::LaserSpot>()
         .node::<output::ply::Ply>()
         .node::<output::csv::Csv>();
     registry

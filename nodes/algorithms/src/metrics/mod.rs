@@ -1,13 +1,17 @@
 //! How good a registration is. Each report states its formula, its n and its unit.
 
+mod check_points;
 mod cuts;
 mod fre;
+mod laser_spot;
 mod pose_error;
 mod surface;
 mod tre;
 
+pub use check_points::{CheckReport, check_points};
 pub use cuts::{CutReport, CutsReport, SegmentReport, cuts};
 pub use fre::{FrePoint, FreReport, fre};
+pub use laser_spot::{LaserSpotReport, laser_spot};
 pub use pose_error::{PoseErrorReport, pose_error};
 pub use surface::{SurfaceReport, surface_residual};
 pub use tre::{TrePoint, TreReport, TreSummary, tre};
@@ -118,6 +122,36 @@ mod tests {
             Err(MetricsError::Unpaired { .. })
         ));
         assert!(matches!(tre(&[], &source, &Isometry3::identity(), &axes()), Err(MetricsError::Empty { .. })));
+    }
+
+    #[test]
+    fn a_located_spot_errs_against_spot_and_mark_and_those_that_were_not_located_do_not_count() {
+        let (spots, marks) = (named(&[[0.0; 3], [5.0; 3]]), named(&[[0.0, 0.0, -0.7], [5.0; 3]]));
+        let moved = Isometry3::translation(0.0, 0.0, 9.0);
+        let located = vec![NamedPoint::new("M1", Point3::new(0.1, 0.0, -8.8))];
+        let report = laser_spot(&located, &spots, &marks, &moved, &axes()).unwrap();
+        let (spot, mark) = (&report.to_spot.points[0], &report.to_mark.points[0]);
+        assert!((spot.x - 0.1).abs() < 1e-12 && (spot.z - 0.2).abs() < 1e-12 && (mark.z - 0.9).abs() < 1e-12);
+        assert_eq!((report.to_spot.n, report.to_mark.n), (1, 1));
+        let stray = vec![NamedPoint::new("P9", Point3::origin())];
+        let said = laser_spot(&stray, &spots, &marks, &moved, &axes()).unwrap_err().to_string();
+        assert_eq!(said, "P9 is not among the true points (M1, M2); name both sets alike");
+    }
+
+    #[test]
+    fn check_points_tell_their_place_and_the_errors_spread() {
+        let point = |k: usize, x: f64, z: f64| NamedPoint::new(format!("working_{k}"), Point3::new(x, 0.0, z));
+        let known = vec![point(1, 0.0, 200.0), point(2, 10.0, 220.0)];
+        let t_camera_world = Isometry3::translation(0.0, 5.0, 0.0);
+        let mut read = vec![point(1, 0.0, 200.3), point(2, 10.5, 220.0)];
+        read.iter_mut().for_each(|p| p.position.y += 5.0);
+        let pose = Isometry3::translation(0.0, 0.0, 0.3);
+        let report = check_points(&read, &known, &t_camera_world, Some(&pose)).unwrap();
+        assert_eq!((report.place.as_str(), report.error.n), ("working", 2));
+        assert!((report.mean_mm - 0.4).abs() < 1e-9 && (report.sd_mm - 0.2 / 2f64.sqrt()).abs() < 1e-9, "{report:?}");
+        assert!((report.min_mm - 0.3).abs() < 1e-9 && (report.max_mm - 0.5).abs() < 1e-9);
+        assert!((report.error.points[0].z - 0.3).abs() < 1e-9 && (report.error.points[1].x - 0.5).abs() < 1e-9);
+        assert!((report.pose.unwrap().at_point_mm - 0.3).abs() < 1e-12 && (report.depth_mm - 210.15).abs() < 1e-9);
     }
 
     #[test]

@@ -95,6 +95,9 @@ impl Folder {
                 events.push(at(role, start_ns, Emission::Empty(format!("the folder has no poses of {name}"))));
             }
         }
+        for role in Role::OF_EXPERIMENTS {
+            events.push(at(role, start_ns, Emission::Empty("a folder has no such stream".into())));
+        }
         events.extend(streams.items.into_iter().filter_map(event));
         Ok(events)
     }

@@ -48,6 +48,25 @@ pub struct ProcedurePorts {
     /// The true calibration, for scoring; only a simulation has it.
     #[port(to = "@camera", from = "@camera_marker")]
     t_camera_camera_marker_true: Emit<Pose>,
+    /// Where the laser spots truly were, carried with the bone to the full scan, for scoring; only a simulation has it.
+    #[port(frame = "@world")]
+    laser_spots_true: Emit<Points>,
+    /// The marks on the bone that the laser was to show, at the full scan, for scoring; only a simulation has it.
+    #[port(frame = "@world")]
+    laser_marks_true: Emit<Points>,
+    /// The holes of the check piece as read from the camera's cloud: one list where the phantom stood (`calibration_1`, ..),
+    /// then one where the bone lies (`working_1`, ..).
+    #[port(frame = "@camera")]
+    check_camera: Emit<Points>,
+    /// The same holes by the piece's marker and CAD.
+    #[port(frame = "@world")]
+    check_world: Emit<Points>,
+    /// The stylus' marker while the stylus is turned about its tip.
+    #[port(to = "@world", from = "@stylus_marker")]
+    stylus_pivoting: Emit<Pose>,
+    /// The stylus' marker at each touch.
+    #[port(to = "@world", from = "@stylus_marker")]
+    stylus_marker: Emit<Pose>,
 }
 
 /// The ports of [`ProcedurePorts`] by index.
@@ -69,6 +88,24 @@ pub(crate) enum Role {
     Simulated,
     TCtWorldTrue,
     TCameraCameraMarkerTrue,
+    LaserSpotsTrue,
+    LaserMarksTrue,
+    CheckCamera,
+    CheckWorld,
+    StylusPivoting,
+    StylusMarker,
+}
+
+impl Role {
+    /// What only a simulation, or a bench, gives.
+    pub(crate) const OF_EXPERIMENTS: [Self; 6] = [
+        Self::LaserSpotsTrue,
+        Self::LaserMarksTrue,
+        Self::CheckCamera,
+        Self::CheckWorld,
+        Self::StylusPivoting,
+        Self::StylusMarker,
+    ];
 }
 
 /// An answer on one of the [`ProcedurePorts`].
@@ -103,7 +140,9 @@ mod tests {
         assert_eq!(ports[Role::PhantomScan as usize].name, "phantom_scan");
         assert_eq!(ports[Role::BoneTracked as usize].name, "bone_tracked");
         assert_eq!(ports[Role::StylusPalpation as usize].name, "stylus_palpation");
-        assert_eq!(ports.len() - 1, Role::TCameraCameraMarkerTrue as usize);
+        assert_eq!(ports.len() - 1, Role::StylusMarker as usize);
+        assert_eq!(ports[Role::StylusMarker as usize].name, "stylus_marker");
+        assert_eq!(ports[Role::CheckCamera as usize].name, "check_camera");
         assert_eq!(ports[Role::TCameraCameraMarkerTrue as usize].name, "t_camera_camera_marker_true");
     }
 }

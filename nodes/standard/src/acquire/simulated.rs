@@ -68,7 +68,13 @@ fn events(procedure: Procedure) -> Vec<Event<Emission>> {
     let start_ns = procedure.camera_marker.first().map_or(0, |pose| pose.stamp_ns);
     let truth = procedure.truth;
     events.add(Role::Simulated, start_ns, Emission::value(Flag(true)));
-    events.add(Role::BoneTracked, start_ns, Emission::value(Flag(true)));
+    let is_tracked = !procedure.bone_marker.is_empty();
+    events.add(Role::BoneTracked, start_ns, Emission::value(Flag(is_tracked)));
+    if !is_tracked {
+        for role in [Role::PhantomMarker, Role::BoneMarker] {
+            events.add(role, start_ns, Emission::Empty("nothing is tracked (tracker.none)".into()));
+        }
+    }
     events.add(
         Role::Region,
         start_ns,
@@ -90,6 +96,18 @@ fn events(procedure: Procedure) -> Vec<Event<Emission>> {
     let t_ct_world_true = truth.t_world_ct_at_scan.inverse();
     events.add(Role::TCtWorldTrue, start_ns, Emission::value(t_ct_world_true));
     events.add(Role::TCameraCameraMarkerTrue, start_ns, Emission::value(truth.t_camera_camera_marker));
+    let at_scan = &truth.t_world_ct_at_scan;
+    for (role, points) in [(Role::LaserSpotsTrue, &truth.laser_spots_ct), (Role::LaserMarksTrue, &truth.laser_marks_ct)]
+    {
+        events.add(role, start_ns, Emission::value(points.transformed(&at_scan.to, &at_scan.isometry)));
+    }
+    for (read, known) in procedure.check {
+        let stamp_ns = read.points.first().map_or(start_ns, |point| point.stamp_ns);
+        events.add(Role::CheckCamera, stamp_ns, Emission::value(read));
+        events.add(Role::CheckWorld, stamp_ns, Emission::value(known));
+    }
+    events.poses(Role::StylusPivoting, procedure.stylus_pivoting);
+    events.poses(Role::StylusMarker, procedure.stylus_marker);
     events.0
 }
 

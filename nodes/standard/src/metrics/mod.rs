@@ -1,8 +1,10 @@
 //! How well: each states its formula, n and unit.
 
 pub mod calibration;
+pub mod check_points;
 pub mod cuts;
 pub mod fre;
+pub mod laser_spot;
 pub mod surface;
 pub mod tre_measured;
 pub mod tre_true;

@@ -5,6 +5,7 @@ pub mod first_of;
 pub mod points;
 pub mod points_to_bone_marker;
 pub mod still_average;
+pub mod stylus_tip;
 pub mod to_bone_marker;
 pub mod to_world;
 

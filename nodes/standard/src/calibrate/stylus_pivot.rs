@@ -1,0 +1,55 @@
+//! The kind `calibrate.stylus_pivot`.
+
+use osteoflow_algorithms::calibrate::{PivotReport, pivot};
+use osteoflow_geometry::{NamedPoint, Points, Pose, nalgebra::Isometry3};
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// The tip of a tracked stylus, from poses of its marker while it is turned about its tip.
+///
+/// Least squares over `R_i tip + x_i = pivot`. Poses that are hardly tilted, or about one axis alone, are refused.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "calibrate.stylus_pivot"
+in   = { pose = "recording.stylus_pivoting" }
+"#,
+    literature = ["Yaniv 2015, Which pivot calibration?, Proc. SPIE 9415"]
+)]
+pub struct StylusPivot;
+
+/// Inputs of [`StylusPivot`].
+#[derive(Inputs)]
+pub struct In {
+    /// The stylus' marker, all poses until the end.
+    #[port(join = "collect")]
+    pose: Vec<Pose>,
+}
+
+/// Outputs of [`StylusPivot`].
+#[derive(Outputs)]
+pub struct Out {
+    /// One point, `tip`, in the marker's frame.
+    #[port(frame = "pose.from")]
+    tip: Points,
+    /// Residual, condition, tip and pivot.
+    report: PivotReport,
+}
+
+impl Node for StylusPivot {
+    const KIND: &'static str = "calibrate.stylus_pivot";
+    type Params = crate::NoParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let first = i.pose.first().ok_or_else(|| NodeError::new("no pose of the stylus' marker came"))?;
+        let poses: Vec<Isometry3<f64>> =
+            i.pose.iter().map(|pose| pose.expect(&first.to, &first.from)).collect::<Result<_, _>>()?;
+        let report = pivot(&poses)?;
+        Ok(Out { tip: Points::new(&first.from, vec![NamedPoint::new("tip", report.tip.into())]), report })
+    }
+}

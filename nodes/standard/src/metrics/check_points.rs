@@ -1,0 +1,64 @@
+//! The kind `metrics.check_points`.
+
+use osteoflow_algorithms::metrics::{CheckReport, check_points};
+use osteoflow_geometry::{Points, Pose};
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// How far a calibration carries points read by the camera from where a localiser and CAD know them to be.
+///
+/// Once for each place of the check piece; the place is what the points' names have before their number.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "metrics.check_points"
+in   = { read = "recording.check_camera", known = "recording.check_world", calibration = "calibration.t_camera_camera_marker", t_world_camera_marker = "camera_marker.pose", t_camera_camera_marker_true = "recording.t_camera_camera_marker_true" }
+"#,
+    literature = ["section 3.1 of the paper"]
+)]
+pub struct CheckPoints;
+
+/// Inputs of [`CheckPoints`].
+#[derive(Inputs)]
+pub struct In {
+    /// Points as read from the camera's cloud.
+    #[port(frame = "calibration.to")]
+    read: Points,
+    /// The same by localiser and CAD, in the same order.
+    #[port(frame = "t_world_camera_marker.to")]
+    known: Points,
+    /// `t_camera_camera_marker`, the calibration to be checked.
+    #[port(join = "once", to = "read", from = "t_world_camera_marker.from")]
+    calibration: Pose,
+    /// The tracked marker on the camera.
+    #[port(join = "interpolate", max_gap_ms = 200.0, to = "known", from = "calibration.from")]
+    t_world_camera_marker: Pose,
+    /// What the calibration should be, where it is known.
+    #[port(join = "once", to = "calibration.to", from = "calibration.from")]
+    t_camera_camera_marker_true: Option<Pose>,
+}
+
+/// Outputs of [`CheckPoints`].
+#[derive(Outputs)]
+pub struct Out {
+    /// Per point and in summary, with the calibration's true error.
+    report: CheckReport,
+}
+
+impl Node for CheckPoints {
+    const KIND: &'static str = "metrics.check_points";
+    type Params = crate::NoParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let t_camera_world = i.calibration.compose(&i.t_world_camera_marker.inverse())?;
+        let t_camera_world = t_camera_world.expect(&i.read.frame, &i.known.frame)?;
+        let error = i.t_camera_camera_marker_true.map(|truth| i.calibration.compose(&truth.inverse())).transpose()?;
+        let error = error.map(|pose| pose.expect(&i.read.frame, &i.read.frame)).transpose()?;
+        Ok(Out { report: check_points(&i.read.points, &i.known.points, &t_camera_world, error.as_ref())? })
+    }
+}

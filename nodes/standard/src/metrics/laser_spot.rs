@@ -1,0 +1,74 @@
+//! The kind `metrics.laser_spot`.
+
+use super::axes;
+use crate::transform::points::in_one_list;
+use osteoflow_algorithms::metrics::{LaserSpotReport, laser_spot};
+use osteoflow_geometry::{Axes, Mesh, Points, Pose};
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// How far laser spots were located from where they truly were, and from the marks aimed at, in a simulation.
+///
+/// Per spot located minus true, told along the bone's axes with its sign. Located points lie in the world, at the full
+/// scan, as `transform.points` carries them there by `to_bone.t_world_bone_marker`.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "metrics.laser_spot"
+in   = { located = "laser_points.points", spots = "recording.laser_spots_true", marks = "recording.laser_marks_true", t_ct_world_true = "recording.t_ct_world_true", axes = "plan.axes", bone = "bone.mesh" }
+"#,
+    literature = ["section 4 of the paper"]
+)]
+pub struct LaserSpot;
+
+/// Inputs of [`LaserSpot`].
+#[derive(Inputs)]
+pub struct In {
+    /// The spots as located, all until the end.
+    #[port(join = "collect", frame = "t_ct_world_true.from")]
+    located: Vec<Points>,
+    /// Where they truly were.
+    #[port(join = "once", frame = "t_ct_world_true.from")]
+    spots: Points,
+    /// What they were to show.
+    #[port(join = "once", frame = "t_ct_world_true.from")]
+    marks: Points,
+    /// The true registration, which brings them to the axes.
+    #[port(join = "once", from = "located")]
+    t_ct_world_true: Pose,
+    /// The axes along which errors are told.
+    #[port(join = "once", frame = "t_ct_world_true.to")]
+    axes: Option<Axes>,
+    /// The bone's surface, whose principal axes stand in where the plan gives none.
+    #[port(join = "once", frame = "t_ct_world_true.to")]
+    bone: Option<Mesh>,
+}
+
+/// Outputs of [`LaserSpot`].
+#[derive(Outputs)]
+pub struct Out {
+    /// Per spot and in summary, against the true spots and against the marks.
+    report: LaserSpotReport,
+}
+
+impl Node for LaserSpot {
+    const KIND: &'static str = "metrics.laser_spot";
+    type Params = crate::NoParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let located = in_one_list(&i.located)?;
+        let axes = axes(i.axes, i.bone.as_ref())?;
+        let t_ct_world = i.t_ct_world_true.expect(&axes.frame, &located.frame)?;
+        let truth = |points: &Points, what: &'static str| -> Result<Points, NodeError> {
+            points.frame.expect(&located.frame, what)?;
+            Ok(points.transformed(&axes.frame, &t_ct_world))
+        };
+        let (spots, marks) = (truth(&i.spots, "the true spots")?, truth(&i.marks, "the marks")?);
+        Ok(Out { report: laser_spot(&located.points, &spots.points, &marks.points, &t_ct_world, &axes)? })
+    }
+}

@@ -1,0 +1,55 @@
+//! The kind `transform.stylus_tip`.
+
+use osteoflow_geometry::{NamedPoint, Points, Pose};
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// Touched points by the stylus' tracked marker and the tip that its calibration gave, in the place of what the device told.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "transform.stylus_tip"
+in   = { touched = "recording.stylus_assessment", t_world_stylus_marker = "recording.stylus_marker", tip = "stylus.tip" }
+"#)]
+pub struct StylusTip;
+
+/// Inputs of [`StylusTip`].
+#[derive(Inputs)]
+pub struct In {
+    /// One touch: its name and when it was; where, is told anew.
+    #[port(frame = "t_world_stylus_marker.to")]
+    touched: Points,
+    /// The marker on the stylus, at the touch.
+    #[port(join = "interpolate", max_gap_ms = 1000.0, to = "touched")]
+    t_world_stylus_marker: Pose,
+    /// The tip in that marker's frame.
+    #[port(join = "once", frame = "t_world_stylus_marker.from")]
+    tip: Points,
+}
+
+/// Outputs of [`StylusTip`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The touch where the tip was.
+    #[port(frame = "touched")]
+    points: Points,
+}
+
+impl Node for StylusTip {
+    const KIND: &'static str = "transform.stylus_tip";
+    type Params = crate::NoParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let [touch] = &i.touched.points[..] else {
+            return Err(NodeError::new(format!("{} touches at once, where one is expected", i.touched.points.len())));
+        };
+        let tip = i.tip.points.first().ok_or_else(|| NodeError::new("the tip's list is empty"))?;
+        let pose = i.t_world_stylus_marker.expect(&i.touched.frame, &i.tip.frame)?;
+        let touch = NamedPoint { position: pose * tip.position, ..touch.clone() };
+        Ok(Out { points: Points::new(&i.touched.frame, vec![touch]) })
+    }
+}
