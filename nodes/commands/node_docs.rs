@@ -5,7 +5,7 @@ use serde_json::{Map, Value};
 use std::{collections::BTreeMap, fmt::Write as _};
 
 /// The stages in the order in which a procedure passes them; others follow by name.
-const STAGES: [&str; 14] = [
+const STAGES: [&str; 15] = [
     "acquire",
     "plan",
     "surface",
@@ -14,6 +14,7 @@ const STAGES: [&str; 14] = [
     "crop",
     "cloud",
     "hole",
+    "landmarks",
     "coarse",
     "icp",
     "plane",

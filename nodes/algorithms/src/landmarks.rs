@@ -1,4 +1,8 @@
-//! Landmarks placed by rule.
+//! Landmarks placed by rule, and where a ruler that errs puts them.
+
+mod ruled;
+
+pub use ruled::{Ruled, RuledError, RuledPoint, RuledReport, RulerErrors, ThirdFrom, ruled};
 
 use crate::mesh_query::MeshQuery;
 use crate::section;

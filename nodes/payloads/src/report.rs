@@ -46,6 +46,7 @@ reports! {
     "Motion" = osteoflow_algorithms::still_average::StillReport;
     "Pivot" = osteoflow_algorithms::calibrate::PivotReport;
     "PoseError" = osteoflow_algorithms::metrics::PoseErrorReport;
+    "Ruled" = osteoflow_algorithms::landmarks::RuledReport;
     "Surface" = osteoflow_algorithms::metrics::SurfaceReport;
     "Tre" = osteoflow_algorithms::metrics::TreReport;
 }

@@ -16,6 +16,7 @@ pub mod coarse;
 pub mod crop;
 pub mod hole;
 pub mod icp;
+pub mod landmarks;
 pub mod metrics;
 pub mod output;
 pub mod plan;
@@ -66,6 +67,7 @@ pub fn registry() -> Registry {
         .node::<hole::cloud_difference::CloudDifference>()
         .node::<hole::range_image::RangeImage>()
         .node::<coarse::three_point::ThreePoint>()
+        .node::<landmarks::ruled::Ruled>()
         .node::<icp::point_to_point::PointToPoint>()
         .node::<icp::point_to_plane::PointToPlane>()
         .node::<icp::symmetric::Symmetric>()

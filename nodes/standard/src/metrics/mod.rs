@@ -14,7 +14,7 @@ use osteoflow_geometry::{Axes, Mesh};
 use osteoflow_node::NodeError;
 
 /// The axes along which errors are told: the plan's if it gives them, else the bone surface's own.
-fn axes(planned: Option<Axes>, bone: Option<&Mesh>) -> Result<Axes, NodeError> {
+pub(crate) fn axes(planned: Option<Axes>, bone: Option<&Mesh>) -> Result<Axes, NodeError> {
     match (planned, bone) {
         (Some(axes), _) => Ok(axes),
         (None, Some(bone)) => Ok(principal_axes(bone)),

@@ -1,0 +1,280 @@
+use crate::mesh_query::MeshQuery;
+use nalgebra::{Point3, Unit, Vector3};
+use osteoflow_geometry::NamedPoint;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The face's tangent is told from the faces whose middle lies this near to the mark, mm: about the width of a fibula's
+/// lateral face, so that neither one triangle nor the mesh decides.
+const FACE_REACH_MM: f64 = 3.0;
+
+/// A mark this far off the surface is not on the bone that was ruled, mm: a fibula bends by less in 50 mm.
+const MAX_CARRIED_MM: f64 = 10.0;
+
+/// From which mark the third one is ruled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ThirdFrom {
+    /// From the first: it shares the first one's error.
+    #[default]
+    First,
+    /// From the second: it shares the second one's error as well.
+    Second,
+}
+
+/// How far a surgeon's ruler is off at each of the three marks.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RulerErrors {
+    /// The first mark, along the bone, mm, and with it all marks that are ruled from it. 0: where it was planned. The paper
+    /// draws it within 10 mm both ways, because the malleolus is hard to find.
+    #[schemars(range(min = -100.0, max = 100.0))]
+    pub first_mm: f64,
+    /// The second mark from the first, along the bone, mm. 0: as planned. The paper draws it within 2 mm both ways.
+    #[schemars(range(min = -100.0, max = 100.0))]
+    pub second_mm: f64,
+    /// The third mark from the one it is ruled from, along the bone, mm. 0: as planned. The paper draws it within 2 mm both
+    /// ways.
+    #[schemars(range(min = -100.0, max = 100.0))]
+    pub third_mm: f64,
+    /// The second mark across the bone, along the tangent of its face, mm. 0: as planned. The paper draws it within 3 mm
+    /// both ways, and calls the direction x.
+    #[schemars(range(min = -20.0, max = 20.0))]
+    pub across_mm: f64,
+    /// Which mark the third one is ruled from. `first`, as we read the paper's d13; `second` is the other reading.
+    pub third_from: ThirdFrom,
+}
+
+/// Marks on the bone and how they came to lie there.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ruled {
+    /// The marks, with the planned names in the planned order, on the surface.
+    pub points: Vec<NamedPoint>,
+    /// How far they are off.
+    pub report: RuledReport,
+}
+
+/// How far ruled marks are off the planned landmarks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RuledReport {
+    /// The first mark's error along the bone as it came out on the surface, mm: what the registration's own error along
+    /// the bone is set against.
+    pub first_along_mm: f64,
+    /// The same as asked for, mm.
+    pub first_asked_mm: f64,
+    /// Each mark.
+    pub points: Vec<RuledPoint>,
+    /// The tangent of the second landmark's face across the bone, a unit vector in the bone's frame.
+    pub across: [f64; 3],
+}
+
+/// How far one mark is off.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RuledPoint {
+    /// Its name.
+    pub name: String,
+    /// Along the bone as asked for, with what it shares with the marks it is ruled from, mm.
+    pub asked_along_mm: f64,
+    /// Across the bone as asked for, mm.
+    pub asked_across_mm: f64,
+    /// Along the bone as it came out, mm.
+    pub along_mm: f64,
+    /// Across the bone as it came out, mm.
+    pub across_mm: f64,
+    /// How far the displaced mark was from the surface and was carried back, mm.
+    pub carried_mm: f64,
+    /// How far the mark lies from the planned landmark, mm.
+    pub moved_mm: f64,
+}
+
+/// Why marks cannot be ruled.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RuledError {
+    /// There are not three landmarks.
+    #[error("three landmarks are ruled one from the other, but the plan gives {n}; plan.landmarks places P1..P3")]
+    Three {
+        /// How many there are.
+        n: usize,
+    },
+    /// The face has no direction across the bone.
+    #[error(
+        "the surface at {name} faces along the bone, so nothing there runs across it; is it the landmark of a shaft?"
+    )]
+    NoTangent {
+        /// The landmark.
+        name: String,
+    },
+    /// The mark is not on the bone.
+    #[error(
+        "{name} would lie {distance_mm:.1} mm off the bone, {limit_mm} mm is allowed; is the bone as long as ruled?"
+    )]
+    OffBone {
+        /// The mark.
+        name: String,
+        /// How far it is.
+        distance_mm: f64,
+        /// How far it may be.
+        limit_mm: f64,
+    },
+}
+
+/// Where marks truly lie that a surgeon means to put at the `planned` landmarks with a ruler that errs.
+///
+/// The first mark errs along the bone, the second and third by the same and by errors of their own, the second across the
+/// bone as well, along `z × n` where n is the normal of the face around the second landmark. Each displaced mark is then
+/// carried to the closest point of the surface, since a surgeon marks bone: on a fibula that changes it by less than the
+/// ruler's smaller errors. `planned` and `bone` lie in one frame; `along` is the bone's direction there. `O(m)`.
+///
+/// # Errors
+/// [`RuledError`] if there are not three landmarks, the second does not lie on the side of a shaft, or a mark misses the
+/// bone.
+///
+/// # Source
+/// Section 3.2.3 of the paper. It displaces the planned points and says nothing of the surface; we carry them back to it.
+pub fn ruled(
+    bone: &MeshQuery,
+    planned: &[NamedPoint],
+    along: &Unit<Vector3<f64>>,
+    errors: &RulerErrors,
+) -> Result<Ruled, RuledError> {
+    let [_, second, _] = planned else { return Err(RuledError::Three { n: planned.len() }) };
+    let no_tangent = || RuledError::NoTangent { name: second.name.to_string() };
+    let normal = face_normal(bone, &second.position).ok_or_else(no_tangent)?;
+    let across = along.cross(&normal).try_normalize(0.1).ok_or_else(no_tangent)?;
+    let shared_mm = match errors.third_from {
+        ThirdFrom::First => errors.first_mm,
+        ThirdFrom::Second => errors.first_mm + errors.second_mm,
+    };
+    let asked = [
+        (errors.first_mm, 0.0),
+        (errors.first_mm + errors.second_mm, errors.across_mm),
+        (shared_mm + errors.third_mm, 0.0),
+    ];
+    let (mut points, mut told) = (Vec::with_capacity(3), Vec::with_capacity(3));
+    for (landmark, (asked_along_mm, asked_across_mm)) in planned.iter().zip(asked) {
+        let displaced = landmark.position + along.into_inner() * asked_along_mm + across * asked_across_mm;
+        let closest = bone.closest_point(&displaced);
+        let carried_mm = closest.map_or(f64::INFINITY, |c| c.distance_mm);
+        let mark = closest.filter(|_| carried_mm <= MAX_CARRIED_MM).ok_or_else(|| RuledError::OffBone {
+            name: landmark.name.to_string(),
+            distance_mm: carried_mm,
+            limit_mm: MAX_CARRIED_MM,
+        })?;
+        let moved = mark.point - landmark.position;
+        told.push(RuledPoint {
+            name: landmark.name.to_string(),
+            asked_along_mm,
+            asked_across_mm,
+            along_mm: moved.dot(along),
+            across_mm: moved.dot(&across),
+            carried_mm,
+            moved_mm: moved.norm(),
+        });
+        points.push(NamedPoint::new(landmark.name.clone(), mark.point));
+    }
+    let report = RuledReport {
+        first_along_mm: told[0].along_mm,
+        first_asked_mm: errors.first_mm,
+        points: told,
+        across: across.into(),
+    };
+    Ok(Ruled { points, report })
+}
+
+/// The outward normal of the face around a point on it: the mean over the triangles near it that look the same way.
+fn face_normal(bone: &MeshQuery, at: &Point3<f64>) -> Option<Vector3<f64>> {
+    let here = bone.closest_point(at)?;
+    let mesh = bone.mesh();
+    let mut sum = Vector3::zeros();
+    for face in 0..mesh.faces().len() {
+        let [a, b, c] = mesh.corners(face);
+        let middle = Point3::from((a.coords + b.coords + c.coords) / 3.0);
+        let area = mesh.area_vector(face);
+        if (middle - here.point).norm() <= FACE_REACH_MM && area.dot(&here.normal) > 0.0 {
+            sum += area;
+        }
+    }
+    // A mesh coarser than that has its one face.
+    Some(sum.try_normalize(0.0).unwrap_or(here.normal))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shapes::{cuboid, shaft};
+    use nalgebra::Isometry3;
+
+    fn named(points: [[f64; 3]; 3]) -> Vec<NamedPoint> {
+        points.iter().enumerate().map(|(k, p)| NamedPoint::new(format!("P{}", k + 1), Point3::from(*p))).collect()
+    }
+
+    fn on_a_box() -> (MeshQuery, Vec<NamedPoint>) {
+        let bone = MeshQuery::new(&cuboid([-5.0, -6.0, 0.0], [5.0, 6.0, 200.0]));
+        (bone, named([[0.0, 6.0, 80.0], [5.0, 0.0, 110.0], [0.0, 6.0, 105.0]]))
+    }
+
+    const ERRORS: RulerErrors =
+        RulerErrors { first_mm: 7.0, second_mm: -1.5, third_mm: 2.0, across_mm: 2.5, third_from: ThirdFrom::First };
+
+    #[test]
+    fn marks_share_the_first_ones_error_and_only_the_second_errs_across() {
+        let (bone, planned) = on_a_box();
+        let ruled = ruled(&bone, &planned, &Vector3::z_axis(), &ERRORS).unwrap();
+        // The lateral face looks along x, so that across is z × x = y.
+        for (point, expected) in ruled.points.iter().zip([[0.0, 6.0, 87.0], [5.0, 2.5, 115.5], [0.0, 6.0, 114.0]]) {
+            assert!((point.position - Point3::from(expected)).norm() < 1e-9, "{point:?}");
+        }
+        let report = ruled.report;
+        assert!((report.first_along_mm - 7.0).abs() < 1e-9 && report.first_asked_mm == 7.0);
+        assert!((report.points[1].across_mm - 2.5).abs() < 1e-9 && report.points[1].carried_mm < 1e-9);
+        assert_eq!(report.points[2].asked_along_mm, 9.0);
+        assert!((report.points[2].moved_mm - 9.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_third_mark_ruled_from_the_second_shares_its_error_too() {
+        let (bone, planned) = on_a_box();
+        let errors = RulerErrors { third_from: ThirdFrom::Second, ..ERRORS };
+        let ruled = ruled(&bone, &planned, &Vector3::z_axis(), &errors).unwrap();
+        assert!((ruled.report.points[2].along_mm - 7.5).abs() < 1e-9, "{:?}", ruled.report.points[2]);
+    }
+
+    #[test]
+    fn marks_lie_on_the_bone_and_move_with_it() {
+        let bone = MeshQuery::new(&shaft());
+        let on = |p: [f64; 3]| bone.closest_point(&Point3::from(p)).unwrap().point;
+        let planned: Vec<_> = [[0.0, 20.0, 40.0], [20.0, 0.0, 70.0], [0.0, 20.0, 65.0]]
+            .iter()
+            .enumerate()
+            .map(|(k, p)| NamedPoint::new(format!("P{}", k + 1), on(*p)))
+            .collect();
+        let here = ruled(&bone, &planned, &Vector3::z_axis(), &ERRORS).unwrap();
+        for (point, told) in here.points.iter().zip(&here.report.points) {
+            assert!(bone.closest_point(&point.position).unwrap().distance_mm < 1e-9);
+            assert!((told.along_mm - told.asked_along_mm).abs() < 0.6 && told.carried_mm < 1.5, "{told:?}");
+        }
+        let motion = Isometry3::new(Vector3::new(300.0, -20.0, -900.0), Vector3::new(0.4, 1.1, -2.0));
+        let there = ruled(
+            &MeshQuery::new(&shaft().transformed("ct", &motion)),
+            &planned.iter().map(|p| NamedPoint::new(p.name.clone(), motion * p.position)).collect::<Vec<_>>(),
+            &Unit::new_normalize(motion * Vector3::z()),
+            &ERRORS,
+        )
+        .unwrap();
+        for (here, there) in here.points.iter().zip(&there.points) {
+            assert!((motion * here.position - there.position).norm() < 1e-6, "moving the bone moves its marks");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_ruled_is_told() {
+        let (bone, planned) = on_a_box();
+        let two = ruled(&bone, &planned[..2], &Vector3::z_axis(), &ERRORS);
+        assert_eq!(two, Err(RuledError::Three { n: 2 }));
+        let along = ruled(&bone, &planned, &Vector3::x_axis(), &ERRORS);
+        assert_eq!(along, Err(RuledError::NoTangent { name: "P2".into() }));
+        let beyond = RulerErrors { first_mm: 100.0, second_mm: 5.0, ..ERRORS };
+        let error = ruled(&bone, &planned, &Vector3::z_axis(), &beyond).unwrap_err();
+        assert!(error.to_string().starts_with("P2 would lie 15.0 mm off the bone"), "{error}");
+    }
+}

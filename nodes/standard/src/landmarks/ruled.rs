@@ -1,0 +1,88 @@
+//! The kind `landmarks.ruled`.
+
+use crate::metrics::axes;
+use osteoflow_algorithms::{
+    landmarks::{RuledReport, RulerErrors, ruled},
+    mesh_query::MeshQuery,
+};
+use osteoflow_geometry::{
+    Axes, Mesh, Points, Pose,
+    nalgebra::{Unit, Vector3},
+};
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// Where the marks truly lie of a surgeon who rules P1, P2 and P3 on the bone, with the ruler's errors.
+///
+/// P1 is off along the bone, because the malleolus is hard to find; P2 and P3 are ruled from it, so they share its error
+/// and add their own, and P2 errs across the bone as well, along the tangent of its face. Each mark is carried to the
+/// closest point of the surface, since a surgeon marks bone. The marks come out in the bone marker's frame, as the hole
+/// detectors give the landmarks: `coarse.three_point` takes them instead with
+/// `in.source = { from = "ruled.points", n = 1 }`. Only a simulation knows the true registration that this needs.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "landmarks.ruled"
+in   = { mesh = "bone.mesh", planned = "plan.landmarks", t_ct_world_true = "recording.t_ct_world_true", t_world_bone_marker = "to_bone.t_world_bone_marker", axes = "plan.axes" }
+first_mm  = 6.5
+second_mm = -1.0
+third_mm  = 0.5
+across_mm = 2.0
+"#,
+    literature = ["section 3.2.3 of the paper"]
+)]
+pub struct Ruled(RulerErrors);
+
+/// Inputs of [`Ruled`].
+#[derive(Inputs)]
+pub struct In {
+    /// The real bone's surface.
+    #[port(join = "once", frame = "planned")]
+    mesh: Mesh,
+    /// The planned landmarks P1, P2, P3 in this order.
+    #[port(join = "once", frame = "mesh")]
+    planned: Points,
+    /// The true registration at the scan.
+    #[port(join = "once", to = "planned", from = "t_world_bone_marker.to")]
+    t_ct_world_true: Pose,
+    /// Where the bone marker was at the scan.
+    #[port(join = "once", to = "t_ct_world_true.from")]
+    t_world_bone_marker: Pose,
+    /// The bone's axes, z along it; its surface's own where the plan gives none.
+    #[port(join = "once", frame = "planned")]
+    axes: Option<Axes>,
+}
+
+/// Outputs of [`Ruled`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The marks.
+    #[port(frame = "t_world_bone_marker.from")]
+    points: Points,
+    /// How far the marks are off: as asked for and as they came out.
+    report: RuledReport,
+}
+
+impl Node for Ruled {
+    const KIND: &'static str = "landmarks.ruled";
+    type Params = RulerErrors;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(errors: RulerErrors) -> Result<Self, ParamError> {
+        Ok(Self(errors))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let ct = &i.planned.frame;
+        i.mesh.frame.expect(ct, "the bone's surface")?;
+        let axes = axes(i.axes, Some(&i.mesh))?;
+        axes.frame.expect(ct, "the axes")?;
+        let t_bone_marker_ct = i.t_ct_world_true.compose(&i.t_world_bone_marker)?.inverse();
+        let bone_marker = t_bone_marker_ct.to.clone();
+        let motion = t_bone_marker_ct.expect(&bone_marker, ct)?;
+        let along = Unit::new_normalize(axes.columns * Vector3::z());
+        let ruled = ruled(&MeshQuery::new(&i.mesh), &i.planned.points, &along, &self.0)?;
+        let points = Points::new(ct, ruled.points).transformed(bone_marker, &motion);
+        Ok(Out { points: Points { stamp_ns: ctx.stamp_ns(), ..points }, report: ruled.report })
+    }
+}
