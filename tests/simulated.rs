@@ -169,3 +169,26 @@ fn on_every_wire_sent_is_received_plus_dropped() {
     assert!(manifest["resolved_graph"].as_str().unwrap().contains("[node.icp]"));
     assert!(manifest["command"]["version"].is_string());
 }
+
+#[test]
+fn a_ruled_start_is_off_as_asked_and_the_fragments_tell_what_came_of_it() {
+    let set = ["--no-record", "--set", "ruled.first_mm=-8.0", "--set", "bone.exact=true"];
+    let ran = run_whole("graphs/variants/fibula_ruled.toml", &set);
+    let ruled = &ran.results["ruled"];
+    assert!((number(&ruled["first_along_mm"]) + 8.0).abs() < 0.5, "{ruled}");
+    // The coarse fit puts the marks onto the planned landmarks: P1 lies where the ruler put it.
+    let coarse = &ran.results["coarse"]["pairs"];
+    assert_eq!(coarse.as_array().map(Vec::len), Some(3));
+    let cuts = &ran.results["metrics"]["cut_difference"];
+    let [offset, ..] = ["plane_1", "plane_2"].map(|name| {
+        let ends = cuts["true"]["ends"].as_array().unwrap().iter();
+        number(&ends.clone().find(|end| end["name"] == name).unwrap()["offset_mm"])
+    });
+    let told = ran.results["metrics"]["cuts"]["cuts"][0]["offset_mm"].as_f64().unwrap();
+    assert!((offset - told).abs() < 1e-6, "metrics.cuts tells {told} mm, metrics.cut_difference {offset} mm");
+    for by in ["true", "paper"] {
+        let [in_place, aligned] = ["in_place", "aligned"].map(|how| number(&cuts[by][how]["surface"]["mean_mm"]));
+        assert!(in_place > 0.0 && aligned > 0.0 && aligned < 2.0, "{by}: {in_place} mm in place, {aligned} mm aligned");
+    }
+    assert!(cuts["no_paper"].is_null() && number(&cuts["planned_volume_mm3"]) > 1000.0, "{cuts}");
+}

@@ -8,7 +8,7 @@
 //! 2. [`roi`], [`downsample`], [`normals`], [`merge`], [`still_average`]: from raw streams to one clean cloud.
 //! 3. [`hole`]: where a laser marked the bone; [`landmarks`]: where it should have; [`coarse`]: the fit of both.
 //! 4. [`sample`] and [`target`]: the CT surface, prepared; [`icp`]: the scan onto it.
-//! 5. [`axes`] and [`metrics`]: how good that was.
+//! 5. [`axes`] and [`metrics`]: how good that was; [`fragment`]: the piece that the cuts take out.
 //!
 //! Results do not depend on the number of threads: sums run over chunks of fixed size in order, and ties go to the
 //! lowest index. Work is spread over the current rayon pool.
@@ -48,6 +48,7 @@ mod cells;
 pub mod coarse;
 pub mod downsample;
 pub mod field;
+pub mod fragment;
 mod handfuls;
 pub mod hole;
 pub mod icp;

@@ -12,6 +12,8 @@ pub struct Samples {
     pub points: Vec<Point3<f64>>,
     /// One unit normal for each point.
     pub normals: Vec<Vector3<f64>>,
+    /// The face that each point lies on.
+    pub faces: Vec<u32>,
 }
 
 /// `n` points drawn evenly by area from `mesh`, from a seeded generator.
@@ -26,7 +28,8 @@ pub fn surface(mesh: &Mesh, n: usize, rng: &mut ChaCha8Rng) -> Samples {
     let n_faces = mesh.faces().len();
     let areas: Vec<f64> = (0..n_faces).map(|face| mesh.area_vector(face).norm() / 2.0).collect();
     let total: f64 = areas.iter().sum();
-    let mut samples = Samples { points: Vec::with_capacity(n), normals: Vec::with_capacity(n) };
+    let mut samples =
+        Samples { points: Vec::with_capacity(n), normals: Vec::with_capacity(n), faces: Vec::with_capacity(n) };
     let Some(last) = areas.iter().rposition(|&a| a > 0.0).filter(|_| total > 0.0) else { return samples };
     let (mut face, mut area_before) = (0, 0.0);
     for k in 0..n {
@@ -39,6 +42,7 @@ pub fn surface(mesh: &Mesh, n: usize, rng: &mut ChaCha8Rng) -> Samples {
         let (root, v) = (rng.random::<f64>().sqrt(), rng.random::<f64>());
         samples.points.push(a + (b - a) * (root * (1.0 - v)) + (c - a) * (root * v));
         samples.normals.push(mesh.area_vector(face) / (2.0 * areas[face]));
+        samples.faces.push(face as u32);
     }
     samples
 }

@@ -78,6 +78,7 @@ pub fn registry() -> Registry {
         .node::<metrics::tre_measured::TreMeasured>()
         .node::<metrics::tre_true::TreTrue>()
         .node::<metrics::cuts::Cuts>()
+        .node::<metrics::cut_difference::CutDifference>()
         .node::<metrics::fre::Fre>()
         .node::<metrics::surface::Surface>()
         .node::<metrics::calibration::Calibration>()

@@ -1,12 +1,8 @@
 use super::MetricsError;
-use crate::section;
+use crate::{fragment::REACH_MM, section};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Axes, Mesh, Plane, PlanePlace, Planes};
 use serde::{Deserialize, Serialize};
-
-/// A plane cuts the bone here if the outline lies no farther than this from the plane's origin, mm: more than a fibula
-/// is thick, less than the way to where a bent bone might be cut again.
-const REACH_MM: f64 = 60.0;
 
 /// How far the achieved cuts are from the planned ones.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -1,6 +1,7 @@
 //! How good a registration is. Each report states its formula, its n and its unit.
 
 mod check_points;
+mod cut_difference;
 mod cuts;
 mod fre;
 mod laser_spot;
@@ -9,6 +10,10 @@ mod surface;
 mod tre;
 
 pub use check_points::{CheckReport, check_points};
+pub use cut_difference::{
+    CutDifferenceParams, CutDifferenceReport, CutVariant, DistanceSummary, EndReport, FragmentDifference,
+    PlannedFragment, cut_difference, error_at_points, signed_distances,
+};
 pub use cuts::{CutReport, CutsReport, SegmentReport, cuts};
 pub use fre::{FrePoint, FreReport, fre};
 pub use laser_spot::{LaserSpotReport, laser_spot};
@@ -41,6 +46,12 @@ pub enum MetricsError {
     /// Planes lie in different frames, or differ from the axes' or the bone's.
     #[error(transparent)]
     Frame(#[from] osteoflow_geometry::FrameError),
+    /// No fragment can be cut out.
+    #[error(transparent)]
+    Fragment(#[from] crate::fragment::FragmentError),
+    /// The points fix no motion.
+    #[error(transparent)]
+    Fit(#[from] crate::kabsch::FitError),
     /// A plane is unknown.
     #[error("plane {name} is unknown: {reason}")]
     UnknownPlane {

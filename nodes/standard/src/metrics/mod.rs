@@ -2,6 +2,7 @@
 
 pub mod calibration;
 pub mod check_points;
+pub mod cut_difference;
 pub mod cuts;
 pub mod fre;
 pub mod laser_spot;

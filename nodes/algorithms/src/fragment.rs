@@ -1,0 +1,412 @@
+//! The piece of a bone between two cuts, as a closed surface.
+
+mod outline;
+mod triangulate;
+
+use crate::section;
+use nalgebra::{Isometry3, Point3, Vector3};
+use osteoflow_geometry::{Mesh, Plane, PlanePlace, Planes, SurfaceOrigin};
+use std::collections::HashMap;
+
+/// A plane cuts the bone here if the outline lies no farther than this from the plane's origin, mm: more than a fibula
+/// is thick, less than the way to where a bent bone might be cut again.
+pub(crate) const REACH_MM: f64 = 60.0;
+
+/// A vertex this near to a plane lies on it, mm: far below what anyone measures, far above rounding.
+const ON_PLANE_MM: f64 = 1e-7;
+
+const NONE: u32 = u32::MAX;
+
+/// What a face of a fragment is part of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// The bone's own surface.
+    Wall,
+    /// The face of the first (0) or the second (1) cut.
+    Cap(usize),
+}
+
+/// A piece of a bone, closed: every edge of a closed bone's piece belongs to two faces.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fragment {
+    /// Its surface, in the bone's frame.
+    pub mesh: Mesh,
+    /// What each face is part of.
+    pub parts: Vec<Part>,
+}
+
+/// One side of a plane.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HalfSpace {
+    /// The plane's name.
+    pub name: String,
+    /// A point of the plane, mm.
+    pub point: Point3<f64>,
+    /// The unit normal towards what is kept.
+    pub inward: Vector3<f64>,
+}
+
+/// Why there is no fragment.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FragmentError {
+    /// A fragment lies between two planes.
+    #[error("a fragment lies between two planes, but there are {n}; give the plan two")]
+    TwoPlanes {
+        /// How many there are.
+        n: usize,
+    },
+    /// A plane is unknown.
+    #[error("plane {name} is unknown: {reason}")]
+    Unknown {
+        /// The plane.
+        name: String,
+        /// Why.
+        reason: String,
+    },
+    /// The planes meet the bone in one place.
+    #[error("{first} and {second} cut the bone in one place, so nothing lies between them; are they the same plane?")]
+    OnePlace {
+        /// The first plane.
+        first: String,
+        /// The second plane.
+        second: String,
+    },
+    /// A plane does not cut the bone where the fragment is.
+    #[error(
+        "{name} does not cut the bone within {reach_mm} mm of its origin; is the plane in the bone's frame, or is the \
+         registration far off?"
+    )]
+    Misses {
+        /// The plane.
+        name: String,
+        /// How far was looked.
+        reach_mm: f64,
+    },
+    /// The bone has holes at the cut.
+    #[error("the bone's surface is open where {name} cuts it ({n_edges} edges have no partner); close the mesh first")]
+    Open {
+        /// The plane.
+        name: String,
+        /// How many ends of the outline are loose.
+        n_edges: usize,
+    },
+}
+
+impl HalfSpace {
+    /// The same side of the plane carried by `motion`.
+    pub fn moved(&self, motion: &Isometry3<f64>) -> Self {
+        Self { name: self.name.clone(), point: motion * self.point, inward: motion * self.inward }
+    }
+
+    /// How far inside a point lies, mm; negative outside.
+    pub fn height_mm(&self, point: &Point3<f64>) -> f64 {
+        (point - self.point).dot(&self.inward)
+    }
+}
+
+/// The sides of two planned planes between which the fragment lies, whichever way their normals point: each plane keeps
+/// the side where the other one cuts the bone. The points are the middles of the bone's outlines. `O(m)`.
+///
+/// # Errors
+/// [`FragmentError`] if there are not two known planes, one misses the bone, or both cut it in one place.
+pub fn between(bone: &Mesh, planes: &Planes) -> Result<[HalfSpace; 2], FragmentError> {
+    let [first, second] = &*planes.planes else { return Err(FragmentError::TwoPlanes { n: planes.planes.len() }) };
+    let cut = |plane: &Plane| match &plane.place {
+        PlanePlace::Unknown(reason) => {
+            Err(FragmentError::Unknown { name: plane.name.to_string(), reason: reason.to_string() })
+        }
+        PlanePlace::Known(t) => match section::middle(bone, t, Some(REACH_MM)) {
+            Some(middle) => Ok((middle, t * Vector3::z())),
+            None => Err(FragmentError::Misses { name: plane.name.to_string(), reach_mm: REACH_MM }),
+        },
+    };
+    let cuts = [cut(first)?, cut(second)?];
+    let side = |plane: &Plane, here: usize| {
+        let (point, normal) = cuts[here];
+        let towards = (cuts[1 - here].0 - point).dot(&normal);
+        let half = HalfSpace { name: plane.name.to_string(), point, inward: normal * towards.signum() };
+        (towards.abs() > ON_PLANE_MM).then_some(half)
+    };
+    match (side(first, 0), side(second, 1)) {
+        (Some(a), Some(b)) => Ok([a, b]),
+        _ => Err(FragmentError::OnePlace { first: first.name.to_string(), second: second.name.to_string() }),
+    }
+}
+
+/// The piece of `bone` inside both half spaces, closed by a face at each cut, in the bone's frame.
+///
+/// Vertices of the bone are kept as they are; where an edge crosses a plane there is one new vertex, which both faces at
+/// the edge share, so a closed bone gives a closed piece. The cut faces follow the outline whatever its shape, with holes
+/// where the bone is hollow. Of several pieces (a bent bone is cut twice by one plane) the one that reaches from one cut
+/// to the other nearest to the half spaces' points is given, with the cavities inside it. `O(m)`, and quadratic in the
+/// number of edges that one plane cuts.
+///
+/// # Errors
+/// [`FragmentError`] if a plane misses the bone or the bone is open where it is cut.
+///
+/// # Source
+/// Sutherland and Hodgman 1974 for the faces; Meisters 1975 for the ears that the cut faces are made of.
+pub fn fragment(bone: &Mesh, cuts: &[HalfSpace; 2]) -> Result<Fragment, FragmentError> {
+    let mut piece = Piece {
+        vertices: bone.vertices().to_vec(),
+        faces: bone.faces().to_vec(),
+        parts: vec![Part::Wall; bone.faces().len()],
+    };
+    for (index, cut) in cuts.iter().enumerate() {
+        piece = piece.clipped(cut, index)?;
+    }
+    piece
+        .nearest(cuts)?
+        .into_fragment(bone.frame.clone(), bone.origin)
+        .ok_or_else(|| FragmentError::Misses { name: cuts[0].name.clone(), reach_mm: REACH_MM })
+}
+
+impl Fragment {
+    /// The corners of the cut faces, mm.
+    pub fn rim(&self) -> Vec<Point3<f64>> {
+        let caps = self.mesh.faces().iter().zip(&self.parts).filter(|(_, part)| **part != Part::Wall);
+        let mut corners: Vec<u32> = caps.flat_map(|(face, _)| *face).collect();
+        corners.sort_unstable();
+        corners.dedup();
+        corners.into_iter().map(|v| self.mesh.vertices()[v as usize]).collect()
+    }
+
+    /// The volume it holds, mm³.
+    pub fn volume_mm3(&self) -> f64 {
+        volume(self.mesh.vertices(), self.mesh.faces())
+    }
+}
+
+/// Signed volume of closed faces, about their first corner so that no digits are lost far from the origin.
+fn volume(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> f64 {
+    let Some(start) = faces.first().map(|f| vertices[f[0] as usize]) else { return 0.0 };
+    let six = |f: &[u32; 3]| {
+        let [a, b, c] = f.map(|v| vertices[v as usize] - start);
+        a.dot(&b.cross(&c))
+    };
+    faces.iter().map(six).sum::<f64>() / 6.0
+}
+
+/// A closed surface on its way to a fragment.
+struct Piece {
+    vertices: Vec<Point3<f64>>,
+    faces: Vec<[u32; 3]>,
+    parts: Vec<Part>,
+}
+
+/// Vertices of the clipped piece: those kept of the old one and those new on edges.
+struct Carried<'a> {
+    old: &'a [Point3<f64>],
+    heights: &'a [f64],
+    kept: Vec<u32>,
+    /// Looked up only, never walked along.
+    crossings: HashMap<(u32, u32), u32>,
+    vertices: Vec<Point3<f64>>,
+}
+
+impl Carried<'_> {
+    fn is_in(&self, v: u32) -> bool {
+        self.heights[v as usize] >= 0.0
+    }
+
+    fn keep(&mut self, v: u32) -> u32 {
+        let place = &mut self.kept[v as usize];
+        if *place == NONE {
+            *place = self.vertices.len() as u32;
+            self.vertices.push(self.old[v as usize]);
+        }
+        *place
+    }
+
+    /// Where the edge between a vertex inside and one outside meets the plane.
+    fn cross(&mut self, inside: u32, outside: u32) -> u32 {
+        let (high, low) = (self.heights[inside as usize], self.heights[outside as usize]);
+        if high == 0.0 {
+            return self.keep(inside);
+        }
+        let (old, vertices) = (self.old, &mut self.vertices);
+        *self.crossings.entry((inside, outside)).or_insert_with(|| {
+            let (a, b) = (old[inside as usize], old[outside as usize]);
+            vertices.push(a + (b - a) * (high / (high - low)));
+            vertices.len() as u32 - 1
+        })
+    }
+}
+
+impl Piece {
+    /// What lies inside the half space, closed at the plane by faces of cap `index`.
+    fn clipped(&self, cut: &HalfSpace, index: usize) -> Result<Self, FragmentError> {
+        let snap = |height: f64| if height.abs() <= ON_PLANE_MM { 0.0 } else { height };
+        let heights: Vec<f64> = self.vertices.iter().map(|v| snap(cut.height_mm(v))).collect();
+        let mut carried = Carried {
+            old: &self.vertices,
+            heights: &heights,
+            kept: vec![NONE; self.vertices.len()],
+            crossings: HashMap::new(),
+            vertices: Vec::new(),
+        };
+        let (mut faces, mut parts, mut rim) = (Vec::new(), Vec::new(), Vec::new());
+        for (face, part) in self.faces.iter().zip(&self.parts) {
+            let n_in = face.iter().filter(|v| carried.is_in(**v)).count();
+            if n_in == 0 {
+                continue;
+            }
+            let mut corners: Vec<u32> = Vec::with_capacity(4);
+            let (mut leaves, mut enters) = (NONE, NONE);
+            for k in 0..3 {
+                let (here, next) = (face[k], face[(k + 1) % 3]);
+                if carried.is_in(here) {
+                    corners.push(carried.keep(here));
+                }
+                match (carried.is_in(here), carried.is_in(next)) {
+                    (true, false) => {
+                        leaves = carried.cross(here, next);
+                        corners.push(leaves);
+                    }
+                    (false, true) => {
+                        enters = carried.cross(next, here);
+                        corners.push(enters);
+                    }
+                    _ => {}
+                }
+            }
+            // What closes the cut runs along its rim the other way round.
+            if leaves != enters {
+                rim.push([enters, leaves]);
+            }
+            if n_in < 3 {
+                corners.dedup();
+                while corners.len() > 1 && corners.first() == corners.last() {
+                    corners.pop();
+                }
+            }
+            match corners[..] {
+                [a, b, c] => faces.push([a, b, c]),
+                [a, b, c, d] => {
+                    let length = |p: u32, q: u32| carried.vertices[p as usize] - carried.vertices[q as usize];
+                    if length(a, c).norm_squared() <= length(b, d).norm_squared() {
+                        faces.extend([[a, b, c], [a, c, d]]);
+                    } else {
+                        faces.extend([[a, b, d], [b, c, d]]);
+                    }
+                }
+                _ => {}
+            }
+            parts.resize(faces.len(), *part);
+        }
+        let vertices = carried.vertices;
+        let loops = outline::loops(&rim).map_err(|n_edges| FragmentError::Open { name: cut.name.clone(), n_edges })?;
+        // Seen from outside, so that faces turn counter-clockwise.
+        let u = cut.inward.cross(&Vector3::ith(cut.inward.iamin(), 1.0)).normalize();
+        let v = u.cross(&cut.inward);
+        let flat = |i: u32| {
+            let offset = vertices[i as usize] - cut.point;
+            [offset.dot(&u), offset.dot(&v)]
+        };
+        faces.extend(triangulate::cap(&loops, &flat));
+        parts.resize(faces.len(), Part::Cap(index));
+        Ok(Self { vertices, faces, parts })
+    }
+
+    /// The part that reaches from cut to cut nearest to the points of both, with the cavities inside it.
+    fn nearest(self, cuts: &[HalfSpace; 2]) -> Result<Self, FragmentError> {
+        let (component, n) = self.components();
+        let mut known = vec![Component::default(); n];
+        for (face, part) in self.faces.iter().zip(&self.parts) {
+            let own = &mut known[component[face[0] as usize]];
+            for v in face.map(|v| self.vertices[v as usize]) {
+                own.min = own.min.inf(&v);
+                own.max = own.max.sup(&v);
+                if let Part::Cap(k) = part {
+                    own.reach[*k] = own.reach[*k].min((v - cuts[*k].point).norm());
+                }
+            }
+        }
+        for k in 0..2 {
+            if known.iter().all(|c| c.reach[k] > REACH_MM) {
+                return Err(FragmentError::Misses { name: cuts[k].name.clone(), reach_mm: REACH_MM });
+            }
+        }
+        let span = |c: &Component| c.reach[0] + c.reach[1];
+        let main = (0..n)
+            .min_by(|&a, &b| span(&known[a]).total_cmp(&span(&known[b])))
+            .filter(|&c| span(&known[c]).is_finite());
+        let Some(main) = main else {
+            return Err(FragmentError::Misses { name: cuts[1].name.clone(), reach_mm: REACH_MM });
+        };
+        let (min, max) = (known[main].min, known[main].max);
+        let within = |c: &Component| (c.min - min).min() >= 0.0 && (max - c.max).min() >= 0.0;
+        let kept: Vec<bool> = (0..n).map(|c| c == main || within(&known[c])).collect();
+        Ok(self.only(|face| kept[component[face[0] as usize]]))
+    }
+
+    /// The faces that are wanted, with the vertices that they use.
+    fn only(self, wanted: impl Fn(&[u32; 3]) -> bool) -> Self {
+        let mut place = vec![NONE; self.vertices.len()];
+        let mut left = Self { vertices: Vec::new(), faces: Vec::new(), parts: Vec::new() };
+        for (face, part) in self.faces.iter().zip(&self.parts).filter(|(face, _)| wanted(face)) {
+            left.faces.push(face.map(|v| {
+                if place[v as usize] == NONE {
+                    place[v as usize] = left.vertices.len() as u32;
+                    left.vertices.push(self.vertices[v as usize]);
+                }
+                place[v as usize]
+            }));
+            left.parts.push(*part);
+        }
+        left
+    }
+
+    /// For each vertex the number of the connected part that it belongs to, and how many there are.
+    fn components(&self) -> (Vec<usize>, usize) {
+        let mut up: Vec<u32> = (0..self.vertices.len() as u32).collect();
+        fn root(up: &mut [u32], mut v: u32) -> u32 {
+            while up[v as usize] != v {
+                up[v as usize] = up[up[v as usize] as usize];
+                v = up[v as usize];
+            }
+            v
+        }
+        for [a, b, c] in &self.faces {
+            for other in [*b, *c] {
+                let (p, q) = (root(&mut up, *a), root(&mut up, other));
+                up[p.max(q) as usize] = p.min(q);
+            }
+        }
+        let (mut number, mut n) = (vec![usize::MAX; up.len()], 0);
+        for v in 0..up.len() as u32 {
+            let top = root(&mut up, v) as usize;
+            if number[top] == usize::MAX {
+                number[top] = n;
+                n += 1;
+            }
+            number[v as usize] = number[top];
+        }
+        (number, n)
+    }
+
+    /// `None` where there is no face.
+    fn into_fragment(self, frame: osteoflow_geometry::Frame, origin: SurfaceOrigin) -> Option<Fragment> {
+        let mesh = Mesh::new(frame, origin, self.vertices, self.faces).ok()?;
+        Some(Fragment { mesh, parts: self.parts })
+    }
+}
+
+/// Where a connected part lies.
+#[derive(Clone)]
+struct Component {
+    min: Point3<f64>,
+    max: Point3<f64>,
+    /// How far its face at each cut is from that cut's point, mm.
+    reach: [f64; 2],
+}
+
+impl Default for Component {
+    fn default() -> Self {
+        let far = f64::INFINITY;
+        Self { min: Point3::new(far, far, far), max: Point3::new(-far, -far, -far), reach: [far; 2] }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests;
