@@ -2,6 +2,8 @@
 
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::Cloud;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 
 /// One point of each occupied cell of a grid of `cell_mm`: the one closest to the mean of the cell's points, the lowest
@@ -28,6 +30,30 @@ pub fn every(cloud: &Cloud, n: usize) -> Vec<usize> {
     (0..cloud.len()).step_by(n.max(1)).collect()
 }
 
+/// `n` points at even steps through the cloud's order, the first among them; every point where there are no more.
+///
+/// Through a scan in the order of its image that is an even thinning; through points in chance order it is a draw.
+pub fn evenly(cloud: &Cloud, n: usize) -> Vec<usize> {
+    let len = cloud.len();
+    if n >= len { (0..len).collect() } else { (0..n).map(|k| (k as u128 * len as u128 / n as u128) as usize).collect() }
+}
+
+/// `n` points drawn at random without repetition, all sets alike, in the cloud's order; every point where there are no
+/// more.
+///
+/// Source: Knuth, The Art of Computer Programming, volume 2, algorithm 3.4.2 S.
+pub fn drawn(cloud: &Cloud, n: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
+    let mut wanted = n.min(cloud.len());
+    let mut kept = Vec::with_capacity(wanted);
+    for index in 0..cloud.len() {
+        if rng.random_range(0..cloud.len() - index) < wanted {
+            kept.push(index);
+            wanted -= 1;
+        }
+    }
+    kept
+}
+
 fn representative(points: &[Point3<f64>], members: &[usize]) -> Option<usize> {
     let first = points[*members.first()?];
     let sum: Vector3<f64> = members.iter().map(|&i| points[i] - first).sum();
@@ -39,6 +65,7 @@ fn representative(points: &[Point3<f64>], members: &[usize]) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand_chacha::rand_core::SeedableRng;
 
     #[test]
     fn each_cell_keeps_the_point_closest_to_its_mean() {
@@ -50,9 +77,41 @@ mod tests {
         assert_eq!(every(&cloud, 0).len(), 5);
     }
 
+    fn line(n: u32) -> Cloud {
+        Cloud::new("camera", (0..n).map(|x| Point3::new(f64::from(x), 0.0, 0.0)).collect::<Vec<_>>()).unwrap()
+    }
+
+    #[test]
+    fn as_many_points_are_kept_as_asked_for_at_even_steps() {
+        assert_eq!(evenly(&line(10), 4), [0, 2, 5, 7]);
+        for n in [1, 100, 777, 19_999, 20_000] {
+            let kept = evenly(&line(20_000), n);
+            assert_eq!(kept.len(), n);
+            assert!(kept.windows(2).all(|w| w[1] > w[0] && w[1] - w[0] <= 20_000 / n + 1));
+        }
+        assert_eq!(evenly(&line(3), 5), [0, 1, 2]);
+    }
+
+    #[test]
+    fn a_draw_has_each_point_once_and_all_points_alike_and_follows_the_seed() {
+        let draw = |seed, n| drawn(&line(200), n, &mut ChaCha8Rng::seed_from_u64(seed));
+        let mut times = [0; 200];
+        for seed in 0..2000 {
+            let kept = draw(seed, 50);
+            assert!(kept.len() == 50 && kept.windows(2).all(|w| w[0] < w[1]));
+            kept.into_iter().for_each(|k| times[k] += 1);
+        }
+        // 500 times each, with a deviation of 19.
+        assert!(times.iter().all(|n| (420..=580).contains(n)), "{times:?}");
+        assert_eq!(draw(1, 50), draw(1, 50));
+        assert_ne!(draw(1, 50), draw(2, 50));
+        assert_eq!(draw(1, 300).len(), 200);
+    }
+
     #[test]
     fn an_empty_cloud_stays_empty() {
         let cloud = Cloud::new("camera", Vec::new()).unwrap();
-        assert!(voxel(&cloud, 1.0).is_empty() && every(&cloud, 3).is_empty());
+        assert!(voxel(&cloud, 1.0).is_empty() && every(&cloud, 3).is_empty() && evenly(&cloud, 3).is_empty());
+        assert!(drawn(&cloud, 3, &mut ChaCha8Rng::seed_from_u64(1)).is_empty());
     }
 }

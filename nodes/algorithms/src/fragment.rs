@@ -322,9 +322,9 @@ impl Piece {
                 }
             }
         }
-        for k in 0..2 {
+        for (k, cut) in cuts.iter().enumerate() {
             if known.iter().all(|c| c.reach[k] > REACH_MM) {
-                return Err(FragmentError::Misses { name: cuts[k].name.clone(), reach_mm: REACH_MM });
+                return Err(FragmentError::Misses { name: cut.name.clone(), reach_mm: REACH_MM });
             }
         }
         let span = |c: &Component| c.reach[0] + c.reach[1];

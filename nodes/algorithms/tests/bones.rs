@@ -241,4 +241,29 @@ fn what_is_no_single_hole_is_refused_with_the_reason() {
     let blind = Cloud::new("ct", one.points().to_vec()).unwrap();
     assert!(hole::cloud_difference(&reference, &blind, &params).is_ok());
     assert_eq!(hole::range_image(&reference, &blind, &params), Err(HoleError::NoViewpoint));
+    assert!(hole::boundary(&one, &params).is_ok());
+    assert!(matches!(hole::boundary(&two, &params), Err(HoleError::Several { n: 2, .. })));
+    assert!(matches!(hole::boundary(&none, &params), Err(HoleError::None { .. })));
+    assert_eq!(hole::boundary(&empty, &params), Err(HoleError::Empty { what: "laser" }));
+    assert_eq!(hole::boundary(&blind, &params), Err(HoleError::NoViewpoint));
+}
+
+#[test]
+fn a_gap_in_one_scan_is_found_without_a_reference_where_scan_lies_all_around_it() {
+    for bone in bones("a_gap_in_one_scan_is_found_without_a_reference_where_scan_lies_all_around_it") {
+        let (mut errors, mut refused) = (Vec::new(), 0);
+        for (k, spot) in spots(&bone).into_iter().enumerate() {
+            let laser = bone.scan(&bone.camera(117.0), SHAFT, 0.22, &USUAL, Some((spot, 2.0)), 101 + 2 * k as u64);
+            match hole::boundary(&laser, &HoleParams::default()) {
+                Ok(hole) => errors.push((hole.centre - spot).norm()),
+                // At the silhouette, which is open on one side.
+                Err(HoleError::None { .. }) => refused += 1,
+                Err(error) => panic!("{} spot {k}: {error}", bone.name),
+            }
+        }
+        errors.sort_by(f64::total_cmp);
+        let (median, max) = (errors[errors.len() / 2], errors[errors.len() - 1]);
+        assert!(refused <= 4, "{}: {refused} of 15 refused", bone.name);
+        assert!(median < 0.5 && max < 1.0, "{}: median {median:.3}, largest {max:.3} mm", bone.name);
+    }
 }

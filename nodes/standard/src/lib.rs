@@ -66,6 +66,7 @@ pub fn registry() -> Registry {
         .node::<cloud::from_points::FromPoints>()
         .node::<hole::cloud_difference::CloudDifference>()
         .node::<hole::range_image::RangeImage>()
+        .node::<hole::boundary::Boundary>()
         .node::<coarse::three_point::ThreePoint>()
         .node::<landmarks::ruled::Ruled>()
         .node::<icp::point_to_point::PointToPoint>()

@@ -2,13 +2,16 @@
 //!
 //! The laser saturates the camera, so that a disc around the spot is missing from the scan. It is found against a full
 //! `reference` scan of the same surface; `cloud` is the scan with the laser on. Both lie in one frame, each with its own
-//! viewpoint, so that the bone and the camera may have moved between them.
+//! viewpoint, so that the bone and the camera may have moved between them. [`boundary()`] does without the reference.
 
+mod boundary;
 mod cloud_difference;
+mod image;
 mod range_image;
 mod scene;
 mod spot;
 
+pub use boundary::boundary;
 pub use cloud_difference::cloud_difference;
 pub use range_image::range_image;
 
@@ -55,7 +58,7 @@ pub struct Hole {
 /// What a hole was judged by.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HoleReport {
-    /// Points of the reference scan.
+    /// Points of the reference scan, or of the scan with its gaps filled where there is no reference.
     pub n_reference: usize,
     /// Points of the scan with the laser.
     pub n_cloud: usize,

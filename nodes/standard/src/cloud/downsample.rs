@@ -6,12 +6,15 @@ use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 
-/// A cloud with fewer points: one in each cell of a grid, or every n-th.
+/// A cloud with fewer points: one in each cell of a grid, every n-th, or as many as asked for.
+///
+/// The three follow each other, and each is off unless asked for.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "cloud.downsample"
 in   = { cloud = "to_bone.cloud" }
-cell_mm = 0.5
+n_points = 2000
+pick     = "random"
 "#)]
 pub struct Downsample(Params);
 
@@ -26,11 +29,29 @@ pub struct Params {
     /// Then every n-th point is kept, in order. 1: all.
     #[schemars(range(min = 1, max = 1_000_000))]
     pub every: usize,
+    /// Then so many points are kept, in order. 0: all. A cloud with fewer keeps all and says so.
+    #[schemars(range(min = 0, max = 100_000_000))]
+    pub n_points: usize,
+    /// Which of them. `stride`: at even steps through the cloud's order, the same at every run. `random`: drawn from the
+    /// run's seed, each set as likely.
+    pub pick: Pick,
+}
+
+/// Which points are kept of a given number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub enum Pick {
+    /// At even steps through the cloud's order.
+    #[default]
+    Stride,
+    /// Drawn from the run's seed.
+    Random,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { cell_mm: 0.0, every: 1 }
+        Self { cell_mm: 0.0, every: 1, n_points: 0, pick: Pick::Stride }
     }
 }
 
@@ -59,8 +80,20 @@ impl Node for Downsample {
         Ok(Self(params))
     }
 
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let thinned = i.cloud.selected(&downsample::voxel(&i.cloud, self.0.cell_mm));
-        Ok(Out { cloud: thinned.selected(&downsample::every(&thinned, self.0.every)) })
+        let thinned = thinned.selected(&downsample::every(&thinned, self.0.every));
+        let (n, found) = (self.0.n_points, thinned.len());
+        if n == 0 {
+            return Ok(Out { cloud: thinned });
+        }
+        if n > found {
+            ctx.warn(format!("{n} points are asked for, but there are {found}: all are kept"));
+        }
+        let kept = match self.0.pick {
+            Pick::Stride => downsample::evenly(&thinned, n),
+            Pick::Random => downsample::drawn(&thinned, n, &mut ctx.rng()),
+        };
+        Ok(Out { cloud: thinned.selected(&kept) })
     }
 }

@@ -1,6 +1,6 @@
 //! The kind `hole.cloud_difference`.
 
-use super::{In, Out};
+use super::{In, Out, answer};
 use osteoflow_algorithms::hole::{self, HoleParams};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 
@@ -30,7 +30,6 @@ impl Node for CloudDifference {
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.check()?;
-        let hole = hole::cloud_difference(&i.reference, &i.cloud, &self.0).map_err(|error| i.refusal(error, ctx))?;
-        Ok(i.out(hole, ctx))
+        answer(&i.cloud, hole::cloud_difference(&i.reference, &i.cloud, &self.0), ctx)
     }
 }

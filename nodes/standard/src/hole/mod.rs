@@ -1,5 +1,6 @@
 //! The landmark under a laser spot, from the hole that it leaves in a scan: every kind takes the same ports.
 
+pub mod boundary;
 pub mod cloud_difference;
 pub mod range_image;
 
@@ -7,7 +8,7 @@ use osteoflow_algorithms::hole::{Hole, HoleError, HoleReport};
 use osteoflow_geometry::{Cloud, FrameError, NamedPoint, Points};
 use osteoflow_node::{Context, Inputs, NodeError, Outputs};
 
-/// Inputs of every hole detector.
+/// Inputs of every hole detector that compares two scans.
 #[derive(Inputs)]
 pub struct In {
     /// The full scan.
@@ -32,23 +33,22 @@ impl In {
     fn check(&self) -> Result<(), FrameError> {
         self.cloud.frame.expect(&self.reference.frame, "the scan with the laser")
     }
+}
 
-    /// The landmark's name: the scan's label, else by order.
-    fn name(&self, ctx: &Context) -> String {
-        self.cloud.label.as_ref().map_or_else(|| format!("P{}", ctx.item() + 1), ToString::to_string)
-    }
+/// The landmark's name: the scan's label, else by order.
+fn name(cloud: &Cloud, ctx: &Context) -> String {
+    cloud.label.as_ref().map_or_else(|| format!("P{}", ctx.item() + 1), ToString::to_string)
+}
 
-    fn refusal(&self, error: HoleError, ctx: &Context) -> NodeError {
-        NodeError::new(format!("{}: {error}", self.name(ctx)))
-    }
-
-    fn out(&self, hole: Hole, ctx: &Context) -> Out {
-        let point = NamedPoint {
-            name: self.name(ctx).into(),
-            position: hole.centre,
-            stamp_ns: self.cloud.stamp_ns,
-            confidence: Some(hole.confidence),
-        };
-        Out { point: Points::new(&self.cloud.frame, vec![point]), report: hole.report }
-    }
+/// The hole of a scan with the laser as its landmark, or why there is none.
+fn answer(cloud: &Cloud, found: Result<Hole, HoleError>, ctx: &Context) -> Result<Out, NodeError> {
+    let name = name(cloud, ctx);
+    let hole = found.map_err(|error| NodeError::new(format!("{name}: {error}")))?;
+    let point = NamedPoint {
+        name: name.into(),
+        position: hole.centre,
+        stamp_ns: cloud.stamp_ns,
+        confidence: Some(hole.confidence),
+    };
+    Ok(Out { point: Points::new(&cloud.frame, vec![point]), report: hole.report })
 }

@@ -1,6 +1,6 @@
 //! The kind `hole.range_image`.
 
-use super::{In, Out};
+use super::{In, Out, answer};
 use osteoflow_algorithms::hole::{self, HoleParams};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 
@@ -30,7 +30,6 @@ impl Node for RangeImage {
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.check()?;
-        let hole = hole::range_image(&i.reference, &i.cloud, &self.0).map_err(|error| i.refusal(error, ctx))?;
-        Ok(i.out(hole, ctx))
+        answer(&i.cloud, hole::range_image(&i.reference, &i.cloud, &self.0), ctx)
     }
 }

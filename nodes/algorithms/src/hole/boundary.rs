@@ -1,0 +1,191 @@
+use super::image::{Grid, seen};
+use super::scene::Scene;
+use super::spot::{Missing, find};
+use super::{Hole, HoleError, HoleParams};
+use crate::nearest::Nearest;
+use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
+use osteoflow_geometry::Cloud;
+
+/// A place in the image is empty where the nearest point is farther than this many steps of a grid as dense as the scan:
+/// one place in a hundred of a scan whose points lie as chance has it.
+const EMPTY: f64 = 1.2;
+
+/// Beside an empty place it is open where the nearest point is farther than this many steps: half of such places in such a
+/// scan, which must not connect a hole with the background.
+const OPEN: f64 = 0.6;
+
+/// So many places beside the empty ones are looked at: the width that the stricter rule leaves at the rim.
+const RIM: usize = 1;
+
+/// Gaps of a larger radius than so many spots are the background, or what lies in its shadow.
+const MAX_GAP: f64 = 2.5;
+
+/// The surface over a gap is told from what lies within so many spot radii around its middle...
+const AROUND: f64 = 2.5;
+
+/// ...and not farther than this many from it towards the camera or away: what is seen past an edge is another surface.
+const DEPTH: f64 = 1.5;
+
+/// So many points tell a surface of six unknowns.
+const MIN_AROUND: usize = 24;
+
+/// The hole in one scan, without a reference: a gap in the camera's image with scan all around it.
+///
+/// The scan is laid out in its camera's image, where it is sampled evenly. A gap that the scan encloses is filled with
+/// points as dense as the scan's, on a quadratic surface through what lies around it; they stand for the missing points of
+/// a reference, and what follows is as in [`cloud_difference`](super::cloud_difference()). A spot at the silhouette is
+/// enclosed by nothing and is not found, and any other loss as large as the spot is taken for it: what the reference is
+/// good for. `O(n log n)`.
+///
+/// # Errors
+/// [`HoleError`]: no hole, more than one, too sparse to resolve it, or a scan without a viewpoint.
+///
+/// # Source
+/// Holes as closed loops of the boundary of a point set: Bendels, Schnabel and Klein 2006, whose angle criterion the
+/// camera's image replaces.
+pub fn boundary(cloud: &Cloud, params: &HoleParams) -> Result<Hole, HoleError> {
+    let t_cloud_camera = cloud.viewpoint.ok_or(HoleError::NoViewpoint)?;
+    let fill = fill(cloud, &t_cloud_camera, params)?;
+    let n_seen = cloud.len();
+    let margin_mm = fill.margin_mm;
+    let points: Vec<Point3<f64>> = cloud.points().iter().copied().chain(fill.points).collect();
+    let indices = (n_seen..points.len()).collect();
+    let reference = Cloud::new(cloud.frame.clone(), points).map_err(|_| HoleError::NoViewpoint)?;
+    find(&Scene::new(&reference, cloud, params)?, &Missing { indices, margin_mm }, params)
+}
+
+/// Points where the surface should be.
+struct Fill {
+    points: Vec<Point3<f64>>,
+    margin_mm: f64,
+}
+
+fn fill(cloud: &Cloud, t_cloud_camera: &Isometry3<f64>, params: &HoleParams) -> Result<Fill, HoleError> {
+    let t_camera_cloud = t_cloud_camera.inverse();
+    let in_camera: Vec<Point3<f64>> = cloud.points().iter().map(|p| t_camera_cloud * p).filter(|p| p.z > 0.0).collect();
+    let flat: Vec<Point3<f64>> = in_camera.iter().filter_map(seen).collect();
+    if flat.is_empty() {
+        return Err(HoleError::Empty { what: "laser" });
+    }
+    let grid = Grid::over(&flat).ok_or(HoleError::NoViewpoint)?;
+    let tree = Nearest::new(&flat);
+    // As dense as the scan is where it is.
+    let step = grid.cell * (grid.n_filled() as f64 / flat.len() as f64).sqrt();
+    let mut depths: Vec<f64> = in_camera.iter().map(|p| p.z).collect();
+    let depth = super::scene::median(&mut depths);
+    let radius = params.spot_radius_mm / depth;
+    let empty =
+        Empty::over(&grid, step, |place| tree.nearest(place).map_or(f64::INFINITY, |(_, square)| square.sqrt() / step));
+    let mut points = Vec::new();
+    for places in empty.gaps(std::f64::consts::PI * (MAX_GAP * radius / step).powi(2)) {
+        let middle = crate::kabsch::centroid(&places);
+        let around: Vec<Point3<f64>> =
+            tree.within(&middle, AROUND * radius).into_iter().map(|(i, _)| in_camera[i]).collect();
+        let Some(surface) = Surface::through(&around, &middle, radius, params.spot_radius_mm) else { continue };
+        points.extend(places.iter().map(|place| {
+            let z = surface.depth(place);
+            t_cloud_camera * Point3::new(place.x * z, place.y * z, z)
+        }));
+    }
+    Ok(Fill { points, margin_mm: OPEN * step * depth })
+}
+
+/// An even grid in the image, and how far each place is from the nearest point, in steps.
+struct Empty {
+    corner: [f64; 2],
+    step: f64,
+    size: [usize; 2],
+    distance: Vec<f64>,
+}
+
+impl Empty {
+    fn over(grid: &Grid, step: f64, distance: impl Fn(&Point3<f64>) -> f64) -> Self {
+        let size = [0, 1].map(|k| (grid.size[k] as f64 * grid.cell / step).ceil() as usize + 1);
+        let mut empty = Self { corner: grid.corner, step, size, distance: Vec::new() };
+        empty.distance = (0..size[0] * size[1]).map(|i| distance(&empty.place(i))).collect();
+        empty
+    }
+
+    /// The places beside one, and whether it lies within the image.
+    fn beside(&self, here: usize) -> (impl Iterator<Item = usize>, bool) {
+        let ([x, y], [width, height]) = ([here % self.size[0], here / self.size[0]], self.size);
+        let is_within = x > 0 && y > 0 && x + 1 < width && y + 1 < height;
+        let beside = [
+            (x > 0).then(|| here - 1),
+            (x + 1 < width).then(|| here + 1),
+            (y > 0).then(|| here - width),
+            (y + 1 < height).then(|| here + width),
+        ];
+        (beside.into_iter().flatten(), is_within)
+    }
+
+    fn place(&self, i: usize) -> Point3<f64> {
+        let [x, y] = [i % self.size[0], i / self.size[0]].map(|k| k as f64 * self.step);
+        Point3::new(self.corner[0] + x, self.corner[1] + y, 0.0)
+    }
+
+    /// The places of each connected gap that the scan encloses and that has no more than `most` of them.
+    fn gaps(&self, most: f64) -> Vec<Vec<Point3<f64>>> {
+        let mut left: Vec<bool> = self.distance.iter().map(|d| *d > EMPTY).collect();
+        let mut gaps = Vec::new();
+        for start in 0..left.len() {
+            if !std::mem::take(&mut left[start]) {
+                continue;
+            }
+            let (mut gap, mut next, mut is_enclosed) = (vec![start], 0, true);
+            while let Some(&here) = gap.get(next) {
+                next += 1;
+                let (beside, is_within) = self.beside(here);
+                is_enclosed &= is_within;
+                gap.extend(beside.filter(|&i| std::mem::take(&mut left[i])));
+            }
+            if !is_enclosed || gap.len() as f64 > most {
+                continue;
+            }
+            for _ in 0..RIM {
+                let rim = gap.iter().flat_map(|&here| self.beside(here).0).filter(|&i| self.distance[i] > OPEN);
+                gap = gap.iter().copied().chain(rim.collect::<Vec<_>>()).collect();
+                gap.sort_unstable();
+                gap.dedup();
+            }
+            gaps.push(gap.into_iter().map(|i| self.place(i)).collect());
+        }
+        gaps
+    }
+}
+
+/// The depth around a place of the image, quadratic.
+struct Surface {
+    middle: Point3<f64>,
+    unit: f64,
+    depth: Vector6<f64>,
+}
+
+impl Surface {
+    fn through(around: &[Point3<f64>], middle: &Point3<f64>, radius: f64, radius_mm: f64) -> Option<Self> {
+        let mut depths: Vec<f64> = around.iter().map(|p| p.z).collect();
+        let usual = super::scene::median(&mut depths);
+        let near: Vec<&Point3<f64>> = around.iter().filter(|p| (p.z - usual).abs() <= DEPTH * radius_mm).collect();
+        if near.len() < MIN_AROUND {
+            return None;
+        }
+        let mut surface = Self { middle: *middle, unit: radius, depth: Vector6::zeros() };
+        let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
+        for point in near {
+            let row = surface.monomials(&seen(point)?);
+            normal += row * row.transpose();
+            right += row * point.z;
+        }
+        surface.depth = (normal + Matrix6::identity() * 1e-6).cholesky()?.solve(&right);
+        Some(surface)
+    }
+
+    fn monomials(&self, at: &Point3<f64>) -> Vector6<f64> {
+        let [x, y] = [0, 1].map(|k| (at[k] - self.middle[k]) / self.unit);
+        Vector6::new(1.0, x, y, x * x, x * y, y * y)
+    }
+
+    fn depth(&self, at: &Point3<f64>) -> f64 {
+        self.depth.dot(&self.monomials(at))
+    }
+}

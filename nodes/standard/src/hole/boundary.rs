@@ -1,0 +1,49 @@
+//! The kind `hole.boundary`.
+
+use super::{Out, answer};
+use osteoflow_algorithms::hole::{self, HoleParams};
+use osteoflow_geometry::Cloud;
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, ParamError, Unused};
+
+/// The landmark that a laser spot burned out of a scan, found in that scan alone as a gap with scan all around it.
+///
+/// Needs no full scan, and no bone that stood still since. The gap is looked for in the camera's image and judged against
+/// the surface that continues what lies around it. A spot at the silhouette has no scan all around it and is refused;
+/// another loss of the spot's size is taken for it or makes two, which the full scan would have told apart. Of 30 spots on
+/// two real bones 23 were found within 0.9 mm (median 0.1 mm on a finely, 0.4 mm on a coarsely meshed one), 7 refused.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "hole.boundary"
+in   = { cloud = "to_bone_laser.cloud" }
+spot_radius_mm = 2.0
+"#,
+    literature = ["Bendels, Schnabel & Klein 2006, Detecting holes in point set surfaces"]
+)]
+pub struct Boundary(HoleParams);
+
+/// Inputs of [`Boundary`].
+#[derive(Inputs)]
+pub struct In {
+    /// The full scan of other detectors, which this one does without.
+    #[port(join = "once", frame = "cloud")]
+    reference: Unused<Cloud>,
+    /// A scan with the laser spot, labelled with the landmark's name.
+    cloud: Cloud,
+}
+
+impl Node for Boundary {
+    const KIND: &'static str = "hole.boundary";
+    type Params = HoleParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: HoleParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let _ = i.reference;
+        answer(&i.cloud, hole::boundary(&i.cloud, &self.0), ctx)
+    }
+}
