@@ -192,3 +192,15 @@ fn a_ruled_start_is_off_as_asked_and_the_fragments_tell_what_came_of_it() {
     }
     assert!(cuts["no_paper"].is_null() && number(&cuts["planned_volume_mm3"]) > 1000.0, "{cuts}");
 }
+
+#[test]
+fn one_word_swaps_the_coarse_fit_and_the_hole_detector() {
+    for set in ["coarse.kind=coarse.global", "hole.kind=hole.boundary"] {
+        let ran = run_whole(GRAPH, &["--no-record", "--set", set]);
+        let norm = number(&ran.results["metrics"]["tre_true_mm"]["mean_abs"]["norm"]);
+        assert!(norm < 1.0, "{set}: TRE {norm} mm");
+        if set.starts_with("coarse") {
+            assert!(number(&ran.results["coarse"]["clearness"]) > 0.3, "{}", ran.results["coarse"]);
+        }
+    }
+}

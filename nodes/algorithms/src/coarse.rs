@@ -1,4 +1,8 @@
-//! Coarse registration from a few named points.
+//! Coarse registration, from a few named points or by shape alone.
+
+mod global;
+
+pub use global::{GlobalError, GlobalFit, GlobalParams, GlobalReport, RunnerUp, global};
 
 use crate::kabsch::{FitError, centroid, kabsch};
 use nalgebra::{Isometry3, Matrix3, Point3};

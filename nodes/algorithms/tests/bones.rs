@@ -6,6 +6,7 @@ mod common;
 
 use common::{Bone, CLEAN, Noise, USUAL, apart, bones, displaced};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use osteoflow_algorithms::coarse::{GlobalError, GlobalParams, global};
 use osteoflow_algorithms::hole::{self, Hole, HoleError, HoleParams};
 use osteoflow_algorithms::icp::{self, IcpFit, IcpParams, StopReason};
 use osteoflow_algorithms::landmarks::{RecipeParams, paper_recipe};
@@ -265,5 +266,27 @@ fn a_gap_in_one_scan_is_found_without_a_reference_where_scan_lies_all_around_it(
         let (median, max) = (errors[errors.len() / 2], errors[errors.len() - 1]);
         assert!(refused <= 4, "{}: {refused} of 15 refused", bone.name);
         assert!(median < 0.5 && max < 1.0, "{}: median {median:.3}, largest {max:.3} mm", bone.name);
+    }
+}
+
+#[test]
+fn a_long_scan_finds_its_place_by_shape_alone_and_a_short_one_says_that_it_may_not() {
+    for bone in bones("a_long_scan_finds_its_place_by_shape_alone_and_a_short_one_says_that_it_may_not") {
+        let target = bone.target(150_000);
+        for (heights, seed) in [([0.0, 125.0], 1), (SHAFT, 2), ([95.0, 115.0], 3)] {
+            let scan = bone.scan(&bone.camera((heights[0] + heights[1]) / 2.0), heights, 0.3, &USUAL, None, seed);
+            let away = displaced(&middle(&scan), 150.0, 2.5, seed + 40);
+            let fit = global(&target, &scan.transformed("world", &away.inverse()), &GlobalParams::default()).unwrap();
+            let off = apart(&(fit.t_target_source * away.inverse()), &Isometry3::identity(), scan.points());
+            let clearness = fit.report.clearness;
+            if heights[1] - heights[0] > 50.0 {
+                assert!(off < 0.5 && clearness > 0.5, "{} {heights:?}: {off:.2} mm off, clear {clearness}", bone.name);
+            } else {
+                assert!(clearness < 0.3, "{} {heights:?}: {off:.2} mm off, clear {clearness}", bone.name);
+            }
+        }
+        let few = shaft(&bone, &CLEAN, 1).selected(&[0, 1, 2]);
+        let error = global(&target, &few, &GlobalParams::default());
+        assert_eq!(error, Err(GlobalError::TooFew { n: 3, needed: 200 }));
     }
 }

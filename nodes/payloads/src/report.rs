@@ -37,6 +37,7 @@ reports! {
     "Calibration" = osteoflow_algorithms::calibrate::PhantomReport;
     "Check" = osteoflow_algorithms::metrics::CheckReport;
     "Coarse" = osteoflow_algorithms::coarse::CoarseReport;
+    "CoarseGlobal" = osteoflow_algorithms::coarse::GlobalReport;
     "CutDifference" = osteoflow_algorithms::metrics::CutDifferenceReport;
     "Cuts" = osteoflow_algorithms::metrics::CutsReport;
     "Fre" = osteoflow_algorithms::metrics::FreReport;

@@ -68,6 +68,7 @@ pub fn registry() -> Registry {
         .node::<hole::range_image::RangeImage>()
         .node::<hole::boundary::Boundary>()
         .node::<coarse::three_point::ThreePoint>()
+        .node::<coarse::global::Global>()
         .node::<landmarks::ruled::Ruled>()
         .node::<icp::point_to_point::PointToPoint>()
         .node::<icp::point_to_plane::PointToPlane>()

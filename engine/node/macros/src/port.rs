@@ -45,7 +45,10 @@ pub(crate) fn inputs(input: &DeriveInput) -> Result<TokenStream> {
             Shape::Any => (quote!(::osteoflow_node::derive::any_payload()), quote!(take_any), false, false),
             Shape::Emit(t) => return Err(Error::new_spanned(t, "Emit is for outputs; an input is Option<T>")),
         };
-        let join = join_of(&attr, matches!(shape, Shape::Many(_) | Shape::ManyOptional(_)), field)?;
+        // What is unused joins as in the kinds that use it, so that a graph says the same to both.
+        let many = matches!(shape, Shape::Many(_) | Shape::ManyOptional(_))
+            || unused && attr.join.as_ref().is_some_and(|join| join.value() == "collect");
+        let join = join_of(&attr, many, field)?;
         let (doc, frames) = (doc_of(&field.attrs), frames_of(&attr));
         ports.push(quote! {
             ::osteoflow_node::InputPort {

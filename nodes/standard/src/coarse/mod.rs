@@ -1,3 +1,4 @@
-//! Coarse registration, where the fine one starts.
+//! Coarse registration, where the fine one starts: every kind takes the same ports, and leaves unused what it does without.
 
+pub mod global;
 pub mod three_point;

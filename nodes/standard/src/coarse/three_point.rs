@@ -2,9 +2,10 @@
 
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::coarse::{self, CoarseReport};
-use osteoflow_geometry::{Points, Pose};
+use osteoflow_algorithms::target::Target;
+use osteoflow_geometry::{Cloud, Points, Pose};
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Unused, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The rigid motion that best carries located landmarks onto the planned ones.
@@ -47,6 +48,11 @@ pub struct In {
     /// The landmarks as located, three or more.
     #[port(join = "collect", n = 3)]
     source: Vec<Points>,
+    /// The scan, for kinds that fit it by its shape.
+    cloud: Unused<Cloud>,
+    /// The CT surface, for the same.
+    #[port(join = "once")]
+    surface: Unused<Target>,
 }
 
 /// Outputs of [`ThreePoint`].
@@ -70,6 +76,7 @@ impl Node for ThreePoint {
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let _ = (i.cloud, i.surface);
         let source = in_one_list(&i.source)?;
         if i.target.points.is_empty() {
             let next = "plan.landmarks places P1..P3 on the bone's surface";

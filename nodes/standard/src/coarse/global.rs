@@ -1,0 +1,82 @@
+//! The kind `coarse.global`.
+
+use osteoflow_algorithms::{
+    coarse::{GlobalParams, GlobalReport, global},
+    target::Target,
+};
+use osteoflow_geometry::{Cloud, Points, Pose};
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Unused};
+
+/// Below this the other answer fits nearly as well: where the answer was right on real bones it was 0.7 and more.
+const CLEAR: f64 = 0.3;
+
+/// Where the scan lies on the bone by the shapes alone, without landmarks.
+///
+/// The scan's long axis is laid along the bone, both ways, in steps along it and turns about it; the best starts are
+/// refined and the best of these is the answer. A shaft is nearly a cylinder, so that a scan of little of it fits well in
+/// wrong places: the report's `clearness` tells how much worse the best other answer fits, and a warning says where it is
+/// low. Of scans of one side of two real bones those of 95 mm and more were laid within 0.1 mm (clearness 0.7 and more),
+/// those of 40 mm on one bone of the two, those of 20 mm on neither (clearness below 0.15). Takes a second or two.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "coarse.global"
+in   = { cloud = "to_bone.cloud", surface = "ct_surface.target" }
+"#,
+    literature = ["Besl & McKay 1992, section IV-B"]
+)]
+pub struct Global(GlobalParams);
+
+/// Inputs of [`Global`].
+#[derive(Inputs)]
+pub struct In {
+    /// The planned landmarks of other kinds, which this one does without.
+    #[port(join = "once")]
+    target: Unused<Points>,
+    /// The located landmarks of other kinds.
+    #[port(join = "collect", n = 3)]
+    source: Unused<Points>,
+    /// The scan.
+    cloud: Cloud,
+    /// The CT surface.
+    #[port(join = "once")]
+    surface: Target,
+}
+
+/// Outputs of [`Global`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The coarse registration.
+    #[port(to = "surface", from = "cloud")]
+    t_target_source: Pose,
+    /// How well it fits, and how well the best other answer does.
+    report: GlobalReport,
+}
+
+impl Node for Global {
+    const KIND: &'static str = "coarse.global";
+    type Params = GlobalParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: GlobalParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let _ = (i.target, i.source);
+        let fit = global(&i.surface, &i.cloud, &self.0)?;
+        if let Some(other) = fit.report.runner_up.as_ref().filter(|_| fit.report.clearness < CLEAR) {
+            ctx.warn(format!(
+                "the scan fits elsewhere nearly as well: {:.2} mm RMS against {:.2} mm, {:.0} mm and {:.0} degrees away; \
+                 the answer may be wrong, so use landmarks (coarse.three_point) or scan more of the bone",
+                other.score_mm,
+                fit.report.score_mm,
+                other.shift_mm,
+                other.turn_rad.to_degrees()
+            ));
+        }
+        let pose = Pose::new(&i.surface.frame, &i.cloud.frame, fit.t_target_source).at(ctx.stamp_ns());
+        Ok(Out { t_target_source: pose, report: fit.report })
+    }
+}
