@@ -8,7 +8,7 @@ use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_formats::mesh_file::write_stl;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 use osteoflow_geometry::{Anatomy, Mesh};
-use osteoflow_simulation::{BoneParams, CtParams, Procedure, ProcedureParams, bone, ct_surface, phantom};
+use osteoflow_simulation::{BoneParams, CtParams, Procedure, ProcedureParams, bone, ct_surface};
 use osteoflow_standard::own_bone;
 use serde_json::json;
 use std::{fs, path::Path, path::PathBuf};
@@ -38,7 +38,7 @@ fn the_built_in_bone_read_from_a_file_gives_the_built_in_procedure() {
     let (stl, plan) = write(dir.path(), &bone::fibula(&built_in), &bone::anatomy(&built_in));
     let subject = own_bone::read(&stl, &plan).unwrap();
     assert_eq!(subject.notes, Vec::<String>::new());
-    let own = Procedure::simulate_on(&subject.bone, &subject.plan, &phantom::mesh(), &small(), 3).unwrap();
+    let own = Procedure::simulate_for(&subject, &small(), 3).unwrap();
     let expected = Procedure::simulate(&small(), 3).unwrap();
     let rounding = "an STL holds 1000 mm to within 0.00006 mm";
     for (a, b) in own.plan.landmarks.points.iter().zip(expected.plan.landmarks.points.iter()) {
@@ -83,14 +83,14 @@ fn left_and_right_bones_coarse_and_fine_are_scanned_and_shown_in_a_ct_wherever_t
         // A mirrored mesh is inside out.
         assert_eq!(subject.notes.len(), usize::from(left), "{:?}", subject.notes);
         let params = small().without_errors();
-        let own = Procedure::simulate_on(&subject.bone, &subject.plan, &phantom::mesh(), &params, 1).unwrap();
+        let own = Procedure::simulate_for(&subject, &params, 1).unwrap();
         let truth = &own.truth;
         let t_ct_camera = truth.t_world_ct_at_scan.isometry.inverse() * truth.t_world_camera_at_scan.isometry;
-        let surface = MeshQuery::new(&subject.bone);
+        let surface = MeshQuery::new(subject.bone());
         let off = |p: &Point3<f64>| surface.closest_point(p).unwrap().distance_mm;
         assert_eq!(own.scan.len(), 2000);
         assert!(own.scan.points().iter().all(|p| off(&(t_ct_camera * p)) < 1e-8));
-        let ct = ct_surface(&subject.bone, &CtParams::default(), 1).unwrap();
+        let ct = ct_surface(subject.bone(), &CtParams::default(), 1).unwrap();
         let mean = ct.vertices().iter().map(off).sum::<f64>() / ct.vertices().len() as f64;
         assert!(mean < 0.1, "left {left}, edges of {edge_mm} mm: the CT surface is {mean} mm off the bone");
     }
@@ -103,7 +103,7 @@ fn a_bone_that_is_open_or_too_short_and_a_plan_without_anatomy_are_refused_in_wo
     let (whole, anatomy) = (bone::fibula(&built_in), bone::anatomy(&built_in));
     let said = |mesh: &Mesh, anatomy: &Anatomy| {
         let (stl, plan) = write(dir.path(), mesh, anatomy);
-        own_bone::read(&stl, &plan).unwrap_err().to_string()
+        own_bone::read(&stl, &plan).err().unwrap().to_string()
     };
     let open = Mesh::new("ct", whole.origin, whole.vertices().to_vec(), whole.faces()[5..].to_vec()).unwrap();
     let words = said(&open, &anatomy);
@@ -114,7 +114,7 @@ fn a_bone_that_is_open_or_too_short_and_a_plan_without_anatomy_are_refused_in_wo
 
     let (stl, plan) = write(dir.path(), &whole, &anatomy);
     fs::write(&plan, "{}").unwrap();
-    let words = own_bone::read(&stl, &plan).unwrap_err().to_string();
+    let words = own_bone::read(&stl, &plan).err().unwrap().to_string();
     assert!(words.contains("the plan has no anatomy"), "{words}");
     for (node, given, lacks) in [
         ("recording", "bone_file", "plan_file"),

@@ -7,7 +7,7 @@ use osteoflow_formats::{
     recording_write::{Layout, Stream, write_recording},
 };
 use osteoflow_geometry::{Cloud, Points, Pose, matrix_rows};
-use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, Subject, ct_surface, phantom};
+use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, Subject, ct_surface};
 use osteoflow_standard::own_bone;
 use serde_json::{Value, json};
 use std::{
@@ -87,7 +87,7 @@ impl Simulate {
         for note in &subject.notes {
             writeln!(std::io::stderr(), "warning: {note}")?;
         }
-        let procedure = Procedure::simulate_on(&subject.bone, &subject.plan, &phantom::mesh(), &params, self.seed)?;
+        let procedure = Procedure::simulate_for(&subject, &params, self.seed)?;
         match self.shape {
             Shape::Mcap => write_streams(&dir.join("procedure.mcap"), &procedure, self.seed)?,
             Shape::Folder => super::simulate_folder::write(dir, &procedure)?,

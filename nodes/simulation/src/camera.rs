@@ -23,6 +23,10 @@ pub(crate) struct Pixel {
     pub(crate) normal: Vector3<f64>,
     /// Whether it is the object that is seen, not what lies around it.
     pub(crate) on_object: bool,
+    /// What every cloud of the view adds to the distance, mm.
+    bias_mm: f64,
+    /// The standard deviation of what each cloud adds anew, mm.
+    noise_mm: f64,
 }
 
 impl Pixel {
@@ -65,7 +69,12 @@ pub(crate) struct Sight<'a> {
 /// limit. Geometry alone: no draw enters, so every scan of one view has the same pixels.
 ///
 /// `t_object_camera` leads into the surfaces' frame. The grid is as fine as `n_points` needs.
-pub(crate) fn view(sight: &Sight<'_>, t_object_camera: &Isometry3<f64>, params: &CameraParams) -> Vec<Pixel> {
+pub(crate) fn view(
+    sight: &Sight<'_>,
+    t_object_camera: &Isometry3<f64>,
+    params: &CameraParams,
+    bias: &DepthBias,
+) -> Vec<Pixel> {
     let Sight { object, stretch, around } = *sight;
     let t_camera_object = t_object_camera.inverse();
     let outline = around.unwrap_or(object).mesh().vertices();
@@ -104,6 +113,8 @@ pub(crate) fn view(sight: &Sight<'_>, t_object_camera: &Isometry3<f64>, params: 
                             cos_incidence,
                             normal: hit.normal,
                             on_object,
+                            bias_mm: 0.0,
+                            noise_mm: 0.0,
                         })
                     })
                     .collect()
@@ -118,7 +129,12 @@ pub(crate) fn view(sight: &Sight<'_>, t_object_camera: &Isometry3<f64>, params: 
     if solid_angle == 0.0 {
         return Vec::new();
     }
-    cast((solid_angle / (params.n_points as f64 * SURPLUS)).sqrt())
+    let mut pixels = cast((solid_angle / (params.n_points as f64 * SURPLUS)).sqrt());
+    pixels.par_iter_mut().for_each(|pixel| {
+        pixel.bias_mm = bias.at(&pixel.point());
+        pixel.noise_mm = params.depth_noise_mm * pixel.cos_incidence.powf(-params.depth_noise_growth);
+    });
+    pixels
 }
 
 /// The smooth error of depth that the camera's own calibration leaves, mm: a function of where a point lies in the
@@ -212,7 +228,7 @@ pub(crate) struct Shot<'a> {
 ///
 /// Each draw belongs to a pixel (noise, dropout, thinning) or to a patch, whether it is used or not, so that switching a
 /// term off changes nothing else. At most `n_points` points, in the order of the pixels, frame `camera`.
-pub(crate) fn scan(shot: &Shot<'_>, bias: &DepthBias, params: &CameraParams, seed: u64) -> Result<Cloud, CloudError> {
+pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<Cloud, CloudError> {
     let Shot { pixels, t_object_camera, hole, wound, stamp_ns, number } = *shot;
     let mut patch_rng = stream(seed, Term::Patches, number);
     let patches: Vec<Point3<f64>> = (0..params.n_patches)
@@ -252,8 +268,8 @@ pub(crate) fn scan(shot: &Shot<'_>, bias: &DepthBias, params: &CameraParams, see
             Some(film) if pixel.on_object => film.at(&(t_object_camera * truth)) / pixel.cos_incidence,
             _ => 0.0,
         };
-        let spread = params.depth_noise_mm * pixel.cos_incidence.powf(-params.depth_noise_growth);
-        kept.push((key, Point3::from(pixel.ray * (pixel.distance_mm - film_mm + spread * noise + bias.at(&truth)))));
+        let distance_mm = pixel.distance_mm - film_mm + pixel.noise_mm * noise + pixel.bias_mm;
+        kept.push((key, Point3::from(pixel.ray * distance_mm)));
     }
     if kept.len() > params.n_points {
         let mut keys: Vec<u64> = kept.iter().map(|(key, _)| *key).collect();
@@ -278,7 +294,7 @@ mod tests {
         let faces = vec![[0, 2, 1], [0, 3, 2]];
         let wall = Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap();
         let sight = Sight { object: &MeshQuery::new(&wall), stretch: None, around: None };
-        view(&sight, &Isometry3::identity(), params)
+        view(&sight, &Isometry3::identity(), params, &DepthBias::new(params, 1))
     }
 
     fn quiet() -> CameraParams {
@@ -292,7 +308,7 @@ mod tests {
     /// The cloud of all pixels that are left, before the surplus goes.
     fn left(pixels: &[Pixel], params: &CameraParams, seed: u64) -> Cloud {
         let all = CameraParams { n_points: pixels.len(), ..params.clone() };
-        scan(&shot(pixels), &DepthBias::new(params, seed), &all, seed).unwrap()
+        scan(&shot(pixels), &all, seed).unwrap()
     }
 
     #[test]
@@ -301,7 +317,7 @@ mod tests {
         let pixels = wall(&params);
         let share = pixels.len() as f64 / 20_000.0;
         assert!((1.08..1.16).contains(&share), "{share} pixels for each point");
-        let cloud = scan(&shot(&pixels), &DepthBias::new(&params, 1), &params, 1).unwrap();
+        let cloud = scan(&shot(&pixels), &params, 1).unwrap();
         assert_eq!(cloud.len(), 20_000);
         assert!(cloud.points().iter().all(|p| (p.z - 200.0).abs() < 1e-9));
         assert_eq!(cloud.viewpoint, Some(Isometry3::identity()));
@@ -342,6 +358,6 @@ mod tests {
         let away = vec![Point3::new(0.0, 0.0, -200.0), Point3::new(9.0, 0.0, -200.0), Point3::new(0.0, 9.0, -200.0)];
         let mesh = Mesh::new("ct", SurfaceOrigin::Exact, away, vec![[0, 1, 2]]).unwrap();
         let sight = Sight { object: &MeshQuery::new(&mesh), stretch: None, around: None };
-        assert!(view(&sight, &Isometry3::identity(), &quiet()).is_empty());
+        assert!(view(&sight, &Isometry3::identity(), &quiet(), &DepthBias::new(&quiet(), 1)).is_empty());
     }
 }

@@ -27,10 +27,19 @@ pub(crate) fn make_well_composed(volume: &mut [f32], grid: &Grid, level: f32) ->
         let before = n_raised;
         for z in 0..nz.saturating_sub(1) {
             for y in 0..ny.saturating_sub(1) {
+                let row = (z * ny + y) * nx;
+                // The four voxels of a cell at one x, as the cell's corners 0, 2, 4 and 6.
+                let column = |volume: &[f32], x: usize| {
+                    let at = [row + x, row + x + step[1], row + x + step[2], row + x + step[1] + step[2]];
+                    at.iter().enumerate().fold(0u8, |mask, (k, &v)| mask | u8::from(volume[v] > level) << (2 * k))
+                };
+                let mut next = column(volume, 0);
                 for x in 0..nx.saturating_sub(1) {
-                    let first = (z * ny + y) * nx + x;
+                    let first = row + x;
                     let corner = |c: usize| first + (c & 1) * step[0] + (c >> 1 & 1) * step[1] + (c >> 2) * step[2];
-                    let above = (0..8).fold(0u8, |mask, c| mask | u8::from(volume[corner(c)] > level) << c);
+                    let left = next;
+                    next = column(volume, x + 1);
+                    let above = left | next << 1;
                     if above == 0 || above == 255 {
                         continue;
                     }
@@ -50,6 +59,7 @@ pub(crate) fn make_well_composed(volume: &mut [f32], grid: &Grid, level: f32) ->
                     let low = (0..8).filter(|&c| among >> c & 1 == 1 && above >> c & 1 == 0).map(corner);
                     let Some(nearest) = low.reduce(|a, b| if volume[b] > volume[a] { b } else { a }) else { continue };
                     volume[nearest] = just_above;
+                    next = column(volume, x + 1);
                     n_raised += 1;
                 }
             }

@@ -40,7 +40,7 @@ pub use params::{
     CameraParams, CheckParams, LaserDisc, LaserParams, MotionParams, PeriosteumParams, PhantomParams, ProcedureParams,
     RulerParams, StylusParams, TrackerParams,
 };
-pub use plan::{complete, plan};
+pub use plan::plan;
 pub use procedure::{Procedure, Truth, t_camera_camera_marker_nominal};
 pub use subject::Subject;
 pub use weakest_mode::{SmoothError, WeakestMode, visible_surface, weakest_mode};

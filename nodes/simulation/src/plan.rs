@@ -34,7 +34,12 @@ const CUTS: [(&str, f64, f64, f64); 2] = [("plane_1", 180.0, -0.05, 0.24), ("pla
 /// # Errors
 /// [`SimulationError::NoSection`] if the bone does not reach as far as a point or cut.
 pub fn plan(bone: &Mesh, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationError> {
-    let surface = MeshQuery::new(bone);
+    plan_on(&MeshQuery::new(bone), anatomy)
+}
+
+/// The same on a surface that was prepared before.
+pub(crate) fn plan_on(surface: &MeshQuery, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationError> {
+    let bone = surface.mesh();
     let place = |&(name, height_mm, face): &(&str, f64, Face)| -> Result<NamedPoint, SimulationError> {
         let centre = section_centre(bone, anatomy, height_mm).ok_or(SimulationError::NoSection { height_mm })?;
         let way = match face {
@@ -47,7 +52,7 @@ pub fn plan(bone: &Mesh, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationEr
         let hit = surface.cast_ray(&from, &-way.into_inner()).ok_or(SimulationError::NoSection { height_mm })?;
         Ok(NamedPoint::new(name, hit.point))
     };
-    let landmarks = landmarks::paper_recipe(&surface, anatomy, &RecipeParams::default())?;
+    let landmarks = landmarks::paper_recipe(surface, anatomy, &RecipeParams::default())?;
     let assessment = ASSESSMENT.iter().map(place).collect::<Result<Vec<_>, _>>()?;
     let planes = CUTS.iter().map(|&(name, height_mm, to_lateral, to_posterior)| {
         let centre = section_centre(bone, anatomy, height_mm).ok_or(SimulationError::NoSection { height_mm })?;
@@ -79,12 +84,12 @@ fn nominal_camera_marker() -> Pose {
 ///
 /// # Errors
 /// As [`plan`]; and [`SimulationError::NoAnatomy`], since without one no camera can be placed.
-pub fn complete(plan: SurgicalPlan, bone: &Mesh) -> Result<SurgicalPlan, SimulationError> {
+pub(crate) fn complete(plan: SurgicalPlan, surface: &MeshQuery) -> Result<SurgicalPlan, SimulationError> {
     let anatomy = plan.anatomy.as_ref().ok_or(SimulationError::NoAnatomy)?;
     if plan.landmarks.points.is_empty() && plan.assessment.points.is_empty() && plan.planes.planes.is_empty() {
-        return self::plan(bone, anatomy);
+        return plan_on(surface, anatomy);
     }
-    let axes = plan.axes.unwrap_or_else(|| axes::towards(&axes::principal_axes(bone), &anatomy.proximal));
+    let axes = plan.axes.unwrap_or_else(|| axes::towards(&axes::principal_axes(surface.mesh()), &anatomy.proximal));
     Ok(SurgicalPlan {
         axes: Some(axes),
         t_phantom_phantom_marker: Some(plan.t_phantom_phantom_marker.unwrap_or_else(phantom_marker)),

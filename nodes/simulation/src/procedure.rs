@@ -124,8 +124,16 @@ impl Procedure {
     /// # Errors
     /// [`SimulationError`] if a parameter makes no sense or leaves nothing to be seen.
     pub fn simulate(params: &ProcedureParams, seed: u64) -> Result<Self, SimulationError> {
-        let Subject { bone, plan, .. } = Subject::built_in(&params.bone)?;
-        Self::simulate_on(&bone, &plan, &phantom::mesh(), params, seed)
+        Self::simulate_for(&Subject::built_in(&params.bone)?, params, seed)
+    }
+
+    /// A procedure on a subject, which may serve for many, calibrated with the built-in phantom. `params.bone` is not used.
+    ///
+    /// # Errors
+    /// As [`Procedure::simulate_on`].
+    pub fn simulate_for(subject: &Subject, params: &ProcedureParams, seed: u64) -> Result<Self, SimulationError> {
+        params.check()?;
+        Scene::new(&subject.surface, &subject.plan, &phantom::mesh(), params, seed)?.run()
     }
 
     /// A procedure on any closed bone surface with a plan, calibrated with any phantom. `params.bone` is not used.
@@ -143,7 +151,7 @@ impl Procedure {
         seed: u64,
     ) -> Result<Self, SimulationError> {
         params.check()?;
-        Scene::new(bone, plan, phantom, params, seed)?.run()
+        Scene::new(&MeshQuery::new(bone), plan, phantom, params, seed)?.run()
     }
 }
 
@@ -154,7 +162,7 @@ struct Scene<'a> {
     plan: &'a SurgicalPlan,
     anatomy: &'a Anatomy,
     bone: &'a Mesh,
-    bone_surface: MeshQuery,
+    bone_surface: &'a MeshQuery,
     /// What else is seen in the wound, in the bone's frame.
     around: Option<MeshQuery>,
     phantom: &'a Mesh,
@@ -180,12 +188,13 @@ struct Scene<'a> {
 
 impl<'a> Scene<'a> {
     fn new(
-        bone: &'a Mesh,
+        bone_surface: &'a MeshQuery,
         plan: &'a SurgicalPlan,
         phantom: &'a Mesh,
         params: &'a ProcedureParams,
         seed: u64,
     ) -> Result<Self, SimulationError> {
+        let bone = bone_surface.mesh();
         let anatomy = plan.anatomy.as_ref().ok_or(SimulationError::NoAnatomy)?;
         let needs =
             [("landmarks", plan.landmarks.points.len(), 3), ("assessment points", plan.assessment.points.len(), 1)];
@@ -196,7 +205,7 @@ impl<'a> Scene<'a> {
         plan.assessment.frame.expect(&bone.frame, "the plan's assessment points")?;
         plan.planes.frame.expect(&bone.frame, "the plan's planes")?;
         let nothing = |what, hint| SimulationError::NothingVisible { what, hint };
-        let (bone_surface, phantom_surface) = (MeshQuery::new(bone), MeshQuery::new(phantom));
+        let phantom_surface = MeshQuery::new(phantom);
 
         let mut setup = stream(seed, Term::Setup, 0);
         // The bone lies anyhow in the localiser's world, about 1.2 m from its origin.
@@ -205,7 +214,7 @@ impl<'a> Scene<'a> {
             section_centre(bone, anatomy, middle_mm).ok_or(SimulationError::NoSection { height_mm: middle_mm })?;
         let place = direction(&mut setup) * (1200.0 + 100.0 * normal(&mut setup));
         let lies = Translation3::from(place) * attitude(&mut setup) * Translation3::from(-focus.coords);
-        let t_ct_camera = scan_pose(&bone_surface, anatomy, &focus, params, seed)
+        let t_ct_camera = scan_pose(bone_surface, anatomy, &focus, params, seed)
             .ok_or(nothing("bone", "scan_from_mm and scan_to_mm should lie on the bone"))?;
         // Without a localiser the camera is the world.
         let t_world_ct = if params.tracker.none { t_ct_camera.inverse() } else { lies };
@@ -231,7 +240,7 @@ impl<'a> Scene<'a> {
 
         let motion = &params.motion;
         let mut bone_path = Path::resting(t_world_ct);
-        let ruler = Ruler { params: &params.ruler, surface: &bone_surface, anatomy, seed };
+        let ruler = Ruler { params: &params.ruler, surface: bone_surface, anatomy, seed };
         let landmarks = ruler.marks(&plan.landmarks, 0)?;
         let assessment = ruler.marks(&plan.assessment, plan.landmarks.points.len())?;
         let mut shown = landmarks.points.to_vec();
@@ -329,11 +338,11 @@ impl<'a> Scene<'a> {
 
         let t_phantom_camera = self.phantom_path.at(CALIBRATION_S).inverse() * self.camera.at(CALIBRATION_S);
         let sight = Sight { object: &self.phantom_surface, stretch: None, around: None };
-        let pixels = view(&sight, &t_phantom_camera, &params.camera);
+        let pixels = view(&sight, &t_phantom_camera, &params.camera, &bias);
         if pixels.is_empty() {
             return Err(SimulationError::NothingVisible { what: "phantom", hint: "is its mesh in millimetres?" });
         }
-        let take = |shot: Shot<'_>| scan(&shot, &bias, &params.camera, self.seed);
+        let take = |shot: Shot<'_>| scan(&shot, &params.camera, self.seed);
         let stamp = |s: f64| tracker.stamp(s);
         let phantom_scan = take(Shot {
             pixels: &pixels,
@@ -344,7 +353,7 @@ impl<'a> Scene<'a> {
             number: 0,
         })?;
 
-        let seen = self.bone_view(SCAN_S)?;
+        let seen = self.bone_view(SCAN_S, &bias)?;
         let on_bone: Vec<Pixel> = seen.iter().copied().filter(|p| p.on_object).collect();
         let spots = self.laser_spots()?;
         let wound = self.wound(&on_bone, &spots);
@@ -358,7 +367,7 @@ impl<'a> Scene<'a> {
         let laser = spots.points.iter().enumerate().map(|(k, spot)| {
             let s = laser_s(k);
             let hole = self.hole(k, &(self.t_ct_camera(s).inverse() * spot.position));
-            let again = if still { None } else { Some(self.bone_view(s)?) };
+            let again = if still { None } else { Some(self.bone_view(s, &bias)?) };
             let pixels = again.as_deref().unwrap_or(&seen);
             if !pixels.iter().any(|p| p.on_object && (p.point() - hole.spot).norm() < hole.radius_mm) {
                 return Err(SimulationError::SpotHidden { name: spot.name.to_string() });
@@ -472,7 +481,7 @@ impl<'a> Scene<'a> {
     }
 
     /// The pixels that see the stripped bone.
-    fn bone_view(&self, s: f64) -> Result<Vec<Pixel>, SimulationError> {
+    fn bone_view(&self, s: f64, bias: &DepthBias) -> Result<Vec<Pixel>, SimulationError> {
         let camera = &self.params.camera;
         let stretch = Stretch {
             from: self.anatomy.malleolus_tip,
@@ -480,8 +489,8 @@ impl<'a> Scene<'a> {
             min_mm: camera.scan_from_mm,
             max_mm: camera.scan_to_mm,
         };
-        let sight = Sight { object: &self.bone_surface, stretch: Some(&stretch), around: self.around.as_ref() };
-        let pixels = view(&sight, &self.t_ct_camera(s), camera);
+        let sight = Sight { object: self.bone_surface, stretch: Some(&stretch), around: self.around.as_ref() };
+        let pixels = view(&sight, &self.t_ct_camera(s), camera, bias);
         if !pixels.iter().any(|p| p.on_object) {
             let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
             return Err(SimulationError::NothingVisible { what: "bone", hint });
@@ -495,7 +504,7 @@ impl<'a> Scene<'a> {
         let spots = self.laser_marks.points.iter().enumerate().map(|(k, mark)| {
             let mut rng = stream(self.seed, Term::LaserAim, k as u64);
             let (across, along) = (normal(&mut rng) * aim.aim_across_mm, normal(&mut rng) * aim.aim_along_mm);
-            beside(mark, across, along, &self.bone_surface, self.anatomy)
+            beside(mark, across, along, self.bone_surface, self.anatomy)
         });
         Ok(Points::new(&self.bone.frame, spots.collect::<Result<Vec<_>, SimulationError>>()?))
     }
@@ -721,9 +730,9 @@ mod tests {
     fn over_seeds<T>(params: &ProcedureParams, what: impl Fn(&Scene<'_>, &[Pixel]) -> T) -> Vec<T> {
         let bone = bone::fibula(&params.bone);
         let plan = plan(&bone, &bone::anatomy(&params.bone)).unwrap();
-        let phantom = phantom::mesh();
-        let mut scene = Scene::new(&bone, &plan, &phantom, params, 1).unwrap();
-        let seen = scene.bone_view(SCAN_S).unwrap();
+        let (surface, phantom) = (MeshQuery::new(&bone), phantom::mesh());
+        let mut scene = Scene::new(&surface, &plan, &phantom, params, 1).unwrap();
+        let seen = scene.bone_view(SCAN_S, &DepthBias::new(&params.camera, 1)).unwrap();
         (0..RUNS)
             .map(|seed| {
                 scene.seed = seed;

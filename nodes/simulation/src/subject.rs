@@ -1,14 +1,16 @@
 //! What a procedure is simulated on: a bone and its plan.
 
+use crate::plan::{complete, plan_on};
 use crate::topology::{open_edges, volume_mm3};
-use crate::{BoneParams, SimulationError, bone, complete, plan};
+use crate::{BoneParams, SimulationError, bone};
+use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Mesh, SurgicalPlan};
 
-/// A bone with its plan.
-#[derive(Debug, Clone, PartialEq)]
+/// A bone with its plan. A cheap handle: what is built for searching the surface is shared.
+#[derive(Clone)]
 pub struct Subject {
     /// The exact surface, closed, normals outward, frame `ct`.
-    pub bone: Mesh,
+    pub surface: MeshQuery,
     /// What is planned on it: landmarks, assessment points, cuts, axes, anatomy, marker poses.
     pub plan: SurgicalPlan,
     /// What was put right about the surface, one sentence each.
@@ -22,16 +24,18 @@ impl Subject {
     /// [`SimulationError`] if parameters make a bone too short for the plan.
     pub fn built_in(params: &BoneParams) -> Result<Self, SimulationError> {
         params.check()?;
-        let bone = bone::fibula(params);
-        let plan = plan(&bone, &bone::anatomy(params))?;
-        Ok(Self { bone, plan, notes: Vec::new() })
+        let surface = MeshQuery::new(&bone::fibula(params));
+        let plan = plan_on(&surface, &bone::anatomy(params))?;
+        Ok(Self { surface, plan, notes: Vec::new() })
     }
 
     /// Any closed surface, with a plan or with an anatomy alone, from which the plan is then made. A surface whose faces
     /// all turn inward, as a mirrored bone's do, is turned over.
     ///
     /// # Errors
-    /// [`SimulationError::NotClosed`]; and as [`complete`].
+    /// [`SimulationError::NotClosed`]; and as [`crate::plan`], or [`SimulationError::NoAnatomy`].
+    ///
+    /// Where a plan lacks axes or the marker poses, the bone's axes and the built-in poses stand in.
     pub fn of(bone: Mesh, plan: SurgicalPlan) -> Result<Self, SimulationError> {
         let n_open_edges = open_edges(&bone);
         if n_open_edges > 0 {
@@ -45,7 +49,13 @@ impl Subject {
         } else {
             bone
         };
-        let plan = complete(plan, &bone)?;
-        Ok(Self { bone, plan, notes })
+        let surface = MeshQuery::new(&bone);
+        let plan = complete(plan, &surface)?;
+        Ok(Self { surface, plan, notes })
+    }
+
+    /// The surface as a mesh.
+    pub fn bone(&self) -> &Mesh {
+        self.surface.mesh()
     }
 }

@@ -1,6 +1,6 @@
 //! How far a bone lets a registration slide along it.
 
-use crate::camera::{Sight, Stretch, view};
+use crate::camera::{DepthBias, Sight, Stretch, view};
 use crate::params::{CameraParams, ProcedureParams};
 use crate::procedure::scan_pose;
 use crate::{SimulationError, draws, plan::section_centre};
@@ -135,7 +135,7 @@ pub fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) ->
         max_mm: camera.scan_to_mm,
     };
     let sight = Sight { object: &surface, stretch: Some(&stretch), around: None };
-    let pixels = view(&sight, &t_ct_camera, &params.camera);
+    let pixels = view(&sight, &t_ct_camera, &params.camera, &DepthBias::new(&params.camera, 0));
     if pixels.is_empty() {
         return Err(nothing);
     }

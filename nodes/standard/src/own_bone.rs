@@ -1,10 +1,14 @@
 //! A bone of the user's own, for the kinds that simulate.
 
 use osteoflow_formats::{mesh_file::read_mesh, plan_file::read_plan_of};
-use osteoflow_geometry::SurfaceOrigin;
+use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use osteoflow_node::{FilePath, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
-use osteoflow_simulation::{BoneParams, Subject};
+use osteoflow_simulation::{
+    BoneParams, Subject,
+    ct::{self, CtParams},
+};
 use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Which bone is simulated on, if not the built-in one. The same for every node that simulates.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
@@ -33,11 +37,67 @@ impl OwnBone {
 
     /// The bone and its plan; `built_in` where no files are given.
     pub(crate) fn subject(&self, built_in: &BoneParams) -> Result<Subject, NodeError> {
-        match (&self.bone_file, &self.plan_file) {
-            (Some(bone), Some(plan)) => read(bone.as_ref(), plan.as_ref()),
-            _ => Ok(Subject::built_in(built_in)?),
-        }
+        Ok(self.keyed(built_in)?.1)
     }
+
+    /// The CT's surface of the bone.
+    pub(crate) fn ct_surface(&self, built_in: &BoneParams, ct: &CtParams, seed: u64) -> Result<Mesh, NodeError> {
+        static LAST: Memo<(Key, CtParams, u64), Mesh> = Memo::new();
+        let (key, subject) = self.keyed(built_in)?;
+        let seed = ct.scan_seed.unwrap_or(seed);
+        LAST.get_or((key, ct.clone(), seed), || Ok(ct::ct_surface(subject.bone(), ct, seed)?))
+    }
+
+    fn keyed(&self, built_in: &BoneParams) -> Result<(Key, Subject), NodeError> {
+        static LAST: Memo<Key, Subject> = Memo::new();
+        let (Some(bone), Some(plan)) = (&self.bone_file, &self.plan_file) else {
+            let key = Key::BuiltIn(built_in.clone());
+            let subject = LAST.get_or(key.clone(), || Ok(Subject::built_in(built_in)?))?;
+            return Ok((key, subject));
+        };
+        let content = |path: &FilePath| {
+            let bytes = std::fs::read(path).map_err(|error| format!("{} cannot be read: {error}", path.0.display()));
+            bytes.map(Arc::new).map_err(NodeError::new)
+        };
+        let key = Key::Files { name: name(bone.as_ref()), bone: content(bone)?, plan: content(plan)? };
+        let subject = LAST.get_or(key.clone(), || read(bone.as_ref(), plan.as_ref()))?;
+        Ok((key, subject))
+    }
+}
+
+/// What decides a subject, to the byte.
+#[derive(Clone, PartialEq)]
+enum Key {
+    BuiltIn(BoneParams),
+    Files { name: String, bone: Arc<Vec<u8>>, plan: Arc<Vec<u8>> },
+}
+
+/// The last answers of a function: the nodes of one graph, and the runs of a sweep, ask for the same bone again.
+struct Memo<K, V>(Mutex<Vec<(K, V)>>);
+
+impl<K: PartialEq, V: Clone> Memo<K, V> {
+    const N: usize = 4;
+
+    const fn new() -> Self {
+        Self(Mutex::new(Vec::new()))
+    }
+
+    /// Not locked while it is made, as that may need other threads which ask too: now and then two make the same.
+    fn get_or(&self, key: K, make: impl FnOnce() -> Result<V, NodeError>) -> Result<V, NodeError> {
+        let known = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, value)) = known().iter().find(|(k, _)| *k == key) {
+            return Ok(value.clone());
+        }
+        let value = make()?;
+        let mut known = known();
+        known.insert(0, (key, value.clone()));
+        known.truncate(Self::N);
+        Ok(value)
+    }
+}
+
+fn name(bone_file: &Path) -> String {
+    bone_file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// The bone and its plan from their files.
@@ -45,8 +105,7 @@ impl OwnBone {
 /// # Errors
 /// If a file cannot be read, the surface is open, or the plan lacks an anatomy or does not fit the bone.
 pub fn read(bone_file: &Path, plan_file: &Path) -> Result<Subject, NodeError> {
-    let name = bone_file.file_stem().unwrap_or_default().to_string_lossy();
-    let plan = read_plan_of(plan_file, &name)?;
+    let plan = read_plan_of(plan_file, &name(bone_file))?;
     let read = read_mesh(bone_file, 1.0, "ct", SurfaceOrigin::Exact)?;
     let mut subject = Subject::of(read.mesh, plan)?;
     subject.notes.splice(0..0, read.notes);

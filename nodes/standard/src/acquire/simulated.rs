@@ -10,7 +10,7 @@ use osteoflow_node::{
     Context, Describe, Emission, NodeError, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Flag;
-use osteoflow_simulation::{Procedure, ProcedureParams, phantom};
+use osteoflow_simulation::{Procedure, ProcedureParams};
 
 /// A simulated procedure on the built-in bone, or on one of your own: everything that a recording would hold, and the truth beside it.
 ///
@@ -53,8 +53,7 @@ impl Source for Simulated {
         if self.playback.is_none() {
             let Params { own, procedure } = &self.params;
             let subject = own.subject(&procedure.bone)?;
-            let phantom = phantom::mesh();
-            let procedure = Procedure::simulate_on(&subject.bone, &subject.plan, &phantom, procedure, ctx.seed())?;
+            let procedure = Procedure::simulate_for(&subject, procedure, ctx.seed())?;
             self.playback = Some(Playback::new(events(procedure)));
         }
         let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };

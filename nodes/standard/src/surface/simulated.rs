@@ -5,10 +5,7 @@ use osteoflow_geometry::Mesh;
 use osteoflow_node::{
     Context, Describe, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
 };
-use osteoflow_simulation::{
-    BoneParams,
-    ct::{self, CtParams},
-};
+use osteoflow_simulation::{BoneParams, CtParams};
 
 /// The simulated bone's surface: from a simulated CT, or exact.
 ///
@@ -62,8 +59,8 @@ impl Source for Simulated {
         if std::mem::replace(&mut self.done, true) {
             return Ok(None);
         }
-        let bone = self.params.own.subject(&self.params.bone)?.bone;
-        let mesh = if self.params.exact { bone } else { ct::ct_surface(&bone, &self.params.ct, ctx.seed())? };
+        let Params { exact, own, bone, ct } = &self.params;
+        let mesh = if *exact { own.subject(bone)?.bone().clone() } else { own.ct_surface(bone, ct, ctx.seed())? };
         Ok(Some(Out { mesh }))
     }
 }
