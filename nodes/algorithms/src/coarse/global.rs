@@ -40,7 +40,7 @@ pub struct GlobalParams {
     /// Starts around the bone. 24: 15 degrees apart, half of which an ICP draws in.
     #[schemars(range(min = 4, max = 360))]
     pub n_turns: usize,
-    /// Starts that are refined, the best of their surroundings. 60: more have not changed the answer on real bones.
+    /// Starts that are refined, the best of their surroundings. 60: as many as a fibula has at these steps.
     #[schemars(range(min = 1, max = 10_000))]
     pub n_refined: usize,
 }
