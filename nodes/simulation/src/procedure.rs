@@ -29,6 +29,7 @@ pub struct Procedure {
     /// The full scan of the bone.
     pub scan: Cloud,
     /// The same view with the laser on each landmark in turn, labelled `P1`, `P2`, ...: a disc around the spot is missing.
+    /// Where asked for, the assessment marks follow.
     pub laser: Vec<Cloud>,
     /// `t_world_camera_marker`, in bursts around each cloud.
     pub camera_marker: Vec<Pose>,

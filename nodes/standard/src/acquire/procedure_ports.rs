@@ -67,6 +67,9 @@ pub struct ProcedurePorts {
     /// The stylus' marker at each touch.
     #[port(to = "@world", from = "@stylus_marker")]
     stylus_marker: Emit<Pose>,
+    /// The bone with the laser spot on M1, M2, .. in turn, labelled so, where no stylus touches them.
+    #[port(frame = "@camera")]
+    laser_assessment: Emit<Cloud>,
 }
 
 /// The ports of [`ProcedurePorts`] by index.
@@ -94,17 +97,19 @@ pub(crate) enum Role {
     CheckWorld,
     StylusPivoting,
     StylusMarker,
+    LaserAssessment,
 }
 
 impl Role {
     /// What only a simulation, or a bench, gives.
-    pub(crate) const OF_EXPERIMENTS: [Self; 6] = [
+    pub(crate) const OF_EXPERIMENTS: [Self; 7] = [
         Self::LaserSpotsTrue,
         Self::LaserMarksTrue,
         Self::CheckCamera,
         Self::CheckWorld,
         Self::StylusPivoting,
         Self::StylusMarker,
+        Self::LaserAssessment,
     ];
 }
 
@@ -140,8 +145,8 @@ mod tests {
         assert_eq!(ports[Role::PhantomScan as usize].name, "phantom_scan");
         assert_eq!(ports[Role::BoneTracked as usize].name, "bone_tracked");
         assert_eq!(ports[Role::StylusPalpation as usize].name, "stylus_palpation");
-        assert_eq!(ports.len() - 1, Role::StylusMarker as usize);
-        assert_eq!(ports[Role::StylusMarker as usize].name, "stylus_marker");
+        assert_eq!(ports.len() - 1, Role::LaserAssessment as usize);
+        assert_eq!(ports[Role::LaserAssessment as usize].name, "laser_assessment");
         assert_eq!(ports[Role::CheckCamera as usize].name, "check_camera");
         assert_eq!(ports[Role::TCameraCameraMarkerTrue as usize].name, "t_camera_camera_marker_true");
     }

@@ -84,7 +84,10 @@ fn events(procedure: Procedure) -> Vec<Event<Emission>> {
     );
     events.clouds(Role::PhantomScan, [procedure.phantom_scan]);
     events.clouds(Role::Scan, [procedure.scan]);
-    events.clouds(Role::Laser, procedure.laser);
+    let mut on_landmarks = procedure.laser;
+    let on_assessment = on_landmarks.split_off(procedure.plan.landmarks.points.len());
+    events.clouds(Role::Laser, on_landmarks);
+    events.clouds(Role::LaserAssessment, on_assessment);
     events.poses(Role::CameraMarker, procedure.camera_marker);
     events.poses(Role::PhantomMarker, procedure.phantom_marker);
     events.poses(Role::BoneMarker, procedure.bone_marker);
