@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, fs, path::Path};
 
 /// Every crate of the workspace, where it lies, and the crates of the workspace that it may depend on.
-const ARROWS: [(&str, &str, &[&str]); 11] = [
+const ARROWS: [(&str, &str, &[&str]); 12] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
     ("osteoflow-engine", "engine", &["osteoflow-node"]),
@@ -13,6 +13,11 @@ const ARROWS: [(&str, &str, &[&str]); 11] = [
     ("osteoflow-formats", "nodes/formats", &["osteoflow-geometry"]),
     ("osteoflow-simulation", "nodes/simulation", &["osteoflow-algorithms", "osteoflow-geometry"]),
     ("osteoflow-statistics", "nodes/statistics", &[]),
+    (
+        "osteoflow-report",
+        "nodes/report",
+        &["osteoflow-engine", "osteoflow-node", "osteoflow-algorithms", "osteoflow-geometry", "osteoflow-statistics"],
+    ),
     ("osteoflow-payloads", "nodes/payloads", &["osteoflow-node", "osteoflow-geometry", "osteoflow-algorithms"]),
     (
         "osteoflow-standard",

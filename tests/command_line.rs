@@ -22,6 +22,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("validate", "sound"),
     ("recover", "OUT"),
     ("sweep", "--resume"),
+    ("report", "citations.bib"),
     ("simulate", "--seed"),
     ("new", "plugin"),
     ("completions", "bash"),

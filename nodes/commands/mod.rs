@@ -21,6 +21,7 @@ mod record;
 mod recover;
 mod register;
 mod replay;
+mod report;
 mod repro;
 mod result_table;
 mod run;
@@ -160,6 +161,7 @@ pub(crate) enum Command {
     Recover(recover::Recover),
     Repro(repro::Repro),
     Sweep(sweep::Sweep),
+    Report(report::Report),
     Simulate(simulate::Simulate),
     New(new::New),
     Completions(completions::Completions),
@@ -184,6 +186,7 @@ impl Command {
             Self::Graph(command) => command.execute(global),
             Self::Schema(command) => command.execute(global),
             Self::Sweep(command) => command.execute(global),
+            Self::Report(command) => command.execute(global),
             Self::Simulate(command) => command.execute(global),
             Self::New(command) => command.execute(global),
             Self::Completions(command) => command.execute(global),

@@ -1,0 +1,397 @@
+//! Charts as SVG text: points, lines and boxes on two axes, each with its unit.
+//!
+//! Drawn by hand: a chart is a page of arithmetic, and its classes let one file be read on paper, on a dark screen and
+//! inside a page alike.
+
+mod axis;
+
+pub(crate) use axis::{Axis, named};
+
+use crate::html::escaped;
+use std::fmt::Write;
+
+/// What stands on every figure beside what it shows.
+pub const RESEARCH: &str = "research use only";
+
+const WIDTH: f64 = 720.0;
+const HEIGHT: f64 = 400.0;
+const LEFT: f64 = 72.0;
+const RIGHT: f64 = 16.0;
+/// Height of a row of words below the plot.
+const ROW: f64 = 18.0;
+/// The widest word of a category in letters, and the width of a letter.
+const LETTER: f64 = 6.4;
+
+/// The colours of Okabe and Ito, which the colour-blind tell apart; those of a dark screen are lighter.
+const STYLE: &str = "\
+text { font-family: system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif; font-size: 12px; fill: #24292f }
+.paper { fill: #ffffff }
+.small { font-size: 11px; fill: #59636e }
+.axis { stroke: #57606a; stroke-width: 1; fill: none }
+.grid { stroke: #d8dee4; stroke-width: 0.6 }
+.zero { stroke: #8b949e; stroke-width: 1; stroke-dasharray: 4 3 }
+.line { fill: none; stroke-width: 1.8 }
+.band { opacity: 0.18; stroke: none }
+.dot { opacity: 0.75 }
+.box { fill-opacity: 0.22; stroke-width: 1.4 }
+.c0 { stroke: #0072b2; fill: #0072b2 } .c1 { stroke: #d55e00; fill: #d55e00 } .c2 { stroke: #009e73; fill: #009e73 }
+.c3 { stroke: #aa4499; fill: #aa4499 } .c4 { stroke: #b07d00; fill: #b07d00 } .c5 { stroke: #3a9bdc; fill: #3a9bdc }
+.line, .whisker { fill: none } .dot, .band { stroke: none }
+@media (prefers-color-scheme: dark) {
+text { fill: #e6edf3 }
+.paper { fill: #0d1117 }
+.small { fill: #9198a1 }
+.axis { stroke: #9198a1 } .grid { stroke: #30363d } .zero { stroke: #7d8590 }
+.c0 { stroke: #56b4e9; fill: #56b4e9 } .c1 { stroke: #ff8f4a; fill: #ff8f4a } .c2 { stroke: #2bc69a; fill: #2bc69a }
+.c3 { stroke: #dd88cc; fill: #dd88cc } .c4 { stroke: #e6b422; fill: #e6b422 } .c5 { stroke: #9ad3f5; fill: #9ad3f5 }
+.line, .whisker { fill: none } .dot, .band { stroke: none }
+}";
+
+/// How many series have colours of their own.
+pub(crate) const N_COLOURS: usize = 6;
+
+/// Something drawn.
+#[derive(Debug, Clone)]
+pub(crate) enum Mark {
+    /// From point to point.
+    Line(Vec<(f64, f64)>),
+    /// Between the lower and the upper value, from place to place: `(x, low, high)`.
+    Band(Vec<(f64, f64, f64)>),
+    /// Single points, each with what its tip says.
+    Dots(Vec<(f64, f64, String)>),
+    /// Tukey's box at a place, so many units of x wide.
+    Box(f64, f64, Tukey),
+}
+
+/// Tukey's box: quartiles, whiskers to the last values within 1.5 interquartile ranges, and what lies beyond.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Tukey {
+    pub(crate) median: f64,
+    pub(crate) quartiles: [f64; 2],
+    pub(crate) whiskers: [f64; 2],
+    pub(crate) values: Vec<f64>,
+}
+
+/// So many values are few enough to be shown each.
+const FEW: usize = 24;
+
+impl Tukey {
+    /// Of finite values; `None` without any.
+    pub(crate) fn of(values: &[f64]) -> Option<Self> {
+        use osteoflow_statistics::quantile;
+        let mut values = values.to_vec();
+        values.sort_by(f64::total_cmp);
+        if values.is_empty() {
+            return None;
+        }
+        let sorted = values.clone();
+        let [q1, median, q3] = [0.25, 0.5, 0.75].map(|q| quantile(&mut values, q));
+        let reach = 1.5 * (q3 - q1);
+        let within = || sorted.iter().copied().filter(|v| (q1 - reach..=q3 + reach).contains(v));
+        // A quartile lies between values, so that there may be none beyond it.
+        let whiskers = [within().fold(q1, f64::min), within().fold(q3, f64::max)];
+        Some(Self { median, quartiles: [q1, q3], whiskers, values: sorted })
+    }
+
+    /// The values shown one by one: all where they are few, else those beyond the whiskers.
+    fn shown(&self) -> impl Iterator<Item = f64> {
+        let [low, high] = self.whiskers;
+        let all = self.values.len() <= FEW;
+        self.values.iter().copied().filter(move |v| all || *v < low || *v > high)
+    }
+}
+
+/// What belongs together and has one colour.
+#[derive(Debug, Clone)]
+pub(crate) struct Series {
+    /// What the legend says; none if empty.
+    pub(crate) name: String,
+    /// Which colour.
+    pub(crate) colour: usize,
+    pub(crate) marks: Vec<Mark>,
+}
+
+/// A chart to be drawn.
+#[derive(Debug, Clone)]
+pub(crate) struct Chart {
+    pub(crate) title: String,
+    /// What the figure shows, for those who do not see it.
+    pub(crate) about: String,
+    pub(crate) x: Axis,
+    pub(crate) y: Axis,
+    pub(crate) series: Vec<Series>,
+    /// Said inside the plot, above.
+    pub(crate) note: String,
+    pub(crate) simulated: bool,
+}
+
+impl Chart {
+    /// The chart as SVG, complete as a file.
+    pub(crate) fn svg(&self) -> String {
+        let extent = |of: fn(&Mark) -> Vec<f64>| -> Vec<f64> {
+            self.series.iter().flat_map(|series| &series.marks).flat_map(of).collect()
+        };
+        let x = self.x.scale(&extent(across), LEFT, WIDTH - RIGHT);
+        let legend: Vec<&Series> = self.series.iter().filter(|series| !series.name.is_empty()).collect();
+        let top = 34.0 + if legend.is_empty() { 0.0 } else { legend_rows(&legend) * ROW };
+        let words = self.x.words();
+        let wide = words.iter().map(|w| w.chars().count() as f64 * LETTER).fold(0.0, f64::max);
+        let aslant = !words.is_empty() && wide > (WIDTH - LEFT - RIGHT) / words.len() as f64 - 6.0;
+        let below = if aslant { (wide * 0.5 + 14.0).min(190.0) } else { ROW };
+        let bottom = HEIGHT + top - 34.0;
+        let height = bottom + below + 2.0 * ROW + 8.0;
+        let y = self.y.scale(&extent(along), bottom, top);
+        let mut out = String::new();
+        let _ = writeln!(
+            out,
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"chart\" width=\"{WIDTH}\" height=\"{height:.0}\" \
+             viewBox=\"0 0 {WIDTH} {height:.0}\" role=\"img\">\n<title>{}</title>\n<desc>{}</desc>\n<style>{STYLE}</style>\n\
+             <rect class=\"paper\" width=\"{WIDTH}\" height=\"{height:.0}\"/>",
+            escaped(&self.title),
+            escaped(&self.about)
+        );
+        let _ = writeln!(
+            out,
+            "<text x=\"{LEFT}\" y=\"18\" style=\"font-size: 13px; font-weight: 600\">{}</text>",
+            escaped(&self.title)
+        );
+        let said = if self.simulated { format!("SIMULATED \u{b7} {RESEARCH}") } else { RESEARCH.into() };
+        let _ = writeln!(
+            out,
+            "<text class=\"small\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{said}</text>",
+            WIDTH - RIGHT,
+            height - 6.0
+        );
+        self.draw_legend(&mut out, &legend);
+        self.draw_axes(&mut out, (&x, &y), (top, bottom), aslant, height);
+        for series in &self.series {
+            for mark in &series.marks {
+                draw_mark(&mut out, mark, series.colour % N_COLOURS, &x, &y);
+            }
+        }
+        if !self.note.is_empty() {
+            let _ = writeln!(
+                out,
+                "<text class=\"small\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
+                WIDTH - RIGHT - 6.0,
+                top + 14.0,
+                escaped(&self.note)
+            );
+        }
+        out.push_str("</svg>\n");
+        out
+    }
+
+    fn draw_legend(&self, out: &mut String, legend: &[&Series]) {
+        let (mut x, mut y) = (LEFT, 36.0);
+        for series in legend {
+            let width = 26.0 + series.name.chars().count() as f64 * LETTER;
+            if x + width > WIDTH - RIGHT && x > LEFT {
+                (x, y) = (LEFT, y + ROW);
+            }
+            let _ = writeln!(
+                out,
+                "<rect class=\"box c{}\" x=\"{x:.1}\" y=\"{:.1}\" width=\"12\" height=\"9\"/><text x=\"{:.1}\" \
+                 y=\"{y:.1}\">{}</text>",
+                series.colour % N_COLOURS,
+                y - 9.0,
+                x + 17.0,
+                escaped(&series.name)
+            );
+            x += width;
+        }
+    }
+
+    fn draw_axes(
+        &self,
+        out: &mut String,
+        (x, y): (&axis::Scale, &axis::Scale),
+        (top, bottom): (f64, f64),
+        aslant: bool,
+        height: f64,
+    ) {
+        for (at, word) in &y.ticks {
+            let at = y.place(*at);
+            let _ = writeln!(
+                out,
+                "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text class=\"small\" \
+                 x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{word}</text>",
+                WIDTH - RIGHT,
+                LEFT - 7.0,
+                at + 4.0
+            );
+        }
+        if y.holds(0.0) && !y.is_log() {
+            let at = y.place(0.0);
+            let right = WIDTH - RIGHT;
+            let _ =
+                writeln!(out, "<line class=\"zero\" x1=\"{LEFT}\" x2=\"{right:.1}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/>");
+        }
+        for (at, word) in &x.ticks {
+            let at = x.place(*at);
+            let word = escaped(word);
+            let _ = writeln!(out, "<path class=\"axis\" d=\"M{at:.1} {bottom:.1} v5\"/>");
+            let _ = match aslant {
+                false => writeln!(
+                    out,
+                    "<text class=\"small\" x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{word}</text>",
+                    bottom + 17.0
+                ),
+                true => writeln!(
+                    out,
+                    "<text class=\"small\" transform=\"translate({:.1} {:.1}) rotate(-30)\" \
+                     text-anchor=\"end\">{word}</text>",
+                    at + 4.0,
+                    bottom + 15.0
+                ),
+            };
+        }
+        let right = WIDTH - RIGHT;
+        let _ = writeln!(out, "<path class=\"axis\" d=\"M{LEFT} {top:.1} V{bottom:.1} H{right:.1}\"/>");
+        let (middle, level) = ((LEFT + right) / 2.0, (top + bottom) / 2.0);
+        let _ = writeln!(
+            out,
+            "<text x=\"{middle:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text><text transform=\"translate(16 \
+             {level:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
+            height - ROW - 8.0,
+            escaped(self.x.label()),
+            escaped(self.y.label())
+        );
+    }
+}
+
+fn legend_rows(legend: &[&Series]) -> f64 {
+    let (mut x, mut rows) = (LEFT, 1.0);
+    for series in legend {
+        let width = 26.0 + series.name.chars().count() as f64 * LETTER;
+        if x + width > WIDTH - RIGHT && x > LEFT {
+            (x, rows) = (LEFT, rows + 1.0);
+        }
+        x += width;
+    }
+    rows
+}
+
+fn across(mark: &Mark) -> Vec<f64> {
+    match mark {
+        Mark::Line(points) => points.iter().map(|p| p.0).collect(),
+        Mark::Band(points) => points.iter().map(|p| p.0).collect(),
+        Mark::Dots(points) => points.iter().map(|p| p.0).collect(),
+        Mark::Box(at, width, _) => vec![at - width, at + width],
+    }
+}
+
+fn along(mark: &Mark) -> Vec<f64> {
+    match mark {
+        Mark::Line(points) => points.iter().map(|p| p.1).collect(),
+        Mark::Band(points) => points.iter().flat_map(|p| [p.1, p.2]).collect(),
+        Mark::Dots(points) => points.iter().map(|p| p.1).collect(),
+        Mark::Box(_, _, tukey) => tukey.values.iter().chain(&tukey.whiskers).copied().collect(),
+    }
+}
+
+fn draw_mark(out: &mut String, mark: &Mark, colour: usize, x: &axis::Scale, y: &axis::Scale) {
+    let _ = match mark {
+        Mark::Line(points) => {
+            let path = points.iter().map(|(a, b)| format!("{:.1} {:.1}", x.place(*a), y.place(*b)));
+            let path = path.collect::<Vec<_>>().join(" L");
+            writeln!(out, "<path class=\"line c{colour}\" d=\"M{path}\"/>")
+        }
+        Mark::Band(points) => {
+            let upper = points.iter().map(|(a, _, b)| (a, b));
+            let lower = points.iter().rev().map(|(a, b, _)| (a, b));
+            let path = upper.chain(lower).map(|(a, b)| format!("{:.1} {:.1}", x.place(*a), y.place(*b)));
+            let path = path.collect::<Vec<_>>().join(" L");
+            writeln!(out, "<path class=\"band c{colour}\" d=\"M{path} Z\"/>")
+        }
+        Mark::Dots(points) => {
+            for (a, b, tip) in points {
+                let (cx, cy, tip) = (x.place(*a), y.place(*b), escaped(tip));
+                let _ = writeln!(
+                    out,
+                    "<circle class=\"dot c{colour}\" cx=\"{cx:.1}\" cy=\"{cy:.1}\" r=\"3\"><title>{tip}</title></circle>"
+                );
+            }
+            Ok(())
+        }
+        Mark::Box(at, width, tukey) => {
+            let (left, right, middle) = (x.place(at - width), x.place(at + width), x.place(*at));
+            let [low, high] = tukey.whiskers.map(|v| y.place(v));
+            let [q1, q3] = tukey.quartiles.map(|v| y.place(v));
+            let (median, cap) = (y.place(tukey.median), (right - left) * 0.25);
+            let _ = writeln!(
+                out,
+                "<g><title>n = {}, median {}, quartiles {} and {}</title><path class=\"line whisker c{colour}\" \
+                 d=\"M{middle:.1} {low:.1} V{q1:.1} M{middle:.1} {q3:.1} V{high:.1} M{:.1} {low:.1} h{:.1} M{:.1} {high:.1} \
+                 h{:.1}\"/><rect class=\"box c{colour}\" x=\"{left:.1}\" y=\"{q3:.1}\" width=\"{:.1}\" \
+                 height=\"{:.1}\"/><path class=\"line whisker c{colour}\" style=\"stroke-width: 2.4\" d=\"M{left:.1} \
+                 {median:.1} H{right:.1}\"/></g>",
+                tukey.values.len(),
+                crate::html::number(tukey.median),
+                crate::html::number(tukey.quartiles[0]),
+                crate::html::number(tukey.quartiles[1]),
+                middle - cap,
+                2.0 * cap,
+                middle - cap,
+                2.0 * cap,
+                right - left,
+                (q1 - q3).max(0.5),
+            );
+            for (k, value) in tukey.shown().enumerate() {
+                // Beside each other, so that equal values are seen; always in the same places.
+                let aside = ((k * 7) % 11) as f64 / 10.0 - 0.5;
+                let (cx, cy) = (middle + aside * (right - left) * 0.5, y.place(value));
+                let _ = writeln!(out, "<circle class=\"dot c{colour}\" cx=\"{cx:.1}\" cy=\"{cy:.1}\" r=\"2\"/>");
+            }
+            Ok(())
+        }
+    };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_box_shows_few_values_and_of_many_those_beyond_the_whiskers() {
+        let few = Tukey::of(&[1.0, 2.0, 3.0, 4.0, 100.0]).unwrap();
+        assert_eq!((few.median, few.quartiles, few.whiskers), (3.0, [2.0, 4.0], [1.0, 4.0]));
+        assert_eq!(few.shown().count(), 5);
+        let mut many: Vec<f64> = (0..100).map(f64::from).collect();
+        many.push(1000.0);
+        let many = Tukey::of(&many).unwrap();
+        assert_eq!(many.shown().collect::<Vec<_>>(), [1000.0]);
+        assert_eq!(Tukey::of(&[]), None);
+        let one = Tukey::of(&[2.0]).unwrap();
+        assert_eq!((one.median, one.whiskers), (2.0, [2.0, 2.0]));
+    }
+
+    #[test]
+    fn a_chart_is_sound_markup_and_says_what_it_is() {
+        let chart = Chart {
+            title: "a < b & c".into(),
+            about: "\"boxes\"".into(),
+            x: Axis::Categories { label: "setting".into(), names: vec!["a".into(), "<b>".into()] },
+            y: Axis::Linear("TRE (mm)".into()),
+            series: vec![Series {
+                name: "x".into(),
+                colour: 0,
+                marks: vec![
+                    Mark::Box(0.0, 0.3, Tukey::of(&[0.5, -0.2, 0.1]).unwrap()),
+                    Mark::Dots(vec![(1.0, 0.4, "run 3".into())]),
+                    Mark::Line(vec![(0.0, 0.0), (1.0, 1.0)]),
+                    Mark::Band(vec![(0.0, 0.0, 0.2), (1.0, 0.1, 0.3)]),
+                ],
+            }],
+            note: String::new(),
+            simulated: true,
+        };
+        let svg = chart.svg();
+        let read = roxmltree::Document::parse(&svg).unwrap();
+        let words: Vec<_> = read.descendants().filter_map(|node| node.text()).collect();
+        for word in ["a < b & c", "TRE (mm)", "setting", "<b>", "SIMULATED \u{b7} research use only"] {
+            assert!(words.contains(&word), "{word} is missing in {words:?}");
+        }
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+    }
+}

@@ -1,0 +1,103 @@
+//! What a run has left: results, manifest and recording, and the values that went over its wires.
+
+use crate::ReportError;
+use osteoflow_engine::Recording;
+use osteoflow_node::{Body, Registry};
+use serde_json::Value as Json;
+use std::{fs, path::Path};
+
+/// A run to report on.
+pub(crate) struct Evidence {
+    pub(crate) manifest: Json,
+    pub(crate) results: Json,
+    recording: Result<Recording, String>,
+    registry: Registry,
+}
+
+/// Reads a JSON file of a folder.
+pub(crate) fn json(path: &Path) -> Result<Json, ReportError> {
+    let shown = || path.display().to_string();
+    let text = fs::read_to_string(path).map_err(|source| ReportError::Read { path: shown(), source })?;
+    serde_json::from_str(&text).map_err(|e| ReportError::Form { path: shown(), what: e.to_string() })
+}
+
+impl Evidence {
+    /// Of a run's folder; a recording that is not there or not sound is told where it is wanted.
+    pub(crate) fn open(dir: &Path, registry: &Registry) -> Result<Self, ReportError> {
+        let manifest = json(&dir.join("manifest.json"))?;
+        let results = match json(&dir.join("results.json")) {
+            // A run that was refused or interrupted may have none; its manifest says why.
+            Err(ReportError::Read { .. }) => Json::Null,
+            results => results?,
+        };
+        let path = dir.join("run.mcap");
+        let recording = match path.is_file() {
+            true => Recording::open(&path).map_err(|e| e.to_string()),
+            false => Err("the run was not recorded (run.mcap is missing); run it without --no-record".into()),
+        };
+        let registry = recording.as_ref().map_or_else(|_| registry.clone(), |recording| recording.registry(registry));
+        Ok(Self { manifest, results, recording, registry })
+    }
+
+    pub(crate) fn is_simulated(&self) -> bool {
+        self.results["simulated"] == true
+    }
+
+    /// The nodes by name and kind, in topological order.
+    pub(crate) fn nodes(&self) -> impl Iterator<Item = (&str, &str)> {
+        let nodes = self.manifest["nodes"].as_array().into_iter().flatten();
+        nodes.filter_map(|node| Some((node["name"].as_str()?, node["kind"].as_str()?)))
+    }
+
+    /// The wire that feeds an input.
+    pub(crate) fn wire_into(&self, node: &str, port: &str) -> Option<&str> {
+        let links = self.manifest["links"].as_array()?;
+        let link = links
+            .iter()
+            .find(|link| link["to"].as_str().and_then(|to| to.rsplit_once('.')).is_some_and(|to| to == (node, port)));
+        link?["from"].as_str()
+    }
+
+    /// The first node that has all these inputs.
+    pub(crate) fn node_with(&self, ports: &[&str]) -> Option<&str> {
+        let has_all = |node: &str| ports.iter().all(|port| self.wire_into(node, port).is_some());
+        self.nodes().map(|(name, _)| name).find(|name| has_all(name))
+    }
+
+    /// The first node of a kind.
+    pub(crate) fn node_of_kind(&self, kind: &str) -> Option<&str> {
+        self.nodes().find(|(_, of)| *of == kind).map(|(name, _)| name)
+    }
+
+    /// The first values that went over a wire.
+    ///
+    /// # Errors
+    /// Why there is none, and what to do.
+    pub(crate) fn values<T: Clone + 'static>(&self, wire: &str) -> Result<Vec<T>, String> {
+        let recording = self.recording.as_ref().map_err(Clone::clone)?;
+        if !recording.wires.contains_key(wire) {
+            return Err(format!("the wire {wire} was not recorded; add \"{wire}\" to wires in [record] of the graph"));
+        }
+        let items = recording.items(wire, &self.registry).map_err(|e| e.to_string())?;
+        let values = items.iter().filter_map(|item| match &item.body {
+            Body::Value(value) => value.get::<T>().cloned(),
+            Body::Empty(_) => None,
+        });
+        let values: Vec<T> = values.collect();
+        match values.is_empty() {
+            true => Err(format!("the wire {wire} carried nothing that can be drawn")),
+            false => Ok(values),
+        }
+    }
+
+    /// The first value of a wire.
+    pub(crate) fn value<T: Clone + 'static>(&self, wire: &str) -> Result<T, String> {
+        Ok(self.values(wire)?.swap_remove(0))
+    }
+
+    /// The first value that an input took.
+    pub(crate) fn input<T: Clone + 'static>(&self, node: &str, port: &str) -> Result<T, String> {
+        let wire = self.wire_into(node, port).ok_or_else(|| format!("nothing is wired to {node}.{port}"))?;
+        self.value(wire)
+    }
+}

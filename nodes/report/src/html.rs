@@ -1,0 +1,299 @@
+//! The page: its sections, figures, tables and views, put together into one file that opens without a network.
+
+use crate::{chart::RESEARCH, scene::Scene};
+use serde_json::{Map, Value as Json};
+use std::fmt::Write;
+
+const STYLE: &str = include_str!("page.css");
+const VIEWER: &str = include_str!("viewer.js");
+
+/// A figure as a file of its own.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Figure {
+    /// Its name, without an ending.
+    pub name: String,
+    /// The SVG text.
+    pub svg: String,
+}
+
+/// A page that grows from its top to its end.
+#[derive(Debug, Default)]
+pub(crate) struct Page {
+    title: String,
+    simulated: bool,
+    body: String,
+    contents: Vec<(String, String)>,
+    n_figures: usize,
+    n_tables: usize,
+    n_views: usize,
+    /// What several views share, by name.
+    data: Map<String, Json>,
+    pub(crate) figures: Vec<Figure>,
+}
+
+impl Page {
+    pub(crate) fn new(title: &str, simulated: bool) -> Self {
+        Self { title: title.into(), simulated, ..Self::default() }
+    }
+
+    fn words(&self) -> &'static str {
+        match self.simulated {
+            true => "<span class=\"mark\">SIMULATED</span> research use only",
+            false => "research use only",
+        }
+    }
+
+    pub(crate) fn simulated(&self) -> bool {
+        self.simulated
+    }
+
+    /// Begins a section.
+    pub(crate) fn section(&mut self, title: &str) {
+        let id: String =
+            title.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' }).collect();
+        let _ = writeln!(self.body, "<h2 id=\"{id}\">{}</h2>", escaped(title));
+        self.contents.push((id, title.into()));
+    }
+
+    /// A paragraph of plain words.
+    pub(crate) fn text(&mut self, words: &str) {
+        let _ = writeln!(self.body, "<p>{}</p>", escaped(words));
+    }
+
+    /// What cannot be shown, and what to do about it.
+    pub(crate) fn missing(&mut self, what: &str, why: &str) {
+        let _ =
+            writeln!(self.body, "<p class=\"missing\"><b>{}</b> is not shown: {}.</p>", escaped(what), escaped(why));
+    }
+
+    /// Text in a box, folded away.
+    pub(crate) fn folded(&mut self, title: &str, text: &str) {
+        let (title, text) = (escaped(title), escaped(text));
+        let _ = writeln!(self.body, "<details><summary>{title}</summary><pre>{text}</pre></details>");
+    }
+
+    /// Text as it is typed.
+    pub(crate) fn code(&mut self, text: &str) {
+        let _ = writeln!(self.body, "<pre>{}</pre>", escaped(text));
+    }
+
+    /// Begins what is folded away until [`Self::unfold`].
+    pub(crate) fn fold(&mut self, title: &str) {
+        let _ = writeln!(self.body, "<details><summary>{}</summary>", escaped(title));
+    }
+
+    pub(crate) fn unfold(&mut self) {
+        self.body.push_str("</details>\n");
+    }
+
+    /// A drawing, which also becomes a file.
+    pub(crate) fn figure(&mut self, name: &str, svg: String, caption: &str) {
+        self.n_figures += 1;
+        let inside = within_page(&svg);
+        let _ = writeln!(
+            self.body,
+            "<figure id=\"figure-{}\"><div class=\"drawing\">{inside}</div><figcaption><b>Figure {}.</b> {} <span \
+             class=\"words\">{}</span></figcaption></figure>",
+            self.n_figures,
+            self.n_figures,
+            escaped(caption),
+            self.words()
+        );
+        self.figures.push(Figure { name: name.into(), svg });
+    }
+
+    /// What views share under a name.
+    pub(crate) fn share(&mut self, name: &str, data: Json) {
+        self.data.insert(name.into(), data);
+    }
+
+    /// A view in three dimensions.
+    pub(crate) fn view(&mut self, scene: &Scene, caption: &str) {
+        self.n_figures += 1;
+        self.n_views += 1;
+        let (n, view) = (self.n_figures, self.n_views);
+        let _ = writeln!(
+            self.body,
+            "<figure id=\"figure-{n}\"><div class=\"view\" data-scene=\"scene-{view}\" style=\"aspect-ratio: {}\"><canvas \
+             tabindex=\"0\" role=\"img\" aria-label=\"{}\"></canvas><div class=\"bar\"><button type=\"button\" \
+             data-do=\"in\" title=\"nearer (+)\">+</button><button type=\"button\" data-do=\"out\" title=\"farther \
+             (-)\">\u{2212}</button><button type=\"button\" data-do=\"reset\" title=\"as at first (0)\">reset</button>\
+             </div><div class=\"scale\"><i></i><span></span></div><p class=\"fallback\" hidden>This browser has no WebGL, \
+             so the view cannot be drawn; all its numbers are in the tables.</p></div>{}<figcaption><b>Figure {n}.</b> {} \
+             <span class=\"how\">Drag to turn, Shift and drag to move, click and scroll to zoom; arrow keys, + and \
+             \u{2212} do the same.</span> <span class=\"words\">{}</span></figcaption><script type=\"application/json\" \
+             id=\"scene-{view}\">{}</script></figure>",
+            scene.aspect,
+            escaped(caption),
+            scene.legend_html(),
+            escaped(caption),
+            self.words(),
+            in_script(&scene.json())
+        );
+    }
+
+    /// A table; numbers stand to the right.
+    pub(crate) fn table(&mut self, caption: &str, head: &[String], rows: &[Vec<Cell>]) {
+        if rows.is_empty() {
+            return;
+        }
+        self.n_tables += 1;
+        let _ = write!(
+            self.body,
+            "<div class=\"wide\"><table><caption><b>Table {}.</b> {} <span class=\"words\">{}</span></caption><thead><tr>",
+            self.n_tables,
+            escaped(caption),
+            self.words()
+        );
+        for (k, word) in head.iter().enumerate() {
+            let right = rows.iter().any(|row| matches!(row.get(k), Some(Cell::Number(_))));
+            let class = if right { " class=\"n\"" } else { "" };
+            let _ = write!(self.body, "<th scope=\"col\"{class}>{}</th>", escaped(word));
+        }
+        self.body.push_str("</tr></thead><tbody>");
+        for row in rows {
+            self.body.push_str("<tr>");
+            for cell in row {
+                let _ = match cell {
+                    Cell::Number(value) => {
+                        write!(self.body, "<td class=\"n\" title=\"{value}\">{}</td>", number(*value))
+                    }
+                    Cell::Word(word) => write!(self.body, "<td>{}</td>", escaped(word)),
+                    Cell::Code(word) => write!(self.body, "<td><code>{}</code></td>", escaped(word)),
+                };
+            }
+            self.body.push_str("</tr>");
+        }
+        self.body.push_str("</tbody></table></div>\n");
+    }
+
+    /// The whole page.
+    pub(crate) fn finish(self, subtitle: &str) -> (String, Vec<Figure>) {
+        let title = escaped(&self.title);
+        let simulated = match self.simulated {
+            true => "<p class=\"banner\"><b>SIMULATED.</b> What is registered here was computed, not measured.</p>",
+            false => "",
+        };
+        let contents: String =
+            self.contents.iter().map(|(id, title)| format!("<a href=\"#{id}\">{}</a> ", escaped(title))).collect();
+        let data = in_script(&Json::Object(self.data));
+        // Nothing may be fetched, whatever stands in the page.
+        let policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:";
+        let html = format!(
+            "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta \
+             http-equiv=\"Content-Security-Policy\" content=\"{policy}\">\n<meta name=\"viewport\" \
+             content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n<link \
+             rel=\"icon\" href=\"data:,\">\n<title>{title}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<header>\n\
+             <h1>{title}</h1>\n<p class=\"subtitle\">{}</p>\n{simulated}<p class=\"research\">Research software, not a \
+             medical device: {RESEARCH}.</p>\n<nav aria-label=\"sections\">{contents}</nav>\n</header>\n<main>\n{}</main>\n\
+             <script type=\"application/json\" id=\"data\">{data}</script>\n<script>\n{VIEWER}</script>\n</body>\n</html>\n",
+            escaped(subtitle),
+            self.body
+        );
+        (html, self.figures)
+    }
+}
+
+/// What stands in a cell.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Cell {
+    Number(f64),
+    Word(String),
+    Code(String),
+}
+
+impl Cell {
+    /// Of a JSON value: numbers as such, lists and objects as text.
+    pub(crate) fn of(value: &Json) -> Self {
+        match value {
+            Json::Null => Self::Word("\u{2013}".into()),
+            Json::Number(number) => Self::Number(number.as_f64().unwrap_or(f64::NAN)),
+            Json::String(text) => Self::Word(text.clone()),
+            Json::Bool(true) => Self::Word("yes".into()),
+            Json::Bool(false) => Self::Word("no".into()),
+            Json::Array(items) if items.iter().all(Json::is_number) => {
+                let items: Vec<_> = items.iter().map(|item| number(item.as_f64().unwrap_or(f64::NAN))).collect();
+                Self::Word(items.join(", "))
+            }
+            other => Self::Code(other.to_string()),
+        }
+    }
+
+    pub(crate) fn word(text: impl Into<String>) -> Self {
+        Self::Word(text.into())
+    }
+}
+
+/// A number with the digits that count: whole numbers whole, others with three.
+pub(crate) fn number(value: f64) -> String {
+    let size = value.abs();
+    let text = match size {
+        _ if !value.is_finite() => return "\u{2013}".into(),
+        s if s == s.trunc() && s < 1e15 => format!("{size:.0}"),
+        s if s >= 100.0 => format!("{size:.1}"),
+        s if s >= 10.0 => format!("{size:.2}"),
+        s if s >= 0.001 => format!("{size:.3}"),
+        _ => format!("{size:.2e}"),
+    };
+    let sign = if value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b)) { "\u{2212}" } else { "" };
+    format!("{sign}{text}")
+}
+
+/// Text as markup takes it.
+pub(crate) fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\n' | '\t' => out.push(c),
+            c if c < ' ' || matches!(c, '\u{7f}' | '\u{fffe}' | '\u{ffff}') => {}
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+/// JSON that no `</script>` in it can end.
+fn in_script(json: &Json) -> String {
+    json.to_string().replace('<', "\\u003c")
+}
+
+/// The drawing without the rules of its own, which would hold for the whole page: the page has them, each for its kind.
+fn within_page(svg: &str) -> String {
+    match (svg.find("<style>"), svg.find("</style>")) {
+        (Some(from), Some(to)) if from < to => {
+            let class = if svg.contains("class=\"chart\"") { "chart" } else { "graph" };
+            let rules = &svg[from + "<style>".len()..to];
+            // A rule within a rule holds inside it only.
+            let svg =
+                format!("{}<style>.drawn-{class} {{ {rules} }}</style>{}", &svg[..from], &svg[to + "</style>".len()..]);
+            format!("<div class=\"drawn-{class}\">{svg}</div>")
+        }
+        _ => svg.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_told_with_the_digits_that_count() {
+        let told: Vec<_> = [0.0, 20000.0, -0.02446, 3.2e-12, 0.1234, 12.345, 333.567, f64::NAN].map(number).into();
+        let expected = ["0", "20000", "\u{2212}0.024", "3.20e-12", "0.123", "12.35", "333.6", "\u{2013}"];
+        assert_eq!(told, expected);
+    }
+
+    #[test]
+    fn nothing_in_the_data_ends_its_script() {
+        let mut page = Page::new("a <b>", true);
+        page.share("x", "</script><script>alert(1)</script>".into());
+        page.text("<img src=x>");
+        let (html, _) = page.finish("");
+        assert_eq!(html.matches("</script>").count(), 2, "one of the data, one of the viewer");
+        assert!(!html.contains("<img") && html.contains("a &lt;b&gt;"));
+    }
+}

@@ -1,0 +1,101 @@
+//! One self-contained page of a run or a sweep: what a supplement needs, from what was computed and nothing else.
+//!
+//! [`of_run`] reads the folder that `osteoflow run` has left (results, manifest, recording), [`of_sweep`] that of
+//! `osteoflow sweep`. The page holds its figures as SVG, its views in three dimensions as data for a viewer of its own,
+//! tables, a methods paragraph, provenance and BibTeX. It fetches nothing, so it opens without a network and in ten years.
+//! What cannot be shown is said with the reason: a wire that was not recorded, a truth that nobody knows. Every figure and
+//! table says SIMULATED where that is so, and "research use only".
+//!
+//! ```no_run
+//! let report = osteoflow_report::of_run("runs/fibula".as_ref(), &osteoflow_standard::registry())?;
+//! report.write("runs/fibula".as_ref(), "runs/fibula/report.html".as_ref())?;
+//! # Ok::<(), osteoflow_report::ReportError>(())
+//! ```
+
+mod chart;
+mod citations;
+mod evidence;
+mod html;
+mod methods;
+mod provenance;
+mod run;
+mod scene;
+mod sweep;
+mod tables;
+
+pub use chart::RESEARCH;
+pub use html::Figure;
+pub use run::of_run;
+pub use sweep::of_sweep;
+
+use std::{fs, io, path::Path};
+
+/// A report, ready to be written.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Report {
+    /// The page.
+    pub html: String,
+    /// Its drawings as files.
+    pub figures: Vec<Figure>,
+    /// The literature as BibTeX.
+    pub bibliography: String,
+}
+
+/// Where the figures go, beside the folder's other files.
+pub const FIGURES: &str = "figures";
+/// The page, where no other name is given.
+pub const PAGE: &str = "report.html";
+/// The literature.
+pub const BIBLIOGRAPHY: &str = "citations.bib";
+
+/// Why there is no report.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// A file could not be read.
+    #[error("{path} cannot be read: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// Why.
+        source: io::Error,
+    },
+    /// A file is not what a run or a sweep leaves.
+    #[error("{path} is not what a run or a sweep leaves: {what}")]
+    Form {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        what: String,
+    },
+    /// A file could not be written.
+    #[error("{path} cannot be written: {source}")]
+    Write {
+        /// The file.
+        path: String,
+        /// Why.
+        source: io::Error,
+    },
+    /// The folder of a sweep cannot be used.
+    #[error(transparent)]
+    Sweep(#[from] osteoflow_engine::sweep::FolderError),
+}
+
+impl Report {
+    /// Writes the page to `page`, and figures and literature into `dir`. Figures of an earlier report are replaced.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn write(&self, dir: &Path, page: &Path) -> Result<(), ReportError> {
+        let to = |path: &Path, text: &str| {
+            fs::write(path, text).map_err(|source| ReportError::Write { path: path.display().to_string(), source })
+        };
+        let figures = dir.join(FIGURES);
+        fs::create_dir_all(&figures)
+            .map_err(|source| ReportError::Write { path: figures.display().to_string(), source })?;
+        for figure in &self.figures {
+            to(&figures.join(format!("{}.svg", figure.name)), &figure.svg)?;
+        }
+        to(&dir.join(BIBLIOGRAPHY), &self.bibliography)?;
+        to(page, &self.html)
+    }
+}

@@ -1,0 +1,143 @@
+//! What was done, in words for a methods section: from what ran, not from what was meant.
+
+use crate::{
+    evidence::Evidence,
+    html::{Cell, Page, number},
+};
+use osteoflow_node::Registry;
+use serde_json::Value as Json;
+use std::collections::BTreeMap;
+
+/// Of one run.
+pub(crate) fn of_run(page: &mut Page, run: &Evidence, registry: &Registry) {
+    let graph = &run.manifest["graph"];
+    let command = &run.manifest["command"];
+    let origin = if run.is_simulated() { "All data were simulated" } else { "Data were read from files" };
+    let mut words = format!(
+        "{origin}. The graph \"{}\" was run with osteoflow {} (git {}), seed {}. ",
+        graph["name"].as_str().unwrap_or("?"),
+        command["version"].as_str().unwrap_or("?"),
+        command["git_revision"].as_str().unwrap_or("not known"),
+        graph["seed"],
+    );
+    let icp = &run.results["icp"];
+    if let (Some(iterations), Some(pairs)) = (icp["iterations"].as_u64(), icp["n_pairs"].as_u64()) {
+        let (n, stopped) = (icp["n_source"].as_u64().unwrap_or(pairs), icp["stop_reason"].as_str().unwrap_or("?"));
+        words += &format!(
+            "The fine registration paired {pairs} of {n} scan points in its last of {iterations} iterations, with an RMS \
+             residual of {} mm, and stopped by its rule \"{stopped}\". ",
+            number(icp["rms_mm"].as_f64().unwrap_or(f64::NAN))
+        );
+    }
+    if let Some(surface) = run.results["ct_surface"].as_str() {
+        words += &format!("The CT surface was of origin \"{surface}\". ");
+    }
+    words += "TRE is the distance at points that were not used to fit; FRE and surface residuals do not predict it. Lengths \
+              are in millimetres, along the axes of the bone where z runs along it. One run is one procedure on one bone: \
+              n = 1, whatever the number of points.";
+    page.text(&words);
+    let resolved = run.manifest["resolved_graph"].as_str().unwrap_or_default();
+    steps(page, resolved, registry);
+    error_terms(page, resolved, registry);
+}
+
+/// Of a sweep: how it was laid out, then the steps of its graph.
+pub(crate) fn of_sweep(page: &mut Page, words: &str, resolved: &str, registry: &Registry) {
+    page.text(words);
+    steps(page, resolved, registry);
+    error_terms(page, resolved, registry);
+}
+
+/// The tables of the nodes of a resolved graph, in its order.
+pub(crate) fn nodes_of(resolved: &str) -> Vec<(String, toml::Table)> {
+    let graph: toml::Table = resolved.parse().unwrap_or_default();
+    let nodes = graph.get("node").and_then(toml::Value::as_table).cloned().unwrap_or_default();
+    nodes.into_iter().filter_map(|(name, table)| Some((name, table.as_table()?.clone()))).collect()
+}
+
+/// Each node with its kind, what that does, and the parameters that are not the default.
+fn steps(page: &mut Page, resolved: &str, registry: &Registry) {
+    let mut rows = Vec::new();
+    for (name, table) in nodes_of(resolved) {
+        let kind = table.get("kind").and_then(toml::Value::as_str).unwrap_or("?").to_owned();
+        let known = registry.kind(&kind);
+        let summary = known.map_or_else(|| "of a plugin".into(), |kind| kind.description.summary.clone());
+        let defaults = known.map(|kind| values(&kind.description.params, &toml::Table::new())).unwrap_or_default();
+        let set = known.map(|kind| values(&kind.description.params, &table)).unwrap_or_default();
+        let differs = set.iter().filter(|(key, term)| defaults.get(*key).is_none_or(|d| d.value != term.value));
+        let differs: Vec<_> = differs.map(|(key, term)| format!("{key} = {}", term.value)).collect();
+        rows.push(vec![Cell::Code(name), Cell::Code(kind), Cell::word(summary), Cell::word(differs.join(", "))]);
+    }
+    page.fold("Every step, its method, and what was set otherwise than the default");
+    let head = ["node", "kind", "what it gives", "set"].map(String::from);
+    page.table("The steps in their order.", &head, &rows);
+    page.unfold();
+}
+
+/// What the simulated sources err by, each term with its value and where that comes from.
+fn error_terms(page: &mut Page, resolved: &str, registry: &Registry) {
+    let mut rows = Vec::new();
+    for (name, table) in nodes_of(resolved) {
+        let kind = table.get("kind").and_then(toml::Value::as_str).unwrap_or_default();
+        let Some(known) = registry.kind(kind).filter(|_| kind.contains("simulated")) else { continue };
+        for (key, term) in values(&known.description.params, &table) {
+            let off = term.value.as_f64() == Some(0.0) || term.value == Json::Bool(false);
+            let value = if off { Cell::word(format!("{} (off)", term.value)) } else { Cell::of(&term.value) };
+            rows.push(vec![Cell::Code(format!("{name}.{key}")), value, Cell::word(term.about)]);
+        }
+    }
+    if rows.is_empty() {
+        return;
+    }
+    page.fold(&format!("What was simulated: {} terms, their values and sources", rows.len()));
+    let head = ["term", "value", "meaning, and where the value comes from"].map(String::from);
+    page.table("Terms of the simulation. \u{201c}Assumed\u{201d} means that nobody measured it.", &head, &rows);
+    page.unfold();
+}
+
+#[derive(Debug, Clone)]
+struct Term {
+    value: Json,
+    about: String,
+}
+
+/// Every parameter of a kind by its dotted key, with its value in this table or its default.
+fn values(schema: &Json, table: &toml::Table) -> BTreeMap<String, Term> {
+    let set = serde_json::to_value(table).unwrap_or_default();
+    let mut out = BTreeMap::new();
+    gather(schema, schema, &set, "", &mut out);
+    out
+}
+
+fn gather(root: &Json, schema: &Json, set: &Json, prefix: &str, out: &mut BTreeMap<String, Term>) {
+    for (key, property) in schema["properties"].as_object().into_iter().flatten() {
+        let path = format!("{prefix}{key}");
+        let followed = property["$ref"].as_str().and_then(|to| root.pointer(to.strip_prefix('#')?)).unwrap_or(property);
+        if followed["properties"].is_object() {
+            gather(root, followed, &set[key], &format!("{path}."), out);
+            continue;
+        }
+        let value = match &set[key] {
+            Json::Null => property["default"].clone(),
+            given => given.clone(),
+        };
+        let about = property["description"].as_str().unwrap_or_default().replace('\n', " ");
+        out.insert(path, Term { value, about });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn terms_have_the_value_that_ran_or_their_default() {
+        let registry = osteoflow_standard::registry();
+        let params = &registry.kind("acquire.simulated").unwrap().description.params;
+        let table: toml::Table = "camera.depth_noise_mm = 0.0".parse().unwrap();
+        let terms = values(params, &table);
+        assert_eq!(terms["camera.depth_noise_mm"].value, 0.0);
+        assert_eq!(terms["laser.hole_radius_mm"].value, 2.0);
+        assert!(terms["laser.hole_radius_mm"].about.contains("the paper's hole"));
+    }
+}

@@ -1,0 +1,145 @@
+//! Where the numbers come from: program, machine, inputs with their licences, and the command to make them again.
+
+use crate::html::{Cell, Page};
+use serde_json::Value as Json;
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+/// Of a run, from its manifest.
+pub(crate) fn of_run(page: &mut Page, dir: &Path, manifest: &Json) {
+    let graph = &manifest["graph"];
+    let mut rows = vec![
+        row("graph", word(&graph["name"])),
+        row("file", word(&graph["file"])),
+        row("seed", word(&graph["seed"])),
+        row("began", word(&manifest["began"])),
+        row("ended", word(&manifest["ended"])),
+        row("workers", word(&manifest["workers"])),
+    ];
+    rows.extend(program(&manifest["command"]));
+    rows.push(row("folder", dir.display().to_string()));
+    page.table("How this run came about.", &["what".into(), "value".into()], &rows);
+    again(page, &manifest["command"]);
+    inputs(page, &manifest["inputs"], &manifest["plugins"]);
+    if let Some(graph) = manifest["resolved_graph"].as_str() {
+        page.folded("The graph as it ran, with every default", graph);
+    }
+}
+
+/// Of a sweep, from its `sweep.json`.
+pub(crate) fn of_sweep(page: &mut Page, dir: &Path, about: &Json) {
+    let graph = &about["graph"];
+    let mut rows = vec![
+        row("graph", word(&graph["name"])),
+        row("file", word(&graph["file"])),
+        row("seed", word(&graph["seed"])),
+        row("hash of all that decides the tables", word(&about["hash"])),
+        row("runs", word(&about["n_runs"])),
+    ];
+    rows.extend(program(&about["command"]));
+    rows.push(row("folder", dir.display().to_string()));
+    page.table("How this sweep came about.", &["what".into(), "value".into()], &rows);
+    again(page, &about["command"]);
+    inputs(page, &about["inputs"], &about["plugins"]);
+    if let Ok(graph) = fs::read_to_string(dir.join(osteoflow_engine::sweep::GRAPH)) {
+        page.folded("The frozen graph (sweep.toml), without the settings of any run", &graph);
+    }
+}
+
+/// What the command said of itself and of the machine.
+fn program(command: &Json) -> Vec<Vec<Cell>> {
+    let words = |keys: &[&str]| {
+        let words = keys.iter().map(|key| word(&command[*key])).filter(|word| !word.is_empty());
+        words.collect::<Vec<_>>().join(", ")
+    };
+    vec![
+        row("program", format!("{} {}", word(&command["name"]), word(&command["version"]))),
+        row("git revision", word(&command["git_revision"])),
+        row("compiler", words(&["compiler", "target", "profile"])),
+        row("machine", words(&["os", "architecture"])),
+        row("processor", format!("{} cores, {}", word(&command["cpus"]), word(&command["cpu_features"]))),
+    ]
+}
+
+fn again(page: &mut Page, command: &Json) {
+    let Some(arguments) = command["arguments"].as_array() else { return };
+    let quoted = |word: &str| match word.chars().all(|c| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c)) {
+        true if !word.is_empty() => word.to_owned(),
+        _ => format!("'{}'", word.replace('\'', "'\\''")),
+    };
+    let words: Vec<_> = arguments.iter().filter_map(Json::as_str).map(quoted).collect();
+    page.text("The command that made it; in another folder it makes the same numbers again:");
+    page.code(&format!("osteoflow {}", words.join(" ")));
+}
+
+/// Inputs and plugins with their hashes, and what is said of their licences where they lie.
+fn inputs(page: &mut Page, inputs: &Json, plugins: &Json) {
+    let rows: Vec<_> = entries(inputs)
+        .into_iter()
+        .map(|(path, hash)| vec![Cell::Code(path.clone()), Cell::Code(hash), Cell::word(licence(Path::new(&path)))])
+        .chain(plugins.as_array().into_iter().flatten().map(|plugin| {
+            let hash = word(&plugin["sha256"]);
+            vec![
+                Cell::Code(word(&plugin["path"])),
+                Cell::Code(hash),
+                Cell::word(format!("plugin {}", word(&plugin["version"]))),
+            ]
+        }))
+        .collect();
+    if rows.is_empty() {
+        return page.text(
+            "No input file was read. What is simulated comes from formulas of this program; no measured data went into it, \
+             and its licence is the program's (MIT or Apache-2.0).",
+        );
+    }
+    let head = ["file", "SHA-256", "licence, as a file beside it says"].map(String::from);
+    page.table("Input files and plugins.", &head, &rows);
+}
+
+/// Path and hash of each input: a list of objects, or an object by path.
+fn entries(inputs: &Json) -> Vec<(String, String)> {
+    let of_item = |item: &Json| (word(&item["path"]), word(&item["sha256"]));
+    match inputs {
+        Json::Array(items) => items.iter().map(of_item).collect(),
+        Json::Object(items) => items.iter().map(|(path, hash)| (path.clone(), word(hash))).collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// The first line of `FILE.license` or of a licence file in the same folder; else the first line of its README that speaks
+/// of a licence.
+fn licence(path: &Path) -> String {
+    let Some(folder) = path.parent() else { return String::new() };
+    let mut own = path.as_os_str().to_owned();
+    own.push(".license");
+    let named = ["LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "LICENCE.md"];
+    let files = [PathBuf::from(own)].into_iter().chain(named.map(|name| folder.join(name)));
+    let first = |path: PathBuf, wanted: fn(&str) -> bool| {
+        let text = fs::read_to_string(&path).ok()?;
+        let line = text.lines().map(|line| line.trim_matches([' ', '#', '|', '*', '\t'])).find(|line| wanted(line))?;
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        Some(format!("{name}: {}", line.chars().take(160).collect::<String>()))
+    };
+    let speaks = |line: &str| ["licen", "CC BY", "CC0"].iter().any(|word| line.contains(word));
+    files
+        .into_iter()
+        .find_map(|path| first(path, |line| !line.is_empty()))
+        .or_else(|| first(folder.join("README.md"), speaks))
+        .unwrap_or_else(|| "no file beside it says; ask whoever gave it".into())
+}
+
+fn row(what: &str, value: String) -> Vec<Cell> {
+    vec![Cell::word(what), Cell::word(if value.is_empty() { "not known".into() } else { value })]
+}
+
+/// A value as words; nothing for null.
+fn word(value: &Json) -> String {
+    match value {
+        Json::Null => String::new(),
+        Json::String(text) => text.clone(),
+        Json::Array(items) => items.iter().map(word).collect::<Vec<_>>().join(", "),
+        other => other.to_string(),
+    }
+}

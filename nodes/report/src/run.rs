@@ -1,0 +1,118 @@
+//! The page of one run.
+
+mod views;
+
+use crate::{
+    Report, ReportError,
+    chart::{Axis, Chart, Mark, Series},
+    citations,
+    evidence::Evidence,
+    html::{Page, number},
+    methods, provenance, tables,
+};
+use osteoflow_algorithms::icp::IcpTrace;
+use osteoflow_engine::draw::{self, Picture};
+use osteoflow_node::Registry;
+use std::path::Path;
+
+/// The report of the run whose folder this is.
+///
+/// # Errors
+/// If the folder's files cannot be read; what a recording lacks is said on the page.
+pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
+    let run = Evidence::open(dir, registry)?;
+    let name = run.manifest["graph"]["name"].as_str().unwrap_or("run");
+    let mut page = Page::new(&format!("Run of {name}"), run.is_simulated());
+
+    page.section("The graph as run");
+    outcome(&mut page, &run);
+    match Picture::of_run(&run.manifest) {
+        Ok(picture) => page.figure(
+            "graph",
+            draw::svg(&picture),
+            "The graph as it ran: nodes with their kind and time, wires with their items.",
+        ),
+        Err(why) => page.missing("The graph", &why),
+    }
+    page.section("Registration");
+    views::residuals(&mut page, &run);
+    convergence(&mut page, &run);
+    page.section("Accuracy");
+    views::assessment(&mut page, &run);
+    page.section("Cuts");
+    views::cuts(&mut page, &run);
+    page.section("Results");
+    tables::results(&mut page, &run.results);
+    page.section("Methods");
+    methods::of_run(&mut page, &run, registry);
+    page.section("Provenance");
+    provenance::of_run(&mut page, dir, &run.manifest);
+    page.section("References");
+    let kinds: Vec<&str> = run.nodes().map(|(_, kind)| kind).collect();
+    let bibliography = citations::section(&mut page, &kinds, registry);
+
+    let began = run.manifest["began"].as_str().unwrap_or_default();
+    let (html, figures) = page.finish(&format!("{}, {began}", dir.display()));
+    Ok(Report { html, figures, bibliography })
+}
+
+fn outcome(page: &mut Page, run: &Evidence) {
+    let outcome = &run.manifest["outcome"];
+    let status = outcome["status"].as_str().unwrap_or("unfinished");
+    if status != "complete" {
+        let node = outcome["node"].as_str().map(|node| format!(" at node \"{node}\"")).unwrap_or_default();
+        let reason = outcome["reason"].as_str().unwrap_or("the manifest says no more");
+        page.text(&format!("The run ended as {status}{node}: {reason}."));
+    }
+    let warnings: Vec<_> = run.manifest["warnings"].as_array().into_iter().flatten().collect();
+    for warning in warnings.iter().take(20) {
+        let (node, message) =
+            (warning["node"].as_str().unwrap_or("?"), warning["message"].as_str().unwrap_or_default());
+        page.text(&format!("Warning of node \"{node}\": {message}."));
+    }
+}
+
+/// Smaller lengths are drawn as this one, mm: they are rounding, and would press everything else together.
+const LEAST_MM: f64 = 1e-6;
+
+/// What each iteration of the fine registration left.
+fn convergence(page: &mut Page, run: &Evidence) {
+    let Some(node) = fine(run) else { return };
+    let trace = match run.value::<IcpTrace>(&format!("{node}.trace")) {
+        Ok(trace) => trace,
+        Err(why) => return page.missing("The convergence of the registration", &why),
+    };
+    let line = |of: &dyn Fn(&osteoflow_algorithms::icp::IcpStep) -> Option<f64>| {
+        let points = trace.steps.iter().filter_map(|step| Some((f64::from(step.iteration), of(step)?)));
+        let points: Vec<_> = points.filter(|(_, y)| *y > 0.0).collect();
+        let shown = |y: f64| y.max(LEAST_MM);
+        let dots = points.iter().map(|(x, y)| (*x, shown(*y), format!("iteration {x}: {} mm", number(*y)))).collect();
+        vec![Mark::Line(points.iter().map(|(x, y)| (*x, shown(*y))).collect()), Mark::Dots(dots)]
+    };
+    let series = |name: &str, colour, marks| Series { name: name.into(), colour, marks };
+    let chart = Chart {
+        title: "Convergence of the fine registration".into(),
+        about: format!("Residual and step of {} iterations on a logarithmic axis.", trace.steps.len()),
+        x: Axis::Linear("iteration".into()),
+        y: Axis::Log("length (mm)".into()),
+        series: vec![
+            series("residual, RMS of the pairs", 0, line(&|s| Some(s.rms_mm))),
+            series("step, largest movement of a point", 1, line(&|s| Some(s.step_mm))),
+        ],
+        note: String::new(),
+        simulated: page.simulated(),
+    };
+    let said = &run.results["icp"];
+    let stopped =
+        said["stop_reason"].as_str().map(|why| format!(" It stopped by its rule \"{why}\".")).unwrap_or_default();
+    let caption = format!(
+        "What each of the {} iterations of {node} left: the residual of its pairs and how far it moved.{stopped}",
+        trace.steps.len()
+    );
+    page.figure("convergence", chart.svg(), &caption);
+}
+
+/// The node of the fine registration: it takes a source, a target and where to start.
+fn fine(run: &Evidence) -> Option<&str> {
+    run.node_with(&["source", "target", "init"])
+}

@@ -1,0 +1,349 @@
+//! The views of a run in three dimensions: the scan on the surface, points, cuts.
+
+use super::fine;
+use crate::{
+    chart::{Axis, Chart, Mark, Series},
+    evidence::Evidence,
+    html::{Cell, Page, number},
+    scene::{self, BLUE, BONE, RED, Scene},
+};
+use nalgebra::{Isometry3, Point3, Vector3};
+use osteoflow_algorithms::{
+    axes::principal_axes,
+    mesh_query::MeshQuery,
+    metrics::{CutReport, CutsReport, TrePoint, TreReport},
+};
+use osteoflow_geometry::{Axes, Cloud, Mesh, Plane, Planes, Points, Pose};
+use osteoflow_statistics::quantile;
+use rayon::prelude::*;
+
+/// The name under which the views share the bone.
+const SHARED_BONE: &str = "bone";
+
+/// How many times longer than it is an error is drawn.
+const ENLARGED: f64 = 20.0;
+
+/// An outline that lies farther from the plane's origin belongs to another cut, mm.
+const REACH_MM: f64 = 60.0;
+
+/// The surface that the scan is registered to, if that is a mesh.
+fn bone(run: &Evidence) -> Result<Mesh, String> {
+    let node = fine(run).ok_or("the graph has no fine registration (a node with source, target and init)")?;
+    let target = run.wire_into(node, "target").ok_or("its target is not wired")?;
+    let (prepared, _) = target.rsplit_once('.').ok_or("its target is not wired")?;
+    run.input::<Mesh>(prepared, "mesh").map_err(|why| match run.wire_into(prepared, "mesh") {
+        Some(_) => why,
+        None => format!("the target comes from {target}, which is made of no mesh"),
+    })
+}
+
+/// Sends the bone once, whichever views ask for it.
+fn with_bone(page: &mut Page, scene: &mut Scene, bone: &Mesh) {
+    page.share(SHARED_BONE, scene::surface(bone));
+    scene.shared_mesh(SHARED_BONE, BONE);
+    scene.key(BONE, "CT surface");
+}
+
+/// The scan on the CT surface, each point coloured by how far it lies outside (red) or inside (blue).
+pub(super) fn residuals(page: &mut Page, run: &Evidence) {
+    const WHAT: &str = "The scan on the CT surface";
+    let gathered = || -> Result<_, String> {
+        let bone = bone(run)?;
+        let node = fine(run).ok_or("the graph has no fine registration")?;
+        let scan: Cloud = run.input(node, "source")?;
+        let pose: Pose = run.value(&format!("{node}.t_target_source"))?;
+        let t = pose.expect(&bone.frame, &scan.frame).map_err(|e| e.to_string())?;
+        Ok((bone, scan, t))
+    };
+    let (bone, scan, t) = match gathered() {
+        Ok(gathered) => gathered,
+        Err(why) => return page.missing(WHAT, &why),
+    };
+    let points: Vec<Point3<f64>> = scan.points().iter().map(|p| t * p).collect();
+    let query = MeshQuery::new(&bone);
+    query.prepare();
+    let signed = |p: &Point3<f64>| {
+        let at = query.closest_point(p)?;
+        let out = (p - at.point).dot(&at.normal);
+        Some((at.distance_mm * out.signum(), at.normal))
+    };
+    let found: Vec<_> = points.par_iter().map(signed).collect();
+    let (mut shown, mut values, mut facing) = (Vec::new(), Vec::new(), Vector3::zeros());
+    for (point, (value, normal)) in points.iter().zip(found).filter_map(|(p, found)| Some((*p, found?))) {
+        shown.push(point);
+        values.push(value);
+        facing += normal;
+    }
+    if values.is_empty() {
+        return page.missing(WHAT, "the surface cannot be searched");
+    }
+    let mut sizes: Vec<f64> = values.iter().map(|v| v.abs()).collect();
+    let most = round_up(quantile(&mut sizes, 0.98));
+    let along = principal_axes(&bone).columns.column(2).into_owned();
+    let mut scene = Scene::looking(&shown, along, facing);
+    with_bone(page, &mut scene, &bone);
+    scene.coloured_points(&shown, &values, most, 0.2);
+    scene.ramp("scan, signed distance from the surface", most);
+    let n = values.len();
+    let mean = values.iter().sum::<f64>() / n as f64;
+    let rms = (values.iter().map(|v| v * v).sum::<f64>() / n as f64).sqrt();
+    let caption = format!(
+        "The scan on the CT surface after registration: {n} points, coloured by their signed distance from the surface, \
+         positive outside the bone (mean {} mm, RMS {} mm). Beyond {} mm the end colours go on. What is left at the surface \
+         is no error of the registration: a slide along the bone hardly shows here.",
+        number(mean),
+        number(rms),
+        number(most),
+    );
+    page.view(&scene, &caption);
+    histogram(page, &values);
+}
+
+fn histogram(page: &mut Page, values: &[f64]) {
+    let mut sorted = values.to_vec();
+    let [low, high] = [0.001, 0.999].map(|q| quantile(&mut sorted, q));
+    const N: usize = 60;
+    let width = ((high - low) / N as f64).max(1e-9);
+    let mut counts = [0usize; N];
+    for value in values {
+        let at = ((value - low) / width).floor();
+        if (0.0..N as f64).contains(&at) {
+            counts[at as usize] += 1;
+        }
+    }
+    let share = |k: usize| 100.0 * counts[k] as f64 / values.len() as f64;
+    let mut steps = vec![(low, 0.0)];
+    steps.extend((0..N).flat_map(|k| [(low + k as f64 * width, share(k)), (low + (k + 1) as f64 * width, share(k))]));
+    steps.push((low + N as f64 * width, 0.0));
+    let band = steps.iter().map(|(x, y)| (*x, 0.0, *y)).collect();
+    let chart = Chart {
+        title: "Signed distance of the scan from the CT surface".into(),
+        about: format!("A histogram of {} distances.", values.len()),
+        x: Axis::Linear("signed distance, positive outside the bone (mm)".into()),
+        y: Axis::Linear("points (%)".into()),
+        series: vec![Series { name: String::new(), colour: 0, marks: vec![Mark::Band(band), Mark::Line(steps)] }],
+        note: format!("n = {} points", values.len()),
+        simulated: page.simulated(),
+    };
+    page.figure(
+        "residuals",
+        chart.svg(),
+        "How the distances of the scan's points from the CT surface are distributed.",
+    );
+}
+
+/// The next of 1, 1.5, 2, 3, 4, 5, 6, 8, 10 times a power of ten.
+pub(crate) fn round_up(value: f64) -> f64 {
+    let value = value.max(1e-6);
+    let power = 10f64.powf(value.log10().floor());
+    let steps = [1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0];
+    steps.into_iter().map(|step| step * power).find(|step| *step >= value * (1.0 - 1e-9)).unwrap_or(value)
+}
+
+/// Where the registration puts the assessment points, and where they were measured.
+pub(super) fn assessment(page: &mut Page, run: &Evidence) {
+    const WHAT: &str = "Registered against measured points";
+    let mut any = false;
+    for (kind, name, source) in [
+        ("metrics.tre_measured", "measured", "measured by stylus"),
+        ("metrics.tre_true", "true", "where they truly are"),
+    ] {
+        let Some(node) = run.node_of_kind(kind) else { continue };
+        any = true;
+        let gathered = || -> Result<_, String> {
+            let report: TreReport = run.value(&format!("{node}.report"))?;
+            let planned: Points = run.input(node, "planned")?;
+            Ok((report, planned, axes(run, node)?))
+        };
+        match gathered() {
+            Ok((report, planned, axes)) => {
+                errors(page, &report, name, source);
+                if name == "measured" || run.node_of_kind("metrics.tre_measured").is_none() {
+                    points(page, run, (&report, &planned, &axes), source);
+                }
+            }
+            Err(why) => page.missing(WHAT, &why),
+        }
+    }
+    if !any {
+        page.missing(WHAT, "the graph has no node metrics.tre_measured or metrics.tre_true");
+    }
+}
+
+/// The axes that a metrics node told its errors along: its own input, else those of the bone it was given.
+fn axes(run: &Evidence, node: &str) -> Result<Axes, String> {
+    if run.wire_into(node, "axes").is_some() {
+        return run.input(node, "axes");
+    }
+    if run.wire_into(node, "bone").is_none() {
+        return Err(format!("the axes of {node} are not known"));
+    }
+    Ok(principal_axes(&run.input::<Mesh>(node, "bone")?))
+}
+
+/// Registered points in blue, where they were measured in red, in CT coordinates.
+fn points(page: &mut Page, run: &Evidence, (report, planned, axes): (&TreReport, &Points, &Axes), source: &str) {
+    let mut pairs = Vec::new();
+    for point in &report.points {
+        let Some(at) = planned.get(&point.name) else { continue };
+        // The error is where the registration puts a point minus where it is; both ends lie in the bone.
+        let error = axes.columns * Vector3::new(point.x, point.y, point.z);
+        pairs.push((point, at.position, error));
+    }
+    let planned_at: Vec<_> = pairs.iter().map(|(_, at, _)| *at).collect();
+    let measured_at: Vec<_> = pairs.iter().map(|(_, at, error)| at + error).collect();
+    let middle = nalgebra::Vector3::from(axes.centre.coords);
+    let outwards = planned_at.iter().map(|p| p.coords - middle).sum::<Vector3<f64>>();
+    let mut scene = Scene::looking(&planned_at, axes.columns.column(2).into_owned(), outwards);
+    match bone(run) {
+        Ok(bone) if bone.frame == planned.frame => with_bone(page, &mut scene, &bone),
+        Ok(_) => {}
+        Err(why) => page.missing("The bone behind the points", &why),
+    }
+    let far: Vec<_> = pairs.iter().flat_map(|(_, at, error)| [*at, at + error * ENLARGED]).collect();
+    scene.lines(&far, RED);
+    scene.points(&planned_at, 0.6, BLUE);
+    scene.points(&measured_at, 0.6, RED);
+    for (point, at, _) in &pairs {
+        scene.tag(at, &format!("{} {} mm", point.name, number(point.norm)));
+    }
+    scene.key(BLUE, "planned");
+    scene.key(RED, &format!("{source}, carried to CT by the registration"));
+    let caption = format!(
+        "Assessment points in CT: planned (blue) and {source} (red), which the registration carries here; n = {} points, \
+         mean error {} mm. Lines show the errors {ENLARGED} times as long as they are.",
+        report.n,
+        number(report.mean_abs.norm)
+    );
+    page.view(&scene, &caption);
+}
+
+/// The error at each point along each axis, as a figure and a table.
+fn errors(page: &mut Page, report: &TreReport, name: &str, source: &str) {
+    type Part = fn(&TrePoint) -> f64;
+    let axes: [(&str, Part); 4] = [("x", |p| p.x), ("y", |p| p.y), ("z", |p| p.z), ("norm", |p| p.norm)];
+    let series = axes.iter().enumerate().map(|(k, (_, of))| {
+        let n = report.points.len() as f64;
+        let dots = report.points.iter().enumerate().map(|(i, point)| {
+            let aside = 0.36 * ((i as f64 + 0.5) / n - 0.5);
+            (k as f64 + aside, of(point), format!("{}: {} mm", point.name, number(of(point))))
+        });
+        let mean = report.points.iter().map(of).sum::<f64>() / n;
+        let mean = Mark::Line(vec![(k as f64 - 0.25, mean), (k as f64 + 0.25, mean)]);
+        Series { name: String::new(), colour: k, marks: vec![mean, Mark::Dots(dots.collect())] }
+    });
+    let chart = Chart {
+        title: format!("Target registration error, {name}"),
+        about: format!(
+            "The signed errors of {} points along each axis of the bone, their norms, and the means.",
+            report.n
+        ),
+        x: Axis::Categories {
+            label: "axis of the bone; z runs along it".into(),
+            names: axes.iter().map(|(name, _)| (*name).into()).collect(),
+        },
+        y: Axis::Linear("error (mm)".into()),
+        series: series.collect(),
+        note: format!("n = {} points of one procedure", report.n),
+        simulated: page.simulated(),
+    };
+    let caption = format!(
+        "Target registration error against points {source}: where the registration puts each of the {} points minus where \
+         it is, signed, along the axes of the bone, and the norm. A dot is a point, a bar the mean.",
+        report.n
+    );
+    page.figure(&format!("tre-{name}"), chart.svg(), &caption);
+    let head = ["point", "x mm", "y mm", "z mm", "norm mm"].map(String::from);
+    let numbers = |values: [f64; 4]| values.map(Cell::Number);
+    let row = |name: &str, values| [Cell::word(name)].into_iter().chain(numbers(values)).collect::<Vec<_>>();
+    let mut rows: Vec<_> = report.points.iter().map(|p| row(&p.name, [p.x, p.y, p.z, p.norm])).collect();
+    for (name, s) in
+        [("mean, signed", &report.mean_signed), ("mean of absolute values", &report.mean_abs), ("RMS", &report.rms)]
+    {
+        rows.push(row(name, [s.x, s.y, s.z, s.norm]));
+    }
+    let caption = format!("Target registration error, {name}: n = {} points of one procedure on one bone.", report.n);
+    page.table(&caption, &head, &rows);
+}
+
+/// Planned planes, and where the bone would be cut.
+pub(super) fn cuts(page: &mut Page, run: &Evidence) {
+    const WHAT: &str = "Planned against executed cuts";
+    let Some(node) = run.node_of_kind("metrics.cuts") else {
+        return page.missing(WHAT, "the graph has no node metrics.cuts, which needs the true registration");
+    };
+    let gathered = || -> Result<_, String> {
+        let planned: Planes = run.input(node, "planes")?;
+        let registered: Pose = run.input(node, "t_ct_world")?;
+        let truth: Pose = run.input(node, "t_ct_world_true")?;
+        // Executed: carried to the world by the registration, and back by the truth.
+        let slip = truth.compose(&registered.inverse()).map_err(|e| e.to_string())?;
+        let slip = slip.expect(&planned.frame, &planned.frame).map_err(|e| e.to_string())?;
+        Ok((bone(run)?, planned, slip))
+    };
+    let (bone, planned, slip) = match gathered() {
+        Ok(gathered) => gathered,
+        Err(why) => return page.missing(WHAT, &why),
+    };
+    let executed = planned.transformed(&planned.frame, &slip);
+    let corners: Vec<_> = planned.planes.iter().chain(executed.planes.iter()).filter_map(square).flatten().collect();
+    let along = principal_axes(&bone).columns.column(2).into_owned();
+    let mut scene = Scene::looking(&corners, along, Vector3::zeros());
+    with_bone(page, &mut scene, &bone);
+    for (planes, colour) in [(&planned, BLUE), (&executed, RED)] {
+        for plane in planes.planes.iter() {
+            let Some(corners) = square(plane) else { continue };
+            if colour == BLUE {
+                scene.mesh(scene::indexed(&corners, &[[0, 1, 2], [0, 2, 3]]), colour, 0.22);
+            }
+            scene.lines(&edges(&corners), colour);
+            let at = plane.isometry().copied().unwrap_or_else(Isometry3::identity);
+            scene.lines(&scene::outline(&bone, &at, REACH_MM), colour);
+        }
+    }
+    planned.planes.iter().filter_map(|p| Some((p, square(p)?))).for_each(|(p, c)| scene.tag(&c[0], &p.name));
+    scene.key(BLUE, "planned");
+    scene.key(RED, "executed, as the registration would have it cut");
+    let caption = "Planned cuts (blue) and the cuts that the registration leads to (red), on the CT surface: each planned \
+                   plane is carried to the world by the registration and back by the true pose. Nothing was cut.";
+    page.view(&scene, caption);
+    match run.value::<CutsReport>(&format!("{node}.report")) {
+        Ok(report) => cut_table(page, &report),
+        Err(_) => page.text("How far the cuts are off is told under Results."),
+    }
+}
+
+fn cut_table(page: &mut Page, report: &CutsReport) {
+    let head = ["plane", "offset mm", "tilt \u{b0}", "roll \u{b0}"].map(String::from);
+    let row = |cut: &CutReport| {
+        let numbers = [cut.offset_mm, cut.tilt_rad.to_degrees(), cut.roll_rad.to_degrees()].map(Cell::Number);
+        [Cell::word(&cut.name)].into_iter().chain(numbers).collect::<Vec<_>>()
+    };
+    let rows: Vec<_> = report.cuts.iter().map(row).collect();
+    page.table("Executed cuts against the planned ones, where each meets the bone's middle line.", &head, &rows);
+}
+
+/// A square about the plane's origin, 15 mm to each side.
+fn square(plane: &Plane) -> Option<Vec<Point3<f64>>> {
+    const HALF_MM: f64 = 15.0;
+    let t = plane.isometry()?;
+    let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+    Some(corners.map(|(x, y)| t * Point3::new(x * HALF_MM, y * HALF_MM, 0.0)).to_vec())
+}
+
+fn edges(corners: &[Point3<f64>]) -> Vec<Point3<f64>> {
+    (0..corners.len()).flat_map(|k| [corners[k], corners[(k + 1) % corners.len()]]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::round_up;
+
+    #[test]
+    fn a_colour_bar_ends_at_a_round_number() {
+        let ends = [0.138, 0.15, 0.151, 0.94, 0.2, 12.0].map(round_up);
+        for (end, expected) in ends.into_iter().zip([0.15, 0.15, 0.2, 1.0, 0.2, 15.0]) {
+            assert!((end - expected).abs() < 1e-9, "{end} is not {expected}");
+        }
+    }
+}

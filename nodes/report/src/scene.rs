@@ -1,0 +1,279 @@
+//! A view in three dimensions, as the page's viewer reads it: meshes, points and lines, quantised to 16 bits.
+
+use crate::html::{escaped, number};
+use base64::{Engine, engine::general_purpose::STANDARD};
+use nalgebra::{Matrix3, Point3, Vector3};
+use osteoflow_geometry::Mesh;
+use serde_json::{Value as Json, json};
+use std::collections::BTreeMap;
+
+/// Blue over white to red (ColorBrewer's RdBu), which the colour-blind tell apart.
+const DIVERGING: [&str; 7] = ["#2166ac", "#67a9cf", "#d1e5f0", "#f7f7f7", "#fddbc7", "#ef8a62", "#b2182b"];
+
+/// What registration puts somewhere.
+pub(crate) const BLUE: &str = "#0072b2";
+/// What was measured or executed.
+pub(crate) const RED: &str = "#d55e00";
+/// The bone.
+pub(crate) const BONE: &str = "#c9c2b4";
+
+/// A mesh of more faces is thinned out for the page.
+const MOST_FACES: usize = 60_000;
+/// A cloud of more points is thinned out by stride.
+const MOST_POINTS: usize = 40_000;
+
+/// A view.
+#[derive(Debug, Clone)]
+pub(crate) struct Scene {
+    parts: Vec<Json>,
+    legend: Vec<(String, String)>,
+    ramp: Option<(String, f64)>,
+    centre: Point3<f64>,
+    /// Half of what is seen at first, along the view's width, mm.
+    half_width: f64,
+    turn: Matrix3<f64>,
+    /// Width by height.
+    pub(crate) aspect: f64,
+}
+
+impl Scene {
+    /// Looks along `towards` (from the scene to the viewer) with `along` from left to right, at all of `points`.
+    pub(crate) fn looking(points: &[Point3<f64>], along: Vector3<f64>, towards: Vector3<f64>) -> Self {
+        let fallback = |v: Vector3<f64>, or: Vector3<f64>| v.try_normalize(1e-9).unwrap_or(or);
+        let right = fallback(along, Vector3::x());
+        let viewer = fallback(towards - right * towards.dot(&right), any_across(&right));
+        let up = viewer.cross(&right);
+        let turn = Matrix3::from_rows(&[right.transpose(), up.transpose(), viewer.transpose()]);
+        let seen: Vec<Vector3<f64>> = points.iter().map(|p| turn * p.coords).collect();
+        let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
+        for p in &seen {
+            (low, high) = (low.inf(p), high.sup(p));
+        }
+        if seen.is_empty() {
+            (low, high) = (Vector3::repeat(-1.0), Vector3::repeat(1.0));
+        }
+        let size = (high - low).map(|s| s.max(1.0));
+        let aspect = (size.x / size.y.max(size.z)).clamp(1.6, 2.6);
+        let half_width = 0.62 * size.x.max(size.y.max(size.z) * aspect);
+        let centre = Point3::from(turn.transpose() * ((low + high) / 2.0));
+        Self { parts: Vec::new(), legend: Vec::new(), ramp: None, centre, half_width, turn, aspect }
+    }
+
+    /// A surface that the page shares under a name.
+    pub(crate) fn shared_mesh(&mut self, name: &str, colour: &str) {
+        self.parts.push(json!({ "type": "mesh", "data": name, "colour": colour }));
+    }
+
+    /// A surface of its own, seen through where `opacity` is below 1.
+    pub(crate) fn mesh(&mut self, data: Json, colour: &str, opacity: f64) {
+        self.parts.push(json!({ "type": "mesh", "own": data, "colour": colour, "opacity": opacity }));
+    }
+
+    /// Points as little balls.
+    pub(crate) fn points(&mut self, points: &[Point3<f64>], radius_mm: f64, colour: &str) {
+        self.parts.push(json!({ "type": "points", "own": positions(points), "colour": colour, "radius": radius_mm }));
+    }
+
+    /// Points coloured by a signed value; those beyond `most` have the end colours.
+    pub(crate) fn coloured_points(&mut self, points: &[Point3<f64>], values: &[f64], most: f64, radius_mm: f64) {
+        let every = points.len().div_ceil(MOST_POINTS).max(1);
+        let points: Vec<_> = points.iter().copied().step_by(every).collect();
+        let values: Vec<_> = values.iter().copied().step_by(every).collect();
+        let mut own = positions(&points);
+        own["values"] = levels(&values, most).into();
+        self.parts.push(json!({ "type": "points", "own": own, "ramp": DIVERGING, "radius": radius_mm }));
+    }
+
+    /// Pairs of points as lines.
+    pub(crate) fn lines(&mut self, ends: &[Point3<f64>], colour: &str) {
+        if !ends.is_empty() {
+            self.parts.push(json!({ "type": "lines", "own": positions(ends), "colour": colour }));
+        }
+    }
+
+    /// A word beside a point.
+    pub(crate) fn tag(&mut self, at: &Point3<f64>, word: &str) {
+        self.parts.push(json!({ "type": "tag", "at": [at.x, at.y, at.z], "word": word }));
+    }
+
+    /// A colour and what it is.
+    pub(crate) fn key(&mut self, colour: &str, what: &str) {
+        self.legend.push((colour.into(), what.into()));
+    }
+
+    /// What the colours of values are, from `-most` to `most`, in mm.
+    pub(crate) fn ramp(&mut self, what: &str, most: f64) {
+        self.ramp = Some((what.into(), most));
+    }
+
+    pub(crate) fn json(&self) -> Json {
+        json!({
+            "parts": self.parts,
+            "centre": self.centre.coords.as_slice(),
+            "halfWidth": self.half_width,
+            "turn": self.turn.as_slice(),
+        })
+    }
+
+    pub(crate) fn legend_html(&self) -> String {
+        let mut out = String::from("<div class=\"legend\">");
+        for (colour, what) in &self.legend {
+            out += &format!("<span><i class=\"key\" style=\"background: {colour}\"></i>{}</span>", escaped(what));
+        }
+        if let Some((what, most)) = &self.ramp {
+            let most = number(*most);
+            out += &format!(
+                "<span>{} <span>\u{2212}{most}</span><i class=\"ramp\" role=\"img\" aria-label=\"from blue, minus {most} \
+                 mm, over white to red, {most} mm\" style=\"background: linear-gradient(to right, {})\"></i><span>+{most} \
+                 mm</span></span>",
+                escaped(what),
+                DIVERGING.join(", ")
+            );
+        }
+        out + "</div>"
+    }
+}
+
+fn any_across(v: &Vector3<f64>) -> Vector3<f64> {
+    let least = if v.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
+    (least - v * v.dot(&least)).normalize()
+}
+
+/// Positions in 16 bits each, from their lowest corner in steps of `step` mm.
+fn positions(points: &[Point3<f64>]) -> Json {
+    let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
+    for p in points {
+        (low, high) = (low.inf(&p.coords), high.sup(&p.coords));
+    }
+    if points.is_empty() {
+        (low, high) = (Vector3::zeros(), Vector3::zeros());
+    }
+    let step = ((high - low).max() / f64::from(u16::MAX)).max(1e-9);
+    let bytes: Vec<u8> = points
+        .iter()
+        .flat_map(|p| ((p.coords - low) / step).iter().map(|c| c.round() as u16).collect::<Vec<_>>())
+        .flat_map(u16::to_le_bytes)
+        .collect();
+    json!({ "positions": STANDARD.encode(bytes), "low": low.as_slice(), "step": step })
+}
+
+/// Values from `-most` to `most` in 8 bits each.
+fn levels(values: &[f64], most: f64) -> String {
+    let level = |v: &f64| (127.5 * (v / most).clamp(-1.0, 1.0) + 127.5).round() as u8;
+    STANDARD.encode(values.iter().map(level).collect::<Vec<_>>())
+}
+
+/// A surface for the page, thinned out where it has many faces.
+pub(crate) fn surface(mesh: &Mesh) -> Json {
+    let (vertices, faces) = thinned(mesh, MOST_FACES);
+    indexed(&vertices, &faces)
+}
+
+/// A surface as it is, coloured by a signed value at each vertex.
+pub(crate) fn indexed(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Json {
+    let mut data = positions(vertices);
+    let bytes: Vec<u8> = faces.iter().flatten().flat_map(|i| i.to_le_bytes()).collect();
+    data["faces"] = STANDARD.encode(bytes).into();
+    data
+}
+
+/// The mesh itself if it has few faces, else its vertices gathered in cubes that grow until it has.
+fn thinned(mesh: &Mesh, most: usize) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
+    let (vertices, faces) = (mesh.vertices(), mesh.faces());
+    if faces.len() <= most {
+        return (vertices.to_vec(), faces.to_vec());
+    }
+    let area: f64 = (0..faces.len()).map(|face| 0.5 * mesh.area_vector(face).norm()).sum();
+    // A cube of a surface holds about two faces of half its side's area each.
+    let mut side = (2.0 * area / most as f64).sqrt();
+    loop {
+        let mut cubes: BTreeMap<[i64; 3], (u32, Vector3<f64>, f64)> = BTreeMap::new();
+        let mut of_vertex = Vec::with_capacity(vertices.len());
+        for p in vertices {
+            let cube = [p.x, p.y, p.z].map(|c| (c / side).floor() as i64);
+            let n = cubes.len() as u32;
+            let held = cubes.entry(cube).or_insert((n, Vector3::zeros(), 0.0));
+            held.1 += p.coords;
+            held.2 += 1.0;
+            of_vertex.push(held.0);
+        }
+        let corners = |face: &[u32; 3]| face.map(|i| of_vertex[i as usize]);
+        let kept: Vec<_> = faces.iter().map(corners).filter(|[a, b, c]| a != b && b != c && a != c).collect();
+        if kept.len() <= most {
+            let mut means = vec![Point3::origin(); cubes.len()];
+            cubes.into_values().for_each(|(at, sum, n)| means[at as usize] = Point3::from(sum / n));
+            return (means, kept);
+        }
+        side *= 1.2;
+    }
+}
+
+/// Where a plane (its z axis is the normal) cuts a surface: pairs of points.
+pub(crate) fn outline(mesh: &Mesh, t_mesh_plane: &nalgebra::Isometry3<f64>, reach_mm: f64) -> Vec<Point3<f64>> {
+    let mut ends = Vec::new();
+    for face in 0..mesh.faces().len() {
+        let corners = mesh.corners(face).map(|p| t_mesh_plane.inverse_transform_point(&p));
+        let mut cut = Vec::with_capacity(2);
+        for k in 0..3 {
+            let (a, b) = (corners[k], corners[(k + 1) % 3]);
+            if (a.z < 0.0) != (b.z < 0.0) {
+                cut.push(a + (b - a) * (a.z / (a.z - b.z)));
+            }
+        }
+        if cut.len() == 2 && cut.iter().all(|p| p.coords.norm() <= reach_mm) {
+            ends.extend(cut.iter().map(|p| t_mesh_plane * p));
+        }
+    }
+    ends
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Isometry3;
+    use osteoflow_geometry::SurfaceOrigin;
+
+    fn grid(n: usize) -> Mesh {
+        let vertices: Vec<_> = (0..=n)
+            .flat_map(|i| (0..=n).map(move |j| Point3::new(i as f64, j as f64, ((i * 7 + j) % 3) as f64 * 0.01)))
+            .collect();
+        let at = |i: usize, j: usize| (i * (n + 1) + j) as u32;
+        let faces: Vec<_> = (0..n)
+            .flat_map(|i| {
+                (0..n).flat_map(move |j| {
+                    [[at(i, j), at(i + 1, j), at(i, j + 1)], [at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]]
+                })
+            })
+            .collect();
+        Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap()
+    }
+
+    #[test]
+    fn a_fine_mesh_is_thinned_out_and_stays_where_it_is() {
+        let mesh = grid(100);
+        let (vertices, faces) = thinned(&mesh, 2000);
+        assert!((500..=2000).contains(&faces.len()), "{} faces", faces.len());
+        assert!(vertices.iter().all(|p| p.z.abs() <= 0.021 && p.x >= 0.0 && p.x <= 100.0));
+        assert_eq!(thinned(&mesh, 20_000).1.len(), 20_000, "few enough: as it is");
+    }
+
+    #[test]
+    fn positions_come_back_within_half_a_step() {
+        let points = [Point3::new(-80.0, 3.0, -890.0), Point3::new(270.0, 3.5, -889.0)];
+        let json = positions(&points);
+        let bytes = STANDARD.decode(json["positions"].as_str().unwrap()).unwrap();
+        let step = json["step"].as_f64().unwrap();
+        assert!(step < 0.006, "350 mm in steps of {step} mm");
+        let back = f64::from(u16::from_le_bytes([bytes[6], bytes[7]])) * step + json["low"][0].as_f64().unwrap();
+        assert!((back - 270.0).abs() <= 0.5 * step);
+    }
+
+    #[test]
+    fn a_plane_cuts_a_mesh_along_its_outline() {
+        let across = Isometry3::rotation(Vector3::y() * std::f64::consts::FRAC_PI_2);
+        let at = Isometry3::translation(5.5, 0.0, 0.0) * across;
+        let ends = outline(&grid(10), &at, 1000.0);
+        assert_eq!(ends.len(), 2 * 20);
+        assert!(ends.iter().all(|p| (p.x - 5.5).abs() < 1e-9));
+    }
+}

@@ -1,0 +1,214 @@
+//! The page of a sweep: what was asked, figures of every column, and the statistics that the sweep has left.
+
+mod figures;
+mod statistics;
+
+use crate::{Report, ReportError, citations, evidence, html::Page, methods, provenance};
+use osteoflow_engine::sweep::{Column, Distribution, Done, Folder, GRAPH, PointValue, Spec, at_path, point_values};
+use osteoflow_node::Registry;
+use serde_json::Value as Json;
+use std::{collections::BTreeMap, fs, path::Path};
+
+/// A sweep to report on.
+struct Swept {
+    spec: Spec,
+    about: Json,
+    runs: Vec<Done>,
+}
+
+/// The report of the sweep whose folder this is.
+///
+/// # Errors
+/// If the folder holds no sweep, or its files cannot be read.
+pub fn of_sweep(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
+    let folder = Folder::open(dir)?;
+    let runs = folder.done()?.collect::<Result<Vec<_>, _>>()?;
+    let sweep = Swept { spec: folder.spec()?, about: folder.about.clone(), runs };
+    let name = sweep.about["graph"]["name"].as_str().unwrap_or("graph");
+    let simulated = sweep.runs.iter().any(|run| run.results["simulated"] == true);
+    let mut page = Page::new(&format!("Sweep of {name}"), simulated);
+
+    page.section("Design");
+    page.text(&sweep.design());
+    failures(&mut page, &sweep);
+    page.section("Figures");
+    figures::columns(&mut page, &sweep);
+    figures::points(&mut page, &sweep);
+    figures::draws(&mut page, &sweep);
+    page.section("Statistics");
+    match dir.join("summary.json") {
+        path if path.is_file() => statistics::tables(&mut page, &sweep, &evidence::json(&path)?),
+        _ => page.missing("The table of statistics", "the folder holds no summary.json, which a finished sweep leaves"),
+    }
+    page.section("Methods");
+    let graph = fs::read_to_string(dir.join(GRAPH)).unwrap_or_default();
+    methods::of_sweep(&mut page, &sweep.methods(simulated), &graph, registry);
+    page.section("Provenance");
+    provenance::of_sweep(&mut page, dir, &sweep.about);
+    page.section("References");
+    let kinds = sweep.kinds(&graph);
+    let kinds: Vec<&str> = kinds.iter().map(String::as_str).collect();
+    let bibliography = citations::section(&mut page, &kinds, registry);
+    let (html, figures) = page.finish(&dir.display().to_string());
+    Ok(Report { html, figures, bibliography })
+}
+
+impl Swept {
+    /// The factors that have more than one value.
+    fn varied(&self) -> impl Iterator<Item = &osteoflow_engine::sweep::Factor> {
+        self.spec.factors.iter().filter(|factor| factor.levels.len() > 1)
+    }
+
+    /// The settings in the order of the runs, each with its runs that have results.
+    fn settings(&self) -> Vec<Setting<'_>> {
+        let mut settings: Vec<Setting<'_>> = Vec::new();
+        for run in &self.runs {
+            let values =
+                self.varied().map(|factor| (factor.name.as_str(), run.value(&factor.name).unwrap_or(&Json::Null)));
+            let values: Vec<_> = values.collect();
+            let at = settings.iter().position(|setting| setting.values == values);
+            let at = at.unwrap_or_else(|| {
+                settings.push(Setting { name: setting_name(&values), values, runs: Vec::new() });
+                settings.len() - 1
+            });
+            if run.status == "complete" {
+                settings[at].runs.push(run);
+            }
+        }
+        settings
+    }
+
+    /// The columns that hold numbers.
+    fn numeric(&self) -> Vec<&Column> {
+        let holds = |column: &&Column| self.runs.iter().any(|run| number_of(run, column).is_some());
+        self.spec.columns.iter().filter(holds).collect()
+    }
+
+    /// The kinds of the graph, and those that a factor puts in their place.
+    fn kinds(&self, graph: &str) -> Vec<String> {
+        let kind = |table: toml::Table| table.get("kind").and_then(toml::Value::as_str).map(str::to_owned);
+        let mut kinds: Vec<String> =
+            methods::nodes_of(graph).into_iter().filter_map(|(_, table)| kind(table)).collect();
+        let sets = self.spec.factors.iter().flat_map(|factor| &factor.levels).flat_map(|level| &level.sets);
+        let set = sets.filter_map(|set| set.split_once('=').filter(|(key, _)| key.trim().ends_with(".kind")));
+        kinds.extend(set.map(|(_, value)| value.trim().trim_matches('"').to_owned()));
+        kinds.sort();
+        kinds.dedup();
+        kinds
+    }
+
+    /// What was varied, drawn and repeated.
+    fn design(&self) -> String {
+        let spec = &self.spec;
+        let mut words = Vec::new();
+        for factor in &spec.factors {
+            let levels: Vec<_> = factor.levels.iter().map(|level| word(&level.label)).collect();
+            let told = match levels.len() {
+                0..=12 => levels.join(", "),
+                n => format!("{} ... {} ({n} values)", levels[..3].join(", "), levels[n - 1]),
+            };
+            words.push(format!("Factor {}: {told}.", factor.name));
+        }
+        if !spec.pair.is_empty() {
+            let pairs: Vec<_> = spec.pair.iter().map(|group| group.join(" with ")).collect();
+            words.push(format!("Varied together: {}; all others are crossed.", pairs.join("; ")));
+        }
+        for draw in &spec.draws {
+            words.push(format!(
+                "Drawn for each {}: {}, {}.",
+                spec.repeat_name,
+                draw.name,
+                distribution(&draw.distribution)
+            ));
+        }
+        let seeds = match (spec.same_seed, self.about["graph"]["seed"].as_u64()) {
+            (true, Some(seed)) => format!("all with seed {seed}"),
+            (false, Some(seed)) => format!("seeds {seed} to {}", seed + spec.repeat.max(1) as u64 - 1),
+            (_, None) => "seeds not known".into(),
+        };
+        words.push(format!(
+            "Each setting was run {} times (one run is one {}), {seeds}.",
+            spec.repeat, spec.repeat_name
+        ));
+        words.push(format!("Units, the highest first: {}.", spec.units.join(" > ")));
+        let asked = self.about["n_runs"].as_u64().unwrap_or(0);
+        let without = self.runs.iter().filter(|run| run.status != "complete").count();
+        words.push(format!("Of {asked} runs {} are here, {without} of them without results.", self.runs.len()));
+        words.join(" ")
+    }
+
+    fn methods(&self, simulated: bool) -> String {
+        let origin = if simulated { "All data were simulated" } else { "Data were read from files" };
+        let command = &self.about["command"];
+        format!(
+            "{origin}. The graph \"{}\" was run {} times with osteoflow {} (git {}). {} All settings have the same draws and \
+             seeds, so that they are paired. n is the number of units at the highest level that is named; rows of one unit \
+             are not independent. Boxes are Tukey's: quartiles and median, whiskers to the last values within 1.5 \
+             interquartile ranges. Lengths are in millimetres.",
+            self.about["graph"]["name"].as_str().unwrap_or("?"),
+            self.runs.len(),
+            command["version"].as_str().unwrap_or("?"),
+            command["git_revision"].as_str().unwrap_or("not known"),
+            self.design(),
+        )
+    }
+
+    /// What the runs say at their points, with the run it is of.
+    fn point_values(&self) -> Vec<(&Done, PointValue<'_>)> {
+        let complete = self.runs.iter().filter(|run| run.status == "complete");
+        complete.flat_map(|run| point_values(&self.spec, run).into_iter().map(move |value| (run, value))).collect()
+    }
+}
+
+/// A setting of the factors.
+struct Setting<'a> {
+    name: String,
+    values: Vec<(&'a str, &'a Json)>,
+    runs: Vec<&'a Done>,
+}
+
+/// `icp.point_to_plane` of one factor, `icp = icp.point_to_plane, bone = 2` of several.
+fn setting_name(values: &[(&str, &Json)]) -> String {
+    match values {
+        [] => "all runs".into(),
+        [(_, value)] if value.is_string() => word(value),
+        values => values.iter().map(|(name, value)| format!("{name} = {}", word(value))).collect::<Vec<_>>().join(", "),
+    }
+}
+
+/// A value as words.
+fn word(value: &Json) -> String {
+    match value {
+        Json::String(text) => text.clone(),
+        other => other.to_string(),
+    }
+}
+
+fn number_of(run: &Done, column: &Column) -> Option<f64> {
+    at_path(&run.results, &column.path).and_then(Json::as_f64).filter(|value| value.is_finite())
+}
+
+fn distribution(of: &Distribution) -> String {
+    match of {
+        Distribution::Uniform([a, b]) => format!("uniform from {a} to {b}"),
+        Distribution::Normal([mean, sd]) => format!("normal with mean {mean} and SD {sd}"),
+        Distribution::LogUniform([a, b]) => format!("uniform in the logarithm from {a} to {b}"),
+        Distribution::Integers([a, b]) => format!("whole numbers from {a} to {b}"),
+        Distribution::Choice(values) => {
+            format!("one of {}", values.iter().map(word).collect::<Vec<_>>().join(", "))
+        }
+    }
+}
+
+/// Runs without results, by their reason.
+fn failures(page: &mut Page, sweep: &Swept) {
+    let mut reasons: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    for run in sweep.runs.iter().filter(|run| run.status != "complete") {
+        reasons.entry(run.reason.as_deref().unwrap_or(&run.status)).or_default().push(run.run);
+    }
+    for (reason, runs) in reasons.iter().take(20) {
+        let first: Vec<_> = runs.iter().take(5).map(usize::to_string).collect();
+        let more = if runs.len() > 5 { " ..." } else { "" };
+        page.text(&format!("{} without results (run {}{more}): {reason}.", runs.len(), first.join(", ")));
+    }
+}

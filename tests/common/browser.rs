@@ -1,0 +1,189 @@
+//! A browser without a window, spoken to over its debugging pipe: no port, and no crate for it.
+
+use serde_json::{Value, json};
+use std::{
+    io::{BufRead, BufReader, Write},
+    path::Path,
+    process::{Child, ChildStdin, Command, Stdio},
+    sync::mpsc::{Receiver, sync_channel},
+    time::{Duration, Instant},
+};
+
+/// So long a page may take for anything.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A browser with one page.
+pub(crate) struct Browser {
+    child: Child,
+    to: ChildStdin,
+    from: Receiver<Value>,
+    session: String,
+    next: u64,
+    /// What the page has told without being asked.
+    pub(crate) events: Vec<Value>,
+    _profile: tempfile::TempDir,
+}
+
+/// The browser's program: OSTEOFLOW_BROWSER, or one in the path.
+fn program() -> Option<String> {
+    let asked = std::env::var("OSTEOFLOW_BROWSER").ok().filter(|program| !program.is_empty());
+    let known = ["chromium", "chromium-browser", "google-chrome"].map(String::from);
+    asked.into_iter().chain(known).find(|program| {
+        let version = Command::new(program).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
+        version.is_ok_and(|status| status.success())
+    })
+}
+
+impl Browser {
+    /// Starts it with an empty page; says so and gives nothing where there is no browser.
+    pub(crate) fn start(test: &str) -> Option<Self> {
+        let Some(program) = program() else {
+            eprintln!("skipped: {test}: no browser (chromium, or OSTEOFLOW_BROWSER)");
+            return None;
+        };
+        let profile = tempfile::tempdir().unwrap();
+        let mut command = Command::new("sh");
+        // It reads commands at 3 and answers at 4.
+        command.args(["-c", "exec \"$0\" \"$@\" 3<&0 4>&1 0</dev/null 1>/dev/null 2>/dev/null", &program]);
+        command.args([
+            "--headless=new",
+            "--remote-debugging-pipe",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--window-size=1100,900",
+        ]);
+        // Views are drawn without a graphics card.
+        command.args(["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
+        command.args([
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--no-first-run",
+        ]);
+        command.arg(format!("--user-data-dir={}", profile.path().display())).arg("about:blank");
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let (to, out) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
+        // What a page tells meanwhile waits here: more than any page of ours tells.
+        let (tell, from) = sync_channel(1 << 16);
+        std::thread::spawn(move || {
+            let mut out = BufReader::new(out);
+            let mut message = Vec::new();
+            while out.read_until(0, &mut message).is_ok_and(|n| n > 0) {
+                message.pop();
+                if serde_json::from_slice(&message).is_ok_and(|value| tell.send(value).is_err()) {
+                    return;
+                }
+                message.clear();
+            }
+        });
+        let (session, events) = (String::new(), Vec::new());
+        let mut browser = Self { child, to, from, session, next: 1, events, _profile: profile };
+        let target = browser.call("Target.createTarget", json!({ "url": "about:blank" }));
+        let attached =
+            browser.call("Target.attachToTarget", json!({ "targetId": target["targetId"], "flatten": true }));
+        browser.session = attached["sessionId"].as_str().unwrap().to_owned();
+        for domain in ["Page", "Runtime", "Log", "Network"] {
+            browser.call(&format!("{domain}.enable"), json!({}));
+        }
+        Some(browser)
+    }
+
+    /// Sends a command and waits for its answer.
+    pub(crate) fn call(&mut self, method: &str, params: Value) -> Value {
+        let id = self.next;
+        self.next += 1;
+        let mut message = json!({ "id": id, "method": method, "params": params });
+        if !self.session.is_empty() {
+            message["sessionId"] = self.session.as_str().into();
+        }
+        self.to.write_all(format!("{message}\0").as_bytes()).unwrap();
+        self.to.flush().unwrap();
+        let until = Instant::now() + PATIENCE;
+        loop {
+            let said = self.from.recv_timeout(until.saturating_duration_since(Instant::now()));
+            let said = said.unwrap_or_else(|_| panic!("the browser did not answer {method} {params}"));
+            match said["id"].as_u64() {
+                Some(answer) if answer == id => {
+                    assert!(said["error"].is_null(), "{method}: {}", said["error"]);
+                    return said["result"].clone();
+                }
+                Some(_) => {}
+                None => self.events.push(said),
+            }
+        }
+    }
+
+    /// Opens a file and waits until it is loaded and drawn.
+    pub(crate) fn open(&mut self, file: &Path) {
+        self.events.clear();
+        self.call("Page.navigate", json!({ "url": format!("file://{}", file.display()) }));
+        self.wait_until("document.readyState === 'complete'");
+        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+    }
+
+    /// The value of an expression in the page.
+    pub(crate) fn evaluate(&mut self, expression: &str) -> Value {
+        let asked = json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
+        let said = self.call("Runtime.evaluate", asked);
+        assert!(said["exceptionDetails"].is_null(), "{expression}: {}", said["exceptionDetails"]);
+        said["result"]["value"].clone()
+    }
+
+    /// Waits until an expression is true.
+    pub(crate) fn wait_until(&mut self, expression: &str) {
+        let until = Instant::now() + PATIENCE;
+        while self.evaluate(expression) != true {
+            assert!(Instant::now() < until, "it did not come true: {expression}");
+            std::thread::sleep(Duration::from_millis(30));
+        }
+    }
+
+    /// Drags the mouse with its left button, in steps.
+    pub(crate) fn drag(&mut self, from: [f64; 2], to: [f64; 2]) {
+        let at = |share: f64| [0, 1].map(|k| from[k] + share * (to[k] - from[k]));
+        let mut event = |kind: &str, [x, y]: [f64; 2], buttons: u32| {
+            let button = if kind == "mouseMoved" { "none" } else { "left" };
+            let mouse = json!({ "type": kind, "x": x, "y": y, "button": button, "buttons": buttons, "clickCount": 1 });
+            self.call("Input.dispatchMouseEvent", mouse);
+        };
+        event("mousePressed", from, 1);
+        (1..=6).for_each(|step| event("mouseMoved", at(f64::from(step) / 6.0), 1));
+        event("mouseReleased", to, 0);
+        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+    }
+
+    /// Errors that the page has told, and addresses that it has asked for, of all but itself.
+    pub(crate) fn complaints(&mut self, file: &Path) -> Vec<String> {
+        // What was said before this answer has come by then.
+        self.evaluate("1");
+        let own = format!("file://{}", file.display());
+        let fetched = |event: &Value| {
+            let url = event["params"]["request"]["url"].as_str().unwrap_or_default().to_owned();
+            let inside = url == own || url.starts_with("data:") || url.starts_with("blob:");
+            (!inside).then(|| format!("it asked for {url}"))
+        };
+        let said = |event: &Value| match event["method"].as_str().unwrap_or_default() {
+            "Runtime.exceptionThrown" => Some(event["params"]["exceptionDetails"].to_string()),
+            "Runtime.consoleAPICalled" if event["params"]["type"] == "error" => Some(event["params"].to_string()),
+            "Log.entryAdded" if event["params"]["entry"]["level"] == "error" => {
+                Some(event["params"]["entry"].to_string())
+            }
+            "Network.requestWillBeSent" => fetched(event),
+            _ => None,
+        };
+        self.events.iter().filter_map(said).collect()
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // Its helpers end with it.
+        let _ = self.to.write_all(b"{\"id\":0,\"method\":\"Browser.close\"}\0");
+        let until = Instant::now() + Duration::from_secs(10);
+        while Instant::now() < until && matches!(self.child.try_wait(), Ok(None)) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,171 @@
+//! The page of a run and of a sweep, as a browser shows it.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+#[path = "common/browser.rs"]
+mod browser;
+mod common;
+
+use browser::Browser;
+use common::{osteoflow, run_whole};
+use serde_json::{Value, json};
+use std::{fs, path::Path};
+
+/// Writes the report of a folder.
+fn report(dir: &Path) -> std::path::PathBuf {
+    osteoflow().arg("report").arg(dir).assert().success();
+    dir.join("report.html")
+}
+
+/// What the test looks at of every page: nothing complains, nothing is fetched, every drawing has a size and its words.
+fn check_page(browser: &mut Browser, page: &Path, n_drawings: usize) {
+    browser.open(page);
+    let sizes = browser.evaluate("[...document.querySelectorAll('.drawing svg')].map((s) => [s.getBoundingClientRect().width, s.getBoundingClientRect().height])");
+    let sizes = sizes.as_array().unwrap();
+    assert!(sizes.len() >= n_drawings, "{} drawings, at least {n_drawings} expected", sizes.len());
+    for size in sizes {
+        assert!(size[0].as_f64().unwrap() > 300.0 && size[1].as_f64().unwrap() > 150.0, "a drawing of {size} pixels");
+    }
+    let words = "[...document.querySelectorAll('figure, table')].every((f) => /SIMULATED/.test(f.textContent) && /research use only/.test(f.textContent))";
+    assert_eq!(browser.evaluate(words), true, "every figure and table says what it is");
+    assert_eq!(browser.complaints(page), Vec::<String>::new());
+    if let Some(to) = std::env::var_os("REPORT_SCREENSHOTS") {
+        screenshot(browser, &Path::new(&to).join(page.parent().unwrap().file_name().unwrap()));
+    }
+}
+
+/// The whole page as a picture, for those who want to look.
+fn screenshot(browser: &mut Browser, to: &Path) {
+    let height = browser.evaluate("document.documentElement.scrollHeight").as_f64().unwrap();
+    let metrics = json!({ "width": 1100, "height": height, "deviceScaleFactor": 1, "mobile": false });
+    browser.call("Emulation.setDeviceMetricsOverride", metrics);
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    let shot = browser.call("Page.captureScreenshot", json!({ "format": "png" }));
+    fs::write(to.with_extension("png.base64"), shot["data"].as_str().unwrap()).unwrap();
+    browser.call("Emulation.clearDeviceMetricsOverride", json!({}));
+}
+
+/// The pixels of a view: how many are not empty, and a number that tells two pictures apart.
+fn pixels(browser: &mut Browser, view: usize) -> Value {
+    browser.evaluate(&format!(
+        "(() => {{ const c = document.querySelectorAll('.view canvas')[{view}], gl = c.getContext('webgl'); \
+         const p = new Uint8Array(4 * c.width * c.height); gl.readPixels(0, 0, c.width, c.height, gl.RGBA, gl.UNSIGNED_BYTE, \
+         p); let n = 0, h = 0; for (let k = 0; k < p.length; k += 4) if (p[k + 3]) {{ n++; h = (31 * h + 7 * k + p[k] + \
+         256 * p[k + 1] + 65536 * p[k + 2]) >>> 0; }} return [n, h, c.width * c.height]; }})()"
+    ))
+}
+
+#[test]
+fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
+    let ran = run_whole("graphs/fibula.toml", &[]);
+    let page = report(ran.dir.path());
+    assert!(fs::metadata(&page).unwrap().len() < 10_000_000, "a page that can be mailed");
+    for file in ["figures/graph.svg", "figures/convergence.svg", "figures/tre-measured.svg", "citations.bib"] {
+        assert!(ran.dir.path().join(file).is_file(), "{file} is missing");
+    }
+    let bibliography = fs::read_to_string(ran.dir.path().join("citations.bib")).unwrap();
+    assert!(
+        bibliography.contains("@article{besl1992") && !bibliography.contains("segal2009"),
+        "what was used: {bibliography}"
+    );
+    for figure in fs::read_dir(ran.dir.path().join("figures")).unwrap() {
+        let path = figure.unwrap().path();
+        let text = fs::read_to_string(&path).unwrap();
+        roxmltree::Document::parse(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        assert!(!text.contains("NaN"), "{}", path.display());
+    }
+
+    let Some(mut browser) = Browser::start("the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse") else {
+        return;
+    };
+    check_page(&mut browser, &page, 5);
+    let shown = browser.evaluate("[...document.querySelectorAll('.missing')].map((p) => p.textContent)");
+    assert_eq!(shown, json!([]), "everything is recorded by the shipped graph");
+    let n_views = browser.evaluate("document.querySelectorAll('.view').length").as_u64().unwrap() as usize;
+    assert_eq!(n_views, 3, "residuals, points and cuts");
+    for view in 0..n_views {
+        let select = format!("document.querySelectorAll('.view canvas')[{view}]");
+        browser.evaluate(&format!("{select}.scrollIntoView({{ block: 'center' }})"));
+        browser.wait_until(&format!("{select}.width > 300 && {select}.getContext('webgl') !== null"));
+        browser.evaluate("new Promise((done) => setTimeout(done, 100))");
+        let before = pixels(&mut browser, view);
+        let filled = before[0].as_f64().unwrap() / before[2].as_f64().unwrap();
+        assert!(filled > 0.02, "view {view} is blank: {before}");
+        let at = browser.evaluate(&format!("(() => {{ const r = {select}.getBoundingClientRect(); return [r.left + r.width / 2, r.top + r.height / 2]; }})()"));
+        let at = [0, 1].map(|k| at[k].as_f64().unwrap());
+        browser.drag(at, [at[0] + 80.0, at[1] + 60.0]);
+        let turned = pixels(&mut browser, view);
+        assert!(
+            turned[0].as_u64().unwrap() > 1000 && turned[1] != before[1],
+            "view {view} does not turn: {before} {turned}"
+        );
+        browser.evaluate(&format!("{select}.dispatchEvent(new MouseEvent('dblclick'))"));
+        browser.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+        assert_eq!(pixels(&mut browser, view), before, "view {view} comes back");
+    }
+    assert_eq!(browser.complaints(&page), Vec::<String>::new());
+}
+
+#[test]
+fn a_wire_that_was_not_recorded_is_named_with_what_to_record() {
+    let ran = run_whole("graphs/fibula.toml", &["--set", "record.wires=[\"icp.report\"]"]);
+    let html = fs::read_to_string(report(ran.dir.path())).unwrap();
+    let said = "the wire to_bone.cloud was not recorded; add &quot;to_bone.cloud&quot; to wires in [record]";
+    assert!(html.contains(said), "{said}");
+    assert!(html.contains("icp.trace was not recorded"));
+    let bare = run_whole("graphs/fibula.toml", &["--no-record"]);
+    let html = fs::read_to_string(report(bare.dir.path())).unwrap();
+    assert!(html.contains("the run was not recorded") && html.contains("Results"));
+}
+
+#[test]
+fn a_folder_of_neither_a_run_nor_a_sweep_is_a_fault_of_the_command_line() {
+    let dir = tempfile::tempdir().unwrap();
+    let said = osteoflow().arg("report").arg(dir.path()).assert().code(2);
+    let said = String::from_utf8_lossy(&said.get_output().stderr).into_owned();
+    assert!(said.contains("manifest.json") && said.contains("sweep.json"), "{said}");
+}
+
+#[test]
+fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() {
+    let dir = tempfile::tempdir().unwrap();
+    let graph = dir.path().join("sweep.toml");
+    let shipped = common::root().join("graphs/fibula.toml");
+    let text = format!(
+        r#"
+        extends = "{}"
+        [sweep]
+        repeat = 4
+        same_seed = true
+        units = ["bone", "procedure"]
+        [sweep.factor]
+        bone = {{ keys = ["recording.bone.shape_seed", "plan.bone.shape_seed", "bone.bone.shape_seed"], values = [1] }}
+        icp = {{ key = "icp.kind", values = ["icp.point_to_point", "icp.point_to_plane"] }}
+        [sweep.draw]
+        gate_mm = {{ key = "icp.max_pair_distance_mm", uniform = [4.0, 6.0] }}
+        [sweep.columns]
+        tre_z_mm = "metrics.tre_true_mm.mean_signed.z"
+        converged = "icp.converged"
+        [sweep.points]
+        tre_true_mm = {{ from = "metrics.tre_true_mm.points" }}
+        "#,
+        shipped.display()
+    );
+    fs::write(&graph, text).unwrap();
+    let out = dir.path().join("swept");
+    osteoflow().arg("sweep").arg(&graph).arg("--out").arg(&out).assert().success();
+    let page = report(&out);
+    for file in ["column-tre_z_mm", "points-tre_true_mm", "scatter-tre_z_mm-gate_mm"] {
+        assert!(out.join(format!("figures/{file}.svg")).is_file(), "{file} is missing");
+    }
+    let html = fs::read_to_string(&page).unwrap();
+    for word in ["8 runs", "gate_mm, uniform from 4 to 6", "bone &gt; procedure", "point_to_plane", "chen1992", "r = "]
+    {
+        assert!(html.contains(word), "{word} is missing");
+    }
+    let Some(mut browser) =
+        Browser::start("the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn")
+    else {
+        return;
+    };
+    check_page(&mut browser, &page, 3);
+}
