@@ -81,7 +81,7 @@ fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
     let shown = browser.evaluate("[...document.querySelectorAll('.missing')].map((p) => p.textContent)");
     assert_eq!(shown, json!([]), "everything is recorded by the shipped graph");
     let n_views = browser.evaluate("document.querySelectorAll('.view').length").as_u64().unwrap() as usize;
-    assert_eq!(n_views, 3, "residuals, points and cuts");
+    assert_eq!(n_views, 5, "residuals, points, cuts, the fragment in place and carried back");
     for view in 0..n_views {
         let select = format!("document.querySelectorAll('.view canvas')[{view}]");
         browser.evaluate(&format!("{select}.scrollIntoView({{ block: 'center' }})"));
@@ -106,6 +106,21 @@ fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
 }
 
 #[test]
+fn a_run_that_comes_out_otherwise_when_it_is_run_again_is_not_drawn() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = swept(dir.path());
+    for run in fs::read_dir(out.join("runs")).unwrap() {
+        let path = run.unwrap().path();
+        let mut run = common::json(&path);
+        run["results"]["icp"]["iterations"] = 1.into();
+        fs::write(path, run.to_string()).unwrap();
+    }
+    let html = fs::read_to_string(report(&out)).unwrap();
+    assert!(html.contains("run again from the frozen graph it gives other results"));
+    assert!(!html.contains("data-scene"), "no fragment is drawn");
+}
+
+#[test]
 fn a_wire_that_was_not_recorded_is_named_with_what_to_record() {
     let ran = run_whole("graphs/fibula.toml", &["--set", "record.wires=[\"icp.report\"]"]);
     let html = fs::read_to_string(report(ran.dir.path())).unwrap();
@@ -125,10 +140,9 @@ fn a_folder_of_neither_a_run_nor_a_sweep_is_a_fault_of_the_command_line() {
     assert!(said.contains("manifest.json") && said.contains("sweep.json"), "{said}");
 }
 
-#[test]
-fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() {
-    let dir = tempfile::tempdir().unwrap();
-    let graph = dir.path().join("sweep.toml");
+/// A small sweep, in a folder of its own.
+fn swept(dir: &Path) -> std::path::PathBuf {
+    let graph = dir.join("sweep.toml");
     let shipped = common::root().join("graphs/fibula.toml");
     let text = format!(
         r#"
@@ -151,8 +165,15 @@ fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() 
         shipped.display()
     );
     fs::write(&graph, text).unwrap();
-    let out = dir.path().join("swept");
+    let out = dir.join("swept");
     osteoflow().arg("sweep").arg(&graph).arg("--out").arg(&out).assert().success();
+    out
+}
+
+#[test]
+fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = swept(dir.path());
     let page = report(&out);
     for file in ["column-tre_z_mm", "points-tre_true_mm", "scatter-tre_z_mm-gate_mm"] {
         assert!(out.join(format!("figures/{file}.svg")).is_file(), "{file} is missing");
@@ -168,4 +189,6 @@ fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() 
         return;
     };
     check_page(&mut browser, &page, 3);
+    let maps = browser.evaluate("document.querySelectorAll('.view').length");
+    assert_eq!(maps, 4, "two fragments, each in place and carried back");
 }

@@ -101,6 +101,19 @@ pub(crate) fn check_row(path: &Path, sets: &[String], row: &[String], kinds: Kin
     }
 }
 
+/// The same from the text of the frozen graph, which stood at `path`, with `sets` besides.
+pub(crate) fn check_frozen(
+    text: String,
+    path: &Path,
+    row: &[String],
+    sets: &[String],
+    kinds: &Kinds,
+) -> Result<Checked, Faults> {
+    let mut faults = Vec::new();
+    let graph = graph::load_frozen(text, path, row, sets, &mut faults);
+    Check::new(&known(&graph, kinds), Files::Needed, faults).graph(&graph, path)
+}
+
 /// The same for a file that may also be a module's.
 ///
 /// # Errors

@@ -79,6 +79,17 @@ pub(crate) fn load_row(path: &Path, sets: &[String], row: &[String], faults: &mu
     }
 }
 
+/// The same for a run of a sweep, from the text of its frozen graph; `sets` come after what the run set.
+pub(crate) fn load_frozen(
+    text: String,
+    path: &Path,
+    row: &[String],
+    sets: &[String],
+    faults: &mut Vec<Fault>,
+) -> Graph {
+    load_with(text, path, &[set::Sets::row(row, path), set::Sets::command_line(sets)], faults)
+}
+
 /// The same with the text of the graph file at hand.
 pub(crate) fn load_text(text: String, path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Graph {
     load_with(text, path, &[set::Sets::command_line(sets)], faults)

@@ -137,6 +137,21 @@ pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>, workers: usi
     Ok(Sweep { spec: *spec, warnings, plan, registry, runs, hash })
 }
 
+/// Checks a run of a sweep once more from what its folder holds: the frozen graph with what the run has set in it, and with
+/// `sets` besides. Who runs it compares its results with those that are there: program and inputs may have changed.
+///
+/// # Errors
+/// If the folder cannot be read; within, the faults that the graph has now.
+pub fn again(
+    folder: &Folder,
+    run: usize,
+    sets: &[String],
+    kinds: &Kinds,
+) -> Result<Result<Checked, Faults>, FolderError> {
+    let path = Path::new(folder.about["graph"]["file"].as_str().unwrap_or(GRAPH));
+    Ok(check::check_frozen(folder.graph()?, path, &folder.sets(run)?, sets, kinds))
+}
+
 /// The plans of all rows; they are looked at together, and the first with faults is told.
 fn check_rows(path: &Path, sets: &[String], kinds: &Kinds, rows: Vec<Row>, workers: usize) -> Result<Vec<Run>, Faults> {
     let (next, places) = (AtomicUsize::new(0), rows.iter().map(|_| Mutex::new(None)).collect::<Vec<_>>());

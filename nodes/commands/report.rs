@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, UsageError, out_dir, print_json};
+use super::{Exit, Format, Global, PluginArgs, UsageError, out_dir, print_json};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::sweep;
@@ -12,6 +12,7 @@ use std::{
 ///
 /// The page opens without a network. Beside it lie its drawings (figures/*.svg) and the literature of the nodes that were
 /// used (citations.bib). Of a run it shows the recorded wires; what was not recorded is named, with what to record.
+/// Of a sweep two runs are run once more, for their surfaces.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -22,6 +23,9 @@ pub(crate) struct Report {
     /// The folder of a run or of a sweep.
     dir: PathBuf,
 
+    #[command(flatten)]
+    plugins: PluginArgs,
+
     /// The page. Default: report.html in DIR.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -31,7 +35,7 @@ impl Report {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let registry = super::registry();
         let report = match self.holds() {
-            Holds::Sweep => osteoflow_report::of_sweep(&self.dir, &registry)?,
+            Holds::Sweep => osteoflow_report::of_sweep(&self.dir, &registry, &self.plugins.kinds()?)?,
             Holds::Run => osteoflow_report::of_run(&self.dir, &registry)?,
             Holds::Neither => {
                 let said = format!(

@@ -231,6 +231,25 @@ impl Folder {
         })
     }
 
+    /// The frozen graph.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn graph(&self) -> Result<String, FolderError> {
+        let path = self.dir.join(GRAPH);
+        fs::read_to_string(&path).map_err(|source| FolderError::Read { path: path.display().to_string(), source })
+    }
+
+    /// What a run has set in the graph, as `--set` takes it.
+    pub(super) fn sets(&self, run: usize) -> Result<Vec<String>, FolderError> {
+        let path = self.dir.join(RUNS_DIR).join(file_name(run)).display().to_string();
+        let text = fs::read_to_string(&path).map_err(|source| FolderError::Read { path: path.clone(), source })?;
+        let json: Json = serde_json::from_str(&text)
+            .map_err(|error| FolderError::Form { path: path.clone(), what: error.to_string() })?;
+        let sets = json["set"].as_array().ok_or(FolderError::Form { path, what: "no settings".into() })?;
+        Ok(sets.iter().filter_map(Json::as_str).map(str::to_owned).collect())
+    }
+
     /// Keeps a run that came to its end, with what it set in the graph.
     pub(super) fn keep(&self, done: &Done, sets: &[String]) -> Result<(), FolderError> {
         let values: serde_json::Map<_, _> = done.values.iter().cloned().collect();
@@ -296,10 +315,7 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     if let Some(run) = missing.next() {
         return Err(FolderError::Missing { n: 1 + missing.count(), all, first: run });
     }
-    let graph = first.dir.join(GRAPH);
-    let graph =
-        fs::read_to_string(&graph).map_err(|source| FolderError::Read { path: graph.display().to_string(), source })?;
-    let folder = Folder::begin(dir, &graph, about)?;
+    let folder = Folder::begin(dir, &first.graph()?, about)?;
     for (run, shard) in from {
         let name = format!("{RUNS_DIR}/{}", file_name(run));
         let path = shard.dir.join(&name);

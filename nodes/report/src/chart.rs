@@ -120,7 +120,7 @@ pub(crate) struct Chart {
     pub(crate) x: Axis,
     pub(crate) y: Axis,
     pub(crate) series: Vec<Series>,
-    /// Said inside the plot, above.
+    /// Said above the plot.
     pub(crate) note: String,
     pub(crate) simulated: bool,
 }
@@ -173,8 +173,8 @@ impl Chart {
             let _ = writeln!(
                 out,
                 "<text class=\"small\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-                WIDTH - RIGHT - 6.0,
-                top + 14.0,
+                WIDTH - RIGHT,
+                18.0,
                 escaped(&self.note)
             );
         }

@@ -1,5 +1,6 @@
 //! The page of one run.
 
+pub(crate) mod fragments;
 mod views;
 
 use crate::{
@@ -41,6 +42,9 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     views::assessment(&mut page, &run);
     page.section("Cuts");
     views::cuts(&mut page, &run);
+    if fragments::node(&run).is_some() {
+        fragments::maps(&mut page, &run, "");
+    }
     page.section("Results");
     tables::results(&mut page, &run.results);
     page.section("Methods");

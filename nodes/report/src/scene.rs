@@ -69,6 +69,13 @@ impl Scene {
         self.parts.push(json!({ "type": "mesh", "own": data, "colour": colour, "opacity": opacity }));
     }
 
+    /// A surface coloured by a signed value at each vertex; beyond `most` the end colours go on.
+    pub(crate) fn coloured_mesh(&mut self, vertices: &[Point3<f64>], faces: &[[u32; 3]], values: &[f64], most: f64) {
+        let mut own = indexed(vertices, faces);
+        own["values"] = levels(values, most).into();
+        self.parts.push(json!({ "type": "mesh", "own": own, "ramp": DIVERGING }));
+    }
+
     /// Points as little balls.
     pub(crate) fn points(&mut self, points: &[Point3<f64>], radius_mm: f64, colour: &str) {
         self.parts.push(json!({ "type": "points", "own": positions(points), "colour": colour, "radius": radius_mm }));
@@ -132,6 +139,14 @@ impl Scene {
         }
         out + "</div>"
     }
+}
+
+/// The next of 1, 1.5, 2, 3, 4, 5, 6, 8, 10 times a power of ten: where a colour bar ends.
+pub(crate) fn round_up(value: f64) -> f64 {
+    let value = value.max(1e-6);
+    let power = 10f64.powf(value.log10().floor());
+    let steps = [1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0];
+    steps.into_iter().map(|step| step * power).find(|step| *step >= value * (1.0 - 1e-9)).unwrap_or(value)
 }
 
 fn any_across(v: &Vector3<f64>) -> Vector3<f64> {
@@ -246,6 +261,14 @@ mod tests {
             })
             .collect();
         Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap()
+    }
+
+    #[test]
+    fn a_colour_bar_ends_at_a_round_number() {
+        let ends = [0.138, 0.15, 0.151, 0.94, 0.2, 12.0].map(round_up);
+        for (end, expected) in ends.into_iter().zip([0.15, 0.15, 0.2, 1.0, 0.2, 15.0]) {
+            assert!((end - expected).abs() < 1e-9, "{end} is not {expected}");
+        }
     }
 
     #[test]

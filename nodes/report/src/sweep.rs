@@ -1,13 +1,15 @@
 //! The page of a sweep: what was asked, figures of every column, and the statistics that the sweep has left.
 
+mod again;
 mod figures;
 mod statistics;
 
 use crate::{Report, ReportError, citations, evidence, html::Page, methods, provenance};
-use osteoflow_engine::sweep::{Column, Distribution, Done, Folder, GRAPH, PointValue, Spec, at_path, point_values};
+use osteoflow_engine::plugin::Kinds;
+use osteoflow_engine::sweep::{Column, Distribution, Done, Folder, PointValue, Spec, at_path, point_values};
 use osteoflow_node::Registry;
 use serde_json::Value as Json;
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{collections::BTreeMap, path::Path};
 
 /// A sweep to report on.
 struct Swept {
@@ -18,9 +20,12 @@ struct Swept {
 
 /// The report of the sweep whose folder this is.
 ///
+/// Its folder holds no surfaces, so the run in the middle and the worst one are run once more with `kinds`, for the maps of
+/// their fragments; where that gives other results than those that are there, the page says so and shows none.
+///
 /// # Errors
 /// If the folder holds no sweep, or its files cannot be read.
-pub fn of_sweep(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
+pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report, ReportError> {
     let folder = Folder::open(dir)?;
     let runs = folder.done()?.collect::<Result<Vec<_>, _>>()?;
     let sweep = Swept { spec: folder.spec()?, about: folder.about.clone(), runs };
@@ -35,13 +40,14 @@ pub fn of_sweep(dir: &Path, registry: &Registry) -> Result<Report, ReportError> 
     figures::columns(&mut page, &sweep);
     figures::points(&mut page, &sweep);
     figures::draws(&mut page, &sweep);
+    again::maps(&mut page, &sweep, &folder, kinds);
     page.section("Statistics");
     match dir.join("summary.json") {
         path if path.is_file() => statistics::tables(&mut page, &sweep, &evidence::json(&path)?),
         _ => page.missing("The table of statistics", "the folder holds no summary.json, which a finished sweep leaves"),
     }
     page.section("Methods");
-    let graph = fs::read_to_string(dir.join(GRAPH)).unwrap_or_default();
+    let graph = folder.graph()?;
     methods::of_sweep(&mut page, &sweep.methods(simulated), &graph, registry);
     page.section("Provenance");
     provenance::of_sweep(&mut page, dir, &sweep.about);

@@ -89,8 +89,8 @@ fn linear(values: &[f64], start: f64, end: f64) -> Scale {
     let raw = (to - from) / 6.0;
     let power = 10f64.powf(raw.log10().floor());
     let step = [1.0, 2.0, 2.5, 5.0, 10.0].map(|m| m * power).into_iter().find(|step| *step >= raw).unwrap_or(raw);
-    let digits = (-(step.log10() + 1e-9).floor()).max(0.0) as usize;
-    let digits = if (step / power - 2.5).abs() < 1e-9 { digits + 1 } else { digits };
+    let one_more = if (step / power - 2.5).abs() < 1e-9 { 1.0 } else { 0.0 };
+    let digits = (one_more - (step.log10() + 1e-9).floor()).max(0.0) as usize;
     let first = (from / step - 1e-9).ceil() as i64;
     let last = (to / step + 1e-9).floor() as i64;
     let ticks = (first..=last).map(|k| (k as f64 * step, told(k as f64 * step, digits))).collect();
@@ -187,6 +187,8 @@ mod tests {
         assert!(scale.place(-0.31) > 0.0 && scale.place(0.72) < 100.0);
         let scale = Axis::Linear("a".into()).scale(&[3.0, 3.0], 0.0, 100.0);
         assert!((scale.place(3.0) - 50.0).abs() < 1e-9, "one value lies in the middle");
+        let scale = Axis::Linear("a".into()).scale(&[0.0, 140.0], 0.0, 100.0);
+        assert_eq!(scale.ticks[1].1, "25", "quarters of a hundred have no digits behind the point");
         let counts = Axis::Log("n".into()).scale(&[100.0, 20_000.0], 0.0, 100.0);
         let words: Vec<_> = counts.ticks.iter().map(|(_, word)| word.as_str()).collect();
         assert_eq!(words, ["100", "1000", "10\u{202f}000"]);

@@ -1,11 +1,11 @@
 //! The views of a run in three dimensions: the scan on the surface, points, cuts.
 
-use super::fine;
+use super::{fine, fragments};
 use crate::{
     chart::{Axis, Chart, Mark, Series},
     evidence::Evidence,
     html::{Cell, Page, number},
-    scene::{self, BLUE, BONE, RED, Scene},
+    scene::{self, BLUE, BONE, RED, Scene, round_up},
 };
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_algorithms::{
@@ -130,14 +130,6 @@ fn histogram(page: &mut Page, values: &[f64]) {
         chart.svg(),
         "How the distances of the scan's points from the CT surface are distributed.",
     );
-}
-
-/// The next of 1, 1.5, 2, 3, 4, 5, 6, 8, 10 times a power of ten.
-pub(crate) fn round_up(value: f64) -> f64 {
-    let value = value.max(1e-6);
-    let power = 10f64.powf(value.log10().floor());
-    let steps = [1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0];
-    steps.into_iter().map(|step| step * power).find(|step| *step >= value * (1.0 - 1e-9)).unwrap_or(value)
 }
 
 /// Where the registration puts the assessment points, and where they were measured.
@@ -269,16 +261,10 @@ fn errors(page: &mut Page, report: &TreReport, name: &str, source: &str) {
 /// Planned planes, and where the bone would be cut.
 pub(super) fn cuts(page: &mut Page, run: &Evidence) {
     const WHAT: &str = "Planned against executed cuts";
-    let Some(node) = run.node_of_kind("metrics.cuts") else {
-        return page.missing(WHAT, "the graph has no node metrics.cuts, which needs the true registration");
-    };
+    let Some(node) = fragments::node(run) else { return page.missing(WHAT, fragments::NO_NODE) };
     let gathered = || -> Result<_, String> {
         let planned: Planes = run.input(node, "planes")?;
-        let registered: Pose = run.input(node, "t_ct_world")?;
-        let truth: Pose = run.input(node, "t_ct_world_true")?;
-        // Executed: carried to the world by the registration, and back by the truth.
-        let slip = truth.compose(&registered.inverse()).map_err(|e| e.to_string())?;
-        let slip = slip.expect(&planned.frame, &planned.frame).map_err(|e| e.to_string())?;
+        let slip = fragments::slip(run, node, &planned)?;
         Ok((bone(run)?, planned, slip))
     };
     let (bone, planned, slip) = match gathered() {
@@ -307,9 +293,11 @@ pub(super) fn cuts(page: &mut Page, run: &Evidence) {
     let caption = "Planned cuts (blue) and the cuts that the registration leads to (red), on the CT surface: each planned \
                    plane is carried to the world by the registration and back by the true pose. Nothing was cut.";
     page.view(&scene, caption);
-    match run.value::<CutsReport>(&format!("{node}.report")) {
-        Ok(report) => cut_table(page, &report),
-        Err(_) => page.text("How far the cuts are off is told under Results."),
+    let report =
+        run.node_of_kind("metrics.cuts").and_then(|node| run.value::<CutsReport>(&format!("{node}.report")).ok());
+    match report {
+        Some(report) => cut_table(page, &report),
+        None => page.text("How far the cuts are off is told under Results."),
     }
 }
 
@@ -333,17 +321,4 @@ fn square(plane: &Plane) -> Option<Vec<Point3<f64>>> {
 
 fn edges(corners: &[Point3<f64>]) -> Vec<Point3<f64>> {
     (0..corners.len()).flat_map(|k| [corners[k], corners[(k + 1) % corners.len()]]).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::round_up;
-
-    #[test]
-    fn a_colour_bar_ends_at_a_round_number() {
-        let ends = [0.138, 0.15, 0.151, 0.94, 0.2, 12.0].map(round_up);
-        for (end, expected) in ends.into_iter().zip([0.15, 0.15, 0.2, 1.0, 0.2, 15.0]) {
-            assert!((end - expected).abs() < 1e-9, "{end} is not {expected}");
-        }
-    }
 }

@@ -255,7 +255,7 @@ fn scatter(page: &mut Page, sweep: &Swept, draw: &Draw, column: &Column) {
             .collect();
         let (x, y): (Vec<f64>, Vec<f64>) = pairs.iter().map(|(x, y, _)| (*x, *y)).unzip();
         let said = match pearson(&x, &y, 0.95) {
-            Ok(found) => format!("r = {:.2}, n = {} runs", found.r, found.n),
+            Ok(found) => format!("r = {:.2}, n = {} runs", found.r, found.n).replace('-', "\u{2212}"),
             Err(why) => format!("no correlation: {why}"),
         };
         let named = if settings.len() > 1 && apart { format!("{name}: {said}") } else { said };

@@ -111,3 +111,52 @@ fn table(page: &mut Page, what: &str, groups: &[&Json], rows: Vec<Row>) {
     let cells: Vec<Vec<Cell>> = rows.iter().map(|row| head.iter().map(|name| cell(row, name)).collect()).collect();
     page.table(&format!("{what}: n rows, and of how many units."), &head, &cells);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn every_row_has_n_its_units_and_an_interval_or_why_there_is_none() {
+        let spec = json!({
+            "repeat": 4, "repeat_name": "procedure", "same_seed": false, "factors": [], "pair": [], "draws": [],
+            "units": ["bone", "procedure"], "columns": [{ "name": "tre_mm", "path": "a" }, { "name": "z_mm", "path": "b" }],
+            "points": [{ "name": "tre_true_mm", "path": "p", "label": "name", "axes": ["x"] }], "limits": [], "compare": null,
+        });
+        let of = |interval: Json| json!({ "n": 4, "mean": 0.5, "sd": 0.1, "mean_interval": interval, "sd_within_points": 0.07 });
+        let mut tre = of(json!({ "no_interval": "1 bone only" }));
+        tre["share_below"] = json!({
+            "limit": 2.0, "share": 0.75, "n_hits": 3, "n": 4, "interval": { "level": 0.95, "low": 0.3, "high": 0.95 },
+        });
+        let summary = json!({
+            "groups": [{
+                "setting": { "icp": "icp.point_to_plane" }, "n_runs": 4, "n_without_results": 1,
+                "units": [{ "name": "bone", "n": 1 }, { "name": "procedure", "n": 4 }],
+                "columns": { "tre_mm": tre, "z_mm": of(json!({ "level": 0.95, "low": 0.4, "high": 0.6 })) },
+                "points": { "tre_true_mm": { "x": of(Json::Null) } },
+            }],
+            "comparisons": [{ "column": "tre_mm", "a": "p", "b": "q", "n": 4, "unit": "procedure", "wilcoxon": { "p": 0.125 } }],
+            "notes": ["two runs were refused"],
+        });
+        let spec = serde_json::from_value(spec).unwrap();
+        let sweep = Swept { spec, about: Json::Null, runs: Vec::new() };
+        let mut page = Page::new("a sweep", false);
+        tables(&mut page, &sweep, &summary);
+        let (html, _) = page.finish("");
+        for word in [
+            "1 bone, 4 procedure",
+            "none: 1 bone only",
+            "75.0 % (3 of 4), 30 to 95 (95 %)",
+            "share below 2",
+            "0.400 to 0.600 (95 %)",
+            "SD within points",
+            "without results",
+            "wilcoxon.p",
+            "two runs were refused",
+            "icp.point_to_plane",
+        ] {
+            assert!(html.contains(word), "{word} is missing:\n{html}");
+        }
+    }
+}

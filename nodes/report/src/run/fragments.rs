@@ -1,0 +1,179 @@
+//! The fragment that the executed cuts take out of the bone, coloured by its distance from the planned one.
+
+use crate::{
+    evidence::Evidence,
+    html::{Page, number},
+    scene::{self, BONE, Scene, round_up},
+};
+use nalgebra::{Isometry3, Point3, Vector3};
+use osteoflow_algorithms::{
+    axes::principal_axes,
+    fragment::{Fragment, HalfSpace, Part, between},
+    mesh_query::MeshQuery,
+    metrics::{CutDifferenceParams, DistanceSummary, PlannedFragment, signed_distances},
+};
+use osteoflow_engine::plan::Plan;
+use osteoflow_geometry::{Mesh, Planes, Pose};
+use osteoflow_statistics::quantile;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// The kinds whose inputs say how the bone is cut.
+const KINDS: [&str; 2] = ["metrics.cut_difference", "metrics.cuts"];
+
+/// What is left of the bone begins so far beyond the planned cuts, mm, so that the fragment's own faces are seen.
+const GAP_MM: f64 = 3.0;
+
+/// Bone farther than this from the fragment's middle is left out, mm.
+const AROUND_MM: f64 = 60.0;
+
+/// Said where there is none.
+pub(crate) const NO_NODE: &str =
+    "the graph has no node metrics.cut_difference or metrics.cuts, which need the true registration";
+
+/// The node that knows how the bone is cut.
+pub(crate) fn node(run: &Evidence) -> Option<&str> {
+    KINDS.iter().find_map(|kind| run.node_of_kind(kind))
+}
+
+/// The wires that the maps are made of, if the graph has them.
+pub(crate) fn wires(plan: &Plan) -> Option<Vec<String>> {
+    let node = KINDS.iter().find_map(|kind| plan.nodes.iter().find(|node| node.kind == *kind))?;
+    let wanted = ["planes", "bone", "t_ct_world", "t_ct_world_true"];
+    let wire = |name: &str| {
+        let input = node.inputs.iter().find(|input| input.port.name == name)?;
+        Some(plan.wire_name(plan.links[input.link?].from))
+    };
+    wanted.into_iter().map(wire).collect()
+}
+
+/// Two views of the executed fragment: as it lies in the bone, and carried back by the error. `of` says of which run.
+pub(crate) fn maps(page: &mut Page, run: &Evidence, of: &str) {
+    if let Err(why) = drawn(page, run, of) {
+        page.missing(&format!("The fragment{of} against the planned one"), &why);
+    }
+}
+
+fn drawn(page: &mut Page, run: &Evidence, of: &str) -> Result<(), String> {
+    let node = node(run).ok_or(NO_NODE)?;
+    let bone: Mesh = run.input(node, "bone")?;
+    let planned: Planes = run.input(node, "planes")?;
+    let slip = slip(run, node, &planned)?;
+    let params = CutDifferenceParams::default();
+    let plan = PlannedFragment::new(&bone, &planned, &params).map_err(|e| e.to_string())?;
+    let executed = plan.executed(&slip).map_err(|e| e.to_string())?;
+    let compared = plan.against(&slip).map_err(|e| e.to_string())?;
+    let cuts = between(&bone, &planned).map_err(|e| e.to_string())?;
+
+    let surface = MeshQuery::new(&plan.fragment().mesh);
+    surface.prepare();
+    let back = slip.inverse();
+    let (in_place, faces) = with_edges(&executed);
+    let aligned: Vec<Point3<f64>> = in_place.iter().map(|p| back * p).collect();
+    let [here, there] = [&in_place, &aligned].map(|points| distances(points, &surface));
+    let mut sizes: Vec<f64> = here.iter().chain(&there).map(|d| d.abs()).collect();
+    // One range for both, so that they can be told apart.
+    let most = round_up(quantile(&mut sizes, 0.98).max(1e-3));
+    let left = left_of(&bone, &cuts, &plan.middle());
+    let z = principal_axes(&bone).columns.column(2).into_owned();
+    for (points, values, what, summary) in [
+        (&in_place, &here, "as it lies in the bone", &compared.in_place.surface),
+        (
+            &aligned,
+            &there,
+            "carried back by the inverse of the error, so that its cuts lie on the planned ones",
+            &compared.aligned.surface,
+        ),
+    ] {
+        let mut scene = Scene::looking(points, z, Vector3::zeros());
+        scene.mesh(scene::indexed(&left.0, &left.1), BONE, 1.0);
+        scene.coloured_mesh(points, &faces, values, most);
+        scene.key(BONE, "bone beyond the planned cuts");
+        scene.ramp("executed fragment, signed distance from the planned one", most);
+        let DistanceSummary { n, mean_mm, sd_mm, max_mm, .. } = summary;
+        let caption = format!(
+            "The executed fragment{of}, {what}, coloured by the signed distance of its vertices from the planned fragment \
+             (red: outside it). Surface to surface, both ways: {} \u{b1} {} mm, at most {} mm (n = {n} points of one pair of \
+             fragments).",
+            number(*mean_mm),
+            number(*sd_mm),
+            number(*max_mm),
+        );
+        page.view(&scene, &caption);
+    }
+    Ok(())
+}
+
+/// The motion from a planned plane to the executed one, in the bone: to the world by the registration, back by the truth.
+pub(crate) fn slip(run: &Evidence, node: &str, planned: &Planes) -> Result<Isometry3<f64>, String> {
+    let registered: Pose = run.input(node, "t_ct_world")?;
+    let truth: Pose = run.input(node, "t_ct_world_true")?;
+    let slip = truth.compose(&registered.inverse()).map_err(|e| e.to_string())?;
+    slip.expect(&planned.frame, &planned.frame).map_err(|e| e.to_string())
+}
+
+fn distances(points: &[Point3<f64>], surface: &MeshQuery) -> Vec<f64> {
+    points.par_chunks(512).flat_map_iter(|points| signed_distances(points, surface)).collect()
+}
+
+/// The fragment with vertices of their own for each cut face, so that its edges are sharp.
+fn with_edges(fragment: &Fragment) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
+    let mut vertices = fragment.mesh.vertices().to_vec();
+    let mut own: BTreeMap<(usize, u32), u32> = BTreeMap::new();
+    let mut corner = |part: &Part, vertex: u32| match part {
+        Part::Wall => vertex,
+        Part::Cap(cut) => *own.entry((*cut, vertex)).or_insert_with(|| {
+            vertices.push(vertices[vertex as usize]);
+            vertices.len() as u32 - 1
+        }),
+    };
+    let faces = fragment.mesh.faces().iter().zip(&fragment.parts);
+    let faces = faces.map(|(face, part)| face.map(|vertex| corner(part, vertex))).collect();
+    (vertices, faces)
+}
+
+/// The bone near the fragment beyond either planned cut, as far as it is left.
+fn left_of(bone: &Mesh, cuts: &[HalfSpace; 2], middle: &Point3<f64>) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
+    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
+    let near = |face: &usize| bone.corners(*face).iter().all(|p| (p - middle).norm() <= AROUND_MM);
+    for face in (0..bone.faces().len()).filter(near) {
+        for cut in cuts {
+            let kept = clipped(&bone.corners(face), |p| -cut.height_mm(p) - GAP_MM);
+            let first = vertices.len() as u32;
+            faces.extend((2..kept.len() as u32).map(|k| [first, first + k - 1, first + k]));
+            vertices.extend(kept);
+        }
+    }
+    (vertices, faces)
+}
+
+/// The part of a triangle where `height` is positive: up to four corners.
+fn clipped(corners: &[Point3<f64>; 3], height: impl Fn(&Point3<f64>) -> f64) -> Vec<Point3<f64>> {
+    let mut kept = Vec::new();
+    for k in 0..3 {
+        let (a, b) = (corners[k], corners[(k + 1) % 3]);
+        let (at_a, at_b) = (height(&a), height(&b));
+        if at_a > 0.0 {
+            kept.push(a);
+        }
+        if (at_a > 0.0) != (at_b > 0.0) {
+            kept.push(a + (b - a) * (at_a / (at_a - at_b)));
+        }
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_triangle_is_clipped_to_what_lies_above() {
+        let corners = [Point3::new(0.0, 0.0, -1.0), Point3::new(2.0, 0.0, 1.0), Point3::new(-2.0, 0.0, 1.0)];
+        let kept = clipped(&corners, |p| p.z);
+        assert_eq!(kept.len(), 4);
+        assert!(kept.iter().all(|p| p.z >= -1e-12));
+        assert_eq!(clipped(&corners, |p| p.z - 5.0).len(), 0);
+        assert_eq!(clipped(&corners, |p| p.z + 5.0), corners);
+    }
+}
