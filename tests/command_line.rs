@@ -23,6 +23,8 @@ const COMMANDS: &[(&str, &str)] = &[
     ("recover", "OUT"),
     ("sweep", "--resume"),
     ("report", "citations.bib"),
+    ("compare", "paired"),
+    ("reproduce", "--bone"),
     ("simulate", "--seed"),
     ("new", "plugin"),
     ("completions", "bash"),

@@ -1,6 +1,7 @@
 //! The subcommands, one file each, and what they share: switches, exit codes, the registry.
 
 mod check;
+mod compare;
 mod completions;
 mod diff;
 mod digest;
@@ -23,6 +24,7 @@ mod register;
 mod replay;
 mod report;
 mod repro;
+mod reproduce;
 mod result_table;
 mod run;
 mod run_table;
@@ -30,6 +32,8 @@ mod running;
 mod schema;
 mod simulate;
 mod simulate_folder;
+mod summary;
+mod summary_table;
 mod sweep;
 mod text_table;
 mod validate;
@@ -162,6 +166,8 @@ pub(crate) enum Command {
     Repro(repro::Repro),
     Sweep(sweep::Sweep),
     Report(report::Report),
+    Compare(compare::Compare),
+    Reproduce(reproduce::Reproduce),
     Simulate(simulate::Simulate),
     New(new::New),
     Completions(completions::Completions),
@@ -187,6 +193,8 @@ impl Command {
             Self::Schema(command) => command.execute(global),
             Self::Sweep(command) => command.execute(global),
             Self::Report(command) => command.execute(global),
+            Self::Reproduce(command) => command.execute(global),
+            Self::Compare(command) => command.execute(global),
             Self::Simulate(command) => command.execute(global),
             Self::New(command) => command.execute(global),
             Self::Completions(command) => command.execute(global),

@@ -1,4 +1,7 @@
-use super::{Exit, Format, Global, PluginArgs, UsageError, graph_args, out_dir, print_json, run::Keep, running};
+use super::{
+    Exit, Format, Global, PluginArgs, UsageError, graph_args, out_dir, print_json, run::Keep, running, summary,
+    summary_table,
+};
 use anyhow::Result;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -12,6 +15,9 @@ use std::{
     sync::Arc,
     time::{Duration, Instant},
 };
+
+/// The statistics of the columns.
+pub(crate) const SUMMARY: &str = "summary.json";
 
 /// Run a graph many times as its table [sweep] says, and make tables of what came out.
 ///
@@ -129,7 +135,7 @@ impl Sweep {
         let of_thread = folder.clone();
         let ran = running::watch(super::progress::Progress::hidden(), cancelled, move |_| {
             let swept = sweep.run(&of_thread, &options, &bar)?;
-            bar.0.finish_and_clear();
+            bar.end();
             Ok(swept)
         })?;
         match ran {
@@ -140,7 +146,7 @@ impl Sweep {
 }
 
 /// Another command line helps where the folder is not what was meant.
-fn told(error: FolderError) -> anyhow::Error {
+pub(crate) fn told(error: FolderError) -> anyhow::Error {
     match error {
         FolderError::NoSweep { .. } | FolderError::Other { .. } | FolderError::Missing { .. } => {
             UsageError(error.to_string()).into()
@@ -150,7 +156,7 @@ fn told(error: FolderError) -> anyhow::Error {
 }
 
 /// An empty folder; one with a sweep in it may be gone on with.
-fn new_dir(asked: Option<&Path>, graph: &str) -> Result<PathBuf> {
+pub(crate) fn new_dir(asked: Option<&Path>, graph: &str) -> Result<PathBuf> {
     if let Some(dir) = asked.filter(|dir| dir.join(sweep::DESIGN).is_file()) {
         let dir = dir.display();
         let said = format!("{dir} holds a sweep already; go on with it by --resume, or name another folder");
@@ -162,26 +168,30 @@ fn new_dir(asked: Option<&Path>, graph: &str) -> Result<PathBuf> {
     out_dir::make(asked, graph, false)
 }
 
-/// How far the sweep has come, and how long it will still take.
-struct Bar(ProgressBar);
+/// How far a sweep has come, and how long it will still take.
+pub(crate) struct Bar(ProgressBar);
 
 impl Bar {
     fn begin(sweep: &Checked, folder: &Folder, options: &SweepOptions, global: &Global) -> Result<Self> {
-        let told = !global.quiet && global.format == Format::Text;
-        let terminal = std::io::stderr().is_terminal();
         let there = folder.runs().map_err(self::told)?.len();
-        if told && !terminal {
-            let (name, n, workers) = (&sweep.plan.name, sweep.n_runs(), options.workers);
-            let there = if there > 0 { format!(", {there} of them there already") } else { String::new() };
-            let shard = options.shard.map_or_else(String::new, |s| format!(", part {} of {}", s.index, s.of));
-            writeln!(std::io::stderr(), "sweeping {name}: {n} runs{there}{shard}, {workers} at a time")?;
-        }
-        let target = if told && terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let n = match options.shard {
             Some(Shard { index, of }) => sweep.n_runs() * index / of - sweep.n_runs() * (index - 1) / of,
             None => sweep.n_runs(),
         };
-        let bar = ProgressBar::with_draw_target(Some(n.saturating_sub(there) as u64), target);
+        let shard = options.shard.map_or_else(String::new, |s| format!(", part {} of {}", s.index, s.of));
+        let what = format!("sweeping {}{shard}", sweep.plan.name);
+        Self::of(n.saturating_sub(there), &what, options.workers, global)
+    }
+
+    /// Of so many runs.
+    pub(crate) fn of(n_runs: usize, what: &str, workers: usize, global: &Global) -> Result<Self> {
+        let told = !global.quiet && global.format == Format::Text;
+        let terminal = std::io::stderr().is_terminal();
+        if told && !terminal {
+            writeln!(std::io::stderr(), "{what}: {n_runs} runs, {workers} at a time")?;
+        }
+        let target = if told && terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let bar = ProgressBar::with_draw_target(Some(n_runs as u64), target);
         let style =
             ProgressStyle::with_template("{spinner} {bar:24} {pos}/{len} runs  {elapsed} gone, {eta} left  {msg}");
         bar.set_style(style.expect("the template is fixed").progress_chars("=> "));
@@ -189,6 +199,16 @@ impl Bar {
             bar.enable_steady_tick(Duration::from_millis(120));
         }
         Ok(Self(bar))
+    }
+
+    /// Says what goes on.
+    pub(crate) fn say(&self, what: &str) {
+        self.0.set_message(what.to_owned());
+    }
+
+    /// Takes the line away.
+    pub(crate) fn end(&self) {
+        self.0.finish_and_clear();
     }
 }
 
@@ -220,6 +240,8 @@ fn list(sweep: &Checked, global: &Global) -> Result<Exit> {
 /// Writes the tables, and tells how the sweep ended.
 fn tell(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Result<Exit> {
     folder.write_tables().map_err(told)?;
+    let summary = summary::summary(folder)?;
+    folder.write(SUMMARY, format!("{summary:#}\n").as_bytes()).map_err(told)?;
     let (dir, n_here) = (folder.dir().display(), swept.n_before + swept.n_run);
     let exit = if swept.n_missing > 0 { Exit::Interrupted } else { Exit::Done };
     if global.format == Format::Json {
@@ -229,7 +251,7 @@ fn tell(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Resu
             "there_before": swept.n_before, "run": swept.n_run, "without_results": swept.n_without,
             "missing": swept.n_missing, "nodes_computed": swept.n_computed, "nodes_shared": swept.n_shared,
         });
-        print_json(&json!({ "outcome": outcome, "runs": runs }))?;
+        print_json(&json!({ "outcome": outcome, "runs": runs, "summary": summary }))?;
         return Ok(exit);
     }
     if swept.n_missing > 0 && !global.quiet {
@@ -237,6 +259,7 @@ fn tell(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Resu
         writeln!(std::io::stderr(), "{word}: {} runs are missing; go on with --out {dir} --resume", swept.n_missing)?;
     }
     let mut out = std::io::stdout().lock();
+    writeln!(out, "{}", summary_table::text(&summary))?;
     if swept.n_without > 0 {
         writeln!(out, "{} of {n_here} runs have no results; runs.csv says why", swept.n_without)?;
     }

@@ -203,6 +203,9 @@ pub struct LaserParams {
     /// degrees: assumed, a pointer held beside the camera.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub beam_deg: f64,
+    /// Whether scans with the laser are taken at all. true: the paper's method; false where an experiment starts from marks
+    /// that were ruled or from the shape alone, and the stripped bone need not show the landmarks.
+    pub scans: bool,
     /// Whether the assessment marks are pointed at too, after the landmarks, as in vivo, where no stylus touches them. false:
     /// the paper's bench.
     pub assessment: bool,
@@ -228,6 +231,7 @@ impl Default for LaserParams {
             aim_along_mm: 0.7,
             disc: LaserDisc::Ball,
             beam_deg: 10.0,
+            scans: true,
             assessment: false,
         }
     }

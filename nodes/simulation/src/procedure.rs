@@ -375,7 +375,7 @@ impl<'a> Scene<'a> {
             }
             Ok(of_bone(pixels, Some(hole), s, 2 + k as u64)?.labelled(spot.name.clone()))
         });
-        let laser = laser.collect::<Result<Vec<_>, SimulationError>>()?;
+        let laser = if params.laser.scans { laser.collect::<Result<Vec<_>, SimulationError>>()? } else { Vec::new() };
 
         let end_s = self.motion_s + MOTION_S + REST_S;
         let burst = |s: f64| (s - params.tracker.burst_s, s + params.tracker.burst_s);

@@ -85,7 +85,9 @@ fn events(procedure: Procedure) -> Vec<Event<Emission>> {
     events.clouds(Role::PhantomScan, [procedure.phantom_scan]);
     events.clouds(Role::Scan, [procedure.scan]);
     let mut on_landmarks = procedure.laser;
-    let on_assessment = on_landmarks.split_off(procedure.plan.landmarks.points.len());
+    // There may be no scans with the laser at all.
+    let n_landmarks = procedure.plan.landmarks.points.len().min(on_landmarks.len());
+    let on_assessment = on_landmarks.split_off(n_landmarks);
     events.clouds(Role::Laser, on_landmarks);
     events.clouds(Role::LaserAssessment, on_assessment);
     events.poses(Role::CameraMarker, procedure.camera_marker);

@@ -1,0 +1,182 @@
+//! Sweeps as the command runs them: stopped and gone on with, split and put together, compared, on a bone of one's own.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{osteoflow, osteoflow_to_spawn, root};
+use serde_json::Value;
+use std::{
+    fs,
+    path::Path,
+    process::Stdio,
+    thread,
+    time::{Duration, Instant},
+};
+
+/// The procedure with an exact CT surface, swept over two kinds of ICP.
+const SMALL: &str = r#"extends = "GRAPH"
+[graph]
+name = "small"
+[node.bone]
+exact = true
+[sweep]
+repeat = 6
+units  = ["bone", "procedure"]
+[sweep.factor]
+bone = { keys = ["recording.bone.shape_seed", "plan.bone.shape_seed", "bone.bone.shape_seed"], values = [1] }
+icp  = { key = "icp.kind", values = ["icp.point_to_point", "icp.point_to_plane"] }
+[sweep.columns]
+tre_mm = "metrics.tre_true_mm.mean_abs.norm"
+[sweep.points]
+tre_mm = { from = "metrics.tre_true_mm.points" }
+[sweep.limit]
+tre_mm = 2.0
+[sweep.compare]
+factor = "icp"
+margin = { tre_mm = 1.0 }
+"#;
+
+fn small(dir: &Path) -> String {
+    let file = dir.join("small.toml");
+    fs::write(&file, SMALL.replace("GRAPH", root().join("graphs/fibula.toml").to_str().unwrap())).unwrap();
+    file.to_str().unwrap().to_owned()
+}
+
+fn path(dir: &Path, name: &str) -> String {
+    dir.join(name).to_str().unwrap().to_owned()
+}
+
+/// What a command says, and its exit code.
+fn said(args: &[&str]) -> (String, String, i32) {
+    let output = osteoflow().args(args).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
+    (text(&output.stdout), text(&output.stderr), output.status.code().unwrap())
+}
+
+fn json(path: &str) -> Value {
+    serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
+}
+
+#[test]
+fn a_sweep_that_is_killed_half_way_and_resumed_leaves_the_tables_of_one_that_was_not() {
+    let dir = tempfile::tempdir().unwrap();
+    let (graph, whole, cut) = (small(dir.path()), path(dir.path(), "whole"), path(dir.path(), "cut"));
+    assert_eq!(said(&["sweep", &graph, "--out", &whole, "--quiet"]).2, 0);
+    let mut child = osteoflow_to_spawn()
+        .args(["sweep", &graph, "--out", &cut, "--workers", "1", "--quiet"])
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    let n_there = || {
+        let entries = fs::read_dir(dir.path().join("cut/runs")).into_iter().flatten();
+        entries.filter(|e| e.as_ref().unwrap().path().extension().is_some_and(|end| end == "json")).count()
+    };
+    let began = Instant::now();
+    while n_there() < 3 && began.elapsed() < Duration::from_secs(120) {
+        thread::sleep(Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let n_left = n_there();
+    assert!((3..12).contains(&n_left), "{n_left} runs were there when it was killed");
+    let (_, err, code) = said(&["sweep", &graph, "--out", &cut]);
+    assert!(code == 2 && err.contains("--resume"), "{err}");
+    let (out, err, code) = said(&["sweep", &graph, "--out", &cut, "--resume", "--format", "json"]);
+    assert_eq!(code, 0, "{err}");
+    let told: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!(told["runs"]["there_before"], n_left);
+    for name in ["runs.csv", "points.csv", "summary.json"] {
+        let read = |dir: &str| fs::read(Path::new(dir).join(name)).unwrap();
+        assert!(read(&whole) == read(&cut), "{name} differs");
+    }
+    let (_, err, code) = said(&["sweep", &graph, "--set", "icp.max_iterations=7", "--out", &cut, "--resume"]);
+    assert!(code == 2 && err.contains("another sweep"), "{err}");
+}
+
+#[test]
+fn the_summary_counts_units_and_compares_in_pairs() {
+    let dir = tempfile::tempdir().unwrap();
+    let (graph, out) = (small(dir.path()), path(dir.path(), "out"));
+    let (table, err, code) = said(&["sweep", &graph, "--out", &out]);
+    assert_eq!(code, 0, "{err}");
+    assert!(
+        table.contains("SIMULATED") && table.contains("n = 1 bone") && table.contains("n = 6 procedure"),
+        "{table}"
+    );
+    let summary = json(&path(Path::new(&out), "summary.json"));
+    let column = &summary["groups"][0]["columns"]["tre_mm"];
+    assert!(column["mean_interval"]["no_interval"].as_str().unwrap().contains("n = 1 bone"), "{column}");
+    let comparison = &summary["comparisons"][0];
+    assert_eq!((&comparison["n"], &comparison["unit"]), (&6.into(), &"procedure".into()));
+    assert!(comparison["tost"]["equivalent"].is_boolean() && comparison["p_holm"].is_number(), "{comparison}");
+    let points = &summary["groups"][1]["points"]["tre_mm"]["z"];
+    assert_eq!(points["n"], 30);
+    assert!(points["within_points"]["sd_within"].is_number() && points["within_procedures"]["sd_within"].is_number());
+    let rows = fs::read_to_string(path(Path::new(&out), "runs.csv")).unwrap();
+    assert_eq!(rows.lines().next().unwrap(), "run,bone,icp,procedure,seed,status,tre_mm,reason");
+    assert_eq!(rows.lines().count(), 13);
+    let (told, err, code) = said(&["compare", &out, &out]);
+    assert!(code == 0 && told.contains("tre_mm"), "{told}{err}");
+}
+
+#[test]
+fn two_runs_are_compared_number_by_number() {
+    let dir = tempfile::tempdir().unwrap();
+    let graph = root().join("graphs/fibula.toml");
+    let run = |name: &str, kind: &str| {
+        let out = path(dir.path(), name);
+        let sets = ["--set", "bone.exact=true", "--set", kind];
+        let code =
+            said(&[&["run", graph.to_str().unwrap(), "--out", &out, "--quiet", "--no-record"], &sets[..]].concat()).2;
+        assert_eq!(code, 0);
+        out
+    };
+    let (a, b) = (run("a", "icp.kind=icp.point_to_point"), run("b", "icp.kind=icp.point_to_plane"));
+    let (told, _, code) = said(&["compare", &a, &b]);
+    assert!(code == 0 && told.contains("metrics.tre_true_mm.points.M1.x"), "{told}");
+    assert!(!told.contains("metrics.tre_true_mm.n "), "equal numbers are left out:\n{told}");
+    let (told, ..) = said(&["compare", &a, &a]);
+    assert!(told.contains("are equal"), "{told}");
+    let (_, err, code) = said(&["compare", &a, dir.path().to_str().unwrap()]);
+    assert!(code == 1 && err.contains("results.json"), "{err}");
+}
+
+#[test]
+fn placements_end_at_one_place_by_point_to_plane_and_where_they_began_after_few_plain_steps() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = path(dir.path(), "out");
+    let graph = root().join("graphs/paper/sensitivity.toml");
+    let values = "sweep.factor.registration.values=[{ icp.kind = \"icp.point_to_plane\" }, { icp.kind = \
+                  \"icp.point_to_point\", icp.published_reading = \"iterations\", icp.max_iterations = 50, thin.every = 5 }]";
+    let labels = "sweep.factor.registration.labels=[\"point_to_plane\", \"50 iterations\"]";
+    let sets = ["--set", "sweep.repeat=12", "--set", values, "--set", labels];
+    let (_, err, code) = said(&[&["sweep", graph.to_str().unwrap(), "--out", &out, "--quiet"], &sets[..]].concat());
+    assert_eq!(code, 0, "{err}");
+    let summary = json(&path(Path::new(&out), "summary.json"));
+    let spread = |group: usize| {
+        let z = &summary["groups"][group]["columns"]["signed_z_mm"];
+        z["max"].as_f64().unwrap() - z["min"].as_f64().unwrap()
+    };
+    assert!(spread(0) < 0.02, "point to plane: {} mm", spread(0));
+    assert!(spread(1) > 1.0, "50 plain steps leave the start's error: {} mm", spread(1));
+    let correlations = summary["groups"][1]["correlations"].as_array().unwrap();
+    let first = correlations.iter().find(|c| c["draw"] == "first_mm" && c["column"] == "signed_z_mm").unwrap();
+    assert!(first["pearson"]["r"].as_f64().unwrap().abs() > 0.9, "{first}");
+}
+
+#[test]
+fn the_experiments_run_on_a_bone_of_ones_own_and_the_page_says_of_how_many() {
+    let dir = tempfile::tempdir().unwrap();
+    let own = path(dir.path(), "own");
+    assert_eq!(said(&["simulate", "--points", "1000", "--seed", "3", "--out", &own, "--quiet"]).2, 0);
+    let (bone, plan, out) =
+        (path(Path::new(&own), "bone.stl"), path(Path::new(&own), "plan.json"), path(dir.path(), "out"));
+    let sets = ["--set", "sweep.repeat=2"];
+    let own = ["--only", "accuracy_camera", "--bone", &bone, "--plan", &plan];
+    let (told, err, code) = said(&[&["reproduce", "--out", &out], &own[..], &sets[..]].concat());
+    assert_eq!(code, 0, "{told}{err}");
+    let page = fs::read_to_string(path(Path::new(&out), "paper-reproduction.md")).unwrap();
+    assert!(page.contains("1 bone, 2 procedures") && page.contains("SIMULATED"), "{page}");
+    let rows = fs::read_to_string(path(Path::new(&out), "accuracy_camera/runs.csv")).unwrap();
+    assert!(rows.lines().nth(1).unwrap().starts_with("0,bone,0,1,complete,"), "{rows}");
+}
