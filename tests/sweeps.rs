@@ -100,7 +100,7 @@ fn the_summary_counts_units_and_compares_in_pairs() {
     let (table, err, code) = said(&["sweep", &graph, "--out", &out]);
     assert_eq!(code, 0, "{err}");
     assert!(
-        table.contains("SIMULATED") && table.contains("n = 1 bone") && table.contains("n = 6 procedure"),
+        table.contains("SIMULATED") && table.contains("1 bone, 6 procedures") && table.contains("none: n = 1 bone"),
         "{table}"
     );
     let summary = json(&path(Path::new(&out), "summary.json"));
@@ -115,6 +115,8 @@ fn the_summary_counts_units_and_compares_in_pairs() {
     let rows = fs::read_to_string(path(Path::new(&out), "runs.csv")).unwrap();
     assert_eq!(rows.lines().next().unwrap(), "run,bone,icp,procedure,seed,status,tre_mm,reason");
     assert_eq!(rows.lines().count(), 13);
+    let points = fs::read_to_string(path(Path::new(&out), "points.csv")).unwrap();
+    assert_eq!(points.lines().next().unwrap(), "run,bone,icp,procedure,seed,measure,point,axis,value_mm");
     let (told, err, code) = said(&["compare", &out, &out]);
     assert!(code == 0 && told.contains("tre_mm"), "{told}{err}");
 }

@@ -102,7 +102,7 @@ fn frames(output: &PlanOutput) -> Option<String> {
 }
 
 /// Text as markup takes it; characters that XML forbids are left out.
-fn escaped(text: &str) -> String {
+pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

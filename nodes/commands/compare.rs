@@ -1,12 +1,8 @@
-use super::{
-    Exit, Format, Global, UsageError, out_dir, print_json,
-    summary::{self, word},
-    summary_table,
-    text_table::TextTable,
-};
+use super::{Exit, Format, Global, UsageError, out_dir, print_json, summary_table, text_table::TextTable};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::sweep::{self, Done, Folder, Spec};
+use osteoflow_report::summary;
 use serde_json::{Value, json};
 use std::{collections::BTreeMap, fs, io::Write, path::PathBuf};
 
@@ -93,35 +89,11 @@ impl Compare {
         };
         let sweeps = folders.iter().map(read).collect::<Result<Vec<_>>>()?;
         let (spec, first) = &sweeps[0];
-        let margins = spec.compare.as_ref().map(|compare| compare.margins.clone()).unwrap_or_default();
         let names = self.names();
         let mut comparisons = Vec::new();
         for ((other, done), name) in sweeps[1..].iter().zip(&names[1..]) {
-            let shared = shared_names(spec, other);
-            let key = |d: &Done| {
-                let values = shared.iter().map(|name| d.value(name).map(word).unwrap_or_default());
-                format!("{}\u{1f}{}", values.collect::<Vec<_>>().join("\u{1f}"), d.seed)
-            };
-            if let Some(run) = twice(first, &key).or(twice(done, &key)) {
-                let said = format!(
-                    "the sweeps have no pairs: run {run} is like another but for factors that only one of them has ({})",
-                    if shared.is_empty() {
-                        "none is in both".into()
-                    } else {
-                        format!("in both: {}", shared.join(", "))
-                    }
-                );
-                return Err(UsageError(said).into());
-            }
-            let b: Vec<&Done> = done.iter().collect();
-            // What is averaged over units has one setting.
-            for (setting, a) in summary::groups(spec, first) {
-                let of_setting = summary::compared(spec, (&names[0], &a), (name, &b), &key, &margins);
-                comparisons.extend(of_setting.into_iter().map(|mut told| {
-                    told["setting"] = json!(setting);
-                    told
-                }));
-            }
+            let found = summary::between((&names[0], spec, first), (name, other, done));
+            comparisons.extend(found.map_err(|none| UsageError(none.to_string()))?);
         }
         if comparisons.is_empty() {
             let said = "no run of one has a pair in another; they need the same factors, repeats and seeds, and a column of one name";
@@ -144,22 +116,6 @@ impl Compare {
     fn names(&self) -> Vec<String> {
         self.folders.iter().map(|dir| dir.display().to_string()).collect()
     }
-}
-
-/// What both sweeps tell their runs apart by.
-fn shared_names(a: &Spec, b: &Spec) -> Vec<String> {
-    let names = |spec: &Spec| -> Vec<String> {
-        let factors = spec.factors.iter().map(|f| f.name.clone());
-        factors.chain([spec.repeat_name.clone()]).chain(spec.draws.iter().map(|d| d.name.clone())).collect()
-    };
-    let of_b = names(b);
-    names(a).into_iter().filter(|name| of_b.contains(name)).collect()
-}
-
-/// A run whose key another has too.
-fn twice(done: &[Done], key: &dyn Fn(&Done) -> String) -> Option<usize> {
-    let mut seen = std::collections::BTreeSet::new();
-    done.iter().find(|d| !seen.insert(key(d))).map(|d| d.run)
 }
 
 /// Every number, by its path; of a list, items with a name by that.

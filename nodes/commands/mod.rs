@@ -32,7 +32,6 @@ mod running;
 mod schema;
 mod simulate;
 mod simulate_folder;
-mod summary;
 mod summary_table;
 mod sweep;
 mod text_table;

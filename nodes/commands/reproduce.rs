@@ -1,19 +1,16 @@
 use super::{
-    Exit, Format, Global, UsageError, graph_args,
-    plugins::PluginArgs,
-    print_json,
-    run::Keep,
-    running,
-    summary::{self, word},
-    sweep::{self as sweep_command, SUMMARY},
+    Exit, Format, Global, UsageError, graph_args, plugins::PluginArgs, print_json, result_table::NOTICE, run::Keep,
+    running, sweep as sweep_command,
 };
 use anyhow::{Context, Result};
 use clap::Args;
-use osteoflow_engine::sweep::{self, Folder, SweepOptions, Watcher};
-use serde::Deserialize;
+use osteoflow_engine::sweep::{self, SweepOptions, Watcher};
+use osteoflow_report::{
+    reproduction::{EXPERIMENTS, Reproduction},
+    summary,
+};
 use serde_json::{Value, json};
 use std::{
-    collections::BTreeMap,
     fmt::Write as _,
     fs,
     io::Write,
@@ -25,21 +22,6 @@ use std::{
 
 /// Where the page lies in the project.
 const PAGE: &str = "docs/paper-reproduction.md";
-
-/// The experiments, in the order of the paper, then ours.
-const EXPERIMENTS: [&str; 11] = [
-    "calibration",
-    "accuracy_camera",
-    "accuracy_stylus",
-    "cutting",
-    "sensitivity",
-    "point_count",
-    "laser_spot",
-    "in_vivo",
-    "variants",
-    "roi_extent",
-    "error_terms",
-];
 
 /// Run the paper's experiments, and write the page that sets our numbers beside the paper's.
 ///
@@ -90,73 +72,8 @@ pub(crate) struct Reproduce {
     keep: Keep,
 }
 
-/// What `published.toml` holds.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Published {
-    row: Vec<Row>,
-    reading: Vec<Reading>,
-    table: Vec<Table>,
-}
-
-/// A number of the paper.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Row {
-    experiment: String,
-    section: String,
-    what: String,
-    paper: String,
-    low: Option<f64>,
-    high: Option<f64>,
-    /// Whether the sign of ours does not count.
-    #[serde(default)]
-    magnitude: bool,
-    ours: String,
-    show: Option<String>,
-    #[serde(default)]
-    setting: BTreeMap<String, Value>,
-    #[serde(default)]
-    remark: String,
-}
-
-/// A place where the paper can be read in more than one way.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Reading {
-    question: String,
-    reading: String,
-    #[serde(default)]
-    shows: Vec<Shown>,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Shown {
-    name: String,
-    experiment: String,
-    ours: String,
-    #[serde(default)]
-    setting: BTreeMap<String, Value>,
-}
-
-/// A table of all settings of an experiment.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Table {
-    experiment: String,
-    title: String,
-    columns: Vec<String>,
-}
-
-fn published() -> Result<Published> {
-    toml::from_str(include_str!("published.toml"))
-        .context("the table of the paper's numbers is not sound, a bug of ours")
-}
-
 impl Reproduce {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let published = published()?;
         if !self.graphs.is_dir() {
             let said = format!(
                 "there is no folder {}; run this in the project's folder, or name the experiments' graphs by --graphs",
@@ -200,7 +117,7 @@ impl Reproduce {
                 false => sweep.begin(&dir, &options).map_err(sweep_command::told)?,
             });
         }
-        let all = folders.clone();
+        let all: Vec<_> = names.iter().cloned().zip(folders.iter().cloned()).collect();
         let n_runs: usize = sweeps.iter().map(|(_, sweep)| sweep.n_runs()).sum();
         let jobs: Vec<_> = sweeps.into_iter().map(|(name, sweep)| (name.clone(), sweep)).collect();
         let bar = sweep_command::Bar::of(n_runs, &format!("reproducing {} experiments", jobs.len()), workers, global)?;
@@ -212,9 +129,7 @@ impl Reproduce {
                 if cancelled_too.load(Ordering::Relaxed) {
                     return Ok(false);
                 }
-                folder.write_tables()?;
-                let summary = summary::summary(folder)?;
-                folder.write(SUMMARY, format!("{summary:#}\n").as_bytes())?;
+                summary::write(folder, NOTICE)?;
             }
             bar.end();
             Ok(true)
@@ -226,11 +141,11 @@ impl Reproduce {
             }
             return Ok(Exit::Interrupted);
         };
-        let page = Page::new(&names, &all)?;
-        let text = page.text(&published, self.command());
+        let reproduction = Reproduction::new(&all)?;
         let path = self.page(&out);
-        fs::write(&path, &text).with_context(|| format!("{} cannot be written", path.display()))?;
-        let outside = page.outside(&published);
+        fs::write(&path, reproduction.page(&self.command()))
+            .with_context(|| format!("{} cannot be written", path.display()))?;
+        let outside = reproduction.outside();
         if global.format == Format::Json {
             let mut outcome = Exit::Done.to_json();
             outcome["out_dir"] = out.display().to_string().into();
@@ -266,6 +181,9 @@ impl Reproduce {
             if let Some(path) = path {
                 let _ = write!(command, " {option} {}", path.display());
             }
+        }
+        if !self.only.is_empty() {
+            let _ = write!(command, " --only {}", self.only.join(" "));
         }
         for set in &self.sets {
             let _ = write!(command, " --set '{set}'");
@@ -304,240 +222,5 @@ impl BoneSets {
             format!("sweep.factor.bone.values=[{{ {} }}]", files.join(", ")),
             format!("sweep.factor.bone.labels=[{}]", text(&self.name)),
         ]
-    }
-}
-
-/// The sweeps that a page is made of.
-struct Page {
-    summaries: BTreeMap<String, Value>,
-}
-
-/// A number of ours.
-struct Ours {
-    value: f64,
-    text: String,
-    n: String,
-}
-
-impl Page {
-    fn new(names: &[String], folders: &[Folder]) -> Result<Self> {
-        let read = |(name, folder): (&String, &Folder)| -> Result<(String, Value)> {
-            let path = folder.dir().join(SUMMARY);
-            let text = fs::read_to_string(&path).with_context(|| format!("{} cannot be read", path.display()))?;
-            Ok((name.clone(), serde_json::from_str(&text)?))
-        };
-        Ok(Self { summaries: names.iter().zip(folders).map(read).collect::<Result<_>>()? })
-    }
-
-    fn group(&self, experiment: &str, setting: &BTreeMap<String, Value>) -> Option<&Value> {
-        let groups = self.summaries.get(experiment)?["groups"].as_array()?;
-        // `100` and `100.0` are one value.
-        let same = |a: &Value, b: &Value| a == b || (a.as_f64().is_some() && a.as_f64() == b.as_f64());
-        groups.iter().find(|group| setting.iter().all(|(name, value)| same(&group["setting"][name], value)))
-    }
-
-    fn ours(
-        &self,
-        experiment: &str,
-        path: &str,
-        setting: &BTreeMap<String, Value>,
-        show: Option<&str>,
-    ) -> Option<Ours> {
-        let group = self.group(experiment, setting)?;
-        let parts: Vec<_> = path.split('.').collect();
-        if let ["correlation", draw, column] = parts[..] {
-            let all = group["correlations"].as_array()?;
-            let found = all.iter().find(|c| c["draw"] == draw && c["column"] == column)?;
-            let value = found["pearson"]["r"].as_f64()?;
-            return Some(Ours {
-                value,
-                text: format!("{value:.3}"),
-                n: format!("{} {}s", found["n"], word(&found["unit"])),
-            });
-        }
-        let statistics = parts.iter().fold(group, |at, part| &at[*part]);
-        let number = |key: &str| statistics[key].as_f64();
-        let (value, text) = match show {
-            Some(key) => (number(key)?, format!("{:.2}", number(key)?)),
-            None => {
-                let sd = number("sd").map_or_else(String::new, |sd| format!(" ± {sd:.2}"));
-                (
-                    number("mean")?,
-                    format!("{:.2}{sd} ({:.2} to {:.2})", number("mean")?, number("min")?, number("max")?),
-                )
-            }
-        };
-        Some(Ours { value, text, n: units(&statistics["n_units"]) })
-    }
-
-    /// The rows whose number of ours lies outside the paper's spread.
-    fn outside(&self, published: &Published) -> Vec<String> {
-        let told = |row: &Row| {
-            let ours = self.of_row(row)?;
-            let side = side(row, &ours)?;
-            Some(format!("{} ({}): paper {}, ours {}, {side}", row.what, row.section, row.paper, ours.text))
-        };
-        published.row.iter().filter_map(told).collect()
-    }
-
-    fn of_row(&self, row: &Row) -> Option<Ours> {
-        self.ours(&row.experiment, &row.ours, &row.setting, row.show.as_deref())
-    }
-
-    fn text(&self, published: &Published, command: String) -> String {
-        let mut out = String::new();
-        let line = &mut |text: &str| {
-            out.push_str(text);
-            out.push('\n');
-        };
-        line("# The paper's numbers and ours\n");
-        line(&format!("Written by `{command}`; not edited by hand.\n"));
-        line(
-            "**SIMULATED; research use only, not for clinical use.** Every number of ours comes from the simulated procedure \
-              ([simulation.md](simulation.md)), whose error terms were set from their sources and not from the numbers \
-              below. n says of what: starts on one scan of one bone are n = 1 bone. Values are mean ± SD (least to \
-              greatest); [statistics.md](statistics.md) has the formulas, each sweep's `summary.json` the intervals.\n",
-        );
-        line("| section | what | paper | ours | n | within the paper's spread | remark |");
-        line("| --- | --- | --- | --- | --- | --- | --- |");
-        for row in &published.row {
-            let Some(ours) = self.of_row(row) else { continue };
-            let judged = match (row.low, row.high) {
-                (Some(low), Some(high)) => side(row, &ours).unwrap_or_else(|| format!("yes ({low} to {high})")),
-                _ => "-".into(),
-            };
-            line(&format!(
-                "| {} | {} | {} | {} | {} | {judged} | {} |",
-                row.section, row.what, row.paper, ours.text, ours.n, row.remark
-            ));
-        }
-        line("\n## Outside the paper's spread\n");
-        match self.outside(published).as_slice() {
-            [] => line("None."),
-            all => all.iter().for_each(|told| line(&format!("- {told}"))),
-        }
-        line("\n## The command of each experiment\n");
-        line("| experiment | command | runs | without results |");
-        line("| --- | --- | --- | --- |");
-        for (name, summary) in &self.summaries {
-            let (n, without) = (&summary["n_runs"], &summary["n_without_results"]);
-            line(&format!("| {name} | `osteoflow sweep graphs/paper/{name}.toml` | {n} | {without} |"));
-        }
-        line(
-            "\nA run without results is a procedure that was refused, mostly because a laser spot lay at the silhouette of the \
-              bone and its hole could not be found; `runs.csv` says why for each. A surgeon would point again.\n",
-        );
-        line("## How we read the paper\n");
-        for reading in &published.reading {
-            line(&format!("**{}** {}", reading.question, reading.reading));
-            for shown in &reading.shows {
-                if let Some(ours) = self.ours(&shown.experiment, &shown.ours, &shown.setting, None) {
-                    line(&format!("- {}: {}, n = {}", shown.name, ours.text, ours.n));
-                }
-            }
-            line("");
-        }
-        for table in &published.table {
-            let Some(summary) = self.summaries.get(&table.experiment) else { continue };
-            line(&format!("## {}\n", table.title));
-            line(&format!("`graphs/paper/{}.toml`; SIMULATED; mean ± SD.\n", table.experiment));
-            for told in of_table(table, summary) {
-                line(&told);
-            }
-            line("");
-        }
-        out.truncate(out.trim_end().len());
-        out.push('\n');
-        out
-    }
-}
-
-/// Every setting of an experiment as a row.
-fn of_table(table: &Table, summary: &Value) -> Vec<String> {
-    let groups = summary["groups"].as_array().map(Vec::as_slice).unwrap_or_default();
-    let names: Vec<_> =
-        groups.first().and_then(|g| g["setting"].as_object()).into_iter().flat_map(|s| s.keys()).collect();
-    let head = names.iter().map(|name| name.as_str()).chain(table.columns.iter().map(String::as_str)).chain(["n"]);
-    let mut lines = vec![format!("| {} |", head.collect::<Vec<_>>().join(" | "))];
-    lines.push(format!("|{}", " --- |".repeat(names.len() + table.columns.len() + 1)));
-    for group in groups {
-        let setting = names.iter().map(|name| word(&group["setting"][name.as_str()]));
-        let cells = table.columns.iter().map(|column| {
-            let of = &group["columns"][column];
-            match (of["mean"].as_f64(), of["sd"].as_f64()) {
-                (Some(mean), Some(sd)) => format!("{mean:.2} ± {sd:.2}"),
-                (Some(mean), None) => format!("{mean:.2}"),
-                _ => "-".into(),
-            }
-        });
-        let without = group["n_without_results"].as_u64().unwrap_or_default();
-        let n = format!(
-            "{}{}",
-            units(&group["units"]),
-            if without > 0 { format!("; {without} without results") } else { String::new() }
-        );
-        lines.push(format!("| {} |", setting.chain(cells).chain([n]).collect::<Vec<_>>().join(" | ")));
-    }
-    lines
-}
-
-/// `3 bones, 30 procedures`.
-fn units(levels: &Value) -> String {
-    let levels = levels.as_array().map(Vec::as_slice).unwrap_or_default();
-    let told = levels.iter().map(|level| {
-        let n = level["n"].as_u64().unwrap_or_default();
-        format!("{n} {}{}", word(&level["name"]), if n == 1 { "" } else { "s" })
-    });
-    told.collect::<Vec<_>>().join(", ")
-}
-
-/// On which side of the paper's spread ours lies, if outside.
-fn side(row: &Row, ours: &Ours) -> Option<String> {
-    let (low, high) = (row.low?, row.high?);
-    let value = if row.magnitude { ours.value.abs() } else { ours.value };
-    match value {
-        value if value < low => Some(format!("**below** {low} to {high}")),
-        value if value > high => Some(format!("**above** {low} to {high}")),
-        _ => None,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_table_of_the_papers_numbers_is_sound_and_names_experiments_that_are_there() {
-        let published = published().expect("it is read");
-        let rows = published.row.iter().map(|row| &row.experiment);
-        let shown = published.reading.iter().flat_map(|reading| &reading.shows).map(|shown| &shown.experiment);
-        for name in rows.chain(shown).chain(published.table.iter().map(|table| &table.experiment)) {
-            assert!(EXPERIMENTS.contains(&name.as_str()), "{name}");
-        }
-        for row in &published.row {
-            assert!(row.low.is_some() == row.high.is_some() && row.low <= row.high, "{}", row.what);
-        }
-    }
-
-    #[test]
-    fn a_number_outside_the_spread_is_told_with_its_side() {
-        let row = |low, high, magnitude| Row {
-            experiment: String::new(),
-            section: String::new(),
-            what: String::new(),
-            paper: String::new(),
-            low: Some(low),
-            high: Some(high),
-            magnitude,
-            ours: String::new(),
-            show: None,
-            setting: BTreeMap::new(),
-            remark: String::new(),
-        };
-        let ours = |value| Ours { value, text: String::new(), n: String::new() };
-        assert_eq!(side(&row(0.1, 0.5, false), &ours(0.3)), None);
-        assert!(side(&row(0.1, 0.5, false), &ours(0.6)).is_some_and(|told| told.contains("above")));
-        assert!(side(&row(0.1, 0.5, false), &ours(0.05)).is_some_and(|told| told.contains("below")));
-        assert_eq!(side(&row(0.9, 1.0, true), &ours(-0.95)), None);
     }
 }

@@ -1,6 +1,6 @@
 use super::{
-    Exit, Format, Global, PluginArgs, UsageError, graph_args, out_dir, print_json, run::Keep, running, summary,
-    summary_table,
+    Exit, Format, Global, PluginArgs, UsageError, graph_args, out_dir, print_json, result_table::NOTICE, run::Keep,
+    running, summary_table,
 };
 use anyhow::Result;
 use clap::Args;
@@ -15,9 +15,6 @@ use std::{
     sync::Arc,
     time::{Duration, Instant},
 };
-
-/// The statistics of the columns.
-pub(crate) const SUMMARY: &str = "summary.json";
 
 /// Run a graph many times as its table [sweep] says, and make tables of what came out.
 ///
@@ -239,9 +236,7 @@ fn list(sweep: &Checked, global: &Global) -> Result<Exit> {
 
 /// Writes the tables, and tells how the sweep ended.
 fn tell(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Result<Exit> {
-    folder.write_tables().map_err(told)?;
-    let summary = summary::summary(folder)?;
-    folder.write(SUMMARY, format!("{summary:#}\n").as_bytes()).map_err(told)?;
+    let summary = osteoflow_report::summary::write(folder, NOTICE)?;
     let (dir, n_here) = (folder.dir().display(), swept.n_before + swept.n_run);
     let exit = if swept.n_missing > 0 { Exit::Interrupted } else { Exit::Done };
     if global.format == Format::Json {

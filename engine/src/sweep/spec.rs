@@ -12,7 +12,7 @@ use serde_json::Value as Json;
 const REPEAT: &str = "repeat";
 
 /// Columns of the tables that the sweep writes itself.
-pub(crate) const OWN: [&str; 8] = ["run", "seed", "status", "reason", "measure", "point", "axis", "value"];
+pub(crate) const OWN: [&str; 9] = ["run", "seed", "status", "reason", "measure", "point", "axis", "value", "value_mm"];
 
 /// The most repeats, and the most runs of a sweep.
 pub(super) const MOST_RUNS: usize = 1_000_000;

@@ -90,13 +90,22 @@ pub fn point_values<'a>(spec: &'a Spec, done: &Done) -> Vec<PointValue<'a>> {
     out
 }
 
-/// Writes `points.csv`, long: run, factors, repeat, draws, seed, measure, point, axis, value.
+/// The head of the values at points: with the unit where all have one, else each measure's name says its own.
+fn value_head(spec: &Spec) -> &'static str {
+    match spec.points.iter().all(|column| column.name.ends_with("_mm")) {
+        true => "value_mm",
+        false => "value",
+    }
+}
+
+/// Writes `points.csv`, long: run, factors, repeat, draws, seed, measure, point, axis, value; `value_mm` where every measure
+/// is in mm.
 ///
 /// # Errors
 /// If a run cannot be read or the table not be written.
 pub fn write_points(folder: &Folder, spec: &Spec, out: impl Write) -> Result<(), FolderError> {
     let mut table = csv::Writer::from_writer(out);
-    let head = ["run"].into_iter().chain(names(spec)).chain(["seed", "measure", "point", "axis", "value"]);
+    let head = ["run"].into_iter().chain(names(spec)).chain(["seed", "measure", "point", "axis", value_head(spec)]);
     table.write_record(head).map_err(|e| folder.cannot_write(super::folder::POINTS, e))?;
     for done in folder.done()? {
         let done = done?;

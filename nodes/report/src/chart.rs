@@ -7,7 +7,7 @@ mod axis;
 
 pub(crate) use axis::{Axis, named};
 
-use crate::html::escaped;
+use osteoflow_engine::draw::escaped;
 use std::fmt::Write;
 
 /// What stands on every figure beside what it shows.
@@ -327,9 +327,9 @@ fn draw_mark(out: &mut String, mark: &Mark, colour: usize, x: &axis::Scale, y: &
                  height=\"{:.1}\"/><path class=\"line whisker c{colour}\" style=\"stroke-width: 2.4\" d=\"M{left:.1} \
                  {median:.1} H{right:.1}\"/></g>",
                 tukey.values.len(),
-                crate::html::number(tukey.median),
-                crate::html::number(tukey.quartiles[0]),
-                crate::html::number(tukey.quartiles[1]),
+                crate::cell::number(tukey.median),
+                crate::cell::number(tukey.quartiles[0]),
+                crate::cell::number(tukey.quartiles[1]),
                 middle - cap,
                 2.0 * cap,
                 middle - cap,

@@ -1,6 +1,11 @@
 //! The page: its sections, figures, tables and views, put together into one file that opens without a network.
 
-use crate::{chart::RESEARCH, scene::Scene};
+use crate::{
+    cell::{Cell, number},
+    chart::RESEARCH,
+    scene::Scene,
+};
+use osteoflow_engine::draw::escaped;
 use serde_json::{Map, Value as Json};
 use std::fmt::Write;
 
@@ -194,68 +199,6 @@ impl Page {
     }
 }
 
-/// What stands in a cell.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Cell {
-    Number(f64),
-    Word(String),
-    Code(String),
-}
-
-impl Cell {
-    /// Of a JSON value: numbers as such, lists and objects as text.
-    pub(crate) fn of(value: &Json) -> Self {
-        match value {
-            Json::Null => Self::Word("\u{2013}".into()),
-            Json::Number(number) => Self::Number(number.as_f64().unwrap_or(f64::NAN)),
-            Json::String(text) => Self::Word(text.clone()),
-            Json::Bool(true) => Self::Word("yes".into()),
-            Json::Bool(false) => Self::Word("no".into()),
-            Json::Array(items) if items.iter().all(Json::is_number) => {
-                let items: Vec<_> = items.iter().map(|item| number(item.as_f64().unwrap_or(f64::NAN))).collect();
-                Self::Word(items.join(", "))
-            }
-            other => Self::Code(other.to_string()),
-        }
-    }
-
-    pub(crate) fn word(text: impl Into<String>) -> Self {
-        Self::Word(text.into())
-    }
-}
-
-/// A number with the digits that count: whole numbers whole, others with three.
-pub(crate) fn number(value: f64) -> String {
-    let size = value.abs();
-    let text = match size {
-        _ if !value.is_finite() => return "\u{2013}".into(),
-        s if s == s.trunc() && s < 1e15 => format!("{size:.0}"),
-        s if s >= 100.0 => format!("{size:.1}"),
-        s if s >= 10.0 => format!("{size:.2}"),
-        s if s >= 0.001 => format!("{size:.3}"),
-        _ => format!("{size:.2e}"),
-    };
-    let sign = if value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b)) { "\u{2212}" } else { "" };
-    format!("{sign}{text}")
-}
-
-/// Text as markup takes it.
-pub(crate) fn escaped(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\n' | '\t' => out.push(c),
-            c if c < ' ' || matches!(c, '\u{7f}' | '\u{fffe}' | '\u{ffff}') => {}
-            c => out.push(c),
-        }
-    }
-    out
-}
-
 /// JSON that no `</script>` in it can end.
 fn in_script(json: &Json) -> String {
     json.to_string().replace('<', "\\u003c")
@@ -279,13 +222,6 @@ fn within_page(svg: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn numbers_are_told_with_the_digits_that_count() {
-        let told: Vec<_> = [0.0, 20000.0, -0.02446, 3.2e-12, 0.1234, 12.345, 333.567, f64::NAN].map(number).into();
-        let expected = ["0", "20000", "\u{2212}0.024", "3.20e-12", "0.123", "12.35", "333.6", "\u{2013}"];
-        assert_eq!(told, expected);
-    }
 
     #[test]
     fn nothing_in_the_data_ends_its_script() {

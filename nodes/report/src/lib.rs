@@ -6,23 +6,30 @@
 //! What cannot be shown is said with the reason: a wire that was not recorded, a truth that nobody knows. Every figure and
 //! table says SIMULATED where that is so, and "research use only".
 //!
+//! [`summary`] computes what a sweep says in numbers, and tells it in rows for a page and a terminal alike;
+//! [`reproduction`] sets the paper's numbers beside those of its experiments.
+//!
 //! ```no_run
 //! let report = osteoflow_report::of_run("runs/fibula".as_ref(), &osteoflow_standard::registry())?;
 //! report.write("runs/fibula".as_ref(), "runs/fibula/report.html".as_ref())?;
 //! # Ok::<(), osteoflow_report::ReportError>(())
 //! ```
 
+mod cell;
 mod chart;
 mod citations;
 mod evidence;
 mod html;
 mod methods;
 mod provenance;
+pub mod reproduction;
 mod run;
 mod scene;
+pub mod summary;
 mod sweep;
 mod tables;
 
+pub use cell::Cell;
 pub use chart::RESEARCH;
 pub use html::Figure;
 pub use run::of_run;

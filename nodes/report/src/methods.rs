@@ -1,8 +1,9 @@
 //! What was done, in words for a methods section: from what ran, not from what was meant.
 
 use crate::{
+    cell::{Cell, number},
     evidence::Evidence,
-    html::{Cell, Page, number},
+    html::Page,
 };
 use osteoflow_node::Registry;
 use serde_json::Value as Json;

@@ -1,6 +1,6 @@
 //! Where the numbers come from: program, machine, inputs with their licences, and the command to make them again.
 
-use crate::html::{Cell, Page};
+use crate::{cell::Cell, html::Page};
 use serde_json::Value as Json;
 use std::{
     fs,

@@ -5,10 +5,11 @@ mod views;
 
 use crate::{
     Report, ReportError,
+    cell::number,
     chart::{Axis, Chart, Mark, Series},
     citations,
     evidence::Evidence,
-    html::{Page, number},
+    html::Page,
     methods, provenance, tables,
 };
 use osteoflow_algorithms::icp::IcpTrace;

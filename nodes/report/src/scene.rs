@@ -1,8 +1,9 @@
 //! A view in three dimensions, as the page's viewer reads it: meshes, points and lines, quantised to 16 bits.
 
-use crate::html::{escaped, number};
+use crate::cell::number;
 use base64::{Engine, engine::general_purpose::STANDARD};
 use nalgebra::{Matrix3, Point3, Vector3};
+use osteoflow_engine::draw::escaped;
 use osteoflow_geometry::Mesh;
 use serde_json::{Value as Json, json};
 use std::collections::BTreeMap;

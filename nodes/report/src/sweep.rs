@@ -4,9 +4,14 @@ mod again;
 mod figures;
 mod statistics;
 
-use crate::{Report, ReportError, citations, evidence, html::Page, methods, provenance};
+use crate::{
+    Report, ReportError, citations,
+    html::Page,
+    methods, provenance,
+    summary::{self, SUMMARY, word},
+};
 use osteoflow_engine::plugin::Kinds;
-use osteoflow_engine::sweep::{Column, Distribution, Done, Folder, PointValue, Spec, at_path, point_values};
+use osteoflow_engine::sweep::{Column, Distribution, Done, Factor, Folder, PointValue, Spec, at_path, point_values};
 use osteoflow_node::Registry;
 use serde_json::Value as Json;
 use std::{collections::BTreeMap, path::Path};
@@ -42,9 +47,11 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report
     figures::draws(&mut page, &sweep);
     again::maps(&mut page, &sweep, &folder, kinds);
     page.section("Statistics");
-    match dir.join("summary.json") {
-        path if path.is_file() => statistics::tables(&mut page, &sweep, &evidence::json(&path)?),
-        _ => page.missing("The table of statistics", "the folder holds no summary.json, which a finished sweep leaves"),
+    match dir.join(SUMMARY).is_file() {
+        true => statistics::tables(&mut page, &sweep, &summary::read(&folder)?),
+        false => {
+            page.missing("The table of statistics", "the folder holds no summary.json, which a finished sweep leaves")
+        }
     }
     page.section("Methods");
     let graph = folder.graph()?;
@@ -60,17 +67,21 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report
 }
 
 impl Swept {
-    /// The factors that have more than one value.
-    fn varied(&self) -> impl Iterator<Item = &osteoflow_engine::sweep::Factor> {
-        self.spec.factors.iter().filter(|factor| factor.levels.len() > 1)
+    /// What tells the figures' settings apart: the factors with more than one value that are no units, or where there are
+    /// none the units, such as bones.
+    fn varied(&self) -> Vec<&Factor> {
+        let varied = || self.spec.factors.iter().filter(|factor| factor.levels.len() > 1);
+        let no_units: Vec<_> = varied().filter(|factor| !self.spec.units.contains(&factor.name)).collect();
+        if no_units.is_empty() { varied().collect() } else { no_units }
     }
 
     /// The settings in the order of the runs, each with its runs that have results.
     fn settings(&self) -> Vec<Setting<'_>> {
+        let varied = self.varied();
         let mut settings: Vec<Setting<'_>> = Vec::new();
         for run in &self.runs {
             let values =
-                self.varied().map(|factor| (factor.name.as_str(), run.value(&factor.name).unwrap_or(&Json::Null)));
+                varied.iter().map(|factor| (factor.name.as_str(), run.value(&factor.name).unwrap_or(&Json::Null)));
             let values: Vec<_> = values.collect();
             let at = settings.iter().position(|setting| setting.values == values);
             let at = at.unwrap_or_else(|| {
@@ -179,14 +190,6 @@ fn setting_name(values: &[(&str, &Json)]) -> String {
         [] => "all runs".into(),
         [(_, value)] if value.is_string() => word(value),
         values => values.iter().map(|(name, value)| format!("{name} = {}", word(value))).collect::<Vec<_>>().join(", "),
-    }
-}
-
-/// A value as words.
-fn word(value: &Json) -> String {
-    match value {
-        Json::String(text) => text.clone(),
-        other => other.to_string(),
     }
 }
 

@@ -1,6 +1,6 @@
 //! JSON as tables, whatever a graph has put into it.
 
-use crate::html::{Cell, Page};
+use crate::{cell::Cell, html::Page};
 use serde_json::{Map, Value as Json};
 
 /// Longer lists are told by their length; the file has them.

@@ -1,8 +1,9 @@
 //! The fragment that the executed cuts take out of the bone, coloured by its distance from the planned one.
 
 use crate::{
+    cell::number,
     evidence::Evidence,
-    html::{Page, number},
+    html::Page,
     scene::{self, BONE, Scene, round_up},
 };
 use nalgebra::{Isometry3, Point3, Vector3};

@@ -2,9 +2,10 @@
 
 use super::{fine, fragments};
 use crate::{
+    cell::{Cell, number},
     chart::{Axis, Chart, Mark, Series},
     evidence::Evidence,
-    html::{Cell, Page, number},
+    html::Page,
     scene::{self, BLUE, BONE, RED, Scene, round_up},
 };
 use nalgebra::{Isometry3, Point3, Vector3};

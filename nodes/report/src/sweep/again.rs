@@ -1,11 +1,7 @@
 //! A run of a sweep once more: a sweep's folder holds no surfaces, so what is drawn on one comes from the graph again.
 
 use super::{Swept, number_of};
-use crate::{
-    evidence::Evidence,
-    html::{Page, number},
-    run::fragments,
-};
+use crate::{cell::number, evidence::Evidence, html::Page, run::fragments};
 use osteoflow_engine::{
     Faults, RunOptions,
     plugin::Kinds,

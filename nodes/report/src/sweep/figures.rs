@@ -2,8 +2,9 @@
 
 use super::{Setting, Swept, number_of};
 use crate::{
+    cell::number,
     chart::{Axis, Chart, Mark, N_COLOURS, Series, Tukey, named},
-    html::{Page, number},
+    html::Page,
 };
 use osteoflow_engine::sweep::{Column, Distribution, Draw, Factor};
 use osteoflow_statistics::pearson;
@@ -41,7 +42,7 @@ pub(super) fn columns(page: &mut Page, sweep: &Swept) {
 
 /// What is varied over at least three numbers and is no unit: an axis, where a bone's number is a name.
 fn numeric_factor(sweep: &Swept) -> Option<&Factor> {
-    sweep.varied().find(|factor| {
+    sweep.varied().into_iter().find(|factor| {
         factor.levels.len() >= 3
             && factor.levels.iter().all(|level| level.label.is_number())
             && !sweep.spec.units.contains(&factor.name)

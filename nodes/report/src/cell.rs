@@ -1,0 +1,76 @@
+//! What stands in a cell of a table, on a page and on a terminal, and how its numbers are told.
+
+use serde_json::Value as Json;
+
+/// What stands in a cell of a table.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Cell {
+    /// A number.
+    Number(f64),
+    /// A word or a sentence.
+    Word(String),
+    /// What is typed.
+    Code(String),
+}
+
+impl Cell {
+    /// Of a JSON value: numbers as such, lists and objects as text.
+    pub(crate) fn of(value: &Json) -> Self {
+        match value {
+            Json::Null => Self::Word("\u{2013}".into()),
+            Json::Number(number) => Self::Number(number.as_f64().unwrap_or(f64::NAN)),
+            Json::String(text) => Self::Word(text.clone()),
+            Json::Bool(true) => Self::Word("yes".into()),
+            Json::Bool(false) => Self::Word("no".into()),
+            Json::Array(items) if items.iter().all(Json::is_number) => {
+                let items: Vec<_> = items.iter().map(|item| number(item.as_f64().unwrap_or(f64::NAN))).collect();
+                Self::Word(items.join(", "))
+            }
+            other => Self::Code(other.to_string()),
+        }
+    }
+
+    pub(crate) fn word(text: impl Into<String>) -> Self {
+        Self::Word(text.into())
+    }
+
+    /// As a terminal and a text file take it.
+    pub fn plain(&self) -> String {
+        let text = match self {
+            Self::Number(value) => number(*value),
+            Self::Word(text) | Self::Code(text) => text.clone(),
+        };
+        text.replace('\u{2212}', "-").replace('\u{a0}', " ")
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        matches!(self, Self::Word(text) if text.is_empty())
+    }
+}
+
+/// A number with the digits that count: whole numbers whole, others with three.
+pub(crate) fn number(value: f64) -> String {
+    let size = value.abs();
+    let text = match size {
+        _ if !value.is_finite() => return "\u{2013}".into(),
+        s if s == s.trunc() && s < 1e15 => format!("{size:.0}"),
+        s if s >= 100.0 => format!("{size:.1}"),
+        s if s >= 10.0 => format!("{size:.2}"),
+        s if s >= 0.001 => format!("{size:.3}"),
+        _ => format!("{size:.2e}"),
+    };
+    let sign = if value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b)) { "\u{2212}" } else { "" };
+    format!("{sign}{text}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_told_with_the_digits_that_count() {
+        let told: Vec<_> = [0.0, 20000.0, -0.02446, 3.2e-12, 0.1234, 12.345, 333.567, f64::NAN].map(number).into();
+        let expected = ["0", "20000", "\u{2212}0.024", "3.20e-12", "0.123", "12.35", "333.6", "\u{2013}"];
+        assert_eq!(told, expected);
+    }
+}

@@ -1,0 +1,88 @@
+//! The page that sets the paper's numbers beside ours: each with its n and the command, and whether it lies outside the
+//! paper's spread.
+//!
+//! The paper's numbers, and where ours are found, stand in `reproduction/published.toml`.
+
+mod ours;
+mod page;
+mod published;
+
+use crate::{
+    ReportError,
+    summary::{self, between, with_holm},
+};
+use osteoflow_engine::sweep::Folder;
+use ours::Ours;
+use published::{Judged, Published, Row, Setting};
+use serde_json::Value;
+
+/// The experiments, in the order of the paper, then ours: names of graphs in graphs/paper/.
+pub const EXPERIMENTS: [&str; 11] = [
+    "calibration",
+    "accuracy_camera",
+    "accuracy_stylus",
+    "cutting",
+    "sensitivity",
+    "point_count",
+    "laser_spot",
+    "in_vivo",
+    "variants",
+    "roi_extent",
+    "error_terms",
+];
+
+/// The experiments that were run, ready to be told.
+pub struct Reproduction {
+    published: Published,
+    /// By name, in the order given.
+    summaries: Vec<(String, Value)>,
+    /// Of each meeting in `published` whose experiments are there: the comparisons, or why there are none.
+    met: Vec<(usize, Result<Vec<Value>, String>)>,
+}
+
+impl Reproduction {
+    /// Of finished sweeps, by the name of their experiment.
+    ///
+    /// # Errors
+    /// If a file of theirs cannot be read.
+    pub fn new(sweeps: &[(String, Folder)]) -> Result<Self, ReportError> {
+        let published = Published::new();
+        let read = |(name, folder): &(String, Folder)| Ok((name.clone(), summary::read(folder)?));
+        let summaries = sweeps.iter().map(read).collect::<Result<_, ReportError>>()?;
+        let mut met = Vec::new();
+        for (index, meeting) in published.meeting.iter().enumerate() {
+            let folder = |of: &str| sweeps.iter().find(|(name, _)| name == of).map(|(_, folder)| folder);
+            let (Some(first), Some(second)) = (folder(&meeting.first), folder(&meeting.second)) else { continue };
+            let done = |folder: &Folder| folder.done()?.collect::<Result<Vec<_>, _>>();
+            let (mut spec, a, b) = (first.spec()?, done(first)?, done(second)?);
+            spec.columns.retain(|column| meeting.columns.contains(&column.name));
+            let compared = between((&meeting.first, &spec, &a), (&meeting.second, &second.spec()?, &b));
+            met.push((index, compared.map(with_holm).map_err(|none| none.to_string())));
+        }
+        Ok(Self { published, summaries, met })
+    }
+
+    /// The rows whose number of ours lies outside the paper's spread, a line each.
+    pub fn outside(&self) -> Vec<String> {
+        let told = |row: &Row| {
+            let ours = self.of_row(row)?;
+            let Some(Judged::Outside(side)) = row.judged(ours.value?) else { return None };
+            Some(format!("{} ({}): paper {}, ours {}, {side}", row.what, row.section, row.paper, ours.text))
+        };
+        self.published.row.iter().filter_map(told).collect()
+    }
+
+    /// The page in Markdown; `command` is what it was made by.
+    pub fn page(&self, command: &str) -> String {
+        page::text(self, command)
+    }
+
+    fn of_row(&self, row: &Row) -> Option<Ours> {
+        self.ours(&row.experiment, &row.ours, &row.setting, row.show.as_deref())
+    }
+
+    fn ours(&self, experiment: &str, path: &str, setting: &Setting, show: Option<&str>) -> Option<Ours> {
+        let (_, summary) = self.summaries.iter().find(|(name, _)| name == experiment)?;
+        Ours::find(summary, path, setting, show)
+    }
+}

@@ -1,0 +1,176 @@
+//! The page of the paper's numbers and ours, as Markdown.
+
+use super::{
+    Reproduction,
+    published::{Judged, Meeting, RULE, Table},
+};
+use crate::{
+    cell::Cell,
+    chart::named,
+    summary::{Row, comparison, under_heads, units, word},
+};
+use serde_json::Value;
+
+/// The whole page.
+pub(super) fn text(reproduction: &Reproduction, command: &str) -> String {
+    let mut out = Markdown::default();
+    out.line("# The paper's numbers and ours\n");
+    out.line(&format!("Written by `{command}`; not edited by hand.\n"));
+    out.line(
+        "**SIMULATED; research use only, not for clinical use.** Every number of ours comes from the simulated procedure \
+         ([simulation.md](simulation.md)), whose error terms were set from their sources and not from the numbers below. n \
+         says of what: starts on one scan of one bone are n = 1 bone. Values are mean ± SD (least to greatest); \
+         [statistics.md](statistics.md) has the formulas, and why an interval of two or three bones, as each sweep's \
+         `summary.json` has it, says little.\n",
+    );
+    out.line(&format!("{RULE}\n"));
+    rows(&mut out, reproduction);
+    out.line("\n## Outside the paper's spread\n");
+    match reproduction.outside().as_slice() {
+        [] => out.line("None."),
+        all => all.iter().for_each(|told| out.line(&format!("- {told}"))),
+    }
+    out.line("");
+    for (index, comparisons) in &reproduction.met {
+        meeting(&mut out, &reproduction.published.meeting[*index], comparisons);
+    }
+    commands(&mut out, reproduction);
+    readings(&mut out, reproduction);
+    for table in &reproduction.published.table {
+        if let Some((_, summary)) = reproduction.summaries.iter().find(|(name, _)| *name == table.experiment) {
+            out.line(&format!("## {}\n", table.title));
+            out.line(&format!("`graphs/paper/{}.toml`; SIMULATED; mean ± SD.\n", table.experiment));
+            settings(&mut out, table, summary);
+            out.line("");
+        }
+    }
+    out.0.truncate(out.0.trim_end().len());
+    out.line("");
+    out.0
+}
+
+fn rows(out: &mut Markdown, reproduction: &Reproduction) {
+    out.head(["section", "what", "paper", "ours", "n", "within the paper's spread", "remark"]);
+    for row in &reproduction.published.row {
+        let Some(ours) = reproduction.of_row(row) else { continue };
+        let judged = match ours.value.and_then(|value| row.judged(value)) {
+            Some(Judged::Within(told) | Judged::Outside(told)) => told,
+            None => "-".into(),
+        };
+        out.row([&row.section, &row.what, &row.paper, &ours.text, &ours.n, &judged, &row.remark]);
+    }
+}
+
+/// Two experiments in pairs.
+fn meeting(out: &mut Markdown, meeting: &Meeting, comparisons: &Result<Vec<Value>, String>) {
+    let Meeting { first, second, .. } = meeting;
+    out.line(&format!("## {} ({})\n", meeting.title, meeting.section));
+    out.line(&format!(
+        "`osteoflow compare OUT/{first} OUT/{second}`; SIMULATED. Procedures of the same bone and seed are a pair; first is \
+         {first}, second {second}, the difference second minus first, in mm. Limits of agreement by Bland and Altman, p by \
+         Wilcoxon's signed ranks, corrected by Holm over these rows, effect: rank-biserial.\n",
+    ));
+    match comparisons {
+        Err(none) => out.line(&format!("Not compared: {none}.")),
+        Ok(comparisons) => {
+            let row = |of: &Value| {
+                let mut row = Row::from([("measure".into(), Cell::word(named(&word(&of["column"]))))]);
+                row.extend(comparison(of));
+                row
+            };
+            let (heads, cells) = under_heads(&comparisons.iter().map(row).collect::<Vec<_>>());
+            out.head(&heads);
+            cells.iter().for_each(|cells| out.row(cells.iter().map(Cell::plain)));
+        }
+    }
+    out.line("");
+}
+
+fn commands(out: &mut Markdown, reproduction: &Reproduction) {
+    out.line("## The command of each experiment\n");
+    out.head(["experiment", "command", "runs", "without results"]);
+    for (name, summary) in &reproduction.summaries {
+        let command = format!("`osteoflow sweep graphs/paper/{name}.toml`");
+        out.row([name, &command, &summary["n_runs"].to_string(), &summary["n_without_results"].to_string()]);
+    }
+    out.line(
+        "\nA run without results is a procedure that was refused, mostly because a laser spot lay at the silhouette of the \
+         bone and its hole could not be found; `runs.csv` says why for each. A surgeon would point again.\n",
+    );
+}
+
+fn readings(out: &mut Markdown, reproduction: &Reproduction) {
+    out.line("## How we read the paper\n");
+    for reading in &reproduction.published.reading {
+        out.line(&format!("**{}** {}", reading.question, reading.reading));
+        for shown in &reading.shows {
+            if let Some(ours) = reproduction.ours(&shown.experiment, &shown.ours, &shown.setting, None) {
+                out.line(&format!("- {}: {}, n = {}", shown.name, ours.text, ours.n));
+            }
+        }
+        out.line("");
+    }
+}
+
+/// Every setting of an experiment as a row.
+fn settings(out: &mut Markdown, table: &Table, summary: &Value) {
+    let groups = summary["groups"].as_array().map(Vec::as_slice).unwrap_or_default();
+    let names: Vec<_> =
+        groups.first().and_then(|g| g["setting"].as_object()).into_iter().flat_map(|s| s.keys()).collect();
+    let head = names.iter().map(|name| name.as_str()).chain(table.columns.iter().map(String::as_str)).chain(["n"]);
+    out.head(head);
+    for group in groups {
+        let setting = names.iter().map(|name| word(&group["setting"][name.as_str()]));
+        let cells = table.columns.iter().map(|column| {
+            let of = &group["columns"][column];
+            match (of["mean"].as_f64(), of["sd"].as_f64()) {
+                (Some(mean), Some(sd)) => format!("{mean:.2} ± {sd:.2}"),
+                (Some(mean), None) => format!("{mean:.2}"),
+                _ => "-".into(),
+            }
+        });
+        let without = match group["n_without_results"].as_u64().unwrap_or_default() {
+            0 => String::new(),
+            n => format!("; {n} without results"),
+        };
+        out.row(setting.chain(cells).chain([units(&group["units"]) + &without]));
+    }
+}
+
+/// Markdown that grows line by line.
+#[derive(Default)]
+struct Markdown(String);
+
+impl Markdown {
+    fn line(&mut self, text: &str) {
+        self.0.push_str(text);
+        self.0.push('\n');
+    }
+
+    fn head<T: AsRef<str>>(&mut self, heads: impl IntoIterator<Item = T>) {
+        let heads: Vec<T> = heads.into_iter().collect();
+        self.row(&heads);
+        self.line(&format!("|{}", " --- |".repeat(heads.len())));
+    }
+
+    /// A row of a table.
+    fn row<T: AsRef<str>>(&mut self, cells: impl IntoIterator<Item = T>) {
+        // A bar would begin another cell, a new line another row.
+        let cells: Vec<_> =
+            cells.into_iter().map(|cell| cell.as_ref().replace('|', "\\|").replace('\n', " ")).collect();
+        self.line(&format!("| {} |", cells.join(" | ")));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bar_in_a_cell_begins_no_other_cell() {
+        let mut out = Markdown::default();
+        out.head(["mean |.|", "n"]);
+        out.row(["a\nb", "3"]);
+        assert_eq!(out.0, "| mean \\|.\\| | n |\n| --- | --- |\n| a b | 3 |\n");
+    }
+}

@@ -1,0 +1,125 @@
+//! What a sweep says in numbers: each column under each setting, with what it is counted by, and what is compared.
+
+mod compared;
+mod group;
+mod told;
+
+pub use compared::{NoPairs, between, with_holm};
+pub use told::{Row, about_few, comparison, statistics, under_heads, units};
+
+use crate::{ReportError, evidence};
+use osteoflow_engine::sweep::{Done, Folder, Spec, at_path};
+use osteoflow_statistics::{StatisticsError, Units};
+use serde_json::{Map, Value, json};
+
+/// The file of a sweep's folder that holds its summary.
+pub const SUMMARY: &str = "summary.json";
+
+/// The confidence of every interval.
+const LEVEL: f64 = 0.95;
+
+/// Writes the tables of a finished sweep, and its summary, which is given back; `notice` stands on it.
+///
+/// # Errors
+/// If a file of the folder cannot be read or written.
+pub fn write(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
+    folder.write_tables()?;
+    let summary = summary(folder, notice)?;
+    folder.write(SUMMARY, format!("{summary:#}\n").as_bytes())?;
+    Ok(summary)
+}
+
+/// The summary that a sweep has left.
+///
+/// # Errors
+/// If it is not there, or no JSON.
+pub fn read(folder: &Folder) -> Result<Value, ReportError> {
+    evidence::json(&folder.dir().join(SUMMARY))
+}
+
+/// What `summary.json` holds.
+fn summary(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
+    let spec = folder.spec()?;
+    let done = folder.done()?.collect::<Result<Vec<_>, _>>()?;
+    let groups: Vec<_> =
+        groups(&spec, &done).iter().map(|(setting, rows)| group::group(&spec, setting, rows)).collect();
+    let simulated = done.iter().any(|d| d.results["simulated"] == true);
+    let missing = missing(&spec, &done).into_iter();
+    let mut notes: Vec<_> =
+        missing.map(|(name, path)| format!("column {name}: no run with results has anything at {path}")).collect();
+    if simulated {
+        notes.push("SIMULATED".into());
+    }
+    Ok(json!({
+        "notice": notice,
+        "simulated": simulated,
+        "graph": folder.about["graph"], "hash": folder.hash(),
+        "n_runs": done.len(), "n_without_results": done.iter().filter(|d| d.status != "complete").count(),
+        "units": units_of(&spec, &done.iter().collect::<Vec<_>>()).map(|units| levels(&units)),
+        "groups": groups, "comparisons": compared::within(&spec, &done), "notes": notes,
+    }))
+}
+
+/// Columns that no run has anything for, though some have results.
+fn missing<'a>(spec: &'a Spec, done: &[Done]) -> Vec<(&'a str, &'a str)> {
+    let with: Vec<_> = done.iter().filter(|d| d.status == "complete").collect();
+    let paths = spec.columns.iter().map(|c| (&*c.name, &*c.path));
+    let paths = paths.chain(spec.points.iter().map(|p| (&*p.name, &*p.path)));
+    let found = |path: &str| with.is_empty() || with.iter().any(|d| at_path(&d.results, path).is_some());
+    paths.filter(|(_, path)| !found(path)).collect()
+}
+
+/// The runs by setting: the factors that are varied and are no units.
+fn groups<'a>(spec: &Spec, done: &'a [Done]) -> Vec<(Map<String, Value>, Vec<&'a Done>)> {
+    let varied = spec.factors.iter().filter(|f| f.levels.len() > 1 && !spec.units.contains(&f.name));
+    let names: Vec<_> = varied.map(|factor| factor.name.as_str()).collect();
+    let mut groups: Vec<(Map<String, Value>, Vec<&Done>)> = Vec::new();
+    for run in done {
+        let setting: Map<_, _> =
+            names.iter().map(|name| ((*name).to_owned(), run.value(name).cloned().unwrap_or_default())).collect();
+        match groups.iter_mut().find(|(known, _)| *known == setting) {
+            Some((_, runs)) => runs.push(run),
+            None => groups.push((setting, vec![run])),
+        }
+    }
+    groups
+}
+
+/// The units of these runs; `None` where there are none.
+fn units_of(spec: &Spec, runs: &[&Done]) -> Option<Units> {
+    let paths: Vec<_> = runs.iter().map(|run| path(spec, run)).collect();
+    Units::new(&spec.units, &paths).ok()
+}
+
+fn path(spec: &Spec, run: &Done) -> Vec<String> {
+    spec.units.iter().map(|unit| run.value(unit).map(word).unwrap_or_default()).collect()
+}
+
+/// The units above the repeats: what stays while a procedure is repeated.
+fn path_of_highest(spec: &Spec, run: &Done) -> Vec<String> {
+    let above = spec.units.iter().filter(|unit| **unit != spec.repeat_name);
+    above.map(|unit| run.value(unit).map(word).unwrap_or_default()).collect()
+}
+
+fn levels(units: &Units) -> Value {
+    let names = units.levels().zip(units.n_units());
+    names.map(|(name, n)| json!({ "name": name.to_string(), "n": n })).collect()
+}
+
+/// A number, or whether something is so.
+fn number(value: &Value) -> Option<f64> {
+    value.as_f64().or_else(|| value.as_bool().map(|so| f64::from(u8::from(so))))
+}
+
+/// A value as words.
+pub fn word(value: &Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
+}
+
+/// What was computed, or why it could not be.
+fn or_reason<T: serde::Serialize>(computed: Result<T, StatisticsError>) -> Value {
+    match computed {
+        Ok(value) => json!(value),
+        Err(error) => json!({ "none": error.to_string() }),
+    }
+}

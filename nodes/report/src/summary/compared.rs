@@ -1,0 +1,165 @@
+//! Paired comparisons: of the values of one factor within a sweep, and of two sweeps.
+
+use super::{LEVEL, groups, number, or_reason, path, word};
+use osteoflow_engine::sweep::{Done, Spec, at_path};
+use osteoflow_statistics::{Units, WilcoxonParams, bland_altman, counted, holm, plural, tost, unit_means, wilcoxon};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Of the test of equivalence: 5 % on either side.
+const ALPHA: f64 = 0.05;
+/// With fewer units than so many a paired test cannot come below 5 %, whatever it is given: 2 / 2⁶ = 3 %.
+const FEWEST_PAIRS: usize = 6;
+
+/// Runs of two sweeps that cannot be told to be pairs.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the sweeps have no pairs: run {run} is like another but for factors that only one of them has (in both: {shared})"
+)]
+pub struct NoPairs {
+    run: usize,
+    shared: String,
+}
+
+/// What a sweep compares by its own table: each value of a factor with one of them.
+pub(super) fn within(spec: &Spec, done: &[Done]) -> Vec<Value> {
+    let Some(compare) = &spec.compare else { return Vec::new() };
+    let side = |label: &Value| done.iter().filter(|d| d.value(&compare.factor) == Some(label)).collect();
+    let others = spec.factors.iter().find(|factor| factor.name == compare.factor);
+    let others = others.into_iter().flat_map(|factor| &factor.levels).filter(|level| level.label != compare.to);
+    let base: Vec<&Done> = side(&compare.to);
+    let mut out = Vec::new();
+    for level in others {
+        let key = |d: &Done| key_without(d, &compare.factor);
+        let (a, b) = (word(&compare.to), word(&level.label));
+        out.extend(compared(spec, (&a, &base), (&b, &side(&level.label)), &key, &compare.margins));
+    }
+    with_holm(out)
+}
+
+/// The columns of one sweep against those of another, under each setting of the first; a pair is a run of each with the
+/// same seed and the same values of what both vary. Not yet corrected: see [`with_holm`].
+///
+/// # Errors
+/// If two runs of one sweep are told apart only by what the other does not have.
+pub fn between(
+    (a, spec, first): (&str, &Spec, &[Done]),
+    (b, other, second): (&str, &Spec, &[Done]),
+) -> Result<Vec<Value>, NoPairs> {
+    let margins = spec.compare.as_ref().map(|compare| compare.margins.as_slice()).unwrap_or_default();
+    let shared = shared_names(spec, other);
+    let key = |d: &Done| {
+        let values = shared.iter().map(|name| d.value(name).map(word).unwrap_or_default());
+        format!("{}\u{1f}{}", values.collect::<Vec<_>>().join("\u{1f}"), d.seed)
+    };
+    if let Some(run) = twice(first, &key).or(twice(second, &key)) {
+        let shared = if shared.is_empty() { "none".into() } else { shared.join(", ") };
+        return Err(NoPairs { run, shared });
+    }
+    let second: Vec<&Done> = second.iter().collect();
+    let mut comparisons = Vec::new();
+    // What is averaged over units has one setting.
+    for (setting, first) in groups(spec, first) {
+        for mut told in compared(spec, (a, &first), (b, &second), &key, margins) {
+            told["setting"] = json!(setting);
+            comparisons.push(told);
+        }
+    }
+    Ok(comparisons)
+}
+
+/// What both sweeps tell their runs apart by.
+fn shared_names(a: &Spec, b: &Spec) -> Vec<String> {
+    let names = |spec: &Spec| -> Vec<String> {
+        let factors = spec.factors.iter().map(|f| f.name.clone());
+        factors.chain([spec.repeat_name.clone()]).chain(spec.draws.iter().map(|d| d.name.clone())).collect()
+    };
+    let of_b = names(b);
+    names(a).into_iter().filter(|name| of_b.contains(name)).collect()
+}
+
+/// A run whose key another has too.
+fn twice(done: &[Done], key: &dyn Fn(&Done) -> String) -> Option<usize> {
+    let mut seen = BTreeSet::new();
+    done.iter().find(|d| !seen.insert(key(d))).map(|d| d.run)
+}
+
+/// Paired comparisons of the runs of two sides, column by column; the runs with one key are a pair.
+fn compared(
+    spec: &Spec,
+    (a, runs_a): (&str, &[&Done]),
+    (b, runs_b): (&str, &[&Done]),
+    key: &dyn Fn(&Done) -> String,
+    margins: &[(String, f64)],
+) -> Vec<Value> {
+    let of_a: BTreeMap<String, &Done> = runs_a.iter().map(|d| (key(d), *d)).collect();
+    let pairs: Vec<_> = runs_b.iter().filter_map(|d| Some((*of_a.get(&key(d))?, *d))).collect();
+    let mut out = Vec::new();
+    // Where margins are stated, these columns are what is asked.
+    let asked = |name: &String| margins.is_empty() || margins.iter().any(|(margin, _)| margin == name);
+    for column in spec.columns.iter().filter(|column| asked(&column.name)) {
+        let values = |d: &Done| at_path(&d.results, &column.path).and_then(number);
+        let with: Vec<_> = pairs.iter().filter_map(|(a, b)| Some((*b, values(a)?, values(b)?))).collect();
+        if with.is_empty() {
+            continue;
+        }
+        let rows: Vec<&Done> = with.iter().map(|(run, ..)| *run).collect();
+        let differences: Vec<f64> = with.iter().map(|(_, a, b)| b - a).collect();
+        let (unit, differences, note) = by_unit(spec, &rows, differences);
+        let margin = margins.iter().find(|(name, _)| *name == column.name).map(|(_, margin)| *margin);
+        let n = differences.len();
+        out.push(json!({
+            "column": column.name, "a": a, "b": b, "unit": unit, "n": n, "n_pairs": rows.len(),
+            "mean_a": mean(with.iter().map(|(_, a, _)| *a)), "mean_b": mean(with.iter().map(|(.., b)| *b)),
+            "mean_difference": mean(differences.iter().copied()),
+            "wilcoxon": or_reason(wilcoxon(&differences, &WilcoxonParams::default())),
+            "tost": margin.map_or(Value::Null, |margin| or_reason(tost(&differences, margin, ALPHA))),
+            "bland_altman": or_reason(bland_altman(&differences, LEVEL)),
+            "note": note,
+        }));
+    }
+    out
+}
+
+/// The differences of the highest units that are enough for a test, each the mean of its runs.
+fn by_unit(spec: &Spec, rows: &[&Done], differences: Vec<f64>) -> (String, Vec<f64>, Value) {
+    for depth in 1..=spec.units.len() {
+        let names: Vec<_> = spec.units[..depth].iter().map(String::as_str).collect();
+        let paths: Vec<Vec<String>> =
+            rows.iter().map(|run| path(spec, run)[..depth].join("\u{1f}")).map(|p| vec![p]).collect();
+        let Ok(units) = Units::new(&[names.join(", ")], &paths) else { continue };
+        let Ok(means) = unit_means(&units, &differences) else { continue };
+        let last = depth == spec.units.len();
+        if means.means.len() >= FEWEST_PAIRS || last {
+            let highest = &spec.units[0];
+            let n_highest: BTreeSet<_> = rows.iter().map(|run| path(spec, run)[0].clone()).collect();
+            let note = (depth > 1).then(|| {
+                let (tested, within) = (plural(&spec.units[depth - 1]), counted(n_highest.len(), highest));
+                format!("tested over {tested} within {within}: says nothing of others")
+            });
+            return (spec.units[depth - 1].clone(), means.means, json!(note));
+        }
+    }
+    ("run".into(), differences, Value::Null)
+}
+
+/// Holm's correction over all comparisons.
+pub fn with_holm(mut comparisons: Vec<Value>) -> Vec<Value> {
+    let with: Vec<usize> = (0..comparisons.len()).filter(|&i| comparisons[i]["wilcoxon"]["p"].is_number()).collect();
+    let p: Vec<f64> = with.iter().filter_map(|&i| comparisons[i]["wilcoxon"]["p"].as_f64()).collect();
+    if let Ok(corrected) = holm(&p) {
+        with.iter().zip(corrected).for_each(|(&i, p)| comparisons[i]["p_holm"] = p.into());
+    }
+    comparisons
+}
+
+/// All that tells a run from others but one factor.
+fn key_without(run: &Done, factor: &str) -> String {
+    let values = run.values.iter().filter(|(name, _)| name != factor);
+    values.map(|(name, value)| format!("{name}={value}\u{1f}")).collect()
+}
+
+fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let n = values.clone().count() as f64;
+    values.sum::<f64>() / n
+}

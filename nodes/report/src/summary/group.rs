@@ -1,0 +1,123 @@
+//! The runs of one setting: statistics of each column and of each axis at the points, and correlations with what was drawn.
+
+use super::{LEVEL, levels, number, or_reason, path, path_of_highest, units_of};
+use osteoflow_engine::sweep::{Done, Spec, at_path, point_values};
+use osteoflow_statistics::{
+    BootstrapParams, Share, StatisticsError, Summary, Units, bootstrap_mean, pearson, plural, repeatability, spearman,
+    wilson_clustered,
+};
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+
+/// The statistics of the runs of one setting.
+pub(super) fn group(spec: &Spec, setting: &Map<String, Value>, runs: &[&Done]) -> Value {
+    let mut columns = Map::new();
+    for column in &spec.columns {
+        let with: Vec<_> =
+            runs.iter().filter_map(|d| Some((*d, number(at_path(&d.results, &column.path)?)?))).collect();
+        if with.is_empty() {
+            continue;
+        }
+        let (rows, values): (Vec<&Done>, Vec<f64>) = with.into_iter().unzip();
+        let mut told = statistics(units_of(spec, &rows).as_ref(), &values);
+        if let Some((_, limit)) = spec.limits.iter().find(|(name, _)| *name == column.name) {
+            // A run without results did not stay below any limit.
+            let hits: Vec<_> = runs
+                .iter()
+                .map(|d| at_path(&d.results, &column.path).and_then(number).is_some_and(|x| x.abs() < *limit))
+                .collect();
+            let share = units_of(spec, runs).map(|units| wilson_clustered(&units, &hits, LEVEL));
+            told["share_below"] = share.map_or(Value::Null, |share| share_json(*limit, share));
+        }
+        columns.insert(column.name.clone(), told);
+    }
+    let n_without = runs.iter().filter(|d| d.status != "complete").count();
+    json!({
+        "setting": setting, "n_runs": runs.len(), "n_without_results": n_without,
+        "units": units_of(spec, runs).map(|units| levels(&units)),
+        "columns": columns, "points": points(spec, runs), "correlations": correlations(spec, runs),
+    })
+}
+
+fn share_json(limit: f64, share: Result<Share, StatisticsError>) -> Value {
+    let mut told = or_reason(share);
+    told["limit"] = limit.into();
+    told
+}
+
+/// The points of a group, axis by axis.
+fn points(spec: &Spec, runs: &[&Done]) -> Map<String, Value> {
+    /// A run, a point, and its value.
+    type At<'a> = (&'a Done, String, f64);
+    // By measure and axis.
+    let mut found: BTreeMap<(String, String), Vec<At<'_>>> = BTreeMap::new();
+    for &run in runs {
+        for point in point_values(spec, run) {
+            let key = (point.measure.to_owned(), point.axis.to_owned());
+            found.entry(key).or_default().push((run, point.point, point.value));
+        }
+    }
+    let mut out = Map::new();
+    for ((measure, axis), rows) in found {
+        let values: Vec<f64> = rows.iter().map(|(.., value)| *value).collect();
+        let names: Vec<_> = spec.units.iter().map(String::as_str).chain(["point"]).collect();
+        let path = |(run, point, _): &At<'_>| {
+            let mut path = path(spec, run);
+            path.push(point.clone());
+            path
+        };
+        let units = Units::new(&names, &rows.iter().map(path).collect::<Vec<_>>()).ok();
+        let mut told = statistics(units.as_ref(), &values);
+        // The same point in one procedure after the other; and the points of one procedure.
+        let of_run = |(run, ..): &At<'_>| path_of_highest(spec, run);
+        let by_point: Vec<_> = rows.iter().map(|row| (of_run(row), row.1.clone())).collect();
+        let by_run: Vec<_> = rows.iter().map(|(run, ..)| run.run).collect();
+        told["within_points"] = or_reason(repeatability(&by_point, &values));
+        told[format!("within_{}", plural(&spec.repeat_name))] = or_reason(repeatability(&by_run, &values));
+        let of_measure = out.entry(measure).or_insert_with(|| json!({}));
+        of_measure[axis] = told;
+    }
+    out
+}
+
+/// How what was drawn goes with the columns.
+fn correlations(spec: &Spec, runs: &[&Done]) -> Vec<Value> {
+    let mut out = Vec::new();
+    for draw in &spec.draws {
+        for column in &spec.columns {
+            let pairs = runs
+                .iter()
+                .filter_map(|d| Some((number(d.value(&draw.name)?)?, number(at_path(&d.results, &column.path)?)?)));
+            let (x, y): (Vec<f64>, Vec<f64>) = pairs.unzip();
+            if x.len() > 3 {
+                out.push(json!({
+                    "draw": draw.name, "column": column.name, "n": x.len(), "unit": spec.repeat_name,
+                    "pearson": or_reason(pearson(&x, &y, LEVEL)), "spearman": or_reason(spearman(&x, &y, LEVEL)),
+                }));
+            }
+        }
+    }
+    out
+}
+
+/// What every list of numbers is told by.
+fn statistics(units: Option<&Units>, values: &[f64]) -> Value {
+    let mut told = or_reason(Summary::of(values));
+    let mean =
+        units.map(|units| bootstrap_mean(units, values, &BootstrapParams { level: LEVEL, ..Default::default() }));
+    if let Some(mean) = mean {
+        match mean {
+            Ok(mean) => {
+                told["mean_interval"] = match &mean.interval {
+                    Ok(interval) => json!(interval),
+                    Err(none) => json!({ "no_interval": none.to_string() }),
+                };
+                told["interval_by"] = mean.unit.clone().into();
+                told["few_units"] = mean.few_units.into();
+            }
+            Err(error) => told["mean_interval"] = json!({ "no_interval": error.to_string() }),
+        }
+    }
+    told["n_units"] = units.map_or(Value::Null, levels);
+    told
+}
