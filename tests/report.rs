@@ -59,8 +59,8 @@ fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
     let ran = run_whole("graphs/fibula.toml", &[]);
     let page = report(ran.dir.path());
     assert!(fs::metadata(&page).unwrap().len() < 10_000_000, "a page that can be mailed");
-    for file in ["figures/graph.svg", "figures/convergence.svg", "figures/tre-measured.svg", "citations.bib"] {
-        assert!(ran.dir.path().join(file).is_file(), "{file} is missing");
+    for file in ["graph", "convergence", "tre-measured", "view-residuals", "view-cuts", "view-fragment-aligned"] {
+        assert!(ran.dir.path().join(format!("figures/{file}.svg")).is_file(), "{file} is missing");
     }
     let bibliography = fs::read_to_string(ran.dir.path().join("citations.bib")).unwrap();
     assert!(
@@ -191,4 +191,100 @@ fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() 
     check_page(&mut browser, &page, 3);
     let maps = browser.evaluate("document.querySelectorAll('.view').length");
     assert_eq!(maps, 4, "two fragments, each in place and carried back");
+}
+
+/// Two bones of a few procedures each, of which some are refused: their gate lets no pair through.
+const REFUSING: &str = r#"
+extends = "GRAPH"
+[node.bone]
+exact = true
+[sweep]
+repeat = 4
+units = ["bone", "procedure"]
+[sweep.factor]
+bone = { keys = ["recording.bone.shape_seed", "plan.bone.shape_seed", "bone.bone.shape_seed"], values = [1, 2] }
+icp = { key = "icp.kind", values = ["icp.point_to_point", "icp.point_to_plane"] }
+[sweep.draw]
+gate_mm = { key = "icp.max_pair_distance_mm", choice = [8.0, 8.5, 1e-6] }
+[sweep.columns]
+tre_mm = "metrics.tre_true_mm.mean_abs.norm"
+[sweep.points]
+tre_true_mm = { from = "metrics.tre_true_mm.points" }
+[sweep.compare]
+factor = "icp"
+margin = { tre_mm = 1.0 }
+"#;
+
+/// The cells of the table whose caption has these words, its heads first.
+fn table(browser: &mut Browser, words: &str) -> Vec<Vec<String>> {
+    let cells = browser.evaluate(&format!(
+        "[...[...document.querySelectorAll('table')].find((t) => t.caption.textContent.includes('{words}')).rows].map((r) => \
+         [...r.cells].map((c) => c.textContent.replaceAll('\\u00a0', ' ')))"
+    ));
+    serde_json::from_value(cells).unwrap_or_else(|e| panic!("no table of {words}: {e}"))
+}
+
+/// What stands under a head in a row.
+fn under<'a>(table: &'a [Vec<String>], head: &str, row: usize) -> &'a str {
+    let at = table[0].iter().position(|of| of == head).unwrap_or_else(|| panic!("no {head} in {:?}", table[0]));
+    &table[row][at]
+}
+
+#[test]
+fn the_tables_of_a_sweep_have_the_units_of_each_column_the_sd_within_them_and_readable_comparisons() {
+    let dir = tempfile::tempdir().unwrap();
+    let graph = dir.path().join("refusing.toml");
+    fs::write(&graph, REFUSING.replace("GRAPH", common::root().join("graphs/fibula.toml").to_str().unwrap())).unwrap();
+    let out = dir.path().join("swept");
+    osteoflow().arg("sweep").arg(&graph).arg("--out").arg(&out).assert().success();
+    let rows = fs::read_to_string(out.join("runs.csv")).unwrap();
+    let n_complete = rows.lines().filter(|row| row.contains("point_to_point") && row.contains(",complete,")).count();
+    assert!((4..8).contains(&n_complete), "some of 8 procedures are refused, on either bone the same:\n{rows}");
+    let summary = common::json(&out.join("summary.json"));
+    let page = report(&out);
+    let Some(mut browser) = Browser::start(
+        "the_tables_of_a_sweep_have_the_units_of_each_column_the_sd_within_them_and_readable_comparisons",
+    ) else {
+        return;
+    };
+    check_page(&mut browser, &page, 2);
+
+    let columns = table(&mut browser, "tre (mm) by column");
+    let of = format!("2 bones, {n_complete} procedures; {} runs without results", 8 - n_complete);
+    assert_eq!([under(&columns, "n", 1), under(&columns, "of", 1)], [&n_complete.to_string(), of.as_str()]);
+    let interval = under(&columns, "95 % interval of the mean", 1);
+    assert!(interval.contains(" to ") && interval.ends_with("(few: 2 bones)"), "{interval}");
+    let about = browser.evaluate("document.body.textContent.includes('fewer than 5 units is too narrow')");
+    assert_eq!(about, true, "what few means is said");
+
+    let points = table(&mut browser, "tre true (mm) at the points");
+    assert_eq!(points.iter().map(|row| row[1].as_str()).collect::<Vec<_>>()[..4], ["axis", "x", "y", "z"]);
+    let z = &summary["groups"][0]["points"]["tre_true_mm"]["z"];
+    for (head, groups) in [("SD within points", "within_points"), ("SD within procedures", "within_procedures")] {
+        let shown: f64 = under(&points, head, 3).parse().unwrap();
+        let computed = z[groups]["sd_within"].as_f64().unwrap();
+        assert!((shown - computed).abs() <= 5.1e-4, "{head}: {shown} shown, {computed} mm computed");
+    }
+    assert!(under(&points, "of", 1).contains(&format!("{n_complete} procedures, {} points", 5 * n_complete)));
+
+    let compared = table(&mut browser, "Second against first");
+    let heads = [
+        "column",
+        "first",
+        "second",
+        "n",
+        "unit",
+        "mean of first",
+        "mean of second",
+        "difference",
+        "95 % limits of agreement",
+        "p",
+        "p (Holm)",
+        "effect",
+        "equivalent",
+        "remark",
+    ];
+    assert_eq!(compared[0], heads, "what can be read, and nothing for programs");
+    assert_eq!(under(&compared, "n", 1), n_complete.to_string());
+    assert!(under(&compared, "remark", 1).contains("within 2 bones"), "{compared:?}");
 }

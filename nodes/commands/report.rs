@@ -10,7 +10,7 @@ use std::{
 
 /// Write one HTML page of a run or a sweep: figures, views that turn under the mouse, tables, methods, provenance.
 ///
-/// The page opens without a network. Beside it lie its drawings (figures/*.svg) and the literature of the nodes that were
+/// The page opens without a network. Beside it lie its drawings and its views from one side (figures/*.svg), and the literature of the nodes that were
 /// used (citations.bib). Of a run it shows the recorded wires; what was not recorded is named, with what to record.
 /// Of a sweep two runs are run once more, for their surfaces.
 #[derive(Debug, Args)]
@@ -35,7 +35,7 @@ impl Report {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let registry = super::registry();
         let report = match self.holds() {
-            Holds::Sweep => osteoflow_report::of_sweep(&self.dir, &registry, &self.plugins.kinds()?)?,
+            Holds::Sweep => osteoflow_report::of_sweep(&self.dir, &registry, Some(&self.plugins.kinds()?))?,
             Holds::Run => osteoflow_report::of_run(&self.dir, &registry)?,
             Holds::Neither => {
                 let said = format!(

@@ -4,9 +4,9 @@ use super::{
 };
 use anyhow::{Context, Result};
 use clap::Args;
-use osteoflow_engine::sweep::{self, SweepOptions, Watcher};
+use osteoflow_engine::sweep::{self, Folder, SweepOptions, Watcher};
 use osteoflow_report::{
-    reproduction::{EXPERIMENTS, Reproduction},
+    reproduction::{EXPERIMENTS, Reproduction, WITH_MAPS},
     summary,
 };
 use serde_json::{Value, json};
@@ -27,7 +27,8 @@ const PAGE: &str = "docs/paper-reproduction.md";
 ///
 /// Every graph of graphs/paper/ is swept into a folder of its own under --out. The page says for each number of the paper
 /// what ours is, of how many and of what, by which command, and whether it lies outside the paper's spread. In the
-/// project's folder it is docs/paper-reproduction.md, else paper-reproduction.md in --out.
+/// project's folder it is docs/paper-reproduction.md, else paper-reproduction.md in --out. Each sweep's folder gets the
+/// page that `osteoflow report` writes.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -146,16 +147,24 @@ impl Reproduce {
         fs::write(&path, reproduction.page(&self.command()))
             .with_context(|| format!("{} cannot be written", path.display()))?;
         let outside = reproduction.outside();
+        let reports = reports(&all)?;
         if global.format == Format::Json {
             let mut outcome = Exit::Done.to_json();
             outcome["out_dir"] = out.display().to_string().into();
-            print_json(&json!({ "outcome": outcome, "page": path.display().to_string(), "outside": outside }))?;
+            print_json(
+                &json!({ "outcome": outcome, "page": path.display().to_string(), "reports": reports, "outside": outside }),
+            )?;
             return Ok(Exit::Done);
         }
         let mut to = std::io::stdout().lock();
         for line in &outside {
             writeln!(to, "outside the paper's spread: {line}")?;
         }
+        writeln!(
+            to,
+            "figures and tables of each experiment: {}",
+            out.join("NAME").join(osteoflow_report::PAGE).display()
+        )?;
         writeln!(
             to,
             "{} and the sweeps in {} after {:.0} s",
@@ -200,6 +209,19 @@ impl Reproduce {
         let name = bone.file_stem().map_or_else(|| "bone".into(), |stem| stem.to_string_lossy().into_owned());
         Ok(Some(BoneSets { name, bone: absolute(bone)?, plan: absolute(plan)? }))
     }
+}
+
+/// Writes the report of each experiment into its folder, and gives the pages.
+fn reports(sweeps: &[(String, Folder)]) -> Result<Vec<String>> {
+    let registry = super::registry();
+    let kinds = PluginArgs::default().kinds()?;
+    let write = |(name, folder): &(String, Folder)| -> Result<String> {
+        let kinds = WITH_MAPS.contains(&name.as_str()).then_some(&kinds);
+        let page = folder.dir().join(osteoflow_report::PAGE);
+        osteoflow_report::of_sweep(folder.dir(), &registry, kinds)?.write(folder.dir(), &page)?;
+        Ok(page.display().to_string())
+    };
+    sweeps.iter().map(write).collect()
 }
 
 /// A bone of the user's own in the place of the built-in ones.

@@ -13,6 +13,11 @@ use std::fmt::Write;
 /// What stands on every figure beside what it shows.
 pub const RESEARCH: &str = "research use only";
 
+/// The same with SIMULATED where no measured data was registered.
+pub(crate) fn said(simulated: bool) -> String {
+    if simulated { format!("SIMULATED \u{b7} {RESEARCH}") } else { RESEARCH.into() }
+}
+
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 400.0;
 const LEFT: f64 = 72.0;
@@ -155,7 +160,7 @@ impl Chart {
             "<text x=\"{LEFT}\" y=\"18\" style=\"font-size: 13px; font-weight: 600\">{}</text>",
             escaped(&self.title)
         );
-        let said = if self.simulated { format!("SIMULATED \u{b7} {RESEARCH}") } else { RESEARCH.into() };
+        let said = said(self.simulated);
         let _ = writeln!(
             out,
             "<text class=\"small\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{said}</text>",

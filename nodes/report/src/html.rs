@@ -112,8 +112,8 @@ impl Page {
         self.data.insert(name.into(), data);
     }
 
-    /// A view in three dimensions.
-    pub(crate) fn view(&mut self, scene: &Scene, caption: &str) {
+    /// A view in three dimensions; a drawing of it from one side becomes a file.
+    pub(crate) fn view(&mut self, name: &str, scene: &Scene, caption: &str) {
         self.n_figures += 1;
         self.n_views += 1;
         let (n, view) = (self.n_figures, self.n_views);
@@ -123,18 +123,21 @@ impl Page {
              tabindex=\"0\" role=\"img\" aria-label=\"{}\"></canvas><div class=\"bar\"><button type=\"button\" \
              data-do=\"in\" title=\"nearer (+)\">+</button><button type=\"button\" data-do=\"out\" title=\"farther \
              (-)\">\u{2212}</button><button type=\"button\" data-do=\"reset\" title=\"as at first (0)\">reset</button>\
-             </div><div class=\"scale\"><i></i><span></span></div><p class=\"fallback\" hidden>This browser has no WebGL, \
-             so the view cannot be drawn; all its numbers are in the tables.</p></div>{}<figcaption><b>Figure {n}.</b> {} \
+             </div><div class=\"scale\"><i></i><span></span></div><p class=\"fallback\" hidden>This browser has no WebGL: \
+             figures/{}.svg shows the view from one side.</p></div>{}<figcaption><b>Figure {n}.</b> {} \
              <span class=\"how\">Drag to turn, Shift and drag to move, click and scroll to zoom; arrow keys, + and \
              \u{2212} do the same.</span> <span class=\"words\">{}</span></figcaption><script type=\"application/json\" \
              id=\"scene-{view}\">{}</script></figure>",
             scene.aspect,
             escaped(caption),
+            escaped(name),
             scene.legend_html(),
             escaped(caption),
             self.words(),
             in_script(&scene.json())
         );
+        let svg = scene.svg(caption, self.simulated);
+        self.figures.push(Figure { name: name.into(), svg });
     }
 
     /// A table; numbers stand to the right.

@@ -31,6 +31,10 @@ pub const EXPERIMENTS: [&str; 11] = [
     "error_terms",
 ];
 
+/// The experiments that are about fragments, whose reports have maps of them (Fig. 7); elsewhere two runs more for their
+/// maps would take the most of a report's time.
+pub const WITH_MAPS: [&str; 2] = ["cutting", "sensitivity"];
+
 /// The experiments that were run, ready to be told.
 pub struct Reproduction {
     published: Published,

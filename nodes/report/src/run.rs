@@ -44,7 +44,7 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     page.section("Cuts");
     views::cuts(&mut page, &run);
     if fragments::node(&run).is_some() {
-        fragments::maps(&mut page, &run, "");
+        fragments::maps(&mut page, &run, "", "");
     }
     page.section("Results");
     tables::results(&mut page, &run.results);

@@ -1,12 +1,18 @@
 //! A view in three dimensions, as the page's viewer reads it: meshes, points and lines, quantised to 16 bits.
 
+mod drawing;
+
 use crate::cell::number;
 use base64::{Engine, engine::general_purpose::STANDARD};
+use drawing::{Drawn, Solid, Tint};
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_engine::draw::escaped;
 use osteoflow_geometry::Mesh;
 use serde_json::{Value as Json, json};
-use std::collections::BTreeMap;
+use std::{
+    collections::BTreeMap,
+    ops::{AddAssign, Div},
+};
 
 /// Blue over white to red (ColorBrewer's RdBu), which the colour-blind tell apart.
 const DIVERGING: [&str; 7] = ["#2166ac", "#67a9cf", "#d1e5f0", "#f7f7f7", "#fddbc7", "#ef8a62", "#b2182b"];
@@ -27,6 +33,8 @@ const MOST_POINTS: usize = 40_000;
 #[derive(Debug, Clone)]
 pub(crate) struct Scene {
     parts: Vec<Json>,
+    /// The same for a drawing from one side.
+    drawn: Vec<Drawn>,
     legend: Vec<(String, String)>,
     ramp: Option<(String, f64)>,
     centre: Point3<f64>,
@@ -57,17 +65,20 @@ impl Scene {
         let aspect = (size.x / size.y.max(size.z)).clamp(1.6, 2.6);
         let half_width = 0.62 * size.x.max(size.y.max(size.z) * aspect);
         let centre = Point3::from(turn.transpose() * ((low + high) / 2.0));
-        Self { parts: Vec::new(), legend: Vec::new(), ramp: None, centre, half_width, turn, aspect }
+        Self { parts: Vec::new(), drawn: Vec::new(), legend: Vec::new(), ramp: None, centre, half_width, turn, aspect }
     }
 
     /// A surface that the page shares under a name.
-    pub(crate) fn shared_mesh(&mut self, name: &str, colour: &str) {
+    pub(crate) fn shared_mesh(&mut self, name: &str, mesh: &Mesh, colour: &str) {
         self.parts.push(json!({ "type": "mesh", "data": name, "colour": colour }));
+        self.draw_mesh((mesh.vertices(), mesh.faces()), 1.0, Tint::Plain(colour.into()));
     }
 
     /// A surface of its own, seen through where `opacity` is below 1.
-    pub(crate) fn mesh(&mut self, data: Json, colour: &str, opacity: f64) {
-        self.parts.push(json!({ "type": "mesh", "own": data, "colour": colour, "opacity": opacity }));
+    pub(crate) fn mesh(&mut self, vertices: &[Point3<f64>], faces: &[[u32; 3]], colour: &str, opacity: f64) {
+        let own = indexed(vertices, faces);
+        self.parts.push(json!({ "type": "mesh", "own": own, "colour": colour, "opacity": opacity }));
+        self.draw_mesh((vertices, faces), opacity, Tint::Plain(colour.into()));
     }
 
     /// A surface coloured by a signed value at each vertex; beyond `most` the end colours go on.
@@ -75,11 +86,19 @@ impl Scene {
         let mut own = indexed(vertices, faces);
         own["values"] = levels(values, most).into();
         self.parts.push(json!({ "type": "mesh", "own": own, "ramp": DIVERGING }));
+        self.draw_mesh((vertices, faces), 1.0, Tint::Values(values.to_vec(), most));
+    }
+
+    fn draw_mesh(&mut self, (vertices, faces): (&[Point3<f64>], &[[u32; 3]]), opacity: f64, tint: Tint) {
+        let what = Solid::Mesh { vertices: vertices.to_vec(), faces: faces.to_vec(), opacity };
+        self.drawn.push(Drawn { what, tint });
     }
 
     /// Points as little balls.
     pub(crate) fn points(&mut self, points: &[Point3<f64>], radius_mm: f64, colour: &str) {
         self.parts.push(json!({ "type": "points", "own": positions(points), "colour": colour, "radius": radius_mm }));
+        let what = Solid::Points { points: points.to_vec(), radius_mm };
+        self.drawn.push(Drawn { what, tint: Tint::Plain(colour.into()) });
     }
 
     /// Points coloured by a signed value; those beyond `most` have the end colours.
@@ -90,18 +109,21 @@ impl Scene {
         let mut own = positions(&points);
         own["values"] = levels(&values, most).into();
         self.parts.push(json!({ "type": "points", "own": own, "ramp": DIVERGING, "radius": radius_mm }));
+        self.drawn.push(Drawn { what: Solid::Points { points, radius_mm }, tint: Tint::Values(values, most) });
     }
 
     /// Pairs of points as lines.
     pub(crate) fn lines(&mut self, ends: &[Point3<f64>], colour: &str) {
         if !ends.is_empty() {
             self.parts.push(json!({ "type": "lines", "own": positions(ends), "colour": colour }));
+            self.drawn.push(Drawn { what: Solid::Lines(ends.to_vec()), tint: Tint::Plain(colour.into()) });
         }
     }
 
     /// A word beside a point.
     pub(crate) fn tag(&mut self, at: &Point3<f64>, word: &str) {
         self.parts.push(json!({ "type": "tag", "at": [at.x, at.y, at.z], "word": word }));
+        self.drawn.push(Drawn { what: Solid::Tag(*at, word.into()), tint: Tint::Plain(BONE.into()) });
     }
 
     /// A colour and what it is.
@@ -181,44 +203,66 @@ fn levels(values: &[f64], most: f64) -> String {
 
 /// A surface for the page, thinned out where it has many faces.
 pub(crate) fn surface(mesh: &Mesh) -> Json {
-    let (vertices, faces) = thinned(mesh, MOST_FACES);
+    let (groups, faces) = thinned(mesh.vertices(), mesh.faces(), MOST_FACES);
+    let positions: Vec<_> = mesh.vertices().iter().map(|p| p.coords).collect();
+    let vertices: Vec<_> = groups.means(&positions).into_iter().map(Point3::from).collect();
     indexed(&vertices, &faces)
 }
 
 /// A surface as it is, coloured by a signed value at each vertex.
-pub(crate) fn indexed(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Json {
+fn indexed(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Json {
     let mut data = positions(vertices);
     let bytes: Vec<u8> = faces.iter().flatten().flat_map(|i| i.to_le_bytes()).collect();
     data["faces"] = STANDARD.encode(bytes).into();
     data
 }
 
-/// The mesh itself if it has few faces, else its vertices gathered in cubes that grow until it has.
-fn thinned(mesh: &Mesh, most: usize) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
-    let (vertices, faces) = (mesh.vertices(), mesh.faces());
-    if faces.len() <= most {
-        return (vertices.to_vec(), faces.to_vec());
+/// The vertices that became one.
+struct Groups {
+    /// Of each vertex; without any, every vertex is its own.
+    of_vertex: Option<Vec<u32>>,
+    n: usize,
+}
+
+impl Groups {
+    /// One value for each group: the mean of its vertices'.
+    fn means<T: Copy + AddAssign + Div<f64, Output = T>>(&self, values: &[T]) -> Vec<T> {
+        let Some(of_vertex) = &self.of_vertex else { return values.to_vec() };
+        let mut sums: Vec<Option<(T, f64)>> = vec![None; self.n];
+        for (group, value) in of_vertex.iter().zip(values) {
+            match &mut sums[*group as usize] {
+                Some((sum, n)) => {
+                    *sum += *value;
+                    *n += 1.0;
+                }
+                none => *none = Some((*value, 1.0)),
+            }
+        }
+        sums.into_iter().flatten().map(|(sum, n)| sum / n).collect()
     }
-    let area: f64 = (0..faces.len()).map(|face| 0.5 * mesh.area_vector(face).norm()).sum();
+}
+
+/// The faces as they are if they are few, else with their vertices gathered in cubes that grow until they are.
+fn thinned(vertices: &[Point3<f64>], faces: &[[u32; 3]], most: usize) -> (Groups, Vec<[u32; 3]>) {
+    if faces.len() <= most {
+        return (Groups { of_vertex: None, n: vertices.len() }, faces.to_vec());
+    }
+    let corners = |face: &[u32; 3]| face.map(|v| vertices[v as usize]);
+    let area = |[a, b, c]: [Point3<f64>; 3]| 0.5 * (b - a).cross(&(c - a)).norm();
+    let area: f64 = faces.iter().map(|face| area(corners(face))).sum();
     // A cube of a surface holds about two faces of half its side's area each.
-    let mut side = (2.0 * area / most as f64).sqrt();
+    let mut side = (2.0 * area / most as f64).sqrt().max(1e-6);
     loop {
-        let mut cubes: BTreeMap<[i64; 3], (u32, Vector3<f64>, f64)> = BTreeMap::new();
+        let mut cubes: BTreeMap<[i64; 3], u32> = BTreeMap::new();
         let mut of_vertex = Vec::with_capacity(vertices.len());
         for p in vertices {
-            let cube = [p.x, p.y, p.z].map(|c| (c / side).floor() as i64);
             let n = cubes.len() as u32;
-            let held = cubes.entry(cube).or_insert((n, Vector3::zeros(), 0.0));
-            held.1 += p.coords;
-            held.2 += 1.0;
-            of_vertex.push(held.0);
+            of_vertex.push(*cubes.entry([p.x, p.y, p.z].map(|c| (c / side).floor() as i64)).or_insert(n));
         }
-        let corners = |face: &[u32; 3]| face.map(|i| of_vertex[i as usize]);
-        let kept: Vec<_> = faces.iter().map(corners).filter(|[a, b, c]| a != b && b != c && a != c).collect();
+        let kept = faces.iter().map(|face| face.map(|v| of_vertex[v as usize]));
+        let kept: Vec<_> = kept.filter(|[a, b, c]| a != b && b != c && a != c).collect();
         if kept.len() <= most {
-            let mut means = vec![Point3::origin(); cubes.len()];
-            cubes.into_values().for_each(|(at, sum, n)| means[at as usize] = Point3::from(sum / n));
-            return (means, kept);
+            return (Groups { of_vertex: Some(of_vertex), n: cubes.len() }, kept);
         }
         side *= 1.2;
     }
@@ -275,10 +319,11 @@ mod tests {
     #[test]
     fn a_fine_mesh_is_thinned_out_and_stays_where_it_is() {
         let mesh = grid(100);
-        let (vertices, faces) = thinned(&mesh, 2000);
+        let (groups, faces) = thinned(mesh.vertices(), mesh.faces(), 2000);
         assert!((500..=2000).contains(&faces.len()), "{} faces", faces.len());
+        let vertices = groups.means(&mesh.vertices().iter().map(|p| p.coords).collect::<Vec<_>>());
         assert!(vertices.iter().all(|p| p.z.abs() <= 0.021 && p.x >= 0.0 && p.x <= 100.0));
-        assert_eq!(thinned(&mesh, 20_000).1.len(), 20_000, "few enough: as it is");
+        assert_eq!(thinned(mesh.vertices(), mesh.faces(), 20_000).1.len(), 20_000, "few enough: as it is");
     }
 
     #[test]

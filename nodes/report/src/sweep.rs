@@ -26,11 +26,12 @@ struct Swept {
 /// The report of the sweep whose folder this is.
 ///
 /// Its folder holds no surfaces, so the run in the middle and the worst one are run once more with `kinds`, for the maps of
-/// their fragments; where that gives other results than those that are there, the page says so and shows none.
+/// their fragments; where that gives other results than those that are there, the page says so and shows none. Without
+/// `kinds` there are no maps.
 ///
 /// # Errors
 /// If the folder holds no sweep, or its files cannot be read.
-pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report, ReportError> {
+pub fn of_sweep(dir: &Path, registry: &Registry, kinds: Option<&Kinds>) -> Result<Report, ReportError> {
     let folder = Folder::open(dir)?;
     let runs = folder.done()?.collect::<Result<Vec<_>, _>>()?;
     let sweep = Swept { spec: folder.spec()?, about: folder.about.clone(), runs };
@@ -45,7 +46,13 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report
     figures::columns(&mut page, &sweep);
     figures::points(&mut page, &sweep);
     figures::draws(&mut page, &sweep);
-    again::maps(&mut page, &sweep, &folder, kinds);
+    match kinds {
+        Some(kinds) => again::maps(&mut page, &sweep, &folder, kinds),
+        None => page.text(&format!(
+            "Maps of fragments take two runs more and were not asked for; osteoflow report {} draws them.",
+            dir.display()
+        )),
+    }
     page.section("Statistics");
     match dir.join(SUMMARY).is_file() {
         true => statistics::tables(&mut page, &sweep, &summary::read(&folder)?),

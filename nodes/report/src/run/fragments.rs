@@ -4,7 +4,7 @@ use crate::{
     cell::number,
     evidence::Evidence,
     html::Page,
-    scene::{self, BONE, Scene, round_up},
+    scene::{BONE, Scene, round_up},
 };
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_algorithms::{
@@ -48,14 +48,15 @@ pub(crate) fn wires(plan: &Plan) -> Option<Vec<String>> {
     wanted.into_iter().map(wire).collect()
 }
 
-/// Two views of the executed fragment: as it lies in the bone, and carried back by the error. `of` says of which run.
-pub(crate) fn maps(page: &mut Page, run: &Evidence, of: &str) {
-    if let Err(why) = drawn(page, run, of) {
+/// Two views of the executed fragment: as it lies in the bone, and carried back by the error. `of` says of which run of a
+/// sweep, `name` ends the names of its files.
+pub(crate) fn maps(page: &mut Page, run: &Evidence, of: &str, name: &str) {
+    if let Err(why) = drawn(page, run, of, name) {
         page.missing(&format!("The fragment{of} against the planned one"), &why);
     }
 }
 
-fn drawn(page: &mut Page, run: &Evidence, of: &str) -> Result<(), String> {
+fn drawn(page: &mut Page, run: &Evidence, of: &str, name: &str) -> Result<(), String> {
     let node = node(run).ok_or(NO_NODE)?;
     let bone: Mesh = run.input(node, "bone")?;
     let planned: Planes = run.input(node, "planes")?;
@@ -77,9 +78,10 @@ fn drawn(page: &mut Page, run: &Evidence, of: &str) -> Result<(), String> {
     let most = round_up(quantile(&mut sizes, 0.98).max(1e-3));
     let left = left_of(&bone, &cuts, &plan.middle());
     let z = principal_axes(&bone).columns.column(2).into_owned();
-    for (points, values, what, summary) in [
-        (&in_place, &here, "as it lies in the bone", &compared.in_place.surface),
+    for (view, points, values, what, summary) in [
+        ("in-place", &in_place, &here, "as it lies in the bone", &compared.in_place.surface),
         (
+            "aligned",
             &aligned,
             &there,
             "carried back by the inverse of the error, so that its cuts lie on the planned ones",
@@ -87,7 +89,7 @@ fn drawn(page: &mut Page, run: &Evidence, of: &str) -> Result<(), String> {
         ),
     ] {
         let mut scene = Scene::looking(points, z, Vector3::zeros());
-        scene.mesh(scene::indexed(&left.0, &left.1), BONE, 1.0);
+        scene.mesh(&left.0, &left.1, BONE, 1.0);
         scene.coloured_mesh(points, &faces, values, most);
         scene.key(BONE, "bone beyond the planned cuts");
         scene.ramp("executed fragment, signed distance from the planned one", most);
@@ -100,7 +102,7 @@ fn drawn(page: &mut Page, run: &Evidence, of: &str) -> Result<(), String> {
             number(*sd_mm),
             number(*max_mm),
         );
-        page.view(&scene, &caption);
+        page.view(&format!("view-fragment-{view}{name}"), &scene, &caption);
     }
     Ok(())
 }

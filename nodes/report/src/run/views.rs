@@ -41,7 +41,7 @@ fn bone(run: &Evidence) -> Result<Mesh, String> {
 /// Sends the bone once, whichever views ask for it.
 fn with_bone(page: &mut Page, scene: &mut Scene, bone: &Mesh) {
     page.share(SHARED_BONE, scene::surface(bone));
-    scene.shared_mesh(SHARED_BONE, BONE);
+    scene.shared_mesh(SHARED_BONE, bone, BONE);
     scene.key(BONE, "CT surface");
 }
 
@@ -96,7 +96,7 @@ pub(super) fn residuals(page: &mut Page, run: &Evidence) {
         number(rms),
         number(most),
     );
-    page.view(&scene, &caption);
+    page.view("view-residuals", &scene, &caption);
     histogram(page, &values);
 }
 
@@ -208,7 +208,7 @@ fn points(page: &mut Page, run: &Evidence, (report, planned, axes): (&TreReport,
         report.n,
         number(report.mean_abs.norm)
     );
-    page.view(&scene, &caption);
+    page.view("view-points", &scene, &caption);
 }
 
 /// The error at each point along each axis, as a figure and a table.
@@ -281,7 +281,7 @@ pub(super) fn cuts(page: &mut Page, run: &Evidence) {
         for plane in planes.planes.iter() {
             let Some(corners) = square(plane) else { continue };
             if colour == BLUE {
-                scene.mesh(scene::indexed(&corners, &[[0, 1, 2], [0, 2, 3]]), colour, 0.22);
+                scene.mesh(&corners, &[[0, 1, 2], [0, 2, 3]], colour, 0.22);
             }
             scene.lines(&edges(&corners), colour);
             let at = plane.isometry().copied().unwrap_or_else(Isometry3::identity);
@@ -293,7 +293,7 @@ pub(super) fn cuts(page: &mut Page, run: &Evidence) {
     scene.key(RED, "executed, as the registration would have it cut");
     let caption = "Planned cuts (blue) and the cuts that the registration leads to (red), on the CT surface: each planned \
                    plane is carried to the world by the registration and back by the true pose. Nothing was cut.";
-    page.view(&scene, caption);
+    page.view("view-cuts", &scene, caption);
     let report =
         run.node_of_kind("metrics.cuts").and_then(|node| run.value::<CutsReport>(&format!("{node}.report")).ok());
     match report {

@@ -16,7 +16,7 @@ pub fn statistics(of: &Value) -> Row {
     let mut row = Row::new();
     let mut put = |head: &str, cell: Cell| row.push((head.to_owned(), cell));
     put("n", Cell::of(&of["n"]));
-    put("of", Cell::word(units(&of["n_units"])));
+    put("of", Cell::word(unbroken(&units(&of["n_units"]))));
     put("mean", Cell::of(&of["mean"]));
     put(INTERVAL, Cell::word(interval(&of["mean_interval"], 1.0) + &few(of)));
     put("SD", Cell::of(&of["sd"]));
@@ -113,9 +113,14 @@ fn few(of: &Value) -> String {
     let known = of["few_units"] == true && of["mean_interval"]["low"].is_number();
     let highest = of["n_units"].as_array().and_then(|levels| levels.first());
     match highest.filter(|_| known) {
-        Some(level) => format!(" (few: {})", units(&Value::from(vec![level.clone()]))),
+        Some(level) => format!(" (few: {})", unbroken(&units(&Value::from(vec![level.clone()])))),
         None => String::new(),
     }
+}
+
+/// Text whose lines end after a comma only.
+fn unbroken(text: &str) -> String {
+    text.replace(' ', "\u{a0}").replace(",\u{a0}", ", ")
 }
 
 /// An interval, or in short why there is none.

@@ -18,7 +18,7 @@ pub(super) fn maps(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &Kind
         let of = format!(" of run {} ({which} by the size of {}, {value} mm)", run.run, column.name);
         match recomputed(folder, run, kinds) {
             Ok(None) => return,
-            Ok(Some((evidence, _dir))) => fragments::maps(page, &evidence, &of),
+            Ok(Some((evidence, _dir))) => fragments::maps(page, &evidence, &of, &format!("-run-{}", run.run)),
             Err(why) => page.missing(&format!("The fragment{of} against the planned one"), &why),
         }
     }

@@ -44,10 +44,10 @@ fn row(group: &Json, axis: Option<&str>, of: &Json) -> Row {
     row.extend(axis.map(|axis| ("axis".into(), Cell::word(axis))));
     row.extend(statistics(of));
     if let Some(lost) = group["n_without_results"].as_u64().filter(|n| *n > 0) {
-        row.iter_mut().filter(|(head, _)| head == "of").for_each(|(_, cell)| {
-            let lost = counted(lost as usize, "run");
-            *cell = Cell::word(format!("{}; {lost} without results", cell.plain()));
-        });
+        for (_, cell) in row.iter_mut().filter(|(head, _)| head == "of") {
+            let Cell::Word(units) = &*cell else { continue };
+            *cell = Cell::word(format!("{units}; {} without results", counted(lost as usize, "run")));
+        }
     }
     row
 }
@@ -125,12 +125,12 @@ mod tests {
         tables(&mut page, &sweep, &summary);
         let (html, _) = page.finish("");
         for word in [
-            "1 bone, 3 procedures; 1 run without results",
+            "1\u{a0}bone, 3\u{a0}procedures; 1 run without results",
             "none: n = 1 bone",
             "75.0\u{a0}% (3 of 4), 30\u{a0}to\u{a0}95",
             "below 2",
             "0.400\u{a0}to\u{a0}0.600<",
-            "\u{2212}0.400\u{a0}to\u{a0}0.600 (few: 2 bones)",
+            "\u{2212}0.400\u{a0}to\u{a0}0.600 (few: 2\u{a0}bones)",
             "holds the mean of all such units in 50, 75 or 88 % of cases",
             "SD within points",
             "SD within procedures",
