@@ -1,7 +1,9 @@
 //! A part of a graph: what of it is computed, what is played from items at hand, and the plan of the two.
 
+mod partial;
 mod player;
 
+pub(crate) use partial::{Left, Partial};
 pub(crate) use player::{Failing, Pace, Player};
 
 use crate::plan::{Link, OutputId, Plan, ResultEntry};
@@ -15,7 +17,7 @@ pub(crate) enum Part {
     /// Its items are played in its place.
     Played,
     /// Nothing that is wanted needs it, or nothing of it is at hand.
-    Left,
+    LeftOut,
 }
 
 /// Marks all that follows from what is marked.
@@ -30,7 +32,7 @@ pub(crate) fn follow(plan: &Plan, marked: &mut [bool]) {
 pub(crate) fn places(parts: &[Part]) -> Vec<Option<usize>> {
     let mut n = 0;
     let place = |part: &Part| {
-        (*part != Part::Left).then(|| {
+        (*part != Part::LeftOut).then(|| {
             n += 1;
             n - 1
         })
@@ -38,11 +40,11 @@ pub(crate) fn places(parts: &[Part]) -> Vec<Option<usize>> {
     parts.iter().map(place).collect()
 }
 
-/// The plan of what takes part: what is played has no inputs any more, what is left is gone.
+/// The plan of what takes part: what is played has no inputs any more, what is left out is gone.
 pub(crate) fn reduce(plan: &Plan, parts: &[Part]) -> Plan {
     let place = places(parts);
     let (mut nodes, mut links) = (Vec::new(), Vec::new());
-    for (index, node) in plan.nodes.iter().enumerate().filter(|(index, _)| parts[*index] != Part::Left) {
+    for (index, node) in plan.nodes.iter().enumerate().filter(|(index, _)| parts[*index] != Part::LeftOut) {
         let mut node = node.clone();
         node.outputs.iter_mut().for_each(|output| output.links.clear());
         match parts[index] {

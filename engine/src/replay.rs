@@ -390,7 +390,7 @@ fn sets_take_effect(plan: &Plan, changes: &ReplayOptions, parts: &[Part]) -> Res
         let key = key.strip_prefix("node.").unwrap_or(key);
         let named = |name: &str| key.strip_prefix(name).is_some_and(|rest| rest.starts_with('.'));
         let node = plan.nodes.iter().zip(parts).find(|(node, _)| named(&node.name));
-        if let Some((node, Part::Played | Part::Left)) = node {
+        if let Some((node, Part::Played | Part::LeftOut)) = node {
             return Err(ReplayError::NoEffect { set: set.clone(), node: node.name.to_string() });
         }
     }

@@ -25,6 +25,7 @@ use crate::{
     digest::Digest,
     fault::{Fault, Faults},
     manifest::{hashes, sha256},
+    part::Left,
     plan::Plan,
     plugin::Kinds,
     run::{Outcome, RunOptions},
@@ -38,7 +39,7 @@ use share::Shared;
 use std::{
     path::Path,
     sync::{
-        Condvar, Mutex, PoisonError,
+        Arc, Condvar, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicUsize, Ordering},
     },
 };
@@ -365,8 +366,8 @@ impl Sweep {
         &self,
         run: &Run,
         options: &SweepOptions,
-        found: &[Option<std::sync::Arc<share::Left>>],
-    ) -> (Option<Done>, Vec<Option<share::Left>>) {
+        found: &[Option<Arc<Left>>],
+    ) -> (Option<Done>, Vec<Option<Left>>) {
         let of_run = RunOptions { workers: 1, out_dir: None, record: false, latency: false, ..options.run.clone() };
         let (report, left) = run_row::run(&run.plan, &self.registry, &of_run, found);
         let done = match report {

@@ -16,17 +16,14 @@ pub use changes::Change;
 pub use files::Stamps;
 
 use crate::{
-    part::{self, Part, Player},
-    plan::{Plan, Policy},
+    part::{self, Left, Partial},
+    plan::{Link, Plan, PlanNode},
     results::{Ended, Kept},
-    run::{
-        Failure, LinkStats, NodeStats, Observer, Replayed, RunError, RunOptions, RunReport, Substitutes, Warning,
-        Whole, run_part,
-    },
+    run::{LinkStats, Observer, RunError, RunOptions, RunReport},
 };
 use osteoflow_node::{Body, Item, Registry, Role};
 use serde_json::json;
-use std::{collections::BTreeMap, path::PathBuf};
+use std::{collections::BTreeMap, path::PathBuf, sync::Arc};
 
 /// A graph that is run again and again.
 #[derive(Default)]
@@ -41,20 +38,19 @@ struct Memory {
     files: Stamps,
     /// Where it left its files.
     out_dir: Option<PathBuf>,
-    /// For each node, for each output, every item.
-    outputs: Vec<Vec<Kept>>,
+    /// For each node.
+    left: Vec<Arc<Left>>,
     /// For each node, whether it failed or was interrupted.
     unsound: Vec<bool>,
-    nodes: Vec<NodeStats>,
     links: Vec<LinkStats>,
-    warnings: Vec<Warning>,
 }
 
 /// What the next run is going to do.
 pub struct Next {
     plan: Plan,
     files: Stamps,
-    parts: Vec<Part>,
+    /// For each node what it has left, where that stands.
+    left: Vec<Option<Arc<Left>>>,
     changes: Vec<Change>,
     removed: Vec<String>,
     differs: bool,
@@ -67,8 +63,14 @@ impl Session {
         let files = Stamps::of_plan(&plan);
         let n_nodes = plan.nodes.len();
         let Some(memory) = &self.memory else {
-            let parts = vec![Part::Computed; n_nodes];
-            return Next { plan, files, parts, changes: Vec::new(), removed: Vec::new(), differs: true };
+            return Next {
+                plan,
+                files,
+                left: vec![None; n_nodes],
+                changes: Vec::new(),
+                removed: Vec::new(),
+                differs: true,
+            };
         };
         let seed = (memory.plan.seed != plan.seed).then(|| changes::seed(memory.plan.seed, plan.seed));
         let mut computed = vec![seed.is_some(); n_nodes];
@@ -84,18 +86,10 @@ impl Session {
             let silent = plan.nodes.iter().map(|node| node.outputs.is_empty());
             computed.iter_mut().zip(silent).for_each(|(computed, silent)| *computed |= silent);
         }
-        let feeds = |index| {
-            let mut links = part::outputs(&plan, index).flat_map(|id| part::consumers(&plan, id));
-            links.any(|link| computed[link.to_node])
-        };
-        let part = |index: usize| match computed[index] {
-            true => Part::Computed,
-            false if feeds(index) => Part::Played,
-            false => Part::Left,
-        };
-        let parts = (0..n_nodes).map(part).collect();
+        let left = |(node, computed): (&PlanNode, bool)| memory.left_of(&node.name).filter(|_| !computed).cloned();
+        let left = plan.nodes.iter().zip(computed).map(left).collect();
         let removed = changes::removed(&memory.plan, &plan);
-        Next { plan, files, parts, changes, removed, differs }
+        Next { plan, files, left, changes, removed, differs }
     }
 
     /// Runs what has to be computed, and leaves results and manifest of the whole graph; a recording only where every node
@@ -120,23 +114,22 @@ impl Session {
             let after = last.out_dir.as_ref().map(|dir| dir.display().to_string());
             json!({ "kept": next.kept(), "computed": next.computed(), "after": after })
         });
-        let reduced = next.reduced();
-        let replayed = Replayed { substitutes: next.players(last.as_ref()), ..Replayed::default() };
         let mut memory = None;
-        let mut complete = |ended: Ended| {
-            let ended = next.complete(last.as_ref(), ended);
+        let mut ended = |ended: Ended| {
+            let links = next.links(last.as_ref(), ended.links);
+            let ended = Ended { links, ..ended };
             memory = Some(next.remembered(&ended, options.out_dir.clone()));
             ended
         };
-        let whole = Whole { plan: &next.plan, complete: &mut complete, about };
-        let report = run_part(&reduced, registry, &options, observer, replayed, None, Some(whole));
+        let report = Partial::new(&next.plan, &next.left).run(registry, &options, observer, about, &mut ended);
         self.memory = memory.or(last);
         report
     }
 
     /// The bytes that all kept items have, as their payloads count them; of what travels on several wires, for each.
     pub fn n_bytes(&self) -> usize {
-        let items = self.memory.iter().flat_map(|memory| &memory.outputs).flatten().flat_map(Kept::items);
+        let left = self.memory.iter().flat_map(|memory| &memory.left);
+        let items = left.flat_map(|left| &left.outputs).flat_map(Kept::items);
         let n_bytes = |item: &Item| match &item.body {
             Body::Value(value) => size_of::<Item>() + value.n_bytes(),
             Body::Empty(_) => size_of::<Item>(),
@@ -163,7 +156,7 @@ impl Next {
 
     /// Whether every node is computed.
     pub fn is_whole(&self) -> bool {
-        self.parts.iter().all(|part| *part == Part::Computed)
+        self.left.iter().all(Option::is_none)
     }
 
     /// What has changed itself: the seed, then nodes in the order of the plan; nothing before the first run.
@@ -178,101 +171,46 @@ impl Next {
 
     /// The nodes that are computed, in the order of the plan.
     pub fn computed(&self) -> Vec<&str> {
-        self.named(|part| part == Part::Computed)
+        self.named(Option::is_none)
     }
 
     /// The nodes whose items are those of the last run, in the order of the plan.
     pub fn kept(&self) -> Vec<&str> {
-        self.named(|part| part != Part::Computed)
+        self.named(Option::is_some)
     }
 
-    fn named(&self, which: impl Fn(Part) -> bool) -> Vec<&str> {
-        let nodes = self.plan.nodes.iter().zip(&self.parts);
-        nodes.filter(|(_, part)| which(**part)).map(|(node, _)| &*node.name).collect()
+    fn named(&self, which: fn(&Option<Arc<Left>>) -> bool) -> Vec<&str> {
+        let nodes = self.plan.nodes.iter().zip(&self.left);
+        nodes.filter(|(_, left)| which(left)).map(|(node, _)| &*node.name).collect()
     }
 
-    /// What runs. What is played lies in memory already, so that it may wait on its wires however large it is.
-    fn reduced(&self) -> Plan {
-        let mut reduced = part::reduce(&self.plan, &self.parts);
-        let played: Vec<_> =
-            self.parts.iter().filter(|part| **part != Part::Left).map(|p| *p == Part::Played).collect();
-        let links = reduced.links.iter_mut().filter(|link| played[link.from.node] && link.policy == Policy::Block);
-        links.for_each(|link| link.max_bytes = u64::MAX);
-        reduced
-    }
-
-    /// What plays the kept items that computed nodes take.
-    fn players(&self, last: Option<&Memory>) -> Substitutes {
-        let places = part::places(&self.parts);
-        let mut players = Substitutes::new();
-        for (index, node) in self.plan.nodes.iter().enumerate().filter(|(index, _)| self.parts[*index] == Part::Played)
-        {
-            let (Some(place), Some(kept)) = (places[index], last.and_then(|last| last.outputs_of(&node.name))) else {
-                continue;
-            };
-            let wanted = |id| part::consumers(&self.plan, id).any(|link| self.parts[link.to_node] == Part::Computed);
-            let ports = part::outputs(&self.plan, index).zip(kept);
-            let ports = ports.map(|(id, kept)| if wanted(id) { kept.items().to_vec() } else { Vec::new() }.into());
-            players.insert(place, Box::new(Player { ports: ports.collect(), failure: None, pace: None }));
-        }
-        players
-    }
-
-    /// What a run of the whole graph would have left: of what was not computed, what the last run has left.
-    fn complete(&self, last: Option<&Memory>, part: Ended) -> Ended {
-        let Some(last) = last else { return part };
-        let places = part::places(&self.parts);
-        let whole: Vec<usize> = (0..places.len()).filter(|index| places[*index].is_some()).collect();
-        let moved = |failure: Failure| Failure { node: whole[failure.node], ..failure };
-        let mut of_part: Vec<_> = part.outputs.into_iter().zip(part.nodes).map(Some).collect();
-        let (mut outputs, mut nodes) = (Vec::new(), Vec::new());
-        for (index, node) in self.plan.nodes.iter().enumerate() {
-            let computed = places[index].filter(|_| self.parts[index] == Part::Computed);
-            let left = match computed {
-                Some(place) => of_part[place].take(),
-                None => last.place_of(&node.name).map(|place| (last.outputs[place].clone(), last.nodes[place].clone())),
-            };
-            let (kept, stats) = left.expect("each node was computed now or before");
-            outputs.push(kept);
-            nodes.push(stats);
-        }
-        let links = last.links.iter().cloned().chain(part.links);
+    /// What the wires of the whole graph have carried: of those that were not run, what the last run says.
+    fn links(&self, last: Option<&Memory>, part: Vec<LinkStats>) -> Vec<LinkStats> {
+        let before = last.map(|last| last.links.clone()).unwrap_or_default();
+        let links = before.into_iter().chain(part);
         let mut links: BTreeMap<_, _> = links.map(|link| ((link.from.clone(), link.to.clone()), link)).collect();
-        let links = self.plan.links.iter().filter_map(|link| {
+        let of_link = |link: &Link| {
             let to = &self.plan.nodes[link.to_node];
-            links
-                .remove(&(self.plan.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name)))
-        });
-        let kept = self.kept();
-        let warned_before = last.warnings.iter().filter(|warning| kept.contains(&warning.node.as_str())).cloned();
-        let mut warnings: Vec<_> = warned_before.chain(part.warnings).collect();
-        warnings.sort_by_key(|warning| self.plan.nodes.iter().position(|node| *node.name == *warning.node));
-        Ended {
-            outputs,
-            nodes,
-            links: links.collect(),
-            failures: part.failures.into_iter().map(moved).collect(),
-            stall: part.stall.map(moved),
-            warnings,
-            ..part
-        }
+            let to = format!("{}.{}", to.name, to.inputs[link.to_port].port.name);
+            links.remove(&(self.plan.wire_name(link.from), to))
+        };
+        self.plan.links.iter().filter_map(of_link).collect()
     }
 
     fn remembered(&self, ended: &Ended, out_dir: Option<PathBuf>) -> Memory {
         let cut_short = ended.interrupted || ended.stall.is_some();
         let unsound = |index: usize| {
             let failed = ended.failures.iter().any(|failure| failure.node == index);
-            failed || (cut_short && self.parts[index] == Part::Computed)
+            failed || (cut_short && self.left[index].is_none())
         };
+        let left = |index: usize| self.left[index].clone().unwrap_or_else(|| Left::of(ended, &self.plan, index).into());
         Memory {
             plan: self.plan.clone(),
             files: self.files.clone(),
             out_dir,
-            outputs: ended.outputs.clone(),
+            left: (0..self.plan.nodes.len()).map(left).collect(),
             unsound: (0..self.plan.nodes.len()).map(unsound).collect(),
-            nodes: ended.nodes.clone(),
             links: ended.links.clone(),
-            warnings: ended.warnings.clone(),
         }
     }
 
@@ -283,11 +221,8 @@ impl Next {
 }
 
 impl Memory {
-    fn place_of(&self, node: &str) -> Option<usize> {
-        self.plan.nodes.iter().position(|before| *before.name == *node)
-    }
-
-    fn outputs_of(&self, node: &str) -> Option<&[Kept]> {
-        self.place_of(node).map(|place| &*self.outputs[place])
+    fn left_of(&self, node: &str) -> Option<&Arc<Left>> {
+        let place = self.plan.nodes.iter().position(|before| *before.name == *node)?;
+        Some(&self.left[place])
     }
 }

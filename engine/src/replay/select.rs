@@ -60,7 +60,7 @@ pub(super) fn from(
     let part = |index: usize| match computed[index] {
         true => Part::Computed,
         false if outputs(plan, index).any(|id| recorded.contains(&id)) => Part::Played,
-        false => Part::Left,
+        false => Part::LeftOut,
     };
     Ok((0..plan.nodes.len()).map(part).collect())
 }

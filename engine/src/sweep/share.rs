@@ -6,9 +6,8 @@
 
 use crate::{
     digest::Digest,
+    part::Left,
     plan::{Plan, Policy},
-    results::Kept,
-    run::{NodeStats, Warning},
     store::Key,
     watch::Stamps,
 };
@@ -49,13 +48,6 @@ pub(super) fn keys(plan: &Plan, files: &Stamps) -> Vec<Digest> {
         keys.push(key.done().digest());
     }
     keys
-}
-
-/// What a node has left, for the other runs.
-pub(super) struct Left {
-    pub(super) outputs: Vec<Kept>,
-    pub(super) stats: NodeStats,
-    pub(super) warnings: Vec<Warning>,
 }
 
 /// What is known of a key that several runs have.
@@ -125,6 +117,7 @@ impl Shared {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::run::NodeStats;
 
     fn key(n: u8) -> Digest {
         Digest([n; 32])
