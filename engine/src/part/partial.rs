@@ -56,7 +56,8 @@ impl<'a> Partial<'a> {
         Self { plan, left, parts, places }
     }
 
-    /// Runs it and leaves results of the whole; `ended` sees what a run of the whole would have left, and may change it.
+    /// Runs it and leaves results of the whole; `ended` sees what a run of the whole would have left, and may change
+    /// it.
     ///
     /// # Errors
     /// As [`crate::run()`].

@@ -48,6 +48,15 @@ pub enum FolderError {
         /// What differs.
         what: String,
     },
+    /// An input file changed while the sweep ran.
+    #[error(
+        "{path} has changed while the sweep ran, which was stopped; the runs that are there are of the file as it was: \
+         restore it and go on with --resume, or begin anew in another folder"
+    )]
+    Changed {
+        /// The file.
+        path: String,
+    },
     /// A file has another form than this program writes.
     #[error("{path} is not what a sweep writes: {what}")]
     Form {

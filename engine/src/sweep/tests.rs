@@ -1,9 +1,6 @@
 use super::*;
-use crate::{
-    run::RunOptions,
-    toy::{n_fired, registry},
-};
-use serde_json::json;
+use crate::toy::{n_fired, registry};
+use serde_json::{Value as Json, json};
 use std::{fs, path::PathBuf};
 
 /// A graph of toys: `shared` is what all runs of a seed have in common.
@@ -158,9 +155,35 @@ fn shards_put_together_are_the_whole_and_a_missing_one_is_named() {
         .collect();
     let said = merge(&shards[..3], &desk.path("part")).unwrap_err().to_string();
     assert!(said.starts_with("2 of 6 runs are in none of the folders"), "{said}");
-    merge(&shards, &desk.path("merged")).unwrap();
-    assert_eq!(fs::read_to_string(desk.path("merged").join(RUNS)).unwrap(), runs);
-    assert_eq!(fs::read_to_string(desk.path("merged").join(POINTS)).unwrap(), points);
+    for order in [[0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]] {
+        let merged = desk.path(&format!("merged {order:?}"));
+        merge(&order.map(|k| shards[k].clone()), &merged).unwrap();
+        assert_eq!(fs::read_to_string(merged.join(RUNS)).unwrap(), runs, "in the order {order:?}");
+        assert_eq!(fs::read_to_string(merged.join(POINTS)).unwrap(), points, "in the order {order:?}");
+    }
+}
+
+/// Writes into a file when the first run has ended.
+struct Meddler(PathBuf);
+
+impl Watcher for Meddler {
+    fn ended(&self, _: &Done) {
+        fs::write(&self.0, "changed").unwrap();
+    }
+}
+
+#[test]
+fn an_input_that_changes_while_a_sweep_runs_stops_it_and_no_run_of_the_changed_file_is_kept() {
+    let desk = Desk::new(&graph("sweep-meddled", SIX));
+    let file = desk.path("input.txt");
+    fs::write(&file, "as it was").unwrap();
+    let mut sweep = desk.check();
+    sweep.runs.iter_mut().for_each(|run| run.plan.input_files.push(file.clone()));
+    sweep.files = Stamps::of([file.clone()]);
+    let folder = sweep.begin(&desk.path("out"), &options(1, true)).unwrap();
+    let said = sweep.run(&folder, &options(1, true), &Meddler(file)).unwrap_err().to_string();
+    assert!(said.contains("input.txt has changed while the sweep ran"), "{said}");
+    assert_eq!(folder.runs().unwrap(), [0], "the run before the change");
 }
 
 #[test]

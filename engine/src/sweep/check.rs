@@ -1,0 +1,129 @@
+//! Looks at a sweep before it begins: every run without faults, and the hash of all that decides the tables.
+
+use super::{Folder, FolderError, GRAPH, Row, Run, Spec, Sweep, input_files, rows, share};
+use crate::{
+    check::{self, Checked},
+    digest::Digest,
+    fault::{Fault, Faults},
+    manifest::{hashes, sha256},
+    plugin::Kinds,
+    store::Key,
+    sync::on_workers,
+    watch::Stamps,
+};
+use osteoflow_node::Role;
+use serde_json::{Value as Json, json};
+use std::{
+    path::Path,
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicBool, AtomicUsize, Ordering},
+    },
+};
+
+/// Checks the graph file at `path` and every run of its sweep; on `workers` threads.
+///
+/// # Errors
+/// [`Faults`]: of the graph; or of the first run that has any, with the settings of that run; and if the graph has no
+/// `[sweep]`.
+pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>, workers: usize) -> Result<Sweep, Faults> {
+    let kinds = kinds.into();
+    let Checked { plan, warnings, registry, sweep } = check::check(path, sets, kinds.clone())?;
+    let Some(spec) = sweep else {
+        let fault = Fault::new(format!("{} has no table [sweep]", path.display()));
+        let help = "say what is varied, such as [sweep] repeat = 10, and which numbers are wanted in [sweep.columns]";
+        return Err(Faults(vec![fault.help(help)]));
+    };
+    if let Some(live) = plan.nodes.iter().find(|node| node.role == Role::LiveSource) {
+        let fault = Fault::new(format!("node \"{}\" is a live source, which gives what it gives once", live.name));
+        return Err(Faults(vec![fault.help("record it, and sweep over the recording")]));
+    }
+    let rows = rows(&spec, plan.seed);
+    let (runs, files) = check_rows(path, sets, &kinds, rows, workers)?;
+    let hash = hash(&spec, &runs);
+    Ok(Sweep { spec: *spec, warnings, plan, registry, runs, files, hash })
+}
+
+/// Checks a run of a sweep once more from what its folder holds: the frozen graph with what the run has set in it, and with
+/// `sets` besides. Who runs it compares its results with those that are there: program and inputs may have changed.
+///
+/// # Errors
+/// If the folder cannot be read; within, the faults that the graph has now.
+pub fn again(
+    folder: &Folder,
+    run: usize,
+    sets: &[String],
+    kinds: &Kinds,
+) -> Result<Result<Checked, Faults>, FolderError> {
+    let path = Path::new(folder.about["graph"]["file"].as_str().unwrap_or(GRAPH));
+    Ok(check::check_frozen(folder.graph()?, path, &folder.sets(run)?, sets, kinds))
+}
+
+/// The plans of all rows, with their input files as they are; the rows are looked at together, and the first with faults is
+/// told.
+fn check_rows(
+    path: &Path,
+    sets: &[String],
+    kinds: &Kinds,
+    rows: Vec<Row>,
+    workers: usize,
+) -> Result<(Vec<Run>, Stamps), Faults> {
+    let (next, places) = (AtomicUsize::new(0), rows.iter().map(|_| Mutex::new(None)).collect::<Vec<_>>());
+    let stop = AtomicBool::new(false);
+    let look = |_| {
+        while !stop.load(Ordering::Relaxed)
+            && let index = next.fetch_add(1, Ordering::Relaxed)
+            && let Some(row) = rows.get(index)
+        {
+            let checked = check::check_row(path, sets, &row.sets, kinds.clone());
+            stop.fetch_or(checked.is_err(), Ordering::Relaxed);
+            *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(checked);
+        }
+    };
+    on_workers(workers.min(rows.len()).max(1), &look, &|_, error| tracing::warn!("one thread less: {error}"));
+    let mut runs = Vec::with_capacity(rows.len());
+    let mut files = Stamps::default();
+    for (row, place) in rows.iter().zip(places) {
+        let checked = match place.into_inner().unwrap_or_else(PoisonError::into_inner) {
+            Some(Ok(checked)) => checked,
+            Some(Err(mut faults)) => {
+                let told = |(name, value): &(String, Json)| format!("{name} = {value}");
+                let settings: Vec<_> = row.values.iter().map(told).collect();
+                let note = format!("in run {} of the sweep: {}", row.run, settings.join(", "));
+                faults.0.iter_mut().for_each(|fault| fault.notes.push(note.clone()));
+                return Err(faults);
+            }
+            // Another row has faults, or comes first and is told.
+            None => continue,
+        };
+        let mut plan = checked.plan;
+        let new: Vec<_> = plan.input_files.iter().filter(|file| files.get(file).is_none()).cloned().collect();
+        files = files.and(&Stamps::of(new));
+        let keys = share::keys(&plan, &files);
+        plan.path = path.into();
+        runs.push(Run { row: row.clone(), plan, keys });
+    }
+    Ok((runs, files))
+}
+
+/// What decides the tables: the sweep, the graph of each run with its input files by their contents, and the program.
+fn hash(spec: &Spec, runs: &[Run]) -> Digest {
+    let mut key = Key::of("sweep").json("spec", &json!(spec));
+    if let Ok((_, program)) = std::env::current_exe().and_then(|path| sha256(&path)) {
+        key = key.digest("program", program);
+    }
+    // The same files in another place are the same sweep.
+    let mut names = Vec::new();
+    for (index, file) in input_files(runs).iter().enumerate() {
+        names.push((Json::from(file.to_string_lossy()).to_string(), format!("\"file {index}\"")));
+        for entry in hashes(std::slice::from_ref(file)) {
+            key = key.number("file", index as u64).text("sha256", &entry["sha256"].to_string());
+        }
+    }
+    for run in runs {
+        let text = names.iter().fold(run.plan.resolved.clone(), |text, (name, short)| text.replace(name, short));
+        key = run.plan.plugins.iter().fold(key, |key, plugin| key.text("plugin", &plugin.sha256));
+        key = key.text("graph", &text);
+    }
+    key.done().digest()
+}

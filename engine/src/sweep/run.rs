@@ -1,0 +1,150 @@
+//! Runs what is missing of a sweep, on several workers.
+
+use super::{Done, Folder, FolderError, Run, Shard, Sweep, SweepOptions, Swept, Watcher, run_row, share::Shared};
+use crate::{
+    part::Left,
+    run::{Outcome, RunOptions, Warning},
+    sync::on_workers,
+    watch::Stamps,
+};
+use serde_json::Value as Json;
+use std::{
+    collections::{BTreeMap, VecDeque},
+    path::PathBuf,
+    sync::{Arc, Condvar, Mutex, PoisonError, atomic::Ordering},
+};
+
+impl Sweep {
+    /// Runs what the folder does not have yet, and keeps each run as it ends. The tables are left to the caller.
+    ///
+    /// # Errors
+    /// If the folder cannot be read or written, or an input file has changed since it was checked; a run that fails is a
+    /// row.
+    pub fn run(&self, folder: &Folder, options: &SweepOptions, watcher: &dyn Watcher) -> Result<Swept, FolderError> {
+        let before = folder.runs()?;
+        let mut order = self.order();
+        if let Some(Shard { index, of }) = options.shard {
+            // Neighbours have much in common, so a shard takes a stretch.
+            let n = order.len();
+            order = order[n * (index - 1) / of..n * index / of].to_vec();
+        }
+        let n_before = order.iter().filter(|run| before.binary_search(run).is_ok()).count();
+        order.retain(|run| before.binary_search(run).is_err());
+        let shared = match options.share {
+            true => Shared::of(order.iter().map(|&run| &self.runs[run].keys[..])),
+            false => Shared::default(),
+        };
+        let state = Mutex::new(State { pending: order.into(), shared, swept: Swept::default(), error: None });
+        let (ended, cancelled) = (Condvar::new(), &options.run.cancelled);
+        let lock = || state.lock().unwrap_or_else(PoisonError::into_inner);
+        on_workers(
+            options.workers.max(1),
+            &|_| {
+                let mut now = lock();
+                loop {
+                    if cancelled.load(Ordering::Relaxed) || now.error.is_some() {
+                        ended.notify_all();
+                        return;
+                    }
+                    let free = now.pending.iter().position(|&run| now.shared.is_free(&self.runs[run].keys));
+                    let Some(at) = free else {
+                        if now.pending.is_empty() {
+                            return;
+                        }
+                        now = ended.wait(now).unwrap_or_else(PoisonError::into_inner);
+                        continue;
+                    };
+                    let Some(run) = now.pending.remove(at).map(|run| &self.runs[run]) else { return };
+                    let found = now.shared.begin(&run.keys);
+                    drop(now);
+                    let n_shared = found.iter().flatten().count();
+                    let (done, left) = self.run_one(run, options, &found);
+                    drop(found);
+                    let kept = done.as_ref().map(|done| match self.changed(run) {
+                        None => folder.keep(done, &run.row.sets),
+                        Some(file) => Err(FolderError::Changed { path: file.display().to_string() }),
+                    });
+                    now = lock();
+                    now.shared.end(&run.keys, left);
+                    now.swept.n_shared += n_shared;
+                    now.swept.n_computed += run.keys.len() - n_shared;
+                    match (kept, &done) {
+                        (Some(Err(error)), _) => now.error = now.error.take().or(Some(error)),
+                        (Some(Ok(())), Some(done)) => {
+                            now.swept.n_run += 1;
+                            watcher.ended(done);
+                        }
+                        _ => {}
+                    }
+                    ended.notify_all();
+                }
+            },
+            &|_, error| tracing::warn!("one thread less: {error}"),
+        );
+        let State { pending, swept, error, .. } = state.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if let Some(error) = error {
+            return Err(error);
+        }
+        let n_missing = pending.len();
+        let mut swept = Swept { n_before, n_missing, ..swept };
+        for done in folder.done()? {
+            swept.n_without += usize::from(done?.status != "complete");
+        }
+        Ok(swept)
+    }
+
+    /// The runs in an order in which those that have much in common follow each other.
+    fn order(&self) -> Vec<usize> {
+        // By when the keys were first seen, node by node: sorting by that keeps the order of the tables where nothing is shared.
+        let mut first = BTreeMap::new();
+        for (index, run) in self.runs.iter().enumerate() {
+            for key in &run.keys {
+                first.entry(*key).or_insert(index);
+            }
+        }
+        let mut order: Vec<usize> = (0..self.runs.len()).collect();
+        order.sort_by_cached_key(|&run| self.runs[run].keys.iter().map(|key| first[key]).collect::<Vec<_>>());
+        order
+    }
+
+    /// An input file of the run that is not what it was when the sweep was checked.
+    fn changed<'r>(&self, run: &'r Run) -> Option<&'r PathBuf> {
+        let now = Stamps::of_plan(&run.plan);
+        run.plan.input_files.iter().find(|file| now.get(file) != self.files.get(file))
+    }
+
+    /// One run; `None` where the user has stopped it.
+    fn run_one(
+        &self,
+        run: &Run,
+        options: &SweepOptions,
+        found: &[Option<Arc<Left>>],
+    ) -> (Option<Done>, Vec<Option<Left>>) {
+        let of_run = RunOptions { workers: 1, out_dir: None, record: false, latency: false, ..options.run.clone() };
+        let (report, left) = run_row::run(&run.plan, &self.registry, &of_run, found);
+        let done = match report {
+            Ok(report) => {
+                let told = |warning: &Warning| {
+                    format!("node \"{}\", item {}: {}", warning.node, warning.item, warning.message)
+                };
+                let warnings = report.warnings.iter().map(told).collect();
+                let reason = match &report.outcome {
+                    Outcome::Interrupted => return (None, left),
+                    Outcome::Refused(refusal) => Some(refusal.to_string()),
+                    Outcome::Complete => None,
+                };
+                Done::of(&run.row, report.outcome.status(), reason, warnings, report.results)
+            }
+            Err(error) => Done::of(&run.row, "failed", Some(error.to_string()), Vec::new(), Json::Null),
+        };
+        (Some(done), left)
+    }
+}
+
+/// A sweep under way.
+struct State {
+    pending: VecDeque<usize>,
+    shared: Shared,
+    swept: Swept,
+    error: Option<FolderError>,
+}
