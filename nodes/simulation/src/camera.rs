@@ -4,7 +4,7 @@ use crate::bone::smoothstep;
 use crate::draws::{Term, normal, stream};
 use crate::params::{CameraParams, PeriosteumParams};
 use crate::waves::Waves;
-use nalgebra::{Isometry3, Point3, Unit, Vector3};
+use nalgebra::{Isometry3, Point3, Rotation3, Unit, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Cloud, CloudError, StampNs};
 use rand::RngExt;
@@ -96,26 +96,7 @@ pub(crate) fn view(
                 (first..=last)
                     .filter_map(|column| {
                         let ray = Vector3::new(column as f64 * step, row as f64 * step, 1.0).normalize();
-                        let (origin, along) = (Point3::from(t_object_camera.translation.vector), t_object_camera * ray);
-                        let before = around.and_then(|a| a.cast_ray(&origin, &along));
-                        let behind = object.cast_ray(&origin, &along);
-                        let on_object = match (&before, &behind) {
-                            (Some(before), Some(behind)) => behind.distance_mm <= before.distance_mm,
-                            (before, _) => before.is_none(),
-                        };
-                        let hit = if on_object { behind? } else { before? };
-                        let cos_incidence = -along.dot(&hit.normal);
-                        let good = cos_incidence >= params.max_incidence_deg.to_radians().cos()
-                            && (!on_object || stretch.is_none_or(|s| s.holds(&hit.point)));
-                        good.then_some(Pixel {
-                            ray,
-                            distance_mm: hit.distance_mm,
-                            cos_incidence,
-                            normal: hit.normal,
-                            on_object,
-                            bias_mm: 0.0,
-                            noise_mm: 0.0,
-                        })
+                        look(sight, t_object_camera, params, ray)
                     })
                     .collect()
             })
@@ -135,6 +116,61 @@ pub(crate) fn view(
         pixel.noise_mm = params.depth_noise_mm * pixel.cos_incidence.powf(-params.depth_noise_growth);
     });
     pixels
+}
+
+/// What a ray of the camera sees, if not too aslant: the object within its stretch, or what lies around it.
+fn look(
+    sight: &Sight<'_>,
+    t_object_camera: &Isometry3<f64>,
+    params: &CameraParams,
+    ray: Vector3<f64>,
+) -> Option<Pixel> {
+    let Sight { object, stretch, around } = *sight;
+    let (origin, along) = (Point3::from(t_object_camera.translation.vector), t_object_camera * ray);
+    let before = around.and_then(|a| a.cast_ray(&origin, &along));
+    let behind = object.cast_ray(&origin, &along);
+    let on_object = match (&before, &behind) {
+        (Some(before), Some(behind)) => behind.distance_mm <= before.distance_mm,
+        (before, _) => before.is_none(),
+    };
+    let hit = if on_object { behind? } else { before? };
+    let cos_incidence = -along.dot(&hit.normal);
+    let good = cos_incidence >= params.max_incidence_deg.to_radians().cos()
+        && (!on_object || stretch.is_none_or(|s| s.holds(&hit.point)));
+    good.then_some(Pixel {
+        ray,
+        distance_mm: hit.distance_mm,
+        cos_incidence,
+        normal: hit.normal,
+        on_object,
+        bias_mm: 0.0,
+        noise_mm: 0.0,
+    })
+}
+
+/// How large a hole looks on the screen: 1 where its disc faces the camera, less where the surface turns away, where the
+/// disc reaches over the object's outline, and where the camera measures nothing anyhow. No draw enters.
+///
+/// It is the share of the rays towards a disc of the hole's radius, across the camera's line to the spot, that meet the
+/// object within the hole.
+pub(crate) fn hole_share(
+    sight: &Sight<'_>,
+    t_object_camera: &Isometry3<f64>,
+    params: &CameraParams,
+    hole: &Hole,
+) -> f64 {
+    // Vogel's spiral: as many rays to each part of the disc as to any other of its size.
+    const N_RAYS: usize = 256;
+    let golden_rad = std::f64::consts::PI * (3.0 - 5f64.sqrt());
+    let across = Rotation3::rotation_between(&Vector3::z(), &hole.spot.coords).unwrap_or_else(Rotation3::identity);
+    let shows = |k: &usize| {
+        let out_mm = hole.radius_mm * ((*k as f64 + 0.5) / N_RAYS as f64).sqrt();
+        let (sin, cos) = (*k as f64 * golden_rad).sin_cos();
+        let aside = across * Vector3::new(out_mm * cos, out_mm * sin, 0.0);
+        let pixel = look(sight, t_object_camera, params, (hole.spot.coords + aside).normalize());
+        pixel.is_some_and(|pixel| pixel.on_object && hole.takes(&pixel.point()))
+    };
+    (0..N_RAYS).filter(shows).count() as f64 / N_RAYS as f64
 }
 
 /// The smooth error of depth that the camera's own calibration leaves, mm: a function of where a point lies in the
@@ -285,15 +321,18 @@ pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::{Translation3, UnitQuaternion};
     use osteoflow_geometry::{Mesh, SurfaceOrigin};
 
     /// A square wall of 100 mm, 200 mm before the camera, its normal towards it.
-    fn wall(params: &CameraParams) -> Vec<Pixel> {
+    fn wall() -> MeshQuery {
         let corners = [[-50.0, -50.0], [50.0, -50.0], [50.0, 50.0], [-50.0, 50.0]];
         let vertices: Vec<Point3<f64>> = corners.iter().map(|[x, y]| Point3::new(*x, *y, 200.0)).collect();
-        let faces = vec![[0, 2, 1], [0, 3, 2]];
-        let wall = Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap();
-        let sight = Sight { object: &MeshQuery::new(&wall), stretch: None, around: None };
+        MeshQuery::new(&Mesh::new("ct", SurfaceOrigin::Exact, vertices, vec![[0, 2, 1], [0, 3, 2]]).unwrap())
+    }
+
+    fn pixels(params: &CameraParams) -> Vec<Pixel> {
+        let sight = Sight { object: &wall(), stretch: None, around: None };
         view(&sight, &Isometry3::identity(), params, &DepthBias::new(params, 1))
     }
 
@@ -314,7 +353,7 @@ mod tests {
     #[test]
     fn the_grid_is_as_fine_as_the_points_need_and_the_surplus_goes() {
         let params = quiet();
-        let pixels = wall(&params);
+        let pixels = pixels(&params);
         let share = pixels.len() as f64 / 20_000.0;
         assert!((1.08..1.16).contains(&share), "{share} pixels for each point");
         let cloud = scan(&shot(&pixels), &params, 1).unwrap();
@@ -326,7 +365,7 @@ mod tests {
     #[test]
     fn dropout_takes_its_share() {
         let params = CameraParams { dropout: 0.3, ..quiet() };
-        let pixels = wall(&params);
+        let pixels = pixels(&params);
         let kept = left(&pixels, &params, 1).len() as f64 / pixels.len() as f64;
         // Four standard errors over 22,000 pixels.
         assert!((kept - 0.7).abs() < 0.013, "{kept} are kept");
@@ -335,7 +374,7 @@ mod tests {
     #[test]
     fn patches_take_discs_of_their_radius_anew_in_every_scan() {
         let params = CameraParams { n_patches: 3, patch_radius_mm: 4.0, ..quiet() };
-        let pixels = wall(&params);
+        let pixels = pixels(&params);
         let lost = |seed: u64| pixels.len() - left(&pixels, &params, seed).len();
         let mean = (0..60).map(lost).sum::<usize>() as f64 / 60.0 / pixels.len() as f64;
         // Three discs in a wall of 100 x 100 mm; some overlap or reach over its edge.
@@ -348,9 +387,31 @@ mod tests {
     fn what_is_seen_too_aslant_gives_no_point() {
         // From its middle, the wall's edges are seen at up to 19.5 degrees.
         let limit_deg = 10.0;
-        let pixels = wall(&CameraParams { max_incidence_deg: limit_deg, ..quiet() });
+        let pixels = pixels(&CameraParams { max_incidence_deg: limit_deg, ..quiet() });
         let steepest = pixels.iter().map(|p| p.cos_incidence).fold(1.0, f64::min).acos().to_degrees();
         assert!((9.8..=limit_deg).contains(&steepest), "{steepest} degrees");
+    }
+
+    #[test]
+    fn a_hole_looks_smaller_at_an_edge_and_where_the_surface_turns_away() {
+        let wall = wall();
+        let sight = Sight { object: &wall, stretch: None, around: None };
+        let share = |x: f64, y: f64, slant_deg: f64| {
+            let spot = Point3::new(x, y, 200.0);
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), slant_deg.to_radians());
+            let t_object_camera = Translation3::from(spot) * turn * Translation3::from(-spot.coords);
+            hole_share(&sight, &t_object_camera, &quiet(), &Hole { spot, radius_mm: 2.0, beam: None })
+        };
+        assert_eq!((share(0.0, 0.0, 0.0), share(54.0, 0.0, 0.0)), (1.0, 0.0));
+        // A spiral of 256 rays tells areas to a hundredth.
+        for (seen, expected) in [
+            (share(50.0, 10.0, 0.0), 0.5),
+            (share(-50.0, 50.0, 0.0), 0.25),
+            (share(0.0, 0.0, 60.0), 0.5),
+            (share(0.0, 0.0, 45.0), 0.5f64.sqrt()),
+        ] {
+            assert!((seen - expected).abs() < 0.025, "{seen} of the disc, {expected} expected");
+        }
     }
 
     #[test]

@@ -25,6 +25,7 @@ mod params;
 pub mod phantom;
 mod plan;
 pub mod procedure;
+mod scene;
 mod stylus;
 mod subject;
 mod surroundings;

@@ -197,6 +197,11 @@ pub struct LaserParams {
     /// Standard deviation of aiming along the bone. 0.7 mm: other simulator.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub aim_along_mm: f64,
+    /// How often a mark may be aimed at, each time with an aiming error of its own, until the hole on the screen is no sliver:
+    /// until the camera sees a third of the laser's disc on the bone, assumed. Of slivers, the largest counts. 1, a hand that
+    /// does not watch the screen: other simulator; a surgeon would point again, perhaps 3 times: assumed.
+    #[schemars(range(min = 1, max = 100))]
+    pub max_attempts: usize,
     /// Where the camera is blind about the spot. `ball`: other simulator.
     pub disc: LaserDisc,
     /// Standard deviation, about each axis across it, of how a beam's way differs from the camera's ray to the spot. 10
@@ -229,6 +234,7 @@ impl Default for LaserParams {
             hole_radius_mm: 2.0,
             aim_across_mm: 0.6,
             aim_along_mm: 0.7,
+            max_attempts: 1,
             disc: LaserDisc::Ball,
             beam_deg: 10.0,
             scans: true,
@@ -524,6 +530,7 @@ impl ProcedureParams {
             ("laser.hole_radius_mm", self.laser.hole_radius_mm, self.laser.hole_radius_mm > 0.0, positive),
             ("laser.aim_across_mm", self.laser.aim_across_mm, self.laser.aim_across_mm >= 0.0, not_negative),
             ("laser.aim_along_mm", self.laser.aim_along_mm, self.laser.aim_along_mm >= 0.0, not_negative),
+            ("laser.max_attempts", self.laser.max_attempts as f64, self.laser.max_attempts >= 1, "1 or more"),
             ("phantom.print_mm", self.phantom.print_mm, self.phantom.print_mm >= 0.0, not_negative),
             ("phantom.print_deg", self.phantom.print_deg, self.phantom.print_deg >= 0.0, not_negative),
             (

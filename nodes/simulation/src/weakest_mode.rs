@@ -2,7 +2,7 @@
 
 use crate::camera::{DepthBias, Sight, Stretch, view};
 use crate::params::{CameraParams, ProcedureParams};
-use crate::procedure::scan_pose;
+use crate::scene::scan_pose;
 use crate::{SimulationError, draws, plan::section_centre};
 use nalgebra::{Matrix6, Point3, Unit, Vector3, Vector6};
 use osteoflow_algorithms::mesh_query::MeshQuery;

@@ -4,11 +4,13 @@
 
 mod common;
 
+use osteoflow_algorithms::hole::{HoleParams, cloud_difference};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::{Cloud, Mesh, Pose, StampNs, SurfaceOrigin};
 use osteoflow_simulation::{
-    CameraParams, CtParams, Procedure, ProcedureParams, SimulationError, TrackerParams, ct_surface, phantom, plan,
+    CameraParams, CtParams, Procedure, ProcedureParams, SimulationError, Subject, TrackerParams, ct_surface, phantom,
+    plan,
 };
 
 fn simulate(params: &ProcedureParams, seed: u64) -> Procedure {
@@ -363,4 +365,22 @@ fn what_cannot_be_simulated_is_refused_with_the_reason() {
     assert!(matches!(on(|p| p.landmarks.frame = "world".into()), SimulationError::Frame(_)));
     let two = on(|p| p.landmarks.points = p.landmarks.points[..2].to_vec().into());
     assert_eq!(two, SimulationError::TooFewPoints { what: "landmarks", found: 2, needed: 3 });
+}
+
+#[test]
+fn a_surgeon_who_points_again_leaves_fewer_holes_that_cannot_be_found() {
+    let lost = |max_attempts| {
+        let mut params = ProcedureParams::default();
+        params.bone.shape_seed = 3;
+        params.laser.max_attempts = max_attempts;
+        let subject = Subject::built_in(&params.bone).unwrap();
+        let of_seed = |seed| {
+            let Procedure { scan, laser, .. } = Procedure::simulate_for(&subject, &params, seed).unwrap();
+            laser.iter().filter(|cloud| cloud_difference(&scan, cloud, &HoleParams::default()).is_err()).count()
+        };
+        (1..=30).map(of_seed).sum::<usize>()
+    };
+    let (once, thrice) = (lost(1), lost(3));
+    assert!(once >= 8, "{once} of 90 holes are not found, so that there is something to mend");
+    assert!(thrice * 3 <= once * 2, "{thrice} of 90 holes are not found in three attempts, {once} in one");
 }
