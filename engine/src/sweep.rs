@@ -1,9 +1,10 @@
 //! Runs a graph many times with other settings, and makes tables of what came out.
 //!
-//! `[sweep]` of a graph file says which values are crossed or paired, what is drawn at random, how often each setting is
-//! run, and which numbers are taken out of the results of each run. All runs are checked before the first one begins, and
-//! what they run is what was checked: a graph that is edited meanwhile changes nothing, an input file that changes stops the
-//! sweep. What several runs have in common is computed once. A run that fails is a row with its reason. The tables are the same for any number of workers.
+//! `[sweep]` of a graph file says which values are crossed or paired, what is drawn at random, how often each setting
+//! is run, and which numbers are taken out of the results of each run. All runs are checked before the first one begins,
+//! and what they run is what was checked: a graph that is edited meanwhile changes nothing, an input file that changes
+//! stops the sweep. What several runs have in common is computed once. A run that fails is a row with its reason. The
+//! tables are the same for any number of workers.
 
 mod check;
 mod design;

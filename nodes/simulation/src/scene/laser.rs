@@ -8,8 +8,8 @@ use crate::params::LaserDisc;
 use nalgebra::{Point3, Unit, UnitQuaternion};
 use osteoflow_geometry::Points;
 
-/// A hole that looks smaller on the screen than this share of the laser's disc is a sliver that nobody would take for the
-/// spot; assumed.
+/// A hole that looks smaller on the screen than this share of the laser's disc is a sliver, which nobody would take for
+/// the spot; assumed.
 const SLIVER: f64 = 1.0 / 3.0;
 
 impl Scene<'_> {
@@ -29,8 +29,8 @@ impl Scene<'_> {
 
     /// Where the laser truly points, frame of the bone: the marks, off by the aim across and along the bone.
     ///
-    /// Whoever points sees the hole on the screen. Where that is a sliver, because the bone turns away or ends, the mark is
-    /// aimed at anew as often as is allowed; of slivers, the largest is left.
+    /// Whoever points sees the hole on the screen. Where that is a sliver, because the bone turns away or ends, the mark
+    /// is aimed at anew as often as is allowed; of slivers, the largest is left.
     pub(super) fn laser_spots(&self) -> Result<Points, SimulationError> {
         let aim = &self.params.laser;
         let spots = self.laser_marks.points.iter().enumerate().map(|(k, mark)| {
