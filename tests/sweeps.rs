@@ -144,29 +144,6 @@ fn two_runs_are_compared_number_by_number() {
 }
 
 #[test]
-fn placements_end_at_one_place_by_point_to_plane_and_where_they_began_after_few_plain_steps() {
-    let dir = tempfile::tempdir().unwrap();
-    let out = path(dir.path(), "out");
-    let graph = root().join("graphs/paper/sensitivity.toml");
-    let values = "sweep.factor.registration.values=[{ icp.kind = \"icp.point_to_plane\" }, { icp.kind = \
-                  \"icp.point_to_point\", icp.published_reading = \"iterations\", icp.max_iterations = 50, thin.every = 5 }]";
-    let labels = "sweep.factor.registration.labels=[\"point_to_plane\", \"50 iterations\"]";
-    let sets = ["--set", "sweep.repeat=12", "--set", values, "--set", labels];
-    let (_, err, code) = said(&[&["sweep", graph.to_str().unwrap(), "--out", &out, "--quiet"], &sets[..]].concat());
-    assert_eq!(code, 0, "{err}");
-    let summary = json(&path(Path::new(&out), "summary.json"));
-    let spread = |group: usize| {
-        let z = &summary["groups"][group]["columns"]["signed_z_mm"];
-        z["max"].as_f64().unwrap() - z["min"].as_f64().unwrap()
-    };
-    assert!(spread(0) < 0.02, "point to plane: {} mm", spread(0));
-    assert!(spread(1) > 1.0, "50 plain steps leave the start's error: {} mm", spread(1));
-    let correlations = summary["groups"][1]["correlations"].as_array().unwrap();
-    let first = correlations.iter().find(|c| c["draw"] == "first_mm" && c["column"] == "signed_z_mm").unwrap();
-    assert!(first["pearson"]["r"].as_f64().unwrap().abs() > 0.9, "{first}");
-}
-
-#[test]
 fn the_experiments_run_on_a_bone_of_ones_own_and_the_page_says_of_how_many() {
     let dir = tempfile::tempdir().unwrap();
     let own = path(dir.path(), "own");

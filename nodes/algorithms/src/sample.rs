@@ -56,7 +56,9 @@ mod tests {
 
     #[test]
     fn faces_get_points_by_their_area_whatever_their_number() {
-        let samples = surface(&cuboid([0.0; 3], [10.0, 20.0, 30.0]), 22_000, &mut ChaCha8Rng::seed_from_u64(1));
+        let mesh = cuboid([0.0; 3], [10.0, 20.0, 30.0]);
+        assert_eq!(mesh.area_mm2(), 2200.0);
+        let samples = surface(&mesh, 22_000, &mut ChaCha8Rng::seed_from_u64(1));
         // 200, 300 and 600 of 1100 mm² on each pair of sides.
         for (axis, share) in [(2, 4000), (1, 6000), (0, 12_000)] {
             let n = samples.normals.iter().filter(|n| n[axis].abs() == 1.0).count();

@@ -124,6 +124,11 @@ impl Mesh {
         (b - a).cross(&(c - a))
     }
 
+    /// The area of the whole surface, mm². `O(n)`.
+    pub fn area_mm2(&self) -> f64 {
+        (0..self.faces.len()).map(|face| self.area_vector(face).norm() / 2.0).sum()
+    }
+
     /// The mesh in frame `to`, moved by `t_to_frame`. `O(n)`.
     pub fn transformed(&self, to: impl Into<Frame>, t_to_frame: &Isometry3<f64>) -> Mesh {
         Mesh {

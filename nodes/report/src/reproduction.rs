@@ -71,7 +71,7 @@ impl Reproduction {
         let told = |row: &Row| {
             let ours = self.of_row(row)?;
             let Some(Judged::Outside(side)) = row.judged(ours.value?) else { return None };
-            Some(format!("{} ({}): paper {}, ours {}, {side}", row.what, row.section, row.paper, ours.text))
+            Some(format!("{} ({}): paper {}, ours {}, {side}", row.what, row.section, row.theirs, ours.text))
         };
         self.published.row.iter().filter_map(told).collect()
     }

@@ -82,8 +82,9 @@ pub struct IcpParams {
     #[schemars(range(min = 3, max = 1_000_000))]
     pub min_pairs: u32,
     /// `point_to_point` only: do what the paper may have done, which its text leaves open: plain steps on all points
-    /// until the RMS residual changes by less than 0.01 mm (`change_0.01`), by less than 1e-5 mm (`change_1e-5`), or
-    /// `max_iterations` are used up (`iterations`). The report's `left_mm` says what this leaves. `none`: our own rule.
+    /// until the RMS residual changes by less than 0.01 mm (`change_0.01`) or by less than 1e-5 mm (`change_1e-5`), the
+    /// mean distance does so (`mean_change_1e-5`), or `max_iterations` are used up (`iterations`). The report's `left_mm`
+    /// says what this leaves. `none`: our own rule.
     pub published_reading: PublishedReading,
 }
 
@@ -162,6 +163,9 @@ pub enum PublishedReading {
     /// The RMS residual changes by less than 1e-5 mm.
     #[serde(rename = "change_1e-5")]
     Change1e5,
+    /// The mean distance of the pairs changes by less than 1e-5 mm.
+    #[serde(rename = "mean_change_1e-5")]
+    MeanChange1e5,
     /// A number of steps is used up.
     #[serde(rename = "iterations")]
     Iterations,
@@ -173,7 +177,7 @@ impl IcpParams {
         let stop_residual_mm = match self.published_reading {
             PublishedReading::None => return self.clone(),
             PublishedReading::Change001 => 0.01,
-            PublishedReading::Change1e5 => 1e-5,
+            PublishedReading::Change1e5 | PublishedReading::MeanChange1e5 => 1e-5,
             PublishedReading::Iterations => 0.0,
         };
         Self {

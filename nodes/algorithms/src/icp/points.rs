@@ -2,11 +2,12 @@
 
 use super::IcpError;
 use super::acceleration::{Acceleration, State};
+use super::params::PublishedReading;
 use super::problem::{Partners, Problem};
 use super::report::{IcpStep, Observer};
 use super::residual::PointToPoint;
 use super::run::Descent;
-use super::step::{kabsch, newton, resolution_mm, weakest};
+use super::step::{kabsch, newton, resolution_mm, told, weakest};
 use super::stop::StopReason;
 use super::sums::Sums;
 use super::weights::Weights;
@@ -32,6 +33,11 @@ pub(super) fn descend(
     let mut sums = problem.pair(&state, &mut partners, &mut weights, true)?;
     let mut cost = problem.energy(&sums);
     let mut best = (state, sums.clone(), cost);
+    let residual_mm = |sums: &Sums, partners: &Partners| match params.published_reading {
+        PublishedReading::MeanChange1e5 => partners.mean_mm(),
+        _ => sums.rms_mm(),
+    };
+    let mut last_mm = residual_mm(&sums, &partners);
     let (mut calm, mut n_steps) = (0, 0);
     let mut plainly = false;
     loop {
@@ -76,6 +82,7 @@ pub(super) fn descend(
             vec![(plain, false)]
         } else {
             let far = start.moved(&acceleration.next(x, g), lever_arm_mm);
+            let leap = if last { leap } else { told(&sums) };
             vec![(state.moved(&(leap * cut), lever_arm_mm), true), (far, true), (plain, false)]
         };
         let mut taken = probed.map(|(candidate, found)| (candidate, found, true));
@@ -105,8 +112,9 @@ pub(super) fn descend(
         let step_mm = (next.since(&start, lever_arm_mm) - x).norm();
         let step = problem.step(&sums, &state, &next, step_mm, Some(remaining_mm));
         let step = IcpStep { accelerated, ..step };
-        let change_mm = (found.rms_mm() - sums.rms_mm()).abs();
         (state, sums) = (next, found);
+        let now_mm = residual_mm(&sums, &partners);
+        let change_mm = (now_mm - last_mm).abs();
         n_steps += 1;
         let seen = observer.see(step);
         let by_residual = (change_mm < params.stop_residual_mm).then_some(StopReason::Residual);
@@ -121,6 +129,7 @@ pub(super) fn descend(
                 best = (state, sums.clone(), problem.energy(&sums));
             }
         }
+        last_mm = residual_mm(&sums, &partners);
         cost = problem.energy(&sums);
         if cost < best.2 {
             best = (state, sums.clone(), cost);

@@ -37,6 +37,15 @@ pub(super) struct Partners {
     squares: Vec<f64>,
 }
 
+impl Partners {
+    /// Mean residual of those that were found, mm.
+    pub(super) fn mean_mm(&self) -> f64 {
+        let found = self.squares.iter().filter(|square| square.is_finite());
+        let (n, sum) = found.fold((0, 0.0), |(n, sum), square| (n + 1, sum + square.sqrt()));
+        sum / f64::from(n)
+    }
+}
+
 impl<'a, R: Residual> Problem<'a, R> {
     pub(super) fn new(
         surface: &'a Surface<'a>,

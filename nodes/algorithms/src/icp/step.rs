@@ -55,18 +55,32 @@ pub(super) fn grain_mm(sums: &Sums) -> f64 {
 /// How far from its least the residual of points can come to rest among the target's samples, mm: what a random offset of
 /// the partners along the surface does to [`newton`], one standard deviation.
 pub(super) fn resolution_mm(sums: &Sums) -> f64 {
+    let (values, vectors) = sorted_eigen(&(sums.hold / sums.weight));
+    let held = (0..6).filter(|&k| values[k] >= FREE_PER_MM * FREE_PER_MM);
+    held.map(|k| chance(sums, &vectors.column(k).into_owned(), values[k])).sum::<f64>().sqrt()
+}
+
+/// [`newton`] without what such an offset may have done to it: along each motion that the pairs hold more or less, the step
+/// is shortened by `1 - variance / step²`, and not taken where it is no longer than chance would make it (the positive-part
+/// rule of James & Stein 1961, motion by motion). Few pairs, or pairs with sparse samples, tell a turn but no slide.
+pub(super) fn told(sums: &Sums) -> Vector6<f64> {
+    let (values, vectors) = sorted_eigen(&(sums.hold / sums.weight));
+    let gradient = sums.gradient / sums.weight;
+    let held = (0..6).filter(|&k| values[k] >= FREE_PER_MM * FREE_PER_MM);
+    held.fold(Vector6::zeros(), |step, k| {
+        let v: Vector6<f64> = vectors.column(k).into_owned();
+        let way = v.dot(&gradient) / values[k];
+        let share = 1.0 - chance(sums, &v, values[k]) / (way * way);
+        if share > 0.0 { step - v * (way * share) } else { step }
+    })
+}
+
+/// The variance, mm², that random offsets of the partners along the surface give to the step along a motion.
+fn chance(sums: &Sums, motion: &Vector6<f64>, hold: f64) -> f64 {
     // Half of the squared offset along the surface falls on each of its two directions.
     let offset_square = (sums.point_squares - sums.plane_squares).max(0.0) / sums.weight / 2.0;
-    let (values, vectors) = sorted_eigen(&(sums.hold / sums.weight));
     let loose = (sums.grip - sums.hold) / sums.weight;
-    let variance: f64 = (0..6)
-        .filter(|&k| values[k] >= FREE_PER_MM * FREE_PER_MM)
-        .map(|k| {
-            let v: Vector6<f64> = vectors.column(k).into_owned();
-            v.dot(&(loose * v)) * offset_square / (sums.n as f64 * values[k] * values[k])
-        })
-        .sum();
-    variance.max(0.0).sqrt()
+    (motion.dot(&(loose * motion)) * offset_square / (sums.n as f64 * hold * hold)).max(0.0)
 }
 
 /// `-H⁺ g`: the least of a quadratic model, leaving alone the motions that it leaves free.

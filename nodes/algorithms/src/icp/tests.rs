@@ -1,5 +1,6 @@
 use super::*;
 use crate::field::{ClosestPointField, FieldParams};
+use crate::kabsch::kabsch;
 use crate::mesh_query::MeshQuery;
 use crate::sample;
 use crate::shapes::{cuboid, shaft};
@@ -229,6 +230,49 @@ fn what_a_variant_needs_of_the_target_is_named_where_it_is_missing() {
         register(Method::Symmetric, &target, &source, &start(), &published, &mut go_on).unwrap_err(),
         IcpError::NotPublished
     );
+}
+
+/// Plain point-to-point by brute force, until `measure` of the distances changes by less than 1e-5 mm.
+fn plain(
+    target: &Target,
+    source: &[Point3<f64>],
+    init: &Isometry3<f64>,
+    measure: fn(&[f64]) -> f64,
+) -> (Isometry3<f64>, u32) {
+    let nearest = |p: &Point3<f64>| {
+        let square = |q: &&Point3<f64>| (*q - p).norm_squared();
+        *target.points().iter().min_by(|a, b| square(a).total_cmp(&square(b))).unwrap()
+    };
+    let (mut t, mut last, mut steps) = (*init, f64::INFINITY, 0);
+    loop {
+        let moved: Vec<_> = source.iter().map(|p| t * p).collect();
+        let partners: Vec<_> = moved.iter().map(nearest).collect();
+        let now = measure(&moved.iter().zip(&partners).map(|(p, q)| (p - q).norm()).collect::<Vec<_>>());
+        if (now - last).abs() < 1e-5 {
+            return (t, steps);
+        }
+        t = kabsch(&partners, &moved).unwrap() * t;
+        (last, steps) = (now, steps + 1);
+    }
+}
+
+#[test]
+fn a_published_reading_does_what_plain_steps_under_that_rule_do() {
+    let (target, source) = (target(&shaft(), 4000), source(&shaft(), 300));
+    let mean = |d: &[f64]| d.iter().sum::<f64>() / d.len() as f64;
+    let rms = |d: &[f64]| (d.iter().map(|x| x * x).sum::<f64>() / d.len() as f64).sqrt();
+    let mut steps = Vec::new();
+    for (published_reading, measure) in
+        [(PublishedReading::MeanChange1e5, mean as fn(&[f64]) -> f64), (PublishedReading::Change1e5, rms)]
+    {
+        let params = IcpParams { published_reading, max_pair_distance_mm: 50.0, ..IcpParams::default() };
+        let fit = register(Method::PointToPoint, &target, &source, &start(), &params, &mut go_on).unwrap();
+        let (by_hand, n) = plain(&target, &source, &start(), measure);
+        assert_eq!((fit.report.iterations, fit.report.stop_reason), (n, StopReason::Residual));
+        assert!(off(&fit, &by_hand, &source) < 1e-9, "{} mm after {n} steps", off(&fit, &by_hand, &source));
+        steps.push(n);
+    }
+    assert_ne!(steps[0], steps[1], "the two rules are to be told apart here");
 }
 
 /// Every variant by every pairing, with a name for it.

@@ -2,7 +2,8 @@
 
 use super::{
     Reproduction,
-    published::{Judged, Meeting, RULE, Table},
+    ours::Ours,
+    published::{self, Judged, Meeting, RULE, Table},
 };
 use crate::{
     cell::Cell,
@@ -31,6 +32,7 @@ pub(super) fn text(reproduction: &Reproduction, command: &str) -> String {
         all => all.iter().for_each(|told| out.line(&format!("- {told}"))),
     }
     out.line("");
+    independent(&mut out, reproduction);
     for (index, comparisons) in &reproduction.met {
         meeting(&mut out, &reproduction.published.meeting[*index], comparisons);
     }
@@ -53,11 +55,29 @@ fn rows(out: &mut Markdown, reproduction: &Reproduction) {
     out.head(["section", "what", "paper", "ours", "n", "within the paper's spread", "remark"]);
     for row in &reproduction.published.row {
         let Some(ours) = reproduction.of_row(row) else { continue };
-        let judged = match ours.value.and_then(|value| row.judged(value)) {
-            Some(Judged::Within(told) | Judged::Outside(told)) => told,
-            None => "-".into(),
-        };
-        out.row([&row.section, &row.what, &row.paper, &ours.text, &ours.n, &judged, &row.remark]);
+        out.row([&row.section, &row.what, &row.theirs, &ours.text, &ours.n, &judged(row, &ours), &row.remark]);
+    }
+}
+
+fn independent(out: &mut Markdown, reproduction: &Reproduction) {
+    out.line("## Another implementation's numbers and ours\n");
+    out.line(
+        "Found by an independent implementation of the same method on real bones with an exact CT surface; of a bone of \
+         your own: `osteoflow reproduce --bone BONE.stl --plan PLAN.json`, of an exact CT surface in all experiments: \
+         `--set bone.exact=true`.\n",
+    );
+    out.head(["what", "theirs", "ours", "n", "within their range"]);
+    for row in &reproduction.published.independent {
+        let Some(ours) = reproduction.of_row(row) else { continue };
+        out.row([&row.what, &row.theirs, &ours.text, &ours.n, &judged(row, &ours)]);
+    }
+    out.line("");
+}
+
+fn judged(row: &published::Row, ours: &Ours) -> String {
+    match ours.value.and_then(|value| row.judged(value)) {
+        Some(Judged::Within(told) | Judged::Outside(told)) => told,
+        None => "-".into(),
     }
 }
 

@@ -11,19 +11,23 @@ pub(super) type Setting = BTreeMap<String, Value>;
 #[serde(deny_unknown_fields)]
 pub(super) struct Published {
     pub(super) row: Vec<Row>,
+    /// The same of another implementation.
+    pub(super) independent: Vec<Row>,
     pub(super) reading: Vec<Reading>,
     pub(super) meeting: Vec<Meeting>,
     pub(super) table: Vec<Table>,
 }
 
-/// A number of the paper.
+/// A number of the paper, or of another implementation.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Row {
     pub(super) experiment: String,
+    #[serde(default)]
     pub(super) section: String,
     pub(super) what: String,
-    pub(super) paper: String,
+    #[serde(alias = "paper")]
+    pub(super) theirs: String,
     mean: Option<f64>,
     sd: Option<f64>,
     spread: Option<[f64; 2]>,
@@ -128,13 +132,18 @@ mod tests {
     #[test]
     fn the_table_of_the_papers_numbers_is_sound_and_names_experiments_that_are_there() {
         let published = Published::new();
-        let rows = published.row.iter().map(|row| &row.experiment);
+        let rows = || published.row.iter().chain(&published.independent);
         let shown = published.reading.iter().flat_map(|reading| &reading.shows).map(|shown| &shown.experiment);
         let met = published.meeting.iter().flat_map(|meeting| [&meeting.first, &meeting.second]);
-        for name in rows.chain(shown).chain(met).chain(published.table.iter().map(|table| &table.experiment)) {
+        for name in rows()
+            .map(|row| &row.experiment)
+            .chain(shown)
+            .chain(met)
+            .chain(published.table.iter().map(|table| &table.experiment))
+        {
             assert!(EXPERIMENTS.contains(&name.as_str()), "{name}");
         }
-        for row in &published.row {
+        for row in rows() {
             assert!(row.mean.is_none() || row.spread.is_none(), "{} has two spreads", row.what);
             assert!(row.sd.is_none() || row.mean.is_some(), "{} has an SD about nothing", row.what);
             assert!(row.spread().is_none_or(|[low, high]| low < high), "{}", row.what);

@@ -23,14 +23,23 @@ n_points = 150000
 "#)]
 pub struct Prepare(Params);
 
+/// Fewer points are no surface.
+const MIN_POINTS: usize = 100;
+/// More do not fit into memory beside all else.
+const MAX_POINTS: usize = 10_000_000;
+
 /// Parameters of [`Prepare`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
     /// How many points are drawn. 150000: one in 0.3 mm on a whole fibula, as dense as a structured-light scan.
-    #[schemars(range(min = 100, max = 10_000_000))]
+    #[schemars(range(min = MIN_POINTS, max = MAX_POINTS))]
     pub n_points: usize,
+    /// How far apart they lie, mm: one for each square of this edge, whatever the surface's size, in the place of
+    /// `n_points`. 0: as many as that says.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub spacing_mm: f64,
     /// Whether a closest-point field of the surface is made, for registration with `pairing = "field"`. Off: it takes
     /// about half a second and some megabytes, and is kept between runs.
     pub field: bool,
@@ -38,7 +47,17 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Self {
-        Self { n_points: 150_000, field: false }
+        Self { n_points: 150_000, spacing_mm: 0.0, field: false }
+    }
+}
+
+impl Params {
+    fn n_points_on(&self, mesh: &Mesh) -> usize {
+        if self.spacing_mm == 0.0 {
+            return self.n_points;
+        }
+        let n = (mesh.area_mm2() / (self.spacing_mm * self.spacing_mm)).round();
+        (n as usize).clamp(MIN_POINTS, MAX_POINTS)
     }
 }
 
@@ -72,7 +91,7 @@ impl Node for Prepare {
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let samples = sample::surface(&i.mesh, self.0.n_points, &mut ctx.rng());
+        let samples = sample::surface(&i.mesh, self.0.n_points_on(&i.mesh), &mut ctx.rng());
         let target = Target::new(&i.mesh.frame, i.mesh.origin, samples.points, Some(samples.normals.into()))?;
         let mesh = MeshQuery::new(&i.mesh);
         let mut target = target.with_mesh(mesh.clone());
