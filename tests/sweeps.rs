@@ -122,6 +122,27 @@ fn the_summary_counts_units_and_compares_in_pairs() {
 }
 
 #[test]
+fn a_sweep_without_any_result_is_refused_and_one_without_a_value_in_a_column_warns() {
+    let dir = tempfile::tempdir().unwrap();
+    let (graph, out) = (small(dir.path()), path(dir.path(), "out"));
+    let one = ["--set", "sweep.repeat=1", "--set", "sweep.columns.tre_mm=metrics.tre_true_mm.mean_abs.nrm"];
+    let (_, err, code) = said(&[&["sweep", &graph, "--out", &out], &one[..]].concat());
+    assert!(code == 0 && err.contains("tre_mm has no value in any run") && err.contains("mean_abs.nrm"), "{err}");
+    let (out, far) = (path(dir.path(), "none"), ["--set", "icp.max_pair_distance_mm=0.000001"]);
+    let (told, err, code) = said(&[&["sweep", &graph, "--out", &out, "--quiet"], &one[..2], &far[..]].concat());
+    assert_eq!(code, 3, "{told}{err}");
+    assert!(
+        err.contains("none of 2 runs has results; run 0: ") && told.contains("2 of 2 runs have no results"),
+        "{err}"
+    );
+    assert!(fs::read_to_string(path(Path::new(&out), "runs.csv")).unwrap().contains("refused"));
+    let (_, err, code) = said(&["sweep", &graph, "--set", "icp.kind=icp.symmetric"]);
+    assert!(code == 2 && err.contains("icp.kind is set by the factor \"icp\""), "{err}");
+    let (listed, _, code) = said(&["sweep", &graph, "--shard", "2/3", "--dry-run"]);
+    assert!(code == 0 && listed.lines().count() == 4, "{listed}");
+}
+
+#[test]
 fn two_runs_are_compared_number_by_number() {
     let dir = tempfile::tempdir().unwrap();
     let graph = root().join("graphs/fibula.toml");

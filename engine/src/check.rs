@@ -92,11 +92,15 @@ pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Result<Ch
     }
 }
 
-/// The same for a run of a sweep: with what its row sets, in the words of the graph file and relative to it.
+/// The same for a run of a sweep: with what its row sets, in the words of the graph file and relative to it. Its `[sweep]`
+/// has been checked already.
 pub(crate) fn check_row(path: &Path, sets: &[String], row: &[String], kinds: Kinds) -> Result<Checked, Faults> {
     let mut faults = Vec::new();
     match graph::load_row(path, sets, row, &mut faults) {
-        Some(graph) => Check::new(&known(&graph, &kinds), Files::Needed, faults).graph(&graph, path),
+        Some(mut graph) => {
+            graph.table.remove("sweep");
+            Check::new(&known(&graph, &kinds), Files::Needed, faults).graph(&graph, path)
+        }
         None => Err(Faults(faults)),
     }
 }

@@ -17,7 +17,7 @@ pub(crate) use {
     interface::{Inlet, Interface, Knob, Outlet},
     modules::{KIND as MODULE, Module, no_results},
     remove::Removed,
-    set::table_of,
+    set::{SetKey, keys_set, table_of},
     tree::{Entry, Spanned, Table, Value},
 };
 

@@ -23,12 +23,15 @@ pub use design::{Row, rows};
 pub use folder::{DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, merge};
 pub(crate) use read::read;
 pub use spec::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec};
-pub use table::{PointValue, at_path, point_values, write_points, write_runs};
+pub use table::{PointValue, at_path, point_values, without_value, write_points, write_runs};
 
 use crate::{digest::Digest, fault::Fault, manifest::hashes, plan::Plan, run::RunOptions, watch::Stamps};
 use osteoflow_node::Registry;
 use serde_json::json;
-use std::path::{Path, PathBuf};
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+};
 
 /// A sweep whose every run is without faults.
 #[derive(Debug)]
@@ -63,6 +66,12 @@ pub struct Shard {
     pub of: usize,
 }
 
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.index, self.of)
+    }
+}
+
 /// How a sweep is run.
 #[derive(Debug, Clone)]
 pub struct SweepOptions {
@@ -93,8 +102,6 @@ pub struct Swept {
     pub n_before: usize,
     /// Runs that came to their end now.
     pub n_run: usize,
-    /// Of all runs that are there, those without results.
-    pub n_without: usize,
     /// Runs that are missing, because the user has stopped the sweep.
     pub n_missing: usize,
     /// Nodes that were computed.
@@ -107,11 +114,6 @@ impl Sweep {
     /// How many runs there are.
     pub fn n_runs(&self) -> usize {
         self.runs.len()
-    }
-
-    /// The runs, in the order of the tables.
-    pub fn rows(&self) -> impl Iterator<Item = &Row> {
-        self.runs.iter().map(|run| &run.row)
     }
 
     /// The hash of all that decides the tables.
@@ -129,7 +131,7 @@ impl Sweep {
             "graph": { "name": self.plan.name, "file": self.plan.path.display().to_string(), "seed": self.plan.seed },
             "hash": self.hash.to_string(),
             "n_runs": self.runs.len(),
-            "shard": options.shard.map(|shard| format!("{}/{}", shard.index, shard.of)),
+            "shard": options.shard.map(|shard| shard.to_string()),
             "sweep": self.spec,
             "engine_version": env!("CARGO_PKG_VERSION"),
             "command": options.run.command,
@@ -139,11 +141,18 @@ impl Sweep {
         Folder::begin(dir, &self.plan.resolved, about)
     }
 
-    /// Goes on in the folder of this very sweep.
+    /// The runs of a part, or all, in the order of the tables.
+    pub fn part(&self, shard: Option<Shard>) -> impl Iterator<Item = &Row> {
+        let mut part = self.order(shard);
+        part.sort_unstable();
+        part.into_iter().map(|run| &self.runs[run].row)
+    }
+
+    /// Goes on in the folder of this very sweep, with the part of it that it was begun with.
     ///
     /// # Errors
-    /// If it holds another sweep, or none.
-    pub fn resume(&self, dir: &Path) -> Result<Folder, FolderError> {
+    /// If it holds another sweep, another part of it, or none.
+    pub fn resume(&self, dir: &Path, shard: Option<Shard>) -> Result<Folder, FolderError> {
         let folder = Folder::open(dir)?;
         let hash = self.hash.to_string();
         if folder.hash() != hash {
@@ -152,6 +161,11 @@ impl Sweep {
                 folder.hash()
             );
             return Err(FolderError::Other { path: dir.display().to_string(), what });
+        }
+        let (there, asked) = (folder.about["shard"].as_str(), shard.map(|shard| shard.to_string()));
+        if there != asked.as_deref() {
+            let there = there.map(str::to_owned);
+            return Err(FolderError::Part { path: dir.display().to_string(), there, asked });
         }
         Ok(folder)
     }

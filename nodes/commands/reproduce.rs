@@ -114,7 +114,7 @@ impl Reproduce {
         for (name, sweep) in &sweeps {
             let dir = out.join(name.as_str());
             folders.push(match dir.join(sweep::DESIGN).is_file() {
-                true => sweep.resume(&dir).map_err(sweep_command::told)?,
+                true => sweep.resume(&dir, None).map_err(sweep_command::told)?,
                 false => sweep.begin(&dir, &options).map_err(sweep_command::told)?,
             });
         }

@@ -5,7 +5,9 @@ use super::{
 use anyhow::Result;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use osteoflow_engine::sweep::{self, Done, Folder, FolderError, Shard, Sweep as Checked, SweepOptions, Swept, Watcher};
+use osteoflow_engine::sweep::{
+    self, Done, Folder, FolderError, RUNS_DIR, Shard, Sweep as Checked, SweepOptions, Swept, Watcher,
+};
 use serde_json::json;
 use std::{
     fs,
@@ -24,7 +26,7 @@ use std::{
 #[command(after_help = "\
 Examples:
   osteoflow sweep graphs/paper/sensitivity.toml
-  osteoflow sweep graphs/paper/sensitivity.toml --set sweep.repeat=20 --set icp.kind=icp.point_to_plane
+  osteoflow sweep graphs/paper/sensitivity.toml --set sweep.repeat=20 --set recording.camera.depth_noise_mm=0.0
   osteoflow sweep graphs/paper/sensitivity.toml --out S          stopped half-way, by kill -9 or a power cut:
   osteoflow sweep graphs/paper/sensitivity.toml --out S --resume
   osteoflow sweep G.toml --shard 2/8 --out S2                    the second of eight machines, or of a job array:
@@ -43,7 +45,8 @@ pub(crate) struct Sweep {
     #[arg(required_unless_present = "merge")]
     graph: Option<PathBuf>,
 
-    /// Change any key of the graph in all runs, also of [sweep]: sweep.repeat=20; may be given again.
+    /// Change any key of the graph in all runs, also of [sweep]: sweep.repeat=20; may be given again. Refused for a key that
+    /// a factor or a draw sets: sweep.factor.NAME.values=[..] changes what that sets.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
 
@@ -71,7 +74,7 @@ pub(crate) struct Sweep {
     #[arg(long, value_name = "N")]
     workers: Option<NonZeroUsize>,
 
-    /// List the runs and what each sets in the graph; run nothing.
+    /// List the runs, with --shard those of the part, and what each sets in the graph; run nothing.
     #[arg(long)]
     dry_run: bool,
 
@@ -119,12 +122,12 @@ impl Sweep {
         };
         graph_args::warn(&sweep.warnings, global)?;
         if self.dry_run {
-            return list(&sweep, global);
+            return list(&sweep, self.shard, global);
         }
         let run = osteoflow_engine::RunOptions { store: self.keep.store()?, ..run };
         let options = SweepOptions { workers, run, share: !self.no_share, shard: self.shard };
         let folder = match (&self.out, self.resume) {
-            (Some(dir), true) => sweep.resume(dir).map_err(told)?,
+            (Some(dir), true) => sweep.resume(dir, self.shard).map_err(told)?,
             (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, &options).map_err(told)?,
         };
         let began = Instant::now();
@@ -145,9 +148,10 @@ impl Sweep {
 /// Another command line helps where the folder is not what was meant.
 pub(crate) fn told(error: FolderError) -> anyhow::Error {
     match error {
-        FolderError::NoSweep { .. } | FolderError::Other { .. } | FolderError::Missing { .. } => {
-            UsageError(error.to_string()).into()
-        }
+        FolderError::NoSweep { .. }
+        | FolderError::Other { .. }
+        | FolderError::Part { .. }
+        | FolderError::Missing { .. } => UsageError(error.to_string()).into(),
         other => other.into(),
     }
 }
@@ -171,11 +175,8 @@ pub(crate) struct Bar(ProgressBar);
 impl Bar {
     fn begin(sweep: &Checked, folder: &Folder, options: &SweepOptions, global: &Global) -> Result<Self> {
         let there = folder.runs().map_err(self::told)?.len();
-        let n = match options.shard {
-            Some(Shard { index, of }) => sweep.n_runs() * index / of - sweep.n_runs() * (index - 1) / of,
-            None => sweep.n_runs(),
-        };
-        let shard = options.shard.map_or_else(String::new, |s| format!(", part {} of {}", s.index, s.of));
+        let n = sweep.part(options.shard).count();
+        let shard = options.shard.map_or_else(String::new, |shard| format!(", part {shard}"));
         let what = format!("sweeping {}{shard}", sweep.plan.name);
         Self::of(n.saturating_sub(there), &what, options.workers, global)
     }
@@ -218,9 +219,9 @@ impl Watcher for Bar {
     }
 }
 
-fn list(sweep: &Checked, global: &Global) -> Result<Exit> {
+fn list(sweep: &Checked, shard: Option<Shard>, global: &Global) -> Result<Exit> {
     if global.format == Format::Json {
-        let runs = sweep.rows().map(|row| {
+        let runs = sweep.part(shard).map(|row| {
             let values: serde_json::Map<_, _> = row.values.iter().cloned().collect();
             json!({ "run": row.run, "seed": row.seed, "values": values, "set": row.sets })
         });
@@ -228,7 +229,7 @@ fn list(sweep: &Checked, global: &Global) -> Result<Exit> {
         return Ok(Exit::Done);
     }
     let mut out = std::io::stdout().lock();
-    for row in sweep.rows() {
+    for row in sweep.part(shard) {
         writeln!(out, "run {}: {}", row.run, row.sets.join(" "))?;
     }
     Ok(Exit::Done)
@@ -238,12 +239,34 @@ fn list(sweep: &Checked, global: &Global) -> Result<Exit> {
 fn tell(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Result<Exit> {
     let summary = osteoflow_report::summary::write(folder, NOTICE)?;
     let (dir, n_here) = (folder.dir().display(), swept.n_before + swept.n_run);
-    let exit = if swept.n_missing > 0 { Exit::Interrupted } else { Exit::Done };
+    let n_without = summary["n_without_results"].as_u64().unwrap_or_default();
+    let nothing = n_without > 0 && summary["n_runs"] == n_without;
+    let exit = match (swept.n_missing, nothing) {
+        (1.., _) => Exit::Interrupted,
+        (0, true) => Exit::Refused,
+        (0, false) => Exit::Done,
+    };
+    let mut err = std::io::stderr().lock();
+    if let (true, Some(first)) = (nothing, folder.done().map_err(told)?.next()) {
+        let (first, word) = (first.map_err(told)?, global.paint_err("refused", "1;31"));
+        let reason = first.reason.as_deref().unwrap_or("it does not say why");
+        writeln!(err, "{word}: none of {n_without} runs has results; run {}: {reason}", first.run)?;
+    }
+    if !global.quiet {
+        let word = global.paint_err("warning", "1;33");
+        for (name, path) in sweep::without_value(folder, &folder.spec().map_err(told)?).map_err(told)? {
+            writeln!(
+                err,
+                "{word}: {name} has no value in any run: no result is at {path}; look into {dir}/{RUNS_DIR}"
+            )?;
+        }
+    }
+    drop(err);
     if global.format == Format::Json {
         let mut outcome = exit.to_json();
         outcome["out_dir"] = dir.to_string().into();
         let runs = json!({
-            "there_before": swept.n_before, "run": swept.n_run, "without_results": swept.n_without,
+            "there_before": swept.n_before, "run": swept.n_run, "without_results": n_without,
             "missing": swept.n_missing, "nodes_computed": swept.n_computed, "nodes_shared": swept.n_shared,
         });
         print_json(&json!({ "outcome": outcome, "runs": runs, "summary": summary }))?;
@@ -255,8 +278,8 @@ fn tell(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Resu
     }
     let mut out = std::io::stdout().lock();
     writeln!(out, "{}", summary_table::text(&summary))?;
-    if swept.n_without > 0 {
-        writeln!(out, "{} of {n_here} runs have no results; runs.csv says why", swept.n_without)?;
+    if n_without > 0 {
+        writeln!(out, "{n_without} of {n_here} runs have no results; runs.csv says why")?;
     }
     if global.verbose > 0 {
         writeln!(out, "{} nodes computed, {} taken from other runs", swept.n_computed, swept.n_shared)?;

@@ -53,6 +53,11 @@ pub(crate) fn hint<'a>(
     (help, list_of(what, known, most))
 }
 
+/// The known ones, where they are no more than can be looked through.
+pub(crate) fn all<'a>(what: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
+    list_of(what, known, LONG)
+}
+
 fn list_of<'a>(what: &str, known: impl IntoIterator<Item = &'a str>, most: usize) -> Option<String> {
     let known: Vec<_> = known.into_iter().collect();
     (!known.is_empty() && known.len() <= most).then(|| format!("{what}: {}", known.join(", ")))

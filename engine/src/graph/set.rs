@@ -1,3 +1,7 @@
+mod keys;
+
+pub(crate) use keys::{SetKey, keys_set};
+
 use super::{
     edit::{Edit, Step},
     extends::tidy,
@@ -43,13 +47,9 @@ pub(super) fn apply(table: &mut Table, sets: &Sets<'_>, removed: &mut Removed, f
     if sets.sets.is_empty() {
         return inside;
     }
-    let lines: Vec<_> = sets.sets.iter().map(|set| format!("{PREFIX}{set}")).collect();
-    let (name, dir) = (sets.name.clone(), sets.dir.clone());
-    let (text, order) = (lines.join("\n"), usize::MAX);
-    let source = Arc::new(SourceText { name, dir, text, order, command_line: true, used: None });
-    let mut start = 0;
-    for line in &lines {
-        match Setting::read(&source, start + PREFIX.len()..start + line.len(), Some(table)) {
+    let (source, ranges) = source(sets);
+    for range in ranges {
+        match Setting::read(&source, range, Some(table)) {
             Ok(Setting::Overlay(mut over)) => {
                 removed.take_from(table, &mut over, faults);
                 merge(table, over);
@@ -58,9 +58,23 @@ pub(super) fn apply(table: &mut Table, sets: &Sets<'_>, removed: &mut Removed, f
             Ok(Setting::Edit(edit)) => faults.extend(edit.apply(table).err().map(|fault| *fault)),
             Err(fault) => faults.push(*fault),
         }
-        start += line.len() + 1;
     }
     inside
+}
+
+/// Settings as a text, and where in it each `KEY=VALUE` stands.
+fn source(sets: &Sets<'_>) -> (Arc<SourceText>, Vec<Range<usize>>) {
+    let (mut text, mut ranges) = (String::new(), Vec::new());
+    for set in sets.sets {
+        if !text.is_empty() {
+            text.push('\n');
+        }
+        text.push_str(PREFIX);
+        ranges.push(text.len()..text.len() + set.len());
+        text.push_str(set);
+    }
+    let (name, dir, order) = (sets.name.clone(), sets.dir.clone(), usize::MAX);
+    (Arc::new(SourceText { name, dir, text, order, command_line: true, used: None }), ranges)
 }
 
 /// A parameter of a node that no graph file holds, as the command line gives it.

@@ -1,10 +1,11 @@
 //! Looks at a sweep before it begins: every run without faults, and the hash of all that decides the tables.
 
-use super::{Folder, FolderError, GRAPH, Row, Run, Spec, Sweep, input_files, rows, share};
+use super::{Draw, Factor, Folder, FolderError, GRAPH, Row, Run, Spec, Sweep, input_files, rows, share};
 use crate::{
     check::{self, Checked},
     digest::Digest,
     fault::{Fault, Faults},
+    graph::{SetKey, keys_set},
     manifest::{hashes, sha256},
     plugin::Kinds,
     store::Key,
@@ -38,10 +39,39 @@ pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>, workers: usi
         let fault = Fault::new(format!("node \"{}\" is a live source, which gives what it gives once", live.name));
         return Err(Faults(vec![fault.help("record it, and sweep over the recording")]));
     }
+    let overridden = overridden(&spec, sets);
+    if !overridden.is_empty() {
+        return Err(Faults(overridden));
+    }
     let rows = rows(&spec, plan.seed);
     let (runs, files) = check_rows(path, sets, &kinds, rows, workers)?;
     let hash = hash(&spec, &runs);
     Ok(Sweep { spec: *spec, warnings, plan, registry, runs, files, hash })
+}
+
+/// Settings of the command line that no run would take, as a factor or a draw sets their key in all of them. Where some
+/// values of a factor leave the key alone, the runs of those take it.
+fn overridden(spec: &Spec, sets: &[String]) -> Vec<Fault> {
+    let sets_it = |sets: &[String], asked: &SetKey| keys_set(sets).iter().any(|(key, _)| key.outdoes(asked));
+    let of_all = |factor: &&Factor, asked: &SetKey| factor.levels.iter().all(|level| sets_it(&level.sets, asked));
+    let mut faults = Vec::new();
+    for (key, at) in keys_set(sets) {
+        let factor = spec.factors.iter().find(|factor| of_all(factor, &key));
+        let draws = |draw: &&Draw| sets_it(&draw.keys.iter().map(|key| format!("{key}=0")).collect::<Vec<_>>(), &key);
+        let (by, help) = match (factor, spec.draws.iter().find(draws)) {
+            (Some(Factor { name, .. }), _) => {
+                let help = format!("set sweep.factor.{name}.values='[..]' instead");
+                (format!("the factor \"{name}\""), help)
+            }
+            (_, Some(Draw { name, .. })) => {
+                (format!("the draw \"{name}\""), format!("set sweep.draw.{name} instead, such as its distribution"))
+            }
+            _ => continue,
+        };
+        let fault = Fault::new(format!("{key} is set by {by} of the sweep")).at(&at, "no run would take it");
+        faults.push(fault.help(help));
+    }
+    faults
 }
 
 /// Checks a run of a sweep once more from what its folder holds: the frozen graph with what the run has set in it, and with

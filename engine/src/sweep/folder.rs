@@ -48,6 +48,19 @@ pub enum FolderError {
         /// What differs.
         what: String,
     },
+    /// It holds another part of the sweep.
+    #[error(
+        "{path} holds {}, not {}; go on with {}, or begin in another folder",
+        part(.there), part(.asked), option(.there)
+    )]
+    Part {
+        /// The folder.
+        path: String,
+        /// Its part; all if not given.
+        there: Option<String>,
+        /// The part that was asked for.
+        asked: Option<String>,
+    },
     /// An input file changed while the sweep ran.
     #[error(
         "{path} has changed while the sweep ran, which was stopped; the runs that are there are of the file as it was: \
@@ -91,6 +104,14 @@ pub enum FolderError {
         /// Why.
         source: io::Error,
     },
+}
+
+fn part(shard: &Option<String>) -> String {
+    shard.as_ref().map_or_else(|| "the whole sweep".into(), |shard| format!("part {shard} of the sweep"))
+}
+
+fn option(shard: &Option<String>) -> String {
+    shard.as_ref().map_or_else(|| "--resume without --shard".into(), |shard| format!("--shard {shard} --resume"))
 }
 
 /// A run of a sweep that came to its end.

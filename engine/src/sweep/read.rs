@@ -2,6 +2,8 @@
 
 mod draw;
 mod factor;
+mod paths;
+mod sets;
 
 use super::spec::{Column, Compare, Factor, PointColumn, Spec};
 use crate::{
@@ -22,8 +24,10 @@ pub(super) const MOST_RUNS: usize = 1_000_000;
 /// Reads `[sweep]` of a graph; `None` if it has none.
 pub(crate) fn read(table: &Table, faults: &mut Vec<Fault>) -> Option<Spec> {
     let entry = table.get("sweep")?;
+    let results = table.get("results").and_then(|entry| entry.value.as_table());
+    let results = results.into_iter().flat_map(Table::keys).map(str::to_owned).collect();
     let table = take::table(&entry.value, "sweep", faults)?;
-    Reader { at: &entry.key_at, faults }.spec(table)
+    Reader { at: &entry.key_at, faults }.spec(table, results)
 }
 
 const KEYS: [&str; 10] =
@@ -35,13 +39,14 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    fn spec(&mut self, table: &Table) -> Option<Spec> {
+    fn spec(&mut self, table: &Table, mut results: Vec<String>) -> Option<Spec> {
         let before = self.faults.len();
         take::only(table, &KEYS, "[sweep]", self.faults);
         let repeat = table.get("repeat").map_or(Some(1), |entry| {
             take::whole(&entry.value, "repeat", 1, MOST_RUNS as u64, self.faults).map(|n| n as usize)
         });
         let same_seed = table.get("same_seed").and_then(|entry| take::boolean(&entry.value, "same_seed", self.faults));
+        let same_seed = same_seed.unwrap_or(false);
         let factors = self.tables(table, "factor", Self::factor);
         let draws = self.tables(table, "draw", Self::draw);
         let columns = self.tables(table, "columns", Self::column);
@@ -49,12 +54,14 @@ impl Reader<'_> {
         self.unique(table);
         let (units, repeat_name) = self.units(table, &factors);
         let pair = self.pair(table, &factors);
+        results.extend(self.sets(table, &factors, &draws, &pair, same_seed));
+        self.paths(table, &results);
         let limits = self.numbers(table.get("limit"), "limit", &columns);
         let compare = table.get("compare").and_then(|entry| self.compare(entry, &factors, &columns));
         let spec = Spec {
             repeat: repeat?,
             repeat_name,
-            same_seed: same_seed.unwrap_or(false),
+            same_seed,
             factors,
             pair,
             draws,
@@ -180,6 +187,16 @@ impl Reader<'_> {
             let factors: Vec<_> = factors.iter().map(|factor| factor.name.as_str()).collect();
             let help = nearest::help(&others[1], factors.iter().copied());
             self.faults.push(fault.help_if(help).note_if(nearest::list("factors", factors.iter().copied())));
+        } else if let Some(other) = others.first() {
+            // One that is named rightly besides is not meant once more.
+            let unnamed =
+                factors.iter().map(|factor| factor.name.as_str()).filter(|name| !units.iter().any(|u| u == name));
+            if let Some(near) = nearest::name(other, unnamed) {
+                let fault = Fault::new(format!("unit \"{other}\" is no factor, but nearly the factor \"{near}\""));
+                let fault = fault.at(&entry.value.at, "one name may stand for the repeats, but hardly this");
+                let help = format!("did you mean \"{near}\"? else give the repeats a name that is not so near");
+                self.faults.push(fault.help(help));
+            }
         }
         let name = others.into_iter().next().unwrap_or_else(|| REPEAT.into());
         let mut units = units;

@@ -22,12 +22,7 @@ impl Sweep {
     /// row.
     pub fn run(&self, folder: &Folder, options: &SweepOptions, watcher: &dyn Watcher) -> Result<Swept, FolderError> {
         let before = folder.runs()?;
-        let mut order = self.order();
-        if let Some(Shard { index, of }) = options.shard {
-            // Neighbours have much in common, so a shard takes a stretch.
-            let n = order.len();
-            order = order[n * (index - 1) / of..n * index / of].to_vec();
-        }
+        let mut order = self.order(options.shard);
         let n_before = order.iter().filter(|run| before.binary_search(run).is_ok()).count();
         order.retain(|run| before.binary_search(run).is_err());
         let shared = match options.share {
@@ -86,15 +81,11 @@ impl Sweep {
             return Err(error);
         }
         let n_missing = pending.len();
-        let mut swept = Swept { n_before, n_missing, ..swept };
-        for done in folder.done()? {
-            swept.n_without += usize::from(done?.status != "complete");
-        }
-        Ok(swept)
+        Ok(Swept { n_before, n_missing, ..swept })
     }
 
-    /// The runs in an order in which those that have much in common follow each other.
-    fn order(&self) -> Vec<usize> {
+    /// The runs of a part, or all, in an order in which those that have much in common follow each other.
+    pub(super) fn order(&self, shard: Option<Shard>) -> Vec<usize> {
         // By when the keys were first seen, node by node: sorting by that keeps the order of the tables where nothing is shared.
         let mut first = BTreeMap::new();
         for (index, run) in self.runs.iter().enumerate() {
@@ -104,7 +95,11 @@ impl Sweep {
         }
         let mut order: Vec<usize> = (0..self.runs.len()).collect();
         order.sort_by_cached_key(|&run| self.runs[run].keys.iter().map(|key| first[key]).collect::<Vec<_>>());
-        order
+        match shard {
+            // Neighbours have much in common, so a shard takes a stretch.
+            Some(Shard { index, of }) => order[order.len() * (index - 1) / of..order.len() * index / of].to_vec(),
+            None => order,
+        }
     }
 
     /// An input file of the run that is not what it was when the sweep was checked.

@@ -98,6 +98,33 @@ fn value_head(spec: &Spec) -> &'static str {
     }
 }
 
+/// The columns and lists of points, with their paths, that have no value in any complete run, though there are such runs.
+///
+/// # Errors
+/// If a run cannot be read.
+pub fn without_value(folder: &Folder, spec: &Spec) -> Result<Vec<(String, String)>, FolderError> {
+    let mut columns: Vec<_> = spec.columns.iter().collect();
+    // Without axes no value is asked for.
+    let mut points: Vec<_> = spec.points.iter().filter(|points| !points.axes.is_empty()).collect();
+    let mut some_complete = false;
+    for done in folder.done()? {
+        if columns.is_empty() && points.is_empty() {
+            break;
+        }
+        let done = done?;
+        if done.status != "complete" {
+            continue;
+        }
+        some_complete = true;
+        columns.retain(|column| at_path(&done.results, &column.path).is_none_or(Json::is_null));
+        let values = point_values(spec, &done);
+        points.retain(|points| !values.iter().any(|value| value.measure == points.name));
+    }
+    let columns = columns.into_iter().map(|column| (column.name.clone(), column.path.clone()));
+    let points = points.into_iter().map(|points| (points.name.clone(), points.path.clone()));
+    Ok(if some_complete { columns.chain(points).collect() } else { Vec::new() })
+}
+
 /// Writes `points.csv`, long: run, factors, repeat, draws, seed, measure, point, axis, value; `value_mm` where every measure
 /// is in mm.
 ///

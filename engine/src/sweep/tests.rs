@@ -58,7 +58,13 @@ impl Desk {
 
     /// The faults of a graph that has some.
     fn faults(&self) -> String {
-        check(&self.graph, &[], &registry(), 2).map(|_| ()).unwrap_err().render(false)
+        self.faults_with(&[])
+    }
+
+    /// The same with settings of the command line.
+    fn faults_with(&self, sets: &[&str]) -> String {
+        let sets: Vec<_> = sets.iter().map(|set| (*set).to_owned()).collect();
+        check(&self.graph, &sets, &registry(), 2).map(|_| ()).unwrap_err().render(false)
     }
 
     /// Sweeps into a new folder and answers its tables.
@@ -123,7 +129,7 @@ fn a_sweep_that_was_stopped_goes_on_where_it_was_and_leaves_the_same_tables() {
     fs::write(desk.path("cut/runs/000001.json.99.part"), "{\"run\":").unwrap();
     fs::remove_file(desk.path("cut").join(RUNS)).unwrap();
     let sweep = desk.check();
-    let folder = sweep.resume(&desk.path("cut")).unwrap();
+    let folder = sweep.resume(&desk.path("cut"), None).unwrap();
     let swept = sweep.run(&folder, &options(2, true), &()).unwrap();
     assert_eq!((swept.n_before, swept.n_run, swept.n_missing), (3, 3, 0));
     folder.write_tables().unwrap();
@@ -136,9 +142,9 @@ fn a_changed_graph_does_not_go_on_in_the_folder_of_another() {
     let desk = Desk::new(&graph("sweep-changed", SIX));
     desk.sweep("out", &options(1, true));
     fs::write(&desk.graph, graph("sweep-changed", &SIX.replace("[false, true]", "[true, false]"))).unwrap();
-    let said = desk.check().resume(&desk.path("out")).unwrap_err().to_string();
+    let said = desk.check().resume(&desk.path("out"), None).unwrap_err().to_string();
     assert!(said.contains("are not those it was begun with") && said.contains("sweep.toml"), "{said}");
-    let said = desk.check().resume(&desk.path("nothing")).unwrap_err().to_string();
+    let said = desk.check().resume(&desk.path("nothing"), None).unwrap_err().to_string();
     assert!(said.contains("holds no sweep"), "{said}");
 }
 
@@ -197,7 +203,7 @@ last = "values.last"
     let text = graph("sweep-fails", sweep).replace(r#""toy.kept_with_seed""#, r#""toy.add""#);
     let desk = Desk::new(&text.replace("counter = \"sweep-fails\"\ntakes   = \"draws\"\n", ""));
     let (swept, runs, _) = desk.sweep("out", &options(2, true));
-    assert_eq!((swept.n_run, swept.n_without), (4, 2));
+    assert_eq!(swept.n_run, 4);
     let lines: Vec<_> = runs.lines().collect();
     assert_eq!(lines[1], "0,1.0,0,7,complete,2.0,");
     assert!(lines[2].starts_with("1,13.0,0,7,refused,,") && lines[2].contains("13 is not a number"), "{}", lines[2]);
@@ -349,4 +355,168 @@ fn a_fault_of_one_run_is_told_with_the_settings_of_that_run() {
     assert!(said.contains("in run 1 of the sweep: wait = \"long\", repeat = 0"), "{said}");
     let said = Desk::new(&graph("sweep-none", "")).faults();
     assert!(said.contains("has no table [sweep]"), "{said}");
+}
+
+#[test]
+fn one_key_is_not_set_by_two() {
+    let faults = |sweep: &str| Desk::new(&graph("sweep-clash", sweep)).faults();
+    let said = faults(
+        r#"
+[sweep.factor]
+noise = { key = "last.noise", values = [false, true] }
+again = { values = [{ node.last = { noise = true, sleep_us = 1 } }, { last.sleep_us = 2 }] }
+seeds = { key = "graph.seed", values = [1, 2] }
+size  = { key = "sweep.repeat", values = [1, 2] }
+[sweep.draw]
+wait = { keys = ["last.sleep_us"], integers = [1, 9] }
+more = { key = "last.sleep_us", integers = [1, 9] }
+"#,
+    );
+    for expected in [
+        "factor \"noise\" and factor \"again\" both set last.noise, of which a run has one value",
+        "factor \"again\" and draw \"wait\" both set last.sleep_us",
+        "factor \"again\" and draw \"more\" both set last.sleep_us",
+        "draw \"wait\" and draw \"more\" both set last.sleep_us",
+        "take last.noise out of one of them",
+        "factor \"seeds\" cannot set graph.seed",
+        "factor \"size\" cannot set sweep.repeat",
+        "toy.toml:30:1",
+    ] {
+        assert!(said.contains(expected), "{expected}\n---\n{said}");
+    }
+    assert_eq!(said.matches("both set").count(), 4, "{said}");
+}
+
+#[test]
+fn other_keys_of_one_node_and_paired_values_that_never_meet_are_no_clash() {
+    for sweep in [
+        r#"
+[sweep.factor]
+noise = { values = [{ last.noise = true }, { last.noise = false, last.sleep_us = 1 }], labels = ["a", "b"] }
+first = { key = "scan.calls[0].give[0][1]", values = [1.0, 2.0] }
+[sweep.draw]
+stamp = { key = "scan.calls[0].stamp_ns", integers = [1, 9] }
+"#,
+        r#"
+[sweep]
+pair = ["short", "long"]
+[sweep.factor]
+short = { values = [{ last.sleep_us = 1 }, { last.noise = true }], labels = ["a", "b"] }
+long  = { values = [{ last.noise = true }, { last.sleep_us = 2 }], labels = ["a", "b"] }
+"#,
+        "[sweep]\nsame_seed = true\n[sweep.factor]\nseeds = { key = \"graph.seed\", values = [1, 2] }\n",
+    ] {
+        Desk::new(&graph("sweep-no-clash", sweep)).check();
+    }
+}
+
+#[test]
+fn a_setting_of_the_command_line_that_no_run_would_take_is_refused() {
+    let sweep = r#"
+[sweep.factor]
+noise = { key = "last.noise", values = [false, true] }
+some  = { values = [{ last.sleep_us = 1 }, { shared.takes = "draws" }], labels = ["waits", "as it is"] }
+[sweep.draw]
+stamp = { key = "scan.calls[0].stamp_ns", integers = [1, 9] }
+"#;
+    let desk = Desk::new(&graph("sweep-overridden", sweep));
+    let said = desk.faults_with(&["graph.seed=3", "node.last={ noise = true }"]);
+    for expected in [
+        "last.noise is set by the factor \"noise\" of the sweep",
+        "--set node.last={ noise = true }",
+        "set sweep.factor.noise.values='[..]' instead",
+    ] {
+        assert!(said.contains(expected), "{expected}\n---\n{said}");
+    }
+    let said = desk.faults_with(&["scan.calls[0].stamp_ns=3"]);
+    assert!(said.contains("scan.calls[0].stamp_ns is set by the draw \"stamp\"") && said.contains("sweep.draw.stamp"));
+    let sets = ["last.sleep_us=7", "graph.seed=3", "sweep.factor.noise.values=[true]"].map(str::to_owned);
+    let sweep = check(&desk.graph, &sets, &registry(), 1).unwrap();
+    let waits: Vec<_> = sweep.runs.iter().map(|run| run.plan.resolved.contains("sleep_us = 7")).collect();
+    assert_eq!(waits, [false, true], "the run of the value that leaves the key alone takes it");
+}
+
+#[test]
+fn a_path_that_begins_with_no_result_is_told_with_what_was_meant() {
+    let sweep = r#"
+[sweep.columns]
+good    = "values.last"
+whole   = "values"
+always  = "notice"
+swapped = "values.lsat.mean"
+short   = "shared"
+nothing = "quite.another.thing"
+[sweep.points]
+list = { from = "al.0" }
+"#;
+    let said = Desk::new(&graph("sweep-paths", sweep)).faults();
+    for expected in [
+        "column \"swapped\" asks for values.lsat.mean, which no run has",
+        "did you mean \"values.last.mean\"?",
+        "did you mean \"values.shared\"?",
+        "column \"nothing\" asks for quite.another.thing",
+        "points \"list\" asks for al.0",
+        "did you mean \"all.0\"?",
+        "its results: values.shared, values.last, all",
+        "toy.toml:31:11",
+    ] {
+        assert!(said.contains(expected), "{expected}\n---\n{said}");
+    }
+    assert_eq!(said.matches("which no run has").count(), 4, "{said}");
+}
+
+#[test]
+fn a_unit_that_is_nearly_a_factor_is_not_taken_for_the_repeats() {
+    let sweep = |units| {
+        format!(
+            "[sweep]\nunits = {units}\n[sweep.factor]\nnoise = {{ key = \"last.noise\", values = [false, true] }}\n"
+        )
+    };
+    let said = Desk::new(&graph("sweep-unit", &sweep("[\"nosie\"]"))).faults();
+    assert!(said.contains("unit \"nosie\" is no factor") && said.contains("did you mean \"noise\"?"), "{said}");
+    for fine in ["[\"trial\"]", "[\"noise\", \"noises\"]"] {
+        Desk::new(&graph("sweep-unit", &sweep(fine))).check();
+    }
+}
+
+#[test]
+fn a_part_of_a_sweep_lists_its_own_runs_and_goes_on_in_its_own_folder() {
+    let desk = Desk::new(&graph("sweep-part", SIX));
+    let sweep = desk.check();
+    let shard = |index| Some(Shard { index, of: 3 });
+    let mut all = Vec::new();
+    for index in 1..=3 {
+        let listed: Vec<_> = sweep.part(shard(index)).map(|row| row.run).collect();
+        let dir = format!("part{index}");
+        desk.sweep(&dir, &SweepOptions { shard: shard(index), ..options(1, true) });
+        assert_eq!(Folder::open(&desk.path(&dir)).unwrap().runs().unwrap(), listed);
+        all.extend(listed);
+    }
+    all.sort_unstable();
+    assert_eq!(all, [0, 1, 2, 3, 4, 5]);
+    sweep.resume(&desk.path("part1"), shard(1)).unwrap();
+    let said = sweep.resume(&desk.path("part1"), shard(2)).unwrap_err().to_string();
+    assert!(said.contains("holds part 1/3 of the sweep, not part 2/3") && said.contains("--shard 1/3"), "{said}");
+    let said = sweep.resume(&desk.path("part1"), None).unwrap_err().to_string();
+    assert!(said.contains("not the whole sweep"), "{said}");
+    desk.sweep("whole", &options(1, true));
+    let said = sweep.resume(&desk.path("whole"), shard(2)).unwrap_err().to_string();
+    assert!(said.contains("holds the whole sweep") && said.contains("--resume without --shard"), "{said}");
+}
+
+#[test]
+fn columns_and_points_without_a_value_are_named() {
+    let sweep = r#"
+[sweep.columns]
+last  = "values.last"
+wrong = "values.last.mean"
+[sweep.points]
+all  = { from = "all", axes = ["x"] }
+"#;
+    let desk = Desk::new(&graph("sweep-empty", sweep));
+    desk.sweep("out", &options(1, true));
+    let folder = Folder::open(&desk.path("out")).unwrap();
+    let without = without_value(&folder, &folder.spec().unwrap()).unwrap();
+    let expected = [("wrong", "values.last.mean"), ("all", "all")];
+    assert_eq!(without, expected.map(|(name, path)| (name.to_owned(), path.to_owned())));
 }

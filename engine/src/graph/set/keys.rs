@@ -1,0 +1,111 @@
+//! Which keys a setting gives values to, so that two that set one key are seen.
+
+use super::{PREFIX, Sets, Setting, Step, Table, Value, source};
+use crate::fault::Span;
+use std::fmt;
+
+/// A key that a setting gives a value to, in full and in its parts: `scan.calls[0]` is node, scan, calls, [0].
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct SetKey(Vec<String>);
+
+impl SetKey {
+    /// Its parts; what stands under `[results]` is one.
+    pub(crate) fn parts(&self) -> &[String] {
+        &self.0
+    }
+
+    /// Whether its value, which is set later, leaves nothing of the other: an item of a list leaves the others.
+    pub(crate) fn outdoes(&self, earlier: &Self) -> bool {
+        let meets = self.0.iter().zip(&earlier.0).all(|(a, b)| a == b);
+        meets && self.0.get(earlier.0.len()).is_none_or(|part| !part.starts_with(['[', '+']))
+    }
+}
+
+impl fmt::Display for SetKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let parts = self.0.strip_prefix(&["node".to_owned()]).unwrap_or(&self.0);
+        for (index, part) in parts.iter().enumerate() {
+            let dot = if index == 0 || part.starts_with(['[', '+']) { "" } else { "." };
+            write!(f, "{dot}{part}")?;
+        }
+        Ok(())
+    }
+}
+
+/// The keys of settings, each `KEY=VALUE`, with their places on the command line; those of a table are those of its leaves.
+/// A setting that cannot be read has none.
+pub(crate) fn keys_set(sets: &[String]) -> Vec<(SetKey, Span)> {
+    let (source, ranges) = source(&Sets::command_line(sets));
+    let mut out = Vec::new();
+    for range in ranges {
+        let at = Span::new(&source, range.start - PREFIX.len()..range.end);
+        match Setting::read(&source, range, Some(&Table::default())) {
+            Ok(Setting::Overlay(table)) => leaves(&table, &[], &mut |key| out.push((SetKey(key), at.clone()))),
+            Ok(Setting::Edit(edit)) => {
+                let part = |step: &Step| match step {
+                    Step::Key(key, _) => key.clone(),
+                    Step::Index(index, _) => format!("[{index}]"),
+                };
+                let mut key: Vec<_> = edit.steps.iter().map(part).collect();
+                key.extend(edit.append.then(|| format!("+={}", edit.value.at.text())));
+                out.push((SetKey(key), at));
+            }
+            Err(_) => {}
+        }
+    }
+    out
+}
+
+fn leaves(table: &Table, above: &[String], found: &mut impl FnMut(Vec<String>)) {
+    for entry in &table.0 {
+        let key = [above, std::slice::from_ref(&entry.key)].concat();
+        match &entry.value.value {
+            Value::Table(inner) => leaves(inner, &key, found),
+            _ => found(key),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key(set: &str) -> SetKey {
+        keys_set(&[set.to_owned()]).remove(0).0
+    }
+
+    #[test]
+    fn a_key_is_known_in_whatever_form_it_is_written() {
+        let keys: Vec<_> =
+            keys_set(&["a.b=1".into(), "node.c={ d = 2, e.f = [3] }".into(), "no setting".into(), "g.h[1].i=4".into()])
+                .into_iter()
+                .map(|(key, at)| (key.to_string(), at.text().to_owned()))
+                .collect();
+        let expected = [
+            ("a.b", "--set a.b=1"),
+            ("c.d", "--set node.c={ d = 2, e.f = [3] }"),
+            ("c.e.f", "--set node.c={ d = 2, e.f = [3] }"),
+            ("g.h[1].i", "--set g.h[1].i=4"),
+        ];
+        assert_eq!(keys, expected.map(|(key, at)| (key.to_owned(), at.to_owned())));
+        assert_eq!(key("a.b=1"), key("node.a={ b = 2 }"));
+        assert_eq!(key("results.x.y=a.b").parts(), ["results", "x.y"]);
+    }
+
+    #[test]
+    fn a_later_value_of_a_part_of_a_list_leaves_the_rest() {
+        for (earlier, later, outdone) in [
+            ("a.b=1", "a.b=2", true),
+            ("a.b=1", "a.c=2", false),
+            ("a.b=1", "a.bc=2", false),
+            ("a.b=[1, 2]", "a.b[0]=2", false),
+            ("a.b[0]=2", "a.b=[1, 2]", true),
+            ("a.b[0]=2", "a.b[1]=2", false),
+            ("a.b=[1]", "a.b+=[2]", false),
+            ("a.b+=[1]", "a.b+=[2]", false),
+            ("a.b=\"x\"", "a.b.c=2", true),
+        ] {
+            assert_eq!(key(later).outdoes(&key(earlier)), outdone, "{later} after {earlier}");
+        }
+    }
+}
