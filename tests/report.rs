@@ -7,8 +7,15 @@ mod common;
 
 use browser::Browser;
 use common::{osteoflow, run_whole};
+use osteoflow_formats::mesh_file::write_stl;
+use osteoflow_geometry::Mesh;
+use osteoflow_simulation::{BoneParams, bone};
 use serde_json::{Value, json};
-use std::{fs, path::Path};
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::{Path, PathBuf},
+};
 
 /// Writes the report of a folder.
 fn report(dir: &Path) -> std::path::PathBuf {
@@ -183,6 +190,22 @@ fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() 
     {
         assert!(html.contains(word), "{word} is missing");
     }
+    let which = "by the size of tre_z_mm";
+    assert!(html.contains(which) && html.contains("which has the greatest mean of it"), "maps say what they go by");
+    let figures: Vec<_> = fs::read_dir(out.join("figures")).unwrap().map(|file| file.unwrap().path()).collect();
+    let maps: Vec<_> = figures.iter().filter(|path| path.to_string_lossy().contains("view-fragment-")).collect();
+    let range = |path: &&PathBuf| {
+        let text = fs::read_to_string(path).unwrap();
+        let (before, _) = text.split_once(" mm: executed fragment").unwrap();
+        before.rsplit_once('+').unwrap().1.to_owned()
+    };
+    let ranges: BTreeSet<String> = maps.iter().map(range).collect();
+    assert_eq!((maps.len(), ranges.len()), (4, 1), "all maps have one range: {ranges:?}");
+    let graph = fs::read_to_string(out.join("figures/graph.svg")).unwrap();
+    assert!(graph.contains("SIMULATED") && graph.contains("research use only"), "the graph says what it is");
+    let scatter = fs::read_to_string(out.join("figures/scatter-tre_z_mm-gate_mm.svg")).unwrap();
+    roxmltree::Document::parse(&scatter).unwrap();
+    assert_eq!(scatter.matches("<g transform=\"translate(0 ").count(), 2, "a panel for each kind of ICP");
     let Some(mut browser) =
         Browser::start("the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn")
     else {
@@ -191,6 +214,80 @@ fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() 
     check_page(&mut browser, &page, 3);
     let maps = browser.evaluate("document.querySelectorAll('.view').length");
     assert_eq!(maps, 4, "two fragments, each in place and carried back");
+}
+
+/// What a command says on stderr, and its exit code.
+fn complaint(args: &[&str]) -> (String, i32) {
+    let output = osteoflow().args(args).output().unwrap();
+    (String::from_utf8(output.stderr).unwrap(), output.status.code().unwrap())
+}
+
+/// A tenth of the built-in bone, whose anatomy fits it.
+fn short_bone(dir: &Path) -> (PathBuf, PathBuf) {
+    let (whole, anatomy) = (bone::fibula(&BoneParams::default()), bone::anatomy(&BoneParams::default()));
+    let tip = anatomy.malleolus_tip;
+    let vertices: Vec<_> = whole.vertices().iter().map(|p| tip + (p - tip) * 0.1).collect();
+    let (stl, plan) = (dir.join("short.stl"), dir.join("short.json"));
+    write_stl(&stl, &Mesh::new("ct", whole.origin, vertices, whole.faces().to_vec()).unwrap()).unwrap();
+    let own = json!({
+        "malleolus_tip": tip.coords.as_slice(), "proximal": anatomy.proximal.as_slice(),
+        "lateral": anatomy.lateral.as_slice(), "posterior": anatomy.posterior.as_slice(),
+    });
+    fs::write(&plan, own.to_string()).unwrap();
+    (stl, plan)
+}
+
+#[test]
+fn a_bone_that_cannot_be_simulated_on_is_refused_before_any_sweep_in_the_words_of_simulate() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let (bone, plan) = (at("own/bone.stl"), at("own/plan.json"));
+    let own = at("own");
+    let simulated = ["simulate", "--points", "1000", "--out", own.to_str().unwrap(), "--quiet"];
+    assert_eq!(complaint(&simulated).1, 0);
+    fs::write(at("broken.json"), "{ \"malleolus_tip\": [").unwrap();
+    fs::write(at("another.json"), "{ \"another_bone\": {} }").unwrap();
+    fs::write(at("text.stl"), "no surface").unwrap();
+    let (short, short_plan) = short_bone(dir.path());
+    let mut pairs = vec![
+        (bone.clone(), at("broken.json")),
+        (bone, at("another.json")),
+        (at("text.stl"), plan),
+        (short, short_plan),
+    ];
+    let name = "a_bone_that_cannot_be_simulated_on_is_refused_before_any_sweep_in_the_words_of_simulate";
+    if let Some(jaw) = common::data(name, "bones/myosim_jaw.stl") {
+        let anatomy = jaw.with_file_name("anatomy.json");
+        pairs.push((jaw, anatomy));
+    }
+    for (k, (bone, plan)) in pairs.iter().enumerate() {
+        let out = at(&format!("reproduced-{k}"));
+        let pair = ["--bone", bone.to_str().unwrap(), "--plan", plan.to_str().unwrap(), "--out"];
+        let simulated = at(&format!("simulated-{k}"));
+        let expected = complaint(&[&["simulate"], &pair[..], &[simulated.to_str().unwrap()]].concat());
+        let found =
+            complaint(&[&["reproduce", "--only", "accuracy_camera"], &pair[..], &[out.to_str().unwrap()]].concat());
+        assert_eq!(found, expected, "{} with {}", bone.display(), plan.display());
+        assert!(found.1 != 0 && !out.exists(), "nothing is begun: {found:?}");
+    }
+}
+
+#[test]
+fn an_experiment_without_any_results_ends_as_refused_with_the_page_and_the_commonest_reason() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let sets = ["--set", "sweep.repeat=1", "--set", "icp.max_pair_distance_mm=1e-6"];
+    let only = ["reproduce", "--only", "accuracy_camera", "--out", out.to_str().unwrap()];
+    let (err, code) = complaint(&[&only[..], &sets[..]].concat());
+    assert_eq!(code, 3, "{err}");
+    assert!(err.contains("accuracy_camera: none of its 3 runs has results; run 0: "), "{err}");
+    let page = fs::read_to_string(out.join("paper-reproduction.md")).unwrap();
+    let command =
+        "`osteoflow reproduce --only accuracy_camera --set sweep.repeat=1 --set icp.max_pair_distance_mm=1e-6`";
+    assert!(page.contains(&format!("| accuracy_camera | {command} | 3 | 3 |")), "{page}");
+    let reason = page.lines().find(|line| line.starts_with("- accuracy_camera: ")).unwrap();
+    assert!(reason.ends_with("(3 runs)") && !reason.contains("node"), "{reason}");
+    assert!(!page.contains("silhouette"), "{page}");
 }
 
 /// Two bones of a few procedures each, of which some are refused: their gate lets no pair through.

@@ -35,7 +35,7 @@ impl Report {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let registry = super::registry();
         let report = match self.holds() {
-            Holds::Sweep => osteoflow_report::of_sweep(&self.dir, &registry, Some(&self.plugins.kinds()?))?,
+            Holds::Sweep => osteoflow_report::of_sweep(&self.dir, &registry, &self.plugins.kinds()?, true)?,
             Holds::Run => osteoflow_report::of_run(&self.dir, &registry)?,
             Holds::Neither => {
                 let said = format!(

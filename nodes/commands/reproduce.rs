@@ -9,6 +9,8 @@ use osteoflow_report::{
     reproduction::{EXPERIMENTS, Reproduction, WITH_MAPS},
     summary,
 };
+use osteoflow_simulation::{Procedure, ProcedureParams};
+use osteoflow_standard::own_bone;
 use serde_json::{Value, json};
 use std::{
     fmt::Write as _,
@@ -20,6 +22,9 @@ use std::{
     time::Instant,
 };
 
+/// Where the experiments' graphs lie in the project.
+const GRAPHS: &str = "graphs/paper";
+
 /// Where the page lies in the project.
 const PAGE: &str = "docs/paper-reproduction.md";
 
@@ -28,7 +33,8 @@ const PAGE: &str = "docs/paper-reproduction.md";
 /// Every graph of graphs/paper/ is swept into a folder of its own under --out. The page says for each number of the paper
 /// what ours is, of how many and of what, by which command, and whether it lies outside the paper's spread. In the
 /// project's folder it is docs/paper-reproduction.md, else paper-reproduction.md in --out. Each sweep's folder gets the
-/// page that `osteoflow report` writes.
+/// page that `osteoflow report` writes. An experiment none of whose runs has results is named with the first reason, and the
+/// exit code is 3. A bone that `osteoflow simulate` refuses is refused before anything is run.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -38,7 +44,7 @@ Examples:
   osteoflow reproduce --out R --resume                    goes on where it was stopped")]
 pub(crate) struct Reproduce {
     /// The folder with the experiments' graphs.
-    #[arg(long, value_name = "DIR", default_value = "graphs/paper")]
+    #[arg(long, value_name = "DIR", default_value = GRAPHS)]
     graphs: PathBuf,
 
     /// The folder to leave the sweeps in; one that is not empty is refused. Default: a new one under runs/.
@@ -81,6 +87,9 @@ impl Reproduce {
                 self.graphs.display()
             );
             return Err(UsageError(said).into());
+        }
+        if let (Some(bone), Some(plan)) = (&self.bone, &self.plan) {
+            check_bone(bone, plan, self.sets.is_empty())?;
         }
         let cancelled = Arc::default();
         let run = running::options(self.workers, &cancelled)?;
@@ -144,17 +153,23 @@ impl Reproduce {
         };
         let reproduction = Reproduction::new(&all)?;
         let path = self.page(&out);
-        fs::write(&path, reproduction.page(&self.command()))
+        fs::write(&path, reproduction.page(&self.command(&self.only), &|name| self.command_of(name)))
             .with_context(|| format!("{} cannot be written", path.display()))?;
         let outside = reproduction.outside();
+        let empty = reproduction.without_results();
+        for line in &empty {
+            writeln!(std::io::stderr(), "{} {line}", global.paint_err("without results:", "1;33"))?;
+        }
+        let exit = if empty.is_empty() { Exit::Done } else { Exit::Refused };
         let reports = reports(&all)?;
         if global.format == Format::Json {
-            let mut outcome = Exit::Done.to_json();
+            let mut outcome = exit.to_json();
             outcome["out_dir"] = out.display().to_string().into();
-            print_json(
-                &json!({ "outcome": outcome, "page": path.display().to_string(), "reports": reports, "outside": outside }),
-            )?;
-            return Ok(Exit::Done);
+            print_json(&json!({
+                "outcome": outcome, "page": path.display().to_string(), "reports": reports, "outside": outside,
+                "without_results": empty,
+            }))?;
+            return Ok(exit);
         }
         let mut to = std::io::stdout().lock();
         for line in &outside {
@@ -172,7 +187,7 @@ impl Reproduce {
             out.display(),
             began.elapsed().as_secs_f64()
         )?;
-        Ok(Exit::Done)
+        Ok(exit)
     }
 
     fn page(&self, out: &Path) -> PathBuf {
@@ -183,21 +198,32 @@ impl Reproduce {
         }
     }
 
-    /// The command, as somebody would repeat it.
-    fn command(&self) -> String {
+    /// The command, as somebody would repeat it for these experiments; for all without any.
+    fn command(&self, only: &[String]) -> String {
         let mut command = "osteoflow reproduce".to_owned();
+        if self.graphs != Path::new(GRAPHS) {
+            let _ = write!(command, " --graphs {}", quoted(&self.graphs.to_string_lossy()));
+        }
         for (option, path) in [("--bone", &self.bone), ("--plan", &self.plan)] {
             if let Some(path) = path {
-                let _ = write!(command, " {option} {}", path.display());
+                let _ = write!(command, " {option} {}", quoted(&path.to_string_lossy()));
             }
         }
-        if !self.only.is_empty() {
-            let _ = write!(command, " --only {}", self.only.join(" "));
+        if !only.is_empty() {
+            let _ = write!(command, " --only {}", only.join(" "));
         }
         for set in &self.sets {
-            let _ = write!(command, " --set '{set}'");
+            let _ = write!(command, " --set {}", quoted(set));
         }
         command
+    }
+
+    /// What makes the numbers of one experiment again.
+    fn command_of(&self, experiment: &str) -> String {
+        match self.bone.is_none() && self.sets.is_empty() && self.only.is_empty() {
+            true => format!("osteoflow sweep {}/{experiment}.toml", self.graphs.display()),
+            false => self.command(&[experiment.to_owned()]),
+        }
     }
 
     fn bone_sets(&self) -> Result<Option<BoneSets>> {
@@ -211,14 +237,39 @@ impl Reproduce {
     }
 }
 
+/// Refuses a bone that no procedure can be simulated on, with the words of `osteoflow simulate`, before anything is run. Whether
+/// the stretch that is scanned lies on the bone is looked at where nothing else is set.
+fn check_bone(bone: &Path, plan: &Path, as_it_is: bool) -> Result<()> {
+    let subject = own_bone::read(bone, plan).map_err(|error| anyhow::anyhow!("{error}"))?;
+    for note in &subject.notes {
+        writeln!(std::io::stderr(), "warning: {note}")?;
+    }
+    if !as_it_is {
+        return Ok(());
+    }
+    let mut params = ProcedureParams::default();
+    // The surface and the plan decide, not how many points see them.
+    params.camera.n_points = 1000;
+    Procedure::simulate_for(&subject, &params, 1)?;
+    Ok(())
+}
+
+/// As a shell takes it.
+fn quoted(word: &str) -> String {
+    match !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "-_./=:,+@%".contains(c)) {
+        true => word.to_owned(),
+        false => format!("'{}'", word.replace('\'', "'\\''")),
+    }
+}
+
 /// Writes the report of each experiment into its folder, and gives the pages.
 fn reports(sweeps: &[(String, Folder)]) -> Result<Vec<String>> {
     let registry = super::registry();
     let kinds = PluginArgs::default().kinds()?;
     let write = |(name, folder): &(String, Folder)| -> Result<String> {
-        let kinds = WITH_MAPS.contains(&name.as_str()).then_some(&kinds);
+        let maps = WITH_MAPS.contains(&name.as_str());
         let page = folder.dir().join(osteoflow_report::PAGE);
-        osteoflow_report::of_sweep(folder.dir(), &registry, kinds)?.write(folder.dir(), &page)?;
+        osteoflow_report::of_sweep(folder.dir(), &registry, &kinds, maps)?.write(folder.dir(), &page)?;
         Ok(page.display().to_string())
     };
     sweeps.iter().map(write).collect()

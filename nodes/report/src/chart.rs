@@ -20,6 +20,8 @@ pub(crate) fn said(simulated: bool) -> String {
 
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 400.0;
+/// The same of a panel among others.
+const PANEL: f64 = 230.0;
 const LEFT: f64 = 72.0;
 const RIGHT: f64 = 16.0;
 /// Height of a row of words below the plot.
@@ -27,7 +29,7 @@ const ROW: f64 = 18.0;
 /// The widest word of a category in letters, and the width of a letter.
 const LETTER: f64 = 6.4;
 
-/// The colours of Okabe and Ito, which the colour-blind tell apart; those of a dark screen are lighter.
+/// The colours of Okabe and Ito, which the colour-blind tell apart, with a grey and a brown; those of a dark screen are lighter.
 const STYLE: &str = "\
 text { font-family: system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif; font-size: 12px; fill: #24292f }
 .paper { fill: #ffffff }
@@ -41,6 +43,7 @@ text { font-family: system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans',
 .box { fill-opacity: 0.22; stroke-width: 1.4 }
 .c0 { stroke: #0072b2; fill: #0072b2 } .c1 { stroke: #d55e00; fill: #d55e00 } .c2 { stroke: #009e73; fill: #009e73 }
 .c3 { stroke: #aa4499; fill: #aa4499 } .c4 { stroke: #b07d00; fill: #b07d00 } .c5 { stroke: #3a9bdc; fill: #3a9bdc }
+.c6 { stroke: #59636e; fill: #59636e } .c7 { stroke: #8c564b; fill: #8c564b }
 .line, .whisker { fill: none } .dot, .band { stroke: none }
 @media (prefers-color-scheme: dark) {
 text { fill: #e6edf3 }
@@ -49,11 +52,12 @@ text { fill: #e6edf3 }
 .axis { stroke: #9198a1 } .grid { stroke: #30363d } .zero { stroke: #7d8590 }
 .c0 { stroke: #56b4e9; fill: #56b4e9 } .c1 { stroke: #ff8f4a; fill: #ff8f4a } .c2 { stroke: #2bc69a; fill: #2bc69a }
 .c3 { stroke: #dd88cc; fill: #dd88cc } .c4 { stroke: #e6b422; fill: #e6b422 } .c5 { stroke: #9ad3f5; fill: #9ad3f5 }
+.c6 { stroke: #b7c0ca; fill: #b7c0ca } .c7 { stroke: #c9978d; fill: #c9978d }
 .line, .whisker { fill: none } .dot, .band { stroke: none }
 }";
 
 /// How many series have colours of their own.
-pub(crate) const N_COLOURS: usize = 6;
+pub(crate) const N_COLOURS: usize = 8;
 
 /// Something drawn.
 #[derive(Debug, Clone)]
@@ -66,6 +70,8 @@ pub(crate) enum Mark {
     Dots(Vec<(f64, f64, String)>),
     /// Tukey's box at a place, so many units of x wide.
     Box(f64, f64, Tukey),
+    /// Nothing: what the axes hold besides, so that panels share them.
+    Reach(Vec<(f64, f64)>),
 }
 
 /// Tukey's box: quartiles, whiskers to the last values within 1.5 interquartile ranges, and what lies beyond.
@@ -133,6 +139,12 @@ pub(crate) struct Chart {
 impl Chart {
     /// The chart as SVG, complete as a file.
     pub(crate) fn svg(&self) -> String {
+        let (inside, height) = self.inside(HEIGHT);
+        whole(&self.title, &self.about, &inside, height)
+    }
+
+    /// What is drawn, and its height with this bottom of the plot.
+    fn inside(&self, bottom: f64) -> (String, f64) {
         let extent = |of: fn(&Mark) -> Vec<f64>| -> Vec<f64> {
             self.series.iter().flat_map(|series| &series.marks).flat_map(of).collect()
         };
@@ -143,18 +155,10 @@ impl Chart {
         let wide = words.iter().map(|w| w.chars().count() as f64 * LETTER).fold(0.0, f64::max);
         let aslant = !words.is_empty() && wide > (WIDTH - LEFT - RIGHT) / words.len() as f64 - 6.0;
         let below = if aslant { (wide * 0.5 + 14.0).min(190.0) } else { ROW };
-        let bottom = HEIGHT + top - 34.0;
+        let bottom = bottom + top - 34.0;
         let height = bottom + below + 2.0 * ROW + 8.0;
         let y = self.y.scale(&extent(along), bottom, top);
         let mut out = String::new();
-        let _ = writeln!(
-            out,
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"chart\" width=\"{WIDTH}\" height=\"{height:.0}\" \
-             viewBox=\"0 0 {WIDTH} {height:.0}\" role=\"img\">\n<title>{}</title>\n<desc>{}</desc>\n<style>{STYLE}</style>\n\
-             <rect class=\"paper\" width=\"{WIDTH}\" height=\"{height:.0}\"/>",
-            escaped(&self.title),
-            escaped(&self.about)
-        );
         let _ = writeln!(
             out,
             "<text x=\"{LEFT}\" y=\"18\" style=\"font-size: 13px; font-weight: 600\">{}</text>",
@@ -183,14 +187,13 @@ impl Chart {
                 escaped(&self.note)
             );
         }
-        out.push_str("</svg>\n");
-        out
+        (out, height)
     }
 
     fn draw_legend(&self, out: &mut String, legend: &[&Series]) {
         let (mut x, mut y) = (LEFT, 36.0);
         for series in legend {
-            let width = 26.0 + series.name.chars().count() as f64 * LETTER;
+            let width = 32.0 + series.name.chars().count() as f64 * LETTER;
             if x + width > WIDTH - RIGHT && x > LEFT {
                 (x, y) = (LEFT, y + ROW);
             }
@@ -265,10 +268,31 @@ impl Chart {
     }
 }
 
+/// Charts below one another as one SVG.
+pub(crate) fn panels(title: &str, about: &str, charts: &[Chart]) -> String {
+    let (mut all, mut below) = (String::new(), 0.0);
+    for chart in charts {
+        let (inside, height) = chart.inside(PANEL);
+        let _ = writeln!(all, "<g transform=\"translate(0 {below:.0})\">\n{inside}</g>");
+        below += height.round();
+    }
+    whole(title, about, &all, below)
+}
+
+fn whole(title: &str, about: &str, inside: &str, height: f64) -> String {
+    format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"chart\" width=\"{WIDTH}\" height=\"{height:.0}\" \
+         viewBox=\"0 0 {WIDTH} {height:.0}\" role=\"img\">\n<title>{}</title>\n<desc>{}</desc>\n<style>{STYLE}</style>\n\
+         <rect class=\"paper\" width=\"{WIDTH}\" height=\"{height:.0}\"/>\n{inside}</svg>\n",
+        escaped(title),
+        escaped(about)
+    )
+}
+
 fn legend_rows(legend: &[&Series]) -> f64 {
     let (mut x, mut rows) = (LEFT, 1.0);
     for series in legend {
-        let width = 26.0 + series.name.chars().count() as f64 * LETTER;
+        let width = 32.0 + series.name.chars().count() as f64 * LETTER;
         if x + width > WIDTH - RIGHT && x > LEFT {
             (x, rows) = (LEFT, rows + 1.0);
         }
@@ -283,6 +307,7 @@ fn across(mark: &Mark) -> Vec<f64> {
         Mark::Band(points) => points.iter().map(|p| p.0).collect(),
         Mark::Dots(points) => points.iter().map(|p| p.0).collect(),
         Mark::Box(at, width, _) => vec![at - width, at + width],
+        Mark::Reach(points) => points.iter().map(|p| p.0).collect(),
     }
 }
 
@@ -292,6 +317,7 @@ fn along(mark: &Mark) -> Vec<f64> {
         Mark::Band(points) => points.iter().flat_map(|p| [p.1, p.2]).collect(),
         Mark::Dots(points) => points.iter().map(|p| p.1).collect(),
         Mark::Box(_, _, tukey) => tukey.values.iter().chain(&tukey.whiskers).copied().collect(),
+        Mark::Reach(points) => points.iter().map(|p| p.1).collect(),
     }
 }
 
@@ -319,6 +345,7 @@ fn draw_mark(out: &mut String, mark: &Mark, colour: usize, x: &axis::Scale, y: &
             }
             Ok(())
         }
+        Mark::Reach(_) => Ok(()),
         Mark::Box(at, width, tukey) => {
             let (left, right, middle) = (x.place(at - width), x.place(at + width), x.place(*at));
             let [low, high] = tukey.whiskers.map(|v| y.place(v));

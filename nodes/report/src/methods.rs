@@ -33,20 +33,83 @@ pub(crate) fn of_run(page: &mut Page, run: &Evidence, registry: &Registry) {
     if let Some(surface) = run.results["ct_surface"].as_str() {
         words += &format!("The CT surface was of origin \"{surface}\". ");
     }
+    let resolved = run.manifest["resolved_graph"].as_str().unwrap_or_default();
+    let kinds: Vec<&str> = run.nodes().map(|(_, kind)| kind).collect();
+    words += &used(&kinds);
+    words += &main_terms(resolved, registry, "");
     words += "TRE is the distance at points that were not used to fit; FRE and surface residuals do not predict it. Lengths \
               are in millimetres, along the axes of the bone where z runs along it. One run is one procedure on one bone: \
               n = 1, whatever the number of points.";
     page.text(&words);
-    let resolved = run.manifest["resolved_graph"].as_str().unwrap_or_default();
     steps(page, resolved, registry);
     error_terms(page, resolved, registry);
 }
 
 /// Of a sweep: how it was laid out, then the steps of its graph.
-pub(crate) fn of_sweep(page: &mut Page, words: &str, resolved: &str, registry: &Registry) {
-    page.text(words);
+pub(crate) fn of_sweep(page: &mut Page, words: &str, (resolved, kinds): (&str, &[&str]), registry: &Registry) {
+    let terms = main_terms(resolved, registry, ", where the design sets no other value,");
+    page.text(format!("{words} {}{terms}", used(kinds)).trim_end());
     steps(page, resolved, registry);
     error_terms(page, resolved, registry);
+}
+
+/// The kinds that decide the registration, by their stage.
+const STAGES: [(&str, &str); 3] =
+    [("hole.", "Holes of the laser were found by"), ("coarse.", "Coarse fit:"), ("icp.", "Fine registration:")];
+
+fn used(kinds: &[&str]) -> String {
+    let mut words = String::new();
+    for (stage, what) in STAGES {
+        let mut of: Vec<_> = kinds.iter().copied().filter(|kind| kind.starts_with(stage)).collect();
+        of.sort_unstable();
+        of.dedup();
+        if !of.is_empty() {
+            words += &format!("{what} {}. ", of.join(", "));
+        }
+    }
+    words
+}
+
+/// The terms of the simulation that the paragraph names; the table has all of them.
+const MAIN_TERMS: [(&str, &str, &str); 13] = [
+    ("camera.depth_noise_mm", "depth noise", "mm"),
+    ("camera.depth_bias_mm", "depth bias", "mm"),
+    ("camera.dropout", "dropout", "%"),
+    ("tracker.placement_mm", "marker placement", "mm"),
+    ("tracker.placement_deg", "marker placement about each axis", "\u{b0}"),
+    ("tracker.noise_mm", "tracker noise", "mm"),
+    ("tracker.noise_deg", "tracker noise about each axis", "\u{b0}"),
+    ("phantom.print_mm", "the phantom's print", "mm"),
+    ("laser.aim_across_mm", "laser aim across the bone", "mm"),
+    ("laser.aim_along_mm", "laser aim along it", "mm"),
+    ("stylus.tip_mm", "stylus tip", "mm"),
+    ("stylus.touch_mm", "each touch of the stylus", "mm"),
+    ("ruler.shared_mm", "ruler error that all marks share", "mm"),
+];
+
+/// The main error terms with their values, as a sentence; nothing where none is simulated.
+fn main_terms(resolved: &str, registry: &Registry, unless: &str) -> String {
+    let simulated = |(_, table): &(String, toml::Table)| {
+        table.get("kind").and_then(toml::Value::as_str).is_some_and(|kind| kind == "acquire.simulated")
+    };
+    let Some((_, table)) = nodes_of(resolved).into_iter().find(simulated) else { return String::new() };
+    let Some(known) = registry.kind("acquire.simulated") else { return String::new() };
+    let terms = values(&known.description.params, &table);
+    let told = MAIN_TERMS.iter().filter_map(|(key, name, unit)| {
+        // What is 0 is off.
+        let value = terms.get(*key)?.value.as_f64().filter(|value| *value != 0.0)?;
+        Some(match *unit {
+            "mm" => format!("{name} {value} mm"),
+            "%" => format!("{name} {} %", number(100.0 * value)),
+            unit => format!("{name} {value}{unit}"),
+        })
+    });
+    let told: Vec<_> = told.collect();
+    format!(
+        "Simulated errors{unless} were: {} (lengths and angles as standard deviations, the bias as RMS); the table below has \
+         all terms. ",
+        told.join(", ")
+    )
 }
 
 /// The tables of the nodes of a resolved graph, in its order.
@@ -140,5 +203,20 @@ mod tests {
         assert_eq!(terms["camera.depth_noise_mm"].value, 0.0);
         assert_eq!(terms["laser.hole_radius_mm"].value, 2.0);
         assert!(terms["laser.hole_radius_mm"].about.contains("the paper's hole"));
+    }
+
+    #[test]
+    fn the_paragraph_names_the_main_errors_with_their_values_and_the_methods_that_ran() {
+        let registry = osteoflow_standard::registry();
+        let graph = "[node.recording]\nkind = \"acquire.simulated\"\ncamera.depth_noise_mm = 0.2";
+        let words = main_terms(graph, &registry, "");
+        for told in
+            ["depth noise 0.2 mm", "depth bias 0.05 mm", "dropout 2 %", "tracker noise about each axis 0.0115\u{b0}"]
+        {
+            assert!(words.contains(told), "{told}: {words}");
+        }
+        assert_eq!(main_terms("[node.a]\nkind = \"acquire.files\"", &registry, ""), "");
+        let told = used(&["icp.point_to_plane", "coarse.three_point", "icp.point_to_plane", "crop.box"]);
+        assert_eq!(told, "Coarse fit: coarse.three_point. Fine registration: icp.point_to_plane. ");
     }
 }

@@ -94,7 +94,7 @@ fn inputs(page: &mut Page, inputs: &Json, plugins: &Json) {
              and its licence is the program's (MIT or Apache-2.0).",
         );
     }
-    let head = ["file", "SHA-256", "licence, as a file beside it says"].map(String::from);
+    let head = ["file", "SHA-256", "licence, as a file beside or above it says"].map(String::from);
     page.table("Input files and plugins.", &head, &rows);
 }
 
@@ -108,27 +108,67 @@ fn entries(inputs: &Json) -> Vec<(String, String)> {
     }
 }
 
-/// The first line of `FILE.license` or of a licence file in the same folder; else the first line of its README that speaks
-/// of a licence.
+/// So many folders up a README or a licence file may speak of an input.
+const FOLDERS_UP: usize = 2;
+
+/// What is said of the licence of an input: the first line of `FILE.license`; else a line of a README or a licence file that
+/// names the file, in its folder or up to two above; else the first line of a licence file in its folder, or of the README
+/// there that speaks of a licence; else a line above that names its folder.
 fn licence(path: &Path) -> String {
+    // A relative path has its folders above it only from where it was read.
+    let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let Some(folder) = path.parent() else { return String::new() };
     let mut own = path.as_os_str().to_owned();
     own.push(".license");
-    let named = ["LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "LICENCE.md"];
-    let files = [PathBuf::from(own)].into_iter().chain(named.map(|name| folder.join(name)));
-    let first = |path: PathBuf, wanted: fn(&str) -> bool| {
-        let text = fs::read_to_string(&path).ok()?;
-        let line = text.lines().map(|line| line.trim_matches([' ', '#', '|', '*', '\t'])).find(|line| wanted(line))?;
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        Some(format!("{name}: {}", line.chars().take(160).collect::<String>()))
-    };
-    let speaks = |line: &str| ["licen", "CC BY", "CC0"].iter().any(|word| line.contains(word));
-    files
-        .into_iter()
-        .find_map(|path| first(path, |line| !line.is_empty()))
-        .or_else(|| first(folder.join("README.md"), speaks))
-        .unwrap_or_else(|| "no file beside it says; ask whoever gave it".into())
+    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let (file, inside) = (name(path), format!("{}/", name(folder)));
+    let above = || folder.ancestors().take(1 + FOLDERS_UP).flat_map(about);
+    let speaks = |line: &str| ["licen", "LICEN", "CC BY", "CC0"].iter().any(|word| line.contains(word));
+    first(&PathBuf::from(own), &|_| true)
+        .or_else(|| above().find_map(|path| first(&path, &|line| names(line, &file))))
+        .or_else(|| about(folder).iter().filter(|path| !is_readme(path)).find_map(|path| first(path, &|_| true)))
+        .or_else(|| about(folder).iter().filter(|path| is_readme(path)).find_map(|path| first(path, &speaks)))
+        .or_else(|| above().find_map(|path| first(&path, &|line| line.contains(&inside) && speaks(line))))
+        .unwrap_or_else(|| "no file beside it or up to two folders above says; ask whoever gave it".into())
 }
+
+/// Whether a line speaks of this file, not of one whose name ends like it.
+fn names(line: &str, file: &str) -> bool {
+    line.match_indices(file).any(|(at, _)| {
+        let part = |c: char| c.is_alphanumeric() || "_-.".contains(c);
+        !line[..at].ends_with(part) && !line[at + file.len()..].starts_with(|c: char| c.is_alphanumeric() || c == '_')
+    })
+}
+
+/// The licence files and READMEs of a folder, the licences first.
+fn about(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let starts = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_uppercase();
+        name.starts_with("LICEN") || is_readme(path)
+    };
+    let mut files: Vec<_> = entries.filter(|path| starts(path) && path.is_file()).collect();
+    files.sort();
+    files
+}
+
+fn is_readme(path: &Path) -> bool {
+    path.file_name().unwrap_or_default().to_string_lossy().to_uppercase().starts_with("README")
+}
+
+/// The first line of a file that is wanted, with the file's name.
+fn first(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Option<String> {
+    let text = fs::read_to_string(path).ok()?;
+    let lines = text.lines().map(|line| line.trim_matches([' ', '#', '|', '*', '\t']));
+    let line = lines.filter(|line| !line.is_empty()).find(|line| wanted(line))?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let whole: String = line.chars().take(MOST_LETTERS).collect();
+    let cut = if whole.len() < line.len() { "\u{2026}" } else { "" };
+    Some(format!("{name}: {whole}{cut}"))
+}
+
+/// Longer lines are cut.
+const MOST_LETTERS: usize = 400;
 
 fn row(what: &str, value: String) -> Vec<Cell> {
     vec![Cell::word(what), Cell::word(if value.is_empty() { "not known".into() } else { value })]
@@ -141,5 +181,31 @@ fn word(value: &Json) -> String {
         Json::String(text) => text.clone(),
         Json::Array(items) => items.iter().map(word).collect::<Vec<_>>().join(", "),
         other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_licence_is_found_up_to_two_folders_above_in_the_line_that_names_the_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("data/bones");
+        fs::create_dir_all(&folder).unwrap();
+        let bone = folder.join("fibula.stl");
+        fs::write(&bone, "").unwrap();
+        assert!(licence(&bone).contains("ask whoever gave it"));
+        fs::write(
+            dir.path().join("README.md"),
+            "| bones/left_fibula.stl | CC0 |\n| bones/fibula.stl | CC BY-NC 4.0 |\n",
+        )
+        .unwrap();
+        assert_eq!(licence(&bone), "README.md: bones/fibula.stl | CC BY-NC 4.0");
+        fs::write(folder.join("LICENSE"), "\nApache License\n").unwrap();
+        assert_eq!(licence(&bone), "README.md: bones/fibula.stl | CC BY-NC 4.0", "the file by name is told first");
+        fs::write(folder.join("fibula.stl.license"), "CC0\n").unwrap();
+        assert_eq!(licence(&bone), "fibula.stl.license: CC0");
+        assert_eq!(licence(&folder.join("other.stl")), "LICENSE: Apache License");
     }
 }

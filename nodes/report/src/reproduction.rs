@@ -6,6 +6,7 @@
 mod ours;
 mod page;
 mod published;
+mod reasons;
 
 use crate::{
     ReportError,
@@ -14,6 +15,7 @@ use crate::{
 use osteoflow_engine::sweep::Folder;
 use ours::Ours;
 use published::{Judged, Published, Row, Setting};
+use reasons::Reasons;
 use serde_json::Value;
 
 /// The experiments, in the order of the paper, then ours: names of graphs in graphs/paper/.
@@ -38,10 +40,17 @@ pub const WITH_MAPS: [&str; 2] = ["cutting", "sensitivity"];
 /// The experiments that were run, ready to be told.
 pub struct Reproduction {
     published: Published,
-    /// By name, in the order given.
-    summaries: Vec<(String, Value)>,
+    /// In the order given.
+    experiments: Vec<Experiment>,
     /// Of each meeting in `published` whose experiments are there: the comparisons, or why there are none.
     met: Vec<(usize, Result<Vec<Value>, String>)>,
+}
+
+/// An experiment that was run.
+struct Experiment {
+    name: String,
+    summary: Value,
+    reasons: Reasons,
 }
 
 impl Reproduction {
@@ -51,8 +60,11 @@ impl Reproduction {
     /// If a file of theirs cannot be read.
     pub fn new(sweeps: &[(String, Folder)]) -> Result<Self, ReportError> {
         let published = Published::new();
-        let read = |(name, folder): &(String, Folder)| Ok((name.clone(), summary::read(folder)?));
-        let summaries = sweeps.iter().map(read).collect::<Result<_, ReportError>>()?;
+        let read = |(name, folder): &(String, Folder)| {
+            let runs = folder.done()?.collect::<Result<Vec<_>, _>>()?;
+            Ok(Experiment { name: name.clone(), summary: summary::read(folder)?, reasons: Reasons::of(&runs) })
+        };
+        let experiments = sweeps.iter().map(read).collect::<Result<_, ReportError>>()?;
         let mut met = Vec::new();
         for (index, meeting) in published.meeting.iter().enumerate() {
             let folder = |of: &str| sweeps.iter().find(|(name, _)| name == of).map(|(_, folder)| folder);
@@ -63,7 +75,7 @@ impl Reproduction {
             let compared = between((&meeting.first, &spec, &a), (&meeting.second, &second.spec()?, &b));
             met.push((index, compared.map(with_holm).map_err(|none| none.to_string())));
         }
-        Ok(Self { published, summaries, met })
+        Ok(Self { published, experiments, met })
     }
 
     /// The rows whose number of ours lies outside the paper's spread, a line each.
@@ -76,9 +88,19 @@ impl Reproduction {
         self.published.row.iter().filter_map(told).collect()
     }
 
-    /// The page in Markdown; `command` is what it was made by.
-    pub fn page(&self, command: &str) -> String {
-        page::text(self, command)
+    /// The experiments none of whose runs has results, a line each with the first reason.
+    pub fn without_results(&self) -> Vec<String> {
+        let told = |of: &Experiment| {
+            let (run, reason) = of.reasons.first.as_ref()?;
+            let none = of.summary["n_runs"].as_u64() == Some(of.reasons.n as u64);
+            none.then(|| format!("{}: none of its {} runs has results; run {run}: {reason}", of.name, of.reasons.n))
+        };
+        self.experiments.iter().filter_map(told).collect()
+    }
+
+    /// The page in Markdown; `command` is what it was made by, `of_experiment` what makes the numbers of one experiment again.
+    pub fn page(&self, command: &str, of_experiment: &dyn Fn(&str) -> String) -> String {
+        page::text(self, command, of_experiment)
     }
 
     fn of_row(&self, row: &Row) -> Option<Ours> {
@@ -86,7 +108,10 @@ impl Reproduction {
     }
 
     fn ours(&self, experiment: &str, path: &str, setting: &Setting, show: Option<&str>) -> Option<Ours> {
-        let (_, summary) = self.summaries.iter().find(|(name, _)| name == experiment)?;
-        Ours::find(summary, path, setting, show)
+        Ours::find(&self.experiment(experiment)?.summary, path, setting, show)
+    }
+
+    fn experiment(&self, name: &str) -> Option<&Experiment> {
+        self.experiments.iter().find(|of| of.name == name)
     }
 }

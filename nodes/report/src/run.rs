@@ -6,7 +6,7 @@ mod views;
 use crate::{
     Report, ReportError,
     cell::number,
-    chart::{Axis, Chart, Mark, Series},
+    chart::{Axis, Chart, Mark, Series, said},
     citations,
     evidence::Evidence,
     html::Page,
@@ -29,11 +29,9 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     page.section("The graph as run");
     outcome(&mut page, &run);
     match Picture::of_run(&run.manifest) {
-        Ok(picture) => page.figure(
-            "graph",
-            draw::svg(&picture),
-            "The graph as it ran: nodes with their kind and time, wires with their items.",
-        ),
+        Ok(picture) => {
+            graph(&mut page, picture, "The graph as it ran: nodes with their kind and time, wires with their items.");
+        }
         Err(why) => page.missing("The graph", &why),
     }
     page.section("Registration");
@@ -44,7 +42,7 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     page.section("Cuts");
     views::cuts(&mut page, &run);
     if fragments::node(&run).is_some() {
-        fragments::maps(&mut page, &run, "", "");
+        fragments::maps(&mut page, &run);
     }
     page.section("Results");
     tables::results(&mut page, &run.results);
@@ -59,6 +57,12 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     let began = run.manifest["began"].as_str().unwrap_or_default();
     let (html, figures) = page.finish(&format!("{}, {began}", dir.display()));
     Ok(Report { html, figures, bibliography })
+}
+
+/// The drawing of a graph, which says what every drawing does.
+pub(crate) fn graph(page: &mut Page, mut picture: Picture, caption: &str) {
+    picture.about.push(said(page.simulated()));
+    page.figure("graph", draw::svg(&picture), caption);
 }
 
 fn outcome(page: &mut Page, run: &Evidence) {

@@ -26,12 +26,12 @@ struct Swept {
 /// The report of the sweep whose folder this is.
 ///
 /// Its folder holds no surfaces, so the run in the middle and the worst one are run once more with `kinds`, for the maps of
-/// their fragments; where that gives other results than those that are there, the page says so and shows none. Without
-/// `kinds` there are no maps.
+/// their fragments, if `maps` are wanted; where that gives other results than those that are there, the page says so and
+/// shows none.
 ///
 /// # Errors
 /// If the folder holds no sweep, or its files cannot be read.
-pub fn of_sweep(dir: &Path, registry: &Registry, kinds: Option<&Kinds>) -> Result<Report, ReportError> {
+pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> Result<Report, ReportError> {
     let folder = Folder::open(dir)?;
     let runs = folder.done()?.collect::<Result<Vec<_>, _>>()?;
     let sweep = Swept { spec: folder.spec()?, about: folder.about.clone(), runs };
@@ -42,13 +42,15 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: Option<&Kinds>) -> Resul
     page.section("Design");
     page.text(&sweep.design());
     failures(&mut page, &sweep);
+    page.section("The graph as run");
+    again::picture(&mut page, &sweep, &folder, kinds);
     page.section("Figures");
     figures::columns(&mut page, &sweep);
     figures::points(&mut page, &sweep);
     figures::draws(&mut page, &sweep);
-    match kinds {
-        Some(kinds) => again::maps(&mut page, &sweep, &folder, kinds),
-        None => page.text(&format!(
+    match maps {
+        true => again::maps(&mut page, &sweep, &folder, kinds),
+        false => page.text(&format!(
             "Maps of fragments take two runs more and were not asked for; osteoflow report {} draws them.",
             dir.display()
         )),
@@ -62,13 +64,13 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: Option<&Kinds>) -> Resul
     }
     page.section("Methods");
     let graph = folder.graph()?;
-    methods::of_sweep(&mut page, &sweep.methods(simulated), &graph, registry);
+    let used = sweep.kinds(&graph);
+    let used: Vec<&str> = used.iter().map(String::as_str).collect();
+    methods::of_sweep(&mut page, &sweep.methods(simulated), (&graph, &used), registry);
     page.section("Provenance");
     provenance::of_sweep(&mut page, dir, &sweep.about);
     page.section("References");
-    let kinds = sweep.kinds(&graph);
-    let kinds: Vec<&str> = kinds.iter().map(String::as_str).collect();
-    let bibliography = citations::section(&mut page, &kinds, registry);
+    let bibliography = citations::section(&mut page, &used, registry);
     let (html, figures) = page.finish(&dir.display().to_string());
     Ok(Report { html, figures, bibliography })
 }
@@ -126,7 +128,7 @@ impl Swept {
         let spec = &self.spec;
         let mut words = Vec::new();
         for factor in &spec.factors {
-            let levels: Vec<_> = factor.levels.iter().map(|level| word(&level.label)).collect();
+            let levels: Vec<_> = factor.levels.iter().map(|level| label(&level.label)).collect();
             let told = match levels.len() {
                 0..=12 => levels.join(", "),
                 n => format!("{} ... {} ({n} values)", levels[..3].join(", "), levels[n - 1]),
@@ -196,8 +198,16 @@ fn setting_name(values: &[(&str, &Json)]) -> String {
     match values {
         [] => "all runs".into(),
         [(_, value)] if value.is_string() => word(value),
-        values => values.iter().map(|(name, value)| format!("{name} = {}", word(value))).collect::<Vec<_>>().join(", "),
+        values => {
+            values.iter().map(|(name, value)| format!("{name} = {}", label(value))).collect::<Vec<_>>().join(", ")
+        }
     }
+}
+
+/// A value among others: in quotes where it has a comma of its own.
+fn label(value: &Json) -> String {
+    let word = word(value);
+    if word.contains(',') { format!("\u{201c}{word}\u{201d}") } else { word }
 }
 
 fn number_of(run: &Done, column: &Column) -> Option<f64> {
@@ -211,7 +221,7 @@ fn distribution(of: &Distribution) -> String {
         Distribution::LogUniform([a, b]) => format!("uniform in the logarithm from {a} to {b}"),
         Distribution::Integers([a, b]) => format!("whole numbers from {a} to {b}"),
         Distribution::Choice(values) => {
-            format!("one of {}", values.iter().map(word).collect::<Vec<_>>().join(", "))
+            format!("one of {}", values.iter().map(label).collect::<Vec<_>>().join(", "))
         }
     }
 }

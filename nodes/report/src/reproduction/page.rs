@@ -12,8 +12,11 @@ use crate::{
 };
 use serde_json::Value;
 
+/// What makes the numbers of an experiment again.
+type Command<'a> = &'a dyn Fn(&str) -> String;
+
 /// The whole page.
-pub(super) fn text(reproduction: &Reproduction, command: &str) -> String {
+pub(super) fn text(reproduction: &Reproduction, command: &str, again: Command<'_>) -> String {
     let mut out = Markdown::default();
     out.line("# The paper's numbers and ours\n");
     out.line(&format!("Written by `{command}`; not edited by hand.\n"));
@@ -25,24 +28,24 @@ pub(super) fn text(reproduction: &Reproduction, command: &str) -> String {
          `summary.json` has it, says little.\n",
     );
     out.line(&format!("{RULE}\n"));
-    rows(&mut out, reproduction);
+    rows(&mut out, reproduction, again);
     out.line("\n## Outside the paper's spread\n");
     match reproduction.outside().as_slice() {
         [] => out.line("None."),
         all => all.iter().for_each(|told| out.line(&format!("- {told}"))),
     }
     out.line("");
-    independent(&mut out, reproduction);
+    independent(&mut out, reproduction, again);
     for (index, comparisons) in &reproduction.met {
         meeting(&mut out, &reproduction.published.meeting[*index], comparisons);
     }
-    commands(&mut out, reproduction);
+    commands(&mut out, reproduction, again);
     readings(&mut out, reproduction);
     for table in &reproduction.published.table {
-        if let Some((_, summary)) = reproduction.summaries.iter().find(|(name, _)| *name == table.experiment) {
+        if let Some(of) = reproduction.experiment(&table.experiment) {
             out.line(&format!("## {}\n", table.title));
             out.line(&format!("`graphs/paper/{}.toml`; SIMULATED; mean ± SD.\n", table.experiment));
-            settings(&mut out, table, summary);
+            settings(&mut out, table, &of.summary);
             out.line("");
         }
     }
@@ -51,25 +54,28 @@ pub(super) fn text(reproduction: &Reproduction, command: &str) -> String {
     out.0
 }
 
-fn rows(out: &mut Markdown, reproduction: &Reproduction) {
-    out.head(["section", "what", "paper", "ours", "n", "within the paper's spread", "remark"]);
+fn rows(out: &mut Markdown, reproduction: &Reproduction, again: Command<'_>) {
+    out.head(["section", "what", "paper", "ours", "n", "within the paper's spread", "command", "remark"]);
     for row in &reproduction.published.row {
         let Some(ours) = reproduction.of_row(row) else { continue };
-        out.row([&row.section, &row.what, &row.theirs, &ours.text, &ours.n, &judged(row, &ours), &row.remark]);
+        let (judged, command) = (judged(row, &ours), code(&again(&row.experiment)));
+        out.row([&row.section, &row.what, &row.theirs, &ours.text, &ours.n, &judged, &command, &row.remark]);
     }
 }
 
-fn independent(out: &mut Markdown, reproduction: &Reproduction) {
+fn independent(out: &mut Markdown, reproduction: &Reproduction, again: Command<'_>) {
     out.line("## Another implementation's numbers and ours\n");
     out.line(
         "Found by an independent implementation of the same method on real bones with an exact CT surface; of a bone of \
          your own: `osteoflow reproduce --bone BONE.stl --plan PLAN.json`, of an exact CT surface in all experiments: \
-         `--set bone.exact=true`.\n",
+         `--set bone.exact=true`. Their text does not say by which number a fragment counts, its mean distance or its \
+         greatest: both of ours stand beside it.\n",
     );
-    out.head(["what", "theirs", "ours", "n", "within their range"]);
+    out.head(["what", "theirs", "ours", "n", "within their range", "command"]);
     for row in &reproduction.published.independent {
         let Some(ours) = reproduction.of_row(row) else { continue };
-        out.row([&row.what, &row.theirs, &ours.text, &ours.n, &judged(row, &ours)]);
+        let command = code(&again(&row.experiment));
+        out.row([&row.what, &row.theirs, &ours.text, &ours.n, &judged(row, &ours), &command]);
     }
     out.line("");
 }
@@ -106,17 +112,24 @@ fn meeting(out: &mut Markdown, meeting: &Meeting, comparisons: &Result<Vec<Value
     out.line("");
 }
 
-fn commands(out: &mut Markdown, reproduction: &Reproduction) {
+fn commands(out: &mut Markdown, reproduction: &Reproduction, again: Command<'_>) {
     out.line("## The command of each experiment\n");
     out.head(["experiment", "command", "runs", "without results"]);
-    for (name, summary) in &reproduction.summaries {
-        let command = format!("`osteoflow sweep graphs/paper/{name}.toml`");
-        out.row([name, &command, &summary["n_runs"].to_string(), &summary["n_without_results"].to_string()]);
+    for of in &reproduction.experiments {
+        let (runs, without) = (of.summary["n_runs"].to_string(), of.reasons.n.to_string());
+        out.row([&of.name, &code(&again(&of.name)), &runs, &without]);
+    }
+    out.line("");
+    let refusing: Vec<_> = reproduction.experiments.iter().filter(|of| of.reasons.n > 0).collect();
+    if refusing.is_empty() {
+        return;
     }
     out.line(
-        "\nA run without results is a procedure that was refused, mostly because a laser spot lay at the silhouette of the \
-         bone and its hole could not be found; `runs.csv` says why for each. A surgeon would point again.\n",
+        "A run without results is a procedure that was refused. The commonest reasons; `runs.csv` of the experiment has \
+         each whole:\n",
     );
+    refusing.iter().for_each(|of| out.line(&format!("- {}: {}", of.name, of.reasons.told())));
+    out.line("");
 }
 
 fn readings(out: &mut Markdown, reproduction: &Reproduction) {
@@ -155,6 +168,10 @@ fn settings(out: &mut Markdown, table: &Table, summary: &Value) {
         };
         out.row(setting.chain(cells).chain([units(&group["units"]) + &without]));
     }
+}
+
+fn code(text: &str) -> String {
+    format!("`{text}`")
 }
 
 /// Markdown that grows line by line.

@@ -48,63 +48,89 @@ pub(crate) fn wires(plan: &Plan) -> Option<Vec<String>> {
     wanted.into_iter().map(wire).collect()
 }
 
-/// Two views of the executed fragment: as it lies in the bone, and carried back by the error. `of` says of which run of a
-/// sweep, `name` ends the names of its files.
-pub(crate) fn maps(page: &mut Page, run: &Evidence, of: &str, name: &str) {
-    if let Err(why) = drawn(page, run, of, name) {
-        page.missing(&format!("The fragment{of} against the planned one"), &why);
+/// Two views of the executed fragment: as it lies in the bone, and carried back by the error.
+pub(crate) fn maps(page: &mut Page, run: &Evidence) {
+    match Maps::of(run) {
+        Ok(maps) => maps.draw(page, maps.range_mm, "", ""),
+        Err(why) => page.missing("The fragment against the planned one", &why),
     }
 }
 
-fn drawn(page: &mut Page, run: &Evidence, of: &str, name: &str) -> Result<(), String> {
-    let node = node(run).ok_or(NO_NODE)?;
-    let bone: Mesh = run.input(node, "bone")?;
-    let planned: Planes = run.input(node, "planes")?;
-    let slip = slip(run, node, &planned)?;
-    let params = CutDifferenceParams::default();
-    let plan = PlannedFragment::new(&bone, &planned, &params).map_err(|e| e.to_string())?;
-    let executed = plan.executed(&slip).map_err(|e| e.to_string())?;
-    let compared = plan.against(&slip).map_err(|e| e.to_string())?;
-    let cuts = between(&bone, &planned).map_err(|e| e.to_string())?;
+/// A fragment with how far it is from the planned one, ready to be drawn.
+pub(crate) struct Maps {
+    in_place: Vec<Point3<f64>>,
+    aligned: Vec<Point3<f64>>,
+    faces: Vec<[u32; 3]>,
+    distances_mm: [Vec<f64>; 2],
+    summaries: [DistanceSummary; 2],
+    left: (Vec<Point3<f64>>, Vec<[u32; 3]>),
+    along: Vector3<f64>,
+    /// Where the end colours begin, for either view.
+    pub(crate) range_mm: f64,
+}
 
-    let surface = MeshQuery::new(&plan.fragment().mesh);
-    surface.prepare();
-    let back = slip.inverse();
-    let (in_place, faces) = with_edges(&executed);
-    let aligned: Vec<Point3<f64>> = in_place.iter().map(|p| back * p).collect();
-    let [here, there] = [&in_place, &aligned].map(|points| distances(points, &surface));
-    let mut sizes: Vec<f64> = here.iter().chain(&there).map(|d| d.abs()).collect();
-    // One range for both, so that they can be told apart.
-    let most = round_up(quantile(&mut sizes, 0.98).max(1e-3));
-    let left = left_of(&bone, &cuts, &plan.middle());
-    let z = principal_axes(&bone).columns.column(2).into_owned();
-    for (view, points, values, what, summary) in [
-        ("in-place", &in_place, &here, "as it lies in the bone", &compared.in_place.surface),
-        (
-            "aligned",
-            &aligned,
-            &there,
-            "carried back by the inverse of the error, so that its cuts lie on the planned ones",
-            &compared.aligned.surface,
-        ),
-    ] {
-        let mut scene = Scene::looking(points, z, Vector3::zeros());
-        scene.mesh(&left.0, &left.1, BONE, 1.0);
-        scene.coloured_mesh(points, &faces, values, most);
-        scene.key(BONE, "bone beyond the planned cuts");
-        scene.ramp("executed fragment, signed distance from the planned one", most);
-        let DistanceSummary { n, mean_mm, sd_mm, max_mm, .. } = summary;
-        let caption = format!(
-            "The executed fragment{of}, {what}, coloured by the signed distance of its vertices from the planned fragment \
-             (red: outside it). Surface to surface, both ways: {} \u{b1} {} mm, at most {} mm (n = {n} points of one pair of \
-             fragments).",
-            number(*mean_mm),
-            number(*sd_mm),
-            number(*max_mm),
-        );
-        page.view(&format!("view-fragment-{view}{name}"), &scene, &caption);
+impl Maps {
+    pub(crate) fn of(run: &Evidence) -> Result<Self, String> {
+        let node = node(run).ok_or(NO_NODE)?;
+        let bone: Mesh = run.input(node, "bone")?;
+        let planned: Planes = run.input(node, "planes")?;
+        let slip = slip(run, node, &planned)?;
+        let params = CutDifferenceParams::default();
+        let plan = PlannedFragment::new(&bone, &planned, &params).map_err(|e| e.to_string())?;
+        let executed = plan.executed(&slip).map_err(|e| e.to_string())?;
+        let compared = plan.against(&slip).map_err(|e| e.to_string())?;
+        let cuts = between(&bone, &planned).map_err(|e| e.to_string())?;
+
+        let surface = MeshQuery::new(&plan.fragment().mesh);
+        surface.prepare();
+        let back = slip.inverse();
+        let (in_place, faces) = with_edges(&executed);
+        let aligned: Vec<Point3<f64>> = in_place.iter().map(|p| back * p).collect();
+        let distances_mm = [&in_place, &aligned].map(|points| distances(points, &surface));
+        let mut sizes: Vec<f64> = distances_mm.iter().flatten().map(|d| d.abs()).collect();
+        Ok(Self {
+            left: left_of(&bone, &cuts, &plan.middle()),
+            along: principal_axes(&bone).columns.column(2).into_owned(),
+            range_mm: round_up(quantile(&mut sizes, 0.98).max(1e-3)),
+            summaries: [compared.in_place.surface, compared.aligned.surface],
+            in_place,
+            aligned,
+            faces,
+            distances_mm,
+        })
     }
-    Ok(())
+
+    /// Both views, coloured up to `range_mm`. `of` says of which run of a sweep, `name` ends the names of their files.
+    pub(crate) fn draw(&self, page: &mut Page, range_mm: f64, of: &str, name: &str) {
+        let [here, there] = &self.distances_mm;
+        let [in_place, aligned] = &self.summaries;
+        for (view, points, values, what, summary) in [
+            ("in-place", &self.in_place, here, "as it lies in the bone", in_place),
+            (
+                "aligned",
+                &self.aligned,
+                there,
+                "carried back by the inverse of the error, so that its cuts lie on the planned ones",
+                aligned,
+            ),
+        ] {
+            let mut scene = Scene::looking(points, self.along, Vector3::zeros());
+            scene.mesh(&self.left.0, &self.left.1, BONE, 1.0);
+            scene.coloured_mesh(points, &self.faces, values, range_mm);
+            scene.key(BONE, "bone beyond the planned cuts");
+            scene.ramp("executed fragment, signed distance from the planned one", range_mm);
+            let DistanceSummary { n, mean_mm, sd_mm, max_mm, .. } = summary;
+            let caption = format!(
+                "The executed fragment{of}, {what}, coloured by the signed distance of its vertices from the planned \
+                 fragment (red: outside it). Surface to surface, both ways: {} \u{b1} {} mm, at most {} mm (n = {n} points \
+                 of one pair of fragments).",
+                number(*mean_mm),
+                number(*sd_mm),
+                number(*max_mm),
+            );
+            page.view(&format!("view-fragment-{view}{name}"), &scene, &caption);
+        }
+    }
 }
 
 /// The motion from a planned plane to the executed one, in the bone: to the world by the registration, back by the truth.

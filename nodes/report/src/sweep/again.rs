@@ -1,33 +1,87 @@
 //! A run of a sweep once more: a sweep's folder holds no surfaces, so what is drawn on one comes from the graph again.
 
 use super::{Swept, number_of};
-use crate::{cell::number, evidence::Evidence, html::Page, run::fragments};
+use crate::{
+    cell::number,
+    evidence::Evidence,
+    html::Page,
+    run::{
+        fragments::{self, Maps},
+        graph,
+    },
+};
 use osteoflow_engine::{
-    Faults, RunOptions,
+    Checked, Faults, RunOptions,
+    draw::Picture,
     plugin::Kinds,
     run,
     sweep::{Column, Done, Folder, again},
 };
 use serde_json::Value as Json;
 
-/// The fragments of the run in the middle and of the worst one, by the first column in mm.
+/// The graph of the first run, as its settings make it.
+pub(super) fn picture(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &Kinds) {
+    let Some(first) = sweep.runs.first() else { return };
+    let caption = format!(
+        "The graph as run {} had it: nodes with their kind, wires with what goes over them. What a factor sets is otherwise \
+         in other runs.",
+        first.run
+    );
+    match checked(folder, first, &[], kinds) {
+        Ok(checked) => graph(page, Picture::of_plan(&checked.plan), &caption),
+        Err(why) => page.missing("The graph", &why),
+    }
+}
+
+/// The fragments of the run in the middle and of the worst one of the setting where a fragment errs most.
 pub(super) fn maps(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &Kinds) {
-    let Some(column) = sweep.numeric().into_iter().find(|column| column.name.ends_with("_mm")) else { return };
-    for (which, run) in chosen(sweep, column) {
+    let numeric = sweep.numeric();
+    let names: Vec<_> = numeric.iter().map(|column| column.name.as_str()).collect();
+    let Some(column) = mapped(&names).map(|at| numeric[at]) else { return };
+    let settings = sweep.settings();
+    let mean = |runs: &[&Done]| {
+        let sizes: Vec<f64> = runs.iter().filter_map(|run| Some(number_of(run, column)?.abs())).collect();
+        sizes.iter().sum::<f64>() / sizes.len().max(1) as f64
+    };
+    let Some(setting) = settings.iter().max_by(|a, b| mean(&a.runs).total_cmp(&mean(&b.runs))) else { return };
+    let within = match settings.len() {
+        1 => String::new(),
+        _ => format!(" within the setting {}, which has the greatest mean of it", setting.name),
+    };
+    let mut drawn = Vec::new();
+    for (which, run) in chosen(&setting.runs, column) {
         let value = number_of(run, column).map(number).unwrap_or_default();
-        let of = format!(" of run {} ({which} by the size of {}, {value} mm)", run.run, column.name);
+        let of = format!(" of run {} ({which} by the size of {}, {value} mm,{within})", run.run, column.name);
+        let of = of.replace(",)", ")");
         match recomputed(folder, run, kinds) {
             Ok(None) => return,
-            Ok(Some((evidence, _dir))) => fragments::maps(page, &evidence, &of, &format!("-run-{}", run.run)),
+            Ok(Some((evidence, _dir))) => drawn.push((run.run, of, Maps::of(&evidence))),
+            Err(why) => drawn.push((run.run, of, Err(why))),
+        }
+    }
+    // One range for all of them, so that they can be told apart.
+    let range_mm = drawn.iter().filter_map(|(.., maps)| Some(maps.as_ref().ok()?.range_mm)).fold(0.0, f64::max);
+    for (run, of, maps) in drawn {
+        match maps {
+            Ok(maps) => maps.draw(page, range_mm, &of, &format!("-run-{run}")),
             Err(why) => page.missing(&format!("The fragment{of} against the planned one"), &why),
         }
     }
 }
 
+/// The column of what the maps show: the greatest distance of a fragment carried back, else what else is told of fragments,
+/// else the first in mm.
+fn mapped(names: &[&str]) -> Option<usize> {
+    let find = |wanted: &dyn Fn(&str) -> bool| names.iter().position(|name| name.ends_with("_mm") && wanted(name));
+    find(&|name| name == "aligned_max_mm")
+        .or_else(|| find(&|name| name.starts_with("aligned") || name.starts_with("fragment")))
+        .or_else(|| find(&|_| true))
+}
+
 /// The run in the middle and the worst.
-fn chosen<'a>(sweep: &'a Swept, column: &Column) -> Vec<(&'static str, &'a Done)> {
-    let complete = sweep.runs.iter().filter(|run| run.status == "complete");
-    let mut runs: Vec<(f64, &Done)> = complete.filter_map(|run| Some((number_of(run, column)?.abs(), run))).collect();
+fn chosen<'a>(runs: &[&'a Done], column: &Column) -> Vec<(&'static str, &'a Done)> {
+    let mut runs: Vec<(f64, &Done)> =
+        runs.iter().filter_map(|run| Some((number_of(run, column)?.abs(), *run))).collect();
     runs.sort_by(|a, b| a.0.total_cmp(&b.0));
     match runs.len() {
         0 => Vec::new(),
@@ -36,16 +90,17 @@ fn chosen<'a>(sweep: &'a Swept, column: &Column) -> Vec<(&'static str, &'a Done)
     }
 }
 
+fn checked(folder: &Folder, done: &Done, more: &[String], kinds: &Kinds) -> Result<Checked, String> {
+    let checked = again(folder, done.run, more, kinds).map_err(|e| e.to_string())?;
+    checked.map_err(|faults| format!("its graph has faults now: {}", first(&faults)))
+}
+
 /// Runs a run of the sweep once more with the wires recorded that its maps need, into a folder that goes with the answer;
 /// nothing if its graph has no cuts.
 fn recomputed(folder: &Folder, done: &Done, kinds: &Kinds) -> Result<Option<(Evidence, tempfile::TempDir)>, String> {
-    let checked = |more: &[String]| {
-        let checked = again(folder, done.run, more, kinds).map_err(|e| e.to_string())?;
-        checked.map_err(|faults| format!("its graph has faults now: {}", first(&faults)))
-    };
-    let plan = checked(&[])?.plan;
+    let plan = checked(folder, done, &[], kinds)?.plan;
     let Some(wires) = fragments::wires(&plan) else { return Ok(None) };
-    let with_record = checked(&[format!("record.wires={}", Json::from(wires))])?;
+    let with_record = checked(folder, done, &[format!("record.wires={}", Json::from(wires))], kinds)?;
     let dir = tempfile::tempdir().map_err(|e| format!("no folder for running it again: {e}"))?;
     let notice = done.results["notice"].clone();
     let options = RunOptions {
@@ -67,4 +122,18 @@ fn recomputed(folder: &Folder, done: &Done, kinds: &Kinds) -> Result<Option<(Evi
 
 fn first(faults: &Faults) -> String {
     faults.0.first().map_or_else(|| "unknown".into(), |fault| fault.message.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn maps_go_by_the_column_of_what_they_show() {
+        let of = |names: &[&str]| mapped(names).map(|at| names[at].to_owned());
+        assert_eq!(of(&["tre_x_mm", "aligned_mm", "aligned_max_mm"]).as_deref(), Some("aligned_max_mm"));
+        assert_eq!(of(&["iterations", "tre_x_mm", "aligned_mm"]).as_deref(), Some("aligned_mm"));
+        assert_eq!(of(&["iterations", "tre_x_mm", "fre_mm"]).as_deref(), Some("tre_x_mm"));
+        assert_eq!(of(&["iterations"]), None);
+    }
 }

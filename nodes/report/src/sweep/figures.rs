@@ -1,9 +1,9 @@
 //! The figures of a sweep, chosen by what it varies: a line against a number, boxes by words, a scatter against a draw.
 
-use super::{Setting, Swept, number_of};
+use super::{Setting, Swept, label as quoted, number_of, setting_name};
 use crate::{
     cell::number,
-    chart::{Axis, Chart, Mark, N_COLOURS, Series, Tukey, named},
+    chart::{Axis, Chart, Mark, N_COLOURS, Series, Tukey, named, panels},
     html::Page,
 };
 use osteoflow_engine::sweep::{Column, Distribution, Draw, Factor};
@@ -16,104 +16,178 @@ const MOST_FIGURES: usize = 24;
 const MOST_SETTINGS: usize = 30;
 /// Columns that a draw is shown against.
 const MOST_PER_DRAW: usize = 6;
+/// More panels do not stand below one another.
+const MOST_PANELS: usize = 6;
 
 /// A figure for each column of numbers.
 pub(super) fn columns(page: &mut Page, sweep: &Swept) {
     let columns = sweep.numeric();
     let settings = sweep.settings();
-    let factor = numeric_factor(sweep);
+    let layout = numeric_factor(sweep).and_then(|factor| Layout::of(sweep, factor, &settings));
     for column in columns.iter().take(MOST_FIGURES) {
         let n: usize = settings.iter().map(|s| values(s, column).len()).sum();
-        let drawn = match factor.filter(|factor| series_beside(factor, &settings) <= N_COLOURS) {
-            Some(factor) => against(page, column, factor, &settings),
+        let (svg, caption) = match &layout {
+            Some(layout) => against(page, column, layout),
             None if settings.len() <= MOST_SETTINGS => side_by_side(page, column, &settings),
             None => {
                 page.missing(&named(&column.name), &format!("{} settings do not stand side by side", settings.len()));
                 continue;
             }
         };
-        let (chart, caption) = drawn;
-        page.figure(&format!("column-{}", column.name), chart.svg(), &format!("{caption} n = {n} runs in all."));
+        page.figure(&format!("column-{}", column.name), svg, &format!("{caption} n = {n} runs in all."));
     }
     if columns.len() > MOST_FIGURES {
         page.text(&format!("{} more columns are in runs.csv.", columns.len() - MOST_FIGURES));
     }
 }
 
-/// What is varied over at least three numbers and is no unit: an axis, where a bone's number is a name.
+/// The factor with the most numbers of those that are varied over at least three and are no unit: an axis, where a bone's
+/// number is a name.
 fn numeric_factor(sweep: &Swept) -> Option<&Factor> {
-    sweep.varied().into_iter().find(|factor| {
+    let numeric = sweep.varied().into_iter().filter(|factor| {
         factor.levels.len() >= 3
             && factor.levels.iter().all(|level| level.label.is_number())
             && !sweep.spec.units.contains(&factor.name)
-    })
+    });
+    // The first of equals, as it stands first in the graph.
+    numeric.reduce(|best, factor| if factor.levels.len() > best.levels.len() { factor } else { best })
 }
 
-/// The settings beside this factor, by name, in their order.
-fn beside(factor: &Factor, settings: &[Setting<'_>]) -> Vec<String> {
-    let mut names: Vec<String> = Vec::new();
+/// What stands where when a column is drawn against a factor.
+struct Layout<'a> {
+    x: &'a Factor,
+    /// By title: the settings of each panel, and of each line in it by its name. Without titles there is one panel.
+    panels: Vec<(String, Vec<Line<'a>>)>,
+    /// The factors whose values lie in one line.
+    pooled: Vec<String>,
+}
+
+/// A line by its name, with what lies on it.
+type Line<'a> = (String, Vec<&'a Setting<'a>>);
+
+impl<'a> Layout<'a> {
+    /// A line for each setting of the others, if their colours can be told apart; else a line for each value of one other
+    /// factor and a panel for each setting of the rest, or where these would be too many all of the rest together.
+    fn of(sweep: &Swept, x: &'a Factor, settings: &'a [Setting<'a>]) -> Option<Self> {
+        let varied = sweep.varied();
+        let others: Vec<&str> = varied.iter().map(|f| f.name.as_str()).filter(|name| *name != x.name).collect();
+        let lines = by(settings.iter().collect(), &others);
+        if lines.len() <= N_COLOURS {
+            return Some(Self { x, panels: vec![(String::new(), lines)], pooled: Vec::new() });
+        }
+        let few = varied.iter().filter(|f| f.name != x.name && f.levels.len() <= N_COLOURS);
+        let line = few.reduce(|best, f| if f.levels.len() > best.levels.len() { f } else { best })?;
+        let rest: Vec<&str> = others.into_iter().filter(|name| *name != line.name).collect();
+        let panels = by(settings.iter().collect(), &rest);
+        let lined = |(title, settings)| (title, by(settings, &[&line.name]));
+        Some(match panels.len() {
+            0..=MOST_PANELS => Self { x, panels: panels.into_iter().map(lined).collect(), pooled: Vec::new() },
+            _ => Self {
+                x,
+                panels: vec![(String::new(), by(settings.iter().collect(), &[&line.name]))],
+                pooled: rest.into_iter().map(named).collect(),
+            },
+        })
+    }
+}
+
+/// The settings by their values of these factors, in their order.
+fn by<'a>(settings: Vec<&'a Setting<'a>>, names: &[&str]) -> Vec<Line<'a>> {
+    let mut groups: Vec<Line<'a>> = Vec::new();
     for setting in settings {
-        let name = name_beside(factor, setting);
-        if !names.contains(&name) {
-            names.push(name);
+        let values: Vec<_> = setting.values.iter().filter(|(name, _)| names.contains(name)).copied().collect();
+        let name = if values.is_empty() { String::new() } else { setting_name(&values) };
+        match groups.iter_mut().find(|(known, _)| *known == name) {
+            Some((_, group)) => group.push(setting),
+            None => groups.push((name, vec![setting])),
         }
     }
-    names
-}
-
-fn name_beside(factor: &Factor, setting: &Setting<'_>) -> String {
-    let rest: Vec<_> = setting.values.iter().filter(|(name, _)| *name != factor.name).copied().collect();
-    if rest.is_empty() { String::new() } else { super::setting_name(&rest) }
-}
-
-fn series_beside(factor: &Factor, settings: &[Setting<'_>]) -> usize {
-    beside(factor, settings).len()
+    groups
 }
 
 fn values(setting: &Setting<'_>, column: &Column) -> Vec<f64> {
     setting.runs.iter().filter_map(|run| number_of(run, column)).collect()
 }
 
-/// Median and quartiles against the values of a factor.
-fn against(page: &Page, column: &Column, factor: &Factor, settings: &[Setting<'_>]) -> (Chart, String) {
+/// Median and quartiles against the values of a factor, in one chart or in panels with the same axes.
+fn against(page: &Page, column: &Column, layout: &Layout<'_>) -> (String, String) {
+    let Layout { x: factor, panels: parts, pooled } = layout;
+    let series = |lines: &[Line<'_>]| -> Vec<Series> {
+        let lines = lines.iter().enumerate();
+        lines.map(|(colour, (name, settings))| line(column, factor, name, settings, colour)).collect()
+    };
+    let all: Vec<(&str, Vec<Series>)> = parts.iter().map(|(title, lines)| (title.as_str(), series(lines))).collect();
+    let reach = reach(all.iter().flat_map(|(_, series)| series));
+    let (what, label) = (named(&column.name), named(&factor.name));
+    let charts: Vec<Chart> = all
+        .into_iter()
+        .map(|(title, mut series)| {
+            series.push(Series { name: String::new(), colour: 0, marks: vec![Mark::Reach(reach.clone())] });
+            Chart {
+                title: if title.is_empty() { format!("{what} against {label}") } else { title.to_owned() },
+                about: format!("Medians with quartiles of {} for each value of {}.", column.name, factor.name),
+                x: if is_logarithmic(factor) { Axis::Log(label.clone()) } else { Axis::Linear(label.clone()) },
+                y: Axis::Linear(what.clone()),
+                series,
+                note: if title.is_empty() { String::new() } else { format!("{what} against {label}") },
+                simulated: page.simulated(),
+            }
+        })
+        .collect();
+    let mut caption = format!("{what} against {label}: median (line) and quartiles (band) over the runs");
+    if !pooled.is_empty() {
+        caption += &format!(" with all values of {} together", pooled.join(", "));
+    }
+    if charts.len() > 1 {
+        caption += "; the panels have the same axes";
+    }
+    (drawn(&format!("{what} against {label}"), &charts), caption + ".")
+}
+
+/// One chart as it is, several below one another.
+fn drawn(title: &str, charts: &[Chart]) -> String {
+    match charts {
+        [chart] => chart.svg(),
+        charts => panels(title, charts.first().map_or("", |chart| &chart.about), charts),
+    }
+}
+
+/// Every place that some series mark.
+fn reach<'a>(series: impl Iterator<Item = &'a Series>) -> Vec<(f64, f64)> {
+    let places = |mark: &Mark| -> Vec<(f64, f64)> {
+        match mark {
+            Mark::Line(points) | Mark::Reach(points) => points.clone(),
+            Mark::Band(points) => points.iter().flat_map(|(x, low, high)| [(*x, *low), (*x, *high)]).collect(),
+            Mark::Dots(points) => points.iter().map(|(x, y, _)| (*x, *y)).collect(),
+            Mark::Box(at, _, tukey) => tukey.values.iter().map(|value| (*at, *value)).collect(),
+        }
+    };
+    series.flat_map(|series| &series.marks).flat_map(places).collect()
+}
+
+/// Medians and quartiles of these settings over a factor.
+fn line(column: &Column, factor: &Factor, name: &str, settings: &[&Setting<'_>], colour: usize) -> Series {
     let place = |setting: &Setting<'_>| {
         setting.values.iter().find(|(name, _)| *name == factor.name).and_then(|(_, value)| value.as_f64())
     };
-    let series = beside(factor, settings).into_iter().enumerate().map(|(colour, name)| {
-        let mut boxes: Vec<(f64, Tukey)> = settings
-            .iter()
-            .filter(|setting| name_beside(factor, setting) == name)
-            .filter_map(|setting| Some((place(setting)?, Tukey::of(&values(setting, column))?)))
-            .collect();
-        boxes.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let tip = |x: f64, t: &Tukey| {
-            let [q1, q3] = t.quartiles.map(number);
-            format!(
-                "{} = {x}: median {}, quartiles {q1} and {q3}, n = {}",
-                factor.name,
-                number(t.median),
-                t.values.len()
-            )
-        };
-        let marks = vec![
-            Mark::Band(boxes.iter().map(|(x, t)| (*x, t.quartiles[0], t.quartiles[1])).collect()),
-            Mark::Line(boxes.iter().map(|(x, t)| (*x, t.median)).collect()),
-            Mark::Dots(boxes.iter().map(|(x, t)| (*x, t.median, tip(*x, t))).collect()),
-        ];
-        Series { name, colour, marks }
-    });
-    let label = named(&factor.name);
-    let chart = Chart {
-        title: format!("{} against {}", named(&column.name), label),
-        about: format!("Medians with quartiles of {} for each value of {}.", column.name, factor.name),
-        x: if is_logarithmic(factor) { Axis::Log(label.clone()) } else { Axis::Linear(label.clone()) },
-        y: Axis::Linear(named(&column.name)),
-        series: series.collect(),
-        note: String::new(),
-        simulated: page.simulated(),
+    let mut places: Vec<f64> = settings.iter().filter_map(|setting| place(setting)).collect();
+    places.sort_by(f64::total_cmp);
+    places.dedup();
+    let tukey = |x: &f64| {
+        let there = settings.iter().filter(|setting| place(setting) == Some(*x));
+        Some((*x, Tukey::of(&there.flat_map(|setting| values(setting, column)).collect::<Vec<_>>())?))
     };
-    let caption = format!("{} against {label}: median (line) and quartiles (band) over the runs.", named(&column.name));
-    (chart, caption)
+    let boxes: Vec<(f64, Tukey)> = places.iter().filter_map(tukey).collect();
+    let tip = |x: f64, t: &Tukey| {
+        let [q1, q3] = t.quartiles.map(number);
+        format!("{} = {x}: median {}, quartiles {q1} and {q3}, n = {}", factor.name, number(t.median), t.values.len())
+    };
+    let marks = vec![
+        Mark::Band(boxes.iter().map(|(x, t)| (*x, t.quartiles[0], t.quartiles[1])).collect()),
+        Mark::Line(boxes.iter().map(|(x, t)| (*x, t.median)).collect()),
+        Mark::Dots(boxes.iter().map(|(x, t)| (*x, t.median, tip(*x, t))).collect()),
+    ];
+    Series { name: name.to_owned(), colour, marks }
 }
 
 /// Whether the values lie rather by factors than by differences: 100, 1000, 10,000.
@@ -125,7 +199,7 @@ fn is_logarithmic(factor: &Factor) -> bool {
 }
 
 /// A box for each setting.
-fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (Chart, String) {
+fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (String, String) {
     let marks = settings.iter().enumerate().filter_map(|(k, setting)| {
         let tukey = Tukey::of(&values(setting, column))?;
         Some(Series {
@@ -146,7 +220,7 @@ fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (Char
         note: String::new(),
         simulated: page.simulated(),
     };
-    (chart, format!("{} of each run, by setting.", named(&column.name)))
+    (chart.svg(), format!("{} of each run, by setting.", named(&column.name)))
 }
 
 /// The factor, where only one is varied.
@@ -234,15 +308,19 @@ pub(super) fn draws(page: &mut Page, sweep: &Swept) {
     }
 }
 
+/// A panel for each setting, all with the same axes: in one, dots would hide each other.
 fn scatter(page: &mut Page, sweep: &Swept, draw: &Draw, column: &Column) {
     let settings = sweep.settings();
-    let apart = settings.len() <= N_COLOURS;
-    let groups: Vec<(String, Vec<_>)> = match apart {
+    let groups: Vec<(String, Vec<_>)> = match settings.len() <= MOST_PANELS {
         true => settings.iter().map(|s| (s.name.clone(), s.runs.clone())).collect(),
-        false => vec![(String::new(), settings.iter().flat_map(|s| s.runs.clone()).collect())],
+        false => {
+            let all = format!("all {} settings", settings.len());
+            vec![(all, settings.iter().flat_map(|s| s.runs.clone()).collect())]
+        }
     };
-    let mut told = Vec::new();
-    let mut series = Vec::new();
+    let label = named(&draw.name);
+    let (mut told, mut charts, mut all) = (Vec::new(), Vec::new(), Vec::new());
+    let one = settings.len() <= 1;
     for (colour, (name, runs)) in groups.into_iter().enumerate() {
         let pairs: Vec<(f64, f64, String)> = runs
             .iter()
@@ -255,33 +333,112 @@ fn scatter(page: &mut Page, sweep: &Swept, draw: &Draw, column: &Column) {
             })
             .collect();
         let (x, y): (Vec<f64>, Vec<f64>) = pairs.iter().map(|(x, y, _)| (*x, *y)).unzip();
+        all.extend(x.iter().copied().zip(y.iter().copied()));
         let said = match pearson(&x, &y, 0.95) {
             Ok(found) => format!("r = {:.2}, n = {} runs", found.r, found.n).replace('-', "\u{2212}"),
             Err(why) => format!("no correlation: {why}"),
         };
-        let named = if settings.len() > 1 && apart { format!("{name}: {said}") } else { said };
-        told.push(named.clone());
-        series.push(Series { name: named, colour, marks: vec![Mark::Dots(pairs)] });
+        told.push(if one { said.clone() } else { format!("{}: {said}", quoted(&name.as_str().into())) });
+        charts.push(Chart {
+            title: if one { format!("{} against {label}", named(&column.name)) } else { name },
+            about: format!("A scatter of {} over {}, a dot for each run.", column.name, draw.name),
+            x: match draw.distribution {
+                Distribution::LogUniform(_) => Axis::Log(label.clone()),
+                _ => Axis::Linear(label.clone()),
+            },
+            y: Axis::Linear(named(&column.name)),
+            series: vec![Series { name: String::new(), colour, marks: vec![Mark::Dots(pairs)] }],
+            note: said,
+            simulated: page.simulated(),
+        });
     }
-    let label = named(&draw.name);
-    let chart = Chart {
-        title: format!("{} against {label}", named(&column.name)),
-        about: format!("A scatter of {} over {}, a dot for each run.", column.name, draw.name),
-        x: match draw.distribution {
-            Distribution::LogUniform(_) => Axis::Log(label.clone()),
-            _ => Axis::Linear(label.clone()),
-        },
-        y: Axis::Linear(named(&column.name)),
-        series,
-        note: String::new(),
-        simulated: page.simulated(),
-    };
-    let caption = format!(
+    for chart in &mut charts {
+        chart.series.push(Series { name: String::new(), colour: 0, marks: vec![Mark::Reach(all.clone())] });
+    }
+    let mut caption = format!(
         "{} of each run against {label} as it was drawn, with Pearson's correlation: {}. Runs on one {} are not independent, \
          so the correlation has no interval here.",
         named(&column.name),
         told.join("; "),
         sweep.spec.units.first().map_or("unit", String::as_str),
     );
-    page.figure(&format!("scatter-{}-{}", column.name, draw.name), chart.svg(), &caption);
+    if charts.len() > 1 {
+        caption += " The panels have the same axes.";
+    }
+    let svg = drawn(&format!("{} against {label}", named(&column.name)), &charts);
+    page.figure(&format!("scatter-{}-{}", column.name, draw.name), svg, &caption);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_engine::sweep::Done;
+    use serde_json::json;
+
+    /// A sweep over `n` words, two sides and three numbers, with a column that grows with the number.
+    fn swept(n: usize, sides: usize) -> Swept {
+        let levels = |labels: Vec<Json>| -> Vec<Json> {
+            labels.into_iter().map(|label| json!({ "label": label, "sets": ["a.b=1"] })).collect()
+        };
+        let words: Vec<Json> = (0..n).map(|k| format!("{k} mm, here").into()).collect();
+        let sides: Vec<Json> = (0..sides).map(|k| format!("side {k}").into()).collect();
+        let numbers: Vec<Json> = [0.0, 10.0, 20.0, 30.0].map(Json::from).into();
+        let mut runs = Vec::new();
+        for word in &words {
+            for side in &sides {
+                for number in &numbers {
+                    let values = [("stripped", word), ("side", side), ("first_mm", number)];
+                    runs.push(Done {
+                        run: runs.len(),
+                        seed: 1,
+                        values: values.map(|(name, value)| (name.to_owned(), value.clone())).into(),
+                        status: "complete".into(),
+                        reason: None,
+                        warnings: Vec::new(),
+                        results: json!({ "tre_mm": number }),
+                    });
+                }
+            }
+        }
+        let spec = json!({
+            "repeat": 1, "repeat_name": "procedure", "same_seed": false, "units": ["procedure"], "pair": [], "draws": [],
+            "factors": [
+                { "name": "stripped", "levels": levels(words) }, { "name": "side", "levels": levels(sides) },
+                { "name": "first_mm", "levels": levels(numbers) },
+            ],
+            "columns": [{ "name": "tre_mm", "path": "tre_mm" }], "points": [], "limits": [], "compare": null,
+        });
+        Swept { spec: serde_json::from_value(spec).unwrap(), about: Json::Null, runs }
+    }
+
+    fn drawn(n: usize, sides: usize) -> (String, String) {
+        let mut page = Page::new("", true);
+        columns(&mut page, &swept(n, sides));
+        let svg = page.figures.first().map(|figure| figure.svg.clone()).unwrap_or_default();
+        (svg, page.finish("").0)
+    }
+
+    #[test]
+    fn many_settings_are_lines_of_one_factor_in_panels_of_the_rest() {
+        let (svg, html) = drawn(7, 3);
+        assert!(html.contains("the panels have the same axes"), "{html}");
+        assert_eq!(svg.matches("<path class=\"line c").count(), 7 * 3, "a line for each word on each side");
+        assert_eq!(svg.matches(">first (mm)<").count(), 3, "an axis for each panel");
+        assert_eq!(svg.matches("font-weight: 600\">side 2<").count(), 1, "a panel says its side");
+    }
+
+    #[test]
+    fn where_panels_would_be_too_many_the_rest_is_put_together_and_said() {
+        let (svg, html) = drawn(7, 9);
+        assert_eq!(svg.matches("<path class=\"line c").count(), 7, "a line for each word");
+        assert!(html.contains("with all values of side together"), "{html}");
+    }
+
+    #[test]
+    fn few_settings_have_a_line_each() {
+        let (svg, html) = drawn(2, 3);
+        assert_eq!(svg.matches("<path class=\"line c").count(), 6);
+        assert!(!html.contains("panels"));
+        assert!(svg.contains("stripped = \u{201c}0 mm, here\u{201d}, side = side 0"), "{svg}");
+    }
 }

@@ -1,0 +1,93 @@
+//! Why runs of an experiment have no results, told short and counted.
+
+use osteoflow_engine::sweep::Done;
+
+/// Further reasons are left to runs.csv.
+const MOST: usize = 3;
+
+/// Why runs of an experiment have no results.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct Reasons {
+    /// How many runs have none.
+    pub(super) n: usize,
+    /// The reason of the first of them, whole, with its run.
+    pub(super) first: Option<(usize, String)>,
+    /// The short reasons, the commonest first, each with its number of runs.
+    common: Vec<(String, usize)>,
+}
+
+impl Reasons {
+    pub(super) fn of(runs: &[Done]) -> Self {
+        let mut reasons = Self::default();
+        for run in runs.iter().filter(|run| run.status != "complete") {
+            let reason = run.reason.as_deref().unwrap_or(&run.status);
+            reasons.n += 1;
+            reasons.first.get_or_insert_with(|| (run.run, reason.to_owned()));
+            let short = short(reason);
+            match reasons.common.iter_mut().find(|(known, _)| *known == short) {
+                Some((_, n)) => *n += 1,
+                None => reasons.common.push((short, 1)),
+            }
+        }
+        // Stable: of equally common ones the first that came.
+        reasons.common.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
+        reasons
+    }
+
+    /// `no hole of 2 mm radius (5 runs)`, the commonest first.
+    pub(super) fn told(&self) -> String {
+        let told = |(reason, n): &(String, usize)| format!("{reason} ({})", osteoflow_statistics::counted(*n, "run"));
+        let mut all: Vec<_> = self.common.iter().take(MOST).map(told).collect();
+        let rest: usize = self.common.iter().skip(MOST).map(|(_, n)| n).sum();
+        if rest > 0 {
+            all.push(format!("others ({})", osteoflow_statistics::counted(rest, "run")));
+        }
+        all.join("; ")
+    }
+}
+
+/// What follows the node's name, without the numbers of the single run: the first part that is a sentence and no name of a
+/// point or a file.
+fn short(reason: &str) -> String {
+    let after =
+        reason.split_once("node \"").and_then(|(_, rest)| rest.split_once(": ")).map_or(reason, |(_, said)| said);
+    let mut parts = after.split(": ");
+    let part = parts.clone().find(|part| part.contains(' ')).or_else(|| parts.next()).unwrap_or(after);
+    part.split(';').next().unwrap_or(part).trim().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::Value;
+
+    fn run(run: usize, reason: Option<&str>) -> Done {
+        let status = if reason.is_some() { "refused" } else { "complete" };
+        Done {
+            run,
+            seed: 0,
+            values: Vec::new(),
+            status: status.into(),
+            reason: reason.map(str::to_owned),
+            warnings: Vec::new(),
+            results: Value::Null,
+        }
+    }
+
+    #[test]
+    fn reasons_are_told_without_the_numbers_of_each_run_and_the_commonest_first() {
+        let hole = |point: &str, n: usize| {
+            format!(
+                "graphs/fibula.toml:69: node \"hole\", item 0: {point}: no hole of 2 mm radius: {n} points have no partner; is the \
+                 laser on?"
+            )
+        };
+        let short = "graphs/a.toml:3: node \"ct_surface\": the surface is open; close it";
+        let runs = [None, Some(short.to_owned()), Some(hole("P2", 75)), Some(hole("P3", 103))];
+        let runs: Vec<_> = runs.iter().enumerate().map(|(k, reason)| run(k, reason.as_deref())).collect();
+        let reasons = Reasons::of(&runs);
+        assert_eq!((reasons.n, &reasons.first), (3, &Some((1, short.to_owned()))));
+        assert_eq!(reasons.told(), "no hole of 2 mm radius (2 runs); the surface is open (1 run)");
+        assert_eq!(Reasons::of(&runs[..1]), Reasons::default());
+    }
+}
