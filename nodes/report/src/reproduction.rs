@@ -19,7 +19,7 @@ use reasons::Reasons;
 use serde_json::Value;
 
 /// The experiments, in the order of the paper, then ours: names of graphs in graphs/paper/.
-pub const EXPERIMENTS: [&str; 11] = [
+pub const EXPERIMENTS: [&str; 12] = [
     "calibration",
     "accuracy_camera",
     "accuracy_stylus",
@@ -30,6 +30,7 @@ pub const EXPERIMENTS: [&str; 11] = [
     "in_vivo",
     "variants",
     "roi_extent",
+    "readings",
     "error_terms",
 ];
 
