@@ -80,7 +80,7 @@ fn section_3_2_1_procedures_end_within_half_a_millimetre_along_every_axis() {
     let n = if is_slow_run() { 10 } else { 3 };
     let real = ["TLEM2_CT_fibula_r", "MC22_fibula_r"].into_iter().filter_map(|name| real(NAME, name));
     for bone in [built_in(&[1])].into_iter().chain(real) {
-        // To the end: point-to-point rests up to a millimetre away along TLEM2, which is told elsewhere.
+        // By planes: points rest up to a millimetre away along TLEM2 (docs/icp.md).
         let sets = vec![repeat(n), "bone.exact=true".into(), "icp.kind=\"icp.point_to_plane\"".into()];
         let summary = swept("accuracy_camera", &[sets, bone.to_vec()].concat());
         let all = &summary["groups"][0];

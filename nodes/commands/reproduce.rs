@@ -151,8 +151,13 @@ impl Reproduce {
             }
             return Ok(Exit::Interrupted);
         };
-        let reproduction = Reproduction::new(&all)?;
-        let path = self.page(&out);
+        self.tell(&all, &out, began, global)
+    }
+
+    /// Writes the pages, and tells where they are and what lies outside the paper's spread.
+    fn tell(&self, sweeps: &[(String, Folder)], out: &Path, began: Instant, global: &Global) -> Result<Exit> {
+        let reproduction = Reproduction::new(sweeps)?;
+        let path = self.page(out);
         fs::write(&path, reproduction.page(&self.command(&self.only), &|name| self.command_of(name)))
             .with_context(|| format!("{} cannot be written", path.display()))?;
         let outside = reproduction.outside();
@@ -161,7 +166,7 @@ impl Reproduce {
             writeln!(std::io::stderr(), "{} {line}", global.paint_err("without results:", "1;33"))?;
         }
         let exit = if empty.is_empty() { Exit::Done } else { Exit::Refused };
-        let reports = reports(&all)?;
+        let reports = reports(sweeps)?;
         if global.format == Format::Json {
             let mut outcome = exit.to_json();
             outcome["out_dir"] = out.display().to_string().into();
@@ -237,8 +242,8 @@ impl Reproduce {
     }
 }
 
-/// Refuses a bone that no procedure can be simulated on, with the words of `osteoflow simulate`, before anything is run. Whether
-/// the stretch that is scanned lies on the bone is looked at where nothing else is set.
+/// Refuses a bone that no procedure can be simulated on, with the words of `osteoflow simulate`, before anything is run.
+/// Whether the stretch that is scanned lies on the bone is looked at where nothing else is set.
 fn check_bone(bone: &Path, plan: &Path, as_it_is: bool) -> Result<()> {
     let subject = own_bone::read(bone, plan).map_err(|error| anyhow::anyhow!("{error}"))?;
     for note in &subject.notes {

@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use osteoflow_engine::sweep::{
     self, Done, Folder, FolderError, RUNS_DIR, Shard, Sweep as Checked, SweepOptions, Swept, Watcher,
 };
-use serde_json::json;
+use serde_json::{Value, json};
 use std::{
     fs,
     io::{IsTerminal, Write},
@@ -254,11 +254,8 @@ fn tell(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Resu
     }
     if !global.quiet {
         let word = global.paint_err("warning", "1;33");
-        for (name, path) in sweep::without_value(folder, &folder.spec().map_err(told)?).map_err(told)? {
-            writeln!(
-                err,
-                "{word}: {name} has no value in any run: no result is at {path}; look into {dir}/{RUNS_DIR}"
-            )?;
+        for note in summary["notes"].as_array().into_iter().flatten().filter_map(Value::as_str) {
+            writeln!(err, "{word}: {note}; look into {dir}/{RUNS_DIR}")?;
         }
     }
     drop(err);

@@ -52,13 +52,12 @@ pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>, workers: usi
 /// Settings of the command line that no run would take, as a factor or a draw sets their key in all of them. Where some
 /// values of a factor leave the key alone, the runs of those take it.
 fn overridden(spec: &Spec, sets: &[String]) -> Vec<Fault> {
-    let sets_it = |sets: &[String], asked: &SetKey| keys_set(sets).iter().any(|(key, _)| key.outdoes(asked));
-    let of_all = |factor: &&Factor, asked: &SetKey| factor.levels.iter().all(|level| sets_it(&level.sets, asked));
+    let sets_it = |keys: Vec<SetKey>, asked: &SetKey| keys.iter().any(|key| key.outdoes(asked));
+    let of_all = |factor: &Factor, asked: &SetKey| factor.levels.iter().all(|level| sets_it(level.keys_set(), asked));
     let mut faults = Vec::new();
     for (key, at) in keys_set(sets) {
         let factor = spec.factors.iter().find(|factor| of_all(factor, &key));
-        let draws = |draw: &&Draw| sets_it(&draw.keys.iter().map(|key| format!("{key}=0")).collect::<Vec<_>>(), &key);
-        let (by, help) = match (factor, spec.draws.iter().find(draws)) {
+        let (by, help) = match (factor, spec.draws.iter().find(|draw| sets_it(draw.keys_set(), &key))) {
             (Some(Factor { name, .. }), _) => {
                 let help = format!("set sweep.factor.{name}.values='[..]' instead");
                 (format!("the factor \"{name}\""), help)

@@ -1,5 +1,6 @@
 //! What `[sweep]` says: which values a graph is run with, and which numbers are taken out of each run.
 
+use crate::graph::{SetKey, keys_set};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 
@@ -58,6 +59,24 @@ pub struct Draw {
     /// How it is distributed.
     #[serde(flatten)]
     pub distribution: Distribution,
+}
+
+impl Draw {
+    /// The keys that it sets.
+    pub(super) fn keys_set(&self) -> Vec<SetKey> {
+        // Whatever the value: it is the keys that are asked for.
+        keys_set(&self.keys.iter().map(|key| format!("{key}=0")).collect::<Vec<_>>())
+            .into_iter()
+            .map(|(key, _)| key)
+            .collect()
+    }
+}
+
+impl Level {
+    /// The keys that it sets.
+    pub(super) fn keys_set(&self) -> Vec<SetKey> {
+        keys_set(&self.sets).into_iter().map(|(key, _)| key).collect()
+    }
 }
 
 /// How a value is distributed.

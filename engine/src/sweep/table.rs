@@ -2,7 +2,7 @@
 
 use super::{
     folder::{Done, Folder, FolderError},
-    spec::Spec,
+    spec::{Column, PointColumn, Spec},
 };
 use serde_json::Value as Json;
 use std::io::Write;
@@ -99,30 +99,22 @@ fn value_head(spec: &Spec) -> &'static str {
 }
 
 /// The columns and lists of points, with their paths, that have no value in any complete run, though there are such runs.
-///
-/// # Errors
-/// If a run cannot be read.
-pub fn without_value(folder: &Folder, spec: &Spec) -> Result<Vec<(String, String)>, FolderError> {
-    let mut columns: Vec<_> = spec.columns.iter().collect();
-    // Without axes no value is asked for.
-    let mut points: Vec<_> = spec.points.iter().filter(|points| !points.axes.is_empty()).collect();
-    let mut some_complete = false;
-    for done in folder.done()? {
-        if columns.is_empty() && points.is_empty() {
-            break;
-        }
-        let done = done?;
-        if done.status != "complete" {
-            continue;
-        }
-        some_complete = true;
-        columns.retain(|column| at_path(&done.results, &column.path).is_none_or(Json::is_null));
-        let values = point_values(spec, &done);
-        points.retain(|points| !values.iter().any(|value| value.measure == points.name));
+pub fn without_value<'a>(spec: &'a Spec, runs: &[Done]) -> Vec<(&'a str, &'a str)> {
+    let complete: Vec<_> = runs.iter().filter(|run| run.status == "complete").collect();
+    if complete.is_empty() {
+        return Vec::new();
     }
-    let columns = columns.into_iter().map(|column| (column.name.clone(), column.path.clone()));
-    let points = points.into_iter().map(|points| (points.name.clone(), points.path.clone()));
-    Ok(if some_complete { columns.chain(points).collect() } else { Vec::new() })
+    let has = |column: &&Column| {
+        complete.iter().any(|run| at_path(&run.results, &column.path).is_some_and(|value| !value.is_null()))
+    };
+    let tells = |points: &&PointColumn| {
+        // Without axes no value is asked for.
+        points.axes.is_empty()
+            || complete.iter().any(|run| point_values(spec, run).iter().any(|value| value.measure == points.name))
+    };
+    let columns = spec.columns.iter().filter(|column| !has(column)).map(|column| (&*column.name, &*column.path));
+    let points = spec.points.iter().filter(|points| !tells(points)).map(|points| (&*points.name, &*points.path));
+    columns.chain(points).collect()
 }
 
 /// Writes `points.csv`, long: run, factors, repeat, draws, seed, measure, point, axis, value; `value_mm` where every measure

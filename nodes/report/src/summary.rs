@@ -8,7 +8,7 @@ pub use compared::{NoPairs, between, with_holm};
 pub use told::{Row, about_few, comparison, statistics, under_heads, units};
 
 use crate::{ReportError, evidence};
-use osteoflow_engine::sweep::{Done, Folder, Spec, at_path};
+use osteoflow_engine::sweep::{Done, Folder, Spec, without_value};
 use osteoflow_statistics::{StatisticsError, Units};
 use serde_json::{Map, Value, json};
 
@@ -44,12 +44,9 @@ fn summary(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
     let groups: Vec<_> =
         groups(&spec, &done).iter().map(|(setting, rows)| group::group(&spec, setting, rows)).collect();
     let simulated = done.iter().any(|d| d.results["simulated"] == true);
-    let missing = missing(&spec, &done).into_iter();
-    let mut notes: Vec<_> =
-        missing.map(|(name, path)| format!("column {name}: no run with results has anything at {path}")).collect();
-    if simulated {
-        notes.push("SIMULATED".into());
-    }
+    let missing = without_value(&spec, &done).into_iter();
+    let notes: Vec<_> =
+        missing.map(|(name, path)| format!("{name} has no value in any run: no result is at {path}")).collect();
     Ok(json!({
         "notice": notice,
         "simulated": simulated,
@@ -58,15 +55,6 @@ fn summary(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
         "units": units_of(&spec, &done.iter().collect::<Vec<_>>()).map(|units| levels(&units)),
         "groups": groups, "comparisons": compared::within(&spec, &done), "notes": notes,
     }))
-}
-
-/// Columns that no run has anything for, though some have results.
-fn missing<'a>(spec: &'a Spec, done: &[Done]) -> Vec<(&'a str, &'a str)> {
-    let with: Vec<_> = done.iter().filter(|d| d.status == "complete").collect();
-    let paths = spec.columns.iter().map(|c| (&*c.name, &*c.path));
-    let paths = paths.chain(spec.points.iter().map(|p| (&*p.name, &*p.path)));
-    let found = |path: &str| with.is_empty() || with.iter().any(|d| at_path(&d.results, path).is_some());
-    paths.filter(|(_, path)| !found(path)).collect()
 }
 
 /// The runs by setting: the factors that are varied and are no units.

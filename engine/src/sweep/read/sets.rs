@@ -3,8 +3,8 @@
 use super::Reader;
 use crate::{
     fault::{Fault, Span},
-    graph::{SetKey, Table, keys_set},
-    sweep::spec::{Draw, Factor},
+    graph::{SetKey, Table},
+    sweep::spec::{Draw, Factor, Level},
 };
 use std::collections::BTreeSet;
 
@@ -37,14 +37,13 @@ impl Reader<'_> {
         let mut setters: Vec<Setter> = Vec::new();
         let at = |kind, name| Some(table.get(kind)?.value.as_table()?.get(name)?.key_at.clone());
         for factor in factors {
-            let levels = factor.levels.iter().map(|level| keys(&level.sets)).collect();
+            let levels = factor.levels.iter().map(Level::keys_set).collect();
             let Some(at) = at("factor", &factor.name) else { continue };
             setters.push(Setter { what: "factor", name: &factor.name, at, levels });
         }
         for draw in draws {
-            let sets: Vec<_> = draw.keys.iter().map(|key| format!("{key}=0")).collect();
             let Some(at) = at("draw", &draw.name) else { continue };
-            setters.push(Setter { what: "draw", name: &draw.name, at, levels: vec![keys(&sets)] });
+            setters.push(Setter { what: "draw", name: &draw.name, at, levels: vec![draw.keys_set()] });
         }
         for (index, later) in setters.iter().enumerate() {
             self.taken(later, same_seed);
@@ -87,10 +86,6 @@ impl Reader<'_> {
             self.fault(&setter.at, format!("{} cannot set {key}", told(setter)), label, help);
         }
     }
-}
-
-fn keys(sets: &[String]) -> Vec<SetKey> {
-    keys_set(sets).into_iter().map(|(key, _)| key).collect()
 }
 
 /// A key of the earlier that is lost to one of the later.

@@ -84,9 +84,10 @@ pub(super) struct Table {
 }
 
 /// How the spread is taken, as the page says it.
-pub(super) const RULE: &str = "The paper's spread is its mean ± its SD. Where it gives no SD, half to one and a half of its number is taken instead, by \
-     one rule for all such rows; of three single values it is their range, of a correlation a size of 0.9 to 1. Ours can lie \
-     outside on either side: smaller errors than the paper's are told as below.";
+pub(super) const RULE: &str = "The paper's spread is its mean ± its SD. Where it gives no SD, half to one \
+     and a half of its number is taken instead, by one rule for all such rows; of three single values it is their range, of \
+     a correlation a size of 0.9 to 1. Ours can lie outside on either side: smaller errors than the paper's are told as \
+     below.";
 
 impl Published {
     pub(super) fn new() -> Self {

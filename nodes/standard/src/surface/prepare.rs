@@ -52,12 +52,20 @@ impl Default for Params {
 }
 
 impl Params {
-    fn n_points_on(&self, mesh: &Mesh) -> usize {
+    /// How many points a surface of this area gets.
+    fn n_points_on(&self, area_mm2: f64) -> Result<usize, NodeError> {
         if self.spacing_mm == 0.0 {
-            return self.n_points;
+            return Ok(self.n_points);
         }
-        let n = (mesh.area_mm2() / (self.spacing_mm * self.spacing_mm)).round();
-        (n as usize).clamp(MIN_POINTS, MAX_POINTS)
+        let n = (area_mm2 / (self.spacing_mm * self.spacing_mm)).round();
+        if (MIN_POINTS as f64..=MAX_POINTS as f64).contains(&n) {
+            return Ok(n as usize);
+        }
+        Err(NodeError::new(format!(
+            "spacing_mm = {} asks for {n} points on {area_mm2:.0} mm2, from {MIN_POINTS} to {MAX_POINTS} can be had; take \
+             another spacing, or n_points",
+            self.spacing_mm
+        )))
     }
 }
 
@@ -91,7 +99,7 @@ impl Node for Prepare {
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let samples = sample::surface(&i.mesh, self.0.n_points_on(&i.mesh), &mut ctx.rng());
+        let samples = sample::surface(&i.mesh, self.0.n_points_on(i.mesh.area_mm2())?, &mut ctx.rng());
         let target = Target::new(&i.mesh.frame, i.mesh.origin, samples.points, Some(samples.normals.into()))?;
         let mesh = MeshQuery::new(&i.mesh);
         let mut target = target.with_mesh(mesh.clone());
@@ -100,5 +108,22 @@ impl Node for Prepare {
         }
         target.prepare();
         Ok(Out { target, ct_surface: Text(i.mesh.origin.to_string().into()) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_are_as_far_apart_as_asked_for_whatever_the_surfaces_size_or_refused() {
+        let n = |spacing_mm, area_mm2| Params { spacing_mm, ..Params::default() }.n_points_on(area_mm2);
+        assert_eq!(n(0.25, 14_309.0).unwrap(), 228_944);
+        assert_eq!(n(0.25, 2.0 * 14_309.0).unwrap(), 457_888);
+        assert_eq!(n(0.0, 14_309.0).unwrap(), 150_000);
+        for spacing in [0.01, 50.0] {
+            let said = n(spacing, 14_309.0).unwrap_err().to_string();
+            assert!(said.contains("mm2, from 100 to 10000000 can be had"), "{said}");
+        }
     }
 }
