@@ -2,7 +2,7 @@
 
 use super::acceleration::State;
 use super::observability::Observability;
-use super::pairing::{Cached, Field, Mesh, Pairing, Thinned, Tree};
+use super::pairing::{Cached, Field, Kept, Mesh, Pairing, Thinned, Tree};
 use super::params::{IcpParams, PairingKind, PublishedReading};
 use super::problem::Problem;
 use super::report::{Halt, IcpFit, IcpReport, IcpStep, IcpTrace, Observer};
@@ -105,11 +105,14 @@ fn run<R: Residual>(
         let arms: Vec<Point3<f64>> = all.arms.iter().copied().map(Point3::from).collect();
         Cells::new(&arms, &Point3::origin(), cell_mm(&arms, &Point3::origin()))
     });
-    let (cached, tree, thinned) = (Cached(&surface), Tree(&surface), Thinned(&surface));
+    let (cached, kept) = (Cached(&surface), Kept(Cached(&surface)));
+    let (tree, thinned) = (Tree(&surface), Thinned(&surface));
     let mesh = target.mesh().filter(|_| R::MESH).map(|mesh| Mesh::new(&surface, mesh));
     let exact: &dyn Pairing = match (&mesh, params.pairing) {
         (Some(mesh), _) => mesh,
         (None, PairingKind::Tree) => &tree,
+        // Plain steps between points are many and short.
+        (None, _) if !R::TARGET_NORMALS && params.acceleration == 0 => &kept,
         (None, _) => &cached,
     };
     let field =

@@ -1,6 +1,6 @@
 //! The part of a target that a scan can pair with.
 
-use crate::cells::{Keep, Nearby};
+use crate::cells::{All, Around, Keep, Nearby};
 use crate::normals;
 use crate::target::{Index, Subset, Target};
 use nalgebra::{Point3, Vector3};
@@ -78,6 +78,16 @@ impl<'a> Surface<'a> {
                 let close = self.index.cells().nearest(query, limit_mm, Facing { camera, normals: &self.normals });
                 close.unwrap_or_else(|| Nearby::within(limit_mm, self.facing(camera).nearest(query)))
             }
+        }
+    }
+
+    /// The points around `query`, which is about the index's centre, if they are near.
+    #[inline]
+    pub(super) fn around(&self, query: &Vector3<f64>, limit_mm: f64) -> Option<Around> {
+        let cells = self.index.cells();
+        match &self.camera {
+            None => cells.around(query, limit_mm, All),
+            Some(camera) => cells.around(query, limit_mm, Facing { camera, normals: &self.normals }),
         }
     }
 

@@ -2,21 +2,24 @@
 
 mod cached;
 mod field;
+mod kept;
 mod mesh;
 mod tree;
 
 pub(super) use cached::Cached;
 pub(super) use field::Field;
+pub(super) use kept::Kept;
 pub(super) use mesh::Mesh;
 pub(super) use tree::{Thinned, Tree};
 
+use crate::cells::Around;
 use nalgebra::Vector3;
 
 /// No partner is known.
 const NONE: u32 = u32::MAX;
 
 /// The partner of a source point, and how long it surely stays that. About the centre of the target's index, mm.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct Known {
     /// Where it is.
     pub(super) target: Vector3<f64>,
@@ -28,6 +31,8 @@ pub(super) struct Known {
     at: Vector3<f64>,
     /// No other partner lies closer than this to that place.
     free_mm: f64,
+    /// What could be the partner near that place, where it is sought for many steps.
+    around: Option<Box<Around>>,
 }
 
 impl Known {
@@ -37,6 +42,7 @@ impl Known {
         item: NONE,
         at: Vector3::new(0.0, 0.0, 0.0),
         free_mm: f64::NEG_INFINITY,
+        around: None,
     };
 
     /// Whether there is a partner.
