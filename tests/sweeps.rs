@@ -117,8 +117,37 @@ fn the_summary_counts_units_and_compares_in_pairs() {
     assert_eq!(rows.lines().count(), 13);
     let points = fs::read_to_string(path(Path::new(&out), "points.csv")).unwrap();
     assert_eq!(points.lines().next().unwrap(), "run,bone,icp,procedure,seed,measure,point,axis,value_mm");
-    let (told, err, code) = said(&["compare", &out, &out]);
-    assert!(code == 0 && told.contains("tre_mm"), "{told}{err}");
+}
+
+#[test]
+fn two_sweeps_are_compared_in_pairs_within_a_margin_and_what_is_missing_is_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let (graph, exact, ct) = (small(dir.path()), path(dir.path(), "exact"), path(dir.path(), "ct"));
+    assert_eq!(said(&["sweep", &graph, "--out", &exact, "--quiet"]).2, 0);
+    assert_eq!(said(&["sweep", &graph, "--out", &ct, "--quiet", "--set", "bone.exact=false"]).2, 0);
+    let compared = |margin: &str| said(&["compare", &exact, &ct, "--margin", margin]);
+    let (told, err, code) = compared("tre_mm=5");
+    assert!(code == 0 && err.is_empty(), "{err}");
+    assert!(
+        told.contains(&format!("[2] {ct}")) && told.contains("tre_mm at icp = icp.point_to_plane: [1] -> [2]"),
+        "{told}"
+    );
+    assert_eq!(told.matches(" within 5").count(), 2, "{told}");
+    let (told, ..) = compared("tre_mm=0.000001");
+    assert_eq!(told.matches("not shown within 1.00e-6").count(), 2, "{told}");
+    let (_, err, code) = compared("tre=5");
+    assert!(code == 2 && err.contains("no column tre; it has tre_mm"), "{err}");
+    let (_, err, code) = compared("tre_mm=-1");
+    assert!(code == 2 && err.contains("above zero"), "{err}");
+
+    let run = |n: usize| path(Path::new(&ct), &format!("runs/{n:06}.json"));
+    fs::remove_file(run(0)).unwrap();
+    let mut refused = json(&run(11));
+    (refused["status"], refused["results"]) = ("refused".into(), Value::Null);
+    fs::write(run(11), refused.to_string()).unwrap();
+    let (told, err, code) = compared("tre_mm=5");
+    assert!(code == 0 && err.contains(&format!("{ct} is not finished: 11 of its 12 runs are there")), "{err}");
+    assert!(told.contains("1 of 6 pairs left out, with a run that has no value"), "{told}");
 }
 
 #[test]

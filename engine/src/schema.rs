@@ -147,6 +147,15 @@ fn sweep() -> Value {
     let keys = texts("Several keys that take the same value.");
     let two = |description: &str| json!({ "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2, "description": description });
     let numbers = |description: &str| json!({ "type": "object", "additionalProperties": { "type": "number" }, "description": description });
+    let compare = json!({
+        "type": "object",
+        "properties": {
+            "factor": { "type": "string", "description": "The factor whose values are compared." },
+            "to": { "description": "The value that the others are compared with. Default: the first." },
+            "margin": numbers("For columns: the largest difference that does not matter, for the test of equivalence."),
+        },
+        "required": ["factor"], "additionalProperties": false,
+    });
     json!({
         "description": "Which values `osteoflow sweep` runs the graph with, and which numbers it takes out of each run.",
         "type": "object",
@@ -192,14 +201,8 @@ fn sweep() -> Value {
             },
             "limit": numbers("For columns: the share of runs below is told."),
             "compare": {
-                "description": "What is compared, paired by all that is not the factor.",
-                "type": "object",
-                "properties": {
-                    "factor": { "type": "string", "description": "The factor whose values are compared." },
-                    "to": { "description": "The value that the others are compared with. Default: the first." },
-                    "margin": numbers("For columns: the largest difference that does not matter, for the test of equivalence."),
-                },
-                "required": ["factor"], "additionalProperties": false,
+                "description": "What is compared, paired by all that is not the factor; or a list of comparisons, each of another factor.",
+                "anyOf": [compare.clone(), { "type": "array", "items": compare }],
             },
         },
         "additionalProperties": false,

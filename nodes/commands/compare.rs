@@ -6,26 +6,34 @@ use osteoflow_report::summary;
 use serde_json::{Value, json};
 use std::{collections::BTreeMap, fs, io::Write, path::PathBuf};
 
+/// In the paths of the numbers of a matrix, such as a pose has.
+const MATRIX: &str = "matrix.";
+
 /// Set the results of runs, or of sweeps, side by side.
 ///
 /// Runs: every number of their results.json that they share, and how far the later ones are from the first. Sweeps: each
 /// column of the first against those of the others, paired by factors, draws, repeat and seed that both have: paired
-/// Wilcoxon with Holm's correction and effect size, limits of agreement, and equivalence where the first sweep states a
-/// margin.
+/// Wilcoxon with Holm's correction and effect size, limits of agreement, and equivalence within the margins given here or
+/// in the first sweep's [sweep.compare].
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   osteoflow compare runs/fibula-20261121-120000 runs/fibula-20261121-120500
+  osteoflow compare --all runs/a runs/b                  also numbers that are equal
   osteoflow compare sweeps/camera sweeps/stylus
-  osteoflow compare --all runs/a runs/b                  also numbers that are equal")]
+  osteoflow compare sweeps/camera sweeps/stylus --margin tre_true_mm=0.5")]
 pub(crate) struct Compare {
     /// Folders of runs, or of sweeps; all are compared with the first.
     #[arg(required = true, num_args = 2.., value_name = "DIR")]
     folders: Vec<PathBuf>,
 
-    /// Of runs, show the numbers that are equal too.
+    /// Of runs, show the numbers that are equal too, and those in matrices.
     #[arg(long)]
     all: bool,
+
+    /// Of sweeps, the largest difference of a column that does not matter, for the test of equivalence.
+    #[arg(long = "margin", value_name = "COLUMN=SIZE", value_parser = margin)]
+    margins: Vec<(String, f64)>,
 }
 
 impl Compare {
@@ -51,6 +59,8 @@ impl Compare {
         let shared = runs[0].iter().filter(|(key, _)| runs.iter().all(|run| run.contains_key(*key)));
         let rows: Vec<_> = shared.map(|(key, _)| (key, runs.iter().map(|run| run[key]).collect::<Vec<_>>())).collect();
         let differing = |values: &[f64]| values.iter().any(|v| v.to_bits() != values[0].to_bits());
+        // Numbers that tell a reader nothing one by one.
+        let shown = |key: &str, values: &[f64]| self.all || differing(values) && !key.contains(MATRIX);
         if global.format == Format::Json {
             let rows = rows.iter().map(|(key, values)| {
                 let differences: Vec<_> = values.iter().map(|v| v - values[0]).collect();
@@ -67,17 +77,19 @@ impl Compare {
             .chain((1..names.len()).map(|k| format!("[{}] - [1]", k + 1)))
             .collect();
         let mut table = TextTable::new("", &heads.iter().map(String::as_str).collect::<Vec<_>>());
-        for (key, values) in rows.iter().filter(|(_, values)| self.all || differing(values)) {
+        for (key, values) in rows.iter().filter(|(key, values)| shown(key, values)) {
             let differences = values[1..].iter().map(|v| v - values[0]);
             table.row(key.as_str(), values.iter().copied().chain(differences).map(|x| format!("{x:.6}")));
         }
         let mut out = std::io::stdout().lock();
-        for (k, name) in names.iter().enumerate() {
-            writeln!(out, "[{}] {name}", k + 1)?;
+        writeln!(out, "{}", self.legend())?;
+        match rows.iter().any(|(_, values)| differing(values)) {
+            true => writeln!(out, "{}", table.lines())?,
+            false => writeln!(out, "all {} numbers that they share are equal", rows.len())?,
         }
-        match table.is_empty() {
-            true => writeln!(out, "\nall {} numbers that they share are equal", rows.len())?,
-            false => writeln!(out, "{}", table.lines())?,
+        let hidden = rows.iter().filter(|(key, values)| differing(values) && !shown(key, values)).count();
+        if hidden > 0 {
+            writeln!(out, "and {hidden} numbers in matrices; --all shows them")?;
         }
         Ok(Exit::Done)
     }
@@ -89,17 +101,25 @@ impl Compare {
         };
         let sweeps = folders.iter().map(read).collect::<Result<Vec<_>>>()?;
         let (spec, first) = &sweeps[0];
-        let names = self.names();
+        let margins = self.margins_of(spec)?;
+        for (folder, (_, done)) in folders.iter().zip(&sweeps).filter(|_| !global.quiet) {
+            let (n, all) = (done.len(), folder.n_runs());
+            if n < all {
+                let word = global.paint_err("warning", "1;33");
+                let dir = folder.dir().display();
+                writeln!(std::io::stderr(), "{word}: {dir} is not finished: {n} of its {all} runs are there")?;
+            }
+        }
         let mut comparisons = Vec::new();
-        for ((other, done), name) in sweeps[1..].iter().zip(&names[1..]) {
-            let found = summary::between((&names[0], spec, first), (name, other, done));
+        for (k, (other, done)) in sweeps.iter().enumerate().skip(1) {
+            let found = summary::between(("[1]", spec, first), (&format!("[{}]", k + 1), other, done), &margins);
             comparisons.extend(found.map_err(|none| UsageError(none.to_string()))?);
         }
         if comparisons.is_empty() {
             let said = "no run of one has a pair in another; they need the same factors, repeats and seeds, and a column of one name";
             return Err(UsageError(said.into()).into());
         }
-        let told = json!({ "folders": names, "comparisons": summary::with_holm(comparisons) });
+        let told = json!({ "folders": self.names(), "comparisons": summary::with_holm(comparisons) });
         match global.format {
             Format::Json => {
                 let mut told = told;
@@ -107,15 +127,46 @@ impl Compare {
                 print_json(&told)?;
             }
             Format::Text => {
-                writeln!(std::io::stdout(), "{}", summary_table::of_comparisons(&told).unwrap_or_default())?
+                let table = summary_table::of_comparisons(&told).unwrap_or_default();
+                writeln!(std::io::stdout(), "{}\n{table}", self.legend())?;
             }
         }
         Ok(Exit::Done)
     }
 
+    /// The margins given, and those of the first sweep for columns that are not given any.
+    fn margins_of(&self, spec: &Spec) -> Result<Vec<(String, f64)>> {
+        for (name, _) in &self.margins {
+            if !spec.columns.iter().any(|column| column.name == *name) {
+                let known: Vec<_> = spec.columns.iter().map(|column| column.name.as_str()).collect();
+                let known = known.join(", ");
+                return Err(
+                    UsageError(format!("--margin: the first sweep has no column {name}; it has {known}")).into()
+                );
+            }
+        }
+        let own = spec.compare.iter().flat_map(|compare| &compare.margins);
+        Ok(self.margins.iter().chain(own).cloned().collect())
+    }
+
+    /// What `[1]`, `[2]` and so on stand for, a line each.
+    fn legend(&self) -> String {
+        self.names().iter().enumerate().map(|(k, name)| format!("[{}] {name}\n", k + 1)).collect()
+    }
+
     fn names(&self) -> Vec<String> {
         self.folders.iter().map(|dir| dir.display().to_string()).collect()
     }
+}
+
+/// `COLUMN=SIZE`.
+fn margin(text: &str) -> Result<(String, f64), String> {
+    let (name, size) = text.split_once('=').ok_or("COLUMN=SIZE is needed, such as tre_true_mm=0.5")?;
+    let size: f64 = size.trim().parse().map_err(|_| format!("\"{size}\" is no number"))?;
+    if !(size.is_finite() && size > 0.0) {
+        return Err("the size of a margin is above zero".into());
+    }
+    Ok((name.trim().into(), size))
 }
 
 /// Every number, by its path; of a list, items with a name by that.

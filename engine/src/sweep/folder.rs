@@ -26,7 +26,7 @@ pub const RUNS: &str = "runs.csv";
 pub const POINTS: &str = "points.csv";
 
 /// Raised when the files are laid out otherwise than before.
-const FORMAT: u64 = 1;
+const FORMAT: u64 = 2;
 
 /// Why a sweep's folder cannot be used.
 #[derive(Debug, thiserror::Error)]

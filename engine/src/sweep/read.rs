@@ -57,7 +57,8 @@ impl Reader<'_> {
         results.extend(self.sets(table, &factors, &draws, &pair, same_seed));
         self.paths(table, &results);
         let limits = self.numbers(table.get("limit"), "limit", &columns);
-        let compare = table.get("compare").and_then(|entry| self.compare(entry, &factors, &columns));
+        let compare = table.get("compare").map(|entry| self.comparisons(&entry.value, &factors, &columns));
+        let compare = compare.unwrap_or_default();
         let spec = Spec {
             repeat: repeat?,
             repeat_name,
@@ -271,20 +272,38 @@ impl Reader<'_> {
         out
     }
 
-    fn compare(&mut self, entry: &Entry, factors: &[Factor], columns: &[Column]) -> Option<Compare> {
-        let table = take::table(&entry.value, "compare", self.faults)?;
+    /// One comparison, or a list of them, each of another factor.
+    fn comparisons(&mut self, value: &Spanned, factors: &[Factor], columns: &[Column]) -> Vec<Compare> {
+        let items = match &value.value {
+            Value::Array(items) => items.as_slice(),
+            _ => std::slice::from_ref(value),
+        };
+        let mut comparisons: Vec<Compare> = Vec::new();
+        for item in items {
+            let Some(compare) = self.compare(item, factors, columns) else { continue };
+            if comparisons.iter().any(|earlier| earlier.factor == compare.factor) {
+                let message = format!("factor \"{}\" is compared twice", compare.factor);
+                self.fault(&item.at, message, "twice", "compare it with one of its values");
+            }
+            comparisons.push(compare);
+        }
+        comparisons
+    }
+
+    fn compare(&mut self, value: &Spanned, factors: &[Factor], columns: &[Column]) -> Option<Compare> {
+        let table = take::table(value, "compare", self.faults)?;
         take::only(table, &["factor", "to", "margin"], "sweep.compare", self.faults);
         let margins = self.numbers(table.get("margin"), "margin", columns);
         let name = table.get("factor").and_then(|e| take::text(&e.value, "compare: factor", self.faults));
         let factor = name.and_then(|name| factors.iter().find(|factor| factor.name == name));
         let Some(factor) = factor else {
-            self.fault(&entry.key_at, "compare needs the name of a factor", "no factor", "add factor = \"icp\"");
+            self.fault(&value.at, "compare needs the name of a factor", "no factor", "add factor = \"icp\"");
             return None;
         };
         let to = table.get("to").map_or(factor.levels[0].label.clone(), |entry| entry.value.to_json());
         if !factor.levels.iter().any(|level| level.label == to) {
             let message = format!("factor \"{}\" has no value {to} to compare with", factor.name);
-            self.fault(&entry.key_at, message, "no such value", "name one of its values or labels");
+            self.fault(&value.at, message, "no such value", "name one of its values or labels");
         }
         Some(Compare { factor: factor.name.clone(), to, margins })
     }

@@ -27,8 +27,8 @@ pub struct Spec {
     pub points: Vec<PointColumn>,
     /// Limits of columns: the share of runs below is told.
     pub limits: Vec<(String, f64)>,
-    /// What is compared, paired by all that is not this factor.
-    pub compare: Option<Compare>,
+    /// What is compared: the values of a factor, paired by all else.
+    pub compare: Vec<Compare>,
 }
 
 /// Something that is varied by a list of values.

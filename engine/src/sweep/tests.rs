@@ -233,7 +233,7 @@ fn paired_factors_go_together_and_others_are_crossed() {
         columns: Vec::new(),
         points: Vec::new(),
         limits: Vec::new(),
-        compare: None,
+        compare: Vec::new(),
     };
     let rows = rows(&spec, 5);
     let told: Vec<_> = rows
@@ -272,7 +272,7 @@ fn draws_are_distributed_as_they_say() {
             columns: Vec::new(),
             points: Vec::new(),
             limits: Vec::new(),
-            compare: None,
+            compare: Vec::new(),
         };
         rows(&spec, 1).into_iter().map(|row| row.values[1].1.clone()).collect::<Vec<_>>()
     };
@@ -307,7 +307,8 @@ repeat = 0
 tile   = 3
 units  = ["nois", "trial"]
 pair   = [["noise", "short"]]
-limit  = { las = 2.0 }
+limit   = { las = 2.0 }
+compare = [{ factor = "noise", to = 3 }, { factor = "noise" }, { factor = "noises" }, 4]
 [sweep.factor]
 noise = { key = "last.noise", values = [false, true] }
 short = { key = "last.sleep_us", values = [1] }
@@ -338,6 +339,10 @@ all = { axes = ["x"] }
         "draw \"d\": uniform takes two numbers, the smaller first",
         "draw \"e\" needs one distribution",
         "points \"all\" does not say its list",
+        "factor \"noise\" has no value 3 to compare with",
+        "factor \"noise\" is compared twice",
+        "compare needs the name of a factor",
+        "compare takes a table, found 4",
     ] {
         assert!(said.contains(expected), "{expected}\n---\n{said}");
     }

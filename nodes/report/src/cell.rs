@@ -18,6 +18,10 @@ impl Cell {
     pub(crate) fn of(value: &Json) -> Self {
         match value {
             Json::Null => Self::Word("\u{2013}".into()),
+            // Nanoseconds since 1970 have more digits than a float.
+            Json::Number(number) if number.as_i64().is_some_and(|n| n.unsigned_abs() > 1 << f64::MANTISSA_DIGITS) => {
+                Self::Word(number.to_string())
+            }
             Json::Number(number) => Self::Number(number.as_f64().unwrap_or(f64::NAN)),
             Json::String(text) => Self::Word(text.clone()),
             Json::Bool(true) => Self::Word("yes".into()),
@@ -72,5 +76,6 @@ mod tests {
         let told: Vec<_> = [0.0, 20000.0, -0.02446, 3.2e-12, 0.1234, 12.345, 333.567, f64::NAN].map(number).into();
         let expected = ["0", "20000", "\u{2212}0.024", "3.20e-12", "0.123", "12.35", "333.6", "\u{2013}"];
         assert_eq!(told, expected);
+        assert_eq!(Cell::of(&1_700_000_000_123_456_789_i64.into()).plain(), "1700000000123456789");
     }
 }

@@ -12,6 +12,9 @@ use std::fmt::Write;
 const STYLE: &str = include_str!("page.css");
 const VIEWER: &str = include_str!("viewer.js");
 
+/// What the files of views are called by, before their names.
+pub(crate) const VIEW: &str = "view-";
+
 /// A figure as a file of its own.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Figure {
@@ -114,6 +117,7 @@ impl Page {
 
     /// A view in three dimensions; a drawing of it from one side becomes a file.
     pub(crate) fn view(&mut self, name: &str, scene: &Scene, caption: &str) {
+        let name = format!("{VIEW}{name}");
         self.n_figures += 1;
         self.n_views += 1;
         let (n, view) = (self.n_figures, self.n_views);
@@ -130,14 +134,14 @@ impl Page {
              id=\"scene-{view}\">{}</script></figure>",
             scene.aspect,
             escaped(caption),
-            escaped(name),
+            escaped(&name),
             scene.legend_html(),
             escaped(caption),
             self.words(),
             in_script(&scene.json())
         );
         let svg = scene.svg(caption, self.simulated);
-        self.figures.push(Figure { name: name.into(), svg });
+        self.figures.push(Figure { name, svg });
     }
 
     /// A table; numbers stand to the right.

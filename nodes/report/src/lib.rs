@@ -102,7 +102,43 @@ impl Report {
         for figure in &self.figures {
             to(&figures.join(format!("{}.svg", figure.name)), &figure.svg)?;
         }
+        self.remove_stale(&figures)?;
         to(&dir.join(BIBLIOGRAPHY), &self.bibliography)?;
         to(page, &self.html)
+    }
+
+    /// Removes the views of runs that an earlier report showed and this one does not.
+    fn remove_stale(&self, figures: &Path) -> Result<(), ReportError> {
+        let failed = |source| ReportError::Write { path: figures.display().to_string(), source };
+        for entry in fs::read_dir(figures).map_err(failed)? {
+            let path = entry.map_err(failed)?.path();
+            let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+            let ours = stem.starts_with(html::VIEW) && path.extension().is_some_and(|end| end == "svg");
+            if ours && self.figures.iter().all(|figure| figure.name != stem) {
+                fs::remove_file(&path).map_err(failed)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_of_an_earlier_report_are_removed_and_what_others_left_stays() {
+        let dir = tempfile::tempdir().unwrap();
+        let figures = dir.path().join(FIGURES);
+        let report = |name: &str| Report {
+            html: String::new(),
+            figures: vec![Figure { name: name.into(), svg: String::new() }],
+            bibliography: String::new(),
+        };
+        report("view-fragment-run-7").write(dir.path(), &dir.path().join(PAGE)).unwrap();
+        fs::write(figures.join("mine.svg"), "").unwrap();
+        report("view-fragment-run-8").write(dir.path(), &dir.path().join(PAGE)).unwrap();
+        let left = |name: &str| figures.join(name).is_file();
+        assert!(left("view-fragment-run-8.svg") && left("mine.svg") && !left("view-fragment-run-7.svg"));
     }
 }

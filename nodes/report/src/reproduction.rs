@@ -73,7 +73,8 @@ impl Reproduction {
             let done = |folder: &Folder| folder.done()?.collect::<Result<Vec<_>, _>>();
             let (mut spec, a, b) = (first.spec()?, done(first)?, done(second)?);
             spec.columns.retain(|column| meeting.columns.contains(&column.name));
-            let compared = between((&meeting.first, &spec, &a), (&meeting.second, &second.spec()?, &b));
+            let margins: Vec<_> = meeting.columns.iter().map(|name| (name.clone(), meeting.margin_mm)).collect();
+            let compared = between((&meeting.first, &spec, &a), (&meeting.second, &second.spec()?, &b), &margins);
             met.push((index, compared.map(with_holm).map_err(|none| none.to_string())));
         }
         Ok(Self { published, experiments, met })

@@ -1,6 +1,11 @@
 //! JSON as tables, whatever a graph has put into it.
 
-use crate::{cell::Cell, html::Page};
+use crate::{
+    cell::{Cell, number},
+    html::Page,
+};
+use nalgebra::Matrix4;
+use osteoflow_geometry::isometry_from_matrix;
 use serde_json::{Map, Value as Json};
 
 /// Longer lists are told by their length; the file has them.
@@ -11,29 +16,66 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
     let Some(results) = results.as_object() else {
         return page.missing("The results", "the run left no results.json");
     };
-    let mut rows = Vec::new();
-    let mut lists = Vec::new();
-    results.iter().for_each(|(key, value)| walk(key, value, &mut rows, &mut lists));
-    for (path, items) in lists {
+    let mut found = Found::default();
+    results.iter().for_each(|(key, value)| found.walk(key, value));
+    for (path, items) in found.lists {
         objects(page, &path.replace('_', " ").replace('.', ": "), &items);
     }
-    let head = ["result", "value"].map(String::from);
-    page.fold(&format!("All single results ({})", rows.len()));
-    page.table("Every result that is one number or word, by its path in results.json.", &head, &rows);
+    let heads = |heads: &[&str]| heads.iter().map(|head| (*head).to_owned()).collect::<Vec<_>>();
+    if !found.poses.is_empty() {
+        page.fold(&format!("Poses ({})", found.poses.len()));
+        let caption = "Every pose t_to_from by its path in results.json: where the origin of one frame lies in the other, \
+                       and the turn between their axes.";
+        let head = ["pose", "to", "from", "x (mm)", "y (mm)", "z (mm)", "turn (deg)", "about"];
+        page.table(caption, &heads(&head), &found.poses);
+        page.unfold();
+    }
+    page.fold(&format!("All single results ({})", found.singles.len()));
+    let caption = "Every result that is one number or word, by its path in results.json.";
+    page.table(caption, &heads(&["result", "value"]), &found.singles);
     page.unfold();
 }
 
-/// Keys and values below a path, and the lists of objects.
-fn walk(path: &str, value: &Json, rows: &mut Vec<Vec<Cell>>, lists: &mut Vec<(String, Vec<Map<String, Json>>)>) {
-    match value {
-        Json::Object(object) => object.iter().for_each(|(key, v)| walk(&format!("{path}.{key}"), v, rows, lists)),
-        Json::Array(items) if !items.is_empty() && items.iter().all(Json::is_object) => {
-            lists.push((path.into(), items.iter().filter_map(Json::as_object).cloned().collect()));
+/// Results by what they are.
+#[derive(Default)]
+struct Found {
+    /// Rows of key and value.
+    singles: Vec<Vec<Cell>>,
+    /// Lists of objects by their paths.
+    lists: Vec<(String, Vec<Map<String, Json>>)>,
+    /// A row for each.
+    poses: Vec<Vec<Cell>>,
+}
+
+impl Found {
+    /// Takes what lies below a path.
+    fn walk(&mut self, path: &str, value: &Json) {
+        match value {
+            Json::Object(object) => match pose(path, object) {
+                Some(row) => self.poses.push(row),
+                None => object.iter().for_each(|(key, value)| self.walk(&format!("{path}.{key}"), value)),
+            },
+            Json::Array(items) if !items.is_empty() && items.iter().all(Json::is_object) => {
+                self.lists.push((path.into(), items.iter().filter_map(Json::as_object).cloned().collect()));
+            }
+            // Long columns are for programs.
+            Json::Array(items) if items.len() > 6 || items.iter().any(Json::is_array) => {}
+            other => self.singles.push(vec![Cell::Code(path.into()), Cell::of(other)]),
         }
-        // Matrices and long columns are for programs.
-        Json::Array(items) if items.len() > 6 || items.iter().any(Json::is_array) => {}
-        other => rows.push(vec![Cell::Code(path.into()), Cell::of(other)]),
     }
+}
+
+/// The row of a pose; `None` if it is none.
+fn pose(path: &str, object: &Map<String, Json>) -> Option<Vec<Cell>> {
+    let frame = |key: &str| Some(Cell::Code(object.get(key)?.as_str()?.into()));
+    let rows: [[f64; 4]; 4] = serde_json::from_value(object.get("matrix")?.clone()).ok()?;
+    let pose = isometry_from_matrix(&Matrix4::from_fn(|row, column| rows[row][column])).ok()?;
+    let mut cells = vec![Cell::Code(path.into()), frame("to")?, frame("from")?];
+    cells.extend(pose.translation.vector.iter().map(|x| Cell::Number(*x)));
+    cells.push(Cell::Number(pose.rotation.angle().to_degrees()));
+    let about = pose.rotation.axis().map(|axis| axis.iter().map(|x| number(*x)).collect::<Vec<_>>().join(", "));
+    cells.push(Cell::word(about.unwrap_or_default()));
+    Some(cells)
 }
 
 /// An object with the keys of objects in it as `a.b`, without what is no cell.
@@ -68,4 +110,28 @@ pub(crate) fn objects(page: &mut Page, caption: &str, items: &[Map<String, Json>
     let cut =
         if items.len() > MOST_ROWS { format!(", the first {MOST_ROWS} of {}", items.len()) } else { String::new() };
     page.table(&format!("{caption}{cut}."), &head, &rows);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_pose_is_told_by_its_origin_and_turn_and_a_stamp_to_the_nanosecond() {
+        let quarter = [[0.0, -1.0, 0.0, 10.5], [1.0, 0.0, 0.0, -2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]];
+        let mut page = Page::new("", false);
+        results(
+            &mut page,
+            &json!({
+                "poses": { "t_ct_world": { "to": "ct", "from": "world", "matrix": quarter } },
+                "scan": { "stamp_ns": 1_700_000_000_123_456_789_i64, "matrix": [[1.0]] },
+            }),
+        );
+        let (html, _) = page.finish("");
+        for told in ["Poses (1)", "poses.t_ct_world", "10.50", "\u{2212}2<", "90.00<", "0, 0, 1", "1700000000123456789"]
+        {
+            assert!(html.contains(told), "{told} is missing:\n{html}");
+        }
+    }
 }

@@ -27,6 +27,10 @@ pub(super) fn text(reproduction: &Reproduction, command: &str, again: Command<'_
          [statistics.md](statistics.md) has the formulas, and why an interval of two or three bones, as each sweep's \
          `summary.json` has it, says little.\n",
     );
+    out.line(
+        "Sections, figures and tables are those of the publication whose method `graphs/fibula.toml` follows; its numbers \
+         are here, its text is not.\n",
+    );
     out.line(&format!("{RULE}\n"));
     rows(&mut out, reproduction, again);
     out.line("\n## Outside the paper's spread\n");
@@ -89,12 +93,13 @@ fn judged(row: &published::Row, ours: &Ours) -> String {
 
 /// Two experiments in pairs.
 fn meeting(out: &mut Markdown, meeting: &Meeting, comparisons: &Result<Vec<Value>, String>) {
-    let Meeting { first, second, .. } = meeting;
+    let Meeting { first, second, margin_mm, margin_reason, .. } = meeting;
     out.line(&format!("## {} ({})\n", meeting.title, meeting.section));
     out.line(&format!(
         "`osteoflow compare OUT/{first} OUT/{second}`; SIMULATED. Procedures of the same bone and seed are a pair; first is \
          {first}, second {second}, the difference second minus first, in mm. Limits of agreement by Bland and Altman, p by \
-         Wilcoxon's signed ranks, corrected by Holm over these rows, effect: rank-biserial.\n",
+         Wilcoxon's signed ranks, corrected by Holm over these rows, effect: rank-biserial; equivalent by two one-sided tests \
+         at 5 % on either side, within {margin_mm} mm ({margin_reason}).\n",
     ));
     match comparisons {
         Err(none) => out.line(&format!("Not compared: {none}.")),

@@ -72,6 +72,10 @@ pub(super) struct Meeting {
     pub(super) first: String,
     pub(super) second: String,
     pub(super) columns: Vec<String>,
+    /// The largest difference that does not matter.
+    pub(super) margin_mm: f64,
+    /// Why it is that.
+    pub(super) margin_reason: String,
 }
 
 /// A table of all settings of an experiment.

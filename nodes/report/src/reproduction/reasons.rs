@@ -53,7 +53,8 @@ fn short(reason: &str) -> String {
         reason.split_once("node \"").and_then(|(_, rest)| rest.split_once(": ")).map_or(reason, |(_, said)| said);
     let mut parts = after.split(": ");
     let part = parts.clone().find(|part| part.contains(' ')).or_else(|| parts.next()).unwrap_or(after);
-    part.split(';').next().unwrap_or(part).trim().to_owned()
+    let part = part.split(';').next().unwrap_or(part);
+    part.split(", at [").next().unwrap_or(part).trim().to_owned()
 }
 
 #[cfg(test)]
@@ -83,11 +84,14 @@ mod tests {
             )
         };
         let short = "graphs/a.toml:3: node \"ct_surface\": the surface is open; close it";
-        let runs = [None, Some(short.to_owned()), Some(hole("P2", 75)), Some(hole("P3", 103))];
+        let alike =
+            "graphs/a.toml:3: node \"hole\", item 0: P1: 2 holes look alike, at [1.0, 2.0, 3.0] and [4.0, 5.0, 6.0] mm";
+        let runs = [None, Some(short.into()), Some(hole("P2", 75)), Some(hole("P3", 103)), Some(alike.to_owned())];
         let runs: Vec<_> = runs.iter().enumerate().map(|(k, reason)| run(k, reason.as_deref())).collect();
         let reasons = Reasons::of(&runs);
-        assert_eq!((reasons.n, &reasons.first), (3, &Some((1, short.to_owned()))));
-        assert_eq!(reasons.told(), "no hole of 2 mm radius (2 runs); the surface is open (1 run)");
+        assert_eq!((reasons.n, &reasons.first), (4, &Some((1, short.to_owned()))));
+        let told = "no hole of 2 mm radius (2 runs); the surface is open (1 run); 2 holes look alike (1 run)";
+        assert_eq!(reasons.told(), told);
         assert_eq!(Reasons::of(&runs[..1]), Reasons::default());
     }
 }

@@ -128,7 +128,7 @@ impl Maps {
                 number(*sd_mm),
                 number(*max_mm),
             );
-            page.view(&format!("view-fragment-{view}{name}"), &scene, &caption);
+            page.view(&format!("fragment-{view}{name}"), &scene, &caption);
         }
     }
 }

@@ -96,7 +96,7 @@ pub(super) fn residuals(page: &mut Page, run: &Evidence) {
         number(rms),
         number(most),
     );
-    page.view("view-residuals", &scene, &caption);
+    page.view("residuals", &scene, &caption);
     histogram(page, &values);
 }
 
@@ -208,7 +208,7 @@ fn points(page: &mut Page, run: &Evidence, (report, planned, axes): (&TreReport,
         report.n,
         number(report.mean_abs.norm)
     );
-    page.view("view-points", &scene, &caption);
+    page.view("points", &scene, &caption);
 }
 
 /// The error at each point along each axis, as a figure and a table.
@@ -293,7 +293,7 @@ pub(super) fn cuts(page: &mut Page, run: &Evidence) {
     scene.key(RED, "executed, as the registration would have it cut");
     let caption = "Planned cuts (blue) and the cuts that the registration leads to (red), on the CT surface: each planned \
                    plane is carried to the world by the registration and back by the true pose. Nothing was cut.";
-    page.view("view-cuts", &scene, caption);
+    page.view("cuts", &scene, caption);
     let report =
         run.node_of_kind("metrics.cuts").and_then(|node| run.value::<CutsReport>(&format!("{node}.report")).ok());
     match report {

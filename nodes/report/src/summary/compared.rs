@@ -1,7 +1,7 @@
 //! Paired comparisons: of the values of one factor within a sweep, and of two sweeps.
 
 use super::{LEVEL, groups, number, or_reason, path, word};
-use osteoflow_engine::sweep::{Done, Spec, at_path};
+use osteoflow_engine::sweep::{Column, Compare, Done, Spec, at_path};
 use osteoflow_statistics::{Units, WilcoxonParams, bland_altman, counted, holm, plural, tost, unit_means, wilcoxon};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,32 +21,38 @@ pub struct NoPairs {
     shared: String,
 }
 
-/// What a sweep compares by its own table: each value of a factor with one of them.
+/// What a sweep compares by its own tables: each value of a factor with one of them.
 pub(super) fn within(spec: &Spec, done: &[Done]) -> Vec<Value> {
-    let Some(compare) = &spec.compare else { return Vec::new() };
-    let side = |label: &Value| done.iter().filter(|d| d.value(&compare.factor) == Some(label)).collect();
-    let others = spec.factors.iter().find(|factor| factor.name == compare.factor);
-    let others = others.into_iter().flat_map(|factor| &factor.levels).filter(|level| level.label != compare.to);
-    let base: Vec<&Done> = side(&compare.to);
     let mut out = Vec::new();
-    for level in others {
-        let key = |d: &Done| key_without(d, &compare.factor);
-        let (a, b) = (word(&compare.to), word(&level.label));
-        out.extend(compared(spec, (&a, &base), (&b, &side(&level.label)), &key, &compare.margins));
+    for Compare { factor: name, to, margins } in &spec.compare {
+        let side = |label: &Value| done.iter().filter(|d| d.value(name) == Some(label)).collect();
+        let others = spec.factors.iter().find(|factor| factor.name == *name);
+        let others = others.into_iter().flat_map(|factor| &factor.levels).filter(|level| level.label != *to);
+        let base: Vec<&Done> = side(to);
+        let key = |d: &Done| key_without(d, name);
+        // Where margins are stated, their columns are what is asked.
+        let columns =
+            spec.columns.iter().filter(|column| margins.is_empty() || margin(margins, &column.name).is_some());
+        let columns: Vec<_> = columns.collect();
+        for level in others {
+            let (a, b) = (word(to), word(&level.label));
+            out.extend(compared(spec, &columns, (&a, &base), (&b, &side(&level.label)), &key, margins));
+        }
     }
     with_holm(out)
 }
 
 /// The columns of one sweep against those of another, under each setting of the first; a pair is a run of each with the
-/// same seed and the same values of what both vary. Not yet corrected: see [`with_holm`].
+/// same seed and the same values of what both vary. `margins` are of columns: the largest difference that does not matter.
+/// Not yet corrected: see [`with_holm`].
 ///
 /// # Errors
 /// If two runs of one sweep are told apart only by what the other does not have.
 pub fn between(
     (a, spec, first): (&str, &Spec, &[Done]),
     (b, other, second): (&str, &Spec, &[Done]),
+    margins: &[(String, f64)],
 ) -> Result<Vec<Value>, NoPairs> {
-    let margins = spec.compare.as_ref().map(|compare| compare.margins.as_slice()).unwrap_or_default();
     let shared = shared_names(spec, other);
     let key = |d: &Done| {
         let values = shared.iter().map(|name| d.value(name).map(word).unwrap_or_default());
@@ -57,10 +63,11 @@ pub fn between(
         return Err(NoPairs { run, shared });
     }
     let second: Vec<&Done> = second.iter().collect();
+    let columns: Vec<_> = spec.columns.iter().collect();
     let mut comparisons = Vec::new();
     // What is averaged over units has one setting.
     for (setting, first) in groups(spec, first) {
-        for mut told in compared(spec, (a, &first), (b, &second), &key, margins) {
+        for mut told in compared(spec, &columns, (a, &first), (b, &second), &key, margins) {
             told["setting"] = json!(setting);
             comparisons.push(told);
         }
@@ -87,6 +94,7 @@ fn twice(done: &[Done], key: &dyn Fn(&Done) -> String) -> Option<usize> {
 /// Paired comparisons of the runs of two sides, column by column; the runs with one key are a pair.
 fn compared(
     spec: &Spec,
+    columns: &[&Column],
     (a, runs_a): (&str, &[&Done]),
     (b, runs_b): (&str, &[&Done]),
     key: &dyn Fn(&Done) -> String,
@@ -95,9 +103,7 @@ fn compared(
     let of_a: BTreeMap<String, &Done> = runs_a.iter().map(|d| (key(d), *d)).collect();
     let pairs: Vec<_> = runs_b.iter().filter_map(|d| Some((*of_a.get(&key(d))?, *d))).collect();
     let mut out = Vec::new();
-    // Where margins are stated, these columns are what is asked.
-    let asked = |name: &String| margins.is_empty() || margins.iter().any(|(margin, _)| margin == name);
-    for column in spec.columns.iter().filter(|column| asked(&column.name)) {
+    for column in columns {
         let values = |d: &Done| at_path(&d.results, &column.path).and_then(number);
         let with: Vec<_> = pairs.iter().filter_map(|(a, b)| Some((*b, values(a)?, values(b)?))).collect();
         if with.is_empty() {
@@ -106,23 +112,31 @@ fn compared(
         let rows: Vec<&Done> = with.iter().map(|(run, ..)| *run).collect();
         let differences: Vec<f64> = with.iter().map(|(_, a, b)| b - a).collect();
         let (unit, differences, note) = by_unit(spec, &rows, differences);
-        let margin = margins.iter().find(|(name, _)| *name == column.name).map(|(_, margin)| *margin);
+        let lost = pairs.len() - with.len();
+        let lost = (lost > 0)
+            .then(|| format!("{lost} of {} left out, with a run that has no value", counted(pairs.len(), "pair")));
+        let notes: Vec<_> = note.into_iter().chain(lost).collect();
         let n = differences.len();
         out.push(json!({
             "column": column.name, "a": a, "b": b, "unit": unit, "n": n, "n_pairs": rows.len(),
             "mean_a": mean(with.iter().map(|(_, a, _)| *a)), "mean_b": mean(with.iter().map(|(.., b)| *b)),
             "mean_difference": mean(differences.iter().copied()),
             "wilcoxon": or_reason(wilcoxon(&differences, &WilcoxonParams::default())),
-            "tost": margin.map_or(Value::Null, |margin| or_reason(tost(&differences, margin, ALPHA))),
+            "tost": margin(margins, &column.name).map_or(Value::Null, |margin| or_reason(tost(&differences, margin, ALPHA))),
             "bland_altman": or_reason(bland_altman(&differences, LEVEL)),
-            "note": note,
+            "note": (!notes.is_empty()).then(|| notes.join("; ")),
         }));
     }
     out
 }
 
+/// The largest difference of a column that does not matter, where one is stated.
+fn margin(margins: &[(String, f64)], column: &str) -> Option<f64> {
+    margins.iter().find(|(name, _)| name == column).map(|(_, margin)| *margin)
+}
+
 /// The differences of the highest units that are enough for a test, each the mean of its runs.
-fn by_unit(spec: &Spec, rows: &[&Done], differences: Vec<f64>) -> (String, Vec<f64>, Value) {
+fn by_unit(spec: &Spec, rows: &[&Done], differences: Vec<f64>) -> (String, Vec<f64>, Option<String>) {
     for depth in 1..=spec.units.len() {
         let names: Vec<_> = spec.units[..depth].iter().map(String::as_str).collect();
         let paths: Vec<Vec<String>> =
@@ -137,10 +151,10 @@ fn by_unit(spec: &Spec, rows: &[&Done], differences: Vec<f64>) -> (String, Vec<f
                 let (tested, within) = (plural(&spec.units[depth - 1]), counted(n_highest.len(), highest));
                 format!("tested over {tested} within {within}: says nothing of others")
             });
-            return (spec.units[depth - 1].clone(), means.means, json!(note));
+            return (spec.units[depth - 1].clone(), means.means, note);
         }
     }
-    ("run".into(), differences, Value::Null)
+    ("run".into(), differences, None)
 }
 
 /// Holm's correction over all comparisons.

@@ -406,7 +406,7 @@ mod tests {
                 { "name": "stripped", "levels": levels(words) }, { "name": "side", "levels": levels(sides) },
                 { "name": "first_mm", "levels": levels(numbers) },
             ],
-            "columns": [{ "name": "tre_mm", "path": "tre_mm" }], "points": [], "limits": [], "compare": null,
+            "columns": [{ "name": "tre_mm", "path": "tre_mm" }], "points": [], "limits": [], "compare": [],
         });
         Swept { spec: serde_json::from_value(spec).unwrap(), about: Json::Null, runs }
     }

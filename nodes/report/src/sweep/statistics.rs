@@ -92,7 +92,7 @@ mod tests {
         let spec = json!({
             "repeat": 4, "repeat_name": "procedure", "same_seed": false, "factors": [], "pair": [], "draws": [],
             "units": ["bone", "procedure"], "columns": [{ "name": "tre_mm", "path": "a" }, { "name": "z_mm", "path": "b" }],
-            "points": [{ "name": "tre_true_mm", "path": "p", "label": "name", "axes": ["x"] }], "limits": [], "compare": null,
+            "points": [{ "name": "tre_true_mm", "path": "p", "label": "name", "axes": ["x"] }], "limits": [], "compare": [],
         });
         let of = |interval: Json| json!({ "n": 4, "mean": 0.5, "sd": 0.1, "mean_interval": interval });
         let mut tre = of(json!({ "no_interval": "n = 1 bone: one bone does not show how others differ" }));
