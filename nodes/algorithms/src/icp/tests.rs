@@ -195,6 +195,23 @@ fn every_variant_finds_the_motion_by_every_pairing() {
 }
 
 #[test]
+fn plain_steps_pair_as_the_tree_does_whatever_is_kept_from_step_to_step() {
+    let (target, source) = (whole_target(&shaft(), 40_000), source(&shaft(), 2000));
+    for max_pair_distance_mm in [20.0, 1.5] {
+        let run = |pairing| {
+            let levels = vec![];
+            let plain =
+                IcpParams { acceleration: 0, levels, max_iterations: 60, max_pair_distance_mm, ..IcpParams::default() };
+            let params = IcpParams { pairing, ..plain };
+            register(Method::PointToPoint, &target, &source, &start(), &params, &mut go_on).unwrap()
+        };
+        let (kept, tree) = (run(PairingKind::Cached), run(PairingKind::Tree));
+        assert_eq!(kept.trace, tree.trace, "the same pairs, the same bits, within {max_pair_distance_mm} mm");
+        assert!(kept.trace.steps.len() > 20, "{} steps", kept.trace.steps.len());
+    }
+}
+
+#[test]
 fn cached_pairs_are_those_of_the_tree_and_an_exact_pass_ends_the_field_there_too() {
     let (target, source) = (whole_target(&shaft(), 40_000), source(&shaft(), 5000));
     let run = |pairing, field_exact| {
