@@ -51,6 +51,20 @@ fn the_built_in_bone_read_from_a_file_gives_the_built_in_procedure() {
     }
 }
 
+#[test]
+fn an_experiment_is_reproduced_on_a_bone_of_ones_own_as_it_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let (stl, plan) = write(dir.path(), &bone::fibula(&BoneParams::default()), &bone::anatomy(&BoneParams::default()));
+    let out = dir.path().join("out");
+    let mut reproduce = osteoflow();
+    reproduce.args(["reproduce", "--only", "accuracy_stylus", "--quiet"]);
+    reproduce.arg("--bone").arg(stl).arg("--plan").arg(plan).arg("--out").arg(&out).assert().success();
+    let rows = fs::read_to_string(out.join("accuracy_stylus/runs.csv")).unwrap();
+    assert_eq!(rows.matches(",complete,").count(), 10, "{rows}");
+    let page = fs::read_to_string(out.join("paper-reproduction.md")).unwrap();
+    assert!(page.contains("| 1 bone, 10 procedures |"), "{page}");
+}
+
 /// The built-in bone turned into another one: mirrored (a left bone), turned and far away.
 fn another(params: &BoneParams, left: bool, motion: &Isometry3<f64>) -> (Mesh, Anatomy) {
     let (bone, anatomy) = (bone::fibula(params), bone::anatomy(params));

@@ -88,11 +88,12 @@ impl Reproduce {
             );
             return Err(UsageError(said).into());
         }
+        let cancelled = Arc::default();
+        // First, as the check of a bone computes on several threads too.
+        let run = running::options(self.workers, &cancelled)?;
         if let (Some(bone), Some(plan)) = (&self.bone, &self.plan) {
             check_bone(bone, plan, self.sets.is_empty())?;
         }
-        let cancelled = Arc::default();
-        let run = running::options(self.workers, &cancelled)?;
         let workers = run.workers;
         let run = osteoflow_engine::RunOptions { store: self.keep.store()?, ..run };
         let options = SweepOptions { workers, run, share: true, shard: None };
