@@ -88,7 +88,8 @@ pub enum ReportError {
 }
 
 impl Report {
-    /// Writes the page to `page`, and figures and literature into `dir`. Figures of an earlier report are replaced.
+    /// Writes the page to `page`, and figures and literature into `dir`. Figures of an earlier report are
+    /// replaced, and its views that this one has not are removed.
     ///
     /// # Errors
     /// If a file cannot be written.

@@ -32,12 +32,6 @@ impl Pairing for Cached<'_> {
         let found = self.0.nearest(moved, limit_mm);
         known.at = *moved;
         known.free_mm = found.free_square.sqrt();
-        match found.nearest {
-            Some((item, _)) => {
-                let (target, normal) = self.0.point_and_normal(item, found.at);
-                known.set(item, target, normal);
-            }
-            None => known.clear(),
-        }
+        known.take(self.0, found.nearest.map(|(item, _)| (item, found.at)));
     }
 }

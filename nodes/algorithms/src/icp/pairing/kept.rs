@@ -21,8 +21,7 @@ impl Pairing for Kept<'_> {
                     if square.sqrt() > reach_mm {
                         known.clear();
                     } else if item != known.item {
-                        let (target, normal) = surface.point_and_normal(item, Some(place));
-                        known.set(item, target, normal);
+                        known.take(surface, Some((item, Some(place))));
                     }
                     return;
                 }
@@ -40,13 +39,9 @@ impl Pairing for Kept<'_> {
         };
         // What is known around here is more than how far the partner is alone.
         (known.at, known.free_mm) = (*moved, f64::NEG_INFINITY);
-        match surface.index.cells().nearest_kept(&around, moved).filter(|(.., square)| *square <= limit_mm * limit_mm) {
-            Some((item, place, _)) => {
-                let (target, normal) = surface.point_and_normal(item, Some(place));
-                known.set(item, target, normal);
-            }
-            None => known.clear(),
-        }
+        let nearest = surface.index.cells().nearest_kept(&around, moved);
+        let nearest = nearest.filter(|(.., square)| *square <= limit_mm * limit_mm);
+        known.take(surface, nearest.map(|(item, place, _)| (item, Some(place))));
         match &mut known.around {
             Some(earlier) => **earlier = around,
             None => known.around = Some(Box::new(around)),

@@ -12,6 +12,7 @@ pub(super) use kept::Kept;
 pub(super) use mesh::Mesh;
 pub(super) use tree::{Thinned, Tree};
 
+use super::surface::Surface;
 use crate::cells::Around;
 use nalgebra::Vector3;
 
@@ -59,6 +60,18 @@ impl Known {
     #[inline]
     fn clear(&mut self) {
         self.item = NONE;
+    }
+
+    /// Makes a sample the partner, by its index and, where known, its place in the cells; or none.
+    #[inline]
+    fn take(&mut self, surface: &Surface<'_>, found: Option<(u32, Option<u32>)>) {
+        match found {
+            Some((item, place)) => {
+                let (target, normal) = surface.point_and_normal(item, place);
+                self.set(item, target, normal);
+            }
+            None => self.clear(),
+        }
     }
 }
 
