@@ -104,7 +104,7 @@ fn naming(plugins: &str) -> String {
 }
 
 fn sha256(path: &Path) -> String {
-    osteoflow_engine::digest::Digest::of(&fs::read(path).unwrap()).to_string()
+    osteoflow_engine::hash::Digest::of(&fs::read(path).unwrap()).to_string()
 }
 
 #[test]

@@ -5,9 +5,9 @@
 
 use osteoflow_engine::{
     Event, Observer, Outcome, ReplayOptions, RunOptions, RunReport, check, check_text,
-    digest::digest,
     plan::Plan,
     plugin::{Library, provide},
+    recording::digest::digest,
     replay, run,
     validate::validate,
 };
@@ -233,7 +233,7 @@ fn the_crop_in_c_gives_the_built_in_ones_cloud_to_the_last_bit() {
         let built_in = recorded(&plan(&crop("crop.box", rest), &registry), &registry, a.path());
         let in_c = recorded(&plan(&crop("crop_c.box", rest), &registry), &registry, b.path());
         let [built_in, in_c] = [&built_in, &in_c].map(|path| digest(path, &mut |_, _| {}).unwrap());
-        let of = |report: &osteoflow_engine::digest::DigestReport, wire: &str| {
+        let of = |report: &osteoflow_engine::recording::digest::DigestReport, wire: &str| {
             report.wires.iter().find(|w| w.wire == wire).and_then(|w| w.digest).unwrap()
         };
         assert_eq!(of(&in_c, "crop.cloud"), of(&built_in, "crop.cloud"), "{rest}");

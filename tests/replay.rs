@@ -4,7 +4,7 @@
 mod common;
 
 use common::{is_slow_run, json, osteoflow, osteoflow_to_spawn, program, root, run, run_whole};
-use osteoflow_engine::{Recording, digest::Digest};
+use osteoflow_engine::{Recording, hash::Digest};
 use serde_json::Value;
 use std::{
     fs,
@@ -25,7 +25,7 @@ fn replay(recording: &Path, arguments: &[&str]) -> (i32, Value, String) {
 }
 
 fn digest(recording: &Path) -> Digest {
-    let report = osteoflow_engine::digest::digest(recording, &mut |_, _| {}).unwrap();
+    let report = osteoflow_engine::recording::digest::digest(recording, &mut |_, _| {}).unwrap();
     assert_eq!(report.incomplete, None, "{}", recording.display());
     report.digest.unwrap()
 }

@@ -6,12 +6,9 @@ mod declared;
 mod drafts;
 mod feed;
 mod frames;
-mod glob;
-pub(crate) mod header;
 mod inputs;
 mod join;
 mod module;
-pub(crate) mod nearest;
 mod order;
 mod record;
 mod resolved;
@@ -22,32 +19,23 @@ pub(crate) mod schema_words {
     pub(crate) use super::join::{JOINS, POLICIES};
 }
 mod starve;
-pub(crate) mod take;
+pub(crate) mod sweep;
 mod trigger;
-pub(crate) mod unit;
 mod wires;
 
 pub use crate::graph::Given;
 pub use alone::parameters;
 pub use module::{Module, ModuleDescription, ModuleInput, ModuleOutput, ModuleParam};
 
-pub(crate) use glob::fits as glob_fits;
-
 use crate::{
     fault::{Fault, Faults, Severity},
-    graph::{self, Graph},
+    graph::{self, Graph, header},
     plan::Plan,
     plugin::{Kinds, Known},
-    sweep,
 };
 use osteoflow_node::Registry;
 use schema::Files;
 use std::path::{Path, PathBuf};
-
-/// The known name that was probably meant by `found`.
-pub fn nearest<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    nearest::name(found, known)
-}
 
 /// How many items wait on a wire, where the graph does not say.
 pub const DEFAULT_CAPACITY: usize = 4;
@@ -202,7 +190,7 @@ impl<'r> Check<'r> {
 
     fn run(mut self, graph: &Graph, path: &Path) -> Result<CheckedFile, Faults> {
         self.names = wires::Names { modules: graph.modules.clone(), removed: graph.removed.clone() };
-        let header = self.header(graph);
+        let header = header::read(&graph.table, &graph.main, &mut self.faults);
         let drafts = self.drafts(graph, &header);
         let inputs = self.inputs(&drafts, &header);
         self.outlets(graph, &drafts);

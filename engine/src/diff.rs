@@ -12,11 +12,13 @@ mod order;
 pub use compare::{Difference, Largest};
 
 use crate::{
-    check::glob_fits,
-    codec::{self, RecordedItem},
-    digest::Progress,
+    names::glob,
     record::OUTCOME_METADATA,
-    recording::RecordingError,
+    recording::{
+        RecordingError,
+        codec::{self, RecordedItem},
+        digest::Progress,
+    },
 };
 use compare::{Compare, ItemDifference, Units};
 use index::{Entry, Index, Indexed};
@@ -176,7 +178,7 @@ fn compared(a: &Index, b: &Index, options: &DiffOptions) -> Vec<String> {
     let graph = a.about.as_ref().or(b.about.as_ref()).map_or("", |about| about.graph.as_str());
     let ranks = order::ranks(graph);
     let names: BTreeSet<&String> = a.wires.keys().chain(b.wires.keys()).collect();
-    let wanted = |name: &str| options.wires.is_empty() || options.wires.iter().any(|p| glob_fits(p, name));
+    let wanted = |name: &str| options.wires.is_empty() || options.wires.iter().any(|p| glob::fits(p, name));
     let mut names: Vec<_> = names.into_iter().filter(|name| wanted(name)).cloned().collect();
     names.sort_by_key(|name| (ranks.get(order::node_of(name)).copied().unwrap_or(usize::MAX), name.clone()));
     names

@@ -2,16 +2,19 @@
 
 mod edit;
 mod extends;
+pub(crate) mod header;
 mod interface;
 mod merge;
 mod modules;
 mod parse;
-mod plugins;
+pub(crate) mod plugins;
 mod remove;
 mod results;
 mod set;
 mod syntax;
+pub(crate) mod take;
 mod tree;
+pub(crate) mod unit;
 
 pub(crate) use {
     interface::{Inlet, Interface, Knob, Outlet},
@@ -25,7 +28,7 @@ pub use set::Given;
 
 use crate::{
     fault::{Fault, SourceText, Span},
-    plugin::Named,
+    graph::plugins::NamedPlugin,
 };
 use std::{
     path::{Path, PathBuf},
@@ -47,7 +50,7 @@ pub(crate) struct Graph {
     /// The files of the text: the graph file, what it extends and the modules it uses, whether they could be read or not.
     pub(crate) texts: Vec<PathBuf>,
     /// The plugins that these files name: of a file after those of what it extends, of modules last.
-    pub(crate) plugins: Vec<Named>,
+    pub(crate) plugins: Vec<NamedPlugin>,
 }
 
 impl Graph {

@@ -1,18 +1,28 @@
 //! Runs a typed graph of nodes: check, plan, run, record and replay; no bone, point or frame is named in it.
+//!
+//! The modules form floors: each imports lower floors only, which `tests/arrows.rs` holds. From the ground up:
+//!
+//! | Floor | Modules |
+//! |---|---|
+//! | ground | [`plan`], `names`, [`panics`], `sync` |
+//! | faults and hashes | [`fault`], [`hash`] |
+//! | what is written | `graph` (a graph file as a tree), [`recording`] (what a recording holds) |
+//! | kept between runs | [`store`] |
+//! | what computes | [`plugin`], `runtime` (runs a plan; knows no file) |
+//! | into and out of it | [`check()`], `record`, [`repro`] |
+//! | opens files | [`run()`], [`validate`], [`diff`], [`recover`], [`schema`] |
+//! | again | `partial`, [`replay()`], [`watch`], [`sweep`] |
 
-mod channel;
 pub mod check;
-mod codec;
 pub mod container;
 pub mod diff;
-pub mod digest;
 pub mod draw;
 pub mod fault;
 mod graph;
-mod join;
-mod manifest;
-mod numbers;
-mod part;
+pub mod hash;
+pub mod names;
+pub mod panics;
+mod partial;
 pub mod plan;
 pub mod plugin;
 pub mod record;
@@ -20,10 +30,9 @@ pub mod recording;
 pub mod recover;
 pub mod replay;
 pub mod repro;
-mod results;
 pub mod run;
+mod runtime;
 pub mod schema;
-mod stamp;
 pub mod store;
 pub mod sweep;
 mod sync;

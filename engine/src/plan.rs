@@ -1,6 +1,6 @@
 //! What `check` hands to `run`: a graph whose every name has been resolved and every fault found.
 
-use crate::{plugin::Plugin, record::Compression};
+use crate::record::Compression;
 use osteoflow_node::{DeclaredPort, InputPort, PortPayload, Role};
 use serde::{Deserialize, Serialize, Serializer};
 use std::{fmt, path::PathBuf, sync::Arc};
@@ -55,20 +55,6 @@ pub struct PlanPlugin {
 }
 
 impl PlanPlugin {
-    /// What a graph that has these of its kinds says of a plugin.
-    pub(crate) fn of(plugin: &Plugin, kinds: Vec<String>) -> Self {
-        Self {
-            name: plugin.about.name.clone(),
-            version: plugin.about.version.clone(),
-            path: plugin.path.clone(),
-            sha256: plugin.sha256.to_string(),
-            abi: plugin.about.abi,
-            sdk: plugin.about.sdk.clone(),
-            compiler: plugin.about.compiler.clone(),
-            kinds,
-        }
-    }
-
     /// How `now` is another library, in words; `None` if it is the same.
     pub(crate) fn difference(&self, now: &Self) -> Option<String> {
         let (was, is) = (&self.sha256, &now.sha256);

@@ -16,9 +16,10 @@ pub use mcap_file::Compression;
 pub(crate) use mcap_file::Parts;
 
 use crate::{
+    panics,
     plan::{OutputId, Plan, PlanPlugin, Sources},
     recording::RecordedFailure,
-    run::{RunOptions, Tap, catch_panic},
+    runtime::{RunOptions, Tap},
 };
 use mcap_file::McapFile;
 use osteoflow_node::{Body, Item, Reading, StampNs};
@@ -26,7 +27,7 @@ use queue::Queue;
 use serde_json::Value as Json;
 use sink::{Sink, Stopped};
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fs::File,
     io,
     path::{Path, PathBuf},
@@ -132,6 +133,8 @@ pub(crate) type Counts = BTreeMap<String, (u64, u64)>;
 
 /// A recording under way.
 pub(crate) struct Recorder {
+    /// The recorded wires.
+    wires: BTreeSet<OutputId>,
     path: PathBuf,
     shared: Arc<Shared>,
     writer: JoinHandle<Result<Counts, Stopped>>,
@@ -182,7 +185,7 @@ impl Recorder {
             Arc::new(Shared { queue: Queue::new(), firings: Mutex::default(), cancelled: options.cancelled.clone() });
         let (seen, path) = (shared.clone(), path.to_owned());
         let writer = std::thread::Builder::new().name("recorder".into()).spawn(move || {
-            let written = catch_panic(|| record(sink, &seen)).unwrap_or_else(|said| Err(Stopped::Panic(said)));
+            let written = panics::catch(|| record(sink, &seen)).unwrap_or_else(|said| Err(Stopped::Panic(said)));
             if written.is_err() {
                 // Nobody waits for a writer that is gone, and a run that leaves no recording goes on for nothing.
                 seen.queue.die();
@@ -190,7 +193,8 @@ impl Recorder {
             }
             written
         });
-        Ok(Self { shared, writer: writer.map_err(create)?, path })
+        let wires = plan.record.iter().copied().collect();
+        Ok(Self { wires, shared, writer: writer.map_err(create)?, path })
     }
 
     /// Writes what waits and what came of the run, and closes the file.
@@ -229,6 +233,14 @@ impl Shared {
 }
 
 impl Tap for Recorder {
+    fn listens(&self, wire: OutputId) -> bool {
+        self.wires.contains(&wire)
+    }
+
+    fn times_firings(&self) -> bool {
+        true
+    }
+
     fn item(&self, wire: OutputId, item: &Item) {
         let n_bytes = match &item.body {
             Body::Value(value) => value.n_bytes(),

@@ -6,12 +6,9 @@
 //! damage: so far a replay can compute, since what lies behind may rest on what is lost.
 
 use crate::{
-    codec,
     container::{Attachment, Carries, Channel, Channels, Damage, End, Message, Place, Record, Visit, Walk},
-    digest::Progress,
-    numbers::Numbers,
     record::{INPUTS_METADATA, OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
-    recording::{RecordingError, counts},
+    recording::{RecordingError, codec, counts, digest::Progress, number_set::Numbers},
 };
 use mcap::{Compression, McapError, WriteOptions, Writer, records::MessageHeader, records::Metadata};
 use serde_json::json;

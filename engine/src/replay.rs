@@ -9,12 +9,12 @@ use crate::{
     check::{check, check_recorded},
     diff,
     fault::Faults,
-    manifest,
-    part::{self, Failing, Pace, Part, Player},
+    partial::{self, Failing, Pace, Part, Player},
     plan::{OutputId, Plan, Sources},
     plugin::Kinds,
     recording::{Recording, RecordingError},
-    run::{self, Observer, Replayed, RunError, RunOptions, RunReport, Substitutes},
+    run::{self, RunError, RunReport},
+    runtime::{Observer, Replayed, RunOptions, Substitutes},
 };
 use compare::Compare;
 use osteoflow_node::{Body, Item, Join, PortPayload, Reading, Registry, Role, StampNs};
@@ -278,7 +278,7 @@ pub(crate) fn replay_plan(
     let differences = differences.collect();
     let computed_too = computed_too(plan, changes, &parts);
 
-    let mut reduced = part::reduce(&Plan { record: recorded.iter().copied().collect(), ..plan.clone() }, &parts);
+    let mut reduced = partial::reduce(&Plan { record: recorded.iter().copied().collect(), ..plan.clone() }, &parts);
     if !runs_sources {
         // Their content went into the recording; the files themselves are not read.
         reduced.input_files.clear();
@@ -337,7 +337,7 @@ fn is_computed_name<'a>(computes: &'a BTreeSet<&str>) -> impl Fn(&str) -> bool +
 /// The outputs of the plan that were recorded.
 fn recorded_outputs(plan: &Plan, recording: &Recording) -> Result<BTreeSet<OutputId>, ReplayError> {
     let mut recorded = BTreeSet::new();
-    for id in (0..plan.nodes.len()).flat_map(|node| part::outputs(plan, node)) {
+    for id in (0..plan.nodes.len()).flat_map(|node| partial::outputs(plan, node)) {
         let name = plan.wire_name(id);
         let Some(wire) = recording.wires.get(&name) else { continue };
         if let PortPayload::Type(ty) = plan.nodes[id.node].outputs[id.port].payload
@@ -356,7 +356,7 @@ fn parts(
     changes: &ReplayOptions,
     recorded: &BTreeSet<OutputId>,
 ) -> Result<Vec<Part>, ReplayError> {
-    let is_recorded = |index: usize| part::outputs(plan, index).any(|id| recorded.contains(&id));
+    let is_recorded = |index: usize| partial::outputs(plan, index).any(|id| recorded.contains(&id));
     if let Some(graph) = &changes.graph {
         let plays = |(index, node): (usize, &crate::plan::PlanNode)| node.role != Role::Node && is_recorded(index);
         if !plan.nodes.iter().enumerate().any(plays) && changes.from.is_none() {
@@ -399,7 +399,7 @@ fn sets_take_effect(plan: &Plan, changes: &ReplayOptions, parts: &[Part]) -> Res
 
 /// The files that sources are going to read are those that the run had read.
 fn inputs_are_the_same(plan: &Plan, recording: &Recording) -> Result<(), ReplayError> {
-    for input in manifest::hashes(&plan.input_files) {
+    for input in crate::hash::files::hashes(&plan.input_files) {
         let text = |key: &str| input[key].as_str().unwrap_or_default().to_owned();
         let (path, hash) = (text("path"), text("sha256"));
         let expected = match recording.inputs.get(&path) {
@@ -423,7 +423,7 @@ fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[Part]) -> Vec<Str
     };
     let mut follows = vec![false; plan.nodes.len()];
     follows[from] = true;
-    part::follow(plan, &mut follows);
+    partial::follow(plan, &mut follows);
     let nodes = plan.nodes.iter().enumerate();
     let too = nodes.filter(|(index, _)| parts[*index] == Part::Computed && !follows[*index]);
     too.map(|(_, node)| node.name.to_string()).collect()
@@ -465,7 +465,7 @@ fn players(
     let pace = changes.rate.map(|rate| Arc::new(Pace { rate, first_ns, began: Default::default() }));
     let mut players = Substitutes::new();
     for (index, node) in plan.nodes.iter().enumerate().filter(|(index, _)| !is_computed(*index)) {
-        let ports = part::outputs(plan, index).map(|id| items.remove(&id).unwrap_or_default());
+        let ports = partial::outputs(plan, index).map(|id| items.remove(&id).unwrap_or_default());
         let mut ports: Vec<_> = ports.collect();
         let failed = recording.failures.iter().find(|failure| *failure.node == *node.name && !failure.skipped);
         let failure = failed.and_then(|failed| failing(&mut ports, &failed.node, &failed.reason));
@@ -489,7 +489,7 @@ fn failing(ports: &mut [Vec<Item>], node: &str, reason: &str) -> Option<Failing>
 
 /// Whether all that takes the output takes one item for the whole run.
 fn is_constant(plan: &Plan, id: OutputId) -> bool {
-    let mut links = part::consumers(plan, id).peekable();
+    let mut links = partial::consumers(plan, id).peekable();
     links.peek().is_some() && links.all(|link| plan.nodes[link.to_node].inputs[link.to_port].port.join == Join::Once)
 }
 

@@ -15,13 +15,14 @@ mod save;
 mod tests;
 
 pub use bundle::{Bundle, Declared, Failure, Given, Input, Node, Output, Program, ReproError, Shown};
-pub(crate) use save::{Failed, Saver};
+pub(crate) use save::Saver;
 pub use save::{Saved, SavedBundle};
 
 use crate::{
-    plan::PlanPlugin,
-    plugin::{Kinds, Named},
-    run::{self, catch_panic, emission_fault, planned_failure, show_panics},
+    graph::plugins::NamedPlugin,
+    panics,
+    plugin::Kinds,
+    runtime::{self, emission_fault, planned_failure},
 };
 use osteoflow_node::{
     Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, PortPayload, Registry, Role, Site, Slot,
@@ -65,7 +66,7 @@ pub fn repro(
     let kinds: Kinds = kinds.into();
     let bundle = Bundle::open(dir)?;
     let node = &bundle.node;
-    let named: Vec<_> = node.plugin.iter().map(|plugin| Named::file(&plugin.path)).collect();
+    let named: Vec<_> = node.plugin.iter().map(|plugin| NamedPlugin::file(&plugin.path)).collect();
     let known = kinds.with(&named);
     let registry = &known.registry;
     if let Some(refused) = known.refused.iter().find(|refused| refused.is_asked()) {
@@ -84,7 +85,7 @@ pub fn repro(
     let declared: Arc<[DeclaredPort]> = declared.collect::<Result<Vec<_>, ReproError>>()?.into();
     let joins = kind.description.inputs.iter().map(|port| port.join).collect();
     let site = Site { node: node.name.as_str().into(), seed: bundle.seed, declared: declared.clone(), joins };
-    let built = match catch_panic(|| kind.build(&node.params, &site)) {
+    let built = match panics::catch(|| kind.build(&node.params, &site)) {
         Ok(built) => built.map_err(|error| build(error.to_string()))?,
         Err(panic) => return Err(build(panic)),
     };
@@ -94,7 +95,7 @@ pub fn repro(
     let out_dir = scratch.as_ref().map(|scratch| Arc::from(scratch.0.as_path()));
     let mut context = Context::new(node.name.clone(), bundle.seed, Arc::default(), declared).with_out_dir(out_dir);
     if backtrace {
-        show_panics();
+        panics::show();
     }
 
     let began = Instant::now();
@@ -103,7 +104,7 @@ pub fn repro(
         Built::Node(mut built) => {
             let mut joined = joined(&bundle, dir, kind, registry, &mut context)?;
             let mut out = vec![Emission::Silent; outputs.len()];
-            let answered = catch_panic(|| built.fire(&mut joined, &mut out, &mut context));
+            let answered = panics::catch(|| built.fire(&mut joined, &mut out, &mut context));
             let floors = vec![StampNs::MIN; outputs.len()];
             failure(answered, &outputs, &floors, &out, Role::Node, bundle.stamp_ns).err()
         }
@@ -111,10 +112,10 @@ pub fn repro(
             let mut floors = vec![StampNs::MIN; outputs.len()];
             let mut stamp_ns = StampNs::MIN;
             loop {
-                context.begin(n_calls, run::known(stamp_ns));
+                context.begin(n_calls, runtime::known(stamp_ns));
                 let mut out = vec![Emission::Silent; outputs.len()];
                 let mut more = true;
-                let answered = catch_panic(|| source.next(&mut out, &mut context).map(|answer| more = answer));
+                let answered = panics::catch(|| source.next(&mut out, &mut context).map(|answer| more = answer));
                 stamp_ns = context.stamp_ns();
                 if let Err(failed) = failure(answered, &outputs, &floors, &out, Role::Source, stamp_ns) {
                     break Some(failed);
@@ -141,7 +142,7 @@ pub fn repro(
     }
     let mut differences = bundle.program.differences(&program);
     if let (Some(then), Some(now)) = (&node.plugin, known.of_kind(&node.kind)) {
-        differences.extend(then.difference(&PlanPlugin::of(now, Vec::new())));
+        differences.extend(then.difference(&now.in_plan(Vec::new())));
     }
     let same_program = bundle.program.sha256 == program.sha256 && program.sha256.is_some();
     let at_call = node.role == Role::Node || n_calls == bundle.item;

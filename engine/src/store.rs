@@ -29,10 +29,10 @@ mod tests;
 pub use entry::Entry;
 pub use key::{Key, KeyInMaking};
 pub(crate) use payload::{message, payload_of};
-pub(crate) use program::{brought, note_program};
+pub(crate) use program::{brought, note_plugin, note_program};
 pub use settings::{Settings, SettingsError};
 
-use crate::digest::Digest;
+use crate::hash::Digest;
 use std::{
     fs::{self, File},
     io::{self, Write},

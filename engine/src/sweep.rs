@@ -9,23 +9,26 @@
 mod check;
 mod design;
 mod folder;
-mod read;
 mod run;
 mod run_row;
 mod share;
-mod spec;
 mod table;
 #[cfg(test)]
 mod tests;
 
+pub use crate::check::sweep::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec};
 pub use check::{again, check};
 pub use design::{Row, rows};
 pub use folder::{DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, merge};
-pub(crate) use read::read;
-pub use spec::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec};
 pub use table::{PointValue, at_path, point_values, without_value, write_points, write_runs};
 
-use crate::{digest::Digest, fault::Fault, manifest::hashes, plan::Plan, run::RunOptions, watch::Stamps};
+use crate::{
+    fault::Fault,
+    hash::{Digest, files::hashes},
+    plan::Plan,
+    runtime::RunOptions,
+    watch::Stamps,
+};
 use osteoflow_node::Registry;
 use serde_json::json;
 use std::{

@@ -3,13 +3,12 @@
 mod container;
 mod items;
 
-use crate::plugin::Kinds;
 use crate::{
     check::check_recorded,
     container::{Channels, Damage, End, Place, Record, Visit, Walk},
-    digest::Progress,
+    plugin::Kinds,
     record::{OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
-    recording::{About, MetadataRecords, RecordingError},
+    recording::{About, MetadataRecords, RecordingError, digest::Progress},
     recover::RECOVERED_METADATA,
 };
 use container::Container;

@@ -16,10 +16,10 @@ pub use changes::Change;
 pub use files::Stamps;
 
 use crate::{
-    part::{self, Left, Partial},
+    partial::{self, Left, Partial},
     plan::{Link, Plan, PlanNode},
-    results::{Ended, Kept},
-    run::{LinkStats, Observer, RunError, RunOptions, RunReport},
+    run::{Finished, RunError, RunReport},
+    runtime::{LinkStats, Observer, RunOptions},
 };
 use osteoflow_node::{Body, Item, Registry, Role};
 use serde_json::json;
@@ -79,7 +79,7 @@ impl Session {
             computed[index] = true;
             changes.push(change);
         }
-        part::follow(&plan, &mut computed);
+        partial::follow(&plan, &mut computed);
         let differs = computed.contains(&true) || memory.plan.resolved != plan.resolved;
         if differs {
             // What a node without outputs does lies outside the graph, such as a file in the folder of each run.
@@ -115,13 +115,12 @@ impl Session {
             json!({ "kept": next.kept(), "computed": next.computed(), "after": after })
         });
         let mut memory = None;
-        let mut ended = |ended: Ended| {
-            let links = next.links(last.as_ref(), ended.links);
-            let ended = Ended { links, ..ended };
-            memory = Some(next.remembered(&ended, options.out_dir.clone()));
-            ended
+        let mut see = |mut finished: Finished| {
+            finished.ended.links = next.links(last.as_ref(), finished.ended.links);
+            memory = Some(next.remembered(&finished, options.out_dir.clone()));
+            finished
         };
-        let report = Partial::new(&next.plan, &next.left).run(registry, &options, observer, about, &mut ended);
+        let report = Partial::new(&next.plan, &next.left).run(registry, &options, observer, about, &mut see);
         self.memory = memory.or(last);
         report
     }
@@ -129,7 +128,7 @@ impl Session {
     /// The bytes that all kept items have, as their payloads count them; of what travels on several wires, for each.
     pub fn n_bytes(&self) -> usize {
         let left = self.memory.iter().flat_map(|memory| &memory.left);
-        let items = left.flat_map(|left| &left.outputs).flat_map(Kept::items);
+        let items = left.flat_map(|left| &left.outputs).flat_map(|wire| &wire.items);
         let n_bytes = |item: &Item| match &item.body {
             Body::Value(value) => size_of::<Item>() + value.n_bytes(),
             Body::Empty(_) => size_of::<Item>(),
@@ -197,13 +196,15 @@ impl Next {
         self.plan.links.iter().filter_map(of_link).collect()
     }
 
-    fn remembered(&self, ended: &Ended, out_dir: Option<PathBuf>) -> Memory {
+    fn remembered(&self, finished: &Finished, out_dir: Option<PathBuf>) -> Memory {
+        let ended = &finished.ended;
         let cut_short = ended.interrupted || ended.stall.is_some();
         let unsound = |index: usize| {
             let failed = ended.failures.iter().any(|failure| failure.node == index);
             failed || (cut_short && self.left[index].is_none())
         };
-        let left = |index: usize| self.left[index].clone().unwrap_or_else(|| Left::of(ended, &self.plan, index).into());
+        let left =
+            |index: usize| self.left[index].clone().unwrap_or_else(|| Left::of(finished, &self.plan, index).into());
         Memory {
             plan: self.plan.clone(),
             files: self.files.clone(),

@@ -8,7 +8,7 @@
 
 #![allow(dead_code, unreachable_pub, reason = "the engine uses the rest of the scheduler")]
 
-#[path = "../src/run/scheduler.rs"]
+#[path = "../src/runtime/scheduler.rs"]
 mod scheduler;
 
 /// What `crate::sync` gives the scheduler, by shuttle.

@@ -1,7 +1,7 @@
 use super::{Exit, Format, Global, print_json, reading::Reading, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::digest::{DigestReport, digest};
+use osteoflow_engine::recording::digest::{DigestReport, digest};
 use serde_json::{Value, json};
 use std::{
     io::Write,

@@ -132,7 +132,7 @@ impl Inspect {
         let chosen: Vec<_> = chosen.collect();
         if chosen.is_empty() {
             let kinds = registry.kinds().map(|kind| kind.description.kind);
-            let near = osteoflow_engine::check::nearest(
+            let near = osteoflow_engine::names::nearest(
                 asked,
                 kinds.chain(node_docs::by_stage(registry).iter().map(|(s, _)| *s)),
             );

@@ -22,7 +22,7 @@ use method::Method;
 use osteoflow_algorithms::icp::IcpParams;
 use osteoflow_engine::{
     check::{Given, parameters},
-    run::mark_helper_thread,
+    panics::mark_helper_thread,
 };
 use osteoflow_geometry::nalgebra::Point3;
 use serde_json::Value;

@@ -2,7 +2,10 @@
 
 use super::{Global, UsageError, out_dir, progress::Progress};
 use anyhow::{Context, Result, anyhow};
-use osteoflow_engine::run::{RunError, RunOptions, mark_helper_thread};
+use osteoflow_engine::{
+    panics::mark_helper_thread,
+    run::{RunError, RunOptions},
+};
 use serde_json::json;
 use std::{
     num::NonZeroUsize,

@@ -31,7 +31,7 @@ impl Schema {
             None => schema::schema(&registry),
             Some(kind) => schema::kind_schema(&registry, kind).ok_or_else(|| {
                 let kinds = registry.kinds().map(|kind| kind.description.kind);
-                let near = osteoflow_engine::check::nearest(kind, kinds);
+                let near = osteoflow_engine::names::nearest(kind, kinds);
                 let near = near.map(|near| format!("did you mean \"{near}\"? ")).unwrap_or_default();
                 UsageError(format!("there is no kind \"{kind}\"; {near}`osteoflow inspect` lists them"))
             })?,

@@ -1,8 +1,6 @@
-use super::{
-    drafts::Draft, frames::Frames, header::Header, inputs::Input, record::Record, resolved, results::Result,
-    wires::Wire,
-};
+use super::{drafts::Draft, frames::Frames, inputs::Input, record::Record, resolved, results::Result, wires::Wire};
 use crate::{
+    graph::header::Header,
     plan::{Link, OutputId, Plan, PlanInput, PlanNode, PlanOutput, PlanPlugin, ResultEntry},
     plugin::Known,
 };
@@ -28,7 +26,7 @@ pub(super) fn plugins(known: &Known, drafts: &[Draft<'_>]) -> Vec<PlanPlugin> {
         let of_plugin = drafts.iter().filter_map(|draft| draft.kind);
         let of_plugin = of_plugin.filter(|kind| kind.plugin.as_ref() == Some(&plugin.sha256));
         let kinds: BTreeSet<_> = of_plugin.map(|kind| kind.description.kind.to_owned()).collect();
-        (plugin.named || !kinds.is_empty()).then(|| PlanPlugin::of(plugin, kinds.into_iter().collect()))
+        (plugin.named || !kinds.is_empty()).then(|| plugin.in_plan(kinds.into_iter().collect()))
     });
     used.collect()
 }

@@ -2,14 +2,12 @@ use super::{
     Check,
     drafts::{Draft, Output},
     frames,
-    header::Header,
-    nearest,
     schema::Walker,
-    take,
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, Table},
+    graph::{Entry, Table, header::Header, take},
+    names::nearest,
     plan::PortFrames,
 };
 use osteoflow_node::{DeclaredPort, FrameExpr, PayloadType, PortPayload};

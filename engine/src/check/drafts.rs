@@ -1,7 +1,8 @@
-use super::{Check, header::Header, nearest, schema::Walker, take};
+use super::{Check, schema::Walker};
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Graph, MODULE, Table, Value},
+    graph::{Entry, Graph, MODULE, Table, Value, header::Header, take},
+    names::nearest,
     plan::{OnError, PortFrames},
 };
 use osteoflow_node::{DeclaredPort, FrameExpr, Kind, OutputPorts, PortPayload, Role};

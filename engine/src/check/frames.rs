@@ -1,13 +1,13 @@
 use super::{
     Check,
     drafts::Draft,
-    header::Header,
     inputs::{self, Input, fits},
-    nearest,
     wires::{self, Wire},
 };
 use crate::{
     fault::{Fault, Span},
+    graph::header::Header,
+    names::nearest,
     plan::PortFrames,
 };
 use serde_json::Value as Json;

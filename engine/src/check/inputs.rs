@@ -2,13 +2,13 @@ use super::{
     Check, DEFAULT_CAPACITY, DEFAULT_MAX_BYTES,
     drafts::{Draft, Output},
     feed::Feed,
-    header::Header,
-    nearest, take, trigger,
+    trigger,
     wires::{self, Wire},
 };
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Value},
+    graph::{Entry, Value, header::Header, take},
+    names::nearest,
     plan::Policy,
 };
 use osteoflow_node::{InputPort, PortPayload};

@@ -1,13 +1,13 @@
 use super::{
     Check,
     drafts::Draft,
-    header::Header,
     inputs::{self, Input},
-    nearest, take, wires,
+    wires,
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, Spanned, Table, Value},
+    graph::{Entry, Spanned, Table, Value, header::Header, take},
+    names::nearest,
     plan::Policy,
 };
 use osteoflow_node::{Join, PortPayload, Role};

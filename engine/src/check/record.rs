@@ -1,12 +1,12 @@
 use super::{
     Check,
     drafts::Draft,
-    glob, nearest, take,
     wires::{self, Wire},
 };
 use crate::{
     fault::Fault,
-    graph::{Graph, Module, Value},
+    graph::{Graph, Module, Value, take},
+    names::{glob, nearest},
     plan::{RecordSettings, Sources},
     record::Compression,
 };

@@ -122,7 +122,7 @@ fn list(items: impl Iterator<Item = String>) -> String {
 }
 
 fn bare(key: &str) -> String {
-    if super::take::is_name(key) { key.into() } else { quote(key) }
+    if crate::graph::take::is_name(key) { key.into() } else { quote(key) }
 }
 
 /// A basic string: what JSON escapes, TOML takes, and the one control character that JSON leaves is escaped too.

@@ -1,12 +1,11 @@
 use super::{
     Check,
     drafts::Draft,
-    take,
     wires::{self, Wire},
 };
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Graph, Value},
+    graph::{Entry, Graph, Value, take},
 };
 
 /// The key that the engine itself writes when a run is refused.

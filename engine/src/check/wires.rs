@@ -1,9 +1,10 @@
 //! What a text such as `crop.cloud` names.
 
-use super::{drafts::Draft, nearest};
+use super::drafts::Draft;
 use crate::{
     fault::{Fault, Span},
     graph::{Module, Removed},
+    names::nearest,
 };
 
 /// What a wire may name beside the nodes that are there.

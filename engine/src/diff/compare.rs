@@ -1,7 +1,7 @@
 //! What differs between two items of one number.
 
 use super::numbers::{Apart, Scalar};
-use crate::codec::RecordedItem;
+use crate::recording::codec::RecordedItem;
 use osteoflow_node::{Column, ColumnType, Field, View};
 use serde_json::Value as Json;
 use std::collections::BTreeMap;

@@ -1,11 +1,10 @@
 //! Where each item of a recording lies, and its digest: two recordings are compared without holding either.
 
 use crate::{
-    codec,
     container::{self, Carries, Channels, Damage, MESSAGE_HEAD, Place, Record, Visit, Walk, Wire},
-    digest::Digest,
+    hash::Digest,
     record::{RUN_METADATA, WIRES_METADATA},
-    recording::{About, MetadataRecords, RecordingError},
+    recording::{About, MetadataRecords, RecordingError, codec},
     recover::RECOVERED_METADATA,
 };
 use std::{

@@ -1,8 +1,14 @@
-use super::{merge::merge, parse::parse, plugins, remove::Removed, results, tree::Table};
+use super::{
+    merge::merge,
+    parse::parse,
+    plugins::{self, NamedPlugin},
+    remove::Removed,
+    results,
+    tree::Table,
+};
 use crate::{
-    check::nearest,
     fault::{Fault, SourceText, Span, Use},
-    plugin::Named,
+    names::nearest,
 };
 use std::{
     fs, io,
@@ -37,7 +43,7 @@ pub(super) struct Chain<'f> {
     /// The files that are extended, whether they could be read or not.
     pub(super) texts: Vec<PathBuf>,
     /// The plugins that they name, those of a file after those of what it extends.
-    pub(super) plugins: Vec<Named>,
+    pub(super) plugins: Vec<NamedPlugin>,
     /// The place of the first text among all of the graph.
     order: usize,
     /// The node that uses the file as a module.

@@ -1,9 +1,12 @@
 //! What a module declares: the inputs it takes, the outputs it gives and the parameters it has.
 
-use super::tree::{Entry, Spanned, Table, Value};
+use super::{
+    take,
+    tree::{Entry, Spanned, Table, Value},
+};
 use crate::{
-    check::{nearest, take},
     fault::{Fault, Span},
+    names::nearest,
 };
 
 /// The keys of a node that uses a module, which no parameter of the module may be called.

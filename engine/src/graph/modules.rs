@@ -3,15 +3,18 @@
 use super::{
     edit::Edit,
     extends::{self, Chain},
+    header,
     interface::{self, Inlet, Interface, Knob},
     merge::merge_nodes,
+    plugins::NamedPlugin,
     remove::Removed,
+    take,
     tree::{Entry, Spanned, Table, Value},
+    unit,
 };
 use crate::{
-    check::{header, nearest, take, unit},
     fault::{Fault, Span},
-    plugin::Named,
+    names::nearest,
 };
 use std::{
     collections::BTreeMap,
@@ -45,7 +48,7 @@ pub(super) struct Flattener<'f> {
     n_texts: usize,
     texts: Vec<PathBuf>,
     modules: Vec<Module>,
-    plugins: Vec<Named>,
+    plugins: Vec<NamedPlugin>,
     removed: &'f mut Removed,
     faults: &'f mut Vec<Fault>,
 }
@@ -56,7 +59,7 @@ pub(super) struct Within {
     /// The files asked for.
     pub(super) texts: Vec<PathBuf>,
     /// The plugins that they name.
-    pub(super) plugins: Vec<Named>,
+    pub(super) plugins: Vec<NamedPlugin>,
 }
 
 impl<'f> Flattener<'f> {

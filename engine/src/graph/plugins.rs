@@ -1,8 +1,25 @@
 use super::tree::{Table, Value};
-use crate::{fault::Fault, plugin::Named};
+use crate::fault::{Fault, Span};
+use std::path::{Path, PathBuf};
+
+/// A plugin that a graph names.
+#[derive(Debug, Clone)]
+pub(crate) struct NamedPlugin {
+    pub(crate) text: String,
+    /// What it is relative to.
+    pub(crate) dir: PathBuf,
+    pub(crate) at: Option<Span>,
+}
+
+impl NamedPlugin {
+    /// Of a file that a recording names.
+    pub(crate) fn file(path: &Path) -> Self {
+        Self { text: path.display().to_string(), dir: PathBuf::new(), at: None }
+    }
+}
 
 /// What a file names under `plugins`, taken out of its table.
-pub(super) fn take(table: &mut Table, faults: &mut Vec<Fault>) -> Vec<Named> {
+pub(super) fn take(table: &mut Table, faults: &mut Vec<Fault>) -> Vec<NamedPlugin> {
     let Some(entry) = table.remove("plugins") else { return Vec::new() };
     let Value::Array(items) = &entry.value.value else {
         let message = format!("plugins takes a list of libraries, found {}", entry.value.found());
@@ -11,7 +28,7 @@ pub(super) fn take(table: &mut Table, faults: &mut Vec<Fault>) -> Vec<Named> {
         return Vec::new();
     };
     let named = items.iter().filter_map(|item| match item.as_text() {
-        Some(text) => Some(Named { text: text.into(), dir: item.at.dir().into(), at: Some(item.at.clone()) }),
+        Some(text) => Some(NamedPlugin { text: text.into(), dir: item.at.dir().into(), at: Some(item.at.clone()) }),
         None => {
             let fault = Fault::new(format!("a plugin is named by the path of its library, found {}", item.found()));
             faults.push(fault.at(&item.at, "a text is needed"));

@@ -1,7 +1,7 @@
 use super::tree::{Table, Value};
 use crate::{
-    check::nearest,
     fault::{Fault, Span},
+    names::nearest,
 };
 
 /// What was taken away by `remove`, and by which file: a fault about what is missing shows it.

@@ -1,7 +1,7 @@
 //! The program's functions, as a plugin calls them. Each catches its panics: nothing unwinds into a plugin.
 #![allow(unsafe_code, reason = "is called through pointers")]
 
-use crate::run::{catch_panic, panic_told};
+use crate::panics;
 use osteoflow_node::{
     Budget, Context, Emission, PayloadType, PortPayload, Site, Value, ViewError,
     abi::{self, Text, param, status},
@@ -185,7 +185,7 @@ unsafe fn with<T>(run: *mut abi::Run, otherwise: T, f: impl FnOnce(&mut Run<'_>)
     match catch_unwind(AssertUnwindSafe(|| f(&mut *run))) {
         Ok(answer) => answer,
         Err(payload) => {
-            run.fail("", panic_told(payload));
+            run.fail("", panics::describe(payload));
             otherwise
         }
     }
@@ -196,7 +196,7 @@ unsafe fn with<T>(run: *mut abi::Run, otherwise: T, f: impl FnOnce(&mut Run<'_>)
 unsafe fn look<T>(run: *const abi::Run, otherwise: T, f: impl FnOnce(&Run<'_>) -> T) -> T {
     // SAFETY: as the caller vouches.
     let run = unsafe { &*run.cast::<Run<'_>>() };
-    catch_panic(|| f(run)).unwrap_or(otherwise)
+    panics::catch(|| f(run)).unwrap_or(otherwise)
 }
 
 /// # Safety
@@ -224,7 +224,7 @@ unsafe fn lent<'a>(value: *const abi::Value) -> &'a Lent {
 unsafe extern "C" fn view(value: *const abi::Value, view: *mut abi::View) -> i32 {
     // SAFETY: the header has it called so.
     let lent = unsafe { lent(value) };
-    let made = catch_panic(|| {
+    let made = panics::catch(|| {
         let ty = lent.value.ty();
         let made = lent.view.get_or(|| {
             let made = abi::Lent::new(lent.value.to_view(), ty.schema);
@@ -249,7 +249,7 @@ unsafe extern "C" fn view(value: *const abi::Value, view: *mut abi::View) -> i32
 unsafe extern "C" fn result(value: *const abi::Value) -> Text {
     // SAFETY: the header has it called so.
     let lent = unsafe { lent(value) };
-    let made = catch_panic(|| lent.result.get_or(|| lent.value.to_result().to_string()));
+    let made = panics::catch(|| lent.result.get_or(|| lent.value.to_result().to_string()));
     made.map_or(Text::NONE, |text| Text::of(text))
 }
 
@@ -263,7 +263,7 @@ unsafe extern "C" fn release(held: *const abi::Value) {
     // SAFETY: the header has it called once with what `hold` gave.
     let held = unsafe { Box::from_raw(held.cast_mut().cast::<Held>()) };
     // What a payload does when it is dropped must not unwind into the plugin.
-    if let Err(said) = catch_panic(|| drop(held)) {
+    if let Err(said) = panics::catch(|| drop(held)) {
         tracing::warn!("a value that a plugin had held {said}");
     }
 }
@@ -443,7 +443,7 @@ unsafe extern "C" fn budget(run: *mut abi::Run, limit_ns: u64) -> *mut abi::Budg
 unsafe extern "C" fn budget_is_over(budget: *mut abi::Budget) -> i32 {
     // SAFETY: the header has it called with what `budget` gave, from one thread at a time; null is one of a firing that failed.
     let budget = unsafe { budget.cast::<Option<Budget>>().as_mut() };
-    let over = budget.and_then(Option::as_mut).map(|budget| catch_panic(|| budget.is_over()).unwrap_or(true));
+    let over = budget.and_then(Option::as_mut).map(|budget| panics::catch(|| budget.is_over()).unwrap_or(true));
     i32::from(over.unwrap_or(true))
 }
 
@@ -556,7 +556,7 @@ unsafe extern "C" fn log(level: u32, target: Text, message: Text) {
     let [target, message] = [target, message].map(|text| unsafe { abi::text(text, "a log line") }.ok().flatten());
     let (target, message) = (target.unwrap_or("plugin"), message.unwrap_or_default());
     // A subscriber's panic stays here.
-    let _ = catch_panic(|| match level {
+    let _ = panics::catch(|| match level {
         1 => tracing::error!(target: "plugin", "{target}: {message}"),
         2 => tracing::warn!(target: "plugin", "{target}: {message}"),
         3 => tracing::info!(target: "plugin", "{target}: {message}"),

@@ -2,11 +2,11 @@
 
 use super::{PluginAbout, Prober, ProvideError, load, probe, provide};
 use crate::{
-    check::nearest,
-    digest::Digest,
     fault::{Fault, Span},
-    manifest::sha256,
-    stamp::stamp,
+    graph::plugins::NamedPlugin,
+    hash::{Digest, file_stamp::stamp, files::sha256},
+    names::nearest,
+    plan::PlanPlugin,
     store::{Key, Store},
 };
 use osteoflow_node::{Registry, abi};
@@ -52,6 +52,22 @@ pub struct Plugin {
     pub named: bool,
 }
 
+impl Plugin {
+    /// The plugin as a plan names it: with those of its kinds that the graph has.
+    pub(crate) fn in_plan(&self, kinds: Vec<String>) -> PlanPlugin {
+        PlanPlugin {
+            name: self.about.name.clone(),
+            version: self.about.version.clone(),
+            path: self.path.clone(),
+            sha256: self.sha256.to_string(),
+            abi: self.about.abi,
+            sdk: self.about.sdk.clone(),
+            compiler: self.about.compiler.clone(),
+            kinds,
+        }
+    }
+}
+
 /// What is known with plugins.
 #[derive(Debug)]
 pub struct Known {
@@ -84,22 +100,6 @@ enum Origin {
     Asked,
     /// A folder that was looked through.
     Folder,
-}
-
-/// A plugin that a graph names.
-#[derive(Debug, Clone)]
-pub(crate) struct Named {
-    pub(crate) text: String,
-    /// What it is relative to.
-    pub(crate) dir: PathBuf,
-    pub(crate) at: Option<Span>,
-}
-
-impl Named {
-    /// Of a file that a recording names.
-    pub(crate) fn file(path: &Path) -> Self {
-        Self { text: path.display().to_string(), dir: PathBuf::new(), at: None }
-    }
 }
 
 impl From<&Registry> for Kinds {
@@ -138,7 +138,7 @@ impl Kinds {
 
     /// What is known with the plugins that a graph names. What it and the command line name comes first: a plugin of a
     /// folder that clashes with one of those is left out.
-    pub(crate) fn with(&self, named: &[Named]) -> Known {
+    pub(crate) fn with(&self, named: &[NamedPlugin]) -> Known {
         let mut known = Known { registry: self.registry.clone(), plugins: Vec::new(), refused: Vec::new() };
         let Some(finder) = &self.finder else {
             let why = "this program loads no plugins";
@@ -178,7 +178,7 @@ impl Kinds {
     }
 
     /// The files of plugins, and where they would be, as far as they are known by name.
-    pub(crate) fn files(&self, named: &[Named]) -> Vec<PathBuf> {
+    pub(crate) fn files(&self, named: &[NamedPlugin]) -> Vec<PathBuf> {
         let Some(finder) = &self.finder else { return Vec::new() };
         let candidates = |dir: &Path, path: &Path| -> Vec<PathBuf> {
             let places = finder.places(dir, path);
@@ -312,7 +312,7 @@ impl Known {
 }
 
 impl Refused {
-    fn of(named: &Named, why: String) -> Self {
+    fn of(named: &NamedPlugin, why: String) -> Self {
         let origin = Origin::Graph(named.text.clone(), named.at.clone());
         Self { path: named.dir.join(&named.text), why, origin, note: None, help: None }
     }

@@ -1,7 +1,7 @@
 //! Loads a library into the program, when the first of its nodes is built.
 
-use super::{Library, Plugin, Why};
-use crate::{digest::Digest, store};
+use super::{Library, LibraryError, Plugin, Why};
+use crate::{hash::Digest, store};
 use std::{
     collections::BTreeMap,
     fs, io,
@@ -46,7 +46,7 @@ pub(super) fn load(plugin: &Plugin) -> Result<&'static Library, String> {
     let needs_place = std::env::var_os(IN_PLACE).is_some_and(|value| !value.is_empty())
         || BESIDE.iter().any(|word| bytes.windows(word.len()).any(|window| window == *word));
     let library = match copy(path, &bytes).ok().filter(|_| !needs_place) {
-        Some(copy) => match Library::load(&copy.file) {
+        Some(copy) => match open(&copy.file) {
             // Programs may not be run from where the copy lies.
             Err(error) if matches!(error.why, Why::Load(_)) => in_place(plugin, &mut loaded)?,
             library => library.map_err(|error| told(&error.why))?,
@@ -63,6 +63,12 @@ pub(super) fn load(plugin: &Plugin) -> Result<&'static Library, String> {
     Ok(library)
 }
 
+/// Loads a file that the store is not to take for a part of the program.
+fn open(file: &Path) -> Result<Library, LibraryError> {
+    store::note_plugin(file);
+    Library::load(file)
+}
+
 fn in_place(plugin: &Plugin, loaded: &mut Loaded) -> Result<Library, String> {
     let path = plugin.path.display();
     if loaded.in_place.get(&plugin.path).is_some_and(|sha256| *sha256 != plugin.sha256) {
@@ -70,16 +76,9 @@ fn in_place(plugin: &Plugin, loaded: &mut Loaded) -> Result<Library, String> {
             "plugin {path}: it was rebuilt while it is in use, and can only be loaded from its place; start the program again"
         ));
     }
-    let library = Library::load(&plugin.path).map_err(|error| format!("plugin {path}: {}", error.why))?;
+    let library = open(&plugin.path).map_err(|error| format!("plugin {path}: {}", error.why))?;
     loaded.in_place.insert(plugin.path.clone(), plugin.sha256.clone());
     Ok(library)
-}
-
-/// Whether a file that the process has mapped is a plugin.
-pub(crate) fn is_plugin(path: &Path) -> bool {
-    let loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
-    let is_copy = path.parent().and_then(Path::file_name).is_some_and(|dir| dir.to_string_lossy().starts_with(PREFIX));
-    is_copy || loaded.in_place.contains_key(path)
 }
 
 const PREFIX: &str = "osteoflow-plugin-";

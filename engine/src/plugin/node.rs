@@ -5,7 +5,7 @@ use super::{
     Library,
     host::{At, HOST, Held, Lent, Run},
 };
-use crate::run::resume_told;
+use crate::panics;
 use osteoflow_node::{
     AnyNode, AnySource, Body, Built, Context, Emission, Empty, Item, Join, Joined, NodeError, ParamError, PayloadType,
     PortPayload, Role, SILENT_AFTER, Site, Slot, StampNs,
@@ -114,7 +114,7 @@ pub(super) fn build(
         status::OK if message.is_empty() => {
             return Err(ParamError::new("", "the plugin built a node that is a null pointer"));
         }
-        status::PANICKED => resume_told(message),
+        status::PANICKED => panics::resume_described(message),
         _ if message.is_empty() => {
             return Err(ParamError::new(
                 "",
@@ -271,7 +271,9 @@ impl PluginNode {
         match (answered, failed) {
             (status::OK, None) => Ok(true),
             (status::END, None) if self.is_source => Ok(false),
-            (status::PANICKED, failed) => resume_told(failed.map_or_else(|| "panicked".into(), |(_, said)| said)),
+            (status::PANICKED, failed) => {
+                panics::resume_described(failed.map_or_else(|| "panicked".into(), |(_, said)| said))
+            }
             (_, Some((parameter, message))) if parameter.is_empty() => Err(NodeError::new(message)),
             (_, Some((parameter, message))) => Err(NodeError::new(format!("{parameter}: {message}"))),
             (status::FAILED, None) => Err(NodeError::new("the plugin failed without saying why")),

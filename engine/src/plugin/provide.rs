@@ -5,7 +5,7 @@ use super::{
     about::{InputAbout, KindAbout, OutputsAbout, PluginAbout, PortAbout},
     node,
 };
-use crate::check::take;
+use crate::graph::take;
 use osteoflow_node::{
     Description, FrameExpr, InputPort, Kept, KindClash, OutputPort, OutputPorts, PayloadClash, PayloadType,
     PortPayload, Registry, SchemaError,

@@ -3,8 +3,8 @@ use super::{
     mcap_file::{McapFile, MessageHead, Parts},
 };
 use crate::{
-    codec,
     plan::{OutputId, Plan},
+    recording::codec,
 };
 use osteoflow_node::{Body, Item, PayloadType, PortPayload, Reading, Role, StampNs};
 use serde_json::{Value as Json, json};

@@ -2,10 +2,10 @@
 
 use super::{Difference, WireComparison, WirePart};
 use crate::{
-    codec, diff,
+    diff,
     plan::{OutputId, Plan},
-    recording::Recording,
-    run::Tap,
+    recording::{Recording, codec},
+    runtime::Tap,
 };
 use osteoflow_node::{Item, PortPayload};
 use std::{
@@ -77,6 +77,10 @@ impl<'a> Compare<'a> {
 }
 
 impl Tap for Compare<'_> {
+    fn listens(&self, wire: OutputId) -> bool {
+        self.wires.contains_key(&wire)
+    }
+
     fn item(&self, wire: OutputId, item: &Item) {
         let Some(wire) = self.wires.get(&wire) else { return };
         let mut seen = wire.seen.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,7 +1,7 @@
 //! What of a graph is computed anew and what is played from the recording.
 
 use crate::{
-    part::{Part, consumers, follow, outputs},
+    partial::{Part, consumers, follow, outputs},
     plan::{OutputId, Plan, PlanNode},
 };
 use osteoflow_node::Role;

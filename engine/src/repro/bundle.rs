@@ -1,6 +1,6 @@
 //! `repro.json`: a failed firing as data.
 
-use crate::{plan::PlanPlugin, recording::RecordingError, run::Injected};
+use crate::{plan::PlanPlugin, recording::RecordingError, runtime::Injected};
 use osteoflow_node::{Empty, Role, StampNs};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
@@ -197,7 +197,7 @@ pub struct Program {
 impl Program {
     /// This program, and what the command says of itself.
     pub fn current(command: Json) -> Self {
-        let executable = std::env::current_exe().ok().and_then(|path| crate::manifest::sha256(&path).ok());
+        let executable = std::env::current_exe().ok().and_then(|path| crate::hash::files::sha256(&path).ok());
         let sha256 = executable.map(|(_, hash)| hash.to_string());
         Self { engine_version: env!("CARGO_PKG_VERSION").into(), sha256, command }
     }
@@ -329,7 +329,7 @@ mod role {
 }
 
 mod injected {
-    use crate::run::Injected;
+    use crate::runtime::Injected;
     use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
     pub(super) fn serialize<S: Serializer>(how: &Option<Injected>, serializer: S) -> Result<S::Ok, S::Error> {

@@ -1,9 +1,8 @@
 //! `inputs.mcap`: the items that the ports of a firing had joined.
 
 use crate::{
-    codec,
     record::{EXACT_ENCODING, EXACT_TOPIC, VIEW_TOPIC},
-    recording::{RecordingError, known},
+    recording::{RecordingError, codec, known},
 };
 use mcap::{
     McapError, WriteOptions, Writer,

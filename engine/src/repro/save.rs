@@ -5,11 +5,12 @@ use super::{
     items::Items,
 };
 use crate::{
+    panics,
     plan::{OnError, Plan, PlanNode},
-    run::{Injected, RunOptions, catch_panic},
+    runtime::{Failed, RunOptions, Tap},
 };
 use mcap::McapError;
-use osteoflow_node::{Body, Empty, Field, Item, Joined, PayloadType, PortPayload, Role, Slot, StampNs};
+use osteoflow_node::{Body, Empty, Field, Item, Joined, PayloadType, PortPayload, Role, Slot};
 use std::{
     fmt::Write as _,
     io,
@@ -45,20 +46,9 @@ pub struct SavedBundle {
     pub dir: PathBuf,
 }
 
-/// A firing that failed.
-pub(crate) struct Failed<'a> {
-    /// Index into the plan.
-    pub(crate) node: usize,
-    pub(crate) item: u64,
-    pub(crate) stamp_ns: StampNs,
-    /// What the ports brought; `None` for a source.
-    pub(crate) joined: Option<&'a Joined>,
-    pub(crate) reason: &'a str,
-    pub(crate) panicked: bool,
-}
-
 /// Saves the failures of a run.
-pub(crate) struct Saver {
+pub(crate) struct Saver<'a> {
+    plan: &'a Plan,
     folder: PathBuf,
     out_dir: PathBuf,
     command: serde_json::Value,
@@ -68,11 +58,12 @@ pub(crate) struct Saver {
     saved: Mutex<Vec<(usize, SavedBundle)>>,
 }
 
-impl Saver {
+impl<'a> Saver<'a> {
     /// Saves into the run's folder, where the run has one.
-    pub(crate) fn new(plan: &Plan, options: &RunOptions) -> Option<Self> {
+    pub(crate) fn new(plan: &'a Plan, options: &RunOptions) -> Option<Self> {
         let out_dir = options.out_dir.as_ref()?;
         Some(Self {
+            plan,
             folder: out_dir.join(FOLDER),
             out_dir: out_dir.clone(),
             command: options.command.clone(),
@@ -82,16 +73,16 @@ impl Saver {
         })
     }
 
-    /// Saves a failed firing, which may have been made to fail, unless the node has failed too often already.
+    /// Saves a failed firing, unless the node has failed too often already.
     ///
     /// # Errors
-    /// Why it could not be saved, in words; the failure itself is not touched by that.
-    pub(crate) fn save(&self, plan: &Plan, failed: &Failed<'_>, injected: Option<Injected>) -> Result<(), String> {
+    /// Why it could not be saved.
+    fn save(&self, failed: &Failed<'_>) -> Result<(), String> {
         if self.failed[failed.node].fetch_add(1, Ordering::Relaxed) >= MOST_PER_NODE {
             return Ok(());
         }
-        let name = &plan.nodes[failed.node].name;
-        let written = catch_panic(|| self.write(plan, failed, injected));
+        let name = &self.plan.nodes[failed.node].name;
+        let written = panics::catch(|| self.write(failed));
         let dir = written.and_then(|written| written.map_err(|error| error.to_string()));
         let dir = dir.map_err(|why| format!("its item could not be saved as a repro bundle: {why}"))?;
         let bundle = SavedBundle { node: name.to_string(), item: failed.item, dir };
@@ -100,10 +91,10 @@ impl Saver {
     }
 
     /// What was saved, and what was not.
-    pub(crate) fn finish(self, plan: &Plan) -> Saved {
+    pub(crate) fn finish(self) -> Saved {
         let mut saved = self.saved.into_inner().unwrap_or_else(PoisonError::into_inner);
         saved.sort_by_key(|(node, bundle)| (*node, bundle.item));
-        let more = plan.nodes.iter().zip(&self.failed).filter_map(|(node, failed)| {
+        let more = self.plan.nodes.iter().zip(&self.failed).filter_map(|(node, failed)| {
             let n = failed.load(Ordering::Relaxed).saturating_sub(MOST_PER_NODE);
             (n > 0).then(|| (node.name.to_string(), n))
         });
@@ -111,7 +102,8 @@ impl Saver {
     }
 
     /// The bundle appears under its name only once it is whole.
-    fn write(&self, plan: &Plan, failed: &Failed<'_>, injected: Option<Injected>) -> io::Result<PathBuf> {
+    fn write(&self, failed: &Failed<'_>) -> io::Result<PathBuf> {
+        let plan = self.plan;
         std::fs::create_dir_all(&self.folder)?;
         let (part, dir) = self.free(&plan.nodes[failed.node].name, failed.item)?;
         let inputs = match failed.joined {
@@ -122,7 +114,7 @@ impl Saver {
             None => Vec::new(),
         };
         let program = self.program.get_or_init(|| Program::current(self.command.clone())).clone();
-        let bundle = Bundle { injected, ..describe(plan, failed, inputs, &self.out_dir, program) };
+        let bundle = describe(plan, failed, inputs, &self.out_dir, program);
         let mut text = serde_json::to_string_pretty(&bundle)?;
         text.push('\n');
         std::fs::write(part.join(bundle::BUNDLE), text)?;
@@ -149,6 +141,12 @@ impl Saver {
             }
         }
         Err(io::Error::other("no name is left for the bundle"))
+    }
+}
+
+impl Tap for Saver<'_> {
+    fn failed(&self, failed: &Failed<'_>) -> Option<String> {
+        self.save(failed).err()
     }
 }
 
@@ -263,7 +261,7 @@ fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path
         seed: plan.seed,
         inputs,
         failure: Failure { reason: failed.reason.into(), panicked: failed.panicked },
-        injected: None,
+        injected: failed.injected,
         out_dir: Some(std::path::absolute(out_dir).unwrap_or_else(|_| out_dir.into())),
         program,
     }

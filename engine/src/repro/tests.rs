@@ -1,7 +1,8 @@
 use super::*;
 use crate::{
     plan::Plan,
-    run::{Injected, Injection, Outcome, RunOptions, RunReport, run},
+    run::{Outcome, RunReport, run},
+    runtime::{Injected, Injection, RunOptions},
     toy::{Toy, registry},
 };
 use osteoflow_node::Join;

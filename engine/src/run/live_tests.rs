@@ -5,8 +5,8 @@ use super::{
     *,
 };
 use crate::{
-    codec,
     plan::{OutputId, Policy},
+    recording::codec,
     toy::{Gate, Number, Toy, registry},
 };
 use osteoflow_node::{Item, Join, Reading};
@@ -224,6 +224,10 @@ impl Observer for OpenAtEnd<'_> {
 struct Dropped(Mutex<BTreeMap<usize, BTreeSet<u64>>>, Mutex<Vec<(OutputId, Vec<u8>)>>);
 
 impl Tap for Dropped {
+    fn listens(&self, _: OutputId) -> bool {
+        true
+    }
+
     fn item(&self, wire: OutputId, item: &Item) {
         self.1.lock().unwrap().push((wire, codec::encode(item)));
     }

@@ -1,8 +1,7 @@
 use super::*;
 use crate::{
-    codec,
     plan::{OutputId, Policy},
-    recording::Recording,
+    recording::{Recording, codec},
     replay::{ReplayOptions, replay_plan},
     toy::{Number, Toy, registry},
 };
@@ -26,6 +25,10 @@ pub(super) fn calls(calls: &[(i64, usize, f64)]) -> Json {
 struct Keep(Mutex<BTreeMap<OutputId, Vec<Vec<u8>>>>);
 
 impl Tap for Keep {
+    fn listens(&self, _: OutputId) -> bool {
+        true
+    }
+
     fn item(&self, wire: OutputId, item: &Item) {
         self.0.lock().unwrap().entry(wire).or_default().push(codec::encode(item));
     }

@@ -1,5 +1,5 @@
 use super::payload;
-use crate::digest::Digest;
+use crate::hash::Digest;
 use osteoflow_node::Value;
 use sha2::{Digest as _, Sha256};
 use std::fmt;

@@ -2,8 +2,8 @@
 
 use super::{Key, Store, StoreError};
 use crate::{
-    codec::{self, RecordedItem},
     record::Parts,
+    recording::codec::{self, RecordedItem},
 };
 use osteoflow_node::{Body, Item, Payload, PayloadType, PortPayload, Value};
 

@@ -5,12 +5,13 @@
 //! chosen when the program starts, between processors; so both belong to it.
 
 use super::{Key, Store};
-use crate::{digest::Digest, manifest::sha256, stamp::stamp};
+use crate::hash::{Digest, file_stamp::stamp, files::sha256};
 use std::{
+    collections::BTreeSet,
     fs::File,
     io,
     path::{Path, PathBuf},
-    sync::OnceLock,
+    sync::{Mutex, OnceLock, PoisonError},
     time::SystemTime,
 };
 
@@ -53,12 +54,14 @@ fn own_file(store: &Store) -> io::Result<Digest> {
 fn libraries() -> Vec<String> {
     let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
     let own = std::env::current_exe().unwrap_or_default();
+    let plugins = PLUGINS.lock().unwrap_or_else(PoisonError::into_inner);
     let mut paths: Vec<PathBuf> = maps
         .lines()
         // address perms offset dev inode path
         .filter(|line| line.split_whitespace().nth(1).is_some_and(|flags| flags.contains('x')))
-        .filter_map(|line| line.find('/').map(|at| PathBuf::from(&line[at..])))
-        .filter(|path| *path != own && !crate::plugin::is_plugin(path))
+        // What has been unlinked since is still mapped under its old path.
+        .filter_map(|line| line.find('/').map(|at| PathBuf::from(line[at..].trim_end_matches(" (deleted)"))))
+        .filter(|path| *path != own && !plugins.contains(path))
         .collect();
     paths.sort();
     paths.dedup();
@@ -73,9 +76,17 @@ fn libraries() -> Vec<String> {
 /// What was loaded when the first plugin was going to be.
 static LIBRARIES: OnceLock<Vec<String>> = OnceLock::new();
 
-/// Takes down what belongs to the program, before a plugin brings libraries of its own.
+/// Files of plugins, which are no part of the program.
+static PLUGINS: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+/// Takes down which libraries belong to the program, before a plugin brings libraries of its own.
 pub(crate) fn note_program() {
     LIBRARIES.get_or_init(libraries);
+}
+
+/// Takes down the file of a plugin that is about to be loaded.
+pub(crate) fn note_plugin(file: &Path) {
+    PLUGINS.lock().unwrap_or_else(PoisonError::into_inner).insert(file.to_owned());
 }
 
 /// The libraries that plugins have brought along, themselves not among them.

@@ -3,10 +3,12 @@
 use super::{Draw, Factor, Folder, FolderError, GRAPH, Row, Run, Spec, Sweep, input_files, rows, share};
 use crate::{
     check::{self, Checked},
-    digest::Digest,
     fault::{Fault, Faults},
     graph::{SetKey, keys_set},
-    manifest::{hashes, sha256},
+    hash::{
+        Digest,
+        files::{hashes, sha256},
+    },
     plugin::Kinds,
     store::Key,
     sync::on_workers,

@@ -1,6 +1,6 @@
 //! The runs of a sweep: every setting with every repeat, in one order.
 
-use super::spec::{Distribution, Draw, Spec};
+use crate::check::sweep::{Distribution, Draw, Spec};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;

@@ -5,9 +5,9 @@
 
 use super::{
     design::Row,
-    spec::Spec,
     table::{write_points, write_runs},
 };
+use crate::check::sweep::Spec;
 use serde_json::{Value as Json, json};
 use std::{
     fs, io,

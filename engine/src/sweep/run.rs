@@ -2,8 +2,9 @@
 
 use super::{Done, Folder, FolderError, Run, Shard, Sweep, SweepOptions, Swept, Watcher, run_row, share::Shared};
 use crate::{
-    part::Left,
-    run::{Outcome, RunOptions, Warning},
+    partial::Left,
+    run::Outcome,
+    runtime::{RunOptions, Warning},
     sync::on_workers,
     watch::Stamps,
 };

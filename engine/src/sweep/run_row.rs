@@ -1,10 +1,10 @@
 //! One run of a sweep: what other runs have left already is played, the rest is computed.
 
 use crate::{
-    part::{self, Left, Partial},
+    partial::{self, Left, Partial},
     plan::Plan,
-    results::Ended,
-    run::{RunError, RunOptions, RunReport},
+    run::{Finished, RunError, RunReport},
+    runtime::{Ended, RunOptions},
 };
 use osteoflow_node::Registry;
 use std::sync::Arc;
@@ -18,16 +18,16 @@ pub(super) fn run(
     shared: &[Option<Arc<Left>>],
 ) -> (Result<RunReport, RunError>, Vec<Option<Left>>) {
     let mut left = Vec::new();
-    let mut ended = |ended: Ended| {
-        let sound = sound(plan, &ended);
+    let mut see = |finished: Finished| {
+        let sound = sound(plan, &finished.ended);
         let of_node = |index: usize| {
             let is_new = shared[index].is_none() && sound[index];
-            is_new.then(|| Left::of(&ended, plan, index))
+            is_new.then(|| Left::of(&finished, plan, index))
         };
         left = (0..plan.nodes.len()).map(of_node).collect();
-        ended
+        finished
     };
-    let report = Partial::new(plan, shared).run(registry, options, &(), None, &mut ended);
+    let report = Partial::new(plan, shared).run(registry, options, &(), None, &mut see);
     (report, left)
 }
 
@@ -36,6 +36,6 @@ fn sound(plan: &Plan, ended: &Ended) -> Vec<bool> {
     let cut_short = ended.interrupted || ended.stall.is_some();
     let failed = |index| ended.failures.iter().any(|failure| failure.node == index);
     let mut unsound: Vec<bool> = (0..plan.nodes.len()).map(|index| cut_short || failed(index)).collect();
-    part::follow(plan, &mut unsound);
+    partial::follow(plan, &mut unsound);
     unsound.into_iter().map(|unsound| !unsound).collect()
 }

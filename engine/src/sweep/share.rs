@@ -5,8 +5,8 @@
 //! node's key; nodes of two runs with one key give the same items, which are computed once.
 
 use crate::{
-    digest::Digest,
-    part::Left,
+    hash::Digest,
+    partial::Left,
     plan::{Plan, Policy},
     store::Key,
     watch::Stamps,
@@ -117,7 +117,7 @@ impl Shared {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::run::NodeStats;
+    use crate::runtime::NodeStats;
 
     fn key(n: u8) -> Digest {
         Digest([n; 32])

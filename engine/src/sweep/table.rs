@@ -1,9 +1,7 @@
 //! The tables of a sweep: one row for each run, and one for each run, point and axis.
 
-use super::{
-    folder::{Done, Folder, FolderError},
-    spec::{Column, PointColumn, Spec},
-};
+use super::folder::{Done, Folder, FolderError};
+use crate::check::sweep::{Column, PointColumn, Spec};
 use serde_json::Value as Json;
 use std::io::Write;
 

@@ -1,10 +1,13 @@
 use super::{Finding, Findings, ValidatedWire};
 use crate::{
-    codec::{self, CodecError},
     container::{Carries, Channel, Channels, Message, Place, Wire},
-    numbers::Numbers,
     record::WIRES_METADATA,
-    recording::{MetadataRecords, RecordedTypes, counts},
+    recording::{
+        MetadataRecords, RecordedTypes,
+        codec::{self, CodecError},
+        counts,
+        number_set::Numbers,
+    },
     recover::RECOVERED_METADATA,
 };
 use osteoflow_node::{Registry, StampNs};

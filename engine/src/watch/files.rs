@@ -4,7 +4,10 @@
 //! dozen files, whose stamps cost some microseconds; this works on every file system, also where another machine writes,
 //! and with editors that put a new file in the place of the old one.
 
-use crate::{manifest::list, plan::Plan, stamp::stamp};
+use crate::{
+    hash::{file_stamp::stamp, files::list},
+    plan::Plan,
+};
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},

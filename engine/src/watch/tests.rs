@@ -1,7 +1,7 @@
 use super::*;
 use crate::{
-    codec,
     plan::{OnError, Policy},
+    recording::codec,
     run::{Outcome, run},
     toy::{Toy, registry},
 };
@@ -91,9 +91,9 @@ fn variants() -> Vec<Variant> {
 /// Every item of every wire, as its bytes.
 fn wires(session: &Session) -> BTreeMap<String, Vec<Vec<u8>>> {
     let memory = session.memory.as_ref().unwrap();
-    let ids = (0..memory.plan.nodes.len()).flat_map(|node| part::outputs(&memory.plan, node));
+    let ids = (0..memory.plan.nodes.len()).flat_map(|node| partial::outputs(&memory.plan, node));
     let items =
-        |id: crate::plan::OutputId| memory.left[id.node].outputs[id.port].items().iter().map(codec::encode).collect();
+        |id: crate::plan::OutputId| memory.left[id.node].outputs[id.port].items.iter().map(codec::encode).collect();
     ids.map(|id| (memory.plan.wire_name(id), items(id))).collect()
 }
 

@@ -9,7 +9,7 @@ use mcap::Compression;
 use osteoflow_engine::{
     Recording,
     diff::{DiffOptions, diff},
-    digest::digest,
+    recording::digest::digest,
     recover::recover,
     validate::validate,
 };

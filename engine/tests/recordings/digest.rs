@@ -3,7 +3,7 @@ use crate::{
     toy::{checked, record, registry},
 };
 use mcap::Compression;
-use osteoflow_engine::{ReplayOptions, RunOptions, digest::DigestReport, digest::digest, replay};
+use osteoflow_engine::{ReplayOptions, RunOptions, recording::digest::DigestReport, recording::digest::digest, replay};
 use std::{fs, path::Path};
 
 fn of(path: &Path) -> DigestReport {

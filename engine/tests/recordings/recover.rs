@@ -4,7 +4,7 @@ use crate::{
 };
 use osteoflow_engine::{
     Recording, ReplayOptions, RunOptions,
-    digest::digest,
+    recording::digest::digest,
     recover::{RecoverError, RecoverReport, recover},
     replay,
 };

@@ -7,7 +7,7 @@ use crate::{
 use osteoflow_engine::{
     ReplayOptions, RunOptions,
     diff::{DiffOptions, diff},
-    digest::{DigestReport, digest},
+    recording::digest::{DigestReport, digest},
     recover::recover,
     replay,
     replay::WirePart,

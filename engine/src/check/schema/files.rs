@@ -1,5 +1,5 @@
 use super::{Files, Quantity, Walker};
-use crate::{check::nearest, fault::Fault, graph::Spanned};
+use crate::{fault::Fault, graph::Spanned, names::nearest};
 use serde_json::Value as Json;
 use std::path::{Component, Path, PathBuf};
 

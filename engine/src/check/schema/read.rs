@@ -4,9 +4,9 @@ use super::{
     shape::{Shape, describe, resolve, shape},
 };
 use crate::{
-    check::{nearest, unit},
     fault::Fault,
-    graph::{Spanned, Value},
+    graph::{Spanned, Value, unit},
+    names::nearest,
 };
 use serde_json::{Number, Value as Json};
 

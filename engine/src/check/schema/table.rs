@@ -4,9 +4,9 @@ use super::{
     shape::{Shape, describe, doc, shape},
 };
 use crate::{
-    check::{nearest, unit},
     fault::{Fault, Span},
-    graph::{Entry, Table},
+    graph::{Entry, Table, unit},
+    names::nearest,
 };
 use serde_json::{Map, Value as Json};
 

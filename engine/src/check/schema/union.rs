@@ -3,9 +3,9 @@ use super::{
     shape::{Shape, shape},
 };
 use crate::{
-    check::nearest,
     fault::Fault,
     graph::{Spanned, Value},
+    names::nearest,
 };
 use serde_json::Value as Json;
 

@@ -1,0 +1,141 @@
+//! `[sweep.factor]`: a list of values, or a range of numbers.
+
+use super::{
+    MOST_RUNS, Reader,
+    spec::{Factor, Level},
+};
+use crate::{
+    fault::Fault,
+    graph::{Entry, Spanned, Table, Value, take},
+};
+use serde_json::Value as Json;
+
+impl Reader<'_> {
+    pub(super) fn factor(&mut self, entry: &Entry) -> Option<Factor> {
+        let owner = format!("factor \"{}\"", entry.key);
+        let table = take::table(&entry.value, &owner, self.faults)?;
+        take::only(table, &["key", "keys", "values", "labels", "from", "to", "n", "log"], &owner, self.faults);
+        let levels = match table.get("values") {
+            Some(values) => self.listed(table, values, &owner)?,
+            None => self.grid(table, entry, &owner)?,
+        };
+        if levels.is_empty() {
+            self.fault(&entry.key_at, format!("{owner} has no value"), "empty", "give at least one value");
+            return None;
+        }
+        for (index, level) in levels.iter().enumerate() {
+            if levels[..index].iter().any(|before| before.label == level.label) {
+                let message = format!("{owner} has the value {} twice", level.label);
+                self.fault(&entry.key_at, message, "twice", "take one away, or tell them apart by labels = [..]");
+                return None;
+            }
+        }
+        Some(Factor { name: entry.key.clone(), levels })
+    }
+
+    /// `values = [..]`: a table as a value sets keys of its own.
+    fn listed(&mut self, table: &Table, values: &Entry, owner: &str) -> Option<Vec<Level>> {
+        let Value::Array(items) = &values.value.value else {
+            let message = format!("{owner}: values takes a list, found {}", values.value.found());
+            self.faults.push(Fault::new(message).at(&values.value.at, "a list is needed"));
+            return None;
+        };
+        let keyed = table.get("key").is_some() || table.get("keys").is_some();
+        let keys = self.keys(table, owner, items.iter().any(|item| item.as_table().is_none()));
+        let labels = match table.get("labels") {
+            None => None,
+            Some(labels) => {
+                let texts = self.texts(&labels.value, &format!("{owner}: labels"));
+                if texts.len() != items.len() {
+                    let message = format!("{owner} has {} values and {} labels", items.len(), texts.len());
+                    self.fault(&labels.key_at, message, "one for each value", "give each value its label");
+                    return None;
+                }
+                Some(texts)
+            }
+        };
+        if let Some(entry) = ["from", "to", "n", "log"].iter().find_map(|key| table.get(key)) {
+            self.fault(&entry.key_at, format!("{owner} has values and a range"), "a range", "keep one of them");
+        }
+        let level = |(index, item): (usize, &Spanned)| {
+            let sets = match (item.as_table(), keyed) {
+                (Some(table), false) => leaves(table, ""),
+                _ => keys.iter().map(|key| format!("{key}={}", literal(item))).collect(),
+            };
+            let label = match &labels {
+                Some(labels) => labels[index].clone().into(),
+                None => item.to_json(),
+            };
+            Level { label, sets }
+        };
+        Some(items.iter().enumerate().map(level).collect())
+    }
+
+    /// `from = 0.0, to = 0.2, n = 5`, evenly spaced, with `log = true` in the logarithm.
+    fn grid(&mut self, table: &Table, entry: &Entry, owner: &str) -> Option<Vec<Level>> {
+        let keys = self.keys(table, owner, true);
+        let mut number = |key: &str| match table.get(key).map(|entry| (&entry.value.value, &entry.value)) {
+            Some((Value::Int(n), _)) => Some(*n as f64),
+            Some((Value::Float(x), _)) if x.is_finite() => Some(*x),
+            found => {
+                let at = found.map_or(&entry.key_at, |(_, value)| &value.at);
+                let fault = Fault::new(format!("{owner} needs values = [..], or from, to and n"));
+                self.faults
+                    .push(fault.at(at, format!("no number for {key}")).help("such as from = 0.0, to = 1.0, n = 5"));
+                None
+            }
+        };
+        let (from, to) = (number("from")?, number("to")?);
+        let n = table.get("n").and_then(|e| take::whole(&e.value, "n", 2, MOST_RUNS as u64, self.faults));
+        let Some(n) = n else {
+            self.fault(&entry.key_at, format!("{owner} does not say how many values"), "no n", "add n = 5");
+            return None;
+        };
+        let log = table.get("log").and_then(|e| take::boolean(&e.value, "log", self.faults)).unwrap_or(false);
+        if log && (from <= 0.0 || to <= 0.0) {
+            self.fault(
+                &entry.key_at,
+                format!("{owner}: a range by logarithm lies above zero"),
+                "not above zero",
+                "begin above zero",
+            );
+            return None;
+        }
+        let value = |k: u64| {
+            let s = k as f64 / (n - 1) as f64;
+            let even = |a: f64, b: f64| a + s * (b - a);
+            match (k, log) {
+                (0, _) => from,
+                (k, _) if k == n - 1 => to,
+                (_, false) => even(from, to),
+                (_, true) => even(from.ln(), to.ln()).exp(),
+            }
+        };
+        let level = |k| {
+            let value = value(k);
+            Level { label: value.into(), sets: keys.iter().map(|key| format!("{key}={value:?}")).collect() }
+        };
+        Some((0..n).map(level).collect())
+    }
+}
+
+/// A value as a graph file writes it.
+fn literal(value: &Spanned) -> String {
+    match &value.value {
+        // A text on the command line may have come without quotes.
+        Value::Text(text) => Json::from(text.as_str()).to_string(),
+        _ => value.at.text().to_owned(),
+    }
+}
+
+/// `{ a.b = 1, "c.d" = 2 }` as `a.b=1` and `c.d=2`.
+fn leaves(table: &Table, prefix: &str) -> Vec<String> {
+    let leaf = |entry: &Entry| {
+        let key = format!("{prefix}{}", entry.key);
+        match entry.value.as_table() {
+            Some(inner) => leaves(inner, &format!("{key}.")),
+            None => vec![format!("{key}={}", literal(&entry.value))],
+        }
+    };
+    table.0.iter().flat_map(leaf).collect()
+}

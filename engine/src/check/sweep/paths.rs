@@ -1,0 +1,52 @@
+//! That what is taken out of a run's results can be there: the first parts of each path are a result of the graph.
+
+use super::Reader;
+use crate::{fault::Fault, graph::Table, names::nearest};
+
+/// Results that every run has, whatever `[results]` says.
+const ALWAYS: [&str; 2] = ["notice", "refused"];
+
+impl Reader<'_> {
+    /// Faults for columns and points that no run could have; `results` are those of the graph.
+    pub(super) fn paths(&mut self, table: &Table, results: &[String]) {
+        let known: Vec<&str> = results.iter().map(String::as_str).chain(ALWAYS).collect();
+        for (kind, what) in [("columns", "column"), ("points", "points")] {
+            let entries = table.get(kind).and_then(|entry| entry.value.as_table()).into_iter().flat_map(|t| &t.0);
+            for entry in entries {
+                let value = match kind {
+                    "columns" => Some(&entry.value),
+                    _ => entry.value.as_table().and_then(|table| table.get("from")).map(|from| &from.value),
+                };
+                let Some((value, path)) = value.and_then(|value| Some((value, value.as_text()?))) else { continue };
+                if known.iter().any(|key| inside(key, path) || inside(path, key)) {
+                    continue;
+                }
+                let fault = Fault::new(format!("{what} \"{}\" asks for {path}, which no run has", entry.key));
+                let help = meant(path, &known).map(|path| format!("did you mean \"{path}\"?"));
+                self.faults.push(
+                    fault
+                        .at(&value.at, "begins with no result of the graph")
+                        .note_if(nearest::all("its results", results.iter().map(String::as_str)))
+                        .help_if(help),
+                );
+            }
+        }
+    }
+}
+
+/// Whether a path is that of `outer` or leads into it.
+fn inside(outer: &str, path: &str) -> bool {
+    path.strip_prefix(outer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+}
+
+/// The path with the result in its front that was probably meant.
+fn meant(path: &str, known: &[&str]) -> Option<String> {
+    let ends = path.match_indices('.').map(|(at, _)| at).chain([path.len()]);
+    ends.collect::<Vec<_>>().into_iter().rev().find_map(|end| {
+        let (front, rest) = path.split_at(end);
+        // What is meant may have dots of its own: names of as many words are compared first.
+        let alike = known.iter().copied().filter(|key| key.matches('.').count() == front.matches('.').count());
+        let near = nearest::name(front, alike).or_else(|| nearest::name(front, known.iter().copied()))?;
+        Some(format!("{near}{rest}"))
+    })
+}

@@ -1,0 +1,72 @@
+use super::{Table, Value, take};
+use crate::fault::{Fault, SourceText, Span};
+use std::sync::Arc;
+
+/// The version of the graph format that this crate reads.
+const FORMAT: u64 = 1;
+
+/// The tables and keys of a graph file.
+const TOP: [&str; 9] = ["graph", "node", "record", "results", "extends", "remove", "module", "plugins", "sweep"];
+
+/// What `[graph]` says.
+pub(crate) struct Header {
+    pub(crate) name: String,
+    pub(crate) seed: u64,
+    /// The frames that the graph may name; any if not given.
+    pub(crate) frames: Option<(Vec<String>, Span)>,
+    pub(crate) lossy: bool,
+}
+
+/// The top level and `[graph]` of a graph file or a module's.
+pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault>) -> Header {
+    take::only(table, &TOP, "a graph file", faults);
+    let stem = main.name.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+    let mut header = Header { name: stem.unwrap_or_default(), seed: 0, frames: None, lossy: false };
+    let Some(entry) = table.get("graph") else {
+        let start = Span::new(main, 0..0);
+        let fault = Fault::new("the graph file does not say its format").at(&start, "no [graph] here");
+        faults.push(fault.help("begin with a table [graph] that holds format = 1").follows());
+        return header;
+    };
+    let Some(table) = take::table(&entry.value, "graph", faults) else { return header };
+    take::only(table, &["format", "name", "seed", "frames", "lossy"], "[graph]", faults);
+    match table.get("format") {
+        None => {
+            let fault = Fault::new("the graph file does not say its format").at(&entry.key_at, "no format here");
+            faults.push(fault.help("add format = 1").follows());
+        }
+        Some(format) => match format.value.value {
+            Value::Int(found) if found == i128::from(FORMAT) => {}
+            Value::Int(found) if found > i128::from(FORMAT) => {
+                let fault =
+                    Fault::new(format!("graph format {found} is newer than this program, which reads {FORMAT}"));
+                faults.push(
+                    fault.at(&format.value.at, "newer").help("use the program that wrote the file, or a newer one"),
+                );
+            }
+            _ => {
+                let fault = Fault::new(format!("format takes {FORMAT}, found {}", format.value.found()));
+                faults.push(fault.at(&format.value.at, "no format that was ever written").help("write format = 1"));
+            }
+        },
+    }
+    if let Some(name) = table.get("name").and_then(|e| take::text(&e.value, "name", faults)) {
+        header.name = name.into();
+    }
+    if let Some(seed) = table.get("seed").and_then(|e| take::whole(&e.value, "seed", 0, u64::MAX, faults)) {
+        header.seed = seed;
+    }
+    if let Some(lossy) = table.get("lossy").and_then(|e| take::boolean(&e.value, "lossy", faults)) {
+        header.lossy = lossy;
+    }
+    if let Some(frames) = table.get("frames") {
+        let Value::Array(items) = &frames.value.value else {
+            let fault = Fault::new(format!("frames takes a list of names, found {}", frames.value.found()));
+            faults.push(fault.at(&frames.value.at, "a list is needed"));
+            return header;
+        };
+        let names = items.iter().filter_map(|item| take::text(item, "a frame", faults)).map(str::to_owned);
+        header.frames = Some((names.collect(), frames.value.at.clone()));
+    }
+    header
+}

@@ -1,0 +1,97 @@
+//! SHA-256 of files and of the files in folders.
+
+use super::Digest;
+use serde_json::{Value as Json, json};
+use sha2::{Digest as _, Sha256};
+use std::{
+    fs::File,
+    io::{self, Read},
+    path::{Path, PathBuf},
+    thread::{self, JoinHandle},
+};
+
+/// Hashes of files, computed on a thread of their own.
+pub(crate) struct Hashes {
+    thread: Option<JoinHandle<Vec<Json>>>,
+    done: Vec<Json>,
+}
+
+impl Hashes {
+    pub(crate) fn begin(files: &[PathBuf]) -> Self {
+        let files = files.to_vec();
+        Self { thread: Some(thread::spawn(move || hashes(&files))), done: Vec::new() }
+    }
+
+    /// All of them, once they are there.
+    pub(crate) fn done(&mut self) -> &[Json] {
+        if let Some(hashes) = self.thread.take().and_then(|thread| thread.join().ok()) {
+            self.done = hashes;
+        }
+        &self.done
+    }
+}
+
+/// Each input file with its size and SHA-256; a folder stands for the files in it, by name.
+pub(crate) fn hashes(paths: &[PathBuf]) -> Vec<Json> {
+    let mut out = Vec::new();
+    for path in paths {
+        let mut files = Vec::new();
+        match list(path, &mut files) {
+            Ok(()) => out.extend(files.iter().map(|file| entry(file))),
+            Err(error) => out.push(json!({ "path": path.display().to_string(), "error": error.to_string() })),
+        }
+    }
+    out
+}
+
+/// The file, or all files in the folder and those in it, by name.
+pub(crate) fn list(path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
+    if !path.is_dir() {
+        files.push(path.into());
+        return Ok(());
+    }
+    let mut entries = std::fs::read_dir(path)?.map(|e| e.map(|e| e.path())).collect::<io::Result<Vec<_>>>()?;
+    entries.sort();
+    // A link that leads back up would never end.
+    entries.retain(|path| !(path.is_symlink() && path.is_dir()));
+    entries.iter().try_for_each(|path| list(path, files))
+}
+
+fn entry(path: &Path) -> Json {
+    match sha256(path) {
+        Ok((bytes, hash)) => json!({ "path": path.display().to_string(), "bytes": bytes, "sha256": hash.to_string() }),
+        Err(error) => json!({ "path": path.display().to_string(), "error": error.to_string() }),
+    }
+}
+
+/// A file's size and its SHA-256.
+pub(crate) fn sha256(path: &Path) -> io::Result<(u64, Digest)> {
+    let mut file = File::open(path)?;
+    let (mut hasher, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);
+    loop {
+        let n = file.read(&mut buffer)?;
+        if n == 0 {
+            break;
+        }
+        bytes += n as u64;
+        hasher.update(&buffer[..n]);
+    }
+    Ok((bytes, Digest(hasher.finalize().into())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_stands_for_its_files_with_their_hashes() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("b"), "abc").unwrap();
+        std::fs::write(dir.path().join("a"), "").unwrap();
+        let hashes = hashes(&[dir.path().into(), dir.path().join("gone")]);
+        let of = |i: usize| hashes[i]["sha256"].as_str().unwrap_or("none").to_owned();
+        assert_eq!(of(0), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
+        assert_eq!(of(1), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+        assert!(hashes[2]["error"].is_string());
+    }
+}

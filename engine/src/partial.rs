@@ -1,0 +1,85 @@
+//! A part of a graph: what of it is computed, what is played from items at hand, and the plan of the two.
+
+mod player;
+mod run;
+
+pub(crate) use player::{Failing, Pace, Player};
+pub(crate) use run::{Left, Partial};
+
+use crate::plan::{Link, OutputId, Plan, ResultEntry};
+use osteoflow_node::Role;
+
+/// What is done with a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Part {
+    /// It is built and fires.
+    Computed,
+    /// Its items are played in its place.
+    Played,
+    /// Nothing that is wanted needs it, or nothing of it is at hand.
+    LeftOut,
+}
+
+/// Marks all that follows from what is marked.
+pub(crate) fn follow(plan: &Plan, marked: &mut [bool]) {
+    // The nodes stand in topological order.
+    for index in 0..plan.nodes.len() {
+        marked[index] = marked[index] || sources_of(plan, index).any(|id| marked[id.node]);
+    }
+}
+
+/// The place of each node in the reduced plan, for those that take part.
+pub(crate) fn places(parts: &[Part]) -> Vec<Option<usize>> {
+    let mut n = 0;
+    let place = |part: &Part| {
+        (*part != Part::LeftOut).then(|| {
+            n += 1;
+            n - 1
+        })
+    };
+    parts.iter().map(place).collect()
+}
+
+/// The plan of what takes part: what is played has no inputs any more, what is left out is gone.
+pub(crate) fn reduce(plan: &Plan, parts: &[Part]) -> Plan {
+    let place = places(parts);
+    let (mut nodes, mut links) = (Vec::new(), Vec::new());
+    for (index, node) in plan.nodes.iter().enumerate().filter(|(index, _)| parts[*index] != Part::LeftOut) {
+        let mut node = node.clone();
+        node.outputs.iter_mut().for_each(|output| output.links.clear());
+        match parts[index] {
+            Part::Computed => node.inputs.iter_mut().for_each(|input| input.link = None),
+            _ => (node.inputs, node.role) = (Vec::new(), Role::Source),
+        }
+        nodes.push(node);
+    }
+    let moved = |id: OutputId| Some(OutputId { node: place[id.node]?, port: id.port });
+    for (index, _) in plan.nodes.iter().enumerate().filter(|(index, _)| parts[*index] == Part::Computed) {
+        for input in &plan.nodes[index].inputs {
+            let Some(link) = input.link.map(|link| &plan.links[link]) else { continue };
+            let (Some(from), Some(to_node)) = (moved(link.from), place[index]) else { continue };
+            nodes[from.node].outputs[from.port].links.push(links.len());
+            nodes[to_node].inputs[link.to_port].link = Some(links.len());
+            links.push(Link { from, to_node, ..link.clone() });
+        }
+    }
+    let mut reduced = Plan { nodes, links, ..plan.clone() };
+    reduced.record = plan.record.iter().filter_map(|id| moved(*id)).collect();
+    let results = plan.results.iter().filter_map(|entry| Some((entry, moved(entry.from)?)));
+    reduced.results = results.map(|(entry, from)| ResultEntry { from, ..entry.clone() }).collect();
+    reduced
+}
+
+/// The node's outputs.
+pub(crate) fn outputs(plan: &Plan, node: usize) -> impl Iterator<Item = OutputId> {
+    (0..plan.nodes[node].outputs.len()).map(move |port| OutputId { node, port })
+}
+
+/// The links that an output feeds.
+pub(crate) fn consumers(plan: &Plan, id: OutputId) -> impl Iterator<Item = &Link> {
+    plan.nodes[id.node].outputs[id.port].links.iter().map(|link| &plan.links[*link])
+}
+
+fn sources_of(plan: &Plan, node: usize) -> impl Iterator<Item = OutputId> + '_ {
+    plan.nodes[node].inputs.iter().filter_map(|input| Some(plan.links[input.link?].from))
+}

@@ -1,0 +1,123 @@
+//! A run of which a part is at hand already: what other runs have left is played, the rest is computed.
+
+use super::{Part, Player, consumers, outputs, places, reduce};
+use crate::{
+    plan::{Plan, Policy},
+    run::{Finished, RunError, RunReport, Whole, WireItems, run_part},
+    runtime::{Ended, Failure, NodeStats, Observer, Replayed, RunOptions, Substitutes, Warning},
+};
+use osteoflow_node::Registry;
+use std::sync::Arc;
+
+/// What a node has left.
+pub(crate) struct Left {
+    /// For each output, every item.
+    pub(crate) outputs: Vec<WireItems>,
+    pub(crate) stats: NodeStats,
+    pub(crate) warnings: Vec<Warning>,
+}
+
+impl Left {
+    /// Of a run of the whole plan.
+    pub(crate) fn of(finished: &Finished, plan: &Plan, index: usize) -> Self {
+        let of_node = finished.ended.warnings.iter().filter(|warning| *warning.node == *plan.nodes[index].name);
+        Self {
+            outputs: finished.outputs[index].clone(),
+            stats: finished.ended.nodes[index].clone(),
+            warnings: of_node.cloned().collect(),
+        }
+    }
+}
+
+/// A plan of whose nodes some have left their items already.
+pub(crate) struct Partial<'a> {
+    plan: &'a Plan,
+    left: &'a [Option<Arc<Left>>],
+    parts: Vec<Part>,
+    places: Vec<Option<usize>>,
+}
+
+impl<'a> Partial<'a> {
+    /// What is not at hand is computed; what is, is played where something computed takes it.
+    pub(crate) fn new(plan: &'a Plan, left: &'a [Option<Arc<Left>>]) -> Self {
+        let feeds = |index| {
+            let mut links = outputs(plan, index).flat_map(|id| consumers(plan, id));
+            links.any(|link| left[link.to_node].is_none())
+        };
+        let part = |index: usize| match &left[index] {
+            None => Part::Computed,
+            Some(_) if feeds(index) => Part::Played,
+            Some(_) => Part::LeftOut,
+        };
+        let parts: Vec<_> = (0..plan.nodes.len()).map(part).collect();
+        let places = places(&parts);
+        Self { plan, left, parts, places }
+    }
+
+    /// Runs it and leaves results of the whole; `finished` sees what a run of the whole would have left, and may change
+    /// it.
+    ///
+    /// # Errors
+    /// As [`crate::run()`].
+    pub(crate) fn run(
+        &self,
+        registry: &Registry,
+        options: &RunOptions,
+        observer: &dyn Observer,
+        about: Option<serde_json::Value>,
+        finished: &mut dyn FnMut(Finished) -> Finished,
+    ) -> Result<RunReport, RunError> {
+        let replayed = Replayed { substitutes: self.players(), ..Replayed::default() };
+        let mut complete = |part| finished(self.complete(part));
+        let whole = Whole { plan: self.plan, complete: &mut complete, about };
+        run_part(&self.reduced(), registry, options, observer, replayed, None, Some(whole))
+    }
+
+    /// What runs. What is played lies in memory already, so that it may wait on its wires however large it is.
+    fn reduced(&self) -> Plan {
+        let mut reduced = reduce(self.plan, &self.parts);
+        let taking = self.parts.iter().filter(|part| **part != Part::LeftOut);
+        let played: Vec<_> = taking.map(|part| *part == Part::Played).collect();
+        let links = reduced.links.iter_mut().filter(|link| played[link.from.node] && link.policy == Policy::Block);
+        links.for_each(|link| link.max_bytes = u64::MAX);
+        reduced
+    }
+
+    /// What plays the items that computed nodes take.
+    fn players(&self) -> Substitutes {
+        let mut players = Substitutes::new();
+        for (index, left) in self.left.iter().enumerate().filter(|(index, _)| self.parts[*index] == Part::Played) {
+            let (Some(left), Some(place)) = (left, self.places[index]) else { continue };
+            let wanted = |id| consumers(self.plan, id).any(|link| self.parts[link.to_node] == Part::Computed);
+            let ports = outputs(self.plan, index).zip(&left.outputs);
+            let ports = ports.map(|(id, kept)| if wanted(id) { kept.items.clone() } else { Vec::new() }.into());
+            players.insert(place, Box::new(Player { ports: ports.collect(), failure: None, pace: None }));
+        }
+        players
+    }
+
+    /// What a run of the whole would have left, links aside: of what was not computed, what was at hand.
+    fn complete(&self, part: Finished) -> Finished {
+        let Finished { ended: part, outputs: of_part, saved } = part;
+        let whole: Vec<usize> = (0..self.places.len()).filter(|index| self.places[*index].is_some()).collect();
+        let moved = |failure: Failure| Failure { node: whole[failure.node], ..failure };
+        let mut of_part: Vec<_> = of_part.into_iter().zip(part.nodes).map(Some).collect();
+        let (mut outputs, mut nodes) = (Vec::new(), Vec::new());
+        for (index, left) in self.left.iter().enumerate() {
+            let left = match left {
+                Some(left) => Some((left.outputs.clone(), left.stats.clone())),
+                None => self.places[index].and_then(|place| of_part[place].take()),
+            };
+            let (kept, stats) = left.expect("each node was computed in this run or in another");
+            outputs.push(kept);
+            nodes.push(stats);
+        }
+        let before = self.left.iter().flatten().flat_map(|left| &left.warnings).cloned();
+        let mut warnings: Vec<_> = before.chain(part.warnings).collect();
+        warnings.sort_by_cached_key(|warning| self.plan.nodes.iter().position(|node| *node.name == *warning.node));
+        let failures = part.failures.into_iter().map(moved).collect();
+        let n_items = outputs.iter().map(|wires| wires.iter().map(|wire: &WireItems| wire.n_items).collect()).collect();
+        let ended = Ended { n_items, nodes, warnings, failures, stall: part.stall.map(moved), ..part };
+        Finished { ended, outputs, saved }
+    }
+}

@@ -1,0 +1,305 @@
+//! One number for what went over the recorded wires, whatever file it stands in.
+//!
+//! The digest of an item is the SHA-256 of its exact message: number, stamp and body. The digest of a wire is the
+//! SHA-256 of its items' digests, one after the other by number. The digest of a recording is the SHA-256 over its wires
+//! by name, of those that have items: the length of the name (u32, little-endian) and the name, the same of
+//! `payload@version`, and the digest of the wire.
+//!
+//! So it does not hang on the order of messages in the file, on chunks, compression or log times, nor on pictures for
+//! viewers and what the run tells of itself. Items are hashed one by one, so they may come in any order and need not be
+//! kept.
+
+use super::{codec, read::RecordingError};
+use crate::{
+    container::{self, Carries, Channels, Damage, Place, Record, Visit, Walk, Wire},
+    hash::Digest,
+    record::{RUN_METADATA, WIRES_METADATA},
+    recover::RECOVERED_METADATA,
+};
+use sha2::{Digest as _, Sha256};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    ops::{ControlFlow, RangeInclusive},
+    path::Path,
+};
+
+/// The digest of a wire in the making. Items may come in any order; of one that comes before its turn the digest is
+/// kept, and nothing of one that comes in turn.
+#[derive(Clone, Default)]
+pub struct WireHasher {
+    hasher: Sha256,
+    next: u64,
+    n_items: u64,
+    early: BTreeMap<u64, Digest>,
+    doubled: Option<u64>,
+}
+
+impl WireHasher {
+    /// Takes the item of this number; `message` are its bytes as on the exact channel.
+    pub fn add(&mut self, number: u64, message: &[u8]) {
+        self.add_digest(number, Digest::of(message));
+    }
+
+    /// The same, where the item's digest is known already.
+    pub fn add_digest(&mut self, number: u64, digest: Digest) {
+        self.n_items += 1;
+        if number < self.next || self.early.contains_key(&number) {
+            self.doubled.get_or_insert(number);
+        } else if number > self.next {
+            self.early.insert(number, digest);
+        } else {
+            self.take(number, digest);
+            while let Some(digest) = self.early.remove(&self.next) {
+                self.take(self.next, digest);
+            }
+        }
+    }
+
+    fn take(&mut self, number: u64, digest: Digest) {
+        self.hasher.update(digest.0);
+        // Behind the last number there is none, and no hole either.
+        self.next = number.saturating_add(1);
+    }
+
+    /// Items taken.
+    pub fn n_items(&self) -> u64 {
+        self.n_items
+    }
+
+    /// A number that came twice; such a wire has no digest.
+    pub fn doubled(&self) -> Option<u64> {
+        self.doubled
+    }
+
+    /// The numbers that are missing before the last one.
+    pub fn missing(&self) -> Vec<RangeInclusive<u64>> {
+        let mut next = self.next;
+        let mut holes = Vec::new();
+        for &number in self.early.keys() {
+            if number > next {
+                holes.push(next..=number - 1);
+            }
+            next = number.saturating_add(1);
+        }
+        holes
+    }
+
+    /// The digest of the items taken; none if a number came twice.
+    pub fn finish(mut self) -> Option<Digest> {
+        self.early.values().for_each(|digest| self.hasher.update(digest.0));
+        self.doubled.is_none().then(|| Digest(self.hasher.finalize().into()))
+    }
+}
+
+/// The digest of all wires, from each one's name, payload and digest, in any order; wires without items are to be left
+/// out.
+pub fn total<'a>(wires: impl IntoIterator<Item = (&'a str, &'a str, u32, Digest)>) -> Digest {
+    let mut wires: Vec<_> = wires.into_iter().collect();
+    wires.sort();
+    let mut hasher = Sha256::new();
+    for (name, payload, version, digest) in wires {
+        for text in [name, &format!("{payload}@{version}")] {
+            hasher.update((text.len() as u32).to_le_bytes());
+            hasher.update(text);
+        }
+        hasher.update(digest.0);
+    }
+    Digest(hasher.finalize().into())
+}
+
+/// A recorded wire and its digest.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WireDigest {
+    /// `node.port`.
+    pub wire: String,
+    /// The payload's name.
+    pub payload: String,
+    /// The version of its view.
+    pub version: u32,
+    /// Items of the wire.
+    pub n_items: u64,
+    /// How many of them are values; the others are empties.
+    pub n_values: u64,
+    /// Numbers that are missing.
+    pub missing: Vec<RangeInclusive<u64>>,
+    /// A number that stands there twice.
+    pub doubled: Option<u64>,
+    /// The digest; none where a number stands there twice.
+    pub digest: Option<Digest>,
+}
+
+/// The digests of a recording.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DigestReport {
+    /// The wires, by name.
+    pub wires: Vec<WireDigest>,
+    /// The digest of all; none where a wire has none.
+    pub digest: Option<Digest>,
+    /// Why it is not the digest of all that was recorded.
+    pub incomplete: Option<String>,
+    /// What is said beside it: a recording that was recovered from a damaged file is only a part of one.
+    pub partial: Option<String>,
+    /// Bytes of the file.
+    pub n_bytes: u64,
+}
+
+/// How far a long reading has come: bytes read, and bytes in all.
+pub type Progress<'a> = &'a mut dyn FnMut(u64, u64);
+
+/// The digests of what a recording holds, and whether that is all. Memory: one chunk.
+///
+/// # Errors
+/// [`RecordingError`] if the file cannot be read or holds no exact channel.
+pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, RecordingError> {
+    let mut walk = Walk::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
+    let failed = |error| RecordingError::of(path, error);
+    let channels = Channels::of_summary(&mut walk).map_err(failed)?;
+    let mut hashing = Hashing::new(channels, progress);
+    let end = walk.run(&mut hashing).map_err(failed)?;
+    let Hashing { wires, damages, metadata, n_unknown, n_no_items, .. } = hashing;
+    let mut said: Vec<String> = container::told(&damages, &end).into_iter().collect();
+    if wires.is_empty() && !metadata.contains(RUN_METADATA) {
+        let reason = said.pop().unwrap_or_else(|| "it has no exact channel".into());
+        return Err(RecordingError::Foreign { path: path.into(), reason });
+    }
+    if n_unknown > 0 {
+        said.push(format!("{n_unknown} messages belong to channels that nothing in the file describes"));
+    }
+    if n_no_items > 0 {
+        said.push(format!("{n_no_items} messages on exact channels are no items"));
+    }
+    let recovered = metadata.contains(RECOVERED_METADATA);
+    if said.is_empty() && !recovered && !metadata.contains(WIRES_METADATA) {
+        said.push("the run did not finish it".into());
+    }
+    let wires: Vec<WireDigest> = wires.into_values().map(Hashed::finish).collect();
+    for wire in &wires {
+        if let Some(number) = wire.doubled {
+            said.push(format!("wire {} holds item {number} twice, so it has no digest", wire.wire));
+        }
+        if !recovered && let Some(hole) = wire.missing.first() {
+            said.push(format!("wire {} lacks item {}", wire.wire, hole.start()));
+        }
+    }
+    let with_items = wires.iter().filter(|wire| wire.n_items > 0);
+    let digests: Option<Vec<_>> =
+        with_items.map(|w| Some((w.wire.as_str(), w.payload.as_str(), w.version, w.digest?))).collect();
+    Ok(DigestReport {
+        digest: digests.map(total),
+        wires,
+        incomplete: (!said.is_empty()).then(|| said.join("; ")),
+        partial: recovered.then(|| "it was recovered from a damaged file and is a part of what was recorded".into()),
+        n_bytes: walk.n_bytes(),
+    })
+}
+
+/// A wire's digest in the making, with its counts.
+struct Hashed {
+    about: Wire,
+    hasher: WireHasher,
+    n_values: u64,
+}
+
+impl Hashed {
+    fn finish(self) -> WireDigest {
+        WireDigest {
+            wire: self.about.name,
+            payload: self.about.payload,
+            version: self.about.version,
+            n_items: self.hasher.n_items(),
+            n_values: self.n_values,
+            missing: self.hasher.missing(),
+            doubled: self.hasher.doubled(),
+            digest: self.hasher.finish(),
+        }
+    }
+}
+
+struct Hashing<'a> {
+    channels: Channels,
+    wires: BTreeMap<String, Hashed>,
+    metadata: BTreeSet<String>,
+    damages: Vec<Damage>,
+    n_unknown: u64,
+    n_no_items: u64,
+    progress: Progress<'a>,
+}
+
+impl<'a> Hashing<'a> {
+    fn new(channels: Channels, progress: Progress<'a>) -> Self {
+        let hashed = |wire: &Wire| Hashed { about: wire.clone(), hasher: WireHasher::default(), n_values: 0 };
+        let wires = channels.wires().map(|wire| (wire.name.clone(), hashed(wire))).collect();
+        let metadata = BTreeSet::new();
+        Self { channels, wires, metadata, damages: Vec::new(), n_unknown: 0, n_no_items: 0, progress }
+    }
+}
+
+impl Visit for Hashing<'_> {
+    fn record(&mut self, _: Place, record: Record<'_>) -> ControlFlow<()> {
+        match record {
+            Record::Metadata { name, .. } => drop(self.metadata.insert(name.into())),
+            Record::Channel(channel) => {
+                if let Carries::Exact(wire) = self.channels.add(channel) {
+                    let hashed = || Hashed { about: wire.clone(), hasher: WireHasher::default(), n_values: 0 };
+                    self.wires.entry(wire.name.clone()).or_insert_with(hashed);
+                }
+            }
+            Record::Message(message) => match self.channels.get(message.channel_id) {
+                Some(Carries::Exact(wire)) => match (codec::head(message.data), self.wires.get_mut(&wire.name)) {
+                    (Some(head), Some(hashed)) => {
+                        hashed.n_values += u64::from(!head.is_empty);
+                        hashed.hasher.add(head.number, message.data);
+                    }
+                    _ => self.n_no_items += 1,
+                },
+                Some(_) => {}
+                None => self.n_unknown += 1,
+            },
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        self.damages.push(damage);
+        ControlFlow::Continue(())
+    }
+
+    fn progress(&mut self, at: u64, of: u64) {
+        (self.progress)(at, of);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_hole_changes_the_digest_and_is_named() {
+        let of = |numbers: &[u64]| {
+            let mut hasher = WireHasher::default();
+            numbers.iter().for_each(|n| hasher.add(*n, b"item"));
+            (hasher.missing(), hasher.doubled(), hasher.finish())
+        };
+        assert_eq!(of(&[0, 1, 5, 6, 9]).0, [2..=4, 7..=8]);
+        assert_eq!(of(&[3, 0]).0, [1..=2]);
+        assert_eq!(of(&[1, 0, 1]).1, Some(1));
+        assert_eq!(of(&[1, 0, 1]).2, None);
+        assert_eq!(of(&[u64::MAX, 0]).0, [1..=u64::MAX - 1]);
+    }
+
+    proptest! {
+        #[test]
+        fn the_order_in_which_items_come_does_not_matter(
+            order in Just((0..40_u64).collect::<Vec<_>>()).prop_shuffle(), left_out in 0..60_u64,
+        ) {
+            let of = |numbers: &mut dyn Iterator<Item = u64>| {
+                let mut hasher = WireHasher::default();
+                numbers.filter(|n| *n != left_out).for_each(|n| hasher.add(n, &n.to_le_bytes()));
+                hasher.finish().unwrap()
+            };
+            prop_assert_eq!(of(&mut order.iter().copied()), of(&mut (0..40)));
+        }
+    }
+}

@@ -1,0 +1,386 @@
+//! Reads `run.mcap` back: the graph that ran, and the items of every recorded wire.
+
+use super::{
+    RecordedTypes,
+    codec::{self, CodecError, RecordedItem},
+};
+use crate::{
+    container::{self, Carries, Channels, Damage, Place, Record, Visit, Walk, WalkError, Wire},
+    plan::{PlanPlugin, Sources},
+    record::{
+        self, DROPS_TOPIC, FORMAT_VERSION, INPUTS_METADATA, LIVE_TOPIC, OUTCOME_METADATA, PLUGINS_METADATA,
+        RUN_METADATA, WIRES_METADATA,
+    },
+    recover::{self, RECOVERED_METADATA},
+};
+use osteoflow_node::{Body, Item, PayloadType, Reading, Registry};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    io,
+    ops::ControlFlow,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+/// A recording that cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// The file cannot be opened or read.
+    #[error("cannot read {}: {source}", .path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// It is an MCAP file of another program, or none at all.
+    #[error("{} is no recording of a run: {reason}", .path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// What is missing.
+        reason: String,
+    },
+    /// Its format is newer than this program.
+    #[error("{} has format version {found}, this program reads version {FORMAT_VERSION}", .path.display())]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Its version.
+        found: String,
+    },
+    /// A wire's items are damaged.
+    #[error("wire {wire}, item {number}: {reason}")]
+    Item {
+        /// The wire.
+        wire: String,
+        /// The item's place.
+        number: u64,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// A recording, read whole.
+#[derive(Debug)]
+pub struct Recording {
+    /// The file.
+    pub path: PathBuf,
+    /// The graph as it ran, as the text of a graph file.
+    pub graph: String,
+    /// The graph file it came from.
+    pub graph_file: PathBuf,
+    /// The graph's name.
+    pub name: String,
+    /// The run's seed.
+    pub seed: u64,
+    /// The version of the program that wrote it.
+    pub version: String,
+    /// The recorded wires, by name.
+    pub wires: BTreeMap<String, RecordedWire>,
+    /// What `results.json` held; `None` where the run did not get so far.
+    pub results: Option<serde_json::Value>,
+    /// Constants that the command had put into `results.json`.
+    pub fixed_results: Vec<(String, serde_json::Value)>,
+    /// Whether the user had stopped the run.
+    pub interrupted: bool,
+    /// Where a file was cut short or is damaged: what ends it. What came before is intact and here.
+    pub truncated: Option<String>,
+    /// What a replay has of the sources.
+    pub sources: Sources,
+    /// The SHA-256 of each input file, by its path, or why there is none.
+    pub inputs: BTreeMap<String, String>,
+    /// The plugins of the graph, with the SHA-256 of their libraries.
+    pub plugins: Vec<PlanPlugin>,
+    /// The numbers of the items that policies dropped, by wire and input.
+    pub drops: BTreeMap<(String, String), BTreeSet<u64>>,
+    /// What firings took from the clock, by node and the number of the firing.
+    pub readings: BTreeMap<(String, u64), Vec<Reading>>,
+    /// Which nodes failed at which item, and why.
+    pub failures: Vec<RecordedFailure>,
+    types: RecordedTypes,
+}
+
+/// A node's failure.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct RecordedFailure {
+    /// The node.
+    pub node: String,
+    /// Its activation, from 0.
+    pub item: u64,
+    /// What it said.
+    pub reason: String,
+    /// Whether the node went on with the next item.
+    pub skipped: bool,
+}
+
+/// What a recording says of its run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct About {
+    /// The graph as it ran, as the text of a graph file.
+    pub graph: String,
+    /// The graph file it came from.
+    pub graph_file: PathBuf,
+    /// The graph's name.
+    pub name: String,
+    /// The run's seed.
+    pub seed: u64,
+    /// The version of the program that wrote it.
+    pub version: String,
+    /// What `results.json` held; `None` where the run did not get so far.
+    pub results: Option<serde_json::Value>,
+    /// Constants that the command had put into `results.json`.
+    pub fixed_results: Vec<(String, serde_json::Value)>,
+    /// Whether the user had stopped the run.
+    pub interrupted: bool,
+}
+
+/// Metadata records, by name.
+pub(crate) type MetadataRecords = BTreeMap<String, BTreeMap<String, String>>;
+
+impl About {
+    /// What the metadata records say; `truncated` is why some may be missing.
+    pub(crate) fn of(path: &Path, metadata: &MetadataRecords, truncated: Option<&str>) -> Result<Self, RecordingError> {
+        let foreign = |reason: String| RecordingError::Foreign { path: path.into(), reason };
+        let run = metadata.get(RUN_METADATA).ok_or_else(|| {
+            foreign(match truncated {
+                Some(reason) => reason.into(),
+                None => format!("it has no metadata record \"{RUN_METADATA}\""),
+            })
+        })?;
+        let entry = |key: &str| run.get(key).cloned().ok_or_else(|| foreign(format!("its metadata lacks \"{key}\"")));
+        let version = entry("format_version")?;
+        if version != FORMAT_VERSION.to_string() {
+            return Err(RecordingError::Version { path: path.into(), found: version });
+        }
+        let outcome = metadata.get(OUTCOME_METADATA);
+        let json = |key: &str| outcome?.get(key).and_then(|text| serde_json::from_str(text).ok());
+        let fixed: Option<serde_json::Value> = json("fixed_results");
+        let fixed = fixed.as_ref().and_then(|fixed| fixed.as_object());
+        Ok(Self {
+            graph: entry("graph")?,
+            graph_file: entry("graph_file")?.into(),
+            name: entry("name")?,
+            seed: entry("seed")?.parse().map_err(|_| foreign("its seed is no number".into()))?,
+            version: entry("version")?,
+            results: json("results"),
+            fixed_results: fixed.into_iter().flatten().map(|(key, value)| (key.clone(), value.clone())).collect(),
+            interrupted: outcome.and_then(|o| o.get("status")).is_some_and(|status| status == "interrupted"),
+        })
+    }
+}
+
+impl RecordingError {
+    /// Of a file that cannot be passed over at all.
+    pub(crate) fn of(path: &Path, error: WalkError) -> Self {
+        match error {
+            WalkError::Io(source) => Self::Read { path: path.into(), source },
+            WalkError::NoMcap(reason) => Self::Foreign { path: path.into(), reason },
+        }
+    }
+}
+
+/// The items of one wire.
+#[derive(Debug, Default, Clone)]
+pub struct RecordedWire {
+    /// The payload's name.
+    pub payload: String,
+    /// The version of its view.
+    pub version: u32,
+    /// Whether its node is a source.
+    pub source: bool,
+    /// Each item as it was written, by number.
+    pub messages: Vec<Vec<u8>>,
+}
+
+impl RecordedWire {
+    /// The items, with views that have no type yet.
+    ///
+    /// # Errors
+    /// The number of the first damaged item, and what is wrong with it.
+    pub fn items(&self) -> Result<Vec<RecordedItem>, (u64, CodecError)> {
+        let items = self.messages.iter().zip(0..);
+        items.map(|(bytes, number)| codec::decode(bytes).map_err(|error| (number, error))).collect()
+    }
+}
+
+impl Recording {
+    /// Reads a recording from its start to its end, or to where it was cut short or damaged. Of one that was recovered
+    /// from such a file, what lay before the damage is read: items behind it may rest on items that are lost.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the file is not a recording of a run, or its wires have holes.
+    pub fn open(path: &Path) -> Result<Self, RecordingError> {
+        let mut reading = Pass::default();
+        let truncated = reading.read(path)?;
+        let recovered = reading.metadata.remove(RECOVERED_METADATA);
+        let about = About::of(path, &reading.metadata, truncated.as_deref())?;
+        let finished = reading.metadata.contains_key(WIRES_METADATA);
+        let told = |name: &str, key: &str| reading.metadata.get(name).and_then(|entries| entries.get(key));
+        let by_hash = told(RUN_METADATA, "sources").is_some_and(|sources| sources == "hashes");
+        let plugins = reading.metadata.get(PLUGINS_METADATA).into_iter().flat_map(|plugins| plugins.values());
+        let plugins = plugins.filter_map(|text| serde_json::from_str(text).ok()).collect();
+        let failures = told(OUTCOME_METADATA, "failures").and_then(|text| serde_json::from_str(text).ok());
+        let truncated = truncated
+            .or_else(|| recovered.as_ref().map(|_| "it was recovered from a damaged file".into()))
+            .or_else(|| (!finished).then(|| "the run did not finish it".into()));
+        let limits = recovered.map(|recovered| recover::before_damage(&recovered));
+        let (mut wires, mut types) = (BTreeMap::new(), RecordedTypes::default());
+        for (name, gathered) in reading.wires {
+            types.add(&gathered.about);
+            let limit = limits.as_ref().map_or(u64::MAX, |limits| limits.get(&name).copied().unwrap_or(0));
+            let wire = numbered(&name, gathered, limit, truncated.is_some())?;
+            wires.insert(name, wire);
+        }
+        Ok(Self {
+            path: path.into(),
+            graph: about.graph,
+            graph_file: about.graph_file,
+            name: about.name,
+            seed: about.seed,
+            version: about.version,
+            results: about.results,
+            fixed_results: about.fixed_results,
+            interrupted: about.interrupted,
+            truncated,
+            wires,
+            sources: if by_hash { Sources::Hashes } else { Sources::Wires },
+            inputs: reading.metadata.remove(INPUTS_METADATA).unwrap_or_default(),
+            plugins,
+            drops: reading.drops,
+            readings: reading.readings,
+            failures: failures.unwrap_or_default(),
+            types,
+        })
+    }
+
+    /// The registry, with the recording's payload types that it lacks: their schemas are in the file.
+    pub fn registry(&self, known: &Registry) -> Registry {
+        self.types.registry(known)
+    }
+
+    /// The items of a wire, with their payloads.
+    ///
+    /// # Errors
+    /// [`RecordingError::Item`] if the wire was not recorded, its payload is unknown here or an item is damaged.
+    pub fn items(&self, wire: &str, registry: &Registry) -> Result<Vec<Item>, RecordingError> {
+        let fault = |number: u64, reason: String| RecordingError::Item { wire: wire.into(), number, reason };
+        let recorded = self.wires.get(wire).ok_or_else(|| fault(0, "the wire was not recorded".into()))?;
+        let items = recorded.items().map_err(|(number, error)| fault(number, error.to_string()))?;
+        let typed = items.into_iter().map(|item| {
+            let number = item.number;
+            // An empty shows nothing, so on a wire that takes any payload it needs no type.
+            let named = item.payload.clone().unwrap_or((recorded.payload.clone(), recorded.version));
+            match &item.body {
+                Err(empty) => {
+                    let body = Body::Empty(Arc::new(empty.clone()));
+                    Ok(Item { number, stamp_ns: item.stamp_ns, body })
+                }
+                Ok(_) => {
+                    let ty = known(&named.0, named.1, registry).map_err(|reason| fault(number, reason))?;
+                    item.into_item(ty).map_err(|error| fault(number, error.to_string()))
+                }
+            }
+        });
+        typed.collect()
+    }
+}
+
+/// Items and values of a wire, as the metadata record of counts tells them.
+pub(crate) fn counts(said: &str) -> Option<(u64, u64)> {
+    let (items, values) = said.strip_suffix(" values")?.split_once(" items, ")?;
+    Some((items.parse().ok()?, values.parse().ok()?))
+}
+
+/// The payload of that name and version.
+pub(crate) fn known(name: &str, version: u32, registry: &Registry) -> Result<&'static PayloadType, String> {
+    let ty = registry.payload_type(name).ok_or_else(|| format!("no payload {name} is known here"))?;
+    if ty.version != version {
+        return Err(format!("it holds version {version} of {name}, version {} is known here", ty.version));
+    }
+    Ok(ty)
+}
+
+/// What a pass over the file gathers, up to the first damage: what lies behind it may rest on what is lost.
+#[derive(Default)]
+struct Pass {
+    channels: Channels,
+    metadata: BTreeMap<String, BTreeMap<String, String>>,
+    wires: BTreeMap<String, Gathered>,
+    drops: BTreeMap<(String, String), BTreeSet<u64>>,
+    readings: BTreeMap<(String, u64), Vec<Reading>>,
+    damage: Option<Damage>,
+}
+
+struct Gathered {
+    about: Wire,
+    /// By number, in the order of the file.
+    messages: Vec<(Option<u64>, Vec<u8>)>,
+}
+
+impl Pass {
+    fn read(&mut self, path: &Path) -> Result<Option<String>, RecordingError> {
+        let mut walk = Walk::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
+        let end = walk.run(self).map_err(|error| RecordingError::of(path, error))?;
+        let damages: Vec<_> = self.damage.take().into_iter().collect();
+        Ok(container::told(&damages, &end))
+    }
+}
+
+impl Visit for Pass {
+    fn record(&mut self, _: Place, record: Record<'_>) -> ControlFlow<()> {
+        match record {
+            Record::Metadata { name, entries } => drop(self.metadata.insert(name.into(), entries)),
+            Record::Channel(channel) => {
+                if let Carries::Exact(wire) = self.channels.add(channel) {
+                    let gathered = || Gathered { about: wire.clone(), messages: Vec::new() };
+                    self.wires.entry(wire.name.clone()).or_insert_with(gathered);
+                }
+            }
+            Record::Message(message) => {
+                if let Some(Carries::Exact(wire)) = self.channels.get(message.channel_id)
+                    && let Some(gathered) = self.wires.get_mut(&wire.name)
+                {
+                    gathered.messages.push((codec::number(message.data), message.data.to_vec()));
+                } else if self.channels.topic(message.channel_id) == Some(DROPS_TOPIC) {
+                    for (wire, input, number) in record::dropped(message.data) {
+                        self.drops.entry((wire, input)).or_default().insert(number);
+                    }
+                } else if self.channels.topic(message.channel_id) == Some(LIVE_TOPIC)
+                    && let Ok(record::Taken { node, item, readings }) = serde_json::from_slice(message.data)
+                {
+                    self.readings.insert((node, item), readings);
+                }
+            }
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        self.damage = Some(damage);
+        ControlFlow::Break(())
+    }
+}
+
+/// The wire's items in the order of their numbers, from 0 without holes; of a file that lacks some, those before the
+/// first hole, and not more than `limit`.
+fn numbered(name: &str, gathered: Gathered, limit: u64, partial: bool) -> Result<RecordedWire, RecordingError> {
+    let Gathered { about, mut messages } = gathered;
+    // Not an item at all: it comes first and is told below.
+    messages.sort_by_key(|(number, _)| *number);
+    let mut wire =
+        RecordedWire { payload: about.payload, version: about.version, source: about.source, messages: Vec::new() };
+    for ((found, message), expected) in messages.into_iter().zip(0..) {
+        if expected >= limit || (partial && found.is_some_and(|n| n > expected)) {
+            break;
+        }
+        if found != Some(expected) {
+            let found = found.map_or("a damaged item".into(), |n| format!("item {n}"));
+            let reason = format!("{found} stands in its place; `osteoflow validate` tells all that is wrong");
+            return Err(RecordingError::Item { wire: name.into(), number: expected, reason });
+        }
+        wire.messages.push(message);
+    }
+    Ok(wire)
+}

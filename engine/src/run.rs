@@ -1,0 +1,187 @@
+//! Runs a checked graph: what a run takes, what it tells while it goes, and what it leaves.
+
+mod finished;
+#[cfg(test)]
+mod live_tests;
+mod manifest;
+mod report;
+mod results;
+#[cfg(test)]
+mod tests;
+
+pub use crate::runtime::{
+    BuildFault, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer, Recalled,
+    Refusal, RunOptions, Spread, Warning,
+};
+pub(crate) use finished::{Finished, WireItems};
+pub use report::{Outcome, RunError, RunReport};
+
+use crate::{
+    hash::files::Hashes,
+    plan::{Plan, Sources},
+    record::Recorder,
+    recording::RecordedFailure,
+    repro::Saver,
+    runtime::{Failure, Latency, Replayed, Runtime, Tap},
+};
+use finished::ItemKeeper;
+use osteoflow_node::Registry;
+use std::{path::Path, time::SystemTime};
+
+/// Runs the graph to its end and writes what `options` ask for.
+///
+/// A node that fails, a result that did not come and an interruption are outcomes in the report; `results.json` then
+/// holds the reason and no results.
+///
+/// # Errors
+/// [`RunError`] if a node cannot be built from its parameters, or a file of the run cannot be written.
+pub fn run(
+    plan: &Plan,
+    registry: &Registry,
+    options: &RunOptions,
+    observer: &dyn Observer,
+) -> Result<RunReport, RunError> {
+    run_with(plan, registry, options, observer, Replayed::default(), None)
+}
+
+/// The same, with what a replay takes from the record and a further tap on the wires.
+pub(crate) fn run_with(
+    plan: &Plan,
+    registry: &Registry,
+    options: &RunOptions,
+    observer: &dyn Observer,
+    replayed: Replayed,
+    tap: Option<&dyn Tap>,
+) -> Result<RunReport, RunError> {
+    run_part(plan, registry, options, observer, replayed, tap, None)
+}
+
+/// What a run is a part of, where the rest of it is at hand.
+pub(crate) struct Whole<'a> {
+    /// The plan of the whole, which results and manifest are of.
+    pub(crate) plan: &'a Plan,
+    /// Puts the rest beside what the part has left; of that, every item of every wire is there.
+    pub(crate) complete: &'a mut dyn FnMut(Finished) -> Finished,
+    /// What the manifest says under `watch`.
+    pub(crate) about: Option<serde_json::Value>,
+}
+
+/// The same, for a plan that may be a part of another.
+pub(crate) fn run_part(
+    plan: &Plan,
+    registry: &Registry,
+    options: &RunOptions,
+    observer: &dyn Observer,
+    replayed: Replayed,
+    tap: Option<&dyn Tap>,
+    whole: Option<Whole<'_>>,
+) -> Result<RunReport, RunError> {
+    let began = SystemTime::now();
+    let mut runtime = Runtime::build(plan, registry, options, observer, replayed)?;
+    let out_dir = options.out_dir.as_deref();
+    if let Some(dir) = out_dir {
+        std::fs::create_dir_all(dir).map_err(|source| RunError::Write { path: dir.into(), source })?;
+    }
+    // Hashing the inputs takes as long as reading them; it goes beside the run, unless the recording begins with it.
+    let mut hashes = out_dir.map(|_| Hashes::begin(&plan.input_files));
+    let recorder = match out_dir.filter(|_| options.record) {
+        Some(dir) => {
+            let by_hash = plan.recording.sources == Sources::Hashes;
+            let inputs = hashes.as_mut().filter(|_| by_hash).map(|hashes| hashes.done());
+            Some(Recorder::create(&dir.join("run.mcap"), plan, options, inputs)?)
+        }
+        None => None,
+    };
+    let keeper = ItemKeeper::new(plan, whole.is_some());
+    let saver = Saver::new(plan, options);
+    let latency = options.latency.then(|| Latency::new(plan));
+    let mut taps: Vec<&dyn Tap> = vec![&keeper];
+    taps.extend(recorder.iter().map(|recorder| recorder as &dyn Tap));
+    taps.extend(latency.iter().map(|latency| latency as &dyn Tap));
+    taps.extend(saver.iter().map(|saver| saver as &dyn Tap));
+    taps.extend(tap);
+    runtime.tap(&taps);
+    runtime.run();
+    let ended = runtime.into_ended();
+    drop(taps);
+    let latencies = latency.map(|latency| latency.stats(plan)).unwrap_or_default();
+    let mut finished = keeper.finish(ended, saver.map(Saver::finish).unwrap_or_default());
+    let (plan, about) = match whole {
+        Some(whole) => {
+            finished = (whole.complete)(finished);
+            (whole.plan, whole.about)
+        }
+        None => (plan, None),
+    };
+    let (outcome, mut results) = results::collect(plan, options, &finished);
+    let inputs = hashes.as_mut().map(|hashes| hashes.done()).unwrap_or_default();
+    let recorded = recorder.map(|recorder| {
+        let at_end = (plan.recording.sources != Sources::Hashes).then_some(inputs);
+        let failures: Vec<_> = finished.ended.failures.iter().map(|failure| recorded(plan, failure)).collect();
+        recorder.finish(outcome.status(), &results, &failures, options, at_end)
+    });
+    if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
+        // It was not the user who stopped the run.
+        results["refused"] = serde_json::json!({ "reason": error.to_string() });
+    }
+    let mut report = report_of(plan, finished, outcome, results);
+    report.latencies = latencies;
+    if let Some(dir) = out_dir {
+        write_json(&dir.join("results.json"), &report.results)?;
+        let times = (began, SystemTime::now());
+        let mut manifest = manifest::manifest(plan, options, &report, recorded.as_ref(), inputs, times);
+        if let Some(about) = about {
+            manifest["watch"] = about;
+        }
+        write_json(&dir.join("manifest.json"), &manifest)?;
+    }
+    recorded.transpose()?;
+    Ok(report)
+}
+
+fn recorded(plan: &Plan, failure: &Failure) -> RecordedFailure {
+    let Failure { item, skipped, .. } = *failure;
+    RecordedFailure { node: plan.nodes[failure.node].name.to_string(), item, reason: failure.reason.clone(), skipped }
+}
+
+fn report_of(plan: &Plan, finished: Finished, outcome: Outcome, results: serde_json::Value) -> RunReport {
+    let Finished { ended, saved, .. } = finished;
+    let mut warnings = ended.warnings;
+    // A failure that does not refuse the run must not pass unseen.
+    let refused = match &outcome {
+        Outcome::Refused(refusal) => refusal.item.map(|item| (refusal.node.clone(), item)),
+        _ => None,
+    };
+    warnings.extend(ended.failures.into_iter().filter_map(|failure| {
+        let node = plan.nodes[failure.node].name.to_string();
+        (refused != Some((node.clone(), failure.item))).then_some(Warning {
+            node,
+            item: failure.item,
+            message: failure.reason,
+        })
+    }));
+    RunReport {
+        outcome,
+        results,
+        nodes: ended.nodes,
+        links: ended.links,
+        latencies: Vec::new(),
+        enlargements: ended.enlargements,
+        warnings,
+        elapsed: ended.elapsed,
+        saved,
+        recalled: ended.recalled,
+    }
+}
+
+/// Writes a file whole or not at all.
+fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), RunError> {
+    let write = || {
+        let mut text = serde_json::to_string_pretty(value)?;
+        text.push('\n');
+        let part = path.with_extension("json.part");
+        std::fs::write(&part, text)?;
+        std::fs::rename(&part, path)
+    };
+    write().map_err(|source: std::io::Error| RunError::Write { path: path.into(), source })
+}

@@ -1,0 +1,78 @@
+//! A run that has ended, with the items that results are made of.
+
+use crate::{
+    plan::{OutputId, Plan},
+    repro::Saved,
+    runtime::{Ended, Tap},
+};
+use osteoflow_node::Item;
+use std::sync::{Mutex, PoisonError};
+
+/// A run that has ended.
+pub(crate) struct Finished {
+    pub(crate) ended: Ended,
+    /// For each node, for each output.
+    pub(crate) outputs: Vec<Vec<WireItems>>,
+    /// The failed items that were saved.
+    pub(crate) saved: Saved,
+}
+
+/// The items of a wire, as far as they are kept.
+#[derive(Debug, Default, Clone)]
+pub(crate) struct WireItems {
+    /// The number of items it carried.
+    pub(crate) n_items: u64,
+    /// The items that were kept, in their order.
+    pub(crate) items: Vec<Item>,
+}
+
+/// How much of a wire is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Keep {
+    Nothing,
+    Last,
+    All,
+}
+
+/// Keeps the items that results are made of.
+pub(crate) struct ItemKeeper(Vec<Vec<(Keep, Mutex<Vec<Item>>)>>);
+
+impl ItemKeeper {
+    /// Keeps what `[results]` names, or every item of every wire.
+    pub(crate) fn new(plan: &Plan, all: bool) -> Self {
+        let least = if all { Keep::All } else { Keep::Nothing };
+        let keep = |id: OutputId| {
+            let entries = plan.results.iter().filter(|entry| entry.from == id);
+            let keep = entries.map(|entry| if entry.all { Keep::All } else { Keep::Last }).max();
+            (keep.map_or(least, |keep| keep.max(least)), Mutex::default())
+        };
+        let outputs = |node: usize| (0..plan.nodes[node].outputs.len()).map(move |port| OutputId { node, port });
+        Self((0..plan.nodes.len()).map(|node| outputs(node).map(keep).collect()).collect())
+    }
+
+    /// The run with the items that were kept.
+    pub(crate) fn finish(self, ended: Ended, saved: Saved) -> Finished {
+        let wire = |((_, items), n_items): ((Keep, Mutex<Vec<Item>>), &u64)| WireItems {
+            n_items: *n_items,
+            items: items.into_inner().unwrap_or_else(PoisonError::into_inner),
+        };
+        let outputs = self.0.into_iter().zip(&ended.n_items);
+        let outputs = outputs.map(|(kept, n_items)| kept.into_iter().zip(n_items).map(wire).collect()).collect();
+        Finished { ended, outputs, saved }
+    }
+}
+
+impl Tap for ItemKeeper {
+    fn listens(&self, wire: OutputId) -> bool {
+        self.0[wire.node][wire.port].0 != Keep::Nothing
+    }
+
+    fn item(&self, wire: OutputId, item: &Item) {
+        let (keep, items) = &self.0[wire.node][wire.port];
+        let mut items = items.lock().unwrap_or_else(PoisonError::into_inner);
+        if *keep == Keep::Last {
+            items.clear();
+        }
+        items.push(item.clone());
+    }
+}

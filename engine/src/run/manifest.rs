@@ -1,0 +1,135 @@
+//! What `manifest.json` says: what ran, from what, where, when, and the figures of nodes and links.
+
+use super::{Outcome, RunReport};
+use crate::{
+    plan::{Plan, Sources},
+    record::{Counts, FORMAT_VERSION, RecordError},
+    runtime::RunOptions,
+};
+use osteoflow_node::Role;
+use serde_json::{Value as Json, json};
+
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// The manifest of a run that has ended.
+pub(crate) fn manifest(
+    plan: &Plan,
+    options: &RunOptions,
+    report: &RunReport,
+    recorded: Option<&Result<Counts, RecordError>>,
+    inputs: &[Json],
+    (began, ended): (SystemTime, SystemTime),
+) -> Json {
+    let outcome = match &report.outcome {
+        Outcome::Complete | Outcome::Interrupted => json!({ "status": report.outcome.status() }),
+        Outcome::Refused(r) => json!({
+            "status": "refused", "node": r.node, "kind": r.kind, "item": r.item, "reason": r.reason,
+            "panicked": r.panicked, "file": r.location.file.display().to_string(), "line": r.location.line,
+        }),
+    };
+    let nodes = report.nodes.iter().zip(&plan.nodes).map(|(n, planned)| {
+        json!({
+            "name": n.name, "kind": planned.kind, "source": planned.role != Role::Node, "items": n.items, "skipped": n.skipped, "failed": n.failed, "busy_ms": ms(n.busy),
+            "p50_ms": ms(n.p50), "p95_ms": ms(n.p95), "p99_ms": ms(n.p99),
+        })
+    });
+    let links = report.links.iter().map(|l| {
+        json!({
+            "from": l.from, "to": l.to, "sent": l.sent, "received": l.received, "dropped": l.dropped,
+            "late": l.late, "unmatched": l.unmatched, "highest_fill": l.highest_fill, "capacity": l.capacity,
+        })
+    });
+    let latencies = report.latencies.iter().map(|l| {
+        json!({
+            "source": l.source, "sink": l.sink, "firings": l.firings, "p50_ms": ms(l.spread.p50),
+            "p95_ms": ms(l.spread.p95), "p99_ms": ms(l.spread.p99), "max_ms": ms(l.spread.max),
+        })
+    });
+    let enlargements =
+        report.enlargements.iter().map(|e| json!({ "from": e.from, "to": e.to, "before": e.before, "after": e.after }));
+    let warnings = report.warnings.iter().map(|w| json!({ "node": w.node, "item": w.item, "message": w.message }));
+    let saved = report
+        .saved
+        .bundles
+        .iter()
+        .map(|b| json!({ "node": b.node, "item": b.item, "dir": b.dir.display().to_string() }));
+    let not_saved = report.saved.more.iter().map(|(node, n)| json!({ "node": node, "failures": n }));
+    let recording = recorded.map(|recorded| match recorded {
+        Ok(counts) => {
+            let wires = counts.iter();
+            let wires = wires.map(|(wire, (items, values))| json!({ "wire": wire, "items": items, "values": values }));
+            json!({
+                "format_version": FORMAT_VERSION,
+                "sources": if plan.recording.sources == Sources::Hashes { "hashes" } else { "wires" },
+                "compression": plan.recording.compression.name(),
+                "wires": wires.collect::<Json>(),
+            })
+        }
+        Err(error) => json!({ "error": error.to_string() }),
+    });
+    let recalled = report.recalled.iter().map(|r| json!({ "node": r.node, "item": r.item, "key": r.key }));
+    let recalled = recalled.collect::<Json>();
+    let store = options.store.as_ref();
+    let store = store.map(|store| json!({ "dir": store.dir().display().to_string(), "recalled": recalled }));
+    json!({
+        "graph": { "name": plan.name, "file": plan.path.display().to_string(), "seed": plan.seed },
+        "outcome": outcome,
+        "began": rfc3339(began),
+        "ended": rfc3339(ended),
+        "elapsed_ms": ms(report.elapsed),
+        "engine_version": env!("CARGO_PKG_VERSION"),
+        "command": options.command,
+        "workers": options.workers,
+        "inputs": inputs,
+        "plugins": plan.plugins,
+        "nodes": nodes.collect::<Json>(),
+        "links": links.collect::<Json>(),
+        "latencies": latencies.collect::<Json>(),
+        "enlargements": enlargements.collect::<Json>(),
+        "warnings": warnings.collect::<Json>(),
+        "recording": recording,
+        "store": store,
+        "injected": options.inject.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "repro": { "bundles": saved.collect::<Json>(), "not_saved": not_saved.collect::<Json>() },
+        "resolved_graph": plan.resolved,
+    })
+}
+
+fn ms(time: Duration) -> f64 {
+    time.as_nanos() as f64 / 1e6
+}
+
+/// A time as `2026-11-21T02:34:06.123Z`.
+fn rfc3339(time: SystemTime) -> String {
+    let since = time.duration_since(UNIX_EPOCH).unwrap_or_default();
+    let (days, second) = ((since.as_secs() / 86_400) as i64, since.as_secs() % 86_400);
+    let (year, month, day) = civil(days);
+    let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{:03}Z", since.subsec_millis())
+}
+
+/// Year, month and day so many days after 1970-01-01, counted in eras of 400 years that begin in March.
+fn civil(days: i64) -> (i64, i64, i64) {
+    let days = days + 719_468;
+    let (era, day) = (days.div_euclid(146_097), days.rem_euclid(146_097));
+    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let day = day - (153 * month + 2) / 5 + 1;
+    let month = if month < 10 { month + 3 } else { month - 9 };
+    (era * 400 + year + i64::from(month <= 2), month, day)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_told_as_rfc_3339() {
+        let at = |s: u64, ms: u32| rfc3339(UNIX_EPOCH + Duration::new(s, ms * 1_000_000));
+        assert_eq!(at(0, 0), "1970-01-01T00:00:00.000Z");
+        assert_eq!(at(951_782_399, 5), "2000-02-28T23:59:59.005Z");
+        assert_eq!(at(951_782_400, 0), "2000-02-29T00:00:00.000Z");
+        assert_eq!(at(1_795_228_446, 120), "2026-11-21T02:34:06.120Z");
+    }
+}

@@ -1,0 +1,241 @@
+//! Answers from the store: emitted in the place of firings, and kept after those that the store did not have.
+//!
+//! The key of an answer is what decides it: kind, program, parameters, what each port brought (the payload's view, bit for
+//! bit; not number and stamp, which a node that is kept does not ask for), and, where the kind says so, seed, node name
+//! and item. An answer is what the node emitted and warned of. A firing that fails, or that was asked to stop, leaves none.
+
+#[cfg(test)]
+mod tests;
+
+use super::inject::Planned;
+use crate::{
+    plan::{Plan, PlanNode},
+    record::Parts,
+    recording::codec,
+    store::{Entry, Key, KeyInMaking, Store, brought, message, payload_of},
+};
+use osteoflow_node::{
+    AnyNode, Body, Context, Emission, Empty, Item, Joined, Kept, NodeError, PortPayload, Registry, Slot,
+};
+use std::{
+    ops::Range,
+    sync::{
+        Arc, Mutex, OnceLock, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+/// An answer that came from the store.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recalled {
+    /// The node that did not fire.
+    pub node: String,
+    /// The number of its activation.
+    pub item: u64,
+    /// The key of the answer.
+    pub key: String,
+}
+
+/// The store as a run uses it.
+pub(super) struct Recall<'a> {
+    store: Arc<Store>,
+    plan: &'a Plan,
+    registry: &'a Registry,
+    /// What decides the answers of each node; `None` where they are not kept.
+    nodes: Vec<Option<Kept>>,
+    recalled: Mutex<Vec<(usize, Recalled)>>,
+    /// The libraries that plugins have brought along.
+    brought: OnceLock<Vec<String>>,
+    /// The store cannot be written, which has been said.
+    cannot_keep: AtomicBool,
+}
+
+/// Raised when an answer is laid out otherwise than before.
+const LAYOUT: u64 = 1;
+
+impl<'a> Recall<'a> {
+    /// A node that is to fail on purpose always fires.
+    pub(super) fn new(store: &Arc<Store>, plan: &'a Plan, registry: &'a Registry, planned: &[Arc<Planned>]) -> Self {
+        let kept = |node: &PlanNode| registry.kind(&node.kind).map_or(Kept::No, |kind| kind.description.kept);
+        let nodes = plan.nodes.iter().zip(planned).map(|(node, planned)| {
+            let kept = kept(node);
+            (kept != Kept::No && planned.is_empty()).then_some(kept)
+        });
+        Self {
+            store: store.clone(),
+            plan,
+            registry,
+            nodes: nodes.collect(),
+            recalled: Mutex::default(),
+            brought: OnceLock::new(),
+            cannot_keep: AtomicBool::new(false),
+        }
+    }
+
+    /// Whether the answers of the node are kept.
+    pub(super) fn keeps(&self, node: usize) -> bool {
+        self.nodes[node].is_some()
+    }
+
+    /// What was recalled, in the order of the plan.
+    pub(super) fn finish(self) -> Vec<Recalled> {
+        let mut recalled = self.recalled.into_inner().unwrap_or_else(PoisonError::into_inner);
+        recalled.sort_by_key(|(node, recalled)| (*node, recalled.item));
+        recalled.into_iter().map(|(_, recalled)| recalled).collect()
+    }
+
+    /// Answers as [`AnyNode::fire`] does, from the store if it can.
+    pub(super) fn fire(
+        &self,
+        index: usize,
+        node: &mut dyn AnyNode,
+        joined: &mut Joined,
+        out: &mut [Emission],
+        context: &mut Context,
+    ) -> Result<(), NodeError> {
+        let key = self.nodes[index].and_then(|kept| Some((kept, self.key(index, kept, joined, context)?)));
+        let Some((kept, key)) = key else { return node.fire(joined, out, context) };
+        if let Some(answer) = self.store.get(&key).and_then(|entry| self.read(index, &entry)) {
+            out.iter_mut().zip(answer.emissions).for_each(|(place, emission)| *place = emission);
+            answer.warnings.into_iter().for_each(|warning| context.warn(warning));
+            let node = self.plan.nodes[index].name.to_string();
+            let recalled = Recalled { node, item: context.item(), key: key.to_string() };
+            self.recalled.lock().unwrap_or_else(PoisonError::into_inner).push((index, recalled));
+            return Ok(());
+        }
+        context.watch();
+        node.fire(joined, out, context)?;
+        if !context.is_within(kept) {
+            let kind = &self.plan.nodes[index].kind;
+            context.warn(format!(
+                "this answer is not kept: {kind} says that it is decided {}, but took more from its context",
+                if kept == Kept::ByInputs { "by its inputs" } else { "by its inputs and its seed" }
+            ));
+        } else if !context.cancelled() && !self.cannot_keep.load(Ordering::Relaxed) {
+            self.keep(&key, out, context);
+        }
+        Ok(())
+    }
+
+    /// The key of a firing's answer; `None` where the program is not known.
+    fn key(&self, index: usize, kept: Kept, joined: &Joined, context: &Context) -> Option<Key> {
+        let node = &self.plan.nodes[index];
+        let mut key = Key::of("answer")
+            .number("layout", LAYOUT)
+            .digest("program", self.store.program()?)
+            .text("kind", &node.kind)
+            .json("params", &node.params);
+        if let Some(plugin) = &node.plugin {
+            key = key.text("plugin", plugin);
+            // All nodes are built, so all of them are there.
+            key = self.brought.get_or_init(brought).iter().fold(key, |key, library| key.text("library", library));
+        }
+        if kept == Kept::ByInputsAndSeed {
+            key = key.number("seed", context.seed()).text("node", context.node()).number("item", context.item());
+        }
+        for (input, slot) in node.inputs.iter().zip(&joined.slots) {
+            key = key.text("port", input.port.name);
+            key = match slot {
+                Slot::Item(item) => with_item(key, item),
+                Slot::Items(items) => items.iter().fold(key.number("items", items.len() as u64), with_item),
+                Slot::Absent(empty) => with_empty(key, "absent", empty),
+            };
+        }
+        Some(key.done())
+    }
+
+    fn keep(&self, key: &Key, out: &[Emission], context: &mut Context) {
+        let Some(answer) = written(out, context.warnings(), context.node()) else { return };
+        let slices: Vec<&[u8]> = answer.iter().flat_map(Parts::slices).collect();
+        if let Err(error) = self.store.put(key, &slices)
+            && !self.cannot_keep.swap(true, Ordering::Relaxed)
+        {
+            context.warn(error.to_string());
+        }
+    }
+
+    /// The answer in an entry; `None` if it is no answer of this node.
+    fn read(&self, index: usize, entry: &Entry) -> Option<Answer> {
+        let outputs = &self.plan.nodes[index].outputs;
+        let mut at = 0;
+        let mut word = || -> Option<usize> {
+            let bytes = entry.bytes().get(at..at + 8)?;
+            at += 8;
+            usize::try_from(u64::from_le_bytes(bytes.try_into().ok()?)).ok()
+        };
+        let (n_outputs, n_warnings) = (word()?, word()?);
+        if n_outputs != outputs.len() || n_warnings > entry.bytes().len() {
+            return None;
+        }
+        let lengths = (0..n_outputs + n_warnings).map(|_| word()).collect::<Option<Vec<_>>>()?;
+        let mut ranges = lengths.into_iter().map(|n_bytes| {
+            let range = at..at.checked_add(n_bytes)?;
+            at = range.end.checked_next_multiple_of(8)?;
+            Some(range)
+        });
+        let emissions = outputs.iter().map(|output| self.emission(output.payload, entry, ranges.next()??));
+        let emissions = emissions.collect::<Option<Vec<_>>>()?;
+        let text = |range: Option<Range<usize>>| String::from_utf8(entry.bytes().get(range?)?.to_vec()).ok();
+        let warnings = ranges.map(text).collect::<Option<Vec<_>>>()?;
+        Some(Answer { emissions, warnings })
+    }
+
+    fn emission(&self, port: PortPayload, entry: &Entry, range: Range<usize>) -> Option<Emission> {
+        let message = codec::decode_entry(entry, range).ok()?;
+        if let Err(empty) = message.body {
+            return Some(Emission::Empty(empty.reason));
+        }
+        let ty = match port {
+            PortPayload::Type(ty) => ty,
+            PortPayload::Any => self.registry.payload_type(&message.payload.as_ref()?.0)?,
+        };
+        payload_of(message, ty).map(Emission::Value)
+    }
+}
+
+struct Answer {
+    emissions: Vec<Emission>,
+    warnings: Vec<String>,
+}
+
+fn with_item(key: KeyInMaking, item: &Item) -> KeyInMaking {
+    match &item.body {
+        Body::Value(value) => key.value("value", value),
+        Body::Empty(empty) => with_empty(key, "empty", empty),
+    }
+}
+
+fn with_empty(key: KeyInMaking, what: &str, empty: &Empty) -> KeyInMaking {
+    key.text(what, &empty.node).text("reason", &empty.reason)
+}
+
+/// An answer for the store: the number of outputs and of warnings and the length of each (u64, little-endian), then the
+/// messages of the outputs and the texts of the warnings, each at a multiple of 8. `None` if an output was silent.
+fn written(out: &[Emission], warnings: &[String], node: &str) -> Option<Vec<Parts>> {
+    let empty = |empty: Empty| {
+        let item = Item { number: 0, stamp_ns: 0, body: Body::Empty(Arc::new(empty)) };
+        codec::parts_on(PortPayload::Any, &item)
+    };
+    let mut messages = Vec::with_capacity(1 + out.len() + warnings.len());
+    messages.push(Parts::default());
+    for emission in out {
+        messages.push(match emission {
+            Emission::Value(value) => message(value),
+            Emission::Empty(reason) => empty(Empty { node: node.into(), reason: reason.clone() }),
+            Emission::PassedOn(_) | Emission::Silent => return None,
+        });
+    }
+    for warning in warnings {
+        let mut text = Parts::default();
+        text.tail().extend_from_slice(warning.as_bytes());
+        messages.push(text);
+    }
+    let lengths = messages[1..].iter().map(|message| message.len() as u64).collect::<Vec<_>>();
+    let head = [out.len() as u64, warnings.len() as u64].into_iter().chain(lengths);
+    messages[0].tail().extend(head.flat_map(u64::to_le_bytes));
+    for message in &mut messages {
+        let n_zeros = message.len().next_multiple_of(8) - message.len();
+        message.tail().extend_from_slice(&[0; 8][..n_zeros]);
+    }
+    Some(messages)
+}

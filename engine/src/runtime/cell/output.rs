@@ -1,0 +1,127 @@
+//! An output of a node: it numbers what goes on the wire, and sends it over each link.
+
+use crate::{
+    plan::OutputId,
+    runtime::{
+        Runtime,
+        channel::{LinkState, SendEnd},
+        scheduler::Turn,
+        tap::Tap,
+    },
+};
+use osteoflow_node::{Body, Emission, Item, PortPayload, StampNs};
+
+/// An output and the links it feeds.
+pub(in crate::runtime) struct Output {
+    pub(super) id: OutputId,
+    pub(super) payload: PortPayload,
+    pub(in crate::runtime) links: Vec<SendEnd>,
+    /// The taps that listen to the wire, as indices into those of the run.
+    listeners: Vec<usize>,
+    next_number: u64,
+    /// Nothing may come before this stamp any more.
+    pub(super) floor: StampNs,
+    pub(super) late: Late,
+}
+
+/// Items that a live source gave later than it had promised.
+#[derive(Debug, Clone, Copy, Default)]
+pub(in crate::runtime) struct Late {
+    /// How many.
+    pub(super) n_items: u64,
+    /// How much too late the latest of them was.
+    pub(super) most_ns: StampNs,
+}
+
+impl Output {
+    pub(in crate::runtime) fn new(id: OutputId, payload: PortPayload, links: Vec<SendEnd>) -> Self {
+        Self { id, payload, links, listeners: Vec::new(), next_number: 0, floor: StampNs::MIN, late: Late::default() }
+    }
+
+    /// How many items a live source gave later than it had promised.
+    pub(in crate::runtime) fn n_late(&self) -> u64 {
+        self.late.n_items
+    }
+
+    /// How many items went on the wire.
+    pub(in crate::runtime) fn n_items(&self) -> u64 {
+        self.next_number
+    }
+
+    pub(in crate::runtime) fn listen(&mut self, taps: &[&dyn Tap]) {
+        self.listeners = (0..taps.len()).filter(|tap| taps[*tap].listens(self.id)).collect();
+    }
+
+    pub(super) fn has_room(&mut self, states: &[LinkState]) -> bool {
+        let mut room = true;
+        for send in &mut self.links {
+            // To the last: every full link notes that its producer waits.
+            room &= send.has_room(&states[send.link]);
+        }
+        room
+    }
+
+    /// # Errors
+    /// The index of a link that was full and must not be.
+    pub(super) fn send(
+        &mut self,
+        stamp_ns: StampNs,
+        body: Body,
+        run: &Runtime<'_>,
+        turn: &mut Turn<'_>,
+    ) -> Result<(), usize> {
+        let item = Item { number: self.next_number, stamp_ns, body };
+        self.next_number += 1;
+        self.floor = stamp_ns;
+        self.listeners.iter().for_each(|tap| run.taps[*tap].item(self.id, &item));
+        let Some((last, others)) = self.links.split_last_mut() else { return Ok(()) };
+        let mut full = None;
+        let mut put = |send: &mut SendEnd, item: Item| {
+            let link = send.link;
+            if send.send(item, &run.links[link], &mut |number| run.dropped(link, number)).is_err() {
+                full = full.or(Some(link));
+            }
+            turn.wake(run.plan.links[link].to_node);
+        };
+        others.iter_mut().for_each(|send| put(send, item.clone()));
+        put(last, item);
+        full.map_or(Ok(()), Err)
+    }
+
+    pub(super) fn promise(&mut self, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+        if stamp_ns > self.floor {
+            self.floor = stamp_ns;
+            for send in self.links.iter().filter(|send| send.promise(&run.links[send.link], stamp_ns)) {
+                turn.wake(run.plan.links[send.link].to_node);
+            }
+        }
+    }
+
+    pub(super) fn close(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+        for send in &mut self.links {
+            send.close(&run.links[send.link]);
+            turn.wake(run.plan.links[send.link].to_node);
+        }
+    }
+}
+
+/// What an emission breaks of what every node promises: an answer on each output, of its type, in the order of time.
+pub(crate) fn emission_fault(
+    payload: &PortPayload,
+    floor: StampNs,
+    emission: &Emission,
+    is_source: bool,
+    stamp_ns: StampNs,
+) -> Option<String> {
+    match (emission, payload) {
+        (Emission::Silent, _) if is_source => None,
+        (Emission::Silent, _) => Some("stayed silent, which only a source may".into()),
+        (Emission::Value(value), PortPayload::Type(ty)) if value.ty() != *ty => {
+            Some(format!("gave {:?}, {ty:?} expected", value.ty()))
+        }
+        _ if stamp_ns < floor => {
+            Some(format!("gave stamp {stamp_ns} ns after {floor} ns; stamps never decrease along a wire"))
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,107 @@
+//! How long it takes from a source's answer to the end of a sink's firing, by the wall clock.
+//!
+//! A sink is a node whose outputs feed nobody. Of a firing with stamp s, the answer that counts is the source's newest one
+//! at or before s: the last that the firing can have waited for. It is a tap: it sees firings and changes nothing.
+
+use super::{
+    histogram::{Histogram, Spread},
+    tap::Tap,
+};
+use crate::plan::Plan;
+use osteoflow_node::{Role, StampNs};
+use std::{
+    collections::{BTreeSet, VecDeque},
+    sync::{Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+/// So many answers of a source are remembered; a sink that lags further behind is measured from the oldest of them.
+const ANSWERS: usize = 1 << 16;
+
+/// The time from a source's answers to a sink's firings.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LatencyStats {
+    /// The source.
+    pub source: String,
+    /// The sink.
+    pub sink: String,
+    /// Firings of the sink.
+    pub firings: u64,
+    /// How the times are spread.
+    pub spread: Spread,
+}
+
+/// Stamps and times, both ascending.
+type Answers = VecDeque<(StampNs, Duration)>;
+
+pub(crate) struct Latency {
+    /// For each node that is a source: its answers.
+    answers: Vec<Option<Mutex<Answers>>>,
+    /// For each node that is a sink: the sources upstream.
+    sinks: Vec<Vec<(usize, Mutex<Histogram>)>>,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Latency {
+    pub(crate) fn new(plan: &Plan) -> Self {
+        let answers = plan.nodes.iter().map(|node| (node.role != Role::Node).then(Mutex::default)).collect();
+        // Nodes stand in topological order, so what is upstream of a producer is known before its consumers ask.
+        let mut upstream: Vec<BTreeSet<usize>> = Vec::with_capacity(plan.nodes.len());
+        for (index, node) in plan.nodes.iter().enumerate() {
+            let producers = node.inputs.iter().filter_map(|input| Some(plan.links[input.link?].from.node));
+            let mut sources: BTreeSet<_> = producers.flat_map(|producer| upstream[producer].iter().copied()).collect();
+            if node.role != Role::Node {
+                sources.insert(index);
+            }
+            upstream.push(sources);
+        }
+        let is_sink = |index: usize| plan.nodes[index].outputs.iter().all(|output| output.links.is_empty());
+        let of = |index: usize, sources: BTreeSet<usize>| match is_sink(index) && plan.nodes[index].role == Role::Node {
+            true => sources.into_iter().map(|source| (source, Mutex::default())).collect(),
+            false => Vec::new(),
+        };
+        let sinks = upstream.into_iter().enumerate().map(|(index, sources)| of(index, sources)).collect();
+        Self { answers, sinks }
+    }
+
+    /// Every pair that was measured, in the order of the plan.
+    pub(crate) fn stats(&self, plan: &Plan) -> Vec<LatencyStats> {
+        let name = |node: usize| plan.nodes[node].name.to_string();
+        let pairs = self.sinks.iter().enumerate().flat_map(|(sink, sources)| sources.iter().map(move |of| (sink, of)));
+        let measured = pairs.map(|(sink, (source, times))| {
+            let times = locked(times);
+            LatencyStats { source: name(*source), sink: name(sink), firings: times.n(), spread: times.spread() }
+        });
+        measured.filter(|pair| pair.firings > 0).collect()
+    }
+}
+
+impl Tap for Latency {
+    fn times_firings(&self) -> bool {
+        true
+    }
+
+    fn fired(&self, node: usize, _: u64, stamp_ns: StampNs, began: Duration, took: Duration) {
+        let ended = began + took;
+        if let Some(answers) = &self.answers[node] {
+            let mut answers = locked(answers);
+            // A late answer is no newer than what came before it.
+            if answers.back().is_none_or(|(newest, _)| *newest <= stamp_ns) {
+                if answers.len() == ANSWERS {
+                    answers.pop_front();
+                }
+                answers.push_back((stamp_ns, ended));
+            }
+        }
+        for (source, times) in &self.sinks[node] {
+            let Some(answers) = &self.answers[*source] else { continue };
+            let answers = locked(answers);
+            let n_before = answers.partition_point(|(stamp, _)| *stamp <= stamp_ns);
+            let Some((_, answered)) = answers.get(n_before.saturating_sub(1)) else { continue };
+            locked(times).count(1, ended.saturating_sub(*answered).as_nanos() as u64);
+        }
+    }
+}

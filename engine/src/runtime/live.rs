@@ -1,0 +1,264 @@
+//! Live sources: each on a thread of its own, which may wait for its device; what they answer is put on the wires by one
+//! further thread, so that no worker ever waits for a device and no device for a worker.
+//!
+//! A source is *pending* while it is asked for its next answer. It is not while its outputs lack room, and when it has
+//! ended: a graph whose workers all wait while no source is pending is stuck, exactly and at once. The workers say when
+//! there is room, and count the source as pending again by the same step.
+
+use super::{
+    Runtime,
+    cell::{Answer, Asked},
+    scheduler::Scheduler,
+};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use osteoflow_node::{AnySource, Context, StampNs};
+use std::{
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+
+/// How often the wish to stop and the silence of sources are looked at.
+const TICK: Duration = Duration::from_millis(20);
+/// How long a source may take to notice the wish to stop; the run then ends without it.
+const GRACE: Duration = Duration::from_millis(500);
+
+/// A live source before its run.
+pub(super) struct Live {
+    /// The node.
+    pub(super) node: usize,
+    /// What answers.
+    pub(super) source: Box<dyn AnySource>,
+    /// Its own; the cell has another.
+    pub(super) context: Context,
+    /// How many outputs it has.
+    pub(super) n_ports: usize,
+}
+
+/// What the thread that serves live sources is told.
+pub(super) enum News {
+    /// A source has answered.
+    Answered(usize, Answer),
+    /// There may be room for what a source answers next; it counts as pending since before this was sent.
+    Room(usize),
+    /// A source has been dropped on its thread.
+    Gone,
+    /// No worker runs any more.
+    Over,
+}
+
+/// The way to the thread that serves live sources.
+pub(super) struct Mailbox {
+    pub(super) tx: Sender<News>,
+    rx: Receiver<News>,
+}
+
+impl Mailbox {
+    /// For so many sources: each has at most one answer, one word of room and one farewell under way.
+    pub(super) fn new(n_sources: usize) -> Self {
+        let (tx, rx) = bounded(3 * n_sources + 1);
+        Self { tx, rx }
+    }
+}
+
+/// The next answer that a source is asked for.
+struct Ask {
+    item: u64,
+    stamp_ns: StampNs,
+}
+
+/// A source on its thread.
+struct Device {
+    node: usize,
+    asks: Option<Sender<Ask>>,
+    thread: JoinHandle<()>,
+    silent_after: Duration,
+    /// Since when it is asked; `None` while it is not pending.
+    asked: Option<Instant>,
+    told_silent: bool,
+    /// It did not notice the wish to stop.
+    left_behind: bool,
+}
+
+/// Runs a graph with live sources.
+pub(super) fn run(run: &Runtime<'_>, scheduler: &Scheduler, sources: Vec<Live>) {
+    std::thread::scope(|scope| {
+        let serve = std::thread::Builder::new().name("live".into());
+        let served = serve.spawn_scoped(scope, || {
+            // Where this thread dies of a bug of ours, the workers must not wait for it.
+            let _guard = scheduler.guard();
+            Server { run, scheduler, devices: Vec::new(), stopped: None }.serve(sources);
+        });
+        if let Err(error) = served {
+            run.fail_live(&format!("the thread for live sources cannot be started: {error}"), scheduler);
+        }
+        // Also where the workers unwind.
+        let _over = Over(&run.mailbox);
+        scheduler.run(run);
+    });
+}
+
+struct Over<'a>(&'a Mailbox);
+
+impl Drop for Over<'_> {
+    fn drop(&mut self) {
+        // Without a receiver there is nobody to tell.
+        let _ = self.0.tx.try_send(News::Over);
+    }
+}
+
+struct Server<'a, 'r> {
+    run: &'a Runtime<'r>,
+    scheduler: &'a Scheduler,
+    devices: Vec<Device>,
+    /// When the wish to stop was seen.
+    stopped: Option<Instant>,
+}
+
+impl Server<'_, '_> {
+    fn serve(mut self, sources: Vec<Live>) {
+        for source in sources {
+            self.start(source);
+        }
+        loop {
+            match self.run.mailbox.rx.recv_timeout(TICK) {
+                Ok(News::Answered(node, answer)) => self.answered(node, answer),
+                Ok(News::Room(node)) => self.ask(node),
+                Ok(News::Over) | Err(RecvTimeoutError::Disconnected) => break,
+                Ok(News::Gone) | Err(RecvTimeoutError::Timeout) => {}
+            }
+            self.look_at_clock();
+        }
+        self.leave();
+    }
+
+    fn start(&mut self, source: Live) {
+        let (node, silent_after) = (source.node, source.source.silent_after());
+        let (asks, asked) = bounded(1);
+        let answers = self.run.mailbox.tx.clone();
+        let thread = std::thread::Builder::new().name(format!("source-{node}")).stack_size(8 << 20);
+        match thread.spawn(move || attend(source, &asked, &answers)) {
+            Ok(thread) => {
+                let asks = Some(asks);
+                let (asked, told_silent, left_behind) = (None, false, false);
+                self.devices.push(Device { node, asks, thread, silent_after, asked, told_silent, left_behind });
+                self.ask(node);
+            }
+            Err(error) => {
+                let reason = format!("its thread cannot be started: {error}");
+                self.run.cell(node).fail_live(reason, self.run);
+                self.ask(node);
+            }
+        }
+    }
+
+    fn device(&mut self, node: usize) -> Option<&mut Device> {
+        self.devices.iter_mut().find(|device| device.node == node)
+    }
+
+    fn answered(&mut self, node: usize, answer: Answer) {
+        let Some(device) = self.device(node).filter(|device| device.asks.is_some()) else { return };
+        let (asked, told) = (device.asked.take(), std::mem::take(&mut device.told_silent));
+        if let (Some(asked), true) = (asked, told) {
+            let said = format!("it gave something again after {}", seconds(asked.elapsed()));
+            self.run.warn(node, answer.item(), vec![said]);
+        }
+        self.scheduler.outside(|turn| self.run.cell(node).answered(answer, self.run, turn));
+        self.ask(node);
+    }
+
+    /// Asks a source that counts as pending for its next answer; where it cannot be asked, it is pending no more.
+    fn ask(&mut self, node: usize) {
+        let asked = self.scheduler.outside(|turn| self.run.cell(node).ask(self.run, turn));
+        if let Asked::Next { item, stamp_ns } = asked {
+            if let Some(device) = self.device(node) {
+                device.asked = Some(Instant::now());
+                // A source whose thread is gone has sent its last answer before.
+                let _ = device.asks.as_ref().map(|asks| asks.try_send(Ask { item, stamp_ns }));
+            }
+            return;
+        }
+        if let (Asked::Never, Some(device)) = (asked, self.device(node)) {
+            device.asks = None;
+        }
+        self.not_pending();
+    }
+
+    fn not_pending(&self) {
+        if self.run.no_longer_pending() {
+            self.scheduler.look_again();
+        }
+    }
+
+    fn look_at_clock(&mut self) {
+        if self.run.cancelled() {
+            let since = *self.stopped.get_or_insert_with(Instant::now);
+            self.stop(since.elapsed() > GRACE);
+        }
+        for device in &mut self.devices {
+            let Some(silent) = device.asked.map(|asked| asked.elapsed()) else { continue };
+            if silent >= device.silent_after && !device.told_silent {
+                device.told_silent = true;
+                let said = format!("it has given nothing for {}; is the device connected and on?", seconds(silent));
+                self.run.warn(device.node, self.run.cell(device.node).n_items(), vec![said]);
+            }
+        }
+    }
+
+    /// Ends the sources that wait for room, and at last those that have not noticed the wish to stop.
+    fn stop(&mut self, all: bool) {
+        for device in &mut self.devices {
+            let ends = device.asks.is_some() && (device.asked.is_none() || all);
+            if !ends {
+                continue;
+            }
+            let was_pending = device.asked.take().is_some();
+            let ended = self.scheduler.outside(|turn| self.run.cell(device.node).interrupt(self.run, turn));
+            if !ended {
+                // It has failed, and its outputs wait for room to say so.
+                continue;
+            }
+            device.asks = None;
+            if was_pending {
+                device.left_behind = true;
+                let said =
+                    format!("it did not notice the wish to stop within {}; the run ends without it", seconds(GRACE));
+                self.run.warn(device.node, self.run.cell(device.node).n_items(), vec![said]);
+                if self.run.no_longer_pending() {
+                    self.scheduler.look_again();
+                }
+            }
+        }
+    }
+
+    /// Waits a moment for the sources to be dropped, so that devices are closed in order.
+    fn leave(mut self) {
+        self.devices.iter_mut().for_each(|device| device.asks = None);
+        let until = Instant::now() + GRACE;
+        let open = |device: &&Device| !device.left_behind && !device.thread.is_finished();
+        while self.devices.iter().any(|device| open(&device)) && Instant::now() < until {
+            // What comes now is a farewell, or too late.
+            let _ = self.run.mailbox.rx.recv_timeout(TICK);
+        }
+        for device in self.devices.iter().filter(open) {
+            let node = &self.run.plan.nodes[device.node].name;
+            tracing::warn!("node \"{node}\" does not leave its device; its thread is left behind");
+        }
+    }
+}
+
+/// The life of a source on its thread.
+fn attend(live: Live, asks: &Receiver<Ask>, answers: &Sender<News>) {
+    let Live { node, mut source, mut context, n_ports } = live;
+    for Ask { item, stamp_ns } in asks {
+        let answer = Answer::of(&mut *source, &mut context, n_ports, item, stamp_ns);
+        if answers.try_send(News::Answered(node, answer)).is_err() {
+            break;
+        }
+    }
+    super::cell::discard(source);
+    let _ = answers.try_send(News::Gone);
+}
+
+fn seconds(time: Duration) -> String {
+    format!("{:.1} s", time.as_secs_f64())
+}

@@ -1,0 +1,75 @@
+//! What nodes said and how they failed, as far as a run keeps it.
+
+use super::report::{Failure, Warning};
+use crate::plan::Plan;
+
+/// So many warnings of a node are kept, and so many failures after which it went on; the rest is counted. A node that
+/// warns at every item would else fill the memory in a long run.
+const MOST_PER_NODE: u64 = 100;
+
+/// Warnings and failures of a run under way.
+pub(super) struct Kept {
+    warnings: Vec<(usize, Warning)>,
+    failures: Vec<Failure>,
+    nodes: Vec<Counts>,
+}
+
+#[derive(Default, Clone)]
+struct Counts {
+    warned: u64,
+    failed: u64,
+    /// The last item that had more to say than was kept.
+    last_warned: u64,
+    /// The latest failure beyond those kept: what the node's last empty tells of.
+    latest: Option<Failure>,
+}
+
+impl Kept {
+    pub(super) fn new(n_nodes: usize) -> Self {
+        Self { warnings: Vec::new(), failures: Vec::new(), nodes: vec![Counts::default(); n_nodes] }
+    }
+
+    pub(super) fn warning(&mut self, node: usize, warning: Warning) {
+        let counts = &mut self.nodes[node];
+        counts.warned += 1;
+        if counts.warned <= MOST_PER_NODE {
+            self.warnings.push((node, warning));
+        } else {
+            counts.last_warned = warning.item;
+        }
+    }
+
+    pub(super) fn failure(&mut self, failure: Failure) {
+        let counts = &mut self.nodes[failure.node];
+        counts.failed += 1;
+        if counts.failed <= MOST_PER_NODE || !failure.skipped {
+            self.failures.push(failure);
+        } else {
+            counts.latest = Some(failure);
+        }
+    }
+
+    /// Failures in the order of the plan, not of time: the first is the same on any number of workers. Where more was
+    /// said than kept, a last warning says how much.
+    pub(super) fn finish(mut self, plan: &Plan) -> (Vec<Failure>, Vec<(usize, Warning)>) {
+        for (node, counts) in self.nodes.into_iter().enumerate() {
+            let mut more = |n: u64, item: u64, what: &str| {
+                let message = format!("{n} more {what} of this node are counted and not listed");
+                self.warnings.push((node, Warning { node: plan.nodes[node].name.to_string(), item, message }));
+            };
+            if counts.warned > MOST_PER_NODE {
+                more(counts.warned - MOST_PER_NODE, counts.last_warned, "warnings");
+            }
+            if let Some(latest) = counts.latest {
+                // The latest is listed.
+                let n = counts.failed - MOST_PER_NODE - 1;
+                if n > 0 {
+                    more(n, latest.item, "failures");
+                }
+                self.failures.push(latest);
+            }
+        }
+        self.failures.sort_by_key(|failure| (failure.node, failure.item));
+        (self.failures, self.warnings)
+    }
+}
