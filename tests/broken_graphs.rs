@@ -57,7 +57,7 @@ fn every_shipped_graph_is_accepted_and_built_and_so_is_what_it_resolves_to() {
         // What passes the schema is what the node reads, and it is built without opening a file.
         for node in &checked.plan.nodes {
             let kind = registry.kind(&node.kind).unwrap();
-            let built = kind.build(&node.params, &osteoflow_node::Site::alone(&node.name));
+            let built = kind.build(&node.params, &osteoflow_node::BuildContext::detached(&node.name));
             assert!(built.is_ok(), "{}: node \"{}\": {:?}", path.display(), node.name, built.err());
         }
         let resolved = checked.plan.resolved;

@@ -76,7 +76,7 @@ fn every_example_names_its_kind_and_its_ports_and_builds_the_node() {
             assert!(known.is_some_and(|k| k.contains_key(name)), "{}: the example sets \"{name}\"", d.kind);
         }
         let params = serde_json::to_value(params).unwrap();
-        if let Err(error) = kind.build(&params, &osteoflow_node::Site::alone("example")) {
+        if let Err(error) = kind.build(&params, &osteoflow_node::BuildContext::detached("example")) {
             panic!("{}: the example does not build: {error}", d.kind);
         }
     }

@@ -12,8 +12,8 @@ use osteoflow_engine::{
     run::{RunOptions, run},
 };
 use osteoflow_node::{
-    Buffer, Column, ColumnType, Context, Describe, Display, NodeError, OutputPorts, Outputs, ParamError, Part, Payload,
-    Registry, Source, StampNs, View, ViewError, schemars, serde, serde_json,
+    Buffer, Column, ColumnType, Context, Describe, Display, NodeError, OutputPorts, Outputs, ParamError, Payload,
+    Registry, SchemaEntry, Source, StampNs, View, ViewError, schemars, serde, serde_json,
 };
 use std::{
     fs::File,
@@ -36,7 +36,8 @@ struct Cloud(Buffer);
 impl Payload<Cloud> for Cloud {
     const NAME: &'static str = "bench/Cloud";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[Part::text("frame"), Part::column("points", ColumnType::F64, 3)];
+    const SCHEMA: &'static [SchemaEntry] =
+        &[SchemaEntry::text("frame"), SchemaEntry::column("points", ColumnType::F64, 3)];
 
     fn to_view(&self) -> View {
         View::new().with("frame", "camera").with_column(Column::new("points", ColumnType::F64, 3, self.0.clone()))

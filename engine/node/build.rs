@@ -1,4 +1,4 @@
-//! Tells the crate which compiler builds it: a plugin says so in its description.
+//! Passes the version of the compiler to the crate, for the description of a plugin.
 
 use std::process::Command;
 

@@ -22,7 +22,7 @@ use crate::{
     runtime::{RunOptions, Tap},
 };
 use mcap_file::McapFile;
-use osteoflow_node::{Body, Item, Reading, StampNs};
+use osteoflow_node::{Body, ClockReading, Item, StampNs};
 use queue::Queue;
 use serde_json::Value as Json;
 use sink::{Sink, Stopped};
@@ -153,7 +153,7 @@ enum Entry {
     Item(OutputId, Item),
     Firings(Vec<Firing>),
     Dropped(usize, u64),
-    Live(usize, u64, Vec<Reading>),
+    Live(usize, u64, Vec<ClockReading>),
     /// Metadata that ends the recording.
     End(Vec<(&'static str, BTreeMap<String, String>)>),
 }
@@ -259,7 +259,7 @@ impl Tap for Recorder {
         }
     }
 
-    fn live(&self, node: usize, item: u64, readings: &[Reading]) {
+    fn live(&self, node: usize, item: u64, readings: &[ClockReading]) {
         self.shared.queue.put(Entry::Live(node, item, readings.to_vec()), size_of_val(readings));
     }
 
@@ -338,7 +338,7 @@ pub(crate) fn dropped(message: &[u8]) -> Vec<(String, String, u64)> {
 pub(crate) struct Taken {
     pub(crate) node: String,
     pub(crate) item: u64,
-    pub(crate) readings: Vec<Reading>,
+    pub(crate) readings: Vec<ClockReading>,
 }
 
 /// The writer's life: until the queue is closed and empty, or the file takes nothing more.

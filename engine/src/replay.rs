@@ -17,7 +17,7 @@ use crate::{
     runtime::{Observer, Replayed, RunOptions, Substitutes},
 };
 use compare::Compare;
-use osteoflow_node::{Body, Item, Join, PortPayload, Reading, Registry, Role, StampNs};
+use osteoflow_node::{Body, ClockReading, Item, Join, PortPayload, Registry, Role, StampNs};
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
@@ -507,7 +507,7 @@ fn drops(plan: &Plan, recording: &Recording, cut: &BTreeMap<OutputId, u64>) -> B
 }
 
 /// What firings had taken from the clock, by the index of the node.
-fn readings(plan: &Plan, recording: &Recording) -> BTreeMap<(usize, u64), Vec<Reading>> {
+fn readings(plan: &Plan, recording: &Recording) -> BTreeMap<(usize, u64), Vec<ClockReading>> {
     let place = |name: &str| plan.nodes.iter().position(|node| *node.name == *name);
     let all = recording.readings.iter();
     all.filter_map(|((node, item), readings)| Some(((place(node)?, *item), readings.clone()))).collect()

@@ -25,8 +25,8 @@ use crate::{
     runtime::{self, emission_fault, planned_failure},
 };
 use osteoflow_node::{
-    Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, PortPayload, Registry, Role, Site, Slot,
-    StampNs,
+    BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, PortPayload, Registry, Role,
+    Slot, StampNs,
 };
 use std::{
     path::Path,
@@ -84,8 +84,9 @@ pub fn repro(
     });
     let declared: Arc<[DeclaredPort]> = declared.collect::<Result<Vec<_>, ReproError>>()?.into();
     let joins = kind.description.inputs.iter().map(|port| port.join).collect();
-    let site = Site { node: node.name.as_str().into(), seed: bundle.seed, declared: declared.clone(), joins };
-    let built = match panics::catch(|| kind.build(&node.params, &site)) {
+    let build_context =
+        BuildContext { node: node.name.as_str().into(), seed: bundle.seed, declared: declared.clone(), joins };
+    let built = match panics::catch(|| kind.build(&node.params, &build_context)) {
         Ok(built) => built.map_err(|error| build(error.to_string()))?,
         Err(panic) => return Err(build(panic)),
     };

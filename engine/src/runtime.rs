@@ -42,7 +42,7 @@ use inject::Planned;
 use join::{Joiner, PortSpec};
 use live::{Live, Mailbox, News};
 use messages::Kept;
-use osteoflow_node::{Built, Context, Reading, Registry, Role, Site, StampNs};
+use osteoflow_node::{BuildContext, Built, ClockReading, Context, Registry, Role, StampNs};
 use scheduler::{Scheduler, Stepped, Turn, Work};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -79,7 +79,7 @@ pub(crate) struct Runtime<'a> {
     stall: Mutex<Option<Failure>>,
     began: Instant,
     elapsed: Duration,
-    readings: Option<BTreeMap<(usize, u64), Vec<Reading>>>,
+    readings: Option<BTreeMap<(usize, u64), Vec<ClockReading>>>,
     /// Live sources that have not begun.
     sources: Mutex<Vec<Live>>,
     /// Live sources that are asked for their next answer.
@@ -322,12 +322,12 @@ impl<'a> Runtime<'a> {
     }
 
     /// What the record holds of a firing's readings of the clock, in a replay.
-    fn recorded_readings(&self, node: usize, item: u64) -> Option<&[Reading]> {
+    fn recorded_readings(&self, node: usize, item: u64) -> Option<&[ClockReading]> {
         let readings = self.readings.as_ref()?;
         Some(readings.get(&(node, item)).map_or(&[], Vec::as_slice))
     }
 
-    fn readings_to_taps(&self, node: usize, item: u64, readings: &[Reading]) {
+    fn readings_to_taps(&self, node: usize, item: u64, readings: &[ClockReading]) {
         if !readings.is_empty() {
             self.taps.iter().for_each(|tap| tap.live(node, item, readings));
         }
@@ -478,8 +478,8 @@ fn build(registry: &Registry, node: &PlanNode, seed: u64) -> Result<Built, Build
         return Err(fault(String::new(), format!("there is no kind \"{}\" here", node.kind)));
     };
     let joins = node.inputs.iter().map(|input| input.port.join).collect();
-    let site = Site { node: node.name.clone(), seed, declared: node.declared.clone(), joins };
-    match panics::catch(|| kind.build(&node.params, &site)) {
+    let build_context = BuildContext { node: node.name.clone(), seed, declared: node.declared.clone(), joins };
+    match panics::catch(|| kind.build(&node.params, &build_context)) {
         Ok(built) => built.map_err(|error| fault(error.parameter, error.message)),
         Err(panic) => Err(fault(String::new(), panic)),
     }

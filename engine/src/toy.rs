@@ -4,7 +4,7 @@
 use crate::plan::{Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, ResultEntry};
 use osteoflow_node::{
     Column, ColumnType, Context, Declared, Describe, Emission, Emit, Inputs, Join, Node, NodeError, OutputPorts,
-    Outputs, ParamError, Part, Payload, PortPayload, Registry, Source, View, ViewError, schemars, serde,
+    Outputs, ParamError, Payload, PortPayload, Registry, SchemaEntry, Source, View, ViewError, schemars, serde,
     serde_json::{self, Value as Json},
 };
 use std::{
@@ -20,7 +20,7 @@ pub(crate) struct Number(pub(crate) f64);
 impl Payload<Number> for Number {
     const NAME: &'static str = "toy/Number";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[Part::float("value")];
+    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::float("value")];
     const INTERPOLATES: bool = true;
 
     fn to_view(&self) -> View {
@@ -63,7 +63,8 @@ pub(crate) struct Wave {
 impl Payload<Wave> for Wave {
     const NAME: &'static str = "toy/Wave";
     const VERSION: u32 = 2;
-    const SCHEMA: &'static [Part] = &[Part::text("label"), Part::column("samples", ColumnType::F64, 1)];
+    const SCHEMA: &'static [SchemaEntry] =
+        &[SchemaEntry::text("label"), SchemaEntry::column("samples", ColumnType::F64, 1)];
 
     fn to_view(&self) -> View {
         let bytes: Vec<u8> = self.samples.iter().flat_map(|s| s.to_ne_bytes()).collect();
@@ -436,7 +437,7 @@ pub(crate) fn n_fired(counter: &str) -> u64 {
 
 impl Node for Kept {
     const KIND: &'static str = "toy.kept";
-    const KEPT: osteoflow_node::Kept = osteoflow_node::Kept::ByInputs;
+    const CACHE: osteoflow_node::CachePolicy = osteoflow_node::CachePolicy::ByInputs;
     type Params = KeptParams;
     type Inputs = AddIn;
     type Outputs = KeptOut;
@@ -452,7 +453,7 @@ impl Node for Kept {
 
 impl Node for KeptWithSeed {
     const KIND: &'static str = "toy.kept_with_seed";
-    const KEPT: osteoflow_node::Kept = osteoflow_node::Kept::ByInputsAndSeed;
+    const CACHE: osteoflow_node::CachePolicy = osteoflow_node::CachePolicy::ByInputsAndSeed;
     type Params = KeptParams;
     type Inputs = AddIn;
     type Outputs = KeptOut;

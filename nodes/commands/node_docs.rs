@@ -1,6 +1,6 @@
 //! A kind's description as Markdown: the same words for `inspect` and for `docs/nodes`.
 
-use osteoflow_node::{Description, FrameExpr, InputPort, Join, Kept, OutputPorts, Registry, Role};
+use osteoflow_node::{CachePolicy, Description, FrameExpr, InputPort, Join, OutputPorts, Registry, Role};
 use serde_json::{Map, Value};
 use std::{collections::BTreeMap, fmt::Write as _};
 
@@ -65,10 +65,12 @@ pub(crate) fn markdown(of: &Description) -> String {
     if !of.details.is_empty() {
         let _ = write!(out, "\n{}\n", of.details);
     }
-    match of.kept {
-        Kept::No => {}
-        Kept::ByInputs => out.push_str("\nIts answers are kept in the store: parameters and inputs decide them.\n"),
-        Kept::ByInputsAndSeed => {
+    match of.cache {
+        CachePolicy::Never => {}
+        CachePolicy::ByInputs => {
+            out.push_str("\nIts answers are kept in the store: parameters and inputs decide them.\n")
+        }
+        CachePolicy::ByInputsAndSeed => {
             out.push_str("\nIts answers are kept in the store: parameters, inputs and the run's seed decide them.\n");
         }
     }

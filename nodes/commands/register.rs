@@ -244,7 +244,7 @@ impl Register {
                 return Ok(None);
             }
         };
-        kind.build(&as_json, &osteoflow_node::Site::alone("register"))
+        kind.build(&as_json, &osteoflow_node::BuildContext::detached("register"))
             .map_err(|error| UsageError(error.to_string()))?;
         let icp = serde_json::from_value(as_json.clone()).context("the parameters of the node are not the method's")?;
         Ok(Some(Params { icp, as_json }))

@@ -1,8 +1,8 @@
 //! The payloads and kinds themselves: built into benches and tests, and exported by `examples/plugin_relay.rs`.
 
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Part, Payload, Source, Value, View, ViewError,
-    schemars, serde, serde_json,
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Payload, SchemaEntry, Source, Value, View,
+    ViewError, schemars, serde, serde_json,
 };
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ pub(crate) struct Number(pub(crate) f64);
 impl Payload<Number> for Number {
     const NAME: &'static str = "bench/Number";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[Part::float("value")];
+    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::float("value")];
 
     fn to_view(&self) -> View {
         View::new().with("value", self.0)
@@ -42,7 +42,7 @@ impl Megabyte {
 impl Payload<Megabyte> for Megabyte {
     const NAME: &'static str = "bench/Megabyte";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[Part::float("bytes")];
+    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::float("bytes")];
 
     fn to_view(&self) -> View {
         View::new().with("bytes", self.0.len() as f64)

@@ -1,7 +1,7 @@
 use crate::{
-    Budget, DeclaredPort, Empty, Kept, Reading, StampNs,
+    Budget, CachePolicy, ClockReading, DeclaredPort, Empty, StampNs,
+    clock::{NotRecorded, Readings},
     plugin::Host,
-    reading::{NotRecorded, Readings},
 };
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use std::{
@@ -12,9 +12,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// What a node may know of the run beside its inputs: its stamp, its item number, a seeded generator, and whether to stop.
+/// What a node may know of the run beside its inputs: stamp, item number, a seeded generator, and whether to stop.
 ///
-/// Everything random or timed enters through here, so that a run is a function of graph, inputs and seed.
+/// All random numbers and times come from here, so that a run is a function of graph, inputs and seed.
 pub struct Context {
     node: Arc<str>,
     seed: u64,
@@ -26,23 +26,22 @@ pub struct Context {
     absent: Vec<(&'static str, Arc<Empty>)>,
     warnings: Vec<String>,
     readings: Readings,
-    asked: Asked,
-    /// In a plugin, during a firing: the program, which answers in the place of what stands here.
+    used: Used,
+    /// In a plugin, during a firing: the program, which answers instead of the fields above.
     host: Option<Host>,
 }
 
-/// What a firing took from its context, apart from readings of the clock. Set through a shared context, also by threads
-/// of the node.
+/// What a firing used of its context, apart from clock readings. Atomic, because threads of the node share the context.
 #[derive(Default)]
-struct Asked {
-    /// The generator, or what it is seeded by.
+struct Used {
+    /// The generator, or a value that seeds it.
     generator: AtomicBool,
-    /// Stamp or folder.
-    rest: AtomicBool,
+    /// Stamp or output folder.
+    other: AtomicBool,
 }
 
 impl Context {
-    /// A context of the node with this full name, for the engine and for tests.
+    /// A context for the node with this full name; for the engine and for tests.
     pub fn new(
         node: impl Into<Arc<str>>,
         seed: u64,
@@ -60,7 +59,7 @@ impl Context {
             absent: Vec::new(),
             warnings: Vec::new(),
             readings: Readings::default(),
-            asked: Asked::default(),
+            used: Used::default(),
             host: None,
         }
     }
@@ -70,23 +69,23 @@ impl Context {
         Self::new(node, 0, Arc::default(), Arc::from([]))
     }
 
-    /// The plugin's: the program answers from here on.
+    /// In a plugin: the program answers from now on.
     pub(crate) fn enter(&mut self, host: Host) {
         self.host = Some(host);
     }
 
-    /// The plugin's: the firing is over.
+    /// In a plugin: the firing has ended.
     pub(crate) fn leave(&mut self) {
         self.host = None;
     }
 
-    /// The engine's: nodes that write files write them into this folder.
+    /// For the engine: the folder for files that nodes write.
     pub fn with_out_dir(mut self, out_dir: Option<Arc<std::path::Path>>) -> Self {
         self.out_dir = out_dir;
         self
     }
 
-    /// The engine's: the next firing begins.
+    /// For the engine: begins the next firing.
     #[inline]
     pub fn begin(&mut self, item: u64, stamp_ns: StampNs) {
         (self.item, self.stamp_ns) = (item, stamp_ns);
@@ -94,56 +93,56 @@ impl Context {
         self.readings.begin();
     }
 
-    /// The engine's: in a replay, what the record holds of this firing's readings of the clock; after [`Context::begin`].
-    pub fn give_readings(&mut self, recorded: &[Reading]) {
-        self.readings.give(recorded);
+    /// For the engine: in a replay, the recorded clock readings of this firing. Call after [`Context::begin`].
+    pub fn replay_readings(&mut self, recorded: &[ClockReading]) {
+        self.readings.replay(recorded);
     }
 
-    /// The engine's: whether this firing took anything from the clock.
+    /// For the engine: whether this firing has read the clock.
     #[inline]
     pub fn has_readings(&self) -> bool {
         self.readings.has_any()
     }
 
-    /// The engine's: what this firing took from the clock.
-    pub fn take_readings(&mut self) -> Vec<Reading> {
+    /// For the engine: the clock readings of this firing.
+    pub fn take_readings(&mut self) -> Vec<ClockReading> {
         self.readings.take()
     }
 
-    /// The engine's: what the firing takes from here on counts for [`Context::is_within`].
-    pub fn watch(&mut self) {
-        self.asked = Asked::default();
+    /// For the engine: begins tracking what the firing uses, for [`Context::is_cacheable`].
+    pub fn track_use(&mut self) {
+        self.used = Used::default();
     }
 
-    /// The engine's: whether what this firing took decides nothing that `kept` leaves out.
-    pub fn is_within(&self, kept: Kept) -> bool {
-        let Asked { generator, rest } = &self.asked;
-        let drew = generator.load(Ordering::Relaxed);
-        let took_more = rest.load(Ordering::Relaxed) || self.readings.has_any();
-        match kept {
-            Kept::No => false,
-            Kept::ByInputs => !drew && !took_more,
-            Kept::ByInputsAndSeed => !took_more,
+    /// For the engine: whether the firing used nothing that is not part of the cache key of `policy`.
+    pub fn is_cacheable(&self, policy: CachePolicy) -> bool {
+        let Used { generator, other } = &self.used;
+        let used_generator = generator.load(Ordering::Relaxed);
+        let used_other = other.load(Ordering::Relaxed) || self.readings.has_any();
+        match policy {
+            CachePolicy::Never => false,
+            CachePolicy::ByInputs => !used_generator && !used_other,
+            CachePolicy::ByInputsAndSeed => !used_other,
         }
     }
 
-    /// The engine's: an optional port got nothing, for this reason.
+    /// For the engine: an optional port got nothing, for this reason.
     pub fn note_absent(&mut self, port: &'static str, empty: Arc<Empty>) {
         self.absent.push((port, empty));
     }
 
-    /// The engine's: whether [`Context::take_warnings`] has any.
+    /// For the engine: whether there are warnings.
     #[inline]
     pub fn has_warnings(&self) -> bool {
         !self.warnings.is_empty()
     }
 
-    /// The engine's: the warnings that [`Context::take_warnings`] would give.
+    /// For the engine: the warnings so far.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
-    /// The engine's: the warnings since the last call.
+    /// For the engine: the warnings since the last call.
     pub fn take_warnings(&mut self) -> Vec<String> {
         std::mem::take(&mut self.warnings)
     }
@@ -154,21 +153,21 @@ impl Context {
         if let Some(host) = &self.host {
             return host.node();
         }
-        self.asked.generator.store(true, Ordering::Relaxed);
+        self.used.generator.store(true, Ordering::Relaxed);
         &self.node
     }
 
-    /// The firing stamp: the largest among the triggering items'. A source sets its own.
+    /// The firing stamp: the largest of the triggering items. A source sets its own.
     #[inline]
     pub fn stamp_ns(&self) -> StampNs {
         if let Some(host) = &self.host {
             return host.stamp_ns();
         }
-        self.asked.rest.store(true, Ordering::Relaxed);
+        self.used.other.store(true, Ordering::Relaxed);
         self.stamp_ns
     }
 
-    /// For a source: the stamp of what this call of `next` answers; must not decrease.
+    /// For a source: sets the stamp of the answer of this `next`; must not decrease.
     #[inline]
     pub fn set_stamp_ns(&mut self, stamp_ns: StampNs) {
         if let Some(host) = &mut self.host {
@@ -183,24 +182,24 @@ impl Context {
         if let Some(host) = &self.host {
             return host.item();
         }
-        self.asked.generator.store(true, Ordering::Relaxed);
+        self.used.generator.store(true, Ordering::Relaxed);
         self.item
     }
 
-    /// A generator of its own for this run's seed, this node and this item: the same draws whatever ran before.
+    /// A random generator seeded by run seed, node name and item number, independent of what ran before.
     pub fn rng(&self) -> ChaCha8Rng {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed());
         rng.set_stream(fnv1a(self.node().as_bytes()));
-        // Items lie 2^32 words apart, so that no draw of one is a draw of the next.
+        // Items are 2^32 words apart, so that their draws do not overlap.
         rng.set_word_pos(u128::from(self.item()) << 32);
         rng
     }
 
-    /// The `index`-th 64 bits that [`Context::rng`] would draw.
+    /// The `index`-th 64-bit draw of [`Context::rng`].
     pub fn random(&self, index: u64) -> u64 {
         use rand_chacha::rand_core::Rng as _;
         let mut rng = self.rng();
-        // Words are of 32 bits.
+        // A word has 32 bits.
         rng.set_word_pos(rng.get_word_pos() + 2 * u128::from(index));
         rng.next_u64()
     }
@@ -210,13 +209,13 @@ impl Context {
         if let Some(host) = &self.host {
             return host.seed();
         }
-        self.asked.generator.store(true, Ordering::Relaxed);
+        self.used.generator.store(true, Ordering::Relaxed);
         self.seed
     }
 
-    /// The time of day, ns since the Unix epoch: recorded with this firing, and answered from the record in a replay.
+    /// The time of day, ns since the Unix epoch: recorded with this firing, and answered from the recording in a replay.
     ///
-    /// When something was measured is the item's stamp; this is for what a node itself does at a time.
+    /// The time of a measurement is the item's stamp; this is for what the node itself does.
     pub fn clock_ns(&mut self) -> StampNs {
         if let Some(host) = &mut self.host {
             return host.clock_ns();
@@ -226,8 +225,8 @@ impl Context {
         ns
     }
 
-    /// A budget of time for this firing: recorded as the number of looks that found time left, and in a replay over at the
-    /// same look.
+    /// A time budget for this firing: recorded as the number of checks that found time left, and over at the same check in
+    /// a replay.
     pub fn budget(&mut self, limit: Duration) -> Budget {
         if let Some(host) = &mut self.host {
             return Budget::of_host(host.budget(limit.as_nanos().try_into().unwrap_or(u64::MAX)));
@@ -239,13 +238,11 @@ impl Context {
 
     fn warn_of(&mut self, missing: Option<NotRecorded>) {
         if missing.is_some() {
-            self.warn(
-                "this firing asks the clock otherwise than the recorded one did, so that it is answered by the clock",
-            );
+            self.warn("this firing reads the clock differently from the recorded one, so it is answered by the clock");
         }
     }
 
-    /// Whether the user asked to stop; a long computation looks now and then and returns an error.
+    /// Whether the user asked to stop. A long computation checks this from time to time and returns an error.
     pub fn cancelled(&self) -> bool {
         if let Some(host) = &self.host {
             return host.cancelled();
@@ -253,13 +250,13 @@ impl Context {
         self.cancelled.load(Ordering::Relaxed)
     }
 
-    /// For a live source: waits until then; `false` if the user asked to stop meanwhile.
+    /// For a live source: waits until `then`; `false` if the user asked to stop meanwhile.
     pub fn wait_until(&self, then: Instant) -> bool {
-        /// Short enough for someone who waits for the run to stop.
-        const LOOK: Duration = Duration::from_millis(50);
+        /// Upper bound on the delay of a stop.
+        const POLL: Duration = Duration::from_millis(50);
         while !self.cancelled() {
             match then.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
-                Some(left) => std::thread::sleep(left.min(LOOK)),
+                Some(left) => std::thread::sleep(left.min(POLL)),
                 None => return true,
             }
         }
@@ -274,7 +271,7 @@ impl Context {
         self.absent.iter().find(|(name, _)| *name == port).map(|(_, empty)| empty.reason.as_str())
     }
 
-    /// Says something the user should know about this item; shown, counted, and kept in the manifest.
+    /// Warns the user about this item; shown, counted, and written to the manifest.
     pub fn warn(&mut self, message: impl Into<String>) {
         match &mut self.host {
             Some(host) => host.warn(&message.into()),
@@ -282,22 +279,22 @@ impl Context {
         }
     }
 
-    /// The folder of this run, where a node that writes files puts them; `None` where the run leaves nothing.
+    /// The folder for files that the node writes; `None` if the run has no folder.
     pub fn out_dir(&self) -> Option<&std::path::Path> {
         if let Some(host) = &self.host {
             return host.out_dir();
         }
-        self.asked.rest.store(true, Ordering::Relaxed);
+        self.used.other.store(true, Ordering::Relaxed);
         self.out_dir.as_deref()
     }
 
-    /// The output ports that the graph declared for this source by `out`, in the graph's order.
+    /// The output ports that the graph declares by `out`, in the order of the graph.
     pub fn declared(&self) -> Arc<[DeclaredPort]> {
         self.declared.clone()
     }
 }
 
-/// Fowler, Noll and Vo's hash: the same on every machine and in every version, unlike the standard library's.
+/// FNV-1a: stable across machines and versions, unlike the hash of the standard library.
 fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3))
 }

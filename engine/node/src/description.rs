@@ -1,35 +1,37 @@
 use crate::{FilePath, InputPort, OutputPorts};
 use serde::{Deserialize, Serialize};
 
-/// Everything known of a kind without building it: the one source of `inspect`, the docs, the schema and the faults.
+/// Description of a kind, available without building a node: the one source of `inspect`, docs/nodes, the editor schema
+/// and the faults of `check`.
 #[derive(Debug, Clone, Serialize)]
 pub struct Description {
     /// `stage.variant`.
     pub kind: &'static str,
-    /// What it gives, in one line.
+    /// One line: what the node gives.
     pub summary: String,
-    /// What else its author says, possibly nothing.
+    /// Further paragraphs of the doc comment; may be empty.
     pub details: String,
     /// Node or source.
     pub role: Role,
-    /// Whether it is a source of constants: one item on each output, without a time (stamp 0).
+    /// Whether it is a source of constants: one item on each output, at stamp 0.
     pub constant: bool,
-    /// Whether its answers are kept from one run to the next.
-    pub kept: Kept,
-    /// Its input ports; none for a source.
+    /// Whether answers are cached across runs.
+    #[serde(rename = "kept")]
+    pub cache: CachePolicy,
+    /// Input ports; none for a source.
     pub inputs: Vec<InputPort>,
-    /// Its output ports.
+    /// Output ports.
     pub outputs: OutputPorts,
-    /// JSON Schema of its parameters: types, defaults, ranges, docs.
+    /// JSON Schema of the parameters: types, defaults, ranges, docs.
     pub params: serde_json::Value,
-    /// Its table in a graph file.
+    /// Example table for a graph file.
     pub example: &'static str,
     /// Paper, section, equation.
     pub literature: &'static [&'static str],
 }
 
 impl Description {
-    /// Whether a parameter names a file, whose content then decides what the kind gives.
+    /// Whether a parameter names a file, so that the answers also depend on its content.
     pub fn names_files(&self) -> bool {
         self.params.to_string().contains(FilePath::SCHEMA_FORMAT)
     }
@@ -41,26 +43,28 @@ impl Description {
 pub enum Role {
     /// Fires when its inputs join.
     Node,
-    /// Answers by itself, in stamps of its own.
+    /// Produces items by itself, with its own stamps.
     Source,
     /// A source that follows the world's clock.
     LiveSource,
 }
 
-/// Whether the answers of a kind are kept from one run to the next, and what decides them beside the program and the
-/// parameters. A run that finds an answer in the store emits it instead of firing the node.
+/// Whether the answers of a kind are cached across runs, and what they depend on beside the program and the parameters.
+/// A run that finds an answer in the store emits it instead of firing the node.
 ///
-/// Worth it where computing takes tens of milliseconds and the same inputs come again. A node of such a kind remembers
-/// nothing of earlier firings, reads no file, and takes from its [`crate::Context`] no more than it says here: an answer
-/// for which it took more is not kept, and the run warns of it.
+/// Worth it where a firing takes tens of milliseconds and inputs repeat. The node must not depend on earlier firings or
+/// read files, and may use no more of its [`crate::Context`] than the policy says: otherwise the answer is not cached and
+/// the run warns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Kept {
-    /// It is computed at every firing.
+pub enum CachePolicy {
+    /// Computed at every firing.
     #[default]
-    No,
-    /// It is kept: what the input ports bring decides it.
+    #[serde(rename = "no")]
+    Never,
+    /// Cached under the hash of the inputs.
     ByInputs,
-    /// It is kept: so do the draws of [`crate::Context::rng`], which seed, node name and item decide.
+    /// Cached under the hash of the inputs, run seed, node name and item number, for nodes that use
+    /// [`crate::Context::rng`].
     ByInputsAndSeed,
 }

@@ -1,31 +1,31 @@
-//! Nodes as the engine holds them: without their types.
+//! Type-erased nodes and sources, as the engine holds them.
 
 use crate::{Context, Emission, Inputs, Joined, Node, NodeError, Outputs, Source, StampNs, traits::SILENT_AFTER};
 use std::time::Duration;
 
 /// A node of any kind.
 pub trait AnyNode: Send {
-    /// One firing: puts what [`Node::process`] answers into `out`, which holds a silent emission for each port.
+    /// One firing: writes the result of [`Node::process`] to `out`, which holds a silent emission per port.
     ///
     /// # Errors
-    /// What the node says.
+    /// The error of the node.
     fn fire(&mut self, joined: &mut Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError>;
 }
 
 /// A source of any kind.
 pub trait AnySource: Send {
-    /// Puts what [`Source::next`] answers into `out`, which holds a silent emission for each port; `false` at the end.
+    /// Writes the result of [`Source::next`] to `out`, which holds a silent emission per port; `false` at the end.
     ///
     /// # Errors
-    /// What the source says.
+    /// The error of the source.
     fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError>;
 
-    /// What [`Source::max_delay_ns`] says.
+    /// See [`Source::max_delay_ns`].
     fn max_delay_ns(&self) -> StampNs {
         0
     }
 
-    /// What [`Source::silent_after`] says.
+    /// See [`Source::silent_after`].
     fn silent_after(&self) -> Duration {
         SILENT_AFTER
     }
@@ -35,7 +35,7 @@ pub trait AnySource: Send {
 pub enum Built {
     /// Fires when its inputs join.
     Node(Box<dyn AnyNode>),
-    /// Answers by itself.
+    /// Produces items by itself.
     Source(Box<dyn AnySource>),
 }
 

@@ -1,6 +1,6 @@
 use std::fmt;
 
-/// Why a node could not answer; the engine adds file, line, node and item.
+/// Why a node gave no result. The engine adds file, line, node and item.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeError {
     /// What was expected, what was found, and a next step; lower case, no full stop.
@@ -20,7 +20,7 @@ impl fmt::Display for NodeError {
     }
 }
 
-/// Any error of an algorithm or reader is a node's error, told with its causes.
+/// Converts any error; the message includes its causes.
 impl<E: std::error::Error> From<E> for NodeError {
     fn from(error: E) -> Self {
         let mut message = error.to_string();
@@ -36,18 +36,18 @@ impl<E: std::error::Error> From<E> for NodeError {
     }
 }
 
-/// A parameter with a value that no node can be built with.
+/// A parameter value with which no node can be built.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{message}")]
 pub struct ParamError {
-    /// The parameter at fault, so that the engine can point at its line; empty if it is several.
+    /// The parameter at fault, so that the engine can point at its line; empty if several are.
     pub parameter: String,
     /// What was expected, what was found, what to write instead.
     pub message: String,
 }
 
 impl ParamError {
-    /// An error at `parameter`.
+    /// An error in `parameter`.
     pub fn new(parameter: impl Into<String>, message: impl Into<String>) -> Self {
         Self { parameter: parameter.into(), message: message.into() }
     }

@@ -7,14 +7,14 @@ use std::{
 
 /// A parameter that names a file or folder to read.
 ///
-/// In a graph file it is relative to that file, on the command line to the current folder; `check` makes it absolute
-/// and reports a missing one, before any node is built.
+/// Relative to the graph file, or to the current folder on the command line. `check` makes it absolute and reports a
+/// missing file before any node is built.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct FilePath(pub PathBuf);
 
 impl FilePath {
-    /// The format by which `check` knows such a parameter in a schema.
+    /// The schema format by which `check` recognises such a parameter.
     pub const SCHEMA_FORMAT: &'static str = "input-path";
 }
 

@@ -1,29 +1,29 @@
-//! The things that travel on a wire, and what a firing takes and gives.
+//! Items on wires, and the inputs and outputs of a firing.
 
 use crate::{NodeError, Payload, StampNs, Value};
 use std::sync::Arc;
 
-/// Why an activation has no result; travels in the place of the value.
+/// The reason why an activation has no result; sent instead of a value.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Empty {
-    /// The node that could not answer.
+    /// The node that gave no result.
     pub node: String,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 
 /// A numbered, stamped item of a wire.
 #[derive(Debug, Clone)]
 pub struct Item {
-    /// Its place on the wire, from 0, without holes.
+    /// Position on the wire, from 0, without gaps.
     pub number: u64,
-    /// When what it tells held; never decreases along a wire.
+    /// Time of the measurement; never decreases along a wire.
     pub stamp_ns: StampNs,
-    /// A value, or why there is none.
+    /// A value or an empty.
     pub body: Body,
 }
 
-/// A value, or why there is none.
+/// The content of an item.
 #[derive(Debug, Clone)]
 pub enum Body {
     /// A payload.
@@ -32,49 +32,49 @@ pub enum Body {
     Empty(Arc<Empty>),
 }
 
-/// What a node or source answers on one port.
+/// The answer of a node or source on one port.
 #[derive(Debug, Clone)]
 pub enum Emission {
     /// A payload.
     Value(Value),
     /// No result, for this reason.
     Empty(String),
-    /// No result, for the reason of a node upstream: how a recorded empty is played.
+    /// No result, for the reason of another node: a recorded empty.
     PassedOn(Arc<Empty>),
-    /// Nothing: only a source may leave a port silent, which then gets progress.
+    /// No item. Allowed for sources only; the port then gets progress.
     Silent,
 }
 
 impl Emission {
-    /// An emission of a payload.
+    /// Wraps a payload.
     pub fn value<T: Payload<By>, By: 'static>(payload: T) -> Self {
         Self::Value(Value::new(payload))
     }
 }
 
-/// What one port brings to a firing.
+/// The input of one port to a firing.
 #[derive(Debug, Clone)]
 pub enum Slot {
     /// The item that the port's join chose.
     Item(Item),
-    /// The items that were collected.
+    /// The items that a collecting port gathered.
     Items(Vec<Item>),
-    /// There is none: the port is not wired, or nothing came at or before the firing stamp, for this reason.
+    /// No item, for this reason: the port is not wired, or nothing came at or before the firing stamp.
     Absent(Arc<Empty>),
 }
 
-/// What all ports bring to a firing, in the order in which they are declared; lent to the node, so that a firing that
-/// fails still has its items.
+/// The inputs of a firing, in the order of the declared ports. The node borrows them, so the items survive a firing that
+/// fails.
 #[derive(Debug, Default)]
 pub struct Joined {
-    /// One slot for each declared port.
+    /// One slot per declared port.
     pub slots: Vec<Slot>,
-    /// Nobody needs the values afterwards, so they may be taken out; else what a node takes is a handle more on each.
+    /// Whether values may be moved out. If not, the node gets clones of the handles.
     pub is_spent: bool,
 }
 
 impl Joined {
-    /// The value of the port at `index`, if it brings one and values may be taken out; the slot is left without items.
+    /// Moves the value of the port at `index` out, if there is one and `is_spent` allows it. The slot is then empty.
     pub(crate) fn take_out(&mut self, index: usize) -> Option<Value> {
         let slot = self.slots.get_mut(index).filter(|_| self.is_spent)?;
         if !matches!(slot, Slot::Item(Item { body: Body::Value(_), .. })) {
@@ -86,7 +86,7 @@ impl Joined {
         }
     }
 
-    /// What the port at `index` brings.
+    /// The slot of the port at `index`.
     ///
     /// # Errors
     /// [`NodeError`] if the engine joined fewer ports than the node declares.

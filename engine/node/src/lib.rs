@@ -1,20 +1,20 @@
-//! What a node is: the traits it implements, the ports and parameters it declares, and the views it hands across.
+//! Nodes: the traits they implement, the ports and parameters they declare, and the views of their payloads.
 //!
-//! This crate is the leaf that the engine, the built-in nodes and every plugin share. A node is a struct with a doc
+//! The engine, the built-in nodes and every plugin share this crate. A node is a struct with a doc
 //! comment, an `Inputs` and an `Outputs` struct with derived ports, a parameter struct, and [`Node::process`]:
 //!
 //! ```
-//! use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Parameters, Part, Payload, View, ViewError};
+//! use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Parameters, Payload, SchemaEntry, View, ViewError};
 //! use osteoflow_node::{schemars, serde};
 //!
-//! // What travels: any cheap handle with a name, a version and a view, of which it says what the view holds.
+//! // A payload: any cheap handle with a name, a version, and a view with a schema.
 //! #[derive(Clone)]
 //! struct Length(f64);
 //!
 //! impl Payload<Length> for Length {
 //!     const NAME: &'static str = "example/Length";
 //!     const VERSION: u32 = 1;
-//!     const SCHEMA: &'static [Part] = &[Part::float("mm")];
+//!     const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::float("mm")];
 //!     fn to_view(&self) -> View { View::new().with("mm", self.0) }
 //!     fn from_view(view: &View) -> Result<Self, ViewError> { Ok(Self(view.float("mm")?)) }
 //!     fn to_result(&self) -> serde_json::Value { self.0.into() }
@@ -29,7 +29,7 @@
 //! #[serde(default, deny_unknown_fields, crate = "serde")]
 //! #[schemars(crate = "schemars")]
 //! struct Params {
-//!     /// How many times longer. 2: doubling shows that something happened.
+//!     /// Factor of the length. 2: doubling shows an effect.
 //!     #[schemars(range(min = 1.0, max = 100.0))]
 //!     factor: f64,
 //! }
@@ -66,51 +66,51 @@
 //! assert_eq!(registry.kind("example.stretch").unwrap().description.summary, "Makes a length longer.");
 //! ```
 
-// The derives name this crate by its public name, so that they work in it as everywhere else.
+// The derives use the public name of this crate, also within it.
 extern crate self as osteoflow_node;
 
 pub use osteoflow_node_macros::{Describe, Inputs, Outputs};
 pub use {rand, rand_chacha, schemars, serde, serde_json, tracing};
 
 pub mod abi;
+mod build_context;
+mod clock;
 mod context;
 mod description;
+mod dynamic;
 mod erased;
 mod error;
 mod file;
-mod free;
 mod item;
-mod part;
 mod payload;
 #[doc(hidden)]
 pub mod plugin;
 mod port;
-mod reading;
 mod registry;
-mod site;
+mod schema;
 mod traits;
 mod view;
 
+pub use build_context::BuildContext;
+pub use clock::{Budget, ClockReading};
 pub use context::Context;
-pub use description::{Description, Kept, Role};
+pub use description::{CachePolicy, Description, Role};
+pub use dynamic::DynamicPayload;
 pub use erased::{AnyNode, AnySource, Built};
 pub use error::{NodeError, ParamError};
 pub use file::FilePath;
-pub use free::FreePayload;
 pub use item::{Body, Emission, Empty, Item, Joined, Slot};
-pub use part::{Part, SchemaError, Shape};
 pub use payload::{Display, Payload, PayloadType, Value};
 pub use port::{Declared, DeclaredPort, FrameExpr, InputPort, Join, OutputPort, OutputPorts, PortPayload, Unused};
-pub use reading::{Budget, Reading};
 pub use registry::{Kind, KindClash, PayloadClash, Registry};
-pub use site::Site;
+pub use schema::{EntryType, SchemaEntry, SchemaError};
 pub use traits::{Describe, Emit, Inputs, Node, Outputs, Parameters, SILENT_AFTER, Source};
 pub use view::{Buffer, Column, ColumnType, Field, Name, View, ViewError};
 
-/// Nanoseconds since the Unix epoch; 0 for what has no time.
+/// Nanoseconds since the Unix epoch; 0 for constants.
 pub type StampNs = i64;
 
-/// What the derives call; not for use by hand.
+/// Called by the derives only.
 #[doc(hidden)]
 pub mod derive {
     pub use crate::port::{any_payload, payload_of};

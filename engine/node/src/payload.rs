@@ -1,61 +1,61 @@
-//! What may travel on a wire, and the type-erased form in which the engine carries it.
+//! Payload types, and the type-erased values that the engine carries.
 
-use crate::{Part, StampNs, View, ViewError};
+use crate::{SchemaEntry, StampNs, View, ViewError};
 use std::{
     any::{Any, TypeId},
     fmt,
     sync::Arc,
 };
 
-/// A type that may travel: a cheap handle with a name, a version and one view.
+/// A type that may travel on a wire: a cheap handle with a name, a version and a view.
 ///
-/// `By` is any type of the crate that declares the payload; it lets one crate hold the table of what may travel while
-/// the types themselves live in crates that know nothing of nodes. A payload type has exactly one implementation.
+/// `By` is any type of the crate that implements the trait. It lets one crate declare all payloads while the types live in
+/// crates that know nothing of nodes. A payload type has exactly one implementation.
 pub trait Payload<By>: Clone + Send + Sync + 'static {
     /// The name in graph files and recordings, such as `geometry/Cloud`.
     const NAME: &'static str;
-    /// Raised when the view changes in a way that older readers cannot take.
+    /// Raised with each incompatible change of the view.
     const VERSION: u32;
-    /// What every view of it holds: head fields, then columns. [`View::check`] holds a view against it.
-    const SCHEMA: &'static [Part];
-    /// Whether [`Payload::interpolate`] gives values, so that a port may join by `interpolate`.
+    /// The schema of every view: head fields, then columns. See [`View::check`].
+    const SCHEMA: &'static [SchemaEntry];
+    /// Whether [`Payload::interpolate`] is implemented, so that a port may join by `interpolate`.
     const INTERPOLATES: bool = false;
 
-    /// Head and columns, without copying the columns.
+    /// The view; columns are not copied.
     fn to_view(&self) -> View;
 
-    /// The payload that a view shows.
+    /// The payload of a view.
     ///
     /// # Errors
-    /// [`ViewError`] if the view is of something else.
+    /// [`ViewError`] if the view does not match the type.
     fn from_view(view: &View) -> Result<Self, ViewError>;
 
-    /// What `results.json` says of it: millimetres, names as in the docs.
+    /// The value in `results.json`: millimetres, names as in the docs.
     fn to_result(&self) -> serde_json::Value;
 
-    /// How much memory it holds on to, bulk and all: what a wire counts that is bounded in bytes. Asked for every item
-    /// on every wire, so it reads lengths and walks nothing. Columns shared with another payload count in both.
+    /// Memory held, including columns; bounds the bytes on a wire. Called for every item on every wire, so it must
+    /// not walk the rows. Columns shared with another payload count in both.
     fn n_bytes(&self) -> usize {
         size_of::<Self>()
     }
 
-    /// The value a share `s` of the way from `a` to `b`; `None` where there is none.
+    /// The value at fraction `s` between `a` and `b`; `None` if there is none.
     fn interpolate(_a: &Self, _b: &Self, _s: f64) -> Option<Self> {
         None
     }
 
-    /// The schema of its picture for viewers, where it has one.
+    /// The schema of the message for viewers, if there is one.
     fn display() -> Option<Display> {
         None
     }
 
-    /// Its picture for viewers, encoded after [`Payload::display`].
+    /// The message for viewers, encoded as [`Payload::display`] says.
     fn to_display(&self, _stamp_ns: StampNs) -> Option<Vec<u8>> {
         None
     }
 }
 
-/// The channel on which viewers are shown a payload: a schema of another program, such as `foxglove.PointCloud`.
+/// The message type that viewers show for a payload, such as `foxglove.PointCloud`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Display {
     /// The schema's name.
@@ -68,17 +68,17 @@ pub struct Display {
     pub message_encoding: String,
 }
 
-/// A payload type as the engine knows it: of a Rust type, or [`PayloadType::free`]. Two are equal if their values are of
-/// one Rust type, and name, version and schema the same.
+/// A payload type known at run time: of a Rust type, or made by [`PayloadType::dynamic`]. Two are equal if Rust type, name,
+/// version and schema are.
 pub struct PayloadType {
     /// The name in graph files and recordings.
     pub name: &'static str,
-    /// The version of its view.
+    /// The version of the view.
     pub version: u32,
-    /// Whether ports may join it by `interpolate`.
+    /// Whether ports may join by `interpolate`.
     pub interpolates: bool,
-    /// What its views hold.
-    pub schema: &'static [Part],
+    /// The schema of the views.
+    pub schema: &'static [SchemaEntry],
     pub(crate) id: fn() -> TypeId,
     pub(crate) to_view: fn(&dyn Any) -> View,
     pub(crate) from_view: fn(&'static PayloadType, &View) -> Result<Value, ViewError>,
@@ -118,12 +118,12 @@ impl PayloadType {
         TypeOf::<T, By>::TYPE
     }
 
-    /// A type whose values a plugin holds for the program, which alone knows what they are. Never freed: there is one for
-    /// each payload that a plugin has met.
+    /// In a plugin: the type of handles on values of the program. Never freed; there is one per payload that the plugin
+    /// has received.
     pub(crate) fn of_held<T: 'static>(
         name: &str,
         version: u32,
-        schema: Vec<Part>,
+        schema: Vec<SchemaEntry>,
         to_view: fn(&dyn Any) -> View,
         to_result: fn(&dyn Any) -> serde_json::Value,
     ) -> &'static Self {
@@ -134,7 +134,9 @@ impl PayloadType {
             schema: Vec::leak(schema),
             id: TypeId::of::<T>,
             to_view,
-            from_view: |_, _| Err(ViewError::Invalid("a value that the program holds is made of no view".into())),
+            from_view: |_, _| {
+                Err(ViewError::Invalid("a handle on a value of the program cannot be made from a view".into()))
+            },
             to_result,
             n_bytes: |_| 0,
             interpolate: |_, _, _| None,
@@ -143,21 +145,20 @@ impl PayloadType {
         }))
     }
 
-    /// Units of head fields and columns whose names do not say them, by name: a unit, or `pose` for rows of translation
-    /// x, y, z in mm and quaternion x, y, z, w. Recordings carry them.
+    /// Name and unit of the schema entries with a unit (see [`SchemaEntry::unit`]), as recordings store them.
     pub fn units(&self) -> Vec<(&'static str, &'static str)> {
-        Part::units(self.schema)
+        SchemaEntry::units(self.schema)
     }
 
-    /// The payload that a view of this type shows.
+    /// The payload of a view.
     ///
     /// # Errors
-    /// [`ViewError`] if the view is of something else.
+    /// [`ViewError`] if the view does not match the type.
     pub fn from_view(&'static self, view: &View) -> Result<Value, ViewError> {
         (self.from_view)(self, view)
     }
 
-    /// The schema of its picture for viewers, where it has one.
+    /// The schema of the message for viewers, if there is one.
     pub fn display(&self) -> Option<Display> {
         (self.display)()
     }
@@ -166,11 +167,11 @@ impl PayloadType {
 impl PartialEq for PayloadType {
     #[inline]
     fn eq(&self, other: &Self) -> bool {
-        // One type may have several of these, one for each crate that asked first.
+        // One Rust type may have several of these: one for each crate that instantiates it.
         std::ptr::eq(self, other)
             || ((self.id)() == (other.id)()
                 && (self.name, self.version) == (other.name, other.version)
-                && Part::first_difference(self.schema, other.schema).is_none())
+                && SchemaEntry::first_difference(self.schema, other.schema).is_none())
     }
 }
 
@@ -180,7 +181,7 @@ impl fmt::Debug for PayloadType {
     }
 }
 
-/// A payload on its way: shared, immutable, and of a type known at run time. Clones are cheap and never copy data.
+/// A shared, immutable payload of a type known at run time. Clones are cheap and never copy data.
 #[derive(Clone)]
 pub struct Value {
     pub(crate) inner: Arc<dyn Any + Send + Sync>,
@@ -193,24 +194,24 @@ impl Value {
         Self { inner: Arc::new(payload), ty: PayloadType::of::<T, By>() }
     }
 
-    /// What a plugin holds for the program.
+    /// In a plugin: wraps a handle on a value of the program.
     pub(crate) fn held<T: Send + Sync + 'static>(held: T, ty: &'static PayloadType) -> Self {
         Self { inner: Arc::new(held), ty }
     }
 
-    /// What was given to [`Value::held`], if it was one.
+    /// The handle given to [`Value::held`], if the value is one.
     pub(crate) fn into_held<T: Send + Sync + 'static>(self) -> Result<Arc<T>, Self> {
         let Self { inner, ty } = self;
         inner.downcast().map_err(|inner| Self { inner, ty })
     }
 
-    /// Its type.
+    /// The payload type.
     #[inline]
     pub fn ty(&self) -> &'static PayloadType {
         self.ty
     }
 
-    /// Whether both are the very same value.
+    /// Whether both are handles on the same value.
     #[inline]
     pub fn is_same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.inner, &other.inner)
@@ -222,28 +223,28 @@ impl Value {
         self.inner.downcast_ref()
     }
 
-    /// The payload, if it is a `T`: itself where this is the only handle, else one more handle on it.
+    /// The payload, if it is a `T`: moved out of the only handle, otherwise cloned.
     pub(crate) fn into_payload<T: Clone + Send + Sync + 'static>(self) -> Result<T, Self> {
         self.into_held().map(Arc::unwrap_or_clone)
     }
 
-    /// Head and columns, without copying the columns.
+    /// The view; columns are not copied.
     pub fn to_view(&self) -> View {
         (self.ty.to_view)(&*self.inner)
     }
 
-    /// What `results.json` says of it.
+    /// The value in `results.json`.
     pub fn to_result(&self) -> serde_json::Value {
         (self.ty.to_result)(&*self.inner)
     }
 
-    /// How much memory it holds on to, bulk and all.
+    /// Memory held, including columns.
     #[inline]
     pub fn n_bytes(&self) -> usize {
         (self.ty.n_bytes)(&*self.inner)
     }
 
-    /// The value a share `s` of the way from `a` to `b`; `None` where there is none or the types differ.
+    /// The value at fraction `s` between `a` and `b`; `None` if there is none or the types differ.
     pub fn interpolate(a: &Self, b: &Self, s: f64) -> Option<Self> {
         if a.ty != b.ty {
             return None;
@@ -251,7 +252,7 @@ impl Value {
         (a.ty.interpolate)(&*a.inner, &*b.inner, s)
     }
 
-    /// Its picture for viewers.
+    /// The message for viewers.
     pub fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
         (self.ty.to_display)(&*self.inner, stamp_ns)
     }

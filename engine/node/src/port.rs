@@ -3,51 +3,51 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize, Serializer, de::DeserializeOwned};
 use std::marker::PhantomData;
 
-/// An input port as declared by a node.
+/// An input port of a kind.
 #[derive(Debug, Clone, Serialize)]
 pub struct InputPort {
     /// Its name.
     pub name: &'static str,
-    /// What it takes, in the words of the node's author.
+    /// The doc comment of the field.
     pub doc: &'static str,
-    /// What may be wired to it.
+    /// The payload that it takes.
     pub payload: PortPayload,
-    /// How its items are chosen for a firing; a graph may say otherwise.
+    /// The default join; a graph may override it.
     pub join: Join,
-    /// Whether it may stay unwired, and receives empties instead of being skipped (`Option<T>`).
+    /// Whether the port may stay unwired and receives empties instead of skipping the firing (`Option<T>`).
     pub optional: bool,
-    /// Whether the kind does not need it: declared so that the kinds of a stage swap by one word, and drained.
+    /// Whether the kind ignores the port: declared so that all kinds of a stage have the same ports, and drained.
     pub unused: bool,
-    /// The frames it should have.
+    /// The expected frames.
     pub frames: FrameExpr,
 }
 
-/// An output port.
+/// An output port of a kind.
 #[derive(Debug, Clone, Serialize)]
 pub struct OutputPort {
     /// Its name.
     pub name: &'static str,
-    /// What it gives, in the words of the node's author.
+    /// The doc comment of the field.
     pub doc: &'static str,
-    /// The type of what it gives.
+    /// The payload that it gives.
     pub payload: PortPayload,
-    /// The frames of what it gives.
+    /// The frames of the payload.
     pub frames: FrameExpr,
 }
 
 /// The outputs of a kind: fixed by the kind, or declared in the graph by `out`.
 #[derive(Debug, Clone, Serialize)]
 pub enum OutputPorts {
-    /// The kind's own ports.
+    /// The ports of the kind.
     Fixed(Vec<OutputPort>),
-    /// Each entry of `out` is a port: a table with `type`, optionally `frame`, `to` and `from`, and these parameters.
+    /// Each entry of `out` is a port: a table with `type`, optional `frame`, `to` and `from`, and parameters.
     Declared {
-        /// JSON Schema of a port's parameters.
+        /// JSON Schema of the parameters of a port.
         schema: serde_json::Value,
     },
 }
 
-/// What a port takes or gives.
+/// The payload of a port.
 #[derive(Clone, Copy, PartialEq)]
 pub enum PortPayload {
     /// One payload type.
@@ -57,7 +57,7 @@ pub enum PortPayload {
 }
 
 impl PortPayload {
-    /// The type, if it is one.
+    /// The type, if the port has one.
     pub fn ty(&self) -> Option<&'static PayloadType> {
         match self {
             Self::Type(ty) => Some(ty),
@@ -86,27 +86,27 @@ impl Serialize for PortPayload {
     }
 }
 
-/// How a port's items are chosen for a firing.
+/// How the items of a port are chosen for a firing.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "rule", rename_all = "snake_case")]
 pub enum Join {
-    /// The next item: ports joined so go in step. Triggers.
+    /// The next item: all `each` ports advance in step. Triggers.
     Each,
-    /// The item with the trigger's stamp, or within the tolerance. Triggers.
+    /// The item with the stamp of the trigger, within the tolerance. Triggers.
     Stamp {
-        /// Largest difference of stamps.
+        /// Maximum difference of stamps.
         tolerance_ns: i64,
     },
-    /// So many items at a time, or all until the end. Triggers.
+    /// `n` items at a time, or all until the end. Triggers.
     Collect {
-        /// How many; all if not given.
+        /// Number of items; all if `None`.
         n: Option<u32>,
     },
     /// The newest item at or before the firing stamp.
     Latest,
-    /// Between the neighbours of the firing stamp, never across an empty or a longer gap.
+    /// Interpolated between the neighbours of the firing stamp, never across an empty or a longer gap.
     Interpolate {
-        /// Longest gap between the neighbours; any if not given.
+        /// Maximum gap between the neighbours; unlimited if `None`.
         max_gap_ns: Option<i64>,
     },
     /// A constant: one item for the whole run.
@@ -114,7 +114,7 @@ pub enum Join {
 }
 
 impl Join {
-    /// The rule's name in a graph file.
+    /// The name in a graph file.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Each => "each",
@@ -126,37 +126,37 @@ impl Join {
         }
     }
 
-    /// Whether its items make the node fire.
+    /// Whether items make the node fire.
     pub fn triggers(&self) -> bool {
         matches!(self, Self::Each | Self::Stamp { .. } | Self::Collect { .. })
     }
 }
 
-/// The frames of a port, as far as its author could say: texts that `check` resolves along the wires.
+/// The frames of a port as expressions that `check` resolves along the wires.
 ///
-/// `source`: the frame of the port `source`; `init.to`, `init.from`: of a pose there; `@ct`: the frame of that name;
+/// `source`: the frame of the port `source`; `init.to`, `init.from`: a frame of the pose there; `@ct`: the frame `ct`;
 /// `$frame`: the value of the parameter `frame`. A pose has `to` and `from`, everything else `frame`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct FrameExpr {
-    /// Of anything but a pose.
+    /// The frame of anything but a pose.
     pub frame: Option<&'static str>,
-    /// Of a pose.
+    /// The target frame of a pose.
     pub to: Option<&'static str>,
-    /// Of a pose.
+    /// The source frame of a pose.
     pub from: Option<&'static str>,
 }
 
-/// The port payload of `T`, as the derives name it.
+/// The port payload of `T`; called by the derives.
 pub fn payload_of<T: Payload<By>, By: 'static>() -> PortPayload {
     PortPayload::Type(PayloadType::of::<T, By>())
 }
 
-/// The port payload of a [`crate::Value`], as the derives name it.
+/// The port payload of a [`crate::Value`]; called by the derives.
 pub fn any_payload() -> PortPayload {
     PortPayload::Any
 }
 
-/// The field of an input port that this kind does not need, though its stage has it.
+/// The field of an input port that this kind ignores but other kinds of its stage need.
 pub struct Unused<T>(PhantomData<T>);
 
 impl<T> Default for Unused<T> {
@@ -172,7 +172,7 @@ pub struct DeclaredPort {
     pub name: String,
     /// Its type.
     pub payload: &'static PayloadType,
-    /// The rest of its table: the parameters of the kind's port schema.
+    /// The rest of the table: the parameters.
     pub params: serde_json::Value,
 }
 
@@ -180,7 +180,7 @@ impl DeclaredPort {
     /// The port's parameters.
     ///
     /// # Errors
-    /// [`serde_json::Error`] if they do not fit; `check` has refused such before.
+    /// [`serde_json::Error`] if they do not match `P`; `check` refuses such graphs earlier.
     pub fn params<P: DeserializeOwned>(&self) -> Result<P, serde_json::Error> {
         P::deserialize(&self.params)
     }
@@ -200,7 +200,7 @@ impl<P> Declared<P> {
         Self { answers: vec![(port, emission)], params: PhantomData }
     }
 
-    /// The same, and an answer on a further port.
+    /// Adds an answer on another port.
     pub fn and(mut self, port: usize, emission: Emission) -> Self {
         self.answers.push((port, emission));
         self
@@ -219,7 +219,7 @@ impl<P: JsonSchema + Send> Outputs for Declared<P> {
     }
 }
 
-/// A port that answers nothing.
+/// A silent port.
 impl<T> Default for Emit<T> {
     fn default() -> Self {
         Self::Silent

@@ -1,6 +1,6 @@
 use crate::{
-    Built, Describe, Description, Inputs, Kept, Node, Outputs, ParamError, Part, Payload, PayloadType, Role, Site,
-    Source, erased::Erased,
+    BuildContext, Built, CachePolicy, Describe, Description, Inputs, Node, Outputs, ParamError, Payload, PayloadType,
+    Role, SchemaEntry, Source, erased::Erased,
 };
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
@@ -17,22 +17,22 @@ impl fmt::Debug for Registry {
     }
 }
 
-/// Two payload types of one name, which cannot both be known.
+/// Two different payload types of one name.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PayloadClash {
-    /// They have two versions.
+    /// The versions differ.
     #[error(
         "payload {name} is known with version {known} and comes with version {new}; build both against one of them"
     )]
     Version {
         /// The name.
         name: &'static str,
-        /// The version known before.
+        /// The version in the registry.
         known: u32,
-        /// The version that was to be added.
+        /// The version to be added.
         new: u32,
     },
-    /// Their views hold different things.
+    /// The schemas differ.
     #[error(
         "payload {name}@{version} is known with {known} and comes with {new}; raise the version where a view changes"
     )]
@@ -41,26 +41,26 @@ pub enum PayloadClash {
         name: &'static str,
         /// The version of both.
         version: u32,
-        /// The first part that differs, of the type known before.
+        /// The first differing entry, of the type in the registry.
         known: String,
-        /// The same of the type that was to be added.
+        /// The first differing entry, of the type to be added.
         new: String,
     },
 }
 
-/// A kind: its description, and how to build it.
+/// A kind of node: its description and its constructor.
 pub struct Kind {
-    /// Everything known without building.
+    /// What is known without building a node.
     pub description: Description,
-    /// The SHA-256 of the library that brings it; `None` if it is built in.
+    /// SHA-256 of the plugin library; `None` if the kind is built in.
     pub plugin: Option<Arc<str>>,
     build: Box<Build>,
 }
 
 /// Builds a node from checked parameters.
-type Build = dyn Fn(&serde_json::Value, &Site) -> Result<Built, ParamError> + Send + Sync;
+type Build = dyn Fn(&serde_json::Value, &BuildContext) -> Result<Built, ParamError> + Send + Sync;
 
-/// A kind that is known already.
+/// A kind of that name is already registered.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("there is a kind \"{0}\" already")]
 pub struct KindClash(pub &'static str);
@@ -70,8 +70,8 @@ impl Kind {
     ///
     /// # Errors
     /// [`ParamError`] if the parameters do not fit together.
-    pub fn build(&self, params: &serde_json::Value, site: &Site) -> Result<Built, ParamError> {
-        (self.build)(params, site)
+    pub fn build(&self, params: &serde_json::Value, context: &BuildContext) -> Result<Built, ParamError> {
+        (self.build)(params, context)
     }
 }
 
@@ -79,8 +79,8 @@ impl Registry {
     /// Adds a kind of node.
     ///
     /// # Panics
-    /// If the kind is there already: two nodes of one name are a bug of whoever collects them. If its answers are kept
-    /// although a parameter names a file, whose content would not decide them.
+    /// If the kind is registered already, or if its answers are cached although a parameter names a file, whose content is
+    /// not part of the cache key.
     pub fn node<N: Node>(&mut self) -> &mut Self {
         self.add::<N>(
             N::KIND,
@@ -91,9 +91,9 @@ impl Registry {
             |p, _| Ok(Built::Node(Box::new(Erased(N::new(read(p)?)?)))),
         );
         if let Some(kind) = self.kinds.get_mut(N::KIND).and_then(Arc::get_mut) {
-            kind.description.kept = N::KEPT;
-            let reads = N::KEPT != Kept::No && kind.description.names_files();
-            assert!(!reads, "{} reads a file, so its answers cannot be kept; let a source read it", N::KIND);
+            kind.description.cache = N::CACHE;
+            let reads = N::CACHE != CachePolicy::Never && kind.description.names_files();
+            assert!(!reads, "{} reads a file, so its answers cannot be cached; let a source read it", N::KIND);
         }
         self
     }
@@ -101,7 +101,7 @@ impl Registry {
     /// Adds a kind of source.
     ///
     /// # Panics
-    /// If the kind is there already: two nodes of one name are a bug of whoever collects them.
+    /// If the kind is registered already.
     pub fn source<S: Source>(&mut self) -> &mut Self {
         let role = if S::LIVE { Role::LiveSource } else { Role::Source };
         self.add::<S>(S::KIND, role, Vec::new(), S::Outputs::ports(), params_schema::<S::Params>(), |p, _| {
@@ -113,41 +113,40 @@ impl Registry {
         self
     }
 
-    /// Adds a payload type, so that graphs may declare ports of it and recordings of it can be read.
+    /// Adds a payload type, so that graphs may declare ports of it and recordings with it can be read.
     pub fn payload<T: Payload<By>, By: 'static>(&mut self) -> &mut Self {
         self.payloads.insert(T::NAME, PayloadType::of::<T, By>());
         self
     }
 
-    /// Adds a payload type that was made at run time, and gives the one that is known from now on: the one before, where
-    /// there was one with the same version and schema.
+    /// Adds a payload type and returns the registered one, which is an earlier one if name, version and schema are equal.
     ///
     /// # Errors
-    /// [`PayloadClash`] if another version or schema is known by that name.
+    /// [`PayloadClash`] if the name is registered with another version or schema.
     pub fn add_payload_type(&mut self, ty: &'static PayloadType) -> Result<&'static PayloadType, PayloadClash> {
         let name = ty.name;
         let known = *self.payloads.entry(name).or_insert(ty);
         if known.version != ty.version {
             return Err(PayloadClash::Version { name, known: known.version, new: ty.version });
         }
-        match Part::first_difference(known.schema, ty.schema) {
+        match SchemaEntry::first_difference(known.schema, ty.schema) {
             None => Ok(known),
             Some((known, new)) => {
-                let told = |part: Option<Part>| part.map_or("nothing there".into(), |part| part.to_string());
-                Err(PayloadClash::Schema { name, version: ty.version, known: told(known), new: told(new) })
+                let describe = |entry: Option<SchemaEntry>| entry.map_or("no entry".into(), |entry| entry.to_string());
+                Err(PayloadClash::Schema { name, version: ty.version, known: describe(known), new: describe(new) })
             }
         }
     }
 
-    /// Adds a kind that the library with this SHA-256 brings.
+    /// Adds a kind of the plugin library with this SHA-256.
     ///
     /// # Errors
-    /// [`KindClash`] if a kind is known by that name.
+    /// [`KindClash`] if a kind of that name is registered.
     pub fn add_kind(
         &mut self,
         description: Description,
         plugin: Arc<str>,
-        build: impl Fn(&serde_json::Value, &Site) -> Result<Built, ParamError> + Send + Sync + 'static,
+        build: impl Fn(&serde_json::Value, &BuildContext) -> Result<Built, ParamError> + Send + Sync + 'static,
     ) -> Result<(), KindClash> {
         let kind = description.kind;
         if self.kinds.contains_key(kind) {
@@ -158,22 +157,22 @@ impl Registry {
         Ok(())
     }
 
-    /// The kind of that name.
+    /// The kind with this name.
     pub fn kind(&self, kind: &str) -> Option<&Kind> {
         self.kinds.get(kind).map(|kind| &**kind)
     }
 
-    /// All kinds, by name.
+    /// All kinds, ordered by name.
     pub fn kinds(&self) -> impl Iterator<Item = &Kind> {
         self.kinds.values().map(|kind| &**kind)
     }
 
-    /// The payload type of that name.
+    /// The payload type with this name.
     pub fn payload_type(&self, name: &str) -> Option<&'static PayloadType> {
         self.payloads.get(name).copied()
     }
 
-    /// All payload types, by name.
+    /// All payload types, ordered by name.
     pub fn payload_types(&self) -> impl Iterator<Item = &'static PayloadType> {
         self.payloads.values().copied()
     }
@@ -185,7 +184,7 @@ impl Registry {
         inputs: Vec<crate::InputPort>,
         outputs: crate::OutputPorts,
         params: serde_json::Value,
-        build: fn(&serde_json::Value, &Site) -> Result<Built, ParamError>,
+        build: fn(&serde_json::Value, &BuildContext) -> Result<Built, ParamError>,
     ) -> &mut Self {
         let (summary, details) = D::DOC.split_once("\n\n").unwrap_or((D::DOC, ""));
         let description = Description {
@@ -194,7 +193,7 @@ impl Registry {
             details: details.trim().into(),
             role,
             constant: false,
-            kept: Kept::No,
+            cache: CachePolicy::Never,
             inputs,
             outputs,
             params,
@@ -203,7 +202,7 @@ impl Registry {
         };
         let added = Kind { description, plugin: None, build: Box::new(build) };
         let before = self.kinds.insert(kind, Arc::new(added));
-        assert!(before.is_none(), "two nodes are called {kind}");
+        assert!(before.is_none(), "the kind {kind} is registered twice");
         self
     }
 }

@@ -1,27 +1,28 @@
 use crate::{
-    Body, Context, Emission, InputPort, Item, Joined, Kept, NodeError, OutputPorts, ParamError, Payload, Slot, Value,
+    Body, CachePolicy, Context, Emission, InputPort, Item, Joined, NodeError, OutputPorts, ParamError, Payload, Slot,
+    Value,
 };
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use std::time::Duration;
 
-/// A stage of a graph: fires when its ports join, and answers a value or an empty on every output.
+/// A node with inputs: fires when its ports join, and gives a value or an empty on every output.
 pub trait Node: Describe + Send + Sized + 'static {
     /// `stage.variant`, as graph files name it.
     const KIND: &'static str;
-    /// Whether its answers are kept from one run to the next.
-    const KEPT: Kept = Kept::No;
-    /// The parameters, with defaults, ranges and reasons in their docs.
+    /// Whether answers are cached across runs.
+    const CACHE: CachePolicy = CachePolicy::Never;
+    /// The parameters; their docs state defaults, ranges and reasons.
     type Params: Parameters;
     /// The input ports.
     type Inputs: Inputs;
     /// The output ports.
     type Outputs: Outputs;
 
-    /// Builds the node; only after the whole graph has been checked.
+    /// Builds the node, after the whole graph has been checked.
     ///
     /// # Errors
-    /// [`ParamError`] for values that no single range can refuse.
+    /// [`ParamError`] for combinations of values that no single range excludes.
     fn new(params: Self::Params) -> Result<Self, ParamError>;
 
     /// One firing.
@@ -31,19 +32,19 @@ pub trait Node: Describe + Send + Sized + 'static {
     fn process(&mut self, inputs: Self::Inputs, ctx: &mut Context) -> Result<Self::Outputs, NodeError>;
 }
 
-/// After how long without an answer a live source counts as silent where it does not say so itself: 5 s, longer than any
-/// camera takes between two clouds, and short enough for someone who stands beside it.
+/// Default of [`Source::silent_after`], 5 s: longer than any camera takes between two clouds, and short enough for an
+/// operator to wait.
 pub const SILENT_AFTER: Duration = Duration::from_secs(5);
 
 /// A node without inputs.
 pub trait Source: Describe + Send + Sized + 'static {
     /// `stage.variant`, as graph files name it.
     const KIND: &'static str;
-    /// Whether it follows the world's clock, so that lossy wires may hang on it.
+    /// Whether the source follows the wall clock, so that its wires may be lossy.
     const LIVE: bool = false;
-    /// Whether it gives constants: one item on each output, without a time (stamp 0), and then ends.
+    /// Whether the source gives constants: one item on each output, at stamp 0, and then ends.
     const CONSTANT: bool = false;
-    /// The parameters, with defaults, ranges and reasons in their docs.
+    /// The parameters; their docs state defaults, ranges and reasons.
     type Params: Parameters;
     /// The output ports; [`crate::Declared`] where the graph declares them.
     type Outputs: Outputs;
@@ -51,41 +52,41 @@ pub trait Source: Describe + Send + Sized + 'static {
     /// Builds the source; reads nothing yet.
     ///
     /// # Errors
-    /// [`ParamError`] for values that no single range can refuse.
+    /// [`ParamError`] for combinations of values that no single range excludes.
     fn new(params: Self::Params) -> Result<Self, ParamError>;
 
-    /// For a live source: how far the stamp of an item on one port may lie behind the newest on any other, ns. Where its
-    /// other ports have come so far, nothing more is waited for on a port that stays silent; what comes later than that
-    /// is late, and an empty stands in its place. 0: all ports come in the order of their stamps.
+    /// For a live source: maximum delay of an item behind the newest stamp on any other port, ns. A silent port is not
+    /// waited for beyond that; a later item is late and replaced by an empty. 0: all ports come in the order of their
+    /// stamps.
     fn max_delay_ns(&self) -> crate::StampNs {
         0
     }
 
-    /// For a live source: after how long without an answer the run says that it is silent.
+    /// For a live source: time without an answer after which the run reports it as silent.
     fn silent_after(&self) -> Duration {
         SILENT_AFTER
     }
 
     /// The next answer, at the stamp given to [`Context::set_stamp_ns`]; `None` at the end. Ports may stay silent.
     ///
-    /// A live source may wait for its device here, on a thread of its own. It notices the wish to stop
-    /// ([`Context::cancelled`], [`Context::wait_until`]) within half a second; else the run ends without it.
+    /// A live source may wait for its device here, on its own thread. It must notice cancellation
+    /// ([`Context::cancelled`], [`Context::wait_until`]) within half a second; otherwise the run ends without it.
     ///
     /// # Errors
     /// [`NodeError`] if nothing more can be read.
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Self::Outputs>, NodeError>;
 }
 
-/// Parameters: read by serde, described by schemars where they live.
+/// Parameters: deserialized by serde, described by schemars.
 pub trait Parameters: DeserializeOwned + JsonSchema {}
 
 impl<P: DeserializeOwned + JsonSchema> Parameters for P {}
 
-/// What a kind says of itself; derived from the doc comment and `#[describe(example = "...", literature = ["..."])]`.
+/// Documentation of a kind; derived from the doc comment and `#[describe(example = "...", literature = ["..."])]`.
 pub trait Describe {
-    /// The doc comment: its first paragraph is the summary.
+    /// The doc comment; the first paragraph is the summary.
     const DOC: &'static str;
-    /// The node's table as a graph file would hold it, parameters that matter included; checked in a test.
+    /// The table of the node in a graph file, with the important parameters; checked by a test.
     const EXAMPLE: &'static str;
     /// Paper, section, equation.
     const LITERATURE: &'static [&'static str];
@@ -96,10 +97,10 @@ pub trait Inputs: Sized {
     /// The ports in order.
     fn ports() -> Vec<InputPort>;
 
-    /// The values of one firing: handles on what `joined` keeps, or the very values where it is spent.
+    /// Takes the values of one firing: moved out of `joined` where it is spent, otherwise cloned handles.
     ///
     /// # Errors
-    /// [`NodeError`] if the engine joined something else than declared.
+    /// [`NodeError`] if `joined` does not match the declared ports.
     fn take(joined: &mut Joined) -> Result<Self, NodeError>;
 }
 
@@ -108,18 +109,18 @@ pub trait Outputs: Sized {
     /// The ports in order.
     fn ports() -> OutputPorts;
 
-    /// Puts an emission for each port into `out`, in order; `out` holds one for each, all silent.
+    /// Writes the emission of each port to `out`, which holds one silent emission per port, in order.
     fn put(self, out: &mut [Emission]);
 }
 
-/// The field of an output port that does not always have a value.
+/// The type of an output field that does not always have a value.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Emit<T> {
     /// A value.
     Value(T),
     /// No result, for this reason.
     Empty(String),
-    /// Nothing at this stamp; only a source may say so.
+    /// No item at this stamp; for sources only.
     Silent,
 }
 
@@ -129,10 +130,10 @@ impl<T> From<T> for Emit<T> {
     }
 }
 
-/// Puts the value of a `T` field into a place that is silent.
+/// Writes the value of a `T` field to a place that is silent.
 #[inline]
 pub fn put_value(place: &mut Emission, value: Value) {
-    // Known to be silent from here on, the place is written at once: a move through the stack costs as much as a channel.
+    // Once known to be silent, the place is written directly: a move through the stack costs as much as a channel.
     if !matches!(place, Emission::Silent) {
         *place = Emission::Silent;
     }
@@ -159,7 +160,7 @@ fn value_of<T: Clone + 'static>(item: &Item, port: &str) -> Result<Option<T>, No
 }
 
 fn wrong_type(port: &str, value: &Value) -> NodeError {
-    NodeError::new(format!("input \"{port}\" was given a {}, which it does not take", value.ty().name))
+    NodeError::new(format!("input \"{port}\" was given a {}, which it does not accept", value.ty().name))
 }
 
 fn no_value(port: &str) -> NodeError {
@@ -187,7 +188,7 @@ pub fn take_optional<T: Clone + Send + Sync + 'static>(
     match joined.slot(index)? {
         Slot::Item(item) => value_of(item, port),
         Slot::Absent(_) => Ok(None),
-        Slot::Items(_) => Err(NodeError::new(format!("input \"{port}\" takes one item, several were joined"))),
+        Slot::Items(_) => Err(NodeError::new(format!("input \"{port}\" takes one item, but several were joined"))),
     }
 }
 

@@ -1,16 +1,16 @@
-//! The one view of a payload: a small head of named fields and named typed columns.
+//! Views: a payload as a small head of named fields and named typed columns.
 
-use crate::Shape;
+use crate::EntryType;
 use bytemuck::Pod;
 use std::{borrow::Cow, fmt, sync::Arc};
 
-/// Bytes that are never changed again, kept alive by whoever allocated them.
+/// Immutable shared bytes.
 pub type Buffer = Arc<dyn AsRef<[u8]> + Send + Sync>;
 
-/// The name of a head field or column; that of a schema costs nothing.
+/// The name of a head field or column; borrowed from the schema where possible.
 pub type Name = Cow<'static, str>;
 
-/// What a payload looks like to the recorder, to plugins and to `diff`: head fields and columns, both in order.
+/// A payload as the recorder, plugins and `diff` see it: head fields and columns, both in order.
 #[derive(Clone, Default, Debug, PartialEq)]
 pub struct View {
     /// Small named values.
@@ -19,10 +19,10 @@ pub struct View {
     pub columns: Vec<Column>,
 }
 
-/// A value of a view's head.
+/// A value in the head of a view.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Field {
-    /// Yes or no.
+    /// A boolean.
     Bool(bool),
     /// A count or a stamp.
     Int(i64),
@@ -30,7 +30,7 @@ pub enum Field {
     Float(f64),
     /// A few numbers, such as the rows of a matrix.
     Floats(Vec<f64>),
-    /// Text in UTF-8.
+    /// UTF-8 text.
     Text(Arc<str>),
 }
 
@@ -51,7 +51,7 @@ pub enum ColumnType {
 }
 
 impl ColumnType {
-    /// All of them.
+    /// All types.
     pub(crate) const ALL: [Self; 5] = [Self::F64, Self::F32, Self::I64, Self::U32, Self::U8];
 
     /// Bytes of one value.
@@ -63,7 +63,7 @@ impl ColumnType {
         }
     }
 
-    /// Its name: `f64` and the like.
+    /// The name, such as `f64`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::F64 => "f64",
@@ -80,7 +80,7 @@ impl ColumnType {
     }
 }
 
-/// A named run of rows, each of `width` values of one type, little-endian as in memory.
+/// A named column: rows of `width` values of one type, little-endian, contiguous in memory.
 #[derive(Clone)]
 pub struct Column {
     /// The column's name.
@@ -89,12 +89,12 @@ pub struct Column {
     pub kind: ColumnType,
     /// Values in a row: 3 for points.
     pub width: u32,
-    /// The rows.
+    /// The bytes of the rows.
     pub data: Buffer,
 }
 
 impl Column {
-    /// A column over bytes that `data` keeps alive.
+    /// A column over the bytes of `data`.
     pub fn new(name: impl Into<Name>, kind: ColumnType, width: u32, data: Buffer) -> Self {
         Self { name: name.into(), kind, width, data }
     }
@@ -109,7 +109,7 @@ impl Column {
         self.bytes().len() / (self.kind.size() * self.width as usize).max(1)
     }
 
-    /// The rows as values of `T`, borrowed where they lie aligned and copied where they do not.
+    /// The rows as values of `T`: borrowed where aligned, otherwise copied.
     ///
     /// # Errors
     /// [`ViewError::Rows`] if a row is not the size of a `T` or the bytes end within a row.
@@ -142,60 +142,60 @@ impl PartialEq for Column {
     }
 }
 
-/// A view that is not of the payload it should be.
+/// A view that does not match its payload type.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ViewError {
-    /// A head field or column is not there or has another type.
+    /// A head field or column is missing or has another type.
     #[error("the view has no {what} \"{name}\"")]
     Missing {
-        /// The kind of thing looked for.
+        /// The noun for what is missing, such as `column`.
         what: &'static str,
         /// Its name.
         name: String,
     },
-    /// A column's rows have another size than needed.
+    /// The rows of a column have the wrong size.
     #[error("column \"{name}\" has rows of {row} bytes in {bytes} bytes, {expected} needed")]
     Rows {
         /// The column.
         name: String,
         /// Bytes in a row.
         row: usize,
-        /// Bytes in a row of the type asked for.
+        /// Bytes in a row of the requested type.
         expected: usize,
         /// Bytes in all.
         bytes: usize,
     },
-    /// A head field holds another type.
+    /// A head field has the wrong type.
     #[error("field \"{name}\" is {found}, {expected} needed")]
     FieldType {
         /// The field.
         name: String,
-        /// What it holds.
-        found: Shape,
-        /// What it should hold.
-        expected: Shape,
+        /// Its type.
+        found: EntryType,
+        /// The required type.
+        expected: EntryType,
     },
-    /// A column holds another type.
+    /// A column has the wrong value type.
     #[error("column \"{name}\" holds {}, {} needed", .found.name(), .expected.name())]
     ColumnType {
         /// The column.
         name: String,
         /// The type of its values.
         found: ColumnType,
-        /// The type they should have.
+        /// The required type.
         expected: ColumnType,
     },
-    /// A column's rows have more or fewer values.
+    /// A column has the wrong width.
     #[error("column \"{name}\" has {found} values in a row, {expected} needed")]
     Width {
         /// The column.
         name: String,
         /// Values in a row.
         found: u32,
-        /// Values that there should be.
+        /// Required values in a row.
         expected: u32,
     },
-    /// A column's last row is not whole.
+    /// The last row of a column is incomplete.
     #[error("column \"{name}\" ends within a row: {bytes} bytes in rows of {row}")]
     CutRow {
         /// The column.
@@ -205,7 +205,7 @@ pub enum ViewError {
         /// Bytes in a row.
         row: usize,
     },
-    /// A head field or column that the payload's schema does not have.
+    /// A head field or column that is not in the schema.
     #[error("the view has a {what} \"{name}\" that its payload does not have")]
     Unknown {
         /// Field or column.
@@ -221,8 +221,8 @@ pub enum ViewError {
         /// Their name.
         name: String,
     },
-    /// The values make no payload.
-    #[error("the view is no valid payload: {0}")]
+    /// The values are not valid for the payload.
+    #[error("the view is not a valid payload: {0}")]
     Invalid(String),
 }
 
@@ -232,24 +232,24 @@ impl View {
         Self::default()
     }
 
-    /// The view with one more head field.
+    /// Adds a head field.
     pub fn with(mut self, name: impl Into<Name>, field: impl Into<Field>) -> Self {
         self.head.push((name.into(), field.into()));
         self
     }
 
-    /// The view with one more column.
+    /// Adds a column.
     pub fn with_column(mut self, column: Column) -> Self {
         self.columns.push(column);
         self
     }
 
-    /// The head field of that name, where there is one.
+    /// The head field with this name.
     pub fn field(&self, name: &str) -> Option<&Field> {
         self.head.iter().find(|(n, _)| n == name).map(|(_, f)| f)
     }
 
-    /// The column of that name.
+    /// The column with this name.
     ///
     /// # Errors
     /// [`ViewError::Missing`] if there is none.
@@ -258,7 +258,7 @@ impl View {
         self.columns.iter().find(|c| c.name == name).ok_or_else(missing)
     }
 
-    /// The text of that name.
+    /// The text with this name.
     ///
     /// # Errors
     /// [`ViewError::Missing`] if there is none.
@@ -269,7 +269,7 @@ impl View {
         }
     }
 
-    /// The text of that name, shared with the view.
+    /// The text with this name, shared with the view.
     ///
     /// # Errors
     /// [`ViewError::Missing`] if there is none.
@@ -280,7 +280,7 @@ impl View {
         }
     }
 
-    /// The integer of that name.
+    /// The integer with this name.
     ///
     /// # Errors
     /// [`ViewError::Missing`] if there is none.
@@ -291,7 +291,7 @@ impl View {
         }
     }
 
-    /// The number of that name.
+    /// The number with this name.
     ///
     /// # Errors
     /// [`ViewError::Missing`] if there is none.
@@ -302,10 +302,10 @@ impl View {
         }
     }
 
-    /// The `N` numbers of that name.
+    /// The `N` numbers with this name.
     ///
     /// # Errors
-    /// [`ViewError::Missing`] if there are not exactly so many.
+    /// [`ViewError::Missing`] if there is no such list, or its length is not `N`.
     pub fn floats<const N: usize>(&self, name: &str) -> Result<[f64; N], ViewError> {
         let missing = || ViewError::Missing { what: "number list", name: format!("{name} of {N}") };
         match self.field(name) {

@@ -1,6 +1,6 @@
-//! The structs of the plugin interface lie alike in Rust, in C and in C++: sizes and offsets of the Rust side, the golden
-//! file, and the assertions that the header makes with them. `UPDATE=1` rewrites the two texts; a changed line is a
-//! changed interface.
+//! The structs of the plugin interface have the same layout in Rust, C and C++: compares sizes and offsets of the Rust side,
+//! the golden file, and the assertions in the header. `UPDATE=1` rewrites the two texts; a changed line is a changed
+//! interface.
 
 use osteoflow_node::abi;
 use std::{fs, path::Path, process::Command};
@@ -12,7 +12,7 @@ fn path(name: &str) -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("include").join(name)
 }
 
-/// The golden text as assertions of the header.
+/// The golden text as assertions for the header.
 fn assertions(layout: &str) -> String {
     let assertion = |line: &str| {
         let (what, n) = line.split_once(' ').expect("a line is a name and a number");
@@ -37,7 +37,7 @@ fn compiles(compiler: &str, arguments: &[&str], language: &str) {
 
 #[test]
 #[cfg(target_pointer_width = "64")]
-fn the_structs_lie_in_rust_and_in_c_as_the_golden_file_says() {
+fn the_layout_in_rust_and_in_c_is_that_of_the_golden_file() {
     let layout = abi::layout();
     let golden = fs::read_to_string(path("layout.txt")).unwrap_or_default();
     let header = fs::read_to_string(path("osteoflow.h")).expect("the header is there");

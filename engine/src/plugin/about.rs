@@ -1,6 +1,6 @@
 //! What a plugin says of itself, in Rust's own words.
 
-use osteoflow_node::abi::schema::PayloadAbout;
+use osteoflow_node::abi::schema::PayloadDescription;
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 
@@ -20,7 +20,7 @@ pub struct PluginAbout {
     /// Its kinds.
     pub kinds: Vec<KindAbout>,
     /// Payloads that its ports name, or that it defines.
-    pub payloads: Vec<PayloadAbout>,
+    pub payloads: Vec<PayloadDescription>,
 }
 
 /// A kind as its plugin describes it.
@@ -41,7 +41,7 @@ pub struct KindAbout {
     /// Whether it is a source of constants.
     pub constant: bool,
     /// Whether its answers are kept.
-    pub kept: osteoflow_node::Kept,
+    pub kept: osteoflow_node::CachePolicy,
     /// Its inputs.
     pub inputs: Vec<InputAbout>,
     /// Its outputs.

@@ -3,7 +3,7 @@
 
 use crate::panics;
 use osteoflow_node::{
-    Budget, Context, Emission, PayloadType, PortPayload, Site, Value, ViewError,
+    Budget, BuildContext, Context, Emission, PayloadType, PortPayload, Value, ViewError,
     abi::{self, Text, param, status},
     serde_json::Value as Json,
 };
@@ -19,7 +19,7 @@ use std::{
 pub(super) struct Lent {
     /// Not dropped with this: see [`Held`].
     value: ManuallyDrop<Value>,
-    view: Lazy<Option<abi::Lent>>,
+    view: Lazy<Option<abi::OutgoingView>>,
     result: Lazy<String>,
 }
 
@@ -116,7 +116,7 @@ impl Drop for Held {
 /// What a node is called with.
 pub(super) enum At<'a> {
     /// While it is built.
-    Site(&'a Site),
+    Build(&'a BuildContext),
     /// At a firing.
     Firing(&'a mut Context),
 }
@@ -147,14 +147,14 @@ impl Run<'_> {
     fn context(&self) -> Option<&Context> {
         match &self.at {
             At::Firing(context) => Some(context),
-            At::Site(_) => None,
+            At::Build(_) => None,
         }
     }
 
     fn context_mut(&mut self) -> Option<&mut Context> {
         match &mut self.at {
             At::Firing(context) => Some(context),
-            At::Site(_) => None,
+            At::Build(_) => None,
         }
     }
 
@@ -227,10 +227,10 @@ unsafe extern "C" fn view(value: *const abi::Value, view: *mut abi::View) -> i32
     let made = panics::catch(|| {
         let ty = lent.value.ty();
         let made = lent.view.get_or(|| {
-            let made = abi::Lent::new(lent.value.to_view(), ty.schema);
+            let made = abi::OutgoingView::lent(lent.value.to_view(), ty.schema);
             made.inspect_err(|error| tracing::error!("a {} has no view for a plugin: {error}", ty.name)).ok()
         });
-        made.as_ref().map(abi::Lent::view)
+        made.as_ref().map(abi::OutgoingView::view)
     });
     match made {
         Ok(Some(made)) => {
@@ -272,15 +272,15 @@ unsafe extern "C" fn release(held: *const abi::Value) {
 ///
 /// # Safety
 /// `view` is a plugin's, as the header says, and outlives the answer.
-unsafe fn given<'a>(view: *const abi::View) -> Result<abi::Crossing<'a>, String> {
+unsafe fn given<'a>(view: *const abi::View) -> Result<abi::IncomingView<'a>, String> {
     if view.is_null() || !view.is_aligned() {
         return Err("the view of an answer is a null pointer".into());
     }
     // SAFETY: as the caller vouches.
-    unsafe { abi::Crossing::new(&*view, abi::Origin::Given) }.map_err(|error| error.to_string())
+    unsafe { abi::IncomingView::new(&*view, abi::Ownership::Given) }.map_err(|error| error.to_string())
 }
 
-fn taken(given: abi::Crossing<'_>, ty: &'static PayloadType) -> Result<Emission, String> {
+fn taken(given: abi::IncomingView<'_>, ty: &'static PayloadType) -> Result<Emission, String> {
     let named = |error: ViewError| format!("{}: {error}", ty.name);
     let view = given.take(ty.schema).map_err(named)?;
     view.check_columns(ty.schema).map_err(named)?;
@@ -305,7 +305,7 @@ unsafe extern "C" fn emit_as(run: *mut abi::Run, port: u64, name: Text, version:
     unsafe {
         answer(run, |run| {
             let given = given(view)?;
-            let name = abi::needed(name, "the name of a payload").map_err(|error| error.to_string())?;
+            let name = abi::required_text(name, "the name of a payload").map_err(|error| error.to_string())?;
             let types = &run.about.types;
             let known = types.iter().find(|ty| ty.name == name && ty.version == version).copied();
             run.put(port, |payload| {
@@ -383,7 +383,7 @@ unsafe extern "C" fn node(run: *const abi::Run) -> Text {
     // SAFETY: the header has it called so.
     unsafe {
         look(run, Text::NONE, |run| match &run.at {
-            At::Site(site) => Text::of(&site.node),
+            At::Build(build) => Text::of(&build.node),
             At::Firing(context) => Text::of(context.node()),
         })
     }
@@ -414,7 +414,7 @@ unsafe extern "C" fn seed(run: *const abi::Run) -> u64 {
     // SAFETY: the header has it called so.
     unsafe {
         look(run, 0, |run| match &run.at {
-            At::Site(site) => site.seed,
+            At::Build(build) => build.seed,
             At::Firing(context) => context.seed(),
         })
     }

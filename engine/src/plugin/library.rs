@@ -3,7 +3,7 @@
 
 use super::about::{InputAbout, KindAbout, OutputsAbout, PluginAbout, PortAbout};
 use osteoflow_node::{
-    Join, Kept, Role,
+    CachePolicy, Join, Role,
     abi::{self, AbiError, kind, panics},
 };
 use std::{
@@ -235,7 +235,7 @@ fn check_sizes(found: &abi::Sizes, theirs: (u32, u32)) -> Result<(), Why> {
 /// `kind` is one of a plugin's description.
 unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindAbout, AbiError> {
     // SAFETY: as the caller vouches, in this and the following.
-    let name = unsafe { abi::needed(given.kind, "the name of a kind") }?.to_owned();
+    let name = unsafe { abi::required_text(given.kind, "the name of a kind") }?.to_owned();
     let what = |part: &str| format!("{part} of kind {name}");
     // SAFETY: as above.
     let text = |text, part: &str| unsafe { abi::text(text, &what(part)) }.map(|t| t.map(str::to_owned));
@@ -309,9 +309,9 @@ unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindAbout, 
         },
         constant: given.flags & kind::CONSTANT != 0,
         kept: match given.kept {
-            0 => Kept::No,
-            1 => Kept::ByInputs,
-            2 => Kept::ByInputsAndSeed,
+            0 => CachePolicy::Never,
+            1 => CachePolicy::ByInputs,
+            2 => CachePolicy::ByInputsAndSeed,
             unknown => return Err(code("what is kept", unknown)),
         },
         inputs: inputs.iter().map(input).collect::<Result<_, _>>()?,

@@ -7,8 +7,8 @@ use super::{
 };
 use crate::panics;
 use osteoflow_node::{
-    AnyNode, AnySource, Body, Built, Context, Emission, Empty, Item, Join, Joined, NodeError, ParamError, PayloadType,
-    PortPayload, Role, SILENT_AFTER, Site, Slot, StampNs,
+    AnyNode, AnySource, Body, BuildContext, Built, Context, Emission, Empty, Item, Join, Joined, NodeError, ParamError,
+    PayloadType, PortPayload, Role, SILENT_AFTER, Slot, StampNs,
     abi::{self, Text, slot, status},
     serde_json::Value as Json,
 };
@@ -76,28 +76,28 @@ pub(super) fn build(
     outputs: &[(String, PortPayload)],
     types: Arc<[&'static PayloadType]>,
     params: &Json,
-    site: &Site,
+    context: &BuildContext,
 ) -> Result<Built, ParamError> {
     library.start(&HOST);
     let kind = library.kind(index);
     let described = &library.about().kinds[index];
-    let declared = site.declared.iter().map(|port| DeclaredAbout {
+    let declared = context.declared.iter().map(|port| DeclaredAbout {
         name: port.name.clone(),
         payload: crossing(port.payload),
         params: port.params.to_string(),
     });
     let about = About {
         schema: described.params.clone(),
-        outputs: match site.declared.is_empty() {
+        outputs: match context.declared.is_empty() {
             true => outputs.to_vec(),
-            false => site.declared.iter().map(|p| (p.name.clone(), PortPayload::Type(p.payload))).collect(),
+            false => context.declared.iter().map(|p| (p.name.clone(), PortPayload::Type(p.payload))).collect(),
         },
         declared: declared.collect(),
         types,
     };
     let text = params.to_string();
     let mut node = ptr::null_mut();
-    let mut run = Run { at: At::Site(site), about: &about, params, out: &mut [], failed: None, lent: Vec::new() };
+    let mut run = Run { at: At::Build(context), about: &about, params, out: &mut [], failed: None, lent: Vec::new() };
     let firing = abi::Firing {
         size: size_of::<abi::Firing>() as u64,
         host: &HOST,
@@ -132,7 +132,7 @@ pub(super) fn build(
         params: params.clone(),
         is_source: described.role != Role::Node,
         constants: (0..n_inputs)
-            .map(|port| matches!(site.joins.get(port), Some(Join::Once)).then_some(Constant(None)))
+            .map(|port| matches!(context.joins.get(port), Some(Join::Once)).then_some(Constant(None)))
             .collect(),
         values: Vec::new(),
         items: Vec::new(),

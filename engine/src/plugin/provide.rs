@@ -7,7 +7,7 @@ use super::{
 };
 use crate::graph::take;
 use osteoflow_node::{
-    Description, FrameExpr, InputPort, Kept, KindClash, OutputPort, OutputPorts, PayloadClash, PayloadType,
+    CachePolicy, Description, FrameExpr, InputPort, KindClash, OutputPort, OutputPorts, PayloadClash, PayloadType,
     PortPayload, Registry, SchemaError,
 };
 use std::{collections::BTreeSet, sync::Arc};
@@ -64,7 +64,7 @@ pub fn provide(
     load: impl Fn() -> Result<&'static Library, String> + Clone + Send + Sync + 'static,
 ) -> Result<(), ProvideError> {
     for payload in &about.payloads {
-        let free = PayloadType::free(&payload.name, payload.version, payload.schema.clone());
+        let free = PayloadType::dynamic(&payload.name, payload.version, payload.schema.clone());
         let free = free.map_err(|error| ProvideError::Schema { payload: payload.name.clone(), error })?;
         registry.add_payload_type(free)?;
     }
@@ -76,9 +76,9 @@ pub fn provide(
             OutputPorts::Declared { .. } => Vec::new(),
         };
         let (load, types) = (load.clone(), types.clone());
-        registry.add_kind(description, sha256.clone(), move |params, site| {
+        registry.add_kind(description, sha256.clone(), move |params, context| {
             let library = load().map_err(|said| osteoflow_node::ParamError::new("", said))?;
-            node::build(library, index, &outputs, types.clone(), params, site)
+            node::build(library, index, &outputs, types.clone(), params, context)
         })?;
     }
     Ok(())
@@ -123,15 +123,15 @@ fn describe(registry: &Registry, kind: &KindAbout) -> Result<Description, Provid
         details: details.trim().into(),
         role: kind.role,
         constant: kind.constant,
-        kept: kind.kept,
+        cache: kind.kept,
         inputs,
         outputs,
         params: kind.params.clone(),
         example: kept(&kind.example),
         literature: Vec::leak(kind.literature.iter().map(|source| kept(source)).collect()),
     };
-    if kind.kept != Kept::No && description.names_files() {
-        return Err(unsound("it reads a file, so its answers cannot be kept; let a source read it".into()));
+    if kind.kept != CachePolicy::Never && description.names_files() {
+        return Err(unsound("it reads a file, so its answers cannot be cached; let a source read it".into()));
     }
     Ok(description)
 }

@@ -6,7 +6,7 @@ use crate::{
     plan::{OutputId, Plan},
     recording::codec,
 };
-use osteoflow_node::{Body, Item, PayloadType, PortPayload, Reading, Role, StampNs};
+use osteoflow_node::{Body, ClockReading, Item, PayloadType, PortPayload, Role, StampNs};
 use serde_json::{Value as Json, json};
 use std::{collections::BTreeMap, fmt::Write, io};
 
@@ -170,7 +170,7 @@ impl Sink {
     }
 
     /// What a firing took from the clock.
-    pub(super) fn live(&mut self, node: usize, item: u64, readings: &[Reading]) -> Result<(), Stopped> {
+    pub(super) fn live(&mut self, node: usize, item: u64, readings: &[ClockReading]) -> Result<(), Stopped> {
         let message = json!({ "node": self.nodes[node], "item": item, "readings": readings });
         self.tell(LIVE_TOPIC, message.to_string().into_bytes())
     }

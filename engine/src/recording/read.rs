@@ -13,7 +13,7 @@ use crate::{
     },
     recover::{self, RECOVERED_METADATA},
 };
-use osteoflow_node::{Body, Item, PayloadType, Reading, Registry};
+use osteoflow_node::{Body, ClockReading, Item, PayloadType, Registry};
 use std::{
     collections::{BTreeMap, BTreeSet},
     io,
@@ -95,7 +95,7 @@ pub struct Recording {
     /// The numbers of the items that policies dropped, by wire and input.
     pub drops: BTreeMap<(String, String), BTreeSet<u64>>,
     /// What firings took from the clock, by node and the number of the firing.
-    pub readings: BTreeMap<(String, u64), Vec<Reading>>,
+    pub readings: BTreeMap<(String, u64), Vec<ClockReading>>,
     /// Which nodes failed at which item, and why.
     pub failures: Vec<RecordedFailure>,
     types: RecordedTypes,
@@ -308,7 +308,7 @@ struct Pass {
     metadata: BTreeMap<String, BTreeMap<String, String>>,
     wires: BTreeMap<String, Gathered>,
     drops: BTreeMap<(String, String), BTreeSet<u64>>,
-    readings: BTreeMap<(String, u64), Vec<Reading>>,
+    readings: BTreeMap<(String, u64), Vec<ClockReading>>,
     damage: Option<Damage>,
 }
 

@@ -1,7 +1,7 @@
 //! The payload types that a recording tells of, so that it can be read where nothing else is known of them.
 
 use crate::container::Wire;
-use osteoflow_node::{OutputPort, OutputPorts, Part, PayloadType, PortPayload, Registry};
+use osteoflow_node::{OutputPort, OutputPorts, PayloadType, PortPayload, Registry, SchemaEntry};
 use std::collections::BTreeMap;
 
 /// For each payload of a recording's wires, by name and version, the type that its schema makes, or why it makes none.
@@ -13,8 +13,8 @@ impl RecordedTypes {
     pub(crate) fn add(&mut self, wire: &Wire) {
         let Some(schema) = &wire.schema else { return };
         let of = || {
-            let schema: Vec<Part> = serde_json::from_str(schema).map_err(|error| error.to_string())?;
-            PayloadType::free(&wire.payload, wire.version, schema).map_err(|error| error.to_string())
+            let schema: Vec<SchemaEntry> = serde_json::from_str(schema).map_err(|error| error.to_string())?;
+            PayloadType::dynamic(&wire.payload, wire.version, schema).map_err(|error| error.to_string())
         };
         self.0.entry((wire.payload.clone(), wire.version)).or_insert_with(of);
     }

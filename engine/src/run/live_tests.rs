@@ -9,7 +9,7 @@ use crate::{
     recording::codec,
     toy::{Gate, Number, Toy, registry},
 };
-use osteoflow_node::{Item, Join, Reading};
+use osteoflow_node::{ClockReading, Item, Join};
 use serde_json::{Value as Json, json};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -294,12 +294,12 @@ fn a_sink_that_does_not_keep_up_loses_what_the_policy_says_and_a_replay_loses_th
 
 /// Keeps what firings took from the clock.
 #[derive(Default)]
-struct Readings(Mutex<BTreeMap<(usize, u64), Vec<Reading>>>);
+struct Readings(Mutex<BTreeMap<(usize, u64), Vec<ClockReading>>>);
 
 impl Tap for Readings {
     fn item(&self, _: OutputId, _: &Item) {}
 
-    fn live(&self, node: usize, item: u64, readings: &[Reading]) {
+    fn live(&self, node: usize, item: u64, readings: &[ClockReading]) {
         let before = self.0.lock().unwrap().insert((node, item), readings.to_vec());
         assert_eq!(before, None, "the readings of a firing are told once");
     }
@@ -327,7 +327,7 @@ fn what_a_node_takes_from_the_clock_is_told_and_answered_from_the_record_in_a_re
         let timed = plan.nodes.iter().position(|node| &*node.name == "timed").unwrap();
         assert_eq!(readings.keys().copied().collect::<Vec<_>>(), (0..6).map(|i| (timed, i)).collect::<Vec<_>>());
         for readings in readings.values() {
-            let [Reading::Budget { looks, over }, Reading::Clock { ns }] = readings[..] else {
+            let [ClockReading::Budget { looks, over }, ClockReading::Clock { ns }] = readings[..] else {
                 panic!("{readings:?}: a budget and then the clock were asked for")
             };
             assert!(ns > 1_600_000_000_000_000_000 && over == (most_looks > 7), "{readings:?}");

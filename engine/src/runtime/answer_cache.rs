@@ -15,7 +15,7 @@ use crate::{
     store::{Entry, Key, KeyInMaking, Store, brought, message, payload_of},
 };
 use osteoflow_node::{
-    AnyNode, Body, Context, Emission, Empty, Item, Joined, Kept, NodeError, PortPayload, Registry, Slot,
+    AnyNode, Body, CachePolicy, Context, Emission, Empty, Item, Joined, NodeError, PortPayload, Registry, Slot,
 };
 use std::{
     ops::Range,
@@ -42,7 +42,7 @@ pub(super) struct Recall<'a> {
     plan: &'a Plan,
     registry: &'a Registry,
     /// What decides the answers of each node; `None` where they are not kept.
-    nodes: Vec<Option<Kept>>,
+    nodes: Vec<Option<CachePolicy>>,
     recalled: Mutex<Vec<(usize, Recalled)>>,
     /// The libraries that plugins have brought along.
     brought: OnceLock<Vec<String>>,
@@ -56,10 +56,11 @@ const LAYOUT: u64 = 1;
 impl<'a> Recall<'a> {
     /// A node that is to fail on purpose always fires.
     pub(super) fn new(store: &Arc<Store>, plan: &'a Plan, registry: &'a Registry, planned: &[Arc<Planned>]) -> Self {
-        let kept = |node: &PlanNode| registry.kind(&node.kind).map_or(Kept::No, |kind| kind.description.kept);
+        let kept =
+            |node: &PlanNode| registry.kind(&node.kind).map_or(CachePolicy::Never, |kind| kind.description.cache);
         let nodes = plan.nodes.iter().zip(planned).map(|(node, planned)| {
             let kept = kept(node);
-            (kept != Kept::No && planned.is_empty()).then_some(kept)
+            (kept != CachePolicy::Never && planned.is_empty()).then_some(kept)
         });
         Self {
             store: store.clone(),
@@ -103,13 +104,13 @@ impl<'a> Recall<'a> {
             self.recalled.lock().unwrap_or_else(PoisonError::into_inner).push((index, recalled));
             return Ok(());
         }
-        context.watch();
+        context.track_use();
         node.fire(joined, out, context)?;
-        if !context.is_within(kept) {
+        if !context.is_cacheable(kept) {
             let kind = &self.plan.nodes[index].kind;
             context.warn(format!(
                 "this answer is not kept: {kind} says that it is decided {}, but took more from its context",
-                if kept == Kept::ByInputs { "by its inputs" } else { "by its inputs and its seed" }
+                if kept == CachePolicy::ByInputs { "by its inputs" } else { "by its inputs and its seed" }
             ));
         } else if !context.cancelled() && !self.cannot_keep.load(Ordering::Relaxed) {
             self.keep(&key, out, context);
@@ -118,7 +119,7 @@ impl<'a> Recall<'a> {
     }
 
     /// The key of a firing's answer; `None` where the program is not known.
-    fn key(&self, index: usize, kept: Kept, joined: &Joined, context: &Context) -> Option<Key> {
+    fn key(&self, index: usize, kept: CachePolicy, joined: &Joined, context: &Context) -> Option<Key> {
         let node = &self.plan.nodes[index];
         let mut key = Key::of("answer")
             .number("layout", LAYOUT)
@@ -130,7 +131,7 @@ impl<'a> Recall<'a> {
             // All nodes are built, so all of them are there.
             key = self.brought.get_or_init(brought).iter().fold(key, |key, library| key.text("library", library));
         }
-        if kept == Kept::ByInputsAndSeed {
+        if kept == CachePolicy::ByInputsAndSeed {
             key = key.number("seed", context.seed()).text("node", context.node()).number("item", context.item());
         }
         for (input, slot) in node.inputs.iter().zip(&joined.slots) {

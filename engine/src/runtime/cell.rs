@@ -355,7 +355,7 @@ impl Cell {
     fn begin(&mut self, item: u64, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Instant> {
         self.context.begin(item, stamp_ns);
         if let Some(readings) = run.recorded_readings(self.index, item) {
-            self.context.give_readings(readings);
+            self.context.replay_readings(readings);
         }
         if !self.cheap {
             self.tell_of_room(run, turn);

@@ -2,7 +2,7 @@
 
 use super::Injected;
 use crate::plan::OutputId;
-use osteoflow_node::{AnySource, Item, Joined, Reading, StampNs};
+use osteoflow_node::{AnySource, ClockReading, Item, Joined, StampNs};
 use std::{
     collections::{BTreeMap, BTreeSet},
     time::Duration,
@@ -21,7 +21,7 @@ pub(crate) struct Replayed {
     pub(crate) drops: Option<BTreeMap<usize, BTreeSet<u64>>>,
     /// What firings took from the clock, by the index of the node and the number of the firing; one that is not named took
     /// nothing. `None`: the clock answers.
-    pub(crate) readings: Option<BTreeMap<(usize, u64), Vec<Reading>>>,
+    pub(crate) readings: Option<BTreeMap<(usize, u64), Vec<ClockReading>>>,
 }
 
 /// Listens to a run and changes nothing in it.
@@ -43,7 +43,7 @@ pub(crate) trait Tap: Sync {
     fn fired(&self, _node: usize, _item: u64, _stamp_ns: StampNs, _began: Duration, _took: Duration) {}
 
     /// What a firing, or an answer of a source that is not live, took from the clock; once, when it is over.
-    fn live(&self, _node: usize, _item: u64, _readings: &[Reading]) {}
+    fn live(&self, _node: usize, _item: u64, _readings: &[ClockReading]) {}
 
     /// The policy of a link, by its index in the plan, has dropped the item with this number; on any link, recorded or
     /// not. In the order of the numbers along a link.

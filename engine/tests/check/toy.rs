@@ -2,8 +2,8 @@
 #![allow(dead_code, reason = "the nodes are described, never run")]
 
 use osteoflow_node::{
-    Context, Declared, Describe, FilePath, Inputs, Node, NodeError, Outputs, ParamError, Part, Payload, Registry,
-    Source, Unused, Value, View, ViewError, schemars::JsonSchema, serde::Deserialize, serde::Serialize,
+    Context, Declared, Describe, FilePath, Inputs, Node, NodeError, Outputs, ParamError, Payload, Registry,
+    SchemaEntry, Source, Unused, Value, View, ViewError, schemars::JsonSchema, serde::Deserialize, serde::Serialize,
 };
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ macro_rules! payload {
         impl Payload<$name> for $name {
             const NAME: &'static str = concat!("toy/", stringify!($name));
             const VERSION: u32 = 1;
-            const SCHEMA: &'static [Part] = &[];
+            const SCHEMA: &'static [SchemaEntry] = &[];
             const INTERPOLATES: bool = $interpolates;
 
             fn to_view(&self) -> View {

@@ -1,8 +1,8 @@
 //! Kinds that ask for all that a context gives: built into the test, and exported by `examples/plugin_kinds.rs`.
 
 use osteoflow_node::{
-    Context, Declared, Describe, Emission, Emit, Inputs, Node, NodeError, Outputs, ParamError, Part, Payload, Source,
-    View, ViewError, rand::RngExt, schemars, serde, serde_json, tracing,
+    Context, Declared, Describe, Emission, Emit, Inputs, Node, NodeError, Outputs, ParamError, Payload, SchemaEntry,
+    Source, View, ViewError, rand::RngExt, schemars, serde, serde_json, tracing,
 };
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ pub(crate) struct Number(f64);
 impl Payload<Number> for Number {
     const NAME: &'static str = "ask/Number";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[Part::float("value")];
+    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::float("value")];
 
     fn to_view(&self) -> View {
         View::new().with("value", self.0)
@@ -36,7 +36,7 @@ pub(crate) struct Words(String);
 impl Payload<Words> for Words {
     const NAME: &'static str = "ask/Words";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[Part::text("words")];
+    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::text("words")];
 
     fn to_view(&self) -> View {
         View::new().with("words", self.0.as_str())

@@ -13,7 +13,7 @@ use osteoflow_engine::{
     replay::WirePart,
     validate::{ValidateReport, validate},
 };
-use osteoflow_node::{FreePayload, Registry};
+use osteoflow_node::{DynamicPayload, Registry};
 use std::{fs, path::Path};
 
 const SAME: Layout = Layout { chunk_bytes: Some(4096), compression: None, shuffle: None, crc: true };
@@ -95,7 +95,7 @@ fn a_recording_of_an_unknown_payload_is_validated_digested_compared_recovered_an
     let recording = osteoflow_engine::Recording::open(&again).unwrap();
     let items = recording.items("beat.wave", &recording.registry(&stranger())).unwrap();
     let osteoflow_node::Body::Value(value) = &items[3].body else { panic!("a wave was recorded") };
-    assert_eq!(value.get::<FreePayload>().unwrap().view().text("label"), Ok("wave 3"));
+    assert_eq!(value.get::<DynamicPayload>().unwrap().view().text("label"), Ok("wave 3"));
     assert!(recording.registry(&registry()).payload_type("toy/Wave") == registry().payload_type("toy/Wave"));
 }
 
@@ -147,7 +147,7 @@ fn a_schema_that_is_damaged_is_found_and_one_that_is_missing_is_told() {
     let report = checked_by_stranger(&path);
     let said: Vec<_> = report.findings.iter().map(ToString::to_string).collect();
     assert_eq!(said.len(), 1, "{said:#?}");
-    assert!(said[0].starts_with("the schema of toy/Wave@3 is damaged: part \"gain_mm\" is neither"), "{said:?}");
+    assert!(said[0].starts_with("the schema of toy/Wave@3 is damaged: entry \"gain_mm\" is neither"), "{said:?}");
 
     rewrite_about(&original, &path, &SAME, |about| drop(about.remove("schema")));
     let report = checked_by_stranger(&path);

@@ -2,8 +2,8 @@
 
 use osteoflow_engine::{Checked, RunOptions, check_text, run};
 use osteoflow_node::{
-    Column, ColumnType, Context, Declared, Describe, Display, Emit, Inputs, Node, NodeError, Outputs, ParamError, Part,
-    Payload, Registry, Source, StampNs, Value, View, ViewError, schemars, serde,
+    Column, ColumnType, Context, Declared, Describe, Display, Emit, Inputs, Node, NodeError, Outputs, ParamError,
+    Payload, Registry, SchemaEntry, Source, StampNs, Value, View, ViewError, schemars, serde,
     serde_json::{self, Value as Json},
 };
 use std::{
@@ -21,11 +21,11 @@ pub(crate) struct Wave {
 impl Payload<Wave> for Wave {
     const NAME: &'static str = "toy/Wave";
     const VERSION: u32 = 3;
-    const SCHEMA: &'static [Part] = &[
-        Part::text("label"),
-        Part::float("gain_mm"),
-        Part::text("json"),
-        Part::column("samples_mm", ColumnType::F64, 2),
+    const SCHEMA: &'static [SchemaEntry] = &[
+        SchemaEntry::text("label"),
+        SchemaEntry::float("gain_mm"),
+        SchemaEntry::text("json"),
+        SchemaEntry::column("samples_mm", ColumnType::F64, 2),
     ];
 
     fn to_view(&self) -> View {

@@ -63,7 +63,7 @@ pub fn register(registry: &mut Registry) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use osteoflow_node::Part;
+    use osteoflow_node::SchemaEntry;
 
     #[test]
     fn every_payload_of_the_table_has_a_schema_whose_names_are_unique() {
@@ -72,7 +72,7 @@ mod tests {
         assert!(registry.payload_types().count() > 10);
         for ty in registry.payload_types() {
             assert!(!ty.schema.is_empty(), "{ty:?} shows nothing");
-            assert_eq!(Part::check_all(ty.schema), Ok(()), "{ty:?}");
+            assert_eq!(SchemaEntry::check_all(ty.schema), Ok(()), "{ty:?}");
         }
     }
 

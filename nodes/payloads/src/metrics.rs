@@ -5,7 +5,7 @@ use crate::{
     columns::{from_column, to_column},
     of_geometry::{LINE, invalid},
 };
-use osteoflow_node::{ColumnType, Part, Payload, View, ViewError};
+use osteoflow_node::{ColumnType, Payload, SchemaEntry, View, ViewError};
 use serde_json::{Map, Value as Json};
 use std::{collections::BTreeSet, sync::Arc};
 
@@ -111,10 +111,10 @@ impl std::ops::Deref for Metrics {
 impl Payload<Table> for Metrics {
     const NAME: &'static str = "report/Metrics";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[
-        Part::text("names").doc("one a line"),
-        Part::text("units").doc("one a line, nothing for a count or a ratio"),
-        Part::column("values", ColumnType::F64, 1),
+    const SCHEMA: &'static [SchemaEntry] = &[
+        SchemaEntry::text("names").doc("one a line"),
+        SchemaEntry::text("units").doc("one a line, nothing for a count or a ratio"),
+        SchemaEntry::column("values", ColumnType::F64, 1),
     ];
 
     fn to_view(&self) -> View {

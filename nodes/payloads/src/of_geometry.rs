@@ -9,7 +9,7 @@ use osteoflow_geometry::{
     Axes, Cloud, Frame, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose, Region, SurfaceOrigin, matrix_rows,
     nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion},
 };
-use osteoflow_node::{ColumnType, Display, Part, Payload, StampNs, View, ViewError};
+use osteoflow_node::{ColumnType, Display, Payload, SchemaEntry, StampNs, View, ViewError};
 use serde_json::{Value as Json, json};
 
 /// What separates names in one text field; a name holds no line break.
@@ -38,14 +38,14 @@ fn frame(view: &View) -> Result<Frame, ViewError> {
 impl Payload<Table> for Cloud {
     const NAME: &'static str = "geometry/Cloud";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[
-        Part::text("frame"),
-        Part::int("stamp_ns"),
-        Part::text("label").optional(),
-        Part::float_list("viewpoint").optional().unit("pose").doc("the sensor's pose, 7 numbers"),
-        Part::column("points", ColumnType::F64, 3).unit("mm"),
-        Part::column("normals", ColumnType::F64, 3).optional().doc("of length 1, one for each point"),
-        Part::column("extra/*", ColumnType::F64, 1).doc("a value for each point, by name"),
+    const SCHEMA: &'static [SchemaEntry] = &[
+        SchemaEntry::text("frame"),
+        SchemaEntry::int("stamp_ns"),
+        SchemaEntry::text("label").optional(),
+        SchemaEntry::float_list("viewpoint").optional().unit("pose").doc("the sensor's pose, 7 numbers"),
+        SchemaEntry::column("points", ColumnType::F64, 3).unit("mm"),
+        SchemaEntry::column("normals", ColumnType::F64, 3).optional().doc("of length 1, one for each point"),
+        SchemaEntry::column("extra/*", ColumnType::F64, 1).doc("a value for each point, by name"),
     ];
 
     fn to_view(&self) -> View {
@@ -104,11 +104,11 @@ impl Payload<Table> for Cloud {
 impl Payload<Table> for Mesh {
     const NAME: &'static str = "geometry/Mesh";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[
-        Part::text("frame"),
-        Part::text("origin").doc("where the surface comes from: exact, simulated_ct or user"),
-        Part::column("vertices", ColumnType::F64, 3).unit("mm"),
-        Part::column("faces", ColumnType::U32, 3).doc("indices of the corners of triangles"),
+    const SCHEMA: &'static [SchemaEntry] = &[
+        SchemaEntry::text("frame"),
+        SchemaEntry::text("origin").doc("where the surface comes from: exact, simulated_ct or user"),
+        SchemaEntry::column("vertices", ColumnType::F64, 3).unit("mm"),
+        SchemaEntry::column("faces", ColumnType::U32, 3).doc("indices of the corners of triangles"),
     ];
 
     fn to_view(&self) -> View {
@@ -152,11 +152,11 @@ pub(crate) fn origin(name: &str) -> Result<SurfaceOrigin, ViewError> {
 impl Payload<Table> for Pose {
     const NAME: &'static str = "geometry/Pose";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[
-        Part::text("to"),
-        Part::text("from"),
-        Part::int("stamp_ns"),
-        Part::floats("isometry", 7).unit("pose").doc("takes coordinates in from to coordinates in to"),
+    const SCHEMA: &'static [SchemaEntry] = &[
+        SchemaEntry::text("to"),
+        SchemaEntry::text("from"),
+        SchemaEntry::int("stamp_ns"),
+        SchemaEntry::floats("isometry", 7).unit("pose").doc("takes coordinates in from to coordinates in to"),
     ];
     const INTERPOLATES: bool = true;
 
@@ -193,13 +193,13 @@ impl Payload<Table> for Pose {
 impl Payload<Table> for Points {
     const NAME: &'static str = "geometry/Points";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[
-        Part::text("frame"),
-        Part::int("stamp_ns"),
-        Part::text("names").doc("one a line"),
-        Part::column("positions", ColumnType::F64, 3).unit("mm"),
-        Part::column("stamps_ns", ColumnType::I64, 1),
-        Part::column("confidences", ColumnType::F64, 1).doc("NaN where none was told"),
+    const SCHEMA: &'static [SchemaEntry] = &[
+        SchemaEntry::text("frame"),
+        SchemaEntry::int("stamp_ns"),
+        SchemaEntry::text("names").doc("one a line"),
+        SchemaEntry::column("positions", ColumnType::F64, 3).unit("mm"),
+        SchemaEntry::column("stamps_ns", ColumnType::I64, 1),
+        SchemaEntry::column("confidences", ColumnType::F64, 1).doc("NaN where none was told"),
     ];
 
     fn to_view(&self) -> View {
@@ -261,12 +261,12 @@ impl Payload<Table> for Points {
 impl Payload<Table> for Planes {
     const NAME: &'static str = "geometry/Planes";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[
-        Part::text("frame"),
-        Part::int("stamp_ns"),
-        Part::text("names").doc("one a line"),
-        Part::text("unknown").doc("for each plane a line: why its place is unknown, or nothing"),
-        Part::column("isometries", ColumnType::F64, 7).unit("pose").doc("NaN where the place is unknown"),
+    const SCHEMA: &'static [SchemaEntry] = &[
+        SchemaEntry::text("frame"),
+        SchemaEntry::int("stamp_ns"),
+        SchemaEntry::text("names").doc("one a line"),
+        SchemaEntry::text("unknown").doc("for each plane a line: why its place is unknown, or nothing"),
+        SchemaEntry::column("isometries", ColumnType::F64, 7).unit("pose").doc("NaN where the place is unknown"),
     ];
 
     fn to_view(&self) -> View {
@@ -336,8 +336,11 @@ impl Payload<Table> for Planes {
 impl Payload<Table> for Region {
     const NAME: &'static str = "geometry/Region";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] =
-        &[Part::text("frame"), Part::floats("min", 3).unit("mm"), Part::floats("max", 3).unit("mm")];
+    const SCHEMA: &'static [SchemaEntry] = &[
+        SchemaEntry::text("frame"),
+        SchemaEntry::floats("min", 3).unit("mm"),
+        SchemaEntry::floats("max", 3).unit("mm"),
+    ];
 
     fn to_view(&self) -> View {
         View::new()
@@ -358,10 +361,10 @@ impl Payload<Table> for Region {
 impl Payload<Table> for Axes {
     const NAME: &'static str = "geometry/Axes";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[
-        Part::text("frame"),
-        Part::floats("centre", 3).unit("mm"),
-        Part::floats("columns", 9).doc("the axes x, y, z, three numbers each"),
+    const SCHEMA: &'static [SchemaEntry] = &[
+        SchemaEntry::text("frame"),
+        SchemaEntry::floats("centre", 3).unit("mm"),
+        SchemaEntry::floats("columns", 9).doc("the axes x, y, z, three numbers each"),
     ];
 
     fn to_view(&self) -> View {

@@ -1,7 +1,7 @@
 //! What the algorithms say of their results: one JSON text, as in `results.json`.
 
 use crate::Table;
-use osteoflow_node::{Part, Payload, Registry, View, ViewError};
+use osteoflow_node::{Payload, Registry, SchemaEntry, View, ViewError};
 
 /// Declares reports as payloads and adds them to a registry.
 macro_rules! reports {
@@ -10,7 +10,7 @@ macro_rules! reports {
             impl Payload<Table> for $report {
                 const NAME: &'static str = concat!("report/", $name);
                 const VERSION: u32 = 1;
-                const SCHEMA: &'static [Part] = &[Part::text("json").doc("as in results.json")];
+                const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::text("json").doc("as in results.json")];
 
                 fn to_view(&self) -> View {
                     View::new().with("json", self.to_result().to_string())

@@ -10,7 +10,7 @@ use osteoflow_algorithms::{
     target::{CellParts, Target},
 };
 use osteoflow_geometry::Mesh;
-use osteoflow_node::{ColumnType, Display, Part, Payload, StampNs, View, ViewError};
+use osteoflow_node::{ColumnType, Display, Payload, SchemaEntry, StampNs, View, ViewError};
 use serde_json::{Value as Json, json};
 
 /// The head field that tells that the view has cells.
@@ -26,20 +26,20 @@ fn has(view: &View, column: &str) -> bool {
 impl Payload<Table> for Target {
     const NAME: &'static str = "algorithms/Target";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[
-        Part::text("frame"),
-        Part::text("origin").doc("where the surface comes from: exact, simulated_ct or user"),
-        Part::float(CELL_MM).optional(),
-        Part::column("points", ColumnType::F64, 3).unit("mm"),
-        Part::column("normals", ColumnType::F64, 3).optional(),
-        Part::column("cells/blocks", ColumnType::U32, 1).optional(),
-        Part::column("cells/starts", ColumnType::U32, 1).optional(),
-        Part::column("cells/items", ColumnType::U32, 1).optional(),
-        Part::column("mesh/vertices", ColumnType::F64, 3).optional().unit("mm"),
-        Part::column("mesh/faces", ColumnType::U32, 3).optional(),
-        Part::column("field/head", ColumnType::F64, 1).optional(),
-        Part::column("field/index", ColumnType::U32, 1).optional(),
-        Part::column("field/nodes", ColumnType::F32, 1).optional(),
+    const SCHEMA: &'static [SchemaEntry] = &[
+        SchemaEntry::text("frame"),
+        SchemaEntry::text("origin").doc("where the surface comes from: exact, simulated_ct or user"),
+        SchemaEntry::float(CELL_MM).optional(),
+        SchemaEntry::column("points", ColumnType::F64, 3).unit("mm"),
+        SchemaEntry::column("normals", ColumnType::F64, 3).optional(),
+        SchemaEntry::column("cells/blocks", ColumnType::U32, 1).optional(),
+        SchemaEntry::column("cells/starts", ColumnType::U32, 1).optional(),
+        SchemaEntry::column("cells/items", ColumnType::U32, 1).optional(),
+        SchemaEntry::column("mesh/vertices", ColumnType::F64, 3).optional().unit("mm"),
+        SchemaEntry::column("mesh/faces", ColumnType::U32, 3).optional(),
+        SchemaEntry::column("field/head", ColumnType::F64, 1).optional(),
+        SchemaEntry::column("field/index", ColumnType::U32, 1).optional(),
+        SchemaEntry::column("field/nodes", ColumnType::F32, 1).optional(),
     ];
 
     fn to_view(&self) -> View {

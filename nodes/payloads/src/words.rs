@@ -1,5 +1,5 @@
 use crate::Table;
-use osteoflow_node::{Part, Payload, View, ViewError};
+use osteoflow_node::{Payload, SchemaEntry, View, ViewError};
 use std::sync::Arc;
 
 /// A word or sentence that belongs to a result, such as where the CT surface comes from.
@@ -9,7 +9,7 @@ pub struct Text(pub Arc<str>);
 impl Payload<Table> for Text {
     const NAME: &'static str = "report/Text";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[Part::text("text")];
+    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::text("text")];
 
     fn to_view(&self) -> View {
         View::new().with("text", &*self.0)
@@ -35,7 +35,7 @@ pub struct Flag(pub bool);
 impl Payload<Table> for Flag {
     const NAME: &'static str = "report/Flag";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[Part::bool("flag")];
+    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::bool("flag")];
 
     fn to_view(&self) -> View {
         View::new().with("flag", self.0)
@@ -44,7 +44,7 @@ impl Payload<Table> for Flag {
     fn from_view(view: &View) -> Result<Self, ViewError> {
         match view.field("flag") {
             Some(osteoflow_node::Field::Bool(flag)) => Ok(Self(*flag)),
-            _ => Err(ViewError::Missing { what: "yes or no", name: "flag".into() }),
+            _ => Err(ViewError::Missing { what: "boolean field", name: "flag".into() }),
         }
     }
 
@@ -62,7 +62,7 @@ pub struct Json(pub Arc<serde_json::Value>);
 impl Payload<Table> for Json {
     const NAME: &'static str = "report/Json";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [Part] = &[Part::text("json")];
+    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::text("json")];
 
     fn to_view(&self) -> View {
         View::new().with("json", self.0.to_string())
@@ -90,6 +90,6 @@ mod tests {
         assert_eq!(back.to_result().to_string(), json.to_result().to_string());
         assert_eq!(back.0["z"][0].as_f64().map(f64::to_bits), Some(0.1_f64.to_bits()));
         let said = Json::from_view(&View::new().with("json", "{")).unwrap_err().to_string();
-        assert!(said.starts_with("the view is no valid payload"), "{said}");
+        assert!(said.starts_with("the view is not a valid payload"), "{said}");
     }
 }

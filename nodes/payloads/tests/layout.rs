@@ -4,7 +4,7 @@
 #![cfg(feature = "algorithms")]
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-use osteoflow_node::{ColumnType, PayloadType, Registry, Shape, abi};
+use osteoflow_node::{ColumnType, EntryType, PayloadType, Registry, abi};
 use std::{fmt::Write, fs, path::Path, process::Command};
 
 const BEGIN: &str = "/* begin of layout */\n";
@@ -26,7 +26,7 @@ fn types() -> Vec<&'static PayloadType> {
 /// The struct of a payload's head. The reports of algorithms are JSON, each of a form of its own.
 fn name_of(ty: &PayloadType) -> String {
     let (_, last) = ty.name.split_once('/').unwrap();
-    let is_json = matches!(ty.schema, [part] if part.name == "json" && part.shape == Shape::Text);
+    let is_json = matches!(ty.schema, [part] if part.name == "json" && part.ty == EntryType::Text);
     let other = OTHER_NAMES.iter().find(|(payload, _)| *payload == ty.name).map(|(_, name)| (*name).to_owned());
     let own = if is_json { "json".into() } else { last.to_lowercase() };
     format!("osteoflow_{}", other.unwrap_or(own))
@@ -51,11 +51,11 @@ fn layout() -> String {
         let name = name_of(ty);
         writeln!(rows, "{} {} {name}", ty.name, ty.version).unwrap();
         writeln!(rows, "  {name} {}", abi::head_size(ty.schema)).unwrap();
-        for (field, at) in abi::head_places(ty.schema) {
+        for (field, at) in abi::head_offsets(ty.schema) {
             writeln!(rows, "  {name}.{field} {at}").unwrap();
         }
         for part in ty.schema {
-            if let Shape::Column { kind, width } = part.shape {
+            if let EntryType::Column { kind, width } = part.ty {
                 let optional = if part.optional { ", optional" } else { "" };
                 writeln!(rows, "  {}{optional}", column(part.name, kind, width)).unwrap();
             }
@@ -70,7 +70,7 @@ fn assertions() -> String {
     for ty in types() {
         let name = name_of(ty);
         let mut own = format!("OSTEOFLOW_ASSERT(sizeof({name}) == {});\n", abi::head_size(ty.schema));
-        for (field, at) in abi::head_places(ty.schema) {
+        for (field, at) in abi::head_offsets(ty.schema) {
             writeln!(own, "OSTEOFLOW_ASSERT(offsetof({name}, {field}) == {at});").unwrap();
         }
         if !told.contains(&own) {
@@ -110,7 +110,7 @@ fn the_header_names_every_payload_its_version_and_its_columns() {
         };
         let comment = before.rsplit("/*").next().unwrap();
         for part in ty.schema {
-            if let Shape::Column { kind, width } = part.shape {
+            if let EntryType::Column { kind, width } = part.ty {
                 let column = format!("\n * {}", column(part.name, kind, width));
                 let line = comment.split_once(&column).map(|(_, rest)| rest.lines().next().unwrap_or_default());
                 let line = line.unwrap_or_else(|| panic!("the comment of {text} lacks a line{column}"));

@@ -5,7 +5,7 @@ use syn::{Attribute, DeriveInput, Error, Expr, ExprArray, ExprLit, Lit, LitStr, 
 pub(crate) fn describe(input: &DeriveInput) -> Result<TokenStream> {
     let doc = doc_of(&input.attrs);
     if doc.is_empty() {
-        return Err(Error::new_spanned(&input.ident, "a node says in its doc comment what it gives"));
+        return Err(Error::new_spanned(&input.ident, "a node needs a doc comment that says what it gives"));
     }
     let mut example = LitStr::new("", input.ident.span());
     let mut literature = Vec::new();
@@ -33,7 +33,7 @@ pub(crate) fn describe(input: &DeriveInput) -> Result<TokenStream> {
     })
 }
 
-/// The text of a doc comment, lines trimmed of the one space that follows the slashes.
+/// The text of a doc comment, without the space after the slashes.
 pub(crate) fn doc_of(attrs: &[Attribute]) -> String {
     let lines = attrs.iter().filter(|a| a.path().is_ident("doc")).filter_map(|a| match &a.meta {
         Meta::NameValue(pair) => match &pair.value {

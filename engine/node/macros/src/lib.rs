@@ -1,4 +1,4 @@
-//! The derives of `osteoflow-node`; what they emit names `osteoflow_node` only.
+//! The derives of `osteoflow-node`. The generated code names `osteoflow_node` only.
 
 use proc_macro::TokenStream;
 use quote::quote;
@@ -7,7 +7,7 @@ use syn::{DeriveInput, parse_macro_input};
 mod describe;
 mod port;
 
-/// Input ports from the fields of a struct.
+/// Derives input ports from the fields of a struct.
 ///
 /// A field of type `T` is a port that takes `T`; `Option<T>` may stay unwired and receives empties; `Vec<T>` collects;
 /// `Unused<T>` is drained; `Value` takes any payload. `#[port(join = "each" | "stamp" | "collect" | "latest" |
@@ -17,13 +17,13 @@ pub fn inputs(input: TokenStream) -> TokenStream {
     expand(port::inputs(&parse_macro_input!(input as DeriveInput)))
 }
 
-/// Output ports from the fields of a struct: `T` always has a value, `Emit<T>` a value, an empty or nothing.
+/// Derives output ports from the fields of a struct: `T` always has a value, `Emit<T>` a value, an empty or nothing.
 #[proc_macro_derive(Outputs, attributes(port))]
 pub fn outputs(input: TokenStream) -> TokenStream {
     expand(port::outputs(&parse_macro_input!(input as DeriveInput)))
 }
 
-/// What a kind says of itself: its doc comment and `#[describe(example = "...", literature = ["..."])]`.
+/// Derives the documentation of a kind from its doc comment and `#[describe(example = "...", literature = ["..."])]`.
 #[proc_macro_derive(Describe, attributes(describe))]
 pub fn describe(input: TokenStream) -> TokenStream {
     expand(describe::describe(&parse_macro_input!(input as DeriveInput)))

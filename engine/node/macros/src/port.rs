@@ -6,7 +6,7 @@ use syn::{
     Type,
 };
 
-/// What `#[port(...)]` says.
+/// The keys of `#[port(...)]`.
 #[derive(Default)]
 struct PortAttr {
     join: Option<LitStr>,
@@ -18,8 +18,8 @@ struct PortAttr {
     from: Option<LitStr>,
 }
 
-/// The type of a field, by its outermost name.
-enum Shape<'a> {
+/// The type of a field, classified by its outermost name.
+enum FieldType<'a> {
     Plain(&'a Type),
     Optional(&'a Type),
     Many(&'a Type),
@@ -35,18 +35,18 @@ pub(crate) fn inputs(input: &DeriveInput) -> Result<TokenStream> {
     for (index, field) in named_fields(input)?.iter().enumerate() {
         let (ident, name) = name_of(field)?;
         let attr = attr_of(field)?;
-        let shape = shape_of(&field.ty);
-        let (payload, take, optional, unused) = match &shape {
-            Shape::Plain(t) => (payload(t), quote!(take_one::<#t>), false, false),
-            Shape::Optional(t) => (payload(t), quote!(take_optional::<#t>), true, false),
-            Shape::Many(t) => (payload(t), quote!(take_many::<#t>), false, false),
-            Shape::ManyOptional(t) => (payload(t), quote!(take_many_optional::<#t>), true, false),
-            Shape::Unused(t) => (payload(t), quote!(), true, true),
-            Shape::Any => (quote!(::osteoflow_node::derive::any_payload()), quote!(take_any), false, false),
-            Shape::Emit(t) => return Err(Error::new_spanned(t, "Emit is for outputs; an input is Option<T>")),
+        let ty = field_type(&field.ty);
+        let (payload, take, optional, unused) = match &ty {
+            FieldType::Plain(t) => (payload(t), quote!(take_one::<#t>), false, false),
+            FieldType::Optional(t) => (payload(t), quote!(take_optional::<#t>), true, false),
+            FieldType::Many(t) => (payload(t), quote!(take_many::<#t>), false, false),
+            FieldType::ManyOptional(t) => (payload(t), quote!(take_many_optional::<#t>), true, false),
+            FieldType::Unused(t) => (payload(t), quote!(), true, true),
+            FieldType::Any => (quote!(::osteoflow_node::derive::any_payload()), quote!(take_any), false, false),
+            FieldType::Emit(t) => return Err(Error::new_spanned(t, "Emit is for outputs; an input is Option<T>")),
         };
-        // What is unused joins as in the kinds that use it, so that a graph says the same to both.
-        let many = matches!(shape, Shape::Many(_) | Shape::ManyOptional(_))
+        // An unused port joins like those of the kinds that use it, so that the same graph works with both.
+        let many = matches!(ty, FieldType::Many(_) | FieldType::ManyOptional(_))
             || unused && attr.join.as_ref().is_some_and(|join| join.value() == "collect");
         let join = join_of(&attr, many, field)?;
         let (doc, frames) = (doc_of(&field.attrs), frames_of(&attr));
@@ -85,13 +85,13 @@ pub(crate) fn outputs(input: &DeriveInput) -> Result<TokenStream> {
         if attr.join.is_some() || attr.n.is_some() || attr.tolerance_ms.is_some() || attr.max_gap_ms.is_some() {
             return Err(Error::new_spanned(field, "an output does not join; only frame, to and from are known here"));
         }
-        let (payload, put) = match shape_of(&field.ty) {
-            Shape::Plain(t) => (
+        let (payload, put) = match field_type(&field.ty) {
+            FieldType::Plain(t) => (
                 payload(t),
                 quote!(::osteoflow_node::derive::put_value(place, ::osteoflow_node::Value::new(self.#ident))),
             ),
-            Shape::Emit(t) => (payload(t), quote!(*place = ::osteoflow_node::derive::into_emission(self.#ident))),
-            Shape::Any => {
+            FieldType::Emit(t) => (payload(t), quote!(*place = ::osteoflow_node::derive::into_emission(self.#ident))),
+            FieldType::Any => {
                 let any = quote!(::osteoflow_node::derive::any_payload());
                 (any, quote!(::osteoflow_node::derive::put_value(place, self.#ident)))
             }
@@ -126,7 +126,9 @@ fn named_fields(input: &DeriveInput) -> Result<Vec<&Field>> {
         Data::Struct(data) => match &data.fields {
             Fields::Named(fields) => Ok(fields.named.iter().collect()),
             Fields::Unit => Ok(Vec::new()),
-            Fields::Unnamed(_) => Err(Error::new_spanned(&input.ident, "ports have names; use a struct with fields")),
+            Fields::Unnamed(_) => {
+                Err(Error::new_spanned(&input.ident, "ports have names; use a struct with named fields"))
+            }
         },
         _ => Err(Error::new_spanned(&input.ident, "ports are the fields of a struct")),
     }
@@ -141,17 +143,17 @@ fn payload(t: &Type) -> TokenStream {
     quote!(::osteoflow_node::derive::payload_of::<#t, _>())
 }
 
-fn shape_of(ty: &Type) -> Shape<'_> {
+fn field_type(ty: &Type) -> FieldType<'_> {
     match generic(ty) {
-        Some(("Option", inner)) => Shape::Optional(inner),
-        Some(("Unused", inner)) => Shape::Unused(inner),
-        Some(("Emit", inner)) => Shape::Emit(inner),
+        Some(("Option", inner)) => FieldType::Optional(inner),
+        Some(("Unused", inner)) => FieldType::Unused(inner),
+        Some(("Emit", inner)) => FieldType::Emit(inner),
         Some(("Vec", inner)) => match generic(inner) {
-            Some(("Option", inner)) => Shape::ManyOptional(inner),
-            _ => Shape::Many(inner),
+            Some(("Option", inner)) => FieldType::ManyOptional(inner),
+            _ => FieldType::Many(inner),
         },
-        _ if last_segment(ty).is_some_and(|s| s == "Value") => Shape::Any,
-        _ => Shape::Plain(ty),
+        _ if last_segment(ty).is_some_and(|s| s == "Value") => FieldType::Any,
+        _ => FieldType::Plain(ty),
     }
 }
 
@@ -162,7 +164,7 @@ fn last_segment(ty: &Type) -> Option<&Ident> {
     }
 }
 
-/// The outer name and the inner type of `Outer<Inner>`, for the names that mean something here.
+/// The outer name and the inner type of `Outer<Inner>`, for the names that the derives know.
 fn generic(ty: &Type) -> Option<(&'static str, &Type)> {
     let Type::Path(path) = ty else { return None };
     let segment = path.path.segments.last()?;
@@ -226,7 +228,7 @@ fn join_of(attr: &PortAttr, many: bool, field: &Field) -> Result<TokenStream> {
         }
     };
     if many != (name == "collect") {
-        return Err(Error::new_spanned(field, "a port that collects is a Vec, and the other way round"));
+        return Err(Error::new_spanned(field, "a port that collects is a Vec, and a Vec collects"));
     }
     Ok(quote!(::osteoflow_node::Join::#join))
 }

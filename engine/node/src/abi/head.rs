@@ -1,145 +1,145 @@
-//! Heads of views: the fields of a schema as the C struct that the header says.
+//! Heads of views: the fields of a schema as a C struct (see `osteoflow_view` in the header).
 #![allow(unsafe_code, reason = "reads a struct whose layout is known at run time only")]
 
 use super::{Numbers, Text, raw};
-use crate::{Field, Name, Part, Shape, View, ViewError};
+use crate::{EntryType, Field, Name, SchemaEntry, View, ViewError};
 use smallvec::SmallVec;
 use std::ptr;
 
-/// Where each field of a schema lies in its head, and how large the head is.
-fn places(schema: &[Part]) -> impl Iterator<Item = (&Part, usize)> {
+/// Each field of a schema with its offset in the head, in bytes.
+fn offsets(schema: &[SchemaEntry]) -> impl Iterator<Item = (&SchemaEntry, usize)> {
     let mut at = 0_usize;
-    schema.iter().filter_map(move |part| {
-        let (size, align) = size_of_field(part.shape)?;
-        let place = at.next_multiple_of(align);
-        at = place + size;
-        Some((part, place))
+    schema.iter().filter_map(move |entry| {
+        let (size, align) = size_of_field(entry.ty)?;
+        let offset = at.next_multiple_of(align);
+        at = offset + size;
+        Some((entry, offset))
     })
 }
 
-/// The size of a schema's head in bytes.
-pub fn head_size(schema: &[Part]) -> usize {
-    let fields = schema.iter().filter_map(|part| size_of_field(part.shape));
+/// The size of the head of a schema in bytes.
+pub fn head_size(schema: &[SchemaEntry]) -> usize {
+    let fields = schema.iter().filter_map(|entry| size_of_field(entry.ty));
     let align = fields.map(|(_, align)| align).max().unwrap_or(1);
-    let end = places(schema).last().map_or(0, |(part, at)| at + size_of_field(part.shape).map_or(0, |(size, _)| size));
+    let end = offsets(schema).last().map_or(0, |(entry, at)| at + size_of_field(entry.ty).map_or(0, |(size, _)| size));
     end.next_multiple_of(align)
 }
 
-/// Where the fields of a schema lie in its head: name and offset in bytes.
-pub fn head_places(schema: &[Part]) -> Vec<(&str, usize)> {
-    places(schema).map(|(part, at)| (part.name, at)).collect()
+/// Name and offset in bytes of each head field of a schema.
+pub fn head_offsets(schema: &[SchemaEntry]) -> Vec<(&str, usize)> {
+    offsets(schema).map(|(entry, at)| (entry.name, at)).collect()
 }
 
-fn size_of_field(shape: Shape) -> Option<(usize, usize)> {
-    Some(match shape {
-        Shape::Bool => (1, 1),
-        Shape::Int => (size_of::<i64>(), align_of::<i64>()),
-        Shape::Float => (size_of::<f64>(), align_of::<f64>()),
-        Shape::Floats(n) => (size_of::<f64>() * n as usize, align_of::<f64>()),
-        Shape::FloatList => (size_of::<Numbers>(), align_of::<Numbers>()),
-        Shape::Text => (size_of::<Text>(), align_of::<Text>()),
-        Shape::Column { .. } => return None,
+/// Size and alignment; `None` for a column.
+fn size_of_field(ty: EntryType) -> Option<(usize, usize)> {
+    Some(match ty {
+        EntryType::Bool => (1, 1),
+        EntryType::Int => (size_of::<i64>(), align_of::<i64>()),
+        EntryType::Float => (size_of::<f64>(), align_of::<f64>()),
+        EntryType::Floats(n) => (size_of::<f64>() * n as usize, align_of::<f64>()),
+        EntryType::FloatList => (size_of::<Numbers>(), align_of::<Numbers>()),
+        EntryType::Text => (size_of::<Text>(), align_of::<Text>()),
+        EntryType::Column { .. } => return None,
     })
 }
 
-/// The words of a head: those of most payloads need no memory of their own.
-pub(super) type Words = SmallVec<[u64; 12]>;
+/// The bytes of a head, as aligned words; those of most payloads fit inline.
+pub(super) type HeadWords = SmallVec<[u64; 12]>;
 
-/// The head of a view; its texts and lists stay where the view has them.
-pub(super) fn write(view: &View, schema: &[Part]) -> Result<Words, ViewError> {
-    let mut head: Words = smallvec::smallvec![0_u64; head_size(schema).div_ceil(8)];
+/// The head of a view. Its texts and lists point into the view.
+pub(super) fn write(view: &View, schema: &[SchemaEntry]) -> Result<HeadWords, ViewError> {
+    let mut head: HeadWords = smallvec::smallvec![0_u64; head_size(schema).div_ceil(8)];
     let start = head.as_mut_ptr().cast::<u8>();
-    for (part, at) in places(schema) {
-        // SAFETY: `places` and `head_size` lay out the same fields, so each lies within the head; writes need no alignment.
+    for (entry, at) in offsets(schema) {
+        // SAFETY: `offsets` and `head_size` use the same layout, so each field is within the head; writes are unaligned.
         let put = unsafe { start.add(at) };
-        match (part.shape, view.field(part.name)) {
+        match (entry.ty, view.field(entry.name)) {
             // SAFETY: as above, in this and the following arms.
-            (Shape::Bool, Some(Field::Bool(value))) => unsafe { put.write(u8::from(*value)) },
-            (Shape::Int, Some(Field::Int(value))) => unsafe { put.cast::<i64>().write_unaligned(*value) },
-            (Shape::Float, Some(Field::Float(value))) => unsafe { put.cast::<f64>().write_unaligned(*value) },
-            (Shape::Floats(n), Some(Field::Floats(values))) if values.len() == n as usize => {
+            (EntryType::Bool, Some(Field::Bool(value))) => unsafe { put.write(u8::from(*value)) },
+            (EntryType::Int, Some(Field::Int(value))) => unsafe { put.cast::<i64>().write_unaligned(*value) },
+            (EntryType::Float, Some(Field::Float(value))) => unsafe { put.cast::<f64>().write_unaligned(*value) },
+            (EntryType::Floats(n), Some(Field::Floats(values))) if values.len() == n as usize => {
                 for (i, value) in values.iter().enumerate() {
-                    // SAFETY: there is room for n.
+                    // SAFETY: the field has n numbers.
                     unsafe { put.cast::<f64>().add(i).write_unaligned(*value) };
                 }
             }
-            (Shape::FloatList, Some(Field::Floats(values))) => {
+            (EntryType::FloatList, Some(Field::Floats(values))) => {
                 // SAFETY: as above.
                 unsafe { put.cast::<Numbers>().write_unaligned(Numbers::of(values)) };
             }
             // SAFETY: as above.
-            (Shape::Text, Some(Field::Text(text))) => unsafe { put.cast::<Text>().write_unaligned(Text::of(text)) },
+            (EntryType::Text, Some(Field::Text(text))) => unsafe { put.cast::<Text>().write_unaligned(Text::of(text)) },
             // SAFETY: as above.
-            (Shape::Float, None) if part.optional => unsafe { put.cast::<f64>().write_unaligned(f64::NAN) },
-            // Zeros are null pointers.
-            (Shape::FloatList | Shape::Text, None) if part.optional => {}
-            _ => return Err(missing(part)),
+            (EntryType::Float, None) if entry.optional => unsafe { put.cast::<f64>().write_unaligned(f64::NAN) },
+            // The zeros are a null pointer.
+            (EntryType::FloatList | EntryType::Text, None) if entry.optional => {}
+            _ => return Err(missing(entry)),
         }
     }
     Ok(head)
 }
 
-fn missing(part: &Part) -> ViewError {
-    ViewError::Missing { what: "field of its schema", name: part.name.into() }
+fn missing(entry: &SchemaEntry) -> ViewError {
+    ViewError::Missing { what: "field of its schema", name: entry.name.into() }
 }
 
 /// The fields of a head.
 ///
 /// # Safety
-/// If `head` is not null and aligned it leads to `size` bytes, and texts and lists in it to as much as they say.
+/// If `head` is not null, it points to `size` readable bytes, and the texts and lists in it to as many bytes as they say.
 pub(super) unsafe fn read(
     head: *const std::ffi::c_void,
     size: u64,
-    schema: &'static [Part],
+    schema: &'static [SchemaEntry],
 ) -> Result<Vec<(Name, Field)>, ViewError> {
     let needed = head_size(schema);
     if size < needed as u64 {
-        let said = format!("its head has {size} bytes, the struct of its schema has {needed}");
-        return Err(ViewError::Invalid(said));
+        return Err(ViewError::Invalid(format!("its head has {size} bytes, the struct of its schema has {needed}")));
     }
     if needed > 0 && head.is_null() {
         return Err(ViewError::Invalid("its head is a null pointer".into()));
     }
     let invalid = |error: super::AbiError| ViewError::Invalid(error.to_string());
     let mut fields = Vec::with_capacity(schema.len());
-    for (part, at) in places(schema) {
-        // SAFETY: within the head, whose size was looked at; reads need no alignment.
+    for (entry, at) in offsets(schema) {
+        // SAFETY: within the head, whose size was checked; reads are unaligned.
         let from = unsafe { head.cast::<u8>().add(at) };
-        let what = || format!("field \"{}\"", part.name);
-        let field = match part.shape {
+        let what = || format!("field \"{}\"", entry.name);
+        let field = match entry.ty {
             // SAFETY: as above, in this and the following arms.
-            Shape::Bool => Field::Bool(unsafe { from.read() } != 0),
-            Shape::Int => Field::Int(unsafe { from.cast::<i64>().read_unaligned() }),
-            Shape::Float => match unsafe { from.cast::<f64>().read_unaligned() } {
-                value if part.optional && value.is_nan() => continue,
+            EntryType::Bool => Field::Bool(unsafe { from.read() } != 0),
+            EntryType::Int => Field::Int(unsafe { from.cast::<i64>().read_unaligned() }),
+            EntryType::Float => match unsafe { from.cast::<f64>().read_unaligned() } {
+                value if entry.optional && value.is_nan() => continue,
                 value => Field::Float(value),
             },
-            Shape::Floats(n) => {
-                // SAFETY: there are n.
+            EntryType::Floats(n) => {
+                // SAFETY: the field has n numbers.
                 let number = |i: usize| unsafe { from.cast::<f64>().add(i).read_unaligned() };
                 Field::Floats((0..n as usize).map(number).collect())
             }
-            Shape::FloatList => {
+            EntryType::FloatList => {
                 // SAFETY: as above.
                 let numbers = unsafe { from.cast::<Numbers>().read_unaligned() };
-                if part.optional && ptr::eq(numbers.data, ptr::null()) {
+                if entry.optional && ptr::eq(numbers.data, ptr::null()) {
                     continue;
                 }
-                // SAFETY: as the caller vouches.
+                // SAFETY: guaranteed by the caller.
                 Field::Floats(unsafe { raw::list(numbers.data, numbers.length, &what()) }.map_err(invalid)?.to_vec())
             }
-            Shape::Text => {
-                // SAFETY: as above, and as the caller vouches.
+            EntryType::Text => {
+                // SAFETY: as above, and guaranteed by the caller.
                 let text = unsafe { raw::text(from.cast::<Text>().read_unaligned(), &what()) }.map_err(invalid)?;
                 match text {
                     Some(text) => Field::Text(text.into()),
-                    None if part.optional => continue,
-                    None => return Err(missing(part)),
+                    None if entry.optional => continue,
+                    None => return Err(missing(entry)),
                 }
             }
-            Shape::Column { .. } => continue,
+            EntryType::Column { .. } => continue,
         };
-        fields.push((part.name.into(), field));
+        fields.push((entry.name.into(), field));
     }
     Ok(fields)
 }

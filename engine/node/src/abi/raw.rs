@@ -1,19 +1,19 @@
-//! Texts and lists behind pointers that the other side gave.
+//! Texts and lists behind pointers from the other side of the boundary.
 //!
-//! That a pointer leads to as much as its length says cannot be checked: it is what the other side promises by the header.
-//! What can be checked is: null, alignment, lengths beyond memory, UTF-8.
+//! Null, alignment, impossible lengths and UTF-8 are checked. Whether a pointer is valid for its length cannot be: the
+//! other side guarantees it by the contract in the header.
 #![allow(unsafe_code, reason = "reads through pointers from the other side of the boundary")]
 
 use super::{AbiError, Text};
 use std::mem::MaybeUninit;
 
-/// The entries of a list; none where its length is 0.
+/// The entries of a list; empty if `length` is 0.
 ///
 /// # Errors
 /// [`AbiError`] naming `what` if it is null, unaligned or too long.
 ///
 /// # Safety
-/// Where `data` is neither null nor unaligned, it leads to `length` entries that nobody writes to during `'a`.
+/// If `data` is neither null nor unaligned, it points to `length` entries that are not written during `'a`.
 pub unsafe fn list<'a, T>(data: *const T, length: u64, what: &str) -> Result<&'a [T], AbiError> {
     if length == 0 {
         return Ok(&[]);
@@ -28,46 +28,45 @@ pub unsafe fn list<'a, T>(data: *const T, length: u64, what: &str) -> Result<&'a
     if n_bytes.is_none() {
         return Err(AbiError::Length(what.into(), length));
     }
-    // SAFETY: not null, aligned, no longer than memory; the caller vouches for the entries.
+    // SAFETY: not null, aligned, no longer than memory; the caller guarantees the entries.
     Ok(unsafe { std::slice::from_raw_parts(data, length as usize) })
 }
 
-/// A text; `None` where it is missing.
+/// A text; `None` if it is missing.
 ///
 /// # Errors
 /// [`AbiError`] naming `what` if it is too long or not UTF-8.
 ///
 /// # Safety
-/// Where `text.data` is not null it leads to `text.length` bytes that nobody writes to during `'a`.
+/// If `text.data` is not null, it points to `text.length` bytes that are not written during `'a`.
 pub unsafe fn text<'a>(text: Text, what: &str) -> Result<Option<&'a str>, AbiError> {
     if text.data.is_null() {
         return if text.length == 0 { Ok(None) } else { Err(AbiError::Null(what.into())) };
     }
-    // SAFETY: as the caller vouches.
+    // SAFETY: guaranteed by the caller.
     let bytes = unsafe { list(text.data, text.length, what) }?;
     std::str::from_utf8(bytes).map(Some).map_err(|_| AbiError::Utf8(what.into()))
 }
 
-/// A text that must be there.
+/// A required text.
 ///
 /// # Errors
 /// [`AbiError`] naming `what` if it is missing, too long or not UTF-8.
 ///
 /// # Safety
 /// As for [`text`].
-pub unsafe fn needed<'a>(given: Text, what: &str) -> Result<&'a str, AbiError> {
-    // SAFETY: as the caller vouches.
+pub unsafe fn required_text<'a>(given: Text, what: &str) -> Result<&'a str, AbiError> {
+    // SAFETY: guaranteed by the caller.
     unsafe { text(given, what) }?.ok_or_else(|| AbiError::Null(what.into()))
 }
 
-/// A struct that may be read from any bytes, zeros too, and from a shorter one of an older minor: what that does not have
-/// is zero.
+/// A struct that is valid for any bytes, so that a shorter one of an older minor can be padded with zeros.
 ///
 /// # Safety
 /// Every pattern of bits is a valid value.
 pub unsafe trait Plain: Copy {
-    /// Its size in minor 0: a smaller one is no such struct.
-    const LEAST: usize;
+    /// The size in minor 0. A smaller struct is refused.
+    const MIN_SIZE: usize;
 }
 
 macro_rules! plain {
@@ -75,39 +74,39 @@ macro_rules! plain {
         $(
             // SAFETY: numbers, raw pointers, and function pointers that may be null.
             unsafe impl Plain for super::$name {
-                const LEAST: usize = size_of::<super::$name>();
+                const MIN_SIZE: usize = size_of::<super::$name>();
             }
         )*
     };
 }
 
-plain! { Kind Input Output Payload Part Column Text Plugin }
+plain! { Kind Input Output Payload SchemaEntry Column Text Plugin }
 
-/// The entries of a list of structs as the other side compiled them, each as far as this side knows it.
+/// The entries of a list of structs of the other side's size, truncated or padded with zeros to this side's.
 ///
 /// # Errors
 /// [`AbiError`] naming `what`, as [`list`]; [`AbiError::Size`] if the other side's struct is smaller than in minor 0.
 ///
 /// # Safety
-/// As for [`list`], with entries that begin every `size` bytes.
+/// As for [`list`], with a stride of `size` bytes.
 pub unsafe fn entries<T: Plain>(data: *const T, length: u64, size: u32, what: &str) -> Result<Vec<T>, AbiError> {
-    if (size as usize) < T::LEAST {
-        return Err(AbiError::Size { what: what.into(), found: size, needed: T::LEAST as u32 });
+    if (size as usize) < T::MIN_SIZE {
+        return Err(AbiError::Size { what: what.into(), found: size, needed: T::MIN_SIZE as u32 });
     }
     let n_bytes = length.checked_mul(size.into()).ok_or_else(|| AbiError::Length(what.into(), length))?;
     if !data.is_aligned() || !(size as usize).is_multiple_of(align_of::<T>()) {
         return Err(AbiError::Unaligned(what.into()));
     }
-    // SAFETY: as the caller vouches; bytes need no alignment.
+    // SAFETY: guaranteed by the caller; bytes need no alignment.
     let bytes = unsafe { list(data.cast::<u8>(), n_bytes, what) }?;
     Ok(bytes.chunks_exact(size as usize).map(of_bytes).collect())
 }
 
-/// The struct that begins these bytes; zeros where they end before it does.
+/// The struct at the start of the bytes, padded with zeros.
 fn of_bytes<T: Plain>(bytes: &[u8]) -> T {
     let mut entry = MaybeUninit::<T>::zeroed();
     let n_bytes = bytes.len().min(size_of::<T>());
-    // SAFETY: both are that long and apart from each other, and any bits are a valid `T`.
+    // SAFETY: both are at least that long and do not overlap, and any bits are a valid `T`.
     unsafe {
         entry.as_mut_ptr().cast::<u8>().copy_from_nonoverlapping(bytes.as_ptr(), n_bytes);
         entry.assume_init()
@@ -122,19 +121,19 @@ mod tests {
     #[derive(Debug, Clone, Copy, PartialEq)]
     struct Grown {
         first: u64,
-        /// In a later minor.
+        /// Added in a later minor.
         second: u32,
     }
 
     // SAFETY: two numbers.
     unsafe impl Plain for Grown {
-        const LEAST: usize = 8;
+        const MIN_SIZE: usize = 8;
     }
 
     #[test]
-    fn structs_of_an_older_and_of_a_newer_minor_are_read_as_far_as_both_sides_know_them() {
+    fn structs_of_an_older_and_of_a_newer_minor_are_padded_or_truncated() {
         let numbers = [1_u64, 2, 3, 4, 5, 6];
-        // SAFETY: the list holds what is said.
+        // SAFETY: the reads are within `numbers`, or refused.
         let read = |n, size| unsafe { entries::<Grown>(numbers.as_ptr().cast(), n, size, "numbers") };
         let grown = |first, second| Grown { first, second };
         assert_eq!(read(2, 8).unwrap(), [grown(1, 0), grown(2, 0)]);
@@ -145,8 +144,8 @@ mod tests {
     }
 
     #[test]
-    fn what_leads_nowhere_is_named() {
-        // SAFETY: nothing is read through them.
+    fn invalid_pointers_are_refused_by_name() {
+        // SAFETY: invalid pointers are refused before they are read.
         unsafe {
             assert_eq!(
                 list::<u64>(std::ptr::null(), 3, "the ports").unwrap_err().to_string(),

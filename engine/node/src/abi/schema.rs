@@ -1,13 +1,13 @@
-//! Payload types across the boundary: name, version, and what their views hold.
+//! Payload types across the boundary: name, version and schema.
 #![allow(unsafe_code, reason = "reads what the other side describes")]
 
-use super::{AbiError, Part, Payload, Text, part, raw};
-use crate::{ColumnType, PayloadType, Shape};
+use super::{AbiError, Payload, SchemaEntry, Text, entry, raw};
+use crate::{ColumnType, EntryType, PayloadType};
 use serde::{Deserialize, Serialize};
 
-/// A payload's description as it crosses; made once for each type, and kept for good.
+/// The C description of a payload type. It is leaked, so call this once per type.
 pub fn describe(ty: &PayloadType) -> &'static Payload {
-    let parts: Vec<Part> = ty.schema.iter().map(part_of).collect();
+    let parts: Vec<SchemaEntry> = ty.schema.iter().map(to_c).collect();
     let n_parts = parts.len() as u64;
     Box::leak(Box::new(Payload {
         name: Text::of(ty.name),
@@ -18,84 +18,86 @@ pub fn describe(ty: &PayloadType) -> &'static Payload {
     }))
 }
 
-fn part_of(part: &crate::Part) -> Part {
-    let (shape, width, type_) = match part.shape {
-        Shape::Bool => (part::BOOL, 0, 0),
-        Shape::Int => (part::INT, 0, 0),
-        Shape::Float => (part::FLOAT, 0, 0),
-        Shape::Floats(n) => (part::FLOATS, n, 0),
-        Shape::FloatList => (part::FLOAT_LIST, 0, 0),
-        Shape::Text => (part::TEXT, 0, 0),
-        Shape::Column { kind, width } => (part::COLUMN, width, kind as u32),
+fn to_c(given: &crate::SchemaEntry) -> SchemaEntry {
+    let (shape, width, type_) = match given.ty {
+        EntryType::Bool => (entry::BOOL, 0, 0),
+        EntryType::Int => (entry::INT, 0, 0),
+        EntryType::Float => (entry::FLOAT, 0, 0),
+        EntryType::Floats(n) => (entry::FLOATS, n, 0),
+        EntryType::FloatList => (entry::FLOAT_LIST, 0, 0),
+        EntryType::Text => (entry::TEXT, 0, 0),
+        EntryType::Column { kind, width } => (entry::COLUMN, width, kind as u32),
     };
-    let words = |text: &'static str| if text.is_empty() { Text::NONE } else { Text::of(text) };
-    Part {
-        name: Text::of(part.name),
-        unit: words(part.unit),
-        doc: words(part.doc),
+    let optional = |text: &'static str| if text.is_empty() { Text::NONE } else { Text::of(text) };
+    SchemaEntry {
+        name: Text::of(given.name),
+        unit: optional(given.unit),
+        doc: optional(given.doc),
         shape,
         width,
         type_,
-        flags: if part.optional { part::OPTIONAL } else { 0 },
+        flags: if given.optional { entry::OPTIONAL } else { 0 },
     }
 }
 
-/// A payload as the other side describes it.
+/// A payload type as the other side describes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PayloadAbout {
+pub struct PayloadDescription {
     /// Its name.
     pub name: String,
-    /// The version of its view.
+    /// The version of the view.
     pub version: u32,
-    /// What its view holds; the texts are kept for good.
-    pub schema: Vec<crate::Part>,
+    /// The schema of the view. Its texts are leaked.
+    pub schema: Vec<crate::SchemaEntry>,
 }
 
-/// What the other side says of a payload.
+/// Reads a description of the other side.
 ///
 /// # Errors
-/// [`AbiError`] for what is no description.
+/// [`AbiError`] if it is invalid.
 ///
 /// # Safety
-/// `payload` is one of the other side: what its pointers lead to stays as it is meanwhile.
-pub unsafe fn read(payload: &Payload, part_size: u32) -> Result<PayloadAbout, AbiError> {
-    // SAFETY: as the caller vouches.
-    let name = unsafe { raw::needed(payload.name, "the name of a payload") }?;
-    // SAFETY: as the caller vouches.
-    let parts = unsafe { raw::entries(payload.parts, payload.n_parts, part_size, &format!("the parts of {name}")) }?;
-    // SAFETY: as the caller vouches.
-    let schema = parts.iter().map(|part| unsafe { read_part(part, name) }).collect::<Result<_, _>>()?;
-    Ok(PayloadAbout { name: name.into(), version: payload.version, schema })
+/// The pointers of `payload` are valid, as the header says, and their targets are not written during the call.
+pub unsafe fn read(payload: &Payload, entry_size: u32) -> Result<PayloadDescription, AbiError> {
+    // SAFETY: guaranteed by the caller.
+    let name = unsafe { raw::required_text(payload.name, "the name of a payload") }?;
+    // SAFETY: guaranteed by the caller.
+    let what = format!("the schema of {name}");
+    // SAFETY: guaranteed by the caller.
+    let entries = unsafe { raw::entries(payload.parts, payload.n_parts, entry_size, &what) }?;
+    // SAFETY: guaranteed by the caller.
+    let schema = entries.iter().map(|entry| unsafe { from_c(entry, name) }).collect::<Result<_, _>>()?;
+    Ok(PayloadDescription { name: name.into(), version: payload.version, schema })
 }
 
 /// # Safety
 /// As for [`read`].
-unsafe fn read_part(part: &Part, payload: &str) -> Result<crate::Part, AbiError> {
-    let kept = |text: &str| -> &'static str { String::leak(text.to_owned()) };
-    // SAFETY: as the caller vouches.
-    let name = unsafe { raw::needed(part.name, &format!("the name of a part of {payload}")) }?;
-    // SAFETY: as the caller vouches.
-    let text = |text| unsafe { raw::text(text, &format!("a text of part \"{name}\" of {payload}")) };
-    let code = |what: &str, code| AbiError::Code(format!("the {what} of part \"{name}\" of {payload}"), code);
-    let shape = match part.shape {
-        part::BOOL => Shape::Bool,
-        part::INT => Shape::Int,
-        part::FLOAT => Shape::Float,
-        part::FLOATS if part.width > 0 => Shape::Floats(part.width),
-        part::FLOAT_LIST => Shape::FloatList,
-        part::TEXT => Shape::Text,
-        part::COLUMN if part.width > 0 => {
-            let kind = u8::try_from(part.type_).ok().and_then(ColumnType::from_code);
-            Shape::Column { kind: kind.ok_or_else(|| code("type", part.type_))?, width: part.width }
+unsafe fn from_c(given: &SchemaEntry, payload: &str) -> Result<crate::SchemaEntry, AbiError> {
+    let leak = |text: &str| -> &'static str { String::leak(text.to_owned()) };
+    // SAFETY: guaranteed by the caller.
+    let name = unsafe { raw::required_text(given.name, &format!("the name of an entry of {payload}")) }?;
+    // SAFETY: guaranteed by the caller.
+    let text = |text| unsafe { raw::text(text, &format!("a text of entry \"{name}\" of {payload}")) };
+    let code = |what: &str, code| AbiError::Code(format!("the {what} of entry \"{name}\" of {payload}"), code);
+    let ty = match given.shape {
+        entry::BOOL => EntryType::Bool,
+        entry::INT => EntryType::Int,
+        entry::FLOAT => EntryType::Float,
+        entry::FLOATS if given.width > 0 => EntryType::Floats(given.width),
+        entry::FLOAT_LIST => EntryType::FloatList,
+        entry::TEXT => EntryType::Text,
+        entry::COLUMN if given.width > 0 => {
+            let kind = u8::try_from(given.type_).ok().and_then(ColumnType::from_code);
+            EntryType::Column { kind: kind.ok_or_else(|| code("type", given.type_))?, width: given.width }
         }
-        part::FLOATS | part::COLUMN => return Err(code("width", part.width)),
+        entry::FLOATS | entry::COLUMN => return Err(code("width", given.width)),
         unknown => return Err(code("shape", unknown)),
     };
-    Ok(crate::Part {
-        name: kept(name),
-        shape,
-        optional: part.flags & part::OPTIONAL != 0,
-        unit: kept(text(part.unit)?.unwrap_or_default()),
-        doc: kept(text(part.doc)?.unwrap_or_default()),
+    Ok(crate::SchemaEntry {
+        name: leak(name),
+        ty,
+        optional: given.flags & entry::OPTIONAL != 0,
+        unit: leak(text(given.unit)?.unwrap_or_default()),
+        doc: leak(text(given.doc)?.unwrap_or_default()),
     })
 }

@@ -1,29 +1,29 @@
-//! Views across the boundary: lent without a copy, and taken over without one.
-#![allow(unsafe_code, reason = "hands buffers over, each with the function that releases it")]
+//! Views across the boundary, without copying columns.
+#![allow(unsafe_code, reason = "passes buffers with the functions that release them")]
 
 use super::{AbiError, Column, Owner, Text, head, raw};
-use crate::{Buffer, Name, Part, View, ViewError};
+use crate::{Buffer, Name, SchemaEntry, View, ViewError};
 use std::{ffi::c_void, ptr, sync::Arc};
 
-/// A view made ready to cross: what it points to lives as long as this.
-pub struct Lent {
-    head: head::Words,
+/// A view in its C form, valid as long as this value.
+pub struct OutgoingView {
+    head: head::HeadWords,
     columns: Vec<Column>,
-    /// What the pointers lead to: texts, lists and buffers, which stay where they are when this moves.
+    /// Owns the targets of the pointers: texts, lists and buffers, which do not move with this value.
     _view: View,
 }
 
-// SAFETY: nothing of it changes once it is made, and buffers may be used and released from any thread.
-unsafe impl Send for Lent {}
+// SAFETY: immutable once made, and buffers may be used and released from any thread.
+unsafe impl Send for OutgoingView {}
 // SAFETY: as above.
-unsafe impl Sync for Lent {}
+unsafe impl Sync for OutgoingView {}
 
-impl Lent {
-    /// A view whose columns are lent: whoever wants to keep one holds its owner.
+impl OutgoingView {
+    /// Lends the columns: a receiver that keeps one calls `hold` of its owner.
     ///
     /// # Errors
-    /// [`ViewError`] if the view is not one of the schema.
-    pub fn new(view: View, schema: &[Part]) -> Result<Self, ViewError> {
+    /// [`ViewError`] if the head does not match the schema.
+    pub fn lent(view: View, schema: &[SchemaEntry]) -> Result<Self, ViewError> {
         Self::with(view, schema, |buffer| Owner {
             self_: ptr::from_ref(buffer).cast_mut().cast(),
             hold: Some(hold),
@@ -31,15 +31,15 @@ impl Lent {
         })
     }
 
-    /// A view whose columns are given away: whoever takes it releases each.
+    /// Gives the columns away: the receiver releases each.
     ///
     /// # Errors
-    /// [`ViewError`] if the view is not one of the schema.
-    pub fn given(view: View, schema: &[Part]) -> Result<Self, ViewError> {
+    /// [`ViewError`] if the head does not match the schema.
+    pub fn given(view: View, schema: &[SchemaEntry]) -> Result<Self, ViewError> {
         Self::with(view, schema, |buffer| Owner { self_: token(buffer), hold: None, release: Some(release) })
     }
 
-    fn with(mut view: View, schema: &[Part], owner: impl Fn(&Buffer) -> Owner) -> Result<Self, ViewError> {
+    fn with(mut view: View, schema: &[SchemaEntry], owner: impl Fn(&Buffer) -> Owner) -> Result<Self, ViewError> {
         view.columns.iter_mut().for_each(align);
         let head = head::write(&view, schema)?;
         let columns = view.columns.iter().map(|column| {
@@ -57,7 +57,7 @@ impl Lent {
         Ok(Self { columns: columns.collect(), head, _view: view })
     }
 
-    /// The view as it crosses.
+    /// The C struct.
     pub fn view(&self) -> super::View {
         super::View {
             head: self.head.as_ptr().cast(),
@@ -68,11 +68,11 @@ impl Lent {
     }
 }
 
-/// A column's rows lie aligned to its values on the other side; they nearly always do.
+/// Copies the rows where they are not aligned to the value type, which is rare.
 fn align(column: &mut crate::Column) {
     if !(column.bytes().as_ptr() as usize).is_multiple_of(column.kind.size()) {
         let words: Vec<u64> = bytemuck::pod_collect_to_vec(&padded(column.bytes()));
-        column.data = Arc::new(Words { words, n_bytes: column.bytes().len() });
+        column.data = Arc::new(AlignedBytes { words, n_bytes: column.bytes().len() });
     }
 }
 
@@ -82,12 +82,12 @@ fn padded(bytes: &[u8]) -> Vec<u8> {
     out
 }
 
-struct Words {
+struct AlignedBytes {
     words: Vec<u64>,
     n_bytes: usize,
 }
 
-impl AsRef<[u8]> for Words {
+impl AsRef<[u8]> for AlignedBytes {
     fn as_ref(&self) -> &[u8] {
         &bytemuck::cast_slice(&self.words)[..self.n_bytes]
     }
@@ -97,112 +97,112 @@ fn token(buffer: &Buffer) -> *mut c_void {
     Box::into_raw(Box::new(buffer.clone())).cast()
 }
 
-/// Of a lent column: `lent` is the place of its buffer.
+/// `hold` of a lent column; `lent` points to its buffer.
 unsafe extern "C" fn hold(lent: *mut c_void) -> *mut c_void {
-    // SAFETY: the header has it called with the column's own pointer while the view is lent.
+    // SAFETY: by the contract of the header, called with the `self` of a column while its view is lent.
     token(unsafe { &*lent.cast::<Buffer>() })
 }
 
 unsafe extern "C" fn release(held: *mut c_void) {
-    // SAFETY: the header has it called once with what `token` gave.
+    // SAFETY: by the contract of the header, called once with a result of `token`.
     drop(unsafe { Box::from_raw(held.cast::<Buffer>()) });
 }
 
-/// How the columns of a view come.
+/// Who owns the columns of an incoming view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Origin {
-    /// Lent: what is kept is held.
+pub enum Ownership {
+    /// The sender: a column that is kept must be held.
     Lent,
-    /// Given away: what is not kept is released.
+    /// The receiver: every column must be released.
     Given,
 }
 
-/// Bytes of the other side.
+/// Bytes owned by the other side.
 struct Foreign {
     data: *const u8,
     n_bytes: usize,
-    _held: Held,
+    _token: Token,
 }
 
-// SAFETY: the header has published rows unchanging, and `release` called from any thread.
+// SAFETY: by the contract of the header, rows are immutable and `release` may be called from any thread.
 unsafe impl Send for Foreign {}
 // SAFETY: as above.
 unsafe impl Sync for Foreign {}
 
 impl AsRef<[u8]> for Foreign {
     fn as_ref(&self) -> &[u8] {
-        // SAFETY: the other side keeps them where they are until `_held` is released.
+        // SAFETY: the other side keeps the bytes alive until `_token` is released.
         unsafe { std::slice::from_raw_parts(self.data, self.n_bytes) }
     }
 }
 
-/// A token that is released with the last use of the rows.
-struct Held {
+/// Keeps the rows of a column alive; released on drop.
+struct Token {
     token: *mut c_void,
     release: Option<unsafe extern "C" fn(*mut c_void)>,
 }
 
-impl Drop for Held {
+impl Drop for Token {
     fn drop(&mut self) {
         if let Some(release) = self.release {
-            // SAFETY: called once, with the token that the owner gave for it.
+            // SAFETY: called once, with the token of the owner.
             unsafe { release(self.token) };
         }
     }
 }
 
-impl Held {
+impl Token {
     /// # Safety
-    /// The owner is one of a column that has just crossed.
-    unsafe fn of(owner: &Owner, origin: Origin) -> Self {
-        let token = match (origin, owner.hold) {
-            // SAFETY: the header has it called with the owner's own pointer while the view is lent.
-            (Origin::Lent, Some(hold)) => unsafe { hold(owner.self_) },
+    /// `owner` belongs to a column of a view that was just received.
+    unsafe fn of(owner: &Owner, ownership: Ownership) -> Self {
+        let token = match (ownership, owner.hold) {
+            // SAFETY: by the contract of the header, called with the `self` of the owner while the view is lent.
+            (Ownership::Lent, Some(hold)) => unsafe { hold(owner.self_) },
             _ => owner.self_,
         };
         Self { token, release: owner.release }
     }
 }
 
-/// A view that is crossing: from here on its columns are released, whatever becomes of it.
-pub struct Crossing<'a> {
+/// A received view. Its columns are released on drop.
+pub struct IncomingView<'a> {
     head: (*const c_void, u64),
-    columns: Vec<(&'a Column, Held)>,
+    columns: Vec<(&'a Column, Token)>,
 }
 
-impl<'a> Crossing<'a> {
-    /// Takes hold of the columns.
+impl<'a> IncomingView<'a> {
+    /// Takes ownership of the columns.
     ///
     /// # Errors
-    /// [`AbiError`] if the list of columns leads nowhere.
+    /// [`AbiError`] if the pointer to the columns is invalid.
     ///
     /// # Safety
-    /// `view` is one of the other side, as the header says: what is neither null nor unaligned leads to as much as its
-    /// length says, and stays there during `'a`, and rows until they are released.
-    pub unsafe fn new(view: &super::View, origin: Origin) -> Result<Self, AbiError> {
-        // SAFETY: as the caller vouches.
+    /// `view` comes from the other side and follows the contract of the header: pointers that are neither null nor
+    /// unaligned are valid for their length during `'a`, and rows until they are released.
+    pub unsafe fn new(view: &super::View, ownership: Ownership) -> Result<Self, AbiError> {
+        // SAFETY: guaranteed by the caller.
         let columns = unsafe { raw::list(view.columns, view.n_columns, "the list of columns") }?;
-        // SAFETY: they have just crossed.
-        let columns = columns.iter().map(|column| (column, unsafe { Held::of(&column.owner, origin) }));
+        // SAFETY: the view was just received.
+        let columns = columns.iter().map(|column| (column, unsafe { Token::of(&column.owner, ownership) }));
         Ok(Self { head: (view.head, view.head_size), columns: columns.collect() })
     }
 
-    /// The view, over the same rows.
+    /// The view, with shared rows.
     ///
     /// # Errors
     /// [`ViewError`] if a pointer is null or unaligned, a length impossible, a code unknown, or the head too short.
-    pub fn take(self, schema: &'static [Part]) -> Result<View, ViewError> {
+    pub fn take(self, schema: &'static [SchemaEntry]) -> Result<View, ViewError> {
         let invalid = |error: AbiError| ViewError::Invalid(error.to_string());
-        // SAFETY: as the caller of `new` vouches.
+        // SAFETY: guaranteed by the caller of `new`.
         let head = unsafe { head::read(self.head.0, self.head.1, schema) }?;
         let mut out = View { head, columns: Vec::with_capacity(self.columns.len()) };
-        for (column, held) in self.columns {
-            // SAFETY: as the caller of `new` vouches.
-            let name = unsafe { raw::needed(column.name, "the name of a column") }.map_err(invalid)?;
-            // SAFETY: as the caller of `new` vouches.
-            let taken = unsafe { take_column(column, name, held) }.map_err(invalid)?;
-            // The schema's own text where it has it: names of columns need no memory then.
-            let known = schema.iter().find(|part| part.name == name).map(|part| Name::Borrowed(part.name));
+        for (column, token) in self.columns {
+            // SAFETY: guaranteed by the caller of `new`.
+            let name = unsafe { raw::required_text(column.name, "the name of a column") }.map_err(invalid)?;
+            // SAFETY: guaranteed by the caller of `new`.
+            let taken = unsafe { take_column(column, name, token) }.map_err(invalid)?;
+            // Borrows the name from the schema where possible, to avoid an allocation.
+            let known = schema.iter().find(|entry| entry.name == name).map(|entry| Name::Borrowed(entry.name));
             out.columns.push(crate::Column { name: known.unwrap_or_else(|| Name::Owned(name.into())), ..taken });
         }
         Ok(out)
@@ -210,8 +210,8 @@ impl<'a> Crossing<'a> {
 }
 
 /// # Safety
-/// As for [`Crossing::new`].
-unsafe fn take_column(column: &Column, name: &str, held: Held) -> Result<crate::Column, AbiError> {
+/// As for [`IncomingView::new`].
+unsafe fn take_column(column: &Column, name: &str, token: Token) -> Result<crate::Column, AbiError> {
     let what = || format!("column \"{name}\"");
     let code = u8::try_from(column.type_).ok().and_then(crate::ColumnType::from_code);
     let kind = code.ok_or_else(|| AbiError::Code(format!("the type of {}", what()), column.type_))?;
@@ -233,10 +233,10 @@ unsafe fn take_column(column: &Column, name: &str, held: Held) -> Result<crate::
         return Err(AbiError::Unaligned(what()));
     } else if column.stride == row || column.n_rows == 1 {
         let n_bytes = (column.n_rows * row) as usize;
-        Arc::new(Foreign { data: column.data.cast(), n_bytes, _held: held })
+        Arc::new(Foreign { data: column.data.cast(), n_bytes, _token: token })
     } else {
         let end = n_bytes - (column.stride - row) as usize;
-        // SAFETY: as the caller vouches; the last row ends with its last value.
+        // SAFETY: guaranteed by the caller; the last row has no padding.
         let all = unsafe { std::slice::from_raw_parts(column.data.cast::<u8>(), end) };
         let rows = all.chunks(column.stride as usize).flat_map(|chunk| &chunk[..row as usize]);
         Arc::new(rows.copied().collect::<Vec<u8>>())

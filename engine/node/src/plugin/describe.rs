@@ -1,21 +1,23 @@
-//! The description that a plugin returns, made of its registry.
-#![allow(unsafe_code, reason = "a description is pointers, which nobody changes")]
+//! The description that a plugin returns, made from its registry.
+#![allow(unsafe_code, reason = "shares pointers to immutable data")]
 
-use super::{About, instance, log};
+use super::{Package, instance, log};
 use crate::abi::{Text, kind};
-use crate::{FrameExpr, InputPort, Join, Kept, OutputPort, OutputPorts, PayloadType, PortPayload, Registry, Role, abi};
+use crate::{
+    CachePolicy, FrameExpr, InputPort, Join, OutputPort, OutputPorts, PayloadType, PortPayload, Registry, Role, abi,
+};
 use std::{collections::BTreeMap, ffi::c_void, ptr};
 
-/// A plugin's description and all that it points to. It is made once and never freed, as the library is never unloaded.
+/// The description of a plugin. It is made once and never freed, because the library is never unloaded.
 pub(super) struct Description(abi::Plugin);
 
-// SAFETY: nothing of it changes once it is made, and what it points to is leaked.
+// SAFETY: immutable once made, and the targets of its pointers are leaked.
 unsafe impl Send for Description {}
 // SAFETY: as above.
 unsafe impl Sync for Description {}
 
 impl Description {
-    pub(super) fn new(about: &About, registry: Registry) -> Self {
+    pub(super) fn new(package: &Package, registry: Registry) -> Self {
         let registry: &'static Registry = Box::leak(Box::new(registry));
         let mut payloads = BTreeMap::new();
         let kinds: Vec<_> = registry.kinds().map(|kind| kind_of(kind, &mut payloads)).collect();
@@ -28,8 +30,8 @@ impl Description {
             sizes: abi::Sizes::OURS,
             panic: if cfg!(panic = "abort") { abi::panics::ABORT } else { abi::panics::UNWIND },
             flags: 0,
-            name: Text::of(about.name),
-            version: Text::of(about.version),
+            name: Text::of(package.name),
+            version: Text::of(package.version),
             sdk: Text::of(concat!("osteoflow-node ", env!("CARGO_PKG_VERSION"))),
             compiler: Text::of(env!("OSTEOFLOW_RUSTC")),
             kinds: Vec::leak(kinds).as_ptr(),
@@ -45,35 +47,35 @@ impl Description {
     }
 }
 
-fn kept(text: String) -> Text {
+fn leaked(text: String) -> Text {
     if text.is_empty() { Text::NONE } else { Text::of(String::leak(text)) }
 }
 
 fn kind_of(kind: &'static crate::Kind, payloads: &mut BTreeMap<&'static str, &'static PayloadType>) -> abi::Kind {
-    let about = &kind.description;
+    let description = &kind.description;
     let mut note = |payload: PortPayload| {
         if let PortPayload::Type(ty) = payload {
             payloads.insert(ty.name, ty);
         }
     };
-    let inputs: Vec<_> = about.inputs.iter().inspect(|port| note(port.payload)).map(input_of).collect();
-    let (outputs, declared_schema) = match &about.outputs {
+    let inputs: Vec<_> = description.inputs.iter().inspect(|port| note(port.payload)).map(input_of).collect();
+    let (outputs, declared_schema) = match &description.outputs {
         OutputPorts::Fixed(ports) => {
             (ports.iter().inspect(|port| note(port.payload)).map(output_of).collect(), Text::NONE)
         }
-        OutputPorts::Declared { schema } => (Vec::new(), kept(schema.to_string())),
+        OutputPorts::Declared { schema } => (Vec::new(), leaked(schema.to_string())),
     };
-    let literature: Vec<_> = about.literature.iter().map(|source| Text::of(source)).collect();
-    let doc = if about.details.is_empty() {
-        about.summary.clone()
+    let literature: Vec<_> = description.literature.iter().map(|source| Text::of(source)).collect();
+    let doc = if description.details.is_empty() {
+        description.summary.clone()
     } else {
-        format!("{}\n\n{}", about.summary, about.details)
+        format!("{}\n\n{}", description.summary, description.details)
     };
     abi::Kind {
-        kind: Text::of(about.kind),
-        doc: kept(doc),
-        params_schema: kept(about.params.to_string()),
-        example: Text::of(about.example),
+        kind: Text::of(description.kind),
+        doc: leaked(doc),
+        params_schema: leaked(description.params.to_string()),
+        example: Text::of(description.example),
         declared_schema,
         n_literature: literature.len() as u64,
         literature: Vec::leak(literature).as_ptr(),
@@ -81,17 +83,17 @@ fn kind_of(kind: &'static crate::Kind, payloads: &mut BTreeMap<&'static str, &'s
         inputs: Vec::leak(inputs).as_ptr(),
         n_outputs: outputs.len() as u64,
         outputs: Vec::leak(outputs).as_ptr(),
-        role: match about.role {
+        role: match description.role {
             Role::Node => kind::NODE,
             Role::Source => kind::SOURCE,
             Role::LiveSource => kind::LIVE_SOURCE,
         },
-        kept: match about.kept {
-            Kept::No => 0,
-            Kept::ByInputs => 1,
-            Kept::ByInputsAndSeed => 2,
+        kept: match description.cache {
+            CachePolicy::Never => 0,
+            CachePolicy::ByInputs => 1,
+            CachePolicy::ByInputsAndSeed => 2,
         },
-        flags: if about.constant { kind::CONSTANT } else { 0 },
+        flags: if description.constant { kind::CONSTANT } else { 0 },
         reserved: 0,
         data: ptr::from_ref(kind).cast::<c_void>(),
         create: Some(instance::create),

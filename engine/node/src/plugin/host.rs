@@ -1,10 +1,10 @@
-//! The program's functions, as a context calls them.
+//! The host functions that a context calls.
 #![allow(unsafe_code, reason = "calls the functions of the program")]
 
-use crate::{Emission, NodeError, Part, PayloadType, StampNs, Value, View, ViewError, abi};
+use crate::{Emission, NodeError, PayloadType, SchemaEntry, StampNs, Value, View, ViewError, abi};
 use std::{any::Any, cell::RefCell, sync::Arc};
 
-/// The program's functions for the firing at hand.
+/// The host functions for the current firing.
 #[derive(Clone, Copy)]
 pub(crate) struct Host {
     table: &'static abi::Host,
@@ -12,26 +12,26 @@ pub(crate) struct Host {
 }
 
 // SAFETY: functions that take a const run may be called from any thread of the node; all others are called through a
-// context or an instance that is borrowed for writing. A `Host` is in a context during its firing only.
+// mutably borrowed context or instance. A context has a `Host` only during its firing.
 unsafe impl Send for Host {}
 // SAFETY: as above.
 unsafe impl Sync for Host {}
 
 impl Host {
     /// # Safety
-    /// `firing` is what the program has just called with, and the answer is not used after that call.
+    /// `firing` is an argument of the current call from the program, and the result is not used after that call.
     pub(super) unsafe fn of(firing: &abi::Firing) -> Self {
-        // SAFETY: the program's table lives as long as the program.
+        // SAFETY: the host table lives as long as the program.
         Self { table: unsafe { &*firing.host }, run: firing.run }
     }
 
     fn text(&self, text: abi::Text) -> Option<&str> {
-        // SAFETY: the program lends texts at least as long as the firing, which outlives this.
+        // SAFETY: the program lends texts at least until the end of the firing, which outlives `self`.
         unsafe { abi::text(text, "a text of the program") }.ok().flatten()
     }
 
     pub(crate) fn node(&self) -> &str {
-        // SAFETY: the run is the firing's, here and in the following.
+        // SAFETY: the run belongs to the current firing, here and below.
         self.text(unsafe { (self.table.node)(self.run) }).unwrap_or_default()
     }
 
@@ -85,7 +85,7 @@ impl Host {
         self.text(unsafe { (self.table.out_dir)(self.run) }).map(std::path::Path::new)
     }
 
-    /// The outputs that the graph declared: name, payload, parameters as JSON.
+    /// The outputs that the graph declares: name, payload, parameters as JSON.
     pub(super) fn declared(&self) -> Result<Vec<(String, &'static PayloadType, String)>, NodeError> {
         // SAFETY: as above.
         let n = unsafe { (self.table.n_declared)(self.run) };
@@ -94,7 +94,7 @@ impl Host {
                 abi::Declared { name: abi::Text::NONE, payload: std::ptr::null(), params: abi::Text::NONE };
             // SAFETY: as above; the program fills it in.
             if unsafe { (self.table.declared)(self.run, index, &mut declared) } != abi::status::OK {
-                return Err(NodeError::new(format!("the program does not say what output {index} is")));
+                return Err(NodeError::new(format!("the program does not describe output {index}")));
             }
             let text = |text| self.text(text).unwrap_or_default().to_owned();
             // SAFETY: payloads of the program live as long as it does.
@@ -109,7 +109,7 @@ impl Host {
         unsafe { (self.table.fail)(self.run, parameter, abi::Text::of(message)) }
     }
 
-    /// Answers on a port; `expected` is the type that the port has, if it is one.
+    /// Sends an emission to a port; `expected` is the type of the port, if it has one.
     pub(super) fn emit(
         &self,
         port: usize,
@@ -117,7 +117,7 @@ impl Host {
         emission: Emission,
     ) -> Result<(), NodeError> {
         let port = port as u64;
-        let answered = match emission {
+        let status = match emission {
             Emission::Silent => abi::status::OK,
             // SAFETY: as above.
             Emission::Empty(reason) => unsafe { (self.table.emit_empty)(self.run, port, abi::Text::of(&reason)) },
@@ -127,17 +127,17 @@ impl Host {
             }
             Emission::Value(value) => match value.into_held::<Handle>() {
                 Ok(handle) => match Arc::try_unwrap(handle) {
-                    // SAFETY: as above; the program takes the handle over.
+                    // SAFETY: as above; the program takes ownership of the handle.
                     Ok(handle) => unsafe { (self.table.emit_held)(self.run, port, handle.into_raw()) },
-                    // SAFETY: as above; the handle is the program's.
+                    // SAFETY: as above; the handle belongs to the program.
                     Err(handle) => unsafe { (self.table.emit_value)(self.run, port, handle.value) },
                 },
                 Err(value) => {
                     let ty = value.ty();
-                    let given = abi::Lent::given(value.to_view(), ty.schema)?;
+                    let given = abi::OutgoingView::given(value.to_view(), ty.schema)?;
                     let view = given.view();
                     match expected.is_some_and(|expected| expected == ty) {
-                        // SAFETY: as above; the columns are given away with the call, the head is read in it.
+                        // SAFETY: as above; the call takes ownership of the columns and copies the head.
                         true => unsafe { (self.table.emit)(self.run, port, &view) },
                         // SAFETY: as above.
                         false => unsafe {
@@ -147,44 +147,44 @@ impl Host {
                 }
             },
         };
-        match answered {
+        match status {
             abi::status::OK => Ok(()),
             // The program has noted why.
             _ => Err(NodeError::new("")),
         }
     }
 
-    /// A payload of this type, which the value is.
+    /// The payload of a value.
     ///
     /// # Safety
-    /// `value` is one of the firing's, of this type.
+    /// `value` belongs to the firing and is of type `ty`.
     pub(super) unsafe fn read(&self, value: *const abi::Value, ty: &'static PayloadType) -> Result<Value, ViewError> {
-        // SAFETY: as the caller vouches.
+        // SAFETY: guaranteed by the caller.
         ty.from_view(&unsafe { view_of(self.table, value, ty.schema) }?)
     }
 
-    /// A handle on a value of any payload.
+    /// A handle on a value of any type.
     ///
     /// # Safety
-    /// `value` is one of the firing's, and `payload` its payload.
+    /// `value` belongs to the firing, and `payload` describes its type.
     pub(super) unsafe fn hold(
         &self,
         value: *const abi::Value,
         payload: *const abi::Payload,
     ) -> Result<Value, ViewError> {
-        // SAFETY: as the caller vouches.
+        // SAFETY: guaranteed by the caller.
         let ty = unsafe { handle_type(payload) }?;
-        // SAFETY: as the caller vouches.
+        // SAFETY: guaranteed by the caller.
         let value = unsafe { (self.table.hold)(value) };
         Ok(Value::held(Handle { value, table: self.table, schema: ty.schema }, ty))
     }
 }
 
-/// A value of the program that the plugin holds.
+/// An owned handle on a value of the program.
 struct Handle {
     value: *const abi::Value,
     table: &'static abi::Host,
-    schema: &'static [Part],
+    schema: &'static [SchemaEntry],
 }
 
 // SAFETY: values are immutable, and handles may be used and released from any thread.
@@ -194,7 +194,7 @@ unsafe impl Sync for Handle {}
 
 impl Handle {
     fn of(any: &dyn Any) -> &Self {
-        any.downcast_ref().expect("a handle's type has handles")
+        any.downcast_ref().expect("the type is one of handles")
     }
 
     fn into_raw(self) -> *const abi::Value {
@@ -202,12 +202,12 @@ impl Handle {
     }
 
     fn to_view(&self) -> View {
-        // SAFETY: it is held.
+        // SAFETY: the value is held.
         unsafe { view_of(self.table, self.value, self.schema) }.unwrap_or_default()
     }
 
     fn to_result(&self) -> serde_json::Value {
-        // SAFETY: it is held, and the program lends the text as long.
+        // SAFETY: the value is held, and the text lives as long.
         let text = unsafe { abi::text((self.table.result)(self.value), "a result") }.ok().flatten();
         text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
     }
@@ -215,28 +215,32 @@ impl Handle {
 
 impl Drop for Handle {
     fn drop(&mut self) {
-        // SAFETY: `hold` gave it, and it is released once.
+        // SAFETY: returned by `hold`, and released once.
         unsafe { (self.table.release)(self.value) };
     }
 }
 
 /// # Safety
-/// The value is lent or held.
-unsafe fn view_of(table: &abi::Host, value: *const abi::Value, schema: &'static [Part]) -> Result<View, ViewError> {
+/// `value` is lent or held.
+unsafe fn view_of(
+    table: &abi::Host,
+    value: *const abi::Value,
+    schema: &'static [SchemaEntry],
+) -> Result<View, ViewError> {
     let mut view = abi::View { head: std::ptr::null(), head_size: 0, columns: std::ptr::null(), n_columns: 0 };
-    // SAFETY: as the caller vouches; the program fills the view in.
+    // SAFETY: guaranteed by the caller; the program fills the view in.
     if unsafe { (table.view)(value, &mut view) } != abi::status::OK {
         return Err(ViewError::Invalid("the program cannot show the value".into()));
     }
-    // SAFETY: the program lends it as the header says.
-    let crossing = unsafe { abi::Crossing::new(&view, abi::Origin::Lent) };
-    crossing.map_err(|error| ViewError::Invalid(error.to_string()))?.take(schema)
+    // SAFETY: lent by the program, by the contract of the header.
+    let incoming = unsafe { abi::IncomingView::new(&view, abi::Ownership::Lent) };
+    incoming.map_err(|error| ViewError::Invalid(error.to_string()))?.take(schema)
 }
 
-/// The type of handles on values of this payload: one for each payload and thread.
+/// The type of handles on values of this payload: one per payload and thread.
 ///
 /// # Safety
-/// `payload` is one of the program's, which live as long as it does.
+/// `payload` belongs to the program and lives as long.
 unsafe fn handle_type(payload: *const abi::Payload) -> Result<&'static PayloadType, ViewError> {
     thread_local! {
         static KNOWN: RefCell<Vec<(usize, &'static PayloadType)>> = const { RefCell::new(Vec::new()) };
@@ -246,13 +250,13 @@ unsafe fn handle_type(payload: *const abi::Payload) -> Result<&'static PayloadTy
     if let Some(ty) = known {
         return Ok(ty);
     }
-    // SAFETY: as the caller vouches.
-    let about = unsafe { abi::schema::read(&*payload, abi::Sizes::OURS.part) };
-    let about = about.map_err(|error| ViewError::Invalid(error.to_string()))?;
+    // SAFETY: guaranteed by the caller.
+    let description = unsafe { abi::schema::read(&*payload, abi::Sizes::OURS.part) };
+    let description = description.map_err(|error| ViewError::Invalid(error.to_string()))?;
     let ty = PayloadType::of_held::<Handle>(
-        &about.name,
-        about.version,
-        about.schema,
+        &description.name,
+        description.version,
+        description.schema,
         |any| Handle::of(any).to_view(),
         |any| Handle::of(any).to_result(),
     );
@@ -260,18 +264,18 @@ unsafe fn handle_type(payload: *const abi::Payload) -> Result<&'static PayloadTy
     Ok(ty)
 }
 
-/// A budget of time that the program keeps.
+/// A time budget of the program.
 pub(crate) struct HostBudget {
     table: &'static abi::Host,
     budget: *mut abi::Budget,
 }
 
-// SAFETY: it is looked at through a borrow for writing, so from one thread at a time.
+// SAFETY: checked through a mutable borrow, so from one thread at a time.
 unsafe impl Send for HostBudget {}
 
 impl HostBudget {
     pub(crate) fn is_over(&mut self) -> bool {
-        // SAFETY: the program keeps it until it is released.
+        // SAFETY: the budget lives until it is released.
         unsafe { (self.table.budget_is_over)(self.budget) != 0 }
     }
 }

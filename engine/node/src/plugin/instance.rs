@@ -1,27 +1,27 @@
-//! Built nodes, as the program calls them.
+//! Built nodes, called by the program.
 #![allow(unsafe_code, reason = "is called through pointers")]
 
 use super::{Host, panic};
 use crate::{
-    AnyNode, Body, Built, Context, DeclaredPort, Emission, Empty, Item, Joined, Kind, NodeError, OutputPorts,
-    ParamError, PayloadType, PortPayload, Site, Slot, Value, abi,
+    AnyNode, Body, BuildContext, Built, Context, DeclaredPort, Emission, Empty, Item, Joined, Kind, NodeError,
+    OutputPorts, ParamError, PayloadType, PortPayload, Slot, Value, abi,
 };
 use std::{ffi::c_void, sync::Arc, time::Duration};
 
-/// A built node and what its firings use again.
+/// A built node, and buffers that its firings reuse.
 pub(super) struct Instance {
     built: Built,
     context: Context,
     joined: Joined,
     out: Vec<Emission>,
     inputs: Vec<PortPayload>,
-    /// The types of outputs, where the kind fixes them.
+    /// The types of the outputs, where the kind has fixed ones.
     outputs: Vec<Option<&'static PayloadType>>,
-    /// What ports joined by `once` have brought.
+    /// The values of ports joined by `once`.
     constants: Vec<Option<Value>>,
 }
 
-/// Calls `f` and says through the program's functions how it failed, if it did.
+/// Calls `f`, and reports an error or panic to the program.
 fn guarded(host: Host, f: impl FnOnce() -> Result<i32, NodeError>) -> i32 {
     match panic::catch(f) {
         Ok(Ok(status)) => status,
@@ -29,8 +29,8 @@ fn guarded(host: Host, f: impl FnOnce() -> Result<i32, NodeError>) -> i32 {
             host.fail("", &error.message);
             abi::status::FAILED
         }
-        Err(said) => {
-            host.fail("", &said);
+        Err(message) => {
+            host.fail("", &message);
             abi::status::PANICKED
         }
     }
@@ -43,14 +43,14 @@ pub(super) unsafe extern "C" fn create(
     params: abi::Text,
     node: *mut *mut c_void,
 ) -> i32 {
-    // SAFETY: the program calls as the header says: with our own kind, and a firing that outlives the call.
+    // SAFETY: by the contract of the header, `kind` is one of ours and `firing` outlives the call.
     let (kind, host) = unsafe { (&*(*kind).data.cast::<Kind>(), Host::of(&*firing)) };
     guarded(host, || {
         // SAFETY: as above.
         let params = unsafe { abi::text(params, "the parameters") }?.unwrap_or("{}");
         match Instance::new(kind, &serde_json::from_str(params)?, host) {
             Ok(instance) => {
-                // SAFETY: as above: a place for the node.
+                // SAFETY: by the contract of the header, `node` is writable.
                 unsafe { node.write(Box::into_raw(Box::new(instance)).cast()) };
                 Ok(abi::status::OK)
             }
@@ -64,34 +64,34 @@ pub(super) unsafe extern "C" fn create(
 
 /// [`abi::Kind::fire`]
 pub(super) unsafe extern "C" fn fire(node: *mut c_void, firing: *const abi::Firing) -> i32 {
-    // SAFETY: the program calls as the header says: with what `create` gave, from one thread at a time.
+    // SAFETY: by the contract of the header, `node` comes from `create` and is used by one thread at a time.
     let (instance, firing) = unsafe { (&mut *node.cast::<Instance>(), &*firing) };
-    // SAFETY: it is used until this call returns.
+    // SAFETY: not used after this call returns.
     let host = unsafe { Host::of(firing) };
     instance.context.enter(host);
     let status = guarded(host, || {
-        // SAFETY: as above: the program's own firing.
+        // SAFETY: the firing belongs to the program.
         unsafe { instance.join(firing, host) }?;
-        let answered = instance.fire(host);
+        let status = instance.fire(host);
         instance.clear();
-        answered
+        status
     });
     instance.context.leave();
-    // Values are released also where the node panicked.
+    // Releases values also after a panic of the node.
     if status == abi::status::PANICKED
-        && let Err(said) = panic::catch(|| instance.clear())
+        && let Err(message) = panic::catch(|| instance.clear())
     {
-        tracing::warn!("after a firing, what it used {said}");
+        tracing::warn!("releasing the values of a firing: {message}");
     }
     status
 }
 
 /// [`abi::Kind::destroy`]
 pub(super) unsafe extern "C" fn destroy(node: *mut c_void) {
-    // SAFETY: the program calls it once with what `create` gave.
+    // SAFETY: by the contract of the header, called once with a node from `create`.
     let instance = unsafe { Box::from_raw(node.cast::<Instance>()) };
-    if let Err(said) = panic::catch(|| drop(instance)) {
-        tracing::warn!("a node that had ended {said}");
+    if let Err(message) = panic::catch(|| drop(instance)) {
+        tracing::warn!("dropping a node: {message}");
     }
 }
 
@@ -118,8 +118,8 @@ pub(super) unsafe extern "C" fn silent_after_ns(node: *mut c_void) -> i64 {
 
 impl Instance {
     fn new(kind: &Kind, params: &serde_json::Value, host: Host) -> Result<Self, ParamError> {
-        let about = &kind.description;
-        let outputs = match &about.outputs {
+        let description = &kind.description;
+        let outputs = match &description.outputs {
             OutputPorts::Fixed(ports) => ports.iter().map(|port| port.payload.ty()).collect(),
             OutputPorts::Declared { .. } => Vec::new(),
         };
@@ -130,24 +130,24 @@ impl Instance {
         });
         let declared = declared.collect::<Result<Arc<[_]>, _>>()?;
         let n_outputs = outputs.len().max(declared.len());
-        let built = kind.build(params, &Site::alone(host.node()))?;
+        let built = kind.build(params, &BuildContext::detached(host.node()))?;
         Ok(Self {
             built,
             context: Context::new(host.node(), host.seed(), Arc::default(), declared),
             joined: Joined { slots: Vec::new(), is_spent: true },
             out: vec![Emission::Silent; n_outputs],
-            constants: vec![None; about.inputs.len()],
-            inputs: about.inputs.iter().map(|port| port.payload).collect(),
+            constants: vec![None; description.inputs.len()],
+            inputs: description.inputs.iter().map(|port| port.payload).collect(),
             outputs,
         })
     }
 
-    /// Makes values of what the ports bring.
+    /// Converts the slots of the firing.
     ///
     /// # Safety
-    /// `firing` is the program's, at hand.
+    /// `firing` is the current firing of the program.
     unsafe fn join(&mut self, firing: &abi::Firing, host: Host) -> Result<(), NodeError> {
-        // SAFETY: as the caller vouches, in this and the following.
+        // SAFETY: guaranteed by the caller, here and below.
         let slots = unsafe { abi::list(firing.slots, firing.n_slots, "the slots of a firing") }?;
         self.joined.slots.clear();
         for (index, slot) in slots.iter().enumerate() {
@@ -190,7 +190,7 @@ impl Instance {
                 }
             }
         }
-        // What was only handed on is the answer's alone then.
+        // Drops the inputs, so that a value that was passed through has one handle only.
         self.joined.slots.clear();
         for (port, emission) in self.out.iter_mut().enumerate() {
             let emission = std::mem::replace(emission, Emission::Silent);
@@ -201,7 +201,7 @@ impl Instance {
         Ok(abi::status::OK)
     }
 
-    /// Lets go of what the firing used.
+    /// Drops the values of the firing.
     fn clear(&mut self) {
         self.joined.slots.clear();
         self.out.iter_mut().for_each(|emission| *emission = Emission::Silent);
@@ -209,9 +209,9 @@ impl Instance {
 }
 
 /// # Safety
-/// The item is one of the firing's.
+/// The item belongs to the current firing.
 unsafe fn empty(item: &abi::Item) -> Result<Arc<Empty>, NodeError> {
-    // SAFETY: as the caller vouches.
+    // SAFETY: guaranteed by the caller.
     let text = |text| unsafe { abi::text(text, "a reason") }.map(|text| text.unwrap_or_default().to_owned());
     Ok(Arc::new(Empty { node: text(item.empty_node)?, reason: text(item.empty_reason)? }))
 }

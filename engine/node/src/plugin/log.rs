@@ -1,4 +1,4 @@
-//! Events of the plugin's `tracing`, handed to the program's.
+//! Forwards `tracing` events of the plugin to the program.
 #![allow(unsafe_code, reason = "calls the functions of the program")]
 
 use crate::abi;
@@ -16,9 +16,9 @@ use tracing::{
 
 /// [`abi::Plugin::start`]
 pub(super) unsafe extern "C" fn start(host: *const abi::Host) {
-    // SAFETY: the program calls with its table, which lives as long as it does.
+    // SAFETY: the host table lives as long as the program.
     let Some(host) = (unsafe { host.as_ref::<'static>() }) else { return };
-    // A plugin that has a subscriber of its own keeps it.
+    // A subscriber that the plugin installed itself takes precedence.
     let _ = super::panic::catch(|| tracing::subscriber::set_global_default(Forward { host, spans: AtomicU64::new(1) }));
 }
 
@@ -38,13 +38,13 @@ fn code(level: Level) -> u32 {
 }
 
 impl Subscriber for Forward {
-    fn register_callsite(&self, about: &'static Metadata<'static>) -> Interest {
-        if self.enabled(about) { Interest::always() } else { Interest::never() }
+    fn register_callsite(&self, metadata: &'static Metadata<'static>) -> Interest {
+        if self.enabled(metadata) { Interest::always() } else { Interest::never() }
     }
 
-    fn enabled(&self, about: &Metadata<'_>) -> bool {
-        // SAFETY: the program's table holds its functions; which level it listens to never changes.
-        about.is_event() && code(*about.level()) <= unsafe { (self.host.log_level)() }
+    fn enabled(&self, metadata: &Metadata<'_>) -> bool {
+        // SAFETY: a function of the host table; its result never changes.
+        metadata.is_event() && code(*metadata.level()) <= unsafe { (self.host.log_level)() }
     }
 
     fn max_level_hint(&self) -> Option<LevelFilter> {
@@ -70,10 +70,10 @@ impl Subscriber for Forward {
     fn event(&self, event: &Event<'_>) {
         let mut line = Line::default();
         event.record(&mut line);
-        let about = event.metadata();
-        let (target, line) = (abi::Text::of(about.target()), line.text());
+        let metadata = event.metadata();
+        let (target, line) = (abi::Text::of(metadata.target()), line.text());
         // SAFETY: as above; the texts are read before the call returns.
-        unsafe { (self.host.log)(code(*about.level()), target, abi::Text::of(&line)) };
+        unsafe { (self.host.log)(code(*metadata.level()), target, abi::Text::of(&line)) };
     }
 
     fn enter(&self, _: &span::Id) {}
@@ -81,7 +81,7 @@ impl Subscriber for Forward {
     fn exit(&self, _: &span::Id) {}
 }
 
-/// The message, and the other fields after it.
+/// The message, followed by the other fields.
 #[derive(Default)]
 struct Line {
     message: String,
@@ -96,7 +96,7 @@ impl Line {
 
 impl Visit for Line {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
-        // Writing to a text does not fail.
+        // Writing to a string cannot fail.
         let _ = match field.name() {
             "message" => write!(self.message, "{value:?}"),
             name => write!(self.rest, " {name}={value:?}"),

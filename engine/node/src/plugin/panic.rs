@@ -1,4 +1,4 @@
-//! Panics of the plugin, caught where they would leave it.
+//! Catches panics before they leave the plugin.
 
 use std::{
     cell::RefCell,
@@ -7,19 +7,19 @@ use std::{
 };
 
 thread_local! {
-    /// The words and the place of this thread's latest panic within [`catch`].
+    /// Message and location of the latest panic of this thread within [`catch`].
     static LATEST: RefCell<Option<String>> = const { RefCell::new(None) };
     static WITHIN: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
 }
 
-/// What `f` answers, or `panicked at FILE:LINE: WORDS`.
+/// The result of `f`, or `panicked at FILE:LINE: MESSAGE`.
 pub(super) fn catch<T>(f: impl FnOnce() -> T) -> Result<T, String> {
     static HOOK: Once = Once::new();
-    // The hook is the plugin's own, as its standard library is.
+    // The hook belongs to the standard library of the plugin, not to that of the program.
     HOOK.call_once(|| {
         let before = take_hook();
         set_hook(Box::new(move |info| match WITHIN.get() {
-            true => drop(LATEST.replace(Some(told(info)))),
+            true => drop(LATEST.replace(Some(describe(info)))),
             false => before(info),
         }));
     });
@@ -27,7 +27,7 @@ pub(super) fn catch<T>(f: impl FnOnce() -> T) -> Result<T, String> {
     let result = catch_unwind(AssertUnwindSafe(f));
     WITHIN.set(outside);
     result.map_err(|payload| {
-        // Dropping what was thrown may panic again.
+        // Dropping the payload may panic again.
         if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
             std::mem::forget(second);
         }
@@ -35,12 +35,13 @@ pub(super) fn catch<T>(f: impl FnOnce() -> T) -> Result<T, String> {
     })
 }
 
-fn told(info: &PanicHookInfo<'_>) -> String {
+fn describe(info: &PanicHookInfo<'_>) -> String {
     let payload = info.payload();
-    let words = payload.downcast_ref::<&str>().copied();
-    let words = words.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a message");
+    let message = payload.downcast_ref::<&str>().copied();
+    let message =
+        message.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a message");
     match info.location() {
-        Some(at) => format!("panicked at {}:{}: {words}", at.file(), at.line()),
-        None => format!("panicked: {words}"),
+        Some(at) => format!("panicked at {}:{}: {message}", at.file(), at.line()),
+        None => format!("panicked: {message}"),
     }
 }

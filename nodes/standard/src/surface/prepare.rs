@@ -8,7 +8,8 @@ use osteoflow_algorithms::{
 };
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{
-    Context, Describe, Inputs, Kept, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    CachePolicy, Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema,
+    serde::Deserialize,
 };
 use osteoflow_payloads::Text;
 
@@ -89,7 +90,7 @@ pub struct Out {
 
 impl Node for Prepare {
     const KIND: &'static str = "surface.prepare";
-    const KEPT: Kept = Kept::ByInputsAndSeed;
+    const CACHE: CachePolicy = CachePolicy::ByInputsAndSeed;
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;

@@ -7,7 +7,8 @@ use osteoflow_algorithms::{
 };
 use osteoflow_geometry::{Cloud, SurfaceOrigin};
 use osteoflow_node::{
-    Context, Describe, Inputs, Kept, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    CachePolicy, Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema,
+    serde::Deserialize,
 };
 use osteoflow_payloads::Text;
 
@@ -56,7 +57,7 @@ pub struct Out {
 
 impl Node for PrepareCloud {
     const KIND: &'static str = "surface.prepare_cloud";
-    const KEPT: Kept = Kept::ByInputs;
+    const CACHE: CachePolicy = CachePolicy::ByInputs;
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;

@@ -1,5 +1,4 @@
-//! What a node takes from the world's clock: data of the run, recorded with the firing and answered from the record in a
-//! replay.
+//! Clock readings of a node: recorded with the firing, and answered from the recording in a replay.
 
 use crate::{StampNs, plugin::HostBudget};
 use serde::{Deserialize, Serialize};
@@ -12,108 +11,106 @@ use std::{
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
-/// One thing that a firing took from the clock.
+/// A reading of the clock by a firing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
-pub enum Reading {
+pub enum ClockReading {
     /// The time of day, ns since the Unix epoch.
     Clock {
-        /// The answer.
+        /// The time.
         ns: StampNs,
     },
     /// A time budget.
     Budget {
-        /// How often it was looked at before it was over, or in all if it never was.
+        /// Number of checks that found time left.
         looks: u64,
-        /// Whether a look found it over.
+        /// Whether a check found the time used up.
         over: bool,
     },
 }
 
 /// A time budget of a firing, from [`crate::Context::budget`].
 ///
-/// Whether it is over is decided by the clock once, when the graph first runs; a replay answers every look as it was
-/// answered then. So look at it at places that the inputs alone decide, such as the end of each iteration, and from one
-/// thread.
-pub struct Budget(Keeper);
+/// The clock decides once, when the graph first runs; a replay answers each check as it was answered then. So check the
+/// budget where the inputs alone decide, such as at the end of each iteration, and from one thread.
+pub struct Budget(Timer);
 
-/// Who looks at the clock.
-enum Keeper {
+enum Timer {
     Own(OwnBudget),
-    /// Of a plugin's firing.
+    /// In a plugin.
     Host(HostBudget),
 }
 
 struct OwnBudget {
     began: Instant,
     limit: Duration,
-    looks: Arc<Looks>,
-    /// What the record says: after how many looks it was over, or that it never was.
+    checks: Arc<Checks>,
+    /// In a replay: the number of checks after which the time was up, if it ever was.
     recorded: Option<Option<u64>>,
 }
 
 #[derive(Default)]
-struct Looks {
+struct Checks {
     n: AtomicU64,
     over: AtomicBool,
 }
 
 impl Budget {
     pub(crate) fn of_host(budget: HostBudget) -> Self {
-        Self(Keeper::Host(budget))
+        Self(Timer::Host(budget))
     }
 
-    /// Whether the time is up; from then on always.
+    /// Whether the time is up. Once true, it stays true.
     pub fn is_over(&mut self) -> bool {
         match &mut self.0 {
-            Keeper::Own(budget) => budget.is_over(),
-            Keeper::Host(budget) => budget.is_over(),
+            Timer::Own(budget) => budget.is_over(),
+            Timer::Host(budget) => budget.is_over(),
         }
     }
 }
 
 impl OwnBudget {
     fn is_over(&mut self) -> bool {
-        if self.looks.over.load(Ordering::Relaxed) {
+        if self.checks.over.load(Ordering::Relaxed) {
             return true;
         }
-        let n = self.looks.n.load(Ordering::Relaxed);
+        let n = self.checks.n.load(Ordering::Relaxed);
         let over = match self.recorded {
             Some(over_after) => over_after.is_some_and(|after| n >= after),
             None => self.began.elapsed() >= self.limit,
         };
         match over {
-            true => self.looks.over.store(true, Ordering::Relaxed),
-            false => self.looks.n.store(n + 1, Ordering::Relaxed),
+            true => self.checks.over.store(true, Ordering::Relaxed),
+            false => self.checks.n.store(n + 1, Ordering::Relaxed),
         }
         over
     }
 }
 
-/// The readings of the firing at hand.
+/// The clock readings of the current firing.
 #[derive(Default)]
 pub(crate) struct Readings {
     taken: Vec<Taken>,
-    /// In a replay: what the record still holds for this firing.
-    recorded: Option<VecDeque<Reading>>,
+    /// In a replay: the recorded readings that remain for this firing.
+    recorded: Option<VecDeque<ClockReading>>,
 }
 
 enum Taken {
     Clock(StampNs),
-    Budget(Arc<Looks>),
+    Budget(Arc<Checks>),
 }
 
-/// The record holds no such reading; the clock has answered.
+/// The recording has no such reading, so the clock answered.
 pub(crate) struct NotRecorded;
 
 impl Readings {
-    /// The next firing begins; in a replay with what the record holds for it.
+    /// Begins the next firing.
     pub(crate) fn begin(&mut self) {
         self.taken.clear();
         self.recorded = None;
     }
 
-    pub(crate) fn give(&mut self, recorded: &[Reading]) {
+    pub(crate) fn replay(&mut self, recorded: &[ClockReading]) {
         self.recorded = Some(recorded.iter().copied().collect());
     }
 
@@ -122,20 +119,21 @@ impl Readings {
         !self.taken.is_empty()
     }
 
-    /// What was taken since the firing began.
-    pub(crate) fn take(&mut self) -> Vec<Reading> {
-        let told = |taken| match taken {
-            Taken::Clock(ns) => Reading::Clock { ns },
-            Taken::Budget(looks) => {
-                Reading::Budget { looks: looks.n.load(Ordering::Relaxed), over: looks.over.load(Ordering::Relaxed) }
-            }
+    /// The readings since the firing began.
+    pub(crate) fn take(&mut self) -> Vec<ClockReading> {
+        let reading = |taken| match taken {
+            Taken::Clock(ns) => ClockReading::Clock { ns },
+            Taken::Budget(checks) => ClockReading::Budget {
+                looks: checks.n.load(Ordering::Relaxed),
+                over: checks.over.load(Ordering::Relaxed),
+            },
         };
-        self.taken.drain(..).map(told).collect()
+        self.taken.drain(..).map(reading).collect()
     }
 
     pub(crate) fn clock(&mut self) -> (StampNs, Option<NotRecorded>) {
         let (ns, missing) = match self.recorded.as_mut().map(VecDeque::pop_front) {
-            Some(Some(Reading::Clock { ns })) => (ns, None),
+            Some(Some(ClockReading::Clock { ns })) => (ns, None),
             Some(_) => (now_ns(), Some(NotRecorded)),
             None => (now_ns(), None),
         };
@@ -145,13 +143,13 @@ impl Readings {
 
     pub(crate) fn budget(&mut self, limit: Duration) -> (Budget, Option<NotRecorded>) {
         let (recorded, missing) = match self.recorded.as_mut().map(VecDeque::pop_front) {
-            Some(Some(Reading::Budget { looks, over })) => (Some(over.then_some(looks)), None),
+            Some(Some(ClockReading::Budget { looks, over })) => (Some(over.then_some(looks)), None),
             Some(_) => (None, Some(NotRecorded)),
             None => (None, None),
         };
-        let looks = Arc::new(Looks::default());
-        self.taken.push(Taken::Budget(looks.clone()));
-        (Budget(Keeper::Own(OwnBudget { began: Instant::now(), limit, looks, recorded })), missing)
+        let checks = Arc::new(Checks::default());
+        self.taken.push(Taken::Budget(checks.clone()));
+        (Budget(Timer::Own(OwnBudget { began: Instant::now(), limit, checks, recorded })), missing)
     }
 }
 

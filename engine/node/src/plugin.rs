@@ -1,7 +1,7 @@
-//! The plugin's side: kinds written as built-in ones are, described and called through the C interface.
+//! The plugin side of the C interface: describes and runs kinds that are written like built-in ones.
 //!
-//! [`crate::export!`] closes a crate of type `cdylib`. Everything here runs in the plugin, with the plugin's own copies of
-//! the standard library, of this crate and of `tracing`; only what [`crate::abi`] defines crosses.
+//! [`crate::export!`] exports kinds from a `cdylib`. All of this runs in the plugin, with its own copies of the standard
+//! library, of this crate and of `tracing`; only the types of [`crate::abi`] cross the boundary.
 
 mod describe;
 mod host;
@@ -16,46 +16,46 @@ use std::{marker::PhantomData, sync::OnceLock};
 
 /// Exports kinds of nodes and sources from a crate of type `cdylib`: `osteoflow_node::export!(MyIcp, MyHole);`
 ///
-/// Payload types of the plugin's own need no mention: those that ports name are described with them.
+/// Payload types of the ports are exported with them.
 #[macro_export]
 macro_rules! export {
     ($($kind:ty),+ $(,)?) => {
-        // SAFETY: the name is the one that the header promises, and a plugin has one such function.
+        // SAFETY: the name is prescribed by the header, and a plugin has one such function.
         #[allow(unsafe_code)]
         #[unsafe(no_mangle)]
         extern "C" fn osteoflow_describe() -> *const $crate::abi::Plugin {
             use $crate::plugin::{ViaNode as _, ViaSource as _};
             static PLUGIN: $crate::plugin::Described = $crate::plugin::Described::new();
-            let about = $crate::plugin::About { name: env!("CARGO_PKG_NAME"), version: env!("CARGO_PKG_VERSION") };
-            PLUGIN.get(&about, |registry| {
+            let package = $crate::plugin::Package { name: env!("CARGO_PKG_NAME"), version: env!("CARGO_PKG_VERSION") };
+            PLUGIN.get(&package, |registry| {
                 $((&$crate::plugin::Exported::<$kind>::new()).add(registry);)+
             })
         }
     };
 }
 
-/// The crate that exports.
-pub struct About {
-    /// Its name.
+/// The exporting crate.
+pub struct Package {
+    /// The crate name.
     pub name: &'static str,
-    /// Its version.
+    /// The crate version.
     pub version: &'static str,
 }
 
-/// A kind named in [`crate::export!`]: a node or a source.
+/// A node or source named in [`crate::export!`].
 pub struct Exported<K>(PhantomData<K>);
 
 impl<K> Exported<K> {
-    /// The kind.
-    #[allow(clippy::new_without_default, reason = "named by a macro only")]
+    /// A marker for the kind.
+    #[allow(clippy::new_without_default, reason = "used by a macro only")]
     pub fn new() -> Self {
         Self(PhantomData)
     }
 }
 
-/// Adds a node; the method that the macro finds if the kind is one.
+/// Adds a node. Method resolution picks this trait if the kind is a node.
 pub trait ViaNode {
-    /// Adds it.
+    /// Adds the kind to the registry.
     fn add(&self, registry: &mut Registry);
 }
 
@@ -65,9 +65,9 @@ impl<N: Node> ViaNode for Exported<N> {
     }
 }
 
-/// Adds a source; the method that the macro finds if the kind is no node.
+/// Adds a source. Method resolution picks this trait if the kind is not a node.
 pub trait ViaSource {
-    /// Adds it.
+    /// Adds the kind to the registry.
     fn add(&self, registry: &mut Registry);
 }
 
@@ -77,29 +77,29 @@ impl<S: Source> ViaSource for &Exported<S> {
     }
 }
 
-/// The plugin's description, made once.
+/// The description of the plugin, made once.
 pub struct Described(OnceLock<describe::Description>);
 
 impl Described {
-    /// One that is not made yet.
-    #[allow(clippy::new_without_default, reason = "named by a macro only")]
+    /// An empty cell.
+    #[allow(clippy::new_without_default, reason = "used by a macro only")]
     pub const fn new() -> Self {
         Self(OnceLock::new())
     }
 
-    /// The description; null if it panics, which is printed.
-    pub fn get(&'static self, about: &About, add: impl FnOnce(&mut Registry)) -> *const abi::Plugin {
+    /// The description; null if making it panics, after printing the panic.
+    pub fn get(&'static self, package: &Package, add: impl FnOnce(&mut Registry)) -> *const abi::Plugin {
         let made = panic::catch(|| {
             self.0.get_or_init(|| {
                 let mut registry = Registry::default();
                 add(&mut registry);
-                describe::Description::new(about, registry)
+                describe::Description::new(package, registry)
             })
         });
         match made {
             Ok(description) => description.plugin(),
-            Err(said) => {
-                eprintln!("{} {said}", about.name);
+            Err(message) => {
+                eprintln!("{} {message}", package.name);
                 std::ptr::null()
             }
         }

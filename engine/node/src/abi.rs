@@ -1,48 +1,48 @@
-//! What crosses between the program and a plugin: the Rust side of `include/osteoflow.h`, which says what each part means.
+//! The plugin ABI: the Rust side of `include/osteoflow.h`, which documents each struct and field.
 //!
-//! Nothing of Rust's own layout crosses: no `Vec`, no trait object, no `TypeId`. So a plugin may be built by another
-//! compiler, in another profile, in another language. A test holds these structs, the header and the golden file
-//! `include/layout.txt` to the same sizes and offsets.
+//! No Rust layout crosses the boundary: no `Vec`, no trait object, no `TypeId`. So a plugin may be built by another
+//! compiler, in another profile, in another language. A test compares sizes and offsets of these structs, the header and
+//! the golden file `include/layout.txt`.
 
 mod head;
 mod raw;
 pub mod schema;
 mod view;
 
-pub use head::{head_places, head_size};
-pub use raw::{Plain, entries, list, needed, text};
-pub use view::{Crossing, Lent, Origin};
+pub use head::{head_offsets, head_size};
+pub use raw::{Plain, entries, list, required_text, text};
+pub use view::{IncomingView, OutgoingView, Ownership};
 
 use std::{ffi::c_void, ptr};
 
-/// Raised when what is there changes; such a plugin is refused.
+/// Raised by incompatible changes; a plugin with another major version is refused.
 pub const MAJOR: u32 = 1;
-/// Raised when something is added.
+/// Raised by additions.
 pub const MINOR: u32 = 0;
 /// The first bytes of a description.
 pub const MAGIC: [u8; 8] = *b"OSTEOPLG";
-/// The exported function.
+/// The name of the exported function.
 pub const SYMBOL: &str = "osteoflow_describe";
 
-/// What a function of a kind answers.
+/// Return codes of the functions of a kind.
 pub mod status {
-    /// It has answered.
+    /// Success.
     pub const OK: i32 = 0;
-    /// Of a source: there is nothing more.
+    /// The source has ended.
     pub const END: i32 = 1;
-    /// It has said why not.
+    /// Failure; the reason was given to `fail`.
     pub const FAILED: i32 = 2;
     /// A panic or exception was caught.
     pub const PANICKED: i32 = 3;
 }
 
-/// How a plugin's panics end.
+/// How panics of a plugin end.
 pub mod panics {
     /// There are none.
     pub const NONE: u32 = 0;
     /// They are caught.
     pub const UNWIND: u32 = 1;
-    /// They would end the program.
+    /// They abort the program.
     pub const ABORT: u32 = 2;
 }
 
@@ -50,16 +50,16 @@ pub mod panics {
 pub mod slot {
     /// One item.
     pub const ITEM: u32 = 0;
-    /// Those of a port that collects.
+    /// The items of a collecting port.
     pub const ITEMS: u32 = 1;
-    /// None, and why.
+    /// No item, with the reason.
     pub const ABSENT: u32 = 2;
     /// Flag: the same value at every firing.
     pub const CONSTANT: u32 = 1;
 }
 
-/// The codes of [`Part::shape`] and [`Part::flags`].
-pub mod part {
+/// The codes of [`SchemaEntry::shape`] and [`SchemaEntry::flags`].
+pub mod entry {
     /// `uint8_t`
     pub const BOOL: u32 = 1;
     /// `int64_t`
@@ -74,7 +74,7 @@ pub mod part {
     pub const TEXT: u32 = 6;
     /// A column.
     pub const COLUMN: u32 = 7;
-    /// Flag: it may be missing.
+    /// Flag: a view may lack the entry.
     pub const OPTIONAL: u32 = 1;
 }
 
@@ -82,7 +82,7 @@ pub mod part {
 pub mod param {
     /// There is no such parameter.
     pub const MISSING: u32 = 0;
-    /// Yes or no.
+    /// A boolean.
     pub const BOOL: u32 = 1;
     /// A number.
     pub const NUMBER: u32 = 2;
@@ -98,15 +98,15 @@ pub mod param {
 pub mod kind {
     /// [`super::Kind::role`]: fires when its inputs join.
     pub const NODE: u32 = 0;
-    /// [`super::Kind::role`]: answers by itself.
+    /// [`super::Kind::role`]: produces items by itself.
     pub const SOURCE: u32 = 1;
-    /// [`super::Kind::role`]: follows the world's clock.
+    /// [`super::Kind::role`]: follows the wall clock.
     pub const LIVE_SOURCE: u32 = 2;
     /// Flag of [`super::Kind`]: one item on each output.
     pub const CONSTANT: u32 = 1;
     /// Flag of [`super::Input`]: may stay unwired.
     pub const OPTIONAL: u32 = 1;
-    /// Flag of [`super::Input`]: not needed.
+    /// Flag of [`super::Input`]: ignored by the kind.
     pub const UNUSED: u32 = 2;
     /// [`super::Input::join`]
     pub const EACH: u32 = 0;
@@ -164,8 +164,8 @@ structs! {
         owner: Owner,
     }
     View = "osteoflow_view" { head: *const c_void, head_size: u64, columns: *const Column, n_columns: u64, }
-    Part = "osteoflow_part" { name: Text, unit: Text, doc: Text, shape: u32, width: u32, type_: u32, flags: u32, }
-    Payload = "osteoflow_payload" { name: Text, parts: *const Part, n_parts: u64, version: u32, flags: u32, }
+    SchemaEntry = "osteoflow_part" { name: Text, unit: Text, doc: Text, shape: u32, width: u32, type_: u32, flags: u32, }
+    Payload = "osteoflow_payload" { name: Text, parts: *const SchemaEntry, n_parts: u64, version: u32, flags: u32, }
     Item = "osteoflow_item" {
         number: u64,
         stamp_ns: i64,
@@ -291,28 +291,28 @@ structs! {
     }
 }
 
-/// A value that the program lends; it alone knows what is behind.
+/// An opaque value of the program.
 #[repr(C)]
 #[derive(Debug)]
 pub struct Value {
     _opaque: [u8; 0],
 }
 
-/// A firing as the program knows it.
+/// An opaque firing of the program.
 #[repr(C)]
 #[derive(Debug)]
 pub struct Run {
     _opaque: [u8; 0],
 }
 
-/// A budget of time that the program keeps.
+/// An opaque time budget of the program.
 #[repr(C)]
 #[derive(Debug)]
 pub struct Budget {
     _opaque: [u8; 0],
 }
 
-/// The exported function.
+/// The type of the exported function.
 pub type DescribeFn = unsafe extern "C" fn() -> *const Plugin;
 
 impl Sizes {
@@ -323,7 +323,7 @@ impl Sizes {
         input: size_of::<Input>() as u32,
         output: size_of::<Output>() as u32,
         payload: size_of::<Payload>() as u32,
-        part: size_of::<Part>() as u32,
+        part: size_of::<SchemaEntry>() as u32,
         host: size_of::<Host>() as u32,
         firing: size_of::<Firing>() as u32,
         slot: size_of::<Slot>() as u32,
@@ -335,7 +335,7 @@ impl Sizes {
     };
 }
 
-// With pointers of eight bytes every platform lays these out alike.
+// With 8-byte pointers the layout is the same on every platform.
 #[cfg(target_pointer_width = "64")]
 const _: () = {
     assert!(size_of::<Text>() == 16 && align_of::<Text>() == 8);
@@ -345,43 +345,43 @@ const _: () = {
 };
 
 impl Text {
-    /// A text that is missing.
+    /// A missing text.
     pub const NONE: Self = Self { data: ptr::null(), length: 0 };
 
-    /// These bytes, for as long as the text lives where it does.
+    /// Points to the text; valid as long as it is neither moved nor freed.
     pub const fn of(text: &str) -> Self {
         Self { data: text.as_ptr(), length: text.len() as u64 }
     }
 
-    /// The same of a text that may be missing.
+    /// Points to the text, or is [`Text::NONE`].
     pub fn of_option(text: Option<&str>) -> Self {
         text.map_or(Self::NONE, Self::of)
     }
 }
 
 impl Numbers {
-    /// These numbers, for as long as they live where they do.
+    /// Points to the numbers; valid as long as they are neither moved nor freed.
     pub const fn of(numbers: &[f64]) -> Self {
         Self { data: numbers.as_ptr(), length: numbers.len() as u64 }
     }
 }
 
-/// A part of what crossed that is not as it must be.
+/// Invalid data from the other side of the boundary.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AbiError {
-    /// A pointer that must lead somewhere does not.
+    /// A required pointer is null.
     #[error("{0} is a null pointer")]
     Null(String),
-    /// A length that no memory can have.
+    /// A length beyond the address space.
     #[error("{0} claims {1} entries, more than memory can hold")]
     Length(String, u64),
-    /// A text that is no UTF-8.
+    /// A text that is not UTF-8.
     #[error("{0} is not UTF-8 text")]
     Utf8(String),
-    /// Rows or entries that do not lie where their type allows.
+    /// Rows or entries that are not aligned to their type.
     #[error("{0} is not aligned to its type")]
     Unaligned(String),
-    /// A struct that is smaller than the least that is known.
+    /// A struct that is smaller than in minor 0.
     #[error("{what} are structs of {found} bytes, at least {needed} are needed")]
     Size {
         /// The list.
@@ -391,8 +391,8 @@ pub enum AbiError {
         /// Bytes of ours.
         needed: u32,
     },
-    /// Rows that would lie over each other.
-    #[error("{what} has rows of {row} bytes that begin every {stride} bytes")]
+    /// Rows that overlap.
+    #[error("{what} has rows of {row} bytes with a stride of {stride} bytes")]
     Stride {
         /// The column.
         what: String,
@@ -401,15 +401,15 @@ pub enum AbiError {
         /// Bytes in a row.
         row: u64,
     },
-    /// A text that should be JSON.
-    #[error("{what} is no JSON: {error}")]
+    /// A text that is not JSON.
+    #[error("{what} is not JSON: {error}")]
     Json {
         /// The text.
         what: String,
-        /// What the reader says.
+        /// The parse error.
         error: String,
     },
-    /// A code without a meaning.
+    /// An unknown code.
     #[error("{0} has the unknown code {1}")]
     Code(String, u32),
 }
