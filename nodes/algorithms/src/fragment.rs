@@ -3,7 +3,7 @@
 mod outline;
 mod triangulate;
 
-use crate::section;
+use crate::{mesh_topology, section};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Mesh, Plane, PlanePlace, Planes, SurfaceOrigin};
 use std::collections::HashMap;
@@ -173,18 +173,8 @@ impl Fragment {
 
     /// The volume it holds, mm³.
     pub fn volume_mm3(&self) -> f64 {
-        volume(self.mesh.vertices(), self.mesh.faces())
+        self.mesh.volume_mm3()
     }
-}
-
-/// Signed volume of closed faces, about their first corner so that no digits are lost far from the origin.
-fn volume(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> f64 {
-    let Some(start) = faces.first().map(|f| vertices[f[0] as usize]) else { return 0.0 };
-    let six = |f: &[u32; 3]| {
-        let [a, b, c] = f.map(|v| vertices[v as usize] - start);
-        a.dot(&b.cross(&c))
-    };
-    faces.iter().map(six).sum::<f64>() / 6.0
 }
 
 /// A closed surface on its way to a fragment.
@@ -310,7 +300,7 @@ impl Piece {
 
     /// The part that reaches from cut to cut nearest to the points of both, with the cavities inside it.
     fn nearest(self, cuts: &[HalfSpace; 2]) -> Result<Self, FragmentError> {
-        let (component, n) = self.components();
+        let (component, n) = mesh_topology::components(self.vertices.len(), &self.faces);
         let mut known = vec![Component::default(); n];
         for (face, part) in self.faces.iter().zip(&self.parts) {
             let own = &mut known[component[face[0] as usize]];
@@ -355,34 +345,6 @@ impl Piece {
             left.parts.push(*part);
         }
         left
-    }
-
-    /// For each vertex the number of the connected part that it belongs to, and how many there are.
-    fn components(&self) -> (Vec<usize>, usize) {
-        let mut up: Vec<u32> = (0..self.vertices.len() as u32).collect();
-        fn root(up: &mut [u32], mut v: u32) -> u32 {
-            while up[v as usize] != v {
-                up[v as usize] = up[up[v as usize] as usize];
-                v = up[v as usize];
-            }
-            v
-        }
-        for [a, b, c] in &self.faces {
-            for other in [*b, *c] {
-                let (p, q) = (root(&mut up, *a), root(&mut up, other));
-                up[p.max(q) as usize] = p.min(q);
-            }
-        }
-        let (mut number, mut n) = (vec![usize::MAX; up.len()], 0);
-        for v in 0..up.len() as u32 {
-            let top = root(&mut up, v) as usize;
-            if number[top] == usize::MAX {
-                number[top] = n;
-                n += 1;
-            }
-            number[v as usize] = number[top];
-        }
-        (number, n)
     }
 
     /// `None` where there is no face.

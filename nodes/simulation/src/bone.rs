@@ -289,7 +289,7 @@ pub(crate) fn smoothstep(u: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::topology::assert_closed_and_outward;
+    use crate::assert_closed_and_outward;
 
     #[test]
     fn the_bone_is_closed_with_normals_outward_and_of_a_fibulas_size() {

@@ -4,9 +4,9 @@ use crate::SimulationError;
 use crate::draws::{Term, stream};
 use crate::error::hold;
 use crate::iso_surface::{Grid, iso_surface, make_well_composed};
-use crate::topology::{largest_component, open_edges};
 use crate::waves::Waves;
 use nalgebra::{Point3, Vector3};
+use osteoflow_algorithms::mesh_topology::{largest_component, open_edges};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -400,8 +400,8 @@ fn blur(volume: &mut Vec<f32>, grid: &Grid, sigma: f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::assert_closed_and_outward;
     use crate::bone::{BoneParams, fibula};
-    use crate::topology::assert_closed_and_outward;
     use nalgebra::Point3;
     use osteoflow_algorithms::mesh_query::MeshQuery;
 

@@ -172,7 +172,8 @@ fn cell_vertex(corners: &[f32; 8]) -> Vector3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::topology::{assert_closed_and_outward, open_edges};
+    use crate::assert_closed_and_outward;
+    use osteoflow_algorithms::mesh_topology::open_edges;
     use osteoflow_geometry::{Mesh, SurfaceOrigin};
     use rand::{RngExt, SeedableRng};
 

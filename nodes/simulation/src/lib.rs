@@ -29,7 +29,6 @@ mod scene;
 mod stylus;
 mod subject;
 mod surroundings;
-mod topology;
 mod tracker;
 mod waves;
 mod weakest_mode;
@@ -45,3 +44,12 @@ pub use plan::plan;
 pub use procedure::{Procedure, Truth, t_camera_camera_marker_nominal};
 pub use subject::Subject;
 pub use weakest_mode::{SmoothError, WeakestMode, visible_surface, weakest_mode};
+
+#[cfg(test)]
+fn assert_closed_and_outward(mesh: &osteoflow_geometry::Mesh) -> f64 {
+    let n_open = osteoflow_algorithms::mesh_topology::open_edges(mesh);
+    assert_eq!(n_open, 0, "{n_open} edges are not shared by two faces that turn alike");
+    let volume = mesh.volume_mm3();
+    assert!(volume > 0.0, "the normals point inward: volume {volume} mm3");
+    volume
+}

@@ -82,7 +82,7 @@ pub fn t_phantom_phantom_marker() -> Isometry3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::topology::assert_closed_and_outward;
+    use crate::assert_closed_and_outward;
 
     #[test]
     fn the_phantom_is_closed_and_its_normals_point_outward() {

@@ -1,9 +1,8 @@
 //! What a procedure is simulated on: a bone and its plan.
 
 use crate::plan::{complete, plan_on};
-use crate::topology::{open_edges, volume_mm3};
 use crate::{BoneParams, SimulationError, bone};
-use osteoflow_algorithms::mesh_query::MeshQuery;
+use osteoflow_algorithms::{mesh_query::MeshQuery, mesh_topology::open_edges};
 use osteoflow_geometry::{Mesh, SurgicalPlan};
 
 /// A bone with its plan. A cheap handle: what is built for searching the surface is shared.
@@ -42,7 +41,7 @@ impl Subject {
             return Err(SimulationError::NotClosed { n_open_edges });
         }
         let mut notes = Vec::new();
-        let bone = if volume_mm3(&bone) < 0.0 {
+        let bone = if bone.volume_mm3() < 0.0 {
             notes.push("the bone's faces turn inward, as a mirrored bone's do; they were turned over".to_owned());
             let faces: Vec<[u32; 3]> = bone.faces().iter().map(|&[a, b, c]| [a, c, b]).collect();
             Mesh::new(&bone.frame, bone.origin, bone.vertices().to_vec(), faces)?

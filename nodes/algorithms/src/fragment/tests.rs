@@ -49,16 +49,7 @@ fn tilted(z: f64, lean: f64) -> Isometry3<f64> {
 /// Every edge belongs to two faces that run along it opposite ways, and the volume is as expected.
 #[track_caller]
 fn assert_closed(fragment: &Fragment, volume_mm3: f64) {
-    let mut edges: HashMap<[u32; 2], i32> = HashMap::new();
-    for face in fragment.mesh.faces() {
-        for k in 0..3 {
-            *edges.entry([face[k], face[(k + 1) % 3]]).or_default() += 1;
-        }
-    }
-    let ways = fragment.mesh.faces().iter().flat_map(|f| (0..3).map(move |k| [f[k], f[(k + 1) % 3]]));
-    for [a, b] in ways {
-        assert_eq!([edges.get(&[a, b]), edges.get(&[b, a])], [Some(&1), Some(&1)], "edge {a} {b}");
-    }
+    assert_eq!(mesh_topology::open_edges(&fragment.mesh), 0, "open edges");
     let volume = fragment.volume_mm3();
     assert!(
         (volume - volume_mm3).abs() <= 1e-4,

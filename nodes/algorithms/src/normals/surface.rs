@@ -4,6 +4,7 @@ use super::NormalError;
 use crate::boxes::Extent;
 use crate::handfuls::{HANDFUL, Handfuls};
 use crate::kabsch::{centroid, finite};
+use crate::union_find::UnionFind;
 use nalgebra::{Matrix3, Point3, Vector3};
 use parry3d_f64::glamx::Vec4;
 use rayon::prelude::*;
@@ -521,7 +522,7 @@ fn least_direction(matrix: &Matrix3<f64>) -> Option<Vector3<f64>> {
 
 /// Turns normals so that neighbours agree, along the clearest pairs (a minimum spanning tree), then each part outwards.
 fn orient(along: &[Vector3<f64>], normals: &mut [Vector3<f64>], edges: impl Iterator<Item = Edge>) {
-    let mut parts = Parts::new(along.len());
+    let mut parts = UnionFind::new(along.len());
     let mut less_clear: Vec<(u8, Edge)> = Vec::new();
     let mut across: Vec<(f64, Edge)> = Vec::new();
     for (i, j) in edges {
@@ -546,13 +547,13 @@ fn orient(along: &[Vector3<f64>], normals: &mut [Vector3<f64>], edges: impl Iter
     across.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut sizes = parts.sizes();
     for (_, (i, j)) in across {
-        let [a, b] = [i, j].map(|k| (parts.find(k) / 2) as usize);
+        let [a, b] = [i, j].map(|k| parts.root(k).0 as usize);
         if a != b && sizes[a].min(sizes[b]) < ALONE {
             sizes[a.min(b)] = sizes[a] + sizes[b];
             parts.join(i, j, normals[i as usize].dot(&normals[j as usize]) < 0.0);
         }
     }
-    let (found, n_parts) = parts.numbered();
+    let (found, n_parts) = parts.labels();
     let mut sums = vec![(0.0, Vector3::zeros()); n_parts];
     for (place, (part, _)) in along.iter().zip(&found) {
         let (n, sum) = &mut sums[*part as usize];
@@ -569,70 +570,6 @@ fn orient(along: &[Vector3<f64>], normals: &mut [Vector3<f64>], edges: impl Iter
         if turned != (outwards[part as usize] < 0.0) {
             *normal = -*normal;
         }
-    }
-}
-
-/// Points joined into parts, each with whether its normal is opposite to that of its part's root.
-struct Parts {
-    /// For each point, twice the number of one nearer to the root, and one more if the two are opposite.
-    above: Vec<u32>,
-}
-
-impl Parts {
-    fn new(n: usize) -> Self {
-        Self { above: (0..n as u32).map(|k| 2 * k).collect() }
-    }
-
-    /// Twice the root of a point, and one more if the two are opposite.
-    #[inline]
-    fn find(&mut self, k: u32) -> u32 {
-        let mut at = 2 * k;
-        loop {
-            let next = self.above[(at / 2) as usize];
-            if next / 2 == at / 2 {
-                return at;
-            }
-            // The way there becomes half as long.
-            let after = self.above[(next / 2) as usize] ^ (next & 1);
-            self.above[(at / 2) as usize] = after;
-            at = after ^ (at & 1);
-        }
-    }
-
-    #[inline]
-    fn join(&mut self, i: u32, j: u32, opposite: bool) {
-        let (a, b) = (self.find(i), self.find(j));
-        let (lower, higher) = (a.min(b), a.max(b));
-        if lower / 2 != higher / 2 {
-            self.above[(higher / 2) as usize] = lower ^ (higher & 1) ^ u32::from(opposite);
-        }
-    }
-
-    /// For each root the points of its part.
-    fn sizes(&mut self) -> Vec<u32> {
-        let mut sizes = vec![0; self.above.len()];
-        for k in 0..self.above.len() as u32 {
-            sizes[(self.find(k) / 2) as usize] += 1;
-        }
-        sizes
-    }
-
-    /// For each point the number of its part and whether it is opposite to the root, and how many parts there are.
-    fn numbered(mut self) -> (Vec<(u32, bool)>, usize) {
-        let n = self.above.len() as u32;
-        let (mut numbers, mut n_parts) = (vec![0; n as usize], 0);
-        let numbered = (0..n)
-            .map(|k| {
-                // A root is the lowest of its part, so it comes first.
-                let root = self.find(k);
-                if root == 2 * k {
-                    numbers[k as usize] = n_parts;
-                    n_parts += 1;
-                }
-                (numbers[(root / 2) as usize], root & 1 == 1)
-            })
-            .collect();
-        (numbered, n_parts as usize)
     }
 }
 
