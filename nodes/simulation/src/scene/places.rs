@@ -1,7 +1,7 @@
 //! Where the camera, the phantom and the bone's marker stand.
 
 use crate::ProcedureParams;
-use crate::draws::{Term, attitude, normal3, stream};
+use crate::draws::{Term, attitude, direction, normal, normal3, stream};
 use crate::plan::frame_along;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
@@ -33,6 +33,12 @@ pub(crate) fn scan_pose(
     let about_focus = Translation3::from(on_surface.coords) * UnitQuaternion::from_scaled_axis(held);
     let back = Translation3::new(0.0, 0.0, -params.camera.working_distance_mm);
     Some(about_focus * looking * back)
+}
+
+/// `t_world_ct`: in any attitude, about 1.2 m from the localiser's origin.
+pub(super) fn bone_pose(focus: &Point3<f64>, rng: &mut ChaCha8Rng) -> Isometry3<f64> {
+    let place = direction(rng) * (1200.0 + 100.0 * normal(rng));
+    Translation3::from(place) * attitude(rng) * Translation3::from(-focus.coords)
 }
 
 /// How the camera differs between its places at the bone and at the phantom.

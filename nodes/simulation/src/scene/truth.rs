@@ -1,6 +1,6 @@
 //! What really was in a procedure.
 
-use super::{CALIBRATION_S, MOTION_S, REST_S, SCAN_S, Scene, laser_s};
+use super::{CALIBRATION_S, SCAN_S, Scene, laser_s};
 use crate::tracker::Tracker;
 use crate::{Truth, stylus};
 use osteoflow_geometry::{NamedPoint, Points, Pose};
@@ -10,7 +10,7 @@ impl Scene<'_> {
         let ct = &self.bone.frame;
         let is_tracked = !self.params.tracker.none && self.params.stylus.pivot_poses > 0;
         let bone_at = |s: f64| Pose::new("world", ct, self.bone_path.at(s)).at(tracker.stamp(s));
-        let end_s = self.motion_s + MOTION_S + REST_S;
+        let end_s = self.end_s();
         let in_world = spots.points.iter().enumerate().map(|(k, spot)| NamedPoint {
             stamp_ns: tracker.stamp(laser_s(k)),
             ..NamedPoint::new(spot.name.clone(), self.bone_path.at(laser_s(k)) * spot.position)

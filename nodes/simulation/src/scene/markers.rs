@@ -1,0 +1,45 @@
+//! Samples of the markers during a procedure.
+
+use super::{CALIBRATION_S, LASER_EVERY_S, SCAN_S, Scene};
+use crate::tracker::{Marker, Tracker};
+use nalgebra::Isometry3;
+use osteoflow_geometry::Pose;
+
+/// Samples of each marker, as `t_world_marker`.
+pub(super) struct Markers {
+    pub(super) camera_marker: Vec<Pose>,
+    pub(super) phantom_marker: Vec<Pose>,
+    pub(super) bone_marker: Vec<Pose>,
+}
+
+impl Markers {
+    /// Without a localiser: the camera is the world, and no other marker is known.
+    pub(super) fn untracked(mut self) -> Self {
+        self.camera_marker.iter_mut().for_each(|pose| pose.isometry = Isometry3::identity());
+        Self { camera_marker: self.camera_marker, phantom_marker: Vec::new(), bone_marker: Vec::new() }
+    }
+}
+
+impl Scene<'_> {
+    /// Samples in bursts around the clouds; of the bone's marker also from the touches to the end.
+    pub(super) fn markers(&self, tracker: &Tracker<'_>, n_laser: usize) -> Markers {
+        let burst_s = self.params.tracker.burst_s;
+        let burst = |s: f64| (s - burst_s, s + burst_s);
+        let scans: Vec<(f64, f64)> = (0..=n_laser).map(|k| burst(SCAN_S + k as f64 * LASER_EVERY_S)).collect();
+        let calibration = [burst(CALIBRATION_S)];
+        let camera_spans = [&calibration[..], &scans].concat();
+        let bone_spans = [&scans[..], &[(self.touches_s - 0.5, self.end_s())]].concat();
+        let on_camera = |_| self.t_camera_camera_marker;
+        let on_phantom = |_| self.t_phantom_phantom_marker;
+        let on_bone = |s: f64| self.t_ct_bone_marker_at(s);
+        Markers {
+            camera_marker: tracker.samples(Marker::Camera, &self.camera, on_camera, &camera_spans),
+            phantom_marker: tracker.samples(Marker::Phantom, &self.phantom_path, on_phantom, &calibration),
+            bone_marker: tracker.samples(Marker::Bone, &self.bone_path, on_bone, &bone_spans),
+        }
+    }
+
+    fn t_ct_bone_marker_at(&self, s: f64) -> Isometry3<f64> {
+        if s < self.touches_s - 0.5 { self.t_ct_bone_marker } else { self.t_ct_bone_marker_slipped }
+    }
+}
