@@ -16,21 +16,21 @@ use std::{
     sync::{Arc, OnceLock},
 };
 
-/// Of so many points one is kept in the thinned surface that a registration starts on.
-const THIN: usize = 32;
+/// The thinned target holds every 32nd point. A registration starts on it.
+const THINNED_EVERY: usize = 32;
 
-/// A surface of fewer points is not thinned.
+/// The thinned target holds at least this many points, if there are as many.
 const MIN_THINNED: usize = 2000;
 
-/// What a scan is registered onto: points in mm, their unit normals where known, and what finds the nearest of them.
+/// The surface that a scan is registered onto: points in mm, their unit normals where known, and an index for nearest points.
 ///
 /// May hold the mesh that the points were drawn from, and a closest-point field of it. A cheap handle: clones share
-/// everything, and what is needed for searching is built once, when first asked for or by [`Target::prepare`].
+/// everything. The index is built once, at the first search or by [`Target::prepare`].
 #[derive(Clone)]
 pub struct Target {
     /// The frame of the points.
     pub frame: Frame,
-    /// Where the surface comes from.
+    /// The origin of the surface.
     pub origin: SurfaceOrigin,
     points: Column<Point3<f64>>,
     normals: Option<Column<Vector3<f64>>>,
@@ -39,27 +39,27 @@ pub struct Target {
     index: Arc<OnceLock<Index>>,
 }
 
-/// Points that make no target.
+/// Why points make no target.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TargetError {
     /// There is no point.
     #[error("the target has no points; is the surface empty, or was nothing sampled from it?")]
     Empty,
-    /// There is not one normal for each point.
+    /// Normals and points differ in number.
     #[error("the target has {n_normals} normals for {n_points} points")]
     Normals {
-        /// The number of points.
+        /// Number of points.
         n_points: usize,
-        /// The number of normals.
+        /// Number of normals.
         n_normals: usize,
     },
     /// A point or normal is NaN or infinite.
     #[error("target point {index} is not finite; drop it before the target is prepared")]
     NotFinite {
-        /// The first such point.
+        /// Index of the first such point.
         index: usize,
     },
-    /// Stored cells are not those of the points.
+    /// A stored index is not that of the points.
     #[error("the target's stored index is damaged: {what}; prepare the target again")]
     Damaged {
         /// What is wrong.
@@ -102,7 +102,7 @@ impl Target {
         Self { mesh: Some(mesh), ..self }
     }
 
-    /// The mesh that the points were drawn from, where given.
+    /// The mesh that the points were drawn from, if given.
     pub fn mesh(&self) -> Option<&MeshQuery> {
         self.mesh.as_ref()
     }
@@ -112,28 +112,27 @@ impl Target {
         Self { field: Some(field), ..self }
     }
 
-    /// The closest-point field, where given.
+    /// The closest-point field, if given.
     pub fn field(&self) -> Option<&ClosestPointField> {
         self.field.as_ref()
     }
 
-    /// Builds now what registration with neighbour caching would build when first asked: the cells and the thinned surface.
+    /// Builds the index for `pairing = "cached"`: the cells and the thinned target.
     ///
     /// `O(n)`. See also [`Target::prepare_tree`].
     pub fn prepare(&self) {
         let index = self.index();
-        index.thin();
+        index.thinned();
         if let Some(normals) = &self.normals {
             index.normals.get_or_init(|| index.cells().items().iter().map(|&i| normals[i as usize]).collect());
         }
     }
 
     /// Normals in the order of the cells, if [`Target::prepare`] was called.
-    pub(crate) fn normals_along(&self) -> Option<&[Vector3<f64>]> {
+    pub(crate) fn cell_normals(&self) -> Option<&[Vector3<f64>]> {
         self.index().normals.get().map(Vec::as_slice)
     }
 
-    /// What finds the nearest of the points.
     pub(crate) fn index(&self) -> &Index {
         self.index.get_or_init(|| Index::new(&self.points))
     }
@@ -143,7 +142,7 @@ impl Target {
         &self.points
     }
 
-    /// Unit normals, one for each point, where known.
+    /// Unit normals, one for each point, if known.
     pub fn normals(&self) -> Option<&[Vector3<f64>]> {
         self.normals.as_deref()
     }
@@ -158,14 +157,14 @@ impl Target {
         self.normals.as_ref()
     }
 
-    /// Index and distance (mm) of the point nearest to `point`, if it is no farther than `max_mm`.
+    /// Index and distance (mm) of the point nearest to `point` within `max_mm`.
     pub fn nearest(&self, point: &Point3<f64>, max_mm: f64) -> Option<(usize, f64)> {
         let index = self.index();
         let (found, squared) = index.nearest(&(point - index.centre), max_mm).nearest?;
         Some((found as usize, squared.sqrt()))
     }
 
-    /// Builds now the tree of all points, which registration with `pairing = "tree"` and partners far away need.
+    /// Builds the kd-tree of all points, for `pairing = "tree"` and searches far from the surface.
     ///
     /// `O(n log n)`, on all threads of the current pool.
     pub fn prepare_tree(&self) {
@@ -188,9 +187,9 @@ impl fmt::Debug for Target {
     }
 }
 
-/// What finds the nearest of many points; positions are about their centroid, so that nothing is lost far from the origin.
+/// An index for nearest points. Positions are about the points' centroid, so that they are exact far from the origin.
 ///
-/// Each part is built when first asked for.
+/// Each structure is built at its first use.
 pub(crate) struct Index {
     pub(crate) centre: Point3<f64>,
     points: Column<Point3<f64>>,
@@ -198,11 +197,11 @@ pub(crate) struct Index {
     cells: OnceLock<Cells>,
     /// In the order of the cells.
     normals: OnceLock<Vec<Vector3<f64>>>,
-    thin: OnceLock<Subset>,
+    thinned: OnceLock<Subset>,
     tree: OnceLock<Nearest>,
 }
 
-/// Some of the points, and a tree over them.
+/// A subset of the points in a kd-tree.
 pub(crate) struct Subset {
     items: Vec<u32>,
     tree: Nearest,
@@ -210,8 +209,8 @@ pub(crate) struct Subset {
 
 impl Index {
     pub(crate) fn new(points: &Column<Point3<f64>>) -> Self {
-        let (cell_mm, cells, normals, thin, tree) = Default::default();
-        Self { centre: centroid(points), points: points.clone(), cell_mm, cells, normals, thin, tree }
+        let (cell_mm, cells, normals, thinned, tree) = Default::default();
+        Self { centre: centroid(points), points: points.clone(), cell_mm, cells, normals, thinned, tree }
     }
 
     fn with_cells(self, cells: Cells, cell_mm: f64) -> Self {
@@ -228,7 +227,7 @@ impl Index {
         self.points[item] - self.centre
     }
 
-    /// The edge of the cells, mm: somewhat more than the spacing of the points.
+    /// The edge of the cells, mm: a little more than the spacing of the points.
     pub(crate) fn cell_mm(&self) -> f64 {
         *self.cell_mm.get_or_init(|| cell_mm(&self.points, &self.centre))
     }
@@ -237,27 +236,27 @@ impl Index {
         self.cells.get_or_init(|| Cells::new(&self.points, &self.centre, self.cell_mm()))
     }
 
-    /// The tree over all points, about the centre.
+    /// The kd-tree of all points, about the centre.
     pub(crate) fn tree(&self) -> &Nearest {
         self.tree.get_or_init(|| Nearest::about(&self.centre, self.points.iter().copied()))
     }
 
-    /// The nearest point no farther than `limit_mm` from `query`, which is about the centre.
+    /// The nearest point within `limit_mm` of `query`, which is about the centre.
     #[inline]
     pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64) -> Nearby {
         let close = self.cells().nearest(query, limit_mm, All);
         close.unwrap_or_else(|| Nearby::within(limit_mm, self.tree().nearest(&Point3::from(*query))))
     }
 
-    /// A few of the points, evenly spread.
-    pub(crate) fn thin(&self) -> &Subset {
-        self.thin.get_or_init(|| {
-            let every = (self.len() / MIN_THINNED).clamp(1, THIN);
+    /// The thinned target, evenly spread.
+    pub(crate) fn thinned(&self) -> &Subset {
+        self.thinned.get_or_init(|| {
+            let every = (self.len() / MIN_THINNED).clamp(1, THINNED_EVERY);
             self.subset(self.cells().items().iter().copied().step_by(every).collect())
         })
     }
 
-    /// These of the points.
+    /// A kd-tree of these points.
     pub(crate) fn subset(&self, items: Vec<u32>) -> Subset {
         let tree = Nearest::about(&self.centre, items.iter().map(|&i| self.points[i as usize]));
         Subset { items, tree }
@@ -265,12 +264,12 @@ impl Index {
 }
 
 impl Subset {
-    /// Their indices among all points.
+    /// The points' indices among all points.
     pub(crate) fn items(&self) -> &[u32] {
         &self.items
     }
 
-    /// Index among all points and squared distance (mm²) of the nearest of them.
+    /// Index among all points and squared distance (mm²) of the nearest point of the subset.
     pub(crate) fn nearest(&self, query: &Vector3<f64>) -> Option<(usize, f64)> {
         let (found, square) = self.tree.nearest(&Point3::from(*query))?;
         Some((self.items[found] as usize, square))

@@ -1,14 +1,14 @@
-//! One registration at one level: everything but the pose.
+//! The least-squares problem at one level: finds correspondences and builds the normal equations.
 
 use super::IcpError;
-use super::acceleration::State;
-use super::pairing::{Known, Pairing};
+use super::normal_equations::NormalEquations;
+use super::pairing::{Correspondence, Pairing};
 use super::params::IcpParams;
 use super::report::IcpStep;
 use super::residual::{Pair, Residual};
-use super::source::Prepared;
-use super::sums::Sums;
-use super::surface::Surface;
+use super::source::PreparedSource;
+use super::state::State;
+use super::visible_surface::VisibleSurface;
 use super::weights::Weights;
 use crate::cells::{All, Cells};
 use nalgebra::{Rotation3, Vector3};
@@ -18,27 +18,28 @@ use std::marker::PhantomData;
 /// Points summed by one task; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 512;
 
-/// One registration at one level of the source.
+/// The registration of one subset of the source.
 pub(super) struct Problem<'a, R> {
-    pub(super) surface: &'a Surface<'a>,
+    pub(super) surface: &'a VisibleSurface<'a>,
     pub(super) pairing: &'a dyn Pairing,
     pub(super) params: &'a IcpParams,
-    /// Every so many source points take part.
+    /// The subset is every n-th source point.
     pub(super) every: u32,
-    pub(super) source: Prepared,
-    /// To look partners up in the source in turn, where asked for.
-    pub(super) back: Option<&'a Cells>,
+    pub(super) source: PreparedSource,
+    /// The source points in a grid, for reciprocal correspondences.
+    pub(super) reciprocal: Option<&'a Cells>,
     residual: PhantomData<R>,
 }
 
-/// What is kept from one pairing to the next.
-pub(super) struct Partners {
-    known: Vec<Known>,
+/// The correspondences of all source points, cached from one linearisation to the next.
+pub(super) struct Correspondences {
+    pairs: Vec<Correspondence>,
+    /// Squared residuals, mm²; infinite for points without a pair.
     squares: Vec<f64>,
 }
 
-impl Partners {
-    /// Mean residual of those that were found, mm.
+impl Correspondences {
+    /// Mean residual of the pairs, mm.
     pub(super) fn mean_mm(&self) -> f64 {
         let found = self.squares.iter().filter(|square| square.is_finite());
         let (n, sum) = found.fold((0, 0.0), |(n, sum), square| (n + 1, sum + square.sqrt()));
@@ -48,90 +49,92 @@ impl Partners {
 
 impl<'a, R: Residual> Problem<'a, R> {
     pub(super) fn new(
-        surface: &'a Surface<'a>,
+        surface: &'a VisibleSurface<'a>,
         pairing: &'a dyn Pairing,
         params: &'a IcpParams,
         every: u32,
-        source: Prepared,
-        back: Option<&'a Cells>,
+        source: PreparedSource,
+        reciprocal: Option<&'a Cells>,
     ) -> Self {
-        Self { surface, pairing, params, every, source, back, residual: PhantomData }
+        Self { surface, pairing, params, every, source, reciprocal, residual: PhantomData }
     }
 
-    pub(super) fn partners(&self) -> Partners {
-        let n = self.source.arms.len();
-        Partners { known: vec![Known::NOTHING; n], squares: vec![f64::INFINITY; n] }
+    /// One empty correspondence for each source point.
+    pub(super) fn correspondences(&self) -> Correspondences {
+        let n = self.source.points.len();
+        Correspondences { pairs: vec![Correspondence::NONE; n], squares: vec![f64::INFINITY; n] }
     }
 
-    /// Pairs every source point at `state`, and sums over the pairs with these weights; with `shrink` these are first
-    /// narrowed to what the residuals tell.
-    pub(super) fn pair(
+    /// Finds the correspondences at `state` and builds the normal equations. With `narrow` the weights are first narrowed
+    /// to the residuals found.
+    pub(super) fn linearize(
         &self,
         state: &State,
-        partners: &mut Partners,
+        correspondences: &mut Correspondences,
         weights: &mut Weights,
-        shrink: bool,
-    ) -> Result<Sums, IcpError> {
-        let at = At::new(state, self.surface);
-        // Residuals decide the weights first.
-        let two_passes = shrink || self.params.trim_fraction > 0.0;
-        let mut sums: Vec<Sums> = Vec::new();
-        partners
-            .known
+        narrow: bool,
+    ) -> Result<NormalEquations, IcpError> {
+        let pose = LocalPose::new(state, self.surface);
+        // Weights that depend on all residuals need a second pass.
+        let two_passes = narrow || self.params.trim_fraction > 0.0;
+        let mut chunks: Vec<NormalEquations> = Vec::new();
+        correspondences
+            .pairs
             .par_chunks_mut(CHUNK)
-            .zip(partners.squares.par_chunks_mut(CHUNK))
+            .zip(correspondences.squares.par_chunks_mut(CHUNK))
             .enumerate()
-            .map(|(chunk, (known, squares))| {
+            .map(|(chunk, (pairs, squares))| {
                 let first = chunk * CHUNK;
-                for (k, (known, square)) in known.iter_mut().zip(squares.iter_mut()).enumerate() {
-                    *square = self.find(&at, first + k, weights.reach_mm, known);
+                for (k, (pair, square)) in pairs.iter_mut().zip(squares.iter_mut()).enumerate() {
+                    *square = self.find(&pose, first + k, weights.search_radius_mm, pair);
                 }
-                if two_passes { Sums::ZERO } else { self.sum(&at, first, known, squares, weights) }
+                if two_passes { NormalEquations::ZERO } else { self.sum(&pose, first, pairs, squares, weights) }
             })
-            .collect_into_vec(&mut sums);
+            .collect_into_vec(&mut chunks);
         if two_passes {
-            return self.weigh(state, partners, weights, shrink);
+            return self.reweight(state, correspondences, weights, narrow);
         }
-        self.total(state, &sums)
+        self.total(state, &chunks)
     }
 
-    /// Sums over the pairs that [`pair`](Self::pair) found at `state`; with `shrink` under weights that are first narrowed.
-    pub(super) fn weigh(
+    /// Builds the normal equations of the correspondences that [`linearize`](Self::linearize) found at `state`. With
+    /// `narrow` the weights are first narrowed to their residuals.
+    pub(super) fn reweight(
         &self,
         state: &State,
-        partners: &Partners,
+        correspondences: &Correspondences,
         weights: &mut Weights,
-        shrink: bool,
-    ) -> Result<Sums, IcpError> {
-        if shrink {
-            weights.shrink(&partners.squares, self.params, 2.0 * self.surface.index.cell_mm());
+        narrow: bool,
+    ) -> Result<NormalEquations, IcpError> {
+        if narrow {
+            weights.narrow(&correspondences.squares, self.params, 2.0 * self.surface.index.cell_mm());
         }
-        weights.worst_square = self.worst(&partners.squares);
-        let at = At::new(state, self.surface);
-        let mut sums: Vec<Sums> = Vec::new();
-        partners
-            .known
+        weights.trim_square = self.trim_square(&correspondences.squares);
+        let pose = LocalPose::new(state, self.surface);
+        let mut chunks: Vec<NormalEquations> = Vec::new();
+        correspondences
+            .pairs
             .par_chunks(CHUNK)
-            .zip(partners.squares.par_chunks(CHUNK))
+            .zip(correspondences.squares.par_chunks(CHUNK))
             .enumerate()
-            .map(|(chunk, (known, squares))| self.sum(&at, chunk * CHUNK, known, squares, weights))
-            .collect_into_vec(&mut sums);
-        self.total(state, &sums)
+            .map(|(chunk, (pairs, squares))| self.sum(&pose, chunk * CHUNK, pairs, squares, weights))
+            .collect_into_vec(&mut chunks);
+        self.total(state, &chunks)
     }
 
-    fn total(&self, state: &State, sums: &[Sums]) -> Result<Sums, IcpError> {
-        let sums = sums.iter().fold(Sums::ZERO, Sums::add);
+    fn total(&self, state: &State, chunks: &[NormalEquations]) -> Result<NormalEquations, IcpError> {
+        let total = chunks.iter().fold(NormalEquations::ZERO, NormalEquations::add);
         let min_pairs = self.params.min_pairs.max(3) as usize;
-        if sums.n < min_pairs {
-            return Err(self.too_few(state, sums.n, min_pairs));
+        if total.n_pairs < min_pairs {
+            return Err(self.too_few_pairs(state, total.n_pairs, min_pairs));
         }
-        Ok(sums)
+        Ok(total)
     }
 
-    /// A step as its observer sees it: from `state`, where these sums were found.
+    /// The step from `state` to `next` for the observer; the equations are those at `state`.
     pub(super) fn step(
         &self,
-        sums: &Sums,
+        equations: &NormalEquations,
         state: &State,
         next: &State,
         step_mm: f64,
@@ -140,32 +143,34 @@ impl<'a, R: Residual> Problem<'a, R> {
         IcpStep {
             iteration: 0,
             every: self.every,
-            n_pairs: sums.n,
-            rms_mm: sums.rms_mm(),
+            n_pairs: equations.n_pairs,
+            rms_mm: equations.rms_mm(),
             step_mm,
             step_rad: next.rotation.angle_to(&state.rotation),
             remaining_mm,
             accelerated: false,
-            t_target_source: next.isometry(&self.source.centre),
+            t_target_source: next.isometry(&self.source.centroid),
         }
     }
 
-    /// Mean cost of a source point, mm²: what the steps bring down.
-    pub(super) fn energy(&self, sums: &Sums) -> f64 {
-        sums.cost / self.source.arms.len() as f64
+    /// Mean cost of a source point, mm²: the objective.
+    pub(super) fn mean_cost(&self, equations: &NormalEquations) -> f64 {
+        equations.cost / self.source.points.len() as f64
     }
 
-    /// Finds the partner of a source point; its squared residual, infinite where there is none.
+    /// Finds the correspondence of a source point; its squared residual, infinite if there is none.
     #[inline]
-    fn find(&self, at: &At, i: usize, reach_mm: f64, known: &mut Known) -> f64 {
-        let arm = at.rotation * self.source.arms[i];
-        let moved = at.centre + arm;
-        self.pairing.find(&moved, reach_mm, known);
-        if !known.is_some() {
+    fn find(&self, pose: &LocalPose, i: usize, radius_mm: f64, correspondence: &mut Correspondence) -> f64 {
+        let source = pose.rotation * self.source.points[i];
+        let moved = pose.centroid + source;
+        self.pairing.find(&moved, radius_mm, correspondence);
+        if !correspondence.is_some() {
             return f64::INFINITY;
         }
-        let pair = self.as_pair(at, i, &arm, known);
-        if self.agree(&pair) && self.back.is_none_or(|cells| self.goes_back(at, cells, i, known)) {
+        let pair = self.pair(pose, i, &source, correspondence);
+        if self.normals_agree(&pair)
+            && self.reciprocal.is_none_or(|grid| self.is_reciprocal(pose, grid, i, correspondence))
+        {
             R::square(&pair)
         } else {
             f64::INFINITY
@@ -173,65 +178,76 @@ impl<'a, R: Residual> Problem<'a, R> {
     }
 
     #[inline]
-    fn as_pair(&self, at: &At, i: usize, arm: &Vector3<f64>, known: &Known) -> Pair {
+    fn pair(&self, pose: &LocalPose, i: usize, source: &Vector3<f64>, correspondence: &Correspondence) -> Pair {
         let mut source_normal = Vector3::zeros();
         if let Some(normals) = &self.source.normals {
-            source_normal = at.rotation * normals[i];
-            if source_normal.dot(&known.normal) < 0.0 {
+            source_normal = pose.rotation * normals[i];
+            if source_normal.dot(&correspondence.normal) < 0.0 {
                 source_normal = -source_normal;
             }
         }
-        Pair { arm: *arm, gap: arm - (known.target - at.centre), normal: known.normal, source_normal }
+        Pair {
+            source: *source,
+            difference: source - (correspondence.target - pose.centroid),
+            normal: correspondence.normal,
+            source_normal,
+        }
     }
 
-    /// Whether the normals of a pair agree as far as asked for.
     #[inline]
-    fn agree(&self, pair: &Pair) -> bool {
+    fn normals_agree(&self, pair: &Pair) -> bool {
         let limit_deg = self.params.max_normal_angle_deg;
         limit_deg >= 180.0 || pair.normal.dot(&pair.source_normal) >= limit_deg.to_radians().cos()
     }
 
-    /// Whether the source point is the nearest of all to its partner.
-    fn goes_back(&self, at: &At, cells: &Cells, i: usize, known: &Known) -> bool {
-        let partner = at.rotation.inverse() * (known.target - at.centre);
-        let own = (partner - self.source.arms[i]).norm();
-        // Found within its own distance, so only a nearer one can contradict.
-        match cells.nearest(&partner, own, All) {
+    /// Whether the source point is the nearest source point to its target point.
+    fn is_reciprocal(&self, pose: &LocalPose, grid: &Cells, i: usize, correspondence: &Correspondence) -> bool {
+        let target = pose.rotation.inverse() * (correspondence.target - pose.centroid);
+        let own = (target - self.source.points[i]).norm();
+        // The search radius is its own distance, so only a nearer point can contradict.
+        match grid.nearest(&target, own, All) {
             Some(found) => found.nearest.is_none_or(|(_, square)| square >= own * own * (1.0 - 1e-12)),
             None => false,
         }
     }
 
-    fn sum(&self, at: &At, first: usize, known: &[Known], squares: &[f64], weights: &Weights) -> Sums {
-        let mut sums = Sums::ZERO;
-        for (k, (known, &square)) in known.iter().zip(squares).enumerate() {
+    fn sum(
+        &self,
+        pose: &LocalPose,
+        first: usize,
+        correspondences: &[Correspondence],
+        squares: &[f64],
+        weights: &Weights,
+    ) -> NormalEquations {
+        let mut equations = NormalEquations::ZERO;
+        for (k, (correspondence, &square)) in correspondences.iter().zip(squares).enumerate() {
             if square == f64::INFINITY {
-                sums.cost += weights.unpaired();
+                equations.cost += weights.unpaired_cost();
                 continue;
             }
-            let (mut weight, cost) = weights.of(square);
-            sums.cost += cost;
+            let (mut weight, cost) = weights.weight_and_cost(square);
+            equations.cost += cost;
             if weight == 0.0 {
                 continue;
             }
-            let arm = at.rotation * self.source.arms[first + k];
-            let pair = self.as_pair(at, first + k, &arm, known);
+            let source = pose.rotation * self.source.points[first + k];
+            let pair = self.pair(pose, first + k, &source, correspondence);
             if self.params.incidence_weights
-                && let Some(sight) = self.surface.sight(&known.target)
+                && let Some(sight) = self.surface.sight(&correspondence.target)
             {
-                weight *= sight.normalize().dot(&known.normal).powi(2);
+                weight *= sight.normalize().dot(&correspondence.normal).powi(2);
             }
-            sums.n += 1;
-            sums.weight += weight;
-            sums.squares += weight * square;
-            sums.point_squares += weight * pair.gap.norm_squared();
-            R::add(&pair, weight, self.source.lever_arm_mm, &mut sums);
+            equations.n_pairs += 1;
+            equations.weight += weight;
+            equations.squares += weight * square;
+            equations.point_squares += weight * pair.difference.norm_squared();
+            R::accumulate(&pair, weight, self.source.lever_arm_mm, &mut equations);
         }
-        sums
+        equations
     }
 
     /// The largest squared residual that is not trimmed.
-    fn worst(&self, squares: &[f64]) -> f64 {
+    fn trim_square(&self, squares: &[f64]) -> f64 {
         let mut squares: Vec<f64> = squares.iter().copied().filter(|s| s.is_finite()).collect();
         let used = ((1.0 - self.params.trim_fraction) * squares.len() as f64).ceil() as usize;
         if used == 0 || used >= squares.len() {
@@ -240,30 +256,30 @@ impl<'a, R: Residual> Problem<'a, R> {
         *squares.select_nth_unstable_by(used - 1, f64::total_cmp).1
     }
 
-    fn too_few(&self, state: &State, n_pairs: usize, min_pairs: usize) -> IcpError {
-        let at = At::new(state, self.surface);
-        let nearest = |arm: &Vector3<f64>| {
-            let found = self.surface.nearest(&(at.centre + at.rotation * arm), f64::MAX.sqrt());
+    fn too_few_pairs(&self, state: &State, n_pairs: usize, min_pairs: usize) -> IcpError {
+        let pose = LocalPose::new(state, self.surface);
+        let nearest = |point: &Vector3<f64>| {
+            let found = self.surface.nearest(&(pose.centroid + pose.rotation * point), f64::MAX.sqrt());
             found.nearest.map_or(f64::INFINITY, |(_, square)| square)
         };
         IcpError::TooFewPairs {
             n_pairs,
             min_pairs,
-            n_source: self.source.arms.len(),
+            n_source: self.source.points.len(),
             max_pair_distance_mm: self.params.max_pair_distance_mm,
-            nearest_mm: self.source.arms.iter().map(nearest).fold(f64::INFINITY, f64::min).sqrt(),
+            nearest_mm: self.source.points.iter().map(nearest).fold(f64::INFINITY, f64::min).sqrt(),
         }
     }
 }
 
-/// A pose as a pairing needs it: about the centre of the target's index.
-struct At {
+/// A state about the centre of the target's index.
+struct LocalPose {
     rotation: Rotation3<f64>,
-    centre: Vector3<f64>,
+    centroid: Vector3<f64>,
 }
 
-impl At {
-    fn new(state: &State, surface: &Surface<'_>) -> Self {
-        Self { rotation: state.rotation.to_rotation_matrix(), centre: state.centre - surface.index.centre }
+impl LocalPose {
+    fn new(state: &State, surface: &VisibleSurface<'_>) -> Self {
+        Self { rotation: state.rotation.to_rotation_matrix(), centroid: state.centroid - surface.index.centre }
     }
 }

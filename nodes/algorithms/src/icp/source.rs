@@ -1,4 +1,4 @@
-//! What moves.
+//! The surface that moves.
 
 use crate::kabsch::centroid;
 use crate::morton;
@@ -6,11 +6,11 @@ use crate::normals;
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::Cloud;
 
-/// What moves: the points of a scan, mm; their normals, where known; and where the camera that took it stood, where known.
+/// The points of a scan, mm, with their normals and the position of the camera where known.
 ///
-/// Made from a slice of points or from a [`Cloud`], whose normals and viewpoint it takes. With a camera, points pair only
-/// with the side of the target that faces it: a scan that starts some millimetres deep in a thin bone would else be drawn
-/// to the far side. A cloud merged from several views has no viewpoint, and pairs with all of the target.
+/// Made from a slice of points or from a [`Cloud`] with its normals and viewpoint. With a camera, points pair only with the
+/// side of the target that faces it: otherwise a scan that starts some millimetres deep in a thin bone could pair with the
+/// far side. A cloud merged from several views has no viewpoint, and pairs with all of the target.
 #[derive(Debug, Clone, Copy)]
 pub struct Source<'a> {
     pub(super) points: &'a [Point3<f64>],
@@ -19,7 +19,7 @@ pub struct Source<'a> {
 }
 
 impl<'a> Source<'a> {
-    /// Points taken by a camera that stood at `camera`, mm, in the points' frame.
+    /// Points taken by a camera at `camera`, mm, in the points' frame.
     pub fn seen_from(points: &'a [Point3<f64>], camera: Point3<f64>) -> Self {
         Self { points, normals: None, camera: Some(camera) }
     }
@@ -51,35 +51,35 @@ impl<'a> From<&'a Cloud> for Source<'a> {
 
 /// Source points about their centroid, along a space-filling curve.
 #[derive(Clone)]
-pub(super) struct Prepared {
-    pub(super) centre: Point3<f64>,
-    pub(super) arms: Vec<Vector3<f64>>,
+pub(super) struct PreparedSource {
+    pub(super) centroid: Point3<f64>,
+    pub(super) points: Vec<Vector3<f64>>,
     pub(super) normals: Option<Vec<Vector3<f64>>>,
     /// RMS distance of the points from the centroid, mm.
     pub(super) lever_arm_mm: f64,
 }
 
-impl Prepared {
-    /// Orders finite points; with their normals, given or estimated, if these are needed.
+impl PreparedSource {
+    /// Sorts finite points, with their normals, given or estimated, if they are needed.
     pub(super) fn new(source: &Source<'_>, with_normals: bool) -> Self {
         let order = morton::order(source.points);
-        let points: Vec<Point3<f64>> = order.iter().map(|&i| source.points[i as usize]).collect();
-        let centre = centroid(&points);
-        let arms: Vec<Vector3<f64>> = points.iter().map(|p| p - centre).collect();
-        let squares: f64 = arms.iter().map(Vector3::norm_squared).sum();
+        let sorted: Vec<Point3<f64>> = order.iter().map(|&i| source.points[i as usize]).collect();
+        let centroid = centroid(&sorted);
+        let points: Vec<Vector3<f64>> = sorted.iter().map(|p| p - centroid).collect();
+        let squares: f64 = points.iter().map(Vector3::norm_squared).sum();
         // Points in one place have no lever arm; any length does, as no turn moves them.
-        let lever_arm_mm = Some((squares / arms.len() as f64).sqrt()).filter(|l| *l > 0.0).unwrap_or(1.0);
+        let lever_arm_mm = Some((squares / points.len() as f64).sqrt()).filter(|l| *l > 0.0).unwrap_or(1.0);
         let normals = with_normals.then(|| match source.normals {
             Some(normals) => order.iter().map(|&i| normals[i as usize]).collect(),
-            None => normals::without_side(&arms),
+            None => normals::without_side(&points),
         });
-        Self { centre, arms, normals, lever_arm_mm }
+        Self { centroid, points, normals, lever_arm_mm }
     }
 
-    /// Every n-th of the points, about the same centroid.
+    /// Every n-th point, about the same centroid.
     pub(super) fn every(&self, n: usize) -> Self {
-        let arms = self.arms.iter().copied().step_by(n).collect();
+        let points = self.points.iter().copied().step_by(n).collect();
         let normals = self.normals.as_ref().map(|normals| normals.iter().copied().step_by(n).collect());
-        Self { arms, normals, ..*self }
+        Self { points, normals, ..*self }
     }
 }

@@ -1,22 +1,22 @@
-//! When to stop.
+//! Convergence tests.
 
 use super::params::IcpParams;
 use serde::{Deserialize, Serialize};
 
-/// A crawl leaves at most so many steps out of sight.
+/// Upper bound on the contraction rate: at most 1000 further steps of the last length are assumed.
 const MAX_RATE: f64 = 0.999;
 
-/// A crawl that is hurried along is taken for no slower than this.
-const CRAWL: f64 = 0.9;
+/// Upper bound on the contraction rate assumed after an extrapolated step.
+const MAX_EXTRAPOLATED_RATE: f64 = 0.9;
 
-/// What a step is taken to leave where no step before tells: half of itself.
+/// Contraction rate assumed before there are two steps.
 const UNKNOWN_RATE: f64 = 0.5;
 
 /// Why an ICP stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StopReason {
-    /// The way still to go is shorter than `stop_step_mm`, and the last turn smaller than `stop_step_rad`.
+    /// The remaining distance is below `stop_step_mm` and the last turn below `stop_step_rad`.
     Step,
     /// The residual changed by less than `stop_residual_mm`.
     Residual,
@@ -24,61 +24,64 @@ pub enum StopReason {
     Iterations,
     /// `stop_after_ms` were used up.
     Time,
-    /// No step lowers the residual any more, although the way still to go is not short.
+    /// No step lowers the residual any more, although the remaining distance is not below `stop_step_mm`.
     Stalled,
-    /// The observer broke it off.
+    /// The observer stopped it.
     Cancelled,
 }
 
-/// A rule of stopping, and how near it was at the end.
+/// A stop rule, and how near it was at the end.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StopRule {
     /// Its parameter.
     pub parameter: String,
-    /// What it stops below, or at for `max_iterations` and `stop_after_ms`; 0: never.
+    /// It stops below this limit, or at it for `max_iterations` and `stop_after_ms`; 0: never.
     pub limit: f64,
-    /// What was last compared with it; none where it was not looked at.
+    /// The value last compared with the limit; none if it was not compared.
     pub last: Option<f64>,
     /// Whether it was met.
     pub met: bool,
 }
 
-/// Follows the lengths of steps.
+/// Contraction rate of the steps, and the distance to the limit of their geometric series.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Pace {
+pub(super) struct ConvergenceRate {
     last_mm: Option<f64>,
     rate: Option<f64>,
-    /// The slowest rate at which steps shrank before something hurried them.
-    crawl: f64,
+    /// Lower bound on the rate, from extrapolated steps.
+    least_rate: f64,
 }
 
-impl Pace {
-    /// Steps shrink no faster than at this rate, whatever hurries the next ones.
-    pub(super) fn crawls(&mut self, rate: f64) {
-        self.crawl = self.crawl.max(rate.min(CRAWL));
+impl ConvergenceRate {
+    /// Sets a lower bound on the rate: steps shortened by an extrapolation do not show it.
+    pub(super) fn at_least(&mut self, rate: f64) {
+        self.least_rate = self.least_rate.max(rate.min(MAX_EXTRAPOLATED_RATE));
     }
 
-    /// The way still to go before a step of this length: `step / (1 - rate)`, with the rate at which steps shrink.
-    /// None while steps grow: nothing tells then.
+    /// The remaining distance before a step of this length, `step / (1 - rate)`; `None` while steps grow.
     pub(super) fn remaining_mm(&mut self, step_mm: f64) -> Option<f64> {
         if let Some(last) = self.last_mm.replace(step_mm).filter(|l| *l > 0.0) {
             self.rate = Some(step_mm / last);
         }
-        self.left_mm(step_mm)
+        self.before_mm(step_mm)
     }
 
-    /// The way still to go after the last step of this length has been taken, too.
-    pub(super) fn left_after_mm(&self, step_mm: f64) -> Option<f64> {
-        self.left_mm(step_mm).map(|left| left * self.rate.unwrap_or(UNKNOWN_RATE).max(self.crawl))
+    /// The remaining distance after a step of this length.
+    pub(super) fn remaining_after_mm(&self, step_mm: f64) -> Option<f64> {
+        self.before_mm(step_mm).map(|remaining| remaining * self.rate())
     }
 
-    fn left_mm(&self, step_mm: f64) -> Option<f64> {
-        let rate = self.rate.unwrap_or(UNKNOWN_RATE).max(self.crawl);
+    fn before_mm(&self, step_mm: f64) -> Option<f64> {
+        let rate = self.rate();
         (rate < 1.0 || step_mm == 0.0).then(|| if step_mm == 0.0 { 0.0 } else { step_mm / (1.0 - rate.min(MAX_RATE)) })
+    }
+
+    fn rate(&self) -> f64 {
+        self.rate.unwrap_or(UNKNOWN_RATE).max(self.least_rate)
     }
 }
 
-/// The rules and how they ended.
+/// The stop rules of a registration that ended for `reason`.
 pub(super) fn rules(
     params: &IcpParams,
     reason: StopReason,

@@ -1,145 +1,145 @@
-//! How much a pair counts.
+//! Robust weights: a gate, a kernel and trimming.
 
 use super::params::{IcpParams, Kernel};
 
-/// Of a Gaussian's absolute values a quarter lies below this many standard deviations.
+/// A quarter of a Gaussian's absolute values are below this many standard deviations.
 const QUARTER_SIGMAS: f64 = 0.318_639_363_964_375_15;
 
-/// Steps shorter than this share of the spread do not change it.
+/// Steps shorter than this share of the scale do not change it.
 const SETTLED: f64 = 0.1;
 
-/// The gate on the way keeps this share of all points at full weight.
+/// Share of all points that keeps full weight on a level before the last.
 const BETTER_HALF: f64 = 0.45;
 
-/// Of a Gaussian's absolute values that share lies below this many standard deviations.
+/// That share of a Gaussian's absolute values is below this many standard deviations.
 const BETTER_HALF_SIGMAS: f64 = 0.597_760_126_042_478;
 
-/// On the way partners are those of a thinned target or of few points, and rougher by this factor than the noise.
-const ON_THE_WAY: f64 = 1.5;
+/// Factor on the noise before the last level, where the target is thinned or the source is sparse.
+const SPARSE_NOISE: f64 = 1.5;
 
-/// On the way full weight reaches to this share of the gate, from where it falls.
+/// Share of the gate with full weight before the last level; the weight falls from there to the gate.
 const FLAT: f64 = 2.0 / 3.0;
 
-/// On the last level it reaches farther: where noise alone meets the fall, a pose that little holds has several places of
-/// rest.
+/// Share of the gate with full weight on the last level. Larger than [`FLAT`]: where noise alone reaches the falling part, an
+/// ill-conditioned pose has several stationary points.
 const FLAT_AT_LAST: f64 = 0.85;
 
-/// The last level looks for partners beyond the gate that the spread so far gives by this factor: it may find more.
-const WIDER: f64 = 2.0;
+/// The last level searches beyond the gate of the scale so far by this factor, as its scale may be larger.
+const SEARCH_MARGIN: f64 = 2.0;
 
-/// At most so many residuals are asked for a spread, evenly along the curve: it then errs by a hundredth.
-const ASKED: usize = 5000;
+/// Most residuals used to estimate a scale, evenly along the curve: its standard error is then 1 %.
+const MAX_SAMPLED: usize = 5000;
 
-/// Residuals within so many spreads are taken for the bone's when the spread is taken again.
+/// Residuals within this many scales are taken for inliers when the scale is refined.
 const INNER_SIGMAS: f64 = 4.0;
 
-/// And so often at most.
-const ROUNDS: u32 = 5;
+/// Most refinements of a scale.
+const MAX_REFINEMENTS: u32 = 5;
 
-/// Of a Gaussian's absolute values half lie below this many standard deviations.
+/// Half of a Gaussian's absolute values are below this many standard deviations.
 const MEDIAN_SIGMAS: f64 = 0.674_489_750_196_081_7;
 
-/// Constants of the kernels, in standard deviations, at which they are 95 % as efficient as least squares on Gaussian
-/// noise. Source: Holland and Welsch 1977.
+/// Tuning constants of the kernels, in standard deviations, for an efficiency of 95 % on Gaussian noise. Source: Holland and
+/// Welsch 1977.
 const HUBER: f64 = 1.345;
 const TUKEY: f64 = 4.685;
 const WELSCH: f64 = 2.985;
 
-/// The weight of a pair by its squared residual: a reach that shrinks as the pose gets better, and a kernel.
+/// The weight of a pair by its squared residual. Gate and scale only ever narrow within a level.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Weights {
     kernel: Kernel,
-    /// The spread of the residuals, mm; infinite until known.
+    /// Robust standard deviation of the inliers' residuals, mm; infinite until estimated.
     scale_mm: f64,
-    /// No residual beyond counts, mm; full weight up to a share of it.
+    /// Residuals beyond have no weight, mm.
     gate_mm: f64,
-    /// No pair farther apart is looked for, mm.
-    pub(super) reach_mm: f64,
+    /// Correspondences are searched within this distance, mm.
+    pub(super) search_radius_mm: f64,
     /// Squared residuals above this are trimmed, mm².
-    pub(super) worst_square: f64,
-    last: bool,
+    pub(super) trim_square: f64,
+    is_last: bool,
 }
 
 impl Weights {
-    /// Every pair no farther than `reach_mm` counts fully.
-    pub(super) fn open(params: &IcpParams, reach_mm: f64) -> Self {
+    /// Full weight for every pair within `search_radius_mm`.
+    pub(super) fn open(params: &IcpParams, search_radius_mm: f64) -> Self {
         Self {
             kernel: params.kernel,
             scale_mm: f64::INFINITY,
             gate_mm: f64::INFINITY,
-            last: false,
-            reach_mm,
-            worst_square: f64::INFINITY,
+            is_last: false,
+            search_radius_mm,
+            trim_square: f64::INFINITY,
         }
     }
 
-    /// The same for the last level: the spread is to be learnt anew from all points, and the gate is as wide as asked for.
+    /// Open weights for the last level, which estimates its scale anew from all points; the scale so far only limits the
+    /// search radius.
     pub(super) fn for_last(self, params: &IcpParams, slack_mm: f64) -> Self {
-        // Infinite where no level came before.
-        let reach_mm = params.gate_sigmas * WIDER * self.scale_mm + slack_mm;
-        let gated = params.gate_sigmas > 0.0 && reach_mm < params.max_pair_distance_mm;
-        Self { last: true, ..Self::open(params, if gated { reach_mm } else { params.max_pair_distance_mm }) }
+        // Infinite if there was no level before.
+        let radius_mm = params.gate_sigmas * SEARCH_MARGIN * self.scale_mm + slack_mm;
+        let gated = params.gate_sigmas > 0.0 && radius_mm < params.max_pair_distance_mm;
+        Self { is_last: true, ..Self::open(params, if gated { radius_mm } else { params.max_pair_distance_mm }) }
     }
 
-    /// Narrows to what the squared residuals of all source points tell, infinite for those without a partner; never
-    /// widens, so that weights cannot swing to and fro.
+    /// Narrows scale and gate to the squared residuals of all source points, infinite for those without a pair. Never
+    /// widens, so that weights cannot oscillate.
     ///
-    /// On the way the gate lies just beyond the better half of the points: with up to half of them off the bone, these
-    /// still lie on it. On the last level the spread is first taken from the better quarter, then from all points
-    /// within the gate until both agree.
-    pub(super) fn shrink(&mut self, squares: &[f64], params: &IcpParams, slack_mm: f64) {
+    /// Before the last level the gate is just beyond the better half of the points, which are bone even if up to half of all
+    /// points are not. On the last level the scale starts from the better quarter and is refined over the inliers.
+    pub(super) fn narrow(&mut self, squares: &[f64], params: &IcpParams, slack_mm: f64) {
         if (params.gate_sigmas == 0.0 && self.kernel == Kernel::None) || squares.is_empty() {
             return;
         }
-        let mut some: Vec<f64> = squares.iter().copied().step_by(squares.len().div_ceil(ASKED)).collect();
-        let squares = &mut some[..];
-        let (scale_mm, gate_mm) = match self.last {
+        let mut sampled: Vec<f64> = squares.iter().copied().step_by(squares.len().div_ceil(MAX_SAMPLED)).collect();
+        let squares = &mut sampled[..];
+        let (scale_mm, gate_mm) = match self.is_last {
             true => {
-                let scale_mm = spread_mm(squares, params);
+                let scale_mm = robust_scale_mm(squares, params);
                 (scale_mm, params.gate_sigmas * scale_mm)
             }
             false => {
                 let half_mm = quantile(squares, BETTER_HALF);
                 (
-                    (half_mm / BETTER_HALF_SIGMAS).max(ON_THE_WAY * params.noise_mm),
-                    (half_mm / FLAT).max(params.gate_sigmas * ON_THE_WAY * params.noise_mm),
+                    (half_mm / BETTER_HALF_SIGMAS).max(SPARSE_NOISE * params.noise_mm),
+                    (half_mm / FLAT).max(params.gate_sigmas * SPARSE_NOISE * params.noise_mm),
                 )
             }
         };
         self.scale_mm = self.scale_mm.min(scale_mm);
         if params.gate_sigmas > 0.0 && gate_mm < self.gate_mm {
             self.gate_mm = gate_mm;
-            self.reach_mm = self.reach_mm.min(self.gate_mm + slack_mm);
+            self.search_radius_mm = self.search_radius_mm.min(self.gate_mm + slack_mm);
         }
     }
 
-    /// Full weight up to here, mm.
+    /// Residuals up to this have full weight, mm.
     #[inline]
     fn flat_mm(&self) -> f64 {
-        self.gate_mm * if self.last { FLAT_AT_LAST } else { FLAT }
+        self.gate_mm * if self.is_last { FLAT_AT_LAST } else { FLAT }
     }
 
-    /// Whether residuals would hardly narrow these weights any more after a step of this length.
-    pub(super) fn settled(&self, params: &IcpParams, step_mm: f64) -> bool {
+    /// Whether a step of this length is too short for its residuals to narrow these weights.
+    pub(super) fn is_settled(&self, params: &IcpParams, step_mm: f64) -> bool {
         let by_scale = params.gate_sigmas > 0.0 || self.kernel != Kernel::None;
         !by_scale || self.scale_mm <= params.noise_mm || step_mm < SETTLED * self.scale_mm
     }
 
-    /// The weight of a squared residual, and what it adds to the cost: a least-squares term where the weight is 1.
+    /// The weight of a squared residual, and its robust cost: the squared residual itself where the weight is 1.
     #[inline]
-    pub(super) fn of(&self, square: f64) -> (f64, f64) {
-        if square > self.worst_square {
-            return (0.0, self.worst_square);
+    pub(super) fn weight_and_cost(&self, square: f64) -> (f64, f64) {
+        if square > self.trim_square {
+            return (0.0, self.trim_square);
         }
         let flat = self.flat_mm();
         if self.kernel == Kernel::None && square <= flat * flat {
             return (1.0, square);
         }
-        self.falling(square, flat)
+        self.gated(square, flat)
     }
 
     #[inline(never)]
-    fn falling(&self, square: f64, flat: f64) -> (f64, f64) {
+    fn gated(&self, square: f64, flat: f64) -> (f64, f64) {
         let residual = square.sqrt();
         let (by_kernel, cost) = self.by_kernel(square, residual);
         if residual <= flat {
@@ -168,33 +168,33 @@ impl Weights {
             }
             Kernel::Tukey => {
                 let c = TUKEY * self.scale_mm;
-                let rest = 1.0 - (square / (c * c)).min(1.0);
-                (rest * rest, c * c / 3.0 * (1.0 - rest.powi(3)))
+                let u = 1.0 - (square / (c * c)).min(1.0);
+                (u * u, c * c / 3.0 * (1.0 - u.powi(3)))
             }
             Kernel::Welsch => {
                 let c = WELSCH * self.scale_mm;
-                let rest = (-square / (c * c)).exp();
-                (rest, c * c * (1.0 - rest))
+                let w = (-square / (c * c)).exp();
+                (w, c * c * (1.0 - w))
             }
         }
     }
 
-    /// What a source point without a partner costs, mm².
-    pub(super) fn unpaired(&self) -> f64 {
-        self.falling(self.reach_mm * self.reach_mm, self.flat_mm()).1
+    /// Cost of a source point without a pair, mm².
+    pub(super) fn unpaired_cost(&self) -> f64 {
+        self.gated(self.search_radius_mm * self.search_radius_mm, self.flat_mm()).1
     }
 }
 
-/// The spread of the residuals as of a Gaussian's, mm, not below the noise.
-fn spread_mm(squares: &mut [f64], params: &IcpParams) -> f64 {
+/// Robust standard deviation of the residuals, mm, at least the noise.
+fn robust_scale_mm(squares: &mut [f64], params: &IcpParams) -> f64 {
     let mut scale_mm = (quantile(squares, 0.25) / QUARTER_SIGMAS).max(params.noise_mm);
-    for _ in 0..ROUNDS {
+    for _ in 0..MAX_REFINEMENTS {
         let inner = INNER_SIGMAS * scale_mm;
-        let mut near: Vec<f64> = squares.iter().copied().filter(|s| *s < inner * inner).collect();
-        if near.is_empty() {
+        let mut inliers: Vec<f64> = squares.iter().copied().filter(|s| *s < inner * inner).collect();
+        if inliers.is_empty() {
             break;
         }
-        let narrower = (quantile(&mut near, 0.5) / MEDIAN_SIGMAS).max(params.noise_mm);
+        let narrower = (quantile(&mut inliers, 0.5) / MEDIAN_SIGMAS).max(params.noise_mm);
         if narrower >= scale_mm {
             break;
         }
@@ -203,7 +203,7 @@ fn spread_mm(squares: &mut [f64], params: &IcpParams) -> f64 {
     scale_mm
 }
 
-/// The root of the squared residual that this share of all lies below, mm.
+/// Square root of a quantile of the squared residuals, mm.
 fn quantile(squares: &mut [f64], share: f64) -> f64 {
     let k = ((squares.len() as f64 * share) as usize).min(squares.len() - 1);
     squares.select_nth_unstable_by(k, f64::total_cmp).1.sqrt()
@@ -214,19 +214,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn half_of_the_points_far_off_do_not_widen_the_reach() {
+    fn half_of_the_points_far_off_do_not_widen_the_gate() {
         let squares: Vec<f64> =
             (0..1000).map(|k| if k % 2 == 0 { 100.0 } else { (f64::from(k) / 5000.0).powi(2) }).collect();
         let params = IcpParams { noise_mm: 0.01, ..IcpParams::default() };
         let weights = Weights::open(&params, 20.0);
         let mut weights = weights.for_last(&params, 0.0);
-        weights.shrink(&squares, &params, 0.0);
+        weights.narrow(&squares, &params, 0.0);
         // Uniform up to 0.2 mm: the median of those on the bone is 0.1 mm.
         assert!((weights.scale_mm - 0.1 / MEDIAN_SIGMAS).abs() < 0.002, "{weights:?}");
-        assert_eq!(weights.of(100.0).0, 0.0);
-        assert_eq!(weights.of(0.2 * 0.2), (1.0, 0.2 * 0.2));
+        assert_eq!(weights.weight_and_cost(100.0).0, 0.0);
+        assert_eq!(weights.weight_and_cost(0.2 * 0.2), (1.0, 0.2 * 0.2));
         let before = weights;
-        weights.shrink(&[50.0; 100], &params, 0.0);
+        weights.narrow(&[50.0; 100], &params, 0.0);
         assert_eq!(weights, before, "never wider");
     }
 
@@ -239,13 +239,13 @@ mod tests {
                 ..IcpParams::default()
             };
             let mut weights = Weights::open(&params, 50.0);
-            weights.shrink(&[0.0; 8], &params, 1.0);
+            weights.narrow(&[0.0; 8], &params, 1.0);
             let (mut sum, step) = (0.0, 1e-4);
             for k in 0..20_000 {
                 let r = (f64::from(k) + 0.5) * step;
-                sum += 2.0 * weights.of(r * r).0 * r * step;
+                sum += 2.0 * weights.weight_and_cost(r * r).0 * r * step;
                 let end = (f64::from(k) + 1.0) * step;
-                let cost = weights.of(end * end).1;
+                let cost = weights.weight_and_cost(end * end).1;
                 assert!((cost - sum).abs() < 1e-5, "{kernel:?} at {end}: {cost} but {sum}");
             }
         }

@@ -1,37 +1,37 @@
-use super::{Known, Pairing};
-use crate::icp::surface::Surface;
+use super::{Correspondence, Pairing};
+use crate::icp::visible_surface::VisibleSurface;
 use nalgebra::Vector3;
 
-/// The nearest samples; a partner is kept while the source point has not moved so far that another could be nearer.
+/// The nearest samples; a pair is kept until the source point has moved so far that another sample could be nearer.
 ///
-/// Exact: where the point was found, no other sample lies within a known radius; while the partner is nearer than that
-/// radius less the way gone since, it is the nearest. Else the search begins from the old partner's distance.
+/// Exact: at the last search no other sample was within a known radius. As long as the paired sample is nearer than that radius
+/// less the distance moved since, it is the nearest. Otherwise the search starts from its distance.
 ///
 /// Source: Greenspan and Godin 2001.
-pub(in crate::icp) struct Cached<'a>(pub(in crate::icp) &'a Surface<'a>);
+pub(in crate::icp) struct Cached<'a>(pub(in crate::icp) &'a VisibleSurface<'a>);
 
 impl Pairing for Cached<'_> {
     #[inline]
-    fn find(&self, moved: &Vector3<f64>, reach_mm: f64, known: &mut Known) {
-        let room_mm = known.free_mm - (moved - known.at).norm();
-        let mut limit_mm = reach_mm;
-        if known.is_some() {
-            let distance_mm = (moved - known.target).norm();
-            if distance_mm < room_mm {
-                if distance_mm > reach_mm {
-                    known.clear();
-                    known.free_mm = f64::NEG_INFINITY;
+    fn find(&self, source: &Vector3<f64>, radius_mm: f64, correspondence: &mut Correspondence) {
+        let clearance_mm = correspondence.clearance_mm - (source - correspondence.searched_at).norm();
+        let mut limit_mm = radius_mm;
+        if correspondence.is_some() {
+            let distance_mm = (source - correspondence.target).norm();
+            if distance_mm < clearance_mm {
+                if distance_mm > radius_mm {
+                    correspondence.clear();
+                    correspondence.clearance_mm = f64::NEG_INFINITY;
                 }
                 return;
             }
-            // A little more, so that rounding does not lose the old partner.
+            // A little more, so that rounding does not lose the paired sample.
             limit_mm = limit_mm.min(distance_mm * (1.0 + 1e-12));
-        } else if reach_mm < room_mm {
+        } else if radius_mm < clearance_mm {
             return;
         }
-        let found = self.0.nearest(moved, limit_mm);
-        known.at = *moved;
-        known.free_mm = found.free_square.sqrt();
-        known.take(self.0, found.nearest.map(|(item, _)| (item, found.at)));
+        let found = self.0.nearest(source, limit_mm);
+        correspondence.searched_at = *source;
+        correspondence.clearance_mm = found.free_square.sqrt();
+        correspondence.set_sample(self.0, found.nearest.map(|(item, _)| (item, found.at)));
     }
 }

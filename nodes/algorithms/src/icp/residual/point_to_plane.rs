@@ -1,5 +1,5 @@
 use super::{Pair, Residual};
-use crate::icp::sums::{Sums, plane_row};
+use crate::icp::normal_equations::{NormalEquations, jacobian_row};
 
 /// The distance along the target's normal.
 ///
@@ -9,11 +9,12 @@ pub(in crate::icp) struct PointToPlane;
 impl Residual for PointToPlane {
     #[inline]
     fn square(pair: &Pair) -> f64 {
-        pair.gap.dot(&pair.normal).powi(2)
+        pair.difference.dot(&pair.normal).powi(2)
     }
 
     #[inline]
-    fn add(pair: &Pair, weight: f64, lever_arm_mm: f64, sums: &mut Sums) {
-        sums.add_row(&plane_row(&pair.normal, &pair.arm, lever_arm_mm), pair.gap.dot(&pair.normal), weight);
+    fn accumulate(pair: &Pair, weight: f64, lever_arm_mm: f64, equations: &mut NormalEquations) {
+        let row = jacobian_row(&pair.normal, &pair.source, lever_arm_mm);
+        equations.add_row(&row, pair.difference.dot(&pair.normal), weight);
     }
 }

@@ -1,8 +1,8 @@
 use super::{Pair, Residual};
-use crate::icp::sums::{Sums, plane_row};
+use crate::icp::normal_equations::{NormalEquations, jacobian_row};
 use nalgebra::Vector6;
 
-/// The distance between the points, the paper's.
+/// The distance between the points, as in the paper.
 ///
 /// Source: Besl and McKay 1992; section 2.3 of the paper.
 pub(in crate::icp) struct PointToPoint;
@@ -12,17 +12,17 @@ impl Residual for PointToPoint {
 
     #[inline]
     fn square(pair: &Pair) -> f64 {
-        pair.gap.norm_squared()
+        pair.difference.norm_squared()
     }
 
-    fn add(pair: &Pair, weight: f64, lever_arm_mm: f64, sums: &mut Sums) {
-        let (arm, gap) = (&pair.arm, &pair.gap);
-        let turn = arm.cross(gap) / lever_arm_mm;
-        sums.gradient += Vector6::new(gap.x, gap.y, gap.z, turn.x, turn.y, turn.z) * weight;
-        let row = plane_row(&pair.normal, arm, lever_arm_mm);
-        let along = gap.dot(&pair.normal);
-        sums.plane_squares += weight * along * along;
-        sums.add_hold(&row, weight);
-        sums.add_grip(arm, gap, weight, lever_arm_mm);
+    fn accumulate(pair: &Pair, weight: f64, lever_arm_mm: f64, equations: &mut NormalEquations) {
+        let (source, difference) = (&pair.source, &pair.difference);
+        let torque = source.cross(difference) / lever_arm_mm;
+        let force = difference;
+        equations.b += Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z) * weight;
+        let along = difference.dot(&pair.normal);
+        equations.plane_squares += weight * along * along;
+        equations.add_h(&jacobian_row(&pair.normal, source, lever_arm_mm), weight);
+        equations.add_points(source, difference, weight, lever_arm_mm);
     }
 }

@@ -1,9 +1,9 @@
 use super::{Pair, Residual};
-use crate::icp::sums::{Sums, plane_row};
+use crate::icp::normal_equations::{NormalEquations, jacobian_row};
 
-/// The distance along the mean of both normals: zero wherever both points lie on one sphere or cylinder.
+/// The distance along the mean of both normals: zero if both points are on one sphere or cylinder.
 ///
-/// Source: Rusinkiewicz 2019, eqs. 6 and 10, with the mean of the normals for their sum, so that it is in mm.
+/// Source: Rusinkiewicz 2019, eqs. 6 and 10, with the mean of the normals instead of their sum, so that it is in mm.
 pub(in crate::icp) struct Symmetric;
 
 impl Residual for Symmetric {
@@ -11,14 +11,15 @@ impl Residual for Symmetric {
 
     #[inline]
     fn square(pair: &Pair) -> f64 {
-        (pair.gap.dot(&(pair.normal + pair.sound_source_normal())) / 2.0).powi(2)
+        (pair.difference.dot(&(pair.normal + pair.sound_source_normal())) / 2.0).powi(2)
     }
 
     #[inline]
-    fn add(pair: &Pair, weight: f64, lever_arm_mm: f64, sums: &mut Sums) {
+    fn accumulate(pair: &Pair, weight: f64, lever_arm_mm: f64, equations: &mut NormalEquations) {
         let normal = (pair.normal + pair.sound_source_normal()) / 2.0;
         // Half of the turn is the target's, about the middle of the pair.
-        let middle = pair.arm - pair.gap / 2.0;
-        sums.add_row(&plane_row(&normal, &middle, lever_arm_mm), pair.gap.dot(&normal), weight);
+        let middle = pair.source - pair.difference / 2.0;
+        let row = jacobian_row(&normal, &middle, lever_arm_mm);
+        equations.add_row(&row, pair.difference.dot(&normal), weight);
     }
 }

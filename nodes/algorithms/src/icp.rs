@@ -1,26 +1,27 @@
 //! Fine registration of a scanned surface onto a prepared target.
 //!
-//! Five parts make a variant, each in a room of its own: what is minimised ([`residual`](self), one file for each),
-//! which points pair (`pairing`), how much a pair counts (`weights`), how a step is solved (`step`), and when to stop
-//! (`stop`). `run` takes them from coarse subsets of the source to all of it.
+//! A variant of ICP is a `residual`. All share the correspondence search (`pairing`), the robust weights (`weights`), the
+//! normal equations (`problem`), the steps (`solve`) and the convergence tests (`stop`). The loop of the variants along normals
+//! is `gauss_newton`, that of point-to-point `point_to_point`; `levels` runs it on subsets of the source, then on all of it.
 
-mod acceleration;
+mod anderson;
+mod gauss_newton;
+mod levels;
+mod normal_equations;
 mod observability;
 mod pairing;
 mod params;
-mod planes;
-mod points;
+mod point_to_point;
 mod problem;
 mod report;
 mod residual;
-mod run;
+mod solve;
 mod source;
-mod step;
+mod state;
 mod stop;
-mod sums;
-mod surface;
 #[cfg(test)]
 mod tests;
+mod visible_surface;
 mod weights;
 
 pub use observability::{Observability, WeakDirection};
@@ -39,27 +40,27 @@ use std::ops::ControlFlow;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
-    /// The distances between paired points. A step along the target's normals or an extrapolated one is taken where it
-    /// lowers the residual, else Kabsch moves the source, as it always does with `acceleration = 0`; the last steps are
-    /// Kabsch's until the pairs stay. Source: Besl and McKay 1992; section 2.3 of the paper, whose stop rule "E < 0.01 mm"
-    /// cannot be read as a sum or as a mean above the noise, so ours estimates the way still to go.
+    /// The distances between paired points. A Gauss-Newton step along the target's normals or an extrapolated one is taken if
+    /// it lowers the cost, otherwise Kabsch's, which is the only one with `acceleration = 0`; the last steps are Kabsch's until
+    /// the pairs stay. Source: Besl and McKay 1992; section 2.3 of the paper, whose stop rule "E < 0.01 mm" cannot be read as
+    /// a sum or as a mean above the noise, so the remaining distance is estimated instead.
     PointToPoint,
-    /// The distances along the target's normals. Slides along the surface freely, so it needs few steps. Source: Chen and
+    /// The distances along the target's normals. Points slide along the surface freely, so it needs few steps. Source: Chen and
     /// Medioni 1992; Low 2004 for the linearisation.
     PointToPlane,
-    /// The distances along the mean of both points' normals. Exact where the surface is a sphere or a cylinder, so it takes
-    /// longer steps there. Source: Rusinkiewicz 2019.
+    /// The distances along the mean of both points' normals. Exact if the surface is a sphere or a cylinder, so its steps are
+    /// longer there. Source: Rusinkiewicz 2019.
     Symmetric,
-    /// The Mahalanobis distances between small planes at both points (GICP). Source: Segal, Haehnel and Thrun 2009, with
+    /// The Mahalanobis distances between planar Gaussians at both points (GICP). Source: Segal, Haehnel and Thrun 2009, with
     /// covariances from the normals (section III-B).
     Generalized,
-    /// The distances to the closest points of the target's triangles, free of the error of sampling the surface. Source:
+    /// The distances to the closest points of the target's triangles, without the error of sampling the surface. Source:
     /// Besl and McKay 1992 for the closest points; Pottmann, Huang, Yang and Hu 2006 for the step.
     PointToMesh,
 }
 
 impl Method {
-    /// All of them.
+    /// All variants.
     pub const ALL: [Self; 5] =
         [Self::PointToPoint, Self::PointToPlane, Self::Symmetric, Self::Generalized, Self::PointToMesh];
 
@@ -77,13 +78,13 @@ impl Method {
 
 /// Registers `source` onto `target` by the variant `method`, from `init`.
 ///
-/// Each source point pairs with the nearest target point, and steps about the source's centroid move the source. Normals of
-/// the source, where the variant needs them, are estimated from about 20 neighbours where it has none. `O(n log m)` a step.
-/// The result does not depend on the number of threads, nor (but for rounding) on the order of the points.
+/// Each source point pairs with the nearest target point. If the variant needs normals of a source without them, they are
+/// estimated from about 20 neighbours. `O(n log m)` a step. The result does not depend on the number of threads, nor (except
+/// for rounding) on the order of the points.
 ///
 /// # Errors
-/// [`IcpError`]; [`IcpError::NoNormals`] or [`IcpError::NoMesh`] where the target lacks what the variant needs. Reaching the
-/// iteration limit is a result, with `converged = false`.
+/// [`IcpError`]; [`IcpError::NoNormals`] or [`IcpError::NoMesh`] if the target has no normals or mesh and the variant needs
+/// them. Reaching the iteration limit is a result, with `converged = false`.
 pub fn register<'a>(
     method: Method,
     target: &Target,
@@ -94,57 +95,57 @@ pub fn register<'a>(
 ) -> Result<IcpFit, IcpError> {
     let source = source.into();
     match method {
-        Method::PointToPoint => run::points(target, source, init, params, observer),
-        Method::PointToPlane => run::planes::<residual::PointToPlane>(target, source, init, params, observer),
-        Method::Symmetric => run::planes::<residual::Symmetric>(target, source, init, params, observer),
-        Method::Generalized => run::planes::<residual::Generalized>(target, source, init, params, observer),
-        Method::PointToMesh => run::planes::<residual::PointToMesh>(target, source, init, params, observer),
+        Method::PointToPoint => levels::by_points(target, source, init, params, observer),
+        Method::PointToPlane => levels::by_planes::<residual::PointToPlane>(target, source, init, params, observer),
+        Method::Symmetric => levels::by_planes::<residual::Symmetric>(target, source, init, params, observer),
+        Method::Generalized => levels::by_planes::<residual::Generalized>(target, source, init, params, observer),
+        Method::PointToMesh => levels::by_planes::<residual::PointToMesh>(target, source, init, params, observer),
     }
 }
 
 /// Why an ICP has no result.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum IcpError {
-    /// Too few source points lie near the target.
+    /// Too few source points are near the target.
     #[error(
         "{n_pairs} of {n_source} source points lie within {max_pair_distance_mm} mm of the target, {min_pairs} are \
          needed; the nearest target point is {nearest_mm:.1} mm away: is init right, and are both in mm?"
     )]
     TooFewPairs {
-        /// Pairs found.
+        /// Number of pairs found.
         n_pairs: usize,
-        /// Pairs needed.
+        /// Number of pairs needed.
         min_pairs: usize,
-        /// Source points.
+        /// Number of source points.
         n_source: usize,
-        /// The limit.
+        /// Largest distance of a pair, mm.
         max_pair_distance_mm: f64,
-        /// The distance of the source point that comes closest to the target.
+        /// Distance of the source point nearest to the target, mm.
         nearest_mm: f64,
     },
-    /// There are not enough source points.
+    /// There are too few source points.
     #[error("{n_source} source points, {min_pairs} are needed; is the crop empty?")]
     TooFewPoints {
-        /// Source points.
+        /// Number of source points.
         n_source: usize,
-        /// Needed.
+        /// Number of points needed.
         min_pairs: usize,
     },
-    /// The variant needs normals that the target does not have.
+    /// The variant needs normals, and the target has none.
     #[error("the target has no normals, which this variant needs; sample it from a mesh or estimate them")]
     NoNormals,
-    /// The variant needs the mesh that the target's points were drawn from.
+    /// The variant needs a mesh, and the target has none.
     #[error("the target has no triangles, which point_to_mesh needs; prepare it from a mesh")]
     NoMesh,
     /// The target was prepared without a closest-point field.
     #[error("the target has no closest-point field, which pairing = \"field\" needs; prepare it with field = true")]
     NoField,
-    /// There is not one normal for each source point.
+    /// The source's normals and points differ in number.
     #[error("the source has {n_normals} normals for {n_points} points")]
     SourceNormals {
-        /// The number of points.
+        /// Number of points.
         n_points: usize,
-        /// The number of normals.
+        /// Number of normals.
         n_normals: usize,
     },
     /// A published reading was asked of another variant.
@@ -156,14 +157,14 @@ pub enum IcpError {
         /// What is not finite.
         what: String,
     },
-    /// A parameter has a value that cannot be used.
+    /// A parameter is out of range.
     #[error("{parameter} is {value}, but {expected}")]
     Parameter {
         /// Its name.
         parameter: &'static str,
         /// Its value.
         value: f64,
-        /// What it should be.
+        /// The values it may have.
         expected: &'static str,
     },
 }
