@@ -4,13 +4,14 @@
 use std::{collections::BTreeMap, fs, path::Path};
 
 /// Every crate of the workspace, where it lies, and the crates of the workspace that it may depend on.
-const ARROWS: [(&str, &str, &[&str]); 12] = [
+const ARROWS: [(&str, &str, &[&str]); 13] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
-    ("osteoflow-engine", "engine", &["osteoflow-node"]),
+    ("osteoflow-container", "engine/container", &[]),
+    ("osteoflow-engine", "engine", &["osteoflow-container", "osteoflow-node"]),
     ("osteoflow-geometry", "nodes/geometry", &[]),
     ("osteoflow-algorithms", "nodes/algorithms", &["osteoflow-geometry"]),
-    ("osteoflow-formats", "nodes/formats", &["osteoflow-geometry"]),
+    ("osteoflow-formats", "nodes/formats", &["osteoflow-container", "osteoflow-geometry"]),
     ("osteoflow-simulation", "nodes/simulation", &["osteoflow-algorithms", "osteoflow-geometry"]),
     ("osteoflow-statistics", "nodes/statistics", &[]),
     (

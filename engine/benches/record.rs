@@ -6,9 +6,9 @@
 //!
 //! `cargo bench -p osteoflow-engine --bench record -- 20` plays 20 seconds of each case, by default 5.
 
+use osteoflow_container::Compression;
 use osteoflow_engine::{
     plan::{Location, OnError, OutputId, Plan, PlanNode, PlanOutput, PortFrames, RecordSettings},
-    record::Compression,
     run::{RunOptions, run},
 };
 use osteoflow_node::{

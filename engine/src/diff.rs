@@ -17,11 +17,11 @@ use crate::{
     recording::{
         RecordingError,
         codec::{self, RecordedItem},
-        digest::Progress,
     },
 };
 use compare::{Compare, ItemDifference, Units};
 use index::{Entry, Index, Indexed};
+use osteoflow_container::Progress;
 use std::{cmp::Ordering, collections::BTreeSet, path::Path};
 
 /// What is compared, and how closely.

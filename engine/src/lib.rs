@@ -14,7 +14,6 @@
 //! | again | `partial`, [`replay()`], [`watch`], [`sweep`] |
 
 pub mod check;
-pub mod container;
 pub mod diff;
 pub mod draw;
 pub mod fault;

@@ -1,6 +1,6 @@
 //! What `check` hands to `run`: a graph whose every name has been resolved and every fault found.
 
-use crate::record::Compression;
+use osteoflow_container::Compression;
 use osteoflow_node::{DeclaredPort, InputPort, PortPayload, Role};
 use serde::{Deserialize, Serialize, Serializer};
 use std::{fmt, path::PathBuf, sync::Arc};

@@ -8,12 +8,8 @@
 //! What a replay needs stands at the front, and what waits is written as a chunk several times a second: a run that is
 //! killed leaves a recording that can be read, and replayed, up to its last whole chunk.
 
-mod mcap_file;
 mod queue;
 mod sink;
-
-pub use mcap_file::Compression;
-pub(crate) use mcap_file::Parts;
 
 use crate::{
     panics,
@@ -21,7 +17,7 @@ use crate::{
     recording::RecordedFailure,
     runtime::{RunOptions, Tap},
 };
-use mcap_file::McapFile;
+use osteoflow_container::{WriteOptions, Writer};
 use osteoflow_node::{Body, ClockReading, Item, StampNs};
 use queue::Queue;
 use serde_json::Value as Json;
@@ -271,12 +267,20 @@ impl Tap for Recorder {
 /// The file with everything that is known before the run.
 fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<Texts>) -> io::Result<Sink> {
     let library = concat!("osteoflow ", env!("CARGO_PKG_VERSION"));
-    let mut file = McapFile::begin(file, library, plan.recording.compression)?;
+    let mut file = Writer::new(
+        file,
+        WriteOptions {
+            profile: "osteoflow".into(),
+            library: library.into(),
+            compression: plan.recording.compression,
+            ..WriteOptions::default()
+        },
+    )?;
     let sources = match plan.recording.sources {
         Sources::Wires => "wires",
         Sources::Hashes => "hashes",
     };
-    file.metadata(
+    file.write_metadata(
         RUN_METADATA,
         &BTreeMap::from([
             ("format_version".into(), FORMAT_VERSION.to_string()),
@@ -290,12 +294,12 @@ fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<Texts>) -
     )?;
     let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let program = options.command.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
-    file.metadata(PROGRAM_METADATA, &program.map(|(key, value)| (key.clone(), text(value))).collect())?;
+    file.write_metadata(PROGRAM_METADATA, &program.map(|(key, value)| (key.clone(), text(value))).collect())?;
     let plugin =
         |plugin: &PlanPlugin| (plugin.path.to_string_lossy().into_owned(), serde_json::json!(plugin).to_string());
-    file.metadata(PLUGINS_METADATA, &plan.plugins.iter().map(plugin).collect())?;
+    file.write_metadata(PLUGINS_METADATA, &plan.plugins.iter().map(plugin).collect())?;
     if let Some(inputs) = inputs {
-        file.metadata(INPUTS_METADATA, &inputs)?;
+        file.write_metadata(INPUTS_METADATA, &inputs)?;
     }
     let mut sink = Sink::begin(file, plan)?;
     // From here on a file that is cut short tells which wires it was to hold.
@@ -380,8 +384,8 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<Counts, Stopped> {
     sink.begin_time(1)?;
     let counts = sink.counts();
     let told = |(items, values): &(u64, u64)| format!("{items} items, {values} values");
-    sink.file.metadata(WIRES_METADATA, &counts.iter().map(|(wire, n)| (wire.clone(), told(n))).collect())?;
-    end.iter().try_for_each(|(name, metadata)| sink.file.metadata(name, metadata))?;
+    sink.file.write_metadata(WIRES_METADATA, &counts.iter().map(|(wire, n)| (wire.clone(), told(n))).collect())?;
+    end.iter().try_for_each(|(name, metadata)| sink.file.write_metadata(name, metadata))?;
     sink.file.finish()?;
     Ok(counts)
 }

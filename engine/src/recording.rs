@@ -5,6 +5,7 @@ pub mod digest;
 pub(crate) mod number_set;
 mod read;
 mod types;
+pub(crate) mod wires;
 
 pub use read::{About, RecordedFailure, RecordedWire, Recording, RecordingError};
 pub(crate) use read::{MetadataRecords, counts, known};

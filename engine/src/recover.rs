@@ -6,11 +6,15 @@
 //! damage: so far a replay can compute, since what lies behind may rest on what is lost.
 
 use crate::{
-    container::{Attachment, Carries, Channel, Channels, Damage, End, Message, Place, Record, Visit, Walk},
     record::{INPUTS_METADATA, OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
-    recording::{RecordingError, codec, counts, digest::Progress, number_set::Numbers},
+    recording::{
+        RecordingError, codec, counts,
+        number_set::Numbers,
+        wires::{Carries, Channels},
+    },
 };
 use mcap::{Compression, McapError, WriteOptions, Writer, records::MessageHeader, records::Metadata};
+use osteoflow_container::{Attachment, Channel, Damage, End, Location, Message, Progress, Reader, Record, Visitor};
 use serde_json::json;
 use std::{
     borrow::Cow,
@@ -62,7 +66,7 @@ pub enum RecoverError {
 pub struct RecoverReport {
     /// Bytes of the damaged file.
     pub n_bytes: u64,
-    /// Parts that are lost, by their place in the damaged file.
+    /// Segments that are lost, by their place in the damaged file.
     pub damages: Vec<Damage>,
     /// Messages in the new file, pictures for viewers among them.
     pub n_messages: u64,
@@ -117,15 +121,15 @@ pub(crate) fn before_damage(recovered: &BTreeMap<String, String>) -> BTreeMap<St
 /// [`RecoverError`] if `from` cannot be read or holds nothing, or `to` is there or cannot be written.
 pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<RecoverReport, RecoverError> {
     let failed = |error| RecoverError::Read(RecordingError::of(from, error));
-    let mut walk = Walk::open(from).map_err(|error| failed(error.into()))?;
-    let summary = Summary::of(&mut walk).map_err(failed)?;
+    let mut reader = Reader::open(from).map_err(|error| failed(error.into()))?;
+    let summary = Summary::of(&mut reader).map_err(failed)?;
     let file = File::options().write(true).create_new(true).open(to).map_err(|error| match error.kind() {
         io::ErrorKind::AlreadyExists => RecoverError::Exists { path: to.into() },
         _ => RecoverError::Write { path: to.into(), source: error.into() },
     })?;
     let mut saving = Saving::new(BufWriter::new(file), summary, progress);
-    let result = walk.run(&mut saving).map_err(failed).and_then(|end| {
-        let written = saving.finish(from, &end, walk.n_bytes());
+    let result = reader.read(&mut saving).map_err(failed).and_then(|end| {
+        let written = saving.finish(from, &end, reader.n_bytes());
         written.map_err(|source| RecoverError::Write { path: to.into(), source })
     });
     match result {
@@ -151,15 +155,15 @@ struct Summary {
 }
 
 impl Summary {
-    fn of(walk: &mut Walk<File>) -> Result<Self, crate::container::WalkError> {
+    fn of(reader: &mut Reader<File>) -> Result<Self, osteoflow_container::ReadError> {
         let mut summary = Self::default();
-        walk.summary(&mut summary)?;
+        reader.summary(&mut summary)?;
         Ok(summary)
     }
 }
 
-impl Visit for Summary {
-    fn record(&mut self, _: Place, record: Record<'_>) -> ControlFlow<()> {
+impl Visitor for Summary {
+    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
         match record {
             Record::Schema { id, name, encoding, data } => {
                 self.schemas.entry(id).or_insert_with(|| (name.into(), encoding.into(), data.to_vec()));
@@ -325,7 +329,7 @@ impl<'a> Saving<'a> {
         if let Some(error) = self.failed.take() {
             return Err(error);
         }
-        if let End::CutShort(damage) = end {
+        if let End::Truncated(damage) = end {
             let _ = self.damage(damage.clone());
         }
         let mut before = self.before_damage.take().unwrap_or_else(|| self.leading());
@@ -388,8 +392,8 @@ fn about(report: &RecoverReport, from: &Path, earlier: Option<BTreeMap<String, S
     ])
 }
 
-impl Visit for Saving<'_> {
-    fn record(&mut self, _: Place, record: Record<'_>) -> ControlFlow<()> {
+impl Visitor for Saving<'_> {
+    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
         match self.take(record) {
             Ok(()) => ControlFlow::Continue(()),
             Err(error) => {

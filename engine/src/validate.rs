@@ -5,14 +5,14 @@ mod items;
 
 use crate::{
     check::check_recorded,
-    container::{Channels, Damage, End, Place, Record, Visit, Walk},
     plugin::Kinds,
     record::{OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
-    recording::{About, MetadataRecords, RecordingError, digest::Progress},
+    recording::{About, MetadataRecords, RecordingError, wires::Channels},
     recover::RECOVERED_METADATA,
 };
 use container::Container;
 use items::Items;
+use osteoflow_container::{Damage, End, Location, Progress, Reader, Record, Visitor};
 use std::{
     collections::{BTreeMap, BTreeSet},
     fmt,
@@ -32,17 +32,22 @@ pub struct Finding {
     /// The item's number, where it is of one.
     pub item: Option<u64>,
     /// Where in the file it lies, where that is known.
-    pub place: Option<Place>,
+    pub place: Option<Location>,
     /// What is wrong.
     pub what: String,
 }
 
 impl Finding {
-    fn new(place: impl Into<Option<Place>>, what: impl Into<String>) -> Self {
+    fn new(place: impl Into<Option<Location>>, what: impl Into<String>) -> Self {
         Self { wire: None, item: None, place: place.into(), what: what.into() }
     }
 
-    fn of(wire: &str, item: impl Into<Option<u64>>, place: impl Into<Option<Place>>, what: impl Into<String>) -> Self {
+    fn of(
+        wire: &str,
+        item: impl Into<Option<u64>>,
+        place: impl Into<Option<Location>>,
+        what: impl Into<String>,
+    ) -> Self {
         Self { wire: Some(wire.into()), item: item.into(), place: place.into(), what: what.into() }
     }
 }
@@ -140,8 +145,8 @@ pub fn validate(
 ) -> Result<ValidateReport, RecordingError> {
     let kinds: Kinds = kinds.into();
     let failed = |error| RecordingError::of(path, error);
-    let mut walk = Walk::open(path).map_err(|error| failed(error.into()))?;
-    let channels = Channels::of_summary(&mut walk).map_err(failed)?;
+    let mut reader = Reader::open(path).map_err(|error| failed(error.into()))?;
+    let channels = Channels::of_summary(&mut reader).map_err(failed)?;
     let mut pass = Pass {
         findings: Findings::default(),
         container: Container::default(),
@@ -149,20 +154,20 @@ pub fn validate(
         metadata: MetadataRecords::new(),
         progress,
     };
-    let end = walk.run(&mut pass).map_err(failed)?;
+    let end = reader.read(&mut pass).map_err(failed)?;
     let Pass { mut findings, container, mut items, metadata, .. } = pass;
-    if let End::CutShort(damage) = &end {
+    if let End::Truncated(damage) = &end {
         let what = format!("the file was cut short: {damage}; `osteoflow recover` saves what is before");
         findings.add("end", Finding::new(None, what));
     }
     let mut notes = Vec::new();
-    if let End::Whole { trailing } = end
+    if let End::Complete { trailing } = end
         && trailing > 0
     {
         notes.push(format!("{trailing} bytes follow the closing magic; they are not read"));
     }
     let (n_messages, n_chunks) = (container.n_messages(), container.n_chunks());
-    container.finish(&mut walk, &mut findings).map_err(|error| failed(error.into()))?;
+    container.finish(&mut reader, &mut findings).map_err(|error| failed(error.into()))?;
     let is_recording = metadata.contains_key(RUN_METADATA) || items.has_wires();
     if is_recording {
         check_metadata(path, &metadata, &kinds.over(items.registry()), &mut findings, &mut notes);
@@ -178,7 +183,7 @@ pub fn validate(
         wires: items.wires(),
         n_messages,
         n_chunks,
-        n_bytes: walk.n_bytes(),
+        n_bytes: reader.n_bytes(),
     })
 }
 
@@ -244,8 +249,8 @@ struct Pass<'a> {
     progress: Progress<'a>,
 }
 
-impl Visit for Pass<'_> {
-    fn record(&mut self, place: Place, record: Record<'_>) -> ControlFlow<()> {
+impl Visitor for Pass<'_> {
+    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
         self.container.record(place, &record, &mut self.findings);
         match record {
             Record::Metadata { name, entries } => {
@@ -274,4 +279,4 @@ impl Visit for Pass<'_> {
 }
 
 /// What [`Container::finish`] reads again.
-type FileWalk = Walk<File>;
+type FileWalk = Reader<File>;

@@ -8,8 +8,8 @@ use crate::{
     graph::{Graph, Module, Value, take},
     names::{glob, nearest},
     plan::{RecordSettings, Sources},
-    record::Compression,
 };
+use osteoflow_container::Compression;
 
 /// What `[record]` asks for.
 pub(super) struct Record {
@@ -42,7 +42,7 @@ impl Check<'_> {
             }
             if let Some(entry) = table.get("compression") {
                 let ways = Compression::ALL.map(|way| format!("\"{}\"", way.name())).join(", ");
-                match take::text(&entry.value, "compression", &mut self.faults).map(Compression::of_name) {
+                match take::text(&entry.value, "compression", &mut self.faults).map(Compression::from_name) {
                     Some(Some(way)) => settings.compression = way,
                     Some(None) => {
                         let message = format!("compression takes one of {ways}, found {}", entry.value.found());

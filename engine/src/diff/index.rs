@@ -1,12 +1,15 @@
 //! Where each item of a recording lies, and its digest: two recordings are compared without holding either.
 
 use crate::{
-    container::{self, Carries, Channels, Damage, MESSAGE_HEAD, Place, Record, Visit, Walk, Wire},
     hash::Digest,
     record::{RUN_METADATA, WIRES_METADATA},
-    recording::{About, MetadataRecords, RecordingError, codec},
+    recording::{
+        About, MetadataRecords, RecordingError, codec,
+        wires::{Carries, Channels, Wire},
+    },
     recover::RECOVERED_METADATA,
 };
+use osteoflow_container::{Damage, Location, MESSAGE_HEADER_BYTES, Reader, Record, Visitor, damage_message};
 use std::{
     collections::{BTreeMap, VecDeque},
     fs::File,
@@ -24,7 +27,7 @@ const KEPT_BYTES: usize = 64 << 20;
 pub(super) struct Entry {
     pub(super) number: u64,
     pub(super) digest: Digest,
-    pub(super) place: Place,
+    pub(super) place: Location,
     n_bytes: u32,
 }
 
@@ -37,7 +40,7 @@ pub(super) struct Indexed {
 /// A recording, indexed.
 pub(super) struct Index {
     path: PathBuf,
-    walk: Walk<File>,
+    reader: Reader<File>,
     pub(super) about: Option<About>,
     pub(super) wires: BTreeMap<String, Indexed>,
     pub(super) incomplete: Option<String>,
@@ -48,17 +51,17 @@ pub(super) struct Index {
 impl Index {
     pub(super) fn of(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Self, RecordingError> {
         let failed = |error| RecordingError::of(path, error);
-        let mut walk = Walk::open(path).map_err(|error| failed(error.into()))?;
-        let channels = Channels::of_summary(&mut walk).map_err(failed)?;
+        let mut reader = Reader::open(path).map_err(|error| failed(error.into()))?;
+        let channels = Channels::of_summary(&mut reader).map_err(failed)?;
         let wires = channels.wires().map(|wire| {
             let indexed = Indexed { about: wire.clone(), entries: Vec::new() };
             (wire.name.clone(), indexed)
         });
         let mut pass =
             Pass { wires: wires.collect(), channels, metadata: BTreeMap::new(), damages: Vec::new(), progress };
-        let end = walk.run(&mut pass).map_err(failed)?;
+        let end = reader.read(&mut pass).map_err(failed)?;
         let Pass { mut wires, metadata, damages, .. } = pass;
-        let mut incomplete = container::told(&damages, &end);
+        let mut incomplete = damage_message(&damages, &end);
         if wires.is_empty() && !metadata.contains_key(RUN_METADATA) {
             let reason = incomplete.unwrap_or_else(|| "it has no exact channel".into());
             return Err(RecordingError::Foreign { path: path.into(), reason });
@@ -78,11 +81,11 @@ impl Index {
             }
         }
         let about = About::of(path, &metadata, None).ok();
-        Ok(Self { path: path.into(), walk, about, wires, incomplete, metadata, chunks: VecDeque::new() })
+        Ok(Self { path: path.into(), reader, about, wires, incomplete, metadata, chunks: VecDeque::new() })
     }
 
     pub(super) fn n_bytes(&self) -> u64 {
-        self.walk.n_bytes()
+        self.reader.n_bytes()
     }
 
     /// The bytes of an item.
@@ -92,10 +95,10 @@ impl Index {
 
     fn read(&mut self, entry: &Entry) -> io::Result<Vec<u8>> {
         let Some(at) = entry.place.in_chunk else {
-            return self.walk.bytes_at(entry.place.offset + MESSAGE_HEAD, entry.n_bytes.into());
+            return self.reader.bytes_at(entry.place.offset + MESSAGE_HEADER_BYTES, entry.n_bytes.into());
         };
         let chunk = self.chunk(entry.place.offset)?;
-        let start = usize::try_from(at + MESSAGE_HEAD).unwrap_or(usize::MAX);
+        let start = usize::try_from(at + MESSAGE_HEADER_BYTES).unwrap_or(usize::MAX);
         let bytes = start.checked_add(entry.n_bytes as usize).and_then(|end| chunk.get(start..end));
         bytes.map(<[u8]>::to_vec).ok_or_else(|| io::Error::other("the file has changed while it was read"))
     }
@@ -108,7 +111,7 @@ impl Index {
             self.chunks.push_back(kept);
             return Ok(chunk);
         }
-        let chunk = Rc::new(self.walk.chunk_at(at)?);
+        let chunk = Rc::new(self.reader.chunk_at(at)?);
         self.chunks.push_back((at, chunk.clone()));
         let kept = |chunks: &VecDeque<(u64, Rc<Vec<u8>>)>| chunks.iter().map(|(_, chunk)| chunk.len()).sum::<usize>();
         while self.chunks.len() > 1 && kept(&self.chunks) > KEPT_BYTES {
@@ -126,8 +129,8 @@ struct Pass<'a> {
     progress: &'a mut dyn FnMut(u64, u64),
 }
 
-impl Visit for Pass<'_> {
-    fn record(&mut self, place: Place, record: Record<'_>) -> ControlFlow<()> {
+impl Visitor for Pass<'_> {
+    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
         match record {
             Record::Metadata { name, entries } => drop(self.metadata.insert(name.into(), entries)),
             Record::Channel(channel) => {

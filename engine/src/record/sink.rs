@@ -1,14 +1,12 @@
-use super::{
-    DROPS_TOPIC, EXACT_ENCODING, EXACT_TOPIC, Firing, LIVE_TOPIC, RecordError, TIMING_TOPIC, VIEW_TOPIC,
-    mcap_file::{McapFile, MessageHead, Parts},
-};
+use super::{DROPS_TOPIC, EXACT_ENCODING, EXACT_TOPIC, Firing, LIVE_TOPIC, RecordError, TIMING_TOPIC, VIEW_TOPIC};
 use crate::{
     plan::{OutputId, Plan},
     recording::codec,
 };
+use osteoflow_container::{MessageHeader, Writer};
 use osteoflow_node::{Body, ClockReading, Item, PayloadType, PortPayload, Role, StampNs};
 use serde_json::{Value as Json, json};
-use std::{collections::BTreeMap, fmt::Write, io};
+use std::{collections::BTreeMap, fmt::Write, fs::File, io};
 
 /// A reader takes no longer record; an item has to leave room for what else its chunk holds.
 const MAX_ITEM_BYTES: usize = (1 << 30) - (16 << 20);
@@ -17,7 +15,7 @@ const MAX_WAITING_BYTES: usize = 64 << 20;
 
 /// The channels of a recording, and what they have carried.
 pub(super) struct Sink {
-    pub(super) file: McapFile,
+    pub(super) file: Writer<File>,
     wires: BTreeMap<OutputId, Wire>,
     nodes: Vec<String>,
     links: Vec<(String, String)>,
@@ -70,7 +68,7 @@ impl Stopped {
 
 impl Sink {
     /// Adds the channels of the recorded wires.
-    pub(super) fn begin(mut file: McapFile, plan: &Plan) -> io::Result<Self> {
+    pub(super) fn begin(mut file: Writer<File>, plan: &Plan) -> io::Result<Self> {
         let mut wires = BTreeMap::new();
         let views = plan.recording.views;
         for &id in &plan.record {
@@ -84,7 +82,7 @@ impl Sink {
             let units = ty.map(PayloadType::units).unwrap_or_default();
             let units: serde_json::Map<_, _> =
                 units.into_iter().map(|(name, unit)| (name.into(), unit.into())).collect();
-            let schema = file.schema(&format!("{payload}@{version}"), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
+            let schema = file.add_schema(&format!("{payload}@{version}"), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
             let mut about = BTreeMap::from([
                 ("node".into(), node.name.to_string()),
                 ("port".into(), output.name.clone()),
@@ -97,12 +95,12 @@ impl Sink {
             if let Some(ty) = ty {
                 about.insert("schema".into(), serde_json::to_string(ty.schema)?);
             }
-            let exact = file.channel(schema, &format!("{EXACT_TOPIC}{name}"), EXACT_ENCODING, &about)?;
+            let exact = file.add_channel(schema, &format!("{EXACT_TOPIC}{name}"), EXACT_ENCODING, &about)?;
             let view = match ty.and_then(PayloadType::display).filter(|_| views) {
                 Some(d) => {
-                    let schema = file.schema(&d.schema_name, &d.schema_encoding, &d.schema_data)?;
+                    let schema = file.add_schema(&d.schema_name, &d.schema_encoding, &d.schema_data)?;
                     let topic = format!("{VIEW_TOPIC}{name}");
-                    Some(file.channel(schema, &topic, &d.message_encoding, &BTreeMap::new())?)
+                    Some(file.add_channel(schema, &topic, &d.message_encoding, &BTreeMap::new())?)
                 }
                 None => None,
             };
@@ -184,15 +182,13 @@ impl Sink {
         };
         if !self.told.contains_key(topic) {
             let (name, schema) = told_schema(topic);
-            let schema = self.file.schema(name, "jsonschema", schema.to_string().as_bytes())?;
-            self.told.insert(topic, (self.file.channel(schema, topic, "json", &BTreeMap::new())?, 0));
+            let schema = self.file.add_schema(name, "jsonschema", schema.to_string().as_bytes())?;
+            self.told.insert(topic, (self.file.add_channel(schema, topic, "json", &BTreeMap::new())?, 0));
         }
         let Some((channel, n)) = self.told.get_mut(topic) else { return Ok(()) };
-        let head = MessageHead { channel: *channel, sequence: *n, time_ns };
+        let head = MessageHeader { channel_id: *channel, sequence: *n, log_time: time_ns, publish_time: time_ns };
         *n = n.wrapping_add(1);
-        let mut parts = Parts::default();
-        parts.bytes(message);
-        Ok(self.file.message(head, parts)?)
+        Ok(self.file.write_message(head, message.into())?)
     }
 
     /// What waited for a time is written at this one.
@@ -221,17 +217,16 @@ impl Sink {
         self.time_ns = Some(latest.max(time_ns));
         let Wire { name, exact, view, payload, .. } = &self.wires[&id];
         // The format counts messages with 32 bits; the message itself holds the whole number.
-        let head = |channel: u16| MessageHead { channel, sequence: item.number as u32, time_ns };
+        let sequence = item.number as u32;
+        let head = |channel_id: u16| MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
         let parts = codec::parts_on(*payload, item);
         if parts.len() > MAX_ITEM_BYTES {
             return Err(Stopped::TooLong { wire: name.clone(), number: item.number, n_bytes: parts.len() });
         }
-        self.file.message(head(*exact), parts)?;
+        self.file.write_message(head(*exact), parts)?;
         let (Some(channel), Body::Value(value)) = (view, &item.body) else { return Ok(()) };
         let Some(picture) = value.to_display(time_ns as StampNs) else { return Ok(()) };
-        let mut parts = Parts::default();
-        parts.bytes(picture);
-        Ok(self.file.message(head(*channel), parts)?)
+        Ok(self.file.write_message(head(*channel), picture.into())?)
     }
 
     /// For each wire: items, and how many of them are values.

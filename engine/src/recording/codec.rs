@@ -8,7 +8,8 @@
 //! 3 i64, 4 u32, 5 u8), its width (u32), its bytes (u64), zeros up to a multiple of 8 from the start of the message, and
 //! the rows. An empty has the node and the reason as two texts in the place of fields and columns.
 
-use crate::{record::Parts, store::Entry};
+use crate::store::Entry;
+use osteoflow_container::Segments;
 use osteoflow_node::{
     Body, Buffer, Column, ColumnType, Empty, Field, Item, PayloadType, PortPayload, StampNs, View, ViewError,
 };
@@ -88,26 +89,26 @@ impl RecordedItem {
 /// The bytes of an item on a wire whose payload is known.
 #[cfg(test)]
 pub(crate) fn encode(item: &Item) -> Vec<u8> {
-    named_parts(item, false).concat()
+    named_parts(item, false).into_vec()
 }
 
 /// The bytes of an item on a wire of this payload; one that takes any has values name their own.
 pub(crate) fn encode_on(payload: PortPayload, item: &Item) -> Vec<u8> {
-    parts_on(payload, item).concat()
+    parts_on(payload, item).into_vec()
 }
 
 /// The same, with the rows of columns left where the payload has them.
-pub(crate) fn parts_on(payload: PortPayload, item: &Item) -> Parts {
+pub(crate) fn parts_on(payload: PortPayload, item: &Item) -> Segments {
     named_parts(item, matches!(payload, PortPayload::Any))
 }
 
-fn named_parts(item: &Item, names_payload: bool) -> Parts {
+fn named_parts(item: &Item, names_payload: bool) -> Segments {
     let (kind, view) = match &item.body {
         Body::Value(value) if names_payload => (NAMED_VALUE, Ok((value.ty(), value.to_view()))),
         Body::Value(value) => (VALUE, Ok((value.ty(), value.to_view()))),
         Body::Empty(empty) => (EMPTY, Err(empty)),
     };
-    let mut parts = Parts::default();
+    let mut parts = Segments::default();
     let out = parts.tail();
     out.reserve(256);
     out.extend_from_slice(MAGIC);
@@ -134,7 +135,7 @@ fn named_parts(item: &Item, names_payload: bool) -> Parts {
     parts
 }
 
-fn put_view(parts: &mut Parts, view: &View) {
+fn put_view(parts: &mut Segments, view: &View) {
     let out = parts.tail();
     for (name, field) in &view.head {
         out.push(match field {
@@ -169,13 +170,13 @@ fn put_view(parts: &mut Parts, view: &View) {
 }
 
 /// Columns lie in memory as the machine has them; the file has them little-endian.
-fn put_rows(parts: &mut Parts, column: &Column) {
+fn put_rows(parts: &mut Segments, column: &Column) {
     if cfg!(target_endian = "big") {
         let mut rows = column.bytes().to_vec();
         swap(&mut rows, column.kind.size());
-        parts.bytes(rows);
+        parts.push(rows);
     } else {
-        parts.rows(&column.data);
+        parts.push_shared(&column.data);
     }
 }
 

@@ -9,13 +9,17 @@
 //! viewers and what the run tells of itself. Items are hashed one by one, so they may come in any order and need not be
 //! kept.
 
-use super::{codec, read::RecordingError};
+use super::{
+    codec,
+    read::RecordingError,
+    wires::{Carries, Channels, Wire},
+};
 use crate::{
-    container::{self, Carries, Channels, Damage, Place, Record, Visit, Walk, Wire},
     hash::Digest,
     record::{RUN_METADATA, WIRES_METADATA},
     recover::RECOVERED_METADATA,
 };
+use osteoflow_container::{Damage, Location, Progress, Reader, Record, Visitor, damage_message};
 use sha2::{Digest as _, Sha256};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -143,21 +147,18 @@ pub struct DigestReport {
     pub n_bytes: u64,
 }
 
-/// How far a long reading has come: bytes read, and bytes in all.
-pub type Progress<'a> = &'a mut dyn FnMut(u64, u64);
-
 /// The digests of what a recording holds, and whether that is all. Memory: one chunk.
 ///
 /// # Errors
 /// [`RecordingError`] if the file cannot be read or holds no exact channel.
 pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, RecordingError> {
-    let mut walk = Walk::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
+    let mut reader = Reader::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
     let failed = |error| RecordingError::of(path, error);
-    let channels = Channels::of_summary(&mut walk).map_err(failed)?;
+    let channels = Channels::of_summary(&mut reader).map_err(failed)?;
     let mut hashing = Hashing::new(channels, progress);
-    let end = walk.run(&mut hashing).map_err(failed)?;
+    let end = reader.read(&mut hashing).map_err(failed)?;
     let Hashing { wires, damages, metadata, n_unknown, n_no_items, .. } = hashing;
-    let mut said: Vec<String> = container::told(&damages, &end).into_iter().collect();
+    let mut said: Vec<String> = damage_message(&damages, &end).into_iter().collect();
     if wires.is_empty() && !metadata.contains(RUN_METADATA) {
         let reason = said.pop().unwrap_or_else(|| "it has no exact channel".into());
         return Err(RecordingError::Foreign { path: path.into(), reason });
@@ -189,7 +190,7 @@ pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, Recor
         wires,
         incomplete: (!said.is_empty()).then(|| said.join("; ")),
         partial: recovered.then(|| "it was recovered from a damaged file and is a part of what was recorded".into()),
-        n_bytes: walk.n_bytes(),
+        n_bytes: reader.n_bytes(),
     })
 }
 
@@ -234,8 +235,8 @@ impl<'a> Hashing<'a> {
     }
 }
 
-impl Visit for Hashing<'_> {
-    fn record(&mut self, _: Place, record: Record<'_>) -> ControlFlow<()> {
+impl Visitor for Hashing<'_> {
+    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
         match record {
             Record::Metadata { name, .. } => drop(self.metadata.insert(name.into())),
             Record::Channel(channel) => {

@@ -3,9 +3,9 @@
 use super::{
     RecordedTypes,
     codec::{self, CodecError, RecordedItem},
+    wires::{Carries, Channels, Wire},
 };
 use crate::{
-    container::{self, Carries, Channels, Damage, Place, Record, Visit, Walk, WalkError, Wire},
     plan::{PlanPlugin, Sources},
     record::{
         self, DROPS_TOPIC, FORMAT_VERSION, INPUTS_METADATA, LIVE_TOPIC, OUTCOME_METADATA, PLUGINS_METADATA,
@@ -13,6 +13,7 @@ use crate::{
     },
     recover::{self, RECOVERED_METADATA},
 };
+use osteoflow_container::{Damage, Location, ReadError, Reader, Record, Visitor, damage_message};
 use osteoflow_node::{Body, ClockReading, Item, PayloadType, Registry};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -172,10 +173,10 @@ impl About {
 
 impl RecordingError {
     /// Of a file that cannot be passed over at all.
-    pub(crate) fn of(path: &Path, error: WalkError) -> Self {
+    pub(crate) fn of(path: &Path, error: ReadError) -> Self {
         match error {
-            WalkError::Io(source) => Self::Read { path: path.into(), source },
-            WalkError::NoMcap(reason) => Self::Foreign { path: path.into(), reason },
+            ReadError::Io(source) => Self::Read { path: path.into(), source },
+            ReadError::NotMcap(reason) => Self::Foreign { path: path.into(), reason },
         }
     }
 }
@@ -320,15 +321,15 @@ struct Gathered {
 
 impl Pass {
     fn read(&mut self, path: &Path) -> Result<Option<String>, RecordingError> {
-        let mut walk = Walk::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
-        let end = walk.run(self).map_err(|error| RecordingError::of(path, error))?;
+        let mut reader = Reader::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
+        let end = reader.read(self).map_err(|error| RecordingError::of(path, error))?;
         let damages: Vec<_> = self.damage.take().into_iter().collect();
-        Ok(container::told(&damages, &end))
+        Ok(damage_message(&damages, &end))
     }
 }
 
-impl Visit for Pass {
-    fn record(&mut self, _: Place, record: Record<'_>) -> ControlFlow<()> {
+impl Visitor for Pass {
+    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
         match record {
             Record::Metadata { name, entries } => drop(self.metadata.insert(name.into(), entries)),
             Record::Channel(channel) => {

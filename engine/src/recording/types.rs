@@ -1,6 +1,6 @@
 //! The payload types that a recording tells of, so that it can be read where nothing else is known of them.
 
-use crate::container::Wire;
+use super::wires::Wire;
 use osteoflow_node::{OutputPort, OutputPorts, PayloadType, PortPayload, Registry, SchemaEntry};
 use std::collections::BTreeMap;
 

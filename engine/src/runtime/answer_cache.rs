@@ -10,10 +10,10 @@ mod tests;
 use super::inject::Planned;
 use crate::{
     plan::{Plan, PlanNode},
-    record::Parts,
     recording::codec,
     store::{Entry, Key, KeyInMaking, Store, brought, message, payload_of},
 };
+use osteoflow_container::Segments;
 use osteoflow_node::{
     AnyNode, Body, CachePolicy, Context, Emission, Empty, Item, Joined, NodeError, PortPayload, Registry, Slot,
 };
@@ -147,7 +147,7 @@ impl<'a> Recall<'a> {
 
     fn keep(&self, key: &Key, out: &[Emission], context: &mut Context) {
         let Some(answer) = written(out, context.warnings(), context.node()) else { return };
-        let slices: Vec<&[u8]> = answer.iter().flat_map(Parts::slices).collect();
+        let slices: Vec<&[u8]> = answer.iter().flat_map(Segments::slices).collect();
         if let Err(error) = self.store.put(key, &slices)
             && !self.cannot_keep.swap(true, Ordering::Relaxed)
         {
@@ -212,13 +212,13 @@ fn with_empty(key: KeyInMaking, what: &str, empty: &Empty) -> KeyInMaking {
 
 /// An answer for the store: the number of outputs and of warnings and the length of each (u64, little-endian), then the
 /// messages of the outputs and the texts of the warnings, each at a multiple of 8. `None` if an output was silent.
-fn written(out: &[Emission], warnings: &[String], node: &str) -> Option<Vec<Parts>> {
+fn written(out: &[Emission], warnings: &[String], node: &str) -> Option<Vec<Segments>> {
     let empty = |empty: Empty| {
         let item = Item { number: 0, stamp_ns: 0, body: Body::Empty(Arc::new(empty)) };
         codec::parts_on(PortPayload::Any, &item)
     };
     let mut messages = Vec::with_capacity(1 + out.len() + warnings.len());
-    messages.push(Parts::default());
+    messages.push(Segments::default());
     for emission in out {
         messages.push(match emission {
             Emission::Value(value) => message(value),
@@ -227,7 +227,7 @@ fn written(out: &[Emission], warnings: &[String], node: &str) -> Option<Vec<Part
         });
     }
     for warning in warnings {
-        let mut text = Parts::default();
+        let mut text = Segments::default();
         text.tail().extend_from_slice(warning.as_bytes());
         messages.push(text);
     }

@@ -1,14 +1,12 @@
 //! Payloads in the store: the message of an item, as in a recording, without number and stamp.
 
 use super::{Key, Store, StoreError};
-use crate::{
-    record::Parts,
-    recording::codec::{self, RecordedItem},
-};
+use crate::recording::codec::{self, RecordedItem};
+use osteoflow_container::Segments;
 use osteoflow_node::{Body, Item, Payload, PayloadType, PortPayload, Value};
 
 /// The bytes of a payload: name and version of its type, and its view. Columns stay where they are.
-pub(crate) fn message(value: &Value) -> Parts {
+pub(crate) fn message(value: &Value) -> Segments {
     codec::parts_on(PortPayload::Any, &Item { number: 0, stamp_ns: 0, body: Body::Value(value.clone()) })
 }
 

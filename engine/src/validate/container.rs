@@ -1,5 +1,7 @@
 use super::{FileWalk, Finding, Findings};
-use crate::container::{Channel, ChunkHead, ChunkIndex, Damage, MESSAGE_HEAD, Place, Record, Statistics};
+use osteoflow_container::{
+    Channel, ChunkHeader, ChunkIndex, Damage, Location, MESSAGE_HEADER_BYTES, Record, Statistics,
+};
 use std::{collections::BTreeMap, io};
 
 /// What the format itself promises: descriptions before use, indexes and counts that hold, sums of the whole.
@@ -26,7 +28,7 @@ pub(super) struct Container {
 }
 
 struct Chunk {
-    head: ChunkHead,
+    head: ChunkHeader,
     /// Log times of its messages: least and greatest.
     times: Option<(u64, u64)>,
     n_by_channel: BTreeMap<u16, u64>,
@@ -46,7 +48,7 @@ impl Container {
         self.open = None;
     }
 
-    pub(super) fn record(&mut self, place: Place, record: &Record<'_>, findings: &mut Findings) {
+    pub(super) fn record(&mut self, place: Location, record: &Record<'_>, findings: &mut Findings) {
         if place.in_chunk.is_none() {
             self.top_level(place, record, findings);
         }
@@ -88,7 +90,7 @@ impl Container {
         }
     }
 
-    fn top_level(&mut self, place: Place, record: &Record<'_>, findings: &mut Findings) {
+    fn top_level(&mut self, place: Location, record: &Record<'_>, findings: &mut Findings) {
         let mut wrong = |what: String| findings.add("container", Finding::new(place, what));
         match record {
             Record::Header { .. } if self.header => wrong("a second header".into()),
@@ -143,7 +145,7 @@ impl Container {
         }
     }
 
-    fn message_index(&mut self, place: Place, channel: u16, entries: &[(u64, u64)], findings: &mut Findings) {
+    fn message_index(&mut self, place: Location, channel: u16, entries: &[(u64, u64)], findings: &mut Findings) {
         let mut wrong = |what: String| findings.add("index", Finding::new(place, what));
         let Some(chunk) = self.open.and_then(|at| self.chunks.get(&at)) else {
             if !self.damaged {
@@ -151,7 +153,8 @@ impl Container {
             }
             return;
         };
-        let outside = entries.iter().find(|(_, offset)| offset.saturating_add(MESSAGE_HEAD) > chunk.head.n_unpacked);
+        let outside =
+            entries.iter().find(|(_, offset)| offset.saturating_add(MESSAGE_HEADER_BYTES) > chunk.head.n_unpacked);
         if let Some((_, offset)) = outside {
             wrong(format!("an index of channel {channel} points at byte {offset} of its chunk, beyond its end"));
         }
@@ -162,7 +165,7 @@ impl Container {
         let indexed = std::mem::take(&mut self.indexed);
         let Some(at) = self.open.take() else { return };
         let Some(chunk) = self.chunks.get_mut(&at) else { return };
-        let place = Place { offset: at, in_chunk: None };
+        let place = Location { offset: at, in_chunk: None };
         let (head, counts) = (&chunk.head, std::mem::take(&mut chunk.n_by_channel));
         let said = (head.start_time, head.end_time);
         if let Some(times) = chunk.times.filter(|times| *times != said) {
@@ -178,7 +181,7 @@ impl Container {
         }
     }
 
-    fn chunk_index(&mut self, place: Place, index: &ChunkIndex, findings: &mut Findings) {
+    fn chunk_index(&mut self, place: Location, index: &ChunkIndex, findings: &mut Findings) {
         let mut wrong = |what: String| findings.add("index", Finding::new(place, what));
         let Some(chunk) = self.chunks.get(&index.offset) else {
             if !self.damaged {
@@ -195,13 +198,13 @@ impl Container {
     }
 
     /// Compares the whole with its sums and its summary.
-    pub(super) fn finish(mut self, walk: &mut FileWalk, findings: &mut Findings) -> io::Result<()> {
+    pub(super) fn finish(mut self, reader: &mut FileWalk, findings: &mut Findings) -> io::Result<()> {
         self.close_chunk(findings);
-        let mut crc = |walk: &mut FileWalk, what: &str, bytes: std::ops::Range<u64>, stored: u32| -> io::Result<()> {
-            let place = Place { offset: bytes.start, in_chunk: None };
+        let mut crc = |reader: &mut FileWalk, what: &str, bytes: std::ops::Range<u64>, stored: u32| -> io::Result<()> {
+            let place = Location { offset: bytes.start, in_chunk: None };
             // Zero says that the writer did not compute one.
             if stored != 0 && bytes.start <= bytes.end {
-                let found = walk.crc(bytes)?;
+                let found = reader.crc(bytes)?;
                 if found != stored {
                     let said = format!("the CRC of {what} is {found:08x}, but {stored:08x} was recorded");
                     findings.add("crc", Finding::new(place, said));
@@ -210,16 +213,16 @@ impl Container {
             Ok(())
         };
         if let Some((at, stored)) = self.data_end {
-            crc(walk, "the data section", 0..at, stored)?;
+            crc(reader, "the data section", 0..at, stored)?;
         }
         if let Some((at, summary_start, stored)) = self.footer {
             let after_data = self.data_end.map(|(at, _)| at + 13);
             let start = if summary_start == 0 { at } else { summary_start };
             // Up to and with the footer's own two offsets.
-            crc(walk, "the summary", start..at + 25, stored)?;
+            crc(reader, "the summary", start..at + 25, stored)?;
             if summary_start != 0 && after_data.is_some_and(|data| data != summary_start) {
                 let what = format!("the footer says that the summary begins at byte {summary_start}, but it does not");
-                findings.add("container", Finding::new(Place { offset: at, in_chunk: None }, what));
+                findings.add("container", Finding::new(Location { offset: at, in_chunk: None }, what));
             }
             if self.data_end.is_none() {
                 findings.add("container", Finding::new(None, "the record that ends the data is missing"));

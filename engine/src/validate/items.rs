@@ -1,15 +1,16 @@
 use super::{Finding, Findings, ValidatedWire};
 use crate::{
-    container::{Carries, Channel, Channels, Message, Place, Wire},
     record::WIRES_METADATA,
     recording::{
         MetadataRecords, RecordedTypes,
         codec::{self, CodecError},
         counts,
         number_set::Numbers,
+        wires::{Carries, Channels, Wire},
     },
     recover::RECOVERED_METADATA,
 };
+use osteoflow_container::{Channel, Location, Message};
 use osteoflow_node::{Registry, StampNs};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -26,7 +27,7 @@ pub(super) struct Items<'a> {
     /// The earliest and the latest stamp that is a time.
     times: Option<(StampNs, StampNs)>,
     /// Items without a time, by log time: one of them, and its place.
-    timeless: BTreeMap<u64, (String, u64, Place)>,
+    timeless: BTreeMap<u64, (String, u64, Location)>,
     unknown_payloads: BTreeSet<String>,
 }
 
@@ -36,7 +37,7 @@ struct Checked {
     numbers: Numbers,
     n_values: u64,
     /// Stamps and places of items that came before their turn.
-    early: BTreeMap<u64, (StampNs, Place)>,
+    early: BTreeMap<u64, (StampNs, Location)>,
     next: u64,
     last_stamp_ns: Option<StampNs>,
     views: Numbers,
@@ -83,7 +84,7 @@ impl<'a> Items<'a> {
         }
     }
 
-    pub(super) fn message(&mut self, place: Place, message: &Message<'_>, findings: &mut Findings) {
+    pub(super) fn message(&mut self, place: Location, message: &Message<'_>, findings: &mut Findings) {
         match self.channels.get(message.channel_id).cloned() {
             Some(Carries::Exact(wire)) => self.item(&wire, place, message, findings),
             Some(Carries::View(wire)) => self.view(&wire, place, message, findings),
@@ -91,7 +92,7 @@ impl<'a> Items<'a> {
         }
     }
 
-    fn item(&mut self, wire: &Wire, place: Place, message: &Message<'_>, findings: &mut Findings) {
+    fn item(&mut self, wire: &Wire, place: Location, message: &Message<'_>, findings: &mut Findings) {
         let name = &wire.name;
         let item = match codec::decode(message.data) {
             Ok(item) => item,
@@ -145,7 +146,7 @@ impl<'a> Items<'a> {
         }
     }
 
-    fn view(&mut self, wire: &str, place: Place, message: &Message<'_>, findings: &mut Findings) {
+    fn view(&mut self, wire: &str, place: Location, message: &Message<'_>, findings: &mut Findings) {
         let number = u64::from(message.sequence);
         let mut wrong =
             |what: String| findings.add("view", Finding::of(wire, number, place, format!("its picture {what}")));

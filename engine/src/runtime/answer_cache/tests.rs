@@ -239,7 +239,7 @@ fn an_answer_is_read_as_it_was_written_and_of_other_bytes_there_is_none() {
     };
     let out = [Emission::Value(Value::new(Number(1.5))), Emission::Empty("it is µ".into())];
     let parts = written(&out, &["one".into(), String::new()], "node").unwrap();
-    let bytes: Vec<u8> = parts.iter().flat_map(Parts::slices).flatten().copied().collect();
+    let bytes: Vec<u8> = parts.iter().flat_map(Segments::slices).flatten().copied().collect();
     let answer = recall.read(1, &entry(&[&bytes])).unwrap();
     assert_eq!(answer.warnings, ["one", ""]);
     assert!(matches!(&answer.emissions[0], Emission::Value(v) if v.get() == Some(&Number(1.5))));

@@ -1,141 +1,184 @@
-use super::fields::Fields;
-use mcap::records::op;
+use crate::{fields::Fields, op};
 use std::collections::BTreeMap;
 
-/// A record's own bytes in front of its content: opcode and length.
+/// Bytes of a record before its content: opcode and length.
 pub(crate) const RECORD_HEAD: u64 = 9;
-/// The bytes of a message's record in front of its data.
-pub(crate) const MESSAGE_HEAD: u64 = RECORD_HEAD + 22;
+/// Bytes of a message record before its data.
+pub const MESSAGE_HEADER_BYTES: u64 = RECORD_HEAD + 22;
 
 /// A record of an MCAP file, borrowed from its bytes.
 #[derive(Debug)]
-pub(crate) enum Record<'a> {
+pub enum Record<'a> {
+    /// First record of a file.
     Header {
+        /// How channels and metadata are used; empty for no profile.
         profile: &'a str,
     },
+    /// Last record of a file.
     Footer {
+        /// Offset of the summary; 0 for a file without one.
         summary_start: u64,
+        /// CRC of the summary; 0 for none.
         crc: u32,
     },
+    /// Schema of messages.
     Schema {
+        /// Identifier, from 1.
         id: u16,
+        /// Name, such as `foxglove.PointCloud`.
         name: &'a str,
+        /// Encoding of `data`, such as `protobuf`.
         encoding: &'a str,
+        /// The schema itself.
         data: &'a [u8],
     },
+    /// Channel of messages.
     Channel(Channel),
+    /// Message on a channel.
     Message(Message<'a>),
-    /// What a chunk says of itself; its records follow.
-    Chunk(ChunkHead),
-    /// Log times and places in the chunk.
+    /// Header of a chunk; the records of the chunk follow.
+    Chunk(ChunkHeader),
+    /// Index of a channel's messages in the chunk before it.
     MessageIndex {
+        /// The channel.
         channel_id: u16,
+        /// Log time and offset in the unpacked chunk of each message.
         entries: Vec<(u64, u64)>,
     },
+    /// Index entry of a chunk in the summary.
     ChunkIndex(ChunkIndex),
+    /// Attached file.
     Attachment(Attachment<'a>),
+    /// Counts in the summary.
     Statistics(Statistics),
+    /// Named key-value pairs.
     Metadata {
+        /// Name of the record.
         name: &'a str,
+        /// The key-value pairs.
         entries: BTreeMap<String, String>,
     },
+    /// Index entry of a metadata record in the summary.
     MetadataIndex {
+        /// Offset of the record.
         offset: u64,
+        /// Name of the record.
         name: &'a str,
     },
+    /// End of the data section.
     DataEnd {
+        /// CRC of all bytes before this record; 0 for none.
         crc: u32,
     },
-    /// What this program has no use for: other indexes, and what later versions of the format may add.
+    /// Another record: an index that is not needed, or a record of a later version of the format.
     Other,
 }
 
+/// Channel of messages.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Channel {
-    pub(crate) id: u16,
-    pub(crate) schema_id: u16,
-    pub(crate) topic: String,
-    pub(crate) message_encoding: String,
-    pub(crate) metadata: BTreeMap<String, String>,
+pub struct Channel {
+    /// Identifier.
+    pub id: u16,
+    /// Identifier of the schema; 0 for none.
+    pub schema_id: u16,
+    /// Topic, such as `/camera/scan`.
+    pub topic: String,
+    /// Encoding of the messages, such as `protobuf`.
+    pub message_encoding: String,
+    /// Key-value pairs of the writer.
+    pub metadata: BTreeMap<String, String>,
 }
 
+/// Message on a channel.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Message<'a> {
-    pub(crate) channel_id: u16,
-    pub(crate) sequence: u32,
-    pub(crate) log_time: u64,
-    pub(crate) publish_time: u64,
-    pub(crate) data: &'a [u8],
+pub struct Message<'a> {
+    /// The channel.
+    pub channel_id: u16,
+    /// Count of the sender.
+    pub sequence: u32,
+    /// Time at which the message was recorded, ns.
+    pub log_time: u64,
+    /// Time at which the message was sent, ns.
+    pub publish_time: u64,
+    /// The message itself.
+    pub data: &'a [u8],
 }
 
+/// Header of a chunk.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct ChunkHead {
-    pub(crate) start_time: u64,
-    pub(crate) end_time: u64,
-    pub(crate) n_unpacked: u64,
-    pub(crate) crc: u32,
-    pub(crate) compression: String,
-    pub(crate) n_packed: u64,
-    /// Bytes of the record in front of the packed ones.
-    pub(crate) n_head: u64,
-    /// Bytes of the whole record.
-    pub(crate) n_record: u64,
+pub struct ChunkHeader {
+    /// Earliest log time of its messages; 0 for none.
+    pub start_time: u64,
+    /// Latest log time of its messages; 0 for none.
+    pub end_time: u64,
+    /// Bytes of the unpacked records.
+    pub n_unpacked: u64,
+    /// CRC of the unpacked records; 0 for none.
+    pub crc: u32,
+    /// Compression: empty, `lz4` or `zstd`.
+    pub compression: String,
+    /// Bytes of the packed records.
+    pub n_packed: u64,
+    /// Bytes of the chunk record before the packed records.
+    pub n_head: u64,
+    /// Bytes of the whole chunk record.
+    pub n_record: u64,
 }
 
+/// Index entry of a chunk in the summary.
 #[derive(Debug)]
-pub(crate) struct ChunkIndex {
-    pub(crate) start_time: u64,
-    pub(crate) end_time: u64,
-    pub(crate) offset: u64,
-    pub(crate) length: u64,
-    pub(crate) compression: String,
-    pub(crate) n_packed: u64,
-    pub(crate) n_unpacked: u64,
+pub struct ChunkIndex {
+    /// Earliest log time of its messages.
+    pub start_time: u64,
+    /// Latest log time of its messages.
+    pub end_time: u64,
+    /// Offset of the chunk record.
+    pub offset: u64,
+    /// Bytes of the chunk record.
+    pub length: u64,
+    /// Compression of the chunk.
+    pub compression: String,
+    /// Bytes of the packed records.
+    pub n_packed: u64,
+    /// Bytes of the unpacked records.
+    pub n_unpacked: u64,
 }
 
+/// Attached file.
 #[derive(Debug)]
-pub(crate) struct Attachment<'a> {
-    pub(crate) log_time: u64,
-    pub(crate) create_time: u64,
-    pub(crate) name: &'a str,
-    pub(crate) media_type: &'a str,
-    pub(crate) data: &'a [u8],
+pub struct Attachment<'a> {
+    /// Time at which it was recorded, ns.
+    pub log_time: u64,
+    /// Time at which it was created, ns; 0 if unknown.
+    pub create_time: u64,
+    /// File name.
+    pub name: &'a str,
+    /// Media type, such as `application/json`.
+    pub media_type: &'a str,
+    /// Content of the file.
+    pub data: &'a [u8],
 }
 
+/// Counts in the summary.
 #[derive(Debug, Clone)]
-pub(crate) struct Statistics {
-    pub(crate) n_messages: u64,
-    pub(crate) n_schemas: u16,
-    pub(crate) n_channels: u32,
-    pub(crate) n_attachments: u32,
-    pub(crate) n_metadata: u32,
-    pub(crate) n_chunks: u32,
-    pub(crate) by_channel: BTreeMap<u16, u64>,
+pub struct Statistics {
+    /// Messages of all channels.
+    pub n_messages: u64,
+    /// Schemas.
+    pub n_schemas: u16,
+    /// Channels.
+    pub n_channels: u32,
+    /// Attachments.
+    pub n_attachments: u32,
+    /// Metadata records.
+    pub n_metadata: u32,
+    /// Chunks.
+    pub n_chunks: u32,
+    /// Messages of each channel.
+    pub by_channel: BTreeMap<u16, u64>,
 }
 
-/// The name of a kind of record, as messages tell it.
-pub(crate) fn name(opcode: u8) -> &'static str {
-    match opcode {
-        op::HEADER => "header",
-        op::FOOTER => "footer",
-        op::SCHEMA => "schema",
-        op::CHANNEL => "channel",
-        op::MESSAGE => "message",
-        op::CHUNK => "chunk",
-        op::MESSAGE_INDEX => "message index",
-        op::CHUNK_INDEX => "chunk index",
-        op::ATTACHMENT => "attachment",
-        op::ATTACHMENT_INDEX => "attachment index",
-        op::STATISTICS => "statistics",
-        op::METADATA => "metadata",
-        op::METADATA_INDEX => "metadata index",
-        op::SUMMARY_OFFSET => "summary offset",
-        op::DATA_END => "data end",
-        _ => "unknown record",
-    }
-}
-
-/// The record of these bytes; chunks are read elsewhere, since they may be large.
+/// Parses a record other than a chunk.
 pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
     let mut fields = Fields::new(body);
     Ok(match opcode {
@@ -243,8 +286,8 @@ pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
     })
 }
 
-/// The head of a chunk from the first bytes of its record's content; `length` is the content's as the record claims it.
-pub(super) fn chunk_head(bytes: &[u8], length: u64) -> Result<ChunkHead, String> {
+/// Parses the header of a chunk from the first bytes of its content; `length` is the length of the content.
+pub(super) fn chunk_head(bytes: &[u8], length: u64) -> Result<ChunkHeader, String> {
     let mut fields = Fields::new(bytes);
     let (start_time, end_time, n_unpacked) = (fields.u64()?, fields.u64()?, fields.u64()?);
     let (crc, compression, n_packed) = (fields.u32()?, fields.text()?.to_owned(), fields.u64()?);
@@ -254,10 +297,10 @@ pub(super) fn chunk_head(bytes: &[u8], length: u64) -> Result<ChunkHead, String>
     }
     let n_record = RECORD_HEAD + length;
     let n_head = RECORD_HEAD + n_head;
-    Ok(ChunkHead { start_time, end_time, n_unpacked, crc, compression, n_packed, n_head, n_record })
+    Ok(ChunkHeader { start_time, end_time, n_unpacked, crc, compression, n_packed, n_head, n_record })
 }
 
-/// A CRC of zero says that the writer did not compute one.
+/// Compares a stored CRC with the computed one; 0 means that the writer stored none.
 pub(super) fn check_crc(what: &str, stored: u32, calculated: impl FnOnce() -> u32) -> Result<(), String> {
     if stored == 0 {
         return Ok(());

@@ -1,11 +1,12 @@
-//! One pass over a file, from its magic to its end, past damage.
+//! Reads a file from its magic to its end, past damage.
 
-use super::{
-    chunk::{MAX_RECORD_BYTES, Unpacking, unpack},
-    record::{self, ChunkHead, RECORD_HEAD, Record},
+use crate::{
+    MAGIC, MAX_RECORD_BYTES,
+    chunk::{Unpacking, unpack},
+    op,
+    record::{self, ChunkHeader, RECORD_HEAD, Record},
     resync,
 };
-use mcap::{MAGIC, records::op};
 use std::{
     fmt,
     fs::File,
@@ -14,19 +15,19 @@ use std::{
     path::Path,
 };
 
-/// A head that names a compression longer than this is damaged.
+/// Longest header of a chunk; a longer one names no known compression.
 const MAX_CHUNK_HEAD: u64 = 64;
 
-/// Where a record lies.
+/// Location of a record in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Place {
-    /// The byte of the file at which the record, or the chunk around it, begins.
+pub struct Location {
+    /// Offset in the file of the record, or of the chunk that holds it.
     pub offset: u64,
-    /// The byte within the unpacked chunk, for a record in a chunk.
+    /// Offset in the unpacked chunk, for a record in a chunk.
     pub in_chunk: Option<u64>,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for Location {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.in_chunk {
             None => write!(f, "byte {}", self.offset),
@@ -35,12 +36,12 @@ impl fmt::Display for Place {
     }
 }
 
-/// A part of a file that could not be read.
+/// Bytes of a file that could not be read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Damage {
-    /// The bytes that are lost.
+    /// Offsets of the bytes that are lost.
     pub bytes: Range<u64>,
-    /// What is wrong there.
+    /// The cause.
     pub what: String,
 }
 
@@ -50,40 +51,48 @@ impl fmt::Display for Damage {
     }
 }
 
-/// How a file ends.
+/// End of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum End {
-    /// With its footer and magic; so many bytes follow.
-    Whole { trailing: u64 },
-    /// Without.
-    CutShort(Damage),
-    /// Nobody wanted more.
+pub enum End {
+    /// The file ends with its footer and magic.
+    Complete {
+        /// Bytes after the closing magic.
+        trailing: u64,
+    },
+    /// The file ends without footer and magic.
+    Truncated(Damage),
+    /// The visitor stopped.
     Stopped,
 }
 
-/// What a pass finds, as it finds it.
-pub(crate) trait Visit {
-    /// A record that is intact. A chunk's records come behind its head, and only if all of them are intact.
-    fn record(&mut self, place: Place, record: Record<'_>) -> ControlFlow<()>;
+/// Bytes read so far, and bytes in total.
+pub type Progress<'a> = &'a mut dyn FnMut(u64, u64);
 
-    /// Bytes that are lost; the pass goes on behind them.
+/// Receives the records of a file in file order.
+pub trait Visitor {
+    /// Visits an intact record. The records of a chunk follow its header, and only if all of them are intact.
+    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()>;
+
+    /// Visits bytes that are lost; reading resumes after them.
     fn damage(&mut self, damage: Damage) -> ControlFlow<()>;
 
-    /// How far it has come, in bytes of the file.
+    /// Reports progress in bytes of the file.
     fn progress(&mut self, _at: u64, _of: u64) {}
 }
 
-/// A file that cannot be passed over at all.
+/// A file that cannot be read at all.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum WalkError {
+pub enum ReadError {
+    /// The system reports an error.
     #[error(transparent)]
     Io(#[from] io::Error),
+    /// The file does not begin as an MCAP file; the reason.
     #[error("{0}")]
-    NoMcap(String),
+    NotMcap(String),
 }
 
-/// A pass over a file. Never more is held than one record or unpacked chunk, whatever the file claims.
-pub(crate) struct Walk<R> {
+/// Reader of an MCAP file. Memory: one record or unpacked chunk, whatever the file claims.
+pub struct Reader<R> {
     reader: BufReader<R>,
     n_bytes: u64,
     body: Vec<u8>,
@@ -99,9 +108,12 @@ enum Step {
     Stopped,
 }
 
-impl Walk<File> {
-    /// A pass over a file.
-    pub(crate) fn open(path: &Path) -> io::Result<Self> {
+impl Reader<File> {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// If the file cannot be opened, or is no regular file.
+    pub fn open(path: &Path) -> io::Result<Self> {
         let file = File::open(path)?;
         let metadata = file.metadata()?;
         if !metadata.is_file() {
@@ -111,18 +123,22 @@ impl Walk<File> {
     }
 }
 
-impl<R: Read + Seek> Walk<R> {
-    pub(crate) fn new(reader: R, n_bytes: u64) -> Self {
+impl<R: Read + Seek> Reader<R> {
+    /// Reads from `reader`, which holds `n_bytes`.
+    pub fn new(reader: R, n_bytes: u64) -> Self {
         Self { reader: BufReader::with_capacity(1 << 16, reader), n_bytes, body: Vec::new() }
     }
 
-    /// The file's length.
-    pub(crate) fn n_bytes(&self) -> u64 {
+    /// Length of the file.
+    pub fn n_bytes(&self) -> u64 {
         self.n_bytes
     }
 
-    /// Tells `visit` everything, from the first record to the last.
-    pub(crate) fn run(&mut self, visit: &mut impl Visit) -> Result<End, WalkError> {
+    /// Visits every record, from the first to the last.
+    ///
+    /// # Errors
+    /// [`ReadError`] if the file is no MCAP file or the system reports an error; damage is not an error.
+    pub fn read(&mut self, visit: &mut impl Visitor) -> Result<End, ReadError> {
         if let Some(damage) = self.start_magic()?
             && visit.damage(damage).is_break()
         {
@@ -133,7 +149,7 @@ impl<R: Read + Seek> Walk<R> {
             visit.progress(at, self.n_bytes);
             match self.step(at, visit)? {
                 Step::Next(next) => at = next,
-                Step::End(end) => return Ok(End::Whole { trailing: self.n_bytes - end }),
+                Step::End(end) => return Ok(End::Complete { trailing: self.n_bytes - end }),
                 Step::Stopped => return Ok(End::Stopped),
                 Step::Damaged(what, next) => {
                     let next = match next {
@@ -148,16 +164,19 @@ impl<R: Read + Seek> Walk<R> {
                             }
                             at = next;
                         }
-                        None => return Ok(End::CutShort(damage)),
+                        None => return Ok(End::Truncated(damage)),
                     }
                 }
             }
         }
     }
 
-    /// Tells `visit` the schemas and channels that the summary repeats, where the file has one: a damaged chunk may be
-    /// the only other place that describes a channel.
-    pub(crate) fn summary(&mut self, visit: &mut impl Visit) -> Result<(), WalkError> {
+    /// Visits the schemas and channels that the summary repeats, if the file has one: a damaged chunk may be the only
+    /// other place that describes a channel.
+    ///
+    /// # Errors
+    /// [`ReadError::Io`].
+    pub fn summary(&mut self, visit: &mut impl Visitor) -> Result<(), ReadError> {
         let n_tail = RECORD_HEAD + 20 + MAGIC.len() as u64;
         if self.n_bytes < n_tail + MAGIC.len() as u64 {
             return Ok(());
@@ -174,7 +193,7 @@ impl<R: Read + Seek> Walk<R> {
             if matches!(opcode, op::SCHEMA | op::CHANNEL) {
                 let body = self.read_at(at + RECORD_HEAD, length)?;
                 let Ok(record) = record::parse(opcode, &body) else { break };
-                if visit.record(Place { offset: at, in_chunk: None }, record).is_break() {
+                if visit.record(Location { offset: at, in_chunk: None }, record).is_break() {
                     break;
                 }
             }
@@ -184,7 +203,7 @@ impl<R: Read + Seek> Walk<R> {
     }
 
     /// Looks for the magic; answers what is wrong with it where a header follows all the same.
-    fn start_magic(&mut self) -> Result<Option<Damage>, WalkError> {
+    fn start_magic(&mut self) -> Result<Option<Damage>, ReadError> {
         let n_magic = MAGIC.len() as u64;
         let start = self.read_at(0, self.n_bytes.min(n_magic))?;
         let reason = match start.as_slice() {
@@ -203,7 +222,7 @@ impl<R: Read + Seek> Walk<R> {
                 }
             }
         }
-        Err(WalkError::NoMcap(reason.into()))
+        Err(ReadError::NotMcap(reason.into()))
     }
 
     fn seek(&mut self, to: u64) -> io::Result<()> {
@@ -239,7 +258,7 @@ impl<R: Read + Seek> Walk<R> {
         Ok((op::HEADER..=op::DATA_END).contains(&opcode) && length <= self.n_bytes - at - RECORD_HEAD)
     }
 
-    fn step(&mut self, at: u64, visit: &mut impl Visit) -> Result<Step, WalkError> {
+    fn step(&mut self, at: u64, visit: &mut impl Visitor) -> Result<Step, ReadError> {
         let left = self.n_bytes - at;
         if left < RECORD_HEAD {
             let what = if left == 0 { "the file ends without its end record" } else { "the file ends within a record" };
@@ -251,17 +270,17 @@ impl<R: Read + Seek> Walk<R> {
             return Ok(Step::Damaged("no record begins with a zero byte".into(), None));
         }
         if length > left {
-            let name = record::name(opcode);
+            let name = op::name(opcode);
             let what = format!("a {name} claims {length} bytes, the file has {left} more");
             return Ok(Step::Damaged(what, None));
         }
         let next = at + RECORD_HEAD + length;
-        let place = Place { offset: at, in_chunk: None };
+        let place = Location { offset: at, in_chunk: None };
         if opcode == op::CHUNK {
             return self.chunk(place, length, visit);
         }
         if length > MAX_RECORD_BYTES {
-            let name = record::name(opcode);
+            let name = op::name(opcode);
             let what = format!("a {name} of {length} bytes; at most {MAX_RECORD_BYTES} are read at once");
             return Ok(Step::Damaged(what, Some(next)));
         }
@@ -269,7 +288,7 @@ impl<R: Read + Seek> Walk<R> {
         body.clear();
         self.reader.by_ref().take(length).read_to_end(&mut body)?;
         let step = match record::parse(opcode, &body) {
-            Err(what) => Step::Damaged(format!("{}: {what}", record::name(opcode)), Some(next)),
+            Err(what) => Step::Damaged(format!("{}: {what}", op::name(opcode)), Some(next)),
             // An opcode of no version of the format is one that was damaged, unless what follows vouches for it.
             Ok(Record::Other) if opcode > op::DATA_END && !self.begins_record(next)? => {
                 Step::Damaged(format!("no record has opcode {opcode}"), None)
@@ -296,7 +315,7 @@ impl<R: Read + Seek> Walk<R> {
         Ok(at + n <= self.n_bytes && self.read_at(at, n)? == MAGIC)
     }
 
-    fn chunk(&mut self, place: Place, length: u64, visit: &mut impl Visit) -> Result<Step, WalkError> {
+    fn chunk(&mut self, place: Location, length: u64, visit: &mut impl Visitor) -> Result<Step, ReadError> {
         let next = place.offset + RECORD_HEAD + length;
         let mut body = std::mem::take(&mut self.body);
         let unpacked = self.unpacked(place.offset, length, &mut body)?;
@@ -315,7 +334,7 @@ impl<R: Read + Seek> Walk<R> {
     }
 
     /// Unpacks the chunk at `at` into `out`; or what is wrong, and whether its head agrees with the record's length.
-    fn unpacked(&mut self, at: u64, length: u64, out: &mut Vec<u8>) -> io::Result<Result<ChunkHead, (String, bool)>> {
+    fn unpacked(&mut self, at: u64, length: u64, out: &mut Vec<u8>) -> io::Result<Result<ChunkHeader, (String, bool)>> {
         let start = self.read_at(at + RECORD_HEAD, length.min(MAX_CHUNK_HEAD))?;
         let head = match record::chunk_head(&start, length) {
             Ok(head) => head,
@@ -329,8 +348,11 @@ impl<R: Read + Seek> Walk<R> {
         }
     }
 
-    /// The unpacked chunk at a place where a pass has found one.
-    pub(crate) fn chunk_at(&mut self, at: u64) -> io::Result<Vec<u8>> {
+    /// Unpacks the chunk at an offset at which [`read`](Self::read) has found one.
+    ///
+    /// # Errors
+    /// If the file has changed since then.
+    pub fn chunk_at(&mut self, at: u64) -> io::Result<Vec<u8>> {
         let (_, length) = self.head(at)?;
         let mut out = Vec::new();
         match self.unpacked(at, length, &mut out)? {
@@ -339,16 +361,22 @@ impl<R: Read + Seek> Walk<R> {
         }
     }
 
-    /// `n` bytes at a place where a pass has found them.
-    pub(crate) fn bytes_at(&mut self, at: u64, n: u64) -> io::Result<Vec<u8>> {
+    /// Reads `n` bytes of a record that [`read`](Self::read) has found.
+    ///
+    /// # Errors
+    /// If the file has changed since then.
+    pub fn bytes_at(&mut self, at: u64, n: u64) -> io::Result<Vec<u8>> {
         if at.checked_add(n).is_none_or(|end| end > self.n_bytes) {
             return Err(io::Error::other(format!("the file has changed: byte {at} is beyond its end")));
         }
         self.read_at(at, n)
     }
 
-    /// The CRC of the bytes of a part of the file.
-    pub(crate) fn crc(&mut self, bytes: Range<u64>) -> io::Result<u32> {
+    /// Computes the CRC of a range of the file.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub fn crc(&mut self, bytes: Range<u64>) -> io::Result<u32> {
         self.seek(bytes.start)?;
         let mut hasher = crc32fast::Hasher::new();
         let mut left = bytes.end - bytes.start;
@@ -382,7 +410,7 @@ fn records(chunk: &[u8]) -> impl Iterator<Item = Result<(u64, u8, &[u8]), String
         let Some(body) = usize::try_from(length).ok().and_then(|n| rest.get(..n)) else {
             let place = at;
             at = chunk.len();
-            let (name, n_left) = (record::name(head[0]), rest.len());
+            let (name, n_left) = (op::name(head[0]), rest.len());
             return Some(Err(format!("a {name} at its byte {place} claims {length} bytes, {n_left} are left")));
         };
         let start = at as u64;
@@ -395,20 +423,36 @@ fn check_records(chunk: &[u8]) -> Result<(), String> {
     for entry in records(chunk) {
         let (at, opcode, body) = entry?;
         let parsed = record::parse(opcode, body);
-        let record = parsed.map_err(|what| format!("a {} at its byte {at}: {what}", record::name(opcode)))?;
+        let record = parsed.map_err(|what| format!("a {} at its byte {at}: {what}", op::name(opcode)))?;
         if !matches!(record, Record::Schema { .. } | Record::Channel(_) | Record::Message(_) | Record::Other) {
-            return Err(format!("a {} at its byte {at} does not belong into a chunk", record::name(opcode)));
+            return Err(format!("a {} at its byte {at} does not belong into a chunk", op::name(opcode)));
         }
     }
     Ok(())
 }
 
-fn tell_chunk(place: Place, head: ChunkHead, chunk: &[u8], visit: &mut impl Visit) -> ControlFlow<()> {
+fn tell_chunk(place: Location, head: ChunkHeader, chunk: &[u8], visit: &mut impl Visitor) -> ControlFlow<()> {
     visit.record(place, Record::Chunk(head))?;
     for (at, opcode, body) in records(chunk).filter_map(Result::ok) {
         if let Ok(record) = record::parse(opcode, body) {
-            visit.record(Place { in_chunk: Some(at), ..place }, record)?;
+            visit.record(Location { in_chunk: Some(at), ..place }, record)?;
         }
     }
     ControlFlow::Continue(())
+}
+
+/// Warning about a file that is damaged or truncated; `None` for a complete one.
+pub fn damage_message(damages: &[Damage], end: &End) -> Option<String> {
+    let cut = match end {
+        End::Truncated(damage) => Some(format!("the file was cut short: {damage}")),
+        End::Complete { .. } | End::Stopped => None,
+    };
+    let damaged = damages.first().map(|first| match damages.len() {
+        1 => format!("the file is damaged: {first}"),
+        n => format!("the file is damaged in {n} places, first {first}"),
+    });
+    match (damaged, cut) {
+        (Some(damaged), Some(cut)) => Some(format!("{damaged}; {cut}")),
+        (damaged, cut) => damaged.or(cut),
+    }
 }

@@ -1,7 +1,6 @@
 //! Finds the next record behind damage.
 
-use super::record::RECORD_HEAD;
-use mcap::records::op;
+use crate::{op, record::RECORD_HEAD};
 use std::io::{self, Read, Seek, SeekFrom};
 
 /// How much is looked through at a time.
@@ -48,7 +47,7 @@ fn is_record(bytes: &[u8], left: u64) -> bool {
     let content = &bytes[RECORD_HEAD as usize..];
     let word = |at: usize| Some(u32::from_le_bytes(content.get(at..at + 4)?.try_into().ok()?));
     let agrees = match head[0] {
-        op::CHUNK => super::record::chunk_head(&content[..content.len().min(64)], length).is_ok(),
+        op::CHUNK => crate::record::chunk_head(&content[..content.len().min(64)], length).is_ok(),
         op::MESSAGE_INDEX => {
             let n = word(2).map(u64::from);
             // Two entries at least: one alone has so many zeros that chance makes it.

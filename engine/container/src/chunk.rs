@@ -1,8 +1,8 @@
-use super::record::{ChunkHead, check_crc};
+use crate::{
+    MAX_RECORD_BYTES,
+    record::{ChunkHeader, check_crc},
+};
 use std::io::{self, BufRead, Read};
-
-/// More than any recorder's chunk, and any record of ours: a length above it is damage, or a trap.
-pub(crate) const MAX_RECORD_BYTES: u64 = 1 << 30;
 
 /// Why a chunk's records are not to be had.
 pub(super) enum Unpacking {
@@ -15,7 +15,7 @@ pub(super) enum Unpacking {
 /// Unpacks a chunk into `out`, from a reader that stands at its packed bytes and ends behind them.
 ///
 /// What the chunk claims to hold is not believed: `out` grows with what comes out, up to the claim and the limit.
-pub(super) fn unpack(head: &ChunkHead, packed: impl BufRead, out: &mut Vec<u8>) -> Result<(), Unpacking> {
+pub(super) fn unpack(head: &ChunkHeader, packed: impl BufRead, out: &mut Vec<u8>) -> Result<(), Unpacking> {
     let damaged = Unpacking::Damaged;
     out.clear();
     if head.n_unpacked > MAX_RECORD_BYTES || head.n_packed > MAX_RECORD_BYTES {

@@ -1,7 +1,7 @@
 //! Which channel is which wire's.
 
-use super::{Channel, End, Record, Visit, Walk, WalkError};
 use crate::record::{EXACT_ENCODING, EXACT_TOPIC, VIEW_TOPIC};
+use osteoflow_container::{Channel, Damage, Location, ReadError, Reader, Record, Visitor};
 use std::{collections::BTreeMap, ops::ControlFlow};
 
 /// What a channel of a recording carries.
@@ -60,9 +60,9 @@ pub(crate) struct Channels {
 impl Channels {
     /// The channels that the summary repeats: with them a message whose channel was described in a damaged chunk only is
     /// not lost.
-    pub(crate) fn of_summary<R: std::io::Read + std::io::Seek>(walk: &mut Walk<R>) -> Result<Self, WalkError> {
+    pub(crate) fn of_summary<R: std::io::Read + std::io::Seek>(reader: &mut Reader<R>) -> Result<Self, ReadError> {
         let mut channels = Self::default();
-        walk.summary(&mut channels)?;
+        reader.summary(&mut channels)?;
         Ok(channels)
     }
 
@@ -90,31 +90,15 @@ impl Channels {
     }
 }
 
-impl Visit for Channels {
-    fn record(&mut self, _: super::Place, record: Record<'_>) -> ControlFlow<()> {
+impl Visitor for Channels {
+    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
         if let Record::Channel(channel) = record {
             self.add(channel);
         }
         ControlFlow::Continue(())
     }
 
-    fn damage(&mut self, _: super::Damage) -> ControlFlow<()> {
+    fn damage(&mut self, _: Damage) -> ControlFlow<()> {
         ControlFlow::Continue(())
-    }
-}
-
-/// What is wrong with a file as a whole, in the words of a warning; none for a whole file.
-pub(crate) fn told(damages: &[super::Damage], end: &End) -> Option<String> {
-    let cut = match end {
-        End::CutShort(damage) => Some(format!("the file was cut short: {damage}")),
-        End::Whole { .. } | End::Stopped => None,
-    };
-    let damaged = damages.first().map(|first| match damages.len() {
-        1 => format!("the file is damaged: {first}"),
-        n => format!("the file is damaged in {n} places, first {first}"),
-    });
-    match (damaged, cut) {
-        (Some(damaged), Some(cut)) => Some(format!("{damaged}; {cut}")),
-        (damaged, cut) => damaged.or(cut),
     }
 }

@@ -1,0 +1,28 @@
+//! Reads and writes MCAP files.
+//!
+//! [`Reader`] passes over a file of any writer, whole or damaged: it guards every length before it allocates, checks the
+//! CRC of every chunk and attachment, and resumes at the next record behind damage. [`Writer`] appends whole chunks and
+//! never seeks, so a process that is killed leaves every chunk that was finished. The `mcap` crate does neither
+//! (`docs/decisions/0010`); the tests use it as the other side.
+
+mod chunk;
+mod compression;
+mod fields;
+pub mod op;
+mod read;
+mod record;
+mod resync;
+mod segments;
+mod write;
+
+pub use compression::Compression;
+pub use read::{Damage, End, Location, Progress, ReadError, Reader, Visitor, damage_message};
+pub use record::{Attachment, Channel, ChunkHeader, ChunkIndex, MESSAGE_HEADER_BYTES, Message, Record, Statistics};
+pub use segments::{Segments, SharedBytes};
+pub use write::{MessageHeader, Sink, WriteOptions, Writer};
+
+/// The first and the last bytes of an MCAP file.
+pub const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+
+/// Longest record, and longest unpacked chunk: no recorder writes longer ones, so a greater length is damage.
+pub const MAX_RECORD_BYTES: u64 = 1 << 30;

@@ -1,0 +1,111 @@
+use std::sync::Arc;
+
+/// Bytes with shared ownership, such as the rows of a column.
+pub type SharedBytes = Arc<dyn AsRef<[u8]> + Send + Sync>;
+
+/// Longer slices are kept as segments of their own; shorter ones are cheaper to copy.
+const MIN_SEGMENT_BYTES: usize = 4 << 10;
+
+/// Bytes of a message as a list of segments, so that long buffers are written without being copied.
+#[derive(Default)]
+pub struct Segments {
+    segments: Vec<Segment>,
+    tail: Vec<u8>,
+    /// Bytes in `segments`.
+    n_bytes: usize,
+}
+
+enum Segment {
+    Owned(Vec<u8>),
+    Shared(SharedBytes),
+}
+
+impl Segment {
+    fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Owned(bytes) => bytes,
+            Self::Shared(bytes) => (**bytes).as_ref(),
+        }
+    }
+}
+
+impl Segments {
+    /// Number of bytes in all segments.
+    pub fn len(&self) -> usize {
+        self.n_bytes + self.tail.len()
+    }
+
+    /// Whether there are no bytes.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Buffer at the end, to which short values are appended.
+    pub fn tail(&mut self) -> &mut Vec<u8> {
+        &mut self.tail
+    }
+
+    /// Appends shared bytes; long ones are not copied.
+    pub fn push_shared(&mut self, shared: &SharedBytes) {
+        let bytes: &[u8] = (**shared).as_ref();
+        if bytes.len() < MIN_SEGMENT_BYTES {
+            self.tail.extend_from_slice(bytes);
+        } else {
+            self.end_tail();
+            self.n_bytes += bytes.len();
+            self.segments.push(Segment::Shared(shared.clone()));
+        }
+    }
+
+    /// Appends owned bytes; long ones are not copied.
+    pub fn push(&mut self, bytes: Vec<u8>) {
+        if bytes.len() < MIN_SEGMENT_BYTES {
+            self.tail.extend_from_slice(&bytes);
+        } else {
+            self.end_tail();
+            self.n_bytes += bytes.len();
+            self.segments.push(Segment::Owned(bytes));
+        }
+    }
+
+    /// All bytes in one buffer.
+    pub fn into_vec(self) -> Vec<u8> {
+        if self.segments.is_empty() {
+            return self.tail;
+        }
+        let mut all = Vec::with_capacity(self.len());
+        self.slices().for_each(|slice| all.extend_from_slice(slice));
+        all
+    }
+
+    /// The segments in order.
+    pub fn slices(&self) -> impl Iterator<Item = &[u8]> {
+        self.segments.iter().map(Segment::bytes).chain([&*self.tail]).filter(|slice| !slice.is_empty())
+    }
+
+    /// Closes the tail, so that the next segment follows it.
+    pub(crate) fn end_tail(&mut self) {
+        if !self.tail.is_empty() {
+            self.n_bytes += self.tail.len();
+            self.segments.push(Segment::Owned(std::mem::take(&mut self.tail)));
+        }
+    }
+
+    pub(crate) fn append(&mut self, other: Self) {
+        for segment in other.segments {
+            match segment {
+                Segment::Owned(bytes) => self.push(bytes),
+                Segment::Shared(bytes) => self.push_shared(&bytes),
+            }
+        }
+        self.tail.extend_from_slice(&other.tail);
+    }
+}
+
+impl From<Vec<u8>> for Segments {
+    fn from(bytes: Vec<u8>) -> Self {
+        let mut segments = Self::default();
+        segments.push(bytes);
+        segments
+    }
+}
