@@ -21,7 +21,7 @@ mod triangles;
 pub use parts::FieldParts;
 
 use crate::axes::principal_axes;
-use crate::boxes::Extent;
+use crate::bvh::Aabb;
 use crate::kabsch::{centroid, finite};
 use crate::mesh_query::MeshQuery;
 use four::Four;
@@ -209,7 +209,7 @@ trait Surface: Sync {
     /// How many parts it has.
     fn n(&self) -> usize;
     /// Where it lies.
-    fn extent(&self) -> Extent;
+    fn extent(&self) -> Aabb;
     /// The part nearest to a place; `hint` is a part that may be near, and changes nothing but the time taken.
     fn nearest(&self, at: &Vector3<f64>, hint: Option<u32>) -> Nearest;
     /// What a node at a place holds.

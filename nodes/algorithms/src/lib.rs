@@ -42,14 +42,12 @@
 //! ```
 
 pub mod axes;
-mod boxes;
+mod bvh;
 pub mod calibrate;
-mod cells;
 pub mod coarse;
 pub mod downsample;
 pub mod field;
 pub mod fragment;
-mod handfuls;
 pub mod hole;
 pub mod icp;
 pub mod kabsch;
@@ -61,6 +59,8 @@ pub mod metrics;
 mod morton;
 pub mod nearest;
 pub mod normals;
+mod point_blocks;
+mod point_grid;
 pub mod roi;
 pub mod sample;
 pub mod section;

@@ -1,28 +1,23 @@
-//! An order of points in which neighbours in space are mostly neighbours in memory.
+//! Points along a Morton curve, on which neighbours in space are mostly neighbours in memory.
 
-use nalgebra::Point3;
+use crate::bvh::Aabb;
+use nalgebra::{Point3, Vector3};
 
-/// Cells along the longest edge of the bounding box. Few enough that the rounding of coordinates far from the origin hardly
-/// ever moves a point to another cell.
+/// Cells along the longest edge of the bounding box. Few enough that the rounding of coordinates far from the origin
+/// hardly ever moves a point to another cell.
 const CELLS: f64 = 1024.0;
 
 /// Indices of the points along a Morton curve through their bounding box; within a cell by coordinates.
 ///
-/// The order in which the points were given does not matter, so neither do sums over them depend on it. Finite points
+/// The result does not depend on the order in which the points are given, so sums along it do not either. Finite points
 /// only. `O(n log n)`.
 pub(crate) fn order(points: &[Point3<f64>]) -> Vec<u32> {
     let Some(&first) = points.first() else { return Vec::new() };
     let (min, max) = points.iter().fold((first, first), |(min, max), p| (min.inf(p), max.sup(p)));
     let extent = (max - min).max().max(f64::MIN_POSITIVE);
     let scale = (CELLS - 1.0) / extent;
-    let mut keyed: Vec<u64> = (0_u64..)
-        .zip(points)
-        .map(|(i, p)| {
-            let cell = (p - min) * scale;
-            let code = spread(cell.x as u64) | spread(cell.y as u64) << 1 | spread(cell.z as u64) << 2;
-            code << 32 | i
-        })
-        .collect();
+    let mut keyed: Vec<u64> =
+        (0_u64..).zip(points).map(|(i, p)| u64::from(code(&((p - min) * scale))) << 32 | i).collect();
     keyed.sort_unstable();
     let mut begin = 0;
     let point = |key: &u64| &points[(key & 0xffff_ffff) as usize];
@@ -38,14 +33,43 @@ pub(crate) fn order(points: &[Point3<f64>]) -> Vec<u32> {
     keyed.into_iter().map(|key| (key & 0xffff_ffff) as u32).collect()
 }
 
-/// The lowest 21 bits, two zeros between each.
-fn spread(bits: u64) -> u64 {
-    let mut x = bits & 0x1f_ffff;
-    x = (x | x << 32) & 0x1f_0000_0000_ffff;
-    x = (x | x << 16) & 0x1f_0000_ff00_00ff;
-    x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
-    x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
-    (x | x << 2) & 0x1249_2492_4924_9249
+/// Indices of the points along a Morton curve through their bounding box; within a cell by index. Finite points only.
+/// `O(n)`.
+pub(crate) fn order_by_index(points: &[Vector3<f64>]) -> Vec<u32> {
+    let bounds = Aabb::of(points);
+    let scale = (CELLS - 1.0) / (bounds.max - bounds.min).max().max(f64::MIN_POSITIVE);
+    let mut keyed: Vec<(u32, u32)> =
+        points.iter().zip(0..).map(|(p, i)| (code(&((p - bounds.min) * scale)), i)).collect();
+    // A stable radix sort, ten bits at a time, the lowest first.
+    let mut sorted = vec![(0, 0); keyed.len()];
+    for shift in [0, 10, 20] {
+        let digit = |key: u32| (key >> shift & 1023) as usize;
+        let mut next = [0; 1024];
+        keyed.iter().for_each(|(key, _)| next[digit(*key)] += 1);
+        let mut n = 0;
+        next.iter_mut().for_each(|next| n += std::mem::replace(next, n));
+        for entry in &keyed {
+            let next = &mut next[digit(entry.0)];
+            sorted[*next] = *entry;
+            *next += 1;
+        }
+        std::mem::swap(&mut keyed, &mut sorted);
+    }
+    keyed.into_iter().map(|(_, i)| i).collect()
+}
+
+/// The Morton code of a cell, coordinates rounded down.
+fn code(cell: &Vector3<f64>) -> u32 {
+    spread(cell.x as u32) | spread(cell.y as u32) << 1 | spread(cell.z as u32) << 2
+}
+
+/// The lowest ten bits, two zeros between each.
+fn spread(bits: u32) -> u32 {
+    let mut x = bits & 0x3ff;
+    x = (x | x << 16) & 0x0300_00ff;
+    x = (x | x << 8) & 0x0300_f00f;
+    x = (x | x << 4) & 0x030c_30c3;
+    (x | x << 2) & 0x0924_9249
 }
 
 #[cfg(test)]

@@ -2,13 +2,13 @@
 
 mod parts;
 
-pub use crate::cells::CellParts;
+pub use crate::point_grid::GridColumns;
 
-use crate::cells::{All, Cells, Nearby, cell_mm};
 use crate::field::ClosestPointField;
 use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;
 use crate::nearest::Nearest;
+use crate::point_grid::{All, Nearby, PointGrid, cell_mm};
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Column, Frame, SurfaceOrigin};
 use std::{
@@ -194,7 +194,7 @@ pub(crate) struct Index {
     pub(crate) centre: Point3<f64>,
     points: Column<Point3<f64>>,
     cell_mm: OnceLock<f64>,
-    cells: OnceLock<Cells>,
+    cells: OnceLock<PointGrid>,
     /// In the order of the cells.
     normals: OnceLock<Vec<Vector3<f64>>>,
     thinned: OnceLock<Subset>,
@@ -213,7 +213,7 @@ impl Index {
         Self { centre: centroid(points), points: points.clone(), cell_mm, cells, normals, thinned, tree }
     }
 
-    fn with_cells(self, cells: Cells, cell_mm: f64) -> Self {
+    fn with_cells(self, cells: PointGrid, cell_mm: f64) -> Self {
         Self { cells: OnceLock::from(cells), cell_mm: OnceLock::from(cell_mm), ..self }
     }
 
@@ -232,8 +232,8 @@ impl Index {
         *self.cell_mm.get_or_init(|| cell_mm(&self.points, &self.centre))
     }
 
-    pub(crate) fn cells(&self) -> &Cells {
-        self.cells.get_or_init(|| Cells::new(&self.points, &self.centre, self.cell_mm()))
+    pub(crate) fn cells(&self) -> &PointGrid {
+        self.cells.get_or_init(|| PointGrid::new(&self.points, &self.centre, self.cell_mm()))
     }
 
     /// The kd-tree of all points, about the centre.

@@ -7,7 +7,7 @@ use crate::{
 use osteoflow_algorithms::{
     field::{ClosestPointField, FieldParts},
     mesh_query::MeshQuery,
-    target::{CellParts, Target},
+    target::{GridColumns, Target},
 };
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{ColumnType, Display, Payload, SchemaEntry, StampNs, View, ViewError};
@@ -75,7 +75,7 @@ impl Payload<Table> for Target {
         let (frame, origin) = (view.text("frame")?, origin(view.text("origin")?)?);
         let mut target = Target::new(frame, origin, from_column(view, "points")?, normals).map_err(invalid)?;
         if view.field(CELL_MM).is_some() {
-            let cells = CellParts {
+            let cells = GridColumns {
                 cell_mm: view.float(CELL_MM)?,
                 blocks: from_column(view, "cells/blocks")?,
                 starts: from_column(view, "cells/starts")?,

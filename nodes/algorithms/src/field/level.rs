@@ -2,7 +2,7 @@
 
 use super::four::Four;
 use super::{FieldError, Node, Surface};
-use crate::boxes::Extent;
+use crate::bvh::Aabb;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -42,7 +42,7 @@ pub(super) struct Grid {
 
 impl Grid {
     /// A grid that has room for everything within `band` of the surface.
-    pub(super) fn around(extent: &Extent, spacing: f64, band: f64) -> Result<Self, FieldError> {
+    pub(super) fn around(extent: &Aabb, spacing: f64, band: f64) -> Result<Self, FieldError> {
         let block = spacing * CELLS as f64;
         let corner = extent.min - Vector3::repeat(band + spacing);
         let blocks = ((extent.max - corner + Vector3::repeat(band + spacing)) / block).map(|b| b.ceil().max(1.0));

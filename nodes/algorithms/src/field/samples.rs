@@ -1,8 +1,8 @@
 //! The closest point of a surface that is known by points and normals.
 
 use super::{Nearest, Node, Surface};
-use crate::boxes::{Extent, below, bits};
-use crate::handfuls::{HANDFUL, Handful, Handfuls, halves};
+use crate::bvh::{Aabb, below, bits};
+use crate::point_blocks::{BLOCK_LEN, PointBlock, PointBlocks, halves};
 use nalgebra::{Matrix3, Point3, Vector3};
 use parry3d_f64::glamx::Vec4;
 
@@ -18,10 +18,10 @@ const AGREEMENT: f64 = 0.3;
 
 /// Samples of a surface along a space-filling curve.
 pub(super) struct Samples {
-    points: Handfuls,
-    /// Of each handful: for each axis four and four.
+    points: PointBlocks,
+    /// Of each block: for each axis four and four.
     normals: Vec<[[Vec4; 2]; 3]>,
-    extent: Extent,
+    extent: Aabb,
     radius: f64,
 }
 
@@ -44,27 +44,27 @@ impl Samples {
         axes: &Matrix3<f64>,
     ) -> Self {
         let places: Vec<Vector3<f64>> = points.iter().map(|p| axes.tr_mul(&(p - centre))).collect();
-        let points = Handfuls::new(&places);
+        let points = PointBlocks::new(&places);
         let normals = points
             .order
-            .chunks(HANDFUL)
+            .chunks(BLOCK_LEN)
             .map(|eight| {
                 let turned = |k: usize| eight.get(k).map_or(Vector3::zeros(), |&i| axes.tr_mul(&normals[i as usize]));
-                let turned: [Vector3<f64>; HANDFUL] = std::array::from_fn(turned);
+                let turned: [Vector3<f64>; BLOCK_LEN] = std::array::from_fn(turned);
                 [0, 1, 2].map(|axis| halves(turned.map(|n| n[axis] as f32)))
             })
             .collect();
         let radius = points.typical_radius(AVERAGED);
-        Self { points, normals, extent: Extent::of(&places), radius }
+        Self { points, normals, extent: Aabb::of(&places), radius }
     }
 
     /// The share of samples whose normal points opposite to that of the next one along the curve, if that is near.
     pub(super) fn disagreement(&self) -> f64 {
         let (mut near, mut opposite) = (0_usize, 0_usize);
-        for (handful, normals) in self.points.handfuls.iter().zip(&self.normals) {
+        for (block, normals) in self.points.blocks.iter().zip(&self.normals) {
             let normal = |k: usize| Vector3::from(normals.map(|halves| halves[k / 4][k % 4]));
-            for k in 1..HANDFUL {
-                if (handful.place(k) - handful.place(k - 1)).norm() < self.radius {
+            for k in 1..BLOCK_LEN {
+                if (block.place(k) - block.place(k - 1)).norm() < self.radius {
                     near += 1;
                     opposite += usize::from(normal(k).dot(&normal(k - 1)) < 0.0);
                 }
@@ -77,8 +77,8 @@ impl Samples {
     fn sums(&self, about: &Vector3<f64>) -> Sums {
         let mut sums = [Vec4::ZERO; 9];
         let scale = (1.0 / (self.radius * self.radius)) as f32;
-        self.points.boxes.around(&Extent { min: *about, max: *about }, self.radius, |k| {
-            add(&self.points.handfuls[k], &self.normals[k], about, scale, &mut sums);
+        self.points.bvh.within(&Aabb { min: *about, max: *about }, self.radius, |k| {
+            add(&self.points.blocks[k], &self.normals[k], about, scale, &mut sums);
         });
         let [weight, x, y, z, nx, ny, nz, at_normal, at_at] =
             sums.map(|four| four.to_array().into_iter().map(f64::from).sum());
@@ -87,8 +87,8 @@ impl Samples {
 }
 
 #[inline(always)]
-fn add(points: &Handful, normals: &[[Vec4; 2]; 3], about: &Vector3<f64>, scale: f32, sums: &mut [Vec4; 9]) {
-    let away = points.from(about);
+fn add(points: &PointBlock, normals: &[[Vec4; 2]; 3], about: &Vector3<f64>, scale: f32, sums: &mut [Vec4; 9]) {
+    let away = points.relative_to(about);
     for half in 0..2 {
         let [x, y, z] = away.map(|halves| halves[half]);
         let [nx, ny, nz] = normals.map(|halves| halves[half]);
@@ -150,7 +150,7 @@ impl Surface for Samples {
         self.points.len()
     }
 
-    fn extent(&self) -> Extent {
+    fn extent(&self) -> Aabb {
         self.extent
     }
 
@@ -159,12 +159,12 @@ impl Surface for Samples {
         if let Some(which) = hint {
             best = Nearest { squared: (self.points.place(which) - at).norm_squared() * (1.0 + 1e-6), which };
         }
-        self.points.boxes.nearest(at, best.squared, |handful| {
-            let squared = self.points.handfuls[handful].squared(at);
+        self.points.bvh.nearest(at, best.squared, |block| {
+            let squared = self.points.blocks[block].squared(at);
             for k in bits(below(&squared, best.squared as f32)) {
                 let squared = f64::from(squared[k / 4][k % 4]);
                 if squared < best.squared {
-                    best = Nearest { squared, which: (handful * HANDFUL + k) as u32 };
+                    best = Nearest { squared, which: (block * BLOCK_LEN + k) as u32 };
                 }
             }
             best.squared

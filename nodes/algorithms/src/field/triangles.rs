@@ -1,7 +1,8 @@
 //! The closest point of a triangle mesh, and on which side of it one is.
 
 use super::{Nearest, Node, Surface};
-use crate::boxes::{Boxes, Extent, along_curve};
+use crate::bvh::{Aabb, Bvh};
+use crate::morton;
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_geometry::Mesh;
 
@@ -31,8 +32,8 @@ pub(super) struct Triangles {
     normals: Vec<[Vector3<f64>; 7]>,
     /// A bit for each feature that lies on the rim of an open surface.
     rims: Vec<u8>,
-    boxes: Boxes,
-    extent: Extent,
+    boxes: Bvh,
+    extent: Aabb,
 }
 
 impl Triangles {
@@ -86,19 +87,19 @@ impl Triangles {
         let kept: Vec<usize> = (0..faces.len()).filter(|&f| unit[f].is_some()).collect();
         let corners = |f: usize| faces[f].map(|v| vertices[v as usize]);
         let middles: Vec<Vector3<f64>> = kept.iter().map(|&f| corners(f).iter().sum::<Vector3<f64>>() / 3.0).collect();
-        let order = along_curve(&middles);
+        let order = morton::order_by_index(&middles);
         let mut made = Self {
             triangles: Vec::with_capacity(kept.len()),
             normals: Vec::with_capacity(kept.len()),
             rims: Vec::with_capacity(kept.len()),
-            boxes: Boxes::new(&[]),
-            extent: Extent::of(&[]),
+            boxes: Bvh::new(&[]),
+            extent: Aabb::of(&[]),
         };
         let mut extents = Vec::with_capacity(kept.len());
         for place in order {
             let f = kept[place as usize];
             let [a, b, c] = corners(f);
-            extents.push(Extent::of(&[a, b, c]));
+            extents.push(Aabb::of(&[a, b, c]));
             made.triangles.push(Triangle { corner: a, to_b: b - a, to_c: c - a });
             let (edges, ends) = (at_edge[f], faces[f].map(|v| at_vertex[v as usize]));
             let features =
@@ -106,8 +107,8 @@ impl Triangles {
             made.normals.push(features.map(|(normal, _)| normal));
             made.rims.push((0..7).filter(|&k| features[k].1).map(|k| 1 << k).sum());
         }
-        made.boxes = Boxes::new(&extents);
-        made.extent = Extent::of(extents.iter().flat_map(|e| [&e.min, &e.max]));
+        made.boxes = Bvh::new(&extents);
+        made.extent = Aabb::of(extents.iter().flat_map(|e| [&e.min, &e.max]));
         made
     }
 }
@@ -117,7 +118,7 @@ impl Surface for Triangles {
         self.triangles.len()
     }
 
-    fn extent(&self) -> Extent {
+    fn extent(&self) -> Aabb {
         self.extent
     }
 

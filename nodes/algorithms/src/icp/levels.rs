@@ -14,8 +14,8 @@ use super::stop::{StopReason, rules};
 use super::visible_surface::VisibleSurface;
 use super::weights::Weights;
 use super::{IcpError, gauss_newton, point_to_point};
-use crate::cells::{Cells, cell_mm};
 use crate::kabsch::finite;
+use crate::point_grid::{PointGrid, cell_mm};
 use crate::target::Target;
 use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
 use std::ops::ControlFlow;
@@ -160,9 +160,9 @@ fn visible_surface<'a>(
 }
 
 /// The source points in a grid about their centroid.
-fn grid(source: &PreparedSource) -> Cells {
+fn grid(source: &PreparedSource) -> PointGrid {
     let points: Vec<Point3<f64>> = source.points.iter().copied().map(Point3::from).collect();
-    Cells::new(&points, &Point3::origin(), cell_mm(&points, &Point3::origin()))
+    PointGrid::new(&points, &Point3::origin(), cell_mm(&points, &Point3::origin()))
 }
 
 /// The subsets to register before all points: every n-th point for each.

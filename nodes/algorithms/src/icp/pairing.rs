@@ -13,7 +13,7 @@ pub(super) use neighbour_lists::NeighbourLists;
 pub(super) use tree::{Thinned, Tree};
 
 use super::visible_surface::VisibleSurface;
-use crate::cells::Around;
+use crate::point_grid::Around;
 use nalgebra::Vector3;
 
 /// Index of no target point.

@@ -10,7 +10,7 @@ use super::source::PreparedSource;
 use super::state::State;
 use super::visible_surface::VisibleSurface;
 use super::weights::Weights;
-use crate::cells::{All, Cells};
+use crate::point_grid::{All, PointGrid};
 use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
 use std::marker::PhantomData;
@@ -27,7 +27,7 @@ pub(super) struct Problem<'a, R> {
     pub(super) every: u32,
     pub(super) source: PreparedSource,
     /// The source points in a grid, for reciprocal correspondences.
-    pub(super) reciprocal: Option<&'a Cells>,
+    pub(super) reciprocal: Option<&'a PointGrid>,
     residual: PhantomData<R>,
 }
 
@@ -54,7 +54,7 @@ impl<'a, R: Residual> Problem<'a, R> {
         params: &'a IcpParams,
         every: u32,
         source: PreparedSource,
-        reciprocal: Option<&'a Cells>,
+        reciprocal: Option<&'a PointGrid>,
     ) -> Self {
         Self { surface, pairing, params, every, source, reciprocal, residual: PhantomData }
     }
@@ -201,7 +201,7 @@ impl<'a, R: Residual> Problem<'a, R> {
     }
 
     /// Whether the source point is the nearest source point to its target point.
-    fn is_reciprocal(&self, pose: &LocalPose, grid: &Cells, i: usize, correspondence: &Correspondence) -> bool {
+    fn is_reciprocal(&self, pose: &LocalPose, grid: &PointGrid, i: usize, correspondence: &Correspondence) -> bool {
         let target = pose.rotation.inverse() * (correspondence.target - pose.centroid);
         let own = (target - self.source.points[i]).norm();
         // The search radius is its own distance, so only a nearer point can contradict.

@@ -1,7 +1,7 @@
 //! The part of a target that faces the camera.
 
-use crate::cells::{All, Around, Keep, Nearby};
 use crate::normals;
+use crate::point_grid::{All, Around, Nearby, PointFilter};
 use crate::target::{Index, Subset, Target};
 use nalgebra::{Point3, Vector3};
 use std::{borrow::Cow, sync::OnceLock};
@@ -135,11 +135,11 @@ struct Facing<'a> {
     normals: &'a [Vector3<f64>],
 }
 
-impl Keep for Facing<'_> {
+impl PointFilter for Facing<'_> {
     const ALL: bool = false;
 
     #[inline]
-    fn keeps(&self, item: u32, point: &Vector3<f64>) -> bool {
+    fn accepts(&self, item: u32, point: &Vector3<f64>) -> bool {
         self.camera.sees(point, &self.normals[item as usize])
     }
 }

@@ -1,9 +1,9 @@
 //! Normals of a whole surface, seen from no camera: a plane through each point's neighbours, then one side for all.
 
 use super::NormalError;
-use crate::boxes::Extent;
-use crate::handfuls::{HANDFUL, Handfuls};
+use crate::bvh::Aabb;
 use crate::kabsch::{centroid, finite};
+use crate::point_blocks::{BLOCK_LEN, PointBlocks};
 use crate::union_find::UnionFind;
 use nalgebra::{Matrix3, Point3, Vector3};
 use parry3d_f64::glamx::Vec4;
@@ -81,20 +81,20 @@ pub fn of_surface(points: &[Point3<f64>]) -> Result<Vec<Vector3<f64>>, NormalErr
 }
 
 fn with_side(places: Vec<Vector3<f64>>) -> Result<Vec<Vector3<f64>>, NormalError> {
-    let handfuls = Handfuls::new(&places);
-    if let Some(once) = Once::of(&places, &handfuls.order) {
+    let blocks = PointBlocks::new(&places);
+    if let Some(once) = Once::of(&places, &blocks.order) {
         let normals = with_side(once.places.clone()).map_err(|error| once.told(error))?;
         return Ok(once.for_all(&normals));
     }
-    let along = handfuls.along(&places);
-    let (planes, edges) = fitted(&handfuls, &along, true);
+    let along = blocks.along(&places);
+    let (planes, edges) = fitted(&blocks, &along, true);
     let mut fitted: Vec<Vector3<f64>> = Vec::with_capacity(places.len());
-    for (normal, &index) in planes.into_iter().flatten().zip(&handfuls.order) {
+    for (normal, &index) in planes.into_iter().flatten().zip(&blocks.order) {
         fitted.push(normal.ok_or(NormalError::NoPlane { index: index as usize })?);
     }
     orient(&along, &mut fitted, edges.into_iter().flatten());
     let mut normals = places;
-    for (normal, &index) in fitted.into_iter().zip(&handfuls.order) {
+    for (normal, &index) in fitted.into_iter().zip(&blocks.order) {
         normals[index as usize] = normal;
     }
     Ok(normals)
@@ -104,14 +104,14 @@ fn with_side(places: Vec<Vector3<f64>>) -> Result<Vec<Vector3<f64>>, NormalError
 ///
 /// As [`of_surface`], without what it does for their sides.
 pub(crate) fn without_side(places: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
-    let handfuls = Handfuls::new(places);
-    if let Some(once) = Once::of(places, &handfuls.order) {
+    let blocks = PointBlocks::new(places);
+    if let Some(once) = Once::of(places, &blocks.order) {
         return once.for_all(&without_side(&once.places));
     }
-    let along = handfuls.along(places);
+    let along = blocks.along(places);
     let mut normals = vec![Vector3::zeros(); places.len()];
-    let (planes, _) = fitted(&handfuls, &along, false);
-    for (normal, &index) in planes.into_iter().flatten().zip(&handfuls.order) {
+    let (planes, _) = fitted(&blocks, &along, false);
+    for (normal, &index) in planes.into_iter().flatten().zip(&blocks.order) {
         normals[index as usize] = normal.unwrap_or_default();
     }
     normals
@@ -159,12 +159,12 @@ impl Once {
 }
 
 /// The planes of all points, chunk by chunk along the curve, and who is tied to whom if asked for.
-fn fitted(handfuls: &Handfuls, along: &[Vector3<f64>], with_edges: bool) -> (Vec<Vec<Plane>>, Vec<Vec<Edge>>) {
+fn fitted(blocks: &PointBlocks, along: &[Vector3<f64>], with_edges: bool) -> (Vec<Vec<Plane>>, Vec<Vec<Edge>>) {
     let n = along.len();
     (0..n.div_ceil(CHUNK))
         .into_par_iter()
         .map_init(
-            || Work::new(handfuls, along, with_edges),
+            || Work::new(blocks, along, with_edges),
             |work, chunk| work.chunk(chunk * CHUNK..((chunk + 1) * CHUNK).min(n)),
         )
         .unzip()
@@ -178,7 +178,7 @@ type Edge = (u32, u32);
 
 /// What a chunk of points gives, and room for its work, which serves one chunk after another.
 struct Work<'a> {
-    handfuls: &'a Handfuls,
+    blocks: &'a PointBlocks,
     /// The points along the curve.
     along: &'a [Vector3<f64>],
     with_edges: bool,
@@ -210,15 +210,15 @@ struct Moments {
 }
 
 impl<'a> Work<'a> {
-    fn new(handfuls: &'a Handfuls, along: &'a [Vector3<f64>], with_edges: bool) -> Self {
+    fn new(blocks: &'a PointBlocks, along: &'a [Vector3<f64>], with_edges: bool) -> Self {
         let (normals, edges, nearest, around, near, numbers) = Default::default();
         let (radius, n_near) = (0.0, 0);
-        Self { handfuls, along, with_edges, normals, edges, radius, nearest, around, near, numbers, n_near }
+        Self { blocks, along, with_edges, normals, edges, radius, nearest, around, near, numbers, n_near }
     }
 
     /// The normals and edges of some points; begins with the radius that serves the first.
     fn chunk(&mut self, points: Range<usize>) -> (Vec<Plane>, Vec<Edge>) {
-        self.handfuls.nearest_n(&self.along[points.start], NEIGHBOURS, &mut self.nearest);
+        self.blocks.nearest_n(&self.along[points.start], NEIGHBOURS, &mut self.nearest);
         self.radius = self.nearest.last().map_or(0.0, |(squared, _)| f64::from(squared.sqrt()));
         self.normals = Vec::with_capacity(points.len());
         self.edges = Vec::with_capacity(if self.with_edges { 3 * points.len() } else { 0 });
@@ -260,12 +260,12 @@ impl<'a> Work<'a> {
     }
 
     /// The longest run from the first of these points that is no longer than asked, nor wider than so many radii.
-    fn together(&self, points: Range<usize>, (most, radii): (usize, f64)) -> (Range<usize>, Extent) {
+    fn together(&self, points: Range<usize>, (most, radii): (usize, f64)) -> (Range<usize>, Aabb) {
         let first = self.along[points.start];
-        let mut extent = Extent { min: first, max: first };
+        let mut extent = Aabb { min: first, max: first };
         for k in points.start + 1..points.end.min(points.start + most) {
             let place = self.along[k];
-            let wider = Extent { min: extent.min.inf(&place), max: extent.max.sup(&place) };
+            let wider = Aabb { min: extent.min.inf(&place), max: extent.max.sup(&place) };
             if (wider.max - wider.min).max() > radii * self.radius {
                 return (points.start..k, extent);
             }
@@ -275,20 +275,20 @@ impl<'a> Work<'a> {
     }
 
     /// Gathers what lies within the radius of an extent, about a point.
-    fn gather(&mut self, base: usize, extent: &Extent) {
-        let Self { handfuls, along, radius, around: Around { base: at, fours }, .. } = self;
+    fn gather(&mut self, base: usize, extent: &Aabb) {
+        let Self { blocks, along, radius, around: Around { base: at, fours }, .. } = self;
         *at = along[base];
         fours.clear();
-        handfuls.boxes.around(extent, *radius, |k| {
-            let [x, y, z] = handfuls.handfuls[k].from(at);
-            let first = (k * HANDFUL) as u32;
+        blocks.bvh.within(extent, *radius, |k| {
+            let [x, y, z] = blocks.blocks[k].relative_to(at);
+            let first = (k * BLOCK_LEN) as u32;
             fours.push(([x[0], y[0], z[0]], first));
             fours.push(([x[1], y[1], z[1]], first + 4));
         });
     }
 
     /// Appends the normals and edges of up to eight points from what was gathered; how many neighbours they have.
-    fn planes(&mut self, eight: Range<usize>, extent: &Extent) -> f64 {
+    fn planes(&mut self, eight: Range<usize>, extent: &Aabb) -> f64 {
         self.select(extent);
         let n = eight.len();
         let mut n_neighbours = 0.0;
@@ -322,7 +322,7 @@ impl<'a> Work<'a> {
     }
 
     /// Selects of what was gathered what lies within the radius of an extent.
-    fn select(&mut self, extent: &Extent) {
+    fn select(&mut self, extent: &Aabb) {
         let Self { around, near, numbers, n_near, radius, .. } = self;
         let side = |side: Vector3<f64>| (side - around.base).map(|c| Vec4::splat(c as f32)).data.0[0];
         let (min, max) = (side(extent.min), side(extent.max));
@@ -357,7 +357,7 @@ impl<'a> Work<'a> {
     #[cold]
     fn of_nearest(&mut self, place: &Vector3<f64>) -> Option<Vector3<f64>> {
         MORE.into_iter().find_map(|n| {
-            self.handfuls.nearest_n(place, n, &mut self.nearest);
+            self.blocks.nearest_n(place, n, &mut self.nearest);
             let mut scatter = Scatter::default();
             for &(_, which) in &self.nearest {
                 scatter.add(&(self.along[which as usize] - place));
@@ -366,17 +366,17 @@ impl<'a> Work<'a> {
         })
     }
 
-    /// Ties a point to one of each handful nearby, of those that come after a number.
+    /// Ties a point to one of each block nearby, of those that come after a number.
     fn tie(&mut self, this: u32, place: &Vector3<f64>) {
         let place = (place - self.around.base).map(|c| c as f32);
         let place = Vec4::new(place.x, place.y, place.z, 0.0);
         let limit = squared(self.radius);
-        let mut last = this / HANDFUL as u32;
+        let mut last = this / BLOCK_LEN as u32;
         for (near, &number) in self.near[..self.n_near].iter().zip(&self.numbers) {
-            let handful = number / HANDFUL as u32;
-            if handful != last && (near - place).length_squared() <= limit {
+            let block = number / BLOCK_LEN as u32;
+            if block != last && (near - place).length_squared() <= limit {
                 self.edges.push((this, number));
-                last = handful;
+                last = block;
             }
         }
     }

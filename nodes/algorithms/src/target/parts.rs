@@ -1,14 +1,14 @@
 //! The cells of a target as flat columns, for files: to lay a hundred thousand points out in them takes ten times as long
 //! as to read the columns.
 
-use super::{CellParts, Index, Target, TargetError};
-use crate::cells::Cells;
+use super::{GridColumns, Index, Target, TargetError};
+use crate::point_grid::PointGrid;
 use std::sync::{Arc, OnceLock};
 
 impl Target {
     /// The cells that the points are found by, as columns; built now if they were not.
-    pub fn to_parts(&self) -> CellParts {
-        self.index().cells().to_parts()
+    pub fn to_parts(&self) -> GridColumns {
+        self.index().cells().to_columns()
     }
 
     /// The target with the cells that the columns hold, which are then not built.
@@ -17,9 +17,9 @@ impl Target {
     ///
     /// # Errors
     /// [`TargetError::Damaged`] if they are not the cells of these points.
-    pub fn with_parts(self, parts: &CellParts) -> Result<Self, TargetError> {
+    pub fn with_parts(self, parts: &GridColumns) -> Result<Self, TargetError> {
         let index = Index::new(&self.points);
-        let cells = Cells::from_parts(&self.points, &index.centre, parts);
+        let cells = PointGrid::from_columns(&self.points, &index.centre, parts);
         let index = index.with_cells(cells.map_err(|what| TargetError::Damaged { what })?, parts.cell_mm);
         let index = Arc::new(OnceLock::from(index));
         Ok(Self { index, ..self })

@@ -1,4 +1,4 @@
-//! Nearest neighbours close by: a list of the points in each cell of a grid.
+//! Nearest neighbours by a uniform grid with a list of the points in each cell.
 
 mod around;
 
@@ -7,65 +7,65 @@ pub(crate) use around::Around;
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::Column;
 
-/// Points a cell holds on average where it holds any: fewer cost look-ups of cells, more cost distances.
+/// Mean number of points in an occupied cell: fewer cost look-ups of cells, more cost distances.
 const PER_CELL: f64 = 2.0;
 
 /// Cells along each edge of a block; only blocks that hold points have cells.
 const EDGE: u32 = 4;
 const CELLS: u32 = EDGE * EDGE * EDGE;
 
-/// Blocks at most, occupied or not: 16 MiB of numbers. Points strewn wider get larger cells.
+/// Maximum number of blocks, occupied or not: 16 MiB. Wider clouds get larger cells.
 const MAX_BLOCKS: f64 = (1 << 22) as f64;
 
-/// A search goes no farther than so many cells around its own; beyond, a tree is faster.
+/// Maximum distance of a search, in cells from its own; beyond, a kd-tree is faster.
 const MAX_RING: i32 = 4;
 
 const NONE: u32 = u32::MAX;
 
-/// Points sorted by the cells of a grid, about a centre, mm.
+/// Points sorted by the cells of a uniform grid, relative to a centre, mm.
 ///
-/// Finds the nearest of points that lie on a surface in a few dozen nanoseconds, if it is not farther than a few cells.
+/// Finds the nearest point of a surface in a few dozen nanoseconds, if it is not farther than a few cells.
 /// Source: Bentley, Weide and Yao 1980; the second neighbour's distance is kept as in Greenspan and Godin 2001.
-pub(crate) struct Cells {
+pub(crate) struct PointGrid {
     cell_mm: f64,
     min: Vector3<f64>,
     max: Vector3<f64>,
     n_blocks: [u32; 3],
-    /// For each block of the grid its number among those that hold points, or `NONE`.
+    /// For each block of the grid its index among the occupied blocks, or `NONE`.
     blocks: Vec<u32>,
-    /// For each cell of each such block where its points begin, and the number of points at the end.
+    /// Index of the first point of each cell of each occupied block, followed by the number of points.
     starts: Vec<u32>,
     points: Vec<Vector3<f64>>,
-    /// The index that each point was given with.
+    /// The index in the input of each point.
     items: Vec<u32>,
 }
 
-/// The cells of points as flat columns, for files. The points themselves are not among them.
+/// The cells of a [`PointGrid`] as flat columns, without the points.
 #[derive(Debug, Clone, PartialEq)]
-pub struct CellParts {
-    /// The edge of a cell, mm.
+pub struct GridColumns {
+    /// Edge length of a cell, mm.
     pub cell_mm: f64,
-    /// Which blocks of four cells along each edge hold points, in the order of the grid (z fastest).
+    /// Indices of the occupied blocks of 4 × 4 × 4 cells, in the order of the grid (z fastest).
     pub blocks: Column<u32>,
-    /// For each cell of each such block where its points begin among the items, and the number of points at the end.
+    /// Index among the items of the first point of each cell of each occupied block, followed by the number of points.
     pub starts: Column<u32>,
-    /// Indices of the points, cell after cell.
+    /// Indices of the points, sorted by cell.
     pub items: Column<u32>,
 }
 
-/// What lies next to a query.
+/// The nearest point to a query.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Nearby {
-    /// Index and squared distance of the nearest point, mm²; of several equally near the lowest index.
+    /// Index and squared distance (mm²) of the nearest point; the lowest index in case of a tie.
     pub(crate) nearest: Option<(u32, f64)>,
-    /// Its place among the points as the cells have them, where these found it.
+    /// Its position among the sorted points, if the grid found it.
     pub(crate) at: Option<u32>,
-    /// No *other* point lies closer than this, squared, mm².
+    /// Lower bound of the squared distance to every other point, mm².
     pub(crate) free_square: f64,
 }
 
 impl Nearby {
-    /// The nearest point of all, as a tree found it, if it is no farther than `limit_mm`.
+    /// The nearest point as found by a kd-tree, if it is no farther than `limit_mm`.
     #[cold]
     pub(crate) fn within(limit_mm: f64, found: Option<(usize, f64)>) -> Self {
         let near = found.filter(|(_, square)| *square <= limit_mm * limit_mm);
@@ -77,35 +77,33 @@ impl Nearby {
     }
 }
 
-/// Which of the points a search is about.
-pub(crate) trait Keep: Copy {
-    /// Whether it is all of them.
+/// Selects the points that a search considers.
+pub(crate) trait PointFilter: Copy {
+    /// Whether all points are considered.
     const ALL: bool;
 
-    /// Whether it is about this one.
-    fn keeps(&self, item: u32, point: &Vector3<f64>) -> bool;
+    fn accepts(&self, item: u32, point: &Vector3<f64>) -> bool;
 }
 
-/// All points.
 #[derive(Clone, Copy)]
 pub(crate) struct All;
 
-impl Keep for All {
+impl PointFilter for All {
     const ALL: bool = true;
 
     #[inline]
-    fn keeps(&self, _: u32, _: &Vector3<f64>) -> bool {
+    fn accepts(&self, _: u32, _: &Vector3<f64>) -> bool {
         true
     }
 }
 
-/// Points as seen from a centre.
-struct About<'a> {
+/// Points relative to a centre.
+struct Centred<'a> {
     points: &'a [Point3<f64>],
     centre: &'a Point3<f64>,
 }
 
-impl About<'_> {
+impl Centred<'_> {
     fn len(&self) -> usize {
         self.points.len()
     }
@@ -118,8 +116,8 @@ impl About<'_> {
         self.points.iter().map(|point| point - self.centre)
     }
 
-    /// The lowest and highest of each coordinate; zero where there are no points.
-    fn extremes(&self) -> (Vector3<f64>, Vector3<f64>) {
+    /// The corners of the bounding box; zero without points.
+    fn bounds(&self) -> (Vector3<f64>, Vector3<f64>) {
         let first = self.get(0).unwrap_or_else(Vector3::zeros);
         let (mut min, mut max) = (first, first);
         for p in self.iter() {
@@ -132,13 +130,13 @@ impl About<'_> {
     }
 }
 
-/// The edge of the cells that hold the right number of these points, mm. `O(n)`.
+/// Edge length of cells that hold the preferred number of these points, mm. `O(n)`.
 pub(crate) fn cell_mm(points: &[Point3<f64>], centre: &Point3<f64>) -> f64 {
-    let points = About { points, centre };
-    let (min, max) = points.extremes();
-    // The number of cells that a surface occupies falls with the square of their size.
+    let points = Centred { points, centre };
+    let (min, max) = points.bounds();
+    // The number of cells that a surface occupies is inversely proportional to the square of their size.
     let trial_mm = ((max - min).max() / 256.0).max(f64::MIN_POSITIVE.sqrt());
-    let grid = Cells::without_points(&points, trial_mm);
+    let grid = PointGrid::without_points(&points, trial_mm);
     let mut occupied = vec![0_u64; grid.blocks.len()];
     for point in points.iter() {
         let (block, cell) = grid.place(&grid.cell_of(&point));
@@ -149,7 +147,7 @@ pub(crate) fn cell_mm(points: &[Point3<f64>], centre: &Point3<f64>) -> f64 {
     large_enough(&(max - min), wanted_mm)
 }
 
-/// The edge asked for, or larger where that would make too many cells, mm.
+/// The given edge length, enlarged where it would make too many cells, mm.
 fn large_enough(extent: &Vector3<f64>, mut cell_mm: f64) -> f64 {
     let n_blocks = |mm: f64| extent.iter().map(|e| (e / (mm * f64::from(EDGE))).floor() + 1.0).product::<f64>();
     while n_blocks(cell_mm) > MAX_BLOCKS {
@@ -158,15 +156,15 @@ fn large_enough(extent: &Vector3<f64>, mut cell_mm: f64) -> f64 {
     cell_mm
 }
 
-impl Cells {
+impl PointGrid {
     /// Sorts finite `points` into cells. `O(n)`.
     pub(crate) fn new(points: &[Point3<f64>], centre: &Point3<f64>, cell_mm: f64) -> Self {
-        Self::sorted(&About { points, centre }, cell_mm)
+        Self::sorted(&Centred { points, centre }, cell_mm)
     }
 
-    /// A grid around the points, none of which it has; its cells are larger than asked where they would be too many.
-    fn without_points(points: &About<'_>, cell_mm: f64) -> Self {
-        let (min, max) = points.extremes();
+    /// An empty grid around the points; cells are enlarged where they would be too many.
+    fn without_points(points: &Centred<'_>, cell_mm: f64) -> Self {
+        let (min, max) = points.bounds();
         let extent = max - min;
         let cell_mm = large_enough(&extent, cell_mm);
         let n_blocks = [0, 1, 2].map(|k| (extent[k] / (cell_mm * f64::from(EDGE))) as u32 + 1);
@@ -182,7 +180,7 @@ impl Cells {
         }
     }
 
-    fn sorted(points: &About<'_>, cell_mm: f64) -> Self {
+    fn sorted(points: &Centred<'_>, cell_mm: f64) -> Self {
         let mut cells = Self::without_points(points, cell_mm);
         let places: Vec<(u32, u32)> = points.iter().map(|p| cells.place(&cells.cell_of(&p))).collect();
         for (block, _) in &places {
@@ -213,10 +211,10 @@ impl Cells {
         cells
     }
 
-    /// What cannot be told from the points without sorting them.
-    pub(crate) fn to_parts(&self) -> CellParts {
+    /// The cells as columns.
+    pub(crate) fn to_columns(&self) -> GridColumns {
         let held = (0_u32..).zip(&self.blocks).filter(|(_, number)| **number != NONE);
-        CellParts {
+        GridColumns {
             cell_mm: self.cell_mm,
             blocks: held.map(|(block, _)| block).collect(),
             starts: self.starts.clone().into(),
@@ -224,13 +222,17 @@ impl Cells {
         }
     }
 
-    /// The cells of finite `points` that were sorted before; tells what is wrong where they are not those points' cells.
+    /// The grid of finite `points` from its columns; the error says why they do not belong to these points.
     ///
-    /// Every point is looked at, so that damaged parts are refused and never give a wrong neighbour. `O(n)`.
-    pub(crate) fn from_parts(points: &[Point3<f64>], centre: &Point3<f64>, parts: &CellParts) -> Result<Self, String> {
-        let points = &About { points, centre };
-        let cell_mm = parts.cell_mm;
-        let (held, starts, items): (&[u32], &[u32], &[u32]) = (&parts.blocks, &parts.starts, &parts.items);
+    /// Every point is checked, so damaged columns never give a wrong neighbour. `O(n)`.
+    pub(crate) fn from_columns(
+        points: &[Point3<f64>],
+        centre: &Point3<f64>,
+        columns: &GridColumns,
+    ) -> Result<Self, String> {
+        let points = &Centred { points, centre };
+        let cell_mm = columns.cell_mm;
+        let (held, starts, items): (&[u32], &[u32], &[u32]) = (&columns.blocks, &columns.starts, &columns.items);
         if !(cell_mm > 0.0 && cell_mm.is_finite()) {
             return Err(format!("its cells are {cell_mm} mm large"));
         }
@@ -271,13 +273,13 @@ impl Cells {
         Ok(cells)
     }
 
-    /// A point by its place among those sorted.
+    /// The `at`-th of the sorted points.
     #[inline]
     pub(crate) fn point(&self, at: u32) -> Vector3<f64> {
         self.points[at as usize]
     }
 
-    /// Indices as given, in the order of the cells: neighbours in it are mostly neighbours in space.
+    /// Indices in the input of the sorted points; neighbours in this order are mostly neighbours in space.
     pub(crate) fn items(&self) -> &[u32] {
         &self.items
     }
@@ -287,14 +289,14 @@ impl Cells {
         [u.x.floor() as i32, u.y.floor() as i32, u.z.floor() as i32]
     }
 
-    /// The cell of a point that the grid lies around: none is below zero, so the next whole number towards zero will do.
+    /// The cell of a point within the grid. Coordinates are not negative, so truncation rounds down.
     #[inline]
     fn cell_of(&self, point: &Vector3<f64>) -> [i32; 3] {
         let u = (point - self.min) / self.cell_mm;
         [u.x as i32, u.y as i32, u.z as i32]
     }
 
-    /// The block of a cell within the grid, and the cell's number in it.
+    /// The block of a cell within the grid, and the index of the cell in the block.
     #[inline]
     fn place(&self, cell: &[i32; 3]) -> (u32, u32) {
         let [x, y, z] = cell.map(|c| c as u32);
@@ -310,39 +312,39 @@ impl Cells {
         self.run(cell, 1)
     }
 
-    /// The nearest of the points to `keep` no farther than `limit_mm`; `None` if the search would have to go on for more
-    /// than four cells around the query's own.
+    /// The nearest accepted point no farther than `limit_mm`; `None` if the search would exceed four cells around the
+    /// query's own.
     #[inline]
-    pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64, keep: impl Keep) -> Option<Nearby> {
-        self.nearest_in_eight(query, limit_mm, keep).or_else(|| self.nearest_in_rings(query, limit_mm, keep))
+    pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64, filter: impl PointFilter) -> Option<Nearby> {
+        self.nearest_in_eight(query, limit_mm, filter).or_else(|| self.nearest_in_rings(query, limit_mm, filter))
     }
 
-    /// The nearest point if it lies in the two by two by two cells whose middle is nearest to the query, and surely none
-    /// outside of them is nearer; what is close to a surface mostly is answered here.
+    /// The nearest point if it lies in the 2 × 2 × 2 cells around the query and no point outside of them can be nearer.
+    /// Answers most queries close to the surface.
     #[inline(always)]
-    fn nearest_in_eight(&self, query: &Vector3<f64>, limit_mm: f64, keep: impl Keep) -> Option<Nearby> {
+    fn nearest_in_eight(&self, query: &Vector3<f64>, limit_mm: f64, filter: impl PointFilter) -> Option<Nearby> {
         let u = (query - self.min) / self.cell_mm - Vector3::repeat(0.5);
         if !(0..3).all(|k| u[k] >= 0.0 && u[k] < f64::from(self.n_blocks[k] * EDGE - 1)) {
             return None;
         }
         let first = [u.x as i32, u.y as i32, u.z as i32];
-        // To the nearest side of the eight, in cells: from a half to one.
+        // Distance to the nearest side of the eight cells, in cells: from 0.5 to 1.
         let seen = (0..3).map(|k| 1.0 - (u[k] - f64::from(first[k]) - 0.5).abs()).fold(f64::INFINITY, f64::min);
         let seen_square = (seen * self.cell_mm).powi(2);
         let mut best = Best::within(limit_mm * limit_mm);
         for (x, y) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             let [x, y, z] = [first[0] + x, first[1] + y, first[2]];
             if z as u32 % EDGE + 1 < EDGE {
-                self.add(self.run([x, y, z], 2), query, keep, &mut best);
+                self.add(self.run([x, y, z], 2), query, filter, &mut best);
             } else {
-                self.add(self.run([x, y, z], 1), query, keep, &mut best);
-                self.add(self.run([x, y, z + 1], 1), query, keep, &mut best);
+                self.add(self.run([x, y, z], 1), query, filter, &mut best);
+                self.add(self.run([x, y, z + 1], 1), query, filter, &mut best);
             }
         }
         (best.search_square() <= seen_square).then(|| self.nearby(&best, seen_square))
     }
 
-    /// What a search found within the limit, if it saw everything within `seen_square`.
+    /// The result of a search that has seen all points within `seen_square`.
     #[inline]
     fn nearby(&self, best: &Best, seen_square: f64) -> Nearby {
         let near = best.square <= best.limit_square;
@@ -354,7 +356,7 @@ impl Cells {
         }
     }
 
-    /// The points of `n` cells of a block that follow each other along z.
+    /// The points of `n` consecutive cells of a block along z.
     #[inline(always)]
     fn run(&self, cell: [i32; 3], n: usize) -> std::ops::Range<usize> {
         let (block, cell) = self.place(&cell);
@@ -368,10 +370,10 @@ impl Cells {
     }
 
     #[inline(always)]
-    fn add(&self, range: std::ops::Range<usize>, query: &Vector3<f64>, keep: impl Keep, best: &mut Best) {
+    fn add(&self, range: std::ops::Range<usize>, query: &Vector3<f64>, filter: impl PointFilter, best: &mut Best) {
         for (at, point) in range.clone().zip(&self.points[range]) {
             let square = (point - query).norm_squared();
-            if !self.matters(at, square, keep, best) {
+            if !self.matters(at, square, filter, best) {
                 continue;
             }
             let farther = if square < best.square { best.square } else { square };
@@ -382,13 +384,13 @@ impl Cells {
         }
     }
 
-    /// Whether a point is one to keep, if that makes a difference.
+    /// Whether an accepted point could change the result.
     #[inline(always)]
-    fn matters<K: Keep>(&self, at: usize, square: f64, keep: K, best: &Best) -> bool {
-        K::ALL || (square < best.second && keep.keeps(self.items[at], &self.points[at]))
+    fn matters<K: PointFilter>(&self, at: usize, square: f64, filter: K, best: &Best) -> bool {
+        K::ALL || (square < best.second && filter.accepts(self.items[at], &self.points[at]))
     }
 
-    fn nearest_in_rings(&self, query: &Vector3<f64>, limit_mm: f64, keep: impl Keep) -> Option<Nearby> {
+    fn nearest_in_rings(&self, query: &Vector3<f64>, limit_mm: f64, filter: impl PointFilter) -> Option<Nearby> {
         let limit_square = limit_mm * limit_mm;
         let own = self.cell(query);
         if (0..3).any(|k| own[k] < -MAX_RING || own[k] - MAX_RING > (self.n_blocks[k] * EDGE) as i32) {
@@ -397,7 +399,7 @@ impl Cells {
         }
         let h = self.cell_mm;
         let within = self.within(query, own);
-        // Squared distances from the query to the cells before, at and after its own along each axis.
+        // Squared distances from the query to the cells below, at and above its own along each axis.
         let gap = [0, 1, 2].map(|k| {
             let (below, above) = (within[k], h - within[k]);
             [below * below, 0.0, above * above]
@@ -405,14 +407,14 @@ impl Cells {
         let margin = (0..3).map(|k| within[k].min(h - within[k])).fold(f64::INFINITY, f64::min);
         let mut best = Best::within(limit_mm * limit_mm);
         let mut skipped = f64::INFINITY;
-        self.add(self.range(own), query, keep, &mut best);
+        self.add(self.range(own), query, filter, &mut best);
         for [x, y, z] in AROUND {
             let square = gap[0][x as usize] + gap[1][y as usize] + gap[2][z as usize];
             if square > best.search_square() {
                 skipped = skipped.min(square);
             } else {
                 let range = self.range([own[0] + x - 1, own[1] + y - 1, own[2] + z - 1]);
-                self.add(range, query, keep, &mut best);
+                self.add(range, query, filter, &mut best);
             }
         }
         let mut ring = 1;
@@ -425,11 +427,11 @@ impl Cells {
                 return None;
             }
             ring += 1;
-            self.look_at_ring(own, ring, query, keep, &mut best, &mut skipped);
+            self.look_at_ring(own, ring, query, filter, &mut best, &mut skipped);
         }
     }
 
-    /// Where the query lies in its own cell, mm from its lowest corner.
+    /// Position of the query in its own cell, mm from its lowest corner.
     #[inline]
     fn within(&self, query: &Vector3<f64>, own: [i32; 3]) -> Vector3<f64> {
         (query - self.min) - Vector3::from(own.map(f64::from)) * self.cell_mm
@@ -441,7 +443,7 @@ impl Cells {
         own: [i32; 3],
         ring: i32,
         query: &Vector3<f64>,
-        keep: impl Keep,
+        filter: impl PointFilter,
         best: &mut Best,
         skipped: &mut f64,
     ) {
@@ -462,7 +464,7 @@ impl Cells {
                     if square > best.search_square() {
                         *skipped = skipped.min(square);
                     } else {
-                        self.add(self.range([own[0] + x, own[1] + y, own[2] + z]), query, keep, best);
+                        self.add(self.range([own[0] + x, own[1] + y, own[2] + z]), query, filter, best);
                     }
                 }
             }
@@ -470,12 +472,12 @@ impl Cells {
     }
 }
 
-/// The nearest point so far, by its place among those sorted, and how near it and the second are.
+/// The nearest point so far, by its position among the sorted points, and the squared distances of it and the second.
 struct Best {
     at: usize,
     square: f64,
     second: f64,
-    /// Nothing farther is asked for, mm².
+    /// Maximum squared distance, mm².
     limit_square: f64,
 }
 
@@ -484,14 +486,14 @@ impl Best {
         Self { at: 0, square: f64::INFINITY, second: f64::INFINITY, limit_square }
     }
 
-    /// What lies farther need not be looked at, mm².
+    /// Squared distance beyond which nothing needs to be looked at, mm².
     #[inline]
     fn search_square(&self) -> f64 {
         if self.square < self.limit_square { self.square } else { self.limit_square }
     }
 }
 
-/// The 26 cells around a cell, as steps plus one: first those across a face, then an edge, then a corner.
+/// The 26 cells around a cell, as offsets plus one: first across a face, then an edge, then a corner.
 const AROUND: [[i32; 3]; 26] = around();
 
 const fn around() -> [[i32; 3]; 26] {
@@ -516,8 +518,8 @@ const fn around() -> [[i32; 3]; 26] {
 mod tests {
     use super::*;
 
-    pub(super) fn cells_of(points: &[Point3<f64>]) -> Cells {
-        Cells::new(points, &Point3::origin(), cell_mm(points, &Point3::origin()))
+    pub(super) fn cells_of(points: &[Point3<f64>]) -> PointGrid {
+        PointGrid::new(points, &Point3::origin(), cell_mm(points, &Point3::origin()))
     }
 
     /// Points on a bent sheet, without a pattern.
@@ -532,7 +534,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_and_what_is_free_around_it_are_as_by_trying_all() {
+    fn the_nearest_point_and_the_bound_are_those_of_an_exhaustive_search() {
         let points = sheet(3000);
         let cells = cells_of(&points);
         let mut n_near = 0;
@@ -555,23 +557,26 @@ mod tests {
     }
 
     #[test]
-    fn cells_come_back_from_their_parts_and_others_are_refused() {
+    fn a_grid_comes_back_from_its_columns_and_others_are_refused() {
         let points = sheet(3000);
         let cells = cells_of(&points);
-        let parts = cells.to_parts();
-        let back = Cells::from_parts(&points, &Point3::origin(), &parts).unwrap();
+        let parts = cells.to_columns();
+        let back = PointGrid::from_columns(&points, &Point3::origin(), &parts).unwrap();
         assert_eq!((&back.points, &back.blocks), (&cells.points, &cells.blocks));
         assert_eq!((back.min, back.max, back.n_blocks), (cells.min, cells.max, cells.n_blocks));
-        assert_eq!(back.to_parts(), parts);
+        assert_eq!(back.to_columns(), parts);
         for of_few in [&points[..1], &[points[0]; 3]] {
             let cells = cells_of(of_few);
-            assert_eq!(Cells::from_parts(of_few, &Point3::origin(), &cells.to_parts()).unwrap().points, cells.points);
+            assert_eq!(
+                PointGrid::from_columns(of_few, &Point3::origin(), &cells.to_columns()).unwrap().points,
+                cells.points
+            );
         }
 
-        let refused = |points: &[Point3<f64>], damage: &dyn Fn(&mut CellParts), why: &str| {
+        let refused = |points: &[Point3<f64>], damage: &dyn Fn(&mut GridColumns), why: &str| {
             let mut parts = parts.clone();
             damage(&mut parts);
-            let error = Cells::from_parts(points, &Point3::origin(), &parts).err();
+            let error = PointGrid::from_columns(points, &Point3::origin(), &parts).err();
             assert!(error.as_ref().is_some_and(|error| error.contains(why)), "{why}: {error:?}");
         };
         let changed = |column: &Column<u32>, at: usize, value: u32| {
@@ -594,7 +599,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_points_give_the_lowest_index_and_no_free_room() {
+    fn equal_points_give_the_lowest_index_and_no_clearance() {
         let cells = cells_of(&[1.0, 0.0, 1.0].map(|c| Point3::from(Vector3::repeat(c))));
         let found = cells.nearest(&Vector3::repeat(1.0), 0.5, All).unwrap();
         assert_eq!((found.nearest, found.free_square), (Some((0, 0.0)), 0.0));
@@ -603,11 +608,11 @@ mod tests {
     }
 
     #[test]
-    fn points_strewn_wide_and_queries_far_outside_are_no_matter() {
+    fn wide_clouds_and_queries_far_outside_are_handled() {
         let mut points = sheet(500);
         points.push(Vector3::repeat(1e7).into());
         let cells = cells_of(&points);
-        // Larger than their number asks for, and told as large as they are, so that what is read back is the same.
+        // The reported size is that of the enlarged cells, so that columns are read back unchanged.
         assert_eq!(cells.cell_mm, cell_mm(&points, &Point3::origin()));
         assert_eq!(cells.nearest(&points[500].coords, 1.0, All).unwrap().nearest, Some((500, 0.0)));
         assert_eq!(cells.nearest(&Vector3::repeat(-1e9), 0.5, All).map(|n| n.nearest), Some(None));

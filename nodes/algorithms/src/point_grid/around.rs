@@ -1,30 +1,30 @@
-//! The few points around a query, which serve for queries a little way off too.
+//! The points around a query, kept for the next queries nearby.
 
-use super::{Cells, EDGE, Keep, MAX_RING};
+use super::{EDGE, MAX_RING, PointFilter, PointGrid};
 use nalgebra::Vector3;
 
-/// How much farther than the nearest a search looks that is to be kept, in cells.
+/// How much farther than the nearest point a kept search looks, in cells.
 const SPARE: f64 = 0.5;
 
-/// Points that such a search keeps; where more are near, it looks less far.
+/// Maximum number of points of a kept search; where more are near, it looks less far.
 const MOST_KEPT: usize = 12;
 
-/// Points looked at before those that are too many are left out.
+/// Number of points collected before the farthest are dropped.
 const MOST_SEEN: usize = 40;
 
-/// All points within a ball around a query, by their places among those sorted.
+/// All points within a ball around a query, by their positions among the sorted points.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Around {
     places: [u32; MOST_KEPT],
     n: u32,
-    /// Every other point is farther from the query than this, mm.
+    /// Lower bound of the distance from the query to every other point, mm.
     pub(crate) free_mm: f64,
 }
 
-impl Cells {
-    /// The points around a query: the nearest if it is no farther than `limit_mm`, and those that could be the nearest of a
-    /// query a little way off. `None` if the search would have to go farther than four cells.
-    pub(crate) fn around(&self, query: &Vector3<f64>, limit_mm: f64, keep: impl Keep) -> Option<Around> {
+impl PointGrid {
+    /// The nearest point to a query, if it is no farther than `limit_mm`, and the points that could be nearest to queries
+    /// nearby. `None` if the search would exceed four cells.
+    pub(crate) fn around(&self, query: &Vector3<f64>, limit_mm: f64, filter: impl PointFilter) -> Option<Around> {
         let h = self.cell_mm;
         let u = (query - self.min) / h;
         if limit_mm / h + SPARE > f64::from(MAX_RING) {
@@ -32,7 +32,7 @@ impl Cells {
         }
         let n_cells = self.n_blocks.map(|n| f64::from(n * EDGE));
         let mut seen = Seen::new(limit_mm, SPARE * h);
-        // A cell has whole numbers at its edges; what lies outside of the grid holds no points.
+        // Cells have integer edges; there are no points outside of the grid.
         let cells = |k: usize, reach: f64| {
             let (from, to) = ((u[k] - reach).max(0.0), (u[k] + reach).min(n_cells[k] - 0.5));
             (from as i32, if to < 0.0 { -1 } else { to as i32 })
@@ -54,7 +54,7 @@ impl Cells {
                     let range = self.run([x, y, z], n as usize);
                     for (place, point) in range.clone().zip(&self.points[range]) {
                         let square = (point - query).norm_squared();
-                        if square <= seen.ball_square && keep.keeps(self.items[place], point) {
+                        if square <= seen.ball_square && filter.accepts(self.items[place], point) {
                             seen.add(place as u32, square);
                         }
                     }
@@ -65,8 +65,8 @@ impl Cells {
         Some(seen.around())
     }
 
-    /// The nearest to a query of the points kept around another: by index, place and squared distance, mm²; of several
-    /// equally near the lowest index. It is the nearest of all if it is no farther than what is free there.
+    /// Index, position and squared distance (mm²) of the point nearest to a query among those kept around another; the
+    /// lowest index in case of a tie. It is the nearest of all if it is within the ball of the kept search.
     #[inline]
     pub(crate) fn nearest_kept(&self, around: &Around, query: &Vector3<f64>) -> Option<(u32, u32, f64)> {
         let mut best: Option<(u32, f64)> = None;
@@ -83,12 +83,12 @@ impl Cells {
     }
 }
 
-/// What a search for the points around a query has seen within a ball that shrinks with what it sees.
+/// Points seen by a search within a ball that shrinks as nearer points are seen.
 struct Seen {
-    /// Places and squared distances.
+    /// Positions and squared distances.
     points: [(u32, f64); MOST_SEEN],
     n: usize,
-    /// Nothing farther is asked for, mm².
+    /// Squared radius of the ball, mm².
     ball_square: f64,
     nearest_square: f64,
     spare_mm: f64,
@@ -107,17 +107,17 @@ impl Seen {
             self.ball_square = self.ball_square.min((square.sqrt() + self.spare_mm).powi(2));
         }
         if self.n == MOST_SEEN {
-            self.leave_out();
+            self.shrink();
         }
-        // Those left out may have been nearer than this one.
+        // The dropped points may have been nearer than this one.
         if square <= self.ball_square {
             self.points[self.n] = (place, square);
             self.n += 1;
         }
     }
 
-    /// Leaves out what the ball no longer holds, and shrinks it where it holds too many.
-    fn leave_out(&mut self) {
+    /// Drops the points outside of the ball, which shrinks if it holds too many.
+    fn shrink(&mut self) {
         let seen = &mut self.points[..self.n];
         // Equal points lie in one cell, the lowest index first.
         seen.sort_unstable_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
@@ -128,12 +128,12 @@ impl Seen {
     }
 
     fn around(mut self) -> Around {
-        self.leave_out();
+        self.shrink();
         let mut places = [0; MOST_KEPT];
         for (place, seen) in places.iter_mut().zip(&self.points[..self.n]) {
             *place = seen.0;
         }
-        // A little less, so that rounding promises no room that is not there.
+        // Rounded down, so that it remains a lower bound.
         Around { places, n: self.n as u32, free_mm: self.ball_square.sqrt() * (1.0 - 1e-12) }
     }
 }
@@ -148,7 +148,7 @@ mod tests {
     use nalgebra::Point3;
 
     #[test]
-    fn all_that_is_free_of_other_points_is_around_a_query_and_the_nearest_of_it_serves_beside_it() {
+    fn the_kept_points_contain_the_nearest_of_queries_within_the_ball() {
         let mut points = sheet(6000);
         // A dense patch, where more are near than are kept.
         points.extend(sheet(400).iter().map(|p| Point3::from(p.coords * 0.02)));

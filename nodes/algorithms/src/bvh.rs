@@ -1,0 +1,189 @@
+//! A bounding volume hierarchy over items in Morton order.
+
+use nalgebra::Vector3;
+use parry3d_f64::glamx::Vec4;
+
+/// Children of a node: two registers of four `f32` for each side of their boxes.
+pub(crate) const WIDE: usize = 8;
+
+/// Rounding of a box and of a query, relative to the largest coordinate.
+const ROUNDING: f32 = 8.0 * f32::EPSILON;
+
+/// Maximum number of levels: `8^11` items are more than `u32` counts.
+const MAX_LEVELS: usize = 12;
+
+/// The boxes of eight children: for each axis four and four.
+#[derive(Clone)]
+struct Node {
+    min: [[Vec4; 2]; 3],
+    max: [[Vec4; 2]; 3],
+}
+
+/// An eight-wide bounding volume hierarchy of items such as triangles or point blocks.
+///
+/// Boxes are `f32` and rounded outwards, so no item is missed; the caller measures exact distances in `f64`. The items
+/// found and their order depend only on the boxes and the query.
+pub(crate) struct Bvh {
+    /// The boxes of the items first, the root last.
+    levels: Vec<Vec<Node>>,
+}
+
+/// An axis-aligned bounding box, mm.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Aabb {
+    pub(crate) min: Vector3<f64>,
+    pub(crate) max: Vector3<f64>,
+}
+
+impl Aabb {
+    pub(crate) fn of<'a>(points: impl IntoIterator<Item = &'a Vector3<f64>>) -> Self {
+        let nothing = Self { min: Vector3::repeat(f64::INFINITY), max: Vector3::repeat(f64::NEG_INFINITY) };
+        points.into_iter().fold(nothing, |e, p| Self { min: e.min.inf(p), max: e.max.sup(p) })
+    }
+
+    fn largest(&self) -> f64 {
+        self.min.abs().sup(&self.max.abs()).max()
+    }
+}
+
+impl Node {
+    /// A node of at most eight boxes.
+    fn new(eight: &[[[f32; 3]; 2]]) -> Self {
+        let side = |k: usize, axis: usize, side: usize| match eight.get(k) {
+            Some(sides) => sides[side][axis],
+            None => [f32::INFINITY, f32::NEG_INFINITY][side],
+        };
+        let four =
+            |axis, which| [0, 4].map(|first| Vec4::from_array([0, 1, 2, 3].map(|k| side(first + k, axis, which))));
+        Self { min: [0, 1, 2].map(|axis| four(axis, 0)), max: [0, 1, 2].map(|axis| four(axis, 1)) }
+    }
+
+    /// The box around all children.
+    fn bounds(&self) -> [[f32; 3]; 2] {
+        [self.min.map(|[a, b]| a.min(b).min_element()), self.max.map(|[a, b]| a.max(b).max_element())]
+    }
+
+    /// Lower bounds, up to rounding, of the squared distances between the children's boxes and the query box.
+    #[inline(always)]
+    fn squared(&self, min: &[Vec4; 3], max: &[Vec4; 3]) -> [Vec4; 2] {
+        let half = |half: usize| {
+            let gap = |axis: usize| {
+                let gap = (self.min[axis][half] - max[axis]).max(min[axis] - self.max[axis][half]).max(Vec4::ZERO);
+                gap * gap
+            };
+            gap(0) + gap(1) + gap(2)
+        };
+        [half(0), half(1)]
+    }
+}
+
+/// Bit mask of the values below `limit`.
+#[inline(always)]
+pub(crate) fn below(squared: &[Vec4; 2], limit: f32) -> u32 {
+    let limit = Vec4::splat(limit);
+    squared[0].cmplt(limit).bitmask() | squared[1].cmplt(limit).bitmask() << 4
+}
+
+/// Indices of the set bits, lowest first.
+#[inline(always)]
+pub(crate) fn bits(mut mask: u32) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let lowest = (mask != 0).then(|| mask.trailing_zeros() as usize)?;
+        mask &= mask - 1;
+        Some(lowest)
+    })
+}
+
+#[inline(always)]
+fn to_array(of: &[Vec4; 2]) -> [f32; WIDE] {
+    let ([a, b, c, d], [e, f, g, h]) = (of[0].to_array(), of[1].to_array());
+    [a, b, c, d, e, f, g, h]
+}
+
+fn splat(v: &Vector3<f64>) -> [Vec4; 3] {
+    [v.x, v.y, v.z].map(|c| Vec4::splat(c as f32))
+}
+
+/// A bound widened by the rounding of squared distances.
+#[inline]
+fn above(bound: f64) -> f32 {
+    bound as f32 * (1.0 + 1e-5) + f32::MIN_POSITIVE
+}
+
+impl Bvh {
+    /// A hierarchy of items with these boxes, which should follow a space-filling curve. `O(n)`.
+    pub(crate) fn new(boxes: &[Aabb]) -> Self {
+        let largest = boxes.iter().map(Aabb::largest).fold(0.0, f64::max) as f32;
+        let slack = largest * ROUNDING;
+        let sides: Vec<[[f32; 3]; 2]> = boxes
+            .iter()
+            .map(|e| [e.min.map(|c| c as f32 - slack).into(), e.max.map(|c| c as f32 + slack).into()])
+            .collect();
+        let mut levels: Vec<Vec<Node>> = vec![sides.chunks(WIDE).map(Node::new).collect()];
+        while levels[levels.len() - 1].len() > 1 {
+            let sides: Vec<[[f32; 3]; 2]> = levels[levels.len() - 1].iter().map(Node::bounds).collect();
+            levels.push(sides.chunks(WIDE).map(Node::new).collect());
+        }
+        Self { levels }
+    }
+
+    /// Visits all items that may lie within `bound` (mm²) of `at`, near nodes first; `visit` returns the next bound.
+    #[inline]
+    pub(crate) fn nearest(&self, at: &Vector3<f64>, mut bound: f64, mut visit: impl FnMut(usize) -> f64) {
+        let at = splat(at);
+        let mut stack = [(0.0_f32, 0_u32, 0_u8); WIDE * MAX_LEVELS];
+        let mut n = usize::from(!self.levels[0].is_empty());
+        stack[0].2 = (self.levels.len() - 1) as u8;
+        let mut limit = above(bound);
+        while n > 0 {
+            n -= 1;
+            let (squared, node, level) = stack[n];
+            if squared >= limit {
+                continue;
+            }
+            let squared = self.levels[level as usize][node as usize].squared(&at, &at);
+            let (near, first) = (below(&squared, limit), node as usize * WIDE);
+            if level == 0 {
+                for k in bits(near) {
+                    bound = visit(first + k);
+                }
+                limit = above(bound);
+                continue;
+            }
+            let (from, squared) = (n, to_array(&squared));
+            for k in bits(near) {
+                // Farthest first, as the stack is read from its end.
+                let mut place = n;
+                while place > from && stack[place - 1].0 < squared[k] {
+                    stack[place] = stack[place - 1];
+                    place -= 1;
+                }
+                stack[place] = (squared[k], (first + k) as u32, level - 1);
+                n += 1;
+            }
+        }
+    }
+
+    /// Visits all items that may lie within `radius` mm of a box, always in the same order.
+    #[inline]
+    pub(crate) fn within(&self, query: &Aabb, radius: f64, mut visit: impl FnMut(usize)) {
+        let (min, max, limit) = (splat(&query.min), splat(&query.max), above(radius * radius));
+        let mut stack = [(0_u32, 0_u8); WIDE * MAX_LEVELS];
+        let mut n = usize::from(!self.levels[0].is_empty());
+        stack[0].1 = (self.levels.len() - 1) as u8;
+        while n > 0 {
+            n -= 1;
+            let (node, level) = stack[n];
+            let squared = self.levels[level as usize][node as usize].squared(&min, &max);
+            let (near, first) = (below(&squared, limit), node as usize * WIDE);
+            if level == 0 {
+                bits(near).for_each(|k| visit(first + k));
+                continue;
+            }
+            for k in bits(near) {
+                stack[n] = ((first + k) as u32, level - 1);
+                n += 1;
+            }
+        }
+    }
+}
