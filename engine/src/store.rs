@@ -28,7 +28,7 @@ mod tests;
 
 pub use entry::Entry;
 pub use key::{Key, KeyInMaking};
-pub(crate) use payload::{message, payload_of};
+pub(crate) use payload::{decode, message, payload_of};
 pub(crate) use program::{brought, note_plugin, note_program};
 pub use settings::{Settings, SettingsError};
 

@@ -8,7 +8,6 @@
 //! 3 i64, 4 u32, 5 u8), its width (u32), its bytes (u64), zeros up to a multiple of 8 from the start of the message, and
 //! the rows. An empty has the node and the reason as two texts in the place of fields and columns.
 
-use crate::store::Entry;
 use osteoflow_container::Segments;
 use osteoflow_node::{
     Body, Buffer, Column, ColumnType, Empty, Field, Item, PayloadType, PortPayload, StampNs, View, ViewError,
@@ -199,17 +198,15 @@ fn put_text(out: &mut Vec<u8>, text: &str) {
 /// # Errors
 /// [`CodecError`] if the bytes are damaged. No length is believed before the bytes it asks for are there.
 pub(crate) fn decode(bytes: &[u8]) -> Result<RecordedItem, CodecError> {
-    decode_by(Reader { bytes, at: 0, entry: None })
+    decode_by(Reader { bytes, at: 0, borrow: None })
 }
 
-/// The same of a part of a store's entry, over whose bytes the columns lie.
+/// The item of these bytes, whose columns are borrowed: `borrow` answers a range of the bytes as a buffer without a copy.
 ///
 /// # Errors
-/// As [`decode`]; a part that the entry does not have is short.
-pub(crate) fn decode_entry(entry: &Entry, range: Range<usize>) -> Result<RecordedItem, CodecError> {
-    let short = CodecError::Short { needed: range.end as u64, left: entry.bytes().len() };
-    let bytes = entry.bytes().get(range.clone()).ok_or(short)?;
-    decode_by(Reader { bytes, at: 0, entry: Some((entry, range.start)) })
+/// As [`decode`].
+pub(crate) fn decode_borrowed(bytes: &[u8], borrow: &Borrow<'_>) -> Result<RecordedItem, CodecError> {
+    decode_by(Reader { bytes, at: 0, borrow: Some(borrow) })
 }
 
 fn decode_by(mut reader: Reader<'_>) -> Result<RecordedItem, CodecError> {
@@ -260,11 +257,14 @@ pub(crate) fn number(bytes: &[u8]) -> Option<u64> {
     head(bytes).map(|head| head.number)
 }
 
+/// Answers a range of a message as a buffer without a copy.
+pub(crate) type Borrow<'a> = dyn Fn(Range<usize>) -> Buffer + 'a;
+
 struct Reader<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// The entry that the bytes are of, and where in it they begin.
-    entry: Option<(&'a Entry, usize)>,
+    /// Where columns need no copy.
+    borrow: Option<&'a Borrow<'a>>,
 }
 
 impl<'a> Reader<'a> {
@@ -336,11 +336,8 @@ impl<'a> Reader<'a> {
         if !(rows.len() as u64).is_multiple_of((kind.size() as u64 * u64::from(width)).max(1)) {
             return Err(CodecError::Invalid("a column ends within a row"));
         }
-        let data: Buffer = match self.entry {
-            Some((entry, start)) if cfg!(target_endian = "little") => {
-                let end = start + self.at;
-                entry.part(end - rows.len()..end)
-            }
+        let data: Buffer = match self.borrow {
+            Some(borrow) if cfg!(target_endian = "little") => borrow(self.at - rows.len()..self.at),
             _ => Arc::new(Aligned::new(rows, kind.size())),
         };
         Ok(Column::new(name, kind, width, data))

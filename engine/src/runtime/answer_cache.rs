@@ -11,7 +11,7 @@ use super::inject::Planned;
 use crate::{
     plan::{Plan, PlanNode},
     recording::codec,
-    store::{Entry, Key, KeyInMaking, Store, brought, message, payload_of},
+    store::{Entry, Key, KeyInMaking, Store, brought, decode, message, payload_of},
 };
 use osteoflow_container::Segments;
 use osteoflow_node::{
@@ -182,7 +182,7 @@ impl<'a> Recall<'a> {
     }
 
     fn emission(&self, port: PortPayload, entry: &Entry, range: Range<usize>) -> Option<Emission> {
-        let message = codec::decode_entry(entry, range).ok()?;
+        let message = decode(entry, range).ok()?;
         if let Err(empty) = message.body {
             return Some(Emission::Empty(empty.reason));
         }

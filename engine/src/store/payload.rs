@@ -1,9 +1,10 @@
 //! Payloads in the store: the message of an item, as in a recording, without number and stamp.
 
-use super::{Key, Store, StoreError};
-use crate::recording::codec::{self, RecordedItem};
+use super::{Entry, Key, Store, StoreError};
+use crate::recording::codec::{self, CodecError, RecordedItem};
 use osteoflow_container::Segments;
 use osteoflow_node::{Body, Item, Payload, PayloadType, PortPayload, Value};
+use std::ops::Range;
 
 /// The bytes of a payload: name and version of its type, and its view. Columns stay where they are.
 pub(crate) fn message(value: &Value) -> Segments {
@@ -17,11 +18,21 @@ pub(crate) fn payload_of(message: RecordedItem, ty: &'static PayloadType) -> Opt
     ty.from_view(&view).ok()
 }
 
+/// The item in a part of an entry; its columns lie in the entry's bytes.
+///
+/// # Errors
+/// [`CodecError`] if the bytes are damaged, or the entry does not have the part.
+pub(crate) fn decode(entry: &Entry, range: Range<usize>) -> Result<RecordedItem, CodecError> {
+    let short = CodecError::Short { needed: range.end as u64, left: entry.bytes().len() };
+    let (start, bytes) = (range.start, entry.bytes().get(range).ok_or(short)?);
+    codec::decode_borrowed(bytes, &|rows| entry.part(start + rows.start..start + rows.end))
+}
+
 impl Store {
     /// The payload under the key; its columns lie in the entry's bytes. `None` also if it is of another type or version.
     pub fn load<T: Payload<By>, By: 'static>(&self, key: &Key) -> Option<T> {
         let entry = self.get(key)?;
-        let message = codec::decode_entry(&entry, 0..entry.bytes().len()).ok()?;
+        let message = decode(&entry, 0..entry.bytes().len()).ok()?;
         payload_of(message, PayloadType::of::<T, By>())?.get::<T>().cloned()
     }
 

@@ -70,12 +70,12 @@ fn a_payload_comes_back_over_the_bytes_of_the_entry_and_never_as_another() {
     assert_eq!((wave.label.as_str(), &wave.samples), ("µ", &samples));
     assert!(store.load::<Number, _>(&key("wave")).is_none());
     let entry = store.get(&key("wave")).unwrap();
-    let item = crate::recording::codec::decode_entry(&entry, 0..entry.bytes().len()).unwrap();
+    let item = super::payload::decode(&entry, 0..entry.bytes().len()).unwrap();
     let column = item.body.unwrap().columns.remove(0);
     assert!(entry.bytes().as_ptr_range().contains(&column.bytes().as_ptr()), "the rows were copied");
     assert!(matches!(column.rows_of::<f64>().unwrap(), std::borrow::Cow::Borrowed(_)), "the rows are not aligned");
     let far = entry.bytes().len() + 1;
-    assert!(crate::recording::codec::decode_entry(&entry, 0..far).is_err());
+    assert!(super::payload::decode(&entry, 0..far).is_err());
 }
 
 #[test]
