@@ -4,11 +4,12 @@
 use std::{collections::BTreeMap, fs, path::Path};
 
 /// Every crate of the workspace, where it lies, and the crates of the workspace that it may depend on.
-const ARROWS: [(&str, &str, &[&str]); 13] = [
+const ARROWS: [(&str, &str, &[&str]); 14] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
     ("osteoflow-container", "engine/container", &[]),
     ("osteoflow-engine", "engine", &["osteoflow-container", "osteoflow-node"]),
+    ("osteoflow-draw", "engine/draw", &[]),
     ("osteoflow-geometry", "nodes/geometry", &[]),
     ("osteoflow-algorithms", "nodes/algorithms", &["osteoflow-geometry"]),
     ("osteoflow-formats", "nodes/formats", &["osteoflow-container", "osteoflow-geometry"]),
@@ -17,7 +18,14 @@ const ARROWS: [(&str, &str, &[&str]); 13] = [
     (
         "osteoflow-report",
         "nodes/report",
-        &["osteoflow-engine", "osteoflow-node", "osteoflow-algorithms", "osteoflow-geometry", "osteoflow-statistics"],
+        &[
+            "osteoflow-engine",
+            "osteoflow-draw",
+            "osteoflow-node",
+            "osteoflow-algorithms",
+            "osteoflow-geometry",
+            "osteoflow-statistics",
+        ],
     ),
     ("osteoflow-payloads", "nodes/payloads", &["osteoflow-node", "osteoflow-geometry", "osteoflow-algorithms"]),
     (

@@ -15,7 +15,6 @@
 
 pub mod check;
 pub mod diff;
-pub mod draw;
 pub mod fault;
 mod graph;
 pub mod hash;

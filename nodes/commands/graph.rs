@@ -1,7 +1,8 @@
 use super::{Exit, Global, GraphArgs, PluginArgs, UsageError, out_dir};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
-use osteoflow_engine::draw::{self, Picture};
+use osteoflow_draw::{Diagram, dot, mermaid, svg};
+use osteoflow_report::diagram;
 use std::{
     io::Write,
     path::{Path, PathBuf},
@@ -51,31 +52,31 @@ enum Language {
 
 impl Graph {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let picture = match (&self.run, &self.graph) {
+        let diagram = match (&self.run, &self.graph) {
             (Some(run), _) => of_run(run)?,
             (None, Some(graph)) => {
                 let (graph, sets, plugins) = (graph.clone(), self.sets.clone(), self.plugins.clone());
                 let Some(checked) = (GraphArgs { graph, sets, plugins }).check(global)? else { return Ok(Exit::Usage) };
-                Picture::of_plan(&checked.plan)
+                diagram::of_plan(&checked.plan)
             }
             (None, None) => return Err(UsageError("name a graph file, or a run by --run".into()).into()),
         };
         let drawn = match self.language {
-            Language::Mermaid => draw::mermaid(&picture),
-            Language::Dot => draw::dot(&picture),
-            Language::Svg => draw::svg(&picture),
+            Language::Mermaid => mermaid(&diagram),
+            Language::Dot => dot(&diagram),
+            Language::Svg => svg(&diagram),
         };
         writeln!(std::io::stdout(), "{}", drawn.trim_end())?;
         Ok(Exit::Done)
     }
 }
 
-/// The picture of a run by its folder or its manifest.
-fn of_run(run: &Path) -> Result<Picture> {
+/// The diagram of a run, given its folder or its manifest.
+fn of_run(run: &Path) -> Result<Diagram> {
     let path = if run.is_dir() { run.join(out_dir::MANIFEST) } else { run.to_owned() };
     let shown = path.display();
     let text = std::fs::read_to_string(&path)
         .with_context(|| format!("{shown} cannot be read; --run takes the folder of a run that has ended"))?;
     let manifest = serde_json::from_str(&text).with_context(|| format!("{shown} is no manifest of a run"))?;
-    Picture::of_run(&manifest).map_err(|why| anyhow::anyhow!("{shown} is no manifest of a run: {why}"))
+    diagram::of_manifest(&manifest).map_err(|why| anyhow::anyhow!("{shown} is no manifest of a run: {why}"))
 }

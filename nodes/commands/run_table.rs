@@ -1,10 +1,8 @@
 //! What `--verbose` shows of a run: where the time went, and what went over the wires.
 
 use super::text_table::TextTable;
-use osteoflow_engine::{
-    draw::{percent, time},
-    run::RunReport,
-};
+use osteoflow_engine::run::RunReport;
+use osteoflow_report::format::{duration, percent};
 use std::{collections::BTreeMap, time::Duration};
 
 /// A table of nodes and a table of links, both in the order of the plan.
@@ -16,7 +14,7 @@ pub(crate) fn text(report: &RunReport) -> String {
     for n in &report.nodes {
         let share = if busy > 0.0 { n.busy.as_secs_f64() / busy } else { 0.0 };
         let counts = [n.items, n.skipped, n.failed].map(counted);
-        let cells = [told(n.busy), percent(share)].into_iter().chain(counts).chain([n.p50, n.p95, n.p99].map(told));
+        let cells = [time(n.busy), percent(share)].into_iter().chain(counts).chain([n.p50, n.p95, n.p99].map(time));
         let mark = (n.busy == slowest && !slowest.is_zero()).then(|| "<- slowest".into());
         nodes.row(&n.name, cells.chain(mark));
     }
@@ -24,14 +22,14 @@ pub(crate) fn text(report: &RunReport) -> String {
     for l in &report.links {
         let counts = [l.sent, l.received, l.dropped].map(counted);
         let fill = format!("{} of {}", l.highest_fill, l.capacity);
-        let remark = (l.unmatched > 0).then(|| format!("{} without a partner", l.unmatched));
+        let remark = (l.unmatched > 0).then(|| format!("{} unmatched", l.unmatched));
         links.row(format!("{} -> {}", l.from, l.to), counts.into_iter().chain([fill]).chain(remark));
     }
     let mut text = format!("{}\n{}", nodes.lines(), links.lines());
     if !report.latencies.is_empty() {
         let mut latencies = TextTable::new("from source to sink", &["firings", "p50", "p95", "p99", "longest"]);
         for l in &report.latencies {
-            let spread = [l.spread.p50, l.spread.p95, l.spread.p99, l.spread.max].map(told);
+            let spread = [l.spread.p50, l.spread.p95, l.spread.p99, l.spread.max].map(time);
             latencies.row(format!("{} -> {}", l.source, l.sink), [counted(l.firings)].into_iter().chain(spread));
         }
         text.push_str(&format!("\n{}", latencies.lines()));
@@ -50,8 +48,8 @@ pub(crate) fn text(report: &RunReport) -> String {
     text
 }
 
-fn told(duration: Duration) -> String {
-    time(duration.as_secs_f64() * 1e3)
+fn time(time: Duration) -> String {
+    duration(time.as_secs_f64() * 1e3)
 }
 
 /// A count; a dash stands for none, so that the others are seen.

@@ -1,5 +1,6 @@
 //! What stands in a cell of a table, on a page and on a terminal, and how its numbers are told.
 
+use crate::format::number;
 use serde_json::Value as Json;
 
 /// What stands in a cell of a table.
@@ -52,30 +53,12 @@ impl Cell {
     }
 }
 
-/// A number with the digits that count: whole numbers whole, others with three.
-pub(crate) fn number(value: f64) -> String {
-    let size = value.abs();
-    let text = match size {
-        _ if !value.is_finite() => return "\u{2013}".into(),
-        s if s == s.trunc() && s < 1e15 => format!("{size:.0}"),
-        s if s >= 100.0 => format!("{size:.1}"),
-        s if s >= 10.0 => format!("{size:.2}"),
-        s if s >= 0.001 => format!("{size:.3}"),
-        _ => format!("{size:.2e}"),
-    };
-    let sign = if value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b)) { "\u{2212}" } else { "" };
-    format!("{sign}{text}")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_told_with_the_digits_that_count() {
-        let told: Vec<_> = [0.0, 20000.0, -0.02446, 3.2e-12, 0.1234, 12.345, 333.567, f64::NAN].map(number).into();
-        let expected = ["0", "20000", "\u{2212}0.024", "3.20e-12", "0.123", "12.35", "333.6", "\u{2013}"];
-        assert_eq!(told, expected);
+    fn integers_with_more_digits_than_a_float_are_text() {
         assert_eq!(Cell::of(&1_700_000_000_123_456_789_i64.into()).plain(), "1700000000123456789");
     }
 }

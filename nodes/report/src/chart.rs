@@ -7,7 +7,7 @@ mod axis;
 
 pub(crate) use axis::{Axis, named};
 
-use osteoflow_engine::draw::escaped;
+use osteoflow_draw::xml::escape;
 use std::fmt::Write;
 
 /// What stands on every figure beside what it shows.
@@ -162,7 +162,7 @@ impl Chart {
         let _ = writeln!(
             out,
             "<text x=\"{LEFT}\" y=\"18\" style=\"font-size: 13px; font-weight: 600\">{}</text>",
-            escaped(&self.title)
+            escape(&self.title)
         );
         let said = said(self.simulated);
         let _ = writeln!(
@@ -184,7 +184,7 @@ impl Chart {
                 "<text class=\"small\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
                 WIDTH - RIGHT,
                 18.0,
-                escaped(&self.note)
+                escape(&self.note)
             );
         }
         (out, height)
@@ -204,7 +204,7 @@ impl Chart {
                 series.colour % N_COLOURS,
                 y - 9.0,
                 x + 17.0,
-                escaped(&series.name)
+                escape(&series.name)
             );
             x += width;
         }
@@ -237,7 +237,7 @@ impl Chart {
         }
         for (at, word) in &x.ticks {
             let at = x.place(*at);
-            let word = escaped(word);
+            let word = escape(word);
             let _ = writeln!(out, "<path class=\"axis\" d=\"M{at:.1} {bottom:.1} v5\"/>");
             let _ = match aslant {
                 false => writeln!(
@@ -262,8 +262,8 @@ impl Chart {
             "<text x=\"{middle:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text><text transform=\"translate(16 \
              {level:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
             height - ROW - 8.0,
-            escaped(self.x.label()),
-            escaped(self.y.label())
+            escape(self.x.label()),
+            escape(self.y.label())
         );
     }
 }
@@ -284,8 +284,8 @@ fn whole(title: &str, about: &str, inside: &str, height: f64) -> String {
         "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"chart\" width=\"{WIDTH}\" height=\"{height:.0}\" \
          viewBox=\"0 0 {WIDTH} {height:.0}\" role=\"img\">\n<title>{}</title>\n<desc>{}</desc>\n<style>{STYLE}</style>\n\
          <rect class=\"paper\" width=\"{WIDTH}\" height=\"{height:.0}\"/>\n{inside}</svg>\n",
-        escaped(title),
-        escaped(about)
+        escape(title),
+        escape(about)
     )
 }
 
@@ -337,7 +337,7 @@ fn draw_mark(out: &mut String, mark: &Mark, colour: usize, x: &axis::Scale, y: &
         }
         Mark::Dots(points) => {
             for (a, b, tip) in points {
-                let (cx, cy, tip) = (x.place(*a), y.place(*b), escaped(tip));
+                let (cx, cy, tip) = (x.place(*a), y.place(*b), escape(tip));
                 let _ = writeln!(
                     out,
                     "<circle class=\"dot c{colour}\" cx=\"{cx:.1}\" cy=\"{cy:.1}\" r=\"3\"><title>{tip}</title></circle>"
@@ -359,9 +359,9 @@ fn draw_mark(out: &mut String, mark: &Mark, colour: usize, x: &axis::Scale, y: &
                  height=\"{:.1}\"/><path class=\"line whisker c{colour}\" style=\"stroke-width: 2.4\" d=\"M{left:.1} \
                  {median:.1} H{right:.1}\"/></g>",
                 tukey.values.len(),
-                crate::cell::number(tukey.median),
-                crate::cell::number(tukey.quartiles[0]),
-                crate::cell::number(tukey.quartiles[1]),
+                crate::format::number(tukey.median),
+                crate::format::number(tukey.quartiles[0]),
+                crate::format::number(tukey.quartiles[1]),
                 middle - cap,
                 2.0 * cap,
                 middle - cap,

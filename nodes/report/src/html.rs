@@ -1,11 +1,7 @@
 //! The page: its sections, figures, tables and views, put together into one file that opens without a network.
 
-use crate::{
-    cell::{Cell, number},
-    chart::RESEARCH,
-    scene::Scene,
-};
-use osteoflow_engine::draw::escaped;
+use crate::{cell::Cell, chart::RESEARCH, format::number, scene::Scene};
+use osteoflow_draw::xml::escape;
 use serde_json::{Map, Value as Json};
 use std::fmt::Write;
 
@@ -59,35 +55,34 @@ impl Page {
     pub(crate) fn section(&mut self, title: &str) {
         let id: String =
             title.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' }).collect();
-        let _ = writeln!(self.body, "<h2 id=\"{id}\">{}</h2>", escaped(title));
+        let _ = writeln!(self.body, "<h2 id=\"{id}\">{}</h2>", escape(title));
         self.contents.push((id, title.into()));
     }
 
     /// A paragraph of plain words.
     pub(crate) fn text(&mut self, words: &str) {
-        let _ = writeln!(self.body, "<p>{}</p>", escaped(words));
+        let _ = writeln!(self.body, "<p>{}</p>", escape(words));
     }
 
     /// What cannot be shown, and what to do about it.
     pub(crate) fn missing(&mut self, what: &str, why: &str) {
-        let _ =
-            writeln!(self.body, "<p class=\"missing\"><b>{}</b> is not shown: {}.</p>", escaped(what), escaped(why));
+        let _ = writeln!(self.body, "<p class=\"missing\"><b>{}</b> is not shown: {}.</p>", escape(what), escape(why));
     }
 
     /// Text in a box, folded away.
     pub(crate) fn folded(&mut self, title: &str, text: &str) {
-        let (title, text) = (escaped(title), escaped(text));
+        let (title, text) = (escape(title), escape(text));
         let _ = writeln!(self.body, "<details><summary>{title}</summary><pre>{text}</pre></details>");
     }
 
     /// Text as it is typed.
     pub(crate) fn code(&mut self, text: &str) {
-        let _ = writeln!(self.body, "<pre>{}</pre>", escaped(text));
+        let _ = writeln!(self.body, "<pre>{}</pre>", escape(text));
     }
 
     /// Begins what is folded away until [`Self::unfold`].
     pub(crate) fn fold(&mut self, title: &str) {
-        let _ = writeln!(self.body, "<details><summary>{}</summary>", escaped(title));
+        let _ = writeln!(self.body, "<details><summary>{}</summary>", escape(title));
     }
 
     pub(crate) fn unfold(&mut self) {
@@ -104,7 +99,7 @@ impl Page {
              class=\"words\">{}</span></figcaption></figure>",
             self.n_figures,
             self.n_figures,
-            escaped(caption),
+            escape(caption),
             self.words()
         );
         self.figures.push(Figure { name: name.into(), svg });
@@ -133,10 +128,10 @@ impl Page {
              \u{2212} do the same.</span> <span class=\"words\">{}</span></figcaption><script type=\"application/json\" \
              id=\"scene-{view}\">{}</script></figure>",
             scene.aspect,
-            escaped(caption),
-            escaped(&name),
+            escape(caption),
+            escape(&name),
             scene.legend_html(),
-            escaped(caption),
+            escape(caption),
             self.words(),
             in_script(&scene.json())
         );
@@ -154,13 +149,13 @@ impl Page {
             self.body,
             "<div class=\"wide\"><table><caption><b>Table {}.</b> {} <span class=\"words\">{}</span></caption><thead><tr>",
             self.n_tables,
-            escaped(caption),
+            escape(caption),
             self.words()
         );
         for (k, word) in head.iter().enumerate() {
             let right = rows.iter().any(|row| matches!(row.get(k), Some(Cell::Number(_))));
             let class = if right { " class=\"n\"" } else { "" };
-            let _ = write!(self.body, "<th scope=\"col\"{class}>{}</th>", escaped(word));
+            let _ = write!(self.body, "<th scope=\"col\"{class}>{}</th>", escape(word));
         }
         self.body.push_str("</tr></thead><tbody>");
         for row in rows {
@@ -170,8 +165,8 @@ impl Page {
                     Cell::Number(value) => {
                         write!(self.body, "<td class=\"n\" title=\"{value}\">{}</td>", number(*value))
                     }
-                    Cell::Word(word) => write!(self.body, "<td>{}</td>", escaped(word)),
-                    Cell::Code(word) => write!(self.body, "<td><code>{}</code></td>", escaped(word)),
+                    Cell::Word(word) => write!(self.body, "<td>{}</td>", escape(word)),
+                    Cell::Code(word) => write!(self.body, "<td><code>{}</code></td>", escape(word)),
                 };
             }
             self.body.push_str("</tr>");
@@ -181,13 +176,13 @@ impl Page {
 
     /// The whole page.
     pub(crate) fn finish(self, subtitle: &str) -> (String, Vec<Figure>) {
-        let title = escaped(&self.title);
+        let title = escape(&self.title);
         let simulated = match self.simulated {
             true => "<p class=\"banner\"><b>SIMULATED.</b> What is registered here was computed, not measured.</p>",
             false => "",
         };
         let contents: String =
-            self.contents.iter().map(|(id, title)| format!("<a href=\"#{id}\">{}</a> ", escaped(title))).collect();
+            self.contents.iter().map(|(id, title)| format!("<a href=\"#{id}\">{}</a> ", escape(title))).collect();
         let data = in_script(&Json::Object(self.data));
         // Nothing may be fetched, whatever stands in the page.
         let policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:";
@@ -199,7 +194,7 @@ impl Page {
              <h1>{title}</h1>\n<p class=\"subtitle\">{}</p>\n{simulated}<p class=\"research\">Research software, not a \
              medical device: {RESEARCH}.</p>\n<nav aria-label=\"sections\">{contents}</nav>\n</header>\n<main>\n{}</main>\n\
              <script type=\"application/json\" id=\"data\">{data}</script>\n<script>\n{VIEWER}</script>\n</body>\n</html>\n",
-            escaped(subtitle),
+            escape(subtitle),
             self.body
         );
         (html, self.figures)

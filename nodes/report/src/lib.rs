@@ -18,7 +18,9 @@
 mod cell;
 mod chart;
 mod citations;
+pub mod diagram;
 mod evidence;
+pub mod format;
 mod html;
 mod methods;
 mod provenance;

@@ -1,10 +1,6 @@
 //! What was done, in words for a methods section: from what ran, not from what was meant.
 
-use crate::{
-    cell::{Cell, number},
-    evidence::Evidence,
-    html::Page,
-};
+use crate::{cell::Cell, evidence::Evidence, format::number, html::Page};
 use osteoflow_node::Registry;
 use serde_json::Value as Json;
 use std::collections::BTreeMap;

@@ -5,15 +5,15 @@ mod views;
 
 use crate::{
     Report, ReportError,
-    cell::number,
     chart::{Axis, Chart, Mark, Series, said},
-    citations,
+    citations, diagram,
     evidence::Evidence,
+    format::number,
     html::Page,
     methods, provenance, tables,
 };
 use osteoflow_algorithms::icp::IcpTrace;
-use osteoflow_engine::draw::{self, Picture};
+use osteoflow_draw::{Diagram, svg};
 use osteoflow_node::Registry;
 use std::path::Path;
 
@@ -28,9 +28,9 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
 
     page.section("The graph as run");
     outcome(&mut page, &run);
-    match Picture::of_run(&run.manifest) {
-        Ok(picture) => {
-            graph(&mut page, picture, "The graph as it ran: nodes with their kind and time, wires with their items.");
+    match diagram::of_manifest(&run.manifest) {
+        Ok(diagram) => {
+            graph(&mut page, diagram, "The graph as it ran: nodes with their kind and time, wires with their items.");
         }
         Err(why) => page.missing("The graph", &why),
     }
@@ -60,9 +60,9 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
 }
 
 /// The drawing of a graph, which says what every drawing does.
-pub(crate) fn graph(page: &mut Page, mut picture: Picture, caption: &str) {
-    picture.about.push(said(page.simulated()));
-    page.figure("graph", draw::svg(&picture), caption);
+pub(crate) fn graph(page: &mut Page, mut diagram: Diagram, caption: &str) {
+    diagram.notes.push(said(page.simulated()));
+    page.figure("graph", svg(&diagram), caption);
 }
 
 fn outcome(page: &mut Page, run: &Evidence) {

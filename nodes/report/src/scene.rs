@@ -2,11 +2,11 @@
 
 mod drawing;
 
-use crate::cell::number;
+use crate::format::number;
 use base64::{Engine, engine::general_purpose::STANDARD};
 use drawing::{Drawn, Solid, Tint};
 use nalgebra::{Matrix3, Point3, Vector3};
-use osteoflow_engine::draw::escaped;
+use osteoflow_draw::xml::escape;
 use osteoflow_geometry::Mesh;
 use serde_json::{Value as Json, json};
 use std::{
@@ -148,7 +148,7 @@ impl Scene {
     pub(crate) fn legend_html(&self) -> String {
         let mut out = String::from("<div class=\"legend\">");
         for (colour, what) in &self.legend {
-            out += &format!("<span><i class=\"key\" style=\"background: {colour}\"></i>{}</span>", escaped(what));
+            out += &format!("<span><i class=\"key\" style=\"background: {colour}\"></i>{}</span>", escape(what));
         }
         if let Some((what, most)) = &self.ramp {
             let most = number(*most);
@@ -156,7 +156,7 @@ impl Scene {
                 "<span>{} <span>\u{2212}{most}</span><i class=\"ramp\" role=\"img\" aria-label=\"from blue, minus {most} \
                  mm, over white to red, {most} mm\" style=\"background: linear-gradient(to right, {})\"></i><span>+{most} \
                  mm</span></span>",
-                escaped(what),
+                escape(what),
                 DIVERGING.join(", ")
             );
         }

@@ -1,9 +1,6 @@
 //! JSON as tables, whatever a graph has put into it.
 
-use crate::{
-    cell::{Cell, number},
-    html::Page,
-};
+use crate::{cell::Cell, format::number, html::Page};
 use nalgebra::Matrix4;
 use osteoflow_geometry::isometry_from_matrix;
 use serde_json::{Map, Value as Json};

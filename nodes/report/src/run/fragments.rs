@@ -1,8 +1,8 @@
 //! The fragment that the executed cuts take out of the bone, coloured by its distance from the planned one.
 
 use crate::{
-    cell::number,
     evidence::Evidence,
+    format::number,
     html::Page,
     scene::{BONE, Scene, round_up},
 };

@@ -2,9 +2,10 @@
 
 use super::{fine, fragments};
 use crate::{
-    cell::{Cell, number},
+    cell::Cell,
     chart::{Axis, Chart, Mark, Series},
     evidence::Evidence,
+    format::number,
     html::Page,
     scene::{self, BLUE, BONE, RED, Scene, round_up},
 };

@@ -3,9 +3,9 @@
 //! Painter's algorithm: triangles, points and lines are drawn from the farthest to the nearest, by their middles.
 
 use super::{DIVERGING, Scene, thinned};
-use crate::{cell::number, chart::said};
+use crate::{chart::said, format::number};
 use nalgebra::Point3;
-use osteoflow_engine::draw::escaped;
+use osteoflow_draw::xml::escape;
 use std::fmt::Write;
 
 /// Width of the drawing, in its units.
@@ -89,7 +89,7 @@ impl Scene {
              fill=\"#ffffff\"/>\n<clipPath id=\"view\"><rect width=\"{WIDTH}\" height=\"{height:.1}\"/></clipPath>\n<g \
              clip-path=\"url(#view)\" stroke-linejoin=\"round\" stroke-linecap=\"round\">\n<rect width=\"{WIDTH}\" \
              height=\"{height:.1}\" fill=\"#f3f5f7\"/>",
-            escaped(title)
+            escape(title)
         );
         let mut pieces: Vec<Piece> = self.drawn.iter().flat_map(|drawn| self.pieces(drawn, height)).collect();
         pieces.sort_by(|a, b| a.near.total_cmp(&b.near));
@@ -103,7 +103,7 @@ impl Scene {
             if let Solid::Tag(at, word) = &drawn.what {
                 let [x, y, _] = self.seen(at, height);
                 let (x, end) = if x > 0.8 * WIDTH { (x - 5.0, " text-anchor=\"end\"") } else { (x + 5.0, "") };
-                let _ = writeln!(out, "<text x=\"{x:.1}\" y=\"{:.1}\"{end}>{}</text>", y - 5.0, escaped(word));
+                let _ = writeln!(out, "<text x=\"{x:.1}\" y=\"{:.1}\"{end}>{}</text>", y - 5.0, escape(word));
             }
         }
         out.push_str("</g>\n");
@@ -222,7 +222,7 @@ impl Scene {
                 out,
                 "<circle cx=\"17\" cy=\"{:.1}\" r=\"5\" fill=\"{colour}\"/><text x=\"27\" y=\"{y:.1}\">{}</text>",
                 y - 4.0,
-                escaped(what)
+                escape(what)
             );
             y += ROW;
         }
@@ -242,7 +242,7 @@ impl Scene {
                 "<text x=\"74\" y=\"{y:.1}\" text-anchor=\"end\">\u{2212}{most}</text><text x=\"{:.0}\" y=\"{y:.1}\">+{most} mm: \
                  {}</text>",
                 86.0 + DIVERGING.len() as f64 * STEP,
-                escaped(what)
+                escape(what)
             );
         }
     }

@@ -1,7 +1,7 @@
 //! The statistics and comparisons of a summary as rows of a table, the same on a page and on a terminal.
 
 use super::word;
-use crate::cell::{Cell, number};
+use crate::{cell::Cell, format::number};
 use osteoflow_statistics::{FEW_UNITS, counted};
 use serde_json::Value;
 

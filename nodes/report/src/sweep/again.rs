@@ -2,8 +2,9 @@
 
 use super::{Swept, number_of};
 use crate::{
-    cell::number,
+    diagram,
     evidence::Evidence,
+    format::number,
     html::Page,
     run::{
         fragments::{self, Maps},
@@ -12,7 +13,6 @@ use crate::{
 };
 use osteoflow_engine::{
     Checked, Faults, RunOptions,
-    draw::Picture,
     plugin::Kinds,
     run,
     sweep::{Column, Done, Folder, again},
@@ -28,7 +28,7 @@ pub(super) fn picture(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &K
         first.run
     );
     match checked(folder, first, &[], kinds) {
-        Ok(checked) => graph(page, Picture::of_plan(&checked.plan), &caption),
+        Ok(checked) => graph(page, diagram::of_plan(&checked.plan), &caption),
         Err(why) => page.missing("The graph", &why),
     }
 }

@@ -2,8 +2,8 @@
 
 use super::{Setting, Swept, label as quoted, number_of, setting_name};
 use crate::{
-    cell::number,
     chart::{Axis, Chart, Mark, N_COLOURS, Series, Tukey, named, panels},
+    format::number,
     html::Page,
 };
 use osteoflow_engine::sweep::{Column, Distribution, Draw, Factor};

@@ -1,0 +1,63 @@
+//! Numbers as pages and terminals show them.
+
+/// Formats a number: integers in full, others with three or four significant digits.
+pub(crate) fn number(value: f64) -> String {
+    let size = value.abs();
+    let text = match size {
+        _ if !value.is_finite() => return "\u{2013}".into(),
+        s if s == s.trunc() && s < 1e15 => format!("{size:.0}"),
+        s if s >= 100.0 => format!("{size:.1}"),
+        s if s >= 10.0 => format!("{size:.2}"),
+        s if s >= 0.001 => format!("{size:.3}"),
+        _ => format!("{size:.2e}"),
+    };
+    let sign = if value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b)) { "\u{2212}" } else { "" };
+    format!("{sign}{text}")
+}
+
+/// Formats a duration given in milliseconds, with three significant digits, in the unit from ns to s that suits it.
+pub fn duration(ms: f64) -> String {
+    let digits = |value: f64| match value {
+        v if v >= 99.95 => format!("{v:.0}"),
+        v if v >= 9.995 => format!("{v:.1}"),
+        v => format!("{v:.2}"),
+    };
+    match ms {
+        0.0 => "0 s".into(),
+        ms if ms < 0.0009995 => format!("{:.0} ns", ms * 1e6),
+        ms if ms < 0.9995 => format!("{} \u{b5}s", digits(ms * 1e3)),
+        ms if ms < 999.5 => format!("{} ms", digits(ms)),
+        ms => format!("{} s", digits(ms / 1e3)),
+    }
+}
+
+/// Formats a share in percent.
+pub fn percent(share: f64) -> String {
+    match share * 100.0 {
+        0.0 => "0 %".into(),
+        p if p < 0.1 => "< 0.1 %".into(),
+        p if p < 9.95 => format!("{p:.1} %"),
+        p => format!("{p:.0} %"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_few_significant_digits() {
+        let found: Vec<_> = [0.0, 20000.0, -0.02446, 3.2e-12, 0.1234, 12.345, 333.567, f64::NAN].map(number).into();
+        let expected = ["0", "20000", "\u{2212}0.024", "3.20e-12", "0.123", "12.35", "333.6", "\u{2013}"];
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn durations_and_shares_have_few_significant_digits() {
+        let found: Vec<_> = [0.0, 0.00012, 0.0123, 0.9994, 1.0, 12.345, 412.6, 999.7, 61_234.0].map(duration).into();
+        let expected =
+            ["0 s", "120 ns", "12.3 \u{b5}s", "999 \u{b5}s", "1.00 ms", "12.3 ms", "413 ms", "1.00 s", "61.2 s"];
+        assert_eq!(found, expected);
+        assert_eq!([0.0, 0.0004, 0.012, 0.2251, 1.0].map(percent), ["0 %", "< 0.1 %", "1.2 %", "23 %", "100 %"]);
+    }
+}
