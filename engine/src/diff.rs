@@ -13,10 +13,10 @@ pub use compare::{Difference, Largest};
 
 use crate::{
     names::glob,
-    record::OUTCOME_METADATA,
     recording::{
         RecordingError,
         codec::{self, RecordedItem},
+        format::Outcome,
     },
 };
 use compare::{Compare, ItemDifference, Units};
@@ -150,8 +150,8 @@ pub fn diff(a: &Path, b: &Path, options: &DiffOptions, progress: Progress<'_>) -
     });
     let both = |get: fn(&Index) -> Option<String>| Some((get(&a)?, get(&b)?));
     Ok(DiffReport {
-        same_graph: both(|i| Some(i.about.as_ref()?.graph.clone())).map(|(a, b)| a == b),
-        same_results: both(|i| i.metadata.get(OUTCOME_METADATA)?.get("results").cloned()).map(|(a, b)| a == b),
+        same_graph: both(|i| Some(i.run.as_ref()?.graph.clone())).map(|(a, b)| a == b),
+        same_results: both(|i| Some(i.metadata.sound::<Outcome>()?.results.to_string())).map(|(a, b)| a == b),
         sides: [side(&a), side(&b)],
         first,
         wires: diffs,
@@ -160,22 +160,22 @@ pub fn diff(a: &Path, b: &Path, options: &DiffOptions, progress: Progress<'_>) -
 }
 
 fn side(index: &Index) -> Side {
-    let about = index.about.as_ref();
+    let run = index.run.as_ref();
     Side {
-        graph: about.map(|about| about.name.clone()),
-        seed: about.map(|about| about.seed),
-        version: about.map(|about| about.version.clone()),
+        graph: run.map(|run| run.name.clone()),
+        seed: run.map(|run| run.seed),
+        version: run.map(|run| run.version.clone()),
         incomplete: index.incomplete.clone(),
     }
 }
 
 fn units_of(wire: &Indexed) -> Units {
-    Units::of(&wire.about.units)
+    Units::of(&wire.about.header.units)
 }
 
 /// The wires to compare, in the order in which the first recording's graph computes them.
 fn compared(a: &Index, b: &Index, options: &DiffOptions) -> Vec<String> {
-    let graph = a.about.as_ref().or(b.about.as_ref()).map_or("", |about| about.graph.as_str());
+    let graph = a.run.as_ref().or(b.run.as_ref()).map_or("", |run| run.graph.as_str());
     let ranks = order::ranks(graph);
     let names: BTreeSet<&String> = a.wires.keys().chain(b.wires.keys()).collect();
     let wanted = |name: &str| options.wires.is_empty() || options.wires.iter().any(|p| glob::fits(p, name));
@@ -210,7 +210,7 @@ fn differing<'a>(a: &'a Indexed, b: &'a Indexed) -> impl Iterator<Item = (Entry,
 fn missing(wire: &str, a: &Index, b: &Index) -> WireDiff {
     let (x, y) = (a.wires.get(wire), b.wires.get(wire));
     let payload = |wire: Option<&Indexed>| {
-        wire.map_or("none".into(), |wire| format!("{}@{}", wire.about.payload, wire.about.version))
+        wire.map_or("none".into(), |wire| format!("{}@{}", wire.about.header.payload, wire.about.header.version))
     };
     let entries = |wire: Option<&'_ Indexed>| wire.map_or(&[] as &[Entry], |wire| &wire.entries).to_vec();
     let (of_a, of_b) = (entries(x), entries(y));

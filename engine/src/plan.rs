@@ -96,6 +96,16 @@ pub enum Sources {
     Hashes,
 }
 
+impl Sources {
+    /// `wires` or `hashes`.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Wires => "wires",
+            Self::Hashes => "hashes",
+        }
+    }
+}
+
 /// A node of the plan.
 #[derive(Debug, Clone)]
 pub struct PlanNode {

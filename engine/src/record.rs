@@ -13,8 +13,10 @@ mod sink;
 
 use crate::{
     panics,
-    plan::{OutputId, Plan, PlanPlugin, Sources},
-    recording::RecordedFailure,
+    plan::{OutputId, Plan},
+    recording::format::{
+        InputHashes, MetadataRecord, Outcome, PluginRecords, Program, RecordedFailure, RunRecord, WireCounts,
+    },
     runtime::{RunOptions, Tap},
 };
 use osteoflow_container::{WriteOptions, Writer};
@@ -34,33 +36,6 @@ use std::{
     thread::JoinHandle,
     time::{Duration, Instant},
 };
-
-/// The version of the recording's own records; raised when older readers cannot take them.
-pub const FORMAT_VERSION: u32 = 1;
-/// The encoding of messages on exact channels.
-pub const EXACT_ENCODING: &str = "osteoflow-view";
-/// What the topics of exact channels begin with.
-pub const EXACT_TOPIC: &str = "/exact/";
-/// What the topics of channels for viewers begin with.
-pub const VIEW_TOPIC: &str = "/view/";
-/// The topic of when nodes fired, by the wall clock.
-pub const TIMING_TOPIC: &str = "/run/timing";
-/// The topic of what policies dropped.
-pub const DROPS_TOPIC: &str = "/run/drops";
-/// The topic of what firings took from the clock.
-pub const LIVE_TOPIC: &str = "/run/live";
-/// The metadata record that names the graph, its seed and the version of the engine.
-pub const RUN_METADATA: &str = "osteoflow";
-/// The metadata record that tells of the program and the machine.
-pub const PROGRAM_METADATA: &str = "osteoflow.program";
-/// The metadata record with the SHA-256 of each input file; at the front where sources are known by it, else at the end.
-pub const INPUTS_METADATA: &str = "osteoflow.inputs";
-/// The metadata record with the SHA-256 of each plugin.
-pub const PLUGINS_METADATA: &str = "osteoflow.plugins";
-/// The metadata record that counts the items of each wire; only a recording that was finished has it.
-pub const WIRES_METADATA: &str = "osteoflow.wires";
-/// The metadata record that holds the results, and the constants among them.
-pub const OUTCOME_METADATA: &str = "osteoflow.outcome";
 
 /// How often the writer looks for what has come.
 const PATIENCE: Duration = Duration::from_millis(20);
@@ -124,16 +99,13 @@ pub enum RecordError {
     },
 }
 
-/// What a finished recording holds of each wire: items, and how many of them are values.
-pub(crate) type Counts = BTreeMap<String, (u64, u64)>;
-
 /// A recording under way.
 pub(crate) struct Recorder {
     /// The recorded wires.
     wires: BTreeSet<OutputId>,
     path: PathBuf,
     shared: Arc<Shared>,
-    writer: JoinHandle<Result<Counts, Stopped>>,
+    writer: JoinHandle<Result<WireCounts, Stopped>>,
 }
 
 /// What those who record and the writer look at.
@@ -201,22 +173,21 @@ impl Recorder {
         failures: &[RecordedFailure],
         options: &RunOptions,
         inputs: Option<&[Json]>,
-    ) -> Result<Counts, RecordError> {
-        let fixed: Json = options.fixed_results.iter().cloned().collect::<serde_json::Map<_, _>>().into();
-        let outcome = BTreeMap::from([
-            ("status".into(), status.into()),
-            ("results".into(), results.to_string()),
-            ("fixed_results".into(), fixed.to_string()),
-            ("failures".into(), serde_json::json!(failures).to_string()),
-        ]);
-        let mut end = vec![(OUTCOME_METADATA, outcome)];
-        end.extend(inputs.map(|inputs| (INPUTS_METADATA, all_inputs(inputs))));
+    ) -> Result<WireCounts, RecordError> {
+        let outcome = Outcome {
+            status: status.into(),
+            results: results.clone(),
+            fixed_results: options.fixed_results.iter().cloned().collect(),
+            failures: failures.to_vec(),
+        };
+        let mut end = vec![(Outcome::NAME, outcome.to_metadata())];
+        end.extend(inputs.map(|inputs| (InputHashes::NAME, all_inputs(inputs).0)));
         let queue = &self.shared.queue;
         queue.put(Entry::Firings(self.shared.take_firings()), 0);
         queue.put(Entry::End(end), 0);
         queue.close();
         match self.writer.join() {
-            Ok(written) => written.map_err(|stopped| stopped.told(&self.path)),
+            Ok(written) => written.map_err(|stopped| stopped.into_error(&self.path)),
             Err(_) => Err(RecordError::Panicked { path: self.path, said: "panicked".into() }),
         }
     }
@@ -265,7 +236,7 @@ impl Tap for Recorder {
 }
 
 /// The file with everything that is known before the run.
-fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<Texts>) -> io::Result<Sink> {
+fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<InputHashes>) -> io::Result<Sink> {
     let library = concat!("osteoflow ", env!("CARGO_PKG_VERSION"));
     let mut file = Writer::new(
         file,
@@ -276,41 +247,33 @@ fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<Texts>) -
             ..WriteOptions::default()
         },
     )?;
-    let sources = match plan.recording.sources {
-        Sources::Wires => "wires",
-        Sources::Hashes => "hashes",
+    let run = RunRecord {
+        graph: plan.resolved.clone(),
+        graph_file: plan.path.clone(),
+        name: plan.name.clone(),
+        seed: plan.seed,
+        sources: plan.recording.sources,
+        ..RunRecord::default()
     };
-    file.write_metadata(
-        RUN_METADATA,
-        &BTreeMap::from([
-            ("format_version".into(), FORMAT_VERSION.to_string()),
-            ("graph".into(), plan.resolved.clone()),
-            ("graph_file".into(), plan.path.display().to_string()),
-            ("name".into(), plan.name.clone()),
-            ("seed".into(), plan.seed.to_string()),
-            ("sources".into(), sources.into()),
-            ("version".into(), env!("CARGO_PKG_VERSION").into()),
-        ]),
-    )?;
     let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let program = options.command.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
-    file.write_metadata(PROGRAM_METADATA, &program.map(|(key, value)| (key.clone(), text(value))).collect())?;
-    let plugin =
-        |plugin: &PlanPlugin| (plugin.path.to_string_lossy().into_owned(), serde_json::json!(plugin).to_string());
-    file.write_metadata(PLUGINS_METADATA, &plan.plugins.iter().map(plugin).collect())?;
-    if let Some(inputs) = inputs {
-        file.write_metadata(INPUTS_METADATA, &inputs)?;
-    }
+    let program = Program(program.map(|(key, value)| (key.clone(), text(value))).collect());
+    write(&mut file, &run)?;
+    write(&mut file, &program)?;
+    write(&mut file, &PluginRecords(plan.plugins.clone()))?;
+    inputs.iter().try_for_each(|inputs| write(&mut file, inputs))?;
     let mut sink = Sink::begin(file, plan)?;
     // From here on a file that is cut short tells which wires it was to hold.
     sink.file.flush()?;
     Ok(sink)
 }
 
-type Texts = BTreeMap<String, String>;
+fn write<T: MetadataRecord>(file: &mut Writer<File>, record: &T) -> io::Result<()> {
+    file.write_metadata(T::NAME, &record.to_metadata())
+}
 
 /// The hash of each file.
-fn named_inputs(inputs: &[Json]) -> Result<Texts, RecordError> {
+fn named_inputs(inputs: &[Json]) -> Result<InputHashes, RecordError> {
     if let Some(unread) = inputs.iter().find(|input| input["sha256"].as_str().is_none()) {
         let text = |key: &str| unread[key].as_str().unwrap_or("unknown").to_owned();
         return Err(RecordError::Input { path: text("path"), reason: text("error") });
@@ -319,34 +282,17 @@ fn named_inputs(inputs: &[Json]) -> Result<Texts, RecordError> {
 }
 
 /// The hash of each file, or why there is none.
-fn all_inputs(inputs: &[Json]) -> Texts {
+fn all_inputs(inputs: &[Json]) -> InputHashes {
     let entry = |input: &Json| {
         let text = |key: &str| input[key].as_str().map(str::to_owned);
         let hash = text("sha256").or_else(|| Some(format!("unread: {}", text("error")?)));
         Some((text("path")?, hash?))
     };
-    inputs.iter().filter_map(entry).collect()
-}
-
-/// What a message on [`DROPS_TOPIC`] tells: wire, input and number of each item.
-pub(crate) fn dropped(message: &[u8]) -> Vec<(String, String, u64)> {
-    #[derive(serde::Deserialize)]
-    struct Message {
-        drops: Vec<(String, String, u64)>,
-    }
-    serde_json::from_slice::<Message>(message).map(|message| message.drops).unwrap_or_default()
-}
-
-/// What a message on [`LIVE_TOPIC`] tells.
-#[derive(serde::Deserialize)]
-pub(crate) struct Taken {
-    pub(crate) node: String,
-    pub(crate) item: u64,
-    pub(crate) readings: Vec<ClockReading>,
+    InputHashes(inputs.iter().filter_map(entry).collect())
 }
 
 /// The writer's life: until the queue is closed and empty, or the file takes nothing more.
-fn record(mut sink: Sink, shared: &Shared) -> Result<Counts, Stopped> {
+fn record(mut sink: Sink, shared: &Shared) -> Result<WireCounts, Stopped> {
     let mut flushed = Instant::now();
     let began = flushed;
     let mut end = Vec::new();
@@ -383,8 +329,7 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<Counts, Stopped> {
     // Viewers take no time of zero; a run without any time is shown at its first nanosecond.
     sink.begin_time(1)?;
     let counts = sink.counts();
-    let told = |(items, values): &(u64, u64)| format!("{items} items, {values} values");
-    sink.file.write_metadata(WIRES_METADATA, &counts.iter().map(|(wire, n)| (wire.clone(), told(n))).collect())?;
+    write(&mut sink.file, &counts)?;
     end.iter().try_for_each(|(name, metadata)| sink.file.write_metadata(name, metadata))?;
     sink.file.finish()?;
     Ok(counts)

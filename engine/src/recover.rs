@@ -5,17 +5,14 @@
 //! written says in a metadata record of its own what is missing, and how many items of each wire lay before the first
 //! damage: so far a replay can compute, since what lies behind may rest on what is lost.
 
-use crate::{
-    record::{INPUTS_METADATA, OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
-    recording::{
-        RecordingError, codec, counts,
-        number_set::Numbers,
-        wires::{Carries, Channels},
-    },
+use crate::recording::{
+    RecordingError, codec,
+    format::{InputHashes, MetadataRecord, Outcome, Recovered, RunRecord, WireCounts},
+    number_set::Numbers,
+    wires::{Carries, Channels},
 };
 use mcap::{Compression, McapError, WriteOptions, Writer, records::MessageHeader, records::Metadata};
 use osteoflow_container::{Attachment, Channel, Damage, End, Location, Message, Progress, Reader, Record, Visitor};
-use serde_json::json;
 use std::{
     borrow::Cow,
     collections::{BTreeMap, BTreeSet},
@@ -24,9 +21,6 @@ use std::{
     ops::{ControlFlow, RangeInclusive},
     path::{Path, PathBuf},
 };
-
-/// The metadata record of a recovered file: what is missing.
-pub const RECOVERED_METADATA: &str = "osteoflow.recovered";
 
 const CHUNK_BYTES: u64 = 1 << 20;
 const ZSTD_LEVEL: u32 = 1;
@@ -106,13 +100,8 @@ impl RecoverReport {
 
     /// Whether the new file still says which graph ran.
     pub fn is_recording(&self) -> bool {
-        !self.lost.iter().any(|lost| lost.contains(&format!("\"{RUN_METADATA}\"")))
+        !self.lost.iter().any(|lost| lost.contains(&format!("\"{}\"", RunRecord::NAME)))
     }
-}
-
-/// How many items of each wire lay before the first damage.
-pub(crate) fn before_damage(recovered: &BTreeMap<String, String>) -> BTreeMap<String, u64> {
-    recovered.get("before_damage").and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
 }
 
 /// Writes what is intact of `from` to `to`, which must not be there.
@@ -192,7 +181,7 @@ struct Saving<'a> {
     before_damage: Option<BTreeMap<String, u64>>,
     counts: BTreeMap<String, u64>,
     metadata: BTreeSet<String>,
-    recovered_before: Option<BTreeMap<String, String>>,
+    recovered_before: Option<Recovered>,
     damages: Vec<Damage>,
     n_messages: u64,
     n_unknown: u64,
@@ -306,12 +295,14 @@ impl<'a> Saving<'a> {
     }
 
     fn metadata(&mut self, name: &str, entries: BTreeMap<String, String>) -> Result<(), McapError> {
-        if name == RECOVERED_METADATA {
-            self.recovered_before = Some(entries);
+        if name == Recovered::NAME {
+            // What it no longer says is as if nothing lay before the damage.
+            self.recovered_before = Some(Recovered::from_metadata(&entries).unwrap_or_default());
             return Ok(());
         }
-        if name == WIRES_METADATA {
-            self.counts = entries.iter().filter_map(|(wire, said)| Some((wire.clone(), counts(said)?.0))).collect();
+        if name == WireCounts::NAME {
+            let count = |(wire, text): (&String, &String)| Some((wire.clone(), WireCounts::parse(text)?.items));
+            self.counts = entries.iter().filter_map(count).collect();
         }
         // A record that damage has doubled is written once.
         if !self.metadata.insert(name.into()) {
@@ -334,10 +325,10 @@ impl<'a> Saving<'a> {
         }
         let mut before = self.before_damage.take().unwrap_or_else(|| self.leading());
         if let Some(recovered) = &self.recovered_before {
-            let limits = before_damage(recovered);
+            let limits = &recovered.before_damage;
             before.iter_mut().for_each(|(wire, n)| *n = (*n).min(limits.get(wire).copied().unwrap_or(0)));
         }
-        let counted = self.metadata.contains(WIRES_METADATA);
+        let counted = self.metadata.contains(WireCounts::NAME);
         let wires = self.wires.iter().map(|(wire, numbers)| RecoveredWire {
             wire: wire.clone(),
             n_items: numbers.len(),
@@ -346,14 +337,14 @@ impl<'a> Saving<'a> {
             missing: numbers.missing(self.counts.get(wire).copied()),
             open_end: !counted,
         });
-        let is_ours = self.metadata.iter().any(|name| name.starts_with(RUN_METADATA)) || !self.wires.is_empty();
+        let is_ours = self.metadata.iter().any(|name| name.starts_with(RunRecord::NAME)) || !self.wires.is_empty();
         let parts = [
-            (RUN_METADATA, "the graph, its seed and the program"),
-            (WIRES_METADATA, "how many items each wire had"),
-            (OUTCOME_METADATA, "the results"),
+            (RunRecord::NAME, "the graph, its seed and the program"),
+            (WireCounts::NAME, "how many items each wire had"),
+            (Outcome::NAME, "the results"),
         ];
         // Where inputs are hashed at the end, they are lost with the counts.
-        let inputs = (INPUTS_METADATA, "the hashes of the inputs");
+        let inputs = (InputHashes::NAME, "the hashes of the inputs");
         let parts = parts.iter().chain((!counted).then_some(&inputs));
         let parts = parts.filter(|(name, _)| is_ours && !self.metadata.contains(*name));
         let report = RecoverReport {
@@ -365,8 +356,8 @@ impl<'a> Saving<'a> {
             n_unknown: self.n_unknown,
         };
         if is_ours && (!report.is_whole() || self.recovered_before.is_some()) {
-            let metadata = about(&report, from, self.recovered_before.take());
-            self.writer("")?.write_metadata(&Metadata { name: RECOVERED_METADATA.into(), metadata })?;
+            let metadata = recovered(&report, from, self.recovered_before.take()).to_metadata();
+            self.writer("")?.write_metadata(&Metadata { name: Recovered::NAME.into(), metadata })?;
         }
         self.writer("")?.finish()?;
         Ok(report)
@@ -374,22 +365,18 @@ impl<'a> Saving<'a> {
 }
 
 /// The metadata record of the new file.
-fn about(report: &RecoverReport, from: &Path, earlier: Option<BTreeMap<String, String>>) -> BTreeMap<String, String> {
-    let mut lines: Vec<String> = earlier.into_iter().filter_map(|mut earlier| earlier.remove("damage")).collect();
+fn recovered(report: &RecoverReport, from: &Path, earlier: Option<Recovered>) -> Recovered {
+    let mut damage = earlier.unwrap_or_default().damage;
     let name = from.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    lines.extend(report.damages.iter().map(|damage| format!("{name}: {damage}")));
-    let before: serde_json::Map<_, _> =
-        report.wires.iter().map(|wire| (wire.wire.clone(), wire.before_damage.into())).collect();
+    damage.extend(report.damages.iter().map(|damage| format!("{name}: {damage}")));
     let missing = report.wires.iter().filter(|wire| !wire.missing.is_empty());
-    let ranges = |wire: &RecoveredWire| wire.missing.iter().map(|r| json!([r.start(), r.end()])).collect();
-    let missing: serde_json::Map<_, _> = missing.map(|wire| (wire.wire.clone(), ranges(wire))).collect();
-    BTreeMap::from([
-        ("damage".into(), lines.join("\n")),
-        ("bytes_lost".into(), report.bytes_lost().to_string()),
-        ("before_damage".into(), serde_json::Value::from(before).to_string()),
-        ("missing".into(), serde_json::Value::from(missing).to_string()),
-        ("lost".into(), report.lost.join("\n")),
-    ])
+    Recovered {
+        damage,
+        bytes_lost: report.bytes_lost(),
+        before_damage: report.wires.iter().map(|wire| (wire.wire.clone(), wire.before_damage)).collect(),
+        missing: missing.map(|wire| (wire.wire.clone(), wire.missing.clone())).collect(),
+        lost: report.lost.clone(),
+    }
 }
 
 impl Visitor for Saving<'_> {

@@ -6,20 +6,17 @@ mod items;
 use crate::{
     check::check_recorded,
     plugin::Kinds,
-    record::{OUTCOME_METADATA, RUN_METADATA, WIRES_METADATA},
-    recording::{About, MetadataRecords, RecordingError, wires::Channels},
-    recover::RECOVERED_METADATA,
+    recording::{
+        RecordingError,
+        format::{MetadataRecord, MetadataRecords, Outcome, PluginRecords, Recovered, RunRecord, WireCounts},
+        run_record,
+        wires::Channels,
+    },
 };
 use container::Container;
 use items::Items;
 use osteoflow_container::{Damage, End, Location, Progress, Reader, Record, Visitor};
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    fmt,
-    fs::File,
-    ops::ControlFlow,
-    path::Path,
-};
+use std::{collections::BTreeMap, fmt, fs::File, ops::ControlFlow, path::Path};
 
 /// Of each kind of finding so many are listed; the others are counted.
 const LISTED: u64 = 100;
@@ -151,7 +148,7 @@ pub fn validate(
         findings: Findings::default(),
         container: Container::default(),
         items: Items::new(channels, kinds.registry()),
-        metadata: MetadataRecords::new(),
+        metadata: MetadataRecords::default(),
         progress,
     };
     let end = reader.read(&mut pass).map_err(failed)?;
@@ -168,7 +165,7 @@ pub fn validate(
     }
     let (n_messages, n_chunks) = (container.n_messages(), container.n_chunks());
     container.finish(&mut reader, &mut findings).map_err(|error| failed(error.into()))?;
-    let is_recording = metadata.contains_key(RUN_METADATA) || items.has_wires();
+    let is_recording = metadata.has::<RunRecord>() || items.has_wires();
     if is_recording {
         check_metadata(path, &metadata, &kinds.over(items.registry()), &mut findings, &mut notes);
         items.finish(&metadata, &mut findings, &mut notes);
@@ -195,48 +192,43 @@ fn check_metadata(
     findings: &mut Findings,
     notes: &mut Vec<String>,
 ) {
-    let recovered = metadata.get(RECOVERED_METADATA);
+    let recovered = metadata.has::<Recovered>();
     let mut missing = |finding: String| match recovered {
-        // What a recovered file lacks was told when it was written.
-        Some(_) => notes.push(finding),
-        None => findings.add("metadata", Finding::new(None, finding)),
+        // What a recovered file lacks was listed when it was written.
+        true => notes.push(finding),
+        false => findings.add("metadata", Finding::new(None, finding)),
     };
-    let known: BTreeSet<_> = metadata.keys().map(String::as_str).collect();
-    for name in [RUN_METADATA, WIRES_METADATA, OUTCOME_METADATA] {
-        if !known.contains(name) {
-            let why = if name == RUN_METADATA { "" } else { "; the run did not finish it" };
+    for (name, is_there, why) in [
+        (RunRecord::NAME, metadata.has::<RunRecord>(), ""),
+        (WireCounts::NAME, metadata.has::<WireCounts>(), "; the run did not finish it"),
+        (Outcome::NAME, metadata.has::<Outcome>(), "; the run did not finish it"),
+    ] {
+        if !is_there {
             missing(format!("the metadata record \"{name}\" is missing{why}"));
         }
     }
-    if known.contains(RUN_METADATA) {
-        match About::of(path, metadata, None) {
+    if metadata.has::<RunRecord>() {
+        match run_record(path, metadata, None) {
             Err(error) => findings.add("metadata", Finding::new(None, error.to_string())),
-            Ok(about) => {
-                if let Err(error) = about.graph.parse::<toml::Table>() {
+            Ok(run) => {
+                if let Err(error) = run.graph.parse::<toml::Table>() {
                     let what = format!("the recorded graph is no TOML: {}", error.message());
                     findings.add("metadata", Finding::new(None, what));
-                } else if check_recorded(&about.graph, &about.graph_file, &[], kinds).is_err() {
+                } else if check_recorded(&run.graph, &run.graph_file, &[], kinds).is_err() {
                     notes.push("the recorded graph does not fit this program, so it cannot be replayed here".into());
                 }
             }
         }
     }
-    for key in ["results", "fixed_results"] {
-        let text = metadata.get(OUTCOME_METADATA).map(|outcome| outcome.get(key));
-        match text {
-            Some(None) => {
-                findings.add("metadata", Finding::new(None, format!("\"{OUTCOME_METADATA}\" lacks \"{key}\"")))
-            }
-            Some(Some(text)) => {
-                if let Err(error) = serde_json::from_str::<serde_json::Value>(text) {
-                    let what = format!("\"{key}\" of \"{OUTCOME_METADATA}\" is no JSON: {error}");
-                    findings.add("metadata", Finding::new(None, what));
-                }
-            }
-            None => {}
+    let mut unreadable = |name: &str, error: Option<String>| {
+        if let Some(error) = error {
+            findings.add("metadata", Finding::new(None, format!("the metadata record \"{name}\": {error}")));
         }
-    }
-    if recovered.is_some() {
+    };
+    unreadable(Outcome::NAME, metadata.get::<Outcome>().and_then(Result::err));
+    unreadable(PluginRecords::NAME, metadata.get::<PluginRecords>().and_then(Result::err));
+    unreadable(Recovered::NAME, metadata.get::<Recovered>().and_then(Result::err));
+    if recovered {
         notes.push("it was recovered from a damaged file and is a part of what was recorded".into());
     }
 }
@@ -254,8 +246,7 @@ impl Visitor for Pass<'_> {
         self.container.record(place, &record, &mut self.findings);
         match record {
             Record::Metadata { name, entries } => {
-                let earlier = self.metadata.insert(name.into(), entries);
-                if earlier.is_some() {
+                if !self.metadata.insert(name, entries) {
                     let what = format!("a second metadata record \"{name}\"");
                     self.findings.add("metadata", Finding::new(place, what));
                 }

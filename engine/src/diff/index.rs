@@ -2,12 +2,12 @@
 
 use crate::{
     hash::Digest,
-    record::{RUN_METADATA, WIRES_METADATA},
     recording::{
-        About, MetadataRecords, RecordingError, codec,
+        RecordingError, codec,
+        format::{MetadataRecords, Recovered, RunRecord, WireCounts},
+        run_record,
         wires::{Carries, Channels, Wire},
     },
-    recover::RECOVERED_METADATA,
 };
 use osteoflow_container::{Damage, Location, MESSAGE_HEADER_BYTES, Reader, Record, Visitor, damage_message};
 use std::{
@@ -41,7 +41,7 @@ pub(super) struct Indexed {
 pub(super) struct Index {
     path: PathBuf,
     reader: Reader<File>,
-    pub(super) about: Option<About>,
+    pub(super) run: Option<RunRecord>,
     pub(super) wires: BTreeMap<String, Indexed>,
     pub(super) incomplete: Option<String>,
     pub(super) metadata: MetadataRecords,
@@ -57,19 +57,24 @@ impl Index {
             let indexed = Indexed { about: wire.clone(), entries: Vec::new() };
             (wire.name.clone(), indexed)
         });
-        let mut pass =
-            Pass { wires: wires.collect(), channels, metadata: BTreeMap::new(), damages: Vec::new(), progress };
+        let mut pass = Pass {
+            wires: wires.collect(),
+            channels,
+            metadata: MetadataRecords::default(),
+            damages: Vec::new(),
+            progress,
+        };
         let end = reader.read(&mut pass).map_err(failed)?;
         let Pass { mut wires, metadata, damages, .. } = pass;
         let mut incomplete = damage_message(&damages, &end);
-        if wires.is_empty() && !metadata.contains_key(RUN_METADATA) {
+        if wires.is_empty() && !metadata.has::<RunRecord>() {
             let reason = incomplete.unwrap_or_else(|| "it has no exact channel".into());
             return Err(RecordingError::Foreign { path: path.into(), reason });
         }
         if incomplete.is_none() {
             incomplete = match metadata {
-                ref m if m.contains_key(RECOVERED_METADATA) => Some("it was recovered from a damaged file".into()),
-                ref m if !m.contains_key(WIRES_METADATA) => Some("the run did not finish it".into()),
+                ref m if m.has::<Recovered>() => Some("it was recovered from a damaged file".into()),
+                ref m if !m.has::<WireCounts>() => Some("the run did not finish it".into()),
                 _ => None,
             };
         }
@@ -80,8 +85,8 @@ impl Index {
                 return Err(RecordingError::Item { wire: name.clone(), number: pair[0].number, reason });
             }
         }
-        let about = About::of(path, &metadata, None).ok();
-        Ok(Self { path: path.into(), reader, about, wires, incomplete, metadata, chunks: VecDeque::new() })
+        let run = run_record(path, &metadata, None).ok();
+        Ok(Self { path: path.into(), reader, run, wires, incomplete, metadata, chunks: VecDeque::new() })
     }
 
     pub(super) fn n_bytes(&self) -> u64 {
@@ -132,7 +137,7 @@ struct Pass<'a> {
 impl Visitor for Pass<'_> {
     fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
         match record {
-            Record::Metadata { name, entries } => drop(self.metadata.insert(name.into(), entries)),
+            Record::Metadata { name, entries } => drop(self.metadata.insert(name, entries)),
             Record::Channel(channel) => {
                 if let Carries::Exact(wire) = self.channels.add(channel) {
                     let indexed = || Indexed { about: wire.clone(), entries: Vec::new() };

@@ -1,12 +1,17 @@
-use super::{DROPS_TOPIC, EXACT_ENCODING, EXACT_TOPIC, Firing, LIVE_TOPIC, RecordError, TIMING_TOPIC, VIEW_TOPIC};
+use super::{Firing, RecordError};
 use crate::{
     plan::{OutputId, Plan},
-    recording::codec,
+    recording::{
+        codec,
+        format::{
+            Drops, EXACT_ENCODING, Live, RUN_ENCODING, RunMessage, Timing, Topic, WireCount, WireCounts, WireHeader,
+        },
+    },
 };
 use osteoflow_container::{MessageHeader, Writer};
 use osteoflow_node::{Body, ClockReading, Item, PayloadType, PortPayload, Role, StampNs};
-use serde_json::{Value as Json, json};
-use std::{collections::BTreeMap, fmt::Write, fs::File, io};
+use serde_json::Value as Json;
+use std::{collections::BTreeMap, fs::File, io, time::Duration};
 
 /// A reader takes no longer record; an item has to leave room for what else its chunk holds.
 const MAX_ITEM_BYTES: usize = (1 << 30) - (16 << 20);
@@ -16,7 +21,7 @@ const MAX_WAITING_BYTES: usize = 64 << 20;
 /// The channels of a recording, and what they have carried.
 pub(super) struct Sink {
     pub(super) file: Writer<File>,
-    wires: BTreeMap<OutputId, Wire>,
+    wires: BTreeMap<OutputId, WireChannels>,
     nodes: Vec<String>,
     links: Vec<(String, String)>,
     /// The latest time written. Before the first stamp that is a time there is none, and constants, which have no time
@@ -25,21 +30,28 @@ pub(super) struct Sink {
     waiting: Vec<Waiting>,
     n_waiting_bytes: usize,
     /// The channels of the run itself, by topic, with how many messages each has carried.
-    told: BTreeMap<&'static str, (u16, u32)>,
+    run: BTreeMap<String, (u16, u32)>,
 }
 
 enum Waiting {
     Item(OutputId, Item),
-    Told(&'static str, Vec<u8>),
+    Run(RunBytes),
 }
 
-struct Wire {
+/// A message about the run, with its topic and schema.
+struct RunBytes {
+    topic: String,
+    schema: (&'static str, fn() -> Json),
+    bytes: Vec<u8>,
+}
+
+/// The channels of a recorded wire.
+struct WireChannels {
     name: String,
     exact: u16,
     view: Option<u16>,
     payload: PortPayload,
-    n_items: u64,
-    n_values: u64,
+    count: WireCount,
 }
 
 /// What ends a writer before its time.
@@ -56,7 +68,7 @@ impl From<io::Error> for Stopped {
 }
 
 impl Stopped {
-    pub(super) fn told(self, path: &std::path::Path) -> RecordError {
+    pub(super) fn into_error(self, path: &std::path::Path) -> RecordError {
         let path = path.into();
         match self {
             Self::Io(source) => RecordError::Write { path, source },
@@ -82,29 +94,27 @@ impl Sink {
             let units = ty.map(PayloadType::units).unwrap_or_default();
             let units: serde_json::Map<_, _> =
                 units.into_iter().map(|(name, unit)| (name.into(), unit.into())).collect();
-            let schema = file.add_schema(&format!("{payload}@{version}"), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
-            let mut about = BTreeMap::from([
-                ("node".into(), node.name.to_string()),
-                ("port".into(), output.name.clone()),
-                ("kind".into(), node.kind.clone()),
-                ("payload".into(), payload.into()),
-                ("version".into(), version.to_string()),
-                ("units".into(), Json::Object(units).to_string()),
-                ("source".into(), (node.role != Role::Node).to_string()),
-            ]);
-            if let Some(ty) = ty {
-                about.insert("schema".into(), serde_json::to_string(ty.schema)?);
-            }
-            let exact = file.add_channel(schema, &format!("{EXACT_TOPIC}{name}"), EXACT_ENCODING, &about)?;
+            let header = WireHeader {
+                node: node.name.to_string(),
+                port: output.name.clone(),
+                kind: node.kind.clone(),
+                payload: payload.into(),
+                version,
+                source: node.role != Role::Node,
+                units: Json::Object(units).to_string(),
+                schema: ty.map(|ty| serde_json::to_string(ty.schema)).transpose()?,
+            };
+            let schema = file.add_schema(&header.schema_name(), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
+            let exact = file.add_channel(schema, &Topic::Exact(&name).name(), EXACT_ENCODING, &header.to_metadata())?;
             let view = match ty.and_then(PayloadType::display).filter(|_| views) {
                 Some(d) => {
                     let schema = file.add_schema(&d.schema_name, &d.schema_encoding, &d.schema_data)?;
-                    let topic = format!("{VIEW_TOPIC}{name}");
+                    let topic = Topic::View(&name).name();
                     Some(file.add_channel(schema, &topic, &d.message_encoding, &BTreeMap::new())?)
                 }
                 None => None,
             };
-            wires.insert(id, Wire { name, exact, view, payload: output.payload, n_items: 0, n_values: 0 });
+            wires.insert(id, WireChannels { name, exact, view, payload: output.payload, count: WireCount::default() });
         }
         let link = |link: &crate::plan::Link| {
             let to = &plan.nodes[link.to_node];
@@ -118,14 +128,14 @@ impl Sink {
             time_ns: None,
             waiting: Vec::new(),
             n_waiting_bytes: 0,
-            told: BTreeMap::new(),
+            run: BTreeMap::new(),
         })
     }
 
     pub(super) fn item(&mut self, id: OutputId, item: Item, n_bytes: usize) -> Result<(), Stopped> {
         let Some(wire) = self.wires.get_mut(&id) else { return Ok(()) };
-        wire.n_items += 1;
-        wire.n_values += u64::from(matches!(item.body, Body::Value(_)));
+        wire.count.items += 1;
+        wire.count.values += u64::from(matches!(item.body, Body::Value(_)));
         if item.stamp_ns > 0 && self.time_ns.is_none() {
             self.begin_time(item.stamp_ns)?;
         }
@@ -142,16 +152,10 @@ impl Sink {
         if firings.is_empty() {
             return Ok(());
         }
-        let mut text = String::with_capacity(firings.len() * 40);
-        text.push_str("{\"firings\":[");
-        for (i, firing) in firings.iter().enumerate() {
-            let (comma, node) = (if i > 0 { "," } else { "" }, Json::from(&*self.nodes[firing.node]));
-            let (began, took) = (firing.began.as_nanos(), firing.took.as_nanos());
-            // Writing to a string cannot fail.
-            let _ = write!(text, "{comma}[{node},{},{began},{took}]", firing.item);
-        }
-        text.push_str("]}");
-        self.tell(TIMING_TOPIC, text.into_bytes())
+        let ns = |duration: Duration| u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX);
+        let rows = firings.iter().map(|f| (&*self.nodes[f.node], f.item, ns(f.began), ns(f.took)));
+        let message = run_bytes(&Timing { firings: rows.collect() });
+        self.write_run(message)
     }
 
     /// What policies dropped: a link's index and the item's number.
@@ -159,36 +163,36 @@ impl Sink {
         if drops.is_empty() {
             return Ok(());
         }
-        let rows = drops.iter().map(|(link, number)| {
-            let (from, to) = &self.links[*link];
-            json!([from, to, number])
-        });
-        let message = json!({ "drops": rows.collect::<Json>() });
-        self.tell(DROPS_TOPIC, message.to_string().into_bytes())
+        let row = |(link, number): &(usize, u64)| {
+            let (from, to) = self.links[*link].clone();
+            (from, to, *number)
+        };
+        self.write_run(run_bytes(&Drops { drops: drops.iter().map(row).collect() }))
     }
 
     /// What a firing took from the clock.
     pub(super) fn live(&mut self, node: usize, item: u64, readings: &[ClockReading]) -> Result<(), Stopped> {
-        let message = json!({ "node": self.nodes[node], "item": item, "readings": readings });
-        self.tell(LIVE_TOPIC, message.to_string().into_bytes())
+        let node = self.nodes[node].clone();
+        self.write_run(run_bytes(&Live { node, item, readings: readings.to_vec() }))
     }
 
     /// Writes a message about the run itself, at the latest time there is.
-    fn tell(&mut self, topic: &'static str, message: Vec<u8>) -> Result<(), Stopped> {
+    fn write_run(&mut self, message: RunBytes) -> Result<(), Stopped> {
         let Some(time_ns) = self.time_ns else {
-            self.n_waiting_bytes += message.len();
-            self.waiting.push(Waiting::Told(topic, message));
+            self.n_waiting_bytes += message.bytes.len();
+            self.waiting.push(Waiting::Run(message));
             return Ok(());
         };
-        if !self.told.contains_key(topic) {
-            let (name, schema) = told_schema(topic);
-            let schema = self.file.add_schema(name, "jsonschema", schema.to_string().as_bytes())?;
-            self.told.insert(topic, (self.file.add_channel(schema, topic, "json", &BTreeMap::new())?, 0));
+        let RunBytes { topic, schema: (name, schema), bytes } = message;
+        if !self.run.contains_key(&topic) {
+            let schema = self.file.add_schema(name, "jsonschema", schema().to_string().as_bytes())?;
+            let channel = self.file.add_channel(schema, &topic, RUN_ENCODING, &BTreeMap::new())?;
+            self.run.insert(topic.clone(), (channel, 0));
         }
-        let Some((channel, n)) = self.told.get_mut(topic) else { return Ok(()) };
+        let Some((channel, n)) = self.run.get_mut(&topic) else { return Ok(()) };
         let head = MessageHeader { channel_id: *channel, sequence: *n, log_time: time_ns, publish_time: time_ns };
         *n = n.wrapping_add(1);
-        Ok(self.file.write_message(head, message.into())?)
+        Ok(self.file.write_message(head, bytes.into())?)
     }
 
     /// What waited for a time is written at this one.
@@ -200,7 +204,7 @@ impl Sink {
         self.n_waiting_bytes = 0;
         std::mem::take(&mut self.waiting).into_iter().try_for_each(|waiting| match waiting {
             Waiting::Item(id, item) => self.write(id, &item),
-            Waiting::Told(topic, message) => self.tell(topic, message),
+            Waiting::Run(message) => self.write_run(message),
         })
     }
 
@@ -215,7 +219,7 @@ impl Sink {
         let latest = self.time_ns.unwrap_or(1);
         let time_ns = if item.stamp_ns > 0 { item.stamp_ns as u64 } else { latest };
         self.time_ns = Some(latest.max(time_ns));
-        let Wire { name, exact, view, payload, .. } = &self.wires[&id];
+        let WireChannels { name, exact, view, payload, .. } = &self.wires[&id];
         // The format counts messages with 32 bits; the message itself holds the whole number.
         let sequence = item.number as u32;
         let head = |channel_id: u16| MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
@@ -229,33 +233,12 @@ impl Sink {
         Ok(self.file.write_message(head(*channel), picture.into())?)
     }
 
-    /// For each wire: items, and how many of them are values.
-    pub(super) fn counts(&self) -> super::Counts {
-        self.wires.values().map(|w| (w.name.clone(), (w.n_items, w.n_values))).collect()
+    /// The number of items of each wire, and of values among them.
+    pub(super) fn counts(&self) -> WireCounts {
+        WireCounts(self.wires.values().map(|wire| (wire.name.clone(), wire.count)).collect())
     }
 }
 
-/// The schema of a channel of the run itself.
-fn told_schema(topic: &str) -> (&'static str, Json) {
-    let rows = |name: &str, doc: &str| {
-        json!({
-            "type": "object",
-            "properties": { name: { "type": "array", "description": doc, "items": { "type": "array" } } },
-        })
-    };
-    match topic {
-        TIMING_TOPIC => {
-            let doc = "node, item, when it began in ns since the run began, how long it took in ns; by the wall clock";
-            ("osteoflow.Timing", rows("firings", doc))
-        }
-        LIVE_TOPIC => {
-            let properties = json!({
-                "node": { "type": "string" },
-                "item": { "type": "integer", "description": "number of the firing" },
-                "readings": { "type": "array", "description": "in order; a replay answers with them" },
-            });
-            ("osteoflow.Live", json!({ "type": "object", "properties": properties }))
-        }
-        _ => ("osteoflow.Drops", rows("drops", "wire, input, number of the item that the input's policy dropped")),
-    }
+fn run_bytes<T: RunMessage>(message: &T) -> RunBytes {
+    RunBytes { topic: T::TOPIC.name(), schema: (T::SCHEMA, T::schema), bytes: message.to_bytes() }
 }

@@ -11,18 +11,15 @@
 
 use super::{
     codec,
+    format::{MetadataRecords, Recovered, RunRecord, WireCounts},
     read::RecordingError,
     wires::{Carries, Channels, Wire},
 };
-use crate::{
-    hash::Digest,
-    record::{RUN_METADATA, WIRES_METADATA},
-    recover::RECOVERED_METADATA,
-};
+use crate::hash::Digest;
 use osteoflow_container::{Damage, Location, Progress, Reader, Record, Visitor, damage_message};
 use sha2::{Digest as _, Sha256};
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::BTreeMap,
     ops::{ControlFlow, RangeInclusive},
     path::Path,
 };
@@ -159,7 +156,7 @@ pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, Recor
     let end = reader.read(&mut hashing).map_err(failed)?;
     let Hashing { wires, damages, metadata, n_unknown, n_no_items, .. } = hashing;
     let mut said: Vec<String> = damage_message(&damages, &end).into_iter().collect();
-    if wires.is_empty() && !metadata.contains(RUN_METADATA) {
+    if wires.is_empty() && !metadata.has::<RunRecord>() {
         let reason = said.pop().unwrap_or_else(|| "it has no exact channel".into());
         return Err(RecordingError::Foreign { path: path.into(), reason });
     }
@@ -169,8 +166,8 @@ pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, Recor
     if n_no_items > 0 {
         said.push(format!("{n_no_items} messages on exact channels are no items"));
     }
-    let recovered = metadata.contains(RECOVERED_METADATA);
-    if said.is_empty() && !recovered && !metadata.contains(WIRES_METADATA) {
+    let recovered = metadata.has::<Recovered>();
+    if said.is_empty() && !recovered && !metadata.has::<WireCounts>() {
         said.push("the run did not finish it".into());
     }
     let wires: Vec<WireDigest> = wires.into_values().map(Hashed::finish).collect();
@@ -205,8 +202,8 @@ impl Hashed {
     fn finish(self) -> WireDigest {
         WireDigest {
             wire: self.about.name,
-            payload: self.about.payload,
-            version: self.about.version,
+            payload: self.about.header.payload,
+            version: self.about.header.version,
             n_items: self.hasher.n_items(),
             n_values: self.n_values,
             missing: self.hasher.missing(),
@@ -219,7 +216,7 @@ impl Hashed {
 struct Hashing<'a> {
     channels: Channels,
     wires: BTreeMap<String, Hashed>,
-    metadata: BTreeSet<String>,
+    metadata: MetadataRecords,
     damages: Vec<Damage>,
     n_unknown: u64,
     n_no_items: u64,
@@ -230,7 +227,7 @@ impl<'a> Hashing<'a> {
     fn new(channels: Channels, progress: Progress<'a>) -> Self {
         let hashed = |wire: &Wire| Hashed { about: wire.clone(), hasher: WireHasher::default(), n_values: 0 };
         let wires = channels.wires().map(|wire| (wire.name.clone(), hashed(wire))).collect();
-        let metadata = BTreeSet::new();
+        let metadata = MetadataRecords::default();
         Self { channels, wires, metadata, damages: Vec::new(), n_unknown: 0, n_no_items: 0, progress }
     }
 }
@@ -238,7 +235,7 @@ impl<'a> Hashing<'a> {
 impl Visitor for Hashing<'_> {
     fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
         match record {
-            Record::Metadata { name, .. } => drop(self.metadata.insert(name.into())),
+            Record::Metadata { name, entries } => drop(self.metadata.insert(name, entries)),
             Record::Channel(channel) => {
                 if let Carries::Exact(wire) = self.channels.add(channel) {
                     let hashed = || Hashed { about: wire.clone(), hasher: WireHasher::default(), n_values: 0 };

@@ -3,16 +3,13 @@
 use super::{
     RecordedTypes,
     codec::{self, CodecError, RecordedItem},
+    format::{
+        self, Drops, FORMAT_VERSION, InputHashes, Live, MetadataRecord, MetadataRecords, Outcome, PluginRecords,
+        RecordedFailure, Recovered, RunRecord, WireCounts,
+    },
     wires::{Carries, Channels, Wire},
 };
-use crate::{
-    plan::{PlanPlugin, Sources},
-    record::{
-        self, DROPS_TOPIC, FORMAT_VERSION, INPUTS_METADATA, LIVE_TOPIC, OUTCOME_METADATA, PLUGINS_METADATA,
-        RUN_METADATA, WIRES_METADATA,
-    },
-    recover::{self, RECOVERED_METADATA},
-};
+use crate::plan::{PlanPlugin, Sources};
 use osteoflow_container::{Damage, Location, ReadError, Reader, Record, Visitor, damage_message};
 use osteoflow_node::{Body, ClockReading, Item, PayloadType, Registry};
 use std::{
@@ -43,7 +40,7 @@ pub enum RecordingError {
         reason: String,
     },
     /// Its format is newer than this program.
-    #[error("{} has format version {found}, this program reads version {FORMAT_VERSION}", .path.display())]
+    #[error("{} has format version {found}, this program reads versions up to {FORMAT_VERSION}", .path.display())]
     Version {
         /// The file.
         path: PathBuf,
@@ -102,72 +99,23 @@ pub struct Recording {
     types: RecordedTypes,
 }
 
-/// A node's failure.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct RecordedFailure {
-    /// The node.
-    pub node: String,
-    /// Its activation, from 0.
-    pub item: u64,
-    /// What it said.
-    pub reason: String,
-    /// Whether the node went on with the next item.
-    pub skipped: bool,
-}
-
-/// What a recording says of its run.
-#[derive(Debug, Clone, PartialEq)]
-pub struct About {
-    /// The graph as it ran, as the text of a graph file.
-    pub graph: String,
-    /// The graph file it came from.
-    pub graph_file: PathBuf,
-    /// The graph's name.
-    pub name: String,
-    /// The run's seed.
-    pub seed: u64,
-    /// The version of the program that wrote it.
-    pub version: String,
-    /// What `results.json` held; `None` where the run did not get so far.
-    pub results: Option<serde_json::Value>,
-    /// Constants that the command had put into `results.json`.
-    pub fixed_results: Vec<(String, serde_json::Value)>,
-    /// Whether the user had stopped the run.
-    pub interrupted: bool,
-}
-
-/// Metadata records, by name.
-pub(crate) type MetadataRecords = BTreeMap<String, BTreeMap<String, String>>;
-
-impl About {
-    /// What the metadata records say; `truncated` is why some may be missing.
-    pub(crate) fn of(path: &Path, metadata: &MetadataRecords, truncated: Option<&str>) -> Result<Self, RecordingError> {
-        let foreign = |reason: String| RecordingError::Foreign { path: path.into(), reason };
-        let run = metadata.get(RUN_METADATA).ok_or_else(|| {
-            foreign(match truncated {
-                Some(reason) => reason.into(),
-                None => format!("it has no metadata record \"{RUN_METADATA}\""),
-            })
-        })?;
-        let entry = |key: &str| run.get(key).cloned().ok_or_else(|| foreign(format!("its metadata lacks \"{key}\"")));
-        let version = entry("format_version")?;
-        if version != FORMAT_VERSION.to_string() {
-            return Err(RecordingError::Version { path: path.into(), found: version });
-        }
-        let outcome = metadata.get(OUTCOME_METADATA);
-        let json = |key: &str| outcome?.get(key).and_then(|text| serde_json::from_str(text).ok());
-        let fixed: Option<serde_json::Value> = json("fixed_results");
-        let fixed = fixed.as_ref().and_then(|fixed| fixed.as_object());
-        Ok(Self {
-            graph: entry("graph")?,
-            graph_file: entry("graph_file")?.into(),
-            name: entry("name")?,
-            seed: entry("seed")?.parse().map_err(|_| foreign("its seed is no number".into()))?,
-            version: entry("version")?,
-            results: json("results"),
-            fixed_results: fixed.into_iter().flatten().map(|(key, value)| (key.clone(), value.clone())).collect(),
-            interrupted: outcome.and_then(|o| o.get("status")).is_some_and(|status| status == "interrupted"),
-        })
+/// The run record of a file; `truncated` is why it may be missing.
+///
+/// # Errors
+/// [`RecordingError`] if it is missing, lacks an entry or is of a version that is not read.
+pub(crate) fn run_record(
+    path: &Path,
+    metadata: &MetadataRecords,
+    truncated: Option<&str>,
+) -> Result<RunRecord, RecordingError> {
+    let foreign = |reason: String| RecordingError::Foreign { path: path.into(), reason };
+    let name = RunRecord::NAME;
+    let missing = || truncated.map_or_else(|| format!("it has no metadata record \"{name}\""), str::to_owned);
+    let run = metadata.get::<RunRecord>().ok_or_else(|| foreign(missing()))?;
+    let run = run.map_err(|error| foreign(format!("its metadata record \"{name}\": {error}")))?;
+    match format::is_read(run.format_version) {
+        true => Ok(run),
+        false => Err(RecordingError::Version { path: path.into(), found: run.format_version.to_string() }),
     }
 }
 
@@ -214,18 +162,16 @@ impl Recording {
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let mut reading = Pass::default();
         let truncated = reading.read(path)?;
-        let recovered = reading.metadata.remove(RECOVERED_METADATA);
-        let about = About::of(path, &reading.metadata, truncated.as_deref())?;
-        let finished = reading.metadata.contains_key(WIRES_METADATA);
-        let told = |name: &str, key: &str| reading.metadata.get(name).and_then(|entries| entries.get(key));
-        let by_hash = told(RUN_METADATA, "sources").is_some_and(|sources| sources == "hashes");
-        let plugins = reading.metadata.get(PLUGINS_METADATA).into_iter().flat_map(|plugins| plugins.values());
-        let plugins = plugins.filter_map(|text| serde_json::from_str(text).ok()).collect();
-        let failures = told(OUTCOME_METADATA, "failures").and_then(|text| serde_json::from_str(text).ok());
+        let metadata = &reading.metadata;
+        let run = run_record(path, metadata, truncated.as_deref())?;
+        let (recovered, outcome) = (metadata.sound::<Recovered>(), metadata.sound::<Outcome>());
+        let interrupted = outcome.as_ref().is_some_and(|outcome| outcome.status == Outcome::INTERRUPTED);
         let truncated = truncated
-            .or_else(|| recovered.as_ref().map(|_| "it was recovered from a damaged file".into()))
-            .or_else(|| (!finished).then(|| "the run did not finish it".into()));
-        let limits = recovered.map(|recovered| recover::before_damage(&recovered));
+            .or_else(|| metadata.has::<Recovered>().then(|| "it was recovered from a damaged file".into()))
+            .or_else(|| (!metadata.has::<WireCounts>()).then(|| "the run did not finish it".into()));
+        let limits = metadata.has::<Recovered>().then(|| recovered.unwrap_or_default().before_damage);
+        let plugins = metadata.sound::<PluginRecords>().unwrap_or_default().0;
+        let inputs = metadata.sound::<InputHashes>().unwrap_or_default().0;
         let (mut wires, mut types) = (BTreeMap::new(), RecordedTypes::default());
         for (name, gathered) in reading.wires {
             types.add(&gathered.about);
@@ -235,22 +181,22 @@ impl Recording {
         }
         Ok(Self {
             path: path.into(),
-            graph: about.graph,
-            graph_file: about.graph_file,
-            name: about.name,
-            seed: about.seed,
-            version: about.version,
-            results: about.results,
-            fixed_results: about.fixed_results,
-            interrupted: about.interrupted,
+            graph: run.graph,
+            graph_file: run.graph_file,
+            name: run.name,
+            seed: run.seed,
+            version: run.version,
+            results: outcome.as_ref().map(|outcome| outcome.results.clone()),
+            fixed_results: outcome.iter().flat_map(|outcome| outcome.fixed_results.clone()).collect(),
+            interrupted,
             truncated,
             wires,
-            sources: if by_hash { Sources::Hashes } else { Sources::Wires },
-            inputs: reading.metadata.remove(INPUTS_METADATA).unwrap_or_default(),
+            sources: run.sources,
+            inputs,
             plugins,
             drops: reading.drops,
             readings: reading.readings,
-            failures: failures.unwrap_or_default(),
+            failures: outcome.map(|outcome| outcome.failures).unwrap_or_default(),
             types,
         })
     }
@@ -287,12 +233,6 @@ impl Recording {
     }
 }
 
-/// Items and values of a wire, as the metadata record of counts tells them.
-pub(crate) fn counts(said: &str) -> Option<(u64, u64)> {
-    let (items, values) = said.strip_suffix(" values")?.split_once(" items, ")?;
-    Some((items.parse().ok()?, values.parse().ok()?))
-}
-
 /// The payload of that name and version.
 pub(crate) fn known(name: &str, version: u32, registry: &Registry) -> Result<&'static PayloadType, String> {
     let ty = registry.payload_type(name).ok_or_else(|| format!("no payload {name} is known here"))?;
@@ -306,7 +246,7 @@ pub(crate) fn known(name: &str, version: u32, registry: &Registry) -> Result<&'s
 #[derive(Default)]
 struct Pass {
     channels: Channels,
-    metadata: BTreeMap<String, BTreeMap<String, String>>,
+    metadata: MetadataRecords,
     wires: BTreeMap<String, Gathered>,
     drops: BTreeMap<(String, String), BTreeSet<u64>>,
     readings: BTreeMap<(String, u64), Vec<ClockReading>>,
@@ -331,28 +271,32 @@ impl Pass {
 impl Visitor for Pass {
     fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
         match record {
-            Record::Metadata { name, entries } => drop(self.metadata.insert(name.into(), entries)),
+            Record::Metadata { name, entries } => drop(self.metadata.insert(name, entries)),
             Record::Channel(channel) => {
                 if let Carries::Exact(wire) = self.channels.add(channel) {
                     let gathered = || Gathered { about: wire.clone(), messages: Vec::new() };
                     self.wires.entry(wire.name.clone()).or_insert_with(gathered);
                 }
             }
-            Record::Message(message) => {
-                if let Some(Carries::Exact(wire)) = self.channels.get(message.channel_id)
-                    && let Some(gathered) = self.wires.get_mut(&wire.name)
-                {
-                    gathered.messages.push((codec::number(message.data), message.data.to_vec()));
-                } else if self.channels.topic(message.channel_id) == Some(DROPS_TOPIC) {
-                    for (wire, input, number) in record::dropped(message.data) {
+            Record::Message(message) => match self.channels.get(message.channel_id) {
+                Some(Carries::Exact(wire)) => {
+                    if let Some(gathered) = self.wires.get_mut(&wire.name) {
+                        gathered.messages.push((codec::number(message.data), message.data.to_vec()));
+                    }
+                }
+                Some(Carries::Drops) => {
+                    let drops = serde_json::from_slice::<Drops>(message.data).map(|message| message.drops);
+                    for (wire, input, number) in drops.unwrap_or_default() {
                         self.drops.entry((wire, input)).or_default().insert(number);
                     }
-                } else if self.channels.topic(message.channel_id) == Some(LIVE_TOPIC)
-                    && let Ok(record::Taken { node, item, readings }) = serde_json::from_slice(message.data)
-                {
-                    self.readings.insert((node, item), readings);
                 }
-            }
+                Some(Carries::Live) => {
+                    if let Ok(Live { node, item, readings }) = serde_json::from_slice(message.data) {
+                        self.readings.insert((node, item), readings);
+                    }
+                }
+                _ => {}
+            },
             _ => {}
         }
         ControlFlow::Continue(())
@@ -370,8 +314,12 @@ fn numbered(name: &str, gathered: Gathered, limit: u64, partial: bool) -> Result
     let Gathered { about, mut messages } = gathered;
     // Not an item at all: it comes first and is told below.
     messages.sort_by_key(|(number, _)| *number);
-    let mut wire =
-        RecordedWire { payload: about.payload, version: about.version, source: about.source, messages: Vec::new() };
+    let mut wire = RecordedWire {
+        payload: about.header.payload,
+        version: about.header.version,
+        source: about.header.source,
+        messages: Vec::new(),
+    };
     for ((found, message), expected) in messages.into_iter().zip(0..) {
         if expected >= limit || (partial && found.is_some_and(|n| n > expected)) {
             break;

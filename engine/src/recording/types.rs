@@ -11,12 +11,12 @@ pub(crate) struct RecordedTypes(BTreeMap<(String, u32), Result<&'static PayloadT
 impl RecordedTypes {
     /// Takes what a wire's channel says; channels of earlier programs, and of wires that take anything, say nothing.
     pub(crate) fn add(&mut self, wire: &Wire) {
-        let Some(schema) = &wire.schema else { return };
+        let Some(schema) = &wire.header.schema else { return };
         let of = || {
             let schema: Vec<SchemaEntry> = serde_json::from_str(schema).map_err(|error| error.to_string())?;
-            PayloadType::dynamic(&wire.payload, wire.version, schema).map_err(|error| error.to_string())
+            PayloadType::dynamic(&wire.header.payload, wire.header.version, schema).map_err(|error| error.to_string())
         };
-        self.0.entry((wire.payload.clone(), wire.version)).or_insert_with(of);
+        self.0.entry((wire.header.payload.clone(), wire.header.version)).or_insert_with(of);
     }
 
     /// The type of that name and version.

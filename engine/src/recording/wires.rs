@@ -1,6 +1,6 @@
 //! Which channel is which wire's.
 
-use crate::record::{EXACT_ENCODING, EXACT_TOPIC, VIEW_TOPIC};
+use super::format::{EXACT_ENCODING, Topic, WireHeader};
 use osteoflow_container::{Channel, Damage, Location, ReadError, Reader, Record, Visitor};
 use std::{collections::BTreeMap, ops::ControlFlow};
 
@@ -11,43 +11,31 @@ pub(crate) enum Carries {
     Exact(Wire),
     /// Pictures of a wire's values, for viewers.
     View(String),
-    /// Something else, such as what the run says of itself.
+    /// Items that policies dropped.
+    Drops,
+    /// What firings read from the clock.
+    Live,
+    /// Something else, such as when nodes fired.
     Other,
 }
 
-/// A wire as its exact channel describes it.
+/// A wire, by name, as its exact channel describes it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Wire {
     /// `node.port`.
     pub(crate) name: String,
-    /// The payload's name.
-    pub(crate) payload: String,
-    /// The version of its view.
-    pub(crate) version: u32,
-    /// Whether its node is a source.
-    pub(crate) source: bool,
-    /// The units of fields and columns whose names do not say them.
-    pub(crate) units: String,
-    /// What the payload's views hold, as JSON; `None` where the channel does not say it.
-    pub(crate) schema: Option<String>,
+    pub(crate) header: WireHeader,
 }
 
-/// What the channel carries.
-pub(crate) fn carries(channel: &Channel) -> Carries {
-    let about = |key: &str| channel.metadata.get(key).cloned().unwrap_or_default();
-    if let Some(name) = channel.topic.strip_prefix(EXACT_TOPIC).filter(|_| channel.message_encoding == EXACT_ENCODING) {
-        return Carries::Exact(Wire {
-            name: name.into(),
-            payload: about("payload"),
-            version: about("version").parse().unwrap_or(0),
-            source: about("source") == "true",
-            units: about("units"),
-            schema: channel.metadata.get("schema").cloned(),
-        });
-    }
-    match channel.topic.strip_prefix(VIEW_TOPIC) {
-        Some(name) => Carries::View(name.into()),
-        None => Carries::Other,
+fn carries(channel: &Channel) -> Carries {
+    match Topic::parse(&channel.topic) {
+        Some(Topic::Exact(name)) if channel.message_encoding == EXACT_ENCODING => {
+            Carries::Exact(Wire { name: name.into(), header: WireHeader::from_metadata(&channel.metadata) })
+        }
+        Some(Topic::View(name)) => Carries::View(name.into()),
+        Some(Topic::Drops) => Carries::Drops,
+        Some(Topic::Live) => Carries::Live,
+        _ => Carries::Other,
     }
 }
 
@@ -74,11 +62,6 @@ impl Channels {
 
     pub(crate) fn get(&self, id: u16) -> Option<&Carries> {
         self.by_id.get(&id).map(|(_, carries)| carries)
-    }
-
-    /// The topic of a channel that has been met.
-    pub(crate) fn topic(&self, id: u16) -> Option<&str> {
-        self.by_id.get(&id).map(|(channel, _)| &*channel.topic)
     }
 
     /// The wires of exact channels.

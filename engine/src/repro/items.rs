@@ -1,8 +1,9 @@
 //! `inputs.mcap`: the items that the ports of a firing had joined.
 
-use crate::{
-    record::{EXACT_ENCODING, EXACT_TOPIC, VIEW_TOPIC},
-    recording::{RecordingError, codec, known},
+use crate::recording::{
+    RecordingError, codec,
+    format::{EXACT_ENCODING, MetadataRecord, ReproRecord, Topic, WireHeader},
+    known,
 };
 use mcap::{
     McapError, WriteOptions, Writer,
@@ -39,8 +40,8 @@ impl Items {
         // Chunks bound what is lost should the disk fill; compression would cost time and buys little.
         let options = WriteOptions::new().profile("osteoflow-repro").compression(None);
         let mut writer = options.create(BufWriter::new(File::create(path)?))?;
-        let metadata = BTreeMap::from([("node".into(), node.into()), ("item".into(), item.to_string())]);
-        writer.write_metadata(&Metadata { name: "osteoflow.repro".into(), metadata })?;
+        let firing = ReproRecord { node: node.into(), item };
+        writer.write_metadata(&Metadata { name: ReproRecord::NAME.into(), metadata: firing.to_metadata() })?;
         Ok(Self { writer })
     }
 
@@ -55,15 +56,14 @@ impl Items {
             PortPayload::Type(ty) => ty.version,
             PortPayload::Any => 0,
         };
-        let schema = format!("{}@{version}", payload.name());
-        let schema = self.writer.add_schema(&schema, EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
-        let about =
-            BTreeMap::from([("payload".into(), payload.name().into()), ("version".into(), version.to_string())]);
-        let exact = self.writer.add_channel(schema, &format!("{EXACT_TOPIC}{name}"), EXACT_ENCODING, &about)?;
+        let header = WireHeader { payload: payload.name().into(), version, ..WireHeader::default() };
+        let schema = self.writer.add_schema(&header.schema_name(), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
+        let exact =
+            self.writer.add_channel(schema, &Topic::Exact(name).name(), EXACT_ENCODING, &header.to_metadata())?;
         let view = match ty.and_then(PayloadType::display) {
             Some(d) => {
                 let schema = self.writer.add_schema(&d.schema_name, &d.schema_encoding, &d.schema_data)?;
-                let topic = format!("{VIEW_TOPIC}{name}");
+                let topic = Topic::View(name).name();
                 Some(self.writer.add_channel(schema, &topic, &d.message_encoding, &BTreeMap::new())?)
             }
             None => None,
@@ -118,10 +118,9 @@ pub(super) fn read(path: &Path, registry: &Registry) -> Result<BTreeMap<String, 
             LinearReadEvent::Record { data, opcode } => {
                 match mcap::parse_record(opcode, data).map_err(|error| foreign(error.to_string()))? {
                     Record::Channel(channel) if channel.message_encoding == EXACT_ENCODING => {
-                        let Some(port) = channel.topic.strip_prefix(EXACT_TOPIC) else { continue };
-                        let about = |key: &str| channel.metadata.get(key).cloned().unwrap_or_default();
-                        let version = about("version").parse().unwrap_or(0);
-                        ports.insert(channel.id, (port.to_owned(), about("payload"), version));
+                        let Some(Topic::Exact(port)) = Topic::parse(&channel.topic) else { continue };
+                        let header = WireHeader::from_metadata(&channel.metadata);
+                        ports.insert(channel.id, (port.to_owned(), header.payload, header.version));
                     }
                     Record::Message { header, data } => {
                         let Some((port, payload, version)) = ports.get(&header.channel_id) else { continue };

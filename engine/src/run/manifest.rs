@@ -2,8 +2,9 @@
 
 use super::{Outcome, RunReport};
 use crate::{
-    plan::{Plan, Sources},
-    record::{Counts, FORMAT_VERSION, RecordError},
+    plan::Plan,
+    record::RecordError,
+    recording::format::{FORMAT_VERSION, WireCounts},
     runtime::RunOptions,
 };
 use osteoflow_node::Role;
@@ -16,7 +17,7 @@ pub(crate) fn manifest(
     plan: &Plan,
     options: &RunOptions,
     report: &RunReport,
-    recorded: Option<&Result<Counts, RecordError>>,
+    recorded: Option<&Result<WireCounts, RecordError>>,
     inputs: &[Json],
     (began, ended): (SystemTime, SystemTime),
 ) -> Json {
@@ -56,11 +57,11 @@ pub(crate) fn manifest(
     let not_saved = report.saved.more.iter().map(|(node, n)| json!({ "node": node, "failures": n }));
     let recording = recorded.map(|recorded| match recorded {
         Ok(counts) => {
-            let wires = counts.iter();
-            let wires = wires.map(|(wire, (items, values))| json!({ "wire": wire, "items": items, "values": values }));
+            let wires = counts.0.iter();
+            let wires = wires.map(|(wire, n)| json!({ "wire": wire, "items": n.items, "values": n.values }));
             json!({
                 "format_version": FORMAT_VERSION,
-                "sources": if plan.recording.sources == Sources::Hashes { "hashes" } else { "wires" },
+                "sources": plan.recording.sources.name(),
                 "compression": plan.recording.compression.name(),
                 "wires": wires.collect::<Json>(),
             })

@@ -1,21 +1,14 @@
 use super::{Finding, Findings, ValidatedWire};
-use crate::{
-    record::WIRES_METADATA,
-    recording::{
-        MetadataRecords, RecordedTypes,
-        codec::{self, CodecError},
-        counts,
-        number_set::Numbers,
-        wires::{Carries, Channels, Wire},
-    },
-    recover::RECOVERED_METADATA,
+use crate::recording::{
+    RecordedTypes,
+    codec::{self, CodecError},
+    format::{MetadataRecord, MetadataRecords, Recovered, WireCount, WireCounts},
+    number_set::Numbers,
+    wires::{Carries, Channels, Wire},
 };
 use osteoflow_container::{Channel, Location, Message};
 use osteoflow_node::{Registry, StampNs};
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    ops::RangeInclusive,
-};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// What a recording promises of its wires: numbers without holes, stamps that never decrease, items that decode.
 pub(super) struct Items<'a> {
@@ -80,7 +73,7 @@ impl<'a> Items<'a> {
                 self.types.add(wire);
                 self.wires.entry(wire.name.clone()).or_default().about.get_or_insert_with(|| wire.clone());
             }
-            Carries::View(_) | Carries::Other => {}
+            Carries::View(_) | Carries::Drops | Carries::Live | Carries::Other => {}
         }
     }
 
@@ -88,7 +81,7 @@ impl<'a> Items<'a> {
         match self.channels.get(message.channel_id).cloned() {
             Some(Carries::Exact(wire)) => self.item(&wire, place, message, findings),
             Some(Carries::View(wire)) => self.view(&wire, place, message, findings),
-            Some(Carries::Other) | None => {}
+            Some(Carries::Drops | Carries::Live | Carries::Other) | None => {}
         }
     }
 
@@ -118,7 +111,7 @@ impl<'a> Items<'a> {
         }
         let is_value = item.body.is_ok();
         if is_value {
-            let (payload, version) = item.payload.clone().unwrap_or((wire.payload.clone(), wire.version));
+            let (payload, version) = item.payload.clone().unwrap_or((wire.header.payload.clone(), wire.header.version));
             let ty = self.registry.payload_type(&payload).filter(|ty| ty.version == version);
             match ty.or_else(|| self.types.get(&payload, version)) {
                 None => drop(self.unknown_payloads.insert(format!("{payload}@{version}"))),
@@ -166,9 +159,9 @@ impl<'a> Items<'a> {
 
     /// Compares the wires with the counts that the run left.
     pub(super) fn finish(&mut self, metadata: &MetadataRecords, findings: &mut Findings, notes: &mut Vec<String>) {
-        let recovered = metadata.get(RECOVERED_METADATA);
-        let known_missing = recovered.map(missing).unwrap_or_default();
-        let said = metadata.get(WIRES_METADATA);
+        let recovered = metadata.has::<Recovered>();
+        let known_missing = metadata.sound::<Recovered>().unwrap_or_default().missing;
+        let said = metadata.entries::<WireCounts>();
         for (name, wire) in &mut self.wires {
             // What follows a hole has no neighbour to compare with but those behind it.
             let mut last = wire.last_stamp_ns;
@@ -179,26 +172,26 @@ impl<'a> Items<'a> {
                 }
             }
             let count = said.and_then(|said| said.get(name));
-            let expected = count.and_then(|said| counts(said));
+            let expected = count.and_then(|said| WireCounts::parse(said));
             match (count, expected) {
                 (Some(said), None) => {
-                    let what = format!("\"{WIRES_METADATA}\" says \"{said}\", which is no count");
+                    let what = format!("\"{}\" says \"{said}\", which is no count", WireCounts::NAME);
                     findings.add("count", Finding::of(name, None, None, what));
                 }
                 (None, _) if said.is_some() && wire.about.is_some() => {
-                    let what = format!("\"{WIRES_METADATA}\" does not count it");
+                    let what = format!("\"{}\" does not count it", WireCounts::NAME);
                     findings.add("count", Finding::of(name, None, None, what));
                 }
                 _ => {}
             }
-            let holes = wire.numbers.missing(expected.map(|(items, _)| items));
+            let holes = wire.numbers.missing(expected.map(|count| count.items));
             let known = known_missing.get(name);
             for hole in holes.iter().filter(|hole| !known.is_some_and(|known| known.contains(hole))) {
                 let range =
                     if hole.start() == hole.end() { String::new() } else { format!(", up to item {}", hole.end()) };
                 findings.add("hole", Finding::of(name, *hole.start(), None, format!("missing{range}")));
             }
-            if let Some((items, values)) = expected.filter(|_| recovered.is_none()) {
+            if let Some(WireCount { items, values }) = expected.filter(|_| !recovered) {
                 let found = (wire.numbers.len(), wire.n_values);
                 if holes.is_empty() && found != (items, values) {
                     let (n_items, n_values) = found;
@@ -211,13 +204,13 @@ impl<'a> Items<'a> {
             if wire.about.is_none() {
                 let what = format!("{n_shown} pictures for viewers, but no exact channel");
                 findings.add("view", Finding::of(name, None, None, what));
-            } else if n_shown > wire.n_values && recovered.is_none() {
+            } else if n_shown > wire.n_values && !recovered {
                 let what = format!("{n_shown} pictures for viewers of {} values", wire.n_values);
                 findings.add("view", Finding::of(name, None, None, what));
             }
         }
         for name in said.into_iter().flat_map(|said| said.keys()) {
-            if !self.wires.contains_key(name) && recovered.is_none() {
+            if !self.wires.contains_key(name) && !recovered {
                 findings.add("count", Finding::of(name, None, None, "it was counted, but has no channel"));
             }
         }
@@ -250,7 +243,7 @@ impl<'a> Items<'a> {
             let about = wire.about.as_ref()?;
             Some(ValidatedWire {
                 wire: name.clone(),
-                payload: format!("{}@{}", about.payload, about.version),
+                payload: format!("{}@{}", about.header.payload, about.header.version),
                 n_items: wire.numbers.len(),
                 n_values: wire.n_values,
                 n_views: wire.views.len(),
@@ -258,13 +251,6 @@ impl<'a> Items<'a> {
         });
         wires.collect()
     }
-}
-
-/// The holes that a recovered file tells of.
-fn missing(recovered: &BTreeMap<String, String>) -> BTreeMap<String, Vec<RangeInclusive<u64>>> {
-    let told = recovered.get("missing").and_then(|text| serde_json::from_str(text).ok());
-    let told: BTreeMap<String, Vec<(u64, u64)>> = told.unwrap_or_default();
-    told.into_iter().map(|(wire, holes)| (wire, holes.into_iter().map(|(a, b)| a..=b).collect())).collect()
 }
 
 /// Whether the bytes have the form of a protobuf message: fields of known kinds, each whole.

@@ -1,0 +1,136 @@
+//! What a recording holds beside its items: its topics, its metadata records, and the version of both.
+//!
+//! Each metadata record is a type; writer and readers share its keys through [`MetadataRecord`]. `docs/recording.md`
+//! describes the format.
+
+mod messages;
+mod records;
+
+pub(crate) use messages::{Drops, Live, RunMessage, Timing};
+pub use records::RecordedFailure;
+pub(crate) use records::{
+    InputHashes, Outcome, PluginRecords, Program, Recovered, ReproRecord, RunRecord, WireCount, WireCounts, WireHeader,
+};
+
+use std::collections::BTreeMap;
+
+/// The version of topics and metadata records; raised when older readers cannot take them.
+///
+/// 2: the counts of a wire are JSON. Version 1 is read too.
+pub const FORMAT_VERSION: u32 = 2;
+/// The first version that is read.
+const FIRST_VERSION: u32 = 1;
+
+/// The encoding of messages on exact channels.
+pub const EXACT_ENCODING: &str = "osteoflow-view";
+/// The encoding of messages about the run itself.
+pub(crate) const RUN_ENCODING: &str = "json";
+
+const EXACT: &str = "/exact/";
+const VIEW: &str = "/view/";
+
+/// A topic of a recording.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Topic<'a> {
+    /// The items of a wire, exactly.
+    Exact(&'a str),
+    /// The items of a wire as messages for viewers.
+    View(&'a str),
+    /// When nodes fired, by the wall clock.
+    Timing,
+    /// Items that policies dropped.
+    Drops,
+    /// What firings read from the clock.
+    Live,
+}
+
+impl<'a> Topic<'a> {
+    /// The topic of this name; `None` for another program's.
+    pub fn parse(topic: &'a str) -> Option<Self> {
+        let run = [Self::Timing, Self::Drops, Self::Live].into_iter().find(|run| run.name() == topic);
+        run.or_else(|| Some(Self::Exact(topic.strip_prefix(EXACT)?)))
+            .or_else(|| Some(Self::View(topic.strip_prefix(VIEW)?)))
+    }
+
+    /// Its name.
+    pub fn name(self) -> String {
+        match self {
+            Self::Exact(wire) => format!("{EXACT}{wire}"),
+            Self::View(wire) => format!("{VIEW}{wire}"),
+            Self::Timing => "/run/timing".into(),
+            Self::Drops => "/run/drops".into(),
+            Self::Live => "/run/live".into(),
+        }
+    }
+}
+
+/// The entries of a metadata record.
+pub(crate) type Entries = BTreeMap<String, String>;
+
+/// A metadata record as a type.
+pub(crate) trait MetadataRecord: Sized {
+    /// The record's name.
+    const NAME: &'static str;
+
+    /// Its entries, as they are written.
+    fn to_metadata(&self) -> Entries;
+
+    /// The record of these entries.
+    ///
+    /// # Errors
+    /// Which entry is missing or wrong.
+    fn from_metadata(entries: &Entries) -> Result<Self, String>;
+}
+
+/// The metadata records of a file, by name.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct MetadataRecords(BTreeMap<String, Entries>);
+
+impl MetadataRecords {
+    /// Adds a record in place of an earlier one of its name; answers whether there was none.
+    pub(crate) fn insert(&mut self, name: &str, entries: Entries) -> bool {
+        self.0.insert(name.into(), entries).is_none()
+    }
+
+    /// Whether the record is there.
+    pub(crate) fn has<T: MetadataRecord>(&self) -> bool {
+        self.0.contains_key(T::NAME)
+    }
+
+    /// The entries of the record.
+    pub(crate) fn entries<T: MetadataRecord>(&self) -> Option<&Entries> {
+        self.0.get(T::NAME)
+    }
+
+    /// The record; `None` if it is not there.
+    ///
+    /// # Errors
+    /// As [`MetadataRecord::from_metadata`].
+    pub(crate) fn get<T: MetadataRecord>(&self) -> Option<Result<T, String>> {
+        self.entries::<T>().map(T::from_metadata)
+    }
+
+    /// The record, where it is there and can be read.
+    pub(crate) fn sound<T: MetadataRecord>(&self) -> Option<T> {
+        self.get()?.ok()
+    }
+}
+
+/// Whether the version is read.
+pub(crate) fn is_read(version: u32) -> bool {
+    (FIRST_VERSION..=FORMAT_VERSION).contains(&version)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_topic_is_read_as_it_is_named() {
+        for topic in [Topic::Exact("icp.report"), Topic::View("a/b.c"), Topic::Timing, Topic::Drops, Topic::Live] {
+            assert_eq!(Topic::parse(&topic.name()), Some(topic));
+        }
+        assert_eq!(Topic::parse("/camera/scan"), None);
+        assert_eq!(Topic::parse("/run/other"), None);
+    }
+}

@@ -1,0 +1,84 @@
+//! Messages about the run itself: JSON, one topic each.
+
+use super::Topic;
+use osteoflow_node::ClockReading;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value as Json, json};
+
+/// A message about the run.
+pub(crate) trait RunMessage: Serialize {
+    /// Where it is written.
+    const TOPIC: Topic<'static>;
+    /// The name of its schema.
+    const SCHEMA: &'static str;
+
+    /// Its JSON Schema.
+    fn schema() -> Json;
+
+    /// Its bytes.
+    fn to_bytes(&self) -> Vec<u8> {
+        serde_json::to_vec(self).expect("texts and numbers are JSON")
+    }
+}
+
+/// When nodes fired, by the wall clock: node, item, nanoseconds from the begin of the run, nanoseconds taken.
+#[derive(Serialize)]
+pub(crate) struct Timing<'a> {
+    pub(crate) firings: Vec<(&'a str, u64, u64, u64)>,
+}
+
+/// Items that policies dropped: wire, input, number.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct Drops {
+    pub(crate) drops: Vec<(String, String, u64)>,
+}
+
+/// What a firing read from the clock, in order; a replay answers with the same.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct Live {
+    pub(crate) node: String,
+    pub(crate) item: u64,
+    pub(crate) readings: Vec<ClockReading>,
+}
+
+fn rows(name: &str, doc: &str) -> Json {
+    json!({
+        "type": "object",
+        "properties": { name: { "type": "array", "description": doc, "items": { "type": "array" } } },
+    })
+}
+
+impl RunMessage for Timing<'_> {
+    const TOPIC: Topic<'static> = Topic::Timing;
+    const SCHEMA: &'static str = "osteoflow.Timing";
+
+    fn schema() -> Json {
+        rows(
+            "firings",
+            "node, item, when it began in ns since the run began, how long it took in ns; by the wall clock",
+        )
+    }
+}
+
+impl RunMessage for Drops {
+    const TOPIC: Topic<'static> = Topic::Drops;
+    const SCHEMA: &'static str = "osteoflow.Drops";
+
+    fn schema() -> Json {
+        rows("drops", "wire, input, number of the item that the input's policy dropped")
+    }
+}
+
+impl RunMessage for Live {
+    const TOPIC: Topic<'static> = Topic::Live;
+    const SCHEMA: &'static str = "osteoflow.Live";
+
+    fn schema() -> Json {
+        let properties = json!({
+            "node": { "type": "string" },
+            "item": { "type": "integer", "description": "number of the firing" },
+            "readings": { "type": "array", "description": "in order; a replay answers with them" },
+        });
+        json!({ "type": "object", "properties": properties })
+    }
+}

@@ -1,0 +1,419 @@
+//! The metadata records of a recording.
+
+use super::{Entries, FORMAT_VERSION, MetadataRecord};
+use crate::plan::{PlanPlugin, Sources};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde_json::Value as Json;
+use std::{collections::BTreeMap, ops::RangeInclusive, path::PathBuf};
+
+fn text(entries: &Entries, key: &str) -> Result<String, String> {
+    entries.get(key).cloned().ok_or_else(|| format!("it lacks \"{key}\""))
+}
+
+fn number<T: std::str::FromStr>(entries: &Entries, key: &str) -> Result<T, String> {
+    let text = text(entries, key)?;
+    text.parse().map_err(|_| format!("its \"{key}\" is no number but \"{text}\""))
+}
+
+fn json<T: DeserializeOwned>(entries: &Entries, key: &str) -> Result<T, String> {
+    serde_json::from_str(&text(entries, key)?).map_err(|error| format!("its \"{key}\" cannot be read: {error}"))
+}
+
+fn json_text<T: Serialize>(value: &T) -> String {
+    serde_json::to_string(value).expect("maps with text keys are JSON")
+}
+
+fn entries<const N: usize>(entries: [(&str, String); N]) -> Entries {
+    entries.into_iter().map(|(key, value)| (key.into(), value)).collect()
+}
+
+/// The graph that ran, its seed and the version of the engine. Every recording begins with it.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct RunRecord {
+    /// The version of the recording's format.
+    pub(crate) format_version: u32,
+    /// The graph as it ran, as the text of a graph file.
+    pub(crate) graph: String,
+    /// The graph file it came from.
+    pub(crate) graph_file: PathBuf,
+    /// The graph's name.
+    pub(crate) name: String,
+    /// The run's seed.
+    pub(crate) seed: u64,
+    /// What a replay has of the sources.
+    pub(crate) sources: Sources,
+    /// The version of the program that wrote it.
+    pub(crate) version: String,
+}
+
+impl MetadataRecord for RunRecord {
+    const NAME: &'static str = "osteoflow";
+
+    fn to_metadata(&self) -> Entries {
+        entries([
+            ("format_version", self.format_version.to_string()),
+            ("graph", self.graph.clone()),
+            ("graph_file", self.graph_file.display().to_string()),
+            ("name", self.name.clone()),
+            ("seed", self.seed.to_string()),
+            ("sources", self.sources.name().into()),
+            ("version", self.version.clone()),
+        ])
+    }
+
+    /// A record of a version that is not read has its version and nothing else.
+    fn from_metadata(entries: &Entries) -> Result<Self, String> {
+        let format_version = number(entries, "format_version")?;
+        if !super::is_read(format_version) {
+            return Ok(Self {
+                format_version,
+                graph: String::new(),
+                graph_file: PathBuf::new(),
+                name: String::new(),
+                seed: 0,
+                sources: Sources::default(),
+                version: String::new(),
+            });
+        }
+        let sources = text(entries, "sources").unwrap_or_default();
+        Ok(Self {
+            format_version,
+            graph: text(entries, "graph")?,
+            graph_file: text(entries, "graph_file")?.into(),
+            name: text(entries, "name")?,
+            seed: number(entries, "seed")?,
+            sources: if sources == Sources::Hashes.name() { Sources::Hashes } else { Sources::Wires },
+            version: text(entries, "version")?,
+        })
+    }
+}
+
+/// The program and the machine, as the command describes them.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Program(pub(crate) Entries);
+
+impl MetadataRecord for Program {
+    const NAME: &'static str = "osteoflow.program";
+
+    fn to_metadata(&self) -> Entries {
+        self.0.clone()
+    }
+
+    fn from_metadata(entries: &Entries) -> Result<Self, String> {
+        Ok(Self(entries.clone()))
+    }
+}
+
+/// The SHA-256 of each input file by its path, or why there is none. At the front where sources are known by it, else at
+/// the end.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct InputHashes(pub(crate) Entries);
+
+impl MetadataRecord for InputHashes {
+    const NAME: &'static str = "osteoflow.inputs";
+
+    fn to_metadata(&self) -> Entries {
+        self.0.clone()
+    }
+
+    fn from_metadata(entries: &Entries) -> Result<Self, String> {
+        Ok(Self(entries.clone()))
+    }
+}
+
+/// The plugins of the graph, with the SHA-256 of their libraries.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct PluginRecords(pub(crate) Vec<PlanPlugin>);
+
+impl MetadataRecord for PluginRecords {
+    const NAME: &'static str = "osteoflow.plugins";
+
+    fn to_metadata(&self) -> Entries {
+        self.0.iter().map(|plugin| (plugin.path.to_string_lossy().into_owned(), json_text(plugin))).collect()
+    }
+
+    fn from_metadata(entries: &Entries) -> Result<Self, String> {
+        entries.keys().map(|path| json(entries, path)).collect::<Result<_, _>>().map(Self)
+    }
+}
+
+/// The number of items of a wire, and of values among them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub(crate) struct WireCount {
+    pub(crate) items: u64,
+    pub(crate) values: u64,
+}
+
+/// The number of items of each wire. Only a recording that was finished has it.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(crate) struct WireCounts(pub(crate) BTreeMap<String, WireCount>);
+
+impl WireCounts {
+    /// The counts of a wire.
+    pub(crate) fn parse(text: &str) -> Option<WireCount> {
+        serde_json::from_str(text).ok().or_else(|| {
+            // Format version 1.
+            let (items, values) = text.strip_suffix(" values")?.split_once(" items, ")?;
+            Some(WireCount { items: items.parse().ok()?, values: values.parse().ok()? })
+        })
+    }
+}
+
+impl MetadataRecord for WireCounts {
+    const NAME: &'static str = "osteoflow.wires";
+
+    fn to_metadata(&self) -> Entries {
+        self.0.iter().map(|(wire, count)| (wire.clone(), json_text(count))).collect()
+    }
+
+    fn from_metadata(entries: &Entries) -> Result<Self, String> {
+        let count = |(wire, text): (&String, &String)| match Self::parse(text) {
+            Some(count) => Ok((wire.clone(), count)),
+            None => Err(format!("it says \"{text}\" of {wire}, which is no count")),
+        };
+        entries.iter().map(count).collect::<Result<_, _>>().map(Self)
+    }
+}
+
+/// A node's failure.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RecordedFailure {
+    /// The node.
+    pub node: String,
+    /// Its activation, from 0.
+    pub item: u64,
+    /// The error's message.
+    pub reason: String,
+    /// Whether the node went on with the next item.
+    pub skipped: bool,
+}
+
+/// How the run ended, and its results.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Outcome {
+    /// `complete`, `refused` or `interrupted`.
+    pub(crate) status: String,
+    /// What `results.json` holds.
+    pub(crate) results: Json,
+    /// Constants that the command put into `results.json`.
+    pub(crate) fixed_results: serde_json::Map<String, Json>,
+    /// The failures of nodes.
+    pub(crate) failures: Vec<RecordedFailure>,
+}
+
+impl Outcome {
+    /// The status of a run that the user stopped.
+    pub(crate) const INTERRUPTED: &'static str = "interrupted";
+}
+
+impl MetadataRecord for Outcome {
+    const NAME: &'static str = "osteoflow.outcome";
+
+    fn to_metadata(&self) -> Entries {
+        entries([
+            ("status", self.status.clone()),
+            ("results", self.results.to_string()),
+            ("fixed_results", json_text(&self.fixed_results)),
+            ("failures", json_text(&self.failures)),
+        ])
+    }
+
+    fn from_metadata(entries: &Entries) -> Result<Self, String> {
+        Ok(Self {
+            status: text(entries, "status")?,
+            results: json(entries, "results")?,
+            fixed_results: json(entries, "fixed_results")?,
+            failures: json(entries, "failures")?,
+        })
+    }
+}
+
+/// What is missing of a recording that was recovered from a damaged file.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Recovered {
+    /// Each damage, with the name of the file.
+    pub(crate) damage: Vec<String>,
+    pub(crate) bytes_lost: u64,
+    /// The number of items of each wire before the first damage; what lies behind may rest on what is lost.
+    pub(crate) before_damage: BTreeMap<String, u64>,
+    /// Numbers that are missing, by wire.
+    pub(crate) missing: BTreeMap<String, Vec<RangeInclusive<u64>>>,
+    /// Records of the run that are lost.
+    pub(crate) lost: Vec<String>,
+}
+
+impl MetadataRecord for Recovered {
+    const NAME: &'static str = "osteoflow.recovered";
+
+    fn to_metadata(&self) -> Entries {
+        let ranges = |ranges: &Vec<RangeInclusive<u64>>| ranges.iter().map(|r| (*r.start(), *r.end())).collect();
+        let missing: BTreeMap<_, Vec<_>> = self.missing.iter().map(|(wire, missing)| (wire, ranges(missing))).collect();
+        entries([
+            ("damage", self.damage.join("\n")),
+            ("bytes_lost", self.bytes_lost.to_string()),
+            ("before_damage", json_text(&self.before_damage)),
+            ("missing", json_text(&missing)),
+            ("lost", self.lost.join("\n")),
+        ])
+    }
+
+    fn from_metadata(entries: &Entries) -> Result<Self, String> {
+        let lines = |key| text(entries, key).map(|text| text.lines().map(str::to_owned).collect());
+        let missing: BTreeMap<String, Vec<(u64, u64)>> = json(entries, "missing")?;
+        let ranges = |ranges: Vec<(u64, u64)>| ranges.into_iter().map(|(first, last)| first..=last).collect();
+        Ok(Self {
+            damage: lines("damage")?,
+            bytes_lost: number(entries, "bytes_lost")?,
+            before_damage: json(entries, "before_damage")?,
+            missing: missing.into_iter().map(|(wire, missing)| (wire, ranges(missing))).collect(),
+            lost: lines("lost")?,
+        })
+    }
+}
+
+/// The firing whose inputs a repro bundle holds.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct ReproRecord {
+    pub(crate) node: String,
+    pub(crate) item: u64,
+}
+
+impl MetadataRecord for ReproRecord {
+    const NAME: &'static str = "osteoflow.repro";
+
+    fn to_metadata(&self) -> Entries {
+        entries([("node", self.node.clone()), ("item", self.item.to_string())])
+    }
+
+    fn from_metadata(entries: &Entries) -> Result<Self, String> {
+        Ok(Self { node: text(entries, "node")?, item: number(entries, "item")? })
+    }
+}
+
+/// A wire as the metadata of its exact channel describes it.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(crate) struct WireHeader {
+    /// The node; empty where it is not said, as in repro bundles.
+    pub(crate) node: String,
+    /// The output.
+    pub(crate) port: String,
+    /// The node's kind.
+    pub(crate) kind: String,
+    /// The payload's name.
+    pub(crate) payload: String,
+    /// The version of its view.
+    pub(crate) version: u32,
+    /// Whether its node is a source.
+    pub(crate) source: bool,
+    /// The units of fields and columns whose names do not say them, as JSON.
+    pub(crate) units: String,
+    /// What the payload's views hold, as JSON; `None` where the channel does not say it.
+    pub(crate) schema: Option<String>,
+}
+
+impl WireHeader {
+    /// The name of the channel's schema.
+    pub(crate) fn schema_name(&self) -> String {
+        format!("{}@{}", self.payload, self.version)
+    }
+
+    pub(crate) fn to_metadata(&self) -> Entries {
+        let mut all = entries([
+            ("node", self.node.clone()),
+            ("port", self.port.clone()),
+            ("kind", self.kind.clone()),
+            ("payload", self.payload.clone()),
+            ("version", self.version.to_string()),
+            ("units", self.units.clone()),
+            ("source", self.source.to_string()),
+        ]);
+        all.retain(|_, text| !text.is_empty());
+        all.extend(self.schema.iter().map(|schema| ("schema".into(), schema.clone())));
+        all
+    }
+
+    /// What is not said is empty: channels of earlier programs say less.
+    pub(crate) fn from_metadata(entries: &Entries) -> Self {
+        let text = |key: &str| entries.get(key).cloned().unwrap_or_default();
+        Self {
+            node: text("node"),
+            port: text("port"),
+            kind: text("kind"),
+            payload: text("payload"),
+            version: text("version").parse().unwrap_or(0),
+            source: text("source") == "true",
+            units: text("units"),
+            schema: entries.get("schema").cloned(),
+        }
+    }
+}
+
+impl Default for RunRecord {
+    fn default() -> Self {
+        Self {
+            format_version: FORMAT_VERSION,
+            graph: String::new(),
+            graph_file: PathBuf::new(),
+            name: String::new(),
+            seed: 0,
+            sources: Sources::default(),
+            version: env!("CARGO_PKG_VERSION").into(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn back<T: MetadataRecord + PartialEq + std::fmt::Debug>(record: T) {
+        assert_eq!(T::from_metadata(&record.to_metadata()), Ok(record));
+    }
+
+    #[test]
+    fn every_record_is_read_as_it_was_written() {
+        let record = RunRecord { graph: "a\nb".into(), seed: u64::MAX, sources: Sources::Hashes, ..Default::default() };
+        back(record);
+        back(Program([("os".into(), "linux".into())].into()));
+        back(InputHashes([("/a/b".into(), "00".into())].into()));
+        back(WireCounts([("a.b".into(), WireCount { items: 3, values: 2 })].into()));
+        let failure = RecordedFailure { node: "a".into(), item: 1, reason: "b".into(), skipped: true };
+        let fixed_results = [("notice".to_owned(), json!("toy"))].into_iter().collect();
+        back(Outcome {
+            status: "complete".into(),
+            results: json!({ "x": 1.5 }),
+            fixed_results,
+            failures: vec![failure],
+        });
+        back(Recovered {
+            damage: vec!["x.mcap: 3 bytes".into(), "y.mcap: cut".into()],
+            bytes_lost: 3,
+            before_damage: [("a.b".into(), 7)].into(),
+            missing: [("a.b".into(), vec![2..=4, 9..=9])].into(),
+            lost: vec!["the results".into()],
+        });
+        back(ReproRecord { node: "a".into(), item: 3 });
+        let header =
+            WireHeader { node: "a".into(), payload: "p".into(), version: 2, source: true, ..Default::default() };
+        assert_eq!(WireHeader::from_metadata(&header.to_metadata()), header);
+    }
+
+    #[test]
+    fn counts_of_format_version_1_are_read_and_others_refused() {
+        assert_eq!(WireCounts::parse("3 items, 2 values"), Some(WireCount { items: 3, values: 2 }));
+        for text in ["", "3 items", "x items, 2 values", "{\"items\":3}", "{\"items\":-1,\"values\":0}"] {
+            assert_eq!(WireCounts::parse(text), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn a_record_that_lacks_an_entry_says_which() {
+        let mut entries = RunRecord::default().to_metadata();
+        entries.remove("graph");
+        assert_eq!(RunRecord::from_metadata(&entries), Err("it lacks \"graph\"".into()));
+        entries.insert("seed".into(), "many".into());
+        entries.insert("graph".into(), String::new());
+        assert_eq!(RunRecord::from_metadata(&entries), Err("its \"seed\" is no number but \"many\"".into()));
+    }
+}
