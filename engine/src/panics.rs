@@ -144,14 +144,14 @@ mod tests {
     fn a_panic_is_told_with_its_words_and_place() {
         let said = catch(|| panic!("no {}", 42)).unwrap_err();
         assert!(said.starts_with("panicked at ") && said.ends_with(": no 42"), "{said}");
-        assert!(said.contains("run/panics.rs:"), "{said}");
+        assert!(said.contains("src/panics.rs:"), "{said}");
         assert_eq!(catch(|| 5), Ok(5));
     }
 
     #[test]
     fn a_place_outside_the_workspace_is_told_from_its_crate_on() {
         assert_eq!(short("/home/x/.cargo/registry/src/index-1/kiddo-6.3.0/src/tree.rs"), "kiddo-6.3.0/src/tree.rs");
-        assert_eq!(short("engine/src/run/panics.rs"), "engine/src/run/panics.rs");
+        assert_eq!(short("engine/src/panics.rs"), "engine/src/panics.rs");
     }
 
     #[test]
@@ -160,7 +160,7 @@ mod tests {
         let pool = pool.unwrap();
         let line = line!() + 1;
         let said = catch(|| pool.install(|| panic!("from the pool"))).unwrap_err();
-        assert!(said.ends_with(&format!("run/panics.rs:{line}: from the pool")), "{said}");
+        assert!(said.ends_with(&format!("src/panics.rs:{line}: from the pool")), "{said}");
     }
 
     #[test]
@@ -181,7 +181,7 @@ mod tests {
             }
         }
         let said = catch(|| std::panic::panic_any(Spiteful)).unwrap_err();
-        assert!(said.contains("run/panics.rs:") && said.ends_with(": without a message"), "{said}");
+        assert!(said.contains("src/panics.rs:") && said.ends_with(": without a message"), "{said}");
         let said = catch(|| drop(Spiteful)).unwrap_err();
         assert!(said.ends_with(": while dropped"), "{said}");
     }

@@ -219,9 +219,9 @@ impl Observer for OpenAtEnd<'_> {
     }
 }
 
-/// Keeps what was dropped.
+/// Keeps what was dropped, and the items of every wire.
 #[derive(Default)]
-struct Dropped(Mutex<BTreeMap<usize, BTreeSet<u64>>>, Mutex<Vec<(OutputId, Vec<u8>)>>);
+struct Dropped(Mutex<BTreeMap<usize, BTreeSet<u64>>>, Mutex<BTreeMap<OutputId, Vec<Vec<u8>>>>);
 
 impl Tap for Dropped {
     fn listens(&self, _: OutputId) -> bool {
@@ -229,7 +229,7 @@ impl Tap for Dropped {
     }
 
     fn item(&self, wire: OutputId, item: &Item) {
-        self.1.lock().unwrap().push((wire, codec::encode(item)));
+        self.1.lock().unwrap().entry(wire).or_default().push(codec::encode(item));
     }
 
     fn dropped(&self, link: usize, number: u64) {
