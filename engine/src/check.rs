@@ -2,8 +2,10 @@
 
 mod alone;
 mod assemble;
+mod context;
 mod declared;
 mod drafts;
+mod faults;
 mod feed;
 mod frames;
 mod inputs;
@@ -14,10 +16,6 @@ mod record;
 mod resolved;
 mod results;
 mod schema;
-pub(crate) mod schema_words {
-    //! Words of the graph file that its schema lists.
-    pub(crate) use super::join::{JOINS, POLICIES};
-}
 mod starve;
 pub(crate) mod sweep;
 mod trigger;
@@ -25,6 +23,7 @@ mod wires;
 
 pub use crate::graph::Given;
 pub use alone::parameters;
+pub(crate) use join::{JOINS, POLICIES};
 pub use module::{Module, ModuleDescription, ModuleInput, ModuleOutput, ModuleParam};
 
 use crate::{
@@ -33,6 +32,7 @@ use crate::{
     plan::Plan,
     plugin::{Kinds, Known},
 };
+use context::Check;
 use osteoflow_node::Registry;
 use schema::Files;
 use std::path::{Path, PathBuf};
@@ -163,20 +163,7 @@ fn known(graph: &Graph, kinds: &Kinds) -> Known {
     kinds.with(&graph.plugins)
 }
 
-/// One check: what graphs may name, and the faults found so far.
-struct Check<'r> {
-    known: &'r Known,
-    files: Files,
-    names: wires::Names,
-    faults: Vec<Fault>,
-}
-
-impl<'r> Check<'r> {
-    fn new(known: &'r Known, files: Files, mut faults: Vec<Fault>) -> Self {
-        faults.extend(known.faults());
-        Self { known, files, names: wires::Names::default(), faults }
-    }
-
+impl Check<'_> {
     /// A graph; a module is a fault.
     fn graph(mut self, graph: &Graph, path: &Path) -> Result<Checked, Faults> {
         if let Some(interface) = &graph.interface {
@@ -206,8 +193,8 @@ impl<'r> Check<'r> {
         let record = self.record(graph, &drafts);
         let results = self.results(graph, &drafts);
         let sweep = sweep::read(&graph.table, &mut self.faults).map(Box::new);
-        let faults = told(sorted(self.faults));
-        let (errors, warnings): (Vec<_>, Vec<_>) = faults.into_iter().partition(|f| f.severity == Severity::Error);
+        let found = faults::add_uses(faults::sorted(self.faults));
+        let (errors, warnings): (Vec<_>, Vec<_>) = found.into_iter().partition(|f| f.severity == Severity::Error);
         match (order, frames) {
             (Some(order), Some(frames)) if errors.is_empty() => {
                 let describe = |interface| module::describe(interface, &header.name, &drafts, &inputs, &self.names);
@@ -225,50 +212,4 @@ impl<'r> Check<'r> {
             _ => Err(Faults(errors.into_iter().chain(warnings).collect())),
         }
     }
-}
-
-/// Says of each fault within a module where the module is used; one of a module that is used twice is told once.
-fn told(faults: Vec<Fault>) -> Vec<Fault> {
-    let mut out: Vec<Fault> = Vec::new();
-    for mut fault in faults {
-        let mut uses = Vec::new();
-        let mut source = fault.at.as_ref().map(|(span, _)| span.source.clone());
-        while let Some(used) = source.as_ref().and_then(|source| source.used.as_ref()) {
-            uses.push((used.at.clone(), format!("used here as \"{}\"", used.node)));
-            source = Some(used.at.source.clone());
-        }
-        let same = out.iter_mut().find(|other| !uses.is_empty() && is_same(other, &fault));
-        match same {
-            Some(other) => other.also.extend(uses.into_iter().take(1)),
-            None => {
-                fault.also.extend(uses);
-                out.push(fault);
-            }
-        }
-    }
-    out
-}
-
-/// Whether both are about one place of a file that is read for each use of a module, in other words for each.
-fn is_same(a: &Fault, b: &Fault) -> bool {
-    let (Some((a_at, a_label)), Some((b_at, b_label))) = (&a.at, &b.at) else { return false };
-    let (Some(a_use), Some(b_use)) = (&a_at.source.used, &b_at.source.used) else { return false };
-    let bare = |text: &str, used: &crate::fault::Use| text.replace(&format!("\"{}/", used.node), "\"");
-    a_at.source.name == b_at.source.name
-        && a_at.range == b_at.range
-        && a_label == b_label
-        && a_use.node != b_use.node
-        && bare(&a.message, a_use) == bare(&b.message, b_use)
-}
-
-/// In the order of the texts. After a syntax fault, what may be no more than its consequence is left out.
-fn sorted(mut faults: Vec<Fault>) -> Vec<Fault> {
-    let hidden: Vec<_> = faults.iter().filter_map(|fault| fault.hides.clone()).collect();
-    let consequence = |fault: &Fault| match &fault.at {
-        Some((span, _)) => fault.follows || hidden.iter().any(|hidden| hidden.covers(span)),
-        None => false,
-    };
-    faults.retain(|fault| hidden.is_empty() || fault.hides.is_some() || !consequence(fault));
-    faults.sort_by_key(|fault| fault.at.as_ref().map(|(span, _)| span.key()));
-    faults
 }

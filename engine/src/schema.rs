@@ -3,7 +3,7 @@
 //! Draft 7, which TOML language servers take: they read it for completion as it stands, without evaluating conditions,
 //! so kinds are branches of one `anyOf`, each with its kind as a constant, its ports and its parameters.
 
-use crate::check::schema_words::{JOINS, POLICIES};
+use crate::check::{JOINS, POLICIES};
 use osteoflow_container::Compression;
 use osteoflow_node::{Description, FilePath, InputPort, Join, OutputPorts, Registry};
 use serde_json::{Map, Value, json};

@@ -1,4 +1,7 @@
-use super::schema::{Files, Walker};
+use super::{
+    faults,
+    schema::{Files, Walker},
+};
 use crate::{
     fault::Faults,
     graph::{self, Given},
@@ -26,6 +29,6 @@ pub fn parameters(kind: &Description, owner: &str, given: &[Given<'_>]) -> Resul
     };
     match walker.table(&kind.params, &table, &at, "", &[]) {
         Some(params) if walker.faults.is_empty() => Ok(Json::Object(params)),
-        _ => Err(Faults(super::told(super::sorted(walker.faults)))),
+        _ => Err(Faults(faults::add_uses(faults::sorted(walker.faults)))),
     }
 }

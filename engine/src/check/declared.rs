@@ -1,5 +1,5 @@
 use super::{
-    Check,
+    context::Check,
     drafts::{Draft, Output},
     frames,
     schema::Walker,

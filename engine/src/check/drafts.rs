@@ -1,4 +1,4 @@
-use super::{Check, schema::Walker};
+use super::{context::Check, schema::Walker};
 use crate::{
     fault::{Fault, Span},
     graph::{Entry, Graph, MODULE, Table, Value, header::Header, take},

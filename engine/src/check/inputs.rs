@@ -1,5 +1,6 @@
 use super::{
-    Check, DEFAULT_CAPACITY, DEFAULT_MAX_BYTES,
+    DEFAULT_CAPACITY, DEFAULT_MAX_BYTES,
+    context::Check,
     drafts::{Draft, Output},
     feed::Feed,
     trigger,

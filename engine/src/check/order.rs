@@ -1,4 +1,4 @@
-use super::{Check, drafts::Draft, inputs::Input, wires};
+use super::{context::Check, drafts::Draft, inputs::Input, wires};
 use crate::fault::{Fault, Span};
 use petgraph::{algo::tarjan_scc, graph::DiGraph};
 use std::collections::{BTreeSet, VecDeque};

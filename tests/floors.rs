@@ -1,0 +1,198 @@
+//! The floors of the engine: a module imports lower floors only, and no circle of files is larger than a room may have.
+//!
+//! Read from the `use` lines of `engine/src`. Code for tests is left out: it may look at the whole engine.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::{Path, PathBuf},
+};
+
+/// From the ground up; the modules of one floor do not know each other.
+const FLOORS: [&[&str]; 10] = [
+    &["names", "panics", "plan", "sync"],
+    &["fault", "hash"],
+    &["graph", "recording"],
+    &["store"],
+    &["plugin", "runtime"],
+    &["check", "record", "repro"],
+    &["diff", "recover", "run", "schema", "validate"],
+    &["partial"],
+    &["replay", "watch"],
+    &["sweep"],
+];
+
+/// Most files that may import each other in a circle.
+const MAX_CIRCLE: usize = 6;
+
+type Module = Vec<String>;
+
+/// A file of the engine.
+struct File {
+    path: PathBuf,
+    /// The full paths that it imports, from the crate's root.
+    imports: Vec<Module>,
+    /// What it hands on from elsewhere: the name, and the full path.
+    exports: BTreeMap<String, Module>,
+}
+
+/// Every file by its module.
+fn files() -> BTreeMap<Module, File> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("engine/src");
+    let mut found = BTreeMap::new();
+    let mut folders = vec![root.clone()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+            let stem = entry.file_stem().unwrap().to_string_lossy().into_owned();
+            if entry.is_dir() {
+                folders.push(entry);
+            } else if !(stem == "lib" || stem == "toy" || stem.ends_with("tests")) {
+                let inner = entry.strip_prefix(&root).unwrap().with_extension("");
+                let module: Module = inner.iter().map(|name| name.to_string_lossy().into_owned()).collect();
+                let text = fs::read_to_string(&entry).unwrap();
+                found.insert(module.clone(), read(entry, &module, &text));
+            }
+        }
+    }
+    found
+}
+
+fn read(path: PathBuf, module: &Module, text: &str) -> File {
+    let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap();
+    let code: String = code.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n");
+    let mut file = File { path, imports: Vec::new(), exports: BTreeMap::new() };
+    let mut rest = code.as_str();
+    while let Some(at) = rest.find("use ") {
+        let (before, after) = (&rest[..at], &rest[at + 4..]);
+        let line = before.rsplit('\n').next().unwrap().trim();
+        let end = after.find(';').unwrap_or(after.len());
+        rest = &after[end..];
+        if line.is_empty() || line.starts_with("pub") {
+            for (path, name) in leaves(&after[..end]) {
+                if let Some(path) = absolute(&path, module) {
+                    if line.starts_with("pub") {
+                        file.exports.insert(name, path.clone());
+                    }
+                    file.imports.push(path);
+                }
+            }
+        }
+    }
+    // Paths in the code itself.
+    for (at, prefix) in code.match_indices("crate::") {
+        let path: String =
+            code[at + prefix.len()..].chars().take_while(|c| c.is_alphanumeric() || "_:".contains(*c)).collect();
+        let path: Module = path.split("::").filter(|name| !name.is_empty()).map(str::to_owned).collect();
+        if !path.is_empty() {
+            file.imports.push(path);
+        }
+    }
+    file
+}
+
+/// The paths of a `use` tree, each with the name that it brings.
+fn leaves(tree: &str) -> Vec<(Module, String)> {
+    let tree = tree.trim();
+    if let Some((head, group)) = tree.split_once('{') {
+        let head: Module = head.split("::").map(str::trim).filter(|s| !s.is_empty()).map(str::to_owned).collect();
+        let (mut parts, mut depth, mut part) = (Vec::new(), 0, String::new());
+        for c in group.trim_end().strip_suffix('}').unwrap_or(group).chars() {
+            match c {
+                '{' => depth += 1,
+                '}' => depth -= 1,
+                ',' if depth == 0 => {
+                    parts.push(std::mem::take(&mut part));
+                    continue;
+                }
+                _ => {}
+            }
+            part.push(c);
+        }
+        parts.push(part);
+        let inner = parts.iter().filter(|part| !part.trim().is_empty()).flat_map(|part| leaves(part));
+        return inner.map(|(path, name)| ([head.clone(), path].concat(), name)).collect();
+    }
+    let (path, alias) = tree.split_once(" as ").map_or((tree, None), |(path, alias)| (path, Some(alias)));
+    let mut path: Module = path.split("::").map(|name| name.trim().to_owned()).collect();
+    if path.len() > 1 && path.last().is_some_and(|name| name == "self") {
+        path.pop();
+    }
+    let name = alias.map_or_else(|| path.last().unwrap().clone(), |alias| alias.trim().to_owned());
+    vec![(path, name)]
+}
+
+/// The path from the crate's root; `None` for another crate's.
+fn absolute(path: &Module, module: &Module) -> Option<Module> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("engine/src");
+    match path[0].as_str() {
+        "crate" => Some(path[1..].to_vec()),
+        "self" => Some([module, &path[1..]].concat()),
+        "super" => {
+            let up = path.iter().take_while(|name| *name == "super").count();
+            Some([&module[..module.len() - up], &path[up..]].concat())
+        }
+        child => {
+            let is_child = root.join(module.iter().collect::<PathBuf>()).join(format!("{child}.rs")).exists();
+            is_child.then(|| [module.as_slice(), path].concat())
+        }
+    }
+}
+
+/// The file in which the path is defined, as far as it is handed on by name.
+fn definition(files: &BTreeMap<Module, File>, path: &Module) -> Option<Module> {
+    let longest = (1..=path.len()).rev().find(|n| files.contains_key(&path[..*n]))?;
+    let (module, rest) = path.split_at(longest);
+    match rest.first().and_then(|name| files[module].exports.get(name)) {
+        Some(elsewhere) if *elsewhere != *path => definition(files, &[elsewhere, &rest[1..]].concat()),
+        _ => Some(module.to_vec()),
+    }
+}
+
+#[test]
+fn a_module_of_the_engine_imports_lower_floors_only() {
+    let floor = |module: &str| FLOORS.iter().position(|floor| floor.contains(&module));
+    let mut wrong = BTreeSet::new();
+    let files = files();
+    assert!(files.len() > 100, "{} files were found", files.len());
+    for (module, file) in &files {
+        let own = floor(&module[0]).unwrap_or_else(|| panic!("{} is on no floor", file.path.display()));
+        for path in file.imports.iter().filter(|path| path[0] != module[0]) {
+            match floor(&path[0]) {
+                Some(floor) if floor < own => {}
+                _ => drop(wrong.insert(format!("{} imports crate::{}", file.path.display(), path.join("::")))),
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "not on a lower floor:\n{}", wrong.into_iter().collect::<Vec<_>>().join("\n"));
+}
+
+#[test]
+fn no_circle_of_files_is_larger_than_six() {
+    let files = files();
+    let arrows: BTreeMap<&Module, BTreeSet<Module>> = files
+        .iter()
+        .map(|(module, file)| {
+            let imports = file.imports.iter().filter_map(|path| definition(&files, path));
+            (module, imports.filter(|import| import != module).collect())
+        })
+        .collect();
+    let reached = |from: &Module| {
+        let (mut seen, mut open) = (BTreeSet::new(), vec![from.clone()]);
+        while let Some(module) = open.pop() {
+            for next in &arrows[&module] {
+                if seen.insert(next.clone()) {
+                    open.push(next.clone());
+                }
+            }
+        }
+        seen
+    };
+    let all: BTreeMap<_, _> = files.keys().map(|module| (module, reached(module))).collect();
+    for module in files.keys() {
+        let circle: Vec<_> = all[module].iter().filter(|other| all[other].contains(module)).collect();
+        let names: Vec<_> = circle.iter().map(|module| module.join("::")).collect();
+        assert!(circle.len() <= MAX_CIRCLE, "a circle of {}: {}", circle.len(), names.join(", "));
+        assert!(circle.iter().all(|other| other[0] == module[0]), "a circle over rooms: {}", names.join(", "));
+    }
+}
