@@ -4,14 +4,14 @@ mod player;
 mod run;
 
 pub(crate) use player::{Failing, Pace, Player};
-pub(crate) use run::{Left, Partial};
+pub(crate) use run::{FinishedNode, PartialRun};
 
 use crate::plan::{Link, OutputId, Plan, ResultEntry};
 use osteoflow_node::Role;
 
 /// What is done with a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Part {
+pub(crate) enum NodeMode {
     /// It is built and fires.
     Computed,
     /// Its items are played in its place.
@@ -29,10 +29,10 @@ pub(crate) fn follow(plan: &Plan, marked: &mut [bool]) {
 }
 
 /// The place of each node in the reduced plan, for those that take part.
-pub(crate) fn places(parts: &[Part]) -> Vec<Option<usize>> {
+pub(crate) fn places(parts: &[NodeMode]) -> Vec<Option<usize>> {
     let mut n = 0;
-    let place = |part: &Part| {
-        (*part != Part::LeftOut).then(|| {
+    let place = |part: &NodeMode| {
+        (*part != NodeMode::LeftOut).then(|| {
             n += 1;
             n - 1
         })
@@ -41,20 +41,20 @@ pub(crate) fn places(parts: &[Part]) -> Vec<Option<usize>> {
 }
 
 /// The plan of what takes part: what is played has no inputs any more, what is left out is gone.
-pub(crate) fn reduce(plan: &Plan, parts: &[Part]) -> Plan {
+pub(crate) fn reduce(plan: &Plan, parts: &[NodeMode]) -> Plan {
     let place = places(parts);
     let (mut nodes, mut links) = (Vec::new(), Vec::new());
-    for (index, node) in plan.nodes.iter().enumerate().filter(|(index, _)| parts[*index] != Part::LeftOut) {
+    for (index, node) in plan.nodes.iter().enumerate().filter(|(index, _)| parts[*index] != NodeMode::LeftOut) {
         let mut node = node.clone();
         node.outputs.iter_mut().for_each(|output| output.links.clear());
         match parts[index] {
-            Part::Computed => node.inputs.iter_mut().for_each(|input| input.link = None),
+            NodeMode::Computed => node.inputs.iter_mut().for_each(|input| input.link = None),
             _ => (node.inputs, node.role) = (Vec::new(), Role::Source),
         }
         nodes.push(node);
     }
     let moved = |id: OutputId| Some(OutputId { node: place[id.node]?, port: id.port });
-    for (index, _) in plan.nodes.iter().enumerate().filter(|(index, _)| parts[*index] == Part::Computed) {
+    for (index, _) in plan.nodes.iter().enumerate().filter(|(index, _)| parts[*index] == NodeMode::Computed) {
         for input in &plan.nodes[index].inputs {
             let Some(link) = input.link.map(|link| &plan.links[link]) else { continue };
             let (Some(from), Some(to_node)) = (moved(link.from), place[index]) else { continue };

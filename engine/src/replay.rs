@@ -9,7 +9,7 @@ use crate::{
     check::{check, check_recorded},
     diff,
     fault::Faults,
-    partial::{self, Failing, Pace, Part, Player},
+    partial::{self, Failing, NodeMode, Pace, Player},
     plan::{OutputId, Plan, Sources},
     plugin::Kinds,
     recording::{Recording, RecordingError},
@@ -266,7 +266,7 @@ pub(crate) fn replay_plan(
     let recorded = recorded_outputs(plan, recording)?;
     let parts = parts(plan, recording, changes, &recorded)?;
     sets_take_effect(plan, changes, &parts)?;
-    let computed = |index: usize| parts[index] == Part::Computed;
+    let computed = |index: usize| parts[index] == NodeMode::Computed;
     let runs_sources = plan.nodes.iter().enumerate().any(|(i, node)| node.role != Role::Node && computed(i));
     if runs_sources && recording.sources == Sources::Hashes {
         inputs_are_the_same(plan, recording)?;
@@ -355,7 +355,7 @@ fn parts(
     recording: &Recording,
     changes: &ReplayOptions,
     recorded: &BTreeSet<OutputId>,
-) -> Result<Vec<Part>, ReplayError> {
+) -> Result<Vec<NodeMode>, ReplayError> {
     let is_recorded = |index: usize| partial::outputs(plan, index).any(|id| recorded.contains(&id));
     if let Some(graph) = &changes.graph {
         let plays = |(index, node): (usize, &crate::plan::PlanNode)| node.role != Role::Node && is_recorded(index);
@@ -384,13 +384,13 @@ fn parts(
 }
 
 /// What a setting says of a node that is played has no effect, and is hardly meant.
-fn sets_take_effect(plan: &Plan, changes: &ReplayOptions, parts: &[Part]) -> Result<(), ReplayError> {
+fn sets_take_effect(plan: &Plan, changes: &ReplayOptions, parts: &[NodeMode]) -> Result<(), ReplayError> {
     for set in &changes.sets {
         let key = set.split('=').next().unwrap_or_default().trim();
         let key = key.strip_prefix("node.").unwrap_or(key);
         let named = |name: &str| key.strip_prefix(name).is_some_and(|rest| rest.starts_with('.'));
         let node = plan.nodes.iter().zip(parts).find(|(node, _)| named(&node.name));
-        if let Some((node, Part::Played | Part::LeftOut)) = node {
+        if let Some((node, NodeMode::Played | NodeMode::LeftOut)) = node {
             return Err(ReplayError::NoEffect { set: set.clone(), node: node.name.to_string() });
         }
     }
@@ -417,7 +417,7 @@ fn inputs_are_the_same(plan: &Plan, recording: &Recording) -> Result<(), ReplayE
 }
 
 /// Nodes before the one asked for that are computed, because what they give was not recorded.
-fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[Part]) -> Vec<String> {
+fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[NodeMode]) -> Vec<String> {
     let Some(from) = changes.from.as_ref().and_then(|name| plan.nodes.iter().position(|n| *n.name == **name)) else {
         return Vec::new();
     };
@@ -425,7 +425,7 @@ fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[Part]) -> Vec<Str
     follows[from] = true;
     partial::follow(plan, &mut follows);
     let nodes = plan.nodes.iter().enumerate();
-    let too = nodes.filter(|(index, _)| parts[*index] == Part::Computed && !follows[*index]);
+    let too = nodes.filter(|(index, _)| parts[*index] == NodeMode::Computed && !follows[*index]);
     too.map(|(_, node)| node.name.to_string()).collect()
 }
 

@@ -10,7 +10,7 @@ mod results;
 mod tests;
 
 pub use crate::runtime::{
-    BuildFault, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer, Recalled,
+    BuildFault, CachedAnswer, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer,
     Refusal, RunOptions, Spread, Warning,
 };
 pub(crate) use finished::{Finished, WireItems};

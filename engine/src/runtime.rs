@@ -19,7 +19,7 @@ mod report;
 mod scheduler;
 mod tap;
 
-pub use answer_cache::Recalled;
+pub use answer_cache::CachedAnswer;
 pub(crate) use cell::{emission_fault, known};
 pub(crate) use ended::Ended;
 pub use histogram::Spread;
@@ -35,13 +35,13 @@ use crate::{
     panics,
     plan::{OutputId, Plan, PlanNode, Policy},
 };
-use answer_cache::Recall;
+use answer_cache::AnswerCache;
 use cell::{Cell, Core, Input, Output};
 use channel::{Limits, LinkState, RecvEnd, SendEnd};
 use inject::Planned;
 use join::{Joiner, PortSpec};
 use live::{Live, Mailbox, News};
-use messages::Kept;
+use messages::Messages;
 use osteoflow_node::{BuildContext, Built, ClockReading, Context, Registry, Role, StampNs};
 use scheduler::{Scheduler, Stepped, Turn, Work};
 use std::{
@@ -71,10 +71,10 @@ pub(crate) struct Runtime<'a> {
     taps: Vec<&'a dyn Tap>,
     /// Whether any tap is given firings.
     times_firings: bool,
-    kept: Mutex<Kept>,
+    messages: Mutex<Messages>,
     /// The failures to put in on purpose, by node.
     planned: Vec<Arc<Planned>>,
-    recall: Option<Recall<'a>>,
+    recall: Option<AnswerCache<'a>>,
     enlargements: Mutex<Vec<Enlargement>>,
     stall: Mutex<Option<Failure>>,
     began: Instant,
@@ -109,7 +109,7 @@ impl<'a> Runtime<'a> {
     ) -> Result<Self, BuildError> {
         options.inject.iter().try_for_each(|injection| injection.check(plan)).map_err(BuildError::Inject)?;
         let planned: Vec<_> = plan.nodes.iter().map(|node| Planned::of(&node.name, &options.inject)).collect();
-        let recall = options.store.as_ref().map(|store| Recall::new(store, plan, registry, &planned));
+        let recall = options.store.as_ref().map(|store| AnswerCache::new(store, plan, registry, &planned));
         let mut bodies = Vec::with_capacity(plan.nodes.len());
         let mut faults = Vec::new();
         for (index, node) in plan.nodes.iter().enumerate() {
@@ -182,7 +182,7 @@ impl<'a> Runtime<'a> {
             links,
             taps: Vec::new(),
             times_firings: false,
-            kept: Mutex::new(Kept::new(plan.nodes.len())),
+            messages: Mutex::new(Messages::new(plan.nodes.len())),
             planned,
             recall,
             enlargements: Mutex::default(),
@@ -222,7 +222,7 @@ impl<'a> Runtime<'a> {
         let interrupted = self.interrupted.load(Ordering::Relaxed);
         let cells: Vec<Cell> =
             self.cells.into_iter().map(|cell| cell.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
-        let kept = self.kept.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let kept = self.messages.into_inner().unwrap_or_else(PoisonError::into_inner);
         let (failures, mut warnings) = kept.finish(self.plan);
         if !interrupted {
             warnings.extend(
@@ -258,12 +258,12 @@ impl<'a> Runtime<'a> {
             warnings: warnings.into_iter().map(|(_, warning)| warning).collect(),
             enlargements: self.enlargements.into_inner().unwrap_or_else(PoisonError::into_inner),
             elapsed: self.elapsed,
-            recalled: self.recall.map(Recall::finish).unwrap_or_default(),
+            recalled: self.recall.map(AnswerCache::finish).unwrap_or_default(),
         }
     }
 
     /// The store, where it keeps the answers of the node.
-    fn recall(&self, node: usize) -> Option<&Recall<'a>> {
+    fn recall(&self, node: usize) -> Option<&AnswerCache<'a>> {
         self.recall.as_ref().filter(|recall| recall.keeps(node))
     }
 
@@ -343,7 +343,7 @@ impl<'a> Runtime<'a> {
             self.note_interrupted();
         }
         self.event(&Event::Failed(&refusal(self.plan, &failure)));
-        locked(&self.kept).failure(failure);
+        locked(&self.messages).failure(failure);
     }
 
     /// Tells the taps of a failed firing, so that its items can be saved and it can be run again alone.
@@ -362,7 +362,7 @@ impl<'a> Runtime<'a> {
         for message in messages {
             let warning = Warning { node: self.plan.nodes[node].name.to_string(), item, message };
             self.event(&Event::Warned(&warning));
-            locked(&self.kept).warning(node, warning);
+            locked(&self.messages).warning(node, warning);
         }
     }
 

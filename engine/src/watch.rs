@@ -16,7 +16,7 @@ pub use changes::Change;
 pub use files::Stamps;
 
 use crate::{
-    partial::{self, Left, Partial},
+    partial::{self, FinishedNode, PartialRun},
     plan::{Link, Plan, PlanNode},
     run::{Finished, RunError, RunReport},
     runtime::{LinkStats, Observer, RunOptions},
@@ -39,7 +39,7 @@ struct Memory {
     /// Where it left its files.
     out_dir: Option<PathBuf>,
     /// For each node.
-    left: Vec<Arc<Left>>,
+    left: Vec<Arc<FinishedNode>>,
     /// For each node, whether it failed or was interrupted.
     unsound: Vec<bool>,
     links: Vec<LinkStats>,
@@ -50,7 +50,7 @@ pub struct Next {
     plan: Plan,
     files: Stamps,
     /// For each node what it has left, where that stands.
-    left: Vec<Option<Arc<Left>>>,
+    left: Vec<Option<Arc<FinishedNode>>>,
     changes: Vec<Change>,
     removed: Vec<String>,
     differs: bool,
@@ -120,7 +120,7 @@ impl Session {
             memory = Some(next.remembered(&finished, options.out_dir.clone()));
             finished
         };
-        let report = Partial::new(&next.plan, &next.left).run(registry, &options, observer, about, &mut see);
+        let report = PartialRun::new(&next.plan, &next.left).run(registry, &options, observer, about, &mut see);
         self.memory = memory.or(last);
         report
     }
@@ -178,7 +178,7 @@ impl Next {
         self.named(Option::is_some)
     }
 
-    fn named(&self, which: fn(&Option<Arc<Left>>) -> bool) -> Vec<&str> {
+    fn named(&self, which: fn(&Option<Arc<FinishedNode>>) -> bool) -> Vec<&str> {
         let nodes = self.plan.nodes.iter().zip(&self.left);
         nodes.filter(|(_, left)| which(left)).map(|(node, _)| &*node.name).collect()
     }
@@ -203,8 +203,9 @@ impl Next {
             let failed = ended.failures.iter().any(|failure| failure.node == index);
             failed || (cut_short && self.left[index].is_none())
         };
-        let left =
-            |index: usize| self.left[index].clone().unwrap_or_else(|| Left::of(finished, &self.plan, index).into());
+        let left = |index: usize| {
+            self.left[index].clone().unwrap_or_else(|| FinishedNode::of(finished, &self.plan, index).into())
+        };
         Memory {
             plan: self.plan.clone(),
             files: self.files.clone(),
@@ -222,7 +223,7 @@ impl Next {
 }
 
 impl Memory {
-    fn left_of(&self, node: &str) -> Option<&Arc<Left>> {
+    fn left_of(&self, node: &str) -> Option<&Arc<FinishedNode>> {
         let place = self.plan.nodes.iter().position(|before| *before.name == *node)?;
         Some(&self.left[place])
     }

@@ -52,7 +52,7 @@ fn ran(registry: &Registry, rest: &str, options: &RunOptions) -> RunReport {
 }
 
 /// What a run says, apart from times.
-fn told(report: &RunReport) -> String {
+fn failure(report: &RunReport) -> String {
     let said = format!("{}\n{:?}\n{:?}", report.results, report.warnings, report.outcome);
     // The compiler names the file of a panic by the way it came to it.
     said.replace("engine/examples/../tests", "engine/tests")
@@ -63,7 +63,7 @@ fn same(rest: &str) -> (RunReport, Value) {
     let expected = ran(&built_in(), rest, &RunOptions::default());
     for workers in [1, 4] {
         let found = ran(&loaded(), rest, &RunOptions { workers, ..RunOptions::default() });
-        assert_eq!(told(&found), told(&expected), "{workers} workers");
+        assert_eq!(failure(&found), failure(&expected), "{workers} workers");
     }
     let results = expected.results.clone();
     (expected, results)

@@ -1,4 +1,6 @@
-use super::{drafts::Draft, frames::Frames, inputs::Input, record::Record, resolved, results::Result, wires::Wire};
+use super::{
+    drafts::Draft, frames::Frames, inputs::Input, record::Record, resolved, results::Result, wires::OutputIndex,
+};
 use crate::{
     graph::header::Header,
     plan::{Link, OutputId, Plan, PlanInput, PlanNode, PlanOutput, PlanPlugin, ResultEntry},
@@ -37,7 +39,7 @@ impl Net<'_> {
         for (index, &draft) in self.order.iter().enumerate() {
             place[draft] = index;
         }
-        let id = |(node, port): Wire| OutputId { node: place[node], port };
+        let id = |(node, port): OutputIndex| OutputId { node: place[node], port };
         let mut nodes: Vec<_> = self.order.iter().map(|&draft| self.node(draft)).collect();
         let mut links = Vec::new();
         for (to_node, &draft) in self.order.iter().enumerate() {

@@ -2,7 +2,7 @@ use super::{
     context::Check,
     drafts::Draft,
     inputs::{self, Input, fits},
-    wires::{self, Wire},
+    wires::{self, OutputIndex},
 };
 use crate::{
     fault::{Fault, Span},
@@ -146,7 +146,7 @@ impl Scope<'_, '_> {
         which.of(self.wired(input.from?)?).cloned()
     }
 
-    fn wired(&self, (node, port): Wire) -> Option<&PortFrames> {
+    fn wired(&self, (node, port): OutputIndex) -> Option<&PortFrames> {
         self.frames[node].get(port)
     }
 
@@ -209,7 +209,7 @@ impl Scope<'_, '_> {
     }
 
     /// Outputs known to have what is needed.
-    fn others(&self, input: &Input, needed: &PortFrames, wire: Wire, drafts: &[Draft<'_>]) -> Option<String> {
+    fn others(&self, input: &Input, needed: &PortFrames, wire: OutputIndex, drafts: &[Draft<'_>]) -> Option<String> {
         let agrees = |needed: &Option<String>, has: &Option<String>| needed.is_none() || needed == has;
         let mut wires = Vec::new();
         for (node, outputs) in self.frames.iter().enumerate() {

@@ -4,7 +4,7 @@ use super::{
     drafts::{Draft, Output},
     feed::Feed,
     trigger,
-    wires::{self, Wire},
+    wires::{self, OutputIndex},
 };
 use crate::{
     fault::{Fault, Span},
@@ -21,7 +21,7 @@ pub(super) struct Input {
     /// Where it is wired; `None` if it is not.
     pub(super) at: Option<Span>,
     /// What it is wired to, unless that is at fault.
-    pub(super) from: Option<Wire>,
+    pub(super) from: Option<OutputIndex>,
     /// The input of the module at hand that feeds it, where a module is checked alone.
     pub(super) outside: Option<String>,
     pub(super) capacity: usize,
@@ -153,7 +153,7 @@ fn outside(entry: &Entry) -> Option<String> {
 }
 
 /// The output of a wire.
-pub(super) fn output<'d>((node, port): Wire, drafts: &'d [Draft<'_>]) -> Option<&'d Output> {
+pub(super) fn output<'d>((node, port): OutputIndex, drafts: &'d [Draft<'_>]) -> Option<&'d Output> {
     drafts[node].outputs.as_ref()?.get(port)
 }
 

@@ -1,7 +1,7 @@
 use super::{
     context::Check,
     drafts::Draft,
-    wires::{self, Wire},
+    wires::{self, OutputIndex},
 };
 use crate::{
     fault::Fault,
@@ -14,7 +14,7 @@ use osteoflow_container::Compression;
 /// What `[record]` asks for.
 pub(super) struct Record {
     /// The wires, in the order of the drafts and their ports.
-    pub(super) wires: Vec<Wire>,
+    pub(super) wires: Vec<OutputIndex>,
     pub(super) settings: RecordSettings,
 }
 
@@ -65,7 +65,7 @@ impl Check<'_> {
                 }
             }
         }
-        let mut all: Vec<Wire> = Vec::new();
+        let mut all: Vec<OutputIndex> = Vec::new();
         for (node, draft) in drafts.iter().enumerate() {
             all.extend((0..draft.outputs.as_ref().map_or(0, Vec::len)).map(|port| (node, port)));
         }

@@ -1,7 +1,7 @@
 use super::{
     context::Check,
     drafts::Draft,
-    wires::{self, Wire},
+    wires::{self, OutputIndex},
 };
 use crate::{
     fault::{Fault, Span},
@@ -15,7 +15,7 @@ const REFUSED: &str = "refused";
 pub(super) struct Result {
     pub(super) key: String,
     pub(super) key_at: Span,
-    pub(super) from: Wire,
+    pub(super) from: OutputIndex,
     pub(super) all: bool,
     pub(super) optional: bool,
 }

@@ -3,9 +3,9 @@
 mod files;
 mod range;
 mod read;
-mod shape;
 mod table;
 mod union;
+mod value_type;
 
 use crate::fault::{Fault, Span};
 use serde_json::Value as Json;

@@ -46,7 +46,7 @@ impl Names {
 }
 
 /// An output by the index of its node among the drafts, and its own among the node's outputs.
-pub(super) type Wire = (usize, usize);
+pub(super) type OutputIndex = (usize, usize);
 
 /// The output that the text names; `None` without a fault where its node is at fault already.
 pub(super) fn find(
@@ -56,7 +56,7 @@ pub(super) fn find(
     drafts: &[Draft<'_>],
     names: &Names,
     faults: &mut Vec<Fault>,
-) -> Option<Wire> {
+) -> Option<OutputIndex> {
     let text = &names.flat(text, at, owner, faults)?;
     let Some((node, port)) = text.rsplit_once('.') else {
         faults.push(no_dot(text, at, owner, drafts, names));
@@ -126,7 +126,7 @@ fn no_dot(text: &str, at: &Span, owner: &str, drafts: &[Draft<'_>], names: &Name
 }
 
 /// The name of a wire.
-pub(super) fn name((node, port): Wire, drafts: &[Draft<'_>]) -> String {
+pub(super) fn name((node, port): OutputIndex, drafts: &[Draft<'_>]) -> String {
     let port = drafts[node].outputs.as_ref().map_or("", |outputs| &outputs[port].name);
     format!("{}.{port}", drafts[node].name)
 }

@@ -143,22 +143,22 @@ impl<'a> Compare<'a> {
             }
         }
         if a.payload != b.payload {
-            let told = |item: &RecordedItem| match &item.payload {
+            let describe = |item: &RecordedItem| match &item.payload {
                 Some((name, version)) => format!("{name}@{version}"),
                 None => "none".into(),
             };
-            compare.other("payload", told(a), told(b));
+            compare.other("payload", describe(a), describe(b));
         }
         match (&a.body, &b.body) {
             (Ok(a), Ok(b)) => compare.views(a, b),
             (Err(a), Err(b)) if a == b => {}
             (a, b) => {
                 compare.found.emptiness = true;
-                let told = |body: &Result<View, osteoflow_node::Empty>| match body {
+                let describe = |body: &Result<View, osteoflow_node::Empty>| match body {
                     Ok(_) => "a value".into(),
                     Err(empty) => format!("empty: {}: {}", empty.node, empty.reason),
                 };
-                compare.other("presence", told(a), told(b));
+                compare.other("presence", describe(a), describe(b));
             }
         }
         compare.found
@@ -227,7 +227,7 @@ impl<'a> Compare<'a> {
                 }
                 _ => self.other(name, a.to_string(), b.to_string()),
             },
-            _ => self.other(name, told(a), told(b)),
+            _ => self.other(name, format_field(a), format_field(b)),
         }
     }
 
@@ -310,8 +310,8 @@ impl<'a> Compare<'a> {
                 Some(part) => format!("{} ({part})", (at.told)()),
                 None => (at.told)(),
             },
-            a: a.told(),
-            b: b.told(),
+            a: a.format(),
+            b: b.format(),
             ulp,
             distance,
             unit: unit.map(str::to_owned),
@@ -343,7 +343,7 @@ fn report(text: &str) -> Option<Json> {
     serde_json::from_str(text).ok()
 }
 
-fn told(field: &Field) -> String {
+fn format_field(field: &Field) -> String {
     match field {
         Field::Bool(value) => value.to_string(),
         Field::Int(value) => value.to_string(),

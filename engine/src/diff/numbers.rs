@@ -38,16 +38,16 @@ impl Scalar {
     }
 
     /// The number in full: it reads back to the same bits.
-    pub(super) fn told(self) -> String {
+    pub(super) fn format(self) -> String {
         match self {
-            Self::Double(x) => told(x, x.to_bits(), x.is_nan()),
-            Self::Single(x) => told(x, x.to_bits().into(), x.is_nan()),
+            Self::Double(x) => format_float(x, x.to_bits(), x.is_nan()),
+            Self::Single(x) => format_float(x, x.to_bits().into(), x.is_nan()),
             Self::Int(x) => x.to_string(),
         }
     }
 }
 
-fn told(x: impl std::fmt::Debug, bits: u64, is_nan: bool) -> String {
+fn format_float(x: impl std::fmt::Debug, bits: u64, is_nan: bool) -> String {
     if is_nan { format!("NaN (bits {bits:x})") } else { format!("{x:?}") }
 }
 

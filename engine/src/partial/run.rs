@@ -1,6 +1,6 @@
 //! A run of which a part is at hand already: what other runs have left is played, the rest is computed.
 
-use super::{Part, Player, consumers, outputs, places, reduce};
+use super::{NodeMode, Player, consumers, outputs, places, reduce};
 use crate::{
     plan::{Plan, Policy},
     run::{Finished, RunError, RunReport, Whole, WireItems, run_part},
@@ -10,14 +10,14 @@ use osteoflow_node::Registry;
 use std::sync::Arc;
 
 /// What a node has left.
-pub(crate) struct Left {
+pub(crate) struct FinishedNode {
     /// For each output, every item.
     pub(crate) outputs: Vec<WireItems>,
     pub(crate) stats: NodeStats,
     pub(crate) warnings: Vec<Warning>,
 }
 
-impl Left {
+impl FinishedNode {
     /// Of a run of the whole plan.
     pub(crate) fn of(finished: &Finished, plan: &Plan, index: usize) -> Self {
         let of_node = finished.ended.warnings.iter().filter(|warning| *warning.node == *plan.nodes[index].name);
@@ -30,24 +30,24 @@ impl Left {
 }
 
 /// A plan of whose nodes some have left their items already.
-pub(crate) struct Partial<'a> {
+pub(crate) struct PartialRun<'a> {
     plan: &'a Plan,
-    left: &'a [Option<Arc<Left>>],
-    parts: Vec<Part>,
+    left: &'a [Option<Arc<FinishedNode>>],
+    parts: Vec<NodeMode>,
     places: Vec<Option<usize>>,
 }
 
-impl<'a> Partial<'a> {
+impl<'a> PartialRun<'a> {
     /// What is not at hand is computed; what is, is played where something computed takes it.
-    pub(crate) fn new(plan: &'a Plan, left: &'a [Option<Arc<Left>>]) -> Self {
+    pub(crate) fn new(plan: &'a Plan, left: &'a [Option<Arc<FinishedNode>>]) -> Self {
         let feeds = |index| {
             let mut links = outputs(plan, index).flat_map(|id| consumers(plan, id));
             links.any(|link| left[link.to_node].is_none())
         };
         let part = |index: usize| match &left[index] {
-            None => Part::Computed,
-            Some(_) if feeds(index) => Part::Played,
-            Some(_) => Part::LeftOut,
+            None => NodeMode::Computed,
+            Some(_) if feeds(index) => NodeMode::Played,
+            Some(_) => NodeMode::LeftOut,
         };
         let parts: Vec<_> = (0..plan.nodes.len()).map(part).collect();
         let places = places(&parts);
@@ -76,8 +76,8 @@ impl<'a> Partial<'a> {
     /// What runs. What is played lies in memory already, so that it may wait on its wires however large it is.
     fn reduced(&self) -> Plan {
         let mut reduced = reduce(self.plan, &self.parts);
-        let taking = self.parts.iter().filter(|part| **part != Part::LeftOut);
-        let played: Vec<_> = taking.map(|part| *part == Part::Played).collect();
+        let taking = self.parts.iter().filter(|part| **part != NodeMode::LeftOut);
+        let played: Vec<_> = taking.map(|part| *part == NodeMode::Played).collect();
         let links = reduced.links.iter_mut().filter(|link| played[link.from.node] && link.policy == Policy::Block);
         links.for_each(|link| link.max_bytes = u64::MAX);
         reduced
@@ -86,9 +86,9 @@ impl<'a> Partial<'a> {
     /// What plays the items that computed nodes take.
     fn players(&self) -> Substitutes {
         let mut players = Substitutes::new();
-        for (index, left) in self.left.iter().enumerate().filter(|(index, _)| self.parts[*index] == Part::Played) {
+        for (index, left) in self.left.iter().enumerate().filter(|(index, _)| self.parts[*index] == NodeMode::Played) {
             let (Some(left), Some(place)) = (left, self.places[index]) else { continue };
-            let wanted = |id| consumers(self.plan, id).any(|link| self.parts[link.to_node] == Part::Computed);
+            let wanted = |id| consumers(self.plan, id).any(|link| self.parts[link.to_node] == NodeMode::Computed);
             let ports = outputs(self.plan, index).zip(&left.outputs);
             let ports = ports.map(|(id, kept)| if wanted(id) { kept.items.clone() } else { Vec::new() }.into());
             players.insert(place, Box::new(Player { ports: ports.collect(), failure: None, pace: None }));

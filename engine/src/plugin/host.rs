@@ -124,7 +124,7 @@ pub(super) enum At<'a> {
 /// A call of a plugin under way.
 pub(super) struct Run<'a> {
     pub(super) at: At<'a>,
-    pub(super) about: &'a super::node::About,
+    pub(super) about: &'a super::node::BuiltKind,
     pub(super) params: &'a Json,
     pub(super) out: &'a mut [Emission],
     /// The parameter at fault, and why.

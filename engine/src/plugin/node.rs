@@ -21,29 +21,29 @@ use std::{
 };
 
 /// What is known of a kind whose node is built.
-pub(super) struct About {
+pub(super) struct BuiltKind {
     /// JSON Schema of the parameters.
     pub(super) schema: Json,
     /// Names and payloads of the outputs.
     pub(super) outputs: Vec<(String, PortPayload)>,
-    pub(super) declared: Vec<DeclaredAbout>,
+    pub(super) declared: Vec<LentOutput>,
     /// The payloads that outputs for any may give.
     pub(super) types: Arc<[&'static PayloadType]>,
 }
 
 /// An output that the graph declared, as it is lent.
-pub(super) struct DeclaredAbout {
+pub(super) struct LentOutput {
     pub(super) name: String,
     pub(super) payload: *const abi::Payload,
     pub(super) params: String,
 }
 
 // SAFETY: payloads as they cross are leaked and never change.
-unsafe impl Send for DeclaredAbout {}
+unsafe impl Send for LentOutput {}
 // SAFETY: as above.
-unsafe impl Sync for DeclaredAbout {}
+unsafe impl Sync for LentOutput {}
 
-impl About {
+impl BuiltKind {
     /// A parameter by its dotted path: as given, else the schema's default.
     pub(super) fn param<'a>(&'a self, params: &'a Json, path: &str) -> Option<&'a Json> {
         let mut steps = path.split('.');
@@ -81,12 +81,12 @@ pub(super) fn build(
     library.start(&HOST);
     let kind = library.kind(index);
     let described = &library.about().kinds[index];
-    let declared = context.declared.iter().map(|port| DeclaredAbout {
+    let declared = context.declared.iter().map(|port| LentOutput {
         name: port.name.clone(),
         payload: crossing(port.payload),
         params: port.params.to_string(),
     });
-    let about = About {
+    let about = BuiltKind {
         schema: described.params.clone(),
         outputs: match context.declared.is_empty() {
             true => outputs.to_vec(),
@@ -152,7 +152,7 @@ struct PluginNode {
     library: &'static Library,
     index: usize,
     node: *mut c_void,
-    about: About,
+    about: BuiltKind,
     params: Json,
     is_source: bool,
     /// For each input: whether it is a constant.

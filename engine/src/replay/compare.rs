@@ -15,10 +15,10 @@ use std::{
 
 /// A tap on the wires that both the recording and the plan have.
 pub(super) struct Compare<'a> {
-    wires: BTreeMap<OutputId, Wire<'a>>,
+    wires: BTreeMap<OutputId, ComparedWire<'a>>,
 }
 
-struct Wire<'a> {
+struct ComparedWire<'a> {
     /// The recorded items; none where nothing is to be compared.
     recorded: Option<&'a [Vec<u8>]>,
     payload: PortPayload,
@@ -41,7 +41,7 @@ impl<'a> Compare<'a> {
     pub(super) fn new(plan: &Plan, recording: &'a Recording, computed: impl Fn(usize) -> bool, compares: bool) -> Self {
         let wire = |id: &OutputId| {
             let recorded = recording.wires.get(&plan.wire_name(*id)).map(|wire| &*wire.messages);
-            let wire = Wire {
+            let wire = ComparedWire {
                 recorded: recorded.filter(|_| compares && computed(id.node)),
                 payload: plan.nodes[id.node].outputs[id.port].payload,
                 partial: recording.interrupted || recording.truncated.is_some(),

@@ -1,7 +1,7 @@
 //! What of a graph is computed anew and what is played from the recording.
 
 use crate::{
-    partial::{Part, consumers, follow, outputs},
+    partial::{NodeMode, consumers, follow, outputs},
     plan::{OutputId, Plan, PlanNode},
 };
 use osteoflow_node::Role;
@@ -15,17 +15,19 @@ pub(super) fn all(
     plan: &Plan,
     recorded: &BTreeSet<OutputId>,
     runs: impl Fn(usize) -> bool,
-) -> Result<Vec<Part>, OutputId> {
+) -> Result<Vec<NodeMode>, OutputId> {
     let part = |(index, node): (usize, &PlanNode)| {
         if node.role == Role::Node {
-            return Ok(Part::Computed);
+            return Ok(NodeMode::Computed);
         }
         let missing = outputs(plan, index).find(|id| !recorded.contains(id));
         match missing {
-            None => Ok(Part::Played),
-            Some(_) if runs(index) => Ok(Part::Computed),
+            None => Ok(NodeMode::Played),
+            Some(_) if runs(index) => Ok(NodeMode::Computed),
             // A port that leads nowhere is not missed.
-            Some(_) if outputs(plan, index).all(|id| recorded.contains(&id) || !is_used(plan, id)) => Ok(Part::Played),
+            Some(_) if outputs(plan, index).all(|id| recorded.contains(&id) || !is_used(plan, id)) => {
+                Ok(NodeMode::Played)
+            }
             Some(wire) => Err(wire),
         }
     };
@@ -42,7 +44,7 @@ pub(super) fn from(
     recorded: &BTreeSet<OutputId>,
     node: usize,
     runs: impl Fn(usize) -> bool,
-) -> Result<Vec<Part>, OutputId> {
+) -> Result<Vec<NodeMode>, OutputId> {
     let mut computed = vec![false; plan.nodes.len()];
     computed[node] = true;
     follow(plan, &mut computed);
@@ -58,9 +60,9 @@ pub(super) fn from(
         computed[index] = true;
     }
     let part = |index: usize| match computed[index] {
-        true => Part::Computed,
-        false if outputs(plan, index).any(|id| recorded.contains(&id)) => Part::Played,
-        false => Part::LeftOut,
+        true => NodeMode::Computed,
+        false if outputs(plan, index).any(|id| recorded.contains(&id)) => NodeMode::Played,
+        false => NodeMode::LeftOut,
     };
     Ok((0..plan.nodes.len()).map(part).collect())
 }

@@ -3,7 +3,9 @@
 use crate::{
     record::RecordError,
     repro::Saved,
-    runtime::{BuildError, BuildFault, Enlargement, LatencyStats, LinkStats, NodeStats, Recalled, Refusal, Warning},
+    runtime::{
+        BuildError, BuildFault, CachedAnswer, Enlargement, LatencyStats, LinkStats, NodeStats, Refusal, Warning,
+    },
 };
 use std::{path::PathBuf, time::Duration};
 
@@ -51,7 +53,7 @@ pub struct RunReport {
     /// The failed items that were saved, to be run again alone.
     pub saved: Saved,
     /// The answers that came from the store, in the order of the plan.
-    pub recalled: Vec<Recalled>,
+    pub recalled: Vec<CachedAnswer>,
 }
 
 /// A run that could not begin or whose files could not be written.

@@ -27,7 +27,7 @@ use std::{
 
 /// An answer that came from the store.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Recalled {
+pub struct CachedAnswer {
     /// The node that did not fire.
     pub node: String,
     /// The number of its activation.
@@ -37,13 +37,13 @@ pub struct Recalled {
 }
 
 /// The store as a run uses it.
-pub(super) struct Recall<'a> {
+pub(super) struct AnswerCache<'a> {
     store: Arc<Store>,
     plan: &'a Plan,
     registry: &'a Registry,
     /// What decides the answers of each node; `None` where they are not kept.
     nodes: Vec<Option<CachePolicy>>,
-    recalled: Mutex<Vec<(usize, Recalled)>>,
+    recalled: Mutex<Vec<(usize, CachedAnswer)>>,
     /// The libraries that plugins have brought along.
     brought: OnceLock<Vec<String>>,
     /// The store cannot be written, which has been said.
@@ -53,7 +53,7 @@ pub(super) struct Recall<'a> {
 /// Raised when an answer is laid out otherwise than before.
 const LAYOUT: u64 = 1;
 
-impl<'a> Recall<'a> {
+impl<'a> AnswerCache<'a> {
     /// A node that is to fail on purpose always fires.
     pub(super) fn new(store: &Arc<Store>, plan: &'a Plan, registry: &'a Registry, planned: &[Arc<Planned>]) -> Self {
         let kept =
@@ -79,7 +79,7 @@ impl<'a> Recall<'a> {
     }
 
     /// What was recalled, in the order of the plan.
-    pub(super) fn finish(self) -> Vec<Recalled> {
+    pub(super) fn finish(self) -> Vec<CachedAnswer> {
         let mut recalled = self.recalled.into_inner().unwrap_or_else(PoisonError::into_inner);
         recalled.sort_by_key(|(node, recalled)| (*node, recalled.item));
         recalled.into_iter().map(|(_, recalled)| recalled).collect()
@@ -100,7 +100,7 @@ impl<'a> Recall<'a> {
             out.iter_mut().zip(answer.emissions).for_each(|(place, emission)| *place = emission);
             answer.warnings.into_iter().for_each(|warning| context.warn(warning));
             let node = self.plan.nodes[index].name.to_string();
-            let recalled = Recalled { node, item: context.item(), key: key.to_string() };
+            let recalled = CachedAnswer { node, item: context.item(), key: key.to_string() };
             self.recalled.lock().unwrap_or_else(PoisonError::into_inner).push((index, recalled));
             return Ok(());
         }

@@ -1,4 +1,4 @@
-use super::{Enlargement, Failure, LinkStats, NodeStats, Recalled, Warning};
+use super::{CachedAnswer, Enlargement, Failure, LinkStats, NodeStats, Warning};
 use std::time::Duration;
 
 /// What a run leaves in memory, but for the items that its taps have kept.
@@ -16,5 +16,5 @@ pub(crate) struct Ended {
     pub(crate) links: Vec<LinkStats>,
     pub(crate) enlargements: Vec<Enlargement>,
     pub(crate) elapsed: Duration,
-    pub(crate) recalled: Vec<Recalled>,
+    pub(crate) recalled: Vec<CachedAnswer>,
 }

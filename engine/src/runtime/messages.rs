@@ -8,7 +8,7 @@ use crate::plan::Plan;
 const MOST_PER_NODE: u64 = 100;
 
 /// Warnings and failures of a run under way.
-pub(super) struct Kept {
+pub(super) struct Messages {
     warnings: Vec<(usize, Warning)>,
     failures: Vec<Failure>,
     nodes: Vec<Counts>,
@@ -24,7 +24,7 @@ struct Counts {
     latest: Option<Failure>,
 }
 
-impl Kept {
+impl Messages {
     pub(super) fn new(n_nodes: usize) -> Self {
         Self { warnings: Vec::new(), failures: Vec::new(), nodes: vec![Counts::default(); n_nodes] }
     }

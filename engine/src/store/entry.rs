@@ -73,16 +73,16 @@ impl Entry {
 
     /// A part of them that keeps the whole alive, for a column.
     pub(crate) fn part(&self, range: Range<usize>) -> Buffer {
-        Arc::new(Part { entry: self.clone(), range })
+        Arc::new(EntryRange { entry: self.clone(), range })
     }
 }
 
-struct Part {
+struct EntryRange {
     entry: Entry,
     range: Range<usize>,
 }
 
-impl AsRef<[u8]> for Part {
+impl AsRef<[u8]> for EntryRange {
     fn as_ref(&self) -> &[u8] {
         &self.entry.bytes()[self.range.clone()]
     }

@@ -2,7 +2,7 @@
 
 use super::{Done, Folder, FolderError, Run, Shard, Sweep, SweepOptions, Swept, Watcher, run_row, share::Shared};
 use crate::{
-    partial::Left,
+    partial::FinishedNode,
     run::Outcome,
     runtime::{RunOptions, Warning},
     sync::on_workers,
@@ -114,8 +114,8 @@ impl Sweep {
         &self,
         run: &Run,
         options: &SweepOptions,
-        found: &[Option<Arc<Left>>],
-    ) -> (Option<Done>, Vec<Option<Left>>) {
+        found: &[Option<Arc<FinishedNode>>],
+    ) -> (Option<Done>, Vec<Option<FinishedNode>>) {
         let of_run = RunOptions { workers: 1, out_dir: None, record: false, latency: false, ..options.run.clone() };
         let (report, left) = run_row::run(&run.plan, &self.registry, &of_run, found);
         let done = match report {

@@ -1,7 +1,7 @@
 //! One run of a sweep: what other runs have left already is played, the rest is computed.
 
 use crate::{
-    partial::{self, Left, Partial},
+    partial::{self, FinishedNode, PartialRun},
     plan::Plan,
     run::{Finished, RunError, RunReport},
     runtime::{Ended, RunOptions},
@@ -15,19 +15,19 @@ pub(super) fn run(
     plan: &Plan,
     registry: &Registry,
     options: &RunOptions,
-    shared: &[Option<Arc<Left>>],
-) -> (Result<RunReport, RunError>, Vec<Option<Left>>) {
+    shared: &[Option<Arc<FinishedNode>>],
+) -> (Result<RunReport, RunError>, Vec<Option<FinishedNode>>) {
     let mut left = Vec::new();
     let mut see = |finished: Finished| {
         let sound = sound(plan, &finished.ended);
         let of_node = |index: usize| {
             let is_new = shared[index].is_none() && sound[index];
-            is_new.then(|| Left::of(&finished, plan, index))
+            is_new.then(|| FinishedNode::of(&finished, plan, index))
         };
         left = (0..plan.nodes.len()).map(of_node).collect();
         finished
     };
-    let report = Partial::new(plan, shared).run(registry, options, &(), None, &mut see);
+    let report = PartialRun::new(plan, shared).run(registry, options, &(), None, &mut see);
     (report, left)
 }
 

@@ -6,7 +6,7 @@
 
 use crate::{
     hash::Digest,
-    partial::Left,
+    partial::FinishedNode,
     plan::{Plan, Policy},
     store::Key,
     watch::Stamps,
@@ -57,7 +57,7 @@ enum State {
     /// A run is computing it.
     UnderWay,
     /// It is there.
-    Done(Arc<Left>),
+    Done(Arc<FinishedNode>),
 }
 
 struct Entry {
@@ -87,7 +87,7 @@ impl Shared {
     }
 
     /// What is there for a run that begins, by node; what it will share is under way from now on.
-    pub(super) fn begin(&mut self, keys: &[Digest]) -> Vec<Option<Arc<Left>>> {
+    pub(super) fn begin(&mut self, keys: &[Digest]) -> Vec<Option<Arc<FinishedNode>>> {
         let take = |key| match self.0.get_mut(key) {
             Some(Entry { state: State::Done(left), .. }) => Some(left.clone()),
             Some(entry) => {
@@ -100,7 +100,7 @@ impl Shared {
     }
 
     /// Takes what a run has left, for the nodes that it computed soundly.
-    pub(super) fn end(&mut self, keys: &[Digest], mut left: Vec<Option<Left>>) {
+    pub(super) fn end(&mut self, keys: &[Digest], mut left: Vec<Option<FinishedNode>>) {
         for (index, key) in keys.iter().enumerate() {
             let Some(entry) = self.0.get_mut(key) else { continue };
             entry.n_users -= 1;
@@ -123,11 +123,11 @@ mod tests {
         Digest([n; 32])
     }
 
-    fn left() -> Left {
+    fn left() -> FinishedNode {
         let none = std::time::Duration::ZERO;
         let (name, busy, p50, p95, p99) = (String::new(), none, none, none, none);
         let stats = NodeStats { name, items: 0, skipped: 0, failed: 0, busy, p50, p95, p99 };
-        Left { outputs: Vec::new(), stats, warnings: Vec::new() }
+        FinishedNode { outputs: Vec::new(), stats, warnings: Vec::new() }
     }
 
     #[test]

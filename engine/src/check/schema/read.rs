@@ -1,7 +1,7 @@
 use super::{
     Quantity, Walker,
     range::int_limits,
-    shape::{Shape, describe, resolve, shape},
+    value_type::{ValueType, describe, resolve, value_type},
 };
 use crate::{
     fault::Fault,
@@ -14,9 +14,9 @@ impl<'a> Walker<'a> {
     /// The value after the schema; `None` where it is at fault.
     pub(super) fn read(&mut self, schema: &'a Json, value: &Spanned, what: &Quantity) -> Option<Json> {
         let root = self.root;
-        match (shape(root, schema), &value.value) {
-            (Shape::Bool, Value::Bool(value)) => Some(Json::Bool(*value)),
-            (Shape::Int(range), Value::Int(number)) => {
+        match (value_type(root, schema), &value.value) {
+            (ValueType::Bool, Value::Bool(value)) => Some(Json::Bool(*value)),
+            (ValueType::Int(range), Value::Int(number)) => {
                 let (low, high) = int_limits(resolve(root, schema));
                 let limit = if *number < low { Some("too small") } else { None };
                 let limit = limit.or((*number > high).then_some("too large"));
@@ -25,8 +25,8 @@ impl<'a> Walker<'a> {
                     None => Some(int(*number)),
                 }
             }
-            (Shape::Int(_), Value::Float(_)) => self.refuse(schema, value, what, "not a whole number"),
-            (Shape::Number(range), Value::Int(_) | Value::Float(_)) => {
+            (ValueType::Int(_), Value::Float(_)) => self.refuse(schema, value, what, "not a whole number"),
+            (ValueType::Number(range), Value::Int(_) | Value::Float(_)) => {
                 let number = as_number(value)?;
                 if !number.is_finite() {
                     return self.refuse(schema, value, what, "not finite");
@@ -36,34 +36,36 @@ impl<'a> Walker<'a> {
                     None => Number::from_f64(number).map(Json::Number),
                 }
             }
-            (Shape::Text, _) if text(value).is_some() => text(value).map(Json::from),
-            (Shape::Path, _) if text(value).is_some() => self.path(value, text(value)?, what),
-            (Shape::Words(words), _) if text(value).is_some() => {
+            (ValueType::Text, _) if text(value).is_some() => text(value).map(Json::from),
+            (ValueType::Path, _) if text(value).is_some() => self.path(value, text(value)?, what),
+            (ValueType::Words(words), _) if text(value).is_some() => {
                 let found = text(value)?;
                 match words.iter().find(|(word, _)| *word == found) {
                     Some((word, _)) => Some(Json::from(*word)),
                     None => self.unknown_word(schema, value, what, &words),
                 }
             }
-            (Shape::List { items, min, max }, Value::Array(values)) => {
+            (ValueType::List { items, min, max }, Value::Array(values)) => {
                 if values.len() < min || max.is_some_and(|max| values.len() > max) {
                     return self.refuse(schema, value, what, &format!("{} here", values.len()));
                 }
                 self.list(values.iter().map(|value| (items, value)), what)
             }
-            (Shape::Tuple(items), Value::Array(values)) => {
+            (ValueType::Tuple(items), Value::Array(values)) => {
                 if values.len() != items.len() {
                     return self.refuse(schema, value, what, &format!("{} here", values.len()));
                 }
                 self.list(items.into_iter().map(Some).zip(values), what)
             }
-            (Shape::Table, Value::Table(table)) => {
+            (ValueType::Table, Value::Table(table)) => {
                 let prefix = format!("{}.", what.name);
                 self.table(resolve(root, schema), table, &value.at, &prefix, &[]).map(Json::Object)
             }
-            (Shape::Union(branches), _) => self.union(schema, &branches, value, what),
-            (Shape::Any, _) => self.any(value, what),
-            (Shape::Number(_) | Shape::Int(_), Value::Text(found)) => self.text_for_number(schema, value, found, what),
+            (ValueType::Union(branches), _) => self.union(schema, &branches, value, what),
+            (ValueType::Any, _) => self.any(value, what),
+            (ValueType::Number(_) | ValueType::Int(_), Value::Text(found)) => {
+                self.text_for_number(schema, value, found, what)
+            }
             _ => self.refuse(schema, value, what, "of another type"),
         }
     }
@@ -125,7 +127,7 @@ impl<'a> Walker<'a> {
     pub(super) fn refuse(&mut self, schema: &Json, value: &Spanned, what: &Quantity, why: &str) -> Option<Json> {
         let takes = describe(self.root, schema);
         let mut fault = self.fault(what, &takes, value).at(&value.at, why);
-        if let (Shape::Int(_), Value::Float(number)) = (shape(self.root, schema), &value.value)
+        if let (ValueType::Int(_), Value::Float(number)) = (value_type(self.root, schema), &value.value)
             && number.fract() == 0.0
             && number.abs() < 1e15
         {

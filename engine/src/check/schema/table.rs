@@ -1,7 +1,7 @@
 use super::{
     Quantity, Walker,
     read::as_number,
-    shape::{Shape, describe, doc, shape},
+    value_type::{ValueType, describe, doc, value_type},
 };
 use crate::{
     fault::{Fault, Span},
@@ -63,7 +63,7 @@ impl<'a> Walker<'a> {
 
     /// `max_iterations: what its author says (default 50)`.
     fn say(&self, property: &Json, name: &str) -> Option<String> {
-        let text = doc(property).or_else(|| doc(super::shape::resolve(self.root, property)))?;
+        let text = doc(property).or_else(|| doc(super::value_type::resolve(self.root, property)))?;
         let default = match property.get("default") {
             Some(default @ (Json::Bool(_) | Json::Number(_) | Json::String(_))) if default.as_str() != Some("") => {
                 format!(" (default {default})")
@@ -76,8 +76,8 @@ impl<'a> Walker<'a> {
     fn missing(&mut self, property: &Json, at: &Span, name: &str, prefix: &str) {
         let takes = describe(self.root, property);
         let message = format!("{}: parameter \"{prefix}{name}\" is missing", self.owner);
-        let example = match shape(self.root, property) {
-            Shape::Path | Shape::Text => "\"..\"",
+        let example = match value_type(self.root, property) {
+            ValueType::Path | ValueType::Text => "\"..\"",
             _ => "..",
         };
         let fault = Fault::new(message).at(at, format!("needs {name}, {takes}")).follows();
@@ -131,8 +131,8 @@ fn is_meant(found: &str, name: &str, skip: &[&str]) -> bool {
 fn is_required(schema: &Json, name: &str, root: &Json, property: &Json) -> bool {
     let listed = schema.get("required").and_then(Json::as_array);
     let listed = listed.is_some_and(|names| names.iter().any(|n| n.as_str() == Some(name)));
-    let empty_path =
-        matches!(shape(root, property), Shape::Path) && property.get("default") == Some(&Json::String(String::new()));
+    let empty_path = matches!(value_type(root, property), ValueType::Path)
+        && property.get("default") == Some(&Json::String(String::new()));
     listed || empty_path
 }
 

@@ -1,6 +1,6 @@
 use super::{
     Quantity, Walker,
-    shape::{Shape, shape},
+    value_type::{ValueType, value_type},
 };
 use crate::{
     fault::Fault,
@@ -50,12 +50,12 @@ impl<'a> Walker<'a> {
     fn tag(&self, branches: &[&'a Json]) -> Option<(String, Vec<&'a str>)> {
         let words_of = |key: &str| -> Option<Vec<&'a str>> {
             let word = |branch: &&'a Json| {
-                let schema = super::shape::resolve(self.root, branch);
+                let schema = super::value_type::resolve(self.root, branch);
                 schema.get("properties")?.get(key)?.get("const")?.as_str()
             };
             branches.iter().map(word).collect()
         };
-        let first = super::shape::resolve(self.root, branches.first()?);
+        let first = super::value_type::resolve(self.root, branches.first()?);
         let mut keys = first.get("properties")?.as_object()?.keys();
         keys.find_map(|key| Some((key.clone(), words_of(key)?)))
     }
@@ -87,19 +87,19 @@ impl<'a> Walker<'a> {
 
     /// Whether the value is of the branch's type, and for a table, whether its fixed words agree.
     fn may_take(&self, branch: &'a Json, value: &Spanned) -> bool {
-        match (shape(self.root, branch), &value.value) {
-            (Shape::Bool, Value::Bool(_)) | (Shape::Int(_), Value::Int(_)) => true,
-            (Shape::Number(_), Value::Int(_) | Value::Float(_)) => true,
-            (Shape::Text | Shape::Path | Shape::Words(_), Value::Text(_)) => true,
-            (Shape::List { .. } | Shape::Tuple(_), Value::Array(_)) => true,
-            (Shape::Table, Value::Table(table)) => {
-                let schema = super::shape::resolve(self.root, branch);
+        match (value_type(self.root, branch), &value.value) {
+            (ValueType::Bool, Value::Bool(_)) | (ValueType::Int(_), Value::Int(_)) => true,
+            (ValueType::Number(_), Value::Int(_) | Value::Float(_)) => true,
+            (ValueType::Text | ValueType::Path | ValueType::Words(_), Value::Text(_)) => true,
+            (ValueType::List { .. } | ValueType::Tuple(_), Value::Array(_)) => true,
+            (ValueType::Table, Value::Table(table)) => {
+                let schema = super::value_type::resolve(self.root, branch);
                 let properties = schema.get("properties").and_then(Json::as_object);
                 let words = properties.into_iter().flatten();
                 let mut fixed = words.filter_map(|(key, property)| Some((key, property.get("const")?.as_str()?)));
                 fixed.all(|(key, word)| table.get(key).and_then(|entry| entry.value.as_text()) == Some(word))
             }
-            (Shape::Union(_) | Shape::Any, _) => true,
+            (ValueType::Union(_) | ValueType::Any, _) => true,
             _ => false,
         }
     }

@@ -58,7 +58,7 @@ impl Reader<'_> {
                     false => outdone(earlier.all(), later.all()),
                 };
                 if let Some(key) = both {
-                    let (first, second) = (told(earlier), told(later));
+                    let (first, second) = (describe(earlier), describe(later));
                     let fault =
                         Fault::new(format!("{first} and {second} both set {key}, of which a run has one value"))
                             .at(&later.at, "would be run")
@@ -85,7 +85,7 @@ impl Reader<'_> {
                 ),
                 _ => continue,
             };
-            self.fault(&setter.at, format!("{} cannot set {key}", told(setter)), label, help);
+            self.fault(&setter.at, format!("{} cannot set {key}", describe(setter)), label, help);
         }
     }
 }
@@ -98,6 +98,6 @@ fn outdone<'k>(
     earlier.into_iter().find(|a| later.clone().into_iter().any(|b| b.outdoes(a)))
 }
 
-fn told(setter: &Setter<'_>) -> String {
+fn describe(setter: &Setter<'_>) -> String {
     format!("{} \"{}\"", setter.what, setter.name)
 }

@@ -231,7 +231,7 @@ fn an_answer_is_read_as_it_was_written_and_of_other_bytes_there_is_none() {
     let (store, _dir) = store();
     let (plan, registry) = (plan("toy.kept", json!({}), &[1.0], 0), registry());
     let planned: Vec<_> = plan.nodes.iter().map(|_| Arc::default()).collect();
-    let recall = Recall::new(&store, &plan, &registry, &planned);
+    let recall = AnswerCache::new(&store, &plan, &registry, &planned);
     let key = Key::of("answer").done();
     let entry = |bytes: &[&[u8]]| {
         store.put(&key, bytes).unwrap();

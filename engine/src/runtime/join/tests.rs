@@ -32,7 +32,7 @@ fn items(offers: &[Offer]) -> Vec<Item> {
 }
 
 /// An activation in words: its stamp, and the slots or the reason.
-fn told(joined: &Joined, activation: &Activation) -> String {
+fn describe(joined: &Joined, activation: &Activation) -> String {
     let number = |item: &Item| match &item.body {
         Body::Value(value) => format!("{}", value.get::<Number>().unwrap().0),
         Body::Empty(empty) => format!("({})", empty.reason),
@@ -79,7 +79,7 @@ fn run(ports: &[PortSpec], offers: &[Vec<Offer>], turns: impl Iterator<Item = us
                 }
                 Step::Activate(activation) => {
                     assert!(activation.stamp_ns >= promised, "{} after progress {promised}", activation.stamp_ns);
-                    out.push(told(joiner.joined(), &activation));
+                    out.push(describe(joiner.joined(), &activation));
                 }
             }
         }
@@ -108,7 +108,7 @@ fn run_like_a_node(ports: &[PortSpec], offers: &[Vec<Offer>], in_lock_step: bool
             Step::Wait => {}
             Step::Ended => return out,
             Step::Activate(activation) => {
-                out.push(told(joiner.joined(), &activation));
+                out.push(describe(joiner.joined(), &activation));
                 if activation.skip.is_none() {
                     joiner.release();
                 }

@@ -3,7 +3,7 @@ use osteoflow_node::FilePath;
 use serde_json::Value as Json;
 
 /// What a schema takes.
-pub(super) enum Shape<'a> {
+pub(super) enum ValueType<'a> {
     Bool,
     Int(Range),
     Number(Range),
@@ -39,51 +39,51 @@ pub(super) fn resolve<'a>(root: &'a Json, mut schema: &'a Json) -> &'a Json {
     schema
 }
 
-pub(super) fn shape<'a>(root: &'a Json, schema: &'a Json) -> Shape<'a> {
+pub(super) fn value_type<'a>(root: &'a Json, schema: &'a Json) -> ValueType<'a> {
     let schema = resolve(root, schema);
     if let Some(branches) = ["oneOf", "anyOf"].iter().find_map(|key| schema.get(*key)?.as_array()) {
         return union(root, branches);
     }
     if let Some(words) = schema.get("enum").and_then(Json::as_array) {
-        return Shape::Words(words.iter().filter_map(|word| Some((word.as_str()?, None))).collect());
+        return ValueType::Words(words.iter().filter_map(|word| Some((word.as_str()?, None))).collect());
     }
     if let Some(word) = schema.get("const").and_then(Json::as_str) {
-        return Shape::Words(vec![(word, doc(schema))]);
+        return ValueType::Words(vec![(word, doc(schema))]);
     }
     match type_of(schema) {
-        "boolean" => Shape::Bool,
-        "integer" => Shape::Int(Range::of(schema)),
-        "number" => Shape::Number(Range::of(schema)),
-        "string" if schema.get("format").and_then(Json::as_str) == Some(FilePath::SCHEMA_FORMAT) => Shape::Path,
-        "string" => Shape::Text,
+        "boolean" => ValueType::Bool,
+        "integer" => ValueType::Int(Range::of(schema)),
+        "number" => ValueType::Number(Range::of(schema)),
+        "string" if schema.get("format").and_then(Json::as_str) == Some(FilePath::SCHEMA_FORMAT) => ValueType::Path,
+        "string" => ValueType::Text,
         "array" => list(schema),
-        "object" => Shape::Table,
-        _ => Shape::Any,
+        "object" => ValueType::Table,
+        _ => ValueType::Any,
     }
 }
 
-fn list(schema: &Json) -> Shape<'_> {
+fn list(schema: &Json) -> ValueType<'_> {
     if let Some(items) = schema.get("prefixItems").and_then(Json::as_array) {
-        return Shape::Tuple(items.iter().collect());
+        return ValueType::Tuple(items.iter().collect());
     }
     let count = |key: &str| schema.get(key).and_then(Json::as_u64).map(|n| n as usize);
-    Shape::List { items: schema.get("items"), min: count("minItems").unwrap_or(0), max: count("maxItems") }
+    ValueType::List { items: schema.get("items"), min: count("minItems").unwrap_or(0), max: count("maxItems") }
 }
 
 /// The branches without `null`, which a graph file cannot say; branches of words are one.
-fn union<'a>(root: &'a Json, branches: &'a [Json]) -> Shape<'a> {
+fn union<'a>(root: &'a Json, branches: &'a [Json]) -> ValueType<'a> {
     let branches: Vec<_> = branches.iter().filter(|b| type_of(resolve(root, b)) != "null").collect();
     if let [only] = branches.as_slice() {
-        return shape(root, only);
+        return value_type(root, only);
     }
     let mut words = Vec::new();
     for branch in &branches {
-        match shape(root, branch) {
-            Shape::Words(more) => words.extend(more),
-            _ => return Shape::Union(branches),
+        match value_type(root, branch) {
+            ValueType::Words(more) => words.extend(more),
+            _ => return ValueType::Union(branches),
         }
     }
-    Shape::Words(words)
+    ValueType::Words(words)
 }
 
 /// The type, where an optional one may say `["number", "null"]`.
@@ -102,32 +102,32 @@ pub(super) fn doc(schema: &Json) -> Option<&str> {
 
 /// What a schema takes, in words: `a number from 0.1 to 100`.
 pub(super) fn describe(root: &Json, schema: &Json) -> String {
-    match shape(root, schema) {
-        Shape::Bool => "true or false".into(),
-        Shape::Int(range) => range.describe("a whole number"),
-        Shape::Number(range) => range.describe("a number"),
-        Shape::Text => "a text".into(),
-        Shape::Path => "the path of a file or folder".into(),
-        Shape::Words(words) => {
+    match value_type(root, schema) {
+        ValueType::Bool => "true or false".into(),
+        ValueType::Int(range) => range.describe("a whole number"),
+        ValueType::Number(range) => range.describe("a number"),
+        ValueType::Text => "a text".into(),
+        ValueType::Path => "the path of a file or folder".into(),
+        ValueType::Words(words) => {
             let words: Vec<_> = words.iter().map(|(word, _)| format!("\"{word}\"")).collect();
             match words.as_slice() {
                 [only] => only.clone(),
                 _ => format!("one of {}", words.join(", ")),
             }
         }
-        Shape::List { min, max, .. } => match (min, max) {
+        ValueType::List { min, max, .. } => match (min, max) {
             (min, Some(max)) if min == max => format!("a list of {min}"),
             (min, Some(max)) => format!("a list of {min} to {max}"),
             (0, None) => "a list".into(),
             (min, None) => format!("a list of at least {min}"),
         },
-        Shape::Tuple(items) => format!("a list of {}", items.len()),
-        Shape::Table => "a table".into(),
-        Shape::Union(branches) => {
+        ValueType::Tuple(items) => format!("a list of {}", items.len()),
+        ValueType::Table => "a table".into(),
+        ValueType::Union(branches) => {
             let mut texts: Vec<_> = branches.iter().map(|b| describe(root, b)).collect();
             texts.dedup();
             texts.join(" or ")
         }
-        Shape::Any => "any value".into(),
+        ValueType::Any => "any value".into(),
     }
 }
