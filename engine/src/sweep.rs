@@ -168,7 +168,7 @@ impl Sweep {
         let (there, asked) = (folder.about["shard"].as_str(), shard.map(|shard| shard.to_string()));
         if there != asked.as_deref() {
             let there = there.map(str::to_owned);
-            return Err(FolderError::NodeMode { path: dir.display().to_string(), there, asked });
+            return Err(FolderError::Part { path: dir.display().to_string(), there, asked });
         }
         Ok(folder)
     }
