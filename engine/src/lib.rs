@@ -1,6 +1,6 @@
 //! Runs a typed graph of nodes: check, plan, run, record and replay; no bone, point or frame is named in it.
 //!
-//! The modules form floors: each imports lower floors only, which `tests/arrows.rs` holds. From the ground up:
+//! The modules form floors: each imports lower floors only, which `tests/arrows` holds. From the ground up:
 //!
 //! | Floor | Modules |
 //! |---|---|

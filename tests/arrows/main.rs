@@ -1,5 +1,8 @@
-//! Which crate may know which: the arrows of docs/architecture.md, read from the manifests.
+//! Which crate may know which, and which module of the engine: the arrows of docs/architecture.md, read from the manifests
+//! and the sources.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod floors;
 
 use std::{collections::BTreeMap, fs, path::Path};
 

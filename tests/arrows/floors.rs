@@ -1,7 +1,6 @@
 //! The floors of the engine: a module imports lower floors only, and no circle of files is larger than a room may have.
 //!
 //! Read from the `use` lines of `engine/src`. Code for tests is left out: it may look at the whole engine.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use std::{
     collections::{BTreeMap, BTreeSet},
