@@ -1,9 +1,9 @@
-//! What normals of a surface cost and how exact they are, beside a plane through the exact twenty nearest.
+//! Cost and accuracy of estimated normals, beside those of a plane through the exact twenty nearest points of a kd-tree.
 //!
-//! In processor time, the fastest of some runs, on one thread; bone and samples as in the bench of the field.
+//! Processor time, the fastest of some runs, on one thread; bone, samples and scan as in the bench of the field.
 
 #[path = "../field/bone.rs"]
-#[allow(dead_code, reason = "the other bench uses the rest")]
+#[allow(dead_code, reason = "the bench of the field uses the rest")]
 mod bone;
 
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -25,7 +25,7 @@ fn timed<T>(n: usize, mut run: impl FnMut() -> T) -> (f64, Option<T>) {
     })
 }
 
-/// Across the plane through the twenty nearest points.
+/// Normals of the planes through the twenty nearest points.
 fn of_twenty_nearest(points: &[Point3<f64>]) -> Vec<Vector3<f64>> {
     let tree = Nearest::new(points);
     points
@@ -40,7 +40,7 @@ fn of_twenty_nearest(points: &[Point3<f64>]) -> Vec<Vector3<f64>> {
         .collect()
 }
 
-/// RMS and 99th percentile of the angle between lines, degrees.
+/// Prints the angles between normals of either sign, degrees.
 fn apart(what: &str, a: &[Vector3<f64>], b: &[Vector3<f64>]) {
     let mut angles: Vec<f64> = a.iter().zip(b).map(|(a, b)| a.angle(b).min((-a).angle(b)).to_degrees()).collect();
     angles.sort_by(f64::total_cmp);
@@ -54,11 +54,15 @@ fn apart(what: &str, a: &[Vector3<f64>], b: &[Vector3<f64>]) {
 
 fn main() {
     rayon::ThreadPoolBuilder::new().num_threads(1).build_global().expect("the first pool");
-    let samples = bone::samples(&bone::bone(), 150_000);
-    let (ours_s, ours) = timed(5, || normals::of_surface(&samples.points).expect("a bone"));
-    let (exact_s, exact) = timed(1, || of_twenty_nearest(&samples.points));
-    let (ours, exact) = (ours.unwrap_or_default(), exact.unwrap_or_default());
-    println!("{} points: {:.0} ms; of the exact twenty nearest {:.0} ms", ours.len(), ours_s * 1e3, exact_s * 1e3);
+    let bone = bone::bone();
+    let samples = bone::samples(&bone, 150_000);
+    for points in [&bone::scan(&bone, 20_000), &samples.points] {
+        let (ours_s, _) = timed(5, || normals::of_surface(points).expect("a bone"));
+        let (exact_s, _) = timed(3, || of_twenty_nearest(points));
+        println!("{} points: {:.0} ms; of the twenty nearest {:.0} ms", points.len(), ours_s * 1e3, exact_s * 1e3);
+    }
+    let ours = normals::of_surface(&samples.points).expect("a bone");
+    let exact = of_twenty_nearest(&samples.points);
     apart("from each other", &ours, &exact);
     apart("from the faces", &ours, &samples.normals);
     apart("twenty nearest from the faces", &exact, &samples.normals);
