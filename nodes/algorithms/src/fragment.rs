@@ -138,14 +138,13 @@ pub fn between(bone: &Mesh, planes: &Planes) -> Result<[HalfSpace; 2], FragmentE
 /// Vertices of the bone are kept as they are; where an edge crosses a plane there is one new vertex, which both faces at
 /// the edge share, so a closed bone gives a closed piece. The cut faces follow the outline whatever its shape, with holes
 /// where the bone is hollow. Of several pieces (a bent bone is cut twice by one plane) the one that reaches from one cut
-/// to the other nearest to the half spaces' points is given, with the cavities inside it. `O(m)`, and quadratic in the
-/// number of edges that one plane cuts.
+/// to the other nearest to the half spaces' points is given, with the cavities inside it. `O(m log m)`.
 ///
 /// # Errors
 /// [`FragmentError`] if a plane misses the bone or the bone is open where it is cut.
 ///
 /// # Source
-/// Sutherland and Hodgman 1974 for the faces; Meisters 1975 for the ears that the cut faces are made of.
+/// Sutherland and Hodgman 1974 for the faces; Chew 1989 for the constrained Delaunay triangulation of the cut faces.
 pub fn fragment(bone: &Mesh, cuts: &[HalfSpace; 2]) -> Result<Fragment, FragmentError> {
     let mut piece = Piece {
         vertices: bone.vertices().to_vec(),
