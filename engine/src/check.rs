@@ -23,7 +23,6 @@ mod wires;
 
 pub use crate::graph::Given;
 pub use alone::parameters;
-pub(crate) use join::{JOINS, POLICIES};
 pub use module::{Module, ModuleDescription, ModuleInput, ModuleOutput, ModuleParam};
 
 use crate::{

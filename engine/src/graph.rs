@@ -2,6 +2,7 @@
 
 mod edit;
 mod extends;
+pub(crate) mod grammar;
 pub(crate) mod header;
 mod interface;
 mod merge;

@@ -3,7 +3,7 @@
 //! Draft 7, which TOML language servers take: they read it for completion as it stands, without evaluating conditions,
 //! so kinds are branches of one `anyOf`, each with its kind as a constant, its ports and its parameters.
 
-use crate::check::{JOINS, POLICIES};
+use crate::graph::grammar::{self, JOINS, POLICIES};
 use osteoflow_container::Compression;
 use osteoflow_node::{Description, FilePath, InputPort, Join, OutputPorts, Registry};
 use serde_json::{Map, Value, json};
@@ -74,31 +74,53 @@ pub fn kind_schema(registry: &Registry, kind: &str) -> Option<Value> {
     Some(Value::Object(schema))
 }
 
+/// A table with these keys and no others; `keys` are those that the reader takes.
+fn closed(keys: &[&str], description: &str, properties: Value) -> Value {
+    let described = properties.as_object().map(|properties| properties.keys().map(String::as_str));
+    let (mut described, mut keys) = (described.into_iter().flatten().collect::<Vec<_>>(), keys.to_vec());
+    described.sort_unstable();
+    keys.sort_unstable();
+    assert_eq!(described, keys, "the schema describes other keys than the reader takes");
+    let mut table = Map::new();
+    if !description.is_empty() {
+        table.insert("description".into(), description.into());
+    }
+    table.insert("type".into(), "object".into());
+    table.insert("properties".into(), properties);
+    table.insert("additionalProperties".into(), false.into());
+    Value::Object(table)
+}
+
+/// The table with a key that must be there.
+fn required(mut table: Value, key: &str) -> Value {
+    table["required"] = json!([key]);
+    table
+}
+
 fn reference(kind: &str) -> Value {
     json!({ "$ref": format!("#/definitions/{kind}") })
 }
 
 fn graph() -> Value {
-    json!({
-        "description": "The graph as a whole.",
-        "type": "object",
-        "properties": {
+    closed(
+        &grammar::GRAPH,
+        "The graph as a whole.",
+        json!({
             "format": { "const": 1, "description": "The version of the graph format." },
             "name": { "type": "string", "description": "The graph's name, which a run's folder begins with. Default: the file's name." },
             "seed": { "type": "integer", "minimum": 0, "default": 0, "description": "Of everything random in a run." },
             "frames": { "type": "array", "items": { "type": "string" }, "description": "The frames that the graph may name; any if not given." },
             "lossy": { "type": "boolean", "default": false, "description": "Whether wires may lose items anywhere, not only directly after a live source." },
-        },
-        "additionalProperties": false,
-    })
+        }),
+    )
 }
 
 fn record() -> Value {
     let compression: Vec<_> = Compression::ALL.iter().map(|way| way.name()).collect();
-    json!({
-        "description": "What is recorded of a run.",
-        "type": "object",
-        "properties": {
+    closed(
+        &grammar::RECORD,
+        "What is recorded of a run.",
+        json!({
             "wires": {
                 "description": "The wires to record, by patterns: \"icp.*\", \"*.report\"; an output of a module by its name there.",
                 "anyOf": [{ "type": "array", "items": { "type": "string" } }, { "type": "string" }],
@@ -106,36 +128,33 @@ fn record() -> Value {
             "sources": { "enum": [true, false, "hash"], "default": true, "description": "Whether all outputs of sources are recorded as well; \"hash\" names their files instead." },
             "compression": { "enum": compression, "description": "How the recording is packed." },
             "views": { "type": "boolean", "default": true, "description": "Whether pictures for viewers are recorded beside the exact values." },
-        },
-        "additionalProperties": false,
-    })
+        }),
+    )
 }
 
 fn module() -> Value {
     let targets = json!({ "anyOf": [{ "type": "string" }, { "type": "array", "items": { "type": "string" } }] });
-    let entry = |to: &str, properties: Value| {
-        json!({ "anyOf": [{ "type": "string" }, { "type": "array", "items": { "type": "string" } }, {
-            "type": "object", "properties": properties, "required": [to], "additionalProperties": false,
-        }] })
+    let entry = |to: &str, table: Value| {
+        let texts = json!({ "type": "array", "items": { "type": "string" } });
+        json!({ "anyOf": [{ "type": "string" }, texts, required(table, to)] })
     };
     let doc = || json!({ "type": "string", "description": "What it is, for `osteoflow inspect`." });
-    json!({
-        "description": "What this file takes, gives and lets be set, when another graph uses it as a node.",
-        "type": "object",
-        "properties": {
+    closed(
+        &grammar::MODULE,
+        "What this file takes, gives and lets be set, when another graph uses it as a node.",
+        json!({
             "doc": doc(),
-            "inputs": { "type": "object", "description": "Inputs, and the ports within that each feeds.", "additionalProperties": entry("to", json!({
+            "inputs": { "type": "object", "description": "Inputs, and the ports within that each feeds.", "additionalProperties": entry("to", closed(&grammar::MODULE_INPUT, "", json!({
                 "to": targets, "doc": doc(), "optional": { "type": "boolean", "default": false },
-            })) },
-            "outputs": { "type": "object", "description": "Outputs, and the wire within that each is.", "additionalProperties": entry("from", json!({
+            }))) },
+            "outputs": { "type": "object", "description": "Outputs, and the wire within that each is.", "additionalProperties": entry("from", closed(&grammar::MODULE_OUTPUT, "", json!({
                 "from": { "type": "string" }, "doc": doc(),
-            })) },
-            "params": { "type": "object", "description": "Parameters, and the keys of nodes within that each sets.", "additionalProperties": entry("to", json!({
+            }))) },
+            "params": { "type": "object", "description": "Parameters, and the keys of nodes within that each sets.", "additionalProperties": entry("to", closed(&grammar::MODULE_PARAM, "", json!({
                 "to": targets, "doc": doc(), "default": {}, "required": { "type": "boolean", "default": false },
-            })) },
-        },
-        "additionalProperties": false,
-    })
+            }))) },
+        }),
+    )
 }
 
 fn sweep() -> Value {
@@ -145,19 +164,22 @@ fn sweep() -> Value {
     let keys = texts("Several keys that take the same value.");
     let two = |description: &str| json!({ "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2, "description": description });
     let numbers = |description: &str| json!({ "type": "object", "additionalProperties": { "type": "number" }, "description": description });
-    let compare = json!({
-        "type": "object",
-        "properties": {
-            "factor": { "type": "string", "description": "The factor whose values are compared." },
-            "to": { "description": "The value that the others are compared with. Default: the first." },
-            "margin": numbers("For columns: the largest difference that does not matter, for the test of equivalence."),
-        },
-        "required": ["factor"], "additionalProperties": false,
-    });
-    json!({
-        "description": "Which values `osteoflow sweep` runs the graph with, and which numbers it takes out of each run.",
-        "type": "object",
-        "properties": {
+    let compare = required(
+        closed(
+            &grammar::COMPARE,
+            "",
+            json!({
+                "factor": { "type": "string", "description": "The factor whose values are compared." },
+                "to": { "description": "The value that the others are compared with. Default: the first." },
+                "margin": numbers("For columns: the largest difference that does not matter, for the test of equivalence."),
+            }),
+        ),
+        "factor",
+    );
+    closed(
+        &grammar::SWEEP,
+        "Which values `osteoflow sweep` runs the graph with, and which numbers it takes out of each run.",
+        json!({
             "repeat": { "type": "integer", "minimum": 1, "default": 1, "description": "How often each setting is run: with the seeds graph.seed, +1, +2 and so on." },
             "same_seed": { "type": "boolean", "default": false, "description": "Whether all repeats have the graph's seed, so that only what is drawn tells them apart." },
             "units": texts("What is resampled and counted, the highest first: names of factors, and one name for the repeats."),
@@ -165,7 +187,7 @@ fn sweep() -> Value {
             "factor": {
                 "description": "What is varied by a list of values; the first varies slowest.",
                 "type": "object",
-                "additionalProperties": { "type": "object", "properties": {
+                "additionalProperties": closed(&grammar::FACTOR, "", json!({
                     "key": key, "keys": keys,
                     "values": { "type": "array", "description": "The values; a table sets keys of its own." },
                     "labels": texts("What stands in the tables for each value."),
@@ -173,47 +195,44 @@ fn sweep() -> Value {
                     "to": { "type": "number", "description": "The last of n values." },
                     "n": { "type": "integer", "minimum": 2, "description": "How many values, evenly spaced." },
                     "log": { "type": "boolean", "default": false, "description": "Whether they are evenly spaced in the logarithm." },
-                }, "additionalProperties": false },
+                })),
             },
             "draw": {
                 "description": "What is drawn anew for each repeat, the same under all factors.",
                 "type": "object",
-                "additionalProperties": { "type": "object", "properties": {
+                "additionalProperties": closed(&grammar::DRAW, "", json!({
                     "key": key, "keys": keys,
                     "uniform": two("Evenly from the first number to the second."),
                     "normal": two("Mean and standard deviation."),
                     "log_uniform": two("Evenly in the logarithm, from the first number to the second."),
                     "integers": two("A whole number from the first to the second, both included."),
                     "choice": { "type": "array", "minItems": 1, "description": "One of these." },
-                }, "additionalProperties": false },
+                })),
             },
             "columns": { "type": "object", "additionalProperties": { "type": "string" }, "description": "Columns of runs.csv, named with their unit, and where each stands in results.json." },
             "points": {
                 "description": "Lists of points for points.csv, named with their unit.",
                 "type": "object",
-                "additionalProperties": { "type": "object", "properties": {
+                "additionalProperties": required(closed(&grammar::POINTS, "", json!({
                     "from": { "type": "string", "description": "Where the list stands in results.json." },
                     "name": { "type": "string", "default": "name", "description": "The key of a point's name." },
                     "axes": texts("The keys of its values. Default: x, y, z."),
-                }, "required": ["from"], "additionalProperties": false },
+                })), "from"),
             },
-            "limit": numbers("For columns: the share of runs below is told."),
+            "limit": numbers("For columns: the share of runs below it is reported."),
             "compare": {
                 "description": "What is compared, paired by all that is not the factor; or a list of comparisons, each of another factor.",
                 "anyOf": [compare.clone(), { "type": "array", "items": compare }],
             },
-        },
-        "additionalProperties": false,
-    })
+        }),
+    )
 }
 
 /// What all kinds share.
 fn common(registry: &Registry) -> Map<String, Value> {
     let wire = json!({ "type": "string", "pattern": "^[^.]+\\..+$", "description": "The producer: \"node.port\"." });
     let input = |joins: &[&str]| {
-        json!({ "anyOf": [{ "$ref": "#/definitions/wire" }, {
-            "type": "object",
-            "properties": {
+        json!({ "anyOf": [{ "$ref": "#/definitions/wire" }, closed(&grammar::INPUT, "", json!({
                 "from": { "$ref": "#/definitions/wire" },
                 "join": { "enum": joins, "description": "How items are chosen for a firing. Default: as the kind declares it." },
                 "tolerance_ms": { "type": "number", "minimum": 0, "description": "With stamp: the largest difference of stamps." },
@@ -222,10 +241,8 @@ fn common(registry: &Registry) -> Map<String, Value> {
                 "capacity": { "type": "integer", "minimum": 1, "description": "How many items wait on the wire." },
                 "max_bytes": { "type": ["integer", "string"], "minimum": 1, "description": "How many bytes wait on the wire at most: a number, or a text such as \"64 MiB\"." },
                 "policy": { "enum": POLICIES, "description": "What happens to an item that finds the wire full." },
-                "every": { "type": "integer", "minimum": 1, "description": "With sample: every so manyth item is kept." },
-            },
-            "additionalProperties": false,
-        }] })
+                "every": { "type": "integer", "minimum": 1, "description": "With sample: one item in this many is kept." },
+            }))] })
     };
     let single: Vec<_> = JOINS.into_iter().filter(|join| *join != "collect").collect();
     let on_error =

@@ -1,19 +1,13 @@
 use super::{context::Check, schema::Walker};
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Graph, MODULE, Table, Value, header::Header, take},
+    graph::{Entry, Graph, MODULE, Table, Value, grammar, header::Header, take},
     names::nearest,
     plan::{OnError, PortFrames},
 };
 use osteoflow_node::{DeclaredPort, FrameExpr, Kind, OutputPorts, PortPayload, Role};
 use serde_json::{Map, Value as Json};
 use std::path::PathBuf;
-
-/// The keys of a node that are no parameters.
-pub(super) const RESERVED: [&str; 4] = ["kind", "in", "out", "on_error"];
-
-/// Names that `--set` and `remove` take for the parts of a graph file.
-const NO_NODE: [&str; 8] = ["graph", "node", "record", "results", "extends", "remove", "module", "plugins"];
 
 /// A node as far as its own table tells.
 pub(super) struct Draft<'a> {
@@ -98,7 +92,7 @@ impl<'r> Check<'r> {
         if !take::is_node_name(name) {
             let fault = Fault::new(format!("a node cannot be called {name:?}")).at(&entry.key_at, "no name");
             self.faults.push(fault.help("a name has letters, digits, _ and - only"));
-        } else if NO_NODE.contains(&name) {
+        } else if grammar::TOP.contains(&name) {
             let fault = Fault::new(format!("a node cannot be called \"{name}\"")).at(&entry.key_at, "taken");
             self.faults.push(fault.help("the name is a part of the graph file itself; choose another"));
         }
@@ -179,7 +173,7 @@ impl<'r> Check<'r> {
     fn params(&mut self, draft: &mut Draft<'_>, kind: &Kind) {
         let schema = &kind.description.params;
         let properties = schema.get("properties").and_then(Json::as_object).into_iter().flatten();
-        for (taken, _) in properties.filter(|(key, _)| RESERVED.contains(&key.as_str())) {
+        for (taken, _) in properties.filter(|(key, _)| grammar::NODE.contains(&key.as_str())) {
             let message =
                 format!("kind {} has a parameter \"{taken}\", which is a key of every node", draft.kind_name());
             let at = draft.table.get("kind").map_or(draft.name_at, |kind| &kind.value.at);
@@ -196,7 +190,7 @@ impl<'r> Check<'r> {
             faults: Vec::new(),
             input_files: Vec::new(),
         };
-        if let Some(params) = walker.table(schema, draft.table, draft.begins_at(), "", &RESERVED) {
+        if let Some(params) = walker.table(schema, draft.table, draft.begins_at(), "", &grammar::NODE) {
             draft.params = Json::Object(params);
         }
         self.faults.append(&mut walker.faults);

@@ -6,15 +6,11 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, Spanned, Table, Value, header::Header, take},
+    graph::{Entry, Spanned, Table, Value, grammar, header::Header, take},
     names::nearest,
     plan::Policy,
 };
 use osteoflow_node::{Join, PortPayload, Role};
-
-const KEYS: [&str; 9] = ["from", "capacity", "max_bytes", "policy", "every", "join", "tolerance_ms", "max_gap_ms", "n"];
-pub(crate) const JOINS: [&str; 6] = ["each", "stamp", "collect", "latest", "interpolate", "once"];
-pub(crate) const POLICIES: [&str; 5] = ["block", "drop_old", "drop_new", "sample", "fail"];
 
 impl Check<'_> {
     /// What an input's table says beside its producer: join, capacity, policy.
@@ -27,7 +23,7 @@ impl Check<'_> {
         header: &Header,
     ) {
         let Value::Table(table) = &entry.value.value else { return };
-        take::only(table, &KEYS, &format!("{owner}: an input"), &mut self.faults);
+        take::only(table, &grammar::INPUT, &format!("{owner}: an input"), &mut self.faults);
         self.join(input, table, owner, drafts);
         self.capacity(input, table, owner);
         self.policy(input, table, owner, drafts, header);
@@ -47,7 +43,7 @@ impl Check<'_> {
                 "stamp" => Join::Stamp { tolerance_ns: 0 },
                 "collect" => Join::Collect { n: None },
                 "interpolate" => Join::Interpolate { max_gap_ns: None },
-                _ => return self.faults.push(not_a_word(&what, &JOINS, found, &entry.value)),
+                _ => return self.faults.push(not_a_word(&what, &grammar::JOINS, found, &entry.value)),
             };
             if let Some(fault) = refuse_join(input, join, owner, &entry.value, drafts) {
                 self.faults.push(fault);
@@ -134,7 +130,7 @@ impl Check<'_> {
                 }
                 Policy::Sample(n.and_then(|n| u32::try_from(n).ok()).unwrap_or(1))
             }
-            _ => return self.faults.push(not_a_word(&what, &POLICIES, found, &entry.value)),
+            _ => return self.faults.push(not_a_word(&what, &grammar::POLICIES, found, &entry.value)),
         };
         if let Some(every) = every.filter(|_| found != "sample") {
             let message = format!("{owner}: every goes with policy = \"sample\", but the policy is \"{found}\"");

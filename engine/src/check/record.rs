@@ -5,7 +5,7 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Graph, Module, Value, take},
+    graph::{Graph, Module, Value, grammar, take},
     names::{glob, nearest},
     plan::{RecordSettings, Sources},
 };
@@ -26,7 +26,7 @@ impl Check<'_> {
         let mut patterns = Vec::new();
         let table = graph.table.get("record").and_then(|e| take::table(&e.value, "record", &mut self.faults));
         if let Some(table) = table {
-            take::only(table, &["wires", "sources", "compression", "views"], "[record]", &mut self.faults);
+            take::only(table, &grammar::RECORD, "[record]", &mut self.faults);
             if let Some(entry) = table.get("sources") {
                 match &entry.value.value {
                     Value::Bool(recorded) => sources = *recorded,

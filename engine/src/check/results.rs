@@ -5,7 +5,7 @@ use super::{
 };
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Graph, Value, take},
+    graph::{Entry, Graph, Value, grammar, take},
 };
 
 /// The key that the engine itself writes when a run is refused.
@@ -56,7 +56,7 @@ impl Check<'_> {
         let (mut all, mut optional) = (false, false);
         let from = match &entry.value.value {
             Value::Table(table) => {
-                take::only(table, &["from", "all", "optional"], &owner, &mut self.faults);
+                take::only(table, &grammar::RESULT, &owner, &mut self.faults);
                 for (key, slot) in [("all", &mut all), ("optional", &mut optional)] {
                     let value = table.get(key);
                     let value =

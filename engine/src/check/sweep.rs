@@ -10,7 +10,7 @@ pub use spec::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, 
 
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Spanned, Table, Value, take},
+    graph::{Entry, Spanned, Table, Value, grammar, take},
     names::nearest,
 };
 
@@ -32,9 +32,6 @@ pub(crate) fn read(table: &Table, faults: &mut Vec<Fault>) -> Option<Spec> {
     Reader { at: &entry.key_at, faults }.spec(table, results)
 }
 
-const KEYS: [&str; 10] =
-    ["repeat", "same_seed", "units", "pair", "factor", "draw", "columns", "points", "limit", "compare"];
-
 struct Reader<'a> {
     at: &'a Span,
     faults: &'a mut Vec<Fault>,
@@ -43,7 +40,7 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn spec(&mut self, table: &Table, mut results: Vec<String>) -> Option<Spec> {
         let before = self.faults.len();
-        take::only(table, &KEYS, "[sweep]", self.faults);
+        take::only(table, &grammar::SWEEP, "[sweep]", self.faults);
         let repeat = table.get("repeat").map_or(Some(1), |entry| {
             take::whole(&entry.value, "repeat", 1, MOST_RUNS as u64, self.faults).map(|n| n as usize)
         });
@@ -156,7 +153,7 @@ impl Reader<'_> {
     fn points(&mut self, entry: &Entry) -> Option<PointColumn> {
         let owner = format!("points \"{}\"", entry.key);
         let table = take::table(&entry.value, &owner, self.faults)?;
-        take::only(table, &["from", "name", "axes"], &owner, self.faults);
+        take::only(table, &grammar::POINTS, &owner, self.faults);
         let Some(from) = table.get("from") else {
             let help = "add from = \"metrics.tre_true_mm.points\", a list in results.json";
             self.fault(&entry.key_at, format!("{owner} does not say its list"), "no from", help);
@@ -294,7 +291,7 @@ impl Reader<'_> {
 
     fn compare(&mut self, value: &Spanned, factors: &[Factor], columns: &[Column]) -> Option<Compare> {
         let table = take::table(value, "compare", self.faults)?;
-        take::only(table, &["factor", "to", "margin"], "sweep.compare", self.faults);
+        take::only(table, &grammar::COMPARE, "sweep.compare", self.faults);
         let margins = self.numbers(table.get("margin"), "margin", columns);
         let name = table.get("factor").and_then(|e| take::text(&e.value, "compare: factor", self.faults));
         let factor = name.and_then(|name| factors.iter().find(|factor| factor.name == name));

@@ -1,12 +1,9 @@
-use super::{Table, Value, take};
+use super::{Table, Value, grammar, take};
 use crate::fault::{Fault, SourceText, Span};
 use std::sync::Arc;
 
 /// The version of the graph format that this crate reads.
 const FORMAT: u64 = 1;
-
-/// The tables and keys of a graph file.
-const TOP: [&str; 9] = ["graph", "node", "record", "results", "extends", "remove", "module", "plugins", "sweep"];
 
 /// What `[graph]` says.
 pub(crate) struct Header {
@@ -19,7 +16,7 @@ pub(crate) struct Header {
 
 /// The top level and `[graph]` of a graph file or a module's.
 pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault>) -> Header {
-    take::only(table, &TOP, "a graph file", faults);
+    take::only(table, &grammar::TOP, "a graph file", faults);
     let stem = main.name.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     let mut header = Header { name: stem.unwrap_or_default(), seed: 0, frames: None, lossy: false };
     let Some(entry) = table.get("graph") else {
@@ -29,7 +26,7 @@ pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault
         return header;
     };
     let Some(table) = take::table(&entry.value, "graph", faults) else { return header };
-    take::only(table, &["format", "name", "seed", "frames", "lossy"], "[graph]", faults);
+    take::only(table, &grammar::GRAPH, "[graph]", faults);
     match table.get("format") {
         None => {
             let fault = Fault::new("the graph file does not say its format").at(&entry.key_at, "no format here");

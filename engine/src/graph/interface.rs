@@ -1,16 +1,13 @@
 //! What a module declares: the inputs it takes, the outputs it gives and the parameters it has.
 
 use super::{
-    take,
+    grammar, take,
     tree::{Entry, Spanned, Table, Value},
 };
 use crate::{
     fault::{Fault, Span},
     names::nearest,
 };
-
-/// The keys of a node that uses a module, which no parameter of the module may be called.
-const RESERVED: [&str; 5] = ["kind", "file", "in", "out", "on_error"];
 
 /// The table `[module]` of a graph file.
 #[derive(Debug, Clone)]
@@ -60,13 +57,12 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
     let mut interface =
         Interface { at, doc: String::new(), inputs: Vec::new(), outputs: Vec::new(), params: Vec::new() };
     let Some(module) = take::table(&entry.value, "module", faults) else { return Some(interface) };
-    take::only(module, &["doc", "inputs", "outputs", "params"], "[module]", faults);
+    take::only(module, &grammar::MODULE, "[module]", faults);
     interface.doc = doc(module, "module", faults);
     for entry in entries(module, "inputs", "an input", faults) {
         let owner = format!("module input \"{}\"", entry.key);
         let table = long(entry, "to");
-        let keys = ["to", "doc", "optional"];
-        let Some(table) = known(&table, &keys, &owner, faults) else { continue };
+        let Some(table) = known(&table, &grammar::MODULE_INPUT, &owner, faults) else { continue };
         interface.inputs.push(Inlet {
             name: entry.key.clone(),
             name_at: entry.key_at.clone(),
@@ -78,7 +74,7 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
     for entry in entries(module, "outputs", "an output", faults) {
         let owner = format!("module output \"{}\"", entry.key);
         let table = long(entry, "from");
-        let Some(table) = known(&table, &["from", "doc"], &owner, faults) else { continue };
+        let Some(table) = known(&table, &grammar::MODULE_OUTPUT, &owner, faults) else { continue };
         let doc = doc(table, &owner, faults);
         match table.get("from") {
             Some(from) => {
@@ -94,14 +90,14 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
     }
     for entry in entries(module, "params", "a parameter", faults) {
         let owner = format!("module parameter \"{}\"", entry.key);
-        if RESERVED.contains(&entry.key.as_str()) {
+        if grammar::NODE.iter().chain(&grammar::MODULE_NODE).any(|key| *key == entry.key) {
             let fault = Fault::new(format!("a module's parameter cannot be called \"{}\"", entry.key));
             let fault = fault.at(&entry.key_at, "taken");
             faults.push(fault.help("it is a key of the node that uses the module; choose another name"));
             continue;
         }
         let table = long(entry, "to");
-        let Some(table) = known(&table, &["to", "doc", "default", "required"], &owner, faults) else { continue };
+        let Some(table) = known(&table, &grammar::MODULE_PARAM, &owner, faults) else { continue };
         let knob = Knob {
             name: entry.key.clone(),
             doc: doc(table, &owner, faults),

@@ -3,7 +3,7 @@
 use super::{
     edit::Edit,
     extends::{self, Chain},
-    header,
+    grammar, header,
     interface::{self, Inlet, Interface, Knob},
     merge::merge_nodes,
     plugins::NamedPlugin,
@@ -23,9 +23,6 @@ use std::{
 
 /// The kind of a node that uses a module.
 pub(crate) const KIND: &str = "module";
-
-/// The keys of such a node that are no parameters of the module.
-const KEYS: [&str; 3] = ["kind", "file", "in"];
 
 /// So many modules a graph may use: more than anybody writes, few enough to tell a file that holds itself many times.
 const MOST: usize = 1000;
@@ -304,7 +301,7 @@ impl User<'_> {
             faults.push(fault.note_if(none));
         }
         let knobs = || interface.params.iter().map(|knob| knob.name.as_str());
-        let is_known = |key: &str| KEYS.contains(&key) || knobs().any(|name| name == key);
+        let is_known = |key: &str| grammar::MODULE_NODE.contains(&key) || knobs().any(|name| name == key);
         for entry in self.table.0.iter().filter(|entry| !is_known(&entry.key)) {
             let key = entry.key.as_str();
             let fault = Fault::new(format!("node \"{node}\": module {file} has no parameter \"{key}\""));

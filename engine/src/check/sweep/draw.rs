@@ -6,17 +6,16 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, take},
+    graph::{Entry, grammar, take},
 };
 
 impl Reader<'_> {
     pub(super) fn draw(&mut self, entry: &Entry) -> Option<Draw> {
         let owner = format!("draw \"{}\"", entry.key);
         let table = take::table(&entry.value, &owner, self.faults)?;
-        const WAYS: [&str; 5] = ["uniform", "normal", "log_uniform", "integers", "choice"];
-        take::only(table, &[&["key", "keys"], &WAYS[..]].concat(), &owner, self.faults);
+        take::only(table, &grammar::DRAW, &owner, self.faults);
         let keys = self.keys(table, &owner, true);
-        let mut ways = WAYS.iter().filter_map(|way| table.get(way));
+        let mut ways = grammar::DISTRIBUTIONS.iter().filter_map(|way| table.get(way));
         let (Some(way), None) = (ways.next(), ways.next()) else {
             let help = "add one of uniform = [FROM, TO], normal = [MEAN, SD], log_uniform = [FROM, TO], integers = [FROM, TO], choice = [..]";
             self.fault(&entry.key_at, format!("{owner} needs one distribution"), "none, or more than one", help);

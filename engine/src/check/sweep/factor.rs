@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, Spanned, Table, Value, take},
+    graph::{Entry, Spanned, Table, Value, grammar, take},
 };
 use serde_json::Value as Json;
 
@@ -14,7 +14,7 @@ impl Reader<'_> {
     pub(super) fn factor(&mut self, entry: &Entry) -> Option<Factor> {
         let owner = format!("factor \"{}\"", entry.key);
         let table = take::table(&entry.value, &owner, self.faults)?;
-        take::only(table, &["key", "keys", "values", "labels", "from", "to", "n", "log"], &owner, self.faults);
+        take::only(table, &grammar::FACTOR, &owner, self.faults);
         let levels = match table.get("values") {
             Some(values) => self.listed(table, values, &owner)?,
             None => self.grid(table, entry, &owner)?,
