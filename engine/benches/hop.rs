@@ -1,17 +1,20 @@
-//! What the engine costs beside what it is made of: items through nodes, and the same items through bare channels of the
-//! same capacity, in one run. What each figure means stands in `docs/performance.md`.
+//! Cost of the engine compared with bare channels of the same capacity. `docs/performance.md` explains the figures.
 
 #[allow(dead_code, reason = "the test that counts allocations uses the rest")]
 mod graph;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 use divan::{Bencher, counter::ItemsCount};
-use graph::{CAPACITY, Megabyte, Number, chain, plan, registry};
+use graph::{CAPACITY, chain, plan};
 use osteoflow_engine::{
     plan::Plan,
     run::{RunOptions, run},
 };
 use osteoflow_node::{Body, Item, Registry, Value};
+use osteoflow_toy::{
+    Number,
+    stream::{Megabyte, registry, spin},
+};
 use serde_json::json;
 
 const ITEMS: u64 = 20_000;
@@ -21,7 +24,7 @@ fn main() {
     divan::main();
 }
 
-/// Runs the plan again and again; `n_hops` are counted for each item.
+/// Runs the plan repeatedly, counting `n_hops` per item.
 fn bench(bencher: Bencher<'_, '_>, registry: &Registry, plan: &Plan, workers: usize, n_items: u64, n_hops: usize) {
     let options = RunOptions { workers, ..RunOptions::default() };
     bencher
@@ -33,7 +36,7 @@ fn item(number: u64, value: &Value) -> Item {
     Item { number, stamp_ns: number as i64, body: Body::Value(value.clone()) }
 }
 
-/// So many threads in a row after the calling one, which sends; the last one only takes.
+/// Sends items from the calling thread through `n_hops` threads in a row.
 fn through_threads(n_hops: usize, n_items: u64, value: &Value) {
     let (ends, mut rest): (Vec<Sender<Item>>, Vec<Receiver<Item>>) = (0..n_hops).map(|_| bounded(CAPACITY)).unzip();
     let mut senders = ends.into_iter();
@@ -44,18 +47,18 @@ fn through_threads(n_hops: usize, n_items: u64, value: &Value) {
             scope.spawn(move || {
                 for item in rx {
                     match &tx {
-                        Some(tx) => tx.send(item).expect("the next thread takes it"),
+                        Some(tx) => tx.send(item).expect("the next thread receives it"),
                         None => drop(divan::black_box(item)),
                     }
                 }
             });
         }
-        (0..n_items).for_each(|number| first.send(item(number, value)).expect("the first thread takes it"));
+        (0..n_items).for_each(|number| first.send(item(number, value)).expect("the first thread receives it"));
         drop(first);
     });
 }
 
-/// The same items through bare channels on one thread.
+/// Sends items through `n_hops` bare channels on one thread.
 fn through_channels(n_hops: usize, n_items: u64, value: &Value) {
     let channels: Vec<_> = (0..n_hops).map(|_| bounded::<Item>(CAPACITY)).collect();
     for number in 0..n_items {
@@ -68,18 +71,18 @@ fn through_channels(n_hops: usize, n_items: u64, value: &Value) {
     }
 }
 
-/// One hop, eight times: items are counted per hop.
+/// Eight hops, counted separately.
 mod hop {
     use super::*;
 
-    /// The source alone: what its calls and the run itself cost, to be taken off.
+    /// The source alone, to be subtracted.
     #[divan::bench]
     fn source_alone(bencher: Bencher<'_, '_>) {
         let registry = registry();
         bench(bencher, &registry, &chain(&registry, "bench.count", ITEMS, "bench.relay", 0, 0), 1, ITEMS, 0);
     }
 
-    /// Nodes that hand on what they get.
+    /// Nodes that pass on their value.
     #[divan::bench(args = [1, 2])]
     fn hand_on(bencher: Bencher<'_, '_>, workers: usize) {
         let registry = registry();
@@ -87,7 +90,7 @@ mod hop {
         bench(bencher, &registry, &plan, workers, ITEMS, HOPS);
     }
 
-    /// Nodes that make a new payload, which is an allocation.
+    /// Nodes that make a new payload, with one allocation.
     #[divan::bench(args = [1, 2])]
     fn make_anew(bencher: Bencher<'_, '_>, workers: usize) {
         let registry = registry();
@@ -108,7 +111,7 @@ mod hop {
     }
 }
 
-/// Two nodes, one channel: what a second thread brings and costs where there is nothing to compute.
+/// Two nodes, one channel: effect of a second thread where there is nothing to compute.
 mod pair {
     use super::*;
 
@@ -126,7 +129,7 @@ mod pair {
     }
 }
 
-/// Ten nodes that compute for 20 µs each: items are counted per node, so that two cores give twice as many at best.
+/// Ten nodes that compute for 20 µs each, counted per node: two cores give at most twice the throughput.
 mod chain_of_10 {
     use super::*;
 
@@ -140,7 +143,7 @@ mod chain_of_10 {
         bench(bencher, &registry, &plan, workers, FEW, 10);
     }
 
-    /// A thread for each node.
+    /// One thread per node.
     #[divan::bench(sample_count = 10)]
     fn bare_channels_between_threads(bencher: Bencher<'_, '_>) {
         let value = Value::new(Number(1.0));
@@ -153,19 +156,19 @@ mod chain_of_10 {
                     let tx = senders.next();
                     scope.spawn(move || {
                         for item in rx {
-                            graph::spin(SPIN_US);
-                            tx.iter().for_each(|tx| tx.send(item.clone()).expect("the next thread takes it"));
+                            spin(SPIN_US);
+                            tx.iter().for_each(|tx| tx.send(item.clone()).expect("the next thread receives it"));
                         }
                     });
                 }
-                (0..FEW).for_each(|number| first.send(item(number, &value)).expect("the first thread takes it"));
+                (0..FEW).for_each(|number| first.send(item(number, &value)).expect("the first thread receives it"));
                 drop(first);
             });
         });
     }
 }
 
-/// One source, eight consumers: items are counted per consumer.
+/// One source and eight consumers, counted per consumer.
 mod fan_out_to_8 {
     use super::*;
 
@@ -187,7 +190,7 @@ mod fan_out_to_8 {
                     scope.spawn(move || rx.iter().for_each(|item| drop(divan::black_box(item))));
                 }
                 for number in 0..ITEMS {
-                    senders.iter().for_each(|tx| tx.send(item(number, &value)).expect("a thread takes it"));
+                    senders.iter().for_each(|tx| tx.send(item(number, &value)).expect("a thread receives it"));
                 }
                 drop(senders);
             });
@@ -195,7 +198,7 @@ mod fan_out_to_8 {
     }
 }
 
-/// A megabyte through ten nodes: items are counted per hop. Nothing of it is copied.
+/// A megabyte through ten nodes without a copy, counted per hop.
 mod megabyte_through_10 {
     use super::*;
 
@@ -208,7 +211,7 @@ mod megabyte_through_10 {
 
     #[divan::bench]
     fn bare_channels_on_one_thread(bencher: Bencher<'_, '_>) {
-        let value = Value::new(Megabyte::new());
+        let value = Value::new(Megabyte::filled());
         bencher.counter(ItemsCount::new(ITEMS * 10)).bench_local(|| through_channels(10, ITEMS, &value));
     }
 }

@@ -1,17 +1,18 @@
-//! What a hop costs on one worker in processor time, which other programs on the machine disturb less than a clock on
-//! the wall. Prints nanoseconds per hop, the fastest of many runs.
+//! Cost of a hop on one worker in processor time, which other programs disturb less than wall time. Prints nanoseconds per
+//! hop of the fastest of many runs.
 
 #[path = "../tests/plugins/build.rs"]
 mod build;
 #[allow(dead_code, reason = "the other benches use the rest")]
 mod graph;
 
-use graph::{chain, registry, sources};
+use graph::chain;
 use osteoflow_engine::{
     plugin::{Library, provide},
     run::{RunOptions, run},
 };
 use osteoflow_node::Registry;
+use osteoflow_toy::stream::{registry, sources};
 use rustix::time::{ClockId, clock_gettime};
 use std::path::Path;
 
@@ -25,7 +26,7 @@ fn thread_time() -> i64 {
     time.tv_sec * 1_000_000_000 + time.tv_nsec
 }
 
-/// What a hop through nodes of this kind costs, ns.
+/// Cost of a hop through nodes of this kind, ns.
 fn per_hop(registry: &Registry, kind: &str) -> f64 {
     let fastest = |n_nodes| {
         let plan = chain(registry, "bench.count", ITEMS, kind, n_nodes, 0);
@@ -40,7 +41,7 @@ fn per_hop(registry: &Registry, kind: &str) -> f64 {
     (many - few) as f64 / (ITEMS * HOPS as u64) as f64
 }
 
-/// The same kinds from a library.
+/// The sources, with the nodes of a library.
 fn loaded(library: &Path) -> Registry {
     let mut registry = sources();
     let library: &'static Library = Box::leak(Box::new(Library::load(library).expect("the library is a plugin")));
@@ -55,15 +56,12 @@ fn main() {
         plugins.push(("C", loaded(&c)));
     }
     let built_in = registry();
-    for (kind, what) in [("bench.relay", "handed on"), ("bench.next", "made anew")] {
+    for (kind, what) in [("bench.relay", "passed on"), ("bench.next", "new payload")] {
         let built_in_ns = per_hop(&built_in, kind);
         println!("{what}: {built_in_ns:.1} ns per hop");
         for (language, registry) in &plugins {
             let plugin_ns = per_hop(registry, kind);
-            println!(
-                "{what} by a plugin in {language}: {plugin_ns:.1} ns per hop, {:.1} more",
-                plugin_ns - built_in_ns
-            );
+            println!("{what}, plugin in {language}: {plugin_ns:.1} ns per hop, {:.1} more", plugin_ns - built_in_ns);
         }
     }
 }

@@ -1,19 +1,22 @@
-//! What recording costs: a megabyte thirty times a second, in processor time of the whole process, as a share of a core.
+//! Cost of recording a megabyte thirty times a second: processor time of the process, as a percentage of a core.
 //!
-//! Each case runs twice, with and without the recording; the difference is what recording costs. Processor time and not
-//! the clock on the wall: other programs disturb it less, and the writer's thread runs beside the nodes. The same bytes
-//! written bare into a file beside it show what of it is the operating system's.
+//! The cost is the difference between runs with and without a recording. Processor time, because other programs disturb it
+//! less than wall time, and because the writer has its own thread. Writing the same bytes to a plain file shows the share
+//! of the operating system.
 //!
-//! `cargo bench -p osteoflow-engine --bench record -- 20` plays 20 seconds of each case, by default 5.
+//! `cargo bench -p osteoflow-engine --bench record -- 20` runs 20 seconds of each case; the default is 5.
+
+#[allow(dead_code, reason = "the other benches use the rest")]
+mod graph;
 
 use osteoflow_container::Compression;
 use osteoflow_engine::{
-    plan::{Location, OnError, OutputId, Plan, PlanNode, PlanOutput, PortFrames, RecordSettings},
+    plan::{OutputId, Plan, RecordSettings},
     run::{RunOptions, run},
 };
 use osteoflow_node::{
-    Buffer, Column, ColumnType, Context, Describe, Display, NodeError, OutputPorts, Outputs, ParamError, Payload,
-    Registry, SchemaEntry, Source, StampNs, View, ViewError, schemars, serde, serde_json,
+    Buffer, Column, ColumnType, Context, Describe, Display, NodeError, Outputs, ParamError, Payload, Registry,
+    SchemaEntry, Source, StampNs, View, ViewError, schemars, serde, serde_json,
 };
 use std::{
     fs::File,
@@ -26,10 +29,10 @@ use std::{
 const PERIOD: Duration = Duration::from_nanos(1_000_000_000 / 30);
 /// 43 690 points of three numbers.
 const N_NUMBERS: usize = 3 * 43_690;
-/// So many different clouds follow each other.
+/// Number of different clouds.
 const N_CLOUDS: usize = 8;
 
-/// Points whose rows lie in one buffer.
+/// Points in one buffer.
 #[derive(Clone)]
 struct Cloud(Buffer);
 
@@ -64,7 +67,7 @@ impl Payload<Cloud> for Cloud {
         })
     }
 
-    /// As viewers are shown a cloud: metres, in 32 bits.
+    /// Metres in 32 bits, as viewers expect.
     fn to_display(&self, _: StampNs) -> Option<Vec<u8>> {
         let bytes: &[u8] = (*self.0).as_ref();
         let mut out = Vec::with_capacity(bytes.len() / 2);
@@ -76,7 +79,7 @@ impl Payload<Cloud> for Cloud {
     }
 }
 
-/// Gives a cloud thirty times a second.
+/// Gives thirty clouds a second.
 #[derive(Describe)]
 struct Camera {
     params: Params,
@@ -119,7 +122,7 @@ impl Source for Camera {
     }
 }
 
-/// A surface like a bone's seen from 300 mm, with a scanner's noise of 0.05 mm.
+/// A bone-like surface seen from 300 mm, with scanner noise of 0.05 mm.
 fn cloud(seed: u64) -> Cloud {
     let mut state = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let mut noise = || {
@@ -138,44 +141,14 @@ fn cloud(seed: u64) -> Cloud {
     Cloud(Arc::new(bytes))
 }
 
+/// A plan of a camera, recorded with `recording`.
 fn plan(registry: &Registry, n_items: u32, recording: Option<RecordSettings>) -> Plan {
-    let description = &registry.kind(Camera::KIND).expect("the kind is registered").description;
-    let OutputPorts::Fixed(ports) = &description.outputs else { unreachable!("the ports are fixed") };
-    let output = PlanOutput {
-        name: ports[0].name.into(),
-        payload: ports[0].payload,
-        frames: PortFrames::default(),
-        links: Vec::new(),
-    };
-    let node = PlanNode {
-        name: Arc::from("camera"),
-        kind: Camera::KIND.into(),
-        role: description.role,
-        location: Location { file: "bench.toml".into(), line: 1, column: 1 },
-        plugin: None,
-        params: serde_json::json!({ "n_items": n_items }),
-        files: Vec::new(),
-        declared: Arc::from([]),
-        inputs: Vec::new(),
-        outputs: vec![output],
-        on_error: OnError::Stop,
-    };
-    Plan {
-        name: "bench".into(),
-        seed: 1,
-        path: "bench.toml".into(),
-        nodes: vec![node],
-        links: Vec::new(),
-        record: recording.map(|_| OutputId { node: 0, port: 0 }).into_iter().collect(),
-        recording: recording.unwrap_or_default(),
-        results: Vec::new(),
-        input_files: Vec::new(),
-        plugins: Vec::new(),
-        resolved: String::new(),
-    }
+    let plan = graph::plan(registry, &[(Camera::KIND, serde_json::json!({ "n_items": n_items }), None)]);
+    let record = recording.map(|_| OutputId { node: 0, port: 0 }).into_iter().collect();
+    Plan { record, recording: recording.unwrap_or_default(), ..plan }
 }
 
-/// Processor time of this process with all its threads: in all, and without what the system did for it.
+/// Processor time of all threads of this process: total, and user mode only.
 #[derive(Clone, Copy)]
 struct Spent {
     all: Duration,
@@ -185,7 +158,7 @@ struct Spent {
 impl Spent {
     fn now() -> Self {
         let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-        // The fourteenth entry; the second, the program's name in brackets, may hold blanks.
+        // The fourteenth entry. The second one, the program name in brackets, may contain spaces.
         let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
         let ticks = stat.rsplit(')').next().and_then(|rest| rest.split_whitespace().nth(11)?.parse::<f64>().ok());
         let per_second = rustix::param::clock_ticks_per_second() as f64;
@@ -198,7 +171,7 @@ impl Spent {
     }
 }
 
-/// Processor time that `work` takes.
+/// Processor time of `work`.
 fn measured(work: impl FnOnce()) -> Spent {
     let before = Spent::now();
     work();
@@ -216,33 +189,33 @@ fn run_case(dir: &Path, n_items: u32, recording: Option<RecordSettings>) -> Spen
     measured(|| drop(run(&plan, &registry, &options, &()).expect("the camera runs")))
 }
 
-/// Writes and removes a file as large as what follows: where a virtual machine has never used its memory, the first use
-/// of each page is the host's work, ten times that of writing into it, and says nothing of recording.
+/// Writes and removes a file as large as the recording. In a virtual machine the first use of a page is ten times as
+/// expensive as writing to it, which is not a cost of recording.
 fn touch(dir: &Path, n_items: u32) {
     let path = dir.join("touched");
-    let mut file = File::create(&path).expect("the folder takes files");
-    (0..2 * n_items).for_each(|_| file.write_all(&vec![1; 1 << 20]).expect("the disk takes the bytes"));
+    let mut file = File::create(&path).expect("the folder is writable");
+    (0..2 * n_items).for_each(|_| file.write_all(&vec![1; 1 << 20]).expect("the disk has room"));
     drop(file);
     std::fs::remove_file(path).expect("the file was written");
 }
 
-/// The same bytes at the same times into a file, and nothing else.
+/// Writes the same bytes at the same times to a plain file.
 fn bare(dir: &Path, n_items: u32) -> Spent {
     let clouds: Vec<_> = (0..N_CLOUDS).map(|i| cloud(i as u64)).collect();
     touch(dir, n_items);
-    let mut file = File::create(dir.join("bare")).expect("the folder takes files");
+    let mut file = File::create(dir.join("bare")).expect("the folder is writable");
     measured(|| {
         let began = Instant::now();
         for n in 0..n_items {
             std::thread::sleep((began + PERIOD * n).saturating_duration_since(Instant::now()));
             let bytes: &[u8] = (*clouds[n as usize % N_CLOUDS].0).as_ref();
-            file.write_all(bytes).expect("the disk takes the bytes");
+            file.write_all(bytes).expect("the disk has room");
         }
     })
 }
 
 fn main() {
-    // `cargo test --benches` and `cargo bench` pass switches of their own.
+    // `cargo test --benches` and `cargo bench` add their own options.
     let seconds = std::env::args().skip(1).find_map(|argument| argument.parse().ok()).unwrap_or(5_u32);
     let n_items = 30 * seconds;
     let dir = tempfile::tempdir().expect("a temporary folder");
@@ -255,7 +228,7 @@ fn main() {
         println!("{what:<28}{:>12.2}{:>18.2}{mib_s:>12.1}", share(spent.all), share(spent.own));
     };
     row("run without recording", idle, 0.0);
-    row("bytes written bare", bare(dir.path(), n_items), 30.0);
+    row("plain file", bare(dir.path(), n_items), 30.0);
     for views in [false, true] {
         for compression in Compression::ALL {
             let settings = RecordSettings { compression, views, ..RecordSettings::default() };

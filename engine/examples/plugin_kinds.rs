@@ -1,15 +1,14 @@
-//! The kinds of `tests/plugins/kinds.rs` as a plugin: a test runs them loaded and built in, and holds both equal.
+//! The nodes of `osteoflow_toy::context` as a plugin: a test compares them with the built-in ones.
 
-#[path = "../tests/plugins/kinds.rs"]
-mod kinds;
+use osteoflow_toy::context;
 
 osteoflow_node::export!(
-    kinds::Count,
-    kinds::Always,
-    kinds::Declare,
-    kinds::Draw,
-    kinds::Clock,
-    kinds::Perhaps,
-    kinds::Four,
-    kinds::Panic,
+    context::Count,
+    context::Always,
+    context::Declare,
+    context::Draw,
+    context::Clock,
+    context::Perhaps,
+    context::Four,
+    context::Panic,
 );

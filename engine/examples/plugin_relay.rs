@@ -1,7 +1,5 @@
-//! Two kinds of the benches as a plugin: the very nodes that are built in there, loaded.
+//! Two nodes of `osteoflow_toy::stream` as a plugin: tests and benches compare them with the built-in ones.
 
-#[path = "../benches/graph/kinds.rs"]
-#[allow(dead_code, reason = "the sources stay in the program")]
-mod kinds;
+use osteoflow_toy::stream;
 
-osteoflow_node::export!(kinds::Relay, kinds::Next);
+osteoflow_node::export!(stream::Relay, stream::Next);

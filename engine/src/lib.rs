@@ -22,6 +22,8 @@ pub mod names;
 pub mod panics;
 mod partial;
 pub mod plan;
+#[cfg(test)]
+mod plan_builder;
 pub mod plugin;
 pub mod record;
 pub mod recording;
@@ -34,8 +36,6 @@ pub mod schema;
 pub mod store;
 pub mod sweep;
 mod sync;
-#[cfg(test)]
-mod toy;
 pub mod validate;
 pub mod watch;
 

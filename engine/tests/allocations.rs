@@ -1,20 +1,21 @@
-//! What a hop allocates: nothing, once every node has fired a few times. Counted by an allocator that counts, which is
-//! why these tests have a binary of their own.
+//! A hop does not allocate once every node has fired a few times. These tests install a counting allocator, so they have
+//! their own binary.
 
 #[allow(dead_code, reason = "the benches use the rest")]
 #[path = "../benches/graph/mod.rs"]
 mod graph;
 
-use graph::{Megabyte, chain, registry};
+use graph::chain;
 use osteoflow_engine::run::{Event, Observer, RunOptions, run};
 use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Registry, Value, schemars, serde,
 };
+use osteoflow_toy::stream::{Megabyte, registry};
 use std::sync::Mutex;
 
 const NODES: usize = 10;
 
-/// How often a run of so many items allocates.
+/// Number of allocations of a run with `n_items` items.
 fn allocations(registry: &Registry, source: &str, node: &str, n_items: u64) -> u64 {
     let plan = chain(registry, source, n_items, node, NODES, 0);
     let counted = allocation_counter::measure(|| {
@@ -23,10 +24,10 @@ fn allocations(registry: &Registry, source: &str, node: &str, n_items: u64) -> u
     counted.count_total
 }
 
-/// What a further item costs through the whole chain, when the run is long under way.
+/// Allocations per item through the whole chain, in a long run.
 fn allocations_per_item(source: &str, node: &str) -> f64 {
     let registry = registry();
-    // The first run of a process prepares what all share, such as the hook for panics.
+    // The first run of a process initializes shared state, such as the panic hook.
     allocations(&registry, source, node, 1);
     let (few, many) = (1_000, 5_000);
     let more = allocations(&registry, source, node, many) - allocations(&registry, source, node, few);
@@ -34,21 +35,21 @@ fn allocations_per_item(source: &str, node: &str) -> f64 {
 }
 
 #[test]
-fn a_hop_of_a_megabyte_that_is_handed_on_allocates_nothing() {
+fn passing_on_a_megabyte_does_not_allocate() {
     assert_eq!(allocations_per_item("bench.frames", "bench.relay"), 0.0);
 }
 
 #[test]
-fn a_node_that_makes_a_payload_costs_its_one_handle() {
-    // One for each of the ten nodes, and where the source makes a number too, one for that.
+fn making_a_payload_allocates_one_handle() {
+    // One per node, and one for the number of the source.
     assert_eq!(allocations_per_item("bench.frames", "bench.look"), 10.0);
     assert_eq!(allocations_per_item("bench.count", "bench.next"), 11.0);
 }
 
-/// Where the bytes lie that a sink was given.
+/// Addresses of the bytes that a sink received.
 static SEEN: Mutex<Vec<usize>> = Mutex::new(Vec::new());
 
-/// Notes where the bytes lie.
+/// Records the address of the bytes.
 #[derive(Describe)]
 struct Sink;
 
@@ -60,7 +61,7 @@ struct SinkIn {
 
 #[derive(Outputs)]
 struct SinkOut {
-    /// Whatever came.
+    /// The input.
     out: Value,
 }
 
@@ -105,7 +106,7 @@ fn a_megabyte_is_the_same_bytes_at_the_sink_as_at_the_source() {
     registry.node::<Sink>();
     for workers in [1, 2, 8] {
         SEEN.lock().expect("no test panics with it").clear();
-        // Half of the nodes hand the value on, half take the payload out of it and make a value again.
+        // Half of the nodes pass on the value, half take the payload out and make a new value.
         let mut nodes = vec![("bench.frames", serde_json::json!({ "items": 50 }), None)];
         nodes.push(("test.sink", serde_json::json!({}), Some(0)));
         for index in 1..=NODES {
@@ -118,7 +119,7 @@ fn a_megabyte_is_the_same_bytes_at_the_sink_as_at_the_source() {
         let options = RunOptions { workers, ..RunOptions::default() };
         run(&plan, &registry, &options, &fired).expect("the graph runs");
         let seen = SEEN.lock().expect("no test panics with it").clone();
-        // The sink beside the source and the one behind ten nodes: 50 items each, all of them the same bytes.
+        // 50 items each at the sink next to the source and at the one after ten nodes, all with the same bytes.
         assert_eq!(seen.len(), 100);
         assert!(seen.iter().all(|at| *at == seen[0]), "on {workers} workers");
         assert_eq!(*fired.0.lock().expect("no test panics with it"), 50 * (nodes.len() as u64));

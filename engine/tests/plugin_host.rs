@@ -1,12 +1,9 @@
-//! What a plugin's nodes ask of the program: the same kinds, loaded and built in, give the same answers, warnings,
-//! reasons and log lines.
+//! Host functions of plugins: the same nodes, loaded and built in, give the same answers, warnings, reasons and log lines.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 #[path = "plugins/build.rs"]
 #[allow(dead_code, reason = "other tests build in C, too")]
 mod build;
-#[path = "plugins/kinds.rs"]
-mod kinds;
 
 use osteoflow_engine::{
     Recording, ReplayOptions, RunOptions, RunReport, check_text,
@@ -14,6 +11,7 @@ use osteoflow_engine::{
     replay, run,
 };
 use osteoflow_node::{Registry, tracing};
+use osteoflow_toy::context::registry as built_in;
 use serde_json::Value;
 use std::{
     fmt::{Debug, Write},
@@ -21,17 +19,7 @@ use std::{
     sync::{Mutex, Once, OnceLock},
 };
 
-/// A registry with the kinds built in.
-fn built_in() -> Registry {
-    let mut registry = Registry::default();
-    registry.payload::<kinds::Number, _>().payload::<kinds::Words, _>();
-    registry.source::<kinds::Count>().source::<kinds::Always>().source::<kinds::Declare>();
-    registry.node::<kinds::Draw>().node::<kinds::Clock>().node::<kinds::Perhaps>();
-    registry.node::<kinds::Four>().node::<kinds::Panic>();
-    registry
-}
-
-/// A registry with the same kinds from the library.
+/// A registry with the nodes of [`osteoflow_toy::context`] from the library.
 fn loaded() -> Registry {
     static LIBRARY: OnceLock<Library> = OnceLock::new();
     listen();
@@ -44,33 +32,31 @@ fn loaded() -> Registry {
 
 const HEAD: &str = "[graph]\nformat = 1\nname = \"asks\"\nseed = 7\n\n[node.count]\nkind = \"ask.count\"\n\n";
 
-/// Runs what follows [`HEAD`] in a graph.
+/// Runs the graph of [`HEAD`] and `rest`.
 fn ran(registry: &Registry, rest: &str, options: &RunOptions) -> RunReport {
     let checked = check_text(&format!("{HEAD}{rest}"), Path::new("asks.toml"), &[], registry);
     let plan = checked.unwrap_or_else(|faults| panic!("{faults:?}")).plan;
     run(&plan, registry, options, &()).unwrap()
 }
 
-/// What a run says, apart from times.
-fn failure(report: &RunReport) -> String {
-    let said = format!("{}\n{:?}\n{:?}", report.results, report.warnings, report.outcome);
-    // The compiler names the file of a panic by the way it came to it.
-    said.replace("engine/examples/../tests", "engine/tests")
+/// Results, warnings and outcome of a run.
+fn format(report: &RunReport) -> String {
+    format!("{}\n{:?}\n{:?}", report.results, report.warnings, report.outcome)
 }
 
-/// The results of a graph, the same loaded and built in, on one worker and on four.
+/// Runs a graph with built-in nodes, and asserts that loaded ones give the same on one worker and on four.
 fn same(rest: &str) -> (RunReport, Value) {
     let expected = ran(&built_in(), rest, &RunOptions::default());
     for workers in [1, 4] {
         let found = ran(&loaded(), rest, &RunOptions { workers, ..RunOptions::default() });
-        assert_eq!(failure(&found), failure(&expected), "{workers} workers");
+        assert_eq!(format(&found), format(&expected), "{workers} workers");
     }
     let results = expected.results.clone();
     (expected, results)
 }
 
 #[test]
-fn draws_warnings_and_stamps_of_a_loaded_node_are_those_of_the_built_in_one() {
+fn draws_warnings_and_stamps_are_equal_loaded_and_built_in() {
     let (report, results) = same(
         "[node.draw]\nkind = \"ask.draw\"\nin = { number = \"count.number\" }\n\n[results]\ndrawn = { from = \"draw.out\", \
          all = true }\n",
@@ -81,7 +67,7 @@ fn draws_warnings_and_stamps_of_a_loaded_node_are_those_of_the_built_in_one() {
 }
 
 #[test]
-fn sources_of_a_plugin_give_constants_silence_and_empties_and_ports_that_the_graph_declares() {
+fn sources_of_a_plugin_give_constants_empties_silence_and_declared_ports() {
     let (_, results) = same(
         "[node.always]\nkind = \"ask.always\"\n\n[node.declare]\nkind = \"ask.declare\"\nout = { a = { type = \"ask/Number\", \
          value = 1.5 }, b = { type = \"ask/Number\", value = -2.0 } }\n\n[results]\nalways = \"always.out\"\na = \
@@ -92,7 +78,7 @@ fn sources_of_a_plugin_give_constants_silence_and_empties_and_ports_that_the_gra
 }
 
 #[test]
-fn optional_ports_get_their_reason_and_collecting_ones_their_numbers() {
+fn optional_ports_get_a_reason_and_collecting_ports_their_items() {
     let (_, results) = same(
         "[node.always]\nkind = \"ask.always\"\n\n[node.perhaps]\nkind = \"ask.perhaps\"\nin = { number = \"count.number\", \
          other = \"count.third\" }\n\n[node.four]\nkind = \"ask.four\"\nin = { numbers = \"count.number\", constant = \
@@ -105,7 +91,7 @@ fn optional_ports_get_their_reason_and_collecting_ones_their_numbers() {
 }
 
 #[test]
-fn a_panic_in_a_plugin_is_told_with_its_place_and_a_node_that_goes_on_is_built_anew() {
+fn a_panic_in_a_plugin_is_reported_with_its_location_and_a_skipped_node_is_rebuilt() {
     let graph = |on_error: &str| {
         format!(
             "[node.panic]\nkind = \"ask.panic\"\nin = {{ number = \"count.number\" }}\non_error = \"{on_error}\"\n\n[results]\n\
@@ -114,19 +100,19 @@ fn a_panic_in_a_plugin_is_told_with_its_place_and_a_node_that_goes_on_is_built_a
     };
     let (skipped, results) = same(&graph("skip"));
     let firings: Vec<_> = results["firings"].as_array().unwrap().iter().map(|f| f["value"].as_f64()).collect();
-    // The third firing panics and the fifth fails: each time the count begins again.
+    // A rebuilt node counts from 1 again.
     assert_eq!(firings.into_iter().flatten().collect::<Vec<_>>(), [1.0, 2.0, 3.0, 1.0, 1.0, 2.0, 3.0]);
     let failed = skipped.nodes.iter().find(|node| node.name == "panic").unwrap();
     assert_eq!(failed.failed, 2);
 
     let stopped = ran(&loaded(), &graph("stop").replace(", optional = true", ""), &RunOptions::default());
-    let told = format!("{:?}", stopped.outcome);
-    assert!(told.contains("three is a crowd") && told.contains("kinds.rs:"), "{told}");
-    assert!(told.contains("panicked: true"), "{told}");
+    let outcome = format!("{:?}", stopped.outcome);
+    assert!(outcome.contains("three is a crowd") && outcome.contains("context.rs:"), "{outcome}");
+    assert!(outcome.contains("panicked: true"), "{outcome}");
 }
 
 #[test]
-fn readings_of_the_clock_by_a_plugin_are_recorded_and_answered_in_a_replay() {
+fn clock_readings_of_a_plugin_are_recorded_and_replayed() {
     let dir = tempfile::tempdir().unwrap();
     let rest = "[node.clock]\nkind = \"ask.clock\"\nin = { number = \"count.number\" }\n\n[record]\nwires = [\"clock.*\"]\n\n\
                 [results]\nread = { from = \"clock.out\", all = true }\n";
@@ -169,8 +155,8 @@ impl tracing::Subscriber for Listener {
                 write!(self.0, " {field}={value:?}").unwrap();
             }
         }
-        let about = event.metadata();
-        let mut line = Fields(format!("{} {}:", about.level(), about.target()));
+        let metadata = event.metadata();
+        let mut line = Fields(format!("{} {}:", metadata.level(), metadata.target()));
         event.record(&mut line);
         LINES.lock().unwrap().push(line.0);
     }
@@ -180,14 +166,14 @@ impl tracing::Subscriber for Listener {
     fn exit(&self, _: &tracing::span::Id) {}
 }
 
-/// Hears what is logged from here on; before the library is started, which asks for the level once.
+/// Installs the listener. Call before loading the library, which reads the log level once.
 fn listen() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| tracing::subscriber::set_global_default(Listener).unwrap());
 }
 
 #[test]
-fn what_a_plugin_logs_is_in_the_log_of_the_program_with_its_target_and_fields() {
+fn log_lines_of_a_plugin_reach_the_program_with_target_and_fields() {
     ran(
         &loaded(),
         "[node.logged]\nkind = \"ask.draw\"\nin = { number = \"count.number\" }\n\n[results]\nlast = \"logged.out\"\n",

@@ -1,4 +1,4 @@
-//! Libraries built for these tests, loaded and run: in C by the system's compiler, in Rust as examples of this crate.
+//! Loads and runs plugins built for these tests: in C by the system compiler, in Rust as examples of this crate.
 
 #[path = "plugins/build.rs"]
 mod build;
@@ -6,16 +6,17 @@ mod build;
 #[allow(dead_code, reason = "the benches use the rest")]
 mod graph;
 
-use graph::{chain, registry, sources};
+use graph::chain;
 use osteoflow_engine::{
     plan::ResultEntry,
     plugin::{Library, provide},
     run::{Outcome, RunOptions, run},
 };
 use osteoflow_node::Registry;
+use osteoflow_toy::stream::{registry, sources};
 use std::path::Path;
 
-/// The sources of the benches, with the nodes of a library.
+/// The sources of [`osteoflow_toy::stream`], with the nodes of a library.
 fn with_library(path: &Path) -> Registry {
     let mut registry = sources();
     let library: &'static Library = Box::leak(Box::new(Library::load(path).expect("the library is a plugin")));
@@ -23,7 +24,7 @@ fn with_library(path: &Path) -> Registry {
     registry
 }
 
-/// What the last of three nodes in a row gives for the numbers 1 to 5.
+/// Output of the last of three nodes in a row for the numbers 1 to 5.
 fn last_number(registry: &Registry, kind: &str) -> serde_json::Value {
     let mut plan = chain(registry, "bench.count", 5, kind, 3, 0);
     plan.results = vec![ResultEntry {

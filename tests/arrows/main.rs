@@ -7,12 +7,13 @@ mod floors;
 use std::{collections::BTreeMap, fs, path::Path};
 
 /// Every crate of the workspace, where it lies, and the crates of the workspace that it may depend on.
-const ARROWS: [(&str, &str, &[&str]); 14] = [
+const ARROWS: [(&str, &str, &[&str]); 15] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
     ("osteoflow-container", "engine/container", &[]),
     ("osteoflow-engine", "engine", &["osteoflow-container", "osteoflow-node"]),
     ("osteoflow-draw", "engine/draw", &[]),
+    ("osteoflow-toy", "engine/toy", &["osteoflow-node"]),
     ("osteoflow-geometry", "nodes/geometry", &[]),
     ("osteoflow-algorithms", "nodes/algorithms", &["osteoflow-geometry"]),
     ("osteoflow-formats", "nodes/formats", &["osteoflow-container", "osteoflow-geometry"]),

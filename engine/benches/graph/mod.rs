@@ -1,8 +1,4 @@
-//! Kinds that do next to nothing, and plans made of them: for the benches, and for the test that counts allocations.
-
-mod kinds;
-
-pub(crate) use kinds::*;
+//! Plans of nodes that do almost nothing: for the benches, and for the test that counts allocations.
 
 use osteoflow_engine::plan::{
     Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, PortFrames, RecordSettings,
@@ -10,25 +6,10 @@ use osteoflow_engine::plan::{
 use osteoflow_node::{OutputPorts, Registry, serde_json};
 use std::sync::Arc;
 
-/// How many items wait on a wire, as where a graph says nothing.
+/// The default capacity of a wire.
 pub(crate) const CAPACITY: usize = 4;
 
-/// The sources and payloads, to which nodes may be added.
-pub(crate) fn sources() -> Registry {
-    let mut registry = Registry::default();
-    registry.payload::<Number, _>().payload::<Megabyte, _>();
-    registry.source::<Count>().source::<Frames>();
-    registry
-}
-
-/// All of the kinds.
-pub(crate) fn registry() -> Registry {
-    let mut registry = sources();
-    registry.node::<Relay>().node::<Next>().node::<Look>();
-    registry
-}
-
-/// A plan of nodes, each with its kind, its parameters and the node that feeds it.
+/// A plan of nodes, each with kind, parameters and the index of the node that feeds it.
 pub(crate) fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Option<usize>)]) -> Plan {
     let location = Location { file: "bench.toml".into(), line: 1, column: 1 };
     let mut links: Vec<Link> = Vec::new();
@@ -85,7 +66,7 @@ pub(crate) fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Optio
     }
 }
 
-/// A source of so many items and so many nodes in a row.
+/// A plan of a source and `n_nodes` nodes in a row.
 pub(crate) fn chain(registry: &Registry, source: &str, n_items: u64, node: &str, n_nodes: usize, spin_us: u64) -> Plan {
     let mut nodes = vec![(source, serde_json::json!({ "items": n_items }), None)];
     nodes.extend((0..n_nodes).map(|index| (node, serde_json::json!({ "spin_us": spin_us }), Some(index))));

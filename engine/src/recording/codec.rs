@@ -373,19 +373,19 @@ impl AsRef<[u8]> for Aligned {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::toy::{Number, Wave};
     use osteoflow_node::{Payload, Value};
+    use osteoflow_toy::{Number, Samples};
     use proptest::prelude::*;
 
     fn wave(samples: Vec<f64>) -> Item {
-        Item { number: 7, stamp_ns: -12, body: Body::Value(Value::new(Wave { label: "µ".into(), samples })) }
+        Item { number: 7, stamp_ns: -12, body: Body::Value(Value::new(Samples { label: "µ".into(), samples })) }
     }
 
     #[test]
     fn a_value_comes_back_with_number_stamp_and_columns() {
         let recorded = decode(&encode(&wave(vec![1.0, -0.0, f64::MIN_POSITIVE]))).unwrap();
         assert_eq!((recorded.number, recorded.stamp_ns), (7, -12));
-        let wave = Wave::from_view(recorded.body.as_ref().unwrap()).unwrap();
+        let wave = Samples::from_view(recorded.body.as_ref().unwrap()).unwrap();
         assert_eq!((wave.label.as_str(), wave.samples), ("µ", vec![1.0, -0.0, f64::MIN_POSITIVE]));
     }
 
@@ -402,7 +402,7 @@ mod tests {
             assert_eq!(line[..3].trim().parse(), Ok(written.len()), "{line}");
             written.extend(bytes(line));
         }
-        let wave = Wave { label: "hello".into(), samples: vec![1.5, -0.0] };
+        let wave = Samples { label: "hello".into(), samples: vec![1.5, -0.0] };
         let item = Item { number: 7, stamp_ns: 1000, body: Body::Value(Value::new(wave)) };
         assert_eq!(written, encode(&item));
     }
@@ -425,10 +425,10 @@ mod tests {
     #[test]
     fn on_a_wire_that_takes_anything_a_value_names_its_payload() {
         let recorded = decode(&encode_on(PortPayload::Any, &wave(vec![2.5]))).unwrap();
-        assert_eq!(recorded.payload, Some(("toy/Wave".into(), 2)));
-        let item = recorded.into_item(PayloadType::of::<Wave, _>()).unwrap();
+        assert_eq!(recorded.payload, Some(("toy/Samples".into(), 2)));
+        let item = recorded.into_item(PayloadType::of::<Samples, _>()).unwrap();
         let Body::Value(value) = item.body else { panic!("a value was recorded") };
-        assert_eq!(value.get::<Wave>().unwrap().samples, [2.5]);
+        assert_eq!(value.get::<Samples>().unwrap().samples, [2.5]);
     }
 
     #[test]

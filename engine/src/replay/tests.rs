@@ -1,10 +1,7 @@
 use super::*;
-use crate::{
-    plan::Policy,
-    run::run,
-    toy::{Toy, registry},
-};
+use crate::{plan::Policy, plan_builder::PlanBuilder, run::run};
 use osteoflow_node::Join;
+use osteoflow_toy::registry;
 use serde_json::json;
 
 /// Runs the plan into a folder and reads its recording.
@@ -22,7 +19,7 @@ fn again(plan: &Plan, recording: &Recording, changes: &ReplayOptions, workers: u
 /// A live source that gives more than a node with a time budget takes.
 fn overloaded() -> Plan {
     let calls: Vec<_> = (0..60).map(|i| json!({ "stamp_ns": 10 + i, "give": [[0, f64::from(i)]] })).collect();
-    Toy::new()
+    PlanBuilder::new()
         .source("scan", "toy.live", 1, json!({ "calls": calls }))
         .node("slow", "toy.add", json!({ "budget_us": 50, "most_looks": 1_000_000 }), &[("a", "scan.p0", None)])
         .node("after", "toy.add", json!({ "noise": true }), &[("a", "slow.out", None)])
@@ -68,7 +65,7 @@ fn a_source_that_fails_is_played_to_the_same_failure() {
         { "stamp_ns": 20, "give": [[1, 2.0]] },
         { "stamp_ns": 30, "give": [[0, 0.0]], "fail": "the cable was pulled" },
     ]);
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 2, calls)
         .node("sum", "toy.add", json!({}), &[("a", "scan.p0", None), ("b", "scan.p1", Some(Join::Latest))])
         .record(&["scan.p0", "scan.p1", "sum.out"])
@@ -89,7 +86,7 @@ fn a_source_that_fails_is_played_to_the_same_failure() {
 fn an_empty_of_a_node_upstream_keeps_its_name_when_it_is_played() {
     let dir = tempfile::tempdir().unwrap();
     let calls = json!([{ "stamp_ns": 10, "give": [[0, null]] }, { "stamp_ns": 20, "give": [[0, 2.0]] }]);
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 1, calls)
         .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
         .node("second", "toy.add", json!({}), &[("a", "first.out", None)])
@@ -108,7 +105,7 @@ fn an_empty_of_a_node_upstream_keeps_its_name_when_it_is_played() {
 fn a_wire_that_was_not_recorded_is_computed_from_the_nearest_that_was() {
     let dir = tempfile::tempdir().unwrap();
     let calls: Vec<_> = (1..9).map(|i| json!({ "stamp_ns": i, "give": [[0, i]] })).collect();
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 1, json!(calls))
         .node("a", "toy.add", json!({ "noise": true }), &[("a", "scan.p0", None)])
         .node("b", "toy.add", json!({ "noise": true }), &[("a", "a.out", None)])

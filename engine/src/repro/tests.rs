@@ -1,11 +1,12 @@
 use super::*;
 use crate::{
     plan::Plan,
+    plan_builder::PlanBuilder,
     run::{Outcome, RunReport, run},
     runtime::{Injected, Injection, RunOptions},
-    toy::{Toy, registry},
 };
 use osteoflow_node::Join;
+use osteoflow_toy::registry;
 use serde_json::{Value as Json, json};
 
 fn calls(numbers: &[f64]) -> Json {
@@ -28,7 +29,7 @@ fn again(report: &RunReport) -> ReproReport {
 
 #[test]
 fn an_item_with_an_absent_port_fails_again_with_the_same_words() {
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 1, calls(&[1.0, 13.0, 3.0]))
         .node("first", "toy.add", json!({ "noise": true }), &[("a", "scan.p0", None)])
         .result("x", "first.out", false, false)
@@ -47,7 +48,7 @@ fn an_item_with_an_absent_port_fails_again_with_the_same_words() {
 
 #[test]
 fn a_panic_comes_again_at_its_place() {
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 1, calls(&[666.0]))
         .node("first", "toy.add", json!({}), &[("a", "scan.p0", None), ("b", "scan.p0", Some(Join::Latest))])
         .result("x", "first.out", false, true)
@@ -58,7 +59,7 @@ fn a_panic_comes_again_at_its_place() {
     let again = again(&report);
     assert!(again.same, "{again:?}");
     let (place, message) = again.bundle.failure.place();
-    assert!(place.unwrap().starts_with("engine/src/toy.rs:") && message == "the beast of item 0");
+    assert!(place.unwrap().starts_with("engine/toy/src/arithmetic.rs:") && message == "the beast of item 0");
 }
 
 #[test]
@@ -66,7 +67,7 @@ fn a_list_with_empties_comes_back_whole() {
     let script = json!([
         { "stamp_ns": 1, "give": [[0, 1.0]] }, { "stamp_ns": 2, "give": [[0, null]] }, { "stamp_ns": 3, "give": [[0, 2.5]] },
     ]);
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 1, script)
         .node("all", "toy.some", json!({}), &[("all", "scan.p0", None)])
         .result("x", "all.out", false, false)
@@ -89,7 +90,7 @@ fn a_source_is_called_up_to_the_call_that_failed() {
         { "stamp_ns": 2, "give": [[0, 6.0]] },
         { "stamp_ns": 3, "give": [], "fail": "the file was cut short" },
     ]);
-    let toy = |script: Json| Toy::new().script("scan", 1, script).result("x", "scan.p0", false, false).plan();
+    let toy = |script: Json| PlanBuilder::new().script("scan", 1, script).result("x", "scan.p0", false, false).plan();
     let (_dir, report) = ran(&toy(script), Vec::new());
     let answer = again(&report);
     assert!(answer.same && answer.n_calls == 2 && answer.bundle.inputs.is_empty(), "{answer:?}");
@@ -103,7 +104,7 @@ fn a_source_is_called_up_to_the_call_that_failed() {
 
 #[test]
 fn of_many_failures_five_are_saved_and_all_are_counted() {
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 1, calls(&[vec![13.0; 250], vec![1.0]].concat()))
         .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
         .skip_errors("first")
@@ -121,7 +122,7 @@ fn of_many_failures_five_are_saved_and_all_are_counted() {
 
 #[test]
 fn of_many_warnings_a_hundred_are_listed_and_the_rest_counted() {
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 1, calls(&[99.0; 250]))
         .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
         .result("x", "first.out", false, false)
@@ -133,7 +134,7 @@ fn of_many_warnings_a_hundred_are_listed_and_the_rest_counted() {
 
 #[test]
 fn a_bundle_that_cannot_be_written_is_a_warning_and_hides_nothing() {
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 1, calls(&[13.0]))
         .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
         .result("x", "first.out", false, false)

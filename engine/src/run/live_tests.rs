@@ -6,10 +6,11 @@ use super::{
 };
 use crate::{
     plan::{OutputId, Policy},
+    plan_builder::PlanBuilder,
     recording::codec,
-    toy::{Gate, Number, Toy, registry},
 };
 use osteoflow_node::{ClockReading, Item, Join};
+use osteoflow_toy::{Gate, Number, registry};
 use serde_json::{Value as Json, json};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -22,10 +23,10 @@ use std::{
 /// Calls that give one number each: (stamp, port, number).
 type Given<'a> = &'a [(i64, usize, f64)];
 
-fn live(name: &str, n_ports: usize, given: Given<'_>, params: Json) -> Toy {
+fn live(name: &str, n_ports: usize, given: Given<'_>, params: Json) -> PlanBuilder {
     let mut params = params;
     params["calls"] = calls(given);
-    Toy::new().source(name, "toy.live", n_ports, params)
+    PlanBuilder::new().source(name, "toy.live", n_ports, params)
 }
 
 /// 135 samples of a marker before the one scan that lets `follow` begin.
@@ -129,7 +130,7 @@ fn a_live_source_that_fails_or_panics_refuses_the_run_as_any_node_does() {
     let panicking = json!({ "stamp_ns": 2, "give": [[0, 1.0]], "device": "panics" });
     for (last, expected) in [(failing, "the cable is out"), (panicking, "the device is on fire")] {
         let script = json!({ "calls": [{ "stamp_ns": 1, "give": [[0, 5.0]] }, last] });
-        let plan = Toy::new()
+        let plan = PlanBuilder::new()
             .source("scan", "toy.live", 1, script)
             .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
             .node("sum", "toy.sum", json!({}), &[("all", "scan.p0", None)])
@@ -161,7 +162,7 @@ fn an_interrupted_run_ends_although_a_source_waits_for_its_device() {
         let name = format!("{device} {workers}");
         let last = json!({ "stamp_ns": 2, "give": [[0, 1.0]], "device": name });
         let script = json!({ "calls": [{ "stamp_ns": 1, "give": [[0, 5.0]] }, last] });
-        let plan = Toy::new()
+        let plan = PlanBuilder::new()
             .source("scan", "toy.live", 1, script)
             .node("sink", "toy.add", json!({ "gate": format!("in {name}") }), &[("a", "scan.p0", None)])
             .result("pose", "sink.out", false, false)
@@ -196,7 +197,7 @@ fn a_live_source_that_falls_silent_is_reported_once_and_again_when_it_comes_back
         { "stamp_ns": 2, "give": [[0, 6.0]], "device": "silence" },
         { "stamp_ns": 3, "give": [[0, 7.0]] },
     ]);
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .source("scan", "toy.live", 1, json!({ "calls": calls, "silent_after_ms": 1 }))
         .node("sink", "toy.add", json!({}), &[("a", "scan.p0", None)])
         .result("all", "sink.out", true, false)

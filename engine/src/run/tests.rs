@@ -1,11 +1,12 @@
 use super::*;
 use crate::{
     plan::{OutputId, Policy},
+    plan_builder::PlanBuilder,
     recording::{Recording, codec},
     replay::{ReplayOptions, replay_plan},
-    toy::{Number, Toy, registry},
 };
 use osteoflow_node::{Item, Join};
+use osteoflow_toy::{Number, registry};
 use serde_json::{Value as Json, json};
 use std::{
     collections::BTreeMap,
@@ -70,7 +71,7 @@ fn parks() -> Plan {
     let mut script: Vec<_> = (0..135).map(|i| (i, 0, i as f64 + 0.25)).collect();
     script.push((135, 1, 1000.0));
     script.extend((136..200).map(|i| (i, 0, i as f64 + 0.25)));
-    Toy::new()
+    PlanBuilder::new()
         .script("recording", 2, calls(&script))
         .node("fit", "toy.add", json!({}), &[("a", "recording.p1", None)])
         .node(
@@ -122,7 +123,7 @@ fn progress_of_silent_ports_keeps_queues_short() {
     script.push((3000, 0, 300.0));
     script.push((3005, 1, 1000.0));
     script.push((3010, 0, 301.0));
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("recording", 2, calls(&script))
         .node(
             "to_world",
@@ -144,7 +145,7 @@ fn progress_passes_through_nodes_that_do_not_fire() {
     let mut script: Vec<_> = (0..300).map(|i| (i * 10, 0, i as f64)).collect();
     script.push((3000, 1, 1000.0));
     script.push((3010, 0, 302.0));
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("recording", 2, calls(&script))
         .node("crop", "toy.add", json!({}), &[("a", "recording.p1", None)])
         .node("smooth", "toy.add", json!({}), &[("a", "crop.out", None)])
@@ -158,9 +159,9 @@ fn progress_passes_through_nodes_that_do_not_fire() {
 }
 
 /// Three numbers through `first`, then `second`; `other` is a branch of its own.
-fn branches(numbers: [f64; 3], optional: bool) -> Toy {
+fn branches(numbers: [f64; 3], optional: bool) -> PlanBuilder {
     let script: Vec<_> = numbers.iter().zip(1..).map(|(x, stamp)| (stamp, 0, *x)).collect();
-    Toy::new()
+    PlanBuilder::new()
         .script("scan", 1, calls(&script))
         .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
         .node("second", "toy.add", json!({}), &[("a", "first.out", None)])
@@ -187,7 +188,7 @@ fn a_panic_is_the_nodes_error() {
     let report = check(&branches([666.0, 2.0, 3.0], false).plan());
     let refusal = refusal_of(&report);
     assert!(refusal.panicked && refusal.reason.ends_with("the beast of item 0"), "{}", refusal.reason);
-    assert!(refusal.reason.starts_with("panicked at engine/src/toy.rs:"), "{}", refusal.reason);
+    assert!(refusal.reason.starts_with("panicked at engine/toy/src/arithmetic.rs:"), "{}", refusal.reason);
 }
 
 #[test]
@@ -218,7 +219,7 @@ fn a_source_that_fails_leaves_what_it_gave_and_refuses_the_run() {
         { "stamp_ns": 1, "give": [[0, 5.0]] },
         { "stamp_ns": 2, "give": [], "fail": "the file was cut short" },
     ]);
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 1, script)
         .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
         .record(&["scan.p0", "first.out"])
@@ -231,7 +232,7 @@ fn a_source_that_fails_leaves_what_it_gave_and_refuses_the_run() {
 #[test]
 fn stamps_that_decrease_are_refused() {
     for (port, script) in [(0, [(5, 0, 1.0), (4, 0, 2.0)]), (1, [(5, 0, 1.0), (4, 1, 2.0)])] {
-        let plan = Toy::new().script("scan", 2, calls(&script)).result("x", "scan.p0", false, false).plan();
+        let plan = PlanBuilder::new().script("scan", 2, calls(&script)).result("x", "scan.p0", false, false).plan();
         let report = check(&plan);
         let said = &refusal_of(&report).reason;
         assert_eq!(*said, format!("output p{port} gave stamp 4 ns after 5 ns; stamps never decrease along a wire"));
@@ -240,7 +241,7 @@ fn stamps_that_decrease_are_refused() {
 
 #[test]
 fn a_second_item_on_a_constant_is_refused_and_the_wires_stay_the_same() {
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 2, calls(&[(1, 1, 7.0), (2, 0, 1.0), (3, 1, 8.0), (4, 0, 2.0)]))
         .node("add", "toy.add", json!({}), &[("a", "scan.p0", None), ("b", "scan.p1", Some(Join::Once))])
         .record(&["add.out"])
@@ -254,7 +255,7 @@ fn a_second_item_on_a_constant_is_refused_and_the_wires_stay_the_same() {
 
 #[test]
 fn a_result_that_never_came_names_the_wire_at_the_root_of_it() {
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("recording", 2, calls(&[(1, 0, 1.0)]))
         .node("hole", "toy.add", json!({}), &[("a", "recording.p1", None)])
         .node("coarse", "toy.sum", json!({}), &[("all", "hole.out", Some(Join::Collect { n: Some(3) }))])
@@ -268,7 +269,7 @@ fn a_result_that_never_came_names_the_wire_at_the_root_of_it() {
 
 #[test]
 fn a_missing_third_item_is_told_by_the_node_that_waited_for_it() {
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("recording", 1, calls(&[(1, 0, 1.0), (2, 0, 2.0)]))
         .node("coarse", "toy.sum", json!({}), &[("all", "recording.p0", Some(Join::Collect { n: Some(3) }))])
         .result("pose", "coarse.out", false, false)
@@ -279,7 +280,7 @@ fn a_missing_third_item_is_told_by_the_node_that_waited_for_it() {
 
 #[test]
 fn an_empty_of_the_node_itself_is_the_reason_where_it_is_the_last() {
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("recording", 1, calls(&[(1, 0, -1.0)]))
         .node("coarse", "toy.sum", json!({}), &[("all", "recording.p0", None)])
         .result("pose", "coarse.out", false, false)
@@ -295,7 +296,7 @@ fn in_a_list_an_empty_stands_as_what_is_unknown() {
         { "stamp_ns": 2, "give": [[0, null]] },
         { "stamp_ns": 3, "give": [[0, 6.0]] },
     ]);
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("marker", 1, script)
         .node("follow", "toy.add", json!({}), &[("a", "marker.p0", None)])
         .result("all", "follow.out", true, false)
@@ -308,7 +309,7 @@ fn in_a_list_an_empty_stands_as_what_is_unknown() {
 fn dropped_items_leave_empties_so_that_each_never_shifts() {
     let n = 40;
     let script: Vec<_> = (0..n).map(|i| (i, 0, i as f64 + 0.5)).collect();
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("live", 1, calls(&script))
         .node("fast", "toy.add", json!({}), &[("a", "live.p0", None)])
         .node("both", "toy.add", json!({}), &[("a", "live.p0", None), ("b", "fast.out", Some(Join::Each))])
@@ -332,7 +333,7 @@ fn dropped_items_leave_empties_so_that_each_never_shifts() {
 #[test]
 fn a_full_link_that_must_not_be_full_refuses_the_run() {
     let script: Vec<_> = (0..64).map(|i| (i, 0, i as f64 + 0.5)).collect();
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("live", 2, calls(&script))
         .node("hold", "toy.add", json!({}), &[("a", "live.p1", None)])
         .node("both", "toy.add", json!({}), &[("a", "live.p0", None), ("b", "hold.out", Some(Join::Once))])
@@ -348,7 +349,7 @@ fn a_full_link_that_must_not_be_full_refuses_the_run() {
 
 #[test]
 fn nodes_that_cannot_be_built_are_all_named_before_anything_runs() {
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 1, calls(&[(1, 0, 1.0)]))
         .node("first", "toy.add", json!({ "bad": true }), &[("a", "scan.p0", None)])
         .node("second", "toy.add", json!({ "bad": true }), &[("a", "first.out", None)])
@@ -381,7 +382,7 @@ impl Observer for Stop {
 fn an_interrupted_run_drains_and_leaves_whole_files_and_no_result() {
     for workers in [1, 8] {
         let script: Vec<_> = (1..1000).map(|i| (i, 0, 1.0)).collect();
-        let plan = Toy::new()
+        let plan = PlanBuilder::new()
             .script("scan", 1, calls(&script))
             .node("sum", "toy.sum", json!({}), &[("all", "scan.p0", None)])
             .record(&["scan.p0", "sum.out"])
@@ -479,7 +480,7 @@ fn a_recording_cut_short_gives_its_whole_chunks_and_says_so() {
 #[test]
 fn viewers_see_constants_at_the_first_time_of_the_run() {
     let dir = tempfile::tempdir().unwrap();
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("plan", 1, calls(&[(0, 0, 4.0)]))
         .script("scan", 1, calls(&[(5_000, 0, 1.0)]))
         .node("add", "toy.add", json!({}), &[("a", "scan.p0", None), ("b", "plan.p0", Some(Join::Once))])
@@ -529,7 +530,7 @@ pub(super) fn random_plan(seed: u64) -> Plan {
         state ^= state << 17;
         (state >> 33) % n
     };
-    let mut toy = Toy::new();
+    let mut toy = PlanBuilder::new();
     let mut wires = Vec::new();
     for source in ["s", "t"] {
         let mut now = 0;
@@ -614,7 +615,7 @@ fn random_graphs_give_the_same_however_threads_are_interleaved() {
 #[test]
 fn the_time_from_each_source_to_each_sink_is_measured_where_asked() {
     let script: Vec<_> = (1..50).map(|i| (i, 0, 1.0)).collect();
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 1, calls(&script))
         .script("plan", 1, calls(&[(0, 0, 1.0)]))
         .node("a", "toy.add", json!({}), &[("a", "scan.p0", None)])
@@ -638,7 +639,7 @@ fn the_time_from_each_source_to_each_sink_is_measured_where_asked() {
 
 #[test]
 fn warnings_of_nodes_and_items_without_partner_are_told() {
-    let plan = Toy::new()
+    let plan = PlanBuilder::new()
         .script("scan", 2, calls(&[(1, 0, 99.0), (2, 1, 1.0), (3, 0, 1.0)]))
         .node("add", "toy.add", json!({}), &[("a", "scan.p1", None), ("b", "scan.p0", Some(Join::Each))])
         .node("warns", "toy.add", json!({}), &[("a", "scan.p0", None)])

@@ -177,12 +177,12 @@ impl AnySource for Failing<Box<dyn AnySource>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::toy::Toy;
+    use crate::plan_builder::PlanBuilder;
     use serde_json::json;
 
     #[test]
     fn an_injection_is_read_and_a_wrong_one_is_told_with_the_nearest_name() {
-        let plan = Toy::new().script("scan", 1, json!([])).node("first", "toy.add", json!({}), &[]).plan();
+        let plan = PlanBuilder::new().script("scan", 1, json!([])).node("first", "toy.add", json!({}), &[]).plan();
         let read = |text: &str| Injection::parse(text, &plan).map(|i| i.to_string());
         assert_eq!(read("first").unwrap(), "first@0=panic");
         assert_eq!(read("scan@7=error").unwrap(), "scan@7=error");

@@ -1,6 +1,6 @@
 use super::*;
-use crate::toy::{Number, Wave};
 use osteoflow_node::Value;
+use osteoflow_toy::{Number, Samples};
 use proptest::prelude::*;
 use std::{ffi::OsString, time::Duration};
 
@@ -65,8 +65,8 @@ fn a_payload_is_known_by_its_bits() {
 fn a_payload_comes_back_over_the_bytes_of_the_entry_and_never_as_another() {
     let (store, _dir) = store(1 << 20);
     let samples: Vec<f64> = (0..10_000).map(f64::from).collect();
-    store.save(&key("wave"), &Wave { label: "µ".into(), samples: samples.clone() }).unwrap();
-    let wave = store.load::<Wave, _>(&key("wave")).unwrap();
+    store.save(&key("wave"), &Samples { label: "µ".into(), samples: samples.clone() }).unwrap();
+    let wave = store.load::<Samples, _>(&key("wave")).unwrap();
     assert_eq!((wave.label.as_str(), &wave.samples), ("µ", &samples));
     assert!(store.load::<Number, _>(&key("wave")).is_none());
     let entry = store.get(&key("wave")).unwrap();

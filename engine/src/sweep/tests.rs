@@ -1,5 +1,5 @@
 use super::*;
-use crate::toy::{n_fired, registry};
+use osteoflow_toy::{n_fired, registry};
 use serde_json::{Value as Json, json};
 use std::{fs, path::PathBuf};
 

@@ -1,11 +1,12 @@
 use super::*;
 use crate::{
     plan::{OnError, Policy},
+    plan_builder::PlanBuilder,
     recording::codec,
     run::{Outcome, run},
-    toy::{Toy, registry},
 };
 use osteoflow_node::Join;
+use osteoflow_toy::registry;
 use serde_json::{Value as Json, json};
 use std::sync::{Arc, atomic::AtomicBool};
 
@@ -50,7 +51,7 @@ const BASE: Variant = Variant {
 
 impl Variant {
     fn plan(&self) -> Plan {
-        let mut toy = Toy::new()
+        let mut toy = PlanBuilder::new()
             .script("scan", 2, calls(self.factor))
             .node("first", "toy.add", json!({ "noise": self.noise }), &[("a", "scan.p0", None)])
             .node("kept", self.kept, json!({}), &[("a", "first.out", None), ("b", "scan.p1", Some(self.join))]);

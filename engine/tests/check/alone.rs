@@ -1,7 +1,8 @@
-//! Parameters that only the command line gives.
+//! Parameters from the command line alone.
 
-use crate::{golden::compare, toy};
+use crate::golden::compare;
 use osteoflow_engine::check::{Given, parameters};
+use osteoflow_toy::stages;
 use serde_json::json;
 use std::path::Path;
 
@@ -10,13 +11,13 @@ fn option<'a>(option: &'a str, key: &'a str, value: &'a str) -> Given<'a> {
 }
 
 fn read(given: &[Given<'_>]) -> Result<serde_json::Value, String> {
-    let registry = toy::registry();
+    let registry = stages::registry();
     let kind = &registry.kind("icp.point_to_point").unwrap().description;
     parameters(kind, "register", given).map_err(|faults| faults.render(false))
 }
 
 #[test]
-fn what_is_not_given_has_its_default_and_what_comes_later_outranks() {
+fn missing_parameters_have_defaults_and_later_ones_take_precedence() {
     let plain = json!({ "max_iterations": 50, "max_pair_distance_mm": 5.0, "tolerance_rad": 1e-6 });
     assert_eq!(read(&[]).unwrap(), plain);
     let given = [

@@ -1,11 +1,11 @@
-use crate::toy;
 use osteoflow_engine::check_text;
+use osteoflow_toy::stages;
 use std::{fs, path::Path};
 
-/// Checks the text and renders whatever is wrong; a fault always says something and lies within the text.
+/// Checks the text and renders its faults; asserts that each has a message and a line within the text.
 fn survive(text: &str) {
     let path = Path::new("tests/graphs/everything.toml");
-    let faults = match check_text(text, path, &[], &toy::registry()) {
+    let faults = match check_text(text, path, &[], &stages::registry()) {
         Ok(checked) => osteoflow_engine::Faults(checked.warnings),
         Err(faults) => {
             assert!(!faults.0.is_empty(), "refused without a fault:\n{text}");
@@ -26,22 +26,22 @@ fn graph() -> String {
 }
 
 #[test]
-fn a_graph_cut_anywhere_is_survived() {
+fn a_truncated_graph_never_panics() {
     let text = graph();
     text.char_indices().for_each(|(end, _)| survive(&text[..end]));
 }
 
 #[test]
-fn a_graph_without_any_one_character_is_survived() {
+fn a_graph_without_one_character_never_panics() {
     let text = graph();
     for (at, c) in text.char_indices() {
         survive(&format!("{}{}", &text[..at], &text[at + c.len_utf8()..]));
     }
 }
 
-/// Every character at every place with `SLOW_TESTS`, else one at each place in turn.
+/// Inserts every character at every place with `SLOW_TESTS`, otherwise one character per place.
 #[test]
-fn a_graph_with_any_character_put_in_is_survived() {
+fn a_graph_with_an_inserted_character_never_panics() {
     let text = graph();
     let characters = ['"', '[', ']', '{', '}', '=', '.', ',', '\n', '#', 'ü', '-', '9', '\u{0}', '\''];
     let slow = std::env::var_os("SLOW_TESTS").is_some();
@@ -55,7 +55,7 @@ fn a_graph_with_any_character_put_in_is_survived() {
 }
 
 #[test]
-fn a_graph_without_any_one_line_or_with_it_twice_is_survived() {
+fn a_graph_with_a_removed_or_repeated_line_never_panics() {
     let text = graph();
     let lines: Vec<_> = text.lines().collect();
     for skipped in 0..lines.len() {
@@ -69,7 +69,7 @@ fn a_graph_without_any_one_line_or_with_it_twice_is_survived() {
 }
 
 #[test]
-fn settings_of_any_shape_are_survived() {
+fn arbitrary_settings_never_panic() {
     let text = graph();
     let values = ["", "=", "x", "[", "{", "\"", "1", "nan", "[1, 2]", "{ a = 1 }", "ü", "2020-01-01", "a.b", "'"];
     let keys = [
@@ -106,7 +106,7 @@ fn settings_of_any_shape_are_survived() {
         for value in values {
             for set in [format!("{key}={value}"), format!("{key}{value}"), format!(" {key} = {value} ")] {
                 let path = Path::new("tests/graphs/everything.toml");
-                if let Err(faults) = check_text(&text, path, &[set.clone(), set], &toy::registry()) {
+                if let Err(faults) = check_text(&text, path, &[set.clone(), set], &stages::registry()) {
                     assert!(!faults.render(true).is_empty());
                 }
             }

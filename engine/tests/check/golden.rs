@@ -1,8 +1,8 @@
-use crate::toy;
 use osteoflow_engine::{Faults, check};
+use osteoflow_toy::stages;
 use std::{fs, path::Path};
 
-/// Compares with the golden text beside a file, or writes it.
+/// Compares with the golden text, or writes it with `UPDATE=1`.
 pub(crate) fn compare(found: &str, golden: &Path) -> Result<(), String> {
     let found = found.replace(env!("CARGO_MANIFEST_DIR"), "$DIR");
     if std::env::var_os("UPDATE").is_some() {
@@ -13,10 +13,10 @@ pub(crate) fn compare(found: &str, golden: &Path) -> Result<(), String> {
     if expected == found {
         return Ok(());
     }
-    Err(format!("{} holds\n{expected}\nbut found\n{found}\n", golden.display()))
+    Err(format!("{}: expected\n{expected}\nbut found\n{found}\n", golden.display()))
 }
 
-/// What follows `# --set ` in the first lines of a graph.
+/// The settings in the first lines of a graph: `# --set key=value`.
 fn sets(text: &str) -> Vec<String> {
     text.lines()
         .map_while(|line| line.strip_prefix("# "))
@@ -27,7 +27,7 @@ fn sets(text: &str) -> Vec<String> {
 
 #[test]
 fn every_broken_graph_gives_its_exact_text() {
-    let registry = toy::registry();
+    let registry = stages::registry();
     let mut files: Vec<_> = fs::read_dir("tests/broken").unwrap().map(|e| e.unwrap().path()).collect();
     files.retain(|path| path.extension().is_some_and(|ext| ext == "toml"));
     files.sort();

@@ -1,4 +1,4 @@
-//! Every fault of a graph has its exact text; a good graph has its exact plan. `UPDATE=1` writes the texts anew.
+//! Golden tests of `check`: the exact message of each fault, and the plans of valid graphs. `UPDATE=1` rewrites them.
 
 #![allow(missing_docs, reason = "a test has no readers of its docs")]
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
@@ -8,4 +8,3 @@ mod damage;
 mod golden;
 mod modules;
 mod plans;
-mod toy;

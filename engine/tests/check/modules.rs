@@ -1,5 +1,5 @@
-use crate::toy;
 use osteoflow_engine::{CheckedFile, Faults, check, check_file, check_text, plan::Plan};
+use osteoflow_toy::stages;
 use std::{fs, path::Path};
 
 const HEAD: &str = r#"
@@ -16,11 +16,11 @@ path  = "../data/surface.txt"
 frame = "ct"
 "#;
 
-/// A graph that would stand in tests/broken, where the modules for tests are.
+/// The plan of a graph in tests/broken, the folder of the test modules.
 fn plan_with(text: &str, sets: &[&str]) -> Result<Plan, Faults> {
     let sets: Vec<_> = sets.iter().map(|set| set.to_string()).collect();
     let path = Path::new("tests/broken/graph.toml");
-    Ok(check_text(&format!("{HEAD}{text}"), path, &sets, &toy::registry())?.plan)
+    Ok(check_text(&format!("{HEAD}{text}"), path, &sets, &stages::registry())?.plan)
 }
 
 fn plan(text: &str, sets: &[&str]) -> Plan {
@@ -50,7 +50,7 @@ in   = { cloud = "rec.scan", target = "ct.target" }
 "#;
 
 #[test]
-fn a_module_is_the_same_as_its_nodes_written_out() {
+fn a_module_equals_its_expanded_nodes() {
     let module = plan(&format!("{FIT}[record]\nwires = [\"fit.report\"]\n[results]\npose = \"fit.pose\"\n"), &[]);
     let flat = plan(
         r#"
@@ -73,7 +73,7 @@ pose = "fit/icp.t_target_source"
 }
 
 #[test]
-fn parameters_reach_the_nodes_and_what_is_said_of_a_node_goes_before() {
+fn parameters_of_a_module_reach_its_nodes_and_those_of_a_node_take_precedence() {
     let distance = |plan: &Plan| params(plan, "fit/icp")["max_pair_distance_mm"].as_f64().unwrap();
     assert_eq!(distance(&plan(FIT, &[])), 4.0, "the module's default");
     assert_eq!(distance(&plan(&format!("{FIT}max_pair_distance_mm = 6"), &[])), 6.0);
@@ -97,7 +97,7 @@ fn lists_of_a_module_are_changed_item_by_item() {
 #[test]
 fn kinds_are_swapped_and_keys_removed_within_a_module() {
     let swapped = ["fit/icp.kind=icp.point_to_plane", "remove=[\"node.fit/icp.max_pair_distance_mm\"]"];
-    // The module's default of the parameter goes to the node, whose new kind does not know it.
+    // The default of the module's parameter goes to the node, whose new kind does not have it.
     let text = format!("{FIT}\n");
     let faults = plan_with(&text, &swapped).unwrap_err().to_string();
     assert!(faults.contains("icp.point_to_plane has no parameter \"max_pair_distance_mm\""), "{faults}");
@@ -106,7 +106,7 @@ fn kinds_are_swapped_and_keys_removed_within_a_module() {
 }
 
 #[test]
-fn modules_may_hold_modules_and_a_module_may_be_used_twice() {
+fn modules_nest_and_may_be_used_twice() {
     let plan = plan(
         r#"
 [node.one]
@@ -135,11 +135,11 @@ in   = { cloud = { from = "one/fit/crop.cloud", capacity = 9 }, target = "ct.tar
     let node = plan.nodes.iter().find(|node| &*node.name == "one/fit/icp").unwrap();
     assert_eq!(node.location.file, Path::new("tests/broken/modules/register.toml"));
     let into = plan.nodes.iter().find(|node| &*node.name == "two/crop").unwrap().inputs[0].link.unwrap();
-    assert_eq!(plan.links[into].capacity, 9, "what is said of a module's input is said of the ports it feeds");
+    assert_eq!(plan.links[into].capacity, 9, "a setting of a module's input applies to the ports that it feeds");
 }
 
 #[test]
-fn paths_in_a_module_are_relative_to_it_and_those_given_to_it_to_the_giver() {
+fn paths_are_relative_to_the_file_that_contains_them() {
     let dir = tempfile::tempdir().unwrap();
     fs::create_dir(dir.path().join("inner")).unwrap();
     let module = "[graph]\nformat = 1\n[module.outputs]\ntarget = \"a.target\"\n[module.params]\nother = \"a.other\"\n\
@@ -151,34 +151,35 @@ fn paths_in_a_module_are_relative_to_it_and_those_given_to_it_to_the_giver() {
     let text = "[graph]\nformat = 1\n[node.m]\nkind = \"module\"\nfile = \"inner/module.toml\"\nother = \"there.txt\"\n\
                 [results]\na = \"m/a.report\"\n";
     fs::write(&graph, text).unwrap();
-    let plan = check(&graph, &[], &toy::registry()).unwrap_or_else(|faults| panic!("{faults}")).plan;
+    let plan = check(&graph, &[], &stages::registry()).unwrap_or_else(|faults| panic!("{faults}")).plan;
     assert_eq!(plan.input_files, [dir.path().join("inner/here.txt"), dir.path().join("there.txt")]);
 }
 
 #[test]
 fn a_module_is_checked_alone_and_described() {
     let path = Path::new("tests/broken/modules/nested.toml");
-    let CheckedFile::Module(module) = check_file(path, &[], &toy::registry()).unwrap_or_else(|f| panic!("{f}")) else {
+    let CheckedFile::Module(module) = check_file(path, &[], &stages::registry()).unwrap_or_else(|f| panic!("{f}"))
+    else {
         panic!("a module")
     };
-    let told = serde_json::to_value(&module.description).unwrap();
+    let description = serde_json::to_value(&module.description).unwrap();
     let inputs: Vec<_> = module.description.inputs.iter().map(|i| (i.name.as_str(), i.payload, i.joins[0])).collect();
     assert_eq!(inputs, [("cloud", "toy/Cloud", "each"), ("target", "toy/Target", "once")]);
     let output = &module.description.outputs[0];
     assert_eq!((output.name.as_str(), output.payload, output.doc.as_str()), ("pose", "toy/Pose", "The fit."));
-    assert!(told["params"][0]["required"].as_bool().unwrap(), "{told}");
-    assert!(check(path, &[], &toy::registry()).is_err(), "it is no graph");
+    assert!(description["params"][0]["required"].as_bool().unwrap(), "{description}");
+    assert!(check(path, &[], &stages::registry()).is_err(), "it is no graph");
 }
 
 #[test]
-fn loss_is_allowed_by_the_graph_and_not_by_its_modules() {
+fn only_the_graph_may_allow_loss_not_its_modules() {
     let lossy = |source: &str, header: &str| {
         let text = format!(
             "[node.camera]\nkind = \"acquire.camera\"\n[node.fit]\nkind = \"module\"\nfile = \"modules/register.toml\"\n\
              in = {{ cloud = {{ from = \"{source}\", policy = \"drop_old\" }}, target = \"ct.target\" }}\n"
         );
         let text = format!("{HEAD}{text}").replace("seed = 7", header);
-        check_text(&text, Path::new("tests/broken/graph.toml"), &[], &toy::registry()).map(|_| ())
+        check_text(&text, Path::new("tests/broken/graph.toml"), &[], &stages::registry()).map(|_| ())
     };
     lossy("camera.cloud", "").unwrap_or_else(|faults| panic!("directly after a live source: {faults}"));
     lossy("rec.scan", "lossy = true").unwrap_or_else(|faults| panic!("{faults}"));

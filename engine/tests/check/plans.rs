@@ -1,15 +1,16 @@
-use crate::{golden::compare, toy};
+use crate::golden::compare;
 use osteoflow_engine::{Checked, check, check_recorded, check_text, plan::Plan};
+use osteoflow_toy::stages;
 use std::path::Path;
 
 const GRAPH: &str = "tests/graphs/everything.toml";
 
 fn checked(path: &str, sets: &[&str]) -> Checked {
     let sets: Vec<_> = sets.iter().map(|set| set.to_string()).collect();
-    check(Path::new(path), &sets, &toy::registry()).unwrap_or_else(|faults| panic!("{faults}"))
+    check(Path::new(path), &sets, &stages::registry()).unwrap_or_else(|faults| panic!("{faults}"))
 }
 
-/// The plan without where it was written.
+/// The plan as text, without locations.
 fn bare(mut plan: Plan) -> String {
     plan.path = "".into();
     let nowhere = || osteoflow_engine::plan::Location { file: "".into(), line: 0, column: 0 };
@@ -24,7 +25,7 @@ fn the_resolved_graph_is_checked_again_and_gives_an_equal_plan() {
         [&[][..], &["icp.kind=icp.point_to_plane", "remove=[\"node.icp.max_pair_distance_mm\"]", "graph.seed=9"][..]]
     {
         let plan = checked(GRAPH, sets).plan;
-        let again = check_text(&plan.resolved, Path::new("elsewhere.toml"), &[], &toy::registry());
+        let again = check_text(&plan.resolved, Path::new("elsewhere.toml"), &[], &stages::registry());
         let again = again.unwrap_or_else(|faults| panic!("{faults}\n{}", plan.resolved));
         assert_eq!(again.plan.resolved, plan.resolved);
         assert_eq!(bare(again.plan), bare(plan));
@@ -33,13 +34,13 @@ fn the_resolved_graph_is_checked_again_and_gives_an_equal_plan() {
 }
 
 #[test]
-fn the_resolved_graph_is_that_of_the_golden_text() {
+fn the_resolved_graph_matches_the_golden_text() {
     let plan = checked(GRAPH, &[]).plan;
     compare(&plan.resolved, Path::new("tests/graphs/everything.resolved.txt")).unwrap();
 }
 
 #[test]
-fn nodes_come_in_topological_order_and_otherwise_as_in_the_file() {
+fn nodes_are_in_topological_order_with_ties_in_file_order() {
     let plan = checked(GRAPH, &[]).plan;
     for link in &plan.links {
         assert!(link.from.node < link.to_node, "{} comes after its consumer", plan.wire_name(link.from));
@@ -82,7 +83,7 @@ fn a_setting_reaches_any_key() {
 }
 
 #[test]
-fn a_variant_is_its_base_with_a_few_lines_changed() {
+fn a_variant_changes_a_few_lines_of_its_base() {
     let base = checked(GRAPH, &[]).plan;
     let variant = checked("tests/graphs/variants/plane.toml", &[]).plan;
     let icp = |plan: &Plan| plan.nodes.iter().position(|node| &*node.name == "icp").unwrap();
@@ -105,7 +106,7 @@ fn a_variant_is_its_base_with_a_few_lines_changed() {
 }
 
 #[test]
-fn frames_go_along_the_wires() {
+fn frames_propagate_along_wires() {
     let plan = checked(GRAPH, &[]).plan;
     let of = |wire: &str| {
         let found = plan.nodes.iter().flat_map(|node| node.outputs.iter().map(move |output| (node, output)));
@@ -120,7 +121,7 @@ fn frames_go_along_the_wires() {
 }
 
 #[test]
-fn sources_are_recorded_and_what_the_patterns_name() {
+fn sources_and_matching_wires_are_recorded() {
     let plan = checked(GRAPH, &[]).plan;
     let names: Vec<_> = plan.record.iter().map(|id| plan.wire_name(*id)).collect();
     for wire in ["recording.scan", "camera.cloud", "ct_surface.target", "icp.report", "icp.t_target_source"] {
@@ -132,17 +133,17 @@ fn sources_are_recorded_and_what_the_patterns_name() {
 #[test]
 fn a_recorded_graph_needs_no_files() {
     let text = checked(GRAPH, &[]).plan.resolved.replace("surface.txt", "gone.txt");
-    assert!(check_text(&text, Path::new("run.toml"), &[], &toy::registry()).is_err());
-    check_recorded(&text, Path::new("run.toml"), &[], &toy::registry()).unwrap_or_else(|faults| panic!("{faults}"));
+    assert!(check_text(&text, Path::new("run.toml"), &[], &stages::registry()).is_err());
+    check_recorded(&text, Path::new("run.toml"), &[], &stages::registry()).unwrap_or_else(|faults| panic!("{faults}"));
 }
 
 #[test]
-fn faults_for_machines_say_file_line_and_column() {
+fn json_faults_have_file_line_and_column() {
     let faults = check_text(
         "[graph]\nformat = 1\n[node.a]\nkind = \"icp.point_to_plan\"\n",
         Path::new("graph.toml"),
         &[],
-        &toy::registry(),
+        &stages::registry(),
     );
     let json = faults.unwrap_err().to_json();
     let expected = serde_json::json!([{
@@ -159,17 +160,17 @@ fn faults_for_machines_say_file_line_and_column() {
 
 #[test]
 fn colours_are_for_terminals_only() {
-    let faults = check_text("[graph]\nformat = 2\n", Path::new("g.toml"), &[], &toy::registry()).unwrap_err();
+    let faults = check_text("[graph]\nformat = 2\n", Path::new("g.toml"), &[], &stages::registry()).unwrap_err();
     assert!(!faults.to_string().contains('\u{1b}'));
     assert!(faults.render(true).contains('\u{1b}'));
 }
 
 #[test]
-fn a_graph_file_that_is_not_there_is_named_with_the_one_that_was_meant() {
-    let faults = check(Path::new("tests/graphs/everythin.toml"), &[], &toy::registry()).unwrap_err();
+fn a_missing_graph_file_is_reported_with_the_nearest_name() {
+    let faults = check(Path::new("tests/graphs/everythin.toml"), &[], &stages::registry()).unwrap_err();
     let text = faults.to_string();
     assert!(text.contains("there is no graph file tests/graphs/everythin.toml"), "{text}");
     assert!(text.contains("did you mean \"everything.toml\"?"), "{text}");
-    let folder = check(Path::new("tests/graphs"), &[], &toy::registry()).unwrap_err().to_string();
+    let folder = check(Path::new("tests/graphs"), &[], &stages::registry()).unwrap_err().to_string();
     assert!(folder.contains("tests/graphs is a folder; a graph file is needed"), "{folder}");
 }

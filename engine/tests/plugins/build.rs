@@ -1,18 +1,18 @@
-//! Builds the plugins of tests and benches, of this crate and of the whole.
+//! Builds plugins for the tests and benches of the workspace.
 
 use std::{
     path::{Path, PathBuf},
     process::Command,
 };
 
-/// The workspace's folder, from whichever crate this stands in.
+/// The folder of the workspace, from any crate in it.
 fn root() -> &'static Path {
     let mut folders = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
     folders.find(|folder| folder.join("engine/node/include").is_dir()).expect("a crate of the workspace")
 }
 
-/// Compiles a C or C++ file, given from the workspace's folder, into a library; `false`, and a word on it, where there is
-/// no compiler.
+/// Compiles a C or C++ file, relative to the workspace, into a library. Prints a note and returns `false` if there is no
+/// compiler.
 pub(crate) fn compile(source: &Path, library: &Path, arguments: &[&str]) -> bool {
     let is_c = source.extension().is_some_and(|extension| extension == "c");
     let (compiler, standard) = if is_c { ("cc", "-std=c11") } else { ("c++", "-std=c++11") };
@@ -35,9 +35,9 @@ pub(crate) fn compile(source: &Path, library: &Path, arguments: &[&str]) -> bool
     }
 }
 
-/// The library of an example of the workspace, in the profile of whoever asks.
+/// The library of an example of the workspace, in the profile of the caller.
 pub(crate) fn example(name: &str) -> PathBuf {
-    // Its own file, deps/NAME-HASH, stands beside examples/.
+    // This executable is deps/NAME-HASH, next to examples/.
     let own = std::env::current_exe().expect("the process has a file");
     let target = own.parent().and_then(Path::parent).expect("in target/PROFILE/deps");
     let profile = match target.file_name().and_then(|name| name.to_str()) {
@@ -47,7 +47,7 @@ pub(crate) fn example(name: &str) -> PathBuf {
     };
     let built = Command::new(env!("CARGO"))
         .current_dir(root())
-        // With all of the workspace, so that nothing is compiled again with other features.
+        // For the whole workspace, so that nothing is recompiled with other features.
         .args(["build", "--profile", profile, "--workspace", "--example", name])
         .status()
         .expect("cargo runs");

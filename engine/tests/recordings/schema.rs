@@ -2,7 +2,7 @@
 
 use crate::{
     rewrite::{Layout, rewrite, rewrite_about},
-    toy::{Pass, Played, checked, record, registry},
+    toy::{checked, record, registry},
 };
 use osteoflow_engine::{
     ReplayOptions, RunOptions,
@@ -14,6 +14,7 @@ use osteoflow_engine::{
     validate::{ValidateReport, validate},
 };
 use osteoflow_node::{DynamicPayload, Registry};
+use osteoflow_toy::wave::{Pass, Played};
 use std::{fs, path::Path};
 
 const SAME: Layout = Layout { chunk_bytes: Some(4096), compression: None, shuffle: None, crc: true };

@@ -1,6 +1,7 @@
 use super::*;
 use crate::{
     plan::OutputId,
+    plan_builder::PlanBuilder,
     replay::{ReplayOptions, replay_plan},
     run::{Outcome, RunReport, run_with},
     runtime::{
@@ -9,9 +10,9 @@ use crate::{
         tap::{Replayed, Tap},
     },
     store::Settings,
-    toy::{Number, Toy, n_fired, registry},
 };
 use osteoflow_node::{StampNs, Value};
+use osteoflow_toy::{Number, n_fired, registry};
 use proptest::prelude::*;
 use serde_json::{Value as Json, json};
 use std::collections::BTreeMap;
@@ -39,7 +40,7 @@ fn store() -> (Arc<Store>, tempfile::TempDir) {
 fn plan(kind: &str, params: Json, numbers: &[f64], first_ns: StampNs) -> Plan {
     let calls = numbers.iter().zip(first_ns..);
     let calls: Json = calls.map(|(x, stamp_ns)| json!({ "stamp_ns": stamp_ns, "give": [[0, x]] })).collect();
-    Toy::new()
+    PlanBuilder::new()
         .script("scan", 1, calls)
         .node("node", kind, params, &[("a", "scan.p0", None)])
         .record(&["scan.p0", "node.out", "node.positive"])
@@ -141,7 +142,7 @@ fn an_optional_port_that_is_wired_later_gives_another_answer() {
     let wired = |with_b: bool| {
         let inputs = [("a", "scan.p0", None), ("b", "scan.p1", None)];
         let both = json!([{ "stamp_ns": 0, "give": [[0, 1.0], [1, 2.0]] }]);
-        let toy = Toy::new().script("scan", 2, both);
+        let toy = PlanBuilder::new().script("scan", 2, both);
         let n = if with_b { 2 } else { 1 };
         toy.node("node", "toy.kept", json!({ "counter": "optional" }), &inputs[..n]).plan()
     };

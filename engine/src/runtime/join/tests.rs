@@ -1,6 +1,6 @@
 use super::*;
-use crate::toy::Number;
 use osteoflow_node::Value;
+use osteoflow_toy::Number;
 use proptest::prelude::*;
 
 /// What a port is offered: an item with a stamp and a number, or an empty.

@@ -1,4 +1,4 @@
-/* Hands on what it gets: the very value, and a number one larger than the one that came. */
+/* Two nodes: one passes on its value, one adds one to a number. */
 #include "osteoflow.h"
 #include <stdlib.h>
 
@@ -11,7 +11,7 @@ static const osteoflow_part number_parts[] = {
 };
 
 static const osteoflow_payload payloads[] = {
-    { OSTEOFLOW_TEXT("bench/Number"), number_parts, 1, 1, 0 },
+    { OSTEOFLOW_TEXT("toy/Number"), number_parts, 1, 1, 0 },
 };
 
 static int32_t create(const osteoflow_kind *kind, const osteoflow_firing *firing, osteoflow_text params, void **node) {
@@ -51,20 +51,20 @@ static const osteoflow_output any_out[] = {
       OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT },
 };
 static const osteoflow_input number_in[] = {
-    { OSTEOFLOW_TEXT("number"), OSTEOFLOW_TEXT("A number."), OSTEOFLOW_TEXT("bench/Number"), 1, 0,
+    { OSTEOFLOW_TEXT("number"), OSTEOFLOW_TEXT("A number."), OSTEOFLOW_TEXT("toy/Number"), 1, 0,
       OSTEOFLOW_JOIN_EACH, 0, 0, OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT },
 };
 static const osteoflow_output number_out[] = {
-    { OSTEOFLOW_TEXT("out"), OSTEOFLOW_TEXT("One more."), OSTEOFLOW_TEXT("bench/Number"), 1, 0, OSTEOFLOW_NO_TEXT,
+    { OSTEOFLOW_TEXT("out"), OSTEOFLOW_TEXT("One more."), OSTEOFLOW_TEXT("toy/Number"), 1, 0, OSTEOFLOW_NO_TEXT,
       OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT },
 };
 
 static const osteoflow_kind kinds[] = {
-    { OSTEOFLOW_TEXT("bench.relay"), OSTEOFLOW_TEXT("Hands on the value it gets."),
+    { OSTEOFLOW_TEXT("bench.relay"), OSTEOFLOW_TEXT("Passes on its value."),
       OSTEOFLOW_TEXT("{\"type\": \"object\", \"properties\": {\"spin_us\": {\"type\": \"integer\", \"default\": 0}}}"),
       OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT, NULL, 0, any_in, 1, any_out, 1, OSTEOFLOW_ROLE_NODE, OSTEOFLOW_KEPT_NO,
       0, 0, NULL, create, relay, destroy, NULL, NULL },
-    { OSTEOFLOW_TEXT("bench.next"), OSTEOFLOW_TEXT("Makes a number one larger."),
+    { OSTEOFLOW_TEXT("bench.next"), OSTEOFLOW_TEXT("Adds one to a number."),
       OSTEOFLOW_TEXT("{\"type\": \"object\", \"properties\": {\"spin_us\": {\"type\": \"integer\", \"default\": 0}}}"),
       OSTEOFLOW_NO_TEXT, OSTEOFLOW_NO_TEXT, NULL, 0, number_in, 1, number_out, 1, OSTEOFLOW_ROLE_NODE,
       OSTEOFLOW_KEPT_NO, 0, 0, NULL, create, next, destroy, NULL, NULL },

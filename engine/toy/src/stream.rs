@@ -1,40 +1,22 @@
-//! The payloads and kinds themselves: built into benches and tests, and exported by `examples/plugin_relay.rs`.
+//! Nodes that do almost nothing, for measuring the engine.
 
+use crate::{Number, NumberIn, NumberOut};
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Payload, SchemaEntry, Source, Value, View,
-    ViewError, schemars, serde, serde_json,
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Payload, Registry, SchemaEntry, Source, Value,
+    View, ViewError, schemars, serde, serde_json,
 };
-use std::sync::Arc;
-
-/// A number.
-#[derive(Clone)]
-pub(crate) struct Number(pub(crate) f64);
-
-impl Payload<Number> for Number {
-    const NAME: &'static str = "bench/Number";
-    const VERSION: u32 = 1;
-    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::float("value")];
-
-    fn to_view(&self) -> View {
-        View::new().with("value", self.0)
-    }
-
-    fn from_view(view: &View) -> Result<Self, ViewError> {
-        Ok(Self(view.float("value")?))
-    }
-
-    fn to_result(&self) -> serde_json::Value {
-        self.0.into()
-    }
-}
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 /// A megabyte behind a handle.
 #[derive(Clone)]
-pub(crate) struct Megabyte(pub(crate) Arc<Vec<u8>>);
+pub struct Megabyte(pub Arc<Vec<u8>>);
 
 impl Megabyte {
-    /// One with something in it.
-    pub(crate) fn new() -> Self {
+    /// Bytes of a repeating pattern.
+    pub fn filled() -> Self {
         Self(Arc::new((0..1 << 20).map(|i: u32| i as u8).collect()))
     }
 }
@@ -49,7 +31,7 @@ impl Payload<Megabyte> for Megabyte {
     }
 
     fn from_view(_: &View) -> Result<Self, ViewError> {
-        Ok(Self::new())
+        Ok(Self::filled())
     }
 
     fn to_result(&self) -> serde_json::Value {
@@ -61,31 +43,27 @@ impl Payload<Megabyte> for Megabyte {
     }
 }
 
-/// How many items a source gives.
 #[derive(Default, serde::Deserialize, schemars::JsonSchema)]
 #[serde(default, crate = "serde")]
 #[schemars(crate = "schemars")]
-pub(crate) struct Items {
+pub struct Items {
+    /// Number of items.
     items: u64,
 }
 
-/// How long a firing computes.
 #[derive(Default, serde::Deserialize, schemars::JsonSchema)]
 #[serde(default, crate = "serde")]
 #[schemars(crate = "schemars")]
-pub(crate) struct Spin {
+pub struct Spin {
+    /// Computing time of a firing.
     spin_us: u64,
 }
 
-/// Counts up.
+/// Counts up from 1.
 #[derive(Describe)]
-pub(crate) struct Count(u64, u64);
-
-/// A number.
-#[derive(Outputs)]
-pub(crate) struct NumberOut {
-    /// The number.
-    out: Number,
+pub struct Count {
+    n: u64,
+    items: u64,
 }
 
 impl Source for Count {
@@ -94,25 +72,28 @@ impl Source for Count {
     type Outputs = NumberOut;
 
     fn new(params: Items) -> Result<Self, ParamError> {
-        Ok(Self(0, params.items))
+        Ok(Self { n: 0, items: params.items })
     }
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<NumberOut>, NodeError> {
-        self.0 += 1;
-        ctx.set_stamp_ns(self.0 as i64);
-        Ok((self.0 <= self.1).then_some(NumberOut { out: Number(self.0 as f64) }))
+        self.n += 1;
+        ctx.set_stamp_ns(self.n as i64);
+        Ok((self.n <= self.items).then_some(NumberOut { out: Number(self.n as f64) }))
     }
 }
 
-/// Gives the same megabyte again and again: a handle on it, made once.
-#[derive(Describe)]
-pub(crate) struct Frames(u64, u64, Value);
-
-/// Whatever it is.
 #[derive(Outputs)]
-pub(crate) struct AnyOut {
+pub struct AnyOut {
     /// A value.
     out: Value,
+}
+
+/// Gives handles on one megabyte.
+#[derive(Describe)]
+pub struct Frames {
+    n: u64,
+    items: u64,
+    megabyte: Value,
 }
 
 impl Source for Frames {
@@ -121,36 +102,35 @@ impl Source for Frames {
     type Outputs = AnyOut;
 
     fn new(params: Items) -> Result<Self, ParamError> {
-        Ok(Self(0, params.items, Value::new(Megabyte::new())))
+        Ok(Self { n: 0, items: params.items, megabyte: Value::new(Megabyte::filled()) })
     }
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<AnyOut>, NodeError> {
-        self.0 += 1;
-        ctx.set_stamp_ns(self.0 as i64);
-        Ok((self.0 <= self.1).then(|| AnyOut { out: self.2.clone() }))
+        self.n += 1;
+        ctx.set_stamp_ns(self.n as i64);
+        Ok((self.n <= self.items).then(|| AnyOut { out: self.megabyte.clone() }))
     }
 }
 
-/// Computes for so long.
-pub(crate) fn spin(us: u64) {
+/// Computes for `us` microseconds.
+pub fn spin(us: u64) {
     if us > 0 {
-        let began = std::time::Instant::now();
-        while began.elapsed().as_micros() < us.into() {
+        let began = Instant::now();
+        while began.elapsed() < Duration::from_micros(us) {
             std::hint::spin_loop();
         }
     }
 }
 
-/// Hands on the value it gets.
-#[derive(Describe)]
-pub(crate) struct Relay(Spin);
-
-/// Whatever it is.
 #[derive(Inputs)]
-pub(crate) struct AnyIn {
+pub struct AnyIn {
     /// A value.
     value: Value,
 }
+
+/// Passes on its value.
+#[derive(Describe)]
+pub struct Relay(Spin);
 
 impl Node for Relay {
     const KIND: &'static str = "bench.relay";
@@ -168,23 +148,21 @@ impl Node for Relay {
     }
 }
 
-/// Takes a megabyte and hands on the very same.
-#[derive(Describe)]
-pub(crate) struct Look;
-
-/// A megabyte.
 #[derive(Inputs)]
-pub(crate) struct MegabyteIn {
+pub struct MegabyteIn {
     /// The megabyte.
     megabyte: Megabyte,
 }
 
-/// The megabyte.
 #[derive(Outputs)]
-pub(crate) struct MegabyteOut {
+pub struct MegabyteOut {
     /// The megabyte.
     out: Megabyte,
 }
+
+/// Takes the payload out of its value and makes a value of it again.
+#[derive(Describe)]
+pub struct Look;
 
 impl Node for Look {
     const KIND: &'static str = "bench.look";
@@ -201,16 +179,9 @@ impl Node for Look {
     }
 }
 
-/// Makes a new number of the one it gets.
+/// Adds one to a number.
 #[derive(Describe)]
-pub(crate) struct Next;
-
-/// A number.
-#[derive(Inputs)]
-pub(crate) struct NumberIn {
-    /// A number.
-    number: Number,
-}
+pub struct Next;
 
 impl Node for Next {
     const KIND: &'static str = "bench.next";
@@ -225,4 +196,18 @@ impl Node for Next {
     fn process(&mut self, i: NumberIn, _: &mut Context) -> Result<NumberOut, NodeError> {
         Ok(NumberOut { out: Number(i.number.0 + 1.0) })
     }
+}
+
+/// Sources and payloads, to which nodes of a plugin can be added.
+pub fn sources() -> Registry {
+    let mut registry = Registry::default();
+    registry.payload::<Number, _>().payload::<Megabyte, _>();
+    registry.source::<Count>().source::<Frames>();
+    registry
+}
+
+pub fn registry() -> Registry {
+    let mut registry = sources();
+    registry.node::<Relay>().node::<Next>().node::<Look>();
+    registry
 }

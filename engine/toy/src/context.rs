@@ -1,14 +1,15 @@
-//! Kinds that ask for all that a context gives: built into the test, and exported by `examples/plugin_kinds.rs`.
+//! Nodes that use every function of a context: built in, and exported as a plugin by `examples/plugin_kinds.rs`.
 
+use crate::NoParams;
 use osteoflow_node::{
-    Context, Declared, Describe, Emission, Emit, Inputs, Node, NodeError, Outputs, ParamError, Payload, SchemaEntry,
-    Source, View, ViewError, rand::RngExt, schemars, serde, serde_json, tracing,
+    Context, Declared, Describe, Emission, Emit, Inputs, Node, NodeError, Outputs, ParamError, Payload, Registry,
+    SchemaEntry, Source, View, ViewError, rand::RngExt, schemars, serde, serde_json, tracing,
 };
 use std::time::Duration;
 
-/// A number, of which the program knows nothing but its description.
+/// A number that the program knows only by the schema of the plugin.
 #[derive(Clone)]
-pub(crate) struct Number(f64);
+pub struct Number(f64);
 
 impl Payload<Number> for Number {
     const NAME: &'static str = "ask/Number";
@@ -23,15 +24,15 @@ impl Payload<Number> for Number {
         Ok(Self(view.float("value")?))
     }
 
-    // As the program shows a payload of which it knows the description only.
+    // The result that the program derives from the schema.
     fn to_result(&self) -> serde_json::Value {
         serde_json::json!({ "value": self.0 })
     }
 }
 
-/// Words.
+/// Text that the program knows only by the schema of the plugin.
 #[derive(Clone)]
-pub(crate) struct Words(String);
+pub struct Words(String);
 
 impl Payload<Words> for Words {
     const NAME: &'static str = "ask/Words";
@@ -51,36 +52,27 @@ impl Payload<Words> for Words {
     }
 }
 
-/// Nothing to choose.
-#[derive(serde::Deserialize, schemars::JsonSchema)]
-#[serde(crate = "serde", deny_unknown_fields)]
-#[schemars(crate = "schemars")]
-pub(crate) struct NoParams {}
-
-/// A number goes in.
 #[derive(Inputs)]
-pub(crate) struct NumberIn {
+pub struct NumberIn {
     /// A number.
     number: Number,
 }
 
-/// A number comes out.
 #[derive(Outputs)]
-pub(crate) struct NumberOut {
+pub struct NumberOut {
     /// A number.
     out: Number,
 }
 
-/// Counts from 0 to 8, and says every third number a second time: the next port has nothing, or is silent.
+/// Counts from 0 to 8 and repeats every third number on a second port, which is empty or silent otherwise.
 #[derive(Describe)]
-pub(crate) struct Count(u32);
+pub struct Count(u32);
 
-/// What it counts.
 #[derive(Outputs)]
-pub(crate) struct CountOut {
+pub struct CountOut {
     /// Every number.
     number: Number,
-    /// Every third; of those between, one is empty and one is not said at all.
+    /// Every third number; of the others, one is empty and one silent.
     third: Emit<Number>,
 }
 
@@ -108,7 +100,7 @@ impl Source for Count {
 
 /// A constant.
 #[derive(Describe)]
-pub(crate) struct Always(bool);
+pub struct Always(bool);
 
 impl Source for Always {
     const KIND: &'static str = "ask.always";
@@ -126,18 +118,17 @@ impl Source for Always {
     }
 }
 
-/// What a declared port gives.
 #[derive(serde::Deserialize, schemars::JsonSchema)]
 #[serde(crate = "serde")]
 #[schemars(crate = "schemars")]
-pub(crate) struct PortParams {
-    /// The number.
+pub struct PortParams {
+    /// The number to give.
     value: f64,
 }
 
-/// Gives on each port that the graph declares what the graph says there, once, the ports one after the other.
+/// Gives the number of each declared port once, one port after the other.
 #[derive(Describe)]
-pub(crate) struct Declare(usize);
+pub struct Declare(usize);
 
 impl Source for Declare {
     const KIND: &'static str = "ask.declare";
@@ -157,9 +148,9 @@ impl Source for Declare {
     }
 }
 
-/// Draws from the generator; says what it drew, and warns of the third item.
+/// Draws from the generator, logs it, and warns at the third item.
 #[derive(Describe)]
-pub(crate) struct Draw;
+pub struct Draw;
 
 impl Node for Draw {
     const KIND: &'static str = "ask.draw";
@@ -173,7 +164,7 @@ impl Node for Draw {
 
     fn process(&mut self, i: NumberIn, ctx: &mut Context) -> Result<NumberOut, NodeError> {
         let drawn: f64 = ctx.rng().random();
-        // The second half of the bits of the third draw, by its place.
+        // The lower half of the third draw.
         let bits = f64::from(ctx.random(2) as u32);
         tracing::info!(target: "asks", item = ctx.item(), name = "draw", "drew once");
         tracing::debug!(target: "asks", "nobody listens to this");
@@ -184,9 +175,9 @@ impl Node for Draw {
     }
 }
 
-/// Reads the clock and looks at a budget until it is over.
+/// Reads the clock and checks a budget until it is over.
 #[derive(Describe)]
-pub(crate) struct Clock;
+pub struct Clock;
 
 impl Node for Clock {
     const KIND: &'static str = "ask.clock";
@@ -201,21 +192,20 @@ impl Node for Clock {
     fn process(&mut self, _: NumberIn, ctx: &mut Context) -> Result<NumberOut, NodeError> {
         let began_ns = ctx.clock_ns();
         let mut budget = ctx.budget(Duration::from_micros(200));
-        let mut n_looks = 0;
+        let mut n_checks = 0;
         while !budget.is_over() {
-            n_looks += 1;
+            n_checks += 1;
         }
-        Ok(NumberOut { out: Number((began_ns % 1_000_000_007) as f64 + f64::from(n_looks) / 16_777_216.0) })
+        Ok(NumberOut { out: Number((began_ns % 1_000_000_007) as f64 + f64::from(n_checks) / 16_777_216.0) })
     }
 }
 
-/// Says what its optional port brings, or why it brings nothing.
+/// Describes the input of its optional port, or why there is none.
 #[derive(Describe)]
-pub(crate) struct Perhaps;
+pub struct Perhaps;
 
-/// A number and perhaps another.
 #[derive(Inputs)]
-pub(crate) struct PerhapsIn {
+pub struct PerhapsIn {
     /// A number.
     number: Number,
     /// Another.
@@ -223,10 +213,9 @@ pub(crate) struct PerhapsIn {
     other: Option<Number>,
 }
 
-/// Words come out.
 #[derive(Outputs)]
-pub(crate) struct WordsOut {
-    /// What there was.
+pub struct WordsOut {
+    /// The description.
     out: Words,
 }
 
@@ -247,13 +236,12 @@ impl Node for Perhaps {
     }
 }
 
-/// Adds four at a time, and a constant.
+/// Sums four numbers at a time and a constant.
 #[derive(Describe)]
-pub(crate) struct Four;
+pub struct Four;
 
-/// Several numbers and a constant.
 #[derive(Inputs)]
-pub(crate) struct FourIn {
+pub struct FourIn {
     /// The numbers.
     #[port(join = "collect", n = 4)]
     numbers: Vec<Number>,
@@ -279,7 +267,7 @@ impl Node for Four {
 
 /// Counts its firings, panics at 3 and fails at 5.
 #[derive(Describe)]
-pub(crate) struct Panic(u32);
+pub struct Panic(u32);
 
 impl Node for Panic {
     const KIND: &'static str = "ask.panic";
@@ -299,4 +287,12 @@ impl Node for Panic {
         }
         Ok(NumberOut { out: Number(f64::from(self.0)) })
     }
+}
+
+pub fn registry() -> Registry {
+    let mut registry = Registry::default();
+    registry.payload::<Number, _>().payload::<Words, _>();
+    registry.source::<Count>().source::<Always>().source::<Declare>();
+    registry.node::<Draw>().node::<Clock>().node::<Perhaps>().node::<Four>().node::<Panic>();
+    registry
 }

@@ -1,16 +1,18 @@
-//! A small registry with one of everything that a check looks at.
-#![allow(dead_code, reason = "the nodes are described, never run")]
+//! Nodes with every feature that `check` examines. They are described and built, never run.
+#![allow(dead_code, reason = "the nodes are never run")]
 
+use crate::NoParams;
 use osteoflow_node::{
     Context, Declared, Describe, FilePath, Inputs, Node, NodeError, Outputs, ParamError, Payload, Registry,
     SchemaEntry, Source, Unused, Value, View, ViewError, schemars::JsonSchema, serde::Deserialize, serde::Serialize,
+    serde_json,
 };
 use std::collections::BTreeMap;
 
 macro_rules! payload {
     ($name:ident, $interpolates:expr) => {
         #[derive(Clone)]
-        pub(crate) struct $name;
+        pub struct $name;
 
         impl Payload<$name> for $name {
             const NAME: &'static str = concat!("toy/", stringify!($name));
@@ -44,7 +46,7 @@ macro_rules! params {
         #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
         #[schemars(crate = "osteoflow_node::schemars")]
         $(#[$meta])*
-        pub(crate) struct $name { $($body)* }
+        pub struct $name { $($body)* }
     };
 }
 
@@ -92,7 +94,7 @@ macro_rules! source {
 
 /// Plays a recording.
 #[derive(Describe)]
-pub(crate) struct Recording;
+pub struct Recording;
 
 params! {
     #[derive(Default)]
@@ -107,7 +109,7 @@ params! {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
-pub(crate) struct PortParams {
+pub struct PortParams {
     /// The topic of the recording.
     topic: String,
     /// Only every n-th message.
@@ -119,15 +121,10 @@ source!(Recording, "acquire.recording", false, RecordingParams, Declared<PortPar
 
 /// A camera that runs.
 #[derive(Describe)]
-pub(crate) struct Camera;
-
-params! {
-    #[derive(Default)]
-    struct NoParams {}
-}
+pub struct Camera;
 
 #[derive(Outputs)]
-pub(crate) struct CameraOut {
+pub struct CameraOut {
     /// What it sees.
     #[port(frame = "@camera")]
     cloud: Cloud,
@@ -137,7 +134,7 @@ source!(Camera, "acquire.camera", true, NoParams, CameraOut);
 
 /// Reads the surface.
 #[derive(Describe)]
-pub(crate) struct Surface;
+pub struct Surface;
 
 params! {
     #[derive(Default)]
@@ -152,7 +149,7 @@ params! {
 }
 
 #[derive(Outputs)]
-pub(crate) struct SurfaceOut {
+pub struct SurfaceOut {
     /// The prepared surface.
     #[port(frame = "$frame")]
     target: Target,
@@ -164,7 +161,7 @@ source!(Surface, "surface.read", false, true, SurfaceParams, SurfaceOut);
 
 /// Keeps what lies in a box.
 #[derive(Describe)]
-pub(crate) struct Crop;
+pub struct Crop;
 
 params! {
     struct CropParams {
@@ -206,7 +203,7 @@ impl Default for CropParams {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
-pub(crate) enum Keep {
+pub enum Keep {
     /// What lies in the box.
     Inside,
     /// What lies outside.
@@ -216,7 +213,7 @@ pub(crate) enum Keep {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
-pub(crate) enum Margin {
+pub enum Margin {
     All(f64),
     Each([f64; 3]),
 }
@@ -224,7 +221,7 @@ pub(crate) enum Margin {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "shape", rename_all = "snake_case", deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
-pub(crate) enum Region {
+pub enum Region {
     Sphere {
         /// Its radius.
         #[schemars(range(min = 1.0))]
@@ -254,13 +251,13 @@ impl Default for Round {
 }
 
 #[derive(Inputs)]
-pub(crate) struct CropIn {
+pub struct CropIn {
     /// What is cut.
     cloud: Cloud,
 }
 
 #[derive(Outputs)]
-pub(crate) struct CropOut {
+pub struct CropOut {
     /// What is left.
     #[port(frame = "cloud")]
     cloud: Cloud,
@@ -272,7 +269,7 @@ node!(Crop, "crop.box", CropParams, CropIn, CropOut);
 
 /// The same without a report.
 #[derive(Describe)]
-pub(crate) struct CropSphere;
+pub struct CropSphere;
 
 params! {
     struct SphereParams {
@@ -292,7 +289,7 @@ impl Default for SphereParams {
 }
 
 #[derive(Outputs)]
-pub(crate) struct CloudOut {
+pub struct CloudOut {
     /// What is left.
     #[port(frame = "cloud")]
     cloud: Cloud,
@@ -302,10 +299,10 @@ node!(CropSphere, "crop.sphere", SphereParams, CropIn, CloudOut);
 
 /// Brings a cloud into the frame that a pose leads to.
 #[derive(Describe)]
-pub(crate) struct Transform;
+pub struct Transform;
 
 #[derive(Inputs)]
-pub(crate) struct TransformIn {
+pub struct TransformIn {
     /// Is moved.
     cloud: Cloud,
     /// The motion.
@@ -314,7 +311,7 @@ pub(crate) struct TransformIn {
 }
 
 #[derive(Outputs)]
-pub(crate) struct TransformOut {
+pub struct TransformOut {
     /// The moved cloud.
     #[port(frame = "pose.to")]
     cloud: Cloud,
@@ -324,7 +321,7 @@ node!(Transform, "transform.apply", NoParams, TransformIn, TransformOut);
 
 /// Fine registration, by points.
 #[derive(Describe)]
-pub(crate) struct PointToPoint;
+pub struct PointToPoint;
 
 params! {
     struct IcpParams {
@@ -346,7 +343,7 @@ impl Default for IcpParams {
 }
 
 #[derive(Inputs)]
-pub(crate) struct IcpIn {
+pub struct IcpIn {
     /// Moves: the scanned surface, cropped.
     source: Cloud,
     /// Stays: the prepared surface.
@@ -358,7 +355,7 @@ pub(crate) struct IcpIn {
 }
 
 #[derive(Outputs)]
-pub(crate) struct IcpOut {
+pub struct IcpOut {
     /// The fit.
     #[port(to = "target", from = "source")]
     t_target_source: Pose,
@@ -370,7 +367,7 @@ node!(PointToPoint, "icp.point_to_point", IcpParams, IcpIn, IcpOut);
 
 /// Fine registration, by planes.
 #[derive(Describe)]
-pub(crate) struct PointToPlane;
+pub struct PointToPlane;
 
 params! {
     struct PlaneParams {
@@ -392,16 +389,16 @@ node!(PointToPlane, "icp.point_to_plane", PlaneParams, IcpIn, IcpOut);
 
 /// Several clouds as one.
 #[derive(Describe)]
-pub(crate) struct Merge;
+pub struct Merge;
 
 #[derive(Inputs)]
-pub(crate) struct MergeIn {
+pub struct MergeIn {
     /// The views.
     clouds: Vec<Cloud>,
 }
 
 #[derive(Outputs)]
-pub(crate) struct MergeOut {
+pub struct MergeOut {
     /// All of them.
     #[port(frame = "clouds")]
     cloud: Cloud,
@@ -411,10 +408,10 @@ node!(Merge, "cloud.merge", NoParams, MergeIn, MergeOut);
 
 /// Follows a marker.
 #[derive(Describe)]
-pub(crate) struct Follow;
+pub struct Follow;
 
 #[derive(Inputs)]
-pub(crate) struct FollowIn {
+pub struct FollowIn {
     /// The fit.
     #[port(join = "latest")]
     fit: Pose,
@@ -426,7 +423,7 @@ pub(crate) struct FollowIn {
 }
 
 #[derive(Outputs)]
-pub(crate) struct FollowOut {
+pub struct FollowOut {
     /// Where it is.
     pose: Pose,
 }
@@ -435,21 +432,21 @@ node!(Follow, "plane.follow", NoParams, FollowIn, FollowOut);
 
 /// Writes anything.
 #[derive(Describe)]
-pub(crate) struct Write;
+pub struct Write;
 
 #[derive(Inputs)]
-pub(crate) struct WriteIn {
+pub struct WriteIn {
     /// What is written.
     value: Value,
 }
 
 #[derive(Outputs)]
-pub(crate) struct WriteOut {}
+pub struct WriteOut {}
 
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
-pub(crate) struct WriteParams {
+pub struct WriteParams {
     /// The file's name in the run's folder.
     name: String,
 }
@@ -458,7 +455,7 @@ node!(Write, "output.write", WriteParams, WriteIn, WriteOut);
 
 /// A kind whose parameter has a name that every node needs.
 #[derive(Describe)]
-pub(crate) struct Greedy;
+pub struct Greedy;
 
 params! {
     #[derive(Default)]
@@ -470,7 +467,7 @@ params! {
 
 node!(Greedy, "output.greedy", GreedyParams, WriteIn, WriteOut);
 
-pub(crate) fn registry() -> Registry {
+pub fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Cloud, _>().payload::<Pose, _>().payload::<Target, _>().payload::<Report, _>();
     registry.source::<Recording>().source::<Camera>().source::<Surface>();

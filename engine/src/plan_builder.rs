@@ -1,0 +1,151 @@
+//! Plans for the unit tests of the engine.
+#![allow(clippy::unwrap_used)]
+
+use crate::plan::{Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, ResultEntry};
+use osteoflow_node::{
+    DeclaredPort, Join, OutputPorts, Payload, PortPayload, Source,
+    serde_json::{Value as Json, json},
+};
+use osteoflow_toy::{Number, Script, registry};
+use std::sync::Arc;
+
+/// Builds a plan of toy nodes without a graph file.
+pub(crate) struct PlanBuilder {
+    plan: Plan,
+}
+
+impl PlanBuilder {
+    pub(crate) fn new() -> Self {
+        Self {
+            plan: Plan {
+                name: "toy".into(),
+                seed: 7,
+                path: "toy.toml".into(),
+                nodes: Vec::new(),
+                links: Vec::new(),
+                record: Vec::new(),
+                recording: Default::default(),
+                results: Vec::new(),
+                input_files: Vec::new(),
+                plugins: Vec::new(),
+                resolved: "[graph]\nname = \"toy\"\n".into(),
+            },
+        }
+    }
+
+    /// A script with ports `p0`, `p1` ...
+    pub(crate) fn script(self, name: &str, n_ports: usize, calls: Json) -> Self {
+        self.source(name, Script::KIND, n_ports, json!({ "calls": calls }))
+    }
+
+    /// A source whose ports `p0`, `p1` ... the graph declares.
+    pub(crate) fn source(mut self, name: &str, kind: &str, n_ports: usize, params: Json) -> Self {
+        let ty = registry().payload_type(Number::NAME).unwrap();
+        let ports = (0..n_ports).map(|i| format!("p{i}"));
+        let declared = ports.clone().map(|name| DeclaredPort { name, payload: ty, params: json!({}) });
+        let outputs = ports.map(|name| PlanOutput {
+            name,
+            payload: PortPayload::Type(ty),
+            frames: Default::default(),
+            links: Vec::new(),
+        });
+        let (declared, outputs) = (declared.collect(), outputs.collect());
+        self.push(name, kind, params, declared, outputs, Vec::new());
+        self
+    }
+
+    /// A node; inputs are `port = "from.port"`, with a join of its own or the kind's.
+    pub(crate) fn node(mut self, name: &str, kind: &str, params: Json, inputs: &[(&str, &str, Option<Join>)]) -> Self {
+        let registry = registry();
+        let description = &registry.kind(kind).unwrap().description;
+        let OutputPorts::Fixed(ports) = &description.outputs else { panic!("{kind} declares its ports") };
+        let outputs = ports.iter().map(|p| PlanOutput {
+            name: p.name.into(),
+            payload: p.payload,
+            frames: Default::default(),
+            links: Vec::new(),
+        });
+        let (outputs, to_node) = (outputs.collect(), self.plan.nodes.len());
+        let mut plan_inputs = Vec::new();
+        for (to_port, port) in description.inputs.iter().enumerate() {
+            let mut port = port.clone();
+            let wired = inputs.iter().find(|(name, ..)| *name == port.name);
+            let link = wired.map(|(_, from, join)| {
+                port.join = join.unwrap_or(port.join);
+                let from = self.wire(from);
+                let link = self.plan.links.len();
+                self.plan.nodes[from.node].outputs[from.port].links.push(link);
+                let policy = Policy::Block;
+                self.plan.links.push(Link { from, to_node, to_port, capacity: 4, max_bytes: 1 << 20, policy });
+                link
+            });
+            plan_inputs.push(PlanInput { port, link });
+        }
+        self.push(name, kind, params, Arc::from([]), outputs, plan_inputs);
+        self
+    }
+
+    fn push(
+        &mut self,
+        name: &str,
+        kind: &str,
+        params: Json,
+        declared: Arc<[DeclaredPort]>,
+        outputs: Vec<PlanOutput>,
+        inputs: Vec<PlanInput>,
+    ) {
+        let role = registry().kind(kind).unwrap().description.role;
+        let location = Location { file: "toy.toml".into(), line: 10 + self.plan.nodes.len(), column: 1 };
+        let (name, kind) = (Arc::from(name), kind.to_owned());
+        self.plan.nodes.push(PlanNode {
+            name,
+            kind,
+            role,
+            location,
+            plugin: None,
+            params,
+            files: Vec::new(),
+            declared,
+            inputs,
+            outputs,
+            on_error: OnError::Stop,
+        });
+    }
+
+    pub(crate) fn wire(&self, name: &str) -> OutputId {
+        let (node, port) = name.split_once('.').unwrap();
+        let node = self.plan.nodes.iter().position(|n| &*n.name == node).unwrap();
+        let port = self.plan.nodes[node].outputs.iter().position(|o| o.name == port).unwrap();
+        OutputId { node, port }
+    }
+
+    /// Changes the link into the node's port.
+    pub(crate) fn link(mut self, to: &str, change: impl Fn(&mut Link)) -> Self {
+        let (node, port) = to.split_once('.').unwrap();
+        let node = self.plan.nodes.iter().position(|n| &*n.name == node).unwrap();
+        let input = self.plan.nodes[node].inputs.iter().find(|i| i.port.name == port).unwrap();
+        change(&mut self.plan.links[input.link.unwrap()]);
+        self
+    }
+
+    pub(crate) fn skip_errors(mut self, node: &str) -> Self {
+        self.plan.nodes.iter_mut().filter(|n| &*n.name == node).for_each(|n| n.on_error = OnError::Skip);
+        self
+    }
+
+    pub(crate) fn record(mut self, wires: &[&str]) -> Self {
+        self.plan.record = wires.iter().map(|w| self.wire(w)).collect();
+        self
+    }
+
+    pub(crate) fn result(mut self, key: &str, wire: &str, all: bool, optional: bool) -> Self {
+        let location = Location { file: "toy.toml".into(), line: 90, column: 1 };
+        let from = self.wire(wire);
+        self.plan.results.push(ResultEntry { key: key.into(), from, all, optional, location });
+        self
+    }
+
+    pub(crate) fn plan(self) -> Plan {
+        self.plan
+    }
+}
