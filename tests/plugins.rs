@@ -1,4 +1,4 @@
-//! Plugins from the graph to the recording: found, looked at, run, rebuilt, refused. They are compiled here, from C.
+//! Plugins: found, inspected, run, rebuilt, recorded and refused. The tests compile them from C.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 #![cfg(unix)]
 
@@ -17,7 +17,7 @@ use std::{
     time::Duration,
 };
 
-/// So long a test waits for a line before it fails instead of hanging.
+/// Time after which a test that waits for a line fails.
 const LIMIT: Duration = Duration::from_secs(120);
 
 const GRAPH: &str = r#"
@@ -39,11 +39,11 @@ wires = ["*"]
 sum = "add.sum"
 "#;
 
-/// A folder with a graph and what was compiled for it.
+/// A folder with a graph and the plugins compiled for it.
 struct Folder(tempfile::TempDir);
 
 impl Folder {
-    /// With `graph.toml` of this text; `None` where there is no C compiler.
+    /// A folder with this `graph.toml`; `None` if there is no C compiler.
     fn new(graph: &str) -> Option<Self> {
         if let Err(error) = Command::new("cc").arg("--version").output() {
             println!("skipped: there is no C compiler here: {error}");
@@ -58,7 +58,7 @@ impl Folder {
         self.0.path().join(name)
     }
 
-    /// Compiles a C file of tests/plugins; the library takes its place at once.
+    /// Compiles a C file of tests/plugins and replaces the library atomically.
     fn compile(&self, source: &str, library: &str, arguments: &[&str]) -> PathBuf {
         let (library, made) = (self.path(library), self.path("made"));
         fs::create_dir_all(library.parent().unwrap()).unwrap();
@@ -79,7 +79,7 @@ impl Folder {
         command
     }
 
-    /// Exit code, stdout and stderr, with the folder's name left out.
+    /// Exit code, stdout and stderr, with `DIR` for the path of the folder.
     fn says(&self, command: &mut Command) -> (i32, String, String) {
         let output = command.output().unwrap();
         let dir = self.0.path().canonicalize().unwrap();
@@ -91,7 +91,7 @@ impl Folder {
         self.says(&mut self.command(&[&["run", "graph.toml", "--force", "--out", "out"], arguments].concat()))
     }
 
-    /// The last number of a run that came to its end.
+    /// The result `sum` of a complete run.
     fn sum(&self, arguments: &[&str]) -> Value {
         let (code, _, err) = self.run(arguments);
         assert_eq!(code, 0, "{err}");
@@ -118,14 +118,14 @@ fn a_graph_names_its_plugin_by_file_or_by_name_relative_to_itself() {
         fs::write(folder.path("graph.toml"), naming(&plugins)).unwrap();
         assert_eq!(folder.sum(&[]), json!({ "value": sum }), "{plugins}");
     }
-    // What a graph extends names its own, relative to itself.
+    // A base graph names its own plugins, relative to itself.
     fs::write(folder.path("deep/base.toml"), naming("[\"toy\"]")).unwrap();
     fs::write(folder.path("graph.toml"), "extends = \"deep/base.toml\"\n").unwrap();
     assert_eq!(folder.sum(&[]), json!({ "value": 44.0 }));
 }
 
 #[test]
-fn the_command_line_and_folders_of_the_environment_bring_plugins_too() {
+fn the_command_line_and_the_environment_also_name_plugins() {
     let Some(folder) = Folder::new(GRAPH) else { return };
     let (code, _, err) = folder.run(&[]);
     assert_eq!(code, 2);
@@ -136,7 +136,7 @@ fn the_command_line_and_folders_of_the_environment_bring_plugins_too() {
     let mut by_path = folder.command(&["run", "graph.toml", "--force", "--out", "out"]);
     let (code, _, err) = folder.says(by_path.env("OSTEOFLOW_PLUGIN_PATH", folder.path("far")));
     assert_eq!(code, 0, "{err}");
-    // One that the command line names stands for one of the same file name that the graph names.
+    // A library on the command line replaces one of the same file name in the graph.
     folder.toy(&format!("near/{library}"), "100");
     fs::write(folder.path("graph.toml"), naming("[\"near/toy\"]")).unwrap();
     assert_eq!(folder.sum(&[]), json!({ "value": 142.0 }));
@@ -144,7 +144,7 @@ fn the_command_line_and_folders_of_the_environment_bring_plugins_too() {
 }
 
 #[test]
-fn a_run_says_which_libraries_it_had_and_a_replay_says_which_are_others() {
+fn a_manifest_lists_the_libraries_and_a_replay_reports_changed_ones() {
     let Some(folder) = Folder::new(&naming("[\"toy\"]")) else { return };
     let library = folder.toy(&format!("libtoy{DLL_SUFFIX}"), "1");
     assert_eq!(folder.sum(&[]), json!({ "value": 43.0 }));
@@ -172,7 +172,7 @@ fn a_run_says_which_libraries_it_had_and_a_replay_says_which_are_others() {
     let said = format!("plugin toy 1.2.3 was another library: sha256 {first}, here is 1.2.3 {other} (DIR/");
     assert!(err.contains(&said), "{err}");
     assert!(out.contains("first divergence: wire add.sum, item 0"), "{out}");
-    // And gone.
+    // The library is missing.
     fs::remove_file(&library).unwrap();
     let (code, _, err) = replay();
     assert_eq!(code, 2, "{err}");
@@ -180,7 +180,7 @@ fn a_run_says_which_libraries_it_had_and_a_replay_says_which_are_others() {
 }
 
 #[test]
-fn a_failed_item_of_a_plugins_node_fails_again_alone() {
+fn repro_repeats_a_failed_item_of_a_plugin() {
     let graph = naming("[\"toy\"]").replace("number = 40", "number = 999");
     let Some(folder) = Folder::new(&graph) else { return };
     let library = format!("libtoy{DLL_SUFFIX}");
@@ -196,7 +196,7 @@ fn a_failed_item_of_a_plugins_node_fails_again_alone() {
 }
 
 #[test]
-fn check_knows_ports_and_parameters_of_a_plugin_as_those_of_the_program() {
+fn check_knows_ports_and_parameters_of_plugins() {
     let graph =
         naming("[\"toy\"]").replace("number = 40", "number = 5001").replace("number = \"give", "nubmer = \"give");
     let Some(folder) = Folder::new(&graph) else { return };
@@ -211,7 +211,7 @@ fn check_knows_ports_and_parameters_of_a_plugin_as_those_of_the_program() {
 }
 
 #[test]
-fn inspect_shows_where_a_kind_comes_from_and_what_a_plugin_was_built_with() {
+fn inspect_shows_the_plugin_of_a_kind_and_its_compiler() {
     let Some(folder) = Folder::new(GRAPH) else { return };
     folder.toy(&format!("libtoy{DLL_SUFFIX}"), "1");
     let file = format!("DIR/libtoy{DLL_SUFFIX}");
@@ -232,20 +232,20 @@ fn inspect_shows_where_a_kind_comes_from_and_what_a_plugin_was_built_with() {
 }
 
 #[test]
-fn what_a_plugin_says_is_kept_until_its_file_is_another() {
+fn the_description_of_a_plugin_is_cached_until_its_file_changes() {
     let Some(folder) = Folder::new(&naming("[\"toy\"]")) else { return };
     let library = folder.toy(&format!("libtoy{DLL_SUFFIX}"), "1");
     let store = folder.path("store");
-    let kept = || {
+    let n_cached = || {
         let (code, _, err) = folder.says(folder.command(&["check", "graph.toml"]).env("OSTEOFLOW_CACHE", &store));
         assert_eq!(code, 0, "{err}");
         let names = fs::read_dir(&store).unwrap().map(|entry| entry.unwrap().file_name());
         names.filter(|name| name.to_string_lossy().contains("plugin_probe")).count()
     };
-    assert_eq!([kept(), kept()], [1, 1]);
+    assert_eq!([n_cached(), n_cached()], [1, 1]);
     folder.toy(&format!("libtoy{DLL_SUFFIX}"), "2");
-    assert_eq!([kept(), kept()], [2, 2]);
-    // A kept answer of a plugin's kind belongs to that very library.
+    assert_eq!([n_cached(), n_cached()], [2, 2]);
+    // Cached answers belong to one version of the library.
     let sum = || {
         let mut run = folder.command(&["run", "graph.toml", "--force", "--out", "out"]);
         assert_eq!(folder.says(run.env("OSTEOFLOW_CACHE", &store)).0, 0);
@@ -259,7 +259,7 @@ fn what_a_plugin_says_is_kept_until_its_file_is_another() {
 }
 
 #[test]
-fn a_plugin_that_is_rebuilt_during_a_watch_is_run_at_once() {
+fn a_watch_runs_a_rebuilt_plugin() {
     let Some(folder) = Folder::new(&naming("[\"toy\"]")) else { return };
     let library = format!("libtoy{DLL_SUFFIX}");
     folder.toy(&library, "1");
@@ -268,21 +268,21 @@ fn a_plugin_that_is_rebuilt_during_a_watch_is_run_at_once() {
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    let (tell, lines) = sync_channel(1000);
+    let (send, lines) = sync_channel(1000);
     let stdout = BufReader::new(child.stdout.take().unwrap());
-    thread::spawn(move || stdout.lines().map_while(Result::ok).try_for_each(|line| tell.send(line)));
+    thread::spawn(move || stdout.lines().map_while(Result::ok).try_for_each(|line| send.send(line)));
     let next = || -> Value { serde_json::from_str(&lines.recv_timeout(LIMIT).expect("the watch answers")).unwrap() };
     assert_eq!(next()["sum"], json!({ "value": 43.0 }));
     folder.toy(&library, "2");
     let second = next();
     assert_eq!(second["sum"], json!({ "value": 44.0 }), "{second}");
     assert!(second.to_string().contains("the plugin of its kind has changed"), "{second}");
-    // Written over in place, as `cp` does, while the program has the one before loaded.
+    // Overwritten in place, as by `cp`, while the program has the previous version loaded.
     let third = folder.toy("third", "3");
     fs::copy(&third, folder.path(&library)).unwrap();
     let third = next();
     assert_eq!(third["sum"], json!({ "value": 45.0 }), "{third}");
-    // Half a library is a fault; the watch goes on with the next whole one.
+    // Half a library is a fault; the watch continues with the next complete one.
     fs::write(folder.path(&library), "half").unwrap();
     assert_eq!(next()["outcome"]["exit_code"], 2);
     folder.toy(&library, "4");
@@ -291,7 +291,7 @@ fn a_plugin_that_is_rebuilt_during_a_watch_is_run_at_once() {
     child.wait().unwrap();
 }
 
-/// What `check` says of a graph that names a good library, and one that is bad in each way that there is a file for.
+/// Output of `check` for a graph with a good library and each bad one of tests/plugins/bad.
 #[test]
 #[cfg(target_os = "linux")]
 fn each_bad_library_is_refused_by_name_and_everything_else_is_checked() {
@@ -305,7 +305,7 @@ fn each_bad_library_is_refused_by_name_and_everything_else_is_checked() {
         assert_eq!(code, 2, "{bad}: {err}");
         assert!(err.contains("5000"), "{bad}: the parameter of the good one is a fault too: {err}");
         assert_golden(&root().join(format!("tests/plugins/bad/{bad}.txt")), &err);
-        // And where nobody asked for it, it is left out.
+        // A library that was not named explicitly is left out.
         let mut inspect = folder.command(&["inspect", "toy"]);
         inspect.env("OSTEOFLOW_PLUGIN_PATH", folder.0.path()).env("OSTEOFLOW_PLUGIN_TIMEOUT_S", timeout(&bad));
         let (code, out, err) = folder.says(&mut inspect);
@@ -314,7 +314,7 @@ fn each_bad_library_is_refused_by_name_and_everything_else_is_checked() {
     }
 }
 
-/// What a plugin does at a firing is checked by the program: the run is refused, and says by which node.
+/// An invalid answer refuses the run with the name of the node.
 #[test]
 #[cfg(target_os = "linux")]
 fn each_bad_answer_of_a_plugin_is_refused_by_name() {
@@ -326,7 +326,7 @@ fn each_bad_answer_of_a_plugin_is_refused_by_name() {
     }
 }
 
-/// Makes `libbad.so` of each file in tests/plugins/bad, one after the other, and of two that are no libraries.
+/// Makes `libbad.so` from each file in tests/plugins/bad in turn, and from two that are not libraries.
 fn bad_libraries<'f>(folder: &'f Folder, is_wanted: fn(&str) -> bool) -> impl Iterator<Item = String> + 'f {
     let files = fs::read_dir(root().join("tests/plugins/bad")).unwrap().map(|entry| entry.unwrap().path());
     let names = files.filter(|file| file.extension().is_some_and(|e| e == "c"));
@@ -350,21 +350,21 @@ fn bad_libraries<'f>(folder: &'f Folder, is_wanted: fn(&str) -> bool) -> impl It
     })
 }
 
-/// Short where one is waited for, long where a busy machine must not be taken for a library that hangs.
+/// Short for the library that hangs; long for the others, because the machine may be busy.
 fn timeout(bad: &str) -> &'static str {
     if bad == "hang" { "0.5" } else { "60" }
 }
 
 #[test]
 #[cfg(target_os = "linux")]
-fn a_library_that_was_cut_or_damaged_anywhere_never_takes_the_program_with_it() {
+fn a_truncated_or_damaged_library_never_crashes_the_program() {
     let Some(folder) = Folder::new(&naming("[\"bad\"]")) else { return };
     let good = fs::read(folder.toy("libgood.so", "1")).unwrap();
     let check = |what: &str, bytes: &[u8]| {
         fs::write(folder.path("libbad.so"), bytes).unwrap();
         let mut check = folder.command(&["check", "graph.toml"]);
         let (code, _, err) = folder.says(check.env("OSTEOFLOW_PLUGIN_TIMEOUT_S", "5"));
-        // A text or a count that is other than it was may also make a kind that the graph does not fit.
+        // A changed text or count may also give a valid plugin that does not match the graph.
         assert!(code == 0 || (code == 2 && err.contains("error: ")), "{what}: {code} {err}");
     };
     for eighth in 0..8 {
@@ -381,7 +381,7 @@ fn a_library_that_was_cut_or_damaged_anywhere_never_takes_the_program_with_it() 
 }
 
 #[test]
-fn two_plugins_with_one_kind_are_a_fault_and_the_same_library_twice_is_none() {
+fn two_plugins_with_one_kind_are_a_fault_but_not_the_same_library_twice() {
     let Some(folder) = Folder::new(&naming("[\"a\", \"b\"]")) else { return };
     let first = folder.toy(&format!("liba{DLL_SUFFIX}"), "1");
     fs::copy(first, folder.path(&format!("libb{DLL_SUFFIX}"))).unwrap();
@@ -394,7 +394,7 @@ fn two_plugins_with_one_kind_are_a_fault_and_the_same_library_twice_is_none() {
 }
 
 #[test]
-fn a_wire_between_a_plugin_and_the_program_that_does_not_fit_is_a_fault_at_its_place() {
+fn a_type_mismatch_between_a_plugin_and_a_built_in_kind_is_a_fault_at_its_line() {
     let graph =
         format!("{}\n[node.crop]\nkind = \"cloud.merge\"\nin = {{ clouds = \"add.sum\" }}\n", naming("[\"toy\"]"));
     let Some(folder) = Folder::new(&graph) else { return };
@@ -405,11 +405,11 @@ fn a_wire_between_a_plugin_and_the_program_that_does_not_fit_is_a_fault_at_its_p
     assert!(err.contains("graph.toml:22:"), "{err}");
 }
 
-/// Describes, builds, fires and takes down under valgrind; of what C does with the program's memory nothing else tells.
-/// Names of kinds and ports live as long as the process, so what is lost at its end is not counted.
+/// Describes, builds, fires and frees a node under valgrind. Leaks are not counted, because names of kinds and ports live as
+/// long as the process.
 #[test]
 #[cfg(target_os = "linux")]
-fn a_run_with_a_plugin_touches_no_memory_that_is_not_its_own() {
+fn a_run_with_a_plugin_has_no_memory_errors() {
     if let Err(error) = Command::new("valgrind").arg("--version").output() {
         println!("skipped: valgrind is missing: {error}");
         return;

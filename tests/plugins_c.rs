@@ -1,6 +1,6 @@
-//! Plugins in C and C++, built by the system's compiler with the two headers alone: the examples answer as the built-in
-//! kinds do, no bulk is copied on the way in or out, and a payload that the program does not know goes from one plugin to
-//! another and into a recording.
+//! Plugins in C and C++, built by the system compiler with the two headers: the examples give the results of the built-in
+//! kinds, columns are not copied in either direction, and payloads unknown to the program pass between plugins and are
+//! recorded.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_engine::{
@@ -31,16 +31,16 @@ use common::{build, root};
 
 const EXAMPLES: &str = "nodes/payloads/examples/c";
 
-/// The library of a C or C++ file, or `None` where there is no compiler.
+/// The library of a C or C++ file; `None` if there is no compiler.
 fn library(file: &str) -> Option<PathBuf> {
     let name = Path::new(file).file_stem().unwrap().to_str().unwrap();
-    // Each test has its own: a library is loaded once in a process, and counts what it gave.
+    // Each test has its own library, because it counts the clouds it gave.
     let test = std::thread::current().name().unwrap().to_owned();
     let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("lib{name}_{test}.so"));
     build::compile(Path::new(file), &library, &[]).then_some(library)
 }
 
-/// The built-in kinds, those of this file, and those of these libraries.
+/// The built-in kinds, those of this file, and those of `libraries`.
 fn registry(libraries: &[&Path]) -> Registry {
     let mut registry = osteoflow_standard::registry();
     registry.source::<Give>().node::<Address>().node::<Keep>().node::<Dress>();
@@ -56,19 +56,19 @@ fn plan(graph: &str, registry: &Registry) -> Plan {
     check_text(&graph, &root().join("test.toml"), &[], registry).unwrap_or_else(|faults| panic!("{faults}")).plan
 }
 
-/// Runs a graph; what came of it.
+/// Runs a graph.
 fn try_run(graph: &str, registry: &Registry) -> RunReport {
     run(&plan(graph, registry), registry, &RunOptions::default(), &()).unwrap()
 }
 
-/// The results of a graph that comes to its end.
+/// Results of a complete run.
 fn results(graph: &str, registry: &Registry) -> Value {
     let report = try_run(graph, registry);
     assert_eq!(report.outcome, Outcome::Complete, "{graph}");
     report.results
 }
 
-/// Runs a plan into a folder, recorded.
+/// Runs a plan with a recording in `dir`.
 fn recorded(plan: &Plan, registry: &Registry, dir: &Path) -> PathBuf {
     let options = RunOptions { out_dir: Some(dir.into()), record: true, ..RunOptions::default() };
     let report = run(plan, registry, &options, &()).unwrap();
@@ -91,7 +91,7 @@ struct CloudIn {
 
 #[derive(Outputs)]
 struct TextOut {
-    /// What was seen.
+    /// The observation.
     text: Text,
 }
 
@@ -105,7 +105,7 @@ fn address(cloud: &Cloud) -> Text {
     Text(cloud.points().as_ptr().addr().to_string().into())
 }
 
-/// A cloud of the program's, and where its points lie.
+/// A cloud of the program, and the address of its points.
 #[derive(Describe)]
 struct Give(bool);
 
@@ -113,7 +113,7 @@ struct Give(bool);
 struct GiveOut {
     /// A cloud.
     cloud: Cloud,
-    /// Where its points lie.
+    /// The address of its points.
     text: Text,
 }
 
@@ -133,7 +133,7 @@ impl Source for Give {
     }
 }
 
-/// Where the points of a cloud lie.
+/// Address of the points of a cloud.
 #[derive(Describe)]
 struct Address;
 
@@ -152,7 +152,7 @@ impl Node for Address {
     }
 }
 
-/// Keeps a cloud beyond the run.
+/// Keeps a cloud after the run.
 #[derive(Describe)]
 struct Keep;
 
@@ -175,7 +175,7 @@ impl Node for Keep {
     }
 }
 
-/// The cloud with all that a cloud may have.
+/// Adds every optional column and field to a cloud.
 #[derive(Describe)]
 struct Dress;
 
@@ -201,7 +201,7 @@ impl Node for Dress {
 
 // ---- The examples ------------------------------------------------------------------------------------------------------
 
-/// A scan of the built-in bone, dressed and cropped; its wires are recorded.
+/// A recorded scan of the built-in bone with all optional columns, cropped.
 fn crop(kind: &str, rest: &str) -> String {
     format!(
         r#"
@@ -224,7 +224,7 @@ fn crop(kind: &str, rest: &str) -> String {
 }
 
 #[test]
-fn the_crop_in_c_gives_the_built_in_ones_cloud_to_the_last_bit() {
+fn the_crop_in_c_equals_the_built_in_one_to_the_last_bit() {
     let Some(library) = library(&format!("{EXAMPLES}/crop_box.c")) else { return };
     let registry = registry(&[&library]);
     let bounds = "min_mm = [-15.0, -100.0, 0.0]\nmax_mm = [20.5, 4.0, 1000.0]";
@@ -242,7 +242,7 @@ fn the_crop_in_c_gives_the_built_in_ones_cloud_to_the_last_bit() {
 }
 
 #[test]
-fn the_crop_in_c_refuses_what_the_built_in_one_refuses_in_its_words() {
+fn the_crop_in_c_gives_the_error_messages_of_the_built_in_one() {
     let Some(library) = library(&format!("{EXAMPLES}/crop_box.c")) else { return };
     let registry = registry(&[&library]);
     let said =
@@ -269,7 +269,7 @@ fn the_crop_in_c_refuses_what_the_built_in_one_refuses_in_its_words() {
     }
 }
 
-/// The shipped procedure with these settings, registered by every fourth point of the scan.
+/// The shipped procedure with these settings, and every fourth point of the scan.
 fn fibula(sets: &[&str], registry: &Registry) -> Plan {
     let thinned = [
         "thin.kind=cloud.downsample",
@@ -283,7 +283,7 @@ fn fibula(sets: &[&str], registry: &Registry) -> Plan {
 }
 
 #[test]
-fn the_icp_in_cpp_comes_to_rest_where_the_built_in_one_does_to_a_billionth_of_a_millimetre() {
+fn the_icp_in_cpp_converges_to_the_pose_of_the_built_in_one_within_a_billionth_of_a_millimetre() {
     let Some(library) = library(&format!("{EXAMPLES}/icp.cpp")) else { return };
     let registry = registry(&[&library]);
     let options = RunOptions::default();
@@ -307,7 +307,7 @@ fn the_icp_in_cpp_comes_to_rest_where_the_built_in_one_does_to_a_billionth_of_a_
 }
 
 #[test]
-fn an_exception_of_the_icp_is_the_nodes_error_and_the_other_branches_finish() {
+fn an_exception_of_the_icp_is_an_error_of_the_node_and_other_branches_finish() {
     let Some(library) = library(&format!("{EXAMPLES}/icp.cpp")) else { return };
     let registry = registry(&[&library]);
     let plan = fibula(&["icp.kind=icp_cpp.point_to_point", "icp.max_pair_distance_mm=0.000001"], &registry);
@@ -323,7 +323,7 @@ fn an_exception_of_the_icp_is_the_nodes_error_and_the_other_branches_finish() {
 }
 
 #[test]
-fn a_graph_names_the_libraries_and_one_word_swaps_crop_and_icp() {
+fn a_graph_names_libraries_and_swaps_crop_and_icp_by_kind() {
     let Some(crop) = library(&format!("{EXAMPLES}/crop_box.c")) else { return };
     let Some(icp) = library(&format!("{EXAMPLES}/icp.cpp")) else { return };
     let dir = tempfile::tempdir().unwrap();
@@ -342,7 +342,7 @@ fn a_graph_names_the_libraries_and_one_word_swaps_crop_and_icp() {
     assert!(common::json(&in_cpp.dir.path().join("manifest.json")).to_string().contains("icp_cpp.point_to_point"));
 }
 
-/// Keeps the failures of a run.
+/// Collects the failures of a run.
 #[derive(Default)]
 struct Failures(Mutex<Vec<String>>);
 
@@ -355,7 +355,7 @@ impl Observer for Failures {
 }
 
 #[test]
-fn exceptions_in_cpp_are_named_errors_and_the_run_goes_on() {
+fn exceptions_in_cpp_are_errors_and_the_run_continues() {
     let Some(library) = library("tests/plugins/throws.cpp") else { return };
     let registry = registry(&[&library]);
     let graph = r#"
@@ -371,24 +371,28 @@ fn exceptions_in_cpp_are_named_errors_and_the_run_goes_on() {
     "#;
     let failures = Failures::default();
     let report = run(&plan(graph, &registry), &registry, &RunOptions::default(), &failures).unwrap();
-    let told = failures.0.into_inner().unwrap();
+    let messages = failures.0.into_inner().unwrap();
     let relay = report.nodes.iter().find(|node| node.name == "relay").unwrap();
     assert_eq!((relay.items, relay.failed), (5, 2));
-    let told = if told.is_empty() { report.warnings.iter().map(|w| w.message.clone()).collect() } else { told };
-    assert!(told.iter().any(|said| said.contains("the spline turned inside out")), "{told:?}");
-    assert!(told.iter().any(|said| said.contains("an exception was thrown that is no std::exception")), "{told:?}");
+    let messages = match messages.is_empty() {
+        true => report.warnings.iter().map(|warning| warning.message.clone()).collect(),
+        false => messages,
+    };
+    for expected in ["the spline turned inside out", "an exception was thrown that is no std::exception"] {
+        assert!(messages.iter().any(|message| message.contains(expected)), "{messages:?}");
+    }
     let unknown: Vec<_> = (0..5).map(|item| report.results["points"][item].get("unknown").is_some()).collect();
     assert_eq!(unknown, [false, true, true, false, false], "{}", report.results);
 }
 
-// ---- No bulk is copied -------------------------------------------------------------------------------------------------
+// ---- Columns are not copied --------------------------------------------------------------------------------------------
 
-/// A source of clouds and where they are looked at; both say where the points lie.
+/// A graph of a source of clouds and a node that receives them; both give the address of the points.
 fn from_to(give: &str, rest: &str, address: &str) -> String {
     by(give, rest, "crop.box", address)
 }
 
-/// The same by way of another kind.
+/// Like [`from_to`], with a node of kind `relay` in between.
 fn by(give: &str, rest: &str, relay: &str, address: &str) -> String {
     format!(
         r#"
@@ -408,26 +412,26 @@ fn by(give: &str, rest: &str, relay: &str, address: &str) -> String {
     )
 }
 
-/// How many of the blocks that a plugin gave it has been told to release: `1 of 2`.
+/// Number of blocks of a plugin that were released, such as `1 of 2`.
 fn released(prefix: &str, registry: &Registry) -> String {
     let graph = format!("[node.released]\nkind = \"{prefix}.released\"\n[results]\ntext = \"released.text\"\n");
     results(&graph, registry)["text"].as_str().unwrap().into()
 }
 
-/// The points of clouds lie on either side where the other has them, and each block is released once, after its last use.
-fn no_bulk_is_copied(prefix: &str, library: &Path, refused: &[(&str, &str, usize)]) {
+/// Asserts that points have the same address on both sides, and that each block is released once, after its last use.
+fn assert_not_copied(prefix: &str, library: &Path, refused: &[(&str, &str, usize)]) {
     let registry = registry(&[library]);
     let (give, address) = (format!("{prefix}.give"), format!("{prefix}.address"));
     for (give, address) in [("test.give", &*address), (&give, "test.address"), (&give, &address)] {
-        let told = results(&from_to(give, "", address), &registry);
-        assert_eq!(told["given"], told["found"], "from {give} to {address}");
+        let found = results(&from_to(give, "", address), &registry);
+        assert_eq!(found["given"], found["found"], "from {give} to {address}");
     }
     assert_eq!(released(prefix, &registry), "2 of 2", "when the runs are over");
 
-    let told = results(&from_to(&give, "", "test.keep"), &registry);
+    let found = results(&from_to(&give, "", "test.keep"), &registry);
     assert_eq!(released(prefix, &registry), "2 of 3", "one is still in use");
     let kept = KEPT.lock().unwrap().take().unwrap();
-    assert_eq!((&told["given"], kept.points()[1]), (&Value::from(&*address_text(&kept)), Point3::new(3.0, 4.0, 5.0)));
+    assert_eq!((&found["given"], kept.points()[1]), (&Value::from(&*address_text(&kept)), Point3::new(3.0, 4.0, 5.0)));
     drop(kept);
     assert_eq!(released(prefix, &registry), "3 of 3", "after the last use");
 
@@ -445,37 +449,37 @@ fn address_text(cloud: &Cloud) -> Arc<str> {
     address(cloud).0
 }
 
-/// Only one of the two tests at a time has a cloud kept.
+/// The two tests share [`KEPT`], so they run one at a time.
 static ONE_AT_A_TIME: OnceLock<Mutex<()>> = OnceLock::new();
 
 #[test]
-fn no_bulk_is_copied_to_or_from_a_plugin_in_c() {
+fn columns_are_not_copied_to_or_from_a_plugin_in_c() {
     let Some(library) = library("tests/plugins/address.c") else { return };
     let _alone = ONE_AT_A_TIME.get_or_init(Default::default).lock().unwrap_or_else(|error| error.into_inner());
     let refused = [("nan", "is not finite", 1), ("port", "answers on output 7, but has 2", 1), ("twice", "twice", 2)];
-    no_bulk_is_copied("c", &library, &refused);
+    assert_not_copied("c", &library, &refused);
 
-    // What came in goes out under another head.
+    // The input columns are emitted with another head.
     let registry = registry(&[&library]);
     for give in ["test.give", "c.give"] {
-        let told = results(&by(give, "", "c.hand_on", "test.keep"), &registry);
+        let found = results(&by(give, "", "c.hand_on", "test.keep"), &registry);
         let kept = KEPT.lock().unwrap().take().unwrap();
-        assert_eq!((&told["given"], kept.label.as_deref()), (&Value::from(&*address_text(&kept)), Some("handed on")));
+        assert_eq!((&found["given"], kept.label.as_deref()), (&Value::from(&*address_text(&kept)), Some("handed on")));
     }
     assert_eq!(released("c", &registry), "8 of 8");
 }
 
 #[test]
-fn no_bulk_is_copied_to_or_from_a_plugin_in_rust() {
+fn columns_are_not_copied_to_or_from_a_plugin_in_rust() {
     let library = build::example("plugin_cloud");
     let _alone = ONE_AT_A_TIME.get_or_init(Default::default).lock().unwrap_or_else(|error| error.into_inner());
-    no_bulk_is_copied("rust", &library, &[("normals", "1 values for 3 points", 1)]);
+    assert_not_copied("rust", &library, &[("normals", "1 values for 3 points", 1)]);
 }
 
-// ---- A payload of a plugin's own ----------------------------------------------------------------------------------------
+// ---- Payload types of plugins -------------------------------------------------------------------------------------------
 
 #[test]
-fn a_payload_that_only_plugins_know_goes_from_one_to_another_and_into_a_recording() {
+fn a_payload_type_of_a_plugin_passes_to_another_plugin_and_is_recorded() {
     let Some(give) = library("tests/plugins/spline_give.c") else { return };
     let Some(length) = library("tests/plugins/spline_length.cpp") else { return };
     let graph = r#"
@@ -493,10 +497,10 @@ fn a_payload_that_only_plugins_know_goes_from_one_to_another_and_into_a_recordin
     let both = registry(&[&give, &length]);
     let (first, again) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let recording = recorded(&plan(graph, &both), &both, first.path());
-    let told = common::json(&first.path().join("results.json"));
-    let lengths: Vec<_> = told["lengths"].as_array().unwrap().iter().map(|row| row["length_mm"].as_f64()).collect();
+    let results = common::json(&first.path().join("results.json"));
+    let lengths: Vec<_> = results["lengths"].as_array().unwrap().iter().map(|row| row["length_mm"].as_f64()).collect();
     assert_eq!(lengths, [5.0, 10.0, 15.0].map(Some));
-    assert_eq!(told["lengths"][1]["n_knots"], 0.0, "a field may be missing: {told}");
+    assert_eq!(results["lengths"][1]["n_knots"], 0.0, "a field may be missing: {results}");
 
     let options = RunOptions { out_dir: Some(again.path().into()), record: true, ..RunOptions::default() };
     let replayed = replay(&recording, &ReplayOptions::default(), &both, &options, &()).unwrap();
@@ -504,7 +508,7 @@ fn a_payload_that_only_plugins_know_goes_from_one_to_another_and_into_a_recordin
     let digests = [&recording, &again.path().join("run.mcap")].map(|path| digest(path, &mut |_, _| {}).unwrap().digest);
     assert_eq!(digests[0], digests[1]);
 
-    // The recording says what a spline is, so nobody needs the plugin to check it.
+    // The recording has the schema of a spline, so it is checked without the plugin.
     for known in [&both, &osteoflow_standard::registry()] {
         let report = validate(&recording, known, &mut |_, _| {}).unwrap();
         assert!(report.is_sound(), "{:?}", report.findings);
@@ -514,7 +518,7 @@ fn a_payload_that_only_plugins_know_goes_from_one_to_another_and_into_a_recordin
 // ---- The page ----------------------------------------------------------------------------------------------------------
 
 #[test]
-fn the_page_about_plugins_shows_this_very_code() {
+fn the_page_about_plugins_shows_this_code() {
     let text = |path: &str| std::fs::read_to_string(root().join(path)).unwrap();
     let sources =
         [format!("{EXAMPLES}/crop_box.c"), format!("{EXAMPLES}/icp.cpp"), "tests/plugins/acme_spline.h".into()]

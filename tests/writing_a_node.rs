@@ -1,4 +1,4 @@
-//! The node of docs/writing-a-node.md. The page shows pieces of this file, and a test holds them equal.
+//! The node of docs/writing-a-node.md. A test compares the code on the page with this file.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_geometry::{
@@ -9,16 +9,16 @@ use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 
-/// Indices of the points that lie from `min_mm` to `max_mm` away from `origin`, in order. `O(n)`.
+/// Indices of the points at `min_mm` to `max_mm` from `origin`, in order. `O(n)`.
 pub fn in_range(points: &[Point3<f64>], origin: &Point3<f64>, min_mm: f64, max_mm: f64) -> Vec<usize> {
     let inside = |p: &Point3<f64>| (min_mm..=max_mm).contains(&(p - origin).norm());
     (0..points.len()).filter(|&index| inside(&points[index])).collect()
 }
 
-/// What lies within the camera's working distance.
+/// Points within the camera's working distance.
 ///
-/// Structured light is sharp in a certain range only; points before and behind it are noise that no later stage can
-/// tell from bone. Distances are taken from the cloud's viewpoint, so it may have been moved to any frame before.
+/// Structured light is in focus within a certain range only; points outside it are noise that no later stage can tell
+/// from bone. Distances are measured from the viewpoint of the cloud, so the cloud may be in any frame.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -30,15 +30,15 @@ max_distance_mm = 250.0
 )]
 pub struct Range(RangeParams);
 
-/// The distances kept.
+/// Range of distances to keep.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(crate = "osteoflow_node::serde", default, deny_unknown_fields)]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct RangeParams {
-    /// Nearest distance kept. 150: the near end of the camera's range.
+    /// Minimum distance. 150: the near end of the camera's range.
     #[schemars(range(min = 0.0, max = 10_000.0))]
     min_distance_mm: f64,
-    /// Farthest distance kept. 250: the far end of the camera's range.
+    /// Maximum distance. 250: the far end of the camera's range.
     #[schemars(range(min = 0.0, max = 10_000.0))]
     max_distance_mm: f64,
 }
@@ -49,17 +49,17 @@ impl Default for RangeParams {
     }
 }
 
-/// What it takes.
+/// The inputs.
 #[derive(Inputs)]
 pub struct In {
-    /// What the camera saw, with its viewpoint.
+    /// The scan, with its viewpoint.
     cloud: Cloud,
 }
 
-/// What it gives.
+/// The outputs.
 #[derive(Outputs)]
 pub struct Out {
-    /// The points in range, in their order.
+    /// The points in range, in the order of the input.
     #[port(frame = "cloud")]
     cloud: Cloud,
 }
@@ -72,15 +72,15 @@ impl Node for Range {
 
     fn new(params: RangeParams) -> Result<Self, ParamError> {
         if params.min_distance_mm >= params.max_distance_mm {
-            let said = format!("{} mm is not beyond min_distance_mm; swap the two", params.max_distance_mm);
-            return Err(ParamError::new("max_distance_mm", said));
+            let message = format!("{} mm is not greater than min_distance_mm; swap the two", params.max_distance_mm);
+            return Err(ParamError::new("max_distance_mm", message));
         }
         Ok(Self(params))
     }
 
     fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let Some(viewpoint) = i.cloud.viewpoint else {
-            return Err(NodeError::new("the cloud does not say where it was seen from; wire it before merging views"));
+            return Err(NodeError::new("the cloud has no viewpoint; wire it before merging views"));
         };
         let origin = Point3::from(viewpoint.translation.vector);
         let (min_mm, max_mm) = (self.0.min_distance_mm, self.0.max_distance_mm);
@@ -88,7 +88,7 @@ impl Node for Range {
         if kept.is_empty() {
             let n = i.cloud.len();
             return Err(NodeError::new(format!(
-                "none of {n} points lies {min_mm} to {max_mm} mm from the camera; is the cloud in mm?"
+                "none of {n} points is {min_mm} to {max_mm} mm from the camera; is the cloud in mm?"
             )));
         }
         Ok(Out { cloud: i.cloud.selected(&kept) })
@@ -101,7 +101,7 @@ fn cloud_at(distances_mm: &[f64]) -> Cloud {
 }
 
 #[test]
-fn points_out_of_range_are_left_out_wherever_the_cloud_has_been_moved() {
+fn points_out_of_range_are_removed_in_any_frame() {
     let mut node = Range::new(RangeParams::default()).unwrap();
     let moved = cloud_at(&[100.0, 180.0, 220.0, 300.0]).transformed("world", &Isometry3::translation(5.0, -700.0, 2.0));
     let kept = node.process(In { cloud: moved }, &mut Context::for_test("crop")).unwrap().cloud;
@@ -109,11 +109,11 @@ fn points_out_of_range_are_left_out_wherever_the_cloud_has_been_moved() {
 }
 
 #[test]
-fn an_empty_answer_is_an_error_that_asks_for_the_unit() {
+fn an_empty_result_is_an_error_that_asks_for_the_unit() {
     let mut node = Range::new(RangeParams::default()).unwrap();
     let in_metres = In { cloud: cloud_at(&[0.18, 0.22]) };
-    let said = node.process(in_metres, &mut Context::for_test("crop")).map(|_| ()).unwrap_err().to_string();
-    assert_eq!(said, "none of 2 points lies 150 to 250 mm from the camera; is the cloud in mm?");
+    let message = node.process(in_metres, &mut Context::for_test("crop")).map(|_| ()).unwrap_err().to_string();
+    assert_eq!(message, "none of 2 points is 150 to 250 mm from the camera; is the cloud in mm?");
 }
 
 #[test]
@@ -121,12 +121,12 @@ fn a_registry_with_the_node_describes_it() {
     let mut registry = osteoflow_standard::registry();
     registry.node::<Range>();
     let description = &registry.kind("crop.range").unwrap().description;
-    assert_eq!(description.summary, "What lies within the camera's working distance.");
+    assert_eq!(description.summary, "Points within the camera's working distance.");
     assert_eq!(description.params["properties"]["max_distance_mm"]["default"], 250.0);
 }
 
 #[test]
-fn the_page_shows_this_very_code() {
+fn the_page_shows_this_code() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let page = std::fs::read_to_string(root.join("docs/writing-a-node.md")).unwrap();
     let code = std::fs::read_to_string(root.join("tests/writing_a_node.rs")).unwrap();
@@ -135,7 +135,7 @@ fn the_page_shows_this_very_code() {
     for block in blocks {
         assert!(
             code.contains(block),
-            "docs/writing-a-node.md shows code that tests/writing_a_node.rs has not:\n{block}"
+            "docs/writing-a-node.md shows code that is not in tests/writing_a_node.rs:\n{block}"
         );
     }
 }

@@ -1,17 +1,17 @@
-//! The scheduler under a model checker: its source as it is, with shuttle's threads, locks and atomics in the place of
-//! the standard library's. What the tests in it demand (no lost wake-up, every token gets through, the end exactly when
-//! nothing can run, relief only when all sleep, nodes woken from outside) then holds for every interleaving tried: some
-//! hundreds each time, and a hundred times as many with `SLOW_TESTS`.
+//! The scheduler under a model checker: compiles its source with shuttle's threads, locks and atomics instead of those of
+//! the standard library. Its tests (no lost wake-up, every token gets through, the run ends exactly when nothing can run,
+//! relief only when all workers sleep, nodes woken from outside) are repeated for some hundreds of interleavings, and for a
+//! hundred times as many with `SLOW_TESTS`.
 //!
-//! Shuttle tries orders of operations and takes memory for sequentially consistent: that a fence stands where one is
-//! needed is argued beside each, and not checked here.
+//! Shuttle assumes sequentially consistent memory: the comment at each fence argues why it suffices; that is not checked
+//! here.
 
 #![allow(dead_code, unreachable_pub, reason = "the engine uses the rest of the scheduler")]
 
 #[path = "../src/runtime/scheduler.rs"]
 mod scheduler;
 
-/// What `crate::sync` gives the scheduler, by shuttle.
+/// `crate::sync` implemented with shuttle.
 mod sync {
     pub(crate) use shuttle::sync::{Condvar, Mutex, MutexGuard, atomic};
     pub(crate) use std::sync::PoisonError;
@@ -19,7 +19,7 @@ mod sync {
     pub(crate) const LOOKS_BEFORE_SLEEP: usize = 1;
 
     pub(crate) fn on_workers(n: usize, work: &(dyn Fn(usize) + Sync), _: &dyn Fn(usize, std::io::Error)) {
-        // Shuttle's thread that opened the scope must not wait for anything but its end.
+        // The thread that opened the scope may only wait for its end.
         shuttle::thread::scope(|scope| {
             for worker in 0..n {
                 scope.spawn(move || work(worker));
@@ -38,14 +38,14 @@ mod sync {
         });
     }
 
-    /// Interleavings at random, and such as few changes of thread make (probabilistic concurrency testing).
+    /// Random interleavings, and interleavings with few context switches (probabilistic concurrency testing).
     pub(crate) fn many_times(test: impl Fn() + Send + Sync + 'static) {
         let test = std::sync::Arc::new(test);
         let n = if std::env::var_os("SLOW_TESTS").is_some() { 30_000 } else { 300 };
         let again = test.clone();
         shuttle::check_random(move || test(), n);
         let beside_nothing = move || {
-            // It wants at least two threads, which one worker alone is not.
+            // The scheduler of shuttle needs at least two threads, also for one worker.
             let other = shuttle::thread::spawn(shuttle::thread::yield_now);
             again();
             other.join().expect("it does nothing");

@@ -1,4 +1,4 @@
-/* A payload that the program does not know, shared by the plugin that gives it and the one that takes it. */
+/* A payload unknown to the program, shared by the plugin that gives it and the one that takes it. */
 #ifndef ACME_SPLINE_H
 #define ACME_SPLINE_H
 

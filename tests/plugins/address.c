@@ -1,4 +1,4 @@
-/* Where the points of clouds lie: of those that come, of those that it gives, and how many of these were released. */
+/* Addresses of the points of input and output clouds, and the number of output clouds released. */
 #include "osteoflow_geometry.h"
 
 #include <math.h>
@@ -19,7 +19,7 @@ static int32_t emit_address(const osteoflow_firing *firing, uint64_t port, const
     return emit_text(firing, port, said);
 }
 
-/* A source's node is whether it has answered; of give, also how it does. */
+/* State of a source: whether it has answered; for give, also how it answers. */
 typedef struct source {
     int answered;
     char how[16];
@@ -51,7 +51,7 @@ static int32_t address(void *node, const osteoflow_firing *firing) {
     return points == NULL ? osteoflow_fail(firing, "no points") : emit_address(firing, 0, points->data);
 }
 
-/* The same columns under another head. */
+/* The same columns with another head. */
 static int32_t hand_on(void *node, const osteoflow_firing *firing) {
     (void)node;
     osteoflow_view view;
@@ -65,7 +65,7 @@ static int32_t hand_on(void *node, const osteoflow_firing *firing) {
     return firing->host->emit(firing->run, 0, &out);
 }
 
-/* The rows are overwritten when they are released: whoever read them afterwards would see it. */
+/* Overwrites released rows, so that a later read is detected. */
 static void release(void *rows) {
     memset(rows, 0xff, 9 * sizeof(double));
     atomic_fetch_add(&n_released, 1);
@@ -125,7 +125,7 @@ static const osteoflow_output text_out[] = {
     { .name = OSTEOFLOW_TEXT("text"), .doc = OSTEOFLOW_TEXT("What was seen."),
       .payload = OSTEOFLOW_TEXT(OSTEOFLOW_WORDS), .version = OSTEOFLOW_WORDS_VERSION },
 };
-/* Of which a kind may have the first alone. */
+/* Kinds with one output use the first only. */
 static const osteoflow_output cloud_out[] = {
     { .name = OSTEOFLOW_TEXT("cloud"), .doc = OSTEOFLOW_TEXT("A cloud."), .payload = OSTEOFLOW_TEXT(OSTEOFLOW_CLOUD),
       .version = OSTEOFLOW_CLOUD_VERSION },

@@ -1,4 +1,4 @@
-/* A source of acme/Spline: three of them, each with one point more. */
+/* A source of three acme/Spline payloads with 2, 3 and 4 points. */
 #include "acme_spline.h"
 
 static int32_t create(const osteoflow_kind *kind, const osteoflow_firing *firing, osteoflow_text params, void **node) {

@@ -1,4 +1,4 @@
-// Takes what another plugin gives: the length of the polygon of a spline's control points.
+// Length of the control polygon of a spline from another plugin.
 #include "acme_spline.h"
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// Hands on what it gets, and throws on two items: an exception with words, and one without.
+// Passes on its input, and throws at two items: a std::exception, and another type.
 #include "osteoflow_geometry.h"
 
 #include <exception>

@@ -1,6 +1,6 @@
 /*
- * A source of numbers, and a node that adds ADD to each: compiled with another constant, another plugin. The files in
- * bad/ define one of the words below otherwise and include this one.
+ * A source of numbers, and a node that adds ADD to each. The files in bad/ redefine one of the macros below and include this
+ * file.
  */
 #include "osteoflow.h"
 #include <stdlib.h>
@@ -29,7 +29,7 @@
 #ifndef KIND_OF_ADD
 #define KIND_OF_ADD OSTEOFLOW_TEXT("toy.add")
 #endif
-/* The node's port and parameters. */
+/* Port and parameters of the node. */
 #ifndef PORT_OF_ADD
 #define PORT_OF_ADD OSTEOFLOW_TEXT("number")
 #endif
@@ -42,7 +42,7 @@
 #ifndef PAYLOAD
 #define PAYLOAD "toy/Number"
 #endif
-/* What the node gives. */
+/* The payload of the output. */
 #ifndef GIVEN
 #define GIVEN OSTEOFLOW_TEXT(PAYLOAD)
 #endif
@@ -89,7 +89,7 @@ static void destroy_give(void *node) {
     free(node);
 }
 
-/* What the node emits. */
+/* Emits the answer. */
 #ifndef EMIT
 #define EMIT emit_number
 static int32_t emit_number(const osteoflow_firing *firing, double value) {

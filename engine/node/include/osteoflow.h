@@ -1,22 +1,21 @@
 /*
- * osteoflow.h: what crosses between Osteoflow and a plugin, in C.
+ * osteoflow.h: the C interface between Osteoflow and its plugins.
  *
- * A plugin is a shared library with one exported function, osteoflow_describe, which returns a plain description: what
- * it was built against, and its kinds of nodes with their ports, parameters and docs. The program reads the description,
- * builds nodes through it and fires them. Everything that a node may ask for meanwhile comes through the table of
- * functions in osteoflow_host. This header needs C11 or C++11 and nothing else; payloads of geometry have their heads in
- * osteoflow_geometry.h.
+ * A plugin is a shared library with one exported function, osteoflow_describe, which returns a plain description: the
+ * versions it was built with, and its kinds of nodes with ports, parameters and docs. The program reads the description,
+ * builds nodes and fires them. Nodes call the program through the function table osteoflow_host. This header needs only
+ * C11 or C++11; the heads of geometry payloads are in osteoflow_geometry.h.
  *
  * Rules
  * - Lengths are millimetres, angles radians, times nanoseconds. Texts are UTF-8 with a length, not ended by a zero.
- * - What is lent stays as it is and where it is until the time said beside it; nobody writes to it.
- * - Bulk data is never copied: whoever allocates it also releases it, through the function that travels with it.
- * - No exception and no panic leaves a function of either side.
+ * - Lent memory is immutable and does not move until the documented time.
+ * - Columns are never copied: the side that allocates them releases them, through the release function of the column.
+ * - No exception and no panic may leave a function of either side.
  * - A node is used by one thread at a time, not always the same one. Different nodes run at the same time.
  *
- * Promise: within one OSTEOFLOW_ABI_MAJOR structs only grow at their end and functions are only added. A library is
- * loaded if its major is the program's and its structs are at least as large as those of minor 0; what an older one does
- * not have takes its default. See docs/writing-a-plugin.md.
+ * Compatibility: within one OSTEOFLOW_ABI_MAJOR structs only grow at their end and functions are only added. A library is
+ * loaded if it has the major version of the program and its structs are at least as large as those of minor 0; fields that
+ * an older library lacks have their default. See docs/writing-a-plugin.md.
  */
 #ifndef OSTEOFLOW_H
 #define OSTEOFLOW_H
@@ -42,19 +41,19 @@ extern "C" {
 
 /* ---- Texts and lists ---------------------------------------------------------------------------------------------- */
 
-/* UTF-8. Where a text may be missing, data is NULL. */
+/* UTF-8 text. data is NULL for a missing text. */
 typedef struct osteoflow_text {
     const char *data;
     uint64_t length;
 } osteoflow_text;
 
-/* Numbers in a row. Where they may be missing, data is NULL. */
+/* A list of numbers. data is NULL for a missing list. */
 typedef struct osteoflow_numbers {
     const double *data;
     uint64_t length;
 } osteoflow_numbers;
 
-/* ---- Views: what a payload looks like ------------------------------------------------------------------------------ */
+/* ---- Views of payloads --------------------------------------------------------------------------------------------- */
 
 /* The type of a column's values. */
 enum {
@@ -66,11 +65,11 @@ enum {
 };
 
 /*
- * Who keeps the rows of a column alive.
+ * Lifetime of the rows of a column.
  *
- * Of what the program lends: hold(self) gives a token that keeps the rows where they are until release(token).
- * Of what a plugin emits: self is such a token; the program calls release(self) once, when nobody needs the rows any
- * more, from any thread. hold is not called. release may be NULL for rows that live as long as the library.
+ * In a lent column, hold(self) returns a token that keeps the rows alive until release(token).
+ * In a column that a plugin emits, self is such a token: the program calls release(self) once, after the last use of the
+ * rows, from any thread. hold is not called. release may be NULL for rows that live as long as the library.
  */
 typedef struct osteoflow_owner {
     void *self;
@@ -78,12 +77,12 @@ typedef struct osteoflow_owner {
     void (*release)(void *token);
 } osteoflow_owner;
 
-/* Named rows, each of `width` values of one type. data is aligned to a value; NULL only if there are no rows. */
+/* A named column: rows of `width` values of one type. data is aligned to the type; NULL only if there are no rows. */
 typedef struct osteoflow_column {
     osteoflow_text name;
     const void *data;
     uint64_t n_rows;
-    /* Bytes from one row to the next. Rows that do not lie end to end are copied. */
+    /* Bytes from one row to the next. Rows that are not contiguous are copied. */
     uint64_t stride;
     uint32_t type;
     uint32_t width;
@@ -93,9 +92,9 @@ typedef struct osteoflow_column {
 /*
  * A payload: a small head and columns.
  *
- * The head is the C struct of the schema's fields in their order: uint8_t for BOOL, int64_t for INT, double for FLOAT,
- * double[n] for FLOATS, osteoflow_numbers for FLOAT_LIST, osteoflow_text for TEXT. An optional field is missing where
- * data is NULL, or the number is not a number. Columns are found by name, in any order.
+ * The head is a C struct with the fields of the schema in their order: uint8_t for BOOL, int64_t for INT, double for FLOAT,
+ * double[n] for FLOATS, osteoflow_numbers for FLOAT_LIST, osteoflow_text for TEXT. A missing optional
+ * field has data == NULL, or is NaN. Columns are identified by name, in any order.
  */
 typedef struct osteoflow_view {
     const void *head;
@@ -104,7 +103,7 @@ typedef struct osteoflow_view {
     uint64_t n_columns;
 } osteoflow_view;
 
-/* What a part of a view is. */
+/* The type of a schema entry. */
 enum {
     OSTEOFLOW_PART_BOOL = 1,
     OSTEOFLOW_PART_INT = 2,
@@ -117,21 +116,21 @@ enum {
 
 enum { OSTEOFLOW_PART_OPTIONAL = 1 };
 
-/* A field of a head, or a column. A column named "extra/" and a star stands for any number of columns that begin so. */
+/* A schema entry: a head field or a column. A column name of "extra/" and a star matches all columns with that prefix. */
 typedef struct osteoflow_part {
     osteoflow_text name;
-    /* "mm", "rad", "pose" (x y z in mm, quaternion x y z w); may be missing where the name says it. */
+    /* "mm", "rad", "pose" (x y z in mm, quaternion x y z w); may be missing if the name has the unit. */
     osteoflow_text unit;
     osteoflow_text doc;
     uint32_t shape;
-    /* Numbers in FLOATS, values in a row of a COLUMN; else 0. */
+    /* Length of FLOATS, values in a row of a COLUMN; otherwise 0. */
     uint32_t width;
-    /* Of a COLUMN. */
+    /* Value type of a COLUMN. */
     uint32_t type;
     uint32_t flags;
 } osteoflow_part;
 
-/* A type of payload. Those of the program need not be described again. */
+/* A payload type. Those of the program need no description. */
 typedef struct osteoflow_payload {
     /* "acme/Spline" */
     osteoflow_text name;
@@ -141,13 +140,13 @@ typedef struct osteoflow_payload {
     uint32_t flags;
 } osteoflow_payload;
 
-/* ---- What comes in ------------------------------------------------------------------------------------------------- */
+/* ---- Inputs of a firing -------------------------------------------------------------------------------------------- */
 
-/* A payload on its way. Lent until the firing ends; see hold in osteoflow_host. */
+/* A value. Lent until the firing ends; see hold in osteoflow_host. */
 typedef struct osteoflow_value osteoflow_value;
-/* The firing as the program knows it. Lent until the firing ends. */
+/* A firing of the program. Lent until the firing ends. */
 typedef struct osteoflow_run osteoflow_run;
-/* A budget of time. */
+/* A time budget. */
 typedef struct osteoflow_budget osteoflow_budget;
 
 /* An item of a wire: a value, or the reason why there is none. */
@@ -156,9 +155,9 @@ typedef struct osteoflow_item {
     int64_t stamp_ns;
     /* NULL for an empty. */
     const osteoflow_value *value;
-    /* What kind of payload the value is; NULL for an empty. Lives as long as the program. */
+    /* The type of the value; NULL for an empty. Lives as long as the program. */
     const osteoflow_payload *payload;
-    /* Of an empty: which node could not answer, and why. */
+    /* For an empty: the node that gave no result, and the reason. */
     osteoflow_text empty_node;
     osteoflow_text empty_reason;
 } osteoflow_item;
@@ -166,16 +165,16 @@ typedef struct osteoflow_item {
 enum {
     /* One item: items[0]. */
     OSTEOFLOW_SLOT_ITEM = 0,
-    /* A port that collects. */
+    /* The items of a collecting port. */
     OSTEOFLOW_SLOT_ITEMS = 1,
-    /* Nothing: items[0] is empty and says why. */
+    /* No item: items[0] is an empty with the reason. */
     OSTEOFLOW_SLOT_ABSENT = 2
 };
 
-/* The port is joined by "once": it brings this very value at every firing. */
+/* The port joins by "once": the same value at every firing. */
 enum { OSTEOFLOW_SLOT_CONSTANT = 1 };
 
-/* What one port brings to a firing. */
+/* The input of one port. */
 typedef struct osteoflow_slot {
     uint32_t what;
     uint32_t flags;
@@ -185,18 +184,18 @@ typedef struct osteoflow_slot {
 
 struct osteoflow_host;
 
-/* One firing, one answer of a source, or the building of a node. */
+/* A firing of a node, a call of a source, or the construction of a node. */
 typedef struct osteoflow_firing {
     /* sizeof(osteoflow_firing) of the program. */
     uint64_t size;
     const struct osteoflow_host *host;
     osteoflow_run *run;
-    /* One for each input, in the order in which they are described. */
+    /* One per input, in the order of the description. */
     const osteoflow_slot *slots;
     uint64_t n_slots;
 } osteoflow_firing;
 
-/* ---- What a node may ask for --------------------------------------------------------------------------------------- */
+/* ---- Functions of the program -------------------------------------------------------------------------------------- */
 
 enum {
     OSTEOFLOW_PARAM_MISSING = 0,
@@ -204,11 +203,11 @@ enum {
     OSTEOFLOW_PARAM_NUMBER = 2,
     OSTEOFLOW_PARAM_TEXT = 3,
     OSTEOFLOW_PARAM_NUMBERS = 4,
-    /* A table, or a list of anything else: json has it. */
+    /* A table or another list, as json. */
     OSTEOFLOW_PARAM_OTHER = 5
 };
 
-/* A parameter's value: what the graph gives, else the default of the schema. */
+/* The value of a parameter: from the graph, or the default of the schema. */
 typedef struct osteoflow_param {
     uint32_t what;
     uint32_t boolean;
@@ -218,11 +217,11 @@ typedef struct osteoflow_param {
     osteoflow_text json;
 } osteoflow_param;
 
-/* An output that the graph declared by `out`. */
+/* An output that the graph declares by `out`. */
 typedef struct osteoflow_declared {
     osteoflow_text name;
     const osteoflow_payload *payload;
-    /* The rest of its table, as JSON. */
+    /* The rest of the table, as JSON. */
     osteoflow_text params;
 } osteoflow_declared;
 
@@ -234,22 +233,22 @@ enum {
     OSTEOFLOW_LOG_TRACE = 5
 };
 
-/* What a function of a kind answers. */
+/* Return codes of the functions of a kind. */
 enum {
     OSTEOFLOW_OK = 0,
-    /* Of a source: there is nothing more. */
+    /* The source has ended. */
     OSTEOFLOW_END = 1,
-    /* fail() has said why. */
+    /* Failure; the reason was passed to fail(). */
     OSTEOFLOW_FAILED = 2,
-    /* A panic or an exception was caught; fail() has said which. */
+    /* A panic or an exception was caught; its message was passed to fail(). */
     OSTEOFLOW_PANICKED = 3
 };
 
 /*
- * The program's functions. A plugin that was built with a newer minor looks at `size` before it calls what is not in
- * minor 0. Functions that answer int32_t answer OSTEOFLOW_OK, or OSTEOFLOW_FAILED after they have noted why. Those that
- * take a const osteoflow_run may be called from several threads of the node at once, all others from one at a time; none
- * after the firing has ended.
+ * The functions of the program. A plugin built with a newer minor version checks `size` before it calls functions that are
+ * not in minor 0. Functions that return int32_t return OSTEOFLOW_OK, or OSTEOFLOW_FAILED after recording the reason.
+ * Functions with a const osteoflow_run may be called from several threads of the node at once, all others from one at a
+ * time; none after the firing has ended.
  */
 typedef struct osteoflow_host {
     /* sizeof(osteoflow_host) of the program. */
@@ -257,58 +256,58 @@ typedef struct osteoflow_host {
 
     /* -- values -- */
 
-    /* The view of a value: lent as long as the value, or the handle that hold() gave. */
+    /* The view of a value: lent as long as the value, or as the handle from hold(). */
     int32_t (*view)(const osteoflow_value *value, osteoflow_view *view);
-    /* What results.json says of it, as JSON: lent as long as the value. */
+    /* The value in results.json, as JSON: lent as long as the value. */
     osteoflow_text (*result)(const osteoflow_value *value);
-    /* A handle that keeps the value beyond the firing, until release(). */
+    /* A handle that keeps the value after the firing, until release(). */
     const osteoflow_value *(*hold)(const osteoflow_value *value);
     void (*release)(const osteoflow_value *held);
 
-    /* -- answers; a port that gets none is an empty of a node, and silent of a source -- */
+    /* -- answers; a port without one gets an empty from a node, and is silent for a source -- */
 
-    /* A payload of the output's type. Takes the columns over, also if it refuses. The head is copied. */
+    /* Emits a payload of the type of the output. Takes ownership of the columns, also on failure. Copies the head. */
     int32_t (*emit)(osteoflow_run *run, uint64_t port, const osteoflow_view *view);
-    /* The same on an output that takes any payload, or that the graph declared. */
+    /* Like emit, for an output of any payload, or one that the graph declares. */
     int32_t (*emit_as)(osteoflow_run *run, uint64_t port, osteoflow_text payload, uint32_t version,
                        const osteoflow_view *view);
-    /* The very value that came in, or was held. */
+    /* Emits an input value, or a held one. */
     int32_t (*emit_value)(osteoflow_run *run, uint64_t port, const osteoflow_value *value);
-    /* The same of one that hold() gave: takes the handle over, also if it refuses. */
+    /* Emits a value from hold(), and takes ownership of the handle, also on failure. */
     int32_t (*emit_held)(osteoflow_run *run, uint64_t port, const osteoflow_value *held);
-    /* No result, for this reason. */
+    /* Emits an empty with this reason. */
     int32_t (*emit_empty)(osteoflow_run *run, uint64_t port, osteoflow_text reason);
-    /* Why the node cannot answer, or cannot be built; then the parameter at fault, if it is one. */
+    /* Reports why the node fails, or cannot be built; in that case with the parameter at fault, if there is one. */
     void (*fail)(osteoflow_run *run, osteoflow_text parameter, osteoflow_text message);
 
     /* -- the run -- */
 
-    /* The node's full name; lent as long as the node. */
+    /* The full name of the node; lent as long as the node. */
     osteoflow_text (*node)(const osteoflow_run *run);
     /* The number of this firing, from 0. */
     uint64_t (*item)(const osteoflow_run *run);
     int64_t (*stamp_ns)(const osteoflow_run *run);
-    /* Of a source: the stamp of this answer; must not decrease. */
+    /* For a source: sets the stamp of this answer; must not decrease. */
     void (*set_stamp_ns)(osteoflow_run *run, int64_t stamp_ns);
     uint64_t (*seed)(const osteoflow_run *run);
-    /* The index-th 64 random bits of this firing: they depend on seed, node, item and index alone. */
+    /* The index-th 64 random bits of this firing: a function of seed, node, item and index. */
     uint64_t (*random)(const osteoflow_run *run, uint64_t index);
-    /* The time of day, ns since 1970: recorded, and answered from the record in a replay. */
+    /* The time of day, ns since 1970: recorded, and answered from the recording in a replay. */
     int64_t (*clock_ns)(osteoflow_run *run);
-    /* A budget of time, recorded as the number of looks that found time left. Look at it from one thread. */
+    /* A time budget, recorded as the number of checks that found time left. Check it from one thread. */
     osteoflow_budget *(*budget)(osteoflow_run *run, uint64_t limit_ns);
     int32_t (*budget_is_over)(osteoflow_budget *budget);
     void (*budget_release)(osteoflow_budget *budget);
     /* Whether the user asked to stop. */
     int32_t (*cancelled)(const osteoflow_run *run);
-    /* Something the user should know of this item: shown, counted, kept in the manifest. */
+    /* Warns the user about this item: shown, counted, written to the manifest. */
     void (*warn)(osteoflow_run *run, osteoflow_text message);
     /* Why an optional port got nothing; missing if it got something. Lent until the firing ends. */
     osteoflow_text (*absent_reason)(const osteoflow_run *run, osteoflow_text port);
-    /* The folder of the run, for nodes that write files; missing where the run leaves nothing. Lent as long as the node. */
+    /* The folder for files that the node writes; missing if the run has no folder. Lent as long as the node. */
     osteoflow_text (*out_dir)(const osteoflow_run *run);
 
-    /* -- while a node is built, and of a source with declared outputs at any time -- */
+    /* -- during create(); for a source with declared outputs at any time -- */
 
     /* A parameter by name, or by a dotted path. Lent until create() returns. */
     void (*param)(osteoflow_run *run, osteoflow_text name, osteoflow_param *param);
@@ -318,14 +317,14 @@ typedef struct osteoflow_host {
 
     /* -- log lines -- */
 
-    /* The most detailed level that anybody listens to; 0 for none. */
+    /* The most detailed enabled level; 0 for none. */
     uint32_t (*log_level)(void);
     void (*log)(uint32_t level, osteoflow_text target, osteoflow_text message);
 } osteoflow_host;
 
-/* ---- What a plugin says of itself ---------------------------------------------------------------------------------- */
+/* ---- The description of a plugin ----------------------------------------------------------------------------------- */
 
-/* How the items of a port are chosen for a firing; docs/graph-file.md tells what each does. */
+/* How the items of a port are chosen for a firing; see docs/graph-file.md. */
 enum {
     OSTEOFLOW_JOIN_EACH = 0,
     OSTEOFLOW_JOIN_STAMP = 1,
@@ -336,9 +335,9 @@ enum {
 };
 
 enum {
-    /* May stay unwired, and receives empties in the place of being skipped. */
+    /* May stay unwired, and receives empties instead of skipping the firing. */
     OSTEOFLOW_INPUT_OPTIONAL = 1,
-    /* This kind does not need it; the kinds of its stage have it. */
+    /* Ignored by this kind, but used by other kinds of its stage. */
     OSTEOFLOW_INPUT_UNUSED = 2
 };
 
@@ -350,11 +349,11 @@ typedef struct osteoflow_input {
     uint32_t version;
     uint32_t flags;
     uint32_t join;
-    /* COLLECT: how many at a time; 0: all. */
+    /* COLLECT: number of items; 0: all. */
     uint32_t join_n;
-    /* STAMP: the tolerance. INTERPOLATE: the longest gap; negative: any. */
+    /* STAMP: the tolerance. INTERPOLATE: the maximum gap; negative: unlimited. */
     int64_t join_ns;
-    /* The frames that it should have, where known: "source" (the frame of that port), "@ct", "$frame"; see
+    /* The expected frames, where known: "source" (the frame of that port), "@ct", "$frame"; see
      * docs/writing-a-node.md. A pose has to and from, everything else frame. */
     osteoflow_text frame;
     osteoflow_text to;
@@ -384,19 +383,19 @@ enum {
     OSTEOFLOW_KEPT_BY_INPUTS_AND_SEED = 2
 };
 
-/* Of a source: one item on each output, without a time, and then the end. */
+/* A source that gives one item on each output, at stamp 0, and then ends. */
 enum { OSTEOFLOW_KIND_CONSTANT = 1 };
 
 typedef struct osteoflow_kind {
     /* "stage.variant", as graph files name it. */
     osteoflow_text kind;
-    /* What it gives; the first paragraph is the summary. */
+    /* The documentation; the first paragraph is the summary. */
     osteoflow_text doc;
-    /* JSON Schema of an object: the parameters with types, docs, defaults and ranges. Missing: there are none. */
+    /* JSON Schema of an object: the parameters with types, docs, defaults and ranges. Missing: no parameters. */
     osteoflow_text params_schema;
-    /* Its table in a graph file; may be missing. */
+    /* An example table for a graph file; may be missing. */
     osteoflow_text example;
-    /* JSON Schema of the table of an output, if the graph declares the outputs; else missing. */
+    /* JSON Schema of the table of an output, if the graph declares the outputs; otherwise missing. */
     osteoflow_text declared_schema;
     /* Paper, section, equation. */
     const osteoflow_text *literature;
@@ -406,25 +405,25 @@ typedef struct osteoflow_kind {
     const osteoflow_output *outputs;
     uint64_t n_outputs;
     uint32_t role;
-    /* Whether answers are kept from one run to the next, and what decides them; see docs/writing-a-node.md. */
+    /* Whether answers are cached across runs, and what they depend on; see docs/writing-a-node.md. */
     uint32_t kept;
     uint32_t flags;
     uint32_t reserved;
-    /* For the plugin's own use. */
+    /* For use by the plugin. */
     const void *data;
-    /* Builds a node: `*node` is handed to the functions below. params is JSON. Reads nothing yet. */
+    /* Builds a node: `*node` is passed to the functions below. params is JSON. Must not read files or devices yet. */
     int32_t (*create)(const struct osteoflow_kind *kind, const osteoflow_firing *firing, osteoflow_text params,
                       void **node);
-    /* One firing of a node, or one answer of a source. */
+    /* One firing of a node, or one call of a source. */
     int32_t (*fire)(void *node, const osteoflow_firing *firing);
-    /* Takes the node down. */
+    /* Frees the node. */
     void (*destroy)(void *node);
-    /* Of a live source; may be NULL: 0, and 5 s. */
+    /* For a live source; may be NULL, for 0 and 5 s. */
     int64_t (*max_delay_ns)(void *node);
     int64_t (*silent_after_ns)(void *node);
 } osteoflow_kind;
 
-/* The sizes of the structs as the plugin was compiled. */
+/* The sizes of the structs when the plugin was compiled. */
 typedef struct osteoflow_sizes {
     uint32_t plugin;
     uint32_t kind;
@@ -447,7 +446,7 @@ enum {
     OSTEOFLOW_PANIC_NONE = 0,
     /* Panics unwind and are caught. */
     OSTEOFLOW_PANIC_UNWIND = 1,
-    /* Panics would end the whole program: refused. */
+    /* Panics abort the program: the plugin is refused. */
     OSTEOFLOW_PANIC_ABORT = 2
 };
 
@@ -460,29 +459,29 @@ typedef struct osteoflow_plugin {
     uint32_t flags;
     osteoflow_text name;
     osteoflow_text version;
-    /* What it was built with, for people: "osteoflow.h 1.0", "gcc 14.2". */
+    /* What it was built with, for messages: "osteoflow.h 1.0", "gcc 14.2". */
     osteoflow_text sdk;
     osteoflow_text compiler;
     const osteoflow_kind *kinds;
     uint64_t n_kinds;
-    /* Payloads of its own, and those that it has from another plugin. */
+    /* Its own payload types, and those of other plugins that it uses. */
     const osteoflow_payload *payloads;
     uint64_t n_payloads;
-    /* Called once in a process that is going to run nodes, before any is built; may be NULL. */
+    /* Called once per process that runs nodes, before any is built; may be NULL. */
     void (*start)(const osteoflow_host *host);
 } osteoflow_plugin;
 
-/* The one function that a plugin exports. The description lives as long as the library, and never changes. */
+/* The only function that a plugin exports. The description is immutable and lives as long as the library. */
 OSTEOFLOW_EXPORT const osteoflow_plugin *osteoflow_describe(void);
 /* clang-format off */
 
-/* ---- For use by hand ------------------------------------------------------------------------------------------------ */
+/* ---- Helpers ------------------------------------------------------------------------------------------------------- */
 
-/* A text of a literal, for static descriptions. */
+/* A text from a literal, for static descriptions. */
 #define OSTEOFLOW_TEXT(literal) { literal, sizeof(literal) - 1 }
 #define OSTEOFLOW_NO_TEXT { NULL, 0 }
 
-/* The sizes for osteoflow_plugin.sizes. */
+/* The value of osteoflow_plugin.sizes. */
 #define OSTEOFLOW_SIZES \
     { sizeof(osteoflow_plugin), sizeof(osteoflow_kind), sizeof(osteoflow_input), sizeof(osteoflow_output), \
       sizeof(osteoflow_payload), sizeof(osteoflow_part), sizeof(osteoflow_host), sizeof(osteoflow_firing), \
@@ -498,8 +497,8 @@ OSTEOFLOW_EXPORT const osteoflow_plugin *osteoflow_describe(void);
 #define OSTEOFLOW_SDK "osteoflow.h 1.0"
 
 /*
- * Exports a plugin of the kinds in an array, in C and in C++: OSTEOFLOW_PLUGIN("my_crop", "1.0.0", kinds), without a
- * semicolon; the other one for a plugin that describes payloads as well.
+ * Exports an array of kinds, in C and C++: OSTEOFLOW_PLUGIN("my_crop", "1.0.0", kinds), without a semicolon.
+ * OSTEOFLOW_PLUGIN_WITH also exports an array of payload types.
  */
 #define OSTEOFLOW_PLUGIN(name, version, kinds) OSTEOFLOW_EXPORT_PLUGIN(name, version, kinds, NULL, 0)
 #define OSTEOFLOW_PLUGIN_WITH(name, version, kinds, payloads) \
@@ -527,13 +526,13 @@ static inline int osteoflow_text_is(osteoflow_text text, const char *zero_termin
     return text.data != NULL && text.length == length && memcmp(text.data, zero_terminated, length) == 0;
 }
 
-/* Says why, and answers OSTEOFLOW_FAILED: `return osteoflow_fail(firing, "the cloud is empty");` */
+/* Reports an error and returns OSTEOFLOW_FAILED: `return osteoflow_fail(firing, "the cloud is empty");` */
 static inline int32_t osteoflow_fail(const osteoflow_firing *firing, const char *message) {
     firing->host->fail(firing->run, osteoflow_text_of(NULL), osteoflow_text_of(message));
     return OSTEOFLOW_FAILED;
 }
 
-/* The view of the one value at an input. Ports that are not optional always have one. */
+/* The view of the single value of an input. Ports that are not optional always have one. */
 static inline int32_t osteoflow_input_view(const osteoflow_firing *firing, uint64_t port, osteoflow_view *view) {
     const osteoflow_slot *slot = &firing->slots[port];
     if (slot->n_items != 1 || slot->items[0].value == NULL) {
@@ -542,7 +541,7 @@ static inline int32_t osteoflow_input_view(const osteoflow_firing *firing, uint6
     return firing->host->view(slot->items[0].value, view);
 }
 
-/* The column of that name with that type and width, rows end to end; NULL if there is none. */
+/* The column with this name, type and width; NULL if there is none. The rows of lent columns are contiguous. */
 static inline const osteoflow_column *osteoflow_find_column(const osteoflow_view *view, const char *name,
                                                             uint32_t type, uint32_t width) {
     for (uint64_t i = 0; i < view->n_columns; i++) {
@@ -554,7 +553,7 @@ static inline const osteoflow_column *osteoflow_find_column(const osteoflow_view
     return NULL;
 }
 
-/* A number parameter; `otherwise` if neither the graph nor the schema gives one. */
+/* A number parameter; `otherwise` if neither the graph nor the schema has it. */
 static inline double osteoflow_param_number(const osteoflow_firing *firing, const char *name, double otherwise) {
     osteoflow_param param;
     firing->host->param(firing->run, osteoflow_text_of(name), &param);

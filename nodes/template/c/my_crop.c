@@ -1,13 +1,13 @@
 /*
- * A node in C to begin with: my_crop.sphere keeps what lies within a distance of a point. Change it, run make, run the
- * graph. Read from the end: it says what the plugin holds, and everything else hangs on it.
+ * A node in C as a starting point: my_crop.sphere keeps the points within a distance of a centre. Change it, run make, run
+ * the graph. Read from the end, where the kinds of the plugin are listed.
  */
 #include "osteoflow_geometry.h"
 
 #include <math.h>
 #include <stdio.h>
 
-/* A node: its parameters. */
+/* The state of a node: its parameters. */
 typedef struct sphere {
     double centre[3];
     double radius;
@@ -20,7 +20,7 @@ static int32_t create(const osteoflow_kind *kind, const osteoflow_firing *firing
     if (self == NULL) {
         return osteoflow_fail(firing, "there is no memory for the node");
     }
-    /* Both are there: the program has checked them by the schema below. */
+    /* Both exist: the program has checked them against the schema below. */
     osteoflow_param centre, radius;
     firing->host->param(firing->run, osteoflow_text_of("centre_mm"), &centre);
     memcpy(self->centre, centre.numbers.data, sizeof self->centre);
@@ -34,7 +34,7 @@ static void destroy(void *node) {
     free(node);
 }
 
-/* Which points are kept: here is what you would change. Their number; `chosen` holds a place for each. */
+/* Writes the indices of the points to keep and returns their number; `chosen` has room for all. Change this. */
 static uint64_t choose(const sphere *self, const double *points, uint64_t n_points, uint64_t *chosen) {
     uint64_t n = 0;
     for (uint64_t i = 0; i < n_points; i++) {
@@ -48,7 +48,7 @@ static uint64_t choose(const sphere *self, const double *points, uint64_t n_poin
     return n;
 }
 
-/* Answers with the chosen rows of every column: points, normals and whatever else the cloud has. */
+/* Emits the chosen rows of every column: points, normals and all others. */
 static int32_t emit_chosen(const osteoflow_firing *firing, const osteoflow_view *cloud, const uint64_t *chosen,
                            uint64_t n) {
     osteoflow_column *columns = malloc(cloud->n_columns * sizeof *columns);
@@ -67,7 +67,7 @@ static int32_t emit_chosen(const osteoflow_firing *firing, const osteoflow_view 
     }
     int32_t answer;
     if (made == cloud->n_columns) {
-        /* The program frees the rows from here on. The head is copied: frame, time and viewpoint stay as they came. */
+        /* The program now frees the rows, and copies the head: frame, stamp and viewpoint are unchanged. */
         const osteoflow_view out = { cloud->head, cloud->head_size, columns, made };
         answer = firing->host->emit(firing->run, 0, &out);
     } else {
@@ -91,16 +91,16 @@ static int32_t fire(void *node, const osteoflow_firing *firing) {
     }
     uint64_t *chosen = malloc((points->n_rows + 1) * sizeof *chosen);
     if (chosen == NULL) {
-        return osteoflow_fail(firing, "there is no memory for the choice of points");
+        return osteoflow_fail(firing, "there is no memory for the indices");
     }
     const uint64_t n = choose(node, points->data, points->n_rows, chosen);
     int32_t answer;
     if (n > 0) {
         answer = emit_chosen(firing, &cloud, chosen, n);
     } else {
-        /* An empty cloud is no answer: say why there is none, and what to do. */
+        /* An empty cloud is an error: give the reason and a next step. */
         char message[160];
-        snprintf(message, sizeof message, "none of %llu points lies within %g mm of the centre; is it given in mm?",
+        snprintf(message, sizeof message, "none of %llu points is within %g mm of the centre; is it given in mm?",
                  (unsigned long long)points->n_rows, ((const sphere *)node)->radius);
         answer = osteoflow_fail(firing, message);
     }
@@ -108,7 +108,7 @@ static int32_t fire(void *node, const osteoflow_firing *firing) {
     return answer;
 }
 
-/* The ports of every crop, so that one word in a graph swaps this one in. */
+/* The ports of every crop, so that graphs can switch to this one by its kind. */
 static const osteoflow_input inputs[] = {
     { .name = OSTEOFLOW_TEXT("cloud"),
       .doc = OSTEOFLOW_TEXT("The cloud to crop."),
@@ -116,7 +116,7 @@ static const osteoflow_input inputs[] = {
       .version = OSTEOFLOW_CLOUD_VERSION,
       .join = OSTEOFLOW_JOIN_EACH },
     { .name = OSTEOFLOW_TEXT("region"),
-      .doc = OSTEOFLOW_TEXT("Not looked at here."),
+      .doc = OSTEOFLOW_TEXT("Ignored."),
       .payload = OSTEOFLOW_TEXT(OSTEOFLOW_REGION),
       .version = OSTEOFLOW_REGION_VERSION,
       .flags = OSTEOFLOW_INPUT_UNUSED,
@@ -125,7 +125,7 @@ static const osteoflow_input inputs[] = {
 
 static const osteoflow_output outputs[] = {
     { .name = OSTEOFLOW_TEXT("cloud"),
-      .doc = OSTEOFLOW_TEXT("What lies in the sphere."),
+      .doc = OSTEOFLOW_TEXT("The points in the sphere."),
       .payload = OSTEOFLOW_TEXT(OSTEOFLOW_CLOUD),
       .version = OSTEOFLOW_CLOUD_VERSION,
       .frame = OSTEOFLOW_TEXT("cloud") },
@@ -133,7 +133,7 @@ static const osteoflow_output outputs[] = {
 
 static const osteoflow_kind kinds[] = {
     { .kind = OSTEOFLOW_TEXT("my_crop.sphere"),
-      .doc = OSTEOFLOW_TEXT("What lies within a distance of a point."),
+      .doc = OSTEOFLOW_TEXT("Points within a distance of a centre."),
       .params_schema = OSTEOFLOW_TEXT(
           "{ \"type\": \"object\", \"additionalProperties\": false, \"required\": [\"centre_mm\", \"radius_mm\"], "
           "\"properties\": { "

@@ -1,3 +1,3 @@
-/* A payload of the program, described otherwise. */
+/* A payload type of the program with another schema. */
 #define PAYLOAD "geometry/Pose"
 #include "../toy.c"

@@ -1,4 +1,4 @@
-/* Writes where it may not when it is loaded. */
+/* Causes a segmentation fault when loaded. */
 #include "../toy.c"
 
 __attribute__((constructor)) static void crash(void) {

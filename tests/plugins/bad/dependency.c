@@ -1,4 +1,4 @@
-/* What another library calls. */
+/* A function that another library calls. */
 int dependency(void);
 
 int dependency(void) {

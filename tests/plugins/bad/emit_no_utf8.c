@@ -1,4 +1,4 @@
-/* Says a reason that is no text. */
+/* Emits an empty whose reason is not UTF-8. */
 #include "osteoflow.h"
 
 static int32_t emit_bad(const osteoflow_firing *firing, double value) {

@@ -1,4 +1,4 @@
-/* Emits a column of three rows that lie nowhere. */
+/* Emits a column of three rows with a null pointer. */
 #include "osteoflow_geometry.h"
 
 static int32_t emit_bad(const osteoflow_firing *firing, double value) {

@@ -1,4 +1,4 @@
-/* Emits another payload than its port says. */
+/* Emits another payload type than that of its port. */
 #include "osteoflow.h"
 
 static int32_t emit_bad(const osteoflow_firing *firing, double value) {

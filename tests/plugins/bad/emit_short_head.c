@@ -1,4 +1,4 @@
-/* Emits half a head. */
+/* Emits a head of half the size. */
 #include "osteoflow.h"
 
 static int32_t emit_bad(const osteoflow_firing *firing, double value) {

@@ -1,4 +1,4 @@
-/* Ends the process when it is loaded. */
+/* Exits when loaded. */
 #include <stdio.h>
 
 #include "../toy.c"

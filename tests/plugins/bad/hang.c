@@ -1,4 +1,4 @@
-/* Waits for ever when it is loaded. */
+/* Waits forever when loaded. */
 #include <unistd.h>
 
 #include "../toy.c"

@@ -1,4 +1,4 @@
-/* Calls a library that is gone. */
+/* Depends on a library that does not exist. */
 int dependency(void);
 
 #define ADD dependency()

@@ -1,4 +1,4 @@
-/* A library, but no plugin. */
+/* A library that is not a plugin. */
 int osteoflow_something_else(void) {
     return 0;
 }

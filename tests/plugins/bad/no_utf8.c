@@ -1,3 +1,3 @@
-/* A name that is no text. */
+/* A name that is not UTF-8. */
 #define NAME { "\xff\xfe", 2 }
 #include "../toy.c"

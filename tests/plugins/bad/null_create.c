@@ -1,3 +1,3 @@
-/* A kind that nobody can build. */
+/* A kind without create(). */
 #define CREATE NULL
 #include "../toy.c"

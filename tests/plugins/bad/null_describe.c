@@ -1,4 +1,4 @@
-/* Describes nothing. */
+/* Returns no description. */
 #include "osteoflow.h"
 
 const osteoflow_plugin *osteoflow_describe(void) {

@@ -1,3 +1,3 @@
-/* Two kinds nowhere. */
+/* Two kinds behind a null pointer. */
 #define KINDS NULL, 2
 #include "../toy.c"

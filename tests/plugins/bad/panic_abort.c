@@ -1,3 +1,3 @@
-/* What panics ends the program. */
+/* Panics that abort. */
 #define PANIC OSTEOFLOW_PANIC_ABORT
 #include "../toy.c"

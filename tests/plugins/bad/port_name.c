@@ -1,3 +1,3 @@
-/* A port that no graph can name. */
+/* A port name that no graph can use. */
 #define PORT_OF_ADD OSTEOFLOW_TEXT("a number")
 #include "../toy.c"

@@ -1,3 +1,3 @@
-/* A kind of the program. */
+/* A kind that the program has. */
 #define KIND_OF_ADD OSTEOFLOW_TEXT("icp.point_to_point")
 #include "../toy.c"

@@ -1,3 +1,3 @@
-/* Another first word. */
+/* Wrong magic bytes. */
 #define MAGIC 'O', 'T', 'H', 'E', 'R', 'P', 'L', 'G'
 #include "../toy.c"

@@ -1,4 +1,4 @@
-//! A point-to-point ICP to begin with: change it, build it, and run the graph again.
+//! A point-to-point ICP as a starting point: change it, build it, and run the graph again.
 
 use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
@@ -13,13 +13,14 @@ use osteoflow_payloads::{
     },
 };
 
-/// A target point may turn away from the camera by 20 degrees, more than a start is off, and still be paired: the sine.
+/// Target points whose normals point up to 20 degrees away from the camera are still paired, since the initial pose may be
+/// off by less: the sine.
 const PAST_SILHOUETTE: f64 = 0.34;
 
-/// Fewer pairs fix six unknowns, but leave nothing to judge them by.
+/// Fewer pairs determine six unknowns, but leave no redundancy.
 const MIN_PAIRS: usize = 10;
 
-/// Fine registration of a bone surface onto the CT surface by the plainest point-to-point ICP.
+/// Fine registration of a bone surface onto the CT surface by a plain point-to-point ICP.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -39,10 +40,10 @@ pub struct Params {
     /// Pairs farther apart are not used, mm. 5: twice the largest error of a three-point fit to laser holes.
     #[schemars(range(min = 1e-6, max = 1e6))]
     max_pair_distance_mm: f64,
-    /// Stop where a step changes the RMS distance of the pairs by less, mm. 1e-5: far below what a camera can tell.
+    /// Stop when a step changes the RMS distance of the pairs by less, mm. 1e-5: far below the noise of a camera.
     #[schemars(range(min = 0.0, max = 10.0))]
     stop_residual_mm: f64,
-    /// Stop after so many steps. 500: more than real bones take.
+    /// Maximum number of steps. 500: more than real bones need.
     #[schemars(range(min = 1, max = 100_000))]
     max_iterations: u32,
 }
@@ -53,7 +54,7 @@ impl Default for Params {
     }
 }
 
-/// The ports of every ICP, so that one word in a graph swaps this one in.
+/// The ports of every ICP, so that graphs can switch to this one by its kind.
 #[derive(Inputs)]
 pub struct In {
     /// Moves: the scanned surface, cropped.
@@ -66,7 +67,7 @@ pub struct In {
     init: Pose,
 }
 
-/// What it gives.
+/// The outputs.
 #[derive(Outputs)]
 pub struct Out {
     /// The registration.
@@ -88,20 +89,20 @@ impl Node for PointToPoint {
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let mut t = i.init.expect(&i.target.frame, &i.source.frame)?;
-        let surface = seen(&i.target, &i.source, &t);
+        let surface = visible(&i.target, &i.source, &t);
         let tree = Nearest::new(&surface);
         let mut pairs = self.pair(i.source.points(), &surface, &tree, &t)?;
-        let (mut n_steps, mut settled) = (0, false);
-        while !settled && n_steps < self.0.max_iterations && !ctx.cancelled() {
+        let (mut n_steps, mut converged) = (0, false);
+        while !converged && n_steps < self.0.max_iterations && !ctx.cancelled() {
             t = kabsch(&pairs.target, &pairs.source)?;
             let next = self.pair(i.source.points(), &surface, &tree, &t)?;
-            settled = (next.rms_mm - pairs.rms_mm).abs() < self.0.stop_residual_mm;
+            converged = (next.rms_mm - pairs.rms_mm).abs() < self.0.stop_residual_mm;
             pairs = next;
             n_steps += 1;
         }
         let (n_pairs, rms_mm) = (pairs.source.len(), pairs.rms_mm);
         tracing::debug!(n_steps, n_pairs, rms_mm, "registered");
-        let stop_reason = match settled {
+        let stop_reason = match converged {
             true => "residual",
             false if ctx.cancelled() => "cancelled",
             false => "iterations",
@@ -112,8 +113,8 @@ impl Node for PointToPoint {
     }
 }
 
-/// The points of the target that the camera may have seen; all of them where nobody knows where it stood.
-fn seen(target: &Target, source: &Cloud, t_target_source: &Isometry3<f64>) -> Vec<Point3<f64>> {
+/// The points of the target that face the camera; all of them if its position is unknown.
+fn visible(target: &Target, source: &Cloud, t_target_source: &Isometry3<f64>) -> Vec<Point3<f64>> {
     let (Some(normals), Some(viewpoint)) = (target.normals(), source.viewpoint) else {
         return target.points().to_vec();
     };
@@ -126,7 +127,7 @@ fn seen(target: &Target, source: &Cloud, t_target_source: &Isometry3<f64>) -> Ve
     all.filter(|(point, normal)| faces(point, normal)).map(|(point, _)| *point).collect()
 }
 
-/// Points that belong together, by index.
+/// Corresponding points, by index.
 struct Pairs {
     target: Vec<Point3<f64>>,
     source: Vec<Point3<f64>>,
@@ -134,7 +135,7 @@ struct Pairs {
 }
 
 impl PointToPoint {
-    /// Pairs each source point, moved by `t`, with the nearest point of the surface, if that is near enough.
+    /// Pairs each source point, moved by `t`, with the nearest point of the surface within `max_pair_distance_mm`.
     fn pair(
         &self,
         source: &[Point3<f64>],
@@ -142,23 +143,23 @@ impl PointToPoint {
         tree: &Nearest,
         t: &Isometry3<f64>,
     ) -> Result<Pairs, NodeError> {
-        let reach_mm = self.0.max_pair_distance_mm;
+        let max_mm = self.0.max_pair_distance_mm;
         let mut pairs = Pairs { target: Vec::new(), source: Vec::new(), rms_mm: 0.0 };
         let mut squares = 0.0;
         for point in source {
             let moved = t * point;
             let Some((index, _)) = tree.nearest(&moved) else { continue };
-            let apart_mm = distance(&moved, &surface[index]);
-            if apart_mm <= reach_mm {
+            let distance_mm = distance(&moved, &surface[index]);
+            if distance_mm <= max_mm {
                 pairs.target.push(surface[index]);
                 pairs.source.push(*point);
-                squares += apart_mm * apart_mm;
+                squares += distance_mm * distance_mm;
             }
         }
         let (n, n_source) = (pairs.source.len(), source.len());
         if n < MIN_PAIRS {
             return Err(NodeError::new(format!(
-                "{n} of {n_source} source points lie within {reach_mm} mm of the target, {MIN_PAIRS} are needed; is init \
+                "{n} of {n_source} source points are within {max_mm} mm of the target, {MIN_PAIRS} are needed; is init \
                  right, and are both in mm?"
             )));
         }
@@ -174,7 +175,7 @@ mod tests {
     use super::*;
     use osteoflow_payloads::geometry::SurfaceOrigin;
 
-    /// A bowl of 21 x 21 points, 1 mm apart, without a symmetry.
+    /// An asymmetric bowl of 21 x 21 points, 1 mm apart.
     fn bowl() -> Vec<Point3<f64>> {
         let place = |k: u32| (f64::from(k % 21) - 10.0, f64::from(k / 21) - 10.0);
         let height = |x: f64, y: f64| 0.03 * x * x + 0.05 * y * y + 0.5 * (x / 3.0).sin();
@@ -194,15 +195,15 @@ mod tests {
     fn a_known_motion_is_found() {
         let truth = Isometry3::new(Vector3::new(0.2, -0.1, 0.3), Vector3::new(0.01, -0.02, 0.015));
         let out = register(bowl().iter().map(|p| truth.inverse() * p).collect()).unwrap();
-        let left =
+        let error =
             (out.t_target_source.isometry * truth.inverse()).to_homogeneous() - Isometry3::identity().to_homogeneous();
-        assert!(left.amax() < 1e-9, "{left}");
+        assert!(error.amax() < 1e-9, "{error}");
     }
 
     #[test]
     fn too_few_pairs_are_an_error_and_no_pose() {
         let far = bowl().iter().map(|p| p + Vector3::new(0.0, 0.0, 500.0)).collect();
-        let said = register(far).map(|_| ()).unwrap_err().to_string();
-        assert!(said.starts_with("0 of 441 source points lie within 5 mm"), "{said}");
+        let message = register(far).map(|_| ()).unwrap_err().to_string();
+        assert!(message.starts_with("0 of 441 source points are within 5 mm"), "{message}");
     }
 }
