@@ -3,12 +3,12 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_geometry::{Axes, Mesh};
 
-/// The principal axes of a surface through its centroid, each face weighing as much as its area.
+/// The principal axes of a surface through its centroid, with faces weighted by area.
 ///
 /// Order: z runs along the bone (largest spread), y has the second largest, x the smallest. Sign: the largest component
 /// of z and of y in the mesh's frame is positive, and x = y × z makes the axes right-handed; so in an LPS frame z of a
-/// long bone points to the head. [`towards`] turns z to a known direction instead. How finely the surface is meshed does
-/// not matter. `O(m)`.
+/// long bone points to the head. [`towards`] flips z to a known direction instead. The result does not depend on how
+/// finely the surface is meshed. `O(m)`.
 pub fn principal_axes(mesh: &Mesh) -> Axes {
     let n_faces = mesh.faces().len();
     let start = mesh.vertices().first().copied().unwrap_or_else(Point3::origin);
@@ -19,7 +19,7 @@ pub fn principal_axes(mesh: &Mesh) -> Axes {
         area += weight;
         moment += (a + b + c) * (weight / 3.0);
     }
-    // A mesh without area has no axes of its own; its frame's serve.
+    // A mesh without area has no principal axes; use those of its frame.
     let centre = if area > 0.0 { start + moment / area } else { start };
     let mut spread = Matrix3::zeros();
     for face in 0..n_faces {
@@ -37,7 +37,7 @@ pub fn principal_axes(mesh: &Mesh) -> Axes {
     Axes { frame: mesh.frame.clone(), centre, columns: Matrix3::from_columns(&[y.cross(&z), y, z]) }
 }
 
-/// The same axes with z pointing towards `proximal`: y and z are turned over together where it did not.
+/// The axes with z pointing towards `proximal`, flipped together with y if necessary.
 pub fn towards(axes: &Axes, proximal: &Vector3<f64>) -> Axes {
     let [x, y, z] = [0, 1, 2].map(|k| axes.columns.column(k).into_owned());
     let columns = if z.dot(proximal) < 0.0 { Matrix3::from_columns(&[x, -y, -z]) } else { axes.columns };
@@ -75,7 +75,7 @@ mod tests {
     fn a_finer_mesh_of_the_same_surface_has_the_same_axes() {
         let mesh = shaft();
         let split: Vec<[u32; 3]> = mesh.faces().to_vec();
-        // Every second face once more in four parts: the same surface, unevenly meshed.
+        // Every second face is divided into four: the same surface, unevenly meshed.
         let (mut vertices, mut faces) = (mesh.vertices().to_vec(), Vec::new());
         for (k, [a, b, c]) in split.into_iter().enumerate() {
             if k % 2 == 0 {
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn z_can_be_turned_towards_the_knee() {
+    fn z_can_be_flipped_towards_the_knee() {
         let axes = principal_axes(&shaft());
         assert!(axes.columns.column(2).z > 0.9);
         let down = towards(&axes, &-Vector3::z());

@@ -1,4 +1,4 @@
-//! The camera's place in its marker, from one scan of a phantom of known shape; and the tip of a stylus.
+//! Calibration of the camera to its marker, from one scan of a phantom of known shape; and of a stylus' tip.
 
 mod pivot;
 
@@ -17,43 +17,44 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeMap, ops::ControlFlow};
 
-/// Residuals within a cell of this size count as one error, mm: a camera's smooth distortion reaches about so far.
+/// Cell size for clustering residuals, mm: about the correlation length of a camera's smooth distortion.
 pub const CELL_MM: f64 = 10.0;
 
-/// A motion of 1 mm must cause this RMS residual, mm. Three faces give 0.4; where faces are missing, points that pair
-/// across an edge still give 0.03.
+/// Minimum RMS residual that a motion of 1 mm causes, mm. Three faces give 0.4; where faces are missing, pairs across
+/// an edge still give 0.03.
 const MIN_HOLD_PER_MM: f64 = 0.1;
 
-/// A face is looked at from so far outside, mm: beyond rounding, within any gap between parts.
+/// Distance from a face at which its outside is tested, mm: beyond rounding, within any gap between parts.
 const JUST_OUTSIDE_MM: f64 = 1e-3;
 
-/// How the phantom's CAD is brought onto its scan.
+/// Parameters of [`phantom_icp`].
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PhantomParams {
     /// Pairs farther apart are not used at the start, mm. 10: a nominal pose is good to a few mm and about 2 degrees.
     #[schemars(range(min = 0.1, max = 1000.0))]
     pub max_pair_distance_mm: f64,
-    /// Share of the pairs, the worst first, that the last steps leave out. 0.1: edges, where a point may pair with the
-    /// wrong face.
+    /// Share of the pairs, the worst first, that the last steps trim. 0.1: edges, where a point may pair with the wrong
+    /// face.
     #[schemars(range(min = 0.0, max = 0.9))]
     pub trim_fraction: f64,
-    /// Give up after so many steps. 200: ten times what a phantom takes.
+    /// Maximum number of steps. 200: ten times what a phantom takes.
     #[schemars(range(min = 1, max = 100000))]
     pub max_iterations: u32,
-    /// Points drawn from the CAD's surface. 40000: less than a millimetre apart on a cube of 60 mm, and
-    /// on flat faces the spacing does not matter.
+    /// Points drawn from the CAD's surface. 40000: less than a millimetre apart on a cube of 60 mm; on flat faces the
+    /// spacing does not matter.
     #[schemars(range(min = 100, max = 10000000))]
     pub n_samples: u32,
-    /// Distance from the camera at which the error caused by the calibration is told, mm. 200: the paper's.
+    /// Distance from the camera at which the error caused by the calibration is reported, mm. 200: the paper's.
     #[schemars(range(min = 1.0, max = 10000.0))]
     pub working_distance_mm: f64,
-    /// Refuse where the RMS distance of the used pairs from the CAD's faces is larger than this, mm. 0.5: ten times the
-    /// camera's noise; above it the start was wrong, or it is another phantom.
+    /// Maximum RMS distance of the used pairs from the CAD's faces, mm. 0.5: ten times the camera's noise; above it the
+    /// start was wrong, or it is another phantom.
     #[schemars(range(min = 0.001, max = 100.0))]
     pub max_rms_mm: f64,
-    /// Refuse where a larger share of the points within `max_pair_distance_mm` lies farther than `3 max_rms_mm` from the
-    /// CAD's faces. 0.2: a little of a table may be near the phantom, but a face that lies elsewhere is another phantom.
+    /// Maximum share of the points within `max_pair_distance_mm` that lie farther than `3 max_rms_mm` from the CAD's
+    /// faces.
+    /// 0.2: a little of a table may be near the phantom, but a face that lies elsewhere is another phantom.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_off_share: f64,
 }
@@ -72,47 +73,48 @@ impl Default for PhantomParams {
     }
 }
 
-/// Where the phantom stands before the camera.
+/// Pose of the phantom in the camera's frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhantomFit {
     /// Takes phantom coordinates to camera coordinates.
     pub t_camera_phantom: Isometry3<f64>,
-    /// How well that is known.
+    /// Accuracy of the pose.
     pub report: PhantomReport,
 }
 
-/// How well a phantom was found, and what that means for a bone at the working distance.
+/// Accuracy of a phantom's pose, and its effect on a bone at the working distance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PhantomReport {
     /// Scan points.
     pub n_points: usize,
-    /// Points that pair with a face, the trimmed ones left out.
+    /// Points that pair with a face, without the trimmed ones.
     pub n_pairs: usize,
-    /// RMS distance of those from their faces, mm.
+    /// RMS distance of the used points from their faces, mm.
     pub rms_mm: f64,
     /// Median absolute distance of all points from the CAD's faces, mm.
     pub median_mm: f64,
-    /// 95th percentile of it, mm.
+    /// 95th percentile of the absolute distances, mm.
     pub p95_mm: f64,
-    /// How far the fit moved the nominal pose: RMS movement of the phantom's points, mm.
+    /// Correction of the nominal pose: RMS movement of the phantom's points, mm.
     pub moved_mm: f64,
-    /// Turn between the nominal pose and the fit, rad.
+    /// Angle between the nominal pose and the fit, rad.
     pub moved_rad: f64,
-    /// Standard deviation of the rotation, rad, as the residuals predict it; see [`phantom_icp`].
+    /// Standard deviation of the rotation predicted from the residuals, rad; see [`phantom_icp`].
     pub rotation_sd_rad: f64,
-    /// Standard deviation of the position of the centroid of what was seen of it, mm.
+    /// Standard deviation of the position of the centroid of the seen points, mm.
     pub translation_sd_mm: f64,
     /// The working distance, mm.
     pub working_distance_mm: f64,
-    /// Error predicted for a point so far in front of the camera, RMS over its three directions, mm; see [`phantom_icp`].
+    /// Predicted error of a point at the working distance in front of the camera, RMS over three directions, mm; see
+    /// [`phantom_icp`].
     pub error_at_working_distance_mm: f64,
-    /// What 0.1 degree would cause there, mm: 0.35 mm at 200 mm.
+    /// Error that 0.1 degree would cause there, mm: 0.35 mm at 200 mm.
     pub error_of_tenth_degree_mm: f64,
-    /// How the registration ended.
+    /// Report of the registration.
     pub icp: IcpReport,
 }
 
-/// Why there is no calibration.
+/// Errors of [`phantom_icp`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CalibrationError {
     /// The CAD has no surface that a camera could see.
@@ -147,7 +149,7 @@ pub enum CalibrationError {
         share: f64,
         /// Allowed.
         allowed: f64,
-        /// What counts as off.
+        /// Distance beyond which a point is off the CAD.
         limit_mm: f64,
     },
     /// The scan leaves part of the pose free.
@@ -162,13 +164,12 @@ pub enum CalibrationError {
 
 /// Registers the phantom's CAD to its scan (in the camera's frame, camera at the origin), from a nominal pose.
 ///
-/// Only what a camera can see of the CAD takes part: CAD programs export a body as overlapping closed parts, whose inner
-/// faces are buried in other parts, and of the rest only what faces the camera. Points pair with samples of those faces
-/// and are moved by their distance along the normals; the worst pairs, at edges, are left out.
+/// Only faces that a camera can see take part: CAD programs export a body as overlapping closed parts, whose inner
+/// faces are buried in other parts, and of the others only those that face the camera count. Points pair with samples
+/// of these faces and move by point-to-plane distances; the worst pairs, at edges, are trimmed.
 ///
-/// The report's standard deviations come from the residuals as they are, not from their number: residuals of one region
-/// err together (a camera bends its surfaces), so the sums over cells of [`CELL_MM`] count as the independent errors
-/// (a sandwich estimate clustered by cell).
+/// The report's standard deviations are a sandwich estimate clustered by cells of [`CELL_MM`]: residuals of one region
+/// are correlated (a camera bends its surfaces), so only the sums over cells count as independent errors.
 ///
 /// # Errors
 /// [`CalibrationError`]
@@ -184,7 +185,7 @@ pub fn phantom_icp(
     let target = visible(phantom, params.n_samples as usize)?;
     let icp_params = IcpParams {
         max_pair_distance_mm: params.max_pair_distance_mm,
-        // A face that starts some millimetres off must not be left out, as it alone holds a motion.
+        // A face that starts some millimetres off must not be trimmed, as it alone may determine a motion.
         gate_sigmas: 0.0,
         trim_fraction: params.trim_fraction,
         max_iterations: params.max_iterations,
@@ -278,11 +279,11 @@ fn pairs(target: &Target, scan: &[Point3<f64>], t_phantom_camera: &Isometry3<f64
     found.into_iter().flatten().collect()
 }
 
-/// How far the phantom's pose may be off: the covariance of a small motion of it, in the camera's frame.
+/// Covariance of a small motion of the phantom, in the camera's frame.
 struct Spread {
     /// Of shift (mm) and turn (rad) about `centre`.
     covariance: Matrix6<f64>,
-    /// The phantom's seen points' centroid, in the camera's frame, mm.
+    /// Centroid of the phantom's seen points, in the camera's frame, mm.
     centre: Point3<f64>,
 }
 
@@ -318,7 +319,7 @@ impl Spread {
     }
 }
 
-/// `t_c_mc = t_c_p * t_p_mp * t_mp_w * t_w_mc`: where the camera marker is in the camera's frame.
+/// `t_c_mc = t_c_p * t_p_mp * t_mp_w * t_w_mc`: the pose of the camera marker in the camera's frame.
 ///
 /// # Source
 /// Equation 1 of the paper.
@@ -331,8 +332,8 @@ pub fn equation_1(
     t_camera_phantom * t_phantom_phantom_marker * t_world_phantom_marker.inverse() * t_world_camera_marker
 }
 
-/// Where the phantom should stand before the camera, from the camera marker's nominal place: equation 1 solved for
-/// `t_camera_phantom`, the start of [`phantom_icp`].
+/// Nominal pose of the phantom, from the nominal pose of the camera marker: equation 1 solved for `t_camera_phantom`,
+/// the start of [`phantom_icp`].
 pub fn nominal_t_camera_phantom(
     t_camera_camera_marker_nominal: &Isometry3<f64>,
     t_phantom_phantom_marker: &Isometry3<f64>,
@@ -413,10 +414,10 @@ mod tests {
         let truth = pose();
         let round = shaft().transformed("ct", &Isometry3::translation(0.0, 30.0, -40.0));
         let wrong = phantom_icp(&scan(&round, &truth), &phantom(), &truth, &PhantomParams::default());
-        // A cylinder drawn as close as it comes: either the rest is too large, or its turn about the axis is free.
+        // A cylinder fitted as well as possible: either the residual is too large, or the turn about its axis is free.
         let refused = matches!(wrong, Err(CalibrationError::Residual { .. } | CalibrationError::Undetermined { .. }));
         assert!(refused, "{wrong:?}");
-        // Half of what the camera saw stands in front of the phantom: whichever half is trimmed, the rest does not do.
+        // Half of the seen points lie in front of the phantom: whichever half is trimmed, the other does not suffice.
         let mut crowded = scan(&phantom(), &truth);
         let covered: Vec<Point3<f64>> = crowded.iter().map(|p| p + Vector3::new(0.0, 0.0, -8.0)).collect();
         crowded.extend(covered);

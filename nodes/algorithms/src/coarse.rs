@@ -9,46 +9,46 @@ use nalgebra::{Isometry3, Matrix3, Point3};
 use osteoflow_geometry::NamedPoint;
 use serde::{Deserialize, Serialize};
 
-/// Points whose RMS distance from their best line is below this (mm) are refused: with points located to half a
-/// millimetre, the turn about that line would be good to no better than 30 degrees.
+/// Minimum RMS distance of the points from their best line, mm: with points located to half a millimetre, the turn
+/// about that line would be known to no better than 30 degrees.
 const MIN_OFF_LINE_MM: f64 = 1.0;
 
-/// Another pairing is worth a hint where it leaves less than this share of the RMS residual...
+/// Another pairing is reported if its RMS residual is below this share of that of the pairing by name...
 const HINT_SHARE: f64 = 0.5;
 
-/// ...and the pairing by name leaves more than this (mm), which laser holes or a stylus do not.
+/// ...and the latter exceeds this, mm, which laser holes or a stylus do not.
 const HINT_ABOVE_MM: f64 = 1.5;
 
-/// Beyond this many points the orders are too many to try.
+/// Maximum number of points of which all permutations are tried.
 const MAX_PERMUTED: usize = 6;
 
-/// A coarse fit and what speaks for and against it.
+/// A coarse fit and its report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CoarseFit {
     /// The motion that takes the source points onto the target points.
     pub t_target_source: Isometry3<f64>,
-    /// What speaks for and against it.
+    /// Residuals and conditioning.
     pub report: CoarseReport,
 }
 
-/// What speaks for and against a coarse fit.
+/// Residuals and conditioning of a coarse fit.
 ///
-/// The residuals (and their RMS, the FRE) are no accuracy: a shift common to all points leaves them unchanged, and so
-/// does a mirror image of the whole configuration.
+/// The residuals (and their RMS, the FRE) do not measure accuracy: a shift common to all points leaves them unchanged,
+/// and so does a mirror image of the whole configuration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CoarseReport {
     /// The pairs, in the target's order.
     pub pairs: Vec<CoarsePair>,
     /// RMS residual of the pairs, mm. Not an accuracy.
     pub fre_mm: f64,
-    /// The distances between the points, in the target against in the source: independent of any fit.
+    /// Distances between the points in the target and in the source, which do not depend on the fit.
     pub sides: Vec<CoarseSide>,
-    /// RMS distance of the target points from their best line, mm: second singular value over √n. The turn about that
-    /// line is worse known the smaller it is.
+    /// RMS distance of the target points from their best line, mm: second singular value over √n. The smaller it is,
+    /// the less is known of the turn about that line.
     pub target_off_line_mm: f64,
-    /// The same of the source points, mm.
+    /// RMS distance of the source points from their best line, mm.
     pub source_off_line_mm: f64,
-    /// Source names in an order that would fit far better, where there is one: were two points swapped?
+    /// An order of the source names that would fit far better, if there is one: were two points swapped?
     pub permutation: Option<Permutation>,
 }
 
@@ -59,7 +59,7 @@ pub struct CoarsePair {
     pub name: String,
     /// Moved source point minus target point, mm, in the target's frame.
     pub residual: [f64; 3],
-    /// Its length, mm.
+    /// Norm of the residual, mm.
     pub residual_mm: f64,
 }
 
@@ -78,22 +78,24 @@ pub struct CoarseSide {
     pub difference_mm: f64,
 }
 
-/// Another pairing that would fit far better.
+/// A pairing that would fit far better than that by name.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Permutation {
     /// For each target point in order, the source point that fits it.
     pub source_names: Vec<String>,
-    /// RMS residual it would leave, mm.
+    /// RMS residual of that pairing, mm.
     pub fre_mm: f64,
 }
 
-/// Why there is no coarse fit.
+/// Errors of [`three_point`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CoarseError {
-    /// A target point has no partner, or a source point has none.
-    #[error("{what} has no partner of that name; the target has {target}, the source has {source_names}")]
+    /// A target or source point has no point of the same name on the other side.
+    #[error(
+        "{what} has no point of that name on the other side; the target has {target}, the source has {source_names}"
+    )]
     Name {
-        /// The point without a partner.
+        /// The point without a counterpart.
         what: String,
         /// The target's names.
         target: String,
@@ -116,12 +118,12 @@ pub enum CoarseError {
     NearlyCollinear {
         /// `target` or `source`.
         side: &'static str,
-        /// What was found.
+        /// RMS distance from the line found.
         off_line_mm: f64,
-        /// What is needed.
+        /// RMS distance needed.
         needed_mm: f64,
     },
-    /// The points fix no motion.
+    /// The points do not determine a motion.
     #[error(transparent)]
     Fit(#[from] FitError),
 }
@@ -211,7 +213,7 @@ fn off_line_mm(points: &[Point3<f64>]) -> f64 {
     let scatter: Matrix3<f64> = points.iter().map(|p| (p - centre) * (p - centre).transpose()).sum();
     let mut squares: [f64; 3] = scatter.symmetric_eigenvalues().into();
     squares.sort_by(f64::total_cmp);
-    // Off the line lies what the two smaller directions hold; three points have nothing in the smallest.
+    // The two smaller singular values hold the distances from the line; of three points the smallest is zero.
     ((squares[0] + squares[1]).max(0.0) / points.len() as f64).sqrt()
 }
 
@@ -220,7 +222,7 @@ fn rms(t_target_source: &Isometry3<f64>, target: &[Point3<f64>], source: &[Point
     (squares / target.len() as f64).sqrt()
 }
 
-/// The order of the source points that fits best, where it fits far better than the one by name.
+/// The order of the source points that fits best, if it fits far better than that by name.
 fn better_order(target: &[Point3<f64>], source: &[&NamedPoint], fre_mm: f64) -> Option<Permutation> {
     if fre_mm <= HINT_ABOVE_MM || target.len() > MAX_PERMUTED {
         return None;
@@ -290,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn swapped_points_are_hinted_at_with_the_better_order() {
+    fn swapped_points_are_reported_with_the_better_order() {
         let mut source = triangle();
         let (a, b) = (source[0].position, source[2].position);
         (source[0].position, source[2].position) = (b, a);
@@ -312,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_do_not_pair_are_told() {
+    fn names_that_do_not_pair_are_named() {
         let three = triangle();
         let mut other = three.clone();
         other[1].name = "Q2".into();

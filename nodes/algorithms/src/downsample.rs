@@ -1,4 +1,4 @@
-//! Fewer points.
+//! Downsampling of clouds: indices of the selected points.
 
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::Cloud;
@@ -7,9 +7,11 @@ use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 
 /// One point of each occupied cell of a grid of `cell_mm`: the one closest to the mean of the cell's points, the lowest
-/// index among equals. Indices in the cloud's order; no point is moved, so normals and extra columns stay true.
+/// index in case of a tie. Indices are in the cloud's order; no point is moved, so normals and extra columns stay
+/// valid.
 ///
-/// Cells are laid from the origin of the cloud's frame. A cell that is not positive keeps every point. `O(n log n)`.
+/// The grid starts at the origin of the cloud's frame. A cell size that is not positive keeps every point. `O(n log
+/// n)`.
 pub fn voxel(cloud: &Cloud, cell_mm: f64) -> Vec<usize> {
     let points = cloud.points();
     if cell_mm.is_nan() || cell_mm <= 0.0 {
@@ -25,21 +27,20 @@ pub fn voxel(cloud: &Cloud, cell_mm: f64) -> Vec<usize> {
     kept
 }
 
-/// Every n-th point, the first among them; every point for `n` below two.
+/// Every n-th point, beginning with the first; every point for `n` below two.
 pub fn every(cloud: &Cloud, n: usize) -> Vec<usize> {
     (0..cloud.len()).step_by(n.max(1)).collect()
 }
 
-/// `n` points at even steps through the cloud's order, the first among them; every point where there are no more.
+/// `n` points at even steps through the cloud's order, beginning with the first; every point if there are no more.
 ///
-/// Through a scan in the order of its image that is an even thinning; through points in chance order it is a draw.
+/// This thins a scan in the order of its image evenly, and draws at random from points in random order.
 pub fn evenly(cloud: &Cloud, n: usize) -> Vec<usize> {
     let len = cloud.len();
     if n >= len { (0..len).collect() } else { (0..n).map(|k| (k as u128 * len as u128 / n as u128) as usize).collect() }
 }
 
-/// `n` points drawn at random without repetition, all sets alike, in the cloud's order; every point where there are no
-/// more.
+/// `n` points drawn uniformly at random without repetition, in the cloud's order; every point if there are no more.
 ///
 /// Source: Knuth, The Art of Computer Programming, volume 2, algorithm 3.4.2 S.
 pub fn drawn(cloud: &Cloud, n: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
@@ -82,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn as_many_points_are_kept_as_asked_for_at_even_steps() {
+    fn the_requested_number_of_points_is_kept_at_even_steps() {
         assert_eq!(evenly(&line(10), 4), [0, 2, 5, 7]);
         for n in [1, 100, 777, 19_999, 20_000] {
             let kept = evenly(&line(20_000), n);
@@ -93,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn a_draw_has_each_point_once_and_all_points_alike_and_follows_the_seed() {
+    fn a_draw_is_uniform_without_repetition_and_follows_the_seed() {
         let draw = |seed, n| drawn(&line(200), n, &mut ChaCha8Rng::seed_from_u64(seed));
         let mut times = [0; 200];
         let mut rng = ChaCha8Rng::seed_from_u64(7);
@@ -102,7 +103,7 @@ mod tests {
             assert!(kept.len() == 50 && kept.windows(2).all(|w| w[0] < w[1]));
             kept.into_iter().for_each(|k| times[k] += 1);
         }
-        // 500 times each, with a deviation of 19: five of these.
+        // 500 times each, plus or minus five standard deviations of 19.
         assert!(times.iter().all(|n| (403..=597).contains(n)), "{times:?}");
         assert_eq!(draw(1, 50), draw(1, 50));
         assert_ne!(draw(1, 50), draw(2, 50));

@@ -1,4 +1,4 @@
-//! The piece of a bone between two cuts, as a closed surface.
+//! The fragment of a bone between two cuts, as a closed surface.
 
 mod outline;
 mod triangulate;
@@ -8,31 +8,31 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Mesh, Plane, PlanePlace, Planes, SurfaceOrigin};
 use std::collections::HashMap;
 
-/// A plane cuts the bone here if the outline lies no farther than this from the plane's origin, mm: more than a fibula
-/// is thick, less than the way to where a bent bone might be cut again.
+/// Maximum distance of an outline from the plane's origin, mm: more than a fibula is thick, less than the distance at
+/// which a bent bone might be cut again.
 pub(crate) const REACH_MM: f64 = 60.0;
 
-/// A vertex this near to a plane lies on it, mm: far below what anyone measures, far above rounding.
+/// A vertex this near to a plane lies on it, mm: far below any measurement, far above rounding.
 const ON_PLANE_MM: f64 = 1e-7;
 
 const NONE: u32 = u32::MAX;
 
-/// What a face of a fragment is part of.
+/// The origin of a face of a fragment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
+pub enum FaceKind {
     /// The bone's own surface.
     Wall,
     /// The face of the first (0) or the second (1) cut.
     Cap(usize),
 }
 
-/// A piece of a bone, closed: every edge of a closed bone's piece belongs to two faces.
+/// A piece of a bone. If the bone is closed, so is the piece.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fragment {
     /// Its surface, in the bone's frame.
     pub mesh: Mesh,
-    /// What each face is part of.
-    pub parts: Vec<Part>,
+    /// The origin of each face.
+    pub face_kinds: Vec<FaceKind>,
 }
 
 /// One side of a plane.
@@ -42,17 +42,17 @@ pub struct HalfSpace {
     pub name: String,
     /// A point of the plane, mm.
     pub point: Point3<f64>,
-    /// The unit normal towards what is kept.
+    /// The unit normal towards the inside.
     pub inward: Vector3<f64>,
 }
 
-/// Why there is no fragment.
+/// Errors of [`between`] and [`fragment()`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FragmentError {
-    /// A fragment lies between two planes.
+    /// There are not two planes.
     #[error("a fragment lies between two planes, but there are {n}; give the plan two")]
     TwoPlanes {
-        /// How many there are.
+        /// Number of planes.
         n: usize,
     },
     /// A plane is unknown.
@@ -79,33 +79,33 @@ pub enum FragmentError {
     Misses {
         /// The plane.
         name: String,
-        /// How far was looked.
+        /// Distance searched.
         reach_mm: f64,
     },
     /// The bone has holes at the cut.
-    #[error("the bone's surface is open where {name} cuts it ({n_edges} edges have no partner); close the mesh first")]
+    #[error("the bone's surface is open where {name} cuts it ({n_edges} loose ends); close the mesh first")]
     Open {
         /// The plane.
         name: String,
-        /// How many ends of the outline are loose.
+        /// Number of loose ends of the outline.
         n_edges: usize,
     },
 }
 
 impl HalfSpace {
-    /// The same side of the plane carried by `motion`.
+    /// The half space moved by `motion`.
     pub fn moved(&self, motion: &Isometry3<f64>) -> Self {
         Self { name: self.name.clone(), point: motion * self.point, inward: motion * self.inward }
     }
 
-    /// How far inside a point lies, mm; negative outside.
+    /// Distance of a point from the plane, mm; negative outside.
     pub fn height_mm(&self, point: &Point3<f64>) -> f64 {
         (point - self.point).dot(&self.inward)
     }
 }
 
-/// The sides of two planned planes between which the fragment lies, whichever way their normals point: each plane keeps
-/// the side where the other one cuts the bone. The points are the middles of the bone's outlines. `O(m)`.
+/// The half spaces between two planned planes, whichever way their normals point: each plane keeps the side on which
+/// the other one cuts the bone. The points are the centres of the bone's outlines. `O(m)`.
 ///
 /// # Errors
 /// [`FragmentError`] if there are not two known planes, one misses the bone, or both cut it in one place.
@@ -135,10 +135,10 @@ pub fn between(bone: &Mesh, planes: &Planes) -> Result<[HalfSpace; 2], FragmentE
 
 /// The piece of `bone` inside both half spaces, closed by a face at each cut, in the bone's frame.
 ///
-/// Vertices of the bone are kept as they are; where an edge crosses a plane there is one new vertex, which both faces at
-/// the edge share, so a closed bone gives a closed piece. The cut faces follow the outline whatever its shape, with holes
-/// where the bone is hollow. Of several pieces (a bent bone is cut twice by one plane) the one that reaches from one cut
-/// to the other nearest to the half spaces' points is given, with the cavities inside it. `O(m log m)`.
+/// Vertices of the bone are unchanged; an edge that crosses a plane gets one new vertex, shared by both faces at the
+/// edge, so a closed bone gives a closed piece. The cut faces follow the outline, whatever its shape, with holes where
+/// the bone is hollow. Of several pieces (a plane may cut a bent bone twice) the result is the one that extends from
+/// cut to cut nearest to the half spaces' points, with the cavities inside it. `O(m log m)`.
 ///
 /// # Errors
 /// [`FragmentError`] if a plane misses the bone or the bone is open where it is cut.
@@ -149,7 +149,7 @@ pub fn fragment(bone: &Mesh, cuts: &[HalfSpace; 2]) -> Result<Fragment, Fragment
     let mut piece = Piece {
         vertices: bone.vertices().to_vec(),
         faces: bone.faces().to_vec(),
-        parts: vec![Part::Wall; bone.faces().len()],
+        face_kinds: vec![FaceKind::Wall; bone.faces().len()],
     };
     for (index, cut) in cuts.iter().enumerate() {
         piece = piece.clipped(cut, index)?;
@@ -163,37 +163,37 @@ pub fn fragment(bone: &Mesh, cuts: &[HalfSpace; 2]) -> Result<Fragment, Fragment
 impl Fragment {
     /// The corners of the cut faces, mm.
     pub fn rim(&self) -> Vec<Point3<f64>> {
-        let caps = self.mesh.faces().iter().zip(&self.parts).filter(|(_, part)| **part != Part::Wall);
+        let caps = self.mesh.faces().iter().zip(&self.face_kinds).filter(|(_, kind)| **kind != FaceKind::Wall);
         let mut corners: Vec<u32> = caps.flat_map(|(face, _)| *face).collect();
         corners.sort_unstable();
         corners.dedup();
         corners.into_iter().map(|v| self.mesh.vertices()[v as usize]).collect()
     }
 
-    /// The volume it holds, mm³.
+    /// The enclosed volume, mm³.
     pub fn volume_mm3(&self) -> f64 {
         self.mesh.volume_mm3()
     }
 }
 
-/// A closed surface on its way to a fragment.
+/// A closed surface that is being clipped.
 struct Piece {
     vertices: Vec<Point3<f64>>,
     faces: Vec<[u32; 3]>,
-    parts: Vec<Part>,
+    face_kinds: Vec<FaceKind>,
 }
 
-/// Vertices of the clipped piece: those kept of the old one and those new on edges.
-struct Carried<'a> {
+/// Vertices of a clipped piece: those of the old one inside, and new ones on crossed edges.
+struct ClippedVertices<'a> {
     old: &'a [Point3<f64>],
     heights: &'a [f64],
     kept: Vec<u32>,
-    /// Looked up only, never walked along.
+    /// Never iterated over.
     crossings: HashMap<(u32, u32), u32>,
     vertices: Vec<Point3<f64>>,
 }
 
-impl Carried<'_> {
+impl ClippedVertices<'_> {
     fn is_in(&self, v: u32) -> bool {
         self.heights[v as usize] >= 0.0
     }
@@ -207,7 +207,7 @@ impl Carried<'_> {
         *place
     }
 
-    /// Where the edge between a vertex inside and one outside meets the plane.
+    /// The vertex at the intersection of the plane with the edge from a vertex inside to one outside.
     fn cross(&mut self, inside: u32, outside: u32) -> u32 {
         let (high, low) = (self.heights[inside as usize], self.heights[outside as usize]);
         if high == 0.0 {
@@ -223,20 +223,20 @@ impl Carried<'_> {
 }
 
 impl Piece {
-    /// What lies inside the half space, closed at the plane by faces of cap `index`.
+    /// The part inside the half space, closed at the plane by faces of cap `index`.
     fn clipped(&self, cut: &HalfSpace, index: usize) -> Result<Self, FragmentError> {
         let snap = |height: f64| if height.abs() <= ON_PLANE_MM { 0.0 } else { height };
         let heights: Vec<f64> = self.vertices.iter().map(|v| snap(cut.height_mm(v))).collect();
-        let mut carried = Carried {
+        let mut clipped = ClippedVertices {
             old: &self.vertices,
             heights: &heights,
             kept: vec![NONE; self.vertices.len()],
             crossings: HashMap::new(),
             vertices: Vec::new(),
         };
-        let (mut faces, mut parts, mut rim) = (Vec::new(), Vec::new(), Vec::new());
-        for (face, part) in self.faces.iter().zip(&self.parts) {
-            let n_in = face.iter().filter(|v| carried.is_in(**v)).count();
+        let (mut faces, mut face_kinds, mut rim) = (Vec::new(), Vec::new(), Vec::new());
+        for (face, kind) in self.faces.iter().zip(&self.face_kinds) {
+            let n_in = face.iter().filter(|v| clipped.is_in(**v)).count();
             if n_in == 0 {
                 continue;
             }
@@ -244,22 +244,22 @@ impl Piece {
             let (mut leaves, mut enters) = (NONE, NONE);
             for k in 0..3 {
                 let (here, next) = (face[k], face[(k + 1) % 3]);
-                if carried.is_in(here) {
-                    corners.push(carried.keep(here));
+                if clipped.is_in(here) {
+                    corners.push(clipped.keep(here));
                 }
-                match (carried.is_in(here), carried.is_in(next)) {
+                match (clipped.is_in(here), clipped.is_in(next)) {
                     (true, false) => {
-                        leaves = carried.cross(here, next);
+                        leaves = clipped.cross(here, next);
                         corners.push(leaves);
                     }
                     (false, true) => {
-                        enters = carried.cross(next, here);
+                        enters = clipped.cross(next, here);
                         corners.push(enters);
                     }
                     _ => {}
                 }
             }
-            // What closes the cut runs along its rim the other way round.
+            // The cap runs along its rim in the opposite direction.
             if leaves != enters {
                 rim.push([enters, leaves]);
             }
@@ -272,7 +272,7 @@ impl Piece {
             match corners[..] {
                 [a, b, c] => faces.push([a, b, c]),
                 [a, b, c, d] => {
-                    let length = |p: u32, q: u32| carried.vertices[p as usize] - carried.vertices[q as usize];
+                    let length = |p: u32, q: u32| clipped.vertices[p as usize] - clipped.vertices[q as usize];
                     if length(a, c).norm_squared() <= length(b, d).norm_squared() {
                         faces.extend([[a, b, c], [a, c, d]]);
                     } else {
@@ -281,11 +281,11 @@ impl Piece {
                 }
                 _ => {}
             }
-            parts.resize(faces.len(), *part);
+            face_kinds.resize(faces.len(), *kind);
         }
-        let vertices = carried.vertices;
+        let vertices = clipped.vertices;
         let loops = outline::loops(&rim).map_err(|n_edges| FragmentError::Open { name: cut.name.clone(), n_edges })?;
-        // Seen from outside, so that faces turn counter-clockwise.
+        // Seen from outside, so that faces are counter-clockwise.
         let u = cut.inward.cross(&Vector3::ith(cut.inward.iamin(), 1.0)).normalize();
         let v = u.cross(&cut.inward);
         let flat = |i: u32| {
@@ -293,20 +293,20 @@ impl Piece {
             [offset.dot(&u), offset.dot(&v)]
         };
         faces.extend(triangulate::cap(&loops, &flat));
-        parts.resize(faces.len(), Part::Cap(index));
-        Ok(Self { vertices, faces, parts })
+        face_kinds.resize(faces.len(), FaceKind::Cap(index));
+        Ok(Self { vertices, faces, face_kinds })
     }
 
-    /// The part that reaches from cut to cut nearest to the points of both, with the cavities inside it.
+    /// The component that extends from cut to cut nearest to the points of both, with the cavities inside it.
     fn nearest(self, cuts: &[HalfSpace; 2]) -> Result<Self, FragmentError> {
         let (component, n) = mesh_topology::components(self.vertices.len(), &self.faces);
         let mut known = vec![Component::default(); n];
-        for (face, part) in self.faces.iter().zip(&self.parts) {
+        for (face, kind) in self.faces.iter().zip(&self.face_kinds) {
             let own = &mut known[component[face[0] as usize]];
             for v in face.map(|v| self.vertices[v as usize]) {
                 own.min = own.min.inf(&v);
                 own.max = own.max.sup(&v);
-                if let Part::Cap(k) = part {
+                if let FaceKind::Cap(k) = kind {
                     own.reach[*k] = own.reach[*k].min((v - cuts[*k].point).norm());
                 }
             }
@@ -329,11 +329,11 @@ impl Piece {
         Ok(self.only(|face| kept[component[face[0] as usize]]))
     }
 
-    /// The faces that are wanted, with the vertices that they use.
+    /// The selected faces, with the vertices that they use.
     fn only(self, wanted: impl Fn(&[u32; 3]) -> bool) -> Self {
         let mut place = vec![NONE; self.vertices.len()];
-        let mut left = Self { vertices: Vec::new(), faces: Vec::new(), parts: Vec::new() };
-        for (face, part) in self.faces.iter().zip(&self.parts).filter(|(face, _)| wanted(face)) {
+        let mut left = Self { vertices: Vec::new(), faces: Vec::new(), face_kinds: Vec::new() };
+        for (face, kind) in self.faces.iter().zip(&self.face_kinds).filter(|(face, _)| wanted(face)) {
             left.faces.push(face.map(|v| {
                 if place[v as usize] == NONE {
                     place[v as usize] = left.vertices.len() as u32;
@@ -341,24 +341,24 @@ impl Piece {
                 }
                 place[v as usize]
             }));
-            left.parts.push(*part);
+            left.face_kinds.push(*kind);
         }
         left
     }
 
-    /// `None` where there is no face.
+    /// `None` without faces.
     fn into_fragment(self, frame: osteoflow_geometry::Frame, origin: SurfaceOrigin) -> Option<Fragment> {
         let mesh = Mesh::new(frame, origin, self.vertices, self.faces).ok()?;
-        Some(Fragment { mesh, parts: self.parts })
+        Some(Fragment { mesh, face_kinds: self.face_kinds })
     }
 }
 
-/// Where a connected part lies.
+/// The extent of a connected component.
 #[derive(Clone)]
 struct Component {
     min: Point3<f64>,
     max: Point3<f64>,
-    /// How far its face at each cut is from that cut's point, mm.
+    /// Distance of its face at each cut from that cut's point, mm.
     reach: [f64; 2],
 }
 

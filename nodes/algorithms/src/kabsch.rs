@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaterni
 /// 10 km from the origin.
 const COLLINEAR_RATIO: f64 = 1e-9;
 
-/// Pairs that fix no rigid motion.
+/// Pairs that do not determine a rigid motion.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FitError {
     /// The slices do not pair, or there are too few points.
@@ -63,14 +63,15 @@ pub(crate) fn from_covariance(
         return None;
     }
     let (u, v_t) = svd.u.zip(svd.v_t)?;
-    // Noise can favour a reflection; turning over the weakest axis gives the nearest rotation.
+    // Noise can favour a reflection; flipping the weakest axis gives the nearest rotation.
     let turn = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * turn * v_t));
     let translation = mean_target.coords - rotation * mean_source.coords;
     Some(Isometry3::from_parts(Translation3::from(translation), rotation))
 }
 
-/// The mean of the points, summed about the first so that a far origin costs no digits; the origin if there are none.
+/// The mean of the points, summed relative to the first so that a distant origin costs no digits; the origin if there
+/// are none.
 pub(crate) fn centroid(points: &[Point3<f64>]) -> Point3<f64> {
     let Some(&first) = points.first() else { return Point3::origin() };
     let sum: Vector3<f64> = points.iter().map(|p| p - first).sum();

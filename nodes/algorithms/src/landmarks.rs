@@ -1,4 +1,4 @@
-//! Landmarks placed by rule, and where a ruler that errs puts them.
+//! Landmarks by the paper's recipe, and marks ruled off with errors.
 
 mod ruled;
 
@@ -11,13 +11,13 @@ use osteoflow_geometry::{Anatomy, NamedPoint};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// The way out of the bone from which a landmark is looked for, mm: outside any long bone, inside the body.
+/// Distance from the bone's axis at which the ray to a landmark starts, mm: outside any long bone, inside the body.
 const OUTSIDE_MM: f64 = 200.0;
 
-/// Only what lies this near to the bone's middle line belongs to the section, mm: keeps a tibia in the same file out.
+/// Maximum distance of a section from the bone's axis, mm: excludes a tibia in the same file.
 const SECTION_REACH_MM: f64 = 60.0;
 
-/// Where the landmarks of the paper's coarse fit lie on a fibula.
+/// Positions of the paper's landmarks on a fibula.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecipeParams {
@@ -38,10 +38,10 @@ impl Default for RecipeParams {
     }
 }
 
-/// Why landmarks cannot be placed.
+/// Errors of [`paper_recipe`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LandmarkError {
-    /// The bone is not there.
+    /// The bone does not reach the landmark's height.
     #[error(
         "{name} would lie {height_mm} mm above the malleolus tip, where there is no bone; is it cut, or in metres?"
     )]
@@ -51,7 +51,7 @@ pub enum LandmarkError {
         /// Its height.
         height_mm: f64,
     },
-    /// The directions do not span space.
+    /// A direction of the anatomy is parallel to the bone.
     #[error("{what} runs along the bone; the anatomy needs three directions across each other")]
     Directions {
         /// The direction.
@@ -61,10 +61,10 @@ pub enum LandmarkError {
 
 /// P1, P2 and P3 by the paper's recipe, on any surface of a fibula.
 ///
-/// The recipe as we take it: P1 on the posterior face, `p1_from_tip_mm` above the tip of the malleolus along the bone;
+/// As we read it: P1 on the posterior face, `p1_from_tip_mm` above the tip of the malleolus along the bone;
 /// P2 on the lateral face, `p2_from_p1_mm` above P1; P3 on the posterior face, `p3_from_p1_mm` above P1. The three then
-/// lie on two faces, so that no line holds them. A face is met by a ray from outside, square to the bone, towards the
-/// middle of the bone's outline at that height. The side (left or right) is in the directions of the anatomy.
+/// lie on two faces and thus not on a line. A face is met by a ray from outside, perpendicular to the bone, towards the
+/// centre of the bone's outline at that height. The side (left or right) is in the directions of the anatomy.
 ///
 /// # Errors
 /// [`LandmarkError`] if the bone does not reach that far, or a direction runs along the bone.
@@ -89,7 +89,7 @@ pub fn paper_recipe(
         .collect()
 }
 
-/// Where the surface is met from `direction` at a height above the malleolus tip.
+/// The point of the surface seen from `direction` at a height above the malleolus tip.
 fn on_face(bone: &MeshQuery, anatomy: &Anatomy, height_mm: f64, direction: &Vector3<f64>) -> Option<Point3<f64>> {
     let at = anatomy.malleolus_tip + anatomy.proximal.into_inner() * height_mm;
     let turn = Rotation3::rotation_between(&Vector3::z(), &anatomy.proximal)
@@ -99,7 +99,7 @@ fn on_face(bone: &MeshQuery, anatomy: &Anatomy, height_mm: f64, direction: &Vect
     bone.cast_ray(&(middle + direction * OUTSIDE_MM), &-direction).map(|hit| hit.point)
 }
 
-/// The part of a direction that is square to the bone, of unit length.
+/// The component of a direction perpendicular to the bone, of unit length.
 fn across(direction: &Vector3<f64>, anatomy: &Anatomy, what: &'static str) -> Result<Vector3<f64>, LandmarkError> {
     let along = anatomy.proximal.into_inner();
     (direction - along * direction.dot(&along)).try_normalize(0.1).ok_or(LandmarkError::Directions { what })

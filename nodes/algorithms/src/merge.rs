@@ -1,4 +1,4 @@
-//! Several views of one bone as one cloud.
+//! Merging several views of one bone into one cloud.
 
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Cloud, CloudError, Frame};
@@ -12,7 +12,7 @@ pub enum MergeError {
     /// The clouds lie in different frames.
     #[error("cloud {index} is in {found}, but the first is in {expected}; bring all into the bone's frame first")]
     Frames {
-        /// Which cloud.
+        /// Index of the cloud.
         index: usize,
         /// The first cloud's frame.
         expected: Frame,
@@ -26,8 +26,7 @@ pub enum MergeError {
 
 /// All points of `clouds` in order, stamped with the latest of their times.
 ///
-/// Normals and extra columns are kept where every cloud has them. A viewpoint is kept where all share it: several views
-/// have no single one.
+/// Normals and extra columns are kept if every cloud has them, the viewpoint if all clouds share it.
 ///
 /// # Errors
 /// [`MergeError`] if there is no cloud or the frames differ.

@@ -8,11 +8,11 @@ use parry3d_f64::query::{PointQuery, Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
 use std::sync::{Arc, OnceLock};
 
-/// A ray goes on from so far behind a face, mm: beyond rounding, before any next face.
+/// Distance behind a face at which a ray is continued, mm: beyond rounding, before any next face.
 const STEP_PAST_MM: f64 = 1e-6;
 
-/// A mesh prepared for ray casts and closest points. Wraps parry3d; its vertices are held about their mean, so that a
-/// bone far from the origin loses no digits. A cheap handle: clones share what is built for searching when first asked for.
+/// A mesh prepared for ray casts and closest points. Wraps parry3d, with vertices relative to their mean, so a bone far
+/// from the origin loses no digits. A cheap handle: clones share the search structure, which is built on first use.
 #[derive(Clone)]
 pub struct MeshQuery {
     mesh: Mesh,
@@ -25,7 +25,7 @@ struct Searched {
     centre: Point3<f64>,
 }
 
-/// Where a ray meets a mesh.
+/// An intersection of a ray with a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RayHit {
     /// The point on the surface, mm.
@@ -34,7 +34,7 @@ pub struct RayHit {
     pub distance_mm: f64,
     /// The face that was hit.
     pub face: usize,
-    /// The face's outward unit normal, whichever side was hit.
+    /// The face's outward unit normal, whichever side is hit.
     pub normal: Vector3<f64>,
 }
 
@@ -52,12 +52,12 @@ pub struct Closest {
 }
 
 impl MeshQuery {
-    /// Of `mesh`; faces without area are never hit.
+    /// A query of `mesh`; faces without area are never hit.
     pub fn new(mesh: &Mesh) -> Self {
         Self { mesh: mesh.clone(), searched: Arc::default() }
     }
 
-    /// Builds now what the first question would build. `O(m log m)`.
+    /// Builds the search structure now. `O(m log m)`.
     pub fn prepare(&self) {
         self.searched();
     }
@@ -71,7 +71,7 @@ impl MeshQuery {
         })
     }
 
-    /// The mesh itself.
+    /// The mesh.
     pub fn mesh(&self) -> &Mesh {
         &self.mesh
     }
@@ -97,11 +97,11 @@ impl MeshQuery {
         Some(Closest { point: found, distance_mm: (found - point).norm(), face, normal: self.normal(face) })
     }
 
-    /// Whether the point lies inside one of the closed parts of the mesh: more faces are left than entered on the way out.
+    /// Whether the point is inside one of the closed parts of the mesh: a ray leaves more faces than it enters.
     ///
-    /// Parts may overlap, as CAD programs export them. A point on a face counts as inside or outside by chance.
+    /// Parts may overlap, as CAD programs export them. The result for a point on a face is arbitrary.
     pub fn is_inside(&self, point: &Point3<f64>) -> bool {
-        // Off every axis, so that the ray does not run along an edge of a box.
+        // Oblique to every axis, so that the ray does not run along an edge of a box.
         let direction = Vector3::new(0.412_371, 0.576_923, 0.705_128).normalize();
         let (mut from, mut left) = (*point, 0);
         for _ in 0..self.mesh.faces().len() {

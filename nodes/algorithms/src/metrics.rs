@@ -1,4 +1,4 @@
-//! How good a registration is. Each report states its formula, its n and its unit.
+//! Accuracy metrics of a registration. Each report states its formula, its n and its unit.
 
 mod check_points;
 mod cut_difference;
@@ -24,7 +24,7 @@ pub use tre::{TrePoint, TreReport, TreSummary, tre};
 use nalgebra::Point3;
 use osteoflow_geometry::NamedPoint;
 
-/// Why a metric has no value.
+/// Errors of the metrics.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MetricsError {
     /// Nothing to measure.
@@ -33,7 +33,7 @@ pub enum MetricsError {
         /// What is missing.
         what: &'static str,
     },
-    /// A point has no partner of its name.
+    /// A point has no counterpart of the same name.
     #[error("{name} is not among the {side} points ({found}); name both sets alike")]
     Unpaired {
         /// The name.
@@ -49,7 +49,7 @@ pub enum MetricsError {
     /// No fragment can be cut out.
     #[error(transparent)]
     Fragment(#[from] crate::fragment::FragmentError),
-    /// The points fix no motion.
+    /// The points do not determine a motion.
     #[error(transparent)]
     Fit(#[from] crate::kabsch::FitError),
     /// A plane is unknown.
@@ -89,7 +89,7 @@ fn paired(target: &[NamedPoint], source: &[NamedPoint]) -> Result<Vec<PointPair>
         .collect()
 }
 
-/// The value below which a share of the sorted values lies, linear between neighbours; `None` without values.
+/// Quantile of sorted values, linear between neighbours; `None` without values.
 fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
     let last = sorted.len().checked_sub(1)?;
     let place = share * last as f64;
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn the_error_is_told_with_sign_along_the_axes() {
+    fn the_error_has_signs_along_the_axes() {
         let target = named(&[[0.0, 0.0, 0.0], [10.0, 0.0, 50.0]]);
         let source = named(&[[0.3, -0.4, 1.0], [9.7, 0.0, 48.0]]);
         let report = tre(&target, &source, &Isometry3::identity(), &axes()).unwrap();
@@ -125,7 +125,7 @@ mod tests {
         assert!((report.mean_signed.z + 0.5).abs() < 1e-12 && (report.mean_abs.z - 1.5).abs() < 1e-12);
         assert!((report.rms.z - 2.5_f64.sqrt()).abs() < 1e-12 && report.max.z == 2.0);
         assert!((report.p95.z - 1.95).abs() < 1e-12 && report.n == 2);
-        // Turning the axes over turns the sign.
+        // Flipping the axes flips the sign.
         let turned = Axes { columns: Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)), ..axes() };
         assert_eq!(tre(&target, &source, &Isometry3::identity(), &turned).unwrap().points[0].z, -1.0);
         assert!(matches!(
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_located_spot_errs_against_spot_and_mark_and_those_that_were_not_located_do_not_count() {
+    fn located_spots_are_compared_with_spots_and_marks_and_missing_ones_are_ignored() {
         let (spots, marks) = (named(&[[0.0; 3], [5.0; 3]]), named(&[[0.0, 0.0, -0.7], [5.0; 3]]));
         let moved = Isometry3::translation(0.0, 0.0, 9.0);
         let located = vec![NamedPoint::new("M1", Point3::new(0.1, 0.0, -8.8))];
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn check_points_tell_their_place_and_the_errors_spread() {
+    fn check_points_report_place_and_spread_of_the_errors() {
         let point = |k: usize, x: f64, z: f64| NamedPoint::new(format!("working_{k}"), Point3::new(x, 0.0, z));
         let known = vec![point(1, 0.0, 200.0), point(2, 10.0, 220.0)];
         let t_camera_world = Isometry3::translation(0.0, 5.0, 0.0);
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn cuts_tell_offset_tilt_roll_and_length() {
+    fn cuts_report_offset_tilt_roll_and_length() {
         let bone = cuboid([0.0; 3], [10.0, 12.0, 100.0]);
         let plane = |name: &str, z: f64| Plane::new(name, Isometry3::translation(4.0, 5.0, z));
         let planned = Planes::new("ct", vec![plane("lower", 20.0), plane("upper", 60.0)]);
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn the_surface_residual_is_free_of_the_samples_spacing() {
+    fn the_surface_residual_does_not_depend_on_the_spacing_of_the_samples() {
         let samples = sample::surface(&shaft(), 20_000, &mut ChaCha8Rng::seed_from_u64(1));
         let source: Vec<_> = sample::surface(&shaft(), 3000, &mut ChaCha8Rng::seed_from_u64(2)).points;
         let target = Target::new("ct", SurfaceOrigin::Exact, samples.points, Some(samples.normals.into())).unwrap();

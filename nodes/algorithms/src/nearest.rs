@@ -1,4 +1,4 @@
-//! Nearest neighbours of points in space.
+//! Nearest neighbours by a kd-tree.
 
 use crate::kabsch::{centroid, finite};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -6,10 +6,10 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use std::{num::NonZeroUsize, sync::Arc};
 
-/// A search tree over points, mm. A cheap handle.
+/// A kd-tree of points, mm. A cheap handle.
 ///
-/// Points are held about their centroid, so a cloud 10 km from the origin is searched as exactly as one at it.
-/// Of several points in one place only the one with the lowest index is ever found.
+/// Points are stored relative to their centroid, so a cloud 10 km from the origin is searched as exactly as one at it.
+/// Of several equal points only the one with the lowest index is ever found.
 #[derive(Clone)]
 pub struct Nearest {
     tree: Option<Arc<ImmutableKdTree<f64, 3>>>,
@@ -26,13 +26,13 @@ impl Nearest {
         Self::of(about, centre)
     }
 
-    /// A tree over finite points about a centre, as queries then are given, too.
+    /// A tree of finite points relative to a centre; queries are relative to it, too.
     pub(crate) fn about(centre: &Point3<f64>, points: impl Iterator<Item = Point3<f64>>) -> Self {
         Self::of((0_u32..).zip(points.map(|p| p - centre)), Point3::origin())
     }
 
     fn of(points: impl Iterator<Item = (u32, Vector3<f64>)>, centre: Point3<f64>) -> Self {
-        // Adding 0.0 makes -0.0 and 0.0 one place.
+        // Adding 0.0 makes -0.0 equal to 0.0.
         let mut entries: Vec<(u32, [f64; 3])> = points.map(|(i, p)| (i, p.map(|c| c + 0.0).into())).collect();
         entries.par_sort_unstable_by(|(i, a), (j, b)| {
             a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])).then(i.cmp(j))
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn of_points_in_one_place_the_lowest_index_is_found() {
+    fn the_lowest_index_of_equal_points_is_found() {
         let mut points = vec![Point3::new(1.0, 2.0, 3.0); 100];
         points.insert(0, Point3::new(-0.0, 0.0, 0.0));
         points.push(Point3::origin());

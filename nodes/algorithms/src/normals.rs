@@ -1,4 +1,4 @@
-//! Normals of a cloud.
+//! Estimation of normals.
 
 mod surface;
 
@@ -13,14 +13,14 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// From which neighbours a normal is estimated.
+/// Parameters of [`estimate`].
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NormalParams {
     /// Neighbours of a point, itself included. 24: averages depth noise of a quarter of the point spacing to 3 degrees.
     #[schemars(range(min = 3, max = 1000))]
     pub neighbours: u32,
-    /// Neighbours farther than this are left out, mm. 3: a quarter of a fibula's thickness, beyond which it bends away.
+    /// Maximum distance of a neighbour, mm. 3: a quarter of a fibula's thickness, beyond which it bends away.
     #[schemars(range(min = 1e-3, max = 1e3))]
     pub max_distance_mm: f64,
 }
@@ -31,10 +31,10 @@ impl Default for NormalParams {
     }
 }
 
-/// Why there are no normals.
+/// Errors of the estimation of normals.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NormalError {
-    /// The cloud does not say where its camera was, so outside cannot be told from inside.
+    /// The cloud has no viewpoint, so outside cannot be told from inside.
     #[error("the cloud has no viewpoint, so which side of the surface is outside is unknown; set it where it is read")]
     NoViewpoint,
     /// No point has enough neighbours.
@@ -49,7 +49,7 @@ pub enum NormalError {
         /// The first such point.
         index: usize,
     },
-    /// A point and those around it make no plane.
+    /// A point and its neighbours do not determine a plane.
     #[error("point {index} and its nearest lie on a line or in one place, so there is no normal; is this a surface?")]
     NoPlane {
         /// The first such point, along the order of the search.
@@ -60,9 +60,9 @@ pub enum NormalError {
     Cloud(#[from] CloudError),
 }
 
-/// The cloud with unit normals: across the plane that fits each point's neighbours best, turned towards the camera.
+/// The cloud with unit normals, each of the plane fitted to a point's neighbours, turned towards the camera.
 ///
-/// Points without two neighbours off a line have no normal and are dropped; the second value counts them.
+/// Points without two neighbours off a line have no normal and are dropped; the second value is their number.
 /// `O(n log n)`.
 ///
 /// # Errors
@@ -94,7 +94,7 @@ fn normal(
     Some(if normal.dot(&(camera - point)) < 0.0 { -normal } else { normal })
 }
 
-/// The unit normal of the plane that fits the points best; `None` for points on a line.
+/// The unit normal of the plane fitted to the points; `None` for points on a line.
 pub(crate) fn plane_normal(points: &[Point3<f64>]) -> Option<Vector3<f64>> {
     if points.len() < 3 {
         return None;

@@ -1,4 +1,4 @@
-//! Which points of a cloud lie in a region of interest: indices in the cloud's order.
+//! Points of a cloud in a region of interest, as indices in the cloud's order.
 
 use nalgebra::{Point2, Point3, Unit, Vector3};
 use osteoflow_geometry::{Cloud, Region};
@@ -6,7 +6,7 @@ use osteoflow_geometry::{Cloud, Region};
 /// A region that cannot be applied.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RegionError {
-    /// The cloud does not say where its camera was.
+    /// The cloud has no viewpoint.
     #[error("the cloud has no viewpoint, so what its camera saw is unknown; crop it where its reader set one")]
     NoViewpoint,
     /// A polygon needs three corners.
@@ -27,7 +27,7 @@ pub fn in_sphere(cloud: &Cloud, centre: &Point3<f64>, radius_mm: f64) -> Vec<usi
     select(cloud, |p| (p - centre).norm() <= radius_mm)
 }
 
-/// Points whose height over `origin` along `direction` lies in `from_mm..=to_mm`: a slab of the bone.
+/// Points whose height over `origin` along `direction` is in `from_mm..=to_mm`: a slab of the bone.
 pub fn in_slab(
     cloud: &Cloud,
     origin: &Point3<f64>,

@@ -18,9 +18,8 @@ pub struct Samples {
 
 /// `n` points drawn evenly by area from `mesh`, from a seeded generator.
 ///
-/// Stratified: the k-th point is drawn from the k-th of `n` equal shares of the area taken face after face, so that
-/// neighbouring faces are served alike. Faces without area get none; a mesh without any area gives no points.
-/// `O(m + n)`.
+/// Stratified: the k-th point is drawn from the k-th of `n` equal shares of the cumulative area of the faces. Faces
+/// without area get no points, nor does a mesh without any area. `O(m + n)`.
 ///
 /// # Source
 /// Osada et al. 2002, eq. 1, for the point within a face.
@@ -55,7 +54,7 @@ mod tests {
     use rand_chacha::rand_core::SeedableRng;
 
     #[test]
-    fn faces_get_points_by_their_area_whatever_their_number() {
+    fn faces_get_points_in_proportion_to_their_area() {
         let mesh = cuboid([0.0; 3], [10.0, 20.0, 30.0]);
         assert_eq!(mesh.area_mm2(), 2200.0);
         let samples = surface(&mesh, 22_000, &mut ChaCha8Rng::seed_from_u64(1));

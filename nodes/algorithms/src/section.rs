@@ -1,20 +1,21 @@
-//! Where a plane cuts a surface.
+//! Sections of a surface by a plane.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::Mesh;
 
-/// A face this far to one side of a plane is not cut by it, mm, whatever rounding does.
+/// A face this far to one side of a plane is not cut by it, mm: beyond rounding.
 const CLEAR_MM: f64 = 1e-3;
 
-/// The middle of the outline along which the plane (its z axis is its normal) cuts the mesh nearest to the plane's
-/// origin: the mean of the outline weighted by length. `None` if the plane misses the mesh.
+/// The centre of the outline in which a plane (its z axis is its normal) cuts the mesh: the mean of the outline
+/// weighted by length. `None` if the plane misses the mesh.
 ///
-/// A plane may cut a bent bone twice; only cut edges within `reach_mm` of the plane's origin count, where given. `O(m)`.
+/// A plane may cut a bent bone twice; if `reach_mm` is given, only cut edges within it of the plane's origin count.
+/// `O(m)`.
 pub fn middle(mesh: &Mesh, t_mesh_plane: &Isometry3<f64>, reach_mm: Option<f64>) -> Option<Point3<f64>> {
     let (mut length, mut moment) = (0.0, Vector3::zeros());
     let (origin, normal) = (t_mesh_plane * Point3::origin(), t_mesh_plane * Vector3::z());
     for face in 0..mesh.faces().len() {
-        // Most faces are far off, which one product tells; beyond rounding, so that the answer is the same.
+        // Skips most faces by one product each, with a margin for rounding.
         let heights = mesh.corners(face).map(|p| (p - origin).dot(&normal));
         if heights.iter().all(|h| *h > CLEAR_MM) || heights.iter().all(|h| *h < -CLEAR_MM) {
             continue;

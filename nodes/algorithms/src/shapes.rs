@@ -25,14 +25,14 @@ pub(crate) fn cuboid(min: [f64; 3], max: [f64; 3]) -> Mesh {
     Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap()
 }
 
-/// All faces of both, as a CAD program exports overlapping parts.
+/// The faces of both, as a CAD program exports overlapping parts.
 pub(crate) fn together(a: &Mesh, b: &Mesh) -> Mesh {
     let n = a.vertices().len() as u32;
     let faces: Vec<[u32; 3]> = a.faces().iter().copied().chain(b.faces().iter().map(|f| f.map(|v| v + n))).collect();
     Mesh::new("ct", SurfaceOrigin::Exact, [a.vertices(), b.vertices()].concat(), faces).unwrap()
 }
 
-/// A closed, bumpy, tapered shaft along z, 120 mm long: held in all six motions.
+/// A closed, bumpy, tapered shaft along z, 120 mm long, which determines all six motions.
 pub(crate) fn shaft() -> Mesh {
     let (rings, around) = (121_u32, 60_u32);
     let point = |i: u32, j: u32| {

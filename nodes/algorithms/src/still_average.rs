@@ -1,37 +1,37 @@
-//! The pose of a marker that stands still.
+//! The mean pose of a marker at rest.
 
 use nalgebra::{Isometry3, Matrix4, Point3, Quaternion, UnitQuaternion, Vector3, Vector4};
 use serde::{Deserialize, Serialize};
 
-/// The mean of a still marker's poses.
+/// The mean of the poses of a marker at rest.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StillAverage {
     /// The mean pose.
     pub mean: Isometry3<f64>,
-    /// How still it stood.
+    /// Deviations from the mean.
     pub report: StillReport,
 }
 
-/// How still a marker stood over a window.
+/// Deviations of a marker from its mean pose over a window.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StillReport {
-    /// Samples.
+    /// Number of samples.
     pub n: usize,
     /// RMS distance of the samples' origins from their mean, mm.
     pub rms_mm: f64,
     /// Largest such distance, mm.
     pub max_mm: f64,
-    /// RMS turn of the samples from their mean, rad.
+    /// RMS angle of the samples from their mean, rad.
     pub rms_rad: f64,
-    /// Largest such turn, rad.
+    /// Largest such angle, rad.
     pub max_rad: f64,
-    /// Distance between the mean origins of the window's first and second half, mm: a drift shows here, noise hardly.
+    /// Distance between the mean origins of the window's first and second half, mm: shows drift, hardly noise.
     pub drift_mm: f64,
-    /// Turn between the mean rotations of both halves, rad.
+    /// Angle between the mean rotations of both halves, rad.
     pub drift_rad: f64,
 }
 
-/// Why there is no mean.
+/// Errors of [`still_average()`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StillError {
     /// There is no pose.
@@ -51,17 +51,17 @@ pub enum StillError {
     Moved {
         /// Distance found between the window's halves.
         moved_mm: f64,
-        /// Turn found between the window's halves.
+        /// Angle found between the window's halves.
         moved_rad: f64,
         /// Distance allowed.
         limit_mm: f64,
-        /// Turn allowed.
+        /// Angle allowed.
         limit_rad: f64,
     },
 }
 
-/// The mean of `poses`, in order of time: origins averaged, rotations by the largest eigenvector of `Σ q qᵀ`, to which
-/// the sign of a quaternion does not matter. `O(n)`.
+/// The mean of `poses`, in order of time: of the origins, and of the rotations by the eigenvector of the largest
+/// eigenvalue of `Σ q qᵀ`, which does not depend on the signs of the quaternions. `O(n)`.
 ///
 /// # Errors
 /// [`StillError`] if there are no poses, one is not finite, or the window's halves differ by more than `limit_mm` or
@@ -95,7 +95,7 @@ fn mean(poses: &[Isometry3<f64>]) -> Option<Isometry3<f64>> {
     let outer: Matrix4<f64> = poses.iter().map(|p| p.rotation.coords * p.rotation.coords.transpose()).sum();
     let eigen = outer.symmetric_eigen();
     let q: Vector4<f64> = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
-    // A quaternion and its negative are one rotation; the sign of the first sample is kept.
+    // A quaternion and its negative are the same rotation; the sign follows the first sample.
     let q = if q.dot(&first.rotation.coords) < 0.0 { -q } else { q };
     let rotation = UnitQuaternion::from_quaternion(Quaternion::from_vector(q));
     Some(Isometry3::from_parts((first.translation.vector + shift / n).into(), rotation))

@@ -1,24 +1,24 @@
-//! The tip of a tracked stylus, from poses of its marker while it is turned about its tip.
+//! Pivot calibration: the tip of a tracked stylus, from poses of its marker while it is turned about its tip.
 
 use nalgebra::{DMatrix, DVector, Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 
-/// Above this ratio of the largest to the smallest singular value, a direction of the tip is left to the noise: poses
-/// turned about one axis alone give infinity, a cone of 15 degrees about 8.
+/// Maximum condition number of the equations: poses turned about one axis alone give infinity, a cone of 15 degrees
+/// about 8.
 const MAX_CONDITION: f64 = 100.0;
 
-/// A stylus' tip and how well its poses agree on it.
+/// A stylus' tip and its accuracy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PivotReport {
-    /// Poses.
+    /// Number of poses.
     pub n_poses: usize,
     /// RMS distance between the tip of each pose and the pivot, mm.
     pub rms_mm: f64,
     /// Largest such distance, mm.
     pub max_mm: f64,
-    /// Ratio of the largest to the smallest singular value of the equations: how unevenly the poses hold the tip.
+    /// Condition number of the equations: ratio of the largest to the smallest singular value.
     pub condition: f64,
-    /// Standard deviation of the tip as the residuals predict it, RMS over its three directions, mm.
+    /// Standard deviation of the tip predicted from the residuals, RMS over its three directions, mm.
     pub tip_sd_mm: f64,
     /// The tip in the marker's frame, mm.
     pub tip: [f64; 3],
@@ -26,13 +26,13 @@ pub struct PivotReport {
     pub pivot: [f64; 3],
 }
 
-/// Why the tip is not known.
+/// Errors of [`pivot()`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PivotError {
     /// Too few poses.
     #[error("{n} poses of the stylus, at least 3 are needed; turn it about its tip for some seconds")]
     TooFew {
-        /// How many there are.
+        /// Number of poses.
         n: usize,
     },
     /// A pose is NaN or infinite.
@@ -47,7 +47,7 @@ pub enum PivotError {
          farther, in all directions"
     )]
     Undetermined {
-        /// What was found.
+        /// Condition number found.
         condition: f64,
     },
 }
@@ -56,7 +56,7 @@ pub enum PivotError {
 /// least-squares sense; `O(n)`.
 ///
 /// # Errors
-/// [`PivotError`] if there are fewer than three poses, one is not finite, or they leave the tip open.
+/// [`PivotError`] if there are fewer than three poses, one is not finite, or they do not determine the tip.
 ///
 /// # Source
 /// Yaniv 2015, "Which pivot calibration?", Proc. SPIE 9415: the algebraic one-step method.
@@ -68,7 +68,7 @@ pub fn pivot(t_world_marker: &[Isometry3<f64>]) -> Result<PivotReport, PivotErro
     if let Some(index) = t_world_marker.iter().position(|t| !t.to_homogeneous().iter().all(|x| x.is_finite())) {
         return Err(PivotError::NotFinite { index });
     }
-    // About the first marker, so that a world far away costs no digits.
+    // Relative to the first marker, so that a distant world origin costs no digits.
     let first = t_world_marker[0].translation.vector;
     let mut equations = DMatrix::zeros(3 * n, 6);
     let mut right = DVector::zeros(3 * n);
@@ -118,7 +118,7 @@ mod tests {
         let mut one = || 2.0 * rng.random::<f64>() - 1.0;
         let poses = (0..n).map(|_| {
             let turn = UnitQuaternion::from_scaled_axis(Vector3::new(one(), one(), 2.0 * one()) * deg.to_radians());
-            // A uniform number of this width has the standard deviation asked for.
+            // A uniform number of this width has the given standard deviation.
             let at = Vector3::new(500.0, -800.0, 1200.0) + Vector3::new(one(), one(), one()) * noise_mm * 3f64.sqrt();
             Translation3::from(at - turn * Vector3::from(TIP)) * turn
         });
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stylus_that_is_hardly_turned_or_about_one_axis_is_refused() {
+    fn poses_turned_too_little_or_about_one_axis_are_refused() {
         assert_eq!(pivot(&poses(2, 30.0, 0.0, 1)), Err(PivotError::TooFew { n: 2 }));
         assert!(matches!(pivot(&poses(30, 0.5, 0.05, 1)), Err(PivotError::Undetermined { .. })));
         let spun: Vec<_> = (0..30).map(|k| Isometry3::rotation(Vector3::z() * f64::from(k) * 0.1)).collect();

@@ -8,39 +8,40 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 
-/// Points of the scan that a start is judged by, and that one is refined by.
-const JUDGED_BY: usize = 200;
-const REFINED_BY: usize = 600;
+/// Number of scan points by which a start is scored, and by which it is refined.
+const N_SCORED: usize = 200;
+const N_REFINED: usize = 600;
 
-/// Points of the surface that starts are judged and first refined on: far from a dense one each search takes longer.
+/// Number of surface points on which starts are scored and first refined: searches far from a denser one take longer.
 const THINNED: usize = 10_000;
 
-/// A scan less than so many times as long as wide has no direction to lay along the bone.
+/// Minimum ratio of length to width of a scan whose long axis can be laid along the bone.
 const MIN_ELONGATION: f64 = 1.5;
 
-/// Of one face of a shaft, the middle lies this share of the shaft's mean radius out of its middle line.
-const OUT_OF_MIDDLE: f64 = 0.6;
+/// Distance of the centroid of one face of a shaft from the shaft's axis, as a share of its mean radius.
+const FACE_OFFSET: f64 = 0.6;
 
-/// While starts are judged, no point counts as farther off than this, mm: what two spins beside each other are apart.
+/// Maximum distance counted for a point while starts are scored, mm: the distance between neighbouring starts.
 const START_REACH_MM: f64 = 6.0;
 
-/// At the end no point counts as farther off than this, mm: soft tissue must not decide.
+/// Maximum distance counted for a point at the end, mm: soft tissue must not decide.
 const END_REACH_MM: f64 = 2.0;
 
-/// Registrations whose points are this far apart (RMS) are two answers, mm.
+/// Minimum RMS distance between the points of two distinct registrations, mm.
 const APART_MM: f64 = 4.0;
 
-/// How finely starts are laid out.
+/// Spacing and number of the starts of [`global()`].
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GlobalParams {
-    /// From start to start along the bone, mm. 5: what an ICP draws in.
+    /// Distance between starts along the bone, mm. 5: the capture range of an ICP.
     #[schemars(range(min = 0.5, max = 100.0))]
     pub slide_mm: f64,
-    /// Starts around the bone. 24: 15 degrees apart, half of which an ICP draws in.
+    /// Number of starts around the bone. 24: 15 degrees apart, half of which an ICP captures.
     #[schemars(range(min = 4, max = 360))]
     pub n_turns: usize,
-    /// Starts that are refined, the best of their surroundings. 60: as many as a fibula has at these steps.
+    /// Maximum number of starts that are refined, each the best of its neighbours. 60: as many as a fibula has at these
+    /// steps.
     #[schemars(range(min = 1, max = 10_000))]
     pub n_refined: usize,
 }
@@ -56,37 +57,37 @@ impl Default for GlobalParams {
 pub struct GlobalFit {
     /// The motion that takes the scan onto the surface.
     pub t_target_source: Isometry3<f64>,
-    /// How clear it is.
+    /// Score and runner-up.
     pub report: GlobalReport,
 }
 
-/// How clear a registration by shape alone is.
+/// Score and runner-up of a registration by shape alone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GlobalReport {
-    /// Starts that were tried.
+    /// Number of starts tried.
     pub n_tried: usize,
-    /// Starts that were refined.
+    /// Number of starts refined.
     pub n_refined: usize,
-    /// RMS distance of the scan from the surface, no point counted as farther than 2 mm, mm.
+    /// RMS distance of the scan from the surface, with distances limited to 2 mm, mm.
     pub score_mm: f64,
-    /// The best answer that is another one, if there is.
+    /// The best distinct registration, if there is one.
     pub runner_up: Option<RunnerUp>,
-    /// How much worse the other answer fits: `1 - score / runner-up's score`; 0 leaves it open, 1 where there is no other.
+    /// Margin over the runner-up: `1 - score / runner-up's score`; 0 is ambiguous, 1 if there is no runner-up.
     pub clearness: f64,
 }
 
-/// Another answer.
+/// The best distinct registration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunnerUp {
     /// Its score, mm.
     pub score_mm: f64,
-    /// How far the scan's middle lies from where the answer puts it, mm.
+    /// Distance of the scan's centroid from that of the answer, mm.
     pub shift_mm: f64,
-    /// How far it is turned against the answer, rad.
+    /// Angle to the answer, rad.
     pub turn_rad: f64,
 }
 
-/// Why there is no registration by shape alone.
+/// Errors of [`global()`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GlobalError {
     /// The scan is too small.
@@ -105,26 +106,26 @@ pub enum GlobalError {
          shaft, or use landmarks (coarse.three_point)"
     )]
     NoDirection {
-        /// How elongated it is.
+        /// Ratio of length to width found.
         elongation: f64,
-        /// What is needed.
+        /// Ratio needed.
         needed: f64,
     },
-    /// No start led anywhere.
+    /// No start reached the surface.
     #[error("none of {n_tried} starts came to lie on the surface; are scan and surface of the same bone, both in mm?")]
     Nowhere {
-        /// Starts that were tried.
+        /// Number of starts tried.
         n_tried: usize,
     },
 }
 
-/// Where a scan of a long bone lies on its surface, from the shapes alone: the scan's long axis is laid along the bone's
-/// middle line both ways, in steps along it and in turns about it; the best starts of their surroundings are refined, and
-/// the best of these is the answer.
+/// Registers a scan of a long bone to its surface by shape alone.
 ///
-/// The side that the scan was seen from (its viewpoint, else the way it bulges) is turned outwards. A shaft is nearly a
-/// cylinder, so that the answer may be wrong along it or about it although it fits well: the report tells how well the best
-/// other answer fits. Deterministic, whatever the number of threads.
+/// The scan's long axis is laid along the bone's centre line both ways, in steps along it and in turns about it. Starts
+/// that score better than their neighbours are refined, and the best refined one is the answer. The side from which the
+/// scan was seen (its viewpoint, else the way it bulges) is turned outward. A shaft is nearly a cylinder, so the answer
+/// may be wrong along or about it although it fits well; the report gives the score of the runner-up. The result does
+/// not depend on the number of threads.
 ///
 /// # Errors
 /// [`GlobalError`] if the scan is too small or as wide as long, or nothing fits anywhere.
@@ -139,12 +140,12 @@ pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<
         .flat_map(|station| (0..2 * params.n_turns).map(move |turn| Start { station, turn }))
         .collect();
     let place = |start: &Start| stations[start.station].place(&scan, start.turn, params.n_turns);
-    let few = thinned(source.points(), JUDGED_BY);
+    let few = thinned(source.points(), N_SCORED);
     let scores: Vec<f64> = starts.par_iter().map(|s| score(&rough, &few, &place(s), START_REACH_MM)).collect();
     let mut best: Vec<usize> = (0..starts.len()).filter(|&k| starts[k].is_best(&scores, params.n_turns)).collect();
     best.sort_by(|&a, &b| scores[a].total_cmp(&scores[b]).then(a.cmp(&b)));
     best.truncate(params.n_refined);
-    let some = thinned(source.points(), REFINED_BY);
+    let some = thinned(source.points(), N_REFINED);
     let mut ends: Vec<(f64, Isometry3<f64>)> = best
         .par_iter()
         .filter_map(|&k| {
@@ -171,7 +172,7 @@ pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<
     Ok(GlobalFit { t_target_source, report })
 }
 
-/// The scan's middle, long axis and the side that it was seen from.
+/// The scan's centroid, long axis and the side from which it was seen.
 struct Scan {
     middle: Point3<f64>,
     along: Vector3<f64>,
@@ -182,8 +183,8 @@ struct Scan {
 impl Scan {
     fn new(source: &Cloud) -> Result<Self, GlobalError> {
         let points = source.points();
-        if points.len() < JUDGED_BY {
-            return Err(GlobalError::TooFew { n: points.len(), needed: JUDGED_BY });
+        if points.len() < N_SCORED {
+            return Err(GlobalError::TooFew { n: points.len(), needed: N_SCORED });
         }
         let (middle, axes, spread) = principal(points);
         let elongation = (spread[0] / spread[1].max(f64::MIN_POSITIVE)).sqrt();
@@ -193,7 +194,7 @@ impl Scan {
         let along = axes[0];
         let across = |v: Vector3<f64>| (v - along * v.dot(&along)).try_normalize(1e-6);
         let seen = source.viewpoint.and_then(|t| across(t * Point3::origin() - middle));
-        // Where it bulges: what lies far out to both sides lies lower.
+        // The way it bulges: points far out to both sides lie lower.
         let bulge: f64 = points.iter().map(|p| (p - middle).dot(&axes[1]).powi(2) * (p - middle).dot(&axes[2])).sum();
         let outward = seen.unwrap_or(axes[2] * if bulge > 0.0 { -1.0 } else { 1.0 });
         let heights = points.iter().map(|p| (p - middle).dot(&along));
@@ -202,7 +203,7 @@ impl Scan {
     }
 }
 
-/// Middle, axes and squared spreads of points, the longest first.
+/// Centroid, axes and variances of points, the longest first.
 fn principal(points: &[Point3<f64>]) -> (Point3<f64>, [Vector3<f64>; 3], [f64; 3]) {
     let middle = centroid(points);
     let scatter: Matrix3<f64> = points.iter().map(|p| (p - middle) * (p - middle).transpose()).sum();
@@ -212,17 +213,17 @@ fn principal(points: &[Point3<f64>]) -> (Point3<f64>, [Vector3<f64>; 3], [f64; 3
     (middle, order.map(|k| eigen.eigenvectors.column(k).into_owned()), order.map(|k| eigen.eigenvalues[k]))
 }
 
-/// A place on the bone's middle line where a scan's middle may lie.
+/// A position on the bone's centre line where a scan's centroid may lie.
 struct Station {
     middle: Point3<f64>,
     along: Vector3<f64>,
-    /// Square to the bone: turns are counted from it.
+    /// Perpendicular to the bone: turns are counted from it.
     side: Vector3<f64>,
     radius_mm: f64,
 }
 
 impl Station {
-    /// Turns from `n_turns` on are those with the scan turned end for end.
+    /// Turns from `n_turns` on are with the scan reversed end for end.
     fn place(&self, scan: &Scan, turn: usize, n_turns: usize) -> Isometry3<f64> {
         let along = if turn < n_turns { self.along } else { -self.along };
         let angle = (turn % n_turns) as f64 / n_turns as f64 * std::f64::consts::TAU;
@@ -230,12 +231,12 @@ impl Station {
         let axes = |z: &Vector3<f64>, x: &Vector3<f64>| Rotation3::from_basis_unchecked(&[*x, z.cross(x), *z]);
         let turned = axes(&along, &outward) * axes(&scan.along, &scan.outward).inverse();
         let rotation = UnitQuaternion::from_rotation_matrix(&turned);
-        let middle = self.middle + outward * (OUT_OF_MIDDLE * self.radius_mm);
+        let middle = self.middle + outward * (FACE_OFFSET * self.radius_mm);
         Isometry3::from_parts((middle.coords - rotation * scan.middle.coords).into(), rotation)
     }
 }
 
-/// Places along the bone at which at least half of the scan lies on it.
+/// Positions along the bone at which at least half of the scan lies on it.
 fn stations(points: &[Point3<f64>], half_length_mm: f64, slide_mm: f64) -> Vec<Station> {
     let (middle, axes, _) = principal(points);
     let height = |p: &Point3<f64>| (p - middle).dot(&axes[0]);
@@ -250,7 +251,7 @@ fn stations(points: &[Point3<f64>], half_length_mm: f64, slide_mm: f64) -> Vec<S
                 return None;
             }
             let (local, local_axes, _) = principal(&near);
-            // A piece as short as wide runs along the bone's own axis.
+            // A piece as short as wide has no axis; use that of the bone.
             let bend = local_axes[0].dot(&axes[0]);
             let along = if bend.abs() > 0.8 { local_axes[0] * bend.signum() } else { axes[0] };
             let side = (axes[1] - along * axes[1].dot(&along)).try_normalize(1e-6)?;
@@ -261,14 +262,14 @@ fn stations(points: &[Point3<f64>], half_length_mm: f64, slide_mm: f64) -> Vec<S
         .collect()
 }
 
-/// One start by its numbers.
+/// One start, by its indices.
 struct Start {
     station: usize,
     turn: usize,
 }
 
 impl Start {
-    /// Whether none of the starts beside it is better; of equals the first is.
+    /// Whether no neighbouring start is better; the first in case of a tie.
     fn is_best(&self, scores: &[f64], n_turns: usize) -> bool {
         let at = |station: usize, turn: usize| station * 2 * n_turns + turn;
         let own = at(self.station, self.turn);
@@ -285,7 +286,7 @@ fn thinned(points: &[Point3<f64>], n: usize) -> Vec<Point3<f64>> {
     points.iter().step_by(points.len().div_ceil(n).max(1)).copied().collect()
 }
 
-/// The surface by fewer points, drawn as evenly as its own are.
+/// The surface with fewer points, drawn evenly from its own.
 fn thin(target: &Target) -> Target {
     let n = target.points().len().div_ceil(THINNED).max(1);
     let points: Vec<Point3<f64>> = target.points().iter().step_by(n).copied().collect();
@@ -293,7 +294,7 @@ fn thin(target: &Target) -> Target {
     Target::new(target.frame.clone(), target.origin, points, normals).unwrap_or_else(|_| target.clone())
 }
 
-/// RMS distance of the moved points from the surface, none counted as farther than `reach_mm`.
+/// RMS distance of the moved points from the surface, with distances limited to `reach_mm`.
 fn score(target: &Target, points: &[Point3<f64>], t_target_source: &Isometry3<f64>, reach_mm: f64) -> f64 {
     let square = |p: &Point3<f64>| {
         let moved = t_target_source * p;
@@ -304,7 +305,7 @@ fn score(target: &Target, points: &[Point3<f64>], t_target_source: &Isometry3<f6
     (points.iter().map(square).sum::<f64>() / points.len().max(1) as f64).sqrt()
 }
 
-/// A registration from a start, of points no farther than `reach_mm`; `None` where too few are.
+/// A registration from a start with pairs no farther than `reach_mm`; `None` if there are too few.
 fn refined(target: &Target, points: &[Point3<f64>], start: &Isometry3<f64>, reach_mm: f64) -> Option<Isometry3<f64>> {
     let method = if target.normals().is_some() { Method::PointToPlane } else { Method::PointToPoint };
     let params = IcpParams {

@@ -1,11 +1,11 @@
-//! The rim of a cut as loops.
+//! The loops of a cut's rim.
 
 use std::collections::BTreeMap;
 
-/// Closed loops of the directed edges; edges there and back cancel, and no loop passes a vertex twice.
+/// Closed loops of the directed edges; opposite edges cancel, and no loop passes a vertex twice.
 ///
 /// # Errors
-/// The number of loose ends, where a vertex has more edges that leave than arrive or the other way round.
+/// The number of loose ends, where the numbers of edges to and from a vertex differ.
 pub(super) fn loops(edges: &[[u32; 2]]) -> Result<Vec<Vec<u32>>, usize> {
     let mut count: BTreeMap<[u32; 2], i32> = BTreeMap::new();
     for &[a, b] in edges {
@@ -33,7 +33,7 @@ pub(super) fn loops(edges: &[[u32; 2]]) -> Result<Vec<Vec<u32>>, usize> {
             if next.get(&here).is_some_and(Vec::is_empty) {
                 next.remove(&here);
             }
-            // Back where the path was: what lies between is a loop of its own.
+            // The path returns to a vertex: the part since then is a loop.
             match path.iter().position(|&v| v == to) {
                 Some(place) => {
                     loops.push(path.split_off(place));

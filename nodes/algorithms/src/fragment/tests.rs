@@ -3,7 +3,7 @@ use crate::shapes::{cuboid, shaft, together};
 use nalgebra::Point3;
 use std::f64::consts::TAU;
 
-/// A prism along z over a regular outline, in rings so far apart, closed; inside out where asked.
+/// A closed prism along z with a regular outline and the given number of rings; inside out if `hollow`.
 pub(crate) fn prism(radius: f64, sides: u32, z: [f64; 2], rings: u32, hollow: bool) -> Mesh {
     let at = |i: u32, j: u32| {
         let turn = f64::from(j) / f64::from(sides) * TAU;
@@ -46,7 +46,7 @@ fn tilted(z: f64, lean: f64) -> Isometry3<f64> {
     Isometry3::translation(0.0, 0.0, z) * Isometry3::rotation(Vector3::new(lean, 0.7 * lean, 0.0))
 }
 
-/// Every edge belongs to two faces that run along it opposite ways, and the volume is as expected.
+/// Every edge belongs to two faces that run along it in opposite directions, and the volume is as expected.
 #[track_caller]
 fn assert_closed(fragment: &Fragment, volume_mm3: f64) {
     assert_eq!(mesh_topology::open_edges(&fragment.mesh), 0, "open edges");
@@ -69,7 +69,7 @@ fn the_piece_of_a_prism_is_closed_and_as_large_as_its_section_times_its_length()
         for (low, high, lean) in [(40.3, 74.3, 0.0), (40.0, 80.0, 0.0), (41.7, 90.0, 0.3), (40.0, 80.0, -0.25)] {
             let piece = cut(&bone, [tilted(low, lean), tilted(high, -lean)]).unwrap();
             assert_closed(&piece, area(8.0, sides) * (high - low));
-            let caps = [0, 1].map(|k| piece.parts.iter().filter(|p| **p == Part::Cap(k)).count());
+            let caps = [0, 1].map(|k| piece.face_kinds.iter().filter(|p| **p == FaceKind::Cap(k)).count());
             // On a ring with level cuts, the cap is over the ring itself.
             assert!(caps.iter().all(|n| *n >= sides as usize - 2), "{caps:?} faces");
         }
@@ -77,7 +77,7 @@ fn the_piece_of_a_prism_is_closed_and_as_large_as_its_section_times_its_length()
 }
 
 #[test]
-fn normals_that_point_the_other_way_cut_the_same_piece() {
+fn flipped_normals_cut_the_same_piece() {
     let bone = shaft();
     let turn = Isometry3::rotation(Vector3::x() * std::f64::consts::PI);
     let (low, high) = (tilted(40.0, 0.2), tilted(74.0, -0.1));
@@ -123,7 +123,7 @@ fn an_outline_with_bays_is_followed() {
 }
 
 #[test]
-fn of_two_bones_in_one_file_the_one_at_the_planes_is_cut() {
+fn the_bone_at_the_planes_is_cut_of_two_in_one_file() {
     let other = prism(10.0, 30, [0.0, 160.0], 33, false).transformed("ct", &Isometry3::translation(80.0, 0.0, 0.0));
     let both = together(&other, &prism(8.0, 30, [0.0, 160.0], 33, false));
     assert_closed(&cut(&both, [tilted(40.3, 0.1), tilted(74.3, -0.1)]).unwrap(), area(8.0, 30) * 34.0);
@@ -140,7 +140,7 @@ fn moving_bone_and_planes_leaves_the_piece_unchanged() {
 }
 
 #[test]
-fn what_cannot_be_cut_is_told() {
+fn planes_that_cannot_cut_are_refused() {
     let bone = cuboid([-5.0, -6.0, 0.0], [5.0, 6.0, 100.0]);
     let error = |places| cut(&bone, places).unwrap_err().to_string();
     assert!(error([tilted(40.0, 0.0), tilted(140.0, 0.0)]).starts_with("plane_2 does not cut the bone"));

@@ -6,36 +6,35 @@ use crate::nearest::Nearest;
 use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
 use osteoflow_geometry::Cloud;
 
-/// A place in the image is empty where the nearest point is farther than this many steps of a grid as dense as the scan:
-/// one place in a hundred of a scan whose points lie as chance has it.
+/// A pixel is empty if the nearest point is farther than this many steps of a grid as dense as the scan: one pixel in a
+/// hundred of a scan with randomly distributed points.
 const EMPTY: f64 = 1.2;
 
-/// Beside an empty place it is open where the nearest point is farther than this many steps: half of such places in such a
-/// scan, which must not connect a hole with the background.
+/// Limit for pixels next to an empty one: half of the pixels of such a scan, so it must not connect a hole with the
+/// background.
 const OPEN: f64 = 0.6;
 
-/// So many places beside the empty ones are looked at: the width that the stricter rule leaves at the rim.
+/// Number of pixels by which gaps are grown: the width that the stricter limit leaves at the rim.
 const RIM: usize = 1;
 
-/// Gaps of a larger radius than so many spots are the background, or what lies in its shadow.
+/// Maximum radius of a gap, in spot radii: larger ones are background or shadow.
 const MAX_GAP: f64 = 2.5;
 
-/// The surface over a gap is told from what lies within so many spot radii around its middle...
+/// Radius around the centre of a gap in which the surface is fitted, in spot radii...
 const AROUND: f64 = 2.5;
 
-/// ...and not farther than this many from it towards the camera or away: what is seen past an edge is another surface.
+/// ...and maximum difference in depth, in spot radii: beyond an edge lies another surface.
 const DEPTH: f64 = 1.5;
 
-/// So many points tell a surface of six unknowns.
+/// Minimum number of points for a surface of six unknowns.
 const MIN_AROUND: usize = 24;
 
-/// The hole in one scan, without a reference: a gap in the camera's image with scan all around it.
+/// The hole in one scan, without a reference: a gap in the camera's image that the scan encloses.
 ///
-/// The scan is laid out in its camera's image, where it is sampled evenly. A gap that the scan encloses is filled with
-/// points as dense as the scan's, on a quadratic surface through what lies around it; they stand for the missing points of
-/// a reference, and what follows is as in [`cloud_difference`](super::cloud_difference()). A spot at the silhouette is
-/// enclosed by nothing and is not found, and any other loss as large as the spot is taken for it: what the reference is
-/// good for. `O(n log n)`.
+/// The scan is projected into its camera's image, where it is sampled evenly. An enclosed gap is filled with points as
+/// dense as the scan's, on a quadratic surface fitted to the points around it; these replace the missing points of a
+/// reference, and the search continues as in [`cloud_difference`](super::cloud_difference()). A spot at the silhouette
+/// is not enclosed and not found, and any other loss as large as the spot is taken for it. `O(n log n)`.
 ///
 /// # Errors
 /// [`HoleError`]: no hole, more than one, too sparse to resolve it, or a scan without a viewpoint.
@@ -54,7 +53,7 @@ pub fn boundary(cloud: &Cloud, params: &HoleParams) -> Result<Hole, HoleError> {
     find(&Scene::new(&reference, cloud, params)?, &Missing { indices, margin_mm }, params)
 }
 
-/// Points where the surface should be.
+/// Points that fill the gaps.
 struct Fill {
     points: Vec<Point3<f64>>,
     margin_mm: f64,
@@ -69,7 +68,7 @@ fn fill(cloud: &Cloud, t_cloud_camera: &Isometry3<f64>, params: &HoleParams) -> 
     }
     let grid = Grid::over(&flat).ok_or(HoleError::NoViewpoint)?;
     let tree = Nearest::new(&flat);
-    // As dense as the scan is where it is.
+    // As dense as the scan.
     let step = grid.cell * (grid.n_filled() as f64 / flat.len() as f64).sqrt();
     let mut depths: Vec<f64> = in_camera.iter().map(|p| p.z).collect();
     let depth = super::scene::median(&mut depths);
@@ -90,7 +89,7 @@ fn fill(cloud: &Cloud, t_cloud_camera: &Isometry3<f64>, params: &HoleParams) -> 
     Ok(Fill { points, margin_mm: OPEN * step * depth })
 }
 
-/// An even grid in the image, and how far each place is from the nearest point, in steps.
+/// A regular grid of pixels, with the distance of each to the nearest point, in steps.
 struct Empty {
     corner: [f64; 2],
     step: f64,
@@ -106,7 +105,7 @@ impl Empty {
         empty
     }
 
-    /// The places beside one, and whether it lies within the image.
+    /// The pixels next to one, and whether it lies within the image.
     fn beside(&self, here: usize) -> (impl Iterator<Item = usize>, bool) {
         let ([x, y], [width, height]) = ([here % self.size[0], here / self.size[0]], self.size);
         let is_within = x > 0 && y > 0 && x + 1 < width && y + 1 < height;
@@ -124,7 +123,7 @@ impl Empty {
         Point3::new(self.corner[0] + x, self.corner[1] + y, 0.0)
     }
 
-    /// The places of each connected gap that the scan encloses and that has no more than `most` of them.
+    /// The pixels of each connected gap that the scan encloses, if there are at most `most`.
     fn gaps(&self, most: f64) -> Vec<Vec<Point3<f64>>> {
         let mut left: Vec<bool> = self.distance.iter().map(|d| *d > EMPTY).collect();
         let mut gaps = Vec::new();
@@ -154,7 +153,7 @@ impl Empty {
     }
 }
 
-/// The depth around a place of the image, quadratic.
+/// A quadratic fit of the depth around a point of the image.
 struct Surface {
     middle: Point3<f64>,
     unit: f64,

@@ -4,29 +4,29 @@ use super::{Hole, HoleError, HoleParams};
 use osteoflow_geometry::Cloud;
 use rayon::prelude::*;
 
-/// A reference point is missing where the nearest point of the other scan is farther than this many spacings: twice what
-/// a grid that lies askew leaves, so that a lost point or two leave no gap.
+/// A reference point is missing if the nearest point of the other scan is farther than this many spacings: twice the
+/// largest distance between skewed grids, so one or two lost points leave no gap.
 const GAP: f64 = 1.8;
 
-/// A gap below this share of the median spacing is none, whatever the spacing around it: saves looking closer.
+/// A gap below this share of the median spacing is none, whatever the local spacing: saves computing the latter.
 const LEAST: f64 = 0.7;
 
 /// The hole as the paper finds it: the reference scan minus the scan with the laser.
 ///
-/// A reference point is missing where the laser scan has no point within a distance that follows the local spacing, so
-/// that a surface seen at a slant does not come apart. Among the missing points a disc of the spot's radius is looked
-/// for; its centre is fitted to its rim, from inside by the missing points and from outside by those that are there, so
-/// that a hole of which another loss hides a part keeps its centre. What lies at the border of the common view has no rim
-/// and is no hole. Both clouds in one frame. `O(n log n)`.
+/// A reference point is missing if the laser scan has no point within a distance that follows the local spacing, so a
+/// surface seen at a slant does not fall apart. A disc of the spot's radius is searched for among the missing points;
+/// its centre is fitted to its rim, from inside by the missing points and from outside by the present ones, so a hole
+/// that another loss partly hides keeps its centre. A gap at the border of the common view has no rim and is no hole.
+/// Both clouds are in one frame. `O(n log n)`.
 ///
 /// # Errors
-/// [`HoleError`]: no hole, more than one, too sparse to resolve it, or scans that do not lie on each other.
+/// [`HoleError`]: no hole, more than one, too sparse to resolve it, or scans that do not coincide.
 ///
 /// # Source
-/// Section 2.3 of the paper, where the centre of the missing set's largest cluster is the spot.
+/// Section 2.3 of the paper, which takes the centre of the largest cluster of missing points.
 pub fn cloud_difference(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Result<Hole, HoleError> {
     let scene = Scene::new(reference, cloud, params)?;
-    // What the scans are apart must not look like a gap.
+    // The distance between the scans must not look like a gap.
     let gap = |i: usize| (GAP * scene.spacing_mm(i)).hypot(2.0 * scene.residual_mm);
     let least = scene.median_spacing() * LEAST;
     let is_missing = |i: &usize| {

@@ -1,21 +1,22 @@
-//! The camera's image, laid out in cells.
+//! The camera's image as a grid of cells.
 
 use super::scene::median;
 use crate::nearest::Nearest;
 use nalgebra::Point3;
 
-/// Side of a cell in spacings of the scan's points in the image: a cell within the scan then nearly always has a point.
+/// Edge length of a cell in spacings of the scan's points in the image: cells within the scan nearly always have a
+/// point.
 const CELL: f64 = 1.3;
 
-/// More cells than this are not laid out; the image is then spoilt by points next to the camera.
+/// Maximum number of cells; more are due to points next to the camera.
 const MAX_CELLS: f64 = 16e6;
 
-/// Where a point in the camera's frame is seen; `None` behind the camera.
+/// The image coordinates of a point in the camera's frame; `None` behind the camera.
 pub(super) fn seen(p: &Point3<f64>) -> Option<Point3<f64>> {
     (p.z > 0.0).then(|| Point3::new(p.x / p.z, p.y / p.z, 0.0))
 }
 
-/// Which cells of an image the points of one scan fall into.
+/// The cells of an image that contain points of one scan.
 pub(super) struct Grid {
     pub(super) corner: [f64; 2],
     pub(super) cell: f64,
@@ -24,7 +25,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// Cells that follow the spacing of these points, filled by them; `None` where they have no spacing.
+    /// A grid whose cells follow the spacing of these points, filled by them; `None` if they have no spacing.
     pub(super) fn over(flat: &[Point3<f64>]) -> Option<Self> {
         let first = *flat.first()?;
         let tree = Nearest::new(flat);
@@ -40,7 +41,7 @@ impl Grid {
         Some(empty.with(flat.iter()))
     }
 
-    /// The same cells, filled by other points.
+    /// A grid of the same layout, filled by other points.
     pub(super) fn with<'a>(&self, flat: impl Iterator<Item = &'a Point3<f64>>) -> Self {
         let mut filled = vec![false; self.size[0] * self.size[1]];
         for [x, y] in flat.filter_map(|p| self.place(p)) {
@@ -49,7 +50,7 @@ impl Grid {
         Self { filled, ..*self }
     }
 
-    /// The cell that a point is seen in.
+    /// The cell of a point.
     pub(super) fn place(&self, flat: &Point3<f64>) -> Option<[usize; 2]> {
         let [x, y] = [0, 1].map(|k| (flat[k] - self.corner[k]) / self.cell);
         let inside = x >= 0.0 && y >= 0.0 && (x as usize) < self.size[0] && (y as usize) < self.size[1];

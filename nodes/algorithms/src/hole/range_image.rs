@@ -7,13 +7,13 @@ use osteoflow_geometry::Cloud;
 
 /// The hole in the image grid of the camera that took the scan with the laser.
 ///
-/// Both scans are projected into that image, `x / z` and `y / z`, in cells that follow the spacing of the scan's points
-/// there. A camera samples its image evenly, however slanted the surface, so cells serve everywhere alike. A reference
-/// point is missing where its cell and most of the cells around it that the reference fills are empty. What follows is
-/// as in [`cloud_difference`](super::cloud_difference()).
+/// Both scans are projected into that image, `x / z` and `y / z`, in cells that follow the spacing of the scan's
+/// points. A camera samples its image evenly, however slanted the surface, so one cell size suits all of it. A
+/// reference point is missing if its cell and most of the surrounding cells that the reference fills are empty. The
+/// search continues as in [`cloud_difference`](super::cloud_difference()).
 ///
 /// # Errors
-/// [`HoleError`]: no hole, more than one, too sparse to resolve it, scans that do not lie on each other, or a laser scan
+/// [`HoleError`]: no hole, more than one, too sparse to resolve it, scans that do not coincide, or a laser scan
 /// without a viewpoint.
 pub fn range_image(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Result<Hole, HoleError> {
     let t_camera_cloud = cloud.viewpoint.ok_or(HoleError::NoViewpoint)?.inverse();
@@ -22,7 +22,7 @@ pub fn range_image(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Res
     find(&scene, &missing, params)
 }
 
-/// `None` where the scan does not lie before the camera.
+/// `None` if the scan is not in front of the camera.
 fn missing(scene: &Scene<'_>, t_camera_cloud: &Isometry3<f64>) -> Option<Missing> {
     let image = |p: &Point3<f64>| seen(&(t_camera_cloud * p));
     let of_cloud: Vec<Point3<f64>> = scene.cloud.iter().filter_map(image).collect();
@@ -38,7 +38,7 @@ fn missing(scene: &Scene<'_>, t_camera_cloud: &Isometry3<f64>) -> Option<Missing
     Some(Missing { indices, margin_mm })
 }
 
-/// Whether more than half of the cells here and around that the reference fills are empty in the scan with the laser.
+/// Whether more than half of the cells in the 3 × 3 neighbourhood that the reference fills are empty in the laser scan.
 fn mostly_empty(laser: &Grid, full: &Grid, [x, y]: [usize; 2]) -> bool {
     let (mut n_full, mut n_empty) = (0, 0);
     for row in y.saturating_sub(1)..(y + 2).min(full.size[1]) {

@@ -1,4 +1,4 @@
-//! The reference scan and the scan with the laser, side by side.
+//! The reference scan and the scan with the laser, prepared for comparison.
 
 use super::{HoleError, HoleParams};
 use crate::nearest::Nearest;
@@ -6,13 +6,13 @@ use crate::normals::plane_normal;
 use nalgebra::Point3;
 use osteoflow_geometry::Cloud;
 
-/// Neighbours that the spacing around a point is told from: the first ring of a square grid.
+/// Neighbours that determine the spacing around a point: the first ring of a square grid.
 const RING: usize = 8;
 
-/// At most so many points are looked at for what is told of a whole scan.
-const LOOKED_AT: usize = 1000;
+/// Approximate number of points sampled for statistics of a whole scan.
+const SAMPLED: usize = 1000;
 
-/// Neighbours that a scan's surface is told from.
+/// Neighbours to which a plane is fitted.
 const AROUND: usize = 12;
 
 /// Both scans in one frame, with trees and spacing.
@@ -21,9 +21,9 @@ pub(super) struct Scene<'a> {
     pub(super) cloud: &'a [Point3<f64>],
     pub(super) reference_tree: Nearest,
     pub(super) cloud_tree: Nearest,
-    /// How many times coarser the scan with the laser is than the reference; 1 where it is finer.
+    /// Ratio of the spacings of the laser scan and the reference, at least 1.
     coarser: f64,
-    /// Points of the scan with the laser for each point of the reference, where both are.
+    /// Points of the laser scan per point of the reference, where both overlap.
     pub(super) density: f64,
     /// Median distance of the scan with the laser from the reference's surface, mm.
     pub(super) residual_mm: f64,
@@ -73,8 +73,8 @@ impl<'a> Scene<'a> {
         )
     }
 
-    /// Median distance of the scan with the laser from the planes through its neighbours in the reference, over what
-    /// both show; over everything where they show nothing together.
+    /// Median distance of the laser scan from the planes through its neighbours in the reference, over their overlap;
+    /// over everything if they do not overlap.
     fn median_residual(&self, reach_mm: f64) -> f64 {
         let residuals: Vec<(f64, f64)> = thinned(self.cloud)
             .map(|p| {
@@ -93,17 +93,17 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// From the farthest of the first ring, so that a grid seen at a slant counts by its wide side, mm.
+/// Distance to the farthest of the first ring, so a grid seen at a slant counts by its wide side, mm.
 fn spacing(tree: &Nearest, point: &Point3<f64>) -> f64 {
     tree.nearest_n(point, RING + 1).last().map_or(0.0, |(_, square)| (square / 2.0).sqrt())
 }
 
-/// About [`LOOKED_AT`] points, evenly along the scan.
+/// About [`SAMPLED`] points, evenly along the scan.
 fn thinned(points: &[Point3<f64>]) -> impl Iterator<Item = &Point3<f64>> {
-    points.iter().step_by(points.len().div_ceil(LOOKED_AT).max(1))
+    points.iter().step_by(points.len().div_ceil(SAMPLED).max(1))
 }
 
-/// The middle value; zero of none.
+/// The median; zero without values.
 pub(super) fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }

@@ -1,4 +1,4 @@
-//! The search for a disc among the missing points, which all detectors share.
+//! The search of all detectors for a disc among the missing points.
 
 use super::scene::Scene;
 use super::{Hole, HoleError, HoleParams, HoleReport};
@@ -7,54 +7,54 @@ use crate::normals::plane_normal;
 use nalgebra::{Matrix2, Matrix6, Point3, Vector2, Vector3, Vector6};
 use rayon::prelude::*;
 
-/// A disc needs points at least this share of its radius apart: less than ten would else be missing of it.
+/// Maximum point spacing as a share of the disc's radius: beyond, fewer than ten of its points would be missing.
 const MAX_SPACING: f64 = 0.32;
 
-/// Fewer missing points together are dropout.
+/// Minimum number of missing points close together; fewer are dropout.
 const MIN_CLUSTER: usize = 4;
 
-/// A gap so many times too large or too small is none: other losses of a scan are a little over half as large.
+/// Factor by which a gap may be too large or too small: other losses of a scan are a little over half as large.
 const WRONG_SIZE: f64 = 1.6;
 
-/// Area that one point stands for, in squares of its spacing: a disc as wide as the ring around it holds nine points.
+/// Area per point, in squares of its spacing: a disc as wide as the ring around it holds nine points.
 const RING_AREA: f64 = 2.0 * std::f64::consts::PI / 9.0;
 
 /// Directions into which the rim is divided.
 const SECTORS: usize = 12;
 
-/// A direction of the rim is there where the scan has this share of the points that the reference has.
-const THERE: f64 = 0.4;
+/// A sector of the rim is present if the scan has this share of the points that the reference has.
+const PRESENT_SHARE: f64 = 0.4;
 
-/// So many directions of the rim may be missing where the reference shows them: another loss may touch the hole, but the
-/// border of the common view leaves half of them empty.
+/// Maximum number of sectors of the rim that only the reference has: another loss may touch the hole, but at the border
+/// of the common view half of them are empty.
 const MAX_LOST_SECTORS: usize = 4;
 
-/// So many directions must be there: at a silhouette half of them show nothing in either scan.
+/// Minimum number of sectors present: at a silhouette half of them are empty in both scans.
 const MIN_SEEN_SECTORS: usize = 4;
 
-/// A second hole this share as sure as the first one leaves it open which is meant.
-const ALIKE: f64 = 0.5;
+/// Relative score at which a second hole makes the result ambiguous.
+const AMBIGUOUS_SHARE: f64 = 0.5;
 
-/// Width of the bell that weighs the points of a surface patch, in parts of its reach.
+/// Standard deviation of the Gaussian weights of a surface patch, relative to its radius.
 const WIDTH: f64 = 0.2;
 
-/// Steps of the fit of a centre; each half settles in five.
+/// Number of steps of the fit of a centre; each half converges in five.
 const FIT_STEPS: usize = 24;
 
-/// How much more a point that is there says than one that is missing.
-const SURE: f64 = 2.0;
+/// Weight of a present point relative to a missing one.
+const PRESENT_WEIGHT: f64 = 2.0;
 
-/// A missing point so many bands outside the disc is missing for another reason.
-const BEYOND: f64 = 3.0;
+/// Distance from the disc, in bands, beyond which a point is missing for another reason.
+const MAX_BANDS: f64 = 3.0;
 
-/// Reference points without a partner, by index in order.
+/// Reference points without a counterpart, by ascending index.
 pub(super) struct Missing {
     pub(super) indices: Vec<usize>,
-    /// So far inside the rim points are still told as there, mm.
+    /// Distance inside the rim within which points still count as present, mm.
     pub(super) margin_mm: f64,
 }
 
-/// A place that was looked at.
+/// A candidate for the hole.
 struct Candidate {
     hole: Hole,
     n_lost: usize,
@@ -62,8 +62,8 @@ struct Candidate {
 }
 
 impl Candidate {
-    /// How it stands against its rivals: a strip that is lost at a steep edge goes on around the disc, a spot does not.
-    fn standing(&self) -> f64 {
+    /// Score against rivals: a strip that is lost at a steep edge continues around the disc, a spot does not.
+    fn score(&self) -> f64 {
         self.hole.confidence * (1.0 - self.n_lost as f64 / SECTORS as f64).powi(2)
     }
 }
@@ -74,23 +74,23 @@ pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) ->
     missing.indices.iter().for_each(|&i| is_missing[i] = true);
     let seeds = seeds(scene, missing, &is_missing, params.spot_radius_mm);
     let mut candidates: Vec<Candidate> =
-        seeds.par_iter().filter_map(|seed| judge(scene, missing, &is_missing, seed, params)).collect();
+        seeds.par_iter().filter_map(|seed| rate(scene, missing, &is_missing, seed, params)).collect();
     for candidate in &mut candidates {
         candidate.hole.report.n_candidates = seeds.len();
     }
-    candidates.sort_by(|a, b| b.standing().total_cmp(&a.standing()));
-    let sure = |c: &&Candidate| {
+    candidates.sort_by(|a, b| b.score().total_cmp(&a.score()));
+    let accepted = |c: &&Candidate| {
         c.hole.confidence >= params.min_confidence && c.n_lost <= MAX_LOST_SECTORS && c.n_seen >= MIN_SEEN_SECTORS
     };
-    let Some(best) = candidates.iter().find(sure) else {
-        return Err(none(scene, missing, candidates.first(), params));
+    let Some(best) = candidates.iter().find(accepted) else {
+        return Err(not_found(scene, missing, candidates.first(), params));
     };
     if best.hole.report.spacing_mm > MAX_SPACING * params.spot_radius_mm {
         return Err(too_sparse(best.hole.report.spacing_mm, params));
     }
-    // Seeds of one hole settle in one place.
+    // Seeds of one hole converge to one centre.
     let mut rivals: Vec<&Candidate> = Vec::new();
-    for candidate in candidates.iter().filter(sure).filter(|c| c.standing() > ALIKE * best.standing()) {
+    for candidate in candidates.iter().filter(accepted).filter(|c| c.score() > AMBIGUOUS_SHARE * best.score()) {
         let apart = |other: &&Candidate| (candidate.hole.centre - other.hole.centre).norm() > params.spot_radius_mm;
         if apart(&best) && rivals.iter().all(apart) {
             rivals.push(candidate);
@@ -113,8 +113,8 @@ fn too_sparse(spacing_mm: f64, params: &HoleParams) -> HoleError {
     HoleError::TooSparse { what: "reference", spacing_mm, needed_mm, expected_radius_mm: params.spot_radius_mm }
 }
 
-/// Why there is no hole, in words.
-fn none(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, params: &HoleParams) -> HoleError {
+/// The error that describes why there is no hole.
+fn not_found(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, params: &HoleParams) -> HoleError {
     let spacing_mm = scene.median_spacing();
     if spacing_mm > MAX_SPACING * params.spot_radius_mm {
         return too_sparse(spacing_mm, params);
@@ -143,7 +143,7 @@ fn none(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, params: 
     HoleError::None { expected_radius_mm: params.spot_radius_mm, n_missing: missing.indices.len(), best }
 }
 
-/// Missing points with the most missing points around, no two within a disc of each other.
+/// Missing points with the most missing points around, no two within a radius of each other.
 fn seeds(scene: &Scene<'_>, missing: &Missing, is_missing: &[bool], radius_mm: f64) -> Vec<Point3<f64>> {
     let crowd = |&i: &usize| {
         let around = scene.reference_tree.within(&scene.reference[i], radius_mm);
@@ -165,8 +165,8 @@ fn seeds(scene: &Scene<'_>, missing: &Missing, is_missing: &[bool], radius_mm: f
     seeds
 }
 
-/// Fits a disc to what is missing around `seed` and tells how much of a hole it is.
-fn judge(
+/// Fits a disc to the missing points around `seed` and rates it.
+fn rate(
     scene: &Scene<'_>,
     missing: &Missing,
     is_missing: &[bool],
@@ -195,7 +195,7 @@ fn judge(
     let core = (radius - spacing_mm / 2.0).max(0.5 * radius);
     let expected = |reach: f64| scene.density * count(&scene.reference_tree, reach);
     let empty_share = (1.0 - count(&scene.cloud_tree, core) / expected(core).max(1.0)).clamp(0.0, 1.0);
-    // Of a wider disc the share that is missing tells the radius, without the rim's blur.
+    // The share missing of a wider disc gives the radius, independent of the blurred rim.
     let wide = 1.4 * radius;
     let share = (1.0 - count(&scene.cloud_tree, wide) / expected(wide).max(1.0)).clamp(0.0, 1.0);
     let radius_mm = wide * share.sqrt();
@@ -225,7 +225,7 @@ fn judge(
     Some(Candidate { hole: Hole { centre, radius_mm, confidence, report }, n_lost, n_seen })
 }
 
-/// Directions of the rim where the scan is there again, and those where it should be and is not.
+/// Numbers of sectors of the rim that the scan covers, and that only the reference covers.
 fn rim(scene: &Scene<'_>, patch: &Patch, centre: &Point3<f64>, radius: f64, spacing_mm: f64) -> (usize, usize) {
     let reach = radius + (0.6 * radius).max(2.0 * spacing_mm);
     let sectors = |points: &[Point3<f64>], tree: &crate::nearest::Nearest| {
@@ -242,12 +242,12 @@ fn rim(scene: &Scene<'_>, patch: &Patch, centre: &Point3<f64>, radius: f64, spac
     let expected = sectors(scene.reference, &scene.reference_tree).map(|n| n * scene.density);
     let found = sectors(scene.cloud, &scene.cloud_tree);
     let pairs = || found.iter().zip(&expected);
-    let n_seen = pairs().filter(|(found, expected)| **found >= 1.0 && **found >= THERE * **expected).count();
-    let n_lost = pairs().filter(|(found, expected)| **expected >= 2.0 && **found < THERE * **expected).count();
+    let n_seen = pairs().filter(|(found, expected)| **found >= 1.0 && **found >= PRESENT_SHARE * **expected).count();
+    let n_lost = pairs().filter(|(found, expected)| **expected >= 2.0 && **found < PRESENT_SHARE * **expected).count();
     (n_seen, n_lost)
 }
 
-/// The reference's surface around a place, as a quadratic height over its tangent plane.
+/// The reference's surface around a point, as a quadratic height over its tangent plane.
 struct Patch {
     origin: Point3<f64>,
     axes: [Vector3<f64>; 3],
@@ -264,13 +264,13 @@ impl Patch {
         let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
         for point in &around {
             let [x, y, z] = patch.local(point).into();
-            // A bone bends within a spot's radius more than a quadratic can follow, so what is near counts most.
+            // A bone bends within a spot's radius more than a quadratic can follow, so near points count most.
             let weight = (-(x * x + y * y) / (2.0 * (WIDTH * reach_mm).powi(2))).exp();
             let row = monomials(x, y);
             normal += row * row.transpose() * weight;
             right += row * (z * weight);
         }
-        // A little of the identity keeps bends flat that too few points would fix.
+        // Regularization: curvatures that too few points determine stay flat.
         let damped = normal + Matrix6::identity() * 1e-3;
         patch.height = damped.cholesky()?.solve(&right);
         Some(patch)
@@ -287,17 +287,17 @@ impl Patch {
         self.origin + self.axes[0] * at.x + self.axes[1] * at.y + self.axes[2] * z
     }
 
-    /// The place on the surface with the points `inside` closer than `inner` and those `outside` farther than `outer`, in
-    /// the least-squares sense: from both sides the rim pulls at the centre until it lies in the middle.
+    /// The point on the surface with the points `inside` closer than `inner` and those `outside` farther than `outer`,
+    /// in the least-squares sense.
     ///
-    /// A point that is there is sure to be no part of the hole; one that is missing may be missing for another reason,
-    /// so the latter pull no harder than from `band` away, and at last not at all from far beyond.
+    /// A present point is certainly outside of the hole; a missing one may be missing for another reason, so its
+    /// residual is limited to `band`, and in the second half of the steps it is ignored far beyond.
     fn fit(&self, inside: &[Point3<f64>], inner: f64, outside: &[Point3<f64>], outer: f64, band: f64) -> Point3<f64> {
         let mut at = Vector2::zeros();
         for round in 0..FIT_STEPS {
             let centre = self.on_surface(&at);
             let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
-            let mut pull = |point: &Point3<f64>, limit: f64, weight: &dyn Fn(f64) -> f64| {
+            let mut add = |point: &Point3<f64>, limit: f64, weight: &dyn Fn(f64) -> f64| {
                 let offset = point - centre;
                 let distance = offset.norm();
                 let (excess, weight) = (distance - limit, weight(distance - limit));
@@ -308,12 +308,12 @@ impl Patch {
                 }
             };
             let missing = |excess: f64| match excess {
-                e if e <= 0.0 || (round >= FIT_STEPS / 2 && e > BEYOND * band) => 0.0,
+                e if e <= 0.0 || (round >= FIT_STEPS / 2 && e > MAX_BANDS * band) => 0.0,
                 e => (band / e).min(1.0),
             };
-            inside.iter().for_each(|p| pull(p, inner, &missing));
-            outside.iter().for_each(|p| pull(p, outer, &|excess| if excess < 0.0 { SURE } else { 0.0 }));
-            // The identity counts as one point in every direction: where the rim is open, the centre stays.
+            inside.iter().for_each(|p| add(p, inner, &missing));
+            outside.iter().for_each(|p| add(p, outer, &|excess| if excess < 0.0 { PRESENT_WEIGHT } else { 0.0 }));
+            // Damping: where the rim is open, the centre stays.
             let Some(inverse) = (normal + Matrix2::identity()).try_inverse() else { break };
             at += inverse * right;
         }

@@ -4,14 +4,14 @@ use osteoflow_geometry::NamedPoint;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The face's tangent is told from the faces whose middle lies this near to the mark, mm: about the width of a fibula's
-/// lateral face, so that neither one triangle nor the mesh decides.
+/// Radius in which triangles determine the tangent of the face, mm: about the width of a fibula's lateral face, so that
+/// neither one triangle nor the meshing decides.
 const FACE_REACH_MM: f64 = 3.0;
 
-/// A mark this far off the surface is not on the bone that was ruled, mm: a fibula bends by less in 50 mm.
+/// Maximum distance of a mark from the surface, mm: a fibula bends by less in 50 mm.
 const MAX_OFF_MM: f64 = 10.0;
 
-/// From which mark the third one is ruled.
+/// The mark from which the third one is ruled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ThirdFrom {
@@ -22,30 +22,31 @@ pub enum ThirdFrom {
     Second,
 }
 
-/// How far a surgeon's ruler is off at each of the three marks.
+/// Errors of a surgeon's ruler at each of the three marks.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RulerErrors {
-    /// The first mark, along the bone, mm, and with it all marks that are ruled from it. 0: where it was planned. The paper
+    /// Error of the first mark along the bone, mm, and of all marks ruled from it. 0: as planned. The paper
     /// draws it within 10 mm both ways, because the malleolus is hard to find.
     #[schemars(range(min = -100.0, max = 100.0))]
     pub first_mm: f64,
-    /// The second mark from the first, along the bone, mm. 0: as planned. The paper draws it within 2 mm both ways.
-    #[schemars(range(min = -100.0, max = 100.0))]
-    pub second_mm: f64,
-    /// The third mark from the one it is ruled from, along the bone, mm. 0: as planned. The paper draws it within 2 mm both
+    /// Error of the second mark from the first, along the bone, mm. 0: as planned. The paper draws it within 2 mm both
     /// ways.
     #[schemars(range(min = -100.0, max = 100.0))]
+    pub second_mm: f64,
+    /// Error of the third mark from the one it is ruled from, along the bone, mm. 0: as planned. The paper draws it
+    /// within 2 mm both ways.
+    #[schemars(range(min = -100.0, max = 100.0))]
     pub third_mm: f64,
-    /// The second mark across the bone, along the tangent of its face, mm. 0: as planned. The paper draws it within 3 mm
-    /// both ways, and calls the direction x.
+    /// Error of the second mark across the bone, along the tangent of its face, mm. 0: as planned. The paper draws it
+    /// within 3 mm both ways, and calls the direction x.
     #[schemars(range(min = -20.0, max = 20.0))]
     pub across_mm: f64,
-    /// Which mark the third one is ruled from. `first`, as we read the paper's d13; `second` is the other reading.
+    /// The mark from which the third one is ruled. `first`, as we read the paper's d13; `second` is the other reading.
     pub third_from: ThirdFrom,
-    /// Whether each mark is carried to the closest point of the surface. On: a surgeon marks bone. Off: where the errors
-    /// alone put it, as the paper prints them; on a straight fibula the start then differs by 0.1 mm along the bone and by
-    /// 3 degrees about it on the average, on a bent one by 0.3 mm and 10 degrees.
+    /// Whether each mark is moved to the closest point of the surface. On: a surgeon marks bone. Off: displaced by the
+    /// errors alone, as the paper prints them; on a straight fibula the start then differs by 0.1 mm along the bone and
+    /// by 3 degrees about it on average, on a bent one by 0.3 mm and 10 degrees.
     pub on_surface: bool,
 }
 
@@ -56,22 +57,22 @@ impl Default for RulerErrors {
     }
 }
 
-/// Marks on the bone and how they came to lie there.
+/// Marks on the bone and their errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ruled {
     /// The marks, with the planned names in the planned order, on the surface.
     pub points: Vec<NamedPoint>,
-    /// How far they are off.
+    /// Their errors.
     pub report: RuledReport,
 }
 
-/// How far ruled marks are off the planned landmarks.
+/// Errors of ruled marks against the planned landmarks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RuledReport {
-    /// The first mark's error along the bone as it came out on the surface, mm: what the registration's own error along
-    /// the bone is set against.
+    /// The first mark's error along the bone on the surface, mm: the reference for the registration's error along the
+    /// bone.
     pub first_along_mm: f64,
-    /// The same as asked for, mm.
+    /// The first mark's nominal error along the bone, mm.
     pub first_asked_mm: f64,
     /// Each mark.
     pub points: Vec<RuledPoint>,
@@ -79,32 +80,32 @@ pub struct RuledReport {
     pub across: [f64; 3],
 }
 
-/// How far one mark is off.
+/// Errors of one mark.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RuledPoint {
     /// Its name.
     pub name: String,
-    /// Along the bone as asked for, with what it shares with the marks it is ruled from, mm.
+    /// Nominal error along the bone, including that of the marks it is ruled from, mm.
     pub asked_along_mm: f64,
-    /// Across the bone as asked for, mm.
+    /// Nominal error across the bone, mm.
     pub asked_across_mm: f64,
-    /// Along the bone as it came out, mm.
+    /// Actual error along the bone, mm.
     pub along_mm: f64,
-    /// Across the bone as it came out, mm.
+    /// Actual error across the bone, mm.
     pub across_mm: f64,
-    /// How far the errors put the mark off the surface, mm.
+    /// Distance of the displaced mark from the surface, mm.
     pub off_surface_mm: f64,
-    /// How far the mark lies from the planned landmark, mm.
+    /// Distance of the mark from the planned landmark, mm.
     pub moved_mm: f64,
 }
 
-/// Why marks cannot be ruled.
+/// Errors of [`ruled()`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RuledError {
     /// There are not three landmarks.
     #[error("three landmarks are ruled one from the other, but the plan gives {n}; plan.landmarks places P1..P3")]
     Three {
-        /// How many there are.
+        /// Number of landmarks.
         n: usize,
     },
     /// The face has no direction across the bone.
@@ -122,26 +123,26 @@ pub enum RuledError {
     OffBone {
         /// The mark.
         name: String,
-        /// How far it is.
+        /// Distance found.
         distance_mm: f64,
-        /// How far it may be.
+        /// Distance allowed.
         limit_mm: f64,
     },
 }
 
-/// Where marks truly lie that a surgeon means to put at the `planned` landmarks with a ruler that errs.
+/// True positions of marks that a surgeon puts at the `planned` landmarks with an inexact ruler.
 ///
-/// The first mark errs along the bone, the second and third by the same and by errors of their own, the second across the
-/// bone as well, along `z × n` where n is the normal of the face around the second landmark. Each displaced mark is then
-/// carried to the closest point of the surface, since a surgeon marks bone; see [`RulerErrors::on_surface`]. `planned`
-/// and `bone` lie in one frame; `along` is the bone's direction there. `O(m)`.
+/// The first mark errs along the bone, the second and third by this error and by their own, the second also across the
+/// bone, along `z × n` where n is the normal of the face around the second landmark. Each displaced mark is then moved
+/// to the closest point of the surface, as a surgeon marks bone; see [`RulerErrors::on_surface`]. `planned` and `bone`
+/// are in one frame; `along` is the bone's direction there. `O(m)`.
 ///
 /// # Errors
-/// [`RuledError`] if there are not three landmarks, the second does not lie on the side of a shaft, or a mark misses the
-/// bone.
+/// [`RuledError`] if there are not three landmarks, the second does not lie on the side of a shaft, or a mark misses
+/// the bone.
 ///
 /// # Source
-/// Section 3.2.3 of the paper. It displaces the planned points and says nothing of the surface; we carry them back to it.
+/// Section 3.2.3 of the paper, which displaces the planned points and does not mention the surface.
 pub fn ruled(
     bone: &MeshQuery,
     planned: &[NamedPoint],
@@ -161,7 +162,7 @@ pub fn ruled(
         (errors.first_mm + errors.second_mm, errors.across_mm),
         (shared_mm + errors.third_mm, 0.0),
     ];
-    let (mut points, mut told) = (Vec::with_capacity(3), Vec::with_capacity(3));
+    let (mut points, mut marks) = (Vec::with_capacity(3), Vec::with_capacity(3));
     for (landmark, (asked_along_mm, asked_across_mm)) in planned.iter().zip(asked) {
         let displaced = landmark.position + along.into_inner() * asked_along_mm + across * asked_across_mm;
         let closest = bone.closest_point(&displaced);
@@ -173,7 +174,7 @@ pub fn ruled(
         })?;
         let mark = if errors.on_surface { closest.point } else { displaced };
         let moved = mark - landmark.position;
-        told.push(RuledPoint {
+        marks.push(RuledPoint {
             name: landmark.name.to_string(),
             asked_along_mm,
             asked_across_mm,
@@ -185,15 +186,15 @@ pub fn ruled(
         points.push(NamedPoint::new(landmark.name.clone(), mark));
     }
     let report = RuledReport {
-        first_along_mm: told[0].along_mm,
+        first_along_mm: marks[0].along_mm,
         first_asked_mm: errors.first_mm,
-        points: told,
+        points: marks,
         across: across.into(),
     };
     Ok(Ruled { points, report })
 }
 
-/// The outward normal of the face around a point on it: the mean over the triangles near it that look the same way.
+/// The outward normal of the face around a point: the mean over near triangles of similar orientation.
 fn face_normal(bone: &MeshQuery, at: &Point3<f64>) -> Option<Vector3<f64>> {
     let here = bone.closest_point(at)?;
     let mesh = bone.mesh();
@@ -206,7 +207,7 @@ fn face_normal(bone: &MeshQuery, at: &Point3<f64>) -> Option<Vector3<f64>> {
             sum += area;
         }
     }
-    // A mesh coarser than that has its one face.
+    // A mesh coarser than the radius: the one triangle.
     Some(sum.try_normalize(0.0).unwrap_or(here.normal))
 }
 
@@ -267,13 +268,13 @@ mod tests {
             .map(|(k, p)| NamedPoint::new(format!("P{}", k + 1), on(*p)))
             .collect();
         let here = ruled(&bone, &planned, &Vector3::z_axis(), &ERRORS).unwrap();
-        for (point, told) in here.points.iter().zip(&here.report.points) {
+        for (point, marks) in here.points.iter().zip(&here.report.points) {
             assert!(bone.closest_point(&point.position).unwrap().distance_mm < 1e-9);
-            assert!((told.along_mm - told.asked_along_mm).abs() < 0.6 && told.off_surface_mm < 1.5, "{told:?}");
+            assert!((marks.along_mm - marks.asked_along_mm).abs() < 0.6 && marks.off_surface_mm < 1.5, "{marks:?}");
         }
         let as_printed = RulerErrors { on_surface: false, ..ERRORS };
-        for told in ruled(&bone, &planned, &Vector3::z_axis(), &as_printed).unwrap().report.points {
-            assert!((told.along_mm - told.asked_along_mm).abs() < 1e-9 && told.off_surface_mm > 1e-3, "{told:?}");
+        for marks in ruled(&bone, &planned, &Vector3::z_axis(), &as_printed).unwrap().report.points {
+            assert!((marks.along_mm - marks.asked_along_mm).abs() < 1e-9 && marks.off_surface_mm > 1e-3, "{marks:?}");
         }
         let motion = Isometry3::new(Vector3::new(300.0, -20.0, -900.0), Vector3::new(0.4, 1.1, -2.0));
         let there = ruled(
@@ -289,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_ruled_is_told() {
+    fn landmarks_that_cannot_be_ruled_are_refused() {
         let (bone, planned) = on_a_box();
         let two = ruled(&bone, &planned[..2], &Vector3::z_axis(), &ERRORS);
         assert_eq!(two, Err(RuledError::Three { n: 2 }));

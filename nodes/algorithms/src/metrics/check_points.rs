@@ -3,14 +3,14 @@ use nalgebra::{Isometry3, Matrix3, Point3};
 use osteoflow_geometry::{Axes, NamedPoint};
 use serde::{Deserialize, Serialize};
 
-/// How far a calibration carries points of a check piece from where they are known to be.
+/// Errors of a calibration at points of a check piece with known positions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CheckReport {
-    /// Where the piece stood: what the points' names have before their last `_`, such as `working`.
+    /// Place of the piece: the points' names up to their last `_`, such as `working`.
     pub place: String,
-    /// Mean distance of the points before the camera, along its axis, mm.
+    /// Mean distance of the points from the camera along its axis, mm.
     pub depth_mm: f64,
-    /// Mean distance between carried and known points, mm.
+    /// Mean distance between transformed and known points, mm.
     pub mean_mm: f64,
     /// Standard deviation of the distances, over n - 1, mm; 0 for one point.
     pub sd_mm: f64,
@@ -18,17 +18,17 @@ pub struct CheckReport {
     pub min_mm: f64,
     /// Largest distance, mm.
     pub max_mm: f64,
-    /// Carried minus known, along the camera's axes: a positive z lies too far from the camera.
+    /// Transformed minus known, along the camera's axes: a positive z is too far from the camera.
     pub error: TreReport,
-    /// The calibration against the true one, at the points' middle, where it is known.
+    /// Error of the calibration at the points' centroid, if the true one is known.
     pub pose: Option<PoseErrorReport>,
 }
 
-/// The errors of `read` points (camera), carried by `t_camera_world` (calibration and localiser), against `known` points
-/// (world), paired by name. `pose` is `t * inverse(t_true)` of the calibration, where that is known.
+/// Errors of `read` points (camera) against `known` points (world), transformed by `t_camera_world` (calibration and
+/// localiser) and paired by name. `pose` is `t * inverse(t_true)` of the calibration, if known.
 ///
 /// # Errors
-/// [`MetricsError`] if there is no point, one has no partner, or one is not finite.
+/// [`MetricsError`] if there is no point, one has no counterpart, or one is not finite.
 ///
 /// # Source
 /// Section 3.1 of the paper.

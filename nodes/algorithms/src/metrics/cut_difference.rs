@@ -1,5 +1,5 @@
 use super::{MetricsError, PoseErrorReport, paired, pose_error, quantile};
-use crate::fragment::{Fragment, FragmentError, HalfSpace, Part, between, fragment};
+use crate::fragment::{FaceKind, Fragment, FragmentError, HalfSpace, between, fragment};
 use crate::kabsch::kabsch;
 use crate::mesh_query::MeshQuery;
 use crate::nearest::Nearest;
@@ -10,19 +10,19 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The samples are the same at every call, so that two registrations are told apart by themselves and not by a draw.
+/// Samples are the same at every call, so differences between two registrations are not due to a draw.
 const SAMPLE_SEED: u64 = 1;
 
-/// How finely fragments are compared.
+/// Resolution of the comparison of fragments.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CutDifferenceParams {
-    /// Spacing of the grid on which both fragments are meshed anew for the comparison by vertices, mm. 1: as finely as
+    /// Spacing of the grid on which both fragments are remeshed for the comparison by vertices, mm. 1: as finely as
     /// bones are meshed from CT.
     #[schemars(range(min = 0.05, max = 10.0))]
     pub spacing_mm: f64,
-    /// Points drawn evenly from each fragment for the distances to the other's surface. 1000: the mean over both is then
-    /// good to a fortieth of the standard deviation.
+    /// Points drawn evenly from each fragment for the distances to the other's surface. 1000: the standard error of the
+    /// mean over both is a fortieth of the standard deviation.
     #[schemars(range(min = 100, max = 1_000_000))]
     pub n_samples: usize,
 }
@@ -33,27 +33,27 @@ impl Default for CutDifferenceParams {
     }
 }
 
-/// How far the fragment that is cut out differs from the planned one.
+/// Difference of the executed fragment from the planned one.
 ///
-/// The executed planes lie in the bone where the registration's error puts them: `S · plane` with
+/// The executed planes are displaced in the bone by the registration's error: `S · plane` with
 /// `S = t_ct_world_true · inverse(t_ct_world)`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CutDifferenceReport {
     /// Volume of the planned fragment, mm³.
     pub planned_volume_mm3: f64,
-    /// With the registration's true error.
+    /// By the registration's true error.
     #[serde(rename = "true")]
     pub truth: CutVariant,
-    /// With the error as the paper has it: from the assessment points as they were measured.
+    /// By the error as the paper determines it, from the measured assessment points.
     pub paper: Option<CutVariant>,
-    /// Why there is no such error, where there is none.
+    /// Reason if the latter is missing.
     pub no_paper: Option<String>,
 }
 
-/// The executed fragment against the planned one, for one way to tell the registration's error.
+/// The executed fragment against the planned one, for one estimate of the registration's error.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CutVariant {
-    /// The registration's error, as a turn and at the middle of the planned fragment.
+    /// The registration's error, as an angle and at the centre of the planned fragment.
     pub pose_error: PoseErrorReport,
     /// Volume of the executed fragment, mm³.
     pub executed_volume_mm3: f64,
@@ -61,53 +61,54 @@ pub struct CutVariant {
     pub volume_difference_mm3: f64,
     /// Each end of the fragment.
     pub ends: Vec<EndReport>,
-    /// The executed fragment as it lies in the bone, against the planned one: how far the cuts are off.
+    /// The executed fragment in place, against the planned one: the error of the cuts.
     pub in_place: FragmentDifference,
-    /// The executed fragment carried back by the inverse of the registration's error, so that its planes lie on the
-    /// planned ones and a slip is taken out: how far its shape is off. This is no best fit.
+    /// The executed fragment moved back by the inverse of the registration's error, so that its planes coincide with
+    /// the planned ones: the error of its shape. This is no best fit.
     pub aligned: FragmentDifference,
 }
 
-/// How far one end of the executed fragment is off.
+/// Error of one end of the executed fragment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EndReport {
     /// The plane's name.
     pub name: String,
-    /// Way from the middle of the planned cut along the planned normal to the executed plane, mm.
+    /// Distance from the centre of the planned cut along the planned normal to the executed plane, mm.
     pub offset_mm: f64,
-    /// The same, positive where the executed fragment is longer at this end, mm.
+    /// The offset, positive if the executed fragment is longer at this end, mm.
     pub longer_mm: f64,
     /// Angle between the planes, rad.
     pub tilt_rad: f64,
 }
 
-/// How far two fragments are apart, by three measures; each both ways, pooled.
+/// Distances between two fragments by three measures, each pooled over both directions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FragmentDifference {
-    /// From each vertex to the other fragment's nearest vertex, both meshed anew on one grid: their vertices are where the
-    /// lines of a cubic grid along the first plane meet the surface. Fragments that are alike have the same vertices.
+    /// From each vertex to the other fragment's nearest vertex, both remeshed on one grid: their vertices are the
+    /// intersections of the surface with the lines of a cubic grid along the first plane. Equal fragments have equal
+    /// vertices.
     pub vertices: DistanceSummary,
-    /// From points drawn evenly by area to the other fragment's closed surface; the largest over the corners of the cut
-    /// outlines as well, where it mostly is.
+    /// From points drawn evenly by area to the other fragment's closed surface; the largest distance includes the
+    /// corners of the cut outlines, where it mostly occurs.
     pub surface: DistanceSummary,
-    /// The same, of points on the bone's own surface only, without the cut faces.
+    /// From points on the bone's own surface only, without the cut faces.
     pub walls: DistanceSummary,
 }
 
 /// Distances, mm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DistanceSummary {
-    /// How many.
+    /// Number of distances.
     pub n: usize,
-    /// Their mean.
+    /// Mean.
     pub mean_mm: f64,
-    /// Their standard deviation.
+    /// Standard deviation.
     pub sd_mm: f64,
-    /// Root of their mean square.
+    /// Root mean square.
     pub rms_mm: f64,
-    /// 95 percent of them are smaller.
+    /// 95th percentile.
     pub p95_mm: f64,
-    /// The largest.
+    /// Largest.
     pub max_mm: f64,
 }
 
@@ -127,8 +128,8 @@ impl DistanceSummary {
         }
     }
 
-    /// The same, with what lies farther off somewhere else.
-    fn reaching(self, max_mm: f64) -> Self {
+    /// The summary with the largest distance of other points taken into account.
+    fn with_max(self, max_mm: f64) -> Self {
         Self { max_mm: self.max_mm.max(max_mm), ..self }
     }
 }
@@ -140,14 +141,14 @@ pub struct PlannedFragment<'a> {
     params: &'a CutDifferenceParams,
     /// The planned normals as the plan has them.
     normals: [Vector3<f64>; 2],
-    /// Where the first plane lies: the grid's own place.
+    /// The pose of the first plane, which is that of the grid.
     t_ct_grid: Isometry3<f64>,
     planned: Sampled,
     vertices: Vec<Point3<f64>>,
     nearest: Nearest,
 }
 
-/// A fragment with what its distances are told by.
+/// A fragment with its samples.
 struct Sampled {
     fragment: Fragment,
     query: MeshQuery,
@@ -161,12 +162,12 @@ struct Sampled {
 impl Sampled {
     fn new(fragment: Fragment, n: usize) -> Self {
         let drawn = sample::surface(&fragment.mesh, n, &mut ChaCha8Rng::seed_from_u64(SAMPLE_SEED));
-        let on_wall = drawn.faces.iter().map(|&face| fragment.parts[face as usize] == Part::Wall).collect();
+        let on_wall = drawn.faces.iter().map(|&face| fragment.face_kinds[face as usize] == FaceKind::Wall).collect();
         let rim = fragment.rim();
         Self { query: MeshQuery::new(&fragment.mesh), points: drawn.points, on_wall, rim, fragment }
     }
 
-    /// Distances of points, carried here by `motion`, from the surface.
+    /// Distances of points, moved by `motion`, from the surface.
     fn distances(&self, points: &[Point3<f64>], motion: &Isometry3<f64>) -> impl Iterator<Item = f64> {
         points.iter().map(move |p| self.query.closest_point(&(motion * p)).map_or(f64::NAN, |c| c.distance_mm))
     }
@@ -176,7 +177,7 @@ impl<'a> PlannedFragment<'a> {
     /// Cuts the planned fragment out of the bone.
     ///
     /// # Errors
-    /// [`MetricsError::Frame`] if the planes do not lie in the bone's frame, [`MetricsError::Fragment`] if nothing can be
+    /// [`MetricsError::Frame`] if the planes are not in the bone's frame, [`MetricsError::Fragment`] if nothing can be
     /// cut.
     pub fn new(bone: &'a Mesh, planned: &Planes, params: &'a CutDifferenceParams) -> Result<Self, MetricsError> {
         bone.frame.expect(&planned.frame, "the bone")?;
@@ -194,24 +195,24 @@ impl<'a> PlannedFragment<'a> {
         &self.planned.fragment
     }
 
-    /// The middle between the middles of both cuts, mm.
+    /// The midpoint between the centres of both cuts, mm.
     pub fn middle(&self) -> Point3<f64> {
         nalgebra::center(&self.cuts[0].point, &self.cuts[1].point)
     }
 
-    /// The fragment that planes carried by `slip` cut out of the bone, where it lies in the bone.
+    /// The fragment that planes moved by `slip` cut out of the bone, in the bone's frame.
     ///
     /// # Errors
-    /// [`FragmentError`] if a carried plane misses the bone.
+    /// [`FragmentError`] if a moved plane misses the bone.
     pub fn executed(&self, slip: &Isometry3<f64>) -> Result<Fragment, FragmentError> {
         fragment(self.bone, &self.cuts.clone().map(|cut| cut.moved(slip)))
     }
 
-    /// The executed fragment against the planned one, for planes carried by `slip`, the inverse of the registration's
+    /// The executed fragment against the planned one, for planes moved by `slip`, the inverse of the registration's
     /// error. `O(m)` for the cut, `O(n log n)` for the comparison.
     ///
     /// # Errors
-    /// [`MetricsError::Fragment`] if a carried plane misses the bone.
+    /// [`MetricsError::Fragment`] if a moved plane misses the bone.
     ///
     /// # Source
     /// Sections 3.2.2 and 3.2.3 of the paper; Cignoni, Rocchini and Scopigno 1998 for distances between surfaces.
@@ -228,13 +229,13 @@ impl<'a> PlannedFragment<'a> {
             let rim_mm = both(&planned.rim, &executed.rim).into_iter().fold(0.0, f64::max);
             FragmentDifference {
                 vertices: self.by_vertices(&executed.fragment.mesh, to_plan),
-                walls: DistanceSummary::of(walls).reaching(rim_mm),
-                surface: DistanceSummary::of(all).reaching(rim_mm),
+                walls: DistanceSummary::of(walls).with_max(rim_mm),
+                surface: DistanceSummary::of(all).with_max(rim_mm),
             }
         };
         let ends = self.cuts.iter().zip(self.normals).map(|(cut, normal)| {
             let moved = cut.moved(slip);
-            // Towards the fragment, so that a plane that lies further inward leaves less of it.
+            // Towards the fragment: a plane further inward leaves less of it.
             let inward_mm = (moved.point - cut.point).dot(&moved.inward) / cut.inward.dot(&moved.inward);
             EndReport {
                 name: cut.name.clone(),
@@ -266,12 +267,12 @@ impl<'a> PlannedFragment<'a> {
     }
 }
 
-/// The fragment that is cut out against the planned one, by the registration's true error and by the error as measured
-/// at points, where that is known. `E = t_ct_world · inverse(t_ct_world_true)`; the planes are carried by its inverse.
+/// The executed fragment against the planned one, by the registration's true error and by the error measured at points,
+/// if known. `E = t_ct_world · inverse(t_ct_world_true)`; the planes are moved by its inverse.
 ///
 /// # Errors
 /// [`MetricsError`] if frames differ, the planned fragment cannot be cut, or the truly executed planes miss the bone.
-/// Where only the measured error leads to nothing, the report says why.
+/// If only the measured error has no result, the report says why.
 pub fn cut_difference(
     bone: &Mesh,
     planned: &Planes,
@@ -289,13 +290,13 @@ pub fn cut_difference(
     Ok(CutDifferenceReport { planned_volume_mm3: plan.fragment().volume_mm3(), truth, paper, no_paper })
 }
 
-/// The registration's error as the paper has it: the rigid motion that best carries planned points to where the
-/// registration puts them as they were measured, paired by name.
+/// The registration's error as the paper determines it: the rigid motion that best moves planned points onto the
+/// measured points transformed by the registration, paired by name.
 ///
-/// The stylus' own error is in it; of points along a shaft the turn about the bone is known least.
+/// It includes the stylus' error; points along a shaft determine the turn about the bone least.
 ///
 /// # Errors
-/// [`MetricsError`] if a point has no partner or the points fix no motion.
+/// [`MetricsError`] if a point has no counterpart or the points do not determine a motion.
 ///
 /// # Source
 /// Section 3.2.2 of the paper.
@@ -311,7 +312,7 @@ pub fn error_at_points(
     Ok(kabsch(&measured, &planned)?)
 }
 
-/// Distance of each point from a closed surface, mm, negative inside: what a map of two fragments is coloured by.
+/// Distance of each point from a closed surface, mm, negative inside.
 pub fn signed_distances(points: &[Point3<f64>], surface: &MeshQuery) -> Vec<f64> {
     let signed = |p: &Point3<f64>| {
         let distance = surface.closest_point(p).map_or(f64::NAN, |closest| closest.distance_mm);
@@ -320,9 +321,10 @@ pub fn signed_distances(points: &[Point3<f64>], surface: &MeshQuery) -> Vec<f64>
     points.iter().map(signed).collect()
 }
 
-/// Where the lines of a cubic grid, laid along the axes of `t_mesh_grid` at odd halves of `spacing_mm`, meet the surface.
+/// Intersections of the surface with the lines of a cubic grid, along the axes of `t_mesh_grid` at odd halves of
+/// `spacing_mm`.
 ///
-/// How the surface is meshed does not matter, and each square millimetre gets 1 to 1.7 points per squared spacing.
+/// Independent of the meshing; each square millimetre gets 1 to 1.7 points per squared spacing.
 fn on_grid(mesh: &Mesh, t_mesh_grid: &Isometry3<f64>, spacing_mm: f64) -> Vec<Point3<f64>> {
     let t_grid_mesh = t_mesh_grid.inverse();
     let vertices: Vec<Vector3<f64>> = mesh.vertices().iter().map(|v| (t_grid_mesh * v).coords / spacing_mm).collect();

@@ -4,33 +4,33 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Axes, Mesh, Plane, PlanePlace, Planes};
 use serde::{Deserialize, Serialize};
 
-/// How far the achieved cuts are from the planned ones.
+/// Errors of the achieved cuts.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CutsReport {
     /// Each planned plane.
     pub cuts: Vec<CutReport>,
-    /// The segment between each two planes that follow each other in the plan.
+    /// The segments between consecutive planes of the plan.
     pub segments: Vec<SegmentReport>,
-    /// Planes.
+    /// Number of planes.
     pub n: usize,
 }
 
-/// How far one achieved cut is from the planned one.
+/// Errors of one achieved cut.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CutReport {
     /// The plane's name.
     pub name: String,
-    /// Where the bone's middle line meets the planned plane, mm, in the planes' frame.
+    /// Centre of the bone's outline in the planned plane, mm, in the planes' frame.
     pub at: [f64; 3],
-    /// Way along the planned normal from there to the achieved plane, mm: `(o' - c) · n' / (n · n')`.
+    /// Distance along the planned normal from there to the achieved plane, mm: `(o' - c) · n' / (n · n')`.
     pub offset_mm: f64,
     /// Angle between the normals, rad: `acos(n · n')`.
     pub tilt_rad: f64,
-    /// Turn about the bone's z axis, rad, right-handed: the twist about z of the motion between the planes.
+    /// Rotation about the bone's z axis, rad, right-handed: the twist about z of the motion between the planes.
     pub roll_rad: f64,
 }
 
-/// The length of the segment between two cuts, from middle to middle of the bone.
+/// The length of the segment between two cuts, from centre to centre.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SegmentReport {
     /// The first plane.
@@ -45,14 +45,14 @@ pub struct SegmentReport {
     pub difference_mm: f64,
 }
 
-/// Achieved planes against planned ones of the same names, all in one frame (usually `ct`, where the achieved planes come
-/// through the true or measured registration).
+/// Achieved planes against planned ones of the same names, all in one frame (usually `ct`, where the achieved planes
+/// come through the true or measured registration).
 ///
-/// Offsets are told where the plane meets the bone: in the middle of the outline that the planned plane cuts out of
-/// `bone`; without a bone, at the plane's own origin.
+/// Offsets are measured at the centre of the outline in which the planned plane cuts `bone`; without a bone, at the
+/// plane's origin.
 ///
 /// # Errors
-/// [`MetricsError`] if there is no plane, one has no partner or is unknown, or frames differ.
+/// [`MetricsError`] if there is no plane, one has no counterpart or is unknown, or frames differ.
 pub fn cuts(planned: &Planes, achieved: &Planes, axes: &Axes, bone: Option<&Mesh>) -> Result<CutsReport, MetricsError> {
     achieved.frame.expect(&planned.frame, "the achieved planes")?;
     axes.frame.expect(&planned.frame, "the axes")?;
@@ -66,12 +66,12 @@ pub fn cuts(planned: &Planes, achieved: &Planes, axes: &Axes, bone: Option<&Mesh
     let mut cuts = Vec::new();
     let mut middles = Vec::new();
     for plane in planned.planes.iter() {
-        let partner = achieved.planes.iter().find(|p| p.name == plane.name).ok_or_else(|| MetricsError::Unpaired {
+        let counterpart = achieved.planes.iter().find(|p| p.name == plane.name).ok_or_else(|| MetricsError::Unpaired {
             name: plane.name.to_string(),
             side: "achieved",
             found: achieved.planes.iter().map(|p| &*p.name).collect::<Vec<_>>().join(", "),
         })?;
-        let (plan, cut) = (known(plane)?, known(partner)?);
+        let (plan, cut) = (known(plane)?, known(counterpart)?);
         let middle = bone.and_then(|bone| section::middle(bone, plan, Some(REACH_MM)));
         let at = middle.unwrap_or_else(|| plan * Point3::origin());
         let report = compare(&plane.name, plan, cut, &at, &along);

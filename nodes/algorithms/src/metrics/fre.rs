@@ -3,14 +3,14 @@ use nalgebra::Isometry3;
 use osteoflow_geometry::NamedPoint;
 use serde::{Deserialize, Serialize};
 
-/// The residual at the points that were used to fit: no accuracy, and no predictor of TRE.
+/// Fiducial registration error: the residual at the points used to fit. It does not predict the TRE.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FreReport {
     /// `√(Σ |t_target_source · s - t|² / n)`, mm.
     pub rms_mm: f64,
     /// The residual of each point.
     pub points: Vec<FrePoint>,
-    /// Points.
+    /// Number of points.
     pub n: usize,
 }
 
@@ -23,10 +23,10 @@ pub struct FrePoint {
     pub residual_mm: f64,
 }
 
-/// Residuals of `source` points carried onto the `target` points of the same names.
+/// Residuals of `source` points against the `target` points of the same names.
 ///
 /// # Errors
-/// [`MetricsError`] if there is no point or one has no partner.
+/// [`MetricsError`] if there is no point or one has no counterpart.
 pub fn fre(
     target: &[NamedPoint],
     source: &[NamedPoint],

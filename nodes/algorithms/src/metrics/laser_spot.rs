@@ -3,17 +3,17 @@ use nalgebra::Isometry3;
 use osteoflow_geometry::{Axes, NamedPoint};
 use serde::{Deserialize, Serialize};
 
-/// How far the laser's spots were located from where they are, and from the marks that they were to show.
+/// Errors of located laser spots against the true spots, and against the marks aimed at.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LaserSpotReport {
-    /// Located minus true spot: what camera, calibration, localiser and the search for the hole do.
+    /// Located minus true spot: the error of camera, calibration, localiser and hole detection.
     pub to_spot: TreReport,
-    /// Located minus mark: the same with the aim in it, which is what the coarse fit gets.
+    /// Located minus mark: includes the error of the aim, as does the coarse fit.
     pub to_mark: TreReport,
 }
 
-/// The error of located spots, which `t_axes_located` brings into the axes' frame; `spots` and `marks` lie there, paired by
-/// name. Only what was located counts.
+/// Errors of located spots, transformed by `t_axes_located` into the frame of the axes, `spots` and `marks`, paired by
+/// name. Spots that were not located are ignored.
 ///
 /// # Errors
 /// [`MetricsError`] if nothing was located, a located point has no spot or mark, or one is not finite.

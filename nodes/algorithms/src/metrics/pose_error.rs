@@ -1,24 +1,24 @@
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 
-/// How far a pose is from the true one.
+/// Error of a pose.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PoseErrorReport {
-    /// The turn between both, rad.
+    /// Angle between both rotations, rad.
     pub rotation_rad: f64,
-    /// The same in degrees, as calibrations are told.
+    /// Angle between both rotations, degrees.
     pub rotation_deg: f64,
-    /// How far the frame's origin is off, mm.
+    /// Error at the frame's origin, mm.
     pub origin_mm: f64,
-    /// How far the point asked for is off, mm.
+    /// Error at the given point, mm.
     pub at_point_mm: f64,
-    /// The point asked for, mm.
+    /// The given point, mm.
     pub point: [f64; 3],
 }
 
-/// The error `t * inverse(t_true)` told as a turn, at the origin, and at `point` (mm, in the frame that both lead to).
+/// The error `t * inverse(t_true)` as an angle, at the origin, and at `point` (mm, in the frame to which both map).
 ///
-/// A turn acts by its lever arm: 0.1 degree is 0.35 mm at 200 mm, whatever the origin says.
+/// A rotation acts by its lever arm: 0.1 degree is 0.35 mm at 200 mm.
 pub fn pose_error(error: &Isometry3<f64>, point: &Point3<f64>) -> PoseErrorReport {
     let rotation_rad = error.rotation.angle();
     PoseErrorReport {

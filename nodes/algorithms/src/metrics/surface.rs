@@ -4,13 +4,13 @@ use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// How far a scan lies from the surface it was registered to. Neither FRE nor TRE: a bone that has slid along itself
-/// leaves it small.
+/// Distances of a scan from the surface it was registered to. Neither FRE nor TRE: it stays small for a bone that has
+/// slid along itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SurfaceReport {
     /// Scan points, the whole region.
     pub n: usize,
-    /// Those within `max_pair_distance_mm` of the surface.
+    /// Points within `max_pair_distance_mm` of the surface.
     pub n_kept: usize,
     /// `n_kept / n`.
     pub inlier_share: f64,
@@ -30,12 +30,12 @@ pub struct SurfaceReport {
     pub max_all_mm: f64,
 }
 
-/// Distances of `source` points, carried by `t_target_source`, from the `target`: along the normal of the nearest target
-/// point where that point is near and has a normal, which frees the distance from the spacing of the target's points;
-/// else between the points.
+/// Distances of `source` points, moved by `t_target_source`, from the `target`: along the normal of the nearest target
+/// point if that is near and has a normal, so the distance does not depend on the spacing of the target's points; else
+/// between the points.
 ///
 /// # Errors
-/// [`MetricsError::Empty`] without points or where none is near the surface.
+/// [`MetricsError::Empty`] without points or if none is near the surface.
 pub fn surface_residual(
     target: &Target,
     source: &[Point3<f64>],

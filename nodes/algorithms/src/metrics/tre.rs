@@ -3,9 +3,9 @@ use nalgebra::{Isometry3, Vector3};
 use osteoflow_geometry::{Axes, NamedPoint};
 use serde::{Deserialize, Serialize};
 
-/// The error at points that were not used to fit, along the bone's axes.
+/// Target registration error: the error at points not used to fit, along the bone's axes.
 ///
-/// `e = Aᵀ (t_target_source · s - t)`: where the registration puts a point, minus where it is, in the axes A (z along
+/// `e = Aᵀ (t_target_source · s - t)`: the registered position of a point minus its position, in the axes A (z along
 /// the bone). A positive z means that the registration puts the point too far towards +z.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TreReport {
@@ -17,11 +17,11 @@ pub struct TreReport {
     pub mean_abs: TreSummary,
     /// Root of the mean squared errors, mm.
     pub rms: TreSummary,
-    /// 95th percentile of the absolute errors, linear between neighbours, mm. Of five points: close to the largest.
+    /// 95th percentile of the absolute errors, linear between neighbours, mm; for five points close to the largest.
     pub p95: TreSummary,
     /// Largest absolute error, mm.
     pub max: TreSummary,
-    /// Points.
+    /// Number of points.
     pub n: usize,
 }
 
@@ -61,11 +61,11 @@ pub struct TreSummary {
     pub transverse: f64,
 }
 
-/// Target registration error of `t_target_source`: `target` points are where they were planned (CT), `source` points
-/// where they were measured or truly are, paired by name; `axes` lie in the target's frame.
+/// Target registration error of `t_target_source`: `target` points are as planned (CT), `source` points as measured or
+/// true, paired by name; `axes` are in the target's frame.
 ///
 /// # Errors
-/// [`MetricsError`] if there is no point, one has no partner, or one is not finite.
+/// [`MetricsError`] if there is no point, one has no counterpart, or one is not finite.
 ///
 /// # Source
 /// Section 3.2.1 of the paper; Fitzpatrick, West and Maurer 1998 for the term.

@@ -9,7 +9,7 @@ use crate::{
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_algorithms::{
     axes::principal_axes,
-    fragment::{Fragment, HalfSpace, Part, between},
+    fragment::{FaceKind, Fragment, HalfSpace, between},
     mesh_query::MeshQuery,
     metrics::{CutDifferenceParams, DistanceSummary, PlannedFragment, signed_distances},
 };
@@ -149,15 +149,15 @@ fn distances(points: &[Point3<f64>], surface: &MeshQuery) -> Vec<f64> {
 fn with_edges(fragment: &Fragment) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
     let mut vertices = fragment.mesh.vertices().to_vec();
     let mut own: BTreeMap<(usize, u32), u32> = BTreeMap::new();
-    let mut corner = |part: &Part, vertex: u32| match part {
-        Part::Wall => vertex,
-        Part::Cap(cut) => *own.entry((*cut, vertex)).or_insert_with(|| {
+    let mut corner = |kind: &FaceKind, vertex: u32| match kind {
+        FaceKind::Wall => vertex,
+        FaceKind::Cap(cut) => *own.entry((*cut, vertex)).or_insert_with(|| {
             vertices.push(vertices[vertex as usize]);
             vertices.len() as u32 - 1
         }),
     };
-    let faces = fragment.mesh.faces().iter().zip(&fragment.parts);
-    let faces = faces.map(|(face, part)| face.map(|vertex| corner(part, vertex))).collect();
+    let faces = fragment.mesh.faces().iter().zip(&fragment.face_kinds);
+    let faces = faces.map(|(face, kind)| face.map(|vertex| corner(kind, vertex))).collect();
     (vertices, faces)
 }
 
