@@ -1,14 +1,14 @@
 //! Surface registration as plain functions: Kabsch, ICP, hole detection, regions, metrics.
 //!
 //! Nothing here knows an engine, a node or a file: functions take nalgebra types in millimetres and radians, and can be
-//! lifted out and used anywhere. The **source** moves onto the **target**; the answer is `t_target_source`. The order of
-//! a registration of a bone:
+//! lifted out and used anywhere. The **source** moves onto the **target**; the answer is `t_target_source`. The order
+//! of a registration of a bone:
 //!
-//! 1. [`calibrate`]: where the camera is in its marker, from one scan of a phantom.
+//! 1. [`calibrate`]: the camera's pose in its marker's frame, from one scan of a phantom.
 //! 2. [`roi`], [`downsample`], [`normals`], [`merge`], [`still_average`]: from raw streams to one clean cloud.
-//! 3. [`hole`]: where a laser marked the bone; [`landmarks`]: where it should have; [`coarse`]: the fit of both.
+//! 3. [`hole`]: the laser spots on the bone; [`landmarks`]: the planned marks; [`coarse`]: the fit of both.
 //! 4. [`sample`] and [`target`]: the CT surface, prepared; [`icp`]: the scan onto it.
-//! 5. [`axes`] and [`metrics`]: how good that was; [`fragment`]: the piece that the cuts take out.
+//! 5. [`axes`] and [`metrics`]: the accuracy; [`fragment`]: the piece that the cuts take out.
 //!
 //! Results do not depend on the number of threads: sums run over chunks of fixed size in order, and ties go to the
 //! lowest index. Work is spread over the current rayon pool.
@@ -19,7 +19,7 @@
 //! use osteoflow_geometry::SurfaceOrigin;
 //! use std::ops::ControlFlow;
 //!
-//! // A bowl, known with its normals, and a scan of it from a camera that was somewhere else.
+//! // A bowl with its normals, and a scan of it from a camera in another pose.
 //! let height = |x: f64, y: f64| 0.01 * x * x + 0.02 * y * y + 0.3 * (x / 5.0).sin() * (y / 7.0).cos();
 //! let grid = || (0..10_000).map(|k| (f64::from(k % 100) * 0.4 - 20.0, f64::from(k / 100) * 0.4 - 20.0));
 //! let slope = |x: f64, y: f64| (height(x + 1e-4, y) - height(x - 1e-4, y), height(x, y + 1e-4) - height(x, y - 1e-4));

@@ -34,7 +34,7 @@ fn plane(target: &Target, source: &Cloud, init: &Isometry3<f64>, params: &IcpPar
     icp::register(icp::Method::PointToPlane, target, source, init, params, &mut |_| ControlFlow::Continue(())).unwrap()
 }
 
-/// How far a result is from the truth, which is no motion.
+/// Distance of a result from the truth, the identity.
 fn error(fit: &IcpFit, source: &Cloud) -> f64 {
     apart(&fit.t_target_source, &Isometry3::identity(), source.points())
 }
@@ -71,8 +71,8 @@ fn a_slide_of_8_mm_along_the_bone_comes_back() {
     }
 }
 
-/// Few points at the start tell how far a scan is turned, but not how far it has slid: a leap along the bone that they
-/// suggest by chance leads where the full scan comes to rest too.
+/// Few points at the start determine how far a scan is turned, but not how far it has slid: an extrapolated step along
+/// the bone must not lead to another stationary point.
 #[test]
 fn a_turned_start_does_not_send_points_away_along_the_bone() {
     for bone in bones("a_turned_start_does_not_send_points_away_along_the_bone") {

@@ -1,12 +1,12 @@
-//! The built-in bone: a right fibula as a formula, so that a procedure needs no file and no licence.
+//! The built-in bone: a right fibula as a formula, which needs no file and no licence.
 //!
-//! Its local frame is (medial, posterior, proximal), right-handed for a right leg, with z = 0 at the malleolus tip. Each
-//! section is a rounded triangle about a slightly bowed centre line, with three ridges that wander along the shaft and a
-//! seeded, smooth unevenness; malleolus and head are swellings that close as half ellipsoids.
+//! Its local frame is (medial, posterior, proximal), right-handed for a right leg, with z = 0 at the malleolus tip.
+//! Each section is a rounded triangle around a slightly bowed centre line, with three ridges that wander along the
+//! shaft and a seeded, smooth unevenness; malleolus and head are swellings that end in half ellipsoids.
 
 use crate::SimulationError;
 use crate::draws::normal;
-use crate::error::hold;
+use crate::error::check_rules;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use osteoflow_geometry::{Anatomy, Mesh, SurfaceOrigin};
 use rand::{RngExt, SeedableRng};
@@ -15,7 +15,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::{PI, TAU};
 
-/// Shape and place of the built-in right fibula.
+/// Shape and position of the built-in right fibula.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BoneParams {
@@ -26,17 +26,17 @@ pub struct BoneParams {
     /// Scales every section. 1: a shaft 11 to 15 mm across, as in those two bones.
     #[schemars(range(min = 0.6, max = 1.6))]
     pub girth: f64,
-    /// Draws the bone's own unevenness; another seed is another bone of the same kind. Not the run's seed: repeated
+    /// Seed of the bone's unevenness; another seed is another bone of the same kind. Not the run's seed: repeated
     /// procedures are on one bone.
     pub shape_seed: u64,
-    /// Standard deviation of the unevenness drawn by `shape_seed`; 0 gives the smooth formula. 0.35 mm: assumed; with it
-    /// the bone's weakest mode lies between those of the two measured fibulas, see docs/simulation.md.
+    /// Standard deviation of the unevenness drawn by `shape_seed`; 0 gives the smooth formula. 0.35 mm: assumed; with
+    /// it the bone's weakest mode lies between those of the two measured fibulas, see docs/simulation.md.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub unevenness_mm: f64,
     /// Length of the mesh's edges along the bone, and about that around it. 1 mm: as a segmented clinical CT gives.
     #[schemars(range(min = 0.3, max = 5.0))]
     pub edge_mm: f64,
-    /// Where the middle of the bone lies in the CT frame. Far from the origin, as in every CT.
+    /// Centre of the bone in the CT frame. Far from the origin, as in every CT.
     pub centre_mm: [f64; 3],
 }
 
@@ -55,7 +55,7 @@ impl Default for BoneParams {
 
 impl BoneParams {
     pub(crate) fn check(&self) -> Result<(), SimulationError> {
-        hold([
+        check_rules([
             ("bone.length_mm", self.length_mm, self.length_mm >= 100.0, "at least 100"),
             ("bone.girth", self.girth, self.girth > 0.0, "more than 0"),
             ("bone.edge_mm", self.edge_mm, self.edge_mm >= 0.1, "at least 0.1"),
@@ -68,11 +68,11 @@ impl BoneParams {
 ///
 /// The same parameters give the same bits. `O(n)` in the number of vertices, about 17,000 by default.
 pub fn fibula(params: &BoneParams) -> Mesh {
-    let shape = Shape::new(params);
-    // Finer than this no memory holds.
+    let shape = Formula::new(params);
+    // Limits the memory.
     let edge_mm = params.edge_mm.max(0.1);
     let heights = shape.ring_heights(edge_mm);
-    // Sections grow towards the ends; a middling radius gives edges about as long as asked for.
+    // Sections grow towards the ends; a mean radius gives edges of about the requested length.
     let n_around = (TAU * 7.0 * params.girth / edge_mm).round().max(12.0) as usize;
     let t_ct_local = t_ct_local(params);
 
@@ -105,7 +105,7 @@ pub fn fibula(params: &BoneParams) -> Mesh {
 pub fn anatomy(params: &BoneParams) -> Anatomy {
     let t_ct_local = t_ct_local(params);
     Anatomy {
-        malleolus_tip: t_ct_local * Shape::new(params).centre(0.0),
+        malleolus_tip: t_ct_local * Formula::new(params).centre(0.0),
         proximal: Unit::new_normalize(t_ct_local * Vector3::z()),
         lateral: Unit::new_normalize(t_ct_local * -Vector3::x()),
         posterior: Unit::new_normalize(t_ct_local * Vector3::y()),
@@ -136,11 +136,11 @@ const STATIONS: [[f64; 4]; 12] = [
     [1.00, 9.5, 2.0, -1.5],
 ];
 
-/// A half ellipsoid of this length closes each end, mm.
+/// Length of the half ellipsoid at each end, mm.
 const CAP_MM: f64 = 14.0;
 
-/// Where a ridge runs at the ends of the shaft (angle from medial towards posterior), its height in mm and the share of
-/// the length after which its height comes back.
+/// Angles of a ridge at the ends of the shaft (from medial towards posterior), its height in mm, and the period of its
+/// height as a share of the length.
 const RIDGES: [Ridge; 3] = [
     Ridge { distal: -1.75, proximal: -1.05, height_mm: 1.3, period: 0.45, phase: 0.4 },
     Ridge { distal: 0.35, proximal: 0.95, height_mm: 1.0, period: 0.33, phase: 2.1 },
@@ -165,13 +165,13 @@ struct Wave {
     phase: f64,
 }
 
-struct Shape {
+struct Formula {
     length_mm: f64,
     girth: f64,
     waves: Vec<Wave>,
 }
 
-impl Shape {
+impl Formula {
     fn new(params: &BoneParams) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(params.shape_seed);
         const N_WAVES: usize = 40;
@@ -217,7 +217,7 @@ impl Shape {
     fn point(&self, z: f64, angle: f64) -> Point3<f64> {
         let [mean_radius, medial, posterior] = self.station(z);
         let s = z / self.length_mm;
-        // Between the swellings the section is a rounded triangle that turns by 40 degrees from ankle to knee.
+        // Between the swellings the section is a rounded triangle that rotates by 40 degrees from ankle to knee.
         let shaft = smoothstep((s - 0.08) / 0.10) * smoothstep((0.93 - s) / 0.08);
         let turned = angle - 0.25 - 0.7 * (s - 0.5);
         let oval = 0.06 * (2.0 * (turned - 0.9)).cos() * (0.6 + 0.4 * (TAU * s / 0.6).sin());
@@ -264,8 +264,8 @@ impl Shape {
     }
 }
 
-/// Slope of a column of the stations per share of the length: by Fritsch and Carlson's rule, so that the curve through
-/// them neither overshoots nor bends sharply.
+/// Slope of a column of the stations per share of the length, by the rule of Fritsch and Carlson, so that the curve
+/// through them does not overshoot.
 fn slope(station: usize, column: usize) -> f64 {
     if station == 0 || station + 1 == STATIONS.len() {
         return 0.0;
@@ -280,7 +280,7 @@ fn hermite(u: f64, a: f64, b: f64, slope_a: f64, slope_b: f64) -> f64 {
     (2.0 * u3 - 3.0 * u2 + 1.0) * a + (u3 - 2.0 * u2 + u) * slope_a + (3.0 * u2 - 2.0 * u3) * b + (u3 - u2) * slope_b
 }
 
-/// 0 below 0, 1 above 1, smooth between.
+/// 0 below 0, 1 above 1, smooth in between.
 pub(crate) fn smoothstep(u: f64) -> f64 {
     let u = u.clamp(0.0, 1.0);
     u * u * (3.0 - 2.0 * u)
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn edges_are_about_as_long_as_asked_for() {
+    fn edges_have_about_the_requested_length() {
         let bone = fibula(&BoneParams::default());
         let mut lengths: Vec<f64> = (0..bone.faces().len())
             .flat_map(|f| {

@@ -1,4 +1,4 @@
-//! The structured-light camera: rays through a grid of pixels onto one surface, and what goes wrong with each.
+//! The structured-light camera: rays through a grid of pixels onto a surface, with their errors.
 
 use crate::bone::smoothstep;
 use crate::draws::{Term, normal, stream};
@@ -21,22 +21,22 @@ pub(crate) struct Pixel {
     pub(crate) cos_incidence: f64,
     /// Outward unit normal of the surface, in its own frame.
     pub(crate) normal: Vector3<f64>,
-    /// Whether it is the object that is seen, not what lies around it.
+    /// Whether the pixel sees the object, not its surroundings.
     pub(crate) on_object: bool,
-    /// What every cloud of the view adds to the distance, mm.
+    /// Error of the distance that all clouds of the view share, mm.
     bias_mm: f64,
-    /// The standard deviation of what each cloud adds anew, mm.
+    /// Standard deviation of the error drawn for each cloud, mm.
     noise_mm: f64,
 }
 
 impl Pixel {
-    /// Where the surface truly is, camera frame.
+    /// The true point of the surface, camera frame.
     pub(crate) fn point(&self) -> Point3<f64> {
         Point3::from(self.ray * self.distance_mm)
     }
 }
 
-/// The stretch of an object that can be seen; the rest is covered by soft tissue.
+/// The visible stretch of an object; the rest is covered by soft tissue.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stretch {
     pub(crate) from: Point3<f64>,
@@ -52,23 +52,24 @@ impl Stretch {
     }
 }
 
-/// More pixels than points, so that dropout, patches and the laser's hole leave enough; the surplus goes at random.
+/// Ratio of pixels to points, so that dropout, patches and the laser's hole leave enough; the surplus is dropped at
+/// random.
 const SURPLUS: f64 = 1.12;
 
-/// What stands before the camera, all in one frame.
+/// The surfaces in front of the camera, in one frame.
 #[derive(Clone, Copy)]
 pub(crate) struct Sight<'a> {
     pub(crate) object: &'a MeshQuery,
-    /// The part of the object that is not covered; all of it where absent.
+    /// The visible part of the object; all of it if `None`.
     pub(crate) stretch: Option<&'a Stretch>,
-    /// What lies around it and may hide it.
+    /// Surroundings, which may hide the object.
     pub(crate) around: Option<&'a MeshQuery>,
 }
 
-/// Pixels of the grid that see the object within its stretch or what lies around it, in rows, not more aslant than the
-/// limit. Geometry alone: no draw enters, so every scan of one view has the same pixels.
+/// Pixels of the grid that see the object within its stretch or its surroundings, row by row, up to the maximum
+/// incidence. Nothing is drawn at random, so all scans of one view have the same pixels.
 ///
-/// `t_object_camera` leads into the surfaces' frame. The grid is as fine as `n_points` needs.
+/// `t_object_camera` maps into the surfaces' frame. The resolution of the grid follows from `n_points`.
 pub(crate) fn view(
     sight: &Sight<'_>,
     t_object_camera: &Isometry3<f64>,
@@ -118,7 +119,7 @@ pub(crate) fn view(
     pixels
 }
 
-/// What a ray of the camera sees, if not too aslant: the object within its stretch, or what lies around it.
+/// The pixel of a ray that meets the object within its stretch, or its surroundings, up to the maximum incidence.
 fn look(
     sight: &Sight<'_>,
     t_object_camera: &Isometry3<f64>,
@@ -148,10 +149,10 @@ fn look(
     })
 }
 
-/// How large a hole looks on the screen: 1 where its disc faces the camera, less where the surface turns away, where the
-/// disc reaches over the object's outline, and where the camera measures nothing anyhow. No draw enters.
+/// The visible share of a hole: 1 where its disc faces the camera, less where the surface turns away, where the disc
+/// extends over the object's outline, and where the camera measures nothing. Nothing is drawn at random.
 ///
-/// It is the share of the rays towards a disc of the hole's radius, across the camera's line to the spot, that meet the
+/// It is the share of the rays towards a disc of the hole's radius, perpendicular to the line of sight, that meet the
 /// object within the hole.
 pub(crate) fn hole_share(
     sight: &Sight<'_>,
@@ -159,7 +160,7 @@ pub(crate) fn hole_share(
     params: &CameraParams,
     hole: &Hole,
 ) -> f64 {
-    // Vogel's spiral: as many rays to each part of the disc as to any other of its size.
+    // Vogel's spiral: rays of uniform density over the disc.
     const N_RAYS: usize = 256;
     let golden_rad = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     let across = Rotation3::rotation_between(&Vector3::z(), &hole.spot.coords).unwrap_or_else(Rotation3::identity);
@@ -173,8 +174,8 @@ pub(crate) fn hole_share(
     (0..N_RAYS).filter(shows).count() as f64 / N_RAYS as f64
 }
 
-/// The smooth error of depth that the camera's own calibration leaves, mm: a function of where a point lies in the
-/// camera's frame, the same for every cloud of a run.
+/// The smooth error of depth that the camera's own calibration leaves, mm: a field in the camera's frame, the same for
+/// every cloud of a run.
 pub(crate) struct DepthBias {
     waves: Waves,
     rms_mm: f64,
@@ -192,18 +193,18 @@ impl DepthBias {
     }
 }
 
-/// A laser spot's hole, camera frame: what lies within `radius_mm` of the spot, or of the beam, is not measured.
+/// A laser spot's hole, camera frame: points within `radius_mm` of the spot, or of the beam, are not measured.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Hole {
     pub(crate) spot: Point3<f64>,
     pub(crate) radius_mm: f64,
-    /// The way of the beam, where the disc is the beam's cross-section; else the hole is a ball.
+    /// Direction of the beam if the disc is its cross-section; otherwise the hole is a ball.
     pub(crate) beam: Option<Unit<Vector3<f64>>>,
 }
 
 impl Hole {
     pub(crate) fn takes(&self, point: &Point3<f64>) -> bool {
-        // Farther along the beam lies another surface.
+        // Farther along the beam there is another surface.
         const REACH_MM: f64 = 20.0;
         let off = point - self.spot;
         match self.beam {
@@ -216,11 +217,11 @@ impl Hole {
     }
 }
 
-/// What lies on a bone in a wound: a film, blood, and that it shines.
+/// Film and blood on a bone in a wound.
 pub(crate) struct Wound {
-    /// Thickness of the periosteum that is left, a field in the bone's frame.
+    /// Thickness of the remaining periosteum, a field in the bone's frame.
     pub(crate) periosteum: Option<Periosteum>,
-    /// Middles of the pools of blood, frame of the bone.
+    /// Centres of the pools of blood, frame of the bone.
     pub(crate) pools: Vec<Point3<f64>>,
 }
 
@@ -234,7 +235,7 @@ pub(crate) struct Periosteum {
 impl Periosteum {
     pub(crate) fn new(params: &PeriosteumParams, seed: u64) -> Option<Self> {
         let rng = &mut stream(params.film_seed.unwrap_or(seed), Term::Periosteum, 0);
-        // The logistic curve stands in for the normal one; they differ by at most a hundredth.
+        // Logistic approximation of the normal distribution, within 0.01.
         let threshold = -(params.share / (1.0 - params.share)).ln() / 1.702;
         (params.thickness_mm > 0.0).then(|| Self {
             waves: Waves::new(rng, params.patch_mm),
@@ -243,26 +244,26 @@ impl Periosteum {
         })
     }
 
-    /// 0 where it is scraped off, rising to the whole thickness; mm along the normal.
+    /// Thickness along the normal, mm: 0 where it is scraped off.
     fn at(&self, point: &Point3<f64>) -> f64 {
         self.thickness_mm * smoothstep(self.waves.scaled(1.0, point) - self.threshold)
     }
 }
 
-/// One picture to be taken.
+/// The parameters of one scan.
 pub(crate) struct Shot<'a> {
     pub(crate) pixels: &'a [Pixel],
     pub(crate) t_object_camera: Isometry3<f64>,
     pub(crate) hole: Option<Hole>,
     pub(crate) wound: Option<&'a Wound>,
     pub(crate) stamp_ns: StampNs,
-    /// Numbers the clouds of a run, and with it their draws.
+    /// Number of the cloud in the run, which selects its random streams.
     pub(crate) number: u64,
 }
 
-/// A cloud of the view, taken with fresh noise.
+/// A cloud of the view with its own noise.
 ///
-/// Each draw belongs to a pixel (noise, dropout, thinning) or to a patch, whether it is used or not, so that switching a
+/// Each draw belongs to a pixel (noise, dropout, thinning) or to a patch, whether it is used or not, so switching a
 /// term off changes nothing else. At most `n_points` points, in the order of the pixels, frame `camera`.
 pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<Cloud, CloudError> {
     let Shot { pixels, t_object_camera, hole, wound, stamp_ns, number } = *shot;
@@ -294,7 +295,7 @@ pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<
             continue;
         }
         if shines {
-            // A mirror sends the projector's light into the lens where its normal halves the angle between the two.
+            // Specular reflection into the lens: the normal bisects the directions to projector and lens.
             let halfway = ((projector - truth).normalize() - pixel.ray).normalize();
             if t_object_camera.inverse_transform_vector(&pixel.normal).dot(&halfway) > mirror_cos {
                 continue;
@@ -309,7 +310,7 @@ pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<
     }
     if kept.len() > params.n_points {
         let mut keys: Vec<u64> = kept.iter().map(|(key, _)| *key).collect();
-        // Equal keys are as good as impossible; truncation keeps the lower index if they come.
+        // Truncation keeps the lower index in the unlikely case of equal keys.
         let (_, &mut limit, _) = keys.select_nth_unstable(params.n_points - 1);
         kept.retain(|(key, _)| *key <= limit);
         kept.truncate(params.n_points);
@@ -344,14 +345,14 @@ mod tests {
         Shot { pixels, t_object_camera: Isometry3::identity(), hole: None, wound: None, stamp_ns: 1, number: 1 }
     }
 
-    /// The cloud of all pixels that are left, before the surplus goes.
+    /// The cloud before the surplus is dropped.
     fn left(pixels: &[Pixel], params: &CameraParams, seed: u64) -> Cloud {
         let all = CameraParams { n_points: pixels.len(), ..params.clone() };
         scan(&shot(pixels), &all, seed).unwrap()
     }
 
     #[test]
-    fn the_grid_is_as_fine_as_the_points_need_and_the_surplus_goes() {
+    fn the_grid_gives_the_requested_points_and_the_surplus_is_dropped() {
         let params = quiet();
         let pixels = pixels(&params);
         let share = pixels.len() as f64 / 20_000.0;
@@ -372,7 +373,7 @@ mod tests {
     }
 
     #[test]
-    fn patches_take_discs_of_their_radius_anew_in_every_scan() {
+    fn patches_are_discs_of_their_radius_drawn_for_every_scan() {
         let params = CameraParams { n_patches: 3, patch_radius_mm: 4.0, ..quiet() };
         let pixels = pixels(&params);
         let lost = |seed: u64| pixels.len() - left(&pixels, &params, seed).len();
@@ -384,8 +385,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_seen_too_aslant_gives_no_point() {
-        // From its middle, the wall's edges are seen at up to 19.5 degrees.
+    fn pixels_beyond_the_maximum_incidence_give_no_points() {
+        // Seen from the wall's centre line, its edges are at up to 19.5 degrees.
         let limit_deg = 10.0;
         let pixels = pixels(&CameraParams { max_incidence_deg: limit_deg, ..quiet() });
         let steepest = pixels.iter().map(|p| p.cos_incidence).fold(1.0, f64::min).acos().to_degrees();
@@ -403,7 +404,7 @@ mod tests {
             hole_share(&sight, &t_object_camera, &quiet(), &Hole { spot, radius_mm: 2.0, beam: None })
         };
         assert_eq!((share(0.0, 0.0, 0.0), share(54.0, 0.0, 0.0)), (1.0, 0.0));
-        // A spiral of 256 rays tells areas to a hundredth.
+        // A spiral of 256 rays measures areas to a hundredth.
         for (seen, expected) in [
             (share(50.0, 10.0, 0.0), 0.5),
             (share(-50.0, 50.0, 0.0), 0.25),

@@ -1,4 +1,4 @@
-//! The printed piece by which a calibration is checked: twelve holes on two steps, and a marker.
+//! The printed check piece of a calibration: twelve holes on two steps, and a marker.
 
 use crate::camera::DepthBias;
 use crate::draws::{Term, normal3, stream};
@@ -7,12 +7,12 @@ use crate::tracker::{Marker, Path, Tracker};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::{NamedPoint, Points, StampNs};
 
-/// Columns and rows of holes and the height of every second one, mm: as large as the phantom, so that turns show.
+/// Columns and rows of holes and the height of every second one, mm: as large as the phantom, so that rotations show.
 const X_MM: [f64; 4] = [-30.0, -10.0, 10.0, 30.0];
 const Y_MM: [f64; 3] = [-20.0, 0.0, 20.0];
 const STEP_MM: f64 = 12.0;
 
-/// The holes by CAD, in the piece's own frame, whose z points to the camera.
+/// The holes by CAD, in the piece's frame, whose z points to the camera.
 fn holes() -> Vec<Point3<f64>> {
     let place = |k: usize| {
         let (column, row) = (k % X_MM.len(), k / X_MM.len());
@@ -26,9 +26,9 @@ fn t_check_marker() -> Isometry3<f64> {
     Isometry3::new(Vector3::new(62.0, 10.0, -8.0), Vector3::new(0.2, 0.4, -0.7))
 }
 
-/// Where and when the piece is looked at.
+/// Time and place of a scan of the piece.
 pub(crate) struct Look {
-    /// `calibration` or `working`: the holes are named after it.
+    /// `calibration` or `working`, the prefix of the holes' names.
     pub(crate) name: &'static str,
     pub(crate) s: f64,
     pub(crate) t_world_camera: Isometry3<f64>,
@@ -36,7 +36,7 @@ pub(crate) struct Look {
     pub(crate) distance_mm: f64,
 }
 
-/// The holes of each look as read from the cloud (frame `camera`) and as the localiser and the CAD give them (`world`).
+/// The holes of each scan as read from the cloud (frame `camera`) and as given by localiser and CAD (frame `world`).
 pub(crate) fn look_at(
     looks: &[Look],
     tracker: &Tracker<'_>,
@@ -66,7 +66,7 @@ pub(crate) fn look_at(
             let bent = truth + truth.coords.normalize() * bias.at(&truth);
             named(k, bent + normal3(&mut reading) * params.reading_mm)
         });
-        // The mean of the marker's samples, of which the piece's placement is one of two.
+        // The mean of the marker's samples at this place.
         let path = Path::resting(look.t_world_camera * t_camera_check);
         let samples = tracker.samples_at_place(
             Marker::Check,

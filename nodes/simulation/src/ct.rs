@@ -1,8 +1,8 @@
-//! A simulated CT: what a scanner and a threshold make of the bone's surface.
+//! A simulated CT: the bone's surface after scanning and thresholding.
 
 use crate::SimulationError;
 use crate::draws::{Term, stream};
-use crate::error::hold;
+use crate::error::check_rules;
 use crate::iso_surface::{Grid, iso_surface, make_well_composed};
 use crate::waves::Waves;
 use nalgebra::{Point3, Vector3};
@@ -28,29 +28,30 @@ pub struct CtParams {
     /// Standard deviation of a voxel's noise, in HU. 50: assumed, a low-dose bone protocol.
     #[schemars(range(min = 0.0, max = 500.0))]
     pub noise_hu: f64,
-    /// Over which length the noise of neighbouring voxels is alike, as a standard deviation. 0.5 mm: assumed, as the blur.
+    /// Correlation length of the noise, as a standard deviation. 0.5 mm: assumed, as the blur.
     #[schemars(range(min = 0.0, max = 3.0))]
     pub noise_correlation_mm: f64,
     /// Soft tissue around the bone, in HU. 50: muscle.
     #[schemars(range(min = -1000.0, max = 500.0))]
     pub tissue_hu: f64,
-    /// The bone, in HU, filled: only its outer surface is asked for. 1250: cortical bone.
+    /// The bone, in HU, filled, as only its outer surface is extracted. 1250: cortical bone.
     #[schemars(range(min = 200.0, max = 3000.0))]
     pub bone_hu: f64,
-    /// What is called bone, in HU. 650: half-way, where blur moves a flat wall least; a lower one swells the bone.
+    /// Threshold of the segmentation, in HU. 650: half-way, where blur moves a flat wall least; a lower one swells the
+    /// bone.
     #[schemars(range(min = -500.0, max = 2500.0))]
     pub threshold_hu: f64,
-    /// Times the surface is smoothed (Taubin's, which does not shrink). 0: off, as segmented; programs often take 10 to 20.
+    /// Number of smoothing steps (Taubin's, which do not shrink). 0: off, as segmented; programs often take 10 to 20.
     #[schemars(range(min = 0, max = 1000))]
     pub smoothing: u32,
-    /// RMS of smooth bumps by which the surface is not the bone, along its normals: cartilage, a segmentation by hand. 0: off.
+    /// RMS of smooth bumps of the surface along its normals, as of cartilage or a segmentation by hand. 0: off.
     #[schemars(range(min = 0.0, max = 3.0))]
     pub bumps_mm: f64,
     /// The wavelength of those bumps. 20 mm: assumed, a few along a scan.
     #[schemars(range(min = 2.0, max = 500.0))]
     pub bumps_wavelength_mm: f64,
-    /// Draws where the grid lies, the noise and the bumps. None: by the run's seed; a number where many procedures are on one patient,
-    /// who has one CT.
+    /// Seed of the grid's position, the noise and the bumps. None: the run's seed; a number for many procedures on one
+    /// patient, who has one CT.
     pub scan_seed: Option<u64>,
 }
 
@@ -74,7 +75,7 @@ impl Default for CtParams {
 
 impl CtParams {
     pub(crate) fn check(&self) -> Result<(), SimulationError> {
-        hold([
+        check_rules([
             ("ct.voxel_mm", self.voxel_mm, self.voxel_mm >= 0.05, "at least 0.05"),
             ("ct.blur_mm", self.blur_mm, (0.0..=10.0).contains(&self.blur_mm), "between 0 and 10"),
             ("ct.noise_hu", self.noise_hu, self.noise_hu >= 0.0, "0 or more"),
@@ -98,15 +99,15 @@ impl CtParams {
     }
 }
 
-/// A whole leg at 0.3 mm; more is a mistake in the unit.
+/// Maximum number of voxels: a whole leg at 0.3 mm; more is a mistake in the unit.
 const MAX_VOXELS: u64 = 64_000_000;
 
-/// The bone's outer surface as a CT shows it: voxels, blur, noise, threshold, iso-surface (surface nets); only the largest
-/// connected piece. In the frame of `bone`, origin [`SurfaceOrigin::SimulatedCt`].
+/// The bone's outer surface as a CT shows it: voxels, blur, noise, threshold, iso-surface (surface nets); only the
+/// largest connected piece. In the frame of `bone`, origin [`SurfaceOrigin::SimulatedCt`].
 ///
-/// The grid lies on the bone by chance (from `seed`), as it does in a scanner. Voxels hold the share of bone in them as
-/// that of a plane at the surface's distance: exact for faces across an axis, off by a few hundredths for slanted ones.
-/// `O(voxels)`; a fibula takes about a tenth of a second.
+/// The position of the grid is random (from `seed`), as in a scanner. Voxels hold the share of bone in them,
+/// approximated by that of a plane at the surface's distance: exact for faces across an axis, off by a few hundredths
+/// for slanted ones. `O(voxels)`; a fibula takes about a tenth of a second.
 ///
 /// # Errors
 /// [`SimulationError::NotClosed`] if the surface has open edges; [`SimulationError::CtTooLarge`] and
@@ -159,13 +160,13 @@ pub fn ct_surface(bone: &Mesh, params: &CtParams, seed: u64) -> Result<Mesh, Sim
     Ok(Mesh::new(&bone.frame, SurfaceOrigin::SimulatedCt, vertices, faces)?)
 }
 
-/// Moves each vertex to and from the mean of its neighbours, `times` times.
+/// Taubin smoothing: moves each vertex towards and away from the mean of its neighbours, `times` times.
 ///
 /// # Source
 /// Taubin 1995, "A signal processing approach to fair surface design", with uniform weights, 0.5 and -0.53.
 fn smooth(vertices: &mut [Point3<f64>], faces: &[[u32; 3]], times: u32) {
     for step in [0.5, -0.53].repeat(times as usize) {
-        // Each edge of a closed surface is in two faces, so each neighbour counts twice, which the mean does not mind.
+        // Each edge of a closed surface is in two faces, so each neighbour counts twice.
         let mut sums = vec![(Vector3::zeros(), 0.0); vertices.len()];
         for face in faces {
             let [a, b, c] = face.map(|v| vertices[v as usize].coords);
@@ -180,7 +181,7 @@ fn smooth(vertices: &mut [Point3<f64>], faces: &[[u32; 3]], times: u32) {
     }
 }
 
-/// Outward unit normals, each face weighing as much as its area.
+/// Outward unit normals of the vertices, with faces weighted by area.
 fn vertex_normals(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Vec<Vector3<f64>> {
     let mut normals = vec![Vector3::zeros(); vertices.len()];
     for face in faces {
@@ -191,10 +192,10 @@ fn vertex_normals(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Vec<Vector3<f
     normals.into_iter().map(|n| n.try_normalize(0.0).unwrap_or_default()).collect()
 }
 
-/// Layers of voxels that one task works on.
+/// Number of layers of voxels per task.
 const SLAB: usize = 8;
 
-/// The share of bone in each voxel: 1 inside, 0 outside, by distance to the surface in those that it passes through.
+/// The share of bone in each voxel: 1 inside, 0 outside, by the distance to the surface in voxels at the surface.
 fn share_of_bone(bone: &Mesh, grid: &Grid) -> Vec<f32> {
     let [nx, ny, nz] = grid.size;
     let h = grid.spacing_mm;
@@ -215,7 +216,7 @@ fn share_of_bone(bone: &Mesh, grid: &Grid) -> Vec<f32> {
     volume.par_chunks_mut(nx * ny * SLAB).zip(faces_of.par_iter()).enumerate().for_each(|(slab, (voxels, faces))| {
         let first = slab * SLAB;
         let layers = voxels.len() / (nx * ny);
-        // Inside is between every second crossing of a row along x through the voxels' centres.
+        // Even-odd rule along rows in x through the voxels' centres.
         let mut crossings: Vec<(usize, f64)> = Vec::new();
         for face in faces {
             row_crossings(face, &at, [ny, first, layers], &mut crossings);
@@ -255,9 +256,9 @@ fn share_of_bone(bone: &Mesh, grid: &Grid) -> Vec<f32> {
     volume
 }
 
-/// Where the face crosses the rows along x of layers `first..first + layers`, as (row within the slab, x).
+/// Intersections of a face with the rows along x of layers `first..first + layers`, as (row within the slab, x).
 ///
-/// Both faces at an edge judge it by the same numbers, so a row never slips between them nor meets both.
+/// Both faces at an edge use the same numbers, so a row neither slips between them nor meets both.
 fn row_crossings(
     face: &[u32; 3],
     at: &[Vector3<f64>],
@@ -329,7 +330,7 @@ fn closest_on_triangle(p: &Vector3<f64>, [a, b, c]: &[Vector3<f64>; 3]) -> Vecto
     a + (ab * vb + ac * vc) / (va + vb + vc)
 }
 
-/// White noise of standard deviation 1, made alike over `sigma` voxels; every layer has a stream of its own.
+/// Gaussian noise of standard deviation 1, blurred over `sigma` voxels; every layer has its own random stream.
 fn noise(grid: &Grid, sigma: f64, seed: u64) -> Vec<f32> {
     let [nx, ny, nz] = grid.size;
     let mut volume = vec![0.0f32; nx * ny * nz];
@@ -339,7 +340,7 @@ fn noise(grid: &Grid, sigma: f64, seed: u64) -> Vec<f32> {
         voxels.iter_mut().for_each(|v| *v = rng.sample(StandardNormal));
     });
     blur(&mut volume, grid, sigma);
-    // Averaging makes noise weaker; this makes it as strong as before.
+    // Restores the standard deviation after the blur.
     let weights = kernel(sigma);
     let kept: f32 = weights.iter().map(|w| w * w).sum();
     let gain = kept.powf(-1.5);
@@ -347,7 +348,7 @@ fn noise(grid: &Grid, sigma: f64, seed: u64) -> Vec<f32> {
     volume
 }
 
-/// A normal curve over `sigma` voxels, cut at three standard deviations, of sum 1.
+/// A Gaussian kernel of `sigma` voxels, truncated at three standard deviations, of sum 1.
 fn kernel(sigma: f64) -> Vec<f32> {
     let reach = (3.0 * sigma).ceil() as i64;
     if reach == 0 {
@@ -358,7 +359,7 @@ fn kernel(sigma: f64) -> Vec<f32> {
     weights.into_iter().map(|w| (w / sum) as f32).collect()
 }
 
-/// Blurs along x, y and z in turn; beyond the border everything is 0, as it is at it.
+/// Blurs along x, y and z in turn, with 0 beyond the border.
 fn blur(volume: &mut Vec<f32>, grid: &Grid, sigma: f64) {
     let weights = kernel(sigma);
     let reach = weights.len() / 2;
@@ -431,7 +432,7 @@ mod tests {
         let off = off_surface(&bone, &ct);
         let (mean, rms) = mean_and_rms(&off);
         println!("mean {mean:.3} mm, RMS {rms:.3} mm off the bone");
-        // Blur of 0.5 mm pulls a wall of radius 6 mm in by sigma^2 / 2R = 0.02 mm, ridges more.
+        // Blur of 0.5 mm moves a wall of radius 6 mm inward by sigma^2 / 2R = 0.02 mm, ridges more.
         assert!((-0.08..0.0).contains(&mean), "mean {mean} mm");
         assert!((0.02..0.12).contains(&rms), "RMS {rms} mm");
         let worst = off.iter().fold(0.0f64, |w, d| w.max(d.abs()));
@@ -448,7 +449,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lower_threshold_swells_the_bone_by_what_the_blur_says() {
+    fn a_lower_threshold_swells_the_bone_according_to_the_blur() {
         let bone = fibula(&BoneParams::default());
         let at = |threshold_hu: f64| {
             let params = CtParams { blur_mm: 0.8, noise_hu: 0.0, threshold_hu, ..CtParams::default() };
@@ -462,11 +463,11 @@ mod tests {
     }
 
     #[test]
-    fn noise_has_the_asked_strength_and_the_grid_lies_by_chance() {
+    fn noise_has_the_requested_strength_and_the_position_of_the_grid_is_random() {
         let grid = Grid { origin: Point3::origin(), spacing_mm: 0.7, size: [60, 60, 60] };
         for sigma in [0.0, 0.7, 1.5] {
             let volume = noise(&grid, sigma, 3);
-            // Away from the border, where there is less to average.
+            // Away from the border, where fewer voxels are averaged.
             let inner: Vec<f64> = (10..50)
                 .flat_map(|z| (10..50).flat_map(move |y| (10..50).map(move |x| (z * 60 + y) * 60 + x)))
                 .map(|i| f64::from(volume[i]))
@@ -481,7 +482,7 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_no_ct_is_refused_with_the_reason() {
+    fn bones_and_parameters_without_a_ct_are_refused_with_the_reason() {
         let bone = fibula(&BoneParams { edge_mm: 3.0, ..BoneParams::default() });
         let open = Mesh::new("ct", SurfaceOrigin::User, bone.vertices().to_vec(), bone.faces()[1..].to_vec()).unwrap();
         let said = ct_surface(&open, &CtParams::default(), 1).unwrap_err();

@@ -1,11 +1,11 @@
-//! One stream of random numbers for each error term, so that switching one off leaves the others' draws as they were.
+//! One stream of random numbers for each error term, so that switching one off does not change the others.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// What is random in a procedure. The number is the stream's, so it never changes and is never used again.
+/// The random terms of a procedure. The discriminant selects the stream: it never changes and is never reused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Term {
     Setup = 0,
@@ -46,7 +46,7 @@ pub(crate) enum Term {
     StylusAttitude = 35,
 }
 
-/// The stream of `term`; `item` tells scans, markers or placements apart.
+/// The stream of `term`; `item` distinguishes scans, markers or placements.
 pub(crate) fn stream(seed: u64, term: Term, item: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream((term as u64) << 32 | item);
@@ -65,7 +65,7 @@ pub(crate) fn normal3(rng: &mut ChaCha8Rng) -> Vector3<f64> {
     Vector3::new(x, y, normal(rng))
 }
 
-/// A unit vector without a preferred direction.
+/// A uniformly distributed unit vector.
 pub(crate) fn direction(rng: &mut ChaCha8Rng) -> Vector3<f64> {
     loop {
         if let Some(unit) = normal3(rng).try_normalize(1e-6) {
@@ -74,14 +74,14 @@ pub(crate) fn direction(rng: &mut ChaCha8Rng) -> Vector3<f64> {
     }
 }
 
-/// A rotation without a preferred attitude.
+/// A uniformly distributed rotation.
 pub(crate) fn attitude(rng: &mut ChaCha8Rng) -> UnitQuaternion<f64> {
     let v = normal3(rng);
     let w = normal(rng);
     UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, v.x, v.y, v.z))
 }
 
-/// A small motion: normal with these standard deviations along and about each axis.
+/// A small motion, normally distributed with these standard deviations along and about each axis.
 pub(crate) fn small_motion(rng: &mut ChaCha8Rng, translation_mm: f64, rotation_rad: f64) -> Isometry3<f64> {
     let translation = normal3(rng) * translation_mm;
     Isometry3::new(translation, normal3(rng) * rotation_rad)

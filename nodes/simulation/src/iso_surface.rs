@@ -1,4 +1,4 @@
-//! The surface where a volume passes a level.
+//! Extraction of an iso-surface from a volume.
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -12,12 +12,12 @@ pub(crate) struct Grid {
     pub(crate) size: [usize; 3],
 }
 
-/// Raises voxels to just above `level` until no two regions touch at an edge or corner alone, so that the surface between
-/// them is a manifold; returns how many. What is raised is the voxel nearest the level, so little changes.
+/// Raises voxels to just above `level` until no two regions touch only at an edge or corner, so that the surface
+/// between them is a manifold; returns their number. It is always the voxel nearest the level that is raised.
 ///
 /// # Source
-/// Latecki 1997, 3D well-composed pictures: what must not occur are two diagonal corners of a square of voxels, or two
-/// opposite corners of a cube, that differ from all others. That raising them ends it, we add: it can only end.
+/// Latecki 1997, 3D well-composed pictures: two diagonal corners of a square of voxels, or two opposite corners of a
+/// cube, must not differ from all others. Raising terminates, as it only ever adds voxels above the level.
 pub(crate) fn make_well_composed(volume: &mut [f32], grid: &Grid, level: f32) -> usize {
     let [nx, ny, nz] = grid.size;
     let step = [1, nx, nx * ny];
@@ -28,7 +28,7 @@ pub(crate) fn make_well_composed(volume: &mut [f32], grid: &Grid, level: f32) ->
         for z in 0..nz.saturating_sub(1) {
             for y in 0..ny.saturating_sub(1) {
                 let row = (z * ny + y) * nx;
-                // The four voxels of a cell at one x, as the cell's corners 0, 2, 4 and 6.
+                // The four voxels of a cell at one x are its corners 0, 2, 4 and 6.
                 let column = |volume: &[f32], x: usize| {
                     let at = [row + x, row + x + step[1], row + x + step[2], row + x + step[1] + step[2]];
                     at.iter().enumerate().fold(0u8, |mask, (k, &v)| mask | u8::from(volume[v] > level) << (2 * k))
@@ -70,12 +70,12 @@ pub(crate) fn make_well_composed(volume: &mut [f32], grid: &Grid, level: f32) ->
     }
 }
 
-/// Vertices and faces of the surface that parts voxels at or below `level` from those above; normals point to the lower
-/// side. Empty if nothing passes it. Where the border of the grid lies above the level the surface stays open.
+/// Vertices and faces of the surface between voxels at or below `level` and those above; normals point to the lower
+/// side. Empty if no voxel is above. Where the border of the grid is above the level the surface stays open.
 ///
-/// Naive surface nets: one vertex in each cell of eight voxels that the surface passes through, at the mean of where it
-/// cuts the cell's edges, and one quad for each edge that it cuts. Triangles are even in size, half as many as of
-/// marching tetrahedra; on a flat surface the vertices lie exactly on it.
+/// Naive surface nets: one vertex in each cell of eight voxels that the surface passes through, at the mean of its
+/// intersections with the cell's edges, and one quad for each intersected edge. Triangles are of even size, half as
+/// many as of marching tetrahedra; the vertices of a flat surface lie exactly on it.
 ///
 /// # Source
 /// Gibson 1998, Constrained elastic surface nets, in the form without relaxation.
@@ -118,7 +118,7 @@ pub(crate) fn iso_surface(volume: &[f32], grid: &Grid, level: f32) -> (Vec<Point
         (first[z] + place) as u32
     };
 
-    // Every edge lies between four cells; those at the grid's border have fewer and give no face.
+    // Every edge is shared by four cells; those at the grid's border by fewer, and give no face.
     let faces: Vec<Vec<[u32; 3]>> = (0..nz - 1)
         .into_par_iter()
         .map(|z| {
@@ -151,7 +151,8 @@ pub(crate) fn iso_surface(volume: &[f32], grid: &Grid, level: f32) -> (Vec<Point
     (layers.into_iter().flatten().map(|(_, p)| p).collect(), faces.into_iter().flatten().collect())
 }
 
-/// The mean of where the level cuts the edges of a unit cell, from its corner values (bit 0 is x, 1 is y, 2 is z).
+/// The mean of the intersections of the level with the edges of a unit cell, from its corner values (bit 0 is x, 1 is
+/// y, 2 is z).
 fn cell_vertex(corners: &[f32; 8]) -> Vector3<f64> {
     let (mut sum, mut n) = (Vector3::zeros(), 0.0);
     for axis in 0..3 {
@@ -194,7 +195,7 @@ mod tests {
         let (vertices, faces) = iso_surface(&volume, &grid, 0.0);
         for v in &vertices {
             let radius = v.coords.norm();
-            // A chord of one cell's diagonal lies 0.02 mm inside the arc.
+            // A chord of one cell's diagonal is 0.02 mm inside the arc.
             assert!((4.97..5.001).contains(&radius), "radius {radius} mm");
         }
         let ball = Mesh::new("ct", SurfaceOrigin::SimulatedCt, vertices, faces).unwrap();

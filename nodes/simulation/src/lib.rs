@@ -1,8 +1,8 @@
 //! A simulated procedure on a built-in bone: camera, tracker, laser, phantom, stylus and CT, all from one seed.
 //!
-//! [`Procedure::simulate`] gives what a recording of a real procedure holds, clouds, marker poses and stylus points with
-//! stamps, and keeps what really was apart in [`Truth`]. Every error is a parameter with its unit and source, has a
-//! stream of random numbers of its own, and is switched off by 0.
+//! [`Procedure::simulate`] returns the contents of a recording (clouds, marker poses and stylus points with stamps),
+//! and separately the [`Truth`]. Every error is a parameter with its unit and source, has its own stream of random
+//! numbers, and is switched off by 0.
 //!
 //! ```
 //! use osteoflow_simulation::{Procedure, ProcedureParams};

@@ -1,14 +1,14 @@
-//! Every term of the simulated procedure, its size and where that comes from.
+//! Every term of the simulated procedure, its default and the source of that.
 //!
 //! "Other simulator" means the noise model written beside the recording of the development data, made independently of
-//! this crate; "assumed" means that nobody measured it. A term is switched off by 0.
+//! this crate; "assumed" means not measured. A term is switched off by 0.
 
-use crate::error::hold;
+use crate::error::check_rules;
 use crate::{BoneParams, SimulationError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A simulated procedure: the bone, what every device does wrong, and by how much.
+/// A simulated procedure: the bone and the errors of every device.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProcedureParams {
@@ -18,19 +18,19 @@ pub struct ProcedureParams {
     pub camera: CameraParams,
     /// The localiser and the markers.
     pub tracker: TrackerParams,
-    /// The laser pointer that shows the landmarks.
+    /// The laser pointer that marks the landmarks.
     pub laser: LaserParams,
     /// The calibration phantom and the camera marker's support.
     pub phantom: PhantomParams,
-    /// The printed piece with holes by which a calibration is checked.
+    /// The printed check piece of a calibration.
     pub check: CheckParams,
     /// The tracked stylus.
     pub stylus: StylusParams,
-    /// The ruler by which the marks are measured off on the bone.
+    /// The ruler with which the marks are measured off on the bone.
     pub ruler: RulerParams,
-    /// What is left of the periosteum on the stripped bone.
+    /// The periosteum left on the stripped bone.
     pub periosteum: PeriosteumParams,
-    /// When things happen, and what moves.
+    /// Time and motions.
     pub motion: MotionParams,
 }
 
@@ -41,23 +41,23 @@ pub struct CameraParams {
     /// Points of each cloud. 20,000: the paper's.
     #[schemars(range(min = 100, max = 500_000))]
     pub n_points: usize,
-    /// From the camera to the bone's surface. 200 mm: the paper's working distance.
+    /// Distance from the camera to the bone's surface. 200 mm: the paper's working distance.
     #[schemars(range(min = 50.0, max = 1000.0))]
     pub working_distance_mm: f64,
-    /// Where the stripped bone begins, along the bone from the malleolus tip. 70 mm: other simulator.
+    /// Start of the stripped bone, along the bone from the malleolus tip. 70 mm: other simulator.
     #[schemars(range(min = 0.0, max = 450.0))]
     pub scan_from_mm: f64,
-    /// Where the stripped bone ends. 165 mm: other simulator.
+    /// End of the stripped bone, along the bone from the malleolus tip. 165 mm: other simulator.
     #[schemars(range(min = 0.0, max = 450.0))]
     pub scan_to_mm: f64,
-    /// Whether the wound's bed and the skin around the stripped bone are seen too, and take their share of the points. false:
-    /// in the paper the user's region of interest has taken them away.
+    /// Whether the wound's bed and the skin around the stripped bone are seen too, and take their share of the points.
+    /// false: in the paper the user's region of interest excludes them.
     pub surroundings: bool,
-    /// The direction from the bone to the camera, about the bone from lateral (0) towards posterior (90). 45 degrees: both
-    /// faces that carry landmarks are seen at about 45 degrees.
+    /// The direction from the bone to the camera, about the bone from lateral (0) towards posterior (90). 45 degrees:
+    /// both faces that carry landmarks are seen at about 45 degrees.
     #[schemars(range(min = -180.0, max = 180.0))]
     pub view_azimuth_deg: f64,
-    /// Standard deviation, per axis, of how the hand-held camera's attitude differs from that view. 3 degrees: assumed.
+    /// Standard deviation, per axis, of the hand-held camera's attitude from that view. 3 degrees: assumed.
     #[schemars(range(min = 0.0, max = 15.0))]
     pub view_spread_deg: f64,
     /// Standard deviation of depth along the ray, at normal incidence. 0.05 mm: other simulator.
@@ -66,43 +66,44 @@ pub struct CameraParams {
     /// Depth noise grows as 1 / cos(incidence) to this power. 1: assumed, a slanted pixel spreads over that much depth.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub depth_noise_growth: f64,
-    /// Surfaces seen more aslant than this give no point. 72 degrees: other simulator.
+    /// Maximum angle of incidence; surfaces beyond give no point. 72 degrees: other simulator.
     #[schemars(range(min = 10.0, max = 89.0))]
     pub max_incidence_deg: f64,
     /// The share of pixels that fail at random. 0.02: other simulator.
     #[schemars(range(min = 0.0, max = 0.9))]
     pub dropout: f64,
-    /// Round patches that are missing from each cloud anew (a highlight, a drop of blood). 3: other simulator.
+    /// Round patches that are missing, drawn for each cloud (a highlight, a drop of blood). 3: other simulator.
     #[schemars(range(min = 0, max = 100))]
     pub n_patches: u32,
     /// The radius of such a patch. 1.2 mm: other simulator.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub patch_radius_mm: f64,
-    /// Round pools of blood on the bone, in the same place in all clouds of a run, none on a mark. 0: off; assumed 3 where
-    /// the wound bleeds.
+    /// Round pools of blood on the bone, in the same place in all clouds of a run, none on a mark. 0: off; assumed 3 in
+    /// a bleeding wound.
     #[schemars(range(min = 0, max = 100))]
     pub n_pools: u32,
     /// The radius of such a pool. 3 mm: assumed, a large drop.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub pool_radius_mm: f64,
-    /// The share of the bone's pixels that fail where it mirrors the projector into the lens, each cloud anew. 0: off, a
-    /// bone wiped dry; assumed 0.7 where it is wet.
+    /// The share of the bone's pixels that fail where it reflects the projector into the lens, drawn for each cloud. 0:
+    /// off, a bone wiped dry; assumed 0.7 for a wet one.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub specular_dropout: f64,
-    /// How far the surface's normal may be from the mirror's for that. 8 degrees: assumed, the gloss of a wet surface.
+    /// Maximum angle between the surface's normal and that of the reflection. 8 degrees: assumed, the gloss of a wet
+    /// surface.
     #[schemars(range(min = 0.0, max = 45.0))]
     pub specular_deg: f64,
-    /// How far beside the lens the projector stands, along the camera's x. 80 mm: assumed, a hand-held scanner's base.
+    /// Distance from the lens to the projector, along the camera's x. 80 mm: assumed, a hand-held scanner's baseline.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub projector_mm: f64,
-    /// RMS of the smooth error in depth that the camera's own calibration leaves; one field for all clouds of a run, as it
-    /// belongs to the camera. 0.05 mm: other simulator.
+    /// RMS of the smooth error in depth that the camera's own calibration leaves; one field for all clouds of a run, as
+    /// it belongs to the camera. 0.05 mm: other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub depth_bias_mm: f64,
-    /// Over which length that error changes. 60 mm: assumed, a few periods over the field of view.
+    /// Wavelength of that error. 60 mm: assumed, a few periods over the field of view.
     #[schemars(range(min = 10.0, max = 1000.0))]
     pub depth_bias_wavelength_mm: f64,
-    /// Draws that error's field. None: by the run's seed; a number where many procedures are with one camera.
+    /// Seed of that error's field. None: the run's seed; a number for many procedures with one camera.
     pub bias_seed: Option<u64>,
 }
 
@@ -134,7 +135,7 @@ impl Default for CameraParams {
     }
 }
 
-/// The localiser, which tells where the markers are in frame `world`.
+/// The localiser, which measures the markers' poses in frame `world`.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrackerParams {
@@ -147,24 +148,24 @@ pub struct TrackerParams {
     /// Standard deviation, per axis, of the constant error of a marker at one place. 0.06 mm: other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub placement_mm: f64,
-    /// The same about each axis. 0.023 degrees (0.0004 rad): other simulator.
+    /// Standard deviation of that error about each axis. 0.023 degrees (0.0004 rad): other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub placement_deg: f64,
     /// Standard deviation, per axis, of the white noise of each sample. 0.03 mm: other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub noise_mm: f64,
-    /// The same about each axis. 0.0115 degrees (0.0002 rad): other simulator.
+    /// Standard deviation of that noise about each axis. 0.0115 degrees (0.0002 rad): other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub noise_deg: f64,
-    /// How far the localiser's world moves in a minute, in one direction per run. 0.05 mm: assumed, a localiser that warms
+    /// Drift of the localiser's world per minute, in one direction per run. 0.05 mm: assumed, a localiser that warms
     /// up.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub drift_mm_per_min: f64,
-    /// How long a marker is followed before and after each cloud. 0.6 s: assumed, a dozen samples on either side.
+    /// Time for which a marker is tracked before and after each cloud. 0.6 s: assumed, a dozen samples on either side.
     #[schemars(range(min = 0.1, max = 1.9))]
     pub burst_s: f64,
     /// Whether there is no localiser, as in vivo: the camera at the full scan is the world, its marker's poses are
-    /// identities, and there is neither bone marker nor stylus nor check piece. false: the paper's bench.
+    /// identities, and there are no bone marker, stylus and check piece. false: the paper's bench.
     pub none: bool,
 }
 
@@ -197,22 +198,22 @@ pub struct LaserParams {
     /// Standard deviation of aiming along the bone. 0.7 mm: other simulator.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub aim_along_mm: f64,
-    /// How often a mark may be aimed at, each time with an aiming error of its own, until the hole on the screen is no sliver:
-    /// until the camera sees a third of the laser's disc on the bone, assumed. Of slivers, the largest counts. 1, a hand that
-    /// does not watch the screen: other simulator; a surgeon would point again, perhaps 3 times: assumed.
+    /// Maximum number of attempts to aim at a mark, each with its own aiming error, until the camera sees a third of
+    /// the laser's disc on the bone (assumed). If no attempt succeeds, the one with the largest share counts. 1: other
+    /// simulator; a surgeon who watches the screen would point again, perhaps 3 times: assumed.
     #[schemars(range(min = 1, max = 100))]
     pub max_attempts: usize,
-    /// Where the camera is blind about the spot. `ball`: other simulator.
+    /// Shape of the region around the spot where the camera measures nothing. `ball`: other simulator.
     pub disc: LaserDisc,
-    /// Standard deviation, about each axis across it, of how a beam's way differs from the camera's ray to the spot. 10
+    /// Standard deviation, about each axis across it, of the beam's direction from the camera's ray to the spot. 10
     /// degrees: assumed, a pointer held beside the camera.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub beam_deg: f64,
-    /// Whether scans with the laser are taken at all. true: the paper's method; false where an experiment starts from marks
-    /// that were ruled or from the shape alone, and the stripped bone need not show the landmarks.
+    /// Whether scans with the laser are taken. true: the paper's method; false for experiments that start from ruled
+    /// marks or by shape alone, where the stripped bone need not show the landmarks.
     pub scans: bool,
-    /// Whether the assessment marks are pointed at too, after the landmarks, as in vivo, where no stylus touches them. false:
-    /// the paper's bench.
+    /// Whether the laser also points at the assessment marks, after the landmarks, as in vivo, where no stylus touches
+    /// them. false: the paper's bench.
     pub assessment: bool,
 }
 
@@ -220,11 +221,11 @@ pub struct LaserParams {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LaserDisc {
-    /// All of the surface within the radius of the spot.
+    /// The surface within the radius of the spot.
     #[default]
     Ball,
-    /// All of the surface in the beam: a disc across it, drawn out where the surface is slanted, and cut off where the
-    /// surface ends, as on a ridge.
+    /// The surface in the beam: a disc across it, elongated where the surface is slanted, and cut off where the surface
+    /// ends, as on a ridge.
     Beam,
 }
 
@@ -250,20 +251,21 @@ pub struct PhantomParams {
     /// Standard deviation, per axis, of the printed phantom marker against its CAD. 0.05 mm: other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub print_mm: f64,
-    /// The same about each axis. 0.023 degrees (0.0004 rad): other simulator.
+    /// Standard deviation of that error about each axis. 0.023 degrees (0.0004 rad): other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub print_deg: f64,
-    /// Draws the print's error. None: by the run's seed; a number where many procedures are with one phantom.
+    /// Seed of the print's error. None: the run's seed; a number for many procedures with one phantom.
     pub print_seed: Option<u64>,
-    /// Standard deviation, per axis, of the camera marker against its nominal pose. 1.5 mm: assumed, "good to a few mm".
+    /// Standard deviation, per axis, of the camera marker against its nominal pose. 1.5 mm: assumed, "good to a few
+    /// mm".
     #[schemars(range(min = 0.0, max = 10.0))]
     pub mounting_mm: f64,
-    /// The same about each axis. 1.2 degrees: assumed, about 2 degrees in all.
+    /// Standard deviation of the mounting about each axis. 1.2 degrees: assumed, about 2 degrees in all.
     #[schemars(range(min = 0.0, max = 10.0))]
     pub mounting_deg: f64,
-    /// Draws how the camera marker is mounted. None: by the run's seed; a number where many procedures are with one support.
+    /// Seed of the camera marker's mounting. None: the run's seed; a number for many procedures with one support.
     pub mounting_seed: Option<u64>,
-    /// From the camera to the phantom, half its radius nearer than its middle. None: the working distance.
+    /// Distance from the camera to the phantom, half its radius nearer than its centre. None: the working distance.
     #[schemars(range(min = 50.0, max = 1000.0))]
     pub distance_mm: Option<f64>,
 }
@@ -282,18 +284,18 @@ impl Default for PhantomParams {
     }
 }
 
-/// A printed piece with twelve holes and a marker, which the camera sees where the phantom stood and where the bone lies.
+/// A printed piece with twelve holes and a marker, which the camera sees at the places of the phantom and the bone.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CheckParams {
-    /// Standard deviation, per axis, of a hole's place as read from the cloud. 0.1 mm: assumed, half the spacing of the
-    /// points.
+    /// Standard deviation, per axis, of a hole's position as read from the cloud. 0.1 mm: assumed, half the spacing of
+    /// the points.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub reading_mm: f64,
     /// Standard deviation, per axis, of a printed hole against the piece's CAD. 0.05 mm: as the phantom's.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub print_mm: f64,
-    /// Draws the print's error. None: by the run's seed; a number where many procedures are with one piece.
+    /// Seed of the print's error. None: the run's seed; a number for many procedures with one piece.
     pub print_seed: Option<u64>,
 }
 
@@ -303,16 +305,16 @@ impl Default for CheckParams {
     }
 }
 
-/// How far the marks on the bone are from where they were planned: measured off from the malleolus with a ruler, and carried
-/// back onto the surface. The laser, the holes and the stylus follow the marks.
+/// Errors of the marks on the bone, which are measured off from the malleolus with a ruler and moved back onto the
+/// surface. The laser, the holes and the stylus follow the marks.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RulerParams {
-    /// Standard deviation, along the bone, of the place from which all marks are measured: the malleolus under the skin. 0:
-    /// off, marks as planned.
+    /// Standard deviation, along the bone, of the origin of all measurements: the malleolus under the skin. 0: off,
+    /// marks as planned.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub shared_mm: f64,
-    /// Standard deviation, along the bone, of each mark on its own. 0: off.
+    /// Standard deviation, along the bone, of each mark. 0: off.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub each_mm: f64,
     /// Standard deviation, across the bone, of each mark. 0: off.
@@ -320,20 +322,20 @@ pub struct RulerParams {
     pub across_mm: f64,
 }
 
-/// A patchy film on the bone, seen by the camera in the bone's place: always towards the camera. The stylus pierces it.
+/// A patchy film on the bone, which the camera sees instead of the bone, always closer. The stylus pierces it.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PeriosteumParams {
-    /// The greatest thickness. 0: off, a bone scraped clean; assumed up to 0.5 mm where it is not.
+    /// Maximum thickness. 0: off, a bone scraped clean; assumed up to 0.5 mm otherwise.
     #[schemars(range(min = 0.0, max = 3.0))]
     pub thickness_mm: f64,
-    /// The share of the surface that has some. 0.5: assumed.
+    /// The share of the surface that is covered. 0.5: assumed.
     #[schemars(range(min = 0.01, max = 0.99))]
     pub share: f64,
     /// The wavelength of the patches. 15 mm: assumed, a few strokes of a scraper.
     #[schemars(range(min = 1.0, max = 500.0))]
     pub patch_mm: f64,
-    /// Draws the patches. None: by the run's seed; a number where many procedures are on one stripped bone.
+    /// Seed of the patches. None: the run's seed; a number for many procedures on one stripped bone.
     pub film_seed: Option<u64>,
 }
 
@@ -362,14 +364,14 @@ pub struct StylusParams {
     /// Standard deviation, per axis, of each palpated point. 0.25 mm: other simulator.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub palpation_mm: f64,
-    /// Poses of a pivot calibration before the procedure. 0: none, the tip's error is drawn (`tip_mm`); else it is what the
-    /// calibration leaves of these poses, and the stylus' marker is tracked at every touch.
+    /// Number of poses of a pivot calibration before the procedure. 0: none, the tip's error is drawn (`tip_mm`);
+    /// otherwise it is that of the calibration, and the stylus' marker is tracked at every touch.
     #[schemars(range(min = 0, max = 10_000))]
     pub pivot_poses: usize,
-    /// How far the stylus is tilted about its tip in the calibration. 30 degrees: assumed, as markers stay in view.
+    /// Maximum tilt of the stylus about its tip in the calibration. 30 degrees: assumed, as markers stay in view.
     #[schemars(range(min = 1.0, max = 80.0))]
     pub pivot_deg: f64,
-    /// Standard deviation, per axis, of the tip's place in the dimple that it is turned in. 0.05 mm: assumed.
+    /// Standard deviation, per axis, of the tip's position in the dimple. 0.05 mm: assumed.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub dimple_mm: f64,
 }
@@ -389,7 +391,7 @@ impl Default for StylusParams {
     }
 }
 
-/// When the procedure begins, and what moves in it.
+/// Start of the procedure, and its motions.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MotionParams {
@@ -397,29 +399,29 @@ pub struct MotionParams {
     /// refuse.
     #[schemars(range(min = 1.0, max = 4_000_000_000.0))]
     pub start_s: u32,
-    /// How far the bone moves after all scans and touches, in a direction drawn per run. 60 mm: assumed, a leg that is
-    /// laid anew.
+    /// Motion of the bone after all scans and touches, in a direction drawn per run. 60 mm: assumed, a leg that is
+    /// repositioned.
     #[schemars(range(min = 0.0, max = 500.0))]
     pub bone_mm: f64,
-    /// How far it turns meanwhile. 7 degrees: assumed.
+    /// Rotation of the bone in that motion. 7 degrees: assumed.
     #[schemars(range(min = 0.0, max = 90.0))]
     pub bone_deg: f64,
-    /// How far the bone moves between two scans, each time anew. 0: assumed, the leg is held.
+    /// Motion of the bone between two scans, drawn each time. 0: assumed, the leg is held.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub bone_between_scans_mm: f64,
-    /// How far it turns meanwhile. 0: assumed, the leg is held.
+    /// Rotation of the bone between two scans. 0: assumed, the leg is held.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub bone_between_scans_deg: f64,
-    /// How far the camera moves between two scans of the bone, each time anew. 0: assumed, it stands on an arm.
+    /// Motion of the camera between two scans of the bone, drawn each time. 0: assumed, it is on an arm.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub camera_between_scans_mm: f64,
-    /// How far it turns meanwhile. 0: assumed, it stands on an arm.
+    /// Rotation of the camera between two scans. 0: assumed, it is on an arm.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub camera_between_scans_deg: f64,
-    /// How far the bone's marker slips on the bone between the scans and the touches. 0: off, a marker that holds.
+    /// Slip of the bone's marker between the scans and the touches. 0: off, a marker that holds.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub marker_slip_mm: f64,
-    /// How far it turns meanwhile. 0: off.
+    /// Rotation of the bone's marker in that slip. 0: off.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub marker_slip_deg: f64,
 }
@@ -441,8 +443,8 @@ impl Default for MotionParams {
 }
 
 impl ProcedureParams {
-    /// The same procedure without any error: no noise, nothing missing but the laser's hole, nothing mismounted.
-    /// What moves on purpose still moves.
+    /// The procedure without any error: no noise, nothing missing but the laser's hole, nothing mismounted. Intended
+    /// motions remain.
     pub fn without_errors(self) -> Self {
         Self {
             bone: self.bone,
@@ -487,14 +489,14 @@ impl ProcedureParams {
         }
     }
 
-    /// Holds where every number can be used, whatever its source; narrower, advised ranges stand in the schema.
+    /// Checks that every number can be used, whatever its source; the schema has narrower, recommended ranges.
     pub(crate) fn check(&self) -> Result<(), SimulationError> {
         let (camera, tracker, film) = (&self.camera, &self.tracker, &self.periosteum);
         let not_negative = "0 or more";
         let positive = "more than 0";
         let share = "at least 0 and less than 1";
         self.bone.check()?;
-        hold([
+        check_rules([
             ("camera.n_points", camera.n_points as f64, camera.n_points > 0, positive),
             ("camera.working_distance_mm", camera.working_distance_mm, camera.working_distance_mm > 0.0, positive),
             ("camera.scan_from_mm", camera.scan_from_mm, camera.scan_from_mm >= 0.0, not_negative),

@@ -1,4 +1,4 @@
-//! The calibration phantom: a cube with blocks, of which no turn looks like another.
+//! The calibration phantom: a cube with blocks, without rotational symmetry.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
@@ -23,7 +23,7 @@ pub fn mesh() -> Mesh {
         cuts.dedup();
         cuts
     });
-    // A cell between neighbouring cuts lies wholly inside or outside each box.
+    // A cell between neighbouring cuts is entirely inside or outside each box.
     let filled = |cell: [isize; 3]| {
         let middle: [Option<f64>; 3] = std::array::from_fn(|k| {
             let i = usize::try_from(cell[k]).ok()?;
@@ -74,7 +74,7 @@ pub fn mesh() -> Mesh {
     Mesh::new("phantom", SurfaceOrigin::Exact, vertices, faces).expect("the boxes are not empty")
 }
 
-/// `t_phantom_phantom_marker` by design: the marker stands on an arm beside the cube, away from what the camera sees.
+/// `t_phantom_phantom_marker` by design: the marker is on an arm beside the cube, out of the camera's view.
 pub fn t_phantom_phantom_marker() -> Isometry3<f64> {
     Isometry3::new(Vector3::new(-58.0, -44.0, 26.0), Vector3::new(0.35, -0.5, 0.8))
 }
@@ -87,14 +87,14 @@ mod tests {
     #[test]
     fn the_phantom_is_closed_and_its_normals_point_outward() {
         let volume_mm3 = assert_closed_and_outward(&mesh());
-        // Cube, and of each block what stands out of it.
+        // The cube, and the part of each block outside of it.
         let expected = 56f64.powi(3) + 12.0 * 16.0 * 24.0 + 24.0 * 8.0 * 12.0 + 10.0 * 30.0 * 16.0 + 16.0 * 14.0 * 6.0;
         assert!((volume_mm3 - expected).abs() < 1e-6, "{volume_mm3} mm3, not {expected}");
     }
 
     #[test]
-    fn no_turn_of_the_phantom_looks_like_another() {
-        // The 24 turns of a cube: each but the identity must carry some block's corner well off the surface.
+    fn the_phantom_has_no_rotational_symmetry() {
+        // The 24 rotations of a cube: each but the identity must move some block's corner well off the surface.
         let phantom = mesh();
         let surface = osteoflow_algorithms::mesh_query::MeshQuery::new(&phantom);
         let mut n_turns = 0;

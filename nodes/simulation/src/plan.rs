@@ -1,4 +1,4 @@
-//! What a surgeon plans on the bone: landmarks, assessment points and two cuts, all by distances from the malleolus tip.
+//! The surgical plan on the bone: landmarks, assessment points and two cuts, by distances from the malleolus tip.
 
 use crate::{SimulationError, phantom, t_camera_camera_marker_nominal};
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
@@ -6,7 +6,7 @@ use osteoflow_algorithms::landmarks::{self, RecipeParams};
 use osteoflow_algorithms::{axes, mesh_query::MeshQuery, section};
 use osteoflow_geometry::{Anatomy, Mesh, NamedPoint, Plane, Planes, Points, Pose, SurgicalPlan};
 
-/// Which face of the bone a point lies on.
+/// A face of the bone.
 #[derive(Debug, Clone, Copy)]
 enum Face {
     Lateral,
@@ -22,14 +22,14 @@ const ASSESSMENT: [(&str, f64, Face); 5] = [
     ("M5", 155.0, Face::Posterior),
 ];
 
-/// Cuts: mm from the malleolus tip along the bone, and how the normal leans from it towards lateral and posterior. A
-/// segment of 34 mm beyond the stripped stretch, as between the osteotomies of a jaw reconstruction.
+/// Cuts: mm from the malleolus tip along the bone, and tilt of the normal towards lateral and posterior. A segment of
+/// 34 mm beyond the stripped stretch, as between the osteotomies of a jaw reconstruction.
 const CUTS: [(&str, f64, f64, f64); 2] = [("plane_1", 180.0, -0.05, 0.24), ("plane_2", 214.0, 0.27, -0.08)];
 
 /// A plan on any right or left fibula whose anatomy is known, in the frame of `bone`.
 ///
-/// Landmarks and assessment points lie on the surface, where a ray from the section's centre leaves it on the named
-/// face. Deterministic; `O(n)` in the number of faces for each point.
+/// Landmarks and assessment points are on the surface, where a ray from the section's centre leaves it on the named
+/// face. `O(n)` in the number of faces for each point.
 ///
 /// # Errors
 /// [`SimulationError::NoSection`] if the bone does not reach as far as a point or cut.
@@ -37,7 +37,7 @@ pub fn plan(bone: &Mesh, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationEr
     plan_on(&MeshQuery::new(bone), anatomy)
 }
 
-/// The same on a surface that was prepared before.
+/// [`plan`] on a prepared surface.
 pub(crate) fn plan_on(surface: &MeshQuery, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationError> {
     let bone = surface.mesh();
     let place = |&(name, height_mm, face): &(&str, f64, Face)| -> Result<NamedPoint, SimulationError> {
@@ -46,7 +46,7 @@ pub(crate) fn plan_on(surface: &MeshQuery, anatomy: &Anatomy) -> Result<Surgical
             Face::Lateral => anatomy.lateral,
             Face::Posterior => anatomy.posterior,
         };
-        // From outside, so that an inner wall of the marrow is never taken for the surface.
+        // From outside, so that the wall of the marrow cavity is never hit.
         const OUTSIDE_MM: f64 = 60.0;
         let from = centre + way.into_inner() * OUTSIDE_MM;
         let hit = surface.cast_ray(&from, &-way.into_inner()).ok_or(SimulationError::NoSection { height_mm })?;
@@ -79,8 +79,8 @@ fn nominal_camera_marker() -> Pose {
     Pose::new("camera", "camera_marker", t_camera_camera_marker_nominal())
 }
 
-/// What a plan of a user's own lacks, from the bone: all points and cuts, where it is an anatomy alone (as [`plan`]); the
-/// bone's axes; the built-in phantom's and support's marker poses.
+/// Completes a user's plan: with all points and cuts if it is an anatomy alone (as [`plan`]); with the bone's axes;
+/// with the marker poses of the built-in phantom and support.
 ///
 /// # Errors
 /// As [`plan`]; and [`SimulationError::NoAnatomy`], since without one no camera can be placed.
@@ -106,9 +106,9 @@ pub(crate) fn frame_along(z: &Vector3<f64>, about_y: &Vector3<f64>) -> UnitQuate
     UnitQuaternion::from_rotation_matrix(&axes)
 }
 
-/// The middle of the bone's outline at a height above the malleolus tip; `None` if the bone is not there.
+/// The centre of the bone's outline at a height above the malleolus tip; `None` if the bone does not reach it.
 pub(crate) fn section_centre(bone: &Mesh, anatomy: &Anatomy, height_mm: f64) -> Option<Point3<f64>> {
-    // What lies farther off belongs to another bone of the same file.
+    // Farther sections belong to another bone of the same file.
     const REACH_MM: f64 = 60.0;
     let at = anatomy.malleolus_tip + *anatomy.proximal * height_mm;
     let across = Isometry3::from_parts(at.into(), frame_along(&anatomy.proximal, &anatomy.posterior));

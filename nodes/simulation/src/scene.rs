@@ -144,7 +144,7 @@ mod tests {
 
     pub(super) const RUNS: u64 = 400;
 
-    /// What one scene gives under many seeds for the draws; where things stand is drawn once.
+    /// Evaluates one scene with many seeds for the errors; its poses are drawn once.
     pub(super) fn over_seeds<T>(params: &ProcedureParams, what: impl Fn(&Scene<'_>, &[Pixel]) -> T) -> Vec<T> {
         let bone = bone::fibula(&params.bone);
         let plan = plan(&bone, &bone::anatomy(&params.bone)).unwrap();

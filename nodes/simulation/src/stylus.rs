@@ -1,4 +1,4 @@
-//! A stylus whose tip is known from a pivot calibration, and whose marker is tracked at every touch.
+//! A stylus with a pivot calibration, whose marker is tracked at every touch.
 
 use crate::SimulationError;
 use crate::draws::{Term, normal, normal3, stream};
@@ -11,10 +11,10 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};
 
-/// The true tip in the marker's frame, mm: the marker sits on the handle.
+/// The true tip in the marker's frame, mm: the marker is on the handle.
 pub(crate) const TIP: Point3<f64> = Point3::new(12.0, -4.0, 158.0);
 
-/// How far the hand tilts the stylus at a touch, standard deviation per axis, and spins it in the calibration.
+/// Standard deviation of the tilt at a touch, per axis, and maximum spin in the calibration.
 const TOUCH_TILT_RAD: f64 = 0.25;
 const SPIN_RAD: f64 = PI / 3.0;
 
@@ -24,7 +24,7 @@ pub(crate) struct Stylus<'a> {
     attitude: ChaCha8Rng,
     noise: ChaCha8Rng,
     n_touches: u64,
-    /// The tip that the calibration found.
+    /// The tip by the calibration.
     tip: Point3<f64>,
     /// Poses of the marker while it was turned about its tip.
     pub(crate) pivoting: Vec<Pose>,
@@ -33,7 +33,7 @@ pub(crate) struct Stylus<'a> {
 }
 
 impl<'a> Stylus<'a> {
-    /// Turns the stylus about its tip at `pivot` (world) during `span`, seconds, and solves for the tip.
+    /// Pivots the stylus about its tip at `pivot` (world) during `span`, seconds, and solves for the tip.
     pub(crate) fn calibrated(
         tracker: &'a Tracker<'a>,
         params: &StylusParams,
@@ -60,21 +60,21 @@ impl<'a> Stylus<'a> {
         Ok(Self { tracker, attitude, noise, n_touches: 0, tip: found.tip.into(), pivoting, touching: Vec::new() })
     }
 
-    /// Where the tip is told to be when it truly stands at `at` (world, the localiser's drift left out), held about along
-    /// `from`, the way from the tip to the hand.
+    /// The measured position of the tip that truly is at `at` (world, without the localiser's drift), held roughly
+    /// along `from`, the direction from the tip to the hand.
     pub(crate) fn touch(&mut self, at: &Point3<f64>, from: &Vector3<f64>, s: f64) -> Point3<f64> {
         self.n_touches += 1;
         let tilt = UnitQuaternion::from_scaled_axis(normal3(&mut self.attitude) * TOUCH_TILT_RAD);
         let spin = UnitQuaternion::from_scaled_axis(Vector3::z() * (SPIN_RAD * normal(&mut self.attitude)));
         let truth = with_tip_at(at, tilt * upright(from) * spin);
         let pose = self.tracker.sample(Marker::Stylus, &truth, self.n_touches, s, &mut self.noise);
-        let told = pose.isometry * self.tip;
+        let measured = pose.isometry * self.tip;
         self.touching.push(pose);
-        told
+        measured
     }
 }
 
-/// The attitude in which the marker lies towards `from`, seen from the tip.
+/// The attitude in which the marker is in direction `from`, seen from the tip.
 fn upright(from: &Vector3<f64>) -> UnitQuaternion<f64> {
     let half_turn = || UnitQuaternion::from_scaled_axis(Vector3::x() * PI);
     UnitQuaternion::rotation_between(&-TIP.coords, from).unwrap_or_else(half_turn)

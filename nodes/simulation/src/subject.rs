@@ -1,18 +1,18 @@
-//! What a procedure is simulated on: a bone and its plan.
+//! The subject of a simulated procedure: a bone and its plan.
 
 use crate::plan::{complete, plan_on};
 use crate::{BoneParams, SimulationError, bone};
 use osteoflow_algorithms::{mesh_query::MeshQuery, mesh_topology::open_edges};
 use osteoflow_geometry::{Mesh, SurgicalPlan};
 
-/// A bone with its plan. A cheap handle: what is built for searching the surface is shared.
+/// A bone with its plan. A cheap handle: the search structure of the surface is shared.
 #[derive(Clone)]
 pub struct Subject {
     /// The exact surface, closed, normals outward, frame `ct`.
     pub surface: MeshQuery,
-    /// What is planned on it: landmarks, assessment points, cuts, axes, anatomy, marker poses.
+    /// The plan: landmarks, assessment points, cuts, axes, anatomy, marker poses.
     pub plan: SurgicalPlan,
-    /// What was put right about the surface, one sentence each.
+    /// Corrections of the surface, one sentence each.
     pub notes: Vec<String>,
 }
 
@@ -28,13 +28,12 @@ impl Subject {
         Ok(Self { surface, plan, notes: Vec::new() })
     }
 
-    /// Any closed surface, with a plan or with an anatomy alone, from which the plan is then made. A surface whose faces
-    /// all turn inward, as a mirrored bone's do, is turned over.
+    /// Any closed surface, with a plan or with an anatomy alone, from which the plan is made. Missing axes and marker
+    /// poses are replaced by those of the bone and the built-in ones. A surface whose faces point inward, as those of a
+    /// mirrored bone, is turned inside out.
     ///
     /// # Errors
     /// [`SimulationError::NotClosed`]; and as [`crate::plan`], or [`SimulationError::NoAnatomy`].
-    ///
-    /// Where a plan lacks axes or the marker poses, the bone's axes and the built-in poses stand in.
     pub fn of(bone: Mesh, plan: SurgicalPlan) -> Result<Self, SimulationError> {
         let n_open_edges = open_edges(&bone);
         if n_open_edges > 0 {

@@ -1,27 +1,27 @@
-//! What else a camera sees in the wound: the bed that the bone lies in, its edges, and the skin that covers the rest.
+//! The surroundings of the bone in the wound: the bed, its edges, and the skin that covers the rest.
 
 use crate::bone::smoothstep;
 use crate::plan::section_centre;
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Anatomy, Mesh, SurfaceOrigin};
 
-/// Across the bone, how far the surroundings reach to either side, mm.
+/// Extent of the surroundings across the bone to either side, mm.
 const HALF_WIDTH_MM: f64 = 30.0;
-/// Beyond the stripped stretch, how far they reach along it, mm.
+/// Extent along the bone beyond the stripped stretch, mm.
 const BEYOND_MM: f64 = 25.0;
 /// Edge of the mesh's squares, mm.
 const STEP_MM: f64 = 1.5;
-/// The bed lies this far behind the bone's middle line, the skin this far before it, mm.
+/// Height of the bed and of the skin over the bone's centre line, towards the camera, mm.
 const BED_MM: f64 = -6.0;
 const SKIN_MM: f64 = 12.0;
-/// The bed is this wide on either side of the bone before it rises to the skin, and rises over this length, mm.
+/// Half width of the bed before it rises to the skin, and the length over which it rises, mm.
 const BED_HALF_WIDTH_MM: f64 = 12.0;
 const RISE_MM: f64 = 10.0;
 
-/// Soft tissue about the stripped stretch, as a surface open to the back, in the frame of `bone`: a bed beneath the
-/// bone, and skin over all that is not stripped. `None` if the stretch does not lie on the bone.
+/// Soft tissue around the stripped stretch, as a surface open to the back, in the frame of `bone`: a bed beneath the
+/// bone, and skin over the rest. `None` if the stretch is not on the bone.
 ///
-/// The same for every seed: it moves with the bone and is no error, but what a crop has to take away.
+/// It does not depend on the seed and moves with the bone; a crop has to remove it.
 pub(crate) fn surroundings(
     bone: &Mesh,
     anatomy: &Anatomy,
@@ -32,7 +32,7 @@ pub(crate) fn surroundings(
     let across = along.cross(towards_camera).normalize();
     let n_across = (2.0 * HALF_WIDTH_MM / STEP_MM).round() as usize + 1;
     let n_along = ((to_mm - from_mm + 2.0 * BEYOND_MM) / STEP_MM).ceil() as usize + 1;
-    // The middle line where the bone is stripped, straight between its ends.
+    // The centre line of the stripped stretch, straight between its ends.
     let (first, last) = (section_centre(bone, anatomy, from_mm)?, section_centre(bone, anatomy, to_mm)?);
     let mut vertices = Vec::with_capacity(n_along * n_across);
     for i in 0..n_along {

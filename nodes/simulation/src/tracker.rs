@@ -1,4 +1,4 @@
-//! The localiser: where things truly are over time, and what its samples say.
+//! The localiser: true poses over time, and their samples.
 
 use crate::bone::smoothstep;
 use crate::draws::{Term, direction, normal3, small_motion, stream};
@@ -8,7 +8,7 @@ use osteoflow_geometry::{Pose, StampNs};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// A rigid thing's way through the world: at rest but for some moves.
+/// The pose of a rigid object over time: at rest between moves.
 #[derive(Debug, Clone)]
 pub(crate) struct Path {
     start: Isometry3<f64>,
@@ -21,7 +21,7 @@ struct Move {
     to_s: f64,
     shift: Vector3<f64>,
     turn: Vector3<f64>,
-    /// In the thing's own frame.
+    /// In the object's frame.
     pivot: Point3<f64>,
 }
 
@@ -30,12 +30,13 @@ impl Path {
         Self { start, moves: Vec::new() }
     }
 
-    /// Adds a move after all others: `shift` (mm) and `turn` (rotation vector), both in world, about `pivot` of the thing.
+    /// Adds a move after all others: `shift` (mm) and `turn` (rotation vector), both in world, about `pivot` of the
+    /// object.
     pub(crate) fn then(&mut self, from_s: f64, to_s: f64, shift: Vector3<f64>, turn: Vector3<f64>, pivot: Point3<f64>) {
         self.moves.push(Move { from_s, to_s, shift, turn, pivot });
     }
 
-    /// Where it truly is, `s` seconds after the start.
+    /// The true pose, `s` seconds after the start.
     pub(crate) fn at(&self, s: f64) -> Isometry3<f64> {
         self.moves.iter().fold(self.start, |at, m| {
             let share = m.share(s);
@@ -47,7 +48,7 @@ impl Path {
         })
     }
 
-    /// Which of its resting places it is at, as the one before, the one after and how far between.
+    /// The index of the resting place, and the share of the move to the next one.
     fn place(&self, s: f64) -> (u64, f64) {
         let done = self.moves.iter().take_while(|m| s >= m.to_s).count();
         (done as u64, self.moves.get(done).map_or(0.0, |m| m.share(s)))
@@ -60,7 +61,7 @@ impl Move {
     }
 }
 
-/// The markers, as the number of their streams.
+/// The markers; the discriminant selects the random stream.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Marker {
     Camera = 0,
@@ -90,41 +91,41 @@ pub(crate) struct Tracker<'a> {
 }
 
 impl Tracker<'_> {
-    /// The stamp of a moment, `s` seconds after the start.
+    /// The stamp `s` seconds after the start.
     pub(crate) fn stamp(&self, s: f64) -> StampNs {
         self.start_ns + (s * 1e9).round() as StampNs
     }
 
-    /// The localiser's own drift: how its world has moved since the start.
+    /// Drift of the localiser's world since the start.
     pub(crate) fn drift(&self, s: f64) -> Vector3<f64> {
         let way = direction(&mut stream(self.seed, Term::TrackerDrift, 0));
         way * (self.params.drift_mm_per_min * s / 60.0)
     }
 
-    /// Samples of `marker`, which sits at `t_thing_marker` (a function of the time) on what moves along `path`, during `spans` (seconds, apart and in
-    /// order), as `t_world_marker`. Lost samples are absent.
+    /// Samples of `marker` as `t_world_marker`, during `spans` (seconds, disjoint and in order). The marker is at
+    /// `t_object_marker` (a function of time) on an object that moves along `path`. Lost samples are absent.
     pub(crate) fn samples(
         &self,
         marker: Marker,
         path: &Path,
-        t_thing_marker: impl Fn(f64) -> Isometry3<f64>,
+        t_object_marker: impl Fn(f64) -> Isometry3<f64>,
         spans: &[(f64, f64)],
     ) -> Vec<Pose> {
-        self.samples_of(marker, marker as u64, path, t_thing_marker, |s| self.placement(marker, path, s), spans)
+        self.samples_of(marker, marker as u64, path, t_object_marker, |s| self.placement(marker, path, s), spans)
     }
 
-    /// The same of a thing that rests at its `place`-th place, with draws of that place's own.
+    /// Samples of a marker on an object that rests at its `place`-th place, with random streams of that place.
     pub(crate) fn samples_at_place(
         &self,
         marker: Marker,
         place: u64,
         path: &Path,
-        t_thing_marker: impl Fn(f64) -> Isometry3<f64>,
+        t_object_marker: impl Fn(f64) -> Isometry3<f64>,
         spans: &[(f64, f64)],
     ) -> Vec<Pose> {
         let (shift, turn) = self.placement_at(marker, place);
         let item = (marker as u64) << 16 | place;
-        self.samples_of(marker, item, path, t_thing_marker, |_| Isometry3::new(shift, turn), spans)
+        self.samples_of(marker, item, path, t_object_marker, |_| Isometry3::new(shift, turn), spans)
     }
 
     fn samples_of(
@@ -132,7 +133,7 @@ impl Tracker<'_> {
         marker: Marker,
         item: u64,
         path: &Path,
-        t_thing_marker: impl Fn(f64) -> Isometry3<f64>,
+        t_object_marker: impl Fn(f64) -> Isometry3<f64>,
         placement: impl Fn(f64) -> Isometry3<f64>,
         spans: &[(f64, f64)],
     ) -> Vec<Pose> {
@@ -141,7 +142,7 @@ impl Tracker<'_> {
         let period_s = 1.0 / self.params.rate_hz;
         let mut samples = Vec::new();
         for &(from_s, to_s) in spans {
-            // The localiser's clock runs on between spans, and is not in step with the camera's.
+            // The localiser's clock continues between spans and is not synchronous with the camera's.
             let first = (from_s / period_s).ceil() as i64;
             let last = (to_s / period_s).floor() as i64;
             for tick in first..=last {
@@ -150,7 +151,7 @@ impl Tracker<'_> {
                 if loss.random::<f64>() < self.params.lost {
                     continue;
                 }
-                let truth = path.at(s) * t_thing_marker(s);
+                let truth = path.at(s) * t_object_marker(s);
                 let seen = Translation3::from(self.drift(s)) * truth * placement(s) * jitter;
                 samples.push(Pose::new("world", marker.frame(), seen).at(self.stamp(s)));
             }
@@ -158,7 +159,7 @@ impl Tracker<'_> {
         samples
     }
 
-    /// The constant error of a marker where it rests; on its way to the next place one goes over into the other.
+    /// The constant error of a marker at rest, interpolated during a move between those of both places.
     fn placement(&self, marker: Marker, path: &Path, s: f64) -> Isometry3<f64> {
         let (place, share) = path.place(s);
         let (mut shift, mut turn) = self.placement_at(marker, place);
@@ -169,14 +170,15 @@ impl Tracker<'_> {
         Isometry3::new(shift, turn)
     }
 
-    /// Shift and turn of a marker's constant error at one of its places.
+    /// Shift and rotation of a marker's constant error at one of its places.
     fn placement_at(&self, marker: Marker, place: u64) -> (Vector3<f64>, Vector3<f64>) {
         let mut rng = stream(self.seed, Term::TrackerPlacement, (marker as u64) << 16 | place);
         let shift = normal3(&mut rng) * self.params.placement_mm;
         (shift, normal3(&mut rng) * self.params.placement_deg.to_radians())
     }
 
-    /// One sample of a marker that truly is at `t_world_marker`, at its `place`-th place; `noise` is the marker's stream.
+    /// One sample of a marker that truly is at `t_world_marker`, at its `place`-th place; `noise` is the marker's
+    /// stream.
     pub(crate) fn sample(
         &self,
         marker: Marker,
@@ -192,7 +194,7 @@ impl Tracker<'_> {
     }
 }
 
-/// Where in its period the localiser samples, so that no sample's stamp is a cloud's.
+/// Phase of the samples within the period, so that no sample has the stamp of a cloud.
 const PHASE: f64 = 0.37;
 
 #[cfg(test)]
@@ -228,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn white_noise_and_lost_samples_are_as_large_as_asked_for() {
+    fn white_noise_and_lost_samples_are_as_large_as_requested() {
         let params = TrackerParams { noise_mm: 0.03, noise_deg: 0.0115, lost: 0.03, ..quiet() };
         let rest = Path::resting(Isometry3::translation(100.0, 0.0, 0.0));
         let samples = tracker(&params, 5).samples(Marker::Bone, &rest, |_| Isometry3::identity(), &[(0.0, 500.0)]);
@@ -245,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn a_placement_errs_alike_in_every_sample_and_anew_after_a_move() {
+    fn the_error_of_a_placement_is_constant_until_the_next_move() {
         let params = TrackerParams { placement_mm: 0.06, placement_deg: 0.023, ..quiet() };
         let (mut square_mm, mut square_deg) = (0.0, 0.0);
         const RUNS: u64 = 400;

@@ -8,11 +8,11 @@ use std::f64::consts::TAU;
 
 const N_WAVES: usize = 24;
 
-/// A sum of plane waves without a preferred direction: almost normally distributed, mean 0, standard deviation 1.
+/// A sum of plane waves of uniformly distributed directions: nearly normal, mean 0, standard deviation 1.
 pub(crate) struct Waves(Vec<(Vector3<f64>, f64)>);
 
 impl Waves {
-    /// Wavelengths from half of `wavelength_mm` to twice as much.
+    /// Wavelengths from half to twice `wavelength_mm`.
     pub(crate) fn new(rng: &mut ChaCha8Rng, wavelength_mm: f64) -> Self {
         let wave = |_| {
             let wavelength_mm = wavelength_mm * 2f64.powf(2.0 * rng.random::<f64>() - 1.0);
@@ -21,7 +21,7 @@ impl Waves {
         Self((0..N_WAVES).map(wave).collect())
     }
 
-    /// The field at a point, times `scale`; 0 without a look where `scale` is.
+    /// The field at a point times `scale`, not evaluated if `scale` is 0.
     pub(crate) fn scaled(&self, scale: f64, point: &Point3<f64>) -> f64 {
         if scale == 0.0 {
             return 0.0;

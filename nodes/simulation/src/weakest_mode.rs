@@ -1,4 +1,4 @@
-//! How far a bone lets a registration slide along it.
+//! The weakest mode of a bone: how far a registration slides along it.
 
 use crate::camera::{DepthBias, Sight, Stretch, view};
 use crate::params::{CameraParams, ProcedureParams};
@@ -9,43 +9,43 @@ use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Anatomy, Cloud, Mesh};
 use rand::RngExt;
 
-/// The smooth surface errors whose effect is asked for.
+/// The smooth surface errors to be drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SmoothError {
     /// RMS of the error along the normal, over the points, mm.
     pub rms_mm: f64,
-    /// Standard deviation of the bumps that it consists of, mm.
+    /// Standard deviation of its Gaussian bumps, mm.
     pub bump_mm: f64,
-    /// How many errors are drawn.
+    /// Number of draws.
     pub n_draws: usize,
 }
 
 impl Default for SmoothError {
-    /// 0.3 mm in bumps of 8 mm, 400 draws (which give the RMS within 4 %).
+    /// 0.3 mm in bumps of 8 mm, 400 draws, for an RMS within 4 %.
     fn default() -> Self {
         Self { rms_mm: 0.3, bump_mm: 8.0, n_draws: 400 }
     }
 }
 
-/// What a smooth surface error does to a point-to-plane registration, over many draws.
+/// The effect of smooth surface errors on a point-to-plane registration, over many draws.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WeakestMode {
     /// RMS of the slide along the bone, mm.
     pub slide_mm: f64,
     /// RMS of the shift across the bone, mm.
     pub across_mm: f64,
-    /// RMS of the spin about the bone, radians.
+    /// RMS of the rotation about the bone, radians.
     pub spin_rad: f64,
-    /// How many points hold the surface.
+    /// Number of points.
     pub n_points: usize,
 }
 
-/// How far point-to-plane slides along `axis` when the surface errs smoothly: `None` if the points leave the pose open
-/// (a cylinder, say).
+/// The response of point-to-plane along `axis` to smooth surface errors; `None` if the points do not determine the
+/// pose, as on a cylinder.
 ///
-/// Linearised: with rows `[(p - c) x n, n]` the pose answers an error field e with the least-squares solution of
-/// `row . x = e`. The field is a sum of normal-curve bumps about points of the surface with random heights, scaled to the
-/// asked RMS. Slide and shift are told at the points' centroid c. `O(n_draws * n)`.
+/// Linearised: with rows `[(p - c) x n, n]` the response to an error field e is the least-squares solution of `row . x
+/// = e`. The field is a sum of Gaussian bumps at points of the surface with random heights, scaled to the given RMS.
+/// Slide and shift are those of the points' centroid c. `O(n_draws * n)`.
 pub fn weakest_mode(
     points: &[Point3<f64>],
     normals: &[Vector3<f64>],
@@ -58,7 +58,7 @@ pub fn weakest_mode(
         return None;
     }
     let centroid = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / n as f64;
-    // Turns are measured at 10 mm, so that all six unknowns are of one kind.
+    // Rotations are scaled by 10 mm, so that all six unknowns are lengths.
     const LEVER_MM: f64 = 10.0;
     let rows: Vec<Vector6<f64>> = points
         .iter()
@@ -77,7 +77,7 @@ pub fn weakest_mode(
 
     let reach = 3.0 * error.bump_mm;
     let extent = points.iter().map(|p| (p.coords - centroid).norm()).fold(0.0, f64::max);
-    // Enough bumps that about four overlap along the bone.
+    // About four bumps overlap along the bone.
     let n_bumps = (8.0 * extent / error.bump_mm).ceil().clamp(8.0, 200.0) as usize;
     let (mut slide, mut across, mut spin) = (0.0, 0.0, 0.0);
     for draw in 0..error.n_draws {
@@ -112,10 +112,10 @@ pub fn weakest_mode(
     Some(WeakestMode { slide_mm: mean(slide), across_mm: mean(across), spin_rad: mean(spin), n_points: n })
 }
 
-/// What the camera sees of the stripped bone, without any error: points and outward normals in the frame of `bone`.
+/// The stripped bone as seen by the camera without errors: points and outward normals in the frame of `bone`.
 ///
 /// # Errors
-/// [`SimulationError::NothingVisible`] or [`SimulationError::NoSection`] if the stretch does not lie on the bone.
+/// [`SimulationError::NothingVisible`] or [`SimulationError::NoSection`] if the stretch is not on the bone.
 pub fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) -> Result<Cloud, SimulationError> {
     let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
     let nothing = SimulationError::NothingVisible { what: "bone", hint };

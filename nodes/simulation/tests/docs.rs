@@ -14,7 +14,7 @@ fn rows(schema: &Value, of: &Value, prefix: &str, out: &mut String) {
     for (name, property) in of["properties"].as_object().unwrap() {
         let reference = property["$ref"].as_str().or_else(|| property["allOf"][0]["$ref"].as_str());
         let inner = reference.map(|reference| &schema["$defs"][reference.rsplit('/').next().unwrap()]);
-        // A word of several is a number's like; a table has rows of its own.
+        // An enum is a value like a number; a table has its own rows.
         if let Some(inner) = inner.filter(|inner| inner["properties"].is_object()) {
             rows(schema, inner, &format!("{prefix}{name}."), out);
             continue;

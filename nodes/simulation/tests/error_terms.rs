@@ -23,7 +23,7 @@ fn t_ct_camera(procedure: &Procedure) -> Isometry3<f64> {
 type Switch = fn(&mut ProcedureParams);
 
 #[test]
-fn switching_one_term_on_or_off_leaves_what_the_others_drew_as_it_was() {
+fn switching_one_term_on_or_off_does_not_change_the_others() {
     let full = simulate(&ProcedureParams::default(), 7);
     // Each with what of the procedure it may change; everything else is the same to the bit.
     let terms: [(&str, Switch, &[&str]); 20] = [
@@ -268,7 +268,7 @@ fn a_pivot_calibration_finds_the_tip_and_touches_err_by_what_it_leaves() {
     let without = simulate(&params, 8);
     let truth = &without.truth;
     for (touch, hole) in without.stylus_assessment.points.iter().zip(truth.assessment_world.points.iter()) {
-        assert!((touch.position - hole.position).norm() < 1e-8, "no error, none told");
+        assert!((touch.position - hole.position).norm() < 1e-8, "no error, none measured");
     }
     assert_eq!((without.stylus_pivoting.len(), without.stylus_marker.len()), (30, 3 + 5 + 300));
     for (pose, touch) in without.stylus_marker.iter().skip(3).zip(without.stylus_assessment.points.iter()) {
@@ -295,7 +295,7 @@ fn small() -> osteoflow_simulation::CameraParams {
 }
 
 #[test]
-fn the_check_piece_is_carried_by_the_true_calibration_onto_its_holes() {
+fn the_true_calibration_maps_the_check_piece_onto_its_holes() {
     let mut params = exact();
     params.phantom.distance_mm = Some(300.0);
     let procedure = simulate(&params, 9);
@@ -315,7 +315,7 @@ fn the_check_piece_is_carried_by_the_true_calibration_onto_its_holes() {
 }
 
 #[test]
-fn a_scan_seed_holds_the_ct_and_bumps_and_smoothing_change_it_as_asked() {
+fn a_scan_seed_fixes_the_ct_and_bumps_and_smoothing_change_it_as_requested() {
     let bone = simulate(&ProcedureParams { camera: small(), ..exact() }, 1).truth.bone;
     let ct = |change: fn(&mut CtParams), seed: u64| {
         let mut params = CtParams { scan_seed: Some(5), ..CtParams::default() };

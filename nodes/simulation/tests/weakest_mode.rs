@@ -1,6 +1,7 @@
-//! How far a smooth surface error makes a registration slide along the bone: the built-in bone beside measured ones.
+//! The weakest mode of the built-in bone beside those of measured ones.
 //!
-//! `cargo test --release -p osteoflow-simulation --test weakest_mode -- --nocapture` prints the table of docs/simulation.md.
+//! `cargo test --release -p osteoflow-simulation --test weakest_mode -- --nocapture` prints the table of
+//! docs/simulation.md.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
@@ -69,11 +70,11 @@ fn cone(half_angle: f64) -> (Vec<Point3<f64>>, Vec<Vector3<f64>>) {
 }
 
 #[test]
-fn the_blunter_a_cone_the_less_it_slides_and_what_spins_freely_has_no_answer() {
+fn blunter_cones_slide_less_and_a_round_cone_has_no_answer() {
     let axis = Vector3::z_axis();
     let squashed = |half_angle: f64| {
         let (points, normals) = cone(half_angle);
-        // Squashing makes an oval section, whose spin is held; normals go by the inverse.
+        // Squashing makes the section oval, which determines the rotation; normals transform by the inverse.
         let points: Vec<_> = points.iter().map(|p| Point3::new(1.6 * p.x, p.y, p.z)).collect();
         let normals: Vec<_> = normals.iter().map(|n| Vector3::new(n.x / 1.6, n.y, n.z).normalize()).collect();
         weakest_mode(&points, &normals, &axis, &SmoothError { n_draws: 100, ..SmoothError::default() }, 1)

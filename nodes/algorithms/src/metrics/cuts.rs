@@ -66,11 +66,12 @@ pub fn cuts(planned: &Planes, achieved: &Planes, axes: &Axes, bone: Option<&Mesh
     let mut cuts = Vec::new();
     let mut middles = Vec::new();
     for plane in planned.planes.iter() {
-        let counterpart = achieved.planes.iter().find(|p| p.name == plane.name).ok_or_else(|| MetricsError::Unpaired {
-            name: plane.name.to_string(),
-            side: "achieved",
-            found: achieved.planes.iter().map(|p| &*p.name).collect::<Vec<_>>().join(", "),
-        })?;
+        let counterpart =
+            achieved.planes.iter().find(|p| p.name == plane.name).ok_or_else(|| MetricsError::Unpaired {
+                name: plane.name.to_string(),
+                side: "achieved",
+                found: achieved.planes.iter().map(|p| &*p.name).collect::<Vec<_>>().join(", "),
+            })?;
         let (plan, cut) = (known(plane)?, known(counterpart)?);
         let middle = bone.and_then(|bone| section::middle(bone, plan, Some(REACH_MM)));
         let at = middle.unwrap_or_else(|| plan * Point3::origin());

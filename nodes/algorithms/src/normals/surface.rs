@@ -150,7 +150,7 @@ impl Distinct {
     }
 }
 
-/// Normals of all points and edges between neighbours if asked for, by chunks along the curve.
+/// Normals of all points, and edges between neighbours if `with_edges`, by chunks along the curve.
 fn fit_all(blocks: &PointBlocks, along: &[Vector3<f64>], with_edges: bool) -> (Vec<Vec<Normal>>, Vec<Vec<Edge>>) {
     let n = along.len();
     (0..n.div_ceil(CHUNK))
@@ -233,19 +233,19 @@ impl<'a> Fitting<'a> {
         1
     }
 
-    /// The first of these points, at most so many and in a box at most so many radii wide, with the box.
-    fn together(&self, points: Range<usize>, (most, radii): (usize, f64)) -> (Range<usize>, Aabb) {
+    /// The first of these points, limited in number and in the width of their box, with that box.
+    fn together(&self, points: Range<usize>, (max_len, max_radii): (usize, f64)) -> (Range<usize>, Aabb) {
         let first = self.along[points.start];
         let mut bounds = Aabb { min: first, max: first };
-        for k in points.start + 1..points.end.min(points.start + most) {
+        for k in points.start + 1..points.end.min(points.start + max_len) {
             let place = self.along[k];
             let wider = Aabb { min: bounds.min.inf(&place), max: bounds.max.sup(&place) };
-            if (wider.max - wider.min).max() > radii * self.radius {
+            if (wider.max - wider.min).max() > max_radii * self.radius {
                 return (points.start..k, bounds);
             }
             bounds = wider;
         }
-        (points.start..points.end.min(points.start + most), bounds)
+        (points.start..points.end.min(points.start + max_len), bounds)
     }
 
     /// Gathers the blocks of points that may lie within the radius of a run's box.

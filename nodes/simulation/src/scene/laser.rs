@@ -1,4 +1,4 @@
-//! Where the laser points, and what of a scan its spot takes.
+//! The laser spots and their holes.
 
 use super::{Scene, laser_s, ruler::beside};
 use crate::SimulationError;
@@ -8,12 +8,12 @@ use crate::params::LaserDisc;
 use nalgebra::{Point3, Unit, UnitQuaternion};
 use osteoflow_geometry::Points;
 
-/// A hole that looks smaller on the screen than this share of the laser's disc is a sliver, which nobody would take for
-/// the spot. Assumed, after seeing below which share our detector loses spots on the third built-in bone.
-const SLIVER: f64 = 1.0 / 3.0;
+/// Minimum visible share of the laser's disc at which a surgeon accepts the hole. Assumed: below it our detector loses
+/// spots on the third built-in bone.
+const MIN_VISIBLE_SHARE: f64 = 1.0 / 3.0;
 
 impl Scene<'_> {
-    /// The hole about the `k`-th spot, camera frame.
+    /// The hole around the `k`-th spot, camera frame.
     pub(super) fn hole(&self, k: usize, spot: &Point3<f64>) -> Hole {
         let laser = &self.params.laser;
         let beam = match laser.disc {
@@ -27,25 +27,25 @@ impl Scene<'_> {
         Hole { spot: *spot, radius_mm: laser.hole_radius_mm, beam }
     }
 
-    /// Where the laser truly points, frame of the bone: the marks, off by the aim across and along the bone.
+    /// The true laser spots, frame of the bone: the marks with the aiming error across and along the bone.
     ///
-    /// Whoever points sees the hole on the screen. Where that is a sliver, because the bone turns away or ends, the mark
-    /// is aimed at anew as often as is allowed; of slivers, the largest is left.
+    /// A spot is aimed at again, up to `max_attempts`, while the visible share of its hole is too small, because the
+    /// bone turns away or ends; the best attempt counts.
     pub(super) fn laser_spots(&self) -> Result<Points, SimulationError> {
         let aim = &self.params.laser;
         let spots = self.laser_marks.points.iter().enumerate().map(|(k, mark)| {
             let mut rng = stream(self.seed, Term::LaserAim, k as u64);
-            let mut pointed = || {
+            let mut aim_at = || {
                 let (across, along) = (normal(&mut rng) * aim.aim_across_mm, normal(&mut rng) * aim.aim_along_mm);
                 beside(mark, across, along, self.bone_surface, self.anatomy)
             };
-            let mut best = pointed()?;
+            let mut best = aim_at()?;
             let mut most = self.hole_share(k, &best.position);
             for _ in 1..aim.max_attempts {
-                if most >= SLIVER {
+                if most >= MIN_VISIBLE_SHARE {
                     break;
                 }
-                let spot = pointed()?;
+                let spot = aim_at()?;
                 let share = self.hole_share(k, &spot.position);
                 if share > most {
                     (best, most) = (spot, share);
@@ -56,7 +56,7 @@ impl Scene<'_> {
         Ok(Points::new(&self.bone.frame, spots.collect::<Result<Vec<_>, SimulationError>>()?))
     }
 
-    /// How large the `k`-th hole looks on the screen if the laser points there, frame of the bone.
+    /// The visible share of the `k`-th hole for a spot in the frame of the bone.
     fn hole_share(&self, k: usize, spot: &Point3<f64>) -> f64 {
         let t_ct_camera = self.t_ct_camera(laser_s(k));
         let hole = self.hole(k, &t_ct_camera.inverse_transform_point(spot));
@@ -71,7 +71,7 @@ mod tests {
     use crate::{BoneParams, LaserParams, ProcedureParams};
 
     #[test]
-    fn the_laser_misses_across_and_along_the_bone_by_as_much_as_asked_for_and_stays_on_it() {
+    fn the_aiming_error_is_as_large_as_requested_and_spots_stay_on_the_bone() {
         let params = ProcedureParams {
             laser: LaserParams { aim_across_mm: 0.3, aim_along_mm: 0.7, ..LaserParams::default() },
             ..small_and_exact()
@@ -89,13 +89,13 @@ mod tests {
         });
         let along = rms(along_and_across.iter().flatten().map(|(along, _)| *along));
         let across = rms(along_and_across.iter().flatten().map(|(_, across)| *across));
-        // Four standard errors over 1,200 draws are 8 %; carrying a spot back onto the bone changes it by a little more.
+        // Four standard errors over 1,200 draws are 8 %; moving a spot back onto the bone changes it by a little more.
         assert!((along - 0.7).abs() < 0.07, "{along} mm along");
         assert!((across - 0.3).abs() < 0.04, "{across} mm across");
     }
 
     #[test]
-    fn a_mark_is_aimed_at_anew_only_where_its_hole_is_a_sliver_and_the_hole_is_then_larger() {
+    fn a_mark_is_aimed_at_again_only_if_its_hole_is_too_small_and_the_hole_is_then_larger() {
         // The third built-in bone is the narrowest at its marks.
         let bone = BoneParams { shape_seed: 3, ..BoneParams::default() };
         let params = |max_attempts| ProcedureParams {
@@ -110,13 +110,13 @@ mod tests {
                 [0, 1, 2].map(|k| (spots.points[k].position, share(k)))
             })
         };
-        let (mut n_slivers, mut n_moved) = (0, 0);
+        let (mut n_small, mut n_moved) = (0, 0);
         for ((first, one), (best, three)) in spots(1).into_iter().flatten().zip(spots(3).into_iter().flatten()) {
-            n_slivers += usize::from(one < SLIVER);
+            n_small += usize::from(one < MIN_VISIBLE_SHARE);
             n_moved += usize::from(first != best);
             assert!(three > one || first == best, "{one} of the disc was seen, then {three}");
-            assert!(one < SLIVER || first == best, "{one} of the disc was seen");
+            assert!(one < MIN_VISIBLE_SHARE || first == best, "{one} of the disc was seen");
         }
-        assert!(n_moved * 2 > n_slivers && n_slivers > 40, "{n_moved} of {n_slivers} slivers are larger");
+        assert!(n_moved * 2 > n_small && n_small > 40, "{n_moved} of {n_small} small holes became larger");
     }
 }

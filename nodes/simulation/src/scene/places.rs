@@ -1,4 +1,4 @@
-//! Where the camera, the phantom and the bone's marker stand.
+//! Poses of the camera, the bone, the phantom and the bone's marker.
 
 use crate::ProcedureParams;
 use crate::draws::{Term, attitude, direction, normal, normal3, stream};
@@ -8,13 +8,13 @@ use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Anatomy, Mesh};
 use rand_chacha::ChaCha8Rng;
 
-/// The direction from the bone to the camera as planned, of unit length.
+/// The nominal direction from the bone to the camera, of unit length.
 pub(super) fn towards_camera(anatomy: &Anatomy, params: &ProcedureParams) -> Vector3<f64> {
     let azimuth = params.camera.view_azimuth_deg.to_radians();
     (*anatomy.lateral * azimuth.cos() + *anatomy.posterior * azimuth.sin()).normalize()
 }
 
-/// `t_ct_camera` of the scans: at working distance from the surface, x along the bone, held about as planned.
+/// `t_ct_camera` of the scans: at working distance from the surface, x along the bone, with the error of a hand.
 pub(crate) fn scan_pose(
     surface: &MeshQuery,
     anatomy: &Anatomy,
@@ -26,7 +26,7 @@ pub(crate) fn scan_pose(
     const OUTSIDE_MM: f64 = 60.0;
     let from = focus + towards_camera * OUTSIDE_MM;
     let on_surface = surface.cast_ray(&from, &-towards_camera)?.point;
-    // Camera z looks at the bone, x runs proximally, y = z x x.
+    // Camera z points to the bone, x is proximal, y = z x x.
     let z = -towards_camera;
     let looking = frame_along(&z, &z.cross(&anatomy.proximal));
     let held = normal3(&mut stream(seed, Term::Setup, 1)) * params.camera.view_spread_deg.to_radians();
@@ -41,13 +41,13 @@ pub(super) fn bone_pose(focus: &Point3<f64>, rng: &mut ChaCha8Rng) -> Isometry3<
     Translation3::from(place) * attitude(rng) * Translation3::from(-focus.coords)
 }
 
-/// How the camera differs between its places at the bone and at the phantom.
-pub(super) fn carried(rng: &mut ChaCha8Rng) -> Isometry3<f64> {
+/// The camera's pose at the phantom relative to that at the bone.
+pub(super) fn camera_offset_at_phantom(rng: &mut ChaCha8Rng) -> Isometry3<f64> {
     Isometry3::new(normal3(rng) * 60.0, normal3(rng) * 0.2)
 }
 
-/// `t_camera_phantom`: a corner of the phantom towards the camera, so that three faces with blocks are seen, its middle
-/// a tenth beyond the working distance.
+/// `t_camera_phantom`: a corner of the phantom towards the camera, so that three faces with blocks are seen, half its
+/// radius beyond `phantom.distance_mm`.
 pub(super) fn phantom_pose(phantom: &Mesh, params: &ProcedureParams, rng: &mut ChaCha8Rng) -> Isometry3<f64> {
     let toward = Vector3::new(1.0, 1.0, 1.0).normalize();
     let corner_on = UnitQuaternion::rotation_between(&toward, &-Vector3::z())
@@ -60,7 +60,7 @@ pub(super) fn phantom_pose(phantom: &Mesh, params: &ProcedureParams, rng: &mut C
     Translation3::from(Vector3::new(0.0, 0.0, away) + aside) * held * corner_on
 }
 
-/// `t_ct_bone_marker`: on a pin in the bone's proximal part, 110 mm beyond the middle of the scan and 45 mm off the bone.
+/// `t_ct_bone_marker`: on a pin in the bone's proximal part, 110 mm from the centre of the scan and 45 mm off the bone.
 pub(super) fn bone_marker_pose(anatomy: &Anatomy, focus: &Point3<f64>, rng: &mut ChaCha8Rng) -> Isometry3<f64> {
     let place = focus + *anatomy.proximal * 110.0 + *anatomy.lateral * 45.0;
     Isometry3::from_parts(place.into(), attitude(rng))

@@ -1,4 +1,4 @@
-//! The marks on the bone: the planned points, off by what a ruler errs.
+//! The marks on the bone: the planned points with the errors of a ruler.
 
 use crate::draws::{Term, normal, stream};
 use crate::{RulerParams, SimulationError};
@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Anatomy, NamedPoint, Points};
 
-/// What marks planned points on the bone.
+/// Marks planned points on the bone.
 pub(super) struct Ruler<'a> {
     pub(super) params: &'a RulerParams,
     pub(super) surface: &'a MeshQuery,
@@ -15,7 +15,7 @@ pub(super) struct Ruler<'a> {
 }
 
 impl Ruler<'_> {
-    /// The marks of planned points, `first` other points before them having theirs.
+    /// The marks of planned points, of which the first is the `first`-th of the plan.
     pub(super) fn marks(&self, planned: &Points, first: usize) -> Result<Points, SimulationError> {
         let RulerParams { shared_mm, each_mm, across_mm } = *self.params;
         if [shared_mm, each_mm, across_mm] == [0.0; 3] {
@@ -31,7 +31,7 @@ impl Ruler<'_> {
     }
 }
 
-/// The place of the surface so far across and along the bone from a point on it.
+/// The surface point at a distance across and along the bone from a point on it.
 pub(super) fn beside(
     point: &NamedPoint,
     across_mm: f64,

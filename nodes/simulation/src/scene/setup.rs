@@ -1,6 +1,6 @@
 //! Poses, marks and motions of a procedure, drawn from the seed.
 
-use super::places::{bone_marker_pose, bone_pose, carried, phantom_pose, scan_pose, towards_camera};
+use super::places::{bone_marker_pose, bone_pose, camera_offset_at_phantom, phantom_pose, scan_pose, towards_camera};
 use super::ruler::Ruler;
 use super::{CALIBRATION_S, LASER_EVERY_S, MOTION_S, PALPATION_RATE_HZ, SCAN_S, Scene, TOUCH_EVERY_S};
 use crate::draws::{Term, direction, small_motion, stream};
@@ -26,7 +26,7 @@ impl<'a> Scene<'a> {
         let bone = bone_surface.mesh();
         let anatomy = anatomy_of(plan, bone)?;
         let untracked = params.tracker.none;
-        // A seed stands for the draws in this order: bone, way from the phantom, phantom, bone marker.
+        // The order of the draws determines what a seed gives: bone, camera offset, phantom, bone marker.
         let rng = &mut stream(seed, Term::Setup, 0);
 
         let middle_mm = (params.camera.scan_from_mm + params.camera.scan_to_mm) / 2.0;
@@ -38,10 +38,10 @@ impl<'a> Scene<'a> {
         let t_world_ct = if untracked { t_ct_camera.inverse() } else { t_world_ct };
         let around = surroundings_of(bone, anatomy, params)?;
 
-        let before = carried(rng);
-        let before = if untracked { Isometry3::identity() } else { before };
+        let offset = camera_offset_at_phantom(rng);
+        let offset = if untracked { Isometry3::identity() } else { offset };
         let at_bone = t_world_ct * t_ct_camera;
-        let mut camera = Path::resting(at_bone * before);
+        let mut camera = Path::resting(at_bone * offset);
         let phantom_path = Path::resting(camera.at(0.0) * phantom_pose(phantom, params, rng));
         carry_to_bone(&mut camera, &at_bone);
 

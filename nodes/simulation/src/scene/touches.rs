@@ -1,4 +1,4 @@
-//! What the stylus touches: the marks, the assessment holes, and the stripped surface.
+//! The touches of the stylus: marks, assessment holes, and the stripped surface.
 
 use super::{CALIBRATION_S, PALPATION_RATE_HZ, SCAN_S, Scene, TOUCH_EVERY_S, places::towards_camera};
 use crate::SimulationError;
@@ -10,7 +10,7 @@ use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{NamedPoint, Points, Pose};
 use rand::RngExt;
 
-/// Every touch of a procedure, as it was recorded.
+/// The recorded touches of a procedure.
 pub(super) struct Touches {
     pub(super) init: Points,
     pub(super) assessment: Points,
@@ -27,7 +27,7 @@ impl Default for Touches {
 }
 
 impl Scene<'_> {
-    /// Every touch of the stylus: first the marks, then the holes, then the surface.
+    /// Touches the marks, then the holes, then the surface.
     pub(super) fn touches(
         &self,
         tracker: &Tracker<'_>,
@@ -37,7 +37,7 @@ impl Scene<'_> {
         let params = &self.params.stylus;
         let tip = normal3(&mut stream(self.seed, Term::StylusCalibration, 0)) * params.tip_mm;
         let bias = normal3(&mut stream(self.seed, Term::PalpationBias, 0)) * params.palpation_bias_mm;
-        // Turned about its tip beside the phantom, while the camera is carried.
+        // Pivoted beside the phantom, while the camera is carried to the bone.
         let dimple = self.phantom_path.at(CALIBRATION_S) * Point3::new(120.0, 0.0, 0.0);
         let mut tracked = match params.pivot_poses {
             0 => None,
@@ -46,11 +46,11 @@ impl Scene<'_> {
         let towards_hand = towards_camera(self.anatomy, self.params);
         let mut touch = |name: &str, point_ct: &Point3<f64>, s: f64, error: Vector3<f64>| {
             let at = self.bone_path.at(s) * point_ct;
-            let told = match &mut tracked {
+            let measured = match &mut tracked {
                 None => at + tracker.drift(s) + tip + error,
                 Some(stylus) => stylus.touch(&(at + error), &(self.bone_path.at(s) * towards_hand), s),
             };
-            NamedPoint { stamp_ns: tracker.stamp(s), ..NamedPoint::new(name, told) }
+            NamedPoint { stamp_ns: tracker.stamp(s), ..NamedPoint::new(name, measured) }
         };
         let mut rng = stream(self.seed, Term::StylusTouch, 0);
         let n_landmarks = self.plan.landmarks.points.len();
@@ -87,7 +87,7 @@ mod tests {
     use crate::{ProcedureParams, StylusParams};
 
     #[test]
-    fn a_touch_errs_by_the_tip_alike_and_by_the_hand_anew() {
+    fn touches_share_the_error_of_the_tip_and_have_their_own_of_the_hand() {
         let stylus = StylusParams { tip_mm: 0.1, touch_mm: 0.2, n_palpated: 0, ..small_and_exact().stylus };
         let params = ProcedureParams { stylus, ..small_and_exact() };
         let off = over_seeds(&params, |scene, seen| {
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn palpated_points_err_by_a_common_and_a_fresh_part() {
+    fn palpated_points_have_a_common_and_an_independent_error() {
         let stylus = StylusParams { palpation_bias_mm: 0.3, palpation_mm: 0.25, ..small_and_exact().stylus };
         let params = ProcedureParams { stylus, ..small_and_exact() };
         let (common, fresh): (Vec<f64>, Vec<f64>) = over_seeds(&params, |scene, seen| {
@@ -113,7 +113,7 @@ mod tests {
             let t_ct_world = scene.bone_path.at(scene.touches_s).inverse();
             let touched = scene.touches(&tracker, &scene.plan.landmarks, seen).unwrap().palpation;
             assert_eq!(touched.points.len(), 300);
-            // The nearest of the pixels that the points were taken from is not the one: the same draws give it again.
+            // The same draws give the pixels again; the nearest pixel need not be the one.
             let mut place = stream(scene.seed, Term::PalpationPlace, 0);
             let off: Vec<Vector3<f64>> = touched
                 .points

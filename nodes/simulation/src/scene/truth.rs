@@ -1,4 +1,4 @@
-//! What really was in a procedure.
+//! The truth of a procedure.
 
 use super::{CALIBRATION_S, SCAN_S, Scene, laser_s};
 use crate::tracker::Tracker;
