@@ -40,6 +40,7 @@ impl HasPosition for Corner {
 
 /// The faces inside loops; `None` unless every edge of a loop has a face on its left and none on its right, as where
 /// loops cross, touch in more than vertices, or run the wrong way round.
+#[allow(clippy::map_entry, reason = "an insertion may fail, and the number of corners is compared")]
 fn triangulate(loops: &[Vec<u32>], flat: &dyn Fn(u32) -> Flat) -> Option<Vec<[u32; 3]>> {
     let mut cdt = ConstrainedDelaunayTriangulation::<Corner>::new();
     let mut corners = HashMap::new();
