@@ -11,19 +11,17 @@ use crate::recording::{
     number_set::Numbers,
     wires::{Carries, Channels},
 };
-use mcap::{Compression, McapError, WriteOptions, Writer, records::MessageHeader, records::Metadata};
-use osteoflow_container::{Attachment, Channel, Damage, End, Location, Message, Progress, Reader, Record, Visitor};
+use osteoflow_container::{
+    Channel, Damage, End, Location, Message, MessageHeader, Progress, Reader, Record, Visitor, WriteOptions, Writer,
+};
 use std::{
-    borrow::Cow,
     collections::{BTreeMap, BTreeSet},
     fs::{self, File},
-    io::{self, BufWriter},
+    io,
     ops::{ControlFlow, RangeInclusive},
     path::{Path, PathBuf},
 };
 
-const CHUNK_BYTES: u64 = 1 << 20;
-const ZSTD_LEVEL: u32 = 1;
 
 /// A file that could not be recovered.
 #[derive(Debug, thiserror::Error)]
@@ -43,7 +41,7 @@ pub enum RecoverError {
         /// The file.
         path: PathBuf,
         /// Why.
-        source: McapError,
+        source: io::Error,
     },
     /// There is nothing to write.
     #[error("nothing in {} is intact: {said}; no file was written", .path.display())]
@@ -104,23 +102,23 @@ impl RecoverReport {
     }
 }
 
-/// Writes what is intact of `from` to `to`, which must not be there.
+/// Writes what is intact of `from` to `to`, which must not exist.
 ///
 /// # Errors
-/// [`RecoverError`] if `from` cannot be read or holds nothing, or `to` is there or cannot be written.
+/// [`RecoverError`] if `from` cannot be read or holds nothing, or `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<RecoverReport, RecoverError> {
     let failed = |error| RecoverError::Read(RecordingError::of(from, error));
     let mut reader = Reader::open(from).map_err(|error| failed(error.into()))?;
-    let summary = Summary::of(&mut reader).map_err(failed)?;
+    let write_error = |source| RecoverError::Write { path: to.into(), source };
     let file = File::options().write(true).create_new(true).open(to).map_err(|error| match error.kind() {
         io::ErrorKind::AlreadyExists => RecoverError::Exists { path: to.into() },
-        _ => RecoverError::Write { path: to.into(), source: error.into() },
+        _ => write_error(error),
     })?;
-    let mut saving = Saving::new(BufWriter::new(file), summary, progress);
-    let result = reader.read(&mut saving).map_err(failed).and_then(|end| {
-        let written = saving.finish(from, &end, reader.n_bytes());
-        written.map_err(|source| RecoverError::Write { path: to.into(), source })
-    });
+    let mut recovery = Recovery::new(file, progress);
+    let result = reader
+        .read(&mut recovery)
+        .map_err(failed)
+        .and_then(|end| recovery.finish(from, &end, reader.n_bytes()).map_err(write_error));
     match result {
         Ok(report) if report.n_messages == 0 && !report.is_recording() => {
             let _ = fs::remove_file(to);
@@ -129,53 +127,48 @@ pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<Recover
         }
         Ok(report) => Ok(report),
         Err(error) => {
-            // The file is ours: it was not there before.
+            // Nothing else has written the file: it did not exist.
             let _ = fs::remove_file(to);
             Err(error)
         }
     }
 }
 
-/// Schemas and channels as the summary repeats them.
-#[derive(Default)]
-struct Summary {
-    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
-    channels: BTreeMap<u16, Channel>,
+/// The new file.
+enum Output {
+    /// Its header is not written yet.
+    File(File),
+    Writer(Writer<File>),
+    /// The header could not be written.
+    Failed,
 }
 
-impl Summary {
-    fn of(reader: &mut Reader<File>) -> Result<Self, osteoflow_container::ReadError> {
-        let mut summary = Self::default();
-        reader.summary(&mut summary)?;
-        Ok(summary)
-    }
-}
-
-impl Visitor for Summary {
-    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
-        match record {
-            Record::Schema { id, name, encoding, data } => {
-                self.schemas.entry(id).or_insert_with(|| (name.into(), encoding.into(), data.to_vec()));
-            }
-            Record::Channel(channel) => drop(self.channels.entry(channel.id).or_insert(channel)),
-            _ => {}
+impl Output {
+    /// The writer; the first call writes the header.
+    fn writer(&mut self, profile: &str) -> io::Result<&mut Writer<File>> {
+        if matches!(self, Self::File(_))
+            && let Self::File(file) = std::mem::replace(self, Self::Failed)
+        {
+            let library = concat!("osteoflow ", env!("CARGO_PKG_VERSION")).into();
+            let options = WriteOptions { profile: profile.into(), library, ..WriteOptions::default() };
+            *self = Self::Writer(Writer::new(file, options)?);
         }
-        ControlFlow::Continue(())
-    }
-
-    fn damage(&mut self, _: Damage) -> ControlFlow<()> {
-        ControlFlow::Continue(())
+        match self {
+            Self::Writer(writer) => Ok(writer),
+            Self::File(_) | Self::Failed => Err(io::Error::other("the header could not be written")),
+        }
     }
 }
 
-struct Saving<'a> {
-    /// What is to be written to; a writer once the header is known.
-    file: Option<BufWriter<File>>,
-    writer: Option<Writer<BufWriter<File>>>,
-    failed: Option<McapError>,
-    known: Summary,
+/// Name, encoding and data of a schema.
+type Schema = (String, String, Vec<u8>);
+
+struct Recovery<'a> {
+    output: Output,
+    failed: Option<io::Error>,
+    schemas: BTreeMap<u16, Schema>,
     channels: Channels,
-    /// Ids in the new file by those in the old one.
+    /// Identifiers in the new file by those in the damaged one.
     ids: BTreeMap<u16, u16>,
     wires: BTreeMap<String, Numbers>,
     before_damage: Option<BTreeMap<String, u64>>,
@@ -188,13 +181,12 @@ struct Saving<'a> {
     progress: Progress<'a>,
 }
 
-impl<'a> Saving<'a> {
-    fn new(file: BufWriter<File>, known: Summary, progress: Progress<'a>) -> Self {
+impl<'a> Recovery<'a> {
+    fn new(file: File, progress: Progress<'a>) -> Self {
         Self {
-            file: Some(file),
-            writer: None,
+            output: Output::File(file),
             failed: None,
-            known,
+            schemas: BTreeMap::new(),
             channels: Channels::default(),
             ids: BTreeMap::new(),
             wires: BTreeMap::new(),
@@ -209,67 +201,42 @@ impl<'a> Saving<'a> {
         }
     }
 
-    fn writer(&mut self, profile: &str) -> Result<&mut Writer<BufWriter<File>>, McapError> {
-        if let Some(file) = self.file.take() {
-            let options = WriteOptions::new()
-                .profile(profile)
-                .library(concat!("osteoflow ", env!("CARGO_PKG_VERSION")))
-                .compression(Some(Compression::Zstd))
-                .compression_level(ZSTD_LEVEL)
-                .compression_threads(0)
-                .chunk_size(Some(CHUNK_BYTES));
-            self.writer = Some(options.create(file)?);
-        }
-        self.writer.as_mut().ok_or(McapError::AttemptedWriteAfterFailure)
-    }
-
-    fn take(&mut self, record: Record<'_>) -> Result<(), McapError> {
+    fn write(&mut self, record: Record<'_>) -> io::Result<()> {
         match record {
-            Record::Header { profile, .. } => drop(self.writer(profile)?),
+            Record::Header { profile } => self.output.writer(profile).map(drop),
             Record::Schema { id, name, encoding, data } => {
-                self.known.schemas.entry(id).or_insert_with(|| (name.into(), encoding.into(), data.to_vec()));
+                self.schemas.entry(id).or_insert_with(|| (name.into(), encoding.into(), data.to_vec()));
+                Ok(())
             }
-            Record::Channel(channel) => {
-                let id = channel.id;
-                self.known.channels.entry(id).or_insert(channel);
-                self.channel(id)?;
-            }
-            Record::Message(message) => self.message(&message)?,
-            Record::Attachment(attachment) => self.attach(&attachment)?,
-            Record::Metadata { name, entries } => self.metadata(name, entries)?,
-            _ => {}
+            Record::Channel(channel) => self.channel(channel),
+            Record::Message(message) => self.message(&message),
+            Record::Attachment(attachment) => self.output.writer("")?.write_attachment(&attachment),
+            Record::Metadata { name, entries } => self.metadata(name, entries),
+            _ => Ok(()),
         }
-        Ok(())
     }
 
-    /// The channel's id in the new file, which describes it from now on; none where nothing in the old one does.
-    fn channel(&mut self, id: u16) -> Result<Option<u16>, McapError> {
-        if let Some(&id) = self.ids.get(&id) {
-            return Ok(Some(id));
+    /// Adds a channel to the new file, unless its schema is lost.
+    fn channel(&mut self, channel: Channel) -> io::Result<()> {
+        let id = channel.id;
+        if self.ids.contains_key(&id) || channel.schema_id != 0 && !self.schemas.contains_key(&channel.schema_id) {
+            return Ok(());
         }
-        let Some(channel) = self.known.channels.get(&id).cloned() else { return Ok(None) };
-        let schema = match channel.schema_id {
-            0 => None,
-            schema_id => match self.known.schemas.get(&schema_id).cloned() {
-                Some(schema) => Some(schema),
-                None => return Ok(None),
-            },
-        };
-        let writer = self.writer("")?;
-        let schema = match schema {
-            Some((name, encoding, data)) => writer.add_schema(&name, &encoding, &data)?,
+        let writer = self.output.writer("")?;
+        let schema_id = match self.schemas.get(&channel.schema_id) {
+            Some((name, encoding, data)) => writer.add_schema(name, encoding, data)?,
             None => 0,
         };
-        let new = writer.add_channel(schema, &channel.topic, &channel.message_encoding, &channel.metadata)?;
+        let new = writer.add_channel(schema_id, &channel.topic, &channel.message_encoding, &channel.metadata)?;
         self.ids.insert(id, new);
         if let Carries::Exact(wire) = self.channels.add(channel) {
             self.wires.entry(wire.name.clone()).or_default();
         }
-        Ok(Some(new))
+        Ok(())
     }
 
-    fn message(&mut self, message: &Message<'_>) -> Result<(), McapError> {
-        let Some(channel_id) = self.channel(message.channel_id)? else {
+    fn message(&mut self, message: &Message<'_>) -> io::Result<()> {
+        let Some(&channel_id) = self.ids.get(&message.channel_id) else {
             self.n_unknown += 1;
             return Ok(());
         };
@@ -280,21 +247,11 @@ impl<'a> Saving<'a> {
         }
         self.n_messages += 1;
         let Message { sequence, log_time, publish_time, data, .. } = *message;
-        self.writer("")?.write_to_known_channel(&MessageHeader { channel_id, sequence, log_time, publish_time }, data)
+        let header = MessageHeader { channel_id, sequence, log_time, publish_time };
+        self.output.writer("")?.write_message(header, data.to_vec().into())
     }
 
-    fn attach(&mut self, attachment: &Attachment<'_>) -> Result<(), McapError> {
-        let attachment = mcap::Attachment {
-            log_time: attachment.log_time,
-            create_time: attachment.create_time,
-            name: attachment.name.into(),
-            media_type: attachment.media_type.into(),
-            data: Cow::Borrowed(attachment.data),
-        };
-        self.writer("")?.attach(&attachment)
-    }
-
-    fn metadata(&mut self, name: &str, entries: BTreeMap<String, String>) -> Result<(), McapError> {
+    fn metadata(&mut self, name: &str, entries: BTreeMap<String, String>) -> io::Result<()> {
         if name == Recovered::NAME {
             // What it no longer says is as if nothing lay before the damage.
             self.recovered_before = Some(Recovered::from_metadata(&entries).unwrap_or_default());
@@ -308,7 +265,7 @@ impl<'a> Saving<'a> {
         if !self.metadata.insert(name.into()) {
             return Ok(());
         }
-        self.writer("")?.write_metadata(&Metadata { name: name.into(), metadata: entries })
+        self.output.writer("")?.write_metadata(name, &entries)
     }
 
     fn leading(&self) -> BTreeMap<String, u64> {
@@ -316,7 +273,7 @@ impl<'a> Saving<'a> {
     }
 
     /// Writes what is missing, and the file's end.
-    fn finish(mut self, from: &Path, end: &End, n_bytes: u64) -> Result<RecoverReport, McapError> {
+    fn finish(mut self, from: &Path, end: &End, n_bytes: u64) -> io::Result<RecoverReport> {
         if let Some(error) = self.failed.take() {
             return Err(error);
         }
@@ -357,9 +314,12 @@ impl<'a> Saving<'a> {
         };
         if is_ours && (!report.is_whole() || self.recovered_before.is_some()) {
             let metadata = recovered(&report, from, self.recovered_before.take()).to_metadata();
-            self.writer("")?.write_metadata(&Metadata { name: Recovered::NAME.into(), metadata })?;
+            self.output.writer("")?.write_metadata(Recovered::NAME, &metadata)?;
         }
-        self.writer("")?.finish()?;
+        self.output.writer("")?;
+        if let Output::Writer(writer) = self.output {
+            writer.finish()?;
+        }
         Ok(report)
     }
 }
@@ -379,9 +339,9 @@ fn recovered(report: &RecoverReport, from: &Path, earlier: Option<Recovered>) ->
     }
 }
 
-impl Visitor for Saving<'_> {
+impl Visitor for Recovery<'_> {
     fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
-        match self.take(record) {
+        match self.write(record) {
             Ok(()) => ControlFlow::Continue(()),
             Err(error) => {
                 self.failed = Some(error);

@@ -10,13 +10,12 @@ use crate::{
         RecordingError,
         format::{MetadataRecord, MetadataRecords, Outcome, PluginRecords, Recovered, RunRecord, WireCounts},
         run_record,
-        wires::Channels,
     },
 };
 use container::Container;
 use items::Items;
 use osteoflow_container::{Damage, End, Location, Progress, Reader, Record, Visitor};
-use std::{collections::BTreeMap, fmt, fs::File, ops::ControlFlow, path::Path};
+use std::{collections::BTreeMap, fmt, ops::ControlFlow, path::Path};
 
 /// Of each kind of finding so many are listed; the others are counted.
 const LISTED: u64 = 100;
@@ -142,12 +141,11 @@ pub fn validate(
 ) -> Result<ValidateReport, RecordingError> {
     let kinds: Kinds = kinds.into();
     let failed = |error| RecordingError::of(path, error);
-    let mut reader = Reader::open(path).map_err(|error| failed(error.into()))?;
-    let channels = Channels::of_summary(&mut reader).map_err(failed)?;
+    let mut reader = Reader::open(path).map_err(|error| failed(error.into()))?.with_section_crcs();
     let mut pass = Pass {
         findings: Findings::default(),
         container: Container::default(),
-        items: Items::new(channels, kinds.registry()),
+        items: Items::new(kinds.registry()),
         metadata: MetadataRecords::default(),
         progress,
     };
@@ -164,7 +162,7 @@ pub fn validate(
         notes.push(format!("{trailing} bytes follow the closing magic; they are not read"));
     }
     let (n_messages, n_chunks) = (container.n_messages(), container.n_chunks());
-    container.finish(&mut reader, &mut findings).map_err(|error| failed(error.into()))?;
+    container.finish(&mut findings);
     let is_recording = metadata.has::<RunRecord>() || items.has_wires();
     if is_recording {
         check_metadata(path, &metadata, &kinds.over(items.registry()), &mut findings, &mut notes);
@@ -268,6 +266,3 @@ impl Visitor for Pass<'_> {
         (self.progress)(at, of);
     }
 }
-
-/// What [`Container::finish`] reads again.
-type FileWalk = Reader<File>;

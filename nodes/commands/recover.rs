@@ -72,7 +72,7 @@ impl Recover {
         let damages = report
             .damages
             .iter()
-            .map(|damage| json!({ "from_byte": damage.bytes.start, "to_byte": damage.bytes.end, "what": damage.what }));
+            .map(|damage| json!({ "from_byte": damage.bytes.start, "to_byte": damage.bytes.end, "what": damage.cause.to_string() }));
         let wires = report.wires.iter().map(|wire| {
             json!({
                 "wire": wire.wire,

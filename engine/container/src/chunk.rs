@@ -1,48 +1,51 @@
-use crate::{
-    MAX_RECORD_BYTES,
-    record::{ChunkHeader, check_crc},
-};
-use std::io::{self, BufRead, Read};
+use crate::{Cause, MAX_RECORD_BYTES, record::ChunkHeader};
+use crc32fast::Hasher;
+use std::io::Read;
 
-/// Why a chunk's records are not to be had.
-pub(super) enum Unpacking {
-    /// The file could not be read.
-    Io(io::Error),
-    /// The chunk is damaged.
-    Damaged(String),
+/// Memory that is reserved for the claimed size of a compressed chunk; the rest grows with the bytes that come out.
+const MAX_RESERVED_BYTES: u64 = 4 << 20;
+
+/// Refuses a chunk whose header claims impossible sizes.
+pub(crate) fn check_sizes(header: &ChunkHeader) -> Result<(), Cause> {
+    let sizes = [("the packed chunk", header.n_packed), ("the unpacked chunk", header.n_unpacked)];
+    match sizes.into_iter().find(|(_, length)| *length > MAX_RECORD_BYTES) {
+        Some((what, length)) => Err(Cause::Length { what, length, limit: MAX_RECORD_BYTES }),
+        None => Ok(()),
+    }
 }
 
-/// Unpacks a chunk into `out`, from a reader that stands at its packed bytes and ends behind them.
-///
-/// What the chunk claims to hold is not believed: `out` grows with what comes out, up to the claim and the limit.
-pub(super) fn unpack(head: &ChunkHeader, packed: impl BufRead, out: &mut Vec<u8>) -> Result<(), Unpacking> {
-    let damaged = Unpacking::Damaged;
+/// Unpacks a compressed chunk into `out`; the claimed size bounds the bytes that are taken, and reserves few of them.
+pub(crate) fn unpack(header: &ChunkHeader, packed: &[u8], out: &mut Vec<u8>) -> Result<(), Cause> {
     out.clear();
-    if head.n_unpacked > MAX_RECORD_BYTES || head.n_packed > MAX_RECORD_BYTES {
-        let n_bytes = head.n_unpacked.max(head.n_packed);
-        return Err(damaged(format!("it claims {n_bytes} bytes; at most {MAX_RECORD_BYTES} are read at once")));
-    }
-    // One byte more than the claim shows that there is more.
-    let limit = head.n_unpacked + 1;
-    let read = match head.compression.as_str() {
-        "" => packed.take(limit).read_to_end(out),
+    out.reserve_exact(header.n_unpacked.min(MAX_RESERVED_BYTES) as usize);
+    // One more byte than claimed shows that there are more.
+    let limit = header.n_unpacked + 1;
+    let unpacked = match header.compression.as_str() {
         "zstd" => zstd::stream::read::Decoder::with_buffer(packed).and_then(|d| d.take(limit).read_to_end(out)),
         "lz4" => lz4::Decoder::new(packed).and_then(|d| d.take(limit).read_to_end(out)),
-        other => {
-            let known = "none, lz4 and zstd are known";
-            return Err(damaged(format!("its compression \"{other}\" is unknown; {known}")));
-        }
+        _ => return Err(cannot(header, "its name is not known; none, lz4 and zstd are".into())),
     };
-    if let Err(error) = read {
-        // What the disk says has a code of the system; what the unpacker says has none.
-        return Err(match error.raw_os_error() {
-            Some(_) => Unpacking::Io(error),
-            None => damaged(format!("its \"{}\" bytes cannot be unpacked: {error}", head.compression)),
-        });
-    }
-    if out.len() as u64 != head.n_unpacked {
-        let less = if (out.len() as u64) < head.n_unpacked { out.len().to_string() } else { "more".into() };
-        return Err(damaged(format!("it claims {} unpacked bytes, {less} came", head.n_unpacked)));
-    }
-    check_crc("the unpacked chunk", head.crc, || crc32fast::hash(out)).map_err(damaged)
+    unpacked.map(drop).map_err(|error| cannot(header, error.to_string()))
+}
+
+/// Compares the size of the unpacked records with the header.
+pub(crate) fn check_unpacked(header: &ChunkHeader, records: &[u8]) -> Result<(), Cause> {
+    let amount = match (records.len() as u64).cmp(&header.n_unpacked) {
+        std::cmp::Ordering::Equal => return Ok(()),
+        std::cmp::Ordering::Greater => "more",
+        std::cmp::Ordering::Less => "fewer",
+    };
+    Err(cannot(header, format!("it holds {amount} than the {} bytes it claims", header.n_unpacked)))
+}
+
+/// Computes the CRC of the unpacked records and compares it with the header.
+pub(crate) fn check_crc(header: &ChunkHeader, records: &[u8]) -> Result<Hasher, Cause> {
+    let mut crc = Hasher::new();
+    crc.update(records);
+    crate::record::check_crc("the unpacked chunk", header.crc, crc.clone().finalize())?;
+    Ok(crc)
+}
+
+fn cannot(header: &ChunkHeader, reason: String) -> Cause {
+    Cause::Compression { name: header.compression.clone(), reason }
 }

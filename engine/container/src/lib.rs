@@ -7,7 +7,10 @@
 
 mod chunk;
 mod compression;
+mod damage;
+mod descriptions;
 mod fields;
+mod input;
 pub mod op;
 mod read;
 mod record;
@@ -16,7 +19,8 @@ mod segments;
 mod write;
 
 pub use compression::Compression;
-pub use read::{Damage, End, Location, Progress, ReadError, Reader, Visitor, damage_message};
+pub use damage::{Cause, Damage, End, damage_message};
+pub use read::{Location, Progress, ReadError, Reader, Visitor};
 pub use record::{Attachment, Channel, ChunkHeader, ChunkIndex, MESSAGE_HEADER_BYTES, Message, Record, Statistics};
 pub use segments::{Segments, SharedBytes};
 pub use write::{MessageHeader, Sink, WriteOptions, Writer};

@@ -1,22 +1,28 @@
 //! Reads a file from its magic to its end, past damage.
 
 use crate::{
-    MAGIC, MAX_RECORD_BYTES,
-    chunk::{Unpacking, unpack},
+    Cause, Channel, Damage, End, MAGIC, MAX_RECORD_BYTES, chunk,
+    descriptions::Descriptions,
+    input::Input,
     op,
     record::{self, ChunkHeader, RECORD_HEAD, Record},
     resync,
 };
+use crc32fast::Hasher;
 use std::{
+    collections::{BTreeMap, BTreeSet},
     fmt,
     fs::File,
-    io::{self, BufRead, BufReader, Read, Seek, SeekFrom},
+    io::{self, Read, Seek},
     ops::{ControlFlow, Range},
     path::Path,
 };
 
 /// Longest header of a chunk; a longer one names no known compression.
-const MAX_CHUNK_HEAD: u64 = 64;
+const MAX_CHUNK_HEADER: u64 = 64;
+const N_MAGIC: u64 = MAGIC.len() as u64;
+/// Bytes of the footer and the closing magic.
+const N_TAIL: u64 = RECORD_HEAD + 20 + N_MAGIC;
 
 /// Location of a record in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -25,6 +31,12 @@ pub struct Location {
     pub offset: u64,
     /// Offset in the unpacked chunk, for a record in a chunk.
     pub in_chunk: Option<u64>,
+}
+
+impl Location {
+    fn at(offset: u64) -> Self {
+        Self { offset, in_chunk: None }
+    }
 }
 
 impl fmt::Display for Location {
@@ -36,45 +48,23 @@ impl fmt::Display for Location {
     }
 }
 
-/// Bytes of a file that could not be read.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Damage {
-    /// Offsets of the bytes that are lost.
-    pub bytes: Range<u64>,
-    /// The cause.
-    pub what: String,
-}
-
-impl fmt::Display for Damage {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "bytes {} to {}: {}", self.bytes.start, self.bytes.end, self.what)
-    }
-}
-
-/// End of a file.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum End {
-    /// The file ends with its footer and magic.
-    Complete {
-        /// Bytes after the closing magic.
-        trailing: u64,
-    },
-    /// The file ends without footer and magic.
-    Truncated(Damage),
-    /// The visitor stopped.
-    Stopped,
-}
-
 /// Bytes read so far, and bytes in total.
 pub type Progress<'a> = &'a mut dyn FnMut(u64, u64);
 
 /// Receives the records of a file in file order.
 pub trait Visitor {
     /// Visits an intact record. The records of a chunk follow its header, and only if all of them are intact.
-    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()>;
+    ///
+    /// A channel or schema that only the summary describes, because of damage, is visited before its first use, with its
+    /// location in the summary.
+    fn record(&mut self, location: Location, record: Record<'_>) -> ControlFlow<()>;
 
     /// Visits bytes that are lost; reading resumes after them.
     fn damage(&mut self, damage: Damage) -> ControlFlow<()>;
+
+    /// Called after the last record of a chunk with the buffer that its messages borrow from, which may be taken: their
+    /// data begin [`MESSAGE_HEADER_BYTES`](crate::MESSAGE_HEADER_BYTES) behind [`Location::in_chunk`].
+    fn chunk_end(&mut self, _records: &mut Vec<u8>) {}
 
     /// Reports progress in bytes of the file.
     fn progress(&mut self, _at: u64, _of: u64) {}
@@ -86,25 +76,53 @@ pub enum ReadError {
     /// The system reports an error.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// The file does not begin as an MCAP file; the reason.
-    #[error("{0}")]
-    NotMcap(String),
+    /// The file has no bytes.
+    #[error("it is empty; was the program stopped before anything was written?")]
+    Empty,
+    /// The file does not begin as an MCAP file.
+    #[error("{}", if MAGIC.starts_with(.start) { "it was cut short in its first bytes" } else { "it is no MCAP file" })]
+    NotMcap {
+        /// Its first bytes.
+        start: Vec<u8>,
+    },
 }
 
-/// Reader of an MCAP file. Memory: one record or unpacked chunk, whatever the file claims.
+/// Reader of an MCAP file. Memory: a chunk packed and unpacked, or one record, whatever the file claims.
 pub struct Reader<R> {
-    reader: BufReader<R>,
-    n_bytes: u64,
-    body: Vec<u8>,
+    input: Input<R>,
+    /// Content of the current record, or the unpacked records of the current chunk.
+    content: Vec<u8>,
+    packed: Vec<u8>,
+    described: Descriptions,
+    /// Offsets of schemas and channels in the summary, by identifier.
+    summary: Summary,
+    /// Whether messages have been outside of chunks so far.
+    is_unchunked: bool,
+    n_chunks: u64,
+    section_crc: Option<SectionCrc>,
 }
 
-/// What became of one record.
+#[derive(Default)]
+struct Summary {
+    schemas: BTreeMap<u16, u64>,
+    channels: BTreeMap<u16, u64>,
+}
+
+/// CRC of the bytes of a section up to an offset.
+#[derive(Default)]
+struct SectionCrc {
+    crc: Hasher,
+    start: u64,
+    end: u64,
+}
+
+/// Outcome of one record.
 enum Step {
     Next(u64),
-    /// The footer with the closing magic was there.
+    /// The footer, with the end of the closing magic.
     End(u64),
-    /// Damaged; where the next record should begin, if the lengths can be believed.
-    Damaged(String, Option<u64>),
+    /// Damage, with the offset at which the next record should begin, if the lengths can be believed.
+    Damaged(Cause, Option<u64>),
     Stopped,
 }
 
@@ -124,228 +142,374 @@ impl Reader<File> {
 }
 
 impl<R: Read + Seek> Reader<R> {
-    /// Reads from `reader`, which holds `n_bytes`.
+    /// Reads from `reader`, which stands at its start and holds `n_bytes`.
     pub fn new(reader: R, n_bytes: u64) -> Self {
-        Self { reader: BufReader::with_capacity(1 << 16, reader), n_bytes, body: Vec::new() }
+        Self {
+            input: Input::new(reader, n_bytes),
+            content: Vec::new(),
+            packed: Vec::new(),
+            described: Descriptions::default(),
+            summary: Summary::default(),
+            is_unchunked: false,
+            n_chunks: 0,
+            section_crc: None,
+        }
+    }
+
+    /// Computes the CRCs of the data and the summary as well, for [`Record::DataEnd`] and [`Record::Footer`].
+    #[must_use]
+    pub fn with_section_crcs(mut self) -> Self {
+        self.section_crc = Some(SectionCrc::default());
+        self
     }
 
     /// Length of the file.
     pub fn n_bytes(&self) -> u64 {
-        self.n_bytes
+        self.input.n_bytes()
     }
 
     /// Visits every record, from the first to the last.
     ///
     /// # Errors
     /// [`ReadError`] if the file is no MCAP file or the system reports an error; damage is not an error.
-    pub fn read(&mut self, visit: &mut impl Visitor) -> Result<End, ReadError> {
+    pub fn read(&mut self, visitor: &mut impl Visitor) -> Result<End, ReadError> {
         if let Some(damage) = self.start_magic()?
-            && visit.damage(damage).is_break()
+            && visitor.damage(damage).is_break()
         {
             return Ok(End::Stopped);
         }
-        let mut at = MAGIC.len() as u64;
+        self.summary = self.index_summary()?;
+        let n_bytes = self.n_bytes();
+        let mut at = N_MAGIC;
         loop {
-            visit.progress(at, self.n_bytes);
-            match self.step(at, visit)? {
-                Step::Next(next) => at = next,
-                Step::End(end) => return Ok(End::Complete { trailing: self.n_bytes - end }),
+            visitor.progress(at, n_bytes);
+            let (cause, next) = match self.step(at, visitor)? {
+                Step::Next(next) => {
+                    at = next;
+                    continue;
+                }
+                Step::End(end) => return Ok(End::Complete { trailing: n_bytes - end }),
                 Step::Stopped => return Ok(End::Stopped),
-                Step::Damaged(what, next) => {
-                    let next = match next {
-                        Some(next) if self.begins_record(next)? => Some(next),
-                        _ => resync::next_record(&mut self.reader, at + 1, self.n_bytes)?,
-                    };
-                    let damage = Damage { bytes: at..next.unwrap_or(self.n_bytes), what };
-                    match next {
-                        Some(next) => {
-                            if visit.damage(damage).is_break() {
-                                return Ok(End::Stopped);
-                            }
-                            at = next;
-                        }
-                        None => return Ok(End::Truncated(damage)),
-                    }
-                }
-            }
-        }
-    }
-
-    /// Visits the schemas and channels that the summary repeats, if the file has one: a damaged chunk may be the only
-    /// other place that describes a channel.
-    ///
-    /// # Errors
-    /// [`ReadError::Io`].
-    pub fn summary(&mut self, visit: &mut impl Visitor) -> Result<(), ReadError> {
-        let n_tail = RECORD_HEAD + 20 + MAGIC.len() as u64;
-        if self.n_bytes < n_tail + MAGIC.len() as u64 {
-            return Ok(());
-        }
-        let tail = self.read_at(self.n_bytes - n_tail, n_tail)?;
-        if tail[0] != op::FOOTER || tail[n_tail as usize - MAGIC.len()..] != *MAGIC {
-            return Ok(());
-        }
-        let mut at = u64::from_le_bytes(tail[9..17].try_into().expect("eight bytes"));
-        let end = self.n_bytes - n_tail;
-        while at != 0 && at + RECORD_HEAD <= end {
-            let (opcode, length) = self.head(at)?;
-            let Some(next) = (at + RECORD_HEAD).checked_add(length).filter(|next| *next <= end) else { break };
-            if matches!(opcode, op::SCHEMA | op::CHANNEL) {
-                let body = self.read_at(at + RECORD_HEAD, length)?;
-                let Ok(record) = record::parse(opcode, &body) else { break };
-                if visit.record(Location { offset: at, in_chunk: None }, record).is_break() {
-                    break;
-                }
+                Step::Damaged(cause, next) => (cause, next),
+            };
+            let next = match next {
+                Some(next) if self.begins_record(next)? => Some(next),
+                _ => self.resync(at)?,
+            };
+            let Some(next) = next else {
+                return Ok(End::Truncated(Damage { bytes: at..n_bytes, cause: self.truncated(at, cause) }));
+            };
+            if visitor.damage(Damage { bytes: at..next, cause }).is_break() {
+                return Ok(End::Stopped);
             }
             at = next;
         }
-        Ok(())
     }
 
-    /// Looks for the magic; answers what is wrong with it where a header follows all the same.
-    fn start_magic(&mut self) -> Result<Option<Damage>, ReadError> {
-        let n_magic = MAGIC.len() as u64;
-        let start = self.read_at(0, self.n_bytes.min(n_magic))?;
-        let reason = match start.as_slice() {
-            s if s == MAGIC => return Ok(None),
-            [] => "it is empty; was the program stopped before anything was written",
-            s if MAGIC.starts_with(s) => "it was cut short in its first bytes",
-            _ => "it is no MCAP file",
+    /// A record that ends beyond the file is the last one of a truncated file, unless its length is absurd.
+    fn truncated(&self, at: u64, cause: Cause) -> Cause {
+        match cause {
+            Cause::Length { what, length, limit }
+                if at + RECORD_HEAD + limit == self.n_bytes() && length <= 2 * MAX_RECORD_BYTES.max(self.n_bytes()) =>
+            {
+                Cause::Truncated { what, needed: length, available: limit }
+            }
+            other => other,
+        }
+    }
+
+    fn resync(&mut self, at: u64) -> io::Result<Option<u64>> {
+        let is_chunk = at < self.n_bytes() && self.input.array::<1>(at)?[0] == op::CHUNK;
+        let (described, summary) = (&self.described, &self.summary);
+        let has_channel = |id: u16| described.has_channel(id) || summary.channels.contains_key(&id);
+        // Inside a damaged chunk nothing confirms a message.
+        let loose = self.is_unchunked && self.n_chunks == 0 && !is_chunk;
+        resync::next_record(&mut self.input, at + 1, loose.then_some(&has_channel))
+    }
+
+    /// Finds the schemas and channels that the summary repeats: a damaged chunk may be the only other one to describe a
+    /// channel. A summary that is damaged itself is not believed.
+    fn index_summary(&mut self) -> io::Result<Summary> {
+        let mut summary = Summary::default();
+        let Some(end) = self.n_bytes().checked_sub(N_TAIL).filter(|end| *end >= N_MAGIC) else { return Ok(summary) };
+        let tail = self.input.array::<{ N_TAIL as usize }>(end)?;
+        let Ok(Record::Footer { summary_start: start, crc: stored, .. }) = record::parse(op::FOOTER, &tail[9..29])
+        else {
+            return Ok(summary);
         };
-        if self.n_bytes > n_magic + RECORD_HEAD {
-            let (opcode, length) = self.head(n_magic)?;
-            let fits = length < u64::from(u16::MAX).min(self.n_bytes - n_magic - RECORD_HEAD);
-            if opcode == op::HEADER && fits {
-                let body = self.read_at(n_magic + RECORD_HEAD, length)?;
-                if record::parse(opcode, &body).is_ok() {
-                    return Ok(Some(Damage { bytes: 0..n_magic, what: "the magic of MCAP is damaged".into() }));
+        let is_footer = tail[0] == op::FOOTER && tail[29..] == *MAGIC;
+        if !is_footer || !(N_MAGIC..end).contains(&start) || stored != 0 && self.crc(start..end + 25)? != stored {
+            return Ok(summary);
+        }
+        let mut at = start;
+        while at + RECORD_HEAD <= end {
+            let (opcode, length) = self.input.head(at)?;
+            let Some(next) = (at + RECORD_HEAD).checked_add(length).filter(|next| *next <= end) else { break };
+            let offsets = match opcode {
+                op::SCHEMA => &mut summary.schemas,
+                op::CHANNEL => &mut summary.channels,
+                _ => {
+                    at = next;
+                    continue;
+                }
+            };
+            if length >= 2 {
+                let id = u16::from_le_bytes(self.input.array(at + RECORD_HEAD)?);
+                offsets.entry(id).or_insert(at);
+            }
+            at = next;
+        }
+        Ok(summary)
+    }
+
+    /// Visits the schemas and channels that only the summary describes.
+    fn describe_from_summary(&mut self, unknown: &Unknown, visitor: &mut impl Visitor) -> io::Result<ControlFlow<()>> {
+        let mut schemas = unknown.schemas.clone();
+        let mut channels = Vec::new();
+        for id in &unknown.channels {
+            if let Some((offset, content)) = self.summary_record(self.summary.channels.get(id).copied())?
+                && let Ok(Record::Channel(channel)) = record::parse(op::CHANNEL, &content)
+            {
+                schemas.insert(channel.schema_id);
+                channels.push((offset, content));
+            }
+        }
+        let mut described = Vec::new();
+        schemas.retain(|id| !self.described.has_schema(*id));
+        for id in schemas {
+            let schema = self.summary_record(self.summary.schemas.get(&id).copied())?;
+            described.extend(schema.map(|schema| (op::SCHEMA, schema)));
+        }
+        described.extend(channels.into_iter().map(|channel| (op::CHANNEL, channel)));
+        for (opcode, (offset, content)) in &described {
+            if let Ok(record) = record::parse(*opcode, content)
+                && self.described.check(&record).is_ok()
+            {
+                self.described.add(&record);
+                if visitor.record(Location::at(*offset), record).is_break() {
+                    return Ok(ControlFlow::Break(()));
                 }
             }
         }
-        Err(ReadError::NotMcap(reason.into()))
+        Ok(ControlFlow::Continue(()))
     }
 
-    fn seek(&mut self, to: u64) -> io::Result<()> {
-        let here = self.reader.stream_position()?;
-        // Keeps what is buffered where it can.
-        match i64::try_from(i128::from(to) - i128::from(here)) {
-            Ok(by) => self.reader.seek_relative(by),
-            Err(_) => self.reader.seek(SeekFrom::Start(to)).map(drop),
+    fn summary_record(&mut self, offset: Option<u64>) -> io::Result<Option<(u64, Vec<u8>)>> {
+        let Some(offset) = offset else { return Ok(None) };
+        let (_, length) = self.input.head(offset)?;
+        if length > MAX_RECORD_BYTES {
+            return Ok(None);
         }
+        Ok(Some((offset, self.input.read(offset + RECORD_HEAD, length)?)))
     }
 
-    /// Reads `n` bytes that lie within the file.
-    fn read_at(&mut self, at: u64, n: u64) -> io::Result<Vec<u8>> {
-        self.seek(at)?;
-        let mut bytes = vec![0; n as usize];
-        self.reader.read_exact(&mut bytes)?;
-        Ok(bytes)
+    /// Checks the magic; a damaged one that a header follows is a damage.
+    fn start_magic(&mut self) -> Result<Option<Damage>, ReadError> {
+        let start = self.input.read(0, self.n_bytes().min(N_MAGIC))?;
+        if start == MAGIC {
+            return Ok(None);
+        }
+        if start.is_empty() {
+            return Err(ReadError::Empty);
+        }
+        if self.n_bytes() > N_MAGIC + RECORD_HEAD {
+            let (opcode, length) = self.input.head(N_MAGIC)?;
+            let fits = length < u64::from(u16::MAX).min(self.n_bytes() - N_MAGIC - RECORD_HEAD);
+            if opcode == op::HEADER && fits {
+                let header = self.input.read(N_MAGIC + RECORD_HEAD, length)?;
+                if record::parse(opcode, &header).is_ok() {
+                    return Ok(Some(Damage { bytes: 0..N_MAGIC, cause: Cause::Magic }));
+                }
+            }
+        }
+        Err(ReadError::NotMcap { start })
     }
 
-    fn head(&mut self, at: u64) -> io::Result<(u8, u64)> {
-        self.seek(at)?;
-        let mut head = [0; RECORD_HEAD as usize];
-        self.reader.read_exact(&mut head)?;
-        Ok((head[0], u64::from_le_bytes(head[1..].try_into().expect("eight bytes follow the opcode"))))
-    }
-
-    /// Whether a record, or the end of the file, can be at this place.
+    /// Whether a record that fits into the file, or its end, is at this offset.
     fn begins_record(&mut self, at: u64) -> io::Result<bool> {
-        if at + RECORD_HEAD > self.n_bytes {
-            return Ok(at == self.n_bytes);
+        if at + RECORD_HEAD > self.n_bytes() {
+            return Ok(at == self.n_bytes());
         }
-        let (opcode, length) = self.head(at)?;
-        Ok((op::HEADER..=op::DATA_END).contains(&opcode) && length <= self.n_bytes - at - RECORD_HEAD)
+        let (opcode, length) = self.input.head(at)?;
+        Ok((op::HEADER..=op::DATA_END).contains(&opcode) && length <= self.n_bytes() - at - RECORD_HEAD)
     }
 
-    fn step(&mut self, at: u64, visit: &mut impl Visitor) -> Result<Step, ReadError> {
-        let left = self.n_bytes - at;
+    fn step(&mut self, at: u64, visitor: &mut impl Visitor) -> Result<Step, ReadError> {
+        let left = self.n_bytes() - at;
         if left < RECORD_HEAD {
-            let what = if left == 0 { "the file ends without its end record" } else { "the file ends within a record" };
-            return Ok(Step::Damaged(what.into(), None));
+            let cause = match left {
+                0 => Cause::NoFooter,
+                _ => Cause::Truncated { what: "the head of a record", needed: RECORD_HEAD, available: left },
+            };
+            return Ok(Step::Damaged(cause, None));
         }
-        let (opcode, length) = self.head(at)?;
-        let left = left - RECORD_HEAD;
+        let (opcode, length) = self.input.head(at)?;
+        let (what, limit) = (op::name(opcode), left - RECORD_HEAD);
         if opcode == 0 {
-            return Ok(Step::Damaged("no record begins with a zero byte".into(), None));
+            return Ok(Step::Damaged(Cause::malformed(what)("no record has opcode 0".into()), None));
         }
-        if length > left {
-            let name = op::name(opcode);
-            let what = format!("a {name} claims {length} bytes, the file has {left} more");
-            return Ok(Step::Damaged(what, None));
+        if length > limit {
+            return Ok(Step::Damaged(Cause::Length { what, length, limit }, None));
+        }
+        if opcode == op::CHUNK {
+            return self.chunk(at, length, visitor);
         }
         let next = at + RECORD_HEAD + length;
-        let place = Location { offset: at, in_chunk: None };
-        if opcode == op::CHUNK {
-            return self.chunk(place, length, visit);
-        }
         if length > MAX_RECORD_BYTES {
-            let name = op::name(opcode);
-            let what = format!("a {name} of {length} bytes; at most {MAX_RECORD_BYTES} are read at once");
-            return Ok(Step::Damaged(what, Some(next)));
+            return Ok(Step::Damaged(Cause::Length { what, length, limit: MAX_RECORD_BYTES }, Some(next)));
         }
-        let mut body = std::mem::take(&mut self.body);
-        body.clear();
-        self.reader.by_ref().take(length).read_to_end(&mut body)?;
-        let step = match record::parse(opcode, &body) {
-            Err(what) => Step::Damaged(format!("{}: {what}", op::name(opcode)), Some(next)),
-            // An opcode of no version of the format is one that was damaged, unless what follows vouches for it.
-            Ok(Record::Other) if opcode > op::DATA_END && !self.begins_record(next)? => {
-                Step::Damaged(format!("no record has opcode {opcode}"), None)
+        let mut content = std::mem::take(&mut self.content);
+        self.input.read_into(at + RECORD_HEAD, length, &mut content)?;
+        let step = self.record(at, opcode, &content, visitor);
+        self.content = content;
+        step
+    }
+
+    /// Visits a record outside of chunks.
+    fn record(&mut self, at: u64, opcode: u8, content: &[u8], visitor: &mut impl Visitor) -> Result<Step, ReadError> {
+        let next = at + RECORD_HEAD + content.len() as u64;
+        let parsed = record::parse(opcode, content).and_then(|record| {
+            self.described.check(&record)?;
+            Ok(record)
+        });
+        let mut record = match parsed {
+            Ok(record) => record,
+            Err(cause) => return Ok(Step::Damaged(cause, Some(next))),
+        };
+        let malformed = |reason: String| Ok(Step::Damaged(Cause::malformed(op::name(opcode))(reason), None));
+        let mut unknown = Unknown::default();
+        match &mut record {
+            // Nothing else confirms the length of a message outside of chunks.
+            Record::Message(message) => {
+                if !resync::is_plausible(&mut self.input, next)? {
+                    return malformed(format!("no record follows its {} bytes", content.len()));
+                }
+                self.is_unchunked = true;
+                if !self.described.has_channel(message.channel_id) {
+                    unknown.channels.insert(message.channel_id);
+                }
             }
-            Ok(Record::Footer { .. }) if !self.closes(next)? => {
-                Step::Damaged("the closing magic does not follow the footer".into(), None)
+            Record::Channel(channel) => {
+                self.is_unchunked = true;
+                if !self.described.has_schema(channel.schema_id) {
+                    unknown.schemas.insert(channel.schema_id);
+                }
             }
-            Ok(record) => {
-                let end = matches!(record, Record::Footer { .. }).then_some(next + MAGIC.len() as u64);
-                match (visit.record(place, record), end) {
-                    (ControlFlow::Break(()), _) => Step::Stopped,
-                    (ControlFlow::Continue(()), Some(end)) => Step::End(end),
-                    (ControlFlow::Continue(()), None) => Step::Next(next),
+            // An opcode of no version of the format is damaged, unless the next record confirms it.
+            Record::Other if opcode > op::DATA_END && !self.begins_record(next)? => {
+                return malformed(format!("no record has opcode {opcode}"));
+            }
+            Record::DataEnd { crc, computed } if *crc != 0 => *computed = self.end_section(at, next)?,
+            Record::DataEnd { .. } => drop(self.end_section(next, next)?),
+            Record::Footer { summary_start, crc, computed } => {
+                let closes = next + N_MAGIC <= self.n_bytes() && self.input.array(next)? == *MAGIC;
+                if !closes {
+                    return malformed("the closing magic does not follow it".into());
+                }
+                let starts =
+                    *summary_start == 0 || self.section_crc.as_ref().is_some_and(|s| s.start == *summary_start);
+                if *crc != 0 && starts {
+                    // The CRC covers the footer up to itself.
+                    *computed = self.end_section(next - 4, next)?;
+                }
+            }
+            _ => {}
+        }
+        if !unknown.is_empty() && self.describe_from_summary(&unknown, visitor)?.is_break() {
+            return Ok(Step::Stopped);
+        }
+        self.described.add(&record);
+        let is_end = matches!(record, Record::Footer { .. });
+        Ok(match visitor.record(Location::at(at), record) {
+            ControlFlow::Break(()) => Step::Stopped,
+            ControlFlow::Continue(()) if is_end => Step::End(next + N_MAGIC),
+            ControlFlow::Continue(()) => Step::Next(next),
+        })
+    }
+
+    /// The CRC of the current section up to `end`, if it is computed; the next section begins at `next`.
+    fn end_section(&mut self, end: u64, next: u64) -> io::Result<Option<u32>> {
+        let Some(mut section) = self.section_crc.take() else { return Ok(None) };
+        self.section_crc = Some(SectionCrc { crc: Hasher::new(), start: next, end: next });
+        if section.end < end {
+            self.input.hash(section.end, end, &mut section.crc)?;
+        }
+        Ok(Some(section.crc.finalize()))
+    }
+
+    fn chunk(&mut self, at: u64, length: u64, visitor: &mut impl Visitor) -> Result<Step, ReadError> {
+        let next = at + RECORD_HEAD + length;
+        self.n_chunks += 1;
+        let mut records = std::mem::take(&mut self.content);
+        let unpacked = self.unpack(at, length, &mut records)?;
+        let checked = unpacked.and_then(|header| {
+            let found = check_records(&records, &self.described).map_err(|cause| (cause, Some(next)))?;
+            Ok((header, found))
+        });
+        let step = match checked {
+            Err((cause, next)) => Step::Damaged(cause, next),
+            Ok((header, Found { described, unknown })) => {
+                if !unknown.is_empty() && self.describe_from_summary(&unknown, visitor)?.is_break() {
+                    return Ok(Step::Stopped);
+                }
+                self.described.append(described);
+                match visit_chunk(Location::at(at), header, &records, visitor) {
+                    ControlFlow::Break(()) => Step::Stopped,
+                    ControlFlow::Continue(()) => {
+                        visitor.chunk_end(&mut records);
+                        Step::Next(next)
+                    }
                 }
             }
         };
-        self.body = body;
+        self.content = records;
         Ok(step)
     }
 
-    /// Whether the closing magic is at this place.
-    fn closes(&mut self, at: u64) -> io::Result<bool> {
-        let n = MAGIC.len() as u64;
-        Ok(at + n <= self.n_bytes && self.read_at(at, n)? == MAGIC)
-    }
-
-    fn chunk(&mut self, place: Location, length: u64, visit: &mut impl Visitor) -> Result<Step, ReadError> {
-        let next = place.offset + RECORD_HEAD + length;
-        let mut body = std::mem::take(&mut self.body);
-        let unpacked = self.unpacked(place.offset, length, &mut body)?;
-        let step = match unpacked {
-            Err((what, consistent)) => Step::Damaged(format!("chunk: {what}"), consistent.then_some(next)),
-            Ok(head) => match check_records(&body) {
-                Err(what) => Step::Damaged(format!("chunk: {what}"), Some(next)),
-                Ok(()) => match tell_chunk(place, head, &body, visit) {
-                    ControlFlow::Break(()) => Step::Stopped,
-                    ControlFlow::Continue(()) => Step::Next(next),
-                },
-            },
+    /// Unpacks the chunk at `at` into `records`; or the cause of its damage, with the end of the chunk if its lengths agree.
+    fn unpack(
+        &mut self,
+        at: u64,
+        length: u64,
+        records: &mut Vec<u8>,
+    ) -> io::Result<Result<ChunkHeader, (Cause, Option<u64>)>> {
+        let start = self.input.read(at + RECORD_HEAD, length.min(MAX_CHUNK_HEADER))?;
+        let header = match record::chunk_header(&start, length) {
+            Ok(header) => header,
+            Err(cause) => return Ok(Err((cause, None))),
         };
-        self.body = body;
-        Ok(step)
-    }
-
-    /// Unpacks the chunk at `at` into `out`; or what is wrong, and whether its head agrees with the record's length.
-    fn unpacked(&mut self, at: u64, length: u64, out: &mut Vec<u8>) -> io::Result<Result<ChunkHeader, (String, bool)>> {
-        let start = self.read_at(at + RECORD_HEAD, length.min(MAX_CHUNK_HEAD))?;
-        let head = match record::chunk_head(&start, length) {
-            Ok(head) => head,
-            Err(what) => return Ok(Err((what, false))),
-        };
-        self.seek(at + head.n_head)?;
-        match unpack(&head, self.reader.by_ref().take(head.n_packed), out) {
-            Ok(()) => Ok(Ok(head)),
-            Err(Unpacking::Io(error)) => Err(error),
-            Err(Unpacking::Damaged(what)) => Ok(Err((what, true))),
+        let damaged = |cause| Ok(Err((cause, Some(at + header.n_record))));
+        if let Err(cause) = chunk::check_sizes(&header) {
+            return damaged(cause);
         }
+        let (start, n) = (at + header.n_head, header.n_packed);
+        let is_packed = !header.compression.is_empty();
+        let unpacked = if is_packed {
+            self.input.read_into(start, n, &mut self.packed)?;
+            chunk::unpack(&header, &self.packed, records)
+        } else {
+            self.input.read_into(start, n, records)?;
+            Ok(())
+        };
+        let checked = unpacked
+            .and_then(|()| chunk::check_unpacked(&header, records))
+            .and_then(|()| chunk::check_crc(&header, records));
+        let crc = match checked {
+            Ok(crc) => crc,
+            Err(cause) => return damaged(cause),
+        };
+        if let Some(section) = &mut self.section_crc
+            && section.end <= start
+        {
+            self.input.hash(section.end, start, &mut section.crc)?;
+            if is_packed {
+                section.crc.update(&self.packed);
+            } else {
+                section.crc.combine(&crc);
+            }
+            section.end = start + n;
+        }
+        Ok(Ok(header))
     }
 
     /// Unpacks the chunk at an offset at which [`read`](Self::read) has found one.
@@ -353,11 +517,11 @@ impl<R: Read + Seek> Reader<R> {
     /// # Errors
     /// If the file has changed since then.
     pub fn chunk_at(&mut self, at: u64) -> io::Result<Vec<u8>> {
-        let (_, length) = self.head(at)?;
-        let mut out = Vec::new();
-        match self.unpacked(at, length, &mut out)? {
-            Ok(_) => Ok(out),
-            Err((what, _)) => Err(io::Error::other(format!("the chunk at byte {at} has changed: {what}"))),
+        let (_, length) = self.input.head(at)?;
+        let mut records = Vec::new();
+        match self.unpack(at, length, &mut records)? {
+            Ok(_) => Ok(records),
+            Err((cause, _)) => Err(io::Error::other(format!("the chunk at byte {at} has changed: {cause}"))),
         }
     }
 
@@ -366,93 +530,103 @@ impl<R: Read + Seek> Reader<R> {
     /// # Errors
     /// If the file has changed since then.
     pub fn bytes_at(&mut self, at: u64, n: u64) -> io::Result<Vec<u8>> {
-        if at.checked_add(n).is_none_or(|end| end > self.n_bytes) {
+        if at.checked_add(n).is_none_or(|end| end > self.n_bytes()) {
             return Err(io::Error::other(format!("the file has changed: byte {at} is beyond its end")));
         }
-        self.read_at(at, n)
+        self.input.read(at, n)
     }
 
-    /// Computes the CRC of a range of the file.
-    ///
-    /// # Errors
-    /// If the file cannot be read.
-    pub fn crc(&mut self, bytes: Range<u64>) -> io::Result<u32> {
-        self.seek(bytes.start)?;
-        let mut hasher = crc32fast::Hasher::new();
-        let mut left = bytes.end - bytes.start;
-        while left > 0 {
-            let buffer = self.reader.fill_buf()?;
-            if buffer.is_empty() {
-                return Err(io::ErrorKind::UnexpectedEof.into());
-            }
-            let n = buffer.len().min(usize::try_from(left).unwrap_or(usize::MAX));
-            hasher.update(&buffer[..n]);
-            self.reader.consume(n);
-            left -= n as u64;
-        }
-        Ok(hasher.finalize())
+    fn crc(&mut self, bytes: Range<u64>) -> io::Result<u32> {
+        let mut crc = Hasher::new();
+        self.input.hash(bytes.start, bytes.end, &mut crc)?;
+        Ok(crc.finalize())
     }
 }
 
-/// The records of an unpacked chunk: where each begins, its opcode and its content.
-fn records(chunk: &[u8]) -> impl Iterator<Item = Result<(u64, u8, &[u8]), String>> {
+/// The records of an unpacked chunk: offset, opcode and content.
+fn records(chunk: &[u8]) -> impl Iterator<Item = Result<(u64, u8, &[u8]), Cause>> {
     let mut at = 0;
     std::iter::from_fn(move || {
-        let left = &chunk[at..];
+        let (start, left) = (at, &chunk[at..]);
         if left.is_empty() {
             return None;
         }
+        at = chunk.len();
         let Some((head, rest)) = left.split_at_checked(RECORD_HEAD as usize) else {
-            at = chunk.len();
-            return Some(Err(format!("{} bytes remain at its end, too few for a record", left.len())));
+            let reason = format!("{} bytes remain at its end, too few for a record", left.len());
+            return Some(Err(Cause::malformed("chunk")(reason)));
         };
         let length = u64::from_le_bytes(head[1..].try_into().expect("eight bytes follow the opcode"));
-        let Some(body) = usize::try_from(length).ok().and_then(|n| rest.get(..n)) else {
-            let place = at;
-            at = chunk.len();
-            let (name, n_left) = (op::name(head[0]), rest.len());
-            return Some(Err(format!("a {name} at its byte {place} claims {length} bytes, {n_left} are left")));
+        let Some(content) = usize::try_from(length).ok().and_then(|n| rest.get(..n)) else {
+            let reason =
+                format!("a {} at its byte {start} claims {length} bytes, {} are left", op::name(head[0]), rest.len());
+            return Some(Err(Cause::malformed("chunk")(reason)));
         };
-        let start = at as u64;
-        at += RECORD_HEAD as usize + body.len();
-        Some(Ok((start, head[0], body)))
+        at = start + RECORD_HEAD as usize + content.len();
+        Some(Ok((start as u64, head[0], content)))
     })
 }
 
-fn check_records(chunk: &[u8]) -> Result<(), String> {
-    for entry in records(chunk) {
-        let (at, opcode, body) = entry?;
-        let parsed = record::parse(opcode, body);
-        let record = parsed.map_err(|what| format!("a {} at its byte {at}: {what}", op::name(opcode)))?;
-        if !matches!(record, Record::Schema { .. } | Record::Channel(_) | Record::Message(_) | Record::Other) {
-            return Err(format!("a {} at its byte {at} does not belong into a chunk", op::name(opcode)));
-        }
-    }
-    Ok(())
+/// What the records of a chunk describe, and what they leave to the summary.
+#[derive(Default)]
+struct Found {
+    described: Descriptions,
+    unknown: Unknown,
 }
 
-fn tell_chunk(place: Location, head: ChunkHeader, chunk: &[u8], visit: &mut impl Visitor) -> ControlFlow<()> {
-    visit.record(place, Record::Chunk(head))?;
-    for (at, opcode, body) in records(chunk).filter_map(Result::ok) {
-        if let Ok(record) = record::parse(opcode, body) {
-            visit.record(Location { in_chunk: Some(at), ..place }, record)?;
+/// Identifiers that are used before the file has described them.
+#[derive(Default)]
+struct Unknown {
+    schemas: BTreeSet<u16>,
+    channels: BTreeSet<u16>,
+}
+
+impl Unknown {
+    fn is_empty(&self) -> bool {
+        self.schemas.is_empty() && self.channels.is_empty()
+    }
+}
+
+/// Checks all records of a chunk.
+fn check_records(chunk: &[u8], known: &Descriptions) -> Result<Found, Cause> {
+    let mut found = Found::default();
+    for entry in records(chunk) {
+        let (at, opcode, content) = entry?;
+        let at_byte = |cause: Cause| Cause::malformed("chunk")(format!("at its byte {at}: {cause}"));
+        let record = record::parse(opcode, content).map_err(at_byte)?;
+        match &record {
+            Record::Schema { .. } | Record::Channel(_) => {
+                known.check(&record).and_then(|()| found.described.check(&record)).map_err(at_byte)?;
+                found.described.add(&record);
+                if let Record::Channel(Channel { schema_id: id, .. }) = record
+                    && !known.has_schema(id)
+                    && !found.described.has_schema(id)
+                {
+                    found.unknown.schemas.insert(id);
+                }
+            }
+            Record::Message(message) => {
+                let id = message.channel_id;
+                if !known.has_channel(id) && !found.described.has_channel(id) {
+                    found.unknown.channels.insert(id);
+                }
+            }
+            Record::Other => {}
+            _ => {
+                let reason = format!("a {} at its byte {at} does not belong into a chunk", op::name(opcode));
+                return Err(Cause::malformed("chunk")(reason));
+            }
+        }
+    }
+    Ok(found)
+}
+
+fn visit_chunk(location: Location, header: ChunkHeader, chunk: &[u8], visitor: &mut impl Visitor) -> ControlFlow<()> {
+    visitor.record(location, Record::Chunk(header))?;
+    for (at, opcode, content) in records(chunk).filter_map(Result::ok) {
+        if let Ok(record) = record::parse(opcode, content) {
+            visitor.record(Location { in_chunk: Some(at), ..location }, record)?;
         }
     }
     ControlFlow::Continue(())
-}
-
-/// Warning about a file that is damaged or truncated; `None` for a complete one.
-pub fn damage_message(damages: &[Damage], end: &End) -> Option<String> {
-    let cut = match end {
-        End::Truncated(damage) => Some(format!("the file was cut short: {damage}")),
-        End::Complete { .. } | End::Stopped => None,
-    };
-    let damaged = damages.first().map(|first| match damages.len() {
-        1 => format!("the file is damaged: {first}"),
-        n => format!("the file is damaged in {n} places, first {first}"),
-    });
-    match (damaged, cut) {
-        (Some(damaged), Some(cut)) => Some(format!("{damaged}; {cut}")),
-        (damaged, cut) => damaged.or(cut),
-    }
 }

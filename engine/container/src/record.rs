@@ -1,4 +1,4 @@
-use crate::{fields::Fields, op};
+use crate::{Cause, fields::Fields, op};
 use std::collections::BTreeMap;
 
 /// Bytes of a record before its content: opcode and length.
@@ -20,6 +20,8 @@ pub enum Record<'a> {
         summary_start: u64,
         /// CRC of the summary; 0 for none.
         crc: u32,
+        /// CRC as [`Reader::with_section_crcs`](crate::Reader::with_section_crcs) computed it.
+        computed: Option<u32>,
     },
     /// Schema of messages.
     Schema {
@@ -69,6 +71,8 @@ pub enum Record<'a> {
     DataEnd {
         /// CRC of all bytes before this record; 0 for none.
         crc: u32,
+        /// CRC as [`Reader::with_section_crcs`](crate::Reader::with_section_crcs) computed it.
+        computed: Option<u32>,
     },
     /// Another record: an index that is not needed, or a record of a later version of the format.
     Other,
@@ -178,8 +182,16 @@ pub struct Statistics {
     pub by_channel: BTreeMap<u16, u64>,
 }
 
-/// Parses a record other than a chunk.
-pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
+/// Parses a record other than a chunk, and checks the CRC of an attachment.
+pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, Cause> {
+    let record = parse_fields(opcode, body).map_err(Cause::malformed(op::name(opcode)))?;
+    if let (Record::Attachment(_), Some((checked, stored))) = (&record, body.split_last_chunk()) {
+        check_crc("the attachment", u32::from_le_bytes(*stored), crc32fast::hash(checked))?;
+    }
+    Ok(record)
+}
+
+fn parse_fields(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
     let mut fields = Fields::new(body);
     Ok(match opcode {
         op::HEADER => {
@@ -192,7 +204,7 @@ pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
             fields.u64()?;
             let crc = fields.u32()?;
             fields.end()?;
-            Record::Footer { summary_start, crc }
+            Record::Footer { summary_start, crc, computed: None }
         }
         op::SCHEMA => {
             let (id, name, encoding) = (fields.u16()?, fields.text()?, fields.text()?);
@@ -236,9 +248,8 @@ pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
             let (name, media_type) = (fields.text()?, fields.text()?);
             let n_bytes = fields.u64()?;
             let data = fields.take(n_bytes)?;
-            let n_checked = fields.at();
-            let stored = fields.u32()?;
-            check_crc("the attachment", stored, || crc32fast::hash(&body[..n_checked]))?;
+            fields.u32()?;
+            fields.end()?;
             Record::Attachment(Attachment { log_time, create_time, name, media_type, data })
         }
         op::STATISTICS => {
@@ -280,20 +291,24 @@ pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
         op::DATA_END => {
             let crc = fields.u32()?;
             fields.end()?;
-            Record::DataEnd { crc }
+            Record::DataEnd { crc, computed: None }
         }
         _ => Record::Other,
     })
 }
 
 /// Parses the header of a chunk from the first bytes of its content; `length` is the length of the content.
-pub(super) fn chunk_head(bytes: &[u8], length: u64) -> Result<ChunkHeader, String> {
+pub(crate) fn chunk_header(bytes: &[u8], length: u64) -> Result<ChunkHeader, Cause> {
+    parse_chunk_header(bytes, length).map_err(Cause::malformed("chunk"))
+}
+
+fn parse_chunk_header(bytes: &[u8], length: u64) -> Result<ChunkHeader, String> {
     let mut fields = Fields::new(bytes);
     let (start_time, end_time, n_unpacked) = (fields.u64()?, fields.u64()?, fields.u64()?);
     let (crc, compression, n_packed) = (fields.u32()?, fields.text()?.to_owned(), fields.u64()?);
     let n_head = fields.at() as u64;
     if n_packed.checked_add(n_head) != Some(length) {
-        return Err(format!("its record claims {length} bytes, its head {n_head} and {n_packed} packed ones"));
+        return Err(format!("its record claims {length} bytes, but its header {n_head} and its records {n_packed}"));
     }
     let n_record = RECORD_HEAD + length;
     let n_head = RECORD_HEAD + n_head;
@@ -301,13 +316,6 @@ pub(super) fn chunk_head(bytes: &[u8], length: u64) -> Result<ChunkHeader, Strin
 }
 
 /// Compares a stored CRC with the computed one; 0 means that the writer stored none.
-pub(super) fn check_crc(what: &str, stored: u32, calculated: impl FnOnce() -> u32) -> Result<(), String> {
-    if stored == 0 {
-        return Ok(());
-    }
-    let calculated = calculated();
-    if stored == calculated {
-        return Ok(());
-    }
-    Err(format!("the CRC of {what} is {calculated:08x}, but {stored:08x} was recorded, so bytes have changed"))
+pub(crate) fn check_crc(what: &'static str, stored: u32, computed: u32) -> Result<(), Cause> {
+    if stored == 0 || stored == computed { Ok(()) } else { Err(Cause::Crc { what, stored, computed }) }
 }

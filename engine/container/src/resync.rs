@@ -1,35 +1,48 @@
 //! Finds the next record behind damage.
 
-use crate::{op, record::RECORD_HEAD};
-use std::io::{self, Read, Seek, SeekFrom};
+use crate::{
+    input::Input,
+    op,
+    record::{self, RECORD_HEAD},
+};
+use std::io::{self, Read, Seek};
 
-/// How much is looked through at a time.
-const WINDOW: usize = 1 << 20;
-/// How much of a record must be in sight to tell whether it is one: a metadata's name may be long.
+/// Bytes that are searched at a time.
+const WINDOW: u64 = 1 << 20;
+/// Bytes of a record that must be in the window to recognise it: the name of a metadata record may be long.
 const SIGHT: usize = 1 << 12;
+/// Larger than any record of a file: a length above it is no length.
+const MAX_PLAUSIBLE_LENGTH: u64 = 1 << 40;
 
-/// The first place at or after `from` at which a record can begin.
+/// Finds the first offset from `from` at which a record can begin.
 ///
-/// Only such records are looked for whose own lengths must agree with the record's, so that chance does not make one:
-/// chunks, message indexes, metadata and the data's end. What lies inside a damaged chunk is not taken for records of
-/// the file, since no CRC would vouch for it.
-pub(super) fn next_record<R: Read + Seek>(reader: &mut R, from: u64, n_bytes: u64) -> io::Result<Option<u64>> {
-    let mut window = Vec::with_capacity(WINDOW.min(usize::try_from(n_bytes).unwrap_or(WINDOW)));
+/// Recognises only records whose own lengths agree with the record's, so that chance does not make one: chunks, message
+/// indexes, metadata, attachments and the data's end. Records inside a damaged chunk are not recognised, because no CRC
+/// confirms them. In a file without chunks, `has_channel` recognises messages of known channels as well, and schemas and
+/// channels.
+pub(crate) fn next_record<R: Read + Seek>(
+    input: &mut Input<R>,
+    from: u64,
+    has_channel: Option<&dyn Fn(u16) -> bool>,
+) -> io::Result<Option<u64>> {
+    let n_bytes = input.n_bytes();
+    let mut window = Vec::new();
     let mut start = from;
     while start + RECORD_HEAD <= n_bytes {
-        reader.seek(SeekFrom::Start(start))?;
-        window.clear();
-        reader.take(WINDOW as u64).read_to_end(&mut window)?;
-        let last = start + window.len() as u64 >= n_bytes;
-        let n_starts = if last { window.len() } else { window.len().saturating_sub(SIGHT) };
-        let found = (0..n_starts).find(|&at| {
-            let left = n_bytes - start - at as u64;
-            is_record(&window[at..], left)
-        });
-        if let Some(at) = found {
-            return Ok(Some(start + at as u64));
+        let n_window = WINDOW.min(n_bytes - start);
+        input.read_into(start, n_window, &mut window)?;
+        let last = start + n_window >= n_bytes;
+        let n_starts = if last { window.len() } else { window.len() - SIGHT };
+        for at in 0..n_starts {
+            let (bytes, offset) = (&window[at..], start + at as u64);
+            if is_record(bytes, n_bytes - offset)
+                || has_channel.is_some_and(|has| is_loose_record(bytes, n_bytes - offset, has))
+                    && continues(input, offset, 2)?
+            {
+                return Ok(Some(offset));
+            }
         }
-        if last || n_starts == 0 {
+        if last {
             return Ok(None);
         }
         start += n_starts as u64;
@@ -37,37 +50,117 @@ pub(super) fn next_record<R: Read + Seek>(reader: &mut R, from: u64, n_bytes: u6
     Ok(None)
 }
 
-/// Whether a record that can be told from chance begins here; `left` bytes of the file are left.
-fn is_record(bytes: &[u8], left: u64) -> bool {
-    let Some(head) = bytes.get(..RECORD_HEAD as usize) else { return false };
-    let length = u64::from_le_bytes(head[1..].try_into().expect("eight bytes follow the opcode"));
-    if length > left - RECORD_HEAD {
-        return false;
+/// Whether a record, or the end of the file, can be at `at`: one that a cut file ends in counts.
+pub(crate) fn is_plausible<R: Read + Seek>(input: &mut Input<R>, at: u64) -> io::Result<bool> {
+    let left = input.n_bytes().saturating_sub(at);
+    if left < RECORD_HEAD {
+        return Ok(left == 0 || (op::HEADER..=op::DATA_END).contains(&input.array::<1>(at)?[0]));
     }
-    let content = &bytes[RECORD_HEAD as usize..];
-    let word = |at: usize| Some(u32::from_le_bytes(content.get(at..at + 4)?.try_into().ok()?));
-    let agrees = match head[0] {
-        op::CHUNK => crate::record::chunk_head(&content[..content.len().min(64)], length).is_ok(),
-        op::MESSAGE_INDEX => {
-            let n = word(2).map(u64::from);
-            // Two entries at least: one alone has so many zeros that chance makes it.
-            n.is_some_and(|n| n >= 16 && n.is_multiple_of(16) && n + 6 == length)
-        }
-        op::METADATA => (|| {
-            let name = u64::from(word(0)?);
-            let map = u64::from(word(4 + usize::try_from(name).ok().filter(|n| *n < SIGHT)?)?);
-            Some(name > 0 && 8 + name + map == length)
-        })()
-        .unwrap_or(false),
-        op::DATA_END => {
-            length == 4 && content.get(4).is_some_and(|opcode| (op::FOOTER..=op::DATA_END).contains(opcode))
-        }
+    let (opcode, length) = input.head(at)?;
+    Ok(match opcode {
+        op::HEADER..=op::DATA_END => length < MAX_PLAUSIBLE_LENGTH,
+        // Records of an application.
+        0x80.. => length <= left - RECORD_HEAD,
         _ => false,
-    };
-    agrees && follows(content, length)
+    })
 }
 
-/// Whether what follows the record, as far as it is in sight, can begin one.
+/// Whether `n` plausible records, or the end of the file, follow the record at `at`.
+fn continues<R: Read + Seek>(input: &mut Input<R>, mut at: u64, n: usize) -> io::Result<bool> {
+    for _ in 0..n {
+        if at + RECORD_HEAD > input.n_bytes() {
+            return Ok(true);
+        }
+        let (_, length) = input.head(at)?;
+        at = at.saturating_add(RECORD_HEAD).saturating_add(length);
+        if at > input.n_bytes() {
+            return Ok(true);
+        }
+        if !is_plausible(input, at)? {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// Opcode, length and the visible content of a record that fits into the `left` bytes of the file.
+fn split(bytes: &[u8], left: u64) -> Option<(u8, u64, &[u8])> {
+    let (head, content) = bytes.split_at_checked(RECORD_HEAD as usize)?;
+    let length = u64::from_le_bytes(head[1..].try_into().ok()?);
+    (length <= left - RECORD_HEAD).then_some((head[0], length, content))
+}
+
+/// Reads the lengths of a record's fields.
+struct Lengths<'a> {
+    content: &'a [u8],
+    at: u64,
+}
+
+impl Lengths<'_> {
+    fn skip(mut self, n: u64) -> Option<Self> {
+        self.at = self.at.checked_add(n)?;
+        Some(self)
+    }
+
+    /// Skips a field behind its length in `N` bytes.
+    fn field<const N: usize>(self) -> Option<Self> {
+        let start = usize::try_from(self.at).ok()?;
+        let mut length = [0; 8];
+        length[..N].copy_from_slice(self.content.get(start..start.checked_add(N)?)?);
+        self.skip(N as u64)?.skip(u64::from_le_bytes(length))
+    }
+}
+
+/// Whether the bytes begin a record that is recognised anywhere; `left` bytes of the file are left.
+fn is_record(bytes: &[u8], left: u64) -> bool {
+    let Some((opcode, length, content)) = split(bytes, left) else { return false };
+    let lengths = Lengths { content, at: 0 };
+    let n_fields = match opcode {
+        op::CHUNK => {
+            return record::chunk_header(&content[..content.len().min(64)], length).is_ok() && follows(content, length);
+        }
+        // At least two entries: chance makes one, which is mostly zeros.
+        op::MESSAGE_INDEX if length >= 6 + 32 && (length - 6).is_multiple_of(16) => {
+            lengths.skip(2).and_then(Lengths::field::<4>)
+        }
+        op::METADATA if length > 8 && content.get(..4).is_some_and(|n| n != [0; 4]) => {
+            lengths.field::<4>().and_then(Lengths::field::<4>)
+        }
+        op::ATTACHMENT => lengths
+            .skip(16)
+            .and_then(Lengths::field::<4>)
+            .and_then(Lengths::field::<4>)
+            .and_then(Lengths::field::<8>)
+            .and_then(|l| l.skip(4)),
+        op::DATA_END if length == 4 => {
+            return content.get(4).is_some_and(|opcode| (op::FOOTER..=op::DATA_END).contains(opcode));
+        }
+        _ => None,
+    };
+    n_fields.is_some_and(|fields| fields.at == length) && follows(content, length)
+}
+
+/// Whether the bytes begin a record that is recognised in a file without chunks.
+fn is_loose_record(bytes: &[u8], left: u64, has_channel: &dyn Fn(u16) -> bool) -> bool {
+    let Some((opcode, length, content)) = split(bytes, left) else { return false };
+    let lengths = Lengths { content, at: 0 };
+    let fields = match opcode {
+        op::MESSAGE => {
+            let channel = content.get(..2).map(|id| u16::from_le_bytes([id[0], id[1]]));
+            return length >= 22 && channel.is_some_and(has_channel);
+        }
+        op::SCHEMA if length > 14 => {
+            lengths.skip(2).and_then(Lengths::field::<4>).and_then(Lengths::field::<4>).and_then(Lengths::field::<4>)
+        }
+        op::CHANNEL if length > 16 => {
+            lengths.skip(4).and_then(Lengths::field::<4>).and_then(Lengths::field::<4>).and_then(Lengths::field::<4>)
+        }
+        _ => None,
+    };
+    fields.is_some_and(|fields| fields.at == length)
+}
+
+/// Whether the bytes after the record, if they are in sight, can begin another one.
 fn follows(content: &[u8], length: u64) -> bool {
     let next = usize::try_from(length).ok().and_then(|at| content.get(at));
     next.is_none_or(|opcode| *opcode != 0)

@@ -4,7 +4,7 @@
 //! Long buffers of a message are written from where they are. The writer of the `mcap` crate copies each message into one
 //! slice, computes its CRC twice, and goes back to the header of a finished chunk.
 
-use crate::{Attachment, Compression, MAGIC, MAX_RECORD_BYTES, Segments, op};
+use crate::{Attachment, Compression, MAGIC, MAX_RECORD_BYTES, MESSAGE_HEADER_BYTES, Segments, op};
 use crc32fast::Hasher;
 use std::{
     collections::BTreeMap,
@@ -210,7 +210,11 @@ impl<W: Sink> Writer<W> {
         if channel_id == 0 || usize::from(channel_id) > self.channels.len() {
             return Err(invalid(format!("a message of channel {channel_id}, which was not added")));
         }
-        check_length("message", data.len())?;
+        let n_record = MESSAGE_HEADER_BYTES as usize + data.len();
+        check_length("message", n_record)?;
+        if (self.pending.bytes.len() + n_record) as u64 > MAX_RECORD_BYTES {
+            self.flush()?;
+        }
         let at = self.pending.bytes.len() as u64;
         self.pending.index.entry(channel_id).or_default().push((log_time, at));
         self.pending.span = extend(self.pending.span, log_time);

@@ -52,14 +52,9 @@ impl Index {
     pub(super) fn of(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Self, RecordingError> {
         let failed = |error| RecordingError::of(path, error);
         let mut reader = Reader::open(path).map_err(|error| failed(error.into()))?;
-        let channels = Channels::of_summary(&mut reader).map_err(failed)?;
-        let wires = channels.wires().map(|wire| {
-            let indexed = Indexed { about: wire.clone(), entries: Vec::new() };
-            (wire.name.clone(), indexed)
-        });
         let mut pass = Pass {
-            wires: wires.collect(),
-            channels,
+            wires: BTreeMap::new(),
+            channels: Channels::default(),
             metadata: MetadataRecords::default(),
             damages: Vec::new(),
             progress,

@@ -151,8 +151,7 @@ pub struct DigestReport {
 pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, RecordingError> {
     let mut reader = Reader::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
     let failed = |error| RecordingError::of(path, error);
-    let channels = Channels::of_summary(&mut reader).map_err(failed)?;
-    let mut hashing = Hashing::new(channels, progress);
+    let mut hashing = Hashing::new(progress);
     let end = reader.read(&mut hashing).map_err(failed)?;
     let Hashing { wires, damages, metadata, n_unknown, n_no_items, .. } = hashing;
     let mut said: Vec<String> = damage_message(&damages, &end).into_iter().collect();
@@ -224,11 +223,16 @@ struct Hashing<'a> {
 }
 
 impl<'a> Hashing<'a> {
-    fn new(channels: Channels, progress: Progress<'a>) -> Self {
-        let hashed = |wire: &Wire| Hashed { about: wire.clone(), hasher: WireHasher::default(), n_values: 0 };
-        let wires = channels.wires().map(|wire| (wire.name.clone(), hashed(wire))).collect();
-        let metadata = MetadataRecords::default();
-        Self { channels, wires, metadata, damages: Vec::new(), n_unknown: 0, n_no_items: 0, progress }
+    fn new(progress: Progress<'a>) -> Self {
+        Self {
+            channels: Channels::default(),
+            wires: BTreeMap::new(),
+            metadata: MetadataRecords::default(),
+            damages: Vec::new(),
+            n_unknown: 0,
+            n_no_items: 0,
+            progress,
+        }
     }
 }
 

@@ -124,7 +124,7 @@ impl RecordingError {
     pub(crate) fn of(path: &Path, error: ReadError) -> Self {
         match error {
             ReadError::Io(source) => Self::Read { path: path.into(), source },
-            ReadError::NotMcap(reason) => Self::Foreign { path: path.into(), reason },
+            error => Self::Foreign { path: path.into(), reason: error.to_string() },
         }
     }
 }

@@ -1,8 +1,8 @@
 //! Which channel is which wire's.
 
 use super::format::{EXACT_ENCODING, Topic, WireHeader};
-use osteoflow_container::{Channel, Damage, Location, ReadError, Reader, Record, Visitor};
-use std::{collections::BTreeMap, ops::ControlFlow};
+use osteoflow_container::Channel;
+use std::collections::BTreeMap;
 
 /// What a channel of a recording carries.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -39,49 +39,17 @@ fn carries(channel: &Channel) -> Carries {
     }
 }
 
-/// The channels of a file, as far as they have been met.
+/// What the channels of a file carry, by identifier.
 #[derive(Debug, Default)]
-pub(crate) struct Channels {
-    by_id: BTreeMap<u16, (Channel, Carries)>,
-}
+pub(crate) struct Channels(BTreeMap<u16, Carries>);
 
 impl Channels {
-    /// The channels that the summary repeats: with them a message whose channel was described in a damaged chunk only is
-    /// not lost.
-    pub(crate) fn of_summary<R: std::io::Read + std::io::Seek>(reader: &mut Reader<R>) -> Result<Self, ReadError> {
-        let mut channels = Self::default();
-        reader.summary(&mut channels)?;
-        Ok(channels)
-    }
-
-    /// Takes a description; the first one of an id stands.
+    /// Adds a channel, unless its identifier is known.
     pub(crate) fn add(&mut self, channel: Channel) -> &Carries {
-        let entry = self.by_id.entry(channel.id);
-        &entry.or_insert_with(|| (channel.clone(), carries(&channel))).1
+        self.0.entry(channel.id).or_insert_with(|| carries(&channel))
     }
 
     pub(crate) fn get(&self, id: u16) -> Option<&Carries> {
-        self.by_id.get(&id).map(|(_, carries)| carries)
-    }
-
-    /// The wires of exact channels.
-    pub(crate) fn wires(&self) -> impl Iterator<Item = &Wire> {
-        self.by_id.values().filter_map(|(_, carries)| match carries {
-            Carries::Exact(wire) => Some(wire),
-            _ => None,
-        })
-    }
-}
-
-impl Visitor for Channels {
-    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
-        if let Record::Channel(channel) = record {
-            self.add(channel);
-        }
-        ControlFlow::Continue(())
-    }
-
-    fn damage(&mut self, _: Damage) -> ControlFlow<()> {
-        ControlFlow::Continue(())
+        self.0.get(&id)
     }
 }

@@ -4,28 +4,18 @@ use crate::recording::{
     RecordingError, codec,
     format::{EXACT_ENCODING, MetadataRecord, ReproRecord, Topic, WireHeader},
     known,
+    wires::{Carries, Channels, Wire},
 };
-use mcap::{
-    McapError, WriteOptions, Writer,
-    records::{MessageHeader, Metadata, Record},
-    sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
+use osteoflow_container::{
+    Compression, Damage, Location, Message, MessageHeader, Reader, Record, Visitor, WriteOptions, Writer,
+    damage_message,
 };
 use osteoflow_node::{Body, Item, PayloadType, PortPayload, Registry, StampNs};
-use std::{
-    collections::BTreeMap,
-    fs::File,
-    io::{BufWriter, Read},
-    path::Path,
-};
+use std::{collections::BTreeMap, fs::File, io, ops::ControlFlow, path::Path};
 
-/// The longest record that is believed; a point cloud of a thousand million bytes still fits.
-const MAX_RECORD_BYTES: usize = 1 << 31;
-/// What is read at a time at most, whatever a record claims to need.
-const READ_BYTES: usize = 1 << 20;
-
-/// Writes items as they are handed in, one at a time, so that a firing of many never lies in memory twice.
+/// Writes the items of a firing, one at a time, so that they are not copied all at once.
 pub(super) struct Items {
-    writer: Writer<BufWriter<File>>,
+    writer: Writer<File>,
 }
 
 /// The channels of one port.
@@ -36,22 +26,22 @@ pub(super) struct Port {
 }
 
 impl Items {
-    pub(super) fn create(path: &Path, node: &str, item: u64) -> Result<Self, McapError> {
-        // Chunks bound what is lost should the disk fill; compression would cost time and buys little.
-        let options = WriteOptions::new().profile("osteoflow-repro").compression(None);
-        let mut writer = options.create(BufWriter::new(File::create(path)?))?;
+    pub(super) fn create(path: &Path, node: &str, item: u64) -> io::Result<Self> {
+        let options = WriteOptions {
+            profile: "osteoflow-repro".into(),
+            library: concat!("osteoflow ", env!("CARGO_PKG_VERSION")).into(),
+            // Compression would cost time and gain little.
+            compression: Compression::None,
+            ..WriteOptions::default()
+        };
+        let mut writer = Writer::new(File::create(path)?, options)?;
         let firing = ReproRecord { node: node.into(), item };
-        writer.write_metadata(&Metadata { name: ReproRecord::NAME.into(), metadata: firing.to_metadata() })?;
+        writer.write_metadata(ReproRecord::NAME, &firing.to_metadata())?;
         Ok(Self { writer })
     }
 
-    /// The channels of a port; `ty` is what it brings.
-    pub(super) fn port(
-        &mut self,
-        name: &str,
-        payload: PortPayload,
-        ty: Option<&PayloadType>,
-    ) -> Result<Port, McapError> {
+    /// Adds the channels of a port; `ty` is the type of its items.
+    pub(super) fn port(&mut self, name: &str, payload: PortPayload, ty: Option<&PayloadType>) -> io::Result<Port> {
         let version = match payload {
             PortPayload::Type(ty) => ty.version,
             PortPayload::Any => 0,
@@ -71,84 +61,110 @@ impl Items {
         Ok(Port { payload, exact, view })
     }
 
-    /// Writes an item of the port, and its picture for viewers; answers its bytes.
-    pub(super) fn item(&mut self, port: &Port, item: &Item, log_time_ns: StampNs) -> Result<u64, McapError> {
+    /// Writes an item of the port, and its picture for viewers; returns its size in bytes.
+    pub(super) fn item(&mut self, port: &Port, item: &Item, log_time_ns: StampNs) -> io::Result<u64> {
         // Viewers take no time before the first nanosecond.
         let log_time_ns = item.stamp_ns.max(log_time_ns).max(1);
-        let header = |channel_id| MessageHeader {
-            channel_id,
-            sequence: item.number as u32,
-            log_time: log_time_ns as u64,
-            publish_time: log_time_ns as u64,
-        };
-        let bytes = codec::encode_on(port.payload, item);
-        self.writer.write_to_known_channel(&header(port.exact), &bytes)?;
+        let (sequence, log_time) = (item.number as u32, log_time_ns as u64);
+        let header = |channel_id| MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
+        let message = codec::parts_on(port.payload, item);
+        let n_bytes = message.len() as u64;
+        self.writer.write_message(header(port.exact), message)?;
         if let (Some(view), Body::Value(value)) = (port.view, &item.body)
             && let Some(picture) = value.to_display(log_time_ns)
         {
-            self.writer.write_to_known_channel(&header(view), &picture)?;
+            self.writer.write_message(header(view), picture.into())?;
         }
-        Ok(bytes.len() as u64)
+        Ok(n_bytes)
     }
 
-    pub(super) fn finish(mut self) -> Result<(), McapError> {
+    pub(super) fn finish(self) -> io::Result<()> {
         self.writer.finish().map(drop)
     }
 }
 
-/// The items of each port, in the order in which they were written.
+/// Reads the items of each port, in the order in which they were written.
 ///
 /// # Errors
-/// [`RecordingError`] if the file is damaged or holds what is unknown here.
+/// [`RecordingError`] if the file is damaged or holds a payload that is unknown here.
 pub(super) fn read(path: &Path, registry: &Registry) -> Result<BTreeMap<String, Vec<Item>>, RecordingError> {
-    let io = |source| RecordingError::Read { path: path.into(), source };
-    let foreign = |reason: String| RecordingError::Foreign { path: path.into(), reason };
-    let mut file = File::open(path).map_err(io)?;
-    let options =
-        LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(MAX_RECORD_BYTES);
-    let mut reader = LinearReader::new_with_options(options);
-    let mut ports: BTreeMap<u16, (String, String, u32)> = BTreeMap::new();
-    let mut items: BTreeMap<String, Vec<Item>> = BTreeMap::new();
-    while let Some(event) = reader.next_event() {
-        match event.map_err(|error| foreign(error.to_string()))? {
-            LinearReadEvent::ReadRequest(n_bytes) => {
-                let n_read = file.read(reader.insert(n_bytes.min(READ_BYTES))).map_err(io)?;
-                reader.notify_read(n_read);
+    let mut reader = Reader::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
+    let mut pass = Pass {
+        registry,
+        channels: Channels::default(),
+        items: BTreeMap::new(),
+        damages: Vec::new(),
+        n_unknown: 0,
+        failed: None,
+    };
+    let end = reader.read(&mut pass).map_err(|error| RecordingError::of(path, error))?;
+    if let Some(error) = pass.failed {
+        return Err(error);
+    }
+    let unknown = (pass.n_unknown > 0)
+        .then(|| format!("{} messages belong to channels that nothing in the file describes", pass.n_unknown));
+    match damage_message(&pass.damages, &end).or(unknown) {
+        Some(reason) => Err(RecordingError::Foreign { path: path.into(), reason }),
+        None => Ok(pass.items),
+    }
+}
+
+struct Pass<'a> {
+    registry: &'a Registry,
+    channels: Channels,
+    items: BTreeMap<String, Vec<Item>>,
+    damages: Vec<Damage>,
+    n_unknown: u64,
+    failed: Option<RecordingError>,
+}
+
+impl Pass<'_> {
+    fn item(&self, port: &Wire, message: &Message<'_>) -> Result<Item, RecordingError> {
+        let fault =
+            |reason: String| RecordingError::Item { wire: port.name.clone(), number: message.sequence.into(), reason };
+        let recorded = codec::decode(message.data).map_err(|error| fault(error.to_string()))?;
+        match recorded.body {
+            Err(empty) => {
+                Ok(Item { number: recorded.number, stamp_ns: recorded.stamp_ns, body: Body::Empty(empty.into()) })
             }
-            LinearReadEvent::Record { data, opcode } => {
-                match mcap::parse_record(opcode, data).map_err(|error| foreign(error.to_string()))? {
-                    Record::Channel(channel) if channel.message_encoding == EXACT_ENCODING => {
-                        let Some(Topic::Exact(port)) = Topic::parse(&channel.topic) else { continue };
-                        let header = WireHeader::from_metadata(&channel.metadata);
-                        ports.insert(channel.id, (port.to_owned(), header.payload, header.version));
-                    }
-                    Record::Message { header, data } => {
-                        let Some((port, payload, version)) = ports.get(&header.channel_id) else { continue };
-                        let fault = |reason: String| RecordingError::Item {
-                            wire: port.clone(),
-                            number: header.sequence.into(),
-                            reason,
-                        };
-                        let recorded = codec::decode(&data).map_err(|error| fault(error.to_string()))?;
-                        // Where a port takes any payload, each value names its own.
-                        let (payload, version) =
-                            recorded.payload.clone().unwrap_or_else(|| (payload.clone(), *version));
-                        let item = match recorded.body {
-                            Err(empty) => {
-                                let body = Body::Empty(empty.into());
-                                Item { number: recorded.number, stamp_ns: recorded.stamp_ns, body }
-                            }
-                            Ok(_) => {
-                                let ty = known(&payload, version, registry).map_err(fault)?;
-                                recorded.into_item(ty).map_err(|error| fault(error.to_string()))?
-                            }
-                        };
-                        items.entry(port.clone()).or_default().push(item);
-                    }
-                    _ => {}
-                }
+            Ok(_) => {
+                // On a port that takes any payload, each value names its own.
+                let named = recorded.payload.clone().unwrap_or_else(|| (port.header.payload.clone(), port.header.version));
+                let ty = known(&named.0, named.1, self.registry).map_err(fault)?;
+                recorded.into_item(ty).map_err(|error| fault(error.to_string()))
             }
         }
     }
-    Ok(items)
+}
+
+impl Visitor for Pass<'_> {
+    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
+        match record {
+            Record::Channel(channel) => drop(self.channels.add(channel)),
+            Record::Message(message) => {
+                let port = match self.channels.get(message.channel_id) {
+                    Some(Carries::Exact(port)) => port,
+                    Some(_) => return ControlFlow::Continue(()),
+                    None => {
+                        self.n_unknown += 1;
+                        return ControlFlow::Continue(());
+                    }
+                };
+                match self.item(port, &message) {
+                    Ok(item) => self.items.entry(port.name.clone()).or_default().push(item),
+                    Err(error) => {
+                        self.failed = Some(error);
+                        return ControlFlow::Break(());
+                    }
+                }
+            }
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        self.damages.push(damage);
+        ControlFlow::Break(())
+    }
 }

@@ -9,7 +9,6 @@ use crate::{
     plan::{OnError, Plan, PlanNode},
     runtime::{Failed, RunOptions, Tap},
 };
-use mcap::McapError;
 use osteoflow_node::{Body, Empty, Field, Item, Joined, PayloadType, PortPayload, Role, Slot};
 use std::{
     fmt::Write as _,
@@ -107,10 +106,7 @@ impl<'a> Saver<'a> {
         std::fs::create_dir_all(&self.folder)?;
         let (part, dir) = self.free(&plan.nodes[failed.node].name, failed.item)?;
         let inputs = match failed.joined {
-            Some(joined) => write_inputs(&part.join(bundle::INPUTS), plan, failed, joined).map_err(|e| match e {
-                McapError::Io(error) => error,
-                other => io::Error::other(other),
-            })?,
+            Some(joined) => write_inputs(&part.join(bundle::INPUTS), plan, failed, joined)?,
             None => Vec::new(),
         };
         let program = self.program.get_or_init(|| Program::current(self.command.clone())).clone();
@@ -150,7 +146,7 @@ impl Tap for Saver<'_> {
     }
 }
 
-fn write_inputs(path: &Path, plan: &Plan, failed: &Failed<'_>, joined: &Joined) -> Result<Vec<Input>, McapError> {
+fn write_inputs(path: &Path, plan: &Plan, failed: &Failed<'_>, joined: &Joined) -> io::Result<Vec<Input>> {
     let node = &plan.nodes[failed.node];
     let mut items = Items::create(path, &node.name, failed.item)?;
     let mut inputs = Vec::new();

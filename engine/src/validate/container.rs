@@ -1,8 +1,8 @@
-use super::{FileWalk, Finding, Findings};
+use super::{Finding, Findings};
 use osteoflow_container::{
     Channel, ChunkHeader, ChunkIndex, Damage, Location, MESSAGE_HEADER_BYTES, Record, Statistics,
 };
-use std::{collections::BTreeMap, io};
+use std::collections::BTreeMap;
 
 /// What the format itself promises: descriptions before use, indexes and counts that hold, sums of the whole.
 #[derive(Default)]
@@ -19,8 +19,11 @@ pub(super) struct Container {
     /// The chunk that message indexes are of, and what they index.
     indexed: BTreeMap<u16, u64>,
     damaged: bool,
-    data_end: Option<(u64, u32)>,
-    footer: Option<(u64, u64, u32)>,
+    /// Offset of the record that ends the data.
+    data_end: Option<u64>,
+    footer: Option<(u64, u64)>,
+    /// Offset of the last record.
+    last: u64,
     statistics: Option<Statistics>,
     /// Metadata records by their place.
     metadata: BTreeMap<u64, String>,
@@ -49,6 +52,11 @@ impl Container {
     }
 
     pub(super) fn record(&mut self, place: Location, record: &Record<'_>, findings: &mut Findings) {
+        if place.offset < self.last && !self.damaged {
+            let what = "a channel is used here that only the summary describes";
+            findings.add("description", Finding::new(place, what));
+        }
+        self.last = place.offset;
         if place.in_chunk.is_none() {
             self.top_level(place, record, findings);
         }
@@ -125,12 +133,16 @@ impl Container {
                     ));
                 }
             }
-            Record::DataEnd { crc } => {
-                if self.data_end.replace((place.offset, *crc)).is_some() {
+            Record::DataEnd { crc, computed } => {
+                if self.data_end.replace(place.offset).is_some() {
                     wrong("a second data end".into());
                 }
+                check_crc("the data section", 0, *crc, *computed, findings);
             }
-            Record::Footer { summary_start, crc, .. } => self.footer = Some((place.offset, *summary_start, *crc)),
+            Record::Footer { summary_start, crc, computed } => {
+                self.footer = Some((place.offset, *summary_start));
+                check_crc("the summary", *summary_start, *crc, *computed, findings);
+            }
             Record::Statistics(statistics) => {
                 self.statistics = Some(statistics.clone());
             }
@@ -197,29 +209,11 @@ impl Container {
         }
     }
 
-    /// Compares the whole with its sums and its summary.
-    pub(super) fn finish(mut self, reader: &mut FileWalk, findings: &mut Findings) -> io::Result<()> {
+    /// Compares the whole file with its summary.
+    pub(super) fn finish(mut self, findings: &mut Findings) {
         self.close_chunk(findings);
-        let mut crc = |reader: &mut FileWalk, what: &str, bytes: std::ops::Range<u64>, stored: u32| -> io::Result<()> {
-            let place = Location { offset: bytes.start, in_chunk: None };
-            // Zero says that the writer did not compute one.
-            if stored != 0 && bytes.start <= bytes.end {
-                let found = reader.crc(bytes)?;
-                if found != stored {
-                    let said = format!("the CRC of {what} is {found:08x}, but {stored:08x} was recorded");
-                    findings.add("crc", Finding::new(place, said));
-                }
-            }
-            Ok(())
-        };
-        if let Some((at, stored)) = self.data_end {
-            crc(reader, "the data section", 0..at, stored)?;
-        }
-        if let Some((at, summary_start, stored)) = self.footer {
-            let after_data = self.data_end.map(|(at, _)| at + 13);
-            let start = if summary_start == 0 { at } else { summary_start };
-            // Up to and with the footer's own two offsets.
-            crc(reader, "the summary", start..at + 25, stored)?;
+        if let Some((at, summary_start)) = self.footer {
+            let after_data = self.data_end.map(|at| at + 13);
             if summary_start != 0 && after_data.is_some_and(|data| data != summary_start) {
                 let what = format!("the footer says that the summary begins at byte {summary_start}, but it does not");
                 findings.add("container", Finding::new(Location { offset: at, in_chunk: None }, what));
@@ -256,6 +250,14 @@ impl Container {
                 format!("the summary indexes {} chunks, the file holds {}", self.n_chunk_indexes, self.chunks.len());
             findings.add("statistics", Finding::new(None, what));
         }
-        Ok(())
+    }
+}
+
+/// Compares the stored CRC of a section with the computed one; 0 means that the writer stored none.
+fn check_crc(what: &str, start: u64, stored: u32, computed: Option<u32>, findings: &mut Findings) {
+    if let Some(computed) = computed.filter(|computed| stored != 0 && *computed != stored) {
+        let place = Location { offset: start, in_chunk: None };
+        let what = format!("the CRC of {what} is {computed:08x}, but {stored:08x} was recorded");
+        findings.add("crc", Finding::new(place, what));
     }
 }

@@ -37,20 +37,13 @@ struct Checked {
 }
 
 impl<'a> Items<'a> {
-    pub(super) fn new(channels: Channels, registry: &'a Registry) -> Self {
-        let mut types = RecordedTypes::default();
-        channels.wires().for_each(|wire| types.add(wire));
-        let wires = channels.wires().map(|wire| {
-            let checked = Checked { about: Some(wire.clone()), ..Checked::default() };
-            (wire.name.clone(), checked)
-        });
-        let wires = wires.collect();
+    pub(super) fn new(registry: &'a Registry) -> Self {
         Self {
-            channels,
+            channels: Channels::default(),
             encodings: BTreeMap::new(),
             registry,
-            types,
-            wires,
+            types: RecordedTypes::default(),
+            wires: BTreeMap::new(),
             times: None,
             timeless: BTreeMap::new(),
             unknown_payloads: BTreeSet::new(),

@@ -1,0 +1,72 @@
+use crate::{Cause, Channel, Record};
+use std::collections::BTreeMap;
+
+/// Schemas and channels that a file has described so far.
+#[derive(Debug, Default)]
+pub(crate) struct Descriptions {
+    /// Name and encoding of each schema.
+    schemas: BTreeMap<u16, (String, String)>,
+    channels: BTreeMap<u16, Channel>,
+}
+
+impl Descriptions {
+    /// Whether the channel is described.
+    pub(crate) fn has_channel(&self, id: u16) -> bool {
+        self.channels.contains_key(&id)
+    }
+
+    /// Whether the schema is described, or 0 for none.
+    pub(crate) fn has_schema(&self, id: u16) -> bool {
+        id == 0 || self.schemas.contains_key(&id)
+    }
+
+    /// Refuses a description that gives an identifier another meaning than the first one: messages would be taken for
+    /// those of another topic. Metadata may differ; some writers extend it.
+    pub(crate) fn check(&self, record: &Record<'_>) -> Result<(), Cause> {
+        match record {
+            Record::Schema { id, name, encoding, .. } => match self.schemas.get(id) {
+                Some((known, known_encoding)) if (&**known, &**known_encoding) != (*name, *encoding) => {
+                    let reason = format!(
+                        "number {id} is described twice: as \"{known}\" ({known_encoding}) and as \"{name}\" ({encoding})"
+                    );
+                    Err(Cause::Malformed { what: "schema", reason })
+                }
+                _ => Ok(()),
+            },
+            Record::Channel(channel) => match self.channels.get(&channel.id) {
+                Some(known) if meaning(known) != meaning(channel) => {
+                    let text =
+                        |c: &Channel| format!("\"{}\" (schema {}, {})", c.topic, c.schema_id, c.message_encoding);
+                    let (id, first, second) = (channel.id, text(known), text(channel));
+                    let reason = format!("number {id} is described twice: as {first} and as {second}");
+                    Err(Cause::Malformed { what: "channel", reason })
+                }
+                _ => Ok(()),
+            },
+            _ => Ok(()),
+        }
+    }
+
+    /// Adds a schema or channel, unless its identifier is known.
+    pub(crate) fn add(&mut self, record: &Record<'_>) {
+        match record {
+            Record::Schema { id, name, encoding, .. } => {
+                self.schemas.entry(*id).or_insert_with(|| ((*name).into(), (*encoding).into()));
+            }
+            Record::Channel(channel) => {
+                self.channels.entry(channel.id).or_insert_with(|| channel.clone());
+            }
+            _ => {}
+        }
+    }
+
+    /// Adds all descriptions of `other`.
+    pub(crate) fn append(&mut self, mut other: Self) {
+        self.schemas.append(&mut other.schemas);
+        self.channels.append(&mut other.channels);
+    }
+}
+
+fn meaning(channel: &Channel) -> (&str, u16, &str) {
+    (&channel.topic, channel.schema_id, &channel.message_encoding)
+}
