@@ -1,8 +1,8 @@
 //! MCAP recordings of any writer: every chunk compression, with or without an index, whole or damaged.
 //!
-//! A recording is read once, from the front to the back, so a file that was cut short gives what lies before the cut.
-//! Message bytes are kept once, as slices of their decompressed chunks; topics that nobody wants can be left out with
-//! [`Recording::open_topics`].
+//! A recording is read once, from front to back, so a truncated file gives the messages before the cut, and a damaged one
+//! those before and after the damage. Messages are slices of their unpacked chunks; [`Recording::open_topics`] leaves out
+//! topics that are not wanted.
 //!
 //! ```no_run
 //! use osteoflow_formats::{foxglove_read::read_cloud, mcap_read::Recording};
@@ -17,16 +17,16 @@
 //! # }
 //! ```
 
-mod fault;
-mod fields;
-mod walk;
+mod error;
+mod pass;
 
-pub use fault::{McapError, Place};
+pub use error::McapError;
 
 use bytes::Bytes;
+use osteoflow_container::Reader;
 use osteoflow_geometry::StampNs;
-use std::{collections::BTreeMap, fs::File, io::BufReader, path::Path, sync::Arc};
-use walk::Walk;
+use pass::Pass;
+use std::{collections::BTreeMap, io::Cursor, path::Path, sync::Arc};
 
 /// What a recording holds, read to its end.
 #[derive(Debug, Clone, Default)]
@@ -87,9 +87,10 @@ pub struct Attachment {
 impl Recording {
     /// Reads a recording with all its messages.
     ///
-    /// With `allow_truncated`, what is intact of a damaged file is used, and [`Recording::notes`] says what is missing:
-    /// a damaged chunk is left out whole, a cut ends the recording. Without it, any damage is an error. CRCs of chunks,
-    /// attachments, the data section and the summary are checked where the writer stored them. `O(bytes)`.
+    /// With `allow_truncated`, the intact records of a damaged file are used, and [`Recording::notes`] says what is
+    /// missing: a damaged chunk is left out whole, reading resumes at the next intact record, a cut ends the recording.
+    /// Without it, any damage is an error. CRCs of chunks, attachments, the data section and the summary are checked where
+    /// the writer stored them. `O(bytes)`.
     ///
     /// # Errors
     /// [`McapError`], naming the file, the byte and what was found there. An empty file, or one that is not an MCAP at
@@ -104,10 +105,8 @@ impl Recording {
     /// As [`Recording::open`].
     pub fn open_topics(path: &Path, allow_truncated: bool, keep: impl Fn(&str) -> bool) -> Result<Self, McapError> {
         let name = path.display().to_string();
-        let io_error = |source| McapError::Io { path: name.clone(), source };
-        let file = File::open(path).map_err(io_error)?;
-        let n_bytes = file.metadata().map_err(io_error)?.len();
-        Walk::new(&name, BufReader::with_capacity(1 << 16, file), n_bytes, allow_truncated, &keep).read()
+        let reader = Reader::open(path).map_err(|source| McapError::Io { path: name.clone(), source })?;
+        Pass::new(&name, allow_truncated, &keep).read(reader)
     }
 
     /// As [`Recording::open`], for a file already in memory; `name` stands for the path in errors.
@@ -115,7 +114,8 @@ impl Recording {
     /// # Errors
     /// As [`Recording::open`].
     pub fn from_bytes(name: &str, bytes: &[u8], allow_truncated: bool) -> Result<Self, McapError> {
-        Walk::new(name, bytes, bytes.len() as u64, allow_truncated, &|_| true).read()
+        let reader = Reader::new(Cursor::new(bytes), bytes.len() as u64);
+        Pass::new(name, allow_truncated, &|_| true).read(reader)
     }
 
     /// The topics, in the order in which the file first describes them; one whose channels differ in schema or encoding

@@ -30,15 +30,12 @@ use foxglove::{
     },
 };
 use json::{cloud_json, json_schema, pose_json, time_json, transform_json};
-use mcap::{McapError, WriteOptions, records::MessageHeader};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion};
+pub use osteoflow_container::Compression;
+use osteoflow_container::{MessageHeader, Sink, WriteOptions, Writer};
 use osteoflow_geometry::{Cloud, Frame, MM_PER_M, Pose, StampNs};
 use serde_json::{Value, json};
-use std::{
-    collections::BTreeMap,
-    io::{BufWriter, Cursor, Seek, Write},
-    path::Path,
-};
+use std::{collections::BTreeMap, io, path::Path};
 
 /// What a topic carries, in order.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,17 +55,6 @@ pub enum Encoding {
     Protobuf,
     /// Text, with the points in base64.
     Json,
-}
-
-/// How chunks are packed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Compression {
-    /// Not at all.
-    None,
-    /// Fast.
-    Lz4,
-    /// Small.
-    Zstd,
 }
 
 /// The numeric type of coordinates.
@@ -99,7 +85,7 @@ pub struct Layout {
     /// How chunks are packed.
     pub compression: Compression,
     /// The size at which a chunk is closed, bytes; none writes messages without chunks.
-    pub chunk_bytes: Option<u64>,
+    pub chunk_bytes: Option<usize>,
     /// Whether the file ends with an index and statistics.
     pub index: bool,
     /// In which order messages lie in the file.
@@ -128,7 +114,7 @@ impl Default for Layout {
         Self {
             encoding: Encoding::Protobuf,
             compression: Compression::Zstd,
-            chunk_bytes: Some(WriteOptions::DEFAULT_CHUNK_SIZE),
+            chunk_bytes: Some(WriteOptions::default().chunk_bytes),
             index: true,
             order: Order::Sensor,
             // A millisecond and a half of transport, so that log time cannot pass for sensor time.
@@ -160,9 +146,7 @@ pub fn write_recording<T: AsRef<str>>(
 ) -> Result<(), FileError> {
     let messages = encoded(path, streams, layout)?;
     let file = std::fs::File::create(path).map_err(FileError::write(path))?;
-    let written = write(BufWriter::new(file), messages, metadata, attachments, layout);
-    let mut file = written.map_err(|error| mcap_fault(path, error))?;
-    file.flush().map_err(FileError::write(path))
+    write(file, messages, metadata, attachments, layout).map(drop).map_err(FileError::write(path))
 }
 
 /// As [`write_recording`], into memory.
@@ -177,15 +161,7 @@ pub fn recording_bytes<T: AsRef<str>>(
 ) -> Result<Vec<u8>, FileError> {
     let path = Path::new("recording in memory");
     let messages = encoded(path, streams, layout)?;
-    let written = write(Cursor::new(Vec::new()), messages, metadata, attachments, layout);
-    Ok(written.map_err(|error| mcap_fault(path, error))?.into_inner())
-}
-
-fn mcap_fault(path: &Path, error: McapError) -> FileError {
-    match error {
-        McapError::Io(source) => FileError::write(path)(source),
-        other => FileError::content(path, "recording", other.to_string()),
-    }
+    write(Vec::new(), messages, metadata, attachments, layout).map_err(FileError::write(path))
 }
 
 /// A message on its way into the file.
@@ -284,29 +260,25 @@ fn shuffle(messages: &mut [Encoded], seed: u64) {
     }
 }
 
-fn write<W: Write + Seek>(
+fn write<W: Sink>(
     sink: W,
     messages: Vec<Encoded>,
     metadata: &BTreeMap<String, BTreeMap<String, String>>,
     attachments: &[Attachment],
     layout: &Layout,
-) -> Result<W, McapError> {
-    let index = layout.index;
-    let options = WriteOptions::new()
-        .compression(match layout.compression {
-            Compression::None => None,
-            Compression::Lz4 => Some(mcap::Compression::Lz4),
-            Compression::Zstd => Some(mcap::Compression::Zstd),
-        })
-        .compression_threads(0)
-        .chunk_size(layout.chunk_bytes)
-        .use_chunks(layout.chunk_bytes.is_some())
-        .library("osteoflow")
-        .emit_message_indexes(index);
-    let options = if index { options } else { options.emit_summary_records(false).emit_summary_offsets(false) };
-    let mut writer = options.create(sink)?;
+) -> io::Result<W> {
+    let defaults = WriteOptions::default();
+    let options = WriteOptions {
+        library: "osteoflow".into(),
+        compression: layout.compression,
+        chunk_bytes: layout.chunk_bytes.unwrap_or(defaults.chunk_bytes),
+        chunks: layout.chunk_bytes.is_some(),
+        index: layout.index,
+        ..defaults
+    };
+    let mut writer = Writer::new(sink, options)?;
     for (name, values) in metadata {
-        writer.write_metadata(&mcap::records::Metadata { name: name.clone(), metadata: values.clone() })?;
+        writer.write_metadata(name, values)?;
     }
     let encoding = layout.encoding.name();
     let mut channels = BTreeMap::<String, (u16, u32)>::new();
@@ -325,19 +297,18 @@ fn write<W: Write + Seek>(
         };
         let (log_time, publish_time) = (message.log_time_ns as u64, message.stamp_ns as u64);
         let header = MessageHeader { channel_id, sequence, log_time, publish_time };
-        writer.write_to_known_channel(&header, &message.data)?;
+        writer.write_message(header, message.data.into())?;
     }
     for attachment in attachments {
-        writer.attach(&mcap::Attachment {
+        writer.write_attachment(&osteoflow_container::Attachment {
             log_time: 0,
             create_time: 0,
-            name: attachment.name.clone(),
-            media_type: attachment.media_type.clone(),
-            data: attachment.data.as_ref().into(),
+            name: &attachment.name,
+            media_type: &attachment.media_type,
+            data: &attachment.data,
         })?;
     }
-    writer.finish()?;
-    Ok(writer.into_inner())
+    writer.finish()
 }
 
 impl Encoding {

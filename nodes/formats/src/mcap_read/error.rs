@@ -1,0 +1,89 @@
+use osteoflow_container::{Cause, Damage, Location, ReadError};
+use std::io;
+
+/// A recording that cannot be read, or not to its end.
+#[derive(Debug, thiserror::Error)]
+pub enum McapError {
+    /// The file is missing or may not be read.
+    #[error("{path}: cannot be read: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file has no bytes.
+    #[error("{path}: the file is empty, an MCAP recording is expected; was it stopped before anything was written?")]
+    Empty {
+        /// The file.
+        path: String,
+    },
+    /// The file is something else.
+    #[error("{path}: byte 0: an MCAP begins with 89 4D 43 41 50 30 0D 0A, but this file begins with {found}{hint}")]
+    WrongMagic {
+        /// The file.
+        path: String,
+        /// Its first bytes.
+        found: String,
+        /// What it may be instead.
+        hint: &'static str,
+    },
+    /// The file ends too early.
+    #[error(
+        "{path}: byte {}: {}; set allow_truncated = true to use the {n_messages} messages before it",
+        .damage.bytes.start, .damage.cause
+    )]
+    Truncated {
+        /// The file.
+        path: String,
+        /// The unfinished record.
+        damage: Damage,
+        /// Number of messages before it.
+        n_messages: usize,
+    },
+    /// Bytes of the file are damaged.
+    #[error(
+        "{path}: byte {}: {}; copy the file again, or set allow_truncated = true to use what is intact",
+        .damage.bytes.start, .damage.cause
+    )]
+    Damaged {
+        /// The file.
+        path: String,
+        /// The damaged bytes.
+        damage: Damage,
+    },
+    /// A message of a channel that the file does not describe.
+    #[error("{path}: {location}: a message belongs to channel {channel}, which the file does not describe")]
+    UnknownChannel {
+        /// The file.
+        path: String,
+        /// Location of the message.
+        location: Location,
+        /// The channel.
+        channel: u16,
+    },
+}
+
+impl McapError {
+    pub(super) fn of(path: &str, error: ReadError) -> Self {
+        let path = path.to_owned();
+        let start = match error {
+            ReadError::Io(source) => return Self::Io { path, source },
+            ReadError::Empty => return Self::Empty { path },
+            ReadError::NotMcap { start } => start,
+        };
+        let hint = match start.as_slice() {
+            s if s.starts_with(b"#ROSBAG") => ", a ROS 1 bag; convert it with `mcap convert`",
+            s if s.starts_with(b"SQLite") => ", a ROS 2 bag of the older kind; convert it with `ros2 bag convert`",
+            s if osteoflow_container::MAGIC.starts_with(s) => "; the file was cut short in its first bytes",
+            _ => "; is it another kind of file, or damaged?",
+        };
+        let found = start.iter().map(|b| format!("{b:02X}")).collect::<Vec<_>>().join(" ");
+        Self::WrongMagic { path, found, hint }
+    }
+}
+
+/// The damage of a section whose CRC does not hold; its bytes are used all the same.
+pub(super) fn section_damage(what: &'static str, bytes: std::ops::Range<u64>, stored: u32, computed: u32) -> Damage {
+    Damage { bytes, cause: Cause::Crc { what, stored, computed } }
+}

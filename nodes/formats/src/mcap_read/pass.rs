@@ -1,0 +1,286 @@
+//! Gathers the messages of a recording in one pass.
+
+use super::{Attachment, McapError, Message, Recording, Topic, error::section_damage};
+use bytes::Bytes;
+use osteoflow_container::{Channel, Damage, End, Location, MESSAGE_HEADER_BYTES, Reader, Record, Statistics, Visitor};
+use osteoflow_geometry::StampNs;
+use std::{
+    collections::BTreeMap,
+    io::{Read, Seek},
+    ops::ControlFlow,
+    sync::Arc,
+};
+
+/// Name and encoding of a schema.
+type Schema = (Arc<str>, Arc<str>);
+
+/// A message whose channel may be described later.
+struct Found {
+    channel_id: u16,
+    location: Location,
+    sequence: u32,
+    log_time: u64,
+    publish_time: u64,
+    /// Empty until the end of its chunk.
+    data: Bytes,
+    n_bytes: usize,
+}
+
+/// State of the pass.
+pub(super) struct Pass<'a> {
+    path: &'a str,
+    allow_truncated: bool,
+    keep: &'a dyn Fn(&str) -> bool,
+    schemas: BTreeMap<u16, Schema>,
+    channels: BTreeMap<u16, (Channel, Arc<str>)>,
+    channel_order: Vec<u16>,
+    n_found: BTreeMap<u16, usize>,
+    found: Vec<Found>,
+    /// Index in `found` of the first message of the current chunk.
+    chunk_start: usize,
+    statistics: Option<Statistics>,
+    data_end: u64,
+    recording: Recording,
+    failed: Option<McapError>,
+}
+
+impl<'a> Pass<'a> {
+    pub(super) fn new(path: &'a str, allow_truncated: bool, keep: &'a dyn Fn(&str) -> bool) -> Self {
+        Self {
+            path,
+            allow_truncated,
+            keep,
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            channel_order: Vec::new(),
+            n_found: BTreeMap::new(),
+            found: Vec::new(),
+            chunk_start: 0,
+            statistics: None,
+            data_end: 0,
+            recording: Recording::default(),
+            failed: None,
+        }
+    }
+
+    /// Reads everything.
+    pub(super) fn read<R: Read + Seek>(mut self, reader: Reader<R>) -> Result<Recording, McapError> {
+        let end = reader.with_section_crcs().read(&mut self).map_err(|error| McapError::of(self.path, error))?;
+        if let Some(error) = self.failed {
+            return Err(error);
+        }
+        match end {
+            End::Truncated(damage) => {
+                let n_messages = self.n_messages();
+                if !self.allow_truncated {
+                    return Err(McapError::Truncated { path: self.path.into(), damage, n_messages });
+                }
+                let note = self.note(&damage);
+                self.recording.notes.push(format!("{note}; {n_messages} messages before it are used"));
+            }
+            End::Complete { trailing } if trailing > 0 => {
+                self.recording.notes.push(format!("{trailing} bytes follow the closing magic and were not read"));
+            }
+            End::Complete { .. } | End::Stopped => {}
+        }
+        self.compare_statistics();
+        self.finish()
+    }
+
+    fn n_messages(&self) -> usize {
+        self.n_found.values().sum()
+    }
+
+    fn note(&self, damage: &Damage) -> String {
+        format!("{}: byte {}: {}", self.path, damage.bytes.start, damage.cause)
+    }
+
+    /// Notes damage, or stops at it.
+    fn tolerate(&mut self, damage: Damage, note: impl FnOnce(String) -> String) -> ControlFlow<()> {
+        if self.allow_truncated {
+            let text = self.note(&damage);
+            self.recording.notes.push(note(text));
+            return ControlFlow::Continue(());
+        }
+        self.failed = Some(McapError::Damaged { path: self.path.into(), damage });
+        ControlFlow::Break(())
+    }
+
+    /// Compares the CRC of a section; where it does not hold, its bytes are used on request.
+    fn section(
+        &mut self,
+        what: &'static str,
+        bytes: std::ops::Range<u64>,
+        stored: u32,
+        computed: Option<u32>,
+    ) -> ControlFlow<()> {
+        match computed {
+            Some(computed) if stored != 0 && computed != stored => {
+                self.tolerate(section_damage(what, bytes, stored, computed), |note| note)
+            }
+            _ => ControlFlow::Continue(()),
+        }
+    }
+
+    fn compare_statistics(&mut self) {
+        let Some(statistics) = self.statistics.take() else { return };
+        let n_read = self.n_messages();
+        if statistics.n_messages != n_read as u64 {
+            let said = statistics.n_messages;
+            self.recording.notes.push(format!("the summary counts {said} messages, but {n_read} could be read"));
+            return;
+        }
+        for (id, said) in statistics.by_channel {
+            let n_read = self.n_found.get(&id).copied().unwrap_or(0);
+            if said != n_read as u64 {
+                let topic = self.channels.get(&id).map_or("unknown", |(channel, _)| &channel.topic);
+                let note = format!("the summary counts {said} messages of \"{topic}\", but {n_read} could be read");
+                self.recording.notes.push(note);
+            }
+        }
+    }
+
+    fn message(&mut self, location: Location, message: &osteoflow_container::Message<'_>) {
+        let channel_id = message.channel_id;
+        *self.n_found.entry(channel_id).or_default() += 1;
+        if self.channels.get(&channel_id).is_some_and(|(channel, _)| !(self.keep)(&channel.topic)) {
+            return;
+        }
+        self.found.push(Found {
+            channel_id,
+            location,
+            sequence: message.sequence,
+            log_time: message.log_time,
+            publish_time: message.publish_time,
+            data: match location.in_chunk {
+                Some(_) => Bytes::new(),
+                None => Bytes::copy_from_slice(message.data),
+            },
+            n_bytes: message.data.len(),
+        });
+    }
+
+    /// Sorts the messages by topic, now that all channels are known.
+    fn finish(mut self) -> Result<Recording, McapError> {
+        let mut n_unknown = 0;
+        for found in std::mem::take(&mut self.found) {
+            let Some((channel, message_encoding)) = self.channels.get(&found.channel_id) else {
+                let (path, location, channel) = (self.path.into(), found.location, found.channel_id);
+                if !self.allow_truncated {
+                    return Err(McapError::UnknownChannel { path, location, channel });
+                }
+                n_unknown += 1;
+                continue;
+            };
+            if !(self.keep)(&channel.topic) {
+                continue;
+            }
+            let message = Message {
+                log_time_ns: stamp(found.log_time),
+                publish_time_ns: stamp(found.publish_time),
+                sequence: found.sequence,
+                schema_name: self.schemas.get(&channel.schema_id).map_or_else(|| "".into(), |(name, _)| name.clone()),
+                message_encoding: message_encoding.clone(),
+                data: found.data,
+            };
+            match self.recording.messages.get_mut(&channel.topic) {
+                Some(messages) => messages.push(message),
+                None => {
+                    self.recording.messages.insert(channel.topic.clone(), vec![message]);
+                }
+            }
+        }
+        if n_unknown > 0 {
+            self.recording
+                .notes
+                .push(format!("{n_unknown} messages were left out: their channels are described in a damaged part"));
+        }
+        for id in &self.channel_order {
+            let (channel, _) = &self.channels[id];
+            let schema = self.schemas.get(&channel.schema_id);
+            let topic = Topic {
+                name: channel.topic.clone(),
+                schema_name: schema.map_or(String::new(), |(name, _)| name.to_string()),
+                schema_encoding: schema.map_or(String::new(), |(_, encoding)| encoding.to_string()),
+                message_encoding: channel.message_encoding.clone(),
+                n_messages: self.n_found.get(id).copied().unwrap_or(0),
+            };
+            let same = self.recording.topics.iter_mut().find(|t| {
+                (&t.name, &t.schema_name, &t.message_encoding)
+                    == (&topic.name, &topic.schema_name, &topic.message_encoding)
+            });
+            match same {
+                Some(known) => known.n_messages += topic.n_messages,
+                None => self.recording.topics.push(topic),
+            }
+        }
+        Ok(self.recording)
+    }
+}
+
+impl Visitor for Pass<'_> {
+    fn record(&mut self, location: Location, record: Record<'_>) -> ControlFlow<()> {
+        match record {
+            Record::Schema { id, name, encoding, .. } => {
+                self.schemas.entry(id).or_insert_with(|| (name.into(), encoding.into()));
+            }
+            Record::Channel(channel) => {
+                let id = channel.id;
+                if !self.channels.contains_key(&id) {
+                    let message_encoding = channel.message_encoding.as_str().into();
+                    self.channels.insert(id, (channel, message_encoding));
+                    self.channel_order.push(id);
+                }
+            }
+            Record::Message(message) => self.message(location, &message),
+            Record::Chunk(_) => self.chunk_start = self.found.len(),
+            Record::Attachment(attachment) => self.recording.attachments.push(Attachment {
+                name: attachment.name.into(),
+                media_type: attachment.media_type.into(),
+                data: Bytes::copy_from_slice(attachment.data),
+            }),
+            Record::Metadata { name, entries } => {
+                self.recording.metadata.entry(name.into()).or_default().extend(entries);
+            }
+            Record::Statistics(statistics) => self.statistics = Some(statistics),
+            Record::DataEnd { crc, computed } => {
+                self.data_end = location.offset;
+                return self.section("the data section", 0..location.offset, crc, computed);
+            }
+            Record::Footer { crc, computed, .. } => {
+                return self.section("the summary", self.data_end..location.offset, crc, computed);
+            }
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn chunk_end(&mut self, records: &mut Vec<u8>) {
+        let found = &mut self.found[self.chunk_start..];
+        let n_kept: usize = found.iter().map(|f| f.n_bytes).sum();
+        let range = |f: &Found| {
+            let start = (f.location.in_chunk.unwrap_or(0) + MESSAGE_HEADER_BYTES) as usize;
+            start..start + f.n_bytes
+        };
+        if n_kept < records.len() / 2 {
+            // Most of the chunk is not wanted, so it is not kept alive.
+            for found in found {
+                found.data = Bytes::copy_from_slice(&records[range(found)]);
+            }
+        } else {
+            let records = Bytes::from(std::mem::take(records));
+            for found in found {
+                found.data = records.slice(range(found));
+            }
+        }
+    }
+
+    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        let n_bytes = damage.bytes.end - damage.bytes.start;
+        self.tolerate(damage, |note| format!("{note}; {n_bytes} bytes are left out"))
+    }
+}
+
+fn stamp(time: u64) -> StampNs {
+    StampNs::try_from(time).unwrap_or(StampNs::MAX)
+}
