@@ -49,10 +49,11 @@ fn assert_registers_as_built_in(folder: &Path, library_file: &Path) {
     fs::create_dir_all(&release).unwrap();
     fs::copy(library_file, release.join(library("my_icp"))).unwrap();
     let own = ran(&folder.join("graphs/my_icp.toml"), &[]);
-    let built_in = ran(&folder.join("graphs/fibula.toml"), &["--set", "icp.published_reading=change_1e-5"]);
+    let published = ["--set", "icp.kind=icp.published", "--set", "icp.reading=change_1e-5"];
+    let built_in = ran(&folder.join("graphs/fibula.toml"), &published);
     let poses = [&own, &built_in].map(|ran| isometry(&ran.results["poses"]["t_ct_world"]["matrix"]));
     let apart = (poses[0].to_homogeneous() - poses[1].to_homogeneous()).amax();
-    assert!(apart < 1e-9, "{apart} mm between my_icp.point_to_point and icp.point_to_point");
+    assert!(apart < 1e-9, "{apart} mm between my_icp.point_to_point and icp.published");
     assert_eq!(own.results["icp"]["iterations"], built_in.results["icp"]["iterations"]);
     let tre_mm = own.results["metrics"]["tre_true_mm"]["mean_abs"]["norm"].as_f64().unwrap();
     assert!(tre_mm < 0.3, "a TRE of {tre_mm} mm, but the built-in ICP leaves 0.16 mm");

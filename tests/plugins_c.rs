@@ -292,7 +292,7 @@ fn the_icp_in_cpp_converges_to_the_pose_of_the_built_in_one_within_a_billionth_o
         assert_eq!(report.outcome, Outcome::Complete);
         report.results
     };
-    let built_in = ran(&["icp.published_reading=iterations", "icp.max_iterations=5000"]);
+    let built_in = ran(&["icp.kind=icp.published", "icp.reading=iterations", "icp.max_iterations=5000"]);
     let in_cpp = ran(&["icp.kind=icp_cpp.point_to_point", "icp.max_iterations=5000"]);
     let [a, b] = [&built_in, &in_cpp].map(|results| common::isometry(&results["pose"]["matrix"]));
     let centre = a.inverse() * common::point(&built_in["icp"]["centroid_mm"]);

@@ -78,23 +78,23 @@ impl Case {
         command.arg("register").args(arguments).output().unwrap()
     }
 
-    /// The same as JSON, from the start at hand.
+    /// `osteoflow register` from the start of the case, as JSON.
     fn answer(&self, target: &str, source: &str, arguments: &[&str]) -> Value {
         let all = [&[target, source, "--init", "init.txt", "--format", "json"], arguments].concat();
         let output = self.register(&all);
-        assert_eq!(output.status.code(), Some(0), "{all:?}: {}", said(&output));
+        assert_eq!(output.status.code(), Some(0), "{all:?}: {}", stderr_of(&output));
         last_line(&output)
     }
 
-    /// What a command that fails says on stderr.
+    /// The stderr of a command that fails.
     fn fault(&self, code: i32, arguments: &[&str]) -> String {
         let output = self.register(arguments);
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", said(&output));
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr_of(&output));
         assert!(output.stdout.is_empty(), "{arguments:?}");
-        said(&output)
+        stderr_of(&output)
     }
 
-    /// How far the points of the scan are from where they belong, mm, at most.
+    /// Largest distance of the scan's points from their true positions, mm.
     fn off_mm(&self, answer: &Value) -> f64 {
         let (found, truth) = (pose(answer), &self.t_target_source);
         self.scan.iter().map(|p| (found * p - truth * p).norm()).fold(0.0, f64::max)
@@ -120,13 +120,13 @@ fn text_of(t: &Isometry3<f64>) -> String {
     matrix_rows(t).map(|row| row.map(|c| format!("{c:?}")).join(" ") + "\n").concat()
 }
 
-fn said(output: &Output) -> String {
+fn stderr_of(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
 fn last_line(output: &Output) -> Value {
     let stdout = String::from_utf8(output.stdout.clone()).unwrap();
-    serde_json::from_str(stdout.lines().last().unwrap_or_else(|| panic!("no answer: {}", said(output)))).unwrap()
+    serde_json::from_str(stdout.lines().last().unwrap_or_else(|| panic!("no answer: {}", stderr_of(output)))).unwrap()
 }
 
 fn pose(answer: &Value) -> Isometry3<f64> {
@@ -144,9 +144,9 @@ fn a_scan_is_registered_onto_whatever_file_holds_the_bone() {
         let off_mm = case.off_mm(&answer);
         assert!(off_mm < 0.05, "{target}: {off_mm} mm; samples lie within 0.01 mm of the chords of the surface");
         assert_eq!(answer["converged"], true, "{target}");
-        let told = &answer["target"];
-        assert_eq!((told["n_points"].as_u64(), told["normals"].as_bool()), (Some(30_000), Some(normals)));
-        assert_eq!(told["n_faces"].is_u64(), n_faces, "{target}");
+        let summary = &answer["target"];
+        assert_eq!((summary["n_points"].as_u64(), summary["normals"].as_bool()), (Some(30_000), Some(normals)));
+        assert_eq!(summary["n_faces"].is_u64(), n_faces, "{target}");
     }
     let from_text = case.answer("points.ply", "scan.csv", &[]);
     assert_eq!(from_text["T"], case.answer("points.ply", "scan.ply", &[])["T"], "text holds every bit");
@@ -155,12 +155,12 @@ fn a_scan_is_registered_onto_whatever_file_holds_the_bone() {
     let turned = pose(&last_line(&itself));
     assert!(turned.translation.vector.norm() < 0.05 && turned.rotation.angle() < 1e-3, "{turned}");
     let notes = last_line(&itself)["notes"].to_string();
-    assert!(notes.contains("no --init: the registration starts where the files put the source"), "{notes}");
+    assert!(notes.contains("no --init: the registration starts from the identity"), "{notes}");
     assert!(notes.contains("bone.stl: a surface; its vertices are taken as the points"), "{notes}");
 }
 
 #[test]
-fn normals_that_the_target_has_not_are_estimated_where_the_method_needs_them() {
+fn missing_normals_are_estimated_if_the_method_needs_them() {
     let case = Case::new();
     for method in ["point_to_plane", "symmetric", "generalized"] {
         let answer = case.answer("bare.ply", "scan.ply", &["--method", method]);
@@ -189,10 +189,10 @@ fn files_in_metres_give_the_same_pose() {
         ["points.ply", "scan.ply", "--init", "init_in_metres.txt", "--init-unit-mm", "1000", "--format", "json"];
     let metres = pose(&last_line(&case.register(&arguments)));
     assert!((plain.to_homogeneous() - metres.to_homogeneous()).amax() < 1e-6);
-    // Without its unit the scan is a speck, and what is odd about it is told with the option that mends it.
-    let told = case.fault(3, &["points.ply", "scan_in_metres.ply", "--init", "init.txt"]);
-    assert!(told.contains("note: scan_in_metres.ply: the points span 0."), "{told}");
-    assert!(told.contains("is the file in metres? then give --source-unit-mm 1000"), "{told}");
+    // Without its unit the scan is a speck, and a note names the option that mends it.
+    let stderr = case.fault(3, &["points.ply", "scan_in_metres.ply", "--init", "init.txt"]);
+    assert!(stderr.contains("note: scan_in_metres.ply: the points span 0."), "{stderr}");
+    assert!(stderr.contains("is the file in metres? then give --source-unit-mm 1000"), "{stderr}");
 }
 
 #[test]
@@ -223,7 +223,7 @@ fn every_way_of_writing_the_start_is_the_same_start() {
 }
 
 #[test]
-fn the_answer_says_how_it_came_about() {
+fn the_answer_holds_timings_report_and_version() {
     let case = Case::new();
     let output = case.register(&["points.ply", "scan.ply", "--init", "init.txt", "--repeat", "3", "--format", "json"]);
     assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 1, "one JSON value on one line");
@@ -273,10 +273,10 @@ fn every_method_finds_the_bone_with_every_pairing_and_the_same_bits_on_any_numbe
             assert!(poses[0] == poses[1] && poses[0] == poses[2], "{method}, {pairing}: {poses:?}");
         }
     }
-    let told = case.fault(3, &["points.ply", "scan.ply", "--init", "init.txt", "--method", "point_to_mesh"]);
-    assert_eq!(told, "refused: the target has no triangles, which point_to_mesh needs; prepare it from a mesh\n");
-    let told = case.fault(2, &["points.ply", "scan.ply", "--init", "init.txt", "--pairing", "cach"]);
-    assert!(told.contains("did you mean \"cached\"?"), "{told}");
+    let stderr = case.fault(3, &["points.ply", "scan.ply", "--init", "init.txt", "--method", "point_to_mesh"]);
+    assert_eq!(stderr, "refused: the target has no triangles, which point_to_mesh needs; prepare it from a mesh\n");
+    let stderr = case.fault(2, &["points.ply", "scan.ply", "--init", "init.txt", "--pairing", "cach"]);
+    assert!(stderr.contains("did you mean \"cached\"?"), "{stderr}");
 }
 
 #[test]
@@ -296,6 +296,30 @@ fn a_fixed_number_of_steps_is_taken_with_all_points() {
 }
 
 #[test]
+fn the_published_method_stops_by_the_reading_it_is_given() {
+    let case = Case::new();
+    let published = ["--method", "published", "--set"];
+    let steps = |sets: &[&str], reason: &str| {
+        let answer = case.answer("points.ply", "scan.ply", &[&published, sets].concat());
+        assert_eq!((&answer["stop_reason"], &answer["converged"]), (&reason.into(), &false.into()), "{sets:?}");
+        answer["iterations"].as_u64().unwrap()
+    };
+    assert_eq!(steps(&["reading=iterations", "--max-iterations", "7"], "iterations"), 7);
+    assert_eq!(steps(&["max_iterations=9", "--stop", "fixed"], "iterations"), 9);
+    let (coarse, fine) = (steps(&["reading=change_0.01"], "residual"), steps(&["reading=change_1e-5"], "residual"));
+    assert!(coarse < fine, "{coarse} and {fine} steps");
+    let files = ["points.ply", "scan.ply", "--init", "init.txt"];
+    let fault = |more: &[&str]| case.fault(2, &[&files, more].concat());
+    assert!(fault(&["--method", "published"]).contains("parameter \"reading\" is missing"));
+    assert!(fault(&["--method", "published", "--pairing", "tree"]).contains("no parameter \"pairing\""));
+    let removed = fault(&["--set", "published_reading=change_0.01"]);
+    assert!(removed.contains("icp.point_to_plane has no parameter \"published_reading\" any more"), "{removed}");
+    assert!(removed.contains("kind = \"icp.published\""), "{removed}");
+    // Recordings of earlier versions spell out its default.
+    case.answer("points.ply", "scan.ply", &["--set", "published_reading=none"]);
+}
+
+#[test]
 fn the_command_line_of_the_comparison_with_other_libraries_works() {
     let case = Case::new();
     for stop in ["converge", "fixed"] {
@@ -304,7 +328,7 @@ fn the_command_line_of_the_comparison_with_other_libraries_works() {
              --step-rad 1e-05 --workers 1 --repeat 2 --stop {stop} --format json"
         );
         let output = case.register(&line.split(' ').collect::<Vec<_>>());
-        assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+        assert_eq!(output.status.code(), Some(0), "{}", stderr_of(&output));
         let answer = last_line(&output);
         assert_eq!(answer["stop"], stop);
         assert_eq!(answer["params"]["stop_step_rad"], if stop == "fixed" { 0.0 } else { 1e-5 });
@@ -313,29 +337,33 @@ fn the_command_line_of_the_comparison_with_other_libraries_works() {
 }
 
 #[test]
-fn what_makes_a_pose_doubtful_is_said_loudly() {
+fn a_doubtful_pose_has_warnings() {
     let case = Case::new();
     let arguments = ["points.ply", "scan.ply", "--init", "init.txt", "--max-iterations", "1", "--format", "json"];
     let output = case.register(&arguments);
     assert_eq!(output.status.code(), Some(0));
     assert!(
-        said(&output).starts_with("warning: not converged: max_iterations are used up; about "),
+        stderr_of(&output).starts_with("warning: not converged: max_iterations are used up; about "),
         "{}",
-        said(&output)
+        stderr_of(&output)
     );
     let answer = last_line(&output);
     assert_eq!(answer["converged"], false);
     assert!(answer["warnings"][0].as_str().unwrap().starts_with("not converged"), "{answer}");
 
-    // Half a turn about the bone is another place to rest.
+    // Half a turn about the bone is another stationary point.
     let centre = case.t_target_source * Point3::from(mean(&case.scan));
     let axis = bone::anatomy(&BoneParams::default()).proximal.scale(2.2);
     let half = Isometry3::from(centre.coords) * Isometry3::rotation(axis) * Isometry3::from(-centre.coords);
     case.write("turned.txt", &text_of(&(half * case.t_target_source)));
     let output = case.register(&["points.ply", "scan.ply", "--init", "turned.txt"]);
-    let told = said(&output);
-    assert!(told.contains("warning: it turned the source by "), "{told}\n{}", String::from_utf8_lossy(&output.stdout));
-    assert!(told.contains(" degrees from where it started, farther than it can be trusted to find back"), "{told}");
+    let stderr = stderr_of(&output);
+    assert!(
+        stderr.contains("warning: it turned the source by "),
+        "{stderr}\n{}",
+        String::from_utf8_lossy(&output.stdout)
+    );
+    assert!(stderr.contains(" degrees from the start, so it may have converged to another minimum"), "{stderr}");
 
     // A plane slides in itself and turns about its normal.
     let mut plane = String::new();
@@ -344,12 +372,12 @@ fn what_makes_a_pose_doubtful_is_said_loudly() {
     }
     case.write("plane.xyz", &plane);
     let output = case.register(&["plane.xyz", "plane.xyz", "--format", "json"]);
-    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    assert_eq!(output.status.code(), Some(0), "{}", stderr_of(&output));
     let answer = last_line(&output);
     assert_eq!(answer["undetermined"].as_array().unwrap().len(), 3, "{answer}");
-    let loud = said(&output);
+    let loud = stderr_of(&output);
     assert_eq!(loud.matches("warning: the surfaces leave ").count(), 3, "{loud}");
-    assert!(loud.contains("undetermined: along it the pose says what the start said"), "{loud}");
+    assert!(loud.contains("undetermined: along it the pose is that of the start"), "{loud}");
 }
 
 #[test]
@@ -370,8 +398,8 @@ fn without_an_answer_there_is_no_pose() {
         ),
         (&["points.ply", "empty.xyz"], "refused: 0 source points, 10 are needed; is the crop empty?\n"),
     ] {
-        let told = case.fault(3, arguments);
-        assert!(told.ends_with(expected), "{arguments:?}: {told}");
+        let stderr = case.fault(3, arguments);
+        assert!(stderr.ends_with(expected), "{arguments:?}: {stderr}");
     }
     let far = case.fault(3, &["points.ply", "scan.ply"]);
     assert!(
@@ -386,7 +414,7 @@ fn without_an_answer_there_is_no_pose() {
 }
 
 #[test]
-fn a_file_that_is_not_sound_is_named_with_its_place() {
+fn a_damaged_file_is_named_with_the_position_of_the_fault() {
     let case = Case::new();
     case.write("scaled.txt", "2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n");
     case.write("short.txt", "1 0 0 0\n");
@@ -408,11 +436,11 @@ fn a_file_that_is_not_sound_is_named_with_its_place() {
 }
 
 #[test]
-fn a_fault_of_the_command_line_names_what_was_probably_meant() {
+fn a_fault_of_the_command_line_suggests_the_right_name() {
     let case = Case::new();
     let files = ["points.ply", "scan.ply", "--init", "init.txt"];
     let with = |more: &[&str]| case.fault(2, &[&files, more].concat());
-    let told = with(&["--set", "max_pair_distance=3", "--max-iterations", "0"]);
+    let stderr = with(&["--set", "max_pair_distance=3", "--max-iterations", "0"]);
     for expected in [
         "register: icp.point_to_plane has no parameter \"max_pair_distance\"",
         "help: write max_pair_distance_mm",
@@ -420,7 +448,7 @@ fn a_fault_of_the_command_line_names_what_was_probably_meant() {
         "register: max_iterations takes a whole number from 1 to 100000, found 0",
         "2 errors",
     ] {
-        assert!(told.contains(expected), "{expected}\n{told}");
+        assert!(stderr.contains(expected), "{expected}\n{stderr}");
     }
     assert!(with(&["--method", "point_to_plain"]).contains("point_to_plane"));
     assert!(with(&["--camera", "1,2"]).contains("three finite numbers are expected, such as 0,0,0"));
@@ -448,8 +476,8 @@ fn nothing_is_overwritten() {
     let case = Case::new();
     for option in ["--out", "--trace"] {
         case.write("mine.txt", "mine");
-        let told = case.fault(2, &["points.ply", "scan.ply", "--init", "init.txt", option, "mine.txt"]);
-        assert_eq!(told, "error: mine.txt is there already; name another file, nothing is overwritten\n");
+        let stderr = case.fault(2, &["points.ply", "scan.ply", "--init", "init.txt", option, "mine.txt"]);
+        assert_eq!(stderr, "error: mine.txt exists already; name another file, nothing is overwritten\n");
         assert_eq!(fs::read_to_string(case.path("mine.txt")).unwrap(), "mine");
     }
 }
@@ -472,7 +500,7 @@ fn a_trace_holds_every_step_and_ends_at_the_pose() {
 }
 
 #[test]
-fn people_are_told_the_pose_and_how_it_ended() {
+fn the_text_holds_pose_convergence_and_timings() {
     let case = Case::new();
     let output = case.register(&["points.ply", "scan.ply", "--init", "init.txt", "-v"]);
     let text = String::from_utf8(output.stdout.clone()).unwrap();
@@ -482,20 +510,20 @@ fn people_are_told_the_pose_and_how_it_ended() {
         "target  points.ply, 30000 points with normals\n",
         "method  point_to_plane, pairing ",
         "t_target_source, mm\n",
-        "  converged     yes: less is left to go than stop_step_mm\n",
-        "  left free     nothing; held least is ",
+        "  converged     yes: the remaining distance is below stop_step_mm\n",
+        "  undetermined  nothing; weakest is ",
         "  prep_target ",
     ] {
         assert!(text.contains(expected), "{expected}\n{text}");
     }
-    assert_eq!(said(&output), "");
+    assert_eq!(stderr_of(&output), "");
     let quiet = case.register(&["points.ply", "scan.ply", "--init", "init.txt", "-q", "--max-iterations", "1"]);
-    assert_eq!(said(&quiet), "", "-q leaves answers and errors");
+    assert_eq!(stderr_of(&quiet), "", "-q leaves answers and errors");
     assert!(String::from_utf8(quiet.stdout).unwrap().contains("converged     NO: max_iterations are used up"));
 }
 
 #[test]
-fn a_camera_keeps_points_from_the_side_that_it_did_not_see() {
+fn with_a_camera_points_pair_only_with_the_side_that_it_saw() {
     let case = Case::new();
     let anatomy = bone::anatomy(&BoneParams::default());
     let camera = anatomy.malleolus_tip + anatomy.proximal.scale(75.0) + anatomy.lateral.scale(300.0);
@@ -507,7 +535,7 @@ fn a_camera_keeps_points_from_the_side_that_it_did_not_see() {
 }
 
 #[test]
-fn what_was_prepared_before_comes_from_the_store_and_gives_the_same_bits() {
+fn a_prepared_target_is_read_from_the_store_and_gives_the_same_bits() {
     let case = Case::new();
     let answer = |target: &str, more: &[&str]| {
         let answer = case.answer(target, "scan.ply", &[&["--target-points", "20000"], more].concat());
@@ -546,7 +574,7 @@ fn what_was_prepared_before_comes_from_the_store_and_gives_the_same_bits() {
     case.write("odd.csv", &odd);
     for _ in 0..2 {
         let (from_store, answer) = answer("odd.csv", &[]);
-        assert!(!from_store && answer["notes"].to_string().contains("not finite"), "it is told every time");
+        assert!(!from_store && answer["notes"].to_string().contains("not finite"), "it is stderr every time");
     }
 }
 
@@ -565,7 +593,7 @@ fn the_readme_shows_what_the_command_prints() {
     let section = readme.find("## Register two files").unwrap();
     let command = readme[section..].lines().find_map(|line| line.strip_prefix("osteoflow ")).unwrap();
     let output = osteoflow().args(command.split(' ')).output().unwrap();
-    assert_eq!((output.status.code(), said(&output)), (Some(0), String::new()));
+    assert_eq!((output.status.code(), stderr_of(&output)), (Some(0), String::new()));
     let printed = String::from_utf8(output.stdout).unwrap();
     let fence = "```text\n";
     let start = section + readme[section..].find(fence).unwrap() + fence.len();
@@ -576,12 +604,12 @@ fn the_readme_shows_what_the_command_prints() {
     }
     // Times are the machine's.
     let untimed = |text: &str| text.split("\ntime ").next().unwrap().to_owned();
-    let (told, printed) = (untimed(&readme[start..end]), untimed(&printed));
-    let differs = told.lines().zip(printed.lines()).find(|(a, b)| {
+    let (readme, printed) = (untimed(&readme[start..end]), untimed(&printed));
+    let differs = readme.lines().zip(printed.lines()).find(|(a, b)| {
         let words = |line: &str| line.split([' ', ',', '(', ')']).map(String::from).collect::<Vec<_>>();
         let (a, b) = (words(a), words(b));
         a.len() != b.len() || !a.iter().zip(&b).all(|(a, b)| alike(a, b))
     });
     let advice = "`UPDATE=1 cargo test --release --test register` writes it anew";
-    assert!(differs.is_none() && told.lines().count() == printed.lines().count(), "{advice}: {differs:?}\n{printed}");
+    assert!(differs.is_none() && readme.lines().count() == printed.lines().count(), "{advice}: {differs:?}\n{printed}");
 }

@@ -1,4 +1,4 @@
-//! Two files, one registration: what a graph's ICP node does, without a graph.
+//! `register`: one file registered onto another, without a graph.
 
 mod align;
 mod answer;
@@ -18,8 +18,7 @@ use align::{Ended, Work};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum, builder::PossibleValuesParser};
 use inputs::Inputs;
-use method::Method;
-use osteoflow_algorithms::icp::IcpParams;
+use method::{Method, MethodParams};
 use osteoflow_engine::{
     check::{Given, parameters},
     panics::mark_helper_thread,
@@ -38,13 +37,12 @@ use std::{
 /// Register one file onto another, without a graph: the SOURCE moves, the TARGET stays.
 ///
 /// The same methods, parameters and defaults as the nodes `icp.*`. TARGET is a surface (STL, PLY with faces), from which
-/// points are drawn as surface.prepare does, or points (PLY, XYZ, CSV), with normals where the file has them; else these
-/// are estimated where the method needs them. SOURCE is points, or the vertices of a surface. Lengths are millimetres; each file lies in a frame of its own, and the answer
-/// takes coordinates in the source's frame to the target's.
+/// points are sampled as by surface.prepare, or points (PLY, XYZ, CSV). Normals that the method needs and the file does not
+/// have are estimated. SOURCE is points, or the vertices of a surface. Lengths are millimetres; each file has a frame of its
+/// own, and the pose takes coordinates in the source's frame to the target's.
 ///
-/// That it has not converged, or that the surfaces leave a motion free, is said on stderr and in the JSON, and is no
-/// failure: look at it before you use the pose. Exit code 3 where there is no answer: too few pairs, no surface to take
-/// normals from, points that are not there.
+/// Missing convergence and undetermined motions are warnings, on stderr and in the JSON; heed them before you use the pose. Exit
+/// code 3 if there is no pose: too few pairs, no points, or no surface to estimate normals from.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -57,56 +55,56 @@ Examples:
 The parameters for --set: osteoflow inspect icp.point_to_plane
 
 Timings:
-  load         reading and parsing the files, drawing points from a surface, or the prepared target from the store
-  prep_target  what is built once for a target: estimated normals, trees, cells, fields
-  prep_source  what a method needs of the source alone
+  load         reading and parsing the files, sampling a surface, or reading the prepared target from the store
+  prep_target  preparing the target once: estimated normals, trees, cells, fields
+  prep_source  preparing the source
   align        the registration; cpu is its processor time
 
 Exit codes:
     0  there is a pose; heed the warnings
-    1  a file cannot be read or is not sound
+    1  a file cannot be read or is damaged
     2  a fault of the command line
-    3  no registration is possible; it is said why
+    3  no registration is possible, with the reason
   130  interrupted")]
 pub(crate) struct Register {
-    /// What stays: a surface in STL or PLY, or points in PLY, XYZ or CSV.
+    /// The surface that stays: STL or PLY, or points in PLY, XYZ or CSV.
     target: PathBuf,
 
-    /// What moves: points in PLY, XYZ or CSV, or a surface, whose vertices are taken.
+    /// The points that move: PLY, XYZ or CSV, or the vertices of a surface.
     source: PathBuf,
 
-    /// Where to start, source to target: 16 numbers row by row as text or JSON, an ITK transform (.tfm, of which the
-    /// inverse is taken, as 3D Slicer shows it), or what --out wrote. Default: where the files put it.
+    /// The start, source to target: 16 numbers row by row as text or JSON, an ITK transform (.tfm, whose inverse is taken, as
+    /// 3D Slicer shows it), or a file of --out. Default: identity.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
 
-    /// What is made small.
+    /// The residual to minimise.
     #[arg(long, default_value = method::DEFAULT, value_name = "METHOD",
           value_parser = PossibleValuesParser::new(method::METHODS.iter().map(Method::possible_value)))]
     method: String,
 
-    /// How pairs are found: cached (the nearest samples, kept while none can be nearer), tree (searched anew at every
-    /// step), or field (looked up in a grid). Default: as the method's node.
+    /// Correspondence search: cached (the nearest samples, kept while none can be nearer), tree (the nearest samples, searched
+    /// at every step), or field (a grid of closest points). Default: as the method's node.
     #[arg(long, value_name = "PAIRING")]
     pairing: Option<String>,
 
-    /// Pairs farther apart are not used, mm.
+    /// Largest distance of a pair, mm.
     #[arg(long, value_name = "MM")]
     max_pair_distance_mm: Option<f64>,
 
-    /// Give up after so many steps.
+    /// Largest number of steps.
     #[arg(long, value_name = "N")]
     max_iterations: Option<u32>,
 
-    /// Converged where less than this is left to go, mm.
+    /// Converged if the remaining distance is below this, mm.
     #[arg(long, value_name = "MM")]
     step_mm: Option<f64>,
 
-    /// Converged where less than this is left to turn, rad.
+    /// And if the last turn is below this, rad.
     #[arg(long, value_name = "RAD")]
     step_rad: Option<f64>,
 
-    /// Any parameter of the method, as in a node's table: KEY=VALUE; may be given again.
+    /// Any parameter of the method, as in a node's table: KEY=VALUE; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
 
@@ -114,11 +112,11 @@ pub(crate) struct Register {
     #[arg(long, value_enum, default_value_t = Stop::Converge, value_name = "WHEN")]
     stop: Stop,
 
-    /// How many points are drawn from a target that is a surface.
+    /// Number of points sampled from a target that is a surface.
     #[arg(long, default_value_t = 150_000, value_name = "N", value_parser = clap::value_parser!(u64).range(100..=10_000_000))]
     target_points: u64,
 
-    /// The seed of that draw.
+    /// Seed of the sampling.
     #[arg(long, default_value_t = 0, value_name = "SEED")]
     seed: u64,
 
@@ -126,34 +124,34 @@ pub(crate) struct Register {
     #[arg(long, default_value_t = 1.0, value_name = "MM", value_parser = unit)]
     unit_mm: f64,
 
-    /// The unit of TARGET in mm, where it differs.
+    /// The unit of TARGET in mm, if it differs.
     #[arg(long, value_name = "MM", value_parser = unit)]
     target_unit_mm: Option<f64>,
 
-    /// The unit of SOURCE in mm, where it differs.
+    /// The unit of SOURCE in mm, if it differs.
     #[arg(long, value_name = "MM", value_parser = unit)]
     source_unit_mm: Option<f64>,
 
-    /// The unit of the translation in --init in mm, where it differs; what --out wrote is always in mm.
+    /// The unit of the translation in --init in mm, if it differs; files of --out are always in mm.
     #[arg(long, value_name = "MM", value_parser = unit)]
     init_unit_mm: Option<f64>,
 
-    /// Where the camera stood, in the source's frame, mm; points then pair only with what faced it.
+    /// Position of the camera in the source's frame, mm; points then pair only with the side of the target that faces it.
     #[arg(long, value_name = "X,Y,Z", value_parser = camera, allow_hyphen_values = true)]
     camera: Option<Point3<f64>>,
 
-    /// How many threads; the pose does not depend on it. Default: the number of cores.
+    /// Number of threads; the pose does not depend on it. Default: the number of cores.
     #[arg(long, value_name = "N")]
     workers: Option<NonZeroUsize>,
 
     #[command(flatten)]
     keep: Keep,
 
-    /// Prepare and register so many times, for the timings.
+    /// Prepare and register this many times, for the timings.
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     repeat: u32,
 
-    /// Write the pose: all of the answer into a .json, else the 4 x 4 matrix as text. Nothing is overwritten.
+    /// Write the pose: the whole answer into a .json, else the 4 x 4 matrix as text. Nothing is overwritten.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 
@@ -165,24 +163,20 @@ pub(crate) struct Register {
 /// When to stop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Stop {
-    /// As soon as it has converged.
+    /// At convergence.
     Converge,
-    /// After --max-iterations steps with all points, for timings; sooner only where no step is left to take.
+    /// After --max-iterations steps on all points, for timings; earlier only if no step lowers the cost.
     Fixed,
 }
 
 impl Stop {
-    fn word(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
             Self::Converge => "converge",
             Self::Fixed => "fixed",
         }
     }
 }
-
-/// What makes a method take its steps to the last, on all points.
-const FIXED: [(&str, &str); 4] =
-    [("stop_step_mm", "0.0"), ("stop_step_rad", "0.0"), ("stop_residual_mm", "0.0"), ("levels", "[]")];
 
 impl Register {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
@@ -194,7 +188,7 @@ impl Register {
         let workers = self.workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
         let pool = pool.build().context("no threads for the registration")?;
-        let inputs = Arc::new(pool.install(|| Inputs::read(self, method, params.icp.pairing))?);
+        let inputs = Arc::new(pool.install(|| Inputs::read(self, method, params.method.pairing()))?);
         if global.format == Format::Text && !global.quiet {
             for note in &inputs.notes {
                 writeln!(std::io::stderr(), "{}: {note}", global.paint_err("note", "1"))?;
@@ -208,18 +202,18 @@ impl Register {
             inputs: inputs.clone(),
             repeat: self.repeat,
             cancelled: Arc::clone(&cancelled),
-            shown: align::Shown::new(self.repeat, global),
+            progress: align::ProgressLine::new(self.repeat, global),
         };
         let ran = running::watch(Progress::hidden(), cancelled, move |_| Ok(pool.install(|| work.run())))?;
         let ended = match ran {
             Ran::Ended(ended) => ended,
             Ran::Left => Ended::Interrupted,
         };
-        let about = answer::About { register: self, params: &params, inputs: &inputs, workers };
-        about.tell(&ended, global)
+        let answer = answer::Answer { register: self, params: &params, inputs: &inputs, workers };
+        answer.write(&ended, global)
     }
 
-    /// The method's parameters; `None` where they have faults, which were told.
+    /// The method's parameters; `None` if they have faults, which are printed.
     fn params(&self, method: &Method, global: &Global) -> Result<Option<Params>> {
         let registry = registry();
         let kind = registry.kind(method.kind).context("a method is a node, too")?;
@@ -234,7 +228,7 @@ impl Register {
         let given = options
             .iter()
             .filter_map(|(option, key, value)| Some(Given::Option { option, key, value: value.as_deref()? }));
-        let fixed = FIXED.iter().filter(|_| self.stop == Stop::Fixed);
+        let fixed = method.fixed.iter().filter(|_| self.stop == Stop::Fixed);
         let fixed = fixed.map(|&(key, value)| Given::Option { option: "stop fixed", key, value });
         let given: Vec<_> = given.chain(self.sets.iter().map(|set| Given::Set(set))).chain(fixed).collect();
         let as_json = match parameters(&kind.description, "register", &given) {
@@ -246,15 +240,15 @@ impl Register {
         };
         kind.build(&as_json, &osteoflow_node::BuildContext::detached("register"))
             .map_err(|error| UsageError(error.to_string()))?;
-        let icp = serde_json::from_value(as_json.clone()).context("the parameters of the node are not the method's")?;
-        Ok(Some(Params { icp, as_json }))
+        let params = method.params(as_json.clone()).context("the parameters of the node are not the method's")?;
+        Ok(Some(Params { method: params, as_json }))
     }
 }
 
-/// A method's parameters, and how they are told.
+/// A method's parameters, and as JSON.
 #[derive(Debug, Clone)]
 struct Params {
-    icp: IcpParams,
+    method: MethodParams,
     as_json: Value,
 }
 
@@ -262,10 +256,10 @@ fn refuse_existing(file: &Path) -> Result<()> {
     if !file.exists() {
         return Ok(());
     }
-    Err(UsageError(format!("{} is there already; name another file, nothing is overwritten", file.display())).into())
+    Err(UsageError(format!("{} exists already; name another file, nothing is overwritten", file.display())).into())
 }
 
-/// Writes a file that must not be there.
+/// Writes a new file.
 fn write_new(file: &Path, text: &str) -> Result<()> {
     let opened = fs::OpenOptions::new().write(true).create_new(true).open(file);
     let written = opened.and_then(|mut file| file.write_all(text.as_bytes()));
@@ -273,9 +267,9 @@ fn write_new(file: &Path, text: &str) -> Result<()> {
 }
 
 fn unit(text: &str) -> Result<f64, String> {
-    let unit: f64 = text.parse().map_err(|_| "it is a number: 1 for millimetres, 1000 for metres")?;
+    let unit: f64 = text.parse().map_err(|_| "a number is expected: 1 for millimetres, 1000 for metres")?;
     let usable = (1e-6..=1e6).contains(&unit);
-    usable.then_some(unit).ok_or_else(|| "it lies between 1e-6 and 1e6: 1 for millimetres, 1000 for metres".into())
+    usable.then_some(unit).ok_or_else(|| "it must be between 1e-6 and 1e6: 1 for millimetres, 1000 for metres".into())
 }
 
 fn camera(text: &str) -> Result<Point3<f64>, String> {

@@ -3,6 +3,7 @@
 //! A variant of ICP is a `residual`. All share the correspondence search (`pairing`), the robust weights (`weights`), the
 //! normal equations (`problem`), the steps (`solve`) and the convergence tests (`stop`). The loop of the variants along normals
 //! is `gauss_newton`, that of point-to-point `point_to_point`; `levels` runs it on subsets of the source, then on all of it.
+//! `published` is the loop in its plainest form, as the paper may have run it.
 
 mod anderson;
 mod gauss_newton;
@@ -13,6 +14,7 @@ mod pairing;
 mod params;
 mod point_to_point;
 mod problem;
+mod published;
 mod report;
 mod residual;
 mod solve;
@@ -25,7 +27,8 @@ mod visible_surface;
 mod weights;
 
 pub use observability::{Observability, WeakDirection};
-pub use params::{IcpParams, Kernel, PairingKind, PublishedReading, StepRule};
+pub use params::{IcpParams, Kernel, PairingKind, StepRule};
+pub use published::{PublishedParams, PublishedReading, register_published};
 pub use report::{Halt, IcpFit, IcpReport, IcpStep, IcpTrace};
 pub use source::Source;
 pub use stop::{StopReason, StopRule};
@@ -95,7 +98,7 @@ pub fn register<'a>(
 ) -> Result<IcpFit, IcpError> {
     let source = source.into();
     match method {
-        Method::PointToPoint => levels::by_points(target, source, init, params, observer),
+        Method::PointToPoint => levels::by_points(target, source, init, params, observer, point_to_point::minimize),
         Method::PointToPlane => levels::by_planes::<residual::PointToPlane>(target, source, init, params, observer),
         Method::Symmetric => levels::by_planes::<residual::Symmetric>(target, source, init, params, observer),
         Method::Generalized => levels::by_planes::<residual::Generalized>(target, source, init, params, observer),
@@ -148,9 +151,6 @@ pub enum IcpError {
         /// Number of normals.
         n_normals: usize,
     },
-    /// A published reading was asked of another variant.
-    #[error("published_reading is what the paper may have done, which is point_to_point; leave it out here")]
-    NotPublished,
     /// A source point or the start is NaN or infinite.
     #[error("{what} is not finite; drop such points before the registration")]
     NotFinite {

@@ -1,4 +1,4 @@
-//! The registration itself, as often as asked, and timed.
+//! The registration, repeated and timed.
 
 use super::{
     Params,
@@ -7,7 +7,7 @@ use super::{
 };
 use crate::commands::{Format, Global};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use osteoflow_algorithms::icp::{self, Halt, IcpFit, IcpStep, StopReason};
+use osteoflow_algorithms::icp::{Halt, IcpFit, IcpStep, StopReason};
 use serde::Serialize;
 use std::{
     io::IsTerminal,
@@ -19,40 +19,40 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// What is done faster shows nothing.
-const PATIENCE: Duration = Duration::from_millis(400);
-/// How often the line is written anew.
+/// Delay before the progress line appears.
+const DELAY: Duration = Duration::from_millis(400);
+/// Shortest time between two updates of the progress line.
 const REFRESH: Duration = Duration::from_millis(60);
 
-/// What is to be done.
+/// The registrations to do.
 pub(super) struct Work {
     pub(super) method: &'static Method,
     pub(super) params: Params,
     pub(super) inputs: Arc<Inputs>,
     pub(super) repeat: u32,
     pub(super) cancelled: Arc<AtomicBool>,
-    pub(super) shown: Shown,
+    pub(super) progress: ProgressLine,
 }
 
-/// How it ended.
+/// How the registrations ended.
 pub(super) enum Ended {
     /// With a pose.
     Fit(Box<Aligned>),
-    /// There is none, and why.
+    /// Without a pose, for this reason.
     Refused(String),
     /// By Ctrl-C.
     Interrupted,
 }
 
-/// A pose, and what it took.
+/// A fit and its timings.
 pub(super) struct Aligned {
     pub(super) fit: IcpFit,
     pub(super) timings: Timings,
-    /// Whether each repeat gave the same bits.
+    /// Whether all repeats gave the same bits.
     pub(super) same_bits: bool,
 }
 
-/// How long each repeat took, ms.
+/// Times of each repeat, ms.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct Timings {
     pub(super) prep_target_ms: Vec<f64>,
@@ -69,22 +69,22 @@ impl Work {
         let mut same_bits = true;
         for n in 1..=self.repeat {
             let began = Instant::now();
-            let target = match self.inputs.target.prepare(self.method, self.params.icp.pairing) {
+            let target = match self.inputs.target.prepare(self.method, self.params.method.pairing()) {
                 Ok(target) => target,
                 Err(error) => return Ended::Refused(error.to_string()),
             };
             timings.prep_target_ms.push(ms_since(began));
             if n == 1 {
-                self.inputs.target.keep(&target);
+                self.inputs.target.store(&target);
             }
-            // The methods order the source themselves, and estimate its normals where they need them, within align.
+            // The methods sort the source and estimate its normals within align.
             timings.prep_source_ms.push(0.0);
 
-            let (shown, cancelled) = (&mut self.shown, &self.cancelled);
-            let limit_ms = self.params.icp.stop_after_ms;
+            let (progress, cancelled) = (&mut self.progress, &self.cancelled);
+            let limit_ms = self.params.method.stop_after_ms();
             let (began, cpu) = (Instant::now(), cpu_ms());
             let mut observer = |step: &IcpStep| {
-                shown.at(n, step);
+                progress.update(n, step);
                 if cancelled.load(Ordering::Relaxed) {
                     ControlFlow::Break(Halt::Cancelled)
                 } else if limit_ms > 0.0 && ms_since(began) >= limit_ms {
@@ -94,7 +94,7 @@ impl Work {
                 }
             };
             let (source, init) = (self.inputs.source.cloud(), &self.inputs.init);
-            let fit = icp::register(self.method.icp, &target, source, init, &self.params.icp, &mut observer);
+            let fit = self.params.method.register(&target, source, init, &mut observer);
             timings.align_ms.push(ms_since(began));
             timings.cpu_ms.extend(cpu_ms().zip(cpu).map(|(after, before)| after - before));
             match fit {
@@ -113,7 +113,7 @@ impl Work {
     }
 }
 
-/// Processor time of the process, ms; not known everywhere.
+/// Processor time of the process, ms; `None` if the platform does not measure it.
 #[cfg(unix)]
 fn cpu_ms() -> Option<f64> {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
@@ -125,23 +125,23 @@ fn cpu_ms() -> Option<f64> {
     None
 }
 
-/// A line that moves on a terminal while it lasts; nothing elsewhere.
-pub(super) struct Shown {
+/// Progress on a terminal; nothing elsewhere.
+pub(super) struct ProgressLine {
     bar: Option<ProgressBar>,
-    told: bool,
+    is_shown: bool,
     repeat: u32,
     began: Instant,
     last: Instant,
 }
 
-impl Shown {
+impl ProgressLine {
     pub(super) fn new(repeat: u32, global: &Global) -> Self {
-        let told = !global.quiet && global.format == Format::Text && std::io::stderr().is_terminal();
-        Self { bar: None, told, repeat, began: Instant::now(), last: Instant::now() }
+        let is_shown = !global.quiet && global.format == Format::Text && std::io::stderr().is_terminal();
+        Self { bar: None, is_shown, repeat, began: Instant::now(), last: Instant::now() }
     }
 
-    fn at(&mut self, n: u32, step: &IcpStep) {
-        if !self.told || self.began.elapsed() < PATIENCE || self.last.elapsed() < REFRESH {
+    fn update(&mut self, n: u32, step: &IcpStep) {
+        if !self.is_shown || self.began.elapsed() < DELAY || self.last.elapsed() < REFRESH {
             return;
         }
         self.last = Instant::now();
@@ -156,7 +156,7 @@ impl Shown {
     }
 }
 
-impl Drop for Shown {
+impl Drop for ProgressLine {
     fn drop(&mut self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();

@@ -1,4 +1,4 @@
-//! How a registration is told.
+//! The answer of `register`: text, JSON, files and warnings.
 
 use super::{
     Params, Register, Stop,
@@ -16,27 +16,27 @@ use osteoflow_geometry::{
 use serde_json::{Map, Value, json};
 use std::{fmt::Write as _, io::Write, path::Path};
 
-/// What a `point_to_point` may leave without a word, mm: what a tracker can tell.
+/// Error left by a `point_to_point` above which it is warned of, mm: the resolution of a tracker.
 const LEFT_MM: f64 = 0.1;
 
-/// A start is doubted where the registration turned the source by more, degrees: a coarse fit is off by a few, and a bone
-/// that is nearly round about its axis has places to rest all around it.
+/// Turn from the start above which it is warned of, degrees: a coarse fit is off by a few, and a bone that is nearly round has
+/// stationary points all around its axis.
 const TURNED_DEG: f64 = 30.0;
 
-/// A motion is called a shift or a turn where so much of it is.
+/// Share of a motion above which it is named a shift or a turn alone.
 const MOSTLY: f64 = 0.95;
 
-/// What was registered, and how.
-pub(super) struct About<'a> {
+/// The inputs of the answer.
+pub(super) struct Answer<'a> {
     pub(super) register: &'a Register,
     pub(super) params: &'a Params,
     pub(super) inputs: &'a Inputs,
     pub(super) workers: usize,
 }
 
-impl About<'_> {
-    /// Answers, writes the files asked for, and says how the command ends.
-    pub(super) fn tell(&self, ended: &Ended, global: &Global) -> Result<Exit> {
+impl Answer<'_> {
+    /// Prints the answer, writes the files, and returns the exit code.
+    pub(super) fn write(&self, ended: &Ended, global: &Global) -> Result<Exit> {
         let exit = match ended {
             Ended::Fit(_) => Exit::Done,
             Ended::Refused(_) => Exit::Refused,
@@ -79,31 +79,28 @@ impl About<'_> {
         Ok(exit)
     }
 
-    /// What makes the pose doubtful.
     fn warnings(&self, aligned: &Aligned) -> Vec<String> {
         let report = &aligned.fit.report;
         let mut warnings = Vec::new();
         if !report.converged && self.register.stop == Stop::Converge {
-            let left =
-                report.remaining_mm.map_or_else(String::new, |mm| format!("; about {} mm are left to go", short(mm)));
-            warnings.push(format!("not converged: {}{left}", why(report.stop_reason)));
+            let left = report.remaining_mm.map_or_else(String::new, |mm| format!("; about {} mm remain", short(mm)));
+            warnings.push(format!("not converged: {}{left}", stop_reason(report.stop_reason)));
         }
         for motion in &report.observability.undetermined {
-            let motion = in_words(motion);
-            warnings
-                .push(format!("the surfaces leave {motion} undetermined: along it the pose says what the start said"));
+            let motion = describe(motion);
+            warnings.push(format!("the surfaces leave {motion} undetermined: along it the pose is that of the start"));
         }
         if let Some(left_mm) = report.left_mm.filter(|mm| *mm > LEFT_MM) {
-            let said = format!("it came to rest, but a step along the normals would still move it by {left_mm:.2} mm");
-            warnings.push(format!("{said}; try --method point_to_plane"));
+            let left = format!("it is stationary, but a step along the normals would still move it by {left_mm:.2} mm");
+            warnings.push(format!("{left}; try --method point_to_plane"));
         }
         let turned_deg = aligned.fit.t_target_source.rotation.angle_to(&self.inputs.init.rotation).to_degrees();
         if turned_deg > TURNED_DEG {
-            let said = format!("it turned the source by {turned_deg:.0} degrees from where it started");
-            warnings.push(format!("{said}, farther than it can be trusted to find back; is --init right?"));
+            let turned = format!("it turned the source by {turned_deg:.0} degrees from the start");
+            warnings.push(format!("{turned}, so it may have converged to another minimum; is --init right?"));
         }
         if !aligned.same_bits {
-            warnings.push("the repeats gave different poses, which only a limit of time should do".into());
+            warnings.push("the repeats gave different poses, which only a time limit should cause".into());
         }
         warnings
     }
@@ -117,7 +114,7 @@ impl About<'_> {
         put("outcome", exit.to_json());
         match ended {
             Ended::Refused(why) => put("refused", json!({ "reason": why })),
-            Ended::Interrupted => put("refused", json!({ "reason": "it was interrupted before its end" })),
+            Ended::Interrupted => put("refused", json!({ "reason": "interrupted" })),
             Ended::Fit(aligned) => {
                 let (fit, report) = (&aligned.fit, &aligned.fit.report);
                 put("T", json!(matrix_rows(&fit.t_target_source).concat()));
@@ -150,7 +147,7 @@ impl About<'_> {
         put("notes", json!(inputs.notes));
         put("method", asked.method.as_str().into());
         put("pairing", self.pairing().into());
-        put("stop", asked.stop.word().into());
+        put("stop", asked.stop.name().into());
         put("params", self.params.as_json.clone());
         put("target", inputs.target.to_json(&asked.target));
         put("source", inputs.source.to_json(&asked.source));
@@ -171,16 +168,16 @@ impl About<'_> {
     }
 
     fn pairing(&self) -> &str {
-        self.params.as_json.get("pairing").and_then(Value::as_str).unwrap_or_default()
+        self.params.as_json.get("pairing").and_then(Value::as_str).unwrap_or("cached")
     }
 
-    /// The matrix as text that this command and others read.
+    /// The matrix as text, with comments.
     fn matrix_file(&self, aligned: &Aligned) -> String {
         let (asked, version) = (self.register, env!("CARGO_PKG_VERSION"));
         let name = |file: &Path| file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         let (source, target) = (name(&asked.source), name(&asked.target));
         let mut out = format!("# takes {source} to {target}: 4 x 4, row by row, mm\n");
-        let ended = why(aligned.fit.report.stop_reason);
+        let ended = stop_reason(aligned.fit.report.stop_reason);
         let _ = writeln!(out, "# osteoflow {version}, {}: {ended}; {NOTICE}", asked.method);
         for row in matrix_rows(&aligned.fit.t_target_source) {
             let _ = writeln!(out, "{}", row.map(|c| format!("{c:?}")).join(" "));
@@ -195,14 +192,14 @@ impl About<'_> {
             let _ = writeln!(out, "{}", trace::text(&fit.trace.steps));
         }
         let _ = writeln!(out, "{NOTICE}\n");
-        let _ = writeln!(out, "target  {}, {}", asked.target.display(), inputs.target.in_words());
-        let _ = writeln!(out, "source  {}, {}", asked.source.display(), inputs.source.in_words());
+        let _ = writeln!(out, "target  {}, {}", asked.target.display(), inputs.target.describe());
+        let _ = writeln!(out, "source  {}, {}", asked.source.display(), inputs.source.describe());
         let _ = writeln!(out, "method  {}, pairing {}\n", asked.method, self.pairing());
         let _ = writeln!(out, "t_target_source, mm");
         for row in matrix_rows(&fit.t_target_source) {
             let _ = writeln!(out, "  {:>11.8} {:>11.8} {:>11.8} {:>13.6}", row[0], row[1], row[2], row[3]);
         }
-        let _ = writeln!(out, "\n{}", how_it_ended(&fit.report, self.params, &self.moved(&fit.t_target_source)));
+        let _ = writeln!(out, "\n{}", summary(&fit.report, self.params, &self.moved(&fit.t_target_source)));
         let timings = &aligned.timings;
         let columns: &[&str] = if asked.repeat > 1 { &["median", "least", "most ms"] } else { &["ms"] };
         let mut table = TextTable::new("time", columns);
@@ -226,7 +223,7 @@ impl About<'_> {
         out
     }
 
-    /// How far the registration moved the source from where it started: RMS of its points in mm, and the turn.
+    /// The motion from the start: RMS over the source points in mm, and the turn.
     fn moved(&self, t_target_source: &Isometry3<f64>) -> String {
         let (points, init) = (self.inputs.source.cloud().points(), &self.inputs.init);
         let squares: f64 = points.iter().map(|p| (t_target_source * p - init * p).norm_squared()).sum();
@@ -236,44 +233,46 @@ impl About<'_> {
     }
 }
 
-fn how_it_ended(report: &IcpReport, params: &Params, moved: &str) -> String {
+fn summary(report: &IcpReport, params: &Params, moved: &str) -> String {
     let mut lines = vec![
-        ("converged", format!("{}: {}", if report.converged { "yes" } else { "NO" }, why(report.stop_reason))),
+        ("converged", format!("{}: {}", if report.converged { "yes" } else { "NO" }, stop_reason(report.stop_reason))),
         ("steps", report.iterations.to_string()),
-        ("pairs", format!("{} of {}, within {} mm", report.n_pairs, report.n_source, params.icp.max_pair_distance_mm)),
+        (
+            "pairs",
+            format!("{} of {}, within {} mm", report.n_pairs, report.n_source, params.method.max_pair_distance_mm()),
+        ),
         ("residual", format!("{:.4} mm RMS, {:.4} mm between the points", report.rms_mm, report.point_rms_mm)),
     ];
-    lines.extend(report.remaining_mm.map(|mm| ("left to go", format!("{} mm", short(mm)))));
-    lines.extend(report.left_mm.map(|mm| ("along normals", format!("{} mm would still be gone", short(mm)))));
-    lines.push(("moved by it", moved.into()));
+    lines.extend(report.remaining_mm.map(|mm| ("remaining", format!("{} mm", short(mm)))));
+    lines.extend(report.left_mm.map(|mm| ("along normals", format!("a step would still move it by {} mm", short(mm)))));
+    lines.push(("moved", moved.into()));
     let free = &report.observability.undetermined;
     let weakest = &report.observability.weakest;
     lines.push((
-        "left free",
+        "undetermined",
         if free.is_empty() {
-            let (motion, held) = (in_words(weakest), short(weakest.residual_per_mm));
-            format!("nothing; held least is {motion}, by {held} mm per mm")
+            let (motion, residual) = (describe(weakest), short(weakest.residual_per_mm));
+            format!("nothing; weakest is {motion}, {residual} mm per mm")
         } else {
-            free.iter().map(in_words).collect::<Vec<_>>().join("; ")
+            free.iter().map(describe).collect::<Vec<_>>().join("; ")
         },
     ));
-    lines.iter().fold("how it ended\n".to_owned(), |out, (name, said)| out + &format!("  {name:<14}{said}\n"))
+    lines.iter().fold("result\n".to_owned(), |out, (name, value)| out + &format!("  {name:<14}{value}\n"))
 }
 
-/// Why it stopped, in words.
-fn why(reason: StopReason) -> &'static str {
+fn stop_reason(reason: StopReason) -> &'static str {
     match reason {
-        StopReason::Step => "less is left to go than stop_step_mm",
+        StopReason::Step => "the remaining distance is below stop_step_mm",
         StopReason::Residual => "the residual changed by less than stop_residual_mm",
         StopReason::Iterations => "max_iterations are used up",
         StopReason::Time => "stop_after_ms are used up",
         StopReason::Stalled => "no step lowers the residual any more",
-        StopReason::Cancelled => "it was interrupted",
+        StopReason::Cancelled => "interrupted",
     }
 }
 
 /// A motion in the target's frame: a shift, a turn about the source's centroid, or both.
-fn in_words(motion: &WeakDirection) -> String {
+fn describe(motion: &WeakDirection) -> String {
     let (shift, turn) = (Vector3::from(motion.translation), Vector3::from(motion.rotation));
     let axis = |v: &Vector3<f64>| {
         let unit = v.try_normalize(0.0).unwrap_or_default();
@@ -293,7 +292,7 @@ fn median(sorted: &[f64]) -> f64 {
     if sorted.len().is_multiple_of(2) { (sorted[middle - 1] + sorted[middle]) / 2.0 } else { sorted[middle] }
 }
 
-/// Few digits, whatever the size.
+/// Three digits after the point, or one significant digit for small numbers.
 fn short(number: f64) -> String {
     match number.abs() {
         0.0 => "0".into(),

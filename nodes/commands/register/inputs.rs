@@ -1,4 +1,4 @@
-//! What the files hold.
+//! Reading the target, the source and the start.
 
 use super::{Register, method::Method};
 use anyhow::{Result, anyhow, bail};
@@ -27,21 +27,21 @@ use std::{fs, path::Path, sync::Arc, time::Instant};
 const TARGET: &str = "target";
 const SOURCE: &str = "source";
 
-/// What the files hold, in mm.
+/// The contents of the files, in mm.
 pub(super) struct Inputs {
     pub(super) target: TargetFile,
     pub(super) source: SourceFile,
     pub(super) init: Isometry3<f64>,
-    /// What is worth knowing of the files, one sentence each.
+    /// Notes on the files, one sentence each.
     pub(super) notes: Vec<String>,
     pub(super) load: LoadMs,
 }
 
-/// How long reading took, ms.
+/// Reading times, ms.
 #[derive(Debug, Default)]
 pub(super) struct LoadMs {
     pub(super) target: f64,
-    /// Drawing points from a surface.
+    /// Sampling a surface.
     pub(super) sample: f64,
     pub(super) source: f64,
     pub(super) init: f64,
@@ -53,40 +53,40 @@ impl LoadMs {
     }
 }
 
-/// What a registration asks of its target.
+/// What the method and the pairing need of the target.
 struct Needs {
     normals: bool,
     field: bool,
 }
 
-/// What stays.
+/// The target's file.
 pub(super) struct TargetFile {
-    found: Found,
-    /// Whether the method needs normals that the file has not.
+    content: TargetContent,
+    /// Whether the method needs normals that the file does not have.
     estimates: bool,
-    /// Whether registration asks for a closest-point field.
+    /// Whether the pairing needs a closest-point field.
     with_field: bool,
-    /// What is prepared of it is kept here for the next run.
-    place: Option<(Arc<Store>, Key)>,
+    /// Where to store the prepared target for the next run.
+    entry: Option<(Arc<Store>, Key)>,
 }
 
-enum Found {
+enum TargetContent {
     /// Prepared by an earlier run.
-    Kept(Target),
-    /// In the file.
+    Stored(Target),
+    /// Read from the file.
     Read {
         points: Column<Point3<f64>>,
         normals: Option<Column<Vector3<f64>>>,
-        /// The surface that the points were drawn from, if it is one.
+        /// The surface that the points were sampled from, if it is one.
         mesh: Option<Mesh>,
     },
 }
 
-/// What moves.
+/// The source's file.
 pub(super) struct SourceFile {
-    /// Its viewpoint is the camera, where given.
+    /// Points, with normals if the file has them, and the camera as viewpoint if given.
     cloud: Cloud,
-    /// Points that were not finite.
+    /// Number of points that were not finite.
     n_dropped: usize,
     is_surface: bool,
 }
@@ -103,8 +103,8 @@ impl Inputs {
         let target = TargetFile::read(asked, unit_mm, &needs, &mut notes, &mut load)?;
         if target.estimates {
             notes.push(format!(
-                "{}: no normals; they are estimated from the points, outwards as of a closed surface; of an open one the \
-                 side is a guess, and matters with --camera only",
+                "{}: no normals; they are estimated from the points, outwards if the surface is closed; on an open one their \
+                 side is a guess, which matters only with --camera",
                 asked.target.display()
             ));
         }
@@ -118,12 +118,12 @@ impl Inputs {
         let began = Instant::now();
         let init = match &asked.init {
             Some(file) => {
-                let read = pose_file::read_pose(file, unit(asked.init_unit_mm)).map_err(told)?;
+                let read = pose_file::read_pose(file, unit(asked.init_unit_mm)).map_err(without_cause)?;
                 notes.extend(read.notes.iter().map(|note| format!("{}: {note}", file.display())));
                 read.isometry
             }
             None => {
-                notes.push("no --init: the registration starts where the files put the source".into());
+                notes.push("no --init: the registration starts from the identity".into());
                 Isometry3::identity()
             }
         };
@@ -133,48 +133,48 @@ impl Inputs {
 }
 
 fn bytes(file: &Path) -> Result<Vec<u8>> {
-    fs::read(file).map_err(|source| told(FileError::Io { path: file.into(), action: "read", source }))
+    fs::read(file).map_err(|source| without_cause(FileError::Io { path: file.into(), action: "read", source }))
 }
 
 fn shape(file: &Path, bytes: &[u8], unit_mm: f64, frame: &str, which: &str, notes: &mut Vec<String>) -> Result<Shape> {
-    let shape = shape_of_bytes(file, bytes, unit_mm, Frame::from(frame)).map_err(told)?;
+    let shape = shape_of_bytes(file, bytes, unit_mm, Frame::from(frame)).map_err(without_cause)?;
     let found = match &shape {
         Shape::Mesh(read) => &read.notes,
         Shape::Cloud(_, notes) => notes,
     };
-    // The readers name a parameter; here it is an option.
+    // The readers name a parameter, which is an option here.
     let option = format!("--{which}-unit-mm ");
     notes.extend(found.iter().map(|note| format!("{}: {}", file.display(), note.replace("unit_mm = ", &option))));
     Ok(shape)
 }
 
-/// The error without its cause, which its own words name.
-fn told(error: FileError) -> anyhow::Error {
+/// The error without its cause, which its message already names.
+fn without_cause(error: FileError) -> anyhow::Error {
     anyhow!("{error}")
 }
 
 impl TargetFile {
-    /// Reads the file, or has from the store what an earlier run prepared of the same bytes.
+    /// Reads the file, or the prepared target of the same bytes from the store.
     fn read(asked: &Register, unit_mm: f64, needs: &Needs, notes: &mut Vec<String>, load: &mut LoadMs) -> Result<Self> {
         let began = Instant::now();
         let bytes = bytes(&asked.target)?;
         let with_field = needs.field;
-        let place = asked.keep.store()?.and_then(|store| {
+        let entry = asked.keep.store()?.and_then(|store| {
             let key = Key::of("register_target").digest("program", store.program()?).bytes("file", &bytes);
             let key = key.number("unit_mm", unit_mm.to_bits()).number("n_points", asked.target_points);
-            // Of what the pairings need only the field is kept beside the rest.
+            // Of the structures for pairing only the field is stored.
             Some((store, key.number("seed", asked.seed).number("field", with_field.into())))
         });
-        let place = |estimates: bool| {
-            let (store, key) = place.as_ref()?;
+        let entry = |estimates: bool| {
+            let (store, key) = entry.as_ref()?;
             Some((store.clone(), key.clone().number("estimates", estimates.into()).done()))
         };
         for estimates in [false, true] {
-            let kept = place(estimates).and_then(|(store, key)| store.load::<Target, Table>(&key));
+            let stored = entry(estimates).and_then(|(store, key)| store.load::<Target, Table>(&key));
             let serves = |target: &Target| if needs.normals { target.normals().is_some() } else { !estimates };
-            if let Some(target) = kept.filter(serves) {
+            if let Some(target) = stored.filter(serves) {
                 load.target = ms_since(began);
-                return Ok(Self { found: Found::Kept(target), estimates, with_field, place: None });
+                return Ok(Self { content: TargetContent::Stored(target), estimates, with_field, entry: None });
             }
         }
         let n_notes = notes.len();
@@ -192,16 +192,16 @@ impl TargetFile {
         };
         load.sample = ms_since(began);
         let estimates = normals.is_none() && needs.normals;
-        // A file with something odd about it is read again, so that it is told again.
-        let place = place(estimates).filter(|_| notes.len() == n_notes);
-        Ok(Self { found: Found::Read { points, normals, mesh }, estimates, with_field, place })
+        // A file with notes is not stored, so that the next run repeats them.
+        let entry = entry(estimates).filter(|_| notes.len() == n_notes);
+        Ok(Self { content: TargetContent::Read { points, normals, mesh }, estimates, with_field, entry })
     }
 
-    /// The target with all that is built for it once; an error says why there is none.
+    /// The target with the structures that method and pairing need.
     pub(super) fn prepare(&self, method: &Method, pairing: PairingKind) -> Result<Target> {
-        let target = match &self.found {
-            Found::Kept(target) => target.clone(),
-            Found::Read { points, normals, mesh } => {
+        let target = match &self.content {
+            TargetContent::Stored(target) => target.clone(),
+            TargetContent::Read { points, normals, mesh } => {
                 let normals = if self.estimates { Some(normals::of_surface(points)?.into()) } else { normals.clone() };
                 let target = Target::new(TARGET, SurfaceOrigin::User, points.clone(), normals)?;
                 let mesh = mesh.as_ref().map(MeshQuery::new);
@@ -220,9 +220,9 @@ impl TargetFile {
         Ok(target)
     }
 
-    /// Keeps what was prepared for the next run, where that is wanted.
-    pub(super) fn keep(&self, prepared: &Target) {
-        if let Some((store, key)) = &self.place
+    /// Stores the prepared target for the next run, if there is a store.
+    pub(super) fn store(&self, prepared: &Target) {
+        if let Some((store, key)) = &self.entry
             && let Err(error) = store.save::<Target, Table>(key, prepared)
         {
             tracing::warn!("{error}");
@@ -230,24 +230,24 @@ impl TargetFile {
     }
 
     fn n_points(&self) -> usize {
-        match &self.found {
-            Found::Kept(target) => target.points().len(),
-            Found::Read { points, .. } => points.len(),
+        match &self.content {
+            TargetContent::Stored(target) => target.points().len(),
+            TargetContent::Read { points, .. } => points.len(),
         }
     }
 
     fn has_normals(&self) -> bool {
-        match &self.found {
-            Found::Kept(target) => target.normals().is_some(),
-            Found::Read { normals, .. } => normals.is_some(),
+        match &self.content {
+            TargetContent::Stored(target) => target.normals().is_some(),
+            TargetContent::Read { normals, .. } => normals.is_some(),
         }
     }
 
-    /// How many faces the points were drawn from, if it is a surface.
+    /// Number of faces that the points were sampled from, if it is a surface.
     fn n_faces(&self) -> Option<usize> {
-        let mesh = match &self.found {
-            Found::Kept(target) => target.mesh().map(MeshQuery::mesh),
-            Found::Read { mesh, .. } => mesh.as_ref(),
+        let mesh = match &self.content {
+            TargetContent::Stored(target) => target.mesh().map(MeshQuery::mesh),
+            TargetContent::Read { mesh, .. } => mesh.as_ref(),
         };
         mesh.map(|mesh| mesh.faces().len())
     }
@@ -259,30 +259,31 @@ impl TargetFile {
             "n_faces": self.n_faces(),
             "normals": self.has_normals() || self.estimates,
             "normals_estimated": self.estimates,
-            "from_store": matches!(self.found, Found::Kept(_)),
+            "from_store": matches!(self.content, TargetContent::Stored(_)),
         })
     }
 
-    pub(super) fn in_words(&self) -> String {
+    pub(super) fn describe(&self) -> String {
         let n = self.n_points();
         let what = match (self.n_faces(), self.has_normals()) {
-            (Some(n_faces), _) => format!("{n} points drawn from {n_faces} faces"),
+            (Some(n_faces), _) => format!("{n} points sampled from {n_faces} faces"),
             (None, _) if self.estimates => format!("{n} points, their normals estimated"),
             (None, true) => format!("{n} points with normals"),
             (None, false) => format!("{n} points without normals"),
         };
-        let prepared = if matches!(self.found, Found::Kept(_)) { ", prepared by an earlier run" } else { "" };
+        let prepared =
+            if matches!(self.content, TargetContent::Stored(_)) { ", prepared by an earlier run" } else { "" };
         format!("{what}{prepared}")
     }
 }
 
-/// The closest-point field of a surface, or of points with normals.
+/// The closest-point field of a mesh, else of points with normals.
 fn field(target: &Target, mesh: Option<&MeshQuery>) -> Result<ClosestPointField> {
     let params = FieldParams::default();
     Ok(match (mesh, target.normals()) {
         (Some(mesh), _) => ClosestPointField::of_mesh(mesh, &params)?,
         (None, Some(normals)) => ClosestPointField::of_points(target.points(), normals, &params)?,
-        (None, None) => bail!("the target has no normals, which its field needs; give a surface, or --pairing cached"),
+        (None, None) => bail!("the target has no normals, which its field needs; use a surface, or --pairing cached"),
     })
 }
 
@@ -296,14 +297,13 @@ impl SourceFile {
             Shape::Cloud(read, _) => (read.cloud, read.n_dropped, false),
         };
         let cloud = match camera {
-            // Of the camera's pose only its place is asked.
+            // Only the camera's position is used.
             Some(camera) => cloud.seen_from(Isometry3::from(camera.coords)),
             None => cloud,
         };
         Ok(Self { cloud, n_dropped, is_surface })
     }
 
-    /// What the methods take: points, normals where the file has them, and the camera's place where it is known.
     pub(super) fn cloud(&self) -> &Cloud {
         &self.cloud
     }
@@ -318,7 +318,7 @@ impl SourceFile {
         })
     }
 
-    pub(super) fn in_words(&self) -> String {
+    pub(super) fn describe(&self) -> String {
         let what = if self.is_surface { "vertices" } else { "points" };
         let normals = if self.cloud.normals().is_some() { " with normals" } else { "" };
         format!("{} {what}{normals}", self.cloud.len())

@@ -1,71 +1,148 @@
-//! The methods, in one table.
+//! The methods of `register`, in one table.
 
 use clap::builder::PossibleValue;
-use osteoflow_algorithms::icp;
+use osteoflow_algorithms::{
+    icp::{self, Halt, IcpError, IcpFit, IcpParams, IcpStep, PairingKind, PublishedParams},
+    target::Target,
+};
+use osteoflow_geometry::{Cloud, nalgebra::Isometry3};
+use serde_json::Value;
+use std::ops::ControlFlow;
 
-/// A way to register.
+/// A registration method.
 pub(super) struct Method {
-    /// The algorithm.
-    pub(super) icp: icp::Method,
-    /// The node that does the same: its parameters are the method's.
+    /// The variant of ICP; none for the plain one of the paper.
+    variant: Option<icp::Method>,
+    /// The kind of node with the same parameters.
     pub(super) kind: &'static str,
-    /// What it is for, for the help.
+    /// One line for the help.
     about: &'static str,
-    /// Whether the target's triangles are needed.
+    /// Parameters for `--stop fixed`, which take all steps on all points.
+    pub(super) fixed: &'static [(&'static str, &'static str)],
     pub(super) needs_mesh: bool,
-    /// Whether the target's normals are needed.
     pub(super) needs_normals: bool,
 }
 
+/// The parameters of a method.
+#[derive(Debug, Clone)]
+pub(super) enum MethodParams {
+    Variant(icp::Method, IcpParams),
+    Published(PublishedParams),
+}
+
+const FIXED: &[(&str, &str)] =
+    &[("stop_step_mm", "0.0"), ("stop_step_rad", "0.0"), ("stop_residual_mm", "0.0"), ("levels", "[]")];
+
 pub(super) const DEFAULT: &str = "point_to_plane";
 
-pub(super) const METHODS: [Method; 5] = [
+pub(super) const METHODS: [Method; 6] = [
     Method {
-        icp: icp::Method::PointToPlane,
+        variant: Some(icp::Method::PointToPlane),
         kind: "icp.point_to_plane",
-        about: "distances along the target's normals: slides freely, needs few steps; the one to begin with",
+        about: "distances along the target's normals: few steps; the first choice",
+        fixed: FIXED,
         needs_mesh: false,
         needs_normals: true,
     },
     Method {
-        icp: icp::Method::PointToPoint,
+        variant: Some(icp::Method::PointToPoint),
         kind: "icp.point_to_point",
-        about: "distances between points: for targets without normals, and to compare; held back along a bone",
+        about: "distances between points: for targets without normals; slow along a bone",
+        fixed: FIXED,
         needs_mesh: false,
         needs_normals: false,
     },
     Method {
-        icp: icp::Method::Symmetric,
+        variant: Some(icp::Method::Symmetric),
         kind: "icp.symmetric",
-        about: "distances along the normals of both sides: draws from farther away on curved bone",
+        about: "distances along the mean normal of both points: converges from farther away on curved bone",
+        fixed: FIXED,
         needs_mesh: false,
         needs_normals: true,
     },
     Method {
-        icp: icp::Method::Generalized,
+        variant: Some(icp::Method::Generalized),
         kind: "icp.generalized",
-        about: "distances weighed by the flatness of both sides (GICP), to compare with others",
+        about: "Mahalanobis distances between planar Gaussians (GICP), for comparisons",
+        fixed: FIXED,
         needs_mesh: false,
         needs_normals: true,
     },
     Method {
-        icp: icp::Method::PointToMesh,
+        variant: Some(icp::Method::PointToMesh),
         kind: "icp.point_to_mesh",
-        about: "distances to the target's triangles: no error of sampling, several times the cost; needs a surface",
+        about: "distances to the target's triangles: no sampling error, several times the cost; needs a surface",
+        fixed: FIXED,
         needs_mesh: true,
+        needs_normals: false,
+    },
+    Method {
+        variant: None,
+        kind: "icp.published",
+        about: "plain point-to-point under a stop rule of the paper, which --set reading=.. names",
+        fixed: &[("reading", "\"iterations\"")],
+        needs_mesh: false,
         needs_normals: false,
     },
 ];
 
 impl Method {
+    fn name(&self) -> &'static str {
+        self.variant.map_or("published", icp::Method::name)
+    }
+
     pub(super) fn possible_value(&self) -> PossibleValue {
-        PossibleValue::new(self.icp.name()).help(self.about)
+        PossibleValue::new(self.name()).help(self.about)
+    }
+
+    /// The parameters of the method's node, which must be complete.
+    pub(super) fn params(&self, params: Value) -> serde_json::Result<MethodParams> {
+        Ok(match self.variant {
+            Some(variant) => MethodParams::Variant(variant, serde_json::from_value(params)?),
+            None => MethodParams::Published(serde_json::from_value(params)?),
+        })
     }
 }
 
-/// The method of that name, which clap has looked at; else the default.
+impl MethodParams {
+    pub(super) fn register(
+        &self,
+        target: &Target,
+        source: &Cloud,
+        init: &Isometry3<f64>,
+        observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
+    ) -> Result<IcpFit, IcpError> {
+        match self {
+            Self::Variant(variant, params) => icp::register(*variant, target, source, init, params, observer),
+            Self::Published(params) => icp::register_published(target, source, init, params, observer),
+        }
+    }
+
+    pub(super) fn pairing(&self) -> PairingKind {
+        match self {
+            Self::Variant(_, params) => params.pairing,
+            Self::Published(_) => PairingKind::Cached,
+        }
+    }
+
+    pub(super) fn max_pair_distance_mm(&self) -> f64 {
+        match self {
+            Self::Variant(_, params) => params.max_pair_distance_mm,
+            Self::Published(params) => params.max_pair_distance_mm,
+        }
+    }
+
+    pub(super) fn stop_after_ms(&self) -> f64 {
+        match self {
+            Self::Variant(_, params) => params.stop_after_ms,
+            Self::Published(params) => params.stop_after_ms,
+        }
+    }
+}
+
+/// The method of this name, which clap has checked.
 pub(super) fn named(name: &str) -> &'static Method {
-    METHODS.iter().find(|method| method.icp.name() == name).unwrap_or(&METHODS[0])
+    METHODS.iter().find(|method| method.name() == name).unwrap_or(&METHODS[0])
 }
 
 #[cfg(test)]
@@ -73,11 +150,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_method_has_its_row_and_its_node() {
-        for method in icp::Method::ALL {
-            let row = named(method.name());
-            assert_eq!((row.icp, row.kind), (method, format!("icp.{}", method.name()).as_str()));
+    fn every_variant_has_a_row_and_every_row_is_named_after_its_node() {
+        for variant in icp::Method::ALL {
+            assert_eq!(named(variant.name()).variant, Some(variant));
         }
-        assert_eq!(named(DEFAULT).icp.name(), DEFAULT);
+        for method in METHODS {
+            assert_eq!(method.kind, format!("icp.{}", method.name()));
+        }
+        assert_eq!(named(DEFAULT).name(), DEFAULT);
     }
 }

@@ -1,4 +1,4 @@
-//! The steps of a registration as tables.
+//! The steps of a registration as CSV and text.
 
 use crate::commands::text_table::TextTable;
 use osteoflow_algorithms::icp::IcpStep;
@@ -6,10 +6,10 @@ use osteoflow_geometry::matrix_rows;
 use serde_json::{Map, Value};
 use std::fmt::Write as _;
 
-/// The key under which a step holds its pose.
+/// Key of a step's pose.
 const POSE: &str = "t_target_source";
 
-/// What a step says of itself beside its pose: numbers and words by name.
+/// The numbers and words of a step by name, without its pose.
 fn cells(step: &IcpStep) -> Map<String, Value> {
     let mut step = serde_json::to_value(step).unwrap_or_default();
     let mut cells = step.as_object_mut().map(std::mem::take).unwrap_or_default();
@@ -17,7 +17,7 @@ fn cells(step: &IcpStep) -> Map<String, Value> {
     cells
 }
 
-/// The steps as CSV: what each says of itself, then the pose after it, 12 numbers row by row.
+/// The steps as CSV: the numbers of each, then the pose after it, 12 numbers row by row.
 pub(super) fn csv(steps: &[IcpStep]) -> String {
     let mut out = String::new();
     for step in steps {
@@ -35,7 +35,7 @@ pub(super) fn csv(steps: &[IcpStep]) -> String {
     out
 }
 
-/// The steps for people.
+/// The steps as a text table.
 pub(super) fn text(steps: &[IcpStep]) -> String {
     let Some(first) = steps.first() else { return "no step was taken\n".into() };
     let names: Vec<_> = cells(first).keys().filter(|key| *key != "iteration").cloned().collect();
@@ -54,7 +54,7 @@ pub(super) fn text(steps: &[IcpStep]) -> String {
     table.lines()
 }
 
-/// Six digits after the point, or as a power of ten where that would leave none of worth.
+/// Six digits after the point, or scientific notation for small numbers.
 fn short(number: f64) -> String {
     if number != 0.0 && number.abs() < 1e-4 { format!("{number:.2e}") } else { format!("{number:.6}") }
 }

@@ -75,6 +75,7 @@ pub fn registry() -> Registry {
         .node::<icp::symmetric::Symmetric>()
         .node::<icp::generalized::Generalized>()
         .node::<icp::point_to_mesh::PointToMesh>()
+        .node::<icp::published::Published>()
         .node::<plane::to_world::ToWorld>()
         .node::<plane::update::Update>()
         .node::<metrics::tre_measured::TreMeasured>()

@@ -92,7 +92,7 @@ impl<'a> Walker<'a> {
     }
 
     /// A value without a schema, as it stands.
-    fn any(&mut self, value: &Spanned, what: &Quantity) -> Option<Json> {
+    pub(super) fn any(&mut self, value: &Spanned, what: &Quantity) -> Option<Json> {
         match &value.value {
             Value::Bool(value) => Some(Json::Bool(*value)),
             Value::Int(value) => Some(int(*value)),

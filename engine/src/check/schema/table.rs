@@ -10,6 +10,10 @@ use crate::{
 };
 use serde_json::{Map, Value as Json};
 
+/// Extension of a struct's schema: parameters of earlier versions, each as `name: { default, help }`. The default is ignored,
+/// as recordings spell it out; any other value is refused with the help.
+const REMOVED: &str = "x-removed";
+
 impl<'a> Walker<'a> {
     /// A table after the schema of a struct or map, except for the keys in `skip`; what is not given is filled in.
     pub(crate) fn table(
@@ -43,6 +47,10 @@ impl<'a> Walker<'a> {
         let known: Vec<_> = properties.keys().map(String::as_str).filter(|name| !skip.contains(name)).collect();
         let unknown = |entry: &&Entry| !known.contains(&entry.key.as_str()) && !skip.contains(&entry.key.as_str());
         for entry in table.0.iter().filter(unknown) {
+            if let Some(removed) = schema.get(REMOVED).and_then(|removed| removed.get(&entry.key)) {
+                self.removed(entry, removed, prefix);
+                continue;
+            }
             match more {
                 Some(more) => {
                     let what = Quantity { name: format!("{prefix}{}", entry.key), doc: None };
@@ -83,6 +91,17 @@ impl<'a> Walker<'a> {
         let fault = Fault::new(message).at(at, format!("needs {name}, {takes}")).follows();
         let fault = fault.note_if(self.say(property, &format!("{prefix}{name}")));
         self.faults.push(fault.help(format!("add {name} = {example}")));
+    }
+
+    fn removed(&mut self, entry: &Entry, removed: &Json, prefix: &str) {
+        let name = format!("{prefix}{}", entry.key);
+        let value = self.any(&entry.value, &Quantity { name: name.clone(), doc: None });
+        if value.as_ref() == removed.get("default") {
+            return;
+        }
+        let fault = Fault::new(format!("{}: {} has no parameter \"{name}\" any more", self.owner, self.kind));
+        let help = removed.get("help").and_then(Json::as_str).map(String::from);
+        self.faults.push(fault.at(&entry.key_at, "removed").help_if(help));
     }
 
     fn unknown(&mut self, entry: &Entry, known: &[&str], prefix: &str, table: &Table) {

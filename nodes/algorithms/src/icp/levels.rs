@@ -3,7 +3,7 @@
 use super::normal_equations::NormalEquations;
 use super::observability::Observability;
 use super::pairing::{Cached, Field, Mesh, NeighbourLists, Pairing, Thinned, Tree};
-use super::params::{IcpParams, PairingKind, PublishedReading};
+use super::params::{IcpParams, PairingKind};
 use super::problem::Problem;
 use super::report::{Halt, IcpFit, IcpReport, IcpStep, IcpTrace, Observer};
 use super::residual::{PointToPlane, PointToPoint, Residual};
@@ -13,7 +13,7 @@ use super::state::State;
 use super::stop::{StopReason, rules};
 use super::visible_surface::VisibleSurface;
 use super::weights::Weights;
-use super::{IcpError, gauss_newton, point_to_point};
+use super::{IcpError, gauss_newton};
 use crate::kabsch::finite;
 use crate::point_grid::{PointGrid, cell_mm};
 use crate::target::Target;
@@ -47,19 +47,27 @@ impl LevelFit {
 
 /// A variant's minimiser at one level: from a state with these weights, whether it is the last level, for at most this many
 /// steps.
-type Minimize<R> = fn(&Problem<'_, R>, State, Weights, bool, u32, &mut Observer<'_>) -> Result<LevelFit, IcpError>;
+pub(super) trait Minimize<R>:
+    Fn(&Problem<'_, R>, State, Weights, bool, u32, &mut Observer<'_>) -> Result<LevelFit, IcpError>
+{
+}
 
-/// The registration by `point_to_point`.
+impl<R, F> Minimize<R> for F where
+    F: Fn(&Problem<'_, R>, State, Weights, bool, u32, &mut Observer<'_>) -> Result<LevelFit, IcpError>
+{
+}
+
+/// The registration by a minimiser of `point_to_point`.
 pub(super) fn by_points(
     target: &Target,
     source: Source<'_>,
     init: &Isometry3<f64>,
     params: &IcpParams,
     observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
+    minimize: impl Minimize<PointToPoint>,
 ) -> Result<IcpFit, IcpError> {
     let mut left_mm = None;
-    let minimize = point_to_point::minimize;
-    let mut fit = run::<PointToPoint>(target, source, init, &params.resolved(), observer, minimize, |last, state| {
+    let mut fit = run(target, source, init, params, observer, minimize, |last, state| {
         let planes: Problem<'_, PointToPlane> =
             Problem::new(last.surface, last.pairing, last.params, 1, last.source.clone(), last.reciprocal);
         let mut weights = Weights::open(last.params, last.params.max_pair_distance_mm);
@@ -78,10 +86,7 @@ pub(super) fn by_planes<R: Residual>(
     params: &IcpParams,
     observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
 ) -> Result<IcpFit, IcpError> {
-    if params.published_reading != PublishedReading::None {
-        return Err(IcpError::NotPublished);
-    }
-    run::<R>(target, source, init, params, observer, gauss_newton::minimize::<R>, |_, _| ())
+    run::<R>(target, source, init, params, observer, gauss_newton::minimize, |_, _| ())
 }
 
 fn run<R: Residual>(
@@ -90,7 +95,7 @@ fn run<R: Residual>(
     init: &Isometry3<f64>,
     params: &IcpParams,
     caller: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
-    minimize: Minimize<R>,
+    minimize: impl Minimize<R>,
     mut at_end: impl FnMut(&Problem<'_, R>, &State),
 ) -> Result<IcpFit, IcpError> {
     check::<R>(target, &source, init, params)?;

@@ -5,7 +5,6 @@ use super::IcpError;
 use super::anderson::Anderson;
 use super::levels::LevelFit;
 use super::normal_equations::NormalEquations;
-use super::params::PublishedReading;
 use super::problem::{Correspondences, Problem};
 use super::report::{IcpStep, Observer};
 use super::residual::PointToPoint;
@@ -67,7 +66,6 @@ struct Minimizer<'a> {
     cost: f64,
     /// The state of the lowest cost since the weights last changed.
     best: Trial,
-    residual_mm: f64,
     anderson: Anderson,
     /// Whether only Kabsch's steps are taken.
     is_plain: bool,
@@ -110,7 +108,7 @@ impl<'a> Minimizer<'a> {
         let mut correspondences = problem.correspondences();
         let equations = problem.linearize(&start, &mut correspondences, &mut weights, true)?;
         let cost = problem.mean_cost(&equations);
-        let mut minimizer = Self {
+        Ok(Self {
             problem,
             start,
             is_last,
@@ -120,14 +118,11 @@ impl<'a> Minimizer<'a> {
             equations: equations.clone(),
             cost,
             best: Trial { state: start, equations, cost, is_accelerated: false },
-            residual_mm: 0.0,
             anderson: Anderson::new(problem.params.acceleration),
             is_plain: problem.params.acceleration == 0,
             n_calm: 0,
             n_steps: 0,
-        };
-        minimizer.residual_mm = minimizer.measured_residual_mm();
-        Ok(minimizer)
+        })
     }
 
     /// Solves for the next step by both models, and tests whether the state is stationary.
@@ -195,8 +190,8 @@ impl<'a> Minimizer<'a> {
     fn accept(&mut self, trial: Trial, step_mm: f64, step: &Step, observer: &mut Observer<'_>) -> Option<LevelFit> {
         let seen = self.problem.step(&self.equations, &self.state, &trial.state, step_mm, Some(step.remaining_mm));
         let seen = IcpStep { accelerated: trial.is_accelerated, ..seen };
+        let change_mm = (trial.equations.rms_mm() - self.equations.rms_mm()).abs();
         (self.state, self.equations) = (trial.state, trial.equations);
-        let change_mm = (self.measured_residual_mm() - self.residual_mm).abs();
         self.n_steps += 1;
         let by_residual = (change_mm < self.problem.params.stop_residual_mm).then_some(StopReason::Residual);
         let reason = observer.observe(seen).or(by_residual)?;
@@ -208,7 +203,6 @@ impl<'a> Minimizer<'a> {
         if !self.weights.is_settled(self.problem.params, step_mm) {
             self.equations = self.problem.linearize(&self.state, &mut self.correspondences, &mut self.weights, true)?;
         }
-        self.residual_mm = self.measured_residual_mm();
         self.cost = self.problem.mean_cost(&self.equations);
         // Costs under other weights cannot be compared.
         if self.weights != before || self.cost < self.best.cost {
@@ -216,13 +210,6 @@ impl<'a> Minimizer<'a> {
             self.best = Trial { state, equations, cost, is_accelerated: false };
         }
         Ok(())
-    }
-
-    fn measured_residual_mm(&self) -> f64 {
-        match self.problem.params.published_reading {
-            PublishedReading::MeanChange1e5 => self.correspondences.mean_mm(),
-            _ => self.equations.rms_mm(),
-        }
     }
 
     /// No step lowers the cost: rounding aside, a plain step never raises it, so this is the minimum among these pairs.

@@ -5,8 +5,8 @@
  *       nodes/payloads/examples/c/icp.cpp -o libicp.so
  *
  * Every source point pairs with the nearest target point, the motion that fits the pairs best is taken, and so on until
- * no pair changes any more. The built-in icp.point_to_point does the same with published_reading = "iterations", and both
- * come to rest at the same pose to 1e-9 mm. Ports are those of the built-in kinds, so that one word in a graph swaps them.
+ * no pair changes any more. The built-in icp.published does the same with reading = "iterations", and both
+ * converge to the same pose to 1e-9 mm. Ports are those of the built-in kinds, so that one word in a graph swaps them.
  *
  * Errors are exceptions inside, and caught in the three functions at the end: none may leave them.
  */

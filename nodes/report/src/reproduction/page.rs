@@ -73,7 +73,7 @@ fn independent(out: &mut Markdown, reproduction: &Reproduction, again: Command<'
         "Found by an independent implementation of the same method on real bones with an exact CT surface; of a bone of \
          your own: `osteoflow reproduce --bone BONE.stl --plan PLAN.json`, and of an exact CT surface and plain steps where \
          procedures are repeated, `--only accuracy_camera --set bone.exact=true --set \
-         icp.published_reading=mean_change_1e-5 --set icp.max_iterations=250 --set icp.max_pair_distance_mm=8`. Their text does not say by which number a fragment \
+         icp.kind=icp.published --set icp.reading=mean_change_1e-5 --set icp.max_iterations=250 --set icp.max_pair_distance_mm=8`. Their text does not say by which number a fragment \
          counts, its mean distance or its greatest: both of ours stand beside it.\n",
     );
     out.head(["what", "theirs", "ours", "n", "within their range", "command"]);

@@ -1,13 +1,13 @@
 //! The kind `icp.generalized`.
 
-use super::{In, Out, own_rules};
+use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 
 /// Fine registration of a bone surface onto the CT surface by generalized ICP (GICP), plane to plane.
 ///
-/// Each point is drawn to its partner where both may lie anywhere nearby on their planes. Its normals are estimated where
-/// the cloud has none, which takes longer than the registration itself.
+/// Minimises the Mahalanobis distances between planar Gaussians at both points. The scan's normals are estimated if the cloud
+/// has none, which takes longer than the registration itself.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -26,7 +26,7 @@ impl Node for Generalized {
     type Outputs = Out;
 
     fn new(params: IcpParams) -> Result<Self, ParamError> {
-        Ok(Self(own_rules(params)?))
+        Ok(Self(params))
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {

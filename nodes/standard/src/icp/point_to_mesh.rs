@@ -1,13 +1,13 @@
 //! The kind `icp.point_to_mesh`.
 
-use super::{In, Out, own_rules};
+use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 
 /// Fine registration of a bone surface onto the CT surface by the closest points of its triangles.
 ///
-/// Free of the error of sampling the surface. The target must have been prepared from a mesh; each partner costs several
-/// times that of a sample.
+/// Without the error of sampling the surface. The target must have been prepared from a mesh; finding the closest point of a
+/// mesh takes several times as long as that of samples.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -26,7 +26,7 @@ impl Node for PointToMesh {
     type Outputs = Out;
 
     fn new(params: IcpParams) -> Result<Self, ParamError> {
-        Ok(Self(own_rules(params)?))
+        Ok(Self(params))
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {

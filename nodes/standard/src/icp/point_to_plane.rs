@@ -1,13 +1,13 @@
 //! The kind `icp.point_to_plane`.
 
-use super::{In, Out, own_rules};
+use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 
 /// Fine registration of a bone surface onto the CT surface by point-to-plane ICP.
 ///
-/// Each point is drawn to the plane of the nearest sample and may slide in it, so a start millimetres off along the bone
-/// costs a few steps, not thousands.
+/// Minimises the distances along the target's normals. Points may slide along the surface, so a start millimetres off along
+/// the bone takes a few more steps, not thousands.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -26,7 +26,7 @@ impl Node for PointToPlane {
     type Outputs = Out;
 
     fn new(params: IcpParams) -> Result<Self, ParamError> {
-        Ok(Self(own_rules(params)?))
+        Ok(Self(params))
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {

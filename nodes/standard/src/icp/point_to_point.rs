@@ -4,11 +4,11 @@ use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 
-/// Fine registration of a bone surface onto the CT surface by point-to-point ICP, the paper's.
+/// Fine registration of a bone surface onto the CT surface by point-to-point ICP, as in the paper.
 ///
-/// Each point is drawn to the nearest sample, which holds it back along the bone: a plain step recovers about a thousandth
-/// of a slide. The report says how far is still to go; see `acceleration` and `stop_step_mm`,
-/// and `published_reading` for what the paper may have done.
+/// Minimises the distances to the nearest samples, which hold points back along the bone: a plain step recovers about a
+/// thousandth of a slide. The report estimates the remaining distance; see `acceleration` and `stop_step_mm`. For the stop rules
+/// that the paper may have used, see `icp.published`.
 #[derive(Describe)]
 #[describe(
     example = r#"

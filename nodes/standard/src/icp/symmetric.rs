@@ -1,13 +1,13 @@
 //! The kind `icp.symmetric`.
 
-use super::{In, Out, own_rules};
+use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 
 /// Fine registration of a bone surface onto the CT surface by symmetric ICP.
 ///
-/// Each point is drawn along the mean of its own normal and its partner's, which is exact where the bone is round. Its
-/// normals are estimated where the cloud has none, which takes longer than the registration itself.
+/// Minimises the distances along the mean of both points' normals, which is exact if the bone is round. The scan's normals are
+/// estimated if the cloud has none, which takes longer than the registration itself.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -26,7 +26,7 @@ impl Node for Symmetric {
     type Outputs = Out;
 
     fn new(params: IcpParams) -> Result<Self, ParamError> {
-        Ok(Self(own_rules(params)?))
+        Ok(Self(params))
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {

@@ -1,28 +1,33 @@
-//! Fine registration of the scan onto the CT surface: every kind takes the same ports and parameters.
+//! Fine registration of the scan onto the CT surface: every kind takes the same ports, and all but `icp.published` the same
+//! parameters.
 
 pub mod generalized;
 pub mod point_to_mesh;
 pub mod point_to_plane;
 pub mod point_to_point;
+pub mod published;
 pub mod symmetric;
 
 use osteoflow_algorithms::{
-    icp::{self, Halt, IcpParams, IcpReport, IcpStep, IcpTrace, Method, PublishedReading},
+    icp::{self, Halt, IcpError, IcpFit, IcpParams, IcpReport, IcpStep, IcpTrace, Method},
     target::Target,
 };
-use osteoflow_geometry::{Cloud, Pose};
-use osteoflow_node::{Context, Inputs, NodeError, Outputs, ParamError};
+use osteoflow_geometry::{Cloud, Pose, nalgebra::Isometry3};
+use osteoflow_node::{Context, Inputs, NodeError, Outputs};
 use std::{ops::ControlFlow, time::Duration};
+
+/// Called after each step.
+type Observer<'a> = dyn FnMut(&IcpStep) -> ControlFlow<Halt> + 'a;
 
 /// Inputs of every ICP.
 #[derive(Inputs)]
 pub struct In {
-    /// Moves: the scanned surface, cropped.
+    /// The surface that moves: the scan, cropped.
     source: Cloud,
-    /// Stays: the CT surface, prepared once (points, normals, tree).
+    /// The surface that stays: the CT surface, prepared once.
     #[port(join = "once", frame = "init.to")]
     target: Target,
-    /// Where to start: from the coarse fit.
+    /// The start: the coarse fit.
     #[port(to = "target", from = "source")]
     init: Pose,
 }
@@ -33,28 +38,29 @@ pub struct Out {
     /// The registration.
     #[port(to = "target", from = "source")]
     t_target_source: Pose,
-    /// How it ended: converged or not and why, pairs, residual, what is observable.
+    /// Convergence, stop reason, pairs, residual and observability.
     report: IcpReport,
-    /// How it got there, step by step.
+    /// The steps.
     trace: IcpTrace,
 }
 
-/// Refuses what only `point_to_point` knows.
-fn own_rules(params: IcpParams) -> Result<IcpParams, ParamError> {
-    match params.published_reading {
-        PublishedReading::None => Ok(params),
-        _ => Err(ParamError::new(
-            "published_reading",
-            "this is what the paper may have done with icp.point_to_point; leave it out, or use that kind",
-        )),
-    }
-}
-
 impl In {
-    /// Registers by a variant, until the user stops the run or the time is up.
+    /// Registers by a variant.
     fn register(&self, method: Method, params: &IcpParams, ctx: &mut Context) -> Result<Out, NodeError> {
+        self.run(params.stop_after_ms, ctx, |target, source, init, observer| {
+            icp::register(method, target, source, init, params, observer)
+        })
+    }
+
+    /// Registers until the user stops the run or the time is up.
+    fn run(
+        &self,
+        stop_after_ms: f64,
+        ctx: &mut Context,
+        register: impl FnOnce(&Target, &Cloud, &Isometry3<f64>, &mut Observer<'_>) -> Result<IcpFit, IcpError>,
+    ) -> Result<Out, NodeError> {
         let init = self.init.expect(&self.target.frame, &self.source.frame)?; // the one check of frames
-        let limit = Some(params.stop_after_ms).filter(|ms| *ms > 0.0);
+        let limit = Some(stop_after_ms).filter(|ms| *ms > 0.0);
         let mut budget = limit.map(|ms| ctx.budget(Duration::from_secs_f64(ms / 1e3)));
         let mut observer = |_: &IcpStep| {
             if ctx.cancelled() {
@@ -65,7 +71,7 @@ impl In {
                 ControlFlow::Continue(())
             }
         };
-        let fit = icp::register(method, &self.target, &self.source, &init, params, &mut observer)?;
+        let fit = register(&self.target, &self.source, &init, &mut observer)?;
         let pose = Pose::new(&self.target.frame, &self.source.frame, fit.t_target_source);
         Ok(Out { t_target_source: pose.at(ctx.stamp_ns()), report: fit.report, trace: fit.trace })
     }

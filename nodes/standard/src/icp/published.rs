@@ -1,0 +1,38 @@
+//! The kind `icp.published`.
+
+use super::{In, Out};
+use osteoflow_algorithms::icp::{PublishedParams, register_published};
+use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+
+/// Fine registration by plain point-to-point ICP, under one of the stop rules that the paper may have used.
+///
+/// The paper does not say when it stops. Each `reading` takes plain steps on all points, without weights, and stops by a rule
+/// of its own; the report's `left_mm` says how far from the minimum. `icp.point_to_point` minimises the same cost to the end.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "icp.published"
+in   = { source = "to_bone.cloud", target = "ct_surface.target", init = "coarse.t_target_source" }
+reading        = "iterations"
+max_iterations = 50
+"#,
+    literature = ["Besl & McKay 1992", "section 2.3 of the paper"]
+)]
+pub struct Published(PublishedParams);
+
+impl Node for Published {
+    const KIND: &'static str = "icp.published";
+    type Params = PublishedParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: PublishedParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        i.run(self.0.stop_after_ms, ctx, |target, source, init, observer| {
+            register_published(target, source, init, &self.0, observer)
+        })
+    }
+}
