@@ -1,6 +1,6 @@
 //! A surface prepared for registration.
 
-mod parts;
+mod columns;
 
 pub use crate::point_grid::GridColumns;
 

@@ -5,7 +5,7 @@ use crate::{
     of_geometry::{invalid, origin},
 };
 use osteoflow_algorithms::{
-    field::{ClosestPointField, FieldParts},
+    field::{ClosestPointField, FieldColumns},
     mesh_query::MeshQuery,
     target::{GridColumns, Target},
 };
@@ -43,7 +43,7 @@ impl Payload<Table> for Target {
     ];
 
     fn to_view(&self) -> View {
-        let cells = self.to_parts();
+        let cells = self.grid_columns();
         let mut view = View::new()
             .with("frame", self.frame.shared())
             .with("origin", self.origin.to_string())
@@ -61,7 +61,7 @@ impl Payload<Table> for Target {
                 .with_column(to_column("mesh/vertices", ColumnType::F64, mesh.vertex_column()))
                 .with_column(to_column("mesh/faces", ColumnType::U32, mesh.face_column()));
         }
-        if let Some(field) = self.field().map(ClosestPointField::to_parts) {
+        if let Some(field) = self.field().map(ClosestPointField::to_columns) {
             view = view
                 .with_column(to_column("field/head", ColumnType::F64, &field.head))
                 .with_column(to_column("field/index", ColumnType::U32, &field.index))
@@ -81,7 +81,7 @@ impl Payload<Table> for Target {
                 starts: from_column(view, "cells/starts")?,
                 items: from_column(view, "cells/items")?,
             };
-            target = target.with_parts(&cells).map_err(invalid)?;
+            target = target.with_grid_columns(&cells).map_err(invalid)?;
         }
         if has(view, "mesh/faces") {
             let (vertices, faces) = (from_column(view, "mesh/vertices")?, from_column(view, "mesh/faces")?);
@@ -89,12 +89,12 @@ impl Payload<Table> for Target {
             target = target.with_mesh(MeshQuery::new(&mesh));
         }
         if has(view, "field/head") {
-            let field = FieldParts {
+            let field = FieldColumns {
                 head: from_column(view, "field/head")?,
                 index: from_column(view, "field/index")?,
                 nodes: from_column(view, "field/nodes")?,
             };
-            target = target.with_field(ClosestPointField::from_parts(field).map_err(invalid)?);
+            target = target.with_field(ClosestPointField::from_columns(field).map_err(invalid)?);
         }
         if view.field(CELL_MM).is_some() {
             target.prepare();

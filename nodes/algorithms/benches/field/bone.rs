@@ -1,4 +1,4 @@
-//! What the benches measure on: a bone from a file, or a made-up shaft.
+//! The surface of the benches: a bone from a file, or an artificial shaft.
 
 use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::sample;
@@ -19,7 +19,7 @@ pub(crate) fn read_stl(path: &str) -> Mesh {
     Mesh::new("ct", SurfaceOrigin::User, vertices, faces).expect("the file holds a mesh")
 }
 
-/// A bumpy shaft of 300 mm, where no file is named.
+/// A bumpy shaft of 300 mm.
 pub(crate) fn shaft() -> Mesh {
     let (rings, around) = (301_u32, 60_u32);
     let point = |i: u32, j: u32| {
@@ -39,7 +39,7 @@ pub(crate) fn shaft() -> Mesh {
     Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).expect("a shaft is a mesh")
 }
 
-/// The bone that `OSTEOFLOW_BONE` names, a binary STL file; else the shaft.
+/// The binary STL file of `OSTEOFLOW_BONE`; else the shaft.
 pub(crate) fn bone() -> Mesh {
     std::env::var("OSTEOFLOW_BONE").map_or_else(|_| shaft(), |path| read_stl(&path))
 }
@@ -49,8 +49,7 @@ pub(crate) fn samples(mesh: &Mesh, n: usize) -> sample::Samples {
     sample::surface(mesh, n, &mut ChaCha8Rng::seed_from_u64(1))
 }
 
-/// As a camera sees 125 mm of the bone from one side: points with noise of 0.07 mm along the normal, neighbours in space
-/// neighbours in memory.
+/// A scan of 125 mm of the bone from one side, with noise of 0.07 mm along the normal, along a space-filling curve.
 pub(crate) fn scan(mesh: &Mesh, n: usize) -> Vec<Point3<f64>> {
     let all = samples(mesh, 8 * n);
     let noise = Normal::new(0.0, 0.07).expect("a deviation above zero");
@@ -64,11 +63,15 @@ pub(crate) fn scan(mesh: &Mesh, n: usize) -> Vec<Point3<f64>> {
         .map(|(p, n)| p + n * noise.sample(&mut rng))
         .take(n)
         .collect();
+    sort_along_curve(&mut points);
+    points
+}
+
+pub(crate) fn sort_along_curve(points: &mut [Point3<f64>]) {
     let key = |p: &Point3<f64>| {
         let spread = |v: f64| (0..12).fold(0_u64, |k, b| k | ((v as u64) >> b & 1) << (3 * b));
         let q = (p.coords + Vector3::repeat(2000.0)) * 4.0;
         spread(q.x % 4096.0) | spread(q.y % 4096.0) << 1 | spread(q.z % 4096.0) << 2
     };
     points.sort_by_key(key);
-    points
 }

@@ -1,14 +1,17 @@
-//! What a closest-point field costs and how exact it is: in processor time, which other programs on the machine disturb
-//! less than a clock on the wall, the fastest of many runs; all work is done by one thread unless `THREADS` says otherwise.
+//! Cost and accuracy of closest-point fields, and whether they pay: for many registrations onto one target, and for the start
+//! by shape alone. Times are processor time, the fastest of several runs, on one thread unless `THREADS` says otherwise.
 //!
 //! `OSTEOFLOW_BONE=fibula.stl cargo bench -p osteoflow-algorithms --bench field` measures on a bone (a binary STL file,
-//! mm), by default on a made-up shaft; `POINTS=20000` takes so many samples of it, by default 150 000.
+//! mm), by default on an artificial shaft. `POINTS=20000` sets the number of samples (150,000), `STARTS=50` that of
+//! registrations (200).
 
 mod bone;
+mod pays;
 
 use nalgebra::Vector3;
 use osteoflow_algorithms::field::{ClosestPointField, FieldParams};
 use osteoflow_algorithms::mesh_query::MeshQuery;
+use osteoflow_geometry::Mesh;
 use rustix::time::{ClockId, clock_gettime};
 
 /// Processor time of the process, s.
@@ -17,8 +20,8 @@ fn processor_time() -> f64 {
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// The least time of `n` runs, s, and what the last gave.
-fn fastest<T>(n: usize, mut run: impl FnMut() -> T) -> (f64, T) {
+/// The least time of `n` runs, s, and the result of the last.
+pub(crate) fn fastest<T>(n: usize, mut run: impl FnMut() -> T) -> (f64, T) {
     let mut timed = || {
         let began = processor_time();
         let made = run();
@@ -32,7 +35,7 @@ fn fastest<T>(n: usize, mut run: impl FnMut() -> T) -> (f64, T) {
     (least, made)
 }
 
-fn number(name: &str, default: usize) -> usize {
+pub(crate) fn number(name: &str, default: usize) -> usize {
     std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|e| panic!("{name}={text}: {e}")))
 }
 
@@ -62,16 +65,24 @@ fn main() {
             fastest(3, || ClosestPointField::of_points(&samples.points, &samples.normals, &params).expect("a bone"));
         for (name, build_s, field) in [("mesh", mesh_s, &of_mesh), ("points", points_s, &of_points)] {
             let megabytes = field.n_bytes() as f64 / 1e6;
-            println!("of_{name}, {} mm: made in {:.0} ms, {megabytes:.1} MB", params.fine_mm, build_s * 1e3);
+            let per_node = build_s * 1e9 / (field.n_bytes() as f64 / 16.0);
+            println!(
+                "of_{name}, {} mm: made in {:.0} ms ({per_node:.0} ns a node), {megabytes:.1} MB",
+                params.fine_mm,
+                build_s * 1e3
+            );
             look_up(&mesh, field);
             for reach_mm in [1.0, params.band_mm] {
                 accuracy(&mesh, &query, field, reach_mm);
             }
         }
     }
+    parry(&mesh, &query);
+    pays::registrations(&mesh, &samples);
+    pays::start_by_shape(&mesh, &samples);
 }
 
-fn look_up(mesh: &osteoflow_geometry::Mesh, field: &ClosestPointField) {
+fn look_up(mesh: &Mesh, field: &ClosestPointField) {
     let scan = bone::scan(mesh, 20_000);
     let sum = |away: f64, one: &dyn Fn(&Vector3<f64>) -> f64| {
         let local: Vec<_> = scan.iter().map(|p| p - field.centre() + Vector3::x() * away).collect();
@@ -80,18 +91,23 @@ fn look_up(mesh: &osteoflow_geometry::Mesh, field: &ClosestPointField) {
     };
     let view = field.view();
     let near = sum(0.0, &|v| view.at_local(v).map_or(0.0, |s| s.distance_mm));
-    let whole = sum(0.0, &|v| field.at_local(v).map_or(0.0, |s| s.distance_mm));
     let far = sum(10.0, &|v| view.at_local(v).map_or(0.0, |s| s.distance_mm));
-    let parts = field.to_parts();
-    let (load, _) = fastest(20, || ClosestPointField::from_parts(parts.clone()).expect("its own parts"));
-    println!(
-        "    a look-up: {near:.1} ns, without a view {whole:.1} ns, 10 mm off {far:.1} ns; loaded in {:.2} ms",
-        load * 1e3
-    );
+    let columns = field.to_columns();
+    let (load, _) = fastest(20, || ClosestPointField::from_columns(columns.clone()).expect("its own columns"));
+    println!("    a look-up: {near:.1} ns, 10 mm off {far:.1} ns; loaded in {:.2} ms", load * 1e3);
+}
+
+/// parry's closest points at the nodes of one cell layer, beside the field's own search.
+fn parry(mesh: &Mesh, query: &MeshQuery) {
+    let drawn = bone::samples(mesh, 20_000);
+    let mut places: Vec<_> = drawn.points.iter().zip(&drawn.normals).map(|(p, n)| p + n * 1.5).collect();
+    bone::sort_along_curve(&mut places);
+    let (time, _) = fastest(5, || places.iter().filter_map(|p| query.closest_point(p)).count());
+    println!("parry's closest point, neighbours one after the other: {:.0} ns", time * 1e9 / places.len() as f64);
 }
 
 /// Against the closest point on the mesh, at places up to `reach_mm` off the surface.
-fn accuracy(mesh: &osteoflow_geometry::Mesh, query: &MeshQuery, field: &ClosestPointField, reach_mm: f64) {
+fn accuracy(mesh: &Mesh, query: &MeshQuery, field: &ClosestPointField, reach_mm: f64) {
     let drawn = bone::samples(mesh, 50_000);
     let mut errors = Vec::new();
     let (mut n_none, mut n_other_side) = (0, 0);

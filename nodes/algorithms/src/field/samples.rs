@@ -1,31 +1,31 @@
-//! The closest point of a surface that is known by points and normals.
+//! The signed distance of a surface from points and normals.
 
-use super::{Nearest, Node, Surface};
+use super::{Nearest, Node, SignedDistance};
 use crate::bvh::{Aabb, below, bits};
 use crate::point_blocks::{BLOCK_LEN, PointBlock, PointBlocks, halves};
 use nalgebra::{Matrix3, Point3, Vector3};
 use parry3d_f64::glamx::Vec4;
 
-/// Samples within the radius of an average. 40: weights fall off towards its rim, so that about fifteen count, which
+/// Number of samples within the radius of a fit. 30: weights fall off towards the radius, so that about fifteen count, which
 /// averages facets and noise, and a fibula 10 mm thick bends by less than 0.1 mm over the 0.8 mm of 10 samples a mm².
 const AVERAGED: usize = 30;
 
-/// A fit serves where the foot lies nearer to its middle than this share of the radius.
+/// Share of the radius within which the closest point must be of the middle of a fit.
 const CENTRED: f64 = 0.3;
 
-/// The mean normal of an average is shorter than this where its samples do not agree which side is outside.
+/// Length of the mean normal of a fit below which its samples do not agree on the side.
 const AGREEMENT: f64 = 0.3;
 
 /// Samples of a surface along a space-filling curve.
 pub(super) struct Samples {
     points: PointBlocks,
-    /// Of each block: for each axis four and four.
+    /// Normals of each block: for each axis four and four.
     normals: Vec<[[Vec4; 2]; 3]>,
     extent: Aabb,
     radius: f64,
 }
 
-/// Weighted sums over samples about a place.
+/// Weighted sums over samples about a position.
 #[derive(Default)]
 struct Sums {
     weight: f64,
@@ -36,7 +36,7 @@ struct Sums {
 }
 
 impl Samples {
-    /// The samples about `centre`, along `axes`; at least one, normals of unit length.
+    /// At least one sample, in `axes` about `centre`, with normals of unit length.
     pub(super) fn new(
         points: &[Point3<f64>],
         normals: &[Vector3<f64>],
@@ -58,7 +58,7 @@ impl Samples {
         Self { points, normals, extent: Aabb::of(&places), radius }
     }
 
-    /// The share of samples whose normal points opposite to that of the next one along the curve, if that is near.
+    /// Share of neighbours along the curve with opposite normals.
     pub(super) fn disagreement(&self) -> f64 {
         let (mut near, mut opposite) = (0_usize, 0_usize);
         for (block, normals) in self.points.blocks.iter().zip(&self.normals) {
@@ -73,7 +73,7 @@ impl Samples {
         opposite as f64 / near.max(1) as f64
     }
 
-    /// Weights fall from one to zero at the radius, smoothly: `(1 - s²)²`.
+    /// Weights `(1 - s²)²` fall smoothly from one to zero at the radius.
     fn sums(&self, about: &Vector3<f64>) -> Sums {
         let mut sums = [Vec4::ZERO; 9];
         let scale = (1.0 / (self.radius * self.radius)) as f32;
@@ -107,7 +107,7 @@ fn add(points: &PointBlock, normals: &[[Vec4; 2]; 3], about: &Vector3<f64>, scal
     }
 }
 
-/// A sphere, or a plane, through samples: `c + l.q + a |q|²` is zero on it, for places `q` about the one of the sums.
+/// A sphere, or a plane, through samples: `c + l.q + a |q|² = 0`, for positions `q` about that of the sums.
 ///
 /// # Source
 /// Guennebaud and Gross 2007, section 4.4 (the fit to points with normals).
@@ -118,7 +118,7 @@ struct Sphere {
 }
 
 impl Sphere {
-    /// `None` where the samples do not agree on a side.
+    /// `None` if the samples do not agree on a side.
     fn through(sums: &Sums) -> Option<Self> {
         let (at, normal) = (sums.at / sums.weight, sums.normal / sums.weight);
         if normal.norm_squared() < AGREEMENT * AGREEMENT {
@@ -131,7 +131,7 @@ impl Sphere {
         Some(Self { c: -l.dot(&at) - a * sums.at_at / sums.weight, l, a })
     }
 
-    /// Signed distance and its gradient at `q`; past the middle of a sphere, those of the plane through it.
+    /// Signed distance and its gradient at `q`; beyond the centre of the sphere, those of its tangent plane.
     fn at(&self, q: &Vector3<f64>) -> (f64, Vector3<f64>) {
         let slope = self.l + q * (2.0 * self.a);
         let on_surface = self.l.norm_squared() - 4.0 * self.a * self.c;
@@ -145,8 +145,8 @@ impl Sphere {
     }
 }
 
-impl Surface for Samples {
-    fn n(&self) -> usize {
+impl SignedDistance for Samples {
+    fn len(&self) -> usize {
         self.points.len()
     }
 
@@ -155,35 +155,34 @@ impl Surface for Samples {
     }
 
     fn nearest(&self, at: &Vector3<f64>, hint: Option<u32>) -> Nearest {
-        let mut best = Nearest { squared: f64::INFINITY, which: 0 };
-        if let Some(which) = hint {
-            best = Nearest { squared: (self.points.place(which) - at).norm_squared() * (1.0 + 1e-6), which };
+        let mut best = Nearest { square: f64::INFINITY, index: 0 };
+        if let Some(index) = hint {
+            best = Nearest { square: (self.points.place(index) - at).norm_squared() * (1.0 + 1e-6), index };
         }
-        self.points.bvh.nearest(at, best.squared, |block| {
-            let squared = self.points.blocks[block].squared(at);
-            for k in bits(below(&squared, best.squared as f32)) {
-                let squared = f64::from(squared[k / 4][k % 4]);
-                if squared < best.squared {
-                    best = Nearest { squared, which: (block * BLOCK_LEN + k) as u32 };
+        self.points.bvh.nearest(at, best.square, |block| {
+            let squares = self.points.blocks[block].squared(at);
+            for k in bits(below(&squares, best.square as f32)) {
+                let square = f64::from(squares[k / 4][k % 4]);
+                if square < best.square {
+                    best = Nearest { square, index: (block * BLOCK_LEN + k) as u32 };
                 }
             }
-            best.squared
+            best.square
         });
         best
     }
 
     fn node(&self, at: &Vector3<f64>, nearest: &Nearest) -> Node {
-        let nearest = self.points.place(nearest.which);
-        let mut about = nearest;
+        let mut about = self.points.place(nearest.index);
         let mut found = None;
-        // About the nearest sample, then about where that puts the foot, unless it is there already.
+        // About the nearest sample, then about the closest point of that fit, if it is not in its middle.
         for _ in 0..2 {
             let sums = self.sums(&about);
             let Some(sphere) = Sphere::through(&sums).filter(|_| sums.weight > 0.0) else { break };
             let q = at - about;
             let (distance, normal) = sphere.at(&q);
-            let foot = q - normal * distance;
-            let off = foot.norm();
+            let closest = q - normal * distance;
+            let off = closest.norm();
             if off > self.radius {
                 break;
             }
@@ -191,7 +190,7 @@ impl Surface for Samples {
             if off < CENTRED * self.radius {
                 break;
             }
-            about += foot;
+            about += closest;
         }
         found.map_or(Node::NONE, |(distance, normal)| Node::new(distance, &normal))
     }

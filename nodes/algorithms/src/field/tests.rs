@@ -35,7 +35,7 @@ fn ball(n: u32, radius: f64) -> (Vec<Point3<f64>>, Vec<Vector3<f64>>) {
     (normals.iter().map(|n| Point3::from(n * radius)).collect(), normals)
 }
 
-/// Places within `reach` of points of a surface.
+/// Positions within `reach` of points of a surface.
 fn near(samples: &sample::Samples, reach: f64, seed: u64) -> Vec<Point3<f64>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let away = |p: &Point3<f64>, n: &Vector3<f64>, share: f64| p + n * (reach * (2.0 * share - 1.0));
@@ -63,7 +63,7 @@ fn above_a_sheet_distances_are_heights_and_beyond_its_rim_there_is_no_answer() {
 }
 
 #[test]
-fn around_a_ball_distances_are_those_of_geometry() {
+fn distances_around_a_ball_are_exact() {
     let (points, normals) = ball(30_000, 15.0);
     let field = of_points(&points, &normals).unwrap();
     let (directions, _) = ball(2_000, 1.0);
@@ -140,7 +140,7 @@ fn the_normal_is_the_derivative_of_the_distance() {
 }
 
 #[test]
-fn what_starts_far_off_is_drawn_in() {
+fn the_coarse_grid_points_towards_the_surface_from_far_off() {
     let field = of_mesh(&shaft());
     for place in near(&drawn(&shaft(), 500, 9), 0.0, 9) {
         let away = (place - field.centre()).xy().push(0.0).normalize();
@@ -153,7 +153,7 @@ fn what_starts_far_off_is_drawn_in() {
 }
 
 #[test]
-fn ten_kilometres_off_the_answers_are_the_same() {
+fn the_answers_are_the_same_ten_kilometres_from_the_origin() {
     let mesh = shaft();
     let shift = Vector3::new(1e7, -1e7, 1e7);
     let far_mesh = mesh.transformed("ct", &Isometry3::from_parts(shift.into(), Default::default()));
@@ -165,8 +165,8 @@ fn ten_kilometres_off_the_answers_are_the_same() {
     ] {
         assert!((far_field.centre() - near_field.centre() - shift).norm() < 1e-7);
         for place in near(&drawn(&mesh, 1_000, 3), 1.0, 4) {
-            let here = near_field.at_local(&(place - near_field.centre())).unwrap();
-            let there = far_field.at_local(&(place - near_field.centre())).unwrap();
+            let here = near_field.view().at_local(&(place - near_field.centre())).unwrap();
+            let there = far_field.view().at_local(&(place - near_field.centre())).unwrap();
             assert!((here.distance_mm - there.distance_mm).abs() < 1e-5, "{here:?} {there:?}");
         }
     }
@@ -178,7 +178,7 @@ fn threads_change_no_bit() {
     let fields = [1, 2, 8].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            [of_mesh(&shaft()), of_points(&dense.points, &dense.normals).unwrap()].map(|field| field.to_parts())
+            [of_mesh(&shaft()), of_points(&dense.points, &dense.normals).unwrap()].map(|field| field.to_columns())
         })
     });
     assert!(fields[0] == fields[1] && fields[0] == fields[2]);
@@ -195,25 +195,25 @@ fn the_nearest_is_found_whatever_the_hint() {
         let exact = query.closest_point(&place).unwrap().distance_mm;
         for hint in [None, Some(0), Some(k as u32 * 7 % 3000)] {
             let found = triangles.nearest(&place.coords, hint);
-            assert!((found.squared.sqrt() - exact).abs() < 1e-9);
-            assert_eq!(found.which, triangles.nearest(&place.coords, None).which);
+            assert!((found.square.sqrt() - exact).abs() < 1e-9);
+            assert_eq!(found.index, triangles.nearest(&place.coords, None).index);
             let found = samples.nearest(&place.coords, hint);
-            assert!((found.squared.sqrt() - brute).abs() < 1e-5, "{} for {brute} mm", found.squared.sqrt());
+            assert!((found.square.sqrt() - brute).abs() < 1e-5, "{} for {brute} mm", found.square.sqrt());
         }
     }
 }
 
 #[test]
-fn vertices_in_one_place_are_one_as_stl_files_have_them() {
+fn repeated_vertices_of_stl_files_are_one_vertex() {
     let mesh = shaft();
     let vertices: Vec<_> = (0..mesh.faces().len()).flat_map(|face| mesh.corners(face)).collect();
     let faces: Vec<[u32; 3]> = (0..mesh.faces().len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
     let soup = Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap();
-    assert_eq!(of_mesh(&mesh).to_parts(), of_mesh(&soup).to_parts());
+    assert_eq!(of_mesh(&mesh).to_columns(), of_mesh(&soup).to_columns());
 }
 
 #[test]
-fn a_part_inside_out_has_its_sign_turned_and_its_seam_has_no_answer() {
+fn a_part_inside_out_has_the_opposite_sign_and_its_seam_no_answer() {
     let turned: Vec<[u32; 3]> = shaft().faces().iter().map(|&[a, b, c]| [a, c, b]).collect();
     let inside_out = Mesh::new("ct", SurfaceOrigin::User, shaft().vertices().to_vec(), turned).unwrap();
     let (field, opposite) = (of_mesh(&shaft()), of_mesh(&inside_out));
@@ -228,7 +228,7 @@ fn a_part_inside_out_has_its_sign_turned_and_its_seam_has_no_answer() {
 }
 
 #[test]
-fn parts_that_touch_nothing_are_one_field() {
+fn separate_parts_are_one_field() {
     let field = of_mesh(&together(&cuboid([0.0; 3], [10.0; 3]), &cuboid([30.0, 0.0, 0.0], [40.0, 10.0, 10.0])));
     for (x, sign) in [(9.0, -1.0), (11.0, 1.0), (29.0, 1.0), (31.0, -1.0)] {
         let found = field.at(&Point3::new(x, 5.0, 5.0)).unwrap().distance_mm;
@@ -237,7 +237,7 @@ fn parts_that_touch_nothing_are_one_field() {
 }
 
 #[test]
-fn what_makes_no_field_is_refused() {
+fn unusable_surfaces_and_parameters_are_refused() {
     let (points, normals) = ball(500, 5.0);
     assert!(matches!(of_points(&[], &[]), Err(FieldError::Empty)));
     assert!(matches!(of_points(&points[..1], &normals[..1]), Err(FieldError::Line { n_points: 1 })));
@@ -271,12 +271,12 @@ fn what_makes_no_field_is_refused() {
 }
 
 #[test]
-fn parts_are_shared_and_give_the_same_field() {
+fn columns_are_shared_and_give_the_same_field() {
     let field = of_mesh(&cuboid([0.0; 3], [10.0, 12.0, 20.0]));
-    let parts = field.to_parts();
-    let again = ClosestPointField::from_parts(parts.clone()).unwrap();
-    assert_eq!(again.to_parts(), parts);
-    assert!(std::ptr::eq(&again.to_parts().nodes[0], &parts.nodes[0]), "nodes are not copied");
+    let columns = field.to_columns();
+    let again = ClosestPointField::from_columns(columns.clone()).unwrap();
+    assert_eq!(again.to_columns(), columns);
+    assert!(std::ptr::eq(&again.to_columns().nodes[0], &columns.nodes[0]), "nodes are not copied");
     assert_eq!(again.params(), field.params());
     for place in near(&drawn(&cuboid([0.0; 3], [10.0, 12.0, 20.0]), 200, 1), 2.0, 2) {
         assert_eq!(field.at(&place), again.at(&place));
@@ -286,17 +286,17 @@ fn parts_are_shared_and_give_the_same_field() {
 type Damage = dyn Fn(&mut Vec<f64>, &mut Vec<u32>, &mut Vec<f32>);
 
 #[test]
-fn damaged_parts_are_refused() {
+fn damaged_columns_are_refused() {
     let field = of_mesh(&cuboid([0.0; 3], [10.0, 12.0, 20.0]));
     let damage = |what: &str, change: &Damage| {
-        let parts = field.to_parts();
-        let (mut head, mut index, mut nodes) = (parts.head.to_vec(), parts.index.to_vec(), parts.nodes.to_vec());
+        let columns = field.to_columns();
+        let (mut head, mut index, mut nodes) = (columns.head.to_vec(), columns.index.to_vec(), columns.nodes.to_vec());
         change(&mut head, &mut index, &mut nodes);
-        let parts = FieldParts { head: head.into(), index: index.into(), nodes: nodes.into() };
-        match ClosestPointField::from_parts(parts) {
-            Err(FieldError::Damaged { what: said }) => assert!(!said.is_empty()),
+        let columns = FieldColumns { head: head.into(), index: index.into(), nodes: nodes.into() };
+        match ClosestPointField::from_columns(columns) {
+            Err(FieldError::Damaged { what: damage }) => assert!(!damage.is_empty()),
             Err(other) => panic!("{what}: {other}"),
-            Ok(_) => panic!("{what} was taken"),
+            Ok(_) => panic!("{what} was accepted"),
         }
     };
     damage("a short head", &|head, _, _| head.truncate(31));

@@ -1,22 +1,21 @@
-//! The closest point of a triangle mesh, and on which side of it one is.
+//! The signed distance of a triangle mesh.
 
-use super::{Nearest, Node, Surface};
+use super::{Nearest, Node, SignedDistance};
 use crate::bvh::{Aabb, Bvh};
 use crate::morton;
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_geometry::Mesh;
 
-/// The sine, squared, of a corner below which a face has no area to speak of.
+/// Squared sine of a corner below which a face has no area.
 const FLAT: f64 = 1e-20;
 
-/// Nearer to the surface than this, mm, the way to it has no direction any more, and the pseudo-normal serves.
+/// Distance below which the gradient is the pseudo-normal, as rounding decides the direction to the closest point, mm.
 const ON_SURFACE_MM: f64 = 1e-7;
 
-/// Beyond the rim of an open surface: the cosine of the angle between pseudo-normal and the way to the rim below which
-/// the side is a matter of chance.
+/// Cosine between the pseudo-normal of a rim and the direction to it, below which the sign is unknown.
 const BESIDE_RIM: f64 = 0.5;
 
-/// Where on a triangle the closest point lies: 0 inside, 1 to 3 on the edges from corners 0, 1, 2, 4 to 6 in corners 0, 1, 2.
+/// The part of a triangle with the closest point: 0 the face, 1 to 3 the edges from corners 0, 1, 2, 4 to 6 the corners 0, 1, 2.
 type Feature = usize;
 
 struct Triangle {
@@ -25,22 +24,22 @@ struct Triangle {
     to_c: Vector3<f64>,
 }
 
-/// The faces of a mesh that have area, along a space-filling curve, with the pseudo-normals that tell outside from inside.
+/// The faces of a mesh with an area, along a space-filling curve, with their pseudo-normals.
 pub(super) struct Triangles {
     triangles: Vec<Triangle>,
-    /// Of each feature of a triangle; not of unit length.
+    /// Pseudo-normals of the features of each triangle, not of unit length.
     normals: Vec<[Vector3<f64>; 7]>,
-    /// A bit for each feature that lies on the rim of an open surface.
+    /// A bit for each feature on the rim of an open surface.
     rims: Vec<u8>,
     boxes: Bvh,
     extent: Aabb,
 }
 
 impl Triangles {
-    /// The faces about `centre`, along `axes`.
+    /// The faces in `axes` about `centre`.
     ///
     /// # Source
-    /// Baerentzen and Aanaes 2005: normals of edges as the sum of their faces' normals, of vertices weighted by the angle.
+    /// Baerentzen and Aanaes 2005: the normal of an edge is the sum of its faces' normals, that of a vertex is weighted by the angles.
     pub(super) fn new(mesh: &Mesh, centre: &Point3<f64>, axes: &Matrix3<f64>) -> Self {
         let vertices: Vec<Vector3<f64>> = mesh.vertices().iter().map(|v| axes.tr_mul(&(v - centre))).collect();
         let welded = welded(&vertices);
@@ -71,7 +70,7 @@ impl Triangles {
                 let face = faces[f as usize];
                 face[k as usize] < face[(k as usize + 1) % 3]
             });
-            // A closed, consistently turned surface runs along each edge as often one way as the other.
+            // On a closed, consistently oriented surface each edge has as many half-edges in one direction as in the other.
             let rim = 2 * forward.count() != edge.len();
             let normal: Vector3<f64> = edge.iter().filter_map(|&(_, f, _)| unit[f as usize]).sum();
             for &(_, f, k) in edge {
@@ -113,8 +112,8 @@ impl Triangles {
     }
 }
 
-impl Surface for Triangles {
-    fn n(&self) -> usize {
+impl SignedDistance for Triangles {
+    fn len(&self) -> usize {
         self.triangles.len()
     }
 
@@ -123,30 +122,30 @@ impl Surface for Triangles {
     }
 
     fn nearest(&self, at: &Vector3<f64>, hint: Option<u32>) -> Nearest {
-        let mut best = Nearest { squared: f64::INFINITY, which: 0 };
-        if let Some(which) = hint {
-            best = Nearest { squared: self.triangles[which as usize].closest(at).0.norm_squared(), which };
+        let mut best = Nearest { square: f64::INFINITY, index: 0 };
+        if let Some(index) = hint {
+            best = Nearest { square: self.triangles[index as usize].closest(at).0.norm_squared(), index };
         }
-        self.boxes.nearest(at, best.squared, |which| {
-            let squared = self.triangles[which].closest(at).0.norm_squared();
+        self.boxes.nearest(at, best.square, |index| {
+            let square = self.triangles[index].closest(at).0.norm_squared();
             // Ties go to the first along the curve, whatever the hint.
-            if squared < best.squared || (squared == best.squared && (which as u32) < best.which) {
-                best = Nearest { squared, which: which as u32 };
+            if square < best.square || (square == best.square && (index as u32) < best.index) {
+                best = Nearest { square, index: index as u32 };
             }
-            best.squared
+            best.square
         });
         best
     }
 
     fn node(&self, at: &Vector3<f64>, nearest: &Nearest) -> Node {
-        let which = nearest.which as usize;
-        let (away, feature) = self.triangles[which].closest(at);
-        let Some(normal) = self.normals[which][feature].try_normalize(1e-9) else { return Node::NONE };
+        let index = nearest.index as usize;
+        let (away, feature) = self.triangles[index].closest(at);
+        let Some(normal) = self.normals[index][feature].try_normalize(1e-9) else { return Node::NONE };
         let (distance, height) = (away.norm(), away.dot(&normal));
         if distance < ON_SURFACE_MM {
             return Node::new(height, &normal);
         }
-        if self.rims[which] >> feature & 1 == 1 && height.abs() < BESIDE_RIM * distance {
+        if self.rims[index] >> feature & 1 == 1 && height.abs() < BESIDE_RIM * distance {
             return Node::NONE;
         }
         let signed = if height < 0.0 { -distance } else { distance };
@@ -155,7 +154,7 @@ impl Surface for Triangles {
 }
 
 impl Triangle {
-    /// The way from the closest point to `at`, and on which feature it lies.
+    /// The vector from the closest point to `at`, and the feature with the closest point.
     ///
     /// # Source
     /// Ericson 2005, section 5.1.5.
@@ -194,7 +193,7 @@ impl Triangle {
     }
 }
 
-/// The lowest vertex in the same place, for each: STL files repeat theirs.
+/// For each vertex the first one at its position: STL files repeat vertices.
 fn welded(vertices: &[Vector3<f64>]) -> Vec<u32> {
     let mut order: Vec<u32> = (0_u32..).zip(vertices).map(|(i, _)| i).collect();
     let by_place = |i: u32, j: u32| {
@@ -220,7 +219,7 @@ fn unit_normal(vertices: &[Vector3<f64>], face: &[u32; 3]) -> Option<Vector3<f64
     (normal.norm_squared() > FLAT * sides).then(|| normal.normalize())
 }
 
-/// The angle between two directions, rad, to 1e-7: without a library's arc cosine, whose last digit depends on the machine.
+/// The angle between two directions, rad, to 1e-7, without a library's arc cosine, whose last digit depends on the machine.
 ///
 /// # Source
 /// Abramowitz and Stegun 1964, 4.4.46.

@@ -1,32 +1,32 @@
 //! A field as three flat columns, for files.
 
-use super::level::{BLOCK, Grid, NOTHING};
+use super::grid::{BLOCK, Grid, NO_BLOCK};
 use super::{ClosestPointField, FieldError, FieldParams, Inner};
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_geometry::Column;
 use std::sync::Arc;
 
-/// Version of the columns' layout, the first number of the head.
+/// Version of the layout, the first number of the head.
 const LAYOUT: f64 = 1.0;
 
-/// Numbers of the head.
+/// Length of the head.
 const HEAD: usize = 1 + 3 + 9 + 4 + 2 * 7 + 1;
 
-/// A field as columns, in the machine's byte order; a mapped file serves as well as memory.
+/// A field as columns, in the machine's byte order, in memory or in a mapped file.
 #[derive(Debug, Clone, PartialEq)]
-pub struct FieldParts {
-    /// Layout, centre, axes column by column, parameters, then of the fine and the coarse grid spacing, lowest corner and
-    /// blocks along each axis, and the blocks of the fine grid.
+pub struct FieldColumns {
+    /// Layout, centre, axes column by column, parameters; spacing, lowest corner and number of blocks along each axis of the fine,
+    /// then of the coarse grid; number of blocks of the fine grid.
     pub head: Column<f64>,
-    /// Where each block of the fine, then of the coarse grid lies among the nodes; `u32::MAX` for none.
+    /// Number of each block among the nodes, of the fine, then of the coarse grid; `u32::MAX` for none.
     pub index: Column<u32>,
-    /// The nodes: gradient (along the field's axes) and distance, four numbers each.
+    /// The nodes: gradient (in the field's axes) and distance, four numbers each.
     pub nodes: Column<f32>,
 }
 
 impl ClosestPointField {
     /// The field as columns; index and nodes are shared, not copied.
-    pub fn to_parts(&self) -> FieldParts {
+    pub fn to_columns(&self) -> FieldColumns {
         let inner = &*self.inner;
         let mut head = vec![LAYOUT];
         head.extend(inner.centre.iter().chain(inner.axes.iter()));
@@ -38,20 +38,20 @@ impl ClosestPointField {
             head.extend(grid.blocks.map(|n| n as f64));
         }
         head.push(inner.n_fine as f64);
-        FieldParts { head: head.into(), index: inner.index.clone(), nodes: inner.nodes.clone() }
+        FieldColumns { head: head.into(), index: inner.index.clone(), nodes: inner.nodes.clone() }
     }
 
-    /// The field that the columns hold, without copying them.
+    /// The field of these columns, which are not copied.
     ///
-    /// Every number is looked at once: a damaged file is refused, it never leads out of the columns.
+    /// Every number is checked, so that no look-up of a damaged file leaves the columns.
     ///
     /// # Errors
-    /// [`FieldError::Damaged`] says what is wrong.
-    pub fn from_parts(parts: FieldParts) -> Result<Self, FieldError> {
+    /// [`FieldError::Damaged`] names the damage.
+    pub fn from_columns(columns: FieldColumns) -> Result<Self, FieldError> {
         let damaged = |what: String| FieldError::Damaged { what };
-        let head: &[f64; HEAD] = (&*parts.head)
+        let head: &[f64; HEAD] = (&*columns.head)
             .try_into()
-            .map_err(|_| damaged(format!("its head has {} numbers, {HEAD} are expected", parts.head.len())))?;
+            .map_err(|_| damaged(format!("its head has {} numbers, {HEAD} are expected", columns.head.len())))?;
         if head[0] != LAYOUT {
             return Err(damaged(format!("its layout is {}, this program reads {LAYOUT}", head[0])));
         }
@@ -72,32 +72,32 @@ impl ClosestPointField {
         if grids[0].spacing != params.fine_mm || grids[1].spacing != params.coarse_mm {
             return Err(damaged("its grids do not have the spacing of its parameters".into()));
         }
-        let n_blocks = parts.nodes.len() / (4 * BLOCK);
+        let n_blocks = columns.nodes.len() / (4 * BLOCK);
         let n_fine = head[31] as usize;
-        let places = grids.each_ref().map(|grid| {
+        let n_entries = grids.each_ref().map(|grid| {
             let [x, y, z] = grid.blocks;
             x.checked_mul(y).and_then(|xy| xy.checked_mul(z)).unwrap_or(usize::MAX)
         });
-        if places[0].checked_add(places[1]) != Some(parts.index.len()) {
-            return Err(damaged(format!("its index has {} places, which its grids do not have", parts.index.len())));
+        if n_entries[0].checked_add(n_entries[1]) != Some(columns.index.len()) {
+            return Err(damaged(format!("its index has {} entries, which its grids do not have", columns.index.len())));
         }
-        if !parts.nodes.len().is_multiple_of(4 * BLOCK) || n_fine > n_blocks {
-            return Err(damaged(format!("it has {} numbers at its nodes, which make no blocks", parts.nodes.len())));
+        if !columns.nodes.len().is_multiple_of(4 * BLOCK) || n_fine > n_blocks {
+            return Err(damaged(format!("it has {} numbers at its nodes, which make no blocks", columns.nodes.len())));
         }
-        let (fine, coarse) = parts.index.split_at(places[0]);
+        let (fine, coarse) = columns.index.split_at(n_entries[0]);
         for (index, n) in [(fine, n_fine), (coarse, n_blocks - n_fine)] {
-            // The largest that is not the mark for nothing: adding one turns that into zero.
+            // The largest number but `NO_BLOCK`, which wraps to zero.
             let above = index.iter().fold(0, |most, &k| most.max(k.wrapping_add(1)));
-            debug_assert_eq!(NOTHING.wrapping_add(1), 0);
+            debug_assert_eq!(NO_BLOCK.wrapping_add(1), 0);
             if above as usize > n {
                 return Err(damaged(format!("its index names block {}, but there are {n}", above - 1)));
             }
         }
-        let largest = parts.nodes.iter().fold(0, |most, n| most.max(n.to_bits() & 0x7fff_ffff));
+        let largest = columns.nodes.iter().fold(0, |most, n| most.max(n.to_bits() & 0x7fff_ffff));
         if largest >= f32::INFINITY.to_bits() {
             return Err(damaged("a node is not finite".into()));
         }
-        let FieldParts { index, nodes, .. } = parts;
+        let FieldColumns { index, nodes, .. } = columns;
         Ok(Self { inner: Arc::new(Inner::new(centre, axes, params, grids, index, nodes, n_fine)) })
     }
 }
