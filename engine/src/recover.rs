@@ -8,7 +8,7 @@
 use crate::recording::{
     RecordingError, codec,
     format::{InputHashes, MetadataRecord, Outcome, Recovered, RunRecord, WireCounts},
-    number_set::Numbers,
+    number_set::NumberSet,
     wires::{Carries, Channels},
 };
 use osteoflow_container::{
@@ -170,7 +170,7 @@ struct Recovery<'a> {
     channels: Channels,
     /// Identifiers in the new file by those in the damaged one.
     ids: BTreeMap<u16, u16>,
-    wires: BTreeMap<String, Numbers>,
+    wires: BTreeMap<String, NumberSet>,
     before_damage: Option<BTreeMap<String, u64>>,
     counts: BTreeMap<String, u64>,
     metadata: BTreeSet<String>,

@@ -12,6 +12,7 @@
 use super::{
     codec,
     format::{MetadataRecords, Recovered, RunRecord, WireCounts},
+    number_set::NumberSet,
     read::RecordingError,
     wires::{Carries, Channels, Wire},
 };
@@ -29,6 +30,8 @@ use std::{
 #[derive(Clone, Default)]
 pub struct WireHasher {
     hasher: Sha256,
+    numbers: NumberSet,
+    /// The number of the next item to hash.
     next: u64,
     n_items: u64,
     early: BTreeMap<u64, Digest>,
@@ -44,7 +47,7 @@ impl WireHasher {
     /// The same, where the item's digest is known already.
     pub fn add_digest(&mut self, number: u64, digest: Digest) {
         self.n_items += 1;
-        if number < self.next || self.early.contains_key(&number) {
+        if !self.numbers.insert(number) {
             self.doubled.get_or_insert(number);
         } else if number > self.next {
             self.early.insert(number, digest);
@@ -74,15 +77,7 @@ impl WireHasher {
 
     /// The numbers that are missing before the last one.
     pub fn missing(&self) -> Vec<RangeInclusive<u64>> {
-        let mut next = self.next;
-        let mut holes = Vec::new();
-        for &number in self.early.keys() {
-            if number > next {
-                holes.push(next..=number - 1);
-            }
-            next = number.saturating_add(1);
-        }
-        holes
+        self.numbers.missing(None)
     }
 
     /// The digest of the items taken; none if a number came twice.

@@ -3,7 +3,7 @@ use crate::recording::{
     RecordedTypes,
     codec::{self, CodecError},
     format::{MetadataRecord, MetadataRecords, Recovered, WireCount, WireCounts},
-    number_set::Numbers,
+    number_set::NumberSet,
     wires::{Carries, Channels, Wire},
 };
 use osteoflow_container::{Channel, Location, Message};
@@ -27,13 +27,13 @@ pub(super) struct Items<'a> {
 #[derive(Default)]
 struct Checked {
     about: Option<Wire>,
-    numbers: Numbers,
+    numbers: NumberSet,
     n_values: u64,
     /// Stamps and places of items that came before their turn.
     early: BTreeMap<u64, (StampNs, Location)>,
     next: u64,
     last_stamp_ns: Option<StampNs>,
-    views: Numbers,
+    views: NumberSet,
 }
 
 impl<'a> Items<'a> {
