@@ -14,9 +14,10 @@ mod save;
 #[cfg(test)]
 mod tests;
 
+pub use bundle::{BUNDLE, INPUTS};
 pub use bundle::{Bundle, Declared, Failure, Given, Input, Node, Output, Program, ReproError, Shown};
 pub(crate) use save::Saver;
-pub use save::{Saved, SavedBundle};
+pub use save::{FOLDER, Saved, SavedBundle};
 
 use crate::{
     graph::plugins::NamedPlugin,

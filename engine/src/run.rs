@@ -1,5 +1,6 @@
 //! Runs a checked graph: what a run takes, what it tells while it goes, and what it leaves.
 
+pub mod files;
 mod finished;
 #[cfg(test)]
 mod live_tests;
@@ -88,7 +89,7 @@ pub(crate) fn run_part(
         Some(dir) => {
             let by_hash = plan.recording.sources == Sources::Hashes;
             let inputs = hashes.as_mut().filter(|_| by_hash).map(|hashes| hashes.done());
-            Some(Recorder::create(&dir.join("run.mcap"), plan, options, inputs)?)
+            Some(Recorder::create(&dir.join(files::RECORDING), plan, options, inputs)?)
         }
         None => None,
     };
@@ -127,13 +128,13 @@ pub(crate) fn run_part(
     let mut report = report_of(plan, finished, outcome, results);
     report.latencies = latencies;
     if let Some(dir) = out_dir {
-        write_json(&dir.join("results.json"), &report.results)?;
+        write_json(&dir.join(files::RESULTS), &report.results)?;
         let times = (began, SystemTime::now());
         let mut manifest = manifest::manifest(plan, options, &report, recorded.as_ref(), inputs, times);
         if let Some(about) = about {
             manifest["watch"] = about;
         }
-        write_json(&dir.join("manifest.json"), &manifest)?;
+        write_json(&dir.join(files::MANIFEST), &manifest)?;
     }
     recorded.transpose()?;
     Ok(report)

@@ -1,7 +1,10 @@
-use super::{Exit, Format, Global, UsageError, out_dir, print_json, summary_table, text_table::TextTable};
+use super::{Exit, Format, Global, UsageError, print_json, summary_table, text_table::TextTable};
 use anyhow::{Context, Result};
 use clap::Args;
-use osteoflow_engine::sweep::{self, Done, Folder, Spec};
+use osteoflow_engine::{
+    run::files,
+    sweep::{self, Done, Folder, Spec},
+};
 use osteoflow_report::summary;
 use serde_json::{Value, json};
 use std::{collections::BTreeMap, fs, io::Write, path::PathBuf};
@@ -48,7 +51,7 @@ impl Compare {
 
     fn runs(&self, global: &Global) -> Result<Exit> {
         let read = |dir: &PathBuf| -> Result<BTreeMap<String, f64>> {
-            let path = dir.join(out_dir::RESULTS);
+            let path = dir.join(files::RESULTS);
             let text = fs::read_to_string(&path).with_context(|| format!("{} cannot be read", path.display()))?;
             let results = serde_json::from_str(&text).with_context(|| format!("{} is no results", path.display()))?;
             let mut numbers = BTreeMap::new();

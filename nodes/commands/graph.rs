@@ -1,7 +1,8 @@
-use super::{Exit, Global, GraphArgs, PluginArgs, UsageError, out_dir};
+use super::{Exit, Global, GraphArgs, PluginArgs, UsageError};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use osteoflow_draw::{Diagram, dot, mermaid, svg};
+use osteoflow_engine::run::files;
 use osteoflow_report::diagram;
 use std::{
     io::Write,
@@ -73,7 +74,7 @@ impl Graph {
 
 /// The diagram of a run, given its folder or its manifest.
 fn of_run(run: &Path) -> Result<Diagram> {
-    let path = if run.is_dir() { run.join(out_dir::MANIFEST) } else { run.to_owned() };
+    let path = if run.is_dir() { run.join(files::MANIFEST) } else { run.to_owned() };
     let shown = path.display();
     let text = std::fs::read_to_string(&path)
         .with_context(|| format!("{shown} cannot be read; --run takes the folder of a run that has ended"))?;

@@ -1,38 +1,33 @@
-//! The folder a run leaves its files in: never one that holds something already, unless told so.
+//! The folder that a run writes its files into: new or empty, except with `--force`.
 
 use super::UsageError;
 use anyhow::{Context, Result};
+use jiff::Timestamp;
+use osteoflow_engine::run::files;
 use std::{
     fs, io,
     path::{Path, PathBuf},
-    time::{SystemTime, UNIX_EPOCH},
+    time::SystemTime,
 };
 
-/// Exactly, beside a picture for viewers, what went over the recorded wires.
-pub(crate) const RECORDING: &str = "run.mcap";
-/// What the graph's `[results]` names, or why there is none.
-pub(crate) const RESULTS: &str = "results.json";
-/// How the results came about: graph, versions, hashes, machine, times, counts.
-pub(crate) const MANIFEST: &str = "manifest.json";
+/// The folder for runs that name none, in the current folder.
+const RUNS: &str = "runs";
 
-/// A folder with a repro bundle for each failure.
-pub(crate) const REPRO: &str = "repro";
-
-/// Makes the folder: `asked` where given, else a new one under `runs/` in the current folder.
+/// Creates the folder: `asked` if given, otherwise a new one under `runs/` in the current folder.
 ///
 /// # Errors
-/// If `asked` is a file, or a folder with something in it and `force` is not set. With `force` the files of an earlier
-/// run are removed first, so that none can be taken for this one's, and everything else stays.
+/// If `asked` is a file, or a folder that is not empty and `force` is not set. With `force`, the files of an earlier run are
+/// removed and everything else stays.
 pub(crate) fn make(asked: Option<&Path>, graph: &str, force: bool) -> Result<PathBuf> {
-    let Some(dir) = asked else { return make_new(Path::new("runs"), graph, SystemTime::now()) };
+    let Some(dir) = asked else { return make_new(Path::new(RUNS), graph, SystemTime::now()) };
     fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
     let used = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some();
     if used && !force {
-        let said =
+        let message =
             format!("{} is not empty; name another folder, or replace the run in it with --force", dir.display());
-        return Err(UsageError(said).into());
+        return Err(UsageError(message).into());
     }
-    for name in [RECORDING, RESULTS, MANIFEST] {
+    for name in [files::RECORDING, files::RESULTS, files::MANIFEST] {
         match fs::remove_file(dir.join(name)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
                 return Err(error).with_context(|| format!("{} cannot be replaced", dir.join(name).display()));
@@ -40,11 +35,12 @@ pub(crate) fn make(asked: Option<&Path>, graph: &str, force: bool) -> Result<Pat
             _ => {}
         }
     }
-    remove_bundles(&dir.join(REPRO)).with_context(|| format!("{} cannot be replaced", dir.join(REPRO).display()))?;
+    remove_bundles(&dir.join(files::REPRO))
+        .with_context(|| format!("{} cannot be replaced", dir.join(files::REPRO).display()))?;
     Ok(dir.to_owned())
 }
 
-/// Removes the bundles of an earlier run; whatever else lies beside them stays, and then the folder does too.
+/// Removes the bundles of an earlier run, and then the folder if nothing else is in it.
 fn remove_bundles(folder: &Path) -> io::Result<()> {
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -53,7 +49,7 @@ fn remove_bundles(folder: &Path) -> io::Result<()> {
     for entry in entries {
         let path = entry?.path();
         let unfinished = path.extension().is_some_and(|end| end == "part") && path.is_dir();
-        if unfinished || path.join("repro.json").is_file() {
+        if unfinished || path.join(files::REPRO_BUNDLE).is_file() {
             fs::remove_dir_all(path)?;
         }
     }
@@ -61,21 +57,21 @@ fn remove_bundles(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// A new folder `<graph>-<time>`, with `-2`, `-3` ... where two runs begin in one second.
+/// Creates a new folder `<graph>-<time>`; `-2`, `-3` ... is appended if several runs begin in the same second.
 fn make_new(parent: &Path, graph: &str, now: SystemTime) -> Result<PathBuf> {
     fs::create_dir_all(parent).with_context(|| format!("{} cannot be made a folder", parent.display()))?;
-    // A graph may have any name; a folder's has no separators in it.
+    // A graph may have any name; that of a folder must not contain separators.
     let plain = |c: char| if c.is_alphanumeric() || "-_".contains(c) { c } else { '_' };
-    let stem = format!("{}-{}", graph.chars().map(plain).collect::<String>(), stamp_text(now));
+    let stem = format!("{}-{}", graph.chars().map(plain).collect::<String>(), time_in_name(now));
     make_numbered(parent, &stem, 1)
 }
 
-/// The folder for a run after the one that left its files in `dir`: beside it, `dir-2`, `dir-3` and so on.
+/// Creates the folder for a run after the one in `dir`, beside it: `dir-2`, `dir-3` and so on.
 ///
 /// # Errors
 /// If it cannot be made, or `dir` is the root, which has nothing beside it.
 pub(crate) fn make_after(dir: &Path) -> Result<PathBuf> {
-    // A name such as `.` has no end to put a number to.
+    // A path such as `.` has no name to append a number to.
     let dir = match dir.file_name() {
         Some(_) => dir.to_owned(),
         None => std::path::absolute(dir).with_context(|| format!("{} is no folder", dir.display()))?,
@@ -86,7 +82,7 @@ pub(crate) fn make_after(dir: &Path) -> Result<PathBuf> {
     make_numbered(parent, &name.to_string_lossy(), 2)
 }
 
-/// The first folder of this name and a number that is not there yet; the first of all has no number.
+/// Creates the first folder of this name and a number that does not exist yet; number 1 is left out.
 fn make_numbered(parent: &Path, stem: &str, first: u32) -> Result<PathBuf> {
     for n in first.. {
         let dir = parent.join(if n == 1 { stem.to_owned() } else { format!("{stem}-{n}") });
@@ -99,39 +95,24 @@ fn make_numbered(parent: &Path, stem: &str, first: u32) -> Result<PathBuf> {
     unreachable!("the numbers do not end")
 }
 
-/// `20260314-092653`, in UTC.
-fn stamp_text(time: SystemTime) -> String {
-    let (year, month, day, seconds) = utc(time);
-    format!("{year:04}{month:02}{day:02}-{:02}{:02}{:02}", seconds / 3600, seconds / 60 % 60, seconds % 60)
-}
-
-/// Year, month, day and second of the day, in UTC and the Gregorian calendar.
-fn utc(time: SystemTime) -> (u64, u64, u64, u64) {
-    let seconds = time.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    // Years begin in March here, so that the leap day is the last of its year; 719468 days lie before 1970 in this count.
-    let days = seconds / 86_400 + 719_468;
-    let (era, day_of_era) = (days / 146_097, days % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month_from_march = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
-    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
-    (era * 400 + year_of_era + u64::from(month <= 2), month, day, seconds % 86_400)
+/// Formats a time as `20260314-092653`, in UTC.
+fn time_in_name(time: SystemTime) -> String {
+    Timestamp::try_from(time).unwrap_or(Timestamp::UNIX_EPOCH).strftime("%Y%m%d-%H%M%S").to_string()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
+    use std::time::{Duration, UNIX_EPOCH};
 
     #[test]
-    fn a_time_is_told_in_the_gregorian_calendar() {
-        let told = |seconds| stamp_text(UNIX_EPOCH + Duration::from_secs(seconds));
-        assert_eq!(told(0), "19700101-000000");
-        assert_eq!(told(951_782_399), "20000228-235959");
-        assert_eq!(told(951_782_400), "20000229-000000");
-        assert_eq!(told(1_773_480_413), "20260314-092653");
-        assert_eq!(told(4_107_542_400), "21000301-000000");
+    fn times_are_formatted_in_utc() {
+        let formatted = |seconds| time_in_name(UNIX_EPOCH + Duration::from_secs(seconds));
+        assert_eq!(formatted(0), "19700101-000000");
+        assert_eq!(formatted(951_782_399), "20000228-235959");
+        assert_eq!(formatted(951_782_400), "20000229-000000");
+        assert_eq!(formatted(1_773_480_413), "20260314-092653");
+        assert_eq!(formatted(4_107_542_400), "21000301-000000");
     }
 
     #[test]
@@ -144,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_later_run_gets_the_next_folder_beside_the_first() {
+    fn a_later_run_gets_the_next_free_number() {
         let parent = tempfile::tempdir().unwrap();
         fs::create_dir(parent.path().join("out-3")).unwrap();
         let made: Vec<_> = (0..2).map(|_| make_after(&parent.path().join("out")).unwrap()).collect();
@@ -153,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn the_name_of_a_graph_leads_nowhere_else() {
+    fn the_name_of_a_graph_cannot_leave_the_folder() {
         let parent = tempfile::tempdir().unwrap();
         let made = make_new(parent.path(), "../a b", UNIX_EPOCH).unwrap();
         assert_eq!(made, parent.path().join("___a_b-19700101-000000"));
@@ -163,11 +144,11 @@ mod tests {
     fn a_folder_in_use_is_refused_and_force_replaces_only_what_a_run_writes() {
         let dir = tempfile::tempdir().unwrap();
         fs::write(dir.path().join("notes.txt"), "mine").unwrap();
-        fs::write(dir.path().join(RESULTS), "old").unwrap();
+        fs::write(dir.path().join(files::RESULTS), "old").unwrap();
         let refused = make(Some(dir.path()), "fibula", false).unwrap_err().to_string();
         assert!(refused.contains("--force"), "{refused}");
         make(Some(dir.path()), "fibula", true).unwrap();
         assert!(dir.path().join("notes.txt").exists());
-        assert!(!dir.path().join(RESULTS).exists());
+        assert!(!dir.path().join(files::RESULTS).exists());
     }
 }

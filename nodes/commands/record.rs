@@ -6,7 +6,7 @@ use super::{
 };
 use anyhow::{Context, Result};
 use clap::Args;
-use osteoflow_engine::run::{Outcome, RunOptions};
+use osteoflow_engine::run::{Outcome, RunOptions, files};
 use serde_json::json;
 use std::{fs, io::Write, num::NonZeroUsize, path::PathBuf, sync::Arc};
 
@@ -77,7 +77,7 @@ impl Record {
             running::say_left(&part, global);
             return Ok(Exit::Interrupted);
         };
-        fs::rename(part.join(super::out_dir::RECORDING), file)
+        fs::rename(part.join(files::RECORDING), file)
             .with_context(|| format!("{} cannot be written", file.display()))?;
         fs::remove_dir_all(&part).with_context(|| format!("{} cannot be removed", part.display()))?;
         let exit = match &report.outcome {

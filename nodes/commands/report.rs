@@ -1,7 +1,7 @@
-use super::{Exit, Format, Global, PluginArgs, UsageError, out_dir, print_json};
+use super::{Exit, Format, Global, PluginArgs, UsageError, print_json};
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::sweep;
+use osteoflow_engine::{run::files, sweep};
 use serde_json::json;
 use std::{
     io::Write,
@@ -42,7 +42,7 @@ impl Report {
                     "{} is no folder of a run ({} is missing) or of a sweep ({} is missing); name one that `osteoflow run` \
                      or `osteoflow sweep` has left",
                     self.dir.display(),
-                    out_dir::MANIFEST,
+                    files::MANIFEST,
                     sweep::DESIGN
                 );
                 return Err(UsageError(said).into());
@@ -56,7 +56,7 @@ impl Report {
     fn holds(&self) -> Holds {
         match () {
             () if self.dir.join(sweep::DESIGN).is_file() => Holds::Sweep,
-            () if self.dir.join(out_dir::MANIFEST).is_file() => Holds::Run,
+            () if self.dir.join(files::MANIFEST).is_file() => Holds::Run,
             () => Holds::Neither,
         }
     }

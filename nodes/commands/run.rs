@@ -8,7 +8,7 @@ use super::{
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
-    run::{Injection, Outcome, RunOptions, RunReport},
+    run::{Injection, Outcome, RunOptions, RunReport, files},
     store::{Settings, Store},
 };
 use serde_json::Value;
@@ -188,7 +188,7 @@ pub(super) fn print_text(report: &RunReport, table: &str, dir: &Path, global: &G
     if report.outcome == Outcome::Complete {
         writeln!(out, "{table}")?;
     }
-    let files = [out_dir::RESULTS, out_dir::MANIFEST, out_dir::RECORDING].into_iter().filter(|f| dir.join(f).exists());
+    let files = [files::RESULTS, files::MANIFEST, files::RECORDING].into_iter().filter(|f| dir.join(f).exists());
     let files = files.collect::<Vec<_>>().join(", ");
     writeln!(out, "{files} in {} after {:.2} s", dir.display(), report.elapsed.as_secs_f64())?;
     Ok(())

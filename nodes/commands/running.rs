@@ -1,10 +1,10 @@
 //! Runs a plan beside the main thread, which shows progress and listens for Ctrl-C.
 
-use super::{Global, UsageError, out_dir, progress::Progress};
+use super::{Global, UsageError, progress::Progress};
 use anyhow::{Context, Result, anyhow};
 use osteoflow_engine::{
     panics::mark_helper_thread,
-    run::{RunError, RunOptions},
+    run::{RunError, RunOptions, files},
 };
 use serde_json::json;
 use std::{
@@ -137,6 +137,6 @@ pub(crate) fn told(error: RunError) -> anyhow::Error {
 pub(crate) fn say_left(out_dir: &std::path::Path, global: &Global) {
     use std::io::Write;
     let (word, dir) = (global.paint_err("left", "1;33"), out_dir.display());
-    let said = format!("{word}: what was written is in {dir}; {} may lack its end", out_dir::RECORDING);
+    let said = format!("{word}: what was written is in {dir}; {} may lack its end", files::RECORDING);
     let _ = writeln!(std::io::stderr(), "{said}");
 }

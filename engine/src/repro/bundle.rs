@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 
 /// The version of the bundle; raised when older readers cannot take it.
 pub(super) const FORMAT_VERSION: u32 = 1;
-/// What was saved.
-pub(super) const BUNDLE: &str = "repro.json";
-/// The joined items.
-pub(super) const INPUTS: &str = "inputs.mcap";
-/// The same in words.
+/// The file that describes the failed firing.
+pub const BUNDLE: &str = "repro.json";
+/// The recording of the items that the ports had joined.
+pub const INPUTS: &str = "inputs.mcap";
+/// An explanation for people.
 pub(super) const README: &str = "README.txt";
 /// No `repro.json` of ours is longer; a longer file is something else.
 const MAX_BYTES: u64 = 256 << 20;

@@ -22,8 +22,8 @@ use std::{
 
 /// So many failures of one node are saved; the rest is counted.
 const MOST_PER_NODE: u64 = 5;
-/// The folder for bundles in the run's folder.
-pub(crate) const FOLDER: &str = "repro";
+/// The folder of a run's bundles, inside the folder of the run.
+pub const FOLDER: &str = "repro";
 
 /// The bundles that a run left.
 #[derive(Debug, Clone, Default, PartialEq)]

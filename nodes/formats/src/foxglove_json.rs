@@ -209,40 +209,9 @@ impl<'de> Deserialize<'de> for Time {
     }
 }
 
-/// Nanoseconds since the epoch of `2025-06-15T15:06:51.000359810Z` or with an offset such as `+02:00`.
+/// Nanoseconds since the epoch of a time such as `2025-06-15T15:06:51.000359810Z` or with an offset such as `+02:00`.
 fn rfc3339(text: &str) -> Option<StampNs> {
-    let number = |range: std::ops::Range<usize>| -> Option<i64> {
-        let digits = text.get(range)?;
-        digits.bytes().all(|b| b.is_ascii_digit()).then(|| digits.parse().ok())?
-    };
-    let is = |at: usize, any: &str| text.as_bytes().get(at).is_some_and(|b| any.as_bytes().contains(b));
-    if !(is(4, "-") && is(7, "-") && is(10, "Tt ") && is(13, ":") && is(16, ":")) {
-        return None;
-    }
-    let (year, month, day) = (number(0..4)?, number(5..7)?, number(8..10)?);
-    let (hour, minute, second) = (number(11..13)?, number(14..16)?, number(17..19)?);
-    if !((1..=12).contains(&month) && (1..=31).contains(&day) && hour < 24 && minute < 60 && second <= 60) {
-        return None;
-    }
-    let rest = &text[19..];
-    let n_fraction = rest.strip_prefix('.').map_or(0, |f| f.bytes().take_while(u8::is_ascii_digit).count());
-    let (fraction, zone) = if n_fraction > 0 { (&rest[1..=n_fraction], &rest[n_fraction + 1..]) } else { ("", rest) };
-    let nanos: i64 = format!("{fraction:0<9}").get(..9)?.parse().ok()?;
-    let offset_s = match zone.as_bytes() {
-        b"Z" | b"z" => 0,
-        [sign @ (b'+' | b'-'), _, _, b':', _, _] => {
-            let at = text.len() - 5;
-            let offset = number(at..at + 2)? * 3600 + number(at + 3..at + 5)? * 60;
-            if *sign == b'-' { -offset } else { offset }
-        }
-        _ => return None,
-    };
-    // Days since the epoch in the Gregorian calendar, counting years from March so that the leap day comes last.
-    let (y, m) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
-    let days =
-        365 * y + y.div_euclid(4) - y.div_euclid(100) + y.div_euclid(400) + (153 * m + 2) / 5 + day - 1 - 719_468;
-    let seconds = days * 86_400 + hour * 3600 + minute * 60 + second - offset_s;
-    seconds.checked_mul(1_000_000_000)?.checked_add(nanos)
+    StampNs::try_from(text.parse::<jiff::Timestamp>().ok()?.as_nanosecond()).ok()
 }
 
 /// A number as JSON writers spell it: `1.5`, `"1.5"`, `"NaN"`, `null` for what is no number.

@@ -1,7 +1,7 @@
 //! What a run has left: results, manifest and recording, and the values that went over its wires.
 
 use crate::ReportError;
-use osteoflow_engine::Recording;
+use osteoflow_engine::{Recording, run::files};
 use osteoflow_node::{Body, Registry};
 use serde_json::Value as Json;
 use std::{fs, path::Path};
@@ -24,16 +24,18 @@ pub(crate) fn json(path: &Path) -> Result<Json, ReportError> {
 impl Evidence {
     /// Of a run's folder; a recording that is not there or not sound is told where it is wanted.
     pub(crate) fn open(dir: &Path, registry: &Registry) -> Result<Self, ReportError> {
-        let manifest = json(&dir.join("manifest.json"))?;
-        let results = match json(&dir.join("results.json")) {
+        let manifest = json(&dir.join(files::MANIFEST))?;
+        let results = match json(&dir.join(files::RESULTS)) {
             // A run that was refused or interrupted may have none; its manifest says why.
             Err(ReportError::Read { .. }) => Json::Null,
             results => results?,
         };
-        let path = dir.join("run.mcap");
+        let path = dir.join(files::RECORDING);
         let recording = match path.is_file() {
             true => Recording::open(&path).map_err(|e| e.to_string()),
-            false => Err("the run was not recorded (run.mcap is missing); run it without --no-record".into()),
+            false => {
+                Err(format!("the run was not recorded ({} is missing); run it without --no-record", files::RECORDING))
+            }
         };
         let registry = recording.as_ref().map_or_else(|_| registry.clone(), |recording| recording.registry(registry));
         Ok(Self { manifest, results, recording, registry })
