@@ -123,7 +123,7 @@ fn a_run_that_comes_out_otherwise_when_it_is_run_again_is_not_drawn() {
         fs::write(path, run.to_string()).unwrap();
     }
     let html = fs::read_to_string(report(&out)).unwrap();
-    assert!(html.contains("run again from the frozen graph it gives other results"));
+    assert!(html.contains("the repeated run of the frozen graph gives other results"));
     assert!(!html.contains("data-scene"), "no fragment is drawn");
 }
 
@@ -191,7 +191,7 @@ fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() 
         assert!(html.contains(word), "{word} is missing");
     }
     let which = "by the size of tre_z_mm";
-    assert!(html.contains(which) && html.contains("which has the greatest mean of it"), "maps say what they go by");
+    assert!(html.contains(which) && html.contains("which has its greatest mean"), "maps say what they go by");
     let figures: Vec<_> = fs::read_dir(out.join("figures")).unwrap().map(|file| file.unwrap().path()).collect();
     let maps: Vec<_> = figures.iter().filter(|path| path.to_string_lossy().contains("view-fragment-")).collect();
     let range = |path: &&PathBuf| {

@@ -1,21 +1,21 @@
-//! What stands in a cell of a table, on a page and on a terminal, and how its numbers are told.
+//! Cells of tables on pages and terminals.
 
 use crate::format::number;
 use serde_json::Value as Json;
 
-/// What stands in a cell of a table.
+/// A cell of a table.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Cell {
     /// A number.
     Number(f64),
     /// A word or a sentence.
     Word(String),
-    /// What is typed.
+    /// Code.
     Code(String),
 }
 
 impl Cell {
-    /// Of a JSON value: numbers as such, lists and objects as text.
+    /// From a JSON value: numbers as numbers, lists and objects as text.
     pub(crate) fn of(value: &Json) -> Self {
         match value {
             Json::Null => Self::Word("\u{2013}".into()),
@@ -39,7 +39,7 @@ impl Cell {
         Self::Word(text.into())
     }
 
-    /// As a terminal and a text file take it.
+    /// Plain text for terminals and text files.
     pub fn plain(&self) -> String {
         let text = match self {
             Self::Number(value) => number(*value),

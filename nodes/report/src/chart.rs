@@ -1,35 +1,34 @@
 //! Charts as SVG text: points, lines and boxes on two axes, each with its unit.
 //!
-//! Drawn by hand: a chart is a page of arithmetic, and its classes let one file be read on paper, on a dark screen and
-//! inside a page alike.
+//! Charts have no dependencies, and their style classes serve paper, dark screens and the page alike.
 
 mod axis;
 
-pub(crate) use axis::{Axis, named};
+pub(crate) use axis::{Axis, axis_label};
 
 use osteoflow_draw::xml::escape;
 use std::fmt::Write;
 
-/// What stands on every figure beside what it shows.
+/// The disclaimer on every figure.
 pub const RESEARCH: &str = "research use only";
 
-/// The same with SIMULATED where no measured data was registered.
-pub(crate) fn said(simulated: bool) -> String {
+/// The disclaimer on a figure, with SIMULATED if no measured data was registered.
+pub(crate) fn disclaimer(simulated: bool) -> String {
     if simulated { format!("SIMULATED \u{b7} {RESEARCH}") } else { RESEARCH.into() }
 }
 
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 400.0;
-/// The same of a panel among others.
+/// Height of the plot in a panel among others.
 const PANEL: f64 = 230.0;
 const LEFT: f64 = 72.0;
 const RIGHT: f64 = 16.0;
-/// Height of a row of words below the plot.
+/// Height of a line of text below the plot.
 const ROW: f64 = 18.0;
-/// The widest word of a category in letters, and the width of a letter.
-const LETTER: f64 = 6.4;
+/// Mean width of a character.
+const CHARACTER: f64 = 6.4;
 
-/// The colours of Okabe and Ito, which the colour-blind tell apart, with a grey and a brown; those of a dark screen are lighter.
+/// The colours of Okabe and Ito, which are safe for colour-blind readers, with a grey and a brown; lighter in dark mode.
 const STYLE: &str = "\
 text { font-family: system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif; font-size: 12px; fill: #24292f }
 .paper { fill: #ffffff }
@@ -56,25 +55,25 @@ text { fill: #e6edf3 }
 .line, .whisker { fill: none } .dot, .band { stroke: none }
 }";
 
-/// How many series have colours of their own.
+/// Number of colours for series.
 pub(crate) const N_COLOURS: usize = 8;
 
-/// Something drawn.
+/// A mark of a chart.
 #[derive(Debug, Clone)]
 pub(crate) enum Mark {
-    /// From point to point.
+    /// A line through points.
     Line(Vec<(f64, f64)>),
-    /// Between the lower and the upper value, from place to place: `(x, low, high)`.
+    /// A band between a lower and an upper value: `(x, low, high)`.
     Band(Vec<(f64, f64, f64)>),
-    /// Single points, each with what its tip says.
+    /// Points, each with its tooltip.
     Dots(Vec<(f64, f64, String)>),
-    /// Tukey's box at a place, so many units of x wide.
+    /// Tukey's box at x, with half its width in units of x.
     Box(f64, f64, Tukey),
-    /// Nothing: what the axes hold besides, so that panels share them.
+    /// Invisible: extends the axes, so that panels share them.
     Reach(Vec<(f64, f64)>),
 }
 
-/// Tukey's box: quartiles, whiskers to the last values within 1.5 interquartile ranges, and what lies beyond.
+/// Tukey's box: quartiles, and whiskers to the last values within 1.5 interquartile ranges.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Tukey {
     pub(crate) median: f64,
@@ -83,11 +82,11 @@ pub(crate) struct Tukey {
     pub(crate) values: Vec<f64>,
 }
 
-/// So many values are few enough to be shown each.
-const FEW: usize = 24;
+/// Maximum number of values that are all shown.
+const MAX_SHOWN: usize = 24;
 
 impl Tukey {
-    /// Of finite values; `None` without any.
+    /// The box of finite values; `None` without any.
     pub(crate) fn of(values: &[f64]) -> Option<Self> {
         use osteoflow_statistics::quantile;
         let mut values = values.to_vec();
@@ -99,51 +98,51 @@ impl Tukey {
         let [q1, median, q3] = [0.25, 0.5, 0.75].map(|q| quantile(&mut values, q));
         let reach = 1.5 * (q3 - q1);
         let within = || sorted.iter().copied().filter(|v| (q1 - reach..=q3 + reach).contains(v));
-        // A quartile lies between values, so that there may be none beyond it.
+        // A quartile lies between values, so there may be no value beyond it.
         let whiskers = [within().fold(q1, f64::min), within().fold(q3, f64::max)];
         Some(Self { median, quartiles: [q1, q3], whiskers, values: sorted })
     }
 
-    /// The values shown one by one: all where they are few, else those beyond the whiskers.
-    fn shown(&self) -> impl Iterator<Item = f64> {
+    /// The values to draw one by one: all if they are few, otherwise those beyond the whiskers.
+    fn drawn(&self) -> impl Iterator<Item = f64> {
         let [low, high] = self.whiskers;
-        let all = self.values.len() <= FEW;
+        let all = self.values.len() <= MAX_SHOWN;
         self.values.iter().copied().filter(move |v| all || *v < low || *v > high)
     }
 }
 
-/// What belongs together and has one colour.
+/// Marks with one name and one colour.
 #[derive(Debug, Clone)]
 pub(crate) struct Series {
-    /// What the legend says; none if empty.
+    /// The name in the legend; none if empty.
     pub(crate) name: String,
-    /// Which colour.
+    /// Index of the colour.
     pub(crate) colour: usize,
     pub(crate) marks: Vec<Mark>,
 }
 
-/// A chart to be drawn.
+/// A chart.
 #[derive(Debug, Clone)]
 pub(crate) struct Chart {
     pub(crate) title: String,
-    /// What the figure shows, for those who do not see it.
+    /// A description for readers who cannot see it.
     pub(crate) about: String,
     pub(crate) x: Axis,
     pub(crate) y: Axis,
     pub(crate) series: Vec<Series>,
-    /// Said above the plot.
+    /// A note above the plot.
     pub(crate) note: String,
     pub(crate) simulated: bool,
 }
 
 impl Chart {
-    /// The chart as SVG, complete as a file.
+    /// Draws the chart as a complete SVG file.
     pub(crate) fn svg(&self) -> String {
         let (inside, height) = self.inside(HEIGHT);
         whole(&self.title, &self.about, &inside, height)
     }
 
-    /// What is drawn, and its height with this bottom of the plot.
+    /// The elements of the chart with the plot's bottom at `bottom`, and its height.
     fn inside(&self, bottom: f64) -> (String, f64) {
         let extent = |of: fn(&Mark) -> Vec<f64>| -> Vec<f64> {
             self.series.iter().flat_map(|series| &series.marks).flat_map(of).collect()
@@ -151,8 +150,8 @@ impl Chart {
         let x = self.x.scale(&extent(across), LEFT, WIDTH - RIGHT);
         let legend: Vec<&Series> = self.series.iter().filter(|series| !series.name.is_empty()).collect();
         let top = 34.0 + if legend.is_empty() { 0.0 } else { legend_rows(&legend) * ROW };
-        let words = self.x.words();
-        let wide = words.iter().map(|w| w.chars().count() as f64 * LETTER).fold(0.0, f64::max);
+        let words = self.x.categories();
+        let wide = words.iter().map(|w| w.chars().count() as f64 * CHARACTER).fold(0.0, f64::max);
         let aslant = !words.is_empty() && wide > (WIDTH - LEFT - RIGHT) / words.len() as f64 - 6.0;
         let below = if aslant { (wide * 0.5 + 14.0).min(190.0) } else { ROW };
         let bottom = bottom + top - 34.0;
@@ -164,10 +163,10 @@ impl Chart {
             "<text x=\"{LEFT}\" y=\"18\" style=\"font-size: 13px; font-weight: 600\">{}</text>",
             escape(&self.title)
         );
-        let said = said(self.simulated);
+        let disclaimer = disclaimer(self.simulated);
         let _ = writeln!(
             out,
-            "<text class=\"small\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{said}</text>",
+            "<text class=\"small\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{disclaimer}</text>",
             WIDTH - RIGHT,
             height - 6.0
         );
@@ -193,7 +192,7 @@ impl Chart {
     fn draw_legend(&self, out: &mut String, legend: &[&Series]) {
         let (mut x, mut y) = (LEFT, 36.0);
         for series in legend {
-            let width = 32.0 + series.name.chars().count() as f64 * LETTER;
+            let width = 32.0 + series.name.chars().count() as f64 * CHARACTER;
             if x + width > WIDTH - RIGHT && x > LEFT {
                 (x, y) = (LEFT, y + ROW);
             }
@@ -268,7 +267,7 @@ impl Chart {
     }
 }
 
-/// Charts below one another as one SVG.
+/// Draws charts below one another as one SVG file.
 pub(crate) fn panels(title: &str, about: &str, charts: &[Chart]) -> String {
     let (mut all, mut below) = (String::new(), 0.0);
     for chart in charts {
@@ -292,7 +291,7 @@ fn whole(title: &str, about: &str, inside: &str, height: f64) -> String {
 fn legend_rows(legend: &[&Series]) -> f64 {
     let (mut x, mut rows) = (LEFT, 1.0);
     for series in legend {
-        let width = 32.0 + series.name.chars().count() as f64 * LETTER;
+        let width = 32.0 + series.name.chars().count() as f64 * CHARACTER;
         if x + width > WIDTH - RIGHT && x > LEFT {
             (x, rows) = (LEFT, rows + 1.0);
         }
@@ -369,8 +368,8 @@ fn draw_mark(out: &mut String, mark: &Mark, colour: usize, x: &axis::Scale, y: &
                 right - left,
                 (q1 - q3).max(0.5),
             );
-            for (k, value) in tukey.shown().enumerate() {
-                // Beside each other, so that equal values are seen; always in the same places.
+            for (k, value) in tukey.drawn().enumerate() {
+                // Spread sideways by a fixed pattern, so that equal values can be seen.
                 let aside = ((k * 7) % 11) as f64 / 10.0 - 0.5;
                 let (cx, cy) = (middle + aside * (right - left) * 0.5, y.place(value));
                 let _ = writeln!(out, "<circle class=\"dot c{colour}\" cx=\"{cx:.1}\" cy=\"{cy:.1}\" r=\"2\"/>");
@@ -388,11 +387,11 @@ mod tests {
     fn a_box_shows_few_values_and_of_many_those_beyond_the_whiskers() {
         let few = Tukey::of(&[1.0, 2.0, 3.0, 4.0, 100.0]).unwrap();
         assert_eq!((few.median, few.quartiles, few.whiskers), (3.0, [2.0, 4.0], [1.0, 4.0]));
-        assert_eq!(few.shown().count(), 5);
+        assert_eq!(few.drawn().count(), 5);
         let mut many: Vec<f64> = (0..100).map(f64::from).collect();
         many.push(1000.0);
         let many = Tukey::of(&many).unwrap();
-        assert_eq!(many.shown().collect::<Vec<_>>(), [1000.0]);
+        assert_eq!(many.drawn().collect::<Vec<_>>(), [1000.0]);
         assert_eq!(Tukey::of(&[]), None);
         let one = Tukey::of(&[2.0]).unwrap();
         assert_eq!((one.median, one.whiskers), (2.0, [2.0, 2.0]));

@@ -1,4 +1,4 @@
-//! The literature of the nodes that were used, as BibTeX.
+//! The literature of the nodes in a graph, as BibTeX.
 
 use crate::html::Page;
 use osteoflow_node::Registry;
@@ -50,7 +50,7 @@ pub(crate) fn section(page: &mut Page, kinds: &[&str], registry: &Registry) -> S
     used.sort();
     let mut entries = vec![program()];
     entries.extend(used.iter().map(|(entry, _)| (*entry).to_owned()));
-    page.text("The literature that the nodes of this graph name; citations.bib holds the same entries.");
+    page.text("Literature of this graph's nodes; citations.bib holds the same entries.");
     if paper {
         page.text(
             "Some nodes follow \u{201c}the paper\u{201d}, the published method of contactless registration that the shipped \
@@ -58,7 +58,7 @@ pub(crate) fn section(page: &mut Page, kinds: &[&str], registry: &Registry) -> S
         );
     }
     if !unknown.is_empty() {
-        page.text(&format!("Named by nodes, without an entry here: {}.", unknown.join("; ")));
+        page.text(&format!("Literature without an entry here: {}.", unknown.join("; ")));
     }
     let text = entries.join("\n\n") + "\n";
     page.code(&text);

@@ -1,4 +1,4 @@
-//! The page: its sections, figures, tables and views, put together into one file that opens without a network.
+//! The page: sections, figures, tables and views in one file that needs no network.
 
 use crate::{cell::Cell, chart::RESEARCH, format::number, scene::Scene};
 use osteoflow_draw::xml::escape;
@@ -8,19 +8,19 @@ use std::fmt::Write;
 const STYLE: &str = include_str!("page.css");
 const VIEWER: &str = include_str!("viewer.js");
 
-/// What the files of views are called by, before their names.
+/// Prefix of the file names of views.
 pub(crate) const VIEW: &str = "view-";
 
-/// A figure as a file of its own.
+/// A figure, to be written as a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Figure {
-    /// Its name, without an ending.
+    /// Its name, without extension.
     pub name: String,
     /// The SVG text.
     pub svg: String,
 }
 
-/// A page that grows from its top to its end.
+/// A page under construction.
 #[derive(Debug, Default)]
 pub(crate) struct Page {
     title: String,
@@ -30,7 +30,7 @@ pub(crate) struct Page {
     n_figures: usize,
     n_tables: usize,
     n_views: usize,
-    /// What several views share, by name.
+    /// Data that several views share, by name.
     data: Map<String, Json>,
     pub(crate) figures: Vec<Figure>,
 }
@@ -59,28 +59,28 @@ impl Page {
         self.contents.push((id, title.into()));
     }
 
-    /// A paragraph of plain words.
+    /// A paragraph of plain text.
     pub(crate) fn text(&mut self, words: &str) {
         let _ = writeln!(self.body, "<p>{}</p>", escape(words));
     }
 
-    /// What cannot be shown, and what to do about it.
+    /// A notice that something cannot be shown, with the reason.
     pub(crate) fn missing(&mut self, what: &str, why: &str) {
         let _ = writeln!(self.body, "<p class=\"missing\"><b>{}</b> is not shown: {}.</p>", escape(what), escape(why));
     }
 
-    /// Text in a box, folded away.
+    /// Preformatted text in a collapsed box.
     pub(crate) fn folded(&mut self, title: &str, text: &str) {
         let (title, text) = (escape(title), escape(text));
         let _ = writeln!(self.body, "<details><summary>{title}</summary><pre>{text}</pre></details>");
     }
 
-    /// Text as it is typed.
+    /// Preformatted text.
     pub(crate) fn code(&mut self, text: &str) {
         let _ = writeln!(self.body, "<pre>{}</pre>", escape(text));
     }
 
-    /// Begins what is folded away until [`Self::unfold`].
+    /// Begins a collapsed box that ends with [`Self::unfold`].
     pub(crate) fn fold(&mut self, title: &str) {
         let _ = writeln!(self.body, "<details><summary>{}</summary>", escape(title));
     }
@@ -89,7 +89,7 @@ impl Page {
         self.body.push_str("</details>\n");
     }
 
-    /// A drawing, which also becomes a file.
+    /// A drawing, which is also written as a file.
     pub(crate) fn figure(&mut self, name: &str, svg: String, caption: &str) {
         self.n_figures += 1;
         let inside = within_page(&svg);
@@ -105,12 +105,12 @@ impl Page {
         self.figures.push(Figure { name: name.into(), svg });
     }
 
-    /// What views share under a name.
+    /// Adds data that views share by this name.
     pub(crate) fn share(&mut self, name: &str, data: Json) {
         self.data.insert(name.into(), data);
     }
 
-    /// A view in three dimensions; a drawing of it from one side becomes a file.
+    /// A view in three dimensions; a drawing from its initial viewpoint is also written as a file.
     pub(crate) fn view(&mut self, name: &str, scene: &Scene, caption: &str) {
         let name = format!("{VIEW}{name}");
         self.n_figures += 1;
@@ -139,7 +139,7 @@ impl Page {
         self.figures.push(Figure { name, svg });
     }
 
-    /// A table; numbers stand to the right.
+    /// A table with right-aligned numbers.
     pub(crate) fn table(&mut self, caption: &str, head: &[String], rows: &[Vec<Cell>]) {
         if rows.is_empty() {
             return;
@@ -174,7 +174,7 @@ impl Page {
         self.body.push_str("</tbody></table></div>\n");
     }
 
-    /// The whole page.
+    /// Completes the page and returns it with its figures.
     pub(crate) fn finish(self, subtitle: &str) -> (String, Vec<Figure>) {
         let title = escape(&self.title);
         let simulated = match self.simulated {
@@ -184,7 +184,7 @@ impl Page {
         let contents: String =
             self.contents.iter().map(|(id, title)| format!("<a href=\"#{id}\">{}</a> ", escape(title))).collect();
         let data = in_script(&Json::Object(self.data));
-        // Nothing may be fetched, whatever stands in the page.
+        // Nothing may be fetched, whatever the page contains.
         let policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:";
         let html = format!(
             "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta \
@@ -201,18 +201,18 @@ impl Page {
     }
 }
 
-/// JSON that no `</script>` in it can end.
+/// JSON text inside a script element: escapes `<`, so that it cannot contain `</script>`.
 fn in_script(json: &Json) -> String {
     json.to_string().replace('<', "\\u003c")
 }
 
-/// The drawing without the rules of its own, which would hold for the whole page: the page has them, each for its kind.
+/// The drawing with its style rules limited to itself, as they would otherwise apply to the whole page.
 fn within_page(svg: &str) -> String {
     match (svg.find("<style>"), svg.find("</style>")) {
         (Some(from), Some(to)) if from < to => {
             let class = if svg.contains("class=\"chart\"") { "chart" } else { "graph" };
             let rules = &svg[from + "<style>".len()..to];
-            // A rule within a rule holds inside it only.
+            // Nested rules apply inside the outer selector only.
             let svg =
                 format!("{}<style>.drawn-{class} {{ {rules} }}</style>{}", &svg[..from], &svg[to + "</style>".len()..]);
             format!("<div class=\"drawn-{class}\">{svg}</div>")

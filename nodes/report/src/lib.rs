@@ -1,13 +1,13 @@
-//! One self-contained page of a run or a sweep: what a supplement needs, from what was computed and nothing else.
+//! Reports of runs and sweeps: one self-contained page each.
 //!
-//! [`of_run`] reads the folder that `osteoflow run` has left (results, manifest, recording), [`of_sweep`] that of
-//! `osteoflow sweep`. The page holds its figures as SVG, its views in three dimensions as data for a viewer of its own,
-//! tables, a methods paragraph, provenance and BibTeX. It fetches nothing, so it opens without a network and in ten years.
-//! What cannot be shown is said with the reason: a wire that was not recorded, a truth that nobody knows. Every figure and
-//! table says SIMULATED where that is so, and "research use only".
+//! [`of_run`] reads the folder that `osteoflow run` writes (results, manifest, recording), [`of_sweep`] that of
+//! `osteoflow sweep`. A page holds figures as SVG, views in three dimensions with their viewer, tables, a methods paragraph,
+//! provenance and BibTeX. It fetches nothing, so it opens without a network. What cannot be shown is listed with the reason,
+//! such as a wire that was not recorded. Every figure and table is marked "research use only", and SIMULATED if no measured
+//! data was registered.
 //!
-//! [`summary`] computes what a sweep says in numbers, and tells it in rows for a page and a terminal alike;
-//! [`reproduction`] sets the paper's numbers beside those of its experiments.
+//! [`summary`] computes the statistics of a sweep and formats them as rows for pages and terminals; [`reproduction`]
+//! compares the paper's numbers with those of its experiments; [`diagram`] converts plans and runs for `osteoflow-draw`.
 //!
 //! ```no_run
 //! let report = osteoflow_report::of_run("runs/fibula".as_ref(), &osteoflow_standard::registry())?;
@@ -19,13 +19,13 @@ mod cell;
 mod chart;
 mod citations;
 pub mod diagram;
-mod evidence;
 pub mod format;
 mod html;
 mod methods;
 mod provenance;
 pub mod reproduction;
 mod run;
+mod run_folder;
 mod scene;
 pub mod summary;
 mod sweep;
@@ -39,25 +39,25 @@ pub use sweep::of_sweep;
 
 use std::{fs, io, path::Path};
 
-/// A report, ready to be written.
+/// A report.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Report {
-    /// The page.
+    /// The page as HTML.
     pub html: String,
-    /// Its drawings as files.
+    /// The figures.
     pub figures: Vec<Figure>,
     /// The literature as BibTeX.
     pub bibliography: String,
 }
 
-/// Where the figures go, beside the folder's other files.
+/// Folder for the figures, inside the folder of the run or sweep.
 pub const FIGURES: &str = "figures";
-/// The page, where no other name is given.
+/// Default file name of the page.
 pub const PAGE: &str = "report.html";
-/// The literature.
+/// File name of the literature.
 pub const BIBLIOGRAPHY: &str = "citations.bib";
 
-/// Why there is no report.
+/// An error that prevents a report.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// A file could not be read.
@@ -68,8 +68,8 @@ pub enum ReportError {
         /// Why.
         source: io::Error,
     },
-    /// A file is not what a run or a sweep leaves.
-    #[error("{path} is not what a run or a sweep leaves: {what}")]
+    /// A file does not have the form that a run or a sweep writes.
+    #[error("{path} was not written by a run or a sweep: {what}")]
     Form {
         /// The file.
         path: String,
@@ -90,8 +90,8 @@ pub enum ReportError {
 }
 
 impl Report {
-    /// Writes the page to `page`, and figures and literature into `dir`. Figures of an earlier report are
-    /// replaced, and its views that this one has not are removed.
+    /// Writes the page to `page`, and figures and literature into `dir`. Figures of an earlier report are replaced; views that
+    /// this report does not have are removed.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -110,7 +110,7 @@ impl Report {
         to(page, &self.html)
     }
 
-    /// Removes the views of runs that an earlier report showed and this one does not.
+    /// Removes views of an earlier report that this one does not have.
     fn remove_stale(&self, figures: &Path) -> Result<(), ReportError> {
         let failed = |source| ReportError::Write { path: figures.display().to_string(), source };
         for entry in fs::read_dir(figures).map_err(failed)? {
@@ -130,7 +130,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn views_of_an_earlier_report_are_removed_and_what_others_left_stays() {
+    fn views_of_an_earlier_report_are_removed_and_other_files_stay() {
         let dir = tempfile::tempdir().unwrap();
         let figures = dir.path().join(FIGURES);
         let report = |name: &str| Report {

@@ -1,12 +1,12 @@
-//! What was done, in words for a methods section: from what ran, not from what was meant.
+//! The methods section, from the graph as it ran.
 
-use crate::{cell::Cell, evidence::Evidence, format::number, html::Page};
+use crate::{cell::Cell, format::number, html::Page, run_folder::RunFolder};
 use osteoflow_node::Registry;
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
 
-/// Of one run.
-pub(crate) fn of_run(page: &mut Page, run: &Evidence, registry: &Registry) {
+/// The methods of a run.
+pub(crate) fn of_run(page: &mut Page, run: &RunFolder, registry: &Registry) {
     let graph = &run.manifest["graph"];
     let command = &run.manifest["command"];
     let origin = if run.is_simulated() { "All data were simulated" } else { "Data were read from files" };
@@ -41,7 +41,7 @@ pub(crate) fn of_run(page: &mut Page, run: &Evidence, registry: &Registry) {
     error_terms(page, resolved, registry);
 }
 
-/// Of a sweep: how it was laid out, then the steps of its graph.
+/// The methods of a sweep: its design, then the steps of its graph.
 pub(crate) fn of_sweep(page: &mut Page, words: &str, (resolved, kinds): (&str, &[&str]), registry: &Registry) {
     let terms = main_terms(resolved, registry, ", where the design sets no other value,");
     page.text(format!("{words} {}{terms}", used(kinds)).trim_end());
@@ -49,7 +49,7 @@ pub(crate) fn of_sweep(page: &mut Page, words: &str, (resolved, kinds): (&str, &
     error_terms(page, resolved, registry);
 }
 
-/// The kinds that decide the registration, by their stage.
+/// The stages whose kinds the paragraph names.
 const STAGES: [(&str, &str); 3] =
     [("hole.", "Holes of the laser were found by"), ("coarse.", "Coarse fit:"), ("icp.", "Fine registration:")];
 
@@ -66,7 +66,7 @@ fn used(kinds: &[&str]) -> String {
     words
 }
 
-/// The terms of the simulation that the paragraph names; the table has all of them.
+/// The error terms of the simulation that the paragraph names; the table has all of them.
 const MAIN_TERMS: [(&str, &str, &str); 13] = [
     ("camera.depth_noise_mm", "depth noise", "mm"),
     ("camera.depth_bias_mm", "depth bias", "mm"),
@@ -83,7 +83,7 @@ const MAIN_TERMS: [(&str, &str, &str); 13] = [
     ("ruler.shared_mm", "ruler error that all marks share", "mm"),
 ];
 
-/// The main error terms with their values, as a sentence; nothing where none is simulated.
+/// A sentence with the main error terms and their values; empty if none is simulated.
 fn main_terms(resolved: &str, registry: &Registry, unless: &str) -> String {
     let simulated = |(_, table): &(String, toml::Table)| {
         table.get("kind").and_then(toml::Value::as_str).is_some_and(|kind| kind == "acquire.simulated")
@@ -91,8 +91,8 @@ fn main_terms(resolved: &str, registry: &Registry, unless: &str) -> String {
     let Some((_, table)) = nodes_of(resolved).into_iter().find(simulated) else { return String::new() };
     let Some(known) = registry.kind("acquire.simulated") else { return String::new() };
     let terms = values(&known.description.params, &table);
-    let told = MAIN_TERMS.iter().filter_map(|(key, name, unit)| {
-        // What is 0 is off.
+    let terms = MAIN_TERMS.iter().filter_map(|(key, name, unit)| {
+        // A term of 0 is disabled.
         let value = terms.get(*key)?.value.as_f64().filter(|value| *value != 0.0)?;
         Some(match *unit {
             "mm" => format!("{name} {value} mm"),
@@ -100,22 +100,22 @@ fn main_terms(resolved: &str, registry: &Registry, unless: &str) -> String {
             unit => format!("{name} {value}{unit}"),
         })
     });
-    let told: Vec<_> = told.collect();
+    let terms: Vec<_> = terms.collect();
     format!(
         "Simulated errors{unless} were: {} (lengths and angles as standard deviations, the bias as RMS); the table below has \
          all terms. ",
-        told.join(", ")
+        terms.join(", ")
     )
 }
 
-/// The tables of the nodes of a resolved graph, in its order.
+/// Names and tables of the nodes of a resolved graph, in order.
 pub(crate) fn nodes_of(resolved: &str) -> Vec<(String, toml::Table)> {
     let graph: toml::Table = resolved.parse().unwrap_or_default();
     let nodes = graph.get("node").and_then(toml::Value::as_table).cloned().unwrap_or_default();
     nodes.into_iter().filter_map(|(name, table)| Some((name, table.as_table()?.clone()))).collect()
 }
 
-/// Each node with its kind, what that does, and the parameters that are not the default.
+/// A table of the nodes with kind, summary and the parameters that differ from their defaults.
 fn steps(page: &mut Page, resolved: &str, registry: &Registry) {
     let mut rows = Vec::new();
     for (name, table) in nodes_of(resolved) {
@@ -128,13 +128,13 @@ fn steps(page: &mut Page, resolved: &str, registry: &Registry) {
         let differs: Vec<_> = differs.map(|(key, term)| format!("{key} = {}", term.value)).collect();
         rows.push(vec![Cell::Code(name), Cell::Code(kind), Cell::word(summary), Cell::word(differs.join(", "))]);
     }
-    page.fold("Every step, its method, and what was set otherwise than the default");
-    let head = ["node", "kind", "what it gives", "set"].map(String::from);
+    page.fold("Every step with its method and its parameters that are not default");
+    let head = ["node", "kind", "purpose", "parameters"].map(String::from);
     page.table("The steps in their order.", &head, &rows);
     page.unfold();
 }
 
-/// What the simulated sources err by, each term with its value and where that comes from.
+/// A table of the error terms of simulated sources, with their values and the reasons for them.
 fn error_terms(page: &mut Page, resolved: &str, registry: &Registry) {
     let mut rows = Vec::new();
     for (name, table) in nodes_of(resolved) {
@@ -149,9 +149,9 @@ fn error_terms(page: &mut Page, resolved: &str, registry: &Registry) {
     if rows.is_empty() {
         return;
     }
-    page.fold(&format!("What was simulated: {} terms, their values and sources", rows.len()));
+    page.fold(&format!("Terms of the simulation: {} values with their sources", rows.len()));
     let head = ["term", "value", "meaning, and where the value comes from"].map(String::from);
-    page.table("Terms of the simulation. \u{201c}Assumed\u{201d} means that nobody measured it.", &head, &rows);
+    page.table("Terms of the simulation. \u{201c}Assumed\u{201d} means not measured.", &head, &rows);
     page.unfold();
 }
 
@@ -161,7 +161,7 @@ struct Term {
     about: String,
 }
 
-/// Every parameter of a kind by its dotted key, with its value in this table or its default.
+/// The parameters of a kind by dotted key, with their values in this table or their defaults.
 fn values(schema: &Json, table: &toml::Table) -> BTreeMap<String, Term> {
     let set = serde_json::to_value(table).unwrap_or_default();
     let mut out = BTreeMap::new();
@@ -206,13 +206,13 @@ mod tests {
         let registry = osteoflow_standard::registry();
         let graph = "[node.recording]\nkind = \"acquire.simulated\"\ncamera.depth_noise_mm = 0.2";
         let words = main_terms(graph, &registry, "");
-        for told in
+        for sentence in
             ["depth noise 0.2 mm", "depth bias 0.05 mm", "dropout 2 %", "tracker noise about each axis 0.0115\u{b0}"]
         {
-            assert!(words.contains(told), "{told}: {words}");
+            assert!(words.contains(sentence), "{sentence}: {words}");
         }
         assert_eq!(main_terms("[node.a]\nkind = \"acquire.files\"", &registry, ""), "");
-        let told = used(&["icp.point_to_plane", "coarse.three_point", "icp.point_to_plane", "crop.box"]);
-        assert_eq!(told, "Coarse fit: coarse.three_point. Fine registration: icp.point_to_plane. ");
+        let sentence = used(&["icp.point_to_plane", "coarse.three_point", "icp.point_to_plane", "crop.box"]);
+        assert_eq!(sentence, "Coarse fit: coarse.three_point. Fine registration: icp.point_to_plane. ");
     }
 }

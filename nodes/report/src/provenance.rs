@@ -1,4 +1,4 @@
-//! Where the numbers come from: program, machine, inputs with their licences, and the command to make them again.
+//! Provenance: program, machine, inputs with their licences, and the command that repeats the run.
 
 use crate::{cell::Cell, html::Page};
 use serde_json::Value as Json;
@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Of a run, from its manifest.
+/// The provenance of a run, from its manifest.
 pub(crate) fn of_run(page: &mut Page, dir: &Path, manifest: &Json) {
     let graph = &manifest["graph"];
     let mut rows = vec![
@@ -20,7 +20,7 @@ pub(crate) fn of_run(page: &mut Page, dir: &Path, manifest: &Json) {
     ];
     rows.extend(program(&manifest["command"]));
     rows.push(row("folder", dir.display().to_string()));
-    page.table("How this run came about.", &["what".into(), "value".into()], &rows);
+    page.table("Provenance of this run.", &["what".into(), "value".into()], &rows);
     again(page, &manifest["command"]);
     inputs(page, &manifest["inputs"], &manifest["plugins"]);
     if let Some(graph) = manifest["resolved_graph"].as_str() {
@@ -28,19 +28,19 @@ pub(crate) fn of_run(page: &mut Page, dir: &Path, manifest: &Json) {
     }
 }
 
-/// Of a sweep, from its `sweep.json`.
+/// The provenance of a sweep, from its `sweep.json`.
 pub(crate) fn of_sweep(page: &mut Page, dir: &Path, about: &Json) {
     let graph = &about["graph"];
     let mut rows = vec![
         row("graph", word(&graph["name"])),
         row("file", word(&graph["file"])),
         row("seed", word(&graph["seed"])),
-        row("hash of all that decides the tables", word(&about["hash"])),
+        row("hash of everything that determines the tables", word(&about["hash"])),
         row("runs", word(&about["n_runs"])),
     ];
     rows.extend(program(&about["command"]));
     rows.push(row("folder", dir.display().to_string()));
-    page.table("How this sweep came about.", &["what".into(), "value".into()], &rows);
+    page.table("Provenance of this sweep.", &["what".into(), "value".into()], &rows);
     again(page, &about["command"]);
     inputs(page, &about["inputs"], &about["plugins"]);
     if let Ok(graph) = fs::read_to_string(dir.join(osteoflow_engine::sweep::GRAPH)) {
@@ -48,7 +48,7 @@ pub(crate) fn of_sweep(page: &mut Page, dir: &Path, about: &Json) {
     }
 }
 
-/// What the command said of itself and of the machine.
+/// Rows about the program and the machine.
 fn program(command: &Json) -> Vec<Vec<Cell>> {
     let words = |keys: &[&str]| {
         let words = keys.iter().map(|key| word(&command[*key])).filter(|word| !word.is_empty());
@@ -70,11 +70,11 @@ fn again(page: &mut Page, command: &Json) {
         _ => format!("'{}'", word.replace('\'', "'\\''")),
     };
     let words: Vec<_> = arguments.iter().filter_map(Json::as_str).map(quoted).collect();
-    page.text("The command that made it; in another folder it makes the same numbers again:");
+    page.text("The command that made it; in another folder it gives the same numbers:");
     page.code(&format!("osteoflow {}", words.join(" ")));
 }
 
-/// Inputs and plugins with their hashes, and what is said of their licences where they lie.
+/// A table of inputs and plugins with their hashes and licences.
 fn inputs(page: &mut Page, inputs: &Json, plugins: &Json) {
     let rows: Vec<_> = entries(inputs)
         .into_iter()
@@ -90,15 +90,15 @@ fn inputs(page: &mut Page, inputs: &Json, plugins: &Json) {
         .collect();
     if rows.is_empty() {
         return page.text(
-            "No input file was read. What is simulated comes from formulas of this program; no measured data went into it, \
+            "No input file was read. The simulated data come from formulas of this program, without any measured data, \
              and its licence is the program's (MIT or Apache-2.0).",
         );
     }
-    let head = ["file", "SHA-256", "licence, as a file beside or above it says"].map(String::from);
+    let head = ["file", "SHA-256", "licence, according to a file in its folder or above"].map(String::from);
     page.table("Input files and plugins.", &head, &rows);
 }
 
-/// Path and hash of each input: a list of objects, or an object by path.
+/// Path and hash of each input, from a list of objects or an object by path.
 fn entries(inputs: &Json) -> Vec<(String, String)> {
     let of_item = |item: &Json| (word(&item["path"]), word(&item["sha256"]));
     match inputs {
@@ -108,14 +108,14 @@ fn entries(inputs: &Json) -> Vec<(String, String)> {
     }
 }
 
-/// So many folders up a README or a licence file may speak of an input.
+/// Number of folders above an input that are searched for a README or a licence file.
 const FOLDERS_UP: usize = 2;
 
-/// What is said of the licence of an input: the first line of `FILE.license`; else a line of a README or a licence file that
-/// names the file, in its folder or up to two above; else the first line of a licence file in its folder, or of the README
-/// there that speaks of a licence; else a line above that names its folder.
+/// The licence of an input. In this order: the first line of `FILE.license`; a line of a README or licence file that names
+/// the file, in its folder or up to two above; the first line of a licence file in its folder, or the line of the README there
+/// that mentions a licence; a line further up that names its folder.
 fn licence(path: &Path) -> String {
-    // A relative path has its folders above it only from where it was read.
+    // The folders above a relative path are found from the working directory.
     let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let Some(folder) = path.parent() else { return String::new() };
     let mut own = path.as_os_str().to_owned();
@@ -129,10 +129,10 @@ fn licence(path: &Path) -> String {
         .or_else(|| about(folder).iter().filter(|path| !is_readme(path)).find_map(|path| first(path, &|_| true)))
         .or_else(|| about(folder).iter().filter(|path| is_readme(path)).find_map(|path| first(path, &speaks)))
         .or_else(|| above().find_map(|path| first(&path, &|line| line.contains(&inside) && speaks(line))))
-        .unwrap_or_else(|| "no file beside it or up to two folders above says; ask whoever gave it".into())
+        .unwrap_or_else(|| "not stated by any file in its folder or up to two folders above; ask its provider".into())
 }
 
-/// Whether a line speaks of this file, not of one whose name ends like it.
+/// Whether a line names this file, rather than one whose name ends the same.
 fn names(line: &str, file: &str) -> bool {
     line.match_indices(file).any(|(at, _)| {
         let part = |c: char| c.is_alphanumeric() || "_-.".contains(c);
@@ -140,7 +140,7 @@ fn names(line: &str, file: &str) -> bool {
     })
 }
 
-/// The licence files and READMEs of a folder, the licences first.
+/// The licence files of a folder, then its READMEs.
 fn about(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let starts = |path: &PathBuf| {
@@ -156,25 +156,25 @@ fn is_readme(path: &Path) -> bool {
     path.file_name().unwrap_or_default().to_string_lossy().to_uppercase().starts_with("README")
 }
 
-/// The first line of a file that is wanted, with the file's name.
+/// The first line of a file that satisfies `wanted`, with the file's name.
 fn first(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Option<String> {
     let text = fs::read_to_string(path).ok()?;
     let lines = text.lines().map(|line| line.trim_matches([' ', '#', '|', '*', '\t']));
     let line = lines.filter(|line| !line.is_empty()).find(|line| wanted(line))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let whole: String = line.chars().take(MOST_LETTERS).collect();
+    let whole: String = line.chars().take(MAX_CHARACTERS).collect();
     let cut = if whole.len() < line.len() { "\u{2026}" } else { "" };
     Some(format!("{name}: {whole}{cut}"))
 }
 
-/// Longer lines are cut.
-const MOST_LETTERS: usize = 400;
+/// Longer lines are truncated.
+const MAX_CHARACTERS: usize = 400;
 
 fn row(what: &str, value: String) -> Vec<Cell> {
     vec![Cell::word(what), Cell::word(if value.is_empty() { "not known".into() } else { value })]
 }
 
-/// A value as words; nothing for null.
+/// A value as text; empty for null.
 fn word(value: &Json) -> String {
     match value {
         Json::Null => String::new(),
@@ -195,7 +195,7 @@ mod tests {
         fs::create_dir_all(&folder).unwrap();
         let bone = folder.join("fibula.stl");
         fs::write(&bone, "").unwrap();
-        assert!(licence(&bone).contains("ask whoever gave it"));
+        assert!(licence(&bone).contains("ask its provider"));
         fs::write(
             dir.path().join("README.md"),
             "| bones/left_fibula.stl | CC0 |\n| bones/fibula.stl | CC BY-NC 4.0 |\n",
@@ -203,7 +203,11 @@ mod tests {
         .unwrap();
         assert_eq!(licence(&bone), "README.md: bones/fibula.stl | CC BY-NC 4.0");
         fs::write(folder.join("LICENSE"), "\nApache License\n").unwrap();
-        assert_eq!(licence(&bone), "README.md: bones/fibula.stl | CC BY-NC 4.0", "the file by name is told first");
+        assert_eq!(
+            licence(&bone),
+            "README.md: bones/fibula.stl | CC BY-NC 4.0",
+            "a line with the name of the file comes first"
+        );
         fs::write(folder.join("fibula.stl.license"), "CC0\n").unwrap();
         assert_eq!(licence(&bone), "fibula.stl.license: CC0");
         assert_eq!(licence(&folder.join("other.stl")), "LICENSE: Apache License");

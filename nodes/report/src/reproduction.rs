@@ -1,7 +1,7 @@
-//! The page that sets the paper's numbers beside ours: each with its n and the command, and whether it lies outside the
-//! paper's spread.
+//! The page that compares the paper's numbers with ours: each with its n, the command that computes it, and whether it is
+//! outside the paper's spread.
 //!
-//! The paper's numbers, and where ours are found, stand in `reproduction/published.toml`.
+//! `reproduction/published.toml` holds the paper's numbers and the paths of ours.
 
 mod ours;
 mod page;
@@ -18,7 +18,7 @@ use published::{Judged, Published, Row, Setting};
 use reasons::Reasons;
 use serde_json::Value;
 
-/// The experiments, in the order of the paper, then ours: names of graphs in graphs/paper/.
+/// The experiments: names of graphs in graphs/paper/, first those of the paper in its order, then ours.
 pub const EXPERIMENTS: [&str; 12] = [
     "calibration",
     "accuracy_camera",
@@ -34,16 +34,16 @@ pub const EXPERIMENTS: [&str; 12] = [
     "error_terms",
 ];
 
-/// The experiments that are about fragments, whose reports have maps of them (Fig. 7); elsewhere two runs more for their
-/// maps would take the most of a report's time.
+/// The experiments about fragments, whose reports have maps of them (Fig. 7); elsewhere the two repeated runs for the maps
+/// would take most of a report's time.
 pub const WITH_MAPS: [&str; 2] = ["cutting", "sensitivity"];
 
-/// The experiments that were run, ready to be told.
+/// The experiments that were run.
 pub struct Reproduction {
     published: Published,
     /// In the order given.
     experiments: Vec<Experiment>,
-    /// Of each meeting in `published` whose experiments are there: the comparisons, or why there are none.
+    /// The paired comparisons of each pair of experiments in `published` that was run, or the reason why there are none.
     met: Vec<(usize, Result<Vec<Value>, String>)>,
 }
 
@@ -55,10 +55,10 @@ struct Experiment {
 }
 
 impl Reproduction {
-    /// Of finished sweeps, by the name of their experiment.
+    /// Reads finished sweeps, by the names of their experiments.
     ///
     /// # Errors
-    /// If a file of theirs cannot be read.
+    /// If a file of a sweep cannot be read.
     pub fn new(sweeps: &[(String, Folder)]) -> Result<Self, ReportError> {
         let published = Published::new();
         let read = |(name, folder): &(String, Folder)| {
@@ -80,27 +80,27 @@ impl Reproduction {
         Ok(Self { published, experiments, met })
     }
 
-    /// The rows whose number of ours lies outside the paper's spread, a line each.
+    /// A line for each of our numbers that is outside the paper's spread.
     pub fn outside(&self) -> Vec<String> {
-        let told = |row: &Row| {
+        let line = |row: &Row| {
             let ours = self.of_row(row)?;
             let Some(Judged::Outside(side)) = row.judged(ours.value?) else { return None };
             Some(format!("{} ({}): paper {}, ours {}, {side}", row.what, row.section, row.theirs, ours.text))
         };
-        self.published.row.iter().filter_map(told).collect()
+        self.published.row.iter().filter_map(line).collect()
     }
 
-    /// The experiments none of whose runs has results, a line each with the first reason.
+    /// A line for each experiment without any result, with the first reason.
     pub fn without_results(&self) -> Vec<String> {
-        let told = |of: &Experiment| {
+        let line = |of: &Experiment| {
             let (run, reason) = of.reasons.first.as_ref()?;
             let none = of.summary["n_runs"].as_u64() == Some(of.reasons.n as u64);
             none.then(|| format!("{}: none of its {} runs has results; run {run}: {reason}", of.name, of.reasons.n))
         };
-        self.experiments.iter().filter_map(told).collect()
+        self.experiments.iter().filter_map(line).collect()
     }
 
-    /// The page in Markdown; `command` is what it was made by, `of_experiment` what makes the numbers of one experiment again.
+    /// The page in Markdown; `command` made the page, `of_experiment` returns the command that computes an experiment's numbers.
     pub fn page(&self, command: &str, of_experiment: &dyn Fn(&str) -> String) -> String {
         page::text(self, command, of_experiment)
     }

@@ -5,24 +5,25 @@ mod views;
 
 use crate::{
     Report, ReportError,
-    chart::{Axis, Chart, Mark, Series, said},
+    chart::{Axis, Chart, Mark, Series, disclaimer},
     citations, diagram,
-    evidence::Evidence,
     format::number,
     html::Page,
-    methods, provenance, tables,
+    methods, provenance,
+    run_folder::RunFolder,
+    tables,
 };
 use osteoflow_algorithms::icp::IcpTrace;
 use osteoflow_draw::{Diagram, svg};
 use osteoflow_node::Registry;
 use std::path::Path;
 
-/// The report of the run whose folder this is.
+/// The report of a run, given its folder.
 ///
 /// # Errors
-/// If the folder's files cannot be read; what a recording lacks is said on the page.
+/// If the files of the folder cannot be read. What the recording lacks is listed on the page.
 pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
-    let run = Evidence::open(dir, registry)?;
+    let run = RunFolder::open(dir, registry)?;
     let name = run.manifest["graph"]["name"].as_str().unwrap_or("run");
     let mut page = Page::new(&format!("Run of {name}"), run.is_simulated());
 
@@ -30,7 +31,7 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     outcome(&mut page, &run);
     match diagram::of_manifest(&run.manifest) {
         Ok(diagram) => {
-            graph(&mut page, diagram, "The graph as it ran: nodes with their kind and time, wires with their items.");
+            graph(&mut page, diagram, "The graph as it ran: nodes with kinds and times, wires with numbers of items.");
         }
         Err(why) => page.missing("The graph", &why),
     }
@@ -59,18 +60,18 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     Ok(Report { html, figures, bibliography })
 }
 
-/// The drawing of a graph, which says what every drawing does.
+/// Draws a graph with the disclaimer of all figures.
 pub(crate) fn graph(page: &mut Page, mut diagram: Diagram, caption: &str) {
-    diagram.notes.push(said(page.simulated()));
+    diagram.notes.push(disclaimer(page.simulated()));
     page.figure("graph", svg(&diagram), caption);
 }
 
-fn outcome(page: &mut Page, run: &Evidence) {
+fn outcome(page: &mut Page, run: &RunFolder) {
     let outcome = &run.manifest["outcome"];
     let status = outcome["status"].as_str().unwrap_or("unfinished");
     if status != "complete" {
         let node = outcome["node"].as_str().map(|node| format!(" at node \"{node}\"")).unwrap_or_default();
-        let reason = outcome["reason"].as_str().unwrap_or("the manifest says no more");
+        let reason = outcome["reason"].as_str().unwrap_or("the manifest gives no reason");
         page.text(&format!("The run ended as {status}{node}: {reason}."));
     }
     let warnings: Vec<_> = run.manifest["warnings"].as_array().into_iter().flatten().collect();
@@ -81,11 +82,11 @@ fn outcome(page: &mut Page, run: &Evidence) {
     }
 }
 
-/// Smaller lengths are drawn as this one, mm: they are rounding, and would press everything else together.
-const LEAST_MM: f64 = 1e-6;
+/// Lower bound for plotted lengths, mm: smaller ones are rounding errors and would compress the axis.
+const MIN_MM: f64 = 1e-6;
 
-/// What each iteration of the fine registration left.
-fn convergence(page: &mut Page, run: &Evidence) {
+/// Residual and step of each iteration of the fine registration.
+fn convergence(page: &mut Page, run: &RunFolder) {
     let Some(node) = fine(run) else { return };
     let trace = match run.value::<IcpTrace>(&format!("{node}.trace")) {
         Ok(trace) => trace,
@@ -94,7 +95,7 @@ fn convergence(page: &mut Page, run: &Evidence) {
     let line = |of: &dyn Fn(&osteoflow_algorithms::icp::IcpStep) -> Option<f64>| {
         let points = trace.steps.iter().filter_map(|step| Some((f64::from(step.iteration), of(step)?)));
         let points: Vec<_> = points.filter(|(_, y)| *y > 0.0).collect();
-        let shown = |y: f64| y.max(LEAST_MM);
+        let shown = |y: f64| y.max(MIN_MM);
         let dots = points.iter().map(|(x, y)| (*x, shown(*y), format!("iteration {x}: {} mm", number(*y)))).collect();
         vec![Mark::Line(points.iter().map(|(x, y)| (*x, shown(*y))).collect()), Mark::Dots(dots)]
     };
@@ -111,17 +112,17 @@ fn convergence(page: &mut Page, run: &Evidence) {
         note: String::new(),
         simulated: page.simulated(),
     };
-    let said = &run.results["icp"];
+    let report = &run.results["icp"];
     let stopped =
-        said["stop_reason"].as_str().map(|why| format!(" It stopped by its rule \"{why}\".")).unwrap_or_default();
+        report["stop_reason"].as_str().map(|why| format!(" It stopped by its rule \"{why}\".")).unwrap_or_default();
     let caption = format!(
-        "What each of the {} iterations of {node} left: the residual of its pairs and how far it moved.{stopped}",
+        "Residual of the pairs and largest movement in each of the {} iterations of {node}.{stopped}",
         trace.steps.len()
     );
     page.figure("convergence", chart.svg(), &caption);
 }
 
-/// The node of the fine registration: it takes a source, a target and where to start.
-fn fine(run: &Evidence) -> Option<&str> {
+/// The node of the fine registration: the first with a source, a target and an initial pose.
+fn fine(run: &RunFolder) -> Option<&str> {
     run.node_with(&["source", "target", "init"])
 }

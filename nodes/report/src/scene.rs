@@ -1,4 +1,4 @@
-//! A view in three dimensions, as the page's viewer reads it: meshes, points and lines, quantised to 16 bits.
+//! A view in three dimensions for the page's viewer: meshes, points and lines, quantised to 16 bits.
 
 mod drawing;
 
@@ -14,39 +14,39 @@ use std::{
     ops::{AddAssign, Div},
 };
 
-/// Blue over white to red (ColorBrewer's RdBu), which the colour-blind tell apart.
+/// Blue over white to red (ColorBrewer's RdBu), safe for colour-blind readers.
 const DIVERGING: [&str; 7] = ["#2166ac", "#67a9cf", "#d1e5f0", "#f7f7f7", "#fddbc7", "#ef8a62", "#b2182b"];
 
-/// What registration puts somewhere.
+/// Registered or planned.
 pub(crate) const BLUE: &str = "#0072b2";
-/// What was measured or executed.
+/// Measured or executed.
 pub(crate) const RED: &str = "#d55e00";
 /// The bone.
 pub(crate) const BONE: &str = "#c9c2b4";
 
-/// A mesh of more faces is thinned out for the page.
-const MOST_FACES: usize = 60_000;
-/// A cloud of more points is thinned out by stride.
-const MOST_POINTS: usize = 40_000;
+/// Meshes with more faces are simplified for the page.
+const MAX_FACES: usize = 60_000;
+/// Clouds with more points are thinned out by stride.
+const MAX_POINTS: usize = 40_000;
 
 /// A view.
 #[derive(Debug, Clone)]
 pub(crate) struct Scene {
     parts: Vec<Json>,
-    /// The same for a drawing from one side.
+    /// The same content for the SVG drawing.
     drawn: Vec<Drawn>,
     legend: Vec<(String, String)>,
     ramp: Option<(String, f64)>,
     centre: Point3<f64>,
-    /// Half of what is seen at first, along the view's width, mm.
+    /// Half the visible width at the start, mm.
     half_width: f64,
     turn: Matrix3<f64>,
-    /// Width by height.
+    /// Ratio of width to height.
     pub(crate) aspect: f64,
 }
 
 impl Scene {
-    /// Looks along `towards` (from the scene to the viewer) with `along` from left to right, at all of `points`.
+    /// A scene that shows all of `points`: `towards` points from the scene to the viewer, `along` from left to right.
     pub(crate) fn looking(points: &[Point3<f64>], along: Vector3<f64>, towards: Vector3<f64>) -> Self {
         let fallback = |v: Vector3<f64>, or: Vector3<f64>| v.try_normalize(1e-9).unwrap_or(or);
         let right = fallback(along, Vector3::x());
@@ -68,25 +68,25 @@ impl Scene {
         Self { parts: Vec::new(), drawn: Vec::new(), legend: Vec::new(), ramp: None, centre, half_width, turn, aspect }
     }
 
-    /// A surface that the page shares under a name.
+    /// Adds a surface that the page shares by name.
     pub(crate) fn shared_mesh(&mut self, name: &str, mesh: &Mesh, colour: &str) {
         self.parts.push(json!({ "type": "mesh", "data": name, "colour": colour }));
         self.draw_mesh((mesh.vertices(), mesh.faces()), 1.0, Tint::Plain(colour.into()));
     }
 
-    /// A surface of its own, seen through where `opacity` is below 1.
+    /// Adds a surface; transparent if `opacity` is below 1.
     pub(crate) fn mesh(&mut self, vertices: &[Point3<f64>], faces: &[[u32; 3]], colour: &str, opacity: f64) {
         let own = indexed(vertices, faces);
         self.parts.push(json!({ "type": "mesh", "own": own, "colour": colour, "opacity": opacity }));
         self.draw_mesh((vertices, faces), opacity, Tint::Plain(colour.into()));
     }
 
-    /// A surface coloured by a signed value at each vertex; beyond `most` the end colours go on.
-    pub(crate) fn coloured_mesh(&mut self, vertices: &[Point3<f64>], faces: &[[u32; 3]], values: &[f64], most: f64) {
+    /// Adds a surface coloured by a signed value at each vertex, clamped to `max`.
+    pub(crate) fn coloured_mesh(&mut self, vertices: &[Point3<f64>], faces: &[[u32; 3]], values: &[f64], max: f64) {
         let mut own = indexed(vertices, faces);
-        own["values"] = levels(values, most).into();
+        own["values"] = levels(values, max).into();
         self.parts.push(json!({ "type": "mesh", "own": own, "ramp": DIVERGING }));
-        self.draw_mesh((vertices, faces), 1.0, Tint::Values(values.to_vec(), most));
+        self.draw_mesh((vertices, faces), 1.0, Tint::Values(values.to_vec(), max));
     }
 
     fn draw_mesh(&mut self, (vertices, faces): (&[Point3<f64>], &[[u32; 3]]), opacity: f64, tint: Tint) {
@@ -94,25 +94,25 @@ impl Scene {
         self.drawn.push(Drawn { what, tint });
     }
 
-    /// Points as little balls.
+    /// Adds points as balls.
     pub(crate) fn points(&mut self, points: &[Point3<f64>], radius_mm: f64, colour: &str) {
         self.parts.push(json!({ "type": "points", "own": positions(points), "colour": colour, "radius": radius_mm }));
         let what = Solid::Points { points: points.to_vec(), radius_mm };
         self.drawn.push(Drawn { what, tint: Tint::Plain(colour.into()) });
     }
 
-    /// Points coloured by a signed value; those beyond `most` have the end colours.
-    pub(crate) fn coloured_points(&mut self, points: &[Point3<f64>], values: &[f64], most: f64, radius_mm: f64) {
-        let every = points.len().div_ceil(MOST_POINTS).max(1);
+    /// Adds points coloured by a signed value, clamped to `max`.
+    pub(crate) fn coloured_points(&mut self, points: &[Point3<f64>], values: &[f64], max: f64, radius_mm: f64) {
+        let every = points.len().div_ceil(MAX_POINTS).max(1);
         let points: Vec<_> = points.iter().copied().step_by(every).collect();
         let values: Vec<_> = values.iter().copied().step_by(every).collect();
         let mut own = positions(&points);
-        own["values"] = levels(&values, most).into();
+        own["values"] = levels(&values, max).into();
         self.parts.push(json!({ "type": "points", "own": own, "ramp": DIVERGING, "radius": radius_mm }));
-        self.drawn.push(Drawn { what: Solid::Points { points, radius_mm }, tint: Tint::Values(values, most) });
+        self.drawn.push(Drawn { what: Solid::Points { points, radius_mm }, tint: Tint::Values(values, max) });
     }
 
-    /// Pairs of points as lines.
+    /// Adds lines between pairs of points.
     pub(crate) fn lines(&mut self, ends: &[Point3<f64>], colour: &str) {
         if !ends.is_empty() {
             self.parts.push(json!({ "type": "lines", "own": positions(ends), "colour": colour }));
@@ -120,20 +120,20 @@ impl Scene {
         }
     }
 
-    /// A word beside a point.
+    /// Adds a label beside a point.
     pub(crate) fn tag(&mut self, at: &Point3<f64>, word: &str) {
         self.parts.push(json!({ "type": "tag", "at": [at.x, at.y, at.z], "word": word }));
         self.drawn.push(Drawn { what: Solid::Tag(*at, word.into()), tint: Tint::Plain(BONE.into()) });
     }
 
-    /// A colour and what it is.
+    /// Adds a colour to the legend.
     pub(crate) fn key(&mut self, colour: &str, what: &str) {
         self.legend.push((colour.into(), what.into()));
     }
 
-    /// What the colours of values are, from `-most` to `most`, in mm.
-    pub(crate) fn ramp(&mut self, what: &str, most: f64) {
-        self.ramp = Some((what.into(), most));
+    /// Adds a colour scale from `-max` to `max`, in mm, to the legend.
+    pub(crate) fn ramp(&mut self, what: &str, max: f64) {
+        self.ramp = Some((what.into(), max));
     }
 
     pub(crate) fn json(&self) -> Json {
@@ -150,11 +150,11 @@ impl Scene {
         for (colour, what) in &self.legend {
             out += &format!("<span><i class=\"key\" style=\"background: {colour}\"></i>{}</span>", escape(what));
         }
-        if let Some((what, most)) = &self.ramp {
-            let most = number(*most);
+        if let Some((what, max)) = &self.ramp {
+            let max = number(*max);
             out += &format!(
-                "<span>{} <span>\u{2212}{most}</span><i class=\"ramp\" role=\"img\" aria-label=\"from blue, minus {most} \
-                 mm, over white to red, {most} mm\" style=\"background: linear-gradient(to right, {})\"></i><span>+{most} \
+                "<span>{} <span>\u{2212}{max}</span><i class=\"ramp\" role=\"img\" aria-label=\"from blue, minus {max} \
+                 mm, over white to red, {max} mm\" style=\"background: linear-gradient(to right, {})\"></i><span>+{max} \
                  mm</span></span>",
                 escape(what),
                 DIVERGING.join(", ")
@@ -164,7 +164,7 @@ impl Scene {
     }
 }
 
-/// The next of 1, 1.5, 2, 3, 4, 5, 6, 8, 10 times a power of ten: where a colour bar ends.
+/// The next larger of 1, 1.5, 2, 3, 4, 5, 6, 8, 10 times a power of ten, for the end of a colour scale.
 pub(crate) fn round_up(value: f64) -> f64 {
     let value = value.max(1e-6);
     let power = 10f64.powf(value.log10().floor());
@@ -177,7 +177,7 @@ fn any_across(v: &Vector3<f64>) -> Vector3<f64> {
     (least - v * v.dot(&least)).normalize()
 }
 
-/// Positions in 16 bits each, from their lowest corner in steps of `step` mm.
+/// Positions with 16 bits per coordinate, from their lowest corner in steps of `step` mm.
 fn positions(points: &[Point3<f64>]) -> Json {
     let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
     for p in points {
@@ -195,21 +195,21 @@ fn positions(points: &[Point3<f64>]) -> Json {
     json!({ "positions": STANDARD.encode(bytes), "low": low.as_slice(), "step": step })
 }
 
-/// Values from `-most` to `most` in 8 bits each.
-fn levels(values: &[f64], most: f64) -> String {
-    let level = |v: &f64| (127.5 * (v / most).clamp(-1.0, 1.0) + 127.5).round() as u8;
+/// Values from `-max` to `max` with 8 bits each.
+fn levels(values: &[f64], max: f64) -> String {
+    let level = |v: &f64| (127.5 * (v / max).clamp(-1.0, 1.0) + 127.5).round() as u8;
     STANDARD.encode(values.iter().map(level).collect::<Vec<_>>())
 }
 
-/// A surface for the page, thinned out where it has many faces.
+/// A surface for the page, simplified if it has many faces.
 pub(crate) fn surface(mesh: &Mesh) -> Json {
-    let (groups, faces) = thinned(mesh.vertices(), mesh.faces(), MOST_FACES);
+    let (groups, faces) = thinned(mesh.vertices(), mesh.faces(), MAX_FACES);
     let positions: Vec<_> = mesh.vertices().iter().map(|p| p.coords).collect();
     let vertices: Vec<_> = groups.means(&positions).into_iter().map(Point3::from).collect();
     indexed(&vertices, &faces)
 }
 
-/// A surface as it is, coloured by a signed value at each vertex.
+/// A surface with all its faces, in the order of its vertices.
 fn indexed(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Json {
     let mut data = positions(vertices);
     let bytes: Vec<u8> = faces.iter().flatten().flat_map(|i| i.to_le_bytes()).collect();
@@ -217,15 +217,15 @@ fn indexed(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Json {
     data
 }
 
-/// The vertices that became one.
+/// Groups of vertices that were merged.
 struct Groups {
-    /// Of each vertex; without any, every vertex is its own.
+    /// The group of each vertex; if empty, every vertex is a group.
     of_vertex: Option<Vec<u32>>,
     n: usize,
 }
 
 impl Groups {
-    /// One value for each group: the mean of its vertices'.
+    /// One value for each group: the mean of its vertices' values.
     fn means<T: Copy + AddAssign + Div<f64, Output = T>>(&self, values: &[T]) -> Vec<T> {
         let Some(of_vertex) = &self.of_vertex else { return values.to_vec() };
         let mut sums: Vec<Option<(T, f64)>> = vec![None; self.n];
@@ -242,16 +242,16 @@ impl Groups {
     }
 }
 
-/// The faces as they are if they are few, else with their vertices gathered in cubes that grow until they are.
-fn thinned(vertices: &[Point3<f64>], faces: &[[u32; 3]], most: usize) -> (Groups, Vec<[u32; 3]>) {
-    if faces.len() <= most {
+/// At max `max` faces: all if they are few, otherwise by merging vertices in cubes that grow until the faces are few enough.
+fn thinned(vertices: &[Point3<f64>], faces: &[[u32; 3]], max: usize) -> (Groups, Vec<[u32; 3]>) {
+    if faces.len() <= max {
         return (Groups { of_vertex: None, n: vertices.len() }, faces.to_vec());
     }
     let corners = |face: &[u32; 3]| face.map(|v| vertices[v as usize]);
     let area = |[a, b, c]: [Point3<f64>; 3]| 0.5 * (b - a).cross(&(c - a)).norm();
     let area: f64 = faces.iter().map(|face| area(corners(face))).sum();
-    // A cube of a surface holds about two faces of half its side's area each.
-    let mut side = (2.0 * area / most as f64).sqrt().max(1e-6);
+    // A cube on a surface holds about two faces of half the area of its side.
+    let mut side = (2.0 * area / max as f64).sqrt().max(1e-6);
     loop {
         let mut cubes: BTreeMap<[i64; 3], u32> = BTreeMap::new();
         let mut of_vertex = Vec::with_capacity(vertices.len());
@@ -261,14 +261,14 @@ fn thinned(vertices: &[Point3<f64>], faces: &[[u32; 3]], most: usize) -> (Groups
         }
         let kept = faces.iter().map(|face| face.map(|v| of_vertex[v as usize]));
         let kept: Vec<_> = kept.filter(|[a, b, c]| a != b && b != c && a != c).collect();
-        if kept.len() <= most {
+        if kept.len() <= max {
             return (Groups { of_vertex: Some(of_vertex), n: cubes.len() }, kept);
         }
         side *= 1.2;
     }
 }
 
-/// Where a plane (its z axis is the normal) cuts a surface: pairs of points.
+/// The intersection of a surface with the xy plane of `t_mesh_plane`, as pairs of points.
 pub(crate) fn outline(mesh: &Mesh, t_mesh_plane: &nalgebra::Isometry3<f64>, reach_mm: f64) -> Vec<Point3<f64>> {
     let mut ends = Vec::new();
     for face in 0..mesh.faces().len() {
@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fine_mesh_is_thinned_out_and_stays_where_it_is() {
+    fn a_fine_mesh_is_simplified_and_stays_in_place() {
         let mesh = grid(100);
         let (groups, faces) = thinned(mesh.vertices(), mesh.faces(), 2000);
         assert!((500..=2000).contains(&faces.len()), "{} faces", faces.len());
@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn positions_come_back_within_half_a_step() {
+    fn positions_are_quantised_within_half_a_step() {
         let points = [Point3::new(-80.0, 3.0, -890.0), Point3::new(270.0, 3.5, -889.0)];
         let json = positions(&points);
         let bytes = STANDARD.decode(json["positions"].as_str().unwrap()).unwrap();

@@ -1,24 +1,24 @@
-//! What a sweep says in numbers: each column under each setting, with what it is counted by, and what is compared.
+//! The summary of a sweep: statistics of each column under each setting, and paired comparisons.
 
 mod compared;
 mod group;
-mod told;
+mod rows;
 
 pub use compared::{NoPairs, between, with_holm};
-pub use told::{Row, about_few, comparison, statistics, under_heads, units};
+pub use rows::{Row, about_few, comparison, statistics, under_heads, units};
 
-use crate::{ReportError, evidence};
+use crate::{ReportError, run_folder};
 use osteoflow_engine::sweep::{Done, Folder, Spec, without_value};
 use osteoflow_statistics::{StatisticsError, Units};
 use serde_json::{Map, Value, json};
 
-/// The file of a sweep's folder that holds its summary.
+/// File name of the summary in a sweep's folder.
 pub const SUMMARY: &str = "summary.json";
 
-/// The confidence of every interval.
+/// Confidence level of every interval.
 const LEVEL: f64 = 0.95;
 
-/// Writes the tables of a finished sweep, and its summary, which is given back; `notice` stands on it.
+/// Writes the tables of a finished sweep and its summary, which contains `notice`; returns the summary.
 ///
 /// # Errors
 /// If a file of the folder cannot be read or written.
@@ -29,15 +29,15 @@ pub fn write(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
     Ok(summary)
 }
 
-/// The summary that a sweep has left.
+/// Reads the summary of a sweep.
 ///
 /// # Errors
-/// If it is not there, or no JSON.
+/// If the file does not exist or is not JSON.
 pub fn read(folder: &Folder) -> Result<Value, ReportError> {
-    evidence::json(&folder.dir().join(SUMMARY))
+    run_folder::json(&folder.dir().join(SUMMARY))
 }
 
-/// What `summary.json` holds.
+/// Computes the content of `summary.json`.
 fn summary(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
     let spec = folder.spec()?;
     let done = folder.done()?.collect::<Result<Vec<_>, _>>()?;
@@ -57,7 +57,7 @@ fn summary(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
     }))
 }
 
-/// The runs by setting: the factors that are varied and are no units.
+/// The runs by setting: by the values of all varied factors that are not units.
 fn groups<'a>(spec: &Spec, done: &'a [Done]) -> Vec<(Map<String, Value>, Vec<&'a Done>)> {
     let varied = spec.factors.iter().filter(|f| f.levels.len() > 1 && !spec.units.contains(&f.name));
     let names: Vec<_> = varied.map(|factor| factor.name.as_str()).collect();
@@ -73,7 +73,7 @@ fn groups<'a>(spec: &Spec, done: &'a [Done]) -> Vec<(Map<String, Value>, Vec<&'a
     groups
 }
 
-/// The units of these runs; `None` where there are none.
+/// The units of these runs; `None` if the sweep has none.
 fn units_of(spec: &Spec, runs: &[&Done]) -> Option<Units> {
     let paths: Vec<_> = runs.iter().map(|run| path(spec, run)).collect();
     Units::new(&spec.units, &paths).ok()
@@ -83,7 +83,7 @@ fn path(spec: &Spec, run: &Done) -> Vec<String> {
     spec.units.iter().map(|unit| run.value(unit).map(word).unwrap_or_default()).collect()
 }
 
-/// The units above the repeats: what stays while a procedure is repeated.
+/// The names of a run's units above the repeats, such as its bone.
 fn path_of_highest(spec: &Spec, run: &Done) -> Vec<String> {
     let above = spec.units.iter().filter(|unit| **unit != spec.repeat_name);
     above.map(|unit| run.value(unit).map(word).unwrap_or_default()).collect()
@@ -94,17 +94,17 @@ fn levels(units: &Units) -> Value {
     names.map(|(name, n)| json!({ "name": name.to_string(), "n": n })).collect()
 }
 
-/// A number, or whether something is so.
+/// A number; booleans as 0 or 1.
 fn number(value: &Value) -> Option<f64> {
     value.as_f64().or_else(|| value.as_bool().map(|so| f64::from(u8::from(so))))
 }
 
-/// A value as words.
+/// A value as text.
 pub fn word(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
-/// What was computed, or why it could not be.
+/// The result as JSON, or the reason why there is none under `none`.
 fn or_reason<T: serde::Serialize>(computed: Result<T, StatisticsError>) -> Value {
     match computed {
         Ok(value) => json!(value),

@@ -1,4 +1,4 @@
-//! The page of a sweep: what was asked, figures of every column, and the statistics that the sweep has left.
+//! The page of a sweep: design, figures of every column, statistics.
 
 mod again;
 mod figures;
@@ -23,14 +23,13 @@ struct Swept {
     runs: Vec<Done>,
 }
 
-/// The report of the sweep whose folder this is.
+/// The report of a sweep, given its folder.
 ///
-/// Its folder holds no surfaces, so the run in the middle and the worst one are run once more with `kinds`, for the maps of
-/// their fragments, if `maps` are wanted; where that gives other results than those that are there, the page says so and
-/// shows none.
+/// The folder holds no surfaces. If `maps` are wanted, the median run and the worst run are repeated with `kinds` to map
+/// their fragments; if the results differ from the stored ones, the page says so and shows no map.
 ///
 /// # Errors
-/// If the folder holds no sweep, or its files cannot be read.
+/// If the folder holds no sweep or its files cannot be read.
 pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> Result<Report, ReportError> {
     let folder = Folder::open(dir)?;
     let runs = folder.done()?.collect::<Result<Vec<_>, _>>()?;
@@ -51,7 +50,7 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> R
     match maps {
         true => again::maps(&mut page, &sweep, &folder, kinds),
         false => page.text(&format!(
-            "Maps of fragments take two runs more and were not asked for; osteoflow report {} draws them.",
+            "Maps of fragments need two further runs and were not requested; osteoflow report {} draws them.",
             dir.display()
         )),
     }
@@ -59,7 +58,7 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> R
     match dir.join(SUMMARY).is_file() {
         true => statistics::tables(&mut page, &sweep, &summary::read(&folder)?),
         false => {
-            page.missing("The table of statistics", "the folder holds no summary.json, which a finished sweep leaves")
+            page.missing("The table of statistics", "the folder holds no summary.json, which a finished sweep writes")
         }
     }
     page.section("Methods");
@@ -76,8 +75,8 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> R
 }
 
 impl Swept {
-    /// What tells the figures' settings apart: the factors with more than one value that are no units, or where there are
-    /// none the units, such as bones.
+    /// The factors that distinguish settings in figures: those with several values that are not units or, if there are none,
+    /// the units.
     fn varied(&self) -> Vec<&Factor> {
         let varied = || self.spec.factors.iter().filter(|factor| factor.levels.len() > 1);
         let no_units: Vec<_> = varied().filter(|factor| !self.spec.units.contains(&factor.name)).collect();
@@ -110,7 +109,7 @@ impl Swept {
         self.spec.columns.iter().filter(holds).collect()
     }
 
-    /// The kinds of the graph, and those that a factor puts in their place.
+    /// The kinds of the graph's nodes, and those that factors replace them with.
     fn kinds(&self, graph: &str) -> Vec<String> {
         let kind = |table: toml::Table| table.get("kind").and_then(toml::Value::as_str).map(str::to_owned);
         let mut kinds: Vec<String> =
@@ -123,17 +122,17 @@ impl Swept {
         kinds
     }
 
-    /// What was varied, drawn and repeated.
+    /// A paragraph about factors, draws and repeats.
     fn design(&self) -> String {
         let spec = &self.spec;
         let mut words = Vec::new();
         for factor in &spec.factors {
             let levels: Vec<_> = factor.levels.iter().map(|level| label(&level.label)).collect();
-            let told = match levels.len() {
+            let values = match levels.len() {
                 0..=12 => levels.join(", "),
                 n => format!("{} ... {} ({n} values)", levels[..3].join(", "), levels[n - 1]),
             };
-            words.push(format!("Factor {}: {told}.", factor.name));
+            words.push(format!("Factor {}: {values}.", factor.name));
         }
         if !spec.pair.is_empty() {
             let pairs: Vec<_> = spec.pair.iter().map(|group| group.join(" with ")).collect();
@@ -150,16 +149,16 @@ impl Swept {
         let seeds = match (spec.same_seed, self.about["graph"]["seed"].as_u64()) {
             (true, Some(seed)) => format!("all with seed {seed}"),
             (false, Some(seed)) => format!("seeds {seed} to {}", seed + spec.repeat.max(1) as u64 - 1),
-            (_, None) => "seeds not known".into(),
+            "seeds not known".into() => (_, None) => "seeds unknown".into() => "seeds not known".into(),
         };
         words.push(format!(
             "Each setting was run {} times (one run is one {}), {seeds}.",
             spec.repeat, spec.repeat_name
         ));
-        words.push(format!("Units, the highest first: {}.", spec.units.join(" > ")));
+        words.push(format!("Units, from the highest level: {}.", spec.units.join(" > ")));
         let asked = self.about["n_runs"].as_u64().unwrap_or(0);
         let without = self.runs.iter().filter(|run| run.status != "complete").count();
-        words.push(format!("Of {asked} runs {} are here, {without} of them without results.", self.runs.len()));
+        words.push(format!("{} of {asked} runs are complete or refused, {without} of them have no results.", self.runs.len()));
         words.join(" ")
     }
 
@@ -168,32 +167,32 @@ impl Swept {
         let command = &self.about["command"];
         format!(
             "{origin}. The graph \"{}\" was run {} times with osteoflow {} (git {}). {} All settings have the same draws and \
-             seeds, so that they are paired. n is the number of units at the highest level that is named; rows of one unit \
+             seeds, so they are paired. n is the number of units at the highest level named; rows of one unit \
              are not independent. Boxes are Tukey's: quartiles and median, whiskers to the last values within 1.5 \
              interquartile ranges. Lengths are in millimetres.",
             self.about["graph"]["name"].as_str().unwrap_or("?"),
             self.runs.len(),
             command["version"].as_str().unwrap_or("?"),
-            command["git_revision"].as_str().unwrap_or("not known"),
+            command["git_revision"].as_str().unwrap_or("unknown"),
             self.design(),
         )
     }
 
-    /// What the runs say at their points, with the run it is of.
+    /// The values at points of all runs.
     fn point_values(&self) -> Vec<(&Done, PointValue<'_>)> {
         let complete = self.runs.iter().filter(|run| run.status == "complete");
         complete.flat_map(|run| point_values(&self.spec, run).into_iter().map(move |value| (run, value))).collect()
     }
 }
 
-/// A setting of the factors.
+/// A combination of the factors' values, with its runs.
 struct Setting<'a> {
     name: String,
     values: Vec<(&'a str, &'a Json)>,
     runs: Vec<&'a Done>,
 }
 
-/// `icp.point_to_plane` of one factor, `icp = icp.point_to_plane, bone = 2` of several.
+/// `icp.point_to_plane` for one factor, `icp = icp.point_to_plane, bone = 2` for several.
 fn setting_name(values: &[(&str, &Json)]) -> String {
     match values {
         [] => "all runs".into(),
@@ -204,7 +203,7 @@ fn setting_name(values: &[(&str, &Json)]) -> String {
     }
 }
 
-/// A value among others: in quotes where it has a comma of its own.
+/// A value in a list: quoted if it contains a comma.
 fn label(value: &Json) -> String {
     let word = word(value);
     if word.contains(',') { format!("\u{201c}{word}\u{201d}") } else { word }
@@ -226,7 +225,7 @@ fn distribution(of: &Distribution) -> String {
     }
 }
 
-/// Runs without results, by their reason.
+/// A table of the reasons for runs without results.
 fn failures(page: &mut Page, sweep: &Swept) {
     let mut reasons: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for run in sweep.runs.iter().filter(|run| run.status != "complete") {

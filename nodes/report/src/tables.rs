@@ -1,17 +1,17 @@
-//! JSON as tables, whatever a graph has put into it.
+//! Tables of arbitrary JSON results.
 
 use crate::{cell::Cell, format::number, html::Page};
 use nalgebra::Matrix4;
 use osteoflow_geometry::isometry_from_matrix;
 use serde_json::{Map, Value as Json};
 
-/// Longer lists are told by their length; the file has them.
-const MOST_ROWS: usize = 40;
+/// Longer lists are shown by their length only.
+const MAX_ROWS: usize = 40;
 
-/// All results: lists of like things as tables, everything else by its key.
+/// All results: lists of similar objects as tables, everything else by key.
 pub(crate) fn results(page: &mut Page, results: &Json) {
     let Some(results) = results.as_object() else {
-        return page.missing("The results", "the run left no results.json");
+        return page.missing("The results", "the run has no results.json");
     };
     let mut found = Found::default();
     results.iter().for_each(|(key, value)| found.walk(key, value));
@@ -21,9 +21,9 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
     let heads = |heads: &[&str]| heads.iter().map(|head| (*head).to_owned()).collect::<Vec<_>>();
     if !found.poses.is_empty() {
         page.fold(&format!("Poses ({})", found.poses.len()));
-        let caption = "Every pose t_to_from by its path in results.json: where the origin of one frame lies in the other, \
-                       and the turn between their axes.";
-        let head = ["pose", "to", "from", "x (mm)", "y (mm)", "z (mm)", "turn (deg)", "about"];
+        let caption = "Every pose t_to_from by its path in results.json: the position of the origin of one frame in the other, \
+                       and the rotation between their axes.";
+        let head = ["pose", "to", "from", "x (mm)", "y (mm)", "z (mm)", "rotation (deg)", "about"];
         page.table(caption, &heads(&head), &found.poses);
         page.unfold();
     }
@@ -33,19 +33,19 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
     page.unfold();
 }
 
-/// Results by what they are.
+/// Results by form.
 #[derive(Default)]
 struct Found {
     /// Rows of key and value.
     singles: Vec<Vec<Cell>>,
-    /// Lists of objects by their paths.
+    /// Lists of objects by path.
     lists: Vec<(String, Vec<Map<String, Json>>)>,
-    /// A row for each.
+    /// Rows of poses.
     poses: Vec<Vec<Cell>>,
 }
 
 impl Found {
-    /// Takes what lies below a path.
+    /// Collects the values below a path.
     fn walk(&mut self, path: &str, value: &Json) {
         match value {
             Json::Object(object) => match pose(path, object) {
@@ -55,14 +55,14 @@ impl Found {
             Json::Array(items) if !items.is_empty() && items.iter().all(Json::is_object) => {
                 self.lists.push((path.into(), items.iter().filter_map(Json::as_object).cloned().collect()));
             }
-            // Long columns are for programs.
+            // Long lists of numbers are for programs.
             Json::Array(items) if items.len() > 6 || items.iter().any(Json::is_array) => {}
             other => self.singles.push(vec![Cell::Code(path.into()), Cell::of(other)]),
         }
     }
 }
 
-/// The row of a pose; `None` if it is none.
+/// The row of a pose; `None` if the object is not a pose.
 fn pose(path: &str, object: &Map<String, Json>) -> Option<Vec<Cell>> {
     let frame = |key: &str| Some(Cell::Code(object.get(key)?.as_str()?.into()));
     let rows: [[f64; 4]; 4] = serde_json::from_value(object.get("matrix")?.clone()).ok()?;
@@ -75,7 +75,7 @@ fn pose(path: &str, object: &Map<String, Json>) -> Option<Vec<Cell>> {
     Some(cells)
 }
 
-/// An object with the keys of objects in it as `a.b`, without what is no cell.
+/// The object with the keys of nested objects as `a.b`, without values that do not fit a cell.
 fn flat(object: &Map<String, Json>) -> Map<String, Json> {
     let mut out = Map::new();
     for (key, value) in object {
@@ -103,9 +103,8 @@ pub(crate) fn objects(page: &mut Page, caption: &str, items: &[Map<String, Json>
     let head: Vec<String> = keys.iter().map(|key| key.replace('_', " ")).collect();
     let row =
         |item: &Map<String, Json>| keys.iter().map(|key| Cell::of(item.get(*key).unwrap_or(&Json::Null))).collect();
-    let rows: Vec<Vec<Cell>> = items.iter().take(MOST_ROWS).map(row).collect();
-    let cut =
-        if items.len() > MOST_ROWS { format!(", the first {MOST_ROWS} of {}", items.len()) } else { String::new() };
+    let rows: Vec<Vec<Cell>> = items.iter().take(MAX_ROWS).map(row).collect();
+    let cut = if items.len() > MAX_ROWS { format!(", the first {MAX_ROWS} of {}", items.len()) } else { String::new() };
     page.table(&format!("{caption}{cut}."), &head, &rows);
 }
 
@@ -115,7 +114,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn a_pose_is_told_by_its_origin_and_turn_and_a_stamp_to_the_nanosecond() {
+    fn a_pose_is_shown_as_origin_and_rotation_and_a_stamp_to_the_nanosecond() {
         let quarter = [[0.0, -1.0, 0.0, 10.5], [1.0, 0.0, 0.0, -2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]];
         let mut page = Page::new("", false);
         results(
@@ -126,9 +125,9 @@ mod tests {
             }),
         );
         let (html, _) = page.finish("");
-        for told in ["Poses (1)", "poses.t_ct_world", "10.50", "\u{2212}2<", "90.00<", "0, 0, 1", "1700000000123456789"]
+        for text in ["Poses (1)", "poses.t_ct_world", "10.50", "\u{2212}2<", "90.00<", "0, 0, 1", "1700000000123456789"]
         {
-            assert!(html.contains(told), "{told} is missing:\n{html}");
+            assert!(html.contains(text), "{text} is missing:\n{html}");
         }
     }
 }

@@ -1,31 +1,31 @@
-//! An axis: what it says, where a value lies on it, and at which values there are marks.
+//! Axes: labels, scales and ticks.
 
 /// An axis of a chart.
 #[derive(Debug, Clone)]
 pub(crate) enum Axis {
-    /// Evenly, with its name and unit.
+    /// A linear axis, with its name and unit.
     Linear(String),
-    /// By the logarithm; values that are not above zero are left at its end.
+    /// A logarithmic axis; values that are not positive are drawn at its lower end.
     Log(String),
-    /// Words side by side, at 0, 1, 2 ...
+    /// Categories at 0, 1, 2 ...
     Categories {
-        /// What they are.
+        /// The name of the axis.
         label: String,
-        /// The words.
+        /// The names of the categories.
         names: Vec<String>,
     },
 }
 
-/// Where values lie on the paper.
+/// The mapping from values to positions.
 #[derive(Debug, Clone)]
 pub(crate) struct Scale {
     log: bool,
-    /// In the logarithm, where there is one.
+    /// The range; logarithms on a logarithmic axis.
     from: f64,
     to: f64,
     start: f64,
     end: f64,
-    /// Values with their words.
+    /// Values with their labels.
     pub(crate) ticks: Vec<(f64, String)>,
 }
 
@@ -51,15 +51,15 @@ impl Axis {
         }
     }
 
-    /// The words of categories.
-    pub(crate) fn words(&self) -> &[String] {
+    /// The names of the categories.
+    pub(crate) fn categories(&self) -> &[String] {
         match self {
             Self::Categories { names, .. } => names,
             _ => &[],
         }
     }
 
-    /// Fits these values between two places on the paper.
+    /// A scale that shows these values between two positions.
     pub(crate) fn scale(&self, values: &[f64], start: f64, end: f64) -> Scale {
         match self {
             Self::Categories { names, .. } => {
@@ -76,7 +76,7 @@ fn linear(values: &[f64], start: f64, end: f64) -> Scale {
     let low = values.iter().copied().fold(f64::INFINITY, f64::min);
     let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let (low, high) = if low <= high { (low, high) } else { (0.0, 1.0) };
-    // What lies near zero is shown from zero on.
+    // A range near zero starts at zero.
     let (low, high) = match high - low {
         _ if low > 0.0 && low < 0.5 * high => (0.0, high),
         _ if high < 0.0 && high > 0.5 * low => (low, 0.0),
@@ -93,7 +93,7 @@ fn linear(values: &[f64], start: f64, end: f64) -> Scale {
     let digits = (one_more - (step.log10() + 1e-9).floor()).max(0.0) as usize;
     let first = (from / step - 1e-9).ceil() as i64;
     let last = (to / step + 1e-9).floor() as i64;
-    let ticks = (first..=last).map(|k| (k as f64 * step, told(k as f64 * step, digits))).collect();
+    let ticks = (first..=last).map(|k| (k as f64 * step, tick_label(k as f64 * step, digits))).collect();
     Scale { log: false, from, to, start, end, ticks }
 }
 
@@ -111,7 +111,7 @@ fn logarithmic(values: &[f64], start: f64, end: f64) -> Scale {
         for k in from.floor() as i32..=to.floor() as i32 {
             let between = [2.0, 5.0].map(|m| m * 10f64.powi(k)).into_iter();
             let between = between.filter(|v| (from..=to).contains(&v.log10()));
-            ticks.extend(between.map(|v| (v, told(v, (1 - k).clamp(0, 9) as usize * usize::from(k < 0)))));
+            ticks.extend(between.map(|v| (v, tick_label(v, (1 - k).clamp(0, 9) as usize * usize::from(k < 0)))));
         }
     }
     Scale { log: true, from, to, start, end, ticks }
@@ -119,7 +119,7 @@ fn logarithmic(values: &[f64], start: f64, end: f64) -> Scale {
 
 fn power(k: i32) -> String {
     match k {
-        -3..=5 => told(10f64.powi(k), (-k).max(0) as usize),
+        -3..=5 => tick_label(10f64.powi(k), (-k).max(0) as usize),
         _ => {
             let digit = |c: char| match c {
                 '-' => '\u{207b}',
@@ -133,8 +133,8 @@ fn power(k: i32) -> String {
     }
 }
 
-/// With so many digits behind the point, a true minus and thin spaces between thousands.
-fn told(value: f64, digits: usize) -> String {
+/// Formats with this number of decimals, a minus sign and thin spaces between thousands.
+fn tick_label(value: f64, digits: usize) -> String {
     let text = format!("{:.digits$}", value.abs());
     let (whole, rest) = text.split_once('.').map_or((text.as_str(), None), |(w, r)| (w, Some(r)));
     let mut out = String::new();
@@ -154,8 +154,8 @@ fn told(value: f64, digits: usize) -> String {
     out
 }
 
-/// The name of a column with its unit as it is written: `tre_z_mm` is `tre z (mm)`.
-pub(crate) fn named(column: &str) -> String {
+/// The label of a column, with its unit: `tre_z_mm` becomes `tre z (mm)`.
+pub(crate) fn axis_label(column: &str) -> String {
     const UNITS: [(&str, &str); 10] = [
         ("_per_mm", "per mm"),
         ("_mm2", "mm\u{b2}"),
@@ -198,7 +198,7 @@ mod tests {
 
     #[test]
     fn a_column_is_named_with_its_unit() {
-        let told = ["tre_z_mm", "icp_time_ms", "inlier_share", "iterations", "tilt_rad"].map(named);
-        assert_eq!(told, ["tre z (mm)", "icp time (ms)", "inlier (share)", "iterations", "tilt (rad)"]);
+        let names = ["tre_z_mm", "icp_time_ms", "inlier_share", "iterations", "tilt_rad"].map(axis_label);
+        assert_eq!(names, ["tre z (mm)", "icp time (ms)", "inlier (share)", "iterations", "tilt (rad)"]);
     }
 }

@@ -1,4 +1,4 @@
-//! A number of ours, found in the summary of a sweep.
+//! Finds a number of ours in the summary of a sweep.
 
 use super::published::Setting;
 use crate::summary::{units, word};
@@ -8,17 +8,17 @@ use serde_json::Value;
 /// A number of ours.
 #[derive(Debug, PartialEq)]
 pub(super) struct Ours {
-    /// What is held against the paper's; none where several are told at once.
+    /// The number to compare with the paper's; `None` if several are shown at once.
     pub(super) value: Option<f64>,
     pub(super) text: String,
-    /// How many, and of what.
+    /// The count and the units.
     pub(super) n: String,
 }
 
 impl Ours {
-    /// What `path` names in a summary under a setting, shown by the key `show`, or as mean, SD and range.
+    /// Finds `path` in a summary under a setting and shows its key `show`, or mean, SD and range.
     pub(super) fn find(summary: &Value, path: &str, setting: &Setting, show: Option<&str>) -> Option<Self> {
-        // `100` and `100.0` are one value.
+        // `100` and `100.0` are equal.
         let same = |a: &Value, b: &Value| a == b || (a.as_f64().is_some() && a.as_f64() == b.as_f64());
         let groups = summary["groups"].as_array()?;
         let group =
@@ -84,11 +84,11 @@ mod tests {
             Ours::find(&summary, path, &Setting::from([("n".to_owned(), n.into())]), show)
                 .map(|o| (o.value, o.text, o.n))
         };
-        let told = |value, text: &str, n: &str| Some((value, text.to_owned(), n.to_owned()));
-        assert_eq!(find("points.e_mm.x", 100, None), told(Some(0.5), "0.50 ± 0.10 (0.30 to 0.90)", "3 bones"));
+        let ours = |value, text: &str, n: &str| Some((value, text.to_owned(), n.to_owned()));
+        assert_eq!(find("points.e_mm.x", 100, None), ours(Some(0.5), "0.50 ± 0.10 (0.30 to 0.90)", "3 bones"));
         let within = find("points.e_mm.*.within_points", 100, Some("sd_within"));
-        assert_eq!(within, told(None, "[0.10; 0.20; 0.30]", "3 bones"));
-        assert_eq!(find("correlation.first_mm.z_mm", 200, None), told(Some(-0.98), "-0.980", "200 placements"));
+        assert_eq!(within, ours(None, "[0.10; 0.20; 0.30]", "3 bones"));
+        assert_eq!(find("correlation.first_mm.z_mm", 200, None), ours(Some(-0.98), "-0.980", "200 placements"));
         assert_eq!(find("points.e_mm.x", 200, None), None);
     }
 }

@@ -7,12 +7,12 @@ use super::{
 };
 use crate::{
     cell::Cell,
-    chart::named,
+    chart::axis_label,
     summary::{Row, comparison, under_heads, units, word},
 };
 use serde_json::Value;
 
-/// What makes the numbers of an experiment again.
+/// Returns the command that computes the numbers of an experiment.
 type Command<'a> = &'a dyn Fn(&str) -> String;
 
 /// The whole page.
@@ -36,7 +36,7 @@ pub(super) fn text(reproduction: &Reproduction, command: &str, again: Command<'_
     out.line("\n## Outside the paper's spread\n");
     match reproduction.outside().as_slice() {
         [] => out.line("None."),
-        all => all.iter().for_each(|told| out.line(&format!("- {told}"))),
+        all => all.iter().for_each(|line| out.line(&format!("- {line}"))),
     }
     out.line("");
     independent(&mut out, reproduction, again);
@@ -87,12 +87,12 @@ fn independent(out: &mut Markdown, reproduction: &Reproduction, again: Command<'
 
 fn judged(row: &published::Row, ours: &Ours) -> String {
     match ours.value.and_then(|value| row.judged(value)) {
-        Some(Judged::Within(told) | Judged::Outside(told)) => told,
+        Some(Judged::Within(text) | Judged::Outside(text)) => text,
         None => "-".into(),
     }
 }
 
-/// Two experiments in pairs.
+/// The paired comparison of two experiments.
 fn meeting(out: &mut Markdown, meeting: &Meeting, comparisons: &Result<Vec<Value>, String>) {
     let Meeting { first, second, margin_mm, margin_reason, .. } = meeting;
     out.line(&format!("## {} ({})\n", meeting.title, meeting.section));
@@ -106,7 +106,7 @@ fn meeting(out: &mut Markdown, meeting: &Meeting, comparisons: &Result<Vec<Value
         Err(none) => out.line(&format!("Not compared: {none}.")),
         Ok(comparisons) => {
             let row = |of: &Value| {
-                let mut row = Row::from([("measure".into(), Cell::word(named(&word(&of["column"]))))]);
+                let mut row = Row::from([("measure".into(), Cell::word(axis_label(&word(&of["column"]))))]);
                 row.extend(comparison(of));
                 row
             };
@@ -134,7 +134,7 @@ fn commands(out: &mut Markdown, reproduction: &Reproduction, again: Command<'_>)
         "A run without results is a procedure that was refused. The commonest reasons; `runs.csv` of the experiment has \
          each whole:\n",
     );
-    refusing.iter().for_each(|of| out.line(&format!("- {}: {}", of.name, of.reasons.told())));
+    refusing.iter().for_each(|of| out.line(&format!("- {}: {}", of.name, of.reasons.text())));
     out.line("");
 }
 
@@ -151,7 +151,7 @@ fn readings(out: &mut Markdown, reproduction: &Reproduction) {
     }
 }
 
-/// Every setting of an experiment as a row.
+/// A table with a row for every setting of an experiment.
 fn settings(out: &mut Markdown, table: &Table, summary: &Value) {
     let groups = summary["groups"].as_array().map(Vec::as_slice).unwrap_or_default();
     let names: Vec<_> =
@@ -180,7 +180,7 @@ fn code(text: &str) -> String {
     format!("`{text}`")
 }
 
-/// Markdown that grows line by line.
+/// Markdown under construction.
 #[derive(Default)]
 struct Markdown(String);
 
@@ -196,9 +196,9 @@ impl Markdown {
         self.line(&format!("|{}", " --- |".repeat(heads.len())));
     }
 
-    /// A row of a table.
+    /// Adds a row of a table.
     fn row<T: AsRef<str>>(&mut self, cells: impl IntoIterator<Item = T>) {
-        // A bar would begin another cell, a new line another row.
+        // A bar would begin another cell, a line break another row.
         let cells: Vec<_> =
             cells.into_iter().map(|cell| cell.as_ref().replace('|', "\\|").replace('\n', " ")).collect();
         self.line(&format!("| {} |", cells.join(" | ")));

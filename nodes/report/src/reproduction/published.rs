@@ -1,17 +1,17 @@
-//! What `published.toml` holds: the paper's numbers, how it is read, and what of ours stands beside.
+//! The content of `published.toml`: the paper's numbers, the interpretations of the paper, and where to find our numbers.
 
 use serde::Deserialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// The values of the factors that a number of ours is of.
+/// Values of factors that select a setting.
 pub(super) type Setting = BTreeMap<String, Value>;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Published {
     pub(super) row: Vec<Row>,
-    /// The same of another implementation.
+    /// Numbers of another implementation.
     pub(super) independent: Vec<Row>,
     pub(super) reading: Vec<Reading>,
     pub(super) meeting: Vec<Meeting>,
@@ -31,7 +31,7 @@ pub(super) struct Row {
     mean: Option<f64>,
     sd: Option<f64>,
     spread: Option<[f64; 2]>,
-    /// Whether the sign of ours does not count.
+    /// Whether to ignore the sign of our number.
     #[serde(default)]
     magnitude: bool,
     pub(super) ours: String,
@@ -42,7 +42,7 @@ pub(super) struct Row {
     pub(super) remark: String,
 }
 
-/// A place where the paper can be read in more than one way.
+/// A statement of the paper that can be understood in several ways.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Reading {
@@ -52,7 +52,7 @@ pub(super) struct Reading {
     pub(super) shows: Vec<Shown>,
 }
 
-/// A number of ours beside a reading.
+/// A number of ours beside an interpretation.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Shown {
@@ -74,7 +74,7 @@ pub(super) struct Meeting {
     pub(super) columns: Vec<String>,
     /// The largest difference that does not matter.
     pub(super) margin_mm: f64,
-    /// Why it is that.
+    /// The reason for the margin.
     pub(super) margin_reason: String,
 }
 
@@ -87,7 +87,7 @@ pub(super) struct Table {
     pub(super) columns: Vec<String>,
 }
 
-/// How the spread is taken, as the page says it.
+/// The definition of the spread, as the page states it.
 pub(super) const RULE: &str = "The paper's spread is its mean ± its SD. Where it gives no SD, half to one \
      and a half of its number is taken instead, by one rule for all such rows; of three single values it is their range, of \
      a correlation a size of 0.9 to 1. Ours can lie outside on either side: smaller errors than the paper's are told as \
@@ -109,7 +109,7 @@ impl Row {
         }
     }
 
-    /// The spread in words, and on which side of it `ours` lies.
+    /// The spread as text, and on which side of it `ours` is.
     pub(super) fn judged(&self, ours: f64) -> Option<Judged> {
         let [low, high] = self.spread()?;
         let ours = if self.magnitude { ours.abs() } else { ours };
@@ -123,7 +123,7 @@ impl Row {
     }
 }
 
-/// Whether a number of ours lies within the paper's spread.
+/// Whether a number of ours is within the paper's spread.
 #[derive(Debug, PartialEq)]
 pub(super) enum Judged {
     Within(String),
@@ -156,14 +156,14 @@ mod tests {
     }
 
     #[test]
-    fn a_number_outside_the_spread_is_told_with_its_side() {
+    fn a_number_outside_the_spread_is_shown_with_its_side() {
         let judged = |row: &Row, ours| match row.judged(ours) {
-            Some(Judged::Within(told) | Judged::Outside(told)) => told,
+            Some(Judged::Within(text) | Judged::Outside(text)) => text,
             None => "not judged".into(),
         };
         let with_sd = Row { mean: Some(0.3), sd: Some(0.2), ..Row::default() };
-        let told = [0.3, 0.6, 0.05].map(|ours| judged(&with_sd, ours));
-        assert_eq!(told, ["yes (0.1 to 0.5)", "**above** 0.1 to 0.5", "**below** 0.1 to 0.5"]);
+        let texts = [0.3, 0.6, 0.05].map(|ours| judged(&with_sd, ours));
+        assert_eq!(texts, ["yes (0.1 to 0.5)", "**above** 0.1 to 0.5", "**below** 0.1 to 0.5"]);
         let without = Row { mean: Some(0.9), ..Row::default() };
         assert_eq!([0.2, 0.5].map(|ours| judged(&without, ours)), ["**below** 0.45 to 1.35", "yes (0.45 to 1.35)"]);
         let size = Row { spread: Some([0.9, 1.0]), magnitude: true, ..Row::default() };

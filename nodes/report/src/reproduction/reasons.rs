@@ -1,18 +1,18 @@
-//! Why runs of an experiment have no results, told short and counted.
+//! The reasons for runs without results, abbreviated and counted.
 
 use osteoflow_engine::sweep::Done;
 
-/// Further reasons are left to runs.csv.
-const MOST: usize = 3;
+/// Maximum number of reasons shown; runs.csv has all.
+const MAX_REASONS: usize = 3;
 
-/// Why runs of an experiment have no results.
+/// The reasons for runs of an experiment without results.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Reasons {
-    /// How many runs have none.
+    /// Number of runs without results.
     pub(super) n: usize,
-    /// The reason of the first of them, whole, with its run.
+    /// The full reason of the first of them, with its run.
     pub(super) first: Option<(usize, String)>,
-    /// The short reasons, the commonest first, each with its number of runs.
+    /// The abbreviated reasons with their numbers of runs, most frequent first.
     common: Vec<(String, usize)>,
 }
 
@@ -29,16 +29,16 @@ impl Reasons {
                 None => reasons.common.push((short, 1)),
             }
         }
-        // Stable: of equally common ones the first that came.
+        // Stable: equally frequent reasons keep their order.
         reasons.common.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
         reasons
     }
 
-    /// `no hole of 2 mm radius (5 runs)`, the commonest first.
-    pub(super) fn told(&self) -> String {
-        let told = |(reason, n): &(String, usize)| format!("{reason} ({})", osteoflow_statistics::counted(*n, "run"));
-        let mut all: Vec<_> = self.common.iter().take(MOST).map(told).collect();
-        let rest: usize = self.common.iter().skip(MOST).map(|(_, n)| n).sum();
+    /// Formats the reasons as `no hole of 2 mm radius (5 runs)`, most frequent first.
+    pub(super) fn text(&self) -> String {
+        let one = |(reason, n): &(String, usize)| format!("{reason} ({})", osteoflow_statistics::counted(*n, "run"));
+        let mut all: Vec<_> = self.common.iter().take(MAX_REASONS).map(one).collect();
+        let rest: usize = self.common.iter().skip(MAX_REASONS).map(|(_, n)| n).sum();
         if rest > 0 {
             all.push(format!("others ({})", osteoflow_statistics::counted(rest, "run")));
         }
@@ -46,11 +46,11 @@ impl Reasons {
     }
 }
 
-/// What follows the node's name, without the numbers of the single run: the first part that is a sentence and no name of a
-/// point or a file.
+/// The part after the node's name, without the numbers of the run: the first part that is a sentence rather than the name of
+/// a point or a file.
 fn short(reason: &str) -> String {
     let after =
-        reason.split_once("node \"").and_then(|(_, rest)| rest.split_once(": ")).map_or(reason, |(_, said)| said);
+        reason.split_once("node \"").and_then(|(_, rest)| rest.split_once(": ")).map_or(reason, |(_, rest)| rest);
     let mut parts = after.split(": ");
     let part = parts.clone().find(|part| part.contains(' ')).or_else(|| parts.next()).unwrap_or(after);
     let part = part.split(';').next().unwrap_or(part);
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn reasons_are_told_without_the_numbers_of_each_run_and_the_commonest_first() {
+    fn reasons_are_counted_without_the_numbers_of_each_run_and_the_most_frequent_is_first() {
         let hole = |point: &str, n: usize| {
             format!(
                 "graphs/fibula.toml:69: node \"hole\", item 0: {point}: no hole of 2 mm radius: {n} points have no partner; is the \
@@ -90,8 +90,8 @@ mod tests {
         let runs: Vec<_> = runs.iter().enumerate().map(|(k, reason)| run(k, reason.as_deref())).collect();
         let reasons = Reasons::of(&runs);
         assert_eq!((reasons.n, &reasons.first), (4, &Some((1, short.to_owned()))));
-        let told = "no hole of 2 mm radius (2 runs); the surface is open (1 run); 2 holes look alike (1 run)";
-        assert_eq!(reasons.told(), told);
+        let expected = "no hole of 2 mm radius (2 runs); the surface is open (1 run); 2 holes look alike (1 run)";
+        assert_eq!(reasons.text(), expected);
         assert_eq!(Reasons::of(&runs[..1]), Reasons::default());
     }
 }

@@ -1,9 +1,9 @@
-//! The fragment that the executed cuts take out of the bone, coloured by its distance from the planned one.
+//! The fragment between the executed cuts, coloured by its distance from the planned one.
 
 use crate::{
-    evidence::Evidence,
     format::number,
     html::Page,
+    run_folder::RunFolder,
     scene::{BONE, Scene, round_up},
 };
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -19,25 +19,25 @@ use osteoflow_statistics::quantile;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// The kinds whose inputs say how the bone is cut.
+/// The kinds whose inputs describe the cuts of the bone.
 const KINDS: [&str; 2] = ["metrics.cut_difference", "metrics.cuts"];
 
-/// What is left of the bone begins so far beyond the planned cuts, mm, so that the fragment's own faces are seen.
+/// Gap between the fragment and the rest of the bone, mm, so that the cut faces can be seen.
 const GAP_MM: f64 = 3.0;
 
-/// Bone farther than this from the fragment's middle is left out, mm.
+/// Radius around the fragment's middle within which bone is shown, mm.
 const AROUND_MM: f64 = 60.0;
 
-/// Said where there is none.
+/// The reason if the graph has no such node.
 pub(crate) const NO_NODE: &str =
     "the graph has no node metrics.cut_difference or metrics.cuts, which need the true registration";
 
-/// The node that knows how the bone is cut.
-pub(crate) fn node(run: &Evidence) -> Option<&str> {
+/// The node whose inputs describe the cuts.
+pub(crate) fn node(run: &RunFolder) -> Option<&str> {
     KINDS.iter().find_map(|kind| run.node_of_kind(kind))
 }
 
-/// The wires that the maps are made of, if the graph has them.
+/// The wires that the maps need, if the graph has them.
 pub(crate) fn wires(plan: &Plan) -> Option<Vec<String>> {
     let node = KINDS.iter().find_map(|kind| plan.nodes.iter().find(|node| node.kind == *kind))?;
     let wanted = ["planes", "bone", "t_ct_world", "t_ct_world_true"];
@@ -48,15 +48,15 @@ pub(crate) fn wires(plan: &Plan) -> Option<Vec<String>> {
     wanted.into_iter().map(wire).collect()
 }
 
-/// Two views of the executed fragment: as it lies in the bone, and carried back by the error.
-pub(crate) fn maps(page: &mut Page, run: &Evidence) {
+/// Two views of the executed fragment: in the bone, and aligned with the planned one.
+pub(crate) fn maps(page: &mut Page, run: &RunFolder) {
     match Maps::of(run) {
         Ok(maps) => maps.draw(page, maps.range_mm, "", ""),
         Err(why) => page.missing("The fragment against the planned one", &why),
     }
 }
 
-/// A fragment with how far it is from the planned one, ready to be drawn.
+/// A fragment with its distances from the planned one, ready to draw.
 pub(crate) struct Maps {
     in_place: Vec<Point3<f64>>,
     aligned: Vec<Point3<f64>>,
@@ -65,12 +65,12 @@ pub(crate) struct Maps {
     summaries: [DistanceSummary; 2],
     left: (Vec<Point3<f64>>, Vec<[u32; 3]>),
     along: Vector3<f64>,
-    /// Where the end colours begin, for either view.
+    /// The value at the ends of the colour scale, for both views.
     pub(crate) range_mm: f64,
 }
 
 impl Maps {
-    pub(crate) fn of(run: &Evidence) -> Result<Self, String> {
+    pub(crate) fn of(run: &RunFolder) -> Result<Self, String> {
         let node = node(run).ok_or(NO_NODE)?;
         let bone: Mesh = run.input(node, "bone")?;
         let planned: Planes = run.input(node, "planes")?;
@@ -100,17 +100,17 @@ impl Maps {
         })
     }
 
-    /// Both views, coloured up to `range_mm`. `of` says of which run of a sweep, `name` ends the names of their files.
+    /// Draws both views, coloured up to `range_mm`. `of` names the run of a sweep, `name` is appended to the names of the files.
     pub(crate) fn draw(&self, page: &mut Page, range_mm: f64, of: &str, name: &str) {
         let [here, there] = &self.distances_mm;
         let [in_place, aligned] = &self.summaries;
         for (view, points, values, what, summary) in [
-            ("in-place", &self.in_place, here, "as it lies in the bone", in_place),
+            ("in-place", &self.in_place, here, "in place", in_place),
             (
                 "aligned",
                 &self.aligned,
                 there,
-                "carried back by the inverse of the error, so that its cuts lie on the planned ones",
+                "aligned by the inverse of the error, so that its cuts coincide with the planned ones",
                 aligned,
             ),
         ] {
@@ -133,8 +133,8 @@ impl Maps {
     }
 }
 
-/// The motion from a planned plane to the executed one, in the bone: to the world by the registration, back by the truth.
-pub(crate) fn slip(run: &Evidence, node: &str, planned: &Planes) -> Result<Isometry3<f64>, String> {
+/// The motion from a planned plane to the executed one in the bone's frame: to the world by the registration, back by the truth.
+pub(crate) fn slip(run: &RunFolder, node: &str, planned: &Planes) -> Result<Isometry3<f64>, String> {
     let registered: Pose = run.input(node, "t_ct_world")?;
     let truth: Pose = run.input(node, "t_ct_world_true")?;
     let slip = truth.compose(&registered.inverse()).map_err(|e| e.to_string())?;
@@ -145,7 +145,7 @@ fn distances(points: &[Point3<f64>], surface: &MeshQuery) -> Vec<f64> {
     points.par_chunks(512).flat_map_iter(|points| signed_distances(points, surface)).collect()
 }
 
-/// The fragment with vertices of their own for each cut face, so that its edges are sharp.
+/// The fragment with separate vertices for each cut face, so that its edges are sharp.
 fn with_edges(fragment: &Fragment) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
     let mut vertices = fragment.mesh.vertices().to_vec();
     let mut own: BTreeMap<(usize, u32), u32> = BTreeMap::new();
@@ -161,7 +161,7 @@ fn with_edges(fragment: &Fragment) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
     (vertices, faces)
 }
 
-/// The bone near the fragment beyond either planned cut, as far as it is left.
+/// The bone near the fragment beyond either planned cut.
 fn left_of(bone: &Mesh, cuts: &[HalfSpace; 2], middle: &Point3<f64>) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
     let (mut vertices, mut faces) = (Vec::new(), Vec::new());
     let near = |face: &usize| bone.corners(*face).iter().all(|p| (p - middle).norm() <= AROUND_MM);
@@ -176,7 +176,7 @@ fn left_of(bone: &Mesh, cuts: &[HalfSpace; 2], middle: &Point3<f64>) -> (Vec<Poi
     (vertices, faces)
 }
 
-/// The part of a triangle where `height` is positive: up to four corners.
+/// The part of a triangle where `height` is positive, with up to four corners.
 fn clipped(corners: &[Point3<f64>; 3], height: impl Fn(&Point3<f64>) -> f64) -> Vec<Point3<f64>> {
     let mut kept = Vec::new();
     for k in 0..3 {

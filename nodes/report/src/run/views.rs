@@ -1,12 +1,12 @@
-//! The views of a run in three dimensions: the scan on the surface, points, cuts.
+//! Views of a run in three dimensions: scan on the surface, points, cuts.
 
 use super::{fine, fragments};
 use crate::{
     cell::Cell,
     chart::{Axis, Chart, Mark, Series},
-    evidence::Evidence,
     format::number,
     html::Page,
+    run_folder::RunFolder,
     scene::{self, BLUE, BONE, RED, Scene, round_up},
 };
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -19,35 +19,35 @@ use osteoflow_geometry::{Axes, Cloud, Mesh, Plane, Planes, Points, Pose};
 use osteoflow_statistics::quantile;
 use rayon::prelude::*;
 
-/// The name under which the views share the bone.
+/// Name of the bone in the page's shared data.
 const SHARED_BONE: &str = "bone";
 
-/// How many times longer than it is an error is drawn.
+/// Factor by which errors are enlarged.
 const ENLARGED: f64 = 20.0;
 
-/// An outline that lies farther from the plane's origin belongs to another cut, mm.
+/// Outlines farther from the plane's origin belong to another cut, mm.
 const REACH_MM: f64 = 60.0;
 
-/// The surface that the scan is registered to, if that is a mesh.
-fn bone(run: &Evidence) -> Result<Mesh, String> {
+/// The surface that the scan is registered to, if it is a mesh.
+fn bone(run: &RunFolder) -> Result<Mesh, String> {
     let node = fine(run).ok_or("the graph has no fine registration (a node with source, target and init)")?;
     let target = run.wire_into(node, "target").ok_or("its target is not wired")?;
     let (prepared, _) = target.rsplit_once('.').ok_or("its target is not wired")?;
     run.input::<Mesh>(prepared, "mesh").map_err(|why| match run.wire_into(prepared, "mesh") {
         Some(_) => why,
-        None => format!("the target comes from {target}, which is made of no mesh"),
+        None => format!("the target comes from {target}, which is not made from a mesh"),
     })
 }
 
-/// Sends the bone once, whichever views ask for it.
+/// Adds the bone to the scene; its data are written to the page only once.
 fn with_bone(page: &mut Page, scene: &mut Scene, bone: &Mesh) {
     page.share(SHARED_BONE, scene::surface(bone));
     scene.shared_mesh(SHARED_BONE, bone, BONE);
     scene.key(BONE, "CT surface");
 }
 
-/// The scan on the CT surface, each point coloured by how far it lies outside (red) or inside (blue).
-pub(super) fn residuals(page: &mut Page, run: &Evidence) {
+/// The scan on the CT surface, each point coloured by its distance outside (red) or inside (blue).
+pub(super) fn residuals(page: &mut Page, run: &RunFolder) {
     const WHAT: &str = "The scan on the CT surface";
     let gathered = || -> Result<_, String> {
         let bone = bone(run)?;
@@ -80,22 +80,22 @@ pub(super) fn residuals(page: &mut Page, run: &Evidence) {
         return page.missing(WHAT, "the surface cannot be searched");
     }
     let mut sizes: Vec<f64> = values.iter().map(|v| v.abs()).collect();
-    let most = round_up(quantile(&mut sizes, 0.98));
+    let max = round_up(quantile(&mut sizes, 0.98));
     let along = principal_axes(&bone).columns.column(2).into_owned();
     let mut scene = Scene::looking(&shown, along, facing);
     with_bone(page, &mut scene, &bone);
-    scene.coloured_points(&shown, &values, most, 0.2);
-    scene.ramp("scan, signed distance from the surface", most);
+    scene.coloured_points(&shown, &values, max, 0.2);
+    scene.ramp("scan, signed distance from the surface", max);
     let n = values.len();
     let mean = values.iter().sum::<f64>() / n as f64;
     let rms = (values.iter().map(|v| v * v).sum::<f64>() / n as f64).sqrt();
     let caption = format!(
         "The scan on the CT surface after registration: {n} points, coloured by their signed distance from the surface, \
-         positive outside the bone (mean {} mm, RMS {} mm). Beyond {} mm the end colours go on. What is left at the surface \
-         is no error of the registration: a slide along the bone hardly shows here.",
+         positive outside the bone (mean {} mm, RMS {} mm). Values beyond {} mm have the end colours. A residual at the surface \
+         is not the error of the registration: a slide along the bone is hardly visible here.",
         number(mean),
         number(rms),
-        number(most),
+        number(max),
     );
     page.view("residuals", &scene, &caption);
     histogram(page, &values);
@@ -130,17 +130,17 @@ fn histogram(page: &mut Page, values: &[f64]) {
     page.figure(
         "residuals",
         chart.svg(),
-        "How the distances of the scan's points from the CT surface are distributed.",
+        "Distribution of the distances of the scan's points from the CT surface.",
     );
 }
 
-/// Where the registration puts the assessment points, and where they were measured.
-pub(super) fn assessment(page: &mut Page, run: &Evidence) {
+/// The assessment points as registered and as measured.
+pub(super) fn assessment(page: &mut Page, run: &RunFolder) {
     const WHAT: &str = "Registered against measured points";
     let mut any = false;
     for (kind, name, source) in [
         ("metrics.tre_measured", "measured", "measured by stylus"),
-        ("metrics.tre_true", "true", "where they truly are"),
+        ("metrics.tre_true", "true", "at their true positions"),
     ] {
         let Some(node) = run.node_of_kind(kind) else { continue };
         any = true;
@@ -164,23 +164,23 @@ pub(super) fn assessment(page: &mut Page, run: &Evidence) {
     }
 }
 
-/// The axes that a metrics node told its errors along: its own input, else those of the bone it was given.
-fn axes(run: &Evidence, node: &str) -> Result<Axes, String> {
+/// The axes of a metrics node's errors: its own input, otherwise those of its bone.
+fn axes(run: &RunFolder, node: &str) -> Result<Axes, String> {
     if run.wire_into(node, "axes").is_some() {
         return run.input(node, "axes");
     }
     if run.wire_into(node, "bone").is_none() {
-        return Err(format!("the axes of {node} are not known"));
+        return Err(format!("the axes of {node} are unknown"));
     }
     Ok(principal_axes(&run.input::<Mesh>(node, "bone")?))
 }
 
-/// Registered points in blue, where they were measured in red, in CT coordinates.
-fn points(page: &mut Page, run: &Evidence, (report, planned, axes): (&TreReport, &Points, &Axes), source: &str) {
+/// Registered points in blue and measured points in red, in CT coordinates.
+fn points(page: &mut Page, run: &RunFolder, (report, planned, axes): (&TreReport, &Points, &Axes), source: &str) {
     let mut pairs = Vec::new();
     for point in &report.points {
         let Some(at) = planned.get(&point.name) else { continue };
-        // The error is where the registration puts a point minus where it is; both ends lie in the bone.
+        // The error is the registered position minus the measured one; both are in the bone's frame.
         let error = axes.columns * Vector3::new(point.x, point.y, point.z);
         pairs.push((point, at.position, error));
     }
@@ -202,10 +202,10 @@ fn points(page: &mut Page, run: &Evidence, (report, planned, axes): (&TreReport,
         scene.tag(at, &format!("{} {} mm", point.name, number(point.norm)));
     }
     scene.key(BLUE, "planned");
-    scene.key(RED, &format!("{source}, carried to CT by the registration"));
+    scene.key(RED, &format!("{source}, transformed to CT by the registration"));
     let caption = format!(
-        "Assessment points in CT: planned (blue) and {source} (red), which the registration carries here; n = {} points, \
-         mean error {} mm. Lines show the errors {ENLARGED} times as long as they are.",
+        "Assessment points in CT: planned (blue) and {source} (red), transformed to CT by the registration; n = {} points, \
+         mean error {} mm. Lines show the errors enlarged {ENLARGED} times.",
         report.n,
         number(report.mean_abs.norm)
     );
@@ -260,8 +260,8 @@ fn errors(page: &mut Page, report: &TreReport, name: &str, source: &str) {
     page.table(&caption, &head, &rows);
 }
 
-/// Planned planes, and where the bone would be cut.
-pub(super) fn cuts(page: &mut Page, run: &Evidence) {
+/// Planned planes, and the cuts that the registration would lead to.
+pub(super) fn cuts(page: &mut Page, run: &RunFolder) {
     const WHAT: &str = "Planned against executed cuts";
     let Some(node) = fragments::node(run) else { return page.missing(WHAT, fragments::NO_NODE) };
     let gathered = || -> Result<_, String> {
@@ -291,7 +291,7 @@ pub(super) fn cuts(page: &mut Page, run: &Evidence) {
     }
     planned.planes.iter().filter_map(|p| Some((p, square(p)?))).for_each(|(p, c)| scene.tag(&c[0], &p.name));
     scene.key(BLUE, "planned");
-    scene.key(RED, "executed, as the registration would have it cut");
+    scene.key(RED, "executed according to the registration");
     let caption = "Planned cuts (blue) and the cuts that the registration leads to (red), on the CT surface: each planned \
                    plane is carried to the world by the registration and back by the true pose. Nothing was cut.";
     page.view("cuts", &scene, caption);
@@ -299,7 +299,7 @@ pub(super) fn cuts(page: &mut Page, run: &Evidence) {
         run.node_of_kind("metrics.cuts").and_then(|node| run.value::<CutsReport>(&format!("{node}.report")).ok());
     match report {
         Some(report) => cut_table(page, &report),
-        None => page.text("How far the cuts are off is told under Results."),
+        None => page.text("The errors of the cuts are listed under Results."),
     }
 }
 
@@ -313,7 +313,7 @@ fn cut_table(page: &mut Page, report: &CutsReport) {
     page.table("Executed cuts against the planned ones, where each meets the bone's middle line.", &head, &rows);
 }
 
-/// A square about the plane's origin, 15 mm to each side.
+/// A square around the plane's origin, 15 mm to each side.
 fn square(plane: &Plane) -> Option<Vec<Point3<f64>>> {
     const HALF_MM: f64 = 15.0;
     let t = plane.isometry()?;

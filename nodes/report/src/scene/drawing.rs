@@ -1,25 +1,25 @@
-//! A view from one side as SVG: what paper and a page without WebGL can show of it.
+//! Draws a view from its initial viewpoint as SVG, for paper and for pages without WebGL.
 //!
 //! Painter's algorithm: triangles, points and lines are drawn from the farthest to the nearest, by their middles.
 
 use super::{DIVERGING, Scene, thinned};
-use crate::{chart::said, format::number};
+use crate::{chart::disclaimer, format::number};
 use nalgebra::Point3;
 use osteoflow_draw::xml::escape;
 use std::fmt::Write;
 
 /// Width of the drawing, in its units.
 const WIDTH: f64 = 720.0;
-/// Height of a row of words.
+/// Height of a line of text.
 const ROW: f64 = 18.0;
-/// A surface of more faces in view is thinned out.
-const MOST_FACES: usize = 5_000;
-/// Of more points every n-th is drawn.
-const MOST_POINTS: usize = 5_000;
-/// Points and lines lie on surfaces that are drawn coarser than they are: so much nearer they are taken, mm.
+/// Surfaces with more visible faces are simplified.
+const MAX_FACES: usize = 5_000;
+/// Clouds with more points are thinned out by stride.
+const MAX_POINTS: usize = 5_000;
+/// Points and lines are moved towards the viewer, mm, because the simplified surfaces may cover them.
 const NEARER_MM: f64 = 1.0;
 
-/// Something in a view, with its colour.
+/// A solid with its colour.
 #[derive(Debug, Clone)]
 pub(super) struct Drawn {
     pub(super) what: Solid,
@@ -45,7 +45,7 @@ pub(super) enum Solid {
 #[derive(Debug, Clone)]
 pub(super) enum Tint {
     Plain(String),
-    /// A value at each vertex or point, and where the ramp ends.
+    /// A value at each vertex or point, and the end of the colour scale.
     Values(Vec<f64>, f64),
 }
 
@@ -54,11 +54,11 @@ impl Tint {
     fn at(&self, vertices: &[u32]) -> [f64; 3] {
         match self {
             Self::Plain(colour) => rgb(colour),
-            Self::Values(values, most) => {
+            Self::Values(values, max) => {
                 let mean = vertices.iter().map(|v| values[*v as usize]).sum::<f64>() / vertices.len() as f64;
                 let last = (DIVERGING.len() - 1) as f64;
-                // In steps that the eye hardly tells apart, so that neighbours are painted alike.
-                let at = round(((mean / most).clamp(-1.0, 1.0) + 1.0) / 2.0 * last, 0.125);
+                // In steps too small to see, so that neighbours have the same colour.
+                let at = round(((mean / max).clamp(-1.0, 1.0) + 1.0) / 2.0 * last, 0.125);
                 let low = at.floor().min(last - 1.0);
                 let [a, b] = [low, low + 1.0].map(|stop| rgb(DIVERGING[stop as usize]));
                 [0, 1, 2].map(|k| a[k] + (b[k] - a[k]) * (at - low))
@@ -67,7 +67,7 @@ impl Tint {
     }
 }
 
-/// A piece of a drawing: how near it is, how it is painted, and its path.
+/// A drawn element: its depth, its style and its path.
 struct Piece {
     near: f64,
     paint: String,
@@ -75,7 +75,7 @@ struct Piece {
 }
 
 impl Scene {
-    /// The view as it is at first, complete as a file.
+    /// Draws the initial view as a complete SVG file.
     pub(crate) fn svg(&self, title: &str, simulated: bool) -> String {
         let height = WIDTH / self.aspect;
         let rows = self.legend.len() + usize::from(self.ramp.is_some()) + 1;
@@ -93,7 +93,7 @@ impl Scene {
         );
         let mut pieces: Vec<Piece> = self.drawn.iter().flat_map(|drawn| self.pieces(drawn, height)).collect();
         pieces.sort_by(|a, b| a.near.total_cmp(&b.near));
-        // Neighbours that are painted alike are one path.
+        // Neighbours with the same style are one path.
         for alike in pieces.chunk_by(|a, b| a.paint == b.paint) {
             let _ = write!(out, "<path {} d=\"", alike[0].paint);
             alike.iter().for_each(|piece| out.push_str(&piece.path));
@@ -114,17 +114,17 @@ impl Scene {
             "<text x=\"{:.0}\" y=\"{:.1}\" text-anchor=\"end\" font-size=\"11\" fill=\"#59636e\">{}</text>\n</svg>",
             WIDTH - 8.0,
             total - 8.0,
-            said(simulated)
+            disclaimer(simulated)
         );
         out
     }
 
-    /// Drawing units for a millimetre.
+    /// Drawing units per millimetre.
     fn per_mm(&self) -> f64 {
         WIDTH / (2.0 * self.half_width)
     }
 
-    /// Across, down, and towards the viewer in mm.
+    /// Coordinates in the drawing: right, down, and towards the viewer in mm.
     fn seen(&self, point: &Point3<f64>, height: f64) -> [f64; 3] {
         let p = self.turn * (point - self.centre);
         [WIDTH / 2.0 + p.x * self.per_mm(), height / 2.0 - p.y * self.per_mm(), p.z]
@@ -139,7 +139,7 @@ impl Scene {
             }
             Solid::Mesh { vertices, faces, opacity } => self.faces((vertices, faces), tint, *opacity, height),
             Solid::Points { points, radius_mm } => {
-                let every = points.len().div_ceil(MOST_POINTS).max(1);
+                let every = points.len().div_ceil(MAX_POINTS).max(1);
                 let width = (2.0 * radius_mm * self.per_mm()).max(1.5);
                 let piece = |(index, point): (usize, &Point3<f64>)| {
                     let [x, y, near] = self.seen(point, height);
@@ -174,24 +174,24 @@ impl Scene {
             (0.0..=WIDTH).contains(&x) && (0.0..=height).contains(&y)
         };
         let in_view: Vec<[u32; 3]> = faces.iter().filter(|face| face.iter().any(inside)).copied().collect();
-        // A face larger than the view has no corner in it.
+        // A face larger than the view may have no corner in it.
         let in_view = if in_view.is_empty() { faces.to_vec() } else { in_view };
-        let (groups, faces) = thinned(vertices, &in_view, MOST_FACES);
+        let (groups, faces) = thinned(vertices, &in_view, MAX_FACES);
         let vertices = groups.means(&vertices.iter().map(|p| p.coords).collect::<Vec<_>>());
         let tint = match tint {
-            Tint::Values(values, most) => Tint::Values(groups.means(values), *most),
+            Tint::Values(values, max) => Tint::Values(groups.means(values), *max),
             plain => plain.clone(),
         };
         let piece = |face: &[u32; 3]| {
             let corners = face.map(|v| Point3::from(vertices[v as usize]));
             let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).try_normalize(1e-12)?;
             let facing = (self.turn * normal).z.abs();
-            // As the viewer lights it; what is seen through has one light.
+            // The viewer's lighting; transparent faces have uniform light.
             let light = if opacity < 1.0 { 1.0 } else { round(0.38 + 0.62 * facing, 0.02) };
             let colour = hex(tint.at(face), light);
             let seen = corners.map(|p| self.seen(&p, height));
             let near = seen.iter().map(|[_, _, z]| z).sum::<f64>() / 3.0;
-            // A line of its own colour closes the seams between faces.
+            // A stroke of the same colour closes the seams between faces.
             let paint = match opacity < 1.0 {
                 true => format!("fill=\"{colour}\" fill-opacity=\"{opacity}\""),
                 false => format!("fill=\"{colour}\" stroke=\"{colour}\" stroke-width=\"0.7\""),
@@ -226,9 +226,9 @@ impl Scene {
             );
             y += ROW;
         }
-        if let Some((what, most)) = &self.ramp {
+        if let Some((what, max)) = &self.ramp {
             const STEP: f64 = 18.0;
-            let most = number(*most);
+            let max = number(*max);
             for (k, colour) in DIVERGING.iter().enumerate() {
                 let x = 80.0 + k as f64 * STEP;
                 let _ = write!(
@@ -239,7 +239,7 @@ impl Scene {
             }
             let _ = writeln!(
                 out,
-                "<text x=\"74\" y=\"{y:.1}\" text-anchor=\"end\">\u{2212}{most}</text><text x=\"{:.0}\" y=\"{y:.1}\">+{most} mm: \
+                "<text x=\"74\" y=\"{y:.1}\" text-anchor=\"end\">\u{2212}{max}</text><text x=\"{:.0}\" y=\"{y:.1}\">+{max} mm: \
                  {}</text>",
                 86.0 + DIVERGING.len() as f64 * STEP,
                 escape(what)
@@ -248,7 +248,7 @@ impl Scene {
     }
 }
 
-/// Each face in 256, so that what stands half before and half behind another surface is drawn so.
+/// Splits each face into 256, so that intersecting surfaces are sorted correctly.
 fn split(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
     let (mut vertices, mut faces) = (vertices.to_vec(), faces.to_vec());
     for _ in 0..4 {
@@ -273,7 +273,7 @@ fn round(value: f64, step: f64) -> f64 {
     (value / step).round() * step
 }
 
-/// The colour under a light.
+/// The colour under a light, as hex.
 fn hex(colour: [f64; 3], light: f64) -> String {
     let [r, g, b] = colour.map(|c| (c * light).round() as u8);
     format!("#{r:02x}{g:02x}{b:02x}")
@@ -285,7 +285,7 @@ mod tests {
     use nalgebra::Vector3;
 
     #[test]
-    fn what_is_nearer_is_drawn_later_and_nothing_lies_outside_the_paper() {
+    fn nearer_elements_are_drawn_later_and_nothing_is_outside_the_drawing() {
         let square = |z: f64| [(-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0)].map(|(x, y)| Point3::new(x, y, z));
         let faces = [[0, 1, 2], [0, 2, 3]];
         let mut scene = Scene::looking(&square(0.0), Vector3::x(), Vector3::z());
@@ -321,7 +321,7 @@ mod tests {
         scene.coloured_mesh(&vertices, &faces, &values, 1.0);
         let svg = scene.svg("", false);
         let drawn = svg.matches('z').count();
-        assert!((1000..=MOST_FACES + 50).contains(&drawn), "{drawn} faces of {}", faces.len());
+        assert!((1000..=MAX_FACES + 50).contains(&drawn), "{drawn} faces of {}", faces.len());
         let [blue, red] = [DIVERGING[0], DIVERGING[6]].map(|end| hex(rgb(end), 1.0));
         assert!(svg.contains(&blue) && svg.contains(&red), "both ends of the ramp");
     }

@@ -1,4 +1,4 @@
-//! Paired comparisons: of the values of one factor within a sweep, and of two sweeps.
+//! Paired comparisons: between the values of a factor within a sweep, and between two sweeps.
 
 use super::{LEVEL, groups, number, or_reason, path, word};
 use osteoflow_engine::sweep::{Column, Compare, Done, Spec, at_path};
@@ -6,22 +6,22 @@ use osteoflow_statistics::{Units, WilcoxonParams, bland_altman, counted, holm, p
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Of the test of equivalence: 5 % on either side.
+/// Significance level of each one-sided test of equivalence.
 const ALPHA: f64 = 0.05;
-/// With fewer units than so many a paired test cannot come below 5 %, whatever it is given: 2 / 2⁶ = 3 %.
-const FEWEST_PAIRS: usize = 6;
+/// Minimum number of units for a paired test: with fewer, its p cannot fall below 5 % (2 / 2⁶ = 3 %).
+const MIN_PAIRS: usize = 6;
 
-/// Runs of two sweeps that cannot be told to be pairs.
+/// Runs of two sweeps cannot be paired unambiguously.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the sweeps have no pairs: run {run} is like another but for factors that only one of them has (in both: {shared})"
+    "the sweeps have no pairs: run {run} differs from another only in factors that one of them does not have (in both: {shared})"
 )]
 pub struct NoPairs {
     run: usize,
     shared: String,
 }
 
-/// What a sweep compares by its own tables: each value of a factor with one of them.
+/// The comparisons that a sweep asks for: each value of a factor against its reference value.
 pub(super) fn within(spec: &Spec, done: &[Done]) -> Vec<Value> {
     let mut out = Vec::new();
     for Compare { factor: name, to, margins } in &spec.compare {
@@ -30,7 +30,7 @@ pub(super) fn within(spec: &Spec, done: &[Done]) -> Vec<Value> {
         let others = others.into_iter().flat_map(|factor| &factor.levels).filter(|level| level.label != *to);
         let base: Vec<&Done> = side(to);
         let key = |d: &Done| key_without(d, name);
-        // Where margins are stated, their columns are what is asked.
+        // Where margins are given, only their columns are compared.
         let columns =
             spec.columns.iter().filter(|column| margins.is_empty() || margin(margins, &column.name).is_some());
         let columns: Vec<_> = columns.collect();
@@ -42,12 +42,12 @@ pub(super) fn within(spec: &Spec, done: &[Done]) -> Vec<Value> {
     with_holm(out)
 }
 
-/// The columns of one sweep against those of another, under each setting of the first; a pair is a run of each with the
-/// same seed and the same values of what both vary. `margins` are of columns: the largest difference that does not matter.
-/// Not yet corrected: see [`with_holm`].
+/// Compares the columns of two sweeps under each setting of the first. A pair is a run of each with the same seed and the same
+/// values of everything that both vary. `margins` are the largest differences, by column, that do not matter. p values are
+/// not corrected yet: see [`with_holm`].
 ///
 /// # Errors
-/// If two runs of one sweep are told apart only by what the other does not have.
+/// If two runs of one sweep differ only in something that the other sweep does not have.
 pub fn between(
     (a, spec, first): (&str, &Spec, &[Done]),
     (b, other, second): (&str, &Spec, &[Done]),
@@ -65,17 +65,17 @@ pub fn between(
     let second: Vec<&Done> = second.iter().collect();
     let columns: Vec<_> = spec.columns.iter().collect();
     let mut comparisons = Vec::new();
-    // What is averaged over units has one setting.
+    // The means over units need a single setting.
     for (setting, first) in groups(spec, first) {
-        for mut told in compared(spec, &columns, (a, &first), (b, &second), &key, margins) {
-            told["setting"] = json!(setting);
-            comparisons.push(told);
+        for mut comparison in compared(spec, &columns, (a, &first), (b, &second), &key, margins) {
+            comparison["setting"] = json!(setting);
+            comparisons.push(comparison);
         }
     }
     Ok(comparisons)
 }
 
-/// What both sweeps tell their runs apart by.
+/// The names of factors and draws that both sweeps have.
 fn shared_names(a: &Spec, b: &Spec) -> Vec<String> {
     let names = |spec: &Spec| -> Vec<String> {
         let factors = spec.factors.iter().map(|f| f.name.clone());
@@ -85,13 +85,13 @@ fn shared_names(a: &Spec, b: &Spec) -> Vec<String> {
     names(a).into_iter().filter(|name| of_b.contains(name)).collect()
 }
 
-/// A run whose key another has too.
+/// A run whose key another run of the list has too.
 fn twice(done: &[Done], key: &dyn Fn(&Done) -> String) -> Option<usize> {
     let mut seen = BTreeSet::new();
     done.iter().find(|d| !seen.insert(key(d))).map(|d| d.run)
 }
 
-/// Paired comparisons of the runs of two sides, column by column; the runs with one key are a pair.
+/// Paired comparisons of two lists of runs, column by column; runs with the same key are a pair.
 fn compared(
     spec: &Spec,
     columns: &[&Column],
@@ -130,12 +130,12 @@ fn compared(
     out
 }
 
-/// The largest difference of a column that does not matter, where one is stated.
+/// The largest difference of a column that does not matter, if one is given.
 fn margin(margins: &[(String, f64)], column: &str) -> Option<f64> {
     margins.iter().find(|(name, _)| name == column).map(|(_, margin)| *margin)
 }
 
-/// The differences of the highest units that are enough for a test, each the mean of its runs.
+/// The mean differences by units: by the highest level of units that are enough for a test.
 fn by_unit(spec: &Spec, rows: &[&Done], differences: Vec<f64>) -> (String, Vec<f64>, Option<String>) {
     for depth in 1..=spec.units.len() {
         let names: Vec<_> = spec.units[..depth].iter().map(String::as_str).collect();
@@ -144,7 +144,7 @@ fn by_unit(spec: &Spec, rows: &[&Done], differences: Vec<f64>) -> (String, Vec<f
         let Ok(units) = Units::new(&[names.join(", ")], &paths) else { continue };
         let Ok(means) = unit_means(&units, &differences) else { continue };
         let last = depth == spec.units.len();
-        if means.means.len() >= FEWEST_PAIRS || last {
+        if means.means.len() >= MIN_PAIRS || last {
             let highest = &spec.units[0];
             let n_highest: BTreeSet<_> = rows.iter().map(|run| path(spec, run)[0].clone()).collect();
             let note = (depth > 1).then(|| {
@@ -157,7 +157,7 @@ fn by_unit(spec: &Spec, rows: &[&Done], differences: Vec<f64>) -> (String, Vec<f
     ("run".into(), differences, None)
 }
 
-/// Holm's correction over all comparisons.
+/// Adds p values with Holm's correction over all comparisons.
 pub fn with_holm(mut comparisons: Vec<Value>) -> Vec<Value> {
     let with: Vec<usize> = (0..comparisons.len()).filter(|&i| comparisons[i]["wilcoxon"]["p"].is_number()).collect();
     let p: Vec<f64> = with.iter().filter_map(|&i| comparisons[i]["wilcoxon"]["p"].as_f64()).collect();
@@ -167,7 +167,7 @@ pub fn with_holm(mut comparisons: Vec<Value>) -> Vec<Value> {
     comparisons
 }
 
-/// All that tells a run from others but one factor.
+/// All values of a run except that of one factor, as a key.
 fn key_without(run: &Done, factor: &str) -> String {
     let values = run.values.iter().filter(|(name, _)| name != factor);
     values.map(|(name, value)| format!("{name}={value}\u{1f}")).collect()

@@ -1,4 +1,4 @@
-//! The runs of one setting: statistics of each column and of each axis at the points, and correlations with what was drawn.
+//! Statistics of the runs of one setting: of each column, of each axis of the points, and correlations with draws.
 
 use super::{LEVEL, levels, number, or_reason, path, path_of_highest, units_of};
 use osteoflow_engine::sweep::{Done, Spec, at_path, point_values};
@@ -19,17 +19,17 @@ pub(super) fn group(spec: &Spec, setting: &Map<String, Value>, runs: &[&Done]) -
             continue;
         }
         let (rows, values): (Vec<&Done>, Vec<f64>) = with.into_iter().unzip();
-        let mut told = statistics(units_of(spec, &rows).as_ref(), &values);
+        let mut entry = statistics(units_of(spec, &rows).as_ref(), &values);
         if let Some((_, limit)) = spec.limits.iter().find(|(name, _)| *name == column.name) {
-            // A run without results did not stay below any limit.
+            // A run without results is not below any limit.
             let hits: Vec<_> = runs
                 .iter()
                 .map(|d| at_path(&d.results, &column.path).and_then(number).is_some_and(|x| x.abs() < *limit))
                 .collect();
             let share = units_of(spec, runs).map(|units| wilson_clustered(&units, &hits, LEVEL));
-            told["share_below"] = share.map_or(Value::Null, |share| share_json(*limit, share));
+            entry["share_below"] = share.map_or(Value::Null, |share| share_json(*limit, share));
         }
-        columns.insert(column.name.clone(), told);
+        columns.insert(column.name.clone(), entry);
     }
     let n_without = runs.iter().filter(|d| d.status != "complete").count();
     json!({
@@ -40,14 +40,14 @@ pub(super) fn group(spec: &Spec, setting: &Map<String, Value>, runs: &[&Done]) -
 }
 
 fn share_json(limit: f64, share: Result<Share, StatisticsError>) -> Value {
-    let mut told = or_reason(share);
-    told["limit"] = limit.into();
-    told
+    let mut entry = or_reason(share);
+    entry["limit"] = limit.into();
+    entry
 }
 
-/// The points of a group, axis by axis.
+/// Statistics of the points, by measure and axis.
 fn points(spec: &Spec, runs: &[&Done]) -> Map<String, Value> {
-    /// A run, a point, and its value.
+    /// A run, the name of a point, and a value.
     type At<'a> = (&'a Done, String, f64);
     // By measure and axis.
     let mut found: BTreeMap<(String, String), Vec<At<'_>>> = BTreeMap::new();
@@ -67,20 +67,20 @@ fn points(spec: &Spec, runs: &[&Done]) -> Map<String, Value> {
             path
         };
         let units = Units::new(&names, &rows.iter().map(path).collect::<Vec<_>>()).ok();
-        let mut told = statistics(units.as_ref(), &values);
-        // The same point in one procedure after the other; and the points of one procedure.
+        let mut entry = statistics(units.as_ref(), &values);
+        // Repeatability of the same point over procedures, and of the points within a procedure.
         let of_run = |(run, ..): &At<'_>| path_of_highest(spec, run);
         let by_point: Vec<_> = rows.iter().map(|row| (of_run(row), row.1.clone())).collect();
         let by_run: Vec<_> = rows.iter().map(|(run, ..)| run.run).collect();
-        told["within_points"] = or_reason(repeatability(&by_point, &values));
-        told[format!("within_{}", plural(&spec.repeat_name))] = or_reason(repeatability(&by_run, &values));
+        entry["within_points"] = or_reason(repeatability(&by_point, &values));
+        entry[format!("within_{}", plural(&spec.repeat_name))] = or_reason(repeatability(&by_run, &values));
         let of_measure = out.entry(measure).or_insert_with(|| json!({}));
-        of_measure[axis] = told;
+        of_measure[axis] = entry;
     }
     out
 }
 
-/// How what was drawn goes with the columns.
+/// Correlations between drawn numbers and columns.
 fn correlations(spec: &Spec, runs: &[&Done]) -> Vec<Value> {
     let mut out = Vec::new();
     for draw in &spec.draws {
@@ -100,24 +100,24 @@ fn correlations(spec: &Spec, runs: &[&Done]) -> Vec<Value> {
     out
 }
 
-/// What every list of numbers is told by.
+/// Summary, interval of the mean and units of a list of values.
 fn statistics(units: Option<&Units>, values: &[f64]) -> Value {
-    let mut told = or_reason(Summary::of(values));
+    let mut entry = or_reason(Summary::of(values));
     let mean =
         units.map(|units| bootstrap_mean(units, values, &BootstrapParams { level: LEVEL, ..Default::default() }));
     if let Some(mean) = mean {
         match mean {
             Ok(mean) => {
-                told["mean_interval"] = match &mean.interval {
+                entry["mean_interval"] = match &mean.interval {
                     Ok(interval) => json!(interval),
                     Err(none) => json!({ "no_interval": none.to_string() }),
                 };
-                told["interval_by"] = mean.unit.clone().into();
-                told["few_units"] = mean.few_units.into();
+                entry["interval_by"] = mean.unit.clone().into();
+                entry["few_units"] = mean.few_units.into();
             }
-            Err(error) => told["mean_interval"] = json!({ "no_interval": error.to_string() }),
+            Err(error) => entry["mean_interval"] = json!({ "no_interval": error.to_string() }),
         }
     }
-    told["n_units"] = units.map_or(Value::Null, levels);
-    told
+    entry["n_units"] = units.map_or(Value::Null, levels);
+    entry
 }

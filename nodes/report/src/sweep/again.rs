@@ -1,15 +1,15 @@
-//! A run of a sweep once more: a sweep's folder holds no surfaces, so what is drawn on one comes from the graph again.
+//! Repeats runs of a sweep, because a sweep's folder holds no surfaces to draw on.
 
 use super::{Swept, number_of};
 use crate::{
     diagram,
-    evidence::Evidence,
     format::number,
     html::Page,
     run::{
         fragments::{self, Maps},
         graph,
     },
+    run_folder::RunFolder,
 };
 use osteoflow_engine::{
     Checked, Faults, RunOptions,
@@ -19,11 +19,11 @@ use osteoflow_engine::{
 };
 use serde_json::Value as Json;
 
-/// The graph of the first run, as its settings make it.
+/// The graph with the settings of the first run.
 pub(super) fn picture(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &Kinds) {
     let Some(first) = sweep.runs.first() else { return };
     let caption = format!(
-        "The graph as run {} had it: nodes with their kind, wires with what goes over them. What a factor sets is otherwise \
+        "The graph with the settings of run {}: nodes with kinds, wires with payloads. What a factor sets differs \
          in other runs.",
         first.run
     );
@@ -33,7 +33,7 @@ pub(super) fn picture(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &K
     }
 }
 
-/// The fragments of the run in the middle and of the worst one of the setting where a fragment errs most.
+/// Maps of the fragments of the median run and the worst run, in the setting with the largest fragment error.
 pub(super) fn maps(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &Kinds) {
     let numeric = sweep.numeric();
     let names: Vec<_> = numeric.iter().map(|column| column.name.as_str()).collect();
@@ -46,7 +46,7 @@ pub(super) fn maps(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &Kind
     let Some(setting) = settings.iter().max_by(|a, b| mean(&a.runs).total_cmp(&mean(&b.runs))) else { return };
     let within = match settings.len() {
         1 => String::new(),
-        _ => format!(" within the setting {}, which has the greatest mean of it", setting.name),
+        _ => format!(" within the setting {}, which has its greatest mean", setting.name),
     };
     let mut drawn = Vec::new();
     for (which, run) in chosen(&setting.runs, column) {
@@ -55,11 +55,11 @@ pub(super) fn maps(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &Kind
         let of = of.replace(",)", ")");
         match recomputed(folder, run, kinds) {
             Ok(None) => return,
-            Ok(Some((evidence, _dir))) => drawn.push((run.run, of, Maps::of(&evidence))),
+            Ok(Some((repeated, _dir))) => drawn.push((run.run, of, Maps::of(&repeated))),
             Err(why) => drawn.push((run.run, of, Err(why))),
         }
     }
-    // One range for all of them, so that they can be told apart.
+    // One colour range for all maps, so that they can be compared.
     let range_mm = drawn.iter().filter_map(|(.., maps)| Some(maps.as_ref().ok()?.range_mm)).fold(0.0, f64::max);
     for (run, of, maps) in drawn {
         match maps {
@@ -69,8 +69,8 @@ pub(super) fn maps(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &Kind
     }
 }
 
-/// The column of what the maps show: the greatest distance of a fragment carried back, else what else is told of fragments,
-/// else the first in mm.
+/// The index of the column to choose runs by: the greatest distance of an aligned fragment, otherwise another column about
+/// fragments, otherwise the first in mm.
 fn mapped(names: &[&str]) -> Option<usize> {
     let find = |wanted: &dyn Fn(&str) -> bool| names.iter().position(|name| name.ends_with("_mm") && wanted(name));
     find(&|name| name == "aligned_max_mm")
@@ -78,7 +78,7 @@ fn mapped(names: &[&str]) -> Option<usize> {
         .or_else(|| find(&|_| true))
 }
 
-/// The run in the middle and the worst.
+/// The median run and the worst run.
 fn chosen<'a>(runs: &[&'a Done], column: &Column) -> Vec<(&'static str, &'a Done)> {
     let mut runs: Vec<(f64, &Done)> =
         runs.iter().filter_map(|run| Some((number_of(run, column)?.abs(), *run))).collect();
@@ -92,16 +92,16 @@ fn chosen<'a>(runs: &[&'a Done], column: &Column) -> Vec<(&'static str, &'a Done
 
 fn checked(folder: &Folder, done: &Done, more: &[String], kinds: &Kinds) -> Result<Checked, String> {
     let checked = again(folder, done.run, more, kinds).map_err(|e| e.to_string())?;
-    checked.map_err(|faults| format!("its graph has faults now: {}", first(&faults)))
+    checked.map_err(|faults| format!("its graph has faults: {}", first(&faults)))
 }
 
-/// Runs a run of the sweep once more with the wires recorded that its maps need, into a folder that goes with the answer;
-/// nothing if its graph has no cuts.
-fn recomputed(folder: &Folder, done: &Done, kinds: &Kinds) -> Result<Option<(Evidence, tempfile::TempDir)>, String> {
+/// Repeats a run with the wires recorded that its maps need, in a temporary folder that is returned too; `None` if the graph
+/// has no cuts.
+fn recomputed(folder: &Folder, done: &Done, kinds: &Kinds) -> Result<Option<(RunFolder, tempfile::TempDir)>, String> {
     let plan = checked(folder, done, &[], kinds)?.plan;
     let Some(wires) = fragments::wires(&plan) else { return Ok(None) };
     let with_record = checked(folder, done, &[format!("record.wires={}", Json::from(wires))], kinds)?;
-    let dir = tempfile::tempdir().map_err(|e| format!("no folder for running it again: {e}"))?;
+    let dir = tempfile::tempdir().map_err(|e| format!("no temporary folder: {e}"))?;
     let notice = done.results["notice"].clone();
     let options = RunOptions {
         workers: std::thread::available_parallelism().map_or(1, usize::from),
@@ -110,14 +110,14 @@ fn recomputed(folder: &Folder, done: &Done, kinds: &Kinds) -> Result<Option<(Evi
         fixed_results: if notice.is_null() { Vec::new() } else { vec![("notice".into(), notice)] },
         ..RunOptions::default()
     };
-    run(&with_record.plan, &with_record.registry, &options, &()).map_err(|e| format!("run again it failed: {e}"))?;
-    let evidence = Evidence::open(dir.path(), &with_record.registry).map_err(|e| e.to_string())?;
-    if evidence.results != done.results {
+    run(&with_record.plan, &with_record.registry, &options, &()).map_err(|e| format!("the repeated run failed: {e}"))?;
+    let repeated = RunFolder::open(dir.path(), &with_record.registry).map_err(|e| e.to_string())?;
+    if repeated.results != done.results {
         return Err(
-            "run again from the frozen graph it gives other results; has the program or an input changed since?".into(),
+            "the repeated run of the frozen graph gives other results; has the program or an input changed?".into(),
         );
     }
-    Ok(Some((evidence, dir)))
+    Ok(Some((repeated, dir)))
 }
 
 fn first(faults: &Faults) -> String {
@@ -129,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn maps_go_by_the_column_of_what_they_show() {
+    fn maps_choose_runs_by_the_column_of_fragment_distances() {
         let of = |names: &[&str]| mapped(names).map(|at| names[at].to_owned());
         assert_eq!(of(&["tre_x_mm", "aligned_mm", "aligned_max_mm"]).as_deref(), Some("aligned_max_mm"));
         assert_eq!(of(&["iterations", "tre_x_mm", "aligned_mm"]).as_deref(), Some("aligned_mm"));

@@ -1,8 +1,8 @@
-//! The figures of a sweep, chosen by what it varies: a line against a number, boxes by words, a scatter against a draw.
+//! The figures of a sweep: lines over numeric factors, boxes over other factors, scatter plots over draws.
 
 use super::{Setting, Swept, label as quoted, number_of, setting_name};
 use crate::{
-    chart::{Axis, Chart, Mark, N_COLOURS, Series, Tukey, named, panels},
+    chart::{Axis, Chart, Mark, N_COLOURS, Series, Tukey, axis_label, panels},
     format::number,
     html::Page,
 };
@@ -10,64 +10,66 @@ use osteoflow_engine::sweep::{Column, Distribution, Draw, Factor};
 use osteoflow_statistics::pearson;
 use serde_json::Value as Json;
 
-/// More figures of one kind are left out, with a word.
-const MOST_FIGURES: usize = 24;
-/// More settings do not stand side by side.
-const MOST_SETTINGS: usize = 30;
-/// Columns that a draw is shown against.
-const MOST_PER_DRAW: usize = 6;
-/// More panels do not stand below one another.
-const MOST_PANELS: usize = 6;
+/// Maximum number of figures of one kind; a note says how many were left out.
+const MAX_FIGURES: usize = 24;
+/// Maximum number of settings side by side.
+const MAX_SETTINGS: usize = 30;
+/// Maximum number of columns to plot a draw against.
+const MAX_PER_DRAW: usize = 6;
+/// Maximum number of panels in a figure.
+const MAX_PANELS: usize = 6;
 
-/// A figure for each column of numbers.
+/// A figure for each numeric column.
 pub(super) fn columns(page: &mut Page, sweep: &Swept) {
     let columns = sweep.numeric();
     let settings = sweep.settings();
     let layout = numeric_factor(sweep).and_then(|factor| Layout::of(sweep, factor, &settings));
-    for column in columns.iter().take(MOST_FIGURES) {
+    for column in columns.iter().take(MAX_FIGURES) {
         let n: usize = settings.iter().map(|s| values(s, column).len()).sum();
         let (svg, caption) = match &layout {
             Some(layout) => against(page, column, layout),
-            None if settings.len() <= MOST_SETTINGS => side_by_side(page, column, &settings),
+            None if settings.len() <= MAX_SETTINGS => side_by_side(page, column, &settings),
             None => {
-                page.missing(&named(&column.name), &format!("{} settings do not stand side by side", settings.len()));
+                page.missing(
+                    &axis_label(&column.name),
+                    &format!("{} settings are too many to show side by side", settings.len()),
+                );
                 continue;
             }
         };
         page.figure(&format!("column-{}", column.name), svg, &format!("{caption} n = {n} runs in all."));
     }
-    if columns.len() > MOST_FIGURES {
-        page.text(&format!("{} more columns are in runs.csv.", columns.len() - MOST_FIGURES));
+    if columns.len() > MAX_FIGURES {
+        page.text(&format!("{} more columns are in runs.csv.", columns.len() - MAX_FIGURES));
     }
 }
 
-/// The factor with the most numbers of those that are varied over at least three and are no unit: an axis, where a bone's
-/// number is a name.
+/// The numeric factor with the most values, at least three, that is not a unit; the number of a bone is a name.
 fn numeric_factor(sweep: &Swept) -> Option<&Factor> {
     let numeric = sweep.varied().into_iter().filter(|factor| {
         factor.levels.len() >= 3
             && factor.levels.iter().all(|level| level.label.is_number())
             && !sweep.spec.units.contains(&factor.name)
     });
-    // The first of equals, as it stands first in the graph.
+    // Among equals, the first in the graph file.
     numeric.reduce(|best, factor| if factor.levels.len() > best.levels.len() { factor } else { best })
 }
 
-/// What stands where when a column is drawn against a factor.
+/// Lines and panels of a figure of columns over a factor.
 struct Layout<'a> {
     x: &'a Factor,
-    /// By title: the settings of each panel, and of each line in it by its name. Without titles there is one panel.
+    /// Panels by title, each with its lines; a single panel has no title.
     panels: Vec<(String, Vec<Line<'a>>)>,
-    /// The factors whose values lie in one line.
+    /// The factors whose values are pooled in each line.
     pooled: Vec<String>,
 }
 
-/// A line by its name, with what lies on it.
+/// A line by its name, with its settings.
 type Line<'a> = (String, Vec<&'a Setting<'a>>);
 
 impl<'a> Layout<'a> {
-    /// A line for each setting of the others, if their colours can be told apart; else a line for each value of one other
-    /// factor and a panel for each setting of the rest, or where these would be too many all of the rest together.
+    /// One line for each setting of the other factors if the colours suffice; otherwise one line for each value of another factor
+    /// and one panel for each setting of the rest or, if there are too many panels, the rest pooled.
     fn of(sweep: &Swept, x: &'a Factor, settings: &'a [Setting<'a>]) -> Option<Self> {
         let varied = sweep.varied();
         let others: Vec<&str> = varied.iter().map(|f| f.name.as_str()).filter(|name| *name != x.name).collect();
@@ -81,17 +83,17 @@ impl<'a> Layout<'a> {
         let panels = by(settings.iter().collect(), &rest);
         let lined = |(title, settings)| (title, by(settings, &[&line.name]));
         Some(match panels.len() {
-            0..=MOST_PANELS => Self { x, panels: panels.into_iter().map(lined).collect(), pooled: Vec::new() },
+            0..=MAX_PANELS => Self { x, panels: panels.into_iter().map(lined).collect(), pooled: Vec::new() },
             _ => Self {
                 x,
                 panels: vec![(String::new(), by(settings.iter().collect(), &[&line.name]))],
-                pooled: rest.into_iter().map(named).collect(),
+                pooled: rest.into_iter().map(axis_label).collect(),
             },
         })
     }
 }
 
-/// The settings by their values of these factors, in their order.
+/// Groups settings by their values of these factors, in order.
 fn by<'a>(settings: Vec<&'a Setting<'a>>, names: &[&str]) -> Vec<Line<'a>> {
     let mut groups: Vec<Line<'a>> = Vec::new();
     for setting in settings {
@@ -109,7 +111,7 @@ fn values(setting: &Setting<'_>, column: &Column) -> Vec<f64> {
     setting.runs.iter().filter_map(|run| number_of(run, column)).collect()
 }
 
-/// Median and quartiles against the values of a factor, in one chart or in panels with the same axes.
+/// Median and quartiles over the values of a factor, in one chart or in panels with common axes.
 fn against(page: &Page, column: &Column, layout: &Layout<'_>) -> (String, String) {
     let Layout { x: factor, panels: parts, pooled } = layout;
     let series = |lines: &[Line<'_>]| -> Vec<Series> {
@@ -118,7 +120,7 @@ fn against(page: &Page, column: &Column, layout: &Layout<'_>) -> (String, String
     };
     let all: Vec<(&str, Vec<Series>)> = parts.iter().map(|(title, lines)| (title.as_str(), series(lines))).collect();
     let reach = reach(all.iter().flat_map(|(_, series)| series));
-    let (what, label) = (named(&column.name), named(&factor.name));
+    let (what, label) = (axis_label(&column.name), axis_label(&factor.name));
     let charts: Vec<Chart> = all
         .into_iter()
         .map(|(title, mut series)| {
@@ -136,15 +138,15 @@ fn against(page: &Page, column: &Column, layout: &Layout<'_>) -> (String, String
         .collect();
     let mut caption = format!("{what} against {label}: median (line) and quartiles (band) over the runs");
     if !pooled.is_empty() {
-        caption += &format!(" with all values of {} together", pooled.join(", "));
+        caption += &format!(" with all values of {} pooled", pooled.join(", "));
     }
     if charts.len() > 1 {
-        caption += "; the panels have the same axes";
+        caption += "; the panels share their axes";
     }
     (drawn(&format!("{what} against {label}"), &charts), caption + ".")
 }
 
-/// One chart as it is, several below one another.
+/// One chart, or several as panels.
 fn drawn(title: &str, charts: &[Chart]) -> String {
     match charts {
         [chart] => chart.svg(),
@@ -152,7 +154,7 @@ fn drawn(title: &str, charts: &[Chart]) -> String {
     }
 }
 
-/// Every place that some series mark.
+/// The extent of all marks of some series.
 fn reach<'a>(series: impl Iterator<Item = &'a Series>) -> Vec<(f64, f64)> {
     let places = |mark: &Mark| -> Vec<(f64, f64)> {
         match mark {
@@ -165,7 +167,7 @@ fn reach<'a>(series: impl Iterator<Item = &'a Series>) -> Vec<(f64, f64)> {
     series.flat_map(|series| &series.marks).flat_map(places).collect()
 }
 
-/// Medians and quartiles of these settings over a factor.
+/// Median and quartiles of these settings over a factor.
 fn line(column: &Column, factor: &Factor, name: &str, settings: &[&Setting<'_>], colour: usize) -> Series {
     let place = |setting: &Setting<'_>| {
         setting.values.iter().find(|(name, _)| *name == factor.name).and_then(|(_, value)| value.as_f64())
@@ -190,7 +192,7 @@ fn line(column: &Column, factor: &Factor, name: &str, settings: &[&Setting<'_>],
     Series { name: name.to_owned(), colour, marks }
 }
 
-/// Whether the values lie rather by factors than by differences: 100, 1000, 10,000.
+/// Whether the values are spaced by ratios rather than differences: 100, 1000, 10,000.
 fn is_logarithmic(factor: &Factor) -> bool {
     let values: Vec<f64> = factor.levels.iter().filter_map(|level| level.label.as_f64()).collect();
     let low = values.iter().copied().fold(f64::INFINITY, f64::min);
@@ -209,24 +211,24 @@ fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (Stri
         })
     });
     let chart = Chart {
-        title: named(&column.name),
+        title: axis_label(&column.name),
         about: format!("A box of {} for each of {} settings.", column.name, settings.len()),
         x: Axis::Categories {
             label: setting_label(settings),
             names: settings.iter().map(|s| s.name.clone()).collect(),
         },
-        y: Axis::Linear(named(&column.name)),
+        y: Axis::Linear(axis_label(&column.name)),
         series: marks.collect(),
         note: String::new(),
         simulated: page.simulated(),
     };
-    (chart.svg(), format!("{} of each run, by setting.", named(&column.name)))
+    (chart.svg(), format!("{} of each run, by setting.", axis_label(&column.name)))
 }
 
-/// The factor, where only one is varied.
+/// The factor's name, if only one is varied.
 fn setting_label(settings: &[Setting<'_>]) -> String {
     match settings.first().map(|setting| setting.values.as_slice()) {
-        Some([(name, _)]) => named(name),
+        Some([(name, _)]) => axis_label(name),
         _ => "setting".into(),
     }
 }
@@ -235,19 +237,19 @@ fn box_width(n: usize) -> f64 {
     if n < 3 { 0.12 } else { 0.3 }
 }
 
-/// Boxes by axis of what is told at points, the settings side by side.
+/// Boxes of the values at points by axis, with the settings side by side.
 pub(super) fn points(page: &mut Page, sweep: &Swept) {
     let all = sweep.point_values();
     let settings = sweep.settings();
-    for measure in sweep.spec.points.iter().take(MOST_FIGURES) {
-        if settings.len() > MOST_SETTINGS {
-            let why = format!("{} settings do not stand side by side; points.csv has the values", settings.len());
-            page.missing(&named(&measure.name), &why);
+    for measure in sweep.spec.points.iter().take(MAX_FIGURES) {
+        if settings.len() > MAX_SETTINGS {
+            let why = format!("{} settings are too many to show side by side; points.csv has the values", settings.len());
+            page.missing(&axis_label(&measure.name), &why);
             continue;
         }
         let own: Vec<_> = all.iter().filter(|(_, value)| value.measure == measure.name).collect();
         if own.is_empty() {
-            page.missing(&named(&measure.name), "no run says anything at its points");
+            page.missing(&axis_label(&measure.name), "no run has values at its points");
             continue;
         }
         let of = |setting: Option<&Setting<'_>>, axis: &str| -> Vec<f64> {
@@ -271,24 +273,24 @@ pub(super) fn points(page: &mut Page, sweep: &Swept) {
         let n_points = own.iter().map(|(run, v)| (run.run, &v.point)).collect::<std::collections::BTreeSet<_>>().len();
         let n_runs = own.iter().map(|(run, _)| run.run).collect::<std::collections::BTreeSet<_>>().len();
         let chart = Chart {
-            title: format!("{} by axis", named(&measure.name)),
+            title: format!("{} by axis", axis_label(&measure.name)),
             about: format!("Boxes of the signed values of {} along {}.", measure.name, measure.axes.join(", ")),
             x: Axis::Categories { label, names },
-            y: Axis::Linear(named(&measure.name)),
+            y: Axis::Linear(axis_label(&measure.name)),
             series: series.collect(),
             note: String::new(),
             simulated: page.simulated(),
         };
         let caption = format!(
             "{} at the points, signed, along {}: n = {n_points} points of {n_runs} runs; points of one run are not independent.",
-            named(&measure.name),
+            axis_label(&measure.name),
             measure.axes.join(", "),
         );
         page.figure(&format!("points-{}", measure.name), chart.svg(), &caption);
     }
 }
 
-/// A scatter of each drawn number against the columns that it may decide.
+/// Scatter plots of each drawn number against columns that it may affect.
 pub(super) fn draws(page: &mut Page, sweep: &Swept) {
     let numeric = sweep.numeric();
     let along: Vec<_> = numeric.iter().filter(|column| column.name.ends_with("_z_mm")).copied().collect();
@@ -298,28 +300,28 @@ pub(super) fn draws(page: &mut Page, sweep: &Swept) {
         if matches!(draw.distribution, Distribution::Choice(_)) {
             continue;
         }
-        for column in columns.iter().take(MOST_PER_DRAW) {
+        for column in columns.iter().take(MAX_PER_DRAW) {
             scatter(page, sweep, draw, column);
         }
-        left_out += columns.len().saturating_sub(MOST_PER_DRAW);
+        left_out += columns.len().saturating_sub(MAX_PER_DRAW);
     }
     if left_out > 0 {
         page.text(&format!("{left_out} more pairs of a drawn number and a column are in runs.csv."));
     }
 }
 
-/// A panel for each setting, all with the same axes: in one, dots would hide each other.
+/// A panel for each setting, with common axes: in one panel, dots would hide each other.
 fn scatter(page: &mut Page, sweep: &Swept, draw: &Draw, column: &Column) {
     let settings = sweep.settings();
-    let groups: Vec<(String, Vec<_>)> = match settings.len() <= MOST_PANELS {
+    let groups: Vec<(String, Vec<_>)> = match settings.len() <= MAX_PANELS {
         true => settings.iter().map(|s| (s.name.clone(), s.runs.clone())).collect(),
         false => {
             let all = format!("all {} settings", settings.len());
             vec![(all, settings.iter().flat_map(|s| s.runs.clone()).collect())]
         }
     };
-    let label = named(&draw.name);
-    let (mut told, mut charts, mut all) = (Vec::new(), Vec::new(), Vec::new());
+    let label = axis_label(&draw.name);
+    let (mut correlations, mut charts, mut all) = (Vec::new(), Vec::new(), Vec::new());
     let one = settings.len() <= 1;
     for (colour, (name, runs)) in groups.into_iter().enumerate() {
         let pairs: Vec<(f64, f64, String)> = runs
@@ -334,21 +336,25 @@ fn scatter(page: &mut Page, sweep: &Swept, draw: &Draw, column: &Column) {
             .collect();
         let (x, y): (Vec<f64>, Vec<f64>) = pairs.iter().map(|(x, y, _)| (*x, *y)).unzip();
         all.extend(x.iter().copied().zip(y.iter().copied()));
-        let said = match pearson(&x, &y, 0.95) {
+        let correlation = match pearson(&x, &y, 0.95) {
             Ok(found) => format!("r = {:.2}, n = {} runs", found.r, found.n).replace('-', "\u{2212}"),
             Err(why) => format!("no correlation: {why}"),
         };
-        told.push(if one { said.clone() } else { format!("{}: {said}", quoted(&name.as_str().into())) });
+        correlations.push(if one {
+            correlation.clone()
+        } else {
+            format!("{}: {correlation}", quoted(&name.as_str().into()))
+        });
         charts.push(Chart {
-            title: if one { format!("{} against {label}", named(&column.name)) } else { name },
+            title: if one { format!("{} against {label}", axis_label(&column.name)) } else { name },
             about: format!("A scatter of {} over {}, a dot for each run.", column.name, draw.name),
             x: match draw.distribution {
                 Distribution::LogUniform(_) => Axis::Log(label.clone()),
                 _ => Axis::Linear(label.clone()),
             },
-            y: Axis::Linear(named(&column.name)),
+            y: Axis::Linear(axis_label(&column.name)),
             series: vec![Series { name: String::new(), colour, marks: vec![Mark::Dots(pairs)] }],
-            note: said,
+            note: correlation,
             simulated: page.simulated(),
         });
     }
@@ -356,16 +362,16 @@ fn scatter(page: &mut Page, sweep: &Swept, draw: &Draw, column: &Column) {
         chart.series.push(Series { name: String::new(), colour: 0, marks: vec![Mark::Reach(all.clone())] });
     }
     let mut caption = format!(
-        "{} of each run against {label} as it was drawn, with Pearson's correlation: {}. Runs on one {} are not independent, \
+        "{} of each run against the drawn {label}, with Pearson's correlation: {}. Runs on one {} are not independent, \
          so the correlation has no interval here.",
-        named(&column.name),
-        told.join("; "),
+        axis_label(&column.name),
+        correlations.join("; "),
         sweep.spec.units.first().map_or("unit", String::as_str),
     );
     if charts.len() > 1 {
-        caption += " The panels have the same axes.";
+        caption += " The panels share their axes.";
     }
-    let svg = drawn(&format!("{} against {label}", named(&column.name)), &charts);
+    let svg = drawn(&format!("{} against {label}", axis_label(&column.name)), &charts);
     page.figure(&format!("scatter-{}-{}", column.name, draw.name), svg, &caption);
 }
 
@@ -375,7 +381,7 @@ mod tests {
     use osteoflow_engine::sweep::Done;
     use serde_json::json;
 
-    /// A sweep over `n` words, two sides and three numbers, with a column that grows with the number.
+    /// A sweep over `n` words, `sides` sides and three numbers, with a column that grows with the number.
     fn swept(n: usize, sides: usize) -> Swept {
         let levels = |labels: Vec<Json>| -> Vec<Json> {
             labels.into_iter().map(|label| json!({ "label": label, "sets": ["a.b=1"] })).collect()
@@ -421,17 +427,17 @@ mod tests {
     #[test]
     fn many_settings_are_lines_of_one_factor_in_panels_of_the_rest() {
         let (svg, html) = drawn(7, 3);
-        assert!(html.contains("the panels have the same axes"), "{html}");
+        assert!(html.contains("the panels share their axes"), "{html}");
         assert_eq!(svg.matches("<path class=\"line c").count(), 7 * 3, "a line for each word on each side");
         assert_eq!(svg.matches(">first (mm)<").count(), 3, "an axis for each panel");
         assert_eq!(svg.matches("font-weight: 600\">side 2<").count(), 1, "a panel says its side");
     }
 
     #[test]
-    fn where_panels_would_be_too_many_the_rest_is_put_together_and_said() {
+    fn too_many_panels_are_pooled_and_the_caption_says_so() {
         let (svg, html) = drawn(7, 9);
         assert_eq!(svg.matches("<path class=\"line c").count(), 7, "a line for each word");
-        assert!(html.contains("with all values of side together"), "{html}");
+        assert!(html.contains("with all values of side pooled"), "{html}");
     }
 
     #[test]

@@ -1,9 +1,9 @@
-//! The statistics that a sweep has left in `summary.json`, as tables: n and its unit stand in every row.
+//! The statistics in `summary.json` as tables; every row has n and its units.
 
 use super::Swept;
 use crate::{
     cell::Cell,
-    chart::named,
+    chart::axis_label,
     html::Page,
     summary::{Row, about_few, comparison, statistics, under_heads, word},
 };
@@ -18,18 +18,18 @@ pub(super) fn tables(page: &mut Page, sweep: &Swept, summary: &Json) {
     let groups: Vec<&Json> = summary["groups"].as_array().into_iter().flatten().collect();
     let columns = sweep.spec.columns.iter().map(|column| {
         let rows = groups.iter().filter(|group| group["columns"][&column.name].is_object());
-        (named(&column.name), rows.map(|group| row(group, None, &group["columns"][&column.name])).collect())
+        (axis_label(&column.name), rows.map(|group| row(group, None, &group["columns"][&column.name])).collect())
     });
-    gathered(page, "by column: n runs, and of how many units", groups.len(), columns.collect());
+    gathered(page, "by column: n runs, and the number of units", groups.len(), columns.collect());
     let points = sweep.spec.points.iter().map(|measure| {
         let axes = groups.iter().flat_map(|group| {
             let of = &group["points"][&measure.name];
             let there = measure.axes.iter().filter(|axis| of[axis.as_str()].is_object());
             there.map(move |axis| row(group, Some(axis), &of[axis.as_str()]))
         });
-        (named(&measure.name), axes.collect())
+        (axis_label(&measure.name), axes.collect())
     });
-    gathered(page, "at the points, signed: n values, and of how many units", groups.len(), points.collect());
+    gathered(page, "at the points, signed: n values, and the number of units", groups.len(), points.collect());
     let comparisons = summary["comparisons"].as_array().into_iter().flatten();
     let caption = "Second against first, paired: Wilcoxon's signed ranks (effect: rank-biserial), Bland-Altman's limits of \
                    agreement, equivalence by two one-sided tests.";
@@ -52,7 +52,7 @@ fn row(group: &Json, axis: Option<&str>, of: &Json) -> Row {
     row
 }
 
-/// A table for each measure, or one for all where there is one setting.
+/// A table for each measure or, with a single setting, one table for all.
 fn gathered(page: &mut Page, what: &str, n_settings: usize, measures: Vec<(String, Vec<Row>)>) {
     if n_settings > 1 {
         measures.into_iter().for_each(|(name, rows)| table(page, &format!("{name} {what}."), rows));
@@ -66,7 +66,7 @@ fn gathered(page: &mut Page, what: &str, n_settings: usize, measures: Vec<(Strin
 }
 
 fn compared(of: &Json) -> Row {
-    let mut row = Row::from([("column".into(), Cell::word(named(&word(&of["column"]))))]);
+    let mut row = Row::from([("column".into(), Cell::word(axis_label(&word(&of["column"]))))]);
     row.extend(settings(&of["setting"]));
     row.extend([("first", "a"), ("second", "b")].map(|(head, key)| (head.into(), Cell::word(word(&of[key])))));
     row.extend(comparison(of));
@@ -88,7 +88,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn every_row_has_n_its_units_and_an_interval_or_why_there_is_none() {
+    fn every_row_has_n_its_units_and_an_interval_or_the_reason_for_none() {
         let spec = json!({
             "repeat": 4, "repeat_name": "procedure", "same_seed": false, "factors": [], "pair": [], "draws": [],
             "units": ["bone", "procedure"], "columns": [{ "name": "tre_mm", "path": "a" }, { "name": "z_mm", "path": "b" }],
@@ -141,6 +141,6 @@ mod tests {
         ] {
             assert!(html.contains(word), "{word} is missing:\n{html}");
         }
-        assert!(!html.contains("w_plus") && !html.contains("bias_interval"), "what is for programs stays in the file");
+        assert!(!html.contains("w_plus") && !html.contains("bias_interval"), "keys for programs are not shown");
     }
 }

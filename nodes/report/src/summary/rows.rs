@@ -1,17 +1,17 @@
-//! The statistics and comparisons of a summary as rows of a table, the same on a page and on a terminal.
+//! Statistics and comparisons of a summary as rows of tables, for pages and terminals.
 
 use super::word;
 use crate::{cell::Cell, format::number};
 use osteoflow_statistics::{FEW_UNITS, counted};
 use serde_json::Value;
 
-/// Cells by the heads of their columns.
+/// The cells of a row with the heads of their columns.
 pub type Row = Vec<(String, Cell)>;
 
-/// What stands above an interval.
+/// Head of the column of intervals.
 const INTERVAL: &str = "95 % interval of the mean";
 
-/// The statistics of a column, or of an axis at the points, of `summary.json`.
+/// Formats the statistics of a column or axis in `summary.json`.
 pub fn statistics(of: &Value) -> Row {
     let mut row = Row::new();
     let mut put = |head: &str, cell: Cell| row.push((head.to_owned(), cell));
@@ -33,13 +33,13 @@ pub fn statistics(of: &Value) -> Row {
     let below = &of["share_below"];
     if let Some(share) = below["share"].as_f64() {
         let interval = interval(&below["interval"], 100.0);
-        let told = format!("{:.1}\u{a0}% ({} of {}), {interval}", 100.0 * share, below["n_hits"], below["n"]);
-        put(&format!("below {}", Cell::of(&below["limit"]).plain()), Cell::word(told));
+        let text = format!("{:.1}\u{a0}% ({} of {}), {interval}", 100.0 * share, below["n_hits"], below["n"]);
+        put(&format!("below {}", Cell::of(&below["limit"]).plain()), Cell::word(text));
     }
     row
 }
 
-/// A paired comparison of `summary.json`; what is compared is left to the table.
+/// Formats a paired comparison in `summary.json`, without the names of what is compared.
 pub fn comparison(of: &Value) -> Row {
     let agreement = &of["bland_altman"];
     let limits = match (agreement["lower_limit"].as_f64(), agreement["upper_limit"].as_f64()) {
@@ -70,8 +70,7 @@ pub fn comparison(of: &Value) -> Row {
     .into()
 }
 
-/// The heads of rows that may have different columns, and a cell of every row under each; a column without a word is left
-/// out.
+/// Arranges rows with different columns under common heads: a cell of every row under each head, without empty columns.
 pub fn under_heads(rows: &[Row]) -> (Vec<String>, Vec<Vec<Cell>>) {
     let mut heads: Vec<String> = Vec::new();
     for (head, _) in rows.iter().flatten().filter(|(_, cell)| !cell.is_empty()) {
@@ -86,14 +85,14 @@ pub fn under_heads(rows: &[Row]) -> (Vec<String>, Vec<Vec<Cell>>) {
     (heads, cells)
 }
 
-/// `3 bones, 30 procedures` of the levels of units in `summary.json`.
+/// Formats levels of units in `summary.json`, such as `3 bones, 30 procedures`.
 pub fn units(levels: &Value) -> String {
     let levels = levels.as_array().map(Vec::as_slice).unwrap_or_default();
-    let told = levels.iter().map(|level| counted(level["n"].as_u64().unwrap_or(0) as usize, &word(&level["name"])));
-    told.collect::<Vec<_>>().join(", ")
+    let counts = levels.iter().map(|level| counted(level["n"].as_u64().unwrap_or(0) as usize, &word(&level["name"])));
+    counts.collect::<Vec<_>>().join(", ")
 }
 
-/// What to make of intervals of few units, where the summary has one.
+/// An explanation of intervals of few units, if the summary has any.
 pub fn about_few(summary: &Value) -> Option<String> {
     let groups = summary["groups"].as_array().into_iter().flatten();
     let columns = groups.clone().flat_map(|group| group["columns"].as_object().into_iter().flatten());
@@ -108,7 +107,7 @@ pub fn about_few(summary: &Value) -> Option<String> {
     })
 }
 
-/// ` (few: 3 bones)` after an interval that is likely too narrow.
+/// ` (few: 3 bones)` after an interval that is probably too narrow.
 fn few(of: &Value) -> String {
     let known = of["few_units"] == true && of["mean_interval"]["low"].is_number();
     let highest = of["n_units"].as_array().and_then(|levels| levels.first());
@@ -118,16 +117,16 @@ fn few(of: &Value) -> String {
     }
 }
 
-/// Text whose lines end after a comma only.
+/// Text that may be wrapped only after commas.
 fn unbroken(text: &str) -> String {
     text.replace(' ', "\u{a0}").replace(",\u{a0}", ", ")
 }
 
-/// An interval, or in short why there is none.
+/// Formats an interval, or the reason why there is none in short.
 fn interval(of: &Value, times: f64) -> String {
     match (of["low"].as_f64(), of["high"].as_f64()) {
         (Some(low), Some(high)) => from_to(low * times, high * times),
-        // `n = 1 bone: one bone does not show ..`
+        // The reason reads `n = 1 bone: one bone does not show ..`.
         _ => of["no_interval"]
             .as_str()
             .and_then(|why| why.split(':').next())
@@ -136,11 +135,11 @@ fn interval(of: &Value, times: f64) -> String {
 }
 
 fn from_to(low: f64, high: f64) -> String {
-    // No line ends within it.
+    // Non-breaking spaces.
     format!("{}\u{a0}to\u{a0}{}", number(low), number(high))
 }
 
-/// A number, or nothing.
+/// A number, or an empty cell.
 fn or_none(value: &Value) -> Cell {
     value.as_f64().map_or_else(|| Cell::word(""), Cell::Number)
 }

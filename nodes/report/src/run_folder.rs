@@ -1,4 +1,4 @@
-//! What a run has left: results, manifest and recording, and the values that went over its wires.
+//! The folder of a run: results, manifest, recording and the values on its wires.
 
 use crate::ReportError;
 use osteoflow_engine::{Recording, run::files};
@@ -6,8 +6,8 @@ use osteoflow_node::{Body, Registry};
 use serde_json::Value as Json;
 use std::{fs, path::Path};
 
-/// A run to report on.
-pub(crate) struct Evidence {
+/// The folder of a run to report on.
+pub(crate) struct RunFolder {
     pub(crate) manifest: Json,
     pub(crate) results: Json,
     recording: Result<Recording, String>,
@@ -21,8 +21,8 @@ pub(crate) fn json(path: &Path) -> Result<Json, ReportError> {
     serde_json::from_str(&text).map_err(|e| ReportError::Form { path: shown(), what: e.to_string() })
 }
 
-impl Evidence {
-    /// Of a run's folder; a recording that is not there or not sound is told where it is wanted.
+impl RunFolder {
+    /// Opens a run's folder; a recording that is missing or damaged is reported by the methods that need it.
     pub(crate) fn open(dir: &Path, registry: &Registry) -> Result<Self, ReportError> {
         let manifest = json(&dir.join(files::MANIFEST))?;
         let results = match json(&dir.join(files::RESULTS)) {
@@ -45,13 +45,13 @@ impl Evidence {
         self.results["simulated"] == true
     }
 
-    /// The nodes by name and kind, in topological order.
+    /// Names and kinds of the nodes, in topological order.
     pub(crate) fn nodes(&self) -> impl Iterator<Item = (&str, &str)> {
         let nodes = self.manifest["nodes"].as_array().into_iter().flatten();
         nodes.filter_map(|node| Some((node["name"].as_str()?, node["kind"].as_str()?)))
     }
 
-    /// The wire that feeds an input.
+    /// The wire that is connected to an input.
     pub(crate) fn wire_into(&self, node: &str, port: &str) -> Option<&str> {
         let links = self.manifest["links"].as_array()?;
         let link = links
@@ -60,7 +60,7 @@ impl Evidence {
         link?["from"].as_str()
     }
 
-    /// The first node that has all these inputs.
+    /// The first node that has all these inputs connected.
     pub(crate) fn node_with(&self, ports: &[&str]) -> Option<&str> {
         let has_all = |node: &str| ports.iter().all(|port| self.wire_into(node, port).is_some());
         self.nodes().map(|(name, _)| name).find(|name| has_all(name))
@@ -71,10 +71,10 @@ impl Evidence {
         self.nodes().find(|(_, of)| *of == kind).map(|(name, _)| name)
     }
 
-    /// The first values that went over a wire.
+    /// The values of a wire, in order.
     ///
     /// # Errors
-    /// Why there is none, and what to do.
+    /// The reason why there are none, and what to do about it.
     pub(crate) fn values<T: Clone + 'static>(&self, wire: &str) -> Result<Vec<T>, String> {
         let recording = self.recording.as_ref().map_err(Clone::clone)?;
         if !recording.wires.contains_key(wire) {
@@ -87,7 +87,7 @@ impl Evidence {
         });
         let values: Vec<T> = values.collect();
         match values.is_empty() {
-            true => Err(format!("the wire {wire} carried nothing that can be drawn")),
+            true => Err(format!("the wire {wire} carried no values")),
             false => Ok(values),
         }
     }
@@ -97,7 +97,7 @@ impl Evidence {
         Ok(self.values(wire)?.swap_remove(0))
     }
 
-    /// The first value that an input took.
+    /// The first value of the wire that is connected to an input.
     pub(crate) fn input<T: Clone + 'static>(&self, node: &str, port: &str) -> Result<T, String> {
         let wire = self.wire_into(node, port).ok_or_else(|| format!("nothing is wired to {node}.{port}"))?;
         self.value(wire)
