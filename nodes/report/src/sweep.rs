@@ -149,7 +149,7 @@ impl Swept {
         let seeds = match (spec.same_seed, self.about["graph"]["seed"].as_u64()) {
             (true, Some(seed)) => format!("all with seed {seed}"),
             (false, Some(seed)) => format!("seeds {seed} to {}", seed + spec.repeat.max(1) as u64 - 1),
-            "seeds not known".into() => (_, None) => "seeds unknown".into() => "seeds not known".into(),
+            (_, None) => "seeds unknown".into(),
         };
         words.push(format!(
             "Each setting was run {} times (one run is one {}), {seeds}.",
@@ -158,7 +158,10 @@ impl Swept {
         words.push(format!("Units, from the highest level: {}.", spec.units.join(" > ")));
         let asked = self.about["n_runs"].as_u64().unwrap_or(0);
         let without = self.runs.iter().filter(|run| run.status != "complete").count();
-        words.push(format!("{} of {asked} runs are complete or refused, {without} of them have no results.", self.runs.len()));
+        words.push(format!(
+            "{} of {asked} runs are complete or refused, {without} of them have no results.",
+            self.runs.len()
+        ));
         words.join(" ")
     }
 

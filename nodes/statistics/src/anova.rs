@@ -2,7 +2,7 @@
 
 use crate::summary::mean;
 
-/// Mean squares of values in groups, and the group size that stands for unequal ones.
+/// Mean squares of values in groups, and the effective group size.
 pub(crate) struct OneWay {
     pub(crate) n: usize,
     pub(crate) n_groups: usize,
@@ -10,12 +10,12 @@ pub(crate) struct OneWay {
     pub(crate) mean_square_between: f64,
     /// `Σ(xᵢⱼ - x̄ᵢ)² / (N - G)`.
     pub(crate) mean_square_within: f64,
-    /// `(N - Σmᵢ²/N) / (G - 1)`: the size of groups, if all are of one.
+    /// `(N - Σmᵢ²/N) / (G - 1)`: the effective group size; equals the size of groups of one size.
     pub(crate) n0: f64,
 }
 
 impl OneWay {
-    /// Of at least two groups, at least one of them with two values.
+    /// For at least two groups, at least one of them with two values.
     pub(crate) fn of(groups: &[Vec<f64>]) -> Self {
         let n_groups = groups.len();
         let n: usize = groups.iter().map(Vec::len).sum();
@@ -37,7 +37,7 @@ impl OneWay {
         }
     }
 
-    /// Variance between groups, `(MSB - MSW) / n0`, or 0 where chance makes that negative.
+    /// Variance between groups, `(MSB - MSW) / n0`, or 0 if that is negative.
     pub(crate) fn variance_between(&self) -> f64 {
         ((self.mean_square_between - self.mean_square_within) / self.n0).max(0.0)
     }

@@ -1,4 +1,4 @@
-//! How far two methods lie apart for one measurement.
+//! Agreement of two methods that measure the same quantity.
 
 use serde::Serialize;
 
@@ -9,7 +9,7 @@ use crate::{
     summary::{mean, sd},
 };
 
-/// What Bland and Altman take for the normal quantile that leaves 2.5 % on each side.
+/// The rounded normal quantile that Bland and Altman use for 2.5 % on each side.
 pub(crate) const NORMAL_95: f64 = 1.96;
 
 /// Bland-Altman limits of agreement.
@@ -17,17 +17,17 @@ pub(crate) const NORMAL_95: f64 = 1.96;
 pub struct BlandAltman {
     /// Pairs of measurements.
     pub n: usize,
-    /// Units that the pairs come from; `n` where each pair is a unit of its own.
+    /// Number of units that the pairs come from; `n` if each pair is a unit.
     pub n_units: usize,
     /// Mean difference, first method less second.
     pub bias: f64,
-    /// Standard deviation of the difference of one pair, of units and within them.
+    /// Standard deviation of the difference of one pair: between and within units together.
     pub sd: f64,
-    /// Its part between units, where pairs repeat.
+    /// Standard deviation between units, if pairs repeat.
     pub sd_between: Option<f64>,
-    /// Its part within units, where pairs repeat.
+    /// Standard deviation within units, if pairs repeat.
     pub sd_within: Option<f64>,
-    /// `bias - 1.96 sd`: 95 % of pairs lie above it and below `upper_limit`.
+    /// `bias - 1.96 sd`: 95 % of pairs are between this and `upper_limit`.
     pub lower_limit: f64,
     /// `bias + 1.96 sd`.
     pub upper_limit: f64,
@@ -42,7 +42,7 @@ pub struct BlandAltman {
 /// Limits of agreement of two methods from the differences of independent pairs.
 ///
 /// `bias ± 1.96 sd`. With t of n - 1 degrees of freedom, the interval of the bias is `± t sd/√n`, of each limit
-/// `± t sd √(1/n + 1.96²/(2(n-1)))`. Differences should be roughly normal and not grow with the size of what is measured.
+/// `± t sd √(1/n + 1.96²/(2(n-1)))`. Differences should be roughly normal and independent of the size of the measured value.
 ///
 /// # Errors
 /// [`StatisticsError::TooFew`] with fewer than two pairs, [`StatisticsError::NotFinite`], [`StatisticsError::OutOfRange`]
@@ -79,13 +79,13 @@ pub fn bland_altman(differences: &[f64], level: f64) -> Result<BlandAltman, Stat
     })
 }
 
-/// Limits of agreement where pairs repeat within units of the highest level, such as points of one bone.
+/// Limits of agreement for pairs that repeat within units of the highest level, such as points of one bone.
 ///
 /// The variance of one difference is that within units and that between them by one-way analysis of variance (as in
 /// [`crate::repeatability`]): `sd² = MSW + max(0, (MSB - MSW)/n0)`. The bias is the mean over pairs; its interval is t with
-/// G - 1 degrees of freedom on `√(G/(G-1) Σ(Σⱼ(dᵢⱼ - bias))²) / N`, the spread of whole units. The interval of a limit joins
-/// that of the bias and that of `1.96 sd` by MOVER, the latter from chi-squared intervals of `MSB/n0` and `(1 - 1/n0)MSW`;
-/// with units of unequal size it is an approximation. Where no unit repeats this is [`bland_altman`].
+/// G - 1 degrees of freedom on `√(G/(G-1) Σ(Σⱼ(dᵢⱼ - bias))²) / N`, the spread of whole units. The interval of a limit
+/// combines that of the bias and that of `1.96 sd` by MOVER, the latter from chi-squared intervals of `MSB/n0` and
+/// `(1 - 1/n0)MSW`; with units of unequal size it is an approximation. If no unit repeats, this is [`bland_altman`].
 ///
 /// # Errors
 /// As [`bland_altman`], and [`StatisticsError::TooFew`] with fewer than two units: one unit does not show how others
@@ -95,7 +95,7 @@ pub fn bland_altman(differences: &[f64], level: f64) -> Result<BlandAltman, Stat
 /// Bland & Altman 2007, Journal of Biopharmaceutical Statistics 17:571-582, the case where the true value varies; intervals
 /// of the limits: Zou 2013, Stat. Methods Med. Res. 22:630-642.
 pub fn bland_altman_repeated(units: &Units, differences: &[f64], level: f64) -> Result<BlandAltman, StatisticsError> {
-    let parts = units.part_sorted(differences)?;
+    let parts = units.split_sorted(differences)?;
     if parts.len() == differences.len() {
         return bland_altman(differences, level);
     }
@@ -112,7 +112,7 @@ pub fn bland_altman_repeated(units: &Units, differences: &[f64], level: f64) -> 
     let standard_error = (n_units as f64 / (n_units - 1) as f64 * squares).sqrt() / n as f64;
     let half_of_bias = two_sided_t(level, n_units - 1) * standard_error;
 
-    // sd² once more, as a sum of two independent mean squares, each with a chi-squared interval.
+    // sd² as a sum of two independent mean squares, each with a chi-squared interval.
     let summands = [(between + within / n0, n_units - 1), ((1.0 - 1.0 / n0) * within, n - n_units)];
     let off = |p: f64| {
         let apart = |(part, df): (f64, usize)| part * (df as f64 / chi_squared_quantile(p, df) - 1.0);
@@ -121,7 +121,7 @@ pub fn bland_altman_repeated(units: &Units, differences: &[f64], level: f64) -> 
     let (tail, variance) = ((1.0 - level) / 2.0, sd * sd);
     let sd_low = (variance - off(1.0 - tail)).max(0.0).sqrt();
     let sd_high = (variance + off(tail)).sqrt();
-    // How far a limit may lie further in and further out.
+    // Distances of the ends of a limit's interval, inwards and outwards.
     let inward = half_of_bias.hypot(NORMAL_95 * (sd - sd_low));
     let outward = half_of_bias.hypot(NORMAL_95 * (sd_high - sd));
     let (lower_limit, upper_limit) = (bias - NORMAL_95 * sd, bias + NORMAL_95 * sd);
@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn where_no_unit_repeats_both_forms_are_one() {
+    fn both_forms_agree_if_no_unit_repeats() {
         let differences = [0.3, -0.2, 0.1, 0.6];
         let repeated = bland_altman_repeated(&Units::each_row("bone", 4), &differences, 0.95).unwrap();
         assert_eq!(repeated, bland_altman(&differences, 0.95).unwrap());

@@ -1,4 +1,4 @@
-//! Intervals by drawing whole units again.
+//! Cluster bootstrap: intervals by resampling whole units.
 
 use rand_chacha::{
     ChaCha8Rng,
@@ -15,8 +15,8 @@ use crate::{
 
 /// Below this number of units at the highest level an interval is given with a warning.
 ///
-/// Four units drawn with replacement give 35 different sets, and the spread of what they show is itself hardly known. In
-/// 1,000 simulated tables the 95 % interval of the mean held the true one in
+/// Four units drawn with replacement give 35 different samples, and their spread is a poor estimate itself. In 1,000 simulated
+/// tables the 95 % interval of the mean contained the true one in
 ///
 /// | bones | [`BootstrapKind::Expanded`] | [`BootstrapKind::Percentile`] | [`BootstrapKind::BiasCorrected`] |
 /// |---|---|---|---|
@@ -25,30 +25,30 @@ use crate::{
 /// | 30 | 95 % | 94 % | 94 % |
 pub const FEW_UNITS: usize = 5;
 
-/// How the ends of the interval are read off the resamples.
+/// How the ends of the interval are computed from the resamples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BootstrapKind {
-    /// The quantiles at `Φ(∓ t √(n/(n-1)))`, with n units and t of n - 1 degrees of freedom: percentiles taken further out,
-    /// by what a t interval of the mean allows for few units.
+    /// The quantiles at `Φ(∓ t √(n/(n-1)))`, with n units and t of n - 1 degrees of freedom: percentiles widened by as much as
+    /// a t interval of the mean is widened for few units.
     #[default]
     Expanded,
     /// The quantiles at `(1 ∓ level) / 2`. Too narrow for few units.
     Percentile,
-    /// Quantiles moved for the bias and the skewness of the statistic (BCa). Too narrow for few units as well.
+    /// Quantiles corrected for the bias and the skewness of the statistic (BCa). Also too narrow for few units.
     BiasCorrected,
 }
 
-/// How to bootstrap.
+/// Parameters of the bootstrap.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BootstrapParams {
     /// Confidence level; 0.95.
     pub level: f64,
-    /// Number of resamples; 10,000, which holds the ends still within about 2 % of the interval's width.
+    /// Number of resamples; 10,000: the ends then vary by about 2 % of the interval's width.
     pub n_resamples: usize,
     /// Seed of the draws; 0.
     pub seed: u64,
-    /// Which interval; expanded percentile, the only one here that about holds what it says with ten units.
+    /// The kind of interval; expanded percentile, the only one here with about its nominal coverage for ten units.
     pub kind: BootstrapKind,
 }
 
@@ -58,39 +58,39 @@ impl Default for BootstrapParams {
     }
 }
 
-/// A statistic with an interval that holds for other units of the highest level.
+/// A statistic with an interval for the population of units of the highest level.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Bootstrap {
     /// The statistic of all rows.
     pub estimate: f64,
-    /// Its interval, or why there is none.
+    /// Its interval, or the reason why there is none.
     #[serde(serialize_with = "or_reason")]
     pub interval: Result<Interval, NoInterval>,
-    /// How the interval was read off.
+    /// The kind of interval.
     pub kind: BootstrapKind,
-    /// What was drawn: the name of the highest level.
+    /// The resampled units: name of the highest level.
     pub unit: String,
-    /// How many of them there are: the n of the interval.
+    /// Number of units: the n of the interval.
     pub n_units: usize,
-    /// There are fewer than [`FEW_UNITS`]: the interval is likely too narrow, and a table should say so.
+    /// Whether there are fewer than [`FEW_UNITS`]: the interval is probably too narrow, and a table should say so.
     pub few_units: bool,
-    /// Rows in all.
+    /// Number of rows.
     pub n_rows: usize,
-    /// Resamples drawn.
+    /// Number of resamples.
     pub n_resamples: usize,
     /// Seed of the draws.
     pub seed: u64,
 }
 
-/// A statistic of a column with its cluster-bootstrap interval: units of the highest level are drawn with replacement,
-/// each with all its rows, as many as there are.
+/// A statistic of a column with its cluster-bootstrap interval: as many units of the highest level as there are, drawn with
+/// replacement, each with all its rows.
 ///
-/// `statistic` gets the values of the drawn units and may reorder them ([`crate::median`] does). One that is no number
-/// in some resample leaves the estimate without an interval. `O(n_resamples × rows)` and the statistic.
+/// `statistic` receives the values of the drawn units and may reorder them ([`crate::median`] does). If it is not finite in
+/// some resample, the estimate has no interval. `O(n_resamples × rows)` and the statistic.
 ///
 /// # Errors
-/// [`StatisticsError`]: no rows, columns of different lengths, a value that is no number, a level outside 0 to 1, or a
-/// statistic that is no number for all rows.
+/// [`StatisticsError`]: no rows, columns of different lengths, a value that is not finite, a level outside 0 to 1, or a
+/// statistic that is not finite for all rows.
 ///
 /// # Source
 /// Davison & Hinkley 1997, Bootstrap Methods and their Application, section 3.8 (drawing at the highest level only);
@@ -103,7 +103,7 @@ pub fn bootstrap(
     mut statistic: impl FnMut(&mut [f64]) -> f64,
     params: &BootstrapParams,
 ) -> Result<Bootstrap, StatisticsError> {
-    let parts = units.part_sorted(values)?;
+    let parts = units.split_sorted(values)?;
     let mut drawn_values = Vec::with_capacity(values.len());
     draw_units(units, params, |drawn| {
         drawn_values.clear();
@@ -117,7 +117,7 @@ pub fn bootstrap(
 /// # Errors
 /// As [`bootstrap`].
 pub fn bootstrap_mean(units: &Units, values: &[f64], params: &BootstrapParams) -> Result<Bootstrap, StatisticsError> {
-    let parts = units.part_sorted(values)?;
+    let parts = units.split_sorted(values)?;
     let sums: Vec<(f64, f64)> = parts.iter().map(|part| (part.iter().sum(), part.len() as f64)).collect();
     draw_units(units, params, |drawn| {
         let (mut sum, mut n) = (0.0, 0.0);
@@ -129,9 +129,9 @@ pub fn bootstrap_mean(units: &Units, values: &[f64], params: &BootstrapParams) -
     })
 }
 
-/// [`bootstrap`] of a statistic of several columns (a correlation, a ratio), which gets the rows drawn.
+/// [`bootstrap`] of a statistic of several columns (a correlation, a ratio), which receives the drawn rows.
 ///
-/// Rows come unit by unit, within a unit in the order of the table.
+/// Rows are ordered by unit and, within a unit, as in the table.
 ///
 /// # Errors
 /// As [`bootstrap`].
@@ -140,7 +140,7 @@ pub fn bootstrap_rows(
     mut statistic: impl FnMut(&[usize]) -> f64,
     params: &BootstrapParams,
 ) -> Result<Bootstrap, StatisticsError> {
-    let parts = units.part(&(0..units.n_rows()).collect::<Vec<_>>())?;
+    let parts = units.split(&(0..units.n_rows()).collect::<Vec<_>>())?;
     let mut rows = Vec::with_capacity(units.n_rows());
     draw_units(units, params, |drawn| {
         rows.clear();
@@ -149,7 +149,7 @@ pub fn bootstrap_rows(
     })
 }
 
-/// The bootstrap itself: `statistic` gets the units of a resample.
+/// The common loop: `statistic` receives the units of a resample.
 fn draw_units(
     units: &Units,
     params: &BootstrapParams,
@@ -173,7 +173,7 @@ fn draw_units(
         let mut drawn = vec![0; n_units];
         let mut resampled: Vec<f64> = (0..n_resamples)
             .map(|_| {
-                // A 32-bit number scaled to the units: no draw is refused, and none is favoured by more than n / 2³².
+                // A 32-bit number scaled to the number of units: no rejection, and a bias of at most n / 2³².
                 drawn.iter_mut().for_each(|d| *d = ((u64::from(rng.next_u32()) * n_units as u64) >> 32) as usize);
                 statistic(&drawn)
             })
@@ -211,10 +211,10 @@ fn draw_units(
     Ok(Bootstrap { estimate, interval, kind, unit, n_units, few_units: n_units < FEW_UNITS, n_rows, n_resamples, seed })
 }
 
-/// Which quantiles of the resamples bound the BCa interval: `Φ(z₀ + (z₀ + z) / (1 - a (z₀ + z)))` at both tails.
+/// The quantiles of the resamples that bound the BCa interval: `Φ(z₀ + (z₀ + z) / (1 - a (z₀ + z)))` at both tails.
 ///
-/// `z₀` is the normal quantile of the share of resamples under the estimate, `a = Σd³ / 6(Σd²)^1.5` with `d` the mean of
-/// the statistics with one unit left out less each of them.
+/// `z₀` is the normal quantile of the share of resamples below the estimate, `a = Σd³ / 6(Σd²)^1.5` with `d` the differences
+/// between the mean of the leave-one-out statistics and each of them.
 fn bias_corrected(estimate: f64, resampled: &[f64], left_out: &[f64], tail: f64) -> Result<[f64; 2], NoInterval> {
     let n_resamples = resampled.len();
     let n_failed = left_out.iter().filter(|s| !s.is_finite()).count();

@@ -1,4 +1,4 @@
-//! Whether one quantity follows another.
+//! Correlation of two quantities.
 
 use serde::Serialize;
 
@@ -19,16 +19,16 @@ pub struct Correlation {
     pub r: f64,
     /// Two-sided p against no correlation: Student's t of `r √((n-2)/(1-r²))` with n - 2 degrees of freedom.
     pub p: f64,
-    /// Interval by Fisher's z, or why there is none.
+    /// Interval by Fisher's z, or the reason why there is none.
     #[serde(serialize_with = "or_reason")]
     pub interval: Result<Interval, NoInterval>,
 }
 
-/// Pearson's correlation: how close the rows lie to a line.
+/// Pearson's correlation: how close the rows are to a line.
 ///
 /// `r = Σ(x-x̄)(y-ȳ) / √(Σ(x-x̄)² Σ(y-ȳ)²)`; interval `tanh(atanh r ± z/√(n-3))`, from 4 rows on.
 ///
-/// p and interval take rows as independent; where they are not, use [`crate::bootstrap_rows`].
+/// p and interval assume independent rows; otherwise use [`crate::bootstrap_rows`].
 ///
 /// # Errors
 /// [`StatisticsError::TooFew`] with fewer than 3 rows, [`StatisticsError::Lengths`], [`StatisticsError::NotFinite`],
@@ -41,9 +41,9 @@ pub fn pearson(x: &[f64], y: &[f64], level: f64) -> Result<Correlation, Statisti
     Ok(correlation(x, y, level, |_| 1.0))
 }
 
-/// Spearman's rank correlation: how steadily one quantity rises or falls with the other, along a line or not.
+/// Spearman's rank correlation: how monotonically one quantity depends on the other.
 ///
-/// Pearson's r of the ranks, equal values sharing the mean of theirs; p as Pearson's, and an interval
+/// Pearson's r of the ranks, with mean ranks for ties; p as Pearson's, and an interval
 /// `tanh(atanh r ± z √((1 + r²/2)/(n-3)))`, from 4 rows on.
 ///
 /// # Errors
@@ -70,7 +70,7 @@ fn checked(x: &[f64], y: &[f64], level: f64) -> Result<(), StatisticsError> {
 /// Pearson's r with an interval whose variance in z is `scale(r) / (n - 3)`.
 fn correlation(x: &[f64], y: &[f64], level: f64, scale: fn(f64) -> f64) -> Correlation {
     let n = x.len();
-    // By size, so that the order of the rows changes no bit.
+    // Sorted, so that the sums do not depend on the order of the rows.
     let mut rows: Vec<(f64, f64)> = x.iter().copied().zip(y.iter().copied()).collect();
     rows.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let (x, y): (Vec<f64>, Vec<f64>) = rows.into_iter().unzip();
@@ -82,7 +82,7 @@ fn correlation(x: &[f64], y: &[f64], level: f64, scale: fn(f64) -> f64) -> Corre
         xy += x * y;
     }
     let r = xy / (xx.sqrt() * yy.sqrt());
-    // What rounding leaves of a line is a line.
+    // Rounding errors may exceed ±1.
     let r = if 1.0 - r.abs() < n as f64 * f64::EPSILON { r.signum() } else { r };
     let df = n - 2;
     let p = 2.0 * t_above(r.abs() * (df as f64 / ((1.0 - r) * (1.0 + r))).sqrt(), df);

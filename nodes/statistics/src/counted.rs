@@ -1,4 +1,4 @@
-//! How many there are of something, in words.
+//! Counts with their nouns.
 
 /// `1 bone`, `3 bones`.
 pub fn counted(n: usize, name: &str) -> String {
@@ -23,7 +23,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_is_told_from_several() {
+    fn one_is_singular_and_several_are_plural() {
         assert_eq!(counted(1, "bone"), "1 bone");
         assert_eq!(counted(0, "bone"), "0 bones");
         assert_eq!(

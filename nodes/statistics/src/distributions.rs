@@ -1,4 +1,4 @@
-//! The distributions of `statrs`, by the few questions asked here.
+//! The quantiles and probabilities needed here, by `statrs`.
 
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
 
@@ -17,17 +17,17 @@ pub(crate) fn two_sided_z(level: f64) -> f64 {
     normal_quantile(0.5 + level / 2.0)
 }
 
-/// The same of Student's t with `df` degrees of freedom.
+/// The quantile of Student's t with `df` degrees of freedom that leaves `(1 - level) / 2` on each side.
 pub(crate) fn two_sided_t(level: f64, df: usize) -> f64 {
     students_t(df).inverse_cdf(0.5 + level / 2.0)
 }
 
-/// Probability of Student's t above `t`.
+/// Probability that Student's t exceeds `t`.
 pub(crate) fn t_above(t: f64, df: usize) -> f64 {
     students_t(df).sf(t)
 }
 
-/// The value that chi-squared with `df` degrees of freedom stays under with probability `p`.
+/// The quantile of chi-squared with `df` degrees of freedom at probability `p`.
 pub(crate) fn chi_squared_quantile(p: f64, df: usize) -> f64 {
     ChiSquared::new(df as f64).expect("df is at least 1").inverse_cdf(p)
 }

@@ -1,37 +1,37 @@
-//! Why a statistic could not be computed.
+//! Errors of all statistics.
 
 use thiserror::Error;
 
-/// Why a statistic could not be computed.
+/// The reason why a statistic could not be computed.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum StatisticsError {
     /// Fewer values, pairs or units than the statistic needs.
     #[error("{found} {what}, at least {needed} needed; measure more, or report the single values")]
     TooFew {
-        /// What is counted.
+        /// The kind of things counted.
         what: String,
-        /// How many there are.
+        /// Their number.
         found: usize,
-        /// How many the statistic needs.
+        /// The number needed.
         needed: usize,
     },
     /// A value is NaN or infinite.
     #[error("value {index} is {value}; leave rows without a number out, and say how many they were")]
     NotFinite {
-        /// Its place in the column, from 0.
+        /// Its index in the column.
         index: usize,
         /// The value.
         value: f64,
     },
-    /// A statistic handed to the bootstrap is NaN or infinite for all rows.
+    /// A statistic passed to the bootstrap is NaN or infinite for all rows.
     #[error("the statistic of all {n_rows} rows is {value}; can it be computed from so few or such equal values?")]
     Statistic {
         /// Rows of the table.
         n_rows: usize,
-        /// What the statistic gave.
+        /// The value of the statistic.
         value: f64,
     },
-    /// Two columns that belong together have different lengths.
+    /// Two paired columns have different lengths.
     #[error("one column has {left} rows, the other {right}; give both for the same rows")]
     Lengths {
         /// Rows of the first column.
@@ -42,40 +42,40 @@ pub enum StatisticsError {
     /// All values are equal, so there is no spread to compare with.
     #[error("all {n} {what} are {value}, without any spread; state that instead of a test")]
     Constant {
-        /// What is equal.
+        /// The kind of values.
         what: &'static str,
-        /// How many there are.
+        /// Their number.
         n: usize,
         /// The value.
         value: f64,
     },
-    /// A level, alpha or p-value that does not lie between 0 and 1.
+    /// A level, alpha or p-value is not between 0 and 1.
     #[error("{name} is {value}, but must lie between 0 and {below}; 95 % is 0.95")]
     OutOfRange {
-        /// Which number.
+        /// The parameter.
         name: &'static str,
-        /// The number.
+        /// Its value.
         value: f64,
-        /// What it must not exceed.
+        /// The upper bound.
         below: f64,
     },
     /// The margin of equivalence is not a positive number.
     #[error("the margin of equivalence is {0}; state the largest difference that does not matter, above 0")]
     Margin(f64),
-    /// More hits than rows.
+    /// There are more hits than rows.
     #[error("{n_hits} hits in {n} rows; a share counts hits among rows")]
     Hits {
-        /// Rows counted as hits.
+        /// Number of hits.
         n_hits: usize,
-        /// All rows.
+        /// Number of rows.
         n: usize,
     },
-    /// A row names more or fewer units than there are levels.
+    /// A row has more or fewer labels than there are levels.
     #[error("row {row} names {found} units for the levels {levels}; give one label for each level")]
     Path {
-        /// The row, from 0.
+        /// Index of the row.
         row: usize,
-        /// Labels it has.
+        /// Number of its labels.
         found: usize,
         /// The levels, highest first.
         levels: String,
@@ -91,7 +91,7 @@ impl StatisticsError {
         if found >= needed { Ok(()) } else { Err(Self::TooFew { what: what.into(), found, needed }) }
     }
 
-    /// `Err` at the first value that is no number.
+    /// `Err` at the first value that is not finite.
     pub(crate) fn not_finite(values: &[f64]) -> Result<(), Self> {
         match values.iter().position(|v| !v.is_finite()) {
             None => Ok(()),
@@ -104,7 +104,7 @@ impl StatisticsError {
         if left == right { Ok(()) } else { Err(Self::Lengths { left, right }) }
     }
 
-    /// `Err` if `value` does not lie strictly between 0 and `below`.
+    /// `Err` if `value` is not strictly between 0 and `below`.
     pub(crate) fn out_of_range(name: &'static str, value: f64, below: f64) -> Result<(), Self> {
         if value > 0.0 && value < below { Ok(()) } else { Err(Self::OutOfRange { name, value, below }) }
     }

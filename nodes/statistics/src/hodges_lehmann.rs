@@ -1,14 +1,14 @@
-//! The shift that a signed-rank test is about.
+//! The location estimate of the signed-rank test.
 
 use crate::StatisticsError;
 
 /// Hodges-Lehmann estimate of the middle of a symmetric sample: the median of the means of all pairs `i ≤ j`.
 ///
-/// The estimate that belongs to [`crate::wilcoxon`]. Zeros count, as differences that were measured. Exact, `O(n log n)`
-/// and 64 passes: the pairs are counted, never listed.
+/// The estimate that belongs to [`crate::wilcoxon`], with zeros included. Exact, `O(n log n)` and 64 passes: the pairs are
+/// counted but never listed.
 ///
 /// # Errors
-/// [`StatisticsError::TooFew`] if there is none, [`StatisticsError::NotFinite`] if a value is NaN or infinite.
+/// [`StatisticsError::TooFew`] without values, [`StatisticsError::NotFinite`] if a value is NaN or infinite.
 ///
 /// # Source
 /// Hodges & Lehmann 1963, Annals of Mathematical Statistics 34:598-611.
@@ -22,7 +22,7 @@ pub fn hodges_lehmann(values: &[f64]) -> Result<f64, StatisticsError> {
     Ok(if n_pairs % 2 == 1 { upper } else { (nth_pair(&halves, n_pairs / 2 - 1) + upper) / 2.0 })
 }
 
-/// The `n`-th smallest sum of a pair, from 0: the smallest number that more than `n` sums do not exceed.
+/// The `n`-th smallest sum of a pair, from 0: the smallest number with more than `n` sums that are at most as large.
 fn nth_pair(sorted: &[f64], n: usize) -> f64 {
     let largest = sorted.len() - 1;
     let (mut low, mut high) = (key(2.0 * sorted[0]), key(2.0 * sorted[largest]));
@@ -53,7 +53,7 @@ fn n_up_to(sorted: &[f64], limit: f64) -> usize {
     n
 }
 
-/// Whole numbers in the order of the floating-point ones, so that halving between two ends at the next number.
+/// Integers in the order of the floating-point numbers, so that bisection ends at adjacent numbers.
 fn key(x: f64) -> u64 {
     let bits = (x + 0.0).to_bits();
     if bits >> 63 == 1 { !bits } else { bits | 1 << 63 }

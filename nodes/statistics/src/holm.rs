@@ -1,12 +1,12 @@
-//! Several tests at once.
+//! Correction for multiple tests.
 
 use crate::StatisticsError;
 
 /// Holm's correction: p-values to be compared with alpha when several tests are made, in the order given.
 ///
 /// With m p-values in ascending order, the k-th (from 0) becomes `(m - k) p`, at most 1, and never less than the one
-/// before. The chance of any false finding among all m is then at most alpha, whatever hangs together. Give it all tests
-/// that were made, not those that came out well.
+/// before. The probability of any false positive among all m is then at most alpha, whatever their dependence. Pass all tests
+/// that were made, not only the significant ones.
 ///
 /// # Errors
 /// [`StatisticsError::OutOfRange`] if one is not within 0 to 1.
@@ -32,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_no_p_value_is_refused() {
+    fn a_p_value_outside_0_to_1_is_refused() {
         assert!(matches!(holm(&[0.1, f64::NAN]), Err(StatisticsError::OutOfRange { .. })));
         assert!(matches!(holm(&[1.2]), Err(StatisticsError::OutOfRange { .. })));
         assert_eq!(holm(&[]), Ok(vec![]));

@@ -1,12 +1,12 @@
-//! A confidence interval, or why there is none.
+//! Confidence intervals.
 
 use serde::{Serialize, Serializer, ser::SerializeMap};
 use thiserror::Error;
 
-/// A two-sided confidence interval, in the unit of what it is about.
+/// A two-sided confidence interval, in the unit of its estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Interval {
-    /// The share of repetitions of the whole experiment in which such an interval holds the true value: 0.95.
+    /// The share of repetitions of the experiment in which such an interval contains the true value: 0.95.
     pub level: f64,
     /// Lower end.
     pub low: f64,
@@ -14,35 +14,35 @@ pub struct Interval {
     pub high: f64,
 }
 
-/// Why an estimate has no interval.
+/// The reason why an estimate has no interval.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum NoInterval {
-    /// All rows belong to one unit of the highest level, so nothing shows how units differ.
+    /// All rows belong to one unit of the highest level, so the spread between units is unknown.
     #[error("n = 1 {unit}: one {unit} does not show how others differ; measure a second one")]
     OneUnit {
         /// Name of the highest level.
         unit: String,
     },
-    /// The statistic was no number in some resamples.
+    /// The statistic was not finite in some resamples.
     #[error("the statistic is no number in {n_failed} of {n_resamples} resamples; there are too few units for it")]
     NotFinite {
-        /// Resamples without a number.
+        /// Number of resamples without a finite value.
         n_failed: usize,
-        /// All resamples.
+        /// Number of resamples.
         n_resamples: usize,
     },
-    /// All resamples lie on one side of the estimate, so that its bias cannot be corrected.
+    /// All resamples are on one side of the estimate, so its bias cannot be corrected.
     #[error("all {n_resamples} resamples lie on one side of the estimate; take the percentile interval")]
     OneSided {
-        /// All resamples.
+        /// Number of resamples.
         n_resamples: usize,
     },
-    /// Fewer rows than the interval needs.
+    /// There are fewer rows than the interval needs.
     #[error("{found} rows, at least {needed} needed for an interval")]
     TooFewRows {
-        /// Rows there are.
+        /// Number of rows.
         found: usize,
-        /// Rows needed.
+        /// Number of rows needed.
         needed: usize,
     },
     /// The correlation is 1 or -1, where Fisher's z is infinite.
@@ -50,7 +50,7 @@ pub enum NoInterval {
     OnALine,
 }
 
-/// The interval as `{level, low, high}`, or `{no_interval: why}`.
+/// Serializes the interval as `{level, low, high}`, or as `{no_interval: reason}`.
 pub(crate) fn or_reason<S: Serializer>(interval: &Result<Interval, NoInterval>, to: S) -> Result<S::Ok, S::Error> {
     match interval {
         Ok(interval) => interval.serialize(to),

@@ -1,33 +1,33 @@
-//! What a publication of registration experiments counts and tests: plain functions on columns of numbers.
+//! Statistics for publications of registration experiments: plain functions on columns of numbers.
 //!
-//! A table of experiments has a row for each thing measured: the error at a point, of a procedure, on a bone. Rows of
-//! one procedure share its tracker and its start, rows of one bone share its shape, so they are not independent, and a
-//! thousand of them on one bone say nothing about other bones. Each column of values therefore comes with [`Units`]:
-//! which bone, which procedure, which point a row belongs to, highest level first. **n is the number of units at the
-//! highest level**: 200 starts on one scan of one bone are n = 1 bone.
+//! A table of experiments has a row for each measured value: the error at a point, in a procedure, on a bone. Rows of one
+//! procedure share its tracker and its start, rows of one bone share its shape, so they are not independent, and a thousand
+//! of them on one bone say nothing about other bones. Each column of values therefore comes with [`Units`]: the bone,
+//! procedure and point of each row, highest level first. **n is the number of units at the highest level**: 200 starts on
+//! one scan of one bone are n = 1 bone.
 //!
-//! | You ask | You call |
+//! | Question | Function |
 //! |---|---|
 //! | how large are the errors? | [`Summary::of`] |
-//! | how sure is that number, for other bones? | [`bootstrap_mean`], [`bootstrap`], [`bootstrap_rows`] |
-//! | which share lies under 2 mm? | [`wilson_clustered`], [`wilson`] for independent rows |
+//! | how certain is that number, for other bones? | [`bootstrap_mean`], [`bootstrap`], [`bootstrap_rows`] |
+//! | what share is below 2 mm? | [`wilson_clustered`], [`wilson`] for independent rows |
 //! | is A better than B on the same procedures? | [`wilcoxon`], then [`holm`] over all pairs compared |
-//! | are A and B the same, for all that matters? | [`tost`] with a margin stated beforehand |
-//! | how far do two methods lie apart for one measurement? | [`bland_altman`], [`bland_altman_repeated`] |
+//! | are A and B equivalent? | [`tost`] with a margin stated beforehand |
+//! | how well do two methods agree on one measurement? | [`bland_altman`], [`bland_altman_repeated`] |
 //! | how well does a measurement repeat? | [`repeatability`] |
-//! | does the error follow a cause? | [`pearson`], [`spearman`] |
+//! | does the error depend on a cause? | [`pearson`], [`spearman`] |
 //!
-//! Tests and correlations take each row as independent. Where rows repeat within a unit, [`unit_means`] gives one value
-//! for each unit first.
+//! Tests and correlations assume independent rows. If rows repeat within a unit, compute one value per unit with
+//! [`unit_means`] first.
 //!
-//! What cannot be computed is a [`StatisticsError`]. An estimate whose interval cannot be computed keeps its value and
-//! says why there is no interval ([`NoInterval`]), so that a table can print both. Numbers that are NaN or infinite are
-//! refused: a run that failed has no error in mm; it counts in a share, as a row that is not under the limit.
+//! What cannot be computed is a [`StatisticsError`]. An estimate whose interval cannot be computed keeps its value together
+//! with the reason ([`NoInterval`]), so that a table can print both. NaN and infinite values are refused: a run that failed
+//! has no error in mm; it counts in a share, as a row that is not below the limit.
 //!
-//! Nothing here reads a file or a clock. Draws come from ChaCha8 with the seed that is given, and sums run in an order
-//! that does not hang on that of the rows, so the same table gives the same answer; p-values pass through the
-//! platform's `ln` and `exp`, which may differ in the last digit. Distributions are those of the crate `statrs`; the
-//! known answers of the tests come from scipy and statsmodels (`tests/golden.py`).
+//! Nothing here reads a file or a clock. Random draws come from ChaCha8 with the given seed, and sums do not depend on the
+//! order of the rows, so the same table gives the same answer; p-values pass through the platform's `ln` and `exp`, which may
+//! differ in the last digit. Distributions are those of the crate `statrs`; the known answers of the tests come from scipy
+//! and statsmodels (`tests/golden.py`).
 //!
 //! ```
 //! use osteoflow_statistics::{BootstrapParams, NoInterval, Summary, Units, bootstrap_mean, wilson_clustered};
@@ -41,7 +41,7 @@
 //! let summary = Summary::of(&error_z_mm)?;
 //! assert!((summary.mean - 0.833).abs() < 1e-3 && (summary.rms - 1.194).abs() < 1e-3);
 //!
-//! // Drawn are bones, with all that was measured on them.
+//! // Bones are resampled, each with all its rows.
 //! let bias = bootstrap_mean(&units, &error_z_mm, &BootstrapParams::default())?;
 //! let interval = bias.interval.expect("three bones");
 //! assert!(interval.low < 0.1 && interval.high > 1.9);
@@ -51,7 +51,7 @@
 //! let share = wilson_clustered(&units, &under_2_mm, 0.95)?;
 //! assert_eq!((share.n_hits, share.n), (5, 6));
 //!
-//! // One bone: the share is known, but nothing says how other bones would do.
+//! // One bone: the share is known, but not how other bones differ.
 //! let one_bone = Units::new(&["bone", "procedure"], &paths[..2])?;
 //! let share = wilson_clustered(&one_bone, &under_2_mm[..2], 0.95)?;
 //! assert_eq!(share.share, 1.0);

@@ -1,8 +1,8 @@
-//! Quantiles, linear between neighbours.
+//! Quantiles by linear interpolation.
 
-/// The value that a share `q` of the sample lies under, linear between neighbours; reorders `values`. `O(n)`.
+/// The `q`-quantile of the sample by linear interpolation; reorders `values`. `O(n)`.
 ///
-/// With the sample sorted and counted from 0, the value at place `q (n - 1)`: rule 7 of Hyndman & Fan 1996 (The American
+/// With the sample sorted and counted from 0, the value at position `q (n - 1)`: rule 7 of Hyndman & Fan 1996 (The American
 /// Statistician 50:361-365), the default of numpy and R.
 ///
 /// # Panics
@@ -15,7 +15,7 @@ pub fn quantile(values: &mut [f64], q: f64) -> f64 {
     *low + place.fract() * (next - *low)
 }
 
-/// The middle value, or the mean of the two middle ones; reorders `values`. `O(n)`.
+/// The median, which is the mean of the two middle values of an even number; reorders `values`. `O(n)`.
 ///
 /// # Panics
 /// If `values` is empty.

@@ -1,6 +1,6 @@
-//! Ranks of values, equal values sharing theirs.
+//! Ranks of values.
 
-/// Ranks from 1, equal values getting the mean of theirs, and the sizes of groups of equal values.
+/// Ranks from 1, with mean ranks for ties, and the sizes of the groups of equal values.
 pub(crate) fn ranks(values: &[f64]) -> (Vec<f64>, Vec<usize>) {
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_unstable_by(|a, b| values[*a].total_cmp(&values[*b]));

@@ -1,4 +1,4 @@
-//! How well a measurement repeats.
+//! Repeatability of a measurement.
 
 use std::collections::BTreeMap;
 
@@ -6,37 +6,37 @@ use serde::Serialize;
 
 use crate::{StatisticsError, anova::OneWay, bland_altman::NORMAL_95};
 
-/// How well a measurement repeats within groups, against how groups differ.
+/// Spread of a measurement within groups and between them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Repeatability {
-    /// Rows.
+    /// Number of rows.
     pub n: usize,
-    /// Groups.
+    /// Number of groups.
     pub n_groups: usize,
-    /// Group size that stands for unequal ones, `(N - Σmᵢ²/N) / (G - 1)`.
+    /// Effective group size, `(N - Σmᵢ²/N) / (G - 1)`.
     pub n0: f64,
     /// Standard deviation within groups, `s_w = √MSW`, with `MSW = Σ(xᵢⱼ - x̄ᵢ)² / (N - G)`.
     pub sd_within: f64,
     /// Standard deviation between the true values of groups, `√((MSB - MSW) / n0)`, with
-    /// `MSB = Σmᵢ(x̄ᵢ - x̄)² / (G - 1)`; 0 where chance makes the difference negative.
+    /// `MSB = Σmᵢ(x̄ᵢ - x̄)² / (G - 1)`; 0 if the difference is negative.
     pub sd_between: f64,
     /// Repeatability coefficient `1.96 √2 s_w`: two measurements in one group differ by less in 95 % of cases.
     pub coefficient: f64,
-    /// Share of the variance that lies between groups, ICC(1,1) `= (MSB - MSW) / (MSB + (n0 - 1) MSW)`. Negative where
-    /// groups differ less than chance would have it.
+    /// Share of the variance between groups, ICC(1,1) `= (MSB - MSW) / (MSB + (n0 - 1) MSW)`. Negative if groups differ less than
+    /// expected by chance.
     pub icc: f64,
 }
 
 /// Spread within and between groups by one-way random-effects analysis of variance.
 ///
-/// `group_of` says for each row which group it belongs to, and so what is asked:
+/// `group_of` is the group of each row and determines the question:
 ///
-/// - **SD within points**: a group is one point of one bone, its rows the procedures that measured it. How far the error
-///   at the same point scatters from procedure to procedure: what repeating the whole procedure gives.
-/// - **SD within procedures**: a group is one procedure, its rows the points. How far the errors of one procedure differ
-///   from point to point, without what shifts them all alike: a turn of the bone shows here, a slide does not.
+/// - **SD within points**: a group is one point of one bone, its rows are the procedures that measured it. The spread of the
+///   error at the same point from procedure to procedure, as when the whole procedure is repeated.
+/// - **SD within procedures**: a group is one procedure, its rows are the points. The spread of the errors of one procedure
+///   from point to point, without a common shift: a rotation of the bone shows here, a slide does not.
 ///
-/// Groups may differ in size; one of a single row says nothing of the spread within. `O(n log n)`.
+/// Groups may differ in size; one with a single row has no spread within. `O(n log n)`.
 ///
 /// # Errors
 /// [`StatisticsError::TooFew`] with fewer than two groups or without any group of two rows,

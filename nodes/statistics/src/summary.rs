@@ -1,23 +1,23 @@
-//! What one column of errors comes to.
+//! Summary statistics of a column.
 
 use serde::Serialize;
 
 use crate::{StatisticsError, quantile};
 
-/// What one column of errors comes to, in the unit of its values.
+/// Summary statistics of a column, in the unit of its values.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Summary {
-    /// Rows. Not the n of a claim about other bones: that is the number of units at the highest level.
+    /// Number of rows. Not the n of a statement about other bones: that is the number of units at the highest level.
     pub n: usize,
-    /// `Σx / n`: the **bias**, where the values are signed.
+    /// `Σx / n`: the **bias**, if the values are signed.
     pub mean: f64,
-    /// `√(Σ(x - mean)² / (n - 1))`; none for a single row, which has no spread.
+    /// `√(Σ(x - mean)² / (n - 1))`; `None` for a single row.
     pub sd: Option<f64>,
     /// `√(Σx² / n)`: bias and spread in one number.
     pub rms: f64,
-    /// The middle value.
+    /// The median.
     pub median: f64,
-    /// What 95 % of the rows lie under, linear between neighbours ([`quantile`]).
+    /// The 95 % quantile, by linear interpolation ([`quantile`]).
     pub p95: f64,
     /// Smallest value.
     pub min: f64,
@@ -28,7 +28,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Summary of a column; the order of its rows changes no bit. `O(n log n)`.
+    /// Summary of a column; independent of the order of its rows to the last bit. `O(n log n)`.
     ///
     /// # Errors
     /// [`StatisticsError::TooFew`] if it is empty, [`StatisticsError::NotFinite`] if a value is NaN or infinite.
@@ -36,7 +36,7 @@ impl Summary {
         StatisticsError::too_few("values", values.len(), 1)?;
         StatisticsError::not_finite(values)?;
         let mut values = values.to_vec();
-        // Sums in the order of size are the same whichever run finished first.
+        // Sums of sorted values do not depend on which run finished first.
         values.sort_unstable_by(f64::total_cmp);
         let n = values.len();
         let mean = mean(&values);
@@ -55,12 +55,12 @@ impl Summary {
     }
 }
 
-/// Arithmetic mean of values that are there.
+/// Arithmetic mean; `values` is not empty.
 pub(crate) fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Standard deviation with `n - 1`, of two values or more.
+/// Standard deviation with `n - 1`, of at least two values.
 pub(crate) fn sd(values: &[f64]) -> f64 {
     let mean = mean(values);
     (values.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (values.len() - 1) as f64).sqrt()

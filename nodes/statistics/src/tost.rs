@@ -1,4 +1,4 @@
-//! Whether two methods are the same, for all that matters.
+//! Equivalence of two methods.
 
 use serde::Serialize;
 
@@ -11,15 +11,15 @@ use crate::{
 /// Two one-sided tests of paired differences against a margin.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Tost {
-    /// Pairs.
+    /// Number of pairs.
     pub n: usize,
     /// Mean difference.
     pub mean: f64,
     /// Standard deviation of the differences, with n - 1.
     pub sd: f64,
-    /// The margin that was stated, in the unit of the differences.
+    /// The margin, in the unit of the differences.
     pub margin: f64,
-    /// Level of the test.
+    /// Significance level.
     pub alpha: f64,
     /// p against "the mean difference is -margin or less".
     pub p_lower: f64,
@@ -27,7 +27,7 @@ pub struct Tost {
     pub p_upper: f64,
     /// The larger of the two: p against "they differ by the margin or more".
     pub p: f64,
-    /// `p < alpha`, which is when `interval` lies within the margin.
+    /// `p < alpha`, which is equivalent to `interval` being within the margin.
     pub equivalent: bool,
     /// Interval of the mean difference at level `1 - 2 alpha`.
     pub interval: Interval,
@@ -36,8 +36,8 @@ pub struct Tost {
 /// Equivalence of two methods by two one-sided t tests on their paired differences.
 ///
 /// `t = (mean ± margin) / (sd / √n)` with `n - 1` degrees of freedom. The margin is the largest difference that does not
-/// matter, stated before the data are seen. Not equivalent does not mean different: the interval says which.
-/// Differences are taken as independent: [`crate::unit_means`] first where they repeat within units.
+/// matter, stated before the data are seen. Not equivalent does not mean different: the interval shows which.
+/// Assumes independent differences: use [`crate::unit_means`] first if they repeat within units.
 ///
 /// # Errors
 /// [`StatisticsError::TooFew`] with fewer than two differences, [`StatisticsError::NotFinite`],
@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn equivalent_is_when_the_interval_lies_within_the_margin() {
+    fn methods_are_equivalent_if_the_interval_is_within_the_margin() {
         let differences = [0.10, -0.05, 0.02, 0.07, 0.01, -0.03, 0.04];
         let within = |margin: f64| {
             let test = tost(&differences, margin, 0.05).unwrap();

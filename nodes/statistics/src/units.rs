@@ -1,4 +1,4 @@
-//! Which bone, procedure and point each row belongs to.
+//! The bone, procedure and point of each row.
 
 use std::collections::BTreeSet;
 
@@ -6,10 +6,10 @@ use serde::Serialize;
 
 use crate::{StatisticsError, summary::mean};
 
-/// Which unit of each level the rows of a table belong to, highest level first: `bone > procedure > point`.
+/// The unit of each level that the rows of a table belong to, highest level first: `bone > procedure > point`.
 ///
-/// A unit is its whole path: procedure 1 on bone A is not procedure 1 on bone B. Units are numbered in the order of their
-/// labels, whatever the order of the rows.
+/// A unit is identified by its whole path: procedure 1 on bone A is not procedure 1 on bone B. Units are numbered in the order
+/// of their labels, whatever the order of the rows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Units {
     levels: Vec<Level>,
@@ -26,10 +26,10 @@ struct Level {
 }
 
 impl Units {
-    /// Units from the names of the levels and the path of each row, one label a level. `O(n log n)`.
+    /// Units from the names of the levels and the path of each row, with one label per level. `O(n log n)`.
     ///
     /// # Errors
-    /// [`StatisticsError::NoLevel`] without a level, [`StatisticsError::Path`] if a row has not one label for each.
+    /// [`StatisticsError::NoLevel`] without a level, [`StatisticsError::Path`] if a row does not have one label per level.
     pub fn new<N: AsRef<str>, L: AsRef<str>, P: AsRef<[L]>>(names: &[N], paths: &[P]) -> Result<Self, StatisticsError> {
         let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
         if names.is_empty() {
@@ -57,7 +57,7 @@ impl Units {
         Ok(Self { levels: levels.collect(), n_rows: rows.len() })
     }
 
-    /// Rows that are units of their own, such as runs that share nothing: `Units::each_row("procedure", 10)`.
+    /// Each row is a unit, such as runs that share nothing: `Units::each_row("procedure", 10)`.
     pub fn each_row(name: &str, n_rows: usize) -> Self {
         let paths = (0..n_rows).map(|row| vec![row.to_string()]).collect();
         Self { levels: vec![Level { name: name.into(), paths, unit_of: (0..n_rows).collect() }], n_rows }
@@ -73,7 +73,7 @@ impl Units {
         self.levels.iter().map(|level| level.name.as_str())
     }
 
-    /// Number of units at each level, highest first. The first is the n of a claim about other units.
+    /// Number of units at each level, highest first. The first is the n of a statement about other units.
     pub fn n_units(&self) -> Vec<usize> {
         self.levels.iter().map(|level| level.paths.len()).collect()
     }
@@ -83,12 +83,12 @@ impl Units {
         &self.levels[0].name
     }
 
-    /// Labels of the highest level's units, in their order.
+    /// Labels of the highest level's units, in order.
     pub fn labels(&self) -> impl Iterator<Item = &str> {
         self.levels[0].paths.iter().map(|path| path[0].as_str())
     }
 
-    /// The unit of each row at level `depth` (0 is the highest), as a number that counts the units in order.
+    /// The index of each row's unit at level `depth` (0 is the highest).
     ///
     /// # Panics
     /// If there is no such level.
@@ -96,8 +96,8 @@ impl Units {
         &self.levels[depth].unit_of
     }
 
-    /// `column` parted by the units of the highest level, in their order.
-    pub(crate) fn part<T: Copy>(&self, column: &[T]) -> Result<Vec<Vec<T>>, StatisticsError> {
+    /// Splits `column` by the units of the highest level, in order.
+    pub(crate) fn split<T: Copy>(&self, column: &[T]) -> Result<Vec<Vec<T>>, StatisticsError> {
         StatisticsError::lengths(self.n_rows, column.len())?;
         let mut parts = vec![Vec::new(); self.levels[0].paths.len()];
         for (unit, value) in self.unit_of(0).iter().zip(column) {
@@ -106,36 +106,36 @@ impl Units {
         Ok(parts)
     }
 
-    /// The same for numbers, sorted within each unit, so that no sum hangs on the order of the rows.
-    pub(crate) fn part_sorted(&self, values: &[f64]) -> Result<Vec<Vec<f64>>, StatisticsError> {
+    /// Splits a column of numbers and sorts them within each unit, so that sums do not depend on the order of the rows.
+    pub(crate) fn split_sorted(&self, values: &[f64]) -> Result<Vec<Vec<f64>>, StatisticsError> {
         StatisticsError::not_finite(values)?;
-        let mut parts = self.part(values)?;
+        let mut parts = self.split(values)?;
         parts.iter_mut().for_each(|part| part.sort_unstable_by(f64::total_cmp));
         Ok(parts)
     }
 }
 
-/// One value for each unit of the highest level: the mean of its rows.
+/// The mean of the rows of each unit of the highest level.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct UnitMeans {
-    /// What a unit is: the name of the highest level.
+    /// Name of the highest level.
     pub unit: String,
-    /// Rows before averaging.
+    /// Number of rows before averaging.
     pub n_rows: usize,
-    /// Label of each unit, in their order.
+    /// Label of each unit, in order.
     pub labels: Vec<String>,
     /// Mean of each unit's rows. Their number is the n of a test on them.
     pub means: Vec<f64>,
 }
 
-/// Averages the rows within each unit of the highest level, for tests that take each value as independent.
+/// Averages the rows within each unit of the highest level, for tests that assume independent values.
 ///
-/// Of paired rows, average the differences: pairs then stay pairs.
+/// For paired rows, average the differences, so that the pairs are kept.
 ///
 /// # Errors
 /// [`StatisticsError::Lengths`] or [`StatisticsError::NotFinite`].
 pub fn unit_means(units: &Units, values: &[f64]) -> Result<UnitMeans, StatisticsError> {
-    let means = units.part_sorted(values)?.iter().map(|part| mean(part)).collect();
+    let means = units.split_sorted(values)?.iter().map(|part| mean(part)).collect();
     let labels = units.labels().map(String::from).collect();
     Ok(UnitMeans { unit: units.highest().into(), n_rows: units.n_rows(), labels, means })
 }

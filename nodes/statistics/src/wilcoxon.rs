@@ -1,14 +1,14 @@
-//! Whether one method is better than another on the same cases.
+//! Paired test of whether one method gives larger values than another.
 
 use serde::Serialize;
 
 use crate::{StatisticsError, distributions::normal_cdf, hodges_lehmann, ranks::ranks};
 
-/// Which departure from "no difference" the test looks for.
+/// The alternative hypothesis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Alternative {
-    /// Either way.
+    /// The differences are not centred on zero.
     #[default]
     TwoSided,
     /// The differences tend to be negative.
@@ -23,18 +23,18 @@ pub enum WilcoxonMethod {
     /// Exact up to 50 differences without ties and zeros, up to 13 with them; normal beyond. The rule of scipy's "auto".
     #[default]
     Auto,
-    /// Over all ways to give the ranks their signs, ties and all. `O(n³)`: meant for n up to a few hundred.
+    /// Exact over all assignments of signs to the ranks, with ties. `O(n³)`: meant for n up to a few hundred.
     Exact,
     /// By the normal distribution, with the variance corrected for ties.
     Normal,
 }
 
-/// How to test.
+/// Parameters of the test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct WilcoxonParams {
-    /// Which departure is looked for; two-sided.
+    /// The alternative; two-sided.
     pub alternative: Alternative,
-    /// How p is computed; as scipy's "auto".
+    /// The method for p; as scipy's "auto".
     pub method: WilcoxonMethod,
     /// Moves the rank sum by half a rank towards its mean in the normal approximation; off.
     pub continuity: bool,
@@ -43,42 +43,42 @@ pub struct WilcoxonParams {
 /// Wilcoxon's signed-rank test of paired differences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Wilcoxon {
-    /// Differences given.
+    /// Number of differences.
     pub n: usize,
-    /// Of them zero, and left out of the test.
+    /// Number of differences that are zero and left out of the test.
     pub n_zeros: usize,
     /// Sum of the ranks of positive differences.
     pub w_plus: f64,
     /// Sum of the ranks of negative differences.
     pub w_minus: f64,
-    /// Which departure was looked for.
+    /// The alternative hypothesis.
     pub alternative: Alternative,
-    /// p was counted exactly, not approximated.
+    /// Whether p is exact rather than approximated.
     pub exact: bool,
     /// The p-value.
     pub p: f64,
     /// Effect size, matched-pairs rank-biserial correlation: `(w_plus - w_minus) / (w_plus + w_minus)`, from -1 (every
     /// difference negative) to 1.
     pub rank_biserial: f64,
-    /// Size of the difference in its own unit: [`hodges_lehmann`] of all differences, zeros too.
+    /// Size of the difference in its own unit: [`hodges_lehmann`] of all differences, including zeros.
     pub hodges_lehmann: f64,
 }
 
 /// Wilcoxon's signed-rank test: are paired differences centred on zero?
 ///
-/// The absolute differences are ranked, zeros left out, ties sharing their ranks, and the ranks of each sign summed.
-/// Exact: the share of all 2ⁿ ways to sign the ranks that give a rank sum as far out, doubled for two sides. Normal:
+/// The absolute differences are ranked without zeros, with mean ranks for ties, and the ranks of each sign are summed.
+/// Exact: the share of all 2ⁿ sign assignments with a rank sum at least as extreme, doubled for two sides. Normal:
 /// `z = (w_plus - n(n+1)/4) / √(n(n+1)(2n+1)/24 - Σ(t³-t)/48)` over groups of t ties.
 ///
-/// Differences are taken as independent: where they repeat within units, test [`crate::unit_means`].
+/// Assumes independent differences: if they repeat within units, test [`crate::unit_means`].
 ///
 /// # Errors
 /// [`StatisticsError::TooFew`] without differences, [`StatisticsError::NotFinite`], [`StatisticsError::Constant`] if all
 /// are zero.
 ///
 /// # Source
-/// Wilcoxon 1945, Biometrics Bulletin 1:80-83. Effect size: Kerby 2014, Comprehensive Psychology 3:11.IT.3.1. Exact with
-/// ties is over the ranks as they are, as scipy does up to 13 differences; scipy's `method="exact"` ignores ties.
+/// Wilcoxon 1945, Biometrics Bulletin 1:80-83. Effect size: Kerby 2014, Comprehensive Psychology 3:11.IT.3.1. The exact test
+/// uses the tied ranks, as scipy does up to 13 differences; scipy's `method="exact"` ignores ties.
 pub fn wilcoxon(differences: &[f64], params: &WilcoxonParams) -> Result<Wilcoxon, StatisticsError> {
     let hodges_lehmann = hodges_lehmann(differences)?;
     let signed: Vec<f64> = differences.iter().copied().filter(|d| *d != 0.0).collect();
@@ -87,7 +87,7 @@ pub fn wilcoxon(differences: &[f64], params: &WilcoxonParams) -> Result<Wilcoxon
         return Err(StatisticsError::Constant { what: "differences", n, value: 0.0 });
     }
     let (ranks, ties) = ranks(&signed.iter().map(|d| d.abs()).collect::<Vec<_>>());
-    // Ranks are halves of whole numbers, so that these sums are exact in any order.
+    // Ranks are multiples of one half, so these sums are exact in any order.
     let w_plus: f64 = ranks.iter().zip(&signed).filter(|(_, d)| **d > 0.0).map(|(rank, _)| rank).sum();
     let w_minus = ranks.iter().sum::<f64>() - w_plus;
     let plain = n_zeros == 0 && ties.len() == signed.len();
@@ -102,9 +102,9 @@ pub fn wilcoxon(differences: &[f64], params: &WilcoxonParams) -> Result<Wilcoxon
     Ok(Wilcoxon { n, n_zeros, w_plus, w_minus, alternative, exact, p, rank_biserial, hodges_lehmann })
 }
 
-/// p over all signs of the ranks.
+/// p over all sign assignments.
 fn exact_p(ranks: &[f64], w_plus: f64, alternative: Alternative) -> f64 {
-    // Twice a rank is whole, ties or not. The share of signings with each doubled sum, a rank at a time.
+    // Doubled ranks are integers even with ties. The share of assignments with each doubled sum, rank by rank.
     let doubled: Vec<usize> = ranks.iter().map(|rank| (2.0 * rank) as usize).collect();
     let mut shares = vec![0.0; doubled.iter().sum::<usize>() + 1];
     shares[0] = 1.0;
@@ -125,7 +125,7 @@ fn exact_p(ranks: &[f64], w_plus: f64, alternative: Alternative) -> f64 {
     }
 }
 
-/// p by the normal distribution.
+/// p by the normal approximation.
 fn normal_p(ties: &[usize], w_plus: f64, params: &WilcoxonParams) -> f64 {
     let n = ties.iter().sum::<usize>() as f64;
     let tied: f64 = ties.iter().map(|t| *t as f64).map(|t| t * t * t - t).sum();

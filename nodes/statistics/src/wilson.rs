@@ -1,4 +1,4 @@
-//! The share of rows under a limit, with an interval.
+//! The share of rows below a limit, with an interval.
 
 use serde::Serialize;
 
@@ -17,11 +17,11 @@ pub struct Share {
     pub n: usize,
     /// `n_hits / n`.
     pub share: f64,
-    /// Units of the highest level: the n of the interval.
+    /// Number of units of the highest level: the n of the interval.
     pub n_units: usize,
-    /// The number of independent rows that would know the share as well.
+    /// Effective sample size: the number of independent rows with the same information about the share.
     pub n_effective: f64,
-    /// Wilson's interval at `n_effective`, or why there is none.
+    /// Wilson's interval at `n_effective`, or the reason why there is none.
     #[serde(serialize_with = "or_reason")]
     pub interval: Result<Interval, NoInterval>,
 }
@@ -50,25 +50,25 @@ pub fn wilson(n_hits: usize, n: usize, level: f64) -> Result<Share, StatisticsEr
 
 /// Share of hits among rows of units, with Wilson's interval at the effective sample size.
 ///
-/// Rows of a unit are alike, so that they count for less than their number. With `mᵢ` rows and `xᵢ` hits in unit i of G
-/// at the highest level, `N = Σmᵢ` and `p = Σxᵢ/N`, the share varies between units by
-/// `v = G/(G-1) · Σ(xᵢ - p mᵢ)² / N²`, and `p(1-p)/v` independent rows would know it as well. As v itself is known from G
-/// units only, that is taken times `(z / t)²`, t with G - 1 degrees of freedom: `n_eff = p(1-p)/v · (z/t)²`, at most N.
-/// Where no row or every row is a hit, v says nothing, and each unit counts once: `n_eff = G`.
+/// Rows of a unit are correlated, so they count for less than their number. With `mᵢ` rows and `xᵢ` hits in unit i of G
+/// at the highest level, `N = Σmᵢ` and `p = Σxᵢ/N`, the variance of the share between units is
+/// `v = G/(G-1) · Σ(xᵢ - p mᵢ)² / N²`, which equals that of `p(1-p)/v` independent rows. As v itself is estimated from G units
+/// only, this number is multiplied by `(z / t)²`, t with G - 1 degrees of freedom: `n_eff = p(1-p)/v · (z/t)²`, at most N.
+/// If no row or every row is a hit, v is uninformative, and each unit counts once: `n_eff = G`.
 ///
 /// In 2,000 simulated tables of 20 rows a bone that correlate by 0.2, the 95 % interval held the true share in 94 to 95 %
 /// for 5, 8, 15 and 30 bones; without `(z / t)²` in 87, 90, 93 and 94 %, and with rows as independent in about 60 %.
 ///
-/// `hits` comes from the caller (`error.abs() <= limit`); a run that failed is no hit. With one unit there is no interval,
+/// `hits` comes from the caller (`error.abs() <= limit`); a run that failed is not a hit. With one unit there is no interval,
 /// unless that unit is a single row.
 ///
 /// # Errors
 /// As [`wilson`], and [`StatisticsError::Lengths`].
 ///
 /// # Source
-/// n_eff in place of n, and the factor for few units: Korn & Graubard 1998, Survey Methodology 24:193-201, and for Wilson's interval Franco, Little, Louis
-/// & Slud 2019, Journal of Survey Statistics and Methodology 7:334-364, who recommend it among seven; v: Cochran 1977,
-/// Sampling Techniques, 3rd ed., section 3.12.
+/// n_eff instead of n, and the factor for few units: Korn & Graubard 1998, Survey Methodology 24:193-201, and for Wilson's
+/// interval Franco, Little, Louis & Slud 2019, Journal of Survey Statistics and Methodology 7:334-364, who recommend it among
+/// seven; v: Cochran 1977, Sampling Techniques, 3rd ed., section 3.12.
 pub fn wilson_clustered(units: &Units, hits: &[bool], level: f64) -> Result<Share, StatisticsError> {
     let parts = units.part(hits)?;
     let mut share = wilson(hits.iter().filter(|hit| **hit).count(), hits.len(), level)?;
@@ -89,14 +89,14 @@ pub fn wilson_clustered(units: &Units, hits: &[bool], level: f64) -> Result<Shar
         let squares: f64 = parts.iter().map(|part| surplus(part).powi(2)).sum();
         let variance = n_units as f64 / (n_units as f64 - 1.0) * squares / (n * n);
         let few_units = (two_sided_z(level) / two_sided_t(level, n_units - 1)).powi(2);
-        // Units that are more alike than chance would have them do not make more rows than there are.
+        // Units that are more similar than expected by chance do not add rows.
         (p * (1.0 - p) / variance * few_units).min(n)
     };
     share.interval = Ok(score(p, share.n_effective, level));
     Ok(share)
 }
 
-/// Wilson's interval about the share `p` of `n` rows.
+/// Wilson's interval around the share `p` of `n` rows.
 fn score(p: f64, n: f64, level: f64) -> Interval {
     let z = two_sided_z(level);
     let middle = p + z * z / (2.0 * n);
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn where_every_row_is_a_hit_each_unit_counts_once() {
+    fn each_unit_counts_once_if_every_row_is_a_hit() {
         let paths: Vec<_> = (0..60).map(|row| [(row % 6).to_string()]).collect();
         let units = Units::new(&["bone"], &paths).unwrap();
         for hit in [false, true] {
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_share_is_refused() {
+    fn more_hits_than_rows_are_refused() {
         assert!(matches!(wilson(0, 0, 0.95), Err(StatisticsError::TooFew { .. })));
         assert_eq!(wilson(3, 2, 0.95), Err(StatisticsError::Hits { n_hits: 3, n: 2 }));
         assert!(matches!(wilson(1, 2, 95.0), Err(StatisticsError::OutOfRange { .. })));

@@ -1,4 +1,4 @@
-//! Known answers: what scipy, statsmodels and numpy say of the same data. `golden.py` printed them, nobody typed them.
+//! Known answers of scipy, statsmodels and numpy for the same data, printed by `golden.py`.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_statistics::*;
@@ -27,7 +27,7 @@ fn units(case: &Value) -> Units {
 #[track_caller]
 fn check(found: f64, expected: &Value, what: &str) {
     let expected = expected.as_f64().unwrap();
-    // Two libraries sum in different orders, and a p-value carries the digits that its quantile lost.
+    // Libraries sum in different orders, and a p-value loses digits in its quantile.
     let tolerance = 1e-14 + 1e-10 * expected.abs();
     assert!((found - expected).abs() <= tolerance, "{what}: {found:e}, scipy says {expected:e}");
 }
@@ -188,7 +188,7 @@ fn bootstrap_intervals_lie_where_scipys_do() {
         let (low, high) = (case["low"].as_f64().unwrap(), case["high"].as_f64().unwrap());
         let found = found.interval.unwrap();
         let off = (found.low - low).abs().max((found.high - high).abs()) / (high - low);
-        // Other draws: an end of 100,000 resamples is known to about 1 % of the width.
+        // Other random draws: an end of 100,000 resamples is known to about 1 % of the width.
         assert!(off < 0.02, "{} {}: {found:?}, scipy says {low} to {high}", case["statistic"], case["kind"]);
     }
 }

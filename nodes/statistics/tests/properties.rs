@@ -1,4 +1,4 @@
-//! What must hold of any table: the order of its rows, what clustering does to intervals, and how often they are right.
+//! Properties for any table: independence of the order of rows, effects of clustering, and coverage of intervals.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use std::time::Instant;
@@ -18,13 +18,13 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// Rows of `n_bones`, each with `n_rows`.
+/// `n_rows` rows for each of `n_bones`.
 fn bones(n_bones: usize, n_rows: usize) -> Units {
     let paths: Vec<_> = (0..n_bones * n_rows).map(|row| [format!("{:04}", row / n_rows)]).collect();
     Units::new(&["bone"], &paths).unwrap()
 }
 
-/// Errors of rows that share what their bone adds.
+/// Errors of rows with a common part for each bone.
 fn errors(rng: &mut ChaCha8Rng, n_bones: usize, n_rows: usize, sd_between: f64, sd_within: f64) -> Vec<f64> {
     let of_bone = |rng: &mut ChaCha8Rng| {
         let shift = sd_between * normal(rng);
@@ -84,7 +84,7 @@ fn the_same_seed_draws_the_same_and_another_nearly_the_same() {
         let params = BootstrapParams { seed, ..Default::default() };
         bootstrap_mean(&bones(12, 5), &values, &params).unwrap().interval.unwrap()
     };
-    // Only sums and quotients: the same on every machine, to the last bit.
+    // Only sums and quotients: the same bits on every machine.
     assert_eq!((interval(0).low, interval(0).high), (7.16533033121076, 18.619047619047617));
     assert_ne!(interval(0), interval(1));
     assert!((interval(0).low - interval(1).low).abs() < 0.2);
@@ -105,12 +105,12 @@ fn all_three_forms_of_the_bootstrap_draw_the_same_units() {
 }
 
 #[test]
-fn rows_of_one_bone_do_not_pass_for_independent_ones() {
+fn rows_of_one_bone_are_not_taken_as_independent() {
     let values = errors(&mut rng(4), 10, 20, 1.0, 0.2);
     let params = BootstrapParams::default();
     let clustered = width(&bootstrap_mean(&bones(10, 20), &values, &params).unwrap().interval);
     let naive = width(&bootstrap_mean(&Units::each_row("row", 200), &values, &params).unwrap().interval);
-    // Rows of a bone are nearly copies, so that 200 rows know as much as ten: √20 = 4.5 times the width.
+    // Rows of a bone are nearly equal, so 200 rows know as much as ten: √20 = 4.5 times the width.
     assert!(clustered > 3.5 * naive, "{clustered} against {naive} mm");
     let hits: Vec<bool> = values.iter().map(|v| *v < 0.3).collect();
     let clustered = width(&wilson_clustered(&bones(10, 20), &hits, 0.95).unwrap().interval);
@@ -134,7 +134,7 @@ fn one_bone_gives_an_estimate_and_never_an_interval() {
 fn a_statistic_that_fails_in_a_resample_has_no_interval_and_one_that_fails_on_all_rows_is_an_error() {
     let (units, values) = (Units::each_row("bone", 3), [1.0, 2.0, 4.0]);
     let params = BootstrapParams::default();
-    // The correlation of one unit drawn three times does not exist.
+    // The correlation of one unit drawn three times is undefined.
     let spread_of_none = |v: &mut [f64]| if v.iter().all(|x| *x == v[0]) { f64::NAN } else { 1.0 };
     let found = bootstrap(&units, &values, spread_of_none, &params).unwrap();
     assert!(matches!(found.interval, Err(NoInterval::NotFinite { n_failed: 1.., n_resamples: 10_000 })));
@@ -154,7 +154,7 @@ fn a_column_of_equal_values_has_an_interval_without_width() {
     }
 }
 
-/// Share of `n` simulations whose interval holds `truth`.
+/// Share of `n` simulations whose interval contains `truth`.
 fn coverage(n: u64, truth: f64, interval: impl Fn(&mut ChaCha8Rng) -> Interval) -> f64 {
     let held = (0..n).filter(|seed| {
         let found = interval(&mut rng(1000 + seed));

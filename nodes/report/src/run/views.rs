@@ -127,11 +127,7 @@ fn histogram(page: &mut Page, values: &[f64]) {
         note: format!("n = {} points", values.len()),
         simulated: page.simulated(),
     };
-    page.figure(
-        "residuals",
-        chart.svg(),
-        "Distribution of the distances of the scan's points from the CT surface.",
-    );
+    page.figure("residuals", chart.svg(), "Distribution of the distances of the scan's points from the CT surface.");
 }
 
 /// The assessment points as registered and as measured.

@@ -110,11 +110,12 @@ fn recomputed(folder: &Folder, done: &Done, kinds: &Kinds) -> Result<Option<(Run
         fixed_results: if notice.is_null() { Vec::new() } else { vec![("notice".into(), notice)] },
         ..RunOptions::default()
     };
-    run(&with_record.plan, &with_record.registry, &options, &()).map_err(|e| format!("the repeated run failed: {e}"))?;
+    run(&with_record.plan, &with_record.registry, &options, &())
+        .map_err(|e| format!("the repeated run failed: {e}"))?;
     let repeated = RunFolder::open(dir.path(), &with_record.registry).map_err(|e| e.to_string())?;
     if repeated.results != done.results {
         return Err(
-            "the repeated run of the frozen graph gives other results; has the program or an input changed?".into(),
+            "the repeated run of the frozen graph gives other results; has the program or an input changed?".into()
         );
     }
     Ok(Some((repeated, dir)))

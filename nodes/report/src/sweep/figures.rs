@@ -243,7 +243,8 @@ pub(super) fn points(page: &mut Page, sweep: &Swept) {
     let settings = sweep.settings();
     for measure in sweep.spec.points.iter().take(MAX_FIGURES) {
         if settings.len() > MAX_SETTINGS {
-            let why = format!("{} settings are too many to show side by side; points.csv has the values", settings.len());
+            let why =
+                format!("{} settings are too many to show side by side; points.csv has the values", settings.len());
             page.missing(&axis_label(&measure.name), &why);
             continue;
         }
