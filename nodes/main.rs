@@ -1,7 +1,7 @@
-//! The command `osteoflow`: checks, runs, records and plays graphs of nodes.
+//! The command `osteoflow`: checks, runs, records and replays graphs of nodes.
 //!
-//! `main` only reads the command line, chooses where log lines go, and turns the answer into an exit code; each
-//! subcommand is a file of its own in `commands/`.
+//! `main` reads the command line, starts logging and turns the result into an exit code; each subcommand is a file in
+//! `commands/`.
 
 mod commands;
 
@@ -12,7 +12,7 @@ use std::{io::Write, process::ExitCode};
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        // Help and version are answers, everything else is a fault of the command line; clap words both.
+        // Help and version are results, anything else is a fault of the command line; clap formats both.
         Err(said) => {
             let _ = said.print();
             return if said.use_stderr() { Exit::Usage.into() } else { Exit::Done.into() };
@@ -21,7 +21,7 @@ fn main() -> ExitCode {
     commands::log::start(&cli.global);
     match cli.command.execute(&cli.global) {
         Ok(exit) => exit.into(),
-        // Whoever reads our output may stop reading, as `head` does; that is no error.
+        // A reader of stdout may stop reading, as `head` does.
         Err(error) if is_broken_pipe(&error) => Exit::Done.into(),
         Err(error) => {
             let _ = writeln!(std::io::stderr(), "{}: {error:#}", cli.global.paint_err("error", "1;31"));

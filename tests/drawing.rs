@@ -94,7 +94,7 @@ fn what_is_no_run_is_told_and_a_graph_and_a_run_together_are_refused() {
         String::from_utf8(output.stderr).unwrap()
     };
     assert!(said(&["--run", "graphs"], 1).contains("--run takes the folder of a run that has ended"));
-    assert!(said(&["--run", "Cargo.toml"], 1).contains("is no manifest of a run"));
+    assert!(said(&["--run", "Cargo.toml"], 1).contains("is not the manifest of a run"));
     said(&["graphs/fibula.toml", "--run", "x"], 2);
     said(&[], 2);
     said(&["--set", "a.b=1"], 2);

@@ -146,7 +146,7 @@ fn two_sweeps_are_compared_in_pairs_within_a_margin_and_what_is_missing_is_told(
     (refused["status"], refused["results"]) = ("refused".into(), Value::Null);
     fs::write(run(11), refused.to_string()).unwrap();
     let (told, err, code) = compared("tre_mm=5");
-    assert!(code == 0 && err.contains(&format!("{ct} is not finished: 11 of its 12 runs are there")), "{err}");
+    assert!(code == 0 && err.contains(&format!("{ct} is not finished: it has 11 of 12 runs")), "{err}");
     assert!(told.contains("1 of 6 pairs left out, with a run that has no value"), "{told}");
 }
 

@@ -199,7 +199,7 @@ fn people_see_what_changed_and_what_a_value_was_before() {
     let second: Vec<String> = until("after the change was seen");
     let icp = second.iter().position(|line| line.starts_with("icp ")).unwrap();
     assert!(second[icp + 1].starts_with("  ") && second[icp + 2].starts_with("    was "), "{second:#?}");
-    assert!(second.iter().any(|line| line.starts_with("other than in the run before: ") && line.contains("icp")));
+    assert!(second.iter().any(|line| line.starts_with("changed since the previous run: ") && line.contains("icp")));
 }
 
 #[test]
@@ -222,7 +222,7 @@ fn what_cannot_be_watched_is_refused_before_anything_runs() {
     let folder = root().join("graphs/fibula_folder.toml");
     let reads_its_own = format!("extends = {folder:?}\n[node.recording]\npath = \".\"\n");
     let (code, said) = Watch::begin(&reads_its_own, &[]).end();
-    assert!(code == Some(2) && said.contains("each run would begin the next"), "{said}");
+    assert!(code == Some(2) && said.contains("each run would start the next"), "{said}");
 
     let dir = tempfile::tempdir().unwrap();
     let (code, said) = Watch::begin_in(dir, &[]).end();

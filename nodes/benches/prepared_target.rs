@@ -1,9 +1,9 @@
-//! What a target costs: to prepare it, and to have it back from the store. In processor time, which other programs on
-//! the machine disturb less than a clock on the wall, the fastest of many runs; all work is done by one thread unless
-//! `THREADS` says otherwise. The store's files are in the system's cache, as right after they were written.
+//! Cost of a prepared target: computed, and loaded from the store. In processor time, which other programs on the machine
+//! disturb less than wall time; the fastest of many runs; on one thread unless `THREADS` says otherwise. The store's files
+//! are in the system's cache, as directly after writing.
 //!
 //! `OSTEOFLOW_BONE=fibula.stl cargo bench --bench prepared_target` measures on a bone (STL or PLY, mm), by default on the
-//! built-in one; `POINTS=20000` draws so many points, by default 150 000.
+//! built-in one; `POINTS=20000` sets the number of points, by default 150 000.
 
 use osteoflow_algorithms::{
     field::{ClosestPointField, FieldParams},
@@ -29,8 +29,8 @@ fn processor_time() -> f64 {
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// Tells the least time of many runs; what the last gave.
-fn told<T>(what: &str, mut run: impl FnMut() -> T) -> T {
+/// Prints the shortest time of many runs and returns the result of the last.
+fn shortest<T>(what: &str, mut run: impl FnMut() -> T) -> T {
     let mut least = f64::INFINITY;
     let mut made = None;
     for _ in 0..RUNS {
@@ -68,26 +68,26 @@ fn main() {
     let (mesh, n_points) = (bone(), number("POINTS", 150_000));
     println!("{n_points} points of {} faces", mesh.faces().len());
 
-    told("points and normals drawn", || drawn(&mesh, n_points));
-    let target = told("prepared: drawn and laid out in cells", || {
+    shortest("points and normals drawn", || drawn(&mesh, n_points));
+    let target = shortest("prepared: drawn and laid out in cells", || {
         let target = drawn(&mesh, n_points);
         target.prepare();
         target
     });
 
-    let field = told("closest-point field of the mesh", || {
+    let field = shortest("closest-point field of the mesh", || {
         ClosestPointField::of_mesh(&MeshQuery::new(&mesh), &FieldParams::default()).expect("a bone has a field")
     });
 
     let dir = tempfile::tempdir().expect("a folder for the store");
     let store = Store::open(Settings::in_dir(dir.path()));
-    told("key of the mesh", || Key::of("bench").value("mesh", &Value::new(mesh.clone())).done());
+    shortest("key of the mesh", || Key::of("bench").value("mesh", &Value::new(mesh.clone())).done());
     for (what, target) in [("target", target.clone()), ("target with field", target.with_field(field))] {
         let key = Key::of("bench").text("what", what).done();
-        told(&format!("{what} kept in the store"), || store.save(&key, &target).expect("the store can be written"));
-        told("    read from the store, bytes alone", || store.get(&key).expect("it was kept"));
-        told("    read from the store", || store.load::<Target, Table>(&key).expect("it was kept"));
-        let back = told("    read from the store and ready to register onto", || {
+        shortest(&format!("{what} kept in the store"), || store.save(&key, &target).expect("the store can be written"));
+        shortest("    read from the store, bytes alone", || store.get(&key).expect("it was kept"));
+        shortest("    read from the store", || store.load::<Target, Table>(&key).expect("it was kept"));
+        let back = shortest("    read from the store and ready to register onto", || {
             let target: Target = store.load(&key).expect("it was kept");
             target.prepare();
             target

@@ -5,10 +5,10 @@ use osteoflow_engine::{CheckedFile, Faults};
 use serde_json::json;
 use std::io::Write;
 
-/// Check a graph without running it: every fault at its line, all in one pass.
+/// Check a graph without running it: every fault with its line, all in one pass.
 ///
-/// Kinds, ports, parameters with their ranges, types and frames along the wires, cycles, missing files. No node is built
-/// and no data is read.
+/// Checks kinds, ports, parameters with their ranges, types and frames along the wires, cycles and missing files. No node is
+/// built and no data is read.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

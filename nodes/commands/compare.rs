@@ -9,15 +9,15 @@ use osteoflow_report::summary;
 use serde_json::{Value, json};
 use std::{collections::BTreeMap, fs, io::Write, path::PathBuf};
 
-/// In the paths of the numbers of a matrix, such as a pose has.
+/// The key of matrices, such as those of poses, in the paths of their numbers.
 const MATRIX: &str = "matrix.";
 
-/// Set the results of runs, or of sweeps, side by side.
+/// Compare the results of runs, or of sweeps.
 ///
-/// Runs: every number of their results.json that they share, and how far the later ones are from the first. Sweeps: each
-/// column of the first against those of the others, paired by factors, draws, repeat and seed that both have: paired
-/// Wilcoxon with Holm's correction and effect size, limits of agreement, and equivalence within the margins given here or
-/// in the first sweep's [sweep.compare].
+/// Runs: every number of their results.json that they share, with its difference from the first run. Sweeps: each column of
+/// the first against those of the others, paired by the factors, draws, repeat and seed that both have: paired Wilcoxon with
+/// Holm's correction and effect size, limits of agreement, and equivalence within the margins given here or in the first
+/// sweep's [sweep.compare].
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -30,11 +30,11 @@ pub(crate) struct Compare {
     #[arg(required = true, num_args = 2.., value_name = "DIR")]
     folders: Vec<PathBuf>,
 
-    /// Of runs, show the numbers that are equal too, and those in matrices.
+    /// For runs, also show the numbers that are equal, and those in matrices.
     #[arg(long)]
     all: bool,
 
-    /// Of sweeps, the largest difference of a column that does not matter, for the test of equivalence.
+    /// For sweeps, the largest difference of a column that does not matter, for the test of equivalence.
     #[arg(long = "margin", value_name = "COLUMN=SIZE", value_parser = margin)]
     margins: Vec<(String, f64)>,
 }
@@ -45,7 +45,8 @@ impl Compare {
         match self.folders.iter().filter(|dir| is_sweep(dir)).count() {
             0 => self.runs(global),
             n if n == self.folders.len() => self.sweeps(global),
-            _ => Err(UsageError("runs and sweeps cannot be compared; name folders of one sort".into()).into()),
+            _ => Err(UsageError("runs and sweeps cannot be compared with each other; name folders of one kind".into())
+                .into()),
         }
     }
 
@@ -53,7 +54,8 @@ impl Compare {
         let read = |dir: &PathBuf| -> Result<BTreeMap<String, f64>> {
             let path = dir.join(files::RESULTS);
             let text = fs::read_to_string(&path).with_context(|| format!("{} cannot be read", path.display()))?;
-            let results = serde_json::from_str(&text).with_context(|| format!("{} is no results", path.display()))?;
+            let results =
+                serde_json::from_str(&text).with_context(|| format!("{} holds no results", path.display()))?;
             let mut numbers = BTreeMap::new();
             collect(&results, String::new(), &mut numbers);
             Ok(numbers)
@@ -62,7 +64,7 @@ impl Compare {
         let shared = runs[0].iter().filter(|(key, _)| runs.iter().all(|run| run.contains_key(*key)));
         let rows: Vec<_> = shared.map(|(key, _)| (key, runs.iter().map(|run| run[key]).collect::<Vec<_>>())).collect();
         let differing = |values: &[f64]| values.iter().any(|v| v.to_bits() != values[0].to_bits());
-        // Numbers that tell a reader nothing one by one.
+        // Single numbers of a matrix are of no use to a reader.
         let shown = |key: &str, values: &[f64]| self.all || differing(values) && !key.contains(MATRIX);
         if global.format == Format::Json {
             let rows = rows.iter().map(|(key, values)| {
@@ -88,7 +90,7 @@ impl Compare {
         writeln!(out, "{}", self.legend())?;
         match rows.iter().any(|(_, values)| differing(values)) {
             true => writeln!(out, "{}", table.lines())?,
-            false => writeln!(out, "all {} numbers that they share are equal", rows.len())?,
+            false => writeln!(out, "all {} shared numbers are equal", rows.len())?,
         }
         let hidden = rows.iter().filter(|(key, values)| differing(values) && !shown(key, values)).count();
         if hidden > 0 {
@@ -110,7 +112,7 @@ impl Compare {
             if n < all {
                 let word = global.paint_err("warning", "1;33");
                 let dir = folder.dir().display();
-                writeln!(std::io::stderr(), "{word}: {dir} is not finished: {n} of its {all} runs are there")?;
+                writeln!(std::io::stderr(), "{word}: {dir} is not finished: it has {n} of {all} runs")?;
             }
         }
         let mut comparisons = Vec::new();
@@ -119,25 +121,25 @@ impl Compare {
             comparisons.extend(found.map_err(|none| UsageError(none.to_string()))?);
         }
         if comparisons.is_empty() {
-            let said = "no run of one has a pair in another; they need the same factors, repeats and seeds, and a column of one name";
-            return Err(UsageError(said.into()).into());
+            let message = "no run of one sweep matches a run of another; they need the same factors, repeats and seeds, and a column of the same name";
+            return Err(UsageError(message.into()).into());
         }
-        let told = json!({ "folders": self.names(), "comparisons": summary::with_holm(comparisons) });
+        let comparisons = json!({ "folders": self.names(), "comparisons": summary::with_holm(comparisons) });
         match global.format {
             Format::Json => {
-                let mut told = told;
-                told["outcome"] = Exit::Done.to_json();
-                print_json(&told)?;
+                let mut answer = comparisons;
+                answer["outcome"] = Exit::Done.to_json();
+                print_json(&answer)?;
             }
             Format::Text => {
-                let table = summary_table::of_comparisons(&told).unwrap_or_default();
+                let table = summary_table::of_comparisons(&comparisons).unwrap_or_default();
                 writeln!(std::io::stdout(), "{}\n{table}", self.legend())?;
             }
         }
         Ok(Exit::Done)
     }
 
-    /// The margins given, and those of the first sweep for columns that are not given any.
+    /// The margins given, and those of the first sweep for other columns.
     fn margins_of(&self, spec: &Spec) -> Result<Vec<(String, f64)>> {
         for (name, _) in &self.margins {
             if !spec.columns.iter().any(|column| column.name == *name) {
@@ -152,7 +154,7 @@ impl Compare {
         Ok(self.margins.iter().chain(own).cloned().collect())
     }
 
-    /// What `[1]`, `[2]` and so on stand for, a line each.
+    /// The paths behind `[1]`, `[2]` and so on, one per line.
     fn legend(&self) -> String {
         self.names().iter().enumerate().map(|(k, name)| format!("[{}] {name}\n", k + 1)).collect()
     }
@@ -162,17 +164,17 @@ impl Compare {
     }
 }
 
-/// `COLUMN=SIZE`.
+/// Parses `COLUMN=SIZE`.
 fn margin(text: &str) -> Result<(String, f64), String> {
-    let (name, size) = text.split_once('=').ok_or("COLUMN=SIZE is needed, such as tre_true_mm=0.5")?;
+    let (name, size) = text.split_once('=').ok_or("expected COLUMN=SIZE, such as tre_true_mm=0.5")?;
     let size: f64 = size.trim().parse().map_err(|_| format!("\"{size}\" is no number"))?;
     if !(size.is_finite() && size > 0.0) {
-        return Err("the size of a margin is above zero".into());
+        return Err("the size of a margin must be above zero".into());
     }
     Ok((name.trim().into(), size))
 }
 
-/// Every number, by its path; of a list, items with a name by that.
+/// Collects all numbers by their paths; list items that have a name are named by it.
 fn collect(at: &Value, path: String, numbers: &mut BTreeMap<String, f64>) {
     let below = |part: &str| if path.is_empty() { part.to_owned() } else { format!("{path}.{part}") };
     match at {

@@ -11,7 +11,7 @@ Examples:
   osteoflow completions bash > ~/.local/share/bash-completion/completions/osteoflow
   osteoflow completions zsh > ~/.zfunc/_osteoflow")]
 pub(crate) struct Completions {
-    /// The shell to complete in.
+    /// The shell.
     shell: Shell,
 }
 

@@ -5,10 +5,10 @@ use osteoflow_engine::diff::{DiffOptions, DiffReport, Difference, Largest, Side,
 use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf};
 
-/// Compare two recordings: where they part first, and how far each wire differs.
+/// Compare two recordings: where they diverge first, and by how much each wire differs.
 ///
-/// First is what the graph computes first: wires in the topological order of the graph in A, items by number. Bits are
-/// compared, so that NaN equals NaN and -0.0 differs from 0.0. Exit code 0: equal; 4: they differ.
+/// The first divergence is the earliest in the topological order of the graph in A, then by item number. Bits are compared,
+/// so NaN equals NaN and -0.0 differs from 0.0. Exit code 0: equal; 4: different.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -19,14 +19,14 @@ pub(crate) struct Diff {
     /// The first recording; its graph gives the order.
     a: PathBuf,
 
-    /// The second one.
+    /// The second recording.
     b: PathBuf,
 
-    /// Wires as NODE.PORT; * stands for any run of characters. Default: all.
+    /// Wires as NODE.PORT; * matches any characters. Default: all.
     #[arg(long, value_name = "GLOB", num_args = 1..)]
     wires: Vec<String>,
 
-    /// Numbers that differ by no more than this, each in its own unit, count as equal.
+    /// Numbers that differ by at most this, each in its own unit, count as equal.
     #[arg(long, value_name = "VALUE", default_value_t = 0.0)]
     tolerance: f64,
 }
@@ -34,16 +34,16 @@ pub(crate) struct Diff {
 impl Diff {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         if !(self.tolerance >= 0.0 && self.tolerance.is_finite()) {
-            let said = format!("--tolerance takes a number that is not negative, not {}", self.tolerance);
-            return Err(UsageError(said).into());
+            let message = format!("--tolerance takes a number that is not negative, not {}", self.tolerance);
+            return Err(UsageError(message).into());
         }
         let options = DiffOptions { wires: self.wires.clone(), tolerance: self.tolerance };
         let mut reading = Reading::begin("comparing", &self.a, global);
         let report = diff(&self.a, &self.b, &options, &mut |at, of| reading.at(at, of))?;
         drop(reading);
         if report.wires.is_empty() && !self.wires.is_empty() {
-            let said = format!("no wire of either recording is called {}", self.wires.join(" or "));
-            return Err(UsageError(said).into());
+            let message = format!("no wire of either recording is called {}", self.wires.join(" or "));
+            return Err(UsageError(message).into());
         }
         let exit = if report.is_equal() { Exit::Done } else { Exit::Differs };
         match global.format {
@@ -58,7 +58,7 @@ impl Diff {
         for (path, side) in [&self.a, &self.b].into_iter().zip(&report.sides) {
             if let Some(reason) = &side.incomplete {
                 let path = path.display();
-                writeln!(std::io::stderr(), "{word}: {path} may lack items ({reason}); what is there is compared")?;
+                writeln!(std::io::stderr(), "{word}: {path} may lack items ({reason}); the rest is compared")?;
             }
         }
         let mut out = std::io::stdout().lock();
@@ -83,8 +83,8 @@ impl Diff {
                 table.row(&wire.wire, [n_a.to_string(), n_b.to_string(), differ, ulp, remark(wire)]);
             }
             writeln!(out, "{}", table.lines())?;
-            for said in sides(report) {
-                writeln!(out, "{said}")?;
+            for line in sides(report) {
+                writeln!(out, "{line}")?;
             }
         }
         let n_differ = report.wires.iter().filter(|wire| !wire.is_equal()).count();
@@ -100,7 +100,7 @@ impl Diff {
     }
 }
 
-/// How far two values lie apart, in words.
+/// Formats the difference between two values.
 pub(super) fn apart(what: &Difference) -> String {
     let mut parts = Vec::new();
     if let Some(distance) = what.distance {
@@ -111,7 +111,7 @@ pub(super) fn apart(what: &Difference) -> String {
     parts.join(", ")
 }
 
-/// What there is to say of a wire beside its counts.
+/// Remarks about a wire, beside its counts.
 fn remark(wire: &WireDiff) -> String {
     let mut parts = Vec::new();
     match wire.there {
@@ -133,26 +133,26 @@ fn remark(wire: &WireDiff) -> String {
     if parts.is_empty() && wire.is_equal() { "equal".into() } else { parts.join(", ") }
 }
 
-/// What differs between the runs themselves.
+/// Differences between the runs themselves.
 fn sides(report: &DiffReport) -> Vec<String> {
     let [a, b] = &report.sides;
-    let mut said = Vec::new();
+    let mut lines = Vec::new();
     let mut compare = |what: &str, get: fn(&Side) -> Option<String>| {
-        let told = |side: &Side| get(side).unwrap_or_else(|| "unknown".into());
+        let shown = |side: &Side| get(side).unwrap_or_else(|| "unknown".into());
         if get(a) != get(b) {
-            said.push(format!("{what}: A {}, B {}", told(a), told(b)));
+            lines.push(format!("{what}: A {}, B {}", shown(a), shown(b)));
         }
     };
     compare("graph", |side| side.graph.clone());
     compare("seed", |side| side.seed.map(|seed| seed.to_string()));
     compare("version", |side| side.version.clone());
     if report.same_graph == Some(false) {
-        said.push("the graphs, as they ran, are not the same text".into());
+        lines.push("the resolved graphs differ".into());
     }
     if report.same_results == Some(false) {
-        said.push("the results differ".into());
+        lines.push("the results differ".into());
     }
-    said
+    lines
 }
 
 pub(super) fn difference(what: &Difference) -> Value {

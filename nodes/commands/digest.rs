@@ -8,11 +8,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Print one digest of what went over the recorded wires, and one for each wire.
+/// Print one digest of all recorded wires, and one for each wire.
 ///
-/// SHA-256 over each wire's items by number, then over the wires by name: it does not hang on the order of messages in
-/// the file, on chunks, compression or log times. Equal digests mean equal bits on every recorded wire. How it is made
-/// stands in docs/recording.md. Exit code 0 only for recordings that are whole.
+/// SHA-256 over each wire's items by number, then over the wires by name: independent of the order of messages in the file,
+/// of chunks, compression and log times. Equal digests mean equal bits on every recorded wire. The definition is in
+/// docs/recording.md. Exit code 0 only for complete recordings.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -57,8 +57,8 @@ impl Digest {
 
 fn print_text(file: &Path, report: &DigestReport, global: &Global) -> Result<()> {
     let word = global.paint_err("warning", "1;33");
-    for said in report.incomplete.iter().chain(&report.partial) {
-        writeln!(std::io::stderr(), "{word}: {}: {said}; what is there is digested", file.display())?;
+    for warning in report.incomplete.iter().chain(&report.partial) {
+        writeln!(std::io::stderr(), "{word}: {}: {warning}; the digest is of the remaining items", file.display())?;
     }
     let mut out = std::io::stdout().lock();
     if !global.quiet {

@@ -1,26 +1,26 @@
 use std::{error::Error, fmt, process::ExitCode};
 
-/// How a command ended, as its exit code says.
+/// The result of a command, which determines its exit code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Exit {
-    /// Everything asked for was done.
+    /// Success.
     Done,
-    /// A file could not be read or written, or something of ours broke.
+    /// A file could not be read or written, or there was an internal error.
     Failed,
-    /// A file that was to be checked is not sound; everything that is wrong was told.
+    /// A checked file is not sound; all findings were reported.
     Unsound,
     /// The command line or the graph has a fault; nothing was run.
     Usage,
-    /// A node failed, or the procedure could not be completed; `results.json` says `refused` and why.
+    /// A node failed, or the procedure could not be completed; `results.json` has `refused` with the reason.
     Refused,
-    /// A replay differs from what was recorded.
+    /// A replay differs from the recording.
     Differs,
-    /// Stopped by Ctrl-C; what was written until then is valid.
+    /// Stopped by Ctrl-C; everything written until then is valid.
     Interrupted,
 }
 
 impl Exit {
-    /// The code, as the help lists it.
+    /// The exit code, as the help lists it.
     pub(crate) fn code(self) -> u8 {
         match self {
             Self::Done => 0,
@@ -32,7 +32,7 @@ impl Exit {
         }
     }
 
-    /// The word for it.
+    /// The name of the result in JSON.
     fn word(self) -> &'static str {
         match self {
             Self::Done => "done",
@@ -45,7 +45,7 @@ impl Exit {
         }
     }
 
-    /// The same for machines.
+    /// The result as JSON.
     pub(crate) fn to_json(self) -> serde_json::Value {
         serde_json::json!({ "status": self.word(), "exit_code": self.code() })
     }
@@ -57,7 +57,7 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// What was asked for cannot be done as it was asked: the answer is another command line.
+/// The request is impossible as stated; another command line is needed.
 #[derive(Debug)]
 pub(crate) struct UsageError(pub(crate) String);
 

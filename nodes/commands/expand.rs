@@ -7,8 +7,8 @@ use std::{collections::BTreeMap, io::Write};
 
 /// Print the graph as it runs: one flat file after extends, modules, --set and defaults.
 ///
-/// The answer is a graph file itself, with every default written, absolute paths and every recorded wire named; it checks
-/// to the same plan and runs to the same results. A comment over each node says where it was written.
+/// The output is a graph file itself, with every default, absolute paths and every recorded wire; it has the same plan and
+/// gives the same results. A comment above each node names the place where it was written.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -43,7 +43,7 @@ impl Expand {
     }
 }
 
-/// The flat graph, with a comment over each node that says where it was written.
+/// The flat graph, with a comment above each node that names the place where it was written.
 fn commented(plan: &Plan) -> String {
     let places: BTreeMap<String, String> = plan
         .nodes

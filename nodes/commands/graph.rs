@@ -9,10 +9,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Draw a graph, or a run with its figures: where the time went, how many items passed each wire, what was dropped.
+/// Draw a graph, or a run with its times, item counts and drops.
 ///
-/// Of a run, nodes are coloured by their share of the time, wires bear the number of their items, dropped items are red,
-/// and a node that failed is framed, with its reason as its tip. The run's folder is enough for that.
+/// In the drawing of a run, nodes are coloured by their share of the time, wires are labelled with their numbers of items,
+/// dropped items are red, and a failed node has a red frame, with the reason as its tooltip. Only the run's folder is needed.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -36,7 +36,7 @@ pub(crate) struct Graph {
     #[arg(long, value_name = "DIR", conflicts_with_all = ["graph", "sets", "plugins"])]
     run: Option<PathBuf>,
 
-    /// The language to draw in.
+    /// The output format.
     #[arg(long = "as", value_enum, default_value_t = Language::Mermaid, value_name = "LANGUAGE")]
     language: Language,
 }
@@ -78,6 +78,6 @@ fn of_run(run: &Path) -> Result<Diagram> {
     let shown = path.display();
     let text = std::fs::read_to_string(&path)
         .with_context(|| format!("{shown} cannot be read; --run takes the folder of a run that has ended"))?;
-    let manifest = serde_json::from_str(&text).with_context(|| format!("{shown} is no manifest of a run"))?;
-    diagram::of_manifest(&manifest).map_err(|why| anyhow::anyhow!("{shown} is no manifest of a run: {why}"))
+    let manifest = serde_json::from_str(&text).with_context(|| format!("{shown} is not the manifest of a run"))?;
+    diagram::of_manifest(&manifest).map_err(|why| anyhow::anyhow!("{shown} is not the manifest of a run: {why}"))
 }

@@ -5,7 +5,7 @@ use osteoflow_engine::{Checked, CheckedFile, Fault, Faults, Module};
 use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf};
 
-/// A graph file and what the command line changes in it.
+/// A graph file and the changes that the command line makes to it.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct GraphArgs {
     /// The graph file.
@@ -20,7 +20,7 @@ pub(crate) struct GraphArgs {
 }
 
 impl GraphArgs {
-    /// The checked graph, with its warnings told; or all its faults told, and `None`.
+    /// Checks the graph and prints its warnings; `None` if it has faults, which are printed.
     pub(crate) fn check(&self, global: &Global) -> Result<Option<Checked>> {
         match osteoflow_engine::check(&self.graph, &self.sets, self.plugins.kinds()?) {
             Ok(checked) => {
@@ -28,7 +28,7 @@ impl GraphArgs {
                 Ok(Some(checked))
             }
             Err(faults) => {
-                tell(&faults, global)?;
+                print_faults(&faults, global)?;
                 Ok(None)
             }
         }
@@ -36,7 +36,7 @@ impl GraphArgs {
 }
 
 impl GraphArgs {
-    /// The same for a file that may also be a module's.
+    /// As [`Self::check`], for a file that may be a module.
     pub(crate) fn check_file(&self, global: &Global) -> Result<Option<CheckedFile>> {
         match osteoflow_engine::check_file(&self.graph, &self.sets, self.plugins.kinds()?) {
             Ok(file) => {
@@ -46,14 +46,14 @@ impl GraphArgs {
                 Ok(Some(file))
             }
             Err(faults) => {
-                tell(&faults, global)?;
+                print_faults(&faults, global)?;
                 Ok(None)
             }
         }
     }
 }
 
-/// What is hardly meant, to people.
+/// Prints warnings about the graph.
 pub(super) fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
     if !warnings.is_empty() && !global.quiet && global.format == Format::Text {
         writeln!(std::io::stderr(), "{}\n", Faults(warnings.to_vec()).render(global.colour_err()))?;
@@ -61,8 +61,8 @@ pub(super) fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
     Ok(())
 }
 
-/// All faults: to people on stderr, to machines as the answer.
-pub(super) fn tell(faults: &Faults, global: &Global) -> Result<()> {
+/// Prints all faults: as text on stderr, or as JSON on stdout.
+pub(super) fn print_faults(faults: &Faults, global: &Global) -> Result<()> {
     match global.format {
         Format::Text => writeln!(std::io::stderr(), "{}", faults.render(global.colour_err()))?,
         Format::Json => print_json(&as_json(faults))?,
@@ -70,12 +70,12 @@ pub(super) fn tell(faults: &Faults, global: &Global) -> Result<()> {
     Ok(())
 }
 
-/// The same as one JSON value.
+/// The faults as one JSON value.
 pub(super) fn as_json(faults: &Faults) -> Value {
     json!({ "outcome": Exit::Usage.to_json(), "faults": faults.to_json() })
 }
 
-/// The one JSON value that a command answers.
+/// Prints the JSON value of a command.
 pub(crate) fn print_json(value: &Value) -> Result<()> {
     writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(value)?)?;
     Ok(())

@@ -12,7 +12,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Show which nodes and payloads there are, and what a kind or a module takes, gives and needs.
+/// List nodes and payloads, or describe a kind or a module: ports, parameters and literature.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -28,23 +28,22 @@ pub(crate) struct Inspect {
     /// A kind such as `icp.point_to_plane`, a stage such as `icp`, or the file of a module; every kind if not given.
     kind: Option<String>,
 
-    /// List the payload types: the words for `type` in `out`, and what gives and takes each.
+    /// List the payload types: names for `type` in `out`, and the kinds that produce and take each.
     #[arg(long, conflicts_with_all = ["kind", "markdown", "write_docs"])]
     payloads: bool,
 
-    /// List the plugins that are found by --plugin and OSTEOFLOW_PLUGIN_PATH: what each is and was built with, or why it
-    /// is refused.
+    /// List the plugins found by --plugin and OSTEOFLOW_PLUGIN_PATH: contents and build, or the reason for refusal.
     #[arg(long = "plugins", conflicts_with_all = ["kind", "payloads", "markdown", "write_docs"])]
     list_plugins: bool,
 
     #[command(flatten)]
     plugins: PluginArgs,
 
-    /// Print Markdown, as in docs/nodes, for a list of kinds too.
+    /// Print Markdown, as in docs/nodes; also for a list of kinds.
     #[arg(long)]
     markdown: bool,
 
-    /// Write a page for each stage into this folder, and remove the pages of stages that are gone.
+    /// Write a page for each stage into this folder, and remove the pages of stages that no longer exist.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["kind", "markdown"])]
     write_docs: Option<PathBuf>,
 }
@@ -58,7 +57,7 @@ impl Inspect {
         if self.list_plugins {
             return plugins::table(&known, global);
         }
-        let exit = plugins::tell_refused(&known, global)?;
+        let exit = plugins::print_refused(&known, global)?;
         let registry = &known.registry;
         if self.payloads {
             return payloads(registry, global).map(|_| exit);
@@ -105,13 +104,14 @@ impl Inspect {
         Ok(exit)
     }
 
-    /// What a module declares.
+    /// Describes a module.
     fn module(&self, file: &str, global: &Global) -> Result<Exit> {
         let graph = GraphArgs { graph: file.into(), sets: Vec::new(), plugins: self.plugins.clone() };
         let Some(checked) = graph.check_file(global)? else { return Ok(Exit::Usage) };
         let CheckedFile::Module(module) = checked else {
-            let said = format!("{file} is a graph, but no module; `osteoflow check` and `osteoflow graph` show graphs");
-            return Err(UsageError(said).into());
+            let message =
+                format!("{file} is a graph, not a module; `osteoflow check` and `osteoflow graph` show graphs");
+            return Err(UsageError(message).into());
         };
         match global.format {
             Format::Json => print_json(&json!(module.description))?,
@@ -120,7 +120,7 @@ impl Inspect {
         Ok(Exit::Done)
     }
 
-    /// The kinds asked for, by stage.
+    /// The requested kinds, by stage.
     fn chosen<'r>(&self, registry: &'r Registry) -> Result<Vec<(&'r str, Vec<&'r osteoflow_node::Description>)>> {
         let all = node_docs::by_stage(registry);
         let Some(asked) = &self.kind else { return Ok(all) };
@@ -137,25 +137,25 @@ impl Inspect {
                 kinds.chain(node_docs::by_stage(registry).iter().map(|(s, _)| *s)),
             );
             let near = near.map(|near| format!("did you mean \"{near}\"? ")).unwrap_or_default();
-            let said = format!("no node or stage is called \"{asked}\"; {near}`osteoflow inspect` lists them");
-            return Err(UsageError(said).into());
+            let message = format!("there is no node or stage \"{asked}\"; {near}`osteoflow inspect` lists them");
+            return Err(UsageError(message).into());
         }
         Ok(chosen)
     }
 }
 
-/// Where a kind comes from.
+/// The origin of a kind.
 fn from(plugin: &Plugin) -> String {
     let about = &plugin.about;
     format!("from plugin {} {} ({})", about.name, about.version, plugin.path.display())
 }
 
-/// Whether a word names a file, not a kind.
+/// Whether the argument names a file rather than a kind.
 fn is_file(word: &str, registry: &Registry) -> bool {
     registry.kind(word).is_none() && (word.ends_with(".toml") || Path::new(word).is_file())
 }
 
-/// The payload types, and the kinds that give and take each.
+/// Lists the payload types with the kinds that produce and take each.
 fn payloads(registry: &Registry, global: &Global) -> Result<Exit> {
     let gives = |name: &str| {
         kinds_with(registry, |d| match &d.outputs {

@@ -1,4 +1,4 @@
-//! Where log lines go: stderr, so that stdout carries answers only.
+//! Log lines go to stderr, because stdout carries results only.
 
 use super::Global;
 use tracing::level_filters::LevelFilter;
@@ -6,7 +6,7 @@ use tracing::level_filters::LevelFilter;
 /// The environment variable that names a level: `off`, `error`, `warn`, `info`, `debug` or `trace`.
 const LEVEL_VARIABLE: &str = "OSTEOFLOW_LOG";
 
-/// Starts logging; the variable outranks the switches.
+/// Starts logging; the variable overrides the switches.
 pub(crate) fn start(global: &Global) {
     let by_switch = match (global.quiet, global.verbose) {
         (true, _) => LevelFilter::ERROR,
@@ -25,7 +25,7 @@ pub(crate) fn start(global: &Global) {
         .with_target(false)
         .init();
     if let Some(Err(_)) = by_name {
-        let said = named.unwrap_or_default();
-        tracing::warn!("{LEVEL_VARIABLE}={said} is no level; off, error, warn, info, debug and trace are");
+        let level = named.unwrap_or_default();
+        tracing::warn!("{LEVEL_VARIABLE}={level} is not a level; use off, error, warn, info, debug or trace");
     }
 }

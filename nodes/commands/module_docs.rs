@@ -1,9 +1,9 @@
-//! What a module declares, as Markdown.
+//! Markdown documentation of a module.
 
 use osteoflow_engine::check::ModuleDescription;
 use std::fmt::Write as _;
 
-/// A module, and how a graph uses it.
+/// A module with its ports and parameters, and an example of its use.
 pub(crate) fn markdown(of: &ModuleDescription, file: &str) -> String {
     let mut out = format!("## {} (a module)\n", of.name);
     if !of.doc.is_empty() {

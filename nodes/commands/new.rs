@@ -8,7 +8,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Begin something of your own.
+/// Create a project from a template.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -24,7 +24,7 @@ enum What {
     Plugin(Plugin),
 }
 
-/// Write a plugin to begin with: one node, its test, a graph that runs it, and a README.
+/// Create a plugin: one node, its test, a graph that runs it, and a README.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -32,18 +32,18 @@ Examples:
   osteoflow new plugin my_icp --sdk ~/osteoflow     the SDK of a checkout
   osteoflow new plugin my_crop --lang c       in C; the headers are written beside it")]
 struct Plugin {
-    /// What it is called: the crate, its folder, and the stage of its kind, as in `my_icp.point_to_point`.
+    /// The name of the crate, of its folder and of the stage of its kind, as in `my_icp.point_to_point`.
     name: String,
 
-    /// The language that it is written in.
+    /// The programming language.
     #[arg(long, value_enum, default_value_t = Lang::Rust)]
     lang: Lang,
 
-    /// A checkout of Osteoflow to build against, in the place of the revision that this program was built from.
+    /// A checkout of Osteoflow to build against, instead of the revision that this program was built from.
     #[arg(long, value_name = "PATH")]
     sdk: Option<PathBuf>,
 
-    /// The folder to write into, new or empty; NAME if not given.
+    /// The folder to write into, new or empty. Default: NAME.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
@@ -56,10 +56,10 @@ enum Lang {
     C,
 }
 
-/// A file of a template: where it goes, and what is in it.
+/// A file of a template: path and content.
 type File = (&'static str, &'static str);
 
-/// What `nodes/template` holds, in which the plugin is called by `placeholder`.
+/// A template in `nodes/template`, whose plugin is named `placeholder`.
 struct Template {
     placeholder: &'static str,
     build: &'static str,
@@ -93,14 +93,14 @@ const C: Template = Template {
     ],
 };
 
-/// The graph that those of the templates extend.
+/// The graph that the graphs of the templates extend.
 const FIBULA: File = ("graphs/fibula.toml", include_str!("../../graphs/fibula.toml"));
 
-/// Where the template's crate lies, as its manifest in this repository says.
+/// The dependency on `osteoflow-node` in the manifest of the template.
 const NODE_PATH: &str = "path = \"../../../engine/node\"";
 const PAYLOADS_PATH: &str = "path = \"../../payloads\"";
 
-/// What a crate needs that does not lie in this repository.
+/// Sections that a manifest needs outside of this repository.
 const ALONE: &str = "
 # A crate that stands alone, in whatever folder it lies.
 [workspace]
@@ -110,7 +110,7 @@ const ALONE: &str = "
 panic = \"unwind\"
 ";
 
-/// Names that are no crate's.
+/// Names that a crate cannot have.
 const NOT_FOR_CRATES: &[&str] = &[
     "abstract",
     "alloc",
@@ -186,17 +186,17 @@ impl Plugin {
         let (template, sdk) = match self.lang {
             Lang::Rust => (&RUST, self.sdk()?),
             Lang::C if self.sdk.is_some() => {
-                let said = "--sdk is for Rust; in C the headers of this program are written beside the plugin";
-                return Err(UsageError(said.into()).into());
+                let message = "--sdk is for Rust; in C the headers of this program are written beside the plugin";
+                return Err(UsageError(message.into()).into());
             }
             Lang::C => (&C, Sdk::default()),
         };
         fs::create_dir_all(&dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
         if fs::read_dir(&dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some() {
-            let said = format!("{} is not empty; name another folder with --out", dir.display());
-            return Err(UsageError(said).into());
+            let message = format!("{} is not empty; name another folder with --out", dir.display());
+            return Err(UsageError(message).into());
         }
-        // An editor finds the schema beside the shipped graphs only.
+        // Editors find the schema only beside the shipped graphs.
         let fibula =
             FIBULA.1.split_once('\n').filter(|(line, _)| line.starts_with("#:schema")).map_or(FIBULA.1, |f| f.1);
         write(&dir, FIBULA.0, fibula)?;
@@ -226,14 +226,14 @@ impl Plugin {
         Ok(Exit::Done)
     }
 
-    /// Where the crate finds what it is built against.
+    /// The sources to build the crate against.
     fn sdk(&self) -> Result<Sdk> {
         if let Some(checkout) = &self.sdk {
             let crate_in = |folder: &str| -> Result<String> {
                 let path = checkout.join(folder);
                 if !path.join("Cargo.toml").is_file() {
-                    let said = format!("--sdk: there is no {}; name a checkout of Osteoflow", path.display());
-                    return Err(UsageError(said).into());
+                    let message = format!("--sdk: there is no {}; name a checkout of Osteoflow", path.display());
+                    return Err(UsageError(message).into());
                 }
                 let path = path.canonicalize().with_context(|| format!("{} cannot be read", path.display()))?;
                 Ok(format!("path = {:?}", path))
@@ -243,9 +243,9 @@ impl Plugin {
         let revision = env!("OSTEOFLOW_BUILD_GIT_REVISION");
         let (commit, changed) = revision.split_once(',').map_or((revision, false), |(commit, _)| (commit, true));
         if commit.is_empty() {
-            let said = "this program was built outside git, so that it knows no revision of its SDK; name a checkout of \
+            let message = "this program was built outside git, so it does not know the revision of its SDK; name a checkout of \
                         Osteoflow with --sdk";
-            return Err(UsageError(said.into()).into());
+            return Err(UsageError(message.into()).into());
         }
         let git = format!("git = {:?}, rev = {commit:?}", env!("CARGO_PKG_REPOSITORY"));
         let note = changed.then(|| {
@@ -255,7 +255,7 @@ impl Plugin {
     }
 }
 
-/// Where the crates of the SDK lie, as a manifest says it.
+/// The location of the SDK's crates, as a manifest states it.
 #[derive(Default)]
 struct Sdk {
     node: String,
@@ -263,22 +263,24 @@ struct Sdk {
     note: Option<String>,
 }
 
-/// Refuses what cannot be the name of a crate and of a stage.
+/// Refuses names that a crate or a stage cannot have.
 fn check_name(name: &str) -> Result<()> {
     let snake = name.starts_with(|c: char| c.is_ascii_lowercase())
         && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
     let registry = registry();
     let is_stage = |kind: &str| kind.split_once('.').is_some_and(|(stage, _)| stage == name);
-    let said = if !snake {
-        format!("\"{name}\" is not in snake case; write it as my_icp: a small letter, then small letters, digits and _")
+    let message = if !snake {
+        format!(
+            "\"{name}\" is not in snake case, such as my_icp: a lowercase letter, then lowercase letters, digits and _"
+        )
     } else if NOT_FOR_CRATES.contains(&name) {
-        format!("\"{name}\" is a word of Rust or a crate that is there already; take another, such as my_{name}")
+        format!("\"{name}\" is a keyword of Rust or an existing crate; choose another, such as my_{name}")
     } else if registry.kinds().any(|kind| is_stage(kind.description.kind)) {
-        format!("\"{name}\" is a stage of built-in nodes; take another name, such as my_{name}")
+        format!("\"{name}\" is a stage of built-in nodes; choose another name, such as my_{name}")
     } else {
         return Ok(());
     };
-    Err(UsageError(said).into())
+    Err(UsageError(message).into())
 }
 
 fn write(dir: &Path, path: &str, text: &str) -> Result<()> {

@@ -1,10 +1,10 @@
-//! A kind's description as Markdown: the same words for `inspect` and for `docs/nodes`.
+//! Markdown documentation of a kind, for `inspect` and `docs/nodes`.
 
 use osteoflow_node::{CachePolicy, Description, FrameExpr, InputPort, Join, OutputPorts, Registry, Role};
 use serde_json::{Map, Value};
 use std::{collections::BTreeMap, fmt::Write as _};
 
-/// The stages in the order in which a procedure passes them; others follow by name.
+/// The stages in the order of the procedure; others follow by name.
 const STAGES: [&str; 15] = [
     "acquire",
     "plan",
@@ -59,7 +59,7 @@ pub(crate) fn by_stage(registry: &Registry) -> Vec<(&str, Vec<&Description>)> {
     stages.into_iter().map(|((_, stage), kinds)| (stage, kinds)).collect()
 }
 
-/// One kind.
+/// Documentation of one kind.
 pub(crate) fn markdown(of: &Description) -> String {
     let mut out = format!("## {}\n\n{}\n", of.kind, of.summary);
     if !of.details.is_empty() {
@@ -130,7 +130,7 @@ fn outputs(out: &mut String, ports: &OutputPorts) {
     }
 }
 
-/// A rule and its numbers, as a graph file would write them.
+/// Formats a join rule and its numbers as in a graph file.
 fn join(join: &Join) -> String {
     match join {
         Join::Stamp { tolerance_ns } => format!("`stamp`, within {} ms", ms(*tolerance_ns)),
@@ -145,7 +145,7 @@ fn ms(ns: i64) -> f64 {
     ns as f64 / 1e6
 }
 
-/// What the author could say of the frames, in the notation of the port's declaration.
+/// Formats the declared frames of a port.
 fn frames(of: &FrameExpr) -> String {
     let word = |text: &str| match text.as_bytes().first() {
         Some(b'@') => format!("`{}`", &text[1..]),
@@ -170,7 +170,7 @@ fn parameters(out: &mut String, title: &str, schema: &Value) {
     let _ = write!(out, "\n**{title}**\n\n{header}\n{rows}");
 }
 
-/// A row for each parameter; those of a table within the table are named `table.parameter`.
+/// A row for each parameter; nested parameters are named `table.parameter`.
 fn parameter_rows(out: &mut String, prefix: &str, table: &Value, root: &Value, defaults: Option<&Value>) {
     let required = table["required"].as_array().map(Vec::as_slice).unwrap_or_default();
     for (name, property) in table["properties"].as_object().into_iter().flatten() {
@@ -193,7 +193,7 @@ fn parameter_rows(out: &mut String, prefix: &str, table: &Value, root: &Value, d
     }
 }
 
-/// The unit that a parameter's name ends in.
+/// The unit in a parameter's suffix.
 fn unit(name: &str) -> &'static str {
     const UNITS: [(&str, &str); 11] = [
         ("_per_mm", "1/mm"),
@@ -211,7 +211,7 @@ fn unit(name: &str) -> &'static str {
     UNITS.iter().find(|(suffix, _)| name.ends_with(suffix)).map_or("", |(_, unit)| unit)
 }
 
-/// A property's type in a reader's words; choices are listed.
+/// The type of a property for readers; choices are listed.
 fn type_of(property: &Value, root: &Value) -> String {
     let property = resolved(property, root);
     if property["format"] == osteoflow_node::FilePath::SCHEMA_FORMAT {
@@ -253,7 +253,7 @@ fn type_of(property: &Value, root: &Value) -> String {
     }
 }
 
-/// The schema that a `$ref` names, or the schema itself.
+/// The schema that a `$ref` points to, or the schema itself.
 fn resolved<'a>(property: &'a Value, root: &'a Value) -> &'a Value {
     let pointer = property["$ref"].as_str().and_then(|r| r.strip_prefix('#'));
     pointer.and_then(|p| root.pointer(p)).unwrap_or(property)
@@ -267,7 +267,7 @@ fn range(property: &Value) -> String {
     [from, to].into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-/// Text in a table's cell: one line, no bars.
+/// Escapes text for a table cell: one line, no bars.
 fn cell(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|")
 }

@@ -74,10 +74,10 @@ pub(crate) fn make_after(dir: &Path) -> Result<PathBuf> {
     // A path such as `.` has no name to append a number to.
     let dir = match dir.file_name() {
         Some(_) => dir.to_owned(),
-        None => std::path::absolute(dir).with_context(|| format!("{} is no folder", dir.display()))?,
+        None => std::path::absolute(dir).with_context(|| format!("{} is not a folder", dir.display()))?,
     };
     let (Some(parent), Some(name)) = (dir.parent(), dir.file_name()) else {
-        return Err(UsageError(format!("{} has nothing beside it; name another folder", dir.display())).into());
+        return Err(UsageError(format!("{} has no parent folder; name another folder", dir.display())).into());
     };
     make_numbered(parent, &name.to_string_lossy(), 2)
 }

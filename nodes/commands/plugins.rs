@@ -1,4 +1,4 @@
-//! Which plugins a command knows, and how they are looked at.
+//! Plugins of a command: search, inspection and listing.
 
 use super::{Exit, Format, Global, UsageError, print_json, registry, text_table::TextTable};
 use anyhow::{Context, Result};
@@ -12,51 +12,50 @@ use osteoflow_engine::{
 use serde_json::{Value, json};
 use std::{env, io::Write, path::PathBuf, sync::Arc, time::Duration};
 
-/// Folders whose libraries are all looked at.
+/// Environment variable with folders whose libraries are all inspected.
 const FOLDERS: &str = "OSTEOFLOW_PLUGIN_PATH";
-/// How long one may take to be loaded.
+/// Environment variable with the maximum time to load a library.
 const TIMEOUT: &str = "OSTEOFLOW_PLUGIN_TIMEOUT_S";
 
-/// Plugins beside those of the graph.
+/// Plugins in addition to those of the graph.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct PluginArgs {
-    /// A library with kinds of nodes, beside those that the graph names, or in the place of one of the same file name;
-    /// may be given again. OSTEOFLOW_PLUGIN_PATH names folders whose libraries are all looked at.
+    /// A library with kinds of nodes, in addition to those that the graph names, or instead of one with the same file name;
+    /// may be given again. OSTEOFLOW_PLUGIN_PATH names folders whose libraries are all loaded.
     #[arg(long = "plugin", value_name = "FILE")]
     plugins: Vec<PathBuf>,
 }
 
 impl PluginArgs {
-    /// The kinds of this program, and of the plugins that are found.
+    /// The kinds of this program and of all plugins that are found.
     pub(crate) fn kinds(&self) -> Result<Kinds> {
         let folders = env::var_os(FOLDERS).map(|folders| env::split_paths(&folders).collect()).unwrap_or_default();
-        // A setting of the store that is wrong is told by those who keep answers there.
+        // A wrong setting of the store is reported by commands that use it.
         let store = Settings::from_env().ok().flatten().map(|settings| Arc::new(Store::open(settings)));
         let finder = Finder { prober: prober()?, store, asked: self.plugins.clone(), folders };
         Ok(Kinds::new(registry(), finder))
     }
 }
 
-/// This program itself, called to look at a library.
+/// This program, which is started as another process to inspect a library.
 fn prober() -> Result<Prober> {
-    let own = env::current_exe().context("the program's own file is not known")?;
-    // Where another file has been put in its place since, this is still the one that runs. Not otherwise: in a program
-    // that runs under valgrind it is valgrind.
+    let own = env::current_exe().context("the path of this program is unknown")?;
+    // This is the running program even if its file was replaced since. Not under valgrind, where it is valgrind itself.
     let program = if own.is_file() { own } else { "/proc/self/exe".into() };
-    let said = env::var(TIMEOUT).ok().filter(|said| !said.is_empty());
-    let timeout = match said.as_deref().map(str::parse::<f64>) {
+    let value = env::var(TIMEOUT).ok().filter(|value| !value.is_empty());
+    let timeout = match value.as_deref().map(str::parse::<f64>) {
         None => Prober::TIMEOUT,
         Some(Ok(seconds)) if seconds > 0.0 && seconds <= 86_400.0 => Duration::from_secs_f64(seconds),
         Some(_) => {
-            let said = said.unwrap_or_default();
-            let said = format!("{TIMEOUT} is \"{said}\", but a number of seconds was expected, such as 10");
-            return Err(UsageError(said).into());
+            let value = value.unwrap_or_default();
+            let message = format!("{TIMEOUT} is \"{value}\", but must be a number of seconds, such as 10");
+            return Err(UsageError(message).into());
         }
     };
     Ok(Prober { program, arguments: vec!["plugin-probe".into()], timeout })
 }
 
-/// Look at a library, and print what it says of itself: what a process of its own is started for.
+/// Inspect a library and print its description; run by other commands as a separate process.
 #[derive(Debug, Args)]
 #[command(hide = true)]
 pub(crate) struct PluginProbe {
@@ -70,8 +69,8 @@ impl PluginProbe {
     }
 }
 
-/// Tells what was refused where no graph is checked: to people on stderr. What was asked for by name is a fault.
-pub(crate) fn tell_refused(known: &Known, global: &Global) -> Result<Exit> {
+/// Prints refused plugins on stderr; a plugin that was named explicitly is a fault.
+pub(crate) fn print_refused(known: &Known, global: &Global) -> Result<Exit> {
     let faults = known.faults();
     let exit = match faults.iter().any(|fault| fault.severity == Severity::Error) {
         true => Exit::Usage,
@@ -84,7 +83,7 @@ pub(crate) fn tell_refused(known: &Known, global: &Global) -> Result<Exit> {
     Ok(exit)
 }
 
-/// A table of what was found.
+/// Prints a table of the plugins.
 pub(crate) fn table(known: &Known, global: &Global) -> Result<Exit> {
     if global.format == Format::Json {
         let found = known.plugins.iter().map(|plugin| {
@@ -98,11 +97,11 @@ pub(crate) fn table(known: &Known, global: &Global) -> Result<Exit> {
         });
         let refused = known.refused.iter().map(|r| json!({ "file": r.path.to_string_lossy(), "why": r.why }));
         print_json(&json!({ "plugins": found.collect::<Value>(), "refused": refused.collect::<Value>() }))?;
-        return tell_refused(known, &Global { quiet: true, ..global.clone() });
+        return print_refused(known, &Global { quiet: true, ..global.clone() });
     }
     let mut out = std::io::stdout().lock();
     if known.plugins.is_empty() {
-        writeln!(out, "no plugins; --plugin FILE names one, {FOLDERS} folders of them")?;
+        writeln!(out, "no plugins; name one by --plugin FILE, or folders of them by {FOLDERS}")?;
     } else {
         let mut table = TextTable::new("plugin", &["version", "abi", "sdk", "compiler"]);
         for plugin in &known.plugins {
@@ -117,5 +116,5 @@ pub(crate) fn table(known: &Known, global: &Global) -> Result<Exit> {
         writeln!(out, "{}", table.lines())?;
     }
     drop(out);
-    tell_refused(known, global)
+    print_refused(known, global)
 }

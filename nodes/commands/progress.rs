@@ -1,4 +1,4 @@
-//! What a run shows while it goes: a line that moves on a terminal, a few plain lines elsewhere.
+//! Progress of a run: an updated line on a terminal, a few plain lines elsewhere.
 
 use super::{Format, Global};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -12,17 +12,17 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// How often the line is written anew; nodes that fire more often are counted, not shown.
+/// Refresh interval of the line; nodes that fire more often are counted only.
 const REFRESH: Duration = Duration::from_millis(60);
 
-/// Watches a run.
+/// An observer that shows the progress of a run.
 pub(crate) struct Progress {
     bar: ProgressBar,
     state: Mutex<State>,
 }
 
 struct State {
-    /// Nodes whose first activation is under way, the latest last.
+    /// Nodes in their first activation, the latest last.
     busy: Vec<String>,
     n_ended: u64,
     n_items: u64,
@@ -30,14 +30,14 @@ struct State {
 }
 
 impl Progress {
-    /// Says what begins; `n_nodes` where it is known.
+    /// Begins to show progress; `n_nodes` if known.
     pub(crate) fn begin(what: &str, n_nodes: Option<usize>, global: &Global) -> Self {
-        let told = !global.quiet && global.format == Format::Text;
+        let shown = !global.quiet && global.format == Format::Text;
         let terminal = std::io::stderr().is_terminal();
-        if told && !terminal {
+        if shown && !terminal {
             let _ = writeln!(std::io::stderr(), "{what}");
         }
-        let target = if told && terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let target = if shown && terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(n_nodes.map(|n| n as u64), target);
         let template = match n_nodes {
             Some(_) => "{spinner} {bar:24} {pos}/{len} nodes  {wide_msg}",
@@ -45,33 +45,33 @@ impl Progress {
         };
         let style = ProgressStyle::with_template(template).expect("the templates are fixed");
         bar.set_style(style.progress_chars("=> "));
-        if told && terminal {
-            // The spinner turns while one node works for long.
+        if shown && terminal {
+            // Keeps the spinner turning while one node works for long.
             bar.enable_steady_tick(Duration::from_millis(120));
         }
         Self { bar, state: Mutex::new(State { busy: Vec::new(), n_ended: 0, n_items: 0, shown: Instant::now() }) }
     }
 
-    /// The same for the run of a plan.
+    /// Begins to show the progress of a run.
     pub(crate) fn of_run(plan: &Plan, workers: usize, global: &Global) -> Self {
         let (name, nodes, seed) = (&plan.name, plan.nodes.len(), plan.seed);
         let what = format!("running {name}: {nodes} nodes, seed {seed}, {workers} workers");
         Self::begin(&what, Some(nodes), global)
     }
 
-    /// Shows nothing; what is done shows itself.
+    /// Shows nothing, for runs that are displayed otherwise.
     pub(crate) fn hidden() -> Self {
         let state = State { busy: Vec::new(), n_ended: 0, n_items: 0, shown: Instant::now() };
         Self { bar: ProgressBar::hidden(), state: Mutex::new(state) }
     }
 
-    /// Takes the line away.
+    /// Removes the line.
     pub(crate) fn end(&self) {
         self.bar.finish_and_clear();
     }
 
-    /// Writes a line to stderr without disturbing the moving one.
-    pub(crate) fn say(&self, line: &str) {
+    /// Writes a line to stderr without disturbing the progress line.
+    pub(crate) fn println(&self, line: &str) {
         self.bar.suspend(|| {
             let _ = writeln!(std::io::stderr(), "{line}");
         });

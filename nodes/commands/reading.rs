@@ -1,4 +1,4 @@
-//! What a command shows while it reads through a long file.
+//! Progress of reading a long file.
 
 use super::{Format, Global};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -8,29 +8,29 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Files that are read faster show nothing.
+/// Files that are read faster show no progress.
 const PATIENCE: Duration = Duration::from_millis(400);
 
-/// A line that moves on a terminal; nothing elsewhere.
+/// A progress line on a terminal; nothing elsewhere.
 pub(crate) struct Reading {
     bar: ProgressBar,
     what: String,
     began: Instant,
     drawn: bool,
-    told: bool,
+    shown: bool,
 }
 
 impl Reading {
-    /// Watches the reading of `file`.
+    /// Begins to show the progress of reading `file`.
     pub(crate) fn begin(doing: &str, file: &Path, global: &Global) -> Self {
-        let told = !global.quiet && global.format == Format::Text && std::io::stderr().is_terminal();
+        let shown = !global.quiet && global.format == Format::Text && std::io::stderr().is_terminal();
         let what = format!("{doing} {}", file.display());
-        Self { bar: ProgressBar::hidden(), what, began: Instant::now(), drawn: false, told }
+        Self { bar: ProgressBar::hidden(), what, began: Instant::now(), drawn: false, shown }
     }
 
-    /// Tells how far it has come, in bytes.
+    /// Updates the progress, in bytes.
     pub(crate) fn at(&mut self, n_bytes: u64, of: u64) {
-        if !self.told || (!self.drawn && self.began.elapsed() < PATIENCE) {
+        if !self.shown || (!self.drawn && self.began.elapsed() < PATIENCE) {
             return;
         }
         if !self.drawn {

@@ -10,9 +10,9 @@ use osteoflow_engine::run::{Outcome, RunOptions, files};
 use serde_json::json;
 use std::{fs, io::Write, num::NonZeroUsize, path::PathBuf, sync::Arc};
 
-/// Run a graph and record the wires you name into one MCAP file.
+/// Run a graph and record the given wires into one MCAP file.
 ///
-/// What the sources gave is always in it, so that the file alone can be replayed.
+/// The outputs of sources are always recorded, so the file alone can be replayed.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -23,7 +23,7 @@ pub(crate) struct Record {
     #[command(flatten)]
     graph: GraphArgs,
 
-    /// Wires as NODE.PORT; * stands for any run of characters.
+    /// Wires as NODE.PORT; * matches any characters.
     #[arg(long, value_name = "GLOB", num_args = 1.., required = true)]
     wires: Vec<String>,
 
@@ -31,7 +31,7 @@ pub(crate) struct Record {
     #[arg(long, value_name = "FILE.mcap")]
     out: PathBuf,
 
-    /// Replace the file if it is there.
+    /// Replace the file if it exists.
     #[arg(long)]
     force: bool,
 
@@ -47,8 +47,8 @@ impl Record {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let file = &self.out;
         if file.exists() && !self.force {
-            let said = format!("{} is there already; name another file, or replace it with --force", file.display());
-            return Err(UsageError(said).into());
+            let message = format!("{} exists already; name another file, or replace it with --force", file.display());
+            return Err(UsageError(message).into());
         }
         let mut sets = self.graph.sets.clone();
         sets.push(format!("record.wires={}", json!(self.wires)));
@@ -56,8 +56,8 @@ impl Record {
         let Some(checked) = graph.check(global)? else { return Ok(Exit::Usage) };
         let (plan, registry) = (checked.plan, checked.registry);
 
-        // A run writes into a folder; the recording is moved out of it once it is whole.
-        let mut name = file.file_name().context("--out names no file")?.to_owned();
+        // A run writes into a folder; the complete recording is then moved out of it.
+        let mut name = file.file_name().context("--out does not name a file")?.to_owned();
         name.push(".part");
         let part = file.with_file_name(name);
         let _ = fs::remove_dir_all(&part);
@@ -71,10 +71,10 @@ impl Record {
         let progress = Progress::of_run(&plan, options.workers, global);
         let n_wires = plan.record.len();
         let ran = running::watch(progress, cancelled, move |progress| {
-            osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(running::told)
+            osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(running::run_error)
         })?;
         let Ran::Ended(report) = ran else {
-            running::say_left(&part, global);
+            running::print_left_files(&part, global);
             return Ok(Exit::Interrupted);
         };
         fs::rename(part.join(files::RECORDING), file)

@@ -5,11 +5,11 @@ use osteoflow_engine::recover::{RecoverError, RecoverReport, RecoveredWire, reco
 use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf};
 
-/// Write what is intact of a damaged recording into a sound file, and say what is missing.
+/// Copy what is intact in a damaged recording into a new file, and report what is missing.
 ///
-/// Every chunk whose CRC holds is kept, those behind damage too. Items keep their numbers; nothing is shifted into a
-/// hole. A replay of the new file computes what lay before the first damage; `digest`, `diff` and `validate` take all of
-/// it and say that it is a part. Nothing is overwritten.
+/// Every chunk with a valid CRC is kept, also behind damage. Items keep their numbers; gaps stay gaps. A replay of the new
+/// file computes everything before the first damage; `digest`, `diff` and `validate` accept all of it and report that it is
+/// partial. Nothing is overwritten.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -20,7 +20,7 @@ pub(crate) struct Recover {
     #[arg(value_name = "IN")]
     from: PathBuf,
 
-    /// The file to write; it must not be there.
+    /// The file to write; it must not exist.
     #[arg(value_name = "OUT")]
     to: PathBuf,
 }
@@ -57,10 +57,10 @@ impl Recover {
             writeln!(out, "lost: {lost}")?;
         }
         if report.n_unknown > 0 {
-            writeln!(out, "lost: {} messages of channels that nothing describes any more", report.n_unknown)?;
+            writeln!(out, "lost: {} messages of channels whose description is lost", report.n_unknown)?;
         }
         if !report.is_recording() {
-            writeln!(out, "without the graph it can be digested and compared, but not replayed")?;
+            writeln!(out, "it can be digested and compared, but not replayed, because the graph is lost")?;
         }
         let (n, of) = (report.bytes_lost(), report.n_bytes);
         let what = if report.is_whole() { "nothing is missing".into() } else { format!("{n} of {of} bytes are lost") };
@@ -97,7 +97,7 @@ impl Recover {
     }
 }
 
-/// The numbers that are missing, in words.
+/// Formats the missing numbers.
 fn missing(wire: &RecoveredWire) -> String {
     let range = |r: &std::ops::RangeInclusive<u64>| match (*r.start(), *r.end()) {
         (first, last) if first == last => first.to_string(),

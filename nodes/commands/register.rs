@@ -8,7 +8,7 @@ mod trace;
 
 use super::{
     Exit, Format, Global, UsageError,
-    graph_args::tell,
+    graph_args::print_faults,
     progress::Progress,
     registry,
     run::Keep,
@@ -234,7 +234,7 @@ impl Register {
         let as_json = match parameters(&kind.description, "register", &given) {
             Ok(params) => params,
             Err(faults) => {
-                tell(&faults, global)?;
+                print_faults(&faults, global)?;
                 return Ok(None);
             }
         };

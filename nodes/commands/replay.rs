@@ -18,9 +18,9 @@ use std::{io::Write, path::PathBuf, sync::Arc};
 
 /// Run again from a recording alone, and compare every recorded wire that is computed, bit for bit.
 ///
-/// The sources' recorded items stand for their nodes, everything downstream is computed anew. The files that the graph
-/// named need not be there, unless it says `[record] sources = "hash"`: these are read again, if they are still the same.
-/// The first divergence is the first in the order of the graph. Without --out nothing is written.
+/// The recorded items of sources replace their nodes; everything downstream is computed again. The files that the graph names
+/// need not exist, unless it says `[record] sources = "hash"`: these are read again if they are unchanged. The first divergence
+/// is the first in the order of the graph. Without --out nothing is written.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -35,7 +35,7 @@ pub(crate) struct Replay {
     /// The run.mcap of a run, or a file of `osteoflow record`.
     file: PathBuf,
 
-    /// Compute only this node and what follows from it; all that enters is played as recorded.
+    /// Compute only this node and everything downstream; its inputs are played as recorded.
     #[arg(long, value_name = "NODE")]
     from: Option<String>,
 
@@ -43,20 +43,20 @@ pub(crate) struct Replay {
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
 
-    /// Play the recorded wires into this graph: those that have the name of a wire of one of its sources.
+    /// Play the recorded wires into this graph: those with the name of a wire of one of its sources.
     #[arg(long, value_name = "OTHER.toml")]
     graph: Option<PathBuf>,
 
-    /// How many seconds of the recording go by in one, or max; the result does not depend on it.
+    /// Seconds of the recording per second of real time, or max; the result does not depend on it.
     #[arg(long, value_name = "RATE", default_value = "max", value_parser = rate)]
     rate: Rate,
 
-    /// Play nothing before: seconds after the first stamp, or a stamp such as 1750000000418500000ns. Constants are
-    /// always played. A part of a run is another run, so nothing is compared then.
+    /// Start of playback: seconds after the first stamp, or a stamp such as 1750000000418500000ns. Constants are always played.
+    /// A part of a run is another run, so nothing is compared then.
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     start: Option<Moment>,
 
-    /// Play nothing after.
+    /// End of playback, as for --from.
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     end: Option<Moment>,
 
@@ -67,7 +67,7 @@ pub(crate) struct Replay {
     leave: Leave,
 }
 
-/// How fast to play; `None`: as fast as can be.
+/// Speed of playback; `None`: as fast as possible.
 #[derive(Debug, Clone, Copy)]
 struct Rate(Option<f64>);
 
@@ -75,7 +75,7 @@ fn rate(text: &str) -> Result<Rate, String> {
     match text.parse::<f64>() {
         _ if text == "max" => Ok(Rate(None)),
         Ok(rate) if rate > 0.0 && rate.is_finite() => Ok(Rate(Some(rate))),
-        _ => Err("a rate is a number above 0, such as 1 or 0.5, or max".into()),
+        _ => Err("a rate must be a number above 0, such as 1 or 0.5, or max".into()),
     }
 }
 
@@ -102,13 +102,13 @@ impl Replay {
         let (colour, kinds) = (global.colour_err(), self.plugins.kinds()?);
         let ran = running::watch(progress, cancelled, move |progress| {
             let replayed = osteoflow_engine::replay::replay(&file, &changes, kinds, &options, progress);
-            replayed.map_err(|error| told(error, colour))
+            replayed.map_err(|error| replay_error(error, colour))
         })?;
         let report = match ran {
             Ran::Ended(report) => report,
             Ran::Left => {
                 if let Some(dir) = &dir {
-                    running::say_left(dir, global);
+                    running::print_left_files(dir, global);
                 }
                 return Ok(Exit::Interrupted);
             }
@@ -131,7 +131,7 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
     let mut err = std::io::stderr().lock();
     if let Some(reason) = &report.truncated {
         let word = global.paint_err("warning", "1;33");
-        writeln!(err, "{word}: the recording ends early ({reason}); what is before that is compared")?;
+        writeln!(err, "{word}: the recording ends early ({reason}); everything before is compared")?;
     }
     for difference in &report.differences {
         writeln!(err, "{}: {difference}", global.paint_err("warning", "1;33"))?;
@@ -141,7 +141,7 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
     }
     if !report.computed_too.is_empty() {
         let (word, nodes) = (global.paint_err("note", "1;36"), report.computed_too.join(", "));
-        writeln!(err, "{word}: computed too, because what they give was not recorded: {nodes}")?;
+        writeln!(err, "{word}: also computed, because their outputs were not recorded: {nodes}")?;
     }
     if let Outcome::Refused(refusal) = &report.run.outcome {
         writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?;
@@ -166,7 +166,7 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
         && let Some(Difference { item, what }) = &wire.first_difference
     {
         let word = global.paint_out("first divergence", "1;31");
-        writeln!(out, "{word}: wire {}, item {item}: {}", wire.wire, told_difference(what))?;
+        writeln!(out, "{word}: wire {}, item {item}: {}", wire.wire, format_difference(what))?;
     }
     let count = |part: WirePart| report.wires.iter().filter(|wire| wire.part == part).count();
     let n_different = report.wires.iter().filter(|wire| wire.first_difference.is_some()).count();
@@ -184,8 +184,8 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
     Ok(())
 }
 
-/// What cannot be asked of this recording is a matter of the command line; all else is one of files.
-fn told(error: ReplayError, colour: bool) -> anyhow::Error {
+/// Converts an error: requests that the recording does not support are faults of the command line.
+fn replay_error(error: ReplayError, colour: bool) -> anyhow::Error {
     match error {
         ReplayError::Graph { faults, recorded } => {
             let what = if recorded { "the recorded graph does not fit this program" } else { "the graph has faults" };
@@ -195,13 +195,13 @@ fn told(error: ReplayError, colour: bool) -> anyhow::Error {
         | ReplayError::Payload { .. }
         | ReplayError::NoNode { .. }
         | ReplayError::NoEffect { .. } => UsageError(error.to_string()).into(),
-        ReplayError::Run(error) => running::told(error),
+        ReplayError::Run(error) => running::run_error(error),
         other => other.into(),
     }
 }
 
-/// Field, both values and how far they lie apart.
-fn told_difference(what: &osteoflow_engine::diff::Difference) -> String {
+/// Formats a difference: field, both values and their distance.
+fn format_difference(what: &osteoflow_engine::diff::Difference) -> String {
     let apart = diff::apart(what);
     let apart = if apart.is_empty() { apart } else { format!(" ({apart})") };
     format!("{}: {} was recorded, {} came{apart}", what.field, what.a, what.b)

@@ -8,11 +8,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Write one HTML page of a run or a sweep: figures, views that turn under the mouse, tables, methods, provenance.
+/// Write an HTML page about a run or a sweep: figures, 3D views, tables, methods, provenance.
 ///
-/// The page opens without a network. Beside it lie its drawings and its views from one side (figures/*.svg), and the literature of the nodes that were
-/// used (citations.bib). Of a run it shows the recorded wires; what was not recorded is named, with what to record.
-/// Of a sweep two runs are run once more, for their surfaces.
+/// The page opens without a network. Its figures and a drawing of each view (figures/*.svg) and the literature of the nodes
+/// (citations.bib) are written beside it. The page of a run shows its recorded wires and lists those that were not recorded.
+/// For the page of a sweep two runs are repeated, because its folder holds no surfaces.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -26,7 +26,7 @@ pub(crate) struct Report {
     #[command(flatten)]
     plugins: PluginArgs,
 
-    /// The page. Default: report.html in DIR.
+    /// The file to write. Default: report.html in DIR.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -38,19 +38,19 @@ impl Report {
             Holds::Sweep => osteoflow_report::of_sweep(&self.dir, &registry, &self.plugins.kinds()?, true)?,
             Holds::Run => osteoflow_report::of_run(&self.dir, &registry)?,
             Holds::Neither => {
-                let said = format!(
-                    "{} is no folder of a run ({} is missing) or of a sweep ({} is missing); name one that `osteoflow run` \
+                let message = format!(
+                    "{} is not the folder of a run ({} is missing) or of a sweep ({} is missing); name one that `osteoflow run` \
                      or `osteoflow sweep` has left",
                     self.dir.display(),
                     files::MANIFEST,
                     sweep::DESIGN
                 );
-                return Err(UsageError(said).into());
+                return Err(UsageError(message).into());
             }
         };
         let page = self.out.clone().unwrap_or_else(|| self.dir.join(osteoflow_report::PAGE));
         report.write(&self.dir, &page)?;
-        tell(&page, &report, global)
+        print_end(&page, &report, global)
     }
 
     fn holds(&self) -> Holds {
@@ -68,17 +68,17 @@ enum Holds {
     Neither,
 }
 
-fn tell(page: &Path, report: &osteoflow_report::Report, global: &Global) -> Result<Exit> {
+fn print_end(page: &Path, report: &osteoflow_report::Report, global: &Global) -> Result<Exit> {
     let figures: Vec<_> = report.figures.iter().map(|figure| figure.name.as_str()).collect();
     if global.format == Format::Json {
         let exit = Exit::Done;
-        let said = json!({ "outcome": exit.to_json(), "page": page.display().to_string(), "figures": figures });
-        print_json(&said)?;
+        let message = json!({ "outcome": exit.to_json(), "page": page.display().to_string(), "figures": figures });
+        print_json(&message)?;
         return Ok(exit);
     }
     if !global.quiet {
         let size = report.html.len() as f64 / 1e6;
-        writeln!(std::io::stdout(), "{} ({size:.1} MB), {} drawings beside it", page.display(), figures.len())?;
+        writeln!(std::io::stdout(), "{} ({size:.1} MB), {} figures", page.display(), figures.len())?;
     }
     Ok(Exit::Done)
 }

@@ -9,9 +9,9 @@ use osteoflow_node::Role;
 use serde_json::{Value, json};
 use std::{io::Write, num::NonZeroUsize, path::PathBuf, sync::Arc};
 
-/// Run a failed node again, alone, on the very item at which it failed.
+/// Run a failed node again, alone, on the item at which it failed.
 ///
-/// A run saves the items of a failing node in its folder under repro/NODE-ITEM, five for each node at most. A source is
+/// A run saves the items of a failing node in its folder under repro/NODE-ITEM, at most five for each node. A source is
 /// called from its start to the call that failed. With RUST_BACKTRACE=1 a panic prints its backtrace.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -88,14 +88,14 @@ fn print_text(report: &ReproReport, backtrace: bool, global: &Global) -> Result<
         Some(failure) if bundle.node.role != Role::Node && report.n_calls != bundle.item => {
             writeln!(out, "{red} now:  at call {} already: {}", report.n_calls, failure.reason)?;
         }
-        Some(failure) => writeln!(out, "{red} now:  in another way: {}", failure.reason)?,
+        Some(failure) => writeln!(out, "{red} now:  another failure: {}", failure.reason)?,
         None => writeln!(out, "now it does not fail")?,
     }
     if let Some(how) = bundle.injected {
         writeln!(out, "the {} was injected for a test (run --inject)", how.name())?;
     }
     if report.same && bundle.failure.panicked && !backtrace {
-        writeln!(out, "RUST_BACKTRACE=1 shows how it came there")?;
+        writeln!(out, "RUST_BACKTRACE=1 shows the backtrace")?;
     }
     if !report.same {
         writeln!(out, "{}", why_not(bundle))?;
@@ -103,7 +103,7 @@ fn print_text(report: &ReproReport, backtrace: bool, global: &Global) -> Result<
     Ok(())
 }
 
-/// What may be the cause where a failure does not come again.
+/// Possible causes if a failure does not recur.
 fn why_not(bundle: &Bundle) -> String {
     match bundle.node.role {
         Role::Node if bundle.item > 0 => {
@@ -111,9 +111,9 @@ fn why_not(bundle: &Bundle) -> String {
                                           recording of its run: osteoflow replay RUN/run.mcap"
                 .into()
         }
-        Role::Node => "what it depends on beside its item (files, the program, the machine) may have changed".into(),
-        Role::Source => "the files that it reads may have changed since".into(),
-        Role::LiveSource => "a live source gives what the world gives; this time it was something else".into(),
+        Role::Node => "its files, the program or the machine may have changed".into(),
+        Role::Source => "the files that it reads may have changed".into(),
+        Role::LiveSource => "a live source reads the outside world, which gave other data this time".into(),
     }
 }
 
@@ -153,7 +153,7 @@ fn stamp(item: &Shown) -> String {
     format!("{:.6}", item.stamp_ns as f64 / 1e9)
 }
 
-/// The payload, its sizes, and its texts, which name its frames.
+/// The payload, its sizes, and its texts, which include the names of frames.
 fn about(item: &Shown) -> String {
     let Some(payload) = &item.payload else {
         return format!("empty: {}", item.empty.as_deref().unwrap_or_default());

@@ -22,19 +22,19 @@ use std::{
     time::Instant,
 };
 
-/// Where the experiments' graphs lie in the project.
+/// The folder of the experiments' graphs in the project.
 const GRAPHS: &str = "graphs/paper";
 
-/// Where the page lies in the project.
+/// The page in the project.
 const PAGE: &str = "docs/paper-reproduction.md";
 
-/// Run the paper's experiments, and write the page that sets our numbers beside the paper's.
+/// Run the paper's experiments, and write a page that compares our numbers with the paper's.
 ///
-/// Every graph of graphs/paper/ is swept into a folder of its own under --out. The page says for each number of the paper
-/// what ours is, of how many and of what, by which command, and whether it lies outside the paper's spread. In the
-/// project's folder it is docs/paper-reproduction.md, else paper-reproduction.md in --out. Each sweep's folder gets the
-/// page that `osteoflow report` writes. An experiment none of whose runs has results is named with the first reason, and the
-/// exit code is 3. A bone that `osteoflow simulate` refuses is refused before anything is run.
+/// Every graph of graphs/paper/ is swept into a folder of its own under --out. For each number of the paper the page has ours,
+/// its n and units, the command, and whether it is outside the paper's spread. In the project's folder the page is
+/// docs/paper-reproduction.md, otherwise paper-reproduction.md in --out. Each sweep's folder gets the page that
+/// `osteoflow report` writes. An experiment without any result is listed with the first reason, and the exit code is 3. A bone
+/// that `osteoflow simulate` refuses is refused before anything is run.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -47,23 +47,23 @@ pub(crate) struct Reproduce {
     #[arg(long, value_name = "DIR", default_value = GRAPHS)]
     graphs: PathBuf,
 
-    /// The folder to leave the sweeps in; one that is not empty is refused. Default: a new one under runs/.
+    /// The folder to write the sweeps into; refused if not empty. Default: a new one under runs/.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 
-    /// Go on in --out: runs that are there stay.
+    /// Resume in --out: finished runs stay.
     #[arg(long, requires = "out")]
     resume: bool,
 
-    /// Only these experiments; then the page lies in --out.
+    /// Only these experiments; the page is then written to --out.
     #[arg(long, value_name = "NAME", num_args = 1.., value_parser = EXPERIMENTS)]
     only: Vec<String>,
 
-    /// A closed surface of a fibula (STL, PLY), in the place of the built-in bones.
+    /// A closed surface of a fibula (STL, PLY), instead of the built-in bones.
     #[arg(long, value_name = "FILE", requires = "plan")]
     bone: Option<PathBuf>,
 
-    /// Its plan, or its anatomy only: malleolus tip and directions, as `osteoflow simulate --plan` takes it.
+    /// Its plan, or its anatomy only: malleolus tip and directions, as for `osteoflow simulate --plan`.
     #[arg(long, value_name = "FILE", requires = "bone")]
     plan: Option<PathBuf>,
 
@@ -71,7 +71,7 @@ pub(crate) struct Reproduce {
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
 
-    /// How many runs go on at a time. Default: the number of cores.
+    /// Number of runs at a time. Default: the number of cores.
     #[arg(long, value_name = "N")]
     workers: Option<NonZeroUsize>,
 
@@ -82,14 +82,14 @@ pub(crate) struct Reproduce {
 impl Reproduce {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         if !self.graphs.is_dir() {
-            let said = format!(
+            let message = format!(
                 "there is no folder {}; run this in the project's folder, or name the experiments' graphs by --graphs",
                 self.graphs.display()
             );
-            return Err(UsageError(said).into());
+            return Err(UsageError(message).into());
         }
         let cancelled = Arc::default();
-        // First, as the check of a bone computes on several threads too.
+        // First, because the check of a bone uses several threads too.
         let run = running::options(self.workers, &cancelled)?;
         if let (Some(bone), Some(plan)) = (&self.bone, &self.plan) {
             check_bone(bone, plan, self.sets.is_empty())?;
@@ -109,13 +109,13 @@ impl Reproduce {
         let began = Instant::now();
         let mut sweeps = Vec::new();
         for name in &names {
-            // Everything is checked before the first run of an experiment; its own faults stop it there.
+            // Everything is checked before the first run of an experiment; an experiment's own faults stop it there.
             let graph = self.graphs.join(format!("{name}.toml"));
             let sets: Vec<_> = self.sets.iter().cloned().chain(bone.iter().flat_map(|b| b.of(name))).collect();
             match sweep::check(&graph, &sets, PluginArgs::default().kinds()?, workers) {
                 Ok(sweep) => sweeps.push((name, sweep)),
                 Err(faults) => {
-                    graph_args::tell(&faults, global)?;
+                    graph_args::print_faults(&faults, global)?;
                     return Ok(Exit::Usage);
                 }
             }
@@ -124,8 +124,8 @@ impl Reproduce {
         for (name, sweep) in &sweeps {
             let dir = out.join(name.as_str());
             folders.push(match dir.join(sweep::DESIGN).is_file() {
-                true => sweep.resume(&dir, None).map_err(sweep_command::told)?,
-                false => sweep.begin(&dir, &options).map_err(sweep_command::told)?,
+                true => sweep.resume(&dir, None).map_err(sweep_command::folder_error)?,
+                false => sweep.begin(&dir, &options).map_err(sweep_command::folder_error)?,
             });
         }
         let all: Vec<_> = names.iter().cloned().zip(folders.iter().cloned()).collect();
@@ -135,7 +135,7 @@ impl Reproduce {
         let cancelled_too = cancelled.clone();
         let ran = running::watch(super::progress::Progress::hidden(), cancelled, move |_| {
             for ((name, sweep), folder) in jobs.iter().zip(&folders) {
-                bar.say(name);
+                bar.message(name);
                 sweep.run(folder, &options, &bar as &dyn Watcher)?;
                 if cancelled_too.load(Ordering::Relaxed) {
                     return Ok(false);
@@ -148,15 +148,15 @@ impl Reproduce {
         let running::Ran::Ended(true) = ran else {
             if !global.quiet {
                 let word = global.paint_err("interrupted", "1;33");
-                writeln!(std::io::stderr(), "{word}: go on with --out {} --resume", out.display())?;
+                writeln!(std::io::stderr(), "{word}: continue with --out {} --resume", out.display())?;
             }
             return Ok(Exit::Interrupted);
         };
-        self.tell(&all, &out, began, global)
+        self.print_end(&all, &out, began, global)
     }
 
-    /// Writes the pages, and tells where they are and what lies outside the paper's spread.
-    fn tell(&self, sweeps: &[(String, Folder)], out: &Path, began: Instant, global: &Global) -> Result<Exit> {
+    /// Writes the pages, and prints their paths and the numbers outside the paper's spread.
+    fn print_end(&self, sweeps: &[(String, Folder)], out: &Path, began: Instant, global: &Global) -> Result<Exit> {
         let reproduction = Reproduction::new(sweeps)?;
         let path = self.page(out);
         fs::write(&path, reproduction.page(&self.command(&self.only), &|name| self.command_of(name)))
@@ -204,7 +204,7 @@ impl Reproduce {
         }
     }
 
-    /// The command, as somebody would repeat it for these experiments; for all without any.
+    /// The command that repeats these experiments; all experiments if empty.
     fn command(&self, only: &[String]) -> String {
         let mut command = "osteoflow reproduce".to_owned();
         if self.graphs != Path::new(GRAPHS) {
@@ -224,7 +224,7 @@ impl Reproduce {
         command
     }
 
-    /// What makes the numbers of one experiment again.
+    /// The command that computes the numbers of one experiment.
     fn command_of(&self, experiment: &str) -> String {
         match self.bone.is_none() && self.sets.is_empty() && self.only.is_empty() {
             true => format!("osteoflow sweep {}/{experiment}.toml", self.graphs.display()),
@@ -243,8 +243,8 @@ impl Reproduce {
     }
 }
 
-/// Refuses a bone that no procedure can be simulated on, with the words of `osteoflow simulate`, before anything is run.
-/// Whether the stretch that is scanned lies on the bone is looked at where nothing else is set.
+/// Refuses a bone that cannot be simulated, with the message of `osteoflow simulate`, before anything is run. Whether the
+/// scanned stretch is on the bone is checked only if no other setting is made.
 fn check_bone(bone: &Path, plan: &Path, as_it_is: bool) -> Result<()> {
     let subject = own_bone::read(bone, plan).map_err(|error| anyhow::anyhow!("{error}"))?;
     for note in &subject.notes {
@@ -254,13 +254,13 @@ fn check_bone(bone: &Path, plan: &Path, as_it_is: bool) -> Result<()> {
         return Ok(());
     }
     let mut params = ProcedureParams::default();
-    // The surface and the plan decide, not how many points see them.
+    // The surface and the plan matter, not the number of points.
     params.camera.n_points = 1000;
     Procedure::simulate_for(&subject, &params, 1)?;
     Ok(())
 }
 
-/// As a shell takes it.
+/// Quotes a word for a shell.
 fn quoted(word: &str) -> String {
     match !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "-_./=:,+@%".contains(c)) {
         true => word.to_owned(),
@@ -268,7 +268,7 @@ fn quoted(word: &str) -> String {
     }
 }
 
-/// Writes the report of each experiment into its folder, and gives the pages.
+/// Writes the report of each experiment into its folder, and returns the paths of the pages.
 fn reports(sweeps: &[(String, Folder)]) -> Result<Vec<String>> {
     let registry = super::registry();
     let kinds = PluginArgs::default().kinds()?;
@@ -281,7 +281,7 @@ fn reports(sweeps: &[(String, Folder)]) -> Result<Vec<String>> {
     sweeps.iter().map(write).collect()
 }
 
-/// A bone of the user's own in the place of the built-in ones.
+/// The settings for a user's bone instead of the built-in ones.
 struct BoneSets {
     name: String,
     bone: String,
@@ -291,7 +291,7 @@ struct BoneSets {
 impl BoneSets {
     fn of(&self, experiment: &str) -> Vec<String> {
         if experiment == "calibration" {
-            // No bone is looked at there.
+            // Experiments without a bone.
             return Vec::new();
         }
         let text = |text: &str| Value::from(text).to_string();

@@ -1,18 +1,18 @@
-//! What a run found, as a reader wants to see it: the known keys of `results.json` as tables in mm and degrees.
+//! Tables of a run's results: the known keys of `results.json` in mm and degrees.
 
 use super::text_table::TextTable;
 use osteoflow_geometry::{isometry_from_matrix, nalgebra::Matrix4};
 use serde_json::Value;
 
-/// What stands on every result, on the terminal and in files.
+/// The notice on every result, on the terminal and in files.
 pub(crate) const NOTICE: &str = "research use only, not for clinical use";
 
-/// The tables of those known keys that `results` holds; other keys are the file's alone.
+/// The tables of the known keys in `results`; other keys are shown by the file only.
 pub(crate) fn text(results: &Value) -> String {
     blocks(results, tables(results))
 }
 
-/// The same, with what stood in the tables of an earlier run below what has become other.
+/// The tables of the known keys, with the values of an earlier run below those that have changed.
 pub(crate) fn text_beside(results: &Value, earlier: &Value) -> String {
     let mut now = tables(results);
     let earlier = tables(earlier);
@@ -46,7 +46,7 @@ fn tables(results: &Value) -> Vec<TextTable> {
     tables.into_iter().flatten().collect()
 }
 
-/// Whether it is simulated, and against which surface.
+/// The notice, whether the data are simulated, and the origin of the surface.
 fn banner(results: &Value) -> String {
     let mut words = Vec::new();
     if results.get("simulated") == Some(&Value::Bool(true)) {
@@ -67,7 +67,7 @@ fn poses(results: &Value) -> Option<TextTable> {
     some(table)
 }
 
-/// The origin, and the rotation as a vector along its axis, as long as its angle.
+/// The origin, and the rotation vector.
 fn pose_cells(matrix: &Value) -> Vec<String> {
     let Some(t) = matrix4(matrix).and_then(|m| isometry_from_matrix(&m).ok()) else { return vec!["unknown".into()] };
     let turn = t.rotation.scaled_axis().map(f64::to_degrees);
@@ -109,7 +109,7 @@ fn planes(results: &Value, key: &str, title: &str) -> Option<TextTable> {
             }
             (reason, _) => {
                 let reason = reason.map_or_else(|| "no matrix".into(), plain);
-                // Beyond the last column, so that a long reason widens no column.
+                // Beyond the last column, so that a long reason does not widen it.
                 [vec!["-".into(); 6], vec![format!("unknown: {reason}")]].concat()
             }
         };
@@ -149,7 +149,7 @@ fn matrix4(rows: &Value) -> Option<Matrix4<f64>> {
     Some(m)
 }
 
-/// Fixed digits, and no minus before a zero.
+/// Formats with fixed decimals, without a minus sign before zero.
 fn fixed(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     if text.starts_with('-') && text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.')) { text[1..].into() } else { text }
@@ -171,15 +171,15 @@ mod tests {
 
     #[test]
     fn a_result_says_that_it_is_simulated_against_what_and_for_what_it_is_no_use() {
-        let said = text(&json!({ "simulated": true, "ct_surface": "simulated_ct" }));
-        assert_eq!(said, "SIMULATED, ct_surface = simulated_ct, research use only, not for clinical use\n");
+        let tables = text(&json!({ "simulated": true, "ct_surface": "simulated_ct" }));
+        assert_eq!(tables, "SIMULATED, ct_surface = simulated_ct, research use only, not for clinical use\n");
     }
 
     #[test]
     fn known_keys_become_tables_in_mm_and_degrees() {
         let quarter_turn = [[0.0, -1.0, 0.0, 1.0], [1.0, 0.0, 0.0, -2.0], [0.0, 0.0, 1.0, 3.5], [0.0, 0.0, 0.0, 1.0]];
         let point = json!({ "name": "M1", "x": -0.0001, "y": 0.25, "z": -1.5, "norm": 1.52 });
-        let said = text(&json!({
+        let tables = text(&json!({
             "poses": { "t_ct_world": { "to": "ct", "from": "world", "matrix": quarter_turn } },
             "planes": [
                 { "name": "cut_1", "frame": "world", "stamp_ns": 1, "matrix": quarter_turn },
@@ -194,7 +194,7 @@ mod tests {
             "  M1        0.000  0.250  -1.500    1.520\n",
             "  mean |.|  0.000  0.250  -1.500    1.520  n = 1\n",
         ] {
-            assert!(said.contains(expected), "{said}\nlacks\n{expected}");
+            assert!(tables.contains(expected), "{tables}\nlacks\n{expected}");
         }
     }
 }

@@ -19,9 +19,9 @@ use std::{
     sync::Arc,
 };
 
-/// Run a graph: check it, run it, leave results, where they came from, and a recording of its wires.
+/// Run a graph: check it, run it, write results, their provenance and a recording of its wires.
 ///
-/// Without --out the files go into runs/GRAPH-TIME in the current folder.
+/// Without --out the files are written to runs/GRAPH-TIME in the current folder.
 #[derive(Debug, Clone, Args)]
 #[command(after_help = "\
 Examples:
@@ -42,11 +42,11 @@ pub(crate) struct Run {
     #[command(flatten)]
     pub(super) keep: Keep,
 
-    /// Run again whenever the graph file is saved, or a file that it extends, uses as a module or names in a parameter,
-    /// or a plugin is rebuilt: from the first changed node on, the results of all others are kept (in memory). A rerun
-    /// leaves results.json and manifest.json in a folder of its own: a new one under runs/, or with --out DIR in DIR-2,
-    /// DIR-3 and so on. Ctrl-C ends it, with exit code 0 between two runs and 130 during one. With --format json each run
-    /// is a line of JSON. Live sources are refused.
+    /// Run again whenever the graph file is saved, or a file that it extends, uses as a module or names in a parameter, or
+    /// when a plugin is rebuilt. A rerun starts from the first changed node; the outputs of all others are kept in memory. It
+    /// writes results.json and manifest.json into a new folder under runs/, or with --out DIR into DIR-2, DIR-3 and so on.
+    /// Ctrl-C ends the watch, with exit code 0 between two runs and 130 during one. With --format json each run is a line of
+    /// JSON. Live sources are refused.
     #[arg(long, conflicts_with = "inject")]
     watch: bool,
 
@@ -54,45 +54,44 @@ pub(crate) struct Run {
     #[arg(long)]
     pub(super) no_record: bool,
 
-    /// For testing how a graph fails: let a node panic, or answer an error, in the place of its own work at this item
-    /// (0 if not given); may be given again.
+    /// For tests of failures: make a node panic, or return an error, instead of processing this item (default: 0); may be
+    /// given again.
     #[arg(long, value_name = "NODE[@ITEM][=panic|error]")]
     inject: Vec<String>,
 
-    /// For testing: delay threads, wake them without reason and reorder nodes, by chance from this seed. The results
-    /// are the same with any seed and without, on any number of workers.
+    /// For tests: delay threads, wake them without reason and reorder nodes, at random from this seed. The results are the
+    /// same with any seed and without, on any number of workers.
     #[arg(long, value_name = "SEED")]
     pub(super) shuffle: Option<u64>,
 }
 
-/// Where a run leaves its files, and on how many threads it runs.
+/// Output folder and number of threads of a run.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct Leave {
-    /// The folder to leave the files in; one that is not empty is refused.
+    /// The folder to write the files into; refused if not empty.
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 
-    /// Take a folder that is not empty, and replace the files of a run in it; nothing else is touched.
+    /// Write into a folder that is not empty, and replace the files of a run in it; other files stay.
     #[arg(long)]
     pub(crate) force: bool,
 
-    /// How many threads run nodes; the results do not depend on it. Default: the number of cores.
+    /// Number of threads that run nodes; the results do not depend on it. Default: the number of cores.
     #[arg(long, value_name = "N")]
     pub(crate) workers: Option<NonZeroUsize>,
 }
 
-/// Whether answers are kept from one run to the next.
+/// Whether to cache answers between runs.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct Keep {
-    /// Compute everything: neither look answers up in the store nor keep them there. The results are the same with and
-    /// without it. OSTEOFLOW_CACHE names the store's folder, or is `off`; OSTEOFLOW_CACHE_MAX_MB says how much it holds
-    /// (1 GiB).
+    /// Compute everything: neither load answers from the store nor save them there. The results are the same with and
+    /// without it. OSTEOFLOW_CACHE names the store's folder, or is `off`; OSTEOFLOW_CACHE_MAX_MB limits its size (1 GiB).
     #[arg(long)]
     no_cache: bool,
 }
 
 impl Keep {
-    /// The store that the environment names, unless it is not wanted.
+    /// The store that the environment names, unless caching is disabled.
     pub(crate) fn store(&self) -> Result<Option<Arc<Store>>> {
         let settings =
             if self.no_cache { None } else { Settings::from_env().map_err(|e| UsageError(e.to_string()))? };
@@ -108,13 +107,13 @@ impl Run {
         let Some(checked) = self.graph.check(global)? else { return Ok(Exit::Usage) };
         let (plan, registry) = (checked.plan, checked.registry);
         let inject = self.inject.iter().map(|text| Injection::parse(text, &plan)).collect::<Result<_, _>>();
-        let inject = inject.map_err(|said| UsageError(format!("--inject: {said}")))?;
+        let inject = inject.map_err(|message| UsageError(format!("--inject: {message}")))?;
         let (store, cancelled) = (self.keep.store()?, Arc::default());
         let dir = out_dir::make(self.leave.out.as_deref(), &plan.name, self.leave.force)?;
         let options = RunOptions {
             out_dir: Some(dir.clone()),
             record: !self.no_record,
-            // A recorded run times every firing in any case.
+            // A recorded run measures the time of every firing in any case.
             latency: !self.no_record || global.verbose > 0,
             inject,
             shuffle: self.shuffle,
@@ -123,21 +122,21 @@ impl Run {
         };
         let progress = Progress::of_run(&plan, options.workers, global);
         let ran = running::watch(progress, cancelled, move |progress| {
-            osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(running::told)
+            osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(running::run_error)
         })?;
         match ran {
-            Ran::Ended(report) => tell(&report, &dir, global),
+            Ran::Ended(report) => print_end(&report, &dir, global),
             Ran::Left => {
-                running::say_left(&dir, global);
+                running::print_left_files(&dir, global);
                 Ok(Exit::Interrupted)
             }
         }
     }
 }
 
-/// Tells how a run ended: answers on stdout, everything else on stderr.
-pub(crate) fn tell(report: &RunReport, dir: &Path, global: &Global) -> Result<Exit> {
-    let exit = tell_end(report, global)?;
+/// Prints the end of a run: results on stdout, everything else on stderr.
+pub(crate) fn print_end(report: &RunReport, dir: &Path, global: &Global) -> Result<Exit> {
+    let exit = print_warnings_and_failure(report, global)?;
     match global.format {
         Format::Json => print_json(&with_outcome(report, exit, dir))?,
         Format::Text => print_text(report, &result_table::text(&report.results), dir, global)?,
@@ -145,8 +144,8 @@ pub(crate) fn tell(report: &RunReport, dir: &Path, global: &Global) -> Result<Ex
     Ok(exit)
 }
 
-/// What goes to stderr: warnings, and why there are no results.
-pub(super) fn tell_end(report: &RunReport, global: &Global) -> Result<Exit> {
+/// Prints warnings, and the reason if there are no results, to stderr.
+pub(super) fn print_warnings_and_failure(report: &RunReport, global: &Global) -> Result<Exit> {
     let exit = match &report.outcome {
         Outcome::Complete => Exit::Done,
         Outcome::Refused(_) => Exit::Refused,
@@ -163,23 +162,23 @@ pub(super) fn tell_end(report: &RunReport, global: &Global) -> Result<Exit> {
         Outcome::Complete => {}
     }
     if !global.quiet {
-        tell_saved(&mut err, report)?;
+        print_repro_commands(&mut err, report)?;
     }
     Ok(exit)
 }
 
-/// How to see a failure again.
-fn tell_saved(err: &mut impl Write, report: &RunReport) -> Result<()> {
+/// Prints the commands that repeat the failures.
+fn print_repro_commands(err: &mut impl Write, report: &RunReport) -> Result<()> {
     for bundle in &report.saved.bundles {
-        writeln!(err, "to see it again, alone: osteoflow repro {}", bundle.dir.display())?;
+        writeln!(err, "repeat it alone with: osteoflow repro {}", bundle.dir.display())?;
     }
     for (node, n) in &report.saved.more {
-        writeln!(err, "node \"{node}\" failed {n} more times, which are not saved")?;
+        writeln!(err, "node \"{node}\" failed {n} more times; these failures are not saved")?;
     }
     Ok(())
 }
 
-/// The tables, and where the files lie.
+/// Prints the tables and the paths of the files.
 pub(super) fn print_text(report: &RunReport, table: &str, dir: &Path, global: &Global) -> Result<()> {
     let mut out = std::io::stdout().lock();
     if global.verbose > 0 {
@@ -194,7 +193,7 @@ pub(super) fn print_text(report: &RunReport, table: &str, dir: &Path, global: &G
     Ok(())
 }
 
-/// What `results.json` holds, and how the run ended.
+/// The content of `results.json` with the outcome and the folder.
 pub(super) fn with_outcome(report: &RunReport, exit: Exit, dir: &Path) -> Value {
     let mut outcome = exit.to_json();
     outcome["out_dir"] = dir.display().to_string().into();

@@ -1,4 +1,4 @@
-//! What `--verbose` shows of a run: where the time went, and what went over the wires.
+//! The output of `--verbose`: times of nodes and counts of wires.
 
 use super::text_table::TextTable;
 use osteoflow_engine::run::RunReport;
@@ -34,7 +34,7 @@ pub(crate) fn text(report: &RunReport) -> String {
         }
         text.push_str(&format!("\n{}", latencies.lines()));
     }
-    // A queue grows in steps; how far it grew is what matters.
+    // A queue grows in steps; only its final capacity matters.
     let mut grown: BTreeMap<(&str, &str), (usize, usize)> = BTreeMap::new();
     for e in &report.enlargements {
         grown.entry((&e.from, &e.to)).or_insert((e.before, e.after)).1 = e.after;
@@ -52,7 +52,7 @@ fn time(time: Duration) -> String {
     duration(time.as_secs_f64() * 1e3)
 }
 
-/// A count; a dash stands for none, so that the others are seen.
+/// A count, or a dash for zero.
 fn counted(count: u64) -> String {
     if count == 0 { "-".into() } else { count.to_string() }
 }

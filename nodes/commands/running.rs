@@ -1,4 +1,4 @@
-//! Runs a plan beside the main thread, which shows progress and listens for Ctrl-C.
+//! Runs a plan on another thread, while the main thread shows progress and handles Ctrl-C.
 
 use super::{Global, UsageError, progress::Progress};
 use anyhow::{Context, Result, anyhow};
@@ -17,11 +17,11 @@ use std::{
     thread,
 };
 
-/// What became of it.
+/// How the work ended.
 pub(crate) enum Ran<T> {
-    /// It came to its end, if only an ordered stop.
+    /// It finished, possibly because it was stopped.
     Ended(T),
-    /// The user did not wait for that.
+    /// The user pressed Ctrl-C twice.
     Left,
 }
 
@@ -30,7 +30,7 @@ enum News<T> {
     SecondInterrupt,
 }
 
-/// Options common to all runs, and the pool of `workers` threads for what is parallel inside a node.
+/// Options common to all runs. Creates the pool of `workers` threads for parallel algorithms.
 pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>) -> Result<RunOptions> {
     let workers = workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
@@ -44,7 +44,7 @@ pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>
     })
 }
 
-/// What the manifest says of the program and the machine; determinism is promised for equal features.
+/// The manifest's entries about program and machine; determinism is promised for equal CPU features.
 pub(crate) fn about_command() -> serde_json::Value {
     let revision = env!("OSTEOFLOW_BUILD_GIT_REVISION");
     json!({
@@ -81,35 +81,35 @@ fn cpu_features() -> Vec<&'static str> {
     Vec::new()
 }
 
-/// Lets `work` run on a thread of its own until it ends or the user presses Ctrl-C twice.
+/// Runs `work` on another thread until it ends or the user presses Ctrl-C twice.
 ///
-/// The first Ctrl-C sets `cancelled`, which the engine and long algorithms look at. After the second one the caller
-/// returns at once; the process then ends, and the thread with it.
+/// The first Ctrl-C sets `cancelled`, which the engine and long algorithms check. After the second one this function returns
+/// at once; the process then ends, and the thread with it.
 pub(crate) fn watch<T: Send + 'static>(
     progress: Progress,
     cancelled: Arc<AtomicBool>,
     work: impl FnOnce(&Progress) -> Result<T> + Send + 'static,
 ) -> Result<Ran<T>> {
     let progress = Arc::new(progress);
-    let (tell, news) = sync_channel(2);
-    listen(tell.clone(), cancelled, progress.clone())?;
+    let (sender, receiver) = sync_channel(2);
+    listen(sender.clone(), cancelled, progress.clone())?;
     let watched = progress.clone();
     let runner = thread::Builder::new().name("run".into()).spawn(move || {
         let ended = work(&watched);
-        let _ = tell.send(News::Ended(ended));
+        let _ = sender.send(News::Ended(ended));
     });
     runner.context("no thread for the run")?;
-    let news = news.recv();
+    let news = receiver.recv();
     progress.end();
     match news {
         Ok(News::Ended(answer)) => Ok(Ran::Ended(answer?)),
         Ok(News::SecondInterrupt) => Ok(Ran::Left),
-        Err(_) => Err(anyhow!("the engine stopped without an answer, which is a bug of ours; its message is above")),
+        Err(_) => Err(anyhow!("the engine stopped without a result, which is a bug; its message is above")),
     }
 }
 
 fn listen<T: Send + 'static>(
-    tell: SyncSender<News<T>>,
+    sender: SyncSender<News<T>>,
     cancelled: Arc<AtomicBool>,
     progress: Arc<Progress>,
 ) -> Result<()> {
@@ -117,26 +117,26 @@ fn listen<T: Send + 'static>(
     ctrlc::set_handler(move || {
         if presses.fetch_add(1, Ordering::Relaxed) == 0 {
             cancelled.store(true, Ordering::Relaxed);
-            progress.say("stopping in order; once more leaves at once");
+            progress.println("stopping after the current work; press Ctrl-C again to leave at once");
         } else {
-            let _ = tell.try_send(News::SecondInterrupt);
+            let _ = sender.try_send(News::SecondInterrupt);
         }
     })
-    .context("Ctrl-C cannot be listened for")
+    .context("the handler of Ctrl-C cannot be installed")
 }
 
-/// A node that cannot be built from its parameters is a fault of the graph, whatever else is one of the machine.
-pub(crate) fn told(error: RunError) -> anyhow::Error {
+/// Converts an error: a node that cannot be built from its parameters is a fault of the graph.
+pub(crate) fn run_error(error: RunError) -> anyhow::Error {
     match error {
         RunError::Build(_) | RunError::Inject(_) => UsageError(error.to_string()).into(),
         other => other.into(),
     }
 }
 
-/// What to tell whoever did not wait.
-pub(crate) fn say_left(out_dir: &std::path::Path, global: &Global) {
+/// Prints where the files of an aborted run are.
+pub(crate) fn print_left_files(out_dir: &std::path::Path, global: &Global) {
     use std::io::Write;
     let (word, dir) = (global.paint_err("left", "1;33"), out_dir.display());
-    let said = format!("{word}: what was written is in {dir}; {} may lack its end", files::RECORDING);
-    let _ = writeln!(std::io::stderr(), "{said}");
+    let message = format!("{word}: the files are in {dir}; the end of {} may be missing", files::RECORDING);
+    let _ = writeln!(std::io::stderr(), "{message}");
 }

@@ -4,9 +4,9 @@ use clap::Args;
 use osteoflow_engine::schema;
 use std::io::Write;
 
-/// Write the JSON Schema of the graph file, so that editors complete kinds and parameters and mark what is wrong.
+/// Write the JSON Schema of the graph file, with which editors complete kinds and parameters and mark faults.
 ///
-/// It is made from what the nodes say of themselves. A TOML language server (taplo, Even Better TOML) finds it by the
+/// It is generated from the descriptions of the nodes. A TOML language server (taplo, Even Better TOML) finds it by the
 /// first line of a graph: #:schema PATH, relative to the graph.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -25,7 +25,7 @@ pub(crate) struct Schema {
 impl Schema {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let known = self.plugins.kinds()?.known();
-        let exit = plugins::tell_refused(&known, global)?;
+        let exit = plugins::print_refused(&known, global)?;
         let registry = known.registry;
         let schema = match &self.kind {
             None => schema::schema(&registry),

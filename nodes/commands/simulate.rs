@@ -17,10 +17,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Write a simulated procedure, on the built-in bone or on one of your own, as files that other programs can read.
+/// Write a simulated procedure, on the built-in bone or on your own, as files that other programs can read.
 ///
-/// A recording in Foxglove's schemas (or a folder of plain files), the CT surface, the phantom, the plan, and the truth
-/// for scoring, with a README that says how they were made.
+/// A recording in Foxglove's schemas (or a folder of plain files), the CT surface, the phantom, the plan, and the ground
+/// truth, with a README that explains how they were made.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -31,7 +31,7 @@ Examples:
       --set bone.path=/tmp/procedure/bone.stl --set phantom.path=/tmp/procedure/phantom.stl \\
       --set plan.path=/tmp/procedure/plan.json")]
 pub(crate) struct Simulate {
-    /// The seed of everything random in it.
+    /// The random seed.
     #[arg(long, default_value_t = 42)]
     seed: u64,
 
@@ -47,21 +47,21 @@ pub(crate) struct Simulate {
     #[arg(long, value_name = "FILE", requires = "bone")]
     plan: Option<PathBuf>,
 
-    /// How the streams are written.
-    #[arg(long = "as", value_enum, default_value_t = Shape::Mcap, value_name = "SHAPE")]
-    shape: Shape,
+    /// The format of the streams.
+    #[arg(long = "as", value_enum, default_value_t = StreamFormat::Mcap, value_name = "SHAPE")]
+    shape: StreamFormat,
 
     /// The folder to write into.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
-    /// Replace files that are there already.
+    /// Replace existing files.
     #[arg(long)]
     force: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Shape {
+enum StreamFormat {
     /// One recording, procedure.mcap.
     Mcap,
     /// PLY scans, a CSV of poses, and procedure.toml that names them.
@@ -74,9 +74,9 @@ impl Simulate {
         fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
         let used = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some();
         if used && !self.force {
-            let said =
+            let message =
                 format!("{} is not empty; name another folder, or replace what is in it with --force", dir.display());
-            return Err(UsageError(said).into());
+            return Err(UsageError(message).into());
         }
         let mut params = ProcedureParams::default();
         params.camera.n_points = usize::try_from(self.points)?;
@@ -89,8 +89,8 @@ impl Simulate {
         }
         let procedure = Procedure::simulate_for(&subject, &params, self.seed)?;
         match self.shape {
-            Shape::Mcap => write_streams(&dir.join("procedure.mcap"), &procedure, self.seed)?,
-            Shape::Folder => super::simulate_folder::write(dir, &procedure)?,
+            StreamFormat::Mcap => write_streams(&dir.join("procedure.mcap"), &procedure, self.seed)?,
+            StreamFormat::Folder => super::simulate_folder::write(dir, &procedure)?,
         }
         let ct_surface = ct_surface(&procedure.truth.bone, &CtParams::default(), self.seed)?;
         mesh_file::write_stl(&dir.join("bone.stl"), &ct_surface)?;
@@ -107,8 +107,8 @@ impl Simulate {
     fn readme(&self) -> String {
         let (seed, points) = (self.seed, self.points);
         let (streams, switch) = match self.shape {
-            Shape::Mcap => ("`procedure.mcap`: the recording, Foxglove schemas in protobuf, metres inside", ""),
-            Shape::Folder => {
+            StreamFormat::Mcap => ("`procedure.mcap`: the recording, Foxglove schemas in protobuf, metres inside", ""),
+            StreamFormat::Folder => {
                 ("`procedure.toml` and what it names: PLY scans and `poses.csv`, millimetres", " --as folder")
             }
         };
@@ -139,7 +139,7 @@ fn write_text(path: &Path, text: &str) -> Result<()> {
     fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
 }
 
-/// The procedure as one recording: the topics of a real one, the plan attached, the region of interest as metadata.
+/// The procedure as one recording: the topics of a real one, the plan as attachment, the region of interest as metadata.
 fn write_streams(path: &Path, procedure: &Procedure, seed: u64) -> Result<()> {
     let cloud = |cloud: &Cloud| Stream::Clouds(vec![cloud.clone()]);
     let poses = |poses: &[Pose]| Stream::Transforms(poses.to_vec());
@@ -173,7 +173,7 @@ fn write_streams(path: &Path, procedure: &Procedure, seed: u64) -> Result<()> {
     Ok(write_recording(path, &streams, &metadata, &[attachment], &Layout::default())?)
 }
 
-/// What really was, under the keys that the development recordings' truth has.
+/// The ground truth, under the keys of the development recordings.
 fn truth_json(procedure: &Procedure, seed: u64) -> Value {
     let truth = &procedure.truth;
     let matrix = |pose: &Pose| json!(matrix_rows(&pose.isometry));

@@ -1,4 +1,4 @@
-//! The simulated procedure as a folder of plain files, for `acquire.folder` and for everyone without a recorder.
+//! The simulated procedure as a folder of plain files, for `acquire.folder`.
 
 use anyhow::{Context, Result};
 use osteoflow_formats::{cloud_file::write_ply, folder::FILE_NAME, poses_csv::write_poses};
@@ -6,7 +6,7 @@ use osteoflow_geometry::{Cloud, Points};
 use osteoflow_simulation::Procedure;
 use std::{fmt::Write as _, fs, path::Path};
 
-/// PLY scans, `poses.csv`, stylus points as CSV, and the `procedure.toml` that gives each its role; millimetres.
+/// PLY scans, `poses.csv`, stylus points as CSV, and the `procedure.toml` that assigns their roles; millimetres.
 pub(super) fn write(dir: &Path, procedure: &Procedure) -> Result<()> {
     let mut toml = String::from(
         "# A simulated procedure as plain files. Lengths in mm, times on the tracker's clock.\n\

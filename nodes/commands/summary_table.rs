@@ -1,4 +1,4 @@
-//! What a sweep says on a terminal: `summary.json` in columns.
+//! The summary of a sweep as tables for a terminal.
 
 use super::text_table::TextTable;
 use osteoflow_report::{
@@ -7,7 +7,7 @@ use osteoflow_report::{
 };
 use serde_json::Value;
 
-/// Heads of columns that the page and the file have, and a line of a terminal no room for.
+/// Columns of the page and the file that a terminal has no room for.
 const LEFT_OUT: [&str; 2] = ["mean |.|", "min"];
 
 /// The statistics of each column under each setting, and the comparisons.
@@ -41,7 +41,7 @@ fn of_group(group: &Value) -> String {
         let mut remarks = Vec::new();
         let mut row = statistics(numbers);
         row.retain(|(head, cell)| {
-            // Where some runs have no results, a column is of fewer units than the title says.
+            // If some runs have no results, a column has fewer units than the title says.
             let (below, units) = (head.starts_with("below "), head == "of");
             if below {
                 remarks.push(format!("{head}: {}", cell.plain()));
@@ -55,7 +55,7 @@ fn of_group(group: &Value) -> String {
     table(&title, rows.collect())
 }
 
-/// The comparisons, where there are some.
+/// The comparisons, if there are any.
 pub(crate) fn of_comparisons(summary: &Value) -> Option<String> {
     let comparisons = summary["comparisons"].as_array().filter(|all| !all.is_empty())?;
     let rows = comparisons.iter().map(|c| {
@@ -69,7 +69,7 @@ pub(crate) fn of_comparisons(summary: &Value) -> Option<String> {
     Some(table("second against first, paired", rows.collect()))
 }
 
-/// Rows with their names and, at their ends, remarks.
+/// A table of named rows with remarks at their ends.
 fn table(title: &str, rows: Vec<(String, Row, String)>) -> String {
     let cells: Vec<Row> = rows.iter().map(|(_, row, _)| row.clone()).collect();
     let (heads, cells) = under_heads(&cells);

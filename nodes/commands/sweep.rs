@@ -18,10 +18,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Run a graph many times as its table [sweep] says, and make tables of what came out.
+/// Run a graph many times as its table [sweep] says, and write tables of the results.
 ///
-/// Leaves runs.csv (one row a run), points.csv (one row for each run, point and axis), summary.json, and each run's
-/// results. A run that fails is a row with its reason. A sweep that was stopped, by whatever, goes on with --resume.
+/// Writes runs.csv (one row per run), points.csv (one row per run, point and axis), summary.json, and the results of each
+/// run. A run that fails is a row with its reason. An interrupted sweep continues with --resume.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -38,47 +38,46 @@ In a graph file:
   [sweep.factor]
   icp = { key = \"icp.kind\", values = [\"icp.point_to_point\", \"icp.point_to_plane\"] }
   [sweep.columns]
-  tre_mm = \"metrics.tre_true_mm.mean_abs.norm\"        where it stands in results.json
+  tre_mm = \"metrics.tre_true_mm.mean_abs.norm\"        path in results.json
 All keys: docs/sweeps.md")]
 pub(crate) struct Sweep {
     /// The graph file, with a table [sweep].
     #[arg(required_unless_present = "merge")]
     graph: Option<PathBuf>,
 
-    /// Change any key of the graph in all runs, also of [sweep]: sweep.repeat=20; may be given again. Refused for a key that
-    /// a factor or a draw sets: sweep.factor.NAME.values=[..] changes what that sets.
+    /// Change any key of the graph in all runs, also of [sweep]: sweep.repeat=20; may be given again. Refused for a key that a
+    /// factor or a draw sets; change the factor instead: sweep.factor.NAME.values=[..].
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
 
     #[command(flatten)]
     plugins: PluginArgs,
 
-    /// The folder to leave the files in; one that is not empty is refused. Default: a new one under runs/.
+    /// The folder to write the files into; refused if not empty. Default: a new one under runs/.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 
-    /// Go on in the folder of this very sweep: runs that are there stay. Refused if graph, inputs, plugins or the program
-    /// have changed since.
+    /// Resume the sweep in --out: finished runs stay. Refused if graph, inputs, plugins or the program have changed.
     #[arg(long, requires = "out")]
     resume: bool,
 
-    /// Run the K-th of N parts of the sweep, from 1; --merge puts them together.
+    /// Run the K-th of N parts of the sweep, from 1; --merge combines them.
     #[arg(long, value_name = "K/N", value_parser = shard)]
     shard: Option<Shard>,
 
-    /// Put the runs of shards together in the folder of --out.
+    /// Combine the runs of shards in the folder of --out.
     #[arg(long, value_name = "DIR", num_args = 1.., requires = "out", conflicts_with_all = ["graph", "shard", "resume"])]
     merge: Vec<PathBuf>,
 
-    /// How many runs go on at a time; the tables do not depend on it. Default: the number of cores.
+    /// Number of runs at a time; the tables do not depend on it. Default: the number of cores.
     #[arg(long, value_name = "N")]
     workers: Option<NonZeroUsize>,
 
-    /// List the runs, with --shard those of the part, and what each sets in the graph; run nothing.
+    /// List the runs, or those of --shard, with the keys that each sets; run nothing.
     #[arg(long)]
     dry_run: bool,
 
-    /// Compute in each run what several have in common, in the place of once for all. The tables are the same.
+    /// Compute what several runs have in common in each of them, instead of once for all. The tables are the same.
     #[arg(long)]
     no_share: bool,
 
@@ -90,7 +89,7 @@ fn shard(text: &str) -> Result<Shard, String> {
     let parts = text.split_once('/').and_then(|(k, n)| Some((k.parse().ok()?, n.parse().ok()?)));
     match parts {
         Some((index, of)) if 1 <= index && index <= of => Ok(Shard { index, of }),
-        _ => Err("a part is K/N with K from 1 to N, such as 2/8".into()),
+        _ => Err("a shard must be K/N with K from 1 to N, such as 2/8".into()),
     }
 }
 
@@ -103,10 +102,11 @@ impl Sweep {
     }
 
     fn merged(&self, global: &Global) -> Result<Exit> {
-        let shards = self.merge.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>, _>>().map_err(told)?;
-        let folder = sweep::merge(&shards, &new_dir(self.out.as_deref(), "")?).map_err(told)?;
+        let shards =
+            self.merge.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>, _>>().map_err(folder_error)?;
+        let folder = sweep::merge(&shards, &new_dir(self.out.as_deref(), "")?).map_err(folder_error)?;
         let swept = Swept { n_before: folder.n_runs(), ..Swept::default() };
-        tell(&folder, &swept, Duration::ZERO, global)
+        print_end(&folder, &swept, Duration::ZERO, global)
     }
 
     fn swept(&self, graph: &Path, global: &Global) -> Result<Exit> {
@@ -116,7 +116,7 @@ impl Sweep {
         let sweep = match sweep::check(graph, &self.sets, self.plugins.kinds()?, workers) {
             Ok(sweep) => sweep,
             Err(faults) => {
-                graph_args::tell(&faults, global)?;
+                graph_args::print_faults(&faults, global)?;
                 return Ok(Exit::Usage);
             }
         };
@@ -127,8 +127,8 @@ impl Sweep {
         let run = osteoflow_engine::RunOptions { store: self.keep.store()?, ..run };
         let options = SweepOptions { workers, run, share: !self.no_share, shard: self.shard };
         let folder = match (&self.out, self.resume) {
-            (Some(dir), true) => sweep.resume(dir, self.shard).map_err(told)?,
-            (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, &options).map_err(told)?,
+            (Some(dir), true) => sweep.resume(dir, self.shard).map_err(folder_error)?,
+            (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, &options).map_err(folder_error)?,
         };
         let began = Instant::now();
         let bar = Bar::begin(&sweep, &folder, &options, global)?;
@@ -139,14 +139,14 @@ impl Sweep {
             Ok(swept)
         })?;
         match ran {
-            running::Ran::Ended(swept) => tell(&folder, &swept, began.elapsed(), global),
+            running::Ran::Ended(swept) => print_end(&folder, &swept, began.elapsed(), global),
             running::Ran::Left => Ok(Exit::Interrupted),
         }
     }
 }
 
-/// Another command line helps where the folder is not what was meant.
-pub(crate) fn told(error: FolderError) -> anyhow::Error {
+/// Converts an error: a wrong folder is a fault of the command line.
+pub(crate) fn folder_error(error: FolderError) -> anyhow::Error {
     match error {
         FolderError::NoSweep { .. }
         | FolderError::Other { .. }
@@ -156,12 +156,12 @@ pub(crate) fn told(error: FolderError) -> anyhow::Error {
     }
 }
 
-/// An empty folder; one with a sweep in it may be gone on with.
+/// Creates the folder, or takes an empty one; for a folder with a sweep the error suggests --resume.
 pub(crate) fn new_dir(asked: Option<&Path>, graph: &str) -> Result<PathBuf> {
     if let Some(dir) = asked.filter(|dir| dir.join(sweep::DESIGN).is_file()) {
         let dir = dir.display();
-        let said = format!("{dir} holds a sweep already; go on with it by --resume, or name another folder");
-        return Err(UsageError(said).into());
+        let message = format!("{dir} holds a sweep already; continue it with --resume, or name another folder");
+        return Err(UsageError(message).into());
     }
     if let Some(dir) = asked.filter(|dir| fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some())) {
         return Err(UsageError(format!("{} is not empty; name another folder", dir.display())).into());
@@ -169,42 +169,42 @@ pub(crate) fn new_dir(asked: Option<&Path>, graph: &str) -> Result<PathBuf> {
     out_dir::make(asked, graph, false)
 }
 
-/// How far a sweep has come, and how long it will still take.
+/// Progress of a sweep and its remaining time.
 pub(crate) struct Bar(ProgressBar);
 
 impl Bar {
     fn begin(sweep: &Checked, folder: &Folder, options: &SweepOptions, global: &Global) -> Result<Self> {
-        let there = folder.runs().map_err(self::told)?.len();
+        let there = folder.runs().map_err(folder_error)?.len();
         let n = sweep.part(options.shard).count();
         let shard = options.shard.map_or_else(String::new, |shard| format!(", part {shard}"));
         let what = format!("sweeping {}{shard}", sweep.plan.name);
         Self::of(n.saturating_sub(there), &what, options.workers, global)
     }
 
-    /// Of so many runs.
+    /// Begins to show the progress of `n_runs` runs.
     pub(crate) fn of(n_runs: usize, what: &str, workers: usize, global: &Global) -> Result<Self> {
-        let told = !global.quiet && global.format == Format::Text;
+        let shown = !global.quiet && global.format == Format::Text;
         let terminal = std::io::stderr().is_terminal();
-        if told && !terminal {
+        if shown && !terminal {
             writeln!(std::io::stderr(), "{what}: {n_runs} runs, {workers} at a time")?;
         }
-        let target = if told && terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let target = if shown && terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(Some(n_runs as u64), target);
         let style =
             ProgressStyle::with_template("{spinner} {bar:24} {pos}/{len} runs  {elapsed} gone, {eta} left  {msg}");
         bar.set_style(style.expect("the template is fixed").progress_chars("=> "));
-        if told && terminal {
+        if shown && terminal {
             bar.enable_steady_tick(Duration::from_millis(120));
         }
         Ok(Self(bar))
     }
 
-    /// Says what goes on.
-    pub(crate) fn say(&self, what: &str) {
+    /// Shows the current step.
+    pub(crate) fn message(&self, what: &str) {
         self.0.set_message(what.to_owned());
     }
 
-    /// Takes the line away.
+    /// Removes the line.
     pub(crate) fn end(&self) {
         self.0.finish_and_clear();
     }
@@ -235,8 +235,8 @@ fn list(sweep: &Checked, shard: Option<Shard>, global: &Global) -> Result<Exit> 
     Ok(Exit::Done)
 }
 
-/// Writes the tables, and tells how the sweep ended.
-fn tell(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Result<Exit> {
+/// Writes the tables, and prints how the sweep ended.
+fn print_end(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Result<Exit> {
     let summary = osteoflow_report::summary::write(folder, NOTICE)?;
     let (dir, n_here) = (folder.dir().display(), swept.n_before + swept.n_run);
     let n_without = summary["n_without_results"].as_u64().unwrap_or_default();
@@ -247,9 +247,9 @@ fn tell(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Resu
         (0, false) => Exit::Done,
     };
     let mut err = std::io::stderr().lock();
-    if let (true, Some(first)) = (nothing, folder.done().map_err(told)?.next()) {
-        let (first, word) = (first.map_err(told)?, global.paint_err("refused", "1;31"));
-        let reason = first.reason.as_deref().unwrap_or("it does not say why");
+    if let (true, Some(first)) = (nothing, folder.done().map_err(folder_error)?.next()) {
+        let (first, word) = (first.map_err(folder_error)?, global.paint_err("refused", "1;31"));
+        let reason = first.reason.as_deref().unwrap_or("no reason given");
         writeln!(err, "{word}: none of {n_without} runs has results; run {}: {reason}", first.run)?;
     }
     if !global.quiet {
@@ -271,7 +271,11 @@ fn tell(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Resu
     }
     if swept.n_missing > 0 && !global.quiet {
         let word = global.paint_err("interrupted", "1;33");
-        writeln!(std::io::stderr(), "{word}: {} runs are missing; go on with --out {dir} --resume", swept.n_missing)?;
+        writeln!(
+            std::io::stderr(),
+            "{word}: {} runs are missing; continue with --out {dir} --resume",
+            swept.n_missing
+        )?;
     }
     let mut out = std::io::stdout().lock();
     writeln!(out, "{}", summary_table::text(&summary))?;

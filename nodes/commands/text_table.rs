@@ -1,8 +1,8 @@
-//! Columns of text, aligned: names to the left, numbers to the right.
+//! Aligned columns of text: names to the left, numbers to the right.
 
 use std::fmt::Write as _;
 
-/// A table that is printed with a heading and an indent of two.
+/// A table with a title and an indent of two.
 pub(crate) struct TextTable {
     title: String,
     header: Vec<String>,
@@ -22,7 +22,7 @@ impl TextTable {
         self.rows.push(row);
     }
 
-    /// Whether no row was added.
+    /// Whether the table has no rows.
     pub(crate) fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
@@ -32,8 +32,8 @@ impl TextTable {
         &self.title
     }
 
-    /// Puts below each row what it was in an earlier table, where that was other. A row alone in its table may have had
-    /// another name.
+    /// Adds below each row its cells in an earlier table, if they differ. If each table has a single row, their names may
+    /// differ.
     pub(crate) fn beside(&mut self, earlier: &Self) {
         let alone = self.rows.len() == 1 && earlier.rows.len() == 1;
         let mut rows = Vec::new();
@@ -48,7 +48,7 @@ impl TextTable {
         self.rows = rows;
     }
 
-    /// The lines. A cell beyond the last column is a remark: it stands at the end, to the left.
+    /// Formats the lines. A cell beyond the last column is a remark, aligned left at the end.
     pub(crate) fn lines(&self) -> String {
         let name_width = self.rows.iter().map(|r| 2 + width(&r[0])).chain([width(&self.title)]).max().unwrap_or(0);
         let mut widths: Vec<usize> = self.header.iter().map(|h| width(h)).collect();

@@ -7,9 +7,9 @@ use std::{io::Write, path::PathBuf};
 
 /// Check a recording from its first byte to its last, and list everything that is wrong with it.
 ///
-/// Sums of chunks and of the whole, descriptions, indexes and counts; each wire's numbers without holes, stamps that
-/// never decrease, items that decode; what the run says of itself. Exit code 0: sound; 1: not. Of an MCAP file of another
-/// program the container is checked, and it is said that it is no recording of a run.
+/// Checks CRCs of chunks and of the file, schemas, indexes and counts; for each wire that numbers have no gaps, stamps never
+/// decrease and items decode; and the metadata of the run. Exit code 0: sound; 1: not. For an MCAP file of another program
+/// only the container is checked.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -1,4 +1,4 @@
-//! `run --watch`: the graph is run again whenever one of its files has changed.
+//! `run --watch`: runs the graph again whenever one of its files has changed.
 
 use super::{
     Exit, Format, Global, UsageError, graph_args, out_dir,
@@ -25,23 +25,23 @@ use std::{
     time::Instant,
 };
 
-/// A watch under way.
+/// The state of a watch.
 struct Watch {
     run: Run,
     global: Global,
     options: RunOptions,
     session: Session,
-    /// How many runs there were.
+    /// Number of runs.
     n_runs: usize,
     /// The results of the last run that had any.
     results: Option<Value>,
 }
 
-/// What became of a look at the graph.
+/// How a check of the graph ended.
 enum Looked {
-    /// The files that parameters name, as they were when they were read.
+    /// The files that parameters name, with their state when they were read.
     Files(Stamps),
-    /// The user has ended a run.
+    /// The user ended a run.
     Interrupted,
 }
 
@@ -55,7 +55,7 @@ pub(super) fn execute(run: &Run, global: &Global) -> Result<Exit> {
     };
     let (run, global) = (run.clone(), global.clone());
     let mut watch = Watch { run, global, options, session: Session::default(), n_runs: 0, results: None };
-    // Each run shows itself.
+    // The output shows each run.
     match running::watch(Progress::hidden(), cancelled, move |_| watch.watch())? {
         Ran::Ended(exit) => Ok(exit),
         Ran::Left => Ok(Exit::Interrupted),
@@ -65,12 +65,12 @@ pub(super) fn execute(run: &Run, global: &Global) -> Result<Exit> {
 impl Watch {
     fn watch(&mut self) -> Result<Exit> {
         if !self.run.graph.graph.exists() {
-            // A watch waits for a file to be mended, not for one that is misspelt.
+            // Waits for a file to be fixed, but not for one with a misspelt name.
             return Err(UsageError(format!("there is no graph file {}", self.run.graph.graph.display())).into());
         }
         let mut seen = Instant::now();
         loop {
-            // Before they are read: what is saved from here on is seen as a change.
+            // Taken before the files are read: later saves count as changes.
             let graph = &self.run.graph;
             let graph = Stamps::of(files(&graph.graph, &graph.sets, graph.plugins.kinds()?));
             let stamps = match self.look(seen)? {
@@ -92,10 +92,10 @@ impl Watch {
             Ok(checked) => checked,
             Err(faults) => {
                 match self.global.format {
-                    Format::Text => graph_args::tell(&faults, &self.global)?,
+                    Format::Text => graph_args::print_faults(&faults, &self.global)?,
                     Format::Json => print_line(&graph_args::as_json(&faults))?,
                 }
-                // A file that is missing may come.
+                // A missing file may be created.
                 let text = fs::read_to_string(path).unwrap_or_default();
                 let files = check_recorded(&text, path, sets, &kinds).map(|checked| Stamps::of_plan(&checked.plan));
                 return Ok(Looked::Files(files.unwrap_or_default()));
@@ -105,18 +105,18 @@ impl Watch {
         let next = self.session.next(plan);
         let files = next.files().clone();
         if let Some(node) = next.live_source() {
-            let said =
-                format!("node \"{node}\" is a live source, which gives its items only once; watch a recording of it");
-            return self.refuse(said).map(|()| Looked::Files(files));
+            let message =
+                format!("node \"{node}\" is a live source, whose items cannot be repeated; watch a recording of it");
+            return self.refuse(message).map(|()| Looked::Files(files));
         }
         if next.is_nothing() {
-            self.tell_nothing()?;
+            self.print_unchanged()?;
             return Ok(Looked::Files(files));
         }
         let dir = self.folder(next.plan())?;
-        let what = Told::of(&next, self.n_runs > 0);
+        let what = RerunNotice::of(&next, self.n_runs > 0);
         if self.global.format == Format::Text && !self.global.quiet {
-            what.say_changes()?;
+            what.print_changes()?;
         }
         let options = RunOptions {
             out_dir: Some(dir.clone()),
@@ -128,8 +128,8 @@ impl Watch {
             0 => Progress::of_run(next.plan(), options.workers, &self.global),
             _ => {
                 let (computed, nodes) = (what.computed.len(), what.computed.len() + what.kept.len());
-                let said = format!("running {}: {computed} of {nodes} nodes", next.plan().name);
-                Progress::begin(&said, Some(nodes), &self.global)
+                let message = format!("running {}: {computed} of {nodes} nodes", next.plan().name);
+                Progress::begin(&message, Some(nodes), &self.global)
             }
         };
         let plan_results: Vec<_> = next.plan().results.iter().map(|entry| entry.key.clone()).collect();
@@ -141,10 +141,10 @@ impl Watch {
                 let _ = fs::remove_dir(&dir);
                 return self.refuse(error.to_string()).map(|()| Looked::Files(files));
             }
-            Err(error) => return Err(running::told(error)),
+            Err(error) => return Err(running::run_error(error)),
         };
         self.n_runs += 1;
-        self.tell(report, &what, &plan_results, &dir, seen)
+        self.print_end(report, &what, &plan_results, &dir, seen)
             .map(|exit| if exit == Exit::Interrupted { Looked::Interrupted } else { Looked::Files(files) })
     }
 
@@ -161,30 +161,32 @@ impl Watch {
         };
         if let Some(read) = plan.input_files.iter().find(within) {
             let (dir, read) = (dir.display(), read.display());
-            let said = format!(
-                "{dir} lies in {read}, which the graph reads, so that each run would begin the next; name another folder with --out"
+            let message = format!(
+                "{dir} is inside {read}, which the graph reads, so each run would start the next; name another folder with --out"
             );
-            return Err(UsageError(said).into());
+            return Err(UsageError(message).into());
         }
         Ok(dir)
     }
 
-    /// What cannot be run as it is written; the next save may mend it. The first one is a fault of the command line.
-    fn refuse(&self, said: String) -> Result<()> {
+    /// Prints the faults of a graph; a later save may fix them. In the first look they are faults of the command line.
+    fn refuse(&self, message: String) -> Result<()> {
         if self.n_runs == 0 {
-            return Err(UsageError(said).into());
+            return Err(UsageError(message).into());
         }
         match self.global.format {
-            Format::Text => writeln!(std::io::stderr(), "{}: {said}", self.global.paint_err("error", "1;31"))?,
-            Format::Json => print_line(&json!({ "outcome": Exit::Usage.to_json(), "faults": [{ "message": said }] }))?,
+            Format::Text => writeln!(std::io::stderr(), "{}: {message}", self.global.paint_err("error", "1;31"))?,
+            Format::Json => {
+                print_line(&json!({ "outcome": Exit::Usage.to_json(), "faults": [{ "message": message }] }))?
+            }
         }
         Ok(())
     }
 
-    fn tell_nothing(&self) -> Result<()> {
+    fn print_unchanged(&self) -> Result<()> {
         match self.global.format {
             Format::Text if self.global.quiet => {}
-            Format::Text => writeln!(std::io::stderr(), "nothing that is computed has changed; nothing was run")?,
+            Format::Text => writeln!(std::io::stderr(), "no node has changed; nothing was run")?,
             Format::Json => {
                 let mut outcome = Exit::Done.to_json();
                 outcome["watch"] = json!({ "computed": [] });
@@ -194,10 +196,17 @@ impl Watch {
         Ok(())
     }
 
-    fn tell(&mut self, mut report: RunReport, what: &Told, keys: &[String], dir: &Path, seen: Instant) -> Result<Exit> {
-        // What kept nodes said was told when they ran.
+    fn print_end(
+        &mut self,
+        mut report: RunReport,
+        what: &RerunNotice,
+        keys: &[String],
+        dir: &Path,
+        seen: Instant,
+    ) -> Result<Exit> {
+        // Warnings of cached nodes were printed when they ran.
         report.warnings.retain(|warning| what.computed.contains(&warning.node));
-        let exit = run::tell_end(&report, &self.global)?;
+        let exit = run::print_warnings_and_failure(&report, &self.global)?;
         let complete = report.outcome == Outcome::Complete;
         let earlier = self.results.as_ref().filter(|_| complete);
         let differ: Option<Vec<_>> = earlier.map(|earlier| {
@@ -225,8 +234,8 @@ impl Watch {
                 run::print_text(&report, &table, dir, &self.global)?;
                 let mut out = std::io::stdout().lock();
                 match differ.as_deref() {
-                    Some([]) => writeln!(out, "no result differs from the run before")?,
-                    Some(keys) => writeln!(out, "other than in the run before: {}", keys.join(", "))?,
+                    Some([]) => writeln!(out, "no result differs from the previous run")?,
+                    Some(keys) => writeln!(out, "changed since the previous run: {}", keys.join(", "))?,
                     None => {}
                 }
                 let (computed, nodes) = (what.computed.len(), what.computed.len() + what.kept.len());
@@ -249,26 +258,26 @@ impl Watch {
     }
 }
 
-/// What is said of a run that is going to be.
-struct Told {
+/// An observer that collects the announcements of a run.
+struct RerunNotice {
     changes: Vec<String>,
     removed: Vec<String>,
     computed: Vec<String>,
     kept: Vec<String>,
 }
 
-impl Told {
+impl RerunNotice {
     fn of(next: &Next, again: bool) -> Self {
         let names = |names: Vec<&str>| names.into_iter().map(str::to_owned).collect();
         let changes = next.changes().iter().map(|change| format!("{}: {}", change.node, change.why.join(", ")));
         let mut changes: Vec<_> = changes.collect();
         if again && changes.is_empty() && next.removed().is_empty() {
-            changes.push("graph: only what is kept of a run".into());
+            changes.push("graph: only which items are recorded or reported".into());
         }
         Self { changes, removed: next.removed().to_vec(), computed: names(next.computed()), kept: names(next.kept()) }
     }
 
-    fn say_changes(&self) -> Result<()> {
+    fn print_changes(&self) -> Result<()> {
         let mut err = std::io::stderr().lock();
         for change in &self.changes {
             writeln!(err, "{change}")?;
@@ -285,7 +294,7 @@ fn at<'a>(results: &'a Value, key: &str) -> Option<&'a Value> {
     key.split('.').try_fold(results, |value, key| value.get(key))
 }
 
-/// One JSON value on one line.
+/// Prints one JSON value on one line.
 fn print_line(value: &Value) -> Result<()> {
-    writeln!(std::io::stdout(), "{value}").map_err(|error| anyhow!("stdout takes nothing more: {error}"))
+    writeln!(std::io::stdout(), "{value}").map_err(|error| anyhow!("stdout cannot be written: {error}"))
 }

@@ -70,7 +70,7 @@ pub fn wilson(n_hits: usize, n: usize, level: f64) -> Result<Share, StatisticsEr
 /// interval Franco, Little, Louis & Slud 2019, Journal of Survey Statistics and Methodology 7:334-364, who recommend it among
 /// seven; v: Cochran 1977, Sampling Techniques, 3rd ed., section 3.12.
 pub fn wilson_clustered(units: &Units, hits: &[bool], level: f64) -> Result<Share, StatisticsError> {
-    let parts = units.part(hits)?;
+    let parts = units.split(hits)?;
     let mut share = wilson(hits.iter().filter(|hit| **hit).count(), hits.len(), level)?;
     let (p, n, n_units) = (share.share, hits.len() as f64, parts.len());
     if n_units == hits.len() {

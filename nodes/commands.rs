@@ -1,4 +1,4 @@
-//! The subcommands, one file each, and what they share: switches, exit codes, the registry.
+//! The subcommands, one file each, and their common switches, exit codes and registry.
 
 mod check;
 mod compare;
@@ -49,7 +49,7 @@ use std::io::IsTerminal;
 /// Register a bone surface by running a graph of nodes.
 ///
 /// A graph file names nodes (acquire, calibrate, crop, find the laser spots, fit, ICP, planes, metrics) and wires them.
-/// It is checked before anything runs; a run leaves its results, where they came from, and a recording of its wires.
+/// It is checked before anything runs; a run writes its results, their provenance, and a recording of its wires.
 #[derive(Debug, Parser)]
 #[command(
     name = "osteoflow",
@@ -81,31 +81,31 @@ pub(crate) struct Cli {
     pub(crate) command: Command,
 }
 
-/// Switches that every command takes.
+/// Switches of every command.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct Global {
-    /// How to answer on stdout.
+    /// Format of the output on stdout.
     #[arg(long, global = true, value_enum, default_value_t = Format::Text, value_name = "FORMAT")]
     pub(crate) format: Format,
 
-    /// Say nothing but answers and errors.
+    /// Print only results and errors.
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     pub(crate) quiet: bool,
 
-    /// Tell more: tables of nodes and wires, then (-vv, -vvv) log lines; OSTEOFLOW_LOG=debug names a level.
+    /// Print more: tables of nodes and wires, then (-vv, -vvv) log lines; OSTEOFLOW_LOG=debug sets a level.
     #[arg(short, long, global = true, action = ArgAction::Count)]
     pub(crate) verbose: u8,
 
-    /// Whether to colour what a terminal shows; auto: where it is one and NO_COLOR is not set.
+    /// When to use colours; auto: on a terminal, unless NO_COLOR is set.
     #[arg(long, global = true, value_enum, default_value_t = Colour::Auto, value_name = "WHEN")]
     pub(crate) color: Colour,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Format {
-    /// For people.
+    /// Text for people.
     Text,
-    /// For machines: one JSON value on stdout, nothing else there.
+    /// One JSON value on stdout, and nothing else there.
     Json,
 }
 
@@ -117,17 +117,17 @@ pub(crate) enum Colour {
 }
 
 impl Global {
-    /// Whether stderr takes colours.
+    /// Whether to use colours on stderr.
     pub(crate) fn colour_err(&self) -> bool {
         self.color.allows(std::io::stderr().is_terminal())
     }
 
-    /// `text` in an ANSI style such as `1;31`, where stdout takes it.
+    /// `text` in an ANSI style such as `1;31`, if colours are used on stdout.
     pub(crate) fn paint_out(&self, text: &str, style: &str) -> String {
         paint(self.color.allows(std::io::stdout().is_terminal()), text, style)
     }
 
-    /// `text` in an ANSI style such as `1;31`, where stderr takes it.
+    /// `text` in an ANSI style such as `1;31`, if colours are used on stderr.
     pub(crate) fn paint_err(&self, text: &str, style: &str) -> String {
         paint(self.colour_err(), text, style)
     }
@@ -202,7 +202,7 @@ impl Command {
     }
 }
 
-/// The nodes and payloads that graphs may name.
+/// The built-in nodes and payloads.
 pub(crate) fn registry() -> osteoflow_node::Registry {
     osteoflow_standard::registry()
 }
