@@ -1,11 +1,11 @@
-//! The command line itself: helps, exit codes, what goes to stdout and what to stderr.
+//! The command line: helps, exit codes, stdout and stderr.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
 
 use common::osteoflow;
 
-/// Every subcommand, with a word that its own help must hold.
+/// Every subcommand, with a word that its help must contain.
 const COMMANDS: &[(&str, &str)] = &[
     ("run", "--no-record"),
     ("register", "--init"),
@@ -49,10 +49,10 @@ fn every_command_has_a_help_that_teaches_with_examples() {
 
 #[test]
 fn the_help_lists_the_exit_codes_and_says_what_it_is_not_for() {
-    let said = osteoflow().arg("--help").assert().success();
-    let said = String::from_utf8(said.get_output().stdout.clone()).unwrap();
+    let printed = osteoflow().arg("--help").assert().success();
+    let printed = String::from_utf8(printed.get_output().stdout.clone()).unwrap();
     for line in ["    0  done", "    2  ", "    3  ", "  130  interrupted", "not a medical device"] {
-        assert!(said.contains(line), "{said}\nlacks {line:?}");
+        assert!(printed.contains(line), "{printed}\nlacks {line:?}");
     }
 }
 
@@ -66,21 +66,21 @@ fn a_fault_of_the_command_line_is_exit_code_2_and_leaves_stdout_empty() {
 }
 
 #[test]
-fn a_graph_that_is_not_there_is_a_fault_with_its_path() {
+fn a_missing_graph_is_a_fault_with_its_path() {
     let assert = osteoflow().args(["check", "no/such/graph.toml"]).assert().code(2);
-    let said = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
-    assert!(said.contains("no/such/graph.toml"), "{said}");
+    let printed = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
+    assert!(printed.contains("no/such/graph.toml"), "{printed}");
 }
 
 #[test]
 fn an_unknown_kind_is_answered_with_where_to_look() {
     let assert = osteoflow().args(["inspect", "icp.no_such_kind"]).assert().code(2);
-    let said = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
-    assert!(said.contains("icp.no_such_kind") && said.contains("osteoflow inspect"), "{said}");
+    let printed = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
+    assert!(printed.contains("icp.no_such_kind") && printed.contains("osteoflow inspect"), "{printed}");
 }
 
 #[test]
-fn inspect_tells_machines_what_it_tells_people() {
+fn inspect_prints_the_same_as_text_and_as_json() {
     let text = osteoflow().args(["inspect", "icp.point_to_plane"]).assert().success();
     let text = String::from_utf8(text.get_output().stdout.clone()).unwrap();
     let json = osteoflow().args(["inspect", "icp.point_to_plane", "--format", "json"]).assert().success();

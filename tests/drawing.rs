@@ -1,4 +1,4 @@
-//! Pictures of graphs and of runs: well-formed, complete, and with nothing on top of anything else.
+//! Drawings of graphs and of runs: well-formed, complete and without overlaps.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -30,9 +30,9 @@ fn boxes(document: &Document<'_>) -> Vec<(String, [f64; 4])> {
     boxes.collect()
 }
 
-/// Every node once, none on another, all of it on the paper.
+/// Every node once, without overlaps, all of it inside the drawing.
 fn check(svg: &str, names: &[String]) {
-    let document = Document::parse(svg).unwrap_or_else(|error| panic!("no XML: {error}"));
+    let document = Document::parse(svg).unwrap_or_else(|error| panic!("not XML: {error}"));
     let (root, boxes) = (document.root_element(), boxes(&document));
     let mut found: Vec<_> = boxes.iter().map(|(name, _)| name.clone()).collect();
     let mut names = names.to_vec();
@@ -42,7 +42,7 @@ fn check(svg: &str, names: &[String]) {
     for (i, (name, a)) in boxes.iter().enumerate() {
         for (other, b) in &boxes[..i] {
             let apart = a[2] <= b[0] || b[2] <= a[0] || a[3] <= b[1] || b[3] <= a[1];
-            assert!(apart, "{name} {a:?} stands on {other} {b:?}");
+            assert!(apart, "{name} {a:?} overlaps {other} {b:?}");
         }
         assert!(a[0] >= 0.0 && a[2] <= number(root, "width") && a[3] <= number(root, "height"), "{name} {a:?}");
     }
@@ -54,7 +54,7 @@ fn nodes_of(dir: &Path) -> Vec<String> {
 }
 
 #[test]
-fn every_shipped_graph_is_drawn_with_nothing_on_top_of_anything_else() {
+fn every_shipped_graph_is_drawn_without_overlaps() {
     for graph in shipped_graphs() {
         let svg = drawn(&[&graph, "--as", "svg"]);
         let text = drawn(&[&graph, "--as", "mermaid"]);
@@ -79,7 +79,7 @@ fn a_run_is_drawn_with_its_figures_and_the_reason_of_the_node_that_failed() {
     let tip = failed[0].parent().unwrap().children().find(|n| n.has_tag_name("title")).unwrap().text().unwrap();
     assert!(tip.contains("cuts (metrics.cuts)") && tip.contains("a panic was injected into cuts at item 0"), "{tip}");
     assert_eq!(folder.matches(" \u{25c6}</text>").count(), 1, "one node is the slowest");
-    assert!(folder.contains(">pose 602</text>"), "wires bear their items");
+    assert!(folder.contains(">pose 602</text>"), "wires are labelled with their items");
     for language in ["mermaid", "dot"] {
         let text = drawn(&["--run", dir.to_str().unwrap(), "--as", language]);
         assert!(text.contains("pose 602") && text.contains("#c62828"), "{text}");
@@ -87,15 +87,15 @@ fn a_run_is_drawn_with_its_figures_and_the_reason_of_the_node_that_failed() {
 }
 
 #[test]
-fn what_is_no_run_is_told_and_a_graph_and_a_run_together_are_refused() {
-    let said = |arguments: &[&str], code: i32| {
+fn a_folder_without_a_run_and_a_graph_together_with_a_run_are_refused() {
+    let refusal = |arguments: &[&str], code: i32| {
         let output = osteoflow().arg("graph").args(arguments).output().unwrap();
         assert_eq!(output.status.code(), Some(code), "{arguments:?}");
         String::from_utf8(output.stderr).unwrap()
     };
-    assert!(said(&["--run", "graphs"], 1).contains("--run takes the folder of a run that has ended"));
-    assert!(said(&["--run", "Cargo.toml"], 1).contains("is not the manifest of a run"));
-    said(&["graphs/fibula.toml", "--run", "x"], 2);
-    said(&[], 2);
-    said(&["--set", "a.b=1"], 2);
+    assert!(refusal(&["--run", "graphs"], 1).contains("--run takes the folder of a run that has ended"));
+    assert!(refusal(&["--run", "Cargo.toml"], 1).contains("is not the manifest of a run"));
+    refusal(&["graphs/fibula.toml", "--run", "x"], 2);
+    refusal(&[], 2);
+    refusal(&["--set", "a.b=1"], 2);
 }

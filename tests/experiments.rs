@@ -1,4 +1,4 @@
-//! The ports and kinds that experiments are wired from, in whole graphs.
+//! The ports and kinds of the experiments, in whole graphs.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -30,7 +30,7 @@ fn a_bench_tells_its_check_points_its_laser_spots_and_its_stylus() {
     let places: Vec<&str> = check.iter().map(|c| c["place"].as_str().unwrap()).collect();
     assert_eq!(places, ["calibration", "working"]);
     for place in check {
-        // Reading and print alone give 0.18 mm, mean of the norm of 0.11 mm per axis.
+        // Reading and print alone give 0.18 mm, the mean of the norm of 0.11 mm per axis.
         let mean = number(&place["mean_mm"]);
         assert!((0.1..0.6).contains(&mean) && place["error"]["n"] == 12, "{place}");
         assert!(number(&place["pose"]["at_point_mm"]) < 0.5);

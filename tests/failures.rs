@@ -1,4 +1,4 @@
-//! A node that fails is named, the rest of the graph drains, and its item can be run again alone.
+//! A failing node is named, the rest of the graph finishes, and its item can be run again alone.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -48,7 +48,7 @@ impl Whole {
         self.manifest["nodes"].as_array().unwrap().iter().find(|n| n["name"] == name).unwrap()
     }
 
-    /// The node and everything that is fed by it.
+    /// The node and everything downstream of it.
     fn downstream(&self, name: &str) -> BTreeSet<String> {
         let node = |end: &Value| end.as_str().unwrap().rsplit_once('.').unwrap().0.to_owned();
         let mut reached = BTreeSet::from([name.to_owned()]);
@@ -67,15 +67,15 @@ impl Whole {
 
 fn repro(dir: &Path) -> (i32, Value) {
     let output = osteoflow().args(["repro", "--format", "json"]).arg(dir).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
     let stderr = String::from_utf8_lossy(&output.stderr);
-    (output.status.code().unwrap(), serde_json::from_str(&said).unwrap_or_else(|e| panic!("{e}: {said}{stderr}")))
+    (output.status.code().unwrap(), serde_json::from_str(&printed).unwrap_or_else(|e| panic!("{e}: {printed}{stderr}")))
 }
 
-/// A failure injected into the node: named, the rest as in the run without it, and seen again by repro.
+/// A failure injected into the node is named, the rest is as in the run without it, and `repro` repeats it.
 fn check(before: &Whole, node: &str, how: &str) {
     let ran = run(GRAPH, &[&ALL_WIRES[..], &["--inject", &format!("{node}={how}")]].concat());
-    // A panic refuses the run even where only optional results follow from the node.
+    // A panic refuses the run even if only optional results depend on the node.
     assert_eq!(ran.code, 3, "{node}: {}", ran.stderr);
     let refused = &ran.results["refused"];
     assert_eq!((refused["node"].as_str(), refused["item"].as_u64()), (Some(node), Some(0)), "{refused}");
@@ -113,9 +113,9 @@ fn check(before: &Whole, node: &str, how: &str) {
         assert_eq!(count("sent"), count("received") + count("dropped"), "{link}, where {node} fails");
     }
 
-    let (code, said) = repro(&ran.dir.path().join(format!("repro/{node}-0")));
-    assert_eq!((code, &said["same"]), (0, &Value::Bool(true)), "{node}: {said:#}");
-    assert_eq!((&said["injected"], &said["failed_now"]["reason"]), (&how.into(), &reason.into()));
+    let (code, printed) = repro(&ran.dir.path().join(format!("repro/{node}-0")));
+    assert_eq!((code, &printed["same"]), (0, &Value::Bool(true)), "{node}: {printed:#}");
+    assert_eq!((&printed["injected"], &printed["failed_now"]["reason"]), (&how.into(), &reason.into()));
 }
 
 #[test]
@@ -150,39 +150,39 @@ fn a_node_that_skips_errors_goes_on_after_an_injected_one_and_five_items_are_sav
     assert_eq!(bundles.len(), 5);
     assert!(ran.stderr.contains("node \"planes\" failed 2 more times, which are not saved"), "{}", ran.stderr);
     for bundle in bundles {
-        let (code, said) = repro(&bundle);
-        assert_eq!((code, &said["same"]), (0, &Value::Bool(true)), "{said:#}");
+        let (code, printed) = repro(&bundle);
+        assert_eq!((code, &printed["same"]), (0, &Value::Bool(true)), "{printed:#}");
     }
 }
 
 #[test]
-fn an_error_of_the_nodes_own_fails_again_alone_with_the_same_words() {
+fn an_error_returned_by_a_node_is_repeated_alone_with_the_same_message() {
     let ran = run(GRAPH, &["--set", "icp.max_pair_distance_mm=0.0001"]);
     assert_eq!((ran.code, &ran.results["refused"]["node"]), (3, &"icp".into()), "{}", ran.stderr);
     let bundle = ran.dir.path().join("repro/icp-0");
-    let (code, said) = repro(&bundle);
-    assert_eq!((code, &said["same"], &said["injected"]), (0, &Value::Bool(true), &Value::Null), "{said:#}");
-    assert_eq!(said["failed_now"]["reason"], ran.results["refused"]["reason"]);
+    let (code, printed) = repro(&bundle);
+    assert_eq!((code, &printed["same"], &printed["injected"]), (0, &Value::Bool(true), &Value::Null), "{printed:#}");
+    assert_eq!(printed["failed_now"]["reason"], ran.results["refused"]["reason"]);
 
-    // With a parameter that lets it succeed, it does not fail any more, which differs.
+    // With a parameter that lets it succeed, it does not fail, which differs.
     let path = bundle.join("repro.json");
     let mut description = json(&path);
     description["node"]["params"]["max_pair_distance_mm"] = 5.0.into();
     std::fs::write(&path, description.to_string()).unwrap();
-    let (code, said) = repro(&bundle);
-    assert_eq!((code, &said["same"], &said["failed_now"]), (4, &Value::Bool(false), &Value::Null), "{said:#}");
+    let (code, printed) = repro(&bundle);
+    assert_eq!((code, &printed["same"], &printed["failed_now"]), (4, &Value::Bool(false), &Value::Null), "{printed:#}");
 }
 
 #[test]
-fn a_damaged_bundle_is_an_error_in_words() {
+fn a_damaged_bundle_is_refused_with_the_reason() {
     let ran = run(GRAPH, &["--inject", "icp", "--no-record"]);
     let bundle = ran.dir.path().join("repro/icp-0");
-    let said = |dir: &Path| {
+    let printed = |dir: &Path| {
         let output = osteoflow().arg("repro").arg(dir).output().unwrap();
         (output.status.code().unwrap(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
     let expect = |dir: &Path, code: i32, words: &str| {
-        let (found, text) = said(dir);
+        let (found, text) = printed(dir);
         assert!(found == code && text.contains(words), "{found}, expected {code} and \"{words}\": {text}");
     };
     expect(ran.dir.path(), 1, "a repro bundle is a folder repro/NODE-ITEM of a run");
@@ -190,7 +190,7 @@ fn a_damaged_bundle_is_an_error_in_words() {
     let bytes = std::fs::read(&inputs).unwrap();
     for cut in [0, 5, bytes.len() / 2, bytes.len() - 9] {
         std::fs::write(&inputs, &bytes[..cut]).unwrap();
-        let (code, text) = said(&bundle);
+        let (code, text) = printed(&bundle);
         assert!(code == 1 || (code == 0 && cut > bytes.len() - 10), "cut at {cut}: {code} {text}");
         assert!(!text.contains("panicked at"), "{text}");
     }
@@ -220,7 +220,7 @@ fn force_removes_the_bundles_of_an_earlier_run_and_nothing_else() {
 }
 
 #[test]
-fn an_injection_that_names_no_node_is_a_fault_and_one_that_never_fires_is_told() {
+fn an_injection_that_names_no_node_is_a_fault_and_one_that_never_fires_is_reported() {
     let ran = run(GRAPH, &["--inject", "icpp"]);
     assert!(ran.code == 2 && ran.stderr.contains("did you mean \"icp\"?"), "{} {}", ran.code, ran.stderr);
     let ran = run(GRAPH, &["--inject", "icp@99", "--no-record"]);

@@ -1,4 +1,4 @@
-//! Every graph that ships checks, and its plan (order, types, joins, frames) is the one that was read and kept.
+//! Every shipped graph checks, and its plan (order, types, joins, frames) equals the golden text.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -15,7 +15,7 @@ fn plan(graph: &str) -> Plan {
     checked.plan
 }
 
-/// What a reader wants to see change when a graph changes.
+/// The parts of a plan that a reviewer wants to see change when a graph changes.
 fn text(plan: &Plan) -> String {
     let mut out = format!("graph {} (seed {})\n", plan.name, plan.seed);
     for node in &plan.nodes {
@@ -51,7 +51,7 @@ fn frames(output: &PlanOutput) -> String {
 }
 
 #[test]
-fn every_graph_that_ships_has_the_plan_that_was_kept() {
+fn every_shipped_graph_has_the_plan_of_its_golden_text() {
     let graphs = shipped_graphs();
     assert!(graphs.len() >= 9, "{graphs:?}");
     let folder = root().join("tests/golden/plans");
@@ -81,7 +81,7 @@ fn a_variant_is_a_few_lines_over_the_graph_it_extends() {
         let text = fs::read_to_string(root().join(graph)).unwrap();
         assert!(text.contains("extends"), "{graph} extends nothing");
         let n_lines = text.lines().filter(|line| !line.trim().is_empty() && !line.starts_with('#')).count();
-        // The stylus baseline takes the camera's half of the graph away, which is the longest of them.
+        // The stylus baseline removes the camera's half of the graph, which is the longest of them.
         assert!(n_lines <= 30, "{graph} has {n_lines} lines");
     }
 }
@@ -101,13 +101,13 @@ fn both_drawings_show_every_node_and_wire() {
 }
 
 #[test]
-fn check_tells_machines_how_many_nodes_and_wires_there_are() {
+fn check_prints_the_numbers_of_nodes_and_wires_as_json() {
     let plan = plan("graphs/fibula.toml");
     let assert = osteoflow().args(["check", "graphs/fibula.toml", "--format", "json"]).assert().success();
-    let told: serde_json::Value = serde_json::from_slice(&assert.get_output().stdout).unwrap();
-    assert_eq!(told["outcome"]["status"], "done");
+    let answer: serde_json::Value = serde_json::from_slice(&assert.get_output().stdout).unwrap();
+    assert_eq!(answer["outcome"]["status"], "done");
     assert_eq!(
-        (told["nodes"].as_u64(), told["wires"].as_u64()),
+        (answer["nodes"].as_u64(), answer["wires"].as_u64()),
         (Some(plan.nodes.len() as u64), Some(plan.links.len() as u64))
     );
 }

@@ -1,4 +1,4 @@
-//! Live sources from the command line: the recording that ships, played as if its devices sent it.
+//! Live sources from the command line: the shipped recording, played as if its devices sent it.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -27,7 +27,7 @@ fn a_live_source_gives_the_results_of_the_recording_it_plays() {
 }
 
 #[test]
-fn what_comes_later_than_promised_is_counted_and_told_and_replays_the_same() {
+fn late_items_are_counted_and_reported_and_replay_the_same() {
     let arguments = ["--set", AT_ONCE, "--set", "recording.jitter_ms=200", "--set", "recording.max_delay_ms=5"];
     let live = run(LIVE, &arguments);
     let late = "recording.region: 1 item came late, by up to ";
@@ -38,6 +38,6 @@ fn what_comes_later_than_promised_is_counted_and_told_and_replays_the_same() {
     assert!(links.iter().any(|link| link["from"] == "recording.region" && of(link, "late") == 1), "{links:?}");
     assert!(links.iter().all(|link| of(link, "sent") == of(link, "received") + of(link, "dropped")));
     let replay = osteoflow().arg("replay").arg(live.dir.path().join("run.mcap")).output().unwrap();
-    let said = String::from_utf8_lossy(&replay.stdout);
-    assert!(said.contains(", 0 differ, "), "{said}{}", String::from_utf8_lossy(&replay.stderr));
+    let printed = String::from_utf8_lossy(&replay.stdout);
+    assert!(printed.contains(", 0 differ, "), "{printed}{}", String::from_utf8_lossy(&replay.stderr));
 }

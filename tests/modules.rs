@@ -1,4 +1,4 @@
-//! Modules as a user meets them: checked alone, told by `inspect`, used by a shipped graph, and expanded.
+//! Modules from the command line: checked alone, described by `inspect`, used by a shipped graph, and expanded.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -8,29 +8,30 @@ use std::fs;
 
 const GRAPH: &str = "graphs/variants/fibula_modules.toml";
 
-fn said(arguments: &[&str]) -> String {
+fn printed(arguments: &[&str]) -> String {
     let assert = osteoflow().args(arguments).assert().success();
     String::from_utf8(assert.get_output().stdout.clone()).unwrap()
 }
 
 #[test]
 fn a_graph_with_a_module_gives_the_results_of_the_flat_one() {
-    // No node within draws at random, so that its longer name changes nothing.
+    // No node inside uses random numbers, so its longer name changes nothing.
     let (flat, modules) = (run_whole("graphs/fibula.toml", &[]), run_whole(GRAPH, &[]));
     assert!(flat.results["metrics"].is_object(), "{}", flat.results);
     assert_eq!(modules.results, flat.results);
 }
 
 #[test]
-fn every_shipped_module_is_checked_alone_and_told_by_inspect() {
+fn every_shipped_module_is_checked_alone_and_described_by_inspect() {
     let modules = shipped_modules();
     assert!(!modules.is_empty());
     for module in &modules {
-        assert!(said(&["check", module]).contains("a module of"), "{module}");
-        let told: serde_json::Value = serde_json::from_str(&said(&["inspect", module, "--format", "json"])).unwrap();
-        let page = said(&["inspect", module]);
+        assert!(printed(&["check", module]).contains("a module of"), "{module}");
+        let answer: serde_json::Value =
+            serde_json::from_str(&printed(&["inspect", module, "--format", "json"])).unwrap();
+        let page = printed(&["inspect", module]);
         for part in ["inputs", "outputs", "params"] {
-            for entry in told[part].as_array().unwrap() {
+            for entry in answer[part].as_array().unwrap() {
                 let name = entry["name"].as_str().unwrap();
                 assert!(!entry["doc"].as_str().unwrap().is_empty(), "{module}: {part} {name} has no doc");
                 assert!(page.contains(&format!("| `{name}` |")), "{page}");
@@ -55,11 +56,11 @@ fn a_module_is_not_run_by_itself() {
 fn an_expanded_graph_is_one_flat_file_that_expands_to_itself() {
     let dir = tempfile::tempdir().unwrap();
     for graph in shipped_graphs() {
-        let flat = said(&["expand", &graph]);
+        let flat = printed(&["expand", &graph]);
         assert!(!flat.contains("extends") && !flat.contains("kind = \"module\""), "{graph}");
         let path = dir.path().join("flat.toml");
         fs::write(&path, &flat).unwrap();
-        let again = said(&["expand", path.to_str().unwrap()]);
+        let again = printed(&["expand", path.to_str().unwrap()]);
         let bare =
             |text: &str| text.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect::<Vec<_>>();
         assert_eq!(bare(&again), bare(&flat), "{graph}");
@@ -68,7 +69,7 @@ fn an_expanded_graph_is_one_flat_file_that_expands_to_itself() {
 
 #[test]
 fn an_expanded_graph_says_where_each_node_was_written() {
-    let flat = said(&["expand", GRAPH]);
+    let flat = printed(&["expand", GRAPH]);
     let line = flat.lines().position(|line| line == "[node.\"laser/hole\"]").unwrap();
     let place = flat.lines().nth(line - 1).unwrap();
     assert!(place.starts_with("# graphs/modules/laser_point.toml:"), "{place}");
@@ -77,7 +78,7 @@ fn an_expanded_graph_says_where_each_node_was_written() {
 #[test]
 fn settings_reach_a_module_by_its_parameters_and_its_nodes() {
     for set in ["laser.method=hole.range_image", "laser/hole.kind=hole.range_image"] {
-        let flat = said(&["expand", GRAPH, "--set", set]);
+        let flat = printed(&["expand", GRAPH, "--set", set]);
         let (_, hole) = flat.split_once("[node.\"laser/hole\"]\n").unwrap();
         assert!(hole.starts_with("kind = \"hole.range_image\""), "{set}");
     }

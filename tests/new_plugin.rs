@@ -1,7 +1,7 @@
-//! `osteoflow new plugin`: what it writes builds, runs in its graph, and agrees with the built-in kinds; what it refuses.
+//! `osteoflow new plugin`: its output builds, runs in its graph, and agrees with the built-in kinds; its refusals.
 //!
-//! The crate's own cold build takes longer than a minute on two cores, so that it is built alone only with SLOW_TESTS; the
-//! same file is an example of this workspace, which is built beside everything else.
+//! The cold build of the crate alone takes longer than a minute on two cores, so it runs only with SLOW_TESTS; the same file is
+//! an example of this workspace, which is built with everything else.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -15,7 +15,7 @@ use std::{
     process::Command,
 };
 
-/// Writes a plugin into a new folder, in which it is called as it is.
+/// Writes a plugin into a new folder named after it.
 fn written(name: &str, arguments: &[&str]) -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join(name);
@@ -35,15 +35,15 @@ fn library(name: &str) -> String {
 /// Runs a command that must succeed.
 fn done(command: &mut Command) {
     let output = command.output().unwrap();
-    let said = [output.stdout, output.stderr].map(|said| String::from_utf8_lossy(&said).into_owned()).concat();
-    assert!(output.status.success(), "{command:?}: {said}");
+    let printed = [output.stdout, output.stderr].map(|printed| String::from_utf8_lossy(&printed).into_owned()).concat();
+    assert!(output.status.success(), "{command:?}: {printed}");
 }
 
 fn ran(graph: &Path, arguments: &[&str]) -> Ran {
     run_whole(graph.to_str().unwrap(), &[&["--no-record"], arguments].concat())
 }
 
-/// Puts a built library where the graph of a written crate looks for it, and holds its run equal to the built-in ICP's.
+/// Puts a built library where the graph of a written crate expects it, and compares its run with the built-in ICP's.
 fn assert_registers_as_built_in(folder: &Path, library_file: &Path) {
     let release = folder.join("target/release");
     fs::create_dir_all(&release).unwrap();
@@ -68,8 +68,8 @@ fn the_crate_registers_as_the_built_in_icp_does_to_1e_9_mm_and_logs_through_the_
     let out = folder.join("out");
     let logged =
         osteoflow().env("OSTEOFLOW_LOG", "debug").arg("run").arg(graph).arg("--out").arg(out).output().unwrap();
-    let said = String::from_utf8_lossy(&logged.stderr).into_owned();
-    assert!(said.contains("registered n_steps=") && said.contains(" n_pairs=20000 rms_mm=0.1"), "{said}");
+    let printed = String::from_utf8_lossy(&logged.stderr).into_owned();
+    assert!(printed.contains("registered n_steps=") && printed.contains(" n_pairs=20000 rms_mm=0.1"), "{printed}");
 }
 
 /// Builds and tests the written crate alone, then runs its graph.
@@ -80,7 +80,7 @@ fn alone(toolchain: &[&str], profile: &[&str]) {
     let target = root().join("target/new_plugin").join(toolchain.concat());
     let cargo = |command: &str| {
         let mut cargo = Command::new("cargo");
-        // What cargo tells this test is not for another toolchain.
+        // Variables of cargo for this test must not reach another toolchain.
         for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("CARGO") || name.starts_with("RUST")) {
             if !["CARGO_HOME", "RUSTUP_HOME"].contains(&name.as_str()) {
                 cargo.env_remove(name);
@@ -134,7 +134,7 @@ fn the_plugin_in_c_builds_tests_itself_and_crops_as_the_built_in_sphere_to_the_l
     let own = ran(&folder.join("graphs/my_crop.toml"), &[]);
     let graph = fs::read_to_string(folder.join("graphs/my_crop.toml")).unwrap();
     let built_in = folder.join("graphs/built_in.toml");
-    // The built-in one looks at the region, too, if there is one.
+    // The built-in one also crops to the region, if there is one.
     let alike = graph.replace("plugins = [\"../build/my_crop\"]", "remove = [\"node.crop.in.region\"]");
     fs::write(&built_in, alike.replace("my_crop.sphere", "crop.sphere")).unwrap();
     assert_eq!(own.results, ran(&built_in, &[]).results);
@@ -157,8 +157,8 @@ fn names_that_make_no_crate_or_no_stage_are_refused_and_nothing_is_written() {
         ("core", "word of Rust"),
         ("icp", "stage of built-in nodes"),
     ] {
-        let said = refused(&[name]);
-        assert!(said.contains(why), "{name}: {said}");
+        let printed = refused(&[name]);
+        assert!(printed.contains(why), "{name}: {printed}");
     }
     assert!(refused(&["my_icp", "--sdk", "."]).contains("engine/node"), "a folder that is no checkout");
     assert!(refused(&["my_crop", "--lang", "c", "--sdk", "."]).contains("--sdk is for Rust"));
@@ -188,8 +188,8 @@ fn what_is_written_is_the_template_under_its_new_name() {
     let output = output.unwrap();
     // Where this program was built outside git, it asks for the SDK; else it names the revision.
     if output.status.success() {
-        let said: Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(said["commands"].as_array().unwrap().len(), 3);
+        let printed: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(printed["commands"].as_array().unwrap().len(), 3);
         let manifest: toml::Table = fs::read_to_string(folder.join("b/Cargo.toml")).unwrap().parse().unwrap();
         for name in ["osteoflow-node", "osteoflow-payloads"] {
             let dependency = &manifest["dependencies"][name];

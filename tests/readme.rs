@@ -1,4 +1,4 @@
-//! README.md and .ci/run: the two commands that a newcomer types, and that CI types for them.
+//! README.md and .ci/run: both run the same two commands.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -21,7 +21,7 @@ fn the_readme_has_each_of_its_two_commands_once() {
 }
 
 /// The table of the ICP swap: kind, mean TRE in mm.
-fn told() -> Vec<(String, f64)> {
+fn icp_swap_table() -> Vec<(String, f64)> {
     let readme = text("README.md");
     let rows = lines_that_begin(&readme, "| `icp.point_").into_iter().map(|row| {
         let cells: Vec<_> = row.split('|').map(|cell| cell.trim().trim_matches('`')).collect();
@@ -32,13 +32,13 @@ fn told() -> Vec<(String, f64)> {
 
 #[test]
 fn the_numbers_of_the_icp_swap_are_those_of_this_program() {
-    let told = told();
-    assert_eq!(told.len(), 2, "{told:?}");
-    for (kind, told_mm) in told {
+    let table = icp_swap_table();
+    assert_eq!(table.len(), 2, "{table:?}");
+    for (kind, stated_mm) in table {
         let ran = common::run_whole("graphs/fibula.toml", &["--no-record", "--set", &format!("icp.kind={kind}")]);
         let found_mm = ran.results["metrics"]["tre_true_mm"]["mean_abs"]["norm"].as_f64().unwrap();
         // The README rounds to 0.01 mm; a change that moves results further is worth a new line there.
-        assert!((found_mm - told_mm).abs() < 0.02, "{kind}: README.md says {told_mm} mm, it is {found_mm:.3} mm");
+        assert!((found_mm - stated_mm).abs() < 0.02, "{kind}: README.md says {stated_mm} mm, it is {found_mm:.3} mm");
     }
 }
 
@@ -52,7 +52,7 @@ fn ci_takes_both_commands_from_the_readme_and_parses() {
 }
 
 #[test]
-fn links_of_the_book_lead_somewhere() {
+fn links_in_the_documentation_point_to_files() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut pages = vec![root.join("README.md"), root.join("CONTRIBUTING.md"), root.join("CHANGELOG.md")];
     let mut folders = vec![root.join("docs")];

@@ -1,4 +1,4 @@
-//! What a recording is for: a run is repeated from it alone, in part or with changes, and a kill leaves it readable.
+//! Recordings: a run is repeated from its recording alone, in part or with changes, and a kill leaves it readable.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -14,14 +14,14 @@ use std::{
 };
 
 const RECORDED: &str = "graphs/fibula_recorded.toml";
-/// The quickest graph that leaves everything.
+/// The fastest graph that writes all files.
 const QUICK: &str = "graphs/calibration.toml";
 
-/// What a replay answered and its exit code.
+/// The exit code, stdout as JSON and stderr of a replay.
 fn replay(recording: &Path, arguments: &[&str]) -> (i32, Value, String) {
     let output = osteoflow().args(["replay", "--format", "json"]).arg(recording).args(arguments).output().unwrap();
-    let told = serde_json::from_slice(&output.stdout).unwrap_or(Value::Null);
-    (output.status.code().unwrap(), told, String::from_utf8_lossy(&output.stderr).into_owned())
+    let answer = serde_json::from_slice(&output.stdout).unwrap_or(Value::Null);
+    (output.status.code().unwrap(), answer, String::from_utf8_lossy(&output.stderr).into_owned())
 }
 
 fn digest(recording: &Path) -> Digest {
@@ -30,9 +30,9 @@ fn digest(recording: &Path) -> Digest {
     report.digest.unwrap()
 }
 
-fn part_of(told: &Value, wire: &str) -> (String, Value) {
-    let wires = told["wires"].as_array().unwrap();
-    let found = wires.iter().find(|w| w["wire"] == wire).unwrap_or_else(|| panic!("no {wire} in {told:#}"));
+fn part_of(answer: &Value, wire: &str) -> (String, Value) {
+    let wires = answer["wires"].as_array().unwrap();
+    let found = wires.iter().find(|w| w["wire"] == wire).unwrap_or_else(|| panic!("no {wire} in {answer:#}"));
     (found["part"].as_str().unwrap().to_owned(), found["first_difference"].clone())
 }
 
@@ -60,8 +60,8 @@ fn shuffled_runs_on_any_number_of_workers_give_one_digest_and_replay_exactly() {
                 continue;
             }
             let again = ran.dir.path().join("again");
-            let (code, told, said) = replay(&recording, &["--out", again.to_str().unwrap()]);
-            assert_eq!((code, told["equal"].as_bool()), (0, Some(true)), "{said}{told:#}");
+            let (code, answer, printed) = replay(&recording, &["--out", again.to_str().unwrap()]);
+            assert_eq!((code, answer["equal"].as_bool()), (0, Some(true)), "{printed}{answer:#}");
             assert_eq!(digest(&again.join("run.mcap")), first, "the replay's recording is the run's");
             assert_eq!(json(&again.join("results.json")), ran.results);
         }
@@ -71,9 +71,9 @@ fn shuffled_runs_on_any_number_of_workers_give_one_digest_and_replay_exactly() {
 #[test]
 fn one_changed_parameter_diverges_first_at_its_node_and_nowhere_upstream() {
     let (_ran, recording) = recorded();
-    let (code, told, said) = replay(&recording, &["--set", "icp.max_pair_distance_mm=1"]);
-    assert_eq!(code, 4, "{said}");
-    let first = &told["first_divergence"];
+    let (code, answer, printed) = replay(&recording, &["--set", "icp.max_pair_distance_mm=1"]);
+    assert_eq!(code, 4, "{printed}");
+    let first = &answer["first_divergence"];
     assert!(first["wire"].as_str().unwrap().starts_with("icp.") && first["item"] == 0, "{first}");
     let what = &first["what"];
     assert!(
@@ -81,39 +81,39 @@ fn one_changed_parameter_diverges_first_at_its_node_and_nowhere_upstream() {
         "{what}"
     );
     for wire in ["to_bone.cloud", "hole.point", "coarse.t_target_source", "calibration.t_camera_camera_marker"] {
-        assert_eq!(part_of(&told, wire), ("computed".into(), Value::Null), "{wire} is upstream");
+        assert_eq!(part_of(&answer, wire), ("computed".into(), Value::Null), "{wire} is upstream");
     }
-    assert!(part_of(&told, "planes_at_scan.planes").1.is_object(), "what follows differs too");
-    assert_eq!(part_of(&told, "recording.scan").0, "played");
+    assert!(part_of(&answer, "planes_at_scan.planes").1.is_object(), "what follows differs too");
+    assert_eq!(part_of(&answer, "recording.scan").0, "played");
 
-    // Another method in the place of the first.
-    let (code, told, said) = replay(&recording, &["--set", "icp.kind=icp.point_to_plane"]);
-    assert_eq!(code, 4, "{said}");
-    assert!(told["first_divergence"]["wire"].as_str().unwrap().starts_with("icp."), "{}", told["first_divergence"]);
+    // Another method instead of the first.
+    let (code, answer, printed) = replay(&recording, &["--set", "icp.kind=icp.point_to_plane"]);
+    assert_eq!(code, 4, "{printed}");
+    assert!(answer["first_divergence"]["wire"].as_str().unwrap().starts_with("icp."), "{}", answer["first_divergence"]);
 }
 
 #[test]
 fn from_a_node_on_only_what_follows_is_computed_and_the_rest_is_played() {
     let (ran, recording) = recorded();
     let again = ran.dir.path().join("again");
-    let (code, told, said) = replay(&recording, &["--from", "icp", "--out", again.to_str().unwrap()]);
-    assert_eq!((code, told["equal"].as_bool()), (0, Some(true)), "{said}{told:#}");
+    let (code, answer, printed) = replay(&recording, &["--from", "icp", "--out", again.to_str().unwrap()]);
+    assert_eq!((code, answer["equal"].as_bool()), (0, Some(true)), "{printed}{answer:#}");
     for (wire, part) in [
         ("to_bone.cloud", "played"),
         ("hole.point", "played"),
         ("icp.t_target_source", "computed"),
         ("planes.planes", "computed"),
     ] {
-        assert_eq!(part_of(&told, wire).0, part, "{wire}");
+        assert_eq!(part_of(&answer, wire).0, part, "{wire}");
     }
-    // What these give is not recorded: they are computed from what is recorded before them, and said.
-    assert_eq!(told["computed_too"], serde_json::json!(["bone_marker", "ct_surface", "assessment"]));
+    // The outputs of these are not recorded: they are computed from recorded inputs, and reported.
+    assert_eq!(answer["computed_too"], serde_json::json!(["bone_marker", "ct_surface", "assessment"]));
     assert_eq!(digest(&again.join("run.mcap")), digest(&recording), "its recording holds all that was recorded");
     let (code, ..) = replay(&again.join("run.mcap"), &[]);
     assert_eq!(code, 0, "and can itself be replayed whole");
 
-    let (code, told, _) = replay(&recording, &["--from", "icp", "--set", "icp.max_pair_distance_mm=1"]);
-    assert_eq!((code, told["first_divergence"]["item"].as_u64()), (4, Some(0)));
+    let (code, answer, _) = replay(&recording, &["--from", "icp", "--set", "icp.max_pair_distance_mm=1"]);
+    assert_eq!((code, answer["first_divergence"]["item"].as_u64()), (4, Some(0)));
     for (arguments, words) in [
         (["--from", "icq"].as_slice(), "no node \"icq\""),
         (&["--from", "icp", "--set", "hole.min_confidence=0.3"], "changes nothing"),
@@ -122,8 +122,8 @@ fn from_a_node_on_only_what_follows_is_computed_and_the_rest_is_played() {
         (&["--rate", "0"], "above 0"),
         (&["--start", "soon"], "seconds after the first stamp"),
     ] {
-        let (code, _, said) = replay(&recording, arguments);
-        assert!(code == 2 && said.contains(words), "{arguments:?}: {code}: {said}");
+        let (code, _, printed) = replay(&recording, arguments);
+        assert!(code == 2 && printed.contains(words), "{arguments:?}: {code}: {printed}");
     }
 }
 
@@ -131,11 +131,11 @@ fn from_a_node_on_only_what_follows_is_computed_and_the_rest_is_played() {
 fn recorded_streams_play_into_another_graph_that_has_their_wires() {
     let (ran, recording) = recorded();
     let other = "graphs/variants/fibula_recorded_point_to_plane.toml";
-    let (code, told, said) = replay(&recording, &["--graph", other]);
-    assert_eq!(code, 4, "{said}");
-    assert!(told["first_divergence"]["wire"].as_str().unwrap().starts_with("icp."), "{}", told["first_divergence"]);
+    let (code, answer, printed) = replay(&recording, &["--graph", other]);
+    assert_eq!(code, 4, "{printed}");
+    assert!(answer["first_divergence"]["wire"].as_str().unwrap().starts_with("icp."), "{}", answer["first_divergence"]);
     let straight = run_whole(other, &["--no-record"]);
-    assert_eq!(told["results"]["poses"], straight.results["poses"], "as if it had run on the file itself");
+    assert_eq!(answer["results"]["poses"], straight.results["poses"], "as if it had run on the file itself");
 
     let foreign = ran.dir.path().join("foreign.toml");
     fs::write(
@@ -143,27 +143,27 @@ fn recorded_streams_play_into_another_graph_that_has_their_wires() {
         "[graph]\nformat = 1\n[node.other]\nkind = \"surface.simulated\"\n[results]\nmesh = \"other.mesh\"\n",
     )
     .unwrap();
-    let (code, _, said) = replay(&recording, &["--graph", foreign.to_str().unwrap()]);
-    assert!(code == 2 && said.contains("no recorded wire") && said.contains("recording.scan"), "{said}");
+    let (code, _, printed) = replay(&recording, &["--graph", foreign.to_str().unwrap()]);
+    assert!(code == 2 && printed.contains("no recorded wire") && printed.contains("recording.scan"), "{printed}");
 }
 
 #[test]
 fn the_rate_changes_no_result_and_a_part_of_a_recording_is_played_and_not_compared() {
     let (_ran, recording) = recorded();
-    // Fifty seconds in a quarter of one.
-    let (code, told, said) = replay(&recording, &["--rate", "200", "--workers", "1"]);
-    assert_eq!((code, told["equal"].as_bool()), (0, Some(true)), "{said}");
+    // Fifty seconds in a quarter of a second.
+    let (code, answer, printed) = replay(&recording, &["--rate", "200", "--workers", "1"]);
+    assert_eq!((code, answer["equal"].as_bool()), (0, Some(true)), "{printed}");
 
     let first = Recording::open(&recording).unwrap().wires["recording.bone_marker"].messages.len() as u64;
-    let (_, told, said) = replay(&recording, &["--end", "20"]);
-    assert!(told["not_compared"].as_str().unwrap().contains("part"), "{told:#}");
-    let played = |told: &Value| {
-        let wires = told["wires"].as_array().unwrap();
+    let (_, answer, printed) = replay(&recording, &["--end", "20"]);
+    assert!(answer["not_compared"].as_str().unwrap().contains("part"), "{answer:#}");
+    let played = |answer: &Value| {
+        let wires = answer["wires"].as_array().unwrap();
         wires.iter().find(|w| w["wire"] == "recording.bone_marker").unwrap()["replayed"].as_u64().unwrap()
     };
-    assert!(played(&told) > 0 && played(&told) < first, "{} of {first}: {said}", played(&told));
+    assert!(played(&answer) > 0 && played(&answer) < first, "{} of {first}: {printed}", played(&answer));
     let (_, later, _) = replay(&recording, &["--start", "20.000000001"]);
-    assert_eq!(played(&told) + played(&later), first, "every item is before or after");
+    assert_eq!(played(&answer) + played(&later), first, "every item is before or after");
     let mesh = later["wires"].as_array().unwrap().iter().find(|w| w["wire"] == "bone.mesh").unwrap();
     assert_eq!(mesh["replayed"], 1, "a constant is always played");
 }
@@ -179,43 +179,50 @@ fn sources_named_by_hash_are_read_again_and_only_if_they_are_the_same() {
     let whole = recorded();
     let size = |path: &Path| fs::metadata(path).unwrap().len();
     assert!(size(&recording) < size(&whole.1) / 2, "{} bytes where the scans are not in it", size(&recording));
-    let (code, told, said) = replay(&recording, &[]);
-    assert_eq!((code, told["equal"].as_bool()), (0, Some(true)), "{said}{told:#}");
+    let (code, answer, printed) = replay(&recording, &[]);
+    assert_eq!((code, answer["equal"].as_bool()), (0, Some(true)), "{printed}{answer:#}");
 
     let mut bytes = fs::read(&copy).unwrap();
     bytes[200] ^= 1;
     fs::write(&copy, &bytes).unwrap();
-    let (code, _, said) = replay(&recording, &[]);
-    assert!(code == 1 && said.contains("bone.stl") && said.contains("expected") && said.contains("found"), "{said}");
+    let (code, _, printed) = replay(&recording, &[]);
+    assert!(
+        code == 1 && printed.contains("bone.stl") && printed.contains("expected") && printed.contains("found"),
+        "{printed}"
+    );
     fs::remove_file(&copy).unwrap();
-    let (code, _, said) = replay(&recording, &[]);
-    assert!(code == 1 && said.contains("bone.stl"), "{said}");
+    let (code, _, printed) = replay(&recording, &[]);
+    assert!(code == 1 && printed.contains("bone.stl"), "{printed}");
     let moved = format!("bone.path={}", root().join("tests/data/procedure/bone.stl").display());
-    let (code, _, said) = replay(&recording, &["--set", &moved]);
-    assert_eq!(code, 0, "a file that has moved is known by its hash: {said}");
+    let (code, _, printed) = replay(&recording, &["--set", &moved]);
+    assert_eq!(code, 0, "a file that has moved is known by its hash: {printed}");
 
-    // What is simulated is simulated again.
+    // Simulated inputs are simulated again.
     let ran = run_whole(QUICK, &["--set", "record.sources=hash"]);
-    let (code, told, said) = replay(&ran.dir.path().join("run.mcap"), &[]);
-    assert_eq!((code, told["equal"].as_bool()), (0, Some(true)), "{said}");
+    let (code, answer, printed) = replay(&ran.dir.path().join("run.mcap"), &[]);
+    assert_eq!((code, answer["equal"].as_bool()), (0, Some(true)), "{printed}");
 }
 
 #[test]
 fn a_refused_run_replays_to_the_same_refusal() {
-    // No hole is that sure.
+    // No hole reaches this confidence.
     let ran = run(RECORDED, &["--set", "hole.min_confidence=1"]);
     assert_eq!(ran.code, 3, "{}", ran.stderr);
     let recording = ran.dir.path().join("run.mcap");
-    let (code, told, said) = replay(&recording, &[]);
-    assert_eq!((code, told["equal"].as_bool(), told["results_equal"].as_bool()), (3, Some(true), Some(true)), "{said}");
-    assert_eq!(told["results"]["refused"], ran.results["refused"]);
-    let (code, told, _) = replay(&recording, &["--set", "hole.min_confidence=0.4"]);
-    assert_eq!(code, 4, "it is not refused any more: {told:#}");
-    assert!(told["first_divergence"]["wire"].as_str().unwrap().starts_with("hole."));
+    let (code, answer, printed) = replay(&recording, &[]);
+    assert_eq!(
+        (code, answer["equal"].as_bool(), answer["results_equal"].as_bool()),
+        (3, Some(true), Some(true)),
+        "{printed}"
+    );
+    assert_eq!(answer["results"]["refused"], ran.results["refused"]);
+    let (code, answer, _) = replay(&recording, &["--set", "hole.min_confidence=0.4"]);
+    assert_eq!(code, 4, "it is not refused any more: {answer:#}");
+    assert!(answer["first_divergence"]["wire"].as_str().unwrap().starts_with("hole."));
 }
 
 #[test]
-fn a_recording_tells_what_it_was_made_from_and_how() {
+fn a_recording_contains_its_provenance() {
     let ran = run_whole(QUICK, &["--set", "record.compression=none", "--set", "record.views=false"]);
     let bytes = fs::read(ran.dir.path().join("run.mcap")).unwrap();
     let text = String::from_utf8_lossy(&bytes);
@@ -230,7 +237,7 @@ fn a_recording_tells_what_it_was_made_from_and_how() {
     assert!(manifest["command"].get("git_revision").is_some());
 }
 
-/// A run that is killed after this time; its recording, if it has come so far.
+/// A run that is killed after this time; its recording, if it exists by then.
 #[cfg(unix)]
 fn killed(dir: &Path, after: Duration) -> Option<PathBuf> {
     let mut child = osteoflow_to_spawn()
@@ -253,7 +260,7 @@ fn a_kill_at_any_instant_leaves_a_recording_that_is_read_and_replayed_up_to_its_
     let dir = tempfile::tempdir().unwrap();
     let (mut n_read, mut n_items) = (0, 0);
     for kill in 0..n_kills {
-        // Spread over a run's second and a half, by steps that do not repeat.
+        // Spread over a run's second and a half, in steps that do not repeat.
         let after = Duration::from_micros(kill * 1_618_033 % 1_500_000);
         let Some(path) = killed(dir.path(), after) else { continue };
         match Recording::open(&path) {
@@ -264,15 +271,17 @@ fn a_kill_at_any_instant_leaves_a_recording_that_is_read_and_replayed_up_to_its_
                 if recording.wires.is_empty() || kill % 4 != 1 {
                     continue;
                 }
-                let (code, told, said) = replay(&path, &[]);
+                let (code, answer, printed) = replay(&path, &[]);
                 assert!(
-                    told["wires"].as_array().is_some_and(|wires| wires.iter().all(|w| w["first_difference"].is_null())),
-                    "killed after {after:?}: {code}: {said}{told:#}"
+                    answer["wires"]
+                        .as_array()
+                        .is_some_and(|wires| wires.iter().all(|w| w["first_difference"].is_null())),
+                    "killed after {after:?}: {code}: {printed}{answer:#}"
                 );
             }
             Err(error) => {
-                let said = error.to_string();
-                assert!(said.contains("is no recording of a run"), "killed after {after:?}: {said}");
+                let printed = error.to_string();
+                assert!(printed.contains("is no recording of a run"), "killed after {after:?}: {printed}");
             }
         }
     }
@@ -290,9 +299,9 @@ fn a_disk_that_is_full_ends_the_run_with_the_file_named_and_leaves_the_rest_whol
         dir.path().display()
     );
     let output = Command::new("bash").current_dir(root()).args(["-c", &script]).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("run.mcap") && said.contains("cannot write"), "{said}");
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    assert!(printed.contains("run.mcap") && printed.contains("cannot write"), "{printed}");
     let results = json(&dir.path().join("results.json"));
     let manifest = json(&dir.path().join("manifest.json"));
     assert!(manifest["recording"]["error"].as_str().unwrap().contains("run.mcap"), "{}", manifest["recording"]);

@@ -1,4 +1,4 @@
-//! The page of a run and of a sweep, as a browser shows it.
+//! The page of a run and of a sweep in a browser.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 #[path = "common/browser.rs"]
@@ -23,7 +23,7 @@ fn report(dir: &Path) -> std::path::PathBuf {
     dir.join("report.html")
 }
 
-/// What the test looks at of every page: nothing complains, nothing is fetched, every drawing has a size and its words.
+/// Checks of every page: no errors, nothing fetched, every drawing has a size and its disclaimer.
 fn check_page(browser: &mut Browser, page: &Path, n_drawings: usize) {
     browser.open(page);
     let sizes = browser.evaluate("[...document.querySelectorAll('.drawing svg')].map((s) => [s.getBoundingClientRect().width, s.getBoundingClientRect().height])");
@@ -40,7 +40,7 @@ fn check_page(browser: &mut Browser, page: &Path, n_drawings: usize) {
     }
 }
 
-/// The whole page as a picture, for those who want to look.
+/// The whole page as an image, for people.
 fn screenshot(browser: &mut Browser, to: &Path) {
     let height = browser.evaluate("document.documentElement.scrollHeight").as_f64().unwrap();
     let metrics = json!({ "width": 1100, "height": height, "deviceScaleFactor": 1, "mobile": false });
@@ -51,7 +51,7 @@ fn screenshot(browser: &mut Browser, to: &Path) {
     browser.call("Emulation.clearDeviceMetricsOverride", json!({}));
 }
 
-/// The pixels of a view: how many are not empty, and a number that tells two pictures apart.
+/// The pixels of a view: the number of those that are not empty, and a checksum.
 fn pixels(browser: &mut Browser, view: usize) -> Value {
     browser.evaluate(&format!(
         "(() => {{ const c = document.querySelectorAll('.view canvas')[{view}], gl = c.getContext('webgl'); \
@@ -113,7 +113,7 @@ fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
 }
 
 #[test]
-fn a_run_that_comes_out_otherwise_when_it_is_run_again_is_not_drawn() {
+fn a_run_that_gives_other_results_when_repeated_is_not_drawn() {
     let dir = tempfile::tempdir().unwrap();
     let out = swept(dir.path());
     for run in fs::read_dir(out.join("runs")).unwrap() {
@@ -131,8 +131,8 @@ fn a_run_that_comes_out_otherwise_when_it_is_run_again_is_not_drawn() {
 fn a_wire_that_was_not_recorded_is_named_with_what_to_record() {
     let ran = run_whole("graphs/fibula.toml", &["--set", "record.wires=[\"icp.report\"]"]);
     let html = fs::read_to_string(report(ran.dir.path())).unwrap();
-    let said = "the wire to_bone.cloud was not recorded; add &quot;to_bone.cloud&quot; to wires in [record]";
-    assert!(html.contains(said), "{said}");
+    let printed = "the wire to_bone.cloud was not recorded; add &quot;to_bone.cloud&quot; to wires in [record]";
+    assert!(html.contains(printed), "{printed}");
     assert!(html.contains("icp.trace was not recorded"));
     let bare = run_whole("graphs/fibula.toml", &["--no-record"]);
     let html = fs::read_to_string(report(bare.dir.path())).unwrap();
@@ -142,9 +142,9 @@ fn a_wire_that_was_not_recorded_is_named_with_what_to_record() {
 #[test]
 fn a_folder_of_neither_a_run_nor_a_sweep_is_a_fault_of_the_command_line() {
     let dir = tempfile::tempdir().unwrap();
-    let said = osteoflow().arg("report").arg(dir.path()).assert().code(2);
-    let said = String::from_utf8_lossy(&said.get_output().stderr).into_owned();
-    assert!(said.contains("manifest.json") && said.contains("sweep.json"), "{said}");
+    let printed = osteoflow().arg("report").arg(dir.path()).assert().code(2);
+    let printed = String::from_utf8_lossy(&printed.get_output().stderr).into_owned();
+    assert!(printed.contains("manifest.json") && printed.contains("sweep.json"), "{printed}");
 }
 
 /// A small sweep, in a folder of its own.
@@ -216,13 +216,13 @@ fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() 
     assert_eq!(maps, 4, "two fragments, each in place and carried back");
 }
 
-/// What a command says on stderr, and its exit code.
+/// The stderr of a command, and its exit code.
 fn complaint(args: &[&str]) -> (String, i32) {
     let output = osteoflow().args(args).output().unwrap();
     (String::from_utf8(output.stderr).unwrap(), output.status.code().unwrap())
 }
 
-/// A tenth of the built-in bone, whose anatomy fits it.
+/// A tenth of the built-in bone, with a fitting anatomy.
 fn short_bone(dir: &Path) -> (PathBuf, PathBuf) {
     let (whole, anatomy) = (bone::fibula(&BoneParams::default()), bone::anatomy(&BoneParams::default()));
     let tip = anatomy.malleolus_tip;
@@ -273,7 +273,7 @@ fn a_bone_that_cannot_be_simulated_on_is_refused_before_any_sweep_in_the_words_o
 }
 
 #[test]
-fn an_experiment_without_any_results_ends_as_refused_with_the_page_and_the_commonest_reason() {
+fn an_experiment_without_any_results_ends_as_refused_with_the_page_and_the_most_frequent_reason() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
     let sets = ["--set", "sweep.repeat=1", "--set", "icp.max_pair_distance_mm=1e-6"];
@@ -290,7 +290,7 @@ fn an_experiment_without_any_results_ends_as_refused_with_the_page_and_the_commo
     assert!(!page.contains("silhouette"), "{page}");
 }
 
-/// Two bones of a few procedures each, of which some are refused: their gate lets no pair through.
+/// Two bones with a few procedures each, of which some are refused: their gate lets no pair through.
 const REFUSING: &str = r#"
 extends = "GRAPH"
 [node.bone]
@@ -312,7 +312,7 @@ factor = "icp"
 margin = { tre_mm = 1.0 }
 "#;
 
-/// The cells of the table whose caption has these words, its heads first.
+/// The cells of the table whose caption contains these words, heads first.
 fn table(browser: &mut Browser, words: &str) -> Vec<Vec<String>> {
     let cells = browser.evaluate(&format!(
         "[...[...document.querySelectorAll('table')].find((t) => t.caption.textContent.includes('{words}')).rows].map((r) => \
@@ -321,7 +321,7 @@ fn table(browser: &mut Browser, words: &str) -> Vec<Vec<String>> {
     serde_json::from_value(cells).unwrap_or_else(|e| panic!("no table of {words}: {e}"))
 }
 
-/// What stands under a head in a row.
+/// The cell under a head in a row.
 fn under<'a>(table: &'a [Vec<String>], head: &str, row: usize) -> &'a str {
     let at = table[0].iter().position(|of| of == head).unwrap_or_else(|| panic!("no {head} in {:?}", table[0]));
     &table[row][at]
@@ -352,7 +352,7 @@ fn the_tables_of_a_sweep_have_the_units_of_each_column_the_sd_within_them_and_re
     let interval = under(&columns, "95 % interval of the mean", 1);
     assert!(interval.contains(" to ") && interval.ends_with("(few: 2 bones)"), "{interval}");
     let about = browser.evaluate("document.body.textContent.includes('fewer than 5 units is too narrow')");
-    assert_eq!(about, true, "what few means is said");
+    assert_eq!(about, true, "what few means is printed");
 
     let points = table(&mut browser, "tre true (mm) at the points");
     assert_eq!(points.iter().map(|row| row[1].as_str()).collect::<Vec<_>>()[..4], ["axis", "x", "y", "z"]);

@@ -1,4 +1,4 @@
-//! What a run leaves and where: folders, refusals to overwrite, switches, Ctrl-C.
+//! Files and folders of a run, refusals to overwrite, switches, Ctrl-C.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -12,7 +12,7 @@ use std::{
     time::Duration,
 };
 
-/// The quickest graph that leaves everything.
+/// The fastest graph that writes all files.
 const GRAPH: &str = "graphs/calibration.toml";
 
 #[test]
@@ -21,8 +21,8 @@ fn an_existing_folder_is_refused_and_force_replaces_only_the_files_of_a_run() {
     fs::write(dir.path().join("notes.txt"), "mine").unwrap();
     fs::write(dir.path().join("results.json"), "old").unwrap();
     let refused = osteoflow().args(["run", GRAPH, "--out"]).arg(dir.path()).assert().code(2);
-    let said = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
-    assert!(said.contains("is not empty") && said.contains("--force"), "{said}");
+    let printed = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
+    assert!(printed.contains("is not empty") && printed.contains("--force"), "{printed}");
     assert_eq!(fs::read_to_string(dir.path().join("results.json")).unwrap(), "old");
 
     osteoflow().args(["run", GRAPH, "--force", "--no-record", "--out"]).arg(dir.path()).assert().success();
@@ -62,33 +62,36 @@ fn a_faulty_graph_leaves_no_folder() {
 fn json_on_stdout_is_the_results_and_the_outcome_and_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let output = osteoflow().args(["run", GRAPH, "--format", "json", "--out"]).arg(dir.path()).output().unwrap();
-    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!((told["outcome"]["status"].as_str(), told["outcome"]["exit_code"].as_u64()), (Some("done"), Some(0)));
-    let mut results = told.as_object().unwrap().clone();
+    let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(
+        (answer["outcome"]["status"].as_str(), answer["outcome"]["exit_code"].as_u64()),
+        (Some("done"), Some(0))
+    );
+    let mut results = answer.as_object().unwrap().clone();
     results.remove("outcome");
     assert_eq!(Value::Object(results), json(&dir.path().join("results.json")));
 
     let faulty =
         osteoflow().args(["run", GRAPH, "--format", "json", "--set", "calibration.no_such=1"]).output().unwrap();
-    let told: Value = serde_json::from_slice(&faulty.stdout).unwrap();
-    assert_eq!(told["outcome"]["status"], "faulty");
-    assert_eq!(told["faults"].as_array().unwrap().len(), 1);
+    let answer: Value = serde_json::from_slice(&faulty.stdout).unwrap();
+    assert_eq!(answer["outcome"]["status"], "faulty");
+    assert_eq!(answer["faults"].as_array().unwrap().len(), 1);
 }
 
 #[test]
 fn verbose_shows_where_the_time_went_and_what_the_wires_carried_and_quiet_shows_answers_only() {
     let dir = tempfile::tempdir().unwrap();
     let output = osteoflow().args(["run", GRAPH, "-v", "--out"]).arg(dir.path().join("a")).output().unwrap();
-    let said = String::from_utf8(output.stdout).unwrap();
+    let printed = String::from_utf8(output.stdout).unwrap();
     for words in
         ["share", "p99", "<- slowest", "highest fill", "calibration", "recording.phantom_scan -> calibration.cloud"]
     {
-        assert!(said.contains(words), "{said}\nlacks {words}");
+        assert!(printed.contains(words), "{printed}\nlacks {words}");
     }
     let output = osteoflow().args(["run", GRAPH, "--quiet", "--out"]).arg(dir.path().join("b")).output().unwrap();
     assert_eq!(String::from_utf8_lossy(&output.stderr), "");
-    let said = String::from_utf8(output.stdout).unwrap();
-    assert!(said.contains("SIMULATED") && said.contains("research use only, not for clinical use"), "{said}");
+    let printed = String::from_utf8(output.stdout).unwrap();
+    assert!(printed.contains("SIMULATED") && printed.contains("research use only, not for clinical use"), "{printed}");
 }
 
 #[test]
@@ -98,10 +101,10 @@ fn a_recorded_run_can_be_replayed_from_its_recording_alone() {
     for workers in ["1", "3"] {
         let output =
             osteoflow().args(["replay", "--format", "json", "--workers", workers]).arg(&recording).output().unwrap();
-        let told: Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(output.status.code(), Some(0), "{told:#}");
-        assert_eq!((told["equal"].as_bool(), told["results_equal"].as_bool()), (Some(true), Some(true)));
-        assert!(told["wires"].as_array().unwrap().iter().any(|w| w["wire"] == "icp.t_target_source"));
+        let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{answer:#}");
+        assert_eq!((answer["equal"].as_bool(), answer["results_equal"].as_bool()), (Some(true), Some(true)));
+        assert!(answer["wires"].as_array().unwrap().iter().any(|w| w["wire"] == "icp.t_target_source"));
     }
 }
 
@@ -123,10 +126,10 @@ fn record_writes_the_wires_asked_for_into_one_file() {
 }
 
 #[test]
-fn replaying_what_is_no_recording_says_so() {
+fn replaying_a_file_that_is_not_a_recording_is_refused() {
     let assert = osteoflow().args(["replay", "graphs/fibula.toml"]).assert().code(1);
-    let said = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
-    assert!(said.contains("graphs/fibula.toml"), "{said}");
+    let printed = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
+    assert!(printed.contains("graphs/fibula.toml"), "{printed}");
 }
 
 #[test]
@@ -141,7 +144,7 @@ fn ctrl_c_stops_in_order_and_leaves_valid_files() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // Once the recording is there, the run is under way and Ctrl-C is listened for.
+    // The recording exists once the run is under way and the handler of Ctrl-C is installed.
     while !dir.path().join("run.mcap").exists() {
         assert!(child.try_wait().unwrap().is_none(), "it ended before it could be interrupted");
         thread::sleep(Duration::from_millis(2));
@@ -149,9 +152,9 @@ fn ctrl_c_stops_in_order_and_leaves_valid_files() {
     let signalled = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(signalled.success());
     let output = child.wait_with_output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(130), "{said}");
-    assert!(said.contains("interrupted"), "{said}");
+    let printed = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(130), "{printed}");
+    assert!(printed.contains("interrupted"), "{printed}");
     let results = json(&dir.path().join("results.json"));
     assert!(results["refused"]["reason"].as_str().unwrap().contains("interrupted"), "{results}");
     assert!(results.get("poses").is_none());

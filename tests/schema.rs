@@ -1,4 +1,4 @@
-//! The schema that editors read is that of the nodes, every shipped graph fits it, and what is wrong does not.
+//! The schema for editors matches the nodes, every shipped graph fits it, and faulty graphs do not.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -24,8 +24,8 @@ fn graph(text: &str) -> Value {
 fn the_schema_beside_the_graphs_is_that_of_the_nodes() {
     let text = serde_json::to_string_pretty(&schema()).unwrap() + "\n";
     assert_golden(&root().join("graphs/osteoflow.schema.json"), &text);
-    let said = osteoflow().arg("schema").assert().success();
-    assert_eq!(String::from_utf8(said.get_output().stdout.clone()).unwrap(), text);
+    let printed = osteoflow().arg("schema").assert().success();
+    assert_eq!(String::from_utf8(printed.get_output().stdout.clone()).unwrap(), text);
     jsonschema::draft7::meta::validate(&schema()).unwrap();
 }
 
@@ -55,13 +55,13 @@ fn every_expanded_graph_fits_the_schema() {
     }
 }
 
-/// A schema sees one file: in a variant the kind stands in the extended graph, and is written into the tables here.
+/// A schema sees one file: the kinds that a variant inherits from the extended graph are written into its tables here.
 #[test]
 fn broken_graphs_whose_kinds_and_parameters_are_wrong_do_not_fit() {
     let validator = validator();
     let registry = osteoflow_standard::registry();
     let base = osteoflow_engine::check(&root().join("graphs/fibula.toml"), &[], &registry).unwrap().plan;
-    // What the extended graph wrote, and the words of no kind, are not there to be seen.
+    // Keys of the extended graph and misspelt kinds cannot be seen.
     let elsewhere = ["parameter_of_the_other_kind", "parameters_missing"];
     let (mut n_seen, mut unseen) = (0, Vec::new());
     for entry in fs::read_dir(root().join("tests/broken")).unwrap() {
@@ -100,7 +100,7 @@ fn the_example_of_every_kind_fits_its_own_schema() {
 }
 
 #[test]
-fn a_kind_that_is_not_there_is_told_with_the_one_that_was_meant() {
+fn an_unknown_kind_is_refused_with_the_nearest_name() {
     let output = osteoflow().args(["schema", "--kind", "icp.point_to_plan"]).output().unwrap();
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2));

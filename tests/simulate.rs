@@ -1,4 +1,4 @@
-//! The built-in procedure as files for other programs, and as the data that the shipped graphs name.
+//! The built-in procedure as files for other programs, and as the data that the shipped graphs use.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -46,7 +46,7 @@ fn the_readme_of_the_data_names_the_seed_and_the_command() {
     }
 }
 
-/// Every number in two JSON values of one shape lies within `tolerance`.
+/// Asserts that all numbers in two JSON values of the same form differ by at most `tolerance`.
 fn assert_alike(a: &Value, b: &Value, tolerance: f64, place: &str) {
     match (a, b) {
         (Value::Object(a), Value::Object(b)) => {
@@ -104,8 +104,8 @@ fn a_recording_and_a_folder_of_one_procedure_give_the_same_registration() {
     for spot in truth["assessment_W_true"].as_array().unwrap() {
         let spot = common::point(spot);
         let apart = (poses[0] * spot - poses[1] * spot).norm();
-        // A recording holds coordinates as 32-bit floats, which moves points by 0.00002 mm; point-to-plane ends within its
-        // stop rule of 0.01 mm of one place, from either side, and points beside the scan move up to twice as far.
+        // A recording holds coordinates as 32-bit floats, which moves points by 0.00002 mm; point-to-plane converges within its
+        // stop rule of 0.01 mm from either side, and points beside the scan move up to twice as far.
         assert!(apart < 0.05, "{apart} mm apart");
     }
 }

@@ -1,4 +1,4 @@
-//! The simulated procedure, whole: keys, accuracy over seeds, same bits twice, and what a swap changes.
+//! The simulated procedure as a whole: keys, accuracy over seeds, determinism, and effects of a swap.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -72,7 +72,7 @@ fn ten_seeds_end_within_the_bands() {
     }
 }
 
-/// Two runs into two folders give the same bytes of `results.json`.
+/// Asserts that two runs write the same bytes of `results.json`.
 fn assert_same_bytes(first: &[&str], second: &[&str]) {
     let [a, b] = [first, second].map(|arguments| {
         let ran = run_whole(GRAPH, arguments);
@@ -108,13 +108,13 @@ fn different(a: &BTreeMap<String, Vec<Vec<u8>>>, b: &BTreeMap<String, Vec<Vec<u8
     a.iter().filter(|(name, items)| b[*name] != **items).map(|(name, _)| name.clone()).collect()
 }
 
-/// The wires of a node and of everything that follows from it.
+/// The wires of a node and of everything downstream of it.
 fn downstream(of: &str) -> BTreeSet<String> {
     let registry = osteoflow_standard::registry();
     let plan: Plan = osteoflow_engine::check(&root().join(GRAPH), &[], &registry).unwrap().plan;
     let mut reached: BTreeSet<usize> = (0..plan.nodes.len()).filter(|&n| *plan.nodes[n].name == *of).collect();
     let mut links = plan.links.clone();
-    // Nodes stand in topological order, so one pass over the links in that order reaches everything.
+    // Nodes are in topological order, so one pass over the links in that order reaches everything.
     links.sort_by_key(|link| link.from.node);
     for link in links.iter() {
         if reached.contains(&link.from.node) {
@@ -171,12 +171,12 @@ fn on_every_wire_sent_is_received_plus_dropped() {
 }
 
 #[test]
-fn a_ruled_start_is_off_as_asked_and_the_fragments_tell_what_came_of_it() {
+fn a_ruled_start_is_off_as_asked_and_the_fragments_show_the_effect() {
     let set = ["--no-record", "--set", "ruled.first_mm=-8.0", "--set", "bone.exact=true"];
     let ran = run_whole("graphs/variants/fibula_ruled.toml", &set);
     let ruled = &ran.results["ruled"];
     assert!((number(&ruled["first_along_mm"]) + 8.0).abs() < 0.5, "{ruled}");
-    // The coarse fit puts the marks onto the planned landmarks: P1 lies where the ruler put it.
+    // The coarse fit puts the marks onto the planned landmarks: P1 is where the ruler put it.
     let coarse = &ran.results["coarse"]["pairs"];
     assert_eq!(coarse.as_array().map(Vec::len), Some(3));
     let cuts = &ran.results["metrics"]["cut_difference"];
@@ -184,8 +184,8 @@ fn a_ruled_start_is_off_as_asked_and_the_fragments_tell_what_came_of_it() {
         let ends = cuts["true"]["ends"].as_array().unwrap().iter();
         number(&ends.clone().find(|end| end["name"] == name).unwrap()["offset_mm"])
     });
-    let told = ran.results["metrics"]["cuts"]["cuts"][0]["offset_mm"].as_f64().unwrap();
-    assert!((offset - told).abs() < 1e-6, "metrics.cuts tells {told} mm, metrics.cut_difference {offset} mm");
+    let answer = ran.results["metrics"]["cuts"]["cuts"][0]["offset_mm"].as_f64().unwrap();
+    assert!((offset - answer).abs() < 1e-6, "metrics.cuts tells {answer} mm, metrics.cut_difference {offset} mm");
     for by in ["true", "paper"] {
         let [in_place, aligned] = ["in_place", "aligned"].map(|how| number(&cuts[by][how]["surface"]["mean_mm"]));
         assert!(in_place > 0.0 && aligned > 0.0 && aligned < 2.0, "{by}: {in_place} mm in place, {aligned} mm aligned");

@@ -1,4 +1,4 @@
-//! The store of kept answers, as the command uses it: cold and warm runs are the same to the last bit.
+//! The store of cached answers: cold and warm runs are the same to the last bit.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -13,7 +13,7 @@ use std::{
 
 const GRAPH: &str = "graphs/fibula.toml";
 
-/// What a run left, without what tells of times and places.
+/// The output of a run without times and places.
 #[derive(Debug, PartialEq)]
 struct Left {
     results: String,
@@ -44,14 +44,14 @@ fn run(cache: &Path, arguments: &[&str]) -> Ran {
 
 fn left(dir: &Path) -> Left {
     let output = osteoflow().args(["digest", "--format", "json"]).arg(dir.join("run.mcap")).output().unwrap();
-    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
     Left {
         results: fs::read_to_string(dir.join("results.json")).unwrap(),
-        digest: told["files"][0]["digest"].as_str().unwrap().to_owned(),
+        digest: answer["files"][0]["digest"].as_str().unwrap().to_owned(),
     }
 }
 
-/// The entries of kept answers, the largest last.
+/// The entries of cached answers, largest last.
 fn answers(cache: &Path) -> Vec<PathBuf> {
     let files = fs::read_dir(cache).unwrap().map(|file| file.unwrap().path());
     let is_answer = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with("answer-");
@@ -174,11 +174,11 @@ fn a_store_that_cannot_be_written_is_a_warning() {
         out.display()
     );
     let output = Command::new("bash").current_dir(root()).args(["-c", &script]).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(0), "{said}");
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{printed}");
     assert!(
-        said.contains("nothing can be kept in the store") && said.contains("OSTEOFLOW_CACHE names another"),
-        "{said}"
+        printed.contains("nothing can be kept in the store") && printed.contains("OSTEOFLOW_CACHE names another"),
+        "{printed}"
     );
     assert_eq!(fs::read_to_string(out.join("results.json")).unwrap(), ran.left.results);
     let left: Vec<_> = fs::read_dir(&cache).unwrap().map(|file| file.unwrap().file_name()).collect();
@@ -227,8 +227,8 @@ fn a_size_that_is_no_number_is_a_fault_of_the_command_line() {
     let mut command = osteoflow();
     command.env("OSTEOFLOW_CACHE_MAX_MB", "much").args(["run", GRAPH]);
     let assert = command.assert().code(2);
-    let said = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
-    assert!(said.contains("OSTEOFLOW_CACHE_MAX_MB is \"much\", but a whole number of megabytes"), "{said}");
+    let printed = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
+    assert!(printed.contains("OSTEOFLOW_CACHE_MAX_MB is \"much\", but a whole number of megabytes"), "{printed}");
 }
 
 #[test]
@@ -236,7 +236,7 @@ fn no_test_runs_the_command_with_the_store_of_whoever_runs_it() {
     let mut files: Vec<PathBuf> =
         fs::read_dir(root().join("tests")).unwrap().map(|file| file.unwrap().path()).collect();
     files.retain(|path| path.extension().is_some_and(|end| end == "rs"));
-    // In two pieces, so that this file does not find itself.
+    // In two parts, so that this file does not match itself.
     let words = [concat!("cargo_", "bin"), concat!("CARGO_", "BIN_EXE")];
     let calls = |path: &&PathBuf| {
         let text = fs::read_to_string(path).unwrap();

@@ -1,4 +1,4 @@
-//! Sweeps as the command runs them: stopped and gone on with, split and put together, compared, on a bone of one's own.
+//! Sweeps from the command line: stopped and resumed, split and merged, compared, and on a user's bone.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -46,8 +46,8 @@ fn path(dir: &Path, name: &str) -> String {
     dir.join(name).to_str().unwrap().to_owned()
 }
 
-/// What a command says, and its exit code.
-fn said(args: &[&str]) -> (String, String, i32) {
+/// The stdout, stderr and exit code of a command.
+fn output(args: &[&str]) -> (String, String, i32) {
     let output = osteoflow().args(args).output().unwrap();
     let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
     (text(&output.stdout), text(&output.stderr), output.status.code().unwrap())
@@ -61,7 +61,7 @@ fn json(path: &str) -> Value {
 fn a_sweep_that_is_killed_half_way_and_resumed_leaves_the_tables_of_one_that_was_not() {
     let dir = tempfile::tempdir().unwrap();
     let (graph, whole, cut) = (small(dir.path()), path(dir.path(), "whole"), path(dir.path(), "cut"));
-    assert_eq!(said(&["sweep", &graph, "--out", &whole, "--quiet"]).2, 0);
+    assert_eq!(output(&["sweep", &graph, "--out", &whole, "--quiet"]).2, 0);
     let mut child = osteoflow_to_spawn()
         .args(["sweep", &graph, "--out", &cut, "--workers", "1", "--quiet"])
         .stdout(Stdio::null())
@@ -79,17 +79,17 @@ fn a_sweep_that_is_killed_half_way_and_resumed_leaves_the_tables_of_one_that_was
     child.wait().unwrap();
     let n_left = n_there();
     assert!((3..12).contains(&n_left), "{n_left} runs were there when it was killed");
-    let (_, err, code) = said(&["sweep", &graph, "--out", &cut]);
+    let (_, err, code) = output(&["sweep", &graph, "--out", &cut]);
     assert!(code == 2 && err.contains("--resume"), "{err}");
-    let (out, err, code) = said(&["sweep", &graph, "--out", &cut, "--resume", "--format", "json"]);
+    let (out, err, code) = output(&["sweep", &graph, "--out", &cut, "--resume", "--format", "json"]);
     assert_eq!(code, 0, "{err}");
-    let told: Value = serde_json::from_str(&out).unwrap();
-    assert_eq!(told["runs"]["there_before"], n_left);
+    let answer: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!(answer["runs"]["there_before"], n_left);
     for name in ["runs.csv", "points.csv", "summary.json"] {
         let read = |dir: &str| fs::read(Path::new(dir).join(name)).unwrap();
         assert!(read(&whole) == read(&cut), "{name} differs");
     }
-    let (_, err, code) = said(&["sweep", &graph, "--set", "icp.max_iterations=7", "--out", &cut, "--resume"]);
+    let (_, err, code) = output(&["sweep", &graph, "--set", "icp.max_iterations=7", "--out", &cut, "--resume"]);
     assert!(code == 2 && err.contains("another sweep"), "{err}");
 }
 
@@ -97,7 +97,7 @@ fn a_sweep_that_is_killed_half_way_and_resumed_leaves_the_tables_of_one_that_was
 fn the_summary_counts_units_and_compares_in_pairs() {
     let dir = tempfile::tempdir().unwrap();
     let (graph, out) = (small(dir.path()), path(dir.path(), "out"));
-    let (table, err, code) = said(&["sweep", &graph, "--out", &out]);
+    let (table, err, code) = output(&["sweep", &graph, "--out", &out]);
     assert_eq!(code, 0, "{err}");
     assert!(
         table.contains("SIMULATED") && table.contains("1 bone, 6 procedures") && table.contains("none: n = 1 bone"),
@@ -120,21 +120,21 @@ fn the_summary_counts_units_and_compares_in_pairs() {
 }
 
 #[test]
-fn two_sweeps_are_compared_in_pairs_within_a_margin_and_what_is_missing_is_told() {
+fn two_sweeps_are_compared_in_pairs_within_a_margin_and_missing_runs_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let (graph, exact, ct) = (small(dir.path()), path(dir.path(), "exact"), path(dir.path(), "ct"));
-    assert_eq!(said(&["sweep", &graph, "--out", &exact, "--quiet"]).2, 0);
-    assert_eq!(said(&["sweep", &graph, "--out", &ct, "--quiet", "--set", "bone.exact=false"]).2, 0);
-    let compared = |margin: &str| said(&["compare", &exact, &ct, "--margin", margin]);
-    let (told, err, code) = compared("tre_mm=5");
+    assert_eq!(output(&["sweep", &graph, "--out", &exact, "--quiet"]).2, 0);
+    assert_eq!(output(&["sweep", &graph, "--out", &ct, "--quiet", "--set", "bone.exact=false"]).2, 0);
+    let compared = |margin: &str| output(&["compare", &exact, &ct, "--margin", margin]);
+    let (answer, err, code) = compared("tre_mm=5");
     assert!(code == 0 && err.is_empty(), "{err}");
     assert!(
-        told.contains(&format!("[2] {ct}")) && told.contains("tre_mm at icp = icp.point_to_plane: [1] -> [2]"),
-        "{told}"
+        answer.contains(&format!("[2] {ct}")) && answer.contains("tre_mm at icp = icp.point_to_plane: [1] -> [2]"),
+        "{answer}"
     );
-    assert_eq!(told.matches(" within 5").count(), 2, "{told}");
-    let (told, ..) = compared("tre_mm=0.000001");
-    assert_eq!(told.matches("not shown within 1.00e-6").count(), 2, "{told}");
+    assert_eq!(answer.matches(" within 5").count(), 2, "{answer}");
+    let (answer, ..) = compared("tre_mm=0.000001");
+    assert_eq!(answer.matches("not shown within 1.00e-6").count(), 2, "{answer}");
     let (_, err, code) = compared("tre=5");
     assert!(code == 2 && err.contains("no column tre; it has tre_mm"), "{err}");
     let (_, err, code) = compared("tre_mm=-1");
@@ -145,9 +145,9 @@ fn two_sweeps_are_compared_in_pairs_within_a_margin_and_what_is_missing_is_told(
     let mut refused = json(&run(11));
     (refused["status"], refused["results"]) = ("refused".into(), Value::Null);
     fs::write(run(11), refused.to_string()).unwrap();
-    let (told, err, code) = compared("tre_mm=5");
+    let (answer, err, code) = compared("tre_mm=5");
     assert!(code == 0 && err.contains(&format!("{ct} is not finished: it has 11 of 12 runs")), "{err}");
-    assert!(told.contains("1 of 6 pairs left out, with a run that has no value"), "{told}");
+    assert!(answer.contains("1 of 6 pairs left out, with a run that has no value"), "{answer}");
 }
 
 #[test]
@@ -155,19 +155,19 @@ fn a_sweep_without_any_result_is_refused_and_one_without_a_value_in_a_column_war
     let dir = tempfile::tempdir().unwrap();
     let (graph, out) = (small(dir.path()), path(dir.path(), "out"));
     let one = ["--set", "sweep.repeat=1", "--set", "sweep.columns.tre_mm=metrics.tre_true_mm.mean_abs.nrm"];
-    let (_, err, code) = said(&[&["sweep", &graph, "--out", &out], &one[..]].concat());
+    let (_, err, code) = output(&[&["sweep", &graph, "--out", &out], &one[..]].concat());
     assert!(code == 0 && err.contains("tre_mm has no value in any run") && err.contains("mean_abs.nrm"), "{err}");
     let (out, far) = (path(dir.path(), "none"), ["--set", "icp.max_pair_distance_mm=0.000001"]);
-    let (told, err, code) = said(&[&["sweep", &graph, "--out", &out, "--quiet"], &one[..2], &far[..]].concat());
-    assert_eq!(code, 3, "{told}{err}");
+    let (answer, err, code) = output(&[&["sweep", &graph, "--out", &out, "--quiet"], &one[..2], &far[..]].concat());
+    assert_eq!(code, 3, "{answer}{err}");
     assert!(
-        err.contains("none of 2 runs has results; run 0: ") && told.contains("2 of 2 runs have no results"),
+        err.contains("none of 2 runs has results; run 0: ") && answer.contains("2 of 2 runs have no results"),
         "{err}"
     );
     assert!(fs::read_to_string(path(Path::new(&out), "runs.csv")).unwrap().contains("refused"));
-    let (_, err, code) = said(&["sweep", &graph, "--set", "icp.kind=icp.symmetric"]);
+    let (_, err, code) = output(&["sweep", &graph, "--set", "icp.kind=icp.symmetric"]);
     assert!(code == 2 && err.contains("icp.kind is set by the factor \"icp\""), "{err}");
-    let (listed, _, code) = said(&["sweep", &graph, "--shard", "2/3", "--dry-run"]);
+    let (listed, _, code) = output(&["sweep", &graph, "--shard", "2/3", "--dry-run"]);
     assert!(code == 0 && listed.lines().count() == 4, "{listed}");
 }
 
@@ -179,17 +179,17 @@ fn two_runs_are_compared_number_by_number() {
         let out = path(dir.path(), name);
         let sets = ["--set", "bone.exact=true", "--set", kind];
         let code =
-            said(&[&["run", graph.to_str().unwrap(), "--out", &out, "--quiet", "--no-record"], &sets[..]].concat()).2;
+            output(&[&["run", graph.to_str().unwrap(), "--out", &out, "--quiet", "--no-record"], &sets[..]].concat()).2;
         assert_eq!(code, 0);
         out
     };
     let (a, b) = (run("a", "icp.kind=icp.point_to_point"), run("b", "icp.kind=icp.point_to_plane"));
-    let (told, _, code) = said(&["compare", &a, &b]);
-    assert!(code == 0 && told.contains("metrics.tre_true_mm.points.M1.x"), "{told}");
-    assert!(!told.contains("metrics.tre_true_mm.n "), "equal numbers are left out:\n{told}");
-    let (told, ..) = said(&["compare", &a, &a]);
-    assert!(told.contains("are equal"), "{told}");
-    let (_, err, code) = said(&["compare", &a, dir.path().to_str().unwrap()]);
+    let (answer, _, code) = output(&["compare", &a, &b]);
+    assert!(code == 0 && answer.contains("metrics.tre_true_mm.points.M1.x"), "{answer}");
+    assert!(!answer.contains("metrics.tre_true_mm.n "), "equal numbers are left out:\n{answer}");
+    let (answer, ..) = output(&["compare", &a, &a]);
+    assert!(answer.contains("are equal"), "{answer}");
+    let (_, err, code) = output(&["compare", &a, dir.path().to_str().unwrap()]);
     assert!(code == 1 && err.contains("results.json"), "{err}");
 }
 
@@ -197,13 +197,13 @@ fn two_runs_are_compared_number_by_number() {
 fn the_experiments_run_on_a_bone_of_ones_own_and_the_page_says_of_how_many() {
     let dir = tempfile::tempdir().unwrap();
     let own = path(dir.path(), "own");
-    assert_eq!(said(&["simulate", "--points", "1000", "--seed", "3", "--out", &own, "--quiet"]).2, 0);
+    assert_eq!(output(&["simulate", "--points", "1000", "--seed", "3", "--out", &own, "--quiet"]).2, 0);
     let (bone, plan, out) =
         (path(Path::new(&own), "bone.stl"), path(Path::new(&own), "plan.json"), path(dir.path(), "out"));
     let sets = ["--set", "sweep.repeat=2"];
     let own = ["--only", "accuracy_camera", "--bone", &bone, "--plan", &plan];
-    let (told, err, code) = said(&[&["reproduce", "--out", &out], &own[..], &sets[..]].concat());
-    assert_eq!(code, 0, "{told}{err}");
+    let (answer, err, code) = output(&[&["reproduce", "--out", &out], &own[..], &sets[..]].concat());
+    assert_eq!(code, 0, "{answer}{err}");
     let page = fs::read_to_string(path(Path::new(&out), "paper-reproduction.md")).unwrap();
     assert!(page.contains("1 bone, 2 procedures") && page.contains("SIMULATED"), "{page}");
     let rows = fs::read_to_string(path(Path::new(&out), "accuracy_camera/runs.csv")).unwrap();

@@ -1,4 +1,4 @@
-//! `run --watch`: what is saved is run again from the first changed node on, and nothing else of it is computed.
+//! `run --watch`: a save runs the graph from the first changed node, and nothing upstream of it.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -15,10 +15,10 @@ use std::{
     time::Duration,
 };
 
-/// So long a test waits for a line before it fails instead of hanging.
+/// Maximum time to wait for a line, so that a failing test does not hang.
 const LIMIT: Duration = Duration::from_secs(120);
 
-/// A watch under way, of `graph.toml` in a folder of its own.
+/// A watch of `graph.toml` in a folder of its own.
 struct Watch {
     dir: tempfile::TempDir,
     child: Child,
@@ -26,7 +26,7 @@ struct Watch {
 }
 
 impl Watch {
-    /// Watches a graph with this text, and answers in JSON.
+    /// Watches a graph with this text, with JSON output.
     fn begin(text: &str, arguments: &[&str]) -> Self {
         let dir = tempfile::tempdir().unwrap();
         fs::write(dir.path().join("graph.toml"), text).unwrap();
@@ -56,23 +56,23 @@ impl Watch {
         self.lines.recv_timeout(LIMIT).expect("the watch answers")
     }
 
-    /// What the watch tells of the next run.
+    /// The output of the next run.
     fn next(&self) -> Value {
         serde_json::from_str(&self.line()).unwrap()
     }
 
-    /// Saves the file as many editors do: a new one takes its place.
+    /// Saves the file as many editors do: by replacing it with a new one.
     fn save(&self, name: &str, text: &str) {
         fs::write(self.path("new"), text).unwrap();
         fs::rename(self.path("new"), self.path(name)).unwrap();
     }
 
-    /// Waits for the end; answers the exit code and what stood on stderr.
+    /// Waits for the end and returns the exit code and stderr.
     fn end(mut self) -> (Option<i32>, String) {
         let code = self.child.wait().unwrap().code();
-        let mut said = String::new();
-        self.child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
-        (code, said)
+        let mut printed = String::new();
+        self.child.stderr.take().unwrap().read_to_string(&mut printed).unwrap();
+        (code, printed)
     }
 }
 
@@ -83,7 +83,7 @@ impl Drop for Watch {
     }
 }
 
-/// The recorded procedure that ships, with further keys.
+/// The shipped recorded procedure, with further keys.
 fn recorded(more: &str) -> String {
     format!("extends = {:?}\n{more}", root().join("graphs/fibula_recorded.toml"))
 }
@@ -92,10 +92,10 @@ fn list(of: &Value) -> Vec<&str> {
     of.as_array().unwrap_or_else(|| panic!("no list: {of}")).iter().map(|name| name.as_str().unwrap()).collect()
 }
 
-/// What follows from the ICP, and it.
+/// The ICP and everything downstream.
 const FROM_ICP: [&str; 6] = ["icp", "planes_at_scan", "planes", "tre_measured", "fre", "surface"];
 
-/// A run of the whole graph leaves the same results, bit for bit.
+/// Asserts that a run of the whole graph writes the same results, bit for bit.
 fn assert_as_whole(graph: &Path, rerun: &Path) {
     let whole = run(graph.to_str().unwrap(), &["--no-record"]);
     assert_eq!(whole.code, 0, "{}", whole.stderr);
@@ -116,13 +116,13 @@ fn a_saved_swap_of_the_icp_is_run_from_there_on_and_leaves_what_a_run_of_the_who
     ];
     for (n, (icp, change)) in swaps.into_iter().enumerate() {
         watch.save("graph.toml", &recorded(&format!("[node.icp]\n{icp}\n")));
-        let told = watch.next();
-        let about = &told["outcome"]["watch"];
+        let answer = watch.next();
+        let about = &answer["outcome"]["watch"];
         assert_eq!(list(&about["changes"]), [change]);
         assert_eq!(list(&about["computed"]), FROM_ICP);
         assert!(list(&about["differ"]).contains(&"icp") && !list(&about["differ"]).contains(&"holes"), "{about}");
         let dir = watch.path(&format!("out-{}", n + 2));
-        assert_eq!(told["outcome"]["out_dir"], format!("out-{}", n + 2));
+        assert_eq!(answer["outcome"]["out_dir"], format!("out-{}", n + 2));
         assert_as_whole(&watch.path("graph.toml"), &dir);
         let manifest = json(&dir.join("manifest.json"));
         assert_eq!(list(&manifest["watch"]["computed"]), FROM_ICP);
@@ -142,33 +142,33 @@ fn a_file_that_is_extended_or_named_by_a_parameter_is_watched_as_well() {
     watch.next();
 
     watch.save("base.toml", &recorded("[node.plan]\npath = \"plan.json\"\n[node.coarse]\non_error = \"skip\"\n"));
-    let told = watch.next();
-    assert_eq!(list(&told["outcome"]["watch"]["changes"]), ["coarse: on_error"]);
-    assert_eq!(told["outcome"]["watch"]["differ"], serde_json::json!([]));
+    let answer = watch.next();
+    assert_eq!(list(&answer["outcome"]["watch"]["changes"]), ["coarse: on_error"]);
+    assert_eq!(answer["outcome"]["watch"]["differ"], serde_json::json!([]));
 
     let mut moved = json(&plan);
     moved["lateral"][0] = 0.5.into();
     watch.save("plan.json", &moved.to_string());
-    let told = watch.next();
-    let changes = list(&told["outcome"]["watch"]["changes"]);
+    let answer = watch.next();
+    let changes = list(&answer["outcome"]["watch"]["changes"]);
     assert!(matches!(&changes[..], [change] if change.starts_with("plan: ") && change.ends_with(" has changed")));
-    assert!(list(&told["outcome"]["watch"]["kept"]).contains(&"ct_surface"));
+    assert!(list(&answer["outcome"]["watch"]["kept"]).contains(&"ct_surface"));
     assert_as_whole(&watch.path("graph.toml"), &watch.path("out-3"));
 }
 
 #[test]
-fn a_fault_is_told_as_check_tells_it_and_the_watch_goes_on() {
+fn a_fault_is_printed_as_by_check_and_the_watch_continues() {
     let watch = Watch::begin(&recorded(""), &["--no-record"]);
     watch.next();
     watch.save("graph.toml", &recorded("[node.icp]\nmax_iteration = 3\n"));
-    let told = watch.next();
-    assert_eq!(told["outcome"]["exit_code"], 2);
-    assert!(told["faults"][0].to_string().contains("max_iteration"), "{told}");
+    let answer = watch.next();
+    assert_eq!(answer["outcome"]["exit_code"], 2);
+    assert!(answer["faults"][0].to_string().contains("max_iteration"), "{answer}");
 
     watch.save("graph.toml", &recorded("# as it was\n"));
-    let told = watch.next();
-    assert_eq!(told["outcome"]["watch"]["computed"], serde_json::json!([]), "{told}");
-    assert!(told.get("icp").is_none() && !watch.path("out-2").exists(), "nothing was run");
+    let answer = watch.next();
+    assert_eq!(answer["outcome"]["watch"]["computed"], serde_json::json!([]), "{answer}");
+    assert!(answer.get("icp").is_none() && !watch.path("out-2").exists(), "nothing was run");
 
     watch.save("graph.toml", &recorded("[node.icp]\nmax_iterations = 3\n"));
     assert_eq!(list(&watch.next()["outcome"]["watch"]["computed"]), FROM_ICP);
@@ -181,14 +181,14 @@ fn nodes_that_write_files_write_them_into_the_folder_of_each_rerun() {
     let watch = Watch::begin(&recorded(csv), &["--no-record"]);
     watch.next();
     watch.save("graph.toml", &recorded(&format!("{csv}[node.icp]\nmax_iterations = 3\n")));
-    let told = watch.next();
-    assert!(list(&told["outcome"]["watch"]["computed"]).contains(&"spots"), "{told}");
+    let answer = watch.next();
+    assert!(list(&answer["outcome"]["watch"]["computed"]).contains(&"spots"), "{answer}");
     let text = |dir: &str| fs::read_to_string(watch.path(dir).join("spots.csv")).unwrap();
     assert_eq!(text("out-2"), text("out"));
 }
 
 #[test]
-fn people_see_what_changed_and_what_a_value_was_before() {
+fn the_text_output_shows_changes_and_previous_values() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("graph.toml"), recorded("")).unwrap();
     let watch = Watch::begin_in(dir, &["--no-record"]);
@@ -209,22 +209,22 @@ fn ctrl_c_between_two_runs_ends_the_watch_as_done() {
     watch.next();
     let signalled = Command::new("kill").args(["-INT", &watch.child.id().to_string()]).status().unwrap();
     assert!(signalled.success());
-    let (code, said) = watch.end();
-    assert_eq!(code, Some(0), "{said}");
+    let (code, printed) = watch.end();
+    assert_eq!(code, Some(0), "{printed}");
 }
 
 #[test]
-fn what_cannot_be_watched_is_refused_before_anything_runs() {
+fn a_graph_that_cannot_be_watched_is_refused_before_anything_runs() {
     let live = format!("extends = {:?}\n", root().join("graphs/variants/fibula_live.toml"));
-    let (code, said) = Watch::begin(&live, &[]).end();
-    assert!(code == Some(2) && said.contains("node \"recording\" is a live source"), "{said}");
+    let (code, printed) = Watch::begin(&live, &[]).end();
+    assert!(code == Some(2) && printed.contains("node \"recording\" is a live source"), "{printed}");
 
     let folder = root().join("graphs/fibula_folder.toml");
     let reads_its_own = format!("extends = {folder:?}\n[node.recording]\npath = \".\"\n");
-    let (code, said) = Watch::begin(&reads_its_own, &[]).end();
-    assert!(code == Some(2) && said.contains("each run would start the next"), "{said}");
+    let (code, printed) = Watch::begin(&reads_its_own, &[]).end();
+    assert!(code == Some(2) && printed.contains("each run would start the next"), "{printed}");
 
     let dir = tempfile::tempdir().unwrap();
-    let (code, said) = Watch::begin_in(dir, &[]).end();
-    assert!(code == Some(2) && said.contains("there is no graph file graph.toml"), "{said}");
+    let (code, printed) = Watch::begin_in(dir, &[]).end();
+    assert!(code == Some(2) && printed.contains("there is no graph file graph.toml"), "{printed}");
 }

@@ -1,12 +1,12 @@
-//! Which crate may know which, and which module of the engine: the arrows of docs/architecture.md, read from the manifests
-//! and the sources.
+//! Allowed dependencies between crates, and between the modules of the engine: the arrows of docs/architecture.md, checked
+//! against the manifests and the sources.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod floors;
 
 use std::{collections::BTreeMap, fs, path::Path};
 
-/// Every crate of the workspace, where it lies, and the crates of the workspace that it may depend on.
+/// Every crate of the workspace, its folder, and the crates of the workspace that it may depend on.
 const ARROWS: [(&str, &str, &[&str]); 15] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
@@ -44,11 +44,11 @@ const ARROWS: [(&str, &str, &[&str]); 15] = [
             "osteoflow-geometry",
         ],
     ),
-    // The plugin to begin with knows what every plugin may know.
+    // The template may depend on what every plugin may depend on.
     ("my_icp", "nodes/template/rust", &["osteoflow-node", "osteoflow-payloads"]),
 ];
 
-/// What reads or writes files, or runs graphs: nothing for a crate of plain functions.
+/// Dependencies that read or write files, or run graphs: not allowed in crates of plain functions.
 const NOT_FOR_ALGORITHMS: [&str; 9] =
     ["mcap", "foxglove", "stl_io", "ply-rs-bw", "csv", "toml", "serde_json", "crossbeam-channel", "tracing"];
 

@@ -1,4 +1,4 @@
-//! A browser without a window, spoken to over its debugging pipe: no port, and no crate for it.
+//! A headless browser, controlled over its debugging pipe: no port, and no crate for it.
 
 use serde_json::{Value, json};
 use std::{
@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// So long a page may take for anything.
+/// Timeout of every operation.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A browser with one page.
@@ -19,7 +19,7 @@ pub(crate) struct Browser {
     from: Receiver<Value>,
     session: String,
     next: u64,
-    /// What the page has told without being asked.
+    /// Events that the page has sent.
     pub(crate) events: Vec<Value>,
     _profile: tempfile::TempDir,
 }
@@ -35,7 +35,7 @@ fn program() -> Option<String> {
 }
 
 impl Browser {
-    /// Starts it with an empty page; says so and gives nothing where there is no browser.
+    /// Starts it with an empty page; prints a message and returns `None` if there is no browser.
     pub(crate) fn start(test: &str) -> Option<Self> {
         let Some(program) = program() else {
             eprintln!("skipped: {test}: no browser (chromium, or OSTEOFLOW_BROWSER)");
@@ -43,7 +43,7 @@ impl Browser {
         };
         let profile = tempfile::tempdir().unwrap();
         let mut command = Command::new("sh");
-        // It reads commands at 3 and answers at 4.
+        // It reads commands from descriptor 3 and writes answers to 4.
         command.args(["-c", "exec \"$0\" \"$@\" 3<&0 4>&1 0</dev/null 1>/dev/null 2>/dev/null", &program]);
         command.args([
             "--headless=new",
@@ -63,7 +63,7 @@ impl Browser {
         command.arg(format!("--user-data-dir={}", profile.path().display())).arg("about:blank");
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let (to, out) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
-        // What a page tells meanwhile waits here: more than any page of ours tells.
+        // Buffers the events of a page: more than any page of ours sends.
         let (tell, from) = sync_channel(1 << 16);
         std::thread::spawn(move || {
             let mut out = BufReader::new(out);
@@ -152,9 +152,9 @@ impl Browser {
         self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
     }
 
-    /// Errors that the page has told, and addresses that it has asked for, of all but itself.
+    /// Errors that the page has reported, and URLs that it has requested, except its own.
     pub(crate) fn complaints(&mut self, file: &Path) -> Vec<String> {
-        // What was said before this answer has come by then.
+        // Earlier events have arrived before this answer.
         self.evaluate("1");
         let own = format!("file://{}", file.display());
         let fetched = |event: &Value| {
@@ -177,7 +177,7 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // Its helpers end with it.
+        // Its child processes end with it.
         let _ = self.to.write_all(b"{\"id\":0,\"method\":\"Browser.close\"}\0");
         let until = Instant::now() + Duration::from_secs(10);
         while Instant::now() < until && matches!(self.child.try_wait(), Ok(None)) {

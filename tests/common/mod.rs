@@ -1,4 +1,4 @@
-//! What the tests of the command share.
+//! Helpers of the tests of the command.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses its part")]
 
 /// Builds plugins.
@@ -13,13 +13,13 @@ use osteoflow_geometry::{
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// The command under test, in the workspace's folder, without the settings of whoever runs the tests and without their
-/// store: what one test has computed is not there for the next.
+/// The command under test, in the workspace's folder, without the user's settings and store: a test never finds answers of
+/// another.
 pub(crate) fn osteoflow() -> Command {
     Command::from_std(osteoflow_to_spawn())
 }
 
-/// The same, for a test that does more with the process than wait for its end.
+/// The command under test, for tests that do more with the process than wait for its end.
 pub(crate) fn osteoflow_to_spawn() -> std::process::Command {
     let mut command = std::process::Command::new(program());
     command.current_dir(root()).env_remove("OSTEOFLOW_LOG").env("NO_COLOR", "1");
@@ -37,7 +37,7 @@ pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Development data that is not part of the repository; says so and gives nothing where it is absent.
+/// Development data outside of the repository; prints a message and returns `None` if it is absent.
 pub(crate) fn data(test: &str, path: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("OSTEOFLOW_DATA").map_or_else(|| root().join("../shared/data"), PathBuf::from);
     let path = folder.join(path);
@@ -48,12 +48,12 @@ pub(crate) fn data(test: &str, path: &str) -> Option<PathBuf> {
     None
 }
 
-/// Whether the tests that take long are wanted.
+/// Whether slow tests are requested.
 pub(crate) fn is_slow_run() -> bool {
     std::env::var_os("SLOW_TESTS").is_some()
 }
 
-/// Holds generated text equal to a file of the repository; `UPDATE=1` rewrites the file.
+/// Asserts that generated text equals a file of the repository; `UPDATE=1` rewrites the file.
 pub(crate) fn assert_golden(path: &Path, text: &str) {
     if std::env::var_os("UPDATE").is_some() {
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -70,17 +70,17 @@ pub(crate) fn assert_golden(path: &Path, text: &str) {
     );
 }
 
-/// Every graph that ships, by its path from the workspace's folder.
+/// Every shipped graph, by its path from the workspace's folder.
 pub(crate) fn shipped_graphs() -> Vec<String> {
     shipped_files().into_iter().filter(|path| !path.starts_with("graphs/modules/")).collect()
 }
 
-/// Every module that ships.
+/// Every shipped module.
 pub(crate) fn shipped_modules() -> Vec<String> {
     shipped_files().into_iter().filter(|path| path.starts_with("graphs/modules/")).collect()
 }
 
-/// Every graph file that ships.
+/// Every shipped graph file.
 fn shipped_files() -> Vec<String> {
     let mut folders = vec![root().join("graphs")];
     let mut found = Vec::new();
@@ -98,7 +98,7 @@ fn shipped_files() -> Vec<String> {
     found
 }
 
-/// A run of a graph: its exit code, what it said on stderr, its results, and the folder it left them in.
+/// A finished run: its exit code, stderr, results and folder.
 pub(crate) struct Ran {
     pub(crate) code: i32,
     pub(crate) stderr: String,
@@ -119,20 +119,20 @@ pub(crate) fn run(graph: &str, arguments: &[&str]) -> Ran {
     }
 }
 
-/// The same, for a graph that should come to its end.
+/// Runs a graph into a new folder; the run must succeed.
 pub(crate) fn run_whole(graph: &str, arguments: &[&str]) -> Ran {
     let ran = run(graph, arguments);
     assert_eq!(ran.code, 0, "{graph} {arguments:?}: {}", ran.stderr);
     ran
 }
 
-/// A pose as results and truths write it: rows of a 4 x 4 matrix, mm.
+/// A pose as in results and truths: rows of a 4 x 4 matrix, mm.
 pub(crate) fn isometry(rows: &Value) -> Isometry3<f64> {
     let m = Matrix4::from_fn(|r, c| rows[r][c].as_f64().unwrap_or_else(|| panic!("no matrix: {rows}")));
     isometry_from_matrix(&m).unwrap()
 }
 
-/// A point as results and truths write it, mm.
+/// A point as in results and truths, mm.
 pub(crate) fn point(xyz: &Value) -> Point3<f64> {
     Point3::from(std::array::from_fn(|k| xyz[k].as_f64().unwrap_or_else(|| panic!("no point: {xyz}"))))
 }
