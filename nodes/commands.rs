@@ -65,11 +65,11 @@ Examples:
 
 Exit codes:
     0  done
-    1  a file could not be read or written or is not sound, or something of ours broke
+    1  a file could not be read or written or is not sound, or there was an internal error
     2  the command line or the graph has a fault; nothing was run
-    3  the run was refused or a node failed, or a registration has no answer; it is said why
-    4  a replay or a recording differs from another, or a repro from how the node failed
-  130  interrupted; what was written until then is valid
+    3  the run was refused or a node failed, or a registration has no answer; the reason is printed
+    4  a replay or a recording differs from another, or a repro from the original failure
+  130  interrupted; everything written until then is valid
 
 Research software, not a medical device."
 )]

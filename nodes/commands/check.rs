@@ -13,7 +13,7 @@ use std::io::Write;
 #[command(after_help = "\
 Examples:
   osteoflow check graphs/fibula.toml
-  osteoflow check graphs/modules/laser_point.toml        a module is checked alone as well
+  osteoflow check graphs/modules/laser_point.toml        a module is also checked alone
   osteoflow check graphs/fibula.toml --set icp.kind=icp.point_to_plane
   osteoflow check graphs/fibula.toml --format json       faults with file, line and column, for editors")]
 pub(crate) struct Check {

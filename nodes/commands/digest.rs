@@ -17,7 +17,7 @@ use std::{
 #[command(after_help = "\
 Examples:
   osteoflow digest runs/fibula-20260314-092653/run.mcap
-  osteoflow digest -q runs/*/run.mcap            one line a file, as sha256sum prints
+  osteoflow digest -q runs/*/run.mcap            one line per file, as printed by sha256sum
   osteoflow digest run.mcap --format json")]
 pub(crate) struct Digest {
     /// The run.mcap of a run, or a file of `osteoflow record`.

@@ -14,7 +14,7 @@ use std::{collections::BTreeMap, io::Write};
 Examples:
   osteoflow expand graphs/variants/fibula_modules.toml
   osteoflow expand graphs/fibula.toml --set icp.kind=icp.point_to_plane > flat.toml
-  diff <(osteoflow expand a.toml) <(osteoflow expand b.toml)        what two experiments differ in")]
+  diff <(osteoflow expand a.toml) <(osteoflow expand b.toml)        the differences of two experiments")]
 pub(crate) struct Expand {
     #[command(flatten)]
     graph: GraphArgs,

@@ -22,7 +22,7 @@ Examples:
   osteoflow inspect icp.point_to_plane --format json
   osteoflow inspect graphs/modules/laser_point.toml        a module: inputs, outputs, parameters
   osteoflow inspect --plugin libmy_nodes.so my.kind        a kind of a plugin
-  osteoflow inspect --payloads             what may travel on a wire
+  osteoflow inspect --payloads             the types of payloads
   osteoflow inspect --write-docs docs/nodes")]
 pub(crate) struct Inspect {
     /// A kind such as `icp.point_to_plane`, a stage such as `icp`, or the file of a module; every kind if not given.

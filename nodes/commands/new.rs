@@ -102,7 +102,7 @@ const PAYLOADS_PATH: &str = "path = \"../../payloads\"";
 
 /// Sections that a manifest needs outside of this repository.
 const ALONE: &str = "
-# A crate that stands alone, in whatever folder it lies.
+# A crate of its own, not part of a workspace in a folder above.
 [workspace]
 
 [profile.release]

@@ -30,7 +30,7 @@ Examples:
   osteoflow replay run.mcap --graph other.toml                   the recorded streams through another graph
   osteoflow replay run.mcap --rate 1 --start 10 --end 20.5       ten seconds of it, as fast as they went
 
-Exit codes: 0 equal, 4 differs; 3 where the run is refused again, for the same reason.")]
+Exit codes: 0 equal, 4 differs; 3 if the run is refused again, for the same reason.")]
 pub(crate) struct Replay {
     /// The run.mcap of a run, or a file of `osteoflow record`.
     file: PathBuf,

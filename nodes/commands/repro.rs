@@ -21,10 +21,10 @@ Examples:
   osteoflow repro DIR --format json | jq .same
 
 Exit codes:
-    0  the same failure came again
+    0  the same failure
     1  the bundle could not be read
     2  this program lacks the kind, or cannot build it from the bundle's parameters
-    4  the node fails in another way, or does not fail any more")]
+    4  another failure, or none")]
 pub(crate) struct Repro {
     /// The bundle: a folder repro/NODE-ITEM of a run.
     dir: PathBuf,

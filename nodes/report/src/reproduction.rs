@@ -44,7 +44,7 @@ pub struct Reproduction {
     /// In the order given.
     experiments: Vec<Experiment>,
     /// The paired comparisons of each pair of experiments in `published` that was run, or the reason why there are none.
-    met: Vec<(usize, Result<Vec<Value>, String>)>,
+    paired: Vec<(usize, Result<Vec<Value>, String>)>,
 }
 
 /// An experiment that was run.
@@ -66,18 +66,18 @@ impl Reproduction {
             Ok(Experiment { name: name.clone(), summary: summary::read(folder)?, reasons: Reasons::of(&runs) })
         };
         let experiments = sweeps.iter().map(read).collect::<Result<_, ReportError>>()?;
-        let mut met = Vec::new();
-        for (index, meeting) in published.meeting.iter().enumerate() {
+        let mut paired = Vec::new();
+        for (index, pair) in published.pair.iter().enumerate() {
             let folder = |of: &str| sweeps.iter().find(|(name, _)| name == of).map(|(_, folder)| folder);
-            let (Some(first), Some(second)) = (folder(&meeting.first), folder(&meeting.second)) else { continue };
+            let (Some(first), Some(second)) = (folder(&pair.first), folder(&pair.second)) else { continue };
             let done = |folder: &Folder| folder.done()?.collect::<Result<Vec<_>, _>>();
             let (mut spec, a, b) = (first.spec()?, done(first)?, done(second)?);
-            spec.columns.retain(|column| meeting.columns.contains(&column.name));
-            let margins: Vec<_> = meeting.columns.iter().map(|name| (name.clone(), meeting.margin_mm)).collect();
-            let compared = between((&meeting.first, &spec, &a), (&meeting.second, &second.spec()?, &b), &margins);
-            met.push((index, compared.map(with_holm).map_err(|none| none.to_string())));
+            spec.columns.retain(|column| pair.columns.contains(&column.name));
+            let margins: Vec<_> = pair.columns.iter().map(|name| (name.clone(), pair.margin_mm)).collect();
+            let compared = between((&pair.first, &spec, &a), (&pair.second, &second.spec()?, &b), &margins);
+            paired.push((index, compared.map(with_holm).map_err(|none| none.to_string())));
         }
-        Ok(Self { published, experiments, met })
+        Ok(Self { published, experiments, paired })
     }
 
     /// A line for each of our numbers that is outside the paper's spread.

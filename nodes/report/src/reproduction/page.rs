@@ -3,7 +3,7 @@
 use super::{
     Reproduction,
     ours::Ours,
-    published::{self, Judged, Meeting, RULE, Table},
+    published::{self, ExperimentPair, Judged, RULE, Table},
 };
 use crate::{
     cell::Cell,
@@ -23,9 +23,9 @@ pub(super) fn text(reproduction: &Reproduction, command: &str, again: Command<'_
     out.line(
         "**SIMULATED; research use only, not for clinical use.** Every number of ours comes from the simulated procedure \
          ([simulation.md](simulation.md)), whose error terms were set from their sources and not from the numbers below. n \
-         says of what: starts on one scan of one bone are n = 1 bone. Values are mean ± SD (least to greatest); \
-         [statistics.md](statistics.md) has the formulas, and why an interval of two or three bones, as each sweep's \
-         `summary.json` has it, says little.\n",
+         counts units: starts on one scan of one bone are n = 1 bone. Values are mean ± SD (least to greatest); \
+         [statistics.md](statistics.md) has the formulas, and explains why an interval of two or three bones, as in each sweep's \
+         `summary.json`, says little.\n",
     );
     out.line(
         "Sections, figures and tables are those of the publication whose method `graphs/fibula.toml` follows; its numbers \
@@ -40,8 +40,8 @@ pub(super) fn text(reproduction: &Reproduction, command: &str, again: Command<'_
     }
     out.line("");
     independent(&mut out, reproduction, again);
-    for (index, comparisons) in &reproduction.met {
-        meeting(&mut out, &reproduction.published.meeting[*index], comparisons);
+    for (index, comparisons) in &reproduction.paired {
+        paired(&mut out, &reproduction.published.pair[*index], comparisons);
     }
     commands(&mut out, reproduction, again);
     readings(&mut out, reproduction);
@@ -70,8 +70,8 @@ fn rows(out: &mut Markdown, reproduction: &Reproduction, again: Command<'_>) {
 fn independent(out: &mut Markdown, reproduction: &Reproduction, again: Command<'_>) {
     out.line("## Another implementation's numbers and ours\n");
     out.line(
-        "Found by an independent implementation of the same method on real bones with an exact CT surface; of a bone of \
-         your own: `osteoflow reproduce --bone BONE.stl --plan PLAN.json`, and of an exact CT surface and plain steps where \
+        "Computed by an independent implementation of the same method on real bones with an exact CT surface; for a bone of \
+         your own: `osteoflow reproduce --bone BONE.stl --plan PLAN.json`, and for an exact CT surface and plain steps where \
          procedures are repeated, `--only accuracy_camera --set bone.exact=true --set \
          icp.kind=icp.published --set icp.reading=mean_change_1e-5 --set icp.max_iterations=250 --set icp.max_pair_distance_mm=8`. Their text does not say by which number a fragment \
          counts, its mean distance or its greatest: both of ours stand beside it.\n",
@@ -93,9 +93,9 @@ fn judged(row: &published::Row, ours: &Ours) -> String {
 }
 
 /// The paired comparison of two experiments.
-fn meeting(out: &mut Markdown, meeting: &Meeting, comparisons: &Result<Vec<Value>, String>) {
-    let Meeting { first, second, margin_mm, margin_reason, .. } = meeting;
-    out.line(&format!("## {} ({})\n", meeting.title, meeting.section));
+fn paired(out: &mut Markdown, pair: &ExperimentPair, comparisons: &Result<Vec<Value>, String>) {
+    let ExperimentPair { first, second, margin_mm, margin_reason, .. } = pair;
+    out.line(&format!("## {} ({})\n", pair.title, pair.section));
     out.line(&format!(
         "`osteoflow compare OUT/{first} OUT/{second}`; SIMULATED. Procedures of the same bone and seed are a pair; first is \
          {first}, second {second}, the difference second minus first, in mm. Limits of agreement by Bland and Altman, p by \
@@ -131,8 +131,8 @@ fn commands(out: &mut Markdown, reproduction: &Reproduction, again: Command<'_>)
         return;
     }
     out.line(
-        "A run without results is a procedure that was refused. The commonest reasons; `runs.csv` of the experiment has \
-         each whole:\n",
+        "A run without results is a procedure that was refused. The most frequent reasons; `runs.csv` of the experiment has \
+         all in full:\n",
     );
     refusing.iter().for_each(|of| out.line(&format!("- {}: {}", of.name, of.reasons.text())));
     out.line("");

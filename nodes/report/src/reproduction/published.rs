@@ -14,7 +14,7 @@ pub(super) struct Published {
     /// Numbers of another implementation.
     pub(super) independent: Vec<Row>,
     pub(super) reading: Vec<Reading>,
-    pub(super) meeting: Vec<Meeting>,
+    pub(super) pair: Vec<ExperimentPair>,
     pub(super) table: Vec<Table>,
 }
 
@@ -66,7 +66,7 @@ pub(super) struct Shown {
 /// Two experiments that are compared in pairs.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Meeting {
+pub(super) struct ExperimentPair {
     pub(super) title: String,
     pub(super) section: String,
     pub(super) first: String,
@@ -90,7 +90,7 @@ pub(super) struct Table {
 /// The definition of the spread, as the page states it.
 pub(super) const RULE: &str = "The paper's spread is its mean ± its SD. Where it gives no SD, half to one \
      and a half of its number is taken instead, by one rule for all such rows; of three single values it is their range, of \
-     a correlation a size of 0.9 to 1. Ours can lie outside on either side: smaller errors than the paper's are told as \
+     a correlation a size of 0.9 to 1. Ours can be outside on either side: smaller errors than the paper's are reported as \
      below.";
 
 impl Published {
@@ -139,11 +139,11 @@ mod tests {
         let published = Published::new();
         let rows = || published.row.iter().chain(&published.independent);
         let shown = published.reading.iter().flat_map(|reading| &reading.shows).map(|shown| &shown.experiment);
-        let met = published.meeting.iter().flat_map(|meeting| [&meeting.first, &meeting.second]);
+        let paired = published.pair.iter().flat_map(|pair| [&pair.first, &pair.second]);
         for name in rows()
             .map(|row| &row.experiment)
             .chain(shown)
-            .chain(met)
+            .chain(paired)
             .chain(published.table.iter().map(|table| &table.experiment))
         {
             assert!(EXPERIMENTS.contains(&name.as_str()), "{name}");
