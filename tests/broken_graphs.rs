@@ -1,5 +1,5 @@
-//! Every broken graph under tests/broken gives its exact text; every shipped graph has none. `UPDATE=1` writes the
-//! texts anew, and the diff is read.
+//! Every broken graph under tests/broken gives its exact text; every shipped graph has no fault. `UPDATE=1` rewrites the
+//! texts; read the diff.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_engine::{Faults, check, check_text};
@@ -8,7 +8,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// What follows `# --set ` in the first lines of a graph.
+/// The settings after `# --set ` in the first lines of a graph.
 fn sets(text: &str) -> Vec<String> {
     let comments = text.lines().map_while(|line| line.strip_prefix("# "));
     comments.filter_map(|line| line.strip_prefix("--set ")).map(str::to_owned).collect()
@@ -49,12 +49,12 @@ fn every_broken_graph_gives_its_exact_text() {
 }
 
 #[test]
-fn every_shipped_graph_is_accepted_and_built_and_so_is_what_it_resolves_to() {
+fn every_shipped_graph_and_its_resolved_graph_check_and_build() {
     let registry = osteoflow_standard::registry();
     for path in graphs("graphs").into_iter().chain(graphs("graphs/variants")) {
         let checked = check(&path, &[], &registry).unwrap_or_else(|faults| panic!("{faults}"));
         assert!(checked.warnings.is_empty(), "{}", Faults(checked.warnings));
-        // What passes the schema is what the node reads, and it is built without opening a file.
+        // What passes the schema can be deserialized by the node, which is built without opening a file.
         for node in &checked.plan.nodes {
             let kind = registry.kind(&node.kind).unwrap();
             let built = kind.build(&node.params, &osteoflow_node::BuildContext::detached(&node.name));

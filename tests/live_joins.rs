@@ -1,5 +1,5 @@
-//! A tracker and a camera as they are: jitter, offset, gaps, lost samples, duplicates, late and out of order. Every pair is
-//! held against a model of ten lines, on any number of workers and in any order of events.
+//! A realistic tracker and camera: jitter, offset, gaps, lost samples, duplicates, late and out-of-order items. Every pair is
+//! compared with a model of ten lines, on any number of workers and in any order of events.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_engine::{Outcome, RunOptions, RunReport, run};
@@ -19,14 +19,14 @@ use std::collections::BTreeMap;
 
 const MS: i64 = 1_000_000;
 /// Samples of a tracker at 250 Hz and frames of a camera at 30 Hz, for four seconds.
-/// What the live source promises.
+/// The maximum delay that the live source guarantees.
 const MAX_DELAY_NS: i64 = 15 * MS;
 /// Longer gaps are not bridged.
 const MAX_GAP_NS: i64 = 20 * MS;
 
-/// What a device says: `None` where it lost the marker, or dropped a frame.
+/// A sample of the tracker or a frame of the camera; without a value if the marker was lost or the frame dropped.
 #[derive(Clone, Copy)]
-struct Said {
+struct Sample {
     camera: bool,
     stamp_ns: i64,
     has_value: bool,
@@ -35,7 +35,7 @@ const TRACKER_NS: i64 = 4 * MS;
 const CAMERA_NS: i64 = 33_333_333;
 const END_NS: i64 = 4_000 * MS;
 
-/// The marker's true pose: a turn about a fixed axis, so that between two samples lies the turn by a share of the angle.
+/// The marker's true angle about a fixed axis; between two samples it is interpolated linearly.
 fn angle_at(stamp_ns: i64) -> f64 {
     1.3 * (stamp_ns as f64 * 1e-9) + 0.4 * (7.0 * stamp_ns as f64 * 1e-9).sin()
 }
@@ -53,58 +53,58 @@ fn pose_at(stamp_ns: i64) -> Pose {
     Pose::new("world", "camera_marker", t).at(stamp_ns)
 }
 
-/// What both devices say, in the order in which it arrives.
-fn arrivals(seed: u64) -> Vec<Said> {
+/// The items of both devices, in the order in which they arrive.
+fn arrivals(seed: u64) -> Vec<Sample> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut arrived = Vec::new();
     let mut tracker = 0;
     for i in 0..END_NS / TRACKER_NS {
         let stamp_ns = (i * TRACKER_NS + rng.random_range(-MS..MS)).max(tracker);
         tracker = stamp_ns;
-        // Two gaps without a word, one longer than may be bridged and one shorter.
+        // Two gaps without items, one longer than may be bridged and one shorter.
         if (200..260).contains(&i) || (400..404).contains(&i) {
             continue;
         }
-        let said = Said { camera: false, stamp_ns, has_value: i % 41 != 0 };
+        let sample = Sample { camera: false, stamp_ns, has_value: i % 41 != 0 };
         let mut at_ns = stamp_ns + rng.random_range(0..3 * MS);
-        // Out of order, and later than promised.
+        // Out of order, and later than guaranteed.
         at_ns += if i % 23 == 0 { 9 * MS } else { 0 } + if i % 131 == 0 { 60 * MS } else { 0 };
-        arrived.push((at_ns, said));
+        arrived.push((at_ns, sample));
         if i % 17 == 0 {
-            arrived.push((at_ns, said));
+            arrived.push((at_ns, sample));
         }
     }
     for i in 0..END_NS / CAMERA_NS {
-        // A clock that is 7.3 ms ahead, and frames that take a while to be read out.
+        // A clock that is 7.3 ms ahead, and a delay for reading out frames.
         let stamp_ns = i * CAMERA_NS + 7_300_000 + rng.random_range(-2 * MS..2 * MS);
         let at_ns = stamp_ns + rng.random_range(0..12 * MS) + if i % 19 == 0 { 40 * MS } else { 0 };
-        arrived.push((at_ns, Said { camera: true, stamp_ns, has_value: i % 13 != 5 }));
+        arrived.push((at_ns, Sample { camera: true, stamp_ns, has_value: i % 13 != 5 }));
     }
     arrived.sort_by_key(|(at_ns, _)| *at_ns);
-    arrived.into_iter().map(|(_, said)| said).collect()
+    arrived.into_iter().map(|(_, sample)| sample).collect()
 }
 
-/// What goes over the two wires: of what comes later than promised, an empty at the stamp up to which all had been promised.
-fn wires(arrived: &[Said]) -> Vec<Said> {
+/// The items on the two wires: a late item is an empty at the stamp up to which its wire was guaranteed to be complete.
+fn wires(arrived: &[Sample]) -> Vec<Sample> {
     let (mut newest, mut floors) = (i64::MIN, BTreeMap::from([(false, i64::MIN), (true, i64::MIN)]));
     let mut out = Vec::new();
-    for said in arrived {
-        newest = newest.max(said.stamp_ns);
-        let floor = floors.get_mut(&said.camera).unwrap();
-        let late = said.stamp_ns < *floor;
-        let stamp_ns = said.stamp_ns.max(*floor);
+    for sample in arrived {
+        newest = newest.max(sample.stamp_ns);
+        let floor = floors.get_mut(&sample.camera).unwrap();
+        let late = sample.stamp_ns < *floor;
+        let stamp_ns = sample.stamp_ns.max(*floor);
         *floor = stamp_ns;
-        out.push(Said { stamp_ns, has_value: said.has_value && !late, ..*said });
+        out.push(Sample { stamp_ns, has_value: sample.has_value && !late, ..*sample });
         let promised = newest - MAX_DELAY_NS;
         floors.values_mut().for_each(|floor| *floor = promised.max(*floor));
     }
     out
 }
 
-/// The angle that each frame should meet, by its stamp in order; `None` where there is none.
-fn expected(wires: &[Said]) -> Vec<(i64, Option<f64>)> {
-    let tracker: Vec<_> = wires.iter().filter(|said| !said.camera).collect();
-    let at = |frame: &Said| {
+/// The expected angle for each frame, in order of stamps; `None` if there is none.
+fn expected(wires: &[Sample]) -> Vec<(i64, Option<f64>)> {
+    let tracker: Vec<_> = wires.iter().filter(|sample| !sample.camera).collect();
+    let at = |frame: &Sample| {
         let after = tracker.partition_point(|sample| sample.stamp_ns <= frame.stamp_ns);
         let a = tracker.get(after.checked_sub(1)?).filter(|a| a.has_value)?;
         if a.stamp_ns == frame.stamp_ns {
@@ -114,19 +114,19 @@ fn expected(wires: &[Said]) -> Vec<(i64, Option<f64>)> {
         let share = (frame.stamp_ns - a.stamp_ns) as f64 / (b.stamp_ns - a.stamp_ns) as f64;
         Some(angle_at(a.stamp_ns) * (1.0 - share) + angle_at(b.stamp_ns) * share)
     };
-    let frames = wires.iter().filter(|said| said.camera && said.has_value);
+    let frames = wires.iter().filter(|sample| sample.camera && sample.has_value);
     frames.map(|frame| (frame.stamp_ns, at(frame))).collect()
 }
 
 /// Both devices; live or not, as the graph names it.
 #[derive(Describe)]
-struct Devices<const LIVE: bool>(std::vec::IntoIter<Said>);
+struct Devices<const LIVE: bool>(std::vec::IntoIter<Sample>);
 
 #[derive(Deserialize, JsonSchema)]
 #[serde(crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 struct Seed {
-    /// Of the jitter.
+    /// Seed of the jitter.
     seed: u64,
 }
 
@@ -150,9 +150,9 @@ impl<const LIVE: bool> Source for Devices<LIVE> {
         if LIVE {
             return Ok(Self(arrived.into_iter()));
         }
-        // Who is not live gives its streams in the order of their stamps.
+        // A source that is not live gives its streams in the order of their stamps.
         let mut sorted = wires(&arrived);
-        sorted.sort_by_key(|said| said.stamp_ns);
+        sorted.sort_by_key(|sample| sample.stamp_ns);
         Ok(Self(sorted.into_iter()))
     }
 
@@ -161,19 +161,19 @@ impl<const LIVE: bool> Source for Devices<LIVE> {
     }
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<DevicesOut>, NodeError> {
-        let Some(said) = self.0.next() else { return Ok(None) };
-        ctx.set_stamp_ns(said.stamp_ns);
+        let Some(sample) = self.0.next() else { return Ok(None) };
+        ctx.set_stamp_ns(sample.stamp_ns);
         let lost = "nothing was seen".to_owned();
-        Ok(Some(match (said.camera, said.has_value) {
-            (false, true) => DevicesOut { marker: pose_at(said.stamp_ns).into(), frame: Emit::Silent },
+        Ok(Some(match (sample.camera, sample.has_value) {
+            (false, true) => DevicesOut { marker: pose_at(sample.stamp_ns).into(), frame: Emit::Silent },
             (false, false) => DevicesOut { marker: Emit::Empty(lost), frame: Emit::Silent },
-            (true, true) => DevicesOut { marker: Emit::Silent, frame: Text(said.stamp_ns.to_string().into()).into() },
+            (true, true) => DevicesOut { marker: Emit::Silent, frame: Text(sample.stamp_ns.to_string().into()).into() },
             (true, false) => DevicesOut { marker: Emit::Silent, frame: Emit::Empty(lost) },
         }))
     }
 }
 
-/// Says which frame met which pose.
+/// Outputs the pose that each frame was joined with.
 #[derive(Describe)]
 struct Pair;
 
@@ -189,7 +189,7 @@ struct PairIn {
 #[derive(Outputs)]
 struct PairOut {
     /// Stamp and quaternion.
-    said: Text,
+    sample: Text,
 }
 
 impl Node for Pair {
@@ -207,11 +207,11 @@ impl Node for Pair {
         if *frame != *ctx.stamp_ns().to_string() {
             return Err(NodeError::new(format!("the frame of {frame} ns was fired at {} ns", ctx.stamp_ns())));
         }
-        let said = match i.marker.map(|pose| pose.isometry.rotation.coords) {
+        let sample = match i.marker.map(|pose| pose.isometry.rotation.coords) {
             Some(q) => format!("{frame} {:?} {:?} {:?} {:?}", q.x, q.y, q.z, q.w),
             None => format!("{frame} none"),
         };
-        Ok(PairOut { said: Text(said.into()) })
+        Ok(PairOut { sample: Text(sample.into()) })
     }
 }
 
@@ -221,7 +221,7 @@ fn registry() -> Registry {
     registry
 }
 
-/// The stamp of a frame and the turn that it met.
+/// The stamp of a frame and the rotation that it was joined with.
 type Met = (i64, Option<UnitQuaternion<f64>>);
 
 fn pairs(kind: &str, seed: u64, workers: usize, shuffle: Option<u64>) -> (Vec<Met>, RunReport) {
@@ -230,7 +230,7 @@ fn pairs(kind: &str, seed: u64, workers: usize, shuffle: Option<u64>) -> (Vec<Me
     let graph = format!(
         "[graph]\nformat = 1\nname = \"joins\"\n[node.devices]\nkind = \"{kind}\"\nseed = {seed}\n[node.pair]\n\
          kind = \"test.pair\"\nin = {{ frame = \"devices.frame\", marker = \"devices.marker\" }}\n[results]\n\
-         pairs = {{ from = \"pair.said\", all = true, optional = true }}\n"
+         pairs = {{ from = \"pair.sample\", all = true, optional = true }}\n"
     );
     std::fs::write(&path, graph).unwrap();
     let registry = registry();
@@ -238,9 +238,9 @@ fn pairs(kind: &str, seed: u64, workers: usize, shuffle: Option<u64>) -> (Vec<Me
     let options = RunOptions { workers, shuffle, ..RunOptions::default() };
     let report = run(&plan, &registry, &options, &()).unwrap();
     assert_eq!(report.outcome, Outcome::Complete);
-    let said = report.results["pairs"].as_array().unwrap().iter().filter_map(|said| said.as_str());
-    let parsed = said.map(|said| {
-        let mut words = said.split(' ');
+    let sample = report.results["pairs"].as_array().unwrap().iter().filter_map(|sample| sample.as_str());
+    let parsed = sample.map(|sample| {
+        let mut words = sample.split(' ');
         let stamp_ns: i64 = words.next().unwrap().parse().unwrap();
         let numbers: Vec<f64> = words.filter_map(|word| word.parse().ok()).collect();
         let q = <[f64; 4]>::try_from(numbers).ok();
@@ -255,8 +255,8 @@ fn no_frame_meets_a_wrong_pose_and_none_is_lost_under_any_schedule() {
         let arrived = arrivals(seed);
         let wires = wires(&arrived);
         let n_late = |camera| {
-            let both = arrived.iter().zip(&wires).filter(|(said, _)| said.camera == camera);
-            both.filter(|(said, wire)| said.stamp_ns < wire.stamp_ns).count() as u64
+            let both = arrived.iter().zip(&wires).filter(|(sample, _)| sample.camera == camera);
+            both.filter(|(sample, wire)| sample.stamp_ns < wire.stamp_ns).count() as u64
         };
         assert!(n_late(true) > 3 && n_late(false) > 30, "late: {} frames, {} samples", n_late(true), n_late(false));
         let expected = expected(&wires);

@@ -1,5 +1,5 @@
-//! A camera ten times as fast as what takes its clouds: with every policy the accounting balances, memory stays flat, and
-//! the run ends. Two minutes each where `SLOW_TESTS` is set; a second otherwise.
+//! A camera ten times as fast as its consumer: with every policy the accounting balances, memory stays constant, and the run
+//! ends. Two minutes each with `SLOW_TESTS`; a second otherwise.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_engine::{Event, Observer, Outcome, RunOptions, RunReport, run};
@@ -17,12 +17,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// A cloud of 24 kB each.
+/// A cloud of 24 kB.
 const N_POINTS: usize = 1_000;
-/// How much faster the camera is than its sink.
+/// Ratio of the rates of the camera and its sink.
 const OVERLOAD: u32 = 10;
 
-/// Gives a cloud at each tick of the clock, whether or not anyone can take it.
+/// Emits a cloud at each tick of the clock, whether or not anyone can take it.
 #[derive(Describe)]
 struct Camera {
     params: CameraParams,
@@ -34,7 +34,7 @@ struct Camera {
 #[serde(crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 struct CameraParams {
-    /// How many clouds.
+    /// Number of clouds.
     n: u32,
     /// The time between two.
     period_us: u32,
@@ -42,7 +42,7 @@ struct CameraParams {
 
 #[derive(Outputs)]
 struct CameraOut {
-    /// What it saw.
+    /// The clouds.
     cloud: Cloud,
 }
 
@@ -69,7 +69,7 @@ impl Source for Camera {
     }
 }
 
-/// Takes its time over each cloud.
+/// Takes a fixed time for each cloud.
 #[derive(Describe)]
 struct Slow(Duration);
 
@@ -77,7 +77,7 @@ struct Slow(Duration);
 #[serde(crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 struct SlowParams {
-    /// How long.
+    /// The time for each cloud.
     busy_us: u32,
 }
 
@@ -89,7 +89,7 @@ struct SlowIn {
 
 #[derive(Outputs)]
 struct SlowOut {
-    /// That it is done.
+    /// Signals that a cloud is done.
     done: Flag,
 }
 
@@ -109,13 +109,13 @@ impl Node for Slow {
     }
 }
 
-/// Resident memory of this process, bytes; 0 where the system does not say.
+/// Resident memory of this process in bytes; 0 if the system does not report it.
 fn resident() -> u64 {
     let statm = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
     statm.split(' ').nth(1).and_then(|pages| pages.parse::<u64>().ok()).unwrap_or(0) * 4096
 }
 
-/// Measures memory at every hundredth cloud from the tenth part of the run on.
+/// Measures memory at every hundredth cloud, after the first tenth of the run.
 struct Memory {
     from: u64,
     least: AtomicU64,
@@ -135,7 +135,7 @@ impl Observer for Memory {
     }
 }
 
-/// Runs the camera into one slow sink; answers the report, and by how many bytes memory grew.
+/// Runs the camera into one slow sink; returns the report and the growth of memory in bytes.
 fn overload(policy: &str, n: u32, period_us: u32) -> (RunReport, u64) {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("overload.toml");
@@ -144,7 +144,7 @@ fn overload(policy: &str, n: u32, period_us: u32) -> (RunReport, u64) {
         "[graph]\nformat = 1\nname = \"overload\"\n[node.camera]\nkind = \"test.camera\"\nn = {n}\n\
          period_us = {period_us}\n[node.sink]\nkind = \"test.slow\"\nbusy_us = {busy_us}\n\
          in.cloud = {{ from = \"camera.cloud\", {policy} }}\n[results]\ndone = {{ from = \"sink.done\", optional = {} }}\n",
-        // Where the last cloud is dropped there is no last answer; where the run is to fail, it is to be said.
+        // If the last cloud is dropped, there is no last output; a run that must fail must say so.
         !policy.contains("fail")
     );
     std::fs::write(&path, graph).unwrap();
@@ -161,7 +161,7 @@ fn overload(policy: &str, n: u32, period_us: u32) -> (RunReport, u64) {
 
 #[test]
 fn under_tenfold_overload_every_cloud_is_accounted_for_and_memory_is_flat() {
-    // 1 kHz for two minutes; or as fast as it goes for a second. Nothing below depends on how fast that was.
+    // 1 kHz for two minutes, or as fast as possible for a second. Nothing below depends on the rate.
     let (n, period_us) = if std::env::var_os("SLOW_TESTS").is_some() { (120_000, 1_000) } else { (2_000, 200) };
     let policies = [
         "policy = \"drop_old\"",
@@ -172,7 +172,7 @@ fn under_tenfold_overload_every_cloud_is_accounted_for_and_memory_is_flat() {
         "policy = \"fail\"",
     ];
     let all = std::thread::scope(|scope| {
-        // Blocking slows the camera down to the sink, so that it gives a tenth in the same time.
+        // Blocking slows the camera down to the sink, so it emits a tenth in the same time.
         let n_of = |policy: &str| if policy.contains("block") { n / OVERLOAD } else { n };
         let runs = policies
             .map(|policy| scope.spawn(move || (policy, n_of(policy), overload(policy, n_of(policy), period_us))));
@@ -201,9 +201,9 @@ fn under_tenfold_overload_every_cloud_is_accounted_for_and_memory_is_flat() {
         }
         let told = report.warnings.iter().any(|warning| warning.message.contains(" dropped "));
         assert_eq!(told, link.dropped > 0, "{policy}: {:?}", report.warnings);
-        // The sink sees every cloud or an empty in its place.
+        // The sink receives every cloud, or an empty instead.
         assert_eq!(report.nodes[1].items, u64::from(n), "{policy}");
-        // All runs share the process; what was dropped would be 48 MB in the shortest of them.
+        // All runs share the process; the dropped clouds would be 48 MB in the shortest of them.
         assert!(grown < 24_000_000, "{policy}: memory grew by {grown} bytes");
     }
 }

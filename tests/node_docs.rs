@@ -1,4 +1,4 @@
-//! docs/nodes is what the nodes say of themselves; `UPDATE=1` writes it anew.
+//! docs/nodes is generated from the nodes' descriptions; `UPDATE=1` rewrites it.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -13,7 +13,7 @@ fn pages(folder: &Path) -> BTreeMap<String, String> {
 }
 
 #[test]
-fn docs_nodes_is_what_the_nodes_say_of_themselves() {
+fn docs_nodes_matches_the_descriptions_of_the_nodes() {
     let kept = root().join("docs/nodes");
     if std::env::var_os("UPDATE").is_some() {
         osteoflow().args(["inspect", "--write-docs"]).arg(&kept).assert().success();
@@ -33,7 +33,7 @@ fn docs_nodes_is_what_the_nodes_say_of_themselves() {
 }
 
 #[test]
-fn every_port_and_parameter_of_a_built_in_node_says_what_it_is() {
+fn every_port_and_parameter_of_a_built_in_node_is_documented() {
     let registry = osteoflow_standard::registry();
     let mut silent = Vec::new();
     for kind in registry.kinds() {

@@ -1,4 +1,4 @@
-//! Simulating on a bone of the user's own: left or right, coarse or fine, anywhere in the CT.
+//! Simulation on a user's bone: left or right, coarse or fine, anywhere in the CT.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -65,7 +65,7 @@ fn an_experiment_is_reproduced_on_a_bone_of_ones_own_as_it_is() {
     assert!(page.contains("| 1 bone, 10 procedures |"), "{page}");
 }
 
-/// The built-in bone turned into another one: mirrored (a left bone), turned and far away.
+/// A variant of the built-in bone: mirrored (a left bone), rotated and far away.
 fn another(params: &BoneParams, left: bool, motion: &Isometry3<f64>) -> (Mesh, Anatomy) {
     let (bone, anatomy) = (bone::fibula(params), bone::anatomy(params));
     let side = if left { -1.0 } else { 1.0 };
@@ -84,7 +84,7 @@ fn another(params: &BoneParams, left: bool, motion: &Isometry3<f64>) -> (Mesh, A
 }
 
 #[test]
-fn left_and_right_bones_coarse_and_fine_are_scanned_and_shown_in_a_ct_wherever_they_lie() {
+fn left_and_right_bones_coarse_and_fine_are_scanned_anywhere_in_the_ct() {
     let turn = UnitQuaternion::from_euler_angles(2.2, -0.4, 1.0);
     let far = Isometry3::from_parts(Vector3::new(900.0, -1500.0, 40.0).into(), turn);
     for (left, edge_mm, motion) in
@@ -111,7 +111,7 @@ fn left_and_right_bones_coarse_and_fine_are_scanned_and_shown_in_a_ct_wherever_t
 }
 
 #[test]
-fn a_bone_that_is_open_or_too_short_and_a_plan_without_anatomy_are_refused_in_words() {
+fn a_bone_that_is_open_or_too_short_and_a_plan_without_anatomy_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let built_in = BoneParams::default();
     let (whole, anatomy) = (bone::fibula(&built_in), bone::anatomy(&built_in));

@@ -1,6 +1,6 @@
-//! The paper's numbers, one test each, from the sweeps that docs/paper-reproduction.md is made of; with fewer repeats than
-//! there, and on real bones where the development data are. Ours are held to what does not depend on the paper's own
-//! bench: to what an independent implementation of the method found on real bones, and to what must be so.
+//! The paper's numbers, one test each, from the sweeps of docs/paper-reproduction.md, with fewer repeats and on real bones
+//! where the development data exist. Our numbers are compared with what does not depend on the paper's own setup: with those
+//! of an independent implementation of the method on real bones, and with what must hold.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -9,7 +9,7 @@ use common::{data, is_slow_run, osteoflow, root};
 use serde_json::Value;
 use std::fs;
 
-/// The summary of an experiment run with other settings.
+/// The summary of an experiment, run with other settings.
 fn swept(experiment: &str, sets: &[String]) -> Value {
     let dir = tempfile::tempdir().unwrap();
     let graph = root().join(format!("graphs/paper/{experiment}.toml"));
@@ -26,7 +26,7 @@ fn repeat(n: usize) -> String {
     format!("sweep.repeat={n}")
 }
 
-/// The built-in bones of these numbers.
+/// Settings of built-in bones.
 fn built_in(shapes: &[u32]) -> [String; 2] {
     let nodes = ["recording", "plan", "bone", "real_bone"];
     let one = |k: &u32| format!("{{ {} }}", nodes.map(|node| format!("{node}.bone.shape_seed = {k}")).join(", "));
@@ -47,7 +47,7 @@ fn bones(values: Vec<String>, labels: Vec<String>) -> [String; 2] {
     [format!("sweep.factor.bone.values=[{values}]"), format!("sweep.factor.bone.labels=[{labels}]")]
 }
 
-/// The group of these factors.
+/// The group with these values of factors.
 fn group<'a>(summary: &'a Value, setting: &[(&str, Value)]) -> &'a Value {
     let groups = summary["groups"].as_array().unwrap();
     let found = groups.iter().find(|g| setting.iter().all(|(name, value)| g["setting"][name] == *value));
@@ -63,7 +63,7 @@ fn mean(group: &Value, column: &str) -> f64 {
 }
 
 #[test]
-fn section_3_1_a_calibrated_point_errs_by_a_few_tenths_of_a_millimetre() {
+fn section_3_1_the_error_of_a_calibrated_point_is_a_few_tenths_of_a_millimetre() {
     let summary = swept("calibration", &[repeat(8)]);
     for distance in [200.0, 300.0] {
         let norm = &group(&summary, &[("distance_mm", distance.into())])["points"]["check_mm"]["norm"];
@@ -80,7 +80,7 @@ fn section_3_2_1_procedures_end_within_half_a_millimetre_along_every_axis() {
     let n = if is_slow_run() { 10 } else { 3 };
     let real = ["TLEM2_CT_fibula_r", "MC22_fibula_r"].into_iter().filter_map(|name| real(NAME, name));
     for bone in [built_in(&[1])].into_iter().chain(real) {
-        // By planes: points rest up to a millimetre away along TLEM2 (docs/icp.md).
+        // Pairs by planes: points converge up to a millimetre away along TLEM2 (docs/icp.md).
         let sets = vec![repeat(n), "bone.exact=true".into(), "icp.kind=\"icp.point_to_plane\"".into()];
         let summary = swept("accuracy_camera", &[sets, bone.to_vec()].concat());
         let all = &summary["groups"][0];
@@ -93,7 +93,7 @@ fn section_3_2_1_procedures_end_within_half_a_millimetre_along_every_axis() {
 }
 
 #[test]
-fn section_3_2_2_the_papers_error_of_a_fragment_has_the_stylus_in_it() {
+fn section_3_2_2_the_papers_error_of_a_fragment_includes_that_of_the_stylus() {
     let summary = swept("cutting", &[vec![repeat(6)], built_in(&[1]).to_vec()].concat());
     let all = &summary["groups"][0];
     let (truly, by_stylus) = (mean(all, "aligned_mm"), mean(all, "paper_aligned_mm"));
@@ -113,14 +113,14 @@ fn section_3_2_3_what_the_first_point_errs_along_the_bone_stays_when_plain_steps
         let first = first.iter().find(|c| c["draw"] == "first_mm" && c["column"] == "signed_z_mm").unwrap();
         // The paper: 0.98; an independent implementation on real bones: 0.96 to 0.996.
         assert!(number(&first["pearson"]["r"]).abs() > 0.95, "{}: {first}", bone[1]);
-        // Half of ±10 mm is 5 mm on average: what is left of it.
+        // Half of ±10 mm is 5 mm on average: the remaining part of it.
         let (few, mean_stop) = (mean(few, "tre_z_mm"), mean(of("mean below 1e-5"), "tre_z_mm"));
         assert!(few > least * 4.0 && few < 6.5, "{}: {few:.2} mm after 50 steps", bone[1]);
         assert!(mean_stop <= few, "{}: {mean_stop:.2} mm where the mean distance rests", bone[1]);
         let plane = &of("point_to_plane")["columns"]["tre_true_mm"];
         let apart = number(&plane["max"]) - number(&plane["min"]);
         assert!(apart < 0.02, "{}: point to plane, {apart:.4} mm apart", bone[1]);
-        // Planes coincide once a slip is taken out, so a fragment is off by less than it slid.
+        // Planes coincide once a slide is removed, so the error of a fragment is smaller than its slide.
         let aligned = mean(of("50 iterations"), "aligned_max_mm");
         assert!((0.4..1.8).contains(&aligned) && aligned < few, "{}: {aligned:.2} mm of {few:.2}", bone[1]);
     }
@@ -152,7 +152,7 @@ fn section_4_a_spot_is_located_better_than_it_is_aimed() {
 }
 
 #[test]
-fn section_3_3_what_is_measured_is_blind_to_a_slide_that_all_marks_share() {
+fn section_3_3_measured_errors_do_not_contain_the_common_slide_of_the_marks() {
     let summary = swept("in_vivo", &[vec![repeat(6)], built_in(&[1]).to_vec()].concat());
     let hidden = |marks: &str| {
         let few = ("registration", "point_to_point, 50 iterations".into());
@@ -161,7 +161,7 @@ fn section_3_3_what_is_measured_is_blind_to_a_slide_that_all_marks_share() {
         (of("tre_true_z_mm"), of("tre_measured_z_mm"))
     };
     let (shared, own) = (hidden("shared error 5.8 mm"), hidden("no shared error"));
-    // The slide that the marks share is in the true error and not in the measured one.
+    // The common slide of the marks is in the true error and not in the measured one.
     assert!(shared.0 > 1.5 * own.0, "true: {:.2} mm shared, {:.2} mm not", shared.0, own.0);
     assert!(shared.1 < shared.0, "shared: {:.2} mm measured, {:.2} mm true", shared.1, shared.0);
 }

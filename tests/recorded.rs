@@ -1,4 +1,4 @@
-//! Recordings against the truth: the one that ships, and the development recording where it is at hand.
+//! Recordings compared with the truth: the shipped one, and the development recording if it exists.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 const GRAPH: &str = "graphs/fibula_recorded.toml";
 
-/// A recording with its surfaces, its plan, and what really was.
+/// A recording with its surfaces, its plan and the ground truth.
 struct Case {
     recording: PathBuf,
     bone: PathBuf,
@@ -20,7 +20,7 @@ struct Case {
 }
 
 impl Case {
-    /// The recording that ships.
+    /// The shipped recording.
     fn shipped() -> Self {
         let dir = root().join("tests/data/procedure");
         Self {
@@ -62,12 +62,12 @@ impl Case {
         isometry(&self.truth["W_T_CT"])
     }
 
-    /// Where the assessment points truly were, in the world.
+    /// True positions of the assessment points, in the world.
     fn assessment(&self) -> Vec<Point3<f64>> {
         self.truth["assessment_W_true"].as_array().unwrap().iter().map(point).collect()
     }
 
-    /// The axes along which errors are told: z along the bone.
+    /// The axes of errors: z along the bone.
     fn axes(&self) -> Matrix3<f64> {
         let plan = json(&self.plan);
         let rows = &plan["pca_axes_columns_xyz"];
@@ -93,8 +93,8 @@ fn errors_ct(case: &Case, t_ct_world: &Isometry3<f64>) -> Vec<Vector3<f64>> {
 }
 
 #[test]
-fn every_assessment_point_lies_within_the_bands_of_the_truth() {
-    for case in Case::all("every_assessment_point_lies_within_the_bands_of_the_truth") {
+fn every_assessment_point_is_within_the_bands_of_the_truth() {
+    for case in Case::all("every_assessment_point_is_within_the_bands_of_the_truth") {
         let ran = case.run(&["--no-record"]);
         for error in errors_ct(&case, &t_ct_world(&ran)) {
             let e = case.axes().tr_mul(&error);
@@ -104,8 +104,8 @@ fn every_assessment_point_lies_within_the_bands_of_the_truth() {
 }
 
 #[test]
-fn the_calibration_lies_within_a_millimetre_and_a_fifth_of_a_degree() {
-    for case in Case::all("the_calibration_lies_within_a_millimetre_and_a_fifth_of_a_degree") {
+fn the_calibration_is_within_a_millimetre_and_a_fifth_of_a_degree() {
+    for case in Case::all("the_calibration_is_within_a_millimetre_and_a_fifth_of_a_degree") {
         let ran = case.run(&["--no-record"]);
         let found = isometry(&ran.results["poses"]["t_camera_camera_marker"]["matrix"]);
         let off = isometry(&case.truth["C_T_Mc"]).inverse() * found;
@@ -115,8 +115,8 @@ fn the_calibration_lies_within_a_millimetre_and_a_fifth_of_a_degree() {
 }
 
 #[test]
-fn each_laser_point_lies_within_a_millimetre_of_where_the_spot_truly_was() {
-    for case in Case::all("each_laser_point_lies_within_a_millimetre_of_where_the_spot_truly_was") {
+fn each_laser_point_is_within_a_millimetre_of_the_true_spot() {
+    for case in Case::all("each_laser_point_is_within_a_millimetre_of_the_true_spot") {
         let ran = case.run(&["--no-record"]);
         let found = ran.results["laser_points"].as_array().unwrap();
         let spots = case.truth["laser_spots_W"].as_array().unwrap();
@@ -129,8 +129,8 @@ fn each_laser_point_lies_within_a_millimetre_of_where_the_spot_truly_was() {
 }
 
 #[test]
-fn planes_lie_right_at_the_scan_and_after_the_motion() {
-    for case in Case::all("planes_lie_right_at_the_scan_and_after_the_motion") {
+fn planes_are_right_at_the_scan_and_after_the_motion() {
+    for case in Case::all("planes_are_right_at_the_scan_and_after_the_motion") {
         let ran = case.run(&["--no-record"]);
         for (key, truth) in [("planes_at_scan", "planes_W_scan"), ("planes", "planes_W_after_motion")] {
             let found = ran.results[key].as_array().unwrap();
@@ -163,7 +163,7 @@ fn icp_beats_the_coarse_fit() {
     }
 }
 
-/// A plan whose landmarks all lie `mm` further along the bone, which a fit of landmarks alone cannot see.
+/// A plan whose landmarks are all `mm` further along the bone, which a fit of landmarks alone cannot detect.
 fn displaced(case: &Case, mm: f64, dir: &Path) -> PathBuf {
     let mut plan = json(&case.plan);
     let along = point(&plan["proximal"]).coords.normalize() * mm;
@@ -176,7 +176,7 @@ fn displaced(case: &Case, mm: f64, dir: &Path) -> PathBuf {
     path
 }
 
-/// How far two registrations are apart at the cuts, mm.
+/// Distance of two registrations at the cuts, mm.
 fn apart_at_cuts(case: &Case, a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
     let planes = case.truth["planes_W_scan"].as_array().unwrap();
     let cuts = planes.iter().map(|plane| Point3::from(isometry(plane).translation.vector));
@@ -205,7 +205,7 @@ fn point_to_point_says_what_it_leaves_and_how_finely_it_comes_to_rest() {
         assert!(said(&straight, "left_mm") >= 0.0 && said(&shifted, "left_mm") >= 0.0);
         let (a, b) = (t_ct_world(&straight), t_ct_world(&shifted));
         let apart = case.assessment().iter().map(|p| (a * p - b * p).norm()).fold(0.0, f64::max);
-        // Each comes to rest within a standard deviation that it states; three times that of their difference.
+        // Each converges within a standard deviation that it reports; three times that of their difference.
         let limit = 3.0 * said(&straight, "resolution_mm").hypot(said(&shifted, "resolution_mm"));
         assert!(apart < limit, "{}: {apart} mm apart, {limit} mm at most", case.recording.display());
     }
@@ -231,6 +231,6 @@ fn damaged_recordings_are_refused_by_name_and_what_is_intact_is_used_only_when_a
     let set = format!("recording.path={}", path.display());
     let ran = run(GRAPH, &["--set", &set, "--set", "recording.allow_truncated=true"]);
     assert_eq!(ran.code, 3);
-    // What was used is said, and so is what the cut took away.
+    // The warnings list what was used and what the cut removed.
     assert!(ran.stderr.contains("are used") && ran.stderr.contains("/camera/laser_p3"), "{}", ran.stderr);
 }

@@ -1,4 +1,4 @@
-//! A procedure that cannot be completed ends with its reason and place, and with no pose that could pass for a result.
+//! A procedure that cannot be completed ends with the reason and the place, and without a pose.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod common;
@@ -21,7 +21,7 @@ fn procedure(n_points: usize) -> Procedure {
     Procedure::simulate(&params, 42).unwrap()
 }
 
-/// The topics of a procedure, without those named.
+/// The topics of a procedure, except those named.
 fn streams(of: &Procedure, without: &[&str]) -> Vec<(String, Stream)> {
     let clouds = |cloud: &Cloud| Stream::Clouds(vec![cloud.clone()]);
     let poses = |poses: &[Pose]| Stream::Transforms(poses.to_vec());
@@ -64,7 +64,7 @@ fn run_procedure(of: &Procedure, without: &[&str], arguments: &[&str]) -> Ran {
     run(GRAPH, &sets)
 }
 
-/// Exit code, message and results of a refusal; `words` must be in both.
+/// Asserts exit code, message and results of a refusal; `words` must be in both.
 fn assert_refused(ran: &Ran, words: &[&str]) {
     assert_eq!(ran.code, 3, "{}", ran.stderr);
     let refused = &ran.results["refused"];
@@ -78,7 +78,7 @@ fn assert_refused(ran: &Ran, words: &[&str]) {
     }
 }
 
-/// The same poses without those within `seconds` of a stamp.
+/// The poses without those within `seconds` of a stamp.
 fn lost(poses: &[Pose], around: StampNs, seconds: i64) -> Vec<Pose> {
     poses.iter().filter(|p| (p.stamp_ns - around).abs() > seconds * SECOND_NS).cloned().collect()
 }
@@ -136,7 +136,7 @@ fn planes_are_unknown_once_the_marker_is_lost_and_known_at_the_scan() {
     let mut procedure = procedure(10_000);
     let end = procedure.bone_marker.last().unwrap().stamp_ns;
     procedure.bone_marker = lost(&procedure.bone_marker, end, 2);
-    // The tracker goes on: it sees the camera's marker to the end.
+    // The tracker continues: it sees the camera's marker to the end.
     let seen = procedure.camera_marker.last().unwrap().clone();
     procedure.camera_marker.extend((0..40).map(|k| seen.clone().at(end - 2 * SECOND_NS + k * SECOND_NS / 20)));
     let ran = run_procedure(&procedure, &[], &["--no-record"]);
