@@ -199,8 +199,8 @@ fn under_tenfold_overload_every_cloud_is_accounted_for_and_memory_is_flat() {
         if policy.contains("block") {
             assert_eq!(link.dropped, 0, "{policy}");
         }
-        let told = report.warnings.iter().any(|warning| warning.message.contains(" dropped "));
-        assert_eq!(told, link.dropped > 0, "{policy}: {:?}", report.warnings);
+        let warned = report.warnings.iter().any(|warning| warning.message.contains(" dropped "));
+        assert_eq!(warned, link.dropped > 0, "{policy}: {:?}", report.warnings);
         // The sink receives every cloud, or an empty instead.
         assert_eq!(report.nodes[1].items, u64::from(n), "{policy}");
         // All runs share the process; the dropped clouds would be 48 MB in the shortest of them.

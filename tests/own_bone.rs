@@ -115,15 +115,15 @@ fn a_bone_that_is_open_or_too_short_and_a_plan_without_anatomy_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let built_in = BoneParams::default();
     let (whole, anatomy) = (bone::fibula(&built_in), bone::anatomy(&built_in));
-    let said = |mesh: &Mesh, anatomy: &Anatomy| {
+    let refusal = |mesh: &Mesh, anatomy: &Anatomy| {
         let (stl, plan) = write(dir.path(), mesh, anatomy);
         own_bone::read(&stl, &plan).err().unwrap().to_string()
     };
     let open = Mesh::new("ct", whole.origin, whole.vertices().to_vec(), whole.faces()[5..].to_vec()).unwrap();
-    let words = said(&open, &anatomy);
+    let words = refusal(&open, &anatomy);
     assert!(words.contains("edges of the bone's surface are open") && words.contains("close its holes"), "{words}");
     let stump = BoneParams { length_mm: 120.0, ..built_in };
-    let words = said(&bone::fibula(&stump), &bone::anatomy(&stump));
+    let words = refusal(&bone::fibula(&stump), &bone::anatomy(&stump));
     assert!(words.contains("P2 would lie 130 mm above the malleolus tip, where there is no bone"), "{words}");
 
     let (stl, plan) = write(dir.path(), &whole, &anatomy);

@@ -201,12 +201,12 @@ fn point_to_point_says_what_it_leaves_and_how_finely_it_comes_to_rest() {
         let dir = tempfile::tempdir().unwrap();
         let swap = ["--no-record", "--set", "icp.kind=icp.point_to_point"];
         let (straight, shifted) = (case.run(&swap), case.with_plan(&displaced(&case, 8.0, dir.path()), &swap));
-        let said = |ran: &Ran, key: &str| ran.results["icp"][key].as_f64().unwrap_or_else(|| panic!("no {key}"));
-        assert!(said(&straight, "left_mm") >= 0.0 && said(&shifted, "left_mm") >= 0.0);
+        let result = |ran: &Ran, key: &str| ran.results["icp"][key].as_f64().unwrap_or_else(|| panic!("no {key}"));
+        assert!(result(&straight, "left_mm") >= 0.0 && result(&shifted, "left_mm") >= 0.0);
         let (a, b) = (t_ct_world(&straight), t_ct_world(&shifted));
         let apart = case.assessment().iter().map(|p| (a * p - b * p).norm()).fold(0.0, f64::max);
         // Each converges within a standard deviation that it reports; three times that of their difference.
-        let limit = 3.0 * said(&straight, "resolution_mm").hypot(said(&shifted, "resolution_mm"));
+        let limit = 3.0 * result(&straight, "resolution_mm").hypot(result(&shifted, "resolution_mm"));
         assert!(apart < limit, "{}: {apart} mm apart, {limit} mm at most", case.recording.display());
     }
 }
