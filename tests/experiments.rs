@@ -24,7 +24,7 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
-fn a_bench_tells_its_check_points_its_laser_spots_and_its_stylus() {
+fn a_bench_reports_check_points_laser_spots_and_stylus() {
     let results = run_over_fibula(BENCH);
     let check = results["metrics"]["check"].as_array().unwrap();
     let places: Vec<&str> = check.iter().map(|c| c["place"].as_str().unwrap()).collect();
@@ -44,7 +44,7 @@ fn a_bench_tells_its_check_points_its_laser_spots_and_its_stylus() {
 }
 
 #[test]
-fn in_vivo_the_assessment_marks_are_measured_by_laser_without_localiser_and_stylus() {
+fn in_vivo_assessment_marks_are_measured_by_laser_without_localiser_and_stylus() {
     let results = run_over_fibula(IN_VIVO);
     let metrics = &results["metrics"];
     assert_eq!((&metrics["tre_measured_mm"]["n"], &metrics["laser_spot"]["to_spot"]["n"]), (&5.into(), &3.into()));

@@ -196,8 +196,8 @@ fn point_to_plane_forgets_a_shift_of_all_landmarks_along_the_bone() {
 }
 
 #[test]
-fn point_to_point_says_what_it_leaves_and_how_finely_it_comes_to_rest() {
-    for case in Case::all("point_to_point_says_what_it_leaves_and_how_finely_it_comes_to_rest") {
+fn point_to_point_reports_its_remaining_error_and_its_resolution() {
+    for case in Case::all("point_to_point_reports_its_remaining_error_and_its_resolution") {
         let dir = tempfile::tempdir().unwrap();
         let swap = ["--no-record", "--set", "icp.kind=icp.point_to_point"];
         let (straight, shifted) = (case.run(&swap), case.with_plan(&displaced(&case, 8.0, dir.path()), &swap));

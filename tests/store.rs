@@ -63,7 +63,7 @@ fn answers(cache: &Path) -> Vec<PathBuf> {
 const SURFACE: &str = "ct_surface@0";
 
 #[test]
-fn cold_and_warm_runs_leave_the_same_and_the_manifest_says_what_came_from_the_store() {
+fn cold_and_warm_runs_are_equal_and_the_manifest_lists_answers_from_the_store() {
     let cache = tempfile::tempdir().unwrap();
     let computed = run(cache.path(), &["--no-cache"]);
     assert!(computed.store.is_null());

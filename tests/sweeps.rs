@@ -194,7 +194,7 @@ fn two_runs_are_compared_number_by_number() {
 }
 
 #[test]
-fn the_experiments_run_on_a_bone_of_ones_own_and_the_page_says_of_how_many() {
+fn the_experiments_run_on_a_users_bone_and_the_page_has_their_n() {
     let dir = tempfile::tempdir().unwrap();
     let own = path(dir.path(), "own");
     assert_eq!(output(&["simulate", "--points", "1000", "--seed", "3", "--out", &own, "--quiet"]).2, 0);

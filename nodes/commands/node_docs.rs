@@ -279,7 +279,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn a_parameter_is_told_with_type_unit_default_range_and_reason() {
+    fn a_parameter_is_documented_with_type_unit_default_range_and_reason() {
         let schema = json!({
             "properties": {
                 "gate_mm": { "type": "number", "default": 5.0, "minimum": 0.1, "maximum": 50.0, "description": "5: twice\nthe | error." },

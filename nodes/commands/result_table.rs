@@ -170,7 +170,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn a_result_says_that_it_is_simulated_against_what_and_for_what_it_is_no_use() {
+    fn the_banner_has_simulation_surface_and_intended_use() {
         let tables = text(&json!({ "simulated": true, "ct_surface": "simulated_ct" }));
         assert_eq!(tables, "SIMULATED, ct_surface = simulated_ct, research use only, not for clinical use\n");
     }

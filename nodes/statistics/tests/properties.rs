@@ -164,7 +164,7 @@ fn coverage(n: u64, truth: f64, interval: impl Fn(&mut ChaCha8Rng) -> Interval) 
 }
 
 #[test]
-fn wilson_holds_the_true_share_about_as_often_as_it_says() {
+fn the_wilson_interval_has_about_its_nominal_coverage() {
     for (n, share) in [(10, 0.5), (10, 0.9), (30, 0.95), (200, 0.98)] {
         let found = coverage(4000, share, |rng| {
             let n_hits = (0..n).filter(|_| f64::from(rng.next_u32()) < share * 4_294_967_296.0).count();
@@ -220,7 +220,7 @@ fn the_cluster_bootstrap_holds_where_the_naive_one_fails() {
 }
 
 #[test]
-fn intervals_of_the_limits_of_agreement_hold_them_about_as_often_as_they_say() {
+fn intervals_of_the_limits_of_agreement_have_about_their_nominal_coverage() {
     for n_bones in [5, 10, 30] {
         let repeated = coverage(1000, 1.96 * 1.25_f64.sqrt(), |rng| {
             let differences = errors(rng, n_bones, 5, 1.0, 0.5);
