@@ -326,6 +326,56 @@ fn each_bad_answer_of_a_plugin_is_refused_by_name() {
     }
 }
 
+/// Before poses were checked, this run ended with a mean true TRE of 0.67 mm instead of 0.13 mm.
+#[test]
+fn a_quaternion_of_a_plugin_that_is_half_a_thousandth_too_long_is_refused_at_its_node() {
+    let Some(folder) = Folder::new("") else { return };
+    folder.compile("lengthen.c", &format!("liblengthen{DLL_SUFFIX}"), &[]);
+    let fibula = root().join("graphs/fibula.toml");
+    let nodes = ["to_world", "to_world_laser", "calibration"];
+    let swaps = nodes.map(|node| format!("[node.{node}.in]\nt_world_camera_marker = \"longer.pose\"\n"));
+    let graph = format!(
+        "plugins = [\"lengthen\"]\nextends = {fibula:?}\n[node.longer]\nkind = \"toy.lengthen\"\n\
+         in = {{ pose = \"camera_marker.pose\" }}\n{}",
+        swaps.concat()
+    );
+    fs::write(folder.path("graph.toml"), graph).unwrap();
+    let run = |scale: &str| folder.run(&["--quiet", "--no-record", "--set", &format!("longer.scale={scale}")]);
+    let tre_mm = || {
+        let results = json(&folder.path("out/results.json"));
+        let tre: Vec<f64> = results["metrics"]["tre_true_mm"]["points"]
+            .as_array()
+            .unwrap_or_else(|| panic!("{}", results["metrics"]["tre_true_mm"]))
+            .iter()
+            .map(|point| point["norm"].as_f64().unwrap())
+            .collect();
+        tre.iter().sum::<f64>() / tre.len() as f64
+    };
+    let (code, _, err) = run("1.0");
+    assert_eq!(code, 0, "{err}");
+    let exact_mm = tre_mm();
+    // What double precision leaves, and what the limit allows: 0.002 mm at 1 m.
+    for scale in ["1.000000000000001", "1.0000005"] {
+        let (code, _, err) = run(scale);
+        assert_eq!(code, 0, "{scale}: {err}");
+        let off_mm = (tre_mm() - exact_mm).abs();
+        assert!(off_mm < 0.01, "{scale}: the TRE is off by {off_mm} mm");
+    }
+    for (scale, said) in [
+        ("1.0005", "the quaternion has length 1.0005 instead of 1, off by 5.0e-4 where 1e-6 is allowed"),
+        ("0.9995", "off by 5.0e-4 where 1e-6 is allowed"),
+        ("0.0", "the quaternion is zero"),
+    ] {
+        let (code, _, err) = run(scale);
+        assert_eq!(code, 3, "{scale}: {err}");
+        let place = "node \"longer\", item 0: output \"pose\": geometry/Pose: the view is not a valid payload: \
+                     t_world_camera_marker is no rigid motion: ";
+        assert!(err.contains(place) && err.contains(said), "{scale}: {err}");
+        let refused = json(&folder.path("out/results.json"))["refused"]["reason"].to_string();
+        assert!(refused.contains("longer"), "{refused}");
+    }
+}
+
 /// Makes `libbad.so` from each file in tests/plugins/bad in turn, and from two that are not libraries.
 fn bad_libraries<'f>(folder: &'f Folder, is_wanted: fn(&str) -> bool) -> impl Iterator<Item = String> + 'f {
     let files = fs::read_dir(root().join("tests/plugins/bad")).unwrap().map(|entry| entry.unwrap().path());

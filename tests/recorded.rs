@@ -4,7 +4,11 @@
 mod common;
 
 use common::{Ran, data, isometry, json, point, root, run, run_whole};
-use osteoflow_geometry::nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use osteoflow_formats::recording_write::{Layout, Stream, recording_bytes};
+use osteoflow_geometry::{
+    Pose,
+    nalgebra::{Isometry3, Matrix3, Point3, Quaternion, UnitQuaternion, Vector3},
+};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -209,6 +213,77 @@ fn point_to_point_reports_its_remaining_error_and_its_resolution() {
         let limit = 3.0 * result(&straight, "resolution_mm").hypot(result(&shifted, "resolution_mm"));
         assert!(apart < limit, "{}: {apart} mm apart, {limit} mm at most", case.recording.display());
     }
+}
+
+/// The poses of two markers over time, the second as the tracker's writer gives it.
+fn tracked(written: impl Fn(&UnitQuaternion<f64>) -> Quaternion<f64>) -> Vec<u8> {
+    let poses = |marker: &'static str| {
+        (0..40).map(move |k: i32| {
+            let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, -0.7, 0.05 * f64::from(k)));
+            let at = Vector3::new(100.0, -200.0, 1500.0 + f64::from(k));
+            Pose::new("world", marker, Isometry3::from_parts(at.into(), turn))
+                .at(1_750_000_000_000_000_000 + i64::from(k))
+        })
+    };
+    let rounded = poses("bone_marker").map(|mut pose| {
+        pose.isometry.rotation = UnitQuaternion::new_unchecked(written(&pose.isometry.rotation));
+        pose
+    });
+    let streams = [
+        ("/tracker/camera_marker", Stream::Transforms(poses("camera_marker").collect())),
+        ("/tracker/bone_marker", Stream::Transforms(rounded.collect())),
+    ];
+    recording_bytes(&streams, &Default::default(), &[], &Layout::default()).unwrap()
+}
+
+/// Runs a graph of nothing but such a recording.
+fn run_tracked(dir: &Path, recording: &[u8]) -> Ran {
+    std::fs::write(dir.join("tracked.mcap"), recording).unwrap();
+    let port = |marker: &str| {
+        format!(
+            "out.{marker} = {{ type = \"geometry/Pose\", topic = \"/tracker/{marker}\", to = \"world\", from = \"{marker}\" }}\n"
+        )
+    };
+    let graph = format!(
+        "[graph]\nformat = 1\nframes = [\"world\", \"camera_marker\", \"bone_marker\"]\n[node.recording]\nkind = \"acquire.mcap\"\n\
+         path = \"tracked.mcap\"\n{}{}[results]\ncamera_marker = \"recording.camera_marker\"\nbone_marker = \"recording.bone_marker\"\n",
+        port("camera_marker"),
+        port("bone_marker")
+    );
+    std::fs::write(dir.join("tracked.toml"), graph).unwrap();
+    run(dir.join("tracked.toml").to_str().unwrap(), &["--no-record"])
+}
+
+#[test]
+fn a_tracker_of_three_decimals_gives_rotations_and_one_warning_with_the_largest_correction() {
+    let dir = tempfile::tempdir().unwrap();
+    let three = |q: &UnitQuaternion<f64>| Quaternion::from(q.coords.map(|c| (c * 1e3).round() / 1e3));
+    let ran = run_tracked(dir.path(), &tracked(three));
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    let warnings: Vec<_> = ran.stderr.lines().filter(|line| line.contains("rotations are rounded")).collect();
+    assert_eq!(warnings.len(), 1, "{}", ran.stderr);
+    let (n, largest) = warnings[0].split_once("topic /tracker/bone_marker: ").unwrap().1.split_once(" of 40 ").unwrap();
+    assert!(n.parse::<u32>().unwrap() > 30 && largest.ends_with(" mm at 1 m"), "{}", warnings[0]);
+    let found = isometry(&ran.results["bone_marker"]["matrix"]);
+    let exact = isometry(&ran.results["camera_marker"]["matrix"]);
+    let off = found.rotation.angle_to(&exact.rotation);
+    assert!(off > 1e-6 && off < 2.1e-3, "{off} rad: half a unit in each of four components");
+    // In double precision nothing is reported.
+    let sound = run_tracked(dir.path(), &tracked(|q| q.into_inner()));
+    assert_eq!((sound.code, sound.stderr.contains("rounded")), (0, false), "{}", sound.stderr);
+    assert_eq!(sound.results["bone_marker"]["matrix"], sound.results["camera_marker"]["matrix"]);
+}
+
+#[test]
+fn a_rotation_that_rounding_does_not_explain_is_refused_by_topic_and_message() {
+    let dir = tempfile::tempdir().unwrap();
+    // Only the last of the forty turns by 1.95 about z.
+    let scaled = |q: &UnitQuaternion<f64>| q.into_inner() * if q.scaled_axis().z > 1.94 { 1.002 } else { 1.0 };
+    let ran = run_tracked(dir.path(), &tracked(scaled));
+    assert_eq!(ran.code, 3, "{}", ran.stderr);
+    let said = "port \"bone_marker\": topic /tracker/bone_marker, message 40 of 40: t_world_bone_marker at 1750000000000000039 \
+                ns is no rigid motion: the quaternion has length 1.002";
+    assert!(ran.stderr.contains(said) && ran.stderr.contains("node \"recording\""), "{}", ran.stderr);
 }
 
 #[test]

@@ -417,12 +417,26 @@ fn without_an_answer_there_is_no_pose() {
 fn a_damaged_file_is_named_with_the_position_of_the_fault() {
     let case = Case::new();
     case.write("scaled.txt", "2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n");
+    case.write("mirror.txt", "1 0 0 0\n0 1 0 0\n0 0 -1 0\n0 0 0 1\n");
+    case.write("nan.txt", "1 0 0 0\n0 1 0 nan\n0 0 1 0\n0 0 0 1\n");
+    case.write("transposed.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n12 5 7 1\n");
     case.write("short.txt", "1 0 0 0\n");
     case.write("words.xyz", "0 0 0\n1 one 1\n");
     for (arguments, expected) in [
         (
             &["points.ply", "scan.ply", "--init", "scaled.txt"][..],
-            "scaled.txt: matrix: the upper left 3 x 3 is not a rotation: its columns are off by 3.000; is there a scale in it?",
+            "scaled.txt: matrix: the upper left 3 x 3 is not a rotation: it is off by 1.0e0 where 1e-3 is allowed, and its \
+             columns have lengths 2.0000, 2.0000, 2.0000; is there a scale in it?",
+        ),
+        (
+            &["points.ply", "scan.ply", "--init", "mirror.txt"],
+            "mirror.txt: matrix: the matrix is a mirror image (determinant -1.000); are two axes swapped, or is it RAS where \
+             LPS is meant?",
+        ),
+        (&["points.ply", "scan.ply", "--init", "nan.txt"], "nan.txt: matrix: the matrix is not finite"),
+        (
+            &["points.ply", "scan.ply", "--init", "transposed.txt"],
+            "transposed.txt: matrix: the last row of a rigid motion is 0 0 0 1; is the matrix written column by column?",
         ),
         (
             &["points.ply", "scan.ply", "--init", "short.txt"],

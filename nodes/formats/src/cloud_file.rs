@@ -1,6 +1,6 @@
 //! Point clouds in PLY files.
 
-use crate::{FileError, ply::Ply};
+use crate::{FileError, normals::NormalReader, ply::Ply};
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Cloud, Frame};
 use std::{fmt::Write as _, path::Path};
@@ -14,6 +14,8 @@ pub struct CloudFileRead {
     pub n_points_in_file: usize,
     /// How many of them were NaN or infinite and were left out.
     pub n_dropped: usize,
+    /// What was done to the normals, one sentence each.
+    pub notes: Vec<String>,
 }
 
 /// Reads the points of a PLY file: `x`, `y`, `z` of any type in any order, and `nx`, `ny`, `nz` where every kept point
@@ -48,17 +50,18 @@ pub(crate) fn cloud_of_ply(
     let points: Vec<Point3<f64>> = finite.iter().map(|&k| Point3::new(x[k], y[k], z[k]) * unit_mm).collect();
     let mut cloud = Cloud::new(frame, points)
         .map_err(|_| FileError::content(path, "points", format!("a coordinate overflows with unit_mm = {unit_mm}")))?;
+    let mut notes = Vec::new();
     if let [Some(nx), Some(ny), Some(nz)] = normals {
-        let unit = |&k: &usize| {
-            let normal = Vector3::new(nx[k], ny[k], nz[k]);
-            normal.try_normalize(1e-9).filter(|n| n.iter().all(|c| c.is_finite()))
-        };
-        if let Some(normals) = finite.iter().map(unit).collect::<Option<Vec<_>>>() {
-            cloud = cloud.with_normals(normals).expect("each kept point has its normal");
+        let mut reader = NormalReader::default();
+        finite.iter().for_each(|&k| reader.push(Vector3::new(nx[k], ny[k], nz[k])));
+        let (normals, normal_notes) = reader.finish();
+        notes = normal_notes;
+        if let Some(normals) = normals {
+            cloud = cloud.with_normals(normals).expect("each kept point has its unit normal");
         }
     }
     let n_dropped = vertex.count - finite.len();
-    Ok(CloudFileRead { cloud, n_points_in_file: vertex.count, n_dropped })
+    Ok(CloudFileRead { cloud, n_points_in_file: vertex.count, n_dropped, notes })
 }
 
 /// Writes a cloud's points, and normals if it has them, as little-endian PLY in double precision, so that reading gives
@@ -128,8 +131,10 @@ mod tests {
                       property float nx\nproperty float ny\nproperty float nz\nend_header\n";
         let all = read(format!("{header}0 0 0 0 0 2\n1 0 0 0 1 0\n").as_bytes(), 1.0).unwrap();
         assert_eq!(all.cloud.normals(), Some(&[Vector3::z(), Vector3::y()][..]));
+        assert_eq!(all.notes, ["1 of 2 normals have lengths from 2.000e0 to 2.000e0 and were scaled to 1"]);
         let some = read(format!("{header}0 0 0 0 0 2\n1 0 0 nan 1 0\n").as_bytes(), 1.0).unwrap();
         assert_eq!((some.cloud.normals(), some.cloud.len()), (None, 2));
+        assert_eq!(some.notes, ["1 of 2 normals are zero or not finite, so the cloud goes without normals"]);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Points as text: XYZ and CSV files.
 
-use crate::{FileError, cloud_file::CloudFileRead};
+use crate::{FileError, cloud_file::CloudFileRead, normals::NormalReader};
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Cloud, Frame};
 use std::path::Path;
@@ -38,8 +38,9 @@ pub(crate) fn parse(
     let has_normals = columns[3..].iter().all(Option::is_some);
     let most = columns.iter().flatten().max().map_or(0, |last| last + 1);
     let mut cells = Vec::with_capacity(most);
-    let (mut points, mut normals, mut n_points_in_file) = (Vec::new(), Vec::new(), 0);
-    let mut all_unit = has_normals;
+    let (mut points, mut normals, mut n_points_in_file) = (Vec::new(), NormalReader::default(), 0);
+    // Without a heading, columns of other lengths are no normals.
+    let mut are_normals = has_normals;
     for (line, number) in (!heading).then_some(first).into_iter().chain(lines) {
         n_points_in_file += 1;
         let place = || format!("line {number}");
@@ -61,19 +62,22 @@ pub(crate) fn parse(
         }
         points.push(point);
         let normal = Vector3::new(nx, ny, nz);
-        // Under a heading normals are normals, whatever their length.
-        let normal = normal.try_normalize(1e-9).filter(|_| heading || UNIT.contains(&normal.norm()));
-        all_unit &= normal.is_some_and(|n| n.iter().all(|c| c.is_finite()));
-        if all_unit {
-            normals.extend(normal);
+        are_normals &= heading || UNIT.contains(&normal.norm());
+        if are_normals {
+            normals.push(normal);
         }
     }
     let n_dropped = n_points_in_file - points.len();
     let mut cloud = Cloud::new(frame, points).expect("what is not finite was left out");
-    if all_unit {
-        cloud = cloud.with_normals(normals).expect("each kept point has its normal");
+    let mut notes = Vec::new();
+    if are_normals {
+        let (normals, normal_notes) = normals.finish();
+        notes = normal_notes;
+        if let Some(normals) = normals {
+            cloud = cloud.with_normals(normals).expect("each kept point has its unit normal");
+        }
     }
-    Ok(CloudFileRead { cloud, n_points_in_file, n_dropped })
+    Ok(CloudFileRead { cloud, n_points_in_file, n_dropped, notes })
 }
 
 fn words(line: &str) -> impl Iterator<Item = &str> {
@@ -138,6 +142,9 @@ mod tests {
             let normals = found.cloud.normals().unwrap();
             assert!(normals.iter().zip(&expected).all(|(a, b)| (a - b).norm() < 1e-15), "{normals:?}");
         }
+        let found = read("x,y,z,nx,ny,nz\n0,0,0,0,0,0\n1,0,0,3,0,-4\n").unwrap();
+        assert_eq!(found.cloud.normals(), None);
+        assert_eq!(found.notes, ["1 of 2 normals are zero or not finite, so the cloud goes without normals"]);
     }
 
     #[test]

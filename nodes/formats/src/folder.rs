@@ -63,11 +63,11 @@ use crate::{
     FileError, LostPose,
     cloud_file::read_cloud_ply,
     mesh_file::{MeshRead, read_mesh},
-    plan_file::read_plan,
+    plan_file::{PlanRead, read_plan},
     poses_csv::read_poses,
 };
 use nalgebra::{Isometry3, Point3};
-use osteoflow_geometry::{Cloud, Frame, NamedPoint, Pose, Region, StampNs, SurfaceOrigin, SurgicalPlan};
+use osteoflow_geometry::{Cloud, Corrections, Frame, NamedPoint, Pose, Region, StampNs, SurfaceOrigin};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -287,7 +287,7 @@ impl ProcedureFolder {
     ///
     /// # Errors
     /// As [`read_plan`].
-    pub fn plan(&self) -> Result<Option<SurgicalPlan>, FileError> {
+    pub fn plan(&self) -> Result<Option<PlanRead>, FileError> {
         self.written.plan.as_ref().map(|plan| read_plan(&self.resolve(&plan.file))).transpose()
     }
 
@@ -331,7 +331,9 @@ impl ProcedureFolder {
             items.push(self.scan("laser", &scan, Some(&label), &mut notes)?);
         }
         for file in &written.poses {
+            let mut corrections = Corrections::default();
             for pose in read_poses(&self.resolve(&file.file), self.unit_mm(file.unit))? {
+                let pose = pose.map(|pose| corrections.take(pose));
                 let (to, from, stamp_ns) = match &pose {
                     Ok(pose) => (&pose.to, &pose.from, pose.stamp_ns),
                     Err(lost) => (&lost.to, &lost.from, lost.stamp_ns),
@@ -340,6 +342,7 @@ impl ProcedureFolder {
                 let role = if is_cad { "phantom_marker_cad".into() } else { from.to_string() };
                 items.push(FolderItem { role, stamp_ns, body: FolderBody::Pose(pose) });
             }
+            notes.extend(corrections.note().map(|note| format!("{}: {note}", file.file.display())));
         }
         for file in &written.stylus {
             let role = match file.role {
@@ -371,6 +374,7 @@ impl ProcedureFolder {
             let (file, n) = (scan.file.display(), read.n_points_in_file);
             notes.push(format!("{file}: {} of {n} points are not finite and were left out", read.n_dropped));
         }
+        notes.extend(read.notes.iter().map(|note| format!("{}: {note}", scan.file.display())));
         let mut cloud = read.cloud.at(stamp_ns).seen_from(Isometry3::identity());
         if let Some(label) = label {
             cloud = cloud.labelled(label);
@@ -439,7 +443,7 @@ fn place_of(text: &str, at: usize) -> String {
 mod tests {
     use super::*;
     use crate::{cloud_file::write_ply, mesh_file::write_stl, plan_file::write_plan, poses_csv::write_poses};
-    use osteoflow_geometry::{Mesh, Planes, Points};
+    use osteoflow_geometry::{Mesh, Planes, Points, SurgicalPlan};
 
     /// The example of the module's page: what a stranger copies must work as it stands.
     fn example() -> String {

@@ -53,6 +53,15 @@ pub(crate) struct JsonTimestamp {
     pub(crate) timestamp: Time,
 }
 
+/// A cloud without its points.
+#[derive(Deserialize)]
+pub(crate) struct JsonCloudHead {
+    #[serde(default)]
+    pub(crate) timestamp: Time,
+    #[serde(default)]
+    pub(crate) pose: Option<JsonPose>,
+}
+
 #[derive(Deserialize)]
 pub(crate) struct JsonCloud {
     #[serde(default)]

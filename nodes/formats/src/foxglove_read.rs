@@ -15,9 +15,12 @@ mod tests;
 pub use fault::FoxgloveError;
 
 use crate::{
-    LostPose,
-    foxglove_json::{self, JsonCloud, JsonPose, JsonPoseInFrame, JsonTimestamp, JsonTransform, JsonTransforms},
+    LostPose, PoseError,
+    foxglove_json::{
+        self, JsonCloud, JsonCloudHead, JsonPose, JsonPoseInFrame, JsonTimestamp, JsonTransform, JsonTransforms,
+    },
     mcap_read::{Message, Recording},
+    normals::NormalReader,
 };
 use bytes::Bytes;
 use foxglove::{
@@ -29,7 +32,9 @@ use foxglove::{
 };
 use layout::Layout;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use osteoflow_geometry::{Cloud, Frame, MM_PER_M, Pose, Region, StampNs};
+use osteoflow_geometry::{
+    Cloud, Correction, Frame, MM_PER_M, Nearest, Pose, Region, RigidError, StampNs, nearest_rotation,
+};
 
 /// The schema of a point cloud.
 pub const POINT_CLOUD: &str = "foxglove.PointCloud";
@@ -42,9 +47,6 @@ pub const POSE_IN_FRAME: &str = "foxglove.PoseInFrame";
 
 /// A translation beyond this is a tracker's code for "not seen", not a place: a kilometre.
 const FARTHEST_M: f64 = 1e3;
-
-/// A quaternion shorter than this holds no direction worth normalising.
-const SHORTEST_QUATERNION: f64 = 1e-6;
 
 /// A message with what is needed to decode it.
 #[derive(Debug, Clone)]
@@ -79,8 +81,19 @@ pub struct CloudRead {
     pub n_points_in_message: usize,
     /// How many of them were NaN or infinite and were left out.
     pub n_dropped: usize,
-    /// How many kept points had a normal that is none; if there is one, the cloud goes without normals.
-    pub n_bad_normals: usize,
+    /// The correction of the message's pose.
+    pub correction: Correction,
+    /// What was done to the normals, one sentence each.
+    pub notes: Vec<String>,
+}
+
+/// What a message says of its cloud as a whole.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CloudHead {
+    /// The sensor time.
+    pub stamp_ns: StampNs,
+    /// The correction of the message's pose; zero where it has none.
+    pub correction: Correction,
 }
 
 /// A located point, such as the tip of a stylus.
@@ -92,8 +105,25 @@ pub struct TipRead {
     pub stamp_ns: StampNs,
     /// Where it is, mm.
     pub position: Point3<f64>,
-    /// How the tool was held, where the message says so.
-    pub orientation: Option<UnitQuaternion<f64>>,
+    /// How the tool was held, where the message says so, or why that is no rotation.
+    pub orientation: Option<Result<Nearest<UnitQuaternion<f64>>, RigidError>>,
+}
+
+impl TipRead {
+    /// The tool's pose, from the frame `child`.
+    ///
+    /// # Errors
+    /// [`PoseError::Lost`] if the quaternion is zero or not finite, which is how trackers write a tool they do not see, or if
+    /// there is none; [`PoseError::NotRigid`] if its length is farther than
+    /// [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from 1.
+    pub fn pose(&self, child: impl Into<Frame>) -> Result<Nearest<Pose>, PoseError> {
+        let (to, from, stamp_ns) = (self.frame.clone(), child.into(), self.stamp_ns);
+        let Some(rotation) = self.orientation.clone() else {
+            return Err(LostPose { to, from, stamp_ns, reason: "no orientation".into() }.into());
+        };
+        let rotation = rotation.map_err(|error| no_pose(&to, &from, stamp_ns, error))?;
+        Ok(rotation.map(|r| Pose::new(to, from, Isometry3::from_parts(self.position.into(), r)).at(stamp_ns)))
+    }
 }
 
 /// The sensor time of a message of any of the schemas; for several transforms, of the first one.
@@ -120,6 +150,28 @@ pub fn stamp<'a>(message: impl Into<Encoded<'a>>) -> Result<StampNs, FoxgloveErr
     Ok(time.unwrap_or(message.publish_time_ns))
 }
 
+/// The sensor time of a `foxglove.PointCloud` and the correction of its pose, without its points.
+///
+/// # Errors
+/// [`FoxgloveError`] if the schema or encoding is another, the bytes do not follow it, or the pose is no rigid motion.
+pub fn read_cloud_head<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudHead, FoxgloveError> {
+    let message = message.into();
+    let (stamp_ns, pose) = match (message.schema_name, encoding(&message)?) {
+        (POINT_CLOUD, Protobuf) => {
+            let cloud: PointCloud = decode(&message)?;
+            (nanoseconds(cloud.timestamp), cloud.pose)
+        }
+        (POINT_CLOUD, Json) => {
+            let head: JsonCloudHead = parse(&message)?;
+            let pose = head.pose.map(|p| FoxglovePose { position: p.position, orientation: p.orientation });
+            (head.timestamp.nanoseconds(), pose)
+        }
+        _ => return Err(wrong_schema(POINT_CLOUD, &message)),
+    };
+    let Nearest { correction, .. } = cloud_pose(pose.as_ref())?;
+    Ok(CloudHead { stamp_ns: stamp_ns.unwrap_or(message.publish_time_ns), correction })
+}
+
 /// The cloud in a `foxglove.PointCloud`: fields found by name at any stride, order and numeric type, moved by the
 /// message's `pose`, metres turned to mm.
 ///
@@ -140,11 +192,10 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Foxg
         }
         _ => return Err(wrong_schema(POINT_CLOUD, &message)),
     };
-    let pose = cloud_pose(raw.pose.as_ref())?;
+    let Nearest { value: pose, correction } = cloud_pose(raw.pose.as_ref())?;
     let layout = Layout::of(&raw)?;
     let n_points_in_message = layout.n_points;
-    let (mut points, mut normals) = (Vec::with_capacity(n_points_in_message), Vec::new());
-    let mut n_bad_normals = 0;
+    let (mut points, mut normals) = (Vec::with_capacity(n_points_in_message), NormalReader::default());
     for bytes in raw.data.chunks_exact(layout.stride.max(1)).take(n_points_in_message) {
         let at_m = layout.position.map(|field| field.value(bytes));
         let point = Point3::from(Vector3::from(at_m) * MM_PER_M);
@@ -153,34 +204,36 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Foxg
         }
         points.push(pose.map_or(point, |t| t * point));
         if let Some(fields) = layout.normal {
-            let normal = Vector3::from(fields.map(|field| field.value(bytes)));
-            match normal.try_normalize(1e-9).filter(|n| n.iter().all(|c| c.is_finite())) {
-                Some(normal) => normals.push(pose.map_or(normal, |t| t * normal)),
-                None => n_bad_normals += 1,
-            }
+            normals.push(Vector3::from(fields.map(|field| field.value(bytes))));
         }
     }
     let n_dropped = n_points_in_message - points.len();
     let stamp_ns = nanoseconds(raw.timestamp).unwrap_or(message.publish_time_ns);
-    let with_normals = layout.normal.is_some() && n_bad_normals == 0;
+    let (normals, notes) = normals.finish();
     let mut cloud = Cloud::new(raw.frame_id, points).expect("points that are not finite were left out");
-    if with_normals {
-        cloud = cloud.with_normals(normals).expect("each kept point has its normal");
+    if let Some(mut normals) = normals.filter(|_| layout.normal.is_some()) {
+        if let Some(t) = pose {
+            normals.iter_mut().for_each(|normal| *normal = t * *normal);
+        }
+        cloud = cloud.with_normals(normals).expect("each kept point has its unit normal");
     }
     cloud.stamp_ns = stamp_ns;
     cloud.viewpoint = if is_sensor_frame(cloud.frame.as_str()) { Some(Isometry3::identity()) } else { pose };
-    Ok(CloudRead { cloud, n_points_in_message, n_dropped, n_bad_normals })
+    Ok(CloudRead { cloud, n_points_in_message, n_dropped, correction, notes })
 }
 
 /// The poses in a `foxglove.FrameTransform` or `foxglove.FrameTransforms`, in order: `t_parent_child`, mm.
 ///
-/// A quaternion of another length than one is normalised. One that is all zero or not finite, or a place that is not
-/// finite or beyond a kilometre, is how trackers write a marker they do not see: that one transform is a [`LostPose`],
-/// which a stream turns into an empty.
+/// A rounded quaternion gives the nearest rotation, with its correction. A quaternion that is zero or not finite, or a
+/// position that is not finite or beyond a kilometre, is how trackers write a marker they do not see: that transform is
+/// [`PoseError::Lost`], which a stream turns into an empty. One whose length is farther than
+/// [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from 1 is [`PoseError::NotRigid`].
 ///
 /// # Errors
 /// [`FoxgloveError`] if the schema or encoding is another, or the bytes do not follow it.
-pub fn read_transforms<'a>(message: impl Into<Encoded<'a>>) -> Result<Vec<Result<Pose, LostPose>>, FoxgloveError> {
+pub fn read_transforms<'a>(
+    message: impl Into<Encoded<'a>>,
+) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, FoxgloveError> {
     let message = message.into();
     let transforms = match (message.schema_name, encoding(&message)?) {
         (FRAME_TRANSFORM, Protobuf) => vec![decode::<FrameTransform>(&message)?.into()],
@@ -197,7 +250,7 @@ pub fn read_transforms<'a>(message: impl Into<Encoded<'a>>) -> Result<Vec<Result
 /// The point in a `foxglove.PoseInFrame`, mm, such as a stylus tip; its orientation may be missing.
 ///
 /// # Errors
-/// [`FoxgloveError::Pose`] if there is no position or it is not finite; otherwise if the schema or encoding is another,
+/// [`FoxgloveError::Pose`] if there is no pose or its position is not finite; otherwise if the schema or encoding is another,
 /// or the bytes do not follow it.
 pub fn read_pose_in_frame<'a>(message: impl Into<Encoded<'a>>) -> Result<TipRead, FoxgloveError> {
     let message = message.into();
@@ -206,10 +259,10 @@ pub fn read_pose_in_frame<'a>(message: impl Into<Encoded<'a>>) -> Result<TipRead
         (POSE_IN_FRAME, Json) => parse(&message)?,
         _ => return Err(wrong_schema(POSE_IN_FRAME, &message)),
     };
-    let lost = |reason: &str| FoxgloveError::Pose { what: "located point", reason: reason.into() };
+    let lost = |reason: &str| FoxgloveError::Pose { what: "located point", reason: format!("it has {reason}") };
     let pose = read.pose.ok_or_else(|| lost("no pose"))?;
     let position = translation(&pose.position.unwrap_or_default()).map_err(|reason| lost(&reason))?;
-    let orientation = pose.orientation.and_then(|q| rotation(&q).ok());
+    let orientation = pose.orientation.map(|q| rotation(&q));
     let stamp_ns = read.timestamp.nanoseconds().unwrap_or(message.publish_time_ns);
     Ok(TipRead { frame: read.frame_id.into(), stamp_ns, position: position.into(), orientation })
 }
@@ -280,23 +333,41 @@ fn nanoseconds(timestamp: Option<Timestamp>) -> Option<StampNs> {
     timestamp.map(|t| StampNs::from(t.sec()) * 1_000_000_000 + StampNs::from(t.nsec())).filter(|&ns| ns != 0)
 }
 
-fn pose_of(transform: JsonTransform, publish_time_ns: StampNs) -> Result<Pose, LostPose> {
+fn pose_of(transform: JsonTransform, publish_time_ns: StampNs) -> Result<Nearest<Pose>, PoseError> {
     let stamp_ns = transform.timestamp.nanoseconds().unwrap_or(publish_time_ns);
     let (to, from): (Frame, Frame) = (transform.parent_frame_id.into(), transform.child_frame_id.into());
-    let lost = |reason| LostPose { to: to.clone(), from: from.clone(), stamp_ns, reason };
-    let translation = translation(&transform.translation.unwrap_or_default()).map_err(&lost)?;
-    let rotation = rotation(&transform.rotation.unwrap_or_default()).map_err(&lost)?;
-    Ok(Pose::new(to.clone(), from.clone(), Isometry3::from_parts(translation.into(), rotation)).at(stamp_ns))
+    let translation = translation(&transform.translation.unwrap_or_default()).map_err(|reason| LostPose {
+        to: to.clone(),
+        from: from.clone(),
+        stamp_ns,
+        reason,
+    })?;
+    let rotation =
+        rotation(&transform.rotation.unwrap_or_default()).map_err(|error| no_pose(&to, &from, stamp_ns, error))?;
+    Ok(rotation.map(|r| Pose::new(to, from, Isometry3::from_parts(translation.into(), r)).at(stamp_ns)))
+}
+
+/// What an unusable quaternion says of its marker.
+fn no_pose(to: &Frame, from: &Frame, stamp_ns: StampNs, error: RigidError) -> PoseError {
+    let (to, from) = (to.clone(), from.clone());
+    let reason = match error {
+        RigidError::NotFinite { .. } => "a quaternion that is not finite",
+        RigidError::Zero { .. } => "an all-zero quaternion",
+        error => return PoseError::NotRigid { to, from, stamp_ns, error },
+    };
+    LostPose { to, from, stamp_ns, reason: reason.into() }.into()
 }
 
 /// The pose of a cloud; none where it is unset or the identity, so that coordinates stay exactly as they are.
-fn cloud_pose(pose: Option<&FoxglovePose>) -> Result<Option<Isometry3<f64>>, FoxgloveError> {
-    let Some(pose) = pose else { return Ok(None) };
+fn cloud_pose(pose: Option<&FoxglovePose>) -> Result<Nearest<Option<Isometry3<f64>>>, FoxgloveError> {
+    let Some(pose) = pose else { return Ok(Nearest { value: None, correction: Correction::default() }) };
     let fault = |reason| FoxgloveError::Pose { what: "cloud's pose", reason };
-    let translation = translation(&pose.position.unwrap_or_default()).map_err(fault)?;
-    let rotation = pose.orientation.map_or(Ok(UnitQuaternion::identity()), |q| rotation(&q).map_err(fault))?;
-    let pose = Isometry3::from_parts(Translation3::from(translation), rotation);
-    Ok((pose != Isometry3::identity()).then_some(pose))
+    let translation =
+        translation(&pose.position.unwrap_or_default()).map_err(|reason| fault(format!("it has {reason}")))?;
+    let unset = Nearest { value: UnitQuaternion::identity(), correction: Correction::default() };
+    let rotation = pose.orientation.map_or(Ok(unset), |q| rotation(&q)).map_err(|error| fault(error.to_string()))?;
+    let pose = rotation.map(|r| Isometry3::from_parts(Translation3::from(translation), r));
+    Ok(pose.map(|pose| (pose != Isometry3::identity()).then_some(pose)))
 }
 
 /// Whether a cloud in that frame was seen from its origin, as far as the name tells.
@@ -316,19 +387,8 @@ fn translation(v: &FoxgloveVector3) -> Result<Vector3<f64>, String> {
     Ok(metres * MM_PER_M)
 }
 
-fn rotation(q: &FoxgloveQuaternion) -> Result<UnitQuaternion<f64>, String> {
-    let q = Quaternion::new(q.w, q.x, q.y, q.z);
-    if !q.coords.iter().all(|c| c.is_finite()) {
-        return Err("a quaternion that is not finite".into());
-    }
-    if q.coords == nalgebra::Vector4::zeros() {
-        return Err("an all-zero quaternion".into());
-    }
-    let norm = q.norm();
-    if !(SHORTEST_QUATERNION..1.0 / SHORTEST_QUATERNION).contains(&norm) {
-        return Err(format!("a quaternion of length {norm:.1e}"));
-    }
-    Ok(UnitQuaternion::from_quaternion(q))
+fn rotation(q: &FoxgloveQuaternion) -> Result<Nearest<UnitQuaternion<f64>>, RigidError> {
+    nearest_rotation(Quaternion::new(q.w, q.x, q.y, q.z))
 }
 
 impl From<FrameTransform> for JsonTransform {

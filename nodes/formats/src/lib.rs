@@ -49,6 +49,7 @@ pub mod foxglove_read;
 mod lost;
 pub mod mcap_read;
 pub mod mesh_file;
+mod normals;
 pub mod plan_file;
 mod ply;
 pub mod pose_file;
@@ -58,4 +59,4 @@ pub mod shape_file;
 mod table;
 
 pub use error::FileError;
-pub use lost::LostPose;
+pub use lost::{LostPose, PoseError};

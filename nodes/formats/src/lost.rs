@@ -1,4 +1,4 @@
-use osteoflow_geometry::{Frame, StampNs};
+use osteoflow_geometry::{Frame, RigidError, StampNs};
 
 /// A pose that a tracker wrote although it did not see the marker: the place is unknown, not zero.
 ///
@@ -14,4 +14,24 @@ pub struct LostPose {
     pub stamp_ns: StampNs,
     /// What gave it away, such as `an all-zero quaternion`.
     pub reason: String,
+}
+
+/// A transform in a message that gives no pose.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PoseError {
+    /// The marker was not seen.
+    #[error(transparent)]
+    Lost(#[from] LostPose),
+    /// The rotation is farther from one than rounding explains.
+    #[error("t_{to}_{from} at {stamp_ns} ns is no rigid motion: {error}")]
+    NotRigid {
+        /// The frame that the pose would lead to.
+        to: Frame,
+        /// The frame that the pose would lead from.
+        from: Frame,
+        /// The transform's sensor time.
+        stamp_ns: StampNs,
+        /// What is wrong with it.
+        error: RigidError,
+    },
 }

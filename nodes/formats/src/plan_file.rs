@@ -13,22 +13,32 @@
 //!
 //! Matrices are written row by row. Planes are `t_ct_plane`, the plane's own z axis being its normal; they are called
 //! `plane_1`, `plane_2` .. unless `planes` is an object of names, or its entries are objects with `name` and `matrix`.
-//! Every key may be missing; unknown keys are ignored. A file for several bones has such an object under each bone's name,
+//! `proximal`, `lateral` and `posterior` are directions of any length. Every key may be missing; unknown keys are ignored. A file for several bones has such an object under each bone's name,
 //! as [`read_plan_of`] takes it.
 
 use crate::FileError;
-use nalgebra::{Matrix3, Matrix4, Point3, Unit, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Unit, Vector3};
 use osteoflow_geometry::{
-    Anatomy, Axes, NamedPoint, Plane, Planes, Points, Pose, SurgicalPlan, isometry_from_matrix, matrix_rows,
+    Anatomy, Axes, Corrections, NamedPoint, Plane, Planes, Points, Pose, SurgicalPlan, direction, matrix_rows,
+    nearest_isometry,
 };
 use serde_json::{Map, Value, json};
-use std::path::Path;
+use std::{cell::RefCell, path::Path};
 
-/// Reads a plan.
+/// A plan read from a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanRead {
+    /// The plan.
+    pub plan: SurgicalPlan,
+    /// What was done to the numbers, one sentence each.
+    pub notes: Vec<String>,
+}
+
+/// Reads a plan. Its rotations may be rounded: the nearest ones are taken, and a note says how far they are.
 ///
 /// # Errors
 /// [`FileError`] naming the key: a unit other than mm, a number that is none, a matrix that mirrors or scales.
-pub fn read_plan(path: &Path) -> Result<SurgicalPlan, FileError> {
+pub fn read_plan(path: &Path) -> Result<PlanRead, FileError> {
     let text = std::fs::read_to_string(path).map_err(FileError::read(path))?;
     parse_plan(path, &text)
 }
@@ -37,7 +47,7 @@ pub fn read_plan(path: &Path) -> Result<SurgicalPlan, FileError> {
 ///
 /// # Errors
 /// As [`read_plan`]; and if the file is for several bones, but not for this one.
-pub fn read_plan_of(path: &Path, bone: &str) -> Result<SurgicalPlan, FileError> {
+pub fn read_plan_of(path: &Path, bone: &str) -> Result<PlanRead, FileError> {
     let text = std::fs::read_to_string(path).map_err(FileError::read(path))?;
     let root = parse_root(path, &text)?;
     if let Some(Value::Object(own)) = root.get(bone) {
@@ -59,7 +69,7 @@ const OWN_KEYS: [&str; 6] = ["units", "landmarks", "assessment", "planes", "mall
 ///
 /// # Errors
 /// As [`read_plan`].
-pub fn parse_plan(path: &Path, text: &str) -> Result<SurgicalPlan, FileError> {
+pub fn parse_plan(path: &Path, text: &str) -> Result<PlanRead, FileError> {
     plan_of(path, &parse_root(path, text)?)
 }
 
@@ -75,13 +85,13 @@ fn parse_root(path: &Path, text: &str) -> Result<Map<String, Value>, FileError> 
     Ok(root)
 }
 
-fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<SurgicalPlan, FileError> {
-    let plan = Keys { path, root };
+fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError> {
+    let plan = Keys { path, root, corrections: RefCell::default() };
     plan.check_units()?;
     let landmarks = plan.points("landmarks")?;
     let assessment = plan.points("assessment")?;
     let axes = plan.axes(&landmarks, &assessment)?;
-    Ok(SurgicalPlan {
+    let read = SurgicalPlan {
         planes: plan.planes()?,
         anatomy: plan.anatomy()?,
         t_phantom_phantom_marker: plan.pose("phantom_marker_in_phantom", "phantom", "phantom_marker")?,
@@ -89,7 +99,9 @@ fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<SurgicalPlan, FileE
         landmarks,
         assessment,
         axes,
-    })
+    };
+    let notes = plan.corrections.take().note().map(|note| format!("{}: {note}", path.display()));
+    Ok(PlanRead { plan: read, notes: notes.into_iter().collect() })
 }
 
 /// Writes a plan so that [`read_plan`] gives it back; planes whose place is unknown are left out.
@@ -138,6 +150,7 @@ pub fn plan_json(plan: &SurgicalPlan) -> Value {
 struct Keys<'a> {
     path: &'a Path,
     root: &'a Map<String, Value>,
+    corrections: RefCell<Corrections>,
 }
 
 impl Keys<'_> {
@@ -184,10 +197,14 @@ impl Keys<'_> {
         Ok(matrix)
     }
 
-    fn isometry(&self, key: &str, value: &Value) -> Result<nalgebra::Isometry3<f64>, FileError> {
+    fn isometry(&self, key: &str, value: &Value) -> Result<Isometry3<f64>, FileError> {
         let rows = self.rows::<4, 4>(key, value)?;
-        let matrix = Matrix4::from_fn(|row, column| rows[row][column]);
-        isometry_from_matrix(&matrix).map_err(|error| self.fault(key, error.to_string()))
+        self.rigid(key, &Matrix4::from_fn(|row, column| rows[row][column]))
+    }
+
+    fn rigid(&self, key: &str, matrix: &Matrix4<f64>) -> Result<Isometry3<f64>, FileError> {
+        let nearest = nearest_isometry(matrix).map_err(|error| self.fault(key, error.to_string()))?;
+        Ok(self.corrections.borrow_mut().take(nearest))
     }
 
     fn points(&self, key: &str) -> Result<Points, FileError> {
@@ -242,7 +259,7 @@ impl Keys<'_> {
         let rows = self.rows::<3, 3>(key, value)?;
         let mut matrix = Matrix4::identity();
         matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::from_fn(|row, column| rows[row][column]));
-        let rotation = isometry_from_matrix(&matrix).map_err(|error| self.fault(key, error.to_string()))?;
+        let rotation = self.rigid(key, &matrix)?;
         let centre = match self.get("pca_axes_centre") {
             Some(value) => self.numbers("pca_axes_centre", value)?.into(),
             None => {
@@ -257,14 +274,13 @@ impl Keys<'_> {
 
     /// The anatomy, where the plan gives all of it.
     fn anatomy(&self) -> Result<Option<Anatomy>, FileError> {
-        let direction = |key: &str| -> Result<Option<Unit<Vector3<f64>>>, FileError> {
+        let unit = |key: &str| -> Result<Option<Unit<Vector3<f64>>>, FileError> {
             let Some(value) = self.get(key) else { return Ok(None) };
             let vector = Vector3::from(self.numbers::<3>(key, value)?);
-            let unit = Unit::try_new(vector, 1e-6).ok_or_else(|| self.fault(key, "a direction cannot be zero"))?;
-            Ok(Some(unit))
+            Ok(Some(direction(vector).map_err(|error| self.fault(key, error.to_string()))?))
         };
         let tip = self.get("malleolus_tip").map(|value| self.numbers::<3>("malleolus_tip", value)).transpose()?;
-        let (proximal, lateral, posterior) = (direction("proximal")?, direction("lateral")?, direction("posterior")?);
+        let (proximal, lateral, posterior) = (unit("proximal")?, unit("lateral")?, unit("posterior")?);
         let (Some(tip), Some(proximal), Some(lateral), Some(posterior)) = (tip, proximal, lateral, posterior) else {
             return Ok(None);
         };
@@ -275,10 +291,9 @@ impl Keys<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Isometry3;
 
     fn parse(value: &Value) -> Result<SurgicalPlan, FileError> {
-        parse_plan("plan.json".as_ref(), &value.to_string())
+        parse_plan("plan.json".as_ref(), &value.to_string()).map(|read| read.plan)
     }
 
     fn example() -> SurgicalPlan {
@@ -308,7 +323,8 @@ mod tests {
     fn a_plan_survives_being_written_with_its_points_in_their_order() {
         let file = tempfile::NamedTempFile::new().unwrap();
         write_plan(file.path(), &example()).unwrap();
-        let back = read_plan(file.path()).unwrap();
+        let PlanRead { plan: back, notes } = read_plan(file.path()).unwrap();
+        assert_eq!(notes, [""; 0]);
         assert_eq!(
             (&back.landmarks, &back.assessment, &back.anatomy),
             (&example().landmarks, &example().assessment, &example().anatomy)
@@ -338,7 +354,7 @@ mod tests {
     fn a_file_for_several_bones_gives_the_one_asked_for_and_names_those_it_has() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let anatomy = |x: f64| json!({"malleolus_tip": [x, 0, 0], "proximal": [0, 0, 1], "lateral": [1, 0, 0], "posterior": [0, 1, 0]});
-        let tip = |bone: &str| read_plan_of(file.path(), bone).map(|plan| plan.anatomy.unwrap().malleolus_tip.x);
+        let tip = |bone: &str| read_plan_of(file.path(), bone).map(|read| read.plan.anatomy.unwrap().malleolus_tip.x);
         std::fs::write(file.path(), json!({"left": anatomy(1.0), "right": anatomy(2.0)}).to_string()).unwrap();
         assert_eq!((tip("left").unwrap(), tip("right").unwrap()), (1.0, 2.0));
         let said = tip("middle").unwrap_err().to_string();
@@ -359,6 +375,28 @@ mod tests {
             assert_eq!(plan.planes.planes.iter().map(|p| p.name.to_string()).collect::<Vec<_>>(), names);
             assert_eq!(plan.planes.planes[1].isometry().unwrap().translation.z, 7.0);
         }
+    }
+
+    #[test]
+    fn rounded_matrices_give_the_nearest_rotations_and_one_note() {
+        let text = plan_json(&example()).to_string();
+        let mut value: Value = serde_json::from_str(&text).unwrap();
+        let round = |cell: &mut Value| *cell = json!((cell.as_f64().unwrap() * 1e4).round() / 1e4);
+        for plane in value["planes"].as_array_mut().unwrap() {
+            plane["matrix"]
+                .as_array_mut()
+                .unwrap()
+                .iter_mut()
+                .flat_map(|row| row.as_array_mut().unwrap())
+                .for_each(round);
+        }
+        let PlanRead { plan, notes } = parse_plan("plan.json".as_ref(), &value.to_string()).unwrap();
+        for (a, b) in plan.planes.planes.iter().zip(example().planes.planes.iter()) {
+            let off = a.isometry().unwrap().rotation.angle_to(&b.isometry().unwrap().rotation);
+            assert!(off > 1e-7 && off < 2e-4, "{off} rad: four decimals");
+        }
+        assert_eq!(notes.len(), 1, "{notes:?}");
+        assert!(notes[0].starts_with("plan.json: 2 of 5 rotations are rounded"), "{}", notes[0]);
     }
 
     #[test]
@@ -386,7 +424,19 @@ mod tests {
                 json!({"pca_axes_columns_xyz": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}),
                 "key \"pca_axes_columns_xyz\": the matrix is a mirror",
             ),
-            (json!({"proximal": [0, 0, 0]}), "key \"proximal\": a direction cannot be zero"),
+            (json!({"proximal": [0, 0, 0]}), "key \"proximal\": a direction has a length above zero, this one has 0e0"),
+            (
+                json!({"lateral": [1e200, 0, 0]}),
+                "key \"lateral\": a direction has a length above zero, this one has inf",
+            ),
+            (
+                json!({"planes": {"distal": [[0, 0, 0, 1], [0, 0, 0, 2], [0, 0, 0, 3], [0, 0, 0, 1]]}}),
+                "key \"planes.distal\": the matrix is zero",
+            ),
+            (
+                json!({"planes": [matrix(1.0011, 1.0)]}),
+                "key \"planes[0]\": the upper left 3 x 3 is not a rotation: it is off by 1.1e-3 where 1e-3 is allowed",
+            ),
             (json!([]), "line 1: a plan is a JSON object"),
         ] {
             let said = parse(&plan).unwrap_err().to_string();

@@ -10,13 +10,10 @@
 //! it shows; so the motion of a model onto another is the inverse of its file. Such files are LPS, as CT is here.
 
 use crate::FileError;
-use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, UnitQuaternion, Vector3};
-use osteoflow_geometry::isometry_from_matrix;
+use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Vector3};
+use osteoflow_geometry::{Correction, Nearest, nearest_isometry, nearest_rotation};
 use serde_json::Value;
 use std::path::Path;
-
-/// A rotation farther than this from the numbers in its file is told.
-const TOLD: f64 = 1e-6;
 
 /// The keys under which a JSON object may hold the matrix, in the order in which they are looked for.
 const KEYS: [&str; 3] = ["T", "t_target_source", "matrix"];
@@ -34,11 +31,12 @@ pub struct PoseRead {
 
 /// Reads a rigid motion from a text, JSON or ITK file, told apart by content; see [the module](self).
 ///
-/// `unit_mm` is the unit of its translation in mm: 1 for millimetres. The rotation may be written with few digits: the
-/// nearest rotation is taken, and told where it is farther than 10⁻⁶ from the numbers.
+/// `unit_mm` is the unit of its translation in mm: 1 for millimetres. The rotation may be rounded: the nearest rotation is
+/// taken, and a note says how far it is from the numbers.
 ///
 /// # Errors
-/// [`FileError`] if the file cannot be read, holds no 16 numbers, or what it holds scales, shears, mirrors or projects.
+/// [`FileError`] if the file cannot be read, holds no 16 numbers, or the matrix projects, mirrors, or is farther than
+/// [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from a rotation.
 pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
     let bytes = std::fs::read(path).map_err(FileError::read(path))?;
     if bytes.starts_with(b"\x89HDF") {
@@ -47,12 +45,14 @@ pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
     let text = std::str::from_utf8(&bytes)
         .map_err(|error| fault(path, format!("byte {}", error.valid_up_to()), "no text; a 4 x 4 matrix is expected"))?;
     let text = text.trim_start_matches('\u{feff}');
-    let mut notes = Vec::new();
+    let (mut notes, mut written) = (Vec::new(), Correction::default());
     let mut matrix = match text.trim_start() {
         itk if itk.starts_with(ITK_MARK) => {
             notes.push("an ITK transform leads from fixed to moving; its inverse is taken".into());
             let matrix = itk_matrix(path, itk)?;
-            rigid(path, &matrix)?.inverse().to_homogeneous()
+            let nearest = rigid(path, &matrix.value)?;
+            written = if matrix.correction > nearest.correction { matrix.correction } else { nearest.correction };
+            nearest.value.inverse().to_homogeneous()
         }
         json if json.starts_with('{') => json_matrix(path, json)?,
         // A list may also be one that numpy printed, which is no JSON.
@@ -62,10 +62,11 @@ pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
     for row in 0..3 {
         matrix[(row, 3)] *= unit_mm;
     }
-    let isometry = rigid(path, &matrix)?;
-    let off = (isometry.to_homogeneous() - matrix).fixed_view::<3, 3>(0, 0).amax();
-    if off > TOLD {
-        notes.push(format!("the rotation is written with few digits; the nearest one is {off:.1e} away and is taken"));
+    let Nearest { value: isometry, correction } = rigid(path, &matrix)?;
+    let correction = if written > correction { written } else { correction };
+    if !correction.is_noise() {
+        notes
+            .push(format!("the rotation is rounded, and the nearest rotation is used; the correction is {correction}"));
     }
     Ok(PoseRead { isometry, notes })
 }
@@ -74,11 +75,8 @@ fn fault(path: &Path, place: impl Into<String>, message: impl Into<String>) -> F
     FileError::content(path, place, message)
 }
 
-fn rigid(path: &Path, matrix: &Matrix4<f64>) -> Result<Isometry3<f64>, FileError> {
-    if !matrix.iter().all(|c| c.is_finite()) {
-        return Err(fault(path, "matrix", "a number is not finite"));
-    }
-    isometry_from_matrix(matrix).map_err(|error| fault(path, "matrix", error.to_string()))
+fn rigid(path: &Path, matrix: &Matrix4<f64>) -> Result<Nearest<Isometry3<f64>>, FileError> {
+    nearest_isometry(matrix).map_err(|error| fault(path, "matrix", error.to_string()))
 }
 
 fn text_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
@@ -130,8 +128,8 @@ fn json_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
     sixteen(path, &cells.iter().map(number).collect::<Result<Vec<_>, _>>()?)
 }
 
-/// The matrix of an ITK transform as written, about its centre.
-fn itk_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
+/// The matrix of an ITK transform as written, about its centre, with the correction of its versor, if it has one.
+fn itk_matrix(path: &Path, text: &str) -> Result<Nearest<Matrix4<f64>>, FileError> {
     let line_of = |key: &str| {
         let mut found = text.lines().filter_map(|line| line.trim().strip_prefix(key)?.trim_start().strip_prefix(':'));
         (found.next().map(str::trim), found.next().is_some())
@@ -155,6 +153,7 @@ fn itk_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
     };
     let (parameters, fixed) = (numbers("Parameters")?, numbers("FixedParameters")?);
     let name = kind.split('_').next().unwrap_or(kind);
+    let mut correction = Correction::default();
     let (rotation, shift) = match (name, &parameters[..]) {
         ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", [matrix @ .., x, y, z])
             if matrix.len() == 9 =>
@@ -169,9 +168,12 @@ fn itk_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
             (if zyx { rz * ry * rx } else { rz * rx * ry }, Vector3::new(x, y, z))
         }
         ("VersorRigid3DTransform", &[i, j, k, x, y, z]) => {
+            // A versor longer than 1 leaves nothing for w; its quaternion then is too long.
             let w = (1.0 - i * i - j * j - k * k).max(0.0).sqrt();
-            let versor = UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k));
-            (versor.to_rotation_matrix().into_inner(), Vector3::new(x, y, z))
+            let versor = nearest_rotation(Quaternion::new(w, i, j, k))
+                .map_err(|error| fault(path, "Parameters", error.to_string()))?;
+            correction = versor.correction;
+            (versor.value.to_rotation_matrix().into_inner(), Vector3::new(x, y, z))
         }
         ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", found) => {
             return Err(fault(path, "Parameters", format!("12 numbers are expected, but there are {}", found.len())));
@@ -194,7 +196,7 @@ fn itk_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
     };
     let mut matrix = rotation.to_homogeneous();
     matrix.fixed_view_mut::<3, 1>(0, 3).copy_from(&(shift + centre - rotation * centre));
-    Ok(matrix)
+    Ok(Nearest { value: matrix, correction })
 }
 
 #[cfg(test)]
@@ -259,14 +261,45 @@ mod tests {
     }
 
     #[test]
-    fn few_digits_give_the_nearest_rotation_and_are_told() {
+    fn a_rounded_matrix_gives_the_nearest_rotation_and_a_note() {
         let text: Vec<_> = motion().to_homogeneous().transpose().iter().map(|c| format!("{c:.4}")).collect();
         let found = read(&text.join(" ")).unwrap();
         assert_is(&found.isometry, &motion(), 2e-4);
         let r = found.isometry.rotation.to_rotation_matrix().into_inner();
         assert!((r.transpose() * r - Matrix3::identity()).amax() < 1e-14);
         assert_eq!(found.notes.len(), 1, "{:?}", found.notes);
-        assert!(found.notes[0].starts_with("the rotation is written with few digits"), "{:?}", found.notes);
+        let note = &found.notes[0];
+        assert!(
+            note.starts_with("the rotation is rounded, and the nearest rotation is used; the correction is "),
+            "{note}"
+        );
+        assert!(note.ends_with(" mm at 1 m"), "{note}");
+        let single: Vec<_> = motion().to_homogeneous().transpose().iter().map(|c| format!("{:?}", *c as f32)).collect();
+        assert_eq!(read(&single.join(" ")).unwrap().notes.len(), 1, "single precision is rounded too");
+    }
+
+    #[test]
+    fn a_rounded_itk_transform_says_so_as_well() {
+        let r = motion().rotation.to_rotation_matrix();
+        let numbers: Vec<_> = r.matrix().transpose().iter().map(|c| format!("{c:.4}")).collect();
+        let text = format!(
+            "#Insight Transform File V1.0\nTransform: AffineTransform_double_3_3\nParameters: {} 5 6 7\nFixedParameters: 0 0 0\n",
+            numbers.join(" ")
+        );
+        let notes = read(&text).unwrap().notes;
+        assert!(notes.len() == 2 && notes[1].starts_with("the rotation is rounded"), "{notes:?}");
+        let versor = |i: &str| {
+            format!(
+                "#Insight Transform File V1.0\nTransform: VersorRigid3DTransform_double_3_3\nParameters: {i} 0 0 1 2 3\n"
+            )
+        };
+        let notes = read(&versor("1.0002")).unwrap().notes;
+        assert!(notes.len() == 2 && notes[1].contains("2.0e-4, 0.80 mm at 1 m"), "{notes:?}");
+        assert!(
+            said(&versor("1.0011")).starts_with("Parameters: the quaternion has length 1.0011"),
+            "{}",
+            said(&versor("1.0011"))
+        );
     }
 
     #[test]
@@ -321,14 +354,15 @@ mod tests {
             ),
             (
                 "2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1".into(),
-                "matrix: the upper left 3 x 3 is not a rotation: its columns are off by 3.000; is there a scale in it?",
+                "matrix: the upper left 3 x 3 is not a rotation: it is off by 1.0e0 where 1e-3 is allowed, and its columns have \
+                 lengths 2.0000, 2.0000, 2.0000; is there a scale in it?",
             ),
             (
                 "1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1".into(),
-                "matrix: the matrix is a mirror image (determinant -1); are two axes swapped, or is it RAS where LPS is \
+                "matrix: the matrix is a mirror image (determinant -1.000); are two axes swapped, or is it RAS where LPS is \
                  meant?",
             ),
-            ("1 0 0 nan 0 1 0 0 0 0 1 0 0 0 0 1".into(), "matrix: a number is not finite"),
+            ("1 0 0 nan 0 1 0 0 0 0 1 0 0 0 0 1".into(), "matrix: the matrix is not finite"),
             ("{\"pose\": 1}".into(), "object: none of the keys T, t_target_source, matrix is there; there are: pose"),
             ("{\"T\": [1, 2".into(), "line 1: no JSON: EOF while parsing a list at line 1 column 11"),
             ("{\"T\": [[1, 0], [0, 1]]}".into(), "row 1: a row of a 4 x 4 matrix has four numbers"),

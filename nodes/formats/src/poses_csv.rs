@@ -15,8 +15,8 @@ use crate::{
     FileError, LostPose,
     table::{Row, Table},
 };
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use osteoflow_geometry::{Frame, Pose};
+use nalgebra::{Isometry3, Quaternion, Translation3};
+use osteoflow_geometry::{Frame, Nearest, Pose, nearest_rotation};
 use std::path::Path;
 
 /// The columns, in the order in which they are written.
@@ -24,12 +24,13 @@ const COLUMNS: [&str; 10] = ["t_ns", "parent", "child", "x", "y", "z", "qx", "qy
 
 /// Reads the rows of a poses file, in file order; a row in which the marker was not seen is a [`LostPose`].
 ///
-/// `unit_mm` is the unit of x, y and z in mm: 1 for millimetres. Quaternions are normalised; one further than 1 % from
-/// unit length is an error, since columns are then probably exchanged.
+/// `unit_mm` is the unit of x, y and z in mm: 1 for millimetres. A rounded quaternion gives the nearest rotation, with its
+/// correction.
 ///
 /// # Errors
-/// [`FileError`], naming the line: a missing column, a word where a number should be, a quaternion that is none.
-pub fn read_poses(path: &Path, unit_mm: f64) -> Result<Vec<Result<Pose, LostPose>>, FileError> {
+/// [`FileError`], naming the line: a missing column, a word where a number should be, a quaternion whose length is farther
+/// than [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from 1.
+pub fn read_poses(path: &Path, unit_mm: f64) -> Result<Vec<Result<Nearest<Pose>, LostPose>>, FileError> {
     let bytes = std::fs::read(path).map_err(FileError::read(path))?;
     let table = Table::parse(path, &bytes)?;
     let mut columns = [0; COLUMNS.len()];
@@ -39,7 +40,11 @@ pub fn read_poses(path: &Path, unit_mm: f64) -> Result<Vec<Result<Pose, LostPose
     table.rows().map(|row| pose(&row, columns, unit_mm)).collect()
 }
 
-fn pose(row: &Row, columns: [usize; COLUMNS.len()], unit_mm: f64) -> Result<Result<Pose, LostPose>, FileError> {
+fn pose(
+    row: &Row,
+    columns: [usize; COLUMNS.len()],
+    unit_mm: f64,
+) -> Result<Result<Nearest<Pose>, LostPose>, FileError> {
     let [stamp, parent, child, numbers @ ..] = columns;
     let stamp_ns = row.whole(stamp)?;
     let (to, from): (Frame, Frame) = (row.named(parent)?.into(), row.named(child)?.into());
@@ -53,18 +58,16 @@ fn pose(row: &Row, columns: [usize; COLUMNS.len()], unit_mm: f64) -> Result<Resu
     if !values.iter().all(|v| v.is_finite()) {
         return lost("a row without finite numbers");
     }
-    let norm = quaternion.norm();
-    if norm == 0.0 {
+    if quaternion.norm() == 0.0 {
         return lost("an all-zero quaternion");
     }
-    if (norm - 1.0).abs() > 0.01 {
-        return Err(
-            row.fault(format!("the quaternion has length {norm:.3} instead of 1; are the columns qx,qy,qz,qw?"))
-        );
-    }
+    let rotation =
+        nearest_rotation(quaternion).map_err(|error| row.fault(format!("{error}; are the columns qx,qy,qz,qw?")))?;
     let translation = Translation3::new(x * unit_mm, y * unit_mm, z * unit_mm);
-    let isometry = Isometry3::from_parts(translation, UnitQuaternion::from_quaternion(quaternion));
-    Ok(Ok(Pose::new(to, from, isometry).at(stamp_ns)))
+    if !translation.vector.iter().all(|c| c.is_finite()) {
+        return Err(row.fault(format!("the translation overflows with unit_mm = {unit_mm}")));
+    }
+    Ok(Ok(rotation.map(|rotation| Pose::new(to, from, Isometry3::from_parts(translation, rotation)).at(stamp_ns))))
 }
 
 /// Writes poses in mm, one row each, in their order.
@@ -90,7 +93,7 @@ mod tests {
     use super::*;
     use nalgebra::Vector3;
 
-    fn read(text: &str) -> Result<Vec<Result<Pose, LostPose>>, FileError> {
+    fn read(text: &str) -> Result<Vec<Result<Nearest<Pose>, LostPose>>, FileError> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
         read_poses(file.path(), 1.0)
@@ -105,7 +108,8 @@ mod tests {
         let poses: Vec<Pose> = (0..5).map(pose).collect();
         let file = tempfile::NamedTempFile::new().unwrap();
         write_poses(file.path(), &poses).unwrap();
-        let back: Vec<Pose> = read_poses(file.path(), 1.0).unwrap().into_iter().map(Result::unwrap).collect();
+        let back = read_poses(file.path(), 1.0).unwrap().into_iter().map(|pose| pose.unwrap().value);
+        let back: Vec<Pose> = back.collect();
         for (a, b) in back.iter().zip(&poses) {
             assert_eq!(
                 (&a.to, &a.from, a.stamp_ns, a.isometry.translation),
@@ -121,11 +125,20 @@ mod tests {
         let text = "\u{feff}child,parent,qw,qx,qy,qz,x,y,z,t_ns,quality\n# a comment\nm, world ,1,0,0,0,1.5,2,3,10,good\n\n\
                     m,world,,,,,,,,20,lost\nm,world,0,0,0,0,1,2,3,30,lost\nm,world,nan,0,0,0,1,2,3,40,lost\n";
         let poses = read(text).unwrap();
-        assert_eq!(poses[0], Ok(Pose::new("world", "m", Isometry3::translation(1.5, 2.0, 3.0)).at(10)));
+        let expected = Pose::new("world", "m", Isometry3::translation(1.5, 2.0, 3.0)).at(10);
+        assert_eq!(poses[0].as_ref().unwrap().value, expected);
         let lost: Vec<(i64, &str)> =
             poses[1..].iter().map(|p| p.as_ref().unwrap_err()).map(|l| (l.stamp_ns, l.reason.as_str())).collect();
         let empty = "a row without finite numbers";
         assert_eq!(lost, [(20, empty), (30, "an all-zero quaternion"), (40, empty)]);
+    }
+
+    #[test]
+    fn a_quaternion_of_three_decimals_gives_the_nearest_rotation_with_its_correction() {
+        let header = "t_ns,parent,child,x,y,z,qx,qy,qz,qw\n";
+        let pose = read(&format!("{header}1,world,m,0,0,0,0.271,-0.653,0.271,0.653\n")).unwrap().remove(0).unwrap();
+        assert!((pose.value.isometry.rotation.norm() - 1.0).abs() < 1e-15);
+        assert!((pose.correction.deviation - 1.5e-4).abs() < 1e-4, "{:?}", pose.correction);
     }
 
     #[test]
@@ -143,6 +156,10 @@ mod tests {
             (format!("{header}1,world,m,0,0,0,0,0,1\n"), "line 2: the header names 10 columns, this line has 9"),
             (format!("{header}1,,m,0,0,0,0,0,0,1\n"), "line 2: column \"parent\" is empty"),
             (format!("{header}1,world,m,0,0,0,10,20,30,1\n"), "line 2: the quaternion has length 37.4"),
+            (
+                format!("{header}{good}1,world,m,0,0,0,0,0,0,1.0011\n"),
+                "line 3: the quaternion has length 1.0011 instead of 1, off by 1.1e-3 where 1e-3 is allowed",
+            ),
         ] {
             let said = read(&text).unwrap_err().to_string();
             assert!(said.contains(expected), "{expected}\n{said}");

@@ -46,6 +46,7 @@ pub fn shape_of_bytes(path: &Path, bytes: &[u8], unit_mm: f64, frame: impl Into<
     let (n, of) = (read.n_dropped, read.n_points_in_file);
     let mut notes: Vec<_> =
         (n > 0).then(|| format!("{n} of {of} points are not finite and were left out")).into_iter().collect();
+    notes.extend(read.notes.iter().cloned());
     notes.extend(size_note(read.cloud.points(), "points span"));
     Ok(Shape::Cloud(read, notes))
 }

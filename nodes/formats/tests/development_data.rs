@@ -62,7 +62,7 @@ fn the_development_procedure_holds_what_its_makers_reader_finds() {
     assert_near_mm(mean.into(), [0.8560085763070674, 0.08707344985632517, 201.90751578360795], 1e-9);
     assert_eq!(read_cloud(&recording.messages("/camera/calibration")[0]).unwrap().cloud.len(), 13_145);
 
-    let marker = read_transforms(&recording.messages("/tracker/camera_marker")[0]).unwrap().remove(0).unwrap();
+    let marker = read_transforms(&recording.messages("/tracker/camera_marker")[0]).unwrap().remove(0).unwrap().value;
     assert_eq!((marker.to.as_str(), marker.from.as_str()), ("world", "camera_marker"));
     assert_eq!(marker.stamp_ns, 1_749_999_999_999_859_810, "the sensor's time, not the log's");
     assert_near_mm(
@@ -84,10 +84,10 @@ fn the_development_procedure_holds_what_its_makers_reader_finds() {
 fn the_plan_is_the_same_in_its_file_and_in_the_recording() {
     let Some(data) = data("the plan") else { return };
     let path = data.join("recordings/procedure_dev.plan.json");
-    let plan = read_plan(&path).unwrap();
+    let plan = read_plan(&path).unwrap().plan;
     let recording = Recording::open(&data.join("recordings/procedure_dev.mcap"), false).unwrap();
     let attached = std::str::from_utf8(&recording.attachment("plan.json").unwrap().data).unwrap();
-    assert_eq!(parse_plan(&path, attached).unwrap(), plan);
+    assert_eq!(parse_plan(&path, attached).unwrap().plan, plan);
     let names: Vec<&str> = plan.landmarks.points.iter().map(|p| &*p.name).collect();
     assert_eq!(names, ["P1", "P2", "P3"]);
     assert_eq!(plan.assessment.points.len(), 5);
@@ -98,7 +98,7 @@ fn the_plan_is_the_same_in_its_file_and_in_the_recording() {
         [-86.03160917042067, -84.71615113435571, -954.6846277336338],
         1e-12,
     );
-    let cad = read_transforms(&recording.messages("/phantom/marker_cad")[0]).unwrap().remove(0).unwrap();
+    let cad = read_transforms(&recording.messages("/phantom/marker_cad")[0]).unwrap().remove(0).unwrap().value;
     let off = cad.isometry.inverse() * plan.t_phantom_phantom_marker.unwrap().isometry;
     assert!(
         off.translation.vector.norm() + off.rotation.angle() < 1e-9,

@@ -105,7 +105,7 @@ fn check(streams: &[(&str, Stream)], layout: &Layout) {
             }
             Stream::Transforms(poses) => {
                 let read: Vec<Pose> =
-                    messages.into_iter().flat_map(|m| read_transforms(m).unwrap()).map(Result::unwrap).collect();
+                    messages.into_iter().flat_map(|m| read_transforms(m).unwrap()).map(|t| t.unwrap().value).collect();
                 assert_eq!(read.len(), poses.len());
                 for (a, b) in read.iter().zip(poses) {
                     assert_eq!((&a.to, &a.from, a.stamp_ns), (&b.to, &b.from, b.stamp_ns));
@@ -202,7 +202,7 @@ fn a_constant_pose_is_written_with_the_first_stamp() {
     let streams = [("/cad", Stream::Transforms(vec![constant])), ("/bone", Stream::Transforms(vec![moving]))];
     let bytes = recording_bytes(&streams, &BTreeMap::new(), &[], &Layout::default()).unwrap();
     let recording = Recording::from_bytes("constant", &bytes, false).unwrap();
-    let read = read_transforms(&recording.messages("/cad")[0]).unwrap().remove(0).unwrap();
+    let read = read_transforms(&recording.messages("/cad")[0]).unwrap().remove(0).unwrap().value;
     assert_eq!(read.stamp_ns, START_NS);
     assert_eq!(read.isometry.translation.vector, Vector3::new(-55.0, -48.0, 30.0));
 }

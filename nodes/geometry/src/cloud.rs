@@ -1,4 +1,4 @@
-use crate::{Column, Frame, StampNs};
+use crate::{Column, Frame, StampNs, first_not_unit};
 use nalgebra::{Isometry3, Point3, Vector3};
 use std::sync::Arc;
 
@@ -40,6 +40,14 @@ pub enum CloudError {
     NotFinite {
         /// The first such point.
         index: usize,
+    },
+    /// A normal is not of length 1, or not finite.
+    #[error("normal {index} has length {length} instead of 1")]
+    Normal {
+        /// The first such normal.
+        index: usize,
+        /// Its length; NaN where a number of it is.
+        length: f64,
     },
 }
 
@@ -85,10 +93,14 @@ impl Cloud {
     /// The same cloud with unit normals.
     ///
     /// # Errors
-    /// [`CloudError::Length`] if there is not one for each point.
+    /// [`CloudError::Length`] if there is not one for each point; [`CloudError::Normal`] if the length of one is farther than
+    /// [`EXACT_ROTATION`](crate::EXACT_ROTATION) from 1.
     pub fn with_normals(mut self, normals: impl Into<Column<Vector3<f64>>>) -> Result<Self, CloudError> {
         let normals = normals.into();
         self.check_length("normals", normals.len())?;
+        if let Some((index, length)) = first_not_unit(&normals) {
+            return Err(CloudError::Normal { index, length });
+        }
         self.normals = Some(normals);
         Ok(self)
     }
@@ -188,6 +200,18 @@ mod tests {
     fn a_point_that_is_not_finite_makes_no_cloud() {
         let points = vec![Point3::origin(), Point3::new(0.0, f64::NAN, 0.0)];
         assert_eq!(Cloud::new("camera", points), Err(CloudError::NotFinite { index: 1 }));
+    }
+
+    #[test]
+    fn a_normal_that_is_not_of_length_1_is_refused_by_its_index() {
+        let cloud = Cloud::new("camera", vec![Point3::origin(); 2]).unwrap();
+        for bad in [Vector3::zeros(), Vector3::x() * 1.0005, Vector3::x() * f64::INFINITY, Vector3::x() * f64::NAN] {
+            let error = cloud.clone().with_normals(vec![Vector3::z(), bad]).unwrap_err();
+            assert!(matches!(error, CloudError::Normal { index: 1, .. }), "{bad}: {error}");
+        }
+        // Single precision.
+        let third = Vector3::repeat(f64::from((1.0_f32 / 3.0).sqrt()));
+        assert!(cloud.with_normals(vec![third; 2]).is_ok());
     }
 
     #[test]

@@ -19,25 +19,29 @@ mod axes;
 mod cloud;
 mod column;
 mod frame;
-mod matrix;
 mod mesh;
 mod plan;
 mod plane;
 mod points;
 mod pose;
 mod region;
+mod rigid;
 
 pub use axes::Axes;
 pub use cloud::{Cloud, CloudError};
 pub use column::Column;
 pub use frame::{Frame, FrameError};
-pub use matrix::{RotationError, isometry_from_matrix, matrix_rows};
 pub use mesh::{Mesh, MeshError, SurfaceOrigin};
 pub use plan::{Anatomy, SurgicalPlan};
 pub use plane::{Plane, PlanePlace, Planes};
 pub use points::{NamedPoint, Points};
 pub use pose::Pose;
 pub use region::Region;
+pub use rigid::{
+    Correction, Corrections, DirectionError, EXACT_ROTATION, Nearest, ROTATION_NOISE, ROUNDED_ROTATION, RigidError,
+    check_rotation, direction, exact_isometry, first_not_unit, isometry_from_matrix, matrix_rows, nearest_isometry,
+    nearest_rotation,
+};
 
 /// Nanoseconds since the Unix epoch; 0 for what has no time, such as a CT surface.
 pub type StampNs = i64;

@@ -6,7 +6,8 @@
  *
  * Lengths are millimetres, times nanoseconds since 1970 (0: no time), coordinates double. All frames are right-handed;
  * CT is LPS. A frame is a name: "world", "camera", "ct". A pose is seven numbers: translation x y z in mm, then the unit
- * quaternion x y z w; it takes coordinates in `from` to coordinates in `to`.
+ * quaternion x y z w; it takes coordinates in `from` to coordinates in `to`. All are finite, and quaternions and normals
+ * have length 1 within 1e-6: an answer with others is refused. Normalise what you compute in single precision.
  *
  * A column is written here as name: type[width], and its unit. All columns of a payload that say so have as many rows.
  */

@@ -6,8 +6,9 @@ use crate::{
     foxglove,
 };
 use osteoflow_geometry::{
-    Axes, Cloud, Frame, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose, Region, SurfaceOrigin, matrix_rows,
-    nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion},
+    Axes, Cloud, Frame, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose, Region, RigidError, SurfaceOrigin,
+    check_rotation, exact_isometry, matrix_rows,
+    nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Vector3},
 };
 use osteoflow_node::{ColumnType, Display, Payload, SchemaEntry, StampNs, View, ViewError};
 use serde_json::{Value as Json, json};
@@ -21,10 +22,18 @@ fn numbers(t: &Isometry3<f64>) -> [f64; 7] {
     [v.x, v.y, v.z, q.x, q.y, q.z, q.w]
 }
 
-/// The motion of [`numbers`], without a rounding step.
-fn isometry(n: &[f64; 7]) -> Isometry3<f64> {
-    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(n[6], n[3], n[4], n[5]));
-    Isometry3::from_parts(Translation3::new(n[0], n[1], n[2]), rotation)
+/// The motion of [`numbers`], bit for bit.
+fn isometry(n: &[f64; 7]) -> Result<Isometry3<f64>, RigidError> {
+    exact_isometry(Vector3::new(n[0], n[1], n[2]), Quaternion::new(n[6], n[3], n[4], n[5]))
+}
+
+/// Three finite numbers of that name.
+fn point(view: &View, name: &str) -> Result<Point3<f64>, ViewError> {
+    let numbers = view.floats::<3>(name)?;
+    if numbers.iter().all(|c| c.is_finite()) {
+        return Ok(numbers.into());
+    }
+    Err(invalid(format!("{name} is not finite")))
 }
 
 pub(crate) fn invalid(error: impl std::fmt::Display) -> ViewError {
@@ -70,7 +79,10 @@ impl Payload<Table> for Cloud {
         let mut cloud = Cloud::new(frame(view)?, from_column(view, "points")?).map_err(invalid)?;
         cloud.stamp_ns = view.int("stamp_ns")?;
         cloud.label = view.shared_text("label").ok();
-        cloud.viewpoint = view.floats("viewpoint").ok().map(|n| isometry(&n));
+        if view.field("viewpoint").is_some() {
+            let viewpoint = isometry(&view.floats("viewpoint")?);
+            cloud.viewpoint = Some(viewpoint.map_err(|error| invalid(format!("viewpoint: {error}")))?);
+        }
         if view.column("normals").is_ok() {
             cloud = cloud.with_normals(from_column(view, "normals")?).map_err(invalid)?;
         }
@@ -169,8 +181,10 @@ impl Payload<Table> for Pose {
     }
 
     fn from_view(view: &View) -> Result<Self, ViewError> {
-        Ok(Pose::new(view.shared_text("to")?, view.shared_text("from")?, isometry(&view.floats("isometry")?))
-            .at(view.int("stamp_ns")?))
+        let (to, from) = (view.shared_text("to")?, view.shared_text("from")?);
+        let isometry = isometry(&view.floats("isometry")?);
+        let isometry = isometry.map_err(|error| invalid(format!("t_{to}_{from} is no rigid motion: {error}")))?;
+        Ok(Pose::new(to, from, isometry).at(view.int("stamp_ns")?))
     }
 
     fn to_result(&self) -> Json {
@@ -224,6 +238,9 @@ impl Payload<Table> for Points {
             if positions.is_empty() { Vec::new() } else { view.text("names")?.split(LINE).collect() };
         if [names.len(), stamps.len(), confidences.len()] != [positions.len(); 3] {
             return Err(invalid("names, positions, stamps and confidences differ in number"));
+        }
+        if let Some(i) = positions.iter().position(|p| !p.iter().all(|c| c.is_finite())) {
+            return Err(invalid(format!("point {i} \"{}\" is not finite", names[i])));
         }
         let points = (0..names.len()).map(|i| NamedPoint {
             name: names[i].into(),
@@ -300,14 +317,17 @@ impl Payload<Table> for Planes {
         if [names.len(), reasons.len()] != [places.len(); 2] {
             return Err(invalid("names, reasons and places differ in number"));
         }
-        let planes = (0..names.len()).map(|i| Plane {
-            name: names[i].into(),
-            place: match reasons[i] {
-                "" => PlanePlace::Known(isometry(&places[i])),
+        let plane = |i: usize| {
+            let place = match reasons[i] {
+                "" => PlanePlace::Known(
+                    isometry(&places[i]).map_err(|error| invalid(format!("plane {i} \"{}\": {error}", names[i])))?,
+                ),
                 reason => PlanePlace::Unknown(reason.into()),
-            },
-        });
-        Ok(Planes { frame: frame(view)?, stamp_ns: view.int("stamp_ns")?, planes: planes.collect() })
+            };
+            Ok(Plane { name: names[i].into(), place })
+        };
+        let planes = (0..names.len()).map(plane).collect::<Result<_, ViewError>>()?;
+        Ok(Planes { frame: frame(view)?, stamp_ns: view.int("stamp_ns")?, planes })
     }
 
     fn n_bytes(&self) -> usize {
@@ -350,7 +370,12 @@ impl Payload<Table> for Region {
     }
 
     fn from_view(view: &View) -> Result<Self, ViewError> {
-        Ok(Region { frame: frame(view)?, min: view.floats("min")?.into(), max: view.floats("max")?.into() })
+        let (min, max) = (Point3::from(view.floats("min")?), Point3::from(view.floats("max")?));
+        // A NaN compares as false, so it is refused here too. An infinite bound is none.
+        if !(0..3).all(|k| min[k] <= max[k]) {
+            return Err(invalid(format!("min {min} does not lie below max {max}")));
+        }
+        Ok(Region { frame: frame(view)?, min, max })
     }
 
     fn to_result(&self) -> Json {
@@ -376,7 +401,8 @@ impl Payload<Table> for Axes {
 
     fn from_view(view: &View) -> Result<Self, ViewError> {
         let columns = Matrix3::from_column_slice(&view.floats::<9>("columns")?);
-        Ok(Axes { frame: frame(view)?, centre: view.floats("centre")?.into(), columns })
+        check_rotation(&columns).map_err(|error| invalid(format!("columns: {error}")))?;
+        Ok(Axes { frame: frame(view)?, centre: point(view, "centre")?, columns })
     }
 
     fn to_result(&self) -> Json {
@@ -391,8 +417,8 @@ impl Payload<Table> for Axes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use osteoflow_geometry::nalgebra::Vector3;
-    use osteoflow_node::Value;
+    use osteoflow_node::{Field, Value};
+    use std::sync::Arc;
 
     fn survives<T: Payload<Table> + PartialEq + std::fmt::Debug>(payload: T) {
         let view = payload.to_view();
@@ -422,8 +448,72 @@ mod tests {
         let planes = Planes::new("ct", vec![Plane::new("plane_1", turn()), Plane::new("plane_2", turn())]).at(3);
         survives(planes.unknown("world", 5, "the marker was lost"));
         survives(planes);
-        survives(Region { frame: "camera".into(), min: points[1], max: points[0] });
+        survives(Region { frame: "camera".into(), min: points[0], max: Point3::new(f64::INFINITY, 1.0, 2.0) });
         survives(Axes { frame: "ct".into(), centre: points[0], columns: Matrix3::identity() });
+    }
+
+    /// What is said of a view whose head field `name` has the number at `at` replaced.
+    fn refused<T: Payload<Table>>(payload: &T, name: &str, at: usize, number: f64) -> String {
+        let mut view = payload.to_view();
+        match view.head.iter_mut().find(|(n, _)| n == name) {
+            Some((_, Field::Floats(numbers))) => numbers[at] = number,
+            _ => {
+                let column = view.columns.iter_mut().find(|c| c.name == name).unwrap();
+                let mut numbers = column.bytes().to_vec();
+                numbers[8 * at..][..8].copy_from_slice(&number.to_le_bytes());
+                column.data = Arc::new(numbers);
+            }
+        }
+        match T::from_view(&view) {
+            Err(ViewError::Invalid(said)) => said,
+            _ => panic!("{name}[{at}] = {number} is taken for a payload"),
+        }
+    }
+
+    #[test]
+    fn numbers_that_are_no_rigid_motion_are_refused_by_the_name_of_what_they_are() {
+        let (nan, inf) = (f64::NAN, f64::INFINITY);
+        let pose = Pose::new("ct", "world", turn());
+        let cloud = Cloud::new("camera", vec![Point3::origin(); 2]).unwrap().seen_from(turn());
+        let cloud = cloud.with_normals(vec![Vector3::z(); 2]).unwrap();
+        let planes = Planes::new("ct", vec![Plane::new("distal", turn()), Plane::new("proximal", turn())]);
+        let points = Points::new("ct", vec![NamedPoint::new("P1", Point3::origin())]);
+        let region = Region { frame: "camera".into(), min: Point3::origin(), max: Point3::new(1.0, 1.0, 1.0) };
+        let axes = Axes { frame: "ct".into(), centre: Point3::origin(), columns: Matrix3::identity() };
+        let target = "t_ct_world is no rigid motion: ";
+        for (said, expected) in [
+            (refused(&pose, "isometry", 0, inf), format!("{target}the translation is not finite")),
+            (refused(&pose, "isometry", 6, nan), format!("{target}the quaternion is not finite")),
+            (refused(&pose, "isometry", 6, 3.0), format!("{target}the quaternion has length 3.0")),
+            (refused(&cloud, "viewpoint", 1, nan), "viewpoint: the translation is not finite".into()),
+            (refused(&cloud, "viewpoint", 3, 0.5), "viewpoint: the quaternion has length".into()),
+            (refused(&cloud, "points", 4, nan), "point 1 is not finite".into()),
+            (refused(&cloud, "normals", 5, 0.0), "normal 1 has length 0 instead of 1".into()),
+            (refused(&cloud, "normals", 5, 1.0005), "normal 1 has length 1.0005 instead of 1".into()),
+            (refused(&cloud, "normals", 2, nan), "normal 0 has length NaN instead of 1".into()),
+            (refused(&planes, "isometries", 7, nan), "plane 1 \"proximal\": the translation is not finite".into()),
+            (refused(&planes, "isometries", 6, -2.0), "plane 0 \"distal\": the quaternion has length".into()),
+            (refused(&points, "positions", 2, inf), "point 0 \"P1\" is not finite".into()),
+            (refused(&region, "min", 1, nan), "min {0, NaN, 0} does not lie below max {1, 1, 1}".into()),
+            (refused(&region, "min", 1, 2.0), "min {0, 2, 0} does not lie below".into()),
+            (refused(&axes, "centre", 2, nan), "centre is not finite".into()),
+            (refused(&axes, "columns", 8, -1.0), "columns: the matrix is a mirror image".into()),
+            (refused(&axes, "columns", 8, 0.0), "columns: the upper left 3 x 3 is not a rotation".into()),
+            (refused(&axes, "columns", 4, nan), "columns: the matrix is not finite".into()),
+        ] {
+            assert!(said.starts_with(&expected) || said.ends_with(&expected), "{expected}\n{said}");
+        }
+    }
+
+    #[test]
+    fn a_plane_of_zeros_is_no_plane_and_a_viewpoint_of_six_numbers_no_pose() {
+        let mut view = Planes::new("ct", vec![Plane::new("distal", turn())]).to_view();
+        view.columns[0].data = Arc::new(vec![0; 56]);
+        let said = Planes::from_view(&view).unwrap_err().to_string();
+        assert!(said.ends_with("plane 0 \"distal\": the quaternion is zero"), "{said}");
+        let cloud = Cloud::new("camera", vec![Point3::origin()]).unwrap();
+        let view = cloud.to_view().with("viewpoint", vec![0.0; 6]);
+        assert!(Cloud::from_view(&view).is_err(), "it is not taken for a cloud without a viewpoint");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use osteoflow_algorithms::{
     mesh_query::MeshQuery,
     target::{GridColumns, Target},
 };
-use osteoflow_geometry::Mesh;
+use osteoflow_geometry::{Column, Mesh, first_not_unit, nalgebra::Vector3};
 use osteoflow_node::{ColumnType, Display, Payload, SchemaEntry, StampNs, View, ViewError};
 use serde_json::{Value as Json, json};
 
@@ -71,7 +71,11 @@ impl Payload<Table> for Target {
     }
 
     fn from_view(view: &View) -> Result<Self, ViewError> {
-        let normals = has(view, "normals").then(|| from_column(view, "normals")).transpose()?;
+        let normals: Option<Column<Vector3<f64>>> =
+            has(view, "normals").then(|| from_column(view, "normals")).transpose()?;
+        if let Some((index, length)) = normals.as_ref().and_then(|normals| first_not_unit(normals)) {
+            return Err(invalid(format!("normal {index} has length {length} instead of 1")));
+        }
         let (frame, origin) = (view.text("frame")?, origin(view.text("origin")?)?);
         let mut target = Target::new(frame, origin, from_column(view, "points")?, normals).map_err(invalid)?;
         if view.field(CELL_MM).is_some() {
@@ -131,8 +135,8 @@ mod tests {
         icp::{self, IcpParams, Method, PairingKind},
     };
     use osteoflow_geometry::{
-        Column, SurfaceOrigin,
-        nalgebra::{Isometry3, Point3, Vector3},
+        SurfaceOrigin,
+        nalgebra::{Isometry3, Point3},
     };
 
     /// A bent tube, open at its ends.
@@ -224,5 +228,12 @@ mod tests {
             };
             assert!(matches!(Target::from_view(&view), Err(ViewError::Invalid(_))), "{name}");
         }
+        let mut view = whole.clone();
+        let normals = view.columns.iter_mut().find(|column| column.name == "normals").unwrap();
+        let mut rows = normals.rows_of::<Vector3<f64>>().unwrap().into_owned();
+        rows[7] *= 1.0005;
+        normals.data = to_column("", ColumnType::F64, &Column::from(rows)).data;
+        let said = Target::from_view(&view).unwrap_err().to_string();
+        assert!(said.contains("normal 7 has length 1.0005"), "{said}");
     }
 }

@@ -107,7 +107,7 @@ fn name(bone_file: &Path) -> String {
 pub fn read(bone_file: &Path, plan_file: &Path) -> Result<Subject, NodeError> {
     let plan = read_plan_of(plan_file, &name(bone_file))?;
     let read = read_mesh(bone_file, 1.0, "ct", SurfaceOrigin::Exact)?;
-    let mut subject = Subject::of(read.mesh, plan)?;
-    subject.notes.splice(0..0, read.notes);
+    let mut subject = Subject::of(read.mesh, plan.plan)?;
+    subject.notes.splice(0..0, read.notes.into_iter().chain(plan.notes));
     Ok(subject)
 }

@@ -63,7 +63,7 @@ pub enum FoxgloveError {
         rest: usize,
     },
     /// A pose that is no rigid motion.
-    #[error("the {what} cannot be used: it has {reason}")]
+    #[error("the {what} cannot be used: {reason}")]
     Pose {
         /// Which pose it is.
         what: &'static str,

@@ -81,8 +81,8 @@ fn a_pose_moves_points_and_normals_while_the_camera_stays_at_its_own_origin() {
         r#type: 7,
     }));
     raw.data = [0.1, 0.0, 0.0, 2.0, 0.0, 0.0_f32].iter().flat_map(|c| c.to_le_bytes()).collect::<Vec<u8>>().into();
-    // A quarter turn about z and half a metre along y, with a quaternion of twice the length.
-    let q = std::f64::consts::SQRT_2;
+    // A quarter turn about z and half a metre along y.
+    let q = std::f64::consts::FRAC_1_SQRT_2;
     raw.pose = Some(FoxglovePose {
         position: Some(FoxgloveVector3 { x: 0.0, y: 0.5, z: 0.0 }),
         orientation: Some(FoxgloveQuaternion { x: 0.0, y: 0.0, z: q, w: q }),
@@ -117,12 +117,57 @@ fn a_cloud_that_was_moved_to_the_world_does_not_say_where_its_camera_was() {
 
 #[test]
 fn a_pose_that_turns_nothing_is_refused() {
-    for (w, said) in [(0.0, "an all-zero quaternion"), (f64::NAN, "a quaternion that is not finite")] {
+    for (w, said) in [
+        (0.0, "the quaternion is zero"),
+        (f64::NAN, "the quaternion is not finite"),
+        (
+            2.0,
+            "the quaternion has length 2 instead of 1, off by 1.0e0 where 1e-3 is allowed; it would move a point at 1 m by up to 4000 mm",
+        ),
+    ] {
         let mut raw = xyz_f32(&[[0.1, 0.2, 0.3]]);
         let orientation = FoxgloveQuaternion { x: 0.0, y: 0.0, z: 0.0, w };
         raw.pose = Some(FoxglovePose { position: None, orientation: Some(orientation) });
         let error = read(&raw).unwrap_err().to_string();
-        assert_eq!(error, format!("the cloud's pose cannot be used: it has {said}"));
+        assert_eq!(error, format!("the cloud's pose cannot be used: {said}"));
+        assert_eq!(read_cloud_head(protobuf(POINT_CLOUD, &raw)).unwrap_err().to_string(), error);
+    }
+}
+
+#[test]
+fn a_rounded_pose_of_a_cloud_is_corrected_and_says_by_how_much() {
+    let mut raw = xyz_f32(&[[0.1, 0.2, 0.3]]);
+    let orientation = FoxgloveQuaternion { x: 0.0, y: 0.0, z: 0.0, w: 0.9998 };
+    raw.pose = Some(FoxglovePose { position: None, orientation: Some(orientation) });
+    let found = read(&raw).unwrap();
+    assert!((found.correction.deviation - 2e-4).abs() < 1e-12, "{:?}", found.correction);
+    let head = read_cloud_head(protobuf(POINT_CLOUD, &raw)).unwrap();
+    assert_eq!(head, CloudHead { stamp_ns: 5_000_000_006, correction: found.correction });
+    let json = r#"{"timestamp":{"sec":5,"nsec":6},"pose":{"orientation":{"w":0.9998}},"data":"!"}"#;
+    assert_eq!(read_cloud_head(message(POINT_CLOUD, "json", json)).unwrap(), head);
+}
+
+#[test]
+fn a_transform_is_lost_rounded_or_no_rigid_motion_by_the_length_of_its_quaternion() {
+    let read = |w: f64| {
+        let transform = FrameTransform {
+            timestamp: Some(Timestamp::new(1, 0)),
+            parent_frame_id: "world".into(),
+            child_frame_id: "m".into(),
+            translation: None,
+            rotation: Some(FoxgloveQuaternion { x: 0.0, y: 0.0, z: 0.0, w }),
+        };
+        read_transforms(protobuf(FRAME_TRANSFORM, &transform)).unwrap().remove(0)
+    };
+    assert_eq!(read(1.0).unwrap().correction, Correction::default());
+    let rounded = read(1.0005).unwrap();
+    assert!((rounded.correction.mm_at_1_m - 2.0).abs() < 1e-9, "{:?}", rounded.correction);
+    assert_eq!(rounded.value.isometry, Isometry3::identity());
+    assert!(matches!(read(1e-9), Err(PoseError::Lost(_))));
+    for w in [1.0011, 0.9, -2.0, 1e-3, 1e9] {
+        let error = read(w).unwrap_err();
+        assert!(matches!(error, PoseError::NotRigid { .. }), "{error}");
+        assert!(error.to_string().starts_with("t_world_m at 1000000000 ns is no rigid motion: "), "{error}");
     }
 }
 
@@ -176,6 +221,7 @@ fn a_marker_that_was_not_seen_is_lost_and_not_at_zero() {
             rotation: Some(FoxgloveQuaternion { x: 0.0, y: 0.0, z: 0.0, w }),
         };
         let lost = read_transforms(protobuf(FRAME_TRANSFORM, &transform)).unwrap().remove(0).unwrap_err();
+        let PoseError::Lost(lost) = lost else { panic!("{lost}") };
         assert_eq!((lost.stamp_ns, lost.reason.as_str()), (1_000_000_000, reason));
         assert!(lost.to_string().starts_with("marker lost: t_world_bone_marker at 1000000000 ns"));
     }
@@ -194,7 +240,7 @@ fn json_is_read_as_writers_spell_it() {
             "translation":{"x":1,"y":0.5,"z":0},"rotation":{"x":0,"y":0,"z":0,"w":1}}"#,
     ];
     for text in spelt {
-        let pose = read_transforms(message(FRAME_TRANSFORM, "json", text)).unwrap().remove(0).unwrap();
+        let pose = read_transforms(message(FRAME_TRANSFORM, "json", text)).unwrap().remove(0).unwrap().value;
         let expected =
             Pose::new("world", "m", Isometry3::translation(1000.0, 500.0, 0.0)).at(1_750_000_001_000_000_005);
         assert_eq!(pose, expected, "{text}");
@@ -203,6 +249,7 @@ fn json_is_read_as_writers_spell_it() {
     let lost = r#"{"parent_frame_id":"w\"NaN","child_frame_id":"m","translation":{"x":NaN,"y":null,"z":-Infinity},
         "rotation":{"x":"NaN","y":0,"z":0,"w":1}}"#;
     let lost = read_transforms(message(FRAME_TRANSFORM, "json", lost)).unwrap().remove(0).unwrap_err();
+    let PoseError::Lost(lost) = lost else { panic!("{lost}") };
     assert_eq!((lost.stamp_ns, lost.to.as_str()), (77, "w\"NaN"), "a text that says NaN stays a text");
 }
 
@@ -241,7 +288,16 @@ fn a_tip_may_lack_its_turn_but_not_its_place() {
     let position = Some(FoxgloveVector3 { x: 0.001, y: 0.0, z: 0.0 });
     let read = |t: &PoseInFrame| read_pose_in_frame(protobuf(POSE_IN_FRAME, t));
     let found = read(&tip(Some(FoxglovePose { position, orientation: None }))).unwrap();
-    assert_eq!((found.position, found.orientation, found.stamp_ns), (Point3::new(1.0, 0.0, 0.0), None, 77));
+    assert_eq!((found.position, &found.orientation, found.stamp_ns), (Point3::new(1.0, 0.0, 0.0), &None, 77));
+    let error = found.pose("tip").unwrap_err().to_string();
+    assert!(error.ends_with("t_world_tip at 77 ns has no orientation"), "no identity in its place: {error}");
+    let turned =
+        |w| tip(Some(FoxglovePose { position, orientation: Some(FoxgloveQuaternion { w, ..Default::default() }) }));
+    let pose = read(&turned(0.9999)).unwrap().pose("tip").unwrap();
+    assert_eq!(pose.value, Pose::new("world", "tip", Isometry3::translation(1.0, 0.0, 0.0)).at(77));
+    assert!(pose.correction.deviation > 9e-5);
+    assert!(matches!(read(&turned(0.0)).unwrap().pose("tip"), Err(PoseError::Lost(_))));
+    assert!(matches!(read(&turned(0.9)).unwrap().pose("tip"), Err(PoseError::NotRigid { .. })));
     assert!(read(&tip(None)).unwrap_err().to_string().contains("no pose"));
 }
 

@@ -5,26 +5,31 @@ use super::{
     playback::{Event, Playback, silences},
 };
 use osteoflow_formats::{
-    foxglove_read::{self, POSE_IN_FRAME, procedure_region, read_cloud, read_pose_in_frame, read_transforms},
+    PoseError,
+    foxglove_read::{
+        FoxgloveError, POSE_IN_FRAME, procedure_region, read_cloud, read_cloud_head, read_pose_in_frame,
+        read_transforms,
+    },
     mcap_read::{Message, Recording},
 };
-use osteoflow_geometry::{
-    Frame, NamedPoint, Points, Pose, StampNs,
-    nalgebra::{Isometry3, UnitQuaternion},
-};
+use osteoflow_geometry::{Corrections, Frame, NamedPoint, Nearest, Points, Pose, StampNs};
 use osteoflow_node::{
     Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, schemars::JsonSchema,
     serde::Deserialize,
 };
 use osteoflow_payloads::Flag;
-use std::{collections::BTreeSet, sync::Arc};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
 
 /// The streams of a recording in MCAP with Foxglove's schemas, in the order of sensor time.
 ///
 /// Each entry of `out` is a port: its `type`, and the topic it comes from. Protobuf and JSON, any chunk compression,
 /// with or without an index. Metres become millimetres; points that are not finite are left out, counted and reported.
-/// A pose that the tracker wrote without seeing the marker is an empty with the reason. Topics that no port names are
-/// listed in the log.
+/// A pose that the tracker wrote without seeing the marker is an empty with the reason. Of a rounded rotation the nearest
+/// one is used, and each topic reports its largest correction; one that rounding does not explain is an error that names
+/// topic and message. Topics that no port names are listed in the log.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.mcap"
@@ -112,10 +117,13 @@ impl Mcap {
                 "no port takes this topic"
             );
         }
-        let mut events = Vec::new();
+        let (mut events, mut corrections) = (Vec::new(), BTreeMap::new());
         for (port, (declared, params)) in ports.iter().zip(&params).enumerate() {
-            let stream = Port { recording: &recording, declared, params };
+            let mut stream = Port { recording: &recording, declared, params, corrections: &mut corrections };
             events.extend(stream.events()?.into_iter().map(|(stamp_ns, what)| Event { stamp_ns, port, what }));
+        }
+        for (topic, corrections) in corrections {
+            corrections.note().into_iter().for_each(|note| ctx.warn(format!("topic {topic}: {note}")));
         }
         Ok(events)
     }
@@ -126,10 +134,12 @@ struct Port<'a> {
     recording: &'a Recording,
     declared: &'a DeclaredPort,
     params: &'a PortParams,
+    /// The corrections of rotations by topic, of all ports.
+    corrections: &'a mut BTreeMap<String, Corrections>,
 }
 
 impl Port<'_> {
-    fn events(&self) -> Result<Vec<(StampNs, What)>, NodeError> {
+    fn events(&mut self) -> Result<Vec<(StampNs, What)>, NodeError> {
         let start_ns = self.extent().map_or(0, |(start, _)| start);
         match self.declared.payload.name {
             "geometry/Region" => Ok(vec![(start_ns, What::Ready(self.region()?))]),
@@ -145,11 +155,12 @@ impl Port<'_> {
 
     /// The events of all topics of the port, or one empty if there are none and none are needed.
     fn streams(
-        &self,
+        &mut self,
         start_ns: StampNs,
-        read: impl Fn(&Self, &str, Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError>,
+        read: impl Fn(&mut Self, &str, Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError>,
     ) -> Result<Vec<(StampNs, What)>, NodeError> {
-        let topics = self.params.topics();
+        let params = self.params;
+        let topics = params.topics();
         if topics.is_empty() {
             return Err(self.fault("neither topic nor topics is given".into()));
         }
@@ -157,7 +168,7 @@ impl Port<'_> {
         for (topic, label) in topics {
             if !self.recording.messages(topic).is_empty() {
                 events.extend(read(self, topic, label)?);
-            } else if self.params.optional {
+            } else if params.optional {
                 let reason = format!("the recording has no messages on {topic}");
                 events.push((start_ns, What::Ready(Emission::Empty(reason))));
             } else {
@@ -167,20 +178,30 @@ impl Port<'_> {
         Ok(events)
     }
 
-    fn clouds(&self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
-        let messages = self.recording.messages(topic).iter().enumerate();
-        let events = messages.map(|(i, message)| {
-            let stamp_ns = foxglove_read::stamp(message)?;
+    fn clouds(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
+        let mut events = Vec::new();
+        for (i, message) in self.recording.messages(topic).iter().enumerate() {
+            let head = read_cloud_head(message).map_err(|error| self.at(topic, i, error))?;
+            self.corrections.entry(topic.into()).or_default().add(head.correction);
             let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
-            Ok((stamp_ns, What::Cloud { message: message.clone(), label: Some(label.into()) }))
-        });
-        events.collect::<Result<_, NodeError>>().map_err(|error| self.at(topic, error))
+            events.push((head.stamp_ns, What::Cloud { message: message.clone(), label: Some(label.into()) }));
+        }
+        Ok(events)
     }
 
-    fn poses(&self, topic: &str, _label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
+    fn poses(&mut self, topic: &str, _label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
         let mut events = Vec::new();
-        for message in self.recording.messages(topic) {
-            events.extend(self.poses_of(topic, message).map_err(|error| self.at(topic, error))?);
+        for (i, message) in self.recording.messages(topic).iter().enumerate() {
+            for read in self.poses_of(topic, message).map_err(|error| self.at(topic, i, error))? {
+                events.push(match read {
+                    Ok(pose) => {
+                        let pose = self.corrections.entry(topic.into()).or_default().take(pose);
+                        (pose.stamp_ns, What::Ready(Emission::value(pose)))
+                    }
+                    Err(PoseError::Lost(lost)) => (lost.stamp_ns, What::Ready(Emission::Empty(lost.to_string()))),
+                    Err(error @ PoseError::NotRigid { .. }) => return Err(self.at(topic, i, error)),
+                });
+            }
         }
         if events.is_empty() {
             return Err(self.no_such_transform(topic));
@@ -194,31 +215,28 @@ impl Port<'_> {
         Ok(events)
     }
 
-    fn poses_of(&self, topic: &str, message: &Message) -> Result<Vec<(StampNs, What)>, NodeError> {
+    /// The poses of a message between the frames that the port takes.
+    fn poses_of(&self, topic: &str, message: &Message) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, FoxgloveError> {
         if &*message.schema_name == POSE_IN_FRAME {
-            let tip = read_pose_in_frame(message)?;
             let child = self.params.child.as_deref().unwrap_or(last_part(topic));
-            let rotation = tip.orientation.unwrap_or_else(UnitQuaternion::identity);
-            let pose = Pose::new(tip.frame, child, Isometry3::from_parts(tip.position.into(), rotation));
-            return Ok(vec![(tip.stamp_ns, What::Ready(Emission::value(pose.at(tip.stamp_ns))))]);
+            return Ok(vec![read_pose_in_frame(message)?.pose(child)]);
         }
         let wanted = |to: &Frame, from: &Frame| {
             self.params.parent.as_deref().is_none_or(|p| p == to.as_str())
                 && self.params.child.as_deref().is_none_or(|c| c == from.as_str())
         };
-        let events = read_transforms(message)?.into_iter().filter_map(|read| match read {
-            Ok(pose) => wanted(&pose.to, &pose.from).then(|| (pose.stamp_ns, What::Ready(Emission::value(pose)))),
-            Err(lost) => {
-                wanted(&lost.to, &lost.from).then(|| (lost.stamp_ns, What::Ready(Emission::Empty(lost.to_string()))))
-            }
+        let reads = read_transforms(message)?.into_iter().filter(|read| match read {
+            Ok(pose) => wanted(&pose.value.to, &pose.value.from),
+            Err(PoseError::Lost(lost)) => wanted(&lost.to, &lost.from),
+            Err(PoseError::NotRigid { to, from, .. }) => wanted(to, from),
         });
-        Ok(events.collect())
+        Ok(reads.collect())
     }
 
-    fn points(&self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
+    fn points(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
         let mut tips = Vec::new();
-        for message in self.recording.messages(topic) {
-            tips.push(read_pose_in_frame(message).map_err(|error| self.at(topic, error.into()))?);
+        for (i, message) in self.recording.messages(topic).iter().enumerate() {
+            tips.push(read_pose_in_frame(message).map_err(|error| self.at(topic, i, error))?);
         }
         // Labels count in the order in which the points were touched.
         tips.sort_by_key(|tip| tip.stamp_ns);
@@ -263,7 +281,8 @@ impl Port<'_> {
     /// No transform of the topic lies between the frames that the port wants.
     fn no_such_transform(&self, topic: &str) -> NodeError {
         let read = self.recording.messages(topic).iter().filter_map(|message| read_transforms(message).ok()).flatten();
-        let there: BTreeSet<String> = read.filter_map(Result::ok).map(|t| format!("{} -> {}", t.from, t.to)).collect();
+        let there: BTreeSet<String> =
+            read.filter_map(Result::ok).map(|t| format!("{} -> {}", t.value.from, t.value.to)).collect();
         let (parent, child) = (self.params.parent.as_deref(), self.params.child.as_deref());
         let wanted = format!("{} -> {}", child.unwrap_or("any"), parent.unwrap_or("any"));
         let there: Vec<String> = there.into_iter().collect();
@@ -280,8 +299,9 @@ impl Port<'_> {
         ))
     }
 
-    fn at(&self, topic: &str, error: NodeError) -> NodeError {
-        self.fault(format!("topic {topic}: {error}"))
+    fn at(&self, topic: &str, index: usize, error: impl std::fmt::Display) -> NodeError {
+        let n_messages = self.recording.messages(topic).len();
+        self.fault(format!("topic {topic}, message {} of {n_messages}: {error}", index + 1))
     }
 
     fn fault(&self, message: String) -> NodeError {
@@ -296,6 +316,7 @@ fn cloud(message: &Message, label: Option<Arc<str>>, port: &str, ctx: &mut Conte
         let (dropped, all) = (read.n_dropped, read.n_points_in_message);
         ctx.warn(format!("{name}: {dropped} of {all} points are NaN or infinite and were left out"));
     }
+    read.notes.iter().for_each(|note| ctx.warn(format!("{name}: {note}")));
     let mut cloud = read.cloud;
     cloud.label = label;
     Ok(Emission::value(cloud))

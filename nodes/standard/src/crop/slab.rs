@@ -2,7 +2,10 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::roi;
-use osteoflow_geometry::nalgebra::{Unit, Vector3};
+use osteoflow_geometry::{
+    direction,
+    nalgebra::{Point3, Unit, Vector3},
+};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
 
 /// What lies between two planes across the bone.
@@ -18,7 +21,11 @@ to_mm = 50.0
 "#,
     literature = ["section 2.3 of the paper"]
 )]
-pub struct Slab(Params);
+pub struct Slab {
+    params: Params,
+    origin: Point3<f64>,
+    direction: Unit<Vector3<f64>>,
+}
 
 /// Parameters of [`Slab`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -42,18 +49,17 @@ impl Node for Slab {
     type Outputs = Out;
 
     fn new(params: Params) -> Result<Self, ParamError> {
-        if Unit::try_new(Vector3::from(params.direction), 1e-9).is_none() {
-            return Err(ParamError::new("direction", "a direction has a length above zero"));
-        }
+        let direction =
+            direction(params.direction.into()).map_err(|error| ParamError::new("direction", error.to_string()))?;
         if params.from_mm >= params.to_mm {
             return Err(ParamError::new("from_mm", "from_mm is below to_mm"));
         }
-        Ok(Self(params))
+        Ok(Self { origin: params.origin_mm.into(), direction, params })
     }
 
     fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
-        let direction = Unit::new_normalize(Vector3::from(self.0.direction));
-        let chosen = roi::in_slab(&i.cloud, &self.0.origin_mm.into(), &direction, self.0.from_mm, self.0.to_mm);
+        let Params { from_mm, to_mm, .. } = self.params;
+        let chosen = roi::in_slab(&i.cloud, &self.origin, &self.direction, from_mm, to_mm);
         i.kept(chosen)
     }
 }

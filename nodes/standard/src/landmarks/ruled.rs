@@ -5,10 +5,7 @@ use osteoflow_algorithms::{
     landmarks::{RuledReport, RulerErrors, ruled},
     mesh_query::MeshQuery,
 };
-use osteoflow_geometry::{
-    Axes, Mesh, Points, Pose,
-    nalgebra::{Unit, Vector3},
-};
+use osteoflow_geometry::{Axes, Mesh, Points, Pose, direction, nalgebra::Vector3};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
 /// Where the marks truly lie of a surgeon who rules P1, P2 and P3 on the bone, with the ruler's errors.
@@ -80,7 +77,7 @@ impl Node for Ruled {
         let t_bone_marker_ct = i.t_ct_world_true.compose(&i.t_world_bone_marker)?.inverse();
         let bone_marker = t_bone_marker_ct.to.clone();
         let motion = t_bone_marker_ct.expect(&bone_marker, ct)?;
-        let along = Unit::new_normalize(axes.columns * Vector3::z());
+        let along = direction(axes.columns * Vector3::z())?;
         let ruled = ruled(&MeshQuery::new(&i.mesh), &i.planned.points, &along, &self.0)?;
         let points = Points::new(ct, ruled.points).transformed(bone_marker, &motion);
         Ok(Out { points: Points { stamp_ns: ctx.stamp_ns(), ..points }, report: ruled.report })

@@ -36,10 +36,12 @@ impl Source for File {
         Ok(Self { path: params.path, done: false })
     }
 
-    fn next(&mut self, _ctx: &mut Context) -> Result<Option<Out>, NodeError> {
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
         if std::mem::replace(&mut self.done, true) {
             return Ok(None);
         }
-        Ok(Some(read_plan(self.path.as_ref())?.into()))
+        let read = read_plan(self.path.as_ref())?;
+        read.notes.into_iter().for_each(|note| ctx.warn(note));
+        Ok(Some(read.plan.into()))
     }
 }

@@ -4,10 +4,7 @@ use osteoflow_algorithms::{
     landmarks::{RecipeParams, paper_recipe},
     mesh_query::MeshQuery,
 };
-use osteoflow_geometry::{
-    Anatomy, Mesh, Points,
-    nalgebra::{Unit, Vector3},
-};
+use osteoflow_geometry::{Anatomy, Mesh, Points, direction};
 use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
@@ -71,15 +68,13 @@ impl Node for Landmarks {
     type Outputs = Out;
 
     fn new(params: Params) -> Result<Self, ParamError> {
-        let direction = |name: &str, v: [f64; 3]| {
-            let none = || ParamError::new(name, format!("{name} is a direction, so its length is above zero"));
-            Unit::try_new(Vector3::from(v), 1e-9).ok_or_else(none)
-        };
+        let unit =
+            |name: &str, v: [f64; 3]| direction(v.into()).map_err(|error| ParamError::new(name, error.to_string()));
         let anatomy = Anatomy {
             malleolus_tip: params.malleolus_tip_mm.into(),
-            proximal: direction("proximal", params.proximal)?,
-            lateral: direction("lateral", params.lateral)?,
-            posterior: direction("posterior", params.posterior)?,
+            proximal: unit("proximal", params.proximal)?,
+            lateral: unit("lateral", params.lateral)?,
+            posterior: unit("posterior", params.posterior)?,
         };
         Ok(Self { anatomy, recipe: params.recipe })
     }
