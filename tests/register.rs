@@ -442,7 +442,7 @@ fn a_damaged_file_is_named_with_the_position_of_the_fault() {
             &["points.ply", "scan.ply", "--init", "short.txt"],
             "short.txt: matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 4",
         ),
-        (&["points.ply", "words.xyz"], "words.xyz: line 2: \"one\" stands where a number should"),
+        (&["points.ply", "words.xyz"], "words.xyz: line 2: \"one\" is not a number"),
         (&["no.stl", "scan.ply"], "no.stl: cannot be read: No such file or directory (os error 2)"),
     ] {
         assert_eq!(case.fault(1, arguments), format!("error: {expected}\n"), "{arguments:?}");

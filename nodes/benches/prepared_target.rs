@@ -12,7 +12,7 @@ use osteoflow_algorithms::{
     target::Target,
 };
 use osteoflow_engine::store::{Key, Settings, Store};
-use osteoflow_formats::shape_file::{Shape, shape_of_bytes};
+use osteoflow_formats::mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud};
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{Payload, Value};
 use osteoflow_payloads::Table;
@@ -50,9 +50,9 @@ fn number(name: &str, default: usize) -> usize {
 fn bone() -> Mesh {
     let Ok(file) = std::env::var("OSTEOFLOW_BONE") else { return fibula(&BoneParams::default()) };
     let bytes = std::fs::read(&file).unwrap_or_else(|e| panic!("{file}: {e}"));
-    match shape_of_bytes(Path::new(&file), &bytes, 1.0, "ct") {
-        Ok(Shape::Mesh(read)) => read.mesh,
-        Ok(Shape::Cloud(..)) => panic!("{file} holds no surface"),
+    match read_mesh_or_cloud(Path::new(&file), &bytes, 1.0, "ct") {
+        Ok(MeshOrCloud::Mesh(read)) => read.mesh,
+        Ok(MeshOrCloud::Cloud(..)) => panic!("{file} holds no surface"),
         Err(error) => panic!("{error}"),
     }
 }

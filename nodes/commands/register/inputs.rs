@@ -12,7 +12,7 @@ use osteoflow_algorithms::{
 use osteoflow_engine::store::{Key, Store};
 use osteoflow_formats::{
     FileError, pose_file,
-    shape_file::{Shape, shape_of_bytes},
+    mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
 };
 use osteoflow_geometry::{
     Cloud, Column, Frame, Mesh, SurfaceOrigin,
@@ -136,11 +136,11 @@ fn bytes(file: &Path) -> Result<Vec<u8>> {
     fs::read(file).map_err(|source| without_cause(FileError::Io { path: file.into(), action: "read", source }))
 }
 
-fn shape(file: &Path, bytes: &[u8], unit_mm: f64, frame: &str, which: &str, notes: &mut Vec<String>) -> Result<Shape> {
-    let shape = shape_of_bytes(file, bytes, unit_mm, Frame::from(frame)).map_err(without_cause)?;
+fn shape(file: &Path, bytes: &[u8], unit_mm: f64, frame: &str, which: &str, notes: &mut Vec<String>) -> Result<MeshOrCloud> {
+    let shape = read_mesh_or_cloud(file, bytes, unit_mm, Frame::from(frame)).map_err(without_cause)?;
     let found = match &shape {
-        Shape::Mesh(read) => &read.notes,
-        Shape::Cloud(_, notes) => notes,
+        MeshOrCloud::Mesh(read) => &read.notes,
+        MeshOrCloud::Cloud(_, notes) => notes,
     };
     // The readers name a parameter, which is an option here.
     let option = format!("--{which}-unit-mm ");
@@ -183,12 +183,12 @@ impl TargetFile {
 
         let began = Instant::now();
         let (points, normals, mesh) = match shape {
-            Shape::Mesh(read) => {
+            MeshOrCloud::Mesh(read) => {
                 let n_points = usize::try_from(asked.target_points)?;
                 let samples = sample::surface(&read.mesh, n_points, &mut ChaCha8Rng::seed_from_u64(asked.seed));
                 (samples.points.into(), Some(samples.normals.into()), Some(read.mesh))
             }
-            Shape::Cloud(read, _) => (read.cloud.point_column().clone(), read.cloud.normal_column().cloned(), None),
+            MeshOrCloud::Cloud(read, _) => (read.cloud.point_column().clone(), read.cloud.normal_column().cloned(), None),
         };
         load.sample = ms_since(began);
         let estimates = normals.is_none() && needs.normals;
@@ -288,13 +288,13 @@ fn field(target: &Target, mesh: Option<&MeshQuery>) -> Result<ClosestPointField>
 }
 
 impl SourceFile {
-    fn of(shape: Shape, camera: Option<Point3<f64>>, notes: &mut Vec<String>, file: &Path) -> Result<Self> {
+    fn of(shape: MeshOrCloud, camera: Option<Point3<f64>>, notes: &mut Vec<String>, file: &Path) -> Result<Self> {
         let (cloud, n_dropped, is_surface) = match shape {
-            Shape::Mesh(read) => {
+            MeshOrCloud::Mesh(read) => {
                 notes.push(format!("{}: a surface; its vertices are taken as the points", file.display()));
                 (Cloud::new(SOURCE, read.mesh.vertex_column().clone())?, 0, true)
             }
-            Shape::Cloud(read, _) => (read.cloud, read.n_dropped, false),
+            MeshOrCloud::Cloud(read, _) => (read.cloud, read.n_dropped, false),
         };
         let cloud = match camera {
             // Only the camera's position is used.

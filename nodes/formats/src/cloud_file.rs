@@ -14,11 +14,11 @@ pub struct CloudFileRead {
     pub n_points_in_file: usize,
     /// How many of them were NaN or infinite and were left out.
     pub n_dropped: usize,
-    /// What was done to the normals, one sentence each.
+    /// Changes to the normals, one sentence each.
     pub notes: Vec<String>,
 }
 
-/// Reads the points of a PLY file: `x`, `y`, `z` of any type in any order, and `nx`, `ny`, `nz` where every kept point
+/// Reads the points of a PLY file: `x`, `y`, `z` of any type in any order, and `nx`, `ny`, `nz` if every kept point
 /// has them; ASCII, little and big endian. `unit_mm` is the file's unit in mm: 1000 for metres. `O(n)`.
 ///
 /// # Errors
@@ -154,7 +154,7 @@ mod tests {
             (header(2) + "0 0 0     \n      \n", "the file ends after 1 of 2 elements \"vertex\"; was it cut short?"),
             (header(2) + "0 0 0\n0 0     \n", "line 9: no value for property \"z\""),
             (header(1) + "0 0 0 7\n", "line 8: \"7\" follows the 3 properties"),
-            (header(1) + "0 zero 0\n", "line 8: \"zero\" stands where \"y\" should be a number"),
+            (header(1) + "0 zero 0\n", "line 8: \"zero\" is not a number for \"y\""),
             (
                 header(1).replace("property float z\n", "") + "0 0\n",
                 "header: the points have no \"z\"; there are: x, y",

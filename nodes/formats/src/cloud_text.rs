@@ -8,18 +8,18 @@ use std::path::Path;
 /// The columns that are read, by their names in a heading.
 const NAMES: [&str; 6] = ["x", "y", "z", "nx", "ny", "nz"];
 
-/// The length of what may be a unit normal written with few digits.
+/// Lengths of unit normals written with few digits.
 const UNIT: std::ops::Range<f64> = 0.99..1.01;
 
 /// Reads points from a text of one point a line, its numbers between blanks, commas or semicolons.
 ///
-/// Where the first line holds words, they name the columns: `x`, `y`, `z`, and `nx`, `ny`, `nz` where there are normals,
-/// in any order and case. Otherwise the first three columns are the coordinates, and three more are the normals if each
-/// is of unit length. Further columns are passed over, as are blank lines and those that begin with `#` or `//`. Points
+/// If the first line holds words, they name the columns: `x`, `y`, `z`, and optionally `nx`, `ny`, `nz`, in any order and
+/// case. Otherwise the first three columns are the coordinates, and three more are the normals if each is of unit length.
+/// Further columns are skipped, as are blank lines and lines that begin with `#` or `//`. Points
 /// that are not finite are left out and counted. `O(n)`.
 ///
 /// # Errors
-/// [`FileError`], naming the line: a word where a number should be, or a line with fewer columns than the first.
+/// [`FileError`], naming the line: a word instead of a number, or a line with fewer columns than the first.
 pub(crate) fn parse(
     path: &Path,
     text: &str,
@@ -48,7 +48,7 @@ pub(crate) fn parse(
         for word in words(line).take(most) {
             let cell: f64 = word
                 .parse()
-                .map_err(|_| FileError::content(path, place(), format!("\"{word}\" stands where a number should")))?;
+                .map_err(|_| FileError::content(path, place(), format!("\"{word}\" is not a number")))?;
             cells.push(cell);
         }
         if cells.len() < most {
@@ -68,7 +68,7 @@ pub(crate) fn parse(
         }
     }
     let n_dropped = n_points_in_file - points.len();
-    let mut cloud = Cloud::new(frame, points).expect("what is not finite was left out");
+    let mut cloud = Cloud::new(frame, points).expect("points that are not finite were left out");
     let mut notes = Vec::new();
     if are_normals {
         let (normals, normal_notes) = normals.finish();
@@ -160,7 +160,7 @@ mod tests {
             ("", "line 1: there is no point in it"),
             ("1 2\n", "line 1: a point has three numbers, this line has 2"),
             ("1 2 3\n\n1 2\n", "line 3: 3 numbers are expected, this line has 2"),
-            ("1 2 3\n1 two 3\n", "line 2: \"two\" stands where a number should"),
+            ("1 2 3\n1 two 3\n", "line 2: \"two\" is not a number"),
             ("a,b,z\n1,2,3\n", "line 1: no column is called \"x\"; there are: a, b, z"),
         ] {
             assert_eq!(read(text).unwrap_err().to_string(), format!("cloud.csv: {expected}"), "{text}");

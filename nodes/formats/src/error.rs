@@ -10,17 +10,17 @@ pub enum FileError {
         path: PathBuf,
         /// `read` or `written`.
         action: &'static str,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// What the file holds is not what was expected.
+    /// The content of the file is invalid.
     #[error("{}: {place}: {message}", path.display())]
     Content {
         /// The file.
         path: PathBuf,
         /// Line, byte or key.
         place: String,
-        /// What was expected, what was found, and what to do.
+        /// Expected, found, and a next step.
         message: String,
     },
 }

@@ -1,6 +1,6 @@
-//! A procedure as a folder of files, for those who have no recorder.
+//! A procedure as a folder of files, for setups without a recorder.
 //!
-//! A file `procedure.toml` says which file plays which part. Paths are relative to it. This is a complete one:
+//! A file `procedure.toml` names the files. Paths are relative to it. This is a complete one:
 //!
 //! ```toml
 //! format  = 1
@@ -11,7 +11,7 @@
 //! file    = "scan.ply"
 //! stamp_s = 11.0               # when it was taken, on the tracker's clock; or stamp_ns = 11_000_000_000
 //!
-//! [[laser]]                    # the same view with the laser spot on a landmark, once for each
+//! [[laser]]                    # that view with the laser spot on a landmark, once for each
 //! label   = "P1"               # the landmark's name in the plan
 //! file    = "laser_p1.ply"
 //! stamp_s = 15.0
@@ -31,7 +31,7 @@
 //! file    = "phantom.ply"
 //! stamp_s = 1.0
 //!
-//! [[poses]]                    # what the tracker saw: t_ns,parent,child,x,y,z,qx,qy,qz,qw
+//! [[poses]]                    # the tracker's poses: t_ns,parent,child,x,y,z,qx,qy,qz,qw
 //! file = "tracker.csv"
 //!
 //! [[stylus]]                   # points touched with the stylus: name,x,y,z and t_ns if known
@@ -53,9 +53,8 @@
 //! file = "phantom.stl"
 //! ```
 //!
-//! Only `format` is always needed; a graph needs more and says what. A folder that was simulated says so by
-//! `simulated = true`, and every result of it then does. Clouds lie in the frame `camera`, or `world` without
-//! a tracker, seen from its origin. Poses go by the name of their child: the role of `world,bone_marker` is
+//! Only `format` is always needed; a graph names what else it needs. A simulated folder has `simulated = true`, which is passed
+//! on to every result. Clouds are in the frame `camera`, or `world` without a tracker, seen from its origin. Poses go by the name of their child: the role of `world,bone_marker` is
 //! `bone_marker`, that of `phantom,phantom_marker` is `phantom_marker_cad`, since the other is the tracker's. A point
 //! that is NaN is left out and counted in [`FolderStreams::notes`].
 
@@ -71,7 +70,7 @@ use osteoflow_geometry::{Cloud, Corrections, Frame, NamedPoint, Pose, Region, St
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// The name of the file that says which file plays which part.
+/// The name of the file that names the others.
 pub const FILE_NAME: &str = "procedure.toml";
 
 /// A folder whose `procedure.toml` has been read and whose files have been found.
@@ -88,19 +87,19 @@ pub struct ProcedureFolder {
     written: Written,
 }
 
-/// What a folder streams, in order of sensor time.
+/// The streams of a folder, in order of sensor time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FolderStreams {
     /// The items by stamp; equal stamps in the order of `procedure.toml`.
     pub items: Vec<FolderItem>,
-    /// What was left out or is odd, one sentence each.
+    /// Data that were left out or corrected, one sentence each.
     pub notes: Vec<String>,
 }
 
 /// One item of a folder's streams.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FolderItem {
-    /// What it is: `scan`, `laser`, `phantom_scan`, `camera_marker`, `bone_marker`, `phantom_marker`,
+    /// Its role: `scan`, `laser`, `phantom_scan`, `camera_marker`, `bone_marker`, `phantom_marker`,
     /// `phantom_marker_cad`, `init`, `assessment`, `palpation`, or the child frame of any other pose.
     pub role: String,
     /// When it was measured; 0 for a constant.
@@ -109,14 +108,14 @@ pub struct FolderItem {
     pub body: FolderBody,
 }
 
-/// What an item holds.
+/// The content of an item.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FolderBody {
     /// A scan; laser scans carry their landmark as label.
     Cloud(Cloud),
-    /// A pose, or why there is none.
+    /// A pose, or the reason why there is none.
     Pose(Result<Pose, LostPose>),
-    /// A point touched with the stylus, and the frame it lies in.
+    /// A point touched with the stylus, and its frame.
     Tip(Frame, NamedPoint),
 }
 
@@ -283,7 +282,7 @@ impl ProcedureFolder {
         if self.tracked { "camera".into() } else { "world".into() }
     }
 
-    /// The plan, where the folder has one.
+    /// The plan, if the folder has one.
     ///
     /// # Errors
     /// As [`read_plan`].
@@ -291,7 +290,7 @@ impl ProcedureFolder {
         self.written.plan.as_ref().map(|plan| read_plan(&self.resolve(&plan.file))).transpose()
     }
 
-    /// The bone's surface from CT, in frame `ct`, where the folder has one.
+    /// The bone's surface from CT, in frame `ct`, if the folder has one.
     ///
     /// # Errors
     /// As [`read_mesh`].
@@ -299,7 +298,7 @@ impl ProcedureFolder {
         self.mesh(&self.written.bone, "ct")
     }
 
-    /// The phantom's surface in its own frame `phantom`, where the folder has one.
+    /// The phantom's surface in its own frame `phantom`, if the folder has one.
     ///
     /// # Errors
     /// As [`read_mesh`].
@@ -417,7 +416,7 @@ impl ProcedureFolder {
 /// Named points from CSV with the header `name,x,y,z` and, if known, `t_ns`; positions in `unit_mm`.
 ///
 /// # Errors
-/// [`FileError`], naming the line: a missing column, a word where a number should be, a point that is not finite.
+/// [`FileError`], naming the line: a missing column, a word instead of a number, a point that is not finite.
 pub fn read_tips(path: &Path, unit_mm: f64) -> Result<Vec<NamedPoint>, FileError> {
     let bytes = std::fs::read(path).map_err(FileError::read(path))?;
     let table = crate::table::Table::parse(path, &bytes)?;
@@ -445,7 +444,7 @@ mod tests {
     use crate::{cloud_file::write_ply, mesh_file::write_stl, plan_file::write_plan, poses_csv::write_poses};
     use osteoflow_geometry::{Mesh, Planes, Points, SurgicalPlan};
 
-    /// The example of the module's page: what a stranger copies must work as it stands.
+    /// The example in the module's documentation.
     fn example() -> String {
         let page = include_str!("folder.rs");
         let lines =
@@ -498,7 +497,7 @@ mod tests {
         let procedure = ProcedureFolder::open(folder.path()).unwrap();
         let streams = procedure.streams().unwrap();
         assert_eq!(streams.notes, [""; 0]);
-        let told: Vec<(&str, StampNs)> =
+        let found: Vec<(&str, StampNs)> =
             streams.items.iter().map(|i| (i.role.as_str(), i.stamp_ns / 100_000_000)).collect();
         let expected = [
             ("phantom_marker_cad", 0),
@@ -513,7 +512,7 @@ mod tests {
             ("assessment", 300),
             ("assessment", 310),
         ];
-        assert_eq!(told, expected);
+        assert_eq!(found, expected);
         let clouds: Vec<&Cloud> = streams
             .items
             .iter()

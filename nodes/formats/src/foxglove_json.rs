@@ -1,4 +1,4 @@
-//! The Foxglove messages as JSON writers spell them; the types also carry decoded protobuf.
+//! The Foxglove messages in the JSON of several writers; the types also hold decoded protobuf.
 
 use base64::{
     Engine,
@@ -11,7 +11,7 @@ use foxglove::messages::{
 use osteoflow_geometry::StampNs;
 use serde::{Deserialize, Deserializer, de::DeserializeOwned};
 
-/// Reads JSON, also with the bare `NaN` and `Infinity` that Python's writer leaves and the standard forbids.
+/// Reads JSON, also with the bare `NaN` and `Infinity` of Python's writer, which the standard forbids.
 pub(crate) fn parse<T: DeserializeOwned>(data: &[u8]) -> Result<T, serde_json::Error> {
     serde_json::from_slice(data).or_else(|error| match without_bare_nan(data) {
         Some(mended) => serde_json::from_slice(&mended),
@@ -19,7 +19,7 @@ pub(crate) fn parse<T: DeserializeOwned>(data: &[u8]) -> Result<T, serde_json::E
     })
 }
 
-/// The same text with null for each bare `NaN`, `Infinity` and `-Infinity`; none if there is none.
+/// The text with null for each bare `NaN`, `Infinity` and `-Infinity`; `None` if there is none.
 fn without_bare_nan(data: &[u8]) -> Option<Vec<u8>> {
     let (mut mended, mut in_text, mut at, mut any) = (Vec::with_capacity(data.len()), false, 0, false);
     while at < data.len() {
@@ -172,12 +172,12 @@ fn bytes_of(text: &str) -> Result<Vec<u8>, String> {
     GeneralPurpose::new(&alphabet, config).decode(text).map_err(|error| format!("data is no base64: {error}"))
 }
 
-/// A moment, where the writer gave one.
+/// A timestamp, if the writer set it.
 #[derive(Default)]
 pub(crate) struct Time(Option<StampNs>);
 
 impl Time {
-    /// Nanoseconds since the epoch; none if absent or zero, which is what a writer leaves that did not set it.
+    /// Nanoseconds since the epoch; `None` if absent or zero, which means unset.
     pub(crate) fn nanoseconds(&self) -> Option<StampNs> {
         self.0.filter(|&ns| ns != 0)
     }
@@ -223,7 +223,7 @@ fn rfc3339(text: &str) -> Option<StampNs> {
     StampNs::try_from(text.parse::<jiff::Timestamp>().ok()?.as_nanosecond()).ok()
 }
 
-/// A number as JSON writers spell it: `1.5`, `"1.5"`, `"NaN"`, `null` for what is no number.
+/// A number in the spellings of JSON writers: `1.5`, `"1.5"`, `"NaN"`, `null` for NaN.
 #[derive(Clone, Copy, Default)]
 struct Number(f64);
 
@@ -241,7 +241,7 @@ impl<'de> Deserialize<'de> for Number {
             Some(Written::Text(text)) => text
                 .parse()
                 .map(Self)
-                .map_err(|_| serde::de::Error::custom(format!("\"{text}\" stands where a number should"))),
+                .map_err(|_| serde::de::Error::custom(format!("\"{text}\" is not a number"))),
         }
     }
 }

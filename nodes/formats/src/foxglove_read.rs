@@ -1,9 +1,9 @@
 //! Foxglove messages to geometry: point clouds, transforms and poses, in protobuf and in JSON.
 //!
-//! Metres become millimetres here and nowhere later. A stamp is the message's own timestamp, which is when the sensor
-//! measured; only where a writer left it out or zero does the publish time stand in.
+//! Metres become millimetres here. A stamp is the message's own timestamp, the sensor time; the publish time replaces it only
+//! if it is missing or zero.
 //!
-//! JSON is read as it is met in practice: `{sec, nsec}`, `{seconds, nanos}` or RFC 3339 timestamps, field names in
+//! JSON is read in the spellings of several writers: `{sec, nsec}`, `{seconds, nanos}` or RFC 3339 timestamps, field names in
 //! `snake_case` or `camelCase`, point types by number or by name, base64 of either alphabet, `NaN` bare, as text or as
 //! null.
 
@@ -45,17 +45,17 @@ pub const FRAME_TRANSFORMS: &str = "foxglove.FrameTransforms";
 /// The schema of a pose in a frame, such as a stylus tip.
 pub const POSE_IN_FRAME: &str = "foxglove.PoseInFrame";
 
-/// A translation beyond this is a tracker's code for "not seen", not a place: a kilometre.
+/// A translation beyond this, a kilometre, is a tracker's code for a marker that it does not see.
 const FARTHEST_M: f64 = 1e3;
 
-/// A message with what is needed to decode it.
+/// A message and the names needed to decode it.
 #[derive(Debug, Clone)]
 pub struct Encoded<'a> {
     /// The schema's name, such as [`POINT_CLOUD`].
     pub schema_name: &'a str,
     /// `protobuf` or `json`.
     pub message_encoding: &'a str,
-    /// When it was sent: stands in for a missing timestamp.
+    /// The publish time, which replaces a missing timestamp.
     pub publish_time_ns: StampNs,
     /// The message's bytes.
     pub data: Bytes,
@@ -83,11 +83,11 @@ pub struct CloudRead {
     pub n_dropped: usize,
     /// The correction of the message's pose.
     pub correction: Correction,
-    /// What was done to the normals, one sentence each.
+    /// Changes to the normals, one sentence each.
     pub notes: Vec<String>,
 }
 
-/// What a message says of its cloud as a whole.
+/// The properties of a cloud message without its points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CloudHead {
     /// The sensor time.
@@ -101,11 +101,11 @@ pub struct CloudHead {
 pub struct TipRead {
     /// The frame of the position.
     pub frame: Frame,
-    /// When it was located.
+    /// The sensor time.
     pub stamp_ns: StampNs,
-    /// Where it is, mm.
+    /// The position, mm.
     pub position: Point3<f64>,
-    /// How the tool was held, where the message says so, or why that is no rotation.
+    /// The orientation of the tool, if the message has one, or why it is no rotation.
     pub orientation: Option<Result<Nearest<UnitQuaternion<f64>>, RigidError>>,
 }
 
@@ -292,7 +292,7 @@ pub fn procedure_region(recording: &Recording) -> Result<Option<Region>, Foxglov
     };
     let (min, max) = (corner(0)?, corner(1)?);
     if let Some(axis) = (0..3).find(|&k| min[k] > max[k]) {
-        return Err(fault(KEYS[0], format!("its {} lies above that of {}", ["x", "y", "z"][axis], KEYS[1])));
+        return Err(fault(KEYS[0], format!("its {} is above that of {}", ["x", "y", "z"][axis], KEYS[1])));
     }
     Ok(Some(Region { frame: "camera".into(), min, max }))
 }
@@ -328,7 +328,7 @@ fn parse<T: serde::de::DeserializeOwned>(message: &Encoded) -> Result<T, Foxglov
     foxglove_json::parse(&message.data).map_err(|error| no_such(message, error))
 }
 
-/// A timestamp that says something: zero is what a writer leaves that did not set it.
+/// A timestamp; `None` if absent or zero, which means unset.
 fn nanoseconds(timestamp: Option<Timestamp>) -> Option<StampNs> {
     timestamp.map(|t| StampNs::from(t.sec()) * 1_000_000_000 + StampNs::from(t.nsec())).filter(|&ns| ns != 0)
 }
@@ -347,7 +347,7 @@ fn pose_of(transform: JsonTransform, publish_time_ns: StampNs) -> Result<Nearest
     Ok(rotation.map(|r| Pose::new(to, from, Isometry3::from_parts(translation.into(), r)).at(stamp_ns)))
 }
 
-/// What an unusable quaternion says of its marker.
+/// The error for an unusable quaternion.
 fn no_pose(to: &Frame, from: &Frame, stamp_ns: StampNs, error: RigidError) -> PoseError {
     let (to, from) = (to.clone(), from.clone());
     let reason = match error {
@@ -358,7 +358,7 @@ fn no_pose(to: &Frame, from: &Frame, stamp_ns: StampNs, error: RigidError) -> Po
     LostPose { to, from, stamp_ns, reason: reason.into() }.into()
 }
 
-/// The pose of a cloud; none where it is unset or the identity, so that coordinates stay exactly as they are.
+/// The pose of a cloud; `None` if it is unset or the identity, so that coordinates are unchanged.
 fn cloud_pose(pose: Option<&FoxglovePose>) -> Result<Nearest<Option<Isometry3<f64>>>, FoxgloveError> {
     let Some(pose) = pose else { return Ok(Nearest { value: None, correction: Correction::default() }) };
     let fault = |reason| FoxgloveError::Pose { what: "cloud's pose", reason };
@@ -370,12 +370,12 @@ fn cloud_pose(pose: Option<&FoxglovePose>) -> Result<Nearest<Option<Isometry3<f6
     Ok(pose.map(|pose| (pose != Isometry3::identity()).then_some(pose)))
 }
 
-/// Whether a cloud in that frame was seen from its origin, as far as the name tells.
+/// Whether a cloud in a frame of that name was seen from its origin.
 fn is_sensor_frame(frame: &str) -> bool {
     !matches!(frame, "world" | "ct" | "phantom") && !frame.ends_with("_marker")
 }
 
-/// A place in metres as mm, where it is one.
+/// A position in metres as mm.
 fn translation(v: &FoxgloveVector3) -> Result<Vector3<f64>, String> {
     let metres = Vector3::new(v.x, v.y, v.z);
     if !metres.iter().all(|c| c.is_finite()) {

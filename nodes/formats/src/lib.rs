@@ -1,8 +1,7 @@
 //! Files and foreign streams to geometry and back: STL, PLY, Foxglove messages in MCAP, plans, folders.
 //!
-//! This is where metres end: every reader gives millimetres, finite points and the frame that the file names, and says
-//! what it left out. A reader never repairs silently: what it cannot be sure of is an error with place and remedy, what
-//! it left out is counted.
+//! Every reader gives millimetres, finite points, rigid motions and the frame that the file names. A reader never repairs
+//! silently: ambiguous content is an error with its place and a remedy, data left out are counted, and corrections are noted.
 //!
 //! | Module | Reads | Writes |
 //! |---|---|---|
@@ -11,10 +10,10 @@
 //! | [`recording_write`] | | Foxglove recordings, in any layout |
 //! | [`mesh_file`] | surfaces from STL and PLY | binary STL |
 //! | [`cloud_file`] | points from PLY | binary PLY |
-//! | [`plan_file`] | surgical plans in JSON | the same |
-//! | [`shape_file`] | a surface or a cloud, whichever a file holds: STL, PLY, XYZ, CSV | |
+//! | [`plan_file`] | surgical plans in JSON | surgical plans in JSON |
+//! | [`mesh_or_cloud`] | a surface or a cloud: STL, PLY, XYZ, CSV | |
 //! | [`pose_file`] | one rigid motion: a matrix as text or JSON, an ITK transform | |
-//! | [`poses_csv`] | poses over time | the same |
+//! | [`poses_csv`] | poses over time | poses over time |
 //! | [`folder`] | a whole procedure as a folder of such files | |
 //!
 //! ```
@@ -55,7 +54,7 @@ mod ply;
 pub mod pose_file;
 pub mod poses_csv;
 pub mod recording_write;
-pub mod shape_file;
+pub mod mesh_or_cloud;
 mod table;
 
 pub use error::FileError;

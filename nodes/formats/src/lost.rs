@@ -12,7 +12,7 @@ pub struct LostPose {
     pub from: Frame,
     /// When the marker was not seen.
     pub stamp_ns: StampNs,
-    /// What gave it away, such as `an all-zero quaternion`.
+    /// The evidence, such as `an all-zero quaternion`.
     pub reason: String,
 }
 
@@ -31,7 +31,7 @@ pub enum PoseError {
         from: Frame,
         /// The transform's sensor time.
         stamp_ns: StampNs,
-        /// What is wrong with it.
+        /// The reason.
         error: RigidError,
     },
 }

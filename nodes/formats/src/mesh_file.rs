@@ -18,11 +18,11 @@ pub struct MeshRead {
     pub mesh: Mesh,
     /// How many faces without an area were left out.
     pub n_degenerate: usize,
-    /// What is odd about the file, one sentence each, such as a size that hints at metres.
+    /// Suspicious properties of the file, one sentence each, such as a size that suggests metres.
     pub notes: Vec<String>,
 }
 
-/// Reads a surface from a binary or ASCII STL or PLY file, told apart by content, not by name.
+/// Reads a surface from a binary or ASCII STL or PLY file, recognised by its content.
 ///
 /// `unit_mm` is the file's unit in mm: 1 for millimetres, 1000 for metres. STL repeats the corners of each face; corners
 /// with equal bits become one vertex. PLY polygons are cut into fans. Faces without an area are left out and counted.
@@ -124,7 +124,7 @@ pub fn write_stl(path: &Path, mesh: &Mesh) -> Result<(), FileError> {
 
 type Faces = (Vec<Point3<f64>>, Vec<[u32; 3]>);
 
-/// What is odd about the size of a surface or a cloud; `what` says which.
+/// A note on an implausible size; `what` names the surface or cloud.
 pub(crate) fn size_note(points: &[Point3<f64>], what: &str) -> Option<String> {
     let (mut min, mut max) = (Point3::from([f64::INFINITY; 3]), Point3::from([f64::NEG_INFINITY; 3]));
     for point in points {
@@ -216,7 +216,7 @@ fn ascii_stl(path: &Path, bytes: &[u8]) -> Result<Faces, FileError> {
         match words[..] {
             ["vertex", x, y, z] => {
                 let number = |word: &str| -> Result<f64, FileError> {
-                    word.parse().map_err(|_| fault(format!("\"{word}\" stands where a coordinate should")))
+                    word.parse().map_err(|_| fault(format!("\"{word}\" is not a coordinate")))
                 };
                 open.push(corners.number([number(x)?, number(y)?, number(z)?]));
             }
@@ -401,10 +401,10 @@ mod tests {
             "{:?}",
             taken.notes
         );
-        let told = read_mesh(file.path(), 1000.0, "ct", SurfaceOrigin::User).unwrap();
-        assert_eq!(told.notes, [""; 0]);
+        let read = read_mesh(file.path(), 1000.0, "ct", SurfaceOrigin::User).unwrap();
+        assert_eq!(read.notes, [""; 0]);
         // 0.04 m in single precision is off by 1e-6 mm.
-        assert!((told.mesh.corners(0)[1].y - 40.0).abs() < 1e-5);
+        assert!((read.mesh.corners(0)[1].y - 40.0).abs() < 1e-5);
     }
 
     #[test]
@@ -418,7 +418,7 @@ mod tests {
         assert!(said(&nan).contains("vertex 0 is not finite"), "{}", said(&nan));
         let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1,5 0 0\n";
         assert!(
-            said(text.as_bytes()).contains("line 5: \"1,5\" stands where a coordinate should"),
+            said(text.as_bytes()).contains("line 5: \"1,5\" is not a coordinate"),
             "{}",
             said(text.as_bytes())
         );
@@ -441,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_behind_the_last_triangle_are_told() {
+    fn bytes_behind_the_last_triangle_are_noted() {
         let mut bytes = binary();
         bytes.extend([0; 7]);
         let back = read(&bytes).unwrap();

@@ -30,7 +30,7 @@ use std::{cell::RefCell, path::Path};
 pub struct PlanRead {
     /// The plan.
     pub plan: SurgicalPlan,
-    /// What was done to the numbers, one sentence each.
+    /// Changes to the numbers, one sentence each.
     pub notes: Vec<String>,
 }
 
@@ -43,7 +43,7 @@ pub fn read_plan(path: &Path) -> Result<PlanRead, FileError> {
     parse_plan(path, &text)
 }
 
-/// Reads the plan of one bone: from the object under the key `bone` where the file has one, else as [`read_plan`].
+/// Reads the plan of one bone: from the object under the key `bone` if the file has one, else as [`read_plan`].
 ///
 /// # Errors
 /// As [`read_plan`]; and if the file is for several bones, but not for this one.
@@ -56,7 +56,7 @@ pub fn read_plan_of(path: &Path, bone: &str) -> Result<PlanRead, FileError> {
     let bones: Vec<&str> = root.iter().filter(|(_, value)| value.is_object()).map(|(key, _)| key.as_str()).collect();
     if !bones.is_empty() && !OWN_KEYS.iter().any(|key| root.contains_key(*key)) {
         let message =
-            format!("the file tells of {}, not of \"{bone}\"; name the bone's file or its key alike", bones.join(", "));
+            format!("the file has plans for {}, not for \"{bone}\"; give the bone's file and its key the same name", bones.join(", "));
         return Err(FileError::content(path, "the outermost object", message));
     }
     plan_of(path, &root)
@@ -252,7 +252,7 @@ impl Keys<'_> {
         Ok(isometry.map(|isometry| Pose::new(to, from, isometry)))
     }
 
-    /// The axes; where they cross only matters for drawing, so the mean of the plan's points does where no centre is given.
+    /// The axes. Their origin only matters for drawing; without a centre it is the mean of the plan's points.
     fn axes(&self, landmarks: &Points, assessment: &Points) -> Result<Option<Axes>, FileError> {
         let key = "pca_axes_columns_xyz";
         let Some(value) = self.get(key) else { return Ok(None) };
@@ -272,7 +272,7 @@ impl Keys<'_> {
         Ok(Some(Axes { frame: "ct".into(), centre, columns: *rotation.rotation.to_rotation_matrix().matrix() }))
     }
 
-    /// The anatomy, where the plan gives all of it.
+    /// The anatomy, if the plan has all of it.
     fn anatomy(&self) -> Result<Option<Anatomy>, FileError> {
         let unit = |key: &str| -> Result<Option<Unit<Vector3<f64>>>, FileError> {
             let Some(value) = self.get(key) else { return Ok(None) };
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_plan_lacks_is_missing_and_what_it_has_more_is_ignored() {
+    fn missing_keys_are_absent_and_unknown_keys_ignored() {
         let plan = parse(&json!({"surgeon": "N. N.", "planes": null})).unwrap();
         assert!(plan.landmarks.points.is_empty() && plan.planes.planes.is_empty());
         assert!(plan.axes.is_none() && plan.anatomy.is_none() && plan.t_phantom_phantom_marker.is_none());
@@ -358,7 +358,7 @@ mod tests {
         std::fs::write(file.path(), json!({"left": anatomy(1.0), "right": anatomy(2.0)}).to_string()).unwrap();
         assert_eq!((tip("left").unwrap(), tip("right").unwrap()), (1.0, 2.0));
         let said = tip("middle").unwrap_err().to_string();
-        assert!(said.contains("the file tells of left, right, not of \"middle\""), "{said}");
+        assert!(said.contains("the file has plans for left, right, not for \"middle\""), "{said}");
         std::fs::write(file.path(), anatomy(3.0).to_string()).unwrap();
         assert_eq!(tip("middle").unwrap(), 3.0);
     }

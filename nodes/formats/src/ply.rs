@@ -1,6 +1,6 @@
 //! The PLY format itself: header and elements, in ASCII and in both binary orders.
 //!
-//! Read by hand because scanners write what stricter readers refuse: `nan` for a pixel without depth, numbers such as
+//! Read by our own code because scanners write files that stricter readers refuse: `nan` for a pixel without depth, numbers such as
 //! `.5` and `1.`, CRLF, blank lines. Counts are checked against the bytes that follow before anything is allocated.
 
 use crate::FileError;
@@ -97,7 +97,7 @@ impl Element {
         self.properties.iter().map(|p| p.name.as_str()).collect::<Vec<_>>().join(", ")
     }
 
-    /// Makes room, after checking that the file is long enough to hold what its header promises.
+    /// Reserves memory, after checking that the file is long enough for the elements that its header announces.
     fn reserve(&mut self, lines: &Lines, encoding: Encoding) -> Result<(), FileError> {
         if self.count > 0 && self.properties.is_empty() {
             return Err(lines.fault(format!("the header gives element \"{}\" no properties", self.name)));
@@ -146,7 +146,7 @@ impl Element {
             let mut words = text.split_ascii_whitespace();
             let mut number = |name: &str| -> Result<f64, FileError> {
                 let word = words.next().ok_or_else(|| lines.fault(format!("no value for property \"{name}\"")))?;
-                word.parse().map_err(|_| lines.fault(format!("\"{word}\" stands where \"{name}\" should be a number")))
+                word.parse().map_err(|_| lines.fault(format!("\"{word}\" is not a number for \"{name}\"")))
             };
             for property in &mut self.properties {
                 match property.kind {
@@ -234,7 +234,7 @@ fn header(lines: &mut Lines) -> Result<(Encoding, Vec<Element>), FileError> {
                 let kind =
                     kind.ok_or_else(|| lines.fault(format!("\"{}\" is no known property type", words.join(" "))))?;
                 let Some(element) = elements.last_mut() else {
-                    return Err(lines.fault("a property stands before any element".into()));
+                    return Err(lines.fault("a property precedes the first element".into()));
                 };
                 let name = name.into();
                 element.properties.push(Property { name, kind, values: Vec::new(), ends: Vec::new() });
@@ -291,7 +291,7 @@ impl<'a> Lines<'a> {
         let n = rest.iter().position(|&b| b == b'\n').unwrap_or(rest.len());
         self.at += (n + 1).min(rest.len());
         let text = std::str::from_utf8(&rest[..n]).or_else(|_| {
-            // A comment may be in any encoding; what matters is ASCII.
+            // Only comments may be in another encoding than ASCII.
             if rest.starts_with(b"comment") || rest.starts_with(b"obj_info") { Ok("comment") } else { Err(()) }
         });
         text.map(|t| Some(t.trim_end_matches('\r'))).map_err(|()| self.fault("the line is no text".into()))

@@ -1,4 +1,4 @@
-//! One rigid motion in a file: a 4 × 4 matrix as text or JSON, an ITK transform, or what `osteoflow register` wrote.
+//! One rigid motion in a file: a 4 × 4 matrix as text or JSON, an ITK transform, or the output of `osteoflow register`.
 //!
 //! | File | Taken for |
 //! |---|---|
@@ -25,11 +25,11 @@ const ITK_MARK: &str = "#Insight Transform File";
 pub struct PoseRead {
     /// The motion, translation in mm.
     pub isometry: Isometry3<f64>,
-    /// What was done to the numbers, one sentence each.
+    /// Changes to the numbers, one sentence each.
     pub notes: Vec<String>,
 }
 
-/// Reads a rigid motion from a text, JSON or ITK file, told apart by content; see [the module](self).
+/// Reads a rigid motion from a text, JSON or ITK file, recognised by its content; see [the module](self).
 ///
 /// `unit_mm` is the unit of its translation in mm: 1 for millimetres. The rotation may be rounded: the nearest rotation is
 /// taken, and a note says how far it is from the numbers.
@@ -86,7 +86,7 @@ fn text_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
         let between = |c: char| c.is_whitespace() || ",;[]()".contains(c);
         for word in row[..end].split(between).filter(|word| !word.is_empty()) {
             let number: f64 = word.parse().map_err(|_| {
-                fault(path, format!("line {}", line + 1), format!("\"{word}\" stands where a number should"))
+                fault(path, format!("line {}", line + 1), format!("\"{word}\" is not a number"))
             })?;
             numbers.push(number);
         }
@@ -147,7 +147,7 @@ fn itk_matrix(path: &Path, text: &str) -> Result<Nearest<Matrix4<f64>>, FileErro
     let numbers = |key: &str| -> Result<Vec<f64>, FileError> {
         let words = line_of(key).0.unwrap_or_default().split_whitespace();
         let number = |word: &str| {
-            word.parse::<f64>().map_err(|_| fault(path, key, format!("\"{word}\" stands where a number should")))
+            word.parse::<f64>().map_err(|_| fault(path, key, format!("\"{word}\" is not a number")))
         };
         words.map(number).collect()
     };
@@ -210,7 +210,7 @@ mod tests {
         read_pose(file.path(), 1.0)
     }
 
-    /// What is said of a text, without the file's name.
+    /// The error for a text, without the file's name.
     fn said(text: &str) -> String {
         let said = read(text).unwrap_err().to_string();
         said.split_once(": ").unwrap().1.to_owned()
@@ -347,7 +347,7 @@ mod tests {
                 "matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 12",
             ),
             (String::new(), "matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 0"),
-            ("1 0 0 0\n0 one 0 0".into(), "line 2: \"one\" stands where a number should"),
+            ("1 0 0 0\n0 one 0 0".into(), "line 2: \"one\" is not a number"),
             (
                 "1 0 0 0 0 1 0 0 0 0 1 0 5 6 7 1".into(),
                 "matrix: the last row of a rigid motion is 0 0 0 1; is the matrix written column by column?",

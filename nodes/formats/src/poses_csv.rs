@@ -1,4 +1,4 @@
-//! Poses over time as CSV, for those who track without a recorder.
+//! Poses over time as CSV, for tracking without a recorder.
 //!
 //! ```csv
 //! t_ns,parent,child,x,y,z,qx,qy,qz,qw
@@ -6,10 +6,9 @@
 //! 1750000010050000000,world,camera_marker,,,,,,,
 //! ```
 //!
-//! One row is `t_parent_child`: where `child` lies in `parent`, in **millimetres** (or the unit the reader is told), with
-//! the quaternion's scalar last. `t_ns` is nanoseconds; 0 is for a pose that always holds. A row without numbers, or with
-//! NaN or an all-zero quaternion, says that the marker was not seen. Columns may stand in any order; further ones are
-//! ignored.
+//! One row is `t_parent_child`, the pose of `child` in `parent`, in **millimetres** (or the unit passed to the reader), with
+//! the quaternion's scalar last. `t_ns` is nanoseconds; 0 is for a constant pose. A row without numbers, or with NaN or an
+//! all-zero quaternion, means that the marker was not seen. Columns may be in any order; further ones are ignored.
 
 use crate::{
     FileError, LostPose,
@@ -28,7 +27,7 @@ const COLUMNS: [&str; 10] = ["t_ns", "parent", "child", "x", "y", "z", "qx", "qy
 /// correction.
 ///
 /// # Errors
-/// [`FileError`], naming the line: a missing column, a word where a number should be, a quaternion whose length is farther
+/// [`FileError`], naming the line: a missing column, a word instead of a number, a quaternion whose length is farther
 /// than [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from 1.
 pub fn read_poses(path: &Path, unit_mm: f64) -> Result<Vec<Result<Nearest<Pose>, LostPose>>, FileError> {
     let bytes = std::fs::read(path).map_err(FileError::read(path))?;
@@ -121,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_may_stand_in_any_order_and_lost_markers_are_told() {
+    fn columns_may_be_in_any_order_and_lost_markers_are_named() {
         let text = "\u{feff}child,parent,qw,qx,qy,qz,x,y,z,t_ns,quality\n# a comment\nm, world ,1,0,0,0,1.5,2,3,10,good\n\n\
                     m,world,,,,,,,,20,lost\nm,world,0,0,0,0,1,2,3,30,lost\nm,world,nan,0,0,0,1,2,3,40,lost\n";
         let poses = read(text).unwrap();

@@ -1,4 +1,4 @@
-//! CSV with a header, whose faults name line and column.
+//! CSV with a header; errors name line and column.
 
 use crate::FileError;
 use std::path::Path;
@@ -74,7 +74,7 @@ impl<'a> Row<'a> {
         text.parse().map_err(|_| self.fault(format!("{name} is \"{text}\", a whole number is expected")))
     }
 
-    /// A number; NaN where the cell is empty or says so.
+    /// A number; NaN if the cell is empty or `NaN`.
     pub(crate) fn number(&self, column: usize) -> Result<f64, FileError> {
         let text = self.text(column);
         let name = &self.table.header[column];

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 pub struct Axes {
     /// The frame the axes are given in.
     pub frame: Frame,
-    /// Where they cross, mm.
+    /// Their origin, mm.
     pub centre: Point3<f64>,
     /// The axes as orthonormal columns.
     pub columns: Matrix3<f64>,

@@ -5,15 +5,15 @@ use std::sync::Arc;
 /// A surface as a camera saw it: `n` finite points in mm, with optional normals and named extra columns.
 ///
 /// A cheap handle: clones share the columns. The `viewpoint` is the sensor's pose in the cloud's own frame (camera x
-/// right, y down, z forward); it is carried along by [`Cloud::transformed`] and [`Cloud::selected`], so what the camera
-/// saw can still be asked after the cloud has been moved.
+/// right, y down, z forward); it is carried along by [`Cloud::transformed`] and [`Cloud::selected`], so the
+/// camera's view of the cloud is known after it has been moved.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cloud {
     /// The frame of the coordinates.
     pub frame: Frame,
-    /// When it was taken.
+    /// The time at which it was taken.
     pub stamp_ns: StampNs,
-    /// What it shows, where a stream carries several: `P1` for the scan with the laser on P1.
+    /// The subject, if a stream carries several: `P1` for the scan with the laser on P1.
     pub label: Option<Arc<str>>,
     /// `t_frame_sensor`: the pose of the sensor that took it, where known.
     pub viewpoint: Option<Isometry3<f64>>,
@@ -22,7 +22,7 @@ pub struct Cloud {
     extras: Vec<(Arc<str>, Column<f64>)>,
 }
 
-/// Columns that make no cloud.
+/// Invalid columns of a cloud.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CloudError {
     /// A column's length is not the number of points.
@@ -72,25 +72,25 @@ impl Cloud {
         })
     }
 
-    /// The same cloud, taken at `stamp_ns`.
+    /// Sets the stamp.
     pub fn at(mut self, stamp_ns: StampNs) -> Self {
         self.stamp_ns = stamp_ns;
         self
     }
 
-    /// The same cloud, seen by a sensor at `t_frame_sensor`.
+    /// Sets the viewpoint.
     pub fn seen_from(mut self, t_frame_sensor: Isometry3<f64>) -> Self {
         self.viewpoint = Some(t_frame_sensor);
         self
     }
 
-    /// The same cloud, named after what it shows.
+    /// Sets the label.
     pub fn labelled(mut self, label: impl Into<Arc<str>>) -> Self {
         self.label = Some(label.into());
         self
     }
 
-    /// The same cloud with unit normals.
+    /// Sets the unit normals.
     ///
     /// # Errors
     /// [`CloudError::Length`] if there is not one for each point; [`CloudError::Normal`] if the length of one is farther than
@@ -105,7 +105,7 @@ impl Cloud {
         Ok(self)
     }
 
-    /// The same cloud with one more named column, such as `intensity`.
+    /// Adds a named column, such as `intensity`.
     ///
     /// # Errors
     /// [`CloudError::Length`] if there is not one value for each point.
@@ -136,7 +136,7 @@ impl Cloud {
         self.normals.as_ref()
     }
 
-    /// Further columns by name, in the order they came.
+    /// Further columns by name, in the order in which they were added.
     pub fn extras(&self) -> &[(Arc<str>, Column<f64>)] {
         &self.extras
     }

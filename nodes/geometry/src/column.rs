@@ -1,6 +1,6 @@
 use std::{fmt, ops::Deref, sync::Arc};
 
-/// An immutable run of values that clones cheaply; owned by Rust or by whoever lent it.
+/// An immutable slice of values that clones cheaply, owned by Rust or by a foreign buffer.
 ///
 /// The owner is dropped with the last clone, so a foreign buffer travels with its release function.
 pub struct Column<T> {

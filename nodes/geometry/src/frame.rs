@@ -17,10 +17,10 @@ impl Frame {
         self.0.clone()
     }
 
-    /// Holds where this frame is `other`.
+    /// Checks that this frame is `other`.
     ///
     /// # Errors
-    /// [`FrameError::Differ`], naming both frames and `what` lies in them.
+    /// [`FrameError::Differ`], naming both frames and `what` is in them.
     pub fn expect(&self, other: &Frame, what: &'static str) -> Result<(), FrameError> {
         if self == other {
             return Ok(());
@@ -83,26 +83,26 @@ pub enum FrameError {
         /// `from` of the right pose.
         right_from: Frame,
     },
-    /// A pose leads between other frames than needed here.
+    /// A pose is between other frames than needed.
     #[error("a pose {from} -> {to} is needed here, but this one maps {found_from} -> {found_to}")]
     Pose {
-        /// Where the pose should lead.
+        /// The `to` that is needed.
         to: Frame,
-        /// Whose coordinates it should take.
+        /// The `from` that is needed.
         from: Frame,
-        /// Where it leads.
+        /// The `to` of the pose.
         found_to: Frame,
-        /// Whose coordinates it takes.
+        /// The `from` of the pose.
         found_from: Frame,
     },
-    /// Something lies in another frame than needed here.
+    /// Data are in another frame than needed.
     #[error("{what} should be in {expected}, but is in {found}")]
     Differ {
-        /// What was looked at.
+        /// The data.
         what: &'static str,
-        /// The frame it should lie in.
+        /// The frame that is needed.
         expected: Frame,
-        /// The frame it lies in.
+        /// The frame of the data.
         found: Frame,
     },
 }

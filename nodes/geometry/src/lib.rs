@@ -1,4 +1,4 @@
-//! Points, clouds, meshes, planes, poses and frames: what every other crate of Osteoflow talks about.
+//! Points, clouds, meshes, planes, poses and frames: the vocabulary of the other crates.
 //!
 //! Lengths are millimetres, angles radians, times nanoseconds, coordinates `f64`; all frames are right-handed.
 //! `t_a_b` takes coordinates in b to coordinates in a, so neighbours cancel in a product:

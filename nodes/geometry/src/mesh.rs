@@ -3,11 +3,11 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Where a CT surface comes from, told beside every result made with it.
+/// The origin of a CT surface, reported with every result made with it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SurfaceOrigin {
-    /// The very surface that was scanned, as only a simulation has it.
+    /// The surface that was scanned; only a simulation has it.
     Exact,
     /// The iso-surface of a simulated CT.
     SimulatedCt,
@@ -30,13 +30,13 @@ impl fmt::Display for SurfaceOrigin {
 pub struct Mesh {
     /// The frame of the vertices.
     pub frame: Frame,
-    /// Where the surface comes from.
+    /// The origin of the surface.
     pub origin: SurfaceOrigin,
     vertices: Column<Point3<f64>>,
     faces: Column<[u32; 3]>,
 }
 
-/// Vertices and faces that make no mesh.
+/// Invalid vertices or faces.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MeshError {
     /// There is no triangle.
@@ -49,7 +49,7 @@ pub enum MeshError {
         face: usize,
         /// The vertex it names.
         vertex: u32,
-        /// How many there are.
+        /// The number of vertices.
         n_vertices: usize,
     },
     /// A coordinate is NaN or infinite.

@@ -1,7 +1,7 @@
 use crate::{Axes, Planes, Points, Pose};
 use nalgebra::{Point3, Unit, Vector3};
 
-/// What was planned on the CT before the operation; everything lies in the CT frame, mm.
+/// The surgical plan on the CT, in the CT frame, mm.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SurgicalPlan {
     /// The landmarks P1..P3 that initialise the registration.
@@ -10,13 +10,13 @@ pub struct SurgicalPlan {
     pub assessment: Points,
     /// The cutting planes.
     pub planes: Planes,
-    /// The axes along which errors are told, where the plan gives them.
+    /// The axes along which errors are resolved, if the plan has them.
     pub axes: Option<Axes>,
-    /// The anatomy that landmarks are placed by, where the plan gives it.
+    /// The anatomy that landmarks are placed by, if the plan has it.
     pub anatomy: Option<Anatomy>,
-    /// `t_phantom_phantom_marker`, known from the phantom's CAD, where the plan gives it.
+    /// `t_phantom_phantom_marker`, known from the phantom's CAD, if the plan has it.
     pub t_phantom_phantom_marker: Option<Pose>,
-    /// `t_camera_camera_marker` as designed, good to a few mm and degrees: where the phantom's ICP starts.
+    /// `t_camera_camera_marker` as designed, good to a few mm and degrees; the phantom's ICP starts there.
     pub t_camera_camera_marker_nominal: Option<Pose>,
 }
 

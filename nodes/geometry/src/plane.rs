@@ -2,12 +2,12 @@ use crate::{Frame, StampNs};
 use nalgebra::{Isometry3, Vector3};
 use std::sync::Arc;
 
-/// Where a cutting plane is, or why that is not known.
+/// The pose of a cutting plane, or the reason why it is unknown.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PlanePlace {
-    /// `t_frame_plane`: the plane's own z axis is its normal, its origin lies on it.
+    /// `t_frame_plane`: the plane's own z axis is its normal, its origin is on it.
     Known(Isometry3<f64>),
-    /// The reason it is not known, such as a lost marker; never the last place it was.
+    /// The reason, such as a lost marker; the last pose is never kept.
     Unknown(Arc<str>),
 }
 
@@ -16,12 +16,12 @@ pub enum PlanePlace {
 pub struct Plane {
     /// Its name in the plan.
     pub name: Arc<str>,
-    /// Where it is.
+    /// Its pose.
     pub place: PlanePlace,
 }
 
 impl Plane {
-    /// A plane whose place is known.
+    /// A plane of known pose.
     pub fn new(name: impl Into<Arc<str>>, t_frame_plane: Isometry3<f64>) -> Self {
         Self { name: name.into(), place: PlanePlace::Known(t_frame_plane) }
     }
@@ -34,7 +34,7 @@ impl Plane {
         }
     }
 
-    /// The unit normal in the frame it lies in, where known.
+    /// The unit normal in the plane's frame, where known.
     pub fn normal(&self) -> Option<Vector3<f64>> {
         self.isometry().map(|t| t * Vector3::z())
     }
@@ -43,9 +43,9 @@ impl Plane {
 /// Cutting planes in one frame at one time. A cheap handle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planes {
-    /// The frame they lie in.
+    /// The frame of the planes.
     pub frame: Frame,
-    /// When they lay there; 0 for planned planes.
+    /// The time at which the poses hold; 0 for planned planes.
     pub stamp_ns: StampNs,
     /// The planes, in the plan's order.
     pub planes: Arc<[Plane]>,
@@ -57,7 +57,7 @@ impl Planes {
         Self { frame: frame.into(), stamp_ns: 0, planes: planes.into() }
     }
 
-    /// The same planes, lying there at `stamp_ns`.
+    /// Sets the stamp.
     pub fn at(self, stamp_ns: StampNs) -> Self {
         Self { stamp_ns, ..self }
     }
@@ -71,7 +71,7 @@ impl Planes {
         Planes { frame: to.into(), stamp_ns: self.stamp_ns, planes: planes.collect() }
     }
 
-    /// The same planes in `frame`, all unknown for `reason`.
+    /// Planes of these names in `frame`, all unknown for `reason`.
     pub fn unknown(&self, frame: impl Into<Frame>, stamp_ns: StampNs, reason: &str) -> Planes {
         let reason: Arc<str> = reason.into();
         let planes =

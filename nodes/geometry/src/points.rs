@@ -7,11 +7,11 @@ use std::sync::Arc;
 pub struct NamedPoint {
     /// The landmark's name.
     pub name: Arc<str>,
-    /// Where it is, mm.
+    /// Its position, mm.
     pub position: Point3<f64>,
     /// When it was located; 0 for a planned point.
     pub stamp_ns: StampNs,
-    /// How sure its finder is, 0 to 1, where it says so.
+    /// The confidence of the detector, 0 to 1, if it has one.
     pub confidence: Option<f64>,
 }
 
@@ -27,7 +27,7 @@ impl NamedPoint {
 pub struct Points {
     /// The frame of the positions.
     pub frame: Frame,
-    /// When the list was complete; 0 for planned points.
+    /// The time at which the list was complete; 0 for planned points.
     pub stamp_ns: StampNs,
     /// The points, in their order.
     pub points: Arc<[NamedPoint]>,
@@ -46,7 +46,7 @@ impl Points {
         self.points.iter().find(|p| &*p.name == name)
     }
 
-    /// The positions alone, in order.
+    /// The positions, in order.
     pub fn positions(&self) -> Vec<Point3<f64>> {
         self.points.iter().map(|p| p.position).collect()
     }

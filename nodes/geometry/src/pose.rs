@@ -8,7 +8,7 @@ pub struct Pose {
     pub to: Frame,
     /// The frame that coordinates are taken from.
     pub from: Frame,
-    /// When it held; 0 for a constant such as a CAD pose.
+    /// The time at which it is valid; 0 for a constant such as a CAD pose.
     pub stamp_ns: StampNs,
     /// The motion itself.
     pub isometry: Isometry3<f64>,
@@ -20,7 +20,7 @@ impl Pose {
         Self { to: to.into(), from: from.into(), stamp_ns: 0, isometry }
     }
 
-    /// The same pose, valid at `stamp_ns`.
+    /// Sets the stamp.
     pub fn at(self, stamp_ns: StampNs) -> Self {
         Self { stamp_ns, ..self }
     }
@@ -56,7 +56,7 @@ impl Pose {
         })
     }
 
-    /// The motion, where this pose is `t_to_from`: a node's one check of frames.
+    /// The motion, if this pose is `t_to_from`; a node checks the frames of a pose by this call.
     ///
     /// # Errors
     /// [`FrameError::Pose`] if it leads between other frames.
@@ -72,9 +72,9 @@ impl Pose {
         })
     }
 
-    /// The pose a share `s` of the way from `a` (0) to `b` (1): linear in the origin of `from`, SLERP in the rotation.
+    /// The pose between `a` (`s` = 0) and `b` (`s` = 1): linear in the origin of `from`, SLERP in the rotation.
     ///
-    /// `None` if the frames differ or the rotations are half a turn apart, where the way between them is not unique.
+    /// `None` if the frames differ, or if the rotations are half a turn apart, where SLERP is not unique.
     pub fn interpolate(a: &Pose, b: &Pose, s: f64) -> Option<Pose> {
         if a.to != b.to || a.from != b.from {
             return None;

@@ -13,7 +13,7 @@ pub struct Region {
 }
 
 impl Region {
-    /// Whether the point lies inside or on the boundary.
+    /// Whether the point is inside or on the boundary.
     pub fn contains(&self, point: &Point3<f64>) -> bool {
         (0..3).all(|k| self.min[k] <= point[k] && point[k] <= self.max[k])
     }

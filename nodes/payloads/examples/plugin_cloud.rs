@@ -1,5 +1,5 @@
-//! A plugin in Rust that tells where the points of clouds lie: of those that come, of those that it gives, and how many of
-//! these were released. tests/plugins_c.rs holds it to the same as one in C.
+//! A plugin in Rust that reports the addresses of the points of clouds, of those it receives and those it gives, and the number
+//! of clouds released. tests/plugins_c.rs compares it with one in C.
 
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Source, schemars, serde};
 use osteoflow_payloads::{
@@ -44,7 +44,7 @@ fn address(cloud: &Cloud) -> Text {
     Text(cloud.points().as_ptr().addr().to_string().into())
 }
 
-/// Where the points of a cloud lie.
+/// The address of a cloud's points.
 #[derive(Describe)]
 struct Address;
 
@@ -56,7 +56,7 @@ struct CloudIn {
 
 #[derive(Outputs)]
 struct TextOut {
-    /// What was seen.
+    /// The address.
     text: Text,
 }
 
@@ -83,7 +83,7 @@ struct Give(Option<Params>);
 struct GiveOut {
     /// A cloud.
     cloud: Cloud,
-    /// Where its points lie.
+    /// The address of its points.
     text: Text,
 }
 

@@ -68,7 +68,7 @@ typedef struct osteoflow_pose {
  * Named points.
  * positions: double[3], mm
  * stamps_ns: int64_t[1], one for each point
- * confidences: double[1], one for each point, NaN where none was told
+ * confidences: double[1], one for each point, NaN for none
  */
 #define OSTEOFLOW_POINTS "geometry/Points"
 #define OSTEOFLOW_POINTS_VERSION 1

@@ -1,4 +1,4 @@
-//! Columns of geometry as columns of a view and back, over the same bytes.
+//! Columns of geometry as columns of a view and back, sharing the bytes.
 
 use bytemuck::Pod;
 use osteoflow_geometry::Column as Values;
@@ -13,7 +13,7 @@ impl<T: Pod> AsRef<[u8]> for Bytes<T> {
     }
 }
 
-/// Rows over bytes that were found to be aligned and whole.
+/// Rows over bytes that were checked to be aligned and whole.
 struct Rows<T>(Buffer, PhantomData<T>);
 
 impl<T: Pod> AsRef<[T]> for Rows<T> {
@@ -22,13 +22,13 @@ impl<T: Pod> AsRef<[T]> for Rows<T> {
     }
 }
 
-/// A view's column over the same values.
+/// A view's column that shares the values.
 pub(crate) fn to_column<T: Pod + Send + Sync>(name: impl Into<Name>, kind: ColumnType, values: &Values<T>) -> Column {
     let width = (size_of::<T>() / kind.size()) as u32;
     Column::new(name, kind, width, Arc::new(Bytes(values.clone())))
 }
 
-/// The values of a view's column, over the same bytes where they lie aligned.
+/// The values of a view's column; shares the bytes if they are aligned.
 pub(crate) fn from_column<T: Pod + Send + Sync>(view: &View, name: &str) -> Result<Values<T>, ViewError> {
     let column = view.column(name)?;
     Ok(match column.rows_of::<T>()? {

@@ -1,4 +1,4 @@
-//! The pictures that viewers are shown: Foxglove's schemas, metres. Derived, lossy, and outside digests.
+//! Views for Foxglove and other viewers: its schemas, metres. Derived, lossy, and outside digests.
 
 use foxglove::{
     Encode,

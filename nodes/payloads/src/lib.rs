@@ -1,4 +1,4 @@
-//! The one table of what may travel on a wire: name, version, exact view, Foxglove view.
+//! The table of payloads: name, version, exact view, Foxglove view.
 //!
 //! ```
 //! use osteoflow_geometry::{Pose, nalgebra::Isometry3};
@@ -12,26 +12,26 @@
 //! assert_eq!(back.get::<Pose>(), Some(&pose));
 //! ```
 //!
-//! Who writes a plugin needs this crate and `osteoflow-node` only: [`geometry`] and [`algorithms`] are those that the payloads
-//! are made of. Two features, both on by default, are left out where a short build counts: `viewer` (pictures for Foxglove,
-//! which the program makes, never a plugin) and `algorithms` (`algorithms/Target`, and what algorithms report).
+//! A plugin depends on this crate and `osteoflow-node` only; it uses the [`geometry`] and [`algorithms`] re-exported here. Two
+//! features, both on by default, can be left out for a shorter build: `viewer` (views for Foxglove, which the program makes,
+//! never a plugin) and `algorithms` (`algorithms/Target`, and the reports of algorithms).
 
 mod columns;
 #[cfg_attr(not(feature = "viewer"), path = "no_foxglove.rs")]
 mod foxglove;
 mod metrics;
-mod of_geometry;
+mod plain_values;
+mod geometry_views;
 #[cfg(feature = "algorithms")]
 mod report;
 #[cfg(feature = "algorithms")]
 mod target;
-mod words;
 
 pub use metrics::{Metric, Metrics, MetricsError};
 #[cfg(feature = "algorithms")]
 pub use osteoflow_algorithms as algorithms;
 pub use osteoflow_geometry as geometry;
-pub use words::{Flag, Json, Text};
+pub use plain_values::{Flag, Json, Text};
 
 use osteoflow_node::Registry;
 
@@ -78,7 +78,7 @@ mod tests {
 
     #[cfg(feature = "algorithms")]
     #[test]
-    fn words_and_reports_fit_their_schemas() {
+    fn plain_values_and_reports_fit_their_schemas() {
         use osteoflow_node::Value;
         // One macro writes the views of all reports.
         let report = osteoflow_algorithms::icp::IcpTrace::default();

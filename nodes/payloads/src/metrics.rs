@@ -1,9 +1,9 @@
-//! Numbers that a node reports, by name.
+//! Named numbers with units that a node reports.
 
 use crate::{
     Table,
     columns::{from_column, to_column},
-    of_geometry::{LINE, invalid},
+    geometry_views::{LINE, invalid},
 };
 use osteoflow_node::{ColumnType, Payload, SchemaEntry, View, ViewError};
 use serde_json::{Map, Value as Json};
@@ -29,8 +29,7 @@ impl Metric {
     }
 }
 
-/// Numbers that a node reports, in the order in which they are told: in `results.json` an object, each by its
-/// [`Metric::key`].
+/// Numbers that a node reports, in order. In `results.json` an object with a [`Metric::key`] for each.
 ///
 /// ```
 /// use osteoflow_node::{NodeError, Payload};
@@ -154,9 +153,9 @@ mod tests {
 
     #[test]
     fn metrics_survive_their_view_in_their_order() {
-        let told = [("surface_rms", 0.1 + 0.2, "mm"), ("area", 1e-300, "mm²"), ("n_pairs", -0.0, "")];
+        let metrics = [("surface_rms", 0.1 + 0.2, "mm"), ("area", 1e-300, "mm²"), ("n_pairs", -0.0, "")];
         for metrics in
-            [Metrics::new(told).unwrap(), Metrics::new(told.into_iter().take(1)).unwrap(), Metrics::default()]
+            [Metrics::new(metrics).unwrap(), Metrics::new(metrics.into_iter().take(1)).unwrap(), Metrics::default()]
         {
             let view = metrics.to_view();
             assert_eq!(view.check(Metrics::SCHEMA), Ok(()));

@@ -1,4 +1,4 @@
-//! No pictures: in a plugin, whose program makes them, for the functions of `foxglove.rs`.
+//! Stands in for `foxglove.rs` without the feature `viewer`: no views.
 
 use osteoflow_geometry::{Frame, Planes, Pose, nalgebra::Point3};
 use osteoflow_node::{Display, StampNs};

@@ -1,4 +1,4 @@
-//! What the algorithms say of their results: one JSON text, as in `results.json`.
+//! The reports of algorithms as payloads: one JSON text each, as in `results.json`.
 
 use crate::Table;
 use osteoflow_node::{Payload, Registry, SchemaEntry, View, ViewError};

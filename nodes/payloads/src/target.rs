@@ -2,7 +2,7 @@ use crate::{
     Table,
     columns::{from_column, to_column},
     foxglove,
-    of_geometry::{invalid, origin},
+    geometry_views::{invalid, origin},
 };
 use osteoflow_algorithms::{
     field::{ClosestPointField, FieldColumns},
@@ -13,7 +13,7 @@ use osteoflow_geometry::{Column, Mesh, first_not_unit, nalgebra::Vector3};
 use osteoflow_node::{ColumnType, Display, Payload, SchemaEntry, StampNs, View, ViewError};
 use serde_json::{Value as Json, json};
 
-/// The head field that tells that the view has cells.
+/// The head field that is present if the view has a grid.
 const CELL_MM: &str = "cell_mm";
 
 fn has(view: &View, column: &str) -> bool {

@@ -66,18 +66,18 @@ fn layout() -> String {
 
 /// The assertions of the header, one set for each struct.
 fn assertions() -> String {
-    let mut told: Vec<String> = Vec::new();
+    let mut checks: Vec<String> = Vec::new();
     for ty in types() {
         let name = name_of(ty);
         let mut own = format!("OSTEOFLOW_ASSERT(sizeof({name}) == {});\n", abi::head_size(ty.schema));
         for (field, at) in abi::head_offsets(ty.schema) {
             writeln!(own, "OSTEOFLOW_ASSERT(offsetof({name}, {field}) == {at});").unwrap();
         }
-        if !told.contains(&own) {
-            told.push(own);
+        if !checks.contains(&own) {
+            checks.push(own);
         }
     }
-    told.concat()
+    checks.concat()
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The built-in nodes: thin adapters from ports to algorithms, one file per kind, folders in pipeline order.
 //!
-//! A node holds no mathematics: it checks frames at its door, calls one function of `osteoflow-algorithms`, and gives
-//! frames and stamps to what comes back.
+//! A node holds no mathematics: it checks the frames of its inputs, calls one function of `osteoflow-algorithms`, and gives
+//! the result its frames and stamp.
 //!
 //! ```
 //! let registry = osteoflow_standard::registry();

@@ -10,7 +10,7 @@ use osteoflow_simulation::{
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Which bone is simulated on, if not the built-in one. The same for every node that simulates.
+/// The bone of a simulation, if not the built-in one. All nodes that simulate need the same.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
@@ -24,7 +24,7 @@ pub struct OwnBone {
 }
 
 impl OwnBone {
-    /// Both files or none.
+    /// Refuses one file without the other.
     pub(crate) fn checked(self) -> Result<Self, ParamError> {
         let (given, lacks) = match (&self.bone_file, &self.plan_file) {
             (Some(_), None) => ("bone_file", "plan_file"),
@@ -65,14 +65,14 @@ impl OwnBone {
     }
 }
 
-/// What decides a subject, to the byte.
+/// Everything that a subject depends on, to the byte.
 #[derive(Clone, PartialEq)]
 enum Key {
     BuiltIn(BoneParams),
     Files { name: String, bone: Arc<Vec<u8>>, plan: Arc<Vec<u8>> },
 }
 
-/// The last answers of a function: the nodes of one graph, and the runs of a sweep, ask for the same bone again.
+/// The last results of a function: the nodes of one graph, and the runs of a sweep, ask for the same bone.
 struct Memo<K, V>(Mutex<Vec<(K, V)>>);
 
 impl<K: PartialEq, V: Clone> Memo<K, V> {
@@ -82,7 +82,7 @@ impl<K: PartialEq, V: Clone> Memo<K, V> {
         Self(Mutex::new(Vec::new()))
     }
 
-    /// Not locked while it is made, as that may need other threads which ask too: now and then two make the same.
+    /// The lock is not held during `make`, which may need threads that ask too; two of them may compute the same.
     fn get_or(&self, key: K, make: impl FnOnce() -> Result<V, NodeError>) -> Result<V, NodeError> {
         let known = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, value)) = known().iter().find(|(k, _)| *k == key) {

@@ -1,6 +1,6 @@
 use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 
-/// The parameters of a kind that has none.
+/// The parameters of a kind without parameters.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]

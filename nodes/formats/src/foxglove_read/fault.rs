@@ -1,4 +1,4 @@
-/// A message that does not give what it should.
+/// A message that cannot be read.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FoxgloveError {
     /// The topic carries something else.
@@ -9,7 +9,7 @@ pub enum FoxgloveError {
         /// The schema that is there.
         found: String,
     },
-    /// The message is written in another way than protobuf or JSON.
+    /// The message is neither protobuf nor JSON.
     #[error("the message is written as \"{found}\", but only protobuf and json can be read")]
     Encoding {
         /// The encoding that is there.
@@ -20,7 +20,7 @@ pub enum FoxgloveError {
     Decode {
         /// The schema it should follow.
         schema: String,
-        /// What the decoder said.
+        /// The decoder's error.
         reason: String,
     },
     /// A point field is missing.
@@ -59,7 +59,7 @@ pub enum FoxgloveError {
         n_bytes: usize,
         /// The bytes of a point.
         stride: u32,
-        /// What remains behind the last whole point.
+        /// The bytes behind the last whole point.
         rest: usize,
     },
     /// A pose that is no rigid motion.
@@ -67,17 +67,17 @@ pub enum FoxgloveError {
     Pose {
         /// Which pose it is.
         what: &'static str,
-        /// What is wrong with it.
+        /// The reason.
         reason: String,
     },
-    /// A region of interest that cannot be understood.
+    /// A region of interest that cannot be read.
     #[error(
         "metadata \"procedure\", key \"{key}\": {reason}; write three numbers in metres, such as \"-0.1 -0.1 0.2\""
     )]
     Region {
         /// The key.
         key: String,
-        /// What is wrong with it.
+        /// The reason.
         reason: String,
     },
 }

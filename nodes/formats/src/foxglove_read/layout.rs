@@ -9,7 +9,7 @@ pub(super) struct Field {
 }
 
 impl Field {
-    /// The number as the message means it.
+    /// The number in a point.
     pub(super) fn value(self, point: &[u8]) -> f64 {
         fn at<const N: usize>(point: &[u8], offset: usize) -> [u8; N] {
             std::array::from_fn(|k| point[offset + k])
@@ -29,7 +29,7 @@ impl Field {
     }
 }
 
-/// Where the numbers of a point lie, checked to be within it.
+/// The offsets of the numbers of a point, checked to be within it.
 pub(super) struct Layout {
     pub(super) stride: usize,
     pub(super) n_points: usize,
@@ -44,7 +44,7 @@ impl Layout {
         let [x, y, z] = ["x", "y", "z"].map(|name| Self::field(raw, name));
         let position = [Self::needed(raw, "x", x?)?, Self::needed(raw, "y", y?)?, Self::needed(raw, "z", z?)?];
         let normal = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]].into_iter().find_map(|names| {
-            // Normals are an extra: where they are incomplete or of no known type, the cloud goes without.
+            // Normals are optional: if they are incomplete or of an unknown type, the cloud has none.
             let [x, y, z] = names.map(|name| Self::field(raw, name).ok().flatten());
             Some([x?, y?, z?])
         });

@@ -172,7 +172,7 @@ fn a_transform_is_lost_rounded_or_no_rigid_motion_by_the_length_of_its_quaternio
 }
 
 #[test]
-fn bytes_that_do_not_add_up_are_told_with_their_numbers() {
+fn bytes_that_do_not_add_up_are_named_with_their_numbers() {
     let mut raw = xyz_f32(&[[0.1, 0.2, 0.3]; 2]);
     raw.data = raw.data.slice(..23);
     let error = read(&raw).unwrap_err().to_string();
@@ -283,7 +283,7 @@ fn a_json_cloud_is_read_with_types_by_name_and_base64_of_either_alphabet() {
 }
 
 #[test]
-fn a_tip_may_lack_its_turn_but_not_its_place() {
+fn a_tip_may_lack_its_orientation_but_not_its_position() {
     let tip = |pose| PoseInFrame { timestamp: None, frame_id: "world".into(), pose };
     let position = Some(FoxgloveVector3 { x: 0.001, y: 0.0, z: 0.0 });
     let read = |t: &PoseInFrame| read_pose_in_frame(protobuf(POSE_IN_FRAME, t));
@@ -302,7 +302,7 @@ fn a_tip_may_lack_its_turn_but_not_its_place() {
 }
 
 #[test]
-fn another_schema_or_encoding_is_told_by_name() {
+fn another_schema_or_encoding_is_named() {
     let said = read_cloud(message("sensor_msgs/msg/PointCloud2", "cdr", "")).unwrap_err().to_string();
     assert_eq!(said, "the message is written as \"cdr\", but only protobuf and json can be read");
     let said = read_transforms(message(POINT_CLOUD, "protobuf", "")).unwrap_err().to_string();
@@ -323,7 +323,7 @@ fn a_region_that_cannot_be_understood_is_an_error_and_not_ignored() {
         ("0 0", "1 1 1", "\"0 0\" is not three numbers"),
         ("0 0 0", "1 1 1 1", "\"1 1 1 1\" is not three numbers"),
         ("0 0 nan", "1 1 1", "is not three numbers"),
-        ("0 2 0", "1 1 1", "its y lies above that of roi_camera_max_m"),
+        ("0 2 0", "1 1 1", "its y is above that of roi_camera_max_m"),
         ("0 0 0", "", "key \"roi_camera_max_m\": it is missing"),
     ] {
         let error = procedure_region(&recording(min, max)).unwrap_err().to_string();

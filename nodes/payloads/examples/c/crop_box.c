@@ -4,7 +4,7 @@
  *   cc -std=c11 -O2 -shared -fPIC -I engine/node/include -I nodes/payloads/include \
  *      nodes/payloads/examples/c/crop_box.c -o libcrop_box.so
  *
- * Read from the end: it says what the plugin holds, and everything else hangs on it.
+ * Read from the end, which describes the plugin and refers to the functions above.
  */
 #include "osteoflow_geometry.h"
 
@@ -17,7 +17,7 @@ typedef struct box {
     double max[3];
 } box;
 
-/* The corner that a parameter gives, or no bound where the graph gives none. */
+/* The corner of a parameter, or no bound if the graph does not set it. */
 static void corner(const osteoflow_firing *firing, const char *name, double unbounded, double out[3]) {
     osteoflow_param param;
     firing->host->param(firing->run, osteoflow_text_of(name), &param);
@@ -64,7 +64,7 @@ static int inside(const double min[3], const double max[3], const double point[3
     return 1;
 }
 
-/* The chosen rows of a column, in a block of their own. */
+/* Copies the chosen rows of a column. */
 static int select_rows(const osteoflow_column *from, const uint64_t *chosen, uint64_t n, osteoflow_column *to) {
     const size_t row = (size_t)osteoflow_type_size(from->type) * from->width;
     char *rows = malloc(n * row);
@@ -78,7 +78,7 @@ static int select_rows(const osteoflow_column *from, const uint64_t *chosen, uin
     return 1;
 }
 
-/* Answers with the chosen points: head and columns as they came, whichever these are. */
+/* Answers with the chosen rows of every column, and the head unchanged. */
 static int32_t emit_selected(const osteoflow_firing *firing, const osteoflow_view *cloud, const uint64_t *chosen,
                              uint64_t n) {
     osteoflow_column *columns = malloc(cloud->n_columns * sizeof *columns);
@@ -102,7 +102,7 @@ static int32_t emit_selected(const osteoflow_firing *firing, const osteoflow_vie
     return answer;
 }
 
-/* Why nothing is answered. */
+/* Fails with the reason for an empty crop. */
 static int32_t fail_empty(const osteoflow_firing *firing, const osteoflow_cloud *cloud, uint64_t n_points) {
     char message[256];
     snprintf(message, sizeof message,
@@ -146,7 +146,7 @@ static int32_t fire(void *node, const osteoflow_firing *firing) {
     if (n == 0) {
         answer = fail_empty(firing, cloud, points->n_rows);
     } else if (n == points->n_rows) {
-        /* Nothing is cut off: the very cloud is handed on. */
+        /* All points are inside: the input is passed on without a copy. */
         answer = firing->host->emit_value(firing->run, 0, firing->slots[0].items[0].value);
     } else {
         answer = emit_selected(firing, &view, chosen, n);
@@ -155,7 +155,7 @@ static int32_t fire(void *node, const osteoflow_firing *firing) {
     return answer;
 }
 
-/* The same ports as those of crop.box, so that one word in a graph swaps the two. */
+/* The ports of crop.box, so that one word in a graph swaps the two. */
 static const osteoflow_input inputs[] = {
     { .name = OSTEOFLOW_TEXT("cloud"),
       .doc = OSTEOFLOW_TEXT("The cloud to crop."),

@@ -26,7 +26,7 @@
 
 namespace {
 
-// ---- A little algebra -------------------------------------------------------------------------------------------------
+// ---- Linear algebra ---------------------------------------------------------------------------------------------------
 
 typedef std::array<double, 3> Vec;
 
@@ -137,7 +137,7 @@ double angle(const Quaternion &q) {
 
 // ---- Nearest points ---------------------------------------------------------------------------------------------------
 
-// A k-d tree that lies in the order of its points: the middle of each range splits it.
+// A k-d tree stored in the order of its points; each range is split at its median.
 class Tree {
   public:
     explicit Tree(std::vector<Vec> points, std::vector<Vec> normals) {
@@ -229,9 +229,9 @@ class Tree {
     std::vector<uint8_t> axes_;
 };
 
-// ---- What comes in ----------------------------------------------------------------------------------------------------
+// ---- Inputs -----------------------------------------------------------------------------------------------------------
 
-// An output that was refused, or a call of the program that failed: it has said why.
+// An output that was refused, or a call of the program that failed; the program has reported the reason.
 struct Told : std::exception {};
 
 osteoflow_view view_of(const osteoflow_firing *firing, uint64_t port) {
@@ -293,7 +293,7 @@ struct Params {
     uint64_t min_pairs;
 };
 
-// Where the source is: its turn, and its centroid in the target's frame.
+// The pose of the source: its rotation, and its centroid in the target's frame.
 struct State {
     Quaternion rotation;
     Vec centre;
@@ -340,7 +340,7 @@ class Icp {
 
     double rms_mm() const { return std::sqrt(squares_ / static_cast<double>(n_pairs)); }
 
-    // Of the pairs along the target's normals: shift in mm, turn about the centroid times `lever`.
+    // The normal matrix of the pairs along the target's normals: translation in mm, rotation about the centroid times `lever`.
     Matrix<6> normal_matrix(double lever) const {
         Matrix<6> sum = Matrix<6>();
         for (size_t i = 0; i < arms_.size(); i++) {
@@ -371,7 +371,7 @@ class Icp {
     std::vector<Step> steps;
 
   private:
-    // Finds every partner anew; true if one has changed.
+    // Pairs every point again; true if a pair has changed.
     bool pair() {
         bool changed = false;
         n_pairs = 0;
@@ -397,8 +397,8 @@ class Icp {
         return changed;
     }
 
-    // The motion that carries the paired points onto their partners best. Source: Horn 1987, the quaternion as the
-    // eigenvector of the largest eigenvalue. Sums run about where the source is, so that no digits are lost.
+    // The motion that best carries the source points of the pairs onto their target points. Source: Horn 1987, the quaternion as the
+    // eigenvector of the largest eigenvalue. Sums are taken about the source's centroid to keep all digits.
     State best_fit() const {
         Vec mean_arm = Vec(), mean_partner = Vec();
         for (size_t i = 0; i < arms_.size(); i++) {
@@ -443,7 +443,7 @@ class Icp {
     double squares_;
 };
 
-// ---- What it reports --------------------------------------------------------------------------------------------------
+// ---- The report -------------------------------------------------------------------------------------------------------
 
 std::string number(double value) {
     char digits[32];
@@ -466,7 +466,7 @@ std::string json_of(const State &state, const Vec &source_centre) {
     return "{" + field("rotation", list(state.rotation)) + "," + field("translation", list(translation)) + "}";
 }
 
-// A motion that the pairs hold by so much; an eigenvector has no sign, so its largest part is made positive.
+// A motion and its eigenvalue; an eigenvector has no sign, so its largest component is made positive.
 std::string direction(double value, std::array<double, 6> v) {
     const auto largest = std::max_element(v.begin(), v.end(), [](double a, double b) { return fabs(a) < fabs(b); });
     if (*largest < 0.0) {
@@ -636,7 +636,7 @@ static void destroy(void *node) { delete static_cast<PointToPoint *>(node); }
 
 } // extern "C"
 
-// ---- What it says of itself -------------------------------------------------------------------------------------------
+// ---- The description --------------------------------------------------------------------------------------------------
 
 const osteoflow_input inputs[] = {
     { OSTEOFLOW_TEXT("source"), OSTEOFLOW_TEXT("Moves: the scanned surface, cropped."), OSTEOFLOW_TEXT(OSTEOFLOW_CLOUD),

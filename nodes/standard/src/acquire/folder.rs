@@ -2,7 +2,7 @@
 
 use super::{
     playback::{Event, Playback},
-    procedure_ports::{ProcedureOut, ProcedurePorts, Role},
+    procedure_ports::{ProcedureOut, ProcedurePort, ProcedurePorts},
 };
 use osteoflow_formats::folder::{FolderBody, FolderItem, ProcedureFolder};
 use osteoflow_geometry::Points;
@@ -12,10 +12,10 @@ use osteoflow_node::{
 };
 use osteoflow_payloads::Flag;
 
-/// The streams of a procedure kept as a folder of files, for those who have no recorder.
+/// The streams of a procedure stored as a folder of files, for setups without a recorder.
 ///
-/// Its `procedure.toml` says which file plays which part: PLY scans, laser scans, a table of poses, stylus points; with a
-/// tracker, or without (then the camera's frame is the world).
+/// Its `procedure.toml` names the files: PLY scans, laser scans, a table of poses, stylus points. Without a tracker, the
+/// camera's frame is the world.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.folder"
@@ -39,7 +39,7 @@ pub struct Params {
 pub struct Out(ProcedureOut);
 
 impl Outputs for Out {
-    /// The ports of every procedure; whether its clouds lie in the camera or in the world, the folder says when read.
+    /// The ports of a procedure, without frames: only the folder says whether clouds are in the camera or in the world.
     fn ports() -> OutputPorts {
         let OutputPorts::Fixed(mut ports) = ProcedurePorts::ports() else { return ProcedurePorts::ports() };
         ports.iter_mut().for_each(|port| port.frames.frame = None);
@@ -66,7 +66,7 @@ impl Source for Folder {
         }
         let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
         ctx.set_stamp_ns(event.stamp_ns);
-        Ok(Some(Out(ProcedureOut::new(event.port, event.what))))
+        Ok(Some(Out(ProcedureOut::new(event.port, event.body))))
     }
 }
 
@@ -79,10 +79,10 @@ impl Folder {
         let has = |role: &str| streams.items.iter().any(|item| item.role == role);
         let tracked = has("bone_marker");
         let mut events = vec![
-            at(Role::Simulated, start_ns, Emission::value(Flag(folder.simulated))),
-            at(Role::BoneTracked, start_ns, Emission::value(Flag(tracked))),
+            at(ProcedurePort::Simulated, start_ns, Emission::value(Flag(folder.simulated))),
+            at(ProcedurePort::BoneTracked, start_ns, Emission::value(Flag(tracked))),
             at(
-                Role::Region,
+                ProcedurePort::Region,
                 start_ns,
                 match folder.region {
                     Some(region) => Emission::value(region),
@@ -90,24 +90,24 @@ impl Folder {
                 },
             ),
         ];
-        for (role, name) in [(Role::BoneMarker, "bone_marker"), (Role::PhantomMarkerCad, "phantom_marker_cad")] {
+        for (port, name) in [(ProcedurePort::BoneMarker, "bone_marker"), (ProcedurePort::PhantomMarkerCad, "phantom_marker_cad")] {
             if !has(name) {
-                events.push(at(role, start_ns, Emission::Empty(format!("the folder has no poses of {name}"))));
+                events.push(at(port, start_ns, Emission::Empty(format!("the folder has no poses of {name}"))));
             }
         }
-        for role in Role::OF_EXPERIMENTS {
-            events.push(at(role, start_ns, Emission::Empty("a folder has no such stream".into())));
+        for port in ProcedurePort::OF_EXPERIMENTS {
+            events.push(at(port, start_ns, Emission::Empty("a folder has no such stream".into())));
         }
         events.extend(streams.items.into_iter().filter_map(event));
         Ok(events)
     }
 }
 
-fn at(role: Role, stamp_ns: i64, what: Emission) -> Event<Emission> {
-    Event { stamp_ns, port: role as usize, what }
+fn at(port: ProcedurePort, stamp_ns: i64, body: Emission) -> Event<Emission> {
+    Event { stamp_ns, port: port as usize, body }
 }
 
-/// The item on the port of its role; `None` for what no port takes.
+/// The item on the port of its role; `None` if there is no such port.
 fn event(item: FolderItem) -> Option<Event<Emission>> {
     let name = match item.role.as_str() {
         "init" => "stylus_init",
@@ -117,11 +117,11 @@ fn event(item: FolderItem) -> Option<Event<Emission>> {
     };
     let OutputPorts::Fixed(ports) = ProcedurePorts::ports() else { return None };
     let port = ports.iter().position(|p| p.name == name)?;
-    let what = match item.body {
+    let body = match item.body {
         FolderBody::Cloud(cloud) => Emission::value(cloud),
         FolderBody::Pose(Ok(pose)) => Emission::value(pose),
         FolderBody::Pose(Err(lost)) => Emission::Empty(lost.to_string()),
         FolderBody::Tip(frame, point) => Emission::value(Points::new(frame, vec![point])),
     };
-    Some(Event { stamp_ns: item.stamp_ns, port, what })
+    Some(Event { stamp_ns: item.stamp_ns, port, body })
 }

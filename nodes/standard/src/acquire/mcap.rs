@@ -25,11 +25,11 @@ use std::{
 
 /// The streams of a recording in MCAP with Foxglove's schemas, in the order of sensor time.
 ///
-/// Each entry of `out` is a port: its `type`, and the topic it comes from. Protobuf and JSON, any chunk compression,
-/// with or without an index. Metres become millimetres; points that are not finite are left out, counted and reported.
-/// A pose that the tracker wrote without seeing the marker is an empty with the reason. Of a rounded rotation the nearest
-/// one is used, and each topic reports its largest correction; one that rounding does not explain is an error that names
-/// topic and message. Topics that no port names are listed in the log.
+/// Each entry of `out` is a port with a `type` and a topic. Protobuf and JSON, any chunk compression, with or without an
+/// index. Metres become millimetres; points that are not finite are left out, counted and reported. A pose that the tracker
+/// wrote without seeing the marker is an empty with the reason. A rounded rotation is replaced by the nearest one, and each
+/// topic reports its largest correction; a deviation above 0.001 is an error that names topic and message. Topics that no
+/// port reads are listed in the log.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.mcap"
@@ -40,7 +40,7 @@ out.camera_marker = { type = "geometry/Pose", topic = "/tracker/camera_marker", 
 "#)]
 pub struct Mcap {
     params: Params,
-    playback: Option<Playback<What>>,
+    playback: Option<Playback<EventBody>>,
 }
 
 /// Parameters of [`Mcap`].
@@ -50,13 +50,13 @@ pub struct Mcap {
 pub struct Params {
     /// The recording.
     pub path: FilePath,
-    /// Whether the intact part of a damaged recording is used, and said so. false: a damaged recording is an error.
+    /// Whether the intact part of a damaged recording is used, with a warning. false: a damaged recording is an error.
     #[serde(default)]
     pub allow_truncated: bool,
 }
 
-/// What happens on a port; clouds are decoded when their turn comes.
-pub(super) enum What {
+/// The body of an event. Clouds are decoded when they are due.
+pub(super) enum EventBody {
     Cloud { message: Message, label: Option<Arc<str>> },
     Ready(Emission),
 }
@@ -86,20 +86,20 @@ impl Mcap {
         Self { params: Params { path, allow_truncated }, playback: None }
     }
 
-    /// Everything that happens, in the order of its stamps.
-    pub(super) fn playback(&self, ctx: &mut Context) -> Result<Playback<What>, NodeError> {
+    /// All events in the order of their stamps.
+    pub(super) fn playback(&self, ctx: &mut Context) -> Result<Playback<EventBody>, NodeError> {
         Ok(Playback::new(self.open(ctx)?))
     }
 
-    /// What an event gives on its port.
-    pub(super) fn emission(event: Event<What>, ctx: &mut Context) -> Result<Emission, NodeError> {
-        match event.what {
-            What::Ready(emission) => Ok(emission),
-            What::Cloud { message, label } => cloud(&message, label, &ctx.declared()[event.port].name, ctx),
+    /// The emission of an event.
+    pub(super) fn emission(event: Event<EventBody>, ctx: &mut Context) -> Result<Emission, NodeError> {
+        match event.body {
+            EventBody::Ready(emission) => Ok(emission),
+            EventBody::Cloud { message, label } => cloud(&message, label, &ctx.declared()[event.port].name, ctx),
         }
     }
 
-    fn open(&self, ctx: &mut Context) -> Result<Vec<Event<What>>, NodeError> {
+    fn open(&self, ctx: &mut Context) -> Result<Vec<Event<EventBody>>, NodeError> {
         let ports = ctx.declared();
         let params = ports.iter().map(DeclaredPort::params).collect::<Result<Vec<PortParams>, _>>()?;
         let wanted = |topic: &str| {
@@ -114,13 +114,13 @@ impl Mcap {
                 topic = topic.name,
                 schema = topic.schema_name,
                 n_messages = topic.n_messages,
-                "no port takes this topic"
+                "no port reads this topic"
             );
         }
         let (mut events, mut corrections) = (Vec::new(), BTreeMap::new());
         for (port, (declared, params)) in ports.iter().zip(&params).enumerate() {
             let mut stream = Port { recording: &recording, declared, params, corrections: &mut corrections };
-            events.extend(stream.events()?.into_iter().map(|(stamp_ns, what)| Event { stamp_ns, port, what }));
+            events.extend(stream.events()?.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
         }
         for (topic, corrections) in corrections {
             corrections.note().into_iter().for_each(|note| ctx.warn(format!("topic {topic}: {note}")));
@@ -139,11 +139,11 @@ struct Port<'a> {
 }
 
 impl Port<'_> {
-    fn events(&mut self) -> Result<Vec<(StampNs, What)>, NodeError> {
+    fn events(&mut self) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
         let start_ns = self.extent().map_or(0, |(start, _)| start);
         match self.declared.payload.name {
-            "geometry/Region" => Ok(vec![(start_ns, What::Ready(self.region()?))]),
-            "report/Flag" => Ok(vec![(start_ns, What::Ready(Emission::value(Flag(self.flag()))))]),
+            "geometry/Region" => Ok(vec![(start_ns, EventBody::Ready(self.region()?))]),
+            "report/Flag" => Ok(vec![(start_ns, EventBody::Ready(Emission::value(Flag(self.flag()))))]),
             "geometry/Cloud" => self.streams(start_ns, Self::clouds),
             "geometry/Pose" => self.streams(start_ns, Self::poses),
             "geometry/Points" => self.streams(start_ns, Self::points),
@@ -153,12 +153,12 @@ impl Port<'_> {
         }
     }
 
-    /// The events of all topics of the port, or one empty if there are none and none are needed.
+    /// The events of all topics of the port; one empty for an optional topic without messages.
     fn streams(
         &mut self,
         start_ns: StampNs,
-        read: impl Fn(&mut Self, &str, Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError>,
-    ) -> Result<Vec<(StampNs, What)>, NodeError> {
+        read: impl Fn(&mut Self, &str, Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError>,
+    ) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
         let params = self.params;
         let topics = params.topics();
         if topics.is_empty() {
@@ -170,7 +170,7 @@ impl Port<'_> {
                 events.extend(read(self, topic, label)?);
             } else if params.optional {
                 let reason = format!("the recording has no messages on {topic}");
-                events.push((start_ns, What::Ready(Emission::Empty(reason))));
+                events.push((start_ns, EventBody::Ready(Emission::Empty(reason))));
             } else {
                 return Err(self.missing(topic, label));
             }
@@ -178,27 +178,27 @@ impl Port<'_> {
         Ok(events)
     }
 
-    fn clouds(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
+    fn clouds(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
         let mut events = Vec::new();
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             let head = read_cloud_head(message).map_err(|error| self.at(topic, i, error))?;
             self.corrections.entry(topic.into()).or_default().add(head.correction);
             let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
-            events.push((head.stamp_ns, What::Cloud { message: message.clone(), label: Some(label.into()) }));
+            events.push((head.stamp_ns, EventBody::Cloud { message: message.clone(), label: Some(label.into()) }));
         }
         Ok(events)
     }
 
-    fn poses(&mut self, topic: &str, _label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
+    fn poses(&mut self, topic: &str, _label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
         let mut events = Vec::new();
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             for read in self.poses_of(topic, message).map_err(|error| self.at(topic, i, error))? {
                 events.push(match read {
                     Ok(pose) => {
                         let pose = self.corrections.entry(topic.into()).or_default().take(pose);
-                        (pose.stamp_ns, What::Ready(Emission::value(pose)))
+                        (pose.stamp_ns, EventBody::Ready(Emission::value(pose)))
                     }
-                    Err(PoseError::Lost(lost)) => (lost.stamp_ns, What::Ready(Emission::Empty(lost.to_string()))),
+                    Err(PoseError::Lost(lost)) => (lost.stamp_ns, EventBody::Ready(Emission::Empty(lost.to_string()))),
                     Err(error @ PoseError::NotRigid { .. }) => return Err(self.at(topic, i, error)),
                 });
             }
@@ -210,12 +210,12 @@ impl Port<'_> {
             let stamps: Vec<StampNs> = events.iter().map(|(stamp, _)| *stamp).collect();
             let what = last_part(topic).replace('_', " ");
             let lost = silences(&stamps, (lost_after_ms * 1e6) as StampNs, end_ns, &format!("the {what}"));
-            events.extend(lost.into_iter().map(|(stamp, empty)| (stamp, What::Ready(empty))));
+            events.extend(lost.into_iter().map(|(stamp, empty)| (stamp, EventBody::Ready(empty))));
         }
         Ok(events)
     }
 
-    /// The poses of a message between the frames that the port takes.
+    /// The poses of a message between the frames of the port.
     fn poses_of(&self, topic: &str, message: &Message) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, FoxgloveError> {
         if &*message.schema_name == POSE_IN_FRAME {
             let child = self.params.child.as_deref().unwrap_or(last_part(topic));
@@ -233,12 +233,12 @@ impl Port<'_> {
         Ok(reads.collect())
     }
 
-    fn points(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, What)>, NodeError> {
+    fn points(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
         let mut tips = Vec::new();
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             tips.push(read_pose_in_frame(message).map_err(|error| self.at(topic, i, error))?);
         }
-        // Labels count in the order in which the points were touched.
+        // Labels are in the order in which the points were touched.
         tips.sort_by_key(|tip| tip.stamp_ns);
         let events = tips.into_iter().enumerate().map(|(i, tip)| {
             let name = match label.or_else(|| self.params.labels.get(i).map(String::as_str)) {
@@ -247,7 +247,7 @@ impl Port<'_> {
             };
             let mut point = NamedPoint::new(name, tip.position);
             point.stamp_ns = tip.stamp_ns;
-            (tip.stamp_ns, What::Ready(Emission::value(Points::new(tip.frame, vec![point]))))
+            (tip.stamp_ns, EventBody::Ready(Emission::value(Points::new(tip.frame, vec![point]))))
         });
         Ok(events.collect())
     }
@@ -268,7 +268,7 @@ impl Port<'_> {
         value.is_some_and(|value| value == "true")
     }
 
-    /// First and last sensor time of the whole recording, as far as its kept messages tell.
+    /// First and last publish time of the messages that were read.
     fn extent(&self) -> Option<(StampNs, StampNs)> {
         let times = self.recording.topics().iter().flat_map(|t| self.recording.messages(&t.name));
         let times = times.map(|m| m.publish_time_ns);
@@ -278,7 +278,7 @@ impl Port<'_> {
         })
     }
 
-    /// No transform of the topic lies between the frames that the port wants.
+    /// The error for a topic without a transform between the frames of the port.
     fn no_such_transform(&self, topic: &str) -> NodeError {
         let read = self.recording.messages(topic).iter().filter_map(|message| read_transforms(message).ok()).flatten();
         let there: BTreeSet<String> =

@@ -1,7 +1,7 @@
 //! The kind `acquire.mcap_live`.
 
 use super::{
-    mcap::{Mcap, What},
+    mcap::{EventBody, Mcap},
     mcap_ports::PortParams,
     playback::Event,
 };
@@ -12,11 +12,11 @@ use osteoflow_node::{
 };
 use std::time::{Duration, Instant};
 
-/// A recording played at its own tempo, as if its devices sent it now: a live source for tests and rehearsals.
+/// A recording played in real time, as if its devices sent it now: a live source for tests and rehearsals.
 ///
-/// Streams, ports and stamps are those of `acquire.mcap`; an item comes when its stamp is due, or by `jitter_ms` later. As
-/// with a device, what the graph does not take in time waits, or is dropped by the policy of its wire. Where nothing is
-/// dropped and nothing is late, the results are those of `acquire.mcap`, bit for bit.
+/// Streams, ports and stamps are those of `acquire.mcap`; an item arrives when its stamp is due, or up to `jitter_ms` later.
+/// As with a device, items that the graph does not take in time wait, or are dropped by the policy of their wire. If nothing
+/// is dropped and nothing is late, the results are those of `acquire.mcap`, bit for bit.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.mcap_live"
@@ -28,7 +28,7 @@ out.camera_marker = { type = "geometry/Pose", topic = "/tracker/camera_marker", 
 pub struct McapLive {
     mcap: Mcap,
     params: Params,
-    tape: Option<Tape>,
+    schedule: Option<Schedule>,
 }
 
 /// Parameters of [`McapLive`].
@@ -38,24 +38,23 @@ pub struct McapLive {
 pub struct Params {
     /// The recording.
     pub path: FilePath,
-    /// Whether the intact part of a damaged recording is used, and said so. false: a damaged recording is an error.
+    /// Whether the intact part of a damaged recording is used, with a warning. false: a damaged recording is an error.
     #[serde(default)]
     pub allow_truncated: bool,
-    /// How many times faster than recorded. 1: as recorded; more is overload, as from so much faster devices.
+    /// Playback speed relative to the recording. 1: as recorded; more simulates overload.
     #[serde(default = "one")]
     #[schemars(range(min = 0.001, max = 1e9))]
     pub rate: f64,
-    /// How long an item takes to come, at most; drawn for each from the run's seed, each stream in its order. 0: streams
-    /// come in step.
+    /// Maximum delay of an item, drawn for each from the run's seed; each stream stays in order. 0: no delay.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 60_000.0))]
     pub jitter_ms: f64,
-    /// How far one stream may lie behind another; what comes later is late, and an empty in its place. 0: enough where
-    /// there is no jitter. Each ms is one that joins wait for longer.
+    /// Maximum delay of one stream against another; an item beyond it is late and replaced by an empty. Joins wait this much
+    /// longer. 0: sufficient without jitter.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 60_000.0))]
     pub max_delay_ms: f64,
-    /// After how long without anything it is reported as silent. 5 s: longer than any camera takes between two clouds.
+    /// Time without an item after which the source is reported as silent. 5 s: longer than any camera's interval.
     #[serde(default = "five")]
     #[schemars(range(min = 0.01, max = 86_400.0))]
     pub silent_after_s: f64,
@@ -69,12 +68,12 @@ fn five() -> f64 {
     osteoflow_node::SILENT_AFTER.as_secs_f64()
 }
 
-/// What is to come, and when by the clock of this machine.
-struct Tape {
+/// The remaining events and their schedule by the clock of this machine.
+struct Schedule {
     began: Instant,
-    /// The time on the tape that was due when it began.
+    /// The stamp that is due at `began`.
     first_ns: StampNs,
-    events: std::vec::IntoIter<(StampNs, Event<What>)>,
+    events: std::vec::IntoIter<(StampNs, Event<EventBody>)>,
 }
 
 impl Source for McapLive {
@@ -85,7 +84,7 @@ impl Source for McapLive {
 
     fn new(params: Params) -> Result<Self, ParamError> {
         let mcap = Mcap::of(params.path.clone(), params.allow_truncated);
-        Ok(Self { mcap, params, tape: None })
+        Ok(Self { mcap, params, schedule: None })
     }
 
     fn max_delay_ns(&self) -> StampNs {
@@ -97,14 +96,14 @@ impl Source for McapLive {
     }
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Self::Outputs>, NodeError> {
-        if self.tape.is_none() {
-            self.tape = Some(self.wind(ctx)?);
+        if self.schedule.is_none() {
+            self.schedule = Some(self.schedule(ctx)?);
         }
-        let Some(tape) = &mut self.tape else { return Ok(None) };
-        let Some((at_ns, event)) = tape.events.next() else { return Ok(None) };
-        let since_ns = at_ns.saturating_sub(tape.first_ns).max(0) as f64 / self.params.rate;
-        let due = tape.began.checked_add(Duration::from_nanos(since_ns as u64));
-        // A time beyond the clock's never comes.
+        let Some(schedule) = &mut self.schedule else { return Ok(None) };
+        let Some((at_ns, event)) = schedule.events.next() else { return Ok(None) };
+        let since_ns = at_ns.saturating_sub(schedule.first_ns).max(0) as f64 / self.params.rate;
+        let due = schedule.began.checked_add(Duration::from_nanos(since_ns as u64));
+        // `None` is beyond the clock's range and never due.
         if !due.is_none_or(|due| ctx.wait_until(due)) {
             return Ok(None);
         }
@@ -115,8 +114,8 @@ impl Source for McapLive {
 }
 
 impl McapLive {
-    /// The tape begins when the recording has been read.
-    fn wind(&self, ctx: &mut Context) -> Result<Tape, NodeError> {
+    /// Reads the recording; its schedule starts afterwards.
+    fn schedule(&self, ctx: &mut Context) -> Result<Schedule, NodeError> {
         let events = self.mcap.playback(ctx)?;
         let mut rng = ctx.rng();
         let mut last_of_port = vec![StampNs::MIN; ctx.declared().len()];
@@ -129,11 +128,11 @@ impl McapLive {
                 (*last_ns, event)
             })
             .collect();
-        // Stable: what comes at one time comes in the order of stamps.
+        // The sort is stable, so equal times keep the order of stamps.
         events.sort_by_key(|(at_ns, _)| *at_ns);
-        // Constants have no time, and come at once.
+        // Constants have no time and are due at once.
         let first_ns = events.iter().map(|(at_ns, _)| *at_ns).find(|at_ns| *at_ns > 0).unwrap_or(0);
-        Ok(Tape { began: Instant::now(), first_ns, events: events.into_iter() })
+        Ok(Schedule { began: Instant::now(), first_ns, events: events.into_iter() })
     }
 }
 

@@ -1,14 +1,14 @@
 use osteoflow_geometry::StampNs;
 use osteoflow_node::Emission;
 
-/// Something that happens on one port at one time; what is costly is made when its turn comes.
+/// An answer on one port at one stamp. `T` may be a description from which the answer is made later.
 pub(crate) struct Event<T> {
     pub(crate) stamp_ns: StampNs,
     pub(crate) port: usize,
-    pub(crate) what: T,
+    pub(crate) body: T,
 }
 
-/// Events in the order of their stamps; equal stamps in the order of ports, then as they were added.
+/// Events ordered by stamp, then by port, then as they were added.
 pub(crate) struct Playback<T> {
     events: std::vec::IntoIter<Event<T>>,
 }
@@ -28,9 +28,9 @@ impl<T> Iterator for Playback<T> {
     }
 }
 
-/// The stamps at which a stream fell silent for longer than `lost_after_ns`, each with the reason, in order.
+/// An empty with the reason for each gap in a stream longer than `lost_after_ns`, at the stamp at which the limit passes.
 ///
-/// `end_ns` is when the recording ended, so that a stream that stops early is seen too.
+/// `end_ns` is the end of the recording, so a stream that stops early has a gap too.
 pub(crate) fn silences(
     stamps: &[StampNs],
     lost_after_ns: StampNs,
@@ -65,7 +65,7 @@ mod tests {
 
     #[test]
     fn events_come_by_stamp_then_by_port() {
-        let event = |stamp_ns, port| Event { stamp_ns, port, what: () };
+        let event = |stamp_ns, port| Event { stamp_ns, port, body: () };
         let order: Vec<_> =
             Playback::new(vec![event(2, 0), event(1, 1), event(1, 0)]).map(|e| (e.stamp_ns, e.port)).collect();
         assert_eq!(order, [(1, 0), (1, 1), (2, 0)]);

@@ -2,7 +2,7 @@
 
 use super::{
     playback::{Event, Playback},
-    procedure_ports::{ProcedureOut, Role},
+    procedure_ports::{ProcedureOut, ProcedurePort},
 };
 use crate::own_bone::OwnBone;
 use osteoflow_geometry::{Cloud, Points, Pose, StampNs};
@@ -12,10 +12,10 @@ use osteoflow_node::{
 use osteoflow_payloads::Flag;
 use osteoflow_simulation::{Procedure, ProcedureParams};
 
-/// A simulated procedure on the built-in bone, or on one of your own: everything that a recording would hold, and the truth beside it.
+/// A simulated procedure on the built-in bone or on one of your own: everything that a recording holds, and the truth.
 ///
-/// Camera, tracker, phantom, laser, stylus and their errors are drawn from the run's seed. The truth goes to ports of
-/// its own, for scoring only.
+/// Camera, tracker, phantom, laser, stylus and their errors are drawn from the run's seed. The truth has ports of its own,
+/// for scoring only.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.simulated"
@@ -58,7 +58,7 @@ impl Source for Simulated {
         }
         let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
         ctx.set_stamp_ns(event.stamp_ns);
-        Ok(Some(ProcedureOut::new(event.port, event.what)))
+        Ok(Some(ProcedureOut::new(event.port, event.body)))
     }
 }
 
@@ -66,75 +66,75 @@ fn events(procedure: Procedure) -> Vec<Event<Emission>> {
     let mut events = Events(Vec::new());
     let start_ns = procedure.camera_marker.first().map_or(0, |pose| pose.stamp_ns);
     let truth = procedure.truth;
-    events.add(Role::Simulated, start_ns, Emission::value(Flag(true)));
+    events.add(ProcedurePort::Simulated, start_ns, Emission::value(Flag(true)));
     let is_tracked = !procedure.bone_marker.is_empty();
-    events.add(Role::BoneTracked, start_ns, Emission::value(Flag(is_tracked)));
+    events.add(ProcedurePort::BoneTracked, start_ns, Emission::value(Flag(is_tracked)));
     if !is_tracked {
-        for role in [Role::PhantomMarker, Role::BoneMarker] {
-            events.add(role, start_ns, Emission::Empty("nothing is tracked (tracker.none)".into()));
+        for port in [ProcedurePort::PhantomMarker, ProcedurePort::BoneMarker] {
+            events.add(port, start_ns, Emission::Empty("nothing is tracked (tracker.none)".into()));
         }
     }
     events.add(
-        Role::Region,
+        ProcedurePort::Region,
         start_ns,
         match procedure.region {
             Some(region) => Emission::value(region),
             None => Emission::Empty("no region of interest was drawn".into()),
         },
     );
-    events.clouds(Role::PhantomScan, [procedure.phantom_scan]);
-    events.clouds(Role::Scan, [procedure.scan]);
+    events.clouds(ProcedurePort::PhantomScan, [procedure.phantom_scan]);
+    events.clouds(ProcedurePort::Scan, [procedure.scan]);
     let mut on_landmarks = procedure.laser;
-    // There may be no scans with the laser at all.
+    // There may be no laser scans.
     let n_landmarks = procedure.plan.landmarks.points.len().min(on_landmarks.len());
     let on_assessment = on_landmarks.split_off(n_landmarks);
-    events.clouds(Role::Laser, on_landmarks);
-    events.clouds(Role::LaserAssessment, on_assessment);
-    events.poses(Role::CameraMarker, procedure.camera_marker);
-    events.poses(Role::PhantomMarker, procedure.phantom_marker);
-    events.poses(Role::BoneMarker, procedure.bone_marker);
-    events.add(Role::PhantomMarkerCad, start_ns, Emission::value(procedure.t_phantom_phantom_marker));
-    events.points(Role::StylusInit, &procedure.stylus_init);
-    events.points(Role::StylusAssessment, &procedure.stylus_assessment);
-    events.points(Role::StylusPalpation, &procedure.stylus_palpation);
+    events.clouds(ProcedurePort::Laser, on_landmarks);
+    events.clouds(ProcedurePort::LaserAssessment, on_assessment);
+    events.poses(ProcedurePort::CameraMarker, procedure.camera_marker);
+    events.poses(ProcedurePort::PhantomMarker, procedure.phantom_marker);
+    events.poses(ProcedurePort::BoneMarker, procedure.bone_marker);
+    events.add(ProcedurePort::PhantomMarkerCad, start_ns, Emission::value(procedure.t_phantom_phantom_marker));
+    events.points(ProcedurePort::StylusInit, &procedure.stylus_init);
+    events.points(ProcedurePort::StylusAssessment, &procedure.stylus_assessment);
+    events.points(ProcedurePort::StylusPalpation, &procedure.stylus_palpation);
     let t_ct_world_true = truth.t_world_ct_at_scan.inverse();
-    events.add(Role::TCtWorldTrue, start_ns, Emission::value(t_ct_world_true));
-    events.add(Role::TCameraCameraMarkerTrue, start_ns, Emission::value(truth.t_camera_camera_marker));
+    events.add(ProcedurePort::TCtWorldTrue, start_ns, Emission::value(t_ct_world_true));
+    events.add(ProcedurePort::TCameraCameraMarkerTrue, start_ns, Emission::value(truth.t_camera_camera_marker));
     let at_scan = &truth.t_world_ct_at_scan;
-    for (role, points) in [(Role::LaserSpotsTrue, &truth.laser_spots_ct), (Role::LaserMarksTrue, &truth.laser_marks_ct)]
+    for (port, points) in [(ProcedurePort::LaserSpotsTrue, &truth.laser_spots_ct), (ProcedurePort::LaserMarksTrue, &truth.laser_marks_ct)]
     {
-        events.add(role, start_ns, Emission::value(points.transformed(&at_scan.to, &at_scan.isometry)));
+        events.add(port, start_ns, Emission::value(points.transformed(&at_scan.to, &at_scan.isometry)));
     }
     for (read, known) in procedure.check {
         let stamp_ns = read.points.first().map_or(start_ns, |point| point.stamp_ns);
-        events.add(Role::CheckCamera, stamp_ns, Emission::value(read));
-        events.add(Role::CheckWorld, stamp_ns, Emission::value(known));
+        events.add(ProcedurePort::CheckCamera, stamp_ns, Emission::value(read));
+        events.add(ProcedurePort::CheckWorld, stamp_ns, Emission::value(known));
     }
-    events.poses(Role::StylusPivoting, procedure.stylus_pivoting);
-    events.poses(Role::StylusMarker, procedure.stylus_marker);
+    events.poses(ProcedurePort::StylusPivoting, procedure.stylus_pivoting);
+    events.poses(ProcedurePort::StylusMarker, procedure.stylus_marker);
     events.0
 }
 
 struct Events(Vec<Event<Emission>>);
 
 impl Events {
-    fn add(&mut self, role: Role, stamp_ns: StampNs, what: Emission) {
-        self.0.push(Event { stamp_ns, port: role as usize, what });
+    fn add(&mut self, port: ProcedurePort, stamp_ns: StampNs, body: Emission) {
+        self.0.push(Event { stamp_ns, port: port as usize, body });
     }
 
-    fn clouds(&mut self, role: Role, clouds: impl IntoIterator<Item = Cloud>) {
-        clouds.into_iter().for_each(|cloud| self.add(role, cloud.stamp_ns, Emission::value(cloud)));
+    fn clouds(&mut self, port: ProcedurePort, clouds: impl IntoIterator<Item = Cloud>) {
+        clouds.into_iter().for_each(|cloud| self.add(port, cloud.stamp_ns, Emission::value(cloud)));
     }
 
-    fn poses(&mut self, role: Role, poses: Vec<Pose>) {
-        poses.into_iter().for_each(|pose| self.add(role, pose.stamp_ns, Emission::value(pose)));
+    fn poses(&mut self, port: ProcedurePort, poses: Vec<Pose>) {
+        poses.into_iter().for_each(|pose| self.add(port, pose.stamp_ns, Emission::value(pose)));
     }
 
     /// One item for each point, as a stylus gives them.
-    fn points(&mut self, role: Role, points: &Points) {
+    fn points(&mut self, port: ProcedurePort, points: &Points) {
         for point in &*points.points {
             let one = Points::new(&points.frame, vec![point.clone()]);
-            self.add(role, point.stamp_ns, Emission::value(one));
+            self.add(port, point.stamp_ns, Emission::value(one));
         }
     }
 }

@@ -9,8 +9,8 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamE
 /// The pose of the camera's marker in the camera, from one scan of a tracked phantom of known shape.
 ///
 /// `t_camera_camera_marker = t_camera_phantom * t_phantom_phantom_marker * t_phantom_marker_world *
-/// t_world_camera_marker`, with `t_camera_phantom` from an ICP of the phantom's CAD that starts where the marker's
-/// nominal pose puts it.
+/// t_world_camera_marker`, with `t_camera_phantom` from an ICP of the phantom's CAD that starts at the marker's
+/// nominal pose.
 #[derive(Describe)]
 #[describe(
     example = r#"

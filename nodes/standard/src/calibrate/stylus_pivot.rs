@@ -6,7 +6,7 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamE
 
 /// The tip of a tracked stylus, from poses of its marker while it is turned about its tip.
 ///
-/// Least squares over `R_i tip + x_i = pivot`. Poses that are hardly tilted, or about one axis alone, are refused.
+/// Least squares over `R_i tip + x_i = pivot`. Poses that are tilted too little, or about one axis only, are refused.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -46,7 +46,7 @@ impl Node for StylusPivot {
     }
 
     fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
-        let first = i.pose.first().ok_or_else(|| NodeError::new("no pose of the stylus' marker came"))?;
+        let first = i.pose.first().ok_or_else(|| NodeError::new("no pose of the stylus' marker was received"))?;
         let poses: Vec<Isometry3<f64>> =
             i.pose.iter().map(|pose| pose.expect(&first.to, &first.from)).collect::<Result<_, _>>()?;
         let report = pivot(&poses)?;

@@ -6,9 +6,9 @@ use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 
-/// A cloud with fewer points: one in each cell of a grid, every n-th, or as many as asked for.
+/// A cloud with fewer points: one in each cell of a grid, every n-th, or a given number.
 ///
-/// The three follow each other, and each is off unless asked for.
+/// The three steps are applied in this order; each is off by default.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "cloud.downsample"
@@ -29,15 +29,15 @@ pub struct Params {
     /// Then every n-th point is kept, in order. 1: all.
     #[schemars(range(min = 1, max = 1_000_000))]
     pub every: usize,
-    /// Then so many points are kept, in order. 0: all. A cloud with fewer keeps all and says so.
+    /// Then this number of points is kept, in order. 0: all. A cloud with fewer keeps all, with a warning.
     #[schemars(range(min = 0, max = 100_000_000))]
     pub n_points: usize,
-    /// Which of them. `stride`: at even steps through the cloud's order, the same at every run. `random`: drawn from the
-    /// run's seed, each set as likely.
+    /// The points that are kept. `stride`: at even steps through the cloud's order. `random`: drawn from the run's seed, with
+    /// equal probability for every set.
     pub pick: Pick,
 }
 
-/// Which points are kept of a given number.
+/// The choice of a given number of points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
@@ -65,7 +65,7 @@ pub struct In {
 /// Outputs of [`Downsample`].
 #[derive(Outputs)]
 pub struct Out {
-    /// The points that were kept.
+    /// The remaining points.
     #[port(frame = "cloud")]
     cloud: Cloud,
 }

@@ -6,7 +6,7 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamE
 
 /// Several views of the bone as one cloud, in the bone's frame.
 ///
-/// The merged cloud has no viewpoint, for no single camera saw it.
+/// The merged cloud has no viewpoint, since several cameras saw it.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "cloud.merge"

@@ -4,7 +4,7 @@ use osteoflow_algorithms::normals::{NormalParams, estimate};
 use osteoflow_geometry::Cloud;
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
-/// A cloud with normals, turned towards the camera that took it.
+/// A cloud with normals, oriented towards the camera.
 ///
 /// Points whose neighbourhood gives no normal are left out, counted and reported.
 #[derive(Describe)]

@@ -7,16 +7,16 @@ use osteoflow_algorithms::{
 use osteoflow_geometry::{Cloud, Points, Pose};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Unused};
 
-/// Below this the other answer fits nearly as well: on real bones right answers had 0.4 and more, wrong ones 0.2 and less.
+/// Clearness below which a warning is given: on real bones, right answers had 0.4 and more, wrong ones 0.2 and less.
 const CLEAR: f64 = 0.3;
 
-/// Where the scan lies on the bone by the shapes alone, without landmarks.
+/// Registration of the scan by shape alone, without landmarks.
 ///
-/// The scan's long axis is laid along the bone, both ways, in steps along it and turns about it; the best starts are
-/// refined and the best of these is the answer. A shaft is nearly a cylinder, so that a scan of little of it fits well in
-/// wrong places: the report's `clearness` tells how much worse the best other answer fits, and a warning says where it is
-/// low. Of scans of one side of two real bones all of 95 mm and more were laid within 0.1 mm, 5 of 6 of 60 mm, and 6 of 12 of
-/// 40 mm and less; clearness was 0.4 and more where it was right and 0.2 and less where it was wrong. Takes some seconds.
+/// The scan's long axis is aligned with the bone in both directions, in steps along it and rotations about it; the best starts
+/// are refined, and the best of these is the answer. A shaft is nearly a cylinder, so a short scan also fits well in wrong
+/// places: the report's `clearness` is how much worse the best other answer fits, and a warning is given if it is low. Of
+/// scans of one side of two real bones, all of 95 mm and more were registered within 0.1 mm, 5 of 6 of 60 mm, and 6 of 12 of
+/// 40 mm and less; clearness was 0.4 and more for right answers and 0.2 and less for wrong ones. Takes some seconds.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -30,10 +30,10 @@ pub struct Global(GlobalParams);
 /// Inputs of [`Global`].
 #[derive(Inputs)]
 pub struct In {
-    /// The planned landmarks of other kinds, which this one does without.
+    /// The planned landmarks that other kinds use.
     #[port(join = "once")]
     target: Unused<Points>,
-    /// The located landmarks of other kinds.
+    /// The located landmarks that other kinds use.
     #[port(join = "collect", n = 3)]
     source: Unused<Points>,
     /// The scan.
@@ -49,7 +49,7 @@ pub struct Out {
     /// The coarse registration.
     #[port(to = "surface", from = "cloud")]
     t_target_source: Pose,
-    /// How well it fits, and how well the best other answer does.
+    /// The fit, and that of the best other answer.
     report: GlobalReport,
 }
 

@@ -10,8 +10,8 @@ use osteoflow_node::{
 
 /// The rigid motion that best carries located landmarks onto the planned ones.
 ///
-/// Points are paired by name. The report tells residuals, side lengths and collinearity in mm; what is left at the
-/// points (FRE) does not tell the accuracy: a shift that all points share leaves no trace in it.
+/// Points are paired by name. The report has residuals, side lengths and collinearity in mm. The residual at the points
+/// (FRE) does not predict the accuracy: a shift that all points share does not change it.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -27,8 +27,8 @@ pub struct ThreePoint(Params);
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// Points that fit worse than this (RMS) are not the planned landmarks. 10 mm: landmarks that a ruler placed 10 mm off
-    /// still pass, a spot found on the wrong side of the scan does not.
+    /// Maximum residual (RMS); beyond, the points are not the planned landmarks. 10 mm: landmarks that a ruler placed 10 mm
+    /// off still pass, a spot found on the wrong side of the scan does not.
     #[schemars(range(min = 0.01, max = 1000.0))]
     pub max_fre_mm: f64,
 }
@@ -48,9 +48,9 @@ pub struct In {
     /// The landmarks as located, three or more.
     #[port(join = "collect", n = 3)]
     source: Vec<Points>,
-    /// The scan, for kinds that fit it by its shape.
+    /// The scan, which kinds that register by shape use.
     cloud: Unused<Cloud>,
-    /// The CT surface, for the same.
+    /// The CT surface, which kinds that register by shape use.
     #[port(join = "once")]
     surface: Unused<Target>,
 }
@@ -61,7 +61,7 @@ pub struct Out {
     /// The coarse registration.
     #[port(to = "target", from = "source")]
     t_target_source: Pose,
-    /// What the fit leaves at the points.
+    /// The residuals at the points.
     report: CoarseReport,
 }
 
@@ -91,7 +91,7 @@ impl Node for ThreePoint {
     }
 }
 
-/// What does not fit, told by the sides, which need no registration.
+/// The message for points that do not fit, with the side lengths, which need no registration.
 fn misfit(report: &CoarseReport, limit_mm: f64) -> String {
     let sides = report.sides.iter().map(|s| {
         let (from, to, target, source) = (&s.from, &s.to, s.target_mm, s.source_mm);

@@ -5,9 +5,9 @@ use osteoflow_algorithms::roi;
 use osteoflow_geometry::{Region, nalgebra::Point3};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
 
-/// What lies in a box along the axes of the cloud's frame.
+/// The points in a box along the axes of the cloud's frame.
 ///
-/// Without parameters and without a region everything is kept.
+/// Without parameters and without a region, all points are kept.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -25,7 +25,7 @@ pub struct Box(Params);
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// The corner with the smallest x, y, z. Unset: no bound, so that a recording's own region decides alone.
+    /// The corner with the smallest x, y, z. Unset: no bound, so the recording's region alone decides.
     pub min_mm: Option<[f64; 3]>,
     /// The corner with the largest x, y, z. Unset: no bound.
     pub max_mm: Option<[f64; 3]>,
@@ -55,6 +55,6 @@ impl Node for Box {
             max: Point3::from(self.0.max_mm.unwrap_or([f64::INFINITY; 3])),
         };
         let chosen = roi::in_box(&i.cloud, &region);
-        i.kept(chosen)
+        i.cropped(chosen)
     }
 }

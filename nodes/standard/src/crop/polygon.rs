@@ -5,10 +5,10 @@ use osteoflow_algorithms::roi;
 use osteoflow_geometry::nalgebra::Point2;
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
 
-/// What the camera sees inside a polygon.
+/// The points that the camera sees inside a polygon.
 ///
-/// The corners are directions from the camera: `x / z`, `y / z` in the camera's frame (x right, y down, z forward), so
-/// that a polygon drawn on the camera's image holds at any depth.
+/// The corners are directions from the camera: `x / z`, `y / z` in the camera's frame (x right, y down, z forward). A
+/// polygon drawn on the camera's image therefore applies at any depth.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -46,6 +46,6 @@ impl Node for Polygon {
     fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let corners: Vec<Point2<f64>> = self.0.corners.iter().map(|&c| c.into()).collect();
         let chosen = roi::in_polygon(&i.cloud, &corners)?;
-        i.kept(chosen)
+        i.cropped(chosen)
     }
 }

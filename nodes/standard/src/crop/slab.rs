@@ -8,7 +8,7 @@ use osteoflow_geometry::{
 };
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
 
-/// What lies between two planes across the bone.
+/// The points between two planes across the bone.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -32,7 +32,7 @@ pub struct Slab {
 #[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// Where heights are counted from, in the cloud's frame.
+    /// The point of height 0, in the cloud's frame.
     pub origin_mm: [f64; 3],
     /// The direction along the bone, of any length.
     pub direction: [f64; 3],
@@ -60,6 +60,6 @@ impl Node for Slab {
     fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let Params { from_mm, to_mm, .. } = self.params;
         let chosen = roi::in_slab(&i.cloud, &self.origin, &self.direction, from_mm, to_mm);
-        i.kept(chosen)
+        i.cropped(chosen)
     }
 }

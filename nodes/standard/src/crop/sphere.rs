@@ -4,7 +4,7 @@ use super::{In, Out};
 use osteoflow_algorithms::roi;
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
 
-/// What lies within a distance of a point.
+/// The points within a distance of a centre.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -41,6 +41,6 @@ impl Node for Sphere {
 
     fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let chosen = roi::in_sphere(&i.cloud, &self.0.centre_mm.into(), self.0.radius_mm);
-        i.kept(chosen)
+        i.cropped(chosen)
     }
 }

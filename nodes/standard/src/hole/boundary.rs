@@ -5,12 +5,12 @@ use osteoflow_algorithms::hole::{self, HoleParams};
 use osteoflow_geometry::Cloud;
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, ParamError, Unused};
 
-/// The landmark that a laser spot burned out of a scan, found in that scan alone as a gap with scan all around it.
+/// The landmark under a laser spot, found in that scan alone as a gap with points all around it.
 ///
-/// Needs no full scan, and no bone that stood still since. The gap is looked for in the camera's image and judged against
-/// the surface that continues what lies around it. A spot at the silhouette has no scan all around it and is refused;
-/// another loss of the spot's size is taken for it or makes two, which the full scan would have told apart. Of 30 spots on
-/// two real bones 23 were found within 0.9 mm (median 0.1 mm on a finely, 0.4 mm on a coarsely meshed one), 7 refused.
+/// Needs no full scan, so the bone may have moved since. The gap is searched in the camera's image and compared with the
+/// surface extrapolated from its surroundings. A spot at the silhouette is not surrounded and is refused. Another gap of
+/// the spot's size is mistaken for it or makes two candidates, which a full scan would tell apart. Of 30 spots on two real
+/// bones, 23 were found within 0.9 mm (median 0.1 mm on a finely and 0.4 mm on a coarsely meshed one) and 7 refused.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -25,7 +25,7 @@ pub struct Boundary(HoleParams);
 /// Inputs of [`Boundary`].
 #[derive(Inputs)]
 pub struct In {
-    /// The full scan of other detectors, which this one does without.
+    /// The full scan that other detectors use; this one does not need it.
     #[port(join = "once", frame = "cloud")]
     reference: Unused<Cloud>,
     /// A scan with the laser spot, labelled with the landmark's name.

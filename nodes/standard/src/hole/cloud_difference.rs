@@ -4,9 +4,9 @@ use super::{In, Out, answer};
 use osteoflow_algorithms::hole::{self, HoleParams};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 
-/// The landmark that a laser spot burned out of a scan: what the full scan has and the scan with the laser has not.
+/// The landmark under a laser spot: the points of the full scan that the scan with the laser lacks.
 ///
-/// Both scans lie in one frame. The missing points' main cluster is the hole; its centre is the landmark.
+/// Both scans are in one frame. The main cluster of missing points is the hole; its centre is the landmark.
 #[derive(Describe)]
 #[describe(
     example = r#"

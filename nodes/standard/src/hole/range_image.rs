@@ -4,9 +4,9 @@ use super::{In, Out, answer};
 use osteoflow_algorithms::hole::{self, HoleParams};
 use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 
-/// The landmark that a laser spot burned out of a scan, found in the camera's image grid.
+/// The landmark under a laser spot, found in the camera's image grid.
 ///
-/// Both scans are seen from where the scan with the laser was taken; cells that only the full scan fills are the hole.
+/// Both scans are projected from the viewpoint of the scan with the laser; cells that only the full scan fills are the hole.
 #[derive(Describe)]
 #[describe(
     example = r#"

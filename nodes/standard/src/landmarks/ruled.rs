@@ -8,12 +8,11 @@ use osteoflow_algorithms::{
 use osteoflow_geometry::{Axes, Mesh, Points, Pose, direction, nalgebra::Vector3};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
-/// Where the marks truly lie of a surgeon who rules P1, P2 and P3 on the bone, with the ruler's errors.
+/// The true positions of P1, P2 and P3 as a surgeon marks them on the bone with a ruler, with the ruler's errors.
 ///
-/// P1 is off along the bone, because the malleolus is hard to find; P2 and P3 are ruled from it, so they share its error
-/// and add their own, and P2 errs across the bone as well, along the tangent of its face. Each mark is carried to the
-/// closest point of the surface, since a surgeon marks bone. The marks come out in the bone marker's frame, as the hole
-/// detectors give the landmarks: `coarse.three_point` takes them instead with
+/// P1 is off along the bone, because the malleolus is hard to find. P2 and P3 are measured from P1, so they share its error
+/// and add their own; P2 is also off across the bone, along the tangent of its face. Each mark is projected onto the surface.
+/// The marks are in the bone marker's frame, as the landmarks of the hole detectors are: `coarse.three_point` takes them with
 /// `in.source = { from = "ruled.points", n = 1 }`. Only a simulation knows the true registration that this needs.
 #[derive(Describe)]
 #[describe(
@@ -41,10 +40,10 @@ pub struct In {
     /// The true registration at the scan.
     #[port(join = "once", to = "planned", from = "t_world_bone_marker.to")]
     t_ct_world_true: Pose,
-    /// Where the bone marker was at the scan.
+    /// The pose of the bone marker at the scan.
     #[port(join = "once", to = "t_ct_world_true.from")]
     t_world_bone_marker: Pose,
-    /// The bone's axes, z along it; its surface's own where the plan gives none.
+    /// The bone's axes, z along it. Unwired or empty: the principal axes of the surface.
     #[port(join = "once", frame = "planned")]
     axes: Option<Axes>,
 }
@@ -55,7 +54,7 @@ pub struct Out {
     /// The marks.
     #[port(frame = "t_world_bone_marker.from")]
     points: Points,
-    /// How far the marks are off: as asked for and as they came out.
+    /// The errors of the marks: as set and as they are on the surface.
     report: RuledReport,
 }
 

@@ -26,7 +26,7 @@ pub struct Calibration(Params);
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// How far from the camera the bone is. 200 mm: the paper's 200 +- 50 mm.
+    /// Distance of the bone from the camera. 200 mm: the paper's 200 +- 50 mm.
     #[schemars(range(min = 1.0, max = 10_000.0))]
     pub working_distance_mm: f64,
 }
@@ -43,7 +43,7 @@ pub struct In {
     /// The calibration.
     #[port(to = "t_camera_camera_marker_true.to", from = "t_camera_camera_marker_true.from")]
     t_camera_camera_marker: Pose,
-    /// What it should be.
+    /// The true calibration.
     #[port(join = "once")]
     t_camera_camera_marker_true: Pose,
 }
@@ -51,7 +51,7 @@ pub struct In {
 /// Outputs of [`Calibration`].
 #[derive(Outputs)]
 pub struct Out {
-    /// Shift, turn, and the error at the working distance.
+    /// Translation, rotation, and the error at the working distance.
     report: PoseErrorReport,
 }
 

@@ -4,9 +4,9 @@ use osteoflow_algorithms::metrics::{CheckReport, check_points};
 use osteoflow_geometry::{Points, Pose};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
-/// How far a calibration carries points read by the camera from where a localiser and CAD know them to be.
+/// The distance between points read by the camera, carried over by a calibration, and the same points by localiser and CAD.
 ///
-/// Once for each place of the check piece; the place is what the points' names have before their number.
+/// One list for each place of the check piece; the place is the part of the points' names before the number.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -23,7 +23,7 @@ pub struct In {
     /// Points as read from the camera's cloud.
     #[port(frame = "calibration.to")]
     read: Points,
-    /// The same by localiser and CAD, in the same order.
+    /// These points by localiser and CAD, in the same order.
     #[port(frame = "t_world_camera_marker.to")]
     known: Points,
     /// `t_camera_camera_marker`, the calibration to be checked.
@@ -32,7 +32,7 @@ pub struct In {
     /// The tracked marker on the camera.
     #[port(join = "interpolate", max_gap_ms = 200.0, to = "known", from = "calibration.from")]
     t_world_camera_marker: Pose,
-    /// What the calibration should be, where it is known.
+    /// The true calibration, where it is known.
     #[port(join = "once", to = "calibration.to", from = "calibration.from")]
     t_camera_camera_marker_true: Option<Pose>,
 }

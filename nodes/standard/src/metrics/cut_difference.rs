@@ -5,14 +5,14 @@ use osteoflow_algorithms::metrics::{CutDifferenceParams, CutDifferenceReport, cu
 use osteoflow_geometry::{Mesh, Planes, Points, Pose, nalgebra::Isometry3};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
-/// How far the fragment that the executed cuts take out of the bone differs from the planned one.
+/// The difference between the bone fragment of the executed cuts and the planned one.
 ///
-/// Both planned planes cut the bone into a closed fragment, and so do the executed ones, which lie where the
-/// registration's error puts them. The fragments are compared in place, which shows how far the cuts are off, and with the
-/// executed one carried back by the inverse of the error, which takes a slip out and leaves what the fragment's shape is
-/// off; this is no best fit. Each by vertices, by distances to the other's surface, and by those of the bone's own
-/// surface alone, both ways. The error is the true one and, where assessment points were measured, the paper's: the motion
-/// that best carries the planned points to where the registration puts the measured ones.
+/// The two planned planes cut a closed fragment out of the bone, and so do the executed ones, which the registration's error
+/// displaces. The fragments are compared in place, which shows the error of the cuts, and after the executed one is carried
+/// back by the inverse of the error, which removes a slip and leaves the error of the fragment's shape; this is no best fit.
+/// Each comparison is by vertices, by distances to the other's surface, and by distances to the bone's own surface alone, in
+/// both directions. The error is the true one and, where assessment points were measured, the paper's: the motion that best
+/// carries the planned points to the measured ones, as registered.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -42,13 +42,13 @@ pub struct In {
     /// The true registration.
     #[port(join = "once", to = "planes", from = "t_ct_world.from")]
     t_ct_world_true: Pose,
-    /// The assessment points as planned, for the error as the paper has it.
+    /// The assessment points as planned, for the paper's error.
     #[port(join = "once", frame = "planes")]
     planned: Option<Points>,
-    /// The same as touched, all until the end.
+    /// The assessment points as touched, all until the end.
     #[port(join = "collect", frame = "t_ct_bone_marker.from")]
     measured: Vec<Option<Points>>,
-    /// The registration of the frame in which they were touched.
+    /// The registration of the frame of the touched points.
     #[port(join = "once", to = "planes", from = "measured")]
     t_ct_bone_marker: Option<Pose>,
 }
@@ -79,7 +79,7 @@ impl Node for CutDifference {
 }
 
 impl In {
-    /// The error as measured at points, or why there is none; what is wired wrongly is a fault all the same.
+    /// The error as measured at points, or the reason why there is none. Frames that do not match are an error.
     fn measured_error(&self, ctx: &Context) -> Result<Result<Isometry3<f64>, String>, NodeError> {
         let touched: Vec<Points> = self.measured.iter().flatten().cloned().collect();
         let (Some(planned), Some(pose), false) = (&self.planned, &self.t_ct_bone_marker, touched.is_empty()) else {

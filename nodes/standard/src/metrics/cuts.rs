@@ -5,10 +5,10 @@ use osteoflow_algorithms::metrics::{CutsReport, cuts};
 use osteoflow_geometry::{Axes, Mesh, Planes, Pose};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
-/// How far the cuts would be from the planned ones, where the true registration is known.
+/// The error of the cuts against the planned ones, where the true registration is known.
 ///
-/// A planned plane is carried to the world by the registration and back to CT by the true one; offset, tilt and roll are
-/// told where it meets the bone, and the length of the segment between two planes.
+/// A planned plane is carried to the world by the registration and back to CT by the true one. Reported are offset, tilt and
+/// roll where it meets the bone, and the length of the segment between two planes.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -5,7 +5,7 @@ use osteoflow_algorithms::metrics::{FreReport, fre};
 use osteoflow_geometry::{Points, Pose};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
-/// What a registration leaves at the landmarks: a residual, which does not tell the accuracy anywhere.
+/// Fiducial registration error: the residual of a registration at the landmarks, which does not predict the accuracy elsewhere.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -6,10 +6,10 @@ use osteoflow_algorithms::metrics::{LaserSpotReport, laser_spot};
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
-/// How far laser spots were located from where they truly were, and from the marks aimed at, in a simulation.
+/// The error of located laser spots against the true spots, and against the marks aimed at, in a simulation.
 ///
-/// Per spot located minus true, told along the bone's axes with its sign. Located points lie in the world, at the full
-/// scan, as `transform.points` carries them there by `to_bone.t_world_bone_marker`.
+/// Per spot, located minus true, signed, along the bone's axes. Located points are in the world, at the full scan:
+/// `transform.points` carries them there by `to_bone.t_world_bone_marker`.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -26,19 +26,19 @@ pub struct In {
     /// The spots as located, all until the end.
     #[port(join = "collect", frame = "t_ct_world_true.from")]
     located: Vec<Points>,
-    /// Where they truly were.
+    /// The true positions of the spots.
     #[port(join = "once", frame = "t_ct_world_true.from")]
     spots: Points,
-    /// What they were to show.
+    /// The marks that the laser was aimed at.
     #[port(join = "once", frame = "t_ct_world_true.from")]
     marks: Points,
-    /// The true registration, which brings them to the axes.
+    /// The true registration, which takes them to the frame of the axes.
     #[port(join = "once", from = "located")]
     t_ct_world_true: Pose,
-    /// The axes along which errors are told.
+    /// The axes along which errors are resolved.
     #[port(join = "once", frame = "t_ct_world_true.to")]
     axes: Option<Axes>,
-    /// The bone's surface, whose principal axes stand in where the plan gives none.
+    /// The bone's surface, whose principal axes are used where the plan has none.
     #[port(join = "once", frame = "t_ct_world_true.to")]
     bone: Option<Mesh>,
 }

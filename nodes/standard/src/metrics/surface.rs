@@ -9,9 +9,9 @@ use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 
-/// How far the registered scan lies from the CT surface, over the near points and over all of the region.
+/// Distances of the registered scan from the CT surface, over its inliers and over all points.
 ///
-/// A surface residual, neither FRE nor TRE: a scan that slid along the bone lies on the surface all the same.
+/// A surface residual, neither FRE nor TRE: a scan that slid along the bone is still on the surface.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "metrics.surface"
@@ -24,7 +24,7 @@ pub struct Surface(Params);
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// Points no farther from the surface than this count as on it. 1 mm: twenty times the camera's noise.
+    /// Points no farther from the surface than this are inliers. 1 mm: twenty times the camera's noise.
     #[schemars(range(min = 1e-3, max = 1000.0))]
     pub max_pair_distance_mm: f64,
 }

@@ -6,9 +6,9 @@ use osteoflow_algorithms::metrics::{TreReport, tre};
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
-/// Target registration error at points touched with a stylus, so with the stylus' own error in it.
+/// Target registration error at points touched with a stylus, which includes the stylus' own error.
 ///
-/// Per point `e = t_ct_bone_marker * p_measured - p_planned`, told along the bone's axes with its sign.
+/// Per point `e = t_ct_bone_marker * p_measured - p_planned`, signed, along the bone's axes.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -25,16 +25,16 @@ pub struct In {
     /// The assessment points as planned.
     #[port(join = "once")]
     planned: Points,
-    /// The same as touched, all until the end.
+    /// The assessment points as touched, all until the end.
     #[port(join = "collect", frame = "t_ct_bone_marker.from")]
     measured: Vec<Points>,
     /// The registration.
     #[port(join = "once", to = "planned", from = "measured")]
     t_ct_bone_marker: Pose,
-    /// The axes along which errors are told.
+    /// The axes along which errors are resolved.
     #[port(join = "once", frame = "planned")]
     axes: Option<Axes>,
-    /// The bone's surface, whose principal axes stand in where the plan gives none.
+    /// The bone's surface, whose principal axes are used where the plan has none.
     #[port(join = "once", frame = "planned")]
     bone: Option<Mesh>,
 }

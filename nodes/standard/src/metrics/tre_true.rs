@@ -7,7 +7,7 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamE
 
 /// Target registration error against the true registration, where it is known, as in a simulation.
 ///
-/// Per point `e = t_ct_world * inverse(t_ct_world_true) * p - p`, told along the bone's axes with its sign.
+/// Per point `e = t_ct_world * inverse(t_ct_world_true) * p - p`, signed, along the bone's axes.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -21,7 +21,7 @@ pub struct TreTrue;
 /// Inputs of [`TreTrue`].
 #[derive(Inputs)]
 pub struct In {
-    /// Points on the bone at which the error is told.
+    /// Points on the bone at which the error is evaluated.
     #[port(join = "once")]
     planned: Points,
     /// The registration.
@@ -30,10 +30,10 @@ pub struct In {
     /// The true registration.
     #[port(join = "once", to = "planned", from = "t_ct_world.from")]
     t_ct_world_true: Pose,
-    /// The axes along which errors are told.
+    /// The axes along which errors are resolved.
     #[port(join = "once", frame = "planned")]
     axes: Option<Axes>,
-    /// The bone's surface, whose principal axes stand in where the plan gives none.
+    /// The bone's surface, whose principal axes are used where the plan has none.
     #[port(join = "once", frame = "planned")]
     bone: Option<Mesh>,
 }

@@ -1,7 +1,7 @@
 use osteoflow_geometry::{Axes, Planes, Points, Pose, SurgicalPlan};
 use osteoflow_node::{Emit, Outputs};
 
-/// A plan, port by port; what the plan lacks is an empty that says so.
+/// A plan, port by port. A part that the plan lacks is an empty with the reason.
 #[derive(Outputs)]
 pub struct Out {
     /// The landmarks P1..P3 that initialise the registration.
@@ -13,13 +13,13 @@ pub struct Out {
     /// The cutting planes.
     #[port(frame = "@ct")]
     planes: Planes,
-    /// The axes along which errors are told.
+    /// The axes along which errors are resolved.
     #[port(frame = "@ct")]
     axes: Emit<Axes>,
     /// `t_phantom_phantom_marker`, known from the phantom's CAD.
     #[port(to = "@phantom", from = "@phantom_marker")]
     t_phantom_phantom_marker: Emit<Pose>,
-    /// `t_camera_camera_marker` as designed: where the calibration starts.
+    /// `t_camera_camera_marker` as designed, where the calibration starts.
     #[port(to = "@camera", from = "@camera_marker")]
     t_camera_camera_marker_nominal: Emit<Pose>,
 }

@@ -25,7 +25,7 @@ pub struct In {
     /// The registration.
     #[port(join = "once", to = "planes", from = "t_world_bone_marker.from")]
     t_ct_bone_marker: Pose,
-    /// Where the bone marker was at the scan.
+    /// The pose of the bone marker at the scan.
     #[port(from = "t_ct_bone_marker.from")]
     t_world_bone_marker: Pose,
 }

@@ -6,7 +6,7 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamE
 /// The planned cutting planes in the world, following the marker on the bone at the tracker's rate.
 ///
 /// `t_world_plane = t_world_bone_marker * inverse(t_ct_bone_marker) * t_ct_plane`. When the marker is lost the planes
-/// are unknown, with the reason: they are never shown where they were last.
+/// are unknown, with the reason; their last position is never used.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -25,7 +25,7 @@ pub struct File {
 pub struct Params {
     /// The STL or PLY file.
     pub path: FilePath,
-    /// The frame of its coordinates. `ct`: what a bone's surface is segmented from.
+    /// The frame of its coordinates. `ct`: a bone's surface is segmented from CT.
     #[serde(default = "ct")]
     pub frame: String,
     /// Millimetres in the file's unit. 1: mesh files of bones are in millimetres; 1000 for a file in metres.

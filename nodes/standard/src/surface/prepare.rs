@@ -13,9 +13,9 @@ use osteoflow_node::{
 };
 use osteoflow_payloads::Text;
 
-/// A surface prepared for registration: points drawn evenly by area, their normals, what finds them, and the surface itself.
+/// A surface prepared for registration: points sampled uniformly by area, their normals, a search grid, and the surface itself.
 ///
-/// Prepared once and shared by all who register onto it. The draw is seeded by the run.
+/// Prepared once and shared by all registrations onto it. Sampling is seeded by the run.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "surface.prepare"
@@ -24,9 +24,9 @@ n_points = 150000
 "#)]
 pub struct Prepare(Params);
 
-/// Fewer points are no surface.
+/// Minimum number of points.
 const MIN_POINTS: usize = 100;
-/// More do not fit into memory beside all else.
+/// Maximum number of points, for the memory they take.
 const MAX_POINTS: usize = 10_000_000;
 
 /// Parameters of [`Prepare`].
@@ -34,15 +34,15 @@ const MAX_POINTS: usize = 10_000_000;
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// How many points are drawn. 150000: one in 0.3 mm on a whole fibula, as dense as a structured-light scan.
+    /// Number of points. 150000: one in 0.3 mm on a whole fibula, as dense as a structured-light scan.
     #[schemars(range(min = MIN_POINTS, max = MAX_POINTS))]
     pub n_points: usize,
-    /// How far apart they lie, mm: one for each square of this edge, whatever the surface's size, in the place of
-    /// `n_points`. 0: as many as that says.
+    /// Spacing of the points, mm: one for each square of this edge, whatever the surface's size, instead of `n_points`.
+    /// 0: `n_points` decides.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub spacing_mm: f64,
-    /// Whether a closest-point field of the surface is made, for registration with `pairing = "field"`. Off: it takes
-    /// about half a second and some megabytes, and is kept between runs.
+    /// Whether a closest-point field of the surface is built, for registration with `pairing = "field"`. Off: it takes
+    /// about half a second and some megabytes, and is cached between runs.
     pub field: bool,
 }
 
@@ -53,7 +53,7 @@ impl Default for Params {
 }
 
 impl Params {
-    /// How many points a surface of this area gets.
+    /// Number of points on a surface of this area.
     fn n_points_on(&self, area_mm2: f64) -> Result<usize, NodeError> {
         if self.spacing_mm == 0.0 {
             return Ok(self.n_points);
@@ -63,8 +63,8 @@ impl Params {
             return Ok(n as usize);
         }
         Err(NodeError::new(format!(
-            "spacing_mm = {} asks for {n} points on {area_mm2:.0} mm2, from {MIN_POINTS} to {MAX_POINTS} can be had; take \
-             another spacing, or n_points",
+            "spacing_mm = {} asks for {n} points on {area_mm2:.0} mm2, {MIN_POINTS} to {MAX_POINTS} are possible; set \
+             another spacing_mm, or n_points",
             self.spacing_mm
         )))
     }
@@ -81,7 +81,7 @@ pub struct In {
 /// Outputs of [`Prepare`].
 #[derive(Outputs)]
 pub struct Out {
-    /// Points, normals, the cells that they are found by, the surface, and its field where asked for.
+    /// Points, normals, the grid that finds them, the surface, and its closest-point field if `field` is set.
     #[port(frame = "mesh")]
     target: Target,
     /// Where the surface comes from: `exact`, `simulated_ct` or `user`.
@@ -124,7 +124,7 @@ mod tests {
         assert_eq!(n(0.0, 14_309.0).unwrap(), 150_000);
         for spacing in [0.01, 50.0] {
             let said = n(spacing, 14_309.0).unwrap_err().to_string();
-            assert!(said.contains("mm2, from 100 to 10000000 can be had"), "{said}");
+            assert!(said.contains("mm2, 100 to 10000000 are possible"), "{said}");
         }
     }
 }

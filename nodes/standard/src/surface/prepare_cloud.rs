@@ -12,11 +12,11 @@ use osteoflow_node::{
 };
 use osteoflow_payloads::Text;
 
-/// The points of a surface prepared for registration, where there are no faces; their normals are estimated where missing.
+/// The points of a surface without faces, prepared for registration; normals are estimated where missing.
 ///
-/// Estimated normals point outwards if the surface is closed. Of an open one they agree with each other, but their side is a
-/// guess: distances along them do not mind, but a source that knows its camera pairs with the side that faces it, so give
-/// the cloud normals by cloud.normals there.
+/// Estimated normals point outwards if the surface is closed. On an open surface they are consistent, but their side is a
+/// guess. Distances along them are unaffected, but a source with a viewpoint is paired with the side that faces it: there,
+/// give the cloud normals by `cloud.normals`.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -32,8 +32,8 @@ pub struct PrepareCloud(Params);
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// Whether a closest-point field of the surface is made, for registration with `pairing = "field"`. Off: it takes
-    /// about half a second and some megabytes, and is kept between runs. It needs normals that point outwards.
+    /// Whether a closest-point field of the surface is built, for registration with `pairing = "field"`. Off: it takes
+    /// about half a second and some megabytes, and is cached between runs. It needs normals that point outwards.
     pub field: bool,
 }
 
@@ -48,7 +48,7 @@ pub struct In {
 /// Outputs of [`PrepareCloud`].
 #[derive(Outputs)]
 pub struct Out {
-    /// Points, normals, and the cells that they are found by.
+    /// Points, normals, and the grid that finds them.
     #[port(frame = "cloud")]
     target: Target,
     /// Where the surface comes from: `user`.

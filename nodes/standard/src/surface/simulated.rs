@@ -9,7 +9,7 @@ use osteoflow_simulation::{BoneParams, CtParams};
 
 /// The simulated bone's surface: from a simulated CT, or exact.
 ///
-/// A CT surface is not the bone: voxels, blur, noise and a threshold lie between them.
+/// A CT surface differs from the bone by voxels, blur, noise and the threshold.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "surface.simulated"
@@ -25,7 +25,7 @@ pub struct Simulated {
 #[serde(default, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// Whether the very surface that the camera scans is given. false: as in an operating room, where only a CT is had.
+    /// Whether the surface that the camera scans is given. false: the CT's, as in an operating room.
     pub exact: bool,
     /// A bone of your own.
     #[serde(flatten)]

@@ -21,7 +21,7 @@ impl Default for TrackingParams {
     }
 }
 
-/// The choice of the frame in which the bone stands still.
+/// The frame in which the bone does not move: its marker's, or the world.
 pub(crate) struct BoneFrame(TrackingParams);
 
 impl BoneFrame {

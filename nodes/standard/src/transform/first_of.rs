@@ -3,7 +3,7 @@
 use osteoflow_geometry::Pose;
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
-/// The first of two poses that is there: what a recording says, else what the plan says.
+/// The first of two poses that has a value, such as the recording's, else the plan's.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "transform.first_of"
@@ -44,7 +44,7 @@ impl Node for FirstOf {
         match i.first.or(i.second) {
             Some(pose) => Ok(Out { pose }),
             None => Err(NodeError::new(format!(
-                "neither pose is there: {}; {}",
+                "neither pose has a value: {}; {}",
                 ctx.absent_reason("first").unwrap_or("the first is not wired"),
                 ctx.absent_reason("second").unwrap_or("the second is not wired"),
             ))),

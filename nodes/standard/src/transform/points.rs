@@ -17,7 +17,7 @@ pub struct In {
     /// Lists of points in one frame; all until the end, or `n` at a time.
     #[port(join = "collect", frame = "pose.from")]
     points: Vec<PointList>,
-    /// Where they are carried.
+    /// The pose that is applied.
     #[port(join = "once", from = "points")]
     pose: Pose,
 }
@@ -47,9 +47,9 @@ impl Node for Points {
     }
 }
 
-/// All points of lists that lie in one frame.
+/// All points of lists in one frame.
 pub(crate) fn in_one_list(lists: &[PointList]) -> Result<PointList, NodeError> {
-    let first = lists.first().ok_or_else(|| NodeError::new("no points came"))?;
+    let first = lists.first().ok_or_else(|| NodeError::new("no points were received"))?;
     let mut points: Vec<NamedPoint> = Vec::new();
     for list in lists {
         list.frame.expect(&first.frame, "a list of points")?;

@@ -7,7 +7,7 @@ use osteoflow_payloads::Flag;
 
 /// Points touched in the world, in the frame of the marker on the bone.
 ///
-/// The same for a stylus as `transform.to_bone_marker` for a scan: each point is carried over at its own time.
+/// Each point is transformed by the marker's pose at its own stamp. For clouds see `transform.to_bone_marker`.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "transform.points_to_bone_marker"
@@ -35,7 +35,7 @@ pub struct Out {
     /// The points in the bone marker's frame, or in the world where there is no such marker.
     #[port(frame = "t_world_bone_marker.from")]
     points: Points,
-    /// Where the bone marker was; the world itself where there is no such marker.
+    /// The pose of the bone marker; the world itself where there is no such marker.
     #[port(to = "t_world_bone_marker.to", from = "t_world_bone_marker.from")]
     t_world_bone_marker: Pose,
 }

@@ -7,10 +7,10 @@ use osteoflow_node::{
 };
 use std::collections::VecDeque;
 
-/// A tracked pose, averaged over the time for which the marker has stood still.
+/// A tracked pose, averaged over the time for which the marker has not moved.
 ///
-/// One answer for each sample: the mean of the window before it. Where the marker moved within the window, its older
-/// half is left out until the rest stood still, so that a moving marker is not held back.
+/// One answer for each sample: the mean of the window before it. If the marker moved within the window, the older half is
+/// dropped until it did not move in the remainder, so the average does not lag behind a moving marker.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -30,13 +30,13 @@ pub struct StillAverage {
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// How far back samples count. 500 ms: ten samples at 20 Hz, which leaves a third of the tracker's noise.
+    /// Length of the window. 500 ms: ten samples at 20 Hz, which leaves a third of the tracker's noise.
     #[schemars(range(min = 0.0, max = 60_000.0))]
     pub window_ms: f64,
-    /// A marker stands still while the two halves of the window lie no farther apart. 0.1 mm: three times a tracker's noise.
+    /// Maximum distance between the means of the window's halves for a marker at rest. 0.1 mm: three times a tracker's noise.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub still_mm: f64,
-    /// The same for its rotation. 0.05 degrees: five times a tracker's noise.
+    /// Maximum rotation between the means of the window's halves for a marker at rest. 0.05 degrees: five times a tracker's noise.
     #[schemars(range(min = 0.0, max = 90.0))]
     pub still_deg: f64,
 }
@@ -60,7 +60,7 @@ pub struct Out {
     /// The averaged pose, at the sample's stamp.
     #[port(to = "pose.to", from = "pose.from")]
     pose: Pose,
-    /// How still the marker stood over the whole window.
+    /// The motion of the marker over the whole window.
     motion: StillReport,
 }
 
@@ -88,7 +88,7 @@ impl Node for StillAverage {
 }
 
 impl StillAverage {
-    /// The mean of the newest part of the window in which the marker stood still.
+    /// The mean of the newest part of the window in which the marker was at rest.
     fn still_part(&self, mut poses: &[Isometry3<f64>]) -> Result<Mean, StillError> {
         let limit_rad = self.params.still_deg.to_radians();
         loop {

@@ -3,7 +3,7 @@
 use osteoflow_geometry::{NamedPoint, Points, Pose};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
-/// Touched points by the stylus' tracked marker and the tip that its calibration gave, in the place of what the device told.
+/// Touched points, recomputed from the stylus' tracked marker and its calibrated tip.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "transform.stylus_tip"
@@ -14,7 +14,7 @@ pub struct StylusTip;
 /// Inputs of [`StylusTip`].
 #[derive(Inputs)]
 pub struct In {
-    /// One touch: its name and when it was; where, is told anew.
+    /// One touch, of which name and stamp are used.
     #[port(frame = "t_world_stylus_marker.to")]
     touched: Points,
     /// The marker on the stylus, at the touch.
@@ -28,7 +28,7 @@ pub struct In {
 /// Outputs of [`StylusTip`].
 #[derive(Outputs)]
 pub struct Out {
-    /// The touch where the tip was.
+    /// The touch at the position of the tip.
     #[port(frame = "touched")]
     points: Points,
 }

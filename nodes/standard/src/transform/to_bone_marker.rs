@@ -6,11 +6,11 @@ use osteoflow_geometry::{Cloud, Pose};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 use osteoflow_payloads::Flag;
 
-/// A cloud in the frame of the marker on the bone, where clouds of different times lie on each other.
+/// A cloud in the frame of the marker on the bone, where clouds of different times coincide.
 ///
 /// The bone may move between scans; in its marker's frame it does not. The marker's pose is interpolated at the cloud's
-/// stamp. A marker that moved while the scan was taken is reported, for it smears the cloud. Where `tracked` says
-/// no, the cloud stays in the world: then the bone must stand still from scan to scan.
+/// stamp. A marker that moved during the scan is reported, since it smears the cloud. If `tracked` is false, the cloud stays
+/// in the world, and the bone must not move between scans.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -44,7 +44,7 @@ pub struct Out {
     /// The cloud in the bone marker's frame, or in the world where there is no such marker.
     #[port(frame = "t_world_bone_marker.from")]
     cloud: Cloud,
-    /// Where the bone marker was; the world itself where there is no such marker.
+    /// The pose of the bone marker; the world itself where there is no such marker.
     #[port(to = "t_world_bone_marker.to", from = "t_world_bone_marker.from")]
     t_world_bone_marker: Pose,
 }

@@ -8,9 +8,8 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamE
 /// The camera's cloud in the tracker's world.
 ///
 /// `cloud_world = t_world_camera_marker * inverse(t_camera_camera_marker) * cloud_camera`. The camera marker's pose is
-/// interpolated at the cloud's stamp; where the tracker did not see the marker for longer than `max_gap_ms` around it,
-/// there is no result: a stale pose is never used. A marker that
-/// moved while the scan was taken is reported.
+/// interpolated at the cloud's stamp; if the tracker did not see the marker for longer than `max_gap_ms` around it, there is
+/// no result: a stale pose is never used. A marker that moved during the scan is reported.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -24,7 +23,7 @@ pub struct ToWorld(TrackingParams);
 /// Inputs of [`ToWorld`].
 #[derive(Inputs)]
 pub struct In {
-    /// What the camera saw.
+    /// The camera's cloud.
     #[port(frame = "calibration.to")]
     cloud: Cloud,
     /// The tracked marker on the camera.
@@ -44,7 +43,7 @@ pub struct Out {
     /// The cloud in the tracker's world.
     #[port(frame = "t_world_camera_marker.to")]
     cloud: Cloud,
-    /// Where the camera stood.
+    /// The pose of the camera.
     #[port(to = "t_world_camera_marker.to", from = "cloud")]
     t_world_camera: Pose,
 }

@@ -1,4 +1,4 @@
-//! How well: each states its formula, n and unit.
+//! Measures of accuracy and fit, each with its formula, n and unit.
 
 pub mod calibration;
 pub mod check_points;
@@ -14,7 +14,7 @@ use osteoflow_algorithms::axes::principal_axes;
 use osteoflow_geometry::{Axes, Mesh};
 use osteoflow_node::NodeError;
 
-/// The axes along which errors are told: the plan's if it gives them, else the bone surface's own.
+/// The axes along which errors are resolved: the plan's if it has them, else the principal axes of the bone's surface.
 pub(crate) fn axes(planned: Option<Axes>, bone: Option<&Mesh>) -> Result<Axes, NodeError> {
     match (planned, bone) {
         (Some(axes), _) => Ok(axes),

@@ -13,7 +13,7 @@ use osteoflow_geometry::{
 use osteoflow_node::{ColumnType, Display, Payload, SchemaEntry, StampNs, View, ViewError};
 use serde_json::{Value as Json, json};
 
-/// What separates names in one text field; a name holds no line break.
+/// Separator of names in one text field; a name holds no line break.
 pub(crate) const LINE: &str = "\n";
 
 /// Translation x, y, z in mm and quaternion x, y, z, w.
@@ -153,7 +153,7 @@ impl Payload<Table> for Mesh {
     }
 }
 
-/// The origin of that name in a view.
+/// The surface origin of that name.
 pub(crate) fn origin(name: &str) -> Result<SurfaceOrigin, ViewError> {
     [SurfaceOrigin::Exact, SurfaceOrigin::SimulatedCt, SurfaceOrigin::User]
         .into_iter()
@@ -213,13 +213,12 @@ impl Payload<Table> for Points {
         SchemaEntry::text("names").doc("one a line"),
         SchemaEntry::column("positions", ColumnType::F64, 3).unit("mm"),
         SchemaEntry::column("stamps_ns", ColumnType::I64, 1),
-        SchemaEntry::column("confidences", ColumnType::F64, 1).doc("NaN where none was told"),
+        SchemaEntry::column("confidences", ColumnType::F64, 1).doc("NaN for none"),
     ];
 
     fn to_view(&self) -> View {
         let names: Vec<&str> = self.points.iter().map(|p| &*p.name).collect();
         let stamps: Vec<i64> = self.points.iter().map(|p| p.stamp_ns).collect();
-        // NaN stands for a confidence that was not told.
         let confidences: Vec<f64> = self.points.iter().map(|p| p.confidence.unwrap_or(f64::NAN)).collect();
         View::new()
             .with("frame", self.frame.shared())
@@ -452,7 +451,7 @@ mod tests {
         survives(Axes { frame: "ct".into(), centre: points[0], columns: Matrix3::identity() });
     }
 
-    /// What is said of a view whose head field `name` has the number at `at` replaced.
+    /// The error of a view in which the number at index `at` of the head field or column `name` is replaced.
     fn refused<T: Payload<Table>>(payload: &T, name: &str, at: usize, number: f64) -> String {
         let mut view = payload.to_view();
         match view.head.iter_mut().find(|(n, _)| n == name) {

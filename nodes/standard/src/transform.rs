@@ -1,4 +1,4 @@
-//! From frame to frame: to the tracker's world, to the marker on the bone.
+//! Changes of frame: to the tracker's world, to the marker on the bone.
 
 mod bone_frame;
 pub mod first_of;

@@ -1,4 +1,4 @@
-//! The region of interest: every kind takes the same ports.
+//! Crops to the region of interest. All kinds have the same ports.
 
 pub mod r#box;
 pub mod polygon;
@@ -13,7 +13,7 @@ use osteoflow_node::{Inputs, NodeError, Outputs};
 pub struct In {
     /// The cloud to crop.
     cloud: Cloud,
-    /// A region that was drawn beside the recording; only what lies in it, too, is kept. None: the parameters alone.
+    /// A region drawn by the user; points outside it are removed too. None: the parameters alone.
     #[port(join = "once", frame = "cloud")]
     region: Option<Region>,
 }
@@ -21,14 +21,14 @@ pub struct In {
 /// Outputs of every crop.
 #[derive(Outputs)]
 pub struct Out {
-    /// What lies in the region.
+    /// The points in the region.
     #[port(frame = "cloud")]
     cloud: Cloud,
 }
 
 impl In {
-    /// The chosen points that also lie in the drawn region.
-    fn kept(self, chosen: Vec<usize>) -> Result<Out, NodeError> {
+    /// The cloud of the chosen points that are also in the drawn region.
+    fn cropped(self, chosen: Vec<usize>) -> Result<Out, NodeError> {
         let mut chosen = chosen;
         if let Some(region) = &self.region {
             region.frame.expect(&self.cloud.frame, "the region of interest")?;

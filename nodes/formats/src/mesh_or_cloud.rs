@@ -1,4 +1,4 @@
-//! A surface or a cloud, whichever a file holds.
+//! Files that hold a surface or a cloud.
 
 use crate::{
     FileError,
@@ -10,16 +10,16 @@ use crate::{
 use osteoflow_geometry::{Frame, SurfaceOrigin};
 use std::path::Path;
 
-/// What a file holds.
+/// The content of a file.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Shape {
+pub enum MeshOrCloud {
     /// Triangles.
     Mesh(MeshRead),
-    /// Points, and what is odd about them, one sentence each.
+    /// Points, with notes on them, one sentence each.
     Cloud(CloudFileRead, Vec<String>),
 }
 
-/// Reads the bytes of an STL, PLY, XYZ or CSV file, told apart by content; `path` is for messages alone.
+/// Reads the bytes of an STL, PLY, XYZ or CSV file, recognised by its content; `path` is used in messages only.
 ///
 /// A PLY with faces is a surface, one without is a cloud; so is a text of numbers, one point a line, with a heading that
 /// names the columns or without. `unit_mm` is the file's unit in mm: 1000 for metres. `O(n)`.
@@ -27,12 +27,12 @@ pub enum Shape {
 /// # Errors
 /// [`FileError`] if the file is of none of these formats, is cut short, or holds a surface with a coordinate that is not
 /// finite; a cloud's points that are not finite are left out and counted.
-pub fn shape_of_bytes(path: &Path, bytes: &[u8], unit_mm: f64, frame: impl Into<Frame>) -> Result<Shape, FileError> {
+pub fn read_mesh_or_cloud(path: &Path, bytes: &[u8], unit_mm: f64, frame: impl Into<Frame>) -> Result<MeshOrCloud, FileError> {
     let frame = frame.into();
     let read = if bytes.starts_with(b"ply") {
         let ply = Ply::parse(path, bytes)?;
         if ply.element("face").is_some_and(|face| face.count > 0) {
-            return mesh_of_ply(path, &ply, unit_mm, frame, SurfaceOrigin::User).map(Shape::Mesh);
+            return mesh_of_ply(path, &ply, unit_mm, frame, SurfaceOrigin::User).map(MeshOrCloud::Mesh);
         }
         cloud_of_ply(path, &ply, unit_mm, frame)?
     } else if let Some(text) = text_of_numbers(bytes) {
@@ -41,14 +41,14 @@ pub fn shape_of_bytes(path: &Path, bytes: &[u8], unit_mm: f64, frame: impl Into<
         let message = "PCD is not read; write the points as PLY, or as text with x y z on each line";
         return Err(FileError::content(path, "byte 0", message));
     } else {
-        return mesh_of_stl(path, bytes, unit_mm, frame, SurfaceOrigin::User).map(Shape::Mesh);
+        return mesh_of_stl(path, bytes, unit_mm, frame, SurfaceOrigin::User).map(MeshOrCloud::Mesh);
     };
     let (n, of) = (read.n_dropped, read.n_points_in_file);
     let mut notes: Vec<_> =
         (n > 0).then(|| format!("{n} of {of} points are not finite and were left out")).into_iter().collect();
     notes.extend(read.notes.iter().cloned());
     notes.extend(size_note(read.cloud.points(), "points span"));
-    Ok(Shape::Cloud(read, notes))
+    Ok(MeshOrCloud::Cloud(read, notes))
 }
 
 fn is_pcd(bytes: &[u8]) -> bool {
@@ -69,8 +69,8 @@ mod tests {
     use super::*;
     use nalgebra::Point3;
 
-    fn read(bytes: &[u8]) -> Result<Shape, FileError> {
-        shape_of_bytes("a.file".as_ref(), bytes, 1.0, "ct")
+    fn read(bytes: &[u8]) -> Result<MeshOrCloud, FileError> {
+        read_mesh_or_cloud("a.file".as_ref(), bytes, 1.0, "ct")
     }
 
     fn ply(faces: &str) -> String {
@@ -81,18 +81,18 @@ mod tests {
     #[test]
     fn a_ply_is_a_surface_where_it_has_faces_and_a_cloud_elsewhere() {
         let lists = |n| format!("element face {n}\nproperty list uchar int vertex_indices\n");
-        let Shape::Mesh(mesh) = read((ply(&lists(1)) + "3 0 1 2\n").as_bytes()).unwrap() else { panic!("no mesh") };
+        let MeshOrCloud::Mesh(mesh) = read((ply(&lists(1)) + "3 0 1 2\n").as_bytes()).unwrap() else { panic!("no mesh") };
         assert_eq!(mesh.mesh.faces(), [[0, 1, 2]]);
         for text in [ply(""), ply(&lists(0)), "x,y,z\n0,0,0\n40,0,0\n0,40,0\n".into()] {
-            let Shape::Cloud(cloud, notes) = read(text.as_bytes()).unwrap() else { panic!("no cloud: {text}") };
+            let MeshOrCloud::Cloud(cloud, notes) = read(text.as_bytes()).unwrap() else { panic!("no cloud: {text}") };
             assert_eq!(cloud.cloud.points()[1], Point3::new(40.0, 0.0, 0.0));
             assert_eq!(notes, [""; 0]);
         }
     }
 
     #[test]
-    fn what_is_odd_about_points_is_noted() {
-        let Shape::Cloud(_, notes) = read(b"0 0 0\n0.1 0.2 0\nnan 0 0\n").unwrap() else { panic!("no cloud") };
+    fn points_that_are_dropped_or_of_implausible_size_are_noted() {
+        let MeshOrCloud::Cloud(_, notes) = read(b"0 0 0\n0.1 0.2 0\nnan 0 0\n").unwrap() else { panic!("no cloud") };
         let size = "the points span 0.224 mm, which is no size of a bone or phantom; is the file in metres? then give \
                     unit_mm = 1000";
         assert_eq!(notes, ["1 of 3 points are not finite and were left out", size]);

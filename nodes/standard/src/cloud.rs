@@ -1,4 +1,4 @@
-//! Clouds made thinner, given normals, put together.
+//! Operations on clouds: downsampling, normals, merging.
 
 pub mod downsample;
 pub mod from_points;

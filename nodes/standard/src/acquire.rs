@@ -1,4 +1,4 @@
-//! Where data comes in: recordings, folders of files, a simulated procedure.
+//! Sources of data: recordings, folders of files, a simulated procedure.
 
 pub mod folder;
 pub mod mcap;

@@ -2,7 +2,7 @@ use crate::Table;
 use osteoflow_node::{Payload, SchemaEntry, View, ViewError};
 use std::sync::Arc;
 
-/// A word or sentence that belongs to a result, such as where the CT surface comes from.
+/// A text in a result, such as the origin of the CT surface.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Text(pub Arc<str>);
 
@@ -28,7 +28,7 @@ impl Payload<Table> for Text {
     }
 }
 
-/// A yes or no that belongs to a result, such as whether it was simulated.
+/// A yes or no in a result, such as whether it was simulated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Flag(pub bool);
 
@@ -53,9 +53,9 @@ impl Payload<Table> for Flag {
     }
 }
 
-/// Any JSON: what a node has to say for which no other payload is made. In `results.json` it stands as it is.
+/// Any JSON, for results without a payload of their own. In `results.json` it is unchanged.
 ///
-/// A number in it has no unit but the suffix of its key; numbers are better told as [`crate::Metrics`].
+/// A number in it has no unit but the suffix of its key; [`crate::Metrics`] carries units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Json(pub Arc<serde_json::Value>);
 

@@ -1,4 +1,4 @@
-//! The landmark under a laser spot, from the hole that it leaves in a scan: every kind takes the same ports.
+//! Detection of the landmark under a laser spot, from the hole that it leaves in a scan. All kinds have the same ports.
 
 pub mod boundary;
 pub mod cloud_difference;
@@ -35,12 +35,12 @@ impl In {
     }
 }
 
-/// The landmark's name: the scan's label, else by order.
+/// The landmark's name: the scan's label, or `P1`, `P2`, .. by item.
 fn name(cloud: &Cloud, ctx: &Context) -> String {
     cloud.label.as_ref().map_or_else(|| format!("P{}", ctx.item() + 1), ToString::to_string)
 }
 
-/// The hole of a scan with the laser as its landmark, or why there is none.
+/// The landmark at the hole.
 fn answer(cloud: &Cloud, found: Result<Hole, HoleError>, ctx: &Context) -> Result<Out, NodeError> {
     let name = name(cloud, ctx);
     let hole = found.map_err(|error| NodeError::new(format!("{name}: {error}")))?;

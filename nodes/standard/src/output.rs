@@ -6,7 +6,7 @@ pub mod ply;
 use osteoflow_node::{Context, NodeError};
 use std::path::PathBuf;
 
-/// A file of this run, named after the node; numbered from the second item on.
+/// The path of a file in the run's folder, named after the node; numbered from the second item on.
 fn file_of(ctx: &Context, extension: &str) -> Result<Option<PathBuf>, NodeError> {
     let Some(dir) = ctx.out_dir() else { return Ok(None) };
     std::fs::create_dir_all(dir)?;

@@ -1,4 +1,4 @@
-//! What was planned on the CT: landmarks, assessment points, cutting planes.
+//! The surgical plan on the CT: landmarks, assessment points, cutting planes.
 
 pub mod file;
 pub mod landmarks;

@@ -1,0 +1,3 @@
+//! Errors of the landmarks that a surgeon marks.
+
+pub mod ruled;
