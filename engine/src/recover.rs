@@ -22,7 +22,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-
 /// A file that could not be recovered.
 #[derive(Debug, thiserror::Error)]
 pub enum RecoverError {

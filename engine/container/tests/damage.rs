@@ -307,7 +307,10 @@ fn every_cut_is_a_truncated_file_with_every_whole_record_before_it() {
             let (found, end) = read(&bytes[..cut]);
             let End::Truncated(damage) = end else { panic!("cut at {cut}: {end:?}") };
             assert_eq!(damage.bytes.end, cut as u64, "cut at {cut}");
-            assert!(matches!(damage.cause, Cause::Truncated { .. } | Cause::NoFooter | Cause::Malformed { .. }), "{damage}");
+            assert!(
+                matches!(damage.cause, Cause::Truncated { .. } | Cause::NoFooter | Cause::Malformed { .. }),
+                "{damage}"
+            );
             assert_eq!(found.damages, [], "cut at {cut}");
             assert_eq!(found.messages, whole[..found.messages.len()], "cut at {cut}");
             assert!(found.messages.len() >= n_before, "cut at {cut}: fewer messages than before");
@@ -319,9 +322,8 @@ fn every_cut_is_a_truncated_file_with_every_whole_record_before_it() {
 
 #[test]
 fn an_empty_file_and_one_of_another_kind_are_named() {
-    let error = |bytes: &[u8]| {
-        Reader::new(Cursor::new(bytes), bytes.len() as u64).read(&mut Found::default()).unwrap_err()
-    };
+    let error =
+        |bytes: &[u8]| Reader::new(Cursor::new(bytes), bytes.len() as u64).read(&mut Found::default()).unwrap_err();
     assert!(matches!(error(b""), ReadError::Empty));
     assert_eq!(error(b"#ROSBAG V2.0\n").to_string(), "it is no MCAP file");
     assert_eq!(error(b"\x89MCA").to_string(), "it was cut short in its first bytes");
@@ -376,5 +378,8 @@ fn no_damage_makes_a_message_that_was_not_written() {
             }
         }
     }
-    assert!(n_read > 30_000 && n_damaged > 500, "{n_read} messages, {n_damaged} damages: too much damage, or too little");
+    assert!(
+        n_read > 30_000 && n_damaged > 500,
+        "{n_read} messages, {n_damaged} damages: too much damage, or too little"
+    );
 }

@@ -53,12 +53,8 @@ fn written(content: &Content, options: WriteOptions) -> Vec<u8> {
             let (encoding, about) = &content.channels[topic];
             writer.add_channel(schema, topic, encoding, about).unwrap()
         });
-        let header = MessageHeader {
-            channel_id,
-            sequence: *sequence,
-            log_time: *log_time,
-            publish_time: *publish_time,
-        };
+        let header =
+            MessageHeader { channel_id, sequence: *sequence, log_time: *log_time, publish_time: *publish_time };
         writer.write_message(header, data.clone().into()).unwrap();
     }
     for (name, media_type, log_time, create_time, data) in &content.attachments {
@@ -83,10 +79,8 @@ fn written_by_mcap(content: &Content, options: &WriteOptions) -> Vec<u8> {
         .emit_summary_records(options.index)
         .emit_summary_offsets(options.index);
     let mut writer = crate_options.create(Cursor::new(Vec::new())).unwrap();
-    let metadata = |(name, metadata): &(String, Map)| mcap::records::Metadata {
-        name: name.clone(),
-        metadata: metadata.clone(),
-    };
+    let metadata =
+        |(name, metadata): &(String, Map)| mcap::records::Metadata { name: name.clone(), metadata: metadata.clone() };
     writer.write_metadata(&metadata(&content.metadata[0])).unwrap();
     for (topic, schema, sequence, log_time, publish_time, data) in &content.messages {
         let schema = if schema.is_empty() { 0 } else { writer.add_schema(schema, "text", b"as it is").unwrap() };
@@ -237,8 +231,11 @@ fn a_written_file_is_read_the_same_by_both_sides_in_every_layout() {
         assert_eq!((&*attachment.name, &*attachment.data), ("plan.json", b"{}".as_slice()));
         let metadata = summary.metadata_indexes.iter().map(|i| mcap::read::metadata(&bytes, i).unwrap());
         assert_eq!(metadata.map(|m| (m.name, m.metadata)).collect::<Vec<_>>(), content.metadata);
-        let indexed: usize =
-            summary.chunk_indexes.iter().map(|i| summary.stream_chunk(&bytes, i).unwrap().map(Result::unwrap).count()).sum();
+        let indexed: usize = summary
+            .chunk_indexes
+            .iter()
+            .map(|i| summary.stream_chunk(&bytes, i).unwrap().map(Result::unwrap).count())
+            .sum();
         assert_eq!(indexed, if options.chunks { 60 } else { 0 }, "{options:?}");
         assert!(!options.chunks || summary.chunk_indexes.len() > 3, "{} chunks", summary.chunk_indexes.len());
     }

@@ -129,7 +129,8 @@ impl Pass<'_> {
             }
             Ok(_) => {
                 // On a port that takes any payload, each value names its own.
-                let named = recorded.payload.clone().unwrap_or_else(|| (port.header.payload.clone(), port.header.version));
+                let named =
+                    recorded.payload.clone().unwrap_or_else(|| (port.header.payload.clone(), port.header.version));
                 let ty = known(&named.0, named.1, self.registry).map_err(fault)?;
                 recorded.into_item(ty).map_err(|error| fault(error.to_string()))
             }

@@ -11,8 +11,9 @@ use osteoflow_algorithms::{
 };
 use osteoflow_engine::store::{Key, Store};
 use osteoflow_formats::{
-    FileError, pose_file,
+    FileError,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
+    pose_file,
 };
 use osteoflow_geometry::{
     Cloud, Column, Frame, Mesh, SurfaceOrigin,
@@ -136,7 +137,14 @@ fn bytes(file: &Path) -> Result<Vec<u8>> {
     fs::read(file).map_err(|source| without_cause(FileError::Io { path: file.into(), action: "read", source }))
 }
 
-fn shape(file: &Path, bytes: &[u8], unit_mm: f64, frame: &str, which: &str, notes: &mut Vec<String>) -> Result<MeshOrCloud> {
+fn shape(
+    file: &Path,
+    bytes: &[u8],
+    unit_mm: f64,
+    frame: &str,
+    which: &str,
+    notes: &mut Vec<String>,
+) -> Result<MeshOrCloud> {
     let shape = read_mesh_or_cloud(file, bytes, unit_mm, Frame::from(frame)).map_err(without_cause)?;
     let found = match &shape {
         MeshOrCloud::Mesh(read) => &read.notes,
@@ -188,7 +196,9 @@ impl TargetFile {
                 let samples = sample::surface(&read.mesh, n_points, &mut ChaCha8Rng::seed_from_u64(asked.seed));
                 (samples.points.into(), Some(samples.normals.into()), Some(read.mesh))
             }
-            MeshOrCloud::Cloud(read, _) => (read.cloud.point_column().clone(), read.cloud.normal_column().cloned(), None),
+            MeshOrCloud::Cloud(read, _) => {
+                (read.cloud.point_column().clone(), read.cloud.normal_column().cloned(), None)
+            }
         };
         load.sample = ms_since(began);
         let estimates = normals.is_none() && needs.normals;

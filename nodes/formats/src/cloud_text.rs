@@ -46,9 +46,8 @@ pub(crate) fn parse(
         let place = || format!("line {number}");
         cells.clear();
         for word in words(line).take(most) {
-            let cell: f64 = word
-                .parse()
-                .map_err(|_| FileError::content(path, place(), format!("\"{word}\" is not a number")))?;
+            let cell: f64 =
+                word.parse().map_err(|_| FileError::content(path, place(), format!("\"{word}\" is not a number")))?;
             cells.push(cell);
         }
         if cells.len() < most {

@@ -238,10 +238,9 @@ impl<'de> Deserialize<'de> for Number {
         match Option::<Written>::deserialize(deserializer)? {
             None => Ok(Self(f64::NAN)),
             Some(Written::Number(value)) => Ok(Self(value)),
-            Some(Written::Text(text)) => text
-                .parse()
-                .map(Self)
-                .map_err(|_| serde::de::Error::custom(format!("\"{text}\" is not a number"))),
+            Some(Written::Text(text)) => {
+                text.parse().map(Self).map_err(|_| serde::de::Error::custom(format!("\"{text}\" is not a number")))
+            }
         }
     }
 }

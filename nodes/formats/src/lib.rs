@@ -48,13 +48,13 @@ pub mod foxglove_read;
 mod lost;
 pub mod mcap_read;
 pub mod mesh_file;
+pub mod mesh_or_cloud;
 mod normals;
 pub mod plan_file;
 mod ply;
 pub mod pose_file;
 pub mod poses_csv;
 pub mod recording_write;
-pub mod mesh_or_cloud;
 mod table;
 
 pub use error::FileError;

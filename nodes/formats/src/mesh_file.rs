@@ -417,11 +417,7 @@ mod tests {
         nan[96..100].copy_from_slice(&f32::NAN.to_le_bytes());
         assert!(said(&nan).contains("vertex 0 is not finite"), "{}", said(&nan));
         let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1,5 0 0\n";
-        assert!(
-            said(text.as_bytes()).contains("line 5: \"1,5\" is not a coordinate"),
-            "{}",
-            said(text.as_bytes())
-        );
+        assert!(said(text.as_bytes()).contains("line 5: \"1,5\" is not a coordinate"), "{}", said(text.as_bytes()));
         let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nendloop\nendfacet\nendsolid\n";
         assert!(said(text.as_bytes()).contains("line 5: a facet has three corners, this one has 1"));
         let text =

@@ -27,7 +27,12 @@ pub enum MeshOrCloud {
 /// # Errors
 /// [`FileError`] if the file is of none of these formats, is cut short, or holds a surface with a coordinate that is not
 /// finite; a cloud's points that are not finite are left out and counted.
-pub fn read_mesh_or_cloud(path: &Path, bytes: &[u8], unit_mm: f64, frame: impl Into<Frame>) -> Result<MeshOrCloud, FileError> {
+pub fn read_mesh_or_cloud(
+    path: &Path,
+    bytes: &[u8],
+    unit_mm: f64,
+    frame: impl Into<Frame>,
+) -> Result<MeshOrCloud, FileError> {
     let frame = frame.into();
     let read = if bytes.starts_with(b"ply") {
         let ply = Ply::parse(path, bytes)?;
@@ -81,7 +86,9 @@ mod tests {
     #[test]
     fn a_ply_is_a_surface_where_it_has_faces_and_a_cloud_elsewhere() {
         let lists = |n| format!("element face {n}\nproperty list uchar int vertex_indices\n");
-        let MeshOrCloud::Mesh(mesh) = read((ply(&lists(1)) + "3 0 1 2\n").as_bytes()).unwrap() else { panic!("no mesh") };
+        let MeshOrCloud::Mesh(mesh) = read((ply(&lists(1)) + "3 0 1 2\n").as_bytes()).unwrap() else {
+            panic!("no mesh")
+        };
         assert_eq!(mesh.mesh.faces(), [[0, 1, 2]]);
         for text in [ply(""), ply(&lists(0)), "x,y,z\n0,0,0\n40,0,0\n0,40,0\n".into()] {
             let MeshOrCloud::Cloud(cloud, notes) = read(text.as_bytes()).unwrap() else { panic!("no cloud: {text}") };

@@ -55,8 +55,10 @@ pub fn read_plan_of(path: &Path, bone: &str) -> Result<PlanRead, FileError> {
     }
     let bones: Vec<&str> = root.iter().filter(|(_, value)| value.is_object()).map(|(key, _)| key.as_str()).collect();
     if !bones.is_empty() && !OWN_KEYS.iter().any(|key| root.contains_key(*key)) {
-        let message =
-            format!("the file has plans for {}, not for \"{bone}\"; give the bone's file and its key the same name", bones.join(", "));
+        let message = format!(
+            "the file has plans for {}, not for \"{bone}\"; give the bone's file and its key the same name",
+            bones.join(", ")
+        );
         return Err(FileError::content(path, "the outermost object", message));
     }
     plan_of(path, &root)

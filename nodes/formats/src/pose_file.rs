@@ -85,9 +85,9 @@ fn text_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
         let end = ["#", "//", "%"].iter().filter_map(|mark| row.find(mark)).min().unwrap_or(row.len());
         let between = |c: char| c.is_whitespace() || ",;[]()".contains(c);
         for word in row[..end].split(between).filter(|word| !word.is_empty()) {
-            let number: f64 = word.parse().map_err(|_| {
-                fault(path, format!("line {}", line + 1), format!("\"{word}\" is not a number"))
-            })?;
+            let number: f64 = word
+                .parse()
+                .map_err(|_| fault(path, format!("line {}", line + 1), format!("\"{word}\" is not a number")))?;
             numbers.push(number);
         }
     }
@@ -146,9 +146,8 @@ fn itk_matrix(path: &Path, text: &str) -> Result<Nearest<Matrix4<f64>>, FileErro
     }
     let numbers = |key: &str| -> Result<Vec<f64>, FileError> {
         let words = line_of(key).0.unwrap_or_default().split_whitespace();
-        let number = |word: &str| {
-            word.parse::<f64>().map_err(|_| fault(path, key, format!("\"{word}\" is not a number")))
-        };
+        let number =
+            |word: &str| word.parse::<f64>().map_err(|_| fault(path, key, format!("\"{word}\" is not a number")));
         words.map(number).collect()
     };
     let (parameters, fixed) = (numbers("Parameters")?, numbers("FixedParameters")?);

@@ -19,9 +19,9 @@
 mod columns;
 #[cfg_attr(not(feature = "viewer"), path = "no_foxglove.rs")]
 mod foxglove;
+mod geometry_views;
 mod metrics;
 mod plain_values;
-mod geometry_views;
 #[cfg(feature = "algorithms")]
 mod report;
 #[cfg(feature = "algorithms")]

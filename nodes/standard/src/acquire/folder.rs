@@ -90,7 +90,9 @@ impl Folder {
                 },
             ),
         ];
-        for (port, name) in [(ProcedurePort::BoneMarker, "bone_marker"), (ProcedurePort::PhantomMarkerCad, "phantom_marker_cad")] {
+        for (port, name) in
+            [(ProcedurePort::BoneMarker, "bone_marker"), (ProcedurePort::PhantomMarkerCad, "phantom_marker_cad")]
+        {
             if !has(name) {
                 events.push(at(port, start_ns, Emission::Empty(format!("the folder has no poses of {name}"))));
             }

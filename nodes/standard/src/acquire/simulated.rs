@@ -101,7 +101,8 @@ fn events(procedure: Procedure) -> Vec<Event<Emission>> {
     events.add(ProcedurePort::TCtWorldTrue, start_ns, Emission::value(t_ct_world_true));
     events.add(ProcedurePort::TCameraCameraMarkerTrue, start_ns, Emission::value(truth.t_camera_camera_marker));
     let at_scan = &truth.t_world_ct_at_scan;
-    for (port, points) in [(ProcedurePort::LaserSpotsTrue, &truth.laser_spots_ct), (ProcedurePort::LaserMarksTrue, &truth.laser_marks_ct)]
+    for (port, points) in
+        [(ProcedurePort::LaserSpotsTrue, &truth.laser_spots_ct), (ProcedurePort::LaserMarksTrue, &truth.laser_marks_ct)]
     {
         events.add(port, start_ns, Emission::value(points.transformed(&at_scan.to, &at_scan.isometry)));
     }
