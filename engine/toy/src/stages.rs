@@ -101,7 +101,7 @@ params! {
     struct RecordingParams {
         /// The recording to play.
         path: FilePath,
-        /// Whether a recording that was cut short is played as far as it goes. No: half a scan is no scan.
+        /// Whether to play a truncated recording up to its end. No: half a scan is no scan.
         allow_truncated: bool,
     }
 }
@@ -112,27 +112,27 @@ params! {
 pub struct PortParams {
     /// The topic of the recording.
     topic: String,
-    /// Only every n-th message.
+    /// Keep every n-th message only.
     #[serde(default)]
     every: Option<u32>,
 }
 
 source!(Recording, "acquire.recording", false, RecordingParams, Declared<PortParams>);
 
-/// A camera that runs.
+/// A live camera.
 #[derive(Describe)]
 pub struct Camera;
 
 #[derive(Outputs)]
 pub struct CameraOut {
-    /// What it sees.
+    /// The scan.
     #[port(frame = "@camera")]
     cloud: Cloud,
 }
 
 source!(Camera, "acquire.camera", true, NoParams, CameraOut);
 
-/// Reads the surface.
+/// Reads a surface.
 #[derive(Describe)]
 pub struct Surface;
 
@@ -143,7 +143,7 @@ params! {
         path: FilePath,
         /// A second mesh.
         other: Option<FilePath>,
-        /// The frame it lies in.
+        /// The frame of the mesh.
         frame: String,
     }
 }
@@ -153,13 +153,13 @@ pub struct SurfaceOut {
     /// The prepared surface.
     #[port(frame = "$frame")]
     target: Target,
-    /// What was read.
+    /// A report on the mesh.
     report: Report,
 }
 
 source!(Surface, "surface.read", false, true, SurfaceParams, SurfaceOut);
 
-/// Keeps what lies in a box.
+/// Keeps the points in a box.
 #[derive(Describe)]
 pub struct Crop;
 
@@ -258,16 +258,16 @@ pub struct CropIn {
 
 #[derive(Outputs)]
 pub struct CropOut {
-    /// What is left.
+    /// The points in the box.
     #[port(frame = "cloud")]
     cloud: Cloud,
-    /// How much that is.
+    /// A report on the crop.
     report: Report,
 }
 
 node!(Crop, "crop.box", CropParams, CropIn, CropOut);
 
-/// The same without a report.
+/// Keeps the points in a sphere.
 #[derive(Describe)]
 pub struct CropSphere;
 
@@ -290,20 +290,20 @@ impl Default for SphereParams {
 
 #[derive(Outputs)]
 pub struct CloudOut {
-    /// What is left.
+    /// The points in the sphere.
     #[port(frame = "cloud")]
     cloud: Cloud,
 }
 
 node!(CropSphere, "crop.sphere", SphereParams, CropIn, CloudOut);
 
-/// Brings a cloud into the frame that a pose leads to.
+/// Transforms a cloud by a pose.
 #[derive(Describe)]
 pub struct Transform;
 
 #[derive(Inputs)]
 pub struct TransformIn {
-    /// Is moved.
+    /// The cloud to transform.
     cloud: Cloud,
     /// The motion.
     #[port(join = "interpolate", max_gap_ms = 100.0, from = "cloud")]
@@ -312,14 +312,14 @@ pub struct TransformIn {
 
 #[derive(Outputs)]
 pub struct TransformOut {
-    /// The moved cloud.
+    /// The transformed cloud.
     #[port(frame = "pose.to")]
     cloud: Cloud,
 }
 
 node!(Transform, "transform.apply", NoParams, TransformIn, TransformOut);
 
-/// Fine registration, by points.
+/// Fine registration, point to point.
 #[derive(Describe)]
 pub struct PointToPoint;
 
@@ -349,7 +349,7 @@ pub struct IcpIn {
     /// Stays: the prepared surface.
     #[port(join = "once")]
     target: Target,
-    /// Where to start.
+    /// The initial pose.
     #[port(to = "target", from = "source")]
     init: Option<Pose>,
 }
@@ -359,13 +359,13 @@ pub struct IcpOut {
     /// The fit.
     #[port(to = "target", from = "source")]
     t_target_source: Pose,
-    /// How it went.
+    /// A report on the registration.
     report: Report,
 }
 
 node!(PointToPoint, "icp.point_to_point", IcpParams, IcpIn, IcpOut);
 
-/// Fine registration, by planes.
+/// Fine registration, point to plane.
 #[derive(Describe)]
 pub struct PointToPlane;
 
@@ -387,19 +387,19 @@ impl Default for PlaneParams {
 
 node!(PointToPlane, "icp.point_to_plane", PlaneParams, IcpIn, IcpOut);
 
-/// Several clouds as one.
+/// Merges several clouds.
 #[derive(Describe)]
 pub struct Merge;
 
 #[derive(Inputs)]
 pub struct MergeIn {
-    /// The views.
+    /// The clouds.
     clouds: Vec<Cloud>,
 }
 
 #[derive(Outputs)]
 pub struct MergeOut {
-    /// All of them.
+    /// All points.
     #[port(frame = "clouds")]
     cloud: Cloud,
 }
@@ -418,25 +418,25 @@ pub struct FollowIn {
     /// The marker.
     #[port(join = "latest")]
     marker: Pose,
-    /// Not needed here.
+    /// Ignored.
     spare: Unused<Cloud>,
 }
 
 #[derive(Outputs)]
 pub struct FollowOut {
-    /// Where it is.
+    /// The pose of the marker.
     pose: Pose,
 }
 
 node!(Follow, "plane.follow", NoParams, FollowIn, FollowOut);
 
-/// Writes anything.
+/// Writes any value.
 #[derive(Describe)]
 pub struct Write;
 
 #[derive(Inputs)]
 pub struct WriteIn {
-    /// What is written.
+    /// The value.
     value: Value,
 }
 
@@ -453,14 +453,14 @@ pub struct WriteParams {
 
 node!(Write, "output.write", WriteParams, WriteIn, WriteOut);
 
-/// A kind whose parameter has a name that every node needs.
+/// A kind with a parameter of a reserved name.
 #[derive(Describe)]
 pub struct Greedy;
 
 params! {
     #[derive(Default)]
     struct GreedyParams {
-        /// Taken.
+        /// A reserved name.
         out: String,
     }
 }
