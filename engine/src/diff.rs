@@ -1,8 +1,8 @@
-//! Where two recordings part: the first divergence, and a summary for each wire.
+//! Compares two recordings: the first divergence, and a summary for each wire.
 //!
-//! First is what a graph computes first: wires come in the topological order of the graph in the first recording, items
-//! by number. Two recordings are equal where their wires hold the same bits under the same numbers; in what order the
-//! files hold them, how they are packed, and what they say of the run does not matter.
+//! Wires come in the topological order of the graph in the first recording, items by number. Two recordings are equal
+//! if their wires hold the same bits under the same numbers; order and compression in the files, and records of the
+//! run, do not matter.
 
 mod compare;
 mod index;
@@ -24,19 +24,19 @@ use index::{Entry, Index, Indexed};
 use osteoflow_container::Progress;
 use std::{cmp::Ordering, collections::BTreeSet, path::Path};
 
-/// What is compared, and how closely.
+/// Which wires to compare, and the tolerance.
 #[derive(Debug, Clone, Default)]
 pub struct DiffOptions {
-    /// Patterns of wires, with `*` and `?`; all wires where there is none.
+    /// Patterns of wires, with `*` and `?`; empty for all wires.
     pub wires: Vec<String>,
-    /// Numbers that differ by no more than this, each in its own unit, count as equal.
+    /// Numbers that differ by at most this, each in its own unit, count as equal.
     pub tolerance: f64,
 }
 
-/// What is true of a whole recording.
+/// Properties of one recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Side {
-    /// The graph's name; none where the recording no longer says it.
+    /// Name of the graph; `None` if the recording lacks it.
     pub graph: Option<String>,
     /// The run's seed.
     pub seed: Option<u64>,
@@ -53,58 +53,59 @@ pub struct Divergence {
     pub wire: String,
     /// The item's number.
     pub item: u64,
-    /// What differs there.
+    /// First difference of the item.
     pub what: Difference,
 }
 
-/// A wire in both recordings.
+/// Comparison of a wire.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WireDiff {
     /// `node.port`.
     pub wire: String,
-    /// `payload@version` in each.
+    /// `payload@version` in each recording.
     pub payloads: [String; 2],
-    /// Items in each.
+    /// Number of items in each recording.
     pub n_items: [u64; 2],
-    /// Whether the recording has the wire at all.
+    /// Whether each recording has the wire at all.
     pub there: [bool; 2],
-    /// Items in both that differ by more than the tolerance.
+    /// Number of items in both that differ by more than the tolerance.
     pub n_differ: u64,
-    /// Items in both that differ by no more than the tolerance.
+    /// Number of items in both that differ by no more than the tolerance.
     pub n_within: u64,
-    /// Items that only the one or only the other has.
+    /// Number of items that only the first or only the second recording has.
     pub n_only: [u64; 2],
-    /// Items whose stamps differ.
+    /// Number of items whose stamps differ.
     pub n_stamps: u64,
-    /// Items of which one is a value and one an empty, or two empties with different reasons.
+    /// Number of items that are a value in one recording and an empty in the other, or empties with different reasons.
     pub n_empties: u64,
     /// The largest differences of numbers.
     pub largest: Largest,
-    /// The first item that differs, and in what.
+    /// First item that differs, and its first difference.
     pub first: Option<(u64, Difference)>,
 }
 
 impl WireDiff {
-    /// Whether it is in both and nothing differs by more than the tolerance. A wire without items says nothing.
+    /// Whether nothing differs by more than the tolerance, including that both recordings have the wire. A wire without
+    /// items is ignored.
     pub fn is_equal(&self) -> bool {
         self.first.is_none()
     }
 }
 
-/// What came of a comparison.
+/// Report of a comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DiffReport {
-    /// What is true of each recording.
+    /// Properties of each recording.
     pub sides: [Side; 2],
     /// Whether the graphs are the same text.
     pub same_graph: Option<bool>,
-    /// Whether the results are the same; none where one has none.
+    /// Whether the results are the same; `None` if a recording has none.
     pub same_results: Option<bool>,
     /// The first divergence.
     pub first: Option<Divergence>,
-    /// The wires, in the order in which the graph computes them.
+    /// The wires, in the topological order of the graph.
     pub wires: Vec<WireDiff>,
-    /// Bytes of both files.
+    /// Size of both files in bytes.
     pub n_bytes: u64,
 }
 
@@ -115,15 +116,15 @@ impl DiffReport {
     }
 }
 
-/// The first thing in which two items differ in any bit; `units` are those of the payload's fields and columns.
+/// First difference of any bit between two items; `units` are those of the payload's fields and columns.
 pub(crate) fn first_difference(a: &RecordedItem, b: &RecordedItem, units: &[(&str, &str)]) -> Option<Difference> {
     Compare::items(a, b, &Units::given(units), 0.0).first
 }
 
-/// Compares two recordings. Memory: an index of both, and some unpacked chunks.
+/// Compares two recordings. Memory: an index of both, and some decompressed chunks.
 ///
 /// # Errors
-/// [`RecordingError`] if one of them cannot be read, holds no exact channel, or holds a number twice.
+/// [`RecordingError`] if a recording cannot be read, has no exact channel, or has a number twice.
 pub fn diff(a: &Path, b: &Path, options: &DiffOptions, progress: Progress<'_>) -> Result<DiffReport, RecordingError> {
     let n_b = std::fs::metadata(b).map_or(0, |m| m.len());
     let mut a = Index::of(a, &mut |at, of| progress(at, of + n_b))?;
@@ -137,7 +138,7 @@ pub fn diff(a: &Path, b: &Path, options: &DiffOptions, progress: Progress<'_>) -
             pairs.extend(differing(x, y).map(|(x, y)| (index, x, y)));
         }
     }
-    // In the order of the first file, so that each of its chunks is unpacked once.
+    // In the order of the first file, so that each of its chunks is decompressed once.
     pairs.sort_by_key(|(_, x, _)| x.place);
     let units: Vec<Units> = wires.iter().map(|wire| a.wires.get(wire).map_or_else(Units::default, units_of)).collect();
     for (index, x, y) in pairs {
@@ -173,7 +174,7 @@ fn units_of(wire: &Indexed) -> Units {
     Units::of(&wire.about.header.units)
 }
 
-/// The wires to compare, in the order in which the first recording's graph computes them.
+/// Wires to compare, in the topological order of the first recording's graph.
 fn compared(a: &Index, b: &Index, options: &DiffOptions) -> Vec<String> {
     let graph = a.run.as_ref().or(b.run.as_ref()).map_or("", |run| run.graph.as_str());
     let ranks = order::ranks(graph);
@@ -184,7 +185,7 @@ fn compared(a: &Index, b: &Index, options: &DiffOptions) -> Vec<String> {
     names
 }
 
-/// Walks along both lists by number: items in both, or in one.
+/// Merges both lists by number: items in both, or in one.
 fn merged<'a>(a: &'a [Entry], b: &'a [Entry]) -> impl Iterator<Item = (Option<&'a Entry>, Option<&'a Entry>)> {
     let (mut i, mut j) = (0, 0);
     std::iter::from_fn(move || {
@@ -206,7 +207,7 @@ fn differing<'a>(a: &'a Indexed, b: &'a Indexed) -> impl Iterator<Item = (Entry,
     both.filter(|(x, y)| x.digest != y.digest)
 }
 
-/// The wire as far as numbers and payloads tell it.
+/// Compares numbers of items and payloads of a wire.
 fn missing(wire: &str, a: &Index, b: &Index) -> WireDiff {
     let (x, y) = (a.wires.get(wire), b.wires.get(wire));
     let payload = |wire: Option<&Indexed>| {
@@ -249,7 +250,7 @@ fn plain(field: &str, a: String, b: String) -> Difference {
     Difference { field: field.into(), a, b, ulp: None, distance: None, unit: None, note: None }
 }
 
-/// What differs between two items of one number.
+/// Compares two items with the same number.
 fn items(
     a: &mut Index,
     b: &mut Index,
@@ -270,7 +271,7 @@ fn items(
             ItemDifference { first, other: true, ..ItemDifference::default() }
         }
     };
-    // Bits that mean nothing, such as padding, differ all the same.
+    // Bits without a meaning, such as padding, count as a difference too.
     if found.first.is_none() && found.n_numbers == 0 {
         let at = x.iter().zip(&y).position(|(x, y)| x != y).unwrap_or_else(|| x.len().min(y.len()));
         found.other = true;

@@ -1,4 +1,4 @@
-//! A part of a graph: what of it is computed, what is played from items at hand, and the plan of the two.
+//! Partial runs: which nodes are computed, which are played from available items, and the reduced plan.
 
 mod player;
 mod run;
@@ -9,26 +9,26 @@ pub(crate) use run::{FinishedNode, PartialRun};
 use crate::plan::{Link, OutputId, Plan, ResultEntry};
 use osteoflow_node::Role;
 
-/// What is done with a node.
+/// What a partial run does with a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum NodeMode {
     /// It is built and fires.
     Computed,
-    /// Its items are played in its place.
+    /// Its items are played instead.
     Played,
-    /// Nothing that is wanted needs it, or nothing of it is at hand.
+    /// It is left out: it is not needed, or has no items.
     LeftOut,
 }
 
-/// Marks all that follows from what is marked.
+/// Marks all nodes downstream of marked ones.
 pub(crate) fn follow(plan: &Plan, marked: &mut [bool]) {
-    // The nodes stand in topological order.
+    // Nodes are in topological order.
     for index in 0..plan.nodes.len() {
         marked[index] = marked[index] || sources_of(plan, index).any(|id| marked[id.node]);
     }
 }
 
-/// The place of each node in the reduced plan, for those that take part.
+/// Index of each node in the reduced plan; `None` for nodes left out.
 pub(crate) fn places(parts: &[NodeMode]) -> Vec<Option<usize>> {
     let mut n = 0;
     let place = |part: &NodeMode| {
@@ -40,7 +40,7 @@ pub(crate) fn places(parts: &[NodeMode]) -> Vec<Option<usize>> {
     parts.iter().map(place).collect()
 }
 
-/// The plan of what takes part: what is played has no inputs any more, what is left out is gone.
+/// Reduces the plan: played nodes lose their inputs, and nodes left out are removed.
 pub(crate) fn reduce(plan: &Plan, parts: &[NodeMode]) -> Plan {
     let place = places(parts);
     let (mut nodes, mut links) = (Vec::new(), Vec::new());
@@ -75,7 +75,7 @@ pub(crate) fn outputs(plan: &Plan, node: usize) -> impl Iterator<Item = OutputId
     (0..plan.nodes[node].outputs.len()).map(move |port| OutputId { node, port })
 }
 
-/// The links that an output feeds.
+/// Links that an output feeds.
 pub(crate) fn consumers(plan: &Plan, id: OutputId) -> impl Iterator<Item = &Link> {
     plan.nodes[id.node].outputs[id.port].links.iter().map(|link| &plan.links[*link])
 }

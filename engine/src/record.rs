@@ -1,12 +1,12 @@
-//! Writes `run.mcap`: a tap on the recorded wires that never changes what flows.
+//! Writes `run.mcap`: a tap on the recorded wires.
 //!
-//! Items are cheap handles; views are made, packed and written on a thread of their own, so that a node waits only when
-//! the disk is slower than the graph. Each wire has an exact channel, `/exact/<node.port>`, and beside it, where its
-//! payload has a picture for viewers, `/view/<node.port>`. When nodes fired stands on `/run/timing`, what policies
-//! dropped on `/run/drops`, what they took from the clock on `/run/live`.
+//! Items are cheap handles. Views are made, compressed and written on a separate thread, so that a node waits only when
+//! the disk is slower than the graph. Each wire has an exact channel, `/exact/<node.port>`, and, if its payload has a
+//! picture for viewers, a second one, `/view/<node.port>`. Firing times are on `/run/timing`, dropped items on
+//! `/run/drops`, clock readings on `/run/live`.
 //!
-//! What a replay needs stands at the front, and what waits is written as a chunk several times a second: a run that is
-//! killed leaves a recording that can be read, and replayed, up to its last whole chunk.
+//! Everything that a replay needs comes first in the file, and waiting items are written as a chunk several times a
+//! second: a run that is killed leaves a recording that can be read and replayed up to its last whole chunk.
 
 mod queue;
 mod sink;
@@ -37,13 +37,13 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// How often the writer looks for what has come.
+/// Interval at which the writer polls the queue.
 const PATIENCE: Duration = Duration::from_millis(20);
-/// What waits no longer than this is written as a chunk, however short: so much a kill can take away.
+/// Maximum age of an item before it is written as a chunk, however short; bounds what a kill can lose.
 const FLUSH_EVERY: Duration = Duration::from_millis(200);
-/// Constants wait so long for a stamp that is a time; a viewer is then shown them at the first nanosecond.
+/// How long constants wait for a stamp that is a time; viewers then see them at the first nanosecond.
 const WAIT_FOR_TIME: Duration = Duration::from_secs(2);
-/// So many firings are handed over at once.
+/// Number of firings passed to the writer at once.
 const FIRINGS: usize = 4096;
 
 /// A recording that could not be written.
@@ -65,15 +65,15 @@ pub enum RecordError {
         /// Why.
         source: io::Error,
     },
-    /// A payload could not show itself.
+    /// A payload's view panicked.
     #[error("cannot write {}: the view of a payload {said}", .path.display())]
     Panicked {
         /// The file.
         path: PathBuf,
-        /// The panic, with the wire.
+        /// The panic message, with the wire.
         said: String,
     },
-    /// An item is longer than any reader takes.
+    /// An item exceeds the maximum length that readers accept.
     #[error(
         "cannot write {}: item {number} of {wire} has {n_bytes} bytes, and a recording holds items of up to a gigabyte; \
          take the wire out of [record]",
@@ -89,7 +89,7 @@ pub enum RecordError {
         /// Its length.
         n_bytes: usize,
     },
-    /// A file that a source reads cannot be hashed, so that the recording could not name it.
+    /// A source's input file cannot be hashed, so the recording cannot identify it.
     #[error("cannot read {path} to name it in the recording: {reason}")]
     Input {
         /// The file.
@@ -99,7 +99,7 @@ pub enum RecordError {
     },
 }
 
-/// A recording under way.
+/// A recording in progress.
 pub(crate) struct Recorder {
     /// The recorded wires.
     wires: BTreeSet<OutputId>,
@@ -108,36 +108,36 @@ pub(crate) struct Recorder {
     writer: JoinHandle<Result<WireCounts, Stopped>>,
 }
 
-/// What those who record and the writer look at.
+/// State shared by the tap and the writer.
 struct Shared {
     queue: Queue<Entry>,
     firings: Mutex<Vec<Firing>>,
-    /// Set when the writer fails: the run then ends.
+    /// Set when the writer fails; stops the run.
     cancelled: Arc<AtomicBool>,
 }
 
-/// What waits for the writer.
+/// Item of the writer's queue.
 enum Entry {
     Item(OutputId, Item),
     Firings(Vec<Firing>),
     Dropped(usize, u64),
     Live(usize, u64, Vec<ClockReading>),
-    /// Metadata that ends the recording.
+    /// Metadata at the end of the recording.
     End(Vec<(&'static str, BTreeMap<String, String>)>),
 }
 
-/// A node's firing by the wall clock.
+/// Wall-clock time of a node's firing.
 struct Firing {
     node: usize,
     item: u64,
-    /// Since the run began.
+    /// Since the start of the run.
     began: Duration,
     took: Duration,
 }
 
 impl Recorder {
-    /// Begins a recording with the graph and the channels of its recorded wires; `inputs` are the hashes of the files
-    /// that sources read, where a replay is to know them by these.
+    /// Creates a recording with the graph and the channels of its recorded wires; `inputs` are the hashes of the files
+    /// that sources read, where a replay identifies them by hash.
     pub(crate) fn create(
         path: &Path,
         plan: &Plan,
@@ -155,7 +155,7 @@ impl Recorder {
         let writer = std::thread::Builder::new().name("recorder".into()).spawn(move || {
             let written = panics::catch(|| record(sink, &seen)).unwrap_or_else(|said| Err(Stopped::Panic(said)));
             if written.is_err() {
-                // Nobody waits for a writer that is gone, and a run that leaves no recording goes on for nothing.
+                // A dead writer blocks nobody; the run is stopped, since it can leave no recording.
                 seen.queue.die();
                 seen.cancelled.store(true, Ordering::Relaxed);
             }
@@ -165,7 +165,7 @@ impl Recorder {
         Ok(Self { wires, shared, writer: writer.map_err(create)?, path })
     }
 
-    /// Writes what waits and what came of the run, and closes the file.
+    /// Writes the remaining items and the outcome of the run, and closes the file.
     pub(crate) fn finish(
         self,
         status: &str,
@@ -235,7 +235,7 @@ impl Tap for Recorder {
     }
 }
 
-/// The file with everything that is known before the run.
+/// Creates the file with everything known before the run.
 fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<InputHashes>) -> io::Result<Sink> {
     let library = concat!("osteoflow ", env!("CARGO_PKG_VERSION"));
     let mut file = Writer::new(
@@ -263,7 +263,7 @@ fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<InputHash
     write(&mut file, &PluginRecords(plan.plugins.clone()))?;
     inputs.iter().try_for_each(|inputs| write(&mut file, inputs))?;
     let mut sink = Sink::begin(file, plan)?;
-    // From here on a file that is cut short tells which wires it was to hold.
+    // From here on, a truncated file names the wires it was to hold.
     sink.file.flush()?;
     Ok(sink)
 }
@@ -272,7 +272,7 @@ fn write<T: MetadataRecord>(file: &mut Writer<File>, record: &T) -> io::Result<(
     file.write_metadata(T::NAME, &record.to_metadata())
 }
 
-/// The hash of each file.
+/// Hash of each file.
 fn named_inputs(inputs: &[Json]) -> Result<InputHashes, RecordError> {
     if let Some(unread) = inputs.iter().find(|input| input["sha256"].as_str().is_none()) {
         let text = |key: &str| unread[key].as_str().unwrap_or("unknown").to_owned();
@@ -281,7 +281,7 @@ fn named_inputs(inputs: &[Json]) -> Result<InputHashes, RecordError> {
     Ok(all_inputs(inputs))
 }
 
-/// The hash of each file, or why there is none.
+/// Hash of each file, or why it cannot be hashed.
 fn all_inputs(inputs: &[Json]) -> InputHashes {
     let entry = |input: &Json| {
         let text = |key: &str| input[key].as_str().map(str::to_owned);
@@ -291,7 +291,7 @@ fn all_inputs(inputs: &[Json]) -> InputHashes {
     InputHashes(inputs.iter().filter_map(entry).collect())
 }
 
-/// The writer's life: until the queue is closed and empty, or the file takes nothing more.
+/// Writer thread: runs until the queue is closed and empty, or writing fails.
 fn record(mut sink: Sink, shared: &Shared) -> Result<WireCounts, Stopped> {
     let mut flushed = Instant::now();
     let began = flushed;
@@ -305,7 +305,8 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<WireCounts, Stopped> {
         for (entry, n_bytes) in batch {
             match entry {
                 Entry::Item(wire, item) => {
-                    // What follows from a drop stands behind it, so that a file that is cut short has both or neither.
+                    // Drops are written before the items that follow from them, so that a truncated file has both or
+                    // neither.
                     sink.drops(&std::mem::take(&mut drops))?;
                     sink.item(wire, item, n_bytes)?;
                 }
@@ -326,7 +327,7 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<WireCounts, Stopped> {
             flushed = Instant::now();
         }
     }
-    // Viewers take no time of zero; a run without any time is shown at its first nanosecond.
+    // Viewers reject a time of zero; a run without any time is shown at its first nanosecond.
     sink.begin_time(1)?;
     let counts = sink.counts();
     write(&mut sink.file, &counts)?;

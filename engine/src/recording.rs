@@ -1,4 +1,4 @@
-//! What a recording is, and how it is read: items as bytes, the wires they are of, the records of the run.
+//! The format of recordings and how they are read: items as bytes, wires, and records of the run.
 
 pub(crate) mod codec;
 pub mod digest;

@@ -1,4 +1,4 @@
-//! Runs a recording again: recorded wires are played, what follows from them is computed anew and compared.
+//! Runs a recording again: plays recorded wires, recomputes what follows from them and compares.
 
 mod compare;
 mod select;
@@ -25,27 +25,27 @@ use std::{
     sync::Arc,
 };
 
-/// The key of `results.json` that names the node from which on a replay had computed.
+/// Key of `results.json` for the node from which a replay computed.
 const COMPUTED_FROM: &str = "computed_from";
 
-/// What to change in a replay; by default nothing.
+/// What to change in a replay; nothing by default.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ReplayOptions {
-    /// Only this node, and what follows from it, is computed anew.
+    /// Recompute only this node and the nodes downstream of it.
     pub from: Option<String>,
     /// Settings of the graph, each `KEY=VALUE`.
     pub sets: Vec<String>,
-    /// The graph file to play the recorded wires into, in the place of the recorded graph.
+    /// Graph file to play the recorded wires into, instead of the recorded graph.
     pub graph: Option<PathBuf>,
-    /// How many seconds of the recording go by in one; `None`: as fast as can be. The result does not depend on it.
+    /// Seconds of the recording per second; `None`: as fast as possible. The result does not depend on it.
     pub rate: Option<f64>,
-    /// Nothing before it is played, constants excepted.
+    /// Only items at or after this moment are played, constants excepted.
     pub start: Option<Moment>,
-    /// Nothing after it is played, constants excepted.
+    /// Only items at or before this moment are played, constants excepted.
     pub end: Option<Moment>,
 }
 
-/// A time in a recording: `12.5` is seconds after its first stamp, `1750000000418500000ns` a stamp.
+/// A time in a recording: `12.5` means seconds after its first stamp, `1750000000418500000ns` is a stamp.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Moment {
     /// Seconds after the first stamp.
@@ -74,7 +74,7 @@ impl Moment {
     fn stamp(self, first_ns: StampNs) -> StampNs {
         match self {
             Self::Stamp(stamp_ns) => stamp_ns,
-            // Beyond what a stamp can tell it stays at the last one.
+            // Saturates at the largest stamp.
             Self::Seconds(seconds) => first_ns.saturating_add((seconds * 1e9).round() as StampNs),
         }
     }
@@ -86,15 +86,15 @@ pub enum ReplayError {
     /// The file cannot be read.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The graph has faults, or does not fit the kinds of this program.
+    /// The graph has faults, or does not fit this program's kinds.
     #[error("{}:\n{faults}", if *.recorded { "the recorded graph does not fit this program" } else { "the graph has faults" })]
     Graph {
         /// What is wrong.
         faults: Faults,
-        /// Whether it is the recorded graph as it was.
+        /// Whether it is the recorded graph without changes.
         recorded: bool,
     },
-    /// A source's wire is not in it.
+    /// A source's wire is not in the recording.
     #[error(
         "the recording lacks the source wire {wire}, so nothing after it can be computed; record it, or name a node \
          behind it that can be computed from recorded wires"
@@ -103,7 +103,7 @@ pub enum ReplayError {
         /// The wire.
         wire: String,
     },
-    /// Nothing that was recorded can be played into the graph.
+    /// No recorded wire can be played into the graph.
     #[error("no recorded wire is an output of a source of {}; recorded are {recorded}", .graph.display())]
     NothingFits {
         /// The graph.
@@ -116,20 +116,20 @@ pub enum ReplayError {
     Payload {
         /// The wire.
         wire: String,
-        /// What was recorded.
+        /// Recorded payload.
         recorded: String,
-        /// What the graph has.
+        /// Payload in the graph.
         found: String,
     },
     /// There is no such node.
     #[error("there is no node \"{node}\" in the graph; it has {known}")]
     NoNode {
-        /// What was asked for.
+        /// The requested node.
         node: String,
-        /// The nodes there are.
+        /// The graph's nodes.
         known: String,
     },
-    /// A setting of a node that is not computed.
+    /// A setting for a node that is not computed.
     #[error("--set {set} changes nothing: the wires of \"{node}\" are played from the recording")]
     NoEffect {
         /// The setting.
@@ -137,7 +137,7 @@ pub enum ReplayError {
         /// The node.
         node: String,
     },
-    /// A file that a source reads is not the one that the run had read.
+    /// A source's input file is not the one that the run read.
     #[error("{} is not the file that the run had read: sha256 {expected} expected, {found} found", .path.display())]
     Input {
         /// The file.
@@ -152,70 +152,70 @@ pub enum ReplayError {
     Run(#[from] RunError),
 }
 
-/// What came of a replay.
+/// Report of a replay.
 #[derive(Debug)]
 pub struct ReplayReport {
     /// The run.
     pub run: RunReport,
-    /// Each recorded wire, in the topological order of the graph; last those that it does not have.
+    /// Each recorded wire, in the topological order of the graph; then those that the graph does not have.
     pub wires: Vec<WireComparison>,
-    /// Whether the results are the recorded ones; `None` where there are none to compare with.
+    /// Whether the results are the recorded ones; `None` if there are none to compare.
     pub results_equal: Option<bool>,
-    /// Why nothing is compared; `None` where it is.
+    /// Why nothing is compared; `None` if it is.
     pub not_compared: Option<String>,
-    /// What ended a recording that was cut short; then the items up to there are compared.
+    /// Why a truncated recording ends early; the items up to there are compared.
     pub truncated: Option<String>,
-    /// Nodes that were computed beside those asked for, because their wires were not recorded.
+    /// Nodes computed in addition to the requested ones, because their wires were not recorded.
     pub computed_too: Vec<String>,
-    /// How the libraries of plugins differ from those that the run had.
+    /// How the libraries of plugins differ from those of the run.
     pub differences: Vec<String>,
 }
 
-/// What a replay did with a wire.
+/// How a replay treats a wire.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WirePart {
     /// Its recorded items were played.
     Played,
-    /// It was computed anew.
+    /// It was recomputed.
     Computed,
     /// The graph does not have it.
     Absent,
 }
 
-/// A wire as recorded and as computed anew.
+/// A wire as recorded and as recomputed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WireComparison {
     /// The wire, `node.port`.
     pub wire: String,
-    /// What was done with it.
+    /// How the replay treated it.
     pub part: WirePart,
-    /// Items in the recording.
+    /// Number of items in the recording.
     pub n_recorded: u64,
-    /// Items in the replay.
+    /// Number of items in the replay.
     pub n_replayed: u64,
-    /// Items that were compared, up to the first that differs.
+    /// Number of items compared, up to the first that differs.
     pub n_compared: u64,
     /// The first item that differs in any bit.
     pub first_difference: Option<Difference>,
 }
 
-/// Where a wire first differs, and how.
+/// First difference of a wire.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Difference {
     /// The item's number.
     pub item: u64,
-    /// What was recorded (`a`), what came (`b`), and how far they lie apart.
+    /// The recorded value (`a`), the replayed one (`b`), and their distance.
     pub what: diff::Difference,
 }
 
 impl ReplayReport {
-    /// Whether every wire and the results are, bit for bit, the recorded ones.
+    /// Whether every wire and the results are bit for bit the recorded ones.
     pub fn is_equal(&self) -> bool {
         self.first_divergence().is_none() && self.results_equal != Some(false)
     }
 
-    /// The wire that differs first in the topological order of the graph; of one node's, the one that differs at the
-    /// first item.
+    /// The wire that differs first in the topological order of the graph; of one node's wires, the one that differs at
+    /// the earliest item.
     pub fn first_divergence(&self) -> Option<&WireComparison> {
         let node = |wire: &WireComparison| wire.wire.split('.').next().unwrap_or_default().to_owned();
         let item = |wire: &&WireComparison| wire.first_difference.as_ref().map(|d| d.item);
@@ -226,10 +226,10 @@ impl ReplayReport {
 }
 
 /// Runs the graph of a recording again and compares every recorded wire that is computed, and the results. Of the files
-/// that the graph names only those are read whose sources were recorded by their hashes.
+/// that the graph names, only those of sources recorded by hash are read.
 ///
 /// # Errors
-/// [`ReplayError`] if the recording cannot be read, or what is asked for cannot be run from it.
+/// [`ReplayError`] if the recording cannot be read, or the requested replay cannot be run from it.
 pub fn replay(
     path: &Path,
     changes: &ReplayOptions,
@@ -242,7 +242,7 @@ pub fn replay(
     let kinds = &kinds.over(recording.registry(kinds.registry()));
     let sets = &changes.sets;
     let checked = match &changes.graph {
-        // Files of sources that are played need not be there; a graph file that cannot be read is a fault.
+        // Files of played sources need not exist; a graph file that cannot be read is a fault.
         Some(graph) => match std::fs::read_to_string(graph) {
             Ok(text) => check_recorded(&text, graph, sets, kinds),
             Err(_) => check(graph, sets, kinds),
@@ -254,7 +254,7 @@ pub fn replay(
     replay_plan(&checked.plan, &recording, changes, &checked.registry, options, observer)
 }
 
-/// The same with a graph that has been checked.
+/// Like [`replay()`], for a checked graph.
 pub(crate) fn replay_plan(
     plan: &Plan,
     recording: &Recording,
@@ -280,7 +280,7 @@ pub(crate) fn replay_plan(
 
     let mut reduced = partial::reduce(&Plan { record: recorded.iter().copied().collect(), ..plan.clone() }, &parts);
     if !runs_sources {
-        // Their content went into the recording; the files themselves are not read.
+        // Their content is in the recording; the files themselves are not read.
         reduced.input_files.clear();
     }
     let computes: BTreeSet<_> =
@@ -290,30 +290,30 @@ pub(crate) fn replay_plan(
     let replayed = Replayed {
         substitutes,
         drops: Some(drops(&reduced, recording, &cut)),
-        // Where the beginning is left out, firings are numbered otherwise, and the clock answers.
+        // With items left out at the beginning, firings have other numbers, so readings come from the clock.
         readings: changes.start.is_none().then(|| readings(&reduced, recording)),
     };
     let not_compared = (changes.start.is_some() || changes.end.is_some())
         .then(|| "only a part of the recording was played, and a part of a run is another run".to_owned());
     let compare = Compare::new(&reduced, recording, is_computed, not_compared.is_none());
     let mut options = options.clone();
-    // A replay shows that computing again gives the same; what is taken from the store is not computed.
+    // A replay verifies that recomputing gives the same; cached answers would not be recomputed.
     options.store = None;
     if changes.graph.is_none() {
         options.fixed_results.clone_from(&recording.fixed_results);
         options.fixed_results.retain(|(key, _)| key != COMPUTED_FROM);
     }
     if let Some(from) = &changes.from {
-        // Not all results of the graph are among them.
+        // Some results of the graph are missing.
         options.fixed_results.push((COMPUTED_FROM.into(), from.as_str().into()));
     }
     if changes.rate.is_some() {
-        // A player that waits for its time holds a worker.
+        // A paced player occupies a worker while it waits.
         options.workers += replayed.substitutes.len();
     }
     let report = run::run_with(&reduced, registry, &options, observer, replayed, Some(&compare))?;
 
-    // Of a part of a recording other results come than of the whole.
+    // Part of a recording gives other results than the whole.
     let partial = recording.interrupted || recording.truncated.is_some();
     let whole = not_compared.is_none() && changes.graph.is_none() && changes.from.is_none() && !partial;
     let results_equal = recording.results.as_ref().filter(|results| whole && results.get(COMPUTED_FROM).is_none());
@@ -334,7 +334,7 @@ fn is_computed_name<'a>(computes: &'a BTreeSet<&str>) -> impl Fn(&str) -> bool +
     |name| computes.contains(name)
 }
 
-/// The outputs of the plan that were recorded.
+/// Outputs of the plan that were recorded.
 fn recorded_outputs(plan: &Plan, recording: &Recording) -> Result<BTreeSet<OutputId>, ReplayError> {
     let mut recorded = BTreeSet::new();
     for id in (0..plan.nodes.len()).flat_map(|node| partial::outputs(plan, node)) {
@@ -365,7 +365,7 @@ fn parts(
             return Err(ReplayError::NothingFits { graph: graph.clone(), recorded });
         }
     }
-    // Another graph may have sources of its own; what a live source gave comes only once.
+    // Another graph may have sources of its own; a live source's items cannot be produced again.
     let runs = |index: usize| match plan.nodes[index].role {
         Role::LiveSource => false,
         _ => recording.sources == Sources::Hashes || (changes.graph.is_some() && !is_recorded(index)),
@@ -383,7 +383,7 @@ fn parts(
     parts.map_err(|wire| ReplayError::Missing { wire: plan.wire_name(wire) })
 }
 
-/// What a setting says of a node that is played has no effect, and is hardly meant.
+/// Refuses settings of played nodes, which would have no effect.
 fn sets_take_effect(plan: &Plan, changes: &ReplayOptions, parts: &[NodeMode]) -> Result<(), ReplayError> {
     for set in &changes.sets {
         let key = set.split('=').next().unwrap_or_default().trim();
@@ -397,14 +397,14 @@ fn sets_take_effect(plan: &Plan, changes: &ReplayOptions, parts: &[NodeMode]) ->
     Ok(())
 }
 
-/// The files that sources are going to read are those that the run had read.
+/// Checks that the input files of computed sources are those that the run read.
 fn inputs_are_the_same(plan: &Plan, recording: &Recording) -> Result<(), ReplayError> {
     for input in crate::hash::files::hashes(&plan.input_files) {
         let text = |key: &str| input[key].as_str().unwrap_or_default().to_owned();
         let (path, hash) = (text("path"), text("sha256"));
         let expected = match recording.inputs.get(&path) {
             Some(expected) => expected.clone(),
-            // A file that has moved: any of the files will do.
+            // The file has moved: any file with that hash is accepted.
             None if recording.inputs.values().any(|expected| *expected == hash) => continue,
             None => "of one of the recorded files".into(),
         };
@@ -416,7 +416,7 @@ fn inputs_are_the_same(plan: &Plan, recording: &Recording) -> Result<(), ReplayE
     Ok(())
 }
 
-/// Nodes before the one asked for that are computed, because what they give was not recorded.
+/// Nodes computed upstream of the requested one because their outputs were not recorded.
 fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[NodeMode]) -> Vec<String> {
     let Some(from) = changes.from.as_ref().and_then(|name| plan.nodes.iter().position(|n| *n.name == **name)) else {
         return Vec::new();
@@ -429,14 +429,14 @@ fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[NodeMode]) -> Vec
     too.map(|(_, node)| node.name.to_string()).collect()
 }
 
-/// What is played.
+/// Sources that play recorded items.
 struct Players {
     substitutes: Substitutes,
-    /// How many items are left out at the beginning of a wire.
+    /// Number of items left out at the beginning of a wire.
     cut: BTreeMap<OutputId, u64>,
 }
 
-/// For each node that is played one that gives the recorded items.
+/// Creates a player for each played node.
 fn players(
     plan: &Plan,
     recording: &Recording,
@@ -457,7 +457,7 @@ fn players(
         if !is_constant(plan, *id) {
             let before = items.iter().filter(|item| item.stamp_ns > 0 && item.stamp_ns < start);
             cut.insert(*id, before.count() as u64);
-            // What has no time is a constant too.
+            // An item without a time is a constant too.
             items.retain(|item| item.stamp_ns <= 0 || (start..=end).contains(&item.stamp_ns));
         }
     }
@@ -475,7 +475,7 @@ fn players(
     Ok(Players { substitutes: players, cut })
 }
 
-/// Takes away the empties with which a failing node had ended its wires: its failure is played in their place.
+/// Removes the empties with which a failed node ended its wires; its failure is played instead.
 fn failing(ports: &mut [Vec<Item>], node: &str, reason: &str) -> Option<Failing> {
     let last = |item: &Item| matches!(&item.body, Body::Empty(e) if *e.node == *node && *e.reason == *reason);
     let mut stamp_ns = None;
@@ -487,13 +487,13 @@ fn failing(ports: &mut [Vec<Item>], node: &str, reason: &str) -> Option<Failing>
     Some(Failing { reason: reason.into(), stamp_ns: stamp_ns?, promised: false })
 }
 
-/// Whether all that takes the output takes one item for the whole run.
+/// Whether every consumer of the output takes one item for the whole run.
 fn is_constant(plan: &Plan, id: OutputId) -> bool {
     let mut links = partial::consumers(plan, id).peekable();
     links.peek().is_some() && links.all(|link| plan.nodes[link.to_node].inputs[link.to_port].port.join == Join::Once)
 }
 
-/// What policies had dropped, by the index of the link; numbers are those of the items as they are played.
+/// Recorded drops, by the index of the link, with the numbers of the items as played.
 fn drops(plan: &Plan, recording: &Recording, cut: &BTreeMap<OutputId, u64>) -> BTreeMap<usize, BTreeSet<u64>> {
     let of = |index: usize| {
         let link = &plan.links[index];
@@ -506,14 +506,14 @@ fn drops(plan: &Plan, recording: &Recording, cut: &BTreeMap<OutputId, u64>) -> B
     (0..plan.links.len()).filter_map(of).collect()
 }
 
-/// What firings had taken from the clock, by the index of the node.
+/// Recorded clock readings, by the index of the node and the number of the firing.
 fn readings(plan: &Plan, recording: &Recording) -> BTreeMap<(usize, u64), Vec<ClockReading>> {
     let place = |name: &str| plan.nodes.iter().position(|node| *node.name == *name);
     let all = recording.readings.iter();
     all.filter_map(|((node, item), readings)| Some(((place(node)?, *item), readings.clone()))).collect()
 }
 
-/// Each recorded wire, in the order of the plan.
+/// Comparison of each recorded wire, in the order of the plan.
 fn comparisons(
     reduced: &Plan,
     recording: &Recording,
@@ -541,8 +541,8 @@ fn comparisons(
     wires
 }
 
-/// Results are compared whole. Of a refusal by a node that is played, node and reason: its activations are counted
-/// otherwise.
+/// Compares the results. Of a refusal by a played node only node and reason are compared, since its activations are
+/// numbered differently.
 fn same_results(
     recorded: &serde_json::Value,
     replayed: &serde_json::Value,

@@ -1,4 +1,4 @@
-//! Runs a failed node again, alone, on the very item at which it failed.
+//! Runs a failed node again, alone, on the item at which it failed.
 //!
 //! A run saves the item of a failure as a *repro bundle*, a folder `repro/<node>-<item>/` with three files:
 //!
@@ -35,26 +35,26 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// What came of a repro.
+/// Report of a repro.
 #[derive(Debug)]
 pub struct ReproReport {
-    /// What was run again.
+    /// The bundle that was run again.
     pub bundle: Bundle,
     /// How it failed this time; `None` if it did not fail.
     pub failure: Option<Failure>,
-    /// Whether that is the failure of the bundle.
+    /// Whether it is the failure of the bundle.
     pub same: bool,
-    /// For a source: how often it answered before the call that failed, or before its end.
+    /// For a source: number of answers before the call that failed, or before its end.
     pub n_calls: u64,
-    /// What the node warned of.
+    /// Warnings of the node.
     pub warnings: Vec<String>,
-    /// How this program differs from the one that failed.
+    /// Differences between this program and the one that failed.
     pub differences: Vec<String>,
-    /// How long the node worked.
+    /// Duration of the firing.
     pub took: Duration,
 }
 
-/// Runs the node of a bundle again on its item. With `backtrace`, panics are shown by the process's hook as well.
+/// Runs the node of a bundle again on its item. With `backtrace`, the process's panic hook also runs.
 ///
 /// # Errors
 /// [`ReproError`] if the bundle cannot be read or its node cannot be built here.
@@ -92,7 +92,7 @@ pub fn repro(
         Err(panic) => return Err(build(panic)),
     };
     let built = planned_failure(built, &node.name, bundle.item, bundle.injected);
-    // What it writes goes nowhere: the folder is taken away again.
+    // Files that the node writes go to a temporary folder.
     let scratch = bundle.out_dir.as_ref().map(|_| Scratch::make()).transpose().map_err(ReproError::Scratch)?;
     let out_dir = scratch.as_ref().map(|scratch| Arc::from(scratch.0.as_path()));
     let mut context = Context::new(node.name.clone(), bundle.seed, Arc::default(), declared).with_out_dir(out_dir);
@@ -161,7 +161,7 @@ fn payload(registry: &Registry, name: &str) -> Result<PortPayload, ReproError> {
     ty.map(PortPayload::Type).ok_or_else(|| ReproError::Payload(name.into()))
 }
 
-/// What the ports had brought, in the order of the kind's ports, and the firing begun.
+/// Items that the ports brought, in the order of the kind's ports, and the stamp of the firing.
 fn joined(
     bundle: &Bundle,
     dir: &Path,
@@ -200,7 +200,7 @@ fn joined(
     Ok(Joined { slots, is_spent: false })
 }
 
-/// How the firing failed, if it did: an error, a panic, or answers that break what every node promises.
+/// How the firing failed, if it did: an error, a panic, or emissions that violate what every node promises.
 fn failure(
     answered: Result<Result<(), osteoflow_node::NodeError>, String>,
     outputs: &[(&str, PortPayload)],
@@ -223,7 +223,7 @@ fn failure(
     }
 }
 
-/// A folder that goes when this does.
+/// Temporary folder, removed on drop.
 struct Scratch(std::path::PathBuf);
 
 impl Scratch {

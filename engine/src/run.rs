@@ -1,4 +1,4 @@
-//! Runs a checked graph: what a run takes, what it tells while it goes, and what it leaves.
+//! Runs a checked graph: options, events, report and the files written.
 
 pub mod files;
 mod finished;
@@ -29,10 +29,10 @@ use finished::ItemKeeper;
 use osteoflow_node::Registry;
 use std::{path::Path, time::SystemTime};
 
-/// Runs the graph to its end and writes what `options` ask for.
+/// Runs the graph to its end and writes the files that `options` ask for.
 ///
-/// A node that fails, a result that did not come and an interruption are outcomes in the report; `results.json` then
-/// holds the reason and no results.
+/// The report covers failed nodes, missing results and interruptions; `results.json` then holds the reason and no
+/// results.
 ///
 /// # Errors
 /// [`RunError`] if a node cannot be built from its parameters, or a file of the run cannot be written.
@@ -45,7 +45,7 @@ pub fn run(
     run_with(plan, registry, options, observer, Replayed::default(), None)
 }
 
-/// The same, with what a replay takes from the record and a further tap on the wires.
+/// Like [`run()`], with recorded values of a replay and a further tap.
 pub(crate) fn run_with(
     plan: &Plan,
     registry: &Registry,
@@ -57,17 +57,17 @@ pub(crate) fn run_with(
     run_part(plan, registry, options, observer, replayed, tap, None)
 }
 
-/// What a run is a part of, where the rest of it is at hand.
+/// The full run that a partial run belongs to.
 pub(crate) struct Whole<'a> {
-    /// The plan of the whole, which results and manifest are of.
+    /// Plan of the full run, for results and manifest.
     pub(crate) plan: &'a Plan,
-    /// Puts the rest beside what the part has left; of that, every item of every wire is there.
+    /// Adds the items that were not computed to those of the partial run, which keeps every item of every wire.
     pub(crate) complete: &'a mut dyn FnMut(Finished) -> Finished,
-    /// What the manifest says under `watch`.
+    /// The entry `watch` of the manifest.
     pub(crate) about: Option<serde_json::Value>,
 }
 
-/// The same, for a plan that may be a part of another.
+/// Like [`run_with`], for a plan that may be part of a larger one.
 pub(crate) fn run_part(
     plan: &Plan,
     registry: &Registry,
@@ -83,7 +83,8 @@ pub(crate) fn run_part(
     if let Some(dir) = out_dir {
         std::fs::create_dir_all(dir).map_err(|source| RunError::Write { path: dir.into(), source })?;
     }
-    // Hashing the inputs takes as long as reading them; it goes beside the run, unless the recording begins with it.
+    // Hashing the inputs takes as long as reading them; it runs in parallel, unless the recording begins with the
+    // hashes.
     let mut hashes = out_dir.map(|_| Hashes::begin(&plan.input_files));
     let recorder = match out_dir.filter(|_| options.record) {
         Some(dir) => {
@@ -122,7 +123,7 @@ pub(crate) fn run_part(
         recorder.finish(outcome.status(), &results, &failures, options, at_end)
     });
     if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
-        // It was not the user who stopped the run.
+        // The user did not stop the run.
         results["refused"] = serde_json::json!({ "reason": error.to_string() });
     }
     let mut report = report_of(plan, finished, outcome, results);
@@ -148,7 +149,7 @@ fn recorded(plan: &Plan, failure: &Failure) -> RecordedFailure {
 fn report_of(plan: &Plan, finished: Finished, outcome: Outcome, results: serde_json::Value) -> RunReport {
     let Finished { ended, saved, .. } = finished;
     let mut warnings = ended.warnings;
-    // A failure that does not refuse the run must not pass unseen.
+    // A failure that does not refuse the run must still be reported.
     let refused = match &outcome {
         Outcome::Refused(refusal) => refusal.item.map(|item| (refusal.node.clone(), item)),
         _ => None,
@@ -175,7 +176,7 @@ fn report_of(plan: &Plan, finished: Finished, outcome: Outcome, results: serde_j
     }
 }
 
-/// Writes a file whole or not at all.
+/// Writes a file atomically.
 fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), RunError> {
     let write = || {
         let mut text = serde_json::to_string_pretty(value)?;

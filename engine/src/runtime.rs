@@ -1,9 +1,9 @@
-//! Runs a plan: the nodes and links of a run, as the scheduler steps them. It knows no file: items, firings, drops and
-//! failures leave it through [`Tap`]s.
+//! Runs a plan: steps its nodes and moves items along its links. This module reads and writes no files: items, firings,
+//! drops and failures leave it through [`Tap`]s.
 //!
 //! The graph is a Kahn network. Every link is a bounded queue; a node fires when its ports join and its outputs have
-//! room, so that nobody waits inside a send and one worker can run any graph. Results and recorded wires are the same
-//! for any number of workers.
+//! room, so that no worker blocks inside a send and one worker can run any graph. Results and recorded wires are the
+//! same for any number of workers.
 
 mod answer_cache;
 mod cell;
@@ -54,25 +54,25 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// A run under way.
+/// A run in progress.
 pub(crate) struct Runtime<'a> {
     plan: &'a Plan,
     registry: &'a Registry,
     observer: &'a dyn Observer,
     cancelled: Arc<AtomicBool>,
-    /// The wish to stop has changed what the run did.
+    /// Whether a stop request has changed what the run did.
     interrupted: AtomicBool,
     n_workers: usize,
     shuffle: Option<u64>,
     cells: Vec<Mutex<Cell>>,
-    /// The nodes whose firings have taken microseconds so far.
+    /// Nodes whose firings have taken microseconds so far.
     cheap: Vec<AtomicBool>,
     links: Vec<LinkState>,
     taps: Vec<&'a dyn Tap>,
-    /// Whether any tap is given firings.
+    /// Whether any tap listens to firings.
     times_firings: bool,
     messages: Mutex<Messages>,
-    /// The failures to put in on purpose, by node.
+    /// Injected failures, by node.
     planned: Vec<Arc<Planned>>,
     recall: Option<AnswerCache<'a>>,
     enlargements: Mutex<Vec<Enlargement>>,
@@ -80,23 +80,23 @@ pub(crate) struct Runtime<'a> {
     began: Instant,
     elapsed: Duration,
     readings: Option<BTreeMap<(usize, u64), Vec<ClockReading>>>,
-    /// Live sources that have not begun.
+    /// Live sources that have not started.
     sources: Mutex<Vec<Live>>,
-    /// Live sources that are asked for their next answer.
+    /// Number of live sources that are asked for their next answer.
     n_pending: AtomicUsize,
     mailbox: Mailbox,
 }
 
-/// So many full and empty links are named where a graph is stuck.
+/// Maximum number of full and of empty links named in the message about a stuck graph.
 const MOST_LINKS: usize = 8;
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A poisoned lock means that a worker unwinds already; its panic is the one to be seen.
+    // A poisoned lock means that a worker is already unwinding; its panic is the one to report.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl<'a> Runtime<'a> {
-    /// Builds every node; nothing runs yet.
+    /// Builds every node without running any.
     ///
     /// # Errors
     /// [`BuildError::Build`] with all nodes that cannot be built.
@@ -205,7 +205,7 @@ impl<'a> Runtime<'a> {
         }
     }
 
-    /// Runs to the end; everything that happened is in the runtime then.
+    /// Runs to the end. The outcome stays in the runtime; see [`Runtime::into_ended`].
     pub(crate) fn run(&mut self) {
         self.began = Instant::now();
         let sources = std::mem::take(&mut *locked(&self.sources));
@@ -217,7 +217,7 @@ impl<'a> Runtime<'a> {
         self.elapsed = self.began.elapsed();
     }
 
-    /// What the run leaves in memory.
+    /// Outcome of the run.
     pub(crate) fn into_ended(self) -> Ended {
         let interrupted = self.interrupted.load(Ordering::Relaxed);
         let cells: Vec<Cell> =
@@ -262,12 +262,12 @@ impl<'a> Runtime<'a> {
         }
     }
 
-    /// The store, where it keeps the answers of the node.
+    /// The answer cache, if it keeps answers of the node.
     fn recall(&self, node: usize) -> Option<&AnswerCache<'a>> {
         self.recall.as_ref().filter(|recall| recall.keeps(node))
     }
 
-    /// Builds a node anew after it failed.
+    /// Rebuilds a node after it failed.
     fn rebuild(&self, node: usize) -> Result<Built, String> {
         let built = build(self.registry, &self.plan.nodes[node], self.plan.seed).map_err(|fault| fault.message)?;
         Ok(self.planned[node].into_node(built))
@@ -277,12 +277,12 @@ impl<'a> Runtime<'a> {
         self.cancelled.load(Ordering::Relaxed)
     }
 
-    /// A node under way, for the thread that serves live sources.
+    /// Locks a node's cell, for the thread that serves live sources.
     fn cell(&self, node: usize) -> MutexGuard<'_, Cell> {
         locked(&self.cells[node])
     }
 
-    /// One live source less is pending; whether it was the last.
+    /// Counts one live source less as pending; returns whether it was the last.
     fn no_longer_pending(&self) -> bool {
         self.n_pending.fetch_sub(1, Ordering::AcqRel) == 1
     }
@@ -291,7 +291,7 @@ impl<'a> Runtime<'a> {
     fn fail_live(&self, reason: &str, scheduler: &Scheduler) {
         for cell in self.cells.iter().filter(|cell| locked(cell).is_live()) {
             locked(cell).fail_live(reason.to_owned(), self);
-            // Nothing waits on its links yet, so that there is room for the reason.
+            // Nothing waits on its links yet, so there is room for the reason.
             scheduler.outside(|turn| locked(cell).ask(self, turn));
             self.n_pending.fetch_sub(1, Ordering::AcqRel);
         }
@@ -309,7 +309,7 @@ impl<'a> Runtime<'a> {
         self.observer.event(event);
     }
 
-    /// Whether each firing is timed by itself.
+    /// Whether each firing is timed on its own.
     fn times_firings(&self) -> bool {
         self.times_firings
     }
@@ -321,7 +321,7 @@ impl<'a> Runtime<'a> {
         }
     }
 
-    /// What the record holds of a firing's readings of the clock, in a replay.
+    /// Clock readings recorded for a firing, in a replay.
     fn recorded_readings(&self, node: usize, item: u64) -> Option<&[ClockReading]> {
         let readings = self.readings.as_ref()?;
         Some(readings.get(&(node, item)).map_or(&[], Vec::as_slice))
@@ -339,17 +339,17 @@ impl<'a> Runtime<'a> {
 
     fn fail(&self, failure: Failure) {
         if self.cancelled() {
-            // A long computation was asked to stop, and did.
+            // A long computation stopped because it was asked to.
             self.note_interrupted();
         }
         self.event(&Event::Failed(&refusal(self.plan, &failure)));
         locked(&self.messages).failure(failure);
     }
 
-    /// Tells the taps of a failed firing, so that its items can be saved and it can be run again alone.
+    /// Passes a failed firing to the taps, so that its items can be saved and it can be run again alone.
     #[cold]
     fn failed_to_taps(&self, mut failed: Failed<'_>) {
-        // A computation that was asked to stop, and did, has not failed by itself.
+        // A computation that stopped because it was asked to has not failed.
         if self.cancelled() {
             return;
         }
@@ -366,14 +366,14 @@ impl<'a> Runtime<'a> {
         }
     }
 
-    /// The producer's end of a link.
+    /// Runs `look` on the sending end of a link.
     fn with_send<T>(&self, index: usize, look: impl FnOnce(&SendEnd) -> T) -> Option<T> {
         let from = self.plan.links[index].from;
         let cell = locked(&self.cells[from.node]);
         cell.outputs[from.port].links.iter().find(|send| send.link == index).map(look)
     }
 
-    /// Enlarges the smallest full link that a producer waits for, and names that producer.
+    /// Enlarges the smallest full link on which a producer is blocked, and returns that producer.
     fn enlarge_smallest(&self) -> Option<usize> {
         let n_links = 0..self.links.len();
         let waited_for = n_links.filter(|link| self.links[*link].is_blocked());
@@ -400,7 +400,7 @@ impl<'a> Runtime<'a> {
         Some(link.from.node)
     }
 
-    /// Nothing can run, and no link may be made longer: which are full, and which do their consumers wait for.
+    /// Records why the run is stuck: the full links, and the empty links that their consumers wait for.
     fn note_stall(&self) {
         let open: Vec<usize> = (0..self.cells.len()).filter(|node| !locked(&self.cells[*node]).is_done()).collect();
         let Some(first) = open.first() else { return };
@@ -417,7 +417,7 @@ impl<'a> Runtime<'a> {
                 empty.push((link.to_node, format!("{from} -> {to}")));
             }
         }
-        // What those wait for who do not empty the full ones comes first.
+        // First the links whose consumers do not empty the full ones.
         empty.sort_by_key(|(to_node, _)| !stuck.contains(to_node));
         let empty = empty.into_iter().map(|(_, link)| link).collect();
         let list = |links: Vec<String>| match links.len() {
@@ -442,7 +442,8 @@ impl Work for Runtime<'_> {
         if cell.is_live() {
             if cell.take_waits() {
                 self.n_pending.fetch_add(1, Ordering::AcqRel);
-                // It holds one such word for each source, and the source is told again only after it has waited again.
+                // The mailbox holds one such message per source, and a source is notified again only after it has
+                // waited again.
                 let _ = self.mailbox.tx.try_send(News::Room(node));
             }
             return Stepped::Idle;
@@ -496,13 +497,13 @@ fn joiner(plan: &Plan, node: &PlanNode) -> Joiner {
     Joiner::new(node.name.clone(), ports.collect())
 }
 
-/// Says that a failure that was to be put in never was.
+/// Warning that an injected failure never happened.
 fn missed(injection: &Injection) -> Warning {
     let message = format!("{injection} was not injected: the node did not fire at item {}", injection.item);
     Warning { node: injection.node.clone(), item: injection.item, message }
 }
 
-/// The wire and the port that a link joins.
+/// Names of the wire and the port that a link joins.
 fn ends(plan: &Plan, link: usize) -> (String, String) {
     let link = &plan.links[link];
     let to = &plan.nodes[link.to_node];
@@ -520,7 +521,7 @@ fn link_stats(plan: &Plan, cells: &[Cell], index: usize, stuck: bool) -> Option<
         to,
         sent: send.sent,
         received: recv.received,
-        // What still waited when a stuck graph was given up is lost.
+        // Items that still waited when a stuck graph was given up count as lost.
         dropped: if stuck { send.sent - recv.received } else { send.dropped },
         late: cells[link.from.node].outputs[link.from.port].n_late(),
         unmatched: consumer.unmatched(link.to_port),
@@ -529,7 +530,7 @@ fn link_stats(plan: &Plan, cells: &[Cell], index: usize, stuck: bool) -> Option<
     })
 }
 
-/// A failure with its node's name and place.
+/// A failure with its node's name and position.
 pub(crate) fn refusal(plan: &Plan, failure: &Failure) -> Refusal {
     let node = &plan.nodes[failure.node];
     Refusal {

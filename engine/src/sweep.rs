@@ -1,10 +1,10 @@
-//! Runs a graph many times with other settings, and makes tables of what came out.
+//! Runs a graph many times with different settings and tabulates the results.
 //!
-//! `[sweep]` of a graph file says which values are crossed or paired, what is drawn at random, how often each setting
-//! is run, and which numbers are taken out of the results of each run. All runs are checked before the first one begins,
-//! and what they run is what was checked: a graph that is edited meanwhile changes nothing, an input file that changes
-//! stops the sweep. What several runs have in common is computed once. A run that fails is a row with its reason. The
-//! tables are the same for any number of workers.
+//! `[sweep]` of a graph file defines which values are crossed or paired, what is drawn at random, how often each
+//! setting is repeated, and which numbers are taken from the results of each run. All runs are checked before the first
+//! one starts, and the checked plans are run: editing the graph meanwhile has no effect, and a changed input file stops
+//! the sweep. Nodes that several runs share are computed once. A failed run is a row with its reason. The tables are
+//! the same for any number of workers.
 
 mod check;
 mod design;
@@ -36,18 +36,18 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// A sweep whose every run is without faults.
+/// A checked sweep: no run has faults.
 #[derive(Debug)]
 pub struct Sweep {
-    /// What `[sweep]` says.
+    /// The specification in `[sweep]`.
     pub spec: Spec,
-    /// What is hardly meant, of the graph itself.
+    /// Warnings about the graph itself.
     pub warnings: Vec<Fault>,
     /// The graph itself.
     pub plan: Plan,
     registry: Registry,
     runs: Vec<Run>,
-    /// The input files of all runs, as they were when they were checked.
+    /// State of all input files when the sweep was checked.
     files: Stamps,
     hash: Digest,
 }
@@ -56,16 +56,16 @@ pub struct Sweep {
 struct Run {
     row: Row,
     plan: Plan,
-    /// Of each node, what decides its items.
+    /// Sharing key of each node.
     keys: Vec<Digest>,
 }
 
-/// A part of a sweep: the `index`-th of `of`, from 1.
+/// Part `index` of `of` of a sweep, counted from 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
-    /// Which, from 1.
+    /// Number of the part, from 1.
     pub index: usize,
-    /// Of so many.
+    /// Number of parts.
     pub of: usize,
 }
 
@@ -75,22 +75,22 @@ impl fmt::Display for Shard {
     }
 }
 
-/// How a sweep is run.
+/// Options of a sweep.
 #[derive(Debug, Clone)]
 pub struct SweepOptions {
-    /// How many runs are under way at a time.
+    /// Number of runs at a time.
     pub workers: usize,
-    /// What each run is given: cancelling, fixed results, the store, what the command says of itself.
+    /// Options of each run: stop request, fixed results, store, description of the command.
     pub run: RunOptions,
-    /// Whether what several runs have in common is computed once; the tables are the same with and without.
+    /// Whether nodes that several runs share are computed once; the tables are the same with and without.
     pub share: bool,
-    /// The part that is run; all if not given.
+    /// The part to run; `None` runs all.
     pub shard: Option<Shard>,
 }
 
-/// Is told how far a sweep has come; from whatever thread it happens on.
+/// Receives the progress of a sweep, on any thread.
 pub trait Watcher: Sync {
-    /// A run has come to its end.
+    /// A run has ended.
     fn ended(&self, done: &Done);
 }
 
@@ -98,33 +98,33 @@ impl Watcher for () {
     fn ended(&self, _: &Done) {}
 }
 
-/// What a sweep has come to.
+/// Counts of a sweep after a call of [`Sweep::run`].
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Swept {
-    /// Runs that were there already.
+    /// Runs that were in the folder already.
     pub n_before: usize,
-    /// Runs that came to their end now.
+    /// Runs that ended now.
     pub n_run: usize,
-    /// Runs that are missing, because the user has stopped the sweep.
+    /// Runs that are missing because the user stopped the sweep.
     pub n_missing: usize,
-    /// Nodes that were computed.
+    /// Number of computed nodes.
     pub n_computed: usize,
-    /// Nodes whose items another run had left.
+    /// Number of nodes whose items were taken from another run.
     pub n_shared: usize,
 }
 
 impl Sweep {
-    /// How many runs there are.
+    /// Number of runs.
     pub fn n_runs(&self) -> usize {
         self.runs.len()
     }
 
-    /// The hash of all that decides the tables.
+    /// Hash of everything that determines the tables.
     pub fn hash(&self) -> Digest {
         self.hash
     }
 
-    /// Begins in an empty folder.
+    /// Starts the sweep in an empty folder.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -144,17 +144,17 @@ impl Sweep {
         Folder::begin(dir, &self.plan.resolved, about)
     }
 
-    /// The runs of a part, or all, in the order of the tables.
+    /// The runs of a part, or of the whole sweep, in the order of the tables.
     pub fn part(&self, shard: Option<Shard>) -> impl Iterator<Item = &Row> {
         let mut part = self.order(shard);
         part.sort_unstable();
         part.into_iter().map(|run| &self.runs[run].row)
     }
 
-    /// Goes on in the folder of this very sweep, with the part of it that it was begun with.
+    /// Resumes the sweep in its folder, with the part it was started with.
     ///
     /// # Errors
-    /// If it holds another sweep, another part of it, or none.
+    /// If the folder holds another sweep, another part, or no sweep.
     pub fn resume(&self, dir: &Path, shard: Option<Shard>) -> Result<Folder, FolderError> {
         let folder = Folder::open(dir)?;
         let hash = self.hash.to_string();
@@ -174,7 +174,7 @@ impl Sweep {
     }
 }
 
-/// The input files of all runs, each once.
+/// Input files of all runs, without duplicates.
 fn input_files(runs: &[Run]) -> Vec<PathBuf> {
     let mut files: Vec<_> = runs.iter().flat_map(|run| &run.plan.input_files).cloned().collect();
     files.sort();

@@ -1,11 +1,11 @@
-//! Runs a graph again and again as it changes: what has not changed keeps its items, and the rest is computed from them.
+//! Reruns a graph as it changes: unchanged nodes keep their items, and the rest is computed from them.
 //!
-//! A run is a function of its inputs, so a node whose kind, parameters, files and wiring are what they were, and before
-//! which nothing has changed, would give the items that it gave; a rerun plays them to the nodes that have changed and to
-//! all that follows from those. What it leaves in `results.json` is bit for bit what a run of the whole graph would leave.
-//! Wires whose policy may lose items and nodes that take from the clock are no such functions, here as in any run.
+//! A run is a function of its inputs. A node whose kind, parameters, files and wiring are unchanged, and with nothing
+//! changed upstream, would give the same items again; a rerun plays them to the changed nodes and everything
+//! downstream. Its `results.json` is bit for bit that of a run of the whole graph. The exceptions, as in any run, are
+//! wires whose policy may drop items and nodes that read the clock.
 //!
-//! Every item of every wire of the last run is kept in memory for it.
+//! Every item of every wire of the last run is kept in memory for this.
 
 mod changes;
 mod files;
@@ -25,31 +25,31 @@ use osteoflow_node::{Body, Item, Registry, Role};
 use serde_json::json;
 use std::{collections::BTreeMap, path::PathBuf, sync::Arc};
 
-/// A graph that is run again and again.
+/// A graph that is run repeatedly.
 #[derive(Default)]
 pub struct Session {
     memory: Option<Memory>,
 }
 
-/// What the last run has left.
+/// State of the last run.
 struct Memory {
     plan: Plan,
-    /// The files that parameters name, as they were before the run.
+    /// The parameters' files, as they were before the run.
     files: Stamps,
-    /// Where it left its files.
+    /// Output folder of the run.
     out_dir: Option<PathBuf>,
-    /// For each node.
+    /// Items of each node.
     left: Vec<Arc<FinishedNode>>,
-    /// For each node, whether it failed or was interrupted.
+    /// Whether each node failed or was interrupted.
     unsound: Vec<bool>,
     links: Vec<LinkStats>,
 }
 
-/// What the next run is going to do.
+/// Plan of the next run.
 pub struct Next {
     plan: Plan,
     files: Stamps,
-    /// For each node what it has left, where that stands.
+    /// Items of each node that need not be computed again.
     left: Vec<Option<Arc<FinishedNode>>>,
     changes: Vec<Change>,
     removed: Vec<String>,
@@ -57,8 +57,8 @@ pub struct Next {
 }
 
 impl Session {
-    /// What a run of this plan has to do. The files that its parameters name are looked at now: what becomes of them later
-    /// is for the run after.
+    /// Determines what a run of this plan has to compute. The stamps of its parameters' files are taken now; later
+    /// changes are left to the run after.
     pub fn next(&self, plan: Plan) -> Next {
         let files = Stamps::of_plan(&plan);
         let n_nodes = plan.nodes.len();
@@ -82,7 +82,7 @@ impl Session {
         partial::follow(&plan, &mut computed);
         let differs = computed.contains(&true) || memory.plan.resolved != plan.resolved;
         if differs {
-            // What a node without outputs does lies outside the graph, such as a file in the folder of each run.
+            // A node without outputs has effects outside the graph, such as a file in each run's folder.
             let silent = plan.nodes.iter().map(|node| node.outputs.is_empty());
             computed.iter_mut().zip(silent).for_each(|(computed, silent)| *computed |= silent);
         }
@@ -92,11 +92,11 @@ impl Session {
         Next { plan, files, left, changes, removed, differs }
     }
 
-    /// Runs what has to be computed, and leaves results and manifest of the whole graph; a recording only where every node
-    /// is computed.
+    /// Computes the nodes of `next` and writes results and manifest of the whole graph; writes a recording only if
+    /// every node is computed.
     ///
     /// # Errors
-    /// As [`crate::run()`]; what was kept then stays.
+    /// See [`crate::run()`]; the state of the session is then unchanged.
     pub fn run(
         &mut self,
         next: Next,
@@ -106,7 +106,7 @@ impl Session {
     ) -> Result<RunReport, RunError> {
         let mut options = options.clone();
         if !next.is_whole() {
-            // A part is no recording of a run, and no source has given what is played.
+            // A partial run is not recorded: no source produced the played items.
             (options.record, options.latency) = (false, false);
         }
         let last = self.memory.take();
@@ -125,7 +125,7 @@ impl Session {
         report
     }
 
-    /// The bytes that all kept items have, as their payloads count them; of what travels on several wires, for each.
+    /// Size of all kept items in bytes, as their payloads count them; items on several wires count for each.
     pub fn n_bytes(&self) -> usize {
         let left = self.memory.iter().flat_map(|memory| &memory.left);
         let items = left.flat_map(|left| &left.outputs).flat_map(|wire| &wire.items);
@@ -143,12 +143,12 @@ impl Next {
         &self.plan
     }
 
-    /// The files that parameters name, as they were when the plan was looked at.
+    /// Stamps of the parameters' files, taken when this was created.
     pub fn files(&self) -> &Stamps {
         &self.files
     }
 
-    /// Whether a run would give what the last one gave: of the graph nothing has changed but its text.
+    /// Whether a run would give the same as the last one: nothing but the graph's text has changed.
     pub fn is_nothing(&self) -> bool {
         !self.differs
     }
@@ -158,22 +158,22 @@ impl Next {
         self.left.iter().all(Option::is_none)
     }
 
-    /// What has changed itself: the seed, then nodes in the order of the plan; nothing before the first run.
+    /// Direct changes: the seed, then nodes in the order of the plan; empty before the first run.
     pub fn changes(&self) -> &[Change] {
         &self.changes
     }
 
-    /// Nodes that the graph has no more.
+    /// Nodes removed from the graph.
     pub fn removed(&self) -> &[String] {
         &self.removed
     }
 
-    /// The nodes that are computed, in the order of the plan.
+    /// Computed nodes, in the order of the plan.
     pub fn computed(&self) -> Vec<&str> {
         self.named(Option::is_none)
     }
 
-    /// The nodes whose items are those of the last run, in the order of the plan.
+    /// Nodes that keep the items of the last run, in the order of the plan.
     pub fn kept(&self) -> Vec<&str> {
         self.named(Option::is_some)
     }
@@ -183,7 +183,7 @@ impl Next {
         nodes.filter(|(_, left)| which(left)).map(|(node, _)| &*node.name).collect()
     }
 
-    /// What the wires of the whole graph have carried: of those that were not run, what the last run says.
+    /// Link statistics of the whole graph; those of links that did not run are from the last run.
     fn links(&self, last: Option<&Memory>, part: Vec<LinkStats>) -> Vec<LinkStats> {
         let before = last.map(|last| last.links.clone()).unwrap_or_default();
         let links = before.into_iter().chain(part);
@@ -216,7 +216,7 @@ impl Next {
         }
     }
 
-    /// The first live source: what it gives comes only once, and never to its end.
+    /// The first live source. Its items cannot be produced again.
     pub fn live_source(&self) -> Option<&str> {
         self.plan.nodes.iter().find(|node| node.role == Role::LiveSource).map(|node| &*node.name)
     }

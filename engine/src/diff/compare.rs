@@ -1,4 +1,4 @@
-//! What differs between two items of one number.
+//! Compares two items with the same number.
 
 use super::numbers::{Apart, Scalar};
 use crate::recording::codec::RecordedItem;
@@ -6,7 +6,7 @@ use osteoflow_node::{Column, ColumnType, Field, View};
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
 
-/// The unit of the name of a number: the suffix that says it.
+/// Suffixes of names that give a number's unit.
 const SUFFIXES: [&str; 9] = ["mm", "rad", "deg", "ns", "us", "ms", "s", "px", "hz"];
 /// Translation x, y, z in mm and quaternion x, y, z, w.
 const POSE: &str = "pose";
@@ -20,10 +20,10 @@ const POSE_PARTS: [&str; 7] = [
     "w of the quaternion",
 ];
 
-/// The first thing in which two items differ.
+/// First difference of two items.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Difference {
-    /// Where: the stamp, a head field and its index, a column, its row and its component.
+    /// The place: the stamp, a header field and its index, or a column, its row and its component.
     pub field: String,
     /// The value in the first recording.
     pub a: String,
@@ -31,23 +31,23 @@ pub struct Difference {
     pub b: String,
     /// How many representable numbers lie between them.
     pub ulp: Option<u64>,
-    /// How far they lie apart, in `unit`.
+    /// Absolute difference, in `unit`.
     pub distance: Option<f64>,
-    /// The unit, where names or the payload tell it.
+    /// The unit, from the name or the payload.
     pub unit: Option<String>,
-    /// What else there is to say.
+    /// Additional note.
     pub note: Option<String>,
 }
 
 impl Difference {
-    /// Of what is no number.
+    /// A difference of something that is not a number.
     pub(crate) fn other(field: impl Into<String>, a: impl Into<String>, b: impl Into<String>) -> Self {
         let (field, a, b) = (field.into(), a.into(), b.into());
         Self { field, a, b, ulp: None, distance: None, unit: None, note: None }
     }
 }
 
-/// All that two items differ in.
+/// All differences of two items.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct ItemDifference {
     pub(super) first: Option<Difference>,
@@ -56,7 +56,7 @@ pub(super) struct ItemDifference {
     pub(super) stamp: bool,
     pub(super) emptiness: bool,
     pub(super) n_numbers: u64,
-    /// Numbers that differ by no more than the tolerance.
+    /// Count of numbers that differ by no more than the tolerance.
     pub(super) n_within: u64,
     pub(super) largest: Largest,
 }
@@ -64,9 +64,9 @@ pub(super) struct ItemDifference {
 /// The largest differences among many numbers.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Largest {
-    /// In steps from one representable number to the next.
+    /// In steps between adjacent representable numbers.
     pub ulp: u64,
-    /// By unit; the empty unit is that of numbers without one.
+    /// By unit; the empty unit is for numbers without one.
     pub by_unit: BTreeMap<String, f64>,
 }
 
@@ -95,7 +95,7 @@ impl ItemDifference {
     }
 }
 
-/// The units of a payload's fields and columns, as the recording tells them.
+/// Units of a payload's fields and columns, from the recording.
 #[derive(Debug, Default)]
 pub(super) struct Units(BTreeMap<String, String>);
 
@@ -117,14 +117,14 @@ impl Units {
     }
 }
 
-/// A comparison of two items under way.
+/// A comparison of two items in progress.
 pub(super) struct Compare<'a> {
     units: &'a Units,
     tolerance: f64,
     found: ItemDifference,
 }
 
-/// Where a number stands: what its name says of its unit, and how the place is told.
+/// Place of a number: its name, which may give the unit, and its description.
 struct At<'a> {
     name: &'a str,
     index: usize,
@@ -164,7 +164,7 @@ impl<'a> Compare<'a> {
         compare.found
     }
 
-    /// Something other than a number differs.
+    /// Records a difference of something that is not a number.
     fn other(&mut self, field: impl Into<String>, a: String, b: String) {
         self.found.other = true;
         self.found.first.get_or_insert_with(|| Difference {
@@ -231,7 +231,7 @@ impl<'a> Compare<'a> {
         }
     }
 
-    /// A report: its numbers are compared as such, so that their distance is told.
+    /// Compares reports number by number, so that distances are known.
     fn json(&mut self, path: &str, name: &str, a: &Json, b: &Json) {
         match (a, b) {
             (Json::Object(x), Json::Object(y)) => {
@@ -319,13 +319,13 @@ impl<'a> Compare<'a> {
         });
     }
 
-    /// How far two poses are turned against each other.
+    /// Angle between two poses.
     fn rotation(&mut self, name: &str, a: &[f64], b: &[f64]) {
         let (Some(POSE), [.., ax, ay, az, aw], [.., bx, by, bz, bw]) = (self.units.of_name(name), a, b) else { return };
         if a.len() != POSE_PARTS.len() || a[3..] == b[3..] {
             return;
         }
-        // The turn from one to the other is conj(a) * b.
+        // The rotation from one to the other is conj(a) * b.
         let w = aw * bw + ax * bx + ay * by + az * bz;
         let x = aw * bx - ax * bw - ay * bz + az * by;
         let y = aw * by + ax * bz - ay * bw - az * bx;
@@ -335,7 +335,7 @@ impl<'a> Compare<'a> {
     }
 }
 
-/// A text that is a report in JSON.
+/// Parses a text that is a report in JSON.
 fn report(text: &str) -> Option<Json> {
     if !text.starts_with(['{', '[']) {
         return None;
@@ -368,7 +368,7 @@ fn scalar(kind: ColumnType, bytes: &[u8]) -> Scalar {
     }
 }
 
-/// A text of any length is shown in one line.
+/// Shortens a text to one line.
 fn shortened(text: String) -> String {
     const LONGEST: usize = 200;
     match text.char_indices().nth(LONGEST) {

@@ -1,4 +1,4 @@
-//! Where each item of a recording lies, and its digest: two recordings are compared without holding either.
+//! Index of a recording: position and digest of each item, so that two recordings are compared without loading either.
 
 use crate::{
     hash::Digest,
@@ -19,10 +19,10 @@ use std::{
     rc::Rc,
 };
 
-/// Unpacked chunks that are kept for the next item.
+/// Size of the cache of decompressed chunks.
 const KEPT_BYTES: usize = 64 << 20;
 
-/// An item's place.
+/// Position and digest of an item.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Entry {
     pub(super) number: u64,
@@ -37,7 +37,7 @@ pub(super) struct Indexed {
     pub(super) entries: Vec<Entry>,
 }
 
-/// A recording, indexed.
+/// An indexed recording.
 pub(super) struct Index {
     path: PathBuf,
     reader: Reader<File>,
@@ -88,7 +88,7 @@ impl Index {
         self.reader.n_bytes()
     }
 
-    /// The bytes of an item.
+    /// Reads the message of an item.
     pub(super) fn message(&mut self, entry: &Entry) -> Result<Vec<u8>, RecordingError> {
         self.read(entry).map_err(|source| RecordingError::Read { path: self.path.clone(), source })
     }

@@ -1,6 +1,6 @@
-//! How far two numbers lie apart.
+//! Distance between two numbers.
 
-/// A number of a view, as it is stored.
+/// A number of a view, as stored.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Scalar {
     Double(f64),
@@ -8,19 +8,19 @@ pub(super) enum Scalar {
     Int(i64),
 }
 
-/// How far two numbers lie apart that do not have the same bits.
+/// Distance between two numbers with different bits.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Apart {
-    /// In steps from one representable number to the next; none for integers and where one is no number.
+    /// In steps between adjacent representable numbers; `None` for integers and NaN.
     pub(super) ulp: Option<u64>,
-    /// By value; none where one is no number.
+    /// Absolute difference; `None` for NaN.
     pub(super) distance: Option<f64>,
-    /// What else there is to say.
+    /// Additional note.
     pub(super) note: Option<&'static str>,
 }
 
 impl Scalar {
-    /// None if both have the same bits.
+    /// `None` if both have the same bits.
     pub(super) fn apart(self, other: Self) -> Option<Apart> {
         match (self, other) {
             (Self::Double(a), Self::Double(b)) => (a.to_bits() != b.to_bits())
@@ -37,7 +37,7 @@ impl Scalar {
         }
     }
 
-    /// The number in full: it reads back to the same bits.
+    /// Formats the number in full: parsing it gives the same bits.
     pub(super) fn format(self) -> String {
         match self {
             Self::Double(x) => format_float(x, x.to_bits(), x.is_nan()),
@@ -51,7 +51,7 @@ fn format_float(x: impl std::fmt::Debug, bits: u64, is_nan: bool) -> String {
     if is_nan { format!("NaN (bits {bits:x})") } else { format!("{x:?}") }
 }
 
-/// Floats in the order of their values as integers; both zeros are 0.
+/// Maps floats to integers in the order of their values; both zeros become 0.
 fn ordered(bits: u64, width: u32) -> i128 {
     let sign = 1_u64 << (width - 1);
     let magnitude = i128::from(bits & (sign - 1));

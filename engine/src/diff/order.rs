@@ -1,10 +1,9 @@
-//! The order in which a recorded graph computes, from its text alone: its kinds need not be known here.
+//! Topological order of a recorded graph, from its text alone: its kinds need not be known.
 
 use std::collections::{BTreeMap, BTreeSet};
 use toml::{Table, Value};
 
-/// The place of each node in the topological order of the graph, where that leaves a choice in the order of the file;
-/// empty where the text is no graph.
+/// Rank of each node in the topological order of the graph, ties in file order; empty if the text is not a graph.
 pub(super) fn ranks(graph: &str) -> BTreeMap<String, usize> {
     let Ok(table) = graph.parse::<Table>() else { return BTreeMap::new() };
     let mut nodes = Vec::new();
@@ -18,7 +17,7 @@ pub(super) fn ranks(graph: &str) -> BTreeMap<String, usize> {
         .collect();
     let mut ranks = BTreeMap::new();
     let mut waiting: BTreeSet<usize> = (0..nodes.len()).collect();
-    // A graph that ran has no cycle; of one that was tampered with, what is left comes in the order of the file.
+    // A graph that ran has no cycle; nodes of a cycle in a modified file come last, in file order.
     while let Some(next) = waiting
         .iter()
         .copied()
@@ -36,7 +35,7 @@ pub(super) fn node_of(wire: &str) -> &str {
     wire.rsplit_once('.').map_or(wire, |(node, _)| node)
 }
 
-/// Nodes and the wires they take; a table without a kind groups others.
+/// Collects nodes and the wires they take; a table without a kind groups others.
 fn collect(prefix: &str, table: &Table, nodes: &mut Vec<(String, Vec<String>)>) {
     for (name, value) in table {
         let Value::Table(node) = value else { continue };
@@ -53,7 +52,7 @@ fn collect(prefix: &str, table: &Table, nodes: &mut Vec<(String, Vec<String>)>) 
     }
 }
 
-/// The wires that an input names.
+/// Wires that an input names.
 fn sources(input: &Value, wires: &mut Vec<String>) {
     match input {
         Value::String(wire) => wires.push(wire.clone()),

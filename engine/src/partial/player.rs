@@ -1,4 +1,4 @@
-//! Plays items at hand in the place of a node.
+//! A source that plays a node's available items.
 
 use osteoflow_node::{AnySource, Body, Context, Emission, Item, NodeError, StampNs};
 use std::{
@@ -7,39 +7,39 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Gives its items in the order of their stamps. In which order wires of one stamp are given does not matter: what
-/// is computed depends on items and stamps alone.
+/// Gives its items in the order of their stamps. The order of wires at equal stamps does not matter: results depend on
+/// items and stamps alone.
 pub(crate) struct Player {
-    /// The items of each port.
+    /// Items of each port.
     pub(crate) ports: Vec<VecDeque<Item>>,
-    /// Where the node failed: what it said, at the stamp that its outputs had come to.
+    /// The node's failure, at the stamp that its outputs had reached.
     pub(crate) failure: Option<Failing>,
     pub(crate) pace: Option<Arc<Pace>>,
 }
 
-/// A failure that is played.
+/// A failure to play.
 pub(crate) struct Failing {
     pub(crate) reason: String,
     pub(crate) stamp_ns: StampNs,
-    /// The outputs have come to the stamp.
+    /// The stamp that the outputs reached.
     pub(crate) promised: bool,
 }
 
-/// The clock by which items are given.
+/// Clock that paces the items.
 pub(crate) struct Pace {
-    /// How many seconds of the recording go by in one.
+    /// Seconds of the recording per second.
     pub(crate) rate: f64,
-    /// Where the recording begins.
+    /// First stamp of the recording.
     pub(crate) first_ns: StampNs,
     pub(crate) began: OnceLock<Instant>,
 }
 
 impl Pace {
-    /// Waits until the stamp's time has come, or the user asks to stop.
+    /// Waits until the stamp is due, or a stop is requested.
     fn wait(&self, stamp_ns: StampNs, ctx: &Context) {
         let began = *self.began.get_or_init(Instant::now);
         let after_s = stamp_ns.saturating_sub(self.first_ns).max(0) as f64 / 1e9 / self.rate;
-        // What lies beyond what can be told as a duration is waited for without end.
+        // A time that does not fit a `Duration` is never due.
         let then = Duration::try_from_secs_f64(after_s).ok().and_then(|after| began.checked_add(after));
         while !ctx.cancelled() {
             let left = then.map_or(LOOK, |then| then.saturating_duration_since(Instant::now()));
@@ -51,7 +51,7 @@ impl Pace {
     }
 }
 
-/// Short enough for someone who waits for the replay to stop.
+/// Interval at which a stop request is checked.
 const LOOK: Duration = Duration::from_millis(50);
 
 impl AnySource for Player {
@@ -77,7 +77,7 @@ impl AnySource for Player {
 }
 
 impl Player {
-    /// The end, or the failure that the node had ended with.
+    /// Ends, or fails as the node did.
     fn end(&mut self, ctx: &mut Context) -> Result<bool, NodeError> {
         match &mut self.failure {
             None => Ok(false),

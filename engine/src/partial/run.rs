@@ -1,4 +1,4 @@
-//! A run of which a part is at hand already: what other runs have left is played, the rest is computed.
+//! A partial run: plays the items of finished nodes and computes the others.
 
 use super::{NodeMode, Player, consumers, outputs, places, reduce};
 use crate::{
@@ -9,16 +9,16 @@ use crate::{
 use osteoflow_node::Registry;
 use std::sync::Arc;
 
-/// What a node has left.
+/// Items of a node from an earlier run.
 pub(crate) struct FinishedNode {
-    /// For each output, every item.
+    /// Every item of each output.
     pub(crate) outputs: Vec<WireItems>,
     pub(crate) stats: NodeStats,
     pub(crate) warnings: Vec<Warning>,
 }
 
 impl FinishedNode {
-    /// Of a run of the whole plan.
+    /// Takes a node from a run of the whole plan.
     pub(crate) fn of(finished: &Finished, plan: &Plan, index: usize) -> Self {
         let of_node = finished.ended.warnings.iter().filter(|warning| *warning.node == *plan.nodes[index].name);
         Self {
@@ -29,7 +29,7 @@ impl FinishedNode {
     }
 }
 
-/// A plan of whose nodes some have left their items already.
+/// A plan with some finished nodes.
 pub(crate) struct PartialRun<'a> {
     plan: &'a Plan,
     left: &'a [Option<Arc<FinishedNode>>],
@@ -38,7 +38,7 @@ pub(crate) struct PartialRun<'a> {
 }
 
 impl<'a> PartialRun<'a> {
-    /// What is not at hand is computed; what is, is played where something computed takes it.
+    /// Computes the nodes that are not finished; a finished node is played if a computed node takes its items.
     pub(crate) fn new(plan: &'a Plan, left: &'a [Option<Arc<FinishedNode>>]) -> Self {
         let feeds = |index| {
             let mut links = outputs(plan, index).flat_map(|id| consumers(plan, id));
@@ -54,8 +54,8 @@ impl<'a> PartialRun<'a> {
         Self { plan, left, parts, places }
     }
 
-    /// Runs it and leaves results of the whole; `finished` sees what a run of the whole would have left, and may change
-    /// it.
+    /// Runs it and writes results of the whole plan; `finished` receives the result as of a run of the whole plan and
+    /// may change it.
     ///
     /// # Errors
     /// As [`crate::run()`].
@@ -73,7 +73,7 @@ impl<'a> PartialRun<'a> {
         run_part(&self.reduced(), registry, options, observer, replayed, None, Some(whole))
     }
 
-    /// What runs. What is played lies in memory already, so that it may wait on its wires however large it is.
+    /// The plan that runs. Wires of played nodes are unbounded in bytes, since their items are in memory already.
     fn reduced(&self) -> Plan {
         let mut reduced = reduce(self.plan, &self.parts);
         let taking = self.parts.iter().filter(|part| **part != NodeMode::LeftOut);
@@ -83,7 +83,7 @@ impl<'a> PartialRun<'a> {
         reduced
     }
 
-    /// What plays the items that computed nodes take.
+    /// Players of the items that computed nodes take.
     fn players(&self) -> Substitutes {
         let mut players = Substitutes::new();
         for (index, left) in self.left.iter().enumerate().filter(|(index, _)| self.parts[*index] == NodeMode::Played) {
@@ -96,7 +96,7 @@ impl<'a> PartialRun<'a> {
         players
     }
 
-    /// What a run of the whole would have left, links aside: of what was not computed, what was at hand.
+    /// Completes the result by the items of nodes that were not computed; links are not included.
     fn complete(&self, part: Finished) -> Finished {
         let Finished { ended: part, outputs: of_part, saved } = part;
         let whole: Vec<usize> = (0..self.places.len()).filter(|index| self.places[*index].is_some()).collect();

@@ -4,15 +4,15 @@ use std::{
     time::Duration,
 };
 
-/// So many bytes may wait for the writer; then who records waits, because the disk is slower than the graph.
+/// Maximum number of bytes waiting for the writer; beyond it, taps block because the disk is slower than the graph.
 const MAX_BYTES: usize = 64 << 20;
-/// What an entry costs beside its payload: many small ones are bounded too.
+/// Overhead counted per entry, so that many small entries are bounded too.
 const ENTRY_BYTES: usize = 256;
 
-/// What waits for the writer, in the order in which it came, bounded in bytes.
+/// Bounded queue of entries waiting to be written, in order of arrival.
 ///
-/// The writer looks by itself every few milliseconds; it is woken only when much waits, so that recording a small item
-/// costs no wake-up.
+/// The writer polls every few milliseconds; it is woken only when much is waiting, so that recording a small item costs
+/// no wake-up.
 pub(super) struct Queue<T> {
     state: Mutex<State<T>>,
     room: Condvar,
@@ -21,11 +21,11 @@ pub(super) struct Queue<T> {
 
 struct State<T> {
     entries: VecDeque<(T, usize)>,
-    /// Of the entries that wait, and of those that the writer has taken and not yet written.
+    /// Bytes of waiting entries, and of those that the writer has taken and not yet written.
     n_bytes: usize,
-    /// Nothing more comes.
+    /// The queue is closed.
     closed: bool,
-    /// The writer is gone: what is put in is lost, and nobody waits.
+    /// The writer has ended: entries are discarded and nobody blocks.
     dead: bool,
 }
 
@@ -40,7 +40,7 @@ impl<T> Queue<T> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Puts an entry in; waits while too much waits already. An entry that is too large by itself passes alone.
+    /// Adds an entry; blocks while the queue is full. An entry larger than the queue is accepted alone.
     pub(super) fn put(&self, entry: T, n_bytes: usize) {
         let n_bytes = n_bytes.saturating_add(ENTRY_BYTES);
         let mut state = self.locked();
@@ -58,7 +58,8 @@ impl<T> Queue<T> {
         }
     }
 
-    /// All that waits, each with what is to be released once it is written; and whether nothing more comes.
+    /// Takes all waiting entries, each with the number of bytes to release once it is written; and whether the queue is
+    /// closed.
     pub(super) fn take(&self, patience: Duration) -> (VecDeque<(T, usize)>, bool) {
         let mut state = self.locked();
         if state.n_bytes <= MAX_BYTES / 4 && !state.closed {
@@ -67,20 +68,20 @@ impl<T> Queue<T> {
         (std::mem::take(&mut state.entries), state.closed)
     }
 
-    /// So much has been written.
+    /// Releases the bytes of a written entry.
     pub(super) fn release(&self, n_bytes: usize) {
         let mut state = self.locked();
         state.n_bytes = state.n_bytes.saturating_sub(n_bytes);
         self.room.notify_all();
     }
 
-    /// Nothing more comes.
+    /// Closes the queue.
     pub(super) fn close(&self) {
         self.locked().closed = true;
         self.news.notify_one();
     }
 
-    /// The writer goes; whoever waits goes on.
+    /// Marks the writer as ended and wakes blocked producers.
     pub(super) fn die(&self) {
         let mut state = self.locked();
         state.dead = true;

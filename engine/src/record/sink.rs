@@ -13,23 +13,23 @@ use osteoflow_node::{Body, ClockReading, Item, PayloadType, PortPayload, Role, S
 use serde_json::Value as Json;
 use std::{collections::BTreeMap, fs::File, io, time::Duration};
 
-/// A reader takes no longer record; an item has to leave room for what else its chunk holds.
+/// Maximum size of an item. Readers accept no longer record, and the chunk holds more than the item.
 const MAX_ITEM_BYTES: usize = (1 << 30) - (16 << 20);
-/// So much waits at most for the first stamp that is a time.
+/// Maximum number of bytes waiting for the first stamp that is a time.
 const MAX_WAITING_BYTES: usize = 64 << 20;
 
-/// The channels of a recording, and what they have carried.
+/// Channels of a recording, with their message counts.
 pub(super) struct Sink {
     pub(super) file: Writer<File>,
     wires: BTreeMap<OutputId, WireChannels>,
     nodes: Vec<String>,
     links: Vec<(String, String)>,
-    /// The latest time written. Before the first stamp that is a time there is none, and constants, which have no time
-    /// of their own, wait for it: viewers are shown them from then on.
+    /// Latest time written; `None` before the first stamp that is a time. Constants, which have no time of their own,
+    /// wait for it: viewers show them from then on.
     time_ns: Option<u64>,
     waiting: Vec<Waiting>,
     n_waiting_bytes: usize,
-    /// The channels of the run itself, by topic, with how many messages each has carried.
+    /// Channels of the run itself, by topic, with the number of messages.
     run: BTreeMap<String, (u16, u32)>,
 }
 
@@ -54,7 +54,7 @@ struct WireChannels {
     count: WireCount,
 }
 
-/// What ends a writer before its time.
+/// Why the writer stopped early.
 pub(super) enum Stopped {
     Io(io::Error),
     Panic(String),
@@ -147,7 +147,7 @@ impl Sink {
         if self.n_waiting_bytes > MAX_WAITING_BYTES { self.begin_time(1) } else { Ok(()) }
     }
 
-    /// When nodes fired.
+    /// Writes firing times.
     pub(super) fn firings(&mut self, firings: &[Firing]) -> Result<(), Stopped> {
         if firings.is_empty() {
             return Ok(());
@@ -158,7 +158,7 @@ impl Sink {
         self.write_run(message)
     }
 
-    /// What policies dropped: a link's index and the item's number.
+    /// Writes dropped items, as link index and item number.
     pub(super) fn drops(&mut self, drops: &[(usize, u64)]) -> Result<(), Stopped> {
         if drops.is_empty() {
             return Ok(());
@@ -170,13 +170,13 @@ impl Sink {
         self.write_run(run_bytes(&Drops { drops: drops.iter().map(row).collect() }))
     }
 
-    /// What a firing took from the clock.
+    /// Writes the clock readings of a firing.
     pub(super) fn live(&mut self, node: usize, item: u64, readings: &[ClockReading]) -> Result<(), Stopped> {
         let node = self.nodes[node].clone();
         self.write_run(run_bytes(&Live { node, item, readings: readings.to_vec() }))
     }
 
-    /// Writes a message about the run itself, at the latest time there is.
+    /// Writes a message about the run itself, at the latest time written.
     fn write_run(&mut self, message: RunBytes) -> Result<(), Stopped> {
         let Some(time_ns) = self.time_ns else {
             self.n_waiting_bytes += message.bytes.len();
@@ -195,7 +195,7 @@ impl Sink {
         Ok(self.file.write_message(head, bytes.into())?)
     }
 
-    /// What waited for a time is written at this one.
+    /// Sets the first time and writes the messages that waited for it.
     pub(super) fn begin_time(&mut self, time_ns: StampNs) -> Result<(), Stopped> {
         if self.time_ns.is_some() {
             return Ok(());
@@ -208,19 +208,19 @@ impl Sink {
         })
     }
 
-    /// Whether anything waits for a time.
+    /// Whether messages wait for a time.
     pub(super) fn waits_for_time(&self) -> bool {
         !self.waiting.is_empty()
     }
 
-    /// Writes an item and its picture. The exact message holds the stamp as it is, zero and negative ones too; its log
-    /// time is one that viewers take.
+    /// Writes an item and its picture. The exact message holds the stamp unchanged, also zero and negative ones; its
+    /// log time is one that viewers accept.
     fn write(&mut self, id: OutputId, item: &Item) -> Result<(), Stopped> {
         let latest = self.time_ns.unwrap_or(1);
         let time_ns = if item.stamp_ns > 0 { item.stamp_ns as u64 } else { latest };
         self.time_ns = Some(latest.max(time_ns));
         let WireChannels { name, exact, view, payload, .. } = &self.wires[&id];
-        // The format counts messages with 32 bits; the message itself holds the whole number.
+        // The format's sequence number has 32 bits; the message itself holds the full number.
         let sequence = item.number as u32;
         let head = |channel_id: u16| MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
         let parts = codec::parts_on(*payload, item);
@@ -233,7 +233,7 @@ impl Sink {
         Ok(self.file.write_message(head(*channel), picture.into())?)
     }
 
-    /// The number of items of each wire, and of values among them.
+    /// Number of items of each wire, and of values among them.
     pub(super) fn counts(&self) -> WireCounts {
         WireCounts(self.wires.values().map(|wire| (wire.name.clone(), wire.count)).collect())
     }

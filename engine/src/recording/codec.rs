@@ -1,12 +1,13 @@
-//! The bytes of an item in a recording: its place, its stamp, and its view or the reason why it has none.
+//! Encoding of an item in a recording: number, stamp, and its view or the reason why it has none.
 //!
-//! All numbers are little-endian. The head is 40 bytes: `OSTEOVW1`, stamp (i64, ns), number (u64), body (u8: 0 value,
-//! 1 empty, 2 value that names its payload), three zero bytes, number of head fields (u32), number of columns (u32),
-//! four zero bytes. A text is its length (u32) and its UTF-8 bytes. A value on a wire that takes any payload names its
-//! own first: its name as a text and its version (u32). A head field is its type (u8: 1 bool, 2 integer, 3 number, 4 numbers, 5 text), its
-//! name and its value (u8, i64, f64, count (u32) and f64 each, text). A column is its name, its type (u8: 1 f64, 2 f32,
-//! 3 i64, 4 u32, 5 u8), its width (u32), its bytes (u64), zeros up to a multiple of 8 from the start of the message, and
-//! the rows. An empty has the node and the reason as two texts in the place of fields and columns.
+//! All numbers are little-endian. The header is 40 bytes: `OSTEOVW1`, stamp (i64, ns), number (u64), body (u8: 0 value,
+//! 1 empty, 2 value that names its payload), three zero bytes, number of header fields (u32), number of columns (u32),
+//! four zero bytes. A text is its length (u32) and its UTF-8 bytes. A value on a wire that takes any payload starts
+//! with its payload: its name as a text and its version (u32). A header field is its type (u8: 1 bool, 2 integer, 3
+//! number, 4 numbers, 5 text), its name and its value (u8, i64, f64, count (u32) and f64 each, text). A column is its
+//! name, its type (u8: 1 f64, 2 f32, 3 i64, 4 u32, 5 u8), its width (u32), its size in bytes (u64), zeros up to a
+//! multiple of 8 from the start of the message, and the rows. An empty has the node and the reason as two texts instead
+//! of fields and columns.
 
 use osteoflow_container::Segments;
 use osteoflow_node::{
@@ -14,7 +15,7 @@ use osteoflow_node::{
 };
 use std::{ops::Range, sync::Arc};
 
-/// What the schema of an exact channel says of its messages.
+/// Layout of messages, the text of an exact channel's schema.
 pub(crate) const LAYOUT: &str = "\
 Little-endian. Head, 40 bytes: 'OSTEOVW1'; i64 stamp_ns; u64 number on the wire; u8 body (0 value, 1 empty, 2 value \
 that names its payload); 3 zero bytes; u32 n_fields; u32 n_columns; 4 zero bytes.
@@ -29,41 +30,42 @@ Lengths are millimetres, angles radians, times nanoseconds.
 ";
 
 const MAGIC: &[u8; 8] = b"OSTEOVW1";
-/// A head is small; a longer one is damage, and each of its fields would cost more memory than it has bytes.
+/// Maximum number of fields and of columns. A larger number is damage, and each would cost more memory than it has
+/// bytes.
 const MAX_PARTS: u32 = 1 << 16;
 
 const VALUE: u8 = 0;
 const EMPTY: u8 = 1;
 const NAMED_VALUE: u8 = 2;
 
-/// A message that is no item.
+/// A message that is not an item.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CodecError {
-    /// It does not begin as items do.
+    /// It does not begin with the magic bytes.
     #[error("the message does not begin with OSTEOVW1, so it is no recorded item of this format version")]
     Magic,
-    /// It ends, or a length points, beyond its bytes.
+    /// It is too short, or a length exceeds its bytes.
     #[error("the message holds {left} more bytes where {needed} are needed; it is damaged")]
     Short {
-        /// Bytes that the next part needs.
+        /// Bytes needed by the next part.
         needed: u64,
-        /// Bytes that are left.
+        /// Bytes left.
         left: usize,
     },
-    /// A code or a text that the format does not have.
+    /// A code or a text that the format does not define.
     #[error("the message is damaged: {0}")]
     Invalid(&'static str),
-    /// The view is of something else than the wire's payload.
+    /// The view does not fit the wire's payload.
     #[error(transparent)]
     View(#[from] ViewError),
 }
 
-/// An item as it was recorded: its view still without a type.
+/// A recorded item, with its view still untyped.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedItem {
-    /// Its place on the wire, from 0.
+    /// Its number on the wire, from 0.
     pub number: u64,
-    /// When what it tells held.
+    /// Its stamp: the time at which its content held.
     pub stamp_ns: StampNs,
     /// The payload's name and the version of its view, on a wire that takes any payload.
     pub payload: Option<(String, u32)>,
@@ -72,7 +74,7 @@ pub struct RecordedItem {
 }
 
 impl RecordedItem {
-    /// The item with its payload.
+    /// Converts the view to its payload.
     ///
     /// # Errors
     /// [`CodecError::View`] if the view is not one of `ty`.
@@ -85,18 +87,18 @@ impl RecordedItem {
     }
 }
 
-/// The bytes of an item on a wire whose payload is known.
+/// Encodes an item of a wire whose payload is known.
 #[cfg(test)]
 pub(crate) fn encode(item: &Item) -> Vec<u8> {
     named_parts(item, false).into_vec()
 }
 
-/// The bytes of an item on a wire of this payload; one that takes any has values name their own.
+/// Encodes an item of a wire of this payload; on a wire that takes any, values name their payload.
 pub(crate) fn encode_on(payload: PortPayload, item: &Item) -> Vec<u8> {
     parts_on(payload, item).into_vec()
 }
 
-/// The same, with the rows of columns left where the payload has them.
+/// Like [`encode_on`], without copying the rows of columns.
 pub(crate) fn parts_on(payload: PortPayload, item: &Item) -> Segments {
     named_parts(item, matches!(payload, PortPayload::Any))
 }
@@ -168,7 +170,7 @@ fn put_view(parts: &mut Segments, view: &View) {
     }
 }
 
-/// Columns lie in memory as the machine has them; the file has them little-endian.
+/// Columns are in native byte order in memory and little-endian in the file.
 fn put_rows(parts: &mut Segments, column: &Column) {
     if cfg!(target_endian = "big") {
         let mut rows = column.bytes().to_vec();
@@ -184,7 +186,7 @@ fn swap(bytes: &mut [u8], size: usize) {
 }
 
 fn put_count(out: &mut Vec<u8>, count: usize) {
-    // A head of four thousand million fields cannot be made in memory.
+    // A header of four billion fields does not fit in memory.
     out.extend_from_slice(&(count as u32).to_le_bytes());
 }
 
@@ -193,18 +195,18 @@ fn put_text(out: &mut Vec<u8>, text: &str) {
     out.extend_from_slice(text.as_bytes());
 }
 
-/// The item of these bytes; its columns share one copy of them.
+/// Decodes an item; its columns share one copy of the bytes.
 ///
 /// # Errors
-/// [`CodecError`] if the bytes are damaged. No length is believed before the bytes it asks for are there.
+/// [`CodecError`] if the bytes are damaged. Lengths are checked against the available bytes before memory is allocated.
 pub(crate) fn decode(bytes: &[u8]) -> Result<RecordedItem, CodecError> {
     decode_by(Reader { bytes, at: 0, borrow: None })
 }
 
-/// The item of these bytes, whose columns are borrowed: `borrow` answers a range of the bytes as a buffer without a copy.
+/// Decodes an item whose columns are borrowed: `borrow` returns a range of the bytes as a buffer without a copy.
 ///
 /// # Errors
-/// As [`decode`].
+/// See [`decode`].
 pub(crate) fn decode_borrowed(bytes: &[u8], borrow: &Borrow<'_>) -> Result<RecordedItem, CodecError> {
     decode_by(Reader { bytes, at: 0, borrow: Some(borrow) })
 }
@@ -236,7 +238,7 @@ fn decode_by(mut reader: Reader<'_>) -> Result<RecordedItem, CodecError> {
     Ok(RecordedItem { number, stamp_ns, payload, body })
 }
 
-/// What every message begins with.
+/// Fields with which every message begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Head {
     pub(crate) number: u64,
@@ -244,7 +246,7 @@ pub(crate) struct Head {
     pub(crate) is_empty: bool,
 }
 
-/// The head of a message, where it is an item at all; the rest is not looked at.
+/// Decodes only the header of a message; `None` if it is not an item.
 pub(crate) fn head(bytes: &[u8]) -> Option<Head> {
     let head = bytes.get(..40)?.strip_prefix(MAGIC)?;
     let word = |at: usize| head[at..at + 8].try_into().expect("eight bytes");
@@ -252,18 +254,18 @@ pub(crate) fn head(bytes: &[u8]) -> Option<Head> {
     (head[16] <= NAMED_VALUE).then_some(Head { number, stamp_ns, is_empty: head[16] == EMPTY })
 }
 
-/// The number that a message bears, where it is an item at all.
+/// Number of the item in a message; `None` if it is not an item.
 pub(crate) fn number(bytes: &[u8]) -> Option<u64> {
     head(bytes).map(|head| head.number)
 }
 
-/// Answers a range of a message as a buffer without a copy.
+/// Returns a range of a message as a buffer without a copy.
 pub(crate) type Borrow<'a> = dyn Fn(Range<usize>) -> Buffer + 'a;
 
 struct Reader<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// Where columns need no copy.
+    /// Used for columns that need no copy.
     borrow: Option<&'a Borrow<'a>>,
 }
 
@@ -344,7 +346,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Bytes at an address that any column type accepts, so that rows are borrowed and not copied again.
+/// Bytes aligned for any column type, so that rows are borrowed and not copied again.
 struct Aligned {
     words: Vec<u64>,
     n_bytes: usize,

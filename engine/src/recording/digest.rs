@@ -1,13 +1,12 @@
-//! One number for what went over the recorded wires, whatever file it stands in.
+//! Digests of recorded wires, independent of the file's layout.
 //!
 //! The digest of an item is the SHA-256 of its exact message: number, stamp and body. The digest of a wire is the
 //! SHA-256 of its items' digests, one after the other by number. The digest of a recording is the SHA-256 over its wires
 //! by name, of those that have items: the length of the name (u32, little-endian) and the name, the same of
 //! `payload@version`, and the digest of the wire.
 //!
-//! So it does not hang on the order of messages in the file, on chunks, compression or log times, nor on pictures for
-//! viewers and what the run tells of itself. Items are hashed one by one, so they may come in any order and need not be
-//! kept.
+//! A digest does not depend on the order of messages in the file, chunks, compression, log times, pictures for viewers
+//! or messages about the run. Items are hashed one by one, so they may come in any order and need not be kept.
 
 use super::{
     codec,
@@ -25,8 +24,8 @@ use std::{
     path::Path,
 };
 
-/// The digest of a wire in the making. Items may come in any order; of one that comes before its turn the digest is
-/// kept, and nothing of one that comes in turn.
+/// Computes the digest of a wire. Items may come in any order: the digest of an item that comes early is kept until its
+/// turn.
 #[derive(Clone, Default)]
 pub struct WireHasher {
     hasher: Sha256,
@@ -39,12 +38,12 @@ pub struct WireHasher {
 }
 
 impl WireHasher {
-    /// Takes the item of this number; `message` are its bytes as on the exact channel.
+    /// Adds the item with this number; `message` is its message on the exact channel.
     pub fn add(&mut self, number: u64, message: &[u8]) {
         self.add_digest(number, Digest::of(message));
     }
 
-    /// The same, where the item's digest is known already.
+    /// Adds an item whose digest is known.
     pub fn add_digest(&mut self, number: u64, digest: Digest) {
         self.n_items += 1;
         if !self.numbers.insert(number) {
@@ -61,34 +60,33 @@ impl WireHasher {
 
     fn take(&mut self, number: u64, digest: Digest) {
         self.hasher.update(digest.0);
-        // Behind the last number there is none, and no hole either.
+        // There is no number, and no gap, after the last one.
         self.next = number.saturating_add(1);
     }
 
-    /// Items taken.
+    /// Number of items added.
     pub fn n_items(&self) -> u64 {
         self.n_items
     }
 
-    /// A number that came twice; such a wire has no digest.
+    /// A number that was added twice; such a wire has no digest.
     pub fn doubled(&self) -> Option<u64> {
         self.doubled
     }
 
-    /// The numbers that are missing before the last one.
+    /// Missing numbers before the last one.
     pub fn missing(&self) -> Vec<RangeInclusive<u64>> {
         self.numbers.missing(None)
     }
 
-    /// The digest of the items taken; none if a number came twice.
+    /// The wire's digest; `None` if a number was added twice.
     pub fn finish(mut self) -> Option<Digest> {
         self.early.values().for_each(|digest| self.hasher.update(digest.0));
         self.doubled.is_none().then(|| Digest(self.hasher.finalize().into()))
     }
 }
 
-/// The digest of all wires, from each one's name, payload and digest, in any order; wires without items are to be left
-/// out.
+/// The digest of all wires, from each one's name, payload and digest, in any order. Leave out wires without items.
 pub fn total<'a>(wires: impl IntoIterator<Item = (&'a str, &'a str, u32, Digest)>) -> Digest {
     let mut wires: Vec<_> = wires.into_iter().collect();
     wires.sort();
@@ -112,15 +110,15 @@ pub struct WireDigest {
     pub payload: String,
     /// The version of its view.
     pub version: u32,
-    /// Items of the wire.
+    /// Number of items.
     pub n_items: u64,
-    /// How many of them are values; the others are empties.
+    /// Number of values; the other items are empties.
     pub n_values: u64,
-    /// Numbers that are missing.
+    /// Missing numbers.
     pub missing: Vec<RangeInclusive<u64>>,
-    /// A number that stands there twice.
+    /// A number that occurs twice.
     pub doubled: Option<u64>,
-    /// The digest; none where a number stands there twice.
+    /// The digest; `None` if a number occurs twice.
     pub digest: Option<Digest>,
 }
 
@@ -129,17 +127,17 @@ pub struct WireDigest {
 pub struct DigestReport {
     /// The wires, by name.
     pub wires: Vec<WireDigest>,
-    /// The digest of all; none where a wire has none.
+    /// The digest of the recording; `None` if a wire has none.
     pub digest: Option<Digest>,
-    /// Why it is not the digest of all that was recorded.
+    /// Why it does not cover everything that was recorded.
     pub incomplete: Option<String>,
-    /// What is said beside it: a recording that was recovered from a damaged file is only a part of one.
+    /// Notes, for example that the recording was recovered from a damaged file and is incomplete.
     pub partial: Option<String>,
-    /// Bytes of the file.
+    /// Size of the file in bytes.
     pub n_bytes: u64,
 }
 
-/// The digests of what a recording holds, and whether that is all. Memory: one chunk.
+/// Digests of the recorded wires, with a note if the file is incomplete. Memory: one chunk.
 ///
 /// # Errors
 /// [`RecordingError`] if the file cannot be read or holds no exact channel.
@@ -185,7 +183,7 @@ pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, Recor
     })
 }
 
-/// A wire's digest in the making, with its counts.
+/// The hasher and the counts of a wire.
 struct Hashed {
     about: Wire,
     hasher: WireHasher,

@@ -1,7 +1,7 @@
-//! What a recording holds beside its items: its topics, its metadata records, and the version of both.
+//! Topics and metadata records of a recording, and their version.
 //!
-//! Each metadata record is a type; writer and readers share its keys through [`MetadataRecord`]. `docs/recording.md`
-//! describes the format.
+//! Each metadata record is a type; writer and readers share its keys through [`MetadataRecord`]. The format is
+//! described in `docs/recording.md`.
 
 mod messages;
 mod records;
@@ -14,11 +14,11 @@ pub(crate) use records::{
 
 use std::collections::BTreeMap;
 
-/// The version of topics and metadata records; raised when older readers cannot take them.
+/// Version of topics and metadata records; increased when older readers cannot read them.
 ///
 /// 2: the counts of a wire are JSON. Version 1 is read too.
 pub const FORMAT_VERSION: u32 = 2;
-/// The first version that is read.
+/// Oldest version that can be read.
 const FIRST_VERSION: u32 = 1;
 
 /// The encoding of messages on exact channels.
@@ -32,11 +32,11 @@ const VIEW: &str = "/view/";
 /// A topic of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Topic<'a> {
-    /// The items of a wire, exactly.
+    /// The items of a wire, bit for bit.
     Exact(&'a str),
     /// The items of a wire as messages for viewers.
     View(&'a str),
-    /// When nodes fired, by the wall clock.
+    /// Wall-clock times of firings.
     Timing,
     /// Items that policies dropped.
     Drops,
@@ -45,7 +45,7 @@ pub enum Topic<'a> {
 }
 
 impl<'a> Topic<'a> {
-    /// The topic of this name; `None` for another program's.
+    /// Parses a topic; `None` for another program's.
     pub fn parse(topic: &'a str) -> Option<Self> {
         let run = [Self::Timing, Self::Drops, Self::Live].into_iter().find(|run| run.name() == topic);
         run.or_else(|| Some(Self::Exact(topic.strip_prefix(EXACT)?)))
@@ -64,7 +64,7 @@ impl<'a> Topic<'a> {
     }
 }
 
-/// The entries of a metadata record.
+/// Entries of a metadata record.
 pub(crate) type Entries = BTreeMap<String, String>;
 
 /// A metadata record as a type.
@@ -72,10 +72,10 @@ pub(crate) trait MetadataRecord: Sized {
     /// The record's name.
     const NAME: &'static str;
 
-    /// Its entries, as they are written.
+    /// Its entries, as written.
     fn to_metadata(&self) -> Entries;
 
-    /// The record of these entries.
+    /// Parses the entries.
     ///
     /// # Errors
     /// Which entry is missing or wrong.
@@ -87,7 +87,7 @@ pub(crate) trait MetadataRecord: Sized {
 pub(crate) struct MetadataRecords(BTreeMap<String, Entries>);
 
 impl MetadataRecords {
-    /// Adds a record in place of an earlier one of its name; answers whether there was none.
+    /// Inserts a record, replacing an earlier one of its name; returns whether there was none.
     pub(crate) fn insert(&mut self, name: &str, entries: Entries) -> bool {
         self.0.insert(name.into(), entries).is_none()
     }
@@ -110,13 +110,13 @@ impl MetadataRecords {
         self.entries::<T>().map(T::from_metadata)
     }
 
-    /// The record, where it is there and can be read.
+    /// The record, if it is present and can be parsed.
     pub(crate) fn sound<T: MetadataRecord>(&self) -> Option<T> {
         self.get()?.ok()
     }
 }
 
-/// Whether the version is read.
+/// Whether this version can be read.
 pub(crate) fn is_read(version: u32) -> bool {
     (FIRST_VERSION..=FORMAT_VERSION).contains(&version)
 }

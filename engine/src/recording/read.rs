@@ -1,4 +1,4 @@
-//! Reads `run.mcap` back: the graph that ran, and the items of every recorded wire.
+//! Reads `run.mcap`: the graph that ran, and the items of every recorded wire.
 
 use super::{
     RecordedTypes,
@@ -31,7 +31,7 @@ pub enum RecordingError {
         /// Why.
         source: io::Error,
     },
-    /// It is an MCAP file of another program, or none at all.
+    /// It is an MCAP file of another program, or not an MCAP file.
     #[error("{} is no recording of a run: {reason}", .path.display())]
     Foreign {
         /// The file.
@@ -52,19 +52,19 @@ pub enum RecordingError {
     Item {
         /// The wire.
         wire: String,
-        /// The item's place.
+        /// The item's number.
         number: u64,
         /// What is wrong.
         reason: String,
     },
 }
 
-/// A recording, read whole.
+/// A recording, fully read.
 #[derive(Debug)]
 pub struct Recording {
     /// The file.
     pub path: PathBuf,
-    /// The graph as it ran, as the text of a graph file.
+    /// The graph as it ran, in the text of a graph file.
     pub graph: String,
     /// The graph file it came from.
     pub graph_file: PathBuf,
@@ -76,30 +76,30 @@ pub struct Recording {
     pub version: String,
     /// The recorded wires, by name.
     pub wires: BTreeMap<String, RecordedWire>,
-    /// What `results.json` held; `None` where the run did not get so far.
+    /// Content of `results.json`; `None` where the run did not get so far.
     pub results: Option<serde_json::Value>,
-    /// Constants that the command had put into `results.json`.
+    /// Constants that the command put into `results.json`.
     pub fixed_results: Vec<(String, serde_json::Value)>,
-    /// Whether the user had stopped the run.
+    /// Whether the user stopped the run.
     pub interrupted: bool,
-    /// Where a file was cut short or is damaged: what ends it. What came before is intact and here.
+    /// Why a truncated or damaged file ends early. Everything before that is intact and included.
     pub truncated: Option<String>,
-    /// What a replay has of the sources.
+    /// How a replay gets the data of the sources.
     pub sources: Sources,
     /// The SHA-256 of each input file, by its path, or why there is none.
     pub inputs: BTreeMap<String, String>,
     /// The plugins of the graph, with the SHA-256 of their libraries.
     pub plugins: Vec<PlanPlugin>,
-    /// The numbers of the items that policies dropped, by wire and input.
+    /// Numbers of the items that policies dropped, by wire and input.
     pub drops: BTreeMap<(String, String), BTreeSet<u64>>,
-    /// What firings took from the clock, by node and the number of the firing.
+    /// Clock readings of firings, by node and number of the firing.
     pub readings: BTreeMap<(String, u64), Vec<ClockReading>>,
-    /// Which nodes failed at which item, and why.
+    /// Failures of nodes, with item and message.
     pub failures: Vec<RecordedFailure>,
     types: RecordedTypes,
 }
 
-/// The run record of a file; `truncated` is why it may be missing.
+/// The run record of a file; `truncated` says why it may be missing.
 ///
 /// # Errors
 /// [`RecordingError`] if it is missing, lacks an entry or is of a version that is not read.
@@ -120,7 +120,7 @@ pub(crate) fn run_record(
 }
 
 impl RecordingError {
-    /// Of a file that cannot be passed over at all.
+    /// For a file that cannot be scanned at all.
     pub(crate) fn of(path: &Path, error: ReadError) -> Self {
         match error {
             ReadError::Io(source) => Self::Read { path: path.into(), source },
@@ -138,15 +138,15 @@ pub struct RecordedWire {
     pub version: u32,
     /// Whether its node is a source.
     pub source: bool,
-    /// Each item as it was written, by number.
+    /// Each item as written, by number.
     pub messages: Vec<Vec<u8>>,
 }
 
 impl RecordedWire {
-    /// The items, with views that have no type yet.
+    /// The items, with untyped views.
     ///
     /// # Errors
-    /// The number of the first damaged item, and what is wrong with it.
+    /// Number of the first damaged item, and what is wrong with it.
     pub fn items(&self) -> Result<Vec<RecordedItem>, (u64, CodecError)> {
         let items = self.messages.iter().zip(0..);
         items.map(|(bytes, number)| codec::decode(bytes).map_err(|error| (number, error))).collect()
@@ -154,11 +154,11 @@ impl RecordedWire {
 }
 
 impl Recording {
-    /// Reads a recording from its start to its end, or to where it was cut short or damaged. Of one that was recovered
-    /// from such a file, what lay before the damage is read: items behind it may rest on items that are lost.
+    /// Reads a recording from its start to its end, or to where it was truncated or damaged. Of a recovered recording
+    /// only the part before the damage is read: later items may depend on lost ones.
     ///
     /// # Errors
-    /// [`RecordingError`] if the file is not a recording of a run, or its wires have holes.
+    /// [`RecordingError`] if the file is not a recording of a run, or numbers of a wire are missing.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let mut reading = Pass::default();
         let truncated = reading.read(path)?;
@@ -201,7 +201,7 @@ impl Recording {
         })
     }
 
-    /// The registry, with the recording's payload types that it lacks: their schemas are in the file.
+    /// Extends the registry by the recording's payload types that it lacks: their schemas are in the file.
     pub fn registry(&self, known: &Registry) -> Registry {
         self.types.registry(known)
     }
@@ -216,7 +216,7 @@ impl Recording {
         let items = recorded.items().map_err(|(number, error)| fault(number, error.to_string()))?;
         let typed = items.into_iter().map(|item| {
             let number = item.number;
-            // An empty shows nothing, so on a wire that takes any payload it needs no type.
+            // An empty has no view, so on a wire that takes any payload it needs no type.
             let named = item.payload.clone().unwrap_or((recorded.payload.clone(), recorded.version));
             match &item.body {
                 Err(empty) => {
@@ -233,7 +233,7 @@ impl Recording {
     }
 }
 
-/// The payload of that name and version.
+/// The payload with that name and version.
 pub(crate) fn known(name: &str, version: u32, registry: &Registry) -> Result<&'static PayloadType, String> {
     let ty = registry.payload_type(name).ok_or_else(|| format!("no payload {name} is known here"))?;
     if ty.version != version {
@@ -242,7 +242,7 @@ pub(crate) fn known(name: &str, version: u32, registry: &Registry) -> Result<&'s
     Ok(ty)
 }
 
-/// What a pass over the file gathers, up to the first damage: what lies behind it may rest on what is lost.
+/// Collects the records of a file up to the first damage: later items may depend on lost ones.
 #[derive(Default)]
 struct Pass {
     channels: Channels,
@@ -255,7 +255,7 @@ struct Pass {
 
 struct Gathered {
     about: Wire,
-    /// By number, in the order of the file.
+    /// By number, in file order.
     messages: Vec<(Option<u64>, Vec<u8>)>,
 }
 
@@ -308,11 +308,11 @@ impl Visitor for Pass {
     }
 }
 
-/// The wire's items in the order of their numbers, from 0 without holes; of a file that lacks some, those before the
-/// first hole, and not more than `limit`.
+/// The wire's items in the order of their numbers, from 0 without gaps. Of an incomplete file, those before the first
+/// gap, and at most `limit`.
 fn numbered(name: &str, gathered: Gathered, limit: u64, partial: bool) -> Result<RecordedWire, RecordingError> {
     let Gathered { about, mut messages } = gathered;
-    // Not an item at all: it comes first and is told below.
+    // Not an item: it sorts first and is reported below.
     messages.sort_by_key(|(number, _)| *number);
     let mut wire = RecordedWire {
         payload: about.header.payload,

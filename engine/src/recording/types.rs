@@ -1,15 +1,16 @@
-//! The payload types that a recording tells of, so that it can be read where nothing else is known of them.
+//! Payload types described by a recording, for reading it without their crates.
 
 use super::wires::Wire;
 use osteoflow_node::{OutputPort, OutputPorts, PayloadType, PortPayload, Registry, SchemaEntry};
 use std::collections::BTreeMap;
 
-/// For each payload of a recording's wires, by name and version, the type that its schema makes, or why it makes none.
+/// Payload types made from the schemas of a recording's wires, by name and version, or why a schema makes none.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RecordedTypes(BTreeMap<(String, u32), Result<&'static PayloadType, String>>);
 
 impl RecordedTypes {
-    /// Takes what a wire's channel says; channels of earlier programs, and of wires that take anything, say nothing.
+    /// Adds the payload of a wire's channel. Channels of earlier programs, and of wires that take anything, describe
+    /// none.
     pub(crate) fn add(&mut self, wire: &Wire) {
         let Some(schema) = &wire.header.schema else { return };
         let of = || {
@@ -19,7 +20,7 @@ impl RecordedTypes {
         self.0.entry((wire.header.payload.clone(), wire.header.version)).or_insert_with(of);
     }
 
-    /// The type of that name and version.
+    /// The type with that name and version.
     pub(crate) fn get(&self, name: &str, version: u32) -> Option<&'static PayloadType> {
         self.0.get(&(name.to_owned(), version))?.as_ref().ok().copied()
     }
@@ -30,8 +31,8 @@ impl RecordedTypes {
         all.filter_map(|((name, version), ty)| Some((format!("{name}@{version}"), ty.as_ref().err()?.as_str())))
     }
 
-    /// The registry, and what it does not know of the recording's payloads. What goes by the name of one there, or is on
-    /// a port of a kind, is better known than by a schema, and stands.
+    /// Extends the registry by the recording's unknown payloads. A payload registered under the same name, or used on a
+    /// port of a kind, takes precedence over the recorded schema.
     pub(crate) fn registry(&self, known: &Registry) -> Registry {
         let mut registry = known.clone();
         let ports = known.kinds().flat_map(|kind| {
@@ -48,7 +49,7 @@ impl RecordedTypes {
         });
         for ty in types.chain(self.0.values().filter_map(|ty| ty.as_ref().ok().copied())) {
             if registry.payload_type(ty.name).is_none() {
-                // There is none that it could differ from.
+                // No type is registered from which it could differ.
                 let _ = registry.add_payload_type(ty);
             }
         }

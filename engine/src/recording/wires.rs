@@ -1,21 +1,21 @@
-//! Which channel is which wire's.
+//! Maps channels to wires.
 
 use super::format::{EXACT_ENCODING, Topic, WireHeader};
 use osteoflow_container::Channel;
 use std::collections::BTreeMap;
 
-/// What a channel of a recording carries.
+/// Content of a recording's channel.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Carries {
-    /// A wire's items, exactly.
+    /// A wire's items, bit for bit.
     Exact(Wire),
     /// Pictures of a wire's values, for viewers.
     View(String),
     /// Items that policies dropped.
     Drops,
-    /// What firings read from the clock.
+    /// Clock readings of firings.
     Live,
-    /// Something else, such as when nodes fired.
+    /// Anything else, such as firing times.
     Other,
 }
 

@@ -1,4 +1,4 @@
-//! Compares what is computed anew with what was recorded, as it comes.
+//! Compares computed items with the recorded ones as they arrive.
 
 use super::{Difference, WireComparison, WirePart};
 use crate::{
@@ -13,16 +13,16 @@ use std::{
     sync::{Mutex, PoisonError},
 };
 
-/// A tap on the wires that both the recording and the plan have.
+/// Tap on the wires that are in both the recording and the plan.
 pub(super) struct Compare<'a> {
     wires: BTreeMap<OutputId, ComparedWire<'a>>,
 }
 
 struct ComparedWire<'a> {
-    /// The recorded items; none where nothing is to be compared.
+    /// Recorded items; `None` where nothing is compared.
     recorded: Option<&'a [Vec<u8>]>,
     payload: PortPayload,
-    /// Only a part of the run was recorded to its end.
+    /// Whether the recording was cut short.
     partial: bool,
     seen: Mutex<Seen>,
 }
@@ -31,13 +31,13 @@ struct ComparedWire<'a> {
 struct Seen {
     n_items: u64,
     n_compared: u64,
-    /// What follows cannot be compared.
+    /// Later items cannot be compared.
     over: bool,
     first: Option<Difference>,
 }
 
 impl<'a> Compare<'a> {
-    /// Compares the recorded wires of those nodes that are computed, if `compares`.
+    /// Compares the recorded wires of computed nodes, if `compares`.
     pub(super) fn new(plan: &Plan, recording: &'a Recording, computed: impl Fn(usize) -> bool, compares: bool) -> Self {
         let wire = |id: &OutputId| {
             let recorded = recording.wires.get(&plan.wire_name(*id)).map(|wire| &*wire.messages);
@@ -52,7 +52,7 @@ impl<'a> Compare<'a> {
         Self { wires: plan.record.iter().map(wire).collect() }
     }
 
-    /// What came of a wire that was recorded.
+    /// Result for a recorded wire.
     pub(super) fn of(&self, name: &str, recording: &Recording, id: Option<OutputId>, part: WirePart) -> WireComparison {
         let n_recorded = recording.wires[name].messages.len() as u64;
         let mut comparison = WireComparison {
@@ -67,7 +67,7 @@ impl<'a> Compare<'a> {
         let seen = wire.seen.lock().unwrap_or_else(PoisonError::into_inner);
         (comparison.n_replayed, comparison.n_compared) = (seen.n_items, seen.n_compared);
         comparison.first_difference.clone_from(&seen.first);
-        // Of a run that did not come to its end, wires end at different times, and nothing follows from that.
+        // In a run that was cut short, wires end at different times; this is not a difference.
         if wire.recorded.is_some() && !wire.partial && seen.first.is_none() && n_recorded != seen.n_items {
             let what = diff::Difference::other("items", n_recorded.to_string(), seen.n_items.to_string());
             comparison.first_difference = Some(Difference { item: n_recorded.min(seen.n_items), what });
@@ -94,7 +94,7 @@ impl Tap for Compare<'_> {
         if *recorded == bytes {
             seen.n_compared += 1;
         } else if wire.partial && stopped(recorded, &bytes) {
-            // The wish to stop had ended the computation.
+            // A stop request ended the computation.
             seen.over = true;
         } else {
             seen.n_compared += 1;
@@ -109,7 +109,7 @@ fn stopped(recorded: &[u8], replayed: &[u8]) -> bool {
     is_empty(recorded) && !is_empty(replayed)
 }
 
-/// What differs first in two messages of one number.
+/// First difference between two messages with the same number.
 fn difference(payload: PortPayload, recorded: &[u8], replayed: &[u8]) -> diff::Difference {
     let units = match payload {
         PortPayload::Type(ty) => ty.units(),

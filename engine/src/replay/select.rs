@@ -1,4 +1,4 @@
-//! What of a graph is computed anew and what is played from the recording.
+//! Selects the nodes to compute and the wires to play.
 
 use crate::{
     partial::{NodeMode, consumers, follow, outputs},
@@ -7,7 +7,7 @@ use crate::{
 use osteoflow_node::Role;
 use std::collections::BTreeSet;
 
-/// Every node but the sources is computed; a source whose wires were not recorded is run, where `runs` allows it.
+/// Computes every node except the sources; a source whose wires were not recorded is run if `runs` allows it.
 ///
 /// # Errors
 /// A wire of a source that is needed and was not recorded.
@@ -24,7 +24,7 @@ pub(super) fn all(
         match missing {
             None => Ok(NodeMode::Played),
             Some(_) if runs(index) => Ok(NodeMode::Computed),
-            // A port that leads nowhere is not missed.
+            // An output without consumers is not missed.
             Some(_) if outputs(plan, index).all(|id| recorded.contains(&id) || !is_used(plan, id)) => {
                 Ok(NodeMode::Played)
             }
@@ -34,8 +34,8 @@ pub(super) fn all(
     plan.nodes.iter().enumerate().map(part).collect()
 }
 
-/// The node and all that follows from it are computed. What enters these from elsewhere is played; what of it was not
-/// recorded is computed too, from the nearest recorded wires upstream.
+/// Computes the node and all nodes downstream. Other inputs of these are played; where they were not recorded, they are
+/// computed from the nearest recorded wires upstream.
 ///
 /// # Errors
 /// A wire of a source that is needed and was not recorded.

@@ -16,7 +16,7 @@ fn again(plan: &Plan, recording: &Recording, changes: &ReplayOptions, workers: u
     replay_plan(plan, recording, changes, &registry(), &options, &()).unwrap()
 }
 
-/// A live source that gives more than a node with a time budget takes.
+/// A live source that produces more than a node with a time budget can process.
 fn overloaded() -> Plan {
     let calls: Vec<_> = (0..60).map(|i| json!({ "stamp_ns": 10 + i, "give": [[0, f64::from(i)]] })).collect();
     PlanBuilder::new()
@@ -49,7 +49,7 @@ fn drops_and_readings_of_the_clock_are_recorded_and_replayed() {
             .filter(|warning| warning.node == "slow" && !warning.message.contains("dropped"));
         assert_eq!(asked.count(), 0, "{:?}", replayed.run.warnings);
     }
-    // Without the beginning the same items are dropped as far as they are played.
+    // Without the beginning, the same items are dropped among those played.
     let late = ReplayOptions { start: Some(Moment::Stamp(40)), ..ReplayOptions::default() };
     let replayed = again(&plan, &recording, &late, 1);
     let n_late = drops.iter().filter(|number| **number >= 30).count() as u64;

@@ -1,4 +1,4 @@
-//! `repro.json`: a failed firing as data.
+//! `repro.json`: description of a failed firing.
 
 use crate::{plan::PlanPlugin, recording::RecordingError, runtime::Injected};
 use osteoflow_node::{Empty, Role, StampNs};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 use std::path::{Path, PathBuf};
 
-/// The version of the bundle; raised when older readers cannot take it.
+/// Version of the bundle; increased when older readers cannot read it.
 pub(super) const FORMAT_VERSION: u32 = 1;
 /// The file that describes the failed firing.
 pub const BUNDLE: &str = "repro.json";
@@ -14,34 +14,34 @@ pub const BUNDLE: &str = "repro.json";
 pub const INPUTS: &str = "inputs.mcap";
 /// An explanation for people.
 pub(super) const README: &str = "README.txt";
-/// No `repro.json` of ours is longer; a longer file is something else.
+/// Maximum size of a `repro.json`; a longer file is something else.
 const MAX_BYTES: u64 = 256 << 20;
 
 /// A failed firing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Bundle {
-    /// The version of this format.
+    /// Version of this format.
     pub format_version: u32,
     /// The graph's name.
     pub graph: String,
-    /// Where the node stands: `file:line`.
+    /// Position of the node: `file:line`.
     pub location: String,
     /// The node.
     pub node: Node,
-    /// The number of the firing, from 0; for a source, of the call.
+    /// Number of the firing, from 0; for a source, of the call.
     pub item: u64,
     /// The stamp of the firing.
     pub stamp_ns: StampNs,
     /// The run's seed.
     pub seed: u64,
-    /// What each port brought, in the order of the kind's ports; nothing for a source.
+    /// What each port brought, in the order of the kind's ports; empty for a source.
     pub inputs: Vec<Input>,
     /// How it failed.
     pub failure: Failure,
-    /// How it was made to fail, if it was.
+    /// How the failure was injected, if it was.
     #[serde(default, with = "injected", skip_serializing_if = "Option::is_none")]
     pub injected: Option<Injected>,
-    /// The run's folder, where it had one: nodes that write files write them there.
+    /// The run's folder, if any: nodes that write files write them there.
     pub out_dir: Option<PathBuf>,
     /// The program that failed.
     pub program: Program,
@@ -59,14 +59,14 @@ pub struct Node {
     pub role: Role,
     /// `stop` or `skip`.
     pub on_error: String,
-    /// Its table in the resolved graph, as the text of a graph file; for reading.
+    /// Its table in the resolved graph, in the text of a graph file; informative.
     pub table: String,
-    /// The plugin that its kind is of.
+    /// The plugin that provides its kind.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plugin: Option<PlanPlugin>,
-    /// Its parameters as it was built from them; paths are absolute.
+    /// Its parameters as built; paths are absolute.
     pub params: Json,
-    /// The outputs that the graph declared.
+    /// Outputs that the graph declared.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub declared: Vec<Declared>,
     /// Its outputs.
@@ -93,24 +93,24 @@ pub struct Declared {
     pub params: Json,
 }
 
-/// What one port brought.
+/// What a port brought.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Input {
     /// The port.
     pub port: String,
     /// The join that chose it.
     pub join: String,
-    /// The wire that feeds it, where one does.
+    /// The wire that feeds it, if any.
     pub wire: Option<String>,
-    /// Items or none.
+    /// Items, or the reason why there are none.
     #[serde(flatten)]
     pub given: Given,
-    /// The items, for reading; they themselves are in `inputs.mcap`.
+    /// Summary of the items, informative; the items themselves are in `inputs.mcap`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub items: Vec<Shown>,
 }
 
-/// How a port's items came.
+/// Items that a port brought.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "given", rename_all = "snake_case")]
 pub enum Given {
@@ -118,23 +118,23 @@ pub enum Given {
     Item,
     /// A list.
     Items {
-        /// How many.
+        /// Number of items.
         n: usize,
-        /// The first of them that has no value, if one has not.
+        /// The first one without a value, if any.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         absent: Option<Empty>,
     },
-    /// None.
+    /// No items.
     Absent {
         /// Why.
         empty: Empty,
     },
 }
 
-/// An item in short.
+/// Summary of an item.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Shown {
-    /// Its place on its wire.
+    /// Its number on its wire.
     pub number: u64,
     /// Its stamp.
     pub stamp_ns: StampNs,
@@ -145,7 +145,7 @@ pub struct Shown {
     pub empty: Option<String>,
     /// Its size in `inputs.mcap`.
     pub bytes: u64,
-    /// Its columns: name and number of rows.
+    /// Its columns, as name and number of rows.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub columns: Vec<(String, u64)>,
     /// Its texts, such as the names of frames.
@@ -156,14 +156,14 @@ pub struct Shown {
 /// How a firing failed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Failure {
-    /// What it said; of a panic with its place.
+    /// The message; for a panic with file and line.
     pub reason: String,
     /// Whether it panicked.
     pub panicked: bool,
 }
 
 impl Failure {
-    /// The file and line of a panic, and what was said there.
+    /// File and line of a panic, and its message.
     pub fn place(&self) -> (Option<&str>, &str) {
         let placed = self.reason.strip_prefix("panicked at ").filter(|_| self.panicked);
         match placed.and_then(|rest| rest.split_once(": ")) {
@@ -172,7 +172,8 @@ impl Failure {
         }
     }
 
-    /// Whether both are one failure. In another program a panic's line may have moved; its file and words have not.
+    /// Whether both are the same failure. In another program a panic's line may have moved; its file and message have
+    /// not.
     pub(super) fn is(&self, other: &Self, same_program: bool) -> bool {
         if same_program || self.panicked != other.panicked {
             return self == other;
@@ -183,26 +184,26 @@ impl Failure {
     }
 }
 
-/// A program, as far as its failures may depend on it.
+/// Properties of a program that its failures may depend on.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Program {
     /// The engine's version.
     pub engine_version: String,
     /// SHA-256 of the executable, where it could be read.
     pub sha256: Option<String>,
-    /// What the command says of itself and the machine, CPU features among it.
+    /// Description of the command and the machine, including CPU features.
     pub command: Json,
 }
 
 impl Program {
-    /// This program, and what the command says of itself.
+    /// This program, with the description of the command.
     pub fn current(command: Json) -> Self {
         let executable = std::env::current_exe().ok().and_then(|path| crate::hash::files::sha256(&path).ok());
         let sha256 = executable.map(|(_, hash)| hash.to_string());
         Self { engine_version: env!("CARGO_PKG_VERSION").into(), sha256, command }
     }
 
-    /// How `now` differs, in words.
+    /// Differences of `now`, formatted.
     pub(super) fn differences(&self, now: &Self) -> Vec<String> {
         let mut out = Vec::new();
         if self.engine_version != now.engine_version {
@@ -224,7 +225,7 @@ impl Bundle {
     /// Reads a bundle's description; `dir` is its folder or its `repro.json`.
     ///
     /// # Errors
-    /// [`ReproError`] if it is not there, damaged, or of a later version.
+    /// [`ReproError`] if it is missing, damaged, or of a later version.
     pub fn open(dir: &Path) -> Result<Self, ReproError> {
         let path = dir.join(BUNDLE);
         let read = |source| ReproError::Read { path: path.clone(), source };
@@ -254,7 +255,7 @@ pub enum ReproError {
         /// Why.
         source: std::io::Error,
     },
-    /// Its description is no description of a bundle.
+    /// Its description cannot be parsed.
     #[error("{} describes no failed firing: {reason}", .path.display())]
     Foreign {
         /// The file.
@@ -265,10 +266,10 @@ pub enum ReproError {
     /// Its items cannot be read.
     #[error(transparent)]
     Items(#[from] RecordingError),
-    /// Its kind is unknown here.
+    /// Its kind is unknown to this program.
     #[error("there is no kind \"{0}\" here; run the bundle with the program that saved it")]
     Kind(String),
-    /// Its plugin, or one that was asked for, is refused here.
+    /// Its plugin, or a requested one, is refused.
     #[error("plugin {} is refused: {why}", .path.display())]
     Plugin {
         /// The library.
@@ -276,10 +277,10 @@ pub enum ReproError {
         /// Why.
         why: String,
     },
-    /// A payload is unknown here.
+    /// A payload is unknown to this program.
     #[error("there is no payload \"{0}\" here; run the bundle with the program that saved it")]
     Payload(String),
-    /// The kind has a port that the bundle says nothing of.
+    /// The kind has a port that the bundle does not mention.
     #[error("{kind} has an input \"{port}\" here, which the bundle lacks; run it with the program that saved it")]
     Port {
         /// The kind.
@@ -292,9 +293,9 @@ pub enum ReproError {
     Count {
         /// The port.
         port: String,
-        /// Items found.
+        /// Number of items found.
         found: usize,
-        /// Items that the description promises.
+        /// Number of items in the description.
         expected: usize,
     },
     /// The node cannot be built from its parameters.
@@ -305,7 +306,7 @@ pub enum ReproError {
         /// Why.
         message: String,
     },
-    /// No folder for what the node writes.
+    /// The folder for the node's files cannot be created.
     #[error("no folder can be made for what the node writes: {0}")]
     Scratch(std::io::Error),
 }

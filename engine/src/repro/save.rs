@@ -1,4 +1,4 @@
-//! Saves a failed firing while the run goes on.
+//! Saves failed firings during a run.
 
 use super::{
     bundle::{self, Bundle, Declared, Failure, Given, Input, Node, Output, Program, Shown},
@@ -20,45 +20,45 @@ use std::{
     },
 };
 
-/// So many failures of one node are saved; the rest is counted.
+/// Maximum number of failures saved per node; further ones are counted.
 const MOST_PER_NODE: u64 = 5;
 /// The folder of a run's bundles, inside the folder of the run.
 pub const FOLDER: &str = "repro";
 
-/// The bundles that a run left.
+/// Bundles saved by a run.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Saved {
     /// The bundles, in the order of the plan.
     pub bundles: Vec<SavedBundle>,
-    /// Failures that were not saved because the node had failed so often already: node and how many.
+    /// Failures that were not saved because their node had reached the maximum, as node and count.
     pub more: Vec<(String, u64)>,
 }
 
-/// A bundle that a run left.
+/// A bundle saved by a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SavedBundle {
     /// The node.
     pub node: String,
-    /// The number of its firing.
+    /// Number of the firing.
     pub item: u64,
     /// The bundle's folder.
     pub dir: PathBuf,
 }
 
-/// Saves the failures of a run.
+/// Tap that saves the failures of a run.
 pub(crate) struct Saver<'a> {
     plan: &'a Plan,
     folder: PathBuf,
     out_dir: PathBuf,
     command: serde_json::Value,
     program: OnceLock<Program>,
-    /// Failures so far, by node.
+    /// Number of failures so far, by node.
     failed: Vec<AtomicU64>,
     saved: Mutex<Vec<(usize, SavedBundle)>>,
 }
 
 impl<'a> Saver<'a> {
-    /// Saves into the run's folder, where the run has one.
+    /// Saves into the run's folder; `None` if the run has none.
     pub(crate) fn new(plan: &'a Plan, options: &RunOptions) -> Option<Self> {
         let out_dir = options.out_dir.as_ref()?;
         Some(Self {
@@ -72,7 +72,7 @@ impl<'a> Saver<'a> {
         })
     }
 
-    /// Saves a failed firing, unless the node has failed too often already.
+    /// Saves a failed firing, unless the node has reached the maximum.
     ///
     /// # Errors
     /// Why it could not be saved.
@@ -89,7 +89,7 @@ impl<'a> Saver<'a> {
         Ok(())
     }
 
-    /// What was saved, and what was not.
+    /// Bundles saved, and counts of failures not saved.
     pub(crate) fn finish(self) -> Saved {
         let mut saved = self.saved.into_inner().unwrap_or_else(PoisonError::into_inner);
         saved.sort_by_key(|(node, bundle)| (*node, bundle.item));
@@ -100,7 +100,7 @@ impl<'a> Saver<'a> {
         Saved { more: more.collect(), bundles: saved.into_iter().map(|(_, bundle)| bundle).collect() }
     }
 
-    /// The bundle appears under its name only once it is whole.
+    /// Writes a bundle; it gets its name only once it is complete.
     fn write(&self, failed: &Failed<'_>) -> io::Result<PathBuf> {
         let plan = self.plan;
         std::fs::create_dir_all(&self.folder)?;
@@ -119,7 +119,7 @@ impl<'a> Saver<'a> {
         Ok(dir)
     }
 
-    /// A folder to write in, and the name it gets: names that a file system does not take may fall together.
+    /// A temporary folder and the final name. Names that a file system cannot represent may collide.
     fn free(&self, node: &str, item: u64) -> io::Result<(PathBuf, PathBuf)> {
         let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
         let mut stem: String = node.chars().map(plain).take(100).collect();
@@ -181,7 +181,7 @@ fn write_inputs(path: &Path, plan: &Plan, failed: &Failed<'_>, joined: &Joined) 
     Ok(inputs)
 }
 
-/// A wire carries one type; where the port takes any, its first value tells which.
+/// Type of the wire's items; where the port takes any, that of the first value.
 fn payload_type(port: PortPayload, items: &[Item]) -> Option<&'static PayloadType> {
     match port {
         PortPayload::Type(ty) => Some(ty),

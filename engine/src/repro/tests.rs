@@ -21,7 +21,7 @@ fn ran(plan: &Plan, inject: Vec<Injection>) -> (tempfile::TempDir, RunReport) {
     (dir, report)
 }
 
-/// The only bundle of the run, run again.
+/// Runs the run's only bundle again.
 fn again(report: &RunReport) -> ReproReport {
     let [bundle] = &report.saved.bundles[..] else { panic!("{:?}", report.saved) };
     repro(&bundle.dir, &registry(), Program::current(Json::Null), false).unwrap()
@@ -54,7 +54,7 @@ fn a_panic_comes_again_at_its_place() {
         .result("x", "first.out", false, true)
         .plan();
     let (_dir, report) = ran(&plan, Vec::new());
-    // A panic refuses the run even where only optional results follow.
+    // A panic refuses the run even if only optional results depend on the node.
     assert!(matches!(&report.outcome, Outcome::Refused(refusal) if refusal.panicked), "{:?}", report.outcome);
     let again = again(&report);
     assert!(again.same, "{again:?}");
@@ -95,7 +95,7 @@ fn a_source_is_called_up_to_the_call_that_failed() {
     let answer = again(&report);
     assert!(answer.same && answer.n_calls == 2 && answer.bundle.inputs.is_empty(), "{answer:?}");
 
-    // Stamps that decrease are found again as well, as the calls before are made again.
+    // Decreasing stamps are reproduced too, because earlier calls are repeated.
     let script = json!([{ "stamp_ns": 5, "give": [[0, 5.0]] }, { "stamp_ns": 4, "give": [[0, 6.0]] }]);
     let (_dir, report) = ran(&toy(script), Vec::new());
     let answer = again(&report);
@@ -114,7 +114,7 @@ fn of_many_failures_five_are_saved_and_all_are_counted() {
     assert_eq!(report.outcome, Outcome::Complete);
     assert_eq!((report.saved.bundles.len(), &report.saved.more[..]), (5, &[("first".to_owned(), 245)][..]));
     assert_eq!(report.nodes[1].failed, 250);
-    // 100 of them and the latest are listed, and how many are not.
+    // 100 failures and the latest are listed, and the number of others.
     assert_eq!(report.warnings.len(), 102);
     let more = "149 more failures of this node are counted and not listed";
     assert!(report.warnings.iter().any(|warning| warning.message == more), "{:?}", report.warnings.last());

@@ -1,4 +1,4 @@
-//! A run that has ended, with the items that results are made of.
+//! A finished run, with the items that results are made of.
 
 use crate::{
     plan::{OutputId, Plan},
@@ -8,25 +8,25 @@ use crate::{
 use osteoflow_node::Item;
 use std::sync::{Mutex, PoisonError};
 
-/// A run that has ended.
+/// A finished run.
 pub(crate) struct Finished {
     pub(crate) ended: Ended,
-    /// For each node, for each output.
+    /// By node and output.
     pub(crate) outputs: Vec<Vec<WireItems>>,
-    /// The failed items that were saved.
+    /// Saved failed items.
     pub(crate) saved: Saved,
 }
 
-/// The items of a wire, as far as they are kept.
+/// The items kept of a wire.
 #[derive(Debug, Default, Clone)]
 pub(crate) struct WireItems {
-    /// The number of items it carried.
+    /// Number of items that the wire carried.
     pub(crate) n_items: u64,
-    /// The items that were kept, in their order.
+    /// Kept items, in order.
     pub(crate) items: Vec<Item>,
 }
 
-/// How much of a wire is kept.
+/// Which items of a wire are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Keep {
     Nothing,
@@ -34,11 +34,11 @@ enum Keep {
     All,
 }
 
-/// Keeps the items that results are made of.
+/// Tap that keeps the items that results are made of.
 pub(crate) struct ItemKeeper(Vec<Vec<(Keep, Mutex<Vec<Item>>)>>);
 
 impl ItemKeeper {
-    /// Keeps what `[results]` names, or every item of every wire.
+    /// Keeps the items that `[results]` names, or with `all` every item of every wire.
     pub(crate) fn new(plan: &Plan, all: bool) -> Self {
         let least = if all { Keep::All } else { Keep::Nothing };
         let keep = |id: OutputId| {
@@ -50,7 +50,7 @@ impl ItemKeeper {
         Self((0..plan.nodes.len()).map(|node| outputs(node).map(keep).collect()).collect())
     }
 
-    /// The run with the items that were kept.
+    /// Combines the outcome of the run with the kept items.
     pub(crate) fn finish(self, ended: Ended, saved: Saved) -> Finished {
         let wire = |((_, items), n_items): ((Keep, Mutex<Vec<Item>>), &u64)| WireItems {
             n_items: *n_items,

@@ -1,4 +1,4 @@
-//! Live sources: what they share with all others, what they promise, and how they are stopped.
+//! Live sources: behaviour common to all sources, promises, and stopping.
 
 use super::{
     tests::{calls, check, options, refusal_of},
@@ -20,7 +20,7 @@ use std::{
     },
 };
 
-/// Calls that give one number each: (stamp, port, number).
+/// Calls that give one number each, as (stamp, port, number).
 type Given<'a> = &'a [(i64, usize, f64)];
 
 fn live(name: &str, n_ports: usize, given: Given<'_>, params: Json) -> PlanBuilder {
@@ -97,7 +97,7 @@ fn two_live_sources_and_one_that_is_none_join_by_stamps_alone() {
 
 #[test]
 fn what_comes_later_than_promised_is_an_empty_in_its_place() {
-    // Port 1 may lie 5 behind port 0; once it is 8 behind, and once its own stamps go back.
+    // Port 1 may be up to 5 behind port 0; once it is 8 behind, and once its own stamps decrease.
     let given = [(10, 0, 1.0), (6, 1, 2.0), (20, 0, 3.0), (12, 1, 4.0), (18, 1, 5.0), (16, 1, 6.0), (30, 0, 7.0)];
     let plan = live("devices", 2, &given, json!({ "max_delay_ns": 5 }))
         .node("one", "toy.add", json!({}), &[("a", "devices.p1", None)])
@@ -116,7 +116,7 @@ fn what_comes_later_than_promised_is_an_empty_in_its_place() {
         json!({ "unknown": said, "node": "devices" })
     };
     assert_eq!(report.results["one"], json!([2.0, late(3), 5.0, late(2)]));
-    // At 10 the newest of port 1 is 2; at 20 and at 30 it is the late item's empty at 18: unknown, so that nothing is added.
+    // At 10 the newest item of port 1 is 2; at 20 and at 30 it is the late item's empty at 18, so nothing is added.
     assert_eq!(report.results["other"], json!([3.0, 3.0, 7.0]));
     let said: Vec<_> = report.warnings.iter().map(|w| w.message.as_str()).collect();
     assert_eq!(said, ["devices.p1: 2 items came late, by up to 0.000003 ms more than promised, and are empties"]);
@@ -144,7 +144,7 @@ fn a_live_source_that_fails_or_panics_refuses_the_run_as_any_node_does() {
     }
 }
 
-/// Asks the run to stop when the sink has fired.
+/// Requests a stop when the sink has fired.
 struct StopAfter(Arc<AtomicBool>);
 
 impl Observer for StopAfter {
@@ -158,7 +158,7 @@ impl Observer for StopAfter {
 #[test]
 fn an_interrupted_run_ends_although_a_source_waits_for_its_device() {
     for (device, workers) in [("waits", 1), ("waits", 2), ("deaf", 1), ("deaf", 2)] {
-        // The sink fires once the source is in its device, and then the run is to stop.
+        // The sink fires while the source waits for its device; then the stop is requested.
         let name = format!("{device} {workers}");
         let last = json!({ "stamp_ns": 2, "give": [[0, 1.0]], "device": name });
         let script = json!({ "calls": [{ "stamp_ns": 1, "give": [[0, 5.0]] }, last] });
@@ -220,7 +220,7 @@ impl Observer for OpenAtEnd<'_> {
     }
 }
 
-/// Keeps what was dropped, and the items of every wire.
+/// Keeps the dropped numbers and the items of every wire.
 #[derive(Default)]
 struct Dropped(Mutex<BTreeMap<usize, BTreeSet<u64>>>, Mutex<BTreeMap<OutputId, Vec<Vec<u8>>>>);
 
@@ -245,7 +245,7 @@ fn a_sink_that_does_not_keep_up_loses_what_the_policy_says_and_a_replay_loses_th
     for (case, policy) in [Policy::DropOld, Policy::DropNew, Policy::Sample(7), Policy::Block].into_iter().enumerate() {
         for (max_bytes, workers) in [(u64::MAX, 1), (u64::MAX, 2), (150, 2)] {
             let gate = format!("overload {case} {max_bytes} {workers}");
-            // A source that is not held up ends while the sink is still at its first item.
+            // A source without backpressure ends while the sink is still at its first item.
             let holds = matches!(policy, Policy::DropOld | Policy::DropNew);
             let params = if holds { json!({ "gate": gate }) } else { json!({}) };
             let plan = live("camera", 1, &given, json!({}))
@@ -293,7 +293,7 @@ fn a_sink_that_does_not_keep_up_loses_what_the_policy_says_and_a_replay_loses_th
     }
 }
 
-/// Keeps what firings took from the clock.
+/// Keeps the clock readings of firings.
 #[derive(Default)]
 struct Readings(Mutex<BTreeMap<(usize, u64), Vec<ClockReading>>>);
 
@@ -309,7 +309,7 @@ impl Tap for Readings {
 #[test]
 fn what_a_node_takes_from_the_clock_is_told_and_answered_from_the_record_in_a_replay() {
     let given: Vec<_> = (0..6).map(|i| (i, 0, i as f64)).collect();
-    // A budget that is over, and one that no look finds over.
+    // One budget that is used up, and one that never is.
     for (budget_us, most_looks) in [(300, u64::MAX), (3_600_000_000_u64, 7)] {
         let plan = live("scan", 1, &given, json!({}))
             .node("plain", "toy.add", json!({}), &[("a", "scan.p0", None)])
@@ -341,7 +341,7 @@ fn what_a_node_takes_from_the_clock_is_told_and_answered_from_the_record_in_a_re
             assert_eq!((&report.results, report.warnings.len()), (&live.results, 0));
             assert_eq!(again.0.into_inner().unwrap(), readings);
         }
-        // What the record lacks is answered by the clock, and said.
+        // Readings missing from the recording are taken from the clock, with a warning.
         let replayed = Replayed { readings: Some(BTreeMap::new()), ..Replayed::default() };
         let report = run_with(&plan, &registry(), &options(1), &(), replayed, None).unwrap();
         assert_eq!(report.warnings.len(), 12, "two readings of six firings: {:?}", report.warnings);

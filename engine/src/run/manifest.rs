@@ -1,4 +1,4 @@
-//! What `manifest.json` says: what ran, from what, where, when, and the figures of nodes and links.
+//! `manifest.json`: program, graph, inputs, machine, times, and statistics of nodes and links.
 
 use super::{Outcome, RunReport};
 use crate::{
@@ -12,7 +12,7 @@ use osteoflow_node::Role;
 use serde_json::{Value as Json, json};
 use std::time::{Duration, SystemTime};
 
-/// The manifest of a run that has ended.
+/// The manifest of a finished run.
 pub(crate) fn manifest(
     plan: &Plan,
     options: &RunOptions,

@@ -1,4 +1,4 @@
-//! What a run answers.
+//! The report of a run.
 
 use crate::{
     record::RecordError,
@@ -12,9 +12,9 @@ use std::{path::PathBuf, time::Duration};
 /// How a run ended.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
-    /// All results are there.
+    /// All results are available.
     Complete,
-    /// A node failed or a result did not come.
+    /// A node failed or a result is missing.
     Refused(Refusal),
     /// The user stopped it.
     Interrupted,
@@ -31,32 +31,32 @@ impl Outcome {
     }
 }
 
-/// What a run did.
+/// Report of a run.
 #[derive(Debug, Clone)]
 pub struct RunReport {
     /// How it ended.
     pub outcome: Outcome,
-    /// What `results.json` holds.
+    /// Content of `results.json`.
     pub results: serde_json::Value,
-    /// Figures for each node, in the order of the plan.
+    /// Statistics of each node, in the order of the plan.
     pub nodes: Vec<NodeStats>,
-    /// Figures for each link, in the order of the plan.
+    /// Statistics of each link, in the order of the plan.
     pub links: Vec<LinkStats>,
-    /// From each source to each sink, where [`RunOptions::latency`] asks for it.
+    /// Latency from each source to each sink, if [`RunOptions::latency`] is set.
     pub latencies: Vec<LatencyStats>,
-    /// Queues that were made longer, in the order in which it happened.
+    /// Enlarged queues, in the order in which they were enlarged.
     pub enlargements: Vec<Enlargement>,
-    /// What nodes said, in the order of the plan.
+    /// Warnings of nodes, in the order of the plan.
     pub warnings: Vec<Warning>,
-    /// From the first step to the last.
+    /// Time from the first step to the last.
     pub elapsed: Duration,
-    /// The failed items that were saved, to be run again alone.
+    /// Saved failed items, which can be run again alone.
     pub saved: Saved,
-    /// The answers that came from the store, in the order of the plan.
+    /// Answers taken from the store, in the order of the plan.
     pub recalled: Vec<CachedAnswer>,
 }
 
-/// A run that could not begin or whose files could not be written.
+/// A run that could not start or whose files could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// Nodes cannot be built from their parameters.

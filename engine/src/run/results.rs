@@ -1,4 +1,4 @@
-//! What `results.json` holds: the values that `[results]` names, or why there are none.
+//! `results.json`: the values that `[results]` names, or why there are none.
 
 use super::{Finished, Outcome};
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
 use osteoflow_node::{Body, Role};
 use serde_json::{Map, Value as Json, json};
 
-/// How the run ended, and what `results.json` says of it.
+/// Determines how the run ended, and the content of `results.json`.
 pub(crate) fn collect(plan: &Plan, options: &RunOptions, run: &Finished) -> (Outcome, Json) {
     let mut results = Map::new();
     for (key, value) in &options.fixed_results {
@@ -50,8 +50,8 @@ fn values<'a>(plan: &'a Plan, run: &Finished) -> Result<Vec<(&'a str, Json)>, Re
     Ok(values)
 }
 
-/// Whether a failure refuses the run: not if all that follows from the node are results that may be missing. A panic is
-/// a bug, and may not pass as a result that happened not to come.
+/// Whether a failure refuses the run. It does not if only optional results depend on the node. A panic is a bug and
+/// always refuses.
 fn refuses(plan: &Plan, failure: &Failure) -> bool {
     if failure.panicked {
         return !failure.skipped;
@@ -68,7 +68,8 @@ fn refuses(plan: &Plan, failure: &Failure) -> bool {
     !failure.skipped && (fed.peek().is_none() || fed.any(|entry| !entry.optional))
 }
 
-/// The last item's value, or all values. In a list, an empty stands as what is unknown and why; alone it is no value.
+/// The last item's value, or all values. In a list an empty becomes an unknown value with its reason; a single empty is
+/// no value.
 fn value(run: &Finished, entry: &ResultEntry) -> Option<Json> {
     let items = &run.outputs[entry.from.node][entry.from.port].items;
     if !entry.all {
@@ -87,7 +88,7 @@ fn value(run: &Finished, entry: &ResultEntry) -> Option<Json> {
     })
 }
 
-/// Why a wire has no value: the failure or the empty at the root of it, or the wire on which nothing ever came.
+/// Why a wire has no value: the failure or empty that caused it, or the wire that carried no item.
 fn cause(plan: &Plan, run: &Finished, wire: OutputId) -> Refusal {
     let refusal = |node: usize, item: Option<u64>, reason: String| Refusal {
         node: plan.nodes[node].name.to_string(),
@@ -114,7 +115,7 @@ fn cause(plan: &Plan, run: &Finished, wire: OutputId) -> Refusal {
     }
 }
 
-/// The wire furthest upstream on which nothing ever came, and its node.
+/// The wire furthest upstream that carried no item, and its node.
 fn dry(plan: &Plan, run: &Finished, wire: OutputId) -> (usize, String) {
     let node = &plan.nodes[wire.node];
     if node.role == Role::Node {
@@ -129,7 +130,7 @@ fn dry(plan: &Plan, run: &Finished, wire: OutputId) -> (usize, String) {
     (wire.node, format!("no item ever came on {}", plan.wire_name(wire)))
 }
 
-/// Puts a value at a dotted key.
+/// Inserts a value at a dotted key.
 fn insert(results: &mut Map<String, Json>, key: &str, value: Json) {
     match key.split_once('.') {
         None => drop(results.insert(key.into(), value)),

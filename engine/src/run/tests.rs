@@ -16,12 +16,12 @@ use std::{
     },
 };
 
-/// Calls that give one number each on one port: (stamp, port, number).
+/// Calls that give one number each on one port, as (stamp, port, number).
 pub(super) fn calls(calls: &[(i64, usize, f64)]) -> Json {
     calls.iter().map(|(stamp_ns, port, x)| json!({ "stamp_ns": stamp_ns, "give": [[port, x]] })).collect()
 }
 
-/// Keeps every recorded item as its bytes.
+/// Keeps every recorded item in encoded form.
 #[derive(Default)]
 struct Keep(Mutex<BTreeMap<OutputId, Vec<Vec<u8>>>>);
 
@@ -39,7 +39,7 @@ pub(super) fn options(workers: usize) -> RunOptions {
     RunOptions { workers, fixed_results: vec![("notice".into(), json!("toy"))], ..RunOptions::default() }
 }
 
-/// Runs on 1, 2 and 8 workers, compares results and every recorded item, and answers the last report.
+/// Runs on 1, 2 and 8 workers, compares results and every recorded item, and returns the last report.
 pub(super) fn check(plan: &Plan) -> RunReport {
     let mut first: Option<(Json, BTreeMap<_, _>)> = None;
     let mut last = None;
@@ -118,7 +118,7 @@ fn a_graph_that_may_not_grow_is_refused_with_the_full_and_the_empty_links() {
 
 #[test]
 fn progress_of_silent_ports_keeps_queues_short() {
-    // The scan waits for samples around it; samples before it are let go as its wire's progress passes them.
+    // The scan waits for samples around it; earlier samples are released as its wire's progress passes them.
     let mut script: Vec<_> = (0..300).map(|i| (i * 10, 0, i as f64)).collect();
     script.push((3000, 0, 300.0));
     script.push((3005, 1, 1000.0));
@@ -141,7 +141,7 @@ fn progress_of_silent_ports_keeps_queues_short() {
 
 #[test]
 fn progress_passes_through_nodes_that_do_not_fire() {
-    // `scan` goes through two nodes before it meets the samples: their progress must travel as far.
+    // `scan` passes through two nodes before it meets the samples: their progress must be passed on.
     let mut script: Vec<_> = (0..300).map(|i| (i * 10, 0, i as f64)).collect();
     script.push((3000, 1, 1000.0));
     script.push((3010, 0, 302.0));
@@ -158,7 +158,7 @@ fn progress_passes_through_nodes_that_do_not_fire() {
     }
 }
 
-/// Three numbers through `first`, then `second`; `other` is a branch of its own.
+/// Three numbers through `first`, then `second`; `other` is a separate branch.
 fn branches(numbers: [f64; 3], optional: bool) -> PlanBuilder {
     let script: Vec<_> = numbers.iter().zip(1..).map(|(x, stamp)| (stamp, 0, *x)).collect();
     PlanBuilder::new()
@@ -205,7 +205,7 @@ fn a_node_that_skips_errors_is_built_anew_and_goes_on() {
     let report = check(&branches([1.0, 13.0, 3.0], false).skip_errors("first").plan());
     assert_eq!(report.results, json!({ "notice": "toy", "pose": 3.0, "sum": 17.0 }));
     assert_eq!((report.nodes[1].items, report.nodes[1].failed, report.nodes[2].skipped), (3, 1, 1));
-    // Where the last item is the one that failed, the one before it is not handed on as if it were the last.
+    // Where the last item is the one that failed, the item before it does not replace it.
     let report = check(&branches([1.0, 3.0, 13.0], false).skip_errors("first").plan());
     assert_eq!(
         report.results["refused"],
@@ -435,7 +435,7 @@ fn a_run_leaves_results_manifest_and_a_recording_that_replays_to_the_same() {
         assert_eq!((replayed.run.results, replayed.results_equal), (report.results.clone(), Some(true)));
     }
 
-    // Another seed draws other noise: the replay says where it first differs.
+    // Another seed draws other noise: the replay reports the first difference.
     plan.seed = 8;
     let replayed =
         replay_plan(&plan, &recording, &ReplayOptions::default(), &registry(), &RunOptions::default(), &()).unwrap();
@@ -467,7 +467,7 @@ fn a_recording_cut_short_gives_its_whole_chunks_and_says_so() {
             }
             Err(error) => assert!(error.to_string().contains("is no recording of a run"), "{cut}: {error}"),
         }
-        // A bit turned over: a named fault, or what came before it.
+        // With one flipped bit: a named fault, or the items before it.
         let mut damaged = bytes.clone();
         damaged[cut] ^= 0x40;
         std::fs::write(&path, &damaged).unwrap();
@@ -521,7 +521,7 @@ fn a_file_of_another_program_is_named_as_such() {
     assert!(said.ends_with("it has no metadata record \"osteoflow\""), "{said}");
 }
 
-/// Graphs of random shape and joins: layers of nodes over two sources.
+/// Random graphs and joins: layers of nodes over two sources.
 pub(super) fn random_plan(seed: u64) -> Plan {
     let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
     let mut draw = |n: u64| {
@@ -581,7 +581,7 @@ pub(super) fn random_plan(seed: u64) -> Plan {
 fn random_graphs_give_the_same_on_any_number_of_workers() {
     for seed in 0..60 {
         let report = check(&random_plan(seed));
-        // Adding 13 and the like fails here and there; what is refused is refused the same way everywhere.
+        // Some nodes fail, for example at 13; a refused graph is refused in the same way for any number of workers.
         assert!(!matches!(report.outcome, Outcome::Interrupted), "graph {seed}");
         let stuck = matches!(&report.outcome, Outcome::Refused(r) if r.reason.contains("stuck"));
         assert!(!stuck, "graph {seed}: {:?}", report.outcome);

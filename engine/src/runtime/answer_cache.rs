@@ -1,8 +1,9 @@
-//! Answers from the store: emitted in the place of firings, and kept after those that the store did not have.
+//! Cached answers: taken from the store instead of firing, and written to it after a firing.
 //!
-//! The key of an answer is what decides it: kind, program, parameters, what each port brought (the payload's view, bit for
-//! bit; not number and stamp, which a node that is kept does not ask for), and, where the kind says so, seed, node name
-//! and item. An answer is what the node emitted and warned of. A firing that fails, or that was asked to stop, leaves none.
+//! The key of an answer covers everything that determines it: kind, program, parameters, what each port brought (the
+//! payload's view, bit for bit; not number and stamp, which a cached node does not request) and, where the kind says
+//! so, seed, node name and item. An answer consists of the node's emissions and warnings. A firing that fails or is
+//! asked to stop is not cached.
 
 #[cfg(test)]
 mod tests;
@@ -30,7 +31,7 @@ use std::{
 pub struct CachedAnswer {
     /// The node that did not fire.
     pub node: String,
-    /// The number of its activation.
+    /// Number of its activation.
     pub item: u64,
     /// The key of the answer.
     pub key: String,
@@ -41,20 +42,20 @@ pub(super) struct AnswerCache<'a> {
     store: Arc<Store>,
     plan: &'a Plan,
     registry: &'a Registry,
-    /// What decides the answers of each node; `None` where they are not kept.
+    /// Cache policy of each node; `None` where answers are not cached.
     nodes: Vec<Option<CachePolicy>>,
     recalled: Mutex<Vec<(usize, CachedAnswer)>>,
-    /// The libraries that plugins have brought along.
+    /// Libraries loaded by plugins.
     brought: OnceLock<Vec<String>>,
-    /// The store cannot be written, which has been said.
+    /// The store cannot be written; the warning has been given.
     cannot_keep: AtomicBool,
 }
 
-/// Raised when an answer is laid out otherwise than before.
+/// Increase when the byte layout of an answer changes.
 const LAYOUT: u64 = 1;
 
 impl<'a> AnswerCache<'a> {
-    /// A node that is to fail on purpose always fires.
+    /// Answers of a node with injected failures are not cached: it always fires.
     pub(super) fn new(store: &Arc<Store>, plan: &'a Plan, registry: &'a Registry, planned: &[Arc<Planned>]) -> Self {
         let kept =
             |node: &PlanNode| registry.kind(&node.kind).map_or(CachePolicy::Never, |kind| kind.description.cache);
@@ -73,19 +74,19 @@ impl<'a> AnswerCache<'a> {
         }
     }
 
-    /// Whether the answers of the node are kept.
+    /// Whether answers of the node are cached.
     pub(super) fn keeps(&self, node: usize) -> bool {
         self.nodes[node].is_some()
     }
 
-    /// What was recalled, in the order of the plan.
+    /// Cached answers used, in the order of the plan.
     pub(super) fn finish(self) -> Vec<CachedAnswer> {
         let mut recalled = self.recalled.into_inner().unwrap_or_else(PoisonError::into_inner);
         recalled.sort_by_key(|(node, recalled)| (*node, recalled.item));
         recalled.into_iter().map(|(_, recalled)| recalled).collect()
     }
 
-    /// Answers as [`AnyNode::fire`] does, from the store if it can.
+    /// Like [`AnyNode::fire`], from the store if possible.
     pub(super) fn fire(
         &self,
         index: usize,
@@ -118,7 +119,7 @@ impl<'a> AnswerCache<'a> {
         Ok(())
     }
 
-    /// The key of a firing's answer; `None` where the program is not known.
+    /// Key of a firing's answer; `None` where the program is not known.
     fn key(&self, index: usize, kept: CachePolicy, joined: &Joined, context: &Context) -> Option<Key> {
         let node = &self.plan.nodes[index];
         let mut key = Key::of("answer")
@@ -128,7 +129,7 @@ impl<'a> AnswerCache<'a> {
             .json("params", &node.params);
         if let Some(plugin) = &node.plugin {
             key = key.text("plugin", plugin);
-            // All nodes are built, so all of them are there.
+            // All nodes are built, so every library is loaded.
             key = self.brought.get_or_init(brought).iter().fold(key, |key, library| key.text("library", library));
         }
         if kept == CachePolicy::ByInputsAndSeed {
@@ -155,7 +156,7 @@ impl<'a> AnswerCache<'a> {
         }
     }
 
-    /// The answer in an entry; `None` if it is no answer of this node.
+    /// Decodes the answer in an entry; `None` if it is not an answer of this node.
     fn read(&self, index: usize, entry: &Entry) -> Option<Answer> {
         let outputs = &self.plan.nodes[index].outputs;
         let mut at = 0;
@@ -210,8 +211,9 @@ fn with_empty(key: KeyInMaking, what: &str, empty: &Empty) -> KeyInMaking {
     key.text(what, &empty.node).text("reason", &empty.reason)
 }
 
-/// An answer for the store: the number of outputs and of warnings and the length of each (u64, little-endian), then the
-/// messages of the outputs and the texts of the warnings, each at a multiple of 8. `None` if an output was silent.
+/// Encodes an answer for the store: the number of outputs and of warnings and the length of each (u64, little-endian),
+/// then the messages of the outputs and the texts of the warnings, each at a multiple of 8. `None` if an output was
+/// silent.
 fn written(out: &[Emission], warnings: &[String], node: &str) -> Option<Vec<Segments>> {
     let empty = |empty: Empty| {
         let item = Item { number: 0, stamp_ns: 0, body: Body::Empty(Arc::new(empty)) };

@@ -1,4 +1,4 @@
-//! A node under way: takes what its ports offer, fires, and puts the answers on its links.
+//! A node in a run: takes items from its inputs, fires, and sends the answers over its links.
 
 mod live;
 mod output;
@@ -28,43 +28,43 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// A node and everything that only its own step touches.
+/// A node and the state that only its own step touches.
 pub(super) struct Cell {
     pub(super) index: usize,
     core: Core,
     context: Context,
     pub(super) inputs: Vec<Input>,
     pub(super) outputs: Vec<Output>,
-    /// It has taken items since it last told of room.
+    /// It has taken items since it last notified blocked producers.
     has_taken: bool,
-    /// What the node answers, by output; silent between firings.
+    /// The node's emissions, by output; silent between firings.
     emissions: Vec<Emission>,
     phase: Phase,
-    /// The number of the next activation.
+    /// Number of the next activation.
     item: u64,
-    /// The stamp of the last activation, and what was promised since.
+    /// Stamp of the last activation, or of the last promise after it.
     stamp_ns: StampNs,
     skipped: u64,
     failed: u64,
-    /// How long firings took.
+    /// Durations of firings.
     took: Histogram,
-    /// Firings of this turn that are timed together, and when the first began.
+    /// Number of firings of this turn that are timed together, and the start of the first.
     together: Option<(u64, Instant)>,
     cheap: bool,
 }
 
-/// A node whose firings take no longer on average is not worth handing to another worker, which takes as long.
+/// Mean duration below which a firing is not worth handing to another worker, since that takes as long.
 const CHEAP_NS: u64 = 10_000;
-/// After so many firings a node's duration is known well enough.
+/// Number of firings after which the mean duration of a node is used.
 const FIRINGS_TO_KNOW: u64 = 4;
 
 /// What the cell runs.
 pub(super) enum Core {
     Source(Box<dyn AnySource>),
-    /// Its source is on a thread of its own.
+    /// A live source, which runs on a thread of its own.
     Live(LiveCore),
     Node(Box<dyn AnyNode>, Joiner),
-    /// It has failed; what it was built of is gone.
+    /// Failed; the node has been dropped.
     Gone(Option<Joiner>),
 }
 
@@ -74,28 +74,28 @@ impl Core {
     }
 }
 
-/// A firing that is over.
+/// A completed firing.
 #[derive(Clone, Copy)]
 struct Firing {
     item: u64,
     stamp_ns: StampNs,
-    /// When it began and how long it took; not known of one that is timed together with others.
+    /// Start and duration; `None` if it was timed together with others.
     timed: Option<(Instant, Duration)>,
 }
 
 /// A wired input.
 pub(super) struct Input {
-    /// The port's index among the node's.
+    /// Index of the port in the node.
     pub(super) port: usize,
     pub(super) recv: RecvEnd,
 }
 
 enum Phase {
-    /// It fires.
+    /// The node fires.
     Open,
-    /// It has failed; when its outputs have room they get an empty with the reason, and end.
+    /// The node has failed: once its outputs have room they get an empty with the reason, and end.
     Failing(Arc<Empty>),
-    /// It fires no more, and takes what still comes so that nobody waits for it.
+    /// The node has ended and discards what still arrives, so that no producer blocks.
     Draining,
     Done,
 }
@@ -125,7 +125,7 @@ impl Cell {
         matches!(self.phase, Phase::Done)
     }
 
-    /// Fires as long as inputs and outputs allow it and no other node should have its turn.
+    /// Fires until inputs, outputs or other nodes' turns stop it.
     pub(super) fn step(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Stepped {
         loop {
             let stepped = match (&self.phase, &self.core) {
@@ -152,7 +152,7 @@ impl Cell {
         }
     }
 
-    /// Tells the producers that wait for it that there is room.
+    /// Notifies the producers that are blocked on its inputs.
     fn tell_of_room(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         if !std::mem::take(&mut self.has_taken) {
             return;
@@ -172,7 +172,7 @@ impl Cell {
         }
     }
 
-    /// Counts firings, and whether such a node is worth handing over.
+    /// Counts firings and updates whether the node is cheap.
     fn count(&mut self, n: u64, took: Duration, run: &Runtime<'_>) {
         self.took.count(n, took.as_nanos() as u64);
         let n_fired = self.took.n();
@@ -198,8 +198,8 @@ impl Cell {
 
     fn step_node(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Stepped> {
         let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
-        // What fires as soon as all its items are there needs room only then: waiting for room that it has no use for,
-        // it would be woken for nothing.
+        // In lock step the node needs room only once all its items are there; blocking on room earlier would wake it
+        // for nothing.
         let in_lock_step = joiner.in_lock_step;
         if !in_lock_step && !self.has_room(run) {
             return Some(Stepped::Idle);
@@ -216,7 +216,7 @@ impl Cell {
                 (!turn.goes_on(self.cheap)).then_some(Stepped::Fired)
             }
             Step::Ended => {
-                // The end is no item: it needs no room.
+                // The end is not an item and needs no room.
                 self.end(run, turn);
                 None
             }
@@ -249,7 +249,7 @@ impl Cell {
         room
     }
 
-    /// Takes what the joins can use; `true` if an item, progress or an end came.
+    /// Offers the joins what they can use; returns `true` if an item, progress or an end arrived.
     fn pull(&mut self, run: &Runtime<'_>) -> bool {
         let (Core::Node(_, joiner) | Core::Gone(Some(joiner))) = &mut self.core else { return false };
         let mut pulled = false;
@@ -267,14 +267,15 @@ impl Cell {
                                 second.port
                             );
                             let (node, item) = (self.index, second.number);
-                            // The node goes on with the first: when the second comes is a matter of chance.
+                            // The node goes on with the first item: the arrival time of the second is not
+                            // deterministic.
                             self.failed += 1;
                             run.fail(Failure { node, item, reason, panicked: false, skipped: false });
                         }
                         pulled = true;
                     }
                     Received::Nothing(progress) => {
-                        // A sampler may want more once the triggers have gone on.
+                        // A sampler may need more items once the triggers have advanced.
                         pulled |= joiner.progress(*port, progress);
                         break;
                     }
@@ -330,7 +331,7 @@ impl Cell {
         let answered = called(item, context, |context| source.next(out, context));
         let stamp_ns = self.context.stamp_ns();
         if matches!(answered, Ok(Ok(false))) {
-            // The look that found the end is no answer.
+            // The call that found the end is not an answer.
             if began.is_none() {
                 self.together = self.together.map(|(n, began)| (n - 1, began)).filter(|(n, _)| *n > 0);
             }
@@ -343,15 +344,16 @@ impl Cell {
         self.after(Firing { item, stamp_ns, timed }, answered.map(|answer| answer.map(drop)), run, turn);
     }
 
-    /// How many activations there were.
+    /// Number of activations.
     pub(super) fn n_items(&self) -> u64 {
         self.item
     }
 
-    /// Begins a firing, and says when that is: where the worker has only kept its books since the last one ended, then.
+    /// Starts a firing and returns its start time. If the worker has done only bookkeeping since the last firing, that
+    /// is the end of the last firing.
     ///
-    /// A node that takes microseconds is timed together with the other firings of its turn, since looking at the clock
-    /// would take as long as a channel; the recording has each firing by itself.
+    /// A node that takes microseconds is timed together with the other firings of its turn, since reading the clock
+    /// would take as long as a channel operation. A recording times each firing on its own.
     fn begin(&mut self, item: u64, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Instant> {
         self.context.begin(item, stamp_ns);
         if let Some(readings) = run.recorded_readings(self.index, item) {
@@ -361,7 +363,7 @@ impl Cell {
             self.tell_of_room(run, turn);
             turn.hand_over();
         }
-        // A tap may have waited for the disk.
+        // A tap may have blocked on the disk.
         let clock = turn.clock.filter(|_| !run.times_firings());
         if !self.cheap || run.times_firings() {
             return Some(clock.unwrap_or_else(Instant::now));
@@ -379,8 +381,8 @@ impl Cell {
         }
     }
 
-    /// What follows a firing: warnings, the answers on their way, or the failure. The items of a firing that failed are
-    /// still in the joiner.
+    /// Completes a firing: passes on warnings and sends the answers, or handles the failure. The items of a failed
+    /// firing are still in the joiner.
     fn after(
         &mut self,
         firing: Firing,
@@ -427,11 +429,11 @@ impl Cell {
                     panicked,
                     injected: None,
                 });
-                // What it answered before it failed counts for nothing.
+                // Emissions of a failed firing are discarded.
                 self.emissions.fill(Emission::Silent);
                 let skips = run.plan.nodes[self.index].on_error == OnError::Skip;
                 let rebuilt = match (&self.core, skips) {
-                    // A source built anew would begin again from its start.
+                    // A rebuilt source would start from the beginning.
                     (Core::Node(..), true) => Some(run.rebuild(self.index)),
                     _ => None,
                 };
@@ -454,11 +456,11 @@ impl Cell {
         }
     }
 
-    /// Whether the emissions keep what every node promises.
+    /// Checks that the emissions keep what every node promises.
     fn check(&self, stamp_ns: StampNs, run: &Runtime<'_>) -> Result<(), String> {
         let is_source = matches!(self.core, Core::Source(_) | Core::Live(_));
         for (output, emission) in self.outputs.iter().zip(&self.emissions) {
-            // What comes late from a live source is told apart where it is sent.
+            // Late items of a live source are handled where they are sent.
             let floor = if self.is_live() { StampNs::MIN } else { output.floor };
             let fault = emission_fault(&output.payload, floor, emission, is_source, stamp_ns);
             if let Some(fault) = fault {
@@ -483,14 +485,14 @@ impl Cell {
                 }
             };
             let output = &mut self.outputs[port];
-            // Only a late item's stamp lies before the floor.
+            // Only the stamp of a late item is before the floor.
             full = full.and(output.send(stamp_ns.max(output.floor), body, run, turn));
         }
         if let Core::Live(live) = &self.core {
             let promised = live.newest_ns.saturating_sub(live.max_delay_ns);
             self.outputs.iter_mut().for_each(|output| output.promise(promised, run, turn));
         } else if silent {
-            // After the items: nothing at this stamp is overtaken by its progress.
+            // Progress follows the items, so that it does not overtake items with the same stamp.
             self.outputs.iter_mut().for_each(|output| output.promise(stamp_ns, run, turn));
         }
         full.map_err(|link| {
@@ -514,7 +516,7 @@ impl Cell {
     fn send_empties(&mut self, empty: Arc<Empty>, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         for output in &mut self.outputs {
             let stamp_ns = known(self.stamp_ns.max(output.floor));
-            // A link that fails when full has been told of already.
+            // A link that fails when full has been reported already.
             let _ = output.send(stamp_ns, Body::Empty(empty.clone()), run, turn);
         }
     }
@@ -527,7 +529,7 @@ impl Cell {
         run.fail(Failure { node: self.index, item, reason, panicked, skipped });
     }
 
-    /// No firing follows: the outputs end, the inputs are drained.
+    /// Ends the node: closes its outputs and drains its inputs.
     fn end(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         let failed = matches!(self.phase, Phase::Failing(_));
         self.outputs.iter_mut().for_each(|output| output.close(run, turn));
@@ -556,7 +558,7 @@ impl Cell {
         }
     }
 
-    /// Says so where items had no partner.
+    /// Warnings about items that had no partner.
     pub(super) fn unmatched_warning(&self, plan: &Plan) -> Vec<(usize, Warning)> {
         let ports = plan.nodes[self.index].inputs.iter().enumerate();
         let unmatched = ports.filter_map(|(port, input)| {
@@ -584,19 +586,19 @@ impl Cell {
     }
 }
 
-/// The stamp of what has none yet is 0.
+/// Stamp, or 0 where there is none yet.
 pub(crate) fn known(stamp_ns: StampNs) -> StampNs {
     if stamp_ns == StampNs::MIN { 0 } else { stamp_ns }
 }
 
-/// The time since a firing began, which may be when the next one does.
+/// Time since a firing began; the end may be taken as the start of the next firing.
 fn took_since(began: Instant, turn: &mut Turn<'_>) -> Duration {
     let ended = Instant::now();
     turn.clock = Some(ended);
     ended.saturating_duration_since(began)
 }
 
-/// Calls the node in its span and catches its panic.
+/// Calls the node in its tracing span and catches a panic.
 fn called<T>(
     item: u64,
     context: &mut Context,
@@ -606,7 +608,7 @@ fn called<T>(
     panics::catch(|| call(context))
 }
 
-/// Drops what the node was built of; a panic there changes nothing any more.
+/// Drops the node; a panic in its destructor is ignored.
 pub(super) fn discard<T>(built: T) {
     if let Err(panic) = panics::catch(move || drop(built)) {
         tracing::warn!("a node that had ended {panic}");

@@ -1,6 +1,6 @@
-//! A link: a bounded queue from one output to one input, with its policy, its progress and its count.
+//! A link: a bounded queue from one output to one input, with its policy, progress and counters.
 //!
-//! The producing node holds the [`SendEnd`], the consuming node the [`RecvEnd`]; what both look at is the [`LinkState`].
+//! The producing node holds the [`SendEnd`], the consuming node the [`RecvEnd`]; both share the [`LinkState`].
 
 use crate::plan::Policy;
 use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded, unbounded};
@@ -13,84 +13,84 @@ use std::{
     },
 };
 
-/// What both ends of a link look at.
+/// State shared by both ends of a link.
 pub(crate) struct LinkState {
-    /// Nothing more comes before this stamp. Set after the items that precede it, read before the queue is.
+    /// No further item has an earlier stamp. Set after the items that precede it, read before the queue.
     progress: AtomicI64,
-    /// The producer waits for room.
+    /// The producer is blocked: it waits for room.
     blocked: AtomicBool,
-    /// The bytes of all items that the consumer has taken; only the consumer writes it.
+    /// Bytes of all items that the consumer has taken; written only by the consumer.
     received_bytes: AtomicU64,
-    /// How many items the producer has numbered; known when the queue is closed.
+    /// Number of items that the producer has numbered; set when the queue is closed.
     total: AtomicU64,
-    /// Numbers and stamps of dropped items whose places the consumer has not yet come to, in their order.
+    /// Numbers and stamps of dropped items that the consumer has not reached yet, in order.
     gaps: Mutex<VecDeque<(u64, StampNs)>>,
 }
 
-/// What a link holds at most, and what happens then.
+/// Capacity of a link, and its policy when full.
 #[derive(Debug, Clone)]
 pub(crate) struct Limits {
-    /// Waiting items.
+    /// Maximum number of waiting items.
     pub(crate) capacity: usize,
-    /// Waiting bytes.
+    /// Maximum number of waiting bytes.
     pub(crate) max_bytes: u64,
-    /// What happens to an item that finds the link full.
+    /// What happens to an item sent while the link is full.
     pub(crate) policy: Policy,
-    /// In a replay: the numbers of the items that were dropped, in the place of the policy's decisions.
+    /// In a replay: numbers of the items to drop, instead of applying the policy.
     pub(crate) recorded_drops: Option<BTreeSet<u64>>,
 }
 
-/// The producer's end.
+/// Sending end.
 pub(crate) struct SendEnd {
     /// The link's index in the plan.
     pub(crate) link: usize,
     tx: Sender<Item>,
-    /// The consumer's end too, where the oldest waiting item is to make room.
+    /// The receiving end too, where the oldest waiting item is dropped to make room.
     oldest: Option<Receiver<Item>>,
     pub(crate) limits: Limits,
-    /// Items numbered so far, those dropped included.
+    /// Number of items numbered so far, including dropped ones.
     pub(crate) sent: u64,
     pub(crate) dropped: u64,
     pub(crate) highest_fill: usize,
-    /// So many items fit in for certain: the consumer only makes more room.
+    /// Lower bound on the free room: the consumer only makes more.
     room: usize,
-    /// The bytes of all items put into the queue and not taken back.
+    /// Bytes of all items put into the queue and not taken back.
     sent_bytes: u64,
     /// The last item was dropped.
     in_gap: bool,
 }
 
-/// The consumer's end.
+/// Receiving end.
 pub(crate) struct RecvEnd {
     /// The link's index in the plan.
     pub(crate) link: usize,
     rx: Receiver<Item>,
-    /// The number that comes next; where another one comes, those between were dropped.
+    /// Number of the next item; where a later one arrives, those between were dropped.
     next_number: u64,
-    /// An item that waits until empties have taken the places of those dropped before it.
+    /// An item held back until empties have replaced the items dropped before it.
     held: Option<Item>,
     last_stamp: StampNs,
-    /// What takes the place of a dropped item.
+    /// Reason of the empties that replace dropped items.
     dropped: Arc<Empty>,
     pub(crate) received: u64,
     received_bytes: u64,
     pub(crate) ended: bool,
 }
 
-/// What a look into the queue brings.
+/// Result of [`RecvEnd::receive`].
 pub(crate) enum Received {
-    /// An item; whether the producer had waited for its room is asked by [`RecvEnd::unblocks`].
+    /// An item; [`RecvEnd::unblocks`] says whether the producer was blocked.
     Item(Item),
-    /// Nothing yet, and nothing before this stamp.
+    /// No item yet, and none to come before this stamp.
     Nothing(StampNs),
-    /// Nothing any more.
+    /// End of the link.
     Ended,
 }
 
-/// The policy `fail` met a full queue.
+/// A send met a full queue under the policy `fail`.
 pub(crate) struct Full;
 
-/// A link's two ends. `wire` and `producer` are for the empties that take the places of dropped items.
+/// Creates both ends of a link. `wire` and `producer` go into the empties that replace dropped items.
 pub(crate) fn link(index: usize, limits: Limits, producer: &str, wire: &str) -> (LinkState, SendEnd, RecvEnd) {
     let limits = Limits { capacity: limits.capacity.max(1), ..limits };
     let (tx, rx) = queue(limits.capacity);
@@ -130,15 +130,15 @@ pub(crate) fn link(index: usize, limits: Limits, producer: &str, wire: &str) -> 
     (state, send, recv)
 }
 
-/// A queue for so many items. A short one has its places from the beginning; a long one takes memory as it fills, and is
-/// kept within its bounds by [`SendEnd::is_full`].
+/// A queue of `capacity` items. A short one is allocated at once; a long one grows as it fills and is bounded by
+/// [`SendEnd::is_full`].
 #[allow(clippy::disallowed_methods, reason = "who sends asks `is_full` first, which bounds it")]
 fn queue(capacity: usize) -> (Sender<Item>, Receiver<Item>) {
     const SHORT: usize = 256;
     if capacity <= SHORT { bounded(capacity) } else { unbounded() }
 }
 
-/// What an item counts on a wire that is bounded in bytes: never nothing, so that no queue is without bound.
+/// Size of an item on a wire that is bounded in bytes; never zero, so that every queue is bounded.
 fn n_bytes(item: &Item) -> u64 {
     let body = match &item.body {
         Body::Value(value) => value.n_bytes(),
@@ -152,30 +152,30 @@ impl LinkState {
         self.gaps.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether the producer waits for room on this link.
+    /// Whether the producer is blocked on this link.
     pub(crate) fn is_blocked(&self) -> bool {
         self.blocked.load(Ordering::Relaxed)
     }
 }
 
 impl SendEnd {
-    /// How many items wait.
+    /// Number of waiting items.
     pub(crate) fn fill(&self) -> usize {
         self.tx.len()
     }
 
-    /// How many bytes wait.
+    /// Number of waiting bytes.
     pub(crate) fn bytes(&self, state: &LinkState) -> u64 {
-        // What the consumer has taken and not yet counted still waits by this count.
+        // Items that the consumer has taken and not yet counted are included.
         self.sent_bytes.saturating_sub(state.received_bytes.load(Ordering::Relaxed))
     }
 
-    /// Whether it holds as many items, or as many bytes, as it may.
+    /// Whether it holds its maximum number of items or bytes.
     pub(crate) fn is_full(&self, state: &LinkState) -> bool {
         self.fill() >= self.limits.capacity || self.bytes(state) >= self.limits.max_bytes
     }
 
-    /// Whether the item with this number goes into the queue, however full that is.
+    /// Whether a replay keeps the item with this number, however full the queue is.
     fn keeps(&self, number: u64) -> bool {
         match (&self.limits.recorded_drops, self.limits.policy) {
             (Some(drops), _) => !drops.contains(&number),
@@ -184,12 +184,12 @@ impl SendEnd {
         }
     }
 
-    /// Whether the producer waits while the link is full.
+    /// Whether the producer blocks while the link is full.
     fn waits(&self) -> bool {
         self.limits.recorded_drops.is_some() || matches!(self.limits.policy, Policy::Block | Policy::Sample(_))
     }
 
-    /// Whether the next item can be sent now. Where not, the consumer will say when there is room.
+    /// Whether the next item can be sent now. If not, the consumer wakes the producer when there is room.
     pub(crate) fn has_room(&mut self, state: &LinkState) -> bool {
         if self.room > 0 && self.bytes(state) < self.limits.max_bytes {
             return true;
@@ -198,18 +198,18 @@ impl SendEnd {
             return true;
         }
         state.blocked.store(true, Ordering::Relaxed);
-        // Either the consumer, after taking an item, sees the flag, or this second look sees the room.
+        // Either the consumer, after taking an item, sees the flag, or this second check sees the room.
         fence(Ordering::SeqCst);
         !self.look_for_room(state)
     }
 
-    /// Counts the room anew; whether the link is full.
+    /// Recounts the room; returns whether the link is full.
     fn look_for_room(&mut self, state: &LinkState) -> bool {
         self.room = self.limits.capacity.saturating_sub(self.fill());
         self.room == 0 || self.bytes(state) >= self.limits.max_bytes
     }
 
-    /// Sends the next item, or drops one by the link's policy; `dropped` is told the numbers of those that go.
+    /// Sends the next item, or drops one by the link's policy; calls `dropped` with the number of each dropped item.
     ///
     /// # Errors
     /// [`Full`] where the policy is to fail; the item is dropped.
@@ -221,11 +221,11 @@ impl SendEnd {
         if !self.keeps(number) {
             self.drop_it(number, stamp_ns, &mut state.gaps(), dropped);
             self.in_gap = true;
-            // Where the link was to fail when full, it did so at this item.
+            // Where the link failed because it was full, it did so at this item.
             return if self.limits.policy == Policy::Fail { Err(Full) } else { Ok(()) };
         }
         while self.oldest.is_some() && self.is_full(state) {
-            // Who sees the next item sees the gap before it.
+            // A consumer that sees the next item also sees the gap before it.
             let mut gaps = state.gaps();
             let Some(oldest) = self.oldest.as_ref().and_then(|oldest| oldest.try_recv().ok()) else { break };
             self.sent_bytes -= n_bytes(&oldest);
@@ -243,7 +243,7 @@ impl SendEnd {
         }
         self.drop_it(number, stamp_ns, &mut state.gaps(), dropped);
         self.in_gap = true;
-        // A link that blocks is sent to only after `has_room`; were that broken, it must not pass in silence.
+        // A link that blocks is sent to only after `has_room`; a violation must not pass silently.
         if self.limits.policy == Policy::DropNew && refuses { Ok(()) } else { Err(Full) }
     }
 
@@ -259,10 +259,10 @@ impl SendEnd {
         dropped(number);
     }
 
-    /// Promises that nothing more comes before `stamp_ns`; after the items that precede it have been sent.
+    /// Promises that no further item has a stamp before `stamp_ns`; call after sending the items that precede it.
     ///
-    /// After a dropped item the promise waits for the next item: only then does the consumer come to the empty in the place
-    /// of the dropped one, which must not be overtaken.
+    /// After a dropped item the promise is delayed until the next item: only then does the consumer see the empty that
+    /// replaces the dropped item, which the promise must not overtake.
     pub(crate) fn promise(&self, state: &LinkState, stamp_ns: StampNs) -> bool {
         if !self.in_gap {
             state.progress.store(stamp_ns, Ordering::Release);
@@ -270,22 +270,22 @@ impl SendEnd {
         !self.in_gap
     }
 
-    /// Nothing more comes: the consumer sees the end after the last item.
+    /// Closes the link: the consumer sees the end after the last item.
     pub(crate) fn close(&mut self, state: &LinkState) {
         state.total.store(self.sent, Ordering::Release);
-        // The queue closes when its last sender goes; what is kept here has no receiver and takes nothing.
+        // The queue closes when its last sender is dropped; the replacement has no receiver.
         let (tx, _) = bounded(1);
         (self.tx, self.oldest) = (tx, None);
     }
 }
 
 impl RecvEnd {
-    /// The next item, in the order of numbers.
+    /// Next item, in the order of numbers.
     pub(crate) fn receive(&mut self, state: &LinkState) -> Received {
         if let Some(item) = self.held.take() {
             return self.in_order(item, state);
         }
-        // Before the queue: an item that precedes this progress is then seen in the queue.
+        // Read before the queue, so that every item that precedes this progress is seen in the queue.
         let progress = state.progress.load(Ordering::Acquire);
         match self.rx.try_recv() {
             Ok(item) => {
@@ -315,12 +315,12 @@ impl RecvEnd {
         Received::Item(item)
     }
 
-    /// Whether the producer waits for room, of which it is to be told now; after items were taken, and a fence.
+    /// Whether the producer is blocked and must be woken now; call after taking items and after a fence.
     pub(crate) fn unblocks(&self, state: &LinkState) -> bool {
         state.blocked.load(Ordering::Relaxed) && state.blocked.swap(false, Ordering::Relaxed)
     }
 
-    /// What stands in the place of the next item, which was dropped: with its number and its stamp.
+    /// The empty that replaces the next item, which was dropped; has its number and stamp.
     fn empty_in_place(&mut self, state: &LinkState) -> Item {
         let number = self.next_number;
         self.next_number += 1;
@@ -332,11 +332,11 @@ impl RecvEnd {
     }
 }
 
-/// Gives the link a longer queue; nobody may send or receive meanwhile, which holding both ends ensures.
+/// Replaces the queue by a longer one. Holding both ends ensures that nobody sends or receives meanwhile.
 pub(crate) fn enlarge(send: &mut SendEnd, recv: &mut RecvEnd, capacity: usize) {
     let (tx, rx) = queue(capacity);
     for item in recv.rx.try_iter() {
-        // The new queue is the longer one.
+        // The new queue is longer, so every item fits.
         let _ = tx.try_send(item);
     }
     if send.oldest.is_some() {
@@ -360,7 +360,7 @@ mod tests {
         Limits { capacity, max_bytes: u64::MAX, policy, recorded_drops: None }
     }
 
-    /// Sends `n` items at once and receives what comes: (number, stamp, reason); then the numbers that were dropped.
+    /// Sends `n` items at once and returns what is received, as (number, stamp, reason), then the dropped numbers.
     fn through(limits: Limits, n: u64) -> (Vec<(u64, i64, String)>, Vec<u64>) {
         let (state, mut send, mut recv) = link(0, limits, "a", "a.x");
         let mut told = Vec::new();
@@ -381,7 +381,7 @@ mod tests {
         (out, told)
     }
 
-    /// Which of six items come through a link that holds two, by its policy and in a replay of its drops.
+    /// Checks which of six items pass a link of capacity two, by its policy and in a replay of its drops.
     fn check(policy: Policy, kept: &[u64]) {
         let (out, mut told) = through(limits(policy, 2), 6);
         assert_eq!(out.iter().map(|o| o.0).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5], "{policy:?} keeps every place");
@@ -390,7 +390,7 @@ mod tests {
         told.sort_unstable();
         let lost: Vec<_> = (0..6).filter(|n| !kept.contains(n)).collect();
         assert_eq!(told, lost, "{policy:?} tells what it drops");
-        // However much room there is in a replay.
+        // In a replay, room does not matter.
         let replayed = Limits { recorded_drops: Some(told.into_iter().collect()), ..limits(policy, 9) };
         assert_eq!(through(replayed, 6), (out, lost), "{policy:?}, replayed");
     }

@@ -1,15 +1,15 @@
 use super::{CachedAnswer, Enlargement, Failure, LinkStats, NodeStats, Warning};
 use std::time::Duration;
 
-/// What a run leaves in memory, but for the items that its taps have kept.
+/// Outcome of a run, apart from the items that its taps have kept.
 pub(crate) struct Ended {
-    /// The user's wish to stop has cut it short.
+    /// Whether a stop request cut the run short.
     pub(crate) interrupted: bool,
-    /// For each node, for each output, the number of its items.
+    /// Number of items, by node and output.
     pub(crate) n_items: Vec<Vec<u64>>,
     /// In the order of the plan.
     pub(crate) failures: Vec<Failure>,
-    /// Nothing could run any more, and this is why.
+    /// Why the run got stuck, if it did.
     pub(crate) stall: Option<Failure>,
     pub(crate) warnings: Vec<Warning>,
     pub(crate) nodes: Vec<NodeStats>,

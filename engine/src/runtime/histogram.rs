@@ -1,14 +1,14 @@
-//! How durations are spread: counts in classes of fixed bounds, so that memory stays the same however long a run is.
+//! Histogram of durations with fixed classes, so that its memory does not grow with the run.
 
 use std::time::Duration;
 
-/// Each power of two is divided into so many classes, so that a figure is at most 1/32 (3 %) above what was measured.
+/// Number of classes per power of two: a percentile is at most 1/32 (3 %) above the exact one.
 const CLASSES: u64 = 32;
 const CLASS_BITS: u32 = CLASSES.ilog2();
-/// Longer ones, from 2^44 ns (five hours) on, share the last class.
+/// Durations from 2^44 ns (five hours) on share the last class.
 const MAX_BITS: u32 = 44;
 
-/// Counts durations; 10 KiB once the first has come.
+/// Counts durations; takes 10 KiB once the first is counted.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Histogram {
     counts: Vec<u64>,
@@ -20,13 +20,13 @@ pub(super) struct Histogram {
 /// The percentiles of a histogram.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Spread {
-    /// Half were no longer.
+    /// Median.
     pub p50: Duration,
-    /// 95 of 100 were no longer.
+    /// 95th percentile.
     pub p95: Duration,
-    /// 99 of 100 were no longer.
+    /// 99th percentile.
     pub p99: Duration,
-    /// None was longer; exact.
+    /// Maximum; exact.
     pub max: Duration,
 }
 
@@ -71,7 +71,7 @@ fn class(ns: u64) -> usize {
     if ns < CLASSES {
         return ns as usize;
     }
-    // The leading bit says which power of two, those after it which class.
+    // The leading bit gives the power of two, the bits after it the class.
     let power = ns.ilog2() - CLASS_BITS;
     ((u64::from(power) * CLASSES) + (ns >> power)) as usize
 }

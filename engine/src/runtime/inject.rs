@@ -1,4 +1,4 @@
-//! Failures put in on purpose, for testing how a graph fails.
+//! Injected failures, for testing how a graph fails.
 
 use crate::{names::nearest, plan::Plan};
 use osteoflow_node::{AnyNode, AnySource, Built, Context, Emission, Joined, NodeError};
@@ -10,7 +10,7 @@ use std::{
     },
 };
 
-/// A firing that fails in the place of the node's own code.
+/// A firing that fails instead of running the node's own code.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Injection {
     /// The node's full name.
@@ -21,12 +21,12 @@ pub struct Injection {
     pub how: Injected,
 }
 
-/// How an injected failure shows itself.
+/// The kind of an injected failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Injected {
     /// The node panics.
     Panic,
-    /// The node answers an error.
+    /// The node returns an error.
     Error,
 }
 
@@ -39,15 +39,15 @@ impl Injected {
         }
     }
 
-    /// The one of that name.
+    /// The variant with that name.
     pub fn from_name(name: &str) -> Option<Self> {
         [Self::Panic, Self::Error].into_iter().find(|how| how.name() == name)
     }
 
-    /// Fails.
+    /// Panics or returns the error.
     ///
     /// # Errors
-    /// Always, where it does not panic.
+    /// Always, unless it panics.
     pub(crate) fn fail(self, node: &str, item: u64) -> NodeError {
         match self {
             Self::Panic => panic!("a panic was injected into {node} at item {item}"),
@@ -63,10 +63,10 @@ impl fmt::Display for Injection {
 }
 
 impl Injection {
-    /// Reads `NODE[@ITEM][=panic|error]`: item 0 and a panic, where nothing else is said.
+    /// Parses `NODE[@ITEM][=panic|error]`; the defaults are item 0 and a panic.
     ///
     /// # Errors
-    /// What is wrong with the text, and the nearest node where the plan has none of that name.
+    /// What is wrong with the text, and the most similar name where the plan has no such node.
     pub fn parse(text: &str, plan: &Plan) -> Result<Self, String> {
         let (rest, how) = match text.split_once('=') {
             None => (text, Injected::Panic),
@@ -87,10 +87,10 @@ impl Injection {
         Ok(injection)
     }
 
-    /// Whether the plan has the node.
+    /// Checks that the plan has the node.
     ///
     /// # Errors
-    /// That it has not, and the nearest that it has.
+    /// The plan has no such node; the message names the most similar one.
     pub(crate) fn check(&self, plan: &Plan) -> Result<(), String> {
         let names = || plan.nodes.iter().map(|node| &*node.name);
         if names().any(|name| name == self.node) {
@@ -107,30 +107,30 @@ impl Injection {
 pub(crate) struct Planned(Vec<(Injection, AtomicBool)>);
 
 impl Planned {
-    /// Those of `all` that are meant for the node.
+    /// Those of `all` for this node.
     pub(crate) fn of(node: &str, all: &[Injection]) -> Arc<Self> {
         let own = all.iter().filter(|injection| injection.node == node);
         Arc::new(Self(own.map(|injection| (injection.clone(), AtomicBool::new(false))).collect()))
     }
 
-    /// Whether the node is to fail nowhere.
+    /// Whether the node has no injected failures.
     pub(crate) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// How the firing is to fail, if it is.
+    /// The failure to inject into the firing, if any.
     pub(crate) fn at(&self, item: u64) -> Option<Injected> {
         let (injection, happened) = self.0.iter().find(|(injection, _)| injection.item == item)?;
         happened.store(true, Ordering::Relaxed);
         Some(injection.how)
     }
 
-    /// Those whose firing never came.
+    /// Injections whose firing never happened.
     pub(crate) fn missed(&self) -> impl Iterator<Item = &Injection> {
         self.0.iter().filter(|(_, happened)| !happened.load(Ordering::Relaxed)).map(|(injection, _)| injection)
     }
 
-    /// The built node, failing where it is planned. A node without injections stays as it is.
+    /// Wraps the node so that it fails where planned. A node without injections is returned as it is.
     pub(crate) fn into_node(self: &Arc<Self>, built: Built) -> Built {
         if self.0.is_empty() {
             return built;
@@ -143,7 +143,7 @@ impl Planned {
     }
 }
 
-/// A node alone that fails at `item`, if it is to.
+/// A single node that fails at `item`, if `how` is given.
 pub(crate) fn planned_failure(built: Built, node: &str, item: u64, how: Option<Injected>) -> Built {
     let all: Vec<_> = how.into_iter().map(|how| Injection { node: node.into(), item, how }).collect();
     Planned::of(node, &all).into_node(built)

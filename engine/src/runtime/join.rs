@@ -1,8 +1,8 @@
-//! Which items make a node fire: the joins as a state machine of its own, without threads or channels.
+//! Joins: decide which items make a node fire, as a state machine without threads or channels.
 //!
-//! The machine is offered items, progress and ends of its ports in any order between ports, and answers activations.
-//! What it answers depends on the items and their stamps alone, never on when they were offered: where a later item
-//! could still change the answer, it waits until progress, an item beyond or the end has ruled that out.
+//! The machine is offered items, progress and ends of its ports, in any order between ports, and answers activations.
+//! Its answers depend only on the items and their stamps, never on when they were offered: where a later item could
+//! still change the answer, it waits until progress, a later item or the end has ruled that out.
 
 mod port;
 #[cfg(test)]
@@ -14,14 +14,14 @@ use port::{Match, NodeEnd, Port, Ready};
 use osteoflow_node::{Body, Empty, Item, Join, Joined, Slot, StampNs};
 use std::sync::Arc;
 
-/// What the machine answers.
+/// Result of [`Joiner::step`].
 #[derive(Debug)]
 pub(crate) enum Step {
     /// More must be offered first.
     Wait,
     /// The node fires, or is skipped.
     Activate(Activation),
-    /// There will be no further activation; what is still offered is drained.
+    /// No further activation follows; further offers are drained.
     Ended,
 }
 
@@ -30,11 +30,11 @@ pub(crate) enum Step {
 pub(crate) struct Activation {
     /// The largest of the triggers' stamps.
     pub(crate) stamp_ns: StampNs,
-    /// Why the node is skipped, if it is; if not, [`Joiner::joined`] holds what the ports bring.
+    /// Why the node is skipped, if it is; otherwise [`Joiner::joined`] holds what the ports bring.
     pub(crate) skip: Option<Arc<Empty>>,
 }
 
-/// A second value came to a port that takes a constant.
+/// A second value arrived at a port that takes a constant.
 #[derive(Debug, PartialEq)]
 pub(crate) struct SecondItem {
     /// The port.
@@ -47,46 +47,46 @@ pub(crate) struct SecondItem {
 pub(crate) struct Joiner {
     node: Arc<str>,
     ports: Vec<Port>,
-    /// What the ports bring to the activation at hand.
+    /// What the ports bring to the current activation.
     joined: Joined,
-    /// Why optional ports bring nothing to it.
+    /// Why optional ports bring nothing to the current activation.
     absent: Vec<(&'static str, Arc<Empty>)>,
-    /// The stamp of the last activation; the next is not before it.
+    /// Stamp of the last activation; later ones are not before it.
     last_stamp: StampNs,
     fired: bool,
     ended: bool,
     stopped: bool,
     mode: Mode,
-    /// Every port is wired, plain and `each`: the commonest joins have a way of their own to the same answers. Items go
-    /// straight to the slots of the firing; where one is empty or missing, they go to the ports, and the rules decide.
+    /// Fast path for nodes whose ports are all wired, plain and `each`. Items go directly to the slots of the firing;
+    /// where an item is empty or missing, all items move to the ports and the general rules apply.
     pub(crate) in_lock_step: bool,
-    /// In lock step: how many slots have no item.
+    /// In lock step: number of slots without an item.
     n_vacant: usize,
-    /// In lock step: the slots are those of an activation that has not been released.
+    /// In lock step: the slots belong to an activation that has not been released.
     at_hand: bool,
 }
 
-/// What makes the node fire.
+/// What triggers the node.
 #[derive(Clone, Copy)]
 enum Mode {
     /// `each` and `collect`; `stamp` ports follow them.
     Step,
     /// Plain `stamp` ports; optional ones follow them.
     Stamp,
-    /// Optional `stamp` ports alone.
+    /// Only optional `stamp` ports.
     AnyStamp,
     /// No trigger.
     Once,
 }
 
-/// The stamp that the triggers agree on.
+/// Stamp on which the triggers agree.
 enum Anchor {
     Wait,
     Ended,
     At(StampNs),
 }
 
-/// What a port brings to the activation at hand.
+/// What a port brings to the current activation.
 enum Choice {
     Slot(Slot),
     Empty(Arc<Empty>),
@@ -123,8 +123,8 @@ impl Joiner {
         }
     }
 
-    /// Whether an item is missing without which no activation can follow, whatever else comes first. It may be `false`
-    /// where one is missing.
+    /// Whether an item is missing without which no activation can follow, whatever else arrives first. May return
+    /// `false` although one is missing.
     #[inline]
     pub(crate) fn lacks_item(&self) -> bool {
         self.n_vacant > 0
@@ -140,7 +140,7 @@ impl Joiner {
     /// Gives the port its next item.
     ///
     /// # Errors
-    /// [`SecondItem`] if a constant is already there; the item is dropped.
+    /// [`SecondItem`] if the constant has already arrived; the item is dropped.
     #[inline]
     pub(crate) fn offer(&mut self, port: usize, item: Item) -> Result<(), SecondItem> {
         if self.in_lock_step && !self.ended {
@@ -157,7 +157,7 @@ impl Joiner {
         self.ports[port].offer(item, end)
     }
 
-    /// Nothing more comes to the port before `stamp_ns`; `true` if that is news.
+    /// Promises that no further item of the port is before `stamp_ns`; returns whether this is new.
     #[inline]
     pub(crate) fn progress(&mut self, port: usize, stamp_ns: StampNs) -> bool {
         let port = &mut self.ports[port];
@@ -166,35 +166,35 @@ impl Joiner {
         news
     }
 
-    /// Nothing more comes to the port.
+    /// Marks the end of the port.
     pub(crate) fn end(&mut self, port: usize) {
         self.ports[port].ended = true;
     }
 
-    /// There will be no further activation, by the caller's decision: what is offered from now on is drained.
+    /// Ends the node on the caller's decision: further offers are drained.
     pub(crate) fn stop(&mut self) {
         (self.ended, self.stopped) = (true, true);
     }
 
-    /// What the ports bring to the activation at hand, until it is released.
+    /// What the ports bring to the current activation, until it is released.
     #[inline]
     pub(crate) fn joined(&self) -> &Joined {
         &self.joined
     }
 
-    /// The same for the node that takes it.
+    /// Mutable slots of the current activation, for the node that takes the items.
     #[inline]
     pub(crate) fn joined_mut(&mut self) -> &mut Joined {
         &mut self.joined
     }
 
-    /// Why optional ports bring nothing to the activation at hand.
+    /// Why optional ports bring nothing to the current activation.
     #[inline]
     pub(crate) fn take_absent(&mut self) -> impl Iterator<Item = (&'static str, Arc<Empty>)> {
         self.absent.drain(..)
     }
 
-    /// The activation at hand is over: its items are let go.
+    /// Releases the current activation: drops its items.
     #[inline]
     pub(crate) fn release(&mut self) {
         if self.in_lock_step {
@@ -214,17 +214,18 @@ impl Joiner {
         self.absent.clear();
     }
 
-    /// The number of items that came to the port and were part of no activation because no partner came.
+    /// Number of items of the port that were part of no activation because no partner came.
     pub(crate) fn unmatched(&self, port: usize) -> u64 {
         self.ports[port].unmatched
     }
 
-    /// The earliest stamp that a further activation can have.
+    /// Earliest stamp of a further activation.
     pub(crate) fn progress_out(&self) -> StampNs {
         self.trigger_bound().max(self.last_stamp)
     }
 
-    /// The same by the triggers alone. An optional port counts only with an item in hand, as it may yet end without.
+    /// Earliest stamp of a further activation by the triggers alone. An optional port counts only with a waiting item,
+    /// as it may end without another.
     fn trigger_bound(&self) -> StampNs {
         let open = || self.ports.iter().filter(|p| !p.finished());
         let bound = match self.mode {
@@ -240,7 +241,7 @@ impl Joiner {
         bound.unwrap_or(StampNs::MIN)
     }
 
-    /// The next activation, if what was offered decides it.
+    /// Next activation, if the offers so far decide it.
     #[inline]
     pub(crate) fn step(&mut self) -> Step {
         if self.ended {
@@ -258,7 +259,7 @@ impl Joiner {
         }
         self.leave_lock_step();
         let step = self.step_by_rules();
-        // What is skipped has been released, and its slots are vacant.
+        // A skipped activation has been released, and its slots are vacant.
         self.at_hand = matches!(&step, Step::Activate(Activation { skip: None, .. }));
         if !self.at_hand {
             self.joined.slots.resize_with(self.ports.len(), || VACANT);
@@ -266,7 +267,7 @@ impl Joiner {
         step
     }
 
-    /// The stamp of the activation where every slot holds a value; anything else is left to the rules.
+    /// Stamp of the activation if every slot holds a value; otherwise the general rules apply.
     #[inline]
     fn stamp_in_lock_step(&self) -> Option<StampNs> {
         if self.n_vacant > 0 {
@@ -278,14 +279,14 @@ impl Joiner {
         })
     }
 
-    /// From now on the rules decide everything.
+    /// Leaves the fast path permanently.
     #[cfg(test)]
     fn leave_lock_step_for_good(&mut self) {
         self.leave_lock_step();
         (self.in_lock_step, self.n_vacant) = (false, 0);
     }
 
-    /// Moves the items from the slots to the ports, where the rules look for them.
+    /// Moves the items from the slots to the ports, where the general rules look for them.
     fn leave_lock_step(&mut self) {
         for (slot, port) in self.joined.slots.drain(..).zip(&mut self.ports) {
             if let Slot::Item(item) = slot {
@@ -318,7 +319,7 @@ impl Joiner {
         }
     }
 
-    /// `each` and `collect`: one turn of each; an optional port that has ended no longer counts.
+    /// `each` and `collect`: one item or collection of each port; an optional port that has ended no longer counts.
     fn anchor_in_step(&self) -> Anchor {
         let (mut waiting, mut stamp) = (false, None);
         for port in self.ports.iter().filter(|p| p.is_step()) {
@@ -336,7 +337,7 @@ impl Joiner {
         }
     }
 
-    /// `stamp` alone: the heads of all plain ports lie within their tolerances of the latest of them.
+    /// `stamp` alone: the heads of all plain ports are within their tolerances of the latest head.
     fn anchor_by_stamp(&mut self) -> Anchor {
         let required = |p: &&mut Port| p.is_stamp() && !p.spec.optional;
         loop {
@@ -357,7 +358,7 @@ impl Joiner {
             if self.ports.iter_mut().filter(required).any(|p| p.bound() < latest.saturating_sub(p.tolerance_ns())) {
                 continue;
             }
-            // Where several items of a port lie within the tolerance, the newest up to the stamp is the nearest.
+            // Where several items of a port are within the tolerance, the newest up to the stamp is the nearest.
             if self.ports.iter_mut().filter(required).all(|p| p.settle_up_to(latest)) {
                 return Anchor::At(latest);
             }
@@ -365,7 +366,7 @@ impl Joiner {
         }
     }
 
-    /// `stamp` with optional ports only: the earliest head, and whatever lies within the tolerances of it.
+    /// `stamp` with optional ports only: the earliest head, and every head within its tolerance of it.
     fn anchor_by_any_stamp(&self) -> Anchor {
         let stamps = self.ports.iter().filter(|p| p.is_stamp());
         let Some(earliest) = stamps.clone().filter_map(|p| p.head_stamp()).min() else {
@@ -378,7 +379,7 @@ impl Joiner {
         }
     }
 
-    /// No trigger: the node fires once, when all its constants are there.
+    /// No trigger: the node fires once, when all constants have arrived.
     fn anchor_once(&self) -> Anchor {
         if self.fired {
             return Anchor::Ended;
@@ -392,7 +393,7 @@ impl Joiner {
         if samplers_pending { Anchor::Wait } else { Anchor::At(stamp.unwrap_or(0)) }
     }
 
-    /// The activation at `anchor`; `None` if more must be offered first.
+    /// Activation at `anchor`; `None` if more must be offered first.
     fn activate(&mut self, anchor: StampNs) -> Option<Activation> {
         let anchored = self.stamps_are_anchored();
         let mut stamp_ns = anchor.max(self.last_stamp);
@@ -405,7 +406,7 @@ impl Joiner {
         }
         let anchor_of = |port: &Port| anchored(port).then_some(anchor);
 
-        // The triggers decide first: where one brings no value, nothing else need be waited for.
+        // The triggers decide first: where one brings no value, the other ports need not be waited for.
         let mut skip = None;
         for port in self.ports.iter().filter(|p| p.is_trigger()) {
             skip = skip.or_else(|| reason_to_skip(&self.node, port, &port.trigger_gap(anchor_of(port))?));
@@ -447,13 +448,13 @@ impl Joiner {
         }
         (self.last_stamp, self.fired) = (stamp_ns, true);
         if skip.is_some() {
-            // Ports that were not asked have no slot, so that what there is means nothing.
+            // Ports that were not asked have no slot, so their content has no meaning.
             self.release();
         }
         Some(Activation { stamp_ns, skip })
     }
 
-    /// Which `stamp` ports follow the anchor; the others made it.
+    /// Selects the `stamp` ports that follow the anchor; the others determined it.
     fn stamps_are_anchored(&self) -> fn(&Port) -> bool {
         match self.mode {
             Mode::Stamp => |p| p.is_stamp() && p.spec.optional,
@@ -462,7 +463,7 @@ impl Joiner {
     }
 }
 
-/// A slot of a node in lock step that has no item yet.
+/// Slot of a node in lock step without an item.
 const VACANT: Slot = Slot::Items(Vec::new());
 
 #[inline]
@@ -492,7 +493,7 @@ fn empty_of(item: &Item) -> Option<Arc<Empty>> {
     }
 }
 
-/// The slot of a single item: an empty becomes absent with its own reason.
+/// Slot of a single item: an empty becomes absent with its own reason.
 fn choice_of(item: Item) -> Choice {
     match empty_of(&item) {
         Some(empty) => Choice::Empty(empty),
@@ -500,7 +501,7 @@ fn choice_of(item: Item) -> Choice {
     }
 }
 
-/// A span of time in words: `2.05 s`, `0.2 s`, `12.5 ms` below a tenth of a second, `350 ns` below a microsecond.
+/// Formats a duration: `2.05 s`, `0.2 s`, `12.5 ms` below a tenth of a second, `350 ns` below a microsecond.
 fn span(ns: i128) -> String {
     let rounded = |value: f64| format!("{}", (value * 1e3).round() / 1e3);
     match ns {
@@ -510,7 +511,7 @@ fn span(ns: i128) -> String {
     }
 }
 
-/// The join rule of a port, for those that ask by kind.
+/// Tolerance of a port's join rule.
 fn tolerance_of(join: Join) -> StampNs {
     match join {
         Join::Stamp { tolerance_ns } => tolerance_ns,

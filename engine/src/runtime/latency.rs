@@ -1,7 +1,8 @@
-//! How long it takes from a source's answer to the end of a sink's firing, by the wall clock.
+//! Latency from a source's answer to the end of a sink's firing, by the wall clock.
 //!
-//! A sink is a node whose outputs feed nobody. Of a firing with stamp s, the answer that counts is the source's newest one
-//! at or before s: the last that the firing can have waited for. It is a tap: it sees firings and changes nothing.
+//! A sink is a node whose outputs feed no node. A firing with stamp s is measured from the source's newest answer at or
+//! before s, the last one that the firing can have waited for. Latency is a tap: it listens to firings and changes
+//! nothing.
 
 use super::{
     histogram::{Histogram, Spread},
@@ -15,19 +16,19 @@ use std::{
     time::Duration,
 };
 
-/// So many answers of a source are remembered; a sink that lags further behind is measured from the oldest of them.
+/// Number of answers remembered per source; a sink that lags further behind is measured from the oldest of them.
 const ANSWERS: usize = 1 << 16;
 
-/// The time from a source's answers to a sink's firings.
+/// Latency from a source to a sink.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LatencyStats {
     /// The source.
     pub source: String,
     /// The sink.
     pub sink: String,
-    /// Firings of the sink.
+    /// Number of firings of the sink.
     pub firings: u64,
-    /// How the times are spread.
+    /// Distribution of the latencies.
     pub spread: Spread,
 }
 
@@ -35,9 +36,9 @@ pub struct LatencyStats {
 type Answers = VecDeque<(StampNs, Duration)>;
 
 pub(crate) struct Latency {
-    /// For each node that is a source: its answers.
+    /// Answers of each node that is a source.
     answers: Vec<Option<Mutex<Answers>>>,
-    /// For each node that is a sink: the sources upstream.
+    /// Sources upstream of each node that is a sink.
     sinks: Vec<Vec<(usize, Mutex<Histogram>)>>,
 }
 
@@ -48,7 +49,8 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Latency {
     pub(crate) fn new(plan: &Plan) -> Self {
         let answers = plan.nodes.iter().map(|node| (node.role != Role::Node).then(Mutex::default)).collect();
-        // Nodes stand in topological order, so what is upstream of a producer is known before its consumers ask.
+        // Nodes are in topological order, so the sources upstream of a producer are known before its consumers need
+        // them.
         let mut upstream: Vec<BTreeSet<usize>> = Vec::with_capacity(plan.nodes.len());
         for (index, node) in plan.nodes.iter().enumerate() {
             let producers = node.inputs.iter().filter_map(|input| Some(plan.links[input.link?].from.node));
@@ -67,7 +69,7 @@ impl Latency {
         Self { answers, sinks }
     }
 
-    /// Every pair that was measured, in the order of the plan.
+    /// Every measured pair, in the order of the plan.
     pub(crate) fn stats(&self, plan: &Plan) -> Vec<LatencyStats> {
         let name = |node: usize| plan.nodes[node].name.to_string();
         let pairs = self.sinks.iter().enumerate().flat_map(|(sink, sources)| sources.iter().map(move |of| (sink, of)));
@@ -88,7 +90,7 @@ impl Tap for Latency {
         let ended = began + took;
         if let Some(answers) = &self.answers[node] {
             let mut answers = locked(answers);
-            // A late answer is no newer than what came before it.
+            // A late answer is no newer than the one before it.
             if answers.back().is_none_or(|(newest, _)| *newest <= stamp_ns) {
                 if answers.len() == ANSWERS {
                     answers.pop_front();

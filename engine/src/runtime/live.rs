@@ -1,9 +1,9 @@
-//! Live sources: each on a thread of its own, which may wait for its device; what they answer is put on the wires by one
-//! further thread, so that no worker ever waits for a device and no device for a worker.
+//! Live sources: each runs on a thread of its own and may wait for its device. One further thread puts their answers on
+//! the wires, so that no worker waits for a device and no device for a worker.
 //!
-//! A source is *pending* while it is asked for its next answer. It is not while its outputs lack room, and when it has
-//! ended: a graph whose workers all wait while no source is pending is stuck, exactly and at once. The workers say when
-//! there is room, and count the source as pending again by the same step.
+//! A source is *pending* while it is asked for its next answer. It is not pending while its outputs lack room, nor once
+//! it has ended: a graph whose workers all wait while no source is pending is stuck, and this is detected exactly and
+//! at once. The step in which a worker reports room also counts the source as pending again.
 
 use super::{
     Runtime,
@@ -17,65 +17,65 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// How often the wish to stop and the silence of sources are looked at.
+/// Interval at which stop requests and silent sources are checked.
 const TICK: Duration = Duration::from_millis(20);
-/// How long a source may take to notice the wish to stop; the run then ends without it.
+/// Time that a source has to react to a stop request; then the run ends without it.
 const GRACE: Duration = Duration::from_millis(500);
 
-/// A live source before its run.
+/// A live source before it starts.
 pub(super) struct Live {
     /// The node.
     pub(super) node: usize,
-    /// What answers.
+    /// The node's source.
     pub(super) source: Box<dyn AnySource>,
-    /// Its own; the cell has another.
+    /// The source's own context; the cell has another.
     pub(super) context: Context,
-    /// How many outputs it has.
+    /// Number of outputs.
     pub(super) n_ports: usize,
 }
 
-/// What the thread that serves live sources is told.
+/// Messages to the thread that serves live sources.
 pub(super) enum News {
     /// A source has answered.
     Answered(usize, Answer),
-    /// There may be room for what a source answers next; it counts as pending since before this was sent.
+    /// An output may have room for the source's next answer; the source counts as pending since before this was sent.
     Room(usize),
     /// A source has been dropped on its thread.
     Gone,
-    /// No worker runs any more.
+    /// All workers have ended.
     Over,
 }
 
-/// The way to the thread that serves live sources.
+/// Channel to the thread that serves live sources.
 pub(super) struct Mailbox {
     pub(super) tx: Sender<News>,
     rx: Receiver<News>,
 }
 
 impl Mailbox {
-    /// For so many sources: each has at most one answer, one word of room and one farewell under way.
+    /// Capacity for `n_sources`: each has at most one answer, one notice of room and one notice of its end in flight.
     pub(super) fn new(n_sources: usize) -> Self {
         let (tx, rx) = bounded(3 * n_sources + 1);
         Self { tx, rx }
     }
 }
 
-/// The next answer that a source is asked for.
+/// Request for a source's next answer.
 struct Ask {
     item: u64,
     stamp_ns: StampNs,
 }
 
-/// A source on its thread.
+/// A running source.
 struct Device {
     node: usize,
     asks: Option<Sender<Ask>>,
     thread: JoinHandle<()>,
     silent_after: Duration,
-    /// Since when it is asked; `None` while it is not pending.
+    /// When it was asked; `None` while it is not pending.
     asked: Option<Instant>,
     told_silent: bool,
-    /// It did not notice the wish to stop.
+    /// It did not react to the stop request in time.
     left_behind: bool,
 }
 
@@ -84,14 +84,14 @@ pub(super) fn run(run: &Runtime<'_>, scheduler: &Scheduler, sources: Vec<Live>) 
     std::thread::scope(|scope| {
         let serve = std::thread::Builder::new().name("live".into());
         let served = serve.spawn_scoped(scope, || {
-            // Where this thread dies of a bug of ours, the workers must not wait for it.
+            // If this thread panics, the workers must not wait for it.
             let _guard = scheduler.guard();
             Server { run, scheduler, devices: Vec::new(), stopped: None }.serve(sources);
         });
         if let Err(error) = served {
             run.fail_live(&format!("the thread for live sources cannot be started: {error}"), scheduler);
         }
-        // Also where the workers unwind.
+        // Also when the workers unwind.
         let _over = Over(&run.mailbox);
         scheduler.run(run);
     });
@@ -101,7 +101,7 @@ struct Over<'a>(&'a Mailbox);
 
 impl Drop for Over<'_> {
     fn drop(&mut self) {
-        // Without a receiver there is nobody to tell.
+        // Without a receiver no notice is needed.
         let _ = self.0.tx.try_send(News::Over);
     }
 }
@@ -110,7 +110,7 @@ struct Server<'a, 'r> {
     run: &'a Runtime<'r>,
     scheduler: &'a Scheduler,
     devices: Vec<Device>,
-    /// When the wish to stop was seen.
+    /// When the stop request was seen.
     stopped: Option<Instant>,
 }
 
@@ -166,13 +166,13 @@ impl Server<'_, '_> {
         self.ask(node);
     }
 
-    /// Asks a source that counts as pending for its next answer; where it cannot be asked, it is pending no more.
+    /// Asks a pending source for its next answer; if that fails, it is no longer pending.
     fn ask(&mut self, node: usize) {
         let asked = self.scheduler.outside(|turn| self.run.cell(node).ask(self.run, turn));
         if let Asked::Next { item, stamp_ns } = asked {
             if let Some(device) = self.device(node) {
                 device.asked = Some(Instant::now());
-                // A source whose thread is gone has sent its last answer before.
+                // A source whose thread has ended has sent its last answer before.
                 let _ = device.asks.as_ref().map(|asks| asks.try_send(Ask { item, stamp_ns }));
             }
             return;
@@ -204,7 +204,7 @@ impl Server<'_, '_> {
         }
     }
 
-    /// Ends the sources that wait for room, and at last those that have not noticed the wish to stop.
+    /// Ends the sources that wait for room; with `all`, also those that have not reacted to the stop request.
     fn stop(&mut self, all: bool) {
         for device in &mut self.devices {
             let ends = device.asks.is_some() && (device.asked.is_none() || all);
@@ -214,7 +214,7 @@ impl Server<'_, '_> {
             let was_pending = device.asked.take().is_some();
             let ended = self.scheduler.outside(|turn| self.run.cell(device.node).interrupt(self.run, turn));
             if !ended {
-                // It has failed, and its outputs wait for room to say so.
+                // It has failed, and its outputs wait for room to report that.
                 continue;
             }
             device.asks = None;
@@ -230,13 +230,13 @@ impl Server<'_, '_> {
         }
     }
 
-    /// Waits a moment for the sources to be dropped, so that devices are closed in order.
+    /// Waits briefly for the sources to be dropped, so that devices are closed in order.
     fn leave(mut self) {
         self.devices.iter_mut().for_each(|device| device.asks = None);
         let until = Instant::now() + GRACE;
         let open = |device: &&Device| !device.left_behind && !device.thread.is_finished();
         while self.devices.iter().any(|device| open(&device)) && Instant::now() < until {
-            // What comes now is a farewell, or too late.
+            // Anything else that arrives now is too late.
             let _ = self.run.mailbox.rx.recv_timeout(TICK);
         }
         for device in self.devices.iter().filter(open) {
@@ -246,7 +246,7 @@ impl Server<'_, '_> {
     }
 }
 
-/// The life of a source on its thread.
+/// Thread function of a source.
 fn attend(live: Live, asks: &Receiver<Ask>, answers: &Sender<News>) {
     let Live { node, mut source, mut context, n_ports } = live;
     for Ask { item, stamp_ns } in asks {

@@ -1,13 +1,13 @@
-//! What nodes said and how they failed, as far as a run keeps it.
+//! Warnings and failures of nodes, limited in number per node.
 
 use super::report::{Failure, Warning};
 use crate::plan::Plan;
 
-/// So many warnings of a node are kept, and so many failures after which it went on; the rest is counted. A node that
-/// warns at every item would else fill the memory in a long run.
+/// Maximum number of warnings listed per node, and of failures after which the node went on; further ones are counted.
+/// Otherwise a node that warns at every item would fill the memory in a long run.
 const MOST_PER_NODE: u64 = 100;
 
-/// Warnings and failures of a run under way.
+/// Warnings and failures of a run in progress.
 pub(super) struct Messages {
     warnings: Vec<(usize, Warning)>,
     failures: Vec<Failure>,
@@ -18,9 +18,9 @@ pub(super) struct Messages {
 struct Counts {
     warned: u64,
     failed: u64,
-    /// The last item that had more to say than was kept.
+    /// The last item whose warning was not listed.
     last_warned: u64,
-    /// The latest failure beyond those kept: what the node's last empty tells of.
+    /// The latest failure that is only counted; the node's last empty gives it as its reason.
     latest: Option<Failure>,
 }
 
@@ -49,8 +49,8 @@ impl Messages {
         }
     }
 
-    /// Failures in the order of the plan, not of time: the first is the same on any number of workers. Where more was
-    /// said than kept, a last warning says how much.
+    /// Failures in the order of the plan, not of time: the first is the same on any number of workers. Where messages
+    /// were left out, a last warning gives their number.
     pub(super) fn finish(mut self, plan: &Plan) -> (Vec<Failure>, Vec<(usize, Warning)>) {
         for (node, counts) in self.nodes.into_iter().enumerate() {
             let mut more = |n: u64, item: u64, what: &str| {
@@ -61,7 +61,7 @@ impl Messages {
                 more(counts.warned - MOST_PER_NODE, counts.last_warned, "warnings");
             }
             if let Some(latest) = counts.latest {
-                // The latest is listed.
+                // `latest` itself is listed.
                 let n = counts.failed - MOST_PER_NODE - 1;
                 if n > 0 {
                     more(n, latest.item, "failures");

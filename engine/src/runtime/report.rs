@@ -1,4 +1,4 @@
-//! What a run takes, and what it says of itself.
+//! Options of a run, its events and its statistics.
 
 use super::Injection;
 use crate::{plan::Location, store::Store};
@@ -10,30 +10,30 @@ use std::{
     time::Duration,
 };
 
-/// How to run a graph and what to leave.
+/// How to run a graph and which files to write.
 #[derive(Debug, Clone)]
 pub struct RunOptions {
-    /// How many threads run nodes; with 1 all nodes run on the calling thread.
+    /// Number of threads that run nodes; with 1 all nodes run on the calling thread.
     pub workers: usize,
-    /// For testing: a seed by which threads are delayed, woken without reason and given nodes in another order; the
-    /// results do not depend on it.
+    /// For testing: seed for random delays, spurious wake-ups and another order of nodes; the results do not depend on
+    /// it.
     pub shuffle: Option<u64>,
-    /// Where `run.mcap`, `results.json` and `manifest.json` go; created if need be. `None` leaves nothing.
+    /// Where `run.mcap`, `results.json` and `manifest.json` are written; created if missing. `None` writes no files.
     pub out_dir: Option<PathBuf>,
     /// Whether the plan's recorded wires are written to `run.mcap`.
     pub record: bool,
-    /// Whether the time from each source to each sink is measured; every firing is then timed by itself.
+    /// Whether the latency from each source to each sink is measured; every firing is then timed on its own.
     pub latency: bool,
-    /// Constants that `results.json` begins with, by dotted key.
+    /// Constants put at the start of `results.json`, by dotted key.
     pub fixed_results: Vec<(String, serde_json::Value)>,
-    /// Set from outside, it stops the sources; what is under way is finished.
+    /// Stop request, set from outside: the sources stop and the items in flight are processed.
     pub cancelled: Arc<AtomicBool>,
-    /// What the command says of itself and the machine, for the manifest.
+    /// Description of the command and the machine, for the manifest.
     pub command: serde_json::Value,
-    /// Firings that are made to fail, for testing how a graph fails.
+    /// Injected failures, for testing how a graph fails.
     pub inject: Vec<Injection>,
-    /// Where answers of kinds that are worth it are kept from one run to the next, and looked up before such a node
-    /// fires. The results and recorded wires are the same with and without; `None` computes everything.
+    /// Store of cached answers, looked up before a node whose kind is cached fires. The results and recorded wires are
+    /// the same with and without; `None` computes everything.
     pub store: Option<Arc<Store>>,
 }
 
@@ -54,18 +54,18 @@ impl Default for RunOptions {
     }
 }
 
-/// Is told of what happens while it happens, from whatever thread it happens on.
+/// Receives the events of a run as they happen, on any thread.
 pub trait Observer: Sync {
-    /// Something happened; returns at once, for a node waits.
+    /// Handles an event; must return at once, because a node waits for it.
     fn event(&self, event: &Event<'_>);
 }
 
-/// Observes nothing.
+/// Ignores all events.
 impl Observer for () {
     fn event(&self, _: &Event<'_>) {}
 }
 
-/// What can happen in a run.
+/// An event of a run.
 #[derive(Debug)]
 pub enum Event<'a> {
     /// The node's first activation begins.
@@ -77,25 +77,25 @@ pub enum Event<'a> {
     Fired {
         /// The node.
         node: &'a str,
-        /// The number of the activation, from 0.
+        /// Number of the activation, from 0.
         item: u64,
-        /// Its stamp; for a source how far it has come.
+        /// Its stamp; for a source, the stamp that it has reached.
         stamp_ns: StampNs,
     },
     /// An activation was skipped because an input had no value.
     Skipped {
         /// The node.
         node: &'a str,
-        /// The number of the activation, from 0.
+        /// Number of the activation, from 0.
         item: u64,
         /// Why.
         reason: &'a str,
     },
-    /// The node has something to say.
+    /// The node warned.
     Warned(&'a Warning),
     /// The node failed.
     Failed(&'a Refusal),
-    /// A queue was enlarged, because nothing could run while it was full.
+    /// A queue was enlarged because it was full and nothing could run.
     Enlarged(&'a Enlargement),
     /// The node will not fire again.
     Ended {
@@ -104,42 +104,42 @@ pub enum Event<'a> {
     },
 }
 
-/// Something a node wanted the user to know.
+/// A node's message for the user.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Warning {
     /// The node.
     pub node: String,
-    /// The number of the activation, from 0.
+    /// Number of the activation, from 0.
     pub item: u64,
-    /// What it said.
+    /// The message.
     pub message: String,
 }
 
-/// A queue that was made longer.
+/// An enlarged queue.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Enlargement {
     /// The producing wire, `node.port`.
     pub from: String,
     /// The consuming port, `node.port`.
     pub to: String,
-    /// How many items it held.
+    /// Capacity before.
     pub before: usize,
-    /// How many it holds now.
+    /// Capacity now.
     pub after: usize,
 }
 
 /// Why a run has no results.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refusal {
-    /// The node at the root of it.
+    /// The node that caused it.
     pub node: String,
     /// Its kind.
     pub kind: String,
-    /// The number of its activation, where one can be named.
+    /// Number of its activation, where one can be named.
     pub item: Option<u64>,
-    /// Where the node stands in the graph file.
+    /// Position of the node in the graph file.
     pub location: Location,
-    /// What it said.
+    /// The message.
     pub reason: String,
     /// Whether it panicked.
     pub panicked: bool,
@@ -155,51 +155,51 @@ impl fmt::Display for Refusal {
     }
 }
 
-/// A node's figures.
+/// Statistics of a node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeStats {
     /// Its name.
     pub name: String,
-    /// Activations, the skipped ones included; for a source its answers.
+    /// Activations, including skipped ones; for a source, its answers.
     pub items: u64,
     /// Activations skipped because an input had no value.
     pub skipped: u64,
     /// Activations that failed.
     pub failed: u64,
-    /// Time spent in it, all in all; what the engine does for a firing, below a microsecond, may be counted in.
+    /// Total time of its firings; may include the engine's own work for a firing, which is below a microsecond.
     pub busy: Duration,
-    /// Half of its firings took no longer; as all percentiles, up to 3 % more than the exact one.
+    /// Median duration of its firings; like all percentiles, up to 3 % above the exact one.
     pub p50: Duration,
-    /// 95 of 100 firings took no longer.
+    /// 95th percentile.
     pub p95: Duration,
-    /// 99 of 100 firings took no longer.
+    /// 99th percentile.
     pub p99: Duration,
 }
 
-/// A link's figures.
+/// Statistics of a link.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinkStats {
     /// The producing wire, `node.port`.
     pub from: String,
     /// The consuming port, `node.port`.
     pub to: String,
-    /// Items put on it; equals received + dropped at the end of a run.
+    /// Items sent; equals received + dropped at the end of a run.
     pub sent: u64,
-    /// Items taken from it.
+    /// Items received.
     pub received: u64,
     /// Items dropped by its policy.
     pub dropped: u64,
-    /// Items of its wire that a live source gave later than it had promised; they are empties.
+    /// Items of its wire that a live source gave later than promised; they are empties.
     pub late: u64,
-    /// Items taken from it that had no partner to fire with.
+    /// Items received that had no partner to fire with.
     pub unmatched: u64,
-    /// The most items that ever waited.
+    /// Largest number of waiting items.
     pub highest_fill: usize,
-    /// How many may wait, at the end of the run.
+    /// Capacity at the end of the run.
     pub capacity: usize,
 }
 
-/// A run that cannot begin.
+/// A run that cannot start.
 #[derive(Debug)]
 pub(crate) enum BuildError {
     /// Nodes cannot be built from their parameters.
@@ -215,9 +215,9 @@ pub struct BuildFault {
     pub node: String,
     /// Where its table begins.
     pub location: Location,
-    /// The parameter at fault; empty if it is several.
+    /// The faulty parameter; empty if it is several.
     pub parameter: String,
-    /// What was expected, what was found, what to write instead.
+    /// What was expected, what was found, and what to write instead.
     pub message: String,
 }
 

@@ -1,12 +1,11 @@
-//! Which node runs next, on which worker; nothing here knows of items.
+//! Decides which node runs next and on which worker; independent of items.
 //!
-//! A node is idle, queued or running, and is told of news by [`Turn::wake`]; news that come while it runs make it look
-//! again. A worker goes on with the nodes it has just made ready, the furthest downstream first. Those that may take
-//! long go to the queue that all workers share, and before such a one everything else does; handing over a node that
-//! takes microseconds would cost more than running it. When the last worker finds nothing, nothing can run: that state
-//! is exact.
+//! A node is idle, queued or running. [`Turn::wake`] notifies it; a node notified while it runs is run again. A worker
+//! goes on with the nodes it has just made ready, the furthest downstream first. Nodes that may take long go to the
+//! queue shared by all workers and run after everything else; handing over a node that takes microseconds would cost
+//! more than running it. When the last worker finds nothing, nothing can run: that state is detected exactly.
 //!
-//! All synchronisation comes from [`crate::sync`], so that a test can put a model checker in its place.
+//! All synchronisation comes from [`crate::sync`], so that a test can replace it by a model checker.
 
 use crate::sync::{
     Condvar, LOOKS_BEFORE_SLEEP, Mutex, MutexGuard, PoisonError,
@@ -20,25 +19,25 @@ const QUEUED: u8 = 1;
 const RUNNING: u8 = 2;
 const RUNNING_WITH_NEWS: u8 = 3;
 
-/// How often a node that takes microseconds fires before others have their turn.
+/// Maximum number of consecutive firings of a node that takes microseconds.
 const FIRINGS_IN_A_ROW: usize = 16;
 
 /// What the scheduler runs.
 pub(crate) trait Work: Sync {
-    /// Runs a node until it waits, or until [`Turn::goes_on`] says that others should have their turn; no two turns of
-    /// one node run at once.
+    /// Runs a node until it waits, or until [`Turn::goes_on`] says that other nodes should run; no two turns of one
+    /// node run at once.
     fn step(&self, node: usize, turn: &mut Turn<'_>) -> Stepped;
 
-    /// Whether the node takes so little time that handing it to another worker is not worth it.
+    /// Whether the node is too fast to be worth handing to another worker.
     fn is_cheap(&self, node: usize) -> bool;
 
-    /// Whether something outside may still wake a node. Once it says no, and a look at what it has woken before brings
-    /// nothing, it says no until a step has been made.
+    /// Whether something outside the scheduler may still wake a node. Once this returns `false` and no node is woken by
+    /// then, it returns `false` until a step has been made.
     fn is_pending(&self) -> bool {
         false
     }
 
-    /// Nothing can run: wakes a node if something can be done about it. No turn is taken meanwhile.
+    /// Called when nothing can run: returns a node to wake, if that state can be resolved. No turn runs meanwhile.
     fn relieve(&self) -> Option<usize>;
 }
 
@@ -47,7 +46,7 @@ pub(crate) trait Work: Sync {
 pub(crate) enum Stepped {
     /// The node may be able to go on.
     Fired,
-    /// The node waits for news.
+    /// The node waits to be woken.
     Idle,
 }
 
@@ -55,9 +54,9 @@ pub(crate) struct Scheduler {
     states: Vec<AtomicU8>,
     queue: Mutex<Queue>,
     wakeup: Condvar,
-    /// The length of the queue, for a look without the lock.
+    /// Length of the queue, readable without the lock.
     n_queued: AtomicUsize,
-    /// Set when a worker died of a bug of ours: the others must not wait for it.
+    /// Set when a worker panicked: the others must not wait for it.
     abandoned: AtomicBool,
     n_workers: usize,
     shuffle: Option<u64>,
@@ -71,7 +70,7 @@ struct Queue {
 }
 
 impl Scheduler {
-    /// All nodes begin queued. With a seed in `shuffle` it does at random what chance could do.
+    /// Creates a scheduler with all nodes queued. With a seed in `shuffle`, delays, wake-ups and order are randomized.
     pub(crate) fn new(n_nodes: usize, n_workers: usize, shuffle: Option<u64>) -> Self {
         let mut queue = Queue::default();
         (0..n_nodes).for_each(|node| queue.ready.insert(node));
@@ -86,20 +85,20 @@ impl Scheduler {
         }
     }
 
-    /// Runs until nothing can run and nothing can be done about it; one worker is the calling thread.
+    /// Runs until nothing can run and [`Work::relieve`] finds no node; one worker is the calling thread.
     pub(crate) fn run(&self, work: &dyn Work) {
         let without = |worker, error| {
             tracing::warn!("worker {worker} could not be started, the others do its work: {error}");
             let mut queue = self.lock();
             queue.n_asleep += 1;
-            // Those who sleep counted on it.
+            // Sleeping workers rely on it.
             drop(queue);
             self.wakeup.notify_all();
         };
         on_workers(self.n_workers, &|worker| self.work(worker, work), &without);
     }
 
-    /// Does what wakes nodes on a thread that is no worker; the workers go on with them.
+    /// Wakes nodes from a thread that is not a worker; the workers run them.
     pub(crate) fn outside<T>(&self, does: impl FnOnce(&mut Turn<'_>) -> T) -> T {
         let mut turn = Turn::new(self, None);
         let done = does(&mut turn);
@@ -108,13 +107,13 @@ impl Scheduler {
         done
     }
 
-    /// What was pending is so no more: a worker looks whether anything can still run.
+    /// Something pending is no longer so: a worker checks whether anything can still run.
     pub(crate) fn look_again(&self) {
         let _queue = self.lock();
         self.wakeup.notify_one();
     }
 
-    /// Lets the workers go when the thread that holds it unwinds.
+    /// Returns a guard that releases the workers if its thread unwinds.
     #[allow(dead_code, reason = "the model of the scheduler has no such thread")]
     pub(crate) fn guard(&self) -> impl Drop + '_ {
         Abandon(self)
@@ -124,7 +123,7 @@ impl Scheduler {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Notes that the node has news; `true` if it was idle, and must be queued. A fence comes before.
+    /// Marks the node as woken; returns `true` if it was idle and must be queued. Call after a fence.
     fn make_ready(&self, node: usize) -> bool {
         let state = &self.states[node];
         let mut now = state.load(Ordering::Relaxed);
@@ -151,7 +150,7 @@ impl Scheduler {
         }
     }
 
-    /// Puts nodes into the queue of all, and wakes those who sleep.
+    /// Puts nodes into the shared queue and wakes sleeping workers.
     fn put(&self, nodes: &ReadySet) {
         if nodes.len == 0 {
             return;
@@ -164,7 +163,7 @@ impl Scheduler {
         (0..nodes.len.min(n_asleep)).for_each(|_| self.wakeup.notify_one());
     }
 
-    /// The next node of the queue of all; waits for one.
+    /// Next node of the shared queue; waits for one.
     fn pop(&self, work: &dyn Work, dice: &mut Option<Dice>) -> Option<usize> {
         if self.n_workers > 1 {
             let _ = (0..LOOKS_BEFORE_SLEEP).find(|_| {
@@ -203,18 +202,18 @@ impl Scheduler {
     }
 }
 
-/// A worker, seen from the node whose turn it is: takes note of the nodes that have news.
+/// A worker during a node's turn: collects the nodes to wake.
 pub(crate) struct Turn<'a> {
     scheduler: &'a Scheduler,
-    /// Nodes that are ready and that this worker will run unless others do.
+    /// Ready nodes that this worker will run unless another worker does.
     own: ReadySet,
-    /// Nodes that have news of this turn.
+    /// Nodes woken in this turn.
     told: ReadySet,
-    /// Nothing that others must see has been done since the last fence.
+    /// Nothing that other threads must see has been done since the last fence.
     is_fenced: bool,
-    /// Firings of this turn.
+    /// Number of firings in this turn.
     n_fired: usize,
-    /// When the last firing ended, if the worker has done nothing but its bookkeeping since.
+    /// End of the last firing, if the worker has done only bookkeeping since.
     pub(crate) clock: Option<Instant>,
     dice: Option<Dice>,
 }
@@ -225,20 +224,20 @@ impl<'a> Turn<'a> {
         Self { scheduler, own, told, is_fenced: false, n_fired: 0, clock: None, dice }
     }
 
-    /// Notes that `node` has got an item, progress, an end or room; it learns of it when the turn ends.
+    /// Notifies `node` of an item, progress, an end or room; takes effect when the turn ends.
     pub(crate) fn wake(&mut self, node: usize) {
         self.told.insert(node);
     }
 
-    /// The node has fired: whether it may fire again in this turn. What takes long ends its turn each time, so that
-    /// those it has made ready can begin elsewhere.
+    /// Counts a firing; returns whether the node may fire again in this turn. A firing that takes long ends the turn,
+    /// so that the nodes it made ready can start elsewhere.
     pub(crate) fn goes_on(&mut self, cheap: bool) -> bool {
         self.n_fired += 1;
         let at_random = self.dice.as_mut().is_some_and(|dice| dice.one_in(3));
         cheap && self.n_fired < FIRINGS_IN_A_ROW && !at_random
     }
 
-    /// A firing that may take long begins: others may run meanwhile what is ready here.
+    /// Called before a firing that may take long: lets other workers run the nodes that are ready here.
     pub(crate) fn hand_over(&mut self) {
         if self.scheduler.n_workers > 1 {
             self.settle();
@@ -254,13 +253,13 @@ impl<'a> Turn<'a> {
         })
     }
 
-    /// Runs the node until it waits or others should have their turn.
+    /// Runs the node until it waits or its turn is over.
     fn take(&mut self, node: usize, work: &dyn Work) {
         let state = &self.scheduler.states[node];
         self.n_fired = 0;
         loop {
             state.store(RUNNING, Ordering::Relaxed);
-            // What was told before is seen from here on.
+            // Everything done before the wake-up is visible from here on.
             fence(Ordering::SeqCst);
             let stepped = work.step(node, self);
             self.settle();
@@ -279,19 +278,19 @@ impl<'a> Turn<'a> {
         }
     }
 
-    /// What the node has done so far comes before what it, or the end of its turn, looks at next.
+    /// Memory fence: what the node has done so far is ordered before what it, or the end of its turn, reads next.
     pub(crate) fn fence(&mut self) {
         fence(Ordering::SeqCst);
         self.is_fenced = true;
     }
 
-    /// Tells the nodes that have news.
+    /// Wakes the nodes collected in this turn.
     fn settle(&mut self) {
         let is_fenced = std::mem::take(&mut self.is_fenced);
         if self.told.len == 0 {
             return;
         }
-        // Either this sees the node running or idle, or the node, on its way to run, sees the fact.
+        // Either this sees the node running or idle, or the node, about to run, sees the change.
         if !is_fenced {
             fence(Ordering::SeqCst);
         }
@@ -312,12 +311,12 @@ impl<'a> Turn<'a> {
         }
     }
 
-    /// Moves nodes from the worker's own to the queue of all.
+    /// Moves nodes from the worker's own set to the shared queue.
     fn share(&mut self, which: impl Fn(usize) -> bool) {
         self.scheduler.put(&self.own.split_off(which));
     }
 
-    /// With a seed to shuffle by: delays, nodes that run without news, and workers that wake without reason.
+    /// With a seed to shuffle by: random delays, and spurious wake-ups of nodes and workers.
     fn disturb(&mut self) {
         let Some(dice) = &mut self.dice else { return };
         if dice.one_in(8) {
@@ -336,7 +335,7 @@ impl<'a> Turn<'a> {
     }
 }
 
-/// Lets the other workers go when this one unwinds.
+/// Releases the other workers when this one unwinds.
 struct Abandon<'a>(&'a Scheduler);
 
 impl Drop for Abandon<'_> {
@@ -349,12 +348,12 @@ impl Drop for Abandon<'_> {
     }
 }
 
-/// What decides where the run is shuffled; on one worker the same seed decides the same way.
+/// Random numbers for shuffling; on one worker the same seed gives the same run.
 struct Dice(u64);
 
 impl Dice {
     fn new(seed: u64, worker: usize) -> Self {
-        // Steele, Lea and Flood's mixer: neighbouring seeds lie far apart. Zero would stay zero.
+        // Steele, Lea and Flood's mixer separates neighbouring seeds. Zero would stay zero.
         let mut z = seed.wrapping_add((worker as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -373,7 +372,7 @@ impl Dice {
     }
 }
 
-/// The queued nodes; the one furthest downstream goes first, so that queues stay short.
+/// Queued nodes; the one furthest downstream goes first, so that queues stay short.
 #[derive(Default)]
 struct ReadySet {
     words: Vec<u64>,
@@ -390,7 +389,7 @@ impl ReadySet {
         self.words[word] |= bit;
     }
 
-    /// Takes the nodes out that are asked for.
+    /// Removes and returns the nodes that `which` selects.
     fn split_off(&mut self, which: impl Fn(usize) -> bool) -> Self {
         let mut out = Self::default();
         for (word, bits) in self.words.iter_mut().enumerate() {
@@ -410,7 +409,7 @@ impl ReadySet {
         }
     }
 
-    /// The node furthest downstream, or with dice any.
+    /// Removes the node furthest downstream, or with dice any node.
     fn pop(&mut self, dice: &mut Option<Dice>) -> Option<usize> {
         match dice {
             Some(dice) if self.len > 1 => {
@@ -466,15 +465,16 @@ mod tests {
         assert_eq!(taken, (0..100).collect::<Vec<_>>());
     }
 
-    /// Tokens in a row of bounded places, which a node takes from its own place and puts into the next. These tests also
-    /// run in `tests/scheduler_model.rs`, where a model checker tries interleavings of every operation on shared memory.
+    /// Tokens in a row of bounded places; a node takes a token from its own place and puts it into the next. These
+    /// tests also run in `tests/scheduler_model.rs`, where a model checker tries interleavings of every operation on
+    /// shared memory.
     struct Row {
         places: Vec<AtomicUsize>,
-        /// How many tokens a place holds at most; the last node takes them out of the row.
+        /// Capacity of a place; the last node removes tokens from the row.
         room: Vec<AtomicUsize>,
         through: AtomicUsize,
         n_running: AtomicUsize,
-        /// Tokens that come from outside and have not yet.
+        /// Number of tokens still to come from outside.
         n_pending: AtomicUsize,
         n_relieved: AtomicUsize,
     }
@@ -570,7 +570,7 @@ mod tests {
                 let row = Row::new(3, 2, 0, 0);
                 Scheduler::new(3, n_workers, None).run(&row);
                 let n_relieved = row.n_relieved.load(Ordering::SeqCst);
-                // Twice at the first node with something to give, once at the next.
+                // Twice at the first node that has a token to pass on, once at the next.
                 assert_eq!((row.through.load(Ordering::SeqCst), n_relieved), (2, 3), "on {n_workers} workers");
             });
         }

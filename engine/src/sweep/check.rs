@@ -1,4 +1,4 @@
-//! Looks at a sweep before it begins: every run without faults, and the hash of all that decides the tables.
+//! Checks a sweep before it starts: every run, and the hash of everything that determines the tables.
 
 use super::{Draw, Factor, Folder, FolderError, GRAPH, Row, Run, Spec, Sweep, input_files, rows, share};
 use crate::{
@@ -24,10 +24,10 @@ use std::{
     },
 };
 
-/// Checks the graph file at `path` and every run of its sweep; on `workers` threads.
+/// Checks the graph file at `path` and every run of its sweep, on `workers` threads.
 ///
 /// # Errors
-/// [`Faults`]: of the graph; or of the first run that has any, with the settings of that run; and if the graph has no
+/// [`Faults`] of the graph, or of the first run that has any, with the settings of that run; and if the graph has no
 /// `[sweep]`.
 pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>, workers: usize) -> Result<Sweep, Faults> {
     let kinds = kinds.into();
@@ -51,8 +51,8 @@ pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>, workers: usi
     Ok(Sweep { spec: *spec, warnings, plan, registry, runs, files, hash })
 }
 
-/// Settings of the command line that no run would take, as a factor or a draw sets their key in all of them. Where some
-/// values of a factor leave the key alone, the runs of those take it.
+/// Settings of the command line that no run would use, because a factor or a draw sets their key in all of them. If
+/// some values of a factor do not set the key, the runs with those values use the setting.
 fn overridden(spec: &Spec, sets: &[String]) -> Vec<Fault> {
     let sets_it = |keys: Vec<SetKey>, asked: &SetKey| keys.iter().any(|key| key.outdoes(asked));
     let of_all = |factor: &Factor, asked: &SetKey| factor.levels.iter().all(|level| sets_it(level.keys_set(), asked));
@@ -75,11 +75,11 @@ fn overridden(spec: &Spec, sets: &[String]) -> Vec<Fault> {
     faults
 }
 
-/// Checks a run of a sweep once more from what its folder holds: the frozen graph with what the run has set in it, and with
-/// `sets` besides. Who runs it compares its results with those that are there: program and inputs may have changed.
+/// Checks one run of a sweep again, from its folder: the frozen graph with the run's settings, and with `sets` in
+/// addition. Program and input files may have changed, so compare the results with the stored ones.
 ///
 /// # Errors
-/// If the folder cannot be read; within, the faults that the graph has now.
+/// If the folder cannot be read; inner: the faults that the graph has now.
 pub fn again(
     folder: &Folder,
     run: usize,
@@ -90,8 +90,8 @@ pub fn again(
     Ok(check::check_frozen(folder.graph()?, path, &folder.sets(run)?, sets, kinds))
 }
 
-/// The plans of all rows, with their input files as they are; the rows are looked at together, and the first with faults is
-/// told.
+/// The plans of all rows, with the current state of their input files. Rows are checked in parallel; the first with
+/// faults is reported.
 fn check_rows(
     path: &Path,
     sets: &[String],
@@ -124,7 +124,7 @@ fn check_rows(
                 faults.0.iter_mut().for_each(|fault| fault.notes.push(note.clone()));
                 return Err(faults);
             }
-            // Another row has faults, or comes first and is told.
+            // Another row has faults; the first is reported.
             None => continue,
         };
         let mut plan = checked.plan;
@@ -137,13 +137,13 @@ fn check_rows(
     Ok((runs, files))
 }
 
-/// What decides the tables: the sweep, the graph of each run with its input files by their contents, and the program.
+/// Hash of the sweep, the graph of each run with the contents of its input files, and the program.
 fn hash(spec: &Spec, runs: &[Run]) -> Digest {
     let mut key = Key::of("sweep").json("spec", &json!(spec));
     if let Ok((_, program)) = std::env::current_exe().and_then(|path| sha256(&path)) {
         key = key.digest("program", program);
     }
-    // The same files in another place are the same sweep.
+    // The same files at another path give the same sweep.
     let mut names = Vec::new();
     for (index, file) in input_files(runs).iter().enumerate() {
         names.push((Json::from(file.to_string_lossy()).to_string(), format!("\"file {index}\"")));

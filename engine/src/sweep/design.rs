@@ -1,4 +1,4 @@
-//! The runs of a sweep: every setting with every repeat, in one order.
+//! The design: every setting with every repeat, in a fixed order.
 
 use crate::check::sweep::{Distribution, Draw, Spec};
 use rand::{RngExt, SeedableRng};
@@ -7,16 +7,16 @@ use rand_distr::StandardNormal;
 use serde_json::{Value as Json, json};
 use sha2::{Digest as _, Sha256};
 
-/// A run of a sweep, before it is run.
+/// A row of the design: one run of a sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
-    /// Its number, from 0: the factors in the order of the file, the first the slowest; then the repeats.
+    /// Number of the run, from 0, in the order of the factors in the file, the first varying slowest, then the repeats.
     pub run: usize,
-    /// The values of the factors, of what is drawn, and the repeat's number, by name, in the order of the columns.
+    /// Values of the factors, the draws and the repeat, by name, in the order of the columns.
     pub values: Vec<(String, Json)>,
-    /// The seed of the run.
+    /// Seed of the run.
     pub seed: u64,
-    /// What it sets in the graph, as `--set` takes it; the seed is among it.
+    /// Settings of the run, in the form of `--set`, including the seed.
     pub sets: Vec<String>,
 }
 
@@ -57,7 +57,7 @@ pub fn rows(spec: &Spec, seed: u64) -> Vec<Row> {
 }
 
 impl Draw {
-    /// What is drawn for a repeat: decided by the seed, the name and the repeat's number, and by nothing else.
+    /// The draw of a repeat; depends only on the seed, the name and the repeat's number.
     fn value(&self, seed: u64, repeat: u64) -> Json {
         let mut hasher = Sha256::new();
         hasher.update(b"osteoflow sweep draw 1\n");
@@ -75,7 +75,7 @@ impl Draw {
     }
 }
 
-/// A JSON value as a graph file writes it.
+/// Formats a JSON value as in a graph file.
 fn toml(value: &Json) -> String {
     match value {
         Json::Number(number) => match number.as_f64().filter(|_| number.is_f64()) {

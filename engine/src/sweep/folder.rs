@@ -1,7 +1,7 @@
-//! The folder of a sweep: what was asked, and one file for each run that came to its end.
+//! The folder of a sweep: its specification, and one file for each run that ended.
 //!
-//! A run's file is written under another name and then renamed, so that a file is whole or not there, whenever the
-//! program is stopped.
+//! A run's file is written under another name and then renamed, so that it is complete or absent whenever the program
+//! is stopped.
 
 use super::{
     design::Row,
@@ -14,24 +14,24 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// The frozen graph, without the settings of any run.
+/// The frozen graph, without the settings of a run.
 pub const GRAPH: &str = "sweep.toml";
-/// What was asked: design, hash, versions.
+/// Specification, hash and versions.
 pub const DESIGN: &str = "sweep.json";
-/// The folder of the runs.
+/// Folder of the runs.
 pub const RUNS_DIR: &str = "runs";
 /// One row for each run.
 pub const RUNS: &str = "runs.csv";
 /// One row for each run, point and axis.
 pub const POINTS: &str = "points.csv";
 
-/// Raised when the files are laid out otherwise than before.
+/// Increase when the layout of the files changes.
 const FORMAT: u64 = 2;
 
 /// Why a sweep's folder cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum FolderError {
-    /// It is not that of a sweep.
+    /// The folder is not that of a sweep.
     #[error("{path} holds no sweep ({DESIGN} is missing); name the folder that `osteoflow sweep` has left")]
     NoSweep {
         /// The folder.
@@ -56,9 +56,9 @@ pub enum FolderError {
     Part {
         /// The folder.
         path: String,
-        /// Its part; all if not given.
+        /// Its part; all if none is given.
         there: Option<String>,
-        /// The part that was asked for.
+        /// The requested part.
         asked: Option<String>,
     },
     /// An input file changed while the sweep ran.
@@ -70,7 +70,7 @@ pub enum FolderError {
         /// The file.
         path: String,
     },
-    /// A file has another form than this program writes.
+    /// A file does not have the expected format.
     #[error("{path} is not what a sweep writes: {what}")]
     Form {
         /// The file.
@@ -81,9 +81,9 @@ pub enum FolderError {
     /// Runs are missing.
     #[error("{n} of {all} runs are in none of the folders, the first is run {first}; run the missing shards too")]
     Missing {
-        /// So many.
+        /// Number of missing runs.
         n: usize,
-        /// Of so many.
+        /// Number of runs.
         all: usize,
         /// The first of them.
         first: usize,
@@ -114,12 +114,12 @@ fn option(shard: &Option<String>) -> String {
     shard.as_ref().map_or_else(|| "--resume without --shard".into(), |shard| format!("--shard {shard} --resume"))
 }
 
-/// A run of a sweep that came to its end.
+/// A run that ended.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Done {
-    /// Its number.
+    /// Number of the run.
     pub run: usize,
-    /// Its seed.
+    /// Seed of the run.
     pub seed: u64,
     /// The values of factors, draws and repeat.
     pub values: Vec<(String, Json)>,
@@ -127,14 +127,14 @@ pub struct Done {
     pub status: String,
     /// Why there are no results.
     pub reason: Option<String>,
-    /// What the nodes warned of.
+    /// Warnings of nodes.
     pub warnings: Vec<String>,
-    /// What the graph's `[results]` names, as in `results.json`.
+    /// Values of the graph's `[results]`, as in `results.json`.
     pub results: Json,
 }
 
 impl Done {
-    /// The value of a factor, of what is drawn, or the repeat's number.
+    /// Value of a factor, a draw or the repeat, by name.
     pub fn value(&self, name: &str) -> Option<&Json> {
         self.values.iter().find(|(known, _)| known == name).map(|(_, value)| value)
     }
@@ -149,12 +149,12 @@ impl Done {
 #[derive(Debug, Clone)]
 pub struct Folder {
     dir: PathBuf,
-    /// What `sweep.json` says.
+    /// Content of `sweep.json`.
     pub about: Json,
 }
 
 impl Folder {
-    /// Begins a sweep in an empty folder.
+    /// Starts a sweep in an empty folder.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -164,7 +164,7 @@ impl Folder {
         let folder = Self { dir: dir.into(), about };
         fs::create_dir_all(dir.join(RUNS_DIR)).map_err(|source| folder.cannot_write(RUNS_DIR, source))?;
         folder.write(GRAPH, graph.as_bytes())?;
-        // This comes last: a folder that has it has all.
+        // Written last: a folder that has this file is complete.
         folder.write(DESIGN, format!("{:#}\n", folder.about).as_bytes())?;
         Ok(folder)
     }
@@ -172,7 +172,7 @@ impl Folder {
     /// Opens the folder of a sweep.
     ///
     /// # Errors
-    /// If it holds none, or one that this program cannot read.
+    /// If it is not the folder of a sweep, or this program cannot read it.
     pub fn open(dir: &Path) -> Result<Self, FolderError> {
         let path = dir.join(DESIGN);
         let text = match fs::read_to_string(&path) {
@@ -190,31 +190,31 @@ impl Folder {
         }
     }
 
-    /// The folder itself.
+    /// Path of the folder.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// The hash of all that decides the runs.
+    /// Hash of everything that determines the runs.
     pub fn hash(&self) -> &str {
         self.about["hash"].as_str().unwrap_or_default()
     }
 
-    /// How many runs the whole sweep has.
+    /// Number of runs of the whole sweep.
     pub fn n_runs(&self) -> usize {
         self.about["n_runs"].as_u64().unwrap_or_default() as usize
     }
 
-    /// What is asked of the runs, as the folder says.
+    /// The specification, as stored in the folder.
     ///
     /// # Errors
-    /// If the folder says it otherwise than this program does.
+    /// If this program cannot read the specification.
     pub fn spec(&self) -> Result<Spec, FolderError> {
         let path = self.dir.join(DESIGN).display().to_string();
         serde_json::from_value(self.about["sweep"].clone()).map_err(|e| FolderError::Form { path, what: e.to_string() })
     }
 
-    /// The numbers of the runs that are there, ascending.
+    /// Numbers of the stored runs, ascending.
     ///
     /// # Errors
     /// If the folder cannot be read.
@@ -230,18 +230,18 @@ impl Folder {
         Ok(runs)
     }
 
-    /// Every run that is there, by number.
+    /// Every stored run, by number.
     ///
     /// # Errors
-    /// If the folder cannot be read; a run that cannot be read is an error in its place.
+    /// If the folder cannot be read; a run that cannot be read is an error item of the iterator.
     pub fn done(&self) -> Result<impl Iterator<Item = Result<Done, FolderError>>, FolderError> {
         Ok(self.runs()?.into_iter().map(|run| self.read(run)))
     }
 
-    /// One run.
+    /// Reads one run.
     ///
     /// # Errors
-    /// If it is not there or is not what a sweep writes.
+    /// If it is missing or cannot be parsed.
     pub fn read(&self, run: usize) -> Result<Done, FolderError> {
         let path = self.dir.join(RUNS_DIR).join(file_name(run));
         let text = fs::read_to_string(&path);
@@ -270,7 +270,7 @@ impl Folder {
         fs::read_to_string(&path).map_err(|source| FolderError::Read { path: path.display().to_string(), source })
     }
 
-    /// What a run has set in the graph, as `--set` takes it.
+    /// Settings of a run, in the form of `--set`.
     pub(super) fn sets(&self, run: usize) -> Result<Vec<String>, FolderError> {
         let path = self.dir.join(RUNS_DIR).join(file_name(run)).display().to_string();
         let text = fs::read_to_string(&path).map_err(|source| FolderError::Read { path: path.clone(), source })?;
@@ -280,7 +280,7 @@ impl Folder {
         Ok(sets.iter().filter_map(Json::as_str).map(str::to_owned).collect())
     }
 
-    /// Keeps a run that came to its end, with what it set in the graph.
+    /// Stores a run that ended, with its settings.
     pub(super) fn keep(&self, done: &Done, sets: &[String]) -> Result<(), FolderError> {
         let values: serde_json::Map<_, _> = done.values.iter().cloned().collect();
         let json = json!({
@@ -290,10 +290,10 @@ impl Folder {
         self.write(&format!("{RUNS_DIR}/{}", file_name(done.run)), format!("{json}\n").as_bytes())
     }
 
-    /// Writes `runs.csv` and `points.csv` from the runs that are there.
+    /// Writes `runs.csv` and `points.csv` from the stored runs.
     ///
     /// # Errors
-    /// If a run cannot be read, or a table not be written.
+    /// If a run cannot be read or a table cannot be written.
     pub fn write_tables(&self) -> Result<(), FolderError> {
         let spec = self.spec()?;
         let mut text = Vec::new();
@@ -304,13 +304,13 @@ impl Folder {
         self.write(POINTS, &text)
     }
 
-    /// Writes a file of the folder whole or not at all.
+    /// Writes a file of the folder atomically.
     ///
     /// # Errors
     /// If it cannot be written.
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), FolderError> {
         let path = self.dir.join(name);
-        // Two processes may resume one sweep at a time; neither writes into the other's file.
+        // Two processes may resume the same sweep; they must not write to the same temporary file.
         let part = self.dir.join(format!("{name}.{}.part", std::process::id()));
         let written = fs::write(&part, bytes).and_then(|()| fs::rename(&part, &path));
         written.map_err(|source| self.cannot_write(name, source))
@@ -321,10 +321,10 @@ impl Folder {
     }
 }
 
-/// Puts the runs of shards together in a new folder, and writes the tables of the whole.
+/// Merges the runs of shards into a new folder and writes the tables of the whole sweep.
 ///
 /// # Errors
-/// If the folders are of different sweeps, or a run is in none of them.
+/// If the folders are of different sweeps, or a run is missing from all of them.
 pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     let first = &shards[0];
     for other in &shards[1..] {
@@ -356,7 +356,7 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     Ok(folder)
 }
 
-/// Whether both folders are of one sweep.
+/// Checks that both folders are of the same sweep.
 fn same(a: &Folder, b: &Folder) -> Result<(), FolderError> {
     match a.hash() == b.hash() {
         true => Ok(()),

@@ -1,4 +1,4 @@
-//! Runs what is missing of a sweep, on several workers.
+//! Runs the missing runs of a sweep on several workers.
 
 use super::{Done, Folder, FolderError, Run, Shard, Sweep, SweepOptions, Swept, Watcher, run_row, share::Shared};
 use crate::{
@@ -16,11 +16,11 @@ use std::{
 };
 
 impl Sweep {
-    /// Runs what the folder does not have yet, and keeps each run as it ends. The tables are left to the caller.
+    /// Runs what the folder lacks and stores each run as it ends. Does not write the tables.
     ///
     /// # Errors
-    /// If the folder cannot be read or written, or an input file has changed since it was checked; a run that fails is a
-    /// row.
+    /// If the folder cannot be read or written, or an input file has changed since the check. A failed run is a row,
+    /// not an error.
     pub fn run(&self, folder: &Folder, options: &SweepOptions, watcher: &dyn Watcher) -> Result<Swept, FolderError> {
         let before = folder.runs()?;
         let mut order = self.order(options.shard);
@@ -85,9 +85,10 @@ impl Sweep {
         Ok(Swept { n_before, n_missing, ..swept })
     }
 
-    /// The runs of a part, or all, in an order in which those that have much in common follow each other.
+    /// The runs of a part, or of the whole sweep, ordered so that runs that share nodes are adjacent.
     pub(super) fn order(&self, shard: Option<Shard>) -> Vec<usize> {
-        // By when the keys were first seen, node by node: sorting by that keeps the order of the tables where nothing is shared.
+        // Sorted by the first appearance of each key, node by node; keeps the order of the tables where nothing is
+        // shared.
         let mut first = BTreeMap::new();
         for (index, run) in self.runs.iter().enumerate() {
             for key in &run.keys {
@@ -97,19 +98,19 @@ impl Sweep {
         let mut order: Vec<usize> = (0..self.runs.len()).collect();
         order.sort_by_cached_key(|&run| self.runs[run].keys.iter().map(|key| first[key]).collect::<Vec<_>>());
         match shard {
-            // Neighbours have much in common, so a shard takes a stretch.
+            // Adjacent runs share nodes, so a shard is a contiguous range.
             Some(Shard { index, of }) => order[order.len() * (index - 1) / of..order.len() * index / of].to_vec(),
             None => order,
         }
     }
 
-    /// An input file of the run that is not what it was when the sweep was checked.
+    /// First input file of the run that has changed since the check.
     fn changed<'r>(&self, run: &'r Run) -> Option<&'r PathBuf> {
         let now = Stamps::of_plan(&run.plan);
         run.plan.input_files.iter().find(|file| now.get(file) != self.files.get(file))
     }
 
-    /// One run; `None` where the user has stopped it.
+    /// Runs one row; `None` if the user stopped it.
     fn run_one(
         &self,
         run: &Run,
@@ -137,7 +138,7 @@ impl Sweep {
     }
 }
 
-/// A sweep under way.
+/// A sweep in progress.
 struct State {
     pending: VecDeque<usize>,
     shared: Shared,

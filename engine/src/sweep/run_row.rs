@@ -1,4 +1,4 @@
-//! One run of a sweep: what other runs have left already is played, the rest is computed.
+//! One run of a sweep: plays the nodes shared with earlier runs and computes the others.
 
 use crate::{
     partial::{self, FinishedNode, PartialRun},
@@ -9,8 +9,8 @@ use crate::{
 use osteoflow_node::Registry;
 use std::sync::Arc;
 
-/// Runs a plan of whose nodes some have left their items already; answers its report, and what the others have left where
-/// they and all before them came to their end.
+/// Runs a plan with some finished nodes. Returns the report, and the items of the nodes that ended without failure, as
+/// did all nodes upstream.
 pub(super) fn run(
     plan: &Plan,
     registry: &Registry,
@@ -31,7 +31,7 @@ pub(super) fn run(
     (report, left)
 }
 
-/// For each node, whether it and all before it came to their end.
+/// Whether each node and all nodes upstream ended without failure.
 fn sound(plan: &Plan, ended: &Ended) -> Vec<bool> {
     let cut_short = ended.interrupted || ended.stall.is_some();
     let failed = |index| ended.failures.iter().any(|failure| failure.node == index);

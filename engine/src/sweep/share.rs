@@ -1,8 +1,8 @@
-//! What runs of a sweep have in common: nodes that would give the same items in several of them.
+//! Sharing between runs of a sweep: nodes that would give the same items in several runs.
 //!
-//! A run is a function of its inputs, so what a node gives is decided by its name, its kind and program, its parameters
-//! and the files they name, the run's seed, how its ports join, and what feeds them. The digest over all that is the
-//! node's key; nodes of two runs with one key give the same items, which are computed once.
+//! A run is a function of its inputs: the items of a node are determined by its name, kind, program, parameters and the
+//! files they name, the run's seed, the joins of its ports, and the nodes upstream. The node's key is the digest of all
+//! that. Nodes of two runs with equal keys give the same items, which are computed once.
 
 use crate::{
     hash::Digest,
@@ -14,7 +14,7 @@ use crate::{
 use serde_json::json;
 use std::{collections::BTreeMap, sync::Arc};
 
-/// The keys of a plan's nodes, in its order.
+/// Keys of a plan's nodes, in order.
 pub(super) fn keys(plan: &Plan, files: &Stamps) -> Vec<Digest> {
     let mut keys: Vec<Digest> = Vec::with_capacity(plan.nodes.len());
     for node in &plan.nodes {
@@ -50,28 +50,28 @@ pub(super) fn keys(plan: &Plan, files: &Stamps) -> Vec<Digest> {
     keys
 }
 
-/// What is known of a key that several runs have.
+/// State of a key that several runs share.
 enum State {
-    /// Nobody has it yet.
+    /// Not computed yet.
     Open,
     /// A run is computing it.
     UnderWay,
-    /// It is there.
+    /// Its items are available.
     Done(Arc<FinishedNode>),
 }
 
 struct Entry {
-    /// The runs to come that have it.
+    /// Number of runs to come that share it.
     n_users: usize,
     state: State,
 }
 
-/// The nodes that several runs have, and what they have left so far; each is let go with the last run that has it.
+/// Nodes that several runs share, with their items so far; released after the last run that shares them.
 #[derive(Default)]
 pub(super) struct Shared(BTreeMap<Digest, Entry>);
 
 impl Shared {
-    /// Of the runs to come; what only one of them has is no matter of this.
+    /// Collects the keys of the runs to come; a key of only one run is not shared.
     pub(super) fn of<'a>(runs: impl Iterator<Item = &'a [Digest]>) -> Self {
         let mut entries: BTreeMap<Digest, Entry> = BTreeMap::new();
         for key in runs.flatten() {
@@ -81,12 +81,12 @@ impl Shared {
         Self(entries)
     }
 
-    /// Whether a run can begin without computing what another one is computing already.
+    /// Whether a run can start without computing a node that another run is computing.
     pub(super) fn is_free(&self, keys: &[Digest]) -> bool {
         !keys.iter().any(|key| matches!(self.0.get(key), Some(Entry { state: State::UnderWay, .. })))
     }
 
-    /// What is there for a run that begins, by node; what it will share is under way from now on.
+    /// Starts a run: returns its available items by node, and marks its other shared nodes as being computed.
     pub(super) fn begin(&mut self, keys: &[Digest]) -> Vec<Option<Arc<FinishedNode>>> {
         let take = |key| match self.0.get_mut(key) {
             Some(Entry { state: State::Done(left), .. }) => Some(left.clone()),
@@ -99,7 +99,7 @@ impl Shared {
         keys.iter().map(take).collect()
     }
 
-    /// Takes what a run has left, for the nodes that it computed soundly.
+    /// Ends a run: takes the items of the nodes that it computed without failure.
     pub(super) fn end(&mut self, keys: &[Digest], mut left: Vec<Option<FinishedNode>>) {
         for (index, key) in keys.iter().enumerate() {
             let Some(entry) = self.0.get_mut(key) else { continue };

@@ -5,9 +5,9 @@ use crate::check::sweep::{Column, PointColumn, Spec};
 use serde_json::Value as Json;
 use std::io::Write;
 
-/// What a run's results hold at a path such as `metrics.tre_true_mm.mean_signed.z`.
+/// Looks up a run's results at a path such as `metrics.tre_true_mm.mean_signed.z`.
 ///
-/// A part is the key of an object, or of a list the number of an item from 0, or the `name` of one.
+/// Each segment is a key of an object, the index of a list item from 0, or the `name` of one.
 pub fn at_path<'a>(results: &'a Json, path: &str) -> Option<&'a Json> {
     path.split('.').try_fold(results, |at, part| match at {
         Json::Object(object) => object.get(part),
@@ -19,7 +19,7 @@ pub fn at_path<'a>(results: &'a Json, path: &str) -> Option<&'a Json> {
     })
 }
 
-/// What a cell holds: numbers to their last bit, words as they are, nothing for null.
+/// Formats a cell: numbers in full precision, strings without quotes, null as empty.
 fn cell(value: &Json) -> String {
     match value {
         Json::Null => String::new(),
@@ -28,17 +28,17 @@ fn cell(value: &Json) -> String {
     }
 }
 
-/// Names of the factors, of what is drawn and of the repeats, as columns.
+/// Names of factors, draws and repeats, as columns.
 fn names(spec: &Spec) -> impl Iterator<Item = &str> {
     let factors = spec.factors.iter().map(|factor| factor.name.as_str());
     factors.chain([spec.repeat_name.as_str()]).chain(spec.draws.iter().map(|draw| draw.name.as_str()))
 }
 
-/// Writes `runs.csv`: run, factors, repeat, draws, seed, status, the columns of the sweep, and the reason where there are
+/// Writes `runs.csv`: run, factors, repeat, draws, seed, status, the columns of the sweep, and the reason why there are
 /// no results.
 ///
 /// # Errors
-/// If a run cannot be read or the table not be written.
+/// If a run cannot be read or the table cannot be written.
 pub fn write_runs(folder: &Folder, spec: &Spec, out: impl Write) -> Result<(), FolderError> {
     let mut table = csv::Writer::from_writer(out);
     let head = ["run"].into_iter().chain(names(spec)).chain(["seed", "status"]);
@@ -58,12 +58,12 @@ pub fn write_runs(folder: &Folder, spec: &Spec, out: impl Write) -> Result<(), F
     table.flush().map_err(|e| folder.cannot_write(super::folder::RUNS, e))
 }
 
-/// A value at a point along an axis.
+/// Value of a measure at a point along an axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PointValue<'a> {
-    /// What is measured, with its unit.
+    /// The measure, with its unit.
     pub measure: &'a str,
-    /// The point's name, or its number from 0.
+    /// Name of the point, or its index from 0.
     pub point: String,
     /// The axis.
     pub axis: &'a str,
@@ -71,7 +71,7 @@ pub struct PointValue<'a> {
     pub value: f64,
 }
 
-/// What a run says at its points.
+/// Values of a run at its points.
 pub fn point_values<'a>(spec: &'a Spec, done: &Done) -> Vec<PointValue<'a>> {
     let mut out = Vec::new();
     for column in &spec.points {
@@ -88,7 +88,8 @@ pub fn point_values<'a>(spec: &'a Spec, done: &Done) -> Vec<PointValue<'a>> {
     out
 }
 
-/// The head of the values at points: with the unit where all have one, else each measure's name says its own.
+/// Header of the value column: includes the unit if all measures have the same; otherwise each measure's name has its
+/// own.
 fn value_head(spec: &Spec) -> &'static str {
     match spec.points.iter().all(|column| column.name.ends_with("_mm")) {
         true => "value_mm",
@@ -96,7 +97,7 @@ fn value_head(spec: &Spec) -> &'static str {
     }
 }
 
-/// The columns and lists of points, with their paths, that have no value in any complete run, though there are such runs.
+/// Columns and lists of points, with their paths, that have no value in any complete run; empty if no run is complete.
 pub fn without_value<'a>(spec: &'a Spec, runs: &[Done]) -> Vec<(&'a str, &'a str)> {
     let complete: Vec<_> = runs.iter().filter(|run| run.status == "complete").collect();
     if complete.is_empty() {
@@ -106,7 +107,7 @@ pub fn without_value<'a>(spec: &'a Spec, runs: &[Done]) -> Vec<(&'a str, &'a str
         complete.iter().any(|run| at_path(&run.results, &column.path).is_some_and(|value| !value.is_null()))
     };
     let tells = |points: &&PointColumn| {
-        // Without axes no value is asked for.
+        // Without axes no values are looked up.
         points.axes.is_empty()
             || complete.iter().any(|run| point_values(spec, run).iter().any(|value| value.measure == points.name))
     };
@@ -115,11 +116,11 @@ pub fn without_value<'a>(spec: &'a Spec, runs: &[Done]) -> Vec<(&'a str, &'a str
     columns.chain(points).collect()
 }
 
-/// Writes `points.csv`, long: run, factors, repeat, draws, seed, measure, point, axis, value; `value_mm` where every measure
-/// is in mm.
+/// Writes `points.csv` in long format: run, factors, repeat, draws, seed, measure, point, axis, value; `value_mm` if
+/// every measure is in mm.
 ///
 /// # Errors
-/// If a run cannot be read or the table not be written.
+/// If a run cannot be read or the table cannot be written.
 pub fn write_points(folder: &Folder, spec: &Spec, out: impl Write) -> Result<(), FolderError> {
     let mut table = csv::Writer::from_writer(out);
     let head = ["run"].into_iter().chain(names(spec)).chain(["seed", "measure", "point", "axis", value_head(spec)]);

@@ -3,7 +3,7 @@ use osteoflow_toy::{n_fired, registry};
 use serde_json::{Value as Json, json};
 use std::{fs, path::PathBuf};
 
-/// A graph of toys: `shared` is what all runs of a seed have in common.
+/// A graph of toy nodes; runs with the same seed share `shared`.
 fn graph(counter: &str, sweep: &str) -> String {
     format!(
         r#"
@@ -56,18 +56,18 @@ impl Desk {
         check(&self.graph, &[], &registry(), 2).unwrap_or_else(|faults| panic!("{}", faults.render(false)))
     }
 
-    /// The faults of a graph that has some.
+    /// Faults of a graph that has some.
     fn faults(&self) -> String {
         self.faults_with(&[])
     }
 
-    /// The same with settings of the command line.
+    /// Faults with settings of the command line.
     fn faults_with(&self, sets: &[&str]) -> String {
         let sets: Vec<_> = sets.iter().map(|set| (*set).to_owned()).collect();
         check(&self.graph, &sets, &registry(), 2).map(|_| ()).unwrap_err().render(false)
     }
 
-    /// Sweeps into a new folder and answers its tables.
+    /// Sweeps into a new folder and returns its tables.
     fn sweep(&self, out: &str, options: &SweepOptions) -> (Swept, String, String) {
         let sweep = self.check();
         let folder = sweep.begin(&self.path(out), options).unwrap();
@@ -122,7 +122,7 @@ fn a_sweep_that_was_stopped_goes_on_where_it_was_and_leaves_the_same_tables() {
     let desk = Desk::new(&graph("sweep-resume", SIX));
     let (_, runs, points) = desk.sweep("whole", &options(2, true));
     desk.sweep("cut", &options(2, true));
-    // What a kill leaves: runs that are there whole, others that are not, and a file half written under another name.
+    // State after a kill: some complete runs, and a half-written file under another name.
     for run in [1, 4, 5] {
         fs::remove_file(desk.path("cut/runs").join(format!("{run:06}.json"))).unwrap();
     }
@@ -169,7 +169,7 @@ fn shards_put_together_are_the_whole_and_a_missing_one_is_named() {
     }
 }
 
-/// Writes into a file when the first run has ended.
+/// Changes a file when the first run has ended.
 struct Meddler(PathBuf);
 
 impl Watcher for Meddler {

@@ -1,28 +1,28 @@
-//! What differs between two plans of a graph, as far as it decides what its nodes compute.
+//! Differences between two plans of a graph that affect what its nodes compute.
 
 use super::{Memory, Stamps};
 use crate::plan::{Plan, PlanNode, Policy};
 use serde_json::Value as Json;
 use std::collections::BTreeSet;
 
-/// A value in a change is shown up to so many characters.
+/// Maximum length of a value in a change, in characters.
 const MOST_CHARACTERS: usize = 40;
 
-/// What is computed anew for its own sake, not only for what comes before it.
+/// A direct change: a reason to recompute a node other than changes upstream of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Change {
-    /// The node; `graph` where it concerns all.
+    /// The node; `graph` if it concerns all nodes.
     pub node: String,
-    /// What is other than before, such as `max_pair_distance_mm 5.0 -> 3.0`.
+    /// What has changed, such as `max_pair_distance_mm 5.0 -> 3.0`.
     pub why: Vec<String>,
 }
 
-/// Another seed: any node may draw.
+/// A change of seed, which affects every node that draws.
 pub(super) fn seed(before: u64, now: u64) -> Change {
     Change { node: "graph".into(), why: vec![format!("seed {before} -> {now}")] }
 }
 
-/// The changed nodes, by their index in the new plan.
+/// Changed nodes, by their index in the new plan.
 pub(super) fn of(memory: &Memory, plan: &Plan, files: &Stamps) -> Vec<(usize, Change)> {
     let old = &memory.plan;
     let change = |(index, node): (usize, &PlanNode)| {
@@ -41,7 +41,7 @@ pub(super) fn of(memory: &Memory, plan: &Plan, files: &Stamps) -> Vec<(usize, Ch
     plan.nodes.iter().enumerate().filter_map(change).collect()
 }
 
-/// Nodes of the old plan that the new one does not have.
+/// Nodes of the old plan that are not in the new one.
 pub(super) fn removed(old: &Plan, plan: &Plan) -> Vec<String> {
     let gone = old.nodes.iter().filter(|before| plan.nodes.iter().all(|node| node.name != before.name));
     gone.map(|node| node.name.to_string()).collect()
@@ -115,7 +115,7 @@ fn inputs(old: &Plan, before: &PlanNode, plan: &Plan, node: &PlanNode, why: &mut
     }
 }
 
-/// What a wire may lose; how much waits on one that blocks decides nothing.
+/// What a wire may drop; the capacity of a wire that blocks has no effect on items.
 fn policy(plan: &Plan, link: Option<usize>) -> Option<(Policy, usize, u64)> {
     let link = &plan.links[link?];
     (link.policy != Policy::Block).then_some((link.policy, link.capacity, link.max_bytes))

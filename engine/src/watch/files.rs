@@ -1,8 +1,8 @@
-//! Files that are looked at again and again.
+//! Detects changes of files by polling.
 //!
-//! They are asked for their stamps, twenty times a second, and no notice of the system is waited for. A graph names a
-//! dozen files, whose stamps cost some microseconds; this works on every file system, also where another machine writes,
-//! and with editors that put a new file in the place of the old one.
+//! Stamps are polled twenty times a second, without notifications of the operating system. A graph names about a dozen
+//! files, whose stamps take some microseconds; this works on every file system, also for changes from other machines
+//! and for editors that replace a file by a new one.
 
 use crate::{
     hash::{file_stamp::stamp, files::list},
@@ -16,16 +16,16 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// How often files are looked at.
+/// Polling interval.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Files and folders as they were at a time: of each its size, its times and which file it is; of a folder, those of all
-/// files in it. One that is not there has its place too.
+/// State of files and folders at one time: size, times and identity of each; for a folder, those of all files in it.
+/// Missing files are included.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Stamps(BTreeMap<PathBuf, String>);
 
 impl Stamps {
-    /// As they are now.
+    /// The current state of these paths.
     pub fn of(paths: impl IntoIterator<Item = PathBuf>) -> Self {
         let told = |path: PathBuf| {
             let stamp = of_path(&path);
@@ -34,30 +34,30 @@ impl Stamps {
         Self(paths.into_iter().map(told).collect())
     }
 
-    /// Of all that a plan reads beside its text.
+    /// The current state of all files that a plan reads, apart from its text.
     pub fn of_plan(plan: &Plan) -> Self {
         Self::of(plan.input_files.iter().cloned())
     }
 
-    /// These, and others.
+    /// Adds the stamps of `others`.
     #[must_use]
     pub fn and(mut self, others: &Self) -> Self {
         self.0.extend(others.0.clone());
         self
     }
 
-    /// What was seen of a file; `None` if it was not looked at.
+    /// Stamp of a file; `None` if it is not included.
     pub(crate) fn get(&self, path: &Path) -> Option<&str> {
         self.0.get(path).map(String::as_str)
     }
 
-    /// Whether both have seen the file alike.
+    /// Whether both have the same stamp of the file.
     pub(super) fn agree(&self, other: &Self, path: &Path) -> bool {
         self.0.get(path) == other.0.get(path)
     }
 
-    /// Waits until one of the files has changed and all have come to rest: two looks in a row find the same, so that a
-    /// file half written is not taken for the new one. Answers when the change was seen; `None` if it is cancelled.
+    /// Waits until a file has changed and all files are stable: two consecutive polls agree, so that a half-written
+    /// file is not taken for the new one. Returns when the change was seen; `None` if cancelled.
     pub fn wait(&self, cancelled: &AtomicBool) -> Option<Instant> {
         let look = || {
             thread::sleep(LOOK);

@@ -23,7 +23,7 @@ fn calls(factor: f64) -> Json {
     (1..12).map(call).collect()
 }
 
-/// What a variant of the toy graph has of its own.
+/// Settings of a variant of the toy graph.
 #[derive(Clone)]
 struct Variant {
     factor: f64,
@@ -73,7 +73,7 @@ impl Variant {
     }
 }
 
-/// Each differs from the base in one thing that somebody may edit.
+/// Each differs from the base in one thing that a user may edit.
 fn variants() -> Vec<Variant> {
     vec![
         BASE,
@@ -89,7 +89,7 @@ fn variants() -> Vec<Variant> {
     ]
 }
 
-/// Every item of every wire, as its bytes.
+/// Every item of every wire, encoded.
 fn wires(session: &Session) -> BTreeMap<String, Vec<Vec<u8>>> {
     let memory = session.memory.as_ref().unwrap();
     let ids = (0..memory.plan.nodes.len()).flat_map(|node| partial::outputs(&memory.plan, node));
@@ -104,7 +104,7 @@ fn again(session: &mut Session, plan: &Plan, workers: usize) -> (RunReport, Vec<
     (session.run(next, &registry(), &options(workers), &()).unwrap(), computed)
 }
 
-/// Reruns the plan, and holds what it leaves equal to what a run of the whole leaves; answers the nodes it computed.
+/// Reruns the plan, compares the outcome with a run of the whole, and returns the computed nodes.
 fn check(session: &mut Session, plan: &Plan, workers: usize) -> Vec<String> {
     let (report, computed) = again(session, plan, workers);
     let whole = run(plan, &registry(), &options(workers), &()).unwrap();
@@ -126,7 +126,7 @@ fn check(session: &mut Session, plan: &Plan, workers: usize) -> Vec<String> {
 fn a_rerun_after_any_edit_leaves_bit_for_bit_what_a_run_of_the_whole_leaves() {
     for workers in [1, 2, 8] {
         let mut session = Session::default();
-        // From each variant to each, so that nodes come and go and what was kept twice is played.
+        // From each variant to each, so that nodes are added and removed, and items kept over two runs are played.
         for before in variants() {
             for after in variants() {
                 check(&mut session, &before.plan(), workers);

@@ -1,4 +1,4 @@
-//! Messages about the run itself: JSON, one topic each.
+//! Messages about the run itself, in JSON, one topic each.
 
 use super::Topic;
 use osteoflow_node::ClockReading;
@@ -7,7 +7,7 @@ use serde_json::{Value as Json, json};
 
 /// A message about the run.
 pub(crate) trait RunMessage: Serialize {
-    /// Where it is written.
+    /// Its topic.
     const TOPIC: Topic<'static>;
     /// The name of its schema.
     const SCHEMA: &'static str;
@@ -21,7 +21,7 @@ pub(crate) trait RunMessage: Serialize {
     }
 }
 
-/// When nodes fired, by the wall clock: node, item, nanoseconds from the begin of the run, nanoseconds taken.
+/// Wall-clock times of firings: node, item, start in nanoseconds since the start of the run, duration in nanoseconds.
 #[derive(Serialize)]
 pub(crate) struct Timing<'a> {
     pub(crate) firings: Vec<(&'a str, u64, u64, u64)>,
@@ -33,7 +33,7 @@ pub(crate) struct Drops {
     pub(crate) drops: Vec<(String, String, u64)>,
 }
 
-/// What a firing read from the clock, in order; a replay answers with the same.
+/// Clock readings of a firing, in order; a replay returns the same.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct Live {
     pub(crate) node: String,

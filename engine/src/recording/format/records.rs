@@ -32,7 +32,7 @@ fn entries<const N: usize>(entries: [(&str, String); N]) -> Entries {
 pub(crate) struct RunRecord {
     /// The version of the recording's format.
     pub(crate) format_version: u32,
-    /// The graph as it ran, as the text of a graph file.
+    /// The graph as it ran, in the text of a graph file.
     pub(crate) graph: String,
     /// The graph file it came from.
     pub(crate) graph_file: PathBuf,
@@ -40,7 +40,7 @@ pub(crate) struct RunRecord {
     pub(crate) name: String,
     /// The run's seed.
     pub(crate) seed: u64,
-    /// What a replay has of the sources.
+    /// How a replay gets the data of the sources.
     pub(crate) sources: Sources,
     /// The version of the program that wrote it.
     pub(crate) version: String,
@@ -61,7 +61,7 @@ impl MetadataRecord for RunRecord {
         ])
     }
 
-    /// A record of a version that is not read has its version and nothing else.
+    /// Of an unsupported version only the version is parsed.
     fn from_metadata(entries: &Entries) -> Result<Self, String> {
         let format_version = number(entries, "format_version")?;
         if !super::is_read(format_version) {
@@ -104,8 +104,8 @@ impl MetadataRecord for Program {
     }
 }
 
-/// The SHA-256 of each input file by its path, or why there is none. At the front where sources are known by it, else at
-/// the end.
+/// SHA-256 of each input file by its path, or why there is none. At the front where sources are identified by it,
+/// otherwise at the end.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct InputHashes(pub(crate) Entries);
 
@@ -144,12 +144,12 @@ pub(crate) struct WireCount {
     pub(crate) values: u64,
 }
 
-/// The number of items of each wire. Only a recording that was finished has it.
+/// Number of items of each wire. Only a finished recording has it.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(crate) struct WireCounts(pub(crate) BTreeMap<String, WireCount>);
 
 impl WireCounts {
-    /// The counts of a wire.
+    /// Parses the counts of a wire.
     pub(crate) fn parse(text: &str) -> Option<WireCount> {
         serde_json::from_str(text).ok().or_else(|| {
             // Format version 1.
@@ -193,7 +193,7 @@ pub struct RecordedFailure {
 pub(crate) struct Outcome {
     /// `complete`, `refused` or `interrupted`.
     pub(crate) status: String,
-    /// What `results.json` holds.
+    /// Content of `results.json`.
     pub(crate) results: Json,
     /// Constants that the command put into `results.json`.
     pub(crate) fixed_results: serde_json::Map<String, Json>,
@@ -202,7 +202,7 @@ pub(crate) struct Outcome {
 }
 
 impl Outcome {
-    /// The status of a run that the user stopped.
+    /// Status of a run that the user stopped.
     pub(crate) const INTERRUPTED: &'static str = "interrupted";
 }
 
@@ -228,17 +228,17 @@ impl MetadataRecord for Outcome {
     }
 }
 
-/// What is missing of a recording that was recovered from a damaged file.
+/// What a recording lacks that was recovered from a damaged file.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Recovered {
     /// Each damage, with the name of the file.
     pub(crate) damage: Vec<String>,
     pub(crate) bytes_lost: u64,
-    /// The number of items of each wire before the first damage; what lies behind may rest on what is lost.
+    /// Number of items of each wire before the first damage; later items may depend on lost ones.
     pub(crate) before_damage: BTreeMap<String, u64>,
-    /// Numbers that are missing, by wire.
+    /// Missing numbers, by wire.
     pub(crate) missing: BTreeMap<String, Vec<RangeInclusive<u64>>>,
-    /// Records of the run that are lost.
+    /// Lost records of the run.
     pub(crate) lost: Vec<String>,
 }
 
@@ -271,7 +271,7 @@ impl MetadataRecord for Recovered {
     }
 }
 
-/// The firing whose inputs a repro bundle holds.
+/// The firing whose inputs are in a repro bundle.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ReproRecord {
     pub(crate) node: String,
@@ -290,10 +290,10 @@ impl MetadataRecord for ReproRecord {
     }
 }
 
-/// A wire as the metadata of its exact channel describes it.
+/// A wire as described by the metadata of its exact channel.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(crate) struct WireHeader {
-    /// The node; empty where it is not said, as in repro bundles.
+    /// The node; empty where unknown, as in repro bundles.
     pub(crate) node: String,
     /// The output.
     pub(crate) port: String,
@@ -305,9 +305,9 @@ pub(crate) struct WireHeader {
     pub(crate) version: u32,
     /// Whether its node is a source.
     pub(crate) source: bool,
-    /// The units of fields and columns whose names do not say them, as JSON.
+    /// Units of fields and columns whose names do not contain them, as JSON.
     pub(crate) units: String,
-    /// What the payload's views hold, as JSON; `None` where the channel does not say it.
+    /// Schema of the payload's views, as JSON; `None` where the channel has none.
     pub(crate) schema: Option<String>,
 }
 
@@ -332,7 +332,7 @@ impl WireHeader {
         all
     }
 
-    /// What is not said is empty: channels of earlier programs say less.
+    /// Missing entries become empty: channels of earlier programs have fewer.
     pub(crate) fn from_metadata(entries: &Entries) -> Self {
         let text = |key: &str| entries.get(key).cloned().unwrap_or_default();
         Self {

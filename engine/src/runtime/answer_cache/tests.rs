@@ -17,7 +17,7 @@ use proptest::prelude::*;
 use serde_json::{Value as Json, json};
 use std::collections::BTreeMap;
 
-/// Every item of the recorded wires, as its bytes.
+/// Encoded items of the recorded wires.
 #[derive(Default)]
 struct Wires(Mutex<BTreeMap<OutputId, Vec<Vec<u8>>>>);
 
@@ -36,7 +36,7 @@ fn store() -> (Arc<Store>, tempfile::TempDir) {
     (Arc::new(Store::open(Settings::in_dir(dir.path()))), dir)
 }
 
-/// A plan in which `node` of this kind gets these numbers, one at each stamp from `first_ns` on.
+/// A plan in which `node` of this kind receives `numbers`, one at each stamp from `first_ns` on.
 fn plan(kind: &str, params: Json, numbers: &[f64], first_ns: StampNs) -> Plan {
     let calls = numbers.iter().zip(first_ns..);
     let calls: Json = calls.map(|(x, stamp_ns)| json!({ "stamp_ns": stamp_ns, "give": [[0, x]] })).collect();
@@ -59,7 +59,7 @@ fn options(store: &Arc<Store>, workers: usize) -> RunOptions {
     RunOptions { workers, store: Some(store.clone()), ..RunOptions::default() }
 }
 
-/// How many firings two runs with one store take: the first plan's, then the second's.
+/// Numbers of firings in two runs with one store: of the first plan, then of the second.
 fn firings(counter: &str, first: &Plan, second: &Plan) -> (u64, u64) {
     let (store, _dir) = store();
     ran(first, &options(&store, 1));
@@ -75,7 +75,7 @@ fn a_warm_run_gives_the_same_wires_results_and_warnings_without_a_firing() {
     let (computed, wires) = ran(&plan, &RunOptions::default());
     assert_eq!((computed.warnings.len(), n_fired("warm")), (1, 4));
     let (cold, cold_wires) = ran(&plan, &options(&store, 1));
-    // The last item is the first again.
+    // The last item equals the first.
     assert_eq!(n_fired("warm"), 7);
     assert_eq!(cold.recalled.iter().map(|r| (r.node.as_str(), r.item)).collect::<Vec<_>>(), [("node", 3)]);
     for workers in [1, 2, 8] {
@@ -246,7 +246,7 @@ fn an_answer_is_read_as_it_was_written_and_of_other_bytes_there_is_none() {
     assert!(matches!(&answer.emissions[0], Emission::Value(v) if v.get() == Some(&Number(1.5))));
     assert!(matches!(&answer.emissions[1], Emission::Empty(reason) if reason == "it is µ"));
     assert!(written(&[Emission::Silent], &[], "node").is_none());
-    // A node with one output is another.
+    // A node with one output does not accept the answer.
     assert!(recall.read(0, &entry(&[&bytes])).is_none());
     proptest!(|(at in 0usize..400, byte: u8, cut in 0usize..400)| {
         let cut = cut % bytes.len();

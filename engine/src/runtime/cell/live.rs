@@ -1,5 +1,4 @@
-//! What the cell of a live source does: it asks when there is room, and puts on their way the answers that come from the
-//! source's thread.
+//! Live sources in a cell: asks the source when there is room, and sends the answers that arrive from its thread.
 
 use super::{
     Cell, Core, Firing, Phase, called, known,
@@ -12,17 +11,17 @@ use crate::{
 use osteoflow_node::{AnySource, Context, Emission, NodeError, StampNs};
 use std::time::Instant;
 
-/// What the cell of a live source knows of it.
+/// The cell's state of a live source.
 pub(in crate::runtime) struct LiveCore {
-    /// No item comes later than so long after the newest.
+    /// Maximum delay of an item relative to the newest.
     pub(super) max_delay_ns: StampNs,
-    /// The newest stamp of all outputs.
+    /// Newest stamp of all outputs.
     pub(super) newest_ns: StampNs,
     /// It is not asked, because an output has no room.
     pub(super) waits: bool,
 }
 
-/// What a live source has answered.
+/// An answer of a live source.
 pub(in crate::runtime) struct Answer {
     firing: Firing,
     emissions: Vec<Emission>,
@@ -36,14 +35,14 @@ pub(in crate::runtime) enum Asked {
         item: u64,
         stamp_ns: StampNs,
     },
-    /// Its outputs lack room.
+    /// An output has no room.
     WhenThereIsRoom,
     /// It has ended.
     Never,
 }
 
 impl Answer {
-    /// The number of the answer.
+    /// Number of the answer.
     pub(in crate::runtime) fn item(&self) -> u64 {
         self.firing.item
     }
@@ -70,7 +69,7 @@ impl Cell {
         matches!(self.core, Core::Live(_))
     }
 
-    /// Whether a live source waited for room; it does no more.
+    /// Takes the flag that a live source waited for room.
     pub(in crate::runtime) fn take_waits(&mut self) -> bool {
         match &mut self.core {
             Core::Live(live) => std::mem::take(&mut live.waits),
@@ -78,7 +77,7 @@ impl Cell {
         }
     }
 
-    /// What a live source has answered goes on its way.
+    /// Sends an answer of a live source.
     pub(in crate::runtime) fn answered(&mut self, answer: Answer, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         self.started(run);
         answer.warnings.into_iter().for_each(|warning| self.context.warn(warning));
@@ -95,7 +94,7 @@ impl Cell {
         self.after(answer.firing, answer.answered.map(|answer| answer.map(drop)), run, turn);
     }
 
-    /// Whether a live source can be asked for its next answer; ends it where it is to end.
+    /// Whether a live source can be asked for its next answer; ends it where it has to end.
     pub(in crate::runtime) fn ask(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Asked {
         let Core::Live(_) = self.core else { return Asked::Never };
         if !self.has_room(run) {
@@ -118,7 +117,7 @@ impl Cell {
         }
     }
 
-    /// Ends a live source because of the wish to stop; `false` if it has failed and has still to say so.
+    /// Ends a live source on a stop request; returns `false` if it has failed and has still to report that.
     pub(in crate::runtime) fn interrupt(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> bool {
         let ends = matches!(self.phase, Phase::Open);
         if ends {
@@ -128,13 +127,13 @@ impl Cell {
         ends
     }
 
-    /// A live source cannot be asked.
+    /// Fails a live source that cannot be asked.
     pub(in crate::runtime) fn fail_live(&mut self, reason: String, run: &Runtime<'_>) {
         self.fail(self.item, reason, false, false, run);
     }
 
-    /// What a live source gives later than it has promised is an empty in its place, at the stamp up to which nothing was
-    /// to come any more.
+    /// Replaces items that a live source gives later than promised by empties, stamped with the promise that they
+    /// broke.
     pub(super) fn empty_the_late(&mut self, stamp_ns: StampNs) {
         let Core::Live(live) = &mut self.core else { return };
         live.newest_ns = live.newest_ns.max(stamp_ns);
@@ -155,7 +154,7 @@ impl Cell {
         }
     }
 
-    /// Says so where items came later than promised.
+    /// Warnings about items that came later than promised.
     pub(in crate::runtime) fn late_warning(&self, plan: &Plan) -> Vec<(usize, Warning)> {
         let late = self.outputs.iter().filter(|output| output.late.n_items > 0);
         let message = |output: &Output| {

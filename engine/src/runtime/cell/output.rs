@@ -1,4 +1,4 @@
-//! An output of a node: it numbers what goes on the wire, and sends it over each link.
+//! An output of a node: numbers its items and sends them over each link.
 
 use crate::{
     plan::OutputId,
@@ -16,20 +16,20 @@ pub(in crate::runtime) struct Output {
     pub(super) id: OutputId,
     pub(super) payload: PortPayload,
     pub(in crate::runtime) links: Vec<SendEnd>,
-    /// The taps that listen to the wire, as indices into those of the run.
+    /// Indices of the run's taps that listen to the wire.
     listeners: Vec<usize>,
     next_number: u64,
-    /// Nothing may come before this stamp any more.
+    /// No further item may have an earlier stamp.
     pub(super) floor: StampNs,
     pub(super) late: Late,
 }
 
-/// Items that a live source gave later than it had promised.
+/// Items that a live source gave later than promised.
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::runtime) struct Late {
-    /// How many.
+    /// Number of items.
     pub(super) n_items: u64,
-    /// How much too late the latest of them was.
+    /// Largest delay beyond the promise.
     pub(super) most_ns: StampNs,
 }
 
@@ -38,12 +38,12 @@ impl Output {
         Self { id, payload, links, listeners: Vec::new(), next_number: 0, floor: StampNs::MIN, late: Late::default() }
     }
 
-    /// How many items a live source gave later than it had promised.
+    /// Number of items that a live source gave later than promised.
     pub(in crate::runtime) fn n_late(&self) -> u64 {
         self.late.n_items
     }
 
-    /// How many items went on the wire.
+    /// Number of items sent on the wire.
     pub(in crate::runtime) fn n_items(&self) -> u64 {
         self.next_number
     }
@@ -55,14 +55,14 @@ impl Output {
     pub(super) fn has_room(&mut self, states: &[LinkState]) -> bool {
         let mut room = true;
         for send in &mut self.links {
-            // To the last: every full link notes that its producer waits.
+            // Checks every link, so that each full one notes that its producer is blocked.
             room &= send.has_room(&states[send.link]);
         }
         room
     }
 
     /// # Errors
-    /// The index of a link that was full and must not be.
+    /// Index of a link that was full and must not be.
     pub(super) fn send(
         &mut self,
         stamp_ns: StampNs,
@@ -105,7 +105,8 @@ impl Output {
     }
 }
 
-/// What an emission breaks of what every node promises: an answer on each output, of its type, in the order of time.
+/// Checks what every node promises of its emissions: one answer on each output, of its type, in the order of time.
+/// Returns the violation.
 pub(crate) fn emission_fault(
     payload: &PortPayload,
     floor: StampNs,

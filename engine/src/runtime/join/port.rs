@@ -2,14 +2,14 @@ use super::{Choice, SecondItem, choice_of, empty_of, span, tolerance_of};
 use osteoflow_node::{Body, Empty, Item, Join, Slot, StampNs, Value};
 use std::{collections::VecDeque, sync::Arc};
 
-/// A port as the machine needs to know it.
+/// Description of a port, as the joins need it.
 #[derive(Debug, Clone)]
 pub(crate) struct PortSpec {
     /// Its name.
     pub(crate) name: &'static str,
     /// How its items are chosen.
     pub(crate) join: Join,
-    /// Whether the node takes nothing for an answer.
+    /// Whether the port is optional: the node accepts no value.
     pub(crate) optional: bool,
     /// Whether its items are drained.
     pub(crate) unused: bool,
@@ -17,7 +17,7 @@ pub(crate) struct PortSpec {
     pub(crate) wire: Option<String>,
 }
 
-/// The part that a port plays in its node's joins.
+/// Role of a port in its node's joins.
 #[derive(Clone, Copy, PartialEq)]
 enum Role {
     Step,
@@ -32,25 +32,25 @@ enum Role {
 pub(super) struct Port {
     pub(super) spec: PortSpec,
     role: Role,
-    /// Items that wait for their turn; few, except where `collect` gathers.
+    /// Waiting items; few, except where `collect` gathers.
     queue: VecDeque<Item>,
     /// `once`: the constant. `latest`, `interpolate`: the newest item not after the earliest possible stamp.
     pub(super) kept: Option<Item>,
-    /// Nothing more comes before this stamp.
+    /// No further item has an earlier stamp.
     pub(super) progress: StampNs,
-    /// Nothing more comes.
+    /// The port has ended.
     pub(super) ended: bool,
     pub(super) n_received: u64,
     pub(super) unmatched: u64,
-    /// `collect` of all has had its turn.
+    /// `collect` of all has been used.
     done: bool,
-    /// Room for the next collection.
+    /// Buffer reused for the next collection.
     spare: Vec<Item>,
-    /// Why a port that brings nothing in any case does so.
+    /// Why a port never brings a value, if it does not.
     nothing: Option<Arc<Empty>>,
 }
 
-/// Whether the node still fires.
+/// Whether the node can still fire.
 #[derive(Clone, Copy)]
 pub(super) enum NodeEnd {
     Open,
@@ -58,14 +58,14 @@ pub(super) enum NodeEnd {
     Stopped,
 }
 
-/// Whether a port has its turn together.
+/// Whether a port has its next item or collection.
 pub(super) enum Ready {
     At(StampNs),
     Waiting,
     Ended,
 }
 
-/// What a `stamp` port has near a stamp.
+/// Result of matching a `stamp` port to a stamp.
 pub(super) enum Match {
     Wait,
     Head(StampNs),
@@ -115,19 +115,19 @@ impl Port {
         self.role == Role::Step && self.spec.join == Join::Each && !self.spec.optional
     }
 
-    /// Takes note of an item that goes straight to its slot.
+    /// Counts an item that goes directly to its slot.
     #[inline]
     pub(super) fn note(&mut self, item: &Item) {
         self.n_received += 1;
         self.progress = self.progress.max(item.stamp_ns);
     }
 
-    /// An item that was noted waits here after all; nothing else does.
+    /// Puts a counted item back; the port has no other waiting item.
     pub(super) fn put_back(&mut self, item: Item) {
         self.queue.push_back(item);
     }
 
-    /// In step with others: `each` and `collect`.
+    /// `each` and `collect` advance together.
     pub(super) fn is_step(&self) -> bool {
         self.role == Role::Step
     }
@@ -174,7 +174,7 @@ impl Port {
                     self.kept = Some(item);
                     Ok(())
                 }
-                // The producer failed after it had given the constant; its failure is told elsewhere.
+                // The producer failed after it had given the constant; its failure is reported elsewhere.
                 Some(_) if matches!(item.body, Body::Empty(_)) => Ok(()),
                 Some(_) => Err(SecondItem { port: self.spec.name, number: item.number }),
             };
@@ -187,7 +187,7 @@ impl Port {
         Ok(())
     }
 
-    /// The node has ended: what waits had no partner.
+    /// The node has ended: waiting items had no partner.
     pub(super) fn leave_unmatched(&mut self) {
         if self.is_trigger() {
             self.unmatched += self.queue.len() as u64;
@@ -195,12 +195,12 @@ impl Port {
         self.queue.clear();
     }
 
-    /// The stamp of the item whose turn is next.
+    /// Stamp of the next item.
     pub(super) fn head_stamp(&self) -> Option<StampNs> {
         self.queue.front().map(|item| item.stamp_ns)
     }
 
-    /// The earliest stamp that the port's next turn can have; a collection may end with what it holds.
+    /// Earliest stamp of the port's next item or collection; a collection may end with the items it has.
     pub(super) fn bound(&self) -> StampNs {
         let decisive = match self.spec.join {
             Join::Collect { .. } => self.queue.back(),
@@ -209,7 +209,7 @@ impl Port {
         decisive.map_or(self.progress, |item| item.stamp_ns)
     }
 
-    /// Whether `collect` has what it waits for.
+    /// Whether `collect` is complete.
     fn collected(&self) -> bool {
         match self.spec.join {
             Join::Collect { n: Some(n) } => self.queue.len() >= n as usize,
@@ -222,12 +222,12 @@ impl Port {
         self.done || (self.ended && self.queue.is_empty())
     }
 
-    /// Whether nothing more comes at or before `stamp_ns`, beside what waits.
+    /// Whether no further item comes at or before `stamp_ns`, apart from the waiting ones.
     pub(super) fn passed(&self, stamp_ns: StampNs) -> bool {
         self.ended || self.progress > stamp_ns
     }
 
-    /// The port's turn: the next item, or the collection.
+    /// The port's next item or collection.
     pub(super) fn ready(&self) -> Ready {
         if self.finished() {
             return Ready::Ended;
@@ -242,7 +242,7 @@ impl Port {
         }
     }
 
-    /// Drops heads before `stamp_ns`: no partner can come for them.
+    /// Drops heads before `stamp_ns`, for which no partner can come.
     pub(super) fn drop_before(&mut self, stamp_ns: StampNs) {
         while self.head_stamp().is_some_and(|at| at < stamp_ns) {
             self.queue.pop_front();
@@ -265,7 +265,8 @@ impl Port {
         true
     }
 
-    /// Makes the item nearest to `anchor` the head, the earlier of two equally near, and says whether it is near enough.
+    /// Makes the item nearest to `anchor` the head, the earlier on a tie, and returns whether it is within the
+    /// tolerance.
     pub(super) fn match_at(&mut self, anchor: StampNs) -> Match {
         let tolerance = self.tolerance_ns();
         let (from, to) = (anchor.saturating_sub(tolerance), anchor.saturating_add(tolerance));
@@ -290,14 +291,15 @@ impl Port {
         }
     }
 
-    /// Why the trigger brings no value, if so; `anchor` where the port is matched to the other triggers' stamp.
+    /// Why the trigger brings no value, if it does not; `anchor` is given where the port is matched to the other
+    /// triggers' stamp.
     pub(super) fn trigger_gap(&self, anchor: Option<StampNs>) -> Option<Choice> {
         let choice = match (self.spec.join, self.queue.front()) {
             (Join::Collect { n }, Some(_)) => {
                 let empty = self.queue.iter().find_map(empty_of).filter(|_| !self.spec.optional);
                 let n = n.map_or(0, |n| n as usize);
                 match empty {
-                    // What is missing may be missing because of what failed before.
+                    // An item may be missing because of an earlier failure.
                     Some(empty) => Choice::Empty(empty),
                     None if self.queue.len() >= n => return None,
                     None => Choice::Absent(format!("{} of {n} items came before the end", self.queue.len())),
@@ -320,7 +322,7 @@ impl Port {
         Some(choice)
     }
 
-    /// What the trigger brings; its items are used up.
+    /// What the trigger brings; consumes its items.
     pub(super) fn take_trigger(&mut self, anchor: Option<StampNs>) -> Choice {
         let gap = self.trigger_gap(anchor);
         if let Join::Collect { n } = self.spec.join {
@@ -344,13 +346,13 @@ impl Port {
         }
     }
 
-    /// A collection is over: its room is kept for the next.
+    /// Keeps the buffer of a used collection for the next.
     pub(super) fn reuse(&mut self, mut items: Vec<Item>) {
         items.clear();
         self.spare = items;
     }
 
-    /// Keeps the newest item not after `stamp_ns`, the earliest that can still be asked for.
+    /// Keeps the newest item not after `stamp_ns`, the earliest stamp that can still be asked for.
     pub(super) fn advance(&mut self, stamp_ns: StampNs) {
         if self.is_sampler() {
             while self.head_stamp().is_some_and(|at| at <= stamp_ns) {
@@ -359,12 +361,12 @@ impl Port {
         }
     }
 
-    /// Reads a sampler up to `stamp_ns`; `false` if what the port brings there is not yet decided.
+    /// Advances a sampler to `stamp_ns`; `false` if its value there is not yet decided.
     pub(super) fn settle_sample(&mut self, stamp_ns: StampNs) -> bool {
         self.advance(stamp_ns);
         let between = matches!(self.spec.join, Join::Interpolate { .. })
             && self.kept.as_ref().is_none_or(|kept| kept.stamp_ns < stamp_ns && matches!(kept.body, Body::Value(_)));
-        // Before the first item, too, the one beyond is waited for: the reason names its distance.
+        // Also before the first item, the next one is waited for: the reason names its distance.
         let needs_next = between || self.kept.is_none();
         !self.queue.is_empty() || self.ended || (!needs_next && self.passed(stamp_ns))
     }

@@ -3,7 +3,7 @@ use osteoflow_node::Value;
 use osteoflow_toy::Number;
 use proptest::prelude::*;
 
-/// What a port is offered: an item with a stamp and a number, or an empty.
+/// An offer to a port: an item with a stamp and a number, or an empty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Offer {
     Value(StampNs, f64),
@@ -31,7 +31,7 @@ fn items(offers: &[Offer]) -> Vec<Item> {
     items.collect()
 }
 
-/// An activation in words: its stamp, and the slots or the reason.
+/// Formats an activation: its stamp, and the slots or the reason.
 fn describe(joined: &Joined, activation: &Activation) -> String {
     let number = |item: &Item| match &item.body {
         Body::Value(value) => format!("{}", value.get::<Number>().unwrap().0),
@@ -49,7 +49,7 @@ fn describe(joined: &Joined, activation: &Activation) -> String {
     format!("{}: {said}", activation.stamp_ns)
 }
 
-/// Offers everything in an order that `turns` decides, and tells what fires. Between items a port may learn of progress.
+/// Offers everything in the order given by `turns` and returns what fires. Progress may be offered between items.
 fn run(ports: &[PortSpec], offers: &[Vec<Offer>], turns: impl Iterator<Item = usize>) -> (Vec<String>, Vec<u64>) {
     let mut joiner = Joiner::new("node".into(), ports.to_vec());
     let mut waiting: Vec<_> = offers.iter().map(|o| items(o).into_iter().peekable()).collect();
@@ -87,7 +87,7 @@ fn run(ports: &[PortSpec], offers: &[Vec<Offer>], turns: impl Iterator<Item = us
     (out, (0..ports.len()).map(|port| joiner.unmatched(port)).collect())
 }
 
-/// The same as a node does it: each port is filled between any two steps, and what has fired is released.
+/// Runs as a node does: each port is filled before every step, and each activation is released.
 fn run_like_a_node(ports: &[PortSpec], offers: &[Vec<Offer>], in_lock_step: bool) -> Vec<String> {
     let mut joiner = Joiner::new("node".into(), ports.to_vec());
     if !in_lock_step {
@@ -118,7 +118,7 @@ fn run_like_a_node(ports: &[PortSpec], offers: &[Vec<Offer>], in_lock_step: bool
 }
 
 fn check(ports: &[PortSpec], offers: &[Vec<Offer>], expected: &[&str]) {
-    // Round and round, the same from behind, and one port after the other as far as the joins let it.
+    // Port by port in turn, the same from the last port, and one port after the other as far as the joins allow.
     let n = ports.len();
     assert_eq!(run(ports, offers, 0..).0, expected, "in turns");
     assert_eq!(run(ports, offers, (0usize..).map(|i| n * 1000 - 1 - i % (n * 3))).0, expected, "from behind");
@@ -331,7 +331,7 @@ fn ports_that_are_not_wired_are_absent_and_unused_ones_are_drained() {
 
 #[test]
 fn samplers_let_go_of_what_the_triggers_have_passed() {
-    // Hundreds of samples before the first trigger: progress of the trigger's wire lets them through.
+    // Hundreds of samples before the first trigger: progress of the trigger's wire releases them.
     let mut joiner = Joiner::new("node".into(), vec![plain(EACH), plain(interpolate(10))]);
     for item in items(&(0..500).map(|i| V(i, i as f64)).collect::<Vec<_>>()) {
         assert!(joiner.wants(1), "stuck before sample {}", item.number);
@@ -368,8 +368,8 @@ fn join() -> impl Strategy<Value = Join> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(600))]
 
-    /// A Kahn network's promise: what fires depends on what came, not on when. In `run`, that no activation lies before
-    /// the progress that was promised.
+    /// Determinism of a Kahn network: what fires depends on what arrives, not on when. `run` checks that no activation
+    /// precedes the promised progress.
     #[test]
     fn the_order_of_offers_changes_nothing(
         ports in proptest::collection::vec((join(), any::<bool>(), wire()), 1..4),
@@ -391,7 +391,7 @@ proptest! {
         prop_assert_eq!(run(&specs, &offers, random), expected);
     }
 
-    /// The short way of nodes in lock step answers as the rules do.
+    /// The fast path of nodes in lock step agrees with the general rules.
     #[test]
     fn lock_step_is_what_the_rules_say(wires in proptest::collection::vec(wire(), 1..4)) {
         let ports = vec![plain(EACH); wires.len()];
