@@ -67,7 +67,7 @@ pub struct WireDiff {
     /// Number of items in each recording.
     pub n_items: [u64; 2],
     /// Whether each recording has the wire at all.
-    pub there: [bool; 2],
+    pub present: [bool; 2],
     /// Number of items in both that differ by more than the tolerance.
     pub n_differ: u64,
     /// Number of items in both that differ by no more than the tolerance.
@@ -219,7 +219,7 @@ fn missing(wire: &str, a: &Index, b: &Index) -> WireDiff {
         wire: wire.into(),
         payloads: [payload(x), payload(y)],
         n_items: [of_a.len() as u64, of_b.len() as u64],
-        there: [x.is_some(), y.is_some()],
+        present: [x.is_some(), y.is_some()],
         n_differ: 0,
         n_within: 0,
         n_only: [0, 0],
@@ -235,8 +235,8 @@ fn missing(wire: &str, a: &Index, b: &Index) -> WireDiff {
             _ => continue,
         };
         diff.n_only[side] += 1;
-        let told = |there: bool| if there { "an item".to_owned() } else { "none".into() };
-        diff.keep_first(number, plain("presence", told(side == 0), told(side == 1)));
+        let presence = |there: bool| if there { "an item".to_owned() } else { "none".into() };
+        diff.keep_first(number, plain("presence", presence(side == 0), presence(side == 1)));
     }
     let lowest = of_a.iter().chain(&of_b).map(|entry| entry.number).min();
     if let Some(number) = lowest.filter(|_| x.is_some() && y.is_some() && diff.payloads[0] != diff.payloads[1]) {

@@ -21,7 +21,7 @@ pub(crate) enum NodeMode {
 }
 
 /// Marks all nodes downstream of marked ones.
-pub(crate) fn follow(plan: &Plan, marked: &mut [bool]) {
+pub(crate) fn mark_downstream(plan: &Plan, marked: &mut [bool]) {
     // Nodes are in topological order.
     for index in 0..plan.nodes.len() {
         marked[index] = marked[index] || sources_of(plan, index).any(|id| marked[id.node]);
@@ -29,20 +29,20 @@ pub(crate) fn follow(plan: &Plan, marked: &mut [bool]) {
 }
 
 /// Index of each node in the reduced plan; `None` for nodes left out.
-pub(crate) fn places(parts: &[NodeMode]) -> Vec<Option<usize>> {
+pub(crate) fn reduced_indices(parts: &[NodeMode]) -> Vec<Option<usize>> {
     let mut n = 0;
-    let place = |part: &NodeMode| {
+    let reduced_index = |part: &NodeMode| {
         (*part != NodeMode::LeftOut).then(|| {
             n += 1;
             n - 1
         })
     };
-    parts.iter().map(place).collect()
+    parts.iter().map(reduced_index).collect()
 }
 
 /// Reduces the plan: played nodes lose their inputs, and nodes left out are removed.
 pub(crate) fn reduce(plan: &Plan, parts: &[NodeMode]) -> Plan {
-    let place = places(parts);
+    let reduced_index = reduced_indices(parts);
     let (mut nodes, mut links) = (Vec::new(), Vec::new());
     for (index, node) in plan.nodes.iter().enumerate().filter(|(index, _)| parts[*index] != NodeMode::LeftOut) {
         let mut node = node.clone();
@@ -53,11 +53,11 @@ pub(crate) fn reduce(plan: &Plan, parts: &[NodeMode]) -> Plan {
         }
         nodes.push(node);
     }
-    let moved = |id: OutputId| Some(OutputId { node: place[id.node]?, port: id.port });
+    let moved = |id: OutputId| Some(OutputId { node: reduced_index[id.node]?, port: id.port });
     for (index, _) in plan.nodes.iter().enumerate().filter(|(index, _)| parts[*index] == NodeMode::Computed) {
         for input in &plan.nodes[index].inputs {
             let Some(link) = input.link.map(|link| &plan.links[link]) else { continue };
-            let (Some(from), Some(to_node)) = (moved(link.from), place[index]) else { continue };
+            let (Some(from), Some(to_node)) = (moved(link.from), reduced_index[index]) else { continue };
             nodes[from.node].outputs[from.port].links.push(links.len());
             nodes[to_node].inputs[link.to_port].link = Some(links.len());
             links.push(Link { from, to_node, ..link.clone() });

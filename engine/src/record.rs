@@ -38,13 +38,13 @@ use std::{
 };
 
 /// Interval at which the writer polls the queue.
-const PATIENCE: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Maximum age of an item before it is written as a chunk, however short; bounds what a kill can lose.
 const FLUSH_EVERY: Duration = Duration::from_millis(200);
 /// How long constants wait for a stamp that is a time; viewers then see them at the first nanosecond.
-const WAIT_FOR_TIME: Duration = Duration::from_secs(2);
+const MAX_WAIT_FOR_TIME: Duration = Duration::from_secs(2);
 /// Number of firings passed to the writer at once.
-const FIRINGS: usize = 4096;
+const FIRING_BATCH: usize = 4096;
 
 /// A recording that could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -66,12 +66,12 @@ pub enum RecordError {
         source: io::Error,
     },
     /// A payload's view panicked.
-    #[error("cannot write {}: the view of a payload {said}", .path.display())]
+    #[error("cannot write {}: the view of a payload {panic}", .path.display())]
     Panicked {
         /// The file.
         path: PathBuf,
         /// The panic message, with the wire.
-        said: String,
+        panic: String,
     },
     /// An item exceeds the maximum length that readers accept.
     #[error(
@@ -153,10 +153,10 @@ impl Recorder {
             Arc::new(Shared { queue: Queue::new(), firings: Mutex::default(), cancelled: options.cancelled.clone() });
         let (seen, path) = (shared.clone(), path.to_owned());
         let writer = std::thread::Builder::new().name("recorder".into()).spawn(move || {
-            let written = panics::catch(|| record(sink, &seen)).unwrap_or_else(|said| Err(Stopped::Panic(said)));
+            let written = panics::catch(|| record(sink, &seen)).unwrap_or_else(|panic| Err(Stopped::Panic(panic)));
             if written.is_err() {
                 // A dead writer blocks nobody; the run is stopped, since it can leave no recording.
-                seen.queue.die();
+                seen.queue.abandon();
                 seen.cancelled.store(true, Ordering::Relaxed);
             }
             written
@@ -188,7 +188,7 @@ impl Recorder {
         queue.close();
         match self.writer.join() {
             Ok(written) => written.map_err(|stopped| stopped.into_error(&self.path)),
-            Err(_) => Err(RecordError::Panicked { path: self.path, said: "panicked".into() }),
+            Err(_) => Err(RecordError::Panicked { path: self.path, panic: "panicked".into() }),
         }
     }
 }
@@ -219,10 +219,10 @@ impl Tap for Recorder {
     fn fired(&self, node: usize, item: u64, _: StampNs, began: Duration, took: Duration) {
         let mut firings = self.shared.firings.lock().unwrap_or_else(PoisonError::into_inner);
         firings.push(Firing { node, item, began, took });
-        if firings.len() >= FIRINGS {
+        if firings.len() >= FIRING_BATCH {
             let all = std::mem::take(&mut *firings);
             drop(firings);
-            self.shared.queue.put(Entry::Firings(all), FIRINGS * size_of::<Firing>());
+            self.shared.queue.put(Entry::Firings(all), FIRING_BATCH * size_of::<Firing>());
         }
     }
 
@@ -297,7 +297,7 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<WireCounts, Stopped> {
     let began = flushed;
     let mut end = Vec::new();
     loop {
-        let (batch, closed) = shared.queue.take(PATIENCE);
+        let (batch, closed) = shared.queue.take(POLL_INTERVAL);
         if batch.is_empty() && closed {
             break;
         }
@@ -320,7 +320,7 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<WireCounts, Stopped> {
         sink.drops(&drops)?;
         if flushed.elapsed() >= FLUSH_EVERY {
             sink.firings(&shared.take_firings())?;
-            if sink.waits_for_time() && began.elapsed() >= WAIT_FOR_TIME {
+            if sink.waits_for_time() && began.elapsed() >= MAX_WAIT_FOR_TIME {
                 sink.begin_time(1)?;
             }
             sink.file.flush()?;

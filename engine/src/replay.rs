@@ -423,7 +423,7 @@ fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[NodeMode]) -> Vec
     };
     let mut follows = vec![false; plan.nodes.len()];
     follows[from] = true;
-    partial::follow(plan, &mut follows);
+    partial::mark_downstream(plan, &mut follows);
     let nodes = plan.nodes.iter().enumerate();
     let too = nodes.filter(|(index, _)| parts[*index] == NodeMode::Computed && !follows[*index]);
     too.map(|(_, node)| node.name.to_string()).collect()

@@ -2,11 +2,11 @@
 //!
 //! A run saves the item of a failure as a *repro bundle*, a folder `repro/<node>-<item>/` with three files:
 //!
-//! - `repro.json`: the node with its parameters, the firing (item, stamp, seed), what its ports brought, the failure, and
-//!   the program that failed ([`Bundle`]);
-//! - `inputs.mcap`: the items that its ports had joined, exactly: one channel `/exact/<port>` for each port that brought
-//!   any, in the encoding of recordings; a source has none, it is called from its start instead;
-//! - `README.txt`: the same in words, and how to go on.
+//! - `repro.json`: the node with its parameters, the firing (item, stamp, seed), what its ports brought, the failure,
+//!   and the program that failed ([`Bundle`]);
+//! - `inputs.mcap`: the joined items, bit for bit: one channel `/exact/<port>` for each port that brought items, in the
+//!   encoding of recordings; a source has none, it is called from its start instead;
+//! - `README.txt`: a description for human readers, with the next steps.
 
 mod bundle;
 mod items;
@@ -114,7 +114,7 @@ pub fn repro(
             let mut floors = vec![StampNs::MIN; outputs.len()];
             let mut stamp_ns = StampNs::MIN;
             loop {
-                context.begin(n_calls, runtime::known(stamp_ns));
+                context.begin(n_calls, runtime::stamp_or_zero(stamp_ns));
                 let mut out = vec![Emission::Silent; outputs.len()];
                 let mut more = true;
                 let answered = panics::catch(|| source.next(&mut out, &mut context).map(|answer| more = answer));

@@ -58,7 +58,7 @@ pub(crate) fn run_with(
 }
 
 /// The full run that a partial run belongs to.
-pub(crate) struct Whole<'a> {
+pub(crate) struct FullRun<'a> {
     /// Plan of the full run, for results and manifest.
     pub(crate) plan: &'a Plan,
     /// Adds the items that were not computed to those of the partial run, which keeps every item of every wire.
@@ -75,7 +75,7 @@ pub(crate) fn run_part(
     observer: &dyn Observer,
     replayed: Replayed,
     tap: Option<&dyn Tap>,
-    whole: Option<Whole<'_>>,
+    whole: Option<FullRun<'_>>,
 ) -> Result<RunReport, RunError> {
     let began = SystemTime::now();
     let mut runtime = Runtime::build(plan, registry, options, observer, replayed)?;
@@ -172,7 +172,7 @@ fn report_of(plan: &Plan, finished: Finished, outcome: Outcome, results: serde_j
         warnings,
         elapsed: ended.elapsed,
         saved,
-        recalled: ended.recalled,
+        cached_answers: ended.cached_answers,
     }
 }
 

@@ -20,7 +20,7 @@ mod scheduler;
 mod tap;
 
 pub use answer_cache::CachedAnswer;
-pub(crate) use cell::{emission_fault, known};
+pub(crate) use cell::{emission_fault, stamp_or_zero};
 pub(crate) use ended::Ended;
 pub use histogram::Spread;
 pub(crate) use inject::planned_failure;
@@ -40,7 +40,7 @@ use cell::{Cell, Core, Input, Output};
 use channel::{Limits, LinkState, RecvEnd, SendEnd};
 use inject::Planned;
 use join::{Joiner, PortSpec};
-use live::{Live, Mailbox, News};
+use live::{Live, LiveMessage, Mailbox};
 use messages::Messages;
 use osteoflow_node::{BuildContext, Built, ClockReading, Context, Registry, Role, StampNs};
 use scheduler::{Scheduler, Stepped, Turn, Work};
@@ -74,7 +74,7 @@ pub(crate) struct Runtime<'a> {
     messages: Mutex<Messages>,
     /// Injected failures, by node.
     planned: Vec<Arc<Planned>>,
-    recall: Option<AnswerCache<'a>>,
+    answer_cache: Option<AnswerCache<'a>>,
     enlargements: Mutex<Vec<Enlargement>>,
     stall: Mutex<Option<Failure>>,
     began: Instant,
@@ -88,7 +88,7 @@ pub(crate) struct Runtime<'a> {
 }
 
 /// Maximum number of full and of empty links named in the message about a stuck graph.
-const MOST_LINKS: usize = 8;
+const MAX_LINKS: usize = 8;
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // A poisoned lock means that a worker is already unwinding; its panic is the one to report.
@@ -109,7 +109,7 @@ impl<'a> Runtime<'a> {
     ) -> Result<Self, BuildError> {
         options.inject.iter().try_for_each(|injection| injection.check(plan)).map_err(BuildError::Inject)?;
         let planned: Vec<_> = plan.nodes.iter().map(|node| Planned::of(&node.name, &options.inject)).collect();
-        let recall = options.store.as_ref().map(|store| AnswerCache::new(store, plan, registry, &planned));
+        let answer_cache = options.store.as_ref().map(|store| AnswerCache::new(store, plan, registry, &planned));
         let mut bodies = Vec::with_capacity(plan.nodes.len());
         let mut faults = Vec::new();
         for (index, node) in plan.nodes.iter().enumerate() {
@@ -184,7 +184,7 @@ impl<'a> Runtime<'a> {
             times_firings: false,
             messages: Mutex::new(Messages::new(plan.nodes.len())),
             planned,
-            recall,
+            answer_cache,
             enlargements: Mutex::default(),
             stall: Mutex::default(),
             began: Instant::now(),
@@ -225,12 +225,9 @@ impl<'a> Runtime<'a> {
         let kept = self.messages.into_inner().unwrap_or_else(PoisonError::into_inner);
         let (failures, mut warnings) = kept.finish(self.plan);
         if !interrupted {
-            warnings.extend(
-                self.planned
-                    .iter()
-                    .enumerate()
-                    .flat_map(|(node, planned)| planned.missed().map(move |injection| (node, missed(injection)))),
-            );
+            warnings.extend(self.planned.iter().enumerate().flat_map(|(node, planned)| {
+                planned.missed().map(move |injection| (node, missed_injection(injection)))
+            }));
         }
         let stall = self.stall.into_inner().unwrap_or_else(PoisonError::into_inner);
         warnings.extend(cells.iter().flat_map(|cell| cell.unmatched_warning(self.plan)));
@@ -258,13 +255,13 @@ impl<'a> Runtime<'a> {
             warnings: warnings.into_iter().map(|(_, warning)| warning).collect(),
             enlargements: self.enlargements.into_inner().unwrap_or_else(PoisonError::into_inner),
             elapsed: self.elapsed,
-            recalled: self.recall.map(AnswerCache::finish).unwrap_or_default(),
+            cached_answers: self.answer_cache.map(AnswerCache::finish).unwrap_or_default(),
         }
     }
 
     /// The answer cache, if it keeps answers of the node.
-    fn recall(&self, node: usize) -> Option<&AnswerCache<'a>> {
-        self.recall.as_ref().filter(|recall| recall.keeps(node))
+    fn answer_cache(&self, node: usize) -> Option<&AnswerCache<'a>> {
+        self.answer_cache.as_ref().filter(|answer_cache| answer_cache.keeps(node))
     }
 
     /// Rebuilds a node after it failed.
@@ -393,7 +390,7 @@ impl<'a> Runtime<'a> {
         let send = producer.outputs[link.from.port].links.iter_mut().find(|send| send.link == index)?;
         let recv = consumer.inputs.iter_mut().find(|input| input.recv.link == index)?;
         channel::enlarge(send, &mut recv.recv, after);
-        let (from, to) = ends(self.plan, index);
+        let (from, to) = link_names(self.plan, index);
         let enlargement = Enlargement { from, to, before, after };
         self.event(&Event::Enlarged(&enlargement));
         locked(&self.enlargements).push(enlargement);
@@ -409,7 +406,7 @@ impl<'a> Runtime<'a> {
             let state = &self.links[index];
             let look = |send: &SendEnd| (send.is_full(state), send.fill(), send.bytes(state));
             let Some((is_full, n_items, n_bytes)) = self.with_send(index, look) else { continue };
-            let (from, to) = ends(self.plan, index);
+            let (from, to) = link_names(self.plan, index);
             if is_full && state.is_blocked() {
                 full.push(format!("{from} -> {to} ({n_items} items, {n_bytes} bytes)"));
                 stuck.insert(link.to_node);
@@ -422,8 +419,8 @@ impl<'a> Runtime<'a> {
         let empty = empty.into_iter().map(|(_, link)| link).collect();
         let list = |links: Vec<String>| match links.len() {
             0 => "none".into(),
-            n if n <= MOST_LINKS => links.join(", "),
-            n => format!("{} and {} more", links[..MOST_LINKS].join(", "), n - MOST_LINKS),
+            n if n <= MAX_LINKS => links.join(", "),
+            n => format!("{} and {} more", links[..MAX_LINKS].join(", "), n - MAX_LINKS),
         };
         let reason = format!(
             "the graph is stuck: nothing can run; full: {}; empty: {}; give the full links a larger max_bytes",
@@ -444,7 +441,7 @@ impl Work for Runtime<'_> {
                 self.n_pending.fetch_add(1, Ordering::AcqRel);
                 // The mailbox holds one such message per source, and a source is notified again only after it has
                 // waited again.
-                let _ = self.mailbox.tx.try_send(News::Room(node));
+                let _ = self.mailbox.tx.try_send(LiveMessage::Room(node));
             }
             return Stepped::Idle;
         }
@@ -498,13 +495,13 @@ fn joiner(plan: &Plan, node: &PlanNode) -> Joiner {
 }
 
 /// Warning that an injected failure never happened.
-fn missed(injection: &Injection) -> Warning {
+fn missed_injection(injection: &Injection) -> Warning {
     let message = format!("{injection} was not injected: the node did not fire at item {}", injection.item);
     Warning { node: injection.node.clone(), item: injection.item, message }
 }
 
 /// Names of the wire and the port that a link joins.
-fn ends(plan: &Plan, link: usize) -> (String, String) {
+fn link_names(plan: &Plan, link: usize) -> (String, String) {
     let link = &plan.links[link];
     let to = &plan.nodes[link.to_node];
     (plan.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name))
@@ -515,7 +512,7 @@ fn link_stats(plan: &Plan, cells: &[Cell], index: usize, stuck: bool) -> Option<
     let send: &SendEnd = cells[link.from.node].outputs[link.from.port].links.iter().find(|s| s.link == index)?;
     let consumer = &cells[link.to_node];
     let recv: &RecvEnd = &consumer.inputs.iter().find(|input| input.recv.link == index)?.recv;
-    let (from, to) = ends(plan, index);
+    let (from, to) = link_names(plan, index);
     Some(LinkStats {
         from,
         to,

@@ -100,7 +100,7 @@ impl Watcher for () {
 
 /// Counts of a sweep after a call of [`Sweep::run`].
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Swept {
+pub struct SweepCounts {
     /// Runs that were in the folder already.
     pub n_before: usize,
     /// Runs that ended now.

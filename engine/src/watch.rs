@@ -79,7 +79,7 @@ impl Session {
             computed[index] = true;
             changes.push(change);
         }
-        partial::follow(&plan, &mut computed);
+        partial::mark_downstream(&plan, &mut computed);
         let differs = computed.contains(&true) || memory.plan.resolved != plan.resolved;
         if differs {
             // A node without outputs has effects outside the graph, such as a file in each run's folder.
@@ -149,7 +149,7 @@ impl Next {
     }
 
     /// Whether a run would give the same as the last one: nothing but the graph's text has changed.
-    pub fn is_nothing(&self) -> bool {
+    pub fn is_unchanged(&self) -> bool {
         !self.differs
     }
 

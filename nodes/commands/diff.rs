@@ -114,7 +114,7 @@ pub(super) fn apart(what: &Difference) -> String {
 /// Remarks about a wire, beside its counts.
 fn remark(wire: &WireDiff) -> String {
     let mut parts = Vec::new();
-    match wire.there {
+    match wire.present {
         [true, false] => parts.push("only in A".into()),
         [false, true] => parts.push("only in B".into()),
         _ => {
@@ -167,7 +167,7 @@ fn as_json(report: &DiffReport, exit: Exit) -> Value {
         json!({
             "wire": wire.wire,
             "equal": wire.is_equal(),
-            "in_a": wire.there[0], "in_b": wire.there[1],
+            "in_a": wire.present[0], "in_b": wire.present[1],
             "items_a": wire.n_items[0], "items_b": wire.n_items[1],
             "payload_a": wire.payloads[0], "payload_b": wire.payloads[1],
             "differ": wire.n_differ,

@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use osteoflow_engine::sweep::{
-    self, Done, Folder, FolderError, RUNS_DIR, Shard, Sweep as Checked, SweepOptions, Swept, Watcher,
+    self, Done, Folder, FolderError, RUNS_DIR, Shard, Sweep as Checked, SweepCounts, SweepOptions, Watcher,
 };
 use serde_json::{Value, json};
 use std::{
@@ -105,7 +105,7 @@ impl Sweep {
         let shards =
             self.merge.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>, _>>().map_err(folder_error)?;
         let folder = sweep::merge(&shards, &new_dir(self.out.as_deref(), "")?).map_err(folder_error)?;
-        let swept = Swept { n_before: folder.n_runs(), ..Swept::default() };
+        let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
         print_end(&folder, &swept, Duration::ZERO, global)
     }
 
@@ -236,7 +236,7 @@ fn list(sweep: &Checked, shard: Option<Shard>, global: &Global) -> Result<Exit> 
 }
 
 /// Writes the tables, and prints how the sweep ended.
-fn print_end(folder: &Folder, swept: &Swept, took: Duration, global: &Global) -> Result<Exit> {
+fn print_end(folder: &Folder, swept: &SweepCounts, took: Duration, global: &Global) -> Result<Exit> {
     let summary = osteoflow_report::summary::write(folder, NOTICE)?;
     let (dir, n_here) = (folder.dir().display(), swept.n_before + swept.n_run);
     let n_without = summary["n_without_results"].as_u64().unwrap_or_default();

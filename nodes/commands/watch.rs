@@ -109,7 +109,7 @@ impl Watch {
                 format!("node \"{node}\" is a live source, whose items cannot be repeated; watch a recording of it");
             return self.refuse(message).map(|()| Looked::Files(files));
         }
-        if next.is_nothing() {
+        if next.is_unchanged() {
             self.print_unchanged()?;
             return Ok(Looked::Files(files));
         }

@@ -1,6 +1,6 @@
 //! Compares two items with the same number.
 
-use super::numbers::{Apart, Scalar};
+use super::numbers::{Distance, Scalar};
 use crate::recording::codec::RecordedItem;
 use osteoflow_node::{Column, ColumnType, Field, View};
 use serde_json::Value as Json;
@@ -100,8 +100,8 @@ impl ItemDifference {
 pub(super) struct Units(BTreeMap<String, String>);
 
 impl Units {
-    pub(super) fn of(told: &str) -> Self {
-        Self(serde_json::from_str(told).unwrap_or_default())
+    pub(super) fn of(json: &str) -> Self {
+        Self(serde_json::from_str(json).unwrap_or_default())
     }
 
     pub(super) fn given(units: &[(&str, &str)]) -> Self {
@@ -128,7 +128,7 @@ pub(super) struct Compare<'a> {
 struct At<'a> {
     name: &'a str,
     index: usize,
-    told: &'a dyn Fn() -> String,
+    describe: &'a dyn Fn() -> String,
 }
 
 impl<'a> Compare<'a> {
@@ -204,14 +204,14 @@ impl<'a> Compare<'a> {
     }
 
     fn field(&mut self, name: &str, a: &Field, b: &Field) {
-        let at = At { name, index: 0, told: &|| name.into() };
+        let at = At { name, index: 0, describe: &|| name.into() };
         match (a, b) {
             (Field::Bool(a), Field::Bool(b)) if a == b => {}
             (Field::Int(a), Field::Int(b)) => self.number(&at, Scalar::Int(*a), Scalar::Int(*b)),
             (Field::Float(a), Field::Float(b)) => self.number(&at, Scalar::Double(*a), Scalar::Double(*b)),
             (Field::Floats(a), Field::Floats(b)) if a.len() == b.len() => {
                 for (index, (x, y)) in a.iter().zip(b).enumerate() {
-                    let at = At { name, index, told: &|| format!("{name}[{index}]") };
+                    let at = At { name, index, describe: &|| format!("{name}[{index}]") };
                     self.number(&at, Scalar::Double(*x), Scalar::Double(*y));
                 }
                 self.rotation(name, a, b);
@@ -251,7 +251,7 @@ impl<'a> Compare<'a> {
                 }
             }
             (Json::Number(x), Json::Number(y)) => {
-                let at = At { name, index: 0, told: &|| path.into() };
+                let at = At { name, index: 0, describe: &|| path.into() };
                 match (x.as_i64(), y.as_i64()) {
                     (Some(x), Some(y)) => self.number(&at, Scalar::Int(x), Scalar::Int(y)),
                     _ => {
@@ -275,11 +275,11 @@ impl<'a> Compare<'a> {
         let rows = a.bytes().chunks_exact(row_bytes).zip(b.bytes().chunks_exact(row_bytes)).enumerate();
         for (row, (x, y)) in rows.filter(|(_, (x, y))| x != y) {
             for (index, (x, y)) in x.chunks_exact(size).zip(y.chunks_exact(size)).enumerate() {
-                let told = || match width {
+                let describe = || match width {
                     1 => format!("column {name}, row {row}"),
                     _ => format!("column {name}, row {row}, component {index}"),
                 };
-                self.number(&At { name, index, told: &told }, scalar(a.kind, x), scalar(a.kind, y));
+                self.number(&At { name, index, describe: &describe }, scalar(a.kind, x), scalar(a.kind, y));
             }
             if a.kind == ColumnType::F64 {
                 let doubles = |row: &[u8]| -> Vec<f64> { row.chunks_exact(8).map(double).collect() };
@@ -290,7 +290,7 @@ impl<'a> Compare<'a> {
 
     fn number(&mut self, at: &At<'_>, a: Scalar, b: Scalar) {
         let Some(apart) = a.apart(b) else { return };
-        let Apart { ulp, distance, note } = apart;
+        let Distance { ulp, distance, note } = apart;
         let told_unit = self.units.of_name(at.name);
         let part = POSE_PARTS.get(at.index).filter(|_| told_unit == Some(POSE));
         let unit = match (told_unit, part) {
@@ -307,8 +307,8 @@ impl<'a> Compare<'a> {
         }
         self.found.first.get_or_insert_with(|| Difference {
             field: match part {
-                Some(part) => format!("{} ({part})", (at.told)()),
-                None => (at.told)(),
+                Some(part) => format!("{} ({part})", (at.describe)()),
+                None => (at.describe)(),
             },
             a: a.format(),
             b: b.format(),
@@ -370,8 +370,8 @@ fn scalar(kind: ColumnType, bytes: &[u8]) -> Scalar {
 
 /// Shortens a text to one line.
 fn shortened(text: String) -> String {
-    const LONGEST: usize = 200;
-    match text.char_indices().nth(LONGEST) {
+    const MAX_CHARACTERS: usize = 200;
+    match text.char_indices().nth(MAX_CHARACTERS) {
         Some((at, _)) => format!("{} ... ({} bytes)", &text[..at], text.len()),
         None => text,
     }

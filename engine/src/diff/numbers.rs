@@ -10,7 +10,7 @@ pub(super) enum Scalar {
 
 /// Distance between two numbers with different bits.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Apart {
+pub(super) struct Distance {
     /// In steps between adjacent representable numbers; `None` for integers and NaN.
     pub(super) ulp: Option<u64>,
     /// Absolute difference; `None` for NaN.
@@ -21,7 +21,7 @@ pub(super) struct Apart {
 
 impl Scalar {
     /// `None` if both have the same bits.
-    pub(super) fn apart(self, other: Self) -> Option<Apart> {
+    pub(super) fn apart(self, other: Self) -> Option<Distance> {
         match (self, other) {
             (Self::Double(a), Self::Double(b)) => (a.to_bits() != b.to_bits())
                 .then(|| floats(a, b, ulp(ordered(a.to_bits(), 64), ordered(b.to_bits(), 64)))),
@@ -31,9 +31,9 @@ impl Scalar {
             }),
             (Self::Int(a), Self::Int(b)) => (a != b).then(|| {
                 let distance = Some(a.abs_diff(b) as f64);
-                Apart { ulp: None, distance, note: None }
+                Distance { ulp: None, distance, note: None }
             }),
-            _ => Some(Apart { ulp: None, distance: None, note: Some("they are of different types") }),
+            _ => Some(Distance { ulp: None, distance: None, note: Some("they are of different types") }),
         }
     }
 
@@ -62,21 +62,21 @@ fn ulp(a: i128, b: i128) -> u64 {
     u64::try_from((a - b).abs()).unwrap_or(u64::MAX)
 }
 
-fn floats(a: f64, b: f64, ulp: u64) -> Apart {
+fn floats(a: f64, b: f64, ulp: u64) -> Distance {
     if a.is_nan() || b.is_nan() {
         let both = a.is_nan() && b.is_nan();
         let note = if both { "both are NaN, of different bits" } else { "one is NaN" };
-        return Apart { ulp: None, distance: None, note: Some(note) };
+        return Distance { ulp: None, distance: None, note: Some(note) };
     }
     let note = (ulp == 0).then_some("they differ in the sign of a zero");
-    Apart { ulp: Some(ulp), distance: Some((a - b).abs()), note }
+    Distance { ulp: Some(ulp), distance: Some((a - b).abs()), note }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn apart(a: f64, b: f64) -> Option<Apart> {
+    fn apart(a: f64, b: f64) -> Option<Distance> {
         Scalar::Double(a).apart(Scalar::Double(b))
     }
 

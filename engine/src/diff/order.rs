@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_node_comes_after_what_it_takes_and_else_in_the_order_of_the_file() {
+    fn nodes_come_after_their_inputs_and_otherwise_in_file_order() {
         let graph = r#"
             [node.last]
             kind = "x"

@@ -42,17 +42,17 @@ impl Pace {
         // A time that does not fit a `Duration` is never due.
         let then = Duration::try_from_secs_f64(after_s).ok().and_then(|after| began.checked_add(after));
         while !ctx.cancelled() {
-            let left = then.map_or(LOOK, |then| then.saturating_duration_since(Instant::now()));
+            let left = then.map_or(POLL_INTERVAL, |then| then.saturating_duration_since(Instant::now()));
             if left.is_zero() {
                 return;
             }
-            std::thread::sleep(left.min(LOOK));
+            std::thread::sleep(left.min(POLL_INTERVAL));
         }
     }
 }
 
 /// Interval at which a stop request is checked.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 impl AnySource for Player {
     fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError> {

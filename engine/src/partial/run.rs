@@ -1,9 +1,9 @@
 //! A partial run: plays the items of finished nodes and computes the others.
 
-use super::{NodeMode, Player, consumers, outputs, places, reduce};
+use super::{NodeMode, Player, consumers, outputs, reduce, reduced_indices};
 use crate::{
     plan::{Plan, Policy},
-    run::{Finished, RunError, RunReport, Whole, WireItems, run_part},
+    run::{Finished, FullRun, RunError, RunReport, WireItems, run_part},
     runtime::{Ended, Failure, NodeStats, Observer, Replayed, RunOptions, Substitutes, Warning},
 };
 use osteoflow_node::Registry;
@@ -34,7 +34,7 @@ pub(crate) struct PartialRun<'a> {
     plan: &'a Plan,
     left: &'a [Option<Arc<FinishedNode>>],
     parts: Vec<NodeMode>,
-    places: Vec<Option<usize>>,
+    reduced_indices: Vec<Option<usize>>,
 }
 
 impl<'a> PartialRun<'a> {
@@ -50,8 +50,8 @@ impl<'a> PartialRun<'a> {
             Some(_) => NodeMode::LeftOut,
         };
         let parts: Vec<_> = (0..plan.nodes.len()).map(part).collect();
-        let places = places(&parts);
-        Self { plan, left, parts, places }
+        let reduced_indices = reduced_indices(&parts);
+        Self { plan, left, parts, reduced_indices }
     }
 
     /// Runs it and writes results of the whole plan; `finished` receives the result as of a run of the whole plan and
@@ -69,7 +69,7 @@ impl<'a> PartialRun<'a> {
     ) -> Result<RunReport, RunError> {
         let replayed = Replayed { substitutes: self.players(), ..Replayed::default() };
         let mut complete = |part| finished(self.complete(part));
-        let whole = Whole { plan: self.plan, complete: &mut complete, about };
+        let whole = FullRun { plan: self.plan, complete: &mut complete, about };
         run_part(&self.reduced(), registry, options, observer, replayed, None, Some(whole))
     }
 
@@ -87,11 +87,11 @@ impl<'a> PartialRun<'a> {
     fn players(&self) -> Substitutes {
         let mut players = Substitutes::new();
         for (index, left) in self.left.iter().enumerate().filter(|(index, _)| self.parts[*index] == NodeMode::Played) {
-            let (Some(left), Some(place)) = (left, self.places[index]) else { continue };
+            let (Some(left), Some(reduced_index)) = (left, self.reduced_indices[index]) else { continue };
             let wanted = |id| consumers(self.plan, id).any(|link| self.parts[link.to_node] == NodeMode::Computed);
             let ports = outputs(self.plan, index).zip(&left.outputs);
             let ports = ports.map(|(id, kept)| if wanted(id) { kept.items.clone() } else { Vec::new() }.into());
-            players.insert(place, Box::new(Player { ports: ports.collect(), failure: None, pace: None }));
+            players.insert(reduced_index, Box::new(Player { ports: ports.collect(), failure: None, pace: None }));
         }
         players
     }
@@ -99,14 +99,15 @@ impl<'a> PartialRun<'a> {
     /// Completes the result by the items of nodes that were not computed; links are not included.
     fn complete(&self, part: Finished) -> Finished {
         let Finished { ended: part, outputs: of_part, saved } = part;
-        let whole: Vec<usize> = (0..self.places.len()).filter(|index| self.places[*index].is_some()).collect();
+        let whole: Vec<usize> =
+            (0..self.reduced_indices.len()).filter(|index| self.reduced_indices[*index].is_some()).collect();
         let moved = |failure: Failure| Failure { node: whole[failure.node], ..failure };
         let mut of_part: Vec<_> = of_part.into_iter().zip(part.nodes).map(Some).collect();
         let (mut outputs, mut nodes) = (Vec::new(), Vec::new());
         for (index, left) in self.left.iter().enumerate() {
             let left = match left {
                 Some(left) => Some((left.outputs.clone(), left.stats.clone())),
-                None => self.places[index].and_then(|place| of_part[place].take()),
+                None => self.reduced_indices[index].and_then(|reduced_index| of_part[reduced_index].take()),
             };
             let (kept, stats) = left.expect("each node was computed in this run or in another");
             outputs.push(kept);

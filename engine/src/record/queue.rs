@@ -82,7 +82,7 @@ impl<T> Queue<T> {
     }
 
     /// Marks the writer as ended and wakes blocked producers.
-    pub(super) fn die(&self) {
+    pub(super) fn abandon(&self) {
         let mut state = self.locked();
         state.dead = true;
         state.entries.clear();
@@ -98,7 +98,7 @@ mod tests {
     const NONE: Duration = Duration::ZERO;
 
     #[test]
-    fn a_burst_waits_for_the_writer_and_comes_whole_and_in_order() {
+    fn a_burst_waits_for_the_writer_and_arrives_complete_and_in_order() {
         let (queue, n_put) = (Queue::new(), AtomicUsize::new(0));
         let size = MAX_BYTES / 8;
         std::thread::scope(|scope| {
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn an_entry_larger_than_the_room_passes_alone() {
+    fn an_entry_larger_than_the_queue_passes_alone() {
         let queue = Queue::new();
         queue.put("large", 10 * MAX_BYTES);
         let (mut batch, _) = queue.take(NONE);
@@ -140,12 +140,12 @@ mod tests {
     }
 
     #[test]
-    fn nobody_waits_for_a_writer_that_is_gone() {
+    fn producers_do_not_wait_for_a_writer_that_has_ended() {
         let queue = Queue::new();
         queue.put(0, MAX_BYTES);
         std::thread::scope(|scope| {
             scope.spawn(|| queue.put(1, MAX_BYTES));
-            queue.die();
+            queue.abandon();
         });
         queue.put(2, MAX_BYTES);
         assert!(queue.take(NONE).0.is_empty());

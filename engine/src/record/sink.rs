@@ -72,7 +72,7 @@ impl Stopped {
         let path = path.into();
         match self {
             Self::Io(source) => RecordError::Write { path, source },
-            Self::Panic(said) => RecordError::Panicked { path, said },
+            Self::Panic(panic) => RecordError::Panicked { path, panic },
             Self::TooLong { wire, number, n_bytes } => RecordError::TooLong { path, wire, number, n_bytes },
         }
     }

@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_comes_back_with_number_stamp_and_columns() {
+    fn a_value_round_trips_with_number_stamp_and_columns() {
         let recorded = decode(&encode(&wave(vec![1.0, -0.0, f64::MIN_POSITIVE]))).unwrap();
         assert_eq!((recorded.number, recorded.stamp_ns), (7, -12));
         let wave = Samples::from_view(recorded.body.as_ref().unwrap()).unwrap();
@@ -392,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn the_worked_example_of_the_book_is_what_is_written() {
+    fn the_worked_example_of_the_docs_is_encoded_exactly() {
         let page = include_str!("../../../docs/recording.md");
         let example = page.split("```hex\n").nth(1).unwrap().split("```").next().unwrap();
         let bytes = |line: &str| -> Vec<u8> {
@@ -410,14 +410,14 @@ mod tests {
     }
 
     #[test]
-    fn columns_lie_at_multiples_of_eight_bytes() {
+    fn columns_are_aligned_to_eight_bytes() {
         let bytes = encode(&wave(vec![1.5]));
         let rows = bytes.windows(8).position(|w| w == 1.5f64.to_le_bytes()).unwrap();
         assert_eq!(rows % 8, 0, "rows begin at byte {rows}");
     }
 
     #[test]
-    fn an_empty_comes_back_with_its_node_and_reason() {
+    fn an_empty_round_trips_with_its_node_and_reason() {
         let empty = Empty { node: "hole".into(), reason: "no hole".into() };
         let item = Item { number: 1, stamp_ns: 5, body: Body::Empty(Arc::new(empty.clone())) };
         let recorded = RecordedItem { number: 1, stamp_ns: 5, payload: None, body: Err(empty) };
@@ -434,7 +434,7 @@ mod tests {
     }
 
     #[test]
-    fn a_head_that_claims_too_many_fields_is_refused() {
+    fn a_header_with_too_many_fields_is_refused() {
         let mut bytes = encode(&wave(vec![1.0]));
         bytes[28..32].copy_from_slice(&u32::MAX.to_le_bytes());
         assert!(matches!(decode(&bytes), Err(CodecError::Invalid(_))));

@@ -147,28 +147,28 @@ pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, Recor
     let mut hashing = Hashing::new(progress);
     let end = reader.read(&mut hashing).map_err(failed)?;
     let Hashing { wires, damages, metadata, n_unknown, n_no_items, .. } = hashing;
-    let mut said: Vec<String> = damage_message(&damages, &end).into_iter().collect();
+    let mut notes: Vec<String> = damage_message(&damages, &end).into_iter().collect();
     if wires.is_empty() && !metadata.has::<RunRecord>() {
-        let reason = said.pop().unwrap_or_else(|| "it has no exact channel".into());
+        let reason = notes.pop().unwrap_or_else(|| "it has no exact channel".into());
         return Err(RecordingError::Foreign { path: path.into(), reason });
     }
     if n_unknown > 0 {
-        said.push(format!("{n_unknown} messages belong to channels that nothing in the file describes"));
+        notes.push(format!("{n_unknown} messages belong to channels that nothing in the file describes"));
     }
     if n_no_items > 0 {
-        said.push(format!("{n_no_items} messages on exact channels are no items"));
+        notes.push(format!("{n_no_items} messages on exact channels are no items"));
     }
     let recovered = metadata.has::<Recovered>();
-    if said.is_empty() && !recovered && !metadata.has::<WireCounts>() {
-        said.push("the run did not finish it".into());
+    if notes.is_empty() && !recovered && !metadata.has::<WireCounts>() {
+        notes.push("the run did not finish it".into());
     }
     let wires: Vec<WireDigest> = wires.into_values().map(Hashed::finish).collect();
     for wire in &wires {
         if let Some(number) = wire.doubled {
-            said.push(format!("wire {} holds item {number} twice, so it has no digest", wire.wire));
+            notes.push(format!("wire {} holds item {number} twice, so it has no digest", wire.wire));
         }
         if !recovered && let Some(hole) = wire.missing.first() {
-            said.push(format!("wire {} lacks item {}", wire.wire, hole.start()));
+            notes.push(format!("wire {} lacks item {}", wire.wire, hole.start()));
         }
     }
     let with_items = wires.iter().filter(|wire| wire.n_items > 0);
@@ -177,7 +177,7 @@ pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, Recor
     Ok(DigestReport {
         digest: digests.map(total),
         wires,
-        incomplete: (!said.is_empty()).then(|| said.join("; ")),
+        incomplete: (!notes.is_empty()).then(|| notes.join("; ")),
         partial: recovered.then(|| "it was recovered from a damaged file and is a part of what was recorded".into()),
         n_bytes: reader.n_bytes(),
     })
@@ -271,7 +271,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn a_hole_changes_the_digest_and_is_named() {
+    fn a_gap_changes_the_digest_and_is_named() {
         let of = |numbers: &[u64]| {
             let mut hasher = WireHasher::default();
             numbers.iter().for_each(|n| hasher.add(*n, b"item"));
@@ -286,7 +286,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_order_in_which_items_come_does_not_matter(
+        fn the_digest_does_not_depend_on_the_order_of_items(
             order in Just((0..40_u64).collect::<Vec<_>>()).prop_shuffle(), left_out in 0..60_u64,
         ) {
             let of = |numbers: &mut dyn Iterator<Item = u64>| {

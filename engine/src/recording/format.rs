@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_topic_is_read_as_it_is_named() {
+    fn a_topic_round_trips() {
         for topic in [Topic::Exact("icp.report"), Topic::View("a/b.c"), Topic::Timing, Topic::Drops, Topic::Live] {
             assert_eq!(Topic::parse(&topic.name()), Some(topic));
         }

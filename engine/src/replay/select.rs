@@ -1,7 +1,7 @@
 //! Selects the nodes to compute and the wires to play.
 
 use crate::{
-    partial::{NodeMode, consumers, follow, outputs},
+    partial::{NodeMode, consumers, mark_downstream, outputs},
     plan::{OutputId, Plan, PlanNode},
 };
 use osteoflow_node::Role;
@@ -47,7 +47,7 @@ pub(super) fn from(
 ) -> Result<Vec<NodeMode>, OutputId> {
     let mut computed = vec![false; plan.nodes.len()];
     computed[node] = true;
-    follow(plan, &mut computed);
+    mark_downstream(plan, &mut computed);
     for index in (0..plan.nodes.len()).rev().filter(|index| *index != node) {
         let needed = || outputs(plan, index).filter(|id| consumers(plan, *id).any(|link| computed[link.to_node]));
         let Some(wire) = (!computed[index]).then(needed).and_then(|mut ids| ids.find(|id| !recorded.contains(id)))

@@ -11,7 +11,7 @@ fn recorded(plan: &Plan, dir: &Path) -> (RunReport, Recording) {
     (report, Recording::open(&dir.join("run.mcap")).unwrap())
 }
 
-fn again(plan: &Plan, recording: &Recording, changes: &ReplayOptions, workers: usize) -> ReplayReport {
+fn replay_again(plan: &Plan, recording: &Recording, changes: &ReplayOptions, workers: usize) -> ReplayReport {
     let options = RunOptions { workers, ..RunOptions::default() };
     replay_plan(plan, recording, changes, &registry(), &options, &()).unwrap()
 }
@@ -40,7 +40,7 @@ fn drops_and_readings_of_the_clock_are_recorded_and_replayed() {
     assert_eq!(n_dropped, 40);
     assert!(!recording.readings.is_empty() && recording.readings.keys().all(|(node, _)| node == "slow"));
     for workers in [1, 2, 8] {
-        let replayed = again(&plan, &recording, &ReplayOptions::default(), workers);
+        let replayed = replay_again(&plan, &recording, &ReplayOptions::default(), workers);
         assert!(replayed.is_equal() && replayed.results_equal == Some(true), "{:#?}", replayed.wires);
         let asked = replayed
             .run
@@ -51,14 +51,14 @@ fn drops_and_readings_of_the_clock_are_recorded_and_replayed() {
     }
     // Without the beginning, the same items are dropped among those played.
     let late = ReplayOptions { start: Some(Moment::Stamp(40)), ..ReplayOptions::default() };
-    let replayed = again(&plan, &recording, &late, 1);
+    let replayed = replay_again(&plan, &recording, &late, 1);
     let n_late = drops.iter().filter(|number| **number >= 30).count() as u64;
     assert_eq!(replayed.run.links[0].dropped, n_late);
     assert!(replayed.not_compared.is_some() && replayed.is_equal());
 }
 
 #[test]
-fn a_source_that_fails_is_played_to_the_same_failure() {
+fn a_failed_source_is_played_to_the_same_failure() {
     let dir = tempfile::tempdir().unwrap();
     let calls = json!([
         { "stamp_ns": 10, "give": [[0, 1.0]] },
@@ -74,7 +74,7 @@ fn a_source_that_fails_is_played_to_the_same_failure() {
         .plan();
     let (report, recording) = recorded(&plan, dir.path());
     assert_eq!(recording.failures.len(), 1);
-    let replayed = again(&plan, &recording, &ReplayOptions::default(), 1);
+    let replayed = replay_again(&plan, &recording, &ReplayOptions::default(), 1);
     assert!(replayed.is_equal() && replayed.results_equal == Some(true), "{:#?}", replayed.wires);
     assert_eq!(replayed.run.outcome.status(), report.outcome.status());
     assert_eq!(replayed.run.results["refused"]["reason"], "the cable was pulled");
@@ -95,14 +95,14 @@ fn an_empty_of_a_node_upstream_keeps_its_name_when_it_is_played() {
         .plan();
     let (_, recording) = recorded(&plan, dir.path());
     let from = ReplayOptions { from: Some("second".into()), ..ReplayOptions::default() };
-    let replayed = again(&plan, &recording, &from, 1);
+    let replayed = replay_again(&plan, &recording, &from, 1);
     assert!(replayed.is_equal(), "{:#?}", replayed.wires);
     let parts: Vec<_> = replayed.wires.iter().map(|wire| wire.part).collect();
     assert_eq!(parts, [WirePart::Played, WirePart::Played, WirePart::Computed]);
 }
 
 #[test]
-fn a_wire_that_was_not_recorded_is_computed_from_the_nearest_that_was() {
+fn an_unrecorded_wire_is_computed_from_the_nearest_recorded_ones() {
     let dir = tempfile::tempdir().unwrap();
     let calls: Vec<_> = (1..9).map(|i| json!({ "stamp_ns": i, "give": [[0, i]] })).collect();
     let plan = PlanBuilder::new()
@@ -116,7 +116,7 @@ fn a_wire_that_was_not_recorded_is_computed_from_the_nearest_that_was() {
         .plan();
     let (_, mut recording) = recorded(&plan, dir.path());
     let from = ReplayOptions { from: Some("c".into()), ..ReplayOptions::default() };
-    let replayed = again(&plan, &recording, &from, 2);
+    let replayed = replay_again(&plan, &recording, &from, 2);
     assert!(replayed.is_equal(), "{:#?}", replayed.wires);
     assert_eq!(replayed.computed_too, ["b"]);
     let fired: Vec<_> = replayed.run.nodes.iter().map(|node| node.name.as_str()).collect();

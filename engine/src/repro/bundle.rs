@@ -178,9 +178,9 @@ impl Failure {
         if same_program || self.panicked != other.panicked {
             return self == other;
         }
-        let ((own, said), (others, was_said)) = (self.place(), other.place());
+        let ((own, message), (others, other_message)) = (self.place(), other.place());
         let file = |place: Option<&str>| place.and_then(|p| p.rsplit_once(':')).map(|(file, _)| file.to_owned());
-        said == was_said && file(own) == file(others)
+        message == other_message && file(own) == file(others)
     }
 }
 

@@ -21,7 +21,7 @@ use std::{
 };
 
 /// Maximum number of failures saved per node; further ones are counted.
-const MOST_PER_NODE: u64 = 5;
+const MAX_PER_NODE: u64 = 5;
 /// The folder of a run's bundles, inside the folder of the run.
 pub const FOLDER: &str = "repro";
 
@@ -77,7 +77,7 @@ impl<'a> Saver<'a> {
     /// # Errors
     /// Why it could not be saved.
     fn save(&self, failed: &Failed<'_>) -> Result<(), String> {
-        if self.failed[failed.node].fetch_add(1, Ordering::Relaxed) >= MOST_PER_NODE {
+        if self.failed[failed.node].fetch_add(1, Ordering::Relaxed) >= MAX_PER_NODE {
             return Ok(());
         }
         let name = &self.plan.nodes[failed.node].name;
@@ -94,7 +94,7 @@ impl<'a> Saver<'a> {
         let mut saved = self.saved.into_inner().unwrap_or_else(PoisonError::into_inner);
         saved.sort_by_key(|(node, bundle)| (*node, bundle.item));
         let more = self.plan.nodes.iter().zip(&self.failed).filter_map(|(node, failed)| {
-            let n = failed.load(Ordering::Relaxed).saturating_sub(MOST_PER_NODE);
+            let n = failed.load(Ordering::Relaxed).saturating_sub(MAX_PER_NODE);
             (n > 0).then(|| (node.name.to_string(), n))
         });
         Saved { more: more.collect(), bundles: saved.into_iter().map(|(_, bundle)| bundle).collect() }

@@ -14,7 +14,7 @@ fn calls(numbers: &[f64]) -> Json {
 }
 
 /// Runs into a new folder.
-fn ran(plan: &Plan, inject: Vec<Injection>) -> (tempfile::TempDir, RunReport) {
+fn run_plan(plan: &Plan, inject: Vec<Injection>) -> (tempfile::TempDir, RunReport) {
     let dir = tempfile::tempdir().unwrap();
     let options = RunOptions { out_dir: Some(dir.path().into()), record: true, inject, ..RunOptions::default() };
     let report = run(plan, &registry(), &options, &()).unwrap();
@@ -22,20 +22,20 @@ fn ran(plan: &Plan, inject: Vec<Injection>) -> (tempfile::TempDir, RunReport) {
 }
 
 /// Runs the run's only bundle again.
-fn again(report: &RunReport) -> ReproReport {
+fn rerun(report: &RunReport) -> ReproReport {
     let [bundle] = &report.saved.bundles[..] else { panic!("{:?}", report.saved) };
     repro(&bundle.dir, &registry(), Program::current(Json::Null), false).unwrap()
 }
 
 #[test]
-fn an_item_with_an_absent_port_fails_again_with_the_same_words() {
+fn an_item_with_an_absent_port_fails_again_with_the_same_message() {
     let plan = PlanBuilder::new()
         .script("scan", 1, calls(&[1.0, 13.0, 3.0]))
         .node("first", "toy.add", json!({ "noise": true }), &[("a", "scan.p0", None)])
         .result("x", "first.out", false, false)
         .plan();
-    let (_dir, report) = ran(&plan, Vec::new());
-    let again = again(&report);
+    let (_dir, report) = run_plan(&plan, Vec::new());
+    let again = rerun(&report);
     assert!(again.same, "{again:?}");
     assert_eq!(again.bundle.failure, Failure { reason: "13 is not a number to add to".into(), panicked: false });
     assert_eq!((again.bundle.item, again.bundle.stamp_ns, again.bundle.seed), (1, 2, 7));
@@ -47,23 +47,23 @@ fn an_item_with_an_absent_port_fails_again_with_the_same_words() {
 }
 
 #[test]
-fn a_panic_comes_again_at_its_place() {
+fn a_panic_is_reproduced_at_the_same_line() {
     let plan = PlanBuilder::new()
         .script("scan", 1, calls(&[666.0]))
         .node("first", "toy.add", json!({}), &[("a", "scan.p0", None), ("b", "scan.p0", Some(Join::Latest))])
         .result("x", "first.out", false, true)
         .plan();
-    let (_dir, report) = ran(&plan, Vec::new());
+    let (_dir, report) = run_plan(&plan, Vec::new());
     // A panic refuses the run even if only optional results depend on the node.
     assert!(matches!(&report.outcome, Outcome::Refused(refusal) if refusal.panicked), "{:?}", report.outcome);
-    let again = again(&report);
+    let again = rerun(&report);
     assert!(again.same, "{again:?}");
     let (place, message) = again.bundle.failure.place();
     assert!(place.unwrap().starts_with("engine/toy/src/arithmetic.rs:") && message == "the beast of item 0");
 }
 
 #[test]
-fn a_list_with_empties_comes_back_whole() {
+fn a_list_with_empties_round_trips() {
     let script = json!([
         { "stamp_ns": 1, "give": [[0, 1.0]] }, { "stamp_ns": 2, "give": [[0, null]] }, { "stamp_ns": 3, "give": [[0, 2.5]] },
     ]);
@@ -73,8 +73,8 @@ fn a_list_with_empties_comes_back_whole() {
         .result("x", "all.out", false, false)
         .plan();
     let injection = Injection { node: "all".into(), item: 0, how: Injected::Error };
-    let (_dir, report) = ran(&plan, vec![injection]);
-    let again = again(&report);
+    let (_dir, report) = run_plan(&plan, vec![injection]);
+    let again = rerun(&report);
     assert!(again.same, "{again:?}");
     let input = &again.bundle.inputs[0];
     assert!(matches!(&input.given, Given::Items { n: 3, absent: Some(empty) } if empty.reason == "lost"), "{input:?}");
@@ -91,26 +91,26 @@ fn a_source_is_called_up_to_the_call_that_failed() {
         { "stamp_ns": 3, "give": [], "fail": "the file was cut short" },
     ]);
     let toy = |script: Json| PlanBuilder::new().script("scan", 1, script).result("x", "scan.p0", false, false).plan();
-    let (_dir, report) = ran(&toy(script), Vec::new());
-    let answer = again(&report);
+    let (_dir, report) = run_plan(&toy(script), Vec::new());
+    let answer = rerun(&report);
     assert!(answer.same && answer.n_calls == 2 && answer.bundle.inputs.is_empty(), "{answer:?}");
 
     // Decreasing stamps are reproduced too, because earlier calls are repeated.
     let script = json!([{ "stamp_ns": 5, "give": [[0, 5.0]] }, { "stamp_ns": 4, "give": [[0, 6.0]] }]);
-    let (_dir, report) = ran(&toy(script), Vec::new());
-    let answer = again(&report);
+    let (_dir, report) = run_plan(&toy(script), Vec::new());
+    let answer = rerun(&report);
     assert!(answer.same && answer.bundle.failure.reason.contains("stamps never decrease"), "{answer:?}");
 }
 
 #[test]
-fn of_many_failures_five_are_saved_and_all_are_counted() {
+fn five_failures_of_a_node_are_saved_and_all_are_counted() {
     let plan = PlanBuilder::new()
         .script("scan", 1, calls(&[vec![13.0; 250], vec![1.0]].concat()))
         .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
         .skip_errors("first")
         .result("x", "first.out", false, false)
         .plan();
-    let (_dir, report) = ran(&plan, Vec::new());
+    let (_dir, report) = run_plan(&plan, Vec::new());
     assert_eq!(report.outcome, Outcome::Complete);
     assert_eq!((report.saved.bundles.len(), &report.saved.more[..]), (5, &[("first".to_owned(), 245)][..]));
     assert_eq!(report.nodes[1].failed, 250);
@@ -121,13 +121,13 @@ fn of_many_failures_five_are_saved_and_all_are_counted() {
 }
 
 #[test]
-fn of_many_warnings_a_hundred_are_listed_and_the_rest_counted() {
+fn a_hundred_warnings_of_a_node_are_listed_and_the_rest_counted() {
     let plan = PlanBuilder::new()
         .script("scan", 1, calls(&[99.0; 250]))
         .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
         .result("x", "first.out", false, false)
         .plan();
-    let (_dir, report) = ran(&plan, Vec::new());
+    let (_dir, report) = run_plan(&plan, Vec::new());
     assert_eq!(report.warnings.len(), 101);
     assert_eq!(report.warnings[100].message, "150 more warnings of this node are counted and not listed");
 }
@@ -149,7 +149,7 @@ fn a_bundle_that_cannot_be_written_is_a_warning_and_hides_nothing() {
 }
 
 #[test]
-fn another_program_is_told_apart_and_a_moved_line_is_the_same_failure() {
+fn another_program_is_detected_and_a_moved_line_is_the_same_failure() {
     let failure = |reason: &str| Failure { reason: reason.into(), panicked: true };
     let then = failure("panicked at a/src/b.rs:10: no");
     assert!(failure("panicked at a/src/b.rs:12: no").is(&then, false));

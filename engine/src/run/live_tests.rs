@@ -55,18 +55,21 @@ fn a_live_source_runs_any_graph_on_any_number_of_workers() {
 }
 
 #[test]
-fn a_live_source_that_waits_for_room_is_not_waited_for() {
+fn the_run_does_not_wait_for_a_live_source_without_room() {
     let mut plan = parks();
     plan.links.iter_mut().for_each(|link| link.max_bytes = 20 * (size_of::<Item>() + size_of::<Number>()) as u64);
     for _ in 0..10 {
         let report = check(&plan);
-        let said = &refusal_of(&report).reason;
-        assert!(said.starts_with("the graph is stuck: nothing can run; full: recording.p0 -> follow.a (20 "), "{said}");
+        let message = &refusal_of(&report).reason;
+        assert!(
+            message.starts_with("the graph is stuck: nothing can run; full: recording.p0 -> follow.a (20 "),
+            "{message}"
+        );
     }
 }
 
 #[test]
-fn two_live_sources_and_one_that_is_none_join_by_stamps_alone() {
+fn two_live_sources_and_an_ordinary_one_join_by_stamps_alone() {
     let given = |shift: i64| (0..60).map(|i| (i * 10 + shift, 0, 200.0 + i as f64)).collect::<Vec<_>>();
     let plan = live("camera", 1, &given(3), json!({}))
         .source("tracker", "toy.live", 1, json!({ "calls": calls(&given(0)) }))
@@ -96,7 +99,7 @@ fn two_live_sources_and_one_that_is_none_join_by_stamps_alone() {
 }
 
 #[test]
-fn what_comes_later_than_promised_is_an_empty_in_its_place() {
+fn items_later_than_promised_become_empties() {
     // Port 1 may be up to 5 behind port 0; once it is 8 behind, and once its own stamps decrease.
     let given = [(10, 0, 1.0), (6, 1, 2.0), (20, 0, 3.0), (12, 1, 4.0), (18, 1, 5.0), (16, 1, 6.0), (30, 0, 7.0)];
     let plan = live("devices", 2, &given, json!({ "max_delay_ns": 5 }))
@@ -109,23 +112,23 @@ fn what_comes_later_than_promised_is_an_empty_in_its_place() {
     let report = check(&plan);
     let late = |ns: u32| {
         let by = format!("0.00000{ns} ms");
-        let said = format!(
+        let reason = format!(
             "it came {by} after its wire had been promised to be complete; the source promises a delay of at most \
              0.000005 ms"
         );
-        json!({ "unknown": said, "node": "devices" })
+        json!({ "unknown": reason, "node": "devices" })
     };
     assert_eq!(report.results["one"], json!([2.0, late(3), 5.0, late(2)]));
     // At 10 the newest item of port 1 is 2; at 20 and at 30 it is the late item's empty at 18, so nothing is added.
     assert_eq!(report.results["other"], json!([3.0, 3.0, 7.0]));
-    let said: Vec<_> = report.warnings.iter().map(|w| w.message.as_str()).collect();
-    assert_eq!(said, ["devices.p1: 2 items came late, by up to 0.000003 ms more than promised, and are empties"]);
+    let messages: Vec<_> = report.warnings.iter().map(|w| w.message.as_str()).collect();
+    assert_eq!(messages, ["devices.p1: 2 items came late, by up to 0.000003 ms more than promised, and are empties"]);
     let stamps: Vec<_> = report.links.iter().map(|l| (l.sent, l.received, l.dropped)).collect();
     assert_eq!(stamps, [(4, 4, 0), (3, 3, 0), (4, 4, 0)]);
 }
 
 #[test]
-fn a_live_source_that_fails_or_panics_refuses_the_run_as_any_node_does() {
+fn a_live_source_that_fails_or_panics_refuses_the_run() {
     let failing = json!({ "stamp_ns": 2, "give": [], "fail": "the cable is out" });
     let panicking = json!({ "stamp_ns": 2, "give": [[0, 1.0]], "device": "panics" });
     for (last, expected) in [(failing, "the cable is out"), (panicking, "the device is on fire")] {
@@ -171,10 +174,12 @@ fn an_interrupted_run_ends_although_a_source_waits_for_its_device() {
         let stop = StopAfter(options.cancelled.clone());
         let report = run(&plan, &registry(), &options, &stop).unwrap();
         assert_eq!(report.outcome, Outcome::Interrupted, "{device}");
-        let said: Vec<_> = report.warnings.iter().map(|w| w.message.as_str()).collect();
+        let messages: Vec<_> = report.warnings.iter().map(|w| w.message.as_str()).collect();
         match device {
-            "deaf" => assert_eq!(said, ["it did not notice the wish to stop within 0.5 s; the run ends without it"]),
-            _ => assert_eq!(said, [""; 0]),
+            "deaf" => {
+                assert_eq!(messages, ["it did not notice the wish to stop within 0.5 s; the run ends without it"])
+            }
+            _ => assert_eq!(messages, [""; 0]),
         }
     }
 }
@@ -191,7 +196,7 @@ impl Observer for OpenAtWarning {
 }
 
 #[test]
-fn a_live_source_that_falls_silent_is_reported_once_and_again_when_it_comes_back() {
+fn a_silent_live_source_is_reported_once_and_when_it_resumes() {
     let calls = json!([
         { "stamp_ns": 1, "give": [[0, 5.0]] },
         { "stamp_ns": 2, "give": [[0, 6.0]], "device": "silence" },
@@ -239,7 +244,7 @@ impl Tap for Dropped {
 }
 
 #[test]
-fn a_sink_that_does_not_keep_up_loses_what_the_policy_says_and_a_replay_loses_the_same() {
+fn a_slow_sink_loses_items_by_its_policy_and_a_replay_loses_the_same() {
     let n = 500;
     let given: Vec<_> = (0..n).map(|i| (i, 0, i as f64 + 0.5)).collect();
     for (case, policy) in [Policy::DropOld, Policy::DropNew, Policy::Sample(7), Policy::Block].into_iter().enumerate() {
@@ -268,8 +273,9 @@ fn a_sink_that_does_not_keep_up_loses_what_the_policy_says_and_a_replay_loses_th
             assert_eq!(drops.values().map(BTreeSet::len).sum::<usize>() as u64, link.dropped, "{policy:?}");
             let results = live.results["all"].as_array().unwrap();
             assert_eq!(results.len(), n as usize, "a dropped item leaves an empty in its place");
-            let said = format!("camera.p0 -> sink.a dropped {} of its {n} items by its policy {policy}", link.dropped);
-            let warned = live.warnings.iter().any(|warning| warning.message == said);
+            let message =
+                format!("camera.p0 -> sink.a dropped {} of its {n} items by its policy {policy}", link.dropped);
+            let warned = live.warnings.iter().any(|warning| warning.message == message);
             assert_eq!(warned, link.dropped > 0, "{:?}", live.warnings);
             match policy {
                 Policy::DropOld => {
@@ -307,7 +313,7 @@ impl Tap for Readings {
 }
 
 #[test]
-fn what_a_node_takes_from_the_clock_is_told_and_answered_from_the_record_in_a_replay() {
+fn clock_readings_are_recorded_and_replayed() {
     let given: Vec<_> = (0..6).map(|i| (i, 0, i as f64)).collect();
     // One budget that is used up, and one that never is.
     for (budget_us, most_looks) in [(300, u64::MAX), (3_600_000_000_u64, 7)] {
@@ -349,7 +355,7 @@ fn what_a_node_takes_from_the_clock_is_told_and_answered_from_the_record_in_a_re
 }
 
 #[test]
-fn what_comes_through_a_lossy_wire_still_meets_the_item_of_its_stamp() {
+fn items_of_a_lossy_wire_still_join_by_their_stamps() {
     let given: Vec<_> = (0..12).flat_map(|i| [(i * 10, 0, 100.0 + i as f64), (i * 10, 1, 0.5)]).collect();
     for (join, met) in [(Join::Stamp { tolerance_ns: 0 }, 4), (Join::Latest, 4)] {
         let plan = live("both", 2, &given, json!({}))

@@ -68,10 +68,11 @@ pub(crate) fn manifest(
         }
         Err(error) => json!({ "error": error.to_string() }),
     });
-    let recalled = report.recalled.iter().map(|r| json!({ "node": r.node, "item": r.item, "key": r.key }));
-    let recalled = recalled.collect::<Json>();
+    let cached_answers = report.cached_answers.iter().map(|r| json!({ "node": r.node, "item": r.item, "key": r.key }));
+    let cached_answers = cached_answers.collect::<Json>();
     let store = options.store.as_ref();
-    let store = store.map(|store| json!({ "dir": store.dir().display().to_string(), "recalled": recalled }));
+    let store =
+        store.map(|store| json!({ "dir": store.dir().display().to_string(), "cached_answers": cached_answers }));
     json!({
         "graph": { "name": plan.name, "file": plan.path.display().to_string(), "seed": plan.seed },
         "outcome": outcome,

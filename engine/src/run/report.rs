@@ -53,7 +53,7 @@ pub struct RunReport {
     /// Saved failed items, which can be run again alone.
     pub saved: Saved,
     /// Answers taken from the store, in the order of the plan.
-    pub recalled: Vec<CachedAnswer>,
+    pub cached_answers: Vec<CachedAnswer>,
 }
 
 /// A run that could not start or whose files could not be written.

@@ -104,7 +104,7 @@ fn cause(plan: &Plan, run: &Finished, wire: OutputId) -> Refusal {
         Body::Value(_) => None,
     });
     let Some((item, empty)) = last else {
-        let (node, reason) = dry(plan, run, wire);
+        let (node, reason) = silent_wire(plan, run, wire);
         return refusal(node, None, reason);
     };
     let origin = plan.nodes.iter().position(|node| *node.name == *empty.node).unwrap_or(wire.node);
@@ -116,13 +116,13 @@ fn cause(plan: &Plan, run: &Finished, wire: OutputId) -> Refusal {
 }
 
 /// The wire furthest upstream that carried no item, and its node.
-fn dry(plan: &Plan, run: &Finished, wire: OutputId) -> (usize, String) {
+fn silent_wire(plan: &Plan, run: &Finished, wire: OutputId) -> (usize, String) {
     let node = &plan.nodes[wire.node];
     if node.role == Role::Node {
         let fed = |input: &&crate::plan::PlanInput| !input.port.unused && !input.port.optional;
         let from = node.inputs.iter().filter(fed).filter_map(|input| Some(plan.links[input.link?].from));
         if let Some(from) = from.clone().find(|from| run.outputs[from.node][from.port].n_items == 0) {
-            return dry(plan, run, from);
+            return silent_wire(plan, run, from);
         }
         let inputs: Vec<_> = from.map(|from| plan.wire_name(from)).collect();
         return (wire.node, format!("it never fired: items came on {}, but never together", inputs.join(" and ")));
@@ -151,7 +151,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dotted_keys_nest_in_the_order_they_come() {
+    fn dotted_keys_nest_in_order() {
         let mut results = Map::new();
         insert(&mut results, "poses.t_ct_world", json!(1));
         insert(&mut results, "icp", json!(2));

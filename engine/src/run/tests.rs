@@ -172,7 +172,7 @@ fn branches(numbers: [f64; 3], optional: bool) -> PlanBuilder {
 }
 
 #[test]
-fn a_failing_node_is_named_with_item_and_line_and_no_result_is_left() {
+fn a_failing_node_is_named_with_item_and_line_and_there_are_no_results() {
     let report = check(&branches([1.0, 13.0, 3.0], false).plan());
     let refusal = refusal_of(&report);
     assert_eq!(refusal.to_string(), "toy.toml:11: node \"first\", item 1: 13 is not a number to add to");
@@ -196,12 +196,12 @@ fn a_failure_that_only_optional_results_follow_is_a_warning() {
     let report = check(&branches([1.0, 13.0, 3.0], true).plan());
     assert_eq!(report.outcome, Outcome::Complete);
     assert_eq!(report.results, json!({ "notice": "toy", "sum": 17.0 }));
-    let said: Vec<_> = report.warnings.iter().map(|w| (w.node.as_str(), w.item, w.message.as_str())).collect();
-    assert_eq!(said, [("first", 1, "13 is not a number to add to")]);
+    let messages: Vec<_> = report.warnings.iter().map(|w| (w.node.as_str(), w.item, w.message.as_str())).collect();
+    assert_eq!(messages, [("first", 1, "13 is not a number to add to")]);
 }
 
 #[test]
-fn a_node_that_skips_errors_is_built_anew_and_goes_on() {
+fn a_node_that_skips_errors_is_rebuilt_and_goes_on() {
     let report = check(&branches([1.0, 13.0, 3.0], false).skip_errors("first").plan());
     assert_eq!(report.results, json!({ "notice": "toy", "pose": 3.0, "sum": 17.0 }));
     assert_eq!((report.nodes[1].items, report.nodes[1].failed, report.nodes[2].skipped), (3, 1, 1));
@@ -214,7 +214,7 @@ fn a_node_that_skips_errors_is_built_anew_and_goes_on() {
 }
 
 #[test]
-fn a_source_that_fails_leaves_what_it_gave_and_refuses_the_run() {
+fn a_failing_source_keeps_its_items_and_refuses_the_run() {
     let script = json!([
         { "stamp_ns": 1, "give": [[0, 5.0]] },
         { "stamp_ns": 2, "give": [], "fail": "the file was cut short" },
@@ -234,8 +234,8 @@ fn stamps_that_decrease_are_refused() {
     for (port, script) in [(0, [(5, 0, 1.0), (4, 0, 2.0)]), (1, [(5, 0, 1.0), (4, 1, 2.0)])] {
         let plan = PlanBuilder::new().script("scan", 2, calls(&script)).result("x", "scan.p0", false, false).plan();
         let report = check(&plan);
-        let said = &refusal_of(&report).reason;
-        assert_eq!(*said, format!("output p{port} gave stamp 4 ns after 5 ns; stamps never decrease along a wire"));
+        let message = &refusal_of(&report).reason;
+        assert_eq!(*message, format!("output p{port} gave stamp 4 ns after 5 ns; stamps never decrease along a wire"));
     }
 }
 
@@ -254,7 +254,7 @@ fn a_second_item_on_a_constant_is_refused_and_the_wires_stay_the_same() {
 }
 
 #[test]
-fn a_result_that_never_came_names_the_wire_at_the_root_of_it() {
+fn a_missing_result_names_the_wire_that_carried_no_item() {
     let plan = PlanBuilder::new()
         .script("recording", 2, calls(&[(1, 0, 1.0)]))
         .node("hole", "toy.add", json!({}), &[("a", "recording.p1", None)])
@@ -268,7 +268,7 @@ fn a_result_that_never_came_names_the_wire_at_the_root_of_it() {
 }
 
 #[test]
-fn a_missing_third_item_is_told_by_the_node_that_waited_for_it() {
+fn a_missing_third_item_is_reported_by_the_node_that_waited_for_it() {
     let plan = PlanBuilder::new()
         .script("recording", 1, calls(&[(1, 0, 1.0), (2, 0, 2.0)]))
         .node("coarse", "toy.sum", json!({}), &[("all", "recording.p0", Some(Join::Collect { n: Some(3) }))])
@@ -279,7 +279,7 @@ fn a_missing_third_item_is_told_by_the_node_that_waited_for_it() {
 }
 
 #[test]
-fn an_empty_of_the_node_itself_is_the_reason_where_it_is_the_last() {
+fn the_last_empty_of_the_node_itself_is_the_reason() {
     let plan = PlanBuilder::new()
         .script("recording", 1, calls(&[(1, 0, -1.0)]))
         .node("coarse", "toy.sum", json!({}), &[("all", "recording.p0", None)])
@@ -290,7 +290,7 @@ fn an_empty_of_the_node_itself_is_the_reason_where_it_is_the_last() {
 }
 
 #[test]
-fn in_a_list_an_empty_stands_as_what_is_unknown() {
+fn an_empty_in_a_list_is_an_unknown_value() {
     let script = json!([
         { "stamp_ns": 1, "give": [[0, 5.0]] },
         { "stamp_ns": 2, "give": [[0, null]] },
@@ -306,7 +306,7 @@ fn in_a_list_an_empty_stands_as_what_is_unknown() {
 }
 
 #[test]
-fn dropped_items_leave_empties_so_that_each_never_shifts() {
+fn dropped_items_become_empties_so_that_each_never_shifts() {
     let n = 40;
     let script: Vec<_> = (0..n).map(|i| (i, 0, i as f64 + 0.5)).collect();
     let plan = PlanBuilder::new()
@@ -342,8 +342,11 @@ fn a_full_link_that_must_not_be_full_refuses_the_run() {
         .plan();
     for workers in [1, 8] {
         let report = run(&plan, &registry(), &options(workers), &()).unwrap();
-        let said = &refusal_of(&report).reason;
-        assert!(said.starts_with("the link live.p0 -> both.a is full at 4 items or 1048576 bytes, and"), "{said}");
+        let message = &refusal_of(&report).reason;
+        assert!(
+            message.starts_with("the link live.p0 -> both.a is full at 4 items or 1048576 bytes, and"),
+            "{message}"
+        );
     }
 }
 
@@ -356,11 +359,11 @@ fn nodes_that_cannot_be_built_are_all_named_before_anything_runs() {
         .plan();
     let dir = tempfile::tempdir().unwrap();
     let options = RunOptions { out_dir: Some(dir.path().join("out")), ..options(1) };
-    let said = run(&plan, &registry(), &options, &()).unwrap_err().to_string();
+    let message = run(&plan, &registry(), &options, &()).unwrap_err().to_string();
     let fault = |line: u32, node: &str| {
         format!("toy.toml:{line}: node \"{node}\": parameter \"bad\": expected false, found true")
     };
-    assert_eq!(said, format!("{}\n{}", fault(11, "first"), fault(12, "second")));
+    assert_eq!(message, format!("{}\n{}", fault(11, "first"), fault(12, "second")));
     assert!(!dir.path().join("out").exists(), "nothing is left of a run that did not begin");
 }
 
@@ -379,7 +382,7 @@ impl Observer for Stop {
 }
 
 #[test]
-fn an_interrupted_run_drains_and_leaves_whole_files_and_no_result() {
+fn an_interrupted_run_drains_and_writes_complete_files_without_results() {
     for workers in [1, 8] {
         let script: Vec<_> = (1..1000).map(|i| (i, 0, 1.0)).collect();
         let plan = PlanBuilder::new()
@@ -401,12 +404,12 @@ fn an_interrupted_run_drains_and_leaves_whole_files_and_no_result() {
     }
 }
 
-fn left(dir: &Path, name: &str) -> Json {
+fn read_json(dir: &Path, name: &str) -> Json {
     serde_json::from_slice(&std::fs::read(dir.join(name)).unwrap()).unwrap()
 }
 
 #[test]
-fn a_run_leaves_results_manifest_and_a_recording_that_replays_to_the_same() {
+fn a_run_writes_results_manifest_and_a_recording_that_replays_equal() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("input.txt");
     std::fs::write(&input, "abc").unwrap();
@@ -415,8 +418,8 @@ fn a_run_leaves_results_manifest_and_a_recording_that_replays_to_the_same() {
     let out = dir.path().join("out");
     let options = RunOptions { out_dir: Some(out.clone()), record: true, ..options(2) };
     let report = run(&plan, &registry(), &options, &()).unwrap();
-    assert_eq!(left(&out, "results.json"), report.results);
-    let manifest = left(&out, "manifest.json");
+    assert_eq!(read_json(&out, "results.json"), report.results);
+    let manifest = read_json(&out, "manifest.json");
     assert_eq!(manifest["outcome"]["status"], "complete");
     assert_eq!(manifest["inputs"][0]["sha256"].as_str().unwrap()[..8], *"ba7816bf");
     assert_eq!(manifest["links"][0]["from"], "recording.p1");
@@ -450,7 +453,7 @@ fn a_run_leaves_results_manifest_and_a_recording_that_replays_to_the_same() {
 }
 
 #[test]
-fn a_recording_cut_short_gives_its_whole_chunks_and_says_so() {
+fn a_truncated_recording_gives_its_whole_chunks_and_the_reason() {
     let dir = tempfile::tempdir().unwrap();
     let options = RunOptions { out_dir: Some(dir.path().into()), record: true, ..options(1) };
     run(&parks(), &registry(), &options, &()).unwrap();
@@ -513,12 +516,12 @@ fn a_file_of_another_program_is_named_as_such() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("other.mcap");
     std::fs::write(&path, "not an mcap file at all").unwrap();
-    let said = Recording::open(&path).unwrap_err().to_string();
-    assert!(said.ends_with("is no recording of a run: it is no MCAP file"), "{said}");
+    let message = Recording::open(&path).unwrap_err().to_string();
+    assert!(message.ends_with("is no recording of a run: it is no MCAP file"), "{message}");
     let mut writer = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
     writer.finish().unwrap();
-    let said = Recording::open(&path).unwrap_err().to_string();
-    assert!(said.ends_with("it has no metadata record \"osteoflow\""), "{said}");
+    let message = Recording::open(&path).unwrap_err().to_string();
+    assert!(message.ends_with("it has no metadata record \"osteoflow\""), "{message}");
 }
 
 /// Random graphs and joins: layers of nodes over two sources.
@@ -589,7 +592,7 @@ fn random_graphs_give_the_same_on_any_number_of_workers() {
 }
 
 #[test]
-fn random_graphs_give_the_same_however_threads_are_interleaved() {
+fn random_graphs_give_the_same_for_any_interleaving_of_threads() {
     let (n_graphs, n_shuffles) = if std::env::var_os("SLOW_TESTS").is_some() { (60, 40) } else { (12, 6) };
     for graph in 0..n_graphs {
         let plan = random_plan(graph);
@@ -638,7 +641,7 @@ fn the_time_from_each_source_to_each_sink_is_measured_where_asked() {
 }
 
 #[test]
-fn warnings_of_nodes_and_items_without_partner_are_told() {
+fn warnings_of_nodes_and_items_without_partner_are_reported() {
     let plan = PlanBuilder::new()
         .script("scan", 2, calls(&[(1, 0, 99.0), (2, 1, 1.0), (3, 0, 1.0)]))
         .node("add", "toy.add", json!({}), &[("a", "scan.p1", None), ("b", "scan.p0", Some(Join::Each))])
@@ -646,9 +649,9 @@ fn warnings_of_nodes_and_items_without_partner_are_told() {
         .result("x", "add.out", false, false)
         .plan();
     let report = check(&plan);
-    let said: Vec<_> = report.warnings.iter().map(|w| format!("{}/{}: {}", w.node, w.item, w.message)).collect();
+    let messages: Vec<_> = report.warnings.iter().map(|w| format!("{}/{}: {}", w.node, w.item, w.message)).collect();
     let unmatched = "add/1: input \"b\": 1 item of scan.p0 found no partner to fire with";
-    assert_eq!(said, [unmatched, "warns/0: 99 is nearly 100"]);
+    assert_eq!(messages, [unmatched, "warns/0: 99 is nearly 100"]);
     let unmatched: Vec<_> = report.links.iter().map(|l| (l.to.as_str(), l.unmatched)).collect();
     assert_eq!(unmatched, [("add.a", 0), ("add.b", 1), ("warns.a", 0)]);
 }

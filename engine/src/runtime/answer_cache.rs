@@ -44,7 +44,7 @@ pub(super) struct AnswerCache<'a> {
     registry: &'a Registry,
     /// Cache policy of each node; `None` where answers are not cached.
     nodes: Vec<Option<CachePolicy>>,
-    recalled: Mutex<Vec<(usize, CachedAnswer)>>,
+    cached_answers: Mutex<Vec<(usize, CachedAnswer)>>,
     /// Libraries loaded by plugins.
     brought: OnceLock<Vec<String>>,
     /// The store cannot be written; the warning has been given.
@@ -68,7 +68,7 @@ impl<'a> AnswerCache<'a> {
             plan,
             registry,
             nodes: nodes.collect(),
-            recalled: Mutex::default(),
+            cached_answers: Mutex::default(),
             brought: OnceLock::new(),
             cannot_keep: AtomicBool::new(false),
         }
@@ -81,9 +81,9 @@ impl<'a> AnswerCache<'a> {
 
     /// Cached answers used, in the order of the plan.
     pub(super) fn finish(self) -> Vec<CachedAnswer> {
-        let mut recalled = self.recalled.into_inner().unwrap_or_else(PoisonError::into_inner);
-        recalled.sort_by_key(|(node, recalled)| (*node, recalled.item));
-        recalled.into_iter().map(|(_, recalled)| recalled).collect()
+        let mut cached_answers = self.cached_answers.into_inner().unwrap_or_else(PoisonError::into_inner);
+        cached_answers.sort_by_key(|(node, cached_answers)| (*node, cached_answers.item));
+        cached_answers.into_iter().map(|(_, cached_answers)| cached_answers).collect()
     }
 
     /// Like [`AnyNode::fire`], from the store if possible.
@@ -101,8 +101,8 @@ impl<'a> AnswerCache<'a> {
             out.iter_mut().zip(answer.emissions).for_each(|(place, emission)| *place = emission);
             answer.warnings.into_iter().for_each(|warning| context.warn(warning));
             let node = self.plan.nodes[index].name.to_string();
-            let recalled = CachedAnswer { node, item: context.item(), key: key.to_string() };
-            self.recalled.lock().unwrap_or_else(PoisonError::into_inner).push((index, recalled));
+            let cached_answers = CachedAnswer { node, item: context.item(), key: key.to_string() };
+            self.cached_answers.lock().unwrap_or_else(PoisonError::into_inner).push((index, cached_answers));
             return Ok(());
         }
         context.track_use();
@@ -114,7 +114,7 @@ impl<'a> AnswerCache<'a> {
                 if kept == CachePolicy::ByInputs { "by its inputs" } else { "by its inputs and its seed" }
             ));
         } else if !context.cancelled() && !self.cannot_keep.load(Ordering::Relaxed) {
-            self.keep(&key, out, context);
+            self.save(&key, out, context);
         }
         Ok(())
     }
@@ -146,8 +146,8 @@ impl<'a> AnswerCache<'a> {
         Some(key.done())
     }
 
-    fn keep(&self, key: &Key, out: &[Emission], context: &mut Context) {
-        let Some(answer) = written(out, context.warnings(), context.node()) else { return };
+    fn save(&self, key: &Key, out: &[Emission], context: &mut Context) {
+        let Some(answer) = encode(out, context.warnings(), context.node()) else { return };
         let slices: Vec<&[u8]> = answer.iter().flat_map(Segments::slices).collect();
         if let Err(error) = self.store.put(key, &slices)
             && !self.cannot_keep.swap(true, Ordering::Relaxed)
@@ -214,7 +214,7 @@ fn with_empty(key: KeyInMaking, what: &str, empty: &Empty) -> KeyInMaking {
 /// Encodes an answer for the store: the number of outputs and of warnings and the length of each (u64, little-endian),
 /// then the messages of the outputs and the texts of the warnings, each at a multiple of 8. `None` if an output was
 /// silent.
-fn written(out: &[Emission], warnings: &[String], node: &str) -> Option<Vec<Segments>> {
+fn encode(out: &[Emission], warnings: &[String], node: &str) -> Option<Vec<Segments>> {
     let empty = |empty: Empty| {
         let item = Item { number: 0, stamp_ns: 0, body: Body::Empty(Arc::new(empty)) };
         codec::parts_on(PortPayload::Any, &item)

@@ -56,7 +56,7 @@ pub(super) struct Cell {
 /// Mean duration below which a firing is not worth handing to another worker, since that takes as long.
 const CHEAP_NS: u64 = 10_000;
 /// Number of firings after which the mean duration of a node is used.
-const FIRINGS_TO_KNOW: u64 = 4;
+const MIN_TIMED_FIRINGS: u64 = 4;
 
 /// What the cell runs.
 pub(super) enum Core {
@@ -146,14 +146,14 @@ impl Cell {
             };
             if let Some(stepped) = stepped {
                 self.time_together(run, turn);
-                self.tell_of_room(run, turn);
+                self.notify_producers(run, turn);
                 return stepped;
             }
         }
     }
 
     /// Notifies the producers that are blocked on its inputs.
-    fn tell_of_room(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+    fn notify_producers(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         if !std::mem::take(&mut self.has_taken) {
             return;
         }
@@ -176,7 +176,7 @@ impl Cell {
     fn count(&mut self, n: u64, took: Duration, run: &Runtime<'_>) {
         self.took.count(n, took.as_nanos() as u64);
         let n_fired = self.took.n();
-        let cheap = n_fired >= FIRINGS_TO_KNOW && self.took.sum_ns() / CHEAP_NS < n_fired;
+        let cheap = n_fired >= MIN_TIMED_FIRINGS && self.took.sum_ns() / CHEAP_NS < n_fired;
         if cheap != self.cheap {
             self.cheap = cheap;
             run.note_cheap(self.index, cheap);
@@ -310,9 +310,9 @@ impl Cell {
         let Core::Node(node, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
         joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
         let (context, out) = (&mut self.context, &mut self.emissions);
-        let recall = run.recall(self.index);
-        let answered = called(item, context, |context| match recall {
-            Some(recall) => recall.fire(self.index, node.as_mut(), joiner.joined_mut(), out, context),
+        let answer_cache = run.answer_cache(self.index);
+        let answered = call_node(item, context, |context| match answer_cache {
+            Some(answer_cache) => answer_cache.fire(self.index, node.as_mut(), joiner.joined_mut(), out, context),
             None => node.fire(joiner.joined_mut(), out, context),
         });
         let timed = began.map(|began| (began, took_since(began, turn)));
@@ -325,10 +325,10 @@ impl Cell {
     fn call_source(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         self.started(run);
         let item = self.item;
-        let began = self.begin(item, known(self.stamp_ns), run, turn);
+        let began = self.begin(item, stamp_or_zero(self.stamp_ns), run, turn);
         let Core::Source(source) = &mut self.core else { unreachable!("only a source is called") };
         let (context, out) = (&mut self.context, &mut self.emissions);
-        let answered = called(item, context, |context| source.next(out, context));
+        let answered = call_node(item, context, |context| source.next(out, context));
         let stamp_ns = self.context.stamp_ns();
         if matches!(answered, Ok(Ok(false))) {
             // The call that found the end is not an answer.
@@ -360,7 +360,7 @@ impl Cell {
             self.context.replay_readings(readings);
         }
         if !self.cheap {
-            self.tell_of_room(run, turn);
+            self.notify_producers(run, turn);
             turn.hand_over();
         }
         // A tap may have blocked on the disk.
@@ -402,7 +402,7 @@ impl Cell {
         run.event(&Event::Fired { node: self.context.node(), item, stamp_ns });
         let answered = match answered {
             Ok(Ok(())) => {
-                self.empty_the_late(stamp_ns);
+                self.empty_late_items(stamp_ns);
                 self.check(stamp_ns, run).map_err(|reason| (reason, false))
             }
             Ok(Err(error)) => Err((error.message, false)),
@@ -515,7 +515,7 @@ impl Cell {
 
     fn send_empties(&mut self, empty: Arc<Empty>, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         for output in &mut self.outputs {
-            let stamp_ns = known(self.stamp_ns.max(output.floor));
+            let stamp_ns = stamp_or_zero(self.stamp_ns.max(output.floor));
             // A link that fails when full has been reported already.
             let _ = output.send(stamp_ns, Body::Empty(empty.clone()), run, turn);
         }
@@ -587,7 +587,7 @@ impl Cell {
 }
 
 /// Stamp, or 0 where there is none yet.
-pub(crate) fn known(stamp_ns: StampNs) -> StampNs {
+pub(crate) fn stamp_or_zero(stamp_ns: StampNs) -> StampNs {
     if stamp_ns == StampNs::MIN { 0 } else { stamp_ns }
 }
 
@@ -599,7 +599,7 @@ fn took_since(began: Instant, turn: &mut Turn<'_>) -> Duration {
 }
 
 /// Calls the node in its tracing span and catches a panic.
-fn called<T>(
+fn call_node<T>(
     item: u64,
     context: &mut Context,
     call: impl FnOnce(&mut Context) -> Result<T, NodeError>,

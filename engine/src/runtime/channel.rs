@@ -194,17 +194,17 @@ impl SendEnd {
         if self.room > 0 && self.bytes(state) < self.limits.max_bytes {
             return true;
         }
-        if !self.waits() || !self.look_for_room(state) || !self.keeps(self.sent) {
+        if !self.waits() || !self.count_room(state) || !self.keeps(self.sent) {
             return true;
         }
         state.blocked.store(true, Ordering::Relaxed);
         // Either the consumer, after taking an item, sees the flag, or this second check sees the room.
         fence(Ordering::SeqCst);
-        !self.look_for_room(state)
+        !self.count_room(state)
     }
 
     /// Recounts the room; returns whether the link is full.
-    fn look_for_room(&mut self, state: &LinkState) -> bool {
+    fn count_room(&mut self, state: &LinkState) -> bool {
         self.room = self.limits.capacity.saturating_sub(self.fill());
         self.room == 0 || self.bytes(state) >= self.limits.max_bytes
     }
@@ -296,7 +296,7 @@ impl RecvEnd {
             }
             Err(TryRecvError::Empty) => Received::Nothing(progress),
             Err(TryRecvError::Disconnected) if self.next_number < state.total.load(Ordering::Acquire) => {
-                Received::Item(self.empty_in_place(state))
+                Received::Item(self.replacement(state))
             }
             Err(TryRecvError::Disconnected) => {
                 self.ended = true;
@@ -308,7 +308,7 @@ impl RecvEnd {
     fn in_order(&mut self, item: Item, state: &LinkState) -> Received {
         if item.number > self.next_number {
             self.held = Some(item);
-            return Received::Item(self.empty_in_place(state));
+            return Received::Item(self.replacement(state));
         }
         self.next_number = item.number + 1;
         self.last_stamp = item.stamp_ns;
@@ -321,7 +321,7 @@ impl RecvEnd {
     }
 
     /// The empty that replaces the next item, which was dropped; has its number and stamp.
-    fn empty_in_place(&mut self, state: &LinkState) -> Item {
+    fn replacement(&mut self, state: &LinkState) -> Item {
         let number = self.next_number;
         self.next_number += 1;
         let gap = state.gaps().pop_front();
@@ -361,12 +361,12 @@ mod tests {
     }
 
     /// Sends `n` items at once and returns what is received, as (number, stamp, reason), then the dropped numbers.
-    fn through(limits: Limits, n: u64) -> (Vec<(u64, i64, String)>, Vec<u64>) {
+    fn send_all(limits: Limits, n: u64) -> (Vec<(u64, i64, String)>, Vec<u64>) {
         let (state, mut send, mut recv) = link(0, limits, "a", "a.x");
-        let mut told = Vec::new();
+        let mut dropped = Vec::new();
         for number in 0..n {
             if send.has_room(&state) {
-                let _ = send.send(item(number), &state, &mut |number| told.push(number));
+                let _ = send.send(item(number), &state, &mut |number| dropped.push(number));
             }
         }
         send.close(&state);
@@ -377,37 +377,37 @@ mod tests {
         }
         assert_eq!(send.sent, recv.received + send.dropped, "sent = received + dropped");
         assert_eq!(send.bytes(&state), 0, "nothing waits any more");
-        assert_eq!(told.len() as u64, send.dropped);
-        (out, told)
+        assert_eq!(dropped.len() as u64, send.dropped);
+        (out, dropped)
     }
 
     /// Checks which of six items pass a link of capacity two, by its policy and in a replay of its drops.
     fn check(policy: Policy, kept: &[u64]) {
-        let (out, mut told) = through(limits(policy, 2), 6);
+        let (out, mut dropped) = send_all(limits(policy, 2), 6);
         assert_eq!(out.iter().map(|o| o.0).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5], "{policy:?} keeps every place");
         let came: Vec<_> = out.iter().filter(|o| o.2 == "none").map(|o| o.0).collect();
         assert_eq!(came, kept, "{policy:?}");
-        told.sort_unstable();
+        dropped.sort_unstable();
         let lost: Vec<_> = (0..6).filter(|n| !kept.contains(n)).collect();
-        assert_eq!(told, lost, "{policy:?} tells what it drops");
+        assert_eq!(dropped, lost, "{policy:?} tells what it drops");
         // In a replay, room does not matter.
-        let replayed = Limits { recorded_drops: Some(told.into_iter().collect()), ..limits(policy, 9) };
-        assert_eq!(through(replayed, 6), (out, lost), "{policy:?}, replayed");
+        let replayed = Limits { recorded_drops: Some(dropped.into_iter().collect()), ..limits(policy, 9) };
+        assert_eq!(send_all(replayed, 6), (out, lost), "{policy:?}, replayed");
     }
 
     #[test]
-    fn a_dropped_item_leaves_an_empty_in_its_place_and_a_replay_drops_the_same() {
+    fn a_dropped_item_is_replaced_by_an_empty_and_a_replay_drops_the_same() {
         check(Policy::DropOld, &[4, 5]);
         check(Policy::DropNew, &[0, 1]);
         check(Policy::Sample(3), &[0, 3]);
         check(Policy::Fail, &[0, 1]);
-        let (out, _) = through(limits(Policy::DropNew, 2), 6);
+        let (out, _) = send_all(limits(Policy::DropNew, 2), 6);
         assert_eq!(out[5].2, "dropped on a.x by its policy drop_new");
     }
 
     #[test]
-    fn the_place_of_a_dropped_item_has_its_number_and_its_stamp() {
-        let stamps = |policy| through(limits(policy, 9), 6).0.iter().map(|o| o.1).collect::<Vec<_>>();
+    fn the_empty_of_a_dropped_item_has_its_number_and_stamp() {
+        let stamps = |policy| send_all(limits(policy, 9), 6).0.iter().map(|o| o.1).collect::<Vec<_>>();
         assert_eq!(stamps(Policy::Sample(3)), [0, 1, 2, 3, 4, 5]);
         assert_eq!(stamps(Policy::Block), [0, 1, 2, 3, 4, 5]);
     }
@@ -429,7 +429,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_link_that_blocks_takes_nothing_and_one_that_fails_says_so() {
+    fn a_full_link_blocks_or_fails_by_its_policy() {
         let send_to = |send: &mut SendEnd, state: &LinkState, n| send.send(item(n), state, &mut |_| ()).is_ok();
         let (state, mut send, _recv) = link(0, limits(Policy::Block, 1), "a", "a.x");
         assert!(send.has_room(&state) && send_to(&mut send, &state, 0) && !send.has_room(&state));
@@ -439,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_bound_a_link_as_items_do_and_one_large_item_passes() {
+    fn links_are_bounded_in_bytes_and_one_large_item_passes() {
         for (max_bytes, room_for) in [(1, 1), (EACH, 1), (EACH + 1, 2), (5 * EACH, 5)] {
             let limits = Limits { max_bytes, ..limits(Policy::Block, 100) };
             let (state, mut send, mut recv) = link(0, limits, "a", "a.x");
@@ -453,8 +453,8 @@ mod tests {
             assert!(recv.unblocks(&state) && send.has_room(&state), "{max_bytes} bytes: what is taken makes room");
         }
         let limits = Limits { max_bytes: 2 * EACH, ..limits(Policy::DropOld, 100) };
-        let (_, told) = through(limits, 6);
-        assert_eq!(told, [0, 1, 2, 3]);
+        let (_, dropped) = send_all(limits, 6);
+        assert_eq!(dropped, [0, 1, 2, 3]);
     }
 
     #[test]

@@ -16,5 +16,5 @@ pub(crate) struct Ended {
     pub(crate) links: Vec<LinkStats>,
     pub(crate) enlargements: Vec<Enlargement>,
     pub(crate) elapsed: Duration,
-    pub(crate) recalled: Vec<CachedAnswer>,
+    pub(crate) cached_answers: Vec<CachedAnswer>,
 }

@@ -92,7 +92,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn classes_follow_each_other_and_are_three_percent_wide() {
+    fn classes_are_contiguous_and_three_percent_wide() {
         for class in 0..self::class(u64::MAX) {
             let largest = largest_of(class);
             assert_eq!((self::class(largest), self::class(largest + 1)), (class, class + 1), "{largest} ns");

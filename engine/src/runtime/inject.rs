@@ -181,7 +181,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn an_injection_is_read_and_a_wrong_one_is_told_with_the_nearest_name() {
+    fn an_injection_is_parsed_and_a_wrong_one_names_the_nearest_node() {
         let plan = PlanBuilder::new().script("scan", 1, json!([])).node("first", "toy.add", json!({}), &[]).plan();
         let read = |text: &str| Injection::parse(text, &plan).map(|i| i.to_string());
         assert_eq!(read("first").unwrap(), "first@0=panic");
@@ -193,8 +193,8 @@ mod tests {
             ("first=explode", "\"explode\" cannot be injected; panic and error can"),
             ("", "the graph has no such node; nodes here"),
         ] {
-            let said = read(text).unwrap_err();
-            assert!(said.contains(expected), "{text}: {said}");
+            let message = read(text).unwrap_err();
+            assert!(message.contains(expected), "{text}: {message}");
         }
     }
 }

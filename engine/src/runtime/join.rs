@@ -281,7 +281,7 @@ impl Joiner {
 
     /// Leaves the fast path permanently.
     #[cfg(test)]
-    fn leave_lock_step_for_good(&mut self) {
+    fn disable_lock_step(&mut self) {
         self.leave_lock_step();
         (self.in_lock_step, self.n_vacant) = (false, 0);
     }

@@ -35,7 +35,7 @@ pub(super) struct Live {
 }
 
 /// Messages to the thread that serves live sources.
-pub(super) enum News {
+pub(super) enum LiveMessage {
     /// A source has answered.
     Answered(usize, Answer),
     /// An output may have room for the source's next answer; the source counts as pending since before this was sent.
@@ -48,8 +48,8 @@ pub(super) enum News {
 
 /// Channel to the thread that serves live sources.
 pub(super) struct Mailbox {
-    pub(super) tx: Sender<News>,
-    rx: Receiver<News>,
+    pub(super) tx: Sender<LiveMessage>,
+    rx: Receiver<LiveMessage>,
 }
 
 impl Mailbox {
@@ -74,7 +74,7 @@ struct Device {
     silent_after: Duration,
     /// When it was asked; `None` while it is not pending.
     asked: Option<Instant>,
-    told_silent: bool,
+    reported_silent: bool,
     /// It did not react to the stop request in time.
     left_behind: bool,
 }
@@ -102,7 +102,7 @@ struct Over<'a>(&'a Mailbox);
 impl Drop for Over<'_> {
     fn drop(&mut self) {
         // Without a receiver no notice is needed.
-        let _ = self.0.tx.try_send(News::Over);
+        let _ = self.0.tx.try_send(LiveMessage::Over);
     }
 }
 
@@ -121,12 +121,12 @@ impl Server<'_, '_> {
         }
         loop {
             match self.run.mailbox.rx.recv_timeout(TICK) {
-                Ok(News::Answered(node, answer)) => self.answered(node, answer),
-                Ok(News::Room(node)) => self.ask(node),
-                Ok(News::Over) | Err(RecvTimeoutError::Disconnected) => break,
-                Ok(News::Gone) | Err(RecvTimeoutError::Timeout) => {}
+                Ok(LiveMessage::Answered(node, answer)) => self.answered(node, answer),
+                Ok(LiveMessage::Room(node)) => self.ask(node),
+                Ok(LiveMessage::Over) | Err(RecvTimeoutError::Disconnected) => break,
+                Ok(LiveMessage::Gone) | Err(RecvTimeoutError::Timeout) => {}
             }
-            self.look_at_clock();
+            self.check_clock();
         }
         self.leave();
     }
@@ -136,11 +136,11 @@ impl Server<'_, '_> {
         let (asks, asked) = bounded(1);
         let answers = self.run.mailbox.tx.clone();
         let thread = std::thread::Builder::new().name(format!("source-{node}")).stack_size(8 << 20);
-        match thread.spawn(move || attend(source, &asked, &answers)) {
+        match thread.spawn(move || run_source(source, &asked, &answers)) {
             Ok(thread) => {
                 let asks = Some(asks);
-                let (asked, told_silent, left_behind) = (None, false, false);
-                self.devices.push(Device { node, asks, thread, silent_after, asked, told_silent, left_behind });
+                let (asked, reported_silent, left_behind) = (None, false, false);
+                self.devices.push(Device { node, asks, thread, silent_after, asked, reported_silent, left_behind });
                 self.ask(node);
             }
             Err(error) => {
@@ -157,10 +157,10 @@ impl Server<'_, '_> {
 
     fn answered(&mut self, node: usize, answer: Answer) {
         let Some(device) = self.device(node).filter(|device| device.asks.is_some()) else { return };
-        let (asked, told) = (device.asked.take(), std::mem::take(&mut device.told_silent));
-        if let (Some(asked), true) = (asked, told) {
-            let said = format!("it gave something again after {}", seconds(asked.elapsed()));
-            self.run.warn(node, answer.item(), vec![said]);
+        let (asked, was_silent) = (device.asked.take(), std::mem::take(&mut device.reported_silent));
+        if let (Some(asked), true) = (asked, was_silent) {
+            let message = format!("it gave something again after {}", seconds(asked.elapsed()));
+            self.run.warn(node, answer.item(), vec![message]);
         }
         self.scheduler.outside(|turn| self.run.cell(node).answered(answer, self.run, turn));
         self.ask(node);
@@ -185,21 +185,21 @@ impl Server<'_, '_> {
 
     fn not_pending(&self) {
         if self.run.no_longer_pending() {
-            self.scheduler.look_again();
+            self.scheduler.recheck();
         }
     }
 
-    fn look_at_clock(&mut self) {
+    fn check_clock(&mut self) {
         if self.run.cancelled() {
             let since = *self.stopped.get_or_insert_with(Instant::now);
             self.stop(since.elapsed() > GRACE);
         }
         for device in &mut self.devices {
             let Some(silent) = device.asked.map(|asked| asked.elapsed()) else { continue };
-            if silent >= device.silent_after && !device.told_silent {
-                device.told_silent = true;
-                let said = format!("it has given nothing for {}; is the device connected and on?", seconds(silent));
-                self.run.warn(device.node, self.run.cell(device.node).n_items(), vec![said]);
+            if silent >= device.silent_after && !device.reported_silent {
+                device.reported_silent = true;
+                let message = format!("it has given nothing for {}; is the device connected and on?", seconds(silent));
+                self.run.warn(device.node, self.run.cell(device.node).n_items(), vec![message]);
             }
         }
     }
@@ -220,11 +220,11 @@ impl Server<'_, '_> {
             device.asks = None;
             if was_pending {
                 device.left_behind = true;
-                let said =
+                let message =
                     format!("it did not notice the wish to stop within {}; the run ends without it", seconds(GRACE));
-                self.run.warn(device.node, self.run.cell(device.node).n_items(), vec![said]);
+                self.run.warn(device.node, self.run.cell(device.node).n_items(), vec![message]);
                 if self.run.no_longer_pending() {
-                    self.scheduler.look_again();
+                    self.scheduler.recheck();
                 }
             }
         }
@@ -247,16 +247,16 @@ impl Server<'_, '_> {
 }
 
 /// Thread function of a source.
-fn attend(live: Live, asks: &Receiver<Ask>, answers: &Sender<News>) {
+fn run_source(live: Live, asks: &Receiver<Ask>, answers: &Sender<LiveMessage>) {
     let Live { node, mut source, mut context, n_ports } = live;
     for Ask { item, stamp_ns } in asks {
         let answer = Answer::of(&mut *source, &mut context, n_ports, item, stamp_ns);
-        if answers.try_send(News::Answered(node, answer)).is_err() {
+        if answers.try_send(LiveMessage::Answered(node, answer)).is_err() {
             break;
         }
     }
     super::cell::discard(source);
-    let _ = answers.try_send(News::Gone);
+    let _ = answers.try_send(LiveMessage::Gone);
 }
 
 fn seconds(time: Duration) -> String {

@@ -5,7 +5,7 @@ use crate::plan::Plan;
 
 /// Maximum number of warnings listed per node, and of failures after which the node went on; further ones are counted.
 /// Otherwise a node that warns at every item would fill the memory in a long run.
-const MOST_PER_NODE: u64 = 100;
+const MAX_PER_NODE: u64 = 100;
 
 /// Warnings and failures of a run in progress.
 pub(super) struct Messages {
@@ -32,7 +32,7 @@ impl Messages {
     pub(super) fn warning(&mut self, node: usize, warning: Warning) {
         let counts = &mut self.nodes[node];
         counts.warned += 1;
-        if counts.warned <= MOST_PER_NODE {
+        if counts.warned <= MAX_PER_NODE {
             self.warnings.push((node, warning));
         } else {
             counts.last_warned = warning.item;
@@ -42,7 +42,7 @@ impl Messages {
     pub(super) fn failure(&mut self, failure: Failure) {
         let counts = &mut self.nodes[failure.node];
         counts.failed += 1;
-        if counts.failed <= MOST_PER_NODE || !failure.skipped {
+        if counts.failed <= MAX_PER_NODE || !failure.skipped {
             self.failures.push(failure);
         } else {
             counts.latest = Some(failure);
@@ -57,12 +57,12 @@ impl Messages {
                 let message = format!("{n} more {what} of this node are counted and not listed");
                 self.warnings.push((node, Warning { node: plan.nodes[node].name.to_string(), item, message }));
             };
-            if counts.warned > MOST_PER_NODE {
-                more(counts.warned - MOST_PER_NODE, counts.last_warned, "warnings");
+            if counts.warned > MAX_PER_NODE {
+                more(counts.warned - MAX_PER_NODE, counts.last_warned, "warnings");
             }
             if let Some(latest) = counts.latest {
                 // `latest` itself is listed.
-                let n = counts.failed - MOST_PER_NODE - 1;
+                let n = counts.failed - MAX_PER_NODE - 1;
                 if n > 0 {
                     more(n, latest.item, "failures");
                 }

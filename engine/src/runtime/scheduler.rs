@@ -17,7 +17,7 @@ use std::time::Instant;
 const IDLE: u8 = 0;
 const QUEUED: u8 = 1;
 const RUNNING: u8 = 2;
-const RUNNING_WITH_NEWS: u8 = 3;
+const RUNNING_NOTIFIED: u8 = 3;
 
 /// Maximum number of consecutive firings of a node that takes microseconds.
 const FIRINGS_IN_A_ROW: usize = 16;
@@ -108,7 +108,7 @@ impl Scheduler {
     }
 
     /// Something pending is no longer so: a worker checks whether anything can still run.
-    pub(crate) fn look_again(&self) {
+    pub(crate) fn recheck(&self) {
         let _queue = self.lock();
         self.wakeup.notify_one();
     }
@@ -130,7 +130,7 @@ impl Scheduler {
         loop {
             let next = match now {
                 IDLE => QUEUED,
-                RUNNING => RUNNING_WITH_NEWS,
+                RUNNING => RUNNING_NOTIFIED,
                 _ => return false,
             };
             match state.compare_exchange_weak(now, next, Ordering::AcqRel, Ordering::Relaxed) {
@@ -208,7 +208,7 @@ pub(crate) struct Turn<'a> {
     /// Ready nodes that this worker will run unless another worker does.
     own: ReadySet,
     /// Nodes woken in this turn.
-    told: ReadySet,
+    woken: ReadySet,
     /// Nothing that other threads must see has been done since the last fence.
     is_fenced: bool,
     /// Number of firings in this turn.
@@ -220,13 +220,13 @@ pub(crate) struct Turn<'a> {
 
 impl<'a> Turn<'a> {
     fn new(scheduler: &'a Scheduler, dice: Option<Dice>) -> Self {
-        let (own, told) = Default::default();
-        Self { scheduler, own, told, is_fenced: false, n_fired: 0, clock: None, dice }
+        let (own, woken) = Default::default();
+        Self { scheduler, own, woken, is_fenced: false, n_fired: 0, clock: None, dice }
     }
 
     /// Notifies `node` of an item, progress, an end or room; takes effect when the turn ends.
     pub(crate) fn wake(&mut self, node: usize) {
-        self.told.insert(node);
+        self.woken.insert(node);
     }
 
     /// Counts a firing; returns whether the node may fire again in this turn. A firing that takes long ends the turn,
@@ -287,14 +287,14 @@ impl<'a> Turn<'a> {
     /// Wakes the nodes collected in this turn.
     fn settle(&mut self) {
         let is_fenced = std::mem::take(&mut self.is_fenced);
-        if self.told.len == 0 {
+        if self.woken.len == 0 {
             return;
         }
         // Either this sees the node running or idle, or the node, about to run, sees the change.
         if !is_fenced {
             fence(Ordering::SeqCst);
         }
-        while let Some(node) = self.told.pop_last() {
+        while let Some(node) = self.woken.pop_last() {
             if self.scheduler.make_ready(node) {
                 self.own.insert(node);
             }
@@ -564,7 +564,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_stuck_is_relieved_once_all_workers_sleep() {
+    fn a_stuck_state_is_relieved_once_all_workers_sleep() {
         for n_workers in [1, 2, 3] {
             many_times(move || {
                 let row = Row::new(3, 2, 0, 0);
@@ -589,7 +589,7 @@ mod tests {
                             turn.wake(0);
                         });
                         if row.n_pending.fetch_sub(1, Ordering::SeqCst) == 1 {
-                            scheduler.look_again();
+                            scheduler.recheck();
                         }
                     }
                 };

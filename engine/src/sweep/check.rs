@@ -118,8 +118,8 @@ fn check_rows(
         let checked = match place.into_inner().unwrap_or_else(PoisonError::into_inner) {
             Some(Ok(checked)) => checked,
             Some(Err(mut faults)) => {
-                let told = |(name, value): &(String, Json)| format!("{name} = {value}");
-                let settings: Vec<_> = row.values.iter().map(told).collect();
+                let setting = |(name, value): &(String, Json)| format!("{name} = {value}");
+                let settings: Vec<_> = row.values.iter().map(setting).collect();
                 let note = format!("in run {} of the sweep: {}", row.run, settings.join(", "));
                 faults.0.iter_mut().for_each(|fault| fault.notes.push(note.clone()));
                 return Err(faults);

@@ -328,7 +328,7 @@ impl Folder {
 pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     let first = &shards[0];
     for other in &shards[1..] {
-        same(first, other)?;
+        check_same_sweep(first, other)?;
     }
     let mut about = first.about.clone();
     let of_shard = |shard: &Folder| json!({ "dir": shard.dir.display().to_string(), "shard": shard.about["shard"], "command": shard.about["command"] });
@@ -357,7 +357,7 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
 }
 
 /// Checks that both folders are of the same sweep.
-fn same(a: &Folder, b: &Folder) -> Result<(), FolderError> {
+fn check_same_sweep(a: &Folder, b: &Folder) -> Result<(), FolderError> {
     match a.hash() == b.hash() {
         true => Ok(()),
         false => {

@@ -1,6 +1,6 @@
 //! Runs the missing runs of a sweep on several workers.
 
-use super::{Done, Folder, FolderError, Run, Shard, Sweep, SweepOptions, Swept, Watcher, run_row, share::Shared};
+use super::{Done, Folder, FolderError, Run, Shard, Sweep, SweepCounts, SweepOptions, Watcher, run_row, share::Shared};
 use crate::{
     partial::FinishedNode,
     run::Outcome,
@@ -21,7 +21,12 @@ impl Sweep {
     /// # Errors
     /// If the folder cannot be read or written, or an input file has changed since the check. A failed run is a row,
     /// not an error.
-    pub fn run(&self, folder: &Folder, options: &SweepOptions, watcher: &dyn Watcher) -> Result<Swept, FolderError> {
+    pub fn run(
+        &self,
+        folder: &Folder,
+        options: &SweepOptions,
+        watcher: &dyn Watcher,
+    ) -> Result<SweepCounts, FolderError> {
         let before = folder.runs()?;
         let mut order = self.order(options.shard);
         let n_before = order.iter().filter(|run| before.binary_search(run).is_ok()).count();
@@ -30,7 +35,7 @@ impl Sweep {
             true => Shared::of(order.iter().map(|&run| &self.runs[run].keys[..])),
             false => Shared::default(),
         };
-        let state = Mutex::new(State { pending: order.into(), shared, swept: Swept::default(), error: None });
+        let state = Mutex::new(State { pending: order.into(), shared, swept: SweepCounts::default(), error: None });
         let (ended, cancelled) = (Condvar::new(), &options.run.cancelled);
         let lock = || state.lock().unwrap_or_else(PoisonError::into_inner);
         on_workers(
@@ -82,7 +87,7 @@ impl Sweep {
             return Err(error);
         }
         let n_missing = pending.len();
-        Ok(Swept { n_before, n_missing, ..swept })
+        Ok(SweepCounts { n_before, n_missing, ..swept })
     }
 
     /// The runs of a part, or of the whole sweep, ordered so that runs that share nodes are adjacent.
@@ -121,10 +126,10 @@ impl Sweep {
         let (report, left) = run_row::run(&run.plan, &self.registry, &of_run, found);
         let done = match report {
             Ok(report) => {
-                let told = |warning: &Warning| {
+                let format = |warning: &Warning| {
                     format!("node \"{}\", item {}: {}", warning.node, warning.item, warning.message)
                 };
-                let warnings = report.warnings.iter().map(told).collect();
+                let warnings = report.warnings.iter().map(format).collect();
                 let reason = match &report.outcome {
                     Outcome::Interrupted => return (None, left),
                     Outcome::Refused(refusal) => Some(refusal.to_string()),
@@ -142,6 +147,6 @@ impl Sweep {
 struct State {
     pending: VecDeque<usize>,
     shared: Shared,
-    swept: Swept,
+    swept: SweepCounts,
     error: Option<FolderError>,
 }

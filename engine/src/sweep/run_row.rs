@@ -19,9 +19,9 @@ pub(super) fn run(
 ) -> (Result<RunReport, RunError>, Vec<Option<FinishedNode>>) {
     let mut left = Vec::new();
     let mut see = |finished: Finished| {
-        let sound = sound(plan, &finished.ended);
+        let succeeded = succeeded(plan, &finished.ended);
         let of_node = |index: usize| {
-            let is_new = shared[index].is_none() && sound[index];
+            let is_new = shared[index].is_none() && succeeded[index];
             is_new.then(|| FinishedNode::of(&finished, plan, index))
         };
         left = (0..plan.nodes.len()).map(of_node).collect();
@@ -32,10 +32,10 @@ pub(super) fn run(
 }
 
 /// Whether each node and all nodes upstream ended without failure.
-fn sound(plan: &Plan, ended: &Ended) -> Vec<bool> {
+fn succeeded(plan: &Plan, ended: &Ended) -> Vec<bool> {
     let cut_short = ended.interrupted || ended.stall.is_some();
     let failed = |index| ended.failures.iter().any(|failure| failure.node == index);
-    let mut unsound: Vec<bool> = (0..plan.nodes.len()).map(|index| cut_short || failed(index)).collect();
-    partial::follow(plan, &mut unsound);
-    unsound.into_iter().map(|unsound| !unsound).collect()
+    let mut affected: Vec<bool> = (0..plan.nodes.len()).map(|index| cut_short || failed(index)).collect();
+    partial::mark_downstream(plan, &mut affected);
+    affected.into_iter().map(|affected| !affected).collect()
 }

@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn what_two_runs_share_is_computed_once_and_let_go_with_the_last() {
+    fn nodes_shared_by_two_runs_are_computed_once_and_released_after_the_last() {
         let runs = [[key(1), key(2)], [key(1), key(3)]];
         let mut shared = Shared::of(runs.iter().map(|run| &run[..]));
         assert_eq!(shared.0.len(), 1, "only what both have");
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn what_failed_is_computed_anew_by_the_next_run() {
+    fn failed_nodes_are_computed_again_by_the_next_run() {
         let runs = [[key(1)], [key(1)], [key(1)]];
         let mut shared = Shared::of(runs.iter().map(|run| &run[..]));
         shared.begin(&runs[0]);

@@ -68,7 +68,7 @@ impl Desk {
     }
 
     /// Sweeps into a new folder and returns its tables.
-    fn sweep(&self, out: &str, options: &SweepOptions) -> (Swept, String, String) {
+    fn sweep(&self, out: &str, options: &SweepOptions) -> (SweepCounts, String, String) {
         let sweep = self.check();
         let folder = sweep.begin(&self.path(out), options).unwrap();
         let swept = sweep.run(&folder, options, &()).unwrap();
@@ -110,7 +110,7 @@ fn the_tables_are_the_same_for_any_number_of_workers_with_and_without_sharing() 
 }
 
 #[test]
-fn what_runs_have_in_common_is_computed_once() {
+fn shared_nodes_are_computed_once() {
     let desk = Desk::new(&graph("sweep-once", SIX));
     let (swept, ..) = desk.sweep("out", &options(4, true));
     assert_eq!(n_fired("sweep-once"), 3, "once for each of three seeds");
@@ -118,7 +118,7 @@ fn what_runs_have_in_common_is_computed_once() {
 }
 
 #[test]
-fn a_sweep_that_was_stopped_goes_on_where_it_was_and_leaves_the_same_tables() {
+fn a_stopped_sweep_resumes_and_gives_the_same_tables() {
     let desk = Desk::new(&graph("sweep-resume", SIX));
     let (_, runs, points) = desk.sweep("whole", &options(2, true));
     desk.sweep("cut", &options(2, true));
@@ -138,18 +138,18 @@ fn a_sweep_that_was_stopped_goes_on_where_it_was_and_leaves_the_same_tables() {
 }
 
 #[test]
-fn a_changed_graph_does_not_go_on_in_the_folder_of_another() {
+fn a_changed_graph_does_not_resume_in_the_folder_of_another() {
     let desk = Desk::new(&graph("sweep-changed", SIX));
     desk.sweep("out", &options(1, true));
     fs::write(&desk.graph, graph("sweep-changed", &SIX.replace("[false, true]", "[true, false]"))).unwrap();
-    let said = desk.check().resume(&desk.path("out"), None).unwrap_err().to_string();
-    assert!(said.contains("are not those it was begun with") && said.contains("sweep.toml"), "{said}");
-    let said = desk.check().resume(&desk.path("nothing"), None).unwrap_err().to_string();
-    assert!(said.contains("holds no sweep"), "{said}");
+    let message = desk.check().resume(&desk.path("out"), None).unwrap_err().to_string();
+    assert!(message.contains("are not those it was begun with") && message.contains("sweep.toml"), "{message}");
+    let message = desk.check().resume(&desk.path("nothing"), None).unwrap_err().to_string();
+    assert!(message.contains("holds no sweep"), "{message}");
 }
 
 #[test]
-fn shards_put_together_are_the_whole_and_a_missing_one_is_named() {
+fn merged_shards_equal_the_whole_and_a_missing_one_is_named() {
     let desk = Desk::new(&graph("sweep-shards", SIX));
     let (_, runs, points) = desk.sweep("whole", &options(2, true));
     let shards: Vec<_> = (1..=4)
@@ -159,8 +159,8 @@ fn shards_put_together_are_the_whole_and_a_missing_one_is_named() {
             Folder::open(&desk.path(&dir)).unwrap()
         })
         .collect();
-    let said = merge(&shards[..3], &desk.path("part")).unwrap_err().to_string();
-    assert!(said.starts_with("2 of 6 runs are in none of the folders"), "{said}");
+    let message = merge(&shards[..3], &desk.path("part")).unwrap_err().to_string();
+    assert!(message.starts_with("2 of 6 runs are in none of the folders"), "{message}");
     for order in [[0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]] {
         let merged = desk.path(&format!("merged {order:?}"));
         merge(&order.map(|k| shards[k].clone()), &merged).unwrap();
@@ -179,7 +179,7 @@ impl Watcher for Meddler {
 }
 
 #[test]
-fn an_input_that_changes_while_a_sweep_runs_stops_it_and_no_run_of_the_changed_file_is_kept() {
+fn an_input_that_changes_during_a_sweep_stops_it_and_no_run_of_the_changed_file_is_stored() {
     let desk = Desk::new(&graph("sweep-meddled", SIX));
     let file = desk.path("input.txt");
     fs::write(&file, "as it was").unwrap();
@@ -187,8 +187,8 @@ fn an_input_that_changes_while_a_sweep_runs_stops_it_and_no_run_of_the_changed_f
     sweep.runs.iter_mut().for_each(|run| run.plan.input_files.push(file.clone()));
     sweep.files = Stamps::of([file.clone()]);
     let folder = sweep.begin(&desk.path("out"), &options(1, true)).unwrap();
-    let said = sweep.run(&folder, &options(1, true), &Meddler(file)).unwrap_err().to_string();
-    assert!(said.contains("input.txt has changed while the sweep ran"), "{said}");
+    let message = sweep.run(&folder, &options(1, true), &Meddler(file)).unwrap_err().to_string();
+    assert!(message.contains("input.txt has changed while the sweep ran"), "{message}");
     assert_eq!(folder.runs().unwrap(), [0], "the run before the change");
 }
 
@@ -236,7 +236,7 @@ fn paired_factors_go_together_and_others_are_crossed() {
         compare: Vec::new(),
     };
     let rows = rows(&spec, 5);
-    let told: Vec<_> = rows
+    let formatted: Vec<_> = rows
         .iter()
         .map(|row| row.values[..4].iter().map(|(_, v)| v.to_string()).collect::<Vec<_>>().join(" "))
         .collect();
@@ -250,7 +250,7 @@ fn paired_factors_go_together_and_others_are_crossed() {
         "2 \"y\" 20 0",
         "2 \"y\" 20 1",
     ];
-    assert_eq!(told, expected);
+    assert_eq!(formatted, expected);
     assert_eq!(rows[0].values[4], rows[2].values[4], "a draw is the same under all factors");
     assert_ne!(rows[0].values[4], rows[1].values[4], "and anew for each repeat");
     assert!(rows.iter().all(|row| row.seed == 5 && !row.sets.iter().any(|set| set.starts_with("graph.seed"))));
@@ -258,7 +258,7 @@ fn paired_factors_go_together_and_others_are_crossed() {
 }
 
 #[test]
-fn draws_are_distributed_as_they_say() {
+fn draws_follow_their_distributions() {
     let draw = |distribution| Draw { name: "d".into(), keys: Vec::new(), distribution };
     let values = |distribution| {
         let spec = Spec {
@@ -300,7 +300,7 @@ fn draws_are_distributed_as_they_say() {
 }
 
 #[test]
-fn every_fault_of_a_sweep_is_told_at_its_line() {
+fn every_fault_of_a_sweep_is_reported_at_its_line() {
     let sweep = r#"
 [sweep]
 repeat = 0
@@ -324,7 +324,7 @@ last = "values.last"
 [sweep.points]
 all = { axes = ["x"] }
 "#;
-    let said = Desk::new(&graph("sweep-faults", sweep)).faults();
+    let message = Desk::new(&graph("sweep-faults", sweep)).faults();
     for expected in [
         "repeat takes a whole number of at least 1, found 0",
         "[sweep] has no key \"tile\"",
@@ -344,28 +344,28 @@ all = { axes = ["x"] }
         "compare needs the name of a factor",
         "compare takes a table, found 4",
     ] {
-        assert!(said.contains(expected), "{expected}\n---\n{said}");
+        assert!(message.contains(expected), "{expected}\n---\n{message}");
     }
     assert_eq!(
-        said.matches("toy.toml:").count(),
-        said.matches(" --> ").count() + said.matches("::: ").count(),
-        "{said}"
+        message.matches("toy.toml:").count(),
+        message.matches(" --> ").count() + message.matches("::: ").count(),
+        "{message}"
     );
 }
 
 #[test]
-fn a_fault_of_one_run_is_told_with_the_settings_of_that_run() {
+fn a_fault_of_one_run_is_reported_with_its_settings() {
     let sweep = "[sweep.factor]\nwait = { key = \"last.sleep_us\", values = [1, \"long\"] }\n";
-    let said = Desk::new(&graph("sweep-row", sweep)).faults();
-    assert!(said.contains("in run 1 of the sweep: wait = \"long\", repeat = 0"), "{said}");
-    let said = Desk::new(&graph("sweep-none", "")).faults();
-    assert!(said.contains("has no table [sweep]"), "{said}");
+    let message = Desk::new(&graph("sweep-row", sweep)).faults();
+    assert!(message.contains("in run 1 of the sweep: wait = \"long\", repeat = 0"), "{message}");
+    let message = Desk::new(&graph("sweep-none", "")).faults();
+    assert!(message.contains("has no table [sweep]"), "{message}");
 }
 
 #[test]
-fn one_key_is_not_set_by_two() {
+fn a_key_set_twice_is_refused() {
     let faults = |sweep: &str| Desk::new(&graph("sweep-clash", sweep)).faults();
-    let said = faults(
+    let message = faults(
         r#"
 [sweep.factor]
 noise = { key = "last.noise", values = [false, true] }
@@ -387,13 +387,13 @@ more = { key = "last.sleep_us", integers = [1, 9] }
         "factor \"size\" cannot set sweep.repeat",
         "toy.toml:30:1",
     ] {
-        assert!(said.contains(expected), "{expected}\n---\n{said}");
+        assert!(message.contains(expected), "{expected}\n---\n{message}");
     }
-    assert_eq!(said.matches("both set").count(), 4, "{said}");
+    assert_eq!(message.matches("both set").count(), 4, "{message}");
 }
 
 #[test]
-fn other_keys_of_one_node_and_paired_values_that_never_meet_are_no_clash() {
+fn other_keys_of_one_node_and_paired_values_that_never_meet_are_accepted() {
     for sweep in [
         r#"
 [sweep.factor]
@@ -416,7 +416,7 @@ long  = { values = [{ last.noise = true }, { last.sleep_us = 2 }], labels = ["a"
 }
 
 #[test]
-fn a_setting_of_the_command_line_that_no_run_would_take_is_refused() {
+fn a_setting_of_the_command_line_that_no_run_would_use_is_refused() {
     let sweep = r#"
 [sweep.factor]
 noise = { key = "last.noise", values = [false, true] }
@@ -425,16 +425,18 @@ some  = { values = [{ last.sleep_us = 1 }, { shared.takes = "draws" }], labels =
 stamp = { key = "scan.calls[0].stamp_ns", integers = [1, 9] }
 "#;
     let desk = Desk::new(&graph("sweep-overridden", sweep));
-    let said = desk.faults_with(&["graph.seed=3", "node.last={ noise = true }"]);
+    let message = desk.faults_with(&["graph.seed=3", "node.last={ noise = true }"]);
     for expected in [
         "last.noise is set by the factor \"noise\" of the sweep",
         "--set node.last={ noise = true }",
         "set sweep.factor.noise.values='[..]' instead",
     ] {
-        assert!(said.contains(expected), "{expected}\n---\n{said}");
+        assert!(message.contains(expected), "{expected}\n---\n{message}");
     }
-    let said = desk.faults_with(&["scan.calls[0].stamp_ns=3"]);
-    assert!(said.contains("scan.calls[0].stamp_ns is set by the draw \"stamp\"") && said.contains("sweep.draw.stamp"));
+    let message = desk.faults_with(&["scan.calls[0].stamp_ns=3"]);
+    assert!(
+        message.contains("scan.calls[0].stamp_ns is set by the draw \"stamp\"") && message.contains("sweep.draw.stamp")
+    );
     let sets = ["last.sleep_us=7", "graph.seed=3", "sweep.factor.noise.values=[true]"].map(str::to_owned);
     let sweep = check(&desk.graph, &sets, &registry(), 1).unwrap();
     let waits: Vec<_> = sweep.runs.iter().map(|run| run.plan.resolved.contains("sleep_us = 7")).collect();
@@ -442,7 +444,7 @@ stamp = { key = "scan.calls[0].stamp_ns", integers = [1, 9] }
 }
 
 #[test]
-fn a_path_that_begins_with_no_result_is_told_with_what_was_meant() {
+fn a_path_that_begins_with_no_result_suggests_the_nearest() {
     let sweep = r#"
 [sweep.columns]
 good    = "values.last"
@@ -454,7 +456,7 @@ nothing = "quite.another.thing"
 [sweep.points]
 list = { from = "al.0" }
 "#;
-    let said = Desk::new(&graph("sweep-paths", sweep)).faults();
+    let message = Desk::new(&graph("sweep-paths", sweep)).faults();
     for expected in [
         "column \"swapped\" asks for values.lsat.mean, which no run has",
         "did you mean \"values.last.mean\"?",
@@ -465,9 +467,9 @@ list = { from = "al.0" }
         "its results: values.shared, values.last, all",
         "toy.toml:31:11",
     ] {
-        assert!(said.contains(expected), "{expected}\n---\n{said}");
+        assert!(message.contains(expected), "{expected}\n---\n{message}");
     }
-    assert_eq!(said.matches("which no run has").count(), 4, "{said}");
+    assert_eq!(message.matches("which no run has").count(), 4, "{message}");
 }
 
 #[test]
@@ -477,15 +479,18 @@ fn a_unit_that_is_nearly_a_factor_is_not_taken_for_the_repeats() {
             "[sweep]\nunits = {units}\n[sweep.factor]\nnoise = {{ key = \"last.noise\", values = [false, true] }}\n"
         )
     };
-    let said = Desk::new(&graph("sweep-unit", &sweep("[\"nosie\"]"))).faults();
-    assert!(said.contains("unit \"nosie\" is no factor") && said.contains("did you mean \"noise\"?"), "{said}");
+    let message = Desk::new(&graph("sweep-unit", &sweep("[\"nosie\"]"))).faults();
+    assert!(
+        message.contains("unit \"nosie\" is no factor") && message.contains("did you mean \"noise\"?"),
+        "{message}"
+    );
     for fine in ["[\"trial\"]", "[\"noise\", \"noises\"]"] {
         Desk::new(&graph("sweep-unit", &sweep(fine))).check();
     }
 }
 
 #[test]
-fn a_part_of_a_sweep_lists_its_own_runs_and_goes_on_in_its_own_folder() {
+fn a_part_of_a_sweep_lists_its_own_runs_and_resumes_in_its_own_folder() {
     let desk = Desk::new(&graph("sweep-part", SIX));
     let sweep = desk.check();
     let shard = |index| Some(Shard { index, of: 3 });
@@ -500,13 +505,16 @@ fn a_part_of_a_sweep_lists_its_own_runs_and_goes_on_in_its_own_folder() {
     all.sort_unstable();
     assert_eq!(all, [0, 1, 2, 3, 4, 5]);
     sweep.resume(&desk.path("part1"), shard(1)).unwrap();
-    let said = sweep.resume(&desk.path("part1"), shard(2)).unwrap_err().to_string();
-    assert!(said.contains("holds part 1/3 of the sweep, not part 2/3") && said.contains("--shard 1/3"), "{said}");
-    let said = sweep.resume(&desk.path("part1"), None).unwrap_err().to_string();
-    assert!(said.contains("not the whole sweep"), "{said}");
+    let message = sweep.resume(&desk.path("part1"), shard(2)).unwrap_err().to_string();
+    assert!(
+        message.contains("holds part 1/3 of the sweep, not part 2/3") && message.contains("--shard 1/3"),
+        "{message}"
+    );
+    let message = sweep.resume(&desk.path("part1"), None).unwrap_err().to_string();
+    assert!(message.contains("not the whole sweep"), "{message}");
     desk.sweep("whole", &options(1, true));
-    let said = sweep.resume(&desk.path("whole"), shard(2)).unwrap_err().to_string();
-    assert!(said.contains("holds the whole sweep") && said.contains("--resume without --shard"), "{said}");
+    let message = sweep.resume(&desk.path("whole"), shard(2)).unwrap_err().to_string();
+    assert!(message.contains("holds the whole sweep") && message.contains("--resume without --shard"), "{message}");
 }
 
 #[test]

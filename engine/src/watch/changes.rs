@@ -6,7 +6,7 @@ use serde_json::Value as Json;
 use std::collections::BTreeSet;
 
 /// Maximum length of a value in a change, in characters.
-const MOST_CHARACTERS: usize = 40;
+const MAX_CHARACTERS: usize = 40;
 
 /// A direct change: a reason to recompute a node other than changes upstream of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -84,17 +84,17 @@ fn params(name: &str, before: &Json, now: &Json, why: &mut Vec<String>) {
                 params(&name, before.get(key).unwrap_or(&Json::Null), now.get(key).unwrap_or(&Json::Null), why);
             }
         }
-        _ => why.push(format!("{name} {} -> {}", shown(before), shown(now))),
+        _ => why.push(format!("{name} {} -> {}", format_value(before), format_value(now))),
     }
 }
 
-fn shown(value: &Json) -> String {
+fn format_value(value: &Json) -> String {
     let text = match value {
         Json::Null => "none".into(),
         Json::String(text) => text.clone(),
         other => other.to_string(),
     };
-    match text.char_indices().nth(MOST_CHARACTERS) {
+    match text.char_indices().nth(MAX_CHARACTERS) {
         Some((at, _)) => format!("{}..", &text[..at]),
         None => text,
     }

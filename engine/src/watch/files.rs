@@ -17,7 +17,7 @@ use std::{
 };
 
 /// Polling interval.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// State of files and folders at one time: size, times and identity of each; for a folder, those of all files in it.
 /// Missing files are included.
@@ -27,11 +27,11 @@ pub struct Stamps(BTreeMap<PathBuf, String>);
 impl Stamps {
     /// The current state of these paths.
     pub fn of(paths: impl IntoIterator<Item = PathBuf>) -> Self {
-        let told = |path: PathBuf| {
+        let stamped = |path: PathBuf| {
             let stamp = of_path(&path);
             (path, stamp)
         };
-        Self(paths.into_iter().map(told).collect())
+        Self(paths.into_iter().map(stamped).collect())
     }
 
     /// The current state of all files that a plan reads, apart from its text.
@@ -60,7 +60,7 @@ impl Stamps {
     /// file is not taken for the new one. Returns when the change was seen; `None` if cancelled.
     pub fn wait(&self, cancelled: &AtomicBool) -> Option<Instant> {
         let look = || {
-            thread::sleep(LOOK);
+            thread::sleep(POLL_INTERVAL);
             (!cancelled.load(Ordering::Relaxed)).then(|| Self::of(self.0.keys().cloned()))
         };
         let mut now = look()?;
@@ -83,9 +83,9 @@ fn of_path(path: &Path) -> String {
     if list(path, &mut files).is_err() {
         return "cannot be read".into();
     }
-    let told = |file: &PathBuf| match file.metadata() {
+    let describe = |file: &PathBuf| match file.metadata() {
         Ok(metadata) => format!("{}: {}\n", file.display(), stamp(&metadata)),
         Err(_) => format!("{}: not there\n", file.display()),
     };
-    files.iter().map(told).collect()
+    files.iter().map(describe).collect()
 }

@@ -98,7 +98,7 @@ fn wires(session: &Session) -> BTreeMap<String, Vec<Vec<u8>>> {
     ids.map(|id| (memory.plan.wire_name(id), items(id))).collect()
 }
 
-fn again(session: &mut Session, plan: &Plan, workers: usize) -> (RunReport, Vec<String>) {
+fn rerun(session: &mut Session, plan: &Plan, workers: usize) -> (RunReport, Vec<String>) {
     let next = session.next(plan.clone());
     let computed = next.computed().iter().map(ToString::to_string).collect();
     (session.run(next, &registry(), &options(workers), &()).unwrap(), computed)
@@ -106,7 +106,7 @@ fn again(session: &mut Session, plan: &Plan, workers: usize) -> (RunReport, Vec<
 
 /// Reruns the plan, compares the outcome with a run of the whole, and returns the computed nodes.
 fn check(session: &mut Session, plan: &Plan, workers: usize) -> Vec<String> {
-    let (report, computed) = again(session, plan, workers);
+    let (report, computed) = rerun(session, plan, workers);
     let whole = run(plan, &registry(), &options(workers), &()).unwrap();
     assert_eq!(report.results, whole.results, "{computed:?}");
     assert_eq!(report.outcome, whole.outcome);
@@ -117,13 +117,13 @@ fn check(session: &mut Session, plan: &Plan, workers: usize) -> Vec<String> {
     };
     assert_eq!(figures(&report), figures(&whole));
     let mut fresh = Session::default();
-    again(&mut fresh, plan, 1);
+    rerun(&mut fresh, plan, 1);
     assert_eq!(wires(session), wires(&fresh), "{computed:?}");
     computed
 }
 
 #[test]
-fn a_rerun_after_any_edit_leaves_bit_for_bit_what_a_run_of_the_whole_leaves() {
+fn a_rerun_after_any_edit_equals_a_full_run_bit_for_bit() {
     for workers in [1, 2, 8] {
         let mut session = Session::default();
         // From each variant to each, so that nodes are added and removed, and items kept over two runs are played.
@@ -137,7 +137,7 @@ fn a_rerun_after_any_edit_leaves_bit_for_bit_what_a_run_of_the_whole_leaves() {
 }
 
 #[test]
-fn only_what_has_changed_and_what_follows_from_it_is_computed() {
+fn only_changed_nodes_and_those_downstream_are_computed() {
     let mut session = Session::default();
     let mut to = |variant: &Variant| {
         check(&mut session, &BASE.plan(), 2);
@@ -162,29 +162,29 @@ fn only_what_has_changed_and_what_follows_from_it_is_computed() {
 }
 
 #[test]
-fn changes_are_told_in_the_words_of_the_graph_file() {
+fn changes_are_described_by_the_keys_of_the_graph_file() {
     let mut session = Session::default();
-    again(&mut session, &BASE.plan(), 1);
-    let told = |plan: Plan| {
+    rerun(&mut session, &BASE.plan(), 1);
+    let describe = |plan: Plan| {
         let next = session.next(plan);
         let changes = next.changes().iter().map(|change| format!("{}: {}", change.node, change.why.join(", ")));
         (changes.collect::<Vec<_>>(), next.removed().to_vec())
     };
-    let changed = |variant: Variant| told(variant.plan()).0;
+    let changed = |variant: Variant| describe(variant.plan()).0;
     assert_eq!(changed(Variant { late: true, ..BASE }), ["last: noise false -> true"]);
     assert_eq!(changed(Variant { kept: "toy.kept_with_seed", ..BASE }), ["kept: kind toy.kept -> toy.kept_with_seed"]);
     assert_eq!(changed(Variant { rewired: true, ..BASE }), ["sum: in.all kept.positive -> kept.out"]);
     assert_eq!(changed(Variant { join: Join::Interpolate { max_gap_ns: None }, ..BASE }), ["kept: in.b"]);
     assert_eq!(changed(Variant { extra: true, ..BASE }), ["extra: new"]);
-    assert_eq!(told(Variant { without_side: true, ..BASE }.plan()), (vec![], vec!["side".to_owned()]));
-    assert_eq!(told(Plan { seed: 8, ..BASE.plan() }).0, ["graph: seed 7 -> 8"]);
+    assert_eq!(describe(Variant { without_side: true, ..BASE }.plan()), (vec![], vec!["side".to_owned()]));
+    assert_eq!(describe(Plan { seed: 8, ..BASE.plan() }).0, ["graph: seed 7 -> 8"]);
     assert!(session.next(Plan { seed: 8, ..BASE.plan() }).is_whole());
 }
 
 #[test]
-fn a_library_another_rule_for_errors_or_a_wire_that_may_lose_items_makes_a_node_another() {
+fn a_change_of_library_error_rule_or_lossy_wire_changes_the_node() {
     let mut session = Session::default();
-    again(&mut session, &BASE.plan(), 1);
+    rerun(&mut session, &BASE.plan(), 1);
     let first = |change: &dyn Fn(&mut Plan)| {
         let mut plan = BASE.plan();
         change(&mut plan);
@@ -197,19 +197,19 @@ fn a_library_another_rule_for_errors_or_a_wire_that_may_lose_items_makes_a_node_
 }
 
 #[test]
-fn where_nothing_but_the_text_has_changed_nothing_is_to_be_done() {
+fn a_change_of_the_text_alone_leaves_nothing_to_compute() {
     let mut session = Session::default();
-    again(&mut session, &BASE.plan(), 1);
+    rerun(&mut session, &BASE.plan(), 1);
     let mut plan = BASE.plan();
     plan.nodes[1].location.line = 99;
-    assert!(session.next(plan).is_nothing());
+    assert!(session.next(plan).is_unchanged());
 }
 
 #[test]
-fn other_results_of_unchanged_nodes_come_without_computing_any() {
+fn other_results_of_unchanged_nodes_need_no_computation() {
     let mut session = Session::default();
     let plan = BASE.plan();
-    again(&mut session, &plan, 1);
+    rerun(&mut session, &plan, 1);
     let mut more = BASE.plan();
     more.results[0].all = true;
     more.resolved.push_str("[results]\n");
@@ -228,8 +228,8 @@ fn a_node_whose_file_has_changed_is_computed_again() {
     plan.nodes[2].files.push(file.clone());
     plan.input_files.push(file.clone());
     let mut session = Session::default();
-    again(&mut session, &plan, 1);
-    assert!(session.next(plan.clone()).is_nothing());
+    rerun(&mut session, &plan, 1);
+    assert!(session.next(plan.clone()).is_unchanged());
     std::fs::write(&file, "ab").unwrap();
     let next = session.next(plan.clone());
     assert_eq!(next.computed(), ["kept", "sum", "last"]);
@@ -240,7 +240,7 @@ fn a_node_whose_file_has_changed_is_computed_again() {
 }
 
 #[test]
-fn a_node_that_failed_is_computed_again_and_the_same_failure_comes_of_the_same_graph() {
+fn a_failed_node_is_computed_again_and_fails_in_the_same_way() {
     let mut session = Session::default();
     let fails = Variant { factor: 13.0, ..BASE };
     for workers in [1, 2] {
@@ -258,7 +258,7 @@ fn a_node_that_failed_is_computed_again_and_the_same_failure_comes_of_the_same_g
 }
 
 #[test]
-fn what_was_interrupted_is_computed_again() {
+fn interrupted_nodes_are_computed_again() {
     let mut session = Session::default();
     check(&mut session, &BASE.plan(), 1);
     let next = session.next(Variant { factor: 2.0, ..BASE }.plan());
@@ -269,19 +269,19 @@ fn what_was_interrupted_is_computed_again() {
 }
 
 #[test]
-fn a_node_that_cannot_be_built_leaves_what_was_kept() {
+fn a_node_that_cannot_be_built_leaves_the_session_unchanged() {
     let mut session = Session::default();
     check(&mut session, &BASE.plan(), 1);
     let mut bad = BASE.plan();
     bad.nodes[5].params = json!({ "bad": true });
     let next = session.next(bad);
     assert!(matches!(session.run(next, &registry(), &options(1), &()), Err(RunError::Build(_))));
-    assert!(session.next(BASE.plan()).is_nothing());
+    assert!(session.next(BASE.plan()).is_unchanged());
     assert_eq!(check(&mut session, &Variant { late: true, ..BASE }.plan(), 1), ["last"]);
 }
 
 #[test]
-fn a_rerun_leaves_its_own_folder_with_results_and_a_manifest_that_tells_what_was_kept() {
+fn a_rerun_writes_results_and_a_manifest_that_lists_the_kept_nodes() {
     let dir = tempfile::tempdir().unwrap();
     let mut session = Session::default();
     let mut run_into = |name: &str, plan: Plan| {
@@ -294,10 +294,10 @@ fn a_rerun_leaves_its_own_folder_with_results_and_a_manifest_that_tells_what_was
     let first = run_into("a", BASE.plan());
     assert!(first.get("watch").is_none() && dir.path().join("a/run.mcap").exists());
     let second = run_into("b", Variant { late: true, ..BASE }.plan());
-    let told = &second["watch"];
-    assert_eq!(told["computed"], json!(["last"]));
-    assert_eq!(told["kept"], json!(["scan", "first", "kept", "side", "sum"]));
-    assert_eq!(told["after"], dir.path().join("a").display().to_string());
+    let describe = &second["watch"];
+    assert_eq!(describe["computed"], json!(["last"]));
+    assert_eq!(describe["kept"], json!(["scan", "first", "kept", "side", "sum"]));
+    assert_eq!(describe["after"], dir.path().join("a").display().to_string());
     assert!(dir.path().join("b/results.json").exists() && !dir.path().join("b/run.mcap").exists());
     let third = run_into("c", Plan { seed: 9, ..BASE.plan() });
     assert_eq!(third["watch"]["kept"], json!([]));
@@ -305,7 +305,7 @@ fn a_rerun_leaves_its_own_folder_with_results_and_a_manifest_that_tells_what_was
 }
 
 #[test]
-fn a_change_is_seen_once_the_file_has_come_to_rest() {
+fn a_change_is_seen_once_the_file_is_stable() {
     let dir = tempfile::tempdir().unwrap();
     let (file, other) = (dir.path().join("graph.toml"), dir.path().join("base.toml"));
     std::fs::write(&file, "a").unwrap();
@@ -328,7 +328,7 @@ fn a_change_is_seen_once_the_file_has_come_to_rest() {
 }
 
 #[test]
-fn the_files_of_a_graph_are_its_text_what_it_extends_and_its_modules_whether_they_are_there_or_not() {
+fn the_files_of_a_graph_include_extended_files_and_modules_even_if_missing() {
     let dir = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
     let texts = || {

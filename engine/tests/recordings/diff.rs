@@ -172,5 +172,5 @@ fn of_recordings_that_lack_items_it_is_said() {
     let only = recorded(dir.path(), "only", &["record.wires=[\"cut.*\"]"]);
     let report = of(&a, &only);
     let pass = report.wires.iter().find(|wire| wire.wire == "pass.thing").unwrap();
-    assert_eq!((pass.there, pass.n_only), ([true, false], [40, 0]));
+    assert_eq!((pass.present, pass.n_only), ([true, false], [40, 0]));
 }

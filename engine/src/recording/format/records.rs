@@ -367,33 +367,33 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    fn back<T: MetadataRecord + PartialEq + std::fmt::Debug>(record: T) {
+    fn check_round_trip<T: MetadataRecord + PartialEq + std::fmt::Debug>(record: T) {
         assert_eq!(T::from_metadata(&record.to_metadata()), Ok(record));
     }
 
     #[test]
-    fn every_record_is_read_as_it_was_written() {
+    fn every_record_round_trips() {
         let record = RunRecord { graph: "a\nb".into(), seed: u64::MAX, sources: Sources::Hashes, ..Default::default() };
-        back(record);
-        back(Program([("os".into(), "linux".into())].into()));
-        back(InputHashes([("/a/b".into(), "00".into())].into()));
-        back(WireCounts([("a.b".into(), WireCount { items: 3, values: 2 })].into()));
+        check_round_trip(record);
+        check_round_trip(Program([("os".into(), "linux".into())].into()));
+        check_round_trip(InputHashes([("/a/b".into(), "00".into())].into()));
+        check_round_trip(WireCounts([("a.b".into(), WireCount { items: 3, values: 2 })].into()));
         let failure = RecordedFailure { node: "a".into(), item: 1, reason: "b".into(), skipped: true };
         let fixed_results = [("notice".to_owned(), json!("toy"))].into_iter().collect();
-        back(Outcome {
+        check_round_trip(Outcome {
             status: "complete".into(),
             results: json!({ "x": 1.5 }),
             fixed_results,
             failures: vec![failure],
         });
-        back(Recovered {
+        check_round_trip(Recovered {
             damage: vec!["x.mcap: 3 bytes".into(), "y.mcap: cut".into()],
             bytes_lost: 3,
             before_damage: [("a.b".into(), 7)].into(),
             missing: [("a.b".into(), vec![2..=4, 9..=9])].into(),
             lost: vec!["the results".into()],
         });
-        back(ReproRecord { node: "a".into(), item: 3 });
+        check_round_trip(ReproRecord { node: "a".into(), item: 3 });
         let header =
             WireHeader { node: "a".into(), payload: "p".into(), version: 2, source: true, ..Default::default() };
         assert_eq!(WireHeader::from_metadata(&header.to_metadata()), header);
@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_that_lacks_an_entry_says_which() {
+    fn a_missing_entry_is_named() {
         let mut entries = RunRecord::default().to_metadata();
         entries.remove("graph");
         assert_eq!(RunRecord::from_metadata(&entries), Err("it lacks \"graph\"".into()));

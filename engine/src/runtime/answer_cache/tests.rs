@@ -49,7 +49,7 @@ fn plan(kind: &str, params: Json, numbers: &[f64], first_ns: StampNs) -> Plan {
         .plan()
 }
 
-fn ran(plan: &Plan, options: &RunOptions) -> (RunReport, BTreeMap<OutputId, Vec<Vec<u8>>>) {
+fn run_plan(plan: &Plan, options: &RunOptions) -> (RunReport, BTreeMap<OutputId, Vec<Vec<u8>>>) {
     let wires = Wires::default();
     let report = run_with(plan, &registry(), options, &(), Replayed::default(), Some(&wires)).unwrap();
     (report, wires.0.into_inner().unwrap())
@@ -62,9 +62,9 @@ fn options(store: &Arc<Store>, workers: usize) -> RunOptions {
 /// Numbers of firings in two runs with one store: of the first plan, then of the second.
 fn firings(counter: &str, first: &Plan, second: &Plan) -> (u64, u64) {
     let (store, _dir) = store();
-    ran(first, &options(&store, 1));
+    run_plan(first, &options(&store, 1));
     let after_first = n_fired(counter);
-    ran(second, &options(&store, 1));
+    run_plan(second, &options(&store, 1));
     (after_first, n_fired(counter) - after_first)
 }
 
@@ -72,16 +72,16 @@ fn firings(counter: &str, first: &Plan, second: &Plan) -> (u64, u64) {
 fn a_warm_run_gives_the_same_wires_results_and_warnings_without_a_firing() {
     let (store, _dir) = store();
     let plan = plan("toy.kept", json!({ "counter": "warm" }), &[3.0, 99.0, -1.0, 3.0], 100);
-    let (computed, wires) = ran(&plan, &RunOptions::default());
+    let (computed, wires) = run_plan(&plan, &RunOptions::default());
     assert_eq!((computed.warnings.len(), n_fired("warm")), (1, 4));
-    let (cold, cold_wires) = ran(&plan, &options(&store, 1));
+    let (cold, cold_wires) = run_plan(&plan, &options(&store, 1));
     // The last item equals the first.
     assert_eq!(n_fired("warm"), 7);
-    assert_eq!(cold.recalled.iter().map(|r| (r.node.as_str(), r.item)).collect::<Vec<_>>(), [("node", 3)]);
+    assert_eq!(cold.cached_answers.iter().map(|r| (r.node.as_str(), r.item)).collect::<Vec<_>>(), [("node", 3)]);
     for workers in [1, 2, 8] {
-        let (warm, warm_wires) = ran(&plan, &options(&store, workers));
+        let (warm, warm_wires) = run_plan(&plan, &options(&store, workers));
         assert_eq!(n_fired("warm"), 7, "a kept answer was computed on {workers} workers");
-        assert_eq!(warm.recalled.len(), 4);
+        assert_eq!(warm.cached_answers.len(), 4);
         for (report, wires_now) in [(&cold, &cold_wires), (&warm, &warm_wires)] {
             assert_eq!(report.results, computed.results);
             assert_eq!(report.warnings, computed.warnings);
@@ -93,13 +93,13 @@ fn a_warm_run_gives_the_same_wires_results_and_warnings_without_a_firing() {
 }
 
 #[test]
-fn errors_and_panics_are_not_kept() {
+fn errors_and_panics_are_not_cached() {
     for (number, reason) in [(13.0, "13 is not a number to double"), (666.0, "the beast")] {
         let (store, dir) = store();
         let counter = format!("fails at {number}");
         let plan = plan("toy.kept", json!({ "counter": counter }), &[number], 0);
         for n in 1..=2 {
-            let (report, _) = ran(&plan, &options(&store, 1));
+            let (report, _) = run_plan(&plan, &options(&store, 1));
             let Outcome::Refused(refusal) = report.outcome else { panic!("{number} was doubled") };
             assert!(refusal.reason.contains(reason), "{}", refusal.reason);
             assert_eq!(n_fired(&counter), n);
@@ -111,7 +111,7 @@ fn errors_and_panics_are_not_kept() {
 }
 
 #[test]
-fn inputs_and_parameters_decide_an_answer_and_stamps_and_seed_do_not() {
+fn an_answer_depends_on_inputs_and_parameters_not_on_stamps_and_seed() {
     let of = |counter: &str, kind: &str, params: Json, numbers: &[f64], first_ns, seed| {
         let mut all = json!({ "counter": counter });
         all.as_object_mut().unwrap().extend(params.as_object().unwrap().clone());
@@ -150,7 +150,7 @@ fn an_optional_port_that_is_wired_later_gives_another_answer() {
 }
 
 #[test]
-fn an_answer_that_more_decides_than_its_kind_says_is_not_kept() {
+fn an_answer_that_depends_on_more_than_its_kind_declares_is_not_cached() {
     for (kind, takes, is_kept) in [
         ("toy.kept", "draws", false),
         ("toy.kept", "stamp", false),
@@ -162,10 +162,10 @@ fn an_answer_that_more_decides_than_its_kind_says_is_not_kept() {
         let (store, _dir) = store();
         let counter = format!("{kind} takes {takes}");
         let plan = plan(kind, json!({ "counter": counter, "takes": takes }), &[1.0], 5);
-        let (report, _) = ran(&plan, &options(&store, 1));
+        let (report, _) = run_plan(&plan, &options(&store, 1));
         let warned = report.warnings.iter().any(|w| w.message.contains("this answer is not kept"));
         assert_eq!(warned, !is_kept, "{counter}: {:?}", report.warnings);
-        ran(&plan, &options(&store, 1));
+        run_plan(&plan, &options(&store, 1));
         assert_eq!(n_fired(&counter), if is_kept { 1 } else { 2 }, "{counter}");
     }
 }
@@ -174,85 +174,85 @@ fn an_answer_that_more_decides_than_its_kind_says_is_not_kept() {
 fn a_damaged_answer_is_computed_again_and_replaced() {
     let (store, dir) = store();
     let plan = plan("toy.kept", json!({ "counter": "damaged" }), &[4.0], 0);
-    let (cold, _) = ran(&plan, &options(&store, 1));
+    let (cold, _) = run_plan(&plan, &options(&store, 1));
     for file in std::fs::read_dir(dir.path()).unwrap() {
         let path = file.unwrap().path();
         let mut bytes = std::fs::read(&path).unwrap();
         *bytes.last_mut().unwrap() ^= 1;
         std::fs::write(path, bytes).unwrap();
     }
-    let (again, _) = ran(&plan, &options(&store, 1));
+    let (again, _) = run_plan(&plan, &options(&store, 1));
     assert_eq!((n_fired("damaged"), &again.results, again.warnings.len()), (2, &cold.results, 0));
-    ran(&plan, &options(&store, 1));
+    run_plan(&plan, &options(&store, 1));
     assert_eq!(n_fired("damaged"), 2);
 }
 
 #[test]
-fn a_store_that_cannot_be_written_is_told_once_and_changes_nothing() {
+fn a_store_that_cannot_be_written_is_one_warning_and_changes_nothing() {
     let dir = tempfile::tempdir().unwrap();
     std::fs::write(dir.path().join("file"), "").unwrap();
     let store = Arc::new(Store::open(Settings::in_dir(dir.path().join("file"))));
     let plan = plan("toy.kept", json!({ "counter": "unwritable" }), &[1.0, 2.0, 3.0], 0);
-    let (report, _) = ran(&plan, &options(&store, 2));
+    let (report, _) = run_plan(&plan, &options(&store, 2));
     assert_eq!(report.outcome, Outcome::Complete);
-    let said: Vec<_> = report.warnings.iter().map(|w| w.message.as_str()).collect();
-    assert!(matches!(said[..], [one] if one.contains("nothing can be kept in the store")), "{said:?}");
-    assert_eq!(report.results, ran(&plan, &RunOptions::default()).0.results);
+    let messages: Vec<_> = report.warnings.iter().map(|w| w.message.as_str()).collect();
+    assert!(matches!(messages[..], [one] if one.contains("nothing can be kept in the store")), "{messages:?}");
+    assert_eq!(report.results, run_plan(&plan, &RunOptions::default()).0.results);
 }
 
 #[test]
-fn a_node_that_is_to_fail_fires_although_its_answer_is_kept() {
+fn a_node_with_an_injected_failure_fires_although_its_answer_is_cached() {
     let (store, _dir) = store();
     let plan = plan("toy.kept", json!({ "counter": "injected" }), &[1.0], 0);
-    ran(&plan, &options(&store, 1));
+    run_plan(&plan, &options(&store, 1));
     let inject = vec![Injection { node: "node".into(), item: 0, how: Injected::Error }];
-    let (report, _) = ran(&plan, &RunOptions { inject, ..options(&store, 1) });
+    let (report, _) = run_plan(&plan, &RunOptions { inject, ..options(&store, 1) });
     assert!(matches!(report.outcome, Outcome::Refused(_)), "{:?}", report.outcome);
 }
 
 #[test]
-fn a_replay_computes_what_a_run_recalled() {
+fn a_replay_recomputes_cached_answers() {
     let (store, dir) = (store(), tempfile::tempdir().unwrap());
     let plan = plan("toy.kept", json!({ "counter": "replayed" }), &[1.0, 2.0], 0);
-    ran(&plan, &options(&store.0, 1));
+    run_plan(&plan, &options(&store.0, 1));
     let recorded = RunOptions { out_dir: Some(dir.path().into()), record: true, ..options(&store.0, 1) };
-    let (report, _) = ran(&plan, &recorded);
-    assert_eq!((report.recalled.len(), n_fired("replayed")), (2, 2));
+    let (report, _) = run_plan(&plan, &recorded);
+    assert_eq!((report.cached_answers.len(), n_fired("replayed")), (2, 2));
     let manifest: Json = serde_json::from_slice(&std::fs::read(dir.path().join("manifest.json")).unwrap()).unwrap();
-    assert_eq!(manifest["store"]["recalled"][1]["item"], 1);
+    assert_eq!(manifest["store"]["cached_answers"][1]["item"], 1);
     let recording = crate::Recording::open(&dir.path().join("run.mcap")).unwrap();
     let changes = ReplayOptions::default();
     let replayed = replay_plan(&plan, &recording, &changes, &registry(), &options(&store.0, 1), &()).unwrap();
     assert!(replayed.is_equal());
-    assert_eq!((replayed.run.recalled.len(), n_fired("replayed")), (0, 4));
+    assert_eq!((replayed.run.cached_answers.len(), n_fired("replayed")), (0, 4));
 }
 
 #[test]
-fn an_answer_is_read_as_it_was_written_and_of_other_bytes_there_is_none() {
+fn an_answer_round_trips_and_other_bytes_give_none() {
     let (store, _dir) = store();
     let (plan, registry) = (plan("toy.kept", json!({}), &[1.0], 0), registry());
     let planned: Vec<_> = plan.nodes.iter().map(|_| Arc::default()).collect();
-    let recall = AnswerCache::new(&store, &plan, &registry, &planned);
+    let cache = AnswerCache::new(&store, &plan, &registry, &planned);
     let key = Key::of("answer").done();
     let entry = |bytes: &[&[u8]]| {
         store.put(&key, bytes).unwrap();
         store.get(&key).unwrap()
     };
     let out = [Emission::Value(Value::new(Number(1.5))), Emission::Empty("it is µ".into())];
-    let parts = written(&out, &["one".into(), String::new()], "node").unwrap();
+    let parts = encode(&out, &["one".into(), String::new()], "node").unwrap();
     let bytes: Vec<u8> = parts.iter().flat_map(Segments::slices).flatten().copied().collect();
-    let answer = recall.read(1, &entry(&[&bytes])).unwrap();
+    let answer = cache.read(1, &entry(&[&bytes])).unwrap();
     assert_eq!(answer.warnings, ["one", ""]);
     assert!(matches!(&answer.emissions[0], Emission::Value(v) if v.get() == Some(&Number(1.5))));
     assert!(matches!(&answer.emissions[1], Emission::Empty(reason) if reason == "it is µ"));
-    assert!(written(&[Emission::Silent], &[], "node").is_none());
+    assert!(encode(&[Emission::Silent], &[], "node").is_none());
     // A node with one output does not accept the answer.
-    assert!(recall.read(0, &entry(&[&bytes])).is_none());
+    assert!(cache.read(0, &entry(&[&bytes])).is_none());
     proptest!(|(at in 0usize..400, byte: u8, cut in 0usize..400)| {
         let cut = cut % bytes.len();
-        prop_assert!(recall.read(1, &entry(&[&bytes[..cut]])).is_none(), "{} bytes are an answer", cut);
+        prop_assert!(cache.read(1, &entry(&[&bytes[..cut]])).is_none(), "{} bytes are an answer", cut);
         let mut changed = bytes.clone();
         changed[at % bytes.len()] = byte;
-        let _ = recall.read(1, &entry(&[&changed]));
+        let _ = cache.read(1, &entry(&[&changed]));
     });
 }

@@ -1,8 +1,9 @@
 //! Live sources in a cell: asks the source when there is room, and sends the answers that arrive from its thread.
 
 use super::{
-    Cell, Core, Firing, Phase, called, known,
+    Cell, Core, Firing, Phase, call_node,
     output::{Late, Output},
+    stamp_or_zero,
 };
 use crate::{
     plan::Plan,
@@ -58,7 +59,7 @@ impl Answer {
         context.begin(item, stamp_ns);
         let mut emissions = vec![Emission::Silent; n_ports];
         let began = Instant::now();
-        let answered = called(item, context, |context| source.next(&mut emissions, context));
+        let answered = call_node(item, context, |context| source.next(&mut emissions, context));
         let firing = Firing { item, stamp_ns: context.stamp_ns(), timed: Some((began, began.elapsed())) };
         Self { firing, emissions, warnings: context.take_warnings(), answered }
     }
@@ -109,7 +110,7 @@ impl Cell {
                 self.end(run, turn);
                 Asked::Never
             }
-            Phase::Open if !run.cancelled() => Asked::Next { item: self.item, stamp_ns: known(self.stamp_ns) },
+            Phase::Open if !run.cancelled() => Asked::Next { item: self.item, stamp_ns: stamp_or_zero(self.stamp_ns) },
             _ => {
                 self.interrupt(run, turn);
                 Asked::Never
@@ -134,7 +135,7 @@ impl Cell {
 
     /// Replaces items that a live source gives later than promised by empties, stamped with the promise that they
     /// broke.
-    pub(super) fn empty_the_late(&mut self, stamp_ns: StampNs) {
+    pub(super) fn empty_late_items(&mut self, stamp_ns: StampNs) {
         let Core::Live(live) = &mut self.core else { return };
         live.newest_ns = live.newest_ns.max(stamp_ns);
         for (output, emission) in self.outputs.iter_mut().zip(&mut self.emissions) {

@@ -42,11 +42,11 @@ fn describe(joined: &Joined, activation: &Activation) -> String {
         Slot::Items(items) => format!("[{}]", items.iter().map(number).collect::<Vec<_>>().join(" ")),
         Slot::Absent(empty) => format!("<{}>", empty.reason),
     };
-    let said = match &activation.skip {
+    let text = match &activation.skip {
         None => joined.slots.iter().map(slot).collect::<Vec<_>>().join(" "),
         Some(empty) => format!("skipped by {}: {}", empty.node, empty.reason),
     };
-    format!("{}: {said}", activation.stamp_ns)
+    format!("{}: {text}", activation.stamp_ns)
 }
 
 /// Offers everything in the order given by `turns` and returns what fires. Progress may be offered between items.
@@ -91,7 +91,7 @@ fn run(ports: &[PortSpec], offers: &[Vec<Offer>], turns: impl Iterator<Item = us
 fn run_like_a_node(ports: &[PortSpec], offers: &[Vec<Offer>], in_lock_step: bool) -> Vec<String> {
     let mut joiner = Joiner::new("node".into(), ports.to_vec());
     if !in_lock_step {
-        joiner.leave_lock_step_for_good();
+        joiner.disable_lock_step();
     }
     let mut waiting: Vec<_> = offers.iter().map(|o| items(o).into_iter()).collect();
     let mut out = Vec::new();
@@ -138,7 +138,7 @@ const fn interpolate(max_gap_ns: i64) -> Join {
 }
 
 #[test]
-fn each_goes_in_step_and_fires_at_the_later_stamp() {
+fn each_pairs_items_by_number_and_fires_at_the_later_stamp() {
     let offers = [vec![V(1, 1.0), V(5, 2.0), V(6, 3.0)], vec![V(3, 10.0), V(4, 20.0)]];
     check(&[plain(EACH), plain(EACH)], &offers, &["3: 1 10", "5: 2 20"]);
     assert_eq!(run(&[plain(EACH), plain(EACH)], &offers, 0..).1, [1, 0], "one item had no partner");
@@ -154,7 +154,7 @@ fn an_empty_skips_a_plain_port_with_its_reason_and_reaches_an_optional_one() {
 }
 
 #[test]
-fn an_optional_port_that_has_ended_no_longer_holds_the_others() {
+fn an_optional_port_that_has_ended_no_longer_blocks_the_others() {
     let offers = [vec![V(1, 1.0), V(2, 2.0)], vec![V(1, 7.0)]];
     let ended = "2: 2 <from.wire ended after 1 item>";
     check(&[plain(EACH), optional(EACH)], &offers, &["1: 1 7", ended]);
@@ -180,7 +180,7 @@ fn an_empty_among_the_collected_skips_a_plain_vec() {
 }
 
 #[test]
-fn collect_does_not_promise_what_its_end_would_break() {
+fn collect_promises_no_progress_that_its_end_would_break() {
     // Progress runs ahead of the last item, at whose stamp the collection fires when the port ends.
     let mut joiner = Joiner::new("node".into(), vec![plain(ALL)]);
     joiner.offer(0, items(&[V(5, 1.0)]).remove(0)).unwrap();
@@ -217,7 +217,7 @@ fn stamp_matches_an_empty_as_it_matches_a_value() {
 }
 
 #[test]
-fn of_two_items_equally_near_stamp_takes_the_earlier() {
+fn stamp_takes_the_earlier_of_two_equally_near_items() {
     let offers = [vec![V(10, 1.0)], vec![V(9, 90.0), V(11, 110.0)]];
     check(&[plain(EACH), plain(stamp(2))], &offers, &["10: 1 90"]);
     let offers = [vec![V(10, 1.0)], vec![V(8, 80.0), V(11, 110.0)]];
@@ -225,7 +225,7 @@ fn of_two_items_equally_near_stamp_takes_the_earlier() {
 }
 
 #[test]
-fn of_several_samples_at_one_stamp_the_last_counts() {
+fn the_last_of_several_samples_at_one_stamp_is_used() {
     let offers = [vec![V(10, 1.0), V(15, 2.0)], vec![V(10, 100.0), V(10, 200.0), V(20, 300.0)]];
     check(&[plain(EACH), plain(interpolate(10))], &offers, &["10: 1 200", "15: 2 250"]);
     check(&[plain(EACH), plain(Join::Latest)], &offers, &["10: 1 200", "15: 2 200"]);
@@ -240,13 +240,13 @@ fn a_sampler_that_has_ended_is_read_to_its_last_item() {
 }
 
 #[test]
-fn collect_beside_each_goes_in_step_a_collection_a_turn() {
+fn collect_with_each_takes_one_collection_per_item() {
     let offers = [vec![V(1, 1.0), V(2, 2.0), V(3, 3.0), V(4, 4.0)], vec![V(5, 50.0), V(6, 60.0), V(7, 70.0)]];
     check(&[plain(collect(2)), plain(EACH)], &offers, &["5: [1 2] 50", "6: [3 4] 60"]);
 }
 
 #[test]
-fn stamp_beside_each_takes_the_nearest_and_skips_where_none_is_near() {
+fn stamp_with_each_takes_the_nearest_and_skips_where_none_is_near() {
     let offers = [vec![V(10, 1.0), V(20, 2.0), V(30, 3.0)], vec![V(9, 9.0), V(10, 10.0), V(25, 25.0), V(31, 31.0)]];
     let none = "20: skipped by node: input \"port\": no item of from.wire within 2 ns of the stamp";
     check(&[plain(EACH), plain(stamp(2))], &offers, &["10: 1 10", none, "31: 3 31"]);
@@ -255,7 +255,7 @@ fn stamp_beside_each_takes_the_nearest_and_skips_where_none_is_near() {
 }
 
 #[test]
-fn optional_stamps_alone_fire_with_whatever_is_there() {
+fn optional_stamps_alone_fire_with_the_items_available() {
     let offers = [vec![V(1, 1.0), V(3, 3.0)], vec![V(1, 10.0), V(2, 20.0)]];
     let none = "<no item of from.wire within 0 ns of the stamp>";
     let expected = ["1: 1 10", &format!("2: {none} 20"), &format!("3: 3 {none}")];
@@ -277,13 +277,13 @@ fn latest_is_the_newest_at_or_before_and_an_empty_replaces_it() {
 }
 
 #[test]
-fn interpolate_reads_between_neighbours_and_takes_an_exact_stamp_as_it_is() {
+fn interpolate_uses_neighbours_and_returns_an_exact_match_unchanged() {
     let offers = [vec![V(15, 1.0), V(20, 2.0), V(22, 3.0)], vec![V(10, 100.0), V(20, 200.0), V(24, 240.0)]];
     check(&[plain(EACH), plain(interpolate(10))], &offers, &["15: 1 150", "20: 2 200", "22: 3 220"]);
 }
 
 #[test]
-fn interpolate_never_reaches_across_a_gap_an_empty_or_an_end() {
+fn interpolate_does_not_bridge_a_gap_an_empty_or_an_end() {
     let s = 1_000_000_000;
     let port = interpolate(200_000_000);
     let gap = "the nearest samples are 2.05 s apart around the stamp, 0.2 s allowed";
@@ -299,7 +299,7 @@ fn interpolate_never_reaches_across_a_gap_an_empty_or_an_end() {
 }
 
 #[test]
-fn once_is_there_at_every_firing_and_a_second_value_is_a_fault() {
+fn once_is_available_at_every_firing_and_a_second_value_is_an_error() {
     let offers = [vec![V(1, 1.0), V(2, 2.0)], vec![V(9, 90.0)]];
     check(&[plain(EACH), plain(Join::Once)], &offers, &["1: 1 90", "2: 2 90"]);
     let none = |stamp: i64| format!("{stamp}: skipped by node: input \"port\": no item ever came on from.wire");
@@ -330,7 +330,7 @@ fn ports_that_are_not_wired_are_absent_and_unused_ones_are_drained() {
 }
 
 #[test]
-fn samplers_let_go_of_what_the_triggers_have_passed() {
+fn samplers_release_samples_that_the_triggers_have_passed() {
     // Hundreds of samples before the first trigger: progress of the trigger's wire releases them.
     let mut joiner = Joiner::new("node".into(), vec![plain(EACH), plain(interpolate(10))]);
     for item in items(&(0..500).map(|i| V(i, i as f64)).collect::<Vec<_>>()) {
@@ -371,7 +371,7 @@ proptest! {
     /// Determinism of a Kahn network: what fires depends on what arrives, not on when. `run` checks that no activation
     /// precedes the promised progress.
     #[test]
-    fn the_order_of_offers_changes_nothing(
+    fn activations_do_not_depend_on_the_order_of_offers(
         ports in proptest::collection::vec((join(), any::<bool>(), wire()), 1..4),
         seed in any::<u64>(),
     ) {
@@ -393,7 +393,7 @@ proptest! {
 
     /// The fast path of nodes in lock step agrees with the general rules.
     #[test]
-    fn lock_step_is_what_the_rules_say(wires in proptest::collection::vec(wire(), 1..4)) {
+    fn lock_step_agrees_with_the_general_rules(wires in proptest::collection::vec(wire(), 1..4)) {
         let ports = vec![plain(EACH); wires.len()];
         let by_rules = run_like_a_node(&ports, &wires, false);
         prop_assert_eq!(run_like_a_node(&ports, &wires, true), by_rules.clone());
