@@ -42,7 +42,7 @@ pub(crate) fn text(report: &RunReport) -> String {
     for ((from, to), (before, after)) in grown {
         text.push_str(&format!("enlarged: {from} -> {to} from {before} to {after} items\n"));
     }
-    for r in &report.recalled {
+    for r in &report.cached_answers {
         text.push_str(&format!("from the store: node \"{}\", item {}\n", r.node, r.item));
     }
     text

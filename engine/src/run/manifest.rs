@@ -71,8 +71,7 @@ pub(crate) fn manifest(
     let cached_answers = report.cached_answers.iter().map(|r| json!({ "node": r.node, "item": r.item, "key": r.key }));
     let cached_answers = cached_answers.collect::<Json>();
     let store = options.store.as_ref();
-    let store =
-        store.map(|store| json!({ "dir": store.dir().display().to_string(), "cached_answers": cached_answers }));
+    let store = store.map(|store| json!({ "dir": store.dir().display().to_string(), "recalled": cached_answers }));
     json!({
         "graph": { "name": plan.name, "file": plan.path.display().to_string(), "seed": plan.seed },
         "outcome": outcome,

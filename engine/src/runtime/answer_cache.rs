@@ -82,8 +82,8 @@ impl<'a> AnswerCache<'a> {
     /// Cached answers used, in the order of the plan.
     pub(super) fn finish(self) -> Vec<CachedAnswer> {
         let mut cached_answers = self.cached_answers.into_inner().unwrap_or_else(PoisonError::into_inner);
-        cached_answers.sort_by_key(|(node, cached_answers)| (*node, cached_answers.item));
-        cached_answers.into_iter().map(|(_, cached_answers)| cached_answers).collect()
+        cached_answers.sort_by_key(|(node, answer)| (*node, answer.item));
+        cached_answers.into_iter().map(|(_, answer)| answer).collect()
     }
 
     /// Like [`AnyNode::fire`], from the store if possible.
@@ -101,8 +101,8 @@ impl<'a> AnswerCache<'a> {
             out.iter_mut().zip(answer.emissions).for_each(|(place, emission)| *place = emission);
             answer.warnings.into_iter().for_each(|warning| context.warn(warning));
             let node = self.plan.nodes[index].name.to_string();
-            let cached_answers = CachedAnswer { node, item: context.item(), key: key.to_string() };
-            self.cached_answers.lock().unwrap_or_else(PoisonError::into_inner).push((index, cached_answers));
+            let answer = CachedAnswer { node, item: context.item(), key: key.to_string() };
+            self.cached_answers.lock().unwrap_or_else(PoisonError::into_inner).push((index, answer));
             return Ok(());
         }
         context.track_use();

@@ -219,7 +219,7 @@ fn a_replay_recomputes_cached_answers() {
     let (report, _) = run_plan(&plan, &recorded);
     assert_eq!((report.cached_answers.len(), n_fired("replayed")), (2, 2));
     let manifest: Json = serde_json::from_slice(&std::fs::read(dir.path().join("manifest.json")).unwrap()).unwrap();
-    assert_eq!(manifest["store"]["cached_answers"][1]["item"], 1);
+    assert_eq!(manifest["store"]["recalled"][1]["item"], 1);
     let recording = crate::Recording::open(&dir.path().join("run.mcap")).unwrap();
     let changes = ReplayOptions::default();
     let replayed = replay_plan(&plan, &recording, &changes, &registry(), &options(&store.0, 1), &()).unwrap();
