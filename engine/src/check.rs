@@ -1,4 +1,4 @@
-//! Finds everything wrong with a graph in one pass, before any node is built, and plans it.
+//! Finds all faults of a graph in one pass, before any node is built, and plans it.
 
 mod alone;
 mod assemble;
@@ -36,34 +36,34 @@ use osteoflow_node::Registry;
 use schema::Files;
 use std::path::{Path, PathBuf};
 
-/// How many items wait on a wire, where the graph does not say.
+/// Default number of items that wait on a wire.
 pub const DEFAULT_CAPACITY: usize = 4;
 
-/// How many bytes wait at most on a wire, where the graph does not say.
+/// Default number of bytes that wait on a wire.
 ///
-/// 256 MiB: eight seconds of a camera that gives clouds of 1 MB at 30 Hz, or an hour of poses at 250 Hz. A wire that needs
-/// more waits for something that will hardly come, and a dozen such wires still fit into a laptop's memory.
+/// 256 MiB: eight seconds of a camera with clouds of 1 MB at 30 Hz, or an hour of poses at 250 Hz. A wire that needs
+/// more most likely waits for something that never comes, and a dozen such wires still fit into a laptop's memory.
 pub const DEFAULT_MAX_BYTES: u64 = 256 << 20;
 
 /// A graph without faults.
 #[derive(Debug)]
 pub struct Checked {
-    /// What runs.
+    /// The plan of the run.
     pub plan: Plan,
-    /// What is hardly meant.
+    /// Warnings.
     pub warnings: Vec<Fault>,
-    /// The kinds to build it from: those it was checked with.
+    /// The kinds that the graph was checked with and is built from.
     pub registry: Registry,
-    /// What `[sweep]` says, where the graph has it.
+    /// The contents of `[sweep]`, if the graph has it.
     pub sweep: Option<Box<sweep::Spec>>,
 }
 
 /// A file without faults: a graph, or a module that graphs use.
 #[derive(Debug)]
 pub enum CheckedFile {
-    /// It runs.
+    /// A graph that can be run.
     Graph(Checked),
-    /// Other graphs use it.
+    /// A module for use in other graphs.
     Module(Module),
 }
 
@@ -79,8 +79,8 @@ pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Result<Ch
     }
 }
 
-/// The same for a run of a sweep: with what its row sets, in the words of the graph file and relative to it. Its `[sweep]`
-/// has been checked already.
+/// Checks a graph file for one run of its sweep, with the settings of the run's row, which are relative to the graph
+/// file. Its `[sweep]` has been checked already.
 pub(crate) fn check_row(path: &Path, sets: &[String], row: &[String], kinds: Kinds) -> Result<Checked, Faults> {
     let mut faults = Vec::new();
     match graph::load_row(path, sets, row, &mut faults) {
@@ -92,7 +92,7 @@ pub(crate) fn check_row(path: &Path, sets: &[String], row: &[String], kinds: Kin
     }
 }
 
-/// The same from the text of the frozen graph, which stood at `path`, with `sets` besides.
+/// Checks the text of a sweep's frozen graph, originally at `path`, with the run's settings and `sets`.
 pub(crate) fn check_frozen(
     text: String,
     path: &Path,
@@ -105,7 +105,7 @@ pub(crate) fn check_frozen(
     Check::new(&known(&graph, kinds), Files::Needed, faults).graph(&graph, path)
 }
 
-/// The same for a file that may also be a module's.
+/// Checks the file at `path`, which may be a graph or a module.
 ///
 /// # Errors
 /// [`Faults`]: every fault of the file, of what it extends, of the modules it uses and of the settings.
@@ -117,8 +117,8 @@ pub fn check_file(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Resu
     }
 }
 
-/// The files that the graph itself stands in: the graph file, what it extends, the modules it uses and the libraries of
-/// plugins, whether they can be read or not.
+/// The files of the graph: the graph file, the files it extends, the modules it uses and the libraries of plugins,
+/// whether or not they can be read.
 pub fn files(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Vec<PathBuf> {
     let (kinds, loaded) = (kinds.into(), graph::load(path, sets, &mut Vec::new()));
     let (mut files, plugins) = loaded.map_or_else(|| (vec![path.into()], Vec::new()), |g| (g.texts, g.plugins));
@@ -126,7 +126,7 @@ pub fn files(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Vec<PathB
     files
 }
 
-/// Checks the text of a graph file as if it stood at `virtual_path`, which its relative paths are relative to.
+/// Checks the text of a graph file as if it were the file `virtual_path`, which its relative paths are relative to.
 ///
 /// # Errors
 /// [`Faults`]: every fault of the text, of what it extends and of the settings.
@@ -139,7 +139,7 @@ pub fn check_text(
     check_given(text, virtual_path, sets, &kinds.into(), Files::Needed)
 }
 
-/// Checks the text of a graph whose sources are going to be played from a recording: the files it names may be gone.
+/// Checks the text of a graph whose sources are replayed from a recording; the files it names need not exist.
 ///
 /// # Errors
 /// [`Faults`]: every other fault.
@@ -163,7 +163,7 @@ fn known(graph: &Graph, kinds: &Kinds) -> Known {
 }
 
 impl Check<'_> {
-    /// A graph; a module is a fault.
+    /// Checks a graph; a module is a fault.
     fn graph(mut self, graph: &Graph, path: &Path) -> Result<Checked, Faults> {
         if let Some(interface) = &graph.interface {
             self.refuse_module(&interface.at);
@@ -179,9 +179,9 @@ impl Check<'_> {
         let header = header::read(&graph.table, &graph.main, &mut self.faults);
         let drafts = self.drafts(graph, &header);
         let inputs = self.inputs(&drafts, &header);
-        self.outlets(graph, &drafts);
+        self.check_outputs(graph, &drafts);
         if let Some(interface) = &graph.interface {
-            self.inlets(interface, &drafts, &inputs);
+            self.check_inputs(interface, &drafts, &inputs);
             graph::no_results(&graph.table, "NODE.PORT", &mut self.faults);
         }
         let order = self.order(&drafts, &inputs);

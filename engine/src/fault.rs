@@ -1,4 +1,4 @@
-//! Faults of a graph: where, what was expected, what was found, and what to write instead.
+//! Faults of a graph: place, what was expected, what was found, and a suggestion.
 
 use crate::plan::Location;
 use std::fmt;
@@ -9,12 +9,12 @@ mod text;
 
 pub use text::{SourceText, Span, Use};
 
-/// How much a fault weighs.
+/// Severity of a fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Severity {
     /// The graph cannot run.
     Error,
-    /// The graph runs, but hardly as meant.
+    /// The graph runs, but probably not as intended.
     Warning,
 }
 
@@ -25,17 +25,17 @@ pub struct Fault {
     pub severity: Severity,
     /// What is wrong; lower case, no full stop.
     pub message: String,
-    /// The place, and what is said beside its caret; a file that cannot be read has none.
+    /// The place, and the label at its caret; a file that cannot be read has none.
     pub at: Option<(Span, String)>,
-    /// Other places that have to do with it.
+    /// Related places, with labels.
     pub also: Vec<(Span, String)>,
-    /// What the reader may want to know.
+    /// Additional information.
     pub notes: Vec<String>,
-    /// What to write instead.
+    /// Suggestions.
     pub help: Vec<String>,
-    /// Whether it may be no more than the consequence of a syntax fault elsewhere.
+    /// Whether it may be only a consequence of a syntax fault elsewhere.
     pub(crate) follows: bool,
-    /// The text that could not be read because of it: what else is said there is not to be trusted.
+    /// The text that could not be read because of it; faults inside that text are unreliable.
     pub(crate) hides: Option<Span>,
 }
 
@@ -85,37 +85,37 @@ impl Fault {
         }
     }
 
-    /// Something is missing that a syntax fault may have swallowed.
+    /// Marks the fault as a possible consequence of a syntax fault.
     pub(crate) fn follows(mut self) -> Self {
         self.follows = true;
         self
     }
 
-    /// This text could not be read, so that something else may seem to be missing.
+    /// Marks text that could not be read, so that other things may seem to be missing.
     pub(crate) fn hides(mut self, span: &Span) -> Self {
         self.hides = Some(span.clone());
         self
     }
 
-    /// Help of which one is enough: `or ..` where there is some already.
+    /// Adds an alternative: `or ..` if there is help already.
     pub(crate) fn or_help(self, help: impl std::fmt::Display) -> Self {
         let or = if self.help.is_empty() { "" } else { "or " };
         self.help(format!("{or}{help}"))
     }
 
-    /// Where it is.
+    /// Its place in a file.
     pub fn location(&self) -> Option<Location> {
         self.at.as_ref().map(|(span, _)| span.location())
     }
 
-    /// As rustc shows it: the message, file, line and column, the line with a caret, and help. With colours for a
-    /// terminal, or plain.
+    /// Renders the fault in the style of rustc: message, file, line and column, the line with a caret, and help; with
+    /// colours for a terminal, or plain.
     pub fn render(&self, colour: bool) -> String {
         render::render(self, colour)
     }
 
-    /// For machines: `severity`, `message`, `file`, `line`, `column`, `end_line`, `end_column`, `label`, `also`, `notes`
-    /// and `help`.
+    /// The fault as JSON: `severity`, `message`, `file`, `line`, `column`, `end_line`, `end_column`, `label`, `also`,
+    /// `notes` and `help`.
     pub fn to_json(&self) -> serde_json::Value {
         json::fault(self)
     }
@@ -127,19 +127,19 @@ impl fmt::Display for Fault {
     }
 }
 
-/// Everything wrong with a graph, in the order of the files, the command line last.
+/// All faults of a graph, in the order of the files; the command line comes last.
 #[derive(Debug, Clone, Default)]
 pub struct Faults(pub Vec<Fault>);
 
 impl Faults {
-    /// All faults as rustc shows its errors, with colours for a terminal or plain, and their number at the end.
+    /// Renders all faults and their number in the style of rustc, with colours for a terminal or plain.
     pub fn render(&self, colour: bool) -> String {
         let mut text: Vec<_> = self.0.iter().map(|fault| fault.render(colour)).collect();
         text.push(self.summary());
         text.join("\n\n")
     }
 
-    /// How many there are: `3 errors, 1 warning`.
+    /// The number of faults: `3 errors, 1 warning`.
     pub fn summary(&self) -> String {
         let count = |severity| self.0.iter().filter(|f| f.severity == severity).count();
         let say = |n: usize, word: &str| format!("{n} {word}{}", if n == 1 { "" } else { "s" });
@@ -150,7 +150,7 @@ impl Faults {
         }
     }
 
-    /// For machines: a list of what [`Fault::to_json`] gives.
+    /// The faults as a list of [`Fault::to_json`].
     pub fn to_json(&self) -> serde_json::Value {
         self.0.iter().map(Fault::to_json).collect()
     }

@@ -1,4 +1,4 @@
-//! A graph file as read: `extends` and `--set` merged into one tree, every value with the place it was written at.
+//! Reads a graph file: merges `extends` and `--set` into one tree that records where each value was written.
 
 mod edit;
 mod extends;
@@ -18,7 +18,7 @@ mod tree;
 pub(crate) mod unit;
 
 pub(crate) use {
-    interface::{Inlet, Interface, Knob, Outlet},
+    interface::{InputDecl, Interface, OutputDecl, ParamDecl},
     modules::{KIND as MODULE, Module, no_results},
     remove::Removed,
     set::{SetKey, keys_set, table_of},
@@ -36,32 +36,34 @@ use std::{
     sync::Arc,
 };
 
-/// The merged tree of a graph, with nodes in the place of modules.
+/// The merged tree of a graph, with modules replaced by their nodes.
 pub(crate) struct Graph {
     /// The top-level table.
     pub(crate) table: Table,
     /// The graph file itself.
     pub(crate) main: Arc<SourceText>,
-    /// What was taken away by `remove`.
+    /// The paths removed by `remove`.
     pub(crate) removed: Removed,
-    /// The modules that nodes have taken the place of.
+    /// The modules that were replaced by their nodes.
     pub(crate) modules: Vec<Module>,
-    /// What the file declares, if it is a module itself.
+    /// The interface that the file declares, if it is a module.
     pub(crate) interface: Option<Interface>,
-    /// The files of the text: the graph file, what it extends and the modules it uses, whether they could be read or not.
+    /// All files of the graph: the graph file, the files it extends and the modules it uses, whether or not they could
+    /// be read.
     pub(crate) texts: Vec<PathBuf>,
-    /// The plugins that these files name: of a file after those of what it extends, of modules last.
+    /// The plugins named by these files: those of a file follow those of the file it extends, those of modules come
+    /// last.
     pub(crate) plugins: Vec<NamedPlugin>,
 }
 
 impl Graph {
-    /// The very beginning of the graph file, for faults about what is not there.
+    /// The first byte of the graph file, for faults about something missing.
     pub(crate) fn start(&self) -> Span {
         Span::new(&self.main, 0..0)
     }
 }
 
-/// Reads the graph file at `path`, what it extends, the modules it uses, and the command line's settings.
+/// Reads the graph file at `path`, the files it extends, the modules it uses, and the command line's settings.
 pub(crate) fn load(path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Option<Graph> {
     match extends::read(path) {
         Ok(text) => Some(load_text(text, path, sets, faults)),
@@ -72,7 +74,7 @@ pub(crate) fn load(path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Opt
     }
 }
 
-/// The same for a run of a sweep, whose settings stand in the graph file.
+/// Reads the graph file at `path` for a run of a sweep, with the settings of its row.
 pub(crate) fn load_row(path: &Path, sets: &[String], row: &[String], faults: &mut Vec<Fault>) -> Option<Graph> {
     match extends::read(path) {
         Ok(text) => Some(load_with(text, path, &[set::Sets::command_line(sets), set::Sets::row(row, path)], faults)),
@@ -83,7 +85,7 @@ pub(crate) fn load_row(path: &Path, sets: &[String], row: &[String], faults: &mu
     }
 }
 
-/// The same for a run of a sweep, from the text of its frozen graph; `sets` come after what the run set.
+/// Reads the frozen graph of a sweep for one of its runs; `sets` are applied after the run's own settings.
 pub(crate) fn load_frozen(
     text: String,
     path: &Path,
@@ -94,7 +96,7 @@ pub(crate) fn load_frozen(
     load_with(text, path, &[set::Sets::row(row, path), set::Sets::command_line(sets)], faults)
 }
 
-/// The same with the text of the graph file at hand.
+/// Reads a graph from the text of its graph file.
 pub(crate) fn load_text(text: String, path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Graph {
     load_with(text, path, &[set::Sets::command_line(sets)], faults)
 }
@@ -110,7 +112,7 @@ fn load_with(text: String, path: &Path, sets: &[set::Sets<'_>], faults: &mut Vec
     let edits = sets.iter().flat_map(|sets| set::apply(&mut table, sets, &mut removed, faults)).collect();
     let interface = interface::read(&mut table, faults);
     if let Some(interface) = &interface {
-        modules::stand_alone(&mut table, interface, faults);
+        modules::prepare_alone(&mut table, interface, faults);
     }
     let within = modules::Flattener::new(path, n_texts, &mut removed, faults).flatten(&mut table, edits);
     texts.extend(within.texts);

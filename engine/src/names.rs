@@ -1,4 +1,4 @@
-//! Names: the known one that is nearest to an unknown one, and patterns over them.
+//! Nearest known names, and patterns over names.
 
 pub(crate) mod glob;
 pub(crate) mod nearest;

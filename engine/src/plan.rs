@@ -1,4 +1,4 @@
-//! What `check` hands to `run`: a graph whose every name has been resolved and every fault found.
+//! The plan that `check` passes to `run`: a graph with all names resolved and no faults.
 
 use osteoflow_container::Compression;
 use osteoflow_node::{DeclaredPort, InputPort, PortPayload, Role};
@@ -14,21 +14,21 @@ pub struct Plan {
     pub seed: u64,
     /// The graph file.
     pub path: PathBuf,
-    /// The nodes in topological order; where that leaves a choice, in the order of the file.
+    /// The nodes in topological order, ties broken by the order of the file.
     pub nodes: Vec<PlanNode>,
-    /// Every output that has a consumer, once for each consumer.
+    /// The links, one for each consumer of an output.
     pub links: Vec<Link>,
-    /// The outputs to record: those named by `[record]`, and every source's.
+    /// The outputs to record: those named by `[record]`, and those of all sources.
     pub record: Vec<OutputId>,
     /// How they are recorded.
     pub recording: RecordSettings,
-    /// What `results.json` holds, in the order of the file.
+    /// The entries of `results.json`, in the order of the file.
     pub results: Vec<ResultEntry>,
     /// The files that parameters name, absolute.
     pub input_files: Vec<PathBuf>,
-    /// The plugins that the graph names, and others whose kinds it has.
+    /// The plugins that the graph names, and other plugins whose kinds it uses.
     pub plugins: Vec<PlanPlugin>,
-    /// The graph as it runs, after `extends`, `--set` and defaults, as the text of a graph file with absolute paths.
+    /// The resolved graph as the text of a graph file: after `extends`, `--set` and defaults, with absolute paths.
     pub resolved: String,
 }
 
@@ -44,18 +44,18 @@ pub struct PlanPlugin {
     pub path: PathBuf,
     /// The library's SHA-256.
     pub sha256: String,
-    /// The version of the plugin interface that it speaks.
+    /// The version of the plugin interface that it uses.
     pub abi: (u32, u32),
-    /// What it was built with.
+    /// The SDK it was built with.
     pub sdk: String,
     /// The compiler that built it.
     pub compiler: String,
-    /// Those of its kinds that the graph has.
+    /// The kinds of the plugin that the graph uses.
     pub kinds: Vec<String>,
 }
 
 impl PlanPlugin {
-    /// How `now` is another library, in words; `None` if it is the same.
+    /// Describes how the library `now` differs; `None` if it is the same.
     pub(crate) fn difference(&self, now: &Self) -> Option<String> {
         let (was, is) = (&self.sha256, &now.sha256);
         (was != is).then(|| {
@@ -69,14 +69,14 @@ fn as_text<S: Serializer>(path: &std::path::Path, serializer: S) -> Result<S::Ok
     serializer.serialize_str(&path.to_string_lossy())
 }
 
-/// How wires are recorded: what `[record]` says beside their names.
+/// Recording settings: the keys of `[record]` other than the wires.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RecordSettings {
-    /// What a replay has of the sources.
+    /// How sources are recorded for a replay.
     pub sources: Sources,
-    /// How the file is packed.
+    /// Compression of the file.
     pub compression: Compression,
-    /// Whether payloads with a picture for viewers are written as pictures too.
+    /// Whether payloads that viewers can show are also written in the viewers' format.
     pub views: bool,
 }
 
@@ -86,13 +86,13 @@ impl Default for RecordSettings {
     }
 }
 
-/// What a replay has of the sources.
+/// How sources are recorded for a replay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Sources {
     /// Their items.
     #[default]
     Wires,
-    /// The hashes of the files they read, which are read again; what reads no file is run again.
+    /// The hashes of the files they read. A replay reads the files again, and reruns sources that read none.
     Hashes,
 }
 
@@ -149,20 +149,20 @@ pub struct PlanOutput {
     pub name: String,
     /// What it gives.
     pub payload: PortPayload,
-    /// The frames of what it gives, as far as `check` could tell.
+    /// The frames of the payload, as far as `check` knows them.
     pub frames: PortFrames,
     /// The links it feeds, as indices into [`Plan::links`].
     pub links: Vec<usize>,
 }
 
-/// The frames of what travels on a wire, as far as they are known before the run.
+/// The frames of a wire's payloads, as far as they are known before the run.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PortFrames {
-    /// Of anything but a pose.
+    /// The frame of a payload other than a pose.
     pub frame: Option<String>,
-    /// Of a pose: the frame whose coordinates it gives.
+    /// The `to` frame of a pose: the frame of the coordinates it gives.
     pub to: Option<String>,
-    /// Of a pose: the frame whose coordinates it takes.
+    /// The `from` frame of a pose: the frame of the coordinates it takes.
     pub from: Option<String>,
 }
 
@@ -175,18 +175,18 @@ pub struct OutputId {
     pub port: usize,
 }
 
-/// One output led to one input over a bounded queue.
+/// A bounded queue from one output to one input.
 #[derive(Debug, Clone)]
 pub struct Link {
-    /// Where it comes from.
+    /// The output that feeds it.
     pub from: OutputId,
     /// The consuming node, as an index into [`Plan::nodes`].
     pub to_node: usize,
     /// The consuming port, as an index into [`PlanNode::inputs`].
     pub to_port: usize,
-    /// How many items wait at most, as long as the graph need not be let go on by a longer queue.
+    /// Maximum number of waiting items, unless the queue must grow to resolve a deadlock.
     pub capacity: usize,
-    /// Beyond so many waiting bytes it is full, however long it is; an item that is larger by itself still passes.
+    /// Maximum number of waiting bytes, regardless of length; a single larger item still passes.
     pub max_bytes: u64,
     /// What happens when it is full.
     pub policy: Policy,
@@ -197,7 +197,7 @@ pub struct Link {
 pub enum Policy {
     /// The producer waits.
     Block,
-    /// The oldest waiting item makes room.
+    /// The oldest waiting item is dropped.
     DropOld,
     /// The new item is dropped.
     DropNew,
@@ -240,7 +240,7 @@ pub struct ResultEntry {
     pub all: bool,
     /// Whether the run may end without it; if not, its absence refuses the run.
     pub optional: bool,
-    /// Where the entry stands.
+    /// Where the entry is written.
     pub location: Location,
 }
 
@@ -249,9 +249,9 @@ pub struct ResultEntry {
 pub struct Location {
     /// The file.
     pub file: PathBuf,
-    /// Counted from 1.
+    /// Line, counted from 1.
     pub line: usize,
-    /// Counted from 1, in characters.
+    /// Column, counted from 1 in characters.
     pub column: usize,
 }
 

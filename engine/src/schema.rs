@@ -1,7 +1,7 @@
-//! The JSON Schema of a graph file, made from what the nodes say of themselves, so that editors complete and check it.
+//! Generates the JSON Schema of a graph file from the nodes' descriptions, for completion and checks in editors.
 //!
-//! Draft 7, which TOML language servers take: they read it for completion as it stands, without evaluating conditions,
-//! so kinds are branches of one `anyOf`, each with its kind as a constant, its ports and its parameters.
+//! The schema is draft 7, which TOML language servers support. They complete without evaluating conditions, so kinds
+//! are branches of one `anyOf`, each with its kind as a constant, its ports and its parameters.
 
 use crate::graph::grammar::{self, JOINS, POLICIES};
 use osteoflow_container::Compression;
@@ -10,8 +10,8 @@ use serde_json::{Map, Value, json};
 
 const DRAFT: &str = "http://json-schema.org/draft-07/schema#";
 
-/// Deep enough for any table of parameters; a schema that refers to itself ends there.
-const DEEPEST: usize = 16;
+/// Maximum depth of nested parameters; recursive schemas are cut off there.
+const MAX_DEPTH: usize = 16;
 
 /// The schema of a graph file.
 pub fn schema(registry: &Registry) -> Value {
@@ -74,7 +74,7 @@ pub fn kind_schema(registry: &Registry, kind: &str) -> Option<Value> {
     Some(Value::Object(schema))
 }
 
-/// A table with these keys and no others; `keys` are those that the reader takes.
+/// A table that accepts these keys only; `keys` are those of the reader.
 fn closed(keys: &[&str], description: &str, properties: Value) -> Value {
     let described = properties.as_object().map(|properties| properties.keys().map(String::as_str));
     let (mut described, mut keys) = (described.into_iter().flatten().collect::<Vec<_>>(), keys.to_vec());
@@ -91,7 +91,7 @@ fn closed(keys: &[&str], description: &str, properties: Value) -> Value {
     Value::Object(table)
 }
 
-/// The table with a key that must be there.
+/// Makes a key of the table required.
 fn required(mut table: Value, key: &str) -> Value {
     table["required"] = json!([key]);
     table
@@ -228,7 +228,7 @@ fn sweep() -> Value {
     )
 }
 
-/// What all kinds share.
+/// Definitions shared by all kinds.
 fn common(registry: &Registry) -> Map<String, Value> {
     let wire = json!({ "type": "string", "pattern": "^[^.]+\\..+$", "description": "The producer: \"node.port\"." });
     let input = |joins: &[&str]| {
@@ -294,7 +294,7 @@ fn constant(kind: &str, summary: &str) -> Value {
     json!({ "const": kind, "description": summary, "x-taplo": { "docs": { "constValue": summary } } })
 }
 
-/// A node's table of one kind. A parameter that must be given may stand in the extended graph, so none is required here.
+/// The table of a node of one kind. Required parameters may be set by the extended graph, so none is required here.
 fn node(of: &Description) -> Value {
     let mut properties = Map::new();
     properties.insert("kind".into(), constant(of.kind, &of.summary));
@@ -356,10 +356,10 @@ fn object(value: Value) -> Map<String, Value> {
     }
 }
 
-/// A parameter's schema in draft 7 without references, and without null, which TOML cannot say.
+/// Converts a parameter's schema to draft 7 without references, and without null, which TOML cannot express.
 fn plain(root: &Value, schema: &Value, depth: usize) -> Value {
     let Value::Object(schema) = schema else { return schema.clone() };
-    if depth > DEEPEST {
+    if depth > MAX_DEPTH {
         return json!({});
     }
     let next = |inner: &Value| plain(root, inner, depth + 1);
@@ -372,7 +372,7 @@ fn plain(root: &Value, schema: &Value, depth: usize) -> Value {
             ("$ref" | "$defs" | "$schema", _) => continue,
             ("default", Value::Null) => continue,
             ("format", Value::String(format)) if format == FilePath::SCHEMA_FORMAT => continue,
-            // What serde calls a number's width is no format of JSON Schema.
+            // The numeric formats of schemars are not formats of JSON Schema.
             ("format", Value::String(format)) if format.starts_with(['u', 'i', 'f', 'd']) => continue,
             ("description", Value::String(text)) => {
                 Value::from(text.split("\n\n").map(one_line).collect::<Vec<_>>().join("\n\n"))
@@ -408,7 +408,7 @@ fn plain(root: &Value, schema: &Value, depth: usize) -> Value {
         };
         out.insert(key.clone(), value);
     }
-    // Unknown keys are faults unless a table is a map.
+    // Unknown keys are faults unless the table is a map.
     if out.contains_key("properties") && !out.contains_key("additionalProperties") {
         out.insert("additionalProperties".into(), false.into());
     }

@@ -9,8 +9,8 @@ use crate::{
 use osteoflow_node::Description;
 use serde_json::Value as Json;
 
-/// The parameters of a node of this kind that no graph holds: what `given` says, and defaults. Read as those of a graph
-/// file are: the same names, types, ranges and faults. `owner` is what has them, in the words of a fault.
+/// Reads the parameters of a node outside a graph: `given` and the defaults. Names, types, ranges and faults are those
+/// of a graph file. `owner` names the node in faults.
 ///
 /// # Errors
 /// [`Faults`]: every parameter that is unknown, of the wrong type, out of range or missing.

@@ -9,20 +9,20 @@ use crate::{
 use osteoflow_node::Role;
 use std::{collections::BTreeSet, path::Path};
 
-/// Everything known of a graph without faults.
+/// A graph without faults, resolved and ready to be planned.
 pub(super) struct Net<'a> {
     pub(super) header: Header,
     pub(super) plugins: Vec<PlanPlugin>,
     pub(super) drafts: Vec<Draft<'a>>,
     pub(super) inputs: Vec<Vec<Input>>,
-    /// Topological.
+    /// In topological order.
     pub(super) order: Vec<usize>,
     pub(super) frames: Frames,
     pub(super) record: Record,
     pub(super) results: Vec<Result>,
 }
 
-/// The plugins that the graph names, and others whose kinds it has.
+/// The plugins that the graph names, and other plugins whose kinds it uses.
 pub(super) fn plugins(known: &Known, drafts: &[Draft<'_>]) -> Vec<PlanPlugin> {
     let used = known.plugins.iter().filter_map(|plugin| {
         let of_plugin = drafts.iter().filter_map(|draft| draft.kind);
@@ -93,7 +93,7 @@ impl Net<'_> {
             name: draft.name.into(),
             kind: draft.kind_name().into(),
             role: draft.role().unwrap_or(Role::Node),
-            location: draft.told_at().location(),
+            location: draft.reported_at().location(),
             plugin: draft.kind.and_then(|kind| kind.plugin.clone()),
             params: draft.params.clone(),
             files: draft.input_files.clone(),

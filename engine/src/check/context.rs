@@ -1,7 +1,7 @@
 use super::{schema::Files, wires};
 use crate::{fault::Fault, plugin::Known};
 
-/// One check: what graphs may name, and the faults found so far.
+/// The state of one check: the known kinds, and the faults found so far.
 pub(super) struct Check<'r> {
     pub(super) known: &'r Known,
     pub(super) files: Files,

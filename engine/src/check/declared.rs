@@ -13,11 +13,11 @@ use crate::{
 use osteoflow_node::{DeclaredPort, FrameExpr, PayloadType, PortPayload};
 use serde_json::Value as Json;
 
-/// The keys of a declared port that are no parameters of it.
+/// The keys of a declared port that are not parameters.
 const RESERVED: [&str; 4] = ["type", "frame", "to", "from"];
 
 impl Check<'_> {
-    /// The outputs that a graph declares by `out`.
+    /// Reads the outputs that a graph declares by `out`.
     pub(super) fn declared(&mut self, draft: &mut Draft<'_>, schema: &Json, header: &Header) {
         let (name, kind) = (draft.name, draft.kind_name());
         let example = "write out = { NAME = { type = \"PAYLOAD\" } } with what it shall give";
@@ -98,7 +98,7 @@ impl Check<'_> {
         let entry = table.get(key)?;
         let frame = take::text(&entry.value, &format!("{owner}: {key}"), &mut self.faults)?;
         let fault = frames::unknown(frame, &entry.value.at, owner, header);
-        // What is no frame is not carried on, or every node behind would complain.
+        // An invalid frame is not propagated, to avoid a fault at every node downstream.
         let known = fault.is_none().then(|| frame.to_owned());
         self.faults.extend(fault);
         known

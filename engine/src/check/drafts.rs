@@ -9,17 +9,17 @@ use osteoflow_node::{DeclaredPort, FrameExpr, Kind, OutputPorts, PortPayload, Ro
 use serde_json::{Map, Value as Json};
 use std::path::PathBuf;
 
-/// A node as far as its own table tells.
+/// A node as read from its own table, before wires are resolved.
 pub(super) struct Draft<'a> {
     pub(super) name: &'a str,
     pub(super) name_at: &'a Span,
-    /// Known, unless at fault.
+    /// `None` if it has a fault.
     pub(super) kind: Option<&'a Kind>,
     pub(super) table: &'a Table,
     pub(super) params: Json,
     pub(super) input_files: Vec<PathBuf>,
     pub(super) declared: Vec<DeclaredPort>,
-    /// Known, unless at fault.
+    /// `None` if they have a fault.
     pub(super) outputs: Option<Vec<Output>>,
     pub(super) on_error: OnError,
 }
@@ -27,11 +27,11 @@ pub(super) struct Draft<'a> {
 /// An output of a draft.
 pub(super) struct Output {
     pub(super) name: String,
-    /// Known, unless at fault.
+    /// `None` if it has a fault.
     pub(super) payload: Option<PortPayload>,
-    /// The frames as the kind says them.
+    /// The frame expressions declared by the kind.
     pub(super) exprs: FrameExpr,
-    /// The frames as the graph says them.
+    /// The frames given in the graph.
     pub(super) given: PortFrames,
 }
 
@@ -48,18 +48,19 @@ impl Draft<'_> {
         self.kind.map_or("", |kind| kind.description.kind)
     }
 
-    /// The node; or its kind, where a variant or the command line chose it anew. There, what is missing is told.
+    /// The node, or its kind if a variant or the command line changed it. Missing parameters and inputs are reported
+    /// there.
     pub(super) fn begins_at(&self) -> &Span {
         let kind_at = self.table.get("kind").map(|kind| &kind.value.at);
         kind_at.filter(|at| at.source.order != self.name_at.source.order).unwrap_or(self.name_at)
     }
 
-    /// Where a run tells of the node: where a file of the chain chose its kind, else where the node begins.
-    pub(super) fn told_at(&self) -> &Span {
+    /// The location of the node in messages of a run: where a file chose its kind, otherwise where the node begins.
+    pub(super) fn reported_at(&self) -> &Span {
         Some(self.begins_at()).filter(|at| !at.source.command_line).unwrap_or(self.name_at)
     }
 
-    /// `in`, or the node where it has none: where a missing input is told.
+    /// The place where a missing input is reported: `in`, or the node if it has none.
     pub(super) fn inputs_at(&self) -> &Span {
         let at = self.begins_at();
         if at.source.order != self.name_at.source.order {
@@ -219,7 +220,7 @@ impl<'r> Check<'r> {
     }
 }
 
-/// A node that only the command line has, called nearly as another: that one was meant.
+/// The fault of a node that exists only on the command line and has nearly the name of another.
 fn nearly_there(name: &str, entry: &Entry, nodes: &Table) -> Option<Fault> {
     if !entry.key_at.source.command_line {
         return None;
@@ -234,7 +235,7 @@ fn nearly_there(name: &str, entry: &Entry, nodes: &Table) -> Option<Fault> {
     Some(fault.help_if(help).note_if(list).follows())
 }
 
-/// A node without a kind: one of the base graph misspelt, or the kind forgotten.
+/// The fault of a node without a kind: a misspelt node of the base graph, or a missing `kind`.
 fn no_kind(name: &str, entry: &Entry, nodes: &Table) -> Fault {
     let others = nodes.0.iter().filter(|other| {
         other.key != name && matches!(&other.value.value, Value::Table(table) if table.get("kind").is_some())

@@ -1,8 +1,8 @@
-//! The faults of a check as they are shown: in the order of the texts, with the uses of modules.
+//! Orders faults for display, and adds the places where modules are used.
 
 use crate::fault::{Fault, Use};
 
-/// Adds to each fault within a module where the module is used; a fault of a module that is used twice is listed once.
+/// Adds to each fault inside a module the place where the module is used; a fault seen in several uses is listed once.
 pub(super) fn add_uses(faults: Vec<Fault>) -> Vec<Fault> {
     let mut out: Vec<Fault> = Vec::new();
     for mut fault in faults {
@@ -24,7 +24,7 @@ pub(super) fn add_uses(faults: Vec<Fault>) -> Vec<Fault> {
     out
 }
 
-/// Whether both are about one place of a file that is read for each use of a module, in other words for each.
+/// Whether both report the same problem at the same place, found in different uses of a module.
 fn is_same(a: &Fault, b: &Fault) -> bool {
     let (Some((a_at, a_label)), Some((b_at, b_label))) = (&a.at, &b.at) else { return false };
     let (Some(a_use), Some(b_use)) = (&a_at.source.used, &b_at.source.used) else { return false };
@@ -36,7 +36,7 @@ fn is_same(a: &Fault, b: &Fault) -> bool {
         && bare(&a.message, a_use) == bare(&b.message, b_use)
 }
 
-/// In the order of the texts. After a syntax fault, what may be no more than its consequence is left out.
+/// Sorts faults by their place in the texts. After a syntax fault, possible consequences of it are left out.
 pub(super) fn sorted(mut faults: Vec<Fault>) -> Vec<Fault> {
     let hidden: Vec<_> = faults.iter().filter_map(|fault| fault.hides.clone()).collect();
     let consequence = |fault: &Fault| match &fault.at {

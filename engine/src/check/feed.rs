@@ -7,7 +7,7 @@ use osteoflow_node::{FrameExpr, InputPort, OutputPorts, PortPayload, Registry};
 
 const LIST: usize = 8;
 
-/// What could feed an input.
+/// Finds outputs that could feed an input.
 pub(super) struct Feed<'a, 'd> {
     pub(super) drafts: &'a [Draft<'d>],
     pub(super) inputs: &'a [Vec<Input>],
@@ -35,7 +35,7 @@ impl Feed<'_, '_> {
         fault.note_if(doc_of(port)).help_if(help).follows()
     }
 
-    /// Outputs of other nodes that fit, the same producer's first.
+    /// Lists outputs that fit; those of the same producer if there are any, otherwise those of other nodes.
     pub(super) fn others(takes: &PortPayload, producer: usize, drafts: &[Draft<'_>]) -> Option<String> {
         let same = wires_of(takes, drafts, |index| index == producer);
         let wires = if same.is_empty() { wires_of(takes, drafts, |index| index != producer) } else { same };
@@ -46,7 +46,7 @@ impl Feed<'_, '_> {
         }
     }
 
-    /// The node and all that is fed by it: a wire from there would close a cycle.
+    /// Marks the node and all nodes downstream of it, from which a wire would close a cycle.
     fn behind(&self, node: usize) -> Vec<bool> {
         let mut behind = vec![false; self.drafts.len()];
         let mut open = vec![node];
@@ -61,7 +61,7 @@ impl Feed<'_, '_> {
         behind
     }
 
-    /// What fits, first what is called so, then what relates its frames so.
+    /// Outputs that fit: first those with the port's name, then those with the port's frames.
     fn ranked(&self, port: &InputPort, behind: &[bool]) -> Vec<String> {
         let mut wires: Vec<(u8, String)> = Vec::new();
         for (draft, _) in self.drafts.iter().zip(behind).filter(|(_, behind)| !**behind) {

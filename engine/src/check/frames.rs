@@ -15,7 +15,7 @@ use serde_json::Value as Json;
 /// The frames of every output, by draft.
 pub(super) type Frames = Vec<Vec<PortFrames>>;
 
-/// Which frame of a port.
+/// Selects a frame of a port.
 #[derive(Clone, Copy, PartialEq)]
 enum Which {
     Frame,
@@ -33,7 +33,7 @@ impl Which {
     }
 }
 
-/// A frame that a graph names but does not list.
+/// The fault of a frame that the graph uses but does not list.
 pub(super) fn unknown(frame: &str, at: &Span, owner: &str, header: &Header) -> Option<Fault> {
     let (known, listed_at) = header.frames.as_ref()?;
     if known.iter().any(|name| name == frame) {
@@ -47,7 +47,7 @@ pub(super) fn unknown(frame: &str, at: &Span, owner: &str, header: &Header) -> O
 }
 
 impl Check<'_> {
-    /// Carries frames along the wires, and compares them where a port says what it needs.
+    /// Propagates frames along the wires and checks them against the ports' requirements.
     pub(super) fn frames(
         &mut self,
         drafts: &[Draft<'_>],
@@ -60,17 +60,17 @@ impl Check<'_> {
             let draft = &drafts[node];
             let mut at_fault = self.frame_params(draft, header);
             let scope = Scope { draft, inputs: &inputs[node], frames: &frames };
-            let mut told: Vec<(&str, &str)> = Vec::new();
+            let mut reported: Vec<(&str, &str)> = Vec::new();
             for input in inputs[node].iter().filter(|input| !input.port.unused) {
                 let Some((fault, others)) = scope.meet(input, drafts) else { continue };
                 at_fault = true;
-                // Ports that name each other do not meet from either side; once is enough.
-                if !others.iter().any(|other| told.contains(&(other, input.port.name))) {
+                // Two ports that refer to each other both mismatch; report only the first.
+                if !others.iter().any(|other| reported.contains(&(other, input.port.name))) {
                     self.faults.push(fault);
                 }
-                told.extend(others.iter().map(|other| (input.port.name, *other)));
+                reported.extend(others.iter().map(|other| (input.port.name, *other)));
             }
-            // What a node at fault would give is not carried on: every node behind would complain.
+            // The outputs of a faulty node are not propagated, to avoid a fault at every node downstream.
             let outputs = draft.outputs.iter().flatten().map(|output| {
                 let frame = |given: &Option<String>, expr: Option<&str>| {
                     given.clone().or_else(|| scope.resolve(expr.filter(|_| !at_fault)?, 0))
@@ -87,7 +87,7 @@ impl Check<'_> {
         frames
     }
 
-    /// Parameters that name a frame name one of the graph's; whether one does not.
+    /// Checks that parameters that name a frame name a listed one; returns whether one does not.
     fn frame_params(&mut self, draft: &Draft<'_>, header: &Header) -> bool {
         let Some(kind) = draft.kind else { return false };
         let before = self.faults.len();
@@ -110,7 +110,7 @@ impl Check<'_> {
     }
 }
 
-/// What the frame texts of one node's ports are about.
+/// Resolves the frame expressions of a node's ports.
 struct Scope<'a, 'd> {
     draft: &'a Draft<'d>,
     inputs: &'a [Input],
@@ -118,7 +118,7 @@ struct Scope<'a, 'd> {
 }
 
 impl Scope<'_, '_> {
-    /// The frame that a text of a port names, as far as it is known.
+    /// The frame that a port's expression refers to, as far as it is known.
     fn resolve(&self, expr: &str, depth: usize) -> Option<String> {
         if let Some(name) = expr.strip_prefix('@') {
             return Some(name.to_owned());
@@ -129,8 +129,8 @@ impl Scope<'_, '_> {
         let (port, which) = refers(expr);
         let input = self.inputs.iter().find(|input| input.port.name == port)?;
         self.found(input, which).or_else(|| {
-            // Nothing is known of what is wired there, but the port may say what it should be. Ports may refer to
-            // each other in a circle; the depth ends it.
+            // The wired frame is unknown, but the port may declare it. Ports may refer to each other in a cycle; the
+            // depth ends it.
             let exprs = input.port.frames;
             let expr = match which {
                 Which::Frame => exprs.frame,
@@ -141,7 +141,7 @@ impl Scope<'_, '_> {
         })
     }
 
-    /// The frame of what is wired to an input.
+    /// The frame of the wire connected to an input.
     fn found(&self, input: &Input, which: Which) -> Option<String> {
         which.of(self.wired(input.from?)?).cloned()
     }
@@ -150,7 +150,8 @@ impl Scope<'_, '_> {
         self.frames[node].get(port)
     }
 
-    /// The fault of an input whose frames are others than its port needs, and the ports that its needs come from.
+    /// The fault of an input whose frames differ from those its port requires, and the ports that the requirement
+    /// refers to.
     fn meet(&self, input: &Input, drafts: &[Draft<'_>]) -> Option<(Fault, Vec<&'static str>)> {
         let exprs = [
             (Which::Frame, input.port.frames.frame),
@@ -190,7 +191,7 @@ impl Scope<'_, '_> {
         Some((fault.help_if(self.others(input, &needed, wire, drafts)), others))
     }
 
-    /// Shows where a needed frame comes from.
+    /// Adds the place that a required frame comes from.
     fn because(&self, expr: &str, fault: Fault) -> Fault {
         if let Some(parameter) = expr.strip_prefix('$') {
             let Some(frame) = self.resolve(expr, 0) else { return fault };
@@ -208,7 +209,7 @@ impl Scope<'_, '_> {
         }
     }
 
-    /// Outputs known to have what is needed.
+    /// Lists outputs known to have the required frames.
     fn others(&self, input: &Input, needed: &PortFrames, wire: OutputIndex, drafts: &[Draft<'_>]) -> Option<String> {
         let agrees = |needed: &Option<String>, has: &Option<String>| needed.is_none() || needed == has;
         let mut wires = Vec::new();

@@ -18,11 +18,11 @@ use osteoflow_node::{InputPort, PortPayload};
 pub(super) struct Input {
     /// The port, with the join that the graph chose.
     pub(super) port: InputPort,
-    /// Where it is wired; `None` if it is not.
+    /// Where it is wired; `None` if it is not wired.
     pub(super) at: Option<Span>,
-    /// What it is wired to, unless that is at fault.
+    /// The output it is wired to; `None` if the wire has a fault.
     pub(super) from: Option<OutputIndex>,
-    /// The input of the module at hand that feeds it, where a module is checked alone.
+    /// The input of the module that feeds it, if a module is checked alone.
     pub(super) outside: Option<String>,
     pub(super) capacity: usize,
     pub(super) max_bytes: u64,
@@ -61,7 +61,7 @@ impl Check<'_> {
         let mut inputs: Vec<_> = ports.iter().map(blank).collect();
         let Some(table) = draft.table.get("in") else { return inputs };
         let Some(table) = take::table(&table.value, &format!("node \"{}\": in", draft.name), &mut self.faults) else {
-            // Nothing is known of the inputs, so that none is missing.
+            // The kind is unknown, so no input can be missing.
             return Vec::new();
         };
         for entry in &table.0 {
@@ -83,7 +83,7 @@ impl Check<'_> {
                     self.faults.push(no_port(draft, entry, table.keys()));
                     let names = ports.iter().map(|port| port.name).filter(|name| table.get(name).is_none());
                     let meant = nearest::name(&entry.key, names);
-                    // The one that was meant is not missing as well.
+                    // An input with a misspelt name is not reported as missing too.
                     if let Some(input) = inputs.iter_mut().find(|input| Some(input.port.name) == meant) {
                         input.at = Some(from_at.clone());
                     }
@@ -94,7 +94,7 @@ impl Check<'_> {
         inputs
     }
 
-    /// The text that names the producer.
+    /// The name of the producer's output.
     fn from<'a>(&mut self, entry: &'a Entry, owner: &str) -> Option<(&'a str, &'a Span)> {
         match &entry.value.value {
             Value::Text(text) => Some((text, &entry.value.at)),
@@ -124,7 +124,7 @@ impl Check<'_> {
         }
     }
 
-    /// The producer gives what the port takes.
+    /// Checks that the producer gives what the port takes.
     fn fits(&mut self, input: &Input, owner: &str, drafts: &[Draft<'_>]) {
         let (Some(wire), Some(at)) = (input.from, &input.at) else { return };
         let Some(output) = output(wire, drafts) else { return };
@@ -157,12 +157,12 @@ pub(super) fn output<'d>((node, port): OutputIndex, drafts: &'d [Draft<'_>]) -> 
     drafts[node].outputs.as_ref()?.get(port)
 }
 
-/// Whether a port takes what an output gives. What is only known at run time may fit.
+/// Whether a port takes the payload of an output. Types known only at run time are accepted.
 pub(super) fn fits(takes: &PortPayload, gives: &PortPayload) -> bool {
     takes == gives || matches!(takes, PortPayload::Any) || matches!(gives, PortPayload::Any)
 }
 
-/// `source: what its author says`.
+/// Describes a port: `source: its doc`.
 pub(super) fn doc_of(port: &InputPort) -> Option<String> {
     let text = port.doc.split("\n\n").next().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
     (!text.is_empty()).then(|| format!("{}: {text}", port.name))

@@ -13,7 +13,7 @@ use crate::{
 use osteoflow_node::{Join, PortPayload, Role};
 
 impl Check<'_> {
-    /// What an input's table says beside its producer: join, capacity, policy.
+    /// Reads the settings of an input: join, capacity, policy.
     pub(super) fn options(
         &mut self,
         input: &mut Input,
@@ -71,7 +71,7 @@ impl Check<'_> {
         input.port.join = join;
     }
 
-    /// The entry of a key that goes with one join only.
+    /// The entry of a key that is valid with one join only.
     fn goes_with<'t>(
         &mut self,
         table: &'t Table,
@@ -154,7 +154,7 @@ fn not_a_word(what: &str, words: &[&str], found: &str, value: &Spanned) -> Fault
     fault.at(&value.at, "not one of them").help_if(nearest::help(found, words.iter().copied()))
 }
 
-/// Why the port or what is wired to it cannot be joined so.
+/// The fault if the port or its producer does not support the join.
 fn refuse_join(input: &Input, join: Join, owner: &str, value: &Spanned, drafts: &[Draft<'_>]) -> Option<Fault> {
     let (many, collects) = (matches!(input.port.join, Join::Collect { .. }), matches!(join, Join::Collect { .. }));
     if many != collects {

@@ -12,31 +12,31 @@ use crate::{
 use osteoflow_node::PortPayload;
 use serde::Serialize;
 
-/// A module without faults, checked alone: what a graph that uses it may say.
+/// A module without faults, checked alone.
 #[derive(Debug)]
 pub struct Module {
-    /// What it declares.
+    /// Its interface.
     pub description: ModuleDescription,
-    /// Its nodes; what its inputs feed is wired to nothing, so it cannot run.
+    /// The plan of its nodes; its inputs are not wired, so it cannot run.
     pub plan: Plan,
-    /// What is hardly meant.
+    /// Warnings.
     pub warnings: Vec<Fault>,
 }
 
-/// What a module declares, in the words of its author, with what the nodes within add.
+/// The interface of a module; missing docs are those of the inner nodes' kinds.
 #[derive(Debug, Clone, Serialize)]
 pub struct ModuleDescription {
-    /// Its name: that of `[graph]`, or else the file's.
+    /// The name in `[graph]`, otherwise that of the file.
     pub name: String,
-    /// What it is for.
+    /// Its doc.
     pub doc: String,
-    /// What it takes.
+    /// Its inputs.
     pub inputs: Vec<ModuleInput>,
-    /// What it gives.
+    /// Its outputs.
     pub outputs: Vec<ModuleOutput>,
-    /// What a graph may set.
+    /// Its parameters.
     pub params: Vec<ModuleParam>,
-    /// The nodes within, by name, and their kinds.
+    /// The inner nodes: names and kinds.
     pub nodes: Vec<(String, String)>,
 }
 
@@ -45,15 +45,15 @@ pub struct ModuleDescription {
 pub struct ModuleInput {
     /// Its name.
     pub name: String,
-    /// What the author says; else what the kind within says of the port.
+    /// Its doc; default: that of the inner port.
     pub doc: String,
-    /// What it takes.
+    /// Its payload type.
     pub payload: &'static str,
-    /// How the ports within join it, each once.
+    /// The distinct joins of the inner ports.
     pub joins: Vec<&'static str>,
-    /// Whether it may be wired to nothing.
+    /// Whether it may be left unwired.
     pub optional: bool,
-    /// The ports that it feeds, `node.port`.
+    /// The inner ports that it feeds, `node.port`.
     pub to: Vec<String>,
 }
 
@@ -62,11 +62,11 @@ pub struct ModuleInput {
 pub struct ModuleOutput {
     /// Its name.
     pub name: String,
-    /// What the author says; else what the kind within says of the port.
+    /// Its doc; default: that of the inner port.
     pub doc: String,
-    /// What it gives.
+    /// Its payload type.
     pub payload: &'static str,
-    /// The wire within, `node.port`.
+    /// The inner wire, `node.port`.
     pub from: String,
 }
 
@@ -75,42 +75,44 @@ pub struct ModuleOutput {
 pub struct ModuleParam {
     /// Its name.
     pub name: String,
-    /// What the author says; else what the kind within says of the parameter.
+    /// Its doc; default: that of the inner parameter.
     pub doc: String,
-    /// The value where a graph gives none; else it is what the nodes within say.
+    /// Its default; if `None`, the inner nodes keep their values.
     pub default: Option<serde_json::Value>,
-    /// Whether a graph must give it.
+    /// Whether a graph must set it.
     pub required: bool,
     /// The keys that it sets, `node.parameter`.
     pub to: Vec<String>,
 }
 
 impl Check<'_> {
-    /// What modules declare as outputs are wires of theirs.
-    pub(super) fn outlets(&mut self, graph: &Graph, drafts: &[Draft<'_>]) {
+    /// Checks that the outputs that modules declare are wires of theirs.
+    pub(super) fn check_outputs(&mut self, graph: &Graph, drafts: &[Draft<'_>]) {
         let used = graph.modules.iter().flat_map(|module| {
             let outputs = module.outputs.iter().flatten();
             outputs.map(|(name, wire, at)| (format!("output \"{name}\" of module \"{}\"", module.node), wire, at))
         });
         let own = graph.interface.iter().flat_map(|interface| &interface.outputs);
-        let own = own.map(|outlet| (format!("module output \"{}\"", outlet.name), &outlet.from, &outlet.from_at));
+        let own = own.map(|output_decl| {
+            (format!("module output \"{}\"", output_decl.name), &output_decl.from, &output_decl.from_at)
+        });
         for (owner, wire, at) in used.chain(own) {
             wires::find(wire, at, &owner, drafts, &self.names, &mut self.faults);
         }
     }
 
-    /// The ports that an input of the module at hand feeds take one type.
-    pub(super) fn inlets(&mut self, interface: &Interface, drafts: &[Draft<'_>], inputs: &[Vec<Input>]) {
-        for inlet in &interface.inputs {
+    /// Checks that all ports fed by an input of the module take the same type.
+    pub(super) fn check_inputs(&mut self, interface: &Interface, drafts: &[Draft<'_>], inputs: &[Vec<Input>]) {
+        for input_decl in &interface.inputs {
             let mut first: Option<(&'static str, String)> = None;
-            for (draft, input) in fed_by(&inlet.name, drafts, inputs) {
+            for (draft, input) in fed_by(&input_decl.name, drafts, inputs) {
                 let PortPayload::Type(ty) = input.port.payload else { continue };
                 let port = format!("{}.{}", draft.name, input.port.name);
                 match &first {
                     None => first = Some((ty.name, port)),
                     Some((name, other)) if *name != ty.name => {
-                        let message = format!("module input \"{}\" feeds ports of different types", inlet.name);
-                        let fault = Fault::new(message).at(&inlet.name_at, "cannot be both");
+                        let message = format!("module input \"{}\" feeds ports of different types", input_decl.name);
+                        let fault = Fault::new(message).at(&input_decl.name_at, "cannot be both");
                         self.faults.push(fault.note(format!("{other} takes {name}, {port} takes {}", ty.name)));
                         break;
                     }
@@ -120,7 +122,7 @@ impl Check<'_> {
         }
     }
 
-    /// A module is no graph to run.
+    /// The fault of a module that is run as a graph.
     pub(super) fn refuse_module(&mut self, at: &Span) {
         let fault = Fault::new("this is a module: other graphs use it, it does not run by itself");
         let fault = fault.at(at, "declares a module");
@@ -131,15 +133,15 @@ impl Check<'_> {
 }
 
 fn fed_by<'a, 'd>(
-    inlet: &str,
+    input_decl: &str,
     drafts: &'a [Draft<'d>],
     inputs: &'a [Vec<Input>],
 ) -> impl Iterator<Item = (&'a Draft<'d>, &'a Input)> {
     let all = drafts.iter().zip(inputs).flat_map(|(draft, inputs)| inputs.iter().map(move |input| (draft, input)));
-    all.filter(move |(_, input)| input.outside.as_deref() == Some(inlet))
+    all.filter(move |(_, input)| input.outside.as_deref() == Some(input_decl))
 }
 
-/// What the module at hand declares.
+/// The interface of the module being checked.
 pub(super) fn describe(
     interface: &Interface,
     name: &str,
@@ -147,22 +149,22 @@ pub(super) fn describe(
     inputs: &[Vec<Input>],
     names: &wires::Names,
 ) -> ModuleDescription {
-    let or = |said: &str, other: Option<String>| if said.is_empty() { other.unwrap_or_default() } else { said.into() };
-    let input = |inlet: &crate::graph::Inlet| {
-        let ports: Vec<_> = fed_by(&inlet.name, drafts, inputs).map(|(_, input)| input).collect();
+    let or = |own: &str, other: Option<String>| if own.is_empty() { other.unwrap_or_default() } else { own.into() };
+    let input = |input_decl: &crate::graph::InputDecl| {
+        let ports: Vec<_> = fed_by(&input_decl.name, drafts, inputs).map(|(_, input)| input).collect();
         let mut joins: Vec<_> = ports.iter().map(|input| input.port.join.name()).collect();
         joins.dedup();
         ModuleInput {
-            name: inlet.name.clone(),
-            doc: or(&inlet.doc, ports.first().map(|input| one_line(input.port.doc))),
+            name: input_decl.name.clone(),
+            doc: or(&input_decl.doc, ports.first().map(|input| one_line(input.port.doc))),
             payload: ports.first().map_or("any", |input| input.port.payload.name()),
             joins,
-            optional: inlet.optional,
-            to: inlet.to.iter().map(|(to, _)| to.clone()).collect(),
+            optional: input_decl.optional,
+            to: input_decl.to.iter().map(|(to, _)| to.clone()).collect(),
         }
     };
-    let output = |outlet: &crate::graph::Outlet| {
-        let wire = names.flat(&outlet.from, &outlet.from_at, "", &mut Vec::new());
+    let output = |output_decl: &crate::graph::OutputDecl| {
+        let wire = names.flat(&output_decl.from, &output_decl.from_at, "", &mut Vec::new());
         let wire = wire.and_then(|wire| {
             let (node, port) = wire.rsplit_once('.')?;
             let index = drafts.iter().position(|draft| draft.name == node)?;
@@ -175,31 +177,32 @@ pub(super) fn describe(
             osteoflow_node::OutputPorts::Declared { .. } => None,
         });
         ModuleOutput {
-            name: outlet.name.clone(),
-            doc: or(&outlet.doc, doc),
+            name: output_decl.name.clone(),
+            doc: or(&output_decl.doc, doc),
             payload: payload.map_or("any", |payload| payload.name()),
-            from: outlet.from.clone(),
+            from: output_decl.from.clone(),
         }
     };
-    let param = |knob: &crate::graph::Knob| {
-        let property = knob.to.first().and_then(|(to, _)| {
+    let param = |param_decl: &crate::graph::ParamDecl| {
+        let property = param_decl.to.first().and_then(|(to, _)| {
             let (node, key) = to.split_once('.')?;
             let draft = drafts.iter().find(|draft| draft.name == node)?;
             draft.kind?.description.params.get("properties")?.get(key)
         });
         let doc = property.and_then(|property| Some(one_line(property.get("description")?.as_str()?)));
-        let said = knob.to.first().and_then(|(to, _)| {
+        let inner_default = param_decl.to.first().and_then(|(to, _)| {
             let (node, key) = to.split_once('.')?;
             let draft = drafts.iter().find(|draft| draft.name == node)?;
             if key == "kind" { Some(draft.kind_name().into()) } else { draft.params.get(key).cloned() }
         });
-        let default = if knob.required { None } else { knob.default.as_ref().map(|d| d.to_json()).or(said) };
+        let default =
+            if param_decl.required { None } else { param_decl.default.as_ref().map(|d| d.to_json()).or(inner_default) };
         ModuleParam {
-            name: knob.name.clone(),
-            doc: or(&knob.doc, doc),
+            name: param_decl.name.clone(),
+            doc: or(&param_decl.doc, doc),
             default,
-            required: knob.required,
-            to: knob.to.iter().map(|(to, _)| to.clone()).collect(),
+            required: param_decl.required,
+            to: param_decl.to.iter().map(|(to, _)| to.clone()).collect(),
         }
     };
     ModuleDescription {

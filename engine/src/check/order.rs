@@ -4,8 +4,7 @@ use petgraph::{algo::tarjan_scc, graph::DiGraph};
 use std::collections::{BTreeSet, VecDeque};
 
 impl Check<'_> {
-    /// The drafts in topological order, where that leaves a choice in the order of the file; faults where wires go in a
-    /// circle.
+    /// The drafts in topological order, ties broken by the order of the file; faults for cycles.
     pub(super) fn order(&mut self, drafts: &[Draft<'_>], inputs: &[Vec<Input>]) -> Option<Vec<usize>> {
         let mut graph = DiGraph::<(), ()>::new();
         let nodes: Vec<_> = drafts.iter().map(|_| graph.add_node(())).collect();
@@ -45,7 +44,7 @@ fn sort(inputs: &[Vec<Input>]) -> Vec<usize> {
     order
 }
 
-/// The fault of the shortest cycle through the first of `members`, named in full.
+/// The fault of the shortest cycle through the first of `members`; it names all nodes of the cycle.
 fn cycle(members: &BTreeSet<usize>, drafts: &[Draft<'_>], inputs: &[Vec<Input>]) -> Option<Fault> {
     let &start = members.first()?;
     let wire = |from: usize, to: usize| -> Option<(&Span, String)> {

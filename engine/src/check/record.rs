@@ -11,7 +11,7 @@ use crate::{
 };
 use osteoflow_container::Compression;
 
-/// What `[record]` asks for.
+/// The contents of `[record]`.
 pub(super) struct Record {
     /// The wires, in the order of the drafts and their ports.
     pub(super) wires: Vec<OutputIndex>,
@@ -19,7 +19,8 @@ pub(super) struct Record {
 }
 
 impl Check<'_> {
-    /// The wires to record: every source's, unless `sources` says otherwise, and those that a pattern of `wires` fits.
+    /// The wires to record: those of the sources, unless `sources` disables them, and those that match a pattern of
+    /// `wires`.
     pub(super) fn record(&mut self, graph: &Graph, drafts: &[Draft<'_>]) -> Record {
         let mut sources = true;
         let mut settings = RecordSettings::default();
@@ -69,7 +70,7 @@ impl Check<'_> {
         for (node, draft) in drafts.iter().enumerate() {
             all.extend((0..draft.outputs.as_ref().map_or(0, Vec::len)).map(|port| (node, port)));
         }
-        // What a live source gave comes only once; no file holds it.
+        // The items of a live source are in no file and cannot be read again.
         let live = |node: usize| {
             settings.sources == Sources::Hashes && drafts[node].role() == Some(osteoflow_node::Role::LiveSource)
         };
@@ -83,14 +84,14 @@ impl Check<'_> {
                     (any, *chosen) = (true, true);
                 }
             }
-            // An output of a module is the wire within that it stands for.
+            // An output of a module is an alias of an inner wire.
             for module in &self.names.modules {
                 for (name, _, at) in module.outputs.iter().flatten() {
                     let alias = format!("{}.{name}", module.node);
                     if !glob::fits(text, &alias) {
                         continue;
                     }
-                    // What the module declares wrongly is told there.
+                    // Faults of the module's own outputs are reported at the module.
                     let wire = self.names.flat(&alias, at, "", &mut Vec::new());
                     let wire = wire.and_then(|wire| all.iter().position(|w| wires::name(*w, drafts) == wire));
                     any = true;
@@ -99,7 +100,7 @@ impl Check<'_> {
                     }
                 }
             }
-            // A node at fault may have the outputs that were meant.
+            // The node has a fault, so its outputs are unknown.
             let node = text.split('.').next().unwrap_or(text);
             let unknown = drafts.iter().any(|draft| draft.outputs.is_none() && glob::fits(node, draft.name));
             let unknown =

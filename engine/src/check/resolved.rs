@@ -1,4 +1,4 @@
-//! The graph as it runs, as the text of a graph file.
+//! Writes the resolved graph as the text of a graph file.
 
 use super::{assemble::Net, drafts::Draft, inputs::Input, wires};
 use crate::plan::{OnError, Policy, PortFrames, RecordSettings, Sources};
@@ -27,7 +27,7 @@ pub(super) fn text(net: &Net<'_>) -> String {
         node(&mut out, draft, inputs, &net.drafts);
     }
     line(&mut out, "\n[record]");
-    // Every wire is named, the sources' as well.
+    // Every wire is listed, including those of sources.
     let RecordSettings { sources, compression, views } = net.record.settings;
     line(&mut out, if sources == Sources::Hashes { "sources = \"hash\"" } else { "sources = false" });
     line(&mut out, &format!("compression = {}", quote(compression.name())));
@@ -101,7 +101,7 @@ fn pairs(table: &Json) -> Vec<String> {
 
 fn toml(value: &Json) -> String {
     match value {
-        // A null inside a list cannot come from a graph file, and defaults of lists have none.
+        // Graph files cannot contain null, and defaults of lists do not.
         Json::Null => "\"\"".into(),
         Json::Bool(value) => value.to_string(),
         Json::Number(number) => match number.as_f64() {
@@ -125,7 +125,7 @@ fn bare(key: &str) -> String {
     if crate::graph::take::is_name(key) { key.into() } else { quote(key) }
 }
 
-/// A basic string: what JSON escapes, TOML takes, and the one control character that JSON leaves is escaped too.
+/// A TOML basic string: JSON escapes, and additionally the control character that JSON leaves unescaped.
 fn quote(text: &str) -> String {
     Json::from(text).to_string().replace('\u{7f}', "\\u007F")
 }

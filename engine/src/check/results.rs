@@ -8,7 +8,7 @@ use crate::{
     graph::{Entry, Graph, Value, grammar, take},
 };
 
-/// The key that the engine itself writes when a run is refused.
+/// The key that the engine writes when a run is refused.
 const REFUSED: &str = "refused";
 
 /// An entry of `[results]`.
@@ -21,7 +21,7 @@ pub(super) struct Result {
 }
 
 impl Check<'_> {
-    /// What `[results]` names, in the order of the file.
+    /// Reads `[results]`, in the order of the file.
     pub(super) fn results(&mut self, graph: &Graph, drafts: &[Draft<'_>]) -> Vec<Result> {
         let Some(entry) = graph.table.get("results") else { return Vec::new() };
         let Some(table) = take::table(&entry.value, "results", &mut self.faults) else { return Vec::new() };

@@ -1,28 +1,28 @@
-//! Warnings of joins that never fire, or only once where a stream is wired: what roles and descriptions tell for certain.
+//! Warnings of joins that never fire, or fire only once on a stream, as far as roles and descriptions prove it.
 
 use super::{drafts::Draft, inputs::Input, wires};
 use crate::fault::Fault;
 use osteoflow_node::{Join, OutputPorts, Role};
 
-/// How many items come on the outputs of a node.
+/// Number of items that an output gives.
 #[derive(Clone, Copy, PartialEq)]
 enum Count {
-    /// At most one, whatever comes in.
+    /// At most one, whatever the inputs give.
     One,
-    /// As many as the world gives: more than one, for all that is known.
+    /// More than one, as far as is known.
     Stream,
     Unknown,
 }
 
-/// What is known of the outputs of a node.
+/// Properties known of a node's outputs.
 #[derive(Clone, Copy)]
 struct Flow {
     count: Count,
-    /// Whether every item has stamp 0: it comes from constants alone.
+    /// Whether every item has stamp 0, because it is derived from constants only.
     timeless: bool,
 }
 
-/// Warnings, in topological order of the nodes.
+/// The warnings, in topological order of the nodes.
 pub(super) fn warnings(drafts: &[Draft<'_>], inputs: &[Vec<Input>], order: &[usize]) -> Vec<Fault> {
     let mut flows = vec![Flow { count: Count::Unknown, timeless: false }; drafts.len()];
     let mut faults = Vec::new();
@@ -44,7 +44,7 @@ struct Node<'a, 'd> {
 }
 
 impl<'a> Node<'a, '_> {
-    /// The inputs that matter, each with what comes there.
+    /// The wired inputs that are in use, each with its flow.
     fn wired(&self) -> impl Iterator<Item = (&'a Input, Flow)> {
         let flows = self.flows;
         let used = self.inputs.iter().filter(|input| !input.port.unused);
@@ -58,7 +58,7 @@ impl<'a> Node<'a, '_> {
     fn flow(&self) -> Flow {
         let unknown = Flow { count: Count::Unknown, timeless: false };
         match self.draft.role() {
-            // Of several outputs some may give a single item; the only one is what the source is live for.
+            // With several outputs, some may give a single item; the only output of a live source is a stream.
             Some(Role::LiveSource) if self.has_one_output_of_its_own() => {
                 return Flow { count: Count::Stream, timeless: false };
             }
@@ -68,7 +68,7 @@ impl<'a> Node<'a, '_> {
             Some(Role::Node) => {}
             _ => return unknown,
         }
-        // What a module is given from outside, and what is at fault, may be anything.
+        // Inputs fed from outside a module, and faulty ones, may carry anything.
         if self.inputs.iter().any(|input| input.at.is_some() && input.from.is_none()) {
             return unknown;
         }
@@ -76,7 +76,7 @@ impl<'a> Node<'a, '_> {
         if fires.is_empty() {
             return Flow { count: Count::One, timeless: self.wired().all(|(_, flow)| flow.timeless) };
         }
-        // An optional port that has ended no longer counts, so only the others bound how often the node fires.
+        // An optional port that has ended is ignored, so only the other ports limit how often the node fires.
         let bounds = |(input, flow): &(&Input, Flow)| match input.port.join {
             Join::Collect { n: None } => true,
             _ => flow.count == Count::One,
@@ -153,7 +153,7 @@ impl<'a> Node<'a, '_> {
         faults
     }
 
-    /// Whether items have times that are surely not 0.
+    /// Whether items have stamps that are surely not all 0.
     fn follows_a_clock(&self, flow: &Flow) -> bool {
         flow.count == Count::Stream
     }

@@ -14,14 +14,14 @@ use crate::{
     names::nearest,
 };
 
-/// What the repeats are called where `units` does not name them.
+/// Default name of the repeats in the tables.
 const REPEAT: &str = "repeat";
 
-/// Columns of the tables that the sweep writes itself.
+/// Columns that the sweep writes itself; no factor or column may have these names.
 const OWN: [&str; 9] = ["run", "seed", "status", "reason", "measure", "point", "axis", "value", "value_mm"];
 
-/// The most repeats, and the most runs of a sweep.
-pub(super) const MOST_RUNS: usize = 1_000_000;
+/// Maximum number of repeats, and of runs of a sweep.
+pub(super) const MAX_RUNS: usize = 1_000_000;
 
 /// Reads `[sweep]` of a graph; `None` if it has none.
 pub(crate) fn read(table: &Table, faults: &mut Vec<Fault>) -> Option<Spec> {
@@ -42,7 +42,7 @@ impl Reader<'_> {
         let before = self.faults.len();
         take::only(table, &grammar::SWEEP, "[sweep]", self.faults);
         let repeat = table.get("repeat").map_or(Some(1), |entry| {
-            take::whole(&entry.value, "repeat", 1, MOST_RUNS as u64, self.faults).map(|n| n as usize)
+            take::whole(&entry.value, "repeat", 1, MAX_RUNS as u64, self.faults).map(|n| n as usize)
         });
         let same_seed = table.get("same_seed").and_then(|entry| take::boolean(&entry.value, "same_seed", self.faults));
         let same_seed = same_seed.unwrap_or(false);
@@ -71,8 +71,8 @@ impl Reader<'_> {
             limits,
             compare,
         };
-        if self.faults.len() == before && spec.n_runs().is_none_or(|n| n > MOST_RUNS) {
-            let fault = Fault::new(format!("the sweep has more than {MOST_RUNS} runs")).at(self.at, "too many");
+        if self.faults.len() == before && spec.n_runs().is_none_or(|n| n > MAX_RUNS) {
+            let fault = Fault::new(format!("the sweep has more than {MAX_RUNS} runs")).at(self.at, "too many");
             self.faults.push(fault.help("take fewer values, or pair factors that go together"));
         }
         (self.faults.len() == before).then_some(spec)
@@ -88,7 +88,7 @@ impl Reader<'_> {
         inner.0.iter().filter_map(|entry| read(self, entry)).collect()
     }
 
-    /// Every column of the tables has a name of its own.
+    /// Checks that each column of the tables has a unique name.
     fn unique(&mut self, table: &Table) {
         let mut seen: Vec<&Entry> = Vec::new();
         for key in ["factor", "draw", "columns"] {
@@ -171,7 +171,7 @@ impl Reader<'_> {
         Some(PointColumn { name: entry.key.clone(), path, label, axes })
     }
 
-    /// The units, and what the repeats are called.
+    /// The units, and the name of the repeats.
     fn units(&mut self, table: &Table, factors: &[Factor]) -> (Vec<String>, String) {
         let Some(entry) = table.get("units") else { return (vec![REPEAT.into()], REPEAT.into()) };
         let units = self.texts(&entry.value, "units");
@@ -188,7 +188,7 @@ impl Reader<'_> {
             let help = nearest::help(&others[1], factors.iter().copied());
             self.faults.push(fault.help_if(help).note_if(nearest::list("factors", factors.iter().copied())));
         } else if let Some(other) = others.first() {
-            // One that is named rightly besides is not meant once more.
+            // Suggest only factors that are not already listed.
             let unnamed =
                 factors.iter().map(|factor| factor.name.as_str()).filter(|name| !units.iter().any(|u| u == name));
             if let Some(near) = nearest::name(other, unnamed) {
@@ -201,7 +201,7 @@ impl Reader<'_> {
         let name = others.into_iter().next().unwrap_or_else(|| REPEAT.into());
         let mut units = units;
         if !units.contains(&name) {
-            // Where only factors are named, the repeats lie below them.
+            // Repeats are nested in the factors unless `units` places them.
             units.push(name.clone());
         }
         (units, name)
@@ -271,7 +271,7 @@ impl Reader<'_> {
         out
     }
 
-    /// One comparison, or a list of them, each of another factor.
+    /// One comparison, or a list of comparisons of distinct factors.
     fn comparisons(&mut self, value: &Spanned, factors: &[Factor], columns: &[Column]) -> Vec<Compare> {
         let items = match &value.value {
             Value::Array(items) => items.as_slice(),

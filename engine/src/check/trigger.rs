@@ -2,12 +2,12 @@ use super::{drafts::Draft, inputs::Input};
 use crate::fault::Fault;
 use osteoflow_node::{Join, Role};
 
-/// The fault of a node that nothing makes fire.
+/// The fault of a node without a triggering input.
 pub(super) fn never(draft: &Draft<'_>, inputs: &[Input]) -> Option<Fault> {
     if draft.role() != Some(Role::Node) {
         return None;
     }
-    // Inputs whose table could not be read are at fault already.
+    // Inputs whose table could not be read have a fault already.
     if inputs.is_empty() && draft.kind.is_some_and(|kind| !kind.description.inputs.is_empty()) {
         return None;
     }

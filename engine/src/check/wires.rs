@@ -1,4 +1,4 @@
-//! What a text such as `crop.cloud` names.
+//! Resolves wire names such as `crop.cloud`.
 
 use super::drafts::Draft;
 use crate::{
@@ -7,7 +7,7 @@ use crate::{
     names::nearest,
 };
 
-/// What a wire may name beside the nodes that are there.
+/// Names that a wire may refer to besides the nodes of the plan.
 #[derive(Default)]
 pub(super) struct Names {
     pub(super) modules: Vec<Module>,
@@ -19,11 +19,11 @@ impl Names {
         self.modules.iter().find(|module| module.node == node)
     }
 
-    /// The name of the wire that an output of a module stands for; others stand for themselves. `None` with a fault for
-    /// an output that the module does not have, and without where the module is at fault.
+    /// The full name of a wire: an output of a module resolves to the inner wire; other names are returned unchanged.
+    /// `None` with a fault if the module has no such output, and without a fault if the module itself has one.
     pub(super) fn flat(&self, text: &str, at: &Span, owner: &str, faults: &mut Vec<Fault>) -> Option<String> {
         let mut text = text.to_owned();
-        // An output of a module may be one of a module within.
+        // The inner wire may be an output of a nested module.
         while let Some((module, port)) = text.rsplit_once('.').and_then(|(node, port)| Some((self.module(node)?, port)))
         {
             let outputs = module.outputs.as_ref()?;
@@ -45,10 +45,10 @@ impl Names {
     }
 }
 
-/// An output by the index of its node among the drafts, and its own among the node's outputs.
+/// The index of a node among the drafts, and of the output among the node's outputs.
 pub(super) type OutputIndex = (usize, usize);
 
-/// The output that the text names; `None` without a fault where its node is at fault already.
+/// Resolves a wire name to an output; `None` without a fault if its node has a fault already.
 pub(super) fn find(
     text: &str,
     at: &Span,
@@ -95,7 +95,7 @@ pub(super) fn find(
 
 fn near_node(node: &str, port: &str, drafts: &[Draft<'_>], names: &Names) -> Option<String> {
     let modules = names.modules.iter().map(|module| module.node.as_str());
-    // Within a module its name may be missing: `icp` for `registration/icp`.
+    // The path of a module may be missing: `icp` for `registration/icp`.
     let near = nearest::name(node, drafts.iter().map(|draft| draft.name).chain(modules))?;
     if let Some(outputs) = names.module(near).and_then(|module| module.outputs.as_ref()) {
         let there = outputs.iter().any(|(name, ..)| name == port);

@@ -2,7 +2,7 @@ use super::{Fault, Severity, Span};
 use annotate_snippets::{Annotation, AnnotationKind, Group, Level, Renderer, Snippet};
 use std::sync::Arc;
 
-/// One fault as rustc shows it.
+/// Renders one fault in the style of rustc.
 pub(super) fn render(fault: &Fault, colour: bool) -> String {
     let level = match fault.severity {
         Severity::Error => Level::ERROR,
@@ -22,7 +22,7 @@ pub(super) fn render(fault: &Fault, colour: bool) -> String {
     renderer.render(&[group])
 }
 
-/// One snippet for each text, the place of the fault first.
+/// One snippet per text; the text of the fault itself comes first.
 fn snippets(fault: &Fault) -> Vec<Snippet<'_, Annotation<'_>>> {
     let places = fault.at.iter().map(|place| (place, AnnotationKind::Primary));
     let places = places.chain(fault.also.iter().map(|place| (place, AnnotationKind::Context)));

@@ -8,18 +8,18 @@ use std::{
 
 /// A text that a graph was read from: a file of its `extends` chain, or the command line.
 pub struct SourceText {
-    /// How it is named in faults.
+    /// Its name in faults.
     pub name: PathBuf,
-    /// What relative paths in it are relative to.
+    /// The folder that its relative paths are relative to.
     pub dir: PathBuf,
     /// The text.
     pub text: String,
-    /// Its place among all texts of the graph: the graph file is first, then what it extends, then modules, the command
-    /// line last.
+    /// Its position among the texts of the graph: the graph file, the files it extends, the modules, and last the
+    /// command line.
     pub order: usize,
     /// Whether it is the command line.
     pub command_line: bool,
-    /// The node that uses it, if it is the file of a module or what that extends.
+    /// The use of the module, if it is the file of a module or extended by one.
     pub used: Option<Use>,
 }
 
@@ -51,7 +51,7 @@ impl Span {
         Self { source: source.clone(), range }
     }
 
-    /// What stands there.
+    /// The text in the range.
     pub fn text(&self) -> &str {
         self.source.text.get(self.range.clone()).unwrap_or_default()
     }
@@ -62,7 +62,7 @@ impl Span {
         Location { file: self.source.name.clone(), line, column }
     }
 
-    /// Line and column of its end, counted from 1, the column in characters.
+    /// Line and column of its end, counted from 1; the column counts characters.
     pub fn end(&self) -> (usize, usize) {
         self.position(self.range.end)
     }
@@ -74,17 +74,17 @@ impl Span {
         (before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
     }
 
-    /// The order in which faults are shown.
+    /// Sort key for the order in which faults are shown.
     pub(crate) fn key(&self) -> (usize, usize) {
         (self.source.order, self.range.start)
     }
 
-    /// Whether both begin on one line of one text.
+    /// Whether both begin on the same line of the same text.
     fn same_line(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.source, &other.source) && self.location().line == other.location().line
     }
 
-    /// Whether `other` begins in it or on its line.
+    /// Whether `other` begins inside it or on the same line.
     pub(crate) fn covers(&self, other: &Self) -> bool {
         let inside = Arc::ptr_eq(&self.source, &other.source) && self.range.contains(&other.range.start);
         inside || self.same_line(other)

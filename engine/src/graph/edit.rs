@@ -4,16 +4,16 @@ use super::{
 };
 use crate::fault::{Fault, Span};
 
-/// A change of a list on the command line: `crop.half_mm[1]=20`, `record.wires+=["icp.*"]`.
+/// A change to a list, given on the command line: `crop.half_mm[1]=20`, `record.wires+=["icp.*"]`.
 pub(super) struct Edit {
     pub(super) steps: Vec<Step>,
-    /// Whether the value goes to the end of a list.
+    /// Whether the value is appended to the list.
     pub(super) append: bool,
     pub(super) value: Spanned,
     pub(super) key_at: Span,
 }
 
-/// A step on the way to a value.
+/// One step of the path to a value.
 pub(super) enum Step {
     Key(String, Span),
     Index(usize, Span),
@@ -34,7 +34,7 @@ impl Edit {
         key.split('[').next().unwrap_or(key).to_owned()
     }
 
-    /// Whether it changes what a module holds, which is not read yet.
+    /// Whether it changes a node inside a module, which is not read yet.
     pub(super) fn is_inside_a_module(&self, table: &Table) -> bool {
         let Some((module, _)) = self.node().and_then(|node| node.split_once('/')) else { return false };
         table.get("node").and_then(|nodes| nodes.value.as_table()).is_some_and(|nodes| nodes.get(module).is_some())
@@ -47,7 +47,7 @@ impl Edit {
 
     /// Makes the change.
     pub(super) fn apply(self, table: &mut Table) -> Result<(), Box<Fault>> {
-        // Patterns are the only list that begins empty; of others the default is not written in the graph.
+        // Patterns are the only list that starts empty; the defaults of other lists are not in the graph.
         if let ([Step::Key(record, at), Step::Key(wires, _)], true) = (self.steps.as_slice(), self.append)
             && (record.as_str(), wires.as_str()) == ("record", "wires")
         {
@@ -88,7 +88,7 @@ impl Edit {
         }
         let found = slot.found();
         let Value::Array(items) = &mut slot.value else { return Err(no_list(&name, &found, &self.key_at)) };
-        // What is wrong with the list as a whole is wrong because of this.
+        // Faults of the list as a whole point at this setting.
         slot.at = self.value.at.clone();
         match self.value.value {
             Value::Array(more) => items.extend(more),

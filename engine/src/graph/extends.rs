@@ -31,20 +31,20 @@ pub(super) fn read(path: &Path) -> Result<String, Box<Fault>> {
         let fault = Fault::new(format!("the graph file {shown} is no text: byte {at} is not UTF-8"));
         Box::new(fault.help("save it as UTF-8"))
     })?;
-    // Editors on Windows begin a file with a mark that is no part of the text.
+    // Editors on Windows may begin a file with a byte order mark.
     Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
 }
 
 /// The files read so far, each extending the next.
 pub(super) struct Chain<'f> {
     path: PathBuf,
-    /// Canonical paths, to see a cycle through links, and the names shown.
+    /// Canonical paths, which detect a cycle through links, with the names shown.
     seen: Vec<(PathBuf, PathBuf)>,
-    /// The files that are extended, whether they could be read or not.
+    /// The extended files, whether or not they could be read.
     pub(super) texts: Vec<PathBuf>,
-    /// The plugins that they name, those of a file after those of what it extends.
+    /// The plugins named by these files; those of a file follow those of the file it extends.
     pub(super) plugins: Vec<NamedPlugin>,
-    /// The place of the first text among all of the graph.
+    /// The order of the first text among all texts of the graph.
     order: usize,
     /// The node that uses the file as a module.
     used: Option<(String, Span)>,
@@ -58,7 +58,7 @@ impl<'f> Chain<'f> {
         Self { path: path.into(), seen, texts, plugins, order: 0, used: None, removed, faults }
     }
 
-    /// The chain of a module.
+    /// The chain of a module's file.
     pub(super) fn used(self, node: &str, at: &Span, order: usize) -> Self {
         Self { used: Some((node.into(), at.clone())), order, ..self }
     }
@@ -67,7 +67,7 @@ impl<'f> Chain<'f> {
         self.seen.len()
     }
 
-    /// The graph file with everything it extends.
+    /// Loads the graph file with everything it extends.
     pub(super) fn load(&mut self, text: String) -> (Arc<SourceText>, Table) {
         let path = self.path.clone();
         self.layer(&path, text)
@@ -90,7 +90,7 @@ impl<'f> Chain<'f> {
         (source, base)
     }
 
-    /// What the file extends; empty if nothing.
+    /// The table of the extended file; empty if the file extends nothing.
     fn base(&mut self, over: &mut Table, path: &Path) -> Table {
         let Some(entry) = over.remove("extends") else { return Table::default() };
         let Some(text) = entry.value.as_text() else {
@@ -117,7 +117,7 @@ impl<'f> Chain<'f> {
     }
 }
 
-/// The path without `x/..`, for show.
+/// The path without `x/..`, for display.
 pub(super) fn tidy(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for component in path.components() {

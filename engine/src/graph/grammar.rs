@@ -1,11 +1,11 @@
-//! The keys of a graph file, table by table: what the reader takes, and what the JSON Schema describes.
+//! The keys of a graph file, table by table, shared by the reader and the JSON Schema.
 
 /// The top level.
 pub(crate) const TOP: [&str; 9] =
     ["graph", "node", "record", "results", "extends", "remove", "module", "plugins", "sweep"];
 /// `[graph]`.
 pub(crate) const GRAPH: [&str; 5] = ["format", "name", "seed", "frames", "lossy"];
-/// The keys of a node's table that no parameter may take.
+/// The keys of a node's table that are no parameters.
 pub(crate) const NODE: [&str; 4] = ["kind", "in", "out", "on_error"];
 /// A node that is a module.
 pub(crate) const MODULE_NODE: [&str; 3] = ["kind", "file", "in"];

@@ -5,16 +5,16 @@ use std::sync::Arc;
 /// The version of the graph format that this crate reads.
 const FORMAT: u64 = 1;
 
-/// What `[graph]` says.
+/// The contents of `[graph]`.
 pub(crate) struct Header {
     pub(crate) name: String,
     pub(crate) seed: u64,
-    /// The frames that the graph may name; any if not given.
+    /// The frames that the graph may name; any frame if `None`.
     pub(crate) frames: Option<(Vec<String>, Span)>,
     pub(crate) lossy: bool,
 }
 
-/// The top level and `[graph]` of a graph file or a module's.
+/// Reads the top level and `[graph]` of a graph file or a module.
 pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault>) -> Header {
     take::only(table, &grammar::TOP, "a graph file", faults);
     let stem = main.name.file_stem().map(|stem| stem.to_string_lossy().into_owned());

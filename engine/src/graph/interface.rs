@@ -1,4 +1,4 @@
-//! What a module declares: the inputs it takes, the outputs it gives and the parameters it has.
+//! The interface of a module: its inputs, outputs and parameters.
 
 use super::{
     grammar, take,
@@ -14,14 +14,14 @@ use crate::{
 pub(crate) struct Interface {
     pub(crate) at: Span,
     pub(crate) doc: String,
-    pub(crate) inputs: Vec<Inlet>,
-    pub(crate) outputs: Vec<Outlet>,
-    pub(crate) params: Vec<Knob>,
+    pub(crate) inputs: Vec<InputDecl>,
+    pub(crate) outputs: Vec<OutputDecl>,
+    pub(crate) params: Vec<ParamDecl>,
 }
 
-/// An input of a module: the ports within that it feeds.
+/// An input of a module, and the inner ports that it feeds.
 #[derive(Debug, Clone)]
-pub(crate) struct Inlet {
+pub(crate) struct InputDecl {
     pub(crate) name: String,
     pub(crate) name_at: Span,
     pub(crate) doc: String,
@@ -30,18 +30,18 @@ pub(crate) struct Inlet {
     pub(crate) optional: bool,
 }
 
-/// An output of a module: a wire within.
+/// An output of a module, and the inner wire that it exposes.
 #[derive(Debug, Clone)]
-pub(crate) struct Outlet {
+pub(crate) struct OutputDecl {
     pub(crate) name: String,
     pub(crate) doc: String,
     pub(crate) from: String,
     pub(crate) from_at: Span,
 }
 
-/// A parameter of a module: keys of nodes within.
+/// A parameter of a module, and the keys of inner nodes that it sets.
 #[derive(Debug, Clone)]
-pub(crate) struct Knob {
+pub(crate) struct ParamDecl {
     pub(crate) name: String,
     pub(crate) doc: String,
     /// `node.key`, each with its place.
@@ -50,7 +50,7 @@ pub(crate) struct Knob {
     pub(crate) required: bool,
 }
 
-/// Takes `[module]` out of a graph file.
+/// Removes `[module]` from a graph file and reads it.
 pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interface> {
     let entry = table.remove("module")?;
     let at = entry.key_at.clone();
@@ -63,7 +63,7 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
         let owner = format!("module input \"{}\"", entry.key);
         let table = long(entry, "to");
         let Some(table) = known(&table, &grammar::MODULE_INPUT, &owner, faults) else { continue };
-        interface.inputs.push(Inlet {
+        interface.inputs.push(InputDecl {
             name: entry.key.clone(),
             name_at: entry.key_at.clone(),
             doc: doc(table, &owner, faults),
@@ -80,7 +80,7 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
             Some(from) => {
                 let Some(wire) = take::text(&from.value, &format!("{owner}: from"), faults) else { continue };
                 let (name, from_at) = (entry.key.clone(), from.value.at.clone());
-                interface.outputs.push(Outlet { name, doc, from: wire.into(), from_at });
+                interface.outputs.push(OutputDecl { name, doc, from: wire.into(), from_at });
             }
             None => {
                 let fault = Fault::new(format!("{owner} does not say its wire")).at(&entry.value.at, "no from here");
@@ -98,18 +98,18 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
         }
         let table = long(entry, "to");
         let Some(table) = known(&table, &grammar::MODULE_PARAM, &owner, faults) else { continue };
-        let knob = Knob {
+        let param_decl = ParamDecl {
             name: entry.key.clone(),
             doc: doc(table, &owner, faults),
             to: targets(table, entry, &owner, "node.parameter", faults),
             default: table.get("default").map(|default| default.value.clone()),
             required: flag(table, "required", &owner, faults),
         };
-        if let (Some(default), true) = (&knob.default, knob.required) {
+        if let (Some(default), true) = (&param_decl.default, param_decl.required) {
             let fault = Fault::new(format!("{owner} is required, but has a default"));
             faults.push(fault.at(&default.at, "never used").help("keep one of them"));
         }
-        interface.params.push(knob);
+        interface.params.push(param_decl);
     }
     Some(interface)
 }
@@ -124,7 +124,7 @@ fn entries<'t>(module: &'t Table, key: &str, what: &str, faults: &mut Vec<Fault>
     &table.0
 }
 
-/// `"a.b"` or `["a.b", "c.d"]` as `{ to = .. }`.
+/// Expands `"a.b"` or `["a.b", "c.d"]` to `{ to = .. }`.
 fn long(entry: &Entry, key: &str) -> Spanned {
     match &entry.value.value {
         Value::Text(_) | Value::Array(_) => {
@@ -179,13 +179,13 @@ fn targets(table: &Table, entry: &Entry, owner: &str, form: &str, faults: &mut V
     targets
 }
 
-/// The name that was probably meant, and the known ones.
+/// Suggests the nearest known name and lists the known ones.
 pub(super) fn hint<'a>(found: &str, what: &str, known: impl Iterator<Item = &'a str> + Clone) -> Hint {
     let (help, list) = nearest::hint(found, what, known);
     Hint { help, list }
 }
 
-/// What may help a reader who wrote an unknown name.
+/// Notes and help for a reader who wrote an unknown name.
 pub(super) struct Hint {
     help: Option<String>,
     list: Option<String>,

@@ -1,14 +1,14 @@
 use super::tree::{Entry, Spanned, Table, Value};
 
-/// Lays `over` onto `base`, key by key; what is no table replaces.
+/// Merges `over` into `base`, key by key; values other than tables replace.
 ///
-/// An input or a result that is a text stands for a table with that `from`, and merges as such: a variant that names
-/// another producer keeps the join, and one that changes the capacity keeps the producer.
+/// An input or a result given as a text is short for a table with that `from` and is merged as one: a variant that
+/// names another producer keeps the join, and a variant that changes the capacity keeps the producer.
 pub(super) fn merge(base: &mut Table, over: Table) {
     merge_at(base, over, &mut Vec::new());
 }
 
-/// The same for tables of nodes by name.
+/// Merges tables of nodes by name, by the rules of [`merge`].
 pub(super) fn merge_nodes(base: &mut Table, over: Table) {
     merge_at(base, over, &mut vec!["node".into()]);
 }

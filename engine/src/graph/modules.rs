@@ -1,10 +1,10 @@
-//! Puts the nodes of modules in the place of the nodes that use them, so that nothing behind knows of modules.
+//! Replaces the nodes that use modules by the modules' own nodes, so that later stages need not know modules.
 
 use super::{
     edit::Edit,
     extends::{self, Chain},
     grammar, header,
-    interface::{self, Inlet, Interface, Knob},
+    interface::{self, InputDecl, Interface, ParamDecl},
     merge::merge_nodes,
     plugins::NamedPlugin,
     remove::Removed,
@@ -24,23 +24,23 @@ use std::{
 /// The kind of a node that uses a module.
 pub(crate) const KIND: &str = "module";
 
-/// So many modules a graph may use: more than anybody writes, few enough to tell a file that holds itself many times.
-const MOST: usize = 1000;
+/// Maximum number of module uses in a graph; a file that contains itself exponentially often exceeds it.
+const MAX_MODULES: usize = 1000;
 
-/// A node that uses a module, after its nodes have taken its place.
+/// A node that used a module and has been replaced by the module's nodes.
 #[derive(Debug, Clone)]
 pub(crate) struct Module {
     /// The node's full name.
     pub(crate) node: String,
     /// The module's file, as shown.
     pub(crate) file: PathBuf,
-    /// Its outputs: the name, the wire in full, and where it is declared; not known if the module is at fault.
+    /// Its outputs: the name, the full name of the wire, and where it is declared; `None` if the module has a fault.
     pub(crate) outputs: Option<Vec<(String, String, Span)>>,
 }
 
-/// What a graph file holds beside the nodes that modules stand for.
+/// Replaces the nodes of a graph that use modules.
 pub(super) struct Flattener<'f> {
-    /// Canonical paths of the files that hold a node, outermost first, with the names shown; by the module's node.
+    /// Canonical paths of the files that contain a node, outermost first, with the names shown; by the module's node.
     files: BTreeMap<String, Vec<(PathBuf, PathBuf)>>,
     n_texts: usize,
     texts: Vec<PathBuf>,
@@ -50,23 +50,23 @@ pub(super) struct Flattener<'f> {
     faults: &'f mut Vec<Fault>,
 }
 
-/// What modules bring along beside their nodes.
+/// Files and plugins that modules add to a graph.
 pub(super) struct Within {
     pub(super) modules: Vec<Module>,
-    /// The files asked for.
+    /// The module files, whether or not they could be read.
     pub(super) texts: Vec<PathBuf>,
-    /// The plugins that they name.
+    /// The plugins named by these files.
     pub(super) plugins: Vec<NamedPlugin>,
 }
 
 impl<'f> Flattener<'f> {
-    /// For the graph file at `path`, which with what it extends has `n_texts` texts.
+    /// A flattener for the graph file at `path`, which consists of `n_texts` texts including those it extends.
     pub(super) fn new(path: &Path, n_texts: usize, removed: &'f mut Removed, faults: &'f mut Vec<Fault>) -> Self {
         let files = BTreeMap::from([(String::new(), vec![(extends::canonical(path), extends::tidy(path))])]);
         Self { files, n_texts, texts: Vec::new(), modules: Vec::new(), plugins: Vec::new(), removed, faults }
     }
 
-    /// Puts nodes in the place of modules until there is none.
+    /// Replaces modules by their nodes until none is left.
     pub(super) fn flatten(mut self, table: &mut Table, mut edits: Vec<Edit>) -> Within {
         let mut at = 0;
         while let Some(nodes) = nodes_of(table) {
@@ -76,8 +76,8 @@ impl<'f> Flattener<'f> {
                 continue;
             }
             let user = nodes.0.remove(at);
-            if self.modules.len() == MOST {
-                let fault = Fault::new(format!("the graph uses more than {MOST} modules"));
+            if self.modules.len() == MAX_MODULES {
+                let fault = Fault::new(format!("the graph uses more than {MAX_MODULES} modules"));
                 self.faults.push(fault.at(&user.key_at, "one too many").help("does a module hold itself many times?"));
                 break;
             }
@@ -89,7 +89,7 @@ impl<'f> Flattener<'f> {
         Within { modules: self.modules, texts: self.texts, plugins: self.plugins }
     }
 
-    /// Puts the nodes of a module at their place, under what the graph says of each of them.
+    /// Inserts the nodes of a module and merges the graph's own settings of these nodes into them.
     fn insert(&mut self, table: &mut Table, at: usize, mut within: Table, edits: &mut Vec<Edit>) {
         let Some(nodes) = nodes_of(table) else { return };
         let (mut over, mut kept, mut place) = (Table::default(), Vec::new(), at);
@@ -102,7 +102,7 @@ impl<'f> Flattener<'f> {
             }
         }
         merge_nodes(&mut within, over);
-        // The other edits may be of a module within the module.
+        // The remaining edits may concern a module inside this module.
         for edit in std::mem::take(edits) {
             match edit.is_within(&within) {
                 true => self.faults.extend(edit.apply_to_nodes(&mut within).err().map(|fault| *fault)),
@@ -113,7 +113,7 @@ impl<'f> Flattener<'f> {
         nodes.0 = kept;
     }
 
-    /// The nodes that the module stands for, under their full names, fed and set as the node that uses it says.
+    /// The nodes of the module under their full names, with inputs and parameters set by the node that uses it.
     fn module(&mut self, user: &Entry) -> Table {
         let node = user.key.as_str();
         let mut module = Module { node: node.into(), file: PathBuf::new(), outputs: None };
@@ -134,7 +134,7 @@ impl<'f> Flattener<'f> {
         let text = take::text(&file.value, &format!("node \"{node}\": file"), self.faults)?;
         let path = relative(&file.value.at, text);
         module.file = extends::tidy(&path);
-        self.see_no_circle(node, &path, &file.value.at)?;
+        self.refuse_cycle(node, &path, &file.value.at)?;
         self.texts.push(path.clone());
         let text = match extends::read(&path) {
             Ok(text) => text,
@@ -174,14 +174,15 @@ impl<'f> Flattener<'f> {
         uses.parameters(&interface.params, &mut nodes, self.faults);
         uses.inputs(&interface.inputs, &mut nodes, self.faults);
         uses.unknown(&interface, self.faults);
-        let outlets = interface.outputs.into_iter();
-        let outlets = outlets.map(|outlet| (outlet.name, format!("{prefix}{}", outlet.from), outlet.from_at));
-        module.outputs = Some(outlets.collect());
+        let output_decls = interface.outputs.into_iter();
+        let output_decls = output_decls
+            .map(|output_decl| (output_decl.name, format!("{prefix}{}", output_decl.from), output_decl.from_at));
+        module.outputs = Some(output_decls.collect());
         Some(nodes)
     }
 
-    /// Notes the files that the module's nodes lie in; `None` with a fault if one of them is the module itself.
-    fn see_no_circle(&mut self, node: &str, path: &Path, at: &Span) -> Option<()> {
+    /// Records the files that contain the module's nodes; `None`, with a fault, if the module contains itself.
+    fn refuse_cycle(&mut self, node: &str, path: &Path, at: &Span) -> Option<()> {
         let parent = node.rfind('/').map_or("", |slash| &node[..slash]);
         let mut files = self.files.get(parent).or_else(|| self.files.get(""))?.clone();
         let (same, shown) = (extends::canonical(path), extends::tidy(path));
@@ -197,7 +198,7 @@ impl<'f> Flattener<'f> {
     }
 }
 
-/// Faults where a module says what is to be kept of a run: that is for the graph that uses it.
+/// Faults for `[record]` and `[results]` in a module; they belong in the graph that uses it.
 pub(crate) fn no_results(module: &Table, wire: &str, faults: &mut Vec<Fault>) {
     for (key, table) in [("record", "[record]"), ("results", "[results]")] {
         if let Some(entry) = module.get(key) {
@@ -207,20 +208,20 @@ pub(crate) fn no_results(module: &Table, wire: &str, faults: &mut Vec<Fault>) {
     }
 }
 
-/// What stands for the nodes of a module file that is checked alone: its inputs are fed from outside.
-pub(super) fn stand_alone(table: &mut Table, interface: &Interface, faults: &mut Vec<Fault>) {
+/// Prepares the nodes of a module file that is checked alone: its inputs are fed by placeholders.
+pub(super) fn prepare_alone(table: &mut Table, interface: &Interface, faults: &mut Vec<Fault>) {
     let Some(table) = nodes_of(table) else { return };
-    for knob in &interface.params {
-        let default = knob.default.iter();
-        for ((to, at), value) in knob.to.iter().flat_map(|to| default.clone().map(move |value| (to, value))) {
-            set(table, "", to, at, value.clone(), "module parameter", &knob.name, faults);
+    for param_decl in &interface.params {
+        let default = param_decl.default.iter();
+        for ((to, at), value) in param_decl.to.iter().flat_map(|to| default.clone().map(move |value| (to, value))) {
+            set(table, "", to, at, value.clone(), "module parameter", &param_decl.name, faults);
         }
     }
     let mut fed = Vec::new();
-    for inlet in &interface.inputs {
-        for (to, at) in &inlet.to {
-            let value = Spanned { value: Value::Outside(inlet.name.clone()), at: inlet.name_at.clone() };
-            feed(table, "", inlet, (to, at), value, &mut fed, faults);
+    for input_decl in &interface.inputs {
+        for (to, at) in &input_decl.to {
+            let value = Spanned { value: Value::Outside(input_decl.name.clone()), at: input_decl.name_at.clone() };
+            feed(table, "", input_decl, (to, at), value, &mut fed, faults);
         }
     }
 }
@@ -234,74 +235,77 @@ struct User<'a> {
 }
 
 impl User<'_> {
-    fn parameters(&self, knobs: &[Knob], nodes: &mut Table, faults: &mut Vec<Fault>) {
-        for knob in knobs {
-            let given = self.table.get(&knob.name).map(|entry| &entry.value);
-            if given.is_none() && knob.required {
-                let (node, name) = (&self.user.key, &knob.name);
+    fn parameters(&self, param_decls: &[ParamDecl], nodes: &mut Table, faults: &mut Vec<Fault>) {
+        for param_decl in param_decls {
+            let given = self.table.get(&param_decl.name).map(|entry| &entry.value);
+            if given.is_none() && param_decl.required {
+                let (node, name) = (&self.user.key, &param_decl.name);
                 let fault = Fault::new(format!("node \"{node}\": parameter \"{name}\" of the module is missing"));
-                let fault = fault.at(&self.user.key_at, format!("needs {name}")).note_if(said(name, &knob.doc));
+                let fault =
+                    fault.at(&self.user.key_at, format!("needs {name}")).note_if(describe(name, &param_decl.doc));
                 faults.push(fault.help(format!("add {name} = ..")).follows());
             }
-            let Some(value) = given.or(knob.default.as_ref()) else { continue };
-            for (to, at) in &knob.to {
-                set(nodes, self.prefix, to, at, value.clone(), "module parameter", &knob.name, faults);
+            let Some(value) = given.or(param_decl.default.as_ref()) else { continue };
+            for (to, at) in &param_decl.to {
+                set(nodes, self.prefix, to, at, value.clone(), "module parameter", &param_decl.name, faults);
             }
         }
     }
 
-    fn inputs(&self, inlets: &[Inlet], nodes: &mut Table, faults: &mut Vec<Fault>) {
+    fn inputs(&self, input_decls: &[InputDecl], nodes: &mut Table, faults: &mut Vec<Fault>) {
         let node = &self.user.key;
         let given = self.table.get("in");
         let given = given.and_then(|entry| take::table(&entry.value, &format!("node \"{node}\": in"), faults));
         let mut fed = Vec::new();
-        for inlet in inlets {
-            let value = match given.and_then(|given| given.get(&inlet.name)) {
+        for input_decl in input_decls {
+            let value = match given.and_then(|given| given.get(&input_decl.name)) {
                 Some(entry) => entry.value.clone(),
-                // What leads nowhere is at fault already.
-                None if inlet.optional || inlet.to.is_empty() => continue,
+                // An input without a target has a fault already.
+                None if input_decl.optional || input_decl.to.is_empty() => continue,
                 None => {
                     let misspelt = given.is_some_and(|given| {
-                        let unknown = given.keys().filter(|key| inlets.iter().all(|inlet| inlet.name != *key));
-                        unknown.into_iter().any(|key| nearest::name(key, [inlet.name.as_str()]).is_some())
+                        let unknown =
+                            given.keys().filter(|key| input_decls.iter().all(|input_decl| input_decl.name != *key));
+                        unknown.into_iter().any(|key| nearest::name(key, [input_decl.name.as_str()]).is_some())
                     });
                     if !misspelt {
-                        faults.push(self.missing(inlet));
+                        faults.push(self.missing(input_decl));
                     }
-                    // What it would feed is not missing as well.
-                    Spanned { value: Value::Outside(inlet.name.clone()), at: inlet.name_at.clone() }
+                    // The inner ports are fed by a placeholder, so that they are not reported as missing too.
+                    Spanned { value: Value::Outside(input_decl.name.clone()), at: input_decl.name_at.clone() }
                 }
             };
-            for (to, at) in &inlet.to {
-                feed(nodes, self.prefix, inlet, (to, at), value.clone(), &mut fed, faults);
+            for (to, at) in &input_decl.to {
+                feed(nodes, self.prefix, input_decl, (to, at), value.clone(), &mut fed, faults);
             }
         }
     }
 
-    fn missing(&self, inlet: &Inlet) -> Fault {
-        let (node, name) = (&self.user.key, &inlet.name);
+    fn missing(&self, input_decl: &InputDecl) -> Fault {
+        let (node, name) = (&self.user.key, &input_decl.name);
         let at = self.table.get("in").map_or(&self.user.key_at, |entry| &entry.key_at);
         let fault = Fault::new(format!("node \"{node}\": input \"{name}\" of the module is wired to nothing"));
-        let fault = fault.at(at, format!("needs {name}")).also(&inlet.name_at, "declared here");
-        let feeds: Vec<_> = inlet.to.iter().map(|(to, _)| to.as_str()).collect();
+        let fault = fault.at(at, format!("needs {name}")).also(&input_decl.name_at, "declared here");
+        let feeds: Vec<_> = input_decl.to.iter().map(|(to, _)| to.as_str()).collect();
         let note = format!("within the module it feeds {}", feeds.join(", "));
-        fault.note_if(said(name, &inlet.doc)).note(note).help(format!("wire {name} = \"node.port\"")).follows()
+        fault.note_if(describe(name, &input_decl.doc)).note(note).help(format!("wire {name} = \"node.port\"")).follows()
     }
 
-    /// Faults for keys and inputs that the module does not have.
+    /// Faults for keys and inputs that the module does not declare.
     fn unknown(&self, interface: &Interface, faults: &mut Vec<Fault>) {
         let (node, file) = (&self.user.key, self.file.display());
-        let inlets = || interface.inputs.iter().map(|inlet| inlet.name.as_str());
+        let input_decls = || interface.inputs.iter().map(|input_decl| input_decl.name.as_str());
         let given = self.table.get("in").and_then(|entry| entry.value.as_table());
-        for entry in given.into_iter().flat_map(|given| &given.0).filter(|entry| inlets().all(|name| name != entry.key))
+        for entry in
+            given.into_iter().flat_map(|given| &given.0).filter(|entry| input_decls().all(|name| name != entry.key))
         {
             let fault = Fault::new(format!("node \"{node}\": module {file} has no input \"{}\"", entry.key));
-            let fault = interface::hint(&entry.key, "its inputs", inlets()).on(fault.at(&entry.key_at, "unknown"));
-            let none = inlets().next().is_none().then(|| "it has no inputs".to_owned());
+            let fault = interface::hint(&entry.key, "its inputs", input_decls()).on(fault.at(&entry.key_at, "unknown"));
+            let none = input_decls().next().is_none().then(|| "it has no inputs".to_owned());
             faults.push(fault.note_if(none));
         }
-        let knobs = || interface.params.iter().map(|knob| knob.name.as_str());
-        let is_known = |key: &str| grammar::MODULE_NODE.contains(&key) || knobs().any(|name| name == key);
+        let param_decls = || interface.params.iter().map(|param_decl| param_decl.name.as_str());
+        let is_known = |key: &str| grammar::MODULE_NODE.contains(&key) || param_decls().any(|name| name == key);
         for entry in self.table.0.iter().filter(|entry| !is_known(&entry.key)) {
             let key = entry.key.as_str();
             let fault = Fault::new(format!("node \"{node}\": module {file} has no parameter \"{key}\""));
@@ -309,12 +313,12 @@ impl User<'_> {
             faults.push(match key {
                 "on_error" => fault.help(format!("say it of a node within: [node.\"{node}/NAME\"] on_error = ..")),
                 "out" => fault.help("its outputs are those that the module declares: take out away"),
-                _ => match unit::other(key, None, knobs()) {
+                _ => match unit::same_quantity(key, None, param_decls()) {
                     Some(other) => fault.help(format!("did you mean \"{}\"? the unit is part of the name", other.name)),
                     None => {
-                        let none = knobs().next().is_none().then(|| "it has no parameters".to_owned());
+                        let none = param_decls().next().is_none().then(|| "it has no parameters".to_owned());
                         let within = format!("a key of a node within is set by [node.\"{node}/NAME\"] {key} = ..");
-                        interface::hint(key, "its parameters", knobs()).on(fault).note_if(none).note(within)
+                        interface::hint(key, "its parameters", param_decls()).on(fault).note_if(none).note(within)
                     }
                 },
             });
@@ -322,11 +326,11 @@ impl User<'_> {
     }
 }
 
-/// Leads a value to a port within the module, whatever else the module says of the port.
+/// Sets the producer of a port of the module and keeps the port's other settings.
 fn feed(
     nodes: &mut Table,
     prefix: &str,
-    inlet: &Inlet,
+    input_decl: &InputDecl,
     (to, at): (&str, &Span),
     value: Spanned,
     fed: &mut Vec<(String, String)>,
@@ -334,12 +338,12 @@ fn feed(
 ) {
     let Some((node, port)) = to.split_once('.') else { return };
     if let Some((_, other)) = fed.iter().find(|(target, _)| target == to) {
-        let message = format!("module inputs \"{other}\" and \"{}\" both feed {to}", inlet.name);
+        let message = format!("module inputs \"{other}\" and \"{}\" both feed {to}", input_decl.name);
         let fault = Fault::new(message).at(at, "the second");
         faults.push(fault.help("an input has one producer; let one of them go elsewhere"));
         return;
     }
-    fed.push((to.into(), inlet.name.clone()));
+    fed.push((to.into(), input_decl.name.clone()));
     let there = nodes.get(&format!("{prefix}{node}"));
     let there = there.and_then(|node| node.value.as_table()?.get("in")?.value.as_table()?.get(port));
     let wired = there.filter(|port| match &port.value.value {
@@ -347,15 +351,15 @@ fn feed(
         Value::Table(table) => table.get("from").is_some(),
         _ => false,
     });
-    if let Some(wired) = wired.filter(|_| !inlet.optional) {
-        let message = format!("module input \"{}\" feeds {to}, which the module wires itself", inlet.name);
+    if let Some(wired) = wired.filter(|_| !input_decl.optional) {
+        let message = format!("module input \"{}\" feeds {to}, which the module wires itself", input_decl.name);
         let fault = Fault::new(message).at(at, "has a producer").also(&wired.key_at, "wired here");
         faults.push(fault.help("take one away, or add optional = true if that wire stands where nothing is given"));
     }
-    set(nodes, prefix, &format!("{node}.in.{port}"), at, value, "module input", &inlet.name, faults);
+    set(nodes, prefix, &format!("{node}.in.{port}"), at, value, "module input", &input_decl.name, faults);
 }
 
-/// Writes a value at `to`, a node within the module and the keys below it.
+/// Writes a value at `to`, the path of an inner node and its keys.
 #[allow(clippy::too_many_arguments, reason = "a place, a value, and who asks for it")]
 fn set(
     nodes: &mut Table,
@@ -388,7 +392,7 @@ fn set(
     merge_nodes(nodes, over);
 }
 
-/// Gives the nodes of a module their full names, in their wires as well.
+/// Prefixes the names of a module's nodes, also in their wires.
 fn rename(nodes: &mut Table, prefix: &str) {
     for entry in &mut nodes.0 {
         entry.key.insert_str(0, prefix);
@@ -408,7 +412,7 @@ fn rename(nodes: &mut Table, prefix: &str) {
     }
 }
 
-fn said(name: &str, doc: &str) -> Option<String> {
+fn describe(name: &str, doc: &str) -> Option<String> {
     (!doc.is_empty()).then(|| format!("{name}: {doc}"))
 }
 

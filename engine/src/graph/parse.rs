@@ -6,7 +6,7 @@ use crate::fault::{Fault, SourceText, Span};
 use std::{ops::Range, sync::Arc};
 use toml::de::{DeTable, DeValue};
 
-/// The tree of a text, as far as it could be read, and its syntax faults.
+/// The tree of a text, as far as it can be parsed; adds its syntax faults.
 pub(super) fn parse(source: &Arc<SourceText>, faults: &mut Vec<Fault>) -> Table {
     let (table, errors) = DeTable::parse_recoverable(&source.text);
     let tree = convert_table(table.get_ref(), source, 0);
@@ -14,7 +14,7 @@ pub(super) fn parse(source: &Arc<SourceText>, faults: &mut Vec<Fault>) -> Table 
     tree
 }
 
-/// The value in a part of a text, if that part is one.
+/// The value in a range of a text, if it parses as one.
 pub(super) fn parse_value(source: &Arc<SourceText>, range: Range<usize>) -> Option<Spanned> {
     let text = &source.text[range.clone()];
     let value = DeValue::parse(text).ok()?;
@@ -29,7 +29,7 @@ fn convert_table(table: &DeTable<'_>, source: &Arc<SourceText>, offset: usize) -
         Entry { key: key.to_string(), key_at, value }
     };
     let mut entries: Vec<_> = table.iter().map(entry).collect();
-    // The parser moves entries about when a table is opened twice; the order of the text is the one that is meant.
+    // The parser reorders entries when a table is opened twice; restore the order of the text.
     entries.sort_by_key(|entry| entry.key_at.range.start);
     Table(entries)
 }

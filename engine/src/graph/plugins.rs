@@ -6,19 +6,19 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone)]
 pub(crate) struct NamedPlugin {
     pub(crate) text: String,
-    /// What it is relative to.
+    /// The folder that its path is relative to.
     pub(crate) dir: PathBuf,
     pub(crate) at: Option<Span>,
 }
 
 impl NamedPlugin {
-    /// Of a file that a recording names.
+    /// A plugin file that a recording names.
     pub(crate) fn file(path: &Path) -> Self {
         Self { text: path.display().to_string(), dir: PathBuf::new(), at: None }
     }
 }
 
-/// What a file names under `plugins`, taken out of its table.
+/// Removes `plugins` from a file's table and returns the plugins it names.
 pub(super) fn take(table: &mut Table, faults: &mut Vec<Fault>) -> Vec<NamedPlugin> {
     let Some(entry) = table.remove("plugins") else { return Vec::new() };
     let Value::Array(items) = &entry.value.value else {

@@ -4,21 +4,21 @@ use crate::{
     names::nearest,
 };
 
-/// What was taken away by `remove`, and by which file: a fault about what is missing shows it.
+/// Paths removed by `remove`, with the file that removed each; a fault about something missing points at it.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Removed {
     done: Vec<(String, Span)>,
-    /// What lies inside modules, which are not read yet: its path, where it is named, and whether it was found.
+    /// Paths inside modules, which are not read yet: the path, its place, and whether it was found.
     inside: Vec<(String, Span, bool)>,
 }
 
 impl Removed {
-    /// Where `path`, such as `node.icp`, was taken away.
+    /// Where `path`, such as `node.icp`, was removed.
     pub(crate) fn at(&self, path: &str) -> Option<&Span> {
         self.done.iter().rev().find(|(removed, _)| removed == path).map(|(_, at)| at)
     }
 
-    /// Takes from `base` what `remove` of `over` names.
+    /// Removes from `base` the paths listed in `remove` of `over`.
     pub(super) fn take_from(&mut self, base: &mut Table, over: &mut Table, faults: &mut Vec<Fault>) {
         let Some(entry) = over.remove("remove") else { return };
         let Value::Array(items) = &entry.value.value else {
@@ -50,7 +50,7 @@ impl Removed {
         }
     }
 
-    /// Takes from the nodes of a module, under their full names, what the graph that uses it removes.
+    /// Removes from the nodes of a module, under their full names, the paths that the graph using it removes.
     pub(super) fn take_inside(&mut self, node: &str, nodes: &mut Table) {
         for (path, at, found) in &mut self.inside {
             let Some(within) = path.strip_prefix("node.") else { continue };
@@ -62,26 +62,26 @@ impl Removed {
         }
     }
 
-    /// Faults for what was to be removed inside modules and is not there.
+    /// Faults for paths inside modules that were to be removed and do not exist.
     pub(super) fn not_found(&self, flat: &Table, faults: &mut Vec<Fault>) {
         let missing = self.inside.iter().filter(|(_, _, found)| !found);
         faults.extend(missing.map(|(path, at, _)| nothing_there(flat, path, at)));
     }
 }
 
-/// The node that a path such as `node.a/b.key` lies in.
+/// The node that contains a path such as `node.a/b.key`.
 fn node_of(path: &str) -> Option<&str> {
     path.strip_prefix("node.")?.split('.').next()
 }
 
 fn remove_path(table: &mut Table, path: &str) -> bool {
     if table.remove(path).is_some() {
-        // What was set inside a module goes with its node.
+        // Settings inside a module are removed with its node.
         let inside = format!("{path}/");
         table.0.retain(|entry| !entry.key.starts_with(&inside));
         return true;
     }
-    // The key of a result has dots of its own, and a group of results is named by what they share.
+    // The key of a result contains dots, and a group of results is named by its common prefix.
     let group = format!("{path}.");
     let before = table.0.len();
     table.0.retain(|entry| !entry.key.starts_with(&group));
@@ -112,7 +112,7 @@ fn nothing_there(base: &Table, path: &str, at: &Span) -> Fault {
         }
     }
     let message = format!("nothing to remove: the extended graph has no \"{path}\"");
-    // A path without its first word was meant to name a node.
+    // A path without its first word most likely names a node.
     let near = known.iter().find(|known| known.strip_prefix("node.") == Some(path)).map(String::as_str);
     let near = near.or_else(|| nearest::name(path, known.iter().map(String::as_str)));
     let help = near.map(|near| format!("did you mean \"{near}\"?"));

@@ -20,28 +20,28 @@ use std::{
 const TOP: [&str; 7] = ["graph", "node", "record", "results", "remove", "module", "sweep"];
 const PREFIX: &str = "--set ";
 
-/// Settings, each `KEY=VALUE`, and where they stand.
+/// Settings, each `KEY=VALUE`, and where they are written.
 pub(super) struct Sets<'a> {
     sets: &'a [String],
     name: PathBuf,
-    /// What their relative paths are relative to.
+    /// The folder that relative paths are relative to.
     dir: PathBuf,
 }
 
 impl<'a> Sets<'a> {
-    /// Those of the command line.
+    /// Settings of the command line.
     pub(super) fn command_line(sets: &'a [String]) -> Self {
         Self { sets, name: "command line".into(), dir: std::env::current_dir().unwrap_or_default() }
     }
 
-    /// Those of a run of the sweep that the graph file at `path` asks for.
+    /// Settings of one run of the sweep in the graph file at `path`.
     pub(super) fn row(sets: &'a [String], path: &Path) -> Self {
         let dir = std::path::absolute(path).ok().and_then(|path| path.parent().map(Path::to_path_buf));
         Self { sets, name: format!("[sweep] of {}", tidy(path).display()).into(), dir: dir.unwrap_or_default() }
     }
 }
 
-/// Lays settings onto the graph, in their order; answers those that lie inside modules.
+/// Applies settings to the graph in their order; returns the edits of nodes inside modules.
 pub(super) fn apply(table: &mut Table, sets: &Sets<'_>, removed: &mut Removed, faults: &mut Vec<Fault>) -> Vec<Edit> {
     let mut inside = Vec::new();
     if sets.sets.is_empty() {
@@ -62,7 +62,7 @@ pub(super) fn apply(table: &mut Table, sets: &Sets<'_>, removed: &mut Removed, f
     inside
 }
 
-/// Settings as a text, and where in it each `KEY=VALUE` stands.
+/// The settings as one text, and the range of each `KEY=VALUE` in it.
 fn source(sets: &Sets<'_>) -> (Arc<SourceText>, Vec<Range<usize>>) {
     let (mut text, mut ranges) = (String::new(), Vec::new());
     for set in sets.sets {
@@ -77,24 +77,24 @@ fn source(sets: &Sets<'_>) -> (Arc<SourceText>, Vec<Range<usize>>) {
     (Arc::new(SourceText { name, dir, text, order, command_line: true, used: None }), ranges)
 }
 
-/// A parameter of a node that no graph file holds, as the command line gives it.
+/// A parameter of a node that is not in a graph file, as given on the command line.
 #[derive(Debug, Clone, Copy)]
 pub enum Given<'a> {
     /// `--set KEY=VALUE`.
     Set(&'a str),
-    /// An option of its own, such as `--max-iterations 50`.
+    /// A dedicated option, such as `--max-iterations 50`.
     Option {
         /// The option without its dashes.
         option: &'a str,
-        /// The parameter it stands for.
+        /// The parameter that it sets.
         key: &'a str,
-        /// The value in the words of a graph file.
+        /// The value as a graph file would write it.
         value: &'a str,
     },
 }
 
-/// The table of a node of which only the command line tells, in its order: what comes later outranks. And all of the
-/// command line, for faults about what is not there.
+/// The table of a node that exists only on the command line; later settings override earlier ones. The span covers the
+/// whole command line, for faults about missing parameters.
 pub(crate) fn table_of(given: &[Given<'_>], faults: &mut Vec<Fault>) -> (Table, Span) {
     let lines: Vec<_> = given
         .iter()
@@ -136,16 +136,16 @@ pub(crate) fn table_of(given: &[Given<'_>], faults: &mut Vec<Fault>) -> (Table, 
     (table, Span::new(&source, 0..0))
 }
 
-/// What one `--set` asks for.
+/// The effect of one `--set`.
 enum Setting {
     /// Keys and a value, as a graph file would hold them.
     Overlay(Table),
-    /// An item of a list, or more of them.
+    /// A change to a list: one item is replaced, or items are appended.
     Edit(Edit),
 }
 
 impl Setting {
-    /// Without a graph the key is that of a node's parameter.
+    /// Without a graph, the key is that of a node's parameter.
     fn read(source: &Arc<SourceText>, range: Range<usize>, graph: Option<&Table>) -> Result<Self, Box<Fault>> {
         let text = &source.text[range.clone()];
         let span = Span::new(source, range.clone());
@@ -223,7 +223,7 @@ fn parts(text: &str, offset: usize) -> Vec<Range<usize>> {
     parts
 }
 
-/// A part of a key, and the indices that follow it: `rounds[1]`.
+/// A part of a key and the indices after it: `rounds[1]`.
 fn indices(source: &Arc<SourceText>, at: Range<usize>) -> Result<(Key, Vec<Index>), Box<Fault>> {
     let text = &source.text[at.clone()];
     let quoted = text.starts_with(['"', '\'']);
@@ -247,7 +247,8 @@ fn indices(source: &Arc<SourceText>, at: Range<usize>) -> Result<(Key, Vec<Index
     Ok((key, found))
 }
 
-/// The key of a result has dots of its own; only `all`, `optional` and `from` of an entry that is there go deeper.
+/// Splits the path of a result, whose key may contain dots; only `all`, `optional` and `from` of an existing entry are
+/// separate parts.
 fn result_path(path: Vec<Key>, table: &Table) -> Vec<Key> {
     let join = |keys: &[Key]| -> Key {
         let names: Vec<_> = keys.iter().map(|(key, _)| key.as_str()).collect();
@@ -265,7 +266,7 @@ fn result_path(path: Vec<Key>, table: &Table) -> Vec<Key> {
     }
 }
 
-/// The value as TOML, or else the bare text.
+/// The value parsed as TOML, otherwise the bare text.
 fn value(source: &Arc<SourceText>, range: Range<usize>) -> Spanned {
     let text = &source.text[range.clone()];
     let blank = text.len() - text.trim_start().len();

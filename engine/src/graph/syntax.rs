@@ -3,11 +3,11 @@ use crate::fault::{Fault, SourceText, Span};
 use std::{ops::Range, sync::Arc};
 use toml::de::Error;
 
-/// The faults of a text that is not TOML, without those that only follow from one before.
+/// The syntax faults of a text, without those that only follow from an earlier one.
 pub(super) fn faults(errors: &[Error], source: &Arc<SourceText>, tree: &Table) -> Vec<Fault> {
     let mut faults: Vec<Fault> = Vec::new();
     let mut lost: Vec<Range<usize>> = Vec::new();
-    // What is never closed swallows everything behind it: it is the one fault there.
+    // An unclosed bracket swallows the rest of the text, so it is the only fault reported.
     for error in errors.iter().filter(|error| is_unclosed(error)) {
         let end = error.span().unwrap_or_default().start;
         let Some(open) = opened(tree, end) else { continue };
@@ -41,7 +41,7 @@ fn is_unclosed(error: &Error) -> bool {
     error.message().starts_with("unclosed array,") || error.message().starts_with("unclosed inline table")
 }
 
-/// The outermost list or inline table that is still open at `end`, with all that it swallows.
+/// The outermost list or inline table that is still open at `end`, with the text that it swallows.
 fn opened(tree: &Table, end: usize) -> Option<Span> {
     let mut best: Option<Span> = None;
     visit(tree, &mut Vec::new(), &mut |entry, _| {
@@ -51,7 +51,7 @@ fn opened(tree: &Table, end: usize) -> Option<Span> {
             Value::Table(_) if at.text().starts_with('{') => '}',
             _ => return,
         };
-        // The parser gives some up at the next header, others at the end of the file.
+        // The parser gives up on some at the next header, on others at the end of the file.
         let open = at.range.end >= end || !at.text().trim_end().ends_with(close);
         if open && at.range.start < end && best.as_ref().is_none_or(|b| at.range.start < b.range.start) {
             best = Some(Span::new(&at.source, at.range.start..at.range.end.max(end)));
@@ -76,7 +76,7 @@ fn wording(message: &str, at: &Span) -> Fault {
     Fault::new(format!("this is not TOML: {what}")).at(at, label)
 }
 
-/// A key or table written twice, and the text that has no place because of it. The tree holds the first key.
+/// The fault of a duplicate key or table, and the text that is dropped because of it. The tree holds the first key.
 fn duplicate(at: &Span, tree: &Table) -> (Fault, Option<Range<usize>>) {
     let key = at.text().trim_matches(['"', '\'']);
     if let Some(header) = header_of(at) {
@@ -111,7 +111,7 @@ fn duplicate(at: &Span, tree: &Table) -> (Fault, Option<Range<usize>>) {
     }
 }
 
-/// The table header, such as `[node.icp]`, that the place lies in.
+/// The table header, such as `[node.icp]`, of the table that contains the place.
 fn header_of(at: &Span) -> Option<&str> {
     let text = &at.source.text;
     let line = text[line_start(text, at.range.start)..].lines().next()?;
@@ -122,7 +122,7 @@ fn line_start(text: &str, offset: usize) -> usize {
     text[..offset].rfind('\n').map_or(0, |at| at + 1)
 }
 
-/// The latest key of that name before `at`, and the path of the table that holds it.
+/// The last key of that name before `at`; `path` is set to the path of its table.
 fn first_of(table: &Table, key: &str, at: &Span, path: &mut Vec<String>) -> Option<Span> {
     let mut best: Option<(Span, Vec<String>)> = None;
     visit(table, &mut Vec::new(), &mut |entry, path| {

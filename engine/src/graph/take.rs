@@ -1,12 +1,12 @@
-//! Values of the graph file's own keys.
+//! Reads values of the graph file's own keys.
 
 use super::{Entry, Spanned, Table, Value};
 use crate::{fault::Fault, names::nearest};
 
-/// The text of an entry that must be one.
+/// The text of an entry; a fault if it is something else.
 pub(crate) fn text<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<&'a str> {
     let text = value.as_text().or_else(|| match &value.value {
-        // On the command line a text needs no quotes, even where it looks like a number.
+        // On the command line a text needs no quotes, even if it looks like a number.
         Value::Array(_) | Value::Table(_) | Value::Outside(_) => None,
         _ => value.at.source.command_line.then(|| value.at.text()),
     });
@@ -24,14 +24,14 @@ pub(crate) fn boolean(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> O
     None
 }
 
-/// A whole number from `least` to `most`.
-pub(crate) fn whole(value: &Spanned, what: &str, least: u64, most: u64, faults: &mut Vec<Fault>) -> Option<u64> {
+/// A whole number from `min` to `max`.
+pub(crate) fn whole(value: &Spanned, what: &str, min: u64, max: u64, faults: &mut Vec<Fault>) -> Option<u64> {
     if let Value::Int(number) = value.value
-        && let Some(number) = u64::try_from(number).ok().filter(|n| (least..=most).contains(n))
+        && let Some(number) = u64::try_from(number).ok().filter(|n| (min..=max).contains(n))
     {
         return Some(number);
     }
-    faults.push(wrong(value, what, &format!("a whole number of at least {least}")));
+    faults.push(wrong(value, what, &format!("a whole number of at least {min}")));
     None
 }
 
@@ -49,7 +49,7 @@ pub(crate) fn bytes(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Opt
     None
 }
 
-/// The bytes of `1.5 GiB`; a unit is needed, and nothing beyond 2⁶³ bytes is one.
+/// The bytes of `1.5 GiB`; the unit is required, and values above 2⁶³ are refused.
 fn bytes_of(text: &str) -> Option<u64> {
     let text = text.trim();
     let end = text.find(|c: char| c.is_ascii_alphabetic())?;
@@ -69,14 +69,14 @@ fn bytes_of(text: &str) -> Option<u64> {
     (bytes < i64::MAX as f64).then_some(bytes.round() as u64)
 }
 
-/// A duration of at least 0 in milliseconds, in nanoseconds.
+/// A duration in milliseconds, at least 0; returns nanoseconds.
 pub(crate) fn milliseconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<i64> {
     let ms = match value.value {
         Value::Int(number) => number as f64,
         Value::Float(number) => number,
         _ => f64::NAN,
     };
-    // Up to a thousand years, so that nothing overflows.
+    // At most about a thousand years, so that nothing overflows.
     if (0.0..3.2e13).contains(&ms) {
         return Some((ms * 1e6).round() as i64);
     }
@@ -97,7 +97,7 @@ fn wrong(value: &Spanned, what: &str, takes: &str) -> Fault {
     Fault::new(message).at(&value.at, format!("{takes} is needed"))
 }
 
-/// Faults for the keys of a table that are not known there.
+/// Faults for unknown keys of a table.
 pub(crate) fn only(table: &Table, known: &[&str], place: &str, faults: &mut Vec<Fault>) {
     for Entry { key, key_at, .. } in table.0.iter().filter(|entry| !known.contains(&entry.key.as_str())) {
         let fault = Fault::new(format!("{place} has no key \"{key}\"")).at(key_at, "unknown");
@@ -106,12 +106,12 @@ pub(crate) fn only(table: &Table, known: &[&str], place: &str, faults: &mut Vec<
     }
 }
 
-/// Whether it may name a node: a name, or names with `/` between them, as modules give to the nodes within.
+/// Whether the text is a valid node name: a name, or names joined by `/`, as for nodes of modules.
 pub(crate) fn is_node_name(name: &str) -> bool {
     name.split('/').all(is_name)
 }
 
-/// Whether a name may stand in a wire without quotes: letters, digits, `_` and `-`.
+/// Whether the text may be a name in a wire: letters, digits, `_` and `-`.
 pub(crate) fn is_name(name: &str) -> bool {
     !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
 }

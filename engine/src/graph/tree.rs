@@ -17,7 +17,7 @@ pub(crate) enum Value {
     Date(String),
     Array(Vec<Spanned>),
     Table(Table),
-    /// What the graph that uses this module will wire to the input of that name.
+    /// A placeholder for the wire that the graph using this module connects to the input of that name.
     Outside(String),
 }
 
@@ -67,7 +67,7 @@ impl Spanned {
         }
     }
 
-    /// The value for a program.
+    /// The value as JSON.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         match &self.value {
             Value::Bool(value) => (*value).into(),
@@ -84,7 +84,7 @@ impl Spanned {
         }
     }
 
-    /// What was found, in the words of a fault: `the text "5 mm"`, `a list`.
+    /// Describes the value for a fault: `the text "5 mm"`, `a list`.
     pub(crate) fn found(&self) -> String {
         match &self.value {
             Value::Bool(value) => value.to_string(),

@@ -1,6 +1,6 @@
-//! Units that a name ends in, and what to write when another was used.
+//! Unit suffixes of names, and suggestions where a name has the wrong unit.
 
-/// A unit and its size in the first of its kind.
+/// A unit, and its size relative to the first unit of the same quantity.
 struct Unit {
     suffix: &'static str,
     kind: u8,
@@ -33,37 +33,37 @@ fn split(name: &str) -> (&str, Option<&'static Unit>) {
 }
 
 /// The known name of the same quantity in another unit, and the value in it.
-pub(crate) struct Other<'a> {
+pub(crate) struct SameQuantity<'a> {
     /// The known name.
     pub(crate) name: &'a str,
     /// Its unit.
     pub(crate) unit: &'static str,
-    /// The value in that unit, where it was a number in a unit that can be turned into it.
+    /// The value converted to that unit, if it was a number in a convertible unit.
     pub(crate) value: Option<f64>,
 }
 
-/// Whether an unknown name is a known one with the unit wrong or left out.
-pub(crate) fn other<'a>(
+/// The known name that differs from `found` only in its unit, if there is one.
+pub(crate) fn same_quantity<'a>(
     found: &str,
     value: Option<f64>,
     known: impl IntoIterator<Item = &'a str>,
-) -> Option<Other<'a>> {
+) -> Option<SameQuantity<'a>> {
     let (stem, from) = split(found);
     known.into_iter().find_map(|name| match split(name) {
         (known_stem, Some(to)) if known_stem == stem && from.is_none_or(|from| from.kind == to.kind) => {
             let value = value.zip(from).map(|(value, from)| round(value * from.size / to.size));
-            Some(Other { name, unit: to.suffix, value })
+            Some(SameQuantity { name, unit: to.suffix, value })
         }
         _ => None,
     })
 }
 
-/// Without the noise of the last bits: 0.005 m are 5 mm, not 5.000000000000001.
+/// Rounds away floating-point noise: 0.005 m is 5 mm, not 5.000000000000001.
 fn round(value: f64) -> f64 {
     format!("{value:.14e}").parse().unwrap_or(value)
 }
 
-/// The number and the unit of a text such as `5 mm`.
+/// Splits a text such as `5 mm` into number and unit.
 pub(crate) fn with_unit(text: &str) -> Option<(f64, &str)> {
     let text = text.trim();
     let end = text.find(|c: char| c.is_alphabetic() && c != 'e' && c != 'E')?;
@@ -73,7 +73,7 @@ pub(crate) fn with_unit(text: &str) -> Option<(f64, &str)> {
     known.then_some((number, unit))
 }
 
-/// The value of `number` in `unit` in the unit that `name` ends in.
+/// Converts `number` from `unit` to the unit that `name` ends in.
 pub(crate) fn in_unit_of(name: &str, number: f64, unit: &str) -> Option<f64> {
     let (_, to) = split(name);
     let from = UNITS.iter().find(|u| u.suffix == unit)?;

@@ -1,8 +1,8 @@
-/// Whether a wire's name fits a pattern: `*` is any run of characters, `?` any one.
+/// Whether a wire's name matches a pattern: `*` matches any characters, `?` any single one.
 pub(crate) fn fits(pattern: &str, name: &str) -> bool {
     let (pattern, name): (Vec<_>, Vec<_>) = (pattern.chars().collect(), name.chars().collect());
     let (mut p, mut n) = (0, 0);
-    // Where to go on if what follows the last star does not fit.
+    // Where to resume if the characters after the last star do not match.
     let mut retry: Option<(usize, usize)> = None;
     while n < name.len() {
         if pattern.get(p) == Some(&'*') {

@@ -1,11 +1,11 @@
-//! The nearest right name, and the list of the known ones where that is short.
+//! Finds the nearest known name, and lists the known names.
 
 use std::path::Path;
 
-/// So many names are shown beside a suggestion.
+/// Maximum number of names listed beside a suggestion.
 const SHORT: usize = 14;
 
-/// So many names are shown where there is no suggestion.
+/// Maximum number of names listed without a suggestion.
 const LONG: usize = 40;
 
 /// The known name that was probably meant.
@@ -19,7 +19,7 @@ pub(crate) fn name<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) ->
             strsim::damerau_levenshtein(&found_lower, &name.to_lowercase())
         };
         let near = distance <= (found.chars().count().max(name.chars().count()) / 3).max(1);
-        if near && best.is_none_or(|(least, _)| distance < least) {
+        if near && best.is_none_or(|(nearest, _)| distance < nearest) {
             best = Some((distance, name));
         }
     }
@@ -32,38 +32,38 @@ fn is_end_of(found: &str, name: &str) -> bool {
     found.len() > 2 && rest.ends_with(['.', '/', '_'])
 }
 
-/// `did you mean "x"?`, where a name is near.
+/// `did you mean "x"?`, if a known name is near.
 pub(crate) fn help<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
     name(found, known).map(|name| format!("did you mean \"{name}\"?"))
 }
 
-/// `known here: a, b, c`, where that is short.
+/// `known here: a, b, c`, if there are at most [`SHORT`].
 pub(crate) fn list<'a>(what: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
     list_of(what, known, SHORT)
 }
 
-/// The name that was probably meant, and the known ones; without a suggestion also where they are many.
+/// A suggestion and the list of known names; without a suggestion the list may be longer.
 pub(crate) fn hint<'a>(
     found: &str,
     what: &str,
     known: impl IntoIterator<Item = &'a str> + Clone,
 ) -> (Option<String>, Option<String>) {
     let help = help(found, known.clone());
-    let most = if help.is_some() { SHORT } else { LONG };
-    (help, list_of(what, known, most))
+    let max = if help.is_some() { SHORT } else { LONG };
+    (help, list_of(what, known, max))
 }
 
-/// The known ones, where they are no more than can be looked through.
+/// The list of known names, if there are at most [`LONG`].
 pub(crate) fn all<'a>(what: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
     list_of(what, known, LONG)
 }
 
-fn list_of<'a>(what: &str, known: impl IntoIterator<Item = &'a str>, most: usize) -> Option<String> {
+fn list_of<'a>(what: &str, known: impl IntoIterator<Item = &'a str>, max: usize) -> Option<String> {
     let known: Vec<_> = known.into_iter().collect();
-    (!known.is_empty() && known.len() <= most).then(|| format!("{what}: {}", known.join(", ")))
+    (!known.is_empty() && known.len() <= max).then(|| format!("{what}: {}", known.join(", ")))
 }
 
-/// A file beside the missing one that was probably meant, or the folder that is missing.
+/// Suggests a similar file name, or names the missing folder.
 pub(crate) fn file(path: &Path) -> Option<String> {
     let folder = match path.parent() {
         Some(parent) if parent.as_os_str().is_empty() => Path::new("."),

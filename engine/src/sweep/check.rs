@@ -54,7 +54,7 @@ pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>, workers: usi
 /// Settings of the command line that no run would use, because a factor or a draw sets their key in all of them. If
 /// some values of a factor do not set the key, the runs with those values use the setting.
 fn overridden(spec: &Spec, sets: &[String]) -> Vec<Fault> {
-    let sets_it = |keys: Vec<SetKey>, asked: &SetKey| keys.iter().any(|key| key.outdoes(asked));
+    let sets_it = |keys: Vec<SetKey>, asked: &SetKey| keys.iter().any(|key| key.overrides(asked));
     let of_all = |factor: &Factor, asked: &SetKey| factor.levels.iter().all(|level| sets_it(level.keys_set(), asked));
     let mut faults = Vec::new();
     for (key, at) in keys_set(sets) {

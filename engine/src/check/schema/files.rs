@@ -4,7 +4,8 @@ use serde_json::Value as Json;
 use std::path::{Component, Path, PathBuf};
 
 impl Walker<'_> {
-    /// An input path: absolute, relative to where it was written; its file or folder is there.
+    /// Reads an input path relative to the file it is written in; returns it absolute. A missing file or folder is a
+    /// fault.
     pub(super) fn path(&mut self, value: &Spanned, text: &str, what: &Quantity) -> Option<Json> {
         let fault = |message: String| Fault::new(format!("{}: {}: {message}", self.owner, what.name));
         let problem = if text.is_empty() {
@@ -41,7 +42,7 @@ fn relative(from: &str) -> String {
     format!("relative to {from}")
 }
 
-/// The path without `.` and `x/..`, unless a link makes that another file.
+/// The path without `.` and `x/..`, unless links make that a different file.
 fn tidy(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
     let mut out = PathBuf::new();

@@ -20,7 +20,7 @@ impl Range {
         }
     }
 
-    /// Why the value is not in the range.
+    /// Why the value is out of range, if it is.
     pub(super) fn refuses(&self, value: f64) -> Option<&'static str> {
         if self.low.is_some_and(|low| value < low) || self.above.is_some_and(|above| value <= above) {
             return Some("too small");
@@ -43,7 +43,7 @@ impl Range {
     }
 }
 
-/// The limits of the integer types that schemas name but do not spell out.
+/// The limits of the integer formats that schemas name but do not spell out.
 pub(super) fn int_limits(schema: &Json) -> (i128, i128) {
     match schema.get("format").and_then(Json::as_str) {
         Some("int8") => (i8::MIN.into(), i8::MAX.into()),

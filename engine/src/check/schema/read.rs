@@ -11,7 +11,7 @@ use crate::{
 use serde_json::{Number, Value as Json};
 
 impl<'a> Walker<'a> {
-    /// The value after the schema; `None` where it is at fault.
+    /// Reads a value by its schema; `None` if it has a fault.
     pub(super) fn read(&mut self, schema: &'a Json, value: &Spanned, what: &Quantity) -> Option<Json> {
         let root = self.root;
         match (value_type(root, schema), &value.value) {
@@ -82,7 +82,7 @@ impl<'a> Walker<'a> {
                 Some(schema) => self.read(schema, value, &item),
                 None => self.any(value, &item),
             };
-            // Every item is read, so that all faults are seen.
+            // Read every item, so that all faults are reported.
             out = out.zip(read).map(|(mut list, read)| {
                 list.push(read);
                 list
@@ -91,7 +91,7 @@ impl<'a> Walker<'a> {
         out.map(Json::Array)
     }
 
-    /// A value without a schema, as it stands.
+    /// Reads a value that has no schema.
     pub(super) fn any(&mut self, value: &Spanned, what: &Quantity) -> Option<Json> {
         match &value.value {
             Value::Bool(value) => Some(Json::Bool(*value)),
@@ -113,7 +113,7 @@ impl<'a> Walker<'a> {
                 }
                 Some(Json::Object(out))
             }
-            // Only inputs are ever led outside.
+            // Only inputs are fed from outside a module.
             Value::Outside(_) => None,
         }
     }
@@ -171,12 +171,12 @@ impl<'a> Walker<'a> {
     }
 }
 
-/// The last part of a dotted name: what stands on the line.
+/// The last part of a dotted name.
 fn last(name: &str) -> &str {
     name.rsplit('.').next().unwrap_or(name)
 }
 
-/// The value as written where that is short, so that `1e3` is not shown as `1000.0`.
+/// The value as written if that is short, so that `1e3` is not shown as `1000.0`.
 fn found(value: &Spanned) -> String {
     match &value.value {
         Value::Int(_) | Value::Float(_) => value.at.text().to_owned(),
@@ -200,7 +200,7 @@ pub(super) fn as_number(value: &Spanned) -> Option<f64> {
     }
 }
 
-/// The text; on the command line, where a text needs no quotes, also what looks like a number or a date.
+/// The text; on the command line, where texts need no quotes, also a number or a date as written.
 fn text(value: &Spanned) -> Option<&str> {
     match &value.value {
         Value::Text(text) => Some(text),

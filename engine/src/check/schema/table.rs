@@ -15,7 +15,7 @@ use serde_json::{Map, Value as Json};
 const REMOVED: &str = "x-removed";
 
 impl<'a> Walker<'a> {
-    /// A table after the schema of a struct or map, except for the keys in `skip`; what is not given is filled in.
+    /// Reads a table by the schema of a struct or map, except for the keys in `skip`, and fills in defaults.
     pub(crate) fn table(
         &mut self,
         schema: &'a Json,
@@ -33,13 +33,13 @@ impl<'a> Walker<'a> {
             let value = match table.get(name) {
                 Some(entry) => self.read_owned(schema, name, entry, prefix),
                 None if is_required(schema, name, self.root, property) => {
-                    // One that is there under a name misspelt is not missing as well.
+                    // A parameter with a misspelt name is not reported as missing too.
                     if !table.keys().any(|key| properties.get(key).is_none() && is_meant(key, name, skip)) {
                         self.missing(property, at, name, prefix);
                     }
                     None
                 }
-                // An `Option` that is not given is left out: TOML has no null.
+                // A missing `Option` is left out: TOML has no null.
                 None => property.get("default").filter(|default| !default.is_null()).cloned(),
             };
             out.extend(value.map(|value| (name.clone(), value)));
@@ -65,12 +65,15 @@ impl<'a> Walker<'a> {
 
     fn read_owned(&mut self, schema: &'a Json, name: &str, entry: &Entry, prefix: &str) -> Option<Json> {
         let property = schema.get("properties")?.get(name)?;
-        let what = Quantity { name: format!("{prefix}{name}"), doc: self.say(property, &format!("{prefix}{name}")) };
+        let what = Quantity {
+            name: format!("{prefix}{name}"),
+            doc: self.describe_param(property, &format!("{prefix}{name}")),
+        };
         self.read(property, &entry.value, &what)
     }
 
-    /// `max_iterations: what its author says (default 50)`.
-    fn say(&self, property: &Json, name: &str) -> Option<String> {
+    /// Describes a parameter: `max_iterations: its doc (default 50)`.
+    fn describe_param(&self, property: &Json, name: &str) -> Option<String> {
         let text = doc(property).or_else(|| doc(super::value_type::resolve(self.root, property)))?;
         let default = match property.get("default") {
             Some(default @ (Json::Bool(_) | Json::Number(_) | Json::String(_))) if default.as_str() != Some("") => {
@@ -89,7 +92,7 @@ impl<'a> Walker<'a> {
             _ => "..",
         };
         let fault = Fault::new(message).at(at, format!("needs {name}, {takes}")).follows();
-        let fault = fault.note_if(self.say(property, &format!("{prefix}{name}")));
+        let fault = fault.note_if(self.describe_param(property, &format!("{prefix}{name}")));
         self.faults.push(fault.help(format!("add {name} = {example}")));
     }
 
@@ -108,10 +111,10 @@ impl<'a> Walker<'a> {
         let (owner, kind, key) = (&self.owner, self.kind, &entry.key);
         let inside = if prefix.is_empty() { String::new() } else { format!(" in {}", prefix.trim_end_matches('.')) };
         let fault = Fault::new(format!("{owner}: {kind} has no parameter \"{key}\"{inside}"));
-        // A name that is given already was not meant a second time.
+        // Suggest only names that are not set already.
         let free = || known.iter().copied().filter(|name| table.get(name).is_none());
         let value = as_number(&entry.value).filter(|v| v.is_finite());
-        let fault = match unit::other(key, value, free()) {
+        let fault = match unit::same_quantity(key, value, free()) {
             Some(other) => {
                 let fault = fault.at(&entry.key_at, format!("it is given in {}", other.unit));
                 match other.value {
@@ -129,7 +132,7 @@ impl<'a> Walker<'a> {
         self.faults.push(self.kind_elsewhere(fault, entry, prefix));
     }
 
-    /// When a variant chose the kind and another file wrote the parameter, both are shown.
+    /// If a variant chose the kind and another file set the parameter, shows both places.
     fn kind_elsewhere(&self, fault: Fault, entry: &Entry, prefix: &str) -> Fault {
         match self.kind_at {
             Some(kind_at) if kind_at.source.order < entry.key_at.source.order && !entry.key_at.source.command_line => {
@@ -143,10 +146,11 @@ impl<'a> Walker<'a> {
 }
 
 fn is_meant(found: &str, name: &str, skip: &[&str]) -> bool {
-    !skip.contains(&found) && (nearest::name(found, [name]).is_some() || unit::other(found, None, [name]).is_some())
+    !skip.contains(&found)
+        && (nearest::name(found, [name]).is_some() || unit::same_quantity(found, None, [name]).is_some())
 }
 
-/// Whether it must be given. A path whose default is empty must: nobody can read it.
+/// Whether it must be given. A path with an empty default must.
 fn is_required(schema: &Json, name: &str, root: &Json, property: &Json) -> bool {
     let listed = schema.get("required").and_then(Json::as_array);
     let listed = listed.is_some_and(|names| names.iter().any(|n| n.as_str() == Some(name)));

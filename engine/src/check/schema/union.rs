@@ -10,7 +10,7 @@ use crate::{
 use serde_json::Value as Json;
 
 impl<'a> Walker<'a> {
-    /// The first branch that takes the value; else the faults of the branch that comes nearest.
+    /// Reads the value by the first branch that accepts it; otherwise reports the faults of the closest branch.
     pub(super) fn union(
         &mut self,
         schema: &'a Json,
@@ -46,7 +46,7 @@ impl<'a> Walker<'a> {
         }
     }
 
-    /// The key whose fixed word tells the branches apart, and the words.
+    /// The key whose constant distinguishes the branches, and the constants.
     fn tag(&self, branches: &[&'a Json]) -> Option<(String, Vec<&'a str>)> {
         let words_of = |key: &str| -> Option<Vec<&'a str>> {
             let word = |branch: &&'a Json| {
@@ -85,7 +85,7 @@ impl<'a> Walker<'a> {
         None
     }
 
-    /// Whether the value is of the branch's type, and for a table, whether its fixed words agree.
+    /// Whether the value has the branch's type and, for a table, the branch's constants.
     fn may_take(&self, branch: &'a Json, value: &Spanned) -> bool {
         match (value_type(self.root, branch), &value.value) {
             (ValueType::Bool, Value::Bool(_)) | (ValueType::Int(_), Value::Int(_)) => true,

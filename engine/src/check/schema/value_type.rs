@@ -2,33 +2,33 @@ use super::range::Range;
 use osteoflow_node::FilePath;
 use serde_json::Value as Json;
 
-/// What a schema takes.
+/// The values that a schema accepts.
 pub(super) enum ValueType<'a> {
     Bool,
     Int(Range),
     Number(Range),
     Text,
     Path,
-    /// One of some words, each with what its author says of it.
+    /// One of a set of words, each with its doc.
     Words(Vec<(&'a str, Option<&'a str>)>),
-    /// Items of one schema.
+    /// A list whose items share one schema.
     List {
         items: Option<&'a Json>,
         min: usize,
         max: Option<usize>,
     },
-    /// Items each of its own schema.
+    /// A list with a schema for each item.
     Tuple(Vec<&'a Json>),
     /// A struct or a map.
     Table,
-    /// One of several.
+    /// A value that matches one of several schemas.
     Union(Vec<&'a Json>),
     Any,
 }
 
-/// The schema behind references.
+/// Follows references to the schema itself.
 pub(super) fn resolve<'a>(root: &'a Json, mut schema: &'a Json) -> &'a Json {
-    // A reference to a reference is never deep; the bound only keeps a circle from hanging.
+    // References are never nested this deeply; the bound stops a cycle.
     for _ in 0..16 {
         let Some(reference) = schema.get("$ref").and_then(Json::as_str) else { break };
         match reference.strip_prefix('#').and_then(|pointer| root.pointer(pointer)) {
@@ -70,7 +70,7 @@ fn list(schema: &Json) -> ValueType<'_> {
     ValueType::List { items: schema.get("items"), min: count("minItems").unwrap_or(0), max: count("maxItems") }
 }
 
-/// The branches without `null`, which a graph file cannot say; branches of words are one.
+/// The branches without `null`, which TOML cannot express; branches of words are merged into one.
 fn union<'a>(root: &'a Json, branches: &'a [Json]) -> ValueType<'a> {
     let branches: Vec<_> = branches.iter().filter(|b| type_of(resolve(root, b)) != "null").collect();
     if let [only] = branches.as_slice() {
@@ -86,7 +86,7 @@ fn union<'a>(root: &'a Json, branches: &'a [Json]) -> ValueType<'a> {
     ValueType::Words(words)
 }
 
-/// The type, where an optional one may say `["number", "null"]`.
+/// The type; for an optional value, the type beside `"null"`.
 fn type_of(schema: &Json) -> &str {
     match schema.get("type") {
         Some(Json::String(name)) => name,
@@ -100,7 +100,7 @@ pub(super) fn doc(schema: &Json) -> Option<&str> {
     schema.get("description").and_then(Json::as_str)
 }
 
-/// What a schema takes, in words: `a number from 0.1 to 100`.
+/// Describes the accepted values: `a number from 0.1 to 100`.
 pub(super) fn describe(root: &Json, schema: &Json) -> String {
     match value_type(root, schema) {
         ValueType::Bool => "true or false".into(),

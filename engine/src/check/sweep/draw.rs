@@ -1,4 +1,4 @@
-//! `[sweep.draw]`: what is drawn, and how it is distributed.
+//! Reads `[sweep.draw]`: random values and their distributions.
 
 use super::{
     Reader,

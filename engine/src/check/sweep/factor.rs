@@ -1,7 +1,7 @@
-//! `[sweep.factor]`: a list of values, or a range of numbers.
+//! Reads `[sweep.factor]`: a list of values, or a range of numbers.
 
 use super::{
-    MOST_RUNS, Reader,
+    MAX_RUNS, Reader,
     spec::{Factor, Level},
 };
 use crate::{
@@ -33,7 +33,7 @@ impl Reader<'_> {
         Some(Factor { name: entry.key.clone(), levels })
     }
 
-    /// `values = [..]`: a table as a value sets keys of its own.
+    /// `values = [..]`; a value that is a table sets the keys it names.
     fn listed(&mut self, table: &Table, values: &Entry, owner: &str) -> Option<Vec<Level>> {
         let Value::Array(items) = &values.value.value else {
             let message = format!("{owner}: values takes a list, found {}", values.value.found());
@@ -71,7 +71,7 @@ impl Reader<'_> {
         Some(items.iter().enumerate().map(level).collect())
     }
 
-    /// `from = 0.0, to = 0.2, n = 5`, evenly spaced, with `log = true` in the logarithm.
+    /// `from = 0.0, to = 0.2, n = 5`: evenly spaced, or spaced in the logarithm with `log = true`.
     fn grid(&mut self, table: &Table, entry: &Entry, owner: &str) -> Option<Vec<Level>> {
         let keys = self.keys(table, owner, true);
         let mut number = |key: &str| match table.get(key).map(|entry| (&entry.value.value, &entry.value)) {
@@ -86,7 +86,7 @@ impl Reader<'_> {
             }
         };
         let (from, to) = (number("from")?, number("to")?);
-        let n = table.get("n").and_then(|e| take::whole(&e.value, "n", 2, MOST_RUNS as u64, self.faults));
+        let n = table.get("n").and_then(|e| take::whole(&e.value, "n", 2, MAX_RUNS as u64, self.faults));
         let Some(n) = n else {
             self.fault(&entry.key_at, format!("{owner} does not say how many values"), "no n", "add n = 5");
             return None;
@@ -119,10 +119,10 @@ impl Reader<'_> {
     }
 }
 
-/// A value as a graph file writes it.
+/// A value in the syntax of a graph file.
 fn literal(value: &Spanned) -> String {
     match &value.value {
-        // A text on the command line may have come without quotes.
+        // On the command line the text may be unquoted.
         Value::Text(text) => Json::from(text.as_str()).to_string(),
         _ => value.at.text().to_owned(),
     }

@@ -1,13 +1,13 @@
-//! That what is taken out of a run's results can be there: the first parts of each path are a result of the graph.
+//! Checks that columns and points can exist in the results: each path must start with a result of the graph.
 
 use super::Reader;
 use crate::{fault::Fault, graph::Table, names::nearest};
 
-/// Results that every run has, whatever `[results]` says.
+/// Results that every run has, regardless of `[results]`.
 const ALWAYS: [&str; 2] = ["notice", "refused"];
 
 impl Reader<'_> {
-    /// Faults for columns and points that no run could have; `results` are those of the graph.
+    /// Faults for columns and points that no run can have; `results` are those of the graph.
     pub(super) fn paths(&mut self, table: &Table, results: &[String]) {
         let known: Vec<&str> = results.iter().map(String::as_str).chain(ALWAYS).collect();
         for (kind, what) in [("columns", "column"), ("points", "points")] {
@@ -34,17 +34,17 @@ impl Reader<'_> {
     }
 }
 
-/// Whether a path is that of `outer` or leads into it.
+/// Whether a path equals `outer` or is inside it.
 fn inside(outer: &str, path: &str) -> bool {
     path.strip_prefix(outer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
 }
 
-/// The path with the result in its front that was probably meant.
+/// The path with its first part replaced by the nearest known result.
 fn meant(path: &str, known: &[&str]) -> Option<String> {
     let ends = path.match_indices('.').map(|(at, _)| at).chain([path.len()]);
     ends.collect::<Vec<_>>().into_iter().rev().find_map(|end| {
         let (front, rest) = path.split_at(end);
-        // What is meant may have dots of its own: names of as many words are compared first.
+        // Known names may contain dots; compare names with the same number of parts first.
         let alike = known.iter().copied().filter(|key| key.matches('.').count() == front.matches('.').count());
         let near = nearest::name(front, alike).or_else(|| nearest::name(front, known.iter().copied()))?;
         Some(format!("{near}{rest}"))

@@ -1,4 +1,4 @@
-//! That nothing is set by two: of two values of one key the last would be run, and the tables would tell both.
+//! Checks that no two factors or draws set one key: only the last would take effect, but the tables would list both.
 
 use super::{
     Reader,
@@ -15,7 +15,7 @@ struct Setter<'a> {
     what: &'static str,
     name: &'a str,
     at: Span,
-    /// Under each of its values; a draw has one.
+    /// The keys set by each value; a draw has one entry.
     levels: Vec<Vec<SetKey>>,
 }
 
@@ -26,8 +26,8 @@ impl Setter<'_> {
 }
 
 impl Reader<'_> {
-    /// Faults for keys that two of them set, in runs that have both, and for those that no run takes from them; answers the
-    /// results that some of them add.
+    /// Faults for keys set by two factors or draws of one run, and for keys that a sweep may not set; returns the
+    /// results that factors or draws add.
     pub(super) fn sets(
         &mut self,
         table: &Table,
@@ -54,8 +54,8 @@ impl Reader<'_> {
                 let together = later.what == earlier.what
                     && paired(later.name).is_some_and(|group| paired(earlier.name) == Some(group));
                 let both = match together {
-                    true => earlier.levels.iter().zip(&later.levels).find_map(|(a, b)| outdone(a, b)),
-                    false => outdone(earlier.all(), later.all()),
+                    true => earlier.levels.iter().zip(&later.levels).find_map(|(a, b)| overridden(a, b)),
+                    false => overridden(earlier.all(), later.all()),
                 };
                 if let Some(key) = both {
                     let (first, second) = (describe(earlier), describe(later));
@@ -73,7 +73,7 @@ impl Reader<'_> {
         results.filter_map(|key| key.parts().get(1).cloned()).collect()
     }
 
-    /// Keys that a run does not take from a factor or draw.
+    /// Faults for keys that factors and draws may not set.
     fn taken(&mut self, setter: &Setter<'_>, same_seed: bool) {
         for key in setter.all() {
             let parts: Vec<_> = key.parts().iter().map(String::as_str).collect();
@@ -90,12 +90,12 @@ impl Reader<'_> {
     }
 }
 
-/// A key of the earlier that is lost to one of the later.
-fn outdone<'k>(
+/// A key of `earlier` whose value a key of `later` overrides.
+fn overridden<'k>(
     earlier: impl IntoIterator<Item = &'k SetKey>,
     later: impl IntoIterator<Item = &'k SetKey> + Clone,
 ) -> Option<&'k SetKey> {
-    earlier.into_iter().find(|a| later.clone().into_iter().any(|b| b.outdoes(a)))
+    earlier.into_iter().find(|a| later.clone().into_iter().any(|b| b.overrides(a)))
 }
 
 fn describe(setter: &Setter<'_>) -> String {

@@ -1,4 +1,4 @@
-//! What `[sweep]` says: which values a graph is run with, and which numbers are taken out of each run.
+//! The contents of `[sweep]`: the values a graph is run with, and the numbers extracted from each run.
 
 use crate::graph::{SetKey, keys_set};
 use serde::{Deserialize, Serialize};
@@ -7,34 +7,34 @@ use serde_json::Value as Json;
 /// The table `[sweep]` of a graph file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Spec {
-    /// How often every setting is run.
+    /// Number of runs of each setting.
     pub repeat: usize,
-    /// What a repeat is, such as `procedure`.
+    /// Name of a repeat, such as `procedure`.
     pub repeat_name: String,
-    /// Whether all repeats have the graph's seed, so that only what is drawn tells them apart.
+    /// Whether all repeats use the graph's seed, so that they differ only by the draws.
     pub same_seed: bool,
-    /// What is varied by a list of values, in the order of the file: the first varies slowest.
+    /// The factors in the order of the file; the first varies slowest.
     pub factors: Vec<Factor>,
-    /// Factors that go together, value by value; all others are crossed.
+    /// Groups of factors that vary together, value by value; all others are crossed.
     pub pair: Vec<Vec<String>>,
-    /// What is drawn anew for each repeat, and is the same under all factors.
+    /// Random values drawn for each repeat, equal under all factors.
     pub draws: Vec<Draw>,
-    /// What is resampled and counted, the highest first: names of factors, and of the repeats.
+    /// Units of resampling, the outermost first: names of factors and of the repeats.
     pub units: Vec<String>,
-    /// Numbers and words taken out of the results of each run.
+    /// Numbers and words extracted from the results of each run.
     pub columns: Vec<Column>,
-    /// Lists of points taken out of the results of each run.
+    /// Lists of points extracted from the results of each run.
     pub points: Vec<PointColumn>,
-    /// Limits of columns: the share of runs below is told.
+    /// Limits of columns; the share of runs below each limit is reported.
     pub limits: Vec<(String, f64)>,
-    /// What is compared: the values of a factor, paired by all else.
+    /// Comparisons between the values of a factor, paired by all other factors.
     pub compare: Vec<Compare>,
 }
 
-/// Something that is varied by a list of values.
+/// A quantity that is varied over a list of values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Factor {
-    /// Its name, and that of its column.
+    /// Its name, which is also its column.
     pub name: String,
     /// Its values.
     pub levels: Vec<Level>,
@@ -43,16 +43,16 @@ pub struct Factor {
 /// A value of a factor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Level {
-    /// What stands in the table.
+    /// Its value in the tables.
     pub label: Json,
-    /// What it sets in the graph, as `--set` takes it.
+    /// The settings that it applies to the graph, in the form of `--set`.
     pub sets: Vec<String>,
 }
 
-/// Something that is drawn at random.
+/// A quantity that is drawn at random.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Draw {
-    /// Its name, and that of its column.
+    /// Its name, which is also its column.
     pub name: String,
     /// The keys that it sets.
     pub keys: Vec<String>,
@@ -64,7 +64,7 @@ pub struct Draw {
 impl Draw {
     /// The keys that it sets.
     pub(crate) fn keys_set(&self) -> Vec<SetKey> {
-        // Whatever the value: it is the keys that are asked for.
+        // The keys do not depend on the value.
         keys_set(&self.keys.iter().map(|key| format!("{key}=0")).collect::<Vec<_>>())
             .into_iter()
             .map(|(key, _)| key)
@@ -79,19 +79,19 @@ impl Level {
     }
 }
 
-/// How a value is distributed.
+/// The distribution of a drawn value.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Distribution {
-    /// Evenly from the first number to the second.
+    /// Uniform between two numbers.
     Uniform([f64; 2]),
-    /// Normally, by mean and standard deviation.
+    /// Normal, by mean and standard deviation.
     Normal([f64; 2]),
-    /// Evenly in the logarithm, from the first number to the second, both above zero.
+    /// Uniform in the logarithm between two numbers, both above zero.
     LogUniform([f64; 2]),
-    /// A whole number from the first to the second, both included.
+    /// Uniform over the whole numbers from the first to the second, both included.
     Integers([i64; 2]),
-    /// One of a list.
+    /// One of a list, with equal probability.
     Choice(Vec<Json>),
 }
 
@@ -100,43 +100,43 @@ pub enum Distribution {
 pub struct Column {
     /// Its name, which ends in its unit: `tre_z_mm`.
     pub name: String,
-    /// Where it stands in `results.json`: `metrics.tre_true_mm.mean_signed.z`.
+    /// Its path in `results.json`: `metrics.tre_true_mm.mean_signed.z`.
     pub path: String,
 }
 
-/// A list of points of each run.
+/// A list of points in the results of each run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PointColumn {
-    /// What is measured at the points, with its unit: `tre_mm`.
+    /// The quantity measured at the points, with its unit: `tre_mm`.
     pub name: String,
-    /// Where the list stands in `results.json`.
+    /// The path of the list in `results.json`.
     pub path: String,
-    /// The key of a point's name; its number where it has none.
+    /// The key of a point's name; its number if it has none.
     pub label: String,
     /// The keys of its values.
     pub axes: Vec<String>,
 }
 
-/// What is compared with what.
+/// A comparison of a factor's values with a reference value.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Compare {
     /// The factor whose values are compared.
     pub factor: String,
-    /// The value that all others are compared with.
+    /// The reference value.
     pub to: Json,
-    /// For a column, the largest difference that does not matter: for the test of equivalence.
+    /// Equivalence margins by column: the largest difference that does not matter.
     pub margins: Vec<(String, f64)>,
 }
 
 impl Spec {
-    /// How many runs there are; `None` if nobody can count them.
+    /// Number of runs; `None` on overflow.
     pub(crate) fn n_runs(&self) -> Option<usize> {
         let blocks = self.blocks();
         let n = |block: &Vec<usize>| self.factors[block[0]].levels.len();
         blocks.iter().map(n).try_fold(self.repeat, usize::checked_mul)
     }
 
-    /// The factors by index, those that go together in one block, in the order of the file.
+    /// The factors by index, in the order of the file; paired factors form one block.
     pub(crate) fn blocks(&self) -> Vec<Vec<usize>> {
         let mut blocks: Vec<Vec<usize>> = Vec::new();
         let index = |name: &String| self.factors.iter().position(|factor| factor.name == *name);

@@ -1,21 +1,22 @@
-//! Which keys a setting gives values to, so that two that set one key are seen.
+//! The keys that settings assign, so that two settings of one key can be detected.
 
 use super::{PREFIX, Sets, Setting, Step, Table, Value, source};
 use crate::fault::Span;
 use std::fmt;
 
-/// A key that a setting gives a value to, in full and in its parts: `scan.calls[0]` is node, scan, calls, [0].
+/// A key that a setting assigns, split into its parts: `scan.calls[0]` is node, scan, calls, [0].
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct SetKey(Vec<String>);
 
 impl SetKey {
-    /// Its parts; what stands under `[results]` is one.
+    /// Its parts; a key under `[results]` is a single part.
     pub(crate) fn parts(&self) -> &[String] {
         &self.0
     }
 
-    /// Whether its value, which is set later, leaves nothing of the other: an item of a list leaves the others.
-    pub(crate) fn outdoes(&self, earlier: &Self) -> bool {
+    /// Whether setting this key later discards the earlier value entirely. Setting an item of a list keeps the other
+    /// items.
+    pub(crate) fn overrides(&self, earlier: &Self) -> bool {
         let meets = self.0.iter().zip(&earlier.0).all(|(a, b)| a == b);
         meets && self.0.get(earlier.0.len()).is_none_or(|part| !part.starts_with(['[', '+']))
     }
@@ -32,8 +33,8 @@ impl fmt::Display for SetKey {
     }
 }
 
-/// The keys of settings, each `KEY=VALUE`, with their places on the command line; those of a table are those of its leaves.
-/// A setting that cannot be read has none.
+/// The keys that settings assign, each `KEY=VALUE`, with their places on the command line. A table assigns the keys of
+/// its leaves. Settings that cannot be parsed are skipped.
 pub(crate) fn keys_set(sets: &[String]) -> Vec<(SetKey, Span)> {
     let (source, ranges) = source(&Sets::command_line(sets));
     let mut out = Vec::new();
@@ -75,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_is_known_in_whatever_form_it_is_written() {
+    fn a_key_is_recognised_in_every_form() {
         let keys: Vec<_> =
             keys_set(&["a.b=1".into(), "node.c={ d = 2, e.f = [3] }".into(), "no setting".into(), "g.h[1].i=4".into()])
                 .into_iter()
@@ -93,8 +94,8 @@ mod tests {
     }
 
     #[test]
-    fn a_later_value_of_a_part_of_a_list_leaves_the_rest() {
-        for (earlier, later, outdone) in [
+    fn setting_an_item_of_a_list_keeps_the_others() {
+        for (earlier, later, overridden) in [
             ("a.b=1", "a.b=2", true),
             ("a.b=1", "a.c=2", false),
             ("a.b=1", "a.bc=2", false),
@@ -105,7 +106,7 @@ mod tests {
             ("a.b+=[1]", "a.b+=[2]", false),
             ("a.b=\"x\"", "a.b.c=2", true),
         ] {
-            assert_eq!(key(later).outdoes(&key(earlier)), outdone, "{later} after {earlier}");
+            assert_eq!(key(later).overrides(&key(earlier)), overridden, "{later} after {earlier}");
         }
     }
 }
