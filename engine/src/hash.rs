@@ -1,4 +1,4 @@
-//! SHA-256 of bytes, files and folders, and stamps that tell whether a file has changed.
+//! SHA-256 of bytes, files and folders, and stamps that detect changed files.
 
 pub(crate) mod file_stamp;
 pub(crate) mod files;
@@ -6,12 +6,12 @@ pub(crate) mod files;
 use sha2::{Digest as _, Sha256};
 use std::fmt;
 
-/// A SHA-256.
+/// A SHA-256 digest.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Digest(pub [u8; 32]);
 
 impl Digest {
-    /// Of these bytes.
+    /// The digest of `bytes`.
     pub fn of(bytes: &[u8]) -> Self {
         Self(Sha256::digest(bytes).into())
     }

@@ -1,17 +1,17 @@
 //! Runs a typed graph of nodes: check, plan, run, record and replay; no bone, point or frame is named in it.
 //!
-//! The modules form floors: each imports lower floors only, which `tests/arrows` holds. From the ground up:
+//! The modules form layers: each imports lower layers only, which `tests/arrows` checks. From the lowest up:
 //!
-//! | Floor | Modules |
+//! | Layer | Modules |
 //! |---|---|
-//! | ground | [`plan`], `names`, [`panics`], `sync` |
+//! | base | [`plan`], `names`, [`panics`], `sync` |
 //! | faults and hashes | [`fault`], [`hash`] |
-//! | what is written | `graph` (a graph file as a tree), [`recording`] (what a recording holds) |
-//! | kept between runs | [`store`] |
-//! | what computes | [`plugin`], `runtime` (runs a plan; knows no file) |
-//! | into and out of it | [`check()`], `record`, [`repro`] |
-//! | opens files | [`run()`], [`validate`], [`diff`], [`recover`], [`schema`] |
-//! | again | `partial`, [`replay()`], [`watch`], [`sweep`] |
+//! | file contents | `graph` (a graph file as a tree), [`recording`] (what a recording holds) |
+//! | cache | [`store`] |
+//! | computation | [`plugin`], `runtime` (runs a plan; knows no file) |
+//! | input and output | [`check()`], `record`, [`repro`] |
+//! | whole tasks on files | [`run()`], [`validate`], [`diff`], [`recover`], [`schema`] |
+//! | repeated runs | `partial`, [`replay()`], [`watch`], [`sweep`] |
 
 pub mod check;
 pub mod diff;

@@ -1,9 +1,9 @@
-//! A node's panic, caught and told as its error.
+//! Catches a node's panic and describes it as an error.
 //!
-//! The process's panic hook is put aside for panics of nodes: their place and words are kept and told with the node's
-//! failure. A panic on a thread that helps a node (a pool's, marked by [`mark_helper_thread`]) reaches the node's thread
-//! without its place, as `rayon` carries it over; the place is kept for it by its words. A second panic while a first
-//! unwinds, a stack overflow and an abort cannot be caught by any program in its own process.
+//! Panics of nodes bypass the process's panic hook: message and location are stored and reported with the node's
+//! failure. `rayon` carries a panic of a helper thread (a pool's, marked by [`mark_helper_thread`]) to the node's
+//! thread without its location, which is looked up by the message. A second panic during unwinding, a stack overflow
+//! and an abort cannot be caught in-process.
 
 use std::{
     any::Any,
@@ -22,37 +22,37 @@ thread_local! {
     static LATEST: RefCell<Option<Panic>> = const { RefCell::new(None) };
 }
 
-/// Panics of other threads that nobody has asked for yet; the oldest make room.
+/// Panics of other threads that have not been claimed yet; bounded, the oldest are dropped.
 static ELSEWHERE: Mutex<VecDeque<Panic>> = Mutex::new(VecDeque::new());
-const MOST_ELSEWHERE: usize = 64;
+const MAX_ELSEWHERE: usize = 64;
 
-/// Whether a node's panics are shown by the process's own hook as well, which can print a backtrace.
+/// Whether panics of nodes are also passed to the process's own hook, which can print a backtrace.
 static SHOWN: AtomicBool = AtomicBool::new(false);
 
-/// A panic's words and place.
+/// Message and location of a panic.
 struct Panic {
     message: String,
     place: String,
 }
 
-/// What the runtime says before it aborts because a panic cannot be unwound.
+/// Messages of the runtime before it aborts because a panic cannot be unwound.
 const NO_UNWIND: [&str; 2] = ["panic in a destructor during cleanup", "panic in a function that cannot unwind"];
 
-/// Says that this thread works for nodes alone, as those of the pool for algorithms do: its panics are told by the node
-/// that waits for it, and printed nowhere else.
+/// Marks this thread as a helper of nodes, such as a thread of the algorithms' pool: its panics are reported by the
+/// node that waits for it, and are not printed.
 pub fn mark_helper_thread() {
     IS_HELPER.set(true);
 }
 
-/// Lets the process's own hook show the panics of nodes as well, from now on.
+/// Also passes panics of nodes to the process's own hook from now on.
 pub(crate) fn show() {
     SHOWN.store(true, Ordering::Relaxed);
 }
 
-/// What `f` answers, or what it said when it panicked and where.
+/// Runs `f` and returns its result, or message and location of its panic.
 ///
-/// The first call puts a hook before the process's own, which keeps the place of a node's panic in the place of printing
-/// it; all other panics go to the hook that was there.
+/// The first call installs a hook that stores the location of a node's panic instead of printing it; other panics are
+/// passed to the previous hook.
 pub(crate) fn catch<T>(f: impl FnOnce() -> T) -> Result<T, String> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
@@ -68,29 +68,29 @@ pub(crate) fn catch<T>(f: impl FnOnce() -> T) -> Result<T, String> {
 fn hook(info: &PanicHookInfo<'_>, before: &dyn Fn(&PanicHookInfo<'_>)) {
     let message = message_of(info.payload());
     if NO_UNWIND.contains(&message) {
-        // The process ends here; what had been kept would never be told.
+        // The process aborts here, so this is the last chance to report the first panic.
         if let Some(first) = LATEST.take() {
             tracing::error!("a node panicked at {}: {}", first.place, first.message);
         }
         return before(info);
     }
     let place = info.location().map(|at| format!("{}:{}", short(at.file()), at.line()));
-    let kept = Panic { message: message.into(), place: place.unwrap_or_default() };
+    let panic = Panic { message: message.into(), place: place.unwrap_or_default() };
     if IN_NODE.get() {
-        LATEST.replace(Some(kept));
+        LATEST.replace(Some(panic));
     } else {
         let mut elsewhere = ELSEWHERE.lock().unwrap_or_else(PoisonError::into_inner);
-        if elsewhere.len() == MOST_ELSEWHERE {
+        if elsewhere.len() == MAX_ELSEWHERE {
             elsewhere.pop_front();
         }
-        elsewhere.push_back(kept);
+        elsewhere.push_back(panic);
     }
     if !(IN_NODE.get() || IS_HELPER.get()) || SHOWN.load(Ordering::Relaxed) {
         before(info);
     }
 }
 
-/// A caught panic in words.
+/// Describes a caught panic.
 #[cold]
 pub(crate) fn describe(payload: Box<dyn Any + Send>) -> String {
     let payload = match payload.downcast::<Described>() {
@@ -98,26 +98,26 @@ pub(crate) fn describe(payload: Box<dyn Any + Send>) -> String {
         Err(payload) => payload,
     };
     let message = message_of(&*payload).to_owned();
-    let own = LATEST.take().filter(|kept| kept.message == message);
-    // Dropping what was thrown may panic again, and so on.
+    let own = LATEST.take().filter(|panic| panic.message == message);
+    // Dropping the payload may panic again, and the payload of that panic too.
     if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
         std::mem::forget(second);
     }
-    let kept = own.or_else(|| {
+    let panic = own.or_else(|| {
         let mut elsewhere = ELSEWHERE.lock().unwrap_or_else(PoisonError::into_inner);
-        let at = elsewhere.iter().rposition(|kept| kept.message == message)?;
+        let at = elsewhere.iter().rposition(|panic| panic.message == message)?;
         elsewhere.remove(at)
     });
-    match kept.filter(|kept| !kept.place.is_empty()) {
-        Some(kept) => format!("panicked at {}: {message}", kept.place),
+    match panic.filter(|panic| !panic.place.is_empty()) {
+        Some(panic) => format!("panicked at {}: {message}", panic.place),
         None => format!("panicked: {message}"),
     }
 }
 
-/// A panic that a plugin has caught and described.
+/// A panic caught and described by a plugin.
 struct Described(String);
 
-/// Goes on unwinding in the place of a plugin, whose panic could not cross.
+/// Resumes unwinding with the description of a plugin's panic, which cannot cross the C interface.
 pub(crate) fn resume_described(said: String) -> ! {
     std::panic::resume_unwind(Box::new(Described(said)))
 }
@@ -127,7 +127,7 @@ fn message_of(payload: &(dyn Any + Send)) -> &str {
     text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a message")
 }
 
-/// The path from the crate's folder on: where the machine keeps its sources is no part of a result.
+/// The path from the crate's folder on, so that messages do not depend on where the machine keeps its sources.
 fn short(file: &str) -> String {
     let parts: Vec<&str> = file.split(['/', '\\']).collect();
     match parts.iter().rposition(|part| *part == "src") {
@@ -141,7 +141,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_panic_is_told_with_its_words_and_place() {
+    fn a_panic_is_described_with_message_and_location() {
         let said = catch(|| panic!("no {}", 42)).unwrap_err();
         assert!(said.starts_with("panicked at ") && said.ends_with(": no 42"), "{said}");
         assert!(said.contains("src/panics.rs:"), "{said}");
@@ -149,13 +149,13 @@ mod tests {
     }
 
     #[test]
-    fn a_place_outside_the_workspace_is_told_from_its_crate_on() {
+    fn a_location_outside_the_workspace_starts_at_its_crate() {
         assert_eq!(short("/home/x/.cargo/registry/src/index-1/kiddo-6.3.0/src/tree.rs"), "kiddo-6.3.0/src/tree.rs");
         assert_eq!(short("engine/src/panics.rs"), "engine/src/panics.rs");
     }
 
     #[test]
-    fn a_panic_on_a_thread_of_the_pool_keeps_its_place() {
+    fn a_panic_on_a_pool_thread_keeps_its_location() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(2).start_handler(|_| mark_helper_thread()).build();
         let pool = pool.unwrap();
         let line = line!() + 1;
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_that_was_caught_inside_lends_its_place_to_no_other() {
+    fn a_panic_caught_inside_does_not_affect_the_next_location() {
         let said = catch(|| {
             let _ = std::panic::catch_unwind(|| panic!("the first"));
             std::panic::resume_unwind(Box::new("the second"))
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_without_words_is_told_by_its_place_even_if_its_payload_panics_again() {
+    fn a_panic_without_a_message_is_described_by_its_location_even_if_its_payload_panics() {
         struct Spiteful;
         impl Drop for Spiteful {
             fn drop(&mut self) {

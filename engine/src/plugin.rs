@@ -1,6 +1,6 @@
-//! Kinds that shared libraries bring: read through the C interface of `osteoflow_node::abi`, built and fired through it.
+//! Kinds provided by shared libraries: described, built and fired through the C interface of `osteoflow_node::abi`.
 //!
-//! A library is loaded once and never unloaded: what it described, and threads that it may have started, stay.
+//! A library is loaded once and never unloaded: its descriptions and threads may outlive any use.
 
 mod about;
 mod host;

@@ -1,9 +1,9 @@
-//! What is worth keeping from one run to the next: bytes by key, in one folder for everything and everyone.
+//! Persistent cache: bytes by key, in one folder that all processes share.
 //!
-//! A [`Key`] is the SHA-256 of all that decides what lies under it, so an entry is never out of date: what changes has
-//! another key. Entries are files that are written aside and renamed into place, so any number of processes may share the
-//! folder. Each says its key, its length and its checksum; one that is damaged, cut short or of another format is not
-//! there, and is replaced. Above [`Settings::max_bytes`] those go that were not used for longest.
+//! A [`Key`] is the SHA-256 of all inputs that determine an entry, so entries are never stale: changed inputs have
+//! another key. Entries are written to a temporary file and renamed, so any number of processes may share the folder.
+//! Each entry holds its key, length and checksum; an entry that is damaged, truncated or of another format is treated
+//! as missing and replaced. Above [`Settings::max_bytes`] the least recently used entries are removed.
 //!
 //! ```
 //! use osteoflow_engine::store::{Key, Settings, Store};
@@ -27,9 +27,9 @@ mod settings;
 mod tests;
 
 pub use entry::Entry;
-pub use key::{Key, KeyInMaking};
+pub use key::{Key, KeyBuilder};
 pub(crate) use payload::{decode, message, payload_of};
-pub(crate) use program::{brought, note_plugin, note_program};
+pub(crate) use program::{note_plugin, note_program, plugin_libraries};
 pub use settings::{Settings, SettingsError};
 
 use crate::hash::Digest;
@@ -51,19 +51,19 @@ pub struct Store {
     fill: Mutex<Fill>,
 }
 
-/// What the folder holds, as far as this process knows.
+/// Size of the folder, as far as this process knows.
 #[derive(Debug, Default)]
 struct Fill {
-    /// Bytes when it was last looked through.
-    then: Option<u64>,
-    /// Bytes that this process has added since.
-    since: u64,
+    /// Bytes at the last scan.
+    scanned: Option<u64>,
+    /// Bytes that this process has added since the last scan.
+    added: u64,
 }
 
-/// The folder is looked through again when a process has added this share of what it may hold: others add to it too.
-const LOOK_AFTER: u64 = 8;
+/// The folder is rescanned when this process has added 1/8 of the maximum size: other processes add entries too.
+const RESCAN_SHARE: u64 = 8;
 
-/// An entry that could not be kept.
+/// An entry could not be stored.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "nothing can be kept in the store {}: {source}; OSTEOFLOW_CACHE names another folder, or `off` for none",
@@ -72,12 +72,12 @@ const LOOK_AFTER: u64 = 8;
 pub struct StoreError {
     /// The store's folder.
     pub dir: PathBuf,
-    /// Why.
+    /// The cause.
     pub source: io::Error,
 }
 
 impl Store {
-    /// The store of these settings; its folder is made with the first entry.
+    /// A store with these settings; the folder is created with the first entry.
     pub fn open(settings: Settings) -> Self {
         Self { settings, fill: Mutex::default() }
     }
@@ -87,12 +87,12 @@ impl Store {
         &self.settings.dir
     }
 
-    /// What lies under the key, whole and as it was put there; it then counts as used.
+    /// The complete entry of the key, if there is one; marks it as used.
     pub fn get(&self, key: &Key) -> Option<Entry> {
         let path = self.path(key);
         let read = File::open(&path).and_then(|mut file| {
             let entry = Entry::read(&mut file, key)?;
-            // Who may read but not change the folder reads on.
+            // The folder may be read-only for this user; then the time of use is not updated.
             let _ = entry.is_some().then(|| file.set_modified(SystemTime::now()));
             Ok(entry)
         });
@@ -106,11 +106,11 @@ impl Store {
         read.ok().flatten()
     }
 
-    /// Keeps bytes, given in pieces, under the key; what lay there is replaced. What is larger than the whole store may be
-    /// is not kept.
+    /// Stores bytes, given in pieces, under the key and replaces an older entry. An entry larger than the store's
+    /// maximum is not stored.
     ///
     /// # Errors
-    /// [`StoreError`] if the folder cannot be made or written. Whatever the bytes are for goes on without.
+    /// [`StoreError`] if the folder cannot be created or written. Callers can go on without the entry.
     pub fn put(&self, key: &Key, pieces: &[&[u8]]) -> Result<(), StoreError> {
         let n_bytes = entry::n_bytes(pieces);
         if n_bytes > self.settings.max_bytes {
@@ -127,30 +127,30 @@ impl Store {
         self.dir().join(evict::entry_name(key))
     }
 
-    /// Writes the entry aside and renames it into place.
+    /// Writes the entry to a temporary file and renames it.
     fn write(&self, key: &Key, pieces: &[&[u8]]) -> io::Result<()> {
-        let (mut file, aside) = self.aside()?;
-        let written = entry::head(key, pieces).and_then(|head| {
-            file.write_all(&head)?;
+        let (mut file, temporary) = self.temporary()?;
+        let written = entry::header(key, pieces).and_then(|header| {
+            file.write_all(&header)?;
             pieces.iter().try_for_each(|piece| file.write_all(piece))?;
             drop(file);
-            fs::rename(&aside, self.path(key))
+            fs::rename(&temporary, self.path(key))
         });
         if written.is_err() {
-            let _ = fs::remove_file(&aside);
+            let _ = fs::remove_file(&temporary);
         }
-        // Where an open file cannot be replaced, whoever has it open has the same bytes.
+        // Some platforms cannot replace an open file; a reader of that file has the same bytes.
         written.or_else(|error| if self.get(key).is_some() { Ok(()) } else { Err(error) })
     }
 
-    /// A new file that nobody else writes, and that is no entry.
-    fn aside(&self) -> io::Result<(File, PathBuf)> {
+    /// Creates a temporary file with a unique name.
+    fn temporary(&self) -> io::Result<(File, PathBuf)> {
         static N_MADE: AtomicU64 = AtomicU64::new(0);
-        let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        // Two machines that share the folder may have processes of one number.
-        let own = format!("{}-{:x}", std::process::id(), since.as_nanos());
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        // Two machines that share the folder may have processes with the same id.
+        let own = format!("{}-{:x}", std::process::id(), now.as_nanos());
         loop {
-            let path = self.dir().join(evict::aside_name(&own, N_MADE.fetch_add(1, Ordering::Relaxed)));
+            let path = self.dir().join(evict::temporary_name(&own, N_MADE.fetch_add(1, Ordering::Relaxed)));
             match File::options().write(true).create_new(true).open(&path) {
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
                 made => return made.map(|file| (file, path)),
@@ -158,29 +158,29 @@ impl Store {
         }
     }
 
-    /// Removes what was not used for longest, where there is too much.
+    /// Removes the least recently used entries if the store is too large.
     fn make_room(&self, n_added: u64) {
         let max_bytes = self.settings.max_bytes;
         let mut fill = self.fill.lock().unwrap_or_else(PoisonError::into_inner);
-        fill.since = fill.since.saturating_add(evict::on_disk(n_added));
-        let fits = fill.then.is_some_and(|then| then.saturating_add(fill.since) <= max_bytes);
-        if fits && fill.since <= max_bytes / LOOK_AFTER {
+        fill.added = fill.added.saturating_add(evict::on_disk(n_added));
+        let fits = fill.scanned.is_some_and(|scanned| scanned.saturating_add(fill.added) <= max_bytes);
+        if fits && fill.added <= max_bytes / RESCAN_SHARE {
             return;
         }
         match evict::make_room(self.dir(), max_bytes) {
-            Ok(left) => *fill = Fill { then: Some(left), since: 0 },
+            Ok(left) => *fill = Fill { scanned: Some(left), added: 0 },
             Err(error) => tracing::debug!("{} cannot be looked through: {error}", self.dir().display()),
         }
     }
 
-    /// The digest of this program, of the libraries it has loaded, and of what the processor offers: what else decides
-    /// the bits of an answer. `None` where the program cannot be read, and then nothing that it computes may be kept.
+    /// The digest of this program, the libraries it has loaded and the processor's features, which also determine the
+    /// bits of an answer. `None` if the program cannot be read; then none of its answers may be stored.
     pub fn program(&self) -> Option<Digest> {
         program::digest(self)
     }
 }
 
-/// Makes the folder for its owner alone: what is kept of a patient's data is a patient's data.
+/// Creates the folder with access for its owner only: entries may contain patient data.
 fn make_dir(dir: &Path) -> io::Result<()> {
     if dir.is_dir() {
         return Ok(());

@@ -1,17 +1,17 @@
-//! The synchronisation that the scheduler is built of: the standard library's. A test that includes the scheduler's
-//! source brings a module of the same names, made by a model checker.
+//! Synchronisation primitives of the scheduler, from the standard library. The model-checking test includes the
+//! scheduler's source with a module of the same names from a model checker.
 
 pub(crate) use std::sync::{Condvar, Mutex, MutexGuard, PoisonError, atomic};
 
-/// How often a worker looks before it sleeps: some microseconds, less than waking it costs.
+/// Number of polls before a worker sleeps: some microseconds, less than a wake-up costs.
 pub(crate) const LOOKS_BEFORE_SLEEP: usize = 200;
 
-/// Calls `work` with 0 on the calling thread and with 1 and so on on threads of their own, and returns when all have; a
-/// thread that could not be started is told to `without`.
+/// Calls `work` with 0 on the calling thread and with 1.. on new threads, and returns when all have finished; `without`
+/// is called for each thread that could not be started.
 pub(crate) fn on_workers(n: usize, work: &(dyn Fn(usize) + Sync), without: &dyn Fn(usize, std::io::Error)) {
     std::thread::scope(|scope| {
         for worker in 1..n {
-            // As much stack as the main thread has: a node must not care where it runs.
+            // The stack size of the main thread, so that nodes run equally on every thread.
             let thread = std::thread::Builder::new().name(format!("worker-{worker}")).stack_size(8 << 20);
             if let Err(error) = thread.spawn_scoped(scope, move || work(worker)) {
                 without(worker, error);
@@ -21,7 +21,7 @@ pub(crate) fn on_workers(n: usize, work: &(dyn Fn(usize) + Sync), without: &dyn 
     });
 }
 
-/// Lets others go first: the larger the number, the longer.
+/// Yields to other threads; a larger number waits longer.
 pub(crate) fn delay(length: usize) {
     match length {
         0..100 => std::thread::yield_now(),
@@ -30,13 +30,13 @@ pub(crate) fn delay(length: usize) {
     }
 }
 
-/// Repeats what may come out differently; a model checker has its own way to do so.
+/// Repeats a test whose outcome may vary; a model checker explores the outcomes itself.
 #[cfg(test)]
 pub(crate) fn many_times(test: impl Fn() + Send + Sync + 'static) {
     (0..50).for_each(|_| test());
 }
 
-/// Calls `a` on a thread of its own and `b` on this one, and returns when both have.
+/// Calls `a` on a new thread and `b` on this one, and returns when both have finished.
 #[cfg(test)]
 pub(crate) fn beside(a: &(dyn Fn() + Sync), b: &(dyn Fn() + Sync)) {
     std::thread::scope(|scope| {

@@ -1,8 +1,8 @@
-//! What tells a changed file from the one before, without reading it.
+//! File stamps, which detect a changed file without reading it.
 
 use std::{fs::Metadata, time::SystemTime};
 
-/// Size and times of a file, and where the system tells it, which file it is: a new one has another stamp.
+/// Size and times of a file, and its inode if the system has one: a replaced file has another stamp.
 pub(crate) fn stamp(file: &Metadata) -> String {
     let modified = file.modified().ok().and_then(|time| time.duration_since(SystemTime::UNIX_EPOCH).ok());
     let stamp = format!("{} bytes, {modified:?}", file.len());

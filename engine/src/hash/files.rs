@@ -10,7 +10,7 @@ use std::{
     thread::{self, JoinHandle},
 };
 
-/// Hashes of files, computed on a thread of their own.
+/// File hashes computed on a background thread.
 pub(crate) struct Hashes {
     thread: Option<JoinHandle<Vec<Json>>>,
     done: Vec<Json>,
@@ -22,7 +22,7 @@ impl Hashes {
         Self { thread: Some(thread::spawn(move || hashes(&files))), done: Vec::new() }
     }
 
-    /// All of them, once they are there.
+    /// Waits for all hashes.
     pub(crate) fn done(&mut self) -> &[Json] {
         if let Some(hashes) = self.thread.take().and_then(|thread| thread.join().ok()) {
             self.done = hashes;
@@ -31,7 +31,7 @@ impl Hashes {
     }
 }
 
-/// Each input file with its size and SHA-256; a folder stands for the files in it, by name.
+/// Path, size and SHA-256 of each input file; a folder is replaced by its files, sorted by name.
 pub(crate) fn hashes(paths: &[PathBuf]) -> Vec<Json> {
     let mut out = Vec::new();
     for path in paths {
@@ -44,7 +44,7 @@ pub(crate) fn hashes(paths: &[PathBuf]) -> Vec<Json> {
     out
 }
 
-/// The file, or all files in the folder and those in it, by name.
+/// Lists the file, or all files in the folder and its subfolders, sorted by name.
 pub(crate) fn list(path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
     if !path.is_dir() {
         files.push(path.into());
@@ -52,7 +52,7 @@ pub(crate) fn list(path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
     }
     let mut entries = std::fs::read_dir(path)?.map(|e| e.map(|e| e.path())).collect::<io::Result<Vec<_>>>()?;
     entries.sort();
-    // A link that leads back up would never end.
+    // A link to a parent folder would never end.
     entries.retain(|path| !(path.is_symlink() && path.is_dir()));
     entries.iter().try_for_each(|path| list(path, files))
 }
@@ -64,7 +64,7 @@ fn entry(path: &Path) -> Json {
     }
 }
 
-/// A file's size and its SHA-256.
+/// Size and SHA-256 of a file.
 pub(crate) fn sha256(path: &Path) -> io::Result<(u64, Digest)> {
     let mut file = File::open(path)?;
     let (mut hasher, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_stands_for_its_files_with_their_hashes() {
+    fn a_folder_is_hashed_as_its_files() {
         let dir = tempfile::tempdir().unwrap();
         std::fs::write(dir.path().join("b"), "abc").unwrap();
         std::fs::write(dir.path().join("a"), "").unwrap();

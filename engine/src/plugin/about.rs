@@ -1,4 +1,4 @@
-//! What a plugin says of itself, in Rust's own words.
+//! A plugin's description in Rust types.
 
 use osteoflow_node::abi::schema::PayloadDescription;
 use serde::{Deserialize, Serialize};
@@ -11,11 +11,11 @@ pub struct PluginAbout {
     pub name: String,
     /// Its version.
     pub version: String,
-    /// What it was built with.
+    /// The SDK it was built with.
     pub sdk: String,
     /// The compiler that built it.
     pub compiler: String,
-    /// The interface that it speaks.
+    /// The version of the plugin interface that it uses.
     pub abi: (u32, u32),
     /// Its kinds.
     pub kinds: Vec<KindAbout>,
@@ -28,11 +28,11 @@ pub struct PluginAbout {
 pub struct KindAbout {
     /// `stage.variant`.
     pub kind: String,
-    /// What it gives.
+    /// Its doc.
     pub doc: String,
     /// JSON Schema of its parameters.
     pub params: Json,
-    /// Its table in a graph file.
+    /// Its example table in a graph file.
     pub example: String,
     /// Paper, section, equation.
     pub literature: Vec<String>,
@@ -40,7 +40,7 @@ pub struct KindAbout {
     pub role: osteoflow_node::Role,
     /// Whether it is a source of constants.
     pub constant: bool,
-    /// Whether its answers are kept.
+    /// When its answers are cached.
     pub kept: osteoflow_node::CachePolicy,
     /// Its inputs.
     pub inputs: Vec<InputAbout>,
@@ -53,31 +53,31 @@ pub struct KindAbout {
 pub struct InputAbout {
     /// Name, payload and frames.
     pub port: PortAbout,
-    /// How its items are chosen.
+    /// The default join.
     pub join: osteoflow_node::Join,
-    /// Whether it may stay unwired.
+    /// Whether it may be left unwired.
     pub optional: bool,
-    /// Whether the kind does not need it.
+    /// Whether the kind ignores it.
     pub unused: bool,
 }
 
-/// What inputs and outputs have in common.
+/// The common part of inputs and outputs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PortAbout {
     /// Its name.
     pub name: String,
-    /// What it takes or gives.
+    /// Its doc.
     pub doc: String,
-    /// Name and version of its payload; `None`: any.
+    /// Name and version of its payload; `None` accepts any.
     pub payload: Option<(String, u32)>,
-    /// The frame of anything but a pose, and both of a pose.
+    /// The frame of a payload other than a pose, then the `to` and `from` of a pose.
     pub frames: [Option<String>; 3],
 }
 
 /// The outputs as a plugin describes them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum OutputsAbout {
-    /// The kind's own.
+    /// Fixed by the kind.
     Fixed(Vec<PortAbout>),
     /// Declared in the graph, each with parameters of this JSON Schema.
     Declared(Json),

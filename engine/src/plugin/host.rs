@@ -1,4 +1,4 @@
-//! The program's functions, as a plugin calls them. Each catches its panics: nothing unwinds into a plugin.
+//! The host functions that a plugin calls. Each catches panics: nothing unwinds into a plugin.
 #![allow(unsafe_code, reason = "is called through pointers")]
 
 use crate::panics;
@@ -15,7 +15,7 @@ use std::{
     time::Duration,
 };
 
-/// A value as it is lent: with its view, once somebody asks for it.
+/// A value lent to a plugin; its view is created on first use.
 pub(super) struct Lent {
     /// Not dropped with this: see [`Held`].
     value: ManuallyDrop<Value>,
@@ -23,7 +23,7 @@ pub(super) struct Lent {
     result: Lazy<String>,
 }
 
-/// Made when it is first asked for, from whatever thread; a `OnceLock` takes three times as long, which a firing feels.
+/// A value created on first use, from any thread. `OnceLock` takes three times as long, which is noticeable per firing.
 struct Lazy<T>(AtomicPtr<T>);
 
 impl<T> Lazy<T> {
@@ -38,7 +38,7 @@ impl<T> Lazy<T> {
             match self.0.compare_exchange(ptr::null_mut(), new, Ordering::AcqRel, Ordering::Acquire) {
                 Ok(_) => made = new,
                 Err(first) => {
-                    // SAFETY: another thread was first, so nobody has seen this one.
+                    // SAFETY: another thread was first, so this pointer was never shared.
                     drop(unsafe { Box::from_raw(new) });
                     made = first;
                 }
@@ -53,19 +53,19 @@ impl<T> Drop for Lazy<T> {
     fn drop(&mut self) {
         let made = *self.0.get_mut();
         if !made.is_null() {
-            // SAFETY: it came from a box, and nobody else has it.
+            // SAFETY: it came from a box and is not shared.
             drop(unsafe { Box::from_raw(made) });
         }
     }
 }
 
 impl Lent {
-    /// A value that somebody else keeps for as long as it is lent: counting it again would cost as much as a channel.
+    /// A value that outlives the loan; cloning its reference count would cost as much as a channel.
     ///
     /// # Safety
     /// `value` outlives every use of this.
     pub(super) unsafe fn borrowed(value: &Value) -> Self {
-        // SAFETY: as the caller vouches; it is not dropped.
+        // SAFETY: guaranteed by the caller; it is not dropped.
         Self::of(unsafe { ptr::read(value) })
     }
 
@@ -78,7 +78,7 @@ impl Lent {
     }
 }
 
-/// A value that is kept while it is lent.
+/// A value owned for as long as a plugin holds it.
 #[repr(transparent)]
 pub(super) struct Held(Lent);
 
@@ -113,7 +113,7 @@ impl Drop for Held {
     }
 }
 
-/// What a node is called with.
+/// The context of a call into a plugin.
 pub(super) enum At<'a> {
     /// While it is built.
     Build(&'a BuildContext),
@@ -121,19 +121,19 @@ pub(super) enum At<'a> {
     Firing(&'a mut Context),
 }
 
-/// A call of a plugin under way.
+/// The state of a call into a plugin.
 pub(super) struct Run<'a> {
     pub(super) at: At<'a>,
     pub(super) about: &'a super::node::BuiltKind,
     pub(super) params: &'a Json,
     pub(super) out: &'a mut [Emission],
-    /// The parameter at fault, and why.
+    /// The parameter at fault, and the message.
     pub(super) failed: Option<(String, String)>,
-    /// What is lent until the call returns.
+    /// Values lent until the call returns.
     pub(super) lent: Vec<LentParam>,
 }
 
-/// A parameter's value, kept where it is.
+/// A parameter's value, at a fixed address.
 pub(super) struct LentParam {
     text: String,
     numbers: Vec<f64>,
@@ -159,7 +159,7 @@ impl Run<'_> {
     }
 
     fn fail(&mut self, parameter: &str, message: String) {
-        // What went wrong first is why the rest did.
+        // Keep the first failure: it caused the others.
         self.failed.get_or_insert((parameter.into(), message));
     }
 
@@ -179,9 +179,9 @@ impl Run<'_> {
 /// # Safety
 /// `run` is what the program called with, and that call has not returned.
 unsafe fn with<T>(run: *mut abi::Run, otherwise: T, f: impl FnOnce(&mut Run<'_>) -> T) -> T {
-    // SAFETY: as the caller vouches; a plugin calls these functions from one thread at a time.
+    // SAFETY: guaranteed by the caller; a plugin calls these functions from one thread at a time.
     let run = unsafe { &mut *run.cast::<Run<'_>>() };
-    // The node's own firing catches panics already; here one is only kept from unwinding into the plugin.
+    // The node's firing reports panics; here they only must not unwind into the plugin.
     match catch_unwind(AssertUnwindSafe(|| f(&mut *run))) {
         Ok(answer) => answer,
         Err(payload) => {
@@ -194,7 +194,7 @@ unsafe fn with<T>(run: *mut abi::Run, otherwise: T, f: impl FnOnce(&mut Run<'_>)
 /// # Safety
 /// As for [`with`], but from any threads of the node.
 unsafe fn look<T>(run: *const abi::Run, otherwise: T, f: impl FnOnce(&Run<'_>) -> T) -> T {
-    // SAFETY: as the caller vouches.
+    // SAFETY: guaranteed by the caller.
     let run = unsafe { &*run.cast::<Run<'_>>() };
     panics::catch(|| f(run)).unwrap_or(otherwise)
 }
@@ -202,7 +202,7 @@ unsafe fn look<T>(run: *const abi::Run, otherwise: T, f: impl FnOnce(&Run<'_>) -
 /// # Safety
 /// As for [`with`].
 unsafe fn answer(run: *mut abi::Run, f: impl FnOnce(&mut Run<'_>) -> Result<(), String>) -> i32 {
-    // SAFETY: as the caller vouches.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         with(run, status::FAILED, |run| match f(run) {
             Ok(()) => status::OK,
@@ -215,14 +215,14 @@ unsafe fn answer(run: *mut abi::Run, f: impl FnOnce(&mut Run<'_>) -> Result<(), 
 }
 
 /// # Safety
-/// `value` is one that the program has lent, or that `hold` gave.
+/// `value` was lent by the program, or returned by `hold`.
 unsafe fn lent<'a>(value: *const abi::Value) -> &'a Lent {
-    // SAFETY: as the caller vouches.
+    // SAFETY: guaranteed by the caller.
     unsafe { &*value.cast::<Lent>() }
 }
 
 unsafe extern "C" fn view(value: *const abi::Value, view: *mut abi::View) -> i32 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     let lent = unsafe { lent(value) };
     let made = panics::catch(|| {
         let ty = lent.value.ty();
@@ -234,7 +234,7 @@ unsafe extern "C" fn view(value: *const abi::Value, view: *mut abi::View) -> i32
     });
     match made {
         Ok(Some(made)) => {
-            // SAFETY: the header has it called with a place for a view.
+            // SAFETY: the header requires a valid pointer to a view.
             unsafe { view.write(made) };
             status::OK
         }
@@ -247,28 +247,28 @@ unsafe extern "C" fn view(value: *const abi::Value, view: *mut abi::View) -> i32
 }
 
 unsafe extern "C" fn result(value: *const abi::Value) -> Text {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     let lent = unsafe { lent(value) };
     let made = panics::catch(|| lent.result.get_or(|| lent.value.to_result().to_string()));
     made.map_or(Text::NONE, |text| Text::of(text))
 }
 
 unsafe extern "C" fn hold(value: *const abi::Value) -> *const abi::Value {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     let lent = unsafe { lent(value) };
     Box::into_raw(Box::new(Held::new((*lent.value).clone()))).cast_const().cast()
 }
 
 unsafe extern "C" fn release(held: *const abi::Value) {
-    // SAFETY: the header has it called once with what `hold` gave.
+    // SAFETY: the header requires exactly one call with a pointer returned by `hold`.
     let held = unsafe { Box::from_raw(held.cast_mut().cast::<Held>()) };
-    // What a payload does when it is dropped must not unwind into the plugin.
+    // A payload's destructor must not unwind into the plugin.
     if let Err(said) = panics::catch(|| drop(held)) {
         tracing::warn!("a value that a plugin had held {said}");
     }
 }
 
-/// The columns of a plugin's answer, which are released from here on.
+/// The columns of a plugin's answer; the host releases them from now on.
 ///
 /// # Safety
 /// `view` is a plugin's, as the header says, and outlives the answer.
@@ -276,7 +276,7 @@ unsafe fn given<'a>(view: *const abi::View) -> Result<abi::IncomingView<'a>, Str
     if view.is_null() || !view.is_aligned() {
         return Err("the view of an answer is a null pointer".into());
     }
-    // SAFETY: as the caller vouches.
+    // SAFETY: guaranteed by the caller.
     unsafe { abi::IncomingView::new(&*view, abi::Ownership::Given) }.map_err(|error| error.to_string())
 }
 
@@ -288,7 +288,7 @@ fn taken(given: abi::IncomingView<'_>, ty: &'static PayloadType) -> Result<Emiss
 }
 
 unsafe extern "C" fn emit(run: *mut abi::Run, port: u64, view: *const abi::View) -> i32 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         answer(run, |run| {
             let given = given(view)?;
@@ -301,7 +301,7 @@ unsafe extern "C" fn emit(run: *mut abi::Run, port: u64, view: *const abi::View)
 }
 
 unsafe extern "C" fn emit_as(run: *mut abi::Run, port: u64, name: Text, version: u32, view: *const abi::View) -> i32 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         answer(run, |run| {
             let given = given(view)?;
@@ -326,7 +326,7 @@ fn expect(payload: PortPayload, found: &PayloadType) -> Result<(), String> {
 }
 
 unsafe extern "C" fn emit_value(run: *mut abi::Run, port: u64, value: *const abi::Value) -> i32 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         answer(run, |run| {
             if value.is_null() {
@@ -343,14 +343,14 @@ unsafe extern "C" fn emit_held(run: *mut abi::Run, port: u64, held: *const abi::
         // SAFETY: as below.
         return unsafe { emit_value(run, port, held) };
     }
-    // SAFETY: the header has it called with what `hold` gave, which it takes over.
+    // SAFETY: the header requires a pointer returned by `hold`, whose ownership passes here.
     let value = unsafe { Box::from_raw(held.cast_mut().cast::<Held>()) }.into_value();
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe { answer(run, |run| run.put(port, |payload| expect(payload, value.ty()).map(|()| Emission::Value(value)))) }
 }
 
 unsafe extern "C" fn emit_empty(run: *mut abi::Run, port: u64, reason: Text) -> i32 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         answer(run, |run| {
             let reason = abi::text(reason, "the reason").map_err(|error| error.to_string())?;
@@ -361,7 +361,7 @@ unsafe extern "C" fn emit_empty(run: *mut abi::Run, port: u64, reason: Text) -> 
 }
 
 unsafe extern "C" fn fail(run: *mut abi::Run, parameter: Text, message: Text) {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         with(run, (), |run| {
             let text = |text| {
@@ -371,7 +371,7 @@ unsafe extern "C" fn fail(run: *mut abi::Run, parameter: Text, message: Text) {
                 })
             };
             let message = text(message).unwrap_or_default().to_owned();
-            // An empty message means that a function of ours has said why.
+            // An empty message means that a host function has recorded the reason.
             if !message.is_empty() {
                 run.fail(text(parameter).unwrap_or_default(), message);
             }
@@ -380,7 +380,7 @@ unsafe extern "C" fn fail(run: *mut abi::Run, parameter: Text, message: Text) {
 }
 
 unsafe extern "C" fn node(run: *const abi::Run) -> Text {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         look(run, Text::NONE, |run| match &run.at {
             At::Build(build) => Text::of(&build.node),
@@ -390,17 +390,17 @@ unsafe extern "C" fn node(run: *const abi::Run) -> Text {
 }
 
 unsafe extern "C" fn item(run: *const abi::Run) -> u64 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe { look(run, 0, |run| run.context().map_or(0, Context::item)) }
 }
 
 unsafe extern "C" fn stamp_ns(run: *const abi::Run) -> i64 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe { look(run, 0, |run| run.context().map_or(0, Context::stamp_ns)) }
 }
 
 unsafe extern "C" fn set_stamp_ns(run: *mut abi::Run, stamp_ns: i64) {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         with(run, (), |run| {
             if let Some(context) = run.context_mut() {
@@ -411,7 +411,7 @@ unsafe extern "C" fn set_stamp_ns(run: *mut abi::Run, stamp_ns: i64) {
 }
 
 unsafe extern "C" fn seed(run: *const abi::Run) -> u64 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         look(run, 0, |run| match &run.at {
             At::Build(build) => build.seed,
@@ -421,17 +421,17 @@ unsafe extern "C" fn seed(run: *const abi::Run) -> u64 {
 }
 
 unsafe extern "C" fn random(run: *const abi::Run, index: u64) -> u64 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe { look(run, 0, |run| run.context().map_or(0, |context| context.random(index))) }
 }
 
 unsafe extern "C" fn clock_ns(run: *mut abi::Run) -> i64 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe { with(run, 0, |run| run.context_mut().map_or(0, Context::clock_ns)) }
 }
 
 unsafe extern "C" fn budget(run: *mut abi::Run, limit_ns: u64) -> *mut abi::Budget {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         with(run, ptr::null_mut(), |run| {
             let budget = run.context_mut().map(|context| context.budget(Duration::from_nanos(limit_ns)));
@@ -441,7 +441,7 @@ unsafe extern "C" fn budget(run: *mut abi::Run, limit_ns: u64) -> *mut abi::Budg
 }
 
 unsafe extern "C" fn budget_is_over(budget: *mut abi::Budget) -> i32 {
-    // SAFETY: the header has it called with what `budget` gave, from one thread at a time; null is one of a firing that failed.
+    // SAFETY: the header requires a pointer returned by `budget`, from one thread at a time; null if the firing failed.
     let budget = unsafe { budget.cast::<Option<Budget>>().as_mut() };
     let over = budget.and_then(Option::as_mut).map(|budget| panics::catch(|| budget.is_over()).unwrap_or(true));
     i32::from(over.unwrap_or(true))
@@ -449,18 +449,18 @@ unsafe extern "C" fn budget_is_over(budget: *mut abi::Budget) -> i32 {
 
 unsafe extern "C" fn budget_release(budget: *mut abi::Budget) {
     if !budget.is_null() {
-        // SAFETY: the header has it called once with what `budget` gave.
+        // SAFETY: the header requires exactly one call with a pointer returned by `budget`.
         drop(unsafe { Box::from_raw(budget.cast::<Option<Budget>>()) });
     }
 }
 
 unsafe extern "C" fn cancelled(run: *const abi::Run) -> i32 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe { look(run, 0, |run| i32::from(run.context().is_some_and(Context::cancelled))) }
 }
 
 unsafe extern "C" fn warn(run: *mut abi::Run, message: Text) {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         with(run, (), |run| {
             let message = abi::text(message, "the warning").ok().flatten().unwrap_or("a warning that is no text");
@@ -473,7 +473,7 @@ unsafe extern "C" fn warn(run: *mut abi::Run, message: Text) {
 }
 
 unsafe extern "C" fn absent_reason(run: *const abi::Run, port: Text) -> Text {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         look(run, Text::NONE, |run| {
             let port = abi::text(port, "a port").ok().flatten().unwrap_or_default();
@@ -483,7 +483,7 @@ unsafe extern "C" fn absent_reason(run: *const abi::Run, port: Text) -> Text {
 }
 
 unsafe extern "C" fn out_dir(run: *const abi::Run) -> Text {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe { look(run, Text::NONE, |run| Text::of_option(run.context().and_then(|c| c.out_dir()?.to_str()))) }
 }
 
@@ -491,14 +491,14 @@ unsafe extern "C" fn parameter(run: *mut abi::Run, name: Text, place: *mut abi::
     let numbers = abi::Numbers { data: ptr::null(), length: 0 };
     let mut found =
         abi::Param { what: param::MISSING, boolean: 0, number: 0.0, text: Text::NONE, numbers, json: Text::NONE };
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         with(run, (), |run| {
             let name = abi::text(name, "a parameter").ok().flatten().unwrap_or_default();
             let Some(value) = run.about.param(run.params, name) else { return };
             let list = value.as_array().map(|list| list.iter().map(Json::as_f64).collect::<Option<Vec<_>>>());
             let text = value.as_str().map(str::to_owned).unwrap_or_else(|| value.to_string());
-            // What text and numbers point to stays where it is when the list of them grows.
+            // Texts and numbers keep their address when this list grows.
             run.lent.push(LentParam { text, numbers: list.flatten().unwrap_or_default() });
             let Some(lent) = run.lent.last() else { return };
             match value {
@@ -518,12 +518,12 @@ unsafe extern "C" fn parameter(run: *mut abi::Run, name: Text, place: *mut abi::
 }
 
 unsafe extern "C" fn n_declared(run: *const abi::Run) -> u64 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe { look(run, 0, |run| run.about.declared.len() as u64) }
 }
 
 unsafe extern "C" fn declared(run: *const abi::Run, index: u64, place: *mut abi::Declared) -> i32 {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     unsafe {
         look(run, status::FAILED, |run| {
             let Some(port) = usize::try_from(index).ok().and_then(|index| run.about.declared.get(index)) else {
@@ -552,10 +552,10 @@ unsafe extern "C" fn log_level() -> u32 {
 }
 
 unsafe extern "C" fn log(level: u32, target: Text, message: Text) {
-    // SAFETY: the header has it called so.
+    // SAFETY: the plugin calls it as the header requires.
     let [target, message] = [target, message].map(|text| unsafe { abi::text(text, "a log line") }.ok().flatten());
     let (target, message) = (target.unwrap_or("plugin"), message.unwrap_or_default());
-    // A subscriber's panic stays here.
+    // A subscriber's panic must not unwind into the plugin.
     let _ = panics::catch(|| match level {
         1 => tracing::error!(target: "plugin", "{target}: {message}"),
         2 => tracing::warn!(target: "plugin", "{target}: {message}"),
@@ -565,7 +565,7 @@ unsafe extern "C" fn log(level: u32, target: Text, message: Text) {
     });
 }
 
-/// The table of functions that every plugin is given.
+/// The function table passed to every plugin.
 pub(super) static HOST: abi::Host = abi::Host {
     size: mem::size_of::<abi::Host>() as u64,
     view,

@@ -1,4 +1,4 @@
-//! The kinds that graphs may name: a program's own, and those of plugins that are found.
+//! The kinds that graphs may name: the program's own, and those of plugins.
 
 use super::{PluginAbout, Prober, ProvideError, load, probe, provide};
 use crate::{
@@ -19,23 +19,24 @@ use std::{
     sync::Arc,
 };
 
-/// The kinds of a program, and where more are found. A [`Registry`] alone stands for a program that loads no plugins.
+/// The kinds of a program, and where to find plugins. A [`Registry`] converts to the kinds of a program without
+/// plugins.
 #[derive(Debug, Clone)]
 pub struct Kinds {
     registry: Registry,
     finder: Option<Arc<Finder>>,
 }
 
-/// How plugins are found and looked at.
+/// Finds plugins and reads their descriptions.
 #[derive(Debug)]
 pub struct Finder {
-    /// Looks at a library.
+    /// Reads the description of a library.
     pub prober: Prober,
-    /// Where descriptions are kept from one time to the next.
+    /// Where descriptions are cached.
     pub store: Option<Arc<Store>>,
-    /// Libraries beside those of the graph; one takes the place of a graph's that has the same file name.
+    /// Libraries from the command line; each replaces a library of the graph with the same file name.
     pub asked: Vec<PathBuf>,
-    /// Folders whose libraries are all looked at, and in which a graph's names without a folder are looked for.
+    /// Folders whose libraries are all read, and which are searched for names without a folder.
     pub folders: Vec<PathBuf>,
 }
 
@@ -46,14 +47,14 @@ pub struct Plugin {
     pub path: PathBuf,
     /// Its SHA-256.
     pub sha256: Arc<str>,
-    /// What it says of itself.
+    /// Its description.
     pub about: PluginAbout,
     /// Whether the graph names it.
     pub named: bool,
 }
 
 impl Plugin {
-    /// The plugin as a plan names it: with those of its kinds that the graph has.
+    /// The plugin as recorded in a plan, with its kinds that the graph uses.
     pub(crate) fn in_plan(&self, kinds: Vec<String>) -> PlanPlugin {
         PlanPlugin {
             name: self.about.name.clone(),
@@ -68,21 +69,21 @@ impl Plugin {
     }
 }
 
-/// What is known with plugins.
+/// All kinds and payloads, with the plugins that provide them.
 #[derive(Debug)]
 pub struct Known {
     /// All kinds and payloads.
     pub registry: Registry,
     /// The plugins, in the order in which they were added.
     pub plugins: Vec<Arc<Plugin>>,
-    /// What is no plugin, or cannot stand beside the others.
+    /// Libraries that are not plugins, or that conflict with others.
     pub refused: Vec<Refused>,
 }
 
 /// A plugin that was refused.
 #[derive(Debug, Clone)]
 pub struct Refused {
-    /// The file, or the name under which none was found.
+    /// The file, or the name for which none was found.
     pub path: PathBuf,
     /// Why.
     pub why: String,
@@ -91,14 +92,14 @@ pub struct Refused {
     help: Option<String>,
 }
 
-/// Who names a plugin.
+/// Where a plugin is named.
 #[derive(Debug, Clone)]
 enum Origin {
-    /// A graph, as it is written there.
+    /// A graph, with the name as written.
     Graph(String, Option<Span>),
     /// The command line.
     Asked,
-    /// A folder that was looked through.
+    /// A searched folder.
     Folder,
 }
 
@@ -120,24 +121,24 @@ impl Kinds {
         Self { registry, finder: Some(Arc::new(finder)) }
     }
 
-    /// The program's own.
+    /// The program's own kinds.
     pub fn registry(&self) -> &Registry {
         &self.registry
     }
 
-    /// The same over a registry that knows more.
+    /// The kinds with another registry of the program's own kinds.
     #[must_use]
     pub fn over(&self, registry: Registry) -> Self {
         Self { registry, finder: self.finder.clone() }
     }
 
-    /// What is known without a graph.
+    /// The kinds available without a graph.
     pub fn known(&self) -> Known {
         self.with(&[])
     }
 
-    /// What is known with the plugins that a graph names. What it and the command line name comes first: a plugin of a
-    /// folder that clashes with one of those is left out.
+    /// The kinds available to a graph that names these plugins. Plugins named by the graph or the command line take
+    /// precedence: a plugin of a folder that conflicts with one of them is left out.
     pub(crate) fn with(&self, named: &[NamedPlugin]) -> Known {
         let mut known = Known { registry: self.registry.clone(), plugins: Vec::new(), refused: Vec::new() };
         let Some(finder) = &self.finder else {
@@ -177,7 +178,7 @@ impl Kinds {
         known
     }
 
-    /// The files of plugins, and where they would be, as far as they are known by name.
+    /// The files of plugins named explicitly, and the paths at which missing ones are searched.
     pub(crate) fn files(&self, named: &[NamedPlugin]) -> Vec<PathBuf> {
         let Some(finder) = &self.finder else { return Vec::new() };
         let candidates = |dir: &Path, path: &Path| -> Vec<PathBuf> {
@@ -192,7 +193,7 @@ impl Kinds {
 }
 
 impl Finder {
-    /// The folders in which a path is looked for.
+    /// The folders in which a path is searched.
     fn places(&self, dir: &Path, path: &Path) -> Vec<PathBuf> {
         let parent = path.parent().unwrap_or(Path::new(""));
         let mut places = vec![dir.join(parent)];
@@ -213,10 +214,10 @@ impl Finder {
         Refused { path: path.into(), why: "there is no such file".into(), origin, note: Some(note), help }
     }
 
-    /// The library at `path`, looked at by another process, or as it was kept when that was done.
+    /// Reads the description of the library at `path`: from the cache, or by another process.
     fn look_at(&self, path: &Path) -> Result<Plugin, String> {
         let unread = |error: io::Error| format!("it cannot be read: {error}");
-        // While it is looked at it may be built anew.
+        // The file may be rebuilt while it is read.
         for _ in 0..3 {
             let before = stamp(&fs::metadata(path).map_err(unread)?);
             let digest = self.sha256(path, &before).map_err(unread)?;
@@ -234,7 +235,7 @@ impl Finder {
             if let (Some(key), Some(store)) = (&key, &self.store)
                 && let Ok(json) = serde_json::to_vec(&about)
             {
-                // Where it cannot be kept it is looked at again.
+                // If the description cannot be cached, it is read again next time.
                 let _ = store.put(key, &[&json]);
             }
             return Ok(Plugin { path: path.into(), sha256: digest.to_string().into(), about, named: false });
@@ -277,10 +278,10 @@ impl Known {
         }
     }
 
-    /// Adds all that a plugin has, or nothing.
+    /// Adds all kinds and payloads of a plugin, or none.
     fn provide(&mut self, plugin: Plugin) -> Result<(), String> {
         if let Some(same) = self.plugins.iter_mut().find(|other| other.sha256 == plugin.sha256) {
-            // The same library twice is one.
+            // The same library named twice is one plugin.
             Arc::make_mut(same).named |= plugin.named;
             return Ok(());
         }
@@ -299,13 +300,13 @@ impl Known {
         Ok(())
     }
 
-    /// The plugin that brings a kind.
+    /// The plugin that provides a kind.
     pub fn of_kind(&self, kind: &str) -> Option<&Plugin> {
         let sha256 = self.registry.kind(kind)?.plugin.as_ref()?;
         self.plugins.iter().find(|plugin| plugin.sha256 == *sha256).map(|plugin| &**plugin)
     }
 
-    /// What was refused, as faults; what only lies in a folder is a warning.
+    /// The refused libraries as faults; those merely found in a folder are warnings.
     pub fn faults(&self) -> Vec<Fault> {
         self.refused.iter().map(Refused::fault).collect()
     }
@@ -317,7 +318,7 @@ impl Refused {
         Self { path: named.dir.join(&named.text), why, origin, note: None, help: None }
     }
 
-    /// Whether somebody asked for it by name.
+    /// Whether it was named explicitly.
     pub fn is_asked(&self) -> bool {
         !matches!(self.origin, Origin::Folder)
     }
@@ -338,7 +339,7 @@ impl Refused {
     }
 }
 
-/// The file names that a name of a plugin may stand for: `lib` and `.so` may be left out.
+/// The file names for a plugin's name: `lib` and `.so` may be left out.
 fn names(path: &Path) -> Vec<PathBuf> {
     let Some(name) = path.file_name().map(|name| name.to_string_lossy().into_owned()) else { return Vec::new() };
     let is_library = path.extension().is_some_and(|e| ["so", "dylib", "dll"].iter().any(|library| e == *library))
@@ -359,7 +360,7 @@ fn find(path: &Path, places: &[PathBuf]) -> Option<PathBuf> {
     candidates.find(|file| file.is_file()).map(|file| absolute(&file))
 }
 
-/// The path without links among its folders; the file keeps its name.
+/// The path with links among its folders resolved; the file keeps its name.
 fn absolute(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
     let dir = path.parent().and_then(|dir| dir.canonicalize().ok());
@@ -369,7 +370,7 @@ fn absolute(path: &Path) -> PathBuf {
     }
 }
 
-/// The libraries of a folder, by name; none if it cannot be read.
+/// The libraries of a folder, sorted by name; none if it cannot be read.
 fn libraries(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let mut files: Vec<_> = entries.map(|entry| entry.path()).collect();

@@ -1,4 +1,4 @@
-//! A shared library, loaded and read.
+//! Loads a shared library and reads its plugin description.
 #![allow(unsafe_code, reason = "loads a library and reads what it describes")]
 
 use super::about::{InputAbout, KindAbout, OutputsAbout, PluginAbout, PortAbout};
@@ -11,61 +11,61 @@ use std::{
     sync::Once,
 };
 
-/// A library that is no plugin for this program; each names the file.
+/// A library that is not a plugin for this program.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {why}", path.display())]
 pub struct LibraryError {
     /// The file.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// The cause.
     pub why: Why,
 }
 
-/// What is wrong with a library.
+/// Why a library is not a plugin for this program.
 #[derive(Debug, thiserror::Error)]
 pub enum Why {
-    /// The system does not load it.
+    /// The system cannot load it.
     #[error("the system cannot load it: {0}")]
     Load(String),
-    /// It does not export the function.
+    /// It does not export the entry function.
     #[error(
         "it has no function osteoflow_describe, so it is no plugin; close the crate with osteoflow_node::export!, or export the function of osteoflow.h"
     )]
     NoSymbol,
-    /// The function answers null.
+    /// The entry function returned null.
     #[error("its description is a null pointer; what it printed may say why")]
     NoDescription,
-    /// The description does not begin as it must.
+    /// The description does not begin with the magic bytes.
     #[error("its description does not begin with OSTEOPLG, so it is no plugin of this program")]
     Magic,
-    /// It speaks another interface.
+    /// It uses an incompatible version of the interface.
     #[error("it speaks version {}.{} of the plugin interface, this program {}.{}; build it with the SDK of this program", found.0, found.1, ours.0, ours.1)]
     Version {
-        /// Of the plugin.
+        /// The plugin's version.
         found: (u32, u32),
-        /// Of the program.
+        /// The program's version.
         ours: (u32, u32),
     },
-    /// Its structs are smaller than they ever were.
+    /// Its structs are smaller than the interface requires.
     #[error("its {what} has {found} bytes, at least {needed} are needed by version {}.{}; it speaks {}.{}", ours.0, ours.1, theirs.0, theirs.1)]
     Size {
         /// The struct.
         what: &'static str,
-        /// Bytes as it was compiled.
+        /// Size as compiled into the plugin.
         found: u32,
-        /// Bytes that are needed.
+        /// Minimum size.
         needed: u32,
         /// The program's version.
         ours: (u32, u32),
         /// The plugin's version.
         theirs: (u32, u32),
     },
-    /// Its panics would end the program.
+    /// It aborts on panic, which would end the program.
     #[error(
         "it was built with panic = \"abort\", so that a panic of a node would end the program; build it with panic = \"unwind\""
     )]
     PanicAbort,
-    /// A part of the description is not sound.
+    /// A part of the description is invalid.
     #[error("its description is not sound: {0}")]
     Unsound(String),
 }
@@ -84,7 +84,7 @@ pub struct Library {
     started: Once,
 }
 
-// SAFETY: what the pointers lead to lives as long as the library, which is never unloaded, and never changes.
+// SAFETY: the pointers are valid and their targets constant as long as the library, which is never unloaded.
 unsafe impl Send for Library {}
 // SAFETY: as above.
 unsafe impl Sync for Library {}
@@ -92,8 +92,7 @@ unsafe impl Sync for Library {}
 const OURS: (u32, u32) = (abi::MAJOR, abi::MINOR);
 
 impl Library {
-    /// Loads the library at `path` and reads its description. Its initialisers run: a library that crashes there takes
-    /// the process with it.
+    /// Loads the library at `path` and reads its description. Runs its initialisers: a crash there ends the process.
     ///
     /// # Errors
     /// [`LibraryError`] naming the file.
@@ -103,21 +102,22 @@ impl Library {
     }
 
     fn of(path: &Path) -> Result<Self, Why> {
-        // SAFETY: what a library does when it is loaded is its author's; the docs say so.
-        let library = unsafe { open(path) }.map_err(|error| Why::Load(said(&error)))?;
-        // Never unloaded: descriptions, buffers and threads of it may outlive every use.
+        // SAFETY: the safety of a library's initialisers is its author's responsibility, as documented.
+        let library = unsafe { open(path) }.map_err(|error| Why::Load(system_message(&error)))?;
+        // Never unloaded: its descriptions, buffers and threads may outlive any use.
         let library = Box::leak(Box::new(library));
-        // SAFETY: the header gives the function this type.
+        // SAFETY: the header declares the function with this type.
         let describe = unsafe { library.get::<abi::DescribeFn>(abi::SYMBOL.as_bytes()) };
         let describe = describe.map_err(|_| Why::NoSymbol)?;
         // SAFETY: as above.
         let plugin = unsafe { describe() };
-        // SAFETY: what the function answers is a description, or what can be told from one by its first bytes.
+        // SAFETY: the function returns a description, or something distinguishable from one by its first bytes.
         unsafe { Self::read(plugin) }
     }
 
     /// # Safety
-    /// `plugin` is null, or leads to a description as the header says, at least to the bytes of magic, version and sizes.
+    /// `plugin` is null, or points to a description as in the header, at least to the bytes of magic, version and
+    /// sizes.
     unsafe fn read(plugin: *const abi::Plugin) -> Result<Self, Why> {
         if plugin.is_null() {
             return Err(Why::NoDescription);
@@ -125,7 +125,7 @@ impl Library {
         if !plugin.is_aligned() {
             return Err(Why::Unsound("it is not aligned".into()));
         }
-        // SAFETY: as the caller vouches: magic and version lie at the same place in every version.
+        // SAFETY: guaranteed by the caller: magic and version have the same offsets in every version.
         let (magic, theirs) = unsafe { ((*plugin).magic, ((*plugin).abi_major, (*plugin).abi_minor)) };
         if magic != abi::MAGIC {
             return Err(Why::Magic);
@@ -133,15 +133,15 @@ impl Library {
         if theirs.0 != abi::MAJOR {
             return Err(Why::Version { found: theirs, ours: OURS });
         }
-        // SAFETY: within this major sizes follow.
+        // SAFETY: within this major version, the sizes follow.
         let sizes = unsafe { (*plugin).sizes };
         check_sizes(&sizes, theirs)?;
-        // SAFETY: it is as large as its size says.
+        // SAFETY: the description is as large as its size field says.
         let about = unsafe { abi::entries(plugin, 1, sizes.plugin, "the description") }?[0];
         if about.panic == panics::ABORT {
             return Err(Why::PanicAbort);
         }
-        // SAFETY: as the caller vouches, in this and the following.
+        // SAFETY: guaranteed by the caller, here and below.
         let kinds = unsafe { abi::entries(about.kinds, about.n_kinds, sizes.kind, "the kinds") }?;
         // SAFETY: as above.
         let payloads = unsafe { abi::entries(about.payloads, about.n_payloads, sizes.payload, "the payloads") }?;
@@ -162,21 +162,21 @@ impl Library {
         Ok(Self { about: described, kinds, start: about.start, started: Once::new() })
     }
 
-    /// What it says of itself.
+    /// The plugin's description.
     pub fn about(&self) -> &PluginAbout {
         &self.about
     }
 
-    /// The kind at this place of [`PluginAbout::kinds`].
+    /// The kind at an index of [`PluginAbout::kinds`].
     pub(super) fn kind(&self, index: usize) -> &abi::Kind {
         &self.kinds[index]
     }
 
-    /// Tells it once that nodes are going to be built.
+    /// Calls the plugin's `start` once, before its first node is built.
     pub(super) fn start(&self, host: &'static abi::Host) {
         self.started.call_once(|| {
             if let Some(start) = self.start {
-                // SAFETY: the header has it called so.
+                // SAFETY: the plugin calls it as the header requires.
                 unsafe { start(host) };
             }
         });
@@ -188,8 +188,8 @@ impl Library {
 #[cfg(unix)]
 unsafe fn open(path: &Path) -> Result<libloading::Library, libloading::Error> {
     use libloading::os::unix::{Library, RTLD_LOCAL, RTLD_NOW};
-    // Now: what is missing is told now. Local: what two plugins call alike stays apart.
-    // SAFETY: as the caller vouches.
+    // RTLD_NOW reports missing symbols immediately. RTLD_LOCAL keeps equal symbols of two plugins apart.
+    // SAFETY: guaranteed by the caller.
     unsafe { Library::open(Some(path), RTLD_NOW | RTLD_LOCAL) }.map(Into::into)
 }
 
@@ -197,33 +197,33 @@ unsafe fn open(path: &Path) -> Result<libloading::Library, libloading::Error> {
 /// Runs the library's initialisers.
 #[cfg(not(unix))]
 unsafe fn open(path: &Path) -> Result<libloading::Library, libloading::Error> {
-    // SAFETY: as the caller vouches.
+    // SAFETY: guaranteed by the caller.
     unsafe { libloading::Library::new(path) }
 }
 
-/// What the system says, which libloading has as the cause.
-fn said(error: &libloading::Error) -> String {
+/// The system's error message, which libloading stores as the source.
+fn system_message(error: &libloading::Error) -> String {
     std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string)
 }
 
 fn check_sizes(found: &abi::Sizes, theirs: (u32, u32)) -> Result<(), Why> {
-    // Those of minor 0, which are today's.
-    let least = abi::Sizes::OURS;
+    // The sizes of minor version 0, which are the current ones.
+    let minimum = abi::Sizes::OURS;
     let pairs = [
-        ("osteoflow_plugin", found.plugin, least.plugin),
-        ("osteoflow_kind", found.kind, least.kind),
-        ("osteoflow_input", found.input, least.input),
-        ("osteoflow_output", found.output, least.output),
-        ("osteoflow_payload", found.payload, least.payload),
-        ("osteoflow_part", found.part, least.part),
-        ("osteoflow_host", found.host, least.host),
-        ("osteoflow_firing", found.firing, least.firing),
-        ("osteoflow_slot", found.slot, least.slot),
-        ("osteoflow_item", found.item, least.item),
-        ("osteoflow_view", found.view, least.view),
-        ("osteoflow_column", found.column, least.column),
-        ("osteoflow_param", found.param, least.param),
-        ("osteoflow_declared", found.declared, least.declared),
+        ("osteoflow_plugin", found.plugin, minimum.plugin),
+        ("osteoflow_kind", found.kind, minimum.kind),
+        ("osteoflow_input", found.input, minimum.input),
+        ("osteoflow_output", found.output, minimum.output),
+        ("osteoflow_payload", found.payload, minimum.payload),
+        ("osteoflow_part", found.part, minimum.part),
+        ("osteoflow_host", found.host, minimum.host),
+        ("osteoflow_firing", found.firing, minimum.firing),
+        ("osteoflow_slot", found.slot, minimum.slot),
+        ("osteoflow_item", found.item, minimum.item),
+        ("osteoflow_view", found.view, minimum.view),
+        ("osteoflow_column", found.column, minimum.column),
+        ("osteoflow_param", found.param, minimum.param),
+        ("osteoflow_declared", found.declared, minimum.declared),
     ];
     match pairs.into_iter().find(|(_, found, needed)| found < needed) {
         Some((what, found, needed)) => Err(Why::Size { what, found, needed, ours: OURS, theirs }),
@@ -232,9 +232,9 @@ fn check_sizes(found: &abi::Sizes, theirs: (u32, u32)) -> Result<(), Why> {
 }
 
 /// # Safety
-/// `kind` is one of a plugin's description.
+/// `kind` belongs to a plugin's description.
 unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindAbout, AbiError> {
-    // SAFETY: as the caller vouches, in this and the following.
+    // SAFETY: guaranteed by the caller, here and below.
     let name = unsafe { abi::required_text(given.kind, "the name of a kind") }?.to_owned();
     let what = |part: &str| format!("{part} of kind {name}");
     // SAFETY: as above.

@@ -1,4 +1,4 @@
-//! Loads a library into the program, when the first of its nodes is built.
+//! Loads a plugin's library when the first of its nodes is built.
 
 use super::{Library, LibraryError, Plugin, Why};
 use crate::{hash::Digest, store};
@@ -12,12 +12,12 @@ use std::{
     },
 };
 
-/// The variable that has libraries loaded from where they lie, for debuggers that read them later.
+/// Environment variable that loads libraries from their own path, for debuggers that read them later.
 const IN_PLACE: &str = "OSTEOFLOW_PLUGIN_IN_PLACE";
-/// Words of a library that looks for others beside itself.
+/// Markers in a library that searches for others in its own folder.
 const BESIDE: [&[u8]; 2] = [b"$ORIGIN", b"@loader_path"];
 
-/// What is loaded, by SHA-256; and what was loaded from its own place, which the system would not load again.
+/// The loaded libraries by SHA-256, and those loaded from their own path, which the system would not load again.
 static LOADED: Mutex<Loaded> = Mutex::new(Loaded { libraries: BTreeMap::new(), in_place: BTreeMap::new() });
 
 struct Loaded {
@@ -25,36 +25,36 @@ struct Loaded {
     in_place: BTreeMap<PathBuf, Arc<str>>,
 }
 
-/// The library of a plugin, loaded once in a process.
+/// Loads the library of a plugin, once per process.
 ///
-/// A copy is loaded that nobody else knows: what is written over a library that is in use changes its code while it runs,
-/// and a rebuilt one of the same path is another for the system only under another path. A library that looks for others
-/// beside itself is loaded where it lies.
+/// Loads a private copy: overwriting a loaded library would change its running code, and the system loads a rebuilt
+/// library again only from another path. A library that searches for others in its own folder is loaded from its own
+/// path.
 pub(super) fn load(plugin: &Plugin) -> Result<&'static Library, String> {
-    // What else is loaded from here on belongs to plugins, not to the program.
+    // Libraries loaded from here on belong to plugins, not to the program.
     store::note_program();
     let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(library) = loaded.libraries.get(&plugin.sha256) {
         return Ok(library);
     }
     let path = &plugin.path;
-    let told = |why: &dyn std::fmt::Display| format!("plugin {}: {why}", path.display());
-    let bytes = fs::read(path).map_err(|error| told(&format!("it cannot be read: {error}")))?;
+    let message = |why: &dyn std::fmt::Display| format!("plugin {}: {why}", path.display());
+    let bytes = fs::read(path).map_err(|error| message(&format!("it cannot be read: {error}")))?;
     if Digest::of(&bytes).to_string() != *plugin.sha256 {
-        return Err(told(&"it has changed since it was looked at; run again"));
+        return Err(message(&"it has changed since it was looked at; run again"));
     }
     let needs_place = std::env::var_os(IN_PLACE).is_some_and(|value| !value.is_empty())
         || BESIDE.iter().any(|word| bytes.windows(word.len()).any(|window| window == *word));
     let library = match copy(path, &bytes).ok().filter(|_| !needs_place) {
         Some(copy) => match open(&copy.file) {
-            // Programs may not be run from where the copy lies.
+            // The folder of the copy may not allow execution.
             Err(error) if matches!(error.why, Why::Load(_)) => in_place(plugin, &mut loaded)?,
-            library => library.map_err(|error| told(&error.why))?,
+            library => library.map_err(|error| message(&error.why))?,
         },
         None => in_place(plugin, &mut loaded)?,
     };
     if *library.about() != plugin.about {
-        return Err(told(
+        return Err(message(
             &"it describes itself otherwise than when it was looked at; it must not depend on its process",
         ));
     }
@@ -63,7 +63,7 @@ pub(super) fn load(plugin: &Plugin) -> Result<&'static Library, String> {
     Ok(library)
 }
 
-/// Loads a file that the store is not to take for a part of the program.
+/// Loads a file and records it as not part of the program.
 fn open(file: &Path) -> Result<Library, LibraryError> {
     store::note_plugin(file);
     Library::load(file)
@@ -83,7 +83,7 @@ fn in_place(plugin: &Plugin, loaded: &mut Loaded) -> Result<Library, String> {
 
 const PREFIX: &str = "osteoflow-plugin-";
 
-/// A file that goes when this does; what is mapped of it stays.
+/// A file that is deleted on drop; its mapped pages stay valid.
 struct Copy {
     dir: PathBuf,
     file: PathBuf,
@@ -91,10 +91,10 @@ struct Copy {
 
 fn copy(path: &Path, bytes: &[u8]) -> io::Result<Copy> {
     let mut builder = fs::DirBuilder::new();
-    // Nobody else may put a library there.
+    // Only the owner may write to the folder.
     #[cfg(unix)]
     std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
-    // Under a path that was used before, the system would find what it has loaded.
+    // The system would return the loaded library if a path were used again.
     static N_MADE: AtomicU32 = AtomicU32::new(0);
     loop {
         let n = N_MADE.fetch_add(1, Ordering::Relaxed);

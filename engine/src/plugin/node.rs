@@ -1,4 +1,4 @@
-//! A plugin's node, as the engine holds it.
+//! A plugin's node as a node of the engine.
 #![allow(unsafe_code, reason = "calls a plugin's functions")]
 
 use super::{
@@ -20,31 +20,31 @@ use std::{
     time::Duration,
 };
 
-/// What is known of a kind whose node is built.
+/// Properties of a kind needed to build its nodes.
 pub(super) struct BuiltKind {
     /// JSON Schema of the parameters.
     pub(super) schema: Json,
     /// Names and payloads of the outputs.
     pub(super) outputs: Vec<(String, PortPayload)>,
     pub(super) declared: Vec<LentOutput>,
-    /// The payloads that outputs for any may give.
+    /// The payload types that untyped outputs may give.
     pub(super) types: Arc<[&'static PayloadType]>,
 }
 
-/// An output that the graph declared, as it is lent.
+/// A declared output, lent to a plugin.
 pub(super) struct LentOutput {
     pub(super) name: String,
     pub(super) payload: *const abi::Payload,
     pub(super) params: String,
 }
 
-// SAFETY: payloads as they cross are leaked and never change.
+// SAFETY: payload descriptions passed to plugins are leaked and never change.
 unsafe impl Send for LentOutput {}
 // SAFETY: as above.
 unsafe impl Sync for LentOutput {}
 
 impl BuiltKind {
-    /// A parameter by its dotted path: as given, else the schema's default.
+    /// A parameter by its dotted path: the given value, otherwise the schema's default.
     pub(super) fn param<'a>(&'a self, params: &'a Json, path: &str) -> Option<&'a Json> {
         let mut steps = path.split('.');
         let given = steps.try_fold(params, |at, step| at.get(step));
@@ -61,7 +61,7 @@ impl BuiltKind {
     }
 }
 
-/// A payload type as it crosses; made once.
+/// The C description of a payload type, created once.
 fn crossing(ty: &'static PayloadType) -> *const abi::Payload {
     static KNOWN: Mutex<BTreeMap<usize, usize>> = Mutex::new(BTreeMap::new());
     let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
@@ -106,7 +106,7 @@ pub(super) fn build(
         n_slots: 0,
     };
     let create = kind.create.expect("a kind without it is refused when its library is read");
-    // SAFETY: called as the header says: with the plugin's own kind, and texts and a run that outlive the call.
+    // SAFETY: called as the header requires: with the plugin's own kind, and texts and a run that outlive the call.
     let answered = unsafe { create(kind, &firing, Text::of(&text), &mut node) };
     let (parameter, message) = run.failed.take().unwrap_or_default();
     match answered {
@@ -145,7 +145,7 @@ pub(super) fn build(
     })
 }
 
-/// The value of a port joined by `once`, whose view is made once.
+/// The value of a port joined by `once`; its view is created once.
 struct Constant(Option<Box<Held>>);
 
 struct PluginNode {
@@ -155,29 +155,29 @@ struct PluginNode {
     about: BuiltKind,
     params: Json,
     is_source: bool,
-    /// For each input: whether it is a constant.
+    /// The cached constant of each input joined by `once`.
     constants: Vec<Option<Constant>>,
-    // What firings use again.
+    // Buffers reused by firings.
     values: Vec<Lent>,
     items: Vec<abi::Item>,
     slots: Vec<abi::Slot>,
     payloads: Vec<(*const PayloadType, *const abi::Payload)>,
 }
 
-// SAFETY: the header has a node used by one thread at a time, not always the same one; the lists are empty between firings.
+// SAFETY: the header requires that one thread at a time uses a node; the lists are empty between firings.
 unsafe impl Send for PluginNode {}
 
 impl Drop for PluginNode {
     fn drop(&mut self) {
         let destroy = self.library.kind(self.index).destroy;
-        // SAFETY: called once with what `create` gave.
+        // SAFETY: called once with the pointer returned by `create`.
         unsafe { destroy.expect("a kind without it is refused when its library is read")(self.node) };
     }
 }
 
 impl PluginNode {
-    /// Lays out what the ports bring.
-    fn lay(&mut self, joined: &Joined) {
+    /// Fills the argument lists with the joined items.
+    fn fill_arguments(&mut self, joined: &Joined) {
         for (port, brought) in joined.slots.iter().enumerate() {
             let items = match brought {
                 Slot::Item(item) => std::slice::from_ref(item),
@@ -198,7 +198,7 @@ impl PluginNode {
                 }
             }
         }
-        // From here on the values stay where they are.
+        // The values do not move from here on.
         let mut next = self.values.iter();
         for (port, brought) in joined.slots.iter().enumerate() {
             let constant = self.constants.get(port).and_then(Option::as_ref);
@@ -225,7 +225,7 @@ impl PluginNode {
                 Slot::Absent(empty) => self.items.push(empty_item(0, 0, empty)),
             }
         }
-        // And from here on the items.
+        // The items do not move from here on.
         let mut first = 0;
         for (port, brought) in joined.slots.iter().enumerate() {
             let (what, n_items) = match brought {
@@ -241,9 +241,9 @@ impl PluginNode {
         }
     }
 
-    /// Calls the plugin; `false` at a source's end.
+    /// Calls the plugin; `false` at the end of a source.
     fn call(&mut self, joined: &Joined, out: &mut [Emission], context: &mut Context) -> Result<bool, NodeError> {
-        self.lay(joined);
+        self.fill_arguments(joined);
         let mut run = Run {
             at: At::Firing(context),
             about: &self.about,
@@ -260,8 +260,8 @@ impl PluginNode {
             n_slots: self.slots.len() as u64,
         };
         let fire = self.library.kind(self.index).fire;
-        // SAFETY: called as the header says: with what `create` gave, from one thread at a time, and a firing that
-        // outlives the call.
+        // SAFETY: called as the header requires: with the pointer returned by `create`, from one thread at a time, and
+        // a firing that outlives the call.
         let answered =
             unsafe { fire.expect("a kind without it is refused when its library is read")(self.node, &firing) };
         let failed = run.failed.take();
@@ -308,7 +308,7 @@ fn empty_item(number: u64, stamp_ns: StampNs, empty: &Empty) -> abi::Item {
 impl AnyNode for PluginNode {
     fn fire(&mut self, joined: &mut Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError> {
         self.call(joined, out, ctx)?;
-        // A node answers on every output.
+        // A node must answer on every output.
         for emission in out.iter_mut().filter(|emission| matches!(emission, Emission::Silent)) {
             *emission = Emission::Empty("the node gave no value".into());
         }
@@ -323,13 +323,13 @@ impl AnySource for PluginNode {
 
     fn max_delay_ns(&self) -> StampNs {
         let ask = self.library.kind(self.index).max_delay_ns;
-        // SAFETY: called with what `create` gave.
+        // SAFETY: called with the pointer returned by `create`.
         ask.map_or(0, |ask| unsafe { ask(self.node) })
     }
 
     fn silent_after(&self) -> Duration {
         let ask = self.library.kind(self.index).silent_after_ns;
-        // SAFETY: called with what `create` gave.
+        // SAFETY: called with the pointer returned by `create`.
         let ns = ask.map(|ask| unsafe { ask(self.node) });
         ns.and_then(|ns| u64::try_from(ns).ok()).map_or(SILENT_AFTER, Duration::from_nanos)
     }

@@ -1,4 +1,4 @@
-//! Asks a library what it is, in a process of its own: one that crashes, hangs or is garbage takes nothing with it.
+//! Reads a library's description in a separate process, which contains crashes, hangs and invalid libraries.
 
 use super::{Library, PluginAbout};
 use serde::{Deserialize, Serialize};
@@ -12,23 +12,23 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// The program that looks at a library: it prints [`answer`] of the file that follows its arguments.
+/// The program that reads a library: it prints the [`answer`] for the file given as last argument.
 #[derive(Debug, Clone)]
 pub struct Prober {
     /// The program.
     pub program: PathBuf,
-    /// What it is called with before the file.
+    /// The arguments before the file.
     pub arguments: Vec<OsString>,
-    /// How long a library may take; then it is stopped.
+    /// Time limit for a library.
     pub timeout: Duration,
 }
 
 impl Prober {
-    /// Ten seconds: loading takes milliseconds, and a large library on a slow network drive some seconds.
+    /// Ten seconds: loading takes milliseconds, or a few seconds for a large library on a slow network drive.
     pub const TIMEOUT: Duration = Duration::from_secs(10);
 }
 
-/// Why there is no description.
+/// Why a description could not be read.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ProbeError {
     #[error("{0}")]
@@ -47,7 +47,7 @@ pub(super) enum ProbeError {
     Start(io::Error),
 }
 
-/// What the process prints.
+/// The output of the process.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Answer {
@@ -55,27 +55,27 @@ enum Answer {
     Refused(String),
 }
 
-/// Begins the line of the answer: the library may print lines too.
+/// Starts the line of the answer: the library may print lines too.
 const MARK: &str = "osteoflow plugin: ";
-/// No description is longer, nor is more read of what a library prints.
-const MOST_BYTES: u64 = 64 << 20;
-/// So long the program's end is waited for between two looks.
-const LOOK: Duration = Duration::from_millis(1);
-/// What a program that has ended printed is there by then, unless one that it has started goes on.
-const REST: Duration = Duration::from_secs(1);
+/// Maximum size of a description, and of the output read from a library.
+const MAX_ANSWER_BYTES: u64 = 64 << 20;
+/// Interval between checks whether the process has ended.
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
+/// Time limit for reading the output of an ended process; a child process may keep the pipe open.
+const OUTPUT_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The answer of the process that looks at a library: lines to be printed on stdout. It loads the library.
+/// Loads the library and returns the answer to be printed on stdout.
 pub fn answer(file: &Path) -> String {
     let answer = match Library::load(file) {
         Ok(library) => Answer::Plugin(Box::new(library.about().clone())),
         Err(error) => Answer::Refused(error.why.to_string()),
     };
     let json = serde_json::to_string(&answer).unwrap_or_else(|error| format!("{{\"refused\":\"{error}\"}}"));
-    // On a line of its own, whatever the library has printed.
+    // Start a new line, whatever the library has printed.
     format!("\n{MARK}{json}\n")
 }
 
-/// What the library says of itself.
+/// Reads the description of a library in another process.
 pub(super) fn probe(prober: &Prober, file: &Path) -> Result<PluginAbout, ProbeError> {
     let mut command = Command::new(&prober.program);
     command.args(&prober.arguments).arg(file);
@@ -84,7 +84,7 @@ pub(super) fn probe(prober: &Prober, file: &Path) -> Result<PluginAbout, ProbeEr
     let (out, err) = (read(child.stdout.take()), read(child.stderr.take()));
     let ended = wait(&mut child, prober.timeout).map_err(ProbeError::Start)?;
     let Some(status) = ended else { return Err(ProbeError::Hung(prober.timeout)) };
-    let printed = |bytes: Receiver<Vec<u8>>| bytes.recv_timeout(REST).unwrap_or_default();
+    let printed = |bytes: Receiver<Vec<u8>>| bytes.recv_timeout(OUTPUT_TIMEOUT).unwrap_or_default();
     let (out, err) = (printed(out), printed(err));
     let said = || {
         let text = String::from_utf8_lossy(&err);
@@ -106,23 +106,23 @@ pub(super) fn probe(prober: &Prober, file: &Path) -> Result<PluginAbout, ProbeEr
     }
 }
 
-/// All that comes, on a thread: who waits for it need not wait for ever.
+/// Reads all output on a thread, so that the receiver can stop waiting.
 fn read(from: Option<impl Read + Send + 'static>) -> Receiver<Vec<u8>> {
-    let (tell, told) = sync_channel(1);
+    let (sender, receiver) = sync_channel(1);
     thread::spawn(move || {
         let mut bytes = Vec::new();
         if let Some(from) = from {
-            let mut from = from.take(MOST_BYTES);
+            let mut from = from.take(MAX_ANSWER_BYTES);
             let _ = from.read_to_end(&mut bytes);
-            // What prints on must not wait for us.
+            // Drain the rest, so that the process does not block on a full pipe.
             let _ = io::copy(&mut from.into_inner(), &mut io::sink());
         }
-        let _ = tell.send(bytes);
+        let _ = sender.send(bytes);
     });
-    told
+    receiver
 }
 
-/// `None`: it was stopped.
+/// Waits for the process; `None` if it was killed after the timeout.
 fn wait(child: &mut Child, timeout: Duration) -> io::Result<Option<ExitStatus>> {
     let end = Instant::now() + timeout;
     loop {
@@ -134,7 +134,7 @@ fn wait(child: &mut Child, timeout: Duration) -> io::Result<Option<ExitStatus>> 
             child.wait()?;
             return Ok(None);
         }
-        thread::sleep(LOOK);
+        thread::sleep(POLL_INTERVAL);
     }
 }
 

@@ -1,4 +1,4 @@
-//! A plugin's kinds and payloads in the registry.
+//! Adds a plugin's kinds and payloads to the registry.
 
 use super::{
     Library,
@@ -12,16 +12,16 @@ use osteoflow_node::{
 };
 use std::{collections::BTreeSet, sync::Arc};
 
-/// Why a plugin cannot stand beside what is known already.
+/// Why a plugin cannot be added to the registry.
 #[derive(Debug, thiserror::Error)]
 pub enum ProvideError {
-    /// A kind has a name that is taken, or that no graph can write.
+    /// A kind's name is taken or invalid.
     #[error(transparent)]
     Kind(#[from] KindClash),
-    /// It was built against another payload.
+    /// It was built against a different definition of a payload.
     #[error(transparent)]
     Payload(#[from] PayloadClash),
-    /// A payload of its own is described in a way that makes none.
+    /// A payload of its own has an invalid description.
     #[error("payload {payload}: {error}")]
     Schema {
         /// The payload.
@@ -29,7 +29,7 @@ pub enum ProvideError {
         /// What is wrong.
         error: SchemaError,
     },
-    /// A port names a payload that nobody knows.
+    /// A port names an unknown payload.
     #[error("port \"{port}\" of kind {kind} names the payload {payload}@{version}, {known}")]
     Unknown {
         /// The kind.
@@ -43,7 +43,7 @@ pub enum ProvideError {
         /// What is known instead.
         known: String,
     },
-    /// A description that would be no kind.
+    /// The description of a kind is invalid.
     #[error("kind {kind}: {why}")]
     Unsound {
         /// The kind.
@@ -53,10 +53,10 @@ pub enum ProvideError {
     },
 }
 
-/// Adds the kinds and payloads of a plugin to a registry. `load` gives the library when the first node is built.
+/// Adds the kinds and payloads of a plugin to a registry. `load` returns the library when the first node is built.
 ///
 /// # Errors
-/// [`ProvideError`]; then kinds and payloads that came before the fault are in the registry.
+/// [`ProvideError`]; kinds and payloads before the faulty one have then been added.
 pub fn provide(
     registry: &mut Registry,
     about: &PluginAbout,
@@ -84,8 +84,8 @@ pub fn provide(
     Ok(())
 }
 
-/// Names live as long as the process, as the library does.
-fn kept(text: &str) -> &'static str {
+/// Leaks a text: kinds live as long as the process, as does the library.
+fn leak(text: &str) -> &'static str {
     String::leak(text.to_owned())
 }
 
@@ -118,7 +118,7 @@ fn describe(registry: &Registry, kind: &KindAbout) -> Result<Description, Provid
         return Err(unsound("the schema of its parameters is no JSON object".into()));
     }
     let description = Description {
-        kind: kept(&kind.kind),
+        kind: leak(&kind.kind),
         summary: summary.replace('\n', " ").trim().into(),
         details: details.trim().into(),
         role: kind.role,
@@ -127,8 +127,8 @@ fn describe(registry: &Registry, kind: &KindAbout) -> Result<Description, Provid
         inputs,
         outputs,
         params: kind.params.clone(),
-        example: kept(&kind.example),
-        literature: Vec::leak(kind.literature.iter().map(|source| kept(source)).collect()),
+        example: leak(&kind.example),
+        literature: Vec::leak(kind.literature.iter().map(|source| leak(source)).collect()),
     };
     if kind.kept != CachePolicy::Never && description.names_files() {
         return Err(unsound("it reads a file, so its answers cannot be cached; let a source read it".into()));
@@ -156,14 +156,14 @@ fn payload(registry: &Registry, kind: &KindAbout, port: &PortAbout) -> Result<Po
 }
 
 fn frames(port: &PortAbout) -> FrameExpr {
-    let [frame, to, from] = port.frames.each_ref().map(|frame| frame.as_deref().map(kept));
+    let [frame, to, from] = port.frames.each_ref().map(|frame| frame.as_deref().map(leak));
     FrameExpr { frame, to, from }
 }
 
 fn input_port(registry: &Registry, kind: &KindAbout, input: &InputAbout) -> Result<InputPort, ProvideError> {
     Ok(InputPort {
-        name: kept(&input.port.name),
-        doc: kept(&input.port.doc),
+        name: leak(&input.port.name),
+        doc: leak(&input.port.doc),
         payload: payload(registry, kind, &input.port)?,
         join: input.join,
         optional: input.optional,
@@ -174,8 +174,8 @@ fn input_port(registry: &Registry, kind: &KindAbout, input: &InputAbout) -> Resu
 
 fn output_port(registry: &Registry, kind: &KindAbout, port: &PortAbout) -> Result<OutputPort, ProvideError> {
     Ok(OutputPort {
-        name: kept(&port.name),
-        doc: kept(&port.doc),
+        name: leak(&port.name),
+        doc: leak(&port.doc),
         payload: payload(registry, kind, port)?,
         frames: frames(port),
     })

@@ -12,7 +12,7 @@ use super::inject::Planned;
 use crate::{
     plan::{Plan, PlanNode},
     recording::codec,
-    store::{Entry, Key, KeyInMaking, Store, brought, decode, message, payload_of},
+    store::{Entry, Key, KeyBuilder, Store, decode, message, payload_of, plugin_libraries},
 };
 use osteoflow_container::Segments;
 use osteoflow_node::{
@@ -130,7 +130,7 @@ impl<'a> AnswerCache<'a> {
         if let Some(plugin) = &node.plugin {
             key = key.text("plugin", plugin);
             // All nodes are built, so every library is loaded.
-            key = self.brought.get_or_init(brought).iter().fold(key, |key, library| key.text("library", library));
+            key = self.brought.get_or_init(plugin_libraries).iter().fold(key, |key, library| key.text("library", library));
         }
         if kept == CachePolicy::ByInputsAndSeed {
             key = key.number("seed", context.seed()).text("node", context.node()).number("item", context.item());
@@ -200,14 +200,14 @@ struct Answer {
     warnings: Vec<String>,
 }
 
-fn with_item(key: KeyInMaking, item: &Item) -> KeyInMaking {
+fn with_item(key: KeyBuilder, item: &Item) -> KeyBuilder {
     match &item.body {
         Body::Value(value) => key.value("value", value),
         Body::Empty(empty) => with_empty(key, "empty", empty),
     }
 }
 
-fn with_empty(key: KeyInMaking, what: &str, empty: &Empty) -> KeyInMaking {
+fn with_empty(key: KeyBuilder, what: &str, empty: &Empty) -> KeyBuilder {
     key.text(what, &empty.node).text("reason", &empty.reason)
 }
 

@@ -1,7 +1,7 @@
-//! The file of an entry: a head of 64 bytes, then the bytes that were put.
+//! The file of an entry: a header of 64 bytes, then the content.
 //!
-//! The head is `OSTEOST1`, the key's digest (32 bytes), the number of bytes (u64), their CRC-32 (u32), the CRC-32 of the
-//! 52 bytes before (u32), and zeros; numbers are little-endian.
+//! The header is `OSTEOST1`, the key's digest (32 bytes), the number of bytes (u64), their CRC-32 (u32), the CRC-32 of
+//! the 52 bytes before (u32), and zeros; numbers are little-endian.
 
 use super::Key;
 use osteoflow_node::Buffer;
@@ -13,49 +13,51 @@ use std::{
 };
 
 const MAGIC: &[u8; 8] = b"OSTEOST1";
-const HEAD_BYTES: usize = 64;
+const HEADER_BYTES: usize = 64;
 
-/// What lies under a key. A cheap handle; its bytes begin at an address that any column type accepts.
+/// The content of an entry. A cheap handle; the bytes are aligned for any column type.
 #[derive(Debug, Clone)]
 pub struct Entry {
     words: Arc<Vec<u64>>,
     n_bytes: usize,
 }
 
-/// Bytes of a whole entry made of these pieces.
+/// Size of the whole entry for a content of these pieces.
 pub(super) fn n_bytes(pieces: &[&[u8]]) -> u64 {
-    (HEAD_BYTES + pieces.iter().map(|piece| piece.len()).sum::<usize>()) as u64
+    (HEADER_BYTES + pieces.iter().map(|piece| piece.len()).sum::<usize>()) as u64
 }
 
-/// What stands before the bytes.
-pub(super) fn head(key: &Key, pieces: &[&[u8]]) -> io::Result<[u8; HEAD_BYTES]> {
+/// The header of an entry.
+pub(super) fn header(key: &Key, pieces: &[&[u8]]) -> io::Result<[u8; HEADER_BYTES]> {
     let mut crc = crc32fast::Hasher::new();
     pieces.iter().for_each(|piece| crc.update(piece));
-    let n_bytes = n_bytes(pieces) - HEAD_BYTES as u64;
-    let mut head = Vec::with_capacity(HEAD_BYTES);
-    head.extend_from_slice(MAGIC);
-    head.extend_from_slice(&key.digest().0);
-    head.extend_from_slice(&n_bytes.to_le_bytes());
-    head.extend_from_slice(&crc.finalize().to_le_bytes());
-    let of_head = crc32fast::hash(&head);
-    head.extend_from_slice(&of_head.to_le_bytes());
-    head.resize(HEAD_BYTES, 0);
-    head.try_into().map_err(|_| io::Error::other("the head of an entry has another length"))
+    let n_bytes = n_bytes(pieces) - HEADER_BYTES as u64;
+    let mut header = Vec::with_capacity(HEADER_BYTES);
+    header.extend_from_slice(MAGIC);
+    header.extend_from_slice(&key.digest().0);
+    header.extend_from_slice(&n_bytes.to_le_bytes());
+    header.extend_from_slice(&crc.finalize().to_le_bytes());
+    let of_head = crc32fast::hash(&header);
+    header.extend_from_slice(&of_head.to_le_bytes());
+    header.resize(HEADER_BYTES, 0);
+    header.try_into().map_err(|_| io::Error::other("the header of an entry has another length"))
 }
 
 impl Entry {
-    /// The entry that a file holds, if it is this key's and whole; no length is believed before the file has it.
+    /// Reads an entry from a file; `None` unless it is complete and belongs to the key. Allocates only what the file
+    /// holds.
     pub(super) fn read(file: &mut File, key: &Key) -> io::Result<Option<Self>> {
-        let mut head = [0; HEAD_BYTES];
-        match file.read_exact(&mut head) {
+        let mut header = [0; HEADER_BYTES];
+        match file.read_exact(&mut header) {
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(None),
             read => read?,
         }
-        let word = |at: usize| u32::from_le_bytes(head[at..at + 4].try_into().expect("four bytes"));
-        let n_bytes = u64::from_le_bytes(head[40..48].try_into().expect("eight bytes"));
+        let word = |at: usize| u32::from_le_bytes(header[at..at + 4].try_into().expect("four bytes"));
+        let n_bytes = u64::from_le_bytes(header[40..48].try_into().expect("eight bytes"));
         let (crc, of_head) = (word(48), word(52));
-        let fits = head.starts_with(MAGIC) && head[8..40] == key.digest().0 && of_head == crc32fast::hash(&head[..52]);
-        let in_file = file.metadata()?.len().checked_sub(HEAD_BYTES as u64);
+        let fits =
+            header.starts_with(MAGIC) && header[8..40] == key.digest().0 && of_head == crc32fast::hash(&header[..52]);
+        let in_file = file.metadata()?.len().checked_sub(HEADER_BYTES as u64);
         let Some(n_bytes) = usize::try_from(n_bytes).ok().filter(|n| fits && in_file == Some(*n as u64)) else {
             return Ok(None);
         };
@@ -66,12 +68,12 @@ impl Entry {
         Ok(whole.then(|| Self { words: Arc::new(words), n_bytes }))
     }
 
-    /// The bytes that were put.
+    /// The content.
     pub fn bytes(&self) -> &[u8] {
         &bytemuck::cast_slice(&self.words)[..self.n_bytes]
     }
 
-    /// A part of them that keeps the whole alive, for a column.
+    /// A range of the content as a column; it keeps the whole entry alive.
     pub(crate) fn part(&self, range: Range<usize>) -> Buffer {
         Arc::new(EntryRange { entry: self.clone(), range })
     }

@@ -1,4 +1,4 @@
-//! Which files of the folder are ours, and which of them go when there is too much.
+//! File names of the store, and eviction of the least recently used entries.
 
 use super::Key;
 use std::{
@@ -8,26 +8,26 @@ use std::{
     time::{Duration, SystemTime},
 };
 
-/// What an entry's file ends with.
-const ENTRY_END: &str = ".entry";
-/// What a file that is being written begins with.
-const ASIDE_START: &str = ".osteoflow-";
-/// What was written aside and never put in place is left over from a process that was killed: nothing takes an hour.
-const LEFT_OVER: Duration = Duration::from_secs(3600);
-/// A file takes whole blocks of a disk, and so do many small ones.
+/// Suffix of an entry's file.
+const ENTRY_SUFFIX: &str = ".entry";
+/// Prefix of a file that is still being written.
+const TEMPORARY_PREFIX: &str = ".osteoflow-";
+/// A temporary file of this age was left by a killed process: no write takes an hour.
+const STALE_AGE: Duration = Duration::from_secs(3600);
+/// Files occupy whole disk blocks.
 const BLOCK_BYTES: u64 = 4096;
-/// So many digits a digest has.
+/// Number of hexadecimal digits of a digest.
 const N_DIGITS: usize = 64;
 
 pub(super) fn entry_name(key: &Key) -> String {
-    format!("{key}{ENTRY_END}")
+    format!("{key}{ENTRY_SUFFIX}")
 }
 
-pub(super) fn aside_name(own: &str, n: u64) -> String {
-    format!("{ASIDE_START}{own}-{n}.part")
+pub(super) fn temporary_name(own: &str, n: u64) -> String {
+    format!("{TEMPORARY_PREFIX}{own}-{n}.part")
 }
 
-/// What a file of so many bytes takes.
+/// Disk space of a file with `n_bytes`.
 pub(super) fn on_disk(n_bytes: u64) -> u64 {
     n_bytes.div_ceil(BLOCK_BYTES).saturating_mul(BLOCK_BYTES)
 }
@@ -38,21 +38,21 @@ struct Found {
     n_bytes: u64,
 }
 
-/// Removes the entries that were not used for longest, as long as there are more than `max_bytes`; answers how many bytes
-/// are left. Files that are not ours stay and do not count.
+/// Removes the least recently used entries until at most `max_bytes` are left, and returns the bytes that are left.
+/// Other files are neither counted nor removed.
 pub(super) fn make_room(dir: &Path, max_bytes: u64) -> io::Result<u64> {
     let now = SystemTime::now();
     let mut entries = Vec::new();
     for file in fs::read_dir(dir)? {
         let file = file?;
         let name = file.file_name();
-        let (is_entry, is_aside) = (is_entry(&name), is_aside(&name));
-        // Another process may have removed it meanwhile.
-        let Some(metadata) = (is_entry || is_aside).then(|| file.metadata().ok()).flatten() else { continue };
+        let (is_entry, is_temporary) = (is_entry(&name), is_temporary(&name));
+        // Another process may have removed it in the meantime.
+        let Some(metadata) = (is_entry || is_temporary).then(|| file.metadata().ok()).flatten() else { continue };
         let used = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
         if is_entry {
             entries.push(Found { used, path: file.path(), n_bytes: on_disk(metadata.len()) });
-        } else if now.duration_since(used).is_ok_and(|age| age > LEFT_OVER) {
+        } else if now.duration_since(used).is_ok_and(|age| age > STALE_AGE) {
             let _ = fs::remove_file(file.path());
         }
     }
@@ -72,10 +72,10 @@ pub(super) fn make_room(dir: &Path, max_bytes: u64) -> io::Result<u64> {
 
 /// `space-<64 digits>.entry`
 fn is_entry(name: &OsStr) -> bool {
-    let parts = name.to_str().and_then(|name| name.strip_suffix(ENTRY_END)?.split_once('-'));
+    let parts = name.to_str().and_then(|name| name.strip_suffix(ENTRY_SUFFIX)?.split_once('-'));
     parts.is_some_and(|(_, digits)| digits.len() == N_DIGITS && digits.bytes().all(|b| b.is_ascii_hexdigit()))
 }
 
-fn is_aside(name: &OsStr) -> bool {
-    name.to_str().is_some_and(|name| name.starts_with(ASIDE_START) && name.ends_with(".part"))
+fn is_temporary(name: &OsStr) -> bool {
+    name.to_str().is_some_and(|name| name.starts_with(TEMPORARY_PREFIX) && name.ends_with(".part"))
 }

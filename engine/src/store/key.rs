@@ -4,7 +4,7 @@ use osteoflow_node::Value;
 use sha2::{Digest as _, Sha256};
 use std::fmt;
 
-/// What an entry lies under: the SHA-256 of all that decides it, and the space of names that this belongs to.
+/// The key of an entry: a namespace, and the SHA-256 of all inputs that determine the entry's content.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Key {
     space: &'static str,
@@ -12,19 +12,19 @@ pub struct Key {
 }
 
 impl Key {
-    /// Begins a key in a space of names such as `answer`: lower-case letters and underscores.
+    /// Starts a key in a namespace such as `answer`: lower-case letters and underscores.
     ///
     /// # Panics
-    /// If the space has another name, which is a bug of ours.
-    pub fn of(space: &'static str) -> KeyInMaking {
+    /// If the namespace has other characters, which is a bug of ours.
+    pub fn of(space: &'static str) -> KeyBuilder {
         let plain = |c: u8| c.is_ascii_lowercase() || c == b'_';
         assert!(!space.is_empty() && space.bytes().all(plain), "\"{space}\" is no name for a space of keys");
         let mut hasher = Sha256::new();
         hasher.update(FORMAT);
-        KeyInMaking { space, hasher }.text("space", space)
+        KeyBuilder { space, hasher }.text("space", space)
     }
 
-    /// The space of names.
+    /// The namespace.
     pub fn space(&self) -> &'static str {
         self.space
     }
@@ -42,17 +42,17 @@ impl fmt::Display for Key {
     }
 }
 
-/// Raised when a part is hashed otherwise than before, so that no older entry answers.
+/// Incremented when the hashing of parts changes, so that older entries no longer match.
 const FORMAT: &[u8] = b"osteoflow key 1\n";
 
-/// A key whose parts are still added; their order counts.
+/// Builds a key from named parts; their order matters.
 #[derive(Clone)]
-pub struct KeyInMaking {
+pub struct KeyBuilder {
     space: &'static str,
     hasher: Sha256,
 }
 
-impl KeyInMaking {
+impl KeyBuilder {
     /// Adds named bytes.
     #[must_use]
     pub fn bytes(mut self, name: &str, bytes: &[u8]) -> Self {
@@ -73,7 +73,7 @@ impl KeyInMaking {
         self.bytes(name, &number.to_le_bytes())
     }
 
-    /// Adds named JSON; the order of an object's keys does not matter.
+    /// Adds named JSON, independent of the order of an object's keys.
     #[must_use]
     pub fn json(self, name: &str, json: &serde_json::Value) -> Self {
         let mut sorted = json.clone();
@@ -81,7 +81,7 @@ impl KeyInMaking {
         self.text(name, &sorted.to_string())
     }
 
-    /// Adds a named payload: its type, the version of its view, and its view, bit for bit.
+    /// Adds a named payload: its type, the version of its view, and the bits of its view.
     #[must_use]
     pub fn value(mut self, name: &str, value: &Value) -> Self {
         let message = payload::message(value);
@@ -90,18 +90,18 @@ impl KeyInMaking {
         self
     }
 
-    /// Adds the digest of something that was hashed elsewhere.
+    /// Adds a digest computed elsewhere.
     #[must_use]
     pub fn digest(self, name: &str, digest: Digest) -> Self {
         self.bytes(name, &digest.0)
     }
 
-    /// The key.
+    /// Finishes the key.
     pub fn done(self) -> Key {
         Key { space: self.space, digest: Digest(self.hasher.finalize().into()) }
     }
 
-    /// Name and length stand before the bytes, so that no two lists of parts run into one.
+    /// Writes name and length before the bytes, so that different lists of parts cannot collide.
     fn begin(&mut self, name: &str, n_bytes: usize) {
         self.hasher.update((name.len() as u64).to_le_bytes());
         self.hasher.update(name);

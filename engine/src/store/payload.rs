@@ -1,4 +1,4 @@
-//! Payloads in the store: the message of an item, as in a recording, without number and stamp.
+//! Payloads in the store, encoded like an item of a recording, without number and stamp.
 
 use super::{Entry, Key, Store, StoreError};
 use crate::recording::codec::{self, CodecError, RecordedItem};
@@ -6,22 +6,22 @@ use osteoflow_container::Segments;
 use osteoflow_node::{Body, Item, Payload, PayloadType, PortPayload, Value};
 use std::ops::Range;
 
-/// The bytes of a payload: name and version of its type, and its view. Columns stay where they are.
+/// Encodes a payload: name and version of its type, and its view. Columns are not copied.
 pub(crate) fn message(value: &Value) -> Segments {
     codec::parts_on(PortPayload::Any, &Item { number: 0, stamp_ns: 0, body: Body::Value(value.clone()) })
 }
 
-/// The payload of a message, over the entry's bytes; `None` if it is of another type or version.
+/// The payload of a decoded message, without copying the entry's bytes; `None` if type or version differ.
 pub(crate) fn payload_of(message: RecordedItem, ty: &'static PayloadType) -> Option<Value> {
     let is_of = message.payload.is_some_and(|(name, version)| name == ty.name && version == ty.version);
     let view = message.body.ok().filter(|_| is_of)?;
     ty.from_view(&view).ok()
 }
 
-/// The item in a part of an entry; its columns lie in the entry's bytes.
+/// Decodes the item in a range of an entry; its columns borrow the entry's bytes.
 ///
 /// # Errors
-/// [`CodecError`] if the bytes are damaged, or the entry does not have the part.
+/// [`CodecError`] if the bytes are damaged, or the range is outside the entry.
 pub(crate) fn decode(entry: &Entry, range: Range<usize>) -> Result<RecordedItem, CodecError> {
     let short = CodecError::Short { needed: range.end as u64, left: entry.bytes().len() };
     let (start, bytes) = (range.start, entry.bytes().get(range).ok_or(short)?);
@@ -29,14 +29,14 @@ pub(crate) fn decode(entry: &Entry, range: Range<usize>) -> Result<RecordedItem,
 }
 
 impl Store {
-    /// The payload under the key; its columns lie in the entry's bytes. `None` also if it is of another type or version.
+    /// Loads the payload of the key; its columns borrow the entry's bytes. `None` also if type or version differ.
     pub fn load<T: Payload<By>, By: 'static>(&self, key: &Key) -> Option<T> {
         let entry = self.get(key)?;
         let message = decode(&entry, 0..entry.bytes().len()).ok()?;
         payload_of(message, PayloadType::of::<T, By>())?.get::<T>().cloned()
     }
 
-    /// Keeps a payload under the key.
+    /// Stores a payload under the key.
     ///
     /// # Errors
     /// As [`Store::put`].

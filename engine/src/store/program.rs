@@ -1,8 +1,8 @@
-//! What computes: this program, the libraries it has loaded, and what the processor offers.
+//! Digest of what computes: this program, the libraries it has loaded, and the processor's features.
 //!
-//! A revision does not tell a changed tree from a clean one, so the program's file is hashed, once: the hash is kept in the
-//! store by the file's place, size and times. The mathematics of the system's library differ between its versions and,
-//! chosen when the program starts, between processors; so both belong to it.
+//! A revision does not distinguish a modified tree from a clean one, so the program's file is hashed. The hash is
+//! cached in the store by the file's path, size and times. The system's mathematics library differs between versions
+//! and selects its code by processor when the program starts, so both are part of the digest.
 
 use super::{Key, Store};
 use crate::hash::{Digest, file_stamp::stamp, files::sha256};
@@ -16,7 +16,7 @@ use std::{
 };
 
 pub(super) fn digest(store: &Store) -> Option<Digest> {
-    // Neither changes while the process lives.
+    // Program and processor do not change while the process runs.
     static DIGEST: OnceLock<Option<Digest>> = OnceLock::new();
     *DIGEST.get_or_init(|| match own_file(store) {
         Ok(own) => {
@@ -36,7 +36,7 @@ pub(super) fn digest(store: &Store) -> Option<Digest> {
 /// The digest of the program's file.
 fn own_file(store: &Store) -> io::Result<Digest> {
     let path = std::env::current_exe()?;
-    // This opens the file that runs, even if another has been put in its place since.
+    // Opens the running file, even if the file at its path has been replaced.
     let running = Path::new("/proc/self/exe");
     let open = if cfg!(target_os = "linux") { running } else { &path };
     let key = Key::of("file_hash").text("path", &path.to_string_lossy());
@@ -45,12 +45,12 @@ fn own_file(store: &Store) -> io::Result<Digest> {
         return Ok(Digest(kept));
     }
     let (_, digest) = sha256(open)?;
-    // Where it cannot be kept it is computed again; what it is for says why.
+    // If it cannot be stored, it is computed again next time.
     let _ = store.put(&key, &[&digest.0]);
     Ok(digest)
 }
 
-/// The libraries that the process runs code of beside its own file, each with its size and time; known on Linux only.
+/// The libraries mapped as code besides the program's own file, each with its size and time; on Linux only.
 fn libraries() -> Vec<String> {
     let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
     let own = std::env::current_exe().unwrap_or_default();
@@ -59,45 +59,45 @@ fn libraries() -> Vec<String> {
         .lines()
         // address perms offset dev inode path
         .filter(|line| line.split_whitespace().nth(1).is_some_and(|flags| flags.contains('x')))
-        // What has been unlinked since is still mapped under its old path.
+        // A file that has been deleted is still mapped under its old path.
         .filter_map(|line| line.find('/').map(|at| PathBuf::from(line[at..].trim_end_matches(" (deleted)"))))
         .filter(|path| *path != own && !plugins.contains(path))
         .collect();
     paths.sort();
     paths.dedup();
-    let told = |path: PathBuf| {
+    let describe = |path: PathBuf| {
         let metadata = path.metadata().ok();
         let time = metadata.as_ref().and_then(|m| m.modified().ok()?.duration_since(SystemTime::UNIX_EPOCH).ok());
         format!("{}, {:?} bytes, {time:?}", path.display(), metadata.map(|m| m.len()))
     };
-    paths.into_iter().map(told).collect()
+    paths.into_iter().map(describe).collect()
 }
 
-/// What was loaded when the first plugin was going to be.
+/// The libraries loaded before the first plugin.
 static LIBRARIES: OnceLock<Vec<String>> = OnceLock::new();
 
-/// Files of plugins, which are no part of the program.
+/// Files of plugins, which are not part of the program.
 static PLUGINS: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
-/// Takes down which libraries belong to the program, before a plugin brings libraries of its own.
+/// Records the program's libraries before a plugin loads its own.
 pub(crate) fn note_program() {
     LIBRARIES.get_or_init(libraries);
 }
 
-/// Takes down the file of a plugin that is about to be loaded.
+/// Records the file of a plugin that is about to be loaded.
 pub(crate) fn note_plugin(file: &Path) {
     PLUGINS.lock().unwrap_or_else(PoisonError::into_inner).insert(file.to_owned());
 }
 
-/// The libraries that plugins have brought along, themselves not among them.
-pub(crate) fn brought() -> Vec<String> {
+/// The libraries that plugins have loaded, without the plugins themselves.
+pub(crate) fn plugin_libraries() -> Vec<String> {
     let own = LIBRARIES.get_or_init(libraries);
     let mut now = libraries();
     now.retain(|library| !own.contains(library));
     now
 }
 
-/// System, architecture and the features by which libraries choose their code.
+/// Operating system, architecture, and the processor features that libraries dispatch on.
 fn machine() -> String {
     format!("{} {} {}", std::env::consts::OS, std::env::consts::ARCH, features().join(" "))
 }
@@ -131,7 +131,7 @@ mod tests {
     use crate::store::Settings;
 
     #[test]
-    fn a_program_is_known_by_its_bytes_and_the_hash_is_kept() {
+    fn a_program_is_identified_by_its_bytes_and_the_hash_is_cached() {
         let dir = tempfile::tempdir().unwrap();
         let store = Store::open(Settings::in_dir(dir.path()));
         let own = own_file(&store).unwrap();
@@ -142,7 +142,7 @@ mod tests {
 
     #[test]
     #[cfg(target_os = "linux")]
-    fn the_library_with_the_mathematics_belongs_to_it() {
+    fn the_mathematics_library_is_part_of_the_digest() {
         let libraries = libraries();
         assert!(libraries.iter().any(|library| library.contains("libc.so")), "{libraries:?}");
         assert!(libraries.iter().all(|library| library.contains("Some(")), "{libraries:?}");

@@ -3,45 +3,46 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// The variable that names the store's folder, or turns it off.
+/// Environment variable with the store's folder, or `off`.
 const DIR_VARIABLE: &str = "OSTEOFLOW_CACHE";
-/// The variable that says how much it may hold.
+/// Environment variable with the store's maximum size.
 const SIZE_VARIABLE: &str = "OSTEOFLOW_CACHE_MAX_MB";
-/// The word that turns it off.
+/// The value that turns the store off.
 const OFF: &str = "off";
 
-/// Where the store lies and how much it may hold.
+/// Folder and size of the store.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Settings {
     /// Its folder.
     pub dir: PathBuf,
-    /// The most it may hold, heads and all.
+    /// Maximum size, headers included.
     pub max_bytes: u64,
 }
 
-/// A variable that cannot be understood.
+/// An environment variable with an invalid value.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{SIZE_VARIABLE} is \"{found}\", but a whole number of megabytes was expected, such as 1024")]
 pub struct SettingsError {
-    /// What it says.
+    /// The value found.
     pub found: String,
 }
 
 impl Settings {
-    /// 1 GiB: a hundred prepared surfaces of 10 MB, or sixty with their closest-point fields, and less than one day of
-    /// recordings takes.
+    /// 1 GiB: a hundred prepared surfaces of 10 MB, or sixty with their closest-point fields, and less than a day of
+    /// recordings.
     pub const MAX_BYTES: u64 = 1 << 30;
 
-    /// A folder that holds [`Settings::MAX_BYTES`].
+    /// Settings for a folder with [`Settings::MAX_BYTES`].
     pub fn in_dir(dir: impl Into<PathBuf>) -> Self {
         Self { dir: dir.into(), max_bytes: Self::MAX_BYTES }
     }
 
-    /// What the environment says: `OSTEOFLOW_CACHE` is the folder, or `off`; `OSTEOFLOW_CACHE_MAX_MB` the size. Without
-    /// them, a folder `osteoflow` where the platform keeps caches. `None`: it is off, or there is no such place.
+    /// Reads the environment: `OSTEOFLOW_CACHE` is the folder, or `off`; `OSTEOFLOW_CACHE_MAX_MB` the size. By default,
+    /// the folder `osteoflow` in the platform's cache directory. `None` if the store is off, or there is no such
+    /// directory.
     ///
     /// # Errors
-    /// [`SettingsError`] if the size is no number.
+    /// [`SettingsError`] if the size is not a number.
     pub fn from_env() -> Result<Option<Self>, SettingsError> {
         Self::of(|name| std::env::var_os(name))
     }
@@ -64,9 +65,9 @@ impl Settings {
     }
 }
 
-/// Where caches lie on this platform.
+/// The platform's cache directory.
 fn of_platform(said: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
-    // A relative path there is no setting, says the XDG specification, and is none of a home either.
+    // The XDG specification ignores relative paths.
     let dir = |name: &str| said(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let caches = if cfg!(windows) {
         dir("LOCALAPPDATA")

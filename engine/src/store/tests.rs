@@ -19,14 +19,14 @@ fn files(store: &Store) -> Vec<PathBuf> {
     files
 }
 
-/// Lets an entry look as if it had last been used so many seconds ago.
+/// Sets the last use of an entry to `seconds` ago.
 fn age(store: &Store, key: &Key, seconds: u64) {
     let file = File::options().write(true).open(store.path(key)).unwrap();
     file.set_modified(SystemTime::now() - Duration::from_secs(seconds)).unwrap();
 }
 
 #[test]
-fn an_entry_comes_back_and_another_replaces_it() {
+fn an_entry_is_read_back_and_can_be_replaced() {
     let (store, _dir) = store(1 << 20);
     assert!(store.get(&key("a")).is_none());
     store.put(&key("a"), &[b"one", b"", b"two"]).unwrap();
@@ -38,7 +38,7 @@ fn an_entry_comes_back_and_another_replaces_it() {
 }
 
 #[test]
-fn a_key_tells_parts_spaces_names_and_order_apart() {
+fn a_key_depends_on_parts_namespaces_names_and_order() {
     let parts = |space| Key::of(space).text("a", "x").text("b", "yz");
     let others = [
         Key::of("one").text("a", "xy").text("b", "z").done(),
@@ -55,14 +55,14 @@ fn a_key_tells_parts_spaces_names_and_order_apart() {
 }
 
 #[test]
-fn a_payload_is_known_by_its_bits() {
+fn a_payload_is_keyed_by_its_bits() {
     let of = |number: f64| Key::of("test").value("number", &Value::new(Number(number))).done();
     assert_eq!(of(0.5), of(0.5));
     assert_ne!(of(0.0), of(-0.0));
 }
 
 #[test]
-fn a_payload_comes_back_over_the_bytes_of_the_entry_and_never_as_another() {
+fn a_payload_borrows_the_bytes_of_its_entry_and_keeps_its_type() {
     let (store, _dir) = store(1 << 20);
     let samples: Vec<f64> = (0..10_000).map(f64::from).collect();
     store.save(&key("wave"), &Samples { label: "µ".into(), samples: samples.clone() }).unwrap();
@@ -79,7 +79,7 @@ fn a_payload_comes_back_over_the_bytes_of_the_entry_and_never_as_another() {
 }
 
 #[test]
-fn an_entry_under_the_name_of_another_is_not_there() {
+fn an_entry_with_the_file_name_of_another_is_ignored() {
     let (store, _dir) = store(1 << 20);
     store.put(&key("a"), &[b"of a"]).unwrap();
     fs::copy(store.path(&key("a")), store.path(&key("b"))).unwrap();
@@ -89,14 +89,14 @@ fn an_entry_under_the_name_of_another_is_not_there() {
 }
 
 #[test]
-fn what_was_not_used_for_longest_goes_first() {
+fn the_least_recently_used_entry_is_removed_first() {
     let (store, _dir) = store(40_000);
     let (large, names) = (vec![7; 9_000], ["a", "b", "c"]);
     for (at, name) in names.iter().enumerate() {
         store.put(&key(name), &[&large]).unwrap();
         age(&store, &key(name), 300 - 100 * at as u64);
     }
-    // It is the oldest, and is used again.
+    // Reading it makes it the newest.
     assert!(store.get(&key("a")).is_some());
     fs::write(store.dir().join("notes.txt"), vec![0; 100_000]).unwrap();
     store.put(&key("d"), &[&large]).unwrap();
@@ -106,7 +106,7 @@ fn what_was_not_used_for_longest_goes_first() {
 }
 
 #[test]
-fn a_store_holds_no_more_than_it_may_and_nothing_that_is_larger() {
+fn a_store_stays_below_its_maximum_and_refuses_larger_entries() {
     let (store, _dir) = store(100_000);
     for n in 0..200 {
         store.put(&key(&n.to_string()), &[&vec![n; 5_000]]).unwrap();
@@ -119,22 +119,22 @@ fn a_store_holds_no_more_than_it_may_and_nothing_that_is_larger() {
 }
 
 #[test]
-fn what_a_killed_process_left_goes_after_an_hour() {
+fn files_of_a_killed_process_are_removed_after_an_hour() {
     let (store, _dir) = store(1 << 20);
     store.put(&key("a"), &[b"a"]).unwrap();
     let left = |name: &str, hours: u64| {
-        let file = File::create(store.dir().join(evict::aside_name(name, 0))).unwrap();
+        let file = File::create(store.dir().join(evict::temporary_name(name, 0))).unwrap();
         file.set_modified(SystemTime::now() - Duration::from_secs(3600 * hours)).unwrap();
     };
     left("old", 2);
     left("young", 0);
     evict::make_room(store.dir(), 1 << 20).unwrap();
     let names: Vec<_> = files(&store).iter().map(|f| f.file_name().unwrap().to_str().unwrap().to_owned()).collect();
-    assert_eq!(names, [evict::aside_name("young", 0), evict::entry_name(&key("a"))]);
+    assert_eq!(names, [evict::temporary_name("young", 0), evict::entry_name(&key("a"))]);
 }
 
 #[test]
-fn many_that_write_and_read_one_key_always_find_a_whole_entry() {
+fn concurrent_writers_and_readers_of_one_key_see_whole_entries() {
     let (first, dir) = store(400_000);
     let bytes = |n: u8| vec![n; 50_000];
     first.put(&key("shared"), &[&bytes(0)]).unwrap();
@@ -142,7 +142,7 @@ fn many_that_write_and_read_one_key_always_find_a_whole_entry() {
         for n in 0..4 {
             let dir = dir.path();
             scope.spawn(move || {
-                // As another process: nothing is shared but the folder.
+                // As another process would, share only the folder.
                 let store = Store::open(Settings { max_bytes: 400_000, ..Settings::in_dir(dir) });
                 for round in 0..50 {
                     store.put(&key("shared"), &[&bytes(n)]).unwrap();
@@ -159,7 +159,7 @@ fn many_that_write_and_read_one_key_always_find_a_whole_entry() {
 }
 
 #[test]
-fn a_folder_that_cannot_be_made_is_told_with_what_to_do() {
+fn a_folder_that_cannot_be_created_is_an_error_with_a_next_step() {
     let (_, dir) = store(1 << 20);
     let file = dir.path().join("file");
     fs::write(&file, "").unwrap();
@@ -170,7 +170,7 @@ fn a_folder_that_cannot_be_made_is_told_with_what_to_do() {
 }
 
 #[test]
-fn the_environment_says_where_and_how_much() {
+fn the_environment_sets_folder_and_size() {
     let of = |said: &[(&str, &str)]| {
         Settings::of(|name| said.iter().find(|(n, _)| *n == name).map(|(_, value)| OsString::from(value)))
     };
@@ -192,7 +192,7 @@ fn the_environment_says_where_and_how_much() {
 
 proptest! {
     #[test]
-    fn a_damaged_entry_is_not_there_and_is_replaced(at in 0usize..264, bit in 0u8..8, cut in 0usize..264, longer: bool) {
+    fn a_damaged_entry_is_ignored_and_replaced(at in 0usize..264, bit in 0u8..8, cut in 0usize..264, longer: bool) {
         let (store, _dir) = store(1 << 20);
         let bytes: Vec<u8> = (0..200).collect();
         store.put(&key("a"), &[&bytes]).unwrap();
@@ -202,7 +202,7 @@ proptest! {
         flipped[at] ^= 1 << bit;
         fs::write(store.path(&key("a")), &flipped).unwrap();
         let got = store.get(&key("a"));
-        // The zeros that fill the head mean nothing.
+        // The padding zeros of the header are not checked.
         prop_assert_eq!(got.is_some(), (56..64).contains(&at), "byte {}, bit {}", at, bit);
         prop_assert!(got.is_none_or(|entry| entry.bytes() == bytes));
         let other = if longer { [&whole[..], &[0]].concat() } else { whole[..cut].to_vec() };
