@@ -130,7 +130,11 @@ impl<'a> AnswerCache<'a> {
         if let Some(plugin) = &node.plugin {
             key = key.text("plugin", plugin);
             // All nodes are built, so every library is loaded.
-            key = self.brought.get_or_init(plugin_libraries).iter().fold(key, |key, library| key.text("library", library));
+            key = self
+                .brought
+                .get_or_init(plugin_libraries)
+                .iter()
+                .fold(key, |key, library| key.text("library", library));
         }
         if kept == CachePolicy::ByInputsAndSeed {
             key = key.number("seed", context.seed()).text("node", context.node()).number("item", context.item());
