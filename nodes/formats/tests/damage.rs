@@ -184,6 +184,120 @@ fn a_length_that_cannot_be_true_is_named_and_costs_no_memory() {
     assert!(error.to_string().contains("fewer than the 536870912 bytes it claims"), "{error}");
 }
 
+/// A recording as other programs write it, by the `mcap` crate: twelve messages on two topics, and an attachment.
+fn foreign(compression: Option<mcap::Compression>, chunks: bool, summary: bool) -> Vec<u8> {
+    let options = mcap::WriteOptions::new()
+        .compression(compression)
+        .compression_threads(0)
+        .use_chunks(chunks)
+        .chunk_size(chunks.then_some(400))
+        .emit_message_indexes(summary)
+        .emit_summary_records(summary)
+        .emit_summary_offsets(summary);
+    let mut writer = options.create(std::io::Cursor::new(Vec::new())).unwrap();
+    let schema = writer.add_schema("their/Type", "ros2msg", b"uint8[] data").unwrap();
+    let channels = ["/a", "/b"].map(|topic| writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).unwrap());
+    for i in 0..N_FOREIGN {
+        let time = u64::from(i) + 1;
+        let header = mcap::records::MessageHeader {
+            channel_id: channels[i as usize % 2],
+            sequence: i,
+            log_time: time,
+            publish_time: time,
+        };
+        writer.write_to_known_channel(&header, &foreign_data(i)).unwrap();
+    }
+    let attachment = mcap::Attachment {
+        log_time: 1,
+        create_time: 1,
+        name: "notes.txt".into(),
+        media_type: "text/plain".into(),
+        data: b"as they were".into(),
+    };
+    writer.attach(&attachment).unwrap();
+    writer.finish().unwrap();
+    writer.into_inner().into_inner()
+}
+
+const N_FOREIGN: u32 = 12;
+
+fn foreign_data(i: u32) -> Vec<u8> {
+    (0..150 + i).map(|k| (k.wrapping_mul(k + i) >> 3) as u8).collect()
+}
+
+/// Numbers of the messages of both topics, each with its own data.
+fn foreign_numbers(recording: &Recording) -> Vec<u32> {
+    let mut numbers = Vec::new();
+    for (topic, k) in [("/a", 0), ("/b", 1)] {
+        for message in recording.messages(topic) {
+            assert_eq!((message.sequence % 2, &*message.data), (k, &*foreign_data(message.sequence)), "{topic}");
+            assert_eq!((&*message.schema_name, &*message.message_encoding), ("their/Type", "cdr"));
+            numbers.push(message.sequence);
+        }
+    }
+    numbers.sort_unstable();
+    numbers
+}
+
+const COMPRESSIONS: [Option<mcap::Compression>; 3] =
+    [None, Some(mcap::Compression::Lz4), Some(mcap::Compression::Zstd)];
+
+#[test]
+fn recordings_of_other_programs_are_read_in_every_layout() {
+    for compression in COMPRESSIONS {
+        for (chunks, summary) in [(true, true), (true, false), (false, true), (false, false)] {
+            let what = format!("{compression:?}, chunks {chunks}, summary {summary}");
+            let recording = Recording::from_bytes("foreign", &foreign(compression, chunks, summary), false).unwrap();
+            assert_eq!(recording.notes, [""; 0], "{what}");
+            assert_eq!(foreign_numbers(&recording), Vec::from_iter(0..N_FOREIGN), "{what}");
+            assert_eq!(recording.attachment("notes.txt").unwrap().data, b"as they were".as_slice(), "{what}");
+        }
+    }
+}
+
+#[test]
+fn messages_behind_a_damaged_record_length_are_read_and_the_damage_is_noted_with_its_place() {
+    for compression in COMPRESSIONS {
+        for chunks in [true, false] {
+            let bytes = foreign(compression, chunks, true);
+            let opcode = if chunks { 6 } else { 5 };
+            let of_kind: Vec<_> = records(&bytes).into_iter().filter(|r| r.0 == opcode).collect();
+            let (_, start, _) = of_kind[of_kind.len() / 2];
+            let what = format!("{compression:?}, chunks {chunks}");
+            let mut damaged = bytes.clone();
+            // The length becomes a terabyte.
+            damaged[start + 6] = 1;
+            let error = Recording::from_bytes("damaged", &damaged, false).unwrap_err();
+            assert!(matches!(cause(&error), Some(Cause::Length { .. } | Cause::Malformed { .. })), "{what}: {error}");
+            let part = Recording::from_bytes("damaged", &damaged, true).unwrap();
+            let numbers = foreign_numbers(&part);
+            assert!((8..N_FOREIGN as usize).contains(&numbers.len()), "{what}: {numbers:?}");
+            assert!(numbers.contains(&0) && numbers.contains(&(N_FOREIGN - 1)), "{what}: {numbers:?}");
+            assert!(part.attachment("notes.txt").is_some(), "{what}");
+            let places = part.notes.iter().filter_map(|note| note.strip_prefix("damaged: byte ")?.split(':').next());
+            let mut places = places.map(|place| place.parse::<usize>().unwrap());
+            assert!(places.any(|place| place.abs_diff(start) <= 200), "{what}: {start}: {:?}", part.notes);
+        }
+    }
+}
+
+#[test]
+fn a_summary_that_counts_otherwise_is_noted() {
+    let mut bytes = foreign(None, true, true);
+    let statistics = records(&bytes).into_iter().find(|r| r.0 == 11).unwrap();
+    // The counts of both channels are exchanged for others of the same sum; without CRC of the summary.
+    let counts = statistics.2 - 20;
+    for (at, n) in [(counts + 2, 5_u64), (counts + 12, 7)] {
+        bytes[at..at + 8].copy_from_slice(&n.to_le_bytes());
+    }
+    let footer = records(&bytes).into_iter().find(|r| r.0 == 2).unwrap();
+    bytes[footer.2 - 4..footer.2].fill(0);
+    let recording = Recording::from_bytes("counts", &bytes, false).unwrap();
+    assert_eq!(foreign_numbers(&recording).len(), N_FOREIGN as usize);
+    let expected = "the summary counts 5 messages of \"/a\", but 6 could be read";
+    assert!(recording.notes.iter().any(|note| note == expected), "{:?}", recording.notes);
+}
+
 #[test]
 fn an_unknown_compression_is_named() {
     let mut bytes = recording(&small_chunks(Compression::Zstd));
