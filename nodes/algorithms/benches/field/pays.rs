@@ -4,7 +4,7 @@ use crate::{bone, fastest, number};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_algorithms::coarse::{GlobalParams, global};
 use osteoflow_algorithms::field::{ClosestPointField, FieldParams};
-use osteoflow_algorithms::icp::{self, IcpParams, Method, PairingKind};
+use osteoflow_algorithms::icp::{self, IcpParams, IcpStep, Method, PairingKind};
 use osteoflow_algorithms::sample::Samples;
 use osteoflow_algorithms::target::Target;
 use osteoflow_geometry::{Cloud, Mesh, SurfaceOrigin};
@@ -99,6 +99,34 @@ pub(crate) fn start_by_shape(mesh: &Mesh, samples: &Samples) {
         .collect();
     let (nearest_s, _) = fastest(2, || places.iter().filter_map(|p| rough.nearest(p, 6.0)).count());
     println!("    {} nearest points of its starts: {:.0} ms", places.len(), nearest_s * 1e3);
+    let refined: Vec<Point3<f64>> = scan.points().iter().step_by(scan.len() / 600).copied().collect();
+    let centre = refined.iter().map(|p| p.coords).sum::<Vector3<f64>>() / refined.len() as f64;
+    let starts: Vec<Isometry3<f64>> = (0..60)
+        .map(|k| {
+            let share = f64::from(k) / 30.0 - 1.0;
+            let off = Isometry3::new(Vector3::z() * (2.5 * share), Vector3::z() * (0.13 * (7.0 * share).sin()));
+            Isometry3::from(centre) * off * Isometry3::from(-centre)
+        })
+        .collect();
+    let refine = |target: &Target, reach_mm: f64, pairing: PairingKind| {
+        let params = IcpParams {
+            pairing,
+            field_exact: false,
+            max_pair_distance_mm: reach_mm,
+            levels: Vec::new(),
+            max_iterations: 40,
+            stop_step_mm: 0.01,
+            stop_step_rad: 1e-4,
+            ..IcpParams::default()
+        };
+        let register = |start: &Isometry3<f64>| {
+            let observer = &mut |_: &IcpStep| ControlFlow::Continue(());
+            icp::register(Method::PointToPlane, target, &refined, start, &params, observer).is_ok()
+        };
+        fastest(3, || starts.iter().filter(|start| register(start)).count()).0
+    };
+    let (rough_s, fine_s) = (refine(&rough, 12.0, PairingKind::Cached), refine(&target, 2.0, PairingKind::Cached));
+    println!("    60 refinements on the thinned surface: {:.0} ms, on all of it {:.0} ms", rough_s * 1e3, fine_s * 1e3);
     let coarse = FieldParams { fine_mm: 2.0, band_mm: 2.0, coarse_mm: 4.0, reach_mm: 8.0 };
     for (name, samples, params) in
         [("the field", samples, FieldParams::default()), ("a coarse field of the thinned surface", &thinned, coarse)]
@@ -106,6 +134,12 @@ pub(crate) fn start_by_shape(mesh: &Mesh, samples: &Samples) {
         let of_points = || ClosestPointField::of_points(&samples.points, &samples.normals, &params).expect("a bone");
         let (made_s, field) = fastest(2, of_points);
         let (found_s, _) = fastest(2, || places.iter().filter_map(|p| field.at(p)).count());
-        println!("    {name}: made in {:.0} ms, these look-ups {:.0} ms", made_s * 1e3, found_s * 1e3);
+        let refined_s = refine(&rough.clone().with_field(field), 12.0, PairingKind::Field);
+        println!(
+            "    {name}: made in {:.0} ms, these look-ups {:.0} ms, these refinements {:.0} ms",
+            made_s * 1e3,
+            found_s * 1e3,
+            refined_s * 1e3
+        );
     }
 }
