@@ -81,7 +81,7 @@ fn check(before: &Whole, node: &str, how: &str) {
     assert_eq!((refused["node"].as_str(), refused["item"].as_u64()), (Some(node), Some(0)), "{refused}");
     let reason = refused["reason"].as_str().unwrap();
     if how == "panic" {
-        assert!(reason.starts_with("panicked at engine/src/run/inject.rs:"), "{node}: {reason}");
+        assert!(reason.starts_with("panicked at engine/src/runtime/inject.rs:"), "{node}: {reason}");
     }
     assert!(reason.ends_with(&format!("was injected into {node} at item 0")), "{reason}");
     let named = format!("node \"{node}\", item 0: {reason}");
@@ -148,7 +148,7 @@ fn a_node_that_skips_errors_goes_on_after_an_injected_one_and_five_items_are_sav
     let mut bundles: Vec<_> = bundles.collect();
     bundles.sort();
     assert_eq!(bundles.len(), 5);
-    assert!(ran.stderr.contains("node \"planes\" failed 2 more times, which are not saved"), "{}", ran.stderr);
+    assert!(ran.stderr.contains("node \"planes\" failed 2 more times; these failures are not saved"), "{}", ran.stderr);
     for bundle in bundles {
         let (code, printed) = repro(&bundle);
         assert_eq!((code, &printed["same"]), (0, &Value::Bool(true)), "{printed:#}");
