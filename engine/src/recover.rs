@@ -137,7 +137,7 @@ pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<Recover
 enum Output {
     /// Its header is not written yet.
     File(File),
-    Writer(Writer<File>),
+    Writer(Box<Writer<File>>),
     /// The header could not be written.
     Failed,
 }
@@ -150,7 +150,7 @@ impl Output {
         {
             let library = concat!("osteoflow ", env!("CARGO_PKG_VERSION")).into();
             let options = WriteOptions { profile: profile.into(), library, ..WriteOptions::default() };
-            *self = Self::Writer(Writer::new(file, options)?);
+            *self = Self::Writer(Box::new(Writer::new(file, options)?));
         }
         match self {
             Self::Writer(writer) => Ok(writer),

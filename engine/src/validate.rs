@@ -239,16 +239,20 @@ struct Pass<'a> {
     progress: Progress<'a>,
 }
 
+impl Pass<'_> {
+    fn metadata(&mut self, place: Location, name: &str, entries: BTreeMap<String, String>) {
+        if !self.metadata.insert(name, entries) {
+            let what = format!("a second metadata record \"{name}\"");
+            self.findings.add("metadata", Finding::new(place, what));
+        }
+    }
+}
+
 impl Visitor for Pass<'_> {
     fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
         self.container.record(place, &record, &mut self.findings);
         match record {
-            Record::Metadata { name, entries } => {
-                if !self.metadata.insert(name, entries) {
-                    let what = format!("a second metadata record \"{name}\"");
-                    self.findings.add("metadata", Finding::new(place, what));
-                }
-            }
+            Record::Metadata { name, entries } => self.metadata(place, name, entries),
             Record::Channel(channel) => self.items.channel(channel),
             Record::Message(message) => self.items.message(place, &message, &mut self.findings),
             _ => {}

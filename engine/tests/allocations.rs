@@ -2,7 +2,7 @@
 //! their own binary.
 
 #[allow(dead_code, reason = "the benches use the rest")]
-#[path = "../benches/graph/mod.rs"]
+#[path = "../benches/graph.rs"]
 mod graph;
 
 use graph::chain;

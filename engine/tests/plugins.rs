@@ -2,7 +2,7 @@
 
 #[path = "plugins/build.rs"]
 mod build;
-#[path = "../benches/graph/mod.rs"]
+#[path = "../benches/graph.rs"]
 #[allow(dead_code, reason = "the benches use the rest")]
 mod graph;
 

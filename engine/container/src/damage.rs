@@ -20,7 +20,10 @@ impl fmt::Display for Damage {
 pub enum Cause {
     /// The magic at the start has changed, but a header follows it.
     #[error("the magic of MCAP is damaged")]
-    Magic,
+    Magic {
+        /// The first bytes of the file.
+        start: Vec<u8>,
+    },
     /// The file ends without footer and closing magic.
     #[error("the file ends without its footer")]
     NoFooter,

@@ -318,7 +318,7 @@ impl<R: Read + Seek> Reader<R> {
             if opcode == op::HEADER && fits {
                 let header = self.input.read(N_MAGIC + RECORD_HEAD, length)?;
                 if record::parse(opcode, &header).is_ok() {
-                    return Ok(Some(Damage { bytes: 0..N_MAGIC, cause: Cause::Magic }));
+                    return Ok(Some(Damage { bytes: 0..N_MAGIC, cause: Cause::Magic { start } }));
                 }
             }
         }

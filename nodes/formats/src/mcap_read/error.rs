@@ -78,9 +78,19 @@ impl McapError {
             s if osteoflow_container::MAGIC.starts_with(s) => "; the file was cut short in its first bytes",
             _ => "; is it another kind of file, or damaged?",
         };
-        let found = start.iter().map(|b| format!("{b:02X}")).collect::<Vec<_>>().join(" ");
-        Self::WrongMagic { path, found, hint }
+        Self::WrongMagic { path, found: hex(&start), hint }
     }
+
+    /// Of a file whose header follows a damaged magic.
+    pub(super) fn damaged_magic(path: &str, start: &[u8]) -> Self {
+        let hint =
+            "; an MCAP header follows, so copy the file again, or set allow_truncated = true to use what is intact";
+        Self::WrongMagic { path: path.into(), found: hex(start), hint }
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02X}")).collect::<Vec<_>>().join(" ")
 }
 
 /// The damage of a section whose CRC does not hold; its bytes are used all the same.

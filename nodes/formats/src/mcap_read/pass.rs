@@ -2,10 +2,12 @@
 
 use super::{Attachment, McapError, Message, Recording, Topic, error::section_damage};
 use bytes::Bytes;
-use osteoflow_container::{Channel, Damage, End, Location, MESSAGE_HEADER_BYTES, Reader, Record, Statistics, Visitor};
+use osteoflow_container::{
+    Cause, Channel, Damage, End, Location, MESSAGE_HEADER_BYTES, Reader, Record, Statistics, Visitor,
+};
 use osteoflow_geometry::StampNs;
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, btree_map::Entry},
     io::{Read, Seek},
     ops::ControlFlow,
     sync::Arc,
@@ -102,7 +104,10 @@ impl<'a> Pass<'a> {
             self.recording.notes.push(note(text));
             return ControlFlow::Continue(());
         }
-        self.failed = Some(McapError::Damaged { path: self.path.into(), damage });
+        self.failed = Some(match &damage.cause {
+            Cause::Magic { start } => McapError::damaged_magic(self.path, start),
+            _ => McapError::Damaged { path: self.path.into(), damage },
+        });
         ControlFlow::Break(())
     }
 
@@ -226,9 +231,9 @@ impl Visitor for Pass<'_> {
             }
             Record::Channel(channel) => {
                 let id = channel.id;
-                if !self.channels.contains_key(&id) {
+                if let Entry::Vacant(vacant) = self.channels.entry(id) {
                     let message_encoding = channel.message_encoding.as_str().into();
-                    self.channels.insert(id, (channel, message_encoding));
+                    vacant.insert((channel, message_encoding));
                     self.channel_order.push(id);
                 }
             }

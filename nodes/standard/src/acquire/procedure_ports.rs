@@ -131,7 +131,7 @@ mod tests {
         let OutputPorts::Fixed(ports) = ProcedurePorts::ports() else { panic!("the ports are fixed") };
         assert_eq!(ports[ProcedurePort::PhantomScan as usize].name, "phantom_scan");
         assert_eq!(ports[ProcedurePort::TCtWorldTrue as usize].name, "t_ct_world_true");
-        assert_eq!(ports.last().map(|port| &*port.name), Some("laser_assessment"));
+        assert_eq!(ports.last().map(|port| port.name), Some("laser_assessment"));
         assert_eq!(ports.len() - 1, ProcedurePort::LaserAssessment as usize);
     }
 }
