@@ -10,7 +10,7 @@ use std::{collections::BTreeMap, io::Cursor, ops::ControlFlow};
 type Message = (String, String, u32, u64, u64, Vec<u8>);
 type Map = BTreeMap<String, String>;
 
-/// What a file holds, whoever reads it.
+/// Contents of a file, for any reader.
 #[derive(Debug, Default, PartialEq)]
 struct Content {
     messages: Vec<Message>,
