@@ -99,6 +99,17 @@ pub struct Recording {
     types: RecordedTypes,
 }
 
+/// A metadata record of a file; `None` where it has none.
+///
+/// # Errors
+/// [`RecordingError::Foreign`] if it cannot be read: a status or a limit that is lost must not pass for none.
+fn readable<T: MetadataRecord>(path: &Path, metadata: &MetadataRecords) -> Result<Option<T>, RecordingError> {
+    metadata.get::<T>().transpose().map_err(|error| RecordingError::Foreign {
+        path: path.into(),
+        reason: format!("its metadata record \"{}\": {error}", T::NAME),
+    })
+}
+
 /// The run record of a file; `truncated` says why it may be missing.
 ///
 /// # Errors
@@ -164,14 +175,15 @@ impl Recording {
         let truncated = reading.read(path)?;
         let metadata = &reading.metadata;
         let run = run_record(path, metadata, truncated.as_deref())?;
-        let (recovered, outcome) = (metadata.sound::<Recovered>(), metadata.sound::<Outcome>());
+        let recovered: Option<Recovered> = readable(path, metadata)?;
+        let outcome: Option<Outcome> = readable(path, metadata)?;
         let interrupted = outcome.as_ref().is_some_and(|outcome| outcome.status == Outcome::INTERRUPTED);
         let truncated = truncated
-            .or_else(|| metadata.has::<Recovered>().then(|| "it was recovered from a damaged file".into()))
+            .or_else(|| recovered.is_some().then(|| "it was recovered from a damaged file".into()))
             .or_else(|| (!metadata.has::<WireCounts>()).then(|| "the run did not finish it".into()));
-        let limits = metadata.has::<Recovered>().then(|| recovered.unwrap_or_default().before_damage);
-        let plugins = metadata.sound::<PluginRecords>().unwrap_or_default().0;
-        let inputs = metadata.sound::<InputHashes>().unwrap_or_default().0;
+        let limits = recovered.map(|recovered| recovered.before_damage);
+        let plugins = readable::<PluginRecords>(path, metadata)?.unwrap_or_default().0;
+        let inputs = readable::<InputHashes>(path, metadata)?.unwrap_or_default().0;
         let (mut wires, mut types) = (BTreeMap::new(), RecordedTypes::default());
         for (name, gathered) in reading.wires {
             types.add(&gathered.about);
@@ -332,4 +344,19 @@ fn numbered(name: &str, gathered: Gathered, limit: u64, partial: bool) -> Result
         wire.messages.push(message);
     }
     Ok(wire)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_that_cannot_be_read_is_an_error_and_one_that_is_missing_is_none() {
+        let mut metadata = MetadataRecords::default();
+        let read = |metadata: &MetadataRecords| readable::<Outcome>(Path::new("a.mcap"), metadata);
+        assert!(read(&metadata).unwrap().is_none());
+        metadata.insert(Outcome::NAME, [("status".into(), Outcome::INTERRUPTED.into())].into());
+        let error = read(&metadata).unwrap_err().to_string();
+        assert!(error.contains("\"osteoflow.outcome\": it lacks \"results\""), "{error}");
+    }
 }
