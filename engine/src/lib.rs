@@ -4,24 +4,24 @@
 //!
 //! | Layer | Modules |
 //! |---|---|
-//! | base | [`plan`], `names`, [`panics`], `sync` |
+//! | a crate of its own | `osteoflow_runtime`: runs a [`plan`], catches [`panics`], finds similar [`names`]; knows no file |
 //! | faults and hashes | [`fault`], [`hash`] |
 //! | file contents | `graph` (a graph file as a tree), [`recording`] (what a recording holds) |
 //! | cache | [`store`] |
-//! | computation | [`plugin`], `runtime` (runs a plan; knows no file) |
+//! | options of a run | `options` |
+//! | what a run uses | [`plugin`], `answer_cache` (answers of the store instead of firings) |
 //! | input and output | [`check()`], `record`, [`repro`] |
 //! | whole tasks on files | [`run()`], [`validate`], [`diff`], [`recover`], [`schema`] |
 //! | repeated runs | `partial`, [`replay()`], [`watch`], [`sweep`] |
 
+mod answer_cache;
 pub mod check;
 pub mod diff;
 pub mod fault;
 mod graph;
 pub mod hash;
-pub mod names;
-pub mod panics;
+mod options;
 mod partial;
-pub mod plan;
 #[cfg(test)]
 mod plan_builder;
 pub mod plugin;
@@ -31,16 +31,17 @@ pub mod recover;
 pub mod replay;
 pub mod repro;
 pub mod run;
-mod runtime;
 pub mod schema;
 pub mod store;
 pub mod sweep;
-mod sync;
 pub mod validate;
 pub mod watch;
 
 pub use check::{Checked, CheckedFile, Module, check, check_file, check_recorded, check_text};
 pub use fault::{Fault, Faults};
+pub use osteoflow_runtime::{names, panics, plan};
 pub use recording::Recording;
 pub use replay::{ReplayOptions, ReplayReport, replay};
 pub use run::{Event, Observer, Outcome, Refusal, RunError, RunOptions, RunReport, run};
+
+use osteoflow_runtime as runtime;

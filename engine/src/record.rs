@@ -12,12 +12,13 @@ mod queue;
 mod sink;
 
 use crate::{
+    options::RunOptions,
     panics,
     plan::{OutputId, Plan},
     recording::format::{
         InputHashes, MetadataRecord, Outcome, PluginRecords, Program, RecordedFailure, RunRecord, WireCounts,
     },
-    runtime::{RunOptions, Tap},
+    runtime::Tap,
 };
 use osteoflow_container::{WriteOptions, Writer};
 use osteoflow_node::{Body, ClockReading, Item, StampNs};

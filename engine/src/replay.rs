@@ -9,12 +9,13 @@ use crate::{
     check::{check, check_recorded},
     diff,
     fault::Faults,
+    options::RunOptions,
     partial::{self, Failing, NodeMode, Pace, Player},
     plan::{OutputId, Plan, Sources},
     plugin::Kinds,
     recording::{Recording, RecordingError},
     run::{self, RunError, RunReport},
-    runtime::{Observer, Replayed, RunOptions, Substitutes},
+    runtime::{Observer, Replayed, Substitutes},
 };
 use compare::Compare;
 use osteoflow_node::{Body, ClockReading, Item, Join, PortPayload, Registry, Role, StampNs};

@@ -11,19 +11,21 @@ mod results;
 mod tests;
 
 pub use crate::runtime::{
-    BuildFault, CachedAnswer, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer,
-    Refusal, RunOptions, Spread, Warning,
+    BuildFault, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer, Refusal, Spread,
+    Warning,
 };
+pub use crate::{answer_cache::CachedAnswer, options::RunOptions};
 pub(crate) use finished::{Finished, WireItems};
 pub use report::{Outcome, RunError, RunReport};
 
 use crate::{
+    answer_cache::StoredAnswers,
     hash::files::Hashes,
     plan::{Plan, Sources},
     record::Recorder,
     recording::RecordedFailure,
     repro::Saver,
-    runtime::{Failure, Latency, Replayed, Runtime, Tap},
+    runtime::{AnswerCache, Failure, Latency, Replayed, RunSettings, Runtime, Tap},
 };
 use finished::ItemKeeper;
 use osteoflow_node::Registry;
@@ -78,8 +80,17 @@ pub(crate) fn run_part(
     whole: Option<FullRun<'_>>,
 ) -> Result<RunReport, RunError> {
     let began = SystemTime::now();
-    let mut runtime = Runtime::build(plan, registry, options, observer, replayed)?;
     let out_dir = options.out_dir.as_deref();
+    let settings = RunSettings {
+        workers: options.workers,
+        shuffle: options.shuffle,
+        out_dir,
+        cancelled: options.cancelled.clone(),
+        inject: &options.inject,
+    };
+    let answers = StoredAnswers::new(plan, registry, options);
+    let answer_cache = answers.as_ref().map(|answers| answers as &dyn AnswerCache);
+    let mut runtime = Runtime::build(plan, registry, &settings, answer_cache, observer, replayed)?;
     if let Some(dir) = out_dir {
         std::fs::create_dir_all(dir).map_err(|source| RunError::Write { path: dir.into(), source })?;
     }
@@ -128,6 +139,7 @@ pub(crate) fn run_part(
     }
     let mut report = report_of(plan, finished, outcome, results);
     report.latencies = latencies;
+    report.cached_answers = answers.map(StoredAnswers::finish).unwrap_or_default();
     if let Some(dir) = out_dir {
         write_json(&dir.join(files::RESULTS), &report.results)?;
         let times = (began, SystemTime::now());
@@ -172,7 +184,7 @@ fn report_of(plan: &Plan, finished: Finished, outcome: Outcome, results: serde_j
         warnings,
         elapsed: ended.elapsed,
         saved,
-        cached_answers: ended.cached_answers,
+        cached_answers: Vec::new(),
     }
 }
 

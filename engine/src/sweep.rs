@@ -25,8 +25,8 @@ pub use table::{PointValue, at_path, point_values, without_value, write_points, 
 use crate::{
     fault::Fault,
     hash::{Digest, files::hashes},
+    options::RunOptions,
     plan::Plan,
-    runtime::RunOptions,
     watch::Stamps,
 };
 use osteoflow_node::Registry;

@@ -16,10 +16,11 @@ pub use changes::Change;
 pub use files::Stamps;
 
 use crate::{
+    options::RunOptions,
     partial::{self, FinishedNode, PartialRun},
     plan::{Link, Plan, PlanNode},
     run::{Finished, RunError, RunReport},
-    runtime::{LinkStats, Observer, RunOptions},
+    runtime::{LinkStats, Observer},
 };
 use osteoflow_node::{Body, Item, Registry, Role};
 use serde_json::json;

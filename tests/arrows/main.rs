@@ -7,11 +7,12 @@ mod floors;
 use std::{collections::BTreeMap, fs, path::Path};
 
 /// Every crate of the workspace, its folder, and the crates of the workspace that it may depend on.
-const ARROWS: [(&str, &str, &[&str]); 15] = [
+const ARROWS: [(&str, &str, &[&str]); 16] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
     ("osteoflow-container", "engine/container", &[]),
-    ("osteoflow-engine", "engine", &["osteoflow-container", "osteoflow-node"]),
+    ("osteoflow-runtime", "engine/runtime", &["osteoflow-container", "osteoflow-node"]),
+    ("osteoflow-engine", "engine", &["osteoflow-container", "osteoflow-node", "osteoflow-runtime"]),
     ("osteoflow-draw", "engine/draw", &[]),
     ("osteoflow-toy", "engine/toy", &["osteoflow-node"]),
     ("osteoflow-geometry", "nodes/geometry", &[]),

@@ -2,9 +2,10 @@
 
 use super::{NodeMode, Player, consumers, outputs, reduce, reduced_indices};
 use crate::{
+    options::RunOptions,
     plan::{Plan, Policy},
     run::{Finished, FullRun, RunError, RunReport, WireItems, run_part},
-    runtime::{Ended, Failure, NodeStats, Observer, Replayed, RunOptions, Substitutes, Warning},
+    runtime::{Ended, Failure, NodeStats, Observer, Replayed, Substitutes, Warning},
 };
 use osteoflow_node::Registry;
 use std::sync::Arc;

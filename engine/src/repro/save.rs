@@ -5,9 +5,10 @@ use super::{
     items::Items,
 };
 use crate::{
+    options::RunOptions,
     panics,
     plan::{OnError, Plan, PlanNode},
-    runtime::{Failed, RunOptions, Tap},
+    runtime::{Failed, Tap},
 };
 use osteoflow_node::{Body, Empty, Field, Item, Joined, PayloadType, PortPayload, Role, Slot};
 use std::{

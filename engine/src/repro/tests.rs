@@ -1,9 +1,10 @@
 use super::*;
 use crate::{
+    options::RunOptions,
     plan::Plan,
     plan_builder::PlanBuilder,
     run::{Outcome, RunReport, run},
-    runtime::{Injected, Injection, RunOptions},
+    runtime::{Injected, Injection},
 };
 use osteoflow_node::Join;
 use osteoflow_toy::registry;

@@ -2,10 +2,10 @@
 
 use super::{Outcome, RunReport};
 use crate::{
+    options::RunOptions,
     plan::Plan,
     record::RecordError,
     recording::format::{FORMAT_VERSION, WireCounts},
-    runtime::RunOptions,
 };
 use jiff::Timestamp;
 use osteoflow_node::Role;

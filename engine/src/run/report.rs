@@ -1,11 +1,10 @@
 //! The report of a run.
 
 use crate::{
+    answer_cache::CachedAnswer,
     record::RecordError,
     repro::Saved,
-    runtime::{
-        BuildError, BuildFault, CachedAnswer, Enlargement, LatencyStats, LinkStats, NodeStats, Refusal, Warning,
-    },
+    runtime::{BuildError, BuildFault, Enlargement, LatencyStats, LinkStats, NodeStats, Refusal, Warning},
 };
 use std::{path::PathBuf, time::Duration};
 

@@ -2,8 +2,9 @@
 
 use super::{Finished, Outcome};
 use crate::{
+    options::RunOptions,
     plan::{OutputId, Plan, ResultEntry},
-    runtime::{Failure, Refusal, RunOptions, refusal as refusal_of},
+    runtime::{Failure, Refusal, refusal as refusal_of},
 };
 use osteoflow_node::{Body, Role};
 use serde_json::{Map, Value as Json, json};

@@ -655,3 +655,21 @@ fn warnings_of_nodes_and_items_without_partner_are_reported() {
     let unmatched: Vec<_> = report.links.iter().map(|l| (l.to.as_str(), l.unmatched)).collect();
     assert_eq!(unmatched, [("add.a", 0), ("add.b", 1), ("warns.a", 0)]);
 }
+
+#[test]
+fn an_injection_is_parsed_and_a_wrong_one_names_the_nearest_node() {
+    let plan = PlanBuilder::new().script("scan", 1, json!([])).node("first", "toy.add", json!({}), &[]).plan();
+    let read = |text: &str| Injection::parse(text, &plan).map(|i| i.to_string());
+    assert_eq!(read("first").unwrap(), "first@0=panic");
+    assert_eq!(read("scan@7=error").unwrap(), "scan@7=error");
+    for (text, expected) in [
+        ("frist", "the graph has no such node; did you mean \"first\"?"),
+        ("first@x", "\"x\" is no item number"),
+        ("first@-1", "\"-1\" is no item number"),
+        ("first=explode", "\"explode\" cannot be injected; panic and error can"),
+        ("", "the graph has no such node; nodes here"),
+    ] {
+        let message = read(text).unwrap_err();
+        assert!(message.contains(expected), "{text}: {message}");
+    }
+}

@@ -10,8 +10,8 @@ use crate::{
         files::{hashes, sha256},
     },
     plugin::Kinds,
+    runtime::on_workers,
     store::Key,
-    sync::on_workers,
     watch::Stamps,
 };
 use osteoflow_node::Role;

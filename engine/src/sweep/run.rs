@@ -2,10 +2,10 @@
 
 use super::{Done, Folder, FolderError, Run, Shard, Sweep, SweepCounts, SweepOptions, Watcher, run_row, share::Shared};
 use crate::{
+    options::RunOptions,
     partial::FinishedNode,
     run::Outcome,
-    runtime::{RunOptions, Warning},
-    sync::on_workers,
+    runtime::{Warning, on_workers},
     watch::Stamps,
 };
 use serde_json::Value as Json;

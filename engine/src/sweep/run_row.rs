@@ -1,10 +1,11 @@
 //! One run of a sweep: plays the nodes shared with earlier runs and computes the others.
 
 use crate::{
+    options::RunOptions,
     partial::{self, FinishedNode, PartialRun},
     plan::Plan,
     run::{Finished, RunError, RunReport},
-    runtime::{Ended, RunOptions},
+    runtime::Ended,
 };
 use osteoflow_node::Registry;
 use std::sync::Arc;

@@ -1,0 +1,111 @@
+//! Latency from a source's answer to the end of a sink's firing, by the wall clock.
+//!
+//! A sink is a node whose outputs feed no node. A firing with stamp s is measured from the source's newest answer at or
+//! before s, the last one that the firing can have waited for. Latency is a tap: it listens to firings and changes
+//! nothing.
+
+use crate::{
+    histogram::{Histogram, Spread},
+    plan::Plan,
+    tap::Tap,
+};
+use osteoflow_node::{Role, StampNs};
+use std::{
+    collections::{BTreeSet, VecDeque},
+    sync::{Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+/// Number of answers remembered per source; a sink that lags further behind is measured from the oldest of them.
+const ANSWERS: usize = 1 << 16;
+
+/// Latency from a source to a sink.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LatencyStats {
+    /// The source.
+    pub source: String,
+    /// The sink.
+    pub sink: String,
+    /// Number of firings of the sink.
+    pub firings: u64,
+    /// Distribution of the latencies.
+    pub spread: Spread,
+}
+
+/// Stamps and times, both ascending.
+type Answers = VecDeque<(StampNs, Duration)>;
+
+/// Tap that measures latencies.
+pub struct Latency {
+    /// Answers of each node that is a source.
+    answers: Vec<Option<Mutex<Answers>>>,
+    /// Sources upstream of each node that is a sink.
+    sinks: Vec<Vec<(usize, Mutex<Histogram>)>>,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Latency {
+    /// A tap for a run of the plan.
+    pub fn new(plan: &Plan) -> Self {
+        let answers = plan.nodes.iter().map(|node| (node.role != Role::Node).then(Mutex::default)).collect();
+        // Nodes are in topological order, so the sources upstream of a producer are known before its consumers need
+        // them.
+        let mut upstream: Vec<BTreeSet<usize>> = Vec::with_capacity(plan.nodes.len());
+        for (index, node) in plan.nodes.iter().enumerate() {
+            let producers = node.inputs.iter().filter_map(|input| Some(plan.links[input.link?].from.node));
+            let mut sources: BTreeSet<_> = producers.flat_map(|producer| upstream[producer].iter().copied()).collect();
+            if node.role != Role::Node {
+                sources.insert(index);
+            }
+            upstream.push(sources);
+        }
+        let is_sink = |index: usize| plan.nodes[index].outputs.iter().all(|output| output.links.is_empty());
+        let of = |index: usize, sources: BTreeSet<usize>| match is_sink(index) && plan.nodes[index].role == Role::Node {
+            true => sources.into_iter().map(|source| (source, Mutex::default())).collect(),
+            false => Vec::new(),
+        };
+        let sinks = upstream.into_iter().enumerate().map(|(index, sources)| of(index, sources)).collect();
+        Self { answers, sinks }
+    }
+
+    /// Every measured pair, in the order of the plan.
+    pub fn stats(&self, plan: &Plan) -> Vec<LatencyStats> {
+        let name = |node: usize| plan.nodes[node].name.to_string();
+        let pairs = self.sinks.iter().enumerate().flat_map(|(sink, sources)| sources.iter().map(move |of| (sink, of)));
+        let measured = pairs.map(|(sink, (source, times))| {
+            let times = locked(times);
+            LatencyStats { source: name(*source), sink: name(sink), firings: times.n(), spread: times.spread() }
+        });
+        measured.filter(|pair| pair.firings > 0).collect()
+    }
+}
+
+impl Tap for Latency {
+    fn times_firings(&self) -> bool {
+        true
+    }
+
+    fn fired(&self, node: usize, _: u64, stamp_ns: StampNs, began: Duration, took: Duration) {
+        let ended = began + took;
+        if let Some(answers) = &self.answers[node] {
+            let mut answers = locked(answers);
+            // A late answer is no newer than the one before it.
+            if answers.back().is_none_or(|(newest, _)| *newest <= stamp_ns) {
+                if answers.len() == ANSWERS {
+                    answers.pop_front();
+                }
+                answers.push_back((stamp_ns, ended));
+            }
+        }
+        for (source, times) in &self.sinks[node] {
+            let Some(answers) = &self.answers[*source] else { continue };
+            let answers = locked(answers);
+            let n_before = answers.partition_point(|(stamp, _)| *stamp <= stamp_ns);
+            let Some((_, answered)) = answers.get(n_before.saturating_sub(1)) else { continue };
+            locked(times).count(1, ended.saturating_sub(*answered).as_nanos() as u64);
+        }
+    }
+}

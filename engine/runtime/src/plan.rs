@@ -1,0 +1,264 @@
+//! The plan that `check` passes to `run`: a graph with all names resolved and no faults.
+
+use osteoflow_container::Compression;
+use osteoflow_node::{DeclaredPort, InputPort, PortPayload, Role};
+use serde::{Deserialize, Serialize, Serializer};
+use std::{fmt, path::PathBuf, sync::Arc};
+
+/// A checked graph, ready to be built.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// The graph's name.
+    pub name: String,
+    /// The seed of everything random in the run.
+    pub seed: u64,
+    /// The graph file.
+    pub path: PathBuf,
+    /// The nodes in topological order, ties broken by the order of the file.
+    pub nodes: Vec<PlanNode>,
+    /// The links, one for each consumer of an output.
+    pub links: Vec<Link>,
+    /// The outputs to record: those named by `[record]`, and those of all sources.
+    pub record: Vec<OutputId>,
+    /// How they are recorded.
+    pub recording: RecordSettings,
+    /// The entries of `results.json`, in the order of the file.
+    pub results: Vec<ResultEntry>,
+    /// The files that parameters name, absolute.
+    pub input_files: Vec<PathBuf>,
+    /// The plugins that the graph names, and other plugins whose kinds it uses.
+    pub plugins: Vec<PlanPlugin>,
+    /// The resolved graph as the text of a graph file: after `extends`, `--set` and defaults, with absolute paths.
+    pub resolved: String,
+}
+
+/// A plugin of a graph.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PlanPlugin {
+    /// Its name.
+    pub name: String,
+    /// Its version.
+    pub version: String,
+    /// Its library, absolute.
+    #[serde(serialize_with = "as_text")]
+    pub path: PathBuf,
+    /// The library's SHA-256.
+    pub sha256: String,
+    /// The version of the plugin interface that it uses.
+    pub abi: (u32, u32),
+    /// The SDK it was built with.
+    pub sdk: String,
+    /// The compiler that built it.
+    pub compiler: String,
+    /// The kinds of the plugin that the graph uses.
+    pub kinds: Vec<String>,
+}
+
+impl PlanPlugin {
+    /// Describes how the library `now` differs; `None` if it is the same.
+    pub fn difference(&self, now: &Self) -> Option<String> {
+        let (was, is) = (&self.sha256, &now.sha256);
+        (was != is).then(|| {
+            let (name, then, path) = (&self.name, &self.version, now.path.display());
+            format!("plugin {name} {then} was another library: sha256 {was}, here is {} {is} ({path})", now.version)
+        })
+    }
+}
+
+fn as_text<S: Serializer>(path: &std::path::Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&path.to_string_lossy())
+}
+
+/// Recording settings: the keys of `[record]` other than the wires.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RecordSettings {
+    /// How sources are recorded for a replay.
+    pub sources: Sources,
+    /// Compression of the file.
+    pub compression: Compression,
+    /// Whether payloads that viewers can show are also written in the viewers' format.
+    pub views: bool,
+}
+
+impl Default for RecordSettings {
+    fn default() -> Self {
+        Self { sources: Sources::Wires, compression: Compression::default(), views: true }
+    }
+}
+
+/// How sources are recorded for a replay.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Sources {
+    /// Their items.
+    #[default]
+    Wires,
+    /// The hashes of the files they read. A replay reads the files again, and reruns sources that read none.
+    Hashes,
+}
+
+impl Sources {
+    /// `wires` or `hashes`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Wires => "wires",
+            Self::Hashes => "hashes",
+        }
+    }
+}
+
+/// A node of the plan.
+#[derive(Debug, Clone)]
+pub struct PlanNode {
+    /// Its full name in the graph.
+    pub name: Arc<str>,
+    /// Its kind.
+    pub kind: String,
+    /// Node, source or live source.
+    pub role: Role,
+    /// Where its table begins.
+    pub location: Location,
+    /// The SHA-256 of the plugin library that the kind comes from; `None` for a kind of the program itself.
+    pub plugin: Option<Arc<str>>,
+    /// Checked parameters, paths absolute.
+    pub params: serde_json::Value,
+    /// The files that its parameters name, absolute.
+    pub files: Vec<PathBuf>,
+    /// The outputs that the graph declared by `out`, for sources that take such.
+    pub declared: Arc<[DeclaredPort]>,
+    /// Its inputs, in the order of the kind's ports.
+    pub inputs: Vec<PlanInput>,
+    /// Its outputs, in the order of the kind's ports or of `out`.
+    pub outputs: Vec<PlanOutput>,
+    /// What happens when a firing fails.
+    pub on_error: OnError,
+}
+
+/// An input of a plan's node.
+#[derive(Debug, Clone)]
+pub struct PlanInput {
+    /// The port, with the join that the graph chose.
+    pub port: InputPort,
+    /// The link that feeds it, as an index into [`Plan::links`]; an optional port may have none.
+    pub link: Option<usize>,
+}
+
+/// An output of a plan's node.
+#[derive(Debug, Clone)]
+pub struct PlanOutput {
+    /// The port's name.
+    pub name: String,
+    /// What it gives.
+    pub payload: PortPayload,
+    /// The frames of the payload, as far as `check` knows them.
+    pub frames: PortFrames,
+    /// The links it feeds, as indices into [`Plan::links`].
+    pub links: Vec<usize>,
+}
+
+/// The frames of a wire's payloads, as far as they are known before the run.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct PortFrames {
+    /// The frame of a payload other than a pose.
+    pub frame: Option<String>,
+    /// The `to` frame of a pose: the frame of the coordinates it gives.
+    pub to: Option<String>,
+    /// The `from` frame of a pose: the frame of the coordinates it takes.
+    pub from: Option<String>,
+}
+
+/// An output of a node, by index: the wire `node.port`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct OutputId {
+    /// Index into [`Plan::nodes`].
+    pub node: usize,
+    /// Index into [`PlanNode::outputs`].
+    pub port: usize,
+}
+
+/// A bounded queue from one output to one input.
+#[derive(Debug, Clone)]
+pub struct Link {
+    /// The output that feeds it.
+    pub from: OutputId,
+    /// The consuming node, as an index into [`Plan::nodes`].
+    pub to_node: usize,
+    /// The consuming port, as an index into [`PlanNode::inputs`].
+    pub to_port: usize,
+    /// Maximum number of waiting items, unless the queue must grow to resolve a deadlock.
+    pub capacity: usize,
+    /// Maximum number of waiting bytes, regardless of length; a single larger item still passes.
+    pub max_bytes: u64,
+    /// What happens when it is full.
+    pub policy: Policy,
+}
+
+/// What happens to an item that finds its link full.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Policy {
+    /// The producer waits.
+    Block,
+    /// The oldest waiting item is dropped.
+    DropOld,
+    /// The new item is dropped.
+    DropNew,
+    /// Every n-th item is kept, the others are dropped.
+    Sample(u32),
+    /// The run fails.
+    Fail,
+}
+
+impl fmt::Display for Policy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Block => f.write_str("block"),
+            Self::DropOld => f.write_str("drop_old"),
+            Self::DropNew => f.write_str("drop_new"),
+            Self::Sample(n) => write!(f, "sample, one in {n}"),
+            Self::Fail => f.write_str("fail"),
+        }
+    }
+}
+
+/// What happens when a firing fails.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum OnError {
+    /// The node ends; the run goes on without it and reports failure.
+    #[default]
+    Stop,
+    /// The item becomes an empty, the node is built anew and goes on.
+    Skip,
+}
+
+/// An entry of `[results]`.
+#[derive(Debug, Clone)]
+pub struct ResultEntry {
+    /// The dotted key in `results.json`.
+    pub key: String,
+    /// The wire whose last value it is.
+    pub from: OutputId,
+    /// Whether all values of the wire are listed, not only the last.
+    pub all: bool,
+    /// Whether the run may end without it; if not, its absence refuses the run.
+    pub optional: bool,
+    /// Where the entry is written.
+    pub location: Location,
+}
+
+/// A place in a graph file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Location {
+    /// The file.
+    pub file: PathBuf,
+    /// Line, counted from 1.
+    pub line: usize,
+    /// Column, counted from 1 in characters.
+    pub column: usize,
+}
+
+impl Plan {
+    /// The wire's name, `node.port`.
+    pub fn wire_name(&self, id: OutputId) -> String {
+        let node = &self.nodes[id.node];
+        format!("{}.{}", node.name, node.outputs[id.port].name)
+    }
+}

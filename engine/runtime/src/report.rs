@@ -1,0 +1,197 @@
+//! Events and statistics of a run.
+
+use crate::plan::Location;
+use osteoflow_node::StampNs;
+use std::{fmt, time::Duration};
+
+/// Receives the events of a run as they happen, on any thread.
+pub trait Observer: Sync {
+    /// Handles an event; must return at once, because a node waits for it.
+    fn event(&self, event: &Event<'_>);
+}
+
+/// Ignores all events.
+impl Observer for () {
+    fn event(&self, _: &Event<'_>) {}
+}
+
+/// An event of a run.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// The node's first activation begins.
+    Started {
+        /// The node.
+        node: &'a str,
+    },
+    /// The node fired, or the source answered.
+    Fired {
+        /// The node.
+        node: &'a str,
+        /// Number of the activation, from 0.
+        item: u64,
+        /// Its stamp; for a source, the stamp that it has reached.
+        stamp_ns: StampNs,
+    },
+    /// An activation was skipped because an input had no value.
+    Skipped {
+        /// The node.
+        node: &'a str,
+        /// Number of the activation, from 0.
+        item: u64,
+        /// Why.
+        reason: &'a str,
+    },
+    /// The node warned.
+    Warned(&'a Warning),
+    /// The node failed.
+    Failed(&'a Refusal),
+    /// A queue was enlarged because it was full and nothing could run.
+    Enlarged(&'a Enlargement),
+    /// The node will not fire again.
+    Ended {
+        /// The node.
+        node: &'a str,
+    },
+}
+
+/// A node's message for the user.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Warning {
+    /// The node.
+    pub node: String,
+    /// Number of the activation, from 0.
+    pub item: u64,
+    /// The message.
+    pub message: String,
+}
+
+/// An enlarged queue.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Enlargement {
+    /// The producing wire, `node.port`.
+    pub from: String,
+    /// The consuming port, `node.port`.
+    pub to: String,
+    /// Capacity before.
+    pub before: usize,
+    /// Capacity now.
+    pub after: usize,
+}
+
+/// Why a run has no results.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refusal {
+    /// The node that caused it.
+    pub node: String,
+    /// Its kind.
+    pub kind: String,
+    /// Number of its activation, where one can be named.
+    pub item: Option<u64>,
+    /// Position of the node in the graph file.
+    pub location: Location,
+    /// The message.
+    pub reason: String,
+    /// Whether it panicked.
+    pub panicked: bool,
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}: node \"{}\"", self.location.file.display(), self.location.line, self.node)?;
+        if let Some(item) = self.item {
+            write!(f, ", item {item}")?;
+        }
+        write!(f, ": {}", self.reason)
+    }
+}
+
+/// Statistics of a node.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeStats {
+    /// Its name.
+    pub name: String,
+    /// Activations, including skipped ones; for a source, its answers.
+    pub items: u64,
+    /// Activations skipped because an input had no value.
+    pub skipped: u64,
+    /// Activations that failed.
+    pub failed: u64,
+    /// Total time of its firings; may include the engine's own work for a firing, which is below a microsecond.
+    pub busy: Duration,
+    /// Median duration of its firings; like all percentiles, up to 3 % above the exact one.
+    pub p50: Duration,
+    /// 95th percentile.
+    pub p95: Duration,
+    /// 99th percentile.
+    pub p99: Duration,
+}
+
+/// Statistics of a link.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LinkStats {
+    /// The producing wire, `node.port`.
+    pub from: String,
+    /// The consuming port, `node.port`.
+    pub to: String,
+    /// Items sent; equals received + dropped at the end of a run.
+    pub sent: u64,
+    /// Items received.
+    pub received: u64,
+    /// Items dropped by its policy.
+    pub dropped: u64,
+    /// Items of its wire that a live source gave later than promised; they are empties.
+    pub late: u64,
+    /// Items received that had no partner to fire with.
+    pub unmatched: u64,
+    /// Largest number of waiting items.
+    pub highest_fill: usize,
+    /// Capacity at the end of the run.
+    pub capacity: usize,
+}
+
+/// A run that cannot start.
+#[derive(Debug)]
+pub enum BuildError {
+    /// Nodes cannot be built from their parameters.
+    Build(Vec<BuildFault>),
+    /// A failure was to be injected into a node that the graph does not have.
+    Inject(String),
+}
+
+/// A node that cannot be built.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BuildFault {
+    /// The node.
+    pub node: String,
+    /// Where its table begins.
+    pub location: Location,
+    /// The faulty parameter; empty if it is several.
+    pub parameter: String,
+    /// What was expected, what was found, and what to write instead.
+    pub message: String,
+}
+
+impl fmt::Display for BuildFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}: node \"{}\": ", self.location.file.display(), self.location.line, self.node)?;
+        match self.parameter.as_str() {
+            "" => f.write_str(&self.message),
+            parameter => write!(f, "parameter \"{parameter}\": {}", self.message),
+        }
+    }
+}
+
+/// A node's failure, by its index.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Failure {
+    /// Index into the plan.
+    pub node: usize,
+    /// Number of the activation, from 0.
+    pub item: u64,
+    /// The message.
+    pub reason: String,
+    /// Whether it panicked.
+    pub panicked: bool,
+    /// Whether the node went on with the next item.
+    pub skipped: bool,
+}

@@ -1,0 +1,615 @@
+//! A node in a run: takes items from its inputs, fires, and sends the answers over its links.
+
+mod live;
+mod output;
+
+pub use output::emission_fault;
+pub(crate) use {
+    live::{Answer, Asked},
+    output::Output,
+};
+
+use crate::{
+    channel::{Received, RecvEnd},
+    histogram::Histogram,
+    join::{Activation, Joiner, Step},
+    panics,
+    plan::{OnError, Plan},
+    report::{Event, Failure, NodeStats, Warning},
+    runtime::Runtime,
+    scheduler::{Stepped, Turn},
+    tap::Failed,
+};
+use live::LiveCore;
+use osteoflow_node::{AnyNode, AnySource, Body, Built, Context, Emission, Empty, NodeError, StampNs};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+/// A node and the state that only its own step touches.
+pub(crate) struct Cell {
+    pub(crate) index: usize,
+    core: Core,
+    context: Context,
+    pub(crate) inputs: Vec<Input>,
+    pub(crate) outputs: Vec<Output>,
+    /// It has taken items since it last notified blocked producers.
+    has_taken: bool,
+    /// The node's emissions, by output; silent between firings.
+    emissions: Vec<Emission>,
+    phase: Phase,
+    /// Number of the next activation.
+    item: u64,
+    /// Stamp of the last activation, or of the last promise after it.
+    stamp_ns: StampNs,
+    skipped: u64,
+    failed: u64,
+    /// Durations of firings.
+    took: Histogram,
+    /// Number of firings of this turn that are timed together, and the start of the first.
+    together: Option<(u64, Instant)>,
+    cheap: bool,
+}
+
+/// Mean duration below which a firing is not worth handing to another worker, since that takes as long.
+const CHEAP_NS: u64 = 10_000;
+/// Number of firings after which the mean duration of a node is used.
+const MIN_TIMED_FIRINGS: u64 = 4;
+
+/// What the cell runs.
+pub(crate) enum Core {
+    Source(Box<dyn AnySource>),
+    /// A live source, which runs on a thread of its own.
+    Live(LiveCore),
+    Node(Box<dyn AnyNode>, Joiner),
+    /// Failed; the node has been dropped.
+    Gone(Option<Joiner>),
+}
+
+impl Core {
+    pub(crate) fn live(max_delay_ns: StampNs) -> Self {
+        Self::Live(LiveCore { max_delay_ns, newest_ns: StampNs::MIN, waits: false })
+    }
+}
+
+/// A completed firing.
+#[derive(Clone, Copy)]
+struct Firing {
+    item: u64,
+    stamp_ns: StampNs,
+    /// Start and duration; `None` if it was timed together with others.
+    timed: Option<(Instant, Duration)>,
+}
+
+/// A wired input.
+pub(crate) struct Input {
+    /// Index of the port in the node.
+    pub(crate) port: usize,
+    pub(crate) recv: RecvEnd,
+}
+
+enum Phase {
+    /// The node fires.
+    Open,
+    /// The node has failed: once its outputs have room they get an empty with the reason, and end.
+    Failing(Arc<Empty>),
+    /// The node has ended and discards what still arrives, so that no producer blocks.
+    Draining,
+    Done,
+}
+
+impl Cell {
+    pub(crate) fn new(index: usize, core: Core, context: Context, inputs: Vec<Input>, outputs: Vec<Output>) -> Self {
+        Self {
+            index,
+            core,
+            context,
+            inputs,
+            has_taken: false,
+            emissions: vec![Emission::Silent; outputs.len()],
+            outputs,
+            phase: Phase::Open,
+            item: 0,
+            stamp_ns: StampNs::MIN,
+            skipped: 0,
+            failed: 0,
+            took: Histogram::default(),
+            together: None,
+            cheap: false,
+        }
+    }
+
+    pub(crate) fn is_done(&self) -> bool {
+        matches!(self.phase, Phase::Done)
+    }
+
+    /// Fires until inputs, outputs or other nodes' turns stop it.
+    pub(crate) fn step(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Stepped {
+        loop {
+            let stepped = match (&self.phase, &self.core) {
+                (Phase::Open, Core::Node(..)) => self.step_node(run, turn),
+                (Phase::Open, _) => self.step_source(run, turn),
+                (Phase::Failing(empty), _) => {
+                    let empty = empty.clone();
+                    self.step_failing(empty, run, turn)
+                }
+                (Phase::Draining, _) => {
+                    self.pull(run);
+                    if self.inputs.iter().all(|input| input.recv.ended) {
+                        self.phase = Phase::Done;
+                    }
+                    Some(Stepped::Idle)
+                }
+                (Phase::Done, _) => Some(Stepped::Idle),
+            };
+            if let Some(stepped) = stepped {
+                self.time_together(run, turn);
+                self.notify_producers(run, turn);
+                return stepped;
+            }
+        }
+    }
+
+    /// Notifies the producers that are blocked on its inputs.
+    fn notify_producers(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+        if !std::mem::take(&mut self.has_taken) {
+            return;
+        }
+        turn.fence();
+        for Input { recv, .. } in &self.inputs {
+            if recv.unblocks(&run.links[recv.link]) {
+                turn.wake(run.plan.links[recv.link].from.node);
+            }
+        }
+    }
+
+    /// Counts the firings of this turn that are timed together, each with an equal share.
+    fn time_together(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+        if let Some((n, began)) = self.together.take() {
+            self.count(n, took_since(began, turn), run);
+        }
+    }
+
+    /// Counts firings and updates whether the node is cheap.
+    fn count(&mut self, n: u64, took: Duration, run: &Runtime<'_>) {
+        self.took.count(n, took.as_nanos() as u64);
+        let n_fired = self.took.n();
+        let cheap = n_fired >= MIN_TIMED_FIRINGS && self.took.sum_ns() / CHEAP_NS < n_fired;
+        if cheap != self.cheap {
+            self.cheap = cheap;
+            run.note_cheap(self.index, cheap);
+        }
+    }
+
+    fn step_source(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Stepped> {
+        if !self.has_room(run) {
+            return Some(Stepped::Idle);
+        }
+        if run.cancelled() {
+            run.note_interrupted();
+            self.end(run, turn);
+            return None;
+        }
+        self.call_source(run, turn);
+        (!turn.goes_on(self.cheap)).then_some(Stepped::Fired)
+    }
+
+    fn step_node(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Stepped> {
+        let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
+        // In lock step the node needs room only once all its items are there; blocking on room earlier would wake it
+        // for nothing.
+        let in_lock_step = joiner.in_lock_step;
+        if !in_lock_step && !self.has_room(run) {
+            return Some(Stepped::Idle);
+        }
+        let pulled = self.pull(run);
+        let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
+        if in_lock_step && !joiner.lacks_item() && !self.has_room(run) {
+            return Some(Stepped::Idle);
+        }
+        let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
+        match joiner.step() {
+            Step::Activate(activation) => {
+                self.activate(activation, run, turn);
+                (!turn.goes_on(self.cheap)).then_some(Stepped::Fired)
+            }
+            Step::Ended => {
+                // The end is not an item and needs no room.
+                self.end(run, turn);
+                None
+            }
+            Step::Wait if pulled => None,
+            Step::Wait => {
+                let promised = joiner.progress_out();
+                if promised > self.stamp_ns {
+                    self.stamp_ns = promised;
+                    self.outputs.iter_mut().for_each(|output| output.promise(promised, run, turn));
+                }
+                Some(Stepped::Idle)
+            }
+        }
+    }
+
+    fn step_failing(&mut self, empty: Arc<Empty>, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Stepped> {
+        if !self.has_room(run) {
+            return Some(Stepped::Idle);
+        }
+        self.send_empties(empty, run, turn);
+        self.end(run, turn);
+        None
+    }
+
+    fn has_room(&mut self, run: &Runtime<'_>) -> bool {
+        let mut room = true;
+        for output in &mut self.outputs {
+            room &= output.has_room(&run.links);
+        }
+        room
+    }
+
+    /// Offers the joins what they can use; returns `true` if an item, progress or an end arrived.
+    fn pull(&mut self, run: &Runtime<'_>) -> bool {
+        let (Core::Node(_, joiner) | Core::Gone(Some(joiner))) = &mut self.core else { return false };
+        let mut pulled = false;
+        for Input { port, recv } in &mut self.inputs {
+            let state = &run.links[recv.link];
+            while !recv.ended && joiner.wants(*port) {
+                match recv.receive(state) {
+                    Received::Item(item) => {
+                        self.has_taken = true;
+                        if let Err(second) = joiner.offer(*port, item) {
+                            let wire = run.plan.wire_name(run.plan.links[recv.link].from);
+                            let reason = format!(
+                                "input \"{}\" takes one item for the whole run, but {wire} gives a second one; \
+                                 join it by \"latest\", or wire a constant",
+                                second.port
+                            );
+                            let (node, item) = (self.index, second.number);
+                            // The node goes on with the first item: the arrival time of the second is not
+                            // deterministic.
+                            self.failed += 1;
+                            run.fail(Failure { node, item, reason, panicked: false, skipped: false });
+                        }
+                        pulled = true;
+                    }
+                    Received::Nothing(progress) => {
+                        // A sampler may need more items once the triggers have advanced.
+                        pulled |= joiner.progress(*port, progress);
+                        break;
+                    }
+                    Received::Ended => {
+                        joiner.end(*port);
+                        pulled = true;
+                    }
+                }
+            }
+        }
+        pulled
+    }
+
+    fn started(&self, run: &Runtime<'_>) {
+        if self.item == 0 {
+            run.event(&Event::Started { node: self.context.node() });
+        }
+    }
+
+    fn activate(&mut self, activation: Activation, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+        self.started(run);
+        let (item, stamp_ns) = (self.item, activation.stamp_ns);
+        self.item += 1;
+        self.stamp_ns = stamp_ns;
+        if let Some(empty) = activation.skip {
+            self.skipped += 1;
+            run.event(&Event::Skipped { node: self.context.node(), item, reason: &empty.reason });
+            self.send_empties(empty, run, turn);
+            return;
+        }
+        let began = self.begin(item, stamp_ns, run, turn);
+        let Core::Node(node, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
+        joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
+        let (context, out) = (&mut self.context, &mut self.emissions);
+        let answer_cache = run.answer_cache(self.index);
+        let answered = call_node(item, context, |context| match answer_cache {
+            Some(answer_cache) => answer_cache.fire(self.index, node.as_mut(), joiner.joined_mut(), out, context),
+            None => node.fire(joiner.joined_mut(), out, context),
+        });
+        let timed = began.map(|began| (began, took_since(began, turn)));
+        self.after(Firing { item, stamp_ns, timed }, answered, run, turn);
+        if let Core::Node(_, joiner) = &mut self.core {
+            joiner.release();
+        }
+    }
+
+    fn call_source(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+        self.started(run);
+        let item = self.item;
+        let began = self.begin(item, stamp_or_zero(self.stamp_ns), run, turn);
+        let Core::Source(source) = &mut self.core else { unreachable!("only a source is called") };
+        let (context, out) = (&mut self.context, &mut self.emissions);
+        let answered = call_node(item, context, |context| source.next(out, context));
+        let stamp_ns = self.context.stamp_ns();
+        if matches!(answered, Ok(Ok(false))) {
+            // The call that found the end is not an answer.
+            if began.is_none() {
+                self.together = self.together.map(|(n, began)| (n - 1, began)).filter(|(n, _)| *n > 0);
+            }
+            turn.clock = None;
+            self.pass_warnings_on(item, run);
+            return self.end(run, turn);
+        }
+        self.item += 1;
+        let timed = began.map(|began| (began, took_since(began, turn)));
+        self.after(Firing { item, stamp_ns, timed }, answered.map(|answer| answer.map(drop)), run, turn);
+    }
+
+    /// Number of activations.
+    pub(crate) fn n_items(&self) -> u64 {
+        self.item
+    }
+
+    /// Starts a firing and returns its start time. If the worker has done only bookkeeping since the last firing, that
+    /// is the end of the last firing.
+    ///
+    /// A node that takes microseconds is timed together with the other firings of its turn, since reading the clock
+    /// would take as long as a channel operation. A recording times each firing on its own.
+    fn begin(&mut self, item: u64, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Instant> {
+        self.context.begin(item, stamp_ns);
+        if let Some(readings) = run.recorded_readings(self.index, item) {
+            self.context.replay_readings(readings);
+        }
+        if !self.cheap {
+            self.notify_producers(run, turn);
+            turn.hand_over();
+        }
+        // A tap may have blocked on the disk.
+        let clock = turn.clock.filter(|_| !run.times_firings());
+        if !self.cheap || run.times_firings() {
+            return Some(clock.unwrap_or_else(Instant::now));
+        }
+        match &mut self.together {
+            Some((n, _)) => *n += 1,
+            None => self.together = Some((1, clock.unwrap_or_else(Instant::now))),
+        }
+        None
+    }
+
+    fn pass_warnings_on(&mut self, item: u64, run: &Runtime<'_>) {
+        if self.context.has_warnings() {
+            run.warn(self.index, item, self.context.take_warnings());
+        }
+    }
+
+    /// Completes a firing: passes on warnings and sends the answers, or handles the failure. The items of a failed
+    /// firing are still in the joiner.
+    fn after(
+        &mut self,
+        firing: Firing,
+        answered: Result<Result<(), NodeError>, String>,
+        run: &Runtime<'_>,
+        turn: &mut Turn<'_>,
+    ) {
+        let Firing { item, stamp_ns, timed } = firing;
+        if let Some((began, took)) = timed {
+            self.count(1, took, run);
+            run.fired_to_taps(self.index, item, stamp_ns, began, took);
+        }
+        if self.context.has_readings() {
+            run.readings_to_taps(self.index, item, &self.context.take_readings());
+        }
+        self.pass_warnings_on(item, run);
+        run.event(&Event::Fired { node: self.context.node(), item, stamp_ns });
+        let answered = match answered {
+            Ok(Ok(())) => {
+                self.empty_late_items(stamp_ns);
+                self.check(stamp_ns, run).map_err(|reason| (reason, false))
+            }
+            Ok(Err(error)) => Err((error.message, false)),
+            Err(panic) => Err((panic, true)),
+        };
+        match answered {
+            Ok(()) => {
+                self.stamp_ns = self.stamp_ns.max(stamp_ns);
+                if let Err(reason) = self.send_all(stamp_ns, run, turn) {
+                    self.fail(item, reason, false, false, run);
+                }
+            }
+            Err((reason, panicked)) => {
+                let joined = match &self.core {
+                    Core::Node(_, joiner) => Some(joiner.joined()),
+                    _ => None,
+                };
+                run.failed_to_taps(Failed {
+                    node: self.index,
+                    item,
+                    stamp_ns,
+                    joined,
+                    reason: &reason,
+                    panicked,
+                    injected: None,
+                });
+                // Emissions of a failed firing are discarded.
+                self.emissions.fill(Emission::Silent);
+                let skips = run.plan.nodes[self.index].on_error == OnError::Skip;
+                let rebuilt = match (&self.core, skips) {
+                    // A rebuilt source would start from the beginning.
+                    (Core::Node(..), true) => Some(run.rebuild(self.index)),
+                    _ => None,
+                };
+                match rebuilt {
+                    Some(Ok(Built::Node(node))) => {
+                        self.fail(item, reason.clone(), panicked, true, run);
+                        if let Core::Node(old, _) = &mut self.core {
+                            discard(std::mem::replace(old, node));
+                        }
+                        let empty = self.empty(reason);
+                        self.send_empties(empty, run, turn);
+                    }
+                    Some(Err(why)) => {
+                        let reason = format!("{reason}; and it cannot be built anew: {why}");
+                        self.fail(item, reason, panicked, false, run);
+                    }
+                    _ => self.fail(item, reason, panicked, false, run),
+                }
+            }
+        }
+    }
+
+    /// Checks that the emissions keep what every node promises.
+    fn check(&self, stamp_ns: StampNs, run: &Runtime<'_>) -> Result<(), String> {
+        let is_source = matches!(self.core, Core::Source(_) | Core::Live(_));
+        for (output, emission) in self.outputs.iter().zip(&self.emissions) {
+            // Late items of a live source are handled where they are sent.
+            let floor = if self.is_live() { StampNs::MIN } else { output.floor };
+            let fault = emission_fault(&output.payload, floor, emission, is_source, stamp_ns);
+            if let Some(fault) = fault {
+                let name = &run.plan.nodes[output.id.node].outputs[output.id.port].name;
+                return Err(format!("output {name} {fault}"));
+            }
+        }
+        Ok(())
+    }
+
+    fn send_all(&mut self, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Result<(), String> {
+        let mut full = Ok(());
+        let mut silent = false;
+        for port in 0..self.outputs.len() {
+            let body = match std::mem::replace(&mut self.emissions[port], Emission::Silent) {
+                Emission::Value(value) => Body::Value(value),
+                Emission::Empty(reason) => Body::Empty(self.empty(reason)),
+                Emission::PassedOn(empty) => Body::Empty(empty),
+                Emission::Silent => {
+                    silent = true;
+                    continue;
+                }
+            };
+            let output = &mut self.outputs[port];
+            // Only the stamp of a late item is before the floor.
+            full = full.and(output.send(stamp_ns.max(output.floor), body, run, turn));
+        }
+        if let Core::Live(live) = &self.core {
+            let promised = live.newest_ns.saturating_sub(live.max_delay_ns);
+            self.outputs.iter_mut().for_each(|output| output.promise(promised, run, turn));
+        } else if silent {
+            // Progress follows the items, so that it does not overtake items with the same stamp.
+            self.outputs.iter_mut().for_each(|output| output.promise(stamp_ns, run, turn));
+        }
+        full.map_err(|link| {
+            let link = &run.plan.links[link];
+            let to = &run.plan.nodes[link.to_node];
+            format!(
+                "the link {} -> {}.{} is full at {} items or {} bytes, and its policy is to fail; let it hold more, or block",
+                run.plan.wire_name(link.from),
+                to.name,
+                to.inputs[link.to_port].port.name,
+                link.capacity,
+                link.max_bytes
+            )
+        })
+    }
+
+    fn empty(&self, reason: String) -> Arc<Empty> {
+        Arc::new(Empty { node: self.context.node().to_owned(), reason })
+    }
+
+    fn send_empties(&mut self, empty: Arc<Empty>, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+        for output in &mut self.outputs {
+            let stamp_ns = stamp_or_zero(self.stamp_ns.max(output.floor));
+            // A link that fails when full has been reported already.
+            let _ = output.send(stamp_ns, Body::Empty(empty.clone()), run, turn);
+        }
+    }
+
+    fn fail(&mut self, item: u64, reason: String, panicked: bool, skipped: bool, run: &Runtime<'_>) {
+        self.failed += 1;
+        if !skipped {
+            self.phase = Phase::Failing(self.empty(reason.clone()));
+        }
+        run.fail(Failure { node: self.index, item, reason, panicked, skipped });
+    }
+
+    /// Ends the node: closes its outputs and drains its inputs.
+    fn end(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+        let failed = matches!(self.phase, Phase::Failing(_));
+        self.outputs.iter_mut().for_each(|output| output.close(run, turn));
+        run.event(&Event::Ended { node: self.context.node() });
+        self.core = match std::mem::replace(&mut self.core, Core::Gone(None)) {
+            Core::Node(node, mut joiner) => {
+                discard(node);
+                if failed {
+                    joiner.stop();
+                }
+                Core::Gone(Some(joiner))
+            }
+            Core::Source(source) => {
+                discard(source);
+                Core::Gone(None)
+            }
+            gone => gone,
+        };
+        self.phase = if self.inputs.is_empty() { Phase::Done } else { Phase::Draining };
+    }
+
+    pub(crate) fn unmatched(&self, port: usize) -> u64 {
+        match &self.core {
+            Core::Node(_, joiner) | Core::Gone(Some(joiner)) => joiner.unmatched(port),
+            _ => 0,
+        }
+    }
+
+    /// Warnings about items that had no partner.
+    pub(crate) fn unmatched_warning(&self, plan: &Plan) -> Vec<(usize, Warning)> {
+        let ports = plan.nodes[self.index].inputs.iter().enumerate();
+        let unmatched = ports.filter_map(|(port, input)| {
+            let (n, wire) = (self.unmatched(port), plan.links[input.link?].from);
+            let (name, wire) = (input.port.name, plan.wire_name(wire));
+            let items = if n == 1 { "item" } else { "items" };
+            (n > 0).then(|| format!("input \"{name}\": {n} {items} of {wire} found no partner to fire with"))
+        });
+        let warning = |message| Warning { node: self.context.node().to_owned(), item: self.item, message };
+        unmatched.map(|message| (self.index, warning(message))).collect()
+    }
+
+    pub(crate) fn stats(&self, name: &str) -> NodeStats {
+        let spread = self.took.spread();
+        NodeStats {
+            name: name.into(),
+            items: self.item,
+            skipped: self.skipped,
+            failed: self.failed,
+            busy: Duration::from_nanos(self.took.sum_ns()),
+            p50: spread.p50,
+            p95: spread.p95,
+            p99: spread.p99,
+        }
+    }
+}
+
+/// Stamp, or 0 where there is none yet.
+pub fn stamp_or_zero(stamp_ns: StampNs) -> StampNs {
+    if stamp_ns == StampNs::MIN { 0 } else { stamp_ns }
+}
+
+/// Time since a firing began; the end may be taken as the start of the next firing.
+fn took_since(began: Instant, turn: &mut Turn<'_>) -> Duration {
+    let ended = Instant::now();
+    turn.clock = Some(ended);
+    ended.saturating_duration_since(began)
+}
+
+/// Calls the node in its tracing span and catches a panic.
+fn call_node<T>(
+    item: u64,
+    context: &mut Context,
+    call: impl FnOnce(&mut Context) -> Result<T, NodeError>,
+) -> Result<Result<T, NodeError>, String> {
+    let _span = tracing::debug_span!("fire", node = context.node(), item).entered();
+    panics::catch(|| call(context))
+}
+
+/// Drops the node; a panic in its destructor is ignored.
+pub(crate) fn discard<T>(built: T) {
+    if let Err(panic) = panics::catch(move || drop(built)) {
+        tracing::warn!("a node that had ended {panic}");
+    }
+}

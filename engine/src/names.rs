@@ -1,9 +1,0 @@
-//! Nearest known names, and patterns over names.
-
-pub(crate) mod glob;
-pub(crate) mod nearest;
-
-/// The known name that was probably meant by `found`.
-pub fn nearest<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    nearest::name(found, known)
-}

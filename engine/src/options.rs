@@ -1,0 +1,51 @@
+//! Options of a run.
+
+use crate::{runtime::Injection, store::Store};
+use std::{
+    path::PathBuf,
+    sync::{Arc, atomic::AtomicBool},
+};
+
+/// How to run a graph and which files to write.
+#[derive(Debug, Clone)]
+pub struct RunOptions {
+    /// Number of threads that run nodes; with 1 all nodes run on the calling thread.
+    pub workers: usize,
+    /// For testing: seed for random delays, spurious wake-ups and another order of nodes; the results do not depend on
+    /// it.
+    pub shuffle: Option<u64>,
+    /// Where `run.mcap`, `results.json` and `manifest.json` are written; created if missing. `None` writes no files.
+    pub out_dir: Option<PathBuf>,
+    /// Whether the plan's recorded wires are written to `run.mcap`.
+    pub record: bool,
+    /// Whether the latency from each source to each sink is measured; every firing is then timed on its own.
+    pub latency: bool,
+    /// Constants put at the start of `results.json`, by dotted key.
+    pub fixed_results: Vec<(String, serde_json::Value)>,
+    /// Stop request, set from outside: the sources stop and the items in flight are processed.
+    pub cancelled: Arc<AtomicBool>,
+    /// Description of the command and the machine, for the manifest.
+    pub command: serde_json::Value,
+    /// Injected failures, for testing how a graph fails.
+    pub inject: Vec<Injection>,
+    /// Store of cached answers, looked up before a node whose kind is cached fires. The results and recorded wires are
+    /// the same with and without; `None` computes everything.
+    pub store: Option<Arc<Store>>,
+}
+
+impl Default for RunOptions {
+    fn default() -> Self {
+        Self {
+            workers: 1,
+            shuffle: None,
+            out_dir: None,
+            record: false,
+            latency: false,
+            fixed_results: Vec::new(),
+            cancelled: Arc::default(),
+            command: serde_json::Value::Null,
+            inject: Vec::new(),
+            store: None,
+        }
+    }
+}
