@@ -354,15 +354,13 @@ struct Aligned {
 
 impl Aligned {
     fn new(bytes: &[u8], size: usize) -> Self {
-        let words = bytes.chunks(8).map(|chunk| {
-            let mut word = [0; 8];
-            word[..chunk.len()].copy_from_slice(chunk);
-            if cfg!(target_endian = "big") {
-                swap(&mut word[..chunk.len()], size);
-            }
-            u64::from_ne_bytes(word)
-        });
-        Self { words: words.collect(), n_bytes: bytes.len() }
+        let mut words = vec![0_u64; bytes.len().div_ceil(8)];
+        let rows = &mut bytemuck::cast_slice_mut(&mut words)[..bytes.len()];
+        rows.copy_from_slice(bytes);
+        if cfg!(target_endian = "big") {
+            swap(rows, size);
+        }
+        Self { words, n_bytes: bytes.len() }
     }
 }
 
