@@ -106,7 +106,7 @@ fn algorithms_know_no_engine_no_node_and_no_file() {
 #[test]
 fn the_engine_names_no_bone_point_or_frame() {
     let found = dependencies(&manifest("engine"), "dependencies");
-    let geometric = ["nalgebra", "kiddo", "parry3d-f64", "foxglove"];
+    let geometric = ["nalgebra", "kiddo", "wide", "foxglove"];
     let beyond: Vec<_> = found.iter().filter(|d| geometric.contains(&d.as_str())).collect();
     assert!(beyond.is_empty(), "engine depends on {beyond:?}");
 }

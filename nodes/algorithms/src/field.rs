@@ -26,10 +26,10 @@ use crate::mesh_query::MeshQuery;
 use grid::Grid;
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_geometry::Column;
-use parry3d_f64::glamx::Vec4;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+use wide::f32x4;
 
 /// Ratio of the second to the first eigenvalue of the scatter below which samples are on a line.
 const LINE: f64 = 1e-12;
@@ -172,7 +172,7 @@ struct Inner {
     /// Columns are the grids' axes in the target's frame.
     axes: Matrix3<f64>,
     /// These columns in single precision.
-    columns: [Vec4; 3],
+    columns: [f32x4; 3],
     params: FieldParams,
     /// Fine, then coarse.
     grids: [Grid; 2],
@@ -375,7 +375,7 @@ impl Inner {
     ) -> Self {
         let columns = [0, 1, 2].map(|k| {
             let [x, y, z] = axes.column(k).into_owned().into();
-            Vec4::new(x as f32, y as f32, z as f32, 0.0)
+            f32x4::new([x as f32, y as f32, z as f32, 0.0])
         });
         Self { centre, axes, columns, params, grids, index, nodes, n_fine }
     }

@@ -3,7 +3,7 @@
 use crate::bvh::{Aabb, Bvh, WIDE, bits};
 use crate::morton;
 use nalgebra::Vector3;
-use parry3d_f64::glamx::Vec4;
+use wide::f32x4;
 
 /// Points of a block.
 pub(crate) const BLOCK_LEN: usize = WIDE;
@@ -17,7 +17,7 @@ const MEASURED: usize = 500;
 /// Eight points relative to the first: for each axis four and four.
 pub(crate) struct PointBlock {
     pub(crate) first: Vector3<f64>,
-    pub(crate) at: [[Vec4; 2]; 3],
+    pub(crate) at: [[f32x4; 2]; 3],
 }
 
 /// Points along a Morton curve, in blocks under a bounding volume hierarchy.
@@ -29,27 +29,28 @@ pub(crate) struct PointBlocks {
 }
 
 /// Splits eight numbers into four and four.
-pub(crate) fn halves(of: [f32; BLOCK_LEN]) -> [Vec4; 2] {
-    [Vec4::from_slice(&of[..4]), Vec4::from_slice(&of[4..])]
+pub(crate) fn halves(of: [f32; BLOCK_LEN]) -> [f32x4; 2] {
+    let [a, b, c, d, e, f, g, h] = of;
+    [f32x4::new([a, b, c, d]), f32x4::new([e, f, g, h])]
 }
 
 impl PointBlock {
     /// The `k`-th point of the block.
     #[inline]
     pub(crate) fn place(&self, k: usize) -> Vector3<f64> {
-        self.first + Vector3::from(self.at.map(|halves| f64::from(halves[k / 4][k % 4])))
+        self.first + Vector3::from(self.at.map(|halves| f64::from(halves[k / 4].as_array()[k % 4])))
     }
 
     /// Vectors from `place` to the points.
     #[inline(always)]
-    pub(crate) fn relative_to(&self, place: &Vector3<f64>) -> [[Vec4; 2]; 3] {
+    pub(crate) fn relative_to(&self, place: &Vector3<f64>) -> [[f32x4; 2]; 3] {
         let away = place - self.first;
         [0, 1, 2].map(|axis| self.at[axis].map(|four| four - away[axis] as f32))
     }
 
     /// Squared distances of the points from a place.
     #[inline(always)]
-    pub(crate) fn squared(&self, place: &Vector3<f64>) -> [Vec4; 2] {
+    pub(crate) fn squared(&self, place: &Vector3<f64>) -> [f32x4; 2] {
         let [x, y, z] = self.relative_to(place);
         [0, 1].map(|half| x[half] * x[half] + y[half] * y[half] + z[half] * z[half])
     }
@@ -98,10 +99,10 @@ impl PointBlocks {
         self.bvh.nearest(place, f64::INFINITY, |block| {
             let squared = self.blocks[block].squared(place);
             let bound = if nearest.len() == n { nearest[n - 1].0 } else { f32::MAX.sqrt() };
-            let bound = Vec4::splat(bound);
-            let near = squared[0].cmple(bound).bitmask() | squared[1].cmple(bound).bitmask() << 4;
+            let bound = f32x4::splat(bound);
+            let near = squared[0].simd_le(bound).to_bitmask() | squared[1].simd_le(bound).to_bitmask() << 4;
             for k in bits(near) {
-                let found = (squared[k / 4][k % 4], (block * BLOCK_LEN + k) as u32);
+                let found = (squared[k / 4].as_array()[k % 4], (block * BLOCK_LEN + k) as u32);
                 let place = nearest.partition_point(|other| *other < found);
                 if place < n {
                     nearest.truncate(n - 1);

@@ -77,7 +77,7 @@ fn main() {
             }
         }
     }
-    parry(&mesh, &query);
+    closest_points(&mesh, &query);
     pays::registrations(&mesh, &samples);
     pays::start_by_shape(&mesh, &samples);
 }
@@ -97,13 +97,13 @@ fn look_up(mesh: &Mesh, field: &ClosestPointField) {
     println!("    a look-up: {near:.1} ns, 10 mm off {far:.1} ns; loaded in {:.2} ms", load * 1e3);
 }
 
-/// parry's closest points at the nodes of one cell layer, beside the field's own search.
-fn parry(mesh: &Mesh, query: &MeshQuery) {
+/// Closest points of the mesh at the nodes of one cell layer, beside the field's own search.
+fn closest_points(mesh: &Mesh, query: &MeshQuery) {
     let drawn = bone::samples(mesh, 20_000);
     let mut places: Vec<_> = drawn.points.iter().zip(&drawn.normals).map(|(p, n)| p + n * 1.5).collect();
     bone::sort_along_curve(&mut places);
     let (time, _) = fastest(5, || places.iter().filter_map(|p| query.closest_point(p)).count());
-    println!("parry's closest point, neighbours one after the other: {:.0} ns", time * 1e9 / places.len() as f64);
+    println!("closest point of the mesh, neighbours one after the other: {:.0} ns", time * 1e9 / places.len() as f64);
 }
 
 /// Against the closest point on the mesh, at places up to `reach_mm` off the surface.

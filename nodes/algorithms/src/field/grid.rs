@@ -3,8 +3,8 @@
 use super::{FieldError, Node, SignedDistance};
 use crate::bvh::Aabb;
 use nalgebra::Vector3;
-use parry3d_f64::glamx::Vec4;
 use rayon::prelude::*;
+use wide::f32x4;
 
 /// Number of cells along each edge of a block.
 pub(super) const CELLS: usize = 4;
@@ -241,12 +241,12 @@ impl Cell<'_> {
     /// The gradient is the derivative of the blended distance: on bones it is a fifth closer to the surface's normal than a blend
     /// of the nodes' gradients, and it is the slope of the cost that a least-squares step lowers.
     ///
-    /// Four `f32` at once, in the vectors of parry's library: the compiler takes plain arrays apart again where only some of the
+    /// Four `f32` at once, in a vector of its own: the compiler takes plain arrays apart again where only some of the
     /// four are used in the end, which costs a third of the speed. Sums and products alone, so every machine gives the same bits.
     #[inline(always)]
     pub(super) fn sample(&self) -> Option<(f32, [f32; 3])> {
         let [fx, fy, fz] = self.fraction;
-        let node = |k: usize| Vec4::from_array(self.nodes[self.first + k]);
+        let node = |k: usize| f32x4::new(self.nodes[self.first + k]);
 
         // Blended along x, then y, then z; the slopes along each axis, and along each two, are intermediate results.
         let (low00, low10, low01, low11) = (node(0), node(SIDE), node(SIDE * SIDE), node(SIDE * SIDE + SIDE));

@@ -4,7 +4,7 @@ use super::{Nearest, Node, SignedDistance};
 use crate::bvh::{Aabb, below, bits};
 use crate::point_blocks::{BLOCK_LEN, PointBlock, PointBlocks, halves};
 use nalgebra::{Matrix3, Point3, Vector3};
-use parry3d_f64::glamx::Vec4;
+use wide::f32x4;
 
 /// Number of samples within the radius of a fit. 30: weights fall off towards the radius, so that about fifteen count, which
 /// averages facets and noise, and a fibula 10 mm thick bends by less than 0.1 mm over the 0.8 mm of 10 samples a mm².
@@ -20,7 +20,7 @@ const AGREEMENT: f64 = 0.3;
 pub(super) struct Samples {
     points: PointBlocks,
     /// Normals of each block: for each axis four and four.
-    normals: Vec<[[Vec4; 2]; 3]>,
+    normals: Vec<[[f32x4; 2]; 3]>,
     extent: Aabb,
     radius: f64,
 }
@@ -62,7 +62,7 @@ impl Samples {
     pub(super) fn disagreement(&self) -> f64 {
         let (mut near, mut opposite) = (0_usize, 0_usize);
         for (block, normals) in self.points.blocks.iter().zip(&self.normals) {
-            let normal = |k: usize| Vector3::from(normals.map(|halves| halves[k / 4][k % 4]));
+            let normal = |k: usize| Vector3::from(normals.map(|halves| halves[k / 4].as_array()[k % 4]));
             for k in 1..BLOCK_LEN {
                 if (block.place(k) - block.place(k - 1)).norm() < self.radius {
                     near += 1;
@@ -75,7 +75,7 @@ impl Samples {
 
     /// Weights `(1 - s²)²` fall smoothly from one to zero at the radius.
     fn sums(&self, about: &Vector3<f64>) -> Sums {
-        let mut sums = [Vec4::ZERO; 9];
+        let mut sums = [f32x4::ZERO; 9];
         let scale = (1.0 / (self.radius * self.radius)) as f32;
         self.points.bvh.within(&Aabb { min: *about, max: *about }, self.radius, |k| {
             add(&self.points.blocks[k], &self.normals[k], about, scale, &mut sums);
@@ -87,13 +87,13 @@ impl Samples {
 }
 
 #[inline(always)]
-fn add(points: &PointBlock, normals: &[[Vec4; 2]; 3], about: &Vector3<f64>, scale: f32, sums: &mut [Vec4; 9]) {
+fn add(points: &PointBlock, normals: &[[f32x4; 2]; 3], about: &Vector3<f64>, scale: f32, sums: &mut [f32x4; 9]) {
     let away = points.relative_to(about);
     for half in 0..2 {
         let [x, y, z] = away.map(|halves| halves[half]);
         let [nx, ny, nz] = normals.map(|halves| halves[half]);
         let squared = x * x + y * y + z * z;
-        let left = (Vec4::ONE - squared * scale).max(Vec4::ZERO);
+        let left = (f32x4::ONE - squared * scale).fast_max(f32x4::ZERO);
         let w = left * left;
         sums[0] += w;
         sums[1] += w * x;
@@ -162,7 +162,7 @@ impl SignedDistance for Samples {
         self.points.bvh.nearest(at, best.square, |block| {
             let squares = self.points.blocks[block].squared(at);
             for k in bits(below(&squares, best.square as f32)) {
-                let square = f64::from(squares[k / 4][k % 4]);
+                let square = f64::from(squares[k / 4].as_array()[k % 4]);
                 if square < best.square {
                     best = Nearest { square, index: (block * BLOCK_LEN + k) as u32 };
                 }
