@@ -96,7 +96,18 @@ pub fn register<'a>(
     params: &IcpParams,
     observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
 ) -> Result<IcpFit, IcpError> {
-    let source = source.into();
+    register_source(method, target, source.into(), init, params, observer)
+}
+
+// Not generic, so that the loops are compiled in this crate.
+fn register_source(
+    method: Method,
+    target: &Target,
+    source: Source<'_>,
+    init: &Isometry3<f64>,
+    params: &IcpParams,
+    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
+) -> Result<IcpFit, IcpError> {
     match method {
         Method::PointToPoint => levels::by_points(target, source, init, params, observer, point_to_point::minimize),
         Method::PointToPlane => levels::by_planes::<residual::PointToPlane>(target, source, init, params, observer),

@@ -80,7 +80,15 @@ impl Target {
         points: impl Into<Column<Point3<f64>>>,
         normals: Option<Column<Vector3<f64>>>,
     ) -> Result<Self, TargetError> {
-        let points = points.into();
+        Self::checked(frame.into(), origin, points.into(), normals)
+    }
+
+    fn checked(
+        frame: Frame,
+        origin: SurfaceOrigin,
+        points: Column<Point3<f64>>,
+        normals: Option<Column<Vector3<f64>>>,
+    ) -> Result<Self, TargetError> {
         if points.is_empty() {
             return Err(TargetError::Empty);
         }
@@ -94,7 +102,7 @@ impl Target {
             return Err(TargetError::NotFinite { index });
         }
         let index = Arc::new(OnceLock::new());
-        Ok(Self { frame: frame.into(), origin, points, normals, mesh: None, field: None, index })
+        Ok(Self { frame, origin, points, normals, mesh: None, field: None, index })
     }
 
     /// The target with the mesh that its points were drawn from, in the same frame.

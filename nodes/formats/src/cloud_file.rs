@@ -24,16 +24,11 @@ pub struct CloudFileRead {
 /// # Errors
 /// [`FileError`] if the file cannot be read, is no PLY, is cut short or has no coordinates.
 pub fn read_cloud_ply(path: &Path, unit_mm: f64, frame: impl Into<Frame>) -> Result<CloudFileRead, FileError> {
-    cloud_of_ply(path, &Ply::read(path)?, unit_mm, frame)
+    cloud_of_ply(path, &Ply::read(path)?, unit_mm, frame.into())
 }
 
 /// The points in a PLY file.
-pub(crate) fn cloud_of_ply(
-    path: &Path,
-    ply: &Ply,
-    unit_mm: f64,
-    frame: impl Into<Frame>,
-) -> Result<CloudFileRead, FileError> {
+pub(crate) fn cloud_of_ply(path: &Path, ply: &Ply, unit_mm: f64, frame: Frame) -> Result<CloudFileRead, FileError> {
     let vertex = ply.element("vertex").ok_or_else(|| {
         FileError::content(path, "header", "there is no element \"vertex\"; a point cloud holds its points there")
     })?;

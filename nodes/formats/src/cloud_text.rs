@@ -20,12 +20,7 @@ const UNIT: std::ops::Range<f64> = 0.99..1.01;
 ///
 /// # Errors
 /// [`FileError`], naming the line: a word instead of a number, or a line with fewer columns than the first.
-pub(crate) fn parse(
-    path: &Path,
-    text: &str,
-    unit_mm: f64,
-    frame: impl Into<Frame>,
-) -> Result<CloudFileRead, FileError> {
+pub(crate) fn parse(path: &Path, text: &str, unit_mm: f64, frame: Frame) -> Result<CloudFileRead, FileError> {
     let mut lines = text.trim_start_matches('\u{feff}').lines().zip(1..).filter(|(line, _)| {
         let line = line.trim_start();
         !line.is_empty() && !line.starts_with('#') && !line.starts_with("//")
@@ -113,7 +108,7 @@ mod tests {
     use super::*;
 
     fn read(text: &str) -> Result<CloudFileRead, FileError> {
-        parse("cloud.csv".as_ref(), text, 1.0, "camera")
+        parse("cloud.csv".as_ref(), text, 1.0, "camera".into())
     }
 
     #[test]
@@ -148,7 +143,7 @@ mod tests {
 
     #[test]
     fn points_without_depth_are_left_out_and_counted() {
-        let found = parse("a.xyz".as_ref(), "nan nan nan\n0 0 1\ninf 0 0\n", 1000.0, "camera").unwrap();
+        let found = parse("a.xyz".as_ref(), "nan nan nan\n0 0 1\ninf 0 0\n", 1000.0, "camera".into()).unwrap();
         assert_eq!((found.n_points_in_file, found.n_dropped), (3, 2));
         assert_eq!(found.cloud.points(), [Point3::new(0.0, 0.0, 1000.0)]);
     }

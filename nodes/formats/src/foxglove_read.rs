@@ -183,7 +183,10 @@ pub fn read_cloud_head<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudHead,
 /// # Errors
 /// [`FoxgloveError`], saying what is missing, which bytes do not add up, or that the pose is no rigid motion.
 pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, FoxgloveError> {
-    let message = message.into();
+    cloud_of(message.into())
+}
+
+fn cloud_of(message: Encoded<'_>) -> Result<CloudRead, FoxgloveError> {
     let raw: PointCloud = match (message.schema_name, encoding(&message)?) {
         (POINT_CLOUD, Protobuf) => decode(&message)?,
         (POINT_CLOUD, Json) => {
@@ -234,7 +237,10 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Foxg
 pub fn read_transforms<'a>(
     message: impl Into<Encoded<'a>>,
 ) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, FoxgloveError> {
-    let message = message.into();
+    transforms_of(message.into())
+}
+
+fn transforms_of(message: Encoded<'_>) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, FoxgloveError> {
     let transforms = match (message.schema_name, encoding(&message)?) {
         (FRAME_TRANSFORM, Protobuf) => vec![decode::<FrameTransform>(&message)?.into()],
         (FRAME_TRANSFORM, Json) => vec![parse::<JsonTransform>(&message)?],
@@ -253,7 +259,10 @@ pub fn read_transforms<'a>(
 /// [`FoxgloveError::Pose`] if there is no pose or its position is not finite; otherwise if the schema or encoding is another,
 /// or the bytes do not follow it.
 pub fn read_pose_in_frame<'a>(message: impl Into<Encoded<'a>>) -> Result<TipRead, FoxgloveError> {
-    let message = message.into();
+    tip_of(message.into())
+}
+
+fn tip_of(message: Encoded<'_>) -> Result<TipRead, FoxgloveError> {
     let read: JsonPoseInFrame = match (message.schema_name, encoding(&message)?) {
         (POSE_IN_FRAME, Protobuf) => decode::<PoseInFrame>(&message)?.into(),
         (POSE_IN_FRAME, Json) => parse(&message)?,

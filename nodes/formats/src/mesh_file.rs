@@ -37,7 +37,7 @@ pub fn read_mesh(
     frame: impl Into<Frame>,
     origin: SurfaceOrigin,
 ) -> Result<MeshRead, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    let (bytes, frame) = (std::fs::read(path).map_err(FileError::read(path))?, frame.into());
     if bytes.starts_with(b"ply") {
         return mesh_of_ply(path, &Ply::parse(path, &bytes)?, unit_mm, frame, origin);
     }
@@ -49,12 +49,12 @@ pub(crate) fn mesh_of_stl(
     path: &Path,
     bytes: &[u8],
     unit_mm: f64,
-    frame: impl Into<Frame>,
+    frame: Frame,
     origin: SurfaceOrigin,
 ) -> Result<MeshRead, FileError> {
     let mut notes = Vec::new();
     let faces = stl_faces(path, bytes, &mut notes)?;
-    mesh_of_faces(path, faces, notes, unit_mm, frame.into(), origin)
+    mesh_of_faces(path, faces, notes, unit_mm, frame, origin)
 }
 
 /// The surface in a PLY file.
@@ -62,10 +62,10 @@ pub(crate) fn mesh_of_ply(
     path: &Path,
     ply: &Ply,
     unit_mm: f64,
-    frame: impl Into<Frame>,
+    frame: Frame,
     origin: SurfaceOrigin,
 ) -> Result<MeshRead, FileError> {
-    mesh_of_faces(path, ply_faces(path, ply)?, Vec::new(), unit_mm, frame.into(), origin)
+    mesh_of_faces(path, ply_faces(path, ply)?, Vec::new(), unit_mm, frame, origin)
 }
 
 fn mesh_of_faces(

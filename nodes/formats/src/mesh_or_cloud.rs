@@ -33,7 +33,10 @@ pub fn read_mesh_or_cloud(
     unit_mm: f64,
     frame: impl Into<Frame>,
 ) -> Result<MeshOrCloud, FileError> {
-    let frame = frame.into();
+    read_in(path, bytes, unit_mm, frame.into())
+}
+
+fn read_in(path: &Path, bytes: &[u8], unit_mm: f64, frame: Frame) -> Result<MeshOrCloud, FileError> {
     let read = if bytes.starts_with(b"ply") {
         let ply = Ply::parse(path, bytes)?;
         if ply.element("face").is_some_and(|face| face.count > 0) {

@@ -144,7 +144,7 @@ pub fn write_recording<T: AsRef<str>>(
     attachments: &[Attachment],
     layout: &Layout,
 ) -> Result<(), FileError> {
-    let messages = encoded(path, streams, layout)?;
+    let messages = encoded(path, &by_topic(streams), layout)?;
     let file = std::fs::File::create(path).map_err(FileError::write(path))?;
     write(file, messages, metadata, attachments, layout).map(drop).map_err(FileError::write(path))
 }
@@ -160,7 +160,7 @@ pub fn recording_bytes<T: AsRef<str>>(
     layout: &Layout,
 ) -> Result<Vec<u8>, FileError> {
     let path = Path::new("recording in memory");
-    let messages = encoded(path, streams, layout)?;
+    let messages = encoded(path, &by_topic(streams), layout)?;
     write(Vec::new(), messages, metadata, attachments, layout).map_err(FileError::write(path))
 }
 
@@ -173,8 +173,12 @@ struct Encoded {
     data: Vec<u8>,
 }
 
+fn by_topic<T: AsRef<str>>(streams: &[(T, Stream)]) -> Vec<(&str, &Stream)> {
+    streams.iter().map(|(topic, stream)| (topic.as_ref(), stream)).collect()
+}
+
 /// All messages in the order in which they lie in the file.
-fn encoded<T: AsRef<str>>(path: &Path, streams: &[(T, Stream)], layout: &Layout) -> Result<Vec<Encoded>, FileError> {
+fn encoded(path: &Path, streams: &[(&str, &Stream)], layout: &Layout) -> Result<Vec<Encoded>, FileError> {
     let stamps = streams.iter().flat_map(|(_, stream)| match stream {
         Stream::Clouds(clouds) => clouds.iter().map(|c| c.stamp_ns).collect::<Vec<_>>(),
         Stream::Transforms(poses) => poses.iter().map(|p| p.stamp_ns).collect(),
@@ -194,7 +198,7 @@ fn encoded<T: AsRef<str>>(path: &Path, streams: &[(T, Stream)], layout: &Layout)
         let mut push = |time: Timestamp, (schema, data): (foxglove::Schema, Vec<u8>)| {
             let stamp_ns = StampNs::from(time.sec()) * 1_000_000_000 + StampNs::from(time.nsec());
             let log_time_ns = stamp_ns + StampNs::from(layout.log_delay_ns);
-            messages.push(Encoded { topic: topic.as_ref().into(), schema, stamp_ns, log_time_ns, data });
+            messages.push(Encoded { topic: (*topic).into(), schema, stamp_ns, log_time_ns, data });
         };
         match stream {
             Stream::Clouds(clouds) => {

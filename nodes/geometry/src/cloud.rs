@@ -57,19 +57,14 @@ impl Cloud {
     /// # Errors
     /// [`CloudError::NotFinite`] if a coordinate is NaN or infinite.
     pub fn new(frame: impl Into<Frame>, points: impl Into<Column<Point3<f64>>>) -> Result<Self, CloudError> {
-        let points = points.into();
+        Self::checked(frame.into(), points.into())
+    }
+
+    fn checked(frame: Frame, points: Column<Point3<f64>>) -> Result<Self, CloudError> {
         if let Some(index) = points.iter().position(|p| !p.coords.iter().all(|c| c.is_finite())) {
             return Err(CloudError::NotFinite { index });
         }
-        Ok(Self {
-            frame: frame.into(),
-            stamp_ns: 0,
-            label: None,
-            viewpoint: None,
-            points,
-            normals: None,
-            extras: Vec::new(),
-        })
+        Ok(Self { frame, stamp_ns: 0, label: None, viewpoint: None, points, normals: None, extras: Vec::new() })
     }
 
     /// Sets the stamp.
@@ -153,8 +148,12 @@ impl Cloud {
 
     /// The cloud in frame `to`, moved by `t_to_frame`; normals and viewpoint go along, extra columns stay. `O(n)`.
     pub fn transformed(&self, to: impl Into<Frame>, t_to_frame: &Isometry3<f64>) -> Cloud {
+        self.moved(to.into(), t_to_frame)
+    }
+
+    fn moved(&self, to: Frame, t_to_frame: &Isometry3<f64>) -> Cloud {
         Cloud {
-            frame: to.into(),
+            frame: to,
             stamp_ns: self.stamp_ns,
             label: self.label.clone(),
             viewpoint: self.viewpoint.map(|v| t_to_frame * v),

@@ -71,7 +71,15 @@ impl Mesh {
         vertices: impl Into<Column<Point3<f64>>>,
         faces: impl Into<Column<[u32; 3]>>,
     ) -> Result<Self, MeshError> {
-        let (vertices, faces) = (vertices.into(), faces.into());
+        Self::checked(frame.into(), origin, vertices.into(), faces.into())
+    }
+
+    fn checked(
+        frame: Frame,
+        origin: SurfaceOrigin,
+        vertices: Column<Point3<f64>>,
+        faces: Column<[u32; 3]>,
+    ) -> Result<Self, MeshError> {
         if faces.is_empty() {
             return Err(MeshError::Empty);
         }
@@ -84,7 +92,7 @@ impl Mesh {
                 return Err(MeshError::Index { face, vertex, n_vertices });
             }
         }
-        Ok(Self { frame: frame.into(), origin, vertices, faces })
+        Ok(Self { frame, origin, vertices, faces })
     }
 
     /// The vertices, `n`, mm.
@@ -143,11 +151,7 @@ impl Mesh {
 
     /// The mesh in frame `to`, moved by `t_to_frame`. `O(n)`.
     pub fn transformed(&self, to: impl Into<Frame>, t_to_frame: &Isometry3<f64>) -> Mesh {
-        Mesh {
-            frame: to.into(),
-            origin: self.origin,
-            vertices: self.vertices.iter().map(|v| t_to_frame * v).collect(),
-            faces: self.faces.clone(),
-        }
+        let vertices = self.vertices.iter().map(|v| t_to_frame * v).collect();
+        Mesh { frame: to.into(), origin: self.origin, vertices, faces: self.faces.clone() }
     }
 }

@@ -124,11 +124,22 @@ pub fn register_published<'a>(
     params: &PublishedParams,
     observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
 ) -> Result<IcpFit, IcpError> {
+    register_source(target, source.into(), init, params, observer)
+}
+
+// Not generic, so that the loops are compiled in this crate.
+fn register_source(
+    target: &Target,
+    source: Source<'_>,
+    init: &Isometry3<f64>,
+    params: &PublishedParams,
+    observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
+) -> Result<IcpFit, IcpError> {
     let reading = params.reading;
     let minimize = |problem: &Problem<'_, PointToPoint>, start, weights, _, max_steps, observer: &mut Observer<'_>| {
         minimize(problem, start, weights, reading, max_steps, observer)
     };
-    levels::by_points(target, source.into(), init, &params.to_icp(), observer, minimize)
+    levels::by_points(target, source, init, &params.to_icp(), observer, minimize)
 }
 
 fn minimize(
