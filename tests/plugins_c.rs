@@ -46,7 +46,7 @@ fn registry(libraries: &[&Path]) -> Registry {
     registry.source::<Give>().node::<Address>().node::<Keep>().node::<Dress>();
     for path in libraries {
         let library: &'static Library = Box::leak(Box::new(Library::load(path).unwrap()));
-        provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).unwrap();
+        provide(&mut registry, library.description(), &"0".into(), move || Ok(library)).unwrap();
     }
     registry
 }

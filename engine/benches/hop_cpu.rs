@@ -45,7 +45,7 @@ fn per_hop(registry: &Registry, kind: &str) -> f64 {
 fn loaded(library: &Path) -> Registry {
     let mut registry = sources();
     let library: &'static Library = Box::leak(Box::new(Library::load(library).expect("the library is a plugin")));
-    provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).expect("its kinds are new");
+    provide(&mut registry, library.description(), &"0".into(), move || Ok(library)).expect("its kinds are new");
     registry
 }
 

@@ -13,7 +13,7 @@ use crate::{
     plan::{Plan, PlanNode},
     recording::codec,
     runtime::AnswerCache,
-    store::{Entry, Key, KeyBuilder, Store, decode, message, payload_of, plugin_libraries},
+    store::{Key, KeyBuilder, Store, StoreEntry, decode, message, payload_of, plugin_libraries},
 };
 use osteoflow_container::Segments;
 use osteoflow_node::{
@@ -124,7 +124,7 @@ impl<'a> StoredAnswers<'a> {
     }
 
     /// Decodes the answer in an entry; `None` if it is not an answer of this node.
-    fn read(&self, index: usize, entry: &Entry) -> Option<Answer> {
+    fn read(&self, index: usize, entry: &StoreEntry) -> Option<Answer> {
         let outputs = &self.plan.nodes[index].outputs;
         let mut at = 0;
         let mut word = || -> Option<usize> {
@@ -149,7 +149,7 @@ impl<'a> StoredAnswers<'a> {
         Some(Answer { emissions, warnings })
     }
 
-    fn emission(&self, port: PortPayload, entry: &Entry, range: Range<usize>) -> Option<Emission> {
+    fn emission(&self, port: PortPayload, entry: &StoreEntry, range: Range<usize>) -> Option<Emission> {
         let message = decode(entry, range).ok()?;
         if let Err(empty) = message.body {
             return Some(Emission::Empty(empty.reason));

@@ -1,28 +1,28 @@
 //! Finds all faults of a graph in one pass, before any node is built, and plans it.
 
-mod alone;
 mod assemble;
+mod command_line_params;
 mod context;
 mod declared;
-mod drafts;
 mod faults;
-mod feed;
 mod frames;
 mod inputs;
 mod join;
+mod missing_trigger;
 mod module;
 mod order;
+mod parsed_nodes;
+mod producers;
 mod record;
 mod resolved;
 mod results;
 mod schema;
-mod starve;
+mod starvation;
 pub(crate) mod sweep;
-mod trigger;
 mod wires;
 
-pub use crate::graph::Given;
-pub use alone::parameters;
+pub use crate::graph::CommandLineParam;
+pub use command_line_params::parameters;
 pub use module::{Module, ModuleDescription, ModuleInput, ModuleOutput, ModuleParam};
 
 use crate::{
@@ -177,29 +177,30 @@ impl Check<'_> {
     fn run(mut self, graph: &Graph, path: &Path) -> Result<CheckedFile, Faults> {
         self.names = wires::Names { modules: graph.modules.clone(), removed: graph.removed.clone() };
         let header = header::read(&graph.table, &graph.main, &mut self.faults);
-        let drafts = self.drafts(graph, &header);
-        let inputs = self.inputs(&drafts, &header);
-        self.check_outputs(graph, &drafts);
+        let parsed_nodes = self.parsed_nodes(graph, &header);
+        let inputs = self.inputs(&parsed_nodes, &header);
+        self.check_outputs(graph, &parsed_nodes);
         if let Some(interface) = &graph.interface {
-            self.check_inputs(interface, &drafts, &inputs);
+            self.check_inputs(interface, &parsed_nodes, &inputs);
             graph::no_results(&graph.table, "NODE.PORT", &mut self.faults);
         }
-        let order = self.order(&drafts, &inputs);
-        let frames = order.as_ref().map(|order| self.frames(&drafts, &inputs, &header, order));
+        let order = self.order(&parsed_nodes, &inputs);
+        let frames = order.as_ref().map(|order| self.frames(&parsed_nodes, &inputs, &header, order));
         if let Some(order) = &order {
-            self.faults.extend(starve::warnings(&drafts, &inputs, order));
+            self.faults.extend(starvation::warnings(&parsed_nodes, &inputs, order));
         }
-        let record = self.record(graph, &drafts);
-        let results = self.results(graph, &drafts);
+        let record = self.record(graph, &parsed_nodes);
+        let results = self.results(graph, &parsed_nodes);
         let sweep = sweep::read(&graph.table, &mut self.faults).map(Box::new);
         let found = faults::add_uses(faults::sorted(self.faults));
         let (errors, warnings): (Vec<_>, Vec<_>) = found.into_iter().partition(|f| f.severity == Severity::Error);
         match (order, frames) {
             (Some(order), Some(frames)) if errors.is_empty() => {
-                let describe = |interface| module::describe(interface, &header.name, &drafts, &inputs, &self.names);
+                let describe =
+                    |interface| module::describe(interface, &header.name, &parsed_nodes, &inputs, &self.names);
                 let description = graph.interface.as_ref().map(describe);
-                let plugins = assemble::plugins(self.known, &drafts);
-                let net = assemble::Net { header, plugins, drafts, inputs, order, frames, record, results };
+                let plugins = assemble::plugins(self.known, &parsed_nodes);
+                let net = assemble::Net { header, plugins, parsed_nodes, inputs, order, frames, record, results };
                 let plan = net.plan(path);
                 Ok(match description {
                     Some(description) => CheckedFile::Module(Module { description, plan, warnings }),

@@ -20,7 +20,7 @@ use crate::{
     },
 };
 use compare::{Compare, ItemDifference, Units};
-use index::{Entry, Index, Indexed};
+use index::{Index, IndexEntry, Indexed};
 use osteoflow_container::Progress;
 use std::{cmp::Ordering, collections::BTreeSet, path::Path};
 
@@ -186,7 +186,10 @@ fn compared(a: &Index, b: &Index, options: &DiffOptions) -> Vec<String> {
 }
 
 /// Merges both lists by number: items in both, or in one.
-fn merged<'a>(a: &'a [Entry], b: &'a [Entry]) -> impl Iterator<Item = (Option<&'a Entry>, Option<&'a Entry>)> {
+fn merged<'a>(
+    a: &'a [IndexEntry],
+    b: &'a [IndexEntry],
+) -> impl Iterator<Item = (Option<&'a IndexEntry>, Option<&'a IndexEntry>)> {
     let (mut i, mut j) = (0, 0);
     std::iter::from_fn(move || {
         let (x, y) = (a.get(i), b.get(j));
@@ -202,7 +205,7 @@ fn merged<'a>(a: &'a [Entry], b: &'a [Entry]) -> impl Iterator<Item = (Option<&'
     })
 }
 
-fn differing<'a>(a: &'a Indexed, b: &'a Indexed) -> impl Iterator<Item = (Entry, Entry)> + 'a {
+fn differing<'a>(a: &'a Indexed, b: &'a Indexed) -> impl Iterator<Item = (IndexEntry, IndexEntry)> + 'a {
     let both = merged(&a.entries, &b.entries).filter_map(|(x, y)| Some((*x?, *y?)));
     both.filter(|(x, y)| x.digest != y.digest)
 }
@@ -213,7 +216,7 @@ fn missing(wire: &str, a: &Index, b: &Index) -> WireDiff {
     let payload = |wire: Option<&Indexed>| {
         wire.map_or("none".into(), |wire| format!("{}@{}", wire.about.header.payload, wire.about.header.version))
     };
-    let entries = |wire: Option<&'_ Indexed>| wire.map_or(&[] as &[Entry], |wire| &wire.entries).to_vec();
+    let entries = |wire: Option<&'_ Indexed>| wire.map_or(&[] as &[IndexEntry], |wire| &wire.entries).to_vec();
     let (of_a, of_b) = (entries(x), entries(y));
     let mut diff = WireDiff {
         wire: wire.into(),
@@ -254,8 +257,8 @@ fn plain(field: &str, a: String, b: String) -> Difference {
 fn items(
     a: &mut Index,
     b: &mut Index,
-    x: &Entry,
-    y: &Entry,
+    x: &IndexEntry,
+    y: &IndexEntry,
     units: &Units,
     tolerance: f64,
 ) -> Result<ItemDifference, RecordingError> {

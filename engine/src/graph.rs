@@ -2,6 +2,7 @@
 
 mod edit;
 mod extends;
+pub(crate) mod extract;
 pub(crate) mod grammar;
 pub(crate) mod header;
 mod interface;
@@ -13,7 +14,6 @@ mod remove;
 mod results;
 mod set;
 mod syntax;
-pub(crate) mod take;
 mod tree;
 pub(crate) mod unit;
 
@@ -25,7 +25,7 @@ pub(crate) use {
     tree::{Entry, Spanned, Table, Value},
 };
 
-pub use set::Given;
+pub use set::CommandLineParam;
 
 use crate::{
     fault::{Fault, SourceText, Span},

@@ -2,7 +2,7 @@
 //!
 //! A library is loaded once and never unloaded: its descriptions and threads may outlive any use.
 
-mod about;
+mod description;
 mod host;
 mod kinds;
 mod library;
@@ -11,7 +11,7 @@ mod node;
 mod probe;
 mod provide;
 
-pub use about::{InputAbout, KindAbout, OutputsAbout, PluginAbout, PortAbout};
+pub use description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
 pub use kinds::{Finder, Kinds, Known, Plugin, Refused};
 pub use library::{Library, LibraryError, Why};
 pub use probe::{Prober, answer};

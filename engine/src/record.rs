@@ -16,7 +16,7 @@ use crate::{
     panics,
     plan::{OutputId, Plan},
     recording::format::{
-        InputHashes, MetadataRecord, Outcome, PluginRecords, Program, RecordedFailure, RunRecord, WireCounts,
+        InputHashes, MetadataRecord, Outcome, PROFILE, PluginRecords, Program, RecordedFailure, RunRecord, WireCounts,
     },
     runtime::Tap,
 };
@@ -111,14 +111,14 @@ pub(crate) struct Recorder {
 
 /// State shared by the tap and the writer.
 struct Shared {
-    queue: Queue<Entry>,
+    queue: Queue<QueueItem>,
     firings: Mutex<Vec<Firing>>,
     /// Set when the writer fails; stops the run.
     cancelled: Arc<AtomicBool>,
 }
 
 /// Item of the writer's queue.
-enum Entry {
+enum QueueItem {
     Item(OutputId, Item),
     Firings(Vec<Firing>),
     Dropped(usize, u64),
@@ -184,8 +184,8 @@ impl Recorder {
         let mut end = vec![(Outcome::NAME, outcome.to_metadata())];
         end.extend(inputs.map(|inputs| (InputHashes::NAME, all_inputs(inputs).0)));
         let queue = &self.shared.queue;
-        queue.put(Entry::Firings(self.shared.take_firings()), 0);
-        queue.put(Entry::End(end), 0);
+        queue.put(QueueItem::Firings(self.shared.take_firings()), 0);
+        queue.put(QueueItem::End(end), 0);
         queue.close();
         match self.writer.join() {
             Ok(written) => written.map_err(|stopped| stopped.into_error(&self.path)),
@@ -214,7 +214,7 @@ impl Tap for Recorder {
             Body::Value(value) => value.n_bytes(),
             Body::Empty(empty) => empty.reason.len(),
         };
-        self.shared.queue.put(Entry::Item(wire, item.clone()), n_bytes);
+        self.shared.queue.put(QueueItem::Item(wire, item.clone()), n_bytes);
     }
 
     fn fired(&self, node: usize, item: u64, _: StampNs, began: Duration, took: Duration) {
@@ -223,16 +223,16 @@ impl Tap for Recorder {
         if firings.len() >= FIRING_BATCH {
             let all = std::mem::take(&mut *firings);
             drop(firings);
-            self.shared.queue.put(Entry::Firings(all), FIRING_BATCH * size_of::<Firing>());
+            self.shared.queue.put(QueueItem::Firings(all), FIRING_BATCH * size_of::<Firing>());
         }
     }
 
     fn live(&self, node: usize, item: u64, readings: &[ClockReading]) {
-        self.shared.queue.put(Entry::Live(node, item, readings.to_vec()), size_of_val(readings));
+        self.shared.queue.put(QueueItem::Live(node, item, readings.to_vec()), size_of_val(readings));
     }
 
     fn dropped(&self, link: usize, number: u64) {
-        self.shared.queue.put(Entry::Dropped(link, number), 0);
+        self.shared.queue.put(QueueItem::Dropped(link, number), 0);
     }
 }
 
@@ -242,7 +242,7 @@ fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<InputHash
     let mut file = Writer::new(
         file,
         WriteOptions {
-            profile: "osteoflow".into(),
+            profile: PROFILE.into(),
             library: library.into(),
             compression: plan.recording.compression,
             ..WriteOptions::default()
@@ -305,16 +305,16 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<WireCounts, Stopped> {
         let mut drops = Vec::new();
         for (entry, n_bytes) in batch {
             match entry {
-                Entry::Item(wire, item) => {
+                QueueItem::Item(wire, item) => {
                     // Drops are written before the items that follow from them, so that a truncated file has both or
                     // neither.
                     sink.drops(&std::mem::take(&mut drops))?;
                     sink.item(wire, item, n_bytes)?;
                 }
-                Entry::Firings(firings) => sink.firings(&firings)?,
-                Entry::Dropped(link, number) => drops.push((link, number)),
-                Entry::Live(node, item, readings) => sink.live(node, item, &readings)?,
-                Entry::End(metadata) => end = metadata,
+                QueueItem::Firings(firings) => sink.firings(&firings)?,
+                QueueItem::Dropped(link, number) => drops.push((link, number)),
+                QueueItem::Live(node, item, readings) => sink.live(node, item, &readings)?,
+                QueueItem::End(metadata) => end = metadata,
             }
             shared.queue.release(n_bytes);
         }

@@ -15,7 +15,7 @@ mod save;
 mod tests;
 
 pub use bundle::{BUNDLE, INPUTS};
-pub use bundle::{Bundle, Declared, Failure, Given, Input, Node, Output, Program, ReproError, Shown};
+pub use bundle::{Bundle, Declared, Failure, Input, Node, Output, PortItems, Program, ReproError, Shown};
 pub(crate) use save::Saver;
 pub use save::{FOLDER, Saved, SavedBundle};
 
@@ -177,20 +177,20 @@ fn joined(
         let input = bundle.inputs.iter().find(|input| input.port == port.name).ok_or_else(missing)?;
         let mut came = items.remove(port.name).unwrap_or_default();
         slots.push(match &input.given {
-            Given::Item => {
+            PortItems::Item => {
                 if came.len() != 1 {
                     return Err(ReproError::Count { port: port.name.into(), found: came.len(), expected: 1 });
                 }
                 Slot::Item(came.remove(0))
             }
-            Given::Items { n, absent } => {
+            PortItems::Items { n, absent } => {
                 if came.len() != *n {
                     return Err(ReproError::Count { port: port.name.into(), found: came.len(), expected: *n });
                 }
                 absent.iter().for_each(|empty| context.note_absent(port.name, Arc::new(empty.clone())));
                 Slot::Items(came)
             }
-            Given::Absent { empty } => {
+            PortItems::Absent { empty } => {
                 let empty: Arc<Empty> = Arc::new(empty.clone());
                 context.note_absent(port.name, empty.clone());
                 Slot::Absent(empty)

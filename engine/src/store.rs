@@ -26,7 +26,7 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
-pub use entry::Entry;
+pub use entry::StoreEntry;
 pub use key::{Key, KeyBuilder};
 pub(crate) use payload::{decode, message, payload_of};
 pub(crate) use program::{note_plugin, note_program, plugin_libraries};
@@ -88,10 +88,10 @@ impl Store {
     }
 
     /// The complete entry of the key, if there is one; marks it as used.
-    pub fn get(&self, key: &Key) -> Option<Entry> {
+    pub fn get(&self, key: &Key) -> Option<StoreEntry> {
         let path = self.path(key);
         let read = File::open(&path).and_then(|mut file| {
-            let entry = Entry::read(&mut file, key)?;
+            let entry = StoreEntry::read(&mut file, key)?;
             // The folder may be read-only for this user; then the time of use is not updated.
             let _ = entry.is_some().then(|| file.set_modified(SystemTime::now()));
             Ok(entry)

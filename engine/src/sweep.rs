@@ -18,7 +18,7 @@ mod tests;
 
 pub use crate::check::sweep::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec};
 pub use check::{again, check};
-pub use design::{Row, rows};
+pub use design::{SweepRow, rows};
 pub use folder::{DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, merge};
 pub use table::{PointValue, at_path, point_values, without_value, write_points, write_runs};
 
@@ -54,7 +54,7 @@ pub struct Sweep {
 
 #[derive(Debug)]
 struct Run {
-    row: Row,
+    row: SweepRow,
     plan: Plan,
     /// Sharing key of each node.
     keys: Vec<Digest>,
@@ -145,7 +145,7 @@ impl Sweep {
     }
 
     /// The runs of a part, or of the whole sweep, in the order of the tables.
-    pub fn part(&self, shard: Option<Shard>) -> impl Iterator<Item = &Row> {
+    pub fn part(&self, shard: Option<Shard>) -> impl Iterator<Item = &SweepRow> {
         let mut part = self.order(shard);
         part.sort_unstable();
         part.into_iter().map(|run| &self.runs[run].row)

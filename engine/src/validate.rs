@@ -1,4 +1,4 @@
-//! Checks a recording from its first byte to its last and lists everything that is wrong with it.
+//! Checks a whole recording and lists everything that is wrong with it.
 
 mod container;
 mod items;
@@ -17,17 +17,17 @@ use items::Items;
 use osteoflow_container::{Damage, End, Location, Progress, Reader, Record, Visitor};
 use std::{collections::BTreeMap, fmt, ops::ControlFlow, path::Path};
 
-/// Of each kind of finding so many are listed; the others are counted.
+/// Maximum number of listed findings of each kind; the others are only counted.
 const LISTED: u64 = 100;
 
-/// Something that is wrong, or worth knowing.
+/// Something wrong in the file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
-    /// The wire, where it is of one.
+    /// The wire that it concerns, if any.
     pub wire: Option<String>,
-    /// The item's number, where it is of one.
+    /// Number of the item that it concerns, if any.
     pub item: Option<u64>,
-    /// Where in the file it lies, where that is known.
+    /// Its place in the file, if known.
     pub place: Option<Location>,
     /// What is wrong.
     pub what: String,
@@ -65,7 +65,7 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Findings, of which only so many of one kind are kept.
+/// Findings, of which at most [`LISTED`] of each kind are stored.
 #[derive(Debug, Default)]
 pub(crate) struct Findings {
     listed: Vec<Finding>,
@@ -73,7 +73,7 @@ pub(crate) struct Findings {
 }
 
 impl Findings {
-    /// Takes a finding; `kind` groups those that differ only in where they are.
+    /// Adds a finding; `kind` groups findings that differ only in their place.
     fn add(&mut self, kind: &'static str, finding: Finding) {
         let n = self.n_by_kind.entry(kind).or_default();
         *n += 1;
@@ -87,53 +87,53 @@ impl Findings {
     }
 }
 
-/// A wire as it was found.
+/// A wire of the recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ValidatedWire {
     /// `node.port`.
     pub wire: String,
     /// `payload@version`.
     pub payload: String,
-    /// Items on its exact channel.
+    /// Number of items on its exact channel.
     pub n_items: u64,
-    /// How many of them are values.
+    /// Number of those items that are values.
     pub n_values: u64,
-    /// Pictures for viewers.
+    /// Number of messages for viewers.
     pub n_views: u64,
 }
 
-/// What a check found.
+/// Result of [`validate`].
 #[derive(Debug)]
 pub struct ValidateReport {
     /// Whether it is a recording of a run; if not, only the container was checked.
     pub is_recording: bool,
-    /// What is wrong, in the order in which it was met.
+    /// Findings in the order of the file; of many of one kind, only the first are listed.
     pub findings: Vec<Finding>,
-    /// How many there are; not all are listed where many are of one kind.
+    /// Number of all findings, including those not listed.
     pub n_findings: u64,
-    /// What is worth knowing and not wrong.
+    /// Information that is not an error.
     pub notes: Vec<String>,
     /// The wires, by name.
     pub wires: Vec<ValidatedWire>,
-    /// Messages in the file.
+    /// Number of messages in the file.
     pub n_messages: u64,
-    /// Chunks in the file.
+    /// Number of chunks in the file.
     pub n_chunks: u64,
-    /// Bytes of the file.
+    /// Size of the file.
     pub n_bytes: u64,
 }
 
 impl ValidateReport {
-    /// Whether nothing is wrong.
+    /// Whether there are no findings.
     pub fn is_sound(&self) -> bool {
         self.n_findings == 0
     }
 }
 
-/// Checks a file. Of an MCAP file of another program the container is checked. Memory: one chunk, and an index.
+/// Checks a file. For an MCAP file of another program, only the container is checked. Memory: one chunk and an index.
 ///
 /// # Errors
-/// [`RecordingError`] if the file cannot be read, or is no MCAP file.
+/// [`RecordingError`] if the file cannot be read or is not an MCAP file.
 pub fn validate(
     path: &Path,
     kinds: impl Into<Kinds>,
@@ -182,7 +182,7 @@ pub fn validate(
     })
 }
 
-/// That the recording says what it must of its run.
+/// Checks that the metadata records of the run are present and valid.
 fn check_metadata(
     path: &Path,
     metadata: &MetadataRecords,
@@ -192,7 +192,7 @@ fn check_metadata(
 ) {
     let recovered = metadata.has::<Recovered>();
     let mut missing = |finding: String| match recovered {
-        // What a recovered file lacks was listed when it was written.
+        // The recovery has already listed what is missing.
         true => notes.push(finding),
         false => findings.add("metadata", Finding::new(None, finding)),
     };

@@ -26,7 +26,7 @@ fn loaded() -> Registry {
     let library: &'static Library =
         LIBRARY.get_or_init(|| Library::load(&build::example("plugin_kinds")).expect("the library is a plugin"));
     let mut registry = Registry::default();
-    provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).unwrap();
+    provide(&mut registry, library.description(), &"0".into(), move || Ok(library)).unwrap();
     registry
 }
 

@@ -20,7 +20,7 @@ use std::path::Path;
 fn with_library(path: &Path) -> Registry {
     let mut registry = sources();
     let library: &'static Library = Box::leak(Box::new(Library::load(path).expect("the library is a plugin")));
-    provide(&mut registry, library.about(), &"0".into(), move || Ok(library)).expect("its kinds are new");
+    provide(&mut registry, library.description(), &"0".into(), move || Ok(library)).expect("its kinds are new");
     registry
 }
 

@@ -74,8 +74,9 @@ impl Inspect {
                 let of = |kind: &&Description| {
                     let mut value = json!(kind);
                     if let Some(plugin) = known.of_kind(kind.kind) {
-                        let (about, file) = (&plugin.about, plugin.path.to_string_lossy());
-                        value["plugin"] = json!({ "name": about.name, "version": about.version, "file": file });
+                        let (description, file) = (&plugin.description, plugin.path.to_string_lossy());
+                        value["plugin"] =
+                            json!({ "name": description.name, "version": description.version, "file": file });
                     }
                     value
                 };
@@ -146,8 +147,8 @@ impl Inspect {
 
 /// The origin of a kind.
 fn from(plugin: &Plugin) -> String {
-    let about = &plugin.about;
-    format!("from plugin {} {} ({})", about.name, about.version, plugin.path.display())
+    let description = &plugin.description;
+    format!("from plugin {} {} ({})", description.name, description.version, plugin.path.display())
 }
 
 /// Whether the argument names a file rather than a kind.

@@ -87,12 +87,12 @@ pub(crate) fn print_refused(known: &Known, global: &Global) -> Result<Exit> {
 pub(crate) fn table(known: &Known, global: &Global) -> Result<Exit> {
     if global.format == Format::Json {
         let found = known.plugins.iter().map(|plugin| {
-            let about = &plugin.about;
+            let description = &plugin.description;
             json!({
-                "name": about.name, "version": about.version, "abi": about.abi, "sdk": about.sdk,
-                "compiler": about.compiler, "file": plugin.path.to_string_lossy(), "sha256": &*plugin.sha256,
-                "kinds": about.kinds.iter().map(|kind| &kind.kind).collect::<Vec<_>>(),
-                "payloads": about.payloads.iter().map(|p| format!("{}@{}", p.name, p.version)).collect::<Vec<_>>(),
+                "name": description.name, "version": description.version, "abi": description.abi, "sdk": description.sdk,
+                "compiler": description.compiler, "file": plugin.path.to_string_lossy(), "sha256": &*plugin.sha256,
+                "kinds": description.kinds.iter().map(|kind| &kind.kind).collect::<Vec<_>>(),
+                "payloads": description.payloads.iter().map(|p| format!("{}@{}", p.name, p.version)).collect::<Vec<_>>(),
             })
         });
         let refused = known.refused.iter().map(|r| json!({ "file": r.path.to_string_lossy(), "why": r.why }));
@@ -105,13 +105,14 @@ pub(crate) fn table(known: &Known, global: &Global) -> Result<Exit> {
     } else {
         let mut table = TextTable::new("plugin", &["version", "abi", "sdk", "compiler"]);
         for plugin in &known.plugins {
-            let about = &plugin.about;
-            let abi = format!("{}.{}", about.abi.0, about.abi.1);
-            let kinds: Vec<_> = about.kinds.iter().map(|kind| kind.kind.as_str()).collect();
+            let description = &plugin.description;
+            let abi = format!("{}.{}", description.abi.0, description.abi.1);
+            let kinds: Vec<_> = description.kinds.iter().map(|kind| kind.kind.as_str()).collect();
             let file = plugin.path.display().to_string();
             let about_it = format!("{} in {file}", kinds.join(", "));
-            let cells = [about.version.clone(), abi, about.sdk.clone(), about.compiler.clone(), about_it];
-            table.row(&about.name, cells);
+            let cells =
+                [description.version.clone(), abi, description.sdk.clone(), description.compiler.clone(), about_it];
+            table.row(&description.name, cells);
         }
         writeln!(out, "{}", table.lines())?;
     }

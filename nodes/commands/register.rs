@@ -20,7 +20,7 @@ use clap::{Args, ValueEnum, builder::PossibleValuesParser};
 use inputs::Inputs;
 use method::{Method, MethodParams};
 use osteoflow_engine::{
-    check::{Given, parameters},
+    check::{CommandLineParam, parameters},
     panics::mark_helper_thread,
 };
 use osteoflow_geometry::nalgebra::Point3;
@@ -225,12 +225,12 @@ impl Register {
             ("step-mm", "stop_step_mm", number(self.step_mm)),
             ("step-rad", "stop_step_rad", number(self.step_rad)),
         ];
-        let given = options
-            .iter()
-            .filter_map(|(option, key, value)| Some(Given::Option { option, key, value: value.as_deref()? }));
+        let given = options.iter().filter_map(|(option, key, value)| {
+            Some(CommandLineParam::Option { option, key, value: value.as_deref()? })
+        });
         let fixed = method.fixed.iter().filter(|_| self.stop == Stop::Fixed);
-        let fixed = fixed.map(|&(key, value)| Given::Option { option: "stop fixed", key, value });
-        let given: Vec<_> = given.chain(self.sets.iter().map(|set| Given::Set(set))).chain(fixed).collect();
+        let fixed = fixed.map(|&(key, value)| CommandLineParam::Option { option: "stop fixed", key, value });
+        let given: Vec<_> = given.chain(self.sets.iter().map(|set| CommandLineParam::Set(set))).chain(fixed).collect();
         let as_json = match parameters(&kind.description, "register", &given) {
             Ok(params) => params,
             Err(faults) => {

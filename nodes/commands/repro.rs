@@ -2,7 +2,7 @@ use super::{Exit, Format, Global, PluginArgs, UsageError, print_json, running, t
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
-    repro::{self, Bundle, Given, Program, ReproError, ReproReport, Shown},
+    repro::{self, Bundle, PortItems, Program, ReproError, ReproReport, Shown},
     run::Injected,
 };
 use osteoflow_node::Role;
@@ -123,11 +123,11 @@ fn inputs(bundle: &Bundle) -> String {
     for input in &bundle.inputs {
         let join = || input.join.clone();
         match &input.given {
-            Given::Absent { empty } => {
+            PortItems::Absent { empty } => {
                 let dash = || "-".to_owned();
                 table.row(&input.port, [join(), dash(), dash(), dash(), format!("absent: {}", empty.reason)]);
             }
-            Given::Item | Given::Items { .. } => {
+            PortItems::Item | PortItems::Items { .. } => {
                 const SHOWN: usize = 5;
                 for item in input.items.iter().take(SHOWN) {
                     table.row(

@@ -3,7 +3,7 @@
 use super::text_table::TextTable;
 use osteoflow_report::{
     Cell,
-    summary::{Row, about_few, comparison, statistics, under_heads, units, word},
+    summary::{TableRow, about_few, comparison, statistics, under_heads, units, word},
 };
 use serde_json::Value;
 
@@ -70,8 +70,8 @@ pub(crate) fn of_comparisons(summary: &Value) -> Option<String> {
 }
 
 /// A table of named rows with remarks at their ends.
-fn table(title: &str, rows: Vec<(String, Row, String)>) -> String {
-    let cells: Vec<Row> = rows.iter().map(|(_, row, _)| row.clone()).collect();
+fn table(title: &str, rows: Vec<(String, TableRow, String)>) -> String {
+    let cells: Vec<TableRow> = rows.iter().map(|(_, row, _)| row.clone()).collect();
     let (heads, cells) = under_heads(&cells);
     let mut table = TextTable::new(title, &heads.iter().map(String::as_str).collect::<Vec<_>>());
     for ((name, _, remark), cells) in rows.into_iter().zip(cells) {

@@ -448,7 +448,7 @@ impl<R: Read + Seek> Reader<R> {
         });
         let step = match checked {
             Err((cause, next)) => Step::Damaged(cause, next),
-            Ok((header, Found { described, unknown })) => {
+            Ok((header, ChunkDescriptions { described, unknown })) => {
                 if !unknown.is_empty() && self.describe_from_summary(&unknown, visitor)?.is_break() {
                     return Ok(Step::Stopped);
                 }
@@ -569,7 +569,7 @@ fn records(chunk: &[u8]) -> impl Iterator<Item = Result<(u64, u8, &[u8]), Cause>
 
 /// What the records of a chunk describe, and what they leave to the summary.
 #[derive(Default)]
-struct Found {
+struct ChunkDescriptions {
     described: Descriptions,
     unknown: Unknown,
 }
@@ -588,8 +588,8 @@ impl Unknown {
 }
 
 /// Checks all records of a chunk.
-fn check_records(chunk: &[u8], known: &Descriptions) -> Result<Found, Cause> {
-    let mut found = Found::default();
+fn check_records(chunk: &[u8], known: &Descriptions) -> Result<ChunkDescriptions, Cause> {
+    let mut found = ChunkDescriptions::default();
     for entry in records(chunk) {
         let (at, opcode, content) = entry?;
         let at_byte = |cause: Cause| Cause::malformed("chunk")(format!("at its byte {at}: {cause}"));

@@ -14,7 +14,7 @@ use std::{
 const N_MESSAGES: u32 = 60;
 
 #[derive(Debug, Default)]
-struct Found {
+struct Contents {
     /// Topic, number and data of each message; the topic is empty if no channel is described.
     messages: Vec<(String, u32, Vec<u8>)>,
     channels: BTreeMap<u16, String>,
@@ -26,7 +26,7 @@ struct Found {
     last: u64,
 }
 
-impl Visitor for Found {
+impl Visitor for Contents {
     fn record(&mut self, location: Location, record: Record<'_>) -> ControlFlow<()> {
         match record {
             Record::Channel(channel) => {
@@ -54,14 +54,14 @@ impl Visitor for Found {
     }
 }
 
-impl Found {
+impl Contents {
     fn numbers(&self) -> Vec<u32> {
         self.messages.iter().map(|(_, number, _)| *number).collect()
     }
 }
 
-fn read(bytes: &[u8]) -> (Found, End) {
-    let mut found = Found::default();
+fn read(bytes: &[u8]) -> (Contents, End) {
+    let mut found = Contents::default();
     let end = Reader::new(Cursor::new(bytes), bytes.len() as u64).read(&mut found).unwrap();
     (found, end)
 }
@@ -323,7 +323,7 @@ fn every_cut_is_a_truncated_file_with_every_whole_record_before_it() {
 #[test]
 fn an_empty_file_and_one_of_another_kind_are_named() {
     let error =
-        |bytes: &[u8]| Reader::new(Cursor::new(bytes), bytes.len() as u64).read(&mut Found::default()).unwrap_err();
+        |bytes: &[u8]| Reader::new(Cursor::new(bytes), bytes.len() as u64).read(&mut Contents::default()).unwrap_err();
     assert!(matches!(error(b""), ReadError::Empty));
     assert_eq!(error(b"#ROSBAG V2.0\n").to_string(), "it is no MCAP file");
     assert_eq!(error(b"\x89MCA").to_string(), "it was cut short in its first bytes");
@@ -364,7 +364,7 @@ fn no_damage_makes_a_message_that_was_not_written() {
                     _ => damaged.truncate(at.max(30)),
                 }
             }
-            let mut found = Found::default();
+            let mut found = Contents::default();
             let end = Reader::new(Cursor::new(&damaged), damaged.len() as u64).read(&mut found);
             if end.is_err() {
                 continue;

@@ -1,5 +1,6 @@
 use super::{
-    drafts::Draft, frames::Frames, inputs::Input, record::Record, resolved, results::Result, wires::OutputIndex,
+    frames::Frames, inputs::Input, parsed_nodes::ParsedNode, record::Record, resolved, results::Result,
+    wires::OutputIndex,
 };
 use crate::{
     graph::header::Header,
@@ -13,7 +14,7 @@ use std::{collections::BTreeSet, path::Path};
 pub(super) struct Net<'a> {
     pub(super) header: Header,
     pub(super) plugins: Vec<PlanPlugin>,
-    pub(super) drafts: Vec<Draft<'a>>,
+    pub(super) parsed_nodes: Vec<ParsedNode<'a>>,
     pub(super) inputs: Vec<Vec<Input>>,
     /// In topological order.
     pub(super) order: Vec<usize>,
@@ -23,9 +24,9 @@ pub(super) struct Net<'a> {
 }
 
 /// The plugins that the graph names, and other plugins whose kinds it uses.
-pub(super) fn plugins(known: &Known, drafts: &[Draft<'_>]) -> Vec<PlanPlugin> {
+pub(super) fn plugins(known: &Known, parsed_nodes: &[ParsedNode<'_>]) -> Vec<PlanPlugin> {
     let used = known.plugins.iter().filter_map(|plugin| {
-        let of_plugin = drafts.iter().filter_map(|draft| draft.kind);
+        let of_plugin = parsed_nodes.iter().filter_map(|parsed_node| parsed_node.kind);
         let of_plugin = of_plugin.filter(|kind| kind.plugin.as_ref() == Some(&plugin.sha256));
         let kinds: BTreeSet<_> = of_plugin.map(|kind| kind.description.kind.to_owned()).collect();
         (plugin.named || !kinds.is_empty()).then(|| plugin.in_plan(kinds.into_iter().collect()))
@@ -36,14 +37,14 @@ pub(super) fn plugins(known: &Known, drafts: &[Draft<'_>]) -> Vec<PlanPlugin> {
 impl Net<'_> {
     pub(super) fn plan(&self, path: &Path) -> Plan {
         let mut place = vec![0; self.order.len()];
-        for (index, &draft) in self.order.iter().enumerate() {
-            place[draft] = index;
+        for (index, &parsed_node) in self.order.iter().enumerate() {
+            place[parsed_node] = index;
         }
         let id = |(node, port): OutputIndex| OutputId { node: place[node], port };
-        let mut nodes: Vec<_> = self.order.iter().map(|&draft| self.node(draft)).collect();
+        let mut nodes: Vec<_> = self.order.iter().map(|&parsed_node| self.node(parsed_node)).collect();
         let mut links = Vec::new();
-        for (to_node, &draft) in self.order.iter().enumerate() {
-            for (to_port, input) in self.inputs[draft].iter().enumerate() {
+        for (to_node, &parsed_node) in self.order.iter().enumerate() {
+            for (to_port, input) in self.inputs[parsed_node].iter().enumerate() {
                 let Some(from) = input.from.map(id) else { continue };
                 nodes[from.node].outputs[from.port].links.push(links.len());
                 nodes[to_node].inputs[to_port].link = Some(links.len());
@@ -60,7 +61,8 @@ impl Net<'_> {
             optional: result.optional,
             location: result.key_at.location(),
         };
-        let mut input_files: Vec<_> = self.drafts.iter().flat_map(|draft| draft.input_files.clone()).collect();
+        let mut input_files: Vec<_> =
+            self.parsed_nodes.iter().flat_map(|parsed_node| parsed_node.input_files.clone()).collect();
         input_files.sort();
         input_files.dedup();
         Plan {
@@ -79,9 +81,9 @@ impl Net<'_> {
     }
 
     fn node(&self, index: usize) -> PlanNode {
-        let draft = &self.drafts[index];
-        let outputs = draft.outputs.iter().flatten().zip(&self.frames[index]);
-        let output = |(output, frames): (&super::drafts::Output, &crate::plan::PortFrames)| {
+        let parsed_node = &self.parsed_nodes[index];
+        let outputs = parsed_node.outputs.iter().flatten().zip(&self.frames[index]);
+        let output = |(output, frames): (&super::parsed_nodes::Output, &crate::plan::PortFrames)| {
             Some(PlanOutput {
                 name: output.name.clone(),
                 payload: output.payload?,
@@ -90,17 +92,17 @@ impl Net<'_> {
             })
         };
         PlanNode {
-            name: draft.name.into(),
-            kind: draft.kind_name().into(),
-            role: draft.role().unwrap_or(Role::Node),
-            location: draft.reported_at().location(),
-            plugin: draft.kind.and_then(|kind| kind.plugin.clone()),
-            params: draft.params.clone(),
-            files: draft.input_files.clone(),
-            declared: draft.declared.clone().into(),
+            name: parsed_node.name.into(),
+            kind: parsed_node.kind_name().into(),
+            role: parsed_node.role().unwrap_or(Role::Node),
+            location: parsed_node.reported_at().location(),
+            plugin: parsed_node.kind.and_then(|kind| kind.plugin.clone()),
+            params: parsed_node.params.clone(),
+            files: parsed_node.input_files.clone(),
+            declared: parsed_node.declared.clone().into(),
             inputs: self.inputs[index].iter().map(|i| PlanInput { port: i.port.clone(), link: None }).collect(),
             outputs: outputs.filter_map(output).collect(),
-            on_error: draft.on_error,
+            on_error: parsed_node.on_error,
         }
     }
 }

@@ -1,12 +1,12 @@
 use super::{
     context::Check,
-    drafts::{Draft, Output},
     frames,
+    parsed_nodes::{Output, ParsedNode},
     schema::Walker,
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, Table, header::Header, take},
+    graph::{Entry, Table, extract, header::Header},
     names::nearest,
     plan::PortFrames,
 };
@@ -18,34 +18,36 @@ const RESERVED: [&str; 4] = ["type", "frame", "to", "from"];
 
 impl Check<'_> {
     /// Reads the outputs that a graph declares by `out`.
-    pub(super) fn declared(&mut self, draft: &mut Draft<'_>, schema: &Json, header: &Header) {
-        let (name, kind) = (draft.name, draft.kind_name());
+    pub(super) fn declared(&mut self, parsed_node: &mut ParsedNode<'_>, schema: &Json, header: &Header) {
+        let (name, kind) = (parsed_node.name, parsed_node.kind_name());
         let example = "write out = { NAME = { type = \"PAYLOAD\" } } with what it shall give";
-        let Some(out) = draft.table.get("out") else {
+        let Some(out) = parsed_node.table.get("out") else {
             let fault = Fault::new(format!("node \"{name}\": {kind} gives what out declares, but there is no out"));
-            self.faults.push(fault.at(draft.name_at, "no out here").help(example).follows());
+            self.faults.push(fault.at(parsed_node.name_at, "no out here").help(example).follows());
             return;
         };
-        let Some(ports) = take::table(&out.value, &format!("node \"{name}\": out"), &mut self.faults) else { return };
+        let Some(ports) = extract::table(&out.value, &format!("node \"{name}\": out"), &mut self.faults) else {
+            return;
+        };
         if ports.0.is_empty() {
             let fault = Fault::new(format!("node \"{name}\": out declares no output"));
             self.faults.push(fault.at(&out.value.at, "empty").help(example));
         }
-        let outputs = ports.0.iter().map(|entry| self.port(draft, entry, schema, header));
-        draft.outputs = Some(outputs.collect());
+        let outputs = ports.0.iter().map(|entry| self.port(parsed_node, entry, schema, header));
+        parsed_node.outputs = Some(outputs.collect());
     }
 
-    fn port(&mut self, draft: &mut Draft<'_>, entry: &Entry, schema: &Json, header: &Header) -> Output {
-        let (node, name) = (draft.name, entry.key.as_str());
+    fn port(&mut self, parsed_node: &mut ParsedNode<'_>, entry: &Entry, schema: &Json, header: &Header) -> Output {
+        let (node, name) = (parsed_node.name, entry.key.as_str());
         let mut output =
             Output { name: name.into(), payload: None, exprs: FrameExpr::default(), given: PortFrames::default() };
-        if !take::is_name(name) {
+        if !extract::is_name(name) {
             let fault = Fault::new(format!("node \"{node}\": an output cannot be called {name:?}"));
             let fault = fault.at(&entry.key_at, "no name");
             self.faults.push(fault.help("a name has letters, digits, _ and - only"));
         }
         let owner = format!("node \"{node}\": out \"{name}\"");
-        let Some(table) = take::table(&entry.value, &owner, &mut self.faults) else { return output };
+        let Some(table) = extract::table(&entry.value, &owner, &mut self.faults) else { return output };
         let payload = self.payload(&owner, table, entry);
         output.payload = payload.map(PortPayload::Type);
         output.given = PortFrames {
@@ -57,17 +59,17 @@ impl Check<'_> {
             root: schema,
             owner,
             path: format!("node.{node}.out.{name}"),
-            kind: draft.kind_name(),
-            kind_at: draft.table.get("kind").map(|kind| &kind.value.at),
+            kind: parsed_node.kind_name(),
+            kind_at: parsed_node.table.get("kind").map(|kind| &kind.value.at),
             files: self.files,
             faults: Vec::new(),
             input_files: Vec::new(),
         };
         let params = walker.table(schema, table, &entry.key_at, "", &RESERVED);
         self.faults.append(&mut walker.faults);
-        draft.input_files.append(&mut walker.input_files);
+        parsed_node.input_files.append(&mut walker.input_files);
         if let (Some(payload), Some(params)) = (payload, params) {
-            draft.declared.push(DeclaredPort { name: name.into(), payload, params: Json::Object(params) });
+            parsed_node.declared.push(DeclaredPort { name: name.into(), payload, params: Json::Object(params) });
         }
         output
     }
@@ -79,7 +81,7 @@ impl Check<'_> {
             self.faults.push(fault.help("add type = \"PAYLOAD\"").note_if(list).follows());
             return None;
         };
-        let found = take::text(&ty.value, &format!("{owner}: type"), &mut self.faults)?;
+        let found = extract::text(&ty.value, &format!("{owner}: type"), &mut self.faults)?;
         let known = self.known.registry.payload_type(found);
         if known.is_none() {
             let fault = Fault::new(format!("{owner}: there is no payload type \"{found}\""));
@@ -96,7 +98,7 @@ impl Check<'_> {
 
     fn port_frame(&mut self, owner: &str, table: &Table, key: &str, header: &Header) -> Option<String> {
         let entry = table.get(key)?;
-        let frame = take::text(&entry.value, &format!("{owner}: {key}"), &mut self.faults)?;
+        let frame = extract::text(&entry.value, &format!("{owner}: {key}"), &mut self.faults)?;
         let fault = frames::unknown(frame, &entry.value.at, owner, header);
         // An invalid frame is not propagated, to avoid a fault at every node downstream.
         let known = fault.is_none().then(|| frame.to_owned());

@@ -1,7 +1,7 @@
 use super::{
     context::Check,
-    drafts::Draft,
     inputs::{self, Input, fits},
+    parsed_nodes::ParsedNode,
     wires::{self, OutputIndex},
 };
 use crate::{
@@ -12,7 +12,7 @@ use crate::{
 };
 use serde_json::Value as Json;
 
-/// The frames of every output, by draft.
+/// The frames of every output, by parsed node.
 pub(super) type Frames = Vec<Vec<PortFrames>>;
 
 /// Selects a frame of a port.
@@ -50,19 +50,19 @@ impl Check<'_> {
     /// Propagates frames along the wires and checks them against the ports' requirements.
     pub(super) fn frames(
         &mut self,
-        drafts: &[Draft<'_>],
+        parsed_nodes: &[ParsedNode<'_>],
         inputs: &[Vec<Input>],
         header: &Header,
         order: &[usize],
     ) -> Frames {
-        let mut frames: Frames = vec![Vec::new(); drafts.len()];
+        let mut frames: Frames = vec![Vec::new(); parsed_nodes.len()];
         for &node in order {
-            let draft = &drafts[node];
-            let mut at_fault = self.frame_params(draft, header);
-            let scope = Scope { draft, inputs: &inputs[node], frames: &frames };
+            let parsed_node = &parsed_nodes[node];
+            let mut at_fault = self.frame_params(parsed_node, header);
+            let scope = Scope { parsed_node, inputs: &inputs[node], frames: &frames };
             let mut reported: Vec<(&str, &str)> = Vec::new();
             for input in inputs[node].iter().filter(|input| !input.port.unused) {
-                let Some((fault, others)) = scope.meet(input, drafts) else { continue };
+                let Some((fault, others)) = scope.meet(input, parsed_nodes) else { continue };
                 at_fault = true;
                 // Two ports that refer to each other both mismatch; report only the first.
                 if !others.iter().any(|other| reported.contains(&(other, input.port.name))) {
@@ -71,7 +71,7 @@ impl Check<'_> {
                 reported.extend(others.iter().map(|other| (input.port.name, *other)));
             }
             // The outputs of a faulty node are not propagated, to avoid a fault at every node downstream.
-            let outputs = draft.outputs.iter().flatten().map(|output| {
+            let outputs = parsed_node.outputs.iter().flatten().map(|output| {
                 let frame = |given: &Option<String>, expr: Option<&str>| {
                     given.clone().or_else(|| scope.resolve(expr.filter(|_| !at_fault)?, 0))
                 };
@@ -88,11 +88,11 @@ impl Check<'_> {
     }
 
     /// Checks that parameters that name a frame name a listed one; returns whether one does not.
-    fn frame_params(&mut self, draft: &Draft<'_>, header: &Header) -> bool {
-        let Some(kind) = draft.kind else { return false };
+    fn frame_params(&mut self, parsed_node: &ParsedNode<'_>, header: &Header) -> bool {
+        let Some(kind) = parsed_node.kind else { return false };
         let before = self.faults.len();
         let ports = kind.description.inputs.iter().map(|port| port.frames);
-        let outputs = draft.outputs.iter().flatten().map(|output| output.exprs);
+        let outputs = parsed_node.outputs.iter().flatten().map(|output| output.exprs);
         let mut names: Vec<_> = ports
             .chain(outputs)
             .flat_map(|expr| [expr.frame, expr.to, expr.from])
@@ -101,8 +101,8 @@ impl Check<'_> {
         names.sort_unstable();
         names.dedup();
         for name in names {
-            let Some(entry) = draft.table.get(name) else { continue };
-            let owner = format!("node \"{}\": {name}", draft.name);
+            let Some(entry) = parsed_node.table.get(name) else { continue };
+            let owner = format!("node \"{}\": {name}", parsed_node.name);
             let frame = entry.value.as_text();
             self.faults.extend(frame.and_then(|frame| unknown(frame, &entry.value.at, &owner, header)));
         }
@@ -112,7 +112,7 @@ impl Check<'_> {
 
 /// Resolves the frame expressions of a node's ports.
 struct Scope<'a, 'd> {
-    draft: &'a Draft<'d>,
+    parsed_node: &'a ParsedNode<'d>,
     inputs: &'a [Input],
     frames: &'a Frames,
 }
@@ -124,7 +124,7 @@ impl Scope<'_, '_> {
             return Some(name.to_owned());
         }
         if let Some(parameter) = expr.strip_prefix('$') {
-            return self.draft.params.get(parameter).and_then(Json::as_str).map(str::to_owned);
+            return self.parsed_node.params.get(parameter).and_then(Json::as_str).map(str::to_owned);
         }
         let (port, which) = refers(expr);
         let input = self.inputs.iter().find(|input| input.port.name == port)?;
@@ -152,7 +152,7 @@ impl Scope<'_, '_> {
 
     /// The fault of an input whose frames differ from those its port requires, and the ports that the requirement
     /// refers to.
-    fn meet(&self, input: &Input, drafts: &[Draft<'_>]) -> Option<(Fault, Vec<&'static str>)> {
+    fn meet(&self, input: &Input, parsed_nodes: &[ParsedNode<'_>]) -> Option<(Fault, Vec<&'static str>)> {
         let exprs = [
             (Which::Frame, input.port.frames.frame),
             (Which::To, input.port.frames.to),
@@ -177,25 +177,25 @@ impl Scope<'_, '_> {
         }
         let (wire, at) = (input.from?, input.at.as_ref()?);
         let has = say(self.wired(wire)?);
-        let (node, port) = (self.draft.name, input.port.name);
+        let (node, port) = (self.parsed_node.name, input.port.name);
         let message = format!(
             "node \"{node}\": frames do not meet: input \"{port}\" {}, but \"{}\" {has}",
             need(&needed),
-            wires::name(wire, drafts)
+            wires::name(wire, parsed_nodes)
         );
         let mut fault = Fault::new(message).at(at, has);
         for expr in &differ {
             fault = self.because(expr, fault);
         }
         let others = differ.iter().map(|expr| refers(expr).0).collect();
-        Some((fault.help_if(self.others(input, &needed, wire, drafts)), others))
+        Some((fault.help_if(self.others(input, &needed, wire, parsed_nodes)), others))
     }
 
     /// Adds the place that a required frame comes from.
     fn because(&self, expr: &str, fault: Fault) -> Fault {
         if let Some(parameter) = expr.strip_prefix('$') {
             let Some(frame) = self.resolve(expr, 0) else { return fault };
-            return match self.draft.table.get(parameter) {
+            return match self.parsed_node.table.get(parameter) {
                 Some(entry) => fault.also(&entry.value.at, format!("{parameter} is {frame}")),
                 None => fault.note(format!("{parameter} is {frame} by default")),
             };
@@ -210,16 +210,22 @@ impl Scope<'_, '_> {
     }
 
     /// Lists outputs known to have the required frames.
-    fn others(&self, input: &Input, needed: &PortFrames, wire: OutputIndex, drafts: &[Draft<'_>]) -> Option<String> {
+    fn others(
+        &self,
+        input: &Input,
+        needed: &PortFrames,
+        wire: OutputIndex,
+        parsed_nodes: &[ParsedNode<'_>],
+    ) -> Option<String> {
         let agrees = |needed: &Option<String>, has: &Option<String>| needed.is_none() || needed == has;
         let mut wires = Vec::new();
         for (node, outputs) in self.frames.iter().enumerate() {
             for (port, has) in outputs.iter().enumerate().filter(|(port, _)| (node, *port) != wire) {
-                let payload = inputs::output((node, port), drafts).and_then(|output| output.payload);
+                let payload = inputs::output((node, port), parsed_nodes).and_then(|output| output.payload);
                 let all =
                     agrees(&needed.frame, &has.frame) && agrees(&needed.to, &has.to) && agrees(&needed.from, &has.from);
                 if all && payload.is_some_and(|gives| fits(&input.port.payload, &gives)) {
-                    wires.push(format!("\"{}\"", wires::name((node, port), drafts)));
+                    wires.push(format!("\"{}\"", wires::name((node, port), parsed_nodes)));
                 }
             }
         }

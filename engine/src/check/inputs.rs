@@ -1,14 +1,14 @@
 use super::{
     DEFAULT_CAPACITY, DEFAULT_MAX_BYTES,
     context::Check,
-    drafts::{Draft, Output},
-    feed::Feed,
-    trigger,
+    missing_trigger,
+    parsed_nodes::{Output, ParsedNode},
+    producers::ProducerSearch,
     wires::{self, OutputIndex},
 };
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Value, header::Header, take},
+    graph::{Entry, Value, extract, header::Header},
     names::nearest,
     plan::Policy,
 };
@@ -30,25 +30,35 @@ pub(super) struct Input {
 }
 
 impl Check<'_> {
-    /// The inputs of each draft, in the order of its kind's ports.
-    pub(super) fn inputs(&mut self, drafts: &[Draft<'_>], header: &Header) -> Vec<Vec<Input>> {
-        let inputs: Vec<_> = drafts.iter().map(|draft| self.node_inputs(draft, drafts, header)).collect();
-        for (index, draft) in drafts.iter().enumerate() {
+    /// The inputs of each parsed node, in the order of its kind's ports.
+    pub(super) fn inputs(&mut self, parsed_nodes: &[ParsedNode<'_>], header: &Header) -> Vec<Vec<Input>> {
+        let inputs: Vec<_> =
+            parsed_nodes.iter().map(|parsed_node| self.node_inputs(parsed_node, parsed_nodes, header)).collect();
+        for (index, parsed_node) in parsed_nodes.iter().enumerate() {
             let missing: Vec<_> = inputs[index].iter().filter(|i| i.at.is_none() && !i.port.optional).collect();
             for input in &missing {
-                let feed =
-                    Feed { drafts, inputs: &inputs, registry: &self.known.registry, removed: &self.names.removed };
+                let feed = ProducerSearch {
+                    parsed_nodes,
+                    inputs: &inputs,
+                    registry: &self.known.registry,
+                    removed: &self.names.removed,
+                };
                 self.faults.push(feed.missing(index, &input.port));
             }
             if missing.is_empty() {
-                self.faults.extend(trigger::never(draft, &inputs[index]));
+                self.faults.extend(missing_trigger::fault(parsed_node, &inputs[index]));
             }
         }
         inputs
     }
 
-    fn node_inputs(&mut self, draft: &Draft<'_>, drafts: &[Draft<'_>], header: &Header) -> Vec<Input> {
-        let ports = draft.kind.map_or(&[] as &[InputPort], |kind| &kind.description.inputs);
+    fn node_inputs(
+        &mut self,
+        parsed_node: &ParsedNode<'_>,
+        parsed_nodes: &[ParsedNode<'_>],
+        header: &Header,
+    ) -> Vec<Input> {
+        let ports = parsed_node.kind.map_or(&[] as &[InputPort], |kind| &kind.description.inputs);
         let blank = |port: &InputPort| Input {
             port: port.clone(),
             at: None,
@@ -59,28 +69,29 @@ impl Check<'_> {
             policy: Policy::Block,
         };
         let mut inputs: Vec<_> = ports.iter().map(blank).collect();
-        let Some(table) = draft.table.get("in") else { return inputs };
-        let Some(table) = take::table(&table.value, &format!("node \"{}\": in", draft.name), &mut self.faults) else {
+        let Some(table) = parsed_node.table.get("in") else { return inputs };
+        let Some(table) = extract::table(&table.value, &format!("node \"{}\": in", parsed_node.name), &mut self.faults)
+        else {
             // The kind is unknown, so no input can be missing.
             return Vec::new();
         };
         for entry in &table.0 {
-            let owner = format!("node \"{}\": input \"{}\"", draft.name, entry.key);
+            let owner = format!("node \"{}\": input \"{}\"", parsed_node.name, entry.key);
             let index = inputs.iter().position(|input| input.port.name == entry.key);
             let outside = outside(entry);
             let (from, from_at) = match outside.is_none().then(|| self.from(entry, &owner)).flatten() {
-                Some((text, at)) => (wires::find(text, at, &owner, drafts, &self.names, &mut self.faults), at),
+                Some((text, at)) => (wires::find(text, at, &owner, parsed_nodes, &self.names, &mut self.faults), at),
                 None => (None, &entry.value.at),
             };
             match index {
                 Some(index) => {
                     let input = &mut inputs[index];
                     (input.from, input.at, input.outside) = (from, Some(from_at.clone()), outside);
-                    self.fits(input, &owner, drafts);
-                    self.options(input, entry, &owner, drafts, header);
+                    self.fits(input, &owner, parsed_nodes);
+                    self.options(input, entry, &owner, parsed_nodes, header);
                 }
-                None if draft.kind.is_some() => {
-                    self.faults.push(no_port(draft, entry, table.keys()));
+                None if parsed_node.kind.is_some() => {
+                    self.faults.push(no_port(parsed_node, entry, table.keys()));
                     let names = ports.iter().map(|port| port.name).filter(|name| table.get(name).is_none());
                     let meant = nearest::name(&entry.key, names);
                     // An input with a misspelt name is not reported as missing too.
@@ -100,7 +111,7 @@ impl Check<'_> {
             Value::Text(text) => Some((text, &entry.value.at)),
             Value::Table(table) => match table.get("from") {
                 Some(from) => {
-                    take::text(&from.value, &format!("{owner}: from"), &mut self.faults).map(|t| (t, &from.value.at))
+                    extract::text(&from.value, &format!("{owner}: from"), &mut self.faults).map(|t| (t, &from.value.at))
                 }
                 None => {
                     let fault =
@@ -125,17 +136,17 @@ impl Check<'_> {
     }
 
     /// Checks that the producer gives what the port takes.
-    fn fits(&mut self, input: &Input, owner: &str, drafts: &[Draft<'_>]) {
+    fn fits(&mut self, input: &Input, owner: &str, parsed_nodes: &[ParsedNode<'_>]) {
         let (Some(wire), Some(at)) = (input.from, &input.at) else { return };
-        let Some(output) = output(wire, drafts) else { return };
+        let Some(output) = output(wire, parsed_nodes) else { return };
         let Some(gives) = output.payload else { return };
         if fits(&input.port.payload, &gives) {
             return;
         }
         let (takes, gives) = (input.port.payload.name(), gives.name());
-        let message = format!("{owner} takes {takes}, but \"{}\" gives {gives}", wires::name(wire, drafts));
+        let message = format!("{owner} takes {takes}, but \"{}\" gives {gives}", wires::name(wire, parsed_nodes));
         let fault = Fault::new(message).at(at, format!("gives {gives}"));
-        let help = Feed::others(&input.port.payload, wire.0, drafts);
+        let help = ProducerSearch::others(&input.port.payload, wire.0, parsed_nodes);
         self.faults.push(fault.note_if(doc_of(&input.port)).help_if(help));
     }
 }
@@ -153,8 +164,8 @@ fn outside(entry: &Entry) -> Option<String> {
 }
 
 /// The output of a wire.
-pub(super) fn output<'d>((node, port): OutputIndex, drafts: &'d [Draft<'_>]) -> Option<&'d Output> {
-    drafts[node].outputs.as_ref()?.get(port)
+pub(super) fn output<'d>((node, port): OutputIndex, parsed_nodes: &'d [ParsedNode<'_>]) -> Option<&'d Output> {
+    parsed_nodes[node].outputs.as_ref()?.get(port)
 }
 
 /// Whether a port takes the payload of an output. Types known only at run time are accepted.
@@ -168,14 +179,14 @@ pub(super) fn doc_of(port: &InputPort) -> Option<String> {
     (!text.is_empty()).then(|| format!("{}: {text}", port.name))
 }
 
-fn no_port<'a>(draft: &Draft<'_>, entry: &Entry, given: impl Iterator<Item = &'a str>) -> Fault {
-    let kind = draft.kind_name();
-    let fault = Fault::new(format!("node \"{}\": {kind} has no input \"{}\"", draft.name, entry.key));
+fn no_port<'a>(parsed_node: &ParsedNode<'_>, entry: &Entry, given: impl Iterator<Item = &'a str>) -> Fault {
+    let kind = parsed_node.kind_name();
+    let fault = Fault::new(format!("node \"{}\": {kind} has no input \"{}\"", parsed_node.name, entry.key));
     let fault = fault.at(&entry.key_at, "unknown");
-    if draft.is_source() {
+    if parsed_node.is_source() {
         return fault.help("it is a source: take in away");
     }
-    let names = || draft.kind.into_iter().flat_map(|kind| kind.description.inputs.iter().map(|port| port.name));
+    let names = || parsed_node.kind.into_iter().flat_map(|kind| kind.description.inputs.iter().map(|port| port.name));
     let given: Vec<_> = given.collect();
     let help = nearest::help(&entry.key, names().filter(|name| !given.contains(name)));
     let help = help.or_else(|| nearest::help(&entry.key, names()));

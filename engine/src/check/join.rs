@@ -1,12 +1,12 @@
 use super::{
     context::Check,
-    drafts::Draft,
     inputs::{self, Input},
+    parsed_nodes::ParsedNode,
     wires,
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, Spanned, Table, Value, grammar, header::Header, take},
+    graph::{Entry, Spanned, Table, Value, extract, grammar, header::Header},
     names::nearest,
     plan::Policy,
 };
@@ -19,22 +19,22 @@ impl Check<'_> {
         input: &mut Input,
         entry: &Entry,
         owner: &str,
-        drafts: &[Draft<'_>],
+        parsed_nodes: &[ParsedNode<'_>],
         header: &Header,
     ) {
         let Value::Table(table) = &entry.value.value else { return };
-        take::only(table, &grammar::INPUT, &format!("{owner}: an input"), &mut self.faults);
-        self.join(input, table, owner, drafts);
+        extract::only(table, &grammar::INPUT, &format!("{owner}: an input"), &mut self.faults);
+        self.join(input, table, owner, parsed_nodes);
         self.capacity(input, table, owner);
-        self.policy(input, table, owner, drafts, header);
+        self.policy(input, table, owner, parsed_nodes, header);
     }
 
-    fn join(&mut self, input: &mut Input, table: &Table, owner: &str, drafts: &[Draft<'_>]) {
+    fn join(&mut self, input: &mut Input, table: &Table, owner: &str, parsed_nodes: &[ParsedNode<'_>]) {
         let declared = input.port.join;
         let mut join = declared;
         if let Some(entry) = table.get("join") {
             let what = format!("{owner}: join");
-            let Some(found) = take::text(&entry.value, &what, &mut self.faults) else { return };
+            let Some(found) = extract::text(&entry.value, &what, &mut self.faults) else { return };
             join = match found {
                 "each" => Join::Each,
                 "latest" => Join::Latest,
@@ -45,26 +45,26 @@ impl Check<'_> {
                 "interpolate" => Join::Interpolate { max_gap_ns: None },
                 _ => return self.faults.push(not_a_word(&what, &grammar::JOINS, found, &entry.value)),
             };
-            if let Some(fault) = refuse_join(input, join, owner, &entry.value, drafts) {
+            if let Some(fault) = refuse_join(input, join, owner, &entry.value, parsed_nodes) {
                 self.faults.push(fault);
                 join = declared;
             }
         }
         let stamps = matches!(join, Join::Stamp { .. });
         if let Some(entry) = self.goes_with(table, "tolerance_ms", stamps, "stamp", owner, join)
-            && let Some(ns) = take::milliseconds(&entry.value, &format!("{owner}: tolerance_ms"), &mut self.faults)
+            && let Some(ns) = extract::milliseconds(&entry.value, &format!("{owner}: tolerance_ms"), &mut self.faults)
         {
             join = Join::Stamp { tolerance_ns: ns };
         }
         let interpolates = matches!(join, Join::Interpolate { .. });
         if let Some(entry) = self.goes_with(table, "max_gap_ms", interpolates, "interpolate", owner, join)
-            && let Some(ns) = take::milliseconds(&entry.value, &format!("{owner}: max_gap_ms"), &mut self.faults)
+            && let Some(ns) = extract::milliseconds(&entry.value, &format!("{owner}: max_gap_ms"), &mut self.faults)
         {
             join = Join::Interpolate { max_gap_ns: Some(ns) };
         }
         let collects = matches!(join, Join::Collect { .. });
         if let Some(entry) = self.goes_with(table, "n", collects, "collect", owner, join)
-            && let Some(n) = take::whole(&entry.value, &format!("{owner}: n"), 1, u32::MAX.into(), &mut self.faults)
+            && let Some(n) = extract::whole(&entry.value, &format!("{owner}: n"), 1, u32::MAX.into(), &mut self.faults)
         {
             join = Join::Collect { n: u32::try_from(n).ok() };
         }
@@ -93,16 +93,23 @@ impl Check<'_> {
     fn capacity(&mut self, input: &mut Input, table: &Table, owner: &str) {
         if let Some(entry) = table.get("capacity") {
             let most = u64::try_from(usize::MAX / 2).unwrap_or(u64::MAX);
-            let n = take::whole(&entry.value, &format!("{owner}: capacity"), 1, most, &mut self.faults);
+            let n = extract::whole(&entry.value, &format!("{owner}: capacity"), 1, most, &mut self.faults);
             input.capacity = n.and_then(|n| usize::try_from(n).ok()).unwrap_or(input.capacity);
         }
         if let Some(entry) = table.get("max_bytes") {
-            let n = take::bytes(&entry.value, &format!("{owner}: max_bytes"), &mut self.faults);
+            let n = extract::bytes(&entry.value, &format!("{owner}: max_bytes"), &mut self.faults);
             input.max_bytes = n.unwrap_or(input.max_bytes);
         }
     }
 
-    fn policy(&mut self, input: &mut Input, table: &Table, owner: &str, drafts: &[Draft<'_>], header: &Header) {
+    fn policy(
+        &mut self,
+        input: &mut Input,
+        table: &Table,
+        owner: &str,
+        parsed_nodes: &[ParsedNode<'_>],
+        header: &Header,
+    ) {
         let every = table.get("every");
         let named = table.get("policy");
         let Some(entry) = named else {
@@ -113,9 +120,9 @@ impl Check<'_> {
             return;
         };
         let what = format!("{owner}: policy");
-        let Some(found) = take::text(&entry.value, &what, &mut self.faults) else { return };
-        let n =
-            every.and_then(|e| take::whole(&e.value, &format!("{owner}: every"), 1, u32::MAX.into(), &mut self.faults));
+        let Some(found) = extract::text(&entry.value, &what, &mut self.faults) else { return };
+        let n = every
+            .and_then(|e| extract::whole(&e.value, &format!("{owner}: every"), 1, u32::MAX.into(), &mut self.faults));
         input.policy = match found {
             "block" => Policy::Block,
             "drop_old" => Policy::DropOld,
@@ -136,7 +143,7 @@ impl Check<'_> {
             let message = format!("{owner}: every goes with policy = \"sample\", but the policy is \"{found}\"");
             self.faults.push(Fault::new(message).at(&every.key_at, "only with policy = \"sample\""));
         }
-        let Some(producer) = input.from.map(|(node, _)| &drafts[node]) else { return };
+        let Some(producer) = input.from.map(|(node, _)| &parsed_nodes[node]) else { return };
         let live = producer.role().is_none_or(|role| role == Role::LiveSource);
         if input.policy != Policy::Block && !live && !header.lossy {
             let message = format!("{owner} may lose items, but \"{}\" is no live source", producer.name);
@@ -155,7 +162,13 @@ fn not_a_word(what: &str, words: &[&str], found: &str, value: &Spanned) -> Fault
 }
 
 /// The fault if the port or its producer does not support the join.
-fn refuse_join(input: &Input, join: Join, owner: &str, value: &Spanned, drafts: &[Draft<'_>]) -> Option<Fault> {
+fn refuse_join(
+    input: &Input,
+    join: Join,
+    owner: &str,
+    value: &Spanned,
+    parsed_nodes: &[ParsedNode<'_>],
+) -> Option<Fault> {
     let (many, collects) = (matches!(input.port.join, Join::Collect { .. }), matches!(join, Join::Collect { .. }));
     if many != collects {
         let declared = input.port.join.name();
@@ -167,9 +180,9 @@ fn refuse_join(input: &Input, join: Join, owner: &str, value: &Spanned, drafts: 
     if !matches!(join, Join::Interpolate { .. }) {
         return None;
     }
-    let gives = input.from.and_then(|wire| Some((wire, inputs::output(wire, drafts)?.payload?)));
+    let gives = input.from.and_then(|wire| Some((wire, inputs::output(wire, parsed_nodes)?.payload?)));
     let (name, payload) = match gives {
-        Some((wire, payload)) => (wires::name(wire, drafts), payload),
+        Some((wire, payload)) => (wires::name(wire, parsed_nodes), payload),
         None => (input.port.name.to_owned(), input.port.payload),
     };
     match payload {

@@ -1,7 +1,7 @@
 use super::{
     context::Check,
-    drafts::Draft,
     inputs::{self, Input},
+    parsed_nodes::ParsedNode,
     wires,
 };
 use crate::{
@@ -87,7 +87,7 @@ pub struct ModuleParam {
 
 impl Check<'_> {
     /// Checks that the outputs that modules declare are wires of theirs.
-    pub(super) fn check_outputs(&mut self, graph: &Graph, drafts: &[Draft<'_>]) {
+    pub(super) fn check_outputs(&mut self, graph: &Graph, parsed_nodes: &[ParsedNode<'_>]) {
         let used = graph.modules.iter().flat_map(|module| {
             let outputs = module.outputs.iter().flatten();
             outputs.map(|(name, wire, at)| (format!("output \"{name}\" of module \"{}\"", module.node), wire, at))
@@ -97,17 +97,22 @@ impl Check<'_> {
             (format!("module output \"{}\"", output_decl.name), &output_decl.from, &output_decl.from_at)
         });
         for (owner, wire, at) in used.chain(own) {
-            wires::find(wire, at, &owner, drafts, &self.names, &mut self.faults);
+            wires::find(wire, at, &owner, parsed_nodes, &self.names, &mut self.faults);
         }
     }
 
     /// Checks that all ports fed by an input of the module take the same type.
-    pub(super) fn check_inputs(&mut self, interface: &Interface, drafts: &[Draft<'_>], inputs: &[Vec<Input>]) {
+    pub(super) fn check_inputs(
+        &mut self,
+        interface: &Interface,
+        parsed_nodes: &[ParsedNode<'_>],
+        inputs: &[Vec<Input>],
+    ) {
         for input_decl in &interface.inputs {
             let mut first: Option<(&'static str, String)> = None;
-            for (draft, input) in fed_by(&input_decl.name, drafts, inputs) {
+            for (parsed_node, input) in fed_by(&input_decl.name, parsed_nodes, inputs) {
                 let PortPayload::Type(ty) = input.port.payload else { continue };
-                let port = format!("{}.{}", draft.name, input.port.name);
+                let port = format!("{}.{}", parsed_node.name, input.port.name);
                 match &first {
                     None => first = Some((ty.name, port)),
                     Some((name, other)) if *name != ty.name => {
@@ -134,10 +139,13 @@ impl Check<'_> {
 
 fn fed_by<'a, 'd>(
     input_decl: &str,
-    drafts: &'a [Draft<'d>],
+    parsed_nodes: &'a [ParsedNode<'d>],
     inputs: &'a [Vec<Input>],
-) -> impl Iterator<Item = (&'a Draft<'d>, &'a Input)> {
-    let all = drafts.iter().zip(inputs).flat_map(|(draft, inputs)| inputs.iter().map(move |input| (draft, input)));
+) -> impl Iterator<Item = (&'a ParsedNode<'d>, &'a Input)> {
+    let all = parsed_nodes
+        .iter()
+        .zip(inputs)
+        .flat_map(|(parsed_node, inputs)| inputs.iter().map(move |input| (parsed_node, input)));
     all.filter(move |(_, input)| input.outside.as_deref() == Some(input_decl))
 }
 
@@ -145,13 +153,13 @@ fn fed_by<'a, 'd>(
 pub(super) fn describe(
     interface: &Interface,
     name: &str,
-    drafts: &[Draft<'_>],
+    parsed_nodes: &[ParsedNode<'_>],
     inputs: &[Vec<Input>],
     names: &wires::Names,
 ) -> ModuleDescription {
     let or = |own: &str, other: Option<String>| if own.is_empty() { other.unwrap_or_default() } else { own.into() };
     let input = |input_decl: &crate::graph::InputDecl| {
-        let ports: Vec<_> = fed_by(&input_decl.name, drafts, inputs).map(|(_, input)| input).collect();
+        let ports: Vec<_> = fed_by(&input_decl.name, parsed_nodes, inputs).map(|(_, input)| input).collect();
         let mut joins: Vec<_> = ports.iter().map(|input| input.port.join.name()).collect();
         joins.dedup();
         ModuleInput {
@@ -167,12 +175,12 @@ pub(super) fn describe(
         let wire = names.flat(&output_decl.from, &output_decl.from_at, "", &mut Vec::new());
         let wire = wire.and_then(|wire| {
             let (node, port) = wire.rsplit_once('.')?;
-            let index = drafts.iter().position(|draft| draft.name == node)?;
-            let port = drafts[index].outputs.as_ref()?.iter().position(|output| output.name == port)?;
+            let index = parsed_nodes.iter().position(|parsed_node| parsed_node.name == node)?;
+            let port = parsed_nodes[index].outputs.as_ref()?.iter().position(|output| output.name == port)?;
             Some((index, port))
         });
-        let payload = wire.and_then(|wire| inputs::output(wire, drafts)?.payload);
-        let doc = wire.and_then(|(node, port)| match &drafts[node].kind?.description.outputs {
+        let payload = wire.and_then(|wire| inputs::output(wire, parsed_nodes)?.payload);
+        let doc = wire.and_then(|(node, port)| match &parsed_nodes[node].kind?.description.outputs {
             osteoflow_node::OutputPorts::Fixed(ports) => Some(one_line(ports.get(port)?.doc)),
             osteoflow_node::OutputPorts::Declared { .. } => None,
         });
@@ -186,14 +194,14 @@ pub(super) fn describe(
     let param = |param_decl: &crate::graph::ParamDecl| {
         let property = param_decl.to.first().and_then(|(to, _)| {
             let (node, key) = to.split_once('.')?;
-            let draft = drafts.iter().find(|draft| draft.name == node)?;
-            draft.kind?.description.params.get("properties")?.get(key)
+            let parsed_node = parsed_nodes.iter().find(|parsed_node| parsed_node.name == node)?;
+            parsed_node.kind?.description.params.get("properties")?.get(key)
         });
         let doc = property.and_then(|property| Some(one_line(property.get("description")?.as_str()?)));
         let inner_default = param_decl.to.first().and_then(|(to, _)| {
             let (node, key) = to.split_once('.')?;
-            let draft = drafts.iter().find(|draft| draft.name == node)?;
-            if key == "kind" { Some(draft.kind_name().into()) } else { draft.params.get(key).cloned() }
+            let parsed_node = parsed_nodes.iter().find(|parsed_node| parsed_node.name == node)?;
+            if key == "kind" { Some(parsed_node.kind_name().into()) } else { parsed_node.params.get(key).cloned() }
         });
         let default =
             if param_decl.required { None } else { param_decl.default.as_ref().map(|d| d.to_json()).or(inner_default) };
@@ -211,7 +219,10 @@ pub(super) fn describe(
         inputs: interface.inputs.iter().map(input).collect(),
         outputs: interface.outputs.iter().map(output).collect(),
         params: interface.params.iter().map(param).collect(),
-        nodes: drafts.iter().map(|draft| (draft.name.to_owned(), draft.kind_name().to_owned())).collect(),
+        nodes: parsed_nodes
+            .iter()
+            .map(|parsed_node| (parsed_node.name.to_owned(), parsed_node.kind_name().to_owned()))
+            .collect(),
     }
 }
 

@@ -1,13 +1,13 @@
-use super::{context::Check, drafts::Draft, inputs::Input, wires};
+use super::{context::Check, inputs::Input, parsed_nodes::ParsedNode, wires};
 use crate::fault::{Fault, Span};
 use petgraph::{algo::tarjan_scc, graph::DiGraph};
 use std::collections::{BTreeSet, VecDeque};
 
 impl Check<'_> {
-    /// The drafts in topological order, ties broken by the order of the file; faults for cycles.
-    pub(super) fn order(&mut self, drafts: &[Draft<'_>], inputs: &[Vec<Input>]) -> Option<Vec<usize>> {
+    /// The parsed nodes in topological order, ties broken by the order of the file; faults for cycles.
+    pub(super) fn order(&mut self, parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>]) -> Option<Vec<usize>> {
         let mut graph = DiGraph::<(), ()>::new();
-        let nodes: Vec<_> = drafts.iter().map(|_| graph.add_node(())).collect();
+        let nodes: Vec<_> = parsed_nodes.iter().map(|_| graph.add_node(())).collect();
         for (to, inputs) in inputs.iter().enumerate() {
             for (from, _) in inputs.iter().filter_map(|input| input.from) {
                 graph.add_edge(nodes[from], nodes[to], ());
@@ -21,7 +21,7 @@ impl Check<'_> {
             }
         }
         circles.sort();
-        self.faults.extend(circles.iter().filter_map(|members| cycle(members, drafts, inputs)));
+        self.faults.extend(circles.iter().filter_map(|members| cycle(members, parsed_nodes, inputs)));
         circles.is_empty().then(|| sort(inputs))
     }
 }
@@ -45,13 +45,13 @@ fn sort(inputs: &[Vec<Input>]) -> Vec<usize> {
 }
 
 /// The fault of the shortest cycle through the first of `members`; it names all nodes of the cycle.
-fn cycle(members: &BTreeSet<usize>, drafts: &[Draft<'_>], inputs: &[Vec<Input>]) -> Option<Fault> {
+fn cycle(members: &BTreeSet<usize>, parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>]) -> Option<Fault> {
     let &start = members.first()?;
     let wire = |from: usize, to: usize| -> Option<(&Span, String)> {
         let input = inputs[to].iter().find(|input| input.from.is_some_and(|(node, _)| node == from))?;
-        Some((input.at.as_ref()?, wires::name(input.from?, drafts)))
+        Some((input.at.as_ref()?, wires::name(input.from?, parsed_nodes)))
     };
-    let mut before: Vec<Option<usize>> = vec![None; drafts.len()];
+    let mut before: Vec<Option<usize>> = vec![None; parsed_nodes.len()];
     let mut open = VecDeque::from([start]);
     let last = 'search: loop {
         let node = open.pop_front()?;
@@ -70,7 +70,7 @@ fn cycle(members: &BTreeSet<usize>, drafts: &[Draft<'_>], inputs: &[Vec<Input>])
         path.push(before[path[path.len() - 1]]?);
     }
     path.reverse();
-    let names: Vec<_> = path.iter().chain([&start]).map(|&node| drafts[node].name).collect();
+    let names: Vec<_> = path.iter().chain([&start]).map(|&node| parsed_nodes[node].name).collect();
     let (at, from) = wire(last, start)?;
     let mut fault = Fault::new(format!("wires go in a cycle: {}", names.join(" -> ")));
     fault = fault.at(at, format!("\"{from}\" closes the cycle"));

@@ -1,11 +1,11 @@
 use super::{
     context::Check,
-    drafts::Draft,
+    parsed_nodes::ParsedNode,
     wires::{self, OutputIndex},
 };
 use crate::{
     fault::Fault,
-    graph::{Graph, Module, Value, grammar, take},
+    graph::{Graph, Module, Value, extract, grammar},
     names::{glob, nearest},
     plan::{RecordSettings, Sources},
 };
@@ -13,7 +13,7 @@ use osteoflow_container::Compression;
 
 /// The contents of `[record]`.
 pub(super) struct Record {
-    /// The wires, in the order of the drafts and their ports.
+    /// The wires, in the order of the parsed nodes and their ports.
     pub(super) wires: Vec<OutputIndex>,
     pub(super) settings: RecordSettings,
 }
@@ -21,13 +21,13 @@ pub(super) struct Record {
 impl Check<'_> {
     /// The wires to record: those of the sources, unless `sources` disables them, and those that match a pattern of
     /// `wires`.
-    pub(super) fn record(&mut self, graph: &Graph, drafts: &[Draft<'_>]) -> Record {
+    pub(super) fn record(&mut self, graph: &Graph, parsed_nodes: &[ParsedNode<'_>]) -> Record {
         let mut sources = true;
         let mut settings = RecordSettings::default();
         let mut patterns = Vec::new();
-        let table = graph.table.get("record").and_then(|e| take::table(&e.value, "record", &mut self.faults));
+        let table = graph.table.get("record").and_then(|e| extract::table(&e.value, "record", &mut self.faults));
         if let Some(table) = table {
-            take::only(table, &grammar::RECORD, "[record]", &mut self.faults);
+            extract::only(table, &grammar::RECORD, "[record]", &mut self.faults);
             if let Some(entry) = table.get("sources") {
                 match &entry.value.value {
                     Value::Bool(recorded) => sources = *recorded,
@@ -43,7 +43,7 @@ impl Check<'_> {
             }
             if let Some(entry) = table.get("compression") {
                 let ways = Compression::ALL.map(|way| format!("\"{}\"", way.name())).join(", ");
-                match take::text(&entry.value, "compression", &mut self.faults).map(Compression::from_name) {
+                match extract::text(&entry.value, "compression", &mut self.faults).map(Compression::from_name) {
                     Some(Some(way)) => settings.compression = way,
                     Some(None) => {
                         let message = format!("compression takes one of {ways}, found {}", entry.value.found());
@@ -53,7 +53,7 @@ impl Check<'_> {
                 }
             }
             if let Some(entry) = table.get("views") {
-                settings.views = take::boolean(&entry.value, "views", &mut self.faults).unwrap_or(true);
+                settings.views = extract::boolean(&entry.value, "views", &mut self.faults).unwrap_or(true);
             }
             if let Some(entry) = table.get("wires") {
                 match &entry.value.value {
@@ -67,20 +67,20 @@ impl Check<'_> {
             }
         }
         let mut all: Vec<OutputIndex> = Vec::new();
-        for (node, draft) in drafts.iter().enumerate() {
-            all.extend((0..draft.outputs.as_ref().map_or(0, Vec::len)).map(|port| (node, port)));
+        for (node, parsed_node) in parsed_nodes.iter().enumerate() {
+            all.extend((0..parsed_node.outputs.as_ref().map_or(0, Vec::len)).map(|port| (node, port)));
         }
         // The items of a live source are in no file and cannot be read again.
         let live = |node: usize| {
-            settings.sources == Sources::Hashes && drafts[node].role() == Some(osteoflow_node::Role::LiveSource)
+            settings.sources == Sources::Hashes && parsed_nodes[node].role() == Some(osteoflow_node::Role::LiveSource)
         };
         let mut chosen: Vec<bool> =
-            all.iter().map(|(node, _)| live(*node) || (sources && drafts[*node].is_source())).collect();
+            all.iter().map(|(node, _)| live(*node) || (sources && parsed_nodes[*node].is_source())).collect();
         for pattern in patterns {
-            let Some(text) = take::text(pattern, "wires", &mut self.faults) else { continue };
+            let Some(text) = extract::text(pattern, "wires", &mut self.faults) else { continue };
             let mut any = false;
             for (wire, chosen) in all.iter().zip(&mut chosen) {
-                if glob::fits(text, &wires::name(*wire, drafts)) {
+                if glob::fits(text, &wires::name(*wire, parsed_nodes)) {
                     (any, *chosen) = (true, true);
                 }
             }
@@ -93,7 +93,7 @@ impl Check<'_> {
                     }
                     // Faults of the module's own outputs are reported at the module.
                     let wire = self.names.flat(&alias, at, "", &mut Vec::new());
-                    let wire = wire.and_then(|wire| all.iter().position(|w| wires::name(*w, drafts) == wire));
+                    let wire = wire.and_then(|wire| all.iter().position(|w| wires::name(*w, parsed_nodes) == wire));
                     any = true;
                     if let Some(index) = wire {
                         chosen[index] = true;
@@ -102,7 +102,9 @@ impl Check<'_> {
             }
             // The node has a fault, so its outputs are unknown.
             let node = text.split('.').next().unwrap_or(text);
-            let unknown = drafts.iter().any(|draft| draft.outputs.is_none() && glob::fits(node, draft.name));
+            let unknown = parsed_nodes
+                .iter()
+                .any(|parsed_node| parsed_node.outputs.is_none() && glob::fits(node, parsed_node.name));
             let unknown =
                 unknown || self.names.modules.iter().any(|m| m.outputs.is_none() && glob::fits(node, &m.node));
             if !any && !unknown {
@@ -110,15 +112,17 @@ impl Check<'_> {
                 let outputs = |m: &Module| -> Vec<String> {
                     m.outputs.iter().flatten().map(|(name, ..)| format!("{}.{name}", m.node)).collect()
                 };
-                let names = all.iter().map(|wire| wires::name(*wire, drafts));
+                let names = all.iter().map(|wire| wires::name(*wire, parsed_nodes));
                 let names: Vec<_> = names.chain(self.names.modules.iter().flat_map(outputs)).collect();
-                let of_node = drafts.iter().any(|draft| draft.name == text) || self.names.module(text).is_some();
+                let of_node = parsed_nodes.iter().any(|parsed_node| parsed_node.name == text)
+                    || self.names.module(text).is_some();
                 let help = of_node.then(|| format!("write \"{text}.*\" for all outputs of the node"));
                 let help = help.or_else(|| nearest::help(text, names.iter().map(String::as_str)));
                 let help = help.or_else(|| {
                     let (node, rest) = text.split_once('.')?;
                     let modules = self.names.modules.iter().map(|module| module.node.as_str());
-                    let near = nearest::name(node, drafts.iter().map(|draft| draft.name).chain(modules))?;
+                    let near =
+                        nearest::name(node, parsed_nodes.iter().map(|parsed_node| parsed_node.name).chain(modules))?;
                     Some(format!("did you mean \"{near}.{rest}\"?"))
                 });
                 self.faults.push(fault.at(&pattern.at, "fits no wire").help_if(help).follows());

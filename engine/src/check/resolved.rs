@@ -1,6 +1,6 @@
 //! Writes the resolved graph as the text of a graph file.
 
-use super::{assemble::Net, drafts::Draft, inputs::Input, wires};
+use super::{assemble::Net, inputs::Input, parsed_nodes::ParsedNode, wires};
 use crate::plan::{OnError, Policy, PortFrames, RecordSettings, Sources};
 use osteoflow_node::Join;
 use serde_json::Value as Json;
@@ -23,8 +23,8 @@ pub(super) fn text(net: &Net<'_>) -> String {
     if net.header.lossy {
         line(&mut out, "lossy = true");
     }
-    for (draft, inputs) in net.drafts.iter().zip(&net.inputs) {
-        node(&mut out, draft, inputs, &net.drafts);
+    for (parsed_node, inputs) in net.parsed_nodes.iter().zip(&net.inputs) {
+        node(&mut out, parsed_node, inputs, &net.parsed_nodes);
     }
     line(&mut out, "\n[record]");
     // Every wire is listed, including those of sources.
@@ -32,11 +32,11 @@ pub(super) fn text(net: &Net<'_>) -> String {
     line(&mut out, if sources == Sources::Hashes { "sources = \"hash\"" } else { "sources = false" });
     line(&mut out, &format!("compression = {}", quote(compression.name())));
     line(&mut out, &format!("views = {views}"));
-    let wires = net.record.wires.iter().map(|wire| quote(&wires::name(*wire, &net.drafts)));
+    let wires = net.record.wires.iter().map(|wire| quote(&wires::name(*wire, &net.parsed_nodes)));
     line(&mut out, &format!("wires = {}", list(wires)));
     line(&mut out, "\n[results]");
     for result in &net.results {
-        let mut parts = vec![format!("from = {}", quote(&wires::name(result.from, &net.drafts)))];
+        let mut parts = vec![format!("from = {}", quote(&wires::name(result.from, &net.parsed_nodes)))];
         parts.extend(result.all.then(|| "all = true".into()));
         parts.extend(result.optional.then(|| "optional = true".into()));
         line(&mut out, &format!("{} = {{ {} }}", quote(&result.key), parts.join(", ")));
@@ -44,18 +44,18 @@ pub(super) fn text(net: &Net<'_>) -> String {
     out
 }
 
-fn node(out: &mut String, draft: &Draft<'_>, inputs: &[Input], drafts: &[Draft<'_>]) {
-    line(out, &format!("\n[node.{}]", bare(draft.name)));
-    line(out, &format!("kind = {}", quote(draft.kind_name())));
-    if draft.on_error == OnError::Skip {
+fn node(out: &mut String, parsed_node: &ParsedNode<'_>, inputs: &[Input], parsed_nodes: &[ParsedNode<'_>]) {
+    line(out, &format!("\n[node.{}]", bare(parsed_node.name)));
+    line(out, &format!("kind = {}", quote(parsed_node.kind_name())));
+    if parsed_node.on_error == OnError::Skip {
         line(out, "on_error = \"skip\"");
     }
     for input in inputs {
         if let Some(wire) = input.from {
-            line(out, &format!("in.{} = {}", input.port.name, wired(input, &wires::name(wire, drafts))));
+            line(out, &format!("in.{} = {}", input.port.name, wired(input, &wires::name(wire, parsed_nodes))));
         }
     }
-    for (output, port) in draft.outputs.iter().flatten().zip(draft.declared.iter()) {
+    for (output, port) in parsed_node.outputs.iter().flatten().zip(parsed_node.declared.iter()) {
         let mut parts = vec![format!("type = {}", quote(port.payload.name))];
         let PortFrames { frame, to, from } = &output.given;
         for (key, frame) in [("frame", frame), ("to", to), ("from", from)] {
@@ -64,7 +64,7 @@ fn node(out: &mut String, draft: &Draft<'_>, inputs: &[Input], drafts: &[Draft<'
         parts.extend(pairs(&port.params));
         line(out, &format!("out.{} = {{ {} }}", port.name, parts.join(", ")));
     }
-    for pair in pairs(&draft.params) {
+    for pair in pairs(&parsed_node.params) {
         line(out, &pair);
     }
 }
@@ -122,7 +122,7 @@ fn list(items: impl Iterator<Item = String>) -> String {
 }
 
 fn bare(key: &str) -> String {
-    if crate::graph::take::is_name(key) { key.into() } else { quote(key) }
+    if crate::graph::extract::is_name(key) { key.into() } else { quote(key) }
 }
 
 /// A TOML basic string: JSON escapes, and additionally the control character that JSON leaves unescaped.

@@ -1,11 +1,11 @@
 use super::{
     context::Check,
-    drafts::Draft,
+    parsed_nodes::ParsedNode,
     wires::{self, OutputIndex},
 };
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Graph, Value, grammar, take},
+    graph::{Entry, Graph, Value, extract, grammar},
 };
 
 /// The key that the engine writes when a run is refused.
@@ -22,13 +22,13 @@ pub(super) struct Result {
 
 impl Check<'_> {
     /// Reads `[results]`, in the order of the file.
-    pub(super) fn results(&mut self, graph: &Graph, drafts: &[Draft<'_>]) -> Vec<Result> {
+    pub(super) fn results(&mut self, graph: &Graph, parsed_nodes: &[ParsedNode<'_>]) -> Vec<Result> {
         let Some(entry) = graph.table.get("results") else { return Vec::new() };
-        let Some(table) = take::table(&entry.value, "results", &mut self.faults) else { return Vec::new() };
+        let Some(table) = extract::table(&entry.value, "results", &mut self.faults) else { return Vec::new() };
         for (index, entry) in table.0.iter().enumerate() {
             self.key(entry, &table.0[..index]);
         }
-        table.0.iter().filter_map(|entry| self.result(entry, drafts)).collect()
+        table.0.iter().filter_map(|entry| self.result(entry, parsed_nodes)).collect()
     }
 
     fn key(&mut self, entry: &Entry, before: &[Entry]) {
@@ -51,16 +51,16 @@ impl Check<'_> {
         }
     }
 
-    fn result(&mut self, entry: &Entry, drafts: &[Draft<'_>]) -> Option<Result> {
+    fn result(&mut self, entry: &Entry, parsed_nodes: &[ParsedNode<'_>]) -> Option<Result> {
         let owner = format!("result \"{}\"", entry.key);
         let (mut all, mut optional) = (false, false);
         let from = match &entry.value.value {
             Value::Table(table) => {
-                take::only(table, &grammar::RESULT, &owner, &mut self.faults);
+                extract::only(table, &grammar::RESULT, &owner, &mut self.faults);
                 for (key, slot) in [("all", &mut all), ("optional", &mut optional)] {
                     let value = table.get(key);
                     let value =
-                        value.and_then(|e| take::boolean(&e.value, &format!("{owner}: {key}"), &mut self.faults));
+                        value.and_then(|e| extract::boolean(&e.value, &format!("{owner}: {key}"), &mut self.faults));
                     *slot = value.unwrap_or(false);
                 }
                 let Some(from) = table.get("from") else {
@@ -78,8 +78,8 @@ impl Check<'_> {
                 return None;
             }
         };
-        let text = take::text(from, &format!("{owner}: from"), &mut self.faults)?;
-        let from = wires::find(text, &from.at, &owner, drafts, &self.names, &mut self.faults)?;
+        let text = extract::text(from, &format!("{owner}: from"), &mut self.faults)?;
+        let from = wires::find(text, &from.at, &owner, parsed_nodes, &self.names, &mut self.faults)?;
         Some(Result { key: entry.key.clone(), key_at: entry.key_at.clone(), from, all, optional })
     }
 }

@@ -10,7 +10,7 @@ pub use spec::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, 
 
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Spanned, Table, Value, grammar, take},
+    graph::{Entry, Spanned, Table, Value, extract, grammar},
     names::nearest,
 };
 
@@ -28,7 +28,7 @@ pub(crate) fn read(table: &Table, faults: &mut Vec<Fault>) -> Option<Spec> {
     let entry = table.get("sweep")?;
     let results = table.get("results").and_then(|entry| entry.value.as_table());
     let results = results.into_iter().flat_map(Table::keys).map(str::to_owned).collect();
-    let table = take::table(&entry.value, "sweep", faults)?;
+    let table = extract::table(&entry.value, "sweep", faults)?;
     Reader { at: &entry.key_at, faults }.spec(table, results)
 }
 
@@ -40,11 +40,12 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn spec(&mut self, table: &Table, mut results: Vec<String>) -> Option<Spec> {
         let before = self.faults.len();
-        take::only(table, &grammar::SWEEP, "[sweep]", self.faults);
+        extract::only(table, &grammar::SWEEP, "[sweep]", self.faults);
         let repeat = table.get("repeat").map_or(Some(1), |entry| {
-            take::whole(&entry.value, "repeat", 1, MAX_RUNS as u64, self.faults).map(|n| n as usize)
+            extract::whole(&entry.value, "repeat", 1, MAX_RUNS as u64, self.faults).map(|n| n as usize)
         });
-        let same_seed = table.get("same_seed").and_then(|entry| take::boolean(&entry.value, "same_seed", self.faults));
+        let same_seed =
+            table.get("same_seed").and_then(|entry| extract::boolean(&entry.value, "same_seed", self.faults));
         let same_seed = same_seed.unwrap_or(false);
         let factors = self.tables(table, "factor", Self::factor);
         let draws = self.tables(table, "draw", Self::draw);
@@ -84,7 +85,7 @@ impl Reader<'_> {
 
     fn tables<T>(&mut self, table: &Table, key: &str, read: fn(&mut Self, &Entry) -> Option<T>) -> Vec<T> {
         let Some(entry) = table.get(key) else { return Vec::new() };
-        let Some(inner) = take::table(&entry.value, &format!("sweep.{key}"), self.faults) else { return Vec::new() };
+        let Some(inner) = extract::table(&entry.value, &format!("sweep.{key}"), self.faults) else { return Vec::new() };
         inner.0.iter().filter_map(|entry| read(self, entry)).collect()
     }
 
@@ -94,7 +95,7 @@ impl Reader<'_> {
         for key in ["factor", "draw", "columns"] {
             let entries = table.get(key).and_then(|entry| entry.value.as_table()).into_iter().flat_map(|t| &t.0);
             for entry in entries {
-                if OWN.contains(&entry.key.as_str()) || !take::is_name(&entry.key) {
+                if OWN.contains(&entry.key.as_str()) || !extract::is_name(&entry.key) {
                     let message = format!("a column of the sweep cannot be called \"{}\"", entry.key);
                     let help = "take letters, digits, _ and -, and none of the names that every table has: run, seed, \
                                 status, reason, measure, point, axis, value";
@@ -113,9 +114,10 @@ impl Reader<'_> {
     fn keys(&mut self, table: &Table, owner: &str, needed: bool) -> Vec<String> {
         let (one, many) = (table.get("key"), table.get("keys"));
         match (one, many) {
-            (Some(entry), None) => {
-                take::text(&entry.value, &format!("{owner}: key"), self.faults).map(str::to_owned).into_iter().collect()
-            }
+            (Some(entry), None) => extract::text(&entry.value, &format!("{owner}: key"), self.faults)
+                .map(str::to_owned)
+                .into_iter()
+                .collect(),
             (None, Some(entry)) => self.texts(&entry.value, &format!("{owner}: keys")),
             (Some(_), Some(second)) => {
                 self.fault(&second.key_at, format!("{owner} has key and keys"), "the second", "keep one of them");
@@ -142,26 +144,26 @@ impl Reader<'_> {
             self.faults.push(Fault::new(message).at(&value.at, "a list is needed"));
             return Vec::new();
         };
-        items.iter().filter_map(|item| take::text(item, what, self.faults).map(str::to_owned)).collect()
+        items.iter().filter_map(|item| extract::text(item, what, self.faults).map(str::to_owned)).collect()
     }
 
     fn column(&mut self, entry: &Entry) -> Option<Column> {
-        let path = take::text(&entry.value, &format!("column \"{}\"", entry.key), self.faults)?;
+        let path = extract::text(&entry.value, &format!("column \"{}\"", entry.key), self.faults)?;
         Some(Column { name: entry.key.clone(), path: path.into() })
     }
 
     fn points(&mut self, entry: &Entry) -> Option<PointColumn> {
         let owner = format!("points \"{}\"", entry.key);
-        let table = take::table(&entry.value, &owner, self.faults)?;
-        take::only(table, &grammar::POINTS, &owner, self.faults);
+        let table = extract::table(&entry.value, &owner, self.faults)?;
+        extract::only(table, &grammar::POINTS, &owner, self.faults);
         let Some(from) = table.get("from") else {
             let help = "add from = \"metrics.tre_true_mm.points\", a list in results.json";
             self.fault(&entry.key_at, format!("{owner} does not say its list"), "no from", help);
             return None;
         };
-        let path = take::text(&from.value, &format!("{owner}: from"), self.faults)?.to_owned();
+        let path = extract::text(&from.value, &format!("{owner}: from"), self.faults)?.to_owned();
         let label = match table.get("name") {
-            Some(entry) => take::text(&entry.value, &format!("{owner}: name"), self.faults)?.to_owned(),
+            Some(entry) => extract::text(&entry.value, &format!("{owner}: name"), self.faults)?.to_owned(),
             None => "name".into(),
         };
         let axes = match table.get("axes") {
@@ -248,7 +250,7 @@ impl Reader<'_> {
 
     fn numbers(&mut self, entry: Option<&Entry>, what: &str, columns: &[Column]) -> Vec<(String, f64)> {
         let Some(entry) = entry else { return Vec::new() };
-        let Some(table) = take::table(&entry.value, what, self.faults) else { return Vec::new() };
+        let Some(table) = extract::table(&entry.value, what, self.faults) else { return Vec::new() };
         let mut out = Vec::new();
         for entry in &table.0 {
             let number = match entry.value.value {
@@ -290,10 +292,10 @@ impl Reader<'_> {
     }
 
     fn compare(&mut self, value: &Spanned, factors: &[Factor], columns: &[Column]) -> Option<Compare> {
-        let table = take::table(value, "compare", self.faults)?;
-        take::only(table, &grammar::COMPARE, "sweep.compare", self.faults);
+        let table = extract::table(value, "compare", self.faults)?;
+        extract::only(table, &grammar::COMPARE, "sweep.compare", self.faults);
         let margins = self.numbers(table.get("margin"), "margin", columns);
-        let name = table.get("factor").and_then(|e| take::text(&e.value, "compare: factor", self.faults));
+        let name = table.get("factor").and_then(|e| extract::text(&e.value, "compare: factor", self.faults));
         let factor = name.and_then(|name| factors.iter().find(|factor| factor.name == name));
         let Some(factor) = factor else {
             self.fault(&value.at, "compare needs the name of a factor", "no factor", "add factor = \"icp\"");

@@ -1,6 +1,6 @@
 //! Resolves wire names such as `crop.cloud`.
 
-use super::drafts::Draft;
+use super::parsed_nodes::ParsedNode;
 use crate::{
     fault::{Fault, Span},
     graph::{Module, Removed},
@@ -45,7 +45,7 @@ impl Names {
     }
 }
 
-/// The index of a node among the drafts, and of the output among the node's outputs.
+/// The index of a node among the parsed nodes, and of the output among the node's outputs.
 pub(super) type OutputIndex = (usize, usize);
 
 /// Resolves a wire name to an output; `None` without a fault if its node has a fault already.
@@ -53,18 +53,20 @@ pub(super) fn find(
     text: &str,
     at: &Span,
     owner: &str,
-    drafts: &[Draft<'_>],
+    parsed_nodes: &[ParsedNode<'_>],
     names: &Names,
     faults: &mut Vec<Fault>,
 ) -> Option<OutputIndex> {
     let text = &names.flat(text, at, owner, faults)?;
     let Some((node, port)) = text.rsplit_once('.') else {
-        faults.push(no_dot(text, at, owner, drafts, names));
+        faults.push(no_dot(text, at, owner, parsed_nodes, names));
         return None;
     };
-    let Some(index) = drafts.iter().position(|draft| draft.name == node) else {
-        let known =
-            drafts.iter().map(|draft| draft.name).chain(names.modules.iter().map(|module| module.node.as_str()));
+    let Some(index) = parsed_nodes.iter().position(|parsed_node| parsed_node.name == node) else {
+        let known = parsed_nodes
+            .iter()
+            .map(|parsed_node| parsed_node.name)
+            .chain(names.modules.iter().map(|module| module.node.as_str()));
         let (_, list) = nearest::hint(node, "nodes", known);
         let fault = Fault::new(format!("{owner} is wired to \"{text}\", but there is no node \"{node}\""));
         let fault = fault.at(at, "no such node");
@@ -73,17 +75,17 @@ pub(super) fn find(
                 let help = format!("remove what takes \"{text}\" as well, or wire it to another node");
                 fault.also(removed, format!("\"{node}\" is removed here")).help(help)
             }
-            None => fault.help_if(near_node(node, port, drafts, names)).note_if(list),
+            None => fault.help_if(near_node(node, port, parsed_nodes, names)).note_if(list),
         });
         let last = faults.len() - 1;
         faults[last].follows = true;
         return None;
     };
-    let outputs = drafts[index].outputs.as_ref()?;
+    let outputs = parsed_nodes[index].outputs.as_ref()?;
     let found = outputs.iter().position(|output| output.name == port);
     if found.is_none() {
         let names = || outputs.iter().map(|output| output.name.as_str());
-        let kind = drafts[index].kind_name();
+        let kind = parsed_nodes[index].kind_name();
         let fault = Fault::new(format!("{owner} is wired to \"{text}\", but {kind} has no output \"{port}\""));
         let only = (outputs.len() == 1).then(|| format!("its one output is \"{node}.{}\"", outputs[0].name));
         let near = nearest::name(port, names()).map(|near| format!("did you mean \"{node}.{near}\"?"));
@@ -93,10 +95,10 @@ pub(super) fn find(
     found.map(|port| (index, port))
 }
 
-fn near_node(node: &str, port: &str, drafts: &[Draft<'_>], names: &Names) -> Option<String> {
+fn near_node(node: &str, port: &str, parsed_nodes: &[ParsedNode<'_>], names: &Names) -> Option<String> {
     let modules = names.modules.iter().map(|module| module.node.as_str());
     // The path of a module may be missing: `icp` for `registration/icp`.
-    let near = nearest::name(node, drafts.iter().map(|draft| draft.name).chain(modules))?;
+    let near = nearest::name(node, parsed_nodes.iter().map(|parsed_node| parsed_node.name).chain(modules))?;
     if let Some(outputs) = names.module(near).and_then(|module| module.outputs.as_ref()) {
         let there = outputs.iter().any(|(name, ..)| name == port);
         return Some(match there {
@@ -104,15 +106,18 @@ fn near_node(node: &str, port: &str, drafts: &[Draft<'_>], names: &Names) -> Opt
             false => format!("did you mean the module \"{near}\"?"),
         });
     }
-    let outputs = drafts.iter().find(|draft| draft.name == near)?.outputs.as_ref();
+    let outputs = parsed_nodes.iter().find(|parsed_node| parsed_node.name == near)?.outputs.as_ref();
     let there = outputs.is_some_and(|outputs| outputs.iter().any(|output| output.name == port));
     Some(if there { format!("did you mean \"{near}.{port}\"?") } else { format!("did you mean node \"{near}\"?") })
 }
 
-fn no_dot(text: &str, at: &Span, owner: &str, drafts: &[Draft<'_>], names: &Names) -> Fault {
+fn no_dot(text: &str, at: &Span, owner: &str, parsed_nodes: &[ParsedNode<'_>], names: &Names) -> Fault {
     let fault = Fault::new(format!("{owner} takes a wire, which is written node.port, found {text:?}"));
     let fault = fault.at(at, "no dot here");
-    let outputs = drafts.iter().find(|draft| draft.name == text).and_then(|draft| draft.outputs.as_ref());
+    let outputs = parsed_nodes
+        .iter()
+        .find(|parsed_node| parsed_node.name == text)
+        .and_then(|parsed_node| parsed_node.outputs.as_ref());
     let outputs = outputs.map(|outputs| outputs.iter().map(|output| output.name.as_str()).collect());
     let module = names.module(text).and_then(|module| module.outputs.as_ref());
     let outputs: Option<Vec<&str>> = outputs.or(module.map(|m| m.iter().map(|(name, ..)| name.as_str()).collect()));
@@ -121,12 +126,12 @@ fn no_dot(text: &str, at: &Span, owner: &str, drafts: &[Draft<'_>], names: &Name
             let wires: Vec<_> = outputs.iter().map(|output| format!("\"{text}.{output}\"")).collect();
             fault.help(format!("write {}", wires.join(" or ")))
         }
-        None => fault.help_if(nearest::help(text, drafts.iter().map(|draft| draft.name))),
+        None => fault.help_if(nearest::help(text, parsed_nodes.iter().map(|parsed_node| parsed_node.name))),
     }
 }
 
 /// The name of a wire.
-pub(super) fn name((node, port): OutputIndex, drafts: &[Draft<'_>]) -> String {
-    let port = drafts[node].outputs.as_ref().map_or("", |outputs| &outputs[port].name);
-    format!("{}.{port}", drafts[node].name)
+pub(super) fn name((node, port): OutputIndex, parsed_nodes: &[ParsedNode<'_>]) -> String {
+    let port = parsed_nodes[node].outputs.as_ref().map_or("", |outputs| &outputs[port].name);
+    format!("{}.{port}", parsed_nodes[node].name)
 }

@@ -125,7 +125,7 @@ pub(super) struct Compare<'a> {
 }
 
 /// Place of a number: its name, which may give the unit, and its description.
-struct At<'a> {
+struct NumberPlace<'a> {
     name: &'a str,
     index: usize,
     describe: &'a dyn Fn() -> String,
@@ -204,14 +204,14 @@ impl<'a> Compare<'a> {
     }
 
     fn field(&mut self, name: &str, a: &Field, b: &Field) {
-        let at = At { name, index: 0, describe: &|| name.into() };
+        let at = NumberPlace { name, index: 0, describe: &|| name.into() };
         match (a, b) {
             (Field::Bool(a), Field::Bool(b)) if a == b => {}
             (Field::Int(a), Field::Int(b)) => self.number(&at, Scalar::Int(*a), Scalar::Int(*b)),
             (Field::Float(a), Field::Float(b)) => self.number(&at, Scalar::Double(*a), Scalar::Double(*b)),
             (Field::Floats(a), Field::Floats(b)) if a.len() == b.len() => {
                 for (index, (x, y)) in a.iter().zip(b).enumerate() {
-                    let at = At { name, index, describe: &|| format!("{name}[{index}]") };
+                    let at = NumberPlace { name, index, describe: &|| format!("{name}[{index}]") };
                     self.number(&at, Scalar::Double(*x), Scalar::Double(*y));
                 }
                 self.rotation(name, a, b);
@@ -251,7 +251,7 @@ impl<'a> Compare<'a> {
                 }
             }
             (Json::Number(x), Json::Number(y)) => {
-                let at = At { name, index: 0, describe: &|| path.into() };
+                let at = NumberPlace { name, index: 0, describe: &|| path.into() };
                 match (x.as_i64(), y.as_i64()) {
                     (Some(x), Some(y)) => self.number(&at, Scalar::Int(x), Scalar::Int(y)),
                     _ => {
@@ -279,7 +279,7 @@ impl<'a> Compare<'a> {
                     1 => format!("column {name}, row {row}"),
                     _ => format!("column {name}, row {row}, component {index}"),
                 };
-                self.number(&At { name, index, describe: &describe }, scalar(a.kind, x), scalar(a.kind, y));
+                self.number(&NumberPlace { name, index, describe: &describe }, scalar(a.kind, x), scalar(a.kind, y));
             }
             if a.kind == ColumnType::F64 {
                 let doubles = |row: &[u8]| -> Vec<f64> { row.chunks_exact(8).map(double).collect() };
@@ -288,7 +288,7 @@ impl<'a> Compare<'a> {
         }
     }
 
-    fn number(&mut self, at: &At<'_>, a: Scalar, b: Scalar) {
+    fn number(&mut self, at: &NumberPlace<'_>, a: Scalar, b: Scalar) {
         let Some(apart) = a.apart(b) else { return };
         let Distance { ulp, distance, note } = apart;
         let told_unit = self.units.of_name(at.name);

@@ -24,7 +24,7 @@ const KEPT_BYTES: usize = 64 << 20;
 
 /// Position and digest of an item.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Entry {
+pub(super) struct IndexEntry {
     pub(super) number: u64,
     pub(super) digest: Digest,
     pub(super) place: Location,
@@ -34,7 +34,7 @@ pub(super) struct Entry {
 /// The items of a wire, by number.
 pub(super) struct Indexed {
     pub(super) about: Wire,
-    pub(super) entries: Vec<Entry>,
+    pub(super) entries: Vec<IndexEntry>,
 }
 
 /// An indexed recording.
@@ -89,11 +89,11 @@ impl Index {
     }
 
     /// Reads the message of an item.
-    pub(super) fn message(&mut self, entry: &Entry) -> Result<Vec<u8>, RecordingError> {
+    pub(super) fn message(&mut self, entry: &IndexEntry) -> Result<Vec<u8>, RecordingError> {
         self.read(entry).map_err(|source| RecordingError::Read { path: self.path.clone(), source })
     }
 
-    fn read(&mut self, entry: &Entry) -> io::Result<Vec<u8>> {
+    fn read(&mut self, entry: &IndexEntry) -> io::Result<Vec<u8>> {
         let Some(at) = entry.place.in_chunk else {
             return self.reader.bytes_at(entry.place.offset + MESSAGE_HEADER_BYTES, entry.n_bytes.into());
         };
@@ -146,7 +146,7 @@ impl Visitor for Pass<'_> {
                     && let Ok(n_bytes) = message.data.len().try_into()
                 {
                     let digest = Digest::of(message.data);
-                    indexed.entries.push(Entry { number, digest, place, n_bytes });
+                    indexed.entries.push(IndexEntry { number, digest, place, n_bytes });
                 }
             }
             _ => {}

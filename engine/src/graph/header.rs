@@ -1,4 +1,4 @@
-use super::{Table, Value, grammar, take};
+use super::{Table, Value, extract, grammar};
 use crate::fault::{Fault, SourceText, Span};
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ pub(crate) struct Header {
 
 /// Reads the top level and `[graph]` of a graph file or a module.
 pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault>) -> Header {
-    take::only(table, &grammar::TOP, "a graph file", faults);
+    extract::only(table, &grammar::TOP, "a graph file", faults);
     let stem = main.name.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     let mut header = Header { name: stem.unwrap_or_default(), seed: 0, frames: None, lossy: false };
     let Some(entry) = table.get("graph") else {
@@ -25,8 +25,8 @@ pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault
         faults.push(fault.help("begin with a table [graph] that holds format = 1").follows());
         return header;
     };
-    let Some(table) = take::table(&entry.value, "graph", faults) else { return header };
-    take::only(table, &grammar::GRAPH, "[graph]", faults);
+    let Some(table) = extract::table(&entry.value, "graph", faults) else { return header };
+    extract::only(table, &grammar::GRAPH, "[graph]", faults);
     match table.get("format") {
         None => {
             let fault = Fault::new("the graph file does not say its format").at(&entry.key_at, "no format here");
@@ -47,13 +47,13 @@ pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault
             }
         },
     }
-    if let Some(name) = table.get("name").and_then(|e| take::text(&e.value, "name", faults)) {
+    if let Some(name) = table.get("name").and_then(|e| extract::text(&e.value, "name", faults)) {
         header.name = name.into();
     }
-    if let Some(seed) = table.get("seed").and_then(|e| take::whole(&e.value, "seed", 0, u64::MAX, faults)) {
+    if let Some(seed) = table.get("seed").and_then(|e| extract::whole(&e.value, "seed", 0, u64::MAX, faults)) {
         header.seed = seed;
     }
-    if let Some(lossy) = table.get("lossy").and_then(|e| take::boolean(&e.value, "lossy", faults)) {
+    if let Some(lossy) = table.get("lossy").and_then(|e| extract::boolean(&e.value, "lossy", faults)) {
         header.lossy = lossy;
     }
     if let Some(frames) = table.get("frames") {
@@ -62,7 +62,7 @@ pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault
             faults.push(fault.at(&frames.value.at, "a list is needed"));
             return header;
         };
-        let names = items.iter().filter_map(|item| take::text(item, "a frame", faults)).map(str::to_owned);
+        let names = items.iter().filter_map(|item| extract::text(item, "a frame", faults)).map(str::to_owned);
         header.frames = Some((names.collect(), frames.value.at.clone()));
     }
     header

@@ -1,7 +1,7 @@
 //! The interface of a module: its inputs, outputs and parameters.
 
 use super::{
-    grammar, take,
+    extract, grammar,
     tree::{Entry, Spanned, Table, Value},
 };
 use crate::{
@@ -56,8 +56,8 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
     let at = entry.key_at.clone();
     let mut interface =
         Interface { at, doc: String::new(), inputs: Vec::new(), outputs: Vec::new(), params: Vec::new() };
-    let Some(module) = take::table(&entry.value, "module", faults) else { return Some(interface) };
-    take::only(module, &grammar::MODULE, "[module]", faults);
+    let Some(module) = extract::table(&entry.value, "module", faults) else { return Some(interface) };
+    extract::only(module, &grammar::MODULE, "[module]", faults);
     interface.doc = doc(module, "module", faults);
     for entry in entries(module, "inputs", "an input", faults) {
         let owner = format!("module input \"{}\"", entry.key);
@@ -78,7 +78,7 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
         let doc = doc(table, &owner, faults);
         match table.get("from") {
             Some(from) => {
-                let Some(wire) = take::text(&from.value, &format!("{owner}: from"), faults) else { continue };
+                let Some(wire) = extract::text(&from.value, &format!("{owner}: from"), faults) else { continue };
                 let (name, from_at) = (entry.key.clone(), from.value.at.clone());
                 interface.outputs.push(OutputDecl { name, doc, from: wire.into(), from_at });
             }
@@ -116,8 +116,8 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
 
 fn entries<'t>(module: &'t Table, key: &str, what: &str, faults: &mut Vec<Fault>) -> &'t [Entry] {
     let Some(entry) = module.get(key) else { return &[] };
-    let Some(table) = take::table(&entry.value, &format!("[module] {key}"), faults) else { return &[] };
-    for entry in table.0.iter().filter(|entry| !take::is_name(&entry.key)) {
+    let Some(table) = extract::table(&entry.value, &format!("[module] {key}"), faults) else { return &[] };
+    for entry in table.0.iter().filter(|entry| !extract::is_name(&entry.key)) {
         let fault = Fault::new(format!("{what} of a module cannot be called {:?}", entry.key));
         faults.push(fault.at(&entry.key_at, "no name").help("a name has letters, digits, _ and - only"));
     }
@@ -136,19 +136,19 @@ fn long(entry: &Entry, key: &str) -> Spanned {
 }
 
 fn known<'t>(value: &'t Spanned, keys: &[&str], owner: &str, faults: &mut Vec<Fault>) -> Option<&'t Table> {
-    let table = take::table(value, owner, faults)?;
-    take::only(table, keys, owner, faults);
+    let table = extract::table(value, owner, faults)?;
+    extract::only(table, keys, owner, faults);
     Some(table)
 }
 
 fn doc(table: &Table, owner: &str, faults: &mut Vec<Fault>) -> String {
     let entry = table.get("doc");
-    entry.and_then(|e| take::text(&e.value, &format!("{owner}: doc"), faults)).unwrap_or_default().into()
+    entry.and_then(|e| extract::text(&e.value, &format!("{owner}: doc"), faults)).unwrap_or_default().into()
 }
 
 fn flag(table: &Table, key: &str, owner: &str, faults: &mut Vec<Fault>) -> bool {
     let entry = table.get(key);
-    entry.and_then(|e| take::boolean(&e.value, &format!("{owner}: {key}"), faults)).unwrap_or(false)
+    entry.and_then(|e| extract::boolean(&e.value, &format!("{owner}: {key}"), faults)).unwrap_or(false)
 }
 
 fn targets(table: &Table, entry: &Entry, owner: &str, form: &str, faults: &mut Vec<Fault>) -> Vec<(String, Span)> {
@@ -167,7 +167,7 @@ fn targets(table: &Table, entry: &Entry, owner: &str, form: &str, faults: &mut V
     }
     let mut targets = Vec::new();
     for item in items {
-        let Some(text) = take::text(item, &format!("{owner}: to"), faults) else { continue };
+        let Some(text) = extract::text(item, &format!("{owner}: to"), faults) else { continue };
         match text.split_once('.') {
             Some((node, key)) if !node.is_empty() && !key.is_empty() => targets.push((text.into(), item.at.clone())),
             _ => {

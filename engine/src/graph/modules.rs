@@ -3,12 +3,11 @@
 use super::{
     edit::Edit,
     extends::{self, Chain},
-    grammar, header,
+    extract, grammar, header,
     interface::{self, InputDecl, Interface, ParamDecl},
     merge::merge_nodes,
     plugins::NamedPlugin,
     remove::Removed,
-    take,
     tree::{Entry, Spanned, Table, Value},
     unit,
 };
@@ -131,7 +130,7 @@ impl<'f> Flattener<'f> {
             self.faults.push(fault.help("add file = \"..\", the graph file of the module, relative to this file"));
             return None;
         };
-        let text = take::text(&file.value, &format!("node \"{node}\": file"), self.faults)?;
+        let text = extract::text(&file.value, &format!("node \"{node}\": file"), self.faults)?;
         let path = relative(&file.value.at, text);
         module.file = extends::tidy(&path);
         self.refuse_cycle(node, &path, &file.value.at)?;
@@ -255,7 +254,7 @@ impl User<'_> {
     fn inputs(&self, input_decls: &[InputDecl], nodes: &mut Table, faults: &mut Vec<Fault>) {
         let node = &self.user.key;
         let given = self.table.get("in");
-        let given = given.and_then(|entry| take::table(&entry.value, &format!("node \"{node}\": in"), faults));
+        let given = given.and_then(|entry| extract::table(&entry.value, &format!("node \"{node}\": in"), faults));
         let mut fed = Vec::new();
         for input_decl in input_decls {
             let value = match given.and_then(|given| given.get(&input_decl.name)) {

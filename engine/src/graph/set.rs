@@ -79,7 +79,7 @@ fn source(sets: &Sets<'_>) -> (Arc<SourceText>, Vec<Range<usize>>) {
 
 /// A parameter of a node that is not in a graph file, as given on the command line.
 #[derive(Debug, Clone, Copy)]
-pub enum Given<'a> {
+pub enum CommandLineParam<'a> {
     /// `--set KEY=VALUE`.
     Set(&'a str),
     /// A dedicated option, such as `--max-iterations 50`.
@@ -95,12 +95,12 @@ pub enum Given<'a> {
 
 /// The table of a node that exists only on the command line; later settings override earlier ones. The span covers the
 /// whole command line, for faults about missing parameters.
-pub(crate) fn table_of(given: &[Given<'_>], faults: &mut Vec<Fault>) -> (Table, Span) {
+pub(crate) fn table_of(given: &[CommandLineParam<'_>], faults: &mut Vec<Fault>) -> (Table, Span) {
     let lines: Vec<_> = given
         .iter()
         .map(|given| match given {
-            Given::Set(text) => format!("{PREFIX}{text}"),
-            Given::Option { option, value, .. } => format!("--{option} {value}"),
+            CommandLineParam::Set(text) => format!("{PREFIX}{text}"),
+            CommandLineParam::Option { option, value, .. } => format!("--{option} {value}"),
         })
         .collect();
     let source = Arc::new(SourceText {
@@ -116,12 +116,12 @@ pub(crate) fn table_of(given: &[Given<'_>], faults: &mut Vec<Fault>) -> (Table, 
     for (given, line) in given.iter().zip(&lines) {
         let end = start + line.len();
         match given {
-            Given::Set(_) => match Setting::read(&source, start + PREFIX.len()..end, None) {
+            CommandLineParam::Set(_) => match Setting::read(&source, start + PREFIX.len()..end, None) {
                 Ok(Setting::Overlay(over)) => merge(&mut table, over),
                 Ok(Setting::Edit(edit)) => faults.extend(edit.apply(&mut table).err().map(|fault| *fault)),
                 Err(fault) => faults.push(*fault),
             },
-            Given::Option { option, key, .. } => {
+            CommandLineParam::Option { option, key, .. } => {
                 let key_end = start + 2 + option.len();
                 let entry = Entry {
                     key: (*key).into(),

@@ -16,8 +16,8 @@ use std::{
 };
 
 /// A value lent to a plugin; its view is created on first use.
-pub(super) struct Lent {
-    /// Not dropped with this: see [`Held`].
+pub(super) struct LentValue {
+    /// Not dropped with this: see [`HeldValue`].
     value: ManuallyDrop<Value>,
     view: Lazy<Option<abi::OutgoingView>>,
     result: Lazy<String>,
@@ -59,7 +59,7 @@ impl<T> Drop for Lazy<T> {
     }
 }
 
-impl Lent {
+impl LentValue {
     /// A value that outlives the loan; cloning its reference count would cost as much as a channel.
     ///
     /// # Safety
@@ -80,18 +80,18 @@ impl Lent {
 
 /// A value owned for as long as a plugin holds it.
 #[repr(transparent)]
-pub(super) struct Held(Lent);
+pub(super) struct HeldValue(LentValue);
 
-impl Held {
+impl HeldValue {
     pub(super) fn new(value: Value) -> Self {
-        Self(Lent::of(value))
+        Self(LentValue::of(value))
     }
 
     pub(super) fn is(&self, value: &Value) -> bool {
         self.0.value.is_same(value)
     }
 
-    pub(super) fn lent(&self) -> &Lent {
+    pub(super) fn lent(&self) -> &LentValue {
         &self.0
     }
 
@@ -106,7 +106,7 @@ impl Held {
     }
 }
 
-impl Drop for Held {
+impl Drop for HeldValue {
     fn drop(&mut self) {
         // SAFETY: it is dropped once, here.
         unsafe { ManuallyDrop::drop(&mut self.0.value) };
@@ -114,7 +114,7 @@ impl Drop for Held {
 }
 
 /// The context of a call into a plugin.
-pub(super) enum At<'a> {
+pub(super) enum CallContext<'a> {
     /// While it is built.
     Build(&'a BuildContext),
     /// At a firing.
@@ -123,8 +123,8 @@ pub(super) enum At<'a> {
 
 /// The state of a call into a plugin.
 pub(super) struct Run<'a> {
-    pub(super) at: At<'a>,
-    pub(super) about: &'a super::node::BuiltKind,
+    pub(super) context: CallContext<'a>,
+    pub(super) built: &'a super::node::BuiltKind,
     pub(super) params: &'a Json,
     pub(super) out: &'a mut [Emission],
     /// The parameter at fault, and the message.
@@ -145,16 +145,16 @@ impl Run<'_> {
     }
 
     fn context(&self) -> Option<&Context> {
-        match &self.at {
-            At::Firing(context) => Some(context),
-            At::Build(_) => None,
+        match &self.context {
+            CallContext::Firing(context) => Some(context),
+            CallContext::Build(_) => None,
         }
     }
 
     fn context_mut(&mut self) -> Option<&mut Context> {
-        match &mut self.at {
-            At::Firing(context) => Some(context),
-            At::Build(_) => None,
+        match &mut self.context {
+            CallContext::Firing(context) => Some(context),
+            CallContext::Build(_) => None,
         }
     }
 
@@ -166,7 +166,7 @@ impl Run<'_> {
     fn put(&mut self, port: u64, answer: impl FnOnce(PortPayload) -> Result<Emission, String>) -> Result<(), String> {
         let index = usize::try_from(port).ok().filter(|port| *port < self.out.len());
         let index = index.ok_or_else(|| format!("it answers on output {port}, but has {}", self.out.len()))?;
-        let (name, payload) = &self.about.outputs.get(index).ok_or("its outputs are not known yet")?;
+        let (name, payload) = &self.built.outputs.get(index).ok_or("its outputs are not known yet")?;
         let named = |said: String| format!("output \"{name}\": {said}");
         if !matches!(self.out[index], Emission::Silent) {
             return Err(named("it is answered twice in one firing".into()));
@@ -216,9 +216,9 @@ unsafe fn answer(run: *mut abi::Run, f: impl FnOnce(&mut Run<'_>) -> Result<(), 
 
 /// # Safety
 /// `value` was lent by the program, or returned by `hold`.
-unsafe fn lent<'a>(value: *const abi::Value) -> &'a Lent {
+unsafe fn lent<'a>(value: *const abi::Value) -> &'a LentValue {
     // SAFETY: guaranteed by the caller.
-    unsafe { &*value.cast::<Lent>() }
+    unsafe { &*value.cast::<LentValue>() }
 }
 
 unsafe extern "C" fn view(value: *const abi::Value, view: *mut abi::View) -> i32 {
@@ -256,12 +256,12 @@ unsafe extern "C" fn result(value: *const abi::Value) -> Text {
 unsafe extern "C" fn hold(value: *const abi::Value) -> *const abi::Value {
     // SAFETY: the plugin calls it as the header requires.
     let lent = unsafe { lent(value) };
-    Box::into_raw(Box::new(Held::new((*lent.value).clone()))).cast_const().cast()
+    Box::into_raw(Box::new(HeldValue::new((*lent.value).clone()))).cast_const().cast()
 }
 
 unsafe extern "C" fn release(held: *const abi::Value) {
     // SAFETY: the header requires exactly one call with a pointer returned by `hold`.
-    let held = unsafe { Box::from_raw(held.cast_mut().cast::<Held>()) };
+    let held = unsafe { Box::from_raw(held.cast_mut().cast::<HeldValue>()) };
     // A payload's destructor must not unwind into the plugin.
     if let Err(said) = panics::catch(|| drop(held)) {
         tracing::warn!("a value that a plugin had held {said}");
@@ -306,7 +306,7 @@ unsafe extern "C" fn emit_as(run: *mut abi::Run, port: u64, name: Text, version:
         answer(run, |run| {
             let given = given(view)?;
             let name = abi::required_text(name, "the name of a payload").map_err(|error| error.to_string())?;
-            let types = &run.about.types;
+            let types = &run.built.types;
             let known = types.iter().find(|ty| ty.name == name && ty.version == version).copied();
             run.put(port, |payload| {
                 let ty = payload.ty().filter(|ty| ty.name == name && ty.version == version).or(known);
@@ -344,7 +344,7 @@ unsafe extern "C" fn emit_held(run: *mut abi::Run, port: u64, held: *const abi::
         return unsafe { emit_value(run, port, held) };
     }
     // SAFETY: the header requires a pointer returned by `hold`, whose ownership passes here.
-    let value = unsafe { Box::from_raw(held.cast_mut().cast::<Held>()) }.into_value();
+    let value = unsafe { Box::from_raw(held.cast_mut().cast::<HeldValue>()) }.into_value();
     // SAFETY: the plugin calls it as the header requires.
     unsafe { answer(run, |run| run.put(port, |payload| expect(payload, value.ty()).map(|()| Emission::Value(value)))) }
 }
@@ -382,9 +382,9 @@ unsafe extern "C" fn fail(run: *mut abi::Run, parameter: Text, message: Text) {
 unsafe extern "C" fn node(run: *const abi::Run) -> Text {
     // SAFETY: the plugin calls it as the header requires.
     unsafe {
-        look(run, Text::NONE, |run| match &run.at {
-            At::Build(build) => Text::of(&build.node),
-            At::Firing(context) => Text::of(context.node()),
+        look(run, Text::NONE, |run| match &run.context {
+            CallContext::Build(build) => Text::of(&build.node),
+            CallContext::Firing(context) => Text::of(context.node()),
         })
     }
 }
@@ -413,9 +413,9 @@ unsafe extern "C" fn set_stamp_ns(run: *mut abi::Run, stamp_ns: i64) {
 unsafe extern "C" fn seed(run: *const abi::Run) -> u64 {
     // SAFETY: the plugin calls it as the header requires.
     unsafe {
-        look(run, 0, |run| match &run.at {
-            At::Build(build) => build.seed,
-            At::Firing(context) => context.seed(),
+        look(run, 0, |run| match &run.context {
+            CallContext::Build(build) => build.seed,
+            CallContext::Firing(context) => context.seed(),
         })
     }
 }
@@ -495,7 +495,7 @@ unsafe extern "C" fn parameter(run: *mut abi::Run, name: Text, place: *mut abi::
     unsafe {
         with(run, (), |run| {
             let name = abi::text(name, "a parameter").ok().flatten().unwrap_or_default();
-            let Some(value) = run.about.param(run.params, name) else { return };
+            let Some(value) = run.built.param(run.params, name) else { return };
             let list = value.as_array().map(|list| list.iter().map(Json::as_f64).collect::<Option<Vec<_>>>());
             let text = value.as_str().map(str::to_owned).unwrap_or_else(|| value.to_string());
             // Texts and numbers keep their address when this list grows.
@@ -519,14 +519,14 @@ unsafe extern "C" fn parameter(run: *mut abi::Run, name: Text, place: *mut abi::
 
 unsafe extern "C" fn n_declared(run: *const abi::Run) -> u64 {
     // SAFETY: the plugin calls it as the header requires.
-    unsafe { look(run, 0, |run| run.about.declared.len() as u64) }
+    unsafe { look(run, 0, |run| run.built.declared.len() as u64) }
 }
 
 unsafe extern "C" fn declared(run: *const abi::Run, index: u64, place: *mut abi::Declared) -> i32 {
     // SAFETY: the plugin calls it as the header requires.
     unsafe {
         look(run, status::FAILED, |run| {
-            let Some(port) = usize::try_from(index).ok().and_then(|index| run.about.declared.get(index)) else {
+            let Some(port) = usize::try_from(index).ok().and_then(|index| run.built.declared.get(index)) else {
                 return status::FAILED;
             };
             place.write(abi::Declared {

@@ -1,6 +1,6 @@
 //! The kinds that graphs may name: the program's own, and those of plugins.
 
-use super::{PluginAbout, Prober, ProvideError, load, probe, provide};
+use super::{PluginDescription, Prober, ProvideError, load, probe, provide};
 use crate::{
     fault::{Fault, Span},
     graph::plugins::NamedPlugin,
@@ -48,7 +48,7 @@ pub struct Plugin {
     /// Its SHA-256.
     pub sha256: Arc<str>,
     /// Its description.
-    pub about: PluginAbout,
+    pub description: PluginDescription,
     /// Whether the graph names it.
     pub named: bool,
 }
@@ -57,13 +57,13 @@ impl Plugin {
     /// The plugin as recorded in a plan, with its kinds that the graph uses.
     pub(crate) fn in_plan(&self, kinds: Vec<String>) -> PlanPlugin {
         PlanPlugin {
-            name: self.about.name.clone(),
-            version: self.about.version.clone(),
+            name: self.description.name.clone(),
+            version: self.description.version.clone(),
             path: self.path.clone(),
             sha256: self.sha256.to_string(),
-            abi: self.about.abi,
-            sdk: self.about.sdk.clone(),
-            compiler: self.about.compiler.clone(),
+            abi: self.description.abi,
+            sdk: self.description.sdk.clone(),
+            compiler: self.description.compiler.clone(),
             kinds,
         }
     }
@@ -224,21 +224,21 @@ impl Finder {
             let key = self.key(path, &before, digest);
             let kept = key.as_ref().and_then(|key| self.store.as_ref()?.get(key));
             let kept = kept.and_then(|entry| serde_json::from_slice(entry.bytes()).ok());
-            let about = match kept {
-                Some(about) => Ok(about),
+            let description = match kept {
+                Some(description) => Ok(description),
                 None => probe::probe(&self.prober, path).map_err(|error| error.to_string()),
             };
             if stamp(&fs::metadata(path).map_err(unread)?) != before {
                 continue;
             }
-            let about: PluginAbout = about?;
+            let description: PluginDescription = description?;
             if let (Some(key), Some(store)) = (&key, &self.store)
-                && let Ok(json) = serde_json::to_vec(&about)
+                && let Ok(json) = serde_json::to_vec(&description)
             {
                 // If the description cannot be cached, it is read again next time.
                 let _ = store.put(key, &[&json]);
             }
-            return Ok(Plugin { path: path.into(), sha256: digest.to_string().into(), about, named: false });
+            return Ok(Plugin { path: path.into(), sha256: digest.to_string().into(), description, named: false });
         }
         Err("it changes while it is looked at; is it being built?".into())
     }
@@ -287,10 +287,10 @@ impl Known {
         }
         let plugin = Arc::new(plugin);
         let (mut registry, loaded) = (self.registry.clone(), plugin.clone());
-        let provided = provide(&mut registry, &plugin.about, &plugin.sha256, move || load::load(&loaded));
+        let provided = provide(&mut registry, &plugin.description, &plugin.sha256, move || load::load(&loaded));
         provided.map_err(|error| match error {
             ProvideError::Kind(clash) => match self.of_kind(clash.0) {
-                Some(other) => format!("{clash}, of plugin {} ({})", other.about.name, other.path.display()),
+                Some(other) => format!("{clash}, of plugin {} ({})", other.description.name, other.path.display()),
                 None => format!("{clash}, of the program itself"),
             },
             other => other.to_string(),

@@ -1,7 +1,7 @@
 //! Loads a shared library and reads its plugin description.
 #![allow(unsafe_code, reason = "loads a library and reads what it describes")]
 
-use super::about::{InputAbout, KindAbout, OutputsAbout, PluginAbout, PortAbout};
+use super::description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
 use osteoflow_node::{
     CachePolicy, Join, Role,
     abi::{self, AbiError, kind, panics},
@@ -78,7 +78,7 @@ impl From<AbiError> for Why {
 
 /// A loaded plugin.
 pub struct Library {
-    about: PluginAbout,
+    description: PluginDescription,
     kinds: Vec<abi::Kind>,
     start: Option<unsafe extern "C" fn(*const abi::Host)>,
     started: Once,
@@ -137,37 +137,37 @@ impl Library {
         let sizes = unsafe { (*plugin).sizes };
         check_sizes(&sizes, theirs)?;
         // SAFETY: the description is as large as its size field says.
-        let about = unsafe { abi::entries(plugin, 1, sizes.plugin, "the description") }?[0];
-        if about.panic == panics::ABORT {
+        let raw = unsafe { abi::entries(plugin, 1, sizes.plugin, "the description") }?[0];
+        if raw.panic == panics::ABORT {
             return Err(Why::PanicAbort);
         }
         // SAFETY: guaranteed by the caller, here and below.
-        let kinds = unsafe { abi::entries(about.kinds, about.n_kinds, sizes.kind, "the kinds") }?;
+        let kinds = unsafe { abi::entries(raw.kinds, raw.n_kinds, sizes.kind, "the kinds") }?;
         // SAFETY: as above.
-        let payloads = unsafe { abi::entries(about.payloads, about.n_payloads, sizes.payload, "the payloads") }?;
+        let payloads = unsafe { abi::entries(raw.payloads, raw.n_payloads, sizes.payload, "the payloads") }?;
         // SAFETY: as above.
         let payloads = payloads.iter().map(|payload| unsafe { abi::schema::read(payload, sizes.part) });
         // SAFETY: as above.
         let text = |text, what| unsafe { abi::text(text, what) }.map(|text| text.unwrap_or_default().to_owned());
-        let described = PluginAbout {
-            name: text(about.name, "the plugin's name")?,
-            version: text(about.version, "the plugin's version")?,
-            sdk: text(about.sdk, "the plugin's SDK")?,
-            compiler: text(about.compiler, "the plugin's compiler")?,
+        let described = PluginDescription {
+            name: text(raw.name, "the plugin's name")?,
+            version: text(raw.version, "the plugin's version")?,
+            sdk: text(raw.sdk, "the plugin's SDK")?,
+            compiler: text(raw.compiler, "the plugin's compiler")?,
             abi: theirs,
             // SAFETY: as above.
             kinds: kinds.iter().map(|kind| unsafe { read_kind(kind, &sizes) }).collect::<Result<_, _>>()?,
             payloads: payloads.collect::<Result<_, _>>()?,
         };
-        Ok(Self { about: described, kinds, start: about.start, started: Once::new() })
+        Ok(Self { description: described, kinds, start: raw.start, started: Once::new() })
     }
 
     /// The plugin's description.
-    pub fn about(&self) -> &PluginAbout {
-        &self.about
+    pub fn description(&self) -> &PluginDescription {
+        &self.description
     }
 
-    /// The kind at an index of [`PluginAbout::kinds`].
+    /// The kind at an index of [`PluginDescription::kinds`].
     pub(super) fn kind(&self, index: usize) -> &abi::Kind {
         &self.kinds[index]
     }
@@ -233,7 +233,7 @@ fn check_sizes(found: &abi::Sizes, theirs: (u32, u32)) -> Result<(), Why> {
 
 /// # Safety
 /// `kind` belongs to a plugin's description.
-unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindAbout, AbiError> {
+unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindDescription, AbiError> {
     // SAFETY: guaranteed by the caller, here and below.
     let name = unsafe { abi::required_text(given.kind, "the name of a kind") }?.to_owned();
     let what = |part: &str| format!("{part} of kind {name}");
@@ -264,17 +264,17 @@ unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindAbout, 
     // SAFETY: as above.
     let outputs = unsafe { abi::entries(given.outputs, given.n_outputs, sizes.output, &what("the outputs")) }?;
     let code = |part: &str, code| AbiError::Code(what(part), code);
-    let port = |name: abi::Text, doc, payload, version, frames: [abi::Text; 3]| -> Result<PortAbout, AbiError> {
+    let port = |name: abi::Text, doc, payload, version, frames: [abi::Text; 3]| -> Result<PortDescription, AbiError> {
         let port = text(name, "the name of a port")?.ok_or_else(|| missing("the name of a port"))?;
         let [frame, to, from] = frames.map(|frame| text(frame, "a frame of a port"));
-        Ok(PortAbout {
+        Ok(PortDescription {
             doc: text(doc, &format!("the doc of port \"{port}\""))?.unwrap_or_default(),
             payload: text(payload, &format!("the payload of port \"{port}\""))?.map(|name| (name, version)),
             frames: [frame?, to?, from?],
             name: port,
         })
     };
-    let input = |input: &abi::Input| -> Result<InputAbout, AbiError> {
+    let input = |input: &abi::Input| -> Result<InputDescription, AbiError> {
         let frames = [input.frame, input.to, input.from];
         let port = port(input.name, input.doc, input.payload, input.version, frames)?;
         let join = match input.join {
@@ -287,13 +287,13 @@ unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindAbout, 
             unknown => return Err(code(&format!("the join of port \"{}\"", port.name), unknown)),
         };
         let (optional, unused) = (input.flags & kind::OPTIONAL != 0, input.flags & kind::UNUSED != 0);
-        Ok(InputAbout { port, join, optional, unused })
+        Ok(InputDescription { port, join, optional, unused })
     };
     let output = |output: &abi::Output| {
         let frames = [output.frame, output.to, output.from];
         port(output.name, output.doc, output.payload, output.version, frames)
     };
-    Ok(KindAbout {
+    Ok(KindDescription {
         doc: text(given.doc, "the doc")?.unwrap_or_default(),
         params: params.unwrap_or_else(|| serde_json::json!({ "type": "object", "additionalProperties": false })),
         example: text(given.example, "the example")?.unwrap_or_default(),
@@ -316,8 +316,8 @@ unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindAbout, 
         },
         inputs: inputs.iter().map(input).collect::<Result<_, _>>()?,
         outputs: match declared {
-            Some(schema) => OutputsAbout::Declared(schema),
-            None => OutputsAbout::Fixed(outputs.iter().map(output).collect::<Result<_, _>>()?),
+            Some(schema) => OutputsDescription::Declared(schema),
+            None => OutputsDescription::Fixed(outputs.iter().map(output).collect::<Result<_, _>>()?),
         },
         kind: name,
     })

@@ -53,7 +53,7 @@ pub(super) fn load(plugin: &Plugin) -> Result<&'static Library, String> {
         },
         None => in_place(plugin, &mut loaded)?,
     };
-    if *library.about() != plugin.about {
+    if *library.description() != plugin.description {
         return Err(message(
             &"it describes itself otherwise than when it was looked at; it must not depend on its process",
         ));

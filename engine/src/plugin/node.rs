@@ -3,7 +3,7 @@
 
 use super::{
     Library,
-    host::{At, HOST, Held, Lent, Run},
+    host::{CallContext, HOST, HeldValue, LentValue, Run},
 };
 use crate::panics;
 use osteoflow_node::{
@@ -80,13 +80,13 @@ pub(super) fn build(
 ) -> Result<Built, ParamError> {
     library.start(&HOST);
     let kind = library.kind(index);
-    let described = &library.about().kinds[index];
+    let described = &library.description().kinds[index];
     let declared = context.declared.iter().map(|port| LentOutput {
         name: port.name.clone(),
         payload: crossing(port.payload),
         params: port.params.to_string(),
     });
-    let about = BuiltKind {
+    let built = BuiltKind {
         schema: described.params.clone(),
         outputs: match context.declared.is_empty() {
             true => outputs.to_vec(),
@@ -97,7 +97,14 @@ pub(super) fn build(
     };
     let text = params.to_string();
     let mut node = ptr::null_mut();
-    let mut run = Run { at: At::Build(context), about: &about, params, out: &mut [], failed: None, lent: Vec::new() };
+    let mut run = Run {
+        context: CallContext::Build(context),
+        built: &built,
+        params,
+        out: &mut [],
+        failed: None,
+        lent: Vec::new(),
+    };
     let firing = abi::Firing {
         size: size_of::<abi::Firing>() as u64,
         host: &HOST,
@@ -128,7 +135,7 @@ pub(super) fn build(
         library,
         index,
         node,
-        about,
+        built,
         params: params.clone(),
         is_source: described.role != Role::Node,
         constants: (0..n_inputs)
@@ -146,19 +153,19 @@ pub(super) fn build(
 }
 
 /// The value of a port joined by `once`; its view is created once.
-struct Constant(Option<Box<Held>>);
+struct Constant(Option<Box<HeldValue>>);
 
 struct PluginNode {
     library: &'static Library,
     index: usize,
     node: *mut c_void,
-    about: BuiltKind,
+    built: BuiltKind,
     params: Json,
     is_source: bool,
     /// The cached constant of each input joined by `once`.
     constants: Vec<Option<Constant>>,
     // Buffers reused by firings.
-    values: Vec<Lent>,
+    values: Vec<LentValue>,
     items: Vec<abi::Item>,
     slots: Vec<abi::Slot>,
     payloads: Vec<(*const PayloadType, *const abi::Payload)>,
@@ -189,11 +196,11 @@ impl PluginNode {
                     match self.constants.get_mut(port) {
                         Some(Some(Constant(known))) => {
                             if !known.as_ref().is_some_and(|known| known.is(value)) {
-                                *known = Some(Box::new(Held::new(value.clone())));
+                                *known = Some(Box::new(HeldValue::new(value.clone())));
                             }
                         }
                         // SAFETY: `joined` outlives the call for which it is laid out, after which the list is emptied.
-                        _ => self.values.push(unsafe { Lent::borrowed(value) }),
+                        _ => self.values.push(unsafe { LentValue::borrowed(value) }),
                     }
                 }
             }
@@ -206,13 +213,13 @@ impl PluginNode {
                 Body::Empty(empty) => empty_item(item.number, item.stamp_ns, empty),
                 Body::Value(value) => {
                     let lent = match constant {
-                        Some(Constant(known)) => known.as_deref().map(Held::lent),
+                        Some(Constant(known)) => known.as_deref().map(HeldValue::lent),
                         None => next.next(),
                     };
                     abi::Item {
                         number: item.number,
                         stamp_ns: item.stamp_ns,
-                        value: lent.map_or(ptr::null(), Lent::handle),
+                        value: lent.map_or(ptr::null(), LentValue::handle),
                         payload: payload_of(&mut self.payloads, value.ty()),
                         empty_node: Text::NONE,
                         empty_reason: Text::NONE,
@@ -245,8 +252,8 @@ impl PluginNode {
     fn call(&mut self, joined: &Joined, out: &mut [Emission], context: &mut Context) -> Result<bool, NodeError> {
         self.fill_arguments(joined);
         let mut run = Run {
-            at: At::Firing(context),
-            about: &self.about,
+            context: CallContext::Firing(context),
+            built: &self.built,
             params: &self.params,
             out,
             failed: None,

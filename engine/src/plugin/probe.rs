@@ -1,6 +1,6 @@
 //! Reads a library's description in a separate process, which contains crashes, hangs and invalid libraries.
 
-use super::{Library, PluginAbout};
+use super::{Library, PluginDescription};
 use serde::{Deserialize, Serialize};
 use std::{
     ffi::OsString,
@@ -51,7 +51,7 @@ pub(super) enum ProbeError {
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Answer {
-    Plugin(Box<PluginAbout>),
+    Plugin(Box<PluginDescription>),
     Refused(String),
 }
 
@@ -67,7 +67,7 @@ const OUTPUT_TIMEOUT: Duration = Duration::from_secs(1);
 /// Loads the library and returns the answer to be printed on stdout.
 pub fn answer(file: &Path) -> String {
     let answer = match Library::load(file) {
-        Ok(library) => Answer::Plugin(Box::new(library.about().clone())),
+        Ok(library) => Answer::Plugin(Box::new(library.description().clone())),
         Err(error) => Answer::Refused(error.why.to_string()),
     };
     let json = serde_json::to_string(&answer).unwrap_or_else(|error| format!("{{\"refused\":\"{error}\"}}"));
@@ -76,7 +76,7 @@ pub fn answer(file: &Path) -> String {
 }
 
 /// Reads the description of a library in another process.
-pub(super) fn probe(prober: &Prober, file: &Path) -> Result<PluginAbout, ProbeError> {
+pub(super) fn probe(prober: &Prober, file: &Path) -> Result<PluginDescription, ProbeError> {
     let mut command = Command::new(&prober.program);
     command.args(&prober.arguments).arg(file);
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -97,7 +97,7 @@ pub(super) fn probe(prober: &Prober, file: &Path) -> Result<PluginAbout, ProbeEr
     let text = String::from_utf8_lossy(&out);
     let line = text.lines().rev().find_map(|line| line.strip_prefix(MARK));
     match line.and_then(|line| serde_json::from_str(line).ok()) {
-        Some(Answer::Plugin(about)) if status.success() => Ok(*about),
+        Some(Answer::Plugin(description)) if status.success() => Ok(*description),
         Some(Answer::Refused(why)) if status.success() => Err(ProbeError::Refused(why)),
         _ => {
             let code = status.code().map_or("none".into(), |code| code.to_string());

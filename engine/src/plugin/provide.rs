@@ -2,10 +2,10 @@
 
 use super::{
     Library,
-    about::{InputAbout, KindAbout, OutputsAbout, PluginAbout, PortAbout},
+    description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription},
     node,
 };
-use crate::graph::take;
+use crate::graph::extract;
 use osteoflow_node::{
     CachePolicy, Description, FrameExpr, InputPort, KindClash, OutputPort, OutputPorts, PayloadClash, PayloadType,
     PortPayload, Registry, SchemaError,
@@ -59,17 +59,17 @@ pub enum ProvideError {
 /// [`ProvideError`]; kinds and payloads before the faulty one have then been added.
 pub fn provide(
     registry: &mut Registry,
-    about: &PluginAbout,
+    description: &PluginDescription,
     sha256: &Arc<str>,
     load: impl Fn() -> Result<&'static Library, String> + Clone + Send + Sync + 'static,
 ) -> Result<(), ProvideError> {
-    for payload in &about.payloads {
+    for payload in &description.payloads {
         let free = PayloadType::dynamic(&payload.name, payload.version, payload.schema.clone());
         let free = free.map_err(|error| ProvideError::Schema { payload: payload.name.clone(), error })?;
         registry.add_payload_type(free)?;
     }
     let types: Arc<[&'static PayloadType]> = registry.payload_types().collect();
-    for (index, kind) in about.kinds.iter().enumerate() {
+    for (index, kind) in description.kinds.iter().enumerate() {
         let description = describe(registry, kind)?;
         let outputs: Vec<(String, PortPayload)> = match &description.outputs {
             OutputPorts::Fixed(ports) => ports.iter().map(|port| (port.name.into(), port.payload)).collect(),
@@ -89,25 +89,25 @@ fn leak(text: &str) -> &'static str {
     String::leak(text.to_owned())
 }
 
-fn describe(registry: &Registry, kind: &KindAbout) -> Result<Description, ProvideError> {
+fn describe(registry: &Registry, kind: &KindDescription) -> Result<Description, ProvideError> {
     let unsound = |why: String| ProvideError::Unsound { kind: kind.kind.clone(), why };
-    if !kind.kind.contains('.') || !kind.kind.split('.').all(take::is_name) {
+    if !kind.kind.contains('.') || !kind.kind.split('.').all(extract::is_name) {
         return Err(unsound("a kind is called stage.variant, with letters, digits, _ and - only".into()));
     }
     let (summary, details) = kind.doc.split_once("\n\n").unwrap_or((&kind.doc, ""));
     let inputs = kind.inputs.iter().map(|input| input_port(registry, kind, input)).collect::<Result<Vec<_>, _>>()?;
     let outputs = match &kind.outputs {
-        OutputsAbout::Fixed(ports) => {
+        OutputsDescription::Fixed(ports) => {
             OutputPorts::Fixed(ports.iter().map(|port| output_port(registry, kind, port)).collect::<Result<_, _>>()?)
         }
-        OutputsAbout::Declared(schema) => OutputPorts::Declared { schema: schema.clone() },
+        OutputsDescription::Declared(schema) => OutputPorts::Declared { schema: schema.clone() },
     };
     let given = match &outputs {
         OutputPorts::Fixed(ports) => ports.iter().map(|port| port.name).collect(),
         OutputPorts::Declared { .. } => Vec::new(),
     };
     for names in [inputs.iter().map(|port| port.name).collect(), given] {
-        if let Some(name) = names.iter().find(|name| !take::is_name(name)) {
+        if let Some(name) = names.iter().find(|name| !extract::is_name(name)) {
             return Err(unsound(format!("a port is called {name:?}, but a name has letters, digits, _ and - only")));
         }
         if names.iter().collect::<BTreeSet<_>>().len() < names.len() {
@@ -136,7 +136,7 @@ fn describe(registry: &Registry, kind: &KindAbout) -> Result<Description, Provid
     Ok(description)
 }
 
-fn payload(registry: &Registry, kind: &KindAbout, port: &PortAbout) -> Result<PortPayload, ProvideError> {
+fn payload(registry: &Registry, kind: &KindDescription, port: &PortDescription) -> Result<PortPayload, ProvideError> {
     let Some((name, version)) = &port.payload else { return Ok(PortPayload::Any) };
     match registry.payload_type(name) {
         Some(ty) if ty.version == *version => Ok(PortPayload::Type(ty)),
@@ -155,12 +155,16 @@ fn payload(registry: &Registry, kind: &KindAbout, port: &PortAbout) -> Result<Po
     }
 }
 
-fn frames(port: &PortAbout) -> FrameExpr {
+fn frames(port: &PortDescription) -> FrameExpr {
     let [frame, to, from] = port.frames.each_ref().map(|frame| frame.as_deref().map(leak));
     FrameExpr { frame, to, from }
 }
 
-fn input_port(registry: &Registry, kind: &KindAbout, input: &InputAbout) -> Result<InputPort, ProvideError> {
+fn input_port(
+    registry: &Registry,
+    kind: &KindDescription,
+    input: &InputDescription,
+) -> Result<InputPort, ProvideError> {
     Ok(InputPort {
         name: leak(&input.port.name),
         doc: leak(&input.port.doc),
@@ -172,7 +176,11 @@ fn input_port(registry: &Registry, kind: &KindAbout, input: &InputAbout) -> Resu
     })
 }
 
-fn output_port(registry: &Registry, kind: &KindAbout, port: &PortAbout) -> Result<OutputPort, ProvideError> {
+fn output_port(
+    registry: &Registry,
+    kind: &KindDescription,
+    port: &PortDescription,
+) -> Result<OutputPort, ProvideError> {
     Ok(OutputPort {
         name: leak(&port.name),
         doc: leak(&port.doc),

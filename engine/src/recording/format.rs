@@ -26,6 +26,11 @@ pub const EXACT_ENCODING: &str = "osteoflow-view";
 /// The encoding of messages about the run itself.
 pub(crate) const RUN_ENCODING: &str = "json";
 
+/// Profile in the header of a recording's file.
+pub(crate) const PROFILE: &str = "osteoflow";
+/// Profile in the header of `inputs.mcap`, the input items of a firing.
+pub(crate) const REPRO_PROFILE: &str = "osteoflow-repro";
+
 const EXACT: &str = "/exact/";
 const VIEW: &str = "/view/";
 

@@ -104,7 +104,7 @@ pub struct Input {
     pub wire: Option<String>,
     /// Items, or the reason why there are none.
     #[serde(flatten)]
-    pub given: Given,
+    pub given: PortItems,
     /// Summary of the items, informative; the items themselves are in `inputs.mcap`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub items: Vec<Shown>,
@@ -113,7 +113,7 @@ pub struct Input {
 /// Items that a port brought.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "given", rename_all = "snake_case")]
-pub enum Given {
+pub enum PortItems {
     /// One item.
     Item,
     /// A list.

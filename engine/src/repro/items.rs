@@ -2,7 +2,7 @@
 
 use crate::recording::{
     RecordingError, codec,
-    format::{EXACT_ENCODING, MetadataRecord, ReproRecord, Topic, WireHeader},
+    format::{EXACT_ENCODING, MetadataRecord, REPRO_PROFILE, ReproRecord, Topic, WireHeader},
     known,
     wires::{Carries, Channels, Wire},
 };
@@ -28,7 +28,7 @@ pub(super) struct Port {
 impl Items {
     pub(super) fn create(path: &Path, node: &str, item: u64) -> io::Result<Self> {
         let options = WriteOptions {
-            profile: "osteoflow-repro".into(),
+            profile: REPRO_PROFILE.into(),
             library: concat!("osteoflow ", env!("CARGO_PKG_VERSION")).into(),
             // Compression would cost time and gain little.
             compression: Compression::None,

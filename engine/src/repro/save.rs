@@ -1,7 +1,7 @@
 //! Saves failed firings during a run.
 
 use super::{
-    bundle::{self, Bundle, Declared, Failure, Given, Input, Node, Output, Program, Shown},
+    bundle::{self, Bundle, Declared, Failure, Input, Node, Output, PortItems, Program, Shown},
     items::Items,
 };
 use crate::{
@@ -158,9 +158,9 @@ fn write_inputs(path: &Path, plan: &Plan, failed: &Failed<'_>, joined: &Joined) 
             Slot::Absent(_) => &[],
         };
         let given = match slot {
-            Slot::Item(_) => Given::Item,
-            Slot::Items(items) => Given::Items { n: items.len(), absent: items.iter().find_map(empty).cloned() },
-            Slot::Absent(empty) => Given::Absent { empty: (**empty).clone() },
+            Slot::Item(_) => PortItems::Item,
+            Slot::Items(items) => PortItems::Items { n: items.len(), absent: items.iter().find_map(empty).cloned() },
+            Slot::Absent(empty) => PortItems::Absent { empty: (**empty).clone() },
         };
         let mut shown = Vec::new();
         if !came.is_empty() {

@@ -21,9 +21,9 @@ use std::{
 };
 
 /// Calls that give one number each, as (stamp, port, number).
-type Given<'a> = &'a [(i64, usize, f64)];
+type Calls<'a> = &'a [(i64, usize, f64)];
 
-fn live(name: &str, n_ports: usize, given: Given<'_>, params: Json) -> PlanBuilder {
+fn live(name: &str, n_ports: usize, given: Calls<'_>, params: Json) -> PlanBuilder {
     let mut params = params;
     params["calls"] = calls(given);
     PlanBuilder::new().source(name, "toy.live", n_ports, params)

@@ -17,7 +17,7 @@ const HEADER_BYTES: usize = 64;
 
 /// The content of an entry. A cheap handle; the bytes are aligned for any column type.
 #[derive(Debug, Clone)]
-pub struct Entry {
+pub struct StoreEntry {
     words: Arc<Vec<u64>>,
     n_bytes: usize,
 }
@@ -43,7 +43,7 @@ pub(super) fn header(key: &Key, pieces: &[&[u8]]) -> io::Result<[u8; HEADER_BYTE
     header.try_into().map_err(|_| io::Error::other("the header of an entry has another length"))
 }
 
-impl Entry {
+impl StoreEntry {
     /// Reads an entry from a file; `None` unless it is complete and belongs to the key. Allocates only what the file
     /// holds.
     pub(super) fn read(file: &mut File, key: &Key) -> io::Result<Option<Self>> {
@@ -80,7 +80,7 @@ impl Entry {
 }
 
 struct EntryRange {
-    entry: Entry,
+    entry: StoreEntry,
     range: Range<usize>,
 }
 

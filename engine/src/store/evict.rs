@@ -32,7 +32,7 @@ pub(super) fn on_disk(n_bytes: u64) -> u64 {
     n_bytes.div_ceil(BLOCK_BYTES).saturating_mul(BLOCK_BYTES)
 }
 
-struct Found {
+struct StoredFile {
     used: SystemTime,
     path: PathBuf,
     n_bytes: u64,
@@ -51,7 +51,7 @@ pub(super) fn make_room(dir: &Path, max_bytes: u64) -> io::Result<u64> {
         let Some(metadata) = (is_entry || is_temporary).then(|| file.metadata().ok()).flatten() else { continue };
         let used = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
         if is_entry {
-            entries.push(Found { used, path: file.path(), n_bytes: on_disk(metadata.len()) });
+            entries.push(StoredFile { used, path: file.path(), n_bytes: on_disk(metadata.len()) });
         } else if now.duration_since(used).is_ok_and(|age| age > STALE_AGE) {
             let _ = fs::remove_file(file.path());
         }

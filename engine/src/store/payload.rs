@@ -1,6 +1,6 @@
 //! Payloads in the store, encoded like an item of a recording, without number and stamp.
 
-use super::{Entry, Key, Store, StoreError};
+use super::{Key, Store, StoreEntry, StoreError};
 use crate::recording::codec::{self, CodecError, RecordedItem};
 use osteoflow_container::Segments;
 use osteoflow_node::{Body, Item, Payload, PayloadType, PortPayload, Value};
@@ -22,7 +22,7 @@ pub(crate) fn payload_of(message: RecordedItem, ty: &'static PayloadType) -> Opt
 ///
 /// # Errors
 /// [`CodecError`] if the bytes are damaged, or the range is outside the entry.
-pub(crate) fn decode(entry: &Entry, range: Range<usize>) -> Result<RecordedItem, CodecError> {
+pub(crate) fn decode(entry: &StoreEntry, range: Range<usize>) -> Result<RecordedItem, CodecError> {
     let short = CodecError::Short { needed: range.end as u64, left: entry.bytes().len() };
     let (start, bytes) = (range.start, entry.bytes().get(range).ok_or(short)?);
     codec::decode_borrowed(bytes, &|rows| entry.part(start + rows.start..start + rows.end))

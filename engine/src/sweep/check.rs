@@ -1,6 +1,6 @@
 //! Checks a sweep before it starts: every run, and the hash of everything that determines the tables.
 
-use super::{Draw, Factor, Folder, FolderError, GRAPH, Row, Run, Spec, Sweep, input_files, rows, share};
+use super::{Draw, Factor, Folder, FolderError, GRAPH, Run, Spec, Sweep, SweepRow, input_files, rows, share};
 use crate::{
     check::{self, Checked},
     fault::{Fault, Faults},
@@ -96,7 +96,7 @@ fn check_rows(
     path: &Path,
     sets: &[String],
     kinds: &Kinds,
-    rows: Vec<Row>,
+    rows: Vec<SweepRow>,
     workers: usize,
 ) -> Result<(Vec<Run>, Stamps), Faults> {
     let (next, places) = (AtomicUsize::new(0), rows.iter().map(|_| Mutex::new(None)).collect::<Vec<_>>());

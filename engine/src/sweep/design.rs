@@ -9,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 
 /// A row of the design: one run of a sweep.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct SweepRow {
     /// Number of the run, from 0, in the order of the factors in the file, the first varying slowest, then the repeats.
     pub run: usize,
     /// Values of the factors, the draws and the repeat, by name, in the order of the columns.
@@ -21,7 +21,7 @@ pub struct Row {
 }
 
 /// Every run of a sweep over a graph with this seed.
-pub fn rows(spec: &Spec, seed: u64) -> Vec<Row> {
+pub fn rows(spec: &Spec, seed: u64) -> Vec<SweepRow> {
     let blocks = spec.blocks();
     let sizes: Vec<usize> = blocks.iter().map(|block| spec.factors[block[0]].levels.len()).collect();
     let n_settings: usize = sizes.iter().product();
@@ -34,7 +34,7 @@ pub fn rows(spec: &Spec, seed: u64) -> Vec<Row> {
             rest /= size;
         }
         for repeat in 0..spec.repeat {
-            let mut row = Row { run: rows.len(), values: Vec::new(), seed, sets: Vec::new() };
+            let mut row = SweepRow { run: rows.len(), values: Vec::new(), seed, sets: Vec::new() };
             for (factor, &level) in spec.factors.iter().zip(&level_of) {
                 let level = &factor.levels[level];
                 row.values.push((factor.name.clone(), level.label.clone()));

@@ -4,7 +4,7 @@
 //! is stopped.
 
 use super::{
-    design::Row,
+    design::SweepRow,
     table::{write_points, write_runs},
 };
 use crate::check::sweep::Spec;
@@ -139,7 +139,13 @@ impl Done {
         self.values.iter().find(|(known, _)| known == name).map(|(_, value)| value)
     }
 
-    pub(super) fn of(row: &Row, status: &str, reason: Option<String>, warnings: Vec<String>, results: Json) -> Self {
+    pub(super) fn of(
+        row: &SweepRow,
+        status: &str,
+        reason: Option<String>,
+        warnings: Vec<String>,
+        results: Json,
+    ) -> Self {
         let (values, status) = (row.values.clone(), status.to_owned());
         Self { run: row.run, seed: row.seed, values, status, reason, warnings, results }
     }

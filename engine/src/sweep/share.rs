@@ -60,7 +60,7 @@ enum State {
     Done(Arc<FinishedNode>),
 }
 
-struct Entry {
+struct SharedNode {
     /// Number of runs to come that share it.
     n_users: usize,
     state: State,
@@ -68,14 +68,14 @@ struct Entry {
 
 /// Nodes that several runs share, with their items so far; released after the last run that shares them.
 #[derive(Default)]
-pub(super) struct Shared(BTreeMap<Digest, Entry>);
+pub(super) struct Shared(BTreeMap<Digest, SharedNode>);
 
 impl Shared {
     /// Collects the keys of the runs to come; a key of only one run is not shared.
     pub(super) fn of<'a>(runs: impl Iterator<Item = &'a [Digest]>) -> Self {
-        let mut entries: BTreeMap<Digest, Entry> = BTreeMap::new();
+        let mut entries: BTreeMap<Digest, SharedNode> = BTreeMap::new();
         for key in runs.flatten() {
-            entries.entry(*key).or_insert(Entry { n_users: 0, state: State::Open }).n_users += 1;
+            entries.entry(*key).or_insert(SharedNode { n_users: 0, state: State::Open }).n_users += 1;
         }
         entries.retain(|_, entry| entry.n_users > 1);
         Self(entries)
@@ -83,13 +83,13 @@ impl Shared {
 
     /// Whether a run can start without computing a node that another run is computing.
     pub(super) fn is_free(&self, keys: &[Digest]) -> bool {
-        !keys.iter().any(|key| matches!(self.0.get(key), Some(Entry { state: State::UnderWay, .. })))
+        !keys.iter().any(|key| matches!(self.0.get(key), Some(SharedNode { state: State::UnderWay, .. })))
     }
 
     /// Starts a run: returns its available items by node, and marks its other shared nodes as being computed.
     pub(super) fn begin(&mut self, keys: &[Digest]) -> Vec<Option<Arc<FinishedNode>>> {
         let take = |key| match self.0.get_mut(key) {
-            Some(Entry { state: State::Done(left), .. }) => Some(left.clone()),
+            Some(SharedNode { state: State::Done(left), .. }) => Some(left.clone()),
             Some(entry) => {
                 entry.state = State::UnderWay;
                 None

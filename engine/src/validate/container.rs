@@ -4,7 +4,7 @@ use osteoflow_container::{
 };
 use std::collections::BTreeMap;
 
-/// What the format itself promises: descriptions before use, indexes and counts that hold, sums of the whole.
+/// Checks of the MCAP format: descriptions before use, and correct indexes, counts and CRCs.
 #[derive(Default)]
 pub(super) struct Container {
     header: bool,
@@ -14,9 +14,9 @@ pub(super) struct Container {
     n_attachments: u32,
     n_metadata: u32,
     chunks: BTreeMap<u64, Chunk>,
-    /// The chunk whose records are being told.
+    /// Offset of the chunk whose records are being read.
     open: Option<u64>,
-    /// The chunk that message indexes are of, and what they index.
+    /// Number of messages by channel in the message indexes of the current chunk.
     indexed: BTreeMap<u16, u64>,
     damaged: bool,
     /// Offset of the record that ends the data.
@@ -25,14 +25,14 @@ pub(super) struct Container {
     /// Offset of the last record.
     last: u64,
     statistics: Option<Statistics>,
-    /// Metadata records by their place.
+    /// Names of the metadata records, by offset.
     metadata: BTreeMap<u64, String>,
     n_chunk_indexes: u64,
 }
 
 struct Chunk {
     head: ChunkHeader,
-    /// Log times of its messages: least and greatest.
+    /// Earliest and latest log time of its messages.
     times: Option<(u64, u64)>,
     n_by_channel: BTreeMap<u16, u64>,
 }
@@ -172,18 +172,18 @@ impl Container {
         }
     }
 
-    /// Compares a chunk with what its head and its indexes say.
+    /// Compares a chunk with its header and its message indexes.
     fn close_chunk(&mut self, findings: &mut Findings) {
         let indexed = std::mem::take(&mut self.indexed);
         let Some(at) = self.open.take() else { return };
         let Some(chunk) = self.chunks.get_mut(&at) else { return };
         let place = Location { offset: at, in_chunk: None };
         let (head, counts) = (&chunk.head, std::mem::take(&mut chunk.n_by_channel));
-        let said = (head.start_time, head.end_time);
-        if let Some(times) = chunk.times.filter(|times| *times != said) {
+        let stored = (head.start_time, head.end_time);
+        if let Some(times) = chunk.times.filter(|times| *times != stored) {
             let what = format!(
                 "the chunk claims log times from {} to {}, its messages have {} to {}",
-                said.0, said.1, times.0, times.1
+                stored.0, stored.1, times.0, times.1
             );
             findings.add("chunk times", Finding::new(place, what));
         }
@@ -202,14 +202,14 @@ impl Container {
             return;
         };
         let head = &chunk.head;
-        let said = (index.start_time, index.end_time, index.length, index.n_packed, index.n_unpacked);
+        let stored = (index.start_time, index.end_time, index.length, index.n_packed, index.n_unpacked);
         let found = (head.start_time, head.end_time, head.n_record, head.n_packed, head.n_unpacked);
-        if said != found || index.compression != head.compression {
+        if stored != found || index.compression != head.compression {
             wrong(format!("the summary tells otherwise of the chunk at byte {} than the chunk itself", index.offset));
         }
     }
 
-    /// Compares the whole file with its summary.
+    /// Compares the file with its summary.
     pub(super) fn finish(mut self, findings: &mut Findings) {
         self.close_chunk(findings);
         if let Some((at, summary_start)) = self.footer {
@@ -222,25 +222,25 @@ impl Container {
                 findings.add("container", Finding::new(None, "the record that ends the data is missing"));
             }
         }
-        if let Some(said) = &self.statistics {
+        if let Some(stored) = &self.statistics {
             let n_messages = self.n_messages();
             let counts = [
-                ("messages", said.n_messages, n_messages),
-                ("schemas", said.n_schemas.into(), self.schemas.len() as u64),
-                ("channels", said.n_channels.into(), self.channels.len() as u64),
-                ("attachments", said.n_attachments.into(), self.n_attachments.into()),
-                ("metadata records", said.n_metadata.into(), self.n_metadata.into()),
-                ("chunks", said.n_chunks.into(), self.chunks.len() as u64),
+                ("messages", stored.n_messages, n_messages),
+                ("schemas", stored.n_schemas.into(), self.schemas.len() as u64),
+                ("channels", stored.n_channels.into(), self.channels.len() as u64),
+                ("attachments", stored.n_attachments.into(), self.n_attachments.into()),
+                ("metadata records", stored.n_metadata.into(), self.n_metadata.into()),
+                ("chunks", stored.n_chunks.into(), self.chunks.len() as u64),
             ];
-            for (what, said, found) in counts.iter().filter(|(_, said, found)| said != found) {
-                let what = format!("the summary counts {said} {what}, the file holds {found}");
+            for (what, stored, found) in counts.iter().filter(|(_, stored, found)| stored != found) {
+                let what = format!("the summary counts {stored} {what}, the file holds {found}");
                 findings.add("statistics", Finding::new(None, what));
             }
-            for (id, said) in &said.by_channel {
+            for (id, stored) in &stored.by_channel {
                 let found = self.n_by_channel.get(id).copied().unwrap_or(0);
-                if *said != found {
+                if *stored != found {
                     let topic = self.channels.get(id).map_or("unknown", |channel| channel.topic.as_str());
-                    let what = format!("the summary counts {said} messages of \"{topic}\", the file holds {found}");
+                    let what = format!("the summary counts {stored} messages of \"{topic}\", the file holds {found}");
                     findings.add("statistics", Finding::new(None, what));
                 }
             }

@@ -10,16 +10,16 @@ use osteoflow_container::{Channel, Location, Message};
 use osteoflow_node::{Registry, StampNs};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What a recording promises of its wires: numbers without holes, stamps that never decrease, items that decode.
+/// Checks of the recorded wires: numbers without gaps, stamps that never decrease, items that can be decoded.
 pub(super) struct Items<'a> {
     channels: Channels,
     encodings: BTreeMap<u16, String>,
     registry: &'a Registry,
     types: RecordedTypes,
     wires: BTreeMap<String, Checked>,
-    /// The earliest and the latest stamp that is a time.
+    /// Earliest and latest stamp, without those of items that have no time.
     times: Option<(StampNs, StampNs)>,
-    /// Items without a time, by log time: one of them, and its place.
+    /// Wire, number and place of one item without a time, by log time.
     timeless: BTreeMap<u64, (String, u64, Location)>,
     unknown_payloads: BTreeSet<String>,
 }
@@ -29,7 +29,7 @@ struct Checked {
     about: Option<Wire>,
     numbers: NumberSet,
     n_values: u64,
-    /// Stamps and places of items that came before their turn.
+    /// Stamps and places of items whose predecessor has not been read yet.
     early: BTreeMap<u64, (StampNs, Location)>,
     next: u64,
     last_stamp_ns: Option<StampNs>,
@@ -50,7 +50,7 @@ impl<'a> Items<'a> {
         }
     }
 
-    /// The registry, with the recording's payload types that it lacks.
+    /// The registry, with the payload types of the recording added.
     pub(super) fn registry(&self) -> Registry {
         self.types.registry(self.registry)
     }
@@ -150,13 +150,13 @@ impl<'a> Items<'a> {
         }
     }
 
-    /// Compares the wires with the counts that the run left.
+    /// Compares the wires with the counts in the metadata.
     pub(super) fn finish(&mut self, metadata: &MetadataRecords, findings: &mut Findings, notes: &mut Vec<String>) {
         let recovered = metadata.has::<Recovered>();
         let known_missing = metadata.sound::<Recovered>().unwrap_or_default().missing;
-        let said = metadata.entries::<WireCounts>();
+        let stored = metadata.entries::<WireCounts>();
         for (name, wire) in &mut self.wires {
-            // What follows a hole has no neighbour to compare with but those behind it.
+            // The first item after a gap is compared with the last one before it.
             let mut last = wire.last_stamp_ns;
             for (number, (stamp_ns, place)) in std::mem::take(&mut wire.early) {
                 if let Some(before) = last.replace(stamp_ns).filter(|before| *before > stamp_ns) {
@@ -164,14 +164,14 @@ impl<'a> Items<'a> {
                     findings.add("stamp", Finding::of(name, number, place, what));
                 }
             }
-            let count = said.and_then(|said| said.get(name));
-            let expected = count.and_then(|said| WireCounts::parse(said));
+            let count = stored.and_then(|stored| stored.get(name));
+            let expected = count.and_then(|stored| WireCounts::parse(stored));
             match (count, expected) {
-                (Some(said), None) => {
-                    let what = format!("\"{}\" says \"{said}\", which is no count", WireCounts::NAME);
+                (Some(stored), None) => {
+                    let what = format!("\"{}\" says \"{stored}\", which is no count", WireCounts::NAME);
                     findings.add("count", Finding::of(name, None, None, what));
                 }
-                (None, _) if said.is_some() && wire.about.is_some() => {
+                (None, _) if stored.is_some() && wire.about.is_some() => {
                     let what = format!("\"{}\" does not count it", WireCounts::NAME);
                     findings.add("count", Finding::of(name, None, None, what));
                 }
@@ -202,7 +202,7 @@ impl<'a> Items<'a> {
                 findings.add("view", Finding::of(name, None, None, what));
             }
         }
-        for name in said.into_iter().flat_map(|said| said.keys()) {
+        for name in stored.into_iter().flat_map(|stored| stored.keys()) {
             if !self.wires.contains_key(name) && !recovered {
                 findings.add("count", Finding::of(name, None, None, "it was counted, but has no channel"));
             }
@@ -217,7 +217,7 @@ impl<'a> Items<'a> {
         }
     }
 
-    /// An item without a time of its own is logged at one that the run had.
+    /// Checks that each item without a time has a log time within the run.
     fn check_timeless(&self, findings: &mut Findings) {
         for (&log_time, (wire, number, place)) in &self.timeless {
             let fits = match self.times {
@@ -246,7 +246,7 @@ impl<'a> Items<'a> {
     }
 }
 
-/// Whether the bytes have the form of a protobuf message: fields of known kinds, each whole.
+/// Whether the bytes are a well-formed protobuf message: complete fields of known wire types.
 fn is_protobuf(bytes: &[u8]) -> bool {
     if bytes.is_empty() {
         return true;

@@ -3,7 +3,7 @@
 #![allow(missing_docs, reason = "a test has no readers of its docs")]
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod alone;
+mod command_line_params;
 mod damage;
 mod golden;
 mod modules;

@@ -1,5 +1,5 @@
-//! What a damaged file can make a reader do: answer, or say what is wrong. Never panic, never go on for ever, and never
-//! ask for more memory than the file has bytes to show for.
+//! Readers of damaged files return a result or an error. They neither panic nor loop forever, and allocate memory in
+//! proportion to the size of the file.
 
 use crate::{
     rewrite::{Draw, Layout, copy},
@@ -18,15 +18,15 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Buffers of readers and writers, whatever the file: the search window behind damage and a chunk of the recovered file
-/// are the largest.
+/// Maximum size of the buffers of readers and writers, for any file. The largest are the search window after damage and
+/// a chunk of the recovered file.
 const BUFFERS_BYTES: u64 = 12 << 20;
-/// An item decoded has a few times its bytes: a field of six bytes is a name and a value in memory.
+/// Maximum ratio of decoded size to file size: a field of six bytes becomes a name and a value in memory.
 const TIMES: u64 = 40;
 
 const ABSURD: [u64; 9] = [0, 1, 0xffff, u32::MAX as u64, 1 << 30, (1 << 30) + 1, 1 << 40, i64::MAX as u64, u64::MAX];
 
-/// A way to read a file: its name, and whether it gave an answer.
+/// A way to read a file: its name, and a function that returns whether it succeeded.
 type Way<'a> = (&'static str, &'a dyn Fn(&Path) -> bool);
 
 struct Bench {
@@ -42,7 +42,7 @@ impl Bench {
         Self { dir, whole, n_answers: 0 }
     }
 
-    /// The same items in files that differ in where damage is noticed.
+    /// The same items in files of several layouts, which detect damage at different places.
     fn files(&self) -> Vec<Vec<u8>> {
         let layouts = [
             (Some(1500), Some(Compression::Zstd), true),
@@ -59,7 +59,7 @@ impl Bench {
         files
     }
 
-    /// Reads a file in every way there is.
+    /// Reads a file in every way, and checks the memory and the recovered file.
     fn survives(&mut self, bytes: &[u8], what: &str) {
         let path = self.dir.path().join("damaged.mcap");
         fs::write(&path, bytes).unwrap();
@@ -84,7 +84,7 @@ impl Bench {
                 asked.bytes_max
             );
         }
-        // What was recovered is a file that others read.
+        // The recovered file has an intact container.
         if out.exists() {
             let sound = validate(&out, &registry(), &mut |_, _| {}).unwrap();
             let container: Vec<_> = sound.findings.iter().filter(|finding| finding.wire.is_none()).collect();
@@ -94,7 +94,7 @@ impl Bench {
     }
 }
 
-/// How often, unless there is time.
+/// Number of rounds: `n`, or 50 times as many with `SLOW_TESTS`.
 fn rounds(n: u64) -> u64 {
     if std::env::var_os("SLOW_TESTS").is_some() { n * 50 } else { n }
 }
@@ -103,7 +103,7 @@ fn rounds(n: u64) -> u64 {
 fn absurd_lengths_in_every_record_ask_for_no_memory() {
     let mut bench = Bench::new();
     for (i, file) in bench.files().into_iter().enumerate() {
-        // Every record, or one of three, and behind its length every field that can be one.
+        // In every record, or every third: its length, and each field after it that can be a length.
         let (mut at, mut n_records) = (8, i as u64);
         let every = if rounds(1) == 1 { 3 } else { 1 };
         while at + 9 < file.len() {
@@ -145,7 +145,7 @@ fn bits_turned_over_bytes_overwritten_and_cuts_are_survived() {
                     file[at..end].fill(draw.below(256) as u8);
                 }
                 3 => {
-                    // A part stands there twice.
+                    // A part of the file is duplicated.
                     let end = (at + draw.below(500) as usize).min(file.len());
                     let part = file[at..end].to_vec();
                     let to = draw.below(file.len() as u64) as usize;
@@ -173,7 +173,7 @@ fn a_chunk_that_claims_what_it_does_not_hold_is_refused_without_room_for_it() {
         let at = summary.chunk_indexes[0].chunk_start_offset as usize;
         for absurd in ABSURD {
             let mut damaged = file.clone();
-            // What the chunk claims to hold when it is unpacked.
+            // The size of the unpacked chunk.
             damaged[at + 25..at + 33].copy_from_slice(&absurd.to_le_bytes());
             bench.survives(&damaged, &format!("{compression:?} claims {absurd:#x}"));
             let path = bench.dir.path().join("damaged.mcap");

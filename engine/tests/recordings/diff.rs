@@ -33,12 +33,12 @@ fn a_changed_parameter_diverges_first_at_the_output_of_its_node_and_nowhere_upst
     let names: Vec<_> = report.wires.iter().map(|wire| (wire.wire.as_str(), wire.is_equal())).collect();
     assert_eq!(names, [("beat.wave", true), ("constant.wave", true), ("cut.short", false), ("pass.thing", false)]);
     let cut = &report.wires[2];
-    // Half a step more than nothing, rounded: one step or two; the report in the payload repeats a number.
+    // The gain differs by one ulp, so a rounded product differs by at most two.
     assert!(cut.n_differ > 25 && cut.n_differ <= 32 && cut.largest.ulp <= 2, "{cut:#?}");
     assert!(cut.largest.by_unit["mm"] > 0.0 && cut.largest.by_unit["mm"] < 3e-14, "{cut:#?}");
     assert_eq!((report.same_graph, report.sides[0].seed), (Some(false), Some(5)));
 
-    // Within a tolerance they are equal, and it is said how many are.
+    // Within a tolerance they are equal, and the report counts the items that differ.
     let options = DiffOptions { wires: Vec::new(), tolerance: 1e-12 };
     let report = diff(&a, &b, &options, &mut |_, _| {}).unwrap();
     assert!(report.is_equal() && report.wires[2].n_within == cut.n_differ, "{:#?}", report.wires[2]);
@@ -121,7 +121,7 @@ fn stamps_empties_missing_items_signs_of_zero_and_nan_are_told_apart() {
     let report = diff(&nan, &zero, &options, &mut |_, _| {}).unwrap();
     assert!(!report.is_equal(), "no tolerance covers a NaN");
 
-    // A value in one, an empty in the other.
+    // A value in one recording, an empty item in the other.
     let report = changed("empty", "/exact/cut.short", &|data| {
         data.truncate(40);
         data[24] = 1;
@@ -152,7 +152,7 @@ fn numbers_in_a_report_are_compared_as_numbers() {
     assert_eq!((beat.wire.as_str(), beat.n_differ), ("beat.wave", 1));
     let what = &beat.first.as_ref().unwrap().1;
     assert_eq!((what.field.as_str(), what.unit.as_deref()), ("gain_mm", Some("mm")));
-    // gain, the number in the report, and every sample.
+    // The gain, the number in the report and every sample have this unit.
     assert!((beat.largest.by_unit["mm"] - 1e-9).abs() < 1e-13, "{:?}", beat.largest);
     assert_eq!(beat.largest.by_unit.len(), 1);
 }

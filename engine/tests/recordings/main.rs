@@ -1,4 +1,4 @@
-//! Recordings read back: digests, checks, differences, and what is saved from damaged files.
+//! Reading recordings: digests, validation, differences and recovery of damaged files.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod damaged;

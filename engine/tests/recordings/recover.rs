@@ -28,7 +28,7 @@ fn chunked(dir: &Path) -> PathBuf {
     path
 }
 
-/// Where chunks begin and how long they are.
+/// Offset and length of each chunk.
 fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
     let summary = mcap::Summary::read(bytes).unwrap().unwrap();
     let mut chunks: Vec<_> =
@@ -87,7 +87,7 @@ fn chunks_behind_a_damaged_one_are_found_and_holes_are_named() {
     let chunks = chunks(&bytes);
     let (start, length) = chunks[chunks.len() / 2];
     let (damaged, out) = (dir.path().join("damaged.mcap"), dir.path().join("out.mcap"));
-    // The length, the middle of the items, the whole head, and a hole of zeros as a failing disk leaves.
+    // Damages the length, the middle of the items and the whole header; the last writes zeros, as a failing disk does.
     let flips: [Flip<'_>; 4] =
         [&|b| b[start + 6] ^= 0x10, &|b| b[start + length / 2] ^= 1, &|b| b[start..start + 60].fill(0xff), &|b| {
             b[start - 100..start + length / 2].fill(0)
@@ -105,7 +105,7 @@ fn chunks_behind_a_damaged_one_are_found_and_holes_are_named() {
         assert_eq!(Some(&beat.before_damage), beat.missing.first().map(|hole| hole.start()), "{i}");
         assert!(report.bytes_lost() < 2 * length as u64 + 500, "{i}: {} bytes", report.bytes_lost());
 
-        // Nothing is shifted: what is read for a replay ends before the hole.
+        // Items keep their numbers: a replay reads only those before the gap.
         let recording = Recording::open(&out).unwrap();
         assert_eq!(recording.wires["beat.wave"].messages.len() as u64, beat.before_damage);
         let replayed = replay(&out, &ReplayOptions::default(), &registry(), &RunOptions::default(), &()).unwrap();
@@ -115,7 +115,7 @@ fn chunks_behind_a_damaged_one_are_found_and_holes_are_named() {
         let wire = digests.wires.iter().find(|wire| wire.wire == "beat.wave").unwrap();
         assert_eq!((wire.n_items, &wire.missing), (beat.n_items, &beat.missing), "{i}");
 
-        // Once more changes nothing.
+        // A second recovery changes nothing.
         let again = dir.path().join("again.mcap");
         saved(&out, &again).unwrap();
         assert_eq!(digest(&again, &mut |_, _| {}).unwrap().digest, digests.digest);

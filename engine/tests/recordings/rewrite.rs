@@ -1,9 +1,9 @@
-//! The same messages in another file: other order, other chunks, other compression.
+//! Copies recordings with another order of messages, other chunks or another compression.
 
 use mcap::{Compression, WriteOptions, Writer, records::MessageHeader, records::Record};
 use std::{collections::BTreeMap, fs, path::Path};
 
-/// A generator for tests: small, and the same everywhere.
+/// A small random number generator, the same on every platform.
 pub(crate) struct Draw(pub(crate) u64);
 
 impl Draw {
@@ -20,11 +20,11 @@ pub(crate) struct Layout {
     pub(crate) chunk_bytes: Option<u64>,
     pub(crate) compression: Option<Compression>,
     pub(crate) shuffle: Option<u64>,
-    /// Whether chunks are summed; damage in others goes further.
+    /// Whether chunks have CRCs; without them, damage is detected later.
     pub(crate) crc: bool,
 }
 
-/// Writes what `from` holds to `to`; `change` may alter a message's topic, header and bytes, or leave it out.
+/// Copies messages from `from` to `to`; `change` may alter the header and bytes of each or return `false` to omit it.
 pub(crate) fn rewrite(
     from: &Path,
     to: &Path,
@@ -34,7 +34,7 @@ pub(crate) fn rewrite(
     write(from, to, layout, change, |_| ());
 }
 
-/// The same messages; `change` may alter what a channel says of itself.
+/// Copies all messages; `change` may alter the metadata of each channel.
 pub(crate) fn rewrite_about(from: &Path, to: &Path, layout: &Layout, change: impl Fn(&mut BTreeMap<String, String>)) {
     write(from, to, layout, |_, _, _| true, change);
 }
@@ -70,7 +70,7 @@ fn write(
         .use_chunks(layout.chunk_bytes.is_some())
         .chunk_size(layout.chunk_bytes);
     let mut writer: Writer<_> = options.create(fs::File::create(to).unwrap()).unwrap();
-    // As the recorder has it: the graph first, counts and results last.
+    // In the order of the recorder: the graph first, counts and results last.
     let (front, back): (Vec<_>, Vec<_>) = metadata.iter().partition(|m| m.name == "osteoflow");
     front.iter().for_each(|m| writer.write_metadata(m).unwrap());
     let mut ids = BTreeMap::new();
@@ -98,7 +98,7 @@ fn write(
     writer.finish().unwrap();
 }
 
-/// The same, with nothing changed.
+/// Copies all messages unchanged.
 pub(crate) fn copy(from: &Path, to: &Path, layout: &Layout) {
     rewrite(from, to, layout, |_, _, _| true);
 }

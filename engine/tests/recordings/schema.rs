@@ -1,4 +1,4 @@
-//! Recordings whose payloads this program does not know: their schemas are in the file.
+//! Recordings with payloads that are unknown to the program; the file has their schemas.
 
 use crate::{
     rewrite::{Layout, rewrite, rewrite_about},
@@ -19,7 +19,7 @@ use std::{fs, path::Path};
 
 const SAME: Layout = Layout { chunk_bytes: Some(4096), compression: None, shuffle: None, crc: true };
 
-/// What is recorded of waves, in a graph that only takes what comes.
+/// A graph that plays recorded waves and passes them on unchanged.
 const ANOTHER: &str = r#"
 [graph]
 format = 1
@@ -40,7 +40,7 @@ wires = ["*"]
 "last" = "again.thing"
 "#;
 
-/// A program that has never heard of waves.
+/// A registry without the payload `toy/Wave`.
 fn stranger() -> Registry {
     let mut registry = Registry::default();
     registry.source::<Played>().node::<Pass>();
@@ -63,7 +63,7 @@ fn a_recording_of_an_unknown_payload_is_validated_digested_compared_recovered_an
 
     let report = checked_by_stranger(&path);
     assert!(report.is_sound(), "{:#?}", report.findings);
-    // All items were held against the schema, and those on the wire that takes anything too.
+    // All items were checked against the schema, including those on the wire that accepts any payload.
     assert!(!report.notes.iter().any(|note| note.contains("unknown")), "{:?}", report.notes);
 
     let saved = dir.path().join("saved.mcap");
@@ -82,7 +82,7 @@ fn a_recording_of_an_unknown_payload_is_validated_digested_compared_recovered_an
     let last = &report.run.results["last"];
     assert_eq!((&last["label"], last["samples_mm"].as_array().map(Vec::len)), (&"wave 39".into(), Some(50)));
 
-    // What was played went through to the last bit.
+    // The played items pass through bit for bit.
     let again = out.join("run.mcap");
     let of = |path: &Path, wire: &str| {
         digest_of(path).wires.into_iter().find(|found| found.wire == wire).unwrap().digest.unwrap()
@@ -91,7 +91,7 @@ fn a_recording_of_an_unknown_payload_is_validated_digested_compared_recovered_an
     let only = DiffOptions { wires: vec!["beat.wave".into()], ..DiffOptions::default() };
     assert!(diff(&path, &again, &only, &mut |_, _| {}).unwrap().is_equal());
     assert!(checked_by_stranger(&again).is_sound());
-    // Those who know waves read them there.
+    // A program that knows the payload reads them too.
     assert!(validate(&again, &registry(), &mut |_, _| {}).unwrap().is_sound());
     let recording = osteoflow_engine::Recording::open(&again).unwrap();
     let items = recording.items("beat.wave", &recording.registry(&stranger())).unwrap();

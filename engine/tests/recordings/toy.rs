@@ -1,4 +1,4 @@
-//! A graph whose recording has values, empties, constants, columns, text and a wire that takes anything.
+//! A graph whose recording has values, empty items, constants, columns, text and a wire that accepts any payload.
 
 use osteoflow_engine::{Checked, RunOptions, check_text, run};
 pub(crate) use osteoflow_toy::wave::registry;

@@ -14,14 +14,14 @@ fn of(path: &Path) -> ValidateReport {
     validate(path, &registry(), &mut |_, _| {}).unwrap()
 }
 
-fn said(report: &ValidateReport) -> Vec<String> {
+fn messages(report: &ValidateReport) -> Vec<String> {
     report.findings.iter().map(ToString::to_string).collect()
 }
 
-/// That one of the findings begins so.
+/// Asserts that one of the findings contains `expected`.
 fn assert_says(report: &ValidateReport, expected: &str) {
-    let said = said(report);
-    assert!(said.iter().any(|s| s.contains(expected)), "\"{expected}\" is not among {said:#?}");
+    let messages = messages(report);
+    assert!(messages.iter().any(|s| s.contains(expected)), "\"{expected}\" is not among {messages:#?}");
 }
 
 #[test]
@@ -29,14 +29,14 @@ fn what_a_run_leaves_is_sound_and_so_is_it_in_another_file() {
     let dir = tempfile::tempdir().unwrap();
     let path = record(dir.path(), &[], 4);
     let report = of(&path);
-    assert!(report.is_recording && report.is_sound(), "{:#?}", said(&report));
+    assert!(report.is_recording && report.is_sound(), "{:#?}", messages(&report));
     assert_eq!(report.notes, [] as [String; 0]);
     let cut = report.wires.iter().find(|wire| wire.wire == "cut.short").unwrap();
     assert_eq!((cut.n_items, cut.n_values, cut.n_views), (40, 32, 32));
     let shuffled = dir.path().join("shuffled.mcap");
     copy(&path, &shuffled, &Layout { shuffle: Some(3), ..SMALL });
     let report = of(&shuffled);
-    assert!(report.is_sound(), "{:#?}", said(&report));
+    assert!(report.is_sound(), "{:#?}", messages(&report));
 }
 
 #[test]
@@ -47,7 +47,7 @@ fn everything_that_is_wrong_with_items_is_found_at_once_with_wire_and_item() {
     rewrite(&original, &path, &SMALL, |topic, header, data| match (topic, header.sequence) {
         ("/exact/beat.wave", 3) => false,
         ("/exact/beat.wave", 5) => {
-            // An earlier stamp.
+            // The stamp is earlier than that of the item before it.
             data[8..16].copy_from_slice(&7_i64.to_le_bytes());
             header.log_time = 7;
             true
@@ -123,14 +123,14 @@ fn every_cut_is_found_and_what_is_recovered_is_sound_and_says_that_it_is_a_part(
         let out = dir.path().join(format!("{i}.mcap"));
         if recover(&path, &out, &mut |_, _| {}).is_ok() {
             let report = of(&out);
-            assert!(report.is_sound(), "{at}: {:#?}", said(&report));
+            assert!(report.is_sound(), "{at}: {:#?}", messages(&report));
             assert!(
                 report.notes.iter().any(|note| note.contains("is a part of what was recorded")),
                 "{:?}",
                 report.notes
             );
         }
-        // Damage in the middle as well.
+        // A changed bit is found too.
         let mut damaged = bytes.clone();
         damaged[at] ^= 4;
         fs::write(&path, &damaged).unwrap();
@@ -138,7 +138,7 @@ fn every_cut_is_found_and_what_is_recovered_is_sound_and_says_that_it_is_a_part(
         let out = dir.path().join(format!("{i}-middle.mcap"));
         recover(&path, &out, &mut |_, _| {}).unwrap();
         let report = of(&out);
-        assert!(report.is_sound(), "{at}: {:#?}", said(&report));
+        assert!(report.is_sound(), "{at}: {:#?}", messages(&report));
     }
 }
 
@@ -155,7 +155,7 @@ fn of_a_file_of_another_program_the_container_is_checked() {
     writer.finish().unwrap();
     drop(writer);
     let report = of(&path);
-    assert!(report.is_sound() && !report.is_recording, "{:#?}", said(&report));
+    assert!(report.is_sound() && !report.is_recording, "{:#?}", messages(&report));
     assert!(report.notes[0].contains("no recording of a run"), "{:?}", report.notes);
     assert_eq!(report.n_messages, 50);
     let mut bytes = fs::read(&path).unwrap();

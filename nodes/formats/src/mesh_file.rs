@@ -297,7 +297,7 @@ mod tests {
         read_mesh(file.path(), 1.0, "ct", SurfaceOrigin::User)
     }
 
-    fn said(bytes: &[u8]) -> String {
+    fn error_message(bytes: &[u8]) -> String {
         read(bytes).unwrap_err().to_string()
     }
 
@@ -411,26 +411,38 @@ mod tests {
     fn files_that_are_no_surface_say_why() {
         let mut cut = binary();
         cut.truncate(200);
-        assert!(said(&cut).contains("promises 4 triangles (284 bytes), but the file has 200 bytes"), "{}", said(&cut));
-        assert!(said(b"").contains("0 bytes are too few"), "{}", said(b""));
+        assert!(
+            error_message(&cut).contains("promises 4 triangles (284 bytes), but the file has 200 bytes"),
+            "{}",
+            error_message(&cut)
+        );
+        assert!(error_message(b"").contains("0 bytes are too few"), "{}", error_message(b""));
         let mut nan = binary();
         nan[96..100].copy_from_slice(&f32::NAN.to_le_bytes());
-        assert!(said(&nan).contains("vertex 0 is not finite"), "{}", said(&nan));
+        assert!(error_message(&nan).contains("vertex 0 is not finite"), "{}", error_message(&nan));
         let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1,5 0 0\n";
-        assert!(said(text.as_bytes()).contains("line 5: \"1,5\" is not a coordinate"), "{}", said(text.as_bytes()));
+        assert!(
+            error_message(text.as_bytes()).contains("line 5: \"1,5\" is not a coordinate"),
+            "{}",
+            error_message(text.as_bytes())
+        );
         let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nendloop\nendfacet\nendsolid\n";
-        assert!(said(text.as_bytes()).contains("line 5: a facet has three corners, this one has 1"));
+        assert!(error_message(text.as_bytes()).contains("line 5: a facet has three corners, this one has 1"));
         let text =
             "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n";
-        assert!(said(text.as_bytes()).contains("without \"endsolid\"; was it cut short?"));
+        assert!(error_message(text.as_bytes()).contains("without \"endsolid\"; was it cut short?"));
         let points = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
-        assert!(said(points.as_bytes()).contains("no element \"face\", only points"), "{}", said(points.as_bytes()));
+        assert!(
+            error_message(points.as_bytes()).contains("no element \"face\", only points"),
+            "{}",
+            error_message(points.as_bytes())
+        );
         let face = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
                     element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n";
         assert!(
-            said(face.as_bytes()).contains("face 0: it names vertex 1, but there are 1"),
+            error_message(face.as_bytes()).contains("face 0: it names vertex 1, but there are 1"),
             "{}",
-            said(face.as_bytes())
+            error_message(face.as_bytes())
         );
         let missing = read_mesh("no/such.stl".as_ref(), 1.0, "ct", SurfaceOrigin::User).unwrap_err().to_string();
         assert!(missing.starts_with("no/such.stl: cannot be read:"), "{missing}");

@@ -210,9 +210,9 @@ mod tests {
     }
 
     /// The error for a text, without the file's name.
-    fn said(text: &str) -> String {
-        let said = read(text).unwrap_err().to_string();
-        said.split_once(": ").unwrap().1.to_owned()
+    fn error_message(text: &str) -> String {
+        let message = read(text).unwrap_err().to_string();
+        message.split_once(": ").unwrap().1.to_owned()
     }
 
     fn motion() -> Isometry3<f64> {
@@ -295,9 +295,9 @@ mod tests {
         let notes = read(&versor("1.0002")).unwrap().notes;
         assert!(notes.len() == 2 && notes[1].contains("2.0e-4, 0.80 mm at 1 m"), "{notes:?}");
         assert!(
-            said(&versor("1.0011")).starts_with("Parameters: the quaternion has length 1.0011"),
+            error_message(&versor("1.0011")).starts_with("Parameters: the quaternion has length 1.0011"),
             "{}",
-            said(&versor("1.0011"))
+            error_message(&versor("1.0011"))
         );
     }
 
@@ -383,7 +383,7 @@ mod tests {
             ),
             (itk(""), "header: there is no line \"Transform:\"; was the file cut short?"),
         ] {
-            assert_eq!(said(&text), expected, "{text}");
+            assert_eq!(error_message(&text), expected, "{text}");
         }
         let missing = read_pose("no/such.txt".as_ref(), 1.0).unwrap_err().to_string();
         assert!(missing.starts_with("no/such.txt: cannot be read:"), "{missing}");

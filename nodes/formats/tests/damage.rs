@@ -1,5 +1,6 @@
-//! Damaged recordings: a named error with its place, the intact part on request, never a panic or an absurd allocation.
-// The counting allocator needs it.
+//! Damaged recordings give an error with the place of the damage, or the intact part on request. They never cause a
+//! panic or an absurd allocation.
+// The counting allocator needs unsafe code.
 #![allow(clippy::unwrap_used, unsafe_code)]
 
 use nalgebra::Point3;
@@ -19,7 +20,7 @@ use std::{
     sync::atomic::{AtomicUsize, Ordering},
 };
 
-/// Remembers the largest single piece of memory that was asked for.
+/// Allocator that records the size of the largest allocation.
 struct Watched;
 
 static LARGEST: AtomicUsize = AtomicUsize::new(0);
@@ -65,7 +66,7 @@ fn small_chunks(compression: Compression) -> Layout {
     Layout { compression, chunk_bytes: Some(400), ..Layout::default() }
 }
 
-/// The file's records: opcode, and where the record begins and ends.
+/// Opcode, start and end of each record of the file.
 fn records(bytes: &[u8]) -> Vec<(u8, usize, usize)> {
     let mut at = 8;
     let mut found = Vec::new();
@@ -136,7 +137,7 @@ fn a_changed_byte_in_a_chunk_is_found_and_that_chunk_alone_left_out_on_request()
         let mut bytes = recording(&small_chunks(compression));
         let all = n_messages(&Recording::from_bytes("whole", &bytes, false).unwrap());
         let (start, end) = chunks(&bytes)[1];
-        // In the middle of the packed records.
+        // A byte in the middle of the compressed records.
         bytes[(start + end) / 2 + 20] ^= 0x10;
         let error = Recording::from_bytes("flipped", &bytes, false).unwrap_err();
         let named = matches!(cause(&error), Some(Cause::Crc { .. } | Cause::Compression { .. }));
@@ -184,7 +185,7 @@ fn a_length_that_cannot_be_true_is_named_and_costs_no_memory() {
     assert!(error.to_string().contains("fewer than the 536870912 bytes it claims"), "{error}");
 }
 
-/// A recording as other programs write it, by the `mcap` crate: twelve messages on two topics, and an attachment.
+/// A recording written by the `mcap` crate, as other programs do: twelve messages on two topics, and an attachment.
 fn foreign(compression: Option<mcap::Compression>, chunks: bool, summary: bool) -> Vec<u8> {
     let options = mcap::WriteOptions::new()
         .compression(compression)
@@ -225,7 +226,7 @@ fn foreign_data(i: u32) -> Vec<u8> {
     (0..150 + i).map(|k| (k.wrapping_mul(k + i) >> 3) as u8).collect()
 }
 
-/// Numbers of the messages of both topics, each with its own data.
+/// Sorted numbers of the messages of both topics; asserts that each has its data.
 fn foreign_numbers(recording: &Recording) -> Vec<u32> {
     let mut numbers = Vec::new();
     for (topic, k) in [("/a", 0), ("/b", 1)] {
@@ -265,7 +266,7 @@ fn messages_behind_a_damaged_record_length_are_read_and_the_damage_is_noted_with
             let (_, start, _) = of_kind[of_kind.len() / 2];
             let what = format!("{compression:?}, chunks {chunks}");
             let mut damaged = bytes.clone();
-            // The length becomes a terabyte.
+            // The length becomes about a terabyte.
             damaged[start + 6] = 1;
             let error = Recording::from_bytes("damaged", &damaged, false).unwrap_err();
             assert!(matches!(cause(&error), Some(Cause::Length { .. } | Cause::Malformed { .. })), "{what}: {error}");
@@ -285,7 +286,7 @@ fn messages_behind_a_damaged_record_length_are_read_and_the_damage_is_noted_with
 fn a_summary_that_counts_otherwise_is_noted() {
     let mut bytes = foreign(None, true, true);
     let statistics = records(&bytes).into_iter().find(|r| r.0 == 11).unwrap();
-    // The counts of both channels are exchanged for others of the same sum; without CRC of the summary.
+    // Changes the counts of both channels but not their sum, and removes the CRC of the summary.
     let counts = statistics.2 - 20;
     for (at, n) in [(counts + 2, 5_u64), (counts + 12, 7)] {
         bytes[at..at + 8].copy_from_slice(&n.to_le_bytes());
@@ -315,7 +316,7 @@ fn a_message_without_its_channel_is_named() {
     let channel = records(&bytes).into_iter().find(|r| r.0 == 4).unwrap();
     let mut without = bytes[..channel.1].to_vec();
     without.extend(&bytes[channel.2..]);
-    // The data section's CRC no longer fits, so it is taken out: zero stands for none.
+    // The CRC of the data section no longer matches, so it is set to zero, which means none.
     let end = records(&without).into_iter().find(|r| r.0 == 15).unwrap();
     without[end.2 - 4..end.2].fill(0);
     let error = Recording::from_bytes("a", &without, false).unwrap_err();
@@ -325,7 +326,7 @@ fn a_message_without_its_channel_is_named() {
     assert_eq!(part.messages("/stylus").len(), 6);
 }
 
-/// Reads everything that can be read; what matters is that it returns.
+/// Reads everything that can be read, and ignores the results.
 fn read_all(bytes: &[u8]) {
     for allow_truncated in [false, true] {
         let Ok(recording) = Recording::from_bytes("fuzzed", bytes, allow_truncated) else { continue };
@@ -351,7 +352,7 @@ fn no_damage_makes_the_reader_panic_or_ask_for_absurd_memory() {
         ] {
             let layout = Layout { encoding, compression, chunk_bytes, ..Layout::default() };
             let mut bytes = recording(&layout);
-            // Without stored CRCs damage goes deeper.
+            // Without stored CRCs, damage is detected later.
             if rng.random_range(0..2) == 0 {
                 for (start, _) in chunks(&bytes) {
                     bytes[start + 33..start + 37].fill(0);
@@ -376,7 +377,7 @@ fn no_damage_makes_the_reader_panic_or_ask_for_absurd_memory() {
         }
     }
     let largest = LARGEST.load(Ordering::Relaxed);
-    // The files have 5 kB; unpacking starts with 4 MB at most.
+    // The files have 5 kB, and decompression begins with a buffer of at most 4 MB.
     assert!(largest <= 16 << 20, "{largest} bytes were asked for in one piece");
 }
 

@@ -1,4 +1,4 @@
-//! Files made by other programs; each test is skipped where the development data is not there.
+//! Reads files of other programs; each test is skipped if the development data is missing.
 #![allow(clippy::unwrap_used)]
 
 use nalgebra::{Point3, Vector3};
@@ -55,7 +55,7 @@ fn the_development_procedure_holds_what_its_makers_reader_finds() {
     let scan = read_cloud(&recording.messages("/camera/scan")[0]).unwrap();
     assert_eq!((scan.n_points_in_message, scan.n_dropped), (20_000, 0));
     assert_eq!((scan.cloud.frame.as_str(), scan.cloud.stamp_ns), ("camera", 1_750_000_011_000_000_000));
-    // The same bytes as NumPy reads them, in mm.
+    // Expected coordinates in mm, read with NumPy.
     assert_near_mm(scan.cloud.points()[0], [46.89876362681389, -7.711812388151884, 203.04621756076813], 1e-9);
     assert_near_mm(scan.cloud.points()[19_999], [-47.094009816646576, 8.310537785291672, 203.66047322750092], 1e-9);
     let mean: Vector3<f64> = scan.cloud.points().iter().map(|p| p.coords / 20_000.0).sum();
@@ -145,7 +145,7 @@ fn ros_recordings_list_their_topics_and_say_what_they_carry() {
 #[test]
 fn bones_are_closed_surfaces_of_their_size() {
     let Some(data) = data("bones") else { return };
-    // Faces and the box's diagonal in mm, from the files' own numbers with NumPy.
+    // Number of faces and diagonal of the bounding box in mm, computed with NumPy.
     for (name, n_faces, span_mm) in [
         ("MC22_fibula_r.stl", 8080, 362.3798813970505),
         ("TLEM2_CT_fibula_r.stl", 31902, 339.7359521506569),
@@ -160,11 +160,11 @@ fn bones_are_closed_surfaces_of_their_size() {
         let (min, max) =
             mesh.vertices().iter().fold((mesh.vertices()[0], mesh.vertices()[0]), |(a, b), v| (a.inf(v), b.sup(v)));
         assert!(((max - min).norm() - span_mm).abs() < 1e-3, "{name}: {} mm", (max - min).norm());
-        // Merged corners make a closed surface: vertices - edges + faces = 2, with three half edges for each face.
+        // With merged corners the surface is closed: vertices - edges + faces = 2, and each face has three half edges.
         if read.n_degenerate == 0 && name != "myosim_jaw.stl" {
             assert_eq!(mesh.vertices().len() as i64 - mesh.faces().len() as i64 / 2, 2, "{name}");
         }
-        // In metres the same file is told to be in doubt.
+        // If read as metres, the file gets a note that the unit is doubtful.
         let metres = read_mesh(&data.join("bones").join(name), 0.001, "ct", SurfaceOrigin::User).unwrap();
         assert!(metres.notes.iter().any(|n| n.contains("unit_mm = 1000")), "{name}: {:?}", metres.notes);
     }

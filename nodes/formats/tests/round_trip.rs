@@ -1,4 +1,4 @@
-//! Whatever layout a recording is written in, reading it gives the same procedure.
+//! A recording gives the same procedure in every layout.
 #![allow(clippy::unwrap_used)]
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -65,7 +65,7 @@ fn any_layout(rng: &mut ChaCha8Rng) -> Layout {
     }
 }
 
-/// The messages of a topic by sensor time: recorders may write them in any order.
+/// The messages of a topic sorted by sensor time, as recorders may write them in any order.
 fn by_sensor_time<'a>(recording: &'a Recording, topic: &str) -> Vec<&'a Message> {
     let mut messages: Vec<&Message> = recording.messages(topic).iter().collect();
     messages.sort_by_key(|m| stamp(*m).unwrap());
@@ -81,7 +81,7 @@ fn check(streams: &[(&str, Stream)], layout: &Layout) {
     assert_eq!(recording.metadata, metadata());
     let region = procedure_region(&recording).unwrap().unwrap();
     assert_eq!((region.min, region.max), (Point3::new(-100.0, -200.0, 50.0), Point3::new(100.0, 200.0, 500.0)));
-    // Half a unit in the last place of 0.5 m in single precision, turned by the pose, is 0.00003 mm.
+    // Half an ulp of 0.5 m in single precision, rotated by the pose, is 0.00003 mm.
     let tolerance_mm = if layout.points == PointType::F32 { 1e-4 } else { 1e-9 };
     for (topic, stream) in streams {
         let messages = by_sensor_time(&recording, topic);

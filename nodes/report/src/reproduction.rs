@@ -14,7 +14,7 @@ use crate::{
 };
 use osteoflow_engine::sweep::Folder;
 use ours::Ours;
-use published::{Judged, Published, Row, Setting};
+use published::{Judged, Published, PublishedNumber, Setting};
 use reasons::Reasons;
 use serde_json::Value;
 
@@ -82,7 +82,7 @@ impl Reproduction {
 
     /// A line for each of our numbers that is outside the paper's spread.
     pub fn outside(&self) -> Vec<String> {
-        let line = |row: &Row| {
+        let line = |row: &PublishedNumber| {
             let ours = self.of_row(row)?;
             let Some(Judged::Outside(side)) = row.judged(ours.value?) else { return None };
             Some(format!("{} ({}): paper {}, ours {}, {side}", row.what, row.section, row.theirs, ours.text))
@@ -105,7 +105,7 @@ impl Reproduction {
         page::text(self, command, of_experiment)
     }
 
-    fn of_row(&self, row: &Row) -> Option<Ours> {
+    fn of_row(&self, row: &PublishedNumber) -> Option<Ours> {
         self.ours(&row.experiment, &row.ours, &row.setting, row.show.as_deref())
     }
 

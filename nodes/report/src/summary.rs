@@ -5,7 +5,7 @@ mod group;
 mod rows;
 
 pub use compared::{NoPairs, between, with_holm};
-pub use rows::{Row, about_few, comparison, statistics, under_heads, units};
+pub use rows::{TableRow, about_few, comparison, statistics, under_heads, units};
 
 use crate::{ReportError, run_folder};
 use osteoflow_engine::sweep::{Done, Folder, Spec, without_value};

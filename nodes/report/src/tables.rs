@@ -13,7 +13,7 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
     let Some(results) = results.as_object() else {
         return page.missing("The results", "the run has no results.json");
     };
-    let mut found = Found::default();
+    let mut found = ResultTables::default();
     results.iter().for_each(|(key, value)| found.walk(key, value));
     for (path, items) in found.lists {
         objects(page, &path.replace('_', " ").replace('.', ": "), &items);
@@ -35,7 +35,7 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
 
 /// Results by form.
 #[derive(Default)]
-struct Found {
+struct ResultTables {
     /// Rows of key and value.
     singles: Vec<Vec<Cell>>,
     /// Lists of objects by path.
@@ -44,7 +44,7 @@ struct Found {
     poses: Vec<Vec<Cell>>,
 }
 
-impl Found {
+impl ResultTables {
     /// Collects the values below a path.
     fn walk(&mut self, path: &str, value: &Json) {
         match value {

@@ -6,14 +6,14 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, grammar, take},
+    graph::{Entry, extract, grammar},
 };
 
 impl Reader<'_> {
     pub(super) fn draw(&mut self, entry: &Entry) -> Option<Draw> {
         let owner = format!("draw \"{}\"", entry.key);
-        let table = take::table(&entry.value, &owner, self.faults)?;
-        take::only(table, &grammar::DRAW, &owner, self.faults);
+        let table = extract::table(&entry.value, &owner, self.faults)?;
+        extract::only(table, &grammar::DRAW, &owner, self.faults);
         let keys = self.keys(table, &owner, true);
         let mut ways = grammar::DISTRIBUTIONS.iter().filter_map(|way| table.get(way));
         let (Some(way), None) = (ways.next(), ways.next()) else {

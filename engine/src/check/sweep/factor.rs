@@ -6,15 +6,15 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, Spanned, Table, Value, grammar, take},
+    graph::{Entry, Spanned, Table, Value, extract, grammar},
 };
 use serde_json::Value as Json;
 
 impl Reader<'_> {
     pub(super) fn factor(&mut self, entry: &Entry) -> Option<Factor> {
         let owner = format!("factor \"{}\"", entry.key);
-        let table = take::table(&entry.value, &owner, self.faults)?;
-        take::only(table, &grammar::FACTOR, &owner, self.faults);
+        let table = extract::table(&entry.value, &owner, self.faults)?;
+        extract::only(table, &grammar::FACTOR, &owner, self.faults);
         let levels = match table.get("values") {
             Some(values) => self.listed(table, values, &owner)?,
             None => self.grid(table, entry, &owner)?,
@@ -86,12 +86,12 @@ impl Reader<'_> {
             }
         };
         let (from, to) = (number("from")?, number("to")?);
-        let n = table.get("n").and_then(|e| take::whole(&e.value, "n", 2, MAX_RUNS as u64, self.faults));
+        let n = table.get("n").and_then(|e| extract::whole(&e.value, "n", 2, MAX_RUNS as u64, self.faults));
         let Some(n) = n else {
             self.fault(&entry.key_at, format!("{owner} does not say how many values"), "no n", "add n = 5");
             return None;
         };
-        let log = table.get("log").and_then(|e| take::boolean(&e.value, "log", self.faults)).unwrap_or(false);
+        let log = table.get("log").and_then(|e| extract::boolean(&e.value, "log", self.faults)).unwrap_or(false);
         if log && (from <= 0.0 || to <= 0.0) {
             self.fault(
                 &entry.key_at,

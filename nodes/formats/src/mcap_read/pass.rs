@@ -17,7 +17,7 @@ use std::{
 type Schema = (Arc<str>, Arc<str>);
 
 /// A message whose channel may be described later.
-struct Found {
+struct PendingMessage {
     channel_id: u16,
     location: Location,
     sequence: u32,
@@ -37,7 +37,7 @@ pub(super) struct Pass<'a> {
     channels: BTreeMap<u16, (Channel, Arc<str>)>,
     channel_order: Vec<u16>,
     n_found: BTreeMap<u16, usize>,
-    found: Vec<Found>,
+    found: Vec<PendingMessage>,
     /// Index in `found` of the first message of the current chunk.
     chunk_start: usize,
     statistics: Option<Statistics>,
@@ -151,7 +151,7 @@ impl<'a> Pass<'a> {
         if self.channels.get(&channel_id).is_some_and(|(channel, _)| !(self.keep)(&channel.topic)) {
             return;
         }
-        self.found.push(Found {
+        self.found.push(PendingMessage {
             channel_id,
             location,
             sequence: message.sequence,
@@ -263,7 +263,7 @@ impl Visitor for Pass<'_> {
     fn chunk_end(&mut self, records: &mut Vec<u8>) {
         let found = &mut self.found[self.chunk_start..];
         let n_kept: usize = found.iter().map(|f| f.n_bytes).sum();
-        let range = |f: &Found| {
+        let range = |f: &PendingMessage| {
             let start = (f.location.in_chunk.unwrap_or(0) + MESSAGE_HEADER_BYTES) as usize;
             start..start + f.n_bytes
         };

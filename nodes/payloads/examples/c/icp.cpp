@@ -232,7 +232,7 @@ class Tree {
 // ---- Inputs -----------------------------------------------------------------------------------------------------------
 
 // An output that was refused, or a call of the program that failed; the program has reported the reason.
-struct Told : std::exception {};
+struct ReportedError : std::exception {};
 
 osteoflow_view view_of(const osteoflow_firing *firing, uint64_t port) {
     osteoflow_view view;
@@ -541,7 +541,7 @@ std::string trace(const Icp &icp) {
 void emit(const osteoflow_firing *firing, uint64_t port, const void *head, uint64_t head_size) {
     const osteoflow_view view = { head, head_size, NULL, 0 };
     if (firing->host->emit(firing->run, port, &view) != OSTEOFLOW_OK) {
-        throw Told();
+        throw ReportedError();
     }
 }
 
@@ -613,7 +613,7 @@ template <class Work> int32_t guarded(const osteoflow_firing *firing, Work work)
     try {
         work();
         return OSTEOFLOW_OK;
-    } catch (const Told &) {
+    } catch (const ReportedError &) {
         return OSTEOFLOW_FAILED;
     } catch (const std::exception &error) {
         return osteoflow_fail(firing, error.what());

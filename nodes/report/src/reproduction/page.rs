@@ -3,12 +3,12 @@
 use super::{
     Reproduction,
     ours::Ours,
-    published::{self, ExperimentPair, Judged, RULE, Table},
+    published::{ExperimentPair, Judged, PublishedNumber, RULE, Table},
 };
 use crate::{
     cell::Cell,
     chart::axis_label,
-    summary::{Row, comparison, under_heads, units, word},
+    summary::{TableRow, comparison, under_heads, units, word},
 };
 use serde_json::Value;
 
@@ -85,7 +85,7 @@ fn independent(out: &mut Markdown, reproduction: &Reproduction, again: Command<'
     out.line("");
 }
 
-fn judged(row: &published::Row, ours: &Ours) -> String {
+fn judged(row: &PublishedNumber, ours: &Ours) -> String {
     match ours.value.and_then(|value| row.judged(value)) {
         Some(Judged::Within(text) | Judged::Outside(text)) => text,
         None => "-".into(),
@@ -106,7 +106,7 @@ fn paired(out: &mut Markdown, pair: &ExperimentPair, comparisons: &Result<Vec<Va
         Err(none) => out.line(&format!("Not compared: {none}.")),
         Ok(comparisons) => {
             let row = |of: &Value| {
-                let mut row = Row::from([("measure".into(), Cell::word(axis_label(&word(&of["column"]))))]);
+                let mut row = TableRow::from([("measure".into(), Cell::word(axis_label(&word(&of["column"]))))]);
                 row.extend(comparison(of));
                 row
             };

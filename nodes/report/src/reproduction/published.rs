@@ -10,9 +10,9 @@ pub(super) type Setting = BTreeMap<String, Value>;
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Published {
-    pub(super) row: Vec<Row>,
+    pub(super) row: Vec<PublishedNumber>,
     /// Numbers of another implementation.
-    pub(super) independent: Vec<Row>,
+    pub(super) independent: Vec<PublishedNumber>,
     pub(super) reading: Vec<Reading>,
     pub(super) pair: Vec<ExperimentPair>,
     pub(super) table: Vec<Table>,
@@ -21,7 +21,7 @@ pub(super) struct Published {
 /// A number of the paper, or of another implementation.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Row {
+pub(super) struct PublishedNumber {
     pub(super) experiment: String,
     #[serde(default)]
     pub(super) section: String,
@@ -99,7 +99,7 @@ impl Published {
     }
 }
 
-impl Row {
+impl PublishedNumber {
     /// The paper's spread, by [`RULE`].
     pub(super) fn spread(&self) -> Option<[f64; 2]> {
         match (self.mean, self.sd) {
@@ -157,17 +157,17 @@ mod tests {
 
     #[test]
     fn a_number_outside_the_spread_is_shown_with_its_side() {
-        let judged = |row: &Row, ours| match row.judged(ours) {
+        let judged = |row: &PublishedNumber, ours| match row.judged(ours) {
             Some(Judged::Within(text) | Judged::Outside(text)) => text,
             None => "not judged".into(),
         };
-        let with_sd = Row { mean: Some(0.3), sd: Some(0.2), ..Row::default() };
+        let with_sd = PublishedNumber { mean: Some(0.3), sd: Some(0.2), ..PublishedNumber::default() };
         let texts = [0.3, 0.6, 0.05].map(|ours| judged(&with_sd, ours));
         assert_eq!(texts, ["yes (0.1 to 0.5)", "**above** 0.1 to 0.5", "**below** 0.1 to 0.5"]);
-        let without = Row { mean: Some(0.9), ..Row::default() };
+        let without = PublishedNumber { mean: Some(0.9), ..PublishedNumber::default() };
         assert_eq!([0.2, 0.5].map(|ours| judged(&without, ours)), ["**below** 0.45 to 1.35", "yes (0.45 to 1.35)"]);
-        let size = Row { spread: Some([0.9, 1.0]), magnitude: true, ..Row::default() };
+        let size = PublishedNumber { spread: Some([0.9, 1.0]), magnitude: true, ..PublishedNumber::default() };
         assert_eq!(judged(&size, -0.95), "yes (0.9 to 1)");
-        assert_eq!(judged(&Row::default(), 1.0), "not judged");
+        assert_eq!(judged(&PublishedNumber::default(), 1.0), "not judged");
     }
 }

@@ -210,8 +210,8 @@ fn points(page: &mut Page, run: &RunFolder, (report, planned, axes): (&TreReport
 
 /// The error at each point along each axis, as a figure and a table.
 fn errors(page: &mut Page, report: &TreReport, name: &str, source: &str) {
-    type Part = fn(&TrePoint) -> f64;
-    let axes: [(&str, Part); 4] = [("x", |p| p.x), ("y", |p| p.y), ("z", |p| p.z), ("norm", |p| p.norm)];
+    type Component = fn(&TrePoint) -> f64;
+    let axes: [(&str, Component); 4] = [("x", |p| p.x), ("y", |p| p.y), ("z", |p| p.z), ("norm", |p| p.norm)];
     let series = axes.iter().enumerate().map(|(k, (_, of))| {
         let n = report.points.len() as f64;
         let dots = report.points.iter().enumerate().map(|(i, point)| {

@@ -48,9 +48,9 @@ fn share_json(limit: f64, share: Result<Share, StatisticsError>) -> Value {
 /// Statistics of the points, by measure and axis.
 fn points(spec: &Spec, runs: &[&Done]) -> Map<String, Value> {
     /// A run, the name of a point, and a value.
-    type At<'a> = (&'a Done, String, f64);
+    type PointRow<'a> = (&'a Done, String, f64);
     // By measure and axis.
-    let mut found: BTreeMap<(String, String), Vec<At<'_>>> = BTreeMap::new();
+    let mut found: BTreeMap<(String, String), Vec<PointRow<'_>>> = BTreeMap::new();
     for &run in runs {
         for point in point_values(spec, run) {
             let key = (point.measure.to_owned(), point.axis.to_owned());
@@ -61,7 +61,7 @@ fn points(spec: &Spec, runs: &[&Done]) -> Map<String, Value> {
     for ((measure, axis), rows) in found {
         let values: Vec<f64> = rows.iter().map(|(.., value)| *value).collect();
         let names: Vec<_> = spec.units.iter().map(String::as_str).chain(["point"]).collect();
-        let path = |(run, point, _): &At<'_>| {
+        let path = |(run, point, _): &PointRow<'_>| {
             let mut path = path(spec, run);
             path.push(point.clone());
             path
@@ -69,7 +69,7 @@ fn points(spec: &Spec, runs: &[&Done]) -> Map<String, Value> {
         let units = Units::new(&names, &rows.iter().map(path).collect::<Vec<_>>()).ok();
         let mut entry = statistics(units.as_ref(), &values);
         // Repeatability of the same point over procedures, and of the points within a procedure.
-        let of_run = |(run, ..): &At<'_>| path_of_highest(spec, run);
+        let of_run = |(run, ..): &PointRow<'_>| path_of_highest(spec, run);
         let by_point: Vec<_> = rows.iter().map(|row| (of_run(row), row.1.clone())).collect();
         let by_run: Vec<_> = rows.iter().map(|(run, ..)| run.run).collect();
         entry["within_points"] = or_reason(repeatability(&by_point, &values));

@@ -6,14 +6,14 @@ use osteoflow_statistics::{FEW_UNITS, counted};
 use serde_json::Value;
 
 /// The cells of a row with the heads of their columns.
-pub type Row = Vec<(String, Cell)>;
+pub type TableRow = Vec<(String, Cell)>;
 
 /// Head of the column of intervals.
 const INTERVAL: &str = "95 % interval of the mean";
 
 /// Formats the statistics of a column or axis in `summary.json`.
-pub fn statistics(of: &Value) -> Row {
-    let mut row = Row::new();
+pub fn statistics(of: &Value) -> TableRow {
+    let mut row = TableRow::new();
     let mut put = |head: &str, cell: Cell| row.push((head.to_owned(), cell));
     put("n", Cell::of(&of["n"]));
     put("of", Cell::word(unbroken(&units(&of["n_units"]))));
@@ -40,7 +40,7 @@ pub fn statistics(of: &Value) -> Row {
 }
 
 /// Formats a paired comparison in `summary.json`, without the names of what is compared.
-pub fn comparison(of: &Value) -> Row {
+pub fn comparison(of: &Value) -> TableRow {
     let agreement = &of["bland_altman"];
     let limits = match (agreement["lower_limit"].as_f64(), agreement["upper_limit"].as_f64()) {
         (Some(low), Some(high)) => from_to(low, high),
@@ -71,14 +71,14 @@ pub fn comparison(of: &Value) -> Row {
 }
 
 /// Arranges rows with different columns under common heads: a cell of every row under each head, without empty columns.
-pub fn under_heads(rows: &[Row]) -> (Vec<String>, Vec<Vec<Cell>>) {
+pub fn under_heads(rows: &[TableRow]) -> (Vec<String>, Vec<Vec<Cell>>) {
     let mut heads: Vec<String> = Vec::new();
     for (head, _) in rows.iter().flatten().filter(|(_, cell)| !cell.is_empty()) {
         if !heads.contains(head) {
             heads.push(head.clone());
         }
     }
-    let cell = |row: &Row, head: &String| {
+    let cell = |row: &TableRow, head: &String| {
         row.iter().find(|(of, _)| of == head).map_or_else(|| Cell::word(""), |(_, cell)| cell.clone())
     };
     let cells = rows.iter().map(|row| heads.iter().map(|head| cell(row, head)).collect()).collect();

@@ -5,7 +5,7 @@ use crate::{
     cell::Cell,
     chart::axis_label,
     html::Page,
-    summary::{Row, about_few, comparison, statistics, under_heads, word},
+    summary::{TableRow, about_few, comparison, statistics, under_heads, word},
 };
 use osteoflow_statistics::counted;
 use serde_json::Value as Json;
@@ -39,7 +39,7 @@ pub(super) fn tables(page: &mut Page, sweep: &Swept, summary: &Json) {
     }
 }
 
-fn row(group: &Json, axis: Option<&str>, of: &Json) -> Row {
+fn row(group: &Json, axis: Option<&str>, of: &Json) -> TableRow {
     let mut row = settings(&group["setting"]);
     row.extend(axis.map(|axis| ("axis".into(), Cell::word(axis))));
     row.extend(statistics(of));
@@ -53,7 +53,7 @@ fn row(group: &Json, axis: Option<&str>, of: &Json) -> Row {
 }
 
 /// A table for each measure or, with a single setting, one table for all.
-fn gathered(page: &mut Page, what: &str, n_settings: usize, measures: Vec<(String, Vec<Row>)>) {
+fn gathered(page: &mut Page, what: &str, n_settings: usize, measures: Vec<(String, Vec<TableRow>)>) {
     if n_settings > 1 {
         measures.into_iter().for_each(|(name, rows)| table(page, &format!("{name} {what}."), rows));
         return;
@@ -65,19 +65,19 @@ fn gathered(page: &mut Page, what: &str, n_settings: usize, measures: Vec<(Strin
     table(page, &format!("Statistics {what}."), rows.collect());
 }
 
-fn compared(of: &Json) -> Row {
-    let mut row = Row::from([("column".into(), Cell::word(axis_label(&word(&of["column"]))))]);
+fn compared(of: &Json) -> TableRow {
+    let mut row = TableRow::from([("column".into(), Cell::word(axis_label(&word(&of["column"]))))]);
     row.extend(settings(&of["setting"]));
     row.extend([("first", "a"), ("second", "b")].map(|(head, key)| (head.into(), Cell::word(word(&of[key])))));
     row.extend(comparison(of));
     row
 }
 
-fn settings(of: &Json) -> Row {
+fn settings(of: &Json) -> TableRow {
     of.as_object().into_iter().flatten().map(|(name, value)| (name.clone(), Cell::word(word(value)))).collect()
 }
 
-fn table(page: &mut Page, caption: &str, rows: Vec<Row>) {
+fn table(page: &mut Page, caption: &str, rows: Vec<TableRow>) {
     let (heads, cells) = under_heads(&rows);
     page.table(caption, &heads, &cells);
 }

@@ -1,6 +1,6 @@
 //! Warnings of joins that never fire, or fire only once on a stream, as far as roles and descriptions prove it.
 
-use super::{drafts::Draft, inputs::Input, wires};
+use super::{inputs::Input, parsed_nodes::ParsedNode, wires};
 use crate::fault::Fault;
 use osteoflow_node::{Join, OutputPorts, Role};
 
@@ -23,12 +23,12 @@ struct Flow {
 }
 
 /// The warnings, in topological order of the nodes.
-pub(super) fn warnings(drafts: &[Draft<'_>], inputs: &[Vec<Input>], order: &[usize]) -> Vec<Fault> {
-    let mut flows = vec![Flow { count: Count::Unknown, timeless: false }; drafts.len()];
+pub(super) fn warnings(parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>], order: &[usize]) -> Vec<Fault> {
+    let mut flows = vec![Flow { count: Count::Unknown, timeless: false }; parsed_nodes.len()];
     let mut faults = Vec::new();
     for &node in order {
-        let node_of = Node { draft: &drafts[node], inputs: &inputs[node], flows: &flows, drafts };
-        if drafts[node].role() == Some(Role::Node) {
+        let node_of = Node { parsed_node: &parsed_nodes[node], inputs: &inputs[node], flows: &flows, parsed_nodes };
+        if parsed_nodes[node].role() == Some(Role::Node) {
             faults.extend(node_of.warnings());
         }
         flows[node] = node_of.flow();
@@ -37,10 +37,10 @@ pub(super) fn warnings(drafts: &[Draft<'_>], inputs: &[Vec<Input>], order: &[usi
 }
 
 struct Node<'a, 'd> {
-    draft: &'a Draft<'d>,
+    parsed_node: &'a ParsedNode<'d>,
     inputs: &'a [Input],
     flows: &'a [Flow],
-    drafts: &'a [Draft<'d>],
+    parsed_nodes: &'a [ParsedNode<'d>],
 }
 
 impl<'a> Node<'a, '_> {
@@ -57,12 +57,12 @@ impl<'a> Node<'a, '_> {
 
     fn flow(&self) -> Flow {
         let unknown = Flow { count: Count::Unknown, timeless: false };
-        match self.draft.role() {
+        match self.parsed_node.role() {
             // With several outputs, some may give a single item; the only output of a live source is a stream.
             Some(Role::LiveSource) if self.has_one_output_of_its_own() => {
                 return Flow { count: Count::Stream, timeless: false };
             }
-            Some(Role::Source) if self.draft.kind.is_some_and(|kind| kind.description.constant) => {
+            Some(Role::Source) if self.parsed_node.kind.is_some_and(|kind| kind.description.constant) => {
                 return Flow { count: Count::One, timeless: true };
             }
             Some(Role::Node) => {}
@@ -93,7 +93,7 @@ impl<'a> Node<'a, '_> {
     }
 
     fn has_one_output_of_its_own(&self) -> bool {
-        let outputs = self.draft.kind.map(|kind| &kind.description.outputs);
+        let outputs = self.parsed_node.kind.map(|kind| &kind.description.outputs);
         matches!(outputs, Some(OutputPorts::Fixed(ports)) if ports.len() == 1)
     }
 
@@ -103,8 +103,8 @@ impl<'a> Node<'a, '_> {
         let mut faults = Vec::new();
         for (input, flow) in self.wired() {
             let (Some(at), Some(from)) = (&input.at, input.from) else { continue };
-            let (wire, port) = (wires::name(from, self.drafts), input.port.name);
-            let warn = |what: String| Fault::new(format!("node \"{}\": {what}", self.draft.name)).warning();
+            let (wire, port) = (wires::name(from, self.parsed_nodes), input.port.name);
+            let warn = |what: String| Fault::new(format!("node \"{}\": {what}", self.parsed_node.name)).warning();
             let never = if input.port.optional { "it never has a value" } else { "the node never has a result" };
             faults.extend(match input.port.join {
                 Join::Once if flow.count == Count::Stream => Some(
@@ -120,7 +120,7 @@ impl<'a> Node<'a, '_> {
                         .help("write n = 1, or take n away to collect all until the end"),
                 ),
                 Join::Each if flow.count == Count::One && !input.port.optional => stream.map(|(other, _)| {
-                    let other_wire = other.from.map(|from| wires::name(from, self.drafts)).unwrap_or_default();
+                    let other_wire = other.from.map(|from| wires::name(from, self.parsed_nodes)).unwrap_or_default();
                     let fault =
                         warn(format!("fires once: input \"{port}\" takes each item of \"{wire}\", which gives one"));
                     let fault = fault.at(at, "one item");

@@ -6,7 +6,7 @@ use serde_json::Value as Json;
 
 /// A plugin's description.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PluginAbout {
+pub struct PluginDescription {
     /// Its name.
     pub name: String,
     /// Its version.
@@ -18,14 +18,14 @@ pub struct PluginAbout {
     /// The version of the plugin interface that it uses.
     pub abi: (u32, u32),
     /// Its kinds.
-    pub kinds: Vec<KindAbout>,
+    pub kinds: Vec<KindDescription>,
     /// Payloads that its ports name, or that it defines.
     pub payloads: Vec<PayloadDescription>,
 }
 
 /// A kind as its plugin describes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct KindAbout {
+pub struct KindDescription {
     /// `stage.variant`.
     pub kind: String,
     /// Its doc.
@@ -43,16 +43,16 @@ pub struct KindAbout {
     /// When its answers are cached.
     pub kept: osteoflow_node::CachePolicy,
     /// Its inputs.
-    pub inputs: Vec<InputAbout>,
+    pub inputs: Vec<InputDescription>,
     /// Its outputs.
-    pub outputs: OutputsAbout,
+    pub outputs: OutputsDescription,
 }
 
 /// An input as its plugin describes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct InputAbout {
+pub struct InputDescription {
     /// Name, payload and frames.
-    pub port: PortAbout,
+    pub port: PortDescription,
     /// The default join.
     pub join: osteoflow_node::Join,
     /// Whether it may be left unwired.
@@ -63,7 +63,7 @@ pub struct InputAbout {
 
 /// The common part of inputs and outputs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PortAbout {
+pub struct PortDescription {
     /// Its name.
     pub name: String,
     /// Its doc.
@@ -76,9 +76,9 @@ pub struct PortAbout {
 
 /// The outputs as a plugin describes them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub enum OutputsAbout {
+pub enum OutputsDescription {
     /// Fixed by the kind.
-    Fixed(Vec<PortAbout>),
+    Fixed(Vec<PortDescription>),
     /// Declared in the graph, each with parameters of this JSON Schema.
     Declared(Json),
 }

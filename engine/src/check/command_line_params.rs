@@ -4,7 +4,7 @@ use super::{
 };
 use crate::{
     fault::Faults,
-    graph::{self, Given},
+    graph::{self, CommandLineParam},
 };
 use osteoflow_node::Description;
 use serde_json::Value as Json;
@@ -14,7 +14,7 @@ use serde_json::Value as Json;
 ///
 /// # Errors
 /// [`Faults`]: every parameter that is unknown, of the wrong type, out of range or missing.
-pub fn parameters(kind: &Description, owner: &str, given: &[Given<'_>]) -> Result<Json, Faults> {
+pub fn parameters(kind: &Description, owner: &str, given: &[CommandLineParam<'_>]) -> Result<Json, Faults> {
     let mut faults = Vec::new();
     let (table, at) = graph::table_of(given, &mut faults);
     let mut walker = Walker {

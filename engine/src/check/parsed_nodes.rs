@@ -1,7 +1,7 @@
 use super::{context::Check, schema::Walker};
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Graph, MODULE, Table, Value, grammar, header::Header, take},
+    graph::{Entry, Graph, MODULE, Table, Value, extract, grammar, header::Header},
     names::nearest,
     plan::{OnError, PortFrames},
 };
@@ -10,7 +10,7 @@ use serde_json::{Map, Value as Json};
 use std::path::PathBuf;
 
 /// A node as read from its own table, before wires are resolved.
-pub(super) struct Draft<'a> {
+pub(super) struct ParsedNode<'a> {
     pub(super) name: &'a str,
     pub(super) name_at: &'a Span,
     /// `None` if it has a fault.
@@ -24,7 +24,7 @@ pub(super) struct Draft<'a> {
     pub(super) on_error: OnError,
 }
 
-/// An output of a draft.
+/// An output of a parsed node.
 pub(super) struct Output {
     pub(super) name: String,
     /// `None` if it has a fault.
@@ -35,7 +35,7 @@ pub(super) struct Output {
     pub(super) given: PortFrames,
 }
 
-impl Draft<'_> {
+impl ParsedNode<'_> {
     pub(super) fn role(&self) -> Option<Role> {
         self.kind.map(|kind| kind.description.role)
     }
@@ -72,7 +72,7 @@ impl Draft<'_> {
 
 impl<'r> Check<'r> {
     /// The nodes in the order of the file.
-    pub(super) fn drafts<'a>(&mut self, graph: &'a Graph, header: &Header) -> Vec<Draft<'a>>
+    pub(super) fn parsed_nodes<'a>(&mut self, graph: &'a Graph, header: &Header) -> Vec<ParsedNode<'a>>
     where
         'r: 'a,
     {
@@ -81,16 +81,16 @@ impl<'r> Check<'r> {
             self.faults.push(fault.help("begin with a source: [node.NAME] and its kind").follows());
             return Vec::new();
         };
-        let Some(nodes) = take::table(&nodes.value, "node", &mut self.faults) else { return Vec::new() };
-        nodes.0.iter().filter_map(|entry| self.draft(entry, nodes, header)).collect()
+        let Some(nodes) = extract::table(&nodes.value, "node", &mut self.faults) else { return Vec::new() };
+        nodes.0.iter().filter_map(|entry| self.parsed_node(entry, nodes, header)).collect()
     }
 
-    fn draft<'a>(&mut self, entry: &'a Entry, nodes: &Table, header: &Header) -> Option<Draft<'a>>
+    fn parsed_node<'a>(&mut self, entry: &'a Entry, nodes: &Table, header: &Header) -> Option<ParsedNode<'a>>
     where
         'r: 'a,
     {
         let name = entry.key.as_str();
-        if !take::is_node_name(name) {
+        if !extract::is_node_name(name) {
             let fault = Fault::new(format!("a node cannot be called {name:?}")).at(&entry.key_at, "no name");
             self.faults.push(fault.help("a name has letters, digits, _ and - only"));
         } else if grammar::TOP.contains(&name) {
@@ -109,7 +109,7 @@ impl<'r> Check<'r> {
             return None;
         }
         let kind = self.kind(name, entry, table, nodes);
-        let mut draft = Draft {
+        let mut parsed_node = ParsedNode {
             name,
             name_at: &entry.key_at,
             kind,
@@ -121,10 +121,10 @@ impl<'r> Check<'r> {
             on_error: self.on_error(name, table),
         };
         if let Some(kind) = kind {
-            self.params(&mut draft, kind);
-            self.outputs(&mut draft, kind, header);
+            self.params(&mut parsed_node, kind);
+            self.outputs(&mut parsed_node, kind, header);
         }
-        Some(draft)
+        Some(parsed_node)
     }
 
     fn kind(&mut self, name: &str, entry: &Entry, table: &Table, nodes: &Table) -> Option<&'r Kind> {
@@ -132,7 +132,7 @@ impl<'r> Check<'r> {
             self.faults.push(no_kind(name, entry, nodes));
             return None;
         };
-        let found = take::text(&kind.value, &format!("node \"{name}\": kind"), &mut self.faults)?;
+        let found = extract::text(&kind.value, &format!("node \"{name}\": kind"), &mut self.faults)?;
         let known = self.known.registry.kind(found);
         if known.is_none() {
             let kinds: Vec<_> = self.known.registry.kinds().map(|kind| kind.description.kind).collect();
@@ -159,7 +159,7 @@ impl<'r> Check<'r> {
     fn on_error(&mut self, name: &str, table: &Table) -> OnError {
         let Some(entry) = table.get("on_error") else { return OnError::default() };
         let what = format!("node \"{name}\": on_error");
-        match take::text(&entry.value, &what, &mut self.faults) {
+        match extract::text(&entry.value, &what, &mut self.faults) {
             Some("skip") => OnError::Skip,
             Some("stop") | None => OnError::Stop,
             Some(found) => {
@@ -171,36 +171,36 @@ impl<'r> Check<'r> {
         }
     }
 
-    fn params(&mut self, draft: &mut Draft<'_>, kind: &Kind) {
+    fn params(&mut self, parsed_node: &mut ParsedNode<'_>, kind: &Kind) {
         let schema = &kind.description.params;
         let properties = schema.get("properties").and_then(Json::as_object).into_iter().flatten();
         for (taken, _) in properties.filter(|(key, _)| grammar::NODE.contains(&key.as_str())) {
             let message =
-                format!("kind {} has a parameter \"{taken}\", which is a key of every node", draft.kind_name());
-            let at = draft.table.get("kind").map_or(draft.name_at, |kind| &kind.value.at);
+                format!("kind {} has a parameter \"{taken}\", which is a key of every node", parsed_node.kind_name());
+            let at = parsed_node.table.get("kind").map_or(parsed_node.name_at, |kind| &kind.value.at);
             let fault = Fault::new(message).at(at, "cannot be used");
             self.faults.push(fault.help("its author has to give the parameter another name"));
         }
         let mut walker = Walker {
             root: schema,
-            owner: format!("node \"{}\"", draft.name),
-            path: format!("node.{}", draft.name),
-            kind: draft.kind_name(),
-            kind_at: draft.table.get("kind").map(|kind| &kind.value.at),
+            owner: format!("node \"{}\"", parsed_node.name),
+            path: format!("node.{}", parsed_node.name),
+            kind: parsed_node.kind_name(),
+            kind_at: parsed_node.table.get("kind").map(|kind| &kind.value.at),
             files: self.files,
             faults: Vec::new(),
             input_files: Vec::new(),
         };
-        if let Some(params) = walker.table(schema, draft.table, draft.begins_at(), "", &grammar::NODE) {
-            draft.params = Json::Object(params);
+        if let Some(params) = walker.table(schema, parsed_node.table, parsed_node.begins_at(), "", &grammar::NODE) {
+            parsed_node.params = Json::Object(params);
         }
         self.faults.append(&mut walker.faults);
-        draft.input_files.append(&mut walker.input_files);
+        parsed_node.input_files.append(&mut walker.input_files);
     }
 
-    fn outputs(&mut self, draft: &mut Draft<'_>, kind: &Kind, header: &Header) {
+    fn outputs(&mut self, parsed_node: &mut ParsedNode<'_>, kind: &Kind, header: &Header) {
         match &kind.description.outputs {
-            OutputPorts::Declared { schema } => self.declared(draft, schema, header),
+            OutputPorts::Declared { schema } => self.declared(parsed_node, schema, header),
             OutputPorts::Fixed(ports) => {
                 let output = |port: &osteoflow_node::OutputPort| Output {
                     name: port.name.into(),
@@ -208,9 +208,10 @@ impl<'r> Check<'r> {
                     exprs: port.frames,
                     given: PortFrames::default(),
                 };
-                draft.outputs = Some(ports.iter().map(output).collect());
-                if let Some(out) = draft.table.get("out") {
-                    let message = format!("node \"{}\": {} has outputs of its own", draft.name, draft.kind_name());
+                parsed_node.outputs = Some(ports.iter().map(output).collect());
+                if let Some(out) = parsed_node.table.get("out") {
+                    let message =
+                        format!("node \"{}\": {} has outputs of its own", parsed_node.name, parsed_node.kind_name());
                     let list = nearest::list("its outputs", ports.iter().map(|port| port.name));
                     let fault = Fault::new(message).at(&out.key_at, "declares outputs").note_if(list);
                     self.faults.push(fault.help("take out away"));

@@ -1,6 +1,6 @@
 use super::{
-    drafts::Draft,
     inputs::{Input, doc_of, fits},
+    parsed_nodes::ParsedNode,
 };
 use crate::{fault::Fault, graph::Removed};
 use osteoflow_node::{FrameExpr, InputPort, OutputPorts, PortPayload, Registry};
@@ -8,19 +8,20 @@ use osteoflow_node::{FrameExpr, InputPort, OutputPorts, PortPayload, Registry};
 const LIST: usize = 8;
 
 /// Finds outputs that could feed an input.
-pub(super) struct Feed<'a, 'd> {
-    pub(super) drafts: &'a [Draft<'d>],
+pub(super) struct ProducerSearch<'a, 'd> {
+    pub(super) parsed_nodes: &'a [ParsedNode<'d>],
     pub(super) inputs: &'a [Vec<Input>],
     pub(super) registry: &'a Registry,
     pub(super) removed: &'a Removed,
 }
 
-impl Feed<'_, '_> {
+impl ProducerSearch<'_, '_> {
     /// The fault of an input without a producer.
     pub(super) fn missing(&self, node: usize, port: &InputPort) -> Fault {
-        let (draft, takes) = (&self.drafts[node], port.payload.name());
-        let message = format!("node \"{}\": input \"{}\" is wired to nothing", draft.name, port.name);
-        let fault = Fault::new(message).at(draft.inputs_at(), format!("needs {}, which takes {takes}", port.name));
+        let (parsed_node, takes) = (&self.parsed_nodes[node], port.payload.name());
+        let message = format!("node \"{}\": input \"{}\" is wired to nothing", parsed_node.name, port.name);
+        let fault =
+            Fault::new(message).at(parsed_node.inputs_at(), format!("needs {}, which takes {takes}", port.name));
         let behind = self.behind(node);
         let wires = self.ranked(port, &behind);
         let help = match wires.as_slice() {
@@ -28,7 +29,7 @@ impl Feed<'_, '_> {
             [_, ..] => Some(format!("wire one of these to it: {}", wires.join(", "))),
             [] => self.kinds(&port.payload).map(|kinds| format!("nothing gives {takes} here; kinds that do: {kinds}")),
         };
-        let fault = match self.removed.at(&format!("node.{}.in.{}", draft.name, port.name)) {
+        let fault = match self.removed.at(&format!("node.{}.in.{}", parsed_node.name, port.name)) {
             Some(removed) => fault.also(removed, "removed here"),
             None => fault,
         };
@@ -36,9 +37,9 @@ impl Feed<'_, '_> {
     }
 
     /// Lists outputs that fit; those of the same producer if there are any, otherwise those of other nodes.
-    pub(super) fn others(takes: &PortPayload, producer: usize, drafts: &[Draft<'_>]) -> Option<String> {
-        let same = wires_of(takes, drafts, |index| index == producer);
-        let wires = if same.is_empty() { wires_of(takes, drafts, |index| index != producer) } else { same };
+    pub(super) fn others(takes: &PortPayload, producer: usize, parsed_nodes: &[ParsedNode<'_>]) -> Option<String> {
+        let same = wires_of(takes, parsed_nodes, |index| index == producer);
+        let wires = if same.is_empty() { wires_of(takes, parsed_nodes, |index| index != producer) } else { same };
         match wires.as_slice() {
             [] => None,
             [only] => Some(format!("{only} gives it")),
@@ -48,7 +49,7 @@ impl Feed<'_, '_> {
 
     /// Marks the node and all nodes downstream of it, from which a wire would close a cycle.
     fn behind(&self, node: usize) -> Vec<bool> {
-        let mut behind = vec![false; self.drafts.len()];
+        let mut behind = vec![false; self.parsed_nodes.len()];
         let mut open = vec![node];
         while let Some(index) = open.pop() {
             if std::mem::replace(&mut behind[index], true) {
@@ -56,7 +57,7 @@ impl Feed<'_, '_> {
             }
             let fed =
                 |inputs: &Vec<Input>| inputs.iter().any(|input| input.from.is_some_and(|(from, _)| from == index));
-            open.extend((0..self.drafts.len()).filter(|&other| fed(&self.inputs[other])));
+            open.extend((0..self.parsed_nodes.len()).filter(|&other| fed(&self.inputs[other])));
         }
         behind
     }
@@ -64,12 +65,12 @@ impl Feed<'_, '_> {
     /// Outputs that fit: first those with the port's name, then those with the port's frames.
     fn ranked(&self, port: &InputPort, behind: &[bool]) -> Vec<String> {
         let mut wires: Vec<(u8, String)> = Vec::new();
-        for (draft, _) in self.drafts.iter().zip(behind).filter(|(_, behind)| !**behind) {
-            for output in draft.outputs.iter().flatten() {
+        for (parsed_node, _) in self.parsed_nodes.iter().zip(behind).filter(|(_, behind)| !**behind) {
+            for output in parsed_node.outputs.iter().flatten() {
                 if output.payload.is_some_and(|gives| fits(&port.payload, &gives)) {
                     let alike = output.exprs == port.frames && port.frames != FrameExpr::default();
                     let rank = if output.name == port.name { 0 } else { 2 - u8::from(alike) };
-                    wires.push((rank, format!("\"{}.{}\"", draft.name, output.name)));
+                    wires.push((rank, format!("\"{}.{}\"", parsed_node.name, output.name)));
                 }
             }
         }
@@ -88,12 +89,12 @@ impl Feed<'_, '_> {
     }
 }
 
-fn wires_of(takes: &PortPayload, drafts: &[Draft<'_>], of: impl Fn(usize) -> bool) -> Vec<String> {
+fn wires_of(takes: &PortPayload, parsed_nodes: &[ParsedNode<'_>], of: impl Fn(usize) -> bool) -> Vec<String> {
     let mut wires = Vec::new();
-    for (_, draft) in drafts.iter().enumerate().filter(|(index, _)| of(*index)) {
-        let outputs = draft.outputs.iter().flatten();
+    for (_, parsed_node) in parsed_nodes.iter().enumerate().filter(|(index, _)| of(*index)) {
+        let outputs = parsed_node.outputs.iter().flatten();
         let fitting = outputs.filter(|output| output.payload.is_some_and(|gives| fits(takes, &gives)));
-        wires.extend(fitting.map(|output| format!("\"{}.{}\"", draft.name, output.name)));
+        wires.extend(fitting.map(|output| format!("\"{}.{}\"", parsed_node.name, output.name)));
     }
     wires.truncate(LIST);
     wires
