@@ -4,7 +4,13 @@ use super::{
 };
 use anyhow::{Context, Result};
 use clap::Args;
-use osteoflow_engine::sweep::{self, Folder, SweepOptions, Watcher};
+use osteoflow_engine::{
+    Outcome, RunOptions,
+    plan::PlanNode,
+    run::NodeStats,
+    sweep::{self, Folder, SweepOptions, Watcher},
+};
+use osteoflow_node::Role;
 use osteoflow_report::{
     reproduction::{EXPERIMENTS, Reproduction, WITH_MAPS},
     summary,
@@ -157,7 +163,12 @@ impl Reproduce {
 
     /// Writes the pages, and prints their paths and the numbers outside the paper's spread.
     fn print_end(&self, sweeps: &[(String, Folder)], out: &Path, began: Instant, global: &Global) -> Result<Exit> {
-        let reproduction = Reproduction::new(sweeps)?;
+        let mut reproduction = Reproduction::new(sweeps)?;
+        for name in reproduction.timed() {
+            if let Some(nodes) = self.time(&name)? {
+                reproduction = reproduction.with_times(&name, nodes);
+            }
+        }
         let path = self.page(out);
         fs::write(&path, reproduction.page(&self.command(&self.only), &|name| self.command_of(name)))
             .with_context(|| format!("{} cannot be written", path.display()))?;
@@ -194,6 +205,22 @@ impl Reproduce {
             began.elapsed().as_secs_f64()
         )?;
         Ok(exit)
+    }
+
+    /// Times of the nodes that compute in one procedure of an experiment, or `None` if it is refused.
+    fn time(&self, experiment: &str) -> Result<Option<Vec<NodeStats>>> {
+        let graph = self.graphs.join(format!("{experiment}.toml"));
+        let sets: Vec<_> =
+            self.sets.iter().cloned().chain(self.bone_sets()?.iter().flat_map(BoneSets::plain)).collect();
+        let registry = super::registry();
+        let Ok(checked) = osteoflow_engine::check(&graph, &sets, &registry) else { return Ok(None) };
+        let report = osteoflow_engine::run(&checked.plan, &registry, &RunOptions::default(), &())?;
+        if report.outcome != Outcome::Complete {
+            return Ok(None);
+        }
+        let computes = |node: &&PlanNode| node.role == Role::Node && !node.kind.starts_with("metrics.");
+        let names: Vec<_> = checked.plan.nodes.iter().filter(computes).map(|node| &*node.name).collect();
+        Ok(Some(report.nodes.into_iter().filter(|node| names.contains(&node.name.as_str())).collect()))
     }
 
     fn page(&self, out: &Path) -> PathBuf {
@@ -289,6 +316,15 @@ struct BoneSets {
 }
 
 impl BoneSets {
+    /// The settings of a single run.
+    fn plain(&self) -> Vec<String> {
+        let file = |path: &str| Value::from(path).to_string();
+        let of = |node: &str| {
+            [format!("{node}.bone_file={}", file(&self.bone)), format!("{node}.plan_file={}", file(&self.plan))]
+        };
+        ["recording", "plan", "bone", "real_bone"].iter().flat_map(|node| of(node)).collect()
+    }
+
     fn of(&self, experiment: &str) -> Vec<String> {
         if experiment == "calibration" {
             // Experiments without a bone.

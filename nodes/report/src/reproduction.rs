@@ -12,11 +12,12 @@ use crate::{
     ReportError,
     summary::{self, between, with_holm},
 };
-use osteoflow_engine::sweep::Folder;
+use osteoflow_engine::{run::NodeStats, sweep::Folder};
 use ours::Ours;
 use published::{Judged, Published, PublishedNumber, Setting};
 use reasons::Reasons;
 use serde_json::Value;
+use std::collections::BTreeSet;
 
 /// The experiments: names of graphs in graphs/paper/, first those of the paper in its order, then ours.
 pub const EXPERIMENTS: [&str; 12] = [
@@ -45,6 +46,8 @@ pub struct Reproduction {
     experiments: Vec<Experiment>,
     /// The paired comparisons of each pair of experiments in `published` that was run, or the reason why there are none.
     paired: Vec<(usize, Result<Vec<Value>, String>)>,
+    /// Computing times of one procedure, by experiment.
+    times: Vec<(String, Vec<NodeStats>)>,
 }
 
 /// An experiment that was run.
@@ -77,7 +80,20 @@ impl Reproduction {
             let compared = between((&pair.first, &spec, &a), (&pair.second, &second.spec()?, &b), &margins);
             paired.push((index, compared.map(with_holm).map_err(|none| none.to_string())));
         }
-        Ok(Self { published, experiments, paired })
+        Ok(Self { published, experiments, paired, times: Vec::new() })
+    }
+
+    /// The experiments of which one procedure is to be timed, node by node, for [`Reproduction::with_times`].
+    pub fn timed(&self) -> BTreeSet<String> {
+        let times = self.published.time.iter().map(|time| time.experiment.clone());
+        times.filter(|name| self.experiment(name).is_some()).collect()
+    }
+
+    /// Adds the times of the nodes that compute in one procedure of an experiment, without those that simulate or measure.
+    #[must_use]
+    pub fn with_times(mut self, experiment: &str, nodes: Vec<NodeStats>) -> Self {
+        self.times.push((experiment.to_owned(), nodes));
+        self
     }
 
     /// A line for each of our numbers that is outside the paper's spread.

@@ -8,6 +8,7 @@ use super::{
 use crate::{
     cell::Cell,
     chart::axis_label,
+    citations::paper_title,
     summary::{TableRow, comparison, under_heads, units, word},
 };
 use serde_json::Value;
@@ -27,10 +28,10 @@ pub(super) fn text(reproduction: &Reproduction, command: &str, again: Command<'_
          [statistics.md](statistics.md) has the formulas, and explains why an interval of two or three bones, as in each sweep's \
          `summary.json`, says little.\n",
     );
-    out.line(
-        "Sections, figures and tables are those of the publication whose method `graphs/fibula.toml` follows; its numbers \
-         are here, its text is not.\n",
-    );
+    out.line(&format!(
+        "Sections, figures and tables are those of *{}*; its numbers and their definitions are here, its text is not.\n",
+        paper_title()
+    ));
     out.line(&format!("{RULE}\n"));
     rows(&mut out, reproduction, again);
     out.line("\n## Outside the paper's spread\n");
@@ -43,6 +44,7 @@ pub(super) fn text(reproduction: &Reproduction, command: &str, again: Command<'_
     for (index, comparisons) in &reproduction.paired {
         paired(&mut out, &reproduction.published.pair[*index], comparisons);
     }
+    times(&mut out, reproduction);
     commands(&mut out, reproduction, again);
     readings(&mut out, reproduction);
     for table in &reproduction.published.table {
@@ -114,6 +116,30 @@ fn paired(out: &mut Markdown, pair: &ExperimentPair, comparisons: &Result<Vec<Va
             out.head(&heads);
             cells.iter().for_each(|cells| out.row(cells.iter().map(Cell::plain)));
         }
+    }
+    out.line("");
+}
+
+/// The paper's times with the share that computing has in them.
+fn times(out: &mut Markdown, reproduction: &Reproduction) {
+    if reproduction.times.is_empty() {
+        return;
+    }
+    out.line("## Times\n");
+    out.line(
+        "What the program computes in one simulated procedure on one thread, beside the time that the paper gives; the rest of \
+         that time is not software's. Computing times differ from machine to machine and run to run.\n",
+    );
+    out.head(["section", "what", "paper", "computing time of ours", "share of the paper's", "the rest"]);
+    for time in &reproduction.published.time {
+        let nodes = reproduction.times.iter().find(|(name, _)| *name == time.experiment).map(|(_, nodes)| nodes);
+        let (Some(fact), Some(nodes)) = (reproduction.published.fact(&time.fact), nodes) else { continue };
+        let own = nodes.iter().filter(|node| time.nodes.is_empty() || time.nodes.contains(&node.name));
+        let ours_s: f64 = own.map(|node| node.busy.as_secs_f64()).sum();
+        let share =
+            time.seconds(fact).map_or_else(|| "-".into(), |paper_s| format!("{:.2} %", 100.0 * ours_s / paper_s));
+        let paper = format!("{} {}", fact.text(0), fact.unit);
+        out.row([&fact.section, &fact.what, &paper, &format!("{:.0} ms", 1e3 * ours_s), &share, &time.rest]);
     }
     out.line("");
 }
