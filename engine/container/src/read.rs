@@ -90,8 +90,8 @@ pub enum ReadError {
 /// Reader of an MCAP file. Memory: a chunk packed and unpacked, or one record, whatever the file claims.
 pub struct Reader<R> {
     input: Input<R>,
-    /// Content of the current record, or the unpacked records of the current chunk.
-    content: Vec<u8>,
+    /// Current record with its head, or the unpacked records of the current chunk.
+    records: Vec<u8>,
     packed: Vec<u8>,
     described: Descriptions,
     /// Offsets of schemas and channels in the summary, by identifier.
@@ -114,6 +114,34 @@ struct SectionCrc {
     crc: Hasher,
     start: u64,
     end: u64,
+}
+
+impl SectionCrc {
+    /// Calls `add` to add the bytes at `bytes`, after those before them that are missing, such as damaged ones.
+    ///
+    /// Does nothing for bytes before [`end`](Self::end), such as the record that ended the previous section.
+    fn add<R: Read + Seek>(
+        &mut self,
+        input: &mut Input<R>,
+        bytes: Range<u64>,
+        add: impl FnOnce(&mut Hasher),
+    ) -> io::Result<()> {
+        if self.end <= bytes.start {
+            self.add_up_to(input, bytes.start)?;
+            add(&mut self.crc);
+            self.end = bytes.end;
+        }
+        Ok(())
+    }
+
+    /// Reads and adds the missing bytes before `end`.
+    fn add_up_to<R: Read + Seek>(&mut self, input: &mut Input<R>, end: u64) -> io::Result<()> {
+        if self.end < end {
+            input.hash(self.end, end, &mut self.crc)?;
+            self.end = end;
+        }
+        Ok(())
+    }
 }
 
 /// Outcome of one record.
@@ -146,7 +174,7 @@ impl<R: Read + Seek> Reader<R> {
     pub fn new(reader: R, n_bytes: u64) -> Self {
         Self {
             input: Input::new(reader, n_bytes),
-            content: Vec::new(),
+            records: Vec::new(),
             packed: Vec::new(),
             described: Descriptions::default(),
             summary: Summary::default(),
@@ -358,16 +386,17 @@ impl<R: Read + Seek> Reader<R> {
         if length > MAX_RECORD_BYTES {
             return Ok(Step::Damaged(Cause::Length { what, length, limit: MAX_RECORD_BYTES }, Some(next)));
         }
-        let mut content = std::mem::take(&mut self.content);
-        self.input.read_into(at + RECORD_HEAD, length, &mut content)?;
-        let step = self.record(at, opcode, &content, visitor);
-        self.content = content;
+        let mut bytes = std::mem::take(&mut self.records);
+        self.input.read_into(at, RECORD_HEAD + length, &mut bytes)?;
+        let step = self.record(at, &bytes, visitor);
+        self.records = bytes;
         step
     }
 
-    /// Visits a record outside of chunks.
-    fn record(&mut self, at: u64, opcode: u8, content: &[u8], visitor: &mut impl Visitor) -> Result<Step, ReadError> {
-        let next = at + RECORD_HEAD + content.len() as u64;
+    /// Visits a record outside of chunks; `bytes` are its head and content.
+    fn record(&mut self, at: u64, bytes: &[u8], visitor: &mut impl Visitor) -> Result<Step, ReadError> {
+        let next = at + bytes.len() as u64;
+        let (opcode, content) = (bytes[0], &bytes[RECORD_HEAD as usize..]);
         let parsed = record::parse(opcode, content).and_then(|record| {
             self.described.check(&record)?;
             Ok(record)
@@ -418,6 +447,9 @@ impl<R: Read + Seek> Reader<R> {
         if !unknown.is_empty() && self.describe_from_summary(&unknown, visitor)?.is_break() {
             return Ok(Step::Stopped);
         }
+        if let Some(section) = &mut self.section_crc {
+            section.add(&mut self.input, at..next, |crc| crc.update(bytes))?;
+        }
         self.described.add(&record);
         let is_end = matches!(record, Record::Footer { .. });
         Ok(match visitor.record(Location::at(at), record) {
@@ -431,16 +463,14 @@ impl<R: Read + Seek> Reader<R> {
     fn end_section(&mut self, end: u64, next: u64) -> io::Result<Option<u32>> {
         let Some(mut section) = self.section_crc.take() else { return Ok(None) };
         self.section_crc = Some(SectionCrc { crc: Hasher::new(), start: next, end: next });
-        if section.end < end {
-            self.input.hash(section.end, end, &mut section.crc)?;
-        }
+        section.add_up_to(&mut self.input, end)?;
         Ok(Some(section.crc.finalize()))
     }
 
     fn chunk(&mut self, at: u64, length: u64, visitor: &mut impl Visitor) -> Result<Step, ReadError> {
         let next = at + RECORD_HEAD + length;
         self.n_chunks += 1;
-        let mut records = std::mem::take(&mut self.content);
+        let mut records = std::mem::take(&mut self.records);
         let unpacked = self.unpack(at, length, &mut records)?;
         let checked = unpacked.and_then(|header| {
             let found = check_records(&records, &self.described).map_err(|cause| (cause, Some(next)))?;
@@ -462,7 +492,7 @@ impl<R: Read + Seek> Reader<R> {
                 }
             }
         };
-        self.content = records;
+        self.records = records;
         Ok(step)
     }
 
@@ -498,16 +528,11 @@ impl<R: Read + Seek> Reader<R> {
             Ok(crc) => crc,
             Err(cause) => return damaged(cause),
         };
-        if let Some(section) = &mut self.section_crc
-            && section.end <= start
-        {
-            self.input.hash(section.end, start, &mut section.crc)?;
-            if is_packed {
-                section.crc.update(&self.packed);
-            } else {
-                section.crc.combine(&crc);
-            }
-            section.end = start + n;
+        if let Some(section) = &mut self.section_crc {
+            section.add(&mut self.input, start..start + n, |section| match is_packed {
+                true => section.update(&self.packed),
+                false => section.combine(&crc),
+            })?;
         }
         Ok(Ok(header))
     }

@@ -23,6 +23,8 @@ struct Contents {
     damages: Vec<Damage>,
     /// Channels that were described by the summary before their messages.
     from_summary: BTreeSet<u16>,
+    /// CRC of the data as it is stored and as it is computed, and the offset of the record that stores it.
+    data_crc: Option<(u32, Option<u32>, u64)>,
     last: u64,
 }
 
@@ -42,6 +44,7 @@ impl Visitor for Contents {
             }
             Record::Attachment(_) => self.attachments += 1,
             Record::Metadata { .. } => self.metadata += 1,
+            Record::DataEnd { crc, computed } => self.data_crc = Some((crc, computed, location.offset)),
             _ => {}
         }
         self.last = location.offset;
@@ -188,6 +191,38 @@ fn messages_of_a_damaged_chunk_are_not_taken_for_messages_outside_of_chunks() {
         assert!(found.numbers().contains(&(N_MESSAGES - 1)));
         // The channels were described in that chunk and in the summary.
         assert!(found.messages.iter().all(|(read, i, _)| read == topic(*i)), "{:?}", found.channels);
+    }
+}
+
+#[test]
+fn the_crc_of_the_data_is_of_every_byte_before_its_end_whole_or_damaged() {
+    for options in [unchunked(), chunked(Compression::None), chunked(Compression::Zstd)] {
+        let bytes = file(options.clone());
+        let read = |bytes: &[u8]| {
+            let mut found = Found::default();
+            Reader::new(Cursor::new(bytes), bytes.len() as u64).with_section_crcs().read(&mut found).unwrap();
+            let (stored, computed, end) = found.data_crc.unwrap();
+            assert_eq!(computed, Some(crc32fast::hash(&bytes[..end as usize])), "{options:?}: {:?}", found.damages);
+            (Some(stored) == computed, found)
+        };
+        assert!(read(&bytes).0, "{options:?}");
+        for (opcode, start, end) in records(&bytes) {
+            if ![op::MESSAGE, op::CHUNK].contains(&opcode) {
+                continue;
+            }
+            let mut flipped = bytes.clone();
+            flipped[end - 1] ^= 1;
+            let (is_right, found) = read(&flipped);
+            assert!(!is_right, "{options:?}, record at {start}");
+            // Nothing but the CRC of the data shows it in a message outside of chunks.
+            assert_eq!(found.damages.is_empty(), opcode == op::MESSAGE, "{options:?}: {:?}", found.damages);
+            for damage in [|b: &mut [u8]| b[0] = 0, |b: &mut [u8]| b[1] ^= 0x10, |b: &mut [u8]| b[6] = 1] {
+                let mut damaged = bytes.clone();
+                damage(&mut damaged[start..]);
+                let (is_right, found) = read(&damaged);
+                assert!(!is_right && !found.damages.is_empty(), "{options:?}, record at {start}");
+            }
+        }
     }
 }
 
