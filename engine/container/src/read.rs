@@ -1,5 +1,7 @@
 //! Reads a file from its magic to its end, past damage.
 
+mod summary;
+
 use crate::{
     Cause, Channel, Damage, End, MAGIC, MAX_RECORD_BYTES, chunk,
     descriptions::Descriptions,
@@ -10,19 +12,17 @@ use crate::{
 };
 use crc32fast::Hasher;
 use std::{
-    collections::{BTreeMap, BTreeSet},
     fmt,
     fs::File,
     io::{self, Read, Seek},
     ops::{ControlFlow, Range},
     path::Path,
 };
+use summary::{Summary, Unknown};
 
 /// Longest header of a chunk; a longer one names no known compression.
 const MAX_CHUNK_HEADER: u64 = 64;
 const N_MAGIC: u64 = MAGIC.len() as u64;
-/// Bytes of the footer and the closing magic.
-const N_TAIL: u64 = RECORD_HEAD + 20 + N_MAGIC;
 
 /// Location of a record in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -94,18 +94,11 @@ pub struct Reader<R> {
     records: Vec<u8>,
     packed: Vec<u8>,
     described: Descriptions,
-    /// Offsets of schemas and channels in the summary, by identifier.
     summary: Summary,
     /// Whether messages have been outside of chunks so far.
     is_unchunked: bool,
     n_chunks: u64,
     section_crc: Option<SectionCrc>,
-}
-
-#[derive(Default)]
-struct Summary {
-    schemas: BTreeMap<u16, u64>,
-    channels: BTreeMap<u16, u64>,
 }
 
 /// CRC of the bytes of a section up to an offset.
@@ -253,82 +246,6 @@ impl<R: Read + Seek> Reader<R> {
         // Inside a damaged chunk nothing confirms a message.
         let loose = self.is_unchunked && self.n_chunks == 0 && !is_chunk;
         resync::next_record(&mut self.input, at + 1, loose.then_some(&has_channel))
-    }
-
-    /// Finds the schemas and channels that the summary repeats: a damaged chunk may be the only other one to describe a
-    /// channel. A summary that is damaged itself is not believed.
-    fn index_summary(&mut self) -> io::Result<Summary> {
-        let mut summary = Summary::default();
-        let Some(end) = self.n_bytes().checked_sub(N_TAIL).filter(|end| *end >= N_MAGIC) else { return Ok(summary) };
-        let tail = self.input.array::<{ N_TAIL as usize }>(end)?;
-        let Ok(Record::Footer { summary_start: start, crc: stored, .. }) = record::parse(op::FOOTER, &tail[9..29])
-        else {
-            return Ok(summary);
-        };
-        let is_footer = tail[0] == op::FOOTER && tail[29..] == *MAGIC;
-        if !is_footer || !(N_MAGIC..end).contains(&start) || stored != 0 && self.crc(start..end + 25)? != stored {
-            return Ok(summary);
-        }
-        let mut at = start;
-        while at + RECORD_HEAD <= end {
-            let (opcode, length) = self.input.head(at)?;
-            let Some(next) = (at + RECORD_HEAD).checked_add(length).filter(|next| *next <= end) else { break };
-            let offsets = match opcode {
-                op::SCHEMA => &mut summary.schemas,
-                op::CHANNEL => &mut summary.channels,
-                _ => {
-                    at = next;
-                    continue;
-                }
-            };
-            if length >= 2 {
-                let id = u16::from_le_bytes(self.input.array(at + RECORD_HEAD)?);
-                offsets.entry(id).or_insert(at);
-            }
-            at = next;
-        }
-        Ok(summary)
-    }
-
-    /// Visits the schemas and channels that only the summary describes.
-    fn describe_from_summary(&mut self, unknown: &Unknown, visitor: &mut impl Visitor) -> io::Result<ControlFlow<()>> {
-        let mut schemas = unknown.schemas.clone();
-        let mut channels = Vec::new();
-        for id in &unknown.channels {
-            if let Some((offset, content)) = self.summary_record(self.summary.channels.get(id).copied())?
-                && let Ok(Record::Channel(channel)) = record::parse(op::CHANNEL, &content)
-            {
-                schemas.insert(channel.schema_id);
-                channels.push((offset, content));
-            }
-        }
-        let mut described = Vec::new();
-        schemas.retain(|id| !self.described.has_schema(*id));
-        for id in schemas {
-            let schema = self.summary_record(self.summary.schemas.get(&id).copied())?;
-            described.extend(schema.map(|schema| (op::SCHEMA, schema)));
-        }
-        described.extend(channels.into_iter().map(|channel| (op::CHANNEL, channel)));
-        for (opcode, (offset, content)) in &described {
-            if let Ok(record) = record::parse(*opcode, content)
-                && self.described.check(&record).is_ok()
-            {
-                self.described.add(&record);
-                if visitor.record(Location::at(*offset), record).is_break() {
-                    return Ok(ControlFlow::Break(()));
-                }
-            }
-        }
-        Ok(ControlFlow::Continue(()))
-    }
-
-    fn summary_record(&mut self, offset: Option<u64>) -> io::Result<Option<(u64, Vec<u8>)>> {
-        let Some(offset) = offset else { return Ok(None) };
-        let (_, length) = self.input.head(offset)?;
-        if length > MAX_RECORD_BYTES {
-            return Ok(None);
-        }
-        Ok(Some((offset, self.input.read(offset + RECORD_HEAD, length)?)))
     }
 
     /// Checks the magic; a damaged one that a header follows is a damage.
@@ -560,12 +477,6 @@ impl<R: Read + Seek> Reader<R> {
         }
         self.input.read(at, n)
     }
-
-    fn crc(&mut self, bytes: Range<u64>) -> io::Result<u32> {
-        let mut crc = Hasher::new();
-        self.input.hash(bytes.start, bytes.end, &mut crc)?;
-        Ok(crc.finalize())
-    }
 }
 
 /// The records of an unpacked chunk: offset, opcode and content.
@@ -597,19 +508,6 @@ fn records(chunk: &[u8]) -> impl Iterator<Item = Result<(u64, u8, &[u8]), Cause>
 struct ChunkDescriptions {
     described: Descriptions,
     unknown: Unknown,
-}
-
-/// Identifiers that are used before the file has described them.
-#[derive(Default)]
-struct Unknown {
-    schemas: BTreeSet<u16>,
-    channels: BTreeSet<u16>,
-}
-
-impl Unknown {
-    fn is_empty(&self) -> bool {
-        self.schemas.is_empty() && self.channels.is_empty()
-    }
 }
 
 /// Checks all records of a chunk.
