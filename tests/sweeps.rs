@@ -209,7 +209,7 @@ fn the_experiments_run_on_a_users_bone_and_the_page_has_their_n() {
     let rows = fs::read_to_string(path(Path::new(&out), "accuracy_camera/runs.csv")).unwrap();
     assert!(rows.lines().nth(1).unwrap().starts_with("0,bone,0,1,complete,"), "{rows}");
     let again = format!("osteoflow reproduce --bone {bone} --plan {plan} --only accuracy_camera --set sweep.repeat=2");
-    let row = page.lines().find(|line| line.contains("camera, absolute z")).unwrap();
+    let row = page.lines().find(|line| line.contains("registered by camera") && line.contains("axis z")).unwrap();
     assert!(row.contains(&format!("| `{again}` |")), "{again}: {row}");
     assert_eq!(page.matches("A run without results").count(), 0, "none was refused:\n{page}");
 }

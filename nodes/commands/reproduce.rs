@@ -39,8 +39,8 @@ const PAGE: &str = "docs/paper-reproduction.md";
 /// Every graph of graphs/paper/ is swept into a folder of its own under --out. For each number of the paper the page has ours,
 /// its n and units, the command, and whether it is outside the paper's spread. In the project's folder the page is
 /// docs/paper-reproduction.md, otherwise paper-reproduction.md in --out. Each sweep's folder gets the page that
-/// `osteoflow report` writes. An experiment without any result is listed with the first reason, and the exit code is 3. A bone
-/// that `osteoflow simulate` refuses is refused before anything is run.
+/// `osteoflow report` writes. An experiment without any result is listed with the first reason, a row without a number of
+/// ours with what it lacks, and the exit code is 3. A bone that `osteoflow simulate` refuses is refused before anything is run.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -177,14 +177,18 @@ impl Reproduce {
         for line in &empty {
             writeln!(std::io::stderr(), "{} {line}", global.paint_err("without results:", "1;33"))?;
         }
-        let exit = if empty.is_empty() { Exit::Done } else { Exit::Refused };
+        let missing = reproduction.missing();
+        for line in &missing {
+            writeln!(std::io::stderr(), "{} {line}", global.paint_err("without a number:", "1;33"))?;
+        }
+        let exit = if empty.is_empty() && missing.is_empty() { Exit::Done } else { Exit::Refused };
         let reports = reports(sweeps)?;
         if global.format == Format::Json {
             let mut outcome = exit.to_json();
             outcome["out_dir"] = out.display().to_string().into();
             print_json(&json!({
                 "outcome": outcome, "page": path.display().to_string(), "reports": reports, "outside": outside,
-                "without_results": empty,
+                "without_results": empty, "without_a_number": missing,
             }))?;
             return Ok(exit);
         }

@@ -199,7 +199,7 @@ fn the_crc_of_the_data_is_of_every_byte_before_its_end_whole_or_damaged() {
     for options in [unchunked(), chunked(Compression::None), chunked(Compression::Zstd)] {
         let bytes = file(options.clone());
         let read = |bytes: &[u8]| {
-            let mut found = Found::default();
+            let mut found = Contents::default();
             Reader::new(Cursor::new(bytes), bytes.len() as u64).with_section_crcs().read(&mut found).unwrap();
             let (stored, computed, end) = found.data_crc.unwrap();
             assert_eq!(computed, Some(crc32fast::hash(&bytes[..end as usize])), "{options:?}: {:?}", found.damages);

@@ -106,6 +106,15 @@ impl Reproduction {
         self.published.row.iter().filter_map(line).collect()
     }
 
+    /// A line for each row whose experiment was run and has no such number.
+    pub fn missing(&self) -> Vec<String> {
+        let rows = self.published.row.iter().chain(&self.published.independent);
+        let has_results = |of: &Experiment| of.summary["n_runs"].as_u64() != Some(of.reasons.n as u64);
+        let was_run = |row: &&PublishedNumber| self.experiment(&row.experiment).is_some_and(has_results);
+        let missing = rows.filter(was_run).filter(|row| self.of_row(row).is_none());
+        missing.map(|row| format!("{}: {} has no {}", row.what, row.experiment, row.ours)).collect()
+    }
+
     /// A line for each experiment without any result, with the first reason.
     pub fn without_results(&self) -> Vec<String> {
         let line = |of: &Experiment| {

@@ -16,6 +16,11 @@ pub(super) struct Ours {
 }
 
 impl Ours {
+    /// The sweep was run and has no such number.
+    pub(super) fn none(path: &str) -> Self {
+        Self { value: None, text: format!("**none**: the sweep has no {path}"), n: "0".into() }
+    }
+
     /// Finds `path` in a summary under a setting and shows its key `show`, or mean, SD and range.
     pub(super) fn find(summary: &Value, path: &str, setting: &Setting, show: Option<&str>) -> Option<Self> {
         // `100` and `100.0` are equal.

@@ -63,7 +63,10 @@ pub(super) fn text(reproduction: &Reproduction, command: &str, again: Command<'_
 fn rows(out: &mut Markdown, reproduction: &Reproduction, again: Command<'_>) {
     out.head(["section", "what", "paper", "ours", "n", "within the paper's spread", "command", "remark"]);
     for row in &reproduction.published.row {
-        let Some(ours) = reproduction.of_row(row) else { continue };
+        if reproduction.experiment(&row.experiment).is_none() {
+            continue;
+        }
+        let ours = reproduction.of_row(row).unwrap_or_else(|| Ours::none(&row.ours));
         let (judged, command) = (judged(row, &ours), code(&again(&row.experiment)));
         out.row([&row.section, &row.what, &row.theirs, &ours.text, &ours.n, &judged, &command, &row.remark]);
     }
@@ -80,7 +83,10 @@ fn independent(out: &mut Markdown, reproduction: &Reproduction, again: Command<'
     );
     out.head(["what", "theirs", "ours", "n", "within their range", "command"]);
     for row in &reproduction.published.independent {
-        let Some(ours) = reproduction.of_row(row) else { continue };
+        if reproduction.experiment(&row.experiment).is_none() {
+            continue;
+        }
+        let ours = reproduction.of_row(row).unwrap_or_else(|| Ours::none(&row.ours));
         let command = code(&again(&row.experiment));
         out.row([&row.what, &row.theirs, &ours.text, &ours.n, &judged(row, &ours), &command]);
     }
