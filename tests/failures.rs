@@ -81,7 +81,7 @@ fn check(before: &Whole, node: &str, how: &str) {
     assert_eq!((refused["node"].as_str(), refused["item"].as_u64()), (Some(node), Some(0)), "{refused}");
     let reason = refused["reason"].as_str().unwrap();
     if how == "panic" {
-        assert!(reason.starts_with("panicked at engine/src/runtime/inject.rs:"), "{node}: {reason}");
+        assert!(reason.starts_with("panicked at engine/runtime/src/inject.rs:"), "{node}: {reason}");
     }
     assert!(reason.ends_with(&format!("was injected into {node} at item 0")), "{reason}");
     let named = format!("node \"{node}\", item 0: {reason}");

@@ -145,7 +145,7 @@ fn times(out: &mut Markdown, reproduction: &Reproduction) {
         let share =
             time.seconds(fact).map_or_else(|| "-".into(), |paper_s| format!("{:.2} %", 100.0 * ours_s / paper_s));
         let paper = format!("{} {}", fact.text(0), fact.unit);
-        out.row([&fact.section, &fact.what, &paper, &format!("{:.0} ms", 1e3 * ours_s), &share, &time.rest]);
+        out.row([&fact.section, &fact.what, &paper, &format!("{:.1} ms", 1e3 * ours_s), &share, &time.rest]);
     }
     out.line("");
 }
