@@ -6,6 +6,7 @@
 
 mod arithmetic;
 mod cached;
+pub mod camera;
 pub mod context;
 mod number;
 mod samples;
