@@ -290,6 +290,22 @@ fn an_experiment_without_any_results_ends_as_refused_with_the_page_and_the_most_
     assert!(!page.contains("silhouette"), "{page}");
 }
 
+#[test]
+fn a_row_without_a_number_of_ours_is_shown_and_listed_and_the_times_name_what_they_lack() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let sets = ["--set", "sweep.repeat=2", "--set", "sweep.columns.tre_x_mm=\"metrics.tre_measured_mm.mean_abs.w\""];
+    let only = ["reproduce", "--only", "accuracy_camera", "--out", out.to_str().unwrap()];
+    let (err, code) = complaint(&[&only[..], &sets[..]].concat());
+    assert_eq!(code, 3, "{err}");
+    assert_eq!(err.matches("without a number: ").count(), 2, "of the paper and of the other implementation: {err}");
+    let page = fs::read_to_string(out.join("paper-reproduction.md")).unwrap();
+    let row = page.lines().find(|line| line.contains("registered by camera") && line.contains("axis x")).unwrap();
+    assert!(row.contains("| 0.5 ± 0.1 | **none**: the sweep has no columns.tre_x_mm | 0 | - |"), "{row}");
+    let time = page.lines().find(|line| line.contains("time of a calibration | 40 s | ")).unwrap();
+    assert!(time.contains(" ms | 0.") && !page.contains("time of a procedure with the stylus"), "{time}");
+}
+
 /// Two bones with a few procedures each, of which some are refused: their gate lets no pair through.
 const REFUSING: &str = r#"
 extends = "GRAPH"

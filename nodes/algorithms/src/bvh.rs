@@ -155,6 +155,20 @@ fn splat(v: &Vector3<f64>) -> [f32x4; 3] {
     [v.x, v.y, v.z].map(|c| f32x4::splat(c as f32))
 }
 
+/// A node still to be visited: its distance, its index and its level.
+type Pending = (f32, u32, u8);
+
+/// Puts a node into the last slot or before it, so that the farthest is first: the stack is read from its end.
+#[inline(always)]
+fn push_sorted(slots: &mut [Pending], node: Pending) {
+    let mut place = slots.len() - 1;
+    while place > 0 && slots[place - 1].0 < node.0 {
+        slots[place] = slots[place - 1];
+        place -= 1;
+    }
+    slots[place] = node;
+}
+
 /// A bound widened by the rounding of squared distances.
 #[inline]
 fn above(bound: f64) -> f32 {
@@ -219,13 +233,7 @@ impl Bvh {
             }
             let (from, squared) = (n, to_array(&squared));
             for k in bits(near) {
-                // Farthest first, as the stack is read from its end.
-                let mut place = n;
-                while place > from && stack[place - 1].0 < squared[k] {
-                    stack[place] = stack[place - 1];
-                    place -= 1;
-                }
-                stack[place] = (squared[k], (first + k) as u32, level - 1);
+                push_sorted(&mut stack[from..=n], (squared[k], (first + k) as u32, level - 1));
                 n += 1;
             }
         }
@@ -275,13 +283,7 @@ impl Bvh {
             }
             let from = n;
             for k in bits(met) {
-                // Farthest first, as the stack is read from its end.
-                let mut place = n;
-                while place > from && stack[place - 1].0 < enter[k] {
-                    stack[place] = stack[place - 1];
-                    place -= 1;
-                }
-                stack[place] = (enter[k], (first + k) as u32, level - 1);
+                push_sorted(&mut stack[from..=n], (enter[k], (first + k) as u32, level - 1));
                 n += 1;
             }
         }

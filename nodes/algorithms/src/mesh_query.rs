@@ -117,21 +117,18 @@ impl MeshQuery {
         }
         let searched = self.searched();
         let at = point - searched.centre;
-        // With a first bound most nodes are never sorted.
-        let start = searched.faces.get(searched.bvh.near(&at)?)?.closest(&at);
-        let (mut square, mut closest) = ((start - at).norm_squared(), None);
+        // With a first bound most nodes are never sorted. Beyond single precision it is the answer.
+        let first = searched.bvh.near(&at)?;
+        let (mut found, mut face) = (searched.faces.get(first)?.closest(&at), searched.order[first] as usize);
+        let mut square = (found - at).norm_squared();
         searched.bvh.nearest(&at, square, |place| {
-            let found = searched.faces[place].closest(&at);
-            let found_square = (found - at).norm_squared();
-            if found_square <= square {
-                let face = searched.order[place] as usize;
-                if found_square < square || closest.is_none_or(|(_, closest)| face < closest) {
-                    (square, closest) = (found_square, Some((found, face)));
-                }
+            let (other, other_face) = (searched.faces[place].closest(&at), searched.order[place] as usize);
+            let other_square = (other - at).norm_squared();
+            if other_square < square || other_square == square && other_face < face {
+                (square, found, face) = (other_square, other, other_face);
             }
             square
         });
-        let (found, face) = closest?;
         let found = searched.centre + found;
         Some(Closest { point: found, distance_mm: (found - point).norm(), face, normal: self.normal(face) })
     }
@@ -180,6 +177,9 @@ mod tests {
         let query = MeshQuery::new(&cuboid([0.0; 3], [1.0; 3]));
         assert_eq!(query.cast_ray(&Point3::origin(), &Vector3::zeros()), None);
         assert_eq!(query.closest_point(&Point3::new(f64::NAN, 0.0, 0.0)), None);
+        // Its square is beyond single precision.
+        let far = query.closest_point(&Point3::new(1e25, 0.5, 0.5)).unwrap();
+        assert!((far.distance_mm / 1e25 - 1.0).abs() < 1e-9, "{far:?}");
     }
 
     #[test]

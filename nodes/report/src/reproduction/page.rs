@@ -128,7 +128,9 @@ fn paired(out: &mut Markdown, pair: &ExperimentPair, comparisons: &Result<Vec<Va
 
 /// The paper's times with the share that computing has in them.
 fn times(out: &mut Markdown, reproduction: &Reproduction) {
-    if reproduction.times.is_empty() {
+    let times = reproduction.published.time.iter();
+    let shown: Vec<_> = times.filter(|time| reproduction.experiment(&time.experiment).is_some()).collect();
+    if shown.is_empty() {
         return;
     }
     out.line("## Times\n");
@@ -137,15 +139,18 @@ fn times(out: &mut Markdown, reproduction: &Reproduction) {
          that time is not software's. Computing times differ from machine to machine and run to run.\n",
     );
     out.head(["section", "what", "paper", "computing time of ours", "share of the paper's", "the rest"]);
-    for time in &reproduction.published.time {
+    for time in shown {
+        let Some(fact) = reproduction.published.fact(&time.fact) else { continue };
         let nodes = reproduction.times.iter().find(|(name, _)| *name == time.experiment).map(|(_, nodes)| nodes);
-        let (Some(fact), Some(nodes)) = (reproduction.published.fact(&time.fact), nodes) else { continue };
-        let own = nodes.iter().filter(|node| time.nodes.is_empty() || time.nodes.contains(&node.name));
-        let ours_s: f64 = own.map(|node| node.busy.as_secs_f64()).sum();
-        let share =
-            time.seconds(fact).map_or_else(|| "-".into(), |paper_s| format!("{:.2} %", 100.0 * ours_s / paper_s));
-        let paper = format!("{} {}", fact.text(0), fact.unit);
-        out.row([&fact.section, &fact.what, &paper, &format!("{:.1} ms", 1e3 * ours_s), &share, &time.rest]);
+        let (ours, share) = match nodes.map(|nodes| time.computed_s(nodes)) {
+            Some(Some(ours_s)) => {
+                let share = time.seconds(fact).map(|paper_s| format!("{:.2} %", 100.0 * ours_s / paper_s));
+                (format!("{:.1} ms", 1e3 * ours_s), share.unwrap_or_else(|| "-".into()))
+            }
+            Some(None) => (format!("**none**: a node of {} is missing", time.nodes.join(", ")), "-".into()),
+            None => ("**none**: the procedure was refused".into(), "-".into()),
+        };
+        out.row([&fact.section, &fact.what, &format!("{} {}", fact.text(0), fact.unit), &ours, &share, &time.rest]);
     }
     out.line("");
 }
@@ -175,7 +180,9 @@ fn readings(out: &mut Markdown, reproduction: &Reproduction) {
     for reading in &reproduction.published.reading {
         out.line(&format!("**{}** {}", reading.question, reading.reading));
         for shown in &reading.shows {
-            if let Some(ours) = reproduction.ours(&shown.experiment, &shown.ours, &shown.setting, None) {
+            if reproduction.experiment(&shown.experiment).is_some() {
+                let ours = reproduction.ours(&shown.experiment, &shown.ours, &shown.setting, None);
+                let ours = ours.unwrap_or_else(|| Ours::none(&shown.ours));
                 out.line(&format!("- {}: {}, n = {}", shown.name, ours.text, ours.n));
             }
         }

@@ -1,6 +1,7 @@
 //! The content of `published.toml`: the paper's numbers, the interpretations of the paper, and where to find our numbers.
 
 use crate::summary::word;
+use osteoflow_engine::run::NodeStats;
 use serde::Deserialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -211,6 +212,13 @@ impl Fact {
 }
 
 impl Time {
+    /// What the nodes took, in seconds; `None` if one of them is missing.
+    pub(super) fn computed_s(&self, nodes: &[NodeStats]) -> Option<f64> {
+        let all_there = self.nodes.iter().all(|name| nodes.iter().any(|node| node.name == *name));
+        let own = nodes.iter().filter(|node| self.nodes.is_empty() || self.nodes.contains(&node.name));
+        all_there.then(|| own.map(|node| node.busy.as_secs_f64()).sum())
+    }
+
     /// What the paper gives, in seconds.
     pub(super) fn seconds(&self, fact: &Fact) -> Option<f64> {
         let unit_s = match fact.unit.as_str() {
@@ -249,7 +257,7 @@ impl FileRow {
         let n = fact.map_or(1, Fact::n);
         let mut rows: Vec<_> =
             settings.into_iter().flat_map(|setting| (0..n).map(move |k| self.one(fact, k, setting))).collect();
-        // Said once for all.
+        // The remark is about all of them and is shown once.
         rows.iter_mut().skip(1).for_each(|row| row.remark.clear());
         rows
     }
