@@ -2,6 +2,7 @@
 
 mod global;
 
+pub(crate) use global::NearMap;
 pub use global::{GlobalError, GlobalFit, GlobalParams, GlobalReport, RunnerUp, global};
 
 use crate::kabsch::{FitError, centroid, kabsch};
@@ -243,7 +244,7 @@ fn better_order(target: &[Point3<f64>], source: &[&NamedPoint], fre_mm: f64) -> 
 }
 
 /// All orders of `0..n`, in lexicographic order.
-fn permutations(n: usize, visit: &mut dyn FnMut(&[usize])) {
+pub(crate) fn permutations(n: usize, visit: &mut dyn FnMut(&[usize])) {
     let mut order: Vec<usize> = (0..n).collect();
     loop {
         visit(&order);

@@ -68,4 +68,5 @@ pub mod section;
 mod shapes;
 pub mod still_average;
 pub mod target;
+pub mod trust;
 mod union_find;

@@ -4,6 +4,7 @@ mod columns;
 
 pub use crate::point_grid::GridColumns;
 
+use crate::coarse::NearMap;
 use crate::field::ClosestPointField;
 use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;
@@ -207,6 +208,7 @@ pub(crate) struct Index {
     normals: OnceLock<Vec<Vector3<f64>>>,
     thinned: OnceLock<Subset>,
     tree: OnceLock<Nearest>,
+    near_map: OnceLock<NearMap>,
 }
 
 /// A subset of the points in a kd-tree.
@@ -217,8 +219,8 @@ pub(crate) struct Subset {
 
 impl Index {
     pub(crate) fn new(points: &Column<Point3<f64>>) -> Self {
-        let (cell_mm, cells, normals, thinned, tree) = Default::default();
-        Self { centre: centroid(points), points: points.clone(), cell_mm, cells, normals, thinned, tree }
+        let (cell_mm, cells, normals, thinned, tree, near_map) = Default::default();
+        Self { centre: centroid(points), points: points.clone(), cell_mm, cells, normals, thinned, tree, near_map }
     }
 
     fn with_cells(self, cells: PointGrid, cell_mm: f64) -> Self {
@@ -247,6 +249,11 @@ impl Index {
     /// The kd-tree of all points, about the centre.
     pub(crate) fn tree(&self) -> &Nearest {
         self.tree.get_or_init(|| Nearest::about(&self.centre, self.points.iter().copied()))
+    }
+
+    /// The map of `target`, whose index this is, for registration by shape alone.
+    pub(crate) fn near_map(&self, target: &Target) -> &NearMap {
+        self.near_map.get_or_init(|| NearMap::new(target))
     }
 
     /// The nearest point within `limit_mm` of `query`, which is about the centre.

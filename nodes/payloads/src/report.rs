@@ -51,4 +51,5 @@ reports! {
     "Ruled" = osteoflow_algorithms::landmarks::RuledReport;
     "Surface" = osteoflow_algorithms::metrics::SurfaceReport;
     "Tre" = osteoflow_algorithms::metrics::TreReport;
+    "Verdict" = osteoflow_algorithms::trust::Verdict;
 }

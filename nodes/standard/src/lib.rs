@@ -23,6 +23,7 @@ pub mod plan;
 pub mod plane;
 pub mod surface;
 pub mod transform;
+pub mod verdict;
 
 pub mod own_bone;
 mod params;
@@ -87,6 +88,7 @@ pub fn registry() -> Registry {
         .node::<metrics::calibration::Calibration>()
         .node::<metrics::check_points::CheckPoints>()
         .node::<metrics::laser_spot::LaserSpot>()
+        .node::<verdict::registration::Registration>()
         .node::<output::ply::Ply>()
         .node::<output::csv::Csv>();
     registry

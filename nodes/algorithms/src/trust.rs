@@ -1,0 +1,26 @@
+//! How far a registration can be trusted: the evidence in its data, the predicted error, and a verdict.
+//!
+//! [`Evidence`] measures, [`predict`] propagates, [`judge`] decides. Nothing here moves the scan: a verdict never replaces the
+//! registration that it judges.
+
+mod contrary;
+mod evidence;
+mod misfit;
+mod noise;
+mod planned;
+mod predict;
+mod residuals;
+mod rules;
+mod spread;
+mod verdict;
+
+pub use contrary::{ShapeEvidence, mirrored};
+pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
+pub use misfit::Misfit;
+pub use noise::sensor_noise_mm;
+pub use planned::{OrderEvidence, PlanFault, landmark_order, plan_faults};
+pub use predict::{Interval, PredictParams, Predicted, PredictedPoint, PredictedSet, Term, Tracking, predict};
+pub use residuals::{Residual, Residuals};
+pub use rules::{Case, RuleParams, judge};
+pub use spread::Spread;
+pub use verdict::{Answer, Reason, Verdict};

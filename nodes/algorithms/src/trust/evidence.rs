@@ -1,0 +1,180 @@
+//! What the data of a registration say about it.
+
+use super::{Misfit, Residual, Residuals, ShapeEvidence, Spread, contrary, sensor_noise_mm};
+use crate::target::Target;
+use nalgebra::{Isometry3, Point3};
+use osteoflow_geometry::Cloud;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Number of scan points that are examined: residuals of one region are correlated, so more say little more.
+pub(super) const N_EXAMINED: usize = 5000;
+
+/// Residuals are searched within this distance, mm.
+const SEARCH_MM: f64 = 8.0;
+
+/// Edge of the cells whose residuals count as one draw, mm: the correlation length of a camera's distortion and of a CT
+/// surface's bumps.
+const CELL_MM: f64 = 10.0;
+
+/// Residuals beyond this many robust standard deviations are left out of the spread, as the registration leaves them out.
+const GATE_SIGMAS: f64 = 5.0;
+
+/// A quarter of a Gaussian's absolute values are below this many standard deviations.
+const QUARTER_SIGMAS: f64 = 0.318_639_363_964_375_15;
+
+/// A registered scan and the points at which its error matters.
+#[derive(Debug, Clone, Copy)]
+pub struct Registered<'a> {
+    /// The surface.
+    pub target: &'a Target,
+    /// The scan.
+    pub source: &'a Cloud,
+    /// The registration.
+    pub t_target_source: &'a Isometry3<f64>,
+    /// Points of the target's frame at which the error matters: assessment points and cuts. Without any, the scan's own.
+    pub at: &'a [Point3<f64>],
+}
+
+/// What is examined.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct EvidenceParams {
+    /// Whether the scan is also registered by shape alone, as a second opinion. true: landmarks that are swapped, slid or of
+    /// another bone are told by it; it takes about 0.15 s of one core.
+    pub shape: bool,
+    /// When the scan's mirror image is registered too: `always`, `never`, or `if_raised`, where another sign is. `if_raised`: it
+    /// names the cause, and no mirrored bone passes the other signs.
+    pub mirror: When,
+}
+
+/// When something is examined.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum When {
+    /// In every registration.
+    Always,
+    /// Where another sign is raised.
+    IfRaised,
+    /// In none.
+    Never,
+}
+
+impl Default for EvidenceParams {
+    fn default() -> Self {
+        Self { shape: true, mirror: When::IfRaised }
+    }
+}
+
+/// What the data of a registration say about it. Lengths in mm.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Evidence {
+    /// The sensor's noise across the surface, from the scan alone.
+    pub noise_mm: f64,
+    /// Median distance of the scan from the surface.
+    pub median_mm: f64,
+    /// 90th percentile of the distances; none where more than a tenth of the scan is beyond 8 mm.
+    pub p90_mm: Option<f64>,
+    /// Share of the scan on the surface: within five robust standard deviations.
+    pub on_surface: f64,
+    /// Share of the scan that lies inside the surface, by more than four times the noise and 0.3 mm.
+    pub inside: f64,
+    /// Share that lies outside by as much.
+    pub outside: f64,
+    /// The residuals that noise does not explain.
+    pub misfit: Misfit,
+    /// Share of the scan on the surface whose surface faces away from the camera; none without a viewpoint.
+    pub facing_away: Option<f64>,
+    /// RMS spread of the registration at the points that matter, by a jackknife over cells of 10 mm.
+    pub spread_mm: Option<f64>,
+    /// Mean distance, at the points that matter, to the pose at which a point-to-plane registration settles from this one.
+    pub unsettled_mm: Option<f64>,
+    /// The registration by shape alone, if it was made.
+    pub shape: Option<ShapeEvidence>,
+}
+
+/// The evidence, and the spread that it rests on.
+pub struct Examined {
+    /// The numbers.
+    pub evidence: Evidence,
+    /// The spread of the pose; none where the scan leaves a motion undetermined.
+    pub spread: Option<Spread>,
+}
+
+impl Evidence {
+    /// Examines a registration.
+    ///
+    /// `None` if the target has no normals or the scan fewer than 30 points. The result does not depend on the number of threads.
+    ///
+    /// # Source
+    /// Jackknife over groups: Quenouille 1956; the equivalent clustered sandwich: White 1980, Liang and Zeger 1986, with the
+    /// small-sample correction of Bell and McCaffrey 2002 (CR3).
+    pub fn examine(registered: &Registered<'_>, params: &EvidenceParams) -> Option<Examined> {
+        let Registered { target, source, t_target_source, .. } = *registered;
+        let residuals = Residuals::new(target, source.points(), t_target_source, SEARCH_MM, N_EXAMINED)?;
+        let noise_mm = sensor_noise_mm(source.points())?;
+        let gate_mm = GATE_SIGMAS * (residuals.quantile_mm(0.25) / QUARTER_SIGMAS).max(noise_mm);
+        let on: Vec<Residual> = residuals.near.iter().filter(|near| near.signed_mm.abs() <= gate_mm).copied().collect();
+        let off_mm = (4.0 * noise_mm).max(0.3);
+        let spread = Spread::new(&on, CELL_MM);
+        let at = points_that_matter(registered);
+        let apart = |other: &Isometry3<f64>| {
+            let motion = other * t_target_source.inverse();
+            at.iter().map(|p| (motion * p - p).norm()).sum::<f64>() / at.len() as f64
+        };
+        let settled = contrary::settled(registered, t_target_source);
+        let shape = params.shape.then(|| contrary::by_shape(registered)).flatten();
+        let mut evidence = Evidence {
+            noise_mm,
+            median_mm: residuals.quantile_mm(0.5),
+            p90_mm: Some(residuals.quantile_mm(0.9)).filter(|mm| mm.is_finite()),
+            on_surface: on.len() as f64 / residuals.n.max(1) as f64,
+            inside: residuals.share(|near| near.signed_mm < -off_mm),
+            outside: 1.0 - residuals.share(|near| near.signed_mm <= off_mm),
+            misfit: Misfit::new(&residuals, noise_mm),
+            facing_away: facing_away(registered, &on),
+            spread_mm: spread
+                .as_ref()
+                .map(|spread| (at.iter().map(|p| spread.at(p).trace()).sum::<f64>() / at.len() as f64).max(0.0).sqrt()),
+            unsettled_mm: settled.as_ref().map(apart),
+            shape: None,
+        };
+        evidence.shape = shape.map(|(pose, report)| {
+            let own = |pose: &Isometry3<f64>| {
+                let residuals = Residuals::new(target, source.points(), pose, contrary::REACH_MM, N_EXAMINED);
+                residuals.as_ref().map_or(contrary::REACH_MM, contrary::score_mm)
+            };
+            ShapeEvidence {
+                apart_mm: apart(&pose),
+                score_mm: own(&pose),
+                judged_score_mm: own(t_target_source),
+                clearness: report.clearness,
+                mirrored_score_mm: None,
+            }
+        });
+        Some(Examined { evidence, spread })
+    }
+
+    /// Adds the score of the scan's mirror image.
+    pub fn examine_mirrored(&mut self, registered: &Registered<'_>) {
+        if let Some(shape) = &mut self.shape {
+            shape.mirrored_score_mm = contrary::mirrored_score_mm(registered);
+        }
+    }
+}
+
+/// The points at which the error matters; without any, some of the scan's own.
+fn points_that_matter(registered: &Registered<'_>) -> Vec<Point3<f64>> {
+    if !registered.at.is_empty() {
+        return registered.at.to_vec();
+    }
+    let points = registered.source.points();
+    points.iter().step_by((points.len() / 50).max(1)).map(|p| registered.t_target_source * p).collect()
+}
+
+/// Share of the points whose surface faces away from the camera.
+fn facing_away(registered: &Registered<'_>, on: &[Residual]) -> Option<f64> {
+    let camera = registered.t_target_source * (registered.source.viewpoint? * Point3::origin());
+    let away = on.iter().filter(|near| near.normal.dot(&(camera - near.point)) < 0.0).count();
+    Some(away as f64 / on.len().max(1) as f64)
+}

@@ -1,0 +1,249 @@
+//! The error to expect, from the spread of the pose and the stated errors of the devices.
+
+use super::Spread;
+use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
+use osteoflow_geometry::NamedPoint;
+use rand::RngExt;
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Number of draws of the pose that an interval is read from: its ends are then known to 3 %.
+const N_DRAWS: usize = 4000;
+
+/// Share of the draws below and above an interval of 90 %.
+const TAIL: f64 = 0.05;
+
+/// Semi-axes of the ellipsoid that holds 90 % of a three-dimensional Gaussian, in standard deviations.
+const ELLIPSOID_SIGMAS: f64 = 2.500_278;
+
+/// Stated errors.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PredictParams {
+    /// Standard deviation, per axis, of a marker's tracked position while it stands still, mm. 0.06: an optical tracker's
+    /// volumetric error of 0.1 mm in all.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub marker_mm: f64,
+    /// Standard deviation of its tracked attitude about each axis, degrees. 0.023: that error over a marker of 150 mm.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub marker_deg: f64,
+    /// Standard deviation, per axis, of the phantom's marker against its CAD, mm. 0.05: a printed part.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub print_mm: f64,
+    /// Standard deviation of its attitude against the CAD about each axis, degrees. 0.03: as much over the phantom.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub print_deg: f64,
+    /// RMS error of the CT's surface over patches of a centimetre, mm, as stated: by how much it may swell or shrink with the
+    /// segmentation's threshold. 0.1: a seventh of a voxel of 0.7 mm. It widens the second interval only, as what varies along
+    /// the scan is in the first already.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub ct_bias_mm: f64,
+}
+
+impl Default for PredictParams {
+    fn default() -> Self {
+        Self { marker_mm: 0.06, marker_deg: 0.023, print_mm: 0.05, print_deg: 0.03, ct_bias_mm: 0.1 }
+    }
+}
+
+/// Where the markers were, for the propagation of their errors. In the target's frame, mm.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tracking {
+    /// The camera's marker at the scan.
+    pub camera_marker: Point3<f64>,
+    /// The phantom's marker at the calibration, in the camera's frame, carried to the scan.
+    pub phantom_marker: Option<Point3<f64>>,
+    /// Covariance of the phantom's fit: shift (mm) and turn (rad) about a point.
+    pub phantom_fit: Option<(Matrix6<f64>, Point3<f64>)>,
+}
+
+/// The predicted error.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Predicted {
+    /// At each assessment point.
+    pub points: Vec<PredictedPoint>,
+    /// At each cut, in the middle of the bone.
+    pub cuts: Vec<PredictedPoint>,
+    /// The mean TRE of the assessment points.
+    pub assessment: Option<PredictedSet>,
+    /// The mean TRE of the cuts.
+    pub all_cuts: Option<PredictedSet>,
+    /// Each source of error, RMS over all of these points.
+    pub terms: Vec<Term>,
+}
+
+/// The predicted error of a point.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PredictedPoint {
+    /// Its name.
+    pub name: String,
+    /// RMS error, mm.
+    pub tre_mm: f64,
+    /// The interval that holds the error with 90 %, mm.
+    pub interval_mm: Interval,
+    /// Semi-axes of the ellipsoid that holds the point with 90 %, mm, the longest first.
+    pub semi_axes_mm: [f64; 3],
+    /// Their unit directions in the target's frame.
+    pub directions: [[f64; 3]; 3],
+}
+
+/// The predicted mean error of several points.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PredictedSet {
+    /// Expected mean TRE, mm.
+    pub mean_tre_mm: f64,
+    /// The interval that holds it with 90 %, given the data, mm.
+    pub interval_mm: Interval,
+    /// The same with the stated bias of the CT's surface, mm.
+    pub interval_with_ct_bias_mm: Interval,
+}
+
+/// Lower and upper end.
+pub type Interval = [f64; 2];
+
+/// A source of error.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Term {
+    /// Its name.
+    pub name: String,
+    /// RMS error, mm.
+    pub tre_mm: f64,
+}
+
+impl Predicted {
+    /// The prediction in a sentence.
+    pub(super) fn sentence(&self) -> String {
+        let set = |what: &str, set: &Option<PredictedSet>| {
+            set.as_ref().map(|set| format!("{:.1} to {:.1} mm {what}", set.interval_mm[0], set.interval_mm[1]))
+        };
+        let sets = [set("at the assessment points", &self.assessment), set("at the cuts", &self.all_cuts)];
+        let sets: Vec<String> = sets.into_iter().flatten().collect();
+        if sets.is_empty() {
+            return "no sign against it was found".to_owned();
+        }
+        format!("predicted mean error {} (90 %)", sets.join(", "))
+    }
+}
+
+/// Covariance of a rigid error that acts about `about`, as shift and turn about `centre`.
+fn carried(covariance: &Matrix6<f64>, about: &Point3<f64>, centre: &Point3<f64>) -> Matrix6<f64> {
+    let mut j = Matrix6::identity();
+    j.fixed_view_mut::<3, 3>(0, 3).copy_from(&-(centre - about).cross_matrix());
+    j * covariance * j.transpose()
+}
+
+fn isotropic(mm: f64, deg: f64) -> Matrix6<f64> {
+    let rad = deg.to_radians();
+    Matrix6::from_diagonal(&Vector6::new(mm, mm, mm, rad, rad, rad).map(|sd| sd * sd))
+}
+
+/// Predicts the error at points and cuts.
+///
+/// The terms are independent rigid errors: the spread of the registration; the camera's marker at the scan and at the
+/// calibration; the phantom's marker, its print and its fit. The bone's marker cancels, as planes are carried back by the pose
+/// that brought the scan. The interval of a mean is read from draws of their sum, always the same.
+///
+/// # Source
+/// Propagation of rigid errors to a target: Fitzpatrick, West and Maurer 1998; Moghari and Abolmaesumi 2009; Ma and Ellis 2006
+/// for surface registration.
+pub fn predict(
+    spread: &Spread,
+    tracking: Option<&Tracking>,
+    points: &[NamedPoint],
+    cuts: &[NamedPoint],
+    params: &PredictParams,
+) -> Predicted {
+    let centre = spread.centre;
+    let mut terms = vec![("registration", spread.covariance)];
+    if let Some(tracking) = tracking {
+        let marker = isotropic(params.marker_mm, params.marker_deg);
+        let camera_marker = carried(&marker, &tracking.camera_marker, &centre);
+        terms.push(("camera marker at the scan", camera_marker));
+        if let Some(phantom_marker) = &tracking.phantom_marker {
+            terms.push(("camera marker at the calibration", camera_marker));
+            terms.push(("phantom marker", carried(&marker, phantom_marker, &centre)));
+            terms.push(("phantom", carried(&isotropic(params.print_mm, params.print_deg), phantom_marker, &centre)));
+        }
+        if let Some((covariance, about)) = &tracking.phantom_fit {
+            terms.push(("phantom's fit", carried(covariance, about, &centre)));
+        }
+    }
+    let total: Matrix6<f64> = terms.iter().map(|(_, covariance)| covariance).sum();
+    let bias = spread.bias * (params.ct_bias_mm * params.ct_bias_mm);
+    let all: Vec<Point3<f64>> = points.iter().chain(cuts).map(|p| p.position).collect();
+    let rms = |covariance: &Matrix6<f64>| {
+        let squares: f64 = all.iter().map(|p| at(covariance, &centre, p).trace()).sum();
+        (squares / all.len().max(1) as f64).max(0.0).sqrt()
+    };
+    let mut terms: Vec<Term> =
+        terms.iter().map(|(name, covariance)| Term { name: (*name).to_owned(), tre_mm: rms(covariance) }).collect();
+    terms.push(Term { name: "stated bias of the CT".to_owned(), tre_mm: rms(&bias) });
+    let (given, biased) = (draws(&total), draws(&(total + bias)));
+    let set = |named: &[NamedPoint]| {
+        let arms: Vec<Vector3<f64>> = named.iter().map(|p| p.position - centre).collect();
+        let (mean_tre_mm, interval_mm) = mean_error(&given, &arms)?;
+        let (_, interval_with_ct_bias_mm) = mean_error(&biased, &arms)?;
+        Some(PredictedSet { mean_tre_mm, interval_mm, interval_with_ct_bias_mm })
+    };
+    let point = |named: &NamedPoint| {
+        let covariance = at(&total, &centre, &named.position);
+        let (semi_axes_mm, directions) = ellipsoid(&covariance);
+        PredictedPoint {
+            name: named.name.to_string(),
+            tre_mm: covariance.trace().max(0.0).sqrt(),
+            interval_mm: mean_error(&given, &[named.position - centre]).map_or([0.0; 2], |(_, interval)| interval),
+            semi_axes_mm,
+            directions,
+        }
+    };
+    Predicted {
+        points: points.iter().map(point).collect(),
+        cuts: cuts.iter().map(point).collect(),
+        assessment: set(points),
+        all_cuts: set(cuts),
+        terms,
+    }
+}
+
+/// Covariance of the position of a point, mm², from that of shift and turn about `centre`.
+fn at(covariance: &Matrix6<f64>, centre: &Point3<f64>, point: &Point3<f64>) -> Matrix3<f64> {
+    carried(covariance, centre, point).fixed_view::<3, 3>(0, 0).into_owned()
+}
+
+fn ellipsoid(covariance: &Matrix3<f64>) -> ([f64; 3], [[f64; 3]; 3]) {
+    let eigen = covariance.symmetric_eigen();
+    let mut order = [0, 1, 2];
+    order.sort_by(|&i, &j| eigen.eigenvalues[j].total_cmp(&eigen.eigenvalues[i]).then(i.cmp(&j)));
+    let axes = order.map(|k| ELLIPSOID_SIGMAS * eigen.eigenvalues[k].max(0.0).sqrt());
+    (axes, order.map(|k| eigen.eigenvectors.column(k).into_owned().into()))
+}
+
+/// Draws of shift and turn, always from the same random numbers.
+fn draws(covariance: &Matrix6<f64>) -> Vec<Vector6<f64>> {
+    let eigen = covariance.symmetric_eigen();
+    let root = eigen.eigenvectors * Matrix6::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()));
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    (0..N_DRAWS).map(|_| root * Vector6::from_fn(|_, _| normal(&mut rng))).collect()
+}
+
+/// A standard normal number. Source: Box and Muller 1958.
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    let (u, v): (f64, f64) = (rng.random(), rng.random());
+    (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+/// Mean and 90 % interval of the mean error of points at these arms from the centre; `None` without points.
+fn mean_error(draws: &[Vector6<f64>], arms: &[Vector3<f64>]) -> Option<(f64, Interval)> {
+    if arms.is_empty() {
+        return None;
+    }
+    let error = |draw: &Vector6<f64>| {
+        let (shift, turn) = (draw.fixed_rows::<3>(0), draw.fixed_rows::<3>(3).into_owned());
+        arms.iter().map(|arm| (shift + turn.cross(arm)).norm()).sum::<f64>() / arms.len() as f64
+    };
+    let mut errors: Vec<f64> = draws.iter().map(error).collect();
+    errors.sort_by(f64::total_cmp);
+    let at = |share: f64| errors[((errors.len() - 1) as f64 * share).round() as usize];
+    Some((errors.iter().sum::<f64>() / errors.len() as f64, [at(TAIL), at(1.0 - TAIL)]))
+}

@@ -1,0 +1,308 @@
+//! The rules of a verdict.
+
+use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When};
+use super::planned::{OrderEvidence, PlanFault, landmark_order, plan_faults};
+use super::predict::{PredictParams, Tracking, predict};
+use super::verdict::{Answer, Reason, Verdict};
+use crate::icp::{IcpReport, StopReason};
+use crate::section;
+use nalgebra::Point3;
+use osteoflow_geometry::{NamedPoint, Planes};
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// Share by which an independent registration has to fit better to contradict: less may be noise.
+const BETTER: f64 = 0.85;
+
+/// Thresholds of the rules.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RuleParams {
+    /// Doubtful if the RMS spread of the registration at the assessment points and cuts is larger, mm.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_spread_mm: f64,
+    /// Doubtful if the misfit, the mean residual of patches of 4 mm, is larger, mm: surface and scan differ by more than
+    /// noise.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_misfit_mm: f64,
+    /// Refused if the misfit of the patches inside the surface is larger, mm: soft tissue lies outside, so this is another bone,
+    /// its mirror image, or another place on it.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_inward_misfit_mm: f64,
+    /// Doubtful if a point-to-plane registration settles farther away at the assessment points and cuts, mm.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_unsettled_mm: f64,
+    /// Doubtful, or refused if it fits clearly better, if the registration by shape alone lies farther away, mm.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub max_shape_apart_mm: f64,
+    /// Clearness from which a registration by shape alone that does not fit better is a contradiction.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub min_shape_clearness: f64,
+    /// Doubtful if a smaller share of the scan lies on the surface.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub min_on_surface: f64,
+    /// Doubtful if the RMS residual of the landmarks is larger, mm, and the shape alone does not agree.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_fre_mm: f64,
+    /// Doubtful if the mean error measured with the stylus is larger, mm; refused from three times that.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_measured_tre_mm: f64,
+}
+
+impl Default for RuleParams {
+    fn default() -> Self {
+        Self {
+            max_spread_mm: 0.2,
+            max_misfit_mm: 0.3,
+            max_inward_misfit_mm: 0.3,
+            max_unsettled_mm: 0.5,
+            max_shape_apart_mm: 1.5,
+            min_shape_clearness: 0.3,
+            min_on_surface: 0.55,
+            max_fre_mm: 3.0,
+            max_measured_tre_mm: 2.5,
+        }
+    }
+}
+
+/// A registration with everything that is known beside it. What is not known is empty or none.
+#[derive(Debug, Clone)]
+pub struct Case<'a> {
+    /// The registered scan.
+    pub registered: Registered<'a>,
+    /// The report of the registration.
+    pub icp: Option<&'a IcpReport>,
+    /// The planned landmarks.
+    pub landmarks: &'a [NamedPoint],
+    /// The landmarks as located.
+    pub located: &'a [NamedPoint],
+    /// The planned assessment points.
+    pub assessment: &'a [NamedPoint],
+    /// The planned cuts; none where cuts are of no concern.
+    pub planes: Option<&'a Planes>,
+    /// Where the markers were.
+    pub tracking: Option<&'a Tracking>,
+    /// Mean error measured with a stylus, mm.
+    pub measured_tre_mm: Option<f64>,
+    /// Signs found elsewhere.
+    pub reasons: &'a [Reason],
+}
+
+/// The verdict on a registration.
+pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, errors: &PredictParams) -> Verdict {
+    let mut reasons = case.reasons.to_vec();
+    let cuts = cuts(case);
+    let at: Vec<Point3<f64>> = case.assessment.iter().chain(&cuts).map(|p| p.position).collect();
+    let registered = Registered { at: &at, ..case.registered };
+    reasons.extend(plan_reasons(case));
+    let order = landmark_order(case.landmarks, case.located);
+    reasons.extend(order.as_ref().and_then(order_reason));
+    if let Some(icp) = case.icp.filter(|icp| !icp.converged) {
+        let text = format!("the registration did not converge: it stopped by {}", stopped_by(icp.stop_reason));
+        reasons.push(Reason::new(
+            "converged",
+            Answer::Doubtful,
+            text,
+            "allow more steps (max_iterations) or begin nearer",
+        ));
+    }
+    if let Some(mm) = case.measured_tre_mm.filter(|mm| *mm > rules.max_measured_tre_mm) {
+        let answer = if mm > 3.0 * rules.max_measured_tre_mm { Answer::Refused } else { Answer::Doubtful };
+        let text =
+            format!("the stylus finds the assessment points {mm:.1} mm (mean) from where the registration puts them");
+        reasons.push(Reason::new("stylus", answer, text, "check bone, side and landmarks, and the stylus' tip"));
+    }
+    let Some(Examined { mut evidence, spread }) = Evidence::examine(&registered, examine) else {
+        let text = "the surface has no normals or the scan too few points, so nothing could be examined";
+        reasons.push(Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals"));
+        return Verdict::new(reasons, assumptions(case), None, None);
+    };
+    reasons.extend(data_reasons(&evidence, order.as_ref(), rules));
+    let is_raised = reasons.iter().any(|reason| DATA.contains(&reason.rule.as_str()));
+    if examine.mirror == When::Always || (examine.mirror == When::IfRaised && is_raised) {
+        evidence.examine_mirrored(&registered);
+        reasons.extend(mirror_reason(&evidence));
+    }
+    let predicted = spread.map(|spread| predict(&spread, case.tracking, case.assessment, &cuts, errors));
+    Verdict::new(reasons, assumptions(case), predicted, Some(evidence))
+}
+
+/// The rules on scan and surface.
+const DATA: [&str; 6] = ["misfit", "inward_misfit", "spread", "shape", "on_surface", "facing_away"];
+
+/// The middle of the bone in each planned cut.
+fn cuts(case: &Case<'_>) -> Vec<NamedPoint> {
+    let mesh = case.registered.target.mesh();
+    let planes = case.planes.map(|planes| &*planes.planes).unwrap_or_default();
+    let middle = |plane: &osteoflow_geometry::Plane| {
+        let t = plane.isometry()?;
+        let on_bone = mesh.and_then(|mesh| section::middle(mesh.mesh(), t, None));
+        Some(NamedPoint::new(plane.name.clone(), on_bone.unwrap_or_else(|| t * Point3::origin())))
+    };
+    planes.iter().filter_map(middle).collect()
+}
+
+fn plan_reasons(case: &Case<'_>) -> Vec<Reason> {
+    let Some(mesh) = case.registered.target.mesh() else { return Vec::new() };
+    let points: Vec<NamedPoint> = case.landmarks.iter().chain(case.assessment).cloned().collect();
+    plan_faults(mesh, &points, case.planes).into_iter().map(plan_reason).collect()
+}
+
+fn plan_reason(fault: PlanFault) -> Reason {
+    let new = |answer, reason: String, remedy: &str| Reason::new("plan", answer, reason, remedy);
+    match fault {
+        PlanFault::Off { n_off, n, largest_mm, cause } => {
+            let cause = cause.map_or("the plan is of another surface".to_owned(), str::to_owned);
+            let reason = format!(
+                "{n_off} of {n} planned points lie off the surface, up to {largest_mm:.0} mm; likely cause: {cause}"
+            );
+            new(Answer::Refused, reason, "take plan and surface from the same CT, in the same coordinates")
+        }
+        PlanFault::MissesBone { name, distance_mm } => {
+            let reason =
+                format!("the planned plane {name} does not cut the bone, its origin is {distance_mm:.0} mm away");
+            new(Answer::Refused, reason, "check that the plan is of this patient and in the surface's coordinates")
+        }
+        PlanFault::Reversed { first, second } => {
+            let reason = format!("the normals of {first} and {second} do not both point from {first} to {second}");
+            new(Answer::Doubtful, reason, "turn the reversed plane, or exchange them")
+        }
+        PlanFault::NoPlanes => new(
+            Answer::Doubtful,
+            "the plan has no cutting planes".to_owned(),
+            "add them, or do not wire the verdict's planes",
+        ),
+    }
+}
+
+fn order_reason(order: &OrderEvidence) -> Option<Reason> {
+    let OrderEvidence { fre_mm, best_other_fre_mm, best_other } = order;
+    (best_other_fre_mm < fre_mm).then(|| {
+        let reason = format!(
+            "the landmarks fit better in another order: {} by {best_other_fre_mm:.1} mm (RMS), as named {fre_mm:.1} mm",
+            best_other.join(", ")
+        );
+        let remedy = "check which landmark each scan shows; two were probably exchanged";
+        Reason::new("landmark_order", Answer::Doubtful, reason, remedy)
+    })
+}
+
+fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &RuleParams) -> Vec<Reason> {
+    let mut reasons = Vec::new();
+    let mut add = |rule: &str, answer: Answer, reason: String, remedy: &str| {
+        reasons.push(Reason::new(rule, answer, reason, remedy));
+    };
+    let misfit = &evidence.misfit;
+    let another = "check that scan and CT are of the same bone, side and patient";
+    if misfit.inward_mm > rules.max_inward_misfit_mm {
+        let reason = format!(
+            "parts of the scan lie inside the bone's surface by {:.2} mm (RMS of patches of 4 mm), which neither noise \
+             ({:.2} mm) nor tissue explains; likely cause: another bone, its mirror image, or another place on it",
+            misfit.inward_mm, evidence.noise_mm
+        );
+        add("inward_misfit", Answer::Refused, reason, another);
+    } else if misfit.rms_mm > rules.max_misfit_mm {
+        let reason = format!(
+            "scan and surface differ by {:.2} mm (RMS of patches of 4 mm), beyond the noise of {:.2} mm; likely cause: tissue \
+             or film on the bone, or a rough CT surface",
+            misfit.rms_mm, evidence.noise_mm
+        );
+        add("misfit", Answer::Doubtful, reason, "clean the bone and scan again, or check the CT's segmentation");
+    }
+    match evidence.spread_mm {
+        None => add(
+            "spread",
+            Answer::Doubtful,
+            "the scan leaves a motion of the bone undetermined".to_owned(),
+            "scan a longer stretch, or one with more shape",
+        ),
+        Some(mm) if mm > rules.max_spread_mm => {
+            let reason = format!("the residuals leave the assessment points and cuts uncertain by {mm:.2} mm (RMS)");
+            add(
+                "spread",
+                Answer::Doubtful,
+                reason,
+                "scan a longer stretch, clean the bone, or check the CT's segmentation",
+            );
+        }
+        Some(_) => {}
+    }
+    if evidence.on_surface < rules.min_on_surface {
+        let share = 100.0 * evidence.on_surface;
+        let reason =
+            format!("only {share:.0} % of the scan lies on the surface; likely cause: tissue, or a wide region");
+        add("on_surface", Answer::Doubtful, reason, "clean the bone and crop the scan closer");
+    }
+    if let Some(share) = evidence.facing_away.filter(|share| *share > 0.2) {
+        let reason = format!(
+            "{:.0} % of the scan lies on surface that faces away from the camera; likely cause: an inverted transform or a \
+             mirrored CT",
+            100.0 * share
+        );
+        add("facing_away", Answer::Refused, reason, another);
+    }
+    if let Some(mm) = evidence.unsettled_mm.filter(|mm| *mm > rules.max_unsettled_mm) {
+        let reason = format!("the registration rests {mm:.1} mm from where the scan fits best nearby");
+        add("unsettled", Answer::Doubtful, reason, "use icp.point_to_plane, or landmarks located more exactly");
+    }
+    if let Some(shape) = evidence.shape.as_ref().filter(|shape| shape.apart_mm > rules.max_shape_apart_mm) {
+        let mm = shape.apart_mm;
+        if shape.score_mm < BETTER * shape.judged_score_mm {
+            let reason = format!(
+                "by its shape alone the scan fits better {mm:.0} mm away ({:.2} mm RMS against {:.2}); likely cause: landmarks \
+                 exchanged or at the wrong place",
+                shape.score_mm, shape.judged_score_mm
+            );
+            add("shape", Answer::Refused, reason, "check the landmarks, and that plan and CT are of this bone");
+        } else if shape.clearness >= rules.min_shape_clearness {
+            let reason = format!("by its shape alone the scan fits as well {mm:.0} mm away");
+            add("shape", Answer::Doubtful, reason, "scan a longer stretch, or one with more shape");
+        }
+        if let Some(order) = order.filter(|order| order.fre_mm > rules.max_fre_mm) {
+            let reason = format!("the landmarks miss the planned ones by {:.1} mm (RMS)", order.fre_mm);
+            add("landmarks", Answer::Doubtful, reason, "locate the landmarks again");
+        }
+    }
+    reasons
+}
+
+fn mirror_reason(evidence: &Evidence) -> Option<Reason> {
+    let shape = evidence.shape.as_ref()?;
+    let mirrored = shape.mirrored_score_mm?;
+    let best = shape.score_mm.min(shape.judged_score_mm);
+    (mirrored < BETTER * best).then(|| {
+        let reason = format!(
+            "the scan's mirror image fits better ({mirrored:.2} mm RMS against {best:.2}); likely cause: a mirrored CT, or the \
+             other leg"
+        );
+        Reason::new("mirrored", Answer::Refused, reason, "check the side, and that the CT was not flipped on export")
+    })
+}
+
+/// What is taken for granted.
+fn assumptions(case: &Case<'_>) -> Vec<String> {
+    let mut all = Vec::new();
+    if case.tracking.is_some() {
+        all.push(
+            "the camera marker has not moved on its camera since the calibration; a check piece read after the scan would show \
+             it (metrics.check_points)",
+        );
+        all.push("the bone marker has not moved on the bone since the scan");
+    }
+    all.push("the CT shows the bone at its true size, and its surface is not swollen or shrunk as a whole");
+    if case.measured_tre_mm.is_none() {
+        all.push("no point on the bone was measured with a stylus, so the error is predicted, not measured");
+    }
+    all.into_iter().map(str::to_owned).collect()
+}
+
+fn stopped_by(reason: StopReason) -> &'static str {
+    match reason {
+        StopReason::Step => "its step",
+        StopReason::Residual => "stop_residual_mm",
+        StopReason::Iterations => "max_iterations",
+        StopReason::Time => "stop_after_ms",
+        StopReason::Stalled => "a step that does not lower the residual",
+        StopReason::Cancelled => "the user",
+    }
+}

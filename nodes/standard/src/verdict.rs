@@ -1,0 +1,3 @@
+//! Verdicts on results.
+
+pub mod registration;

@@ -1,0 +1,132 @@
+//! The kind `verdict.registration`.
+
+use crate::transform::points::in_one_list;
+use osteoflow_algorithms::calibrate::PhantomReport;
+use osteoflow_algorithms::icp::IcpReport;
+use osteoflow_algorithms::metrics::TreReport;
+use osteoflow_algorithms::target::Target;
+use osteoflow_algorithms::trust::{
+    self, Case, EvidenceParams, PredictParams, Registered, RuleParams, Tracking, Verdict,
+};
+use osteoflow_geometry::{Cloud, NamedPoint, Planes, Points, Pose, nalgebra::Point3};
+use osteoflow_node::{
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+};
+
+/// Judges a registration: trusted, doubtful or refused, with reasons, assumptions and the predicted error.
+///
+/// Signs against a registration are looked for in the scan and its residuals, in a second registration by shape alone, in the
+/// landmarks, in the plan and in the calibration. The pose itself is never changed. Wired to `verdict` in `[results]`, a refused
+/// answer ends the run without poses and planes. docs/trust.md has what each rule saw and missed.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "verdict.registration"
+in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", measured = "tre_measured.report" }
+"#,
+    literature = [
+        "Gelfand et al. 2003",
+        "Censi 2007",
+        "Fitzpatrick, West and Maurer 1998",
+        "White 1980",
+        "Moghari and Abolmaesumi 2009",
+    ]
+)]
+pub struct Registration(Params);
+
+/// Parameters of [`Registration`].
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// What is examined beside the residuals.
+    pub examine: EvidenceParams,
+    /// Thresholds of the rules.
+    pub rules: RuleParams,
+    /// Stated errors of the devices, for the predicted error.
+    pub errors: PredictParams,
+}
+
+/// Inputs of [`Registration`].
+#[derive(Inputs)]
+pub struct In {
+    /// The scan that was registered.
+    source: Cloud,
+    /// The CT surface.
+    #[port(join = "once", frame = "t_target_source.to")]
+    target: Target,
+    /// The registration.
+    #[port(to = "target", from = "source")]
+    t_target_source: Pose,
+    /// The report of the ICP.
+    icp: Option<IcpReport>,
+    /// The planned landmarks.
+    #[port(join = "once", frame = "target")]
+    landmarks: Option<Points>,
+    /// The landmarks as located.
+    #[port(join = "collect", n = 3)]
+    located: Vec<Option<Points>>,
+    /// The planned assessment points: the error is predicted there.
+    #[port(join = "once", frame = "target")]
+    assessment: Option<Points>,
+    /// The planned cuts: the error is predicted in the middle of the bone.
+    #[port(join = "once", frame = "target")]
+    planes: Option<Planes>,
+    /// The report of the calibration.
+    #[port(join = "once")]
+    calibration: Option<PhantomReport>,
+    /// The calibration: where the camera sits on its marker.
+    #[port(join = "once")]
+    t_camera_camera_marker: Option<Pose>,
+    /// The error measured with a stylus; waited for until it comes or its wire ends.
+    #[port(join = "once")]
+    measured: Option<TreReport>,
+}
+
+/// Outputs of [`Registration`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The verdict.
+    verdict: Verdict,
+}
+
+impl Node for Registration {
+    const KIND: &'static str = "verdict.registration";
+    type Params = Params;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let t_target_source = i.t_target_source.expect(&i.target.frame, &i.source.frame)?;
+        let located: Vec<Points> = i.located.iter().flatten().cloned().collect();
+        let located = if located.is_empty() { Vec::new() } else { in_one_list(&located)?.points.to_vec() };
+        let named = |points: &Option<Points>| -> Vec<NamedPoint> {
+            points.as_ref().map(|points| points.points.to_vec()).unwrap_or_default()
+        };
+        let camera_marker = i
+            .t_camera_camera_marker
+            .as_ref()
+            .zip(i.source.viewpoint)
+            .map(|(pose, viewpoint)| t_target_source * (viewpoint * (pose.isometry * Point3::origin())));
+        let tracking =
+            camera_marker.map(|camera_marker| Tracking { camera_marker, phantom_marker: None, phantom_fit: None });
+        let (landmarks, assessment) = (named(&i.landmarks), named(&i.assessment));
+        let case = Case {
+            registered: Registered { target: &i.target, source: &i.source, t_target_source: &t_target_source, at: &[] },
+            icp: i.icp.as_ref(),
+            landmarks: &landmarks,
+            located: &located,
+            assessment: &assessment,
+            planes: i.planes.as_ref(),
+            tracking: tracking.as_ref(),
+            measured_tre_mm: i.measured.as_ref().map(|report| report.mean_abs.norm),
+            reasons: &[],
+        };
+        let Params { examine, rules, errors } = &self.0;
+        Ok(Out { verdict: trust::judge(&case, examine, rules, errors) })
+    }
+}
