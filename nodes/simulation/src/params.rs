@@ -354,10 +354,10 @@ pub struct RulerParams {
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PeriosteumParams {
-    /// Maximum thickness. 0: off, a bone scraped clean; assumed up to 0.5 mm otherwise.
+    /// Maximum thickness, off the bone. 0: off, a bone scraped clean; assumed up to 0.5 mm otherwise.
     #[schemars(range(min = 0.0, max = 3.0))]
     pub thickness_mm: f64,
-    /// The share of the surface that is covered. 0.5: assumed.
+    /// The share of the surface that is covered, on average over seeds. 0.5: assumed.
     #[schemars(range(min = 0.01, max = 0.99))]
     pub share: f64,
     /// The wavelength of the patches. 15 mm: assumed, a few strokes of a scraper.
