@@ -136,11 +136,8 @@ fn settings_are_written_into_the_files_and_wrong_ones_are_refused() {
     assert_eq!(after["settings"], serde_json::json!(sets));
     assert_eq!(before["W_T_CT"], after["W_T_CT"], "the recording is of the bone that is there");
     assert_eq!(before["laser_spots_CT"], after["laser_spots_CT"]);
-    let lateral = |dir: &Path| json(&dir.join("plan.json"))["anatomy"]["lateral"][0].as_f64();
-    if let (Some(right), Some(left)) = (lateral(&plain), lateral(&changed)) {
-        assert!((right + left).abs() < 1e-9, "the plan is of the other leg");
-    }
-    assert_ne!(read(&plain, "plan.json"), read(&changed, "plan.json"), "the plan is of the bone in the CT");
+    let lateral = |dir: &Path| json(&dir.join("plan.json"))["lateral"][0].as_f64().unwrap();
+    assert!((lateral(&plain) + lateral(&changed)).abs() < 1e-9, "the plan is of the other leg");
     for (set, words) in [
         ("tissue.shore=0.2", "unknown field `shore`"),
         ("tissue=0.2", "a key is TABLE.PARAMETER"),
@@ -160,7 +157,8 @@ fn a_recording_with_swapped_scans_has_each_in_the_topic_of_its_label() {
     let dir = tempfile::tempdir().unwrap();
     let recorded = |name: &str, arguments: &[&str]| {
         let out = dir.path().join(name);
-        simulate(&out, arguments);
+        // Fewer points do not resolve a hole.
+        simulate(&out, &[&["--set", "camera.n_points=10000"], arguments].concat());
         let mut sets = vec![format!("recording.path={}", out.join("procedure.mcap").display())];
         for (node, file) in [("bone", "bone.stl"), ("phantom", "phantom.stl"), ("plan", "plan.json")] {
             sets.push(format!("{node}.path={}", out.join(file).display()));
