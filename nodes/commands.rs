@@ -32,6 +32,7 @@ mod running;
 mod schema;
 mod simulate;
 mod simulate_folder;
+mod simulate_set;
 mod summary_table;
 mod sweep;
 mod text_table;

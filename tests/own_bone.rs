@@ -167,3 +167,23 @@ fn the_measured_bones_go_through_the_whole_graph_and_through_simulate() {
     }
     osteoflow().args(["simulate", "--bone", "b.stl", "--out", "x"]).assert().code(2);
 }
+
+#[test]
+fn the_ct_of_the_other_leg_is_a_setting_of_plan_and_surface_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let (stl, plan) = write(dir.path(), &bone::fibula(&BoneParams::default()), &bone::anatomy(&BoneParams::default()));
+    let mut sets = Vec::new();
+    for node in ["recording", "plan", "bone"] {
+        sets.push(format!("{node}.bone_file={}", stl.display()));
+        sets.push(format!("{node}.plan_file={}", plan.display()));
+    }
+    let tre = |more: &[&str]| {
+        let sets = sets.iter().map(String::as_str).chain(more.iter().copied());
+        let arguments: Vec<&str> = sets.flat_map(|set| ["--set", set]).chain(["--no-record"]).collect();
+        let ran = run("graphs/fibula.toml", &arguments);
+        assert_eq!(ran.code, 0, "{}", ran.stderr);
+        ran.results["metrics"]["tre_true_mm"]["mean_abs"]["norm"].as_f64().unwrap()
+    };
+    let (right, wrong) = (tre(&[]), tre(&["plan.bone.mirrored=true", "bone.bone.mirrored=true"]));
+    assert!(right < 1.0 && wrong > 3.0, "{right} mm with the right CT, {wrong} mm with the mirrored one");
+}

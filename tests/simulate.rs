@@ -109,3 +109,74 @@ fn a_recording_and_a_folder_of_one_procedure_give_the_same_registration() {
         assert!(apart < 0.05, "{apart} mm apart");
     }
 }
+
+#[test]
+fn settings_are_written_into_the_files_and_wrong_ones_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let (plain, changed) = (dir.path().join("plain"), dir.path().join("changed"));
+    simulate(&plain, &["--as", "folder"]);
+    let sets = [
+        r#"laser.swap=["P2","P3"]"#,
+        "phantom.marker_cad_wrong_mm=5.0",
+        "ct_bone.mirrored=true",
+        "ct.smoothing=10",
+        "camera.unit_factor=0.001",
+    ];
+    let arguments: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).chain(["--as", "folder"]).collect();
+    simulate(&changed, &arguments);
+    let read = |dir: &Path, file: &str| fs::read_to_string(dir.join(file)).unwrap();
+    let labels = |dir: &Path| -> Vec<String> {
+        let lines = read(dir, "procedure.toml");
+        lines.lines().filter_map(|line| line.strip_prefix("label    = ")).map(str::to_owned).collect()
+    };
+    assert_eq!(labels(&plain), ["\"P1\"", "\"P2\"", "\"P3\""]);
+    assert_eq!(labels(&changed), ["\"P1\"", "\"P3\"", "\"P2\""]);
+    assert!(read(&changed, "README.md").contains("--set 'ct_bone.mirrored=true' --set 'ct.smoothing=10'"));
+    let [before, after] = [&plain, &changed].map(|dir| json(&dir.join("truth.json")));
+    assert_eq!(after["settings"], serde_json::json!(sets));
+    assert_eq!(before["W_T_CT"], after["W_T_CT"], "the recording is of the bone that is there");
+    assert_eq!(before["laser_spots_CT"], after["laser_spots_CT"]);
+    let lateral = |dir: &Path| json(&dir.join("plan.json"))["lateral"][0].as_f64().unwrap();
+    assert!((lateral(&plain) + lateral(&changed)).abs() < 1e-9, "the plan is of the other leg");
+    for (set, words) in [
+        ("tissue.shore=0.2", "unknown field `shore`"),
+        ("tissue=0.2", "a key is TABLE.PARAMETER"),
+        ("tissue.share", "no = between key and value"),
+        ("ct_bone.side=left", "unknown field `side`"),
+        ("wound.deep=1", "unknown field `wound`"),
+    ] {
+        let out = dir.path().join("refused");
+        let run = osteoflow().args(["simulate", "--set", set, "--out"]).arg(&out).assert().code(2);
+        let said = String::from_utf8_lossy(&run.get_output().stderr).into_owned();
+        assert!(said.contains(words), "{set}: {said}");
+    }
+}
+
+#[test]
+fn a_recording_with_swapped_scans_has_each_in_the_topic_of_its_label() {
+    let dir = tempfile::tempdir().unwrap();
+    let recorded = |name: &str, arguments: &[&str]| {
+        let out = dir.path().join(name);
+        // Fewer points do not resolve a hole.
+        simulate(&out, &[&["--set", "camera.n_points=10000"], arguments].concat());
+        let mut sets = vec![format!("recording.path={}", out.join("procedure.mcap").display())];
+        for (node, file) in [("bone", "bone.stl"), ("phantom", "phantom.stl"), ("plan", "plan.json")] {
+            sets.push(format!("{node}.path={}", out.join(file).display()));
+        }
+        let arguments: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).chain(["--no-record"]).collect();
+        run_whole("graphs/fibula_recorded.toml", &arguments).results
+    };
+    let spots = |results: &Value| -> Vec<_> {
+        ["P1", "P2", "P3"]
+            .map(|name| {
+                let all = results["laser_points"].as_array().unwrap();
+                common::point(&all.iter().find(|spot| spot["name"] == name).unwrap()["position_mm"])
+            })
+            .to_vec()
+    };
+    let plain = spots(&recorded("plain", &[]));
+    let swapped = spots(&recorded("swapped", &["--set", r#"laser.swap=["P2","P3"]"#]));
+    for (name, a, b) in [("P1", plain[0], swapped[0]), ("P2", plain[1], swapped[2]), ("P3", plain[2], swapped[1])] {
+        assert!((a - b).norm() < 0.05, "{name} is {} mm from where it was", (a - b).norm());
+    }
+}

@@ -1,4 +1,4 @@
-use super::{Exit, Global, UsageError};
+use super::{Exit, Global, UsageError, simulate_set::Settings};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use osteoflow_formats::{
@@ -7,7 +7,7 @@ use osteoflow_formats::{
     recording_write::{Layout, Stream, write_recording},
 };
 use osteoflow_geometry::{Cloud, Points, Pose, matrix_rows};
-use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, Subject, ct_surface};
+use osteoflow_simulation::{BoneParams, Procedure, Subject, ct_surface};
 use osteoflow_standard::own_bone;
 use serde_json::{Value, json};
 use std::{
@@ -27,6 +27,7 @@ Examples:
   osteoflow simulate --seed 7 --out /tmp/procedure
   osteoflow simulate --points 4000 --out /tmp/small
   osteoflow simulate --bone fibula.stl --plan anatomy.json --out /tmp/mine
+  osteoflow simulate --set ct_bone.mirrored=true --set tissue.share=0.2 --out /tmp/wrong_leg
   osteoflow run graphs/fibula_recorded.toml --set recording.path=/tmp/procedure/procedure.mcap \\
       --set bone.path=/tmp/procedure/bone.stl --set phantom.path=/tmp/procedure/phantom.stl \\
       --set plan.path=/tmp/procedure/plan.json")]
@@ -46,6 +47,11 @@ pub(crate) struct Simulate {
     /// Its plan, plan.json, or its anatomy alone, also under a key named after the bone's file.
     #[arg(long, value_name = "FILE", requires = "bone")]
     plan: Option<PathBuf>,
+
+    /// Change any parameter of `acquire.simulated`, TABLE.PARAMETER=VALUE; of the CT, `ct.PARAMETER`; or of the bone in CT
+    /// and plan alone, `ct_bone.PARAMETER`; may be given again.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    sets: Vec<String>,
 
     /// The format of the streams.
     #[arg(long = "as", value_enum, default_value_t = StreamFormat::Mcap, value_name = "SHAPE")]
@@ -70,6 +76,7 @@ enum StreamFormat {
 
 impl Simulate {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let settings = Settings::new(self.points, &self.sets)?;
         let dir = &self.out;
         fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
         let used = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some();
@@ -78,30 +85,48 @@ impl Simulate {
                 format!("{} is not empty; name another folder, or replace what is in it with --force", dir.display());
             return Err(UsageError(message).into());
         }
-        let mut params = ProcedureParams::default();
-        params.camera.n_points = usize::try_from(self.points)?;
-        let subject = match (&self.bone, &self.plan) {
-            (Some(bone), Some(plan)) => own_bone::read(bone, plan).map_err(|error| anyhow::anyhow!("{error}"))?,
-            _ => Subject::built_in(&params.bone)?,
-        };
+        let Settings { procedure: params, ct, ct_bone } = settings;
+        let subject = self.subject(&params.bone)?;
         for note in &subject.notes {
             writeln!(std::io::stderr(), "warning: {note}")?;
         }
-        let procedure = Procedure::simulate_for(&subject, &params, self.seed)?;
+        let mut procedure = Procedure::simulate_for(&subject, &params, self.seed)?;
+        // The plan was made on the CT.
+        let in_ct = ct_bone.map_or(Ok(subject), |bone| self.subject(&bone))?;
+        procedure.plan = in_ct.plan.clone();
         match self.shape {
             StreamFormat::Mcap => write_streams(&dir.join("procedure.mcap"), &procedure, self.seed)?,
             StreamFormat::Folder => super::simulate_folder::write(dir, &procedure)?,
         }
-        let ct_surface = ct_surface(&procedure.truth.bone, &CtParams::default(), self.seed)?;
+        let ct_surface = ct_surface(in_ct.bone(), &ct, self.seed)?;
         mesh_file::write_stl(&dir.join("bone.stl"), &ct_surface)?;
         mesh_file::write_stl(&dir.join("phantom.stl"), &procedure.phantom)?;
         plan_file::write_plan(&dir.join("plan.json"), &procedure.plan)?;
-        write_text(&dir.join("truth.json"), &format!("{:#}\n", truth_json(&procedure, self.seed)))?;
+        write_text(&dir.join("truth.json"), &format!("{:#}\n", self.truth_json(&procedure)))?;
         write_text(&dir.join("README.md"), &self.readme())?;
         if !global.quiet {
             writeln!(std::io::stderr(), "SIMULATED procedure of seed {} in {}", self.seed, dir.display())?;
         }
         Ok(Exit::Done)
+    }
+
+    /// The bone and its plan, built in or from files.
+    fn subject(&self, params: &BoneParams) -> Result<Subject> {
+        match (&self.bone, &self.plan) {
+            (Some(bone), Some(plan)) => {
+                own_bone::read_altered(bone, plan, params).map_err(|error| anyhow::anyhow!("{error}"))
+            }
+            _ => Ok(Subject::built_in(params)?),
+        }
+    }
+
+    /// The ground truth, with the changed parameters.
+    fn truth_json(&self, procedure: &Procedure) -> Value {
+        let mut truth = truth_json(procedure, self.seed);
+        if !self.sets.is_empty() {
+            truth["settings"] = json!(self.sets);
+        }
+        truth
     }
 
     fn readme(&self) -> String {
@@ -119,10 +144,11 @@ impl Simulate {
             ),
             _ => (String::new(), "CC0"),
         };
+        let sets: String = self.sets.iter().map(|set| format!(" --set '{set}'")).collect();
         format!(
             "# A simulated procedure\n\n\
              Made by osteoflow {} with\n\n\
-             ```text\nosteoflow simulate --seed {seed} --points {points}{own}{switch} --out DIR\n```\n\n\
+             ```text\nosteoflow simulate --seed {seed} --points {points}{own}{sets}{switch} --out DIR\n```\n\n\
              - {streams}\n\
              - `bone.stl`: the surface that the simulated CT gave, frame `ct`, mm\n\
              - `phantom.stl`: the calibration phantom's CAD, frame `phantom`, mm\n\
@@ -154,7 +180,12 @@ fn write_streams(path: &Path, procedure: &Procedure, seed: u64) -> Result<()> {
         ("/camera/calibration".into(), cloud(&procedure.phantom_scan)),
         ("/camera/scan".into(), cloud(&procedure.scan)),
     ];
-    streams.extend(procedure.laser.iter().zip(1..).map(|(scan, n)| (format!("/camera/laser_p{n}"), cloud(scan))));
+    // The topic tells the landmark, so a scan with another's label is in the other's topic.
+    let marks = &procedure.truth.laser_marks_ct.points;
+    let number =
+        |k: usize, scan: &Cloud| marks.iter().position(|mark| scan.label.as_ref() == Some(&mark.name)).unwrap_or(k) + 1;
+    let lasers = procedure.laser.iter().enumerate();
+    streams.extend(lasers.map(|(k, scan)| (format!("/camera/laser_p{}", number(k, scan)), cloud(scan))));
     streams.push(("/stylus/init".into(), tips(&procedure.stylus_init)));
     streams.push(("/stylus/assessment".into(), tips(&procedure.stylus_assessment)));
     streams.push(("/stylus/palpation".into(), tips(&procedure.stylus_palpation)));

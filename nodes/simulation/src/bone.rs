@@ -15,7 +15,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::{PI, TAU};
 
-/// Shape and position of the built-in right fibula.
+/// Shape and position of the built-in right fibula, and what makes another bone of it or of one of your own.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BoneParams {
@@ -38,6 +38,15 @@ pub struct BoneParams {
     pub edge_mm: f64,
     /// Centre of the bone in the CT frame. Far from the origin, as in every CT.
     pub centre_mm: [f64; 3],
+    /// Whether the bone is its mirror image, with its anatomy and plan: a right bone becomes a left one in the same
+    /// place. Also for a bone of your own. false: off; true in plan and surface alone is the CT of the other leg.
+    pub mirrored: bool,
+    /// RMS displacement of the bone, with its anatomy and plan, by a smooth field of wavelengths from 40 to 120 mm. Also
+    /// for a bone of your own. 0: off; with `mirrored` and 0.8 (assumed) it is the other leg of the same person.
+    #[schemars(range(min = 0.0, max = 3.0))]
+    pub warp_mm: f64,
+    /// Seed of that field. Not the run's seed: repeated procedures are on one bone.
+    pub warp_seed: u64,
 }
 
 impl Default for BoneParams {
@@ -49,6 +58,9 @@ impl Default for BoneParams {
             unevenness_mm: 0.35,
             edge_mm: 1.0,
             centre_mm: [-90.0, -85.0, -890.0],
+            mirrored: false,
+            warp_mm: 0.0,
+            warp_seed: 1,
         }
     }
 }
@@ -60,11 +72,13 @@ impl BoneParams {
             ("bone.girth", self.girth, self.girth > 0.0, "more than 0"),
             ("bone.edge_mm", self.edge_mm, self.edge_mm >= 0.1, "at least 0.1"),
             ("bone.unevenness_mm", self.unevenness_mm, self.unevenness_mm >= 0.0, "0 or more"),
+            ("bone.warp_mm", self.warp_mm, self.warp_mm >= 0.0, "0 or more"),
         ])
     }
 }
 
 /// The surface of the built-in right fibula in frame `ct` (LPS, mm): closed, normals outward, proximal close to +z.
+/// Neither deformed nor mirrored, which [`crate::Subject::built_in`] does.
 ///
 /// The same parameters give the same bits. `O(n)` in the number of vertices, about 17,000 by default.
 pub fn fibula(params: &BoneParams) -> Mesh {
@@ -101,7 +115,7 @@ pub fn fibula(params: &BoneParams) -> Mesh {
     Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).expect("rings of finite points make a mesh")
 }
 
-/// Directions and malleolus tip of the built-in fibula, in frame `ct`.
+/// Directions and malleolus tip of the built-in fibula, in frame `ct`, as [`fibula`].
 pub fn anatomy(params: &BoneParams) -> Anatomy {
     let t_ct_local = t_ct_local(params);
     Anatomy {

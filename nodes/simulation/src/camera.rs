@@ -5,7 +5,7 @@ use crate::draws::{Term, normal, stream};
 use crate::params::{CameraParams, PeriosteumParams};
 use crate::waves::Waves;
 use nalgebra::{Isometry3, Point3, Rotation3, Unit, Vector3};
-use osteoflow_algorithms::mesh_query::MeshQuery;
+use osteoflow_algorithms::mesh_query::{MeshQuery, RayHit};
 use osteoflow_geometry::{Cloud, CloudError, StampNs};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -23,6 +23,8 @@ pub(crate) struct Pixel {
     pub(crate) normal: Vector3<f64>,
     /// Whether the pixel sees the object, not its surroundings.
     pub(crate) on_object: bool,
+    /// Film on the bone, along the ray, mm.
+    film_mm: f64,
     /// Error of the distance that all clouds of the view share, mm.
     bias_mm: f64,
     /// Standard deviation of the error drawn for each cloud, mm.
@@ -64,6 +66,8 @@ pub(crate) struct Sight<'a> {
     pub(crate) stretch: Option<&'a Stretch>,
     /// Surroundings, which may hide the object.
     pub(crate) around: Option<&'a MeshQuery>,
+    /// Lumps on the object, which belong to it.
+    pub(crate) lumps: Option<&'a MeshQuery>,
 }
 
 /// Pixels of the grid that see the object within its stretch or its surroundings, row by row, up to the maximum
@@ -76,11 +80,12 @@ pub(crate) fn view(
     params: &CameraParams,
     bias: &DepthBias,
 ) -> Vec<Pixel> {
-    let Sight { object, stretch, around } = *sight;
+    let Sight { object, stretch, around, lumps } = *sight;
     let t_camera_object = t_object_camera.inverse();
-    let outline = around.unwrap_or(object).mesh().vertices();
+    let outline = around.unwrap_or(object).mesh().vertices().iter();
+    let outline = outline.chain(lumps.map_or(&[][..], |lumps| lumps.mesh().vertices()));
     let stretch_seen = if around.is_some() { None } else { stretch };
-    let seen = outline.iter().filter(|p| stretch_seen.is_none_or(|s| s.holds(p))).map(|p| t_camera_object * p);
+    let seen = outline.filter(|p| stretch_seen.is_none_or(|s| s.holds(p))).map(|p| t_camera_object * p);
     let window = seen.filter(|p| p.z > 1.0).map(|p| [p.x / p.z, p.y / p.z]).fold(None, |window, [x, y]| {
         let [x0, x1, y0, y1] = window.unwrap_or([x, x, y, y]);
         Some([x.min(x0), x.max(x1), y.min(y0), y.max(y1)])
@@ -126,10 +131,15 @@ fn look(
     params: &CameraParams,
     ray: Vector3<f64>,
 ) -> Option<Pixel> {
-    let Sight { object, stretch, around } = *sight;
+    let Sight { object, stretch, around, lumps } = *sight;
     let (origin, along) = (Point3::from(t_object_camera.translation.vector), t_object_camera * ray);
     let before = around.and_then(|a| a.cast_ray(&origin, &along));
-    let behind = object.cast_ray(&origin, &along);
+    let lump = lumps.and_then(|lumps| lumps.cast_ray(&origin, &along));
+    let nearer = |a: RayHit, b: RayHit| if b.distance_mm < a.distance_mm { b } else { a };
+    let behind = match (object.cast_ray(&origin, &along), lump) {
+        (Some(bone), Some(lump)) => Some(nearer(bone, lump)),
+        (bone, lump) => bone.or(lump),
+    };
     let on_object = match (&before, &behind) {
         (Some(before), Some(behind)) => behind.distance_mm <= before.distance_mm,
         (before, _) => before.is_none(),
@@ -144,6 +154,7 @@ fn look(
         cos_incidence,
         normal: hit.normal,
         on_object,
+        film_mm: 0.0,
         bias_mm: 0.0,
         noise_mm: 0.0,
     })
@@ -217,12 +228,12 @@ impl Hole {
     }
 }
 
-/// Film and blood on a bone in a wound.
+/// Blood and tissue on a bone in a wound.
 pub(crate) struct Wound {
-    /// Thickness of the remaining periosteum, a field in the bone's frame.
-    pub(crate) periosteum: Option<Periosteum>,
     /// Centres of the pools of blood, frame of the bone.
     pub(crate) pools: Vec<Point3<f64>>,
+    /// The surface of lumps of soft tissue, frame of the bone.
+    pub(crate) tissue: Option<MeshQuery>,
 }
 
 /// A patchy film on the bone.
@@ -247,6 +258,30 @@ impl Periosteum {
     /// Thickness along the normal, mm: 0 where it is scraped off.
     fn at(&self, point: &Point3<f64>) -> f64 {
         self.thickness_mm * smoothstep(self.waves.scaled(1.0, point) - self.threshold)
+    }
+
+    /// Moves what pixels see of the bone towards the camera, until it is as far off the bone as the film is thick.
+    pub(crate) fn cover(&self, pixels: &mut [Pixel], t_object_camera: &Isometry3<f64>, object: &MeshQuery) {
+        pixels.par_iter_mut().filter(|pixel| pixel.on_object).for_each(|pixel| {
+            let thickness_mm = self.at(&(t_object_camera * pixel.point()));
+            if thickness_mm <= 0.0 {
+                return;
+            }
+            let off = |film_mm: f64| {
+                let point = t_object_camera * Point3::from(pixel.ray * (pixel.distance_mm - film_mm));
+                object.closest_point(&point).map_or(0.0, |closest| closest.distance_mm)
+            };
+            // On a plane; a convex bone turns away from a slanted ray.
+            let (mut low, mut high) = (0.0, thickness_mm / pixel.cos_incidence);
+            const PRECISION_MM: f64 = 1e-3;
+            if off(high) > thickness_mm + PRECISION_MM {
+                while high - low > PRECISION_MM {
+                    let middle = (low + high) / 2.0;
+                    if off(middle) < thickness_mm { low = middle } else { high = middle }
+                }
+            }
+            pixel.film_mm = high;
+        });
     }
 }
 
@@ -274,7 +309,6 @@ pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<
         .collect();
     let pools: Vec<Point3<f64>> =
         wound.map_or(&[][..], |w| &w.pools).iter().map(|p| t_object_camera.inverse_transform_point(p)).collect();
-    let periosteum = wound.and_then(|w| w.periosteum.as_ref());
     let mut specular = (wound.is_some() && params.specular_dropout > 0.0).then(|| stream(seed, Term::Specular, number));
     let mirror_cos = params.specular_deg.to_radians().cos();
     let projector = Point3::new(params.projector_mm, 0.0, 0.0);
@@ -301,11 +335,7 @@ pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<
                 continue;
             }
         }
-        let film_mm = match periosteum {
-            Some(film) if pixel.on_object => film.at(&(t_object_camera * truth)) / pixel.cos_incidence,
-            _ => 0.0,
-        };
-        let distance_mm = pixel.distance_mm - film_mm + pixel.noise_mm * noise + pixel.bias_mm;
+        let distance_mm = pixel.distance_mm - pixel.film_mm + pixel.noise_mm * noise + pixel.bias_mm;
         kept.push((key, Point3::from(pixel.ray * distance_mm)));
     }
     if kept.len() > params.n_points {
@@ -333,7 +363,7 @@ mod tests {
     }
 
     fn pixels(params: &CameraParams) -> Vec<Pixel> {
-        let sight = Sight { object: &wall(), stretch: None, around: None };
+        let sight = Sight { object: &wall(), stretch: None, around: None, lumps: None };
         view(&sight, &Isometry3::identity(), params, &DepthBias::new(params, 1))
     }
 
@@ -396,7 +426,7 @@ mod tests {
     #[test]
     fn a_hole_looks_smaller_at_an_edge_and_where_the_surface_turns_away() {
         let wall = wall();
-        let sight = Sight { object: &wall, stretch: None, around: None };
+        let sight = Sight { object: &wall, stretch: None, around: None, lumps: None };
         let share = |x: f64, y: f64, slant_deg: f64| {
             let spot = Point3::new(x, y, 200.0);
             let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), slant_deg.to_radians());
@@ -419,7 +449,7 @@ mod tests {
     fn a_surface_behind_the_camera_is_not_seen() {
         let away = vec![Point3::new(0.0, 0.0, -200.0), Point3::new(9.0, 0.0, -200.0), Point3::new(0.0, 9.0, -200.0)];
         let mesh = Mesh::new("ct", SurfaceOrigin::Exact, away, vec![[0, 1, 2]]).unwrap();
-        let sight = Sight { object: &MeshQuery::new(&mesh), stretch: None, around: None };
+        let sight = Sight { object: &MeshQuery::new(&mesh), stretch: None, around: None, lumps: None };
         assert!(view(&sight, &Isometry3::identity(), &quiet(), &DepthBias::new(&quiet(), 1)).is_empty());
     }
 }

@@ -182,7 +182,7 @@ fn smooth(vertices: &mut [Point3<f64>], faces: &[[u32; 3]], times: u32) {
 }
 
 /// Outward unit normals of the vertices, with faces weighted by area.
-fn vertex_normals(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Vec<Vector3<f64>> {
+pub(crate) fn vertex_normals(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Vec<Vector3<f64>> {
     let mut normals = vec![Vector3::zeros(); vertices.len()];
     for face in faces {
         let [a, b, c] = face.map(|v| vertices[v as usize]);

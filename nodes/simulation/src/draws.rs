@@ -44,6 +44,11 @@ pub(crate) enum Term {
     LaserBeam = 33,
     Pivoting = 34,
     StylusAttitude = 35,
+    BoneWarp = 36,
+    CameraMarkerKnock = 37,
+    PhantomMarkerCad = 38,
+    TissueLumps = 39,
+    TissueSurface = 40,
 }
 
 /// The stream of `term`; `item` distinguishes scans, markers or placements.

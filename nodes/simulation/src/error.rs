@@ -40,6 +40,17 @@ pub enum SimulationError {
         /// The landmark.
         name: String,
     },
+    /// The labels to exchange are no marks of the laser.
+    #[error(
+        "laser.swap is {found:?}, but must be two or more different marks of the laser ({}), or empty",
+        marks.join(", ")
+    )]
+    Swap {
+        /// The names given.
+        found: Vec<String>,
+        /// The marks that the laser points at.
+        marks: Vec<String>,
+    },
     /// A planned point is not finite.
     #[error("planned point {name} is not finite")]
     NotFinite {

@@ -21,6 +21,7 @@ pub mod ct;
 mod draws;
 mod error;
 mod iso_surface;
+mod other_bone;
 mod params;
 pub mod phantom;
 mod plan;
@@ -29,6 +30,7 @@ mod scene;
 mod stylus;
 mod subject;
 mod surroundings;
+mod tissue;
 mod tracker;
 mod waves;
 mod weakest_mode;
@@ -38,7 +40,7 @@ pub use ct::{CtParams, ct_surface};
 pub use error::SimulationError;
 pub use params::{
     CameraParams, CheckParams, LaserDisc, LaserParams, MotionParams, PeriosteumParams, PhantomParams, ProcedureParams,
-    RulerParams, StylusParams, TrackerParams,
+    RulerParams, SlipsBefore, StylusParams, TissueParams, TrackerParams,
 };
 pub use plan::plan;
 pub use procedure::{Procedure, Truth, t_camera_camera_marker_nominal};

@@ -30,6 +30,8 @@ pub struct ProcedureParams {
     pub ruler: RulerParams,
     /// The periosteum left on the stripped bone.
     pub periosteum: PeriosteumParams,
+    /// Lumps of soft tissue left on the stripped bone.
+    pub tissue: TissueParams,
     /// Time and motions.
     pub motion: MotionParams,
 }
@@ -105,6 +107,10 @@ pub struct CameraParams {
     pub depth_bias_wavelength_mm: f64,
     /// Seed of that error's field. None: the run's seed; a number for many procedures with one camera.
     pub bias_seed: Option<u64>,
+    /// Factor of every coordinate that the camera gives: clouds, region of interest, and the check piece's holes. 1: off,
+    /// millimetres; 0.001 if it gives metres that are taken for millimetres, 1000 the other way round.
+    #[schemars(range(min = 0.000_001, max = 1_000_000.0))]
+    pub unit_factor: f64,
 }
 
 impl Default for CameraParams {
@@ -131,6 +137,7 @@ impl Default for CameraParams {
             depth_bias_mm: 0.05,
             depth_bias_wavelength_mm: 60.0,
             bias_seed: None,
+            unit_factor: 1.0,
         }
     }
 }
@@ -215,6 +222,9 @@ pub struct LaserParams {
     /// Whether the laser also points at the assessment marks, after the landmarks, as in vivo, where no stylus touches
     /// them. false: the paper's bench.
     pub assessment: bool,
+    /// Names of marks whose laser scans have the wrong label: each scan has the label of the next mark in the list, the
+    /// last that of the first, so two names are exchanged. Empty: off.
+    pub swap: Vec<String>,
 }
 
 /// The shape of a laser spot's hole.
@@ -240,6 +250,7 @@ impl Default for LaserParams {
             beam_deg: 10.0,
             scans: true,
             assessment: false,
+            swap: Vec::new(),
         }
     }
 }
@@ -268,6 +279,19 @@ pub struct PhantomParams {
     /// Distance from the camera to the phantom, half its radius nearer than its centre. None: the working distance.
     #[schemars(range(min = 50.0, max = 1000.0))]
     pub distance_mm: Option<f64>,
+    /// Factor of every coordinate in the phantom's scan, from the lens. 1: off; 1.05 if the camera's scale was 5 % too
+    /// large at the calibration alone.
+    #[schemars(range(min = 0.000_001, max = 1_000_000.0))]
+    pub scan_scale: f64,
+    /// Whether the phantom's scan is a mirror image, its x negated. false: off.
+    pub scan_mirrored: bool,
+    /// Error of `t_phantom_phantom_marker` as the recording gives it, in a direction drawn per run; the plan's has none.
+    /// 0: off.
+    #[schemars(range(min = 0.0, max = 500.0))]
+    pub marker_cad_wrong_mm: f64,
+    /// Rotation of that pose, about an axis drawn per run. 0: off.
+    #[schemars(range(min = 0.0, max = 180.0))]
+    pub marker_cad_wrong_deg: f64,
 }
 
 impl Default for PhantomParams {
@@ -280,6 +304,10 @@ impl Default for PhantomParams {
             mounting_deg: 1.2,
             mounting_seed: None,
             distance_mm: None,
+            scan_scale: 1.0,
+            scan_mirrored: false,
+            marker_cad_wrong_mm: 0.0,
+            marker_cad_wrong_deg: 0.0,
         }
     }
 }
@@ -326,10 +354,10 @@ pub struct RulerParams {
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PeriosteumParams {
-    /// Maximum thickness. 0: off, a bone scraped clean; assumed up to 0.5 mm otherwise.
+    /// Maximum thickness, off the bone. 0: off, a bone scraped clean; assumed up to 0.5 mm otherwise.
     #[schemars(range(min = 0.0, max = 3.0))]
     pub thickness_mm: f64,
-    /// The share of the surface that is covered. 0.5: assumed.
+    /// The share of the surface that is covered, on average over seeds. 0.5: assumed.
     #[schemars(range(min = 0.01, max = 0.99))]
     pub share: f64,
     /// The wavelength of the patches. 15 mm: assumed, a few strokes of a scraper.
@@ -342,6 +370,32 @@ pub struct PeriosteumParams {
 impl Default for PeriosteumParams {
     fn default() -> Self {
         Self { thickness_mm: 0.0, share: 0.5, patch_mm: 15.0, film_seed: None }
+    }
+}
+
+/// Lumps of soft tissue on the stripped bone, none on a mark, in the same place in all clouds of a run. They hide what is
+/// behind them. The stylus pierces them.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TissueParams {
+    /// The share of the bone that the camera sees, by number of pixels, covered by at least half the minimum thickness.
+    /// 0: off.
+    #[schemars(range(min = 0.0, max = 0.9))]
+    pub share: f64,
+    /// Minimum and maximum thickness at the top of a lump, drawn for each. 1 to 6 mm: assumed, remains of muscle.
+    #[schemars(inner(range(min = 0.1, max = 20.0)))]
+    pub thickness_mm: [f64; 2],
+    /// Minimum and maximum diameter of a lump, drawn for each; the last is as small as the share requires. 10 to 25 mm:
+    /// assumed.
+    #[schemars(inner(range(min = 2.0, max = 100.0)))]
+    pub patch_mm: [f64; 2],
+    /// Seed of the lumps. None: the run's seed; a number for many procedures on one stripped bone.
+    pub seed: Option<u64>,
+}
+
+impl Default for TissueParams {
+    fn default() -> Self {
+        Self { share: 0.0, thickness_mm: [1.0, 6.0], patch_mm: [10.0, 25.0], seed: None }
     }
 }
 
@@ -418,12 +472,32 @@ pub struct MotionParams {
     /// Rotation of the camera between two scans. 0: assumed, it is on an arm.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub camera_between_scans_deg: f64,
-    /// Slip of the bone's marker between the scans and the touches. 0: off, a marker that holds.
+    /// Slip of the bone's marker, in a direction drawn per run. 0: off, a marker that holds.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub marker_slip_mm: f64,
     /// Rotation of the bone's marker in that slip. 0: off.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub marker_slip_deg: f64,
+    /// Time of that slip: before the `touches`, after all scans; or before the `laser` scans, after the full scan.
+    pub marker_slips_before: SlipsBefore,
+    /// Shift of the camera's marker on the camera between the calibration and the full scan, in a direction drawn per
+    /// run. 0: off, a marker that is not knocked.
+    #[schemars(range(min = 0.0, max = 200.0))]
+    pub knock_mm: f64,
+    /// Rotation of the camera's marker in that knock. 0: off.
+    #[schemars(range(min = 0.0, max = 180.0))]
+    pub knock_deg: f64,
+}
+
+/// The time at which the bone's marker slips.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SlipsBefore {
+    /// Between the last scan and the touches.
+    #[default]
+    Touches,
+    /// Between the full scan and the first laser scan.
+    Laser,
 }
 
 impl Default for MotionParams {
@@ -438,6 +512,9 @@ impl Default for MotionParams {
             camera_between_scans_deg: 0.0,
             marker_slip_mm: 0.0,
             marker_slip_deg: 0.0,
+            marker_slips_before: SlipsBefore::Touches,
+            knock_mm: 0.0,
+            knock_deg: 0.0,
         }
     }
 }
@@ -455,6 +532,7 @@ impl ProcedureParams {
                 n_pools: 0,
                 specular_dropout: 0.0,
                 depth_bias_mm: 0.0,
+                unit_factor: 1.0,
                 ..self.camera
             },
             tracker: TrackerParams {
@@ -466,12 +544,16 @@ impl ProcedureParams {
                 drift_mm_per_min: 0.0,
                 ..self.tracker
             },
-            laser: LaserParams { aim_across_mm: 0.0, aim_along_mm: 0.0, ..self.laser },
+            laser: LaserParams { aim_across_mm: 0.0, aim_along_mm: 0.0, swap: Vec::new(), ..self.laser },
             phantom: PhantomParams {
                 print_mm: 0.0,
                 print_deg: 0.0,
                 mounting_mm: 0.0,
                 mounting_deg: 0.0,
+                scan_scale: 1.0,
+                scan_mirrored: false,
+                marker_cad_wrong_mm: 0.0,
+                marker_cad_wrong_deg: 0.0,
                 ..self.phantom
             },
             stylus: StylusParams {
@@ -485,13 +567,22 @@ impl ProcedureParams {
             check: CheckParams { reading_mm: 0.0, print_mm: 0.0, ..self.check },
             ruler: RulerParams::default(),
             periosteum: PeriosteumParams { thickness_mm: 0.0, ..self.periosteum },
-            motion: MotionParams { marker_slip_mm: 0.0, marker_slip_deg: 0.0, ..self.motion },
+            tissue: TissueParams { share: 0.0, ..self.tissue },
+            motion: MotionParams {
+                marker_slip_mm: 0.0,
+                marker_slip_deg: 0.0,
+                knock_mm: 0.0,
+                knock_deg: 0.0,
+                ..self.motion
+            },
         }
     }
 
     /// Checks that every number can be used, whatever its source; the schema has narrower, recommended ranges.
     pub(crate) fn check(&self) -> Result<(), SimulationError> {
         let (camera, tracker, film) = (&self.camera, &self.tracker, &self.periosteum);
+        let tissue = &self.tissue;
+        let ([thinnest, thickest], [smallest, largest]) = (tissue.thickness_mm, tissue.patch_mm);
         let not_negative = "0 or more";
         let positive = "more than 0";
         let share = "at least 0 and less than 1";
@@ -579,6 +670,27 @@ impl ProcedureParams {
             ("periosteum.patch_mm", film.patch_mm, film.patch_mm > 0.0, positive),
             ("motion.marker_slip_mm", self.motion.marker_slip_mm, self.motion.marker_slip_mm >= 0.0, not_negative),
             ("motion.marker_slip_deg", self.motion.marker_slip_deg, self.motion.marker_slip_deg >= 0.0, not_negative),
+            ("camera.unit_factor", camera.unit_factor, camera.unit_factor > 0.0, positive),
+            ("phantom.scan_scale", self.phantom.scan_scale, self.phantom.scan_scale > 0.0, positive),
+            (
+                "phantom.marker_cad_wrong_mm",
+                self.phantom.marker_cad_wrong_mm,
+                self.phantom.marker_cad_wrong_mm >= 0.0,
+                not_negative,
+            ),
+            (
+                "phantom.marker_cad_wrong_deg",
+                self.phantom.marker_cad_wrong_deg,
+                self.phantom.marker_cad_wrong_deg >= 0.0,
+                not_negative,
+            ),
+            ("tissue.share", tissue.share, (0.0..1.0).contains(&tissue.share), share),
+            ("the minimum of tissue.thickness_mm", thinnest, thinnest > 0.0, positive),
+            ("the maximum of tissue.thickness_mm", thickest, thickest >= thinnest, "at least the minimum"),
+            ("the minimum of tissue.patch_mm", smallest, smallest > 0.0, positive),
+            ("the maximum of tissue.patch_mm", largest, largest >= smallest, "at least the minimum"),
+            ("motion.knock_mm", self.motion.knock_mm, self.motion.knock_mm >= 0.0, not_negative),
+            ("motion.knock_deg", self.motion.knock_deg, self.motion.knock_deg >= 0.0, not_negative),
             ("motion.start_s", f64::from(self.motion.start_s), self.motion.start_s > 0, positive),
         ])
     }

@@ -21,7 +21,7 @@ pub struct Procedure {
     /// The full scan of the bone.
     pub scan: Cloud,
     /// The same view with the laser on each landmark in turn, labelled `P1`, `P2`, ...: a disc around the spot is
-    /// missing. The assessment marks follow if requested.
+    /// missing. The assessment marks follow if requested. Exchanged labels are as in `laser.swap`.
     pub laser: Vec<Cloud>,
     /// `t_world_camera_marker`, in bursts around each cloud.
     pub camera_marker: Vec<Pose>,
@@ -29,7 +29,8 @@ pub struct Procedure {
     pub phantom_marker: Vec<Pose>,
     /// `t_world_bone_marker`, around each scan, during all touches, and through the bone's last motion.
     pub bone_marker: Vec<Pose>,
-    /// `t_phantom_phantom_marker` by CAD, without the error of the print.
+    /// `t_phantom_phantom_marker` by CAD, without the error of the print; wrong by `phantom.marker_cad_wrong_mm` and
+    /// `marker_cad_wrong_deg`.
     pub t_phantom_phantom_marker: Pose,
     /// Stylus points at the marks that the laser pointed at: the start of the baseline method.
     pub stylus_init: Points,
@@ -55,8 +56,10 @@ pub struct Procedure {
 pub struct Truth {
     /// The scanned surface, frame `ct`.
     pub bone: Mesh,
-    /// Pose of the camera's marker on the camera.
+    /// Pose of the camera's marker on the camera at all scans of the bone, after a possible knock.
     pub t_camera_camera_marker: Pose,
+    /// Pose of the camera's marker on the camera at the calibration.
+    pub t_camera_camera_marker_at_calibration: Pose,
     /// Pose of the phantom's marker as printed.
     pub t_phantom_phantom_marker: Pose,
     /// Pose of the phantom in its scan.
@@ -75,7 +78,8 @@ pub struct Truth {
     pub t_world_bone_marker_at_scan: Pose,
     /// Pose of the bone's marker on the bone.
     pub t_ct_bone_marker: Pose,
-    /// Pose of the bone's marker on the bone during the touches, after a possible slip.
+    /// Pose of the bone's marker on the bone during the touches, after a possible slip, which may come before the laser
+    /// scans.
     pub t_ct_bone_marker_at_touches: Pose,
     /// The marks aimed at by the laser, frame `ct`: the planned points with the ruler's error.
     pub laser_marks_ct: Points,

@@ -8,6 +8,7 @@ mod scans;
 mod setup;
 mod touches;
 mod truth;
+mod written;
 
 pub(crate) use places::scan_pose;
 
@@ -25,6 +26,10 @@ use touches::Touches;
 const CALIBRATION_S: f64 = 1.0;
 const SCAN_S: f64 = 11.0;
 const LASER_EVERY_S: f64 = 4.0;
+/// Times at which the camera's marker is knocked, and at which the bone's marker slips if it does before the laser scans:
+/// outside every burst.
+const KNOCK_S: f64 = 6.0;
+const SLIP_BEFORE_LASER_S: f64 = 13.0;
 /// Time between touches of marks and holes, and rate of the palpation.
 const TOUCH_EVERY_S: f64 = 0.5;
 const PALPATION_RATE_HZ: f64 = 20.0;
@@ -55,8 +60,11 @@ pub(crate) struct Scene<'a> {
     bone_path: Path,
     /// `t_world_phantom`, at rest.
     phantom_path: Path,
+    /// `t_camera_camera_marker` at the calibration, and at the scans after a possible knock.
     t_camera_camera_marker: Isometry3<f64>,
-    t_phantom_phantom_marker_cad: Isometry3<f64>,
+    t_camera_camera_marker_knocked: Isometry3<f64>,
+    /// `t_phantom_phantom_marker` as the recording gives it: by CAD, or wrong.
+    t_phantom_phantom_marker_written: Isometry3<f64>,
     t_phantom_phantom_marker: Isometry3<f64>,
     t_ct_bone_marker: Isometry3<f64>,
     t_ct_bone_marker_slipped: Isometry3<f64>,
@@ -79,10 +87,17 @@ impl Scene<'_> {
         };
         let bias = DepthBias::new(&params.camera, self.seed);
         let phantom_scan = self.phantom_scan(&tracker, &bias)?;
-        let pixels = self.bone_view(SCAN_S, &bias)?;
-        let on_bone: Vec<Pixel> = pixels.iter().copied().filter(|p| p.on_object).collect();
+        self.check_labels()?;
+        let on_object = |pixels: &[Pixel]| pixels.iter().copied().filter(|p| p.on_object).collect::<Vec<_>>();
+        let bare = self.bone_view(SCAN_S, &bias, None)?;
+        // Tissue is placed on the bone that would be seen without it, and the stylus pierces it.
+        let on_bone = on_object(&bare);
         let spots = self.laser_spots()?;
-        let wound = self.wound(&on_bone, &spots);
+        let wound = self.wound(&on_bone, &spots)?;
+        let pixels = match &wound.tissue {
+            None => bare,
+            tissue => self.bone_view(SCAN_S, &bias, tissue.as_ref())?,
+        };
         let scan = self.bone_scan(&pixels, None, &wound, SCAN_S, &tracker, 1)?;
         let laser =
             if params.laser.scans { self.laser_scans(&pixels, &spots, &wound, &tracker, &bias)? } else { Vec::new() };
@@ -96,14 +111,14 @@ impl Scene<'_> {
         Ok(Procedure {
             plan: self.plan.clone(),
             phantom: self.phantom.clone(),
-            region: Some(scans::region(&on_bone)),
+            region: Some(self.region_as_written(scans::region(&on_object(&pixels)))),
             phantom_scan,
             scan,
             laser,
             camera_marker,
             phantom_marker,
             bone_marker,
-            t_phantom_phantom_marker: Pose::new("phantom", "phantom_marker", self.t_phantom_phantom_marker_cad)
+            t_phantom_phantom_marker: Pose::new("phantom", "phantom_marker", self.t_phantom_phantom_marker_written)
                 .at(tracker.stamp(CALIBRATION_S)),
             stylus_init: touches.init,
             stylus_assessment: touches.assessment,
@@ -133,7 +148,9 @@ impl Scene<'_> {
             look("calibration", CALIBRATION_S, params.phantom.distance_mm.unwrap_or(working_mm)),
             look("working", SCAN_S, working_mm),
         ];
-        look_at(&looks, tracker, bias, &params.check, params.camera.view_spread_deg.to_radians())
+        let spread_rad = params.camera.view_spread_deg.to_radians();
+        let looks = look_at(&looks, tracker, bias, &params.check, spread_rad).into_iter();
+        looks.map(|(read, known)| (self.holes_as_written(read), known)).collect()
     }
 }
 
@@ -150,7 +167,7 @@ mod tests {
         let plan = plan(&bone, &bone::anatomy(&params.bone)).unwrap();
         let (surface, phantom) = (MeshQuery::new(&bone), phantom::mesh());
         let mut scene = Scene::new(&surface, &plan, &phantom, params, 1).unwrap();
-        let seen = scene.bone_view(SCAN_S, &DepthBias::new(&params.camera, 1)).unwrap();
+        let seen = scene.bone_view(SCAN_S, &DepthBias::new(&params.camera, 1), None).unwrap();
         (0..RUNS)
             .map(|seed| {
                 scene.seed = seed;

@@ -1,5 +1,6 @@
 //! The subject of a simulated procedure: a bone and its plan.
 
+use crate::other_bone::OtherBone;
 use crate::plan::{complete, plan_on};
 use crate::{BoneParams, SimulationError, bone};
 use osteoflow_algorithms::{mesh_query::MeshQuery, mesh_topology::open_edges};
@@ -23,8 +24,12 @@ impl Subject {
     /// [`SimulationError`] if parameters make a bone too short for the plan.
     pub fn built_in(params: &BoneParams) -> Result<Self, SimulationError> {
         params.check()?;
-        let surface = MeshQuery::new(&bone::fibula(params));
-        let plan = plan_on(&surface, &bone::anatomy(params))?;
+        let (mut bone, mut anatomy) = (bone::fibula(params), bone::anatomy(params));
+        if let Some(other) = OtherBone::new(params, &bone, &anatomy) {
+            (bone, anatomy) = (other.mesh(&bone)?, other.anatomy(&anatomy));
+        }
+        let surface = MeshQuery::new(&bone);
+        let plan = plan_on(&surface, &anatomy)?;
         Ok(Self { surface, plan, notes: Vec::new() })
     }
 
@@ -35,6 +40,16 @@ impl Subject {
     /// # Errors
     /// [`SimulationError::NotClosed`]; and as [`crate::plan`], or [`SimulationError::NoAnatomy`].
     pub fn of(bone: Mesh, plan: SurgicalPlan) -> Result<Self, SimulationError> {
+        Self::altered(bone, plan, &BoneParams::default())
+    }
+
+    /// As [`Subject::of`], deformed and mirrored with its plan by `warp_mm`, `warp_seed` and `mirrored` of `params`, of
+    /// which nothing else is used.
+    ///
+    /// # Errors
+    /// As [`Subject::of`].
+    pub fn altered(bone: Mesh, plan: SurgicalPlan, params: &BoneParams) -> Result<Self, SimulationError> {
+        params.check()?;
         let n_open_edges = open_edges(&bone);
         if n_open_edges > 0 {
             return Err(SimulationError::NotClosed { n_open_edges });
@@ -46,6 +61,11 @@ impl Subject {
             Mesh::new(&bone.frame, bone.origin, bone.vertices().to_vec(), faces)?
         } else {
             bone
+        };
+        let anatomy = plan.anatomy.as_ref().ok_or(SimulationError::NoAnatomy)?;
+        let (bone, plan) = match OtherBone::new(params, &bone, anatomy) {
+            Some(other) => (other.mesh(&bone)?, other.plan(&plan)),
+            None => (bone, plan),
         };
         let surface = MeshQuery::new(&bone);
         let plan = complete(plan, &surface)?;

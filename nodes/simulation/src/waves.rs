@@ -21,6 +21,15 @@ impl Waves {
         Self((0..N_WAVES).map(wave).collect())
     }
 
+    /// Wavelengths from `min_mm` to `max_mm`.
+    pub(crate) fn between(rng: &mut ChaCha8Rng, [min_mm, max_mm]: [f64; 2]) -> Self {
+        let wave = |_| {
+            let wavelength_mm = min_mm * (max_mm / min_mm).powf(rng.random::<f64>());
+            (direction(rng) * (TAU / wavelength_mm), TAU * rng.random::<f64>())
+        };
+        Self((0..N_WAVES).map(wave).collect())
+    }
+
     /// The field at a point times `scale`, not evaluated if `scale` is 0.
     pub(crate) fn scaled(&self, scale: f64, point: &Point3<f64>) -> f64 {
         if scale == 0.0 {

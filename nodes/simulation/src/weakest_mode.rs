@@ -134,7 +134,7 @@ pub fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) ->
         min_mm: camera.scan_from_mm,
         max_mm: camera.scan_to_mm,
     };
-    let sight = Sight { object: &surface, stretch: Some(&stretch), around: None };
+    let sight = Sight { object: &surface, stretch: Some(&stretch), around: None, lumps: None };
     let pixels = view(&sight, &t_ct_camera, &params.camera, &DepthBias::new(&params.camera, 0));
     if pixels.is_empty() {
         return Err(nothing);

@@ -34,9 +34,20 @@ fn the_documented_error_terms_are_the_parameters_own_words() {
     rows(&schema, &schema, "", &mut table);
     let ct = schemars::schema_for!(CtParams).to_value();
     rows(&ct, &ct, "ct.", &mut table);
-    for table_name in
-        ["bone", "ct", "camera", "tracker", "laser", "phantom", "check", "stylus", "ruler", "periosteum", "motion"]
-    {
+    for table_name in [
+        "bone",
+        "ct",
+        "camera",
+        "tracker",
+        "laser",
+        "phantom",
+        "check",
+        "stylus",
+        "ruler",
+        "periosteum",
+        "tissue",
+        "motion",
+    ] {
         assert!(table.contains(&format!("| `{table_name}.")), "{table_name} has no row");
     }
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/simulation.md");

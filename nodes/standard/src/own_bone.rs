@@ -35,32 +35,33 @@ impl OwnBone {
         Err(ParamError::new(lacks, said))
     }
 
-    /// The bone and its plan; `built_in` where no files are given.
-    pub(crate) fn subject(&self, built_in: &BoneParams) -> Result<Subject, NodeError> {
-        Ok(self.keyed(built_in)?.1)
+    /// The bone and its plan; `bone` where no files are given, and what makes another of it.
+    pub(crate) fn subject(&self, bone: &BoneParams) -> Result<Subject, NodeError> {
+        Ok(self.keyed(bone)?.1)
     }
 
     /// The CT's surface of the bone.
-    pub(crate) fn ct_surface(&self, built_in: &BoneParams, ct: &CtParams, seed: u64) -> Result<Mesh, NodeError> {
+    pub(crate) fn ct_surface(&self, bone: &BoneParams, ct: &CtParams, seed: u64) -> Result<Mesh, NodeError> {
         static LAST: Memo<(Key, CtParams, u64), Mesh> = Memo::new();
-        let (key, subject) = self.keyed(built_in)?;
+        let (key, subject) = self.keyed(bone)?;
         let seed = ct.scan_seed.unwrap_or(seed);
         LAST.get_or((key, ct.clone(), seed), || Ok(ct::ct_surface(subject.bone(), ct, seed)?))
     }
 
-    fn keyed(&self, built_in: &BoneParams) -> Result<(Key, Subject), NodeError> {
+    fn keyed(&self, params: &BoneParams) -> Result<(Key, Subject), NodeError> {
         static LAST: Memo<Key, Subject> = Memo::new();
         let (Some(bone), Some(plan)) = (&self.bone_file, &self.plan_file) else {
-            let key = Key::BuiltIn(built_in.clone());
-            let subject = LAST.get_or(key.clone(), || Ok(Subject::built_in(built_in)?))?;
+            let key = Key::BuiltIn(params.clone());
+            let subject = LAST.get_or(key.clone(), || Ok(Subject::built_in(params)?))?;
             return Ok((key, subject));
         };
         let content = |path: &FilePath| {
             let bytes = std::fs::read(path).map_err(|error| format!("{} cannot be read: {error}", path.0.display()));
             bytes.map(Arc::new).map_err(NodeError::new)
         };
-        let key = Key::Files { name: name(bone.as_ref()), bone: content(bone)?, plan: content(plan)? };
-        let subject = LAST.get_or(key.clone(), || read(bone.as_ref(), plan.as_ref()))?;
+        let name = name(bone.as_ref());
+        let key = Key::Files { name, bone: content(bone)?, plan: content(plan)?, params: params.clone() };
+        let subject = LAST.get_or(key.clone(), || read_altered(bone.as_ref(), plan.as_ref(), params))?;
         Ok((key, subject))
     }
 }
@@ -69,7 +70,7 @@ impl OwnBone {
 #[derive(Clone, PartialEq)]
 enum Key {
     BuiltIn(BoneParams),
-    Files { name: String, bone: Arc<Vec<u8>>, plan: Arc<Vec<u8>> },
+    Files { name: String, bone: Arc<Vec<u8>>, plan: Arc<Vec<u8>>, params: BoneParams },
 }
 
 /// The last results of a function: the nodes of one graph, and the runs of a sweep, ask for the same bone.
@@ -105,9 +106,17 @@ fn name(bone_file: &Path) -> String {
 /// # Errors
 /// If a file cannot be read, the surface is open, or the plan lacks an anatomy or does not fit the bone.
 pub fn read(bone_file: &Path, plan_file: &Path) -> Result<Subject, NodeError> {
+    read_altered(bone_file, plan_file, &BoneParams::default())
+}
+
+/// As [`read`], then deformed and mirrored as `params` have it, which are otherwise not used.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_altered(bone_file: &Path, plan_file: &Path, params: &BoneParams) -> Result<Subject, NodeError> {
     let plan = read_plan_of(plan_file, &name(bone_file))?;
     let read = read_mesh(bone_file, 1.0, "ct", SurfaceOrigin::Exact)?;
-    let mut subject = Subject::of(read.mesh, plan.plan)?;
+    let mut subject = Subject::altered(read.mesh, plan.plan, params)?;
     subject.notes.splice(0..0, read.notes.into_iter().chain(plan.notes));
     Ok(subject)
 }

@@ -1,6 +1,7 @@
 //! Samples of the markers during a procedure.
 
-use super::{CALIBRATION_S, LASER_EVERY_S, SCAN_S, Scene};
+use super::{CALIBRATION_S, KNOCK_S, LASER_EVERY_S, SCAN_S, SLIP_BEFORE_LASER_S, Scene};
+use crate::SlipsBefore;
 use crate::tracker::{Marker, Tracker};
 use nalgebra::Isometry3;
 use osteoflow_geometry::Pose;
@@ -29,7 +30,8 @@ impl Scene<'_> {
         let calibration = [burst(CALIBRATION_S)];
         let camera_spans = [&calibration[..], &scans].concat();
         let bone_spans = [&scans[..], &[(self.touches_s - 0.5, self.end_s())]].concat();
-        let on_camera = |_| self.t_camera_camera_marker;
+        let on_camera =
+            |s: f64| if s < KNOCK_S { self.t_camera_camera_marker } else { self.t_camera_camera_marker_knocked };
         let on_phantom = |_| self.t_phantom_phantom_marker;
         let on_bone = |s: f64| self.t_ct_bone_marker_at(s);
         Markers {
@@ -40,6 +42,10 @@ impl Scene<'_> {
     }
 
     fn t_ct_bone_marker_at(&self, s: f64) -> Isometry3<f64> {
-        if s < self.touches_s - 0.5 { self.t_ct_bone_marker } else { self.t_ct_bone_marker_slipped }
+        let slips_s = match self.params.motion.marker_slips_before {
+            SlipsBefore::Touches => self.touches_s - 0.5,
+            SlipsBefore::Laser => SLIP_BEFORE_LASER_S,
+        };
+        if s < slips_s { self.t_ct_bone_marker } else { self.t_ct_bone_marker_slipped }
     }
 }

@@ -4,8 +4,11 @@ use super::{CALIBRATION_S, SCAN_S, Scene, laser_s};
 use crate::SimulationError;
 use crate::camera::{DepthBias, Hole, Periosteum, Pixel, Shot, Sight, Stretch, Wound, scan, view};
 use crate::draws::{Term, stream};
+use crate::scene::places::towards_camera;
+use crate::tissue::{Site, tissue};
 use crate::tracker::Tracker;
 use nalgebra::{Point3, Vector3};
+use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Cloud, Points, Region};
 use rand::RngExt;
 
@@ -13,14 +16,14 @@ impl Scene<'_> {
     pub(super) fn phantom_scan(&self, tracker: &Tracker<'_>, bias: &DepthBias) -> Result<Cloud, SimulationError> {
         let camera = &self.params.camera;
         let t_object_camera = self.phantom_path.at(CALIBRATION_S).inverse() * self.camera.at(CALIBRATION_S);
-        let sight = Sight { object: &self.phantom_surface, stretch: None, around: None };
+        let sight = Sight { object: &self.phantom_surface, stretch: None, around: None, lumps: None };
         let pixels = view(&sight, &t_object_camera, camera, bias);
         if pixels.is_empty() {
             return Err(SimulationError::NothingVisible { what: "phantom", hint: "is its mesh in millimetres?" });
         }
         let stamp_ns = tracker.stamp(CALIBRATION_S);
         let shot = Shot { pixels: &pixels, t_object_camera, hole: None, wound: None, stamp_ns, number: 0 };
-        Ok(scan(&shot, camera, self.seed)?)
+        Ok(self.phantom_as_written(scan(&shot, camera, self.seed)?)?)
     }
 
     /// The cloud of the bone at `s`, the `number`-th of the run.
@@ -35,7 +38,7 @@ impl Scene<'_> {
     ) -> Result<Cloud, SimulationError> {
         let (t_object_camera, stamp_ns) = (self.t_ct_camera(s), tracker.stamp(s));
         let shot = Shot { pixels, t_object_camera, hole, wound: Some(wound), stamp_ns, number };
-        Ok(scan(&shot, &self.params.camera, self.seed)?)
+        Ok(self.bone_as_written(scan(&shot, &self.params.camera, self.seed)?)?)
     }
 
     /// One cloud for each laser spot. `pixels` are those of the full scan, seen again if nothing moves.
@@ -51,18 +54,18 @@ impl Scene<'_> {
         let one = |(k, spot): (usize, &osteoflow_geometry::NamedPoint)| {
             let s = laser_s(k);
             let hole = self.hole(k, &(self.t_ct_camera(s).inverse() * spot.position));
-            let moved = if is_still { None } else { Some(self.bone_view(s, bias)?) };
+            let moved = if is_still { None } else { Some(self.bone_view(s, bias, wound.tissue.as_ref())?) };
             let pixels = moved.as_deref().unwrap_or(pixels);
             if !pixels.iter().any(|p| p.on_object && (p.point() - hole.spot).norm() < hole.radius_mm) {
                 return Err(SimulationError::SpotHidden { name: spot.name.to_string() });
             }
-            Ok(self.bone_scan(pixels, Some(hole), wound, s, tracker, 2 + k as u64)?.labelled(spot.name.clone()))
+            Ok(self.bone_scan(pixels, Some(hole), wound, s, tracker, 2 + k as u64)?.labelled(self.label(&spot.name)))
         };
         spots.points.iter().enumerate().map(one).collect()
     }
 
-    /// Film and blood on the bone.
-    pub(super) fn wound(&self, seen: &[Pixel], spots: &Points) -> Wound {
+    /// Blood and tissue on the bone.
+    pub(super) fn wound(&self, seen: &[Pixel], spots: &Points) -> Result<Wound, SimulationError> {
         let params = &self.params.camera;
         let t_ct_camera = self.t_ct_camera(SCAN_S);
         let mut rng = stream(self.seed, Term::BloodPools, 0);
@@ -71,10 +74,26 @@ impl Scene<'_> {
         let clear_mm = params.pool_radius_mm + 1.5 * self.params.laser.hole_radius_mm;
         let is_clear = |pool: &Point3<f64>| spots.points.iter().all(|s| (s.position - pool).norm() > clear_mm);
         let n_pools = if seen.is_empty() { 0 } else { params.n_pools };
-        Wound {
-            periosteum: Periosteum::new(&self.params.periosteum, self.seed),
-            pools: (0..n_pools).map(place).filter(is_clear).collect(),
+        Ok(Wound { pools: (0..n_pools).map(place).filter(is_clear).collect(), tissue: self.tissue(seen, spots)? })
+    }
+
+    /// Lumps of soft tissue, placed on what the camera sees of the bone at the full scan.
+    fn tissue(&self, seen: &[Pixel], spots: &Points) -> Result<Option<MeshQuery>, SimulationError> {
+        if self.params.tissue.share <= 0.0 {
+            return Ok(None);
         }
+        let (camera, t_ct_camera) = (&self.params.camera, self.t_ct_camera(SCAN_S));
+        let seen: Vec<Point3<f64>> = seen.iter().map(|pixel| t_ct_camera * pixel.point()).collect();
+        let site = Site {
+            bone: self.bone_surface,
+            anatomy: self.anatomy,
+            stretch_mm: [camera.scan_from_mm, camera.scan_to_mm],
+            towards_camera: towards_camera(self.anatomy, self.params),
+            seen: &seen,
+            marks: &spots.positions(),
+            clear_mm: 2.0 * self.params.laser.hole_radius_mm,
+        };
+        tissue(&self.params.tissue, &site, self.seed)
     }
 
     fn is_still_between_scans(&self) -> bool {
@@ -100,16 +119,27 @@ impl Scene<'_> {
         }
     }
 
+    /// The bone without tissue, as far as it is stripped, and its surroundings.
     pub(super) fn sight<'s>(&'s self, stretch: &'s Stretch) -> Sight<'s> {
-        Sight { object: self.bone_surface, stretch: Some(stretch), around: self.around.as_ref() }
+        Sight { object: self.bone_surface, stretch: Some(stretch), around: self.around.as_ref(), lumps: None }
     }
 
-    /// The pixels that see the stripped bone or its surroundings.
-    pub(super) fn bone_view(&self, s: f64, bias: &DepthBias) -> Result<Vec<Pixel>, SimulationError> {
-        let pixels = view(&self.sight(&self.stretch()), &self.t_ct_camera(s), &self.params.camera, bias);
+    /// The pixels that see the stripped bone, tissue on it, or its surroundings.
+    pub(super) fn bone_view(
+        &self,
+        s: f64,
+        bias: &DepthBias,
+        tissue: Option<&MeshQuery>,
+    ) -> Result<Vec<Pixel>, SimulationError> {
+        let stretch = self.stretch();
+        let sight = Sight { lumps: tissue, ..self.sight(&stretch) };
+        let mut pixels = view(&sight, &self.t_ct_camera(s), &self.params.camera, bias);
         if !pixels.iter().any(|p| p.on_object) {
             let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
             return Err(SimulationError::NothingVisible { what: "bone", hint });
+        }
+        if let Some(film) = Periosteum::new(&self.params.periosteum, self.seed) {
+            film.cover(&mut pixels, &self.t_ct_camera(s), self.bone_surface);
         }
         Ok(pixels)
     }

@@ -4,7 +4,7 @@ use super::places::{bone_marker_pose, bone_pose, camera_offset_at_phantom, phant
 use super::ruler::Ruler;
 use super::{CALIBRATION_S, LASER_EVERY_S, MOTION_S, PALPATION_RATE_HZ, SCAN_S, Scene, TOUCH_EVERY_S};
 use crate::draws::{Term, direction, small_motion, stream};
-use crate::params::{MotionParams, PhantomParams};
+use crate::params::PhantomParams;
 use crate::plan::section_centre;
 use crate::procedure::t_camera_camera_marker_nominal;
 use crate::surroundings::surroundings;
@@ -65,6 +65,14 @@ impl<'a> Scene<'a> {
             plan.t_phantom_phantom_marker.as_ref().map_or_else(phantom::t_phantom_phantom_marker, |p| p.isometry);
         let t_camera_camera_marker =
             plan.t_camera_camera_marker_nominal.as_ref().map_or_else(t_camera_camera_marker_nominal, |p| p.isometry);
+        let t_camera_camera_marker = if untracked {
+            Isometry3::identity()
+        } else {
+            t_camera_camera_marker * mounting_error(&params.phantom, seed)
+        };
+        let slip = [motion.marker_slip_mm, motion.marker_slip_deg];
+        let knock = if untracked { [0.0, 0.0] } else { [motion.knock_mm, motion.knock_deg] };
+        let wrong_cad = [params.phantom.marker_cad_wrong_mm, params.phantom.marker_cad_wrong_deg];
         let t_ct_bone_marker = bone_marker_pose(anatomy, &focus, rng);
         Ok(Self {
             params,
@@ -79,14 +87,16 @@ impl<'a> Scene<'a> {
             camera,
             bone_path,
             phantom_path,
-            t_camera_camera_marker: if untracked {
-                Isometry3::identity()
-            } else {
-                t_camera_camera_marker * mounting_error(&params.phantom, seed)
-            },
-            t_phantom_phantom_marker_cad,
+            t_camera_camera_marker,
+            t_camera_camera_marker_knocked: displaced(t_camera_camera_marker, knock, Term::CameraMarkerKnock, seed),
+            t_phantom_phantom_marker_written: displaced(
+                t_phantom_phantom_marker_cad,
+                wrong_cad,
+                Term::PhantomMarkerCad,
+                seed,
+            ),
             t_phantom_phantom_marker: t_phantom_phantom_marker_cad * print_error(&params.phantom, seed),
-            t_ct_bone_marker_slipped: slipped(t_ct_bone_marker, motion, seed),
+            t_ct_bone_marker_slipped: displaced(t_ct_bone_marker, slip, Term::MarkerSlip, seed),
             t_ct_bone_marker,
             laser_marks,
             assessment,
@@ -188,14 +198,13 @@ fn mounting_error(params: &PhantomParams, seed: u64) -> Isometry3<f64> {
     small_motion(rng, params.mounting_mm, params.mounting_deg.to_radians())
 }
 
-/// `t_ct_bone_marker` after the marker has slipped on the bone, before the touches.
-fn slipped(t_ct_bone_marker: Isometry3<f64>, motion: &MotionParams, seed: u64) -> Isometry3<f64> {
-    if motion.marker_slip_mm <= 0.0 && motion.marker_slip_deg <= 0.0 {
-        return t_ct_bone_marker;
+/// The pose of a marker on an object, displaced by these sizes in random directions: itself if both are 0.
+fn displaced(t_object_marker: Isometry3<f64>, [shift_mm, turn_deg]: [f64; 2], term: Term, seed: u64) -> Isometry3<f64> {
+    if shift_mm <= 0.0 && turn_deg <= 0.0 {
+        return t_object_marker;
     }
-    let rng = &mut stream(seed, Term::MarkerSlip, 0);
-    let (shift, turn) = random_motion(rng, motion.marker_slip_mm, motion.marker_slip_deg);
-    t_ct_bone_marker * Isometry3::new(shift, turn)
+    let (shift, turn) = random_motion(&mut stream(seed, term, 0), shift_mm, turn_deg);
+    t_object_marker * Isometry3::new(shift, turn)
 }
 
 /// Shift (mm) and rotation vector (rad) of the given sizes in random directions.

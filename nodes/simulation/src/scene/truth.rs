@@ -18,7 +18,8 @@ impl Scene<'_> {
         let planes_at = |s: f64| self.plan.planes.transformed("world", &self.bone_path.at(s)).at(tracker.stamp(s));
         Truth {
             bone: self.bone.clone(),
-            t_camera_camera_marker: Pose::new("camera", "camera_marker", self.t_camera_camera_marker),
+            t_camera_camera_marker: Pose::new("camera", "camera_marker", self.t_camera_camera_marker_knocked),
+            t_camera_camera_marker_at_calibration: Pose::new("camera", "camera_marker", self.t_camera_camera_marker),
             t_phantom_phantom_marker: Pose::new("phantom", "phantom_marker", self.t_phantom_phantom_marker),
             t_camera_phantom: Pose::new(
                 "camera",

@@ -23,7 +23,8 @@ pub struct Params {
     /// A bone of your own.
     #[serde(flatten)]
     pub own: OwnBone,
-    /// The built-in bone; the same for every node that simulates it.
+    /// The built-in bone, and what makes another of it. The same for every node that simulates it, but to simulate the
+    /// plan of a wrong bone.
     pub bone: BoneParams,
 }
 
