@@ -9,6 +9,9 @@ mod report;
 mod results;
 #[cfg(test)]
 mod tests;
+pub mod verdict;
+#[cfg(test)]
+mod verdict_tests;
 
 pub use crate::runtime::{
     BuildFault, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer, Refusal, Spread,
@@ -17,6 +20,7 @@ pub use crate::runtime::{
 pub use crate::{answer_cache::CachedAnswer, options::RunOptions};
 pub(crate) use finished::{Finished, WireItems};
 pub use report::{Outcome, RunError, RunReport};
+pub use verdict::{Answer, Reason, Verdict};
 
 use crate::{
     answer_cache::StoredAnswers,
@@ -135,7 +139,7 @@ pub(crate) fn run_part(
     });
     if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
         // The user did not stop the run.
-        results["refused"] = serde_json::json!({ "reason": error.to_string() });
+        results = results::not_recorded(options, &error.to_string());
     }
     let mut report = report_of(plan, finished, outcome, results);
     report.latencies = latencies;
