@@ -38,7 +38,7 @@ use std::{path::Path, time::SystemTime};
 /// Runs the graph to its end and writes the files that `options` ask for.
 ///
 /// The report covers failed nodes, missing results and interruptions; `results.json` then holds the reason and no
-/// results.
+/// results. If the verdict on the results does not suffice, it holds the verdict and those results that are reports.
 ///
 /// # Errors
 /// [`RunError`] if a node cannot be built from its parameters, or a file of the run cannot be written.
