@@ -37,6 +37,7 @@ mod summary_table;
 mod sweep;
 mod text_table;
 mod validate;
+mod verdict_lines;
 mod watch;
 
 pub(crate) use exit::{Exit, UsageError};

@@ -88,6 +88,22 @@ fn broken_graphs_whose_kinds_and_parameters_are_wrong_do_not_fit() {
 }
 
 #[test]
+fn a_verdict_is_one_wire_and_require_one_of_two_words() {
+    let validator = validator();
+    for (results, fits) in [
+        ("verdict = \"a.b\"\nrequire = \"trusted\"", true),
+        ("verdict = { from = \"a.b\" }\nrequire = \"doubtful\"", true),
+        ("require = \"a.b\"", false),
+        ("verdict = { from = \"a.b\", all = true }", false),
+        ("verdict = { from = \"a.b\", optional = true }", false),
+        ("other = { from = \"a.b\", optional = true }", true),
+    ] {
+        let text = format!("[graph]\nformat = 1\n[results]\n{results}\n");
+        assert_eq!(validator.is_valid(&graph(&text)), fits, "{results}");
+    }
+}
+
+#[test]
 fn the_example_of_every_kind_fits_its_own_schema() {
     let registry = osteoflow_standard::registry();
     for kind in registry.kinds() {

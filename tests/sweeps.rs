@@ -113,7 +113,7 @@ fn the_summary_counts_units_and_compares_in_pairs() {
     assert_eq!(points["n"], 30);
     assert!(points["within_points"]["sd_within"].is_number() && points["within_procedures"]["sd_within"].is_number());
     let rows = fs::read_to_string(path(Path::new(&out), "runs.csv")).unwrap();
-    assert_eq!(rows.lines().next().unwrap(), "run,bone,icp,procedure,seed,status,tre_mm,reason");
+    assert_eq!(rows.lines().next().unwrap(), "run,bone,icp,procedure,seed,status,verdict,tre_mm,reason");
     assert_eq!(rows.lines().count(), 13);
     let points = fs::read_to_string(path(Path::new(&out), "points.csv")).unwrap();
     assert_eq!(points.lines().next().unwrap(), "run,bone,icp,procedure,seed,measure,point,axis,value_mm");

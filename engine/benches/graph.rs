@@ -2,6 +2,7 @@
 
 use osteoflow_engine::plan::{
     Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, PortFrames, RecordSettings,
+    Require,
 };
 use osteoflow_node::{OutputPorts, Registry, serde_json};
 use std::sync::Arc;
@@ -59,6 +60,7 @@ pub(crate) fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Optio
         links,
         record: Vec::new(),
         results: Vec::new(),
+        require: Require::default(),
         input_files: Vec::new(),
         plugins: Vec::new(),
         resolved: String::new(),

@@ -1,7 +1,9 @@
 //! Plans for the unit tests of the engine.
 #![allow(clippy::unwrap_used)]
 
-use crate::plan::{Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, ResultEntry};
+use crate::plan::{
+    Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, Require, ResultEntry,
+};
 use osteoflow_node::{
     DeclaredPort, Join, OutputPorts, Payload, PortPayload, Source,
     serde_json::{Value as Json, json},
@@ -26,6 +28,7 @@ impl PlanBuilder {
                 record: Vec::new(),
                 recording: Default::default(),
                 results: Vec::new(),
+                require: Require::default(),
                 input_files: Vec::new(),
                 plugins: Vec::new(),
                 resolved: "[graph]\nname = \"toy\"\n".into(),
@@ -142,6 +145,12 @@ impl PlanBuilder {
         let location = Location { file: "toy.toml".into(), line: 90, column: 1 };
         let from = self.wire(wire);
         self.plan.results.push(ResultEntry { key: key.into(), from, all, optional, location });
+        self
+    }
+
+    /// Refuses doubtful results.
+    pub(crate) fn require_trusted(mut self) -> Self {
+        self.plan.require = Require::Trusted;
         self
     }
 

@@ -9,17 +9,19 @@ use crate::{
     check::{check, check_recorded},
     diff,
     fault::Faults,
+    graph::grammar::VERDICT,
     options::RunOptions,
     partial::{self, Failing, NodeMode, Pace, Player},
     plan::{OutputId, Plan, Sources},
     plugin::Kinds,
     recording::{Recording, RecordingError},
-    run::{self, RunError, RunReport},
+    run::{self, RunError, RunReport, Verdict},
     runtime::{Observer, Replayed, Substitutes},
 };
 use compare::Compare;
 use osteoflow_node::{Body, ClockReading, Item, Join, PortPayload, Registry, Role, StampNs};
 use std::{
+    borrow::Cow,
     collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
     str::FromStr,
@@ -542,6 +544,19 @@ fn comparisons(
     wires
 }
 
+/// The results without the verdict of a run that failed: it repeats the refusal, with a remedy that depends on whether
+/// the failed item was saved.
+fn without_failure(results: &serde_json::Value) -> Cow<'_, serde_json::Value> {
+    match Verdict::of(results) {
+        Some(verdict) if !verdict.is_judged() => {
+            let mut results = results.clone();
+            results.as_object_mut().map(|results| results.shift_remove(VERDICT));
+            Cow::Owned(results)
+        }
+        _ => Cow::Borrowed(results),
+    }
+}
+
 /// Compares the results. Of a refusal by a played node only node and reason are compared, since its activations are
 /// numbered differently.
 fn same_results(
@@ -551,7 +566,7 @@ fn same_results(
 ) -> bool {
     let node = recorded["refused"]["node"].as_str();
     if node.is_none_or(is_computed) {
-        return recorded == replayed;
+        return without_failure(recorded) == without_failure(replayed);
     }
     let refused =
         |results: &serde_json::Value| (results["refused"]["node"].clone(), results["refused"]["reason"].clone());

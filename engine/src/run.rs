@@ -9,6 +9,9 @@ mod report;
 mod results;
 #[cfg(test)]
 mod tests;
+pub mod verdict;
+#[cfg(test)]
+mod verdict_tests;
 
 pub use crate::runtime::{
     BuildFault, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer, Refusal, Spread,
@@ -17,6 +20,7 @@ pub use crate::runtime::{
 pub use crate::{answer_cache::CachedAnswer, options::RunOptions};
 pub(crate) use finished::{Finished, WireItems};
 pub use report::{Outcome, RunError, RunReport};
+pub use verdict::{Answer, Reason, Verdict};
 
 use crate::{
     answer_cache::StoredAnswers,
@@ -34,7 +38,7 @@ use std::{path::Path, time::SystemTime};
 /// Runs the graph to its end and writes the files that `options` ask for.
 ///
 /// The report covers failed nodes, missing results and interruptions; `results.json` then holds the reason and no
-/// results.
+/// results. If the verdict on the results does not suffice, it holds the verdict and those results that are reports.
 ///
 /// # Errors
 /// [`RunError`] if a node cannot be built from its parameters, or a file of the run cannot be written.
@@ -135,7 +139,7 @@ pub(crate) fn run_part(
     });
     if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
         // The user did not stop the run.
-        results["refused"] = serde_json::json!({ "reason": error.to_string() });
+        results = results::not_recorded(options, &error.to_string());
     }
     let mut report = report_of(plan, finished, outcome, results);
     report.latencies = latencies;

@@ -54,6 +54,10 @@ pub fn schema(registry: &Registry) -> Value {
             "results": {
                 "description": "What results.json holds: a key with dots, and the wire whose last value it takes.",
                 "type": "object",
+                "properties": { grammar::VERDICT: verdict(), grammar::REQUIRE: {
+                    "enum": grammar::REQUIRED, "default": "doubtful",
+                    "description": "The answer that the verdict must give at least: with \"trusted\", doubtful results are refused.",
+                } },
                 "additionalProperties": { "$ref": "#/definitions/result" },
             },
             "module": module(),
@@ -130,6 +134,15 @@ fn record() -> Value {
             "views": { "type": "boolean", "default": true, "description": "Whether pictures for viewers are recorded beside the exact values." },
         }),
     )
+}
+
+/// The entry `verdict` of `[results]`.
+fn verdict() -> Value {
+    let table = closed(&["from"], "", json!({ "from": { "$ref": "#/definitions/wire" } }));
+    json!({
+        "description": "The wire whose last value is the verdict on all results: trusted, doubtful or refused, with the reasons.",
+        "anyOf": [{ "$ref": "#/definitions/wire" }, required(table, "from")],
+    })
 }
 
 fn module() -> Value {

@@ -2,10 +2,11 @@ use super::{
     Exit, Format, Global, PluginArgs, UsageError, diff, out_dir, print_json,
     progress::Progress,
     result_table,
-    run::Leave,
+    run::{self, Leave},
     run_table,
     running::{self, Ran},
     text_table::TextTable,
+    verdict_lines,
 };
 use anyhow::Result;
 use clap::Args;
@@ -144,6 +145,7 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
         writeln!(err, "{word}: also computed, because their outputs were not recorded: {nodes}")?;
     }
     if let Outcome::Refused(refusal) = &report.run.outcome {
+        let refusal = verdict_lines::refusal_in_short(refusal, &report.run.results);
         writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?;
     }
     if exit == Exit::Interrupted {
@@ -156,11 +158,11 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
     }
     let mut table = TextTable::new("wires", &["recorded", "replayed"]);
     for wire in &report.wires {
-        table.row(&wire.wire, [wire.n_recorded.to_string(), wire.n_replayed.to_string(), verdict(wire)]);
+        table.row(&wire.wire, [wire.n_recorded.to_string(), wire.n_replayed.to_string(), comparison(wire)]);
     }
     writeln!(out, "{}", table.lines())?;
-    if report.run.outcome == Outcome::Complete {
-        writeln!(out, "{}", result_table::text(&report.run.results))?;
+    if run::has_table(&report.run) {
+        writeln!(out, "{}", result_table::text(&report.run.results, global))?;
     }
     if let Some(wire) = report.first_divergence()
         && let Some(Difference { item, what }) = &wire.first_difference
@@ -207,7 +209,7 @@ fn format_difference(what: &osteoflow_engine::diff::Difference) -> String {
     format!("{}: {} was recorded, {} came{apart}", what.field, what.a, what.b)
 }
 
-fn verdict(wire: &WireComparison) -> String {
+fn comparison(wire: &WireComparison) -> String {
     match (&wire.first_difference, wire.part) {
         (Some(Difference { item, what }), _) => format!("differs first at item {item}, in {}", what.field),
         (None, WirePart::Played) => "played".into(),

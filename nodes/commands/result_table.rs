@@ -1,19 +1,19 @@
-//! Tables of a run's results: the known keys of `results.json` in mm and degrees.
+//! Tables of a run's results: the verdict, and the known keys of `results.json` in mm and degrees.
 
-use super::text_table::TextTable;
+use super::{Global, text_table::TextTable, verdict_lines};
 use osteoflow_geometry::{isometry_from_matrix, nalgebra::Matrix4};
 use serde_json::Value;
 
 /// The notice on every result, on the terminal and in files.
 pub(crate) const NOTICE: &str = "research use only, not for clinical use";
 
-/// The tables of the known keys in `results`; other keys are shown by the file only.
-pub(crate) fn text(results: &Value) -> String {
-    blocks(results, tables(results))
+/// The verdict and the tables of the known keys in `results`; other keys are shown by the file only.
+pub(crate) fn text(results: &Value, global: &Global) -> String {
+    blocks(results, tables(results), global)
 }
 
-/// The tables of the known keys, with the values of an earlier run below those that have changed.
-pub(crate) fn text_beside(results: &Value, earlier: &Value) -> String {
+/// The verdict and the tables of the known keys, with the values of an earlier run below those that have changed.
+pub(crate) fn text_beside(results: &Value, earlier: &Value, global: &Global) -> String {
     let mut now = tables(results);
     let earlier = tables(earlier);
     for table in &mut now {
@@ -21,14 +21,12 @@ pub(crate) fn text_beside(results: &Value, earlier: &Value) -> String {
             table.beside(was);
         }
     }
-    blocks(results, now)
+    blocks(results, now, global)
 }
 
-fn blocks(results: &Value, tables: Vec<TextTable>) -> String {
-    let mut blocks = vec![banner(results)];
-    if let Some(refused) = results.get("refused") {
-        blocks.push(format!("refused: {}\n", plain(refused)));
-    }
+fn blocks(results: &Value, tables: Vec<TextTable>, global: &Global) -> String {
+    let mut blocks: Vec<_> = verdict_lines::text(results, global).into_iter().collect();
+    blocks.push(banner(results));
     blocks.extend(tables.iter().map(TextTable::lines));
     blocks.join("\n")
 }
@@ -167,19 +165,31 @@ fn some(table: TextTable) -> Option<TextTable> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::commands::{Colour, Format};
     use serde_json::json;
+
+    fn shown(results: &Value) -> String {
+        text(results, &Global { format: Format::Text, quiet: false, verbose: 0, color: Colour::Never })
+    }
 
     #[test]
     fn the_banner_has_simulation_surface_and_intended_use() {
-        let tables = text(&json!({ "simulated": true, "ct_surface": "simulated_ct" }));
+        let tables = shown(&json!({ "simulated": true, "ct_surface": "simulated_ct" }));
         assert_eq!(tables, "SIMULATED, ct_surface = simulated_ct, research use only, not for clinical use\n");
+    }
+
+    #[test]
+    fn the_verdict_comes_before_the_banner() {
+        let verdict = json!({ "answer": "trusted", "sentence": "it holds", "reasons": [] });
+        let tables = shown(&json!({ "verdict": verdict, "simulated": true }));
+        assert_eq!(tables, "verdict  trusted: it holds\n\nSIMULATED, research use only, not for clinical use\n");
     }
 
     #[test]
     fn known_keys_become_tables_in_mm_and_degrees() {
         let quarter_turn = [[0.0, -1.0, 0.0, 1.0], [1.0, 0.0, 0.0, -2.0], [0.0, 0.0, 1.0, 3.5], [0.0, 0.0, 0.0, 1.0]];
         let point = json!({ "name": "M1", "x": -0.0001, "y": 0.25, "z": -1.5, "norm": 1.52 });
-        let tables = text(&json!({
+        let tables = shown(&json!({
             "poses": { "t_ct_world": { "to": "ct", "from": "world", "matrix": quarter_turn } },
             "planes": [
                 { "name": "cut_1", "frame": "world", "stamp_ns": 1, "matrix": quarter_turn },

@@ -3,7 +3,7 @@ use super::{
     progress::Progress,
     result_table, run_table,
     running::{self, Ran},
-    watch,
+    verdict_lines, watch,
 };
 use anyhow::Result;
 use clap::Args;
@@ -139,7 +139,7 @@ pub(crate) fn print_end(report: &RunReport, dir: &Path, global: &Global) -> Resu
     let exit = print_warnings_and_failure(report, global)?;
     match global.format {
         Format::Json => print_json(&with_outcome(report, exit, dir))?,
-        Format::Text => print_text(report, &result_table::text(&report.results), dir, global)?,
+        Format::Text => print_text(report, &result_table::text(&report.results, global), dir, global)?,
     }
     Ok(exit)
 }
@@ -157,7 +157,10 @@ pub(super) fn print_warnings_and_failure(report: &RunReport, global: &Global) ->
         writeln!(err, "{word}: node \"{}\", item {}: {}", warning.node, warning.item, warning.message)?;
     }
     match &report.outcome {
-        Outcome::Refused(refusal) => writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?,
+        Outcome::Refused(refusal) => {
+            let refusal = verdict_lines::refusal_in_short(refusal, &report.results);
+            writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?
+        }
         Outcome::Interrupted => writeln!(err, "{}: there are no results", global.paint_err("interrupted", "1;33"))?,
         Outcome::Complete => {}
     }
@@ -178,13 +181,18 @@ fn print_repro_commands(err: &mut impl Write, report: &RunReport) -> Result<()> 
     Ok(())
 }
 
+/// Whether there is something to show: results, or a verdict that refuses them.
+pub(super) fn has_table(report: &RunReport) -> bool {
+    report.outcome == Outcome::Complete || verdict_lines::judged(&report.results).is_some()
+}
+
 /// Prints the tables and the paths of the files.
 pub(super) fn print_text(report: &RunReport, table: &str, dir: &Path, global: &Global) -> Result<()> {
     let mut out = std::io::stdout().lock();
     if global.verbose > 0 {
         writeln!(out, "{}", run_table::text(report))?;
     }
-    if report.outcome == Outcome::Complete {
+    if has_table(report) {
         writeln!(out, "{table}")?;
     }
     let files = [files::RESULTS, files::MANIFEST, files::RECORDING].into_iter().filter(|f| dir.join(f).exists());

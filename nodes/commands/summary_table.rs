@@ -18,6 +18,9 @@ pub(crate) fn text(summary: &Value) -> String {
     for group in summary["groups"].as_array().into_iter().flatten() {
         parts.push(of_group(group));
     }
+    if summary["groups"].as_array().is_some_and(|groups| groups.len() > 1) {
+        parts.extend(verdicts(summary).map(|line| format!("in all: {line}")));
+    }
     parts.extend(about_few(summary).map(|about| about + "\n"));
     parts.extend(of_comparisons(summary));
     parts.join("\n")
@@ -52,7 +55,18 @@ fn of_group(group: &Value) -> String {
         });
         (name, row, remarks.join("; "))
     });
-    table(&title, rows.collect())
+    let verdicts = verdicts(group).map(|line| format!("  {line}")).unwrap_or_default();
+    table(&title, rows.collect()) + &verdicts
+}
+
+/// The number of runs with each verdict, as a line; `None` if no run has one.
+fn verdicts(of: &Value) -> Option<String> {
+    let counts = of["verdicts"].as_object()?;
+    let judged: u64 = counts.values().filter_map(Value::as_u64).sum();
+    let mut words: Vec<_> = counts.iter().map(|(answer, n)| format!("{n} {answer}")).collect();
+    let without = of["n_runs"].as_u64().unwrap_or_default().saturating_sub(judged);
+    words.extend((without > 0).then(|| format!("{without} without a verdict")));
+    (judged > 0).then(|| format!("verdicts: {}\n", words.join(", ")))
 }
 
 /// The comparisons, if there are any.
@@ -78,4 +92,34 @@ fn table(title: &str, rows: Vec<(String, TableRow, String)>) -> String {
         table.row(name, cells.iter().map(Cell::plain).chain(Some(remark).filter(|remark| !remark.is_empty())));
     }
     table.lines()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn verdicts_are_counted_below_each_setting_and_in_all_if_there_are_any() {
+        let summary = |verdicts: [Value; 3]| {
+            let [a, b, all] = verdicts;
+            let group =
+                |icp: &str, verdicts: Value| json!({ "setting": { "icp": icp }, "n_runs": 3, "verdicts": verdicts });
+            json!({ "notice": "", "n_runs": 6, "verdicts": all, "groups": [group("p", a), group("q", b)] })
+        };
+        let counts = |trusted: u64, refused: u64| json!({ "trusted": trusted, "doubtful": 1, "refused": refused });
+        let shown = text(&summary([counts(2, 0), counts(0, 1), counts(2, 1)]));
+        for line in [
+            "  verdicts: 2 trusted, 1 doubtful, 0 refused\n",
+            "  verdicts: 0 trusted, 1 doubtful, 1 refused, 1 without a verdict\n",
+            "in all: verdicts: 2 trusted, 1 doubtful, 1 refused, 2 without a verdict\n",
+        ] {
+            assert!(shown.contains(line), "{shown}\nlacks\n{line}");
+        }
+        // Summaries of earlier versions count none.
+        let none = json!({ "trusted": 0, "doubtful": 0, "refused": 0 });
+        for nothing in [none, Value::Null] {
+            assert!(!text(&summary([nothing.clone(), nothing.clone(), nothing])).contains("verdict"));
+        }
+    }
 }

@@ -228,8 +228,8 @@ impl Watch {
             }
             Format::Text => {
                 let table = match earlier {
-                    Some(earlier) => result_table::text_beside(&report.results, earlier),
-                    None => result_table::text(&report.results),
+                    Some(earlier) => result_table::text_beside(&report.results, earlier, &self.global),
+                    None => result_table::text(&report.results, &self.global),
                 };
                 run::print_text(&report, &table, dir, &self.global)?;
                 let mut out = std::io::stdout().lock();

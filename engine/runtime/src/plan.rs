@@ -24,6 +24,8 @@ pub struct Plan {
     pub recording: RecordSettings,
     /// The entries of `results.json`, in the order of the file.
     pub results: Vec<ResultEntry>,
+    /// The answer that the verdict on the results must give at least.
+    pub require: Require,
     /// The files that parameters name, absolute.
     pub input_files: Vec<PathBuf>,
     /// The plugins that the graph names, and other plugins whose kinds it uses.
@@ -242,6 +244,16 @@ pub struct ResultEntry {
     pub optional: bool,
     /// Where the entry is written.
     pub location: Location,
+}
+
+/// The answer that the verdict on the results must give at least: the setting `require` of `[results]`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Require {
+    /// Doubtful results pass.
+    #[default]
+    Doubtful,
+    /// Doubtful results are refused.
+    Trusted,
 }
 
 /// A place in a graph file.

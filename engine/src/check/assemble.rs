@@ -1,5 +1,10 @@
 use super::{
-    frames::Frames, inputs::Input, parsed_nodes::ParsedNode, record::Record, resolved, results::Result,
+    frames::Frames,
+    inputs::Input,
+    parsed_nodes::ParsedNode,
+    record::Record,
+    resolved,
+    results::{Result, Results},
     wires::OutputIndex,
 };
 use crate::{
@@ -20,7 +25,7 @@ pub(super) struct Net<'a> {
     pub(super) order: Vec<usize>,
     pub(super) frames: Frames,
     pub(super) record: Record,
-    pub(super) results: Vec<Result>,
+    pub(super) results: Results,
 }
 
 /// The plugins that the graph names, and other plugins whose kinds it uses.
@@ -73,7 +78,8 @@ impl Net<'_> {
             links,
             record,
             recording: self.record.settings,
-            results: self.results.iter().map(result).collect(),
+            results: self.results.entries.iter().map(result).collect(),
+            require: self.results.require,
             input_files,
             plugins: self.plugins.clone(),
             resolved: resolved::text(self),

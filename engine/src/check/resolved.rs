@@ -1,7 +1,7 @@
 //! Writes the resolved graph as the text of a graph file.
 
 use super::{assemble::Net, inputs::Input, parsed_nodes::ParsedNode, wires};
-use crate::plan::{OnError, Policy, PortFrames, RecordSettings, Sources};
+use crate::plan::{OnError, Policy, PortFrames, RecordSettings, Require, Sources};
 use osteoflow_node::Join;
 use serde_json::Value as Json;
 use std::fmt::Write;
@@ -35,7 +35,10 @@ pub(super) fn text(net: &Net<'_>) -> String {
     let wires = net.record.wires.iter().map(|wire| quote(&wires::name(*wire, &net.parsed_nodes)));
     line(&mut out, &format!("wires = {}", list(wires)));
     line(&mut out, "\n[results]");
-    for result in &net.results {
+    if net.results.require == Require::Trusted {
+        line(&mut out, "require = \"trusted\"");
+    }
+    for result in &net.results.entries {
         let mut parts = vec![format!("from = {}", quote(&wires::name(result.from, &net.parsed_nodes)))];
         parts.extend(result.all.then(|| "all = true".into()));
         parts.extend(result.optional.then(|| "optional = true".into()));

@@ -5,7 +5,11 @@ use super::{
 };
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Graph, Value, extract, grammar},
+    graph::{
+        Entry, Graph, Table, Value, extract,
+        grammar::{self, REQUIRE, VERDICT},
+    },
+    plan::Require,
 };
 
 /// The key that the engine writes when a run is refused.
@@ -20,15 +24,51 @@ pub(super) struct Result {
     pub(super) optional: bool,
 }
 
+/// The contents of `[results]`.
+#[derive(Default)]
+pub(super) struct Results {
+    /// The entries, in the order of the file.
+    pub(super) entries: Vec<Result>,
+    pub(super) require: Require,
+}
+
 impl Check<'_> {
-    /// Reads `[results]`, in the order of the file.
-    pub(super) fn results(&mut self, graph: &Graph, parsed_nodes: &[ParsedNode<'_>]) -> Vec<Result> {
-        let Some(entry) = graph.table.get("results") else { return Vec::new() };
-        let Some(table) = extract::table(&entry.value, "results", &mut self.faults) else { return Vec::new() };
+    /// Reads `[results]`.
+    pub(super) fn results(&mut self, graph: &Graph, parsed_nodes: &[ParsedNode<'_>]) -> Results {
+        let Some(entry) = graph.table.get("results") else { return Results::default() };
+        let Some(table) = extract::table(&entry.value, "results", &mut self.faults) else { return Results::default() };
         for (index, entry) in table.0.iter().enumerate() {
             self.key(entry, &table.0[..index]);
         }
-        table.0.iter().filter_map(|entry| self.result(entry, parsed_nodes)).collect()
+        let require = table.get(REQUIRE).map(|entry| self.require(entry, table.get(VERDICT).is_some()));
+        let entries = table.0.iter().filter(|entry| entry.key != REQUIRE);
+        let entries = entries.filter_map(|entry| self.result(entry, parsed_nodes)).collect();
+        Results { entries, require: require.unwrap_or_default() }
+    }
+
+    /// The answer that the verdict must give at least.
+    fn require(&mut self, entry: &Entry, has_verdict: bool) -> Require {
+        if !has_verdict {
+            let fault = Fault::new("[results] says what it requires of the verdict, but the graph has no verdict");
+            let removed = self.names.removed.at("results.verdict");
+            let fault = removed.into_iter().fold(fault.at(&entry.key_at, "of no verdict"), |fault, at| {
+                fault.also(at, "the verdict is removed here")
+            });
+            let help = "add verdict = \"node.port\", a wire with the verdict on the results, or remove require";
+            self.faults.push(fault.help(help));
+        }
+        match entry.value.as_text() {
+            Some("doubtful") => Require::Doubtful,
+            Some("trusted") => Require::Trusted,
+            text => {
+                let found = text.map_or_else(|| entry.value.found(), |text| format!("\"{text}\""));
+                let fault = Fault::new(format!("require takes \"doubtful\" or \"trusted\", found {found}"));
+                let help = "\"trusted\" refuses doubtful results, \"doubtful\" lets them pass; no result can be called \
+                            require";
+                self.faults.push(fault.at(&entry.value.at, "not known").help(help));
+                Require::default()
+            }
+        }
     }
 
     fn key(&mut self, entry: &Entry, before: &[Entry]) {
@@ -42,6 +82,15 @@ impl Check<'_> {
             self.faults.push(fault.help("\"refused\" says why a run has no results; choose another name"));
         }
         let inside = |outer: &str, inner: &str| inner.strip_prefix(outer).is_some_and(|rest| rest.starts_with('.'));
+        if inside(VERDICT, key) || inside(REQUIRE, key) {
+            let fault = Fault::new(format!("a result cannot be called \"{key}\"")).at(&entry.key_at, "taken");
+            let help = match inside(VERDICT, key) {
+                true => "\"verdict\" is one wire, with the verdict on the results: verdict = \"node.port\"",
+                false => "\"require\" is the answer that the verdict must give at least; choose another name",
+            };
+            self.faults.push(fault.help(help));
+            return;
+        }
         let clash = before.iter().find(|other| inside(&other.key, key) || inside(key, &other.key));
         if let Some(other) = clash {
             let (outer, inner) = if inside(&other.key, key) { (&other.key, key) } else { (key, &other.key) };
@@ -62,6 +111,9 @@ impl Check<'_> {
                     let value =
                         value.and_then(|e| extract::boolean(&e.value, &format!("{owner}: {key}"), &mut self.faults));
                     *slot = value.unwrap_or(false);
+                    if *slot && entry.key == VERDICT {
+                        self.refuse_flag_of_verdict(key, table);
+                    }
                 }
                 let Some(from) = table.get("from") else {
                     let fault =
@@ -81,5 +133,15 @@ impl Check<'_> {
         let text = extract::text(from, &format!("{owner}: from"), &mut self.faults)?;
         let from = wires::find(text, &from.at, &owner, parsed_nodes, &self.names, &mut self.faults)?;
         Some(Result { key: entry.key.clone(), key_at: entry.key_at.clone(), from, all, optional })
+    }
+
+    /// A fault for `all` or `optional` of the verdict.
+    fn refuse_flag_of_verdict(&mut self, key: &str, table: &Table) {
+        let Some(flag) = table.get(key) else { return };
+        let (message, help) = match key {
+            "all" => ("there is one verdict, the last value of its wire", "remove all"),
+            _ => ("the verdict is never optional: results without one would pass unjudged", "remove optional"),
+        };
+        self.faults.push(Fault::new(message).at(&flag.key_at, "not here").help(help));
     }
 }

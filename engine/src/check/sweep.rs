@@ -18,7 +18,7 @@ use crate::{
 const REPEAT: &str = "repeat";
 
 /// Columns that the sweep writes itself; no factor or column may have these names.
-const OWN: [&str; 9] = ["run", "seed", "status", "reason", "measure", "point", "axis", "value", "value_mm"];
+const OWN: [&str; 10] = ["run", "seed", "status", "verdict", "reason", "measure", "point", "axis", "value", "value_mm"];
 
 /// Maximum number of repeats, and of runs of a sweep.
 pub(super) const MAX_RUNS: usize = 1_000_000;
@@ -27,7 +27,8 @@ pub(super) const MAX_RUNS: usize = 1_000_000;
 pub(crate) fn read(table: &Table, faults: &mut Vec<Fault>) -> Option<Spec> {
     let entry = table.get("sweep")?;
     let results = table.get("results").and_then(|entry| entry.value.as_table());
-    let results = results.into_iter().flat_map(Table::keys).map(str::to_owned).collect();
+    let results = results.into_iter().flat_map(Table::keys).filter(|key| *key != grammar::REQUIRE);
+    let results = results.map(str::to_owned).collect();
     let table = extract::table(&entry.value, "sweep", faults)?;
     Reader { at: &entry.key_at, faults }.spec(table, results)
 }
@@ -98,7 +99,7 @@ impl Reader<'_> {
                 if OWN.contains(&entry.key.as_str()) || !extract::is_name(&entry.key) {
                     let message = format!("a column of the sweep cannot be called \"{}\"", entry.key);
                     let help = "take letters, digits, _ and -, and none of the names that every table has: run, seed, \
-                                status, reason, measure, point, axis, value";
+                                status, verdict, reason, measure, point, axis, value";
                     self.fault(&entry.key_at, message, "taken, or no plain name", help);
                 }
                 if let Some(first) = seen.iter().find(|first| first.key == entry.key) {

@@ -14,6 +14,12 @@ pub(crate) const INPUT: [&str; 9] =
     ["from", "capacity", "max_bytes", "policy", "every", "join", "tolerance_ms", "max_gap_ms", "n"];
 /// `[record]`.
 pub(crate) const RECORD: [&str; 4] = ["wires", "sources", "compression", "views"];
+/// The entry of `[results]` that is the verdict on the results.
+pub(crate) const VERDICT: &str = "verdict";
+/// The key of `[results]` that is no wire: the answer that the verdict must give at least.
+pub(crate) const REQUIRE: &str = "require";
+/// The answers that `require` takes.
+pub(crate) const REQUIRED: [&str; 2] = ["doubtful", "trusted"];
 /// An entry of `[results]`.
 pub(crate) const RESULT: [&str; 3] = ["from", "all", "optional"];
 /// `[module]`.

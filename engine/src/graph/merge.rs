@@ -1,4 +1,7 @@
-use super::tree::{Entry, Spanned, Table, Value};
+use super::{
+    grammar::REQUIRE,
+    tree::{Entry, Spanned, Table, Value},
+};
 
 /// Merges `over` into `base`, key by key; values other than tables replace.
 ///
@@ -45,7 +48,7 @@ fn merge_values(old: &mut Entry, new: Spanned, path: &mut Vec<String>) {
 fn has_short_form(path: &[String]) -> bool {
     match path {
         [node, _, inputs, _] => node == "node" && inputs == "in",
-        [results, _] => results == "results",
+        [results, key] => results == "results" && key != REQUIRE,
         _ => false,
     }
 }

@@ -4,7 +4,7 @@ pub use crate::repro::{BUNDLE as REPRO_BUNDLE, FOLDER as REPRO, INPUTS as REPRO_
 
 /// The recording: the items of the recorded wires, exactly, and their views.
 pub const RECORDING: &str = "run.mcap";
-/// The values that the graph's `[results]` names, or the reason why there are none.
+/// The verdict on the results, and the values that the graph's `[results]` names or the reason why there are none.
 pub const RESULTS: &str = "results.json";
 /// The provenance of the results: graph, versions, hashes, machine, times and counts.
 pub const MANIFEST: &str = "manifest.json";

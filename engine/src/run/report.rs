@@ -13,7 +13,7 @@ use std::{path::PathBuf, time::Duration};
 pub enum Outcome {
     /// All results are available.
     Complete,
-    /// A node failed or a result is missing.
+    /// A node failed, a result is missing, or the verdict on the results does not suffice.
     Refused(Refusal),
     /// The user stopped it.
     Interrupted,
@@ -35,7 +35,7 @@ impl Outcome {
 pub struct RunReport {
     /// How it ended.
     pub outcome: Outcome,
-    /// Content of `results.json`.
+    /// Content of `results.json`; [`Verdict::of`](super::Verdict::of) reads its verdict.
     pub results: serde_json::Value,
     /// Statistics of each node, in the order of the plan.
     pub nodes: Vec<NodeStats>,

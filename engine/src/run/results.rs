@@ -1,54 +1,172 @@
-//! `results.json`: the values that `[results]` names, or why there are none.
+//! `results.json`: the verdict and the values that `[results]` names, or why there are none.
 
-use super::{Finished, Outcome};
+use super::{
+    Finished, Outcome,
+    verdict::{Answer, FAILURE, INTERRUPTED, REQUIRE, Verdict},
+};
 use crate::{
+    graph::grammar::VERDICT,
     options::RunOptions,
-    plan::{OutputId, Plan, ResultEntry},
+    plan::{OutputId, Plan, Require, ResultEntry},
     runtime::{Failure, Refusal, refusal as refusal_of},
 };
 use osteoflow_node::{Body, Role};
 use serde_json::{Map, Value as Json, json};
 
+/// Prefix of the names of payloads that say how the run went. Of refused results, only these are given.
+const REPORT: &str = "report/";
+
 /// Determines how the run ended, and the content of `results.json`.
 pub(crate) fn collect(plan: &Plan, options: &RunOptions, run: &Finished) -> (Outcome, Json) {
-    let mut results = Map::new();
-    for (key, value) in &options.fixed_results {
-        insert(&mut results, key, value.clone());
-    }
     if run.ended.interrupted {
-        results.insert("refused".into(), json!({ "reason": "the run was interrupted before its end" }));
-        return (Outcome::Interrupted, Json::Object(results));
+        return (Outcome::Interrupted, interrupted(options));
     }
-    match values(plan, run) {
-        Ok(values) => {
+    match ended(plan, run) {
+        Ok(Ended { verdict, refusal, values }) => {
+            let mut results = begin(options, verdict);
+            if let Some(refusal) = &refusal {
+                results.insert("refused".into(), refused(refusal));
+            }
             values.into_iter().for_each(|(key, value)| insert(&mut results, key, value));
-            (Outcome::Complete, Json::Object(results))
+            (refusal.map_or(Outcome::Complete, Outcome::Refused), Json::Object(results))
         }
         Err(refusal) => {
-            let mut refused = json!({ "reason": refusal.reason, "node": refusal.node });
-            if let Some(item) = refusal.item {
-                refused["item"] = item.into();
-            }
-            results.insert("refused".into(), refused);
-            (Outcome::Refused(refusal), Json::Object(results))
+            let (remedy, refused) = (remedy(options, run, &refusal), refused(&refusal));
+            (Outcome::Refused(refusal), without_results(options, FAILURE, &remedy, refused))
         }
     }
 }
 
-/// Every entry with its value, or why the whole run is refused.
-fn values<'a>(plan: &'a Plan, run: &Finished) -> Result<Vec<(&'a str, Json)>, Refusal> {
+/// The content of `results.json` of a run that the user stopped.
+fn interrupted(options: &RunOptions) -> Json {
+    let refused = json!({ "reason": "the run was interrupted before its end" });
+    without_results(options, INTERRUPTED, "run it again to its end", refused)
+}
+
+/// The content of `results.json` of a run whose recording could not be written.
+pub(crate) fn not_recorded(options: &RunOptions, why: &str) -> Json {
+    without_results(options, FAILURE, MEND, json!({ "reason": why }))
+}
+
+const MEND: &str = "mend the cause and run again";
+
+/// What to do about a failure. The folder of the run is not named, because the results do not depend on it.
+fn remedy(options: &RunOptions, run: &Finished, refusal: &Refusal) -> String {
+    let saved = run.saved.bundles.iter().find(|b| b.node == refusal.node && Some(b.item) == refusal.item);
+    let inside = saved.and_then(|bundle| bundle.dir.strip_prefix(options.out_dir.as_ref()?).ok());
+    match inside {
+        Some(inside) => {
+            let inside = inside.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>();
+            format!("osteoflow repro DIR/{} runs it again alone, where DIR is the folder of the run", inside.join("/"))
+        }
+        None => MEND.into(),
+    }
+}
+
+/// The verdict, if there is one, and the constants.
+fn begin(options: &RunOptions, verdict: Option<Json>) -> Map<String, Json> {
+    let mut results: Map<_, _> = verdict.map(|verdict| (VERDICT.to_owned(), verdict)).into_iter().collect();
+    for (key, value) in &options.fixed_results {
+        insert(&mut results, key, value.clone());
+    }
+    results
+}
+
+/// The content of `results.json` of a run without results, which `refused` explains.
+fn without_results(options: &RunOptions, rule: &str, remedy: &str, refused: Json) -> Json {
+    let mut reason = json!({ "rule": rule, "answer": Answer::Refused.name() });
+    for key in ["node", "item", "reason"] {
+        if let Some(value) = refused.get(key) {
+            reason[key] = value.clone();
+        }
+    }
+    reason["remedy"] = remedy.into();
+    let verdict = json!({
+        "answer": Answer::Refused.name(), "reasons": [reason], "assumptions": [], "predicted": null,
+    });
+    let mut results = begin(options, Some(verdict));
+    results.insert("refused".into(), refused);
+    Json::Object(results)
+}
+
+/// The key `refused`.
+fn refused(refusal: &Refusal) -> Json {
+    let mut refused = json!({ "reason": refusal.reason, "node": refusal.node });
+    if let Some(item) = refusal.item {
+        refused["item"] = item.into();
+    }
+    refused
+}
+
+/// A run that ended without a failure.
+struct Ended<'a> {
+    verdict: Option<Json>,
+    /// Why the verdict refuses the results.
+    refusal: Option<Refusal>,
+    /// The other entries, by key; of refused results, only the reports.
+    values: Vec<(&'a str, Json)>,
+}
+
+/// The verdict and every entry with its value, or why the whole run is refused.
+fn ended<'a>(plan: &'a Plan, run: &Finished) -> Result<Ended<'a>, Refusal> {
     if let Some(failure) = run.ended.stall.iter().chain(&run.ended.failures).find(|failure| refuses(plan, failure)) {
         return Err(refusal_of(plan, failure));
     }
+    let entry = plan.results.iter().find(|entry| entry.key == VERDICT);
+    let (verdict, refusal) = match entry.map(|entry| judged(plan, run, entry)).transpose()? {
+        Some((verdict, refusal)) => (Some(verdict), refusal),
+        None => (None, None),
+    };
     let mut values = Vec::new();
-    for entry in &plan.results {
+    for entry in plan.results.iter().filter(|entry| entry.key != VERDICT) {
+        if refusal.is_some() && !is_report(run, entry) {
+            continue;
+        }
         match value(run, entry) {
             Some(value) => values.push((entry.key.as_str(), value)),
-            None if entry.optional => {}
+            None if entry.optional || refusal.is_some() => {}
             None => return Err(cause(plan, run, entry.from)),
         }
     }
-    Ok(values)
+    Ok(Ended { verdict, refusal, values })
+}
+
+/// The verdict, and the refusal if it does not suffice.
+fn judged(plan: &Plan, run: &Finished, entry: &ResultEntry) -> Result<(Json, Option<Refusal>), Refusal> {
+    let Some(given) = value(run, entry) else { return Err(cause(plan, run, entry.from)) };
+    let refusal = |reason: String| {
+        let item = run.outputs[entry.from.node][entry.from.port].items.last().map(|item| item.number);
+        refusal_at(plan, entry.from.node, item, reason)
+    };
+    let no_verdict = |why: String| refusal(format!("{} gives no verdict: {why}", plan.wire_name(entry.from)));
+    let verdict = Verdict::read(&given).map_err(no_verdict)?;
+    if let Some(reason) = verdict.reasons().iter().find(|r| [FAILURE, INTERRUPTED, REQUIRE].contains(&&*r.rule)) {
+        return Err(no_verdict(format!("the rule \"{}\" is one of the engine's own; name it otherwise", reason.rule)));
+    }
+    let first = verdict.first().map(ToString::to_string).unwrap_or_default();
+    Ok(match (verdict.answer(), plan.require) {
+        (Answer::Refused, _) => (verdict.into_json(), Some(refusal(format!("the result is refused: {first}")))),
+        (Answer::Doubtful, Require::Trusted) => {
+            let reason = json!({
+                "rule": REQUIRE, "answer": Answer::Refused.name(),
+                "reason": "the result is doubtful, and [results] require = \"trusted\"",
+                "remedy": "remove the doubts, or let doubtful results pass with require = \"doubtful\"",
+            });
+            let why = format!("the result is doubtful, and [results] require = \"trusted\": {first}");
+            (verdict.refused(&reason).into_json(), Some(refusal(why)))
+        }
+        _ => (verdict.into_json(), None),
+    })
+}
+
+/// Whether the values of an entry say how the run went.
+fn is_report(run: &Finished, entry: &ResultEntry) -> bool {
+    let items = &run.outputs[entry.from.node][entry.from.port].items;
+    let first = if entry.all { 0 } else { items.len().saturating_sub(1) };
+    items[first..].iter().all(|item| match &item.body {
+        Body::Value(value) => value.ty().name.starts_with(REPORT),
+        Body::Empty(_) => true,
+    })
 }
 
 /// Whether a failure refuses the run. It does not if only optional results depend on the node. A panic is a bug and
@@ -91,14 +209,6 @@ fn value(run: &Finished, entry: &ResultEntry) -> Option<Json> {
 
 /// Why a wire has no value: the failure or empty that caused it, or the wire that carried no item.
 fn cause(plan: &Plan, run: &Finished, wire: OutputId) -> Refusal {
-    let refusal = |node: usize, item: Option<u64>, reason: String| Refusal {
-        node: plan.nodes[node].name.to_string(),
-        kind: plan.nodes[node].kind.clone(),
-        item,
-        location: plan.nodes[node].location.clone(),
-        reason,
-        panicked: false,
-    };
     let kept = &run.outputs[wire.node][wire.port];
     let last = kept.items.iter().rev().find_map(|item| match &item.body {
         Body::Empty(empty) => Some((item, empty)),
@@ -106,13 +216,26 @@ fn cause(plan: &Plan, run: &Finished, wire: OutputId) -> Refusal {
     });
     let Some((item, empty)) = last else {
         let (node, reason) = silent_wire(plan, run, wire);
-        return refusal(node, None, reason);
+        return refusal_at(plan, node, None, reason);
     };
     let origin = plan.nodes.iter().position(|node| *node.name == *empty.node).unwrap_or(wire.node);
     let failure = run.ended.failures.iter().find(|f| f.node == origin && f.reason == empty.reason);
     match failure {
         Some(failure) => refusal_of(plan, failure),
-        None => refusal(origin, (origin == wire.node).then_some(item.number), empty.reason.clone()),
+        None => refusal_at(plan, origin, (origin == wire.node).then_some(item.number), empty.reason.clone()),
+    }
+}
+
+/// A refusal by a node that did not fail.
+fn refusal_at(plan: &Plan, node: usize, item: Option<u64>, reason: String) -> Refusal {
+    let node = &plan.nodes[node];
+    Refusal {
+        node: node.name.to_string(),
+        kind: node.kind.clone(),
+        item,
+        location: node.location.clone(),
+        reason,
+        panicked: false,
     }
 }
 

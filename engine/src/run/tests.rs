@@ -177,7 +177,8 @@ fn a_failing_node_is_named_with_item_and_line_and_there_are_no_results() {
     let refusal = refusal_of(&report);
     assert_eq!(refusal.to_string(), "toy.toml:11: node \"first\", item 1: 13 is not a number to add to");
     let refused = json!({ "reason": "13 is not a number to add to", "node": "first", "item": 1 });
-    assert_eq!(report.results, json!({ "notice": "toy", "refused": refused }));
+    assert_eq!((&report.results["notice"], &report.results["refused"]), (&"toy".into(), &refused));
+    assert_eq!((report.results.get("pose"), report.results.get("sum")), (None, None));
     let items: Vec<_> = report.nodes.iter().map(|n| (n.name.as_str(), n.items, n.skipped, n.failed)).collect();
     let expected = [("scan", 3, 0, 0), ("first", 2, 0, 1), ("second", 2, 1, 0), ("other", 1, 0, 0)];
     assert_eq!(items, expected, "the failing node ends, the other branch goes on");

@@ -7,7 +7,10 @@ use super::{
     design::SweepRow,
     table::{write_points, write_runs},
 };
-use crate::check::sweep::Spec;
+use crate::{
+    check::sweep::Spec,
+    run::{Answer, Verdict},
+};
 use serde_json::{Value as Json, json};
 use std::{
     fs, io,
@@ -137,6 +140,16 @@ impl Done {
     /// Value of a factor, a draw or the repeat, by name.
     pub fn value(&self, name: &str) -> Option<&Json> {
         self.values.iter().find(|(known, _)| known == name).map(|(_, value)| value)
+    }
+
+    /// Whether all results are available.
+    pub fn is_complete(&self) -> bool {
+        self.status == "complete"
+    }
+
+    /// Answer of the verdict on the results; `None` if nothing judged them.
+    pub fn verdict(&self) -> Option<Answer> {
+        Verdict::of(&self.results).map(|verdict| verdict.answer())
     }
 
     pub(super) fn of(

@@ -34,21 +34,23 @@ fn names(spec: &Spec) -> impl Iterator<Item = &str> {
     factors.chain([spec.repeat_name.as_str()]).chain(spec.draws.iter().map(|draw| draw.name.as_str()))
 }
 
-/// Writes `runs.csv`: run, factors, repeat, draws, seed, status, the columns of the sweep, and the reason why there are
-/// no results.
+/// Writes `runs.csv`: run, factors, repeat, draws, seed, status, the answer of the verdict, the columns of the sweep, and
+/// the reason why there are no results. Of a run whose verdict refuses the results, the columns have what its reports
+/// hold.
 ///
 /// # Errors
 /// If a run cannot be read or the table cannot be written.
 pub fn write_runs(folder: &Folder, spec: &Spec, out: impl Write) -> Result<(), FolderError> {
     let mut table = csv::Writer::from_writer(out);
-    let head = ["run"].into_iter().chain(names(spec)).chain(["seed", "status"]);
+    let head = ["run"].into_iter().chain(names(spec)).chain(["seed", "status", "verdict"]);
     let head = head.chain(spec.columns.iter().map(|column| column.name.as_str())).chain(["reason"]);
     table.write_record(head).map_err(|e| folder.cannot_write(super::folder::RUNS, e))?;
     for done in folder.done()? {
         let done = done?;
         let mut row = vec![done.run.to_string()];
         row.extend(names(spec).map(|name| done.value(name).map(cell).unwrap_or_default()));
-        row.extend([done.seed.to_string(), done.status.clone()]);
+        let verdict = done.verdict().map(|answer| answer.name().to_owned());
+        row.extend([done.seed.to_string(), done.status.clone(), verdict.unwrap_or_default()]);
         row.extend(
             spec.columns.iter().map(|column| at_path(&done.results, &column.path).map(cell).unwrap_or_default()),
         );
@@ -97,26 +99,26 @@ fn value_head(spec: &Spec) -> &'static str {
     }
 }
 
-/// Columns and lists of points, with their paths, that have no value in any complete run; empty if no run is complete.
+/// Columns and lists of points, with their paths, that have no value in any run; empty if no run is complete.
 pub fn without_value<'a>(spec: &'a Spec, runs: &[Done]) -> Vec<(&'a str, &'a str)> {
-    let complete: Vec<_> = runs.iter().filter(|run| run.status == "complete").collect();
-    if complete.is_empty() {
+    if !runs.iter().any(Done::is_complete) {
         return Vec::new();
     }
+    // Refused runs count too: the reasons of a verdict may be in these alone.
     let has = |column: &&Column| {
-        complete.iter().any(|run| at_path(&run.results, &column.path).is_some_and(|value| !value.is_null()))
+        runs.iter().any(|run| at_path(&run.results, &column.path).is_some_and(|value| !value.is_null()))
     };
     let tells = |points: &&PointColumn| {
         // Without axes no values are looked up.
         points.axes.is_empty()
-            || complete.iter().any(|run| point_values(spec, run).iter().any(|value| value.measure == points.name))
+            || runs.iter().any(|run| point_values(spec, run).iter().any(|value| value.measure == points.name))
     };
     let columns = spec.columns.iter().filter(|column| !has(column)).map(|column| (&*column.name, &*column.path));
     let points = spec.points.iter().filter(|points| !tells(points)).map(|points| (&*points.name, &*points.path));
     columns.chain(points).collect()
 }
 
-/// Writes `points.csv` in long format: run, factors, repeat, draws, seed, measure, point, axis, value; `value_mm` if
+/// Writes `points.csv` of the complete runs in long format: run, factors, repeat, draws, seed, measure, point, axis, value; `value_mm` if
 /// every measure is in mm.
 ///
 /// # Errors
@@ -127,6 +129,9 @@ pub fn write_points(folder: &Folder, spec: &Spec, out: impl Write) -> Result<(),
     table.write_record(head).map_err(|e| folder.cannot_write(super::folder::POINTS, e))?;
     for done in folder.done()? {
         let done = done?;
+        if !done.is_complete() {
+            continue;
+        }
         let mut own = vec![done.run.to_string()];
         own.extend(names(spec).map(|name| done.value(name).map(cell).unwrap_or_default()));
         own.push(done.seed.to_string());

@@ -104,9 +104,9 @@ fn the_tables_are_the_same_for_any_number_of_workers_with_and_without_sharing() 
         assert_eq!(desk.sweep(&format!("{name}2"), &options(workers, share)).2, points);
     }
     let lines: Vec<_> = runs.lines().collect();
-    assert_eq!(lines[0], "run,noise,trial,seed,status,last,reason");
-    assert!(lines[1].starts_with("0,false,0,7,complete,"), "{}", lines[1]);
-    assert!(lines[6].starts_with("5,true,2,9,complete,"), "{}", lines[6]);
+    assert_eq!(lines[0], "run,noise,trial,seed,status,verdict,last,reason");
+    assert!(lines[1].starts_with("0,false,0,7,complete,,"), "{}", lines[1]);
+    assert!(lines[6].starts_with("5,true,2,9,complete,,"), "{}", lines[6]);
 }
 
 #[test]
@@ -205,10 +205,110 @@ last = "values.last"
     let (swept, runs, _) = desk.sweep("out", &options(2, true));
     assert_eq!(swept.n_run, 4);
     let lines: Vec<_> = runs.lines().collect();
-    assert_eq!(lines[1], "0,1.0,0,7,complete,2.0,");
-    assert!(lines[2].starts_with("1,13.0,0,7,refused,,") && lines[2].contains("13 is not a number"), "{}", lines[2]);
-    assert!(lines[3].starts_with("2,666.0,0,7,refused,,") && lines[3].contains("the beast"), "{}", lines[3]);
-    assert_eq!(lines[4], "3,2.0,0,7,complete,4.0,");
+    assert_eq!(lines[1], "0,1.0,0,7,complete,,2.0,");
+    assert!(
+        lines[2].starts_with("1,13.0,0,7,refused,refused,,") && lines[2].contains("13 is not a number"),
+        "{}",
+        lines[2]
+    );
+    assert!(lines[3].starts_with("2,666.0,0,7,refused,refused,,") && lines[3].contains("the beast"), "{}", lines[3]);
+    assert_eq!(lines[4], "3,2.0,0,7,complete,,4.0,");
+}
+
+/// Numbers that are judged, with a result that is withheld if they are refused, and a report that is not.
+const JUDGED: &str = r#"
+[graph]
+format = 1
+name = "toy"
+
+[node.scan]
+kind  = "toy.script"
+out   = { p0 = { type = "toy/Number", calls = [] } }
+calls = [{ stamp_ns = 10, give = [[0, 1.5]] }]
+
+[node.fit]
+kind = "toy.add"
+in   = { a = "scan.p0" }
+
+[node.judge]
+kind = "toy.judge"
+in   = { number = "fit.out" }
+doubtful_above = 2.0
+refused_above  = 5.0
+
+[results]
+verdict = "judge.verdict"
+fit     = "fit.out"
+size    = "judge.remark"
+
+[sweep.factor]
+number  = { key = "scan.calls[0].give[0][1]", values = [1.0, 3.0, 9.0, 13.0] }
+require = { key = "results.require", values = ["doubtful", "trusted"] }
+[sweep.columns]
+fit  = "fit"
+size = "size.number"
+rule = "verdict.reasons.0.rule"
+[sweep.points]
+point = { from = "verdict.assumptions", axes = [] }
+"#;
+
+#[test]
+fn each_run_has_its_verdict_and_refused_ones_keep_the_columns_of_their_reports() {
+    let desk = Desk::new(JUDGED);
+    let (_, runs, _) = desk.sweep("out", &options(2, true));
+    assert_eq!(desk.sweep("alone", &options(1, false)).1, runs, "with and without sharing");
+    let rows: Vec<_> = runs.lines().map(|line| line.splitn(10, ',').collect::<Vec<_>>()).collect();
+    assert_eq!(rows[0].join(","), "run,number,require,repeat,seed,status,verdict,fit,size,rule,reason");
+    let columns = |row: usize| [5, 6, 7, 8].map(|column| rows[row + 1][column]);
+    for (row, expected) in [
+        (0, ["complete", "trusted", "1.0", "1.0"]),
+        (1, ["complete", "trusted", "1.0", "1.0"]),
+        (2, ["complete", "doubtful", "3.0", "3.0"]),
+        (3, ["refused", "refused", "", "3.0"]),
+        (4, ["refused", "refused", "", "9.0"]),
+        (5, ["refused", "refused", "", "9.0"]),
+        (6, ["refused", "refused", "", ""]),
+        (7, ["refused", "refused", "", ""]),
+    ] {
+        assert_eq!(columns(row), expected, "run {row}:\n{runs}");
+    }
+    let folder = Folder::open(&desk.path("out")).unwrap();
+    let done: Vec<_> = folder.done().unwrap().map(Result::unwrap).collect();
+    let reason = |run: usize| done[run].reason.clone().unwrap_or_default();
+    assert!(reason(4).ends_with("the result is refused: 9 is too large; take a smaller number"), "{}", reason(4));
+    assert!(reason(3).ends_with("require = \"trusted\": 3 is too large; take a smaller number"), "{}", reason(3));
+    let rule = |run: usize| at_path(&done[run].results, "verdict.reasons.0.rule").and_then(Json::as_str);
+    assert_eq!([2, 3, 4, 6].map(rule), [Some("size"), Some("require"), Some("size"), Some("failure")]);
+    assert_eq!(without_value(&folder.spec().unwrap(), &done), [], "a reason may be in refused runs alone");
+    // A folder of an earlier version, whose runs have no verdict.
+    let path = desk.path("out").join(RUNS_DIR).join("000006.json");
+    let mut run: Json = serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
+    run["results"].as_object_mut().unwrap().remove("verdict");
+    fs::write(&path, run.to_string()).unwrap();
+    folder.write_tables().unwrap();
+    assert!(fs::read_to_string(desk.path("out").join(RUNS)).unwrap().contains("6,13.0,doubtful,0,0,refused,,,,,"));
+}
+
+#[test]
+fn points_are_those_of_complete_runs() {
+    let text = JUDGED.replace("size    = \"judge.remark\"", "size = { from = \"judge.remark\", all = true }");
+    let text = text.replace("\"verdict.assumptions\", axes = []", "\"size\", axes = [\"number\"]");
+    let text = text.replace("size = \"size.number\"", "size = \"size.0.number\"");
+    let (_, runs, points) = Desk::new(&text).sweep("out", &options(2, true));
+    assert_eq!(runs.matches(",9.0,size,").count(), 2, "the column of refused runs is there:\n{runs}");
+    let rows: Vec<_> = points.lines().skip(1).map(|line| line.split(',').next().unwrap()).collect();
+    assert_eq!(rows, ["0", "1", "2"], "{points}");
+}
+
+#[test]
+fn a_column_may_name_the_verdict_only_if_the_graph_has_one_and_none_may_be_called_so() {
+    let columns = "\n[sweep.columns]\nanswer = \"verdict.answer\"\nverdict = \"values.last\"\n";
+    let message = Desk::new(&graph("sweep-no-verdict", columns)).faults();
+    assert!(message.contains("column \"answer\" asks for verdict.answer, which no run has"), "{message}");
+    assert!(message.contains("a column of the sweep cannot be called \"verdict\""), "{message}");
+    let asked = JUDGED.replace("fit  = \"fit\"", "fit = \"fit\"\nwhat = \"require\"");
+    let message = Desk::new(&asked).faults();
+    assert!(message.contains("column \"what\" asks for require, which no run has"), "{message}");
 }
 
 #[test]

@@ -1,5 +1,8 @@
 use crate::golden::compare;
-use osteoflow_engine::{Checked, check, check_recorded, check_text, plan::Plan};
+use osteoflow_engine::{
+    Checked, check, check_recorded, check_text,
+    plan::{Plan, Require},
+};
 use osteoflow_toy::stages;
 use std::path::Path;
 
@@ -21,9 +24,11 @@ fn bare(mut plan: Plan) -> String {
 
 #[test]
 fn the_resolved_graph_is_checked_again_and_gives_an_equal_plan() {
-    for sets in
-        [&[][..], &["icp.kind=icp.point_to_plane", "remove=[\"node.icp.max_pair_distance_mm\"]", "graph.seed=9"][..]]
-    {
+    for sets in [
+        &[][..],
+        &["icp.kind=icp.point_to_plane", "remove=[\"node.icp.max_pair_distance_mm\"]", "graph.seed=9"][..],
+        &["results.verdict=icp.report", "results.require=trusted"][..],
+    ] {
         let plan = checked(GRAPH, sets).plan;
         let again = check_text(&plan.resolved, Path::new("elsewhere.toml"), &[], &stages::registry());
         let again = again.unwrap_or_else(|faults| panic!("{faults}\n{}", plan.resolved));
@@ -80,6 +85,24 @@ fn a_setting_reaches_any_key() {
     assert_eq!((link.capacity, plan.wire_name(link.from).as_str()), (9, "transform.cloud"));
     assert!(plan.record.iter().any(|id| plan.wire_name(*id) == "crop.report"));
     assert!(!plan.record.iter().any(|id| plan.wire_name(*id) == "icp.report"));
+}
+
+#[test]
+fn what_is_required_of_the_verdict_is_set_like_any_key_and_is_no_result() {
+    let require = |sets: &[&str]| {
+        let plan = checked(GRAPH, &[&["results.verdict=icp.report"], sets].concat()).plan;
+        assert!(plan.results.iter().any(|result| result.key == "verdict"));
+        assert!(plan.results.iter().all(|result| result.key != "require"));
+        (plan.require, plan.resolved.contains("require = \"trusted\""))
+    };
+    assert_eq!(require(&[]), (Require::Doubtful, false));
+    assert_eq!(require(&["results.require=trusted"]), (Require::Trusted, true));
+    assert_eq!(require(&["results.require=trusted", "results.require=doubtful"]), (Require::Doubtful, false));
+    assert_eq!(
+        require(&["results={ require = \"trusted\", verdict = { from = \"icp.report\" } }"]),
+        (Require::Trusted, true)
+    );
+    assert_eq!(require(&["results.require=trusted", "remove=[\"results.require\"]"]), (Require::Doubtful, false));
 }
 
 #[test]

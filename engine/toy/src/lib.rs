@@ -8,6 +8,7 @@ mod arithmetic;
 mod cached;
 pub mod camera;
 pub mod context;
+mod judge;
 mod number;
 mod samples;
 mod script;
@@ -17,6 +18,7 @@ pub mod wave;
 
 pub use arithmetic::{Add, Sum, SumOfSome};
 pub use cached::{Cached, CachedWithSeed, n_fired};
+pub use judge::{Judge, Judgement, Remark};
 pub use number::Number;
 pub use samples::Samples;
 pub use script::{Gate, LiveScript, Script};
@@ -40,10 +42,11 @@ pub struct NumberOut {
     out: Number,
 }
 
-/// Numbers, samples, scripted sources, arithmetic and cached answers.
+/// Numbers, samples, scripted sources, arithmetic, cached answers and verdicts.
 pub fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Number, _>().payload::<Samples, _>().node::<Cached>().node::<CachedWithSeed>();
+    registry.payload::<Judgement, _>().payload::<Remark, _>().node::<Judge>();
     registry.source::<Script>().source::<LiveScript>().node::<Add>().node::<Sum>().node::<SumOfSome>();
     registry
 }

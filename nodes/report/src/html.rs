@@ -2,6 +2,7 @@
 
 use crate::{cell::Cell, chart::RESEARCH, format::number, scene::Scene};
 use osteoflow_draw::xml::escape;
+use osteoflow_engine::run::{Answer, Verdict};
 use serde_json::{Map, Value as Json};
 use std::fmt::Write;
 
@@ -57,6 +58,42 @@ impl Page {
             title.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' }).collect();
         let _ = writeln!(self.body, "<h2 id=\"{id}\">{}</h2>", escape(title));
         self.contents.push((id, title.into()));
+    }
+
+    /// The verdict on the results: a shape and a colour for its answer, its reasons and what it assumes.
+    pub(crate) fn verdict(&mut self, verdict: &Verdict) {
+        let answer = verdict.answer();
+        // Readable without colours: a tick in a circle, an exclamation mark in a triangle, a cross in a square.
+        let shape = match answer {
+            Answer::Trusted => "<circle cx=\"12\" cy=\"12\" r=\"10\"/><path d=\"M7 12.5l3.5 3.5L17 8.5\"/>",
+            Answer::Doubtful => "<path d=\"M12 2.5L22.5 21h-21z\"/><path d=\"M12 9v6M12 17.5v1\"/>",
+            Answer::Refused => "<path d=\"M2.5 2.5h19v19h-19z\"/><path d=\"M7.5 7.5l9 9M16.5 7.5l-9 9\"/>",
+        };
+        let name = answer.name();
+        let _ = writeln!(
+            self.body,
+            "<section class=\"verdict {name}\" aria-label=\"verdict\"><p class=\"answer\"><svg viewBox=\"0 0 24 24\" \
+             role=\"img\" aria-label=\"{name}\">{shape}</svg><b>{name}</b> {}</p>",
+            escape(&verdict.sentence())
+        );
+        let against: Vec<_> = verdict.reasons().iter().filter(|reason| reason.answer > Answer::Trusted).collect();
+        if !against.is_empty() {
+            self.body.push_str("<ul>");
+            for reason in against {
+                let remedy = match reason.remedy.as_str() {
+                    "" => String::new(),
+                    remedy => format!("<br><span class=\"remedy\">{}</span>", escape(remedy)),
+                };
+                let (rule, text) = (escape(&reason.rule.replace('_', " ")), escape(&reason.reason));
+                let _ = write!(self.body, "<li><b>{rule}</b> ({}): {text}{remedy}</li>", reason.answer);
+            }
+            self.body.push_str("</ul>\n");
+        }
+        let assumed: Vec<_> = verdict.assumptions().map(escape).collect();
+        if !assumed.is_empty() {
+            let _ = writeln!(self.body, "<p class=\"assumed\">Assumed: {}.</p>", assumed.join("; "));
+        }
+        self.body.push_str("</section>\n");
     }
 
     /// A paragraph of plain text.
@@ -224,6 +261,7 @@ fn within_page(svg: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use serde_json::json;
 
     #[test]
     fn nothing_in_the_data_ends_its_script() {
@@ -233,5 +271,30 @@ mod tests {
         let (html, _) = page.finish("");
         assert_eq!(html.matches("</script>").count(), 2, "one of the data, one of the viewer");
         assert!(!html.contains("<img") && html.contains("a &lt;b&gt;"));
+    }
+
+    #[test]
+    fn a_verdict_has_a_word_and_a_shape_for_its_answer_and_its_reasons_and_assumptions() {
+        let mut shapes = Vec::new();
+        for answer in Answer::ALL {
+            let reason = json!({
+                "rule": "landmark_order", "answer": answer.name(), "reason": "P1 < P2", "remedy": "aim again",
+            });
+            let verdict = json!({ "answer": answer.name(), "reasons": [reason], "assumptions": ["the bone is rigid"] });
+            let mut page = Page::new("", false);
+            page.verdict(&Verdict::read(&verdict).unwrap());
+            let shown = page.body;
+            assert!(
+                shown.contains(&format!("<b>{answer}</b>")) && shown.contains("Assumed: the bone is rigid."),
+                "{shown}"
+            );
+            let listed =
+                shown.contains("landmark order</b>") && shown.contains("P1 &lt; P2<br>") && shown.contains("aim again");
+            assert_eq!(listed, answer > Answer::Trusted, "{shown}");
+            let shape = shown.split_once("<svg").and_then(|(_, rest)| rest.split_once("</svg>")).unwrap().0;
+            shapes.push(shape.split_once("\">").unwrap().1.to_owned());
+        }
+        shapes.dedup();
+        assert_eq!(shapes.len(), 3, "each answer has its own shape");
     }
 }

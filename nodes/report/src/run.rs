@@ -1,6 +1,7 @@
 //! The page of one run.
 
 pub(crate) mod fragments;
+mod predicted;
 mod views;
 
 use crate::{
@@ -15,6 +16,7 @@ use crate::{
 };
 use osteoflow_algorithms::icp::IcpTrace;
 use osteoflow_draw::{Diagram, svg};
+use osteoflow_engine::run::{Answer, Verdict};
 use osteoflow_node::Registry;
 use std::path::Path;
 
@@ -27,6 +29,15 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     let name = run.manifest["graph"]["name"].as_str().unwrap_or("run");
     let mut page = Page::new(&format!("Run of {name}"), run.is_simulated());
 
+    let verdict = Verdict::of(&run.results);
+    if let Some(verdict) = &verdict {
+        page.verdict(verdict);
+        predicted::tables(&mut page, verdict.predicted());
+    }
+    // Pictures of refused results would show them as if they were right.
+    let refused = verdict.as_ref().filter(|verdict| verdict.answer() == Answer::Refused);
+    let refused = refused.map(|verdict| format!("the result is refused: {}", verdict.sentence()));
+
     page.section("The graph as run");
     outcome(&mut page, &run);
     match diagram::of_manifest(&run.manifest) {
@@ -36,14 +47,22 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
         Err(why) => page.missing("The graph", &why),
     }
     page.section("Registration");
-    views::residuals(&mut page, &run);
+    match &refused {
+        Some(why) => page.missing(views::SCAN, why),
+        None => views::residuals(&mut page, &run),
+    }
     convergence(&mut page, &run);
     page.section("Accuracy");
-    views::assessment(&mut page, &run);
+    views::assessment(&mut page, &run, refused.as_deref());
     page.section("Cuts");
-    views::cuts(&mut page, &run);
-    if fragments::node(&run).is_some() {
-        fragments::maps(&mut page, &run);
+    match &refused {
+        Some(why) => page.missing(views::CUTS, why),
+        None => {
+            views::cuts(&mut page, &run);
+            if fragments::node(&run).is_some() {
+                fragments::maps(&mut page, &run);
+            }
+        }
     }
     page.section("Results");
     tables::results(&mut page, &run.results);

@@ -8,7 +8,10 @@ pub use compared::{NoPairs, between, with_holm};
 pub use rows::{TableRow, about_few, comparison, statistics, under_heads, units};
 
 use crate::{ReportError, run_folder};
-use osteoflow_engine::sweep::{Done, Folder, Spec, without_value};
+use osteoflow_engine::{
+    run::Answer,
+    sweep::{Column, Done, Folder, Spec, at_path, without_value},
+};
 use osteoflow_statistics::{StatisticsError, Units};
 use serde_json::{Map, Value, json};
 
@@ -51,14 +54,15 @@ fn summary(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
         "notice": notice,
         "simulated": simulated,
         "graph": folder.about["graph"], "hash": folder.hash(),
-        "n_runs": done.len(), "n_without_results": done.iter().filter(|d| d.status != "complete").count(),
+        "n_runs": done.len(), "n_without_results": done.iter().filter(|d| !d.is_complete()).count(),
+        "verdicts": verdicts(done.iter()),
         "units": units_of(&spec, &done.iter().collect::<Vec<_>>()).map(|units| levels(&units)),
         "groups": groups, "comparisons": compared::within(&spec, &done), "notes": notes,
     }))
 }
 
 /// The runs by setting: by the values of all varied factors that are not units.
-fn groups<'a>(spec: &Spec, done: &'a [Done]) -> Vec<(Map<String, Value>, Vec<&'a Done>)> {
+pub(crate) fn groups<'a>(spec: &Spec, done: &'a [Done]) -> Vec<(Map<String, Value>, Vec<&'a Done>)> {
     let varied = spec.factors.iter().filter(|f| f.levels.len() > 1 && !spec.units.contains(&f.name));
     let names: Vec<_> = varied.map(|factor| factor.name.as_str()).collect();
     let mut groups: Vec<(Map<String, Value>, Vec<&Done>)> = Vec::new();
@@ -71,6 +75,12 @@ fn groups<'a>(spec: &Spec, done: &'a [Done]) -> Vec<(Map<String, Value>, Vec<&'a
         }
     }
     groups
+}
+
+/// The number of runs with each answer of the verdict.
+pub(crate) fn verdicts<'a>(runs: impl Iterator<Item = &'a Done> + Clone) -> Map<String, Value> {
+    let n = |answer| runs.clone().filter(|run| run.verdict() == Some(answer)).count();
+    Answer::ALL.into_iter().map(|answer| (answer.name().to_owned(), n(answer).into())).collect()
 }
 
 /// The units of these runs; `None` if the sweep has none.
@@ -94,6 +104,11 @@ fn levels(units: &Units) -> Value {
     names.map(|(name, n)| json!({ "name": name.to_string(), "n": n })).collect()
 }
 
+/// The number of a complete run in a column. Refused runs do not enter any statistics.
+fn value(run: &Done, column: &Column) -> Option<f64> {
+    at_path(&run.results, &column.path).filter(|_| run.is_complete()).and_then(number)
+}
+
 /// A number; booleans as 0 or 1.
 fn number(value: &Value) -> Option<f64> {
     value.as_f64().or_else(|| value.as_bool().map(|so| f64::from(u8::from(so))))
@@ -109,5 +124,74 @@ fn or_reason<T: serde::Serialize>(computed: Result<T, StatisticsError>) -> Value
     match computed {
         Ok(value) => json!(value),
         Err(error) => json!({ "none": error.to_string() }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spec() -> Spec {
+        let spec = json!({
+            "repeat": 6, "repeat_name": "procedure", "same_seed": true, "units": ["procedure"], "pair": [], "draws": [],
+            "factors": [], "columns": [{ "name": "tre_mm", "path": "tre" }], "limits": [["tre_mm", 5.0]], "compare": [],
+            "points": [{ "name": "errors_mm", "path": "points", "label": "name", "axes": ["x"] }],
+        });
+        serde_json::from_value(spec).unwrap()
+    }
+
+    /// Runs with their status, verdict and error in mm.
+    fn runs(of: &[(&str, Option<&str>, Option<f64>)]) -> Vec<Done> {
+        let run = |(run, (status, answer, tre_mm)): (usize, &(&str, Option<&str>, Option<f64>))| {
+            let mut results = json!({});
+            if let Some(answer) = answer {
+                let reason = json!({ "rule": "order", "answer": answer, "reason": "swapped", "remedy": "" });
+                results["verdict"] = json!({ "answer": answer, "reasons": [reason] });
+            }
+            if let Some(tre_mm) = tre_mm {
+                results["tre"] = json!(tre_mm);
+                results["points"] = json!([{ "name": "A1", "x": tre_mm }]);
+            }
+            Done {
+                run,
+                seed: 1,
+                values: vec![("procedure".into(), run.into())],
+                status: (*status).into(),
+                reason: None,
+                warnings: Vec::new(),
+                results,
+            }
+        };
+        of.iter().enumerate().map(run).collect()
+    }
+
+    #[test]
+    fn verdicts_are_counted_and_refused_runs_enter_no_statistics_though_they_have_values() {
+        let done = runs(&[
+            ("complete", Some("trusted"), Some(1.0)),
+            ("complete", Some("doubtful"), Some(3.0)),
+            ("complete", None, Some(2.0)),
+            ("refused", Some("refused"), Some(4.0)),
+            ("refused", Some("refused"), None),
+            ("failed", None, None),
+        ]);
+        let group = group::group(&spec(), &Map::new(), &done.iter().collect::<Vec<_>>());
+        assert_eq!(group["verdicts"], json!({ "trusted": 1, "doubtful": 1, "refused": 2 }));
+        assert_eq!((&group["n_runs"], &group["n_without_results"]), (&6.into(), &3.into()));
+        let (tre, x) = (&group["columns"]["tre_mm"], &group["points"]["errors_mm"]["x"]);
+        for of in [tre, x] {
+            assert_eq!((&of["n"], &of["mean"], &of["max"]), (&3.into(), &2.0.into(), &3.0.into()), "{of}");
+        }
+        assert_eq!((&tre["share_below"]["n_hits"], &tre["share_below"]["n"]), (&3.into(), &6.into()), "{tre}");
+    }
+
+    #[test]
+    fn a_refused_run_is_no_partner_of_a_comparison() {
+        let first = runs(&[("complete", Some("trusted"), Some(1.0)), ("complete", None, Some(2.0))]);
+        let second = runs(&[("complete", Some("trusted"), Some(1.5)), ("refused", Some("refused"), Some(9.0))]);
+        let compared = between(("[1]", &spec(), &first), ("[2]", &spec(), &second), &[]).unwrap();
+        assert_eq!(compared.len(), 1);
+        assert_eq!((&compared[0]["n_pairs"], &compared[0]["mean_difference"]), (&1.into(), &0.5.into()));
+        assert!(compared[0]["note"].as_str().unwrap().contains("1 of 2 pairs left out"), "{}", compared[0]);
     }
 }

@@ -5,7 +5,9 @@ mod figures;
 mod statistics;
 
 use crate::{
-    Report, ReportError, citations,
+    Report, ReportError,
+    cell::Cell,
+    citations,
     html::Page,
     methods, provenance,
     summary::{self, SUMMARY, word},
@@ -13,7 +15,7 @@ use crate::{
 use osteoflow_engine::plugin::Kinds;
 use osteoflow_engine::sweep::{Column, Distribution, Done, Factor, Folder, PointValue, Spec, at_path, point_values};
 use osteoflow_node::Registry;
-use serde_json::Value as Json;
+use serde_json::{Map, Value as Json};
 use std::{collections::BTreeMap, path::Path};
 
 /// A sweep to report on.
@@ -41,6 +43,7 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> R
     page.section("Design");
     page.text(&sweep.design());
     failures(&mut page, &sweep);
+    verdicts(&mut page, &sweep);
     page.section("The graph as run");
     again::picture(&mut page, &sweep, &folder, kinds);
     page.section("Figures");
@@ -96,7 +99,7 @@ impl Swept {
                 settings.push(Setting { name: setting_name(&values), values, runs: Vec::new() });
                 settings.len() - 1
             });
-            if run.status == "complete" {
+            if run.is_complete() {
                 settings[at].runs.push(run);
             }
         }
@@ -157,7 +160,7 @@ impl Swept {
         ));
         words.push(format!("Units, from the highest level: {}.", spec.units.join(" > ")));
         let asked = self.about["n_runs"].as_u64().unwrap_or(0);
-        let without = self.runs.iter().filter(|run| run.status != "complete").count();
+        let without = self.runs.iter().filter(|run| !run.is_complete()).count();
         words.push(format!(
             "{} of {asked} runs are complete or refused, {without} of them have no results.",
             self.runs.len()
@@ -183,7 +186,7 @@ impl Swept {
 
     /// The values at points of all runs.
     fn point_values(&self) -> Vec<(&Done, PointValue<'_>)> {
-        let complete = self.runs.iter().filter(|run| run.status == "complete");
+        let complete = self.runs.iter().filter(|run| run.is_complete());
         complete.flat_map(|run| point_values(&self.spec, run).into_iter().map(move |value| (run, value))).collect()
     }
 }
@@ -212,8 +215,12 @@ fn label(value: &Json) -> String {
     if word.contains(',') { format!("\u{201c}{word}\u{201d}") } else { word }
 }
 
+/// The number of a complete run in a column.
 fn number_of(run: &Done, column: &Column) -> Option<f64> {
-    at_path(&run.results, &column.path).and_then(Json::as_f64).filter(|value| value.is_finite())
+    at_path(&run.results, &column.path)
+        .filter(|_| run.is_complete())
+        .and_then(Json::as_f64)
+        .filter(|value| value.is_finite())
 }
 
 fn distribution(of: &Distribution) -> String {
@@ -228,10 +235,38 @@ fn distribution(of: &Distribution) -> String {
     }
 }
 
+/// The number of runs with each verdict, under each setting.
+fn verdicts(page: &mut Page, sweep: &Swept) {
+    if sweep.runs.iter().all(|run| run.verdict().is_none()) {
+        return;
+    }
+    let groups = summary::groups(&sweep.spec, &sweep.runs);
+    let rows: Vec<_> = groups.iter().map(|(setting, runs)| verdict_row(setting, runs)).collect();
+    let (heads, cells) = summary::under_heads(&rows);
+    page.table(
+        "Verdicts on the results, by setting. Refused results do not enter any figure or statistics.",
+        &heads,
+        &cells,
+    );
+}
+
+fn verdict_row(setting: &Map<String, Json>, runs: &[&Done]) -> summary::TableRow {
+    let judged = summary::verdicts(runs.iter().copied());
+    let without = runs.iter().filter(|run| run.verdict().is_none()).count();
+    let mut row: summary::TableRow =
+        setting.iter().map(|(name, value)| (name.clone(), Cell::word(word(value)))).collect();
+    row.push(("runs".into(), Cell::of(&runs.len().into())));
+    row.extend(judged.into_iter().map(|(answer, n)| (answer, Cell::of(&n))));
+    if without > 0 {
+        row.push(("not judged".into(), Cell::of(&without.into())));
+    }
+    row
+}
+
 /// A table of the reasons for runs without results.
 fn failures(page: &mut Page, sweep: &Swept) {
     let mut reasons: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
-    for run in sweep.runs.iter().filter(|run| run.status != "complete") {
+    for run in sweep.runs.iter().filter(|run| !run.is_complete()) {
         reasons.entry(run.reason.as_deref().unwrap_or(&run.status)).or_default().push(run.run);
     }
     for (reason, runs) in reasons.iter().take(20) {

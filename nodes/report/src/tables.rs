@@ -8,13 +8,25 @@ use serde_json::{Map, Value as Json};
 /// Longer lists are shown by their length only.
 const MAX_ROWS: usize = 40;
 
+/// Keys of a verdict that every verdict has.
+const VERDICT: [&str; 5] = ["answer", "sentence", "reasons", "assumptions", "predicted"];
+
 /// All results: lists of similar objects as tables, everything else by key.
 pub(crate) fn results(page: &mut Page, results: &Json) {
     let Some(results) = results.as_object() else {
         return page.missing("The results", "the run has no results.json");
     };
     let mut found = ResultTables::default();
-    results.iter().for_each(|(key, value)| found.walk(key, value));
+    for (key, value) in results {
+        match (key.as_str(), value) {
+            // The head of the page shows the verdict.
+            ("verdict", Json::Object(verdict)) => {
+                let others = verdict.iter().filter(|(key, _)| !VERDICT.contains(&key.as_str()));
+                others.for_each(|(key, value)| found.walk(&format!("verdict.{key}"), value));
+            }
+            _ => found.walk(key, value),
+        }
+    }
     for (path, items) in found.lists {
         objects(page, &path.replace('_', " ").replace('.', ": "), &items);
     }

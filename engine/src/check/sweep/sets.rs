@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{
     fault::{Fault, Span},
-    graph::{SetKey, Table},
+    graph::{SetKey, Table, grammar},
 };
 use std::collections::BTreeSet;
 
@@ -70,7 +70,7 @@ impl Reader<'_> {
             }
         }
         let results = setters.iter().flat_map(Setter::all).filter(|key| key.parts()[0] == "results");
-        results.filter_map(|key| key.parts().get(1).cloned()).collect()
+        results.filter_map(|key| key.parts().get(1).cloned()).filter(|key| key != grammar::REQUIRE).collect()
     }
 
     /// Faults for keys that factors and draws may not set.

@@ -19,7 +19,7 @@ pub(super) struct Reasons {
 impl Reasons {
     pub(super) fn of(runs: &[Done]) -> Self {
         let mut reasons = Self::default();
-        for run in runs.iter().filter(|run| run.status != "complete") {
+        for run in runs.iter().filter(|run| !run.is_complete()) {
             let reason = run.reason.as_deref().unwrap_or(&run.status);
             reasons.n += 1;
             reasons.first.get_or_insert_with(|| (run.run, reason.to_owned()));
@@ -51,6 +51,8 @@ impl Reasons {
 fn short(reason: &str) -> String {
     let after =
         reason.split_once("node \"").and_then(|(_, rest)| rest.split_once(": ")).map_or(reason, |(_, rest)| rest);
+    // Of a result that its verdict refuses, the reason of the verdict.
+    let after = after.strip_prefix("the result is refused: ").unwrap_or(after);
     let mut parts = after.split(": ");
     let part = parts.clone().find(|part| part.contains(' ')).or_else(|| parts.next()).unwrap_or(after);
     let part = part.split(';').next().unwrap_or(part);
@@ -86,11 +88,22 @@ mod tests {
         let short = "graphs/a.toml:3: node \"ct_surface\": the surface is open; close it";
         let alike =
             "graphs/a.toml:3: node \"hole\", item 0: P1: 2 holes look alike, at [1.0, 2.0, 3.0] and [4.0, 5.0, 6.0] mm";
-        let runs = [None, Some(short.into()), Some(hole("P2", 75)), Some(hole("P3", 103)), Some(alike.to_owned())];
+        let judged =
+            "graphs/a.toml:9: node \"judge\", item 0: the result is refused: the landmarks are swapped; aim again";
+        let runs = [
+            None,
+            Some(short.into()),
+            Some(hole("P2", 75)),
+            Some(hole("P3", 103)),
+            Some(alike.to_owned()),
+            Some(judged.to_owned()),
+            Some(judged.replace("item 0", "item 1")),
+        ];
         let runs: Vec<_> = runs.iter().enumerate().map(|(k, reason)| run(k, reason.as_deref())).collect();
         let reasons = Reasons::of(&runs);
-        assert_eq!((reasons.n, &reasons.first), (4, &Some((1, short.to_owned()))));
-        let expected = "no hole of 2 mm radius (2 runs); the surface is open (1 run); 2 holes look alike (1 run)";
+        assert_eq!((reasons.n, &reasons.first), (6, &Some((1, short.to_owned()))));
+        let expected = "no hole of 2 mm radius (2 runs); the landmarks are swapped (2 runs); the surface is open (1 run); \
+                        others (1 run)";
         assert_eq!(reasons.text(), expected);
         assert_eq!(Reasons::of(&runs[..1]), Reasons::default());
     }

@@ -25,6 +25,11 @@ const SHARED_BONE: &str = "bone";
 /// Factor by which errors are enlarged.
 const ENLARGED: f64 = 20.0;
 
+/// The view of the registered scan.
+pub(super) const SCAN: &str = "The scan on the CT surface";
+/// The view of the planes.
+pub(super) const CUTS: &str = "Planned against executed cuts";
+
 /// Outlines farther from the plane's origin belong to another cut, mm.
 const REACH_MM: f64 = 60.0;
 
@@ -48,7 +53,6 @@ fn with_bone(page: &mut Page, scene: &mut Scene, bone: &Mesh) {
 
 /// The scan on the CT surface, each point coloured by its distance outside (red) or inside (blue).
 pub(super) fn residuals(page: &mut Page, run: &RunFolder) {
-    const WHAT: &str = "The scan on the CT surface";
     let gathered = || -> Result<_, String> {
         let bone = bone(run)?;
         let node = fine(run).ok_or("the graph has no fine registration")?;
@@ -59,7 +63,7 @@ pub(super) fn residuals(page: &mut Page, run: &RunFolder) {
     };
     let (bone, scan, t) = match gathered() {
         Ok(gathered) => gathered,
-        Err(why) => return page.missing(WHAT, &why),
+        Err(why) => return page.missing(SCAN, &why),
     };
     let points: Vec<Point3<f64>> = scan.points().iter().map(|p| t * p).collect();
     let query = MeshQuery::new(&bone);
@@ -77,7 +81,7 @@ pub(super) fn residuals(page: &mut Page, run: &RunFolder) {
         facing += normal;
     }
     if values.is_empty() {
-        return page.missing(WHAT, "the surface cannot be searched");
+        return page.missing(SCAN, "the surface cannot be searched");
     }
     let mut sizes: Vec<f64> = values.iter().map(|v| v.abs()).collect();
     let max = round_up(quantile(&mut sizes, 0.98));
@@ -130,8 +134,8 @@ fn histogram(page: &mut Page, values: &[f64]) {
     page.figure("residuals", chart.svg(), "Distribution of the distances of the scan's points from the CT surface.");
 }
 
-/// The assessment points as registered and as measured.
-pub(super) fn assessment(page: &mut Page, run: &RunFolder) {
+/// The assessment points as registered and as measured. Of refused results, only the errors are shown.
+pub(super) fn assessment(page: &mut Page, run: &RunFolder, refused: Option<&str>) {
     const WHAT: &str = "Registered against measured points";
     let mut any = false;
     for (kind, name, source) in [
@@ -148,7 +152,10 @@ pub(super) fn assessment(page: &mut Page, run: &RunFolder) {
         match gathered() {
             Ok((report, planned, axes)) => {
                 errors(page, &report, name, source);
-                if name == "measured" || run.node_of_kind("metrics.tre_measured").is_none() {
+                let first = name == "measured" || run.node_of_kind("metrics.tre_measured").is_none();
+                if let (true, Some(why)) = (first, refused) {
+                    page.missing(WHAT, why);
+                } else if first {
                     points(page, run, (&report, &planned, &axes), source);
                 }
             }
@@ -258,8 +265,7 @@ fn errors(page: &mut Page, report: &TreReport, name: &str, source: &str) {
 
 /// Planned planes, and the cuts that the registration would lead to.
 pub(super) fn cuts(page: &mut Page, run: &RunFolder) {
-    const WHAT: &str = "Planned against executed cuts";
-    let Some(node) = fragments::node(run) else { return page.missing(WHAT, fragments::NO_NODE) };
+    let Some(node) = fragments::node(run) else { return page.missing(CUTS, fragments::NO_NODE) };
     let gathered = || -> Result<_, String> {
         let planned: Planes = run.input(node, "planes")?;
         let slip = fragments::slip(run, node, &planned)?;
@@ -267,7 +273,7 @@ pub(super) fn cuts(page: &mut Page, run: &RunFolder) {
     };
     let (bone, planned, slip) = match gathered() {
         Ok(gathered) => gathered,
-        Err(why) => return page.missing(WHAT, &why),
+        Err(why) => return page.missing(CUTS, &why),
     };
     let executed = planned.transformed(&planned.frame, &slip);
     let corners: Vec<_> = planned.planes.iter().chain(executed.planes.iter()).filter_map(square).flatten().collect();

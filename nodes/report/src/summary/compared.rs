@@ -1,7 +1,7 @@
 //! Paired comparisons: between the values of a factor within a sweep, and between two sweeps.
 
-use super::{LEVEL, groups, number, or_reason, path, word};
-use osteoflow_engine::sweep::{Column, Compare, Done, Spec, at_path};
+use super::{LEVEL, groups, or_reason, path, value, word};
+use osteoflow_engine::sweep::{Column, Compare, Done, Spec};
 use osteoflow_statistics::{Units, WilcoxonParams, bland_altman, counted, holm, plural, tost, unit_means, wilcoxon};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -104,8 +104,7 @@ fn compared(
     let pairs: Vec<_> = runs_b.iter().filter_map(|d| Some((*of_a.get(&key(d))?, *d))).collect();
     let mut out = Vec::new();
     for column in columns {
-        let values = |d: &Done| at_path(&d.results, &column.path).and_then(number);
-        let with: Vec<_> = pairs.iter().filter_map(|(a, b)| Some((*b, values(a)?, values(b)?))).collect();
+        let with: Vec<_> = pairs.iter().filter_map(|(a, b)| Some((*b, value(a, column)?, value(b, column)?))).collect();
         if with.is_empty() {
             continue;
         }

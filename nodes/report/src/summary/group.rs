@@ -1,7 +1,7 @@
 //! Statistics of the runs of one setting: of each column, of each axis of the points, and correlations with draws.
 
-use super::{LEVEL, levels, number, or_reason, path, path_of_highest, units_of};
-use osteoflow_engine::sweep::{Done, Spec, at_path, point_values};
+use super::{LEVEL, levels, number, or_reason, path, path_of_highest, units_of, value, verdicts};
+use osteoflow_engine::sweep::{Done, Spec, point_values};
 use osteoflow_statistics::{
     BootstrapParams, Share, StatisticsError, Summary, Units, bootstrap_mean, pearson, plural, repeatability, spearman,
     wilson_clustered,
@@ -13,8 +13,7 @@ use std::collections::BTreeMap;
 pub(super) fn group(spec: &Spec, setting: &Map<String, Value>, runs: &[&Done]) -> Value {
     let mut columns = Map::new();
     for column in &spec.columns {
-        let with: Vec<_> =
-            runs.iter().filter_map(|d| Some((*d, number(at_path(&d.results, &column.path)?)?))).collect();
+        let with: Vec<_> = runs.iter().filter_map(|d| Some((*d, value(d, column)?))).collect();
         if with.is_empty() {
             continue;
         }
@@ -22,18 +21,16 @@ pub(super) fn group(spec: &Spec, setting: &Map<String, Value>, runs: &[&Done]) -
         let mut entry = statistics(units_of(spec, &rows).as_ref(), &values);
         if let Some((_, limit)) = spec.limits.iter().find(|(name, _)| *name == column.name) {
             // A run without results is not below any limit.
-            let hits: Vec<_> = runs
-                .iter()
-                .map(|d| at_path(&d.results, &column.path).and_then(number).is_some_and(|x| x.abs() < *limit))
-                .collect();
+            let hits: Vec<_> = runs.iter().map(|d| value(d, column).is_some_and(|x| x.abs() < *limit)).collect();
             let share = units_of(spec, runs).map(|units| wilson_clustered(&units, &hits, LEVEL));
             entry["share_below"] = share.map_or(Value::Null, |share| share_json(*limit, share));
         }
         columns.insert(column.name.clone(), entry);
     }
-    let n_without = runs.iter().filter(|d| d.status != "complete").count();
+    let n_without = runs.iter().filter(|d| !d.is_complete()).count();
     json!({
         "setting": setting, "n_runs": runs.len(), "n_without_results": n_without,
+        "verdicts": verdicts(runs.iter().copied()),
         "units": units_of(spec, runs).map(|units| levels(&units)),
         "columns": columns, "points": points(spec, runs), "correlations": correlations(spec, runs),
     })
@@ -51,7 +48,7 @@ fn points(spec: &Spec, runs: &[&Done]) -> Map<String, Value> {
     type PointRow<'a> = (&'a Done, String, f64);
     // By measure and axis.
     let mut found: BTreeMap<(String, String), Vec<PointRow<'_>>> = BTreeMap::new();
-    for &run in runs {
+    for &run in runs.iter().filter(|run| run.is_complete()) {
         for point in point_values(spec, run) {
             let key = (point.measure.to_owned(), point.axis.to_owned());
             found.entry(key).or_default().push((run, point.point, point.value));
@@ -85,9 +82,7 @@ fn correlations(spec: &Spec, runs: &[&Done]) -> Vec<Value> {
     let mut out = Vec::new();
     for draw in &spec.draws {
         for column in &spec.columns {
-            let pairs = runs
-                .iter()
-                .filter_map(|d| Some((number(d.value(&draw.name)?)?, number(at_path(&d.results, &column.path)?)?)));
+            let pairs = runs.iter().filter_map(|d| Some((number(d.value(&draw.name)?)?, value(d, column)?)));
             let (x, y): (Vec<f64>, Vec<f64>) = pairs.unzip();
             if x.len() > 3 {
                 out.push(json!({
