@@ -8,6 +8,7 @@ mod laser_spot;
 mod pose_error;
 mod surface;
 mod tre;
+mod verdict;
 
 pub use check_points::{CheckReport, check_points};
 pub use cut_difference::{
@@ -20,6 +21,7 @@ pub use laser_spot::{LaserSpotReport, laser_spot};
 pub use pose_error::{PoseErrorReport, pose_error};
 pub use surface::{SurfaceReport, surface_residual};
 pub use tre::{TrePoint, TreReport, TreSummary, tre};
+pub use verdict::{VerdictScore, VerdictScoreParams, verdict_score};
 
 use nalgebra::Point3;
 use osteoflow_geometry::NamedPoint;

@@ -51,5 +51,6 @@ reports! {
     "Ruled" = osteoflow_algorithms::landmarks::RuledReport;
     "Surface" = osteoflow_algorithms::metrics::SurfaceReport;
     "Tre" = osteoflow_algorithms::metrics::TreReport;
+    "VerdictScore" = osteoflow_algorithms::metrics::VerdictScore;
     "Verdict" = osteoflow_algorithms::trust::Verdict;
 }

@@ -88,6 +88,7 @@ pub fn registry() -> Registry {
         .node::<metrics::calibration::Calibration>()
         .node::<metrics::check_points::CheckPoints>()
         .node::<metrics::laser_spot::LaserSpot>()
+        .node::<metrics::verdict::Verdict>()
         .node::<verdict::registration::Registration>()
         .node::<output::ply::Ply>()
         .node::<output::csv::Csv>();

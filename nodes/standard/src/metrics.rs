@@ -9,6 +9,7 @@ pub mod laser_spot;
 pub mod surface;
 pub mod tre_measured;
 pub mod tre_true;
+pub mod verdict;
 
 use osteoflow_algorithms::axes::principal_axes;
 use osteoflow_geometry::{Axes, Mesh};

@@ -1,0 +1,60 @@
+//! The kind `metrics.verdict`.
+
+use osteoflow_algorithms::metrics::{CutsReport, TreReport, VerdictScore, VerdictScoreParams, verdict_score};
+use osteoflow_algorithms::trust::Verdict as Judged;
+use osteoflow_geometry::{Pose, nalgebra::Point3};
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// A verdict beside the true error, where that is known: was a wrong answer trusted, or a right one not?
+///
+/// In `[results]` of a graph whose `verdict` is not an entry, so that a refused answer still has a score.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "metrics.verdict"
+in   = { verdict = "verdict.verdict", tre = "tre_true.report", cuts = "cuts.report", t_ct_world = "planes_at_scan.t_ct_world", t_ct_world_true = "recording.t_ct_world_true" }
+"#)]
+pub struct Verdict(VerdictScoreParams);
+
+/// Inputs of [`Verdict`].
+#[derive(Inputs)]
+pub struct In {
+    /// The verdict.
+    verdict: Judged,
+    /// The true error at the assessment points.
+    #[port(join = "once")]
+    tre: TreReport,
+    /// The true error of the cuts.
+    #[port(join = "once")]
+    cuts: CutsReport,
+    /// The registration.
+    #[port(join = "once", to = "t_ct_world_true.to", from = "t_ct_world_true.from")]
+    t_ct_world: Pose,
+    /// The true registration.
+    #[port(join = "once", to = "t_ct_world.to", from = "t_ct_world.from")]
+    t_ct_world_true: Pose,
+}
+
+/// Outputs of [`Verdict`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The score.
+    report: VerdictScore,
+}
+
+impl Node for Verdict {
+    const KIND: &'static str = "metrics.verdict";
+    type Params = VerdictScoreParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: VerdictScoreParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let error = i.t_ct_world_true.compose(&i.t_ct_world.inverse())?.isometry;
+        let moved = |at: &[f64; 3]| (error * Point3::from(*at) - Point3::from(*at)).norm();
+        let cut_errors_mm: Vec<f64> = i.cuts.cuts.iter().map(|cut| moved(&cut.at)).collect();
+        Ok(Out { report: verdict_score(&i.verdict, &i.tre, &i.cuts, &cut_errors_mm, &self.0) })
+    }
+}
