@@ -187,6 +187,7 @@ pub fn phantom_icp(
         max_pair_distance_mm: params.max_pair_distance_mm,
         // A face that starts some millimetres off must not be trimmed, as it alone may determine a motion.
         gate_sigmas: 0.0,
+        one_sided: Some(false),
         trim_fraction: params.trim_fraction,
         max_iterations: params.max_iterations,
         ..IcpParams::default()

@@ -109,7 +109,8 @@ fn run<R: Residual>(
     let mut observer = Observer { trace: IcpTrace::default(), caller };
     let steps_left = |observer: &Observer<'_>| params.max_iterations - observer.trace.steps.len() as u32;
     let mut halted = None;
-    for (k, every) in subsets(params, all.points.len(), &pairings).into_iter().enumerate() {
+    let is_one_sided = surface.outward().is_some() && params.one_sided.unwrap_or(R::ONE_SIDED);
+    for (k, every) in subsets(params, all.points.len(), &pairings, is_one_sided).into_iter().enumerate() {
         if k > 0 {
             weights.search_radius_mm = weights.search_radius_mm.min(params.max_pair_distance_mm);
         }
@@ -171,11 +172,12 @@ fn grid(source: &PreparedSource) -> PointGrid {
 }
 
 /// The subsets to register before all points: every n-th point for each.
-fn subsets(params: &IcpParams, n_points: usize, pairings: &Pairings<'_>) -> Vec<u32> {
+fn subsets(params: &IcpParams, n_points: usize, pairings: &Pairings<'_>, is_one_sided: bool) -> Vec<u32> {
     let is_large = |every: &u32| *every >= 2 && n_points / (*every as usize) >= MIN_SUBSET;
     let mut subsets: Vec<u32> = params.levels.iter().copied().filter(is_large).collect();
-    if pairings.field.is_some() && params.field_exact && subsets.is_empty() {
-        // All points start on the field.
+    let on_field = pairings.field.is_some() && params.field_exact;
+    if subsets.is_empty() && (on_field || (is_one_sided && !params.levels.is_empty())) {
+        // All points start on the field, or with those outside counting less.
         subsets.push(1);
     }
     subsets

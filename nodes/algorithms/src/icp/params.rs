@@ -42,6 +42,10 @@ pub struct IcpParams {
     /// camera's at 300 mm. A camera with less noise gets a wider gate than it needs; more noise is estimated.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub noise_mm: f64,
+    /// Whether points outside the surface count less than those inside: soft tissue lies outside the bone everywhere, noise on
+    /// both sides. Before the last level they have a twentieth of the weight, then a gate of 2.5 standard deviations. Needs a cloud
+    /// with a viewpoint. None: true for variants along normals, false for `point_to_point`, which stays that of the paper.
+    pub one_sided: Option<bool>,
     /// Robust kernel, beside the gate; its scale is the standard deviation of the residuals. `none`: least squares. `huber`,
     /// `tukey`, `welsch`: an efficiency of 95 % on Gaussian noise.
     pub kernel: Kernel,
@@ -97,6 +101,7 @@ impl Default for IcpParams {
             max_normal_angle_deg: 180.0,
             gate_sigmas: 5.0,
             noise_mm: 0.07,
+            one_sided: None,
             kernel: Kernel::None,
             trim_fraction: 0.0,
             incidence_weights: false,

@@ -28,6 +28,8 @@ pub(super) struct Problem<'a, R> {
     pub(super) source: PreparedSource,
     /// The source points in a grid, for reciprocal correspondences.
     pub(super) reciprocal: Option<&'a PointGrid>,
+    /// 1 if the target's normals point outwards, -1 if inwards; none if both sides of the surface count alike.
+    outward: Option<f64>,
     residual: PhantomData<R>,
 }
 
@@ -56,7 +58,8 @@ impl<'a, R: Residual> Problem<'a, R> {
         source: PreparedSource,
         reciprocal: Option<&'a PointGrid>,
     ) -> Self {
-        Self { surface, pairing, params, every, source, reciprocal, residual: PhantomData }
+        let outward = surface.outward().filter(|_| params.one_sided.unwrap_or(R::ONE_SIDED));
+        Self { surface, pairing, params, every, source, reciprocal, outward, residual: PhantomData }
     }
 
     /// One empty correspondence for each source point.
@@ -225,13 +228,15 @@ impl<'a, R: Residual> Problem<'a, R> {
                 equations.cost += weights.unpaired_cost();
                 continue;
             }
-            let (mut weight, cost) = weights.weight_and_cost(square);
+            let source = pose.rotation * self.source.points[first + k];
+            let pair = self.pair(pose, first + k, &source, correspondence);
+            let is_outside = self.outward.is_some_and(|side| side * pair.difference.dot(&pair.normal) > 0.0);
+            let (mut weight, cost) =
+                if is_outside { weights.outside(square, self.params) } else { weights.weight_and_cost(square) };
             equations.cost += cost;
             if weight == 0.0 {
                 continue;
             }
-            let source = pose.rotation * self.source.points[first + k];
-            let pair = self.pair(pose, first + k, &source, correspondence);
             if self.params.incidence_weights
                 && let Some(sight) = self.surface.sight(&correspondence.target)
             {

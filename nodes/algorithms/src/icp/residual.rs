@@ -45,6 +45,8 @@ pub(super) trait Residual: Send + Sync + 'static {
     const TARGET_NORMALS: bool = true;
     /// Whether it needs the source's normals.
     const SOURCE_NORMALS: bool = false;
+    /// Whether points outside the surface count less by default; see [`IcpParams::one_sided`](super::IcpParams).
+    const ONE_SIDED: bool = true;
     /// Whether the target points are the closest points of the target's triangles.
     const MESH: bool = false;
 

@@ -64,6 +64,11 @@ impl<'a> VisibleSurface<'a> {
         self.camera.as_ref().is_none_or(|camera| camera.sees(point, normal))
     }
 
+    /// 1 if the normals point outwards, -1 if inwards; none without a camera, where that is unknown.
+    pub(super) fn outward(&self) -> Option<f64> {
+        self.camera.as_ref().map(|camera| camera.side)
+    }
+
     /// The vector from a point to the camera, mm.
     pub(super) fn sight(&self, point: &Vector3<f64>) -> Option<Vector3<f64>> {
         self.camera.as_ref().map(|camera| camera.eye - point)

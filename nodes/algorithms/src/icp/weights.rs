@@ -36,6 +36,14 @@ const INNER_SIGMAS: f64 = 4.0;
 /// Most refinements of a scale.
 const MAX_REFINEMENTS: u32 = 5;
 
+/// Weight, before the last level, of a point outside the surface: the scan settles on its inner side, which is bone where
+/// tissue covers the rest. On a bare bone it then lies about the noise too deep, which the last level corrects.
+const OUTSIDE_WEIGHT: f64 = 0.05;
+
+/// The gate for points outside the surface on the last level, in standard deviations: closer than on the inside, where
+/// nothing but noise and the error of the surface can lie.
+const OUTSIDE_SIGMAS: f64 = 2.5;
+
 /// Half of a Gaussian's absolute values are below this many standard deviations.
 const MEDIAN_SIGMAS: f64 = 0.674_489_750_196_081_7;
 
@@ -136,6 +144,17 @@ impl Weights {
             return (1.0, square);
         }
         self.gated(square, flat)
+    }
+
+    /// The same of a point outside a surface that tissue may cover.
+    pub(super) fn outside(&self, square: f64, params: &IcpParams) -> (f64, f64) {
+        if !self.is_last {
+            let (weight, cost) = self.weight_and_cost(square);
+            return (OUTSIDE_WEIGHT * weight, OUTSIDE_WEIGHT * cost);
+        }
+        let closer = (params.gate_sigmas / OUTSIDE_SIGMAS).max(1.0).powi(2);
+        let (weight, cost) = self.weight_and_cost(square * closer);
+        (weight, cost / closer)
     }
 
     #[inline(never)]

@@ -17,8 +17,10 @@ const SEARCH_MM: f64 = 8.0;
 /// surface's bumps.
 const CELL_MM: f64 = 10.0;
 
-/// Residuals beyond this many robust standard deviations are left out of the spread, as the registration leaves them out.
+/// Points inside the surface by more than this many robust standard deviations, and outside by more than that many, are not on
+/// it: soft tissue lies outside.
 const GATE_SIGMAS: f64 = 5.0;
+const OUTSIDE_SIGMAS: f64 = 2.5;
 
 /// A quarter of a Gaussian's absolute values are below this many standard deviations.
 const QUARTER_SIGMAS: f64 = 0.318_639_363_964_375_15;
@@ -75,7 +77,7 @@ pub struct Evidence {
     pub median_mm: f64,
     /// 90th percentile of the distances; none where more than a tenth of the scan is beyond 8 mm.
     pub p90_mm: Option<f64>,
-    /// Share of the scan on the surface: within five robust standard deviations.
+    /// Share of the scan on the surface: inside by at most 5, outside by at most 2.5 robust standard deviations.
     pub on_surface: f64,
     /// Share of the scan that lies inside the surface, by more than four times the noise and 0.3 mm.
     pub inside: f64,
@@ -113,8 +115,9 @@ impl Evidence {
         let Registered { target, source, t_target_source, .. } = *registered;
         let residuals = Residuals::new(target, source.points(), t_target_source, SEARCH_MM, N_EXAMINED)?;
         let noise_mm = sensor_noise_mm(source.points())?;
-        let gate_mm = GATE_SIGMAS * (residuals.quantile_mm(0.25) / QUARTER_SIGMAS).max(noise_mm);
-        let on: Vec<Residual> = residuals.near.iter().filter(|near| near.signed_mm.abs() <= gate_mm).copied().collect();
+        let sigma_mm = (residuals.quantile_mm(0.25) / QUARTER_SIGMAS).max(noise_mm);
+        let gate = -GATE_SIGMAS * sigma_mm..=OUTSIDE_SIGMAS * sigma_mm;
+        let on: Vec<Residual> = residuals.near.iter().filter(|near| gate.contains(&near.signed_mm)).copied().collect();
         let off_mm = (4.0 * noise_mm).max(0.3);
         let spread = Spread::new(&on, CELL_MM);
         let at = points_that_matter(registered);
@@ -131,7 +134,7 @@ impl Evidence {
             on_surface: on.len() as f64 / residuals.n.max(1) as f64,
             inside: residuals.share(|near| near.signed_mm < -off_mm),
             outside: 1.0 - residuals.share(|near| near.signed_mm <= off_mm),
-            misfit: Misfit::new(&residuals, noise_mm),
+            misfit: Misfit::new(&on, noise_mm),
             facing_away: facing_away(registered, &on),
             spread_mm: spread
                 .as_ref()

@@ -1,6 +1,6 @@
 //! The part of the residuals that noise does not explain.
 
-use super::Residuals;
+use super::Residual;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -9,9 +9,6 @@ const PATCH_MM: f64 = 4.0;
 
 /// Patches with fewer points are left out.
 const MIN_POINTS: usize = 5;
-
-/// Points farther from the surface are something else, mm: soft tissue, an instrument.
-const OTHER_MM: f64 = 1.5;
 
 /// Mean residuals of patches, RMS over the points, without the part that the sensor's noise explains.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -23,10 +20,10 @@ pub struct Misfit {
 }
 
 impl Misfit {
-    /// The misfit of registered points.
-    pub(super) fn new(residuals: &Residuals, noise_mm: f64) -> Self {
+    /// The misfit of points on the surface.
+    pub(super) fn new(on: &[Residual], noise_mm: f64) -> Self {
         let mut patches: BTreeMap<[i64; 3], (usize, f64)> = BTreeMap::new();
-        for near in residuals.near.iter().filter(|near| near.signed_mm.abs() < OTHER_MM) {
+        for near in on {
             let key = std::array::from_fn(|k| (near.point[k] / PATCH_MM).floor() as i64);
             let (n, sum) = patches.entry(key).or_default();
             (*n, *sum) = (*n + 1, *sum + near.signed_mm);

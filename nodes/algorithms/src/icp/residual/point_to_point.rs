@@ -9,6 +9,7 @@ pub(in crate::icp) struct PointToPoint;
 
 impl Residual for PointToPoint {
     const TARGET_NORMALS: bool = false;
+    const ONE_SIDED: bool = false;
 
     #[inline]
     fn square(pair: &Pair) -> f64 {
