@@ -172,7 +172,7 @@ fn a_replay_has_the_verdict_of_the_run_and_the_page_shows_no_picture_of_refused_
         }
         let why = "is not shown: the result is refused: two landmarks are swapped";
         assert_eq!(page.matches(why).count(), if answer == "refused" { 3 } else { 0 });
-        assert_eq!(page.contains("0.250\u{a0}to\u{a0}1.25"), answer == "trusted", "the predicted interval");
+        assert_eq!(page.contains("0.250\u{a0}to\u{a0}1.250<"), answer == "trusted", "the predicted interval");
         assert!(page.contains("figure-2") && page.contains("Convergence of the fine registration"), "how it went");
     }
 }
