@@ -19,7 +19,7 @@ pub(crate) fn text(summary: &Value) -> String {
         parts.push(of_group(group));
     }
     if summary["groups"].as_array().is_some_and(|groups| groups.len() > 1) {
-        parts.extend(verdicts(summary).map(|line| format!("in all: {line}")));
+        parts.extend(verdicts(summary).map(|counts| format!("verdicts in all: {counts}\n")));
     }
     parts.extend(about_few(summary).map(|about| about + "\n"));
     parts.extend(of_comparisons(summary));
@@ -55,18 +55,18 @@ fn of_group(group: &Value) -> String {
         });
         (name, row, remarks.join("; "))
     });
-    let verdicts = verdicts(group).map(|line| format!("  {line}")).unwrap_or_default();
+    let verdicts = verdicts(group).map(|counts| format!("  verdicts: {counts}\n")).unwrap_or_default();
     table(&title, rows.collect()) + &verdicts
 }
 
-/// The number of runs with each verdict, as a line; `None` if no run has one.
+/// The number of runs with each verdict in words; `None` if no run has one.
 fn verdicts(of: &Value) -> Option<String> {
     let counts = of["verdicts"].as_object()?;
     let judged: u64 = counts.values().filter_map(Value::as_u64).sum();
     let mut words: Vec<_> = counts.iter().map(|(answer, n)| format!("{n} {answer}")).collect();
     let without = of["n_runs"].as_u64().unwrap_or_default().saturating_sub(judged);
     words.extend((without > 0).then(|| format!("{without} without a verdict")));
-    (judged > 0).then(|| format!("verdicts: {}\n", words.join(", ")))
+    (judged > 0).then(|| words.join(", "))
 }
 
 /// The comparisons, if there are any.
@@ -112,7 +112,7 @@ mod tests {
         for line in [
             "  verdicts: 2 trusted, 1 doubtful, 0 refused\n",
             "  verdicts: 0 trusted, 1 doubtful, 1 refused, 1 without a verdict\n",
-            "in all: verdicts: 2 trusted, 1 doubtful, 1 refused, 2 without a verdict\n",
+            "verdicts in all: 2 trusted, 1 doubtful, 1 refused, 2 without a verdict\n",
         ] {
             assert!(shown.contains(line), "{shown}\nlacks\n{line}");
         }

@@ -136,6 +136,41 @@ fn a_rerun_after_any_edit_equals_a_full_run_bit_for_bit() {
     }
 }
 
+/// Numbers that are judged, with a list that is withheld if they are refused, and one that is not.
+fn judged(refused_above: f64, trusted: bool) -> Plan {
+    let plan = PlanBuilder::new()
+        .script("scan", 2, calls(1.0))
+        .node("fit", "toy.add", json!({}), &[("a", "scan.p1", None)])
+        .node(
+            "judge",
+            "toy.judge",
+            json!({ "doubtful_above": -20.0, "refused_above": refused_above }),
+            &[("number", "fit.out", None)],
+        )
+        .result("verdict", "judge.verdict", false, false)
+        .result("fit", "fit.out", true, false)
+        .result("size", "judge.remark", true, false);
+    let plan = if trusted { plan.require_trusted() } else { plan }.plan();
+    Plan { resolved: format!("require = {trusted}"), ..plan }
+}
+
+#[test]
+fn a_rerun_has_the_verdict_of_a_full_run() {
+    let mut session = Session::default();
+    for (plan, status, computed) in [
+        (judged(0.0, false), "complete", 3),
+        (judged(-15.0, false), "refused", 1),
+        (judged(0.0, false), "complete", 1),
+        (judged(0.0, true), "refused", 0),
+        (judged(0.0, false), "complete", 0),
+    ] {
+        assert_eq!(check(&mut session, &plan, 2).len(), computed);
+        let whole = run(&plan, &registry(), &options(1), &()).unwrap();
+        assert_eq!(whole.outcome.status(), status, "{}", whole.results);
+        assert_eq!(whole.results.get("fit").is_some(), status == "complete");
+    }
+}
+
 #[test]
 fn only_changed_nodes_and_those_downstream_are_computed() {
     let mut session = Session::default();

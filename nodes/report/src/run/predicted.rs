@@ -74,10 +74,10 @@ mod tests {
         }));
         for text in [
             "point A1",
-            "0.250\u{a0}to\u{a0}1.25",
+            "0.250\u{a0}to\u{a0}1.250<",
             "cut cut_1",
-            "2.50",
-            "0.400\u{a0}to\u{a0}1.75",
+            "2.500",
+            "0.400\u{a0}to\u{a0}1.750<",
             "0.875",
             "landmarks",
         ] {
@@ -85,7 +85,7 @@ mod tests {
         }
         assert!(!html.contains("A2"), "it has no number");
         let object = shown(&json!({ "cuts": { "interval_mm": [0.5, 1.5] } }));
-        assert!(object.contains("<td>cuts</td><td>0.500\u{a0}to\u{a0}1.50</td>"), "{object}");
+        assert!(object.contains("<td>cuts</td><td>0.500\u{a0}to\u{a0}1.500</td>"), "{object}");
         for nothing in
             [json!(null), json!({}), json!({ "points": "soon", "cuts": [[]], "assessment": { "interval_mm": [1] } })]
         {
