@@ -11,7 +11,10 @@ mod planned;
 mod predict;
 mod residuals;
 mod rules;
+mod scale;
 mod spread;
+#[cfg(test)]
+mod tests;
 mod verdict;
 
 pub use contrary::{ShapeEvidence, mirrored};
@@ -22,5 +25,6 @@ pub use planned::{OrderEvidence, PlanFault, landmark_order, plan_faults};
 pub use predict::{Interval, PredictParams, Predicted, PredictedPoint, PredictedSet, Term, Tracking, predict};
 pub use residuals::{Residual, Residuals};
 pub use rules::{Case, RuleParams, judge};
+pub use scale::Scale;
 pub use spread::Spread;
 pub use verdict::{Answer, Reason, Verdict};

@@ -1,6 +1,6 @@
 //! What the data of a registration say about it.
 
-use super::{Misfit, Residual, Residuals, ShapeEvidence, Spread, contrary, sensor_noise_mm};
+use super::{Misfit, Residual, Residuals, Scale, ShapeEvidence, Spread, contrary, sensor_noise_mm};
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;
@@ -87,6 +87,8 @@ pub struct Evidence {
     pub misfit: Misfit,
     /// Share of the scan on the surface whose surface faces away from the camera; none without a viewpoint.
     pub facing_away: Option<f64>,
+    /// Size of the scan against the surface; none where the scan leaves it undetermined.
+    pub scale: Option<Scale>,
     /// RMS spread of the registration at the points that matter, by a jackknife over cells of 10 mm.
     pub spread_mm: Option<f64>,
     /// Mean distance, at the points that matter, to the pose at which a point-to-plane registration settles from this one.
@@ -136,6 +138,7 @@ impl Evidence {
             outside: 1.0 - residuals.share(|near| near.signed_mm <= off_mm),
             misfit: Misfit::new(&on, noise_mm),
             facing_away: facing_away(registered, &on),
+            scale: Scale::new(&on, CELL_MM),
             spread_mm: spread
                 .as_ref()
                 .map(|spread| (at.iter().map(|p| spread.at(p).trace()).sum::<f64>() / at.len() as f64).max(0.0).sqrt()),

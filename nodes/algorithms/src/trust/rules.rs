@@ -38,6 +38,10 @@ pub struct RuleParams {
     /// Clearness from which a registration by shape alone that does not fit better is a contradiction.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_shape_clearness: f64,
+    /// Doubtful if the scan is larger or smaller than the surface by more than this share, and by more than four standard
+    /// deviations. 0.02: 0.1 mm on the radius of a fibula.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub max_scale_error: f64,
     /// Doubtful if a smaller share of the scan lies on the surface.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_on_surface: f64,
@@ -58,6 +62,7 @@ impl Default for RuleParams {
             max_unsettled_mm: 0.5,
             max_shape_apart_mm: 1.5,
             min_shape_clearness: 0.3,
+            max_scale_error: 0.02,
             min_on_surface: 0.55,
             max_fre_mm: 3.0,
             max_measured_tre_mm: 2.5,
@@ -128,7 +133,7 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
 }
 
 /// The rules on scan and surface.
-const DATA: [&str; 6] = ["misfit", "inward_misfit", "spread", "shape", "on_surface", "facing_away"];
+const DATA: [&str; 7] = ["misfit", "inward_misfit", "spread", "shape", "scale", "on_surface", "facing_away"];
 
 /// The middle of the bone in each planned cut.
 fn cuts(case: &Case<'_>) -> Vec<NamedPoint> {
@@ -226,6 +231,22 @@ fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &Rule
             );
         }
         Some(_) => {}
+    }
+    let off = evidence.scale.as_ref().map(|scale| (scale, (scale.ratio - 1.0).abs()));
+    if let Some((scale, off)) = off.filter(|(scale, off)| *off > rules.max_scale_error && *off > 4.0 * scale.sd) {
+        let reason = format!(
+            "the scan is {:.1} % too {} for the surface (standard deviation {:.1} %); likely cause: the camera's calibration, \
+             the CT's voxel size, or another bone",
+            100.0 * off,
+            if scale.ratio > 1.0 { "large" } else { "small" },
+            100.0 * scale.sd
+        );
+        add(
+            "scale",
+            Answer::Doubtful,
+            reason,
+            "measure an object of known size with the camera, and check the CT's spacing",
+        );
     }
     if evidence.on_surface < rules.min_on_surface {
         let share = 100.0 * evidence.on_surface;

@@ -1,0 +1,239 @@
+use super::*;
+use crate::mesh_query::MeshQuery;
+use crate::sample;
+use crate::shapes::shaft;
+use crate::target::Target;
+use nalgebra::{Isometry3, Point3, Vector3};
+use osteoflow_geometry::{Cloud, Mesh, NamedPoint, Plane, Planes, SurfaceOrigin};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
+
+const NOISE_MM: f64 = 0.05;
+
+fn target_of(mesh: &Mesh) -> Target {
+    let samples = sample::surface(mesh, 60_000, &mut ChaCha8Rng::seed_from_u64(1));
+    let target = Target::new("ct", SurfaceOrigin::Exact, samples.points, Some(samples.normals.into())).unwrap();
+    target.with_mesh(MeshQuery::new(mesh))
+}
+
+/// The side of a mesh that a camera at x = 200 mm sees, between heights, with noise along the normals.
+fn scan_of(mesh: &Mesh, heights: [f64; 2], seed: u64) -> Cloud {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let samples = sample::surface(mesh, 60_000, &mut rng);
+    let camera = Point3::new(200.0, 0.0, (heights[0] + heights[1]) / 2.0);
+    let seen = samples
+        .points
+        .iter()
+        .zip(&samples.normals)
+        .filter(|(p, n)| (heights[0]..heights[1]).contains(&p.z) && n.dot(&(camera - *p).normalize()) > 0.35);
+    let points: Vec<Point3<f64>> = seen
+        .map(|(p, n)| {
+            let noise: f64 = StandardNormal.sample(&mut rng);
+            p + n * (NOISE_MM * noise)
+        })
+        .collect();
+    let viewpoint = Isometry3::translation(camera.x, camera.y, camera.z);
+    Cloud::new("scan", points).unwrap().seen_from(viewpoint)
+}
+
+fn flipped(mesh: &Mesh) -> Mesh {
+    let vertices: Vec<Point3<f64>> = mesh.vertices().iter().map(|p| Point3::new(p.x, -p.y, p.z)).collect();
+    let faces: Vec<[u32; 3]> = mesh.faces().iter().map(|&[a, b, c]| [a, c, b]).collect();
+    Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap()
+}
+
+fn marks() -> Vec<NamedPoint> {
+    let surface = MeshQuery::new(&shaft());
+    [("P1", 30.0, 0.3), ("P2", 60.0, -0.6), ("P3", 55.0, 0.6)]
+        .iter()
+        .map(|&(name, z, turn): &(&str, f64, f64)| {
+            let from = Point3::new(50.0 * turn.cos(), 50.0 * turn.sin(), z);
+            let centre = Point3::new(0.0005 * z * z, 0.0, z);
+            NamedPoint::new(name, surface.cast_ray(&from, &(centre - from)).unwrap().point)
+        })
+        .collect()
+}
+
+/// The verdict on a scan at a pose, with landmarks located where they are planned.
+fn verdict(target: &Target, scan: &Cloud, pose: &Isometry3<f64>, located: &[NamedPoint]) -> Verdict {
+    let (landmarks, assessment) = (marks(), marks());
+    let case = Case {
+        registered: Registered { target, source: scan, t_target_source: pose, at: &[] },
+        icp: None,
+        landmarks: &landmarks,
+        located,
+        assessment: &assessment,
+        planes: None,
+        tracking: None,
+        measured_tre_mm: None,
+        reasons: &[],
+    };
+    judge(&case, &EvidenceParams::default(), &RuleParams::default(), &PredictParams::default())
+}
+
+fn rules(verdict: &Verdict) -> Vec<&str> {
+    verdict.reasons.iter().map(|reason| reason.rule.as_str()).collect()
+}
+
+#[test]
+fn a_right_registration_is_trusted_and_one_that_slid_turned_or_rests_short_is_not() {
+    let (target, scan) = (target_of(&shaft()), scan_of(&shaft(), [15.0, 105.0], 2));
+    let right = verdict(&target, &scan, &Isometry3::identity(), &marks());
+    assert_eq!(right.answer, Answer::Trusted, "{:?}", right.reasons);
+    assert!(!right.assumptions.is_empty() && right.sentence.contains("predicted"), "{}", right.sentence);
+    for (wrong, what) in [
+        (Isometry3::translation(0.0, 0.0, 10.0), "slid by 10 mm"),
+        (Isometry3::rotation(Vector3::z() * 0.5), "turned by 29 degrees"),
+        (Isometry3::translation(0.0, 0.0, 1.5), "rests 1.5 mm short"),
+    ] {
+        let verdict = verdict(&target, &scan, &wrong, &marks());
+        assert_ne!(verdict.answer, Answer::Trusted, "{what}: {:?}", verdict.measured);
+    }
+}
+
+#[test]
+fn a_mirrored_surface_is_refused_and_the_mirror_named() {
+    let scan = scan_of(&shaft(), [15.0, 105.0], 3);
+    let image = target_of(&flipped(&shaft()));
+    let pose = crate::coarse::global(&image, &scan, &Default::default()).unwrap().t_target_source;
+    let verdict = verdict(&image, &scan, &pose, &[]);
+    assert_eq!(verdict.answer, Answer::Refused, "{:?}", verdict.measured);
+    assert!(rules(&verdict).contains(&"mirrored"), "{:?}", verdict.reasons);
+}
+
+#[test]
+fn exchanged_landmarks_are_doubtful_even_where_the_pose_is_right() {
+    let (target, scan) = (target_of(&shaft()), scan_of(&shaft(), [15.0, 105.0], 4));
+    let mut located = marks();
+    let names: Vec<_> = located.iter().map(|p| p.name.clone()).collect();
+    (located[1].name, located[2].name) = (names[2].clone(), names[1].clone());
+    let verdict = verdict(&target, &scan, &Isometry3::identity(), &located);
+    assert_eq!((verdict.answer, rules(&verdict)), (Answer::Doubtful, vec!["landmark_order"]));
+    assert!(verdict.sentence.contains("P1, P3, P2"), "{}", verdict.sentence);
+}
+
+#[test]
+fn a_cylinder_leaves_a_motion_undetermined() {
+    let side = |k: u32| f64::from(k) / 48.0 * std::f64::consts::TAU;
+    let ring = |z: f64| (0..48).map(move |k| Point3::new(6.0 * side(k).cos(), 6.0 * side(k).sin(), z));
+    let vertices: Vec<Point3<f64>> = (0..=120).flat_map(|i| ring(f64::from(i))).collect();
+    let at = |i: u32, k: u32| i * 48 + k % 48;
+    let faces: Vec<[u32; 3]> = (0..120)
+        .flat_map(|i| {
+            (0..48).flat_map(move |k| {
+                [[at(i, k), at(i, k + 1), at(i + 1, k)], [at(i, k + 1), at(i + 1, k + 1), at(i + 1, k)]]
+            })
+        })
+        .collect();
+    let cylinder = Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap();
+    let (target, scan) = (target_of(&cylinder), scan_of(&cylinder, [15.0, 105.0], 5));
+    let verdict = verdict(&target, &scan, &Isometry3::identity(), &[]);
+    assert_ne!(verdict.answer, Answer::Trusted, "{:?}", verdict.measured);
+    assert!(rules(&verdict).contains(&"spread"), "{:?}", verdict.reasons);
+}
+
+#[test]
+fn tissue_outside_does_not_count_as_misfit_and_a_dent_inside_does() {
+    let (target, scan) = (target_of(&shaft()), scan_of(&shaft(), [15.0, 105.0], 6));
+    let moved = |by_mm: f64| {
+        let patch = |p: &Point3<f64>| if (40.0..60.0).contains(&p.z) { p + Vector3::x() * by_mm } else { *p };
+        let points: Vec<Point3<f64>> = scan.points().iter().map(patch).collect();
+        let cloud = Cloud::new("scan", points).unwrap().seen_from(scan.viewpoint.unwrap());
+        verdict(&target, &cloud, &Isometry3::identity(), &marks())
+    };
+    let tissue = moved(1.0);
+    assert_eq!(tissue.answer, Answer::Trusted, "{:?} {:?}", tissue.reasons, tissue.measured);
+    assert!(tissue.measured.unwrap().outside > 0.15);
+    let dent = moved(-1.0);
+    assert_ne!(dent.answer, Answer::Trusted, "{:?}", dent.measured);
+}
+
+#[test]
+fn the_noise_of_a_scan_is_found_without_the_surface() {
+    for (seed, factor) in [(7, 1.0), (8, 4.0)] {
+        let scan = scan_of(&shaft(), [15.0, 105.0], seed);
+        let surface = MeshQuery::new(&shaft());
+        let points: Vec<Point3<f64>> = scan
+            .points()
+            .iter()
+            .map(|p| {
+                let on = surface.closest_point(p).unwrap().point;
+                on + (p - on) * factor
+            })
+            .collect();
+        let noise = sensor_noise_mm(&points).unwrap();
+        let expected = NOISE_MM * factor;
+        assert!((noise / expected - 1.0).abs() < 0.15, "{noise:.3} mm, but {expected:.3} mm is there");
+    }
+    assert_eq!(sensor_noise_mm(&[Point3::origin(); 5]), None);
+}
+
+#[test]
+fn a_scan_of_another_scale_is_told() {
+    let (target, scan) = (target_of(&shaft()), scan_of(&shaft(), [15.0, 105.0], 9));
+    let centre = Vector3::new(4.0, 0.0, 60.0);
+    let points: Vec<Point3<f64>> =
+        scan.points().iter().map(|p| Point3::from((p.coords - centre) * 1.05 + centre)).collect();
+    let larger = Cloud::new("scan", points).unwrap().seen_from(scan.viewpoint.unwrap());
+    let params = crate::icp::IcpParams::default();
+    let observer = &mut |_: &crate::icp::IcpStep| std::ops::ControlFlow::Continue(());
+    let method = crate::icp::Method::PointToPlane;
+    let fit = crate::icp::register(method, &target, &larger, &Isometry3::identity(), &params, observer).unwrap();
+    let verdict = verdict(&target, &larger, &fit.t_target_source, &marks());
+    assert_ne!(verdict.answer, Answer::Trusted, "{:?}", verdict.measured);
+    let scale = verdict.measured.unwrap().scale.unwrap();
+    assert!((scale.ratio - 1.05).abs() < 0.01, "{scale:?}");
+}
+
+#[test]
+fn a_plan_of_other_coordinates_is_refused_with_the_likely_cause() {
+    // Away from the origin, as in every CT: near it a half turn about z changes little.
+    let away = Isometry3::translation(80.0, 50.0, 0.0);
+    let surface = MeshQuery::new(&shaft().transformed("ct", &away));
+    let marks = || -> Vec<NamedPoint> {
+        marks().iter().map(|p| NamedPoint::new(p.name.clone(), away * p.position)).collect()
+    };
+    assert_eq!(plan_faults(&surface, &marks(), None), []);
+    let scaled = |scale: [f64; 3]| -> Vec<NamedPoint> {
+        let of = |p: &NamedPoint| Point3::from(p.position.coords.component_mul(&Vector3::from(scale)));
+        marks().iter().map(|p| NamedPoint::new(p.name.clone(), of(p))).collect()
+    };
+    for (scale, word) in [([0.001; 3], "metres"), ([1.0, 1.0, -1.0], "mirrored in z"), ([-1.0, -1.0, 1.0], "RAS")] {
+        let faults = plan_faults(&surface, &scaled(scale), None);
+        let [PlanFault::Off { n_off: 3, n: 3, cause: Some(cause), .. }] = &faults[..] else { panic!("{faults:?}") };
+        assert!(cause.contains(word), "{cause}");
+    }
+    let plane = |name: &str, x: f64, z: f64, turned: bool| {
+        let turn = if turned { Vector3::x() * std::f64::consts::PI } else { Vector3::zeros() };
+        Plane::new(name, away * Isometry3::new(Vector3::new(x, 0.0, z), turn))
+    };
+    let faults = |planes: Vec<Plane>| plan_faults(&surface, &[], Some(&Planes::new("ct", planes)));
+    assert_eq!(faults(vec![plane("a", 0.0, 70.0, false), plane("b", 0.0, 90.0, false)]), []);
+    assert_eq!(faults(vec![]), [PlanFault::NoPlanes]);
+    assert!(matches!(&faults(vec![plane("a", 1000.0, 70.0, false)])[..], [PlanFault::MissesBone { .. }]));
+    let reversed = faults(vec![plane("a", 0.0, 70.0, false), plane("b", 0.0, 90.0, true)]);
+    assert!(matches!(&reversed[..], [PlanFault::Reversed { .. }]), "{reversed:?}");
+}
+
+#[test]
+fn the_predicted_interval_holds_nine_tenths_of_the_errors_of_its_own_model() {
+    use nalgebra::{Matrix6, Vector6};
+    let sd = Vector6::new(0.1, 0.1, 0.3, 0.002, 0.002, 0.004);
+    let covariance = Matrix6::from_diagonal(&sd.component_mul(&sd));
+    let centre = Point3::new(0.0, 0.0, 60.0);
+    let spread = Spread { covariance, centre, bias: Matrix6::zeros(), n_cells: 20 };
+    let set = predict(&spread, None, &marks(), &[], &PredictParams::default()).assessment.unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let errors: Vec<f64> = (0..2000)
+        .map(|_| {
+            let x = Vector6::from_fn(|k, _| {
+                let draw: f64 = StandardNormal.sample(&mut rng);
+                sd[k] * draw
+            });
+            let (shift, turn) = (x.fixed_rows::<3>(0).into_owned(), x.fixed_rows::<3>(3).into_owned());
+            marks().iter().map(|p| (shift + turn.cross(&(p.position - centre))).norm()).sum::<f64>() / 3.0
+        })
+        .collect();
+    let held = errors.iter().filter(|e| (set.interval_mm[0]..set.interval_mm[1]).contains(e)).count();
+    assert!((1760..=1840).contains(&held), "{held} of 2000 within {:?}", set.interval_mm);
+}
