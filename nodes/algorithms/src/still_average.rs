@@ -1,5 +1,8 @@
 //! The mean pose of a marker at rest.
 
+mod motion;
+
+use motion::Motion;
 use nalgebra::{Isometry3, Matrix4, Point3, Quaternion, UnitQuaternion, Vector3, Vector4};
 use serde::{Deserialize, Serialize};
 
@@ -29,6 +32,20 @@ pub struct StillReport {
     pub drift_mm: f64,
     /// Angle between the mean rotations of both halves, rad.
     pub drift_rad: f64,
+    /// Noise of the origins: standard deviation along each axis, mm. From the differences of successive samples without the
+    /// largest, so that neither a drift nor a step counts as noise. 0 with fewer than three samples.
+    pub noise_mm: f64,
+    /// Noise of the rotations: standard deviation about each axis, rad, from successive samples likewise.
+    pub noise_rad: f64,
+    /// Motion over the window: the length of the straight line fitted to the origins, mm. 0 with fewer than three samples,
+    /// which do not tell motion from noise.
+    pub moved_mm: f64,
+    /// Rotation over the window, of the straight line fitted to the rotations, rad.
+    pub moved_rad: f64,
+    /// Motion that the noise explains, mm: a marker at rest exceeds it in one of 2,000 windows.
+    pub explained_mm: f64,
+    /// Rotation that the noise explains, rad: a marker at rest exceeds it in one of 2,000 windows.
+    pub explained_rad: f64,
 }
 
 /// Errors of [`still_average()`].
@@ -84,7 +101,24 @@ pub fn still_average(poses: &[Isometry3<f64>], limit_mm: f64, limit_rad: f64) ->
     }
     let (rms_mm, max_mm) = rms_and_max(poses.iter().map(|p| origin_distance(p, &mean)));
     let (rms_rad, max_rad) = rms_and_max(poses.iter().map(|p| p.rotation.angle_to(&mean.rotation)));
-    let report = StillReport { n: poses.len(), rms_mm, max_mm, rms_rad, max_rad, drift_mm, drift_rad };
+    let shifts: Vec<Vector3<f64>> = poses.iter().map(|p| p.translation.vector - mean.translation.vector).collect();
+    let turns: Vec<Vector3<f64>> = poses.iter().map(|p| (mean.rotation.inverse() * p.rotation).scaled_axis()).collect();
+    let (by_shift, by_turn) = (Motion::of(&shifts), Motion::of(&turns));
+    let report = StillReport {
+        n: poses.len(),
+        rms_mm,
+        max_mm,
+        rms_rad,
+        max_rad,
+        drift_mm,
+        drift_rad,
+        noise_mm: by_shift.noise,
+        noise_rad: by_turn.noise,
+        moved_mm: by_shift.moved,
+        moved_rad: by_turn.moved,
+        explained_mm: by_shift.explained,
+        explained_rad: by_turn.explained,
+    };
     Ok(StillAverage { mean, report })
 }
 

@@ -1,13 +1,15 @@
-//! The development bones, where they are at hand.
+//! The development data, where they are at hand, and scans of a phantom.
 #![allow(
     dead_code,
     clippy::unwrap_used,
     reason = "each test file uses some of it, and a failed unwrap is a failed test"
 )]
 
+pub(crate) mod phantom_scan;
+
 use osteoflow_geometry::nalgebra::{Point3, Unit, Vector3};
 use osteoflow_geometry::{Anatomy, Mesh, SurfaceOrigin};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The folder of development data: `OSTEOFLOW_DATA`, else `../shared/data` beside the workspace.
 pub(crate) fn data_folder() -> Option<PathBuf> {
@@ -28,10 +30,14 @@ pub(crate) fn measured_bone(name: &str) -> Option<(Mesh, Anatomy)> {
         lateral: Unit::new_normalize(vector("lateral")),
         posterior: Unit::new_normalize(vector("posterior")),
     };
-    let mut file = std::fs::File::open(bones.join(format!("{name}.stl"))).ok()?;
-    let stl = stl_io::read_stl(&mut file).unwrap();
+    Some((stl(&bones.join(format!("{name}.stl")), "ct")?, anatomy))
+}
+
+/// The surface in a file of the development data, mm, in this frame; `None` if there is no such file.
+pub(crate) fn stl(path: &Path, frame: &str) -> Option<Mesh> {
+    let stl = stl_io::read_stl(&mut std::fs::File::open(path).ok()?).unwrap();
     let vertices: Vec<Point3<f64>> =
         stl.vertices.iter().map(|v| Point3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]))).collect();
     let faces: Vec<[u32; 3]> = stl.faces.iter().map(|f| f.vertices.map(|v| v as u32)).collect();
-    Some((Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap(), anatomy))
+    Some(Mesh::new(frame, SurfaceOrigin::User, vertices, faces).unwrap())
 }

@@ -10,14 +10,19 @@ use serde::Deserialize;
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct TrackingParams {
-    /// Marker motion around a scan above which it is reported. 0.1 mm: three times a tracker's noise of 0.03 mm.
+    /// Marker motion before a scan above which it is reported, if the tracker's noise does not explain it. 0.1 mm: half the
+    /// point spacing of a scan.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub flag_motion_above_mm: f64,
+    /// Marker rotation before a scan above which it is reported, if the tracker's noise does not explain it. 0.03 degrees:
+    /// moves a point at 200 mm by 0.1 mm.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub flag_motion_above_deg: f64,
 }
 
 impl Default for TrackingParams {
     fn default() -> Self {
-        Self { flag_motion_above_mm: 0.1 }
+        Self { flag_motion_above_mm: 0.1, flag_motion_above_deg: 0.03 }
     }
 }
 
@@ -53,19 +58,64 @@ impl BoneFrame {
 
     /// Reports a marker that moved while the scan was taken.
     pub(crate) fn note_motion(&self, motion: Option<&StillReport>, what: &str, ctx: &mut Context) {
-        note_motion("bone", motion, self.0.flag_motion_above_mm, what, ctx);
+        note_motion("bone", motion, &self.0, what, ctx);
     }
 }
 
-/// Reports a marker that moved by more than `limit_mm` while the scan was taken.
-pub(crate) fn note_motion(marker: &str, motion: Option<&StillReport>, limit_mm: f64, what: &str, ctx: &mut Context) {
-    // The means of the window's halves lie half of the window's motion apart.
-    let Some((motion, moved_mm)) = motion.map(|m| (m, 2.0 * m.drift_mm)).filter(|(_, moved)| *moved > limit_mm) else {
-        return;
+/// Reports a marker that moved while the scan was taken, by more than the parameters allow and than noise explains.
+pub(crate) fn note_motion(
+    marker: &str,
+    motion: Option<&StillReport>,
+    params: &TrackingParams,
+    what: &str,
+    ctx: &mut Context,
+) {
+    let Some(motion) = motion else { return };
+    let (limit_mm, limit_deg) = (params.flag_motion_above_mm, params.flag_motion_above_deg);
+    let (moved_deg, explained_deg) = (motion.moved_rad.to_degrees(), motion.explained_rad.to_degrees());
+    let by_mm = motion.moved_mm > limit_mm.max(motion.explained_mm);
+    let by_deg = moved_deg > limit_deg.max(explained_deg);
+    let moved = match (by_mm, by_deg) {
+        (false, false) => return,
+        (true, false) => format!("{:.2} mm", motion.moved_mm),
+        (false, true) => format!("{moved_deg:.3} degrees"),
+        (true, true) => format!("{:.2} mm and {moved_deg:.3} degrees", motion.moved_mm),
     };
     ctx.warn(format!(
-        "the {marker} marker moved by {moved_mm:.2} mm over the {} samples before {what} was taken (more than {limit_mm} \
-         mm): the cloud may be smeared",
-        motion.n
+        "the {marker} marker moved by {moved} over the {} samples before {what} was taken; the tracker's noise explains \
+         {:.2} mm and {explained_deg:.3} degrees, and {limit_mm} mm and {limit_deg} degrees are allowed: the cloud may be \
+         smeared",
+        motion.n, motion.explained_mm
     ));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_algorithms::still_average::still_average;
+    use osteoflow_geometry::nalgebra::Vector3;
+
+    /// The warnings about eleven samples, moved and turned in all by these amounts, with the noise of a tracker.
+    fn warnings(shift_mm: f64, turn_deg: f64) -> Vec<String> {
+        let mut ctx = Context::for_test("to_world");
+        let sample = |k: u64| {
+            let noise =
+                |axis: u64, sd: f64| ((ctx.random(6 * k + axis) % 1001) as f64 / 500.0 - 1.0) * 3f64.sqrt() * sd;
+            let at = k as f64 / 10.0;
+            let shift = Vector3::new(noise(0, 0.03) + shift_mm * at, noise(1, 0.03), noise(2, 0.03));
+            let turn = Vector3::new(noise(3, 0.0115), noise(4, 0.0115), noise(5, 0.0115) + turn_deg * at);
+            Isometry3::new(shift, turn.map(f64::to_radians))
+        };
+        let poses: Vec<_> = (0..11).map(sample).collect();
+        let motion = still_average(&poses, f64::INFINITY, f64::INFINITY).unwrap().report;
+        note_motion("camera", Some(&motion), &TrackingParams::default(), "the scan", &mut ctx);
+        ctx.warnings().to_vec()
+    }
+
+    #[test]
+    fn a_marker_that_shifts_or_turns_is_reported_with_what_noise_explains() {
+        assert_eq!(warnings(0.0, 0.0), Vec::<String>::new());
+        assert!(warnings(0.4, 0.0)[0].contains("moved by 0.4") && warnings(0.4, 0.0)[0].contains("smeared"));
+        assert!(warnings(0.0, 0.2)[0].contains(" degrees over the 11 samples"), "{:?}", warnings(0.0, 0.2));
+    }
 }

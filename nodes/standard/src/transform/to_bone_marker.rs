@@ -9,8 +9,8 @@ use osteoflow_payloads::Flag;
 /// A cloud in the frame of the marker on the bone, where clouds of different times coincide.
 ///
 /// The bone may move between scans; in its marker's frame it does not. The marker's pose is interpolated at the cloud's
-/// stamp. A marker that moved during the scan is reported, since it smears the cloud. If `tracked` is false, the cloud stays
-/// in the world, and the bone must not move between scans.
+/// stamp. A marker that moved before the scan by more than the tracker's noise explains is reported, since it smears the
+/// cloud. If `tracked` is false, the cloud stays in the world, and the bone must not move between scans.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -9,7 +9,8 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamE
 ///
 /// `cloud_world = t_world_camera_marker * inverse(t_camera_camera_marker) * cloud_camera`. The camera marker's pose is
 /// interpolated at the cloud's stamp; if the tracker did not see the marker for longer than `max_gap_ms` around it, there is
-/// no result: a stale pose is never used. A marker that moved during the scan is reported.
+/// no result: a stale pose is never used. A marker that moved before the scan by
+/// more than the tracker's noise explains is reported.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -62,7 +63,7 @@ impl Node for ToWorld {
         let t_world_camera = i.t_world_camera_marker.compose(&i.calibration.inverse())?;
         i.cloud.frame.expect(&t_world_camera.from, "the cloud")?;
         let what = i.cloud.label.as_deref().unwrap_or("the scan");
-        note_motion("camera", i.motion.as_ref(), self.0.flag_motion_above_mm, what, ctx);
+        note_motion("camera", i.motion.as_ref(), &self.0, what, ctx);
         let cloud = i.cloud.transformed(&t_world_camera.to, &t_world_camera.isometry);
         Ok(Out { cloud, t_world_camera: t_world_camera.at(i.cloud.stamp_ns) })
     }

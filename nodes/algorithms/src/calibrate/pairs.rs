@@ -1,0 +1,96 @@
+//! Scan points on the phantom's faces.
+
+use crate::kabsch::centroid;
+use crate::normals;
+use crate::target::Target;
+use nalgebra::{Isometry3, Point3, Vector3};
+use rayon::prelude::*;
+
+/// A scan point on its face.
+pub(super) struct Pair {
+    /// The scan point in the phantom's frame.
+    pub(super) phantom: Point3<f64>,
+    /// The face's normal in the phantom's frame.
+    pub(super) normal: Vector3<f64>,
+    pub(super) residual_mm: f64,
+    /// Change of the residual with the depth of the point: the cosine of the incidence.
+    pub(super) per_depth: f64,
+}
+
+/// Cosine of the largest angle between the normals of a scan point and its face: half of that between two faces.
+const SAME_FACE_COS: f64 = 0.7;
+
+/// Points of a scan in the camera's frame, mm, with unit normals of either sign.
+#[derive(Clone)]
+pub(super) struct Scan {
+    pub(super) points: Vec<Point3<f64>>,
+    pub(super) normals: Vec<Vector3<f64>>,
+}
+
+impl Scan {
+    pub(super) fn new(points: &[Point3<f64>]) -> Self {
+        let centre = centroid(points);
+        let offsets: Vec<Vector3<f64>> = points.iter().map(|p| p - centre).collect();
+        Self { points: points.to_vec(), normals: normals::without_side(&offsets) }
+    }
+
+    /// About `n` points, evenly along the scan.
+    pub(super) fn thinned(&self, n: usize) -> Self {
+        let every = self.points.len().div_ceil(n).max(1);
+        Self {
+            points: self.points.iter().copied().step_by(every).collect(),
+            normals: self.normals.iter().copied().step_by(every).collect(),
+        }
+    }
+}
+
+/// The points within `max_mm` of a face that has their direction, on it.
+pub(super) fn pairs(target: &Target, scan: &Scan, t_phantom_camera: &Isometry3<f64>, max_mm: f64) -> Vec<Pair> {
+    let normals = target.normals().unwrap_or_default();
+    let pair = |(point, direction): (&Point3<f64>, &Vector3<f64>)| {
+        let phantom = t_phantom_camera * point;
+        let (index, _) = target.nearest(&phantom, max_mm)?;
+        let normal = *normals.get(index)?;
+        let agrees = (t_phantom_camera * direction).dot(&normal).abs() >= SAME_FACE_COS;
+        agrees.then(|| Pair {
+            phantom,
+            normal,
+            residual_mm: (phantom - target.points()[index]).dot(&normal),
+            per_depth: (t_phantom_camera * point.coords.normalize()).dot(&normal),
+        })
+    };
+    let found: Vec<Option<Pair>> = scan.points.par_iter().zip(&scan.normals).map(pair).collect();
+    found.into_iter().flatten().collect()
+}
+
+/// Absolute distances from the faces of the points within `max_mm` of them, mm, ascending.
+pub(super) fn distances(target: &Target, scan: &Scan, t_phantom_camera: &Isometry3<f64>, max_mm: f64) -> Vec<f64> {
+    let normals = target.normals().unwrap_or_default();
+    let distance = |point: &Point3<f64>| {
+        let phantom = t_phantom_camera * point;
+        let (index, _) = target.nearest(&phantom, max_mm)?;
+        Some((phantom - target.points()[index]).dot(normals.get(index)?).abs())
+    };
+    let found: Vec<Option<f64>> = scan.points.par_iter().map(distance).collect();
+    let mut distances: Vec<f64> = found.into_iter().flatten().collect();
+    distances.sort_by(f64::total_cmp);
+    distances
+}
+
+/// Share of the points that count for a misfit: edges, and what stands around the phantom, are beyond.
+const NEAR_SHARE: f64 = 0.8;
+
+/// RMS of the nearest four fifths of a Gaussian's values, in standard deviations.
+pub(super) const NEAR_SIGMAS: f64 = 0.661_6;
+
+/// RMS of the distances of `n` points, each counted as at most `cap_mm`, as are those not among the distances.
+pub(super) fn capped_rms_mm(distances: &[f64], n: usize, cap_mm: f64) -> f64 {
+    let squares: f64 = distances.iter().map(|d| d.min(cap_mm).powi(2)).sum();
+    ((squares + (n - distances.len()) as f64 * cap_mm * cap_mm) / n as f64).sqrt()
+}
+
+/// RMS of the nearest four fifths of ascending distances, mm; infinite for none.
+pub(super) fn near_rms_mm(distances: &[f64]) -> f64 {
+    let n = (distances.len() as f64 * NEAR_SHARE) as usize;
+    (distances[..n].iter().map(|d| d * d).sum::<f64>() / n as f64).sqrt()
+}
