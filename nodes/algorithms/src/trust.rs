@@ -22,7 +22,7 @@ pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
 pub use misfit::Misfit;
 pub use noise::sensor_noise_mm;
 pub use planned::{OrderEvidence, PlanFault, landmark_order, plan_faults};
-pub use predict::{Interval, PredictParams, Predicted, PredictedPoint, PredictedSet, Term, Tracking, predict};
+pub use predict::{Interval, PredictParams, Predicted, PredictedPoint, PredictedSet, Seen, Term, Tracking, predict};
 pub use residuals::{Residual, Residuals};
 pub use rules::{Case, RuleParams, judge};
 pub use scale::Scale;

@@ -1,6 +1,7 @@
 //! What an independent registration says: by shape alone, and of the scan's mirror image.
 
-use super::{Residuals, evidence::Registered};
+use super::Residuals;
+use super::evidence::{N_EXAMINED, Registered};
 use crate::coarse::{self, GlobalParams};
 use crate::icp::{self, IcpParams, Method};
 use nalgebra::{Isometry3, Point3, Translation3};
@@ -8,22 +9,27 @@ use osteoflow_geometry::Cloud;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 
-/// Maximum distance of a pair while a pose is settled, and counted for a point in a score, mm.
-pub(super) const REACH_MM: f64 = 2.0;
+/// Maximum distance of a pair while a pose is settled, mm.
+const REACH_MM: f64 = 2.0;
+
+/// Points no farther from the surface support a pose: this many times the noise, and at least this many mm, the error of a CT's
+/// surface. A share of points does not mind where the others are, as tissue may be anywhere.
+const SUPPORT_SIGMAS: f64 = 3.0;
+const MIN_SUPPORT_MM: f64 = 0.2;
 
 /// A registration by shape alone beside the one that is judged.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShapeEvidence {
     /// Mean distance between both answers at the assessed points, mm.
     pub apart_mm: f64,
-    /// RMS distance of the scan from the surface by shape alone, with distances limited to 2 mm, mm.
-    pub score_mm: f64,
-    /// That of the registration judged, mm.
-    pub judged_score_mm: f64,
+    /// Share of the scan on the surface by shape alone, within three times the noise and 0.2 mm.
+    pub support: f64,
+    /// That of the registration judged.
+    pub judged_support: f64,
     /// Margin of the answer by shape over its runner-up; see [`coarse::GlobalReport`].
     pub clearness: f64,
-    /// RMS distance of the scan's mirror image from the surface, where it was tried, mm.
-    pub mirrored_score_mm: Option<f64>,
+    /// That of the scan's mirror image where it fits best, if it was tried.
+    pub mirrored_support: Option<f64>,
 }
 
 /// The scan's mirror image and that of its camera.
@@ -40,11 +46,12 @@ pub fn mirrored(scan: &Cloud) -> Cloud {
     }
 }
 
-/// RMS distance from the surface, with distances limited to [`REACH_MM`].
-pub(super) fn score_mm(residuals: &Residuals) -> f64 {
-    let limit = REACH_MM * REACH_MM;
-    let near: f64 = residuals.near.iter().map(|near| near.signed_mm.powi(2).min(limit)).sum();
-    ((near + limit * (residuals.n - residuals.near.len()) as f64) / residuals.n.max(1) as f64).sqrt()
+/// Share of the scan that lies on the surface at a pose.
+pub(super) fn support(registered: &Registered<'_>, pose: &Isometry3<f64>, noise_mm: f64) -> f64 {
+    let limit_mm = (SUPPORT_SIGMAS * noise_mm).max(MIN_SUPPORT_MM);
+    let (target, points) = (registered.target, registered.source.points());
+    let residuals = Residuals::new(target, points, pose, 2.0 * limit_mm, N_EXAMINED);
+    residuals.map_or(0.0, |residuals| residuals.share(|near| near.signed_mm.abs() <= limit_mm))
 }
 
 /// The pose at which a point-to-plane registration from `start` comes to rest.
@@ -61,17 +68,11 @@ pub(super) fn by_shape(registered: &Registered<'_>) -> Option<(Isometry3<f64>, c
     Some((settled(registered, &fit.t_target_source)?, fit.report))
 }
 
-/// The score of the scan's mirror image where it fits best.
-pub(super) fn mirrored_score_mm(registered: &Registered<'_>) -> Option<f64> {
+/// The support of the scan's mirror image where it fits best.
+pub(super) fn mirrored_support(registered: &Registered<'_>, noise_mm: f64) -> Option<f64> {
     let image = mirrored(registered.source);
     let fit = coarse::global(registered.target, &image, &GlobalParams::default()).ok()?;
     let image = Registered { source: &image, ..*registered };
     let pose = settled(&image, &fit.t_target_source)?;
-    Some(score_mm(&Residuals::new(
-        registered.target,
-        image.source.points(),
-        &pose,
-        REACH_MM,
-        super::evidence::N_EXAMINED,
-    )?))
+    Some(support(&image, &pose, noise_mm))
 }

@@ -91,6 +91,8 @@ pub struct Evidence {
     pub scale: Option<Scale>,
     /// RMS spread of the registration at the points that matter, by a jackknife over cells of 10 mm.
     pub spread_mm: Option<f64>,
+    /// The part of it that independent noise does not explain: what differs from cell to cell.
+    pub structured_spread_mm: Option<f64>,
     /// Mean distance, at the points that matter, to the pose at which a point-to-plane registration settles from this one.
     pub unsettled_mm: Option<f64>,
     /// The registration by shape alone, if it was made.
@@ -127,6 +129,9 @@ impl Evidence {
             let motion = other * t_target_source.inverse();
             at.iter().map(|p| (motion * p - p).norm()).sum::<f64>() / at.len() as f64
         };
+        let rms = |square: &dyn Fn(&Point3<f64>) -> f64| {
+            (at.iter().map(square).sum::<f64>() / at.len() as f64).max(0.0).sqrt()
+        };
         let settled = contrary::settled(registered, t_target_source);
         let shape = params.shape.then(|| contrary::by_shape(registered)).flatten();
         let mut evidence = Evidence {
@@ -139,32 +144,27 @@ impl Evidence {
             misfit: Misfit::new(&on, noise_mm),
             facing_away: facing_away(registered, &on),
             scale: Scale::new(&on, CELL_MM),
-            spread_mm: spread
+            spread_mm: spread.as_ref().map(|spread| rms(&|p| spread.at(p).trace())),
+            structured_spread_mm: spread
                 .as_ref()
-                .map(|spread| (at.iter().map(|p| spread.at(p).trace()).sum::<f64>() / at.len() as f64).max(0.0).sqrt()),
+                .map(|spread| rms(&|p| spread.at(p).trace() - noise_mm * noise_mm * spread.by_noise_at(p).trace())),
             unsettled_mm: settled.as_ref().map(apart),
             shape: None,
         };
-        evidence.shape = shape.map(|(pose, report)| {
-            let own = |pose: &Isometry3<f64>| {
-                let residuals = Residuals::new(target, source.points(), pose, contrary::REACH_MM, N_EXAMINED);
-                residuals.as_ref().map_or(contrary::REACH_MM, contrary::score_mm)
-            };
-            ShapeEvidence {
-                apart_mm: apart(&pose),
-                score_mm: own(&pose),
-                judged_score_mm: own(t_target_source),
-                clearness: report.clearness,
-                mirrored_score_mm: None,
-            }
+        evidence.shape = shape.map(|(pose, report)| ShapeEvidence {
+            apart_mm: apart(&pose),
+            support: contrary::support(registered, &pose, noise_mm),
+            judged_support: contrary::support(registered, t_target_source, noise_mm),
+            clearness: report.clearness,
+            mirrored_support: None,
         });
         Some(Examined { evidence, spread })
     }
 
-    /// Adds the score of the scan's mirror image.
+    /// Adds the support of the scan's mirror image.
     pub fn examine_mirrored(&mut self, registered: &Registered<'_>) {
         if let Some(shape) = &mut self.shape {
-            shape.mirrored_score_mm = contrary::mirrored_score_mm(registered);
+            shape.mirrored_support = contrary::mirrored_support(registered, self.noise_mm);
         }
     }
 }

@@ -1,7 +1,8 @@
 //! The error to expect, from the spread of the pose and the stated errors of the devices.
 
 use super::Spread;
-use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
+use crate::calibrate::PhantomReport;
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use osteoflow_geometry::NamedPoint;
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -47,6 +48,17 @@ impl Default for PredictParams {
     }
 }
 
+/// The poses by which the markers' places are carried to the target.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Seen {
+    /// The camera at the scan.
+    pub t_target_camera: Isometry3<f64>,
+    /// The camera's marker on the camera.
+    pub t_camera_camera_marker: Isometry3<f64>,
+    /// The phantom's marker in the scan of the phantom, if there was one.
+    pub t_camera_phantom_marker: Option<Isometry3<f64>>,
+}
+
 /// Where the markers were, for the propagation of their errors. In the target's frame, mm.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tracking {
@@ -56,6 +68,29 @@ pub struct Tracking {
     pub phantom_marker: Option<Point3<f64>>,
     /// Covariance of the phantom's fit: shift (mm) and turn (rad) about a point.
     pub phantom_fit: Option<(Matrix6<f64>, Point3<f64>)>,
+}
+
+impl Tracking {
+    /// The markers as the camera saw them, and the fit of the phantom.
+    ///
+    /// An error of the calibration moves the scan as a rigid body with the camera, so the phantom's marker acts from where it
+    /// was in the camera's frame.
+    pub fn new(seen: &Seen, calibration: Option<&PhantomReport>) -> Self {
+        let t = &seen.t_target_camera;
+        let phantom_fit = calibration.map(|report| {
+            let covariance = Matrix6::from_fn(|row, column| report.covariance[row][column]);
+            let mut turn = Matrix6::zeros();
+            let rotation = t.rotation.to_rotation_matrix().into_inner();
+            turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+            turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+            (turn * covariance * turn.transpose(), t * Point3::from(report.centre_mm))
+        });
+        Self {
+            camera_marker: t * (seen.t_camera_camera_marker * Point3::origin()),
+            phantom_marker: seen.t_camera_phantom_marker.map(|marker| t * (marker * Point3::origin())),
+            phantom_fit,
+        }
+    }
 }
 
 /// The predicted error.

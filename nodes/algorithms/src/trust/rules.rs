@@ -11,14 +11,21 @@ use osteoflow_geometry::{NamedPoint, Planes};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Share by which an independent registration has to fit better to contradict: less may be noise.
-const BETTER: f64 = 0.85;
+/// Share of the scan by which another pose has to be supported better to contradict: less may be noise.
+const BETTER: f64 = 0.1;
+
+/// A registration that has not converged but is this close to its end is as good, mm.
+const CLOSE_MM: f64 = 0.05;
 
 /// Thresholds of the rules.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RuleParams {
-    /// Doubtful if the RMS spread of the registration at the assessment points and cuts is larger, mm.
+    /// Doubtful if the RMS spread of the registration at the assessment points and cuts that noise does not explain is larger,
+    /// mm.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_structured_spread_mm: f64,
+    /// Doubtful if all of the RMS spread is larger, mm.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_spread_mm: f64,
     /// Doubtful if the misfit, the mean residual of patches of 4 mm, is larger, mm: surface and scan differ by more than
@@ -56,14 +63,15 @@ pub struct RuleParams {
 impl Default for RuleParams {
     fn default() -> Self {
         Self {
-            max_spread_mm: 0.2,
+            max_structured_spread_mm: 0.15,
+            max_spread_mm: 0.4,
             max_misfit_mm: 0.3,
             max_inward_misfit_mm: 0.3,
             max_unsettled_mm: 0.5,
             max_shape_apart_mm: 1.5,
             min_shape_clearness: 0.3,
             max_scale_error: 0.02,
-            min_on_surface: 0.55,
+            min_on_surface: 0.35,
             max_fre_mm: 3.0,
             max_measured_tre_mm: 2.5,
         }
@@ -102,7 +110,7 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     reasons.extend(plan_reasons(case));
     let order = landmark_order(case.landmarks, case.located);
     reasons.extend(order.as_ref().and_then(order_reason));
-    if let Some(icp) = case.icp.filter(|icp| !icp.converged) {
+    if let Some(icp) = case.icp.filter(|icp| !icp.converged && icp.remaining_mm.is_none_or(|mm| mm > CLOSE_MM)) {
         let text = format!("the registration did not converge: it stopped by {}", stopped_by(icp.stop_reason));
         reasons.push(Reason::new(
             "converged",
@@ -221,7 +229,9 @@ fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &Rule
             "the scan leaves a motion of the bone undetermined".to_owned(),
             "scan a longer stretch, or one with more shape",
         ),
-        Some(mm) if mm > rules.max_spread_mm => {
+        Some(mm)
+            if mm > rules.max_spread_mm || evidence.structured_spread_mm > Some(rules.max_structured_spread_mm) =>
+        {
             let reason = format!("the residuals leave the assessment points and cuts uncertain by {mm:.2} mm (RMS)");
             add(
                 "spread",
@@ -268,14 +278,15 @@ fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &Rule
     }
     if let Some(shape) = evidence.shape.as_ref().filter(|shape| shape.apart_mm > rules.max_shape_apart_mm) {
         let mm = shape.apart_mm;
-        if shape.score_mm < BETTER * shape.judged_score_mm {
+        if shape.support > shape.judged_support + BETTER {
             let reason = format!(
-                "by its shape alone the scan fits better {mm:.0} mm away ({:.2} mm RMS against {:.2}); likely cause: landmarks \
-                 exchanged or at the wrong place",
-                shape.score_mm, shape.judged_score_mm
+                "by its shape alone the scan fits better {mm:.0} mm away ({:.0} % of it on the surface, against {:.0} %); likely \
+                 cause: landmarks exchanged or at the wrong place",
+                100.0 * shape.support,
+                100.0 * shape.judged_support
             );
             add("shape", Answer::Refused, reason, "check the landmarks, and that plan and CT are of this bone");
-        } else if shape.clearness >= rules.min_shape_clearness {
+        } else if shape.clearness >= rules.min_shape_clearness && shape.support + BETTER > shape.judged_support {
             let reason = format!("by its shape alone the scan fits as well {mm:.0} mm away");
             add("shape", Answer::Doubtful, reason, "scan a longer stretch, or one with more shape");
         }
@@ -289,12 +300,14 @@ fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &Rule
 
 fn mirror_reason(evidence: &Evidence) -> Option<Reason> {
     let shape = evidence.shape.as_ref()?;
-    let mirrored = shape.mirrored_score_mm?;
-    let best = shape.score_mm.min(shape.judged_score_mm);
-    (mirrored < BETTER * best).then(|| {
+    let mirrored = shape.mirrored_support?;
+    let best = shape.support.max(shape.judged_support);
+    (mirrored > best + BETTER).then(|| {
         let reason = format!(
-            "the scan's mirror image fits better ({mirrored:.2} mm RMS against {best:.2}); likely cause: a mirrored CT, or the \
-             other leg"
+            "the scan's mirror image fits better ({:.0} % of it on the surface, against {:.0} %); likely cause: a mirrored CT, or \
+             the other leg",
+            100.0 * mirrored,
+            100.0 * best
         );
         Reason::new("mirrored", Answer::Refused, reason, "check the side, and that the CT was not flipped on export")
     })

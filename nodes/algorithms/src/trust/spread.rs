@@ -14,6 +14,8 @@ pub struct Spread {
     pub centre: Point3<f64>,
     /// Covariance caused by an error of the surface of 1 mm (RMS), constant over a cell and independent between cells.
     pub bias: Matrix6<f64>,
+    /// Covariance caused by independent noise of 1 mm.
+    pub by_noise: Matrix6<f64>,
     /// Number of cells.
     pub n_cells: usize,
 }
@@ -46,15 +48,24 @@ impl Spread {
         let n_cells = cells.len();
         covariance *= (n_cells as f64 - 1.0) / n_cells as f64;
         let is_finite = covariance.iter().all(|value| value.is_finite());
-        is_finite.then_some(Self { covariance, centre, bias: inverse * bias * inverse, n_cells })
+        is_finite.then_some(Self { covariance, centre, bias: inverse * bias * inverse, by_noise: inverse, n_cells })
     }
 
     /// Covariance of the position of a point of the target's frame that moves with the scan, mm².
     pub fn at(&self, point: &Point3<f64>) -> Matrix3<f64> {
+        self.carried(&self.covariance, point)
+    }
+
+    /// The same for independent noise of 1 mm.
+    pub(super) fn by_noise_at(&self, point: &Point3<f64>) -> Matrix3<f64> {
+        self.carried(&self.by_noise, point)
+    }
+
+    fn carried(&self, covariance: &Matrix6<f64>, point: &Point3<f64>) -> Matrix3<f64> {
         let mut motion = Matrix3x6::zeros();
         motion.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
         motion.fixed_view_mut::<3, 3>(0, 3).copy_from(&-(point - self.centre).cross_matrix());
-        motion * self.covariance * motion.transpose()
+        motion * covariance * motion.transpose()
     }
 }
 

@@ -190,9 +190,8 @@ fn a_plan_of_other_coordinates_is_refused_with_the_likely_cause() {
     // Away from the origin, as in every CT: near it a half turn about z changes little.
     let away = Isometry3::translation(80.0, 50.0, 0.0);
     let surface = MeshQuery::new(&shaft().transformed("ct", &away));
-    let marks = || -> Vec<NamedPoint> {
-        marks().iter().map(|p| NamedPoint::new(p.name.clone(), away * p.position)).collect()
-    };
+    let marks =
+        || -> Vec<NamedPoint> { marks().iter().map(|p| NamedPoint::new(p.name.clone(), away * p.position)).collect() };
     assert_eq!(plan_faults(&surface, &marks(), None), []);
     let scaled = |scale: [f64; 3]| -> Vec<NamedPoint> {
         let of = |p: &NamedPoint| Point3::from(p.position.coords.component_mul(&Vector3::from(scale)));
@@ -221,7 +220,7 @@ fn the_predicted_interval_holds_nine_tenths_of_the_errors_of_its_own_model() {
     let sd = Vector6::new(0.1, 0.1, 0.3, 0.002, 0.002, 0.004);
     let covariance = Matrix6::from_diagonal(&sd.component_mul(&sd));
     let centre = Point3::new(0.0, 0.0, 60.0);
-    let spread = Spread { covariance, centre, bias: Matrix6::zeros(), n_cells: 20 };
+    let spread = Spread { covariance, centre, bias: Matrix6::zeros(), by_noise: Matrix6::zeros(), n_cells: 20 };
     let set = predict(&spread, None, &marks(), &[], &PredictParams::default()).assessment.unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let errors: Vec<f64> = (0..2000)

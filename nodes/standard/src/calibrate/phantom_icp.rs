@@ -51,6 +51,9 @@ pub struct Out {
     /// The calibration.
     #[port(to = "nominal.to", from = "nominal.from")]
     t_camera_camera_marker: Pose,
+    /// The phantom's marker as the camera saw it, for the propagation of its error.
+    #[port(to = "nominal.to", from = "t_world_phantom_marker.from")]
+    t_camera_phantom_marker: Pose,
     /// Residuals, and the error they cause at the working distance.
     report: PhantomReport,
 }
@@ -79,6 +82,8 @@ impl Node for PhantomIcp {
         let fit = phantom_icp(i.cloud.points(), &i.phantom, &start, &self.0)?;
         let t_c_mc = equation_1(&fit.t_camera_phantom, &t_p_mp, &t_w_mp, &t_w_mc);
         let pose = Pose::new(camera, camera_marker, t_c_mc).at(ctx.stamp_ns());
-        Ok(Out { t_camera_camera_marker: pose, report: fit.report })
+        let phantom_marker = &i.t_phantom_phantom_marker.from;
+        let t_c_mp = Pose::new(camera, phantom_marker, fit.t_camera_phantom * t_p_mp).at(ctx.stamp_ns());
+        Ok(Out { t_camera_camera_marker: pose, t_camera_phantom_marker: t_c_mp, report: fit.report })
     }
 }

@@ -1,15 +1,38 @@
 //! The kind `transform.first_of`.
 
 use osteoflow_geometry::Pose;
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+};
 
 /// The first of two poses that has a value, such as the recording's, else the plan's.
+///
+/// Refused if both have one and they differ: then one of them is wrong.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "transform.first_of"
 in   = { first = "recording.phantom_marker_cad", second = "plan.t_phantom_phantom_marker" }
 "#)]
-pub struct FirstOf;
+pub struct FirstOf(Params);
+
+/// Parameters of [`FirstOf`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// Maximum distance between the origins of both poses, mm. 0.5: rounding of files and units, far below any mistake.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub max_apart_mm: f64,
+    /// Maximum angle between both poses, degrees. 0.2: as much.
+    #[schemars(range(min = 0.0, max = 180.0))]
+    pub max_apart_deg: f64,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { max_apart_mm: 0.5, max_apart_deg: 0.2 }
+    }
+}
 
 /// Inputs of [`FirstOf`].
 #[derive(Inputs)]
@@ -32,15 +55,26 @@ pub struct Out {
 
 impl Node for FirstOf {
     const KIND: &'static str = "transform.first_of";
-    type Params = crate::NoParams;
+    type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self(params))
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        if let (Some(first), Some(second)) = (&i.first, &i.second) {
+            let between = first.isometry.inverse() * second.isometry;
+            let (mm, deg) = (between.translation.vector.norm(), between.rotation.angle().to_degrees());
+            if mm > self.0.max_apart_mm || deg > self.0.max_apart_deg {
+                return Err(NodeError::new(format!(
+                    "the two poses of {} in {} differ by {mm:.1} mm and {deg:.1} degrees, so one of them is wrong; correct it, or \
+                     wire the right one alone",
+                    first.from, first.to
+                )));
+            }
+        }
         match i.first.or(i.second) {
             Some(pose) => Ok(Out { pose }),
             None => Err(NodeError::new(format!(

@@ -6,9 +6,9 @@ use osteoflow_algorithms::icp::IcpReport;
 use osteoflow_algorithms::metrics::TreReport;
 use osteoflow_algorithms::target::Target;
 use osteoflow_algorithms::trust::{
-    self, Case, EvidenceParams, PredictParams, Registered, RuleParams, Tracking, Verdict,
+    self, Case, EvidenceParams, PredictParams, Registered, RuleParams, Seen, Tracking, Verdict,
 };
-use osteoflow_geometry::{Cloud, NamedPoint, Planes, Points, Pose, nalgebra::Point3};
+use osteoflow_geometry::{Cloud, NamedPoint, Planes, Points, Pose};
 use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
@@ -22,7 +22,7 @@ use osteoflow_node::{
 #[describe(
     example = r#"
 kind = "verdict.registration"
-in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", measured = "tre_measured.report" }
+in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", t_camera_phantom_marker = "calibration.t_camera_phantom_marker", measured = "tre_measured.report" }
 "#,
     literature = [
         "Gelfand et al. 2003",
@@ -78,6 +78,9 @@ pub struct In {
     /// The calibration: where the camera sits on its marker.
     #[port(join = "once")]
     t_camera_camera_marker: Option<Pose>,
+    /// Where the camera saw the phantom's marker.
+    #[port(join = "once")]
+    t_camera_phantom_marker: Option<Pose>,
     /// The error measured with a stylus; waited for until it comes or its wire ends.
     #[port(join = "once")]
     measured: Option<TreReport>,
@@ -107,13 +110,14 @@ impl Node for Registration {
         let named = |points: &Option<Points>| -> Vec<NamedPoint> {
             points.as_ref().map(|points| points.points.to_vec()).unwrap_or_default()
         };
-        let camera_marker = i
-            .t_camera_camera_marker
-            .as_ref()
-            .zip(i.source.viewpoint)
-            .map(|(pose, viewpoint)| t_target_source * (viewpoint * (pose.isometry * Point3::origin())));
-        let tracking =
-            camera_marker.map(|camera_marker| Tracking { camera_marker, phantom_marker: None, phantom_fit: None });
+        let tracking = i.source.viewpoint.zip(i.t_camera_camera_marker.as_ref()).map(|(viewpoint, camera_marker)| {
+            let seen = Seen {
+                t_target_camera: t_target_source * viewpoint,
+                t_camera_camera_marker: camera_marker.isometry,
+                t_camera_phantom_marker: i.t_camera_phantom_marker.as_ref().map(|pose| pose.isometry),
+            };
+            Tracking::new(&seen, i.calibration.as_ref())
+        });
         let (landmarks, assessment) = (named(&i.landmarks), named(&i.assessment));
         let case = Case {
             registered: Registered { target: &i.target, source: &i.source, t_target_source: &t_target_source, at: &[] },
