@@ -60,7 +60,7 @@ use std::io::IsTerminal;
     after_help = "\
 Examples:
   osteoflow run graphs/fibula.toml               a simulated procedure, from scan to cutting planes
-  osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_plane --set graph.seed=7
+  osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_point --set graph.seed=7
   osteoflow check graphs/fibula.toml             every fault at its line; nothing is run
   osteoflow inspect icp.point_to_plane           what a node takes, gives and needs
   osteoflow register bone.stl scan.ply --init T.txt   two files, no graph

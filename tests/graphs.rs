@@ -81,8 +81,8 @@ fn a_variant_is_a_few_lines_over_the_graph_it_extends() {
         let text = fs::read_to_string(root().join(graph)).unwrap();
         assert!(text.contains("extends"), "{graph} extends nothing");
         let n_lines = text.lines().filter(|line| !line.trim().is_empty() && !line.starts_with('#')).count();
-        // The stylus baseline removes the camera's half of the graph, which is the longest of them.
-        assert!(n_lines <= 30, "{graph} has {n_lines} lines");
+        // The longest, the stylus baseline, removes the camera's half of the graph and rewires all that took its cloud.
+        assert!(n_lines <= 32, "{graph} has {n_lines} lines");
     }
 }
 

@@ -87,7 +87,7 @@ fn one_changed_parameter_diverges_first_at_its_node_and_nowhere_upstream() {
     assert_eq!(part_of(&answer, "recording.scan").0, "played");
 
     // Another method instead of the first.
-    let (code, answer, printed) = replay(&recording, &["--set", "icp.kind=icp.point_to_plane"]);
+    let (code, answer, printed) = replay(&recording, &["--set", "icp.kind=icp.point_to_point"]);
     assert_eq!(code, 4, "{printed}");
     assert!(answer["first_divergence"]["wire"].as_str().unwrap().starts_with("icp."), "{}", answer["first_divergence"]);
 }
@@ -130,7 +130,7 @@ fn from_a_node_on_only_what_follows_is_computed_and_the_rest_is_played() {
 #[test]
 fn recorded_streams_play_into_another_graph_that_has_their_wires() {
     let (ran, recording) = recorded();
-    let other = "graphs/variants/fibula_recorded_point_to_plane.toml";
+    let other = "graphs/variants/fibula_recorded_point_to_point.toml";
     let (code, answer, printed) = replay(&recording, &["--graph", other]);
     assert_eq!(code, 4, "{printed}");
     assert!(answer["first_divergence"]["wire"].as_str().unwrap().starts_with("icp."), "{}", answer["first_divergence"]);

@@ -71,7 +71,7 @@ fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
     }
     let bibliography = fs::read_to_string(ran.dir.path().join("citations.bib")).unwrap();
     assert!(
-        bibliography.contains("@article{besl1992") && !bibliography.contains("segal2009"),
+        bibliography.contains("@article{chen1992") && !bibliography.contains("segal2009"),
         "what was used: {bibliography}"
     );
     for figure in fs::read_dir(ran.dir.path().join("figures")).unwrap() {

@@ -134,7 +134,7 @@ fn another_seed_changes_the_scan_and_the_same_seed_does_not() {
 
 #[test]
 fn swapping_the_icp_changes_only_what_lies_downstream_of_it() {
-    let changed = different(&wires(&[]), &wires(&["--set", "icp.kind=icp.point_to_plane"]));
+    let changed = different(&wires(&[]), &wires(&["--set", "icp.kind=icp.point_to_point"]));
     assert!(changed.contains("icp.t_target_source"), "{changed:?}");
     let beyond: Vec<_> = changed.difference(&downstream("icp")).cloned().collect();
     assert!(beyond.is_empty(), "changed, though upstream of icp: {beyond:?}");

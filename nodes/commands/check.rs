@@ -14,7 +14,7 @@ use std::io::Write;
 Examples:
   osteoflow check graphs/fibula.toml
   osteoflow check graphs/modules/laser_point.toml        a module is also checked alone
-  osteoflow check graphs/fibula.toml --set icp.kind=icp.point_to_plane
+  osteoflow check graphs/fibula.toml --set icp.kind=icp.point_to_point
   osteoflow check graphs/fibula.toml --format json       faults with file, line and column, for editors")]
 pub(crate) struct Check {
     #[command(flatten)]

@@ -13,7 +13,7 @@ use std::{collections::BTreeMap, io::Write};
 #[command(after_help = "\
 Examples:
   osteoflow expand graphs/variants/fibula_modules.toml
-  osteoflow expand graphs/fibula.toml --set icp.kind=icp.point_to_plane > flat.toml
+  osteoflow expand graphs/fibula.toml --set icp.kind=icp.point_to_point > flat.toml
   diff <(osteoflow expand a.toml) <(osteoflow expand b.toml)        the differences of two experiments")]
 pub(crate) struct Expand {
     #[command(flatten)]

@@ -27,7 +27,7 @@ use std::{io::Write, path::PathBuf, sync::Arc};
 Examples:
   osteoflow replay runs/fibula-20260314-092653/run.mcap
   osteoflow replay run.mcap --set icp.max_pair_distance_mm=1     what a parameter changes, and where first
-  osteoflow replay run.mcap --from icp --set icp.kind=icp.point_to_plane --out again
+  osteoflow replay run.mcap --from icp --set icp.kind=icp.point_to_point --out again
   osteoflow replay run.mcap --graph other.toml                   the recorded streams through another graph
   osteoflow replay run.mcap --rate 1 --start 10 --end 20.5       ten seconds of it, as fast as they went
 

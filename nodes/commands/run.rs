@@ -26,7 +26,7 @@ use std::{
 #[command(after_help = "\
 Examples:
   osteoflow run graphs/fibula.toml
-  osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_plane --set graph.seed=7
+  osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_point --set graph.seed=7
   osteoflow run graphs/fibula_recorded.toml --set recording.path=R.mcap --set bone.path=B.stl \\
       --set phantom.path=P.stl --set plan.path=R.plan.json --out DIR
   osteoflow run graphs/fibula.toml --watch              then edit the graph: each save is run within the second

@@ -70,7 +70,9 @@ pub(super) fn by_points(
     let mut fit = run(target, source, init, params, observer, minimize, |last, state| {
         let planes: Problem<'_, PointToPlane> =
             Problem::new(last.surface, last.pairing, last.params, 1, last.source.clone(), last.reciprocal);
-        let mut weights = Weights::open(last.params, last.params.max_pair_distance_mm);
+        // Of a last level, so that both sides of the surface count alike.
+        let open = Weights::open(last.params, last.params.max_pair_distance_mm);
+        let mut weights = open.for_last(last.params, 0.0);
         let equations = planes.linearize(state, &mut planes.correspondences(), &mut weights, false);
         left_mm = equations.ok().map(|equations| solve::gauss_newton(&equations).norm());
     })?;
@@ -99,6 +101,9 @@ fn run<R: Residual>(
     mut at_end: impl FnMut(&Problem<'_, R>, &State),
 ) -> Result<IcpFit, IcpError> {
     check::<R>(target, &source, init, params)?;
+    // The variant's own default holds for the probes along the normals, too.
+    let one_sided = Some(params.one_sided.unwrap_or(R::ONE_SIDED));
+    let params = &IcpParams { one_sided, ..params.clone() };
     let all = PreparedSource::new(&source, R::SOURCE_NORMALS || params.max_normal_angle_deg < 180.0);
     let mut state = State { rotation: init.rotation, centroid: init * all.centroid };
     let surface = visible_surface(target, &source, &all, &state, init, params);
@@ -109,7 +114,7 @@ fn run<R: Residual>(
     let mut observer = Observer { trace: IcpTrace::default(), caller };
     let steps_left = |observer: &Observer<'_>| params.max_iterations - observer.trace.steps.len() as u32;
     let mut halted = None;
-    let is_one_sided = surface.outward().is_some() && params.one_sided.unwrap_or(R::ONE_SIDED);
+    let is_one_sided = surface.outward().is_some() && one_sided == Some(true);
     for (k, every) in subsets(params, all.points.len(), &pairings, is_one_sided).into_iter().enumerate() {
         if k > 0 {
             weights.search_radius_mm = weights.search_radius_mm.min(params.max_pair_distance_mm);

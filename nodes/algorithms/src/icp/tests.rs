@@ -145,6 +145,22 @@ fn trimming_leaves_out_outliers() {
 }
 
 #[test]
+fn points_pair_alike_on_both_sides_of_the_surface_unless_told_otherwise() {
+    let target = target(&shaft(), 40_000);
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let noisy = source(&shaft(), 8000).into_iter().filter(|p| p.x > 2.0);
+    let noisy: Vec<_> = noisy.map(|p| p + Vector3::x() * random.random_range(-0.15..0.15)).collect();
+    let run = |one_sided| {
+        let params = IcpParams { one_sided, ..IcpParams::default() };
+        let source = Source::seen_from(&noisy, Point3::new(300.0, 0.0, 50.0));
+        register(Method::PointToPoint, &target, source, &start(), &params, &mut go_on).unwrap()
+    };
+    // The report, too: what it says of the pose is measured along normals.
+    assert_eq!(run(None), run(Some(false)));
+    assert_ne!(run(None), run(Some(true)));
+}
+
+#[test]
 fn an_observer_stops_the_registration_and_the_report_says_so() {
     let (target, source) = (target(&shaft(), 5000), source(&shaft(), 1000));
     let mut seen = 0;

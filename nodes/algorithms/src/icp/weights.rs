@@ -146,15 +146,14 @@ impl Weights {
         self.gated(square, flat)
     }
 
-    /// The same of a point outside a surface that tissue may cover.
+    /// The same of a point outside a surface that tissue may cover. Trimming and kernel are those of any point.
     pub(super) fn outside(&self, square: f64, params: &IcpParams) -> (f64, f64) {
         if !self.is_last {
             let (weight, cost) = self.weight_and_cost(square);
             return (OUTSIDE_WEIGHT * weight, OUTSIDE_WEIGHT * cost);
         }
-        let closer = (params.gate_sigmas / OUTSIDE_SIGMAS).max(1.0).powi(2);
-        let (weight, cost) = self.weight_and_cost(square * closer);
-        (weight, cost / closer)
+        let gate_mm = self.gate_mm * (OUTSIDE_SIGMAS / params.gate_sigmas).min(1.0);
+        Self { gate_mm, ..*self }.weight_and_cost(square)
     }
 
     #[inline(never)]
@@ -267,6 +266,23 @@ mod tests {
                 let cost = weights.weight_and_cost(end * end).1;
                 assert!((cost - sum).abs() < 1e-5, "{kernel:?} at {end}: {cost} but {sum}");
             }
+        }
+    }
+
+    #[test]
+    fn outside_the_surface_the_gate_is_closer_and_trimming_and_kernel_are_not() {
+        for kernel in [Kernel::None, Kernel::Huber, Kernel::Tukey, Kernel::Welsch] {
+            let params = IcpParams { kernel, ..IcpParams::default() };
+            let mut weights = Weights::open(&params, 50.0).for_last(&params, 0.0);
+            weights.narrow(&[0.0; 8], &params, 0.0);
+            let square = |sigmas: f64| (sigmas * params.noise_mm).powi(2);
+            weights.trim_square = square(3.0);
+            for sigmas in [0.5, 1.0, 1.6, 2.1, 3.1] {
+                let (outside, inside) = (weights.outside(square(sigmas), &params), weights.weight_and_cost(square(sigmas)));
+                assert_eq!(outside, inside, "{kernel:?} at {sigmas} standard deviations");
+            }
+            assert_eq!(weights.outside(square(2.6), &params).0, 0.0, "{kernel:?}");
+            assert!(weights.weight_and_cost(square(2.6)).0 > 0.0, "{kernel:?}");
         }
     }
 }
