@@ -278,7 +278,8 @@ mod tests {
             let square = |sigmas: f64| (sigmas * params.noise_mm).powi(2);
             weights.trim_square = square(3.0);
             for sigmas in [0.5, 1.0, 1.6, 2.1, 3.1] {
-                let (outside, inside) = (weights.outside(square(sigmas), &params), weights.weight_and_cost(square(sigmas)));
+                let (outside, inside) =
+                    (weights.outside(square(sigmas), &params), weights.weight_and_cost(square(sigmas)));
                 assert_eq!(outside, inside, "{kernel:?} at {sigmas} standard deviations");
             }
             assert_eq!(weights.outside(square(2.6), &params).0, 0.0, "{kernel:?}");

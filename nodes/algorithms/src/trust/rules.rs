@@ -46,7 +46,7 @@ pub struct RuleParams {
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_shape_clearness: f64,
     /// Doubtful if the scan is larger or smaller than the surface by more than this share, and by more than four standard
-    /// deviations. 0.02: 0.1 mm on the radius of a fibula.
+    /// deviations. 0.025: 0.15 mm on the radius of a fibula, beyond what blur and threshold of a CT do.
     #[schemars(range(min = 0.0, max = 10.0))]
     pub max_scale_error: f64,
     /// Doubtful if a smaller share of the scan lies on the surface.
@@ -70,7 +70,7 @@ impl Default for RuleParams {
             max_unsettled_mm: 0.5,
             max_shape_apart_mm: 1.5,
             min_shape_clearness: 0.3,
-            max_scale_error: 0.02,
+            max_scale_error: 0.025,
             min_on_surface: 0.35,
             max_fre_mm: 3.0,
             max_measured_tre_mm: 2.5,
