@@ -14,6 +14,9 @@ use serde::Deserialize;
 /// Share of the scan by which another pose has to be supported better to contradict: less may be noise.
 const BETTER: f64 = 0.1;
 
+/// The noise is estimated along the surface's normals, and a slanted surface has more: a share of it remains in the misfit.
+const MISFIT_PER_NOISE: f64 = 0.15;
+
 /// A registration that has not converged but is this close to its end is as good, mm.
 const CLOSE_MM: f64 = 0.05;
 
@@ -28,8 +31,8 @@ pub struct RuleParams {
     /// Doubtful if all of the RMS spread is larger, mm.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_spread_mm: f64,
-    /// Doubtful if the misfit, the mean residual of patches of 4 mm, is larger, mm: surface and scan differ by more than
-    /// noise.
+    /// Doubtful if the misfit, the mean residual of patches of 4 mm, is larger by more than 0.15 times the noise, mm: surface and
+    /// scan differ by more than noise, as with tissue, a rough CT or a bone of nearly the same shape.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_misfit_mm: f64,
     /// Refused if the misfit of the patches inside the surface is larger, mm: soft tissue lies outside, so this is another bone,
@@ -65,7 +68,7 @@ impl Default for RuleParams {
         Self {
             max_structured_spread_mm: 0.15,
             max_spread_mm: 0.4,
-            max_misfit_mm: 0.3,
+            max_misfit_mm: 0.12,
             max_inward_misfit_mm: 0.3,
             max_unsettled_mm: 0.5,
             max_shape_apart_mm: 1.5,
@@ -214,13 +217,18 @@ fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &Rule
             misfit.inward_mm, evidence.noise_mm
         );
         add("inward_misfit", Answer::Refused, reason, another);
-    } else if misfit.rms_mm > rules.max_misfit_mm {
+    } else if misfit.rms_mm > rules.max_misfit_mm + MISFIT_PER_NOISE * evidence.noise_mm {
         let reason = format!(
-            "scan and surface differ by {:.2} mm (RMS of patches of 4 mm), beyond the noise of {:.2} mm; likely cause: tissue \
-             or film on the bone, or a rough CT surface",
+            "scan and surface differ by {:.2} mm (RMS of patches of 4 mm), beyond the noise of {:.2} mm; likely cause: film \
+             on the bone, a rough CT surface, or another bone of nearly this shape",
             misfit.rms_mm, evidence.noise_mm
         );
-        add("misfit", Answer::Doubtful, reason, "clean the bone and scan again, or check the CT's segmentation");
+        add(
+            "misfit",
+            Answer::Doubtful,
+            reason,
+            "check that CT and scan are of one bone, clean it and scan again, or check the CT's segmentation",
+        );
     }
     match evidence.spread_mm {
         None => add(
