@@ -175,7 +175,7 @@ pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<
     let mut ends: Vec<(f64, Isometry3<f64>)> = near
         .par_iter()
         .filter_map(|(_, placed)| {
-            let start = scan.from_placed(map, placed);
+            let start = scan.motion_of(map, placed);
             let end = refined(target, &registered, &start, scan.camera)?;
             Some((score(target, &compared, &end, END_REACH_MM), end))
         })

@@ -64,7 +64,7 @@ impl Scan {
     }
 
     /// The motion that takes the scan onto the target.
-    pub(super) fn from_placed(&self, map: &NearMap, placed: &Placed) -> Isometry3<f64> {
+    pub(super) fn motion_of(&self, map: &NearMap, placed: &Placed) -> Isometry3<f64> {
         let to = map.centre().coords + placed.translation.vector;
         Isometry3::from_parts((to - placed.rotation * self.middle.coords).into(), placed.rotation)
     }
