@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{root, run};
+use common::{Ran, osteoflow, root, run};
 use serde_json::Value;
 
 /// Runs a graph that extends graphs/fibula.toml.
@@ -113,3 +113,100 @@ wires = ["icp.*"]
 [results]
 "metrics.laser_spot" = "laser_spot.report"
 "#;
+
+#[test]
+fn a_scan_without_a_hole_loses_no_placement_that_is_ruled() {
+    let dir = tempfile::tempdir().unwrap();
+    for (graph, sets, n_done, n_refused) in [
+        (
+            "sensitivity",
+            vec![
+                r#"sweep.factor.registration.values=[{icp.kind="icp.point_to_plane"}]"#,
+                r#"sweep.factor.registration.labels=["point_to_plane"]"#,
+                r#"remove=["sweep.compare"]"#,
+            ],
+            2,
+            0,
+        ),
+        // Of two starts, one needs the laser.
+        ("point_count", vec!["sweep.factor.n_points.values=[1000]"], 8, 8),
+    ] {
+        let out = dir.path().join(graph);
+        let mut sweep = osteoflow();
+        sweep.arg("sweep").arg(root().join(format!("graphs/paper/{graph}.toml"))).arg("--out").arg(&out);
+        // The camera sees no spot of this radius, so scans with the laser are refused.
+        for set in ["sweep.repeat=2", "recording.laser.hole_radius_mm=0.2", "recording.camera.n_points=4000"] {
+            sweep.args(["--set", set]);
+        }
+        for set in sets {
+            sweep.args(["--set", set]);
+        }
+        let ran = sweep.output().unwrap();
+        let runs = std::fs::read_to_string(out.join("runs.csv"));
+        let runs = runs.unwrap_or_else(|_| panic!("{graph}: {}", String::from_utf8_lossy(&ran.stderr)));
+        let with = |word: &str| runs.lines().filter(|line| line.split(',').any(|cell| cell == word)).count();
+        assert_eq!((with("complete"), with("refused")), (n_done, n_refused), "{graph}\n{runs}");
+    }
+}
+
+/// A run of the graph with the check piece, its camera's marker knocked by `knock_mm`.
+fn knocked(knock_mm: f64, more: &[&str]) -> Ran {
+    let set = format!("recording.motion.knock_mm={knock_mm}");
+    run(CHECK_PIECE, &[&["--no-record", "--set", &set], more].concat())
+}
+
+const CHECK_PIECE: &str = "graphs/trust/check_piece.toml";
+
+/// Whether the verdict takes for granted that the camera's marker has not moved.
+fn assumes_camera_marker(ran: &Ran) -> bool {
+    let assumptions = ran.results["verdict"]["assumptions"].as_array().unwrap();
+    assumptions.iter().any(|text| text.as_str().unwrap().contains("camera marker"))
+}
+
+#[test]
+fn a_knocked_camera_marker_is_shown_by_a_check_piece_at_the_bone() {
+    let mut before = Vec::new();
+    for (knock_mm, answer) in [(0.0, "trusted"), (1.0, "doubtful"), (2.0, "doubtful"), (5.0, "refused")] {
+        let ran = knocked(knock_mm, &[]);
+        let check = ran.results["metrics"]["check"].as_array().unwrap();
+        let [calibration, working] = [0, 1].map(|k| number(&check[k]["mean_mm"]));
+        let tre_mm = number(&ran.results["metrics"]["tre_true_mm"]["mean_abs"]["norm"]);
+        let verdict = &ran.results["verdict"];
+        println!("{knock_mm} mm: {}, {working:.2} mm at the piece, {tre_mm:.2} mm at the bone", verdict["answer"]);
+        assert_eq!(verdict["answer"], answer, "knocked by {knock_mm} mm: {verdict}");
+        assert_eq!(ran.code, if answer == "refused" { 3 } else { 0 }, "{}", ran.stderr);
+        let reasons = verdict["reasons"].as_array().unwrap();
+        let is_raised = reasons.iter().any(|reason| reason["rule"] == "check_piece" && reason["answer"] == answer);
+        assert_eq!(is_raised, knock_mm > 0.0, "{verdict}");
+        assert_eq!(assumes_camera_marker(&ran), knock_mm > 0.0, "{verdict}");
+        let off_mm = (working - knock_mm).abs().max((tre_mm - knock_mm).abs());
+        assert!(off_mm < 0.5, "knocked by {knock_mm} mm: {working} mm at the piece, {tre_mm} mm at the bone");
+        before.push(calibration);
+    }
+    assert!(before.iter().all(|mm| *mm == before[0]), "the piece is read where the phantom stood before the knock");
+}
+
+/// A recorded procedure in which no check piece was read.
+const NO_PIECE: &str = r#"
+extends = "GRAPH"
+[graph]
+name = "no_piece"
+[node.recording]
+out.check_camera = { type = "geometry/Points", topic = "/camera/check", labels = ["H1"], frame = "camera", optional = true }
+out.check_world = { type = "geometry/Points", topic = "/tracker/check", labels = ["H1"], frame = "world", optional = true }
+[node.check]
+kind = "metrics.check_points"
+in   = { read = "recording.check_camera", known = "recording.check_world", calibration = "calibration.t_camera_camera_marker", t_world_camera_marker = "camera_marker.pose" }
+[node.verdict]
+in = { check = "check.report" }
+"#;
+
+#[test]
+fn without_a_reading_of_the_piece_the_verdict_is_given_and_keeps_its_assumption() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("no_piece.toml");
+    let graph = root().join("graphs/fibula_recorded.toml");
+    std::fs::write(&file, NO_PIECE.replace("GRAPH", graph.to_str().unwrap())).unwrap();
+    let ran = run(file.to_str().unwrap(), &["--no-record"]);
+    assert_eq!((ran.code, assumes_camera_marker(&ran)), (0, true), "{}", ran.stderr);
+}

@@ -14,7 +14,10 @@ const AT_ONCE: &str = "recording.rate=1e9";
 #[test]
 fn a_live_source_gives_the_results_of_the_recording_it_plays() {
     // The live graph's verdict does not wait for the stylus, which comes long after the planes are needed.
-    let recorded = run_whole(RECORDED, &["--no-record", "--set", r#"remove=["node.verdict.in.measured"]"#]);
+    let recorded = run_whole(
+        RECORDED,
+        &["--no-record", "--set", r#"remove=["node.verdict.in.measured", "node.verdict.in.followed"]"#],
+    );
     let jitter = ["recording.jitter_ms=20", "recording.max_delay_ms=20"];
     for sets in [&[][..], &jitter] {
         for workers in ["1", "8"] {

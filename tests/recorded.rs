@@ -3,88 +3,15 @@
 
 mod common;
 
-use common::{Ran, data, isometry, json, point, root, run, run_whole};
+use common::case::{Case, GRAPH};
+use common::{Ran, data, isometry, json, point, run};
 use osteoflow_formats::recording_write::{Layout, Stream, recording_bytes};
 use osteoflow_geometry::{
     Pose,
-    nalgebra::{Isometry3, Matrix3, Point3, Quaternion, UnitQuaternion, Vector3},
+    nalgebra::{Isometry3, Point3, Quaternion, UnitQuaternion, Vector3},
 };
-use serde_json::{Value, json};
+use serde_json::json;
 use std::path::{Path, PathBuf};
-
-const GRAPH: &str = "graphs/fibula_recorded.toml";
-
-/// A recording with its surfaces, its plan and the ground truth.
-struct Case {
-    recording: PathBuf,
-    bone: PathBuf,
-    phantom: PathBuf,
-    plan: PathBuf,
-    truth: Value,
-}
-
-impl Case {
-    /// The shipped recording.
-    fn shipped() -> Self {
-        let dir = root().join("tests/data/procedure");
-        Self {
-            recording: dir.join("procedure.mcap"),
-            bone: dir.join("bone.stl"),
-            phantom: dir.join("phantom.stl"),
-            plan: dir.join("plan.json"),
-            truth: json(&dir.join("truth.json")),
-        }
-    }
-
-    /// A recording made by another program on a real bone.
-    fn development(test: &str) -> Option<Self> {
-        Some(Self {
-            recording: data(test, "recordings/procedure_dev.mcap")?,
-            bone: data(test, "bones/TLEM2_CT_fibula_r.stl")?,
-            phantom: data(test, "bones/calibration_phantom.stl")?,
-            plan: data(test, "recordings/procedure_dev.plan.json")?,
-            truth: json(&data(test, "recordings/procedure_dev.truth.json")?),
-        })
-    }
-
-    fn all(test: &str) -> Vec<Self> {
-        std::iter::once(Self::shipped()).chain(Self::development(test)).collect()
-    }
-
-    fn with_plan(&self, plan: &Path, arguments: &[&str]) -> Ran {
-        let sets = [("recording", &*self.recording), ("bone", &self.bone), ("phantom", &self.phantom), ("plan", plan)];
-        let sets: Vec<_> = sets.map(|(node, path)| format!("{node}.path={}", path.display())).into();
-        let sets = sets.iter().flat_map(|set| ["--set", set]);
-        run_whole(GRAPH, &sets.chain(arguments.iter().copied()).collect::<Vec<_>>())
-    }
-
-    fn run(&self, arguments: &[&str]) -> Ran {
-        self.with_plan(&self.plan, arguments)
-    }
-
-    fn t_world_ct(&self) -> Isometry3<f64> {
-        isometry(&self.truth["W_T_CT"])
-    }
-
-    /// True positions of the assessment points, in the world.
-    fn assessment(&self) -> Vec<Point3<f64>> {
-        self.truth["assessment_W_true"].as_array().unwrap().iter().map(point).collect()
-    }
-
-    /// The axes of errors: z along the bone.
-    fn axes(&self) -> Matrix3<f64> {
-        let plan = json(&self.plan);
-        let rows = &plan["pca_axes_columns_xyz"];
-        if rows.is_array() {
-            return Matrix3::from_fn(|r, c| rows[r][c].as_f64().unwrap());
-        }
-        // Without axes in the plan: z from the malleolus to the knee, x and y across.
-        let z = point(&plan["proximal"]).coords.normalize();
-        let x = point(&plan["lateral"]).coords;
-        let x = (x - z * x.dot(&z)).normalize();
-        Matrix3::from_columns(&[x, z.cross(&x), z])
-    }
-}
 
 fn t_ct_world(ran: &Ran) -> Isometry3<f64> {
     isometry(&ran.results["poses"]["t_ct_world"]["matrix"])

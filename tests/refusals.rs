@@ -8,7 +8,7 @@ use osteoflow_formats::{
     mesh_file, plan_file,
     recording_write::{Layout, Stream, write_recording},
 };
-use osteoflow_geometry::{Cloud, Points, Pose, StampNs};
+use osteoflow_geometry::{Cloud, Points, Pose, StampNs, nalgebra::Point3};
 use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, ct_surface};
 use std::collections::BTreeMap;
 
@@ -43,6 +43,11 @@ fn streams(of: &Procedure, without: &[&str]) -> Vec<(String, Stream)> {
 
 /// Runs a procedure as a recording.
 fn run_procedure(of: &Procedure, without: &[&str], arguments: &[&str]) -> Ran {
+    run_with(of, without, Vec::new(), arguments)
+}
+
+/// Runs a procedure as a recording with more topics.
+fn run_with(of: &Procedure, without: &[&str], more: Vec<(String, Stream)>, arguments: &[&str]) -> Ran {
     let dir = tempfile::tempdir().unwrap();
     let at = |file: &str| dir.path().join(file);
     let region = of.region.as_ref().unwrap();
@@ -53,7 +58,8 @@ fn run_procedure(of: &Procedure, without: &[&str], arguments: &[&str]) -> Ran {
         ("roi_camera_max_m".into(), corner(region.max.coords.into())),
     ]);
     let metadata = BTreeMap::from([("procedure".to_owned(), about)]);
-    write_recording(&at("r.mcap"), &streams(of, without), &metadata, &[], &Layout::default()).unwrap();
+    let streams = [streams(of, without), more].concat();
+    write_recording(&at("r.mcap"), &streams, &metadata, &[], &Layout::default()).unwrap();
     let ct_surface = ct_surface(&of.truth.bone, &CtParams::default(), 1).unwrap();
     mesh_file::write_stl(&at("bone.stl"), &ct_surface).unwrap();
     mesh_file::write_stl(&at("phantom.stl"), &of.phantom).unwrap();
@@ -144,7 +150,39 @@ fn planes_are_unknown_once_the_marker_is_lost_and_known_at_the_scan() {
     for plane in ran.results["planes_at_scan"].as_array().unwrap() {
         assert!(plane["matrix"].is_array(), "{plane}");
     }
+    assert_unknown_at_the_end(&ran, "not seen for 2.00 s");
+}
+
+/// The planes at the end are unknown for a reason with these words, and the verdict doubts the result by it.
+fn assert_unknown_at_the_end(ran: &Ran, why: &str) {
     for plane in ran.results["planes"].as_array().unwrap() {
-        assert!(plane["unknown"].is_string() && plane.get("matrix").is_none(), "{plane}");
+        let unknown = plane["unknown"].as_str().unwrap_or_else(|| panic!("{plane}"));
+        assert!(unknown.contains(why) && plane.get("matrix").is_none(), "{plane}");
     }
+    let verdict = &ran.results["verdict"];
+    let lost = verdict["reasons"].as_array().unwrap().iter().find(|reason| reason["rule"] == "planes_lost");
+    let lost = lost.unwrap_or_else(|| panic!("{verdict}"));
+    assert_eq!((&verdict["answer"], &lost["answer"]), (&"doubtful".into(), &"doubtful".into()), "{verdict}");
+    let reason = lost["reason"].as_str().unwrap();
+    assert!(reason.contains("the bone marker was not seen for") && reason.contains(why), "{reason}");
+}
+
+#[test]
+fn a_bone_marker_that_stops_before_the_last_message_of_any_topic_leaves_the_planes_unknown() {
+    let of = procedure(10_000);
+    let end = of.bone_marker.last().unwrap().stamp_ns;
+    // No port reads this topic, and the wired ones end with the marker.
+    let run_until = |after_ms: i64| {
+        let stamp = end + after_ms * SECOND_NS / 1000;
+        let message = Stream::Tips(vec![("world".into(), stamp, Point3::origin())]);
+        run_with(&of, &[], vec![("/lamp".to_owned(), message)], &["--no-record"])
+    };
+    let known = run_until(400);
+    assert_eq!((known.code, &known.results["verdict"]["answer"]), (0, &"trusted".into()), "{}", known.stderr);
+    for plane in known.results["planes"].as_array().unwrap() {
+        assert!(plane["matrix"].is_array(), "the limit is 500 ms: {plane}");
+    }
+    let lost = run_until(6000);
+    assert_eq!(lost.code, 0, "{}", lost.stderr);
+    assert_unknown_at_the_end(&lost, "not seen for 6.00 s, until the recording ended");
 }

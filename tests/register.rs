@@ -298,7 +298,7 @@ fn a_fixed_number_of_steps_is_taken_with_all_points() {
 #[test]
 fn the_published_method_stops_by_the_reading_it_is_given() {
     let case = Case::new();
-    let published = ["--method", "published", "--set"];
+    let published = ["--method", "published", "--no-verdict", "--set"];
     let steps = |sets: &[&str], reason: &str| {
         let answer = case.answer("points.ply", "scan.ply", &[&published, sets].concat());
         assert_eq!((&answer["stop_reason"], &answer["converged"]), (&reason.into(), &false.into()), "{sets:?}");

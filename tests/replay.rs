@@ -206,7 +206,7 @@ fn sources_named_by_hash_are_read_again_and_only_if_they_are_the_same() {
 #[test]
 fn a_refused_run_replays_to_the_same_refusal() {
     // No hole reaches this confidence.
-    let ran = run(RECORDED, &["--set", "hole.min_confidence=1"]);
+    let ran = run(RECORDED, &["--set", "hole.min_confidence=1", "--set", "hole.min_confidence_agreeing=1"]);
     assert_eq!(ran.code, 3, "{}", ran.stderr);
     let recording = ran.dir.path().join("run.mcap");
     let (code, answer, printed) = replay(&recording, &[]);

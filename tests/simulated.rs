@@ -204,3 +204,29 @@ fn one_word_swaps_the_coarse_fit_and_the_hole_detector() {
         }
     }
 }
+
+#[test]
+fn a_slide_ends_in_one_place_after_any_icp_and_its_profile_is_in_the_results() {
+    let graph = "graphs/variants/fibula_slide.toml";
+    let place = |set: &[&str]| {
+        let set: Vec<&str> = ["--no-record"].into_iter().chain(set.iter().flat_map(|set| ["--set", *set])).collect();
+        let ran = run_whole(graph, &set);
+        let errors = ran.results["metrics"]["tre_true_mm"]["points"].as_array().unwrap().iter();
+        let errors: Vec<f64> = errors.map(|point| number(&point["norm"])).collect();
+        (ran.results["slide"].clone(), errors)
+    };
+    let (slide, errors) = place(&[]);
+    let (stopped, after) = place(&["icp.kind=icp.published", "icp.reading=change_0.01"]);
+    for (a, b) in errors.iter().zip(&after) {
+        assert!((a - b).abs() < 0.01, "{errors:?} mm and {after:?} mm");
+    }
+    assert!(number(&stopped["moved_mm"]) > number(&slide["moved_mm"]) + 0.2, "{} mm", stopped["moved_mm"]);
+    for report in [&slide, &stopped] {
+        assert_eq!(report["determined"], true);
+        for profile in ["along", "around"] {
+            let [n, m] = ["offsets", "residual_mm"].map(|key| report[profile][key].as_array().unwrap().len());
+            assert!(n == m && n > 20, "{n} offsets, {m} residuals");
+        }
+        assert!(report["modes"][0].as_str().unwrap().contains("along the bone"), "{}", report["modes"]);
+    }
+}

@@ -3,6 +3,7 @@
 mod align;
 mod answer;
 mod inputs;
+mod judge;
 mod method;
 mod trace;
 
@@ -41,8 +42,9 @@ use std::{
 /// have are estimated. SOURCE is points, or the vertices of a surface. Lengths are millimetres; each file has a frame of its
 /// own, and the pose takes coordinates in the source's frame to the target's.
 ///
-/// Missing convergence and undetermined motions are warnings, on stderr and in the JSON; heed them before you use the pose. Exit
-/// code 3 if there is no pose: too few pairs, no points, or no surface to estimate normals from.
+/// The first line is the verdict: trusted, doubtful or refused, by the rules of the node verdict.registration, with reasons. A
+/// refused pose is not given. Missing convergence and undetermined motions are warnings, too, on stderr and in the JSON. Exit
+/// code 3 if there is no pose: it is refused, or there are too few pairs, no points, or no surface to estimate normals from.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -59,12 +61,13 @@ Timings:
   prep_target  preparing the target once: estimated normals, trees, cells, fields
   prep_source  preparing the source
   align        the registration; cpu is its processor time
+  verdict      judging the pose; --no-verdict saves it
 
 Exit codes:
-    0  there is a pose; heed the warnings
+    0  there is a pose; heed the verdict and the warnings
     1  a file cannot be read or is damaged
     2  a fault of the command line
-    3  no registration is possible, with the reason
+    3  the pose is refused, or no registration is possible, with the reason
   130  interrupted")]
 pub(crate) struct Register {
     /// The surface that stays: STL or PLY, or points in PLY, XYZ or CSV.
@@ -151,6 +154,14 @@ pub(crate) struct Register {
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     repeat: u32,
 
+    /// Do not judge the pose, to save the time. Whether it can be trusted is then unknown.
+    #[arg(long)]
+    no_verdict: bool,
+
+    /// The worst verdict with which a pose is given.
+    #[arg(long, value_enum, default_value_t = Require::Doubtful, value_name = "ANSWER", conflicts_with = "no_verdict")]
+    require: Require,
+
     /// Write the pose: the whole answer into a .json, else the 4 x 4 matrix as text. Nothing is overwritten.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -167,6 +178,15 @@ enum Stop {
     Converge,
     /// After --max-iterations steps on all points, for timings; earlier only if no step lowers the cost.
     Fixed,
+}
+
+/// The worst verdict with which a pose is given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Require {
+    /// A doubtful pose is given.
+    Doubtful,
+    /// A doubtful pose is refused.
+    Trusted,
 }
 
 impl Stop {
@@ -201,6 +221,8 @@ impl Register {
             params: params.clone(),
             inputs: inputs.clone(),
             repeat: self.repeat,
+            judge: (!self.no_verdict)
+                .then_some(judge::Judge { trusted_only: self.require == Require::Trusted, stop: self.stop }),
             cancelled: Arc::clone(&cancelled),
             progress: align::ProgressLine::new(self.repeat, global),
         };

@@ -4,6 +4,7 @@
 /// Builds plugins.
 #[path = "../../engine/tests/plugins/build.rs"]
 pub(crate) mod build;
+pub(crate) mod case;
 
 use assert_cmd::Command;
 use osteoflow_geometry::{

@@ -115,6 +115,6 @@ pub type StampNs = i64;
 pub mod derive {
     pub use crate::port::{any_payload, payload_of};
     pub use crate::traits::{
-        into_emission, put_value, take_any, take_many, take_many_optional, take_one, take_optional,
+        into_emission, put_value, take_any, take_many, take_many_optional, take_one, take_optional, take_optional_any,
     };
 }

@@ -210,6 +210,18 @@ pub fn take_many_optional<T: Clone + 'static>(
     }
 }
 
+/// The value of an `Option<Value>` field, which takes any payload and may be absent.
+pub fn take_optional_any(joined: &mut Joined, index: usize, port: &str) -> Result<Option<Value>, NodeError> {
+    if let Some(value) = joined.take_out(index) {
+        return Ok(Some(value));
+    }
+    match joined.slot(index)? {
+        Slot::Item(Item { body: Body::Value(value), .. }) => Ok(Some(value.clone())),
+        Slot::Item(Item { body: Body::Empty(_), .. }) | Slot::Absent(_) => Ok(None),
+        Slot::Items(_) => Err(NodeError::new(format!("input \"{port}\" takes one item, but several were joined"))),
+    }
+}
+
 /// The value of a [`Value`] field, which takes any payload.
 #[inline]
 pub fn take_any(joined: &mut Joined, index: usize, port: &str) -> Result<Value, NodeError> {

@@ -16,12 +16,12 @@ pub use report::{PhantomFit, PhantomReport};
 use crate::icp::{self, IcpError, IcpFit, IcpParams, Kernel, Source};
 use crate::mesh_query::MeshQuery;
 use crate::sample;
-use crate::target::{Target, TargetError};
+use crate::target::Target;
 use align::{Steps, align};
 use error::Misfit;
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Column, Mesh};
-use pairs::{Pair, Scan, capped_rms_mm, distances, near_rms_mm, pairs};
+use pairs::{Faces, Pair, Scan, agreeing, capped_rms_mm, distances, near_rms_mm, on_faces};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -39,12 +39,15 @@ const MIN_HOLD_PER_MM: f64 = 0.07;
 /// Maximum angle between the normals of a scan point and its face, degrees: half of that between two faces of a cube.
 const SAME_FACE_DEG: f64 = 45.0;
 
-/// Points of the scan that determine its scale, and that are registered as a mirror image.
-const N_SCALED: usize = 4000;
-const N_MIRRORED: usize = 500;
+/// Points of the scan that the first fit takes: a face with 4 % of the scan has 100 of them.
+const N_FIRST: usize = 2500;
 
-/// Samples of the CAD for both: on flat faces their spacing does not matter.
-const N_FEW_SAMPLES: usize = 4000;
+/// Points of the scan that determine its scale, and that are registered as a mirror image.
+const N_SCALED: usize = 2000;
+const N_MIRRORED: usize = 300;
+
+/// Samples of the CAD for both, and for the report: on flat faces their spacing does not matter.
+const N_FACES: usize = 10_000;
 
 /// Pairs farther apart are not used at first when the scan is scaled, mm: a block 40 mm from the centre of a scan that is
 /// 7 % too large.
@@ -65,7 +68,7 @@ pub struct PhantomParams {
     #[schemars(range(min = 0.1, max = 1000.0))]
     pub max_pair_distance_mm: f64,
     /// Pairs farther apart than this many standard deviations have no weight in the last steps, after a first fit by all
-    /// pairs. 5: what stands around the phantom is left out, no face is, however few of the points are on it.
+    /// pairs. 6: what stands around the phantom is left out, no face is, however few of the points are on it.
     #[schemars(range(min = 1.0, max = 1000.0))]
     pub gate_sigmas: f64,
     /// Smooth error of the camera's depth, mm, which a motion of the phantom may hide, so that it is not seen in the
@@ -87,7 +90,7 @@ pub struct PhantomParams {
     #[schemars(range(min = 0.001, max = 100.0))]
     pub max_rms_mm: f64,
     /// Maximum RMS of what the scan's own noise does not explain of the distances from the CAD's faces, mm. 0.2: four times
-    /// a camera's smooth error; a wrong fit, another phantom, or one that is 3 % too large leaves more.
+    /// a camera's smooth error; a wrong fit or another phantom leaves more.
     #[schemars(range(min = 0.001, max = 100.0))]
     pub max_excess_mm: f64,
     /// Maximum share of the points within `max_pair_distance_mm` that lie farther than `3 max_rms_mm` from the CAD's
@@ -95,8 +98,8 @@ pub struct PhantomParams {
     /// 0.2: a little of a table may be near the phantom, but a face that lies elsewhere is another phantom.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_off_share: f64,
-    /// Maximum deviation of the scan's scale from 1. 0.02: with more, the calibration is 5 mm off; a deviation within four
-    /// of its standard deviations is no reason to refuse.
+    /// Maximum deviation of the scan's scale from 1, unless it is within four of its standard deviations. 0.02: it moves the
+    /// calibration by 4 mm.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_scale_error: f64,
     /// Maximum distance between the nominal pose and the fit, at the camera or at the phantom, whichever is less, mm. 15: a
@@ -112,7 +115,7 @@ impl Default for PhantomParams {
     fn default() -> Self {
         Self {
             max_pair_distance_mm: 10.0,
-            gate_sigmas: 5.0,
+            gate_sigmas: 6.0,
             smooth_mm: 0.05,
             max_iterations: 200,
             n_samples: 40_000,
@@ -166,17 +169,15 @@ pub fn phantom_icp(
     let max_mm = params.max_pair_distance_mm;
     let gate_mm = params.gate_sigmas * noise_mm.hypot(params.smooth_mm);
     let t_camera_phantom = fit.t_target_source.inverse();
-    let used: Vec<Pair> = pairs(&target, &scan, &fit.t_target_source, max_mm)
-        .into_iter()
-        .filter(|p| p.residual_mm.abs() <= gate_mm)
-        .collect();
-    let distances = distances(&target, &scan, &fit.t_target_source, max_mm);
+    let faces = Faces::of(&target, N_FACES);
+    let on_faces = on_faces(&faces, &scan, &fit.t_target_source, max_mm);
+    let distances = distances(&on_faces);
+    let used: Vec<Pair> = agreeing(on_faces).filter(|p| p.residual_mm.abs() <= gate_mm).collect();
     let at = |share: f64| distances[((distances.len() - 1) as f64 * share).round() as usize];
     let off_mm = 3.0 * params.max_rms_mm;
     let n_off = distances.len() - distances.partition_point(|d| *d <= off_mm);
-    let few = few_samples(&target)?;
-    let steps = Steps { max_pair_mm: max_mm, first_mm: FIRST_SCALED_MM.max(gate_mm), last_mm: gate_mm, n: 12 };
-    let scaled = align(&few, &scan.thinned(N_SCALED), &fit.t_target_source, &steps, Some(params.smooth_mm));
+    let steps = Steps { max_pair_mm: max_mm, first_mm: FIRST_SCALED_MM.max(gate_mm), last_mm: gate_mm, n: 8 };
+    let scaled = align(&faces, &scan.thinned(N_SCALED), &fit.t_target_source, &steps, Some(params.smooth_mm));
     let thin = scan.thinned(N_MIRRORED);
     let spread = Spread::new(&used, &t_camera_phantom, params.smooth_mm);
     let moved = t_camera_phantom.inverse() * t_camera_phantom_nominal;
@@ -192,7 +193,7 @@ pub fn phantom_icp(
         p95_mm: at(0.95),
         near_rms_mm: near_rms_mm(&distances),
         capped_rms_mm: capped_rms_mm(&distances, scan.points.len(), off_mm),
-        mirrored_rms_mm: mirror::mirrored_mm(&few, &thin, &fit.t_target_source, &start, max_mm, off_mm),
+        mirrored_rms_mm: mirror::mirrored_mm(&faces, &thin, &fit.t_target_source, &start, max_mm, off_mm),
         off_share: n_off as f64 / distances.len() as f64,
         scale: scaled.as_ref().map(|s| s.scale),
         scale_sd: scaled.as_ref().map(|s| s.scale_sd),
@@ -209,7 +210,7 @@ pub fn phantom_icp(
         icp: fit.report,
     };
     let scaled = scaled.map(|s| {
-        let distances = pairs::distances(&few, &s.scan, &s.t_phantom_camera, max_mm);
+        let distances = pairs::distances(&pairs::on_faces(&faces, &s.scan, &s.t_phantom_camera, max_mm));
         Misfit {
             near_rms_mm: near_rms_mm(&distances),
             capped_rms_mm: capped_rms_mm(&distances, s.scan.points.len(), off_mm),
@@ -245,11 +246,12 @@ fn fitted(
         levels: Vec::new(),
         ..first.clone()
     };
-    let register = |start: &Isometry3<f64>, params: &IcpParams| {
+    let register = |scan: &Scan, start: &Isometry3<f64>, params: &IcpParams| {
         let seen = Source::seen_from(&scan.points, Point3::origin()).with_normals(&scan.normals);
         icp::register(icp::Method::PointToPlane, target, seen, start, params, &mut |_| ControlFlow::Continue(()))
     };
-    register(&register(start, &first)?.t_target_source, &last)
+    let few = register(&scan.thinned(N_FIRST), start, &first)?;
+    register(scan, &few.t_target_source, &last)
 }
 
 /// Samples of the faces that are not buried in another part of the body.
@@ -270,14 +272,6 @@ fn visible(phantom: &Mesh, n: usize) -> Result<Target, CalibrationError> {
     let points: Vec<Point3<f64>> = indices.iter().map(|&i| samples.points[i]).collect();
     let normals: Column<Vector3<f64>> = indices.iter().map(|&i| samples.normals[i]).collect();
     Ok(Target::new(&phantom.frame, phantom.origin, points, Some(normals))?)
-}
-
-/// Some of the samples: nearest ones of points far from them are found faster.
-fn few_samples(target: &Target) -> Result<Target, TargetError> {
-    let every = target.points().len().div_ceil(N_FEW_SAMPLES);
-    let points: Vec<Point3<f64>> = target.points().iter().copied().step_by(every).collect();
-    let normals = target.normals().map(|n| n.iter().copied().step_by(every).collect());
-    Target::new(&target.frame, target.origin, points, normals)
 }
 
 /// `t_c_mc = t_c_p * t_p_mp * t_mp_w * t_w_mc`: the pose of the camera marker in the camera's frame.

@@ -1,9 +1,11 @@
 //! Coarse registration, from a few named points or by shape alone.
 
+mod doubtful;
 mod global;
 
-pub(crate) use global::NearMap;
+pub use doubtful::{DoubtParams, confirm};
 pub use global::{GlobalError, GlobalFit, GlobalParams, GlobalReport, RunnerUp, global};
+pub(crate) use global::{NearMap, Placed, Points, descend, map_score};
 
 use crate::kabsch::{FitError, centroid, kabsch};
 use nalgebra::{Isometry3, Matrix3, Point3};
@@ -123,6 +125,24 @@ pub enum CoarseError {
         off_line_mm: f64,
         /// RMS distance needed.
         needed_mm: f64,
+    },
+    /// A point of low confidence is not where the others and the plan say it should be.
+    #[error(
+        "{name} was located with a confidence of {confidence:.2} only ({min_confidence} counts by itself), and the plan does \
+         not confirm it: {sides}, {limit_mm} mm more or less is allowed; is the laser on, and its spot away from the \
+         silhouette and from other gaps?"
+    )]
+    Doubtful {
+        /// The name of the point.
+        name: String,
+        /// Its confidence.
+        confidence: f64,
+        /// Confidence needed without confirmation.
+        min_confidence: f64,
+        /// Its distances to the other points that disagree.
+        sides: String,
+        /// Difference allowed.
+        limit_mm: f64,
     },
     /// The points do not determine a motion.
     #[error(transparent)]

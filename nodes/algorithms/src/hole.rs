@@ -26,19 +26,26 @@ pub struct HoleParams {
     /// Radius of the hole that the spot leaves, mm. 2: the laser of the paper.
     #[schemars(range(min = 0.1, max = 50.0))]
     pub spot_radius_mm: f64,
-    /// Maximum median distance of the scan with the laser from the reference, mm. 0.3: beyond, the bone or the camera
-    /// has moved by more than the hole's centre may be off.
+    /// Maximum median distance of the scan with the laser from the reference, mm. 0.5: markers tracked to 0.06 mm and
+    /// 0.023 degrees explain up to 0.35 mm where bone and camera have moved between the scans; beyond, one has moved without its
+    /// marker.
     #[schemars(range(min = 1e-3, max = 10.0))]
     pub max_scan_residual_mm: f64,
     /// Minimum confidence. 0.4: losses of 1.2 mm radius for other reasons rarely get more, a hole on the face of a bone
     /// 0.7 and more.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_confidence: f64,
+    /// Minimum confidence of a hole of the second tier, which lacks its whole disc and is the only candidate: no other has
+    /// half its score. 0.12: spots at the silhouette, which hides up to two thirds of them; lost patches rarely lack a whole disc. Such a
+    /// hole counts only where something else confirms it, as the distances to other landmarks in `coarse.three_point`.
+    /// 1: no second tier.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub min_confidence_agreeing: f64,
 }
 
 impl Default for HoleParams {
     fn default() -> Self {
-        Self { spot_radius_mm: 2.0, max_scan_residual_mm: 0.3, min_confidence: 0.4 }
+        Self { spot_radius_mm: 2.0, max_scan_residual_mm: 0.5, min_confidence: 0.4, min_confidence_agreeing: 0.12 }
     }
 }
 
@@ -58,6 +65,9 @@ pub struct Hole {
 /// The quantities behind the confidence of a hole.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HoleReport {
+    /// 1 if the confidence reaches `min_confidence`, 2 if only `min_confidence_agreeing`: then something else has to confirm
+    /// the hole.
+    pub tier: u8,
     /// Points of the reference scan, or of the scan with its gaps filled where there is no reference.
     pub n_reference: usize,
     /// Points of the scan with the laser.
@@ -68,8 +78,12 @@ pub struct HoleReport {
     pub n_hole: usize,
     /// Number of candidate positions.
     pub n_candidates: usize,
-    /// Point spacing of the reference around the hole, mm.
+    /// Point spacing of the coarser scan on the surface around the hole, mm: more than in the camera's grid where the
+    /// surface is slanted.
     pub spacing_mm: f64,
+    /// Point spacing of the scan with the laser in the camera's grid, across the line of sight, mm; none without a
+    /// viewpoint.
+    pub grid_mm: Option<f64>,
     /// Median distance of the scan with the laser from the reference's surface, mm.
     pub scan_residual_mm: f64,
     /// Radius of the missing disc, measured by the number of missing points, mm.
@@ -140,15 +154,19 @@ pub enum HoleError {
     },
     /// The points are too far apart to show a hole.
     #[error(
-        "points of the {what} scan are {spacing_mm:.2} mm apart, which cannot resolve a hole of {expected_radius_mm} mm \
-         radius ({needed_mm:.2} mm can); scan closer or with more points"
+        "points of the {what} scan are {spacing_mm:.2} mm apart on the surface{}, and {needed_mm:.2} mm on the surface \
+         surely show a hole of {expected_radius_mm} mm radius; scan closer, less slanted or with more points, or is the \
+         laser off?",
+        grid_mm.map(|mm| format!(" ({mm:.2} mm in the camera's grid)")).unwrap_or_default()
     )]
     TooSparse {
         /// `reference` or `laser`.
         what: &'static str,
-        /// Spacing found.
+        /// Spacing found on the surface.
         spacing_mm: f64,
-        /// Spacing needed.
+        /// Spacing found in the camera's grid, if its viewpoint is known.
+        grid_mm: Option<f64>,
+        /// Spacing on the surface at which every hole is found.
         needed_mm: f64,
         /// Radius expected.
         expected_radius_mm: f64,

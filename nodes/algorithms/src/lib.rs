@@ -66,6 +66,7 @@ pub mod sample;
 pub mod section;
 #[cfg(test)]
 mod shapes;
+pub mod slide;
 pub mod still_average;
 pub mod target;
 pub mod trust;

@@ -16,6 +16,16 @@ pub struct Nearest {
     centre: Point3<f64>,
 }
 
+/// Who builds a tree.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Threads {
+    /// The calling thread alone. Whoever holds a lock must not share work out: while a thread of a pool waits for its
+    /// part, it takes up other work, and if that asks for the lock, it waits for itself.
+    This,
+    /// The current pool.
+    Pool,
+}
+
 impl Nearest {
     /// A tree over `points`; points that are not finite are left out. `O(n log n)`, on all threads of the current pool.
     pub fn new(points: &[Point3<f64>]) -> Self {
@@ -23,26 +33,30 @@ impl Nearest {
         let centre = centroid(&known);
         drop(known);
         let about = (0_u32..).zip(points).filter(|(_, p)| finite(p)).map(|(i, p)| (i, p - centre));
-        Self::of(about, centre)
+        Self::of(about, centre, Threads::Pool)
     }
 
     /// A tree of finite points relative to a centre; queries are relative to it, too.
-    pub(crate) fn about(centre: &Point3<f64>, points: impl Iterator<Item = Point3<f64>>) -> Self {
-        Self::of((0_u32..).zip(points.map(|p| p - centre)), Point3::origin())
+    pub(crate) fn about(centre: &Point3<f64>, points: impl Iterator<Item = Point3<f64>>, threads: Threads) -> Self {
+        Self::of((0_u32..).zip(points.map(|p| p - centre)), Point3::origin(), threads)
     }
 
-    fn of(points: impl Iterator<Item = (u32, Vector3<f64>)>, centre: Point3<f64>) -> Self {
+    fn of(points: impl Iterator<Item = (u32, Vector3<f64>)>, centre: Point3<f64>, threads: Threads) -> Self {
         // Adding 0.0 makes -0.0 equal to 0.0.
         let mut entries: Vec<(u32, [f64; 3])> = points.map(|(i, p)| (i, p.map(|c| c + 0.0).into())).collect();
-        entries.par_sort_unstable_by(|(i, a), (j, b)| {
+        let order = |(i, a): &(u32, [f64; 3]), (j, b): &(u32, [f64; 3])| {
             a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])).then(i.cmp(j))
-        });
-        entries.dedup_by(|later, first| later.1 == first.1);
-        let tree = if entries.is_empty() {
-            None
-        } else {
-            ImmutableKdTree::new_from_entries_parallel(&entries).ok().map(Arc::new)
         };
+        match threads {
+            Threads::This => entries.sort_unstable_by(order),
+            Threads::Pool => entries.par_sort_unstable_by(order),
+        }
+        entries.dedup_by(|later, first| later.1 == first.1);
+        let build = match threads {
+            Threads::This => ImmutableKdTree::new_from_entries,
+            Threads::Pool => ImmutableKdTree::new_from_entries_parallel,
+        };
+        let tree = if entries.is_empty() { None } else { build(&entries).ok().map(Arc::new) };
         Self { tree, centre }
     }
 

@@ -8,7 +8,7 @@ use crate::coarse::NearMap;
 use crate::field::ClosestPointField;
 use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;
-use crate::nearest::Nearest;
+use crate::nearest::{Nearest, Threads};
 use crate::point_grid::{All, Nearby, PointGrid, cell_mm};
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Column, Frame, SurfaceOrigin};
@@ -177,7 +177,11 @@ impl Target {
     ///
     /// `O(n log n)`, on all threads of the current pool.
     pub fn prepare_tree(&self) {
-        self.index().tree();
+        let index = self.index();
+        if index.tree.get().is_none() {
+            // Built before the lock is taken; if another thread was faster, its tree is the same.
+            let _ = index.tree.set(index.new_tree(Threads::Pool));
+        }
     }
 }
 
@@ -198,7 +202,7 @@ impl fmt::Debug for Target {
 
 /// An index for nearest points. Positions are about the points' centroid, so that they are exact far from the origin.
 ///
-/// Each structure is built at its first use.
+/// Each structure is built at its first use, by the one thread that asks first (see [`Threads::This`]).
 pub(crate) struct Index {
     pub(crate) centre: Point3<f64>,
     points: Column<Point3<f64>>,
@@ -248,7 +252,11 @@ impl Index {
 
     /// The kd-tree of all points, about the centre.
     pub(crate) fn tree(&self) -> &Nearest {
-        self.tree.get_or_init(|| Nearest::about(&self.centre, self.points.iter().copied()))
+        self.tree.get_or_init(|| self.new_tree(Threads::This))
+    }
+
+    fn new_tree(&self, threads: Threads) -> Nearest {
+        Nearest::about(&self.centre, self.points.iter().copied(), threads)
     }
 
     /// The map of `target`, whose index this is, for registration by shape alone.
@@ -273,7 +281,7 @@ impl Index {
 
     /// A kd-tree of these points.
     pub(crate) fn subset(&self, items: Vec<u32>) -> Subset {
-        let tree = Nearest::about(&self.centre, items.iter().map(|&i| self.points[i as usize]));
+        let tree = Nearest::about(&self.centre, items.iter().map(|&i| self.points[i as usize]), Threads::This);
         Subset { items, tree }
     }
 }

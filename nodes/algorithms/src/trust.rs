@@ -3,8 +3,12 @@
 //! [`Evidence`] measures, [`predict`] propagates, [`judge`] decides. Nothing here moves the scan: a verdict never replaces the
 //! registration that it judges.
 
+mod checked;
 mod contrary;
+mod ended;
 mod evidence;
+mod extent;
+mod limits;
 mod misfit;
 mod noise;
 mod planned;
@@ -12,17 +16,22 @@ mod predict;
 mod residuals;
 mod rules;
 mod scale;
+mod slid;
 mod spread;
 #[cfg(test)]
 mod tests;
 mod verdict;
 
 pub use contrary::{ShapeEvidence, mirrored};
+pub use ended::{Ended, Stopped};
 pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
+pub use limits::Limits;
 pub use misfit::Misfit;
 pub use noise::sensor_noise_mm;
-pub use planned::{OrderEvidence, PlanFault, landmark_order, plan_faults};
-pub use predict::{Interval, PredictParams, Predicted, PredictedPoint, PredictedSet, Seen, Term, Tracking, predict};
+pub use planned::{OrderEvidence, PlanFault, landmark_order, plan_faults, planes_lost};
+pub use predict::{
+    Cut, Interval, PredictParams, Predicted, PredictedPoint, PredictedSet, Seen, Term, Tracking, Where, predict,
+};
 pub use residuals::{Residual, Residuals};
 pub use rules::{Case, RuleParams, judge};
 pub use scale::Scale;

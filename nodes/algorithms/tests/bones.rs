@@ -238,7 +238,7 @@ fn what_is_no_single_hole_is_refused_with_the_reason() {
     let none = bone.scan(&camera, SHAFT, 0.25, &CLEAN, None, 3);
     // The view ends in the middle of the reference: what is missing beyond is no hole.
     let half = bone.scan(&camera, [70.0, 117.0], 0.25, &CLEAN, None, 4);
-    let apart = one.transformed("ct", &Isometry3::translation(1.0, 1.0, 0.0));
+    let apart = one.transformed("ct", &Isometry3::translation(2.0, 2.0, 0.0));
     let sparse = (bone.scan(&camera, SHAFT, 1.2, &CLEAN, None, 5), bone.scan(&camera, SHAFT, 1.2, &CLEAN, None, 6));
     let empty = Cloud::new("ct", Vec::new()).unwrap().seen_from(camera);
     for (name, detect) in DETECTORS {

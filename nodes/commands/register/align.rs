@@ -3,11 +3,15 @@
 use super::{
     Params,
     inputs::{Inputs, ms_since},
+    judge::{Judge, Judged},
     method::Method,
 };
 use crate::commands::{Format, Global};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use osteoflow_algorithms::icp::{Halt, IcpFit, IcpStep, StopReason};
+use osteoflow_algorithms::{
+    icp::{Halt, IcpFit, IcpStep, StopReason},
+    target::Target,
+};
 use serde::Serialize;
 use std::{
     io::IsTerminal,
@@ -30,6 +34,8 @@ pub(super) struct Work {
     pub(super) params: Params,
     pub(super) inputs: Arc<Inputs>,
     pub(super) repeat: u32,
+    /// How to judge the pose, if it is judged.
+    pub(super) judge: Option<Judge>,
     pub(super) cancelled: Arc<AtomicBool>,
     pub(super) progress: ProgressLine,
 }
@@ -50,6 +56,15 @@ pub(super) struct Aligned {
     pub(super) timings: Timings,
     /// Whether all repeats gave the same bits.
     pub(super) same_bits: bool,
+    /// The verdict on the pose, if it was judged.
+    pub(super) judged: Option<Judged>,
+}
+
+impl Aligned {
+    /// Why the pose is not given, if it is not.
+    pub(super) fn refusal(&self) -> Option<&str> {
+        self.judged.as_ref()?.refusal.as_deref()
+    }
 }
 
 /// Times of each repeat, ms.
@@ -65,7 +80,7 @@ pub(super) struct Timings {
 impl Work {
     pub(super) fn run(mut self) -> Ended {
         let mut timings = Timings::default();
-        let mut first: Option<IcpFit> = None;
+        let mut first: Option<(Target, IcpFit)> = None;
         let mut same_bits = true;
         for n in 1..=self.repeat {
             let began = Instant::now();
@@ -101,13 +116,16 @@ impl Work {
                 Err(error) => return Ended::Refused(error.to_string()),
                 Ok(fit) if fit.report.stop_reason == StopReason::Cancelled => return Ended::Interrupted,
                 Ok(fit) => {
-                    same_bits &= first.as_ref().is_none_or(|first| first.t_target_source == fit.t_target_source);
-                    first.get_or_insert(fit);
+                    same_bits &= first.as_ref().is_none_or(|(_, first)| first.t_target_source == fit.t_target_source);
+                    first.get_or_insert((target, fit));
                 }
             }
         }
         match first {
-            Some(fit) => Ended::Fit(Box::new(Aligned { fit, timings, same_bits })),
+            Some((target, fit)) => {
+                let judged = self.judge.map(|judge| judge.judge(&target, &self.inputs, &fit));
+                Ended::Fit(Box::new(Aligned { fit, timings, same_bits, judged }))
+            }
             None => Ended::Interrupted,
         }
     }

@@ -4,9 +4,11 @@ use super::{
     Params, Register, Stop,
     align::{Aligned, Ended},
     inputs::Inputs,
-    trace, write_new,
+    judge, trace, write_new,
 };
-use crate::commands::{Exit, Format, Global, result_table::NOTICE, running::about_command, text_table::TextTable};
+use crate::commands::{
+    Exit, Format, Global, result_table::NOTICE, running::about_command, text_table::TextTable, verdict_lines,
+};
 use anyhow::Result;
 use osteoflow_algorithms::icp::{IcpReport, StopReason, WeakDirection};
 use osteoflow_geometry::{
@@ -38,8 +40,8 @@ impl Answer<'_> {
     /// Prints the answer, writes the files, and returns the exit code.
     pub(super) fn write(&self, ended: &Ended, global: &Global) -> Result<Exit> {
         let exit = match ended {
-            Ended::Fit(_) => Exit::Done,
-            Ended::Refused(_) => Exit::Refused,
+            Ended::Fit(aligned) if aligned.refusal().is_none() => Exit::Done,
+            Ended::Fit(_) | Ended::Refused(_) => Exit::Refused,
             Ended::Interrupted => Exit::Interrupted,
         };
         let warnings = match ended {
@@ -47,7 +49,7 @@ impl Answer<'_> {
             _ => Vec::new(),
         };
         let json = self.json(ended, exit, &warnings, global.verbose > 0);
-        if let Ended::Fit(aligned) = ended {
+        if let (Ended::Fit(aligned), Exit::Done) = (ended, exit) {
             if let Some(file) = &self.register.out {
                 let is_json = file.extension().is_some_and(|end| end.eq_ignore_ascii_case("json"));
                 let text = if is_json { format!("{json}\n") } else { self.matrix_file(aligned) };
@@ -66,14 +68,18 @@ impl Answer<'_> {
         match ended {
             Ended::Refused(why) => writeln!(err, "{}: {why}", global.paint_err("refused", "1;31"))?,
             Ended::Interrupted => writeln!(err, "{}: there is no pose", global.paint_err("interrupted", "1;33"))?,
-            Ended::Fit(_) => {}
+            Ended::Fit(aligned) => {
+                if let Some(why) = aligned.refusal() {
+                    writeln!(err, "{}: {why}", global.paint_err("refused", "1;31"))?;
+                }
+            }
         }
         drop(err);
         let mut out = std::io::stdout().lock();
         match (global.format, ended) {
             // One line, so that the last line is the answer wherever others print before it.
             (Format::Json, _) => writeln!(out, "{json}")?,
-            (Format::Text, Ended::Fit(aligned)) => write!(out, "{}", self.text(aligned, global.verbose > 0))?,
+            (Format::Text, Ended::Fit(aligned)) => write!(out, "{}", self.text(aligned, global))?,
             (Format::Text, _) => {}
         }
         Ok(exit)
@@ -91,8 +97,8 @@ impl Answer<'_> {
             warnings.push(format!("the surfaces leave {motion} undetermined: along it the pose is that of the start"));
         }
         if let Some(left_mm) = report.left_mm.filter(|mm| *mm > LEFT_MM) {
-            let left = format!("it is stationary, but a step along the normals would still move it by {left_mm:.2} mm");
-            warnings.push(format!("{left}; try --method point_to_plane"));
+            let left = format!("it stopped {left_mm:.2} mm from where point_to_plane ends that starts there");
+            warnings.push(format!("{left}; use --method point_to_plane"));
         }
         let turned_deg = aligned.fit.t_target_source.rotation.angle_to(&self.inputs.init.rotation).to_degrees();
         if turned_deg > TURNED_DEG {
@@ -111,13 +117,19 @@ impl Answer<'_> {
         let mut put = |key: &str, value: Value| {
             out.insert(key.into(), value);
         };
+        if let Some(verdict) = self.verdict(ended) {
+            put("verdict", verdict);
+        }
         put("outcome", exit.to_json());
         match ended {
             Ended::Refused(why) => put("refused", json!({ "reason": why })),
             Ended::Interrupted => put("refused", json!({ "reason": "interrupted" })),
             Ended::Fit(aligned) => {
                 let (fit, report) = (&aligned.fit, &aligned.fit.report);
-                put("T", json!(matrix_rows(&fit.t_target_source).concat()));
+                match aligned.refusal() {
+                    None => put("T", json!(matrix_rows(&fit.t_target_source).concat())),
+                    Some(why) => put("refused", json!({ "reason": why })),
+                }
                 put("converged", report.converged.into());
                 put("stop_reason", json!(report.stop_reason));
                 put("iterations", report.iterations.into());
@@ -129,8 +141,11 @@ impl Answer<'_> {
                 if let Ok(Value::Object(timings)) = serde_json::to_value(&aligned.timings) {
                     timings.into_iter().for_each(|(key, value)| put(&key, value));
                 }
+                if let Some(judged) = &aligned.judged {
+                    put("verdict_ms", json!(judged.ms));
+                }
                 put("report", json!(report));
-                if with_trace {
+                if with_trace && exit == Exit::Done {
                     put("trace", json!(fit.trace.steps));
                 }
             }
@@ -167,6 +182,16 @@ impl Answer<'_> {
         Value::Object(out)
     }
 
+    /// The verdict as JSON; `None` if none was asked for.
+    fn verdict(&self, ended: &Ended) -> Option<Value> {
+        match ended {
+            Ended::Fit(aligned) => aligned.judged.as_ref().map(|judged| json!(judged.verdict)),
+            _ if self.register.no_verdict => None,
+            Ended::Refused(why) => Some(json!(judge::no_pose(why))),
+            Ended::Interrupted => Some(json!(judge::interrupted())),
+        }
+    }
+
     fn pairing(&self) -> &str {
         self.params.as_json.get("pairing").and_then(Value::as_str).unwrap_or("cached")
     }
@@ -185,21 +210,29 @@ impl Answer<'_> {
         out
     }
 
-    fn text(&self, aligned: &Aligned, with_trace: bool) -> String {
+    fn text(&self, aligned: &Aligned, global: &Global) -> String {
         let (fit, inputs, asked) = (&aligned.fit, self.inputs, self.register);
         let mut out = String::new();
-        if with_trace {
+        if let Some(judged) = &aligned.judged {
+            let lines = verdict_lines::text(&json!({ "verdict": judged.verdict }), global);
+            lines.iter().for_each(|lines| out += &format!("{lines}\n"));
+        }
+        let is_given = aligned.refusal().is_none();
+        if global.verbose > 0 && is_given {
             let _ = writeln!(out, "{}", trace::text(&fit.trace.steps));
         }
         let _ = writeln!(out, "{NOTICE}\n");
         let _ = writeln!(out, "target  {}, {}", asked.target.display(), inputs.target.describe());
         let _ = writeln!(out, "source  {}, {}", asked.source.display(), inputs.source.describe());
         let _ = writeln!(out, "method  {}, pairing {}\n", asked.method, self.pairing());
-        let _ = writeln!(out, "t_target_source, mm");
-        for row in matrix_rows(&fit.t_target_source) {
-            let _ = writeln!(out, "  {:>11.8} {:>11.8} {:>11.8} {:>13.6}", row[0], row[1], row[2], row[3]);
+        if is_given {
+            let _ = writeln!(out, "t_target_source, mm");
+            for row in matrix_rows(&fit.t_target_source) {
+                let _ = writeln!(out, "  {:>11.8} {:>11.8} {:>11.8} {:>13.6}", row[0], row[1], row[2], row[3]);
+            }
+            out.push('\n');
         }
-        let _ = writeln!(out, "\n{}", summary(&fit.report, self.params, &self.moved(&fit.t_target_source)));
+        let _ = writeln!(out, "{}", summary(&fit.report, self.params, &self.moved(&fit.t_target_source)));
         let timings = &aligned.timings;
         let columns: &[&str] = if asked.repeat > 1 { &["median", "least", "most ms"] } else { &["ms"] };
         let mut table = TextTable::new("time", columns);
@@ -216,8 +249,11 @@ impl Answer<'_> {
             let cells = [median(&ms), ms[0], ms[ms.len() - 1]];
             table.row(name, cells.iter().take(columns.len()).map(|ms| format!("{ms:.1}")));
         }
+        if let Some(judged) = &aligned.judged {
+            table.row("verdict", [format!("{:.1}", judged.ms)]);
+        }
         let _ = write!(out, "{}", table.lines());
-        for file in asked.out.iter().chain(&asked.trace) {
+        for file in asked.out.iter().chain(&asked.trace).filter(|_| is_given) {
             let _ = writeln!(out, "\n{} written", file.display());
         }
         out
@@ -244,7 +280,9 @@ fn summary(report: &IcpReport, params: &Params, moved: &str) -> String {
         ("residual", format!("{:.4} mm RMS, {:.4} mm between the points", report.rms_mm, report.point_rms_mm)),
     ];
     lines.extend(report.remaining_mm.map(|mm| ("remaining", format!("{} mm", short(mm)))));
-    lines.extend(report.left_mm.map(|mm| ("along normals", format!("a step would still move it by {} mm", short(mm)))));
+    lines.extend(
+        report.left_mm.map(|mm| ("along normals", format!("point_to_plane from there ends {} mm away", short(mm)))),
+    );
     lines.push(("moved", moved.into()));
     let free = &report.observability.undetermined;
     let weakest = &report.observability.weakest;

@@ -253,6 +253,11 @@ impl TargetFile {
         }
     }
 
+    /// Whether the normals were estimated for the method.
+    pub(super) fn has_estimated_normals(&self) -> bool {
+        self.estimates
+    }
+
     /// Number of faces that the points were sampled from, if it is a surface.
     fn n_faces(&self) -> Option<usize> {
         let mesh = match &self.content {

@@ -37,6 +37,8 @@ pub struct Recording {
     pub attachments: Vec<Attachment>,
     /// What is missing or odd, one sentence each; empty for a whole and consistent file.
     pub notes: Vec<String>,
+    /// When the last message of the file was sent, on any topic, kept or not; none of a file without messages.
+    pub last_publish_time_ns: Option<StampNs>,
     topics: Vec<Topic>,
     messages: BTreeMap<String, Vec<Message>>,
 }

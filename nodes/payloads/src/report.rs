@@ -49,6 +49,7 @@ reports! {
     "Pivot" = osteoflow_algorithms::calibrate::PivotReport;
     "PoseError" = osteoflow_algorithms::metrics::PoseErrorReport;
     "Ruled" = osteoflow_algorithms::landmarks::RuledReport;
+    "Slide" = osteoflow_algorithms::slide::SlideReport;
     "Surface" = osteoflow_algorithms::metrics::SurfaceReport;
     "Tre" = osteoflow_algorithms::metrics::TreReport;
     "VerdictScore" = osteoflow_algorithms::metrics::VerdictScore;

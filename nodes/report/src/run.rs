@@ -2,6 +2,7 @@
 
 pub(crate) mod fragments;
 mod predicted;
+mod slide;
 mod views;
 
 use crate::{
@@ -52,6 +53,7 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
         None => views::residuals(&mut page, &run),
     }
     convergence(&mut page, &run);
+    slide::profile(&mut page, &run);
     page.section("Accuracy");
     views::assessment(&mut page, &run, refused.as_deref());
     page.section("Cuts");
@@ -141,7 +143,22 @@ fn convergence(page: &mut Page, run: &RunFolder) {
     page.figure("convergence", chart.svg(), &caption);
 }
 
-/// The node of the fine registration: the first with a source, a target and an initial pose.
+/// The inputs of every fine registration, and of what refines one.
+const REGISTRATION: [&str; 3] = ["source", "target", "init"];
+
+/// The node of the fine registration: the first with a source, a target and an initial pose that is not the result of another.
 fn fine(run: &RunFolder) -> Option<&str> {
-    run.node_with(&["source", "target", "init"])
+    run.nodes_with(&REGISTRATION).find(|node| begun_from(run, node).is_none())
+}
+
+/// The node with the final registration: the one that refines the fine registration, else that itself.
+fn registered(run: &RunFolder) -> Option<&str> {
+    let fine = fine(run)?;
+    Some(run.nodes_with(&REGISTRATION).find(|node| begun_from(run, node) == Some(fine)).unwrap_or(fine))
+}
+
+/// The registration whose result a node begins with.
+fn begun_from<'a>(run: &'a RunFolder, node: &str) -> Option<&'a str> {
+    let (init, _) = run.wire_into(node, "init")?.rsplit_once('.')?;
+    run.nodes_with(&REGISTRATION).find(|other| *other == init)
 }

@@ -60,10 +60,9 @@ impl RunFolder {
         link?["from"].as_str()
     }
 
-    /// The first node that has all these inputs connected.
-    pub(crate) fn node_with(&self, ports: &[&str]) -> Option<&str> {
-        let has_all = |node: &str| ports.iter().all(|port| self.wire_into(node, port).is_some());
-        self.nodes().map(|(name, _)| name).find(|name| has_all(name))
+    /// All nodes with these inputs wired.
+    pub(crate) fn nodes_with(&self, ports: &[&str]) -> impl Iterator<Item = &str> {
+        self.nodes().map(|(name, _)| name).filter(|node| ports.iter().all(|port| self.wire_into(node, port).is_some()))
     }
 
     /// The first node of a kind.

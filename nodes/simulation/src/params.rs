@@ -203,7 +203,7 @@ pub struct LaserParams {
     #[schemars(range(min = 0.0, max = 5.0))]
     pub aim_across_mm: f64,
     /// Standard deviation of aiming along the bone. 0.7 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 5.0))]
+    #[schemars(range(min = 0.0, max = 30.0))]
     pub aim_along_mm: f64,
     /// Maximum number of attempts to aim at a mark, each with its own aiming error, until the camera sees a third of
     /// the laser's disc on the bone (assumed). If no attempt succeeds, the one with the largest share counts. 1: other

@@ -22,7 +22,7 @@ pub struct In {
 /// Outputs of every hole detector.
 #[derive(Outputs)]
 pub struct Out {
-    /// The landmark under the spot, with its name and confidence.
+    /// The landmark under the spot, with its name and confidence; below `min_confidence` it is of the second tier.
     #[port(frame = "cloud")]
     point: Points,
     /// How it was found.
@@ -41,9 +41,18 @@ fn name(cloud: &Cloud, ctx: &Context) -> String {
 }
 
 /// The landmark at the hole.
-fn answer(cloud: &Cloud, found: Result<Hole, HoleError>, ctx: &Context) -> Result<Out, NodeError> {
+///
+/// One of the second tier is reported, so that none counts without anybody's knowledge where nothing confirms it.
+fn answer(cloud: &Cloud, found: Result<Hole, HoleError>, ctx: &mut Context) -> Result<Out, NodeError> {
     let name = name(cloud, ctx);
     let hole = found.map_err(|error| NodeError::new(format!("{name}: {error}")))?;
+    if hole.report.tier > 1 {
+        ctx.warn(format!(
+            "{name}: the only candidate has a confidence of {:.2}, which is not enough by itself: coarse.three_point takes \
+             it if its distances to the other landmarks are as planned, and nothing else checks it",
+            hole.confidence
+        ));
+    }
     let point = NamedPoint {
         name: name.into(),
         position: hole.centre,

@@ -21,6 +21,7 @@ pub mod metrics;
 pub mod output;
 pub mod plan;
 pub mod plane;
+pub mod refine;
 pub mod surface;
 pub mod transform;
 pub mod verdict;
@@ -77,6 +78,8 @@ pub fn registry() -> Registry {
         .node::<icp::generalized::Generalized>()
         .node::<icp::point_to_mesh::PointToMesh>()
         .node::<icp::published::Published>()
+        .node::<plane::last::Last>()
+        .node::<refine::slide::Slide>()
         .node::<plane::to_world::ToWorld>()
         .node::<plane::update::Update>()
         .node::<metrics::tre_measured::TreMeasured>()

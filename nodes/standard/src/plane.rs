@@ -1,4 +1,5 @@
 //! The cutting planes in the world.
 
+pub mod last;
 pub mod to_world;
 pub mod update;

@@ -10,8 +10,9 @@ mod port;
 /// Derives input ports from the fields of a struct.
 ///
 /// A field of type `T` is a port that takes `T`; `Option<T>` may stay unwired and receives empties; `Vec<T>` collects;
-/// `Unused<T>` is drained; `Value` takes any payload. `#[port(join = "each" | "stamp" | "collect" | "latest" |
-/// "interpolate" | "once", tolerance_ms = .., n = .., max_gap_ms = .., frame = "..", to = "..", from = "..")]`.
+/// `Unused<T>` is drained; `Value` takes any payload, and `Option<Value>` any or none. `#[port(join = "each" | "stamp" |
+/// "collect" | "latest" | "interpolate" | "once", tolerance_ms = .., n = .., max_gap_ms = .., frame = "..", to = "..",
+/// from = "..")]`.
 #[proc_macro_derive(Inputs, attributes(port))]
 pub fn inputs(input: TokenStream) -> TokenStream {
     expand(port::inputs(&parse_macro_input!(input as DeriveInput)))

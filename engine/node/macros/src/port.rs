@@ -27,6 +27,7 @@ enum FieldType<'a> {
     Unused(&'a Type),
     Emit(&'a Type),
     Any,
+    OptionalAny,
 }
 
 pub(crate) fn inputs(input: &DeriveInput) -> Result<TokenStream> {
@@ -43,6 +44,9 @@ pub(crate) fn inputs(input: &DeriveInput) -> Result<TokenStream> {
             FieldType::ManyOptional(t) => (payload(t), quote!(take_many_optional::<#t>), true, false),
             FieldType::Unused(t) => (payload(t), quote!(), true, true),
             FieldType::Any => (quote!(::osteoflow_node::derive::any_payload()), quote!(take_any), false, false),
+            FieldType::OptionalAny => {
+                (quote!(::osteoflow_node::derive::any_payload()), quote!(take_optional_any), true, false)
+            }
             FieldType::Emit(t) => return Err(Error::new_spanned(t, "Emit is for outputs; an input is Option<T>")),
         };
         // An unused port joins like those of the kinds that use it, so that the same graph works with both.
@@ -145,6 +149,7 @@ fn payload(t: &Type) -> TokenStream {
 
 fn field_type(ty: &Type) -> FieldType<'_> {
     match generic(ty) {
+        Some(("Option", inner)) if is_value(inner) => FieldType::OptionalAny,
         Some(("Option", inner)) => FieldType::Optional(inner),
         Some(("Unused", inner)) => FieldType::Unused(inner),
         Some(("Emit", inner)) => FieldType::Emit(inner),
@@ -152,9 +157,14 @@ fn field_type(ty: &Type) -> FieldType<'_> {
             Some(("Option", inner)) => FieldType::ManyOptional(inner),
             _ => FieldType::Many(inner),
         },
-        _ if last_segment(ty).is_some_and(|s| s == "Value") => FieldType::Any,
+        _ if is_value(ty) => FieldType::Any,
         _ => FieldType::Plain(ty),
     }
+}
+
+/// Whether a type is [`Value`](osteoflow_node::Value), which any payload is.
+fn is_value(ty: &Type) -> bool {
+    last_segment(ty).is_some_and(|s| s == "Value")
 }
 
 fn last_segment(ty: &Type) -> Option<&Ident> {

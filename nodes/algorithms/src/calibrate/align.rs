@@ -1,9 +1,8 @@
 //! A registration that may scale: a few steps on a few points, for what may contradict a calibration.
 
-use super::pairs::{Pair, Scan, pairs};
+use super::pairs::{Faces, Pair, Scan, agreeing, on_faces};
 use super::spread::middle;
 use crate::kabsch::centroid;
-use crate::target::Target;
 use nalgebra::{Isometry3, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3};
 
 /// Minimum RMS residual, mm, that growth by a factor of e causes, with all motions free. The blocks of a phantom give 4, the
@@ -46,7 +45,7 @@ pub(super) struct Aligned {
 /// Registers a scan by its distances along the normals, from a pose; with the smooth error of the camera's depth, mm, its
 /// scale too. `None` if the pairs do not determine that.
 pub(super) fn align(
-    target: &Target,
+    faces: &Faces,
     scan: &Scan,
     start: &Isometry3<f64>,
     steps: &Steps,
@@ -55,9 +54,9 @@ pub(super) fn align(
     let centroid = centroid(&scan.points);
     let mut at = Aligned { t_phantom_camera: *start, scale: 1.0, scale_sd: 0.0, scan: scan.clone() };
     for step in 0..steps.n {
-        let all = pairs(target, &at.scan, &at.t_phantom_camera, steps.max_pair_mm);
         let gate_mm = steps.gate_mm(step);
-        let used: Vec<&Pair> = all.iter().filter(|p| p.residual_mm.abs() <= gate_mm).collect();
+        let on_faces = on_faces(faces, &at.scan, &at.t_phantom_camera, steps.max_pair_mm);
+        let used: Vec<Pair> = agreeing(on_faces).filter(|p| p.residual_mm.abs() <= gate_mm).collect();
         let centre = at.t_phantom_camera * centroid;
         let rows: Vec<Row> = used.iter().map(|p| row(p, &centre, scaled_smooth_mm.is_some())).collect();
         let mut normal: Square = rows.iter().map(|r| r * r.transpose()).sum();

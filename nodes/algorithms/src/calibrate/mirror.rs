@@ -1,9 +1,8 @@
 //! The mirror image of a scan.
 
 use super::align::{Steps, align};
-use super::pairs::{Scan, capped_rms_mm, distances};
+use super::pairs::{Faces, Scan, capped_rms_mm, distances, on_faces};
 use crate::kabsch::centroid;
-use crate::target::Target;
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
@@ -16,7 +15,7 @@ const LAST_MM: f64 = 0.5;
 /// The smallest [`capped_rms_mm`] of the scan's mirror image, mm, registered from the fitted and the nominal pose; `None`
 /// without a fit.
 pub(super) fn mirrored_mm(
-    target: &Target,
+    faces: &Faces,
     scan: &Scan,
     t_phantom_camera: &Isometry3<f64>,
     t_phantom_camera_nominal: &Isometry3<f64>,
@@ -32,7 +31,7 @@ pub(super) fn mirrored_mm(
     let mut starts: Vec<(Vector3<f64>, &Isometry3<f64>)> =
         (0..N_PLANES).map(|k| (turned(k), t_phantom_camera)).collect();
     starts.extend([Vector3::x(), Vector3::y()].map(|axis| (axis, t_phantom_camera_nominal)));
-    let steps = Steps { max_pair_mm: max_mm, first_mm: max_mm, last_mm: LAST_MM, n: 12 };
+    let steps = Steps { max_pair_mm: max_mm, first_mm: max_mm, last_mm: LAST_MM, n: 8 };
     let misfits: Vec<Option<f64>> = starts
         .par_iter()
         .map(|(axis, start)| {
@@ -41,8 +40,8 @@ pub(super) fn mirrored_mm(
                 points: scan.points.iter().map(|p| Point3::from(flip(&p.coords))).collect(),
                 normals: scan.normals.iter().map(flip).collect(),
             };
-            let fit = align(target, &image, start, &steps, None)?;
-            let distances = distances(target, &image, &fit.t_phantom_camera, max_mm);
+            let fit = align(faces, &image, start, &steps, None)?;
+            let distances = distances(&on_faces(faces, &image, &fit.t_phantom_camera, max_mm));
             Some(capped_rms_mm(&distances, image.points.len(), cap_mm))
         })
         .collect();

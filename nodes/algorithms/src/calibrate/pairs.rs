@@ -1,6 +1,7 @@
 //! Scan points on the phantom's faces.
 
 use crate::kabsch::centroid;
+use crate::nearest::Nearest;
 use crate::normals;
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -44,35 +45,53 @@ impl Scan {
     }
 }
 
-/// The points within `max_mm` of a face that has their direction, on it.
-pub(super) fn pairs(target: &Target, scan: &Scan, t_phantom_camera: &Isometry3<f64>, max_mm: f64) -> Vec<Pair> {
-    let normals = target.normals().unwrap_or_default();
-    let pair = |(point, direction): (&Point3<f64>, &Vector3<f64>)| {
+/// Some samples of the CAD's faces. Far from them, a tree is faster than the cells of a [`Target`].
+pub(super) struct Faces {
+    points: Vec<Point3<f64>>,
+    normals: Vec<Vector3<f64>>,
+    tree: Nearest,
+}
+
+impl Faces {
+    /// About `n` of a target's samples, which have normals.
+    pub(super) fn of(target: &Target, n: usize) -> Self {
+        let every = target.points().len().div_ceil(n).max(1);
+        let points: Vec<Point3<f64>> = target.points().iter().copied().step_by(every).collect();
+        let normals = target.normals().unwrap_or_default().iter().copied().step_by(every).collect();
+        Self { tree: Nearest::new(&points), points, normals }
+    }
+}
+
+/// A scan point on the face nearest to it.
+pub(super) struct OnFace {
+    pair: Pair,
+    /// Whether the scan has the direction of the face there.
+    agrees: bool,
+}
+
+/// The points within `max_mm` of the faces, on them.
+pub(super) fn on_faces(faces: &Faces, scan: &Scan, t_phantom_camera: &Isometry3<f64>, max_mm: f64) -> Vec<OnFace> {
+    let on_face = |(point, direction): (&Point3<f64>, &Vector3<f64>)| {
         let phantom = t_phantom_camera * point;
-        let (index, _) = target.nearest(&phantom, max_mm)?;
-        let normal = *normals.get(index)?;
+        let (index, _) = faces.tree.nearest(&phantom).filter(|(_, square)| *square <= max_mm * max_mm)?;
+        let normal = *faces.normals.get(index)?;
+        let residual_mm = (phantom - faces.points[index]).dot(&normal);
+        let per_depth = (t_phantom_camera * point.coords.normalize()).dot(&normal);
         let agrees = (t_phantom_camera * direction).dot(&normal).abs() >= SAME_FACE_COS;
-        agrees.then(|| Pair {
-            phantom,
-            normal,
-            residual_mm: (phantom - target.points()[index]).dot(&normal),
-            per_depth: (t_phantom_camera * point.coords.normalize()).dot(&normal),
-        })
+        Some(OnFace { pair: Pair { phantom, normal, residual_mm, per_depth }, agrees })
     };
-    let found: Vec<Option<Pair>> = scan.points.par_iter().zip(&scan.normals).map(pair).collect();
+    let found: Vec<Option<OnFace>> = scan.points.par_iter().zip(&scan.normals).map(on_face).collect();
     found.into_iter().flatten().collect()
 }
 
-/// Absolute distances from the faces of the points within `max_mm` of them, mm, ascending.
-pub(super) fn distances(target: &Target, scan: &Scan, t_phantom_camera: &Isometry3<f64>, max_mm: f64) -> Vec<f64> {
-    let normals = target.normals().unwrap_or_default();
-    let distance = |point: &Point3<f64>| {
-        let phantom = t_phantom_camera * point;
-        let (index, _) = target.nearest(&phantom, max_mm)?;
-        Some((phantom - target.points()[index]).dot(normals.get(index)?).abs())
-    };
-    let found: Vec<Option<f64>> = scan.points.par_iter().map(distance).collect();
-    let mut distances: Vec<f64> = found.into_iter().flatten().collect();
+/// The pairs on faces that have the direction of the scan.
+pub(super) fn agreeing(on_faces: Vec<OnFace>) -> impl Iterator<Item = Pair> {
+    on_faces.into_iter().filter(|on| on.agrees).map(|on| on.pair)
+}
+
+/// Absolute distances from the nearest faces, mm, ascending.
+pub(super) fn distances(on_faces: &[OnFace]) -> Vec<f64> {
+    let mut distances: Vec<f64> = on_faces.iter().map(|on| on.pair.residual_mm.abs()).collect();
     distances.sort_by(f64::total_cmp);
     distances
 }

@@ -14,7 +14,7 @@ const N_SMOOTH: usize = 400;
 
 /// The middle of the sandwich `H⁻¹ M H⁻¹` for unknowns whose rows of the Jacobian are given: sums of residuals over cells,
 /// which are seen, and a smooth error of depth of `smooth_mm`, which a motion of the phantom may hide.
-pub(super) fn middle<const D: usize>(pairs: &[&Pair], rows: &[SVector<f64, D>], smooth_mm: f64) -> SMatrix<f64, D, D> {
+pub(super) fn middle<const D: usize>(pairs: &[Pair], rows: &[SVector<f64, D>], smooth_mm: f64) -> SMatrix<f64, D, D> {
     let mut cells: BTreeMap<[i64; 3], SVector<f64, D>> = BTreeMap::new();
     for (pair, row) in pairs.iter().zip(rows) {
         let cell = std::array::from_fn(|k| (pair.phantom[k] / CELL_MM).floor() as i64);
@@ -55,7 +55,7 @@ impl Spread {
         let rows: Vec<Vector6<f64>> = pairs.iter().zip(&points).map(row).collect();
         let normal: Matrix6<f64> = rows.iter().map(|row| row * row.transpose()).sum();
         let inverse = normal.try_inverse().unwrap_or_else(Matrix6::zeros);
-        let covariance = inverse * middle(&pairs.iter().collect::<Vec<_>>(), &rows, smooth_mm) * inverse;
+        let covariance = inverse * middle(pairs, &rows, smooth_mm) * inverse;
         // Rounding leaves it a little unsymmetric.
         Self { covariance: (covariance + covariance.transpose()) / 2.0, centre }
     }

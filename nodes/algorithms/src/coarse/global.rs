@@ -4,12 +4,12 @@ mod axis;
 mod descent;
 mod near_map;
 
+pub(crate) use descent::{Placed, Points, descend, score as map_score};
 pub(crate) use near_map::NearMap;
 
 use crate::icp::{self, IcpParams, Method, Source};
 use crate::target::Target;
 use axis::{Scan, stations};
-use descent::{Placed, descend, score as map_score};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::Cloud;
 use rayon::prelude::*;

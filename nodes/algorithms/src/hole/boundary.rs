@@ -34,7 +34,8 @@ const MIN_AROUND: usize = 24;
 /// The scan is projected into its camera's image, where it is sampled evenly. An enclosed gap is filled with points as
 /// dense as the scan's, on a quadratic surface fitted to the points around it; these replace the missing points of a
 /// reference, and the search continues as in [`cloud_difference`](super::cloud_difference()). A spot at the silhouette
-/// is not enclosed and not found, and any other loss as large as the spot is taken for it. `O(n log n)`.
+/// is not enclosed and not found, and any other loss as large as the spot is taken for it, so there is no second tier.
+/// `O(n log n)`.
 ///
 /// # Errors
 /// [`HoleError`]: no hole, more than one, too sparse to resolve it, or a scan without a viewpoint.
@@ -50,7 +51,8 @@ pub fn boundary(cloud: &Cloud, params: &HoleParams) -> Result<Hole, HoleError> {
     let points: Vec<Point3<f64>> = cloud.points().iter().copied().chain(fill.points).collect();
     let indices = (n_seen..points.len()).collect();
     let reference = Cloud::new(cloud.frame.clone(), points).map_err(|_| HoleError::NoViewpoint)?;
-    find(&Scene::new(&reference, cloud, params)?, &Missing { indices, margin_mm }, params)
+    let first_tier = HoleParams { min_confidence_agreeing: 1.0, ..params.clone() };
+    find(&Scene::new(&reference, cloud, params)?, &Missing { indices, margin_mm }, &first_tier)
 }
 
 /// Points that fill the gaps.

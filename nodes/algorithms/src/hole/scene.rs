@@ -23,6 +23,8 @@ pub(super) struct Scene<'a> {
     pub(super) cloud_tree: Nearest,
     /// Ratio of the spacings of the laser scan and the reference, at least 1.
     coarser: f64,
+    /// Point spacing of the laser scan in its camera's grid, across the line of sight, mm, if it has a viewpoint.
+    pub(super) grid_mm: Option<f64>,
     /// Points of the laser scan per point of the reference, where both overlap.
     pub(super) density: f64,
     /// Median distance of the scan with the laser from the reference's surface, mm.
@@ -38,10 +40,20 @@ impl<'a> Scene<'a> {
                 return Err(HoleError::Empty { what });
             }
         }
+        let camera = cloud.viewpoint.map(|viewpoint| Point3::from(viewpoint.translation.vector));
         let (reference, cloud) = (reference.points(), cloud.points());
         let (reference_tree, cloud_tree) = (Nearest::new(reference), Nearest::new(cloud));
-        let mut scene =
-            Self { reference, cloud, reference_tree, cloud_tree, coarser: 1.0, density: 1.0, residual_mm: 0.0 };
+        let mut scene = Self {
+            reference,
+            cloud,
+            reference_tree,
+            cloud_tree,
+            coarser: 1.0,
+            grid_mm: None,
+            density: 1.0,
+            residual_mm: 0.0,
+        };
+        scene.grid_mm = camera.map(|camera| grid_mm(&scene.cloud_tree, cloud, &camera));
         let mut of_cloud: Vec<f64> = thinned(cloud).map(|p| spacing(&scene.cloud_tree, p)).collect();
         scene.coarser = (median(&mut of_cloud) / scene.median_spacing()).max(1.0);
         scene.residual_mm = scene.median_residual(params.spot_radius_mm);
@@ -59,6 +71,11 @@ impl<'a> Scene<'a> {
             .collect();
         scene.density = median(&mut density).max(f64::MIN_POSITIVE);
         Ok(scene)
+    }
+
+    /// The scan with fewer points.
+    pub(super) fn coarser_scan(&self) -> &'static str {
+        if self.coarser > 1.0 { "laser" } else { "reference" }
     }
 
     /// Spacing around a reference point, mm, in whichever scan is coarser.
@@ -86,7 +103,12 @@ impl<'a> Scene<'a> {
             })
             .collect();
         let mut shared: Vec<f64> = residuals.iter().filter(|(near, _)| *near <= reach_mm).map(|(_, d)| *d).collect();
-        if shared.len() * 5 < residuals.len() {
+        // Either scan may be cropped, so a part of one that the other shares is enough.
+        let is_shared =
+            |p: &Point3<f64>| self.cloud_tree.nearest(p).is_some_and(|(_, square)| square.sqrt() <= reach_mm);
+        let covered =
+            || thinned(self.reference).filter(|p| is_shared(p)).count() * 2 >= thinned(self.reference).count();
+        if shared.len() * 5 < residuals.len() && (shared.is_empty() || !covered()) {
             shared = residuals.iter().map(|(near, _)| *near).collect();
         }
         median(&mut shared)
@@ -96,6 +118,25 @@ impl<'a> Scene<'a> {
 /// Distance to the farthest of the first ring, so a grid seen at a slant counts by its wide side, mm.
 fn spacing(tree: &Nearest, point: &Point3<f64>) -> f64 {
     tree.nearest_n(point, RING + 1).last().map_or(0.0, |(_, square)| (square / 2.0).sqrt())
+}
+
+/// Median distance of points from their second neighbour across the line of sight, mm: a step of the camera's grid, of which
+/// a surface at a slant shows every one along the shorter side.
+fn grid_mm(tree: &Nearest, points: &[Point3<f64>], camera: &Point3<f64>) -> f64 {
+    let mut steps: Vec<f64> = thinned(points)
+        .filter_map(|point| {
+            let sight = (point - camera).try_normalize(0.0)?;
+            let across = |i: usize| {
+                let offset = points[i] - point;
+                (offset - sight * offset.dot(&sight)).norm()
+            };
+            let mut around: Vec<f64> = tree.nearest_n(point, RING + 1).iter().map(|(i, _)| across(*i)).collect();
+            around.sort_by(f64::total_cmp);
+            // The first is the point itself.
+            around.get(2).copied()
+        })
+        .collect();
+    median(&mut steps)
 }
 
 /// About [`SAMPLED`] points, evenly along the scan.

@@ -37,6 +37,10 @@ pub(super) struct LevelFit {
     pub(super) change_mm: Option<f64>,
 }
 
+/// Number of steps along the normals after which the error that a `point_to_point` leaves is estimated: twice what
+/// `point_to_plane` takes from the starts of docs/icp.md.
+const MAX_SETTLING: u32 = 100;
+
 impl LevelFit {
     /// At this state, not converged, by [`StopReason::Iterations`].
     pub(super) fn at(state: State, equations: NormalEquations, weights: Weights) -> Self {
@@ -66,18 +70,31 @@ pub(super) fn by_points(
     observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
     minimize: impl Minimize<PointToPoint>,
 ) -> Result<IcpFit, IcpError> {
-    let mut left_mm = None;
-    let mut fit = run(target, source, init, params, observer, minimize, |last, state| {
-        let planes: Problem<'_, PointToPlane> =
-            Problem::new(last.surface, last.pairing, last.params, 1, last.source.clone(), last.reciprocal);
-        // Of a last level, so that both sides of the surface count alike.
-        let open = Weights::open(last.params, last.params.max_pair_distance_mm);
-        let mut weights = open.for_last(last.params, 0.0);
-        let equations = planes.linearize(state, &mut planes.correspondences(), &mut weights, false);
-        left_mm = equations.ok().map(|equations| solve::gauss_newton(&equations).norm());
-    })?;
-    fit.report.left_mm = left_mm;
+    check::<PointToPoint>(target, &source, init, params)?;
+    let mut fit = run(target, source, init, params, observer, minimize)?;
+    fit.report.left_mm = left_mm(target, source, params, &fit);
     Ok(fit)
+}
+
+/// RMS distance of the source points from where a registration along the target's normals ends that starts at a fit.
+///
+/// It pairs all points within `max_pair_distance_mm` anew: the gate of the fit has narrowed to the pairs that fit where it is.
+/// Normals that the target does not have are estimated near the fit. `None` where that is not possible.
+fn left_mm(target: &Target, source: Source<'_>, params: &IcpParams, fit: &IcpFit) -> Option<f64> {
+    let was_halted = matches!(fit.report.stop_reason, StopReason::Time | StopReason::Cancelled);
+    let max_iterations = if was_halted { 1 } else { MAX_SETTLING };
+    let IcpParams { stop_step_mm, stop_step_rad, stop_residual_mm, .. } = IcpParams::default();
+    let one_sided = Some(params.one_sided.unwrap_or(PointToPoint::ONE_SIDED));
+    let params =
+        IcpParams { max_iterations, stop_step_mm, stop_step_rad, stop_residual_mm, one_sided, ..params.clone() };
+    let quiet = &mut |_: &IcpStep| ControlFlow::Continue(());
+    let from = &fit.t_target_source;
+    let settled = run::<PointToPlane>(target, source, from, &params, quiet, gauss_newton::minimize).ok()?;
+    let to = &settled.t_target_source;
+    let mut squares: Vec<f64> = source.points.iter().map(|p| (from * p - to * p).norm_squared()).collect();
+    // Summed in an order that does not depend on that of the points.
+    squares.sort_by(f64::total_cmp);
+    Some((squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
 
 /// The registration by any other residual.
@@ -88,7 +105,8 @@ pub(super) fn by_planes<R: Residual>(
     params: &IcpParams,
     observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
 ) -> Result<IcpFit, IcpError> {
-    run::<R>(target, source, init, params, observer, gauss_newton::minimize, |_, _| ())
+    check::<R>(target, &source, init, params)?;
+    run::<R>(target, source, init, params, observer, gauss_newton::minimize)
 }
 
 fn run<R: Residual>(
@@ -98,9 +116,7 @@ fn run<R: Residual>(
     params: &IcpParams,
     caller: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
     minimize: impl Minimize<R>,
-    mut at_end: impl FnMut(&Problem<'_, R>, &State),
 ) -> Result<IcpFit, IcpError> {
-    check::<R>(target, &source, init, params)?;
     // The variant's own default holds for the probes along the normals, too.
     let one_sided = Some(params.one_sided.unwrap_or(R::ONE_SIDED));
     let params = &IcpParams { one_sided, ..params.clone() };
@@ -141,7 +157,6 @@ fn run<R: Residual>(
         }
         None => minimize(&last, state, weights, true, steps_left(&observer), &mut observer)?,
     };
-    at_end(&last, &end.state);
     if end.converged && end.reason == StopReason::Iterations {
         end.reason = StopReason::Step;
     }

@@ -51,8 +51,9 @@ pub struct IcpReport {
     /// How far from its minimum a `point_to_point` can become stationary, mm, one standard deviation: its cost is rough, as
     /// pairs change from sample to sample. Denser samples make it finer. None for others.
     pub resolution_mm: Option<f64>,
-    /// Length of a first point-to-plane step from the result of a `point_to_point`, mm (RMS movement of the source points):
-    /// the error that it leaves, mostly along the bone. None for others.
+    /// Distance from the result of a `point_to_point` to where a `point_to_plane` that starts there ends, mm (RMS movement of the
+    /// source points): the error that it leaves, mostly along the bone. All points within `max_pair_distance_mm` pair anew,
+    /// whatever the gate left out. None for others.
     pub left_mm: Option<f64>,
     /// `JᵀWJ` of the last step, unknowns (shift in mm, turn in rad about `centroid_mm`), target's axes. Along the target's
     /// normals for `point_to_point`.

@@ -448,3 +448,29 @@ fn starts_on_either_side_of_an_ill_conditioned_minimum_end_at_one_pose() {
         assert!(apart < 0.005, "{method:?}: {apart} mm apart after {} steps", above.report.iterations);
     }
 }
+
+#[test]
+fn what_a_point_to_point_leaves_is_all_of_its_error_even_if_it_stopped_far_along_the_bone() {
+    let (bone, source) = (shaft(), source(&shaft(), 5000));
+    let with = target(&bone, 40_000);
+    let without = Target::new("ct", SurfaceOrigin::User, with.points().to_vec(), None).unwrap();
+    let start = Isometry3::translation(0.5, 0.0, 8.0);
+    let params = PublishedParams {
+        reading: PublishedReading::Iterations,
+        max_pair_distance_mm: 5.0,
+        max_iterations: 10,
+        stop_after_ms: 0.0,
+        min_pairs: 10,
+    };
+    for target in [&with, &without] {
+        let fit = register_published(target, &source, &start, &params, &mut go_on).unwrap();
+        let (error_mm, left_mm) = (off(&fit, &Isometry3::identity(), &source), fit.report.left_mm.unwrap());
+        assert!(error_mm > 3.0, "{error_mm} mm; ten plain steps recover little of 8 mm");
+        assert!(
+            (left_mm - error_mm).abs() < 0.1,
+            "{left_mm} mm reported, {error_mm} mm left; samples are 0.5 mm apart"
+        );
+    }
+    let fit = register(Method::PointToPoint, &with, &source, &start, &IcpParams::default(), &mut go_on).unwrap();
+    assert!(fit.report.left_mm.unwrap() < 0.2, "{:?}", fit.report);
+}

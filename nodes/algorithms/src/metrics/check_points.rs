@@ -1,6 +1,6 @@
 use super::{MetricsError, PoseErrorReport, TreReport, pose_error, tre};
 use nalgebra::{Isometry3, Matrix3, Point3};
-use osteoflow_geometry::{Axes, NamedPoint};
+use osteoflow_geometry::{Axes, NamedPoint, StampNs};
 use serde::{Deserialize, Serialize};
 
 /// Errors of a calibration at points of a check piece with known positions.
@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 pub struct CheckReport {
     /// Place of the piece: the points' names up to their last `_`, such as `working`.
     pub place: String,
+    /// When the last of the points was read; 0 if that is not known.
+    #[serde(default)]
+    pub read_at_ns: StampNs,
     /// Mean distance of the points from the camera along its axis, mm.
     pub depth_mm: f64,
     /// Mean distance between transformed and known points, mm.
@@ -50,6 +53,7 @@ pub fn check_points(
     let name = read.first().map_or("", |p| &*p.name);
     Ok(CheckReport {
         place: name.rsplit_once('_').map_or(name, |(place, _)| place).to_owned(),
+        read_at_ns: read.iter().map(|p| p.stamp_ns).max().unwrap_or(0),
         depth_mm: middle.z,
         mean_mm,
         sd_mm: (squares / (n - 1.0).max(1.0)).sqrt(),

@@ -22,6 +22,9 @@ const CELL_MM: f64 = 10.0;
 const GATE_SIGMAS: f64 = 5.0;
 const OUTSIDE_SIGMAS: f64 = 2.5;
 
+/// The noise is estimated across the surface, and one at a slant has more: this share of it remains in the misfit.
+const NOISE_LEFT: f64 = 0.3;
+
 /// A quarter of a Gaussian's absolute values are below this many standard deviations.
 const QUARTER_SIGMAS: f64 = 0.318_639_363_964_375_15;
 
@@ -91,8 +94,6 @@ pub struct Evidence {
     pub scale: Option<Scale>,
     /// RMS spread of the registration at the points that matter, by a jackknife over cells of 10 mm.
     pub spread_mm: Option<f64>,
-    /// The part of it that independent noise does not explain: what differs from cell to cell.
-    pub structured_spread_mm: Option<f64>,
     /// Mean distance, at the points that matter, to the pose at which a point-to-plane registration settles from this one.
     pub unsettled_mm: Option<f64>,
     /// The registration by shape alone, if it was made.
@@ -105,6 +106,8 @@ pub struct Examined {
     pub evidence: Evidence,
     /// The spread of the pose; none where the scan leaves a motion undetermined.
     pub spread: Option<Spread>,
+    /// The motion, in the target's frame, to the pose at which a point-to-plane registration settles from the one examined.
+    pub to_settled: Option<Isometry3<f64>>,
 }
 
 impl Evidence {
@@ -123,7 +126,9 @@ impl Evidence {
         let gate = -GATE_SIGMAS * sigma_mm..=OUTSIDE_SIGMAS * sigma_mm;
         let on: Vec<Residual> = residuals.near.iter().filter(|near| gate.contains(&near.signed_mm)).copied().collect();
         let off_mm = (4.0 * noise_mm).max(0.3);
-        let spread = Spread::new(&on, CELL_MM);
+        let misfit = Misfit::new(&on, noise_mm);
+        let rough_mm = (misfit.rms_mm.powi(2) - (NOISE_LEFT * noise_mm).powi(2)).max(0.0).sqrt();
+        let spread = Spread::new(&on, CELL_MM).map(|spread| spread.widened(rough_mm));
         let at = points_that_matter(registered);
         let apart = |other: &Isometry3<f64>| {
             let motion = other * t_target_source.inverse();
@@ -141,13 +146,10 @@ impl Evidence {
             on_surface: on.len() as f64 / residuals.n.max(1) as f64,
             inside: residuals.share(|near| near.signed_mm < -off_mm),
             outside: 1.0 - residuals.share(|near| near.signed_mm <= off_mm),
-            misfit: Misfit::new(&on, noise_mm),
+            misfit,
             facing_away: facing_away(registered, &on),
             scale: Scale::new(&on, CELL_MM),
             spread_mm: spread.as_ref().map(|spread| rms(&|p| spread.at(p).trace())),
-            structured_spread_mm: spread
-                .as_ref()
-                .map(|spread| rms(&|p| spread.at(p).trace() - noise_mm * noise_mm * spread.by_noise_at(p).trace())),
             unsettled_mm: settled.as_ref().map(apart),
             shape: None,
         };
@@ -158,7 +160,8 @@ impl Evidence {
             clearness: report.clearness,
             mirrored_support: None,
         });
-        Some(Examined { evidence, spread })
+        let to_settled = settled.map(|settled| settled * t_target_source.inverse());
+        Some(Examined { evidence, spread, to_settled })
     }
 
     /// Adds the support of the scan's mirror image.
@@ -170,7 +173,7 @@ impl Evidence {
 }
 
 /// The points at which the error matters; without any, some of the scan's own.
-fn points_that_matter(registered: &Registered<'_>) -> Vec<Point3<f64>> {
+pub(super) fn points_that_matter(registered: &Registered<'_>) -> Vec<Point3<f64>> {
     if !registered.at.is_empty() {
         return registered.at.to_vec();
     }

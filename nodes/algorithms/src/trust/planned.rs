@@ -1,10 +1,11 @@
 //! What the plan says about itself: the order of its landmarks, and whether it belongs to the surface.
 
+use super::verdict::{Answer, Reason};
 use crate::kabsch::kabsch;
 use crate::mesh_query::MeshQuery;
 use crate::section;
 use nalgebra::{Point3, Vector3};
-use osteoflow_geometry::{NamedPoint, Planes};
+use osteoflow_geometry::{NamedPoint, PlanePlace, Planes};
 use serde::{Deserialize, Serialize};
 
 /// Maximum number of landmarks of which all orders are tried.
@@ -87,6 +88,18 @@ pub enum PlanFault {
     },
     /// There are no cutting planes.
     NoPlanes,
+}
+
+/// The reason against a result whose planes are unknown at the end of the recording; `None` if all are known.
+pub fn planes_lost(last: &Planes) -> Option<Reason> {
+    let unknown = last.planes.iter().find_map(|plane| match &plane.place {
+        PlanePlace::Unknown(why) => Some(why),
+        PlanePlace::Known(_) => None,
+    })?;
+    let reason = format!("the cutting planes are unknown at the end: {unknown}");
+    let remedy =
+        "track the bone's marker until the end; the planes at the scan hold only if the bone has not moved since";
+    Some(Reason::new("planes_lost", Answer::Doubtful, reason, remedy))
 }
 
 /// The changes of coordinates by which plan and surface may differ.

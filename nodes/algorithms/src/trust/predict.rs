@@ -1,6 +1,6 @@
 //! The error to expect, from the spread of the pose and the stated errors of the devices.
 
-use super::Spread;
+use super::{Limits, Spread};
 use crate::calibrate::PhantomReport;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use osteoflow_geometry::NamedPoint;
@@ -14,6 +14,10 @@ const N_DRAWS: usize = 4000;
 
 /// Share of the draws below and above an interval of 90 %.
 const TAIL: f64 = 0.05;
+
+/// Standard deviation of the factor by which the predicted errors may be larger or smaller as a whole. 0.2: the errors of
+/// trackers and prints are stated to about a fifth, and a spread from a few dozen patches of a scan is known no better.
+const SCALE_SIGMA: f64 = 0.2;
 
 /// Semi-axes of the ellipsoid that holds 90 % of a three-dimensional Gaussian, in standard deviations.
 const ELLIPSOID_SIGMAS: f64 = 2.500_278;
@@ -104,8 +108,30 @@ pub struct Predicted {
     pub assessment: Option<PredictedSet>,
     /// The mean TRE of the cuts.
     pub all_cuts: Option<PredictedSet>,
+    /// The chance that the answer is wrong by the limits, from the same errors.
+    pub beyond_limits: f64,
     /// Each source of error, RMS over all of these points.
     pub terms: Vec<Term>,
+}
+
+/// A planned cut.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cut {
+    /// Its name, and the middle of the bone in it.
+    pub middle: NamedPoint,
+    /// Its unit normal.
+    pub normal: Vector3<f64>,
+}
+
+/// Where the error is predicted, in the target's frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Where<'a> {
+    /// The assessment points.
+    pub points: &'a [NamedPoint],
+    /// The cuts.
+    pub cuts: &'a [Cut],
+    /// The points whose mean error the limits hold for.
+    pub limited: &'a [Point3<f64>],
 }
 
 /// The predicted error of a point.
@@ -182,14 +208,20 @@ fn isotropic(mm: f64, deg: f64) -> Matrix6<f64> {
 /// # Source
 /// Propagation of rigid errors to a target: Fitzpatrick, West and Maurer 1998; Moghari and Abolmaesumi 2009; Ma and Ellis 2006
 /// for surface registration.
+///
+/// `to_settled` is the motion from the pose to the one at which the scan fits best nearby: an error that the pose is known to
+/// have, about which the others spread.
 pub fn predict(
     spread: &Spread,
+    to_settled: &Isometry3<f64>,
     tracking: Option<&Tracking>,
-    points: &[NamedPoint],
-    cuts: &[NamedPoint],
+    at: &Where<'_>,
+    limits: &Limits,
     params: &PredictParams,
 ) -> Predicted {
     let centre = spread.centre;
+    let points = at.points;
+    let cuts: Vec<NamedPoint> = at.cuts.iter().map(|cut| cut.middle.clone()).collect();
     let mut terms = vec![("registration", spread.covariance)];
     if let Some(tracking) = tracking {
         let marker = isotropic(params.marker_mm, params.marker_deg);
@@ -204,29 +236,34 @@ pub fn predict(
             terms.push(("phantom's fit", carried(covariance, about, &centre)));
         }
     }
+    let shift = to_settled * centre - centre;
+    let turn = to_settled.rotation.scaled_axis();
+    let mean = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
     let total: Matrix6<f64> = terms.iter().map(|(_, covariance)| covariance).sum();
-    let bias = spread.bias * (params.ct_bias_mm * params.ct_bias_mm);
-    let all: Vec<Point3<f64>> = points.iter().chain(cuts).map(|p| p.position).collect();
+    let bias = spread.beyond(params.ct_bias_mm);
+    let all: Vec<Point3<f64>> = points.iter().chain(&cuts).map(|p| p.position).collect();
     let rms = |covariance: &Matrix6<f64>| {
-        let squares: f64 = all.iter().map(|p| at(covariance, &centre, p).trace()).sum();
+        let squares: f64 = all.iter().map(|p| covariance_at(covariance, &centre, p).trace()).sum();
         (squares / all.len().max(1) as f64).max(0.0).sqrt()
     };
     let mut terms: Vec<Term> =
         terms.iter().map(|(name, covariance)| Term { name: (*name).to_owned(), tre_mm: rms(covariance) }).collect();
+    terms.push(Term { name: "not settled".to_owned(), tre_mm: rms(&(mean * mean.transpose())) });
     terms.push(Term { name: "stated bias of the CT".to_owned(), tre_mm: rms(&bias) });
-    let (given, biased) = (draws(&total), draws(&(total + bias)));
+    let (given, biased) = (draws(&mean, &total), draws(&mean, &(total + bias)));
     let set = |named: &[NamedPoint]| {
         let arms: Vec<Vector3<f64>> = named.iter().map(|p| p.position - centre).collect();
         let (mean_tre_mm, interval_mm) = mean_error(&given, &arms)?;
         let (_, interval_with_ct_bias_mm) = mean_error(&biased, &arms)?;
         Some(PredictedSet { mean_tre_mm, interval_mm, interval_with_ct_bias_mm })
     };
+    let moved = |p: &Point3<f64>| shift + turn.cross(&(p - centre));
     let point = |named: &NamedPoint| {
-        let covariance = at(&total, &centre, &named.position);
+        let covariance = covariance_at(&total, &centre, &named.position);
         let (semi_axes_mm, directions) = ellipsoid(&covariance);
         PredictedPoint {
             name: named.name.to_string(),
-            tre_mm: covariance.trace().max(0.0).sqrt(),
+            tre_mm: (covariance.trace() + moved(&named.position).norm_squared()).max(0.0).sqrt(),
             interval_mm: mean_error(&given, &[named.position - centre]).map_or([0.0; 2], |(_, interval)| interval),
             semi_axes_mm,
             directions,
@@ -236,14 +273,29 @@ pub fn predict(
         points: points.iter().map(point).collect(),
         cuts: cuts.iter().map(point).collect(),
         assessment: set(points),
-        all_cuts: set(cuts),
+        all_cuts: set(&cuts),
+        beyond_limits: beyond_limits(&given, &centre, at, limits),
         terms,
     }
 }
 
 /// Covariance of the position of a point, mm², from that of shift and turn about `centre`.
-fn at(covariance: &Matrix6<f64>, centre: &Point3<f64>, point: &Point3<f64>) -> Matrix3<f64> {
+fn covariance_at(covariance: &Matrix6<f64>, centre: &Point3<f64>, point: &Point3<f64>) -> Matrix3<f64> {
     carried(covariance, centre, point).fixed_view::<3, 3>(0, 0).into_owned()
+}
+
+/// Share of the draws that are beyond a limit.
+fn beyond_limits(draws: &[Vector6<f64>], centre: &Point3<f64>, at: &Where<'_>, limits: &Limits) -> f64 {
+    let is_beyond = |draw: &&Vector6<f64>| {
+        let (shift, turn) = (draw.fixed_rows::<3>(0).into_owned(), draw.fixed_rows::<3>(3).into_owned());
+        let moved = |p: &Point3<f64>| shift + turn.cross(&(p - centre));
+        let tre_mm = at.limited.iter().map(|p| moved(p).norm()).sum::<f64>() / at.limited.len().max(1) as f64;
+        let offset = |cut: &Cut| moved(&cut.middle.position).dot(&cut.normal).abs();
+        let tilt = |cut: &Cut| turn.cross(&cut.normal).norm().to_degrees();
+        let largest = |of: &dyn Fn(&Cut) -> f64| at.cuts.iter().map(of).fold(0.0, f64::max);
+        limits.times(tre_mm, largest(&offset), largest(&tilt)) > 1.0
+    };
+    draws.iter().filter(is_beyond).count() as f64 / draws.len().max(1) as f64
 }
 
 fn ellipsoid(covariance: &Matrix3<f64>) -> ([f64; 3], [[f64; 3]; 3]) {
@@ -255,11 +307,11 @@ fn ellipsoid(covariance: &Matrix3<f64>) -> ([f64; 3], [[f64; 3]; 3]) {
 }
 
 /// Draws of shift and turn, always from the same random numbers.
-fn draws(covariance: &Matrix6<f64>) -> Vec<Vector6<f64>> {
+fn draws(mean: &Vector6<f64>, covariance: &Matrix6<f64>) -> Vec<Vector6<f64>> {
     let eigen = covariance.symmetric_eigen();
     let root = eigen.eigenvectors * Matrix6::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()));
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    (0..N_DRAWS).map(|_| root * Vector6::from_fn(|_, _| normal(&mut rng))).collect()
+    (0..N_DRAWS).map(|_| mean + root * Vector6::from_fn(|_, _| normal(&mut rng))).collect()
 }
 
 /// A standard normal number. Source: Box and Muller 1958.
@@ -277,8 +329,10 @@ fn mean_error(draws: &[Vector6<f64>], arms: &[Vector3<f64>]) -> Option<(f64, Int
         let (shift, turn) = (draw.fixed_rows::<3>(0), draw.fixed_rows::<3>(3).into_owned());
         arms.iter().map(|arm| (shift + turn.cross(arm)).norm()).sum::<f64>() / arms.len() as f64
     };
-    let mut errors: Vec<f64> = draws.iter().map(error).collect();
-    errors.sort_by(f64::total_cmp);
-    let at = |share: f64| errors[((errors.len() - 1) as f64 * share).round() as usize];
+    let errors: Vec<f64> = draws.iter().map(error).collect();
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let mut scaled: Vec<f64> = errors.iter().map(|e| e * (1.0 + SCALE_SIGMA * normal(&mut rng)).abs()).collect();
+    scaled.sort_by(f64::total_cmp);
+    let at = |share: f64| scaled[((scaled.len() - 1) as f64 * share).round() as usize];
     Some((errors.iter().sum::<f64>() / errors.len() as f64, [at(TAIL), at(1.0 - TAIL)]))
 }

@@ -148,6 +148,8 @@ impl<'a> Pass<'a> {
     fn message(&mut self, location: Location, message: &osteoflow_container::Message<'_>) {
         let channel_id = message.channel_id;
         *self.n_found.entry(channel_id).or_default() += 1;
+        let last = &mut self.recording.last_publish_time_ns;
+        *last = (*last).max(Some(stamp(message.publish_time)));
         if self.channels.get(&channel_id).is_some_and(|(channel, _)| !(self.keep)(&channel.topic)) {
             return;
         }

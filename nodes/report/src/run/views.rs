@@ -1,6 +1,6 @@
 //! Views of a run in three dimensions: scan on the surface, points, cuts.
 
-use super::{fine, fragments};
+use super::{fine, fragments, registered};
 use crate::{
     cell::Cell,
     chart::{Axis, Chart, Mark, Series},
@@ -55,7 +55,7 @@ fn with_bone(page: &mut Page, scene: &mut Scene, bone: &Mesh) {
 pub(super) fn residuals(page: &mut Page, run: &RunFolder) {
     let gathered = || -> Result<_, String> {
         let bone = bone(run)?;
-        let node = fine(run).ok_or("the graph has no fine registration")?;
+        let node = registered(run).ok_or("the graph has no fine registration")?;
         let scan: Cloud = run.input(node, "source")?;
         let pose: Pose = run.value(&format!("{node}.t_target_source"))?;
         let t = pose.expect(&bone.frame, &scan.frame).map_err(|e| e.to_string())?;

@@ -5,6 +5,7 @@
     reason = "each test file uses some of it, and a failed unwrap is a failed test"
 )]
 
+pub(crate) mod bench;
 pub(crate) mod phantom_scan;
 
 use osteoflow_geometry::nalgebra::{Point3, Unit, Vector3};

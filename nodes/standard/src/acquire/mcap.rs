@@ -140,7 +140,7 @@ struct Port<'a> {
 
 impl Port<'_> {
     fn events(&mut self) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
-        let start_ns = self.extent().map_or(0, |(start, _)| start);
+        let start_ns = self.start_ns();
         match self.declared.payload.name {
             "geometry/Region" => Ok(vec![(start_ns, EventBody::Ready(self.region()?))]),
             "report/Flag" => Ok(vec![(start_ns, EventBody::Ready(Emission::value(Flag(self.flag()))))]),
@@ -190,8 +190,9 @@ impl Port<'_> {
     }
 
     fn poses(&mut self, topic: &str, _label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
-        let mut events = Vec::new();
+        let (mut events, mut published_ns) = (Vec::new(), StampNs::MIN);
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
+            let n_before = events.len();
             for read in self.poses_of(topic, message).map_err(|error| self.at(topic, i, error))? {
                 events.push(match read {
                     Ok(pose) => {
@@ -202,12 +203,19 @@ impl Port<'_> {
                     Err(error @ PoseError::NotRigid { .. }) => return Err(self.at(topic, i, error)),
                 });
             }
+            if events.len() > n_before {
+                published_ns = published_ns.max(message.publish_time_ns);
+            }
         }
         if events.is_empty() {
             return Err(self.no_such_transform(topic));
         }
-        if let (Some(lost_after_ms), Some((_, end_ns))) = (self.params.lost_after_ms, self.extent()) {
+        if let Some(lost_after_ms) = self.params.lost_after_ms {
             let stamps: Vec<StampNs> = events.iter().map(|(stamp, _)| *stamp).collect();
+            // Stamps and publish times may be of two clocks, so the silence at the end is measured by one.
+            let ended_ns = self.recording.last_publish_time_ns.unwrap_or(published_ns);
+            let last_ns = stamps.iter().copied().max().unwrap_or(published_ns);
+            let end_ns = last_ns.saturating_add(ended_ns.saturating_sub(published_ns));
             let what = last_part(topic).replace('_', " ");
             let lost = silences(&stamps, (lost_after_ms * 1e6) as StampNs, end_ns, &format!("the {what}"));
             events.extend(lost.into_iter().map(|(stamp, empty)| (stamp, EventBody::Ready(empty))));
@@ -268,14 +276,10 @@ impl Port<'_> {
         value.is_some_and(|value| value == "true")
     }
 
-    /// First and last publish time of the messages that were read.
-    fn extent(&self) -> Option<(StampNs, StampNs)> {
+    /// First publish time of the messages that were read.
+    fn start_ns(&self) -> StampNs {
         let times = self.recording.topics().iter().flat_map(|t| self.recording.messages(&t.name));
-        let times = times.map(|m| m.publish_time_ns);
-        times.fold(None, |extent, t| match extent {
-            None => Some((t, t)),
-            Some((start, end)) => Some((t.min(start), t.max(end))),
-        })
+        times.map(|m| m.publish_time_ns).min().unwrap_or(0)
     }
 
     /// The error for a topic without a transform between the frames of the port.

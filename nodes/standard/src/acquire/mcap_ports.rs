@@ -21,7 +21,8 @@ pub struct PortParams {
     pub parent: Option<String>,
     /// Only transforms with this child frame; for `foxglove.PoseInFrame`, the name of the frame that moves.
     pub child: Option<String>,
-    /// Silence after which a tracked marker is lost and the port gives an empty. Unset: never.
+    /// Silence after which a tracked marker is lost and the port gives an empty; also at the end, up to the last message of the
+    /// recording on any topic. Unset: never.
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
     /// The metadata record that holds the region of interest, or the key named by `key`; such as `procedure`.

@@ -10,7 +10,8 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamE
 ///
 /// `t_camera_camera_marker = t_camera_phantom * t_phantom_phantom_marker * t_phantom_marker_world *
 /// t_world_camera_marker`, with `t_camera_phantom` from an ICP of the phantom's CAD that starts at the marker's
-/// nominal pose.
+/// nominal pose. At least three faces must be seen, one of them with few points. A scan that is mirrored, of the wrong size,
+/// farther from the CAD than its own noise explains, or far from the nominal pose is refused.
 #[derive(Describe)]
 #[describe(
     example = r#"

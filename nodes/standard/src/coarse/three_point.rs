@@ -1,7 +1,7 @@
 //! The kind `coarse.three_point`.
 
 use crate::transform::points::in_one_list;
-use osteoflow_algorithms::coarse::{self, CoarseReport};
+use osteoflow_algorithms::coarse::{self, CoarseReport, DoubtParams};
 use osteoflow_algorithms::target::Target;
 use osteoflow_geometry::{Cloud, Points, Pose};
 use osteoflow_node::{
@@ -11,7 +11,8 @@ use osteoflow_node::{
 /// The rigid motion that best carries located landmarks onto the planned ones.
 ///
 /// Points are paired by name. The report has residuals, side lengths and collinearity in mm. The residual at the points
-/// (FRE) does not predict the accuracy: a shift that all points share does not change it.
+/// (FRE) does not predict the accuracy: a shift that all points share does not change it. A point of low confidence, such as
+/// a laser spot at the silhouette, counts only if its distances to the other points are as planned.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -31,11 +32,20 @@ pub struct Params {
     /// off still pass, a spot found on the wrong side of the scan does not.
     #[schemars(range(min = 0.01, max = 1000.0))]
     pub max_fre_mm: f64,
+    /// Points of less confidence are refused where a distance to another point disagrees with the plan. 0.4: the
+    /// `min_confidence` of the hole detectors, which a lost patch of a scan rarely reaches.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub min_confidence: f64,
+    /// Maximum difference between such a point's distances to the others and the planned ones. 3 mm: aiming errors of 0.6
+    /// and 0.7 mm across and along the bone change the worse of a point's two distances by 1.0 mm (median), 2.7 mm (99 %)
+    /// and 3.1 mm (largest of 2000).
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub max_side_difference_mm: f64,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { max_fre_mm: 10.0 }
+        Self { max_fre_mm: 10.0, min_confidence: 0.4, max_side_difference_mm: 3.0 }
     }
 }
 
@@ -83,6 +93,9 @@ impl Node for ThreePoint {
             return Err(NodeError::new(format!("the plan gives no landmarks to fit to; {next}")));
         }
         let fit = coarse::three_point(&i.target.points, &source.points)?;
+        let (min_confidence, max_side_difference_mm) = (self.0.min_confidence, self.0.max_side_difference_mm);
+        let doubt = DoubtParams { min_confidence, max_side_difference_mm };
+        coarse::confirm(&source.points, &fit.report.sides, &doubt)?;
         if fit.report.fre_mm > self.0.max_fre_mm {
             return Err(NodeError::new(misfit(&fit.report, self.0.max_fre_mm)));
         }

@@ -2,15 +2,15 @@
 
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::calibrate::PhantomReport;
-use osteoflow_algorithms::icp::IcpReport;
-use osteoflow_algorithms::metrics::TreReport;
+use osteoflow_algorithms::metrics::{CheckReport, TreReport};
+use osteoflow_algorithms::slide::SlideReport;
 use osteoflow_algorithms::target::Target;
 use osteoflow_algorithms::trust::{
-    self, Case, EvidenceParams, PredictParams, Registered, RuleParams, Seen, Tracking, Verdict,
+    self, Case, Ended, EvidenceParams, PredictParams, Reason, Registered, RuleParams, Seen, Tracking, Verdict,
 };
 use osteoflow_geometry::{Cloud, NamedPoint, Planes, Points, Pose};
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Value, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// Judges a registration: trusted, doubtful or refused, with reasons, assumptions and the predicted error.
@@ -22,7 +22,7 @@ use osteoflow_node::{
 #[describe(
     example = r#"
 kind = "verdict.registration"
-in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", t_camera_phantom_marker = "calibration.t_camera_phantom_marker", measured = "tre_measured.report" }
+in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", followed = "planes_last.planes", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", t_camera_phantom_marker = "calibration.t_camera_phantom_marker", measured = "tre_measured.report" }
 "#,
     literature = [
         "Gelfand et al. 2003",
@@ -58,8 +58,11 @@ pub struct In {
     /// The registration.
     #[port(to = "target", from = "source")]
     t_target_source: Pose,
-    /// The report of the ICP.
-    icp: Option<IcpReport>,
+    /// The report of the registration, of any kind: its `converged`, `remaining_mm` and `stop_reason` are used where it has
+    /// them.
+    icp: Option<Value>,
+    /// The slide profile about the registration.
+    slide: Option<SlideReport>,
     /// The planned landmarks.
     #[port(join = "once", frame = "target")]
     landmarks: Option<Points>,
@@ -72,6 +75,9 @@ pub struct In {
     /// The planned cuts: the error is predicted in the middle of the bone.
     #[port(join = "once", frame = "target")]
     planes: Option<Planes>,
+    /// The cuts as last followed: where they are unknown, the answer is doubtful. Waited for until it comes or its wire ends.
+    #[port(join = "once")]
+    followed: Option<Planes>,
     /// The report of the calibration.
     #[port(join = "once")]
     calibration: Option<PhantomReport>,
@@ -84,6 +90,10 @@ pub struct In {
     /// The error measured with a stylus; waited for until it comes or its wire ends.
     #[port(join = "once")]
     measured: Option<TreReport>,
+    /// Readings of a check piece, those after the scan too: all until the wire ends. One at the scan or later shows whether the
+    /// camera's marker still sits as calibrated.
+    #[port(join = "collect")]
+    check: Vec<Option<CheckReport>>,
 }
 
 /// Outputs of [`Registration`].
@@ -119,16 +129,21 @@ impl Node for Registration {
             Tracking::new(&seen, i.calibration.as_ref())
         });
         let (landmarks, assessment) = (named(&i.landmarks), named(&i.assessment));
+        let lost: Vec<Reason> = i.followed.as_ref().and_then(trust::planes_lost).into_iter().collect();
+        let check: Vec<CheckReport> = i.check.into_iter().flatten().collect();
+        let ended = i.icp.map(|report| Ended::deserialize(report.to_result()).unwrap_or_default());
         let case = Case {
             registered: Registered { target: &i.target, source: &i.source, t_target_source: &t_target_source, at: &[] },
-            icp: i.icp.as_ref(),
+            icp: ended.as_ref(),
             landmarks: &landmarks,
             located: &located,
             assessment: &assessment,
             planes: i.planes.as_ref(),
             tracking: tracking.as_ref(),
             measured_tre_mm: i.measured.as_ref().map(|report| report.mean_abs.norm),
-            reasons: &[],
+            slide: i.slide.as_ref(),
+            check: &check,
+            reasons: &lost,
         };
         let Params { examine, rules, errors } = &self.0;
         Ok(Out { verdict: trust::judge(&case, examine, rules, errors) })

@@ -107,7 +107,9 @@ impl Node for PointToPoint {
             false if ctx.cancelled() => "cancelled",
             false => "iterations",
         };
-        let report = json!({ "iterations": n_steps, "n_pairs": n_pairs, "rms_mm": rms_mm, "stop_reason": stop_reason });
+        let report = json!({
+            "iterations": n_steps, "n_pairs": n_pairs, "rms_mm": rms_mm, "converged": converged, "stop_reason": stop_reason
+        });
         let pose = Pose::new(&i.target.frame, &i.source.frame, t).at(ctx.stamp_ns());
         Ok(Out { t_target_source: pose, report: Json(report.into()) })
     }

@@ -10,16 +10,16 @@ const FAR_SIDE: f64 = -0.2;
 const DAMPING: f64 = 1e-3;
 
 /// A scan about its centroid, and the place of its camera there.
-pub(super) struct Points<'a> {
-    pub(super) points: &'a [Vector3<f64>],
-    pub(super) camera: Option<Vector3<f64>>,
+pub(crate) struct Points<'a> {
+    pub(crate) points: &'a [Vector3<f64>],
+    pub(crate) camera: Option<Vector3<f64>>,
 }
 
 /// A pose that takes points about their centroid to positions about the map's centre.
-pub(super) type Placed = Isometry3<f64>;
+pub(crate) type Placed = Isometry3<f64>;
 
 /// RMS distance from the surface, with distances limited to `reach_mm`.
-pub(super) fn score(map: &NearMap, scan: &Points<'_>, placed: &Placed, reach_mm: f64) -> f64 {
+pub(crate) fn score(map: &NearMap, scan: &Points<'_>, placed: &Placed, reach_mm: f64) -> f64 {
     let camera = scan.camera.map(|camera| placed.rotation * camera + placed.translation.vector);
     let squares = scan.points.iter().map(|p| {
         let moved = placed.rotation * p + placed.translation.vector;
@@ -51,7 +51,7 @@ fn residual(
 }
 
 /// `n_steps` point-to-plane steps with pairs no farther than `reach_mm`; ends early where too few pairs are left.
-pub(super) fn descend(map: &NearMap, scan: &Points<'_>, start: &Placed, reach_mm: f64, n_steps: usize) -> Placed {
+pub(crate) fn descend(map: &NearMap, scan: &Points<'_>, start: &Placed, reach_mm: f64, n_steps: usize) -> Placed {
     let mut placed = *start;
     for _ in 0..n_steps {
         let camera = scan.camera.map(|camera| placed.rotation * camera + placed.translation.vector);

@@ -1,0 +1,93 @@
+//! How the registration that is judged ended.
+
+use super::verdict::{Answer, Reason};
+use crate::icp::{IcpReport, StopReason};
+use serde::Deserialize;
+
+/// A registration that has not converged but is this close to its end is as good, mm.
+const CLOSE_MM: f64 = 0.05;
+
+/// How an iterative registration ended, as far as its report has it. Other keys of a report are ignored.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Ended {
+    /// Whether it converged.
+    pub converged: Option<bool>,
+    /// Remaining distance to where it would converge, mm.
+    pub remaining_mm: Option<f64>,
+    /// Why it stopped.
+    pub stop_reason: Option<Stopped>,
+}
+
+/// Why an iterative registration stopped.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(untagged)]
+pub enum Stopped {
+    /// By a rule of the built-in ICPs.
+    By(StopReason),
+    /// In the words of another ICP.
+    Other(String),
+}
+
+impl From<&IcpReport> for Ended {
+    fn from(report: &IcpReport) -> Self {
+        Self {
+            converged: Some(report.converged),
+            remaining_mm: report.remaining_mm,
+            stop_reason: Some(Stopped::By(report.stop_reason)),
+        }
+    }
+}
+
+/// The sign in a registration that stopped before its end; none if it rests `unsettled_mm` from where the scan fits best nearby,
+/// and that is close enough.
+pub(super) fn ended_reason(ended: &Ended, unsettled_mm: Option<f64>) -> Option<Reason> {
+    let is_far = |mm: f64| mm > CLOSE_MM;
+    let is_short =
+        ended.converged == Some(false) && ended.remaining_mm.is_none_or(is_far) && unsettled_mm.is_none_or(is_far);
+    is_short.then(|| {
+        let by = ended.stop_reason.as_ref().map(|stopped| format!(": it stopped by {}", words(stopped)));
+        let reason = format!("the registration did not converge{}", by.unwrap_or_default());
+        Reason::new("converged", Answer::Doubtful, reason, "allow more steps (max_iterations) or begin nearer")
+    })
+}
+
+fn words(stopped: &Stopped) -> &str {
+    match stopped {
+        Stopped::By(StopReason::Step) => "its step",
+        Stopped::By(StopReason::Residual) => "stop_residual_mm",
+        Stopped::By(StopReason::Iterations) => "max_iterations",
+        Stopped::By(StopReason::Time) => "stop_after_ms",
+        Stopped::By(StopReason::Stalled) => "a step that does not lower the residual",
+        Stopped::By(StopReason::Cancelled) => "the user",
+        Stopped::Other(words) => words,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reason(report: &str) -> Option<String> {
+        ended_reason(&serde_json::from_str(report).unwrap(), Some(0.3)).map(|reason| reason.reason)
+    }
+
+    #[test]
+    fn a_registration_that_rests_where_the_scan_fits_best_has_ended() {
+        let stopped = Ended { converged: Some(false), ..Ended::default() };
+        assert!(ended_reason(&stopped, None).is_some() && ended_reason(&stopped, Some(0.06)).is_some());
+        assert_eq!(ended_reason(&stopped, Some(0.04)), None);
+    }
+
+    #[test]
+    fn any_report_is_read_as_far_as_it_goes() {
+        assert_eq!(reason(r#"{ "iterations": 7, "n_pairs": [1, 2] }"#), None);
+        assert_eq!(reason(r#"{ "converged": true, "stop_reason": "residual" }"#), None);
+        assert_eq!(reason(r#"{ "converged": false }"#).unwrap(), "the registration did not converge");
+        let by_rule = reason(r#"{ "converged": false, "stop_reason": "iterations" }"#).unwrap();
+        assert!(by_rule.ends_with("it stopped by max_iterations"), "{by_rule}");
+        let by_words = reason(r#"{ "converged": false, "remaining_mm": 0.2, "stop_reason": "its lattice" }"#).unwrap();
+        assert!(by_words.ends_with("it stopped by its lattice"), "{by_words}");
+        assert_eq!(reason(r#"{ "converged": false, "remaining_mm": 0.02, "stop_reason": "time" }"#), None);
+    }
+}

@@ -1,0 +1,32 @@
+//! What counts as a wrong answer.
+
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// Limits of a right answer: beyond any of them it is wrong.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Limits {
+    /// Maximum mean TRE of the assessment points, mm. 1.5: half of what a cut may be off.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub max_tre_mm: f64,
+    /// Maximum displacement of a cut along its normal, in the middle of the bone, mm. 1.5: as above.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub max_offset_mm: f64,
+    /// Maximum tilt of a cut, degrees. 0.5: moves its rim by 0.1 mm on a fibula; a jaw of several pieces adds them up.
+    #[schemars(range(min = 0.0, max = 180.0))]
+    pub max_tilt_deg: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { max_tre_mm: 1.5, max_offset_mm: 1.5, max_tilt_deg: 0.5 }
+    }
+}
+
+impl Limits {
+    /// The largest of error over limit.
+    pub fn times(&self, tre_mm: f64, offset_mm: f64, tilt_deg: f64) -> f64 {
+        (tre_mm / self.max_tre_mm).max(offset_mm / self.max_offset_mm).max(tilt_deg / self.max_tilt_deg)
+    }
+}

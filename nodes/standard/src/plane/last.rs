@@ -1,0 +1,48 @@
+//! The kind `plane.last`.
+
+use osteoflow_geometry::{PlanePlace, Planes};
+use osteoflow_node::{Context, Describe, Emit, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// The cutting planes as last followed: those at the end of the recording.
+///
+/// For the verdict, which is given once. Empty if the planes were never known, as of a bone without a marker.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "plane.last"
+in   = { planes = "planes.planes" }
+"#)]
+pub struct Last;
+
+/// Inputs of [`Last`].
+#[derive(Inputs)]
+pub struct In {
+    /// The planes at each sample of the bone's marker.
+    #[port(join = "collect")]
+    planes: Vec<Option<Planes>>,
+}
+
+/// Outputs of [`Last`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The planes at the last sample; unknown, with the reason, if the marker was lost by then.
+    #[port(frame = "planes")]
+    planes: Emit<Planes>,
+}
+
+impl Node for Last {
+    const KIND: &'static str = "plane.last";
+    type Params = crate::NoParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let planes: Vec<Planes> = i.planes.into_iter().flatten().collect();
+        let is_known = |planes: &Planes| planes.planes.iter().any(|p| matches!(p.place, PlanePlace::Known(_)));
+        let last = if planes.iter().any(is_known) { planes.into_iter().next_back() } else { None };
+        Ok(Out { planes: last.map_or_else(|| Emit::Empty("the planes were never known".into()), Emit::Value) })
+    }
+}

@@ -1,0 +1,90 @@
+//! The kind `refine.slide`.
+
+use osteoflow_algorithms::slide::{SlideParams, SlideReport, slide};
+use osteoflow_algorithms::target::Target;
+use osteoflow_geometry::{Cloud, Pose};
+use osteoflow_node::{
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+};
+
+/// The best place of a registered scan along the bone and around it, and how well the residuals determine it.
+///
+/// A shaft is nearly a cylinder: an ICP may end slid along it and spun about it. This looks for the minima of the point-to-plane
+/// residual within `along_mm` and `around_deg` of `init`, registers the scan at the best with all points, and reports the profile of
+/// the residual along the bone and around it, with the other five motions fitted at each place. Where the residuals do not
+/// determine one of the two, the scan stays where `init` put it along that motion, and a warning says so. About half a second of one
+/// core.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "refine.slide"
+in   = { source = "to_bone.cloud", target = "ct_surface.target", init = "icp.t_target_source" }
+"#,
+    literature = ["Gelfand et al. 2003", "Vuong 1989", "Liang and Zeger 1986"]
+)]
+pub struct Slide(Params);
+
+/// Parameters of [`Slide`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// How far along the bone, how far around it, and what is undetermined.
+    pub profile: SlideParams,
+    /// Warns if it moved the scan along the bone by more, mm. 1.5: more than what point-to-point leaves of a sound start.
+    #[schemars(range(min = 0.0, max = 200.0))]
+    pub warn_mm: f64,
+    /// Warns if it turned the scan about the bone by more, degrees. 2.
+    #[schemars(range(min = 0.0, max = 180.0))]
+    pub warn_deg: f64,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { profile: SlideParams::default(), warn_mm: 1.5, warn_deg: 2.0 }
+    }
+}
+
+/// Inputs of [`Slide`].
+#[derive(Inputs)]
+pub struct In {
+    /// The scan.
+    source: Cloud,
+    /// The CT surface.
+    #[port(join = "once", frame = "init.to")]
+    target: Target,
+    /// The registration so far.
+    #[port(to = "target", from = "source")]
+    init: Pose,
+}
+
+/// Outputs of [`Slide`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The registration.
+    #[port(to = "target", from = "source")]
+    t_target_source: Pose,
+    /// The profiles, the other minima, and what is weak in words.
+    report: SlideReport,
+}
+
+impl Node for Slide {
+    const KIND: &'static str = "refine.slide";
+    type Params = Params;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let init = i.init.expect(&i.target.frame, &i.source.frame)?;
+        let fit = slide(&i.target, &i.source, &init, &self.0.profile)?;
+        for warning in fit.report.warnings(self.0.warn_mm, self.0.warn_deg.to_radians()) {
+            ctx.warn(warning);
+        }
+        let pose = Pose::new(&i.target.frame, &i.source.frame, fit.t_target_source).at(ctx.stamp_ns());
+        Ok(Out { t_target_source: pose, report: fit.report })
+    }
+}
