@@ -9,6 +9,7 @@ mod exit;
 mod expand;
 mod graph;
 mod graph_args;
+mod info;
 mod inspect;
 pub(crate) mod log;
 mod module_docs;
@@ -29,6 +30,7 @@ mod result_table;
 mod run;
 mod run_table;
 mod running;
+mod runs;
 mod schema;
 mod simulate;
 mod simulate_folder;
@@ -63,7 +65,8 @@ Examples:
   osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_point --set graph.seed=7
   osteoflow check graphs/fibula.toml             every fault at its line; nothing is run
   osteoflow inspect icp.point_to_plane           what a node takes, gives and needs
-  osteoflow register bone.stl scan.ply --init T.txt   two files, no graph
+  osteoflow register bone.stl scan.ply           two files, no graph
+  osteoflow info FILE                            what a file holds, and the command that uses it
 
 Exit codes:
     0  done
@@ -153,11 +156,13 @@ fn paint(coloured: bool, text: &str, style: &str) -> String {
 pub(crate) enum Command {
     Run(run::Run),
     Register(register::Register),
+    Info(info::Info),
     Check(check::Check),
     Expand(expand::Expand),
     Inspect(inspect::Inspect),
     Graph(graph::Graph),
     Schema(schema::Schema),
+    Runs(runs::Runs),
     Record(record::Record),
     Replay(replay::Replay),
     Digest(digest::Digest),
@@ -180,6 +185,8 @@ impl Command {
         match self {
             Self::Run(command) => command.execute(global),
             Self::Register(command) => command.execute(global),
+            Self::Info(command) => command.execute(global),
+            Self::Runs(command) => command.execute(global),
             Self::Record(command) => command.execute(global),
             Self::Replay(command) => command.execute(global),
             Self::Digest(command) => command.execute(global),

@@ -5,10 +5,14 @@ mod common;
 
 use common::osteoflow;
 use osteoflow_algorithms::sample;
-use osteoflow_formats::{cloud_file::write_ply, mesh_file::write_stl};
+use osteoflow_formats::{
+    cloud_file::{read_cloud_ply, write_ply},
+    mesh_file::write_stl,
+    pose_file::read_pose,
+};
 use osteoflow_geometry::{
     Cloud, Mesh, isometry_from_matrix, matrix_rows,
-    nalgebra::{Isometry3, Matrix4, Point3, Vector3},
+    nalgebra::{Isometry3, Matrix4, Point3, Vector3, Vector4},
 };
 use osteoflow_simulation::{BoneParams, bone};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -151,11 +155,10 @@ fn a_scan_is_registered_onto_whatever_file_holds_the_bone() {
     let from_text = case.answer("points.ply", "scan.csv", &[]);
     assert_eq!(from_text["T"], case.answer("points.ply", "scan.ply", &[])["T"], "text holds every bit");
     // The vertices of a surface are points as well.
-    let itself = case.register(&["points.ply", "bone.stl", "--format", "json"]);
+    let itself = case.register(&["points.ply", "bone.stl", "--init", "identity", "--format", "json"]);
     let turned = pose(&last_line(&itself));
     assert!(turned.translation.vector.norm() < 0.05 && turned.rotation.angle() < 1e-3, "{turned}");
     let notes = last_line(&itself)["notes"].to_string();
-    assert!(notes.contains("no --init: the registration starts from the identity"), "{notes}");
     assert!(notes.contains("bone.stl: a surface; its vertices are taken as the points"), "{notes}");
 }
 
@@ -371,7 +374,7 @@ fn a_doubtful_pose_has_warnings() {
         writeln!(plane, "{} {} 0 0 0 1", f64::from(k % 100) * 0.5, f64::from(k / 100) * 0.5).unwrap();
     }
     case.write("plane.xyz", &plane);
-    let output = case.register(&["plane.xyz", "plane.xyz", "--format", "json"]);
+    let output = case.register(&["plane.xyz", "plane.xyz", "--init", "identity", "--format", "json"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr_of(&output));
     let answer = last_line(&output);
     assert_eq!(answer["undetermined"].as_array().unwrap().len(), 3, "{answer}");
@@ -391,22 +394,33 @@ fn without_an_answer_there_is_no_pose() {
             &["line.xyz", "scan.ply", "--init", "init.txt"][..],
             "and its nearest lie on a line or in one place, so there is no normal; is this a surface?\n",
         ),
-        (&["points.ply", "two.xyz"], "refused: 2 source points, 10 are needed; is the crop empty?\n"),
         (
-            &["empty.xyz", "scan.ply"],
+            &["points.ply", "two.xyz", "--init", "identity"],
+            "refused: 2 source points, 10 are needed; is the crop empty?\n",
+        ),
+        (
+            &["empty.xyz", "scan.ply", "--init", "identity"],
             "refused: the target has no points; is the surface empty, or was nothing sampled from it?\n",
         ),
-        (&["points.ply", "empty.xyz"], "refused: 0 source points, 10 are needed; is the crop empty?\n"),
+        (
+            &["points.ply", "empty.xyz", "--init", "identity"],
+            "refused: 0 source points, 10 are needed; is the crop empty?\n",
+        ),
+        (
+            &["points.ply", "two.xyz"],
+            "or start from points picked in both files (--landmarks TARGET_POINTS SOURCE_POINTS) or from a pose (--init FILE)\n",
+        ),
     ] {
         let stderr = case.fault(3, arguments);
         assert!(stderr.ends_with(expected), "{arguments:?}: {stderr}");
     }
-    let far = case.fault(3, &["points.ply", "scan.ply"]);
+    let far = case.fault(3, &["points.ply", "scan.ply", "--init", "identity"]);
     assert!(
         far.contains("source points lie within 5 mm of the target, 10 are needed; the nearest target point is"),
         "{far}"
     );
-    let output = case.register(&["points.ply", "two.xyz", "--format", "json", "--out", "pose.txt"]);
+    let output =
+        case.register(&["points.ply", "two.xyz", "--init", "identity", "--format", "json", "--out", "pose.txt"]);
     let answer = last_line(&output);
     assert_eq!((answer["outcome"]["status"].as_str(), answer.get("T")), (Some("refused"), None));
     assert_eq!(answer["refused"]["reason"], "2 source points, 10 are needed; is the crop empty?");
@@ -483,6 +497,69 @@ fn parameters_are_those_of_the_node_and_settings_outrank_options() {
     );
     let share = answer["n_pairs"].as_f64().unwrap() / answer["source"]["n_points"].as_f64().unwrap();
     assert!((share - 0.9).abs() < 1e-3, "{share}");
+}
+
+#[test]
+fn two_files_need_no_start_and_what_comes_out_is_named_by_its_ending() {
+    let case = Case::new();
+    let output = case.register(&["bone.stl", "scan.ply", "--out", "found", "--space", "RAS", "--format", "json"]);
+    let answer = last_line(&output);
+    assert_eq!((output.status.code(), &answer["verdict"]["answer"]), (Some(0), &"trusted".into()), "{answer}");
+    assert!(case.off_mm(&answer) < 0.1, "{} mm", case.off_mm(&answer));
+    assert_eq!(answer["start"]["by"], "shape");
+    let clearness = answer["start"]["report"]["clearness"].as_f64().unwrap();
+    assert!(clearness > 0.3, "{clearness}");
+
+    let found = |name: &str| case.path("found").join(name);
+    let read = |name: &str| read_pose(&found(name), 1.0).unwrap().isometry.to_homogeneous();
+    let expected = pose(&answer).to_homogeneous();
+    for name in ["pose.txt", "pose.json"] {
+        assert!((read(name) - expected).amax() < 1e-9, "{name}");
+    }
+    // RAS numbers turned to LPS, as the file must hold.
+    let flip = Matrix4::from_diagonal(&Vector4::new(-1.0, -1.0, 1.0, 1.0));
+    assert!((read("pose.tfm") - flip * expected * flip).amax() < 1e-9);
+    let moved = read_cloud_ply(&found("source.ply"), 1.0, "target").unwrap().cloud;
+    let place = |k: usize| pose(&answer) * case.scan[k];
+    assert!((0..moved.len()).all(|k| (moved.points()[k] - place(k)).norm() < 1e-9));
+    let text = fs::read(found("source.ply")).unwrap();
+    assert!(String::from_utf8_lossy(&text[..400]).contains("property double residual_mm"));
+
+    for (file, expected) in [
+        ("pose.ply", "no pose is written so; end it with .txt (the matrix), .json (the whole answer) or .tfm"),
+        (
+            "pose.tfm",
+            "a .tfm is always LPS, and meshes and clouds seldom say in which space their numbers are; give --space",
+        ),
+    ] {
+        let stderr = case.fault(2, &["bone.stl", "scan.ply", "--out", file]);
+        assert!(stderr.contains(expected), "{stderr}");
+        assert!(!case.path(file).exists());
+    }
+    let stderr = case.fault(2, &["bone.stl", "scan.ply", "--write-source", "moved.txt"]);
+    assert!(stderr.contains("moved.txt cannot be written: end it with .ply"), "{stderr}");
+    let stderr = case.fault(2, &["bone.stl", "scan.ply", "--out", "found"]);
+    assert!(stderr.contains("pose.txt exists already; name another file, nothing is overwritten"), "{stderr}");
+}
+
+#[test]
+fn the_graph_of_two_files_finds_what_register_finds() {
+    let case = Case::new();
+    let answer = last_line(&case.register(&["bone.stl", "scan.ply", "--format", "json"]));
+    let sets = ["bone.path", "scan.path"].into_iter().zip(["bone.stl", "scan.ply"]);
+    let sets: Vec<String> = sets.map(|(key, file)| format!("{key}={}", case.path(file).display())).collect();
+    // The scan is in a frame of its own, not in that of its camera.
+    let remove = r#"remove=["node.scan.camera"]"#;
+    let arguments = ["--no-record", "--set", &sets[0], "--set", &sets[1], "--set", remove];
+    let ran = common::run_whole("graphs/two_files.toml", &arguments);
+    assert_eq!(ran.results["verdict"]["answer"], "trusted", "{}", ran.stderr);
+    let rows = ran.results["t_ct_camera"]["matrix"].as_array().unwrap();
+    let numbers: Vec<f64> = rows.iter().flat_map(|row| row.as_array().unwrap()).map(|c| c.as_f64().unwrap()).collect();
+    let by_graph = Matrix4::from_row_slice(&numbers);
+    let by_register = pose(&answer).to_homogeneous();
+    let apart = |p: &Point3<f64>| (by_graph.transform_point(p) - by_register.transform_point(p)).norm();
+    let mm = case.scan.iter().map(apart).fold(0.0, f64::max);
+    assert!(mm < 0.05, "{mm} mm apart; only the samples of the surface differ");
 }
 
 #[test]

@@ -2,9 +2,11 @@
 
 mod align;
 mod answer;
+mod files;
 mod inputs;
 mod judge;
 mod method;
+mod start;
 mod trace;
 
 use super::{
@@ -48,6 +50,8 @@ use std::{
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
+  osteoflow register bone.stl scan.ply                        starts by the shape of the bone alone
+  osteoflow register bone.stl scan.ply --out DIR              and writes pose and moved scan
   osteoflow register bone.stl scan.ply --init init.txt
   osteoflow register bone.stl scan.ply --init coarse.tfm --method point_to_point -v
   osteoflow register bone.stl scan.xyz --source-unit-mm 1000 --camera 0,0,0 --out pose.txt
@@ -77,7 +81,7 @@ pub(crate) struct Register {
     source: PathBuf,
 
     /// The start, source to target: 16 numbers row by row as text or JSON, an ITK transform (.tfm, whose inverse is taken, as
-    /// 3D Slicer shows it), or a file of --out. Default: identity.
+    /// 3D Slicer shows it), a file of --out, or the word identity. Default: by the shape of the bone alone.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
 
@@ -162,13 +166,31 @@ pub(crate) struct Register {
     #[arg(long, value_enum, default_value_t = Require::Doubtful, value_name = "ANSWER", conflicts_with = "no_verdict")]
     require: Require,
 
-    /// Write the pose: the whole answer into a .json, else the 4 x 4 matrix as text. Nothing is overwritten.
-    #[arg(long, value_name = "FILE")]
+    /// Write the pose: .txt (the 4 x 4 matrix), .json (the whole answer), .tfm (for 3D Slicer, with --space), or, without an
+    /// ending, a folder with all of them and the moved SOURCE. Nothing is overwritten.
+    #[arg(long, value_name = "FILE|DIR")]
     out: Option<PathBuf>,
+
+    /// Write SOURCE as registered, with the distance of each point from the surface in the column residual_mm (.ply).
+    #[arg(long, value_name = "FILE")]
+    write_source: Option<PathBuf>,
+
+    /// The space of the numbers in TARGET and SOURCE, for a .tfm, which is always LPS.
+    #[arg(long, value_enum, ignore_case = true, value_name = "LPS|RAS")]
+    space: Option<Space>,
 
     /// Write every step into a CSV. Nothing is overwritten.
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
+}
+
+/// The anatomical space of coordinates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Space {
+    /// Left, posterior, superior: DICOM's, and that of STL and PLY files in 3D Slicer.
+    Lps,
+    /// Right, anterior, superior: NIfTI's, and what 3D Slicer shows.
+    Ras,
 }
 
 /// When to stop.
@@ -202,9 +224,8 @@ impl Register {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let method = method::named(&self.method);
         let Some(params) = self.params(method, global)? else { return Ok(Exit::Usage) };
-        for file in self.out.iter().chain(&self.trace) {
-            refuse_existing(file)?;
-        }
+        let files = files::OutFiles::of(self)?;
+        self.trace.iter().try_for_each(|file| refuse_existing(file))?;
         let workers = self.workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
         let pool = pool.build().context("no threads for the registration")?;
@@ -223,6 +244,7 @@ impl Register {
             repeat: self.repeat,
             judge: (!self.no_verdict)
                 .then_some(judge::Judge { trusted_only: self.require == Require::Trusted, stop: self.stop }),
+            moves_source: files.source.is_some(),
             cancelled: Arc::clone(&cancelled),
             progress: align::ProgressLine::new(self.repeat, global),
         };
@@ -231,7 +253,7 @@ impl Register {
             Ran::Ended(ended) => ended,
             Ran::Left => Ended::Interrupted,
         };
-        let answer = answer::Answer { register: self, params: &params, inputs: &inputs, workers };
+        let answer = answer::Answer { register: self, params: &params, inputs: &inputs, files: &files, workers };
         answer.write(&ended, global)
     }
 

@@ -2,9 +2,11 @@
 
 use super::{
     Params,
+    files::moved_source,
     inputs::{Inputs, ms_since},
     judge::{Judge, Judged},
     method::Method,
+    start::Started,
 };
 use crate::commands::{Format, Global};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -12,6 +14,7 @@ use osteoflow_algorithms::{
     icp::{Halt, IcpFit, IcpStep, StopReason},
     target::Target,
 };
+use osteoflow_geometry::Cloud;
 use serde::Serialize;
 use std::{
     io::IsTerminal,
@@ -36,6 +39,8 @@ pub(super) struct Work {
     pub(super) repeat: u32,
     /// How to judge the pose, if it is judged.
     pub(super) judge: Option<Judge>,
+    /// Whether the moved source is written.
+    pub(super) moves_source: bool,
     pub(super) cancelled: Arc<AtomicBool>,
     pub(super) progress: ProgressLine,
 }
@@ -53,6 +58,9 @@ pub(super) enum Ended {
 /// A fit and its timings.
 pub(super) struct Aligned {
     pub(super) fit: IcpFit,
+    /// The moved source with its residuals, if it is written.
+    pub(super) moved: Option<Cloud>,
+    pub(super) started: Started,
     pub(super) timings: Timings,
     /// Whether all repeats gave the same bits.
     pub(super) same_bits: bool,
@@ -82,6 +90,7 @@ impl Work {
         let mut timings = Timings::default();
         let mut first: Option<(Target, IcpFit)> = None;
         let mut same_bits = true;
+        let mut started: Option<Started> = None;
         for n in 1..=self.repeat {
             let began = Instant::now();
             let target = match self.inputs.target.prepare(self.method, self.params.method.pairing()) {
@@ -95,6 +104,14 @@ impl Work {
             // The methods sort the source and estimate its normals within align.
             timings.prep_source_ms.push(0.0);
 
+            let source = self.inputs.source.cloud();
+            let init = match &started {
+                Some(started) => started.init,
+                None => match self.inputs.start.find(&target, source) {
+                    Ok(found) => started.insert(found).init,
+                    Err(why) => return Ended::Refused(why),
+                },
+            };
             let (progress, cancelled) = (&mut self.progress, &self.cancelled);
             let limit_ms = self.params.method.stop_after_ms();
             let (began, cpu) = (Instant::now(), cpu_ms());
@@ -108,8 +125,7 @@ impl Work {
                     ControlFlow::Continue(())
                 }
             };
-            let (source, init) = (self.inputs.source.cloud(), &self.inputs.init);
-            let fit = self.params.method.register(&target, source, init, &mut observer);
+            let fit = self.params.method.register(&target, source, &init, &mut observer);
             timings.align_ms.push(ms_since(began));
             timings.cpu_ms.extend(cpu_ms().zip(cpu).map(|(after, before)| after - before));
             match fit {
@@ -121,13 +137,14 @@ impl Work {
                 }
             }
         }
-        match first {
-            Some((target, fit)) => {
-                let judged = self.judge.map(|judge| judge.judge(&target, &self.inputs, &fit));
-                Ended::Fit(Box::new(Aligned { fit, timings, same_bits, judged }))
-            }
-            None => Ended::Interrupted,
-        }
+        let (Some((target, fit)), Some(started)) = (first, started) else { return Ended::Interrupted };
+        let judged = self.judge.map(|judge| judge.judge(&target, &self.inputs, &started, &fit));
+        let moved = self.moves_source.then(|| moved_source(&target, self.inputs.source.cloud(), &fit.t_target_source));
+        let moved = match moved.transpose() {
+            Ok(moved) => moved,
+            Err(error) => return Ended::Refused(error.to_string()),
+        };
+        Ended::Fit(Box::new(Aligned { fit, moved, started, timings, same_bits, judged }))
     }
 }
 

@@ -1,8 +1,9 @@
 //! The answer of `register`: text, JSON, files and warnings.
 
 use super::{
-    Params, Register, Stop,
+    Params, Register, Space, Stop,
     align::{Aligned, Ended},
+    files::{Form, OutFiles, itk_file},
     inputs::Inputs,
     judge, trace, write_new,
 };
@@ -16,7 +17,7 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Vector3},
 };
 use serde_json::{Map, Value, json};
-use std::{fmt::Write as _, io::Write, path::Path};
+use std::{fmt::Write as _, io::Write};
 
 /// Error left by a `point_to_point` above which it is warned of, mm: the resolution of a tracker.
 const LEFT_MM: f64 = 0.1;
@@ -33,6 +34,7 @@ pub(super) struct Answer<'a> {
     pub(super) register: &'a Register,
     pub(super) params: &'a Params,
     pub(super) inputs: &'a Inputs,
+    pub(super) files: &'a OutFiles,
     pub(super) workers: usize,
 }
 
@@ -50,11 +52,12 @@ impl Answer<'_> {
         };
         let json = self.json(ended, exit, &warnings, global.verbose > 0);
         if let (Ended::Fit(aligned), Exit::Done) = (ended, exit) {
-            if let Some(file) = &self.register.out {
-                let is_json = file.extension().is_some_and(|end| end.eq_ignore_ascii_case("json"));
-                let text = if is_json { format!("{json}\n") } else { self.matrix_file(aligned) };
-                write_new(file, &text)?;
-            }
+            let text_of = |form| match form {
+                Form::Json => format!("{json}\n"),
+                Form::Text => self.matrix_file(aligned),
+                Form::Itk => self.itk_file(aligned),
+            };
+            self.files.write(text_of, aligned.moved.as_ref())?;
             if let Some(file) = &self.register.trace {
                 write_new(file, &trace::csv(&aligned.fit.trace.steps))?;
             }
@@ -100,10 +103,10 @@ impl Answer<'_> {
             let left = format!("it stopped {left_mm:.2} mm from where point_to_plane ends that starts there");
             warnings.push(format!("{left}; use --method point_to_plane"));
         }
-        let turned_deg = aligned.fit.t_target_source.rotation.angle_to(&self.inputs.init.rotation).to_degrees();
+        let turned_deg = aligned.fit.t_target_source.rotation.angle_to(&aligned.started.init.rotation).to_degrees();
         if turned_deg > TURNED_DEG {
             let turned = format!("it turned the source by {turned_deg:.0} degrees from the start");
-            warnings.push(format!("{turned}, so it may have converged to another minimum; is --init right?"));
+            warnings.push(format!("{turned}, so it may have converged to another minimum; is the start right?"));
         }
         if !aligned.same_bits {
             warnings.push("the repeats gave different poses, which only a time limit should cause".into());
@@ -166,13 +169,11 @@ impl Answer<'_> {
         put("params", self.params.as_json.clone());
         put("target", inputs.target.to_json(&asked.target));
         put("source", inputs.source.to_json(&asked.source));
-        put(
-            "init",
-            json!({
-                "file": asked.init.as_ref().map(|file| file.display().to_string()),
-                "matrix": matrix_rows(&inputs.init),
-            }),
-        );
+        if let Ended::Fit(aligned) = ended {
+            let file = asked.init.as_ref().map(|file| file.display().to_string());
+            put("init", json!({ "file": file, "matrix": matrix_rows(&aligned.started.init) }));
+            put("start", aligned.started.to_json());
+        }
         put("seed", asked.seed.into());
         put("workers", self.workers.into());
         put("repeat", asked.repeat.into());
@@ -196,14 +197,35 @@ impl Answer<'_> {
         self.params.as_json.get("pairing").and_then(Value::as_str).unwrap_or("cached")
     }
 
+    /// The names of source and target, without their folders.
+    fn names(&self) -> [String; 2] {
+        [&self.register.source, &self.register.target]
+            .map(|file| file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()))
+    }
+
+    /// Who made a file, and how the registration ended.
+    fn made_by(&self, aligned: &Aligned) -> String {
+        let ended = stop_reason(aligned.fit.report.stop_reason);
+        format!("osteoflow {}, {}: {ended}; {NOTICE}", env!("CARGO_PKG_VERSION"), self.register.method)
+    }
+
+    /// The pose for 3D Slicer.
+    fn itk_file(&self, aligned: &Aligned) -> String {
+        let [source, target] = self.names();
+        let comments = [
+            format!(
+                "moves {source} (frame source) to {target} (frame target), mm, LPS; the parameters are those of the inverse"
+            ),
+            self.made_by(aligned),
+        ];
+        let space = self.register.space.unwrap_or(Space::Lps);
+        itk_file(&aligned.fit.t_target_source, space, &comments)
+    }
+
     /// The matrix as text, with comments.
     fn matrix_file(&self, aligned: &Aligned) -> String {
-        let (asked, version) = (self.register, env!("CARGO_PKG_VERSION"));
-        let name = |file: &Path| file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-        let (source, target) = (name(&asked.source), name(&asked.target));
-        let mut out = format!("# takes {source} to {target}: 4 x 4, row by row, mm\n");
-        let ended = stop_reason(aligned.fit.report.stop_reason);
-        let _ = writeln!(out, "# osteoflow {version}, {}: {ended}; {NOTICE}", asked.method);
+        let [source, target] = self.names();
+        let mut out = format!("# takes {source} to {target}: 4 x 4, row by row, mm\n# {}\n", self.made_by(aligned));
         for row in matrix_rows(&aligned.fit.t_target_source) {
             let _ = writeln!(out, "{}", row.map(|c| format!("{c:?}")).join(" "));
         }
@@ -224,7 +246,9 @@ impl Answer<'_> {
         let _ = writeln!(out, "{NOTICE}\n");
         let _ = writeln!(out, "target  {}, {}", asked.target.display(), inputs.target.describe());
         let _ = writeln!(out, "source  {}, {}", asked.source.display(), inputs.source.describe());
-        let _ = writeln!(out, "method  {}, pairing {}\n", asked.method, self.pairing());
+        let _ = writeln!(out, "method  {}, pairing {}", asked.method, self.pairing());
+        let start = aligned.started.describe();
+        let _ = writeln!(out, "{}", start.map_or_else(String::new, |start| format!("start   {start}\n")));
         if is_given {
             let _ = writeln!(out, "t_target_source, mm");
             for row in matrix_rows(&fit.t_target_source) {
@@ -232,11 +256,18 @@ impl Answer<'_> {
             }
             out.push('\n');
         }
-        let _ = writeln!(out, "{}", summary(&fit.report, self.params, &self.moved(&fit.t_target_source)));
-        let timings = &aligned.timings;
+        let _ = writeln!(
+            out,
+            "{}",
+            summary(&fit.report, self.params, &self.moved(&fit.t_target_source, &aligned.started.init))
+        );
+        let (timings, started) = (&aligned.timings, &aligned.started);
         let columns: &[&str] = if asked.repeat > 1 { &["median", "least", "most ms"] } else { &["ms"] };
         let mut table = TextTable::new("time", columns);
         table.row("load", [format!("{:.1}", inputs.load.sum())]);
+        if started.describe().is_some() {
+            table.row("start", [format!("{:.1}", started.ms)]);
+        }
         let rows = [
             ("prep_target", &timings.prep_target_ms),
             ("prep_source", &timings.prep_source_ms),
@@ -253,15 +284,15 @@ impl Answer<'_> {
             table.row("verdict", [format!("{:.1}", judged.ms)]);
         }
         let _ = write!(out, "{}", table.lines());
-        for file in asked.out.iter().chain(&asked.trace).filter(|_| is_given) {
+        for file in self.files.all().chain(&asked.trace).filter(|_| is_given) {
             let _ = writeln!(out, "\n{} written", file.display());
         }
         out
     }
 
     /// The motion from the start: RMS over the source points in mm, and the turn.
-    fn moved(&self, t_target_source: &Isometry3<f64>) -> String {
-        let (points, init) = (self.inputs.source.cloud().points(), &self.inputs.init);
+    fn moved(&self, t_target_source: &Isometry3<f64>, init: &Isometry3<f64>) -> String {
+        let points = self.inputs.source.cloud().points();
         let squares: f64 = points.iter().map(|p| (t_target_source * p - init * p).norm_squared()).sum();
         let rms_mm = (squares / points.len() as f64).sqrt();
         let turned = t_target_source.rotation.angle_to(&init.rotation).to_degrees();

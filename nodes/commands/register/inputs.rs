@@ -1,6 +1,6 @@
 //! Reading the target, the source and the start.
 
-use super::{Register, method::Method};
+use super::{Register, method::Method, start::Start};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_algorithms::{
     field::{ClosestPointField, FieldParams},
@@ -28,11 +28,14 @@ use std::{fs, path::Path, sync::Arc, time::Instant};
 const TARGET: &str = "target";
 const SOURCE: &str = "source";
 
+/// The word for the identity as the start.
+const IDENTITY: &str = "identity";
+
 /// The contents of the files, in mm.
 pub(super) struct Inputs {
     pub(super) target: TargetFile,
     pub(super) source: SourceFile,
-    pub(super) init: Isometry3<f64>,
+    pub(super) start: Start,
     /// Notes on the files, one sentence each.
     pub(super) notes: Vec<String>,
     pub(super) load: LoadMs,
@@ -117,19 +120,17 @@ impl Inputs {
         load.source = ms_since(began);
 
         let began = Instant::now();
-        let init = match &asked.init {
+        let start = match &asked.init {
+            Some(word) if word.as_os_str() == IDENTITY => Start::Pose(Isometry3::identity()),
             Some(file) => {
                 let read = pose_file::read_pose(file, unit(asked.init_unit_mm)).map_err(without_cause)?;
                 notes.extend(read.notes.iter().map(|note| format!("{}: {note}", file.display())));
-                read.isometry
+                Start::Pose(read.isometry)
             }
-            None => {
-                notes.push("no --init: the registration starts from the identity".into());
-                Isometry3::identity()
-            }
+            None => Start::Shape,
         };
         load.init = ms_since(began);
-        Ok(Self { target, source, init, notes, load })
+        Ok(Self { target, source, start, notes, load })
     }
 }
 

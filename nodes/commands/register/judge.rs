@@ -3,6 +3,7 @@
 use super::{
     Stop,
     inputs::{Inputs, ms_since},
+    start::{OTHER_WAYS, Started},
 };
 use osteoflow_algorithms::{
     icp::IcpFit,
@@ -31,13 +32,14 @@ pub(super) struct Judged {
 
 impl Judge {
     /// Judges a pose. A target without normals is examined with estimated ones.
-    pub(super) fn judge(self, target: &Target, inputs: &Inputs, fit: &IcpFit) -> Judged {
+    pub(super) fn judge(self, target: &Target, inputs: &Inputs, started: &Started, fit: &IcpFit) -> Judged {
         let began = Instant::now();
         let with_normals = match target.normals() {
             Some(_) => None,
             None => estimated(target),
         };
         let ended = Ended::from(&fit.report);
+        let (landmarks, located) = inputs.start.landmarks();
         let case = Case {
             registered: Registered {
                 target: with_normals.as_ref().unwrap_or(target),
@@ -47,19 +49,24 @@ impl Judge {
             },
             // A fixed number of steps need not converge.
             icp: (self.stop == Stop::Converge).then_some(&ended),
-            landmarks: &[],
-            located: &[],
+            landmarks,
+            located,
             assessment: &[],
             planes: None,
             tracking: None,
             measured_tre_mm: None,
             slide: None,
             check: &[],
+            start: started.shape(),
             reasons: &[],
         };
         let (examine, rules, errors) = (EvidenceParams::default(), RuleParams::default(), PredictParams::default());
         let mut verdict = trust::judge(&case, &examine, &rules, &errors);
         verdict.assumptions = assumptions(inputs, with_normals.is_some());
+        if started.shape().is_some() {
+            let by_shape = verdict.reasons.iter_mut().filter(|reason| ["start", "shape"].contains(&&*reason.rule));
+            by_shape.for_each(|reason| reason.remedy = format!("start from {OTHER_WAYS}, or scan more of the bone"));
+        }
         let first = verdict.reasons.first().map(|first| format!("{}; {}", first.reason, first.remedy));
         let refusal = match (verdict.answer, first) {
             (Answer::Refused, Some(first)) => Some(format!("the pose is refused: {first}")),
@@ -100,7 +107,7 @@ fn estimated(target: &Target) -> Option<Target> {
 fn assumptions(inputs: &Inputs, estimated_to_judge: bool) -> Vec<String> {
     let mut all = vec![
         "the target shows the bone at its true size, and its surface is not swollen or shrunk as a whole",
-        "no landmarks, plan or calibration were given, so only the scan and the surface were examined",
+        "no plan or calibration was given, so only the scan and the surface were examined",
     ];
     if inputs.source.cloud().viewpoint.is_none() {
         all.push("without --camera it was not examined whether the scan lies on the side that the camera saw");

@@ -59,8 +59,8 @@ pub(crate) fn cloud_of_ply(path: &Path, ply: &Ply, unit_mm: f64, frame: Frame) -
     Ok(CloudFileRead { cloud, n_points_in_file: vertex.count, n_dropped, notes })
 }
 
-/// Writes a cloud's points, and normals if it has them, as little-endian PLY in double precision, so that reading gives
-/// the same bits back for `unit_mm` = 1; 1000 writes metres.
+/// Writes a cloud's points, and its normals and further columns if it has them, as little-endian PLY in double precision, so
+/// that reading gives the same bits back for `unit_mm` = 1; 1000 writes metres (of the points, not of further columns).
 ///
 /// # Errors
 /// [`FileError::Io`] if the file cannot be written.
@@ -73,6 +73,9 @@ pub fn write_ply(path: &Path, cloud: &Cloud, unit_mm: f64) -> Result<(), FileErr
     for name in ["x", "y", "z", "nx", "ny", "nz"].iter().take(if normals.is_some() { 6 } else { 3 }) {
         line(&format!("property double {name}"));
     }
+    for (name, _) in cloud.extras() {
+        line(&format!("property double {}", name.replace(char::is_whitespace, "_")));
+    }
     line("end_header");
     let mut bytes = header.into_bytes();
     for (k, point) in cloud.points().iter().enumerate() {
@@ -80,6 +83,7 @@ pub fn write_ply(path: &Path, cloud: &Cloud, unit_mm: f64) -> Result<(), FileErr
         if let Some(normals) = normals {
             bytes.extend(normals[k].iter().flat_map(|c| c.to_le_bytes()));
         }
+        bytes.extend(cloud.extras().iter().flat_map(|(_, column)| column[k].to_le_bytes()));
     }
     std::fs::write(path, bytes).map_err(FileError::write(path))
 }

@@ -13,8 +13,8 @@
 //!
 //! Matrices are written row by row. Planes are `t_ct_plane`, the plane's own z axis being its normal; they are called
 //! `plane_1`, `plane_2` .. unless `planes` is an object of names, or its entries are objects with `name` and `matrix`.
-//! `proximal`, `lateral` and `posterior` are directions of any length. Every key may be missing; unknown keys are ignored. A file for several bones has such an object under each bone's name,
-//! as [`read_plan_of`] takes it.
+//! `proximal`, `lateral` and `posterior` are directions of any length. Every key may be missing, but not all of them; keys that are not
+//! read are noted. A file for several bones has such an object under each bone's name, as [`read_plan_of`] takes it.
 
 use crate::FileError;
 use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Unit, Vector3};
@@ -51,7 +51,8 @@ pub fn read_plan_of(path: &Path, bone: &str) -> Result<PlanRead, FileError> {
     let text = std::fs::read_to_string(path).map_err(FileError::read(path))?;
     let root = parse_root(path, &text)?;
     if let Some(Value::Object(own)) = root.get(bone) {
-        return plan_of(path, own);
+        // What else a table of bones holds is not the plan's.
+        return plan_of(path, own).map(|read| read.0);
     }
     let bones: Vec<&str> = root.iter().filter(|(_, value)| value.is_object()).map(|(key, _)| key.as_str()).collect();
     if !bones.is_empty() && !OWN_KEYS.iter().any(|key| root.contains_key(*key)) {
@@ -61,7 +62,7 @@ pub fn read_plan_of(path: &Path, bone: &str) -> Result<PlanRead, FileError> {
         );
         return Err(FileError::content(path, "the outermost object", message));
     }
-    plan_of(path, &root)
+    noted(path, &root)
 }
 
 /// Keys by which the outermost object is a plan itself.
@@ -72,7 +73,22 @@ const OWN_KEYS: [&str; 6] = ["units", "landmarks", "assessment", "planes", "mall
 /// # Errors
 /// As [`read_plan`].
 pub fn parse_plan(path: &Path, text: &str) -> Result<PlanRead, FileError> {
-    plan_of(path, &parse_root(path, text)?)
+    noted(path, &parse_root(path, text)?)
+}
+
+/// The plan, with a note on the keys that were not read.
+fn noted(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError> {
+    let (mut read, unread) = plan_of(path, root)?;
+    if !unread.is_empty() {
+        let message = "a plan has no such keys, and they were not read";
+        read.notes.push(format!(
+            "{}: {message}: {}; a plan's are {}",
+            path.display(),
+            unread.join(", "),
+            KEYS.join(", ")
+        ));
+    }
+    Ok(read)
 }
 
 fn parse_root(path: &Path, text: &str) -> Result<Map<String, Value>, FileError> {
@@ -87,9 +103,38 @@ fn parse_root(path: &Path, text: &str) -> Result<Map<String, Value>, FileError> 
     Ok(root)
 }
 
-fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError> {
+/// The keys that are read, but for units and frame.
+const KEYS: [&str; 11] = [
+    "landmarks",
+    "assessment",
+    "planes",
+    "pca_axes_columns_xyz",
+    "pca_axes_centre",
+    "malleolus_tip",
+    "proximal",
+    "lateral",
+    "posterior",
+    "phantom_marker_in_phantom",
+    "camera_marker_nominal_C_T_Mc",
+];
+
+/// Keys for people.
+const REMARKS: [&str; 6] = ["mesh", "name", "side", "description", "comment", "note"];
+
+/// The plan, and the keys that were not read.
+fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<(PlanRead, Vec<String>), FileError> {
+    if !KEYS.iter().any(|key| root.contains_key(*key)) {
+        let advice = if root.contains_key("markups") {
+            "these are markups of 3D Slicer, points or planes without their meaning; write them as a plan"
+        } else {
+            "is this a plan?"
+        };
+        let message = format!("none of a plan's keys is there ({}); {advice}", KEYS.join(", "));
+        return Err(FileError::content(path, "the outermost object", message));
+    }
     let plan = Keys { path, root, corrections: RefCell::default() };
     plan.check_units()?;
+    plan.check_frame()?;
     let landmarks = plan.points("landmarks")?;
     let assessment = plan.points("assessment")?;
     let axes = plan.axes(&landmarks, &assessment)?;
@@ -103,7 +148,9 @@ fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError
         axes,
     };
     let notes = plan.corrections.take().note().map(|note| format!("{}: {note}", path.display()));
-    Ok(PlanRead { plan: read, notes: notes.into_iter().collect() })
+    let is_read = |key: &str| KEYS.contains(&key) || ["units", "unit", "frame"].contains(&key);
+    let unread = root.keys().filter(|key| !is_read(key) && !REMARKS.contains(&key.as_str()) && !key.ends_with("_note"));
+    Ok((PlanRead { plan: read, notes: notes.into_iter().collect() }, unread.cloned().collect()))
 }
 
 /// Writes a plan so that [`read_plan`] gives it back; planes whose place is unknown are left out.
@@ -166,13 +213,30 @@ impl Keys<'_> {
     }
 
     fn check_units(&self) -> Result<(), FileError> {
-        match self.get("units") {
-            None => Ok(()),
-            Some(Value::String(unit)) if unit == "mm" => Ok(()),
-            Some(other) => {
-                Err(self.fault("units", format!("a plan is in \"mm\", found {other}; convert its lengths to mm")))
+        for key in ["units", "unit"] {
+            match self.get(key) {
+                None => {}
+                Some(Value::String(unit)) if unit == "mm" => {}
+                Some(other) => {
+                    let message = format!("a plan is in \"mm\", found {other}; convert its lengths to mm");
+                    return Err(self.fault(key, message));
+                }
             }
         }
+        Ok(())
+    }
+
+    /// The frame, where it is stated, is CT's, in LPS.
+    fn check_frame(&self) -> Result<(), FileError> {
+        let Some(frame) = self.get("frame") else { return Ok(()) };
+        let text = frame.as_str().unwrap_or_default().to_lowercase();
+        let has = |word: &str| text.split(|c: char| !c.is_alphanumeric()).any(|found| found == word);
+        if has("ras") {
+            let message = format!("a plan is in LPS, found {frame}; negate x and y of its points and poses");
+            return Err(self.fault("frame", message));
+        }
+        let is_known = has("ct") || has("lps");
+        is_known.then_some(()).ok_or_else(|| self.fault("frame", format!("a plan is in \"ct\" (LPS), found {frame}")))
     }
 
     /// `N` finite numbers.
@@ -346,8 +410,15 @@ mod tests {
     }
 
     #[test]
-    fn missing_keys_are_absent_and_unknown_keys_ignored() {
-        let plan = parse(&json!({"surgeon": "N. N.", "planes": null})).unwrap();
+    fn missing_keys_are_absent_and_keys_that_are_not_read_are_noted() {
+        let text = json!({"surgeon": "N. N.", "planes": null, "planes_note": "two", "frame": "CT (LPS)"}).to_string();
+        let read = parse_plan("plan.json".as_ref(), &text).unwrap();
+        assert!(
+            read.notes.len() == 1 && read.notes[0].contains("were not read: surgeon; a plan's are "),
+            "{:?}",
+            read.notes
+        );
+        let plan = read.plan;
         assert!(plan.landmarks.points.is_empty() && plan.planes.planes.is_empty());
         assert!(plan.axes.is_none() && plan.anatomy.is_none() && plan.t_phantom_phantom_marker.is_none());
     }
@@ -405,7 +476,12 @@ mod tests {
     fn a_fault_names_its_key() {
         let matrix = |z: f64, last: f64| json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, z, 0], [0, 0, 0, last]]);
         for (plan, expected) in [
-            (json!({"units": "m"}), "key \"units\": a plan is in \"mm\", found \"m\""),
+            (json!({"units": "m", "planes": []}), "key \"units\": a plan is in \"mm\", found \"m\""),
+            (json!({"unit": "m", "planes": []}), "key \"unit\": a plan is in \"mm\", found \"m\""),
+            (json!({"frame": "RAS", "planes": []}), "key \"frame\": a plan is in LPS, found \"RAS\"; negate x and y"),
+            (json!({"frame": "world", "planes": []}), "key \"frame\": a plan is in \"ct\" (LPS), found \"world\""),
+            (json!({"a": 1}), "the outermost object: none of a plan's keys is there (landmarks, "),
+            (json!({"markups": []}), "these are markups of 3D Slicer, points or planes without their meaning"),
             (json!({"landmarks": {"P1": [1, 2]}}), "key \"landmarks.P1\": 3 numbers are expected, found [1,2]"),
             (json!({"landmarks": {"P1": [1, 2, null]}}), "key \"landmarks.P1\": 3 numbers are expected"),
             (json!({"landmarks": [[1, 2, 3]]}), "key \"landmarks\": an object of named points is expected"),

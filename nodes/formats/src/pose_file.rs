@@ -1,4 +1,5 @@
-//! One rigid motion in a file: a 4 × 4 matrix as text or JSON, an ITK transform, or the output of `osteoflow register`.
+//! One rigid motion in a file: a 4 × 4 matrix as text or JSON, an ITK transform, or the output of `osteoflow register`; and to
+//! an ITK transform.
 //!
 //! | File | Taken for |
 //! |---|---|
@@ -69,6 +70,21 @@ pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
             .push(format!("the rotation is rounded, and the nearest rotation is used; the correction is {correction}"));
     }
     Ok(PoseRead { isometry, notes })
+}
+
+/// The text of an ITK transform (`.tfm`) that shows as `t_to_from` in 3D Slicer: the file holds its **inverse**, as Slicer's do.
+///
+/// `t_to_from` is in millimetres, in LPS; `comments` are lines for the reader, as which frames it leads between.
+pub fn itk_text(t_to_from: &Isometry3<f64>, comments: &[String]) -> String {
+    let inverse = t_to_from.inverse();
+    let rotation = inverse.rotation.to_rotation_matrix();
+    let mut numbers: Vec<String> = rotation.matrix().transpose().iter().map(|c| format!("{c:?}")).collect();
+    numbers.extend(inverse.translation.vector.iter().map(|c| format!("{c:?}")));
+    let comments: String = comments.iter().map(|line| format!("# {}\n", line.replace(['\n', '\r'], " "))).collect();
+    format!(
+        "{ITK_MARK} V1.0\n{comments}#Transform 0\nTransform: AffineTransform_double_3_3\nParameters: {}\nFixedParameters: 0 0 0\n",
+        numbers.join(" ")
+    )
 }
 
 fn fault(path: &Path, place: impl Into<String>, message: impl Into<String>) -> FileError {
@@ -222,6 +238,20 @@ mod tests {
     fn assert_is(found: &Isometry3<f64>, expected: &Isometry3<f64>, tolerance: f64) {
         let off = (found.to_homogeneous() - expected.to_homogeneous()).amax();
         assert!(off <= tolerance, "{found} is {off} from {expected}");
+    }
+
+    #[test]
+    fn an_itk_transform_that_is_written_reads_as_the_same_motion_and_holds_its_inverse() {
+        let text = itk_text(&motion(), &["takes a to b".into(), "two\nlines".into()]);
+        assert_is(&read(&text).unwrap().isometry, &motion(), 1e-12);
+        let parameters = text.lines().find_map(|line| line.strip_prefix("Parameters: ")).unwrap();
+        let numbers: Vec<f64> = parameters.split(' ').map(|n| n.parse().unwrap()).collect();
+        let point = Point3::new(10.0, 20.0, -30.0);
+        let moved = motion() * point;
+        let back = Matrix3::from_row_slice(&numbers[..9]) * moved + Vector3::from_row_slice(&numbers[9..]);
+        assert!((back - point).norm() < 1e-9, "{back}");
+        let first: Vec<&str> = text.lines().take(4).collect();
+        assert_eq!(first, ["#Insight Transform File V1.0", "# takes a to b", "# two lines", "#Transform 0"]);
     }
 
     fn rows(separator: &str) -> String {

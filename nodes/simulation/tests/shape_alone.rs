@@ -126,6 +126,7 @@ fn verdict(target: &Target, scan: &Cloud, t_target_source: &Isometry3<f64>, repo
         measured_tre_mm: None,
         slide: None,
         check: &[],
+        start: None,
         reasons: &[],
     };
     judge(&case, &Default::default(), &Default::default(), &Default::default())

@@ -1,5 +1,6 @@
 //! Sources of data: recordings, folders of files, a simulated procedure.
 
+pub mod cloud;
 pub mod folder;
 pub mod mcap;
 pub mod mcap_live;

@@ -37,6 +37,7 @@ pub fn registry() -> Registry {
     let mut registry = Registry::default();
     osteoflow_payloads::register(&mut registry);
     registry
+        .source::<acquire::cloud::CloudFile>()
         .source::<acquire::folder::Folder>()
         .source::<acquire::mcap::Mcap>()
         .source::<acquire::mcap_live::McapLive>()

@@ -68,6 +68,7 @@ fn verdict(target: &Target, scan: &Cloud, pose: &Isometry3<f64>, located: &[Name
         measured_tre_mm: None,
         slide: None,
         check: &[],
+        start: None,
         reasons: &[],
     };
     judge(&case, &EvidenceParams::default(), &RuleParams::default(), &PredictParams::default())

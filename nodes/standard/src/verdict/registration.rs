@@ -2,6 +2,7 @@
 
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::calibrate::PhantomReport;
+use osteoflow_algorithms::coarse::GlobalReport;
 use osteoflow_algorithms::metrics::{CheckReport, TreReport};
 use osteoflow_algorithms::slide::SlideReport;
 use osteoflow_algorithms::target::Target;
@@ -61,6 +62,8 @@ pub struct In {
     /// The report of the registration, of any kind: its `converged`, `remaining_mm` and `stop_reason` are used where it has
     /// them.
     icp: Option<Value>,
+    /// The report of the registration by shape alone that it started from, if it did: unclear ones make it doubtful.
+    start: Option<GlobalReport>,
     /// The slide profile about the registration.
     slide: Option<SlideReport>,
     /// The planned landmarks.
@@ -143,6 +146,7 @@ impl Node for Registration {
             measured_tre_mm: i.measured.as_ref().map(|report| report.mean_abs.norm),
             slide: i.slide.as_ref(),
             check: &check,
+            start: i.start.as_ref(),
             reasons: &lost,
         };
         let Params { examine, rules, errors } = &self.0;

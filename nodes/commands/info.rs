@@ -1,0 +1,74 @@
+//! `info`: what a file or folder holds.
+
+mod found;
+
+use super::{Exit, Format, Global, print_json, text_table::TextTable};
+use anyhow::Result;
+use clap::Args;
+use found::{Found, Topic};
+use std::{io::Write, path::PathBuf};
+
+/// Say what a file or folder is, what it holds, and the command that would use it.
+///
+/// Surfaces, clouds, poses, plans, recordings, folders of a procedure, of a run or of a ROS 2 bag; recognised by content, not
+/// by name. A damaged file that can be read in part is read in part, and what is wrong with it is listed under problems; one
+/// that cannot be read is refused with the reason. Exit code 0 if it can be used, problems or not.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  osteoflow info scan.ply
+  osteoflow info procedure.mcap
+  osteoflow info bone.stl --format json | jq .extent_mm
+
+Keys of --format json, where they apply:
+  kind        mesh, cloud, pose, plan, recording, procedure, run
+  n_points    number of points, those that were dropped left out; n_dropped: those that were not finite
+  extent_mm   edges of the box around the points
+  space       LPS or RAS where the file states it, else unknown
+  topics      with schema, encoding, number of messages, rate and times
+  problems    what is wrong with it, one sentence each
+  use         commands that would use it")]
+pub(crate) struct Info {
+    /// The file or folder.
+    file: PathBuf,
+}
+
+impl Info {
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let found = found::look(&self.file)?;
+        match global.format {
+            Format::Json => print_json(&serde_json::to_value(&found)?)?,
+            Format::Text => self.print_text(&found, global)?,
+        }
+        Ok(Exit::Done)
+    }
+
+    fn print_text(&self, found: &Found, global: &Global) -> Result<()> {
+        let mut out = std::io::stdout().lock();
+        writeln!(out, "{}: {}", self.file.display(), found.about)?;
+        for (name, value) in found.lines() {
+            writeln!(out, "  {name:<11} {value}")?;
+        }
+        if !found.topics.is_empty() {
+            let mut table = TextTable::new("topics", &["schema", "encoding", "messages", "per second", "frame"]);
+            for topic in &found.topics {
+                let Topic { name, schema, encoding, n_messages, rate_hz, frame, .. } = topic;
+                let rate = rate_hz.map_or_else(String::new, |hz| format!("{hz:.1}"));
+                let frame = frame.clone().unwrap_or_default();
+                table.row(name, [schema.clone(), encoding.clone(), n_messages.to_string(), rate, frame]);
+            }
+            write!(out, "\n{}", table.lines())?;
+        }
+        for problem in &found.problems {
+            writeln!(out, "{}: {problem}", global.paint_out("problem", "1;31"))?;
+        }
+        for note in &found.notes {
+            writeln!(out, "note: {note}")?;
+        }
+        if !global.quiet && !found.used_by.is_empty() {
+            writeln!(out, "\nuse it with")?;
+            found.used_by.iter().try_for_each(|command| writeln!(out, "  {command}"))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,95 @@
+//! The kind `acquire.cloud`.
+
+use osteoflow_formats::mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud};
+use osteoflow_geometry::{Cloud, nalgebra::Isometry3};
+use osteoflow_node::{
+    Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
+};
+
+/// A scan from a file of points, of any format that `register` reads; of a surface the vertices.
+///
+/// Points that are not finite are left out, with a warning that counts them.
+#[derive(Describe)]
+#[describe(example = r#"
+kind   = "acquire.cloud"
+path   = "scan.ply"
+camera = [0.0, 0.0, 0.0]
+"#)]
+pub struct CloudFile {
+    params: Params,
+    done: bool,
+}
+
+/// Parameters of [`CloudFile`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// The file.
+    pub path: FilePath,
+    /// The frame of its coordinates. `camera`: a scan is in the frame of the camera that made it.
+    #[serde(default = "camera")]
+    pub frame: String,
+    /// Millimetres in the file's unit. 1: most scanners write millimetres; 1000 for a file in metres.
+    #[serde(default = "one")]
+    #[schemars(range(min = 1e-6, max = 1e6))]
+    pub unit_mm: f64,
+    /// Position of the camera in the file's coordinates, mm; scans in the frame of their camera have it at 0, 0, 0. Points then
+    /// pair only with the side of the bone that faces it. Unset: unknown, as after a turntable or a merge of scans.
+    #[serde(default)]
+    pub camera: Option<[f64; 3]>,
+}
+
+fn camera() -> String {
+    "camera".into()
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// Outputs of [`CloudFile`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The cloud, once.
+    #[port(frame = "$frame")]
+    cloud: Cloud,
+}
+
+impl Source for CloudFile {
+    const KIND: &'static str = "acquire.cloud";
+    const CONSTANT: bool = true;
+    type Params = Params;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        if params.camera.is_some_and(|camera| camera.iter().any(|c| !c.is_finite())) {
+            return Err(ParamError::new("camera", "three finite numbers are expected, such as [0.0, 0.0, 0.0]"));
+        }
+        Ok(Self { params, done: false })
+    }
+
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
+        if std::mem::replace(&mut self.done, true) {
+            return Ok(None);
+        }
+        let Params { path, frame, unit_mm, camera } = &self.params;
+        let bytes = std::fs::read(path.as_ref())
+            .map_err(|error| NodeError::new(format!("{}: cannot be read: {error}", path.as_ref().display())))?;
+        let (cloud, notes) = match read_mesh_or_cloud(path.as_ref(), &bytes, *unit_mm, frame.as_str())? {
+            MeshOrCloud::Cloud(read, notes) => (read.cloud, notes),
+            MeshOrCloud::Mesh(read) => {
+                let mut notes = read.notes;
+                notes.insert(0, "a surface; its vertices are taken as the points".into());
+                (Cloud::new(frame.as_str(), read.mesh.vertex_column().clone())?, notes)
+            }
+        };
+        notes.into_iter().for_each(|note| ctx.warn(note));
+        let cloud = match camera {
+            // Only the camera's position is used.
+            Some([x, y, z]) => cloud.seen_from(Isometry3::translation(*x, *y, *z)),
+            None => cloud,
+        };
+        Ok(Some(Out { cloud }))
+    }
+}

@@ -1,0 +1,112 @@
+//! `osteoflow info` and `osteoflow runs`: what files and folders hold.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{osteoflow, root};
+use serde_json::{Value, json};
+use std::{fs, path::Path, process::Output};
+
+fn info(file: &Path) -> Output {
+    osteoflow().arg("info").arg(file).args(["--format", "json"]).output().unwrap()
+}
+
+fn found(file: &Path) -> Value {
+    let output = info(file);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+#[test]
+fn each_file_of_the_shipped_procedures_is_named_with_what_it_holds() {
+    let data = root().join("tests/data");
+    let bone = found(&data.join("folder/bone.stl"));
+    assert_eq!((&bone["kind"], &bone["n_faces"]), (&json!("mesh"), &json!(84_792)));
+    let length_mm = bone["extent_mm"].as_array().unwrap().iter().map(|mm| mm.as_f64().unwrap()).fold(0.0, f64::max);
+    assert!((300.0..420.0).contains(&length_mm), "{length_mm} mm is no length of a fibula");
+    let scan = found(&data.join("folder/scan.ply"));
+    assert_eq!((&scan["kind"], &scan["n_points"], &scan["n_dropped"]), (&json!("cloud"), &json!(10_000), &json!(0)));
+    assert!(scan["use"][0].as_str().unwrap().starts_with("osteoflow register BONE "), "{scan}");
+    let plan = found(&data.join("procedure/plan.json"));
+    assert_eq!((&plan["kind"], &plan["n_planes"]), (&json!("plan"), &json!(2)));
+    assert_eq!(plan["labels"][0], "P1");
+    let folder = found(&data.join("folder"));
+    assert_eq!(folder["kind"], "procedure");
+    let recording = found(&data.join("procedure/procedure.mcap"));
+    assert_eq!((&recording["kind"], &recording["problems"]), (&json!("recording"), &json!([])));
+    let topics = recording["topics"].as_array().unwrap();
+    let scan = topics.iter().find(|topic| topic["name"] == "/camera/scan").unwrap();
+    assert_eq!((&scan["schema"], &scan["frame"]), (&json!("foxglove.PointCloud"), &json!("camera")));
+    let marker = topics.iter().find(|topic| topic["name"] == "/tracker/bone_marker").unwrap();
+    assert_eq!(marker["frame"], "world -> bone_marker");
+    assert!(marker["rate_hz"].as_f64().unwrap() > 1.0 && marker["last_ns"].as_i64() > marker["first_ns"].as_i64());
+}
+
+#[test]
+fn points_that_are_not_finite_are_counted_and_a_matrix_is_no_cloud() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| {
+        fs::write(dir.path().join(name), text).unwrap();
+        dir.path().join(name)
+    };
+    let cloud = found(&write("a.bin", "x,y,z\n0,0,0\n10,20,30\nnan,0,0\n"));
+    assert_eq!((&cloud["n_points"], &cloud["n_dropped"]), (&json!(2), &json!(1)));
+    assert_eq!(cloud["extent_mm"], json!([10.0, 20.0, 30.0]));
+    let pose = found(&write("b.xyz", "1 0 0 5\n0 1 0 6\n0 0 1 7\n0 0 0 1\n"));
+    assert_eq!((&pose["kind"], &pose["matrix"][2][3]), (&json!("pose"), &json!(7.0)));
+}
+
+#[test]
+fn a_cut_recording_is_read_in_part_with_its_problem_and_what_cannot_be_read_is_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    let run = osteoflow().args(["run", "graphs/fibula.toml", "-q", "--out"]).arg(&out).output().unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let bytes = fs::read(out.join("run.mcap")).unwrap();
+    let cut = dir.path().join("cut.mcap");
+    fs::write(&cut, &bytes[..bytes.len() - 3000]).unwrap();
+    let found = found(&cut);
+    let problems = found["problems"].as_array().unwrap();
+    assert!(problems.len() == 1 && problems[0].as_str().unwrap().contains("the file ends inside"), "{problems:?}");
+    assert!(!found["topics"].as_array().unwrap().is_empty());
+    assert!(found["use"][0].as_str().unwrap().starts_with("osteoflow recover "), "{found}");
+
+    for (name, bytes, expected) in [
+        ("empty.stl", &b""[..], "empty.stl: the file is empty"),
+        ("head.mcap", &bytes[..4], "head.mcap: "),
+        ("other.json", b"{\"a\": 1}", "other.json: "),
+        ("broken.json", b"{\"a\": ", "broken.json: line 1: no JSON"),
+        ("noise.bin", &[7; 300], "noise.bin: "),
+    ] {
+        let file = dir.path().join(name);
+        fs::write(&file, bytes).unwrap();
+        let output = info(&file);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(1) && stderr.contains(expected), "{name}: {stderr}");
+    }
+    let output = info(dir.path());
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(stderr.contains("a folder without procedure.toml or manifest.json"), "{stderr}");
+}
+
+#[test]
+fn runs_are_listed_with_verdict_and_error_and_a_broken_one_with_its_problem() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("one");
+    let run = osteoflow().args(["run", "graphs/fibula.toml", "--no-record", "-q", "--out"]).arg(&out).output().unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    assert_eq!(found(&out)["verdict"], "trusted");
+    fs::create_dir(dir.path().join("two")).unwrap();
+    fs::write(dir.path().join("two/manifest.json"), "{").unwrap();
+    let listed = osteoflow().arg("runs").arg(dir.path()).args(["--format", "json"]).output().unwrap();
+    let rows: Value = serde_json::from_slice(&listed.stdout).unwrap();
+    let row = |name: &str| rows.as_array().unwrap().iter().find(|row| row["folder"] == name).unwrap().clone();
+    let results: Value = serde_json::from_slice(&fs::read(out.join("results.json")).unwrap()).unwrap();
+    let one = row("one");
+    assert_eq!((&one["graph"], &one["verdict"], &one["tre"]), (&json!("fibula"), &json!("trusted"), &json!("true")));
+    assert_eq!(one["tre_mm"], results["metrics"]["tre_true_mm"]["mean_abs"]["norm"]);
+    assert!(row("two")["problem"].as_str().unwrap().contains("manifest.json"), "{rows}");
+    let text = osteoflow().arg("runs").arg(dir.path()).output().unwrap();
+    let text = String::from_utf8(text.stdout).unwrap();
+    assert!(text.contains("trusted") && text.contains("problem: "), "{text}");
+}
