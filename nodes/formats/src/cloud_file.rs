@@ -1,7 +1,6 @@
-//! Point clouds in PLY files.
+//! Point clouds in files.
 
-use crate::{FileError, normals::NormalReader, ply::Ply};
-use nalgebra::{Point3, Vector3};
+use crate::{FileError, Space, mesh_or_cloud::shape_of, ply};
 use osteoflow_geometry::{Cloud, Frame};
 use std::{fmt::Write as _, path::Path};
 
@@ -14,8 +13,27 @@ pub struct CloudFileRead {
     pub n_points_in_file: usize,
     /// How many of them were NaN or infinite and were left out.
     pub n_dropped: usize,
-    /// Changes to the normals, one sentence each.
+    /// The axes that the file states; `cloud` is LPS if it states any.
+    pub space: Space,
+    /// Changes to the content and what was left out, one sentence each.
     pub notes: Vec<String>,
+}
+
+/// Reads points from a file of any format of [`read_mesh_or_cloud`](crate::mesh_or_cloud::read_mesh_or_cloud).
+///
+/// Of a surface the vertices are taken, with a note. `unit_mm` is the file's unit in mm: 1000 for metres. Points that are
+/// not finite are left out and counted; if the file states RAS, the points are turned to LPS. `O(n)`.
+///
+/// # Errors
+/// [`FileError`] if the file cannot be read, is of no such format or is cut short.
+pub fn read_cloud(path: &Path, unit_mm: f64, frame: impl Into<Frame>) -> Result<CloudFileRead, FileError> {
+    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    let mut shape = shape_of(path, &bytes)?;
+    if let Some(faces) = &shape.faces {
+        let message = format!("the file is a surface of {} faces; its vertices are taken as points", faces.len());
+        shape.notes.push(message);
+    }
+    shape.into_cloud(path, unit_mm, frame.into())
 }
 
 /// Reads the points of a PLY file: `x`, `y`, `z` of any type in any order, and `nx`, `ny`, `nz` if every kept point
@@ -24,39 +42,8 @@ pub struct CloudFileRead {
 /// # Errors
 /// [`FileError`] if the file cannot be read, is no PLY, is cut short or has no coordinates.
 pub fn read_cloud_ply(path: &Path, unit_mm: f64, frame: impl Into<Frame>) -> Result<CloudFileRead, FileError> {
-    cloud_of_ply(path, &Ply::read(path)?, unit_mm, frame.into())
-}
-
-/// The points in a PLY file.
-pub(crate) fn cloud_of_ply(path: &Path, ply: &Ply, unit_mm: f64, frame: Frame) -> Result<CloudFileRead, FileError> {
-    let vertex = ply.element("vertex").ok_or_else(|| {
-        FileError::content(path, "header", "there is no element \"vertex\"; a point cloud holds its points there")
-    })?;
-    let column = |name: &str| {
-        vertex.scalars(name).ok_or_else(|| {
-            let found = vertex.property_names();
-            FileError::content(path, "header", format!("the points have no \"{name}\"; there are: {found}"))
-        })
-    };
-    let [x, y, z] = [column("x")?, column("y")?, column("z")?];
-    let normals = ["nx", "ny", "nz"].map(|name| vertex.scalars(name));
-    let finite: Vec<usize> =
-        (0..vertex.count).filter(|&k| x[k].is_finite() && y[k].is_finite() && z[k].is_finite()).collect();
-    let points: Vec<Point3<f64>> = finite.iter().map(|&k| Point3::new(x[k], y[k], z[k]) * unit_mm).collect();
-    let mut cloud = Cloud::new(frame, points)
-        .map_err(|_| FileError::content(path, "points", format!("a coordinate overflows with unit_mm = {unit_mm}")))?;
-    let mut notes = Vec::new();
-    if let [Some(nx), Some(ny), Some(nz)] = normals {
-        let mut reader = NormalReader::default();
-        finite.iter().for_each(|&k| reader.push(Vector3::new(nx[k], ny[k], nz[k])));
-        let (normals, normal_notes) = reader.finish();
-        notes = normal_notes;
-        if let Some(normals) = normals {
-            cloud = cloud.with_normals(normals).expect("each kept point has its unit normal");
-        }
-    }
-    let n_dropped = vertex.count - finite.len();
-    Ok(CloudFileRead { cloud, n_points_in_file: vertex.count, n_dropped, notes })
+    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    ply::shape(path, &bytes)?.into_cloud(path, unit_mm, frame.into())
 }
 
 /// Writes a cloud's points, and its normals and further columns if it has them, as little-endian PLY in double precision, so
@@ -91,6 +78,7 @@ pub fn write_ply(path: &Path, cloud: &Cloud, unit_mm: f64) -> Result<(), FileErr
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::{Point3, Vector3};
 
     fn read(bytes: &[u8], unit_mm: f64) -> Result<CloudFileRead, FileError> {
         let file = tempfile::NamedTempFile::new().unwrap();
@@ -134,6 +122,15 @@ mod tests {
         let some = read(format!("{header}0 0 0 0 0 2\n1 0 0 nan 1 0\n").as_bytes(), 1.0).unwrap();
         assert_eq!((some.cloud.normals(), some.cloud.len()), (None, 2));
         assert_eq!(some.notes, ["1 of 2 normals are zero or not finite, so the cloud goes without normals"]);
+    }
+
+    #[test]
+    fn a_surface_gives_its_vertices_with_a_note() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 3\n").unwrap();
+        let read = read_cloud(file.path(), 1.0, "ct").unwrap();
+        assert_eq!(read.cloud.len(), 3);
+        assert_eq!(read.notes, ["the file is a surface of 1 faces; its vertices are taken as points"]);
     }
 
     #[test]

@@ -60,7 +60,7 @@
 
 use crate::{
     FileError, LostPose,
-    cloud_file::read_cloud_ply,
+    cloud_file::read_cloud,
     mesh_file::{MeshRead, read_mesh},
     plan_file::{PlanRead, read_plan},
     poses_csv::read_poses,
@@ -368,7 +368,7 @@ impl ProcedureFolder {
     ) -> Result<FolderItem, FileError> {
         let path = self.resolve(&scan.file);
         let stamp_ns = self.stamp(scan)?;
-        let read = read_cloud_ply(&path, self.unit_mm(scan.unit), self.camera_frame())?;
+        let read = read_cloud(&path, self.unit_mm(scan.unit), self.camera_frame())?;
         if read.n_dropped > 0 {
             let (file, n) = (scan.file.display(), read.n_points_in_file);
             notes.push(format!("{file}: {} of {n} points are not finite and were left out", read.n_dropped));

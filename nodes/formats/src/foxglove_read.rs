@@ -20,7 +20,7 @@ use crate::{
         self, JsonCloud, JsonCloudHead, JsonPose, JsonPoseInFrame, JsonTimestamp, JsonTransform, JsonTransforms,
     },
     mcap_read::{Message, Recording},
-    normals::NormalReader,
+    normals::unit_normals,
 };
 use bytes::Bytes;
 use foxglove::{
@@ -198,7 +198,7 @@ fn cloud_of(message: Encoded<'_>) -> Result<CloudRead, FoxgloveError> {
     let Nearest { value: pose, correction } = cloud_pose(raw.pose.as_ref())?;
     let layout = Layout::of(&raw)?;
     let n_points_in_message = layout.n_points;
-    let (mut points, mut normals) = (Vec::with_capacity(n_points_in_message), NormalReader::default());
+    let (mut points, mut normals) = (Vec::with_capacity(n_points_in_message), Vec::new());
     for bytes in raw.data.chunks_exact(layout.stride.max(1)).take(n_points_in_message) {
         let at_m = layout.position.map(|field| field.value(bytes));
         let point = Point3::from(Vector3::from(at_m) * MM_PER_M);
@@ -212,7 +212,7 @@ fn cloud_of(message: Encoded<'_>) -> Result<CloudRead, FoxgloveError> {
     }
     let n_dropped = n_points_in_message - points.len();
     let stamp_ns = nanoseconds(raw.timestamp).unwrap_or(message.publish_time_ns);
-    let (normals, notes) = normals.finish();
+    let (normals, notes) = unit_normals(normals);
     let mut cloud = Cloud::new(raw.frame_id, points).expect("points that are not finite were left out");
     if let Some(mut normals) = normals.filter(|_| layout.normal.is_some()) {
         if let Some(t) = pose {

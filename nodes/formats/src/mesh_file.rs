@@ -1,8 +1,13 @@
 //! Triangle surfaces from STL and PLY files, and to STL.
 
-use crate::{FileError, ply::Ply};
-use nalgebra::{Point3, Vector3};
-use osteoflow_geometry::{Frame, Mesh, MeshError, SurfaceOrigin};
+use crate::{
+    FileError, Space,
+    mesh_or_cloud::{is_text, shape_of},
+    shape::Shape,
+    space::StatedSpace,
+};
+use nalgebra::Point3;
+use osteoflow_geometry::{Frame, Mesh, SurfaceOrigin};
 use std::{collections::HashMap, fmt::Write as _, io::Write as _, path::Path};
 
 const STL_HEADER_BYTES: usize = 84;
@@ -18,86 +23,40 @@ pub struct MeshRead {
     pub mesh: Mesh,
     /// How many faces without an area were left out.
     pub n_degenerate: usize,
+    /// The axes that the file states; `mesh` is LPS if it states any.
+    pub space: Space,
     /// Suspicious properties of the file, one sentence each, such as a size that suggests metres.
     pub notes: Vec<String>,
 }
 
-/// Reads a surface from a binary or ASCII STL or PLY file, recognised by its content.
+/// Reads a surface from a file of any format of [`read_mesh_or_cloud`](crate::mesh_or_cloud::read_mesh_or_cloud).
 ///
 /// `unit_mm` is the file's unit in mm: 1 for millimetres, 1000 for metres. STL repeats the corners of each face; corners
-/// with equal bits become one vertex. PLY polygons are cut into fans. Faces without an area are left out and counted.
-/// `O(n)`.
+/// with equal bits become one vertex. Polygons are cut into fans. Faces without an area are left out and counted. If the
+/// file states RAS, the surface is turned to LPS. `O(n)`.
 ///
 /// # Errors
-/// [`FileError`] if the file cannot be read, is neither format, is cut short, or holds no triangle or a coordinate that
-/// is not finite.
+/// [`FileError`] if the file cannot be read, is of no such format, is cut short, is a cloud, or holds no triangle or a
+/// coordinate that is not finite.
 pub fn read_mesh(
     path: &Path,
     unit_mm: f64,
     frame: impl Into<Frame>,
     origin: SurfaceOrigin,
 ) -> Result<MeshRead, FileError> {
-    let (bytes, frame) = (std::fs::read(path).map_err(FileError::read(path))?, frame.into());
-    if bytes.starts_with(b"ply") {
-        return mesh_of_ply(path, &Ply::parse(path, &bytes)?, unit_mm, frame, origin);
-    }
-    mesh_of_stl(path, &bytes, unit_mm, frame, origin)
+    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    shape_of(path, &bytes)?.into_mesh(path, unit_mm, frame.into(), origin)
 }
 
 /// The surface in the bytes of an STL file.
-pub(crate) fn mesh_of_stl(
-    path: &Path,
-    bytes: &[u8],
-    unit_mm: f64,
-    frame: Frame,
-    origin: SurfaceOrigin,
-) -> Result<MeshRead, FileError> {
+pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let mut notes = Vec::new();
-    let faces = stl_faces(path, bytes, &mut notes)?;
-    mesh_of_faces(path, faces, notes, unit_mm, frame, origin)
-}
-
-/// The surface in a PLY file.
-pub(crate) fn mesh_of_ply(
-    path: &Path,
-    ply: &Ply,
-    unit_mm: f64,
-    frame: Frame,
-    origin: SurfaceOrigin,
-) -> Result<MeshRead, FileError> {
-    mesh_of_faces(path, ply_faces(path, ply)?, Vec::new(), unit_mm, frame, origin)
-}
-
-fn mesh_of_faces(
-    path: &Path,
-    (vertices, faces): Faces,
-    mut notes: Vec<String>,
-    unit_mm: f64,
-    frame: Frame,
-    origin: SurfaceOrigin,
-) -> Result<MeshRead, FileError> {
-    let vertices: Vec<Point3<f64>> = vertices.into_iter().map(|v| v * unit_mm).collect();
-    let n_faces = faces.len();
-    let is_proper = |&[a, b, c]: &[u32; 3]| {
-        // A corner that is not there is for the mesh to name.
-        let corner = |i: u32| vertices.get(i as usize);
-        let (Some(a), Some(b), Some(c)) = (corner(a), corner(b), corner(c)) else { return true };
-        (b - a).cross(&(c - a)) != Vector3::zeros()
-    };
-    let faces: Vec<[u32; 3]> = faces.into_iter().filter(is_proper).collect();
-    let n_degenerate = n_faces - faces.len();
-    let mesh = Mesh::new(frame, origin, vertices, faces).map_err(|error| {
-        let advice = match error {
-            MeshError::Empty => "give the bone's surface, not its points",
-            _ => "export the surface again",
-        };
-        FileError::content(path, "surface", format!("{error}; {advice}"))
-    })?;
-    if n_degenerate > 0 {
-        notes.push(format!("{n_degenerate} of {n_faces} faces have no area and were left out"));
-    }
-    notes.extend(size_note(mesh.vertices(), "surface spans"));
-    Ok(MeshRead { mesh, n_degenerate, notes })
+    let (points, faces) = stl_faces(path, bytes, &mut notes)?;
+    // The header of a binary file, or the first line of a text.
+    let head = bytes[..bytes.len().min(80)].split(|&b| b == b'\n' || b == 0).next().unwrap_or_default();
+    let stated = StatedSpace::of(&String::from_utf8_lossy(head))
+        .map_err(|message| FileError::content(path, "header", message))?;
+    Ok(Shape { points, faces: Some(faces), stated, notes, ..Shape::default() })
 }
 
 /// Writes a surface as binary STL, mm, in single precision.
@@ -139,6 +98,12 @@ pub(crate) fn size_note(points: &[Point3<f64>], what: &str) -> Option<String> {
     Some(format!("the {what} {span_mm:.3} mm, which is no size of a bone or phantom; {advice}"))
 }
 
+/// Whether the length is that of a binary STL with as many triangles as its header counts.
+pub(crate) fn is_binary_stl(bytes: &[u8]) -> bool {
+    let n = bytes.get(80..STL_HEADER_BYTES).map(|n| u32::from_le_bytes(n.try_into().expect("four bytes")));
+    n.is_some_and(|n| n > 0 && STL_HEADER_BYTES as u64 + STL_FACE_BYTES as u64 * u64::from(n) == bytes.len() as u64)
+}
+
 fn stl_faces(path: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<Faces, FileError> {
     let n_promised = bytes.get(80..84).map(|n| u32::from_le_bytes(n.try_into().expect("four bytes")));
     let n_expected = n_promised.map(|n| STL_HEADER_BYTES as u64 + STL_FACE_BYTES as u64 * u64::from(n));
@@ -147,17 +112,18 @@ fn stl_faces(path: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<Faces
         return Ok(binary_stl(&bytes[STL_HEADER_BYTES..]));
     }
     let start = bytes.trim_ascii_start();
-    if start.len() >= 5 && start[..5].eq_ignore_ascii_case(b"solid") && looks_like_text(bytes) {
+    if start.len() >= 5 && start[..5].eq_ignore_ascii_case(b"solid") && is_text(bytes) {
         return ascii_stl(path, bytes);
     }
     match n_expected {
         None => {
-            let message = format!("{} bytes are too few for an STL, and a PLY begins with \"ply\"", bytes.len());
+            let message =
+                format!("{} bytes are too few for a binary STL, and no other format is recognised", bytes.len());
             Err(FileError::content(path, "byte 0", message))
         }
         Some(expected) if (bytes.len() as u64) < expected => {
             let message = format!(
-                "neither STL nor PLY, or cut short: read as a binary STL, the header promises {} triangles \
+                "no known format, or cut short: read as a binary STL, the header promises {} triangles \
                  ({expected} bytes), but the file has {} bytes",
                 n_promised.unwrap_or_default(),
                 bytes.len()
@@ -170,11 +136,6 @@ fn stl_faces(path: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<Faces
             Ok(binary_stl(&bytes[STL_HEADER_BYTES..expected as usize]))
         }
     }
-}
-
-/// Whether the first kilobyte is text: a binary header is mostly zeros, and floats are not text.
-fn looks_like_text(bytes: &[u8]) -> bool {
-    bytes.iter().take(1024).all(|&b| b >= b' ' || b.is_ascii_whitespace())
 }
 
 /// Gives each place its number; places are equal when their bits are, with no difference between 0 and -0.
@@ -239,43 +200,6 @@ fn ascii_stl(path: &Path, bytes: &[u8]) -> Result<Faces, FileError> {
         return Err(FileError::content(path, place, "the file ends without \"endsolid\"; was it cut short?"));
     }
     Ok((corners.vertices, faces))
-}
-
-fn ply_faces(path: &Path, ply: &Ply) -> Result<Faces, FileError> {
-    let missing = |what: &str| FileError::content(path, "header", format!("there is no {what}; is it a surface?"));
-    let vertex = ply.element("vertex").ok_or_else(|| missing("element \"vertex\""))?;
-    let axis = |name: &str| vertex.scalars(name).ok_or_else(|| missing(&format!("vertex property \"{name}\"")));
-    let (x, y, z) = (axis("x")?, axis("y")?, axis("z")?);
-    let vertices = (0..vertex.count).map(|k| Point3::new(x[k], y[k], z[k])).collect();
-    let face = ply.element("face").ok_or_else(|| missing("element \"face\", only points"))?;
-    let mut faces = Vec::with_capacity(face.count);
-    let mut fan = |k: usize, polygon: &[f64]| -> Result<(), FileError> {
-        if let Some(index) = polygon.iter().find(|i| i.fract() != 0.0 || !(0.0..vertex.count as f64).contains(*i)) {
-            let message = format!("it names vertex {index}, but there are {}", vertex.count);
-            return Err(FileError::content(path, format!("face {k}"), message));
-        }
-        // A polygon of fewer than three corners counts as one face without an area.
-        let corners: Vec<u32> = polygon.iter().map(|&i| i as u32).collect();
-        match corners[..] {
-            [] => faces.push([0; 3]),
-            [a] | [a, _] => faces.push([a; 3]),
-            [a, ref rest @ ..] => faces.extend(rest.windows(2).map(|w| [a, w[0], w[1]])),
-        }
-        Ok(())
-    };
-    // The two names that are in use.
-    if let Some(lists) = face.lists("vertex_indices") {
-        for (k, polygon) in lists.enumerate() {
-            fan(k, polygon)?;
-        }
-    } else if let Some(lists) = face.lists("vertex_index") {
-        for (k, polygon) in lists.enumerate() {
-            fan(k, polygon)?;
-        }
-    } else {
-        return Err(missing("face property \"vertex_indices\" or \"vertex_index\""));
-    }
-    Ok((vertices, faces))
 }
 
 #[cfg(test)]
@@ -416,7 +340,7 @@ mod tests {
             "{}",
             error_message(&cut)
         );
-        assert!(error_message(b"").contains("0 bytes are too few"), "{}", error_message(b""));
+        assert!(error_message(b"").contains("the file is empty"), "{}", error_message(b""));
         let mut nan = binary();
         nan[96..100].copy_from_slice(&f32::NAN.to_le_bytes());
         assert!(error_message(&nan).contains("vertex 0 is not finite"), "{}", error_message(&nan));
@@ -433,7 +357,7 @@ mod tests {
         assert!(error_message(text.as_bytes()).contains("without \"endsolid\"; was it cut short?"));
         let points = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
         assert!(
-            error_message(points.as_bytes()).contains("no element \"face\", only points"),
+            error_message(points.as_bytes()).contains("the file holds 1 points and no faces, but a surface is needed"),
             "{}",
             error_message(points.as_bytes())
         );

@@ -1,11 +1,26 @@
 //! Files that hold a surface or a cloud.
+//!
+//! | Format | Taken |
+//! |---|---|
+//! | PLY | ASCII and both binary orders, any types and further properties |
+//! | STL | binary and ASCII |
+//! | PCD | ASCII, binary and compressed, any fields |
+//! | OBJ | vertices, normals, faces with polygons and negative indices |
+//! | VTK legacy | poly data, ASCII and binary, polygons and strips of both layouts |
+//! | OFF | also COFF, NOFF, CNOFF |
+//! | text (XYZ, ASC, PTS, CSV) | any separator, decimal commas, headings |
+//!
+//! The format is recognised by the content, never by the name. Files of other kinds are refused by name, with what to
+//! export instead.
 
 use crate::{
     FileError,
-    cloud_file::{CloudFileRead, cloud_of_ply},
+    cloud_file::CloudFileRead,
     cloud_text,
-    mesh_file::{MeshRead, mesh_of_ply, mesh_of_stl, size_note},
-    ply::Ply,
+    mesh_file::{self, MeshRead, size_note},
+    obj, off, pcd, ply, refused,
+    shape::Shape,
+    vtk,
 };
 use osteoflow_geometry::{Frame, SurfaceOrigin};
 use std::path::Path;
@@ -19,10 +34,10 @@ pub enum MeshOrCloud {
     Cloud(CloudFileRead, Vec<String>),
 }
 
-/// Reads the bytes of an STL, PLY, XYZ or CSV file, recognised by its content; `path` is used in messages only.
+/// Reads the bytes of a file of [these formats](self), recognised by its content; `path` is used in messages only.
 ///
-/// A PLY with faces is a surface, one without is a cloud; so is a text of numbers, one point a line, with a heading that
-/// names the columns or without. `unit_mm` is the file's unit in mm: 1000 for metres. `O(n)`.
+/// A file with faces is a surface, one without is a cloud. `unit_mm` is the file's unit in mm: 1000 for metres. A file that
+/// states `SPACE=RAS` is turned to LPS. `O(n)`.
 ///
 /// # Errors
 /// [`FileError`] if the file is of none of these formats, is cut short, or holds a surface with a coordinate that is not
@@ -37,20 +52,11 @@ pub fn read_mesh_or_cloud(
 }
 
 fn read_in(path: &Path, bytes: &[u8], unit_mm: f64, frame: Frame) -> Result<MeshOrCloud, FileError> {
-    let read = if bytes.starts_with(b"ply") {
-        let ply = Ply::parse(path, bytes)?;
-        if ply.element("face").is_some_and(|face| face.count > 0) {
-            return mesh_of_ply(path, &ply, unit_mm, frame, SurfaceOrigin::User).map(MeshOrCloud::Mesh);
-        }
-        cloud_of_ply(path, &ply, unit_mm, frame)?
-    } else if let Some(text) = text_of_numbers(bytes) {
-        cloud_text::parse(path, text, unit_mm, frame)?
-    } else if is_pcd(bytes) {
-        let message = "PCD is not read; write the points as PLY, or as text with x y z on each line";
-        return Err(FileError::content(path, "byte 0", message));
-    } else {
-        return mesh_of_stl(path, bytes, unit_mm, frame, SurfaceOrigin::User).map(MeshOrCloud::Mesh);
-    };
+    let shape = shape_of(path, bytes)?;
+    if shape.faces.is_some() {
+        return shape.into_mesh(path, unit_mm, frame, SurfaceOrigin::User).map(MeshOrCloud::Mesh);
+    }
+    let read = shape.into_cloud(path, unit_mm, frame)?;
     let (n, of) = (read.n_dropped, read.n_points_in_file);
     let mut notes: Vec<_> =
         (n > 0).then(|| format!("{n} of {of} points are not finite and were left out")).into_iter().collect();
@@ -59,22 +65,49 @@ fn read_in(path: &Path, bytes: &[u8], unit_mm: f64, frame: Frame) -> Result<Mesh
     Ok(MeshOrCloud::Cloud(read, notes))
 }
 
-fn is_pcd(bytes: &[u8]) -> bool {
-    bytes.starts_with(b"# .PCD") || bytes.starts_with(b"VERSION ")
+/// The content of a file in its own unit.
+pub(crate) fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    if bytes.starts_with(b"ply") {
+        return ply::shape(path, bytes);
+    }
+    if mesh_file::is_binary_stl(bytes) {
+        return mesh_file::shape(path, bytes);
+    }
+    if bytes.starts_with(vtk::MARK) {
+        return vtk::shape(path, bytes);
+    }
+    if pcd::is_pcd(bytes) {
+        return pcd::shape(path, bytes);
+    }
+    if let Some(message) = refused::refusal(bytes) {
+        return Err(FileError::content(path, "byte 0", message));
+    }
+    if !is_text(bytes) || starts_with_word(bytes, b"solid") {
+        return mesh_file::shape(path, bytes);
+    }
+    let text = String::from_utf8_lossy(bytes);
+    if obj::is_obj(bytes) {
+        return obj::shape(path, &text);
+    }
+    if off::is_off(bytes) {
+        return off::shape(path, &text);
+    }
+    cloud_text::shape(path, &text)
 }
 
-/// The whole as text, unless it is an STL, which may be text as well, or a PCD.
-fn text_of_numbers(bytes: &[u8]) -> Option<&str> {
-    let head = &bytes[..bytes.len().min(1024)];
-    let start = bytes.trim_ascii_start();
-    let is_stl = start.len() >= 5 && start[..5].eq_ignore_ascii_case(b"solid");
-    let is_text = head.iter().all(|&b| b >= b' ' || b.is_ascii_whitespace());
-    (is_text && !is_stl && !is_pcd(bytes) && !start.is_empty()).then(|| std::str::from_utf8(bytes).ok())?
+/// Whether the first kilobyte is text: a binary header is mostly zeros, and floats are not text.
+pub(crate) fn is_text(bytes: &[u8]) -> bool {
+    bytes.iter().take(1024).all(|&b| b >= b' ' || b.is_ascii_whitespace())
+}
+
+fn starts_with_word(bytes: &[u8], word: &[u8]) -> bool {
+    bytes.trim_ascii_start().get(..word.len()).is_some_and(|start| start.eq_ignore_ascii_case(word))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Space;
     use nalgebra::Point3;
 
     fn read(bytes: &[u8]) -> Result<MeshOrCloud, FileError> {
@@ -101,6 +134,71 @@ mod tests {
     }
 
     #[test]
+    fn a_stated_space_is_read_and_ras_is_turned_without_turning_the_faces_over() {
+        let mut stl = vec![0; 80];
+        stl[..25].copy_from_slice(b"3D Slicer output. SPACE=R");
+        stl[25..27].copy_from_slice(b"AS");
+        stl.extend(1_u32.to_le_bytes());
+        let corners = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 40.0, 0.0, 0.0, 0.0, 40.0, 0.0_f32];
+        stl.extend(corners.iter().flat_map(|c| c.to_le_bytes()));
+        stl.extend([0; 2]);
+        let faces = "element face 1\nproperty list uchar int vertex_indices\ncomment SPACE=RAS\n";
+        let ply = ply(faces) + "3 0 1 2\n";
+        let ascii = "solid SPACE=RAS\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 40 0 0\nvertex 0 40 0\nendloop\n\
+                     endfacet\nendsolid\n";
+        for bytes in [&stl[..], ply.as_bytes(), ascii.as_bytes()] {
+            let MeshOrCloud::Mesh(found) = read(bytes).unwrap() else { panic!("no mesh") };
+            assert_eq!(found.space, Space::Ras);
+            assert_eq!(found.mesh.vertices()[1..], [Point3::new(-40.0, 0.0, 0.0), Point3::new(0.0, -40.0, 0.0)]);
+            assert!(found.mesh.area_vector(0).z > 0.0);
+            assert_eq!(found.notes, ["the file states SPACE=RAS; x and y were negated, which gives LPS"]);
+        }
+        let contradictory = ply.replace("comment", "comment SPACE=LPS\ncomment");
+        let said = read(contradictory.as_bytes()).unwrap_err().to_string();
+        assert!(said.contains("line 10: SPACE=RAS contradicts SPACE=LPS before it"), "{said}");
+    }
+
+    #[test]
+    fn a_ply_with_more_than_its_header_counts_is_refused_or_noted() {
+        let said = |text: String| read(text.as_bytes()).unwrap_err().to_string();
+        let more = ply("") + "\n1 2 3\n";
+        assert!(said(more.clone()).contains("line 11: more lines follow than the header counts"), "{}", said(more));
+        let twice = ply("element vertex 1\nproperty float x\n");
+        assert!(said(twice.clone()).contains("line 7: the header names element \"vertex\" twice"), "{}", said(twice));
+        let twice = ply("property float x\n");
+        assert!(said(twice.clone()).contains("line 7: element \"vertex\" has two properties \"x\""), "{}", said(twice));
+        let head = "ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty double x\nproperty double y\n\
+                    property double z\nproperty uchar red\nend_header\n";
+        let mut bytes = head.as_bytes().to_vec();
+        bytes.extend([40.0_f64, 1.0, 2.0].iter().flat_map(|c| c.to_le_bytes()));
+        bytes.extend([7, 8, 9]);
+        let MeshOrCloud::Cloud(found, _) = read(&bytes).unwrap() else { panic!("no cloud") };
+        assert_eq!(found.notes, ["2 bytes follow the last element and were not read"]);
+        assert_eq!(&*found.cloud.extras()[0].1, [7.0]);
+    }
+
+    #[test]
+    fn a_file_of_each_format_is_recognised_by_its_content() {
+        let cloud = |text: &str| match read(text.as_bytes()).unwrap_or_else(|e| panic!("{e}\n{text}")) {
+            MeshOrCloud::Cloud(read, _) => read.cloud.points().to_vec(),
+            MeshOrCloud::Mesh(_) => panic!("a mesh: {text}"),
+        };
+        for text in [
+            "# a comment\nv 0 0 0\nv 40 1 2\n",
+            "# a comment\nOFF\n2 0 0\n0 0 0\n40 1 2\n",
+            "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\nPOINTS 2 float\n0 0 0 40 1 2\n",
+            "# .PCD v0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nPOINTS 2\nDATA ascii\n0 0 0\n40 1 2\n",
+            "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nDATA ascii\n0 0 0\n40 1 2\n",
+            "# a comment\n0 0 0\n40 1 2\n",
+        ] {
+            assert_eq!(cloud(text), [Point3::origin(), Point3::new(40.0, 1.0, 2.0)], "{text}");
+        }
+        // Comments may be in another encoding than UTF-8.
+        let latin = b"# Gr\xf6\xdfe\n0 0 0\n40 1 2\n";
+        assert!(matches!(read(latin), Ok(MeshOrCloud::Cloud(..))));
+    }
+
+    #[test]
     fn points_that_are_dropped_or_of_implausible_size_are_noted() {
         let MeshOrCloud::Cloud(_, notes) = read(b"0 0 0\n0.1 0.2 0\nnan 0 0\n").unwrap() else { panic!("no cloud") };
         let size = "the points span 0.224 mm, which is no size of a bone or phantom; is the file in metres? then give \
@@ -111,10 +209,9 @@ mod tests {
     #[test]
     fn a_format_that_is_not_read_is_named() {
         let said = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
-        assert!(said(b"# .PCD v0.7\nVERSION 0.7\n").contains("PCD is not read"), "{}", said(b"# .PCD v0.7\n"));
         assert!(said(b"solid a\nvertex\n").contains("line 2: a vertex has three numbers"));
-        assert!(said(b"v 1 2 3\nv 1 2 3\n").contains("no column is called \"x\""), "{}", said(b"v 1 2 3\n"));
-        assert!(said(b"").contains("0 bytes are too few"), "{}", said(b""));
+        assert!(said(b"w 1 2 3\nw 1 2 3\n").contains("no column is called \"x\""), "{}", said(b"w 1 2 3\n"));
+        assert!(said(b"").contains("byte 0: the file is empty"), "{}", said(b""));
         assert!(said(&[0; 200]).contains("no triangles"), "{}", said(&[0; 200]));
     }
 }

@@ -3,25 +3,97 @@
 //! Read by our own code because scanners write files that stricter readers refuse: `nan` for a pixel without depth, numbers such as
 //! `.5` and `1.`, CRLF, blank lines. Counts are checked against the bytes that follow before anything is allocated.
 
-use crate::FileError;
+use crate::{
+    FileError,
+    scalar::{self, Rows, Scalar},
+    shape::{Shape, fan, normal_columns},
+    space::StatedSpace,
+};
+use nalgebra::{Point3, Vector3};
 use std::path::Path;
 
-/// The elements of a file, in its order.
-pub(crate) struct Ply {
-    elements: Vec<Element>,
+/// The content of a PLY file: a surface if it has faces, otherwise a cloud.
+pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    let mut ply = Ply::parse(path, bytes)?;
+    let fault = |message: String| FileError::content(path, "header", message);
+    let vertex =
+        ply.element("vertex").ok_or_else(|| fault("there is no element \"vertex\", which holds the points".into()))?;
+    let place = |name: &str| {
+        vertex
+            .scalar(name)
+            .ok_or_else(|| fault(format!("the points have no \"{name}\"; there are: {}", vertex.property_names())))
+    };
+    let places = [place("x")?, place("y")?, place("z")?];
+    let normal_places = normal_columns(|name| vertex.scalar(name));
+    let mut shape = Shape {
+        points: vertex.triples::<Point3<f64>>(places),
+        normals: normal_places.map(|places| vertex.triples::<Vector3<f64>>(places)),
+        ..Shape::default()
+    };
+    if ply.element("tristrips").is_some_and(|strips| strips.count > 0) {
+        return Err(fault("element \"tristrips\" is not read; export the surface as triangles".into()));
+    }
+    if let Some(face) = ply.element("face").filter(|face| face.count > 0) {
+        shape.faces = Some(faces(path, face, vertex.count)?);
+    } else {
+        for (k, property) in vertex.properties.iter().enumerate() {
+            if places.contains(&k) || normal_places.is_some_and(|places| places.contains(&k)) {
+                continue;
+            }
+            match property.kind {
+                Kind::Scalar(_) => shape.extras.push((property.name.clone(), vertex.column(k))),
+                Kind::List(..) => {
+                    shape.notes.push(format!("the list \"{}\" of the points was left out", property.name));
+                }
+            }
+        }
+    }
+    shape.notes.append(&mut ply.notes);
+    shape.stated = ply.stated;
+    Ok(shape)
 }
 
-/// One kind of element: its scalar properties as columns, its list properties as runs.
-#[derive(Default)]
-pub(crate) struct Element {
-    pub(crate) name: String,
-    pub(crate) count: usize,
+fn faces(path: &Path, face: &Element, n_vertices: usize) -> Result<Vec<[u32; 3]>, FileError> {
+    // The two names that are in use.
+    let lists = ["vertex_indices", "vertex_index"].iter().find_map(|name| face.lists(name)).ok_or_else(|| {
+        let message = "the faces have no list \"vertex_indices\" or \"vertex_index\"; is it a surface?";
+        FileError::content(path, "header", message)
+    })?;
+    let mut faces = Vec::with_capacity(face.count);
+    let mut corners = Vec::new();
+    for (k, polygon) in lists.enumerate() {
+        if let Some(index) = polygon.iter().find(|i| i.fract() != 0.0 || !(0.0..n_vertices as f64).contains(*i)) {
+            let message = format!("it names vertex {index}, but there are {n_vertices}");
+            return Err(FileError::content(path, format!("face {k}"), message));
+        }
+        corners.clear();
+        corners.extend(polygon.iter().map(|&i| i as u32));
+        fan(&mut faces, &corners);
+    }
+    Ok(faces)
+}
+
+/// The elements of a file, in its order.
+struct Ply<'a> {
+    elements: Vec<Element<'a>>,
+    stated: StatedSpace,
+    notes: Vec<String>,
+}
+
+/// One kind of element.
+struct Element<'a> {
+    name: String,
+    count: usize,
     properties: Vec<Property>,
+    /// The bytes of a binary element of fixed size; the others are in the properties.
+    rows: Option<Rows<'a>>,
 }
 
 struct Property {
     name: String,
     kind: Kind,
+    /// Offset in a row of a binary element of fixed size.
+    offset: usize,
     values: Vec<f64>,
     /// For a list: where each element's run ends in `values`.
     ends: Vec<usize>,
@@ -29,20 +101,8 @@ struct Property {
 
 #[derive(Clone, Copy)]
 enum Kind {
-    Scalar(Type),
-    List(Type, Type),
-}
-
-#[derive(Clone, Copy)]
-enum Type {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
+    Scalar(Scalar),
+    List(Scalar, Scalar),
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -52,57 +112,81 @@ enum Encoding {
     Big,
 }
 
-impl Ply {
-    /// Reads all of a file's elements.
-    pub(crate) fn read(path: &Path) -> Result<Self, FileError> {
-        let bytes = std::fs::read(path).map_err(FileError::read(path))?;
-        Self::parse(path, &bytes)
-    }
-
-    pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Self, FileError> {
+impl<'a> Ply<'a> {
+    fn parse(path: &'a Path, bytes: &'a [u8]) -> Result<Self, FileError> {
         let mut lines = Lines { path, bytes, at: 0, line: 0 };
-        let (encoding, mut elements) = header(&mut lines)?;
+        let Header { encoding, mut elements, stated } = header(&mut lines)?;
         for element in &mut elements {
-            element.reserve(&lines, encoding)?;
+            element.check_size(&lines, encoding)?;
             match encoding {
                 Encoding::Ascii => element.read_ascii(&mut lines)?,
                 _ => element.read_binary(&mut lines, encoding == Encoding::Big)?,
             }
         }
-        Ok(Self { elements })
+        let mut notes = Vec::new();
+        let left = &lines.bytes[lines.at..];
+        if !left.trim_ascii().is_empty() {
+            if encoding == Encoding::Ascii {
+                let message = "more lines follow than the header counts; do header and data belong together?";
+                return Err(FileError::content(path, format!("line {}", lines.line + 1), message));
+            }
+            notes.push(format!("{} bytes follow the last element and were not read", left.len()));
+        }
+        Ok(Self { elements, stated, notes })
     }
 
-    /// The first element of that name.
-    pub(crate) fn element(&self, name: &str) -> Option<&Element> {
+    fn element(&self, name: &str) -> Option<&Element<'a>> {
         self.elements.iter().find(|e| e.name == name)
     }
 }
 
-impl Element {
+impl<'a> Element<'a> {
+    /// The place of a scalar property.
+    fn scalar(&self, name: &str) -> Option<usize> {
+        self.properties.iter().position(|p| p.name == name && matches!(p.kind, Kind::Scalar(_)))
+    }
+
     /// The values of a scalar property, one for each element.
-    pub(crate) fn scalars(&self, name: &str) -> Option<&[f64]> {
-        let found = self.properties.iter().find(|p| p.name == name && matches!(p.kind, Kind::Scalar(_)));
-        found.map(|p| p.values.as_slice())
+    fn column(&self, place: usize) -> Vec<f64> {
+        let property = &self.properties[place];
+        match (self.rows, property.kind) {
+            (Some(rows), Kind::Scalar(scalar)) => rows.column(scalar, property.offset),
+            _ => property.values.clone(),
+        }
+    }
+
+    /// Three scalar properties of each element.
+    fn triples<T: From<[f64; 3]>>(&self, places: [usize; 3]) -> Vec<T> {
+        let properties = places.map(|k| &self.properties[k]);
+        if let Some(rows) = self.rows
+            && let [Kind::Scalar(a), Kind::Scalar(b), Kind::Scalar(c)] = properties.map(|p| p.kind)
+            && a == b
+            && b == c
+        {
+            return rows.triples(a, properties.map(|p| p.offset));
+        }
+        let [x, y, z] = places.map(|k| self.column(k));
+        (0..self.count).map(|k| [x[k], y[k], z[k]].into()).collect()
     }
 
     /// The runs of a list property, one for each element.
-    pub(crate) fn lists(&self, name: &str) -> Option<impl Iterator<Item = &[f64]>> {
+    fn lists(&self, name: &str) -> Option<impl Iterator<Item = &[f64]>> {
         let property = self.properties.iter().find(|p| p.name == name && matches!(p.kind, Kind::List(..)))?;
         let starts = std::iter::once(0).chain(property.ends.iter().copied());
         Some(starts.zip(&property.ends).map(|(start, &end)| &property.values[start..end]))
     }
 
     /// The names of the properties, for messages.
-    pub(crate) fn property_names(&self) -> String {
+    fn property_names(&self) -> String {
         self.properties.iter().map(|p| p.name.as_str()).collect::<Vec<_>>().join(", ")
     }
 
-    /// Reserves memory, after checking that the file is long enough for the elements that its header announces.
-    fn reserve(&mut self, lines: &Lines, encoding: Encoding) -> Result<(), FileError> {
+    /// Checks that the file is long enough for the elements that its header announces.
+    fn check_size(&self, lines: &Lines, encoding: Encoding) -> Result<(), FileError> {
         if self.count > 0 && self.properties.is_empty() {
             return Err(lines.fault(format!("the header gives element \"{}\" no properties", self.name)));
         }
-        let size = |t: Type| if encoding == Encoding::Ascii { 2 } else { t.n_bytes() };
+        let size = |t: Scalar| if encoding == Encoding::Ascii { 2 } else { t.n_bytes() };
         let least: usize = self
             .properties
             .iter()
@@ -122,13 +206,11 @@ impl Element {
             );
             return Err(lines.fault(message));
         }
-        for property in &mut self.properties {
-            property.values.reserve(self.count);
-        }
         Ok(())
     }
 
     fn read_ascii(&mut self, lines: &mut Lines) -> Result<(), FileError> {
+        self.properties.iter_mut().for_each(|property| property.values.reserve(self.count));
         for index in 0..self.count {
             let text = loop {
                 match lines.next()? {
@@ -146,7 +228,7 @@ impl Element {
             let mut words = text.split_ascii_whitespace();
             let mut number = |name: &str| -> Result<f64, FileError> {
                 let word = words.next().ok_or_else(|| lines.fault(format!("no value for property \"{name}\"")))?;
-                word.parse().map_err(|_| lines.fault(format!("\"{word}\" is not a number for \"{name}\"")))
+                scalar::number(word).ok_or_else(|| lines.fault(format!("\"{word}\" is not a number for \"{name}\"")))
             };
             for property in &mut self.properties {
                 match property.kind {
@@ -175,7 +257,25 @@ impl Element {
         Ok(())
     }
 
-    fn read_binary(&mut self, lines: &mut Lines, big: bool) -> Result<(), FileError> {
+    fn read_binary(&mut self, lines: &mut Lines<'a>, big: bool) -> Result<(), FileError> {
+        let mut stride = 0;
+        let is_fixed = self.properties.iter_mut().all(|property| {
+            let Kind::Scalar(scalar) = property.kind else { return false };
+            property.offset = stride;
+            stride += scalar.n_bytes();
+            true
+        });
+        if is_fixed && stride > 0 {
+            // The size was checked, but for the one byte by which a text may be shorter.
+            let n = self.count * stride;
+            let bytes = lines.bytes.get(lines.at..lines.at + n).ok_or_else(|| {
+                lines.fault(format!("the file ends within the {} \"{}\"; was it cut short?", self.count, self.name))
+            })?;
+            lines.at += n;
+            self.rows = Some(Rows { bytes, stride, big });
+            return Ok(());
+        }
+        self.properties.iter_mut().for_each(|property| property.values.reserve(self.count));
         for index in 0..self.count {
             for property in &mut self.properties {
                 let cut = |lines: &Lines| {
@@ -207,28 +307,38 @@ impl Element {
     }
 }
 
-fn header(lines: &mut Lines) -> Result<(Encoding, Vec<Element>), FileError> {
+struct Header<'a> {
+    encoding: Encoding,
+    elements: Vec<Element<'a>>,
+    stated: StatedSpace,
+}
+
+fn header<'a>(lines: &mut Lines<'a>) -> Result<Header<'a>, FileError> {
     if lines.next()?.map(str::trim) != Some("ply") {
         return Err(lines.fault("a PLY file begins with the line \"ply\"; is it another kind of file?".into()));
     }
-    let (mut encoding, mut elements) = (None, Vec::<Element>::new());
+    let (mut encoding, mut elements, mut stated) = (None, Vec::<Element>::new(), StatedSpace::default());
     loop {
         let Some(text) = lines.next()? else {
             return Err(lines.fault("the header has no \"end_header\"; was the file cut short?".into()));
         };
         match text.split_ascii_whitespace().collect::<Vec<_>>()[..] {
-            [] | ["comment" | "obj_info", ..] => {}
+            [] => {}
+            ["comment" | "obj_info", ..] => stated.take(text).map_err(|message| lines.fault(message))?,
             ["format", "ascii", ..] => encoding = Some(Encoding::Ascii),
             ["format", "binary_little_endian", ..] => encoding = Some(Encoding::Little),
             ["format", "binary_big_endian", ..] => encoding = Some(Encoding::Big),
             ["element", name, count] => {
                 let count = count.parse().map_err(|_| lines.fault(format!("\"{count}\" is no count of elements")))?;
-                elements.push(Element { name: name.into(), count, properties: Vec::new() });
+                if elements.iter().any(|element| element.name == name) {
+                    return Err(lines.fault(format!("the header names element \"{name}\" twice")));
+                }
+                elements.push(Element { name: name.into(), count, properties: Vec::new(), rows: None });
             }
             ["property", ref words @ .., name] => {
                 let kind = match *words {
-                    [t] => Type::named(t).map(Kind::Scalar),
-                    ["list", count, item] => Type::named(count).zip(Type::named(item)).map(|(c, i)| Kind::List(c, i)),
+                    [t] => named(t).map(Kind::Scalar),
+                    ["list", count, item] => named(count).zip(named(item)).map(|(c, i)| Kind::List(c, i)),
                     _ => None,
                 };
                 let kind =
@@ -236,40 +346,32 @@ fn header(lines: &mut Lines) -> Result<(Encoding, Vec<Element>), FileError> {
                 let Some(element) = elements.last_mut() else {
                     return Err(lines.fault("a property precedes the first element".into()));
                 };
+                if element.properties.iter().any(|property| property.name == name) {
+                    return Err(lines.fault(format!("element \"{}\" has two properties \"{name}\"", element.name)));
+                }
                 let name = name.into();
-                element.properties.push(Property { name, kind, values: Vec::new(), ends: Vec::new() });
+                element.properties.push(Property { name, kind, offset: 0, values: Vec::new(), ends: Vec::new() });
             }
             ["end_header"] => break,
             _ => return Err(lines.fault(format!("\"{}\" is no line of a PLY header", text.trim()))),
         }
     }
     let encoding = encoding.ok_or_else(|| lines.fault("the header has no \"format\" line".into()))?;
-    Ok((encoding, elements))
+    Ok(Header { encoding, elements, stated })
 }
 
-impl Type {
-    fn named(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn n_bytes(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
+fn named(name: &str) -> Option<Scalar> {
+    Some(match name {
+        "char" | "int8" => Scalar::I8,
+        "uchar" | "uint8" => Scalar::U8,
+        "short" | "int16" => Scalar::I16,
+        "ushort" | "uint16" => Scalar::U16,
+        "int" | "int32" => Scalar::I32,
+        "uint" | "uint32" => Scalar::U32,
+        "float" | "float32" => Scalar::F32,
+        "double" | "float64" => Scalar::F64,
+        _ => return None,
+    })
 }
 
 /// A place in a file: lines while it is text, bytes behind a binary header.
@@ -297,25 +399,10 @@ impl<'a> Lines<'a> {
         text.map(|t| Some(t.trim_end_matches('\r'))).map_err(|()| self.fault("the line is no text".into()))
     }
 
-    fn number(&mut self, kind: Type, big: bool) -> Option<f64> {
-        let bytes = self.bytes.get(self.at..self.at + kind.n_bytes())?;
-        self.at += bytes.len();
-        macro_rules! read {
-            ($t:ty) => {{
-                let bytes = bytes.try_into().expect("as many bytes as the type has");
-                f64::from(if big { <$t>::from_be_bytes(bytes) } else { <$t>::from_le_bytes(bytes) })
-            }};
-        }
-        Some(match kind {
-            Type::I8 => read!(i8),
-            Type::U8 => read!(u8),
-            Type::I16 => read!(i16),
-            Type::U16 => read!(u16),
-            Type::I32 => read!(i32),
-            Type::U32 => read!(u32),
-            Type::F32 => read!(f32),
-            Type::F64 => read!(f64),
-        })
+    fn number(&mut self, scalar: Scalar, big: bool) -> Option<f64> {
+        let value = scalar.first(&self.bytes[self.at..], big)?;
+        self.at += scalar.n_bytes();
+        Some(value)
     }
 
     fn fault(&self, message: String) -> FileError {

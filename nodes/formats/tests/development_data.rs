@@ -3,7 +3,7 @@
 
 use nalgebra::{Point3, Vector3};
 use osteoflow_formats::{
-    cloud_file::read_cloud_ply,
+    cloud_file::{read_cloud as read_cloud_file, read_cloud_ply},
     foxglove_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
     mcap_read::{McapError, Recording},
     mesh_file::read_mesh,
@@ -176,4 +176,45 @@ fn a_scanner_cloud_reads_in_metres() {
     let read = read_cloud_ply(&data.join("scans/small_gicp_source.ply"), 1000.0, "sensor").unwrap();
     assert_eq!((read.n_points_in_file, read.n_dropped), (69_792, 0));
     assert_near_mm(read.cloud.points()[0], [4.045109264552593, 2575.1945972442627, -1527.2173881530762], 1e-6);
+}
+
+/// The first and last points of the clouds, mm.
+const BUN0: [[f64; 3]; 2] = [[5.4216, 113.49, 40.748999], [-77.930003, 175.16001, -44.399999]];
+const BUN4: [[f64; 3]; 2] = [[53.026, 113.49, 77.131], [-46.917, 80.411, 22.365]];
+const MILK: [[f64; 3]; 2] = [[-131.607607, -209.5429, 772.000015], [13.80667, -188.206702, 763.000011]];
+
+#[test]
+fn clouds_of_pcl_read_in_all_encodings() {
+    let Some(data) = data("clouds of PCL") else { return };
+    // Number of points, the first and the last, computed with NumPy and an LZF decoder of Python.
+    for (name, n, first, last) in [
+        ("pcl_bun0.pcd", 397, BUN0[0], BUN0[1]),
+        ("pcl_bun4.pcd", 361, BUN4[0], BUN4[1]),
+        ("pcl_milk.pcd", 13_704, MILK[0], MILK[1]),
+    ] {
+        let read = read_cloud_file(&data.join("scans").join(name), 1000.0, "sensor").unwrap();
+        assert_eq!((read.n_points_in_file, read.n_dropped, read.notes), (n, 0, vec![]), "{name}");
+        assert_near_mm(read.cloud.points()[0], first, 1e-3);
+        assert_near_mm(read.cloud.points()[n - 1], last, 1e-3);
+        assert_eq!(read.cloud.normals().is_some(), name == "pcl_bun0.pcd");
+        assert_eq!(read.cloud.extras().len(), usize::from(name == "pcl_bun0.pcd"), "curvature");
+    }
+}
+
+#[test]
+fn images_and_markups_are_refused_by_name() {
+    let Some(data) = data("images and markups") else { return };
+    for (name, expected) in [
+        ("medical/nibabel_anatomical.nii", "NIfTI is an image, not a surface"),
+        ("medical/pydicom_CT_small.dcm", "DICOM is an image, not a surface"),
+        ("medical/tlem2r_distal_ct.nii.gz", "gzip data is not read; unpack it"),
+        ("recordings/procedure_dev.mcap", "an MCAP recording is not read"),
+        ("markups/tlem2r_plan_LPS.mrk.json", "Slicer markups is not read; these are points, not a surface"),
+        ("markups/tlem2r_plan_RAS.fcsv", "Slicer markups is not read; these are points, not a surface"),
+        ("markups/tlem2r_plan.pp", "a list of picked points (.pp) is not read"),
+        ("mcap/bad_empty.mcap", "the file is empty"),
+    ] {
+        let said = read_cloud_file(&data.join(name), 1.0, "ct").unwrap_err().to_string();
+        assert!(said.contains(expected), "{said}");
+    }
 }

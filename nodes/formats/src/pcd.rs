@@ -1,0 +1,510 @@
+//! PCD, the format of the Point Cloud Library: ASCII, binary and compressed, with any fields.
+
+use crate::{
+    FileError,
+    scalar::{self, Rows, Scalar},
+    shape::Shape,
+    space::StatedSpace,
+};
+use std::path::Path;
+
+/// The most that LZF can unpack from one byte, rounded up: a copy of 264 bytes takes three.
+const LZF_RATIO: u64 = 100;
+
+/// Whether the first line that is no comment begins a header.
+pub(crate) fn is_pcd(bytes: &[u8]) -> bool {
+    let mut lines = bytes.split(|&b| b == b'\n').map(<[u8]>::trim_ascii).take(50);
+    let first = lines.find(|line| line.starts_with(b"# .PCD") || !(line.is_empty() || line.starts_with(b"#")));
+    first.is_some_and(|line| [&b"# .PCD"[..], b"VERSION ", b"FIELDS "].iter().any(|word| line.starts_with(word)))
+}
+
+/// One field of each point.
+struct Field {
+    name: String,
+    scalar: Scalar,
+    count: usize,
+    /// Offset in a point, bytes.
+    offset: usize,
+}
+
+#[derive(Default)]
+struct Header {
+    fields: Vec<Field>,
+    n_points: usize,
+    /// Bytes of a point.
+    stride: usize,
+    data: String,
+    stated: StatedSpace,
+    notes: Vec<String>,
+    /// The line and byte behind the header.
+    line: usize,
+    at: usize,
+}
+
+/// The cloud in a PCD file.
+pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    let mut header = header(path, bytes)?;
+    let at_byte = |message: String| FileError::content(path, format!("byte {}", header.at), message);
+    let body = &bytes[header.at..];
+    let n_bytes = header.n_points.checked_mul(header.stride).ok_or_else(|| {
+        at_byte(format!("{} points of {} bytes are more than a file can hold", header.n_points, header.stride))
+    })?;
+    let cut = |what: &str, expected: usize, found: usize| {
+        at_byte(format!("{what} needs {expected} bytes, but {found} are left; was the file cut short?"))
+    };
+    let mut notes = Vec::new();
+    let mut trailing = |n: usize| {
+        if n > 0 {
+            notes.push(format!("{n} bytes follow the last point and were not read"));
+        }
+    };
+    let columns = match header.data.as_str() {
+        "ascii" => ascii(path, &header, body)?,
+        "binary" => {
+            let points = body
+                .get(..n_bytes)
+                .ok_or_else(|| cut(&format!("the data of {} points", header.n_points), n_bytes, body.len()))?;
+            trailing(body.len() - n_bytes);
+            let rows = Rows { bytes: points, stride: header.stride, big: false };
+            columns(&header, |field, k| rows.column(field.scalar, field.offset + k * field.scalar.n_bytes()))
+        }
+        "binary_compressed" => {
+            let size = |k: usize| {
+                let size =
+                    body.get(4 * k..).and_then(|rest| rest.first_chunk()).map(|n| u32::from_le_bytes(*n) as usize);
+                size.ok_or_else(|| cut("the two sizes of compressed data", 8, body.len()))
+            };
+            let (n_packed, n_unpacked) = (size(0)?, size(1)?);
+            if n_unpacked != n_bytes {
+                return Err(at_byte(format!(
+                    "the data unpack to {n_unpacked} bytes, but {} points need {n_bytes}; is the header another file's?",
+                    header.n_points
+                )));
+            }
+            let packed =
+                body[8..].get(..n_packed).ok_or_else(|| cut("the compressed data", n_packed, body.len() - 8))?;
+            trailing(body.len() - 8 - n_packed);
+            let unpacked = lzf(packed, n_unpacked).map_err(|(at, message)| {
+                FileError::content(
+                    path,
+                    format!("byte {}", header.at + 8 + at),
+                    format!("{message}; is the file damaged?"),
+                )
+            })?;
+            // Field after field, not point after point.
+            columns(&header, |field, k| {
+                let n = field.scalar.n_bytes();
+                let (start, stride) = (field.offset * header.n_points, field.count * n);
+                let bytes = &unpacked[start..start + stride * header.n_points];
+                Rows { bytes, stride, big: false }.column(field.scalar, k * n)
+            })
+        }
+        other => {
+            let message = format!("DATA is \"{other}\"; ascii, binary or binary_compressed is expected");
+            return Err(FileError::content(path, format!("line {}", header.line), message));
+        }
+    };
+    let place = |name: &str| {
+        columns.iter().position(|(column, _)| column == name).ok_or_else(|| {
+            let names: Vec<&str> = header.fields.iter().map(|field| field.name.as_str()).collect();
+            FileError::content(
+                path,
+                "header",
+                format!("no field is called \"{name}\"; there are: {}", names.join(", ")),
+            )
+        })
+    };
+    let places = [place("x")?, place("y")?, place("z")?];
+    let mut shape = Shape::of_columns(columns, places);
+    shape.stated = std::mem::take(&mut header.stated);
+    shape.notes = header.notes;
+    shape.notes.append(&mut notes);
+    Ok(shape)
+}
+
+/// The columns of all fields but padding; a field of several numbers gives `name_0`, `name_1` and so on, and a packed
+/// colour gives `red`, `green` and `blue`.
+fn columns(header: &Header, mut column: impl FnMut(&Field, usize) -> Vec<f64>) -> Vec<(String, Vec<f64>)> {
+    let mut columns = Vec::new();
+    for field in header.fields.iter().filter(|field| field.name != "_") {
+        let is_colour =
+            matches!(field.name.as_str(), "rgb" | "rgba") && field.count == 1 && field.scalar.n_bytes() == 4;
+        for k in 0..field.count {
+            let values = column(field, k);
+            if is_colour {
+                let bits: Vec<u32> = values.iter().map(|&value| colour_bits(field.scalar, value)).collect();
+                for (name, shift) in [("red", 16), ("green", 8), ("blue", 0)] {
+                    columns.push((name.into(), bits.iter().map(|bits| f64::from((bits >> shift) & 0xff)).collect()));
+                }
+                continue;
+            }
+            let name = if field.count == 1 { field.name.clone() } else { format!("{}_{k}", field.name) };
+            columns.push((name, values));
+        }
+    }
+    columns
+}
+
+/// The bits of a packed colour: those of a whole number, or those of the float that they were stored as.
+fn colour_bits(scalar: Scalar, value: f64) -> u32 {
+    if scalar == Scalar::F32 && !(value >= 1.0 && value.fract() == 0.0) {
+        (value as f32).to_bits()
+    } else {
+        value as i64 as u32
+    }
+}
+
+fn ascii(path: &Path, header: &Header, body: &[u8]) -> Result<Vec<(String, Vec<f64>)>, FileError> {
+    let width: usize = header.fields.iter().map(|field| field.count).sum();
+    let fault = |line: usize, message: String| FileError::content(path, format!("line {line}"), message);
+    // Each number takes a digit and a blank.
+    if header.n_points.saturating_mul(width) > body.len().div_ceil(2) {
+        let message = format!(
+            "{} points are promised, but {} bytes are left; was the file cut short?",
+            header.n_points,
+            body.len()
+        );
+        return Err(fault(header.line, message));
+    }
+    let mut values: Vec<Vec<f64>> = vec![Vec::with_capacity(header.n_points); width];
+    let mut n_read = 0;
+    for (line, number) in body.split(|&b| b == b'\n').zip(header.line + 1..) {
+        let line = String::from_utf8_lossy(line);
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        if n_read == header.n_points {
+            return Err(fault(number, format!("more than the {n_read} points follow that the header counts")));
+        }
+        n_read += 1;
+        let mut words = line.split_ascii_whitespace();
+        for (k, column) in values.iter_mut().enumerate() {
+            let Some(word) = words.next() else {
+                return Err(fault(number, format!("{width} numbers are expected, this line has {k}")));
+            };
+            column.push(scalar::number(word).ok_or_else(|| fault(number, format!("\"{word}\" is not a number")))?);
+        }
+        if let Some(word) = words.next() {
+            return Err(fault(number, format!("\"{word}\" follows the {width} numbers of a point")));
+        }
+    }
+    if n_read < header.n_points {
+        let line = header.line + body.split(|&b| b == b'\n').count();
+        return Err(fault(
+            line,
+            format!("the file ends after {n_read} of {} points; was it cut short?", header.n_points),
+        ));
+    }
+    // The columns are taken in the order of the fields, padding as well.
+    let mut values = values.into_iter();
+    let mut by_field: Vec<Vec<Vec<f64>>> =
+        header.fields.iter().map(|field| values.by_ref().take(field.count).collect()).collect();
+    Ok(columns(header, |field, k| {
+        let place = header.fields.iter().position(|other| other.offset == field.offset).expect("it is one of them");
+        std::mem::take(&mut by_field[place][k])
+    }))
+}
+
+fn header(path: &Path, bytes: &[u8]) -> Result<Header, FileError> {
+    let mut header = Header::default();
+    let (mut sizes, mut types, mut counts) = (Vec::<usize>::new(), Vec::new(), None::<Vec<usize>>);
+    let (mut names, mut width, mut height, mut points) = (Vec::<String>::new(), None, None, None);
+    loop {
+        let rest = &bytes[header.at..];
+        header.line += 1;
+        let fault = |message: String| FileError::content(path, format!("line {}", header.line), message);
+        if rest.is_empty() {
+            return Err(fault("the header has no DATA line; was the file cut short?".into()));
+        }
+        let n = rest.iter().position(|&b| b == b'\n').unwrap_or(rest.len());
+        let line = String::from_utf8_lossy(&rest[..n]);
+        let line = line.trim();
+        let at = header.at + (n + 1).min(rest.len());
+        let mut words = line.split_ascii_whitespace();
+        let key = words.next().unwrap_or_default();
+        let words: Vec<&str> = words.collect();
+        let whole =
+            |word: &str| word.parse::<usize>().map_err(|_| fault(format!("\"{word}\" is not a count for {key}")));
+        let one = || match words[..] {
+            [word] => whole(word),
+            _ => Err(fault(format!("{key} has {} values, one is expected", words.len()))),
+        };
+        match key {
+            "" | "VERSION" => {}
+            _ if key.starts_with('#') => header.stated.take(line).map_err(&fault)?,
+            "FIELDS" | "COLUMNS" => names = words.iter().map(|&word| word.into()).collect(),
+            "SIZE" => sizes = words.iter().map(|word| whole(word)).collect::<Result<_, _>>()?,
+            "TYPE" => types = words.iter().map(|&word| word.to_owned()).collect(),
+            "COUNT" => counts = Some(words.iter().map(|word| whole(word)).collect::<Result<_, _>>()?),
+            "WIDTH" => width = Some(one()?),
+            "HEIGHT" => height = Some(one()?),
+            "POINTS" => points = Some(one()?),
+            "VIEWPOINT" => {
+                let values: Option<Vec<f64>> = words.iter().map(|word| scalar::number(word)).collect();
+                match values.as_deref() {
+                    Some([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) => {}
+                    Some(_) if words.len() == 7 => header.notes.push(format!(
+                        "VIEWPOINT is {}, not the identity; it was not applied to the points",
+                        words.join(" ")
+                    )),
+                    _ => return Err(fault("VIEWPOINT needs seven numbers: a position and a quaternion".into())),
+                }
+            }
+            "DATA" => {
+                header.data = words.first().map_or_else(String::new, |word| word.to_ascii_lowercase());
+                header.at = at;
+                break;
+            }
+            _ => return Err(fault(format!("\"{line}\" is no line of a PCD header"))),
+        }
+        header.at = at;
+    }
+    let fault = |message: String| FileError::content(path, format!("line {}", header.line), message);
+    if names.is_empty() {
+        return Err(fault("the header has no FIELDS".into()));
+    }
+    let counts = counts.unwrap_or_else(|| vec![1; names.len()]);
+    for (key, n) in [("SIZE", sizes.len()), ("TYPE", types.len()), ("COUNT", counts.len())] {
+        if n != names.len() {
+            return Err(fault(format!("{key} has {n} values for {} fields", names.len())));
+        }
+    }
+    if let Some(name) =
+        names.iter().enumerate().find(|(k, name)| *name != "_" && names[..*k].contains(name)).map(|(_, n)| n)
+    {
+        return Err(fault(format!("FIELDS names \"{name}\" twice")));
+    }
+    let mut offset = 0_usize;
+    for (k, name) in names.into_iter().enumerate() {
+        let scalar = match (types[k].as_str(), sizes[k]) {
+            ("I", 1) => Scalar::I8,
+            ("I", 2) => Scalar::I16,
+            ("I", 4) => Scalar::I32,
+            ("I", 8) => Scalar::I64,
+            ("U", 1) => Scalar::U8,
+            ("U", 2) => Scalar::U16,
+            ("U", 4) => Scalar::U32,
+            ("U", 8) => Scalar::U64,
+            ("F", 4) => Scalar::F32,
+            ("F", 8) => Scalar::F64,
+            (kind, size) => {
+                return Err(fault(format!(
+                    "field \"{name}\" has TYPE {kind} and SIZE {size}; I or U of 1 to 8, F of 4 or 8 is expected"
+                )));
+            }
+        };
+        let count = counts[k];
+        // A field of more numbers than the file has bytes cannot be there.
+        if count == 0 || count > bytes.len() {
+            return Err(fault(format!("field \"{name}\" has COUNT {count}")));
+        }
+        header.fields.push(Field { name, scalar, count, offset });
+        offset = offset.saturating_add(count.saturating_mul(scalar.n_bytes()));
+    }
+    header.stride = offset;
+    header.n_points = match (width, height, points) {
+        (Some(w), h, p) => {
+            let of = usize::checked_mul(w, h.unwrap_or(1));
+            if p.is_some_and(|p| Some(p) != of) {
+                let message =
+                    format!("POINTS is {}, but WIDTH × HEIGHT is {w} × {}", p.unwrap_or_default(), h.unwrap_or(1));
+                return Err(fault(message));
+            }
+            of.ok_or_else(|| fault(format!("WIDTH × HEIGHT is {w} × {}, more than a file can hold", h.unwrap_or(1))))?
+        }
+        (None, _, Some(p)) => p,
+        (None, _, None) => return Err(fault("the header has neither WIDTH nor POINTS".into())),
+    };
+    Ok(header)
+}
+
+/// Unpacks LZF data to exactly `n` bytes.
+///
+/// # Errors
+/// The byte and a message, if the data give more or fewer bytes, or copy from before their start.
+///
+/// # Source
+/// The format of Marc Lehmann's liblzf: a control byte below 32 is followed by one more literal bytes than it says; another
+/// holds in its upper three bits the length of a copy less two (7: a byte with a further length follows), and with the
+/// next byte how far back the copy begins.
+fn lzf(packed: &[u8], n: usize) -> Result<Vec<u8>, (usize, String)> {
+    if n as u64 > LZF_RATIO * packed.len() as u64 {
+        return Err((0, format!("{} bytes cannot unpack to the {n} bytes that are stated", packed.len())));
+    }
+    let mut out = Vec::with_capacity(n);
+    let mut at = 0;
+    while let Some(&control) = packed.get(at) {
+        let start = at;
+        let mut byte = || {
+            at += 1;
+            packed.get(at).map(|&b| usize::from(b)).ok_or((at, "the compressed data end within a copy".to_owned()))
+        };
+        let control = usize::from(control);
+        if control < 32 {
+            let literals = packed.get(at + 1..at + 2 + control);
+            out.extend(literals.ok_or((at, "the compressed data end within literal bytes".to_owned()))?);
+            at += 2 + control;
+        } else {
+            let length = match control >> 5 {
+                7 => 9 + byte()?,
+                short => 2 + short,
+            };
+            let back = ((control & 31) << 8) + byte()? + 1;
+            at += 1;
+            let from = out
+                .len()
+                .checked_sub(back)
+                .ok_or((start, format!("a copy begins {back} bytes back of {}", out.len())))?;
+            if length > n - out.len().min(n) {
+                return Err((start, format!("the data unpack to more than the {n} bytes that are stated")));
+            }
+            // A copy may overlap what it writes.
+            (from..from + length).for_each(|k| out.push(out[k]));
+        }
+        if out.len() > n {
+            return Err((start, format!("the data unpack to more than the {n} bytes that are stated")));
+        }
+    }
+    if out.len() < n {
+        return Err((at, format!("the data unpack to {} of the {n} bytes that are stated", out.len())));
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloud_file::CloudFileRead;
+    use nalgebra::{Point3, Vector3};
+
+    fn read(bytes: &[u8]) -> Result<CloudFileRead, FileError> {
+        let path = "a.pcd".as_ref();
+        shape(path, bytes)?.into_cloud(path, 1.0, "camera".into())
+    }
+
+    fn said(bytes: &[u8]) -> String {
+        read(bytes).unwrap_err().to_string()
+    }
+
+    const HEAD: &str = "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z id _ normal_x normal_y normal_z\n\
+                        SIZE 4 8 4 2 1 4 4 4\nTYPE F F I U U F F F\nCOUNT 1 1 1 2 3 1 1 1\nWIDTH 2\nHEIGHT 1\n\
+                        VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\n";
+
+    fn rows() -> [Vec<u8>; 2] {
+        [(1.5_f32, 2.25_f64, -3_i32, [7_u16, 8]), (4.5, 5.25, -6, [9, 65535])].map(|(x, y, z, id)| {
+            let mut row = Vec::new();
+            row.extend(x.to_le_bytes());
+            row.extend(y.to_le_bytes());
+            row.extend(z.to_le_bytes());
+            id.iter().for_each(|id| row.extend(id.to_le_bytes()));
+            row.extend([1, 2, 3]);
+            [0.0_f32, 0.0, 1.0].iter().for_each(|n| row.extend(n.to_le_bytes()));
+            row
+        })
+    }
+
+    /// The literal form of LZF, without copies.
+    fn literal(bytes: &[u8]) -> Vec<u8> {
+        bytes.chunks(32).flat_map(|chunk| std::iter::once(chunk.len() as u8 - 1).chain(chunk.iter().copied())).collect()
+    }
+
+    fn compressed() -> Vec<u8> {
+        let [a, b] = rows();
+        let mut columns = Vec::new();
+        for range in [0..4, 4..12, 12..16, 16..20, 20..23, 23..27, 27..31, 31..35] {
+            columns.extend(&a[range.clone()]);
+            columns.extend(&b[range]);
+        }
+        let packed = literal(&columns);
+        let mut bytes = format!("{HEAD}DATA binary_compressed\n").into_bytes();
+        bytes.extend((packed.len() as u32).to_le_bytes());
+        bytes.extend((columns.len() as u32).to_le_bytes());
+        bytes.extend(packed);
+        bytes
+    }
+
+    #[test]
+    fn the_same_cloud_is_read_from_all_three_encodings_with_fields_of_any_type() {
+        let ascii =
+            format!("{HEAD}DATA ascii\n1.5 2.25 -3 7 8 1 2 3 0 0 1\n4.5 5.25 -6 9 65535 1 2 3 0 0 1\n").into_bytes();
+        let mut binary = format!("{HEAD}DATA binary\n").into_bytes();
+        rows().iter().for_each(|row| binary.extend(row));
+        for bytes in [ascii, binary, compressed()] {
+            let found = read(&bytes).unwrap();
+            assert_eq!(found.cloud.points(), [Point3::new(1.5, 2.25, -3.0), Point3::new(4.5, 5.25, -6.0)]);
+            assert_eq!(found.cloud.normals(), Some(&[Vector3::z(); 2][..]));
+            let extras: Vec<(&str, &[f64])> = found.cloud.extras().iter().map(|(n, v)| (&**n, &**v)).collect();
+            assert_eq!(extras, [("id_0", &[7.0, 9.0][..]), ("id_1", &[8.0, 65535.0][..])]);
+            assert_eq!(found.notes, [""; 0]);
+        }
+    }
+
+    #[test]
+    fn an_organised_cloud_drops_its_points_without_depth_and_a_viewpoint_is_noted() {
+        let text = "VERSION .7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nWIDTH 2\nHEIGHT 2\nVIEWPOINT 0 0 5 1 0 0 0\n\
+                    # SPACE=LPS\nDATA ascii\n1 2 3 16711935\nnan nan nan 0\n-nan(ind) 0 0 0\n4 5 6 255\n";
+        let found = read(text.as_bytes()).unwrap();
+        assert_eq!((found.n_points_in_file, found.n_dropped, found.space), (4, 2, crate::Space::Lps));
+        assert_eq!(found.notes, ["VIEWPOINT is 0 0 5 1 0 0 0, not the identity; it was not applied to the points"]);
+        let red = &found.cloud.extras()[0];
+        assert_eq!((&*red.0, &*red.1), ("red", &[255.0, 0.0][..]));
+    }
+
+    #[test]
+    fn lzf_copies_are_unpacked_and_bounded() {
+        // "ab", then a copy of 7 bytes from 2 back, then a long copy of 9 + 1 bytes from 1 back.
+        let packed = [1, b'a', b'b', 5 << 5, 1, 7 << 5, 1, 0];
+        assert_eq!(lzf(&packed, 19).unwrap(), b"ababababaaaaaaaaaaa");
+        assert!(lzf(&packed, 18).unwrap_err().1.contains("more than the 18 bytes"));
+        assert!(lzf(&packed, 20).unwrap_err().1.contains("19 of the 20 bytes"));
+        assert_eq!(lzf(&packed[..7], 19).unwrap_err(), (7, "the compressed data end within a copy".into()));
+        assert_eq!(lzf(&[32, 0], 3).unwrap_err(), (0, "a copy begins 1 bytes back of 0".into()));
+        assert!(lzf(&[0], usize::MAX).unwrap_err().1.contains("cannot unpack"));
+    }
+
+    #[test]
+    fn a_broken_file_says_where_and_why() {
+        let binary = format!("{HEAD}DATA binary\n");
+        let ascii = format!("{HEAD}DATA ascii\n");
+        for (text, expected) in [
+            (
+                binary.clone() + "0123",
+                "byte 226: the data of 2 points needs 70 bytes, but 4 are left; was the file cut short?",
+            ),
+            (ascii.clone() + "1 2 3\n", "line 11: 2 points are promised, but 6 bytes are left"),
+            (
+                ascii.clone() + "1 2 3 70 80 1 2 3 0 0 1\n1 2 3 7 8 1 2 3 0 0\n",
+                "line 13: 11 numbers are expected, this line has 10",
+            ),
+            (ascii.clone() + &"1 2 3 7 8 1 2 3 0 0 1\n".repeat(3), "line 14: more than the 2 points follow"),
+            (
+                ascii.clone() + "1 2 3 7 8 1 2 3 0 0 1\n                      \n",
+                "line 14: the file ends after 1 of 2 points",
+            ),
+            (ascii.replace("POINTS 2", "POINTS 3"), "line 11: POINTS is 3, but WIDTH × HEIGHT is 2 × 1"),
+            (ascii.replace("SIZE 4", "SIZE 3"), "line 11: field \"x\" has TYPE F and SIZE 3"),
+            (ascii.replace("SIZE 4 8", "SIZE 4"), "line 11: SIZE has 7 values for 8 fields"),
+            (ascii.replace("FIELDS x y", "FIELDS x x"), "FIELDS names \"x\" twice"),
+            (
+                ascii.replace("FIELDS x", "FIELDS u").replace("POINTS 2", "POINTS 0").replace("WIDTH 2", "WIDTH 0"),
+                "no field is called \"x\"; there are: u, y",
+            ),
+            (ascii.replace("DATA ascii", "DATA zip"), "line 11: DATA is \"zip\""),
+            (HEAD.into(), "the header has no DATA line"),
+        ] {
+            let said = said(text.as_bytes());
+            assert!(said.contains(expected), "{expected}\n{said}");
+        }
+        let mut sizes = compressed();
+        let at = format!("{HEAD}DATA binary_compressed\n").len();
+        sizes[at + 4] = 71;
+        assert!(said(&sizes).contains("the data unpack to 71 bytes, but 2 points need 70"), "{}", said(&sizes));
+        let cut = compressed();
+        assert!(
+            said(&cut[..cut.len() - 1]).contains("the compressed data needs 73 bytes, but 72 are left"),
+            "{}",
+            said(&cut[..cut.len() - 1])
+        );
+    }
+}

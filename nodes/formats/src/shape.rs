@@ -1,0 +1,158 @@
+//! What every format holds: points, and where it has them normals, further columns and faces.
+
+use crate::{
+    FileError, Space,
+    cloud_file::CloudFileRead,
+    mesh_file::{MeshRead, size_note},
+    normals::unit_normals,
+    space::StatedSpace,
+};
+use nalgebra::{Point3, Vector3};
+use osteoflow_geometry::{Cloud, Frame, Mesh, MeshError, SurfaceOrigin};
+use std::path::Path;
+
+/// The content of a file in its own unit and space, with points that may be NaN.
+#[derive(Debug, Default)]
+pub(crate) struct Shape {
+    pub(crate) points: Vec<Point3<f64>>,
+    /// One for each point, of any length.
+    pub(crate) normals: Option<Vec<Vector3<f64>>>,
+    /// Further columns, one value for each point.
+    pub(crate) extras: Vec<(String, Vec<f64>)>,
+    /// None for a cloud.
+    pub(crate) faces: Option<Vec<[u32; 3]>>,
+    pub(crate) stated: StatedSpace,
+    pub(crate) notes: Vec<String>,
+}
+
+/// The names of the columns of normals that are in use.
+const NORMALS: [[&str; 3]; 2] = [["nx", "ny", "nz"], ["normal_x", "normal_y", "normal_z"]];
+
+/// The normals among the names, as places.
+pub(crate) fn normal_columns(mut place: impl FnMut(&str) -> Option<usize>) -> Option<[usize; 3]> {
+    NORMALS.iter().find_map(|names| {
+        let [x, y, z] = names.map(&mut place);
+        Some([x?, y?, z?])
+    })
+}
+
+impl Shape {
+    /// The shape of named columns of equal length: `x`, `y`, `z` at `places`, normals where they are named.
+    pub(crate) fn of_columns(mut columns: Vec<(String, Vec<f64>)>, places: [usize; 3]) -> Self {
+        let triple = |columns: &[(String, Vec<f64>)], places: [usize; 3]| -> Vec<[f64; 3]> {
+            let [x, y, z] = places.map(|k| &columns[k].1);
+            (0..x.len()).map(|k| [x[k], y[k], z[k]]).collect()
+        };
+        let points = triple(&columns, places).into_iter().map(Point3::from).collect();
+        let normal_places =
+            normal_columns(|name| columns.iter().position(|(column, _)| column.eq_ignore_ascii_case(name)));
+        let normals = normal_places.map(|places| triple(&columns, places).into_iter().map(Vector3::from).collect());
+        let mut k = 0;
+        columns.retain(|_| {
+            k += 1;
+            !places.contains(&(k - 1)) && !normal_places.is_some_and(|places| places.contains(&(k - 1)))
+        });
+        Self { points, normals, extras: columns, ..Self::default() }
+    }
+
+    /// Turns points and normals to LPS and points to mm, and gives the notes.
+    fn place(&mut self, unit_mm: f64) -> (Space, Vec<String>) {
+        let StatedSpace { space, note } = std::mem::take(&mut self.stated);
+        let sign = space.x_y_sign();
+        let factors = Vector3::new(sign * unit_mm, sign * unit_mm, unit_mm);
+        if factors != Vector3::repeat(1.0) {
+            self.points.iter_mut().for_each(|p| p.coords.component_mul_assign(&factors));
+        }
+        let mut notes = std::mem::take(&mut self.notes);
+        notes.extend(note);
+        if space == Space::Ras {
+            for normal in self.normals.iter_mut().flatten() {
+                (normal.x, normal.y) = (-normal.x, -normal.y);
+            }
+            notes.push("the file states SPACE=RAS; x and y were negated, which gives LPS".into());
+        }
+        (space, notes)
+    }
+
+    /// The points that are finite, with their normals and further columns.
+    pub(crate) fn into_cloud(mut self, path: &Path, unit_mm: f64, frame: Frame) -> Result<CloudFileRead, FileError> {
+        let n_points_in_file = self.points.len();
+        let is_finite = |p: &Point3<f64>| p.x.is_finite() && p.y.is_finite() && p.z.is_finite();
+        if !self.points.iter().all(is_finite) {
+            let keep: Vec<bool> = self.points.iter().map(is_finite).collect();
+            retain(&mut self.points, &keep);
+            self.normals.iter_mut().for_each(|normals| retain(normals, &keep));
+            self.extras.iter_mut().for_each(|(_, values)| retain(values, &keep));
+        }
+        let n_dropped = n_points_in_file - self.points.len();
+        let (space, mut notes) = self.place(unit_mm);
+        let mut cloud = Cloud::new(frame, self.points).map_err(|_| {
+            FileError::content(path, "points", format!("a coordinate overflows with unit_mm = {unit_mm}"))
+        })?;
+        if let Some(normals) = self.normals {
+            let (normals, normal_notes) = unit_normals(normals);
+            notes.extend(normal_notes);
+            if let Some(normals) = normals {
+                cloud = cloud.with_normals(normals).expect("each kept point has its unit normal");
+            }
+        }
+        for (name, values) in self.extras {
+            cloud = cloud.with_extra(name, values).expect("each kept point has its value");
+        }
+        Ok(CloudFileRead { cloud, n_points_in_file, n_dropped, space, notes })
+    }
+
+    /// The surface.
+    pub(crate) fn into_mesh(
+        mut self,
+        path: &Path,
+        unit_mm: f64,
+        frame: Frame,
+        origin: SurfaceOrigin,
+    ) -> Result<MeshRead, FileError> {
+        let Some(faces) = self.faces.take() else {
+            let message = format!(
+                "the file holds {} points and no faces, but a surface is needed; export the bone as triangles",
+                self.points.len()
+            );
+            return Err(FileError::content(path, "surface", message));
+        };
+        let (space, mut notes) = self.place(unit_mm);
+        let vertices = self.points;
+        let n_faces = faces.len();
+        let is_proper = |&[a, b, c]: &[u32; 3]| {
+            // A corner that is not there is for the mesh to name.
+            let corner = |i: u32| vertices.get(i as usize);
+            let (Some(a), Some(b), Some(c)) = (corner(a), corner(b), corner(c)) else { return true };
+            (b - a).cross(&(c - a)) != Vector3::zeros()
+        };
+        let faces: Vec<[u32; 3]> = faces.into_iter().filter(is_proper).collect();
+        let n_degenerate = n_faces - faces.len();
+        let mesh = Mesh::new(frame, origin, vertices, faces).map_err(|error| {
+            let advice = match error {
+                MeshError::Empty => "give the bone's surface, not its points",
+                _ => "export the surface again",
+            };
+            FileError::content(path, "surface", format!("{error}; {advice}"))
+        })?;
+        if n_degenerate > 0 {
+            notes.push(format!("{n_degenerate} of {n_faces} faces have no area and were left out"));
+        }
+        notes.extend(size_note(mesh.vertices(), "surface spans"));
+        Ok(MeshRead { mesh, n_degenerate, space, notes })
+    }
+}
+
+fn retain<T>(values: &mut Vec<T>, keep: &[bool]) {
+    let mut keep = keep.iter();
+    values.retain(|_| *keep.next().expect("one for each value"));
+}
+
+/// The triangles of a polygon as a fan around its first corner; one without an area if it has fewer than three corners.
+pub(crate) fn fan(faces: &mut Vec<[u32; 3]>, corners: &[u32]) {
+    match corners {
+        [] => faces.push([0; 3]),
+        &[a] | &[a, _] => faces.push([a; 3]),
+        &[a, ref rest @ ..] => faces.extend(rest.windows(2).map(|w| [a, w[0], w[1]])),
+    }
+}
