@@ -529,7 +529,7 @@ fn two_files_need_no_start_and_what_comes_out_is_named_by_its_ending() {
         ("pose.ply", "no pose is written so; end it with .txt (the matrix), .json (the whole answer) or .tfm"),
         (
             "pose.tfm",
-            "a .tfm is always LPS, and meshes and clouds seldom say in which space their numbers are; give --space",
+            "pose.tfm: a .tfm is always LPS, and bone.stl and scan.ply do not state the space of their numbers; give --space",
         ),
     ] {
         let stderr = case.fault(2, &["bone.stl", "scan.ply", "--out", file]);

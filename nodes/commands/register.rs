@@ -175,9 +175,9 @@ pub(crate) struct Register {
     #[arg(long, value_name = "FILE")]
     write_source: Option<PathBuf>,
 
-    /// The space of the numbers in TARGET and SOURCE, for a .tfm, which is always LPS.
+    /// The space of the numbers in TARGET and SOURCE where they do not state it, for a .tfm, which is always LPS.
     #[arg(long, value_enum, ignore_case = true, value_name = "LPS|RAS")]
-    space: Option<Space>,
+    space: Option<SpaceOption>,
 
     /// Write every step into a CSV. Nothing is overwritten.
     #[arg(long, value_name = "FILE")]
@@ -186,7 +186,7 @@ pub(crate) struct Register {
 
 /// The anatomical space of coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Space {
+enum SpaceOption {
     /// Left, posterior, superior: DICOM's, and that of STL and PLY files in 3D Slicer.
     Lps,
     /// Right, anterior, superior: NIfTI's, and what 3D Slicer shows.
@@ -224,12 +224,13 @@ impl Register {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let method = method::named(&self.method);
         let Some(params) = self.params(method, global)? else { return Ok(Exit::Usage) };
-        let files = files::OutFiles::of(self)?;
+        let mut files = files::OutFiles::of(self)?;
         self.trace.iter().try_for_each(|file| refuse_existing(file))?;
         let workers = self.workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
         let pool = pool.build().context("no threads for the registration")?;
         let inputs = Arc::new(pool.install(|| Inputs::read(self, method, params.method.pairing()))?);
+        files.check_space(self, &inputs)?;
         if global.format == Format::Text && !global.quiet {
             for note in &inputs.notes {
                 writeln!(std::io::stderr(), "{}: {note}", global.paint_err("note", "1"))?;

@@ -38,6 +38,9 @@ pub(super) struct Found {
     centre_mm: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     normals: Option<bool>,
+    /// LPS or RAS where the file states it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    space: Option<String>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     columns: Vec<String>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -84,6 +87,7 @@ impl Found {
         lines.extend(self.extent_mm.map(|mm| ("extent", edges(mm))));
         lines.extend(self.centre_mm.map(|[x, y, z]| ("centre", format!("{x:.2}, {y:.2}, {z:.2} mm"))));
         lines.extend(self.normals.map(|has| ("normals", if has { "yes" } else { "no" }.to_owned())));
+        lines.extend(self.space.clone().map(|space| ("space", space)));
         lines.extend((!self.columns.is_empty()).then(|| ("columns", self.columns.join(", "))));
         lines.extend((!self.labels.is_empty()).then(|| ("named", self.labels.join(", "))));
         lines.extend(self.n_planes.map(|n| ("planes", n.to_string())));
@@ -154,6 +158,7 @@ fn shape(file: &Path, bytes: &[u8]) -> Result<Found> {
             kind: "mesh",
             about: "a surface of triangles".into(),
             n_faces: Some(read.mesh.faces().len()),
+            space: Some(read.space.to_string()),
             notes: read.notes,
             used_by: vec![
                 format!("osteoflow register {name} SCAN"),
@@ -167,6 +172,7 @@ fn shape(file: &Path, bytes: &[u8]) -> Result<Found> {
             about: "a cloud of points".into(),
             n_dropped: Some(read.n_dropped),
             normals: Some(read.cloud.normals().is_some()),
+            space: Some(read.space.to_string()),
             columns: read.cloud.extras().iter().map(|(column, _)| column.to_string()).collect(),
             notes,
             used_by: vec![

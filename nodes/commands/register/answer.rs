@@ -1,7 +1,7 @@
 //! The answer of `register`: text, JSON, files and warnings.
 
 use super::{
-    Params, Register, Space, Stop,
+    Params, Register, Stop,
     align::{Aligned, Ended},
     files::{Form, OutFiles, itk_file},
     inputs::Inputs,
@@ -218,8 +218,7 @@ impl Answer<'_> {
             ),
             self.made_by(aligned),
         ];
-        let space = self.register.space.unwrap_or(Space::Lps);
-        itk_file(&aligned.fit.t_target_source, space, &comments)
+        itk_file(&aligned.fit.t_target_source, self.inputs.spaces(self.register.space), &comments)
     }
 
     /// The matrix as text, with comments.

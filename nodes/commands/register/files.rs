@@ -1,13 +1,13 @@
 //! The files that `register` writes: the pose in several forms, and the moved source with its residuals.
 
-use super::{Register, Space, refuse_existing, write_new};
+use super::{Register, SpaceOption, inputs::Inputs, refuse_existing, write_new};
 use crate::commands::UsageError;
 use anyhow::{Context, Result};
 use osteoflow_algorithms::target::Target;
-use osteoflow_formats::{cloud_file, pose_file::itk_text};
+use osteoflow_formats::{Space, cloud_file, pose_file::itk_text};
 use osteoflow_geometry::{
     Cloud,
-    nalgebra::{Isometry3, Point3, Quaternion, Unit},
+    nalgebra::{Isometry3, Point3, Quaternion, Unit, UnitQuaternion},
 };
 use std::{
     fs,
@@ -43,12 +43,12 @@ impl OutFiles {
         let mut files = Self { folder: None, poses: Vec::new(), source: asked.write_source.clone() };
         if let Some(out) = &asked.out {
             match out.extension() {
-                Some(_) => files.poses.push((out.clone(), form_of(out, asked)?)),
+                Some(_) => files.poses.push((out.clone(), form_of(out)?)),
                 None => {
                     files.folder = Some(out.clone());
                     files.poses.push((out.join("pose.txt"), Form::Text));
                     files.poses.push((out.join("pose.json"), Form::Json));
-                    files.poses.extend(asked.space.map(|_| (out.join("pose.tfm"), Form::Itk)));
+                    files.poses.push((out.join("pose.tfm"), Form::Itk));
                     files.source.get_or_insert_with(|| out.join("source.ply"));
                 }
             }
@@ -59,6 +59,33 @@ impl OutFiles {
         }
         files.poses.iter().map(|(file, _)| file).chain(&files.source).try_for_each(|file| refuse_existing(file))?;
         Ok(files)
+    }
+
+    /// Leaves out the transform of a folder if the space of a file is not known.
+    ///
+    /// # Errors
+    /// The transform was asked for by its name.
+    pub(super) fn check_space(&mut self, asked: &Register, inputs: &Inputs) -> Result<()> {
+        let spaces = inputs.spaces(asked.space);
+        let unknown = [(&asked.target, spaces[0]), (&asked.source, spaces[1])]
+            .map(|(file, space)| (space == Space::Unknown).then(|| file.display().to_string()));
+        let unknown: Vec<String> = unknown.into_iter().flatten().collect();
+        if unknown.is_empty() {
+            return Ok(());
+        }
+        if self.folder.is_some() {
+            self.poses.retain(|(_, form)| *form != Form::Itk);
+        }
+        let Some((file, _)) = self.poses.iter().find(|(_, form)| *form == Form::Itk) else { return Ok(()) };
+        let message = format!(
+            "{}: a .tfm is always LPS, and {}; give --space LPS, as 3D Slicer takes such files, or --space RAS",
+            file.display(),
+            match &unknown[..] {
+                [one] => format!("{one} does not state the space of its numbers"),
+                both => format!("{} do not state the space of their numbers", both.join(" and ")),
+            }
+        );
+        Err(UsageError(message).into())
     }
 
     /// Every file, in the order in which they are written.
@@ -81,16 +108,11 @@ impl OutFiles {
     }
 }
 
-fn form_of(file: &Path, asked: &Register) -> Result<Form> {
+fn form_of(file: &Path) -> Result<Form> {
     match ending(file).as_str() {
         "txt" => Ok(Form::Text),
         "json" => Ok(Form::Json),
-        "tfm" if asked.space.is_some() => Ok(Form::Itk),
-        "tfm" => {
-            let message = "a .tfm is always LPS, and meshes and clouds seldom say in which space their numbers are; give --space \
-                           LPS if those of TARGET and SOURCE are LPS, as 3D Slicer takes them, or --space RAS";
-            Err(UsageError(format!("{}: {message}", file.display())).into())
-        }
+        "tfm" => Ok(Form::Itk),
         other => {
             let message = "no pose is written so; end it with .txt (the matrix), .json (the whole answer) or .tfm (3D Slicer), or \
                            name a folder";
@@ -103,17 +125,24 @@ fn ending(file: &Path) -> String {
     file.extension().map(|end| end.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 
-/// The pose as an ITK transform, in LPS whatever the space of the files.
-pub(super) fn itk_file(t_target_source: &Isometry3<f64>, space: Space, comments: &[String]) -> String {
-    let in_lps = match space {
-        Space::Lps => *t_target_source,
-        Space::Ras => {
-            // Half a turn about z takes RAS to LPS and back.
-            let turn = Unit::new_unchecked(Quaternion::new(0.0, 0.0, 0.0, 1.0));
-            turn * t_target_source * turn.inverse()
-        }
-    };
-    itk_text(&in_lps, comments)
+/// The pose as an ITK transform, in LPS; `spaces` are those of the numbers of target and source.
+pub(super) fn itk_file(t_target_source: &Isometry3<f64>, spaces: [Space; 2], comments: &[String]) -> String {
+    // Half a turn about z takes RAS to LPS and back.
+    let [target, source] = spaces.map(|space| match space {
+        Space::Ras => Unit::new_unchecked(Quaternion::new(0.0, 0.0, 0.0, 1.0)),
+        Space::Lps | Space::Unknown => UnitQuaternion::identity(),
+    });
+    itk_text(&(target * t_target_source * source), comments)
+}
+
+/// The space in which the numbers of a file are once read, LPS where the file states one; `option` is for those that do not.
+pub(super) fn space_of(stated: Space, option: Option<SpaceOption>) -> Space {
+    match (stated, option) {
+        (Space::Lps | Space::Ras, _) => Space::Lps,
+        (Space::Unknown, Some(SpaceOption::Lps)) => Space::Lps,
+        (Space::Unknown, Some(SpaceOption::Ras)) => Space::Ras,
+        (Space::Unknown, None) => Space::Unknown,
+    }
 }
 
 /// The source moved to the target, with each point's distance from its surface, positive outside, mm.

@@ -1,6 +1,6 @@
 //! Reading the target, the source and the start.
 
-use super::{Register, method::Method, start::Start};
+use super::{Register, SpaceOption, files::space_of, method::Method, start::Start};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_algorithms::{
     field::{ClosestPointField, FieldParams},
@@ -11,7 +11,7 @@ use osteoflow_algorithms::{
 };
 use osteoflow_engine::store::{Key, Store};
 use osteoflow_formats::{
-    FileError,
+    FileError, Space,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     pose_file,
 };
@@ -70,6 +70,8 @@ pub(super) struct TargetFile {
     estimates: bool,
     /// Whether the pairing needs a closest-point field.
     with_field: bool,
+    /// What the file states of its coordinates.
+    space: Space,
     /// Where to store the prepared target for the next run.
     entry: Option<(Arc<Store>, Key)>,
 }
@@ -90,6 +92,8 @@ enum TargetContent {
 pub(super) struct SourceFile {
     /// Points, with normals if the file has them, and the camera as viewpoint if given.
     cloud: Cloud,
+    /// What the file states of its coordinates.
+    space: Space,
     /// Number of points that were not finite.
     n_dropped: usize,
     is_surface: bool,
@@ -131,6 +135,11 @@ impl Inputs {
         };
         load.init = ms_since(began);
         Ok(Self { target, source, start, notes, load })
+    }
+
+    /// The spaces of the numbers of target and source.
+    pub(super) fn spaces(&self, option: Option<SpaceOption>) -> [Space; 2] {
+        [self.target.space, self.source.space].map(|stated| space_of(stated, option))
     }
 }
 
@@ -183,12 +192,17 @@ impl TargetFile {
             let serves = |target: &Target| if needs.normals { target.normals().is_some() } else { !estimates };
             if let Some(target) = stored.filter(serves) {
                 load.target = ms_since(began);
-                return Ok(Self { content: TargetContent::Stored(target), estimates, with_field, entry: None });
+                let (content, space) = (TargetContent::Stored(target), Space::Unknown);
+                return Ok(Self { content, estimates, with_field, space, entry: None });
             }
         }
         let n_notes = notes.len();
         let shape = shape(&asked.target, &bytes, unit_mm, TARGET, "target", notes)?;
         load.target = ms_since(began);
+        let space = match &shape {
+            MeshOrCloud::Mesh(read) => read.space,
+            MeshOrCloud::Cloud(read, _) => read.space,
+        };
 
         let began = Instant::now();
         let (points, normals, mesh) = match shape {
@@ -203,9 +217,9 @@ impl TargetFile {
         };
         load.sample = ms_since(began);
         let estimates = normals.is_none() && needs.normals;
-        // A file with notes is not stored, so that the next run repeats them.
-        let entry = entry(estimates).filter(|_| notes.len() == n_notes);
-        Ok(Self { content: TargetContent::Read { points, normals, mesh }, estimates, with_field, entry })
+        // A file with notes or a stated space is not stored, so that the next run repeats them.
+        let entry = entry(estimates).filter(|_| notes.len() == n_notes && space == Space::Unknown);
+        Ok(Self { content: TargetContent::Read { points, normals, mesh }, estimates, with_field, space, entry })
     }
 
     /// The target with the structures that method and pairing need.
@@ -305,19 +319,19 @@ fn field(target: &Target, mesh: Option<&MeshQuery>) -> Result<ClosestPointField>
 
 impl SourceFile {
     fn of(shape: MeshOrCloud, camera: Option<Point3<f64>>, notes: &mut Vec<String>, file: &Path) -> Result<Self> {
-        let (cloud, n_dropped, is_surface) = match shape {
+        let (cloud, space, n_dropped, is_surface) = match shape {
             MeshOrCloud::Mesh(read) => {
                 notes.push(format!("{}: a surface; its vertices are taken as the points", file.display()));
-                (Cloud::new(SOURCE, read.mesh.vertex_column().clone())?, 0, true)
+                (Cloud::new(SOURCE, read.mesh.vertex_column().clone())?, read.space, 0, true)
             }
-            MeshOrCloud::Cloud(read, _) => (read.cloud, read.n_dropped, false),
+            MeshOrCloud::Cloud(read, _) => (read.cloud, read.space, read.n_dropped, false),
         };
         let cloud = match camera {
             // Only the camera's position is used.
             Some(camera) => cloud.seen_from(Isometry3::from(camera.coords)),
             None => cloud,
         };
-        Ok(Self { cloud, n_dropped, is_surface })
+        Ok(Self { cloud, space, n_dropped, is_surface })
     }
 
     pub(super) fn cloud(&self) -> &Cloud {
