@@ -5,6 +5,7 @@ mod answer;
 mod files;
 mod inputs;
 mod judge;
+mod landmarks;
 mod method;
 mod start;
 mod trace;
@@ -52,6 +53,7 @@ use std::{
 Examples:
   osteoflow register bone.stl scan.ply                        starts by the shape of the bone alone
   osteoflow register bone.stl scan.ply --out DIR              and writes pose and moved scan
+  osteoflow register bone.stl scan.ply --landmarks plan.mrk.json picked.txt
   osteoflow register bone.stl scan.ply --init init.txt
   osteoflow register bone.stl scan.ply --init coarse.tfm --method point_to_point -v
   osteoflow register bone.stl scan.xyz --source-unit-mm 1000 --camera 0,0,0 --out pose.txt
@@ -84,6 +86,11 @@ pub(crate) struct Register {
     /// 3D Slicer shows it), a file of --out, or the word identity. Default: by the shape of the bone alone.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
+
+    /// Start from three or more points picked in TARGET and in SOURCE, matched by name: Slicer markups (.mrk.json, .fcsv), a
+    /// picking list of CloudCompare, MeshLab .pp, CSV (label,x,y,z) or text.
+    #[arg(long, num_args = 2, value_names = ["TARGET_POINTS", "SOURCE_POINTS"], conflicts_with = "init")]
+    landmarks: Option<Vec<PathBuf>>,
 
     /// The residual to minimise.
     #[arg(long, default_value = method::DEFAULT, value_name = "METHOD",

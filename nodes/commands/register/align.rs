@@ -5,6 +5,7 @@ use super::{
     files::moved_source,
     inputs::{Inputs, ms_since},
     judge::{Judge, Judged},
+    landmarks::off_surface,
     method::Method,
     start::Started,
 };
@@ -58,6 +59,8 @@ pub(super) enum Ended {
 /// A fit and its timings.
 pub(super) struct Aligned {
     pub(super) fit: IcpFit,
+    /// A doubt about the picked points.
+    pub(super) doubt: Option<String>,
     /// The moved source with its residuals, if it is written.
     pub(super) moved: Option<Cloud>,
     pub(super) started: Started,
@@ -138,13 +141,14 @@ impl Work {
             }
         }
         let (Some((target, fit)), Some(started)) = (first, started) else { return Ended::Interrupted };
+        let doubt = off_surface(&target, self.inputs.start.landmarks().0);
         let judged = self.judge.map(|judge| judge.judge(&target, &self.inputs, &started, &fit));
         let moved = self.moves_source.then(|| moved_source(&target, self.inputs.source.cloud(), &fit.t_target_source));
         let moved = match moved.transpose() {
             Ok(moved) => moved,
             Err(error) => return Ended::Refused(error.to_string()),
         };
-        Ended::Fit(Box::new(Aligned { fit, moved, started, timings, same_bits, judged }))
+        Ended::Fit(Box::new(Aligned { fit, doubt, moved, started, timings, same_bits, judged }))
     }
 }
 

@@ -90,7 +90,7 @@ impl Answer<'_> {
 
     fn warnings(&self, aligned: &Aligned) -> Vec<String> {
         let report = &aligned.fit.report;
-        let mut warnings = Vec::new();
+        let mut warnings: Vec<String> = aligned.doubt.iter().cloned().collect();
         if !report.converged && self.register.stop == Stop::Converge {
             let left = report.remaining_mm.map_or_else(String::new, |mm| format!("; about {} mm remain", short(mm)));
             warnings.push(format!("not converged: {}{left}", stop_reason(report.stop_reason)));

@@ -1,6 +1,12 @@
 //! Reading the target, the source and the start.
 
-use super::{Register, SpaceOption, files::space_of, method::Method, start::Start};
+use super::{
+    Register, SpaceOption,
+    files::space_of,
+    landmarks::{self, Picked},
+    method::Method,
+    start::Start,
+};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_algorithms::{
     field::{ClosestPointField, FieldParams},
@@ -124,14 +130,20 @@ impl Inputs {
         load.source = ms_since(began);
 
         let began = Instant::now();
-        let start = match &asked.init {
-            Some(word) if word.as_os_str() == IDENTITY => Start::Pose(Isometry3::identity()),
-            Some(file) => {
+        let start = match (&asked.init, asked.landmarks.as_deref()) {
+            (None, Some([of_target, of_source])) => {
+                let picked = [(of_target, target.space), (of_source, source.space)];
+                let picked = picked.map(|(file, stated)| Picked { file, stated });
+                let units = [unit(asked.target_unit_mm), unit(asked.source_unit_mm)];
+                landmarks::read(picked, units, asked.space, &mut notes)?
+            }
+            (Some(word), _) if word.as_os_str() == IDENTITY => Start::Pose(Isometry3::identity()),
+            (Some(file), _) => {
                 let read = pose_file::read_pose(file, unit(asked.init_unit_mm)).map_err(without_cause)?;
                 notes.extend(read.notes.iter().map(|note| format!("{}: {note}", file.display())));
                 Start::Pose(read.isometry)
             }
-            None => Start::Shape,
+            (None, _) => Start::Shape,
         };
         load.init = ms_since(began);
         Ok(Self { target, source, start, notes, load })

@@ -14,7 +14,6 @@ pub(super) enum Start {
     /// It is given.
     Pose(Isometry3<f64>),
     /// From points picked in both files, paired by name.
-    #[expect(dead_code, reason = "the option follows with the readers of picked points")]
     Landmarks {
         /// In the target.
         target: Vec<NamedPoint>,
