@@ -1,8 +1,8 @@
 //! Point clouds in files.
 
-use crate::{FileError, Space, mesh_or_cloud::shape_of, ply};
+use crate::{FileError, Space, mesh_or_cloud::shape_of, ply, write};
 use osteoflow_geometry::{Cloud, Frame};
-use std::{fmt::Write as _, path::Path};
+use std::path::Path;
 
 /// A cloud read from a file.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,29 +50,9 @@ pub fn read_cloud_ply(path: &Path, unit_mm: f64, frame: impl Into<Frame>) -> Res
 /// that reading gives the same bits back for `unit_mm` = 1; 1000 writes metres (of the points, not of further columns).
 ///
 /// # Errors
-/// [`FileError::Io`] if the file cannot be written.
+/// [`FileError`] if the file cannot be written, or a further column has the name of a coordinate.
 pub fn write_ply(path: &Path, cloud: &Cloud, unit_mm: f64) -> Result<(), FileError> {
-    let mut header = String::from("ply\nformat binary_little_endian 1.0\n");
-    let mut line = |text: &str| writeln!(header, "{text}").expect("a string takes any text");
-    line(&format!("comment osteoflow cloud, frame {}", cloud.frame.as_str().replace(['\n', '\r'], " ")));
-    line(&format!("element vertex {}", cloud.len()));
-    let normals = cloud.normals();
-    for name in ["x", "y", "z", "nx", "ny", "nz"].iter().take(if normals.is_some() { 6 } else { 3 }) {
-        line(&format!("property double {name}"));
-    }
-    for (name, _) in cloud.extras() {
-        line(&format!("property double {}", name.replace(char::is_whitespace, "_")));
-    }
-    line("end_header");
-    let mut bytes = header.into_bytes();
-    for (k, point) in cloud.points().iter().enumerate() {
-        bytes.extend(point.iter().flat_map(|&c| (c / unit_mm).to_le_bytes()));
-        if let Some(normals) = normals {
-            bytes.extend(normals[k].iter().flat_map(|c| c.to_le_bytes()));
-        }
-        bytes.extend(cloud.extras().iter().flat_map(|(_, column)| column[k].to_le_bytes()));
-    }
-    std::fs::write(path, bytes).map_err(FileError::write(path))
+    std::fs::write(path, write::cloud_ply(path, cloud, unit_mm, Space::Unknown)?).map_err(FileError::write(path))
 }
 
 #[cfg(test)]

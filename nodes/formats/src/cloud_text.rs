@@ -59,6 +59,8 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
         if let [(first, number), rest @ ..] = rows
             && may_be_heading
             && has_words(first)
+            // Below a heading in a comment words are labels.
+            && (comment_heading.is_none() || is_heading(first))
         {
             (heading, rows) = (Some((*first, *number)), rest);
         }
@@ -175,18 +177,18 @@ fn is_heading(comment: &str) -> bool {
     ["x", "y", "z"].iter().all(|axis| names.iter().take(3).any(|name| name.eq_ignore_ascii_case(axis)))
 }
 
-fn has_words(line: &str) -> bool {
+pub(crate) fn has_words(line: &str) -> bool {
     let is_separator = |c: char| c.is_whitespace() || c == ',' || c == ';';
     line.split(is_separator).filter(|word| !word.is_empty()).any(|word| scalar::number(word).is_none())
 }
 
 /// How lines are cut into numbers.
-struct Split {
+pub(crate) struct Split {
     /// None for blanks.
-    separator: Option<char>,
+    pub(crate) separator: Option<char>,
     decimal_comma: bool,
     /// Whether each line ends with a separator that begins no column.
-    trailing: bool,
+    pub(crate) trailing: bool,
 }
 
 impl Split {
@@ -194,7 +196,7 @@ impl Split {
     ///
     /// # Errors
     /// The line and a message, if commas are ambiguous.
-    fn of(rows: &[(&str, usize)], n_names: Option<usize>) -> Result<Self, (usize, String)> {
+    pub(crate) fn of(rows: &[(&str, usize)], n_names: Option<usize>) -> Result<Self, (usize, String)> {
         let looked_at = || rows.iter().take(N_LOOKED_AT).map(|(line, _)| *line);
         let (first, _) = rows[0];
         // Commas between digits, none at an end of a word, and at most one a word, are decimal.
@@ -251,7 +253,7 @@ impl Split {
         cells.extend(line.split(separator).map(|cell| cell.trim().trim_matches('"')));
     }
 
-    fn number(&self, cell: &str) -> Option<f64> {
+    pub(crate) fn number(&self, cell: &str) -> Option<f64> {
         if !self.decimal_comma || !cell.contains(',') {
             return scalar::number(cell);
         }
@@ -348,6 +350,7 @@ mod tests {
             "//X,Y,Z,Intensity\n1,2,3,7\n",
             "//X Y Z Intensity\n1\n1 2 3 7\n",
             "# z y x Intensity\n3 2 1 7\n",
+            "//X;Y;Z;Name;Intensity\n1,0;2,0;3,0;P1;7\n",
             "# a scan with x and y\n# x y z Intensity\n1 2 3 7\n",
             "Intensity;z;y;x\n7,0;3,0;2,0;1,0\n",
         ] {

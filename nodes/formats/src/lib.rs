@@ -1,4 +1,4 @@
-//! Files and foreign streams to geometry and back: STL, PLY, Foxglove messages in MCAP, plans, folders.
+//! Files and foreign streams to geometry and back: surfaces, clouds, picked points, Foxglove messages in MCAP, plans, folders.
 //!
 //! Every reader gives millimetres, finite points, rigid motions and the frame that the file names. A reader never repairs
 //! silently: ambiguous content is an error with its place and a remedy, data left out are counted, and corrections are noted.
@@ -8,10 +8,12 @@
 //! | [`mcap_read`] | MCAP recordings of any writer, also damaged ones | |
 //! | [`foxglove_read`] | Foxglove point clouds, transforms and poses, protobuf and JSON | |
 //! | [`recording_write`] | | Foxglove recordings, in any layout |
-//! | [`mesh_file`] | surfaces from STL and PLY | binary STL |
-//! | [`cloud_file`] | points from PLY | binary PLY |
+//! | [`mesh_or_cloud`] | a surface or a cloud: PLY, STL, PCD, OBJ, OFF, VTK, text | |
+//! | [`mesh_file`] | a surface in any of these | binary STL |
+//! | [`cloud_file`] | a cloud in any of these | binary PLY |
+//! | [`write`] | | surfaces and clouds: PLY, STL, PCD, OBJ, CSV |
+//! | [`picked_points`] | named points of 3D Slicer, MeshLab, CloudCompare, CSV | markups of 3D Slicer, CSV |
 //! | [`plan_file`] | surgical plans in JSON | surgical plans in JSON |
-//! | [`mesh_or_cloud`] | a surface or a cloud: STL, PLY, XYZ, CSV | |
 //! | [`pose_file`] | one rigid motion: a matrix as text or JSON, an ITK transform | |
 //! | [`poses_csv`] | poses over time | poses over time |
 //! | [`folder`] | a whole procedure as a folder of such files | |
@@ -53,6 +55,7 @@ mod normals;
 mod obj;
 mod off;
 mod pcd;
+pub mod picked_points;
 pub mod plan_file;
 mod ply;
 pub mod pose_file;
@@ -64,6 +67,7 @@ mod shape;
 pub mod space;
 mod table;
 mod vtk;
+pub mod write;
 
 pub use error::FileError;
 pub use lost::{LostPose, PoseError};

@@ -5,10 +5,11 @@ use crate::{
     mesh_or_cloud::{is_text, shape_of},
     shape::Shape,
     space::StatedSpace,
+    write,
 };
 use nalgebra::Point3;
 use osteoflow_geometry::{Frame, Mesh, SurfaceOrigin};
-use std::{collections::HashMap, fmt::Write as _, io::Write as _, path::Path};
+use std::{collections::HashMap, path::Path};
 
 const STL_HEADER_BYTES: usize = 84;
 const STL_FACE_BYTES: usize = 50;
@@ -59,26 +60,12 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     Ok(Shape { points, faces: Some(faces), stated, notes, ..Shape::default() })
 }
 
-/// Writes a surface as binary STL, mm, in single precision.
+/// Writes a surface as binary STL, mm, in single precision, without stating LPS or RAS.
 ///
 /// # Errors
 /// [`FileError::Io`] if the file cannot be written.
 pub fn write_stl(path: &Path, mesh: &Mesh) -> Result<(), FileError> {
-    let mut bytes = Vec::with_capacity(STL_HEADER_BYTES + STL_FACE_BYTES * mesh.faces().len());
-    let mut header = String::from("osteoflow surface, mm, frame ");
-    write!(header, "{}", mesh.frame).expect("a string takes any text");
-    bytes.extend(header.bytes().chain(std::iter::repeat(0)).take(80));
-    bytes.extend((mesh.faces().len() as u32).to_le_bytes());
-    for face in 0..mesh.faces().len() {
-        let normal = mesh.area_vector(face).try_normalize(0.0).unwrap_or_default();
-        let corners = mesh.corners(face).map(|p| p.coords);
-        for vector in std::iter::once(normal).chain(corners) {
-            bytes.extend(vector.iter().flat_map(|&c| (c as f32).to_le_bytes()));
-        }
-        bytes.extend([0, 0]);
-    }
-    let mut file = std::fs::File::create(path).map_err(FileError::write(path))?;
-    file.write_all(&bytes).map_err(FileError::write(path))
+    std::fs::write(path, write::stl(mesh, Space::Unknown)).map_err(FileError::write(path))
 }
 
 type Faces = (Vec<Point3<f64>>, Vec<[u32; 3]>);

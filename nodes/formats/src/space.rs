@@ -33,7 +33,6 @@ impl Space {
     }
 
     /// `SPACE=LPS` or `SPACE=RAS`, for a comment; none if unknown.
-    #[expect(dead_code, reason = "for the writers")]
     pub(crate) fn tag(self) -> Option<String> {
         (self != Self::Unknown).then(|| format!("SPACE={self}"))
     }

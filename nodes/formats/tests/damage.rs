@@ -466,3 +466,146 @@ fn no_damage_to_a_file_makes_its_reader_panic_or_ask_for_absurd_memory() {
         LARGEST.load(Ordering::Relaxed)
     );
 }
+
+/// A valid file of each format of surfaces and clouds, in each of its encodings.
+fn shapes() -> Vec<(&'static str, Vec<u8>)> {
+    use osteoflow_formats::{
+        Space,
+        write::{write_cloud, write_mesh},
+    };
+    use osteoflow_geometry::{Mesh, SurfaceOrigin};
+    let dir = tempfile::tempdir().unwrap();
+    let corners = [[0.0, 0.0, 0.0], [9.5, 0.0, 0.0], [9.0, 9.25, 0.0], [0.0, 9.0, 1.0]].map(Point3::from).to_vec();
+    let mesh = Mesh::new("ct", SurfaceOrigin::User, corners.clone(), vec![[0, 1, 2], [0, 2, 3]]).unwrap();
+    let cloud = Cloud::new("ct", corners).unwrap();
+    let cloud = cloud.with_normals(vec![nalgebra::Vector3::z(); 4]).unwrap();
+    let mut files = Vec::new();
+    for ending in ["ply", "stl", "obj"] {
+        let path = dir.path().join(format!("mesh.{ending}"));
+        write_mesh(&path, &mesh, Space::Ras).unwrap();
+        files.push((ending, std::fs::read(path).unwrap()));
+    }
+    for ending in ["ply", "pcd", "csv"] {
+        let path = dir.path().join(format!("cloud.{ending}"));
+        write_cloud(&path, &cloud.clone().with_extra("heat", vec![1.0, 2.0, 3.0, 4.0]).unwrap(), Space::Lps).unwrap();
+        files.push((ending, std::fs::read(path).unwrap()));
+    }
+    let pcd = "# .PCD v0.7\nFIELDS x y z _ id\nSIZE 4 4 4 1 2\nTYPE F F F U I\nCOUNT 1 1 1 2 1\nWIDTH 2\nHEIGHT 2\n\
+               VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 4\nDATA ";
+    files.push((
+        "ascii pcd",
+        format!("{pcd}ascii\n1 2 3 0 0 5\n4 5 nan 0 0 5\n7 8 9 0 0 6\n1 5 9 0 0 7\n").into_bytes(),
+    ));
+    let mut packed = format!("{pcd}binary_compressed\n").into_bytes();
+    // 64 bytes: 2 literals, a copy of 9 + 53 from 2 back.
+    packed.extend(6_u32.to_le_bytes());
+    packed.extend(64_u32.to_le_bytes());
+    packed.extend([1, 0, 64, 7 << 5, 53, 1]);
+    files.push(("packed pcd", packed));
+    files.push(("off", b"CNOFF # SPACE=RAS\n4 2 0\n0 0 0 0 0 1 9 9 9\n9 0 0 0 0 1 9 9 9\n9 9 0 0 0 1 9 9 9\n0 9 0 0 0 1 9 9 9\n3 0 1 2\n3 0 2 3\n".to_vec()));
+    files.push((
+        "obj",
+        b"o a\nv 0 0 0\nv 9 0 0\nvn 0 0 1\nv 9 9 0\nv 0 9 0\nf 1//1 2//1 3//1 4//1\nf -4/1 -2/1 -1/1\n".to_vec(),
+    ));
+    let vtk = "# vtk DataFile Version 5.1\nbone SPACE=RAS\n";
+    files.push(("vtk", format!("{vtk}ASCII\nDATASET POLYDATA\nPOINTS 4 float\n0 0 0 9 0 0\n9 9 0 0 9 0\nPOLYGONS 1 5\n4 0 1 2 3\nPOINT_DATA 4\nSCALARS a int 1\nLOOKUP_TABLE default\n1 2 3 4\nNORMALS n float\n0 0 1 0 0 1 0 0 1 0 0 1\n").into_bytes()));
+    let mut binary = format!("{vtk}BINARY\nDATASET POLYDATA\nPOINTS 4 float\n").into_bytes();
+    binary
+        .extend([0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0, 9.0, 0.0_f32].iter().flat_map(|c| c.to_be_bytes()));
+    binary.extend(b"\nPOLYGONS 3 6\nOFFSETS vtktypeint64\n");
+    binary.extend([0, 3, 6_i64].iter().flat_map(|c| c.to_be_bytes()));
+    binary.extend(b"\nCONNECTIVITY vtktypeint64\n");
+    binary.extend([0, 1, 2, 0, 2, 3_i64].iter().flat_map(|c| c.to_be_bytes()));
+    binary.extend(b"\nMETADATA\nINFORMATION 0\n\nTRIANGLE_STRIPS 1 5\n");
+    binary.extend([4, 0, 1, 3, 2_i32].iter().flat_map(|c| c.to_be_bytes()));
+    files.push(("binary vtk", binary));
+    files.push(("text", b"4\n//X;Y;Z;Label\n1,5;2,5;3,5;a\n1,5;2,0;nan;b\n4;5;6;c\n7;8;9;d\n".to_vec()));
+    files.push(("xyz", b"1.5 2.5 3.5 0 0 1\n1.5 2.0 4 0 0 1\n4 5 6 0 1 0\n".to_vec()));
+    files
+}
+
+/// Changes a few bytes: flips, replaces, inserts, removes, doubles, cuts.
+fn damaged(whole: &[u8], rng: &mut ChaCha8Rng) -> Vec<u8> {
+    let mut bytes = whole.to_vec();
+    for _ in 0..rng.random_range(1..4) {
+        let at = rng.random_range(0..bytes.len());
+        let end = (at + rng.random_range(1..12)).min(bytes.len());
+        match rng.random_range(0..8) {
+            0 => bytes[at] ^= 1 << rng.random_range(0..8),
+            1 => bytes[at] = rng.random_range(b'0'..=b'9'),
+            2 => bytes[at] = rng.random_range(0..=255),
+            3 => bytes.insert(at, rng.random_range(b' '..=b'~')),
+            4 => bytes.insert(at, b"90-\n,;. "[rng.random_range(0..8)]),
+            5 => drop(bytes.drain(at..end)),
+            6 => {
+                let doubled = bytes[at..end].to_vec();
+                bytes.splice(at..at, doubled);
+            }
+            _ => bytes.truncate(at.max(1)),
+        }
+        if bytes.is_empty() {
+            bytes.push(b' ');
+        }
+    }
+    bytes
+}
+
+#[test]
+fn no_damage_to_a_surface_or_cloud_makes_its_reader_panic_or_ask_for_absurd_memory() {
+    use osteoflow_formats::mesh_or_cloud::read_mesh_or_cloud;
+    let mut rng = ChaCha8Rng::seed_from_u64(10);
+    for (name, whole) in shapes() {
+        let path = name.as_ref();
+        let read = read_mesh_or_cloud(path, &whole, 1.0, "ct");
+        assert!(read.is_ok(), "{name}: {}", read.unwrap_err());
+        let mut n_read = 0;
+        for _ in 0..600 {
+            n_read += usize::from(read_mesh_or_cloud(path, &damaged(&whole, &mut rng), 1000.0, "ct").is_ok());
+        }
+        assert!((1..600).contains(&n_read), "{name}: {n_read} of 600 mutants were readable");
+    }
+    let largest = LARGEST.load(Ordering::Relaxed);
+    assert!(largest <= 16 << 20, "{largest} bytes were asked for in one piece");
+}
+
+#[test]
+fn no_damage_to_picked_points_makes_their_reader_panic_or_ask_for_absurd_memory() {
+    use osteoflow_formats::{
+        Space,
+        picked_points::{parse_picked_points, write_fcsv, write_mrk_json, write_points_csv},
+    };
+    use osteoflow_geometry::NamedPoint;
+    let dir = tempfile::tempdir().unwrap();
+    let points = [("P1", [1.0, 2.5, 3.0]), ("P 2", [4.0, -5.0, 6.0])].map(|(name, p)| NamedPoint::new(name, p.into()));
+    let path = dir.path().join("points");
+    let mut files = Vec::new();
+    write_mrk_json(&path, &points, Space::Ras).unwrap();
+    files.push(std::fs::read(&path).unwrap());
+    write_fcsv(&path, &points, Space::Lps).unwrap();
+    files.push(std::fs::read(&path).unwrap());
+    write_points_csv(&path, &points, Space::Ras).unwrap();
+    files.push(std::fs::read(&path).unwrap());
+    for text in [
+        r#"{"markups":[{"type":"Plane","coordinateSystem":"RAS","center":[1,2,3],"normal":[0,0,1]},
+            {"type":"ROI","coordinateSystem":"RAS","center":[1,2,3],"size":[1,2,3],"orientation":[-1,0,0,0,-1,0,0,0,1]}]}"#,
+        "<!DOCTYPE PickedPoints>\n<PickedPoints>\n<point x=\"1\" y=\"2\" z=\"3\" active=\"1\" name=\"P1\"/></PickedPoints>",
+        "P1,1,2,3\nP2,4,5,6\n",
+        "#0 1 2 3\nP2 4 5 6\nP 3 4 5 6\n",
+        "0;1,5;2,5;3,5\n1;4;5;6\n",
+        "1 2 3\n4 5 6\n",
+    ] {
+        files.push(text.into());
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    for whole in files {
+        let name = String::from_utf8_lossy(&whole).into_owned();
+        parse_picked_points("whole".as_ref(), &whole).unwrap_or_else(|error| panic!("{error}\n{name}"));
+        let mut n_read = 0;
+        for _ in 0..600 {
+            n_read += usize::from(parse_picked_points("damaged".as_ref(), &damaged(&whole, &mut rng)).is_ok());
+        }
+        assert!((1..600).contains(&n_read), "{n_read} of 600 mutants were readable\n{name}");
+    }
+    let largest = LARGEST.load(Ordering::Relaxed);
+    assert!(largest <= 16 << 20, "{largest} bytes were asked for in one piece");
+}

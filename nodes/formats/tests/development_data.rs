@@ -3,11 +3,14 @@
 
 use nalgebra::{Point3, Vector3};
 use osteoflow_formats::{
+    Space,
     cloud_file::{read_cloud as read_cloud_file, read_cloud_ply},
     foxglove_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
     mcap_read::{McapError, Recording},
     mesh_file::read_mesh,
+    picked_points::read_picked_points,
     plan_file::{parse_plan, read_plan},
+    write::write_mesh,
 };
 use osteoflow_geometry::{StampNs, SurfaceOrigin};
 use std::path::PathBuf;
@@ -216,5 +219,50 @@ fn images_and_markups_are_refused_by_name() {
     ] {
         let said = read_cloud_file(&data.join(name), 1.0, "ct").unwrap_err().to_string();
         assert!(said.contains(expected), "{said}");
+    }
+}
+
+#[test]
+fn markups_of_every_program_give_the_same_points() {
+    let Some(data) = data("markups") else { return };
+    let plan = read_plan(&data.join("recordings/procedure_dev.plan.json")).unwrap().plan;
+    let expected: Vec<_> = plan.landmarks.points.iter().chain(&*plan.assessment.points).cloned().collect();
+    assert_eq!(expected.len(), 8);
+    for (name, space, n_skipped) in [
+        ("tlem2r_plan_LPS.mrk.json", Space::Lps, 0),
+        ("tlem2r_plan_RAS.mrk.json", Space::Ras, 0),
+        ("tlem2r_plan_LPS.fcsv", Space::Lps, 0),
+        ("tlem2r_plan_RAS.fcsv", Space::Ras, 0),
+        ("tlem2r_plan_cc_picking_list.txt", Space::Unknown, 0),
+        ("tlem2r_plan.pp", Space::Unknown, 1),
+    ] {
+        let found = read_picked_points(&data.join("markups").join(name)).unwrap();
+        assert_eq!((found.space, found.n_skipped, found.is_named), (space, n_skipped, true), "{name}");
+        assert_eq!(found.notes.len(), usize::from(space == Space::Ras), "{name}: {:?}", found.notes);
+        assert_eq!(found.points.len(), 8 - n_skipped, "{name}");
+        // MeshLab's file has five digits behind the point.
+        let tolerance_mm = if name.ends_with(".pp") { 1e-5 } else { 1e-6 };
+        for (point, expected) in found.points.iter().zip(&expected) {
+            assert_eq!(point.name, expected.name, "{name}");
+            assert_near_mm(point.position, expected.position.coords.into(), tolerance_mm);
+        }
+    }
+}
+
+#[test]
+fn a_bone_survives_being_written_in_every_format_and_space() {
+    let Some(data) = data("a bone") else { return };
+    let bone = read_mesh(&data.join("bones/MC22_fibula_r.stl"), 1.0, "ct", SurfaceOrigin::User).unwrap().mesh;
+    let dir = tempfile::tempdir().unwrap();
+    for ending in ["ply", "stl", "obj"] {
+        for space in [Space::Lps, Space::Ras, Space::Unknown] {
+            let path = dir.path().join(format!("bone.{ending}"));
+            write_mesh(&path, &bone, space).unwrap();
+            let back = read_mesh(&path, 1.0, "ct", SurfaceOrigin::User).unwrap();
+            assert_eq!((back.space, back.mesh.faces().len()), (space, bone.faces().len()), "{ending}");
+            for face in 0..bone.faces().len() {
+                assert_eq!(back.mesh.corners(face), bone.corners(face), "{ending} {space}: face {face}");
+            }
+        }
     }
 }
