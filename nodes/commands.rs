@@ -3,6 +3,8 @@
 mod check;
 mod compare;
 mod completions;
+mod content;
+mod convert;
 mod diff;
 mod digest;
 mod exit;
@@ -157,6 +159,7 @@ pub(crate) enum Command {
     Run(run::Run),
     Register(register::Register),
     Info(info::Info),
+    Convert(convert::Convert),
     Check(check::Check),
     Expand(expand::Expand),
     Inspect(inspect::Inspect),
@@ -186,6 +189,7 @@ impl Command {
             Self::Run(command) => command.execute(global),
             Self::Register(command) => command.execute(global),
             Self::Info(command) => command.execute(global),
+            Self::Convert(command) => command.execute(global),
             Self::Runs(command) => command.execute(global),
             Self::Record(command) => command.execute(global),
             Self::Replay(command) => command.execute(global),

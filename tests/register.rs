@@ -537,7 +537,7 @@ fn two_files_need_no_start_and_what_comes_out_is_named_by_its_ending() {
         assert!(!case.path(file).exists());
     }
     let stderr = case.fault(2, &["bone.stl", "scan.ply", "--write-source", "moved.txt"]);
-    assert!(stderr.contains("moved.txt cannot be written: end it with .ply"), "{stderr}");
+    assert!(stderr.contains("moved.txt cannot be written: end it with .ply, .pcd or .csv"), "{stderr}");
     let stderr = case.fault(2, &["bone.stl", "scan.ply", "--out", "found"]);
     assert!(stderr.contains("pose.txt exists already; name another file, nothing is overwritten"), "{stderr}");
 }

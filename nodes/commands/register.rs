@@ -27,6 +27,7 @@ use osteoflow_engine::{
     check::{CommandLineParam, parameters},
     panics::mark_helper_thread,
 };
+use osteoflow_formats::Space;
 use osteoflow_geometry::nalgebra::Point3;
 use serde_json::Value;
 use std::{
@@ -178,7 +179,7 @@ pub(crate) struct Register {
     #[arg(long, value_name = "FILE|DIR")]
     out: Option<PathBuf>,
 
-    /// Write SOURCE as registered, with the distance of each point from the surface in the column residual_mm (.ply).
+    /// Write SOURCE as registered, with the distance of each point from the surface in the column residual_mm (.ply, .pcd, .csv).
     #[arg(long, value_name = "FILE")]
     write_source: Option<PathBuf>,
 
@@ -193,11 +194,20 @@ pub(crate) struct Register {
 
 /// The anatomical space of coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum SpaceOption {
+pub(crate) enum SpaceOption {
     /// Left, posterior, superior: DICOM's, and that of STL and PLY files in 3D Slicer.
     Lps,
     /// Right, anterior, superior: NIfTI's, and what 3D Slicer shows.
     Ras,
+}
+
+impl From<SpaceOption> for Space {
+    fn from(space: SpaceOption) -> Self {
+        match space {
+            SpaceOption::Lps => Self::Lps,
+            SpaceOption::Ras => Self::Ras,
+        }
+    }
 }
 
 /// When to stop.

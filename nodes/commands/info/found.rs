@@ -1,5 +1,6 @@
 //! What a file or folder is.
 
+use crate::commands::content::picked_points;
 use anyhow::{Result, anyhow, bail};
 use osteoflow_formats::{
     FileError,
@@ -7,6 +8,7 @@ use osteoflow_formats::{
     foxglove_read::{read_cloud, read_pose_in_frame, read_transforms},
     mcap_read::{Message, Recording},
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
+    picked_points::PickedPoints,
     plan_file::read_plan,
     pose_file::read_pose,
 };
@@ -132,6 +134,9 @@ pub(super) fn look(file: &Path) -> Result<Found> {
     if bytes.starts_with(b"#Insight Transform File") || is_matrix(&bytes) {
         return pose(file);
     }
+    if let Some(picked) = picked_points(file, &bytes) {
+        return Ok(points(file, picked.map_err(without_cause)?));
+    }
     if bytes.trim_ascii_start().starts_with(b"{") {
         return json(file, &bytes);
     }
@@ -183,6 +188,31 @@ fn shape(file: &Path, bytes: &[u8]) -> Result<Found> {
         }
         .with_points(read.cloud.points()),
     })
+}
+
+fn points(file: &Path, read: PickedPoints) -> Found {
+    let name = file.display();
+    let positions: Vec<Point3<f64>> = read.points.iter().map(|point| point.position).collect();
+    let mut notes = read.notes;
+    if read.n_skipped > 0 {
+        notes.push(format!("{} points are not placed or not active, and were passed over", read.n_skipped));
+    }
+    let planes = read.planes.iter().map(|plane| format!("plane {}", plane.name));
+    let labels = planes.chain(read.rois.iter().map(|roi| format!("box {}", roi.name))).collect();
+    Found {
+        kind: "points",
+        about: "picked points".into(),
+        labels,
+        space: Some(read.space.to_string()),
+        notes,
+        used_by: vec![
+            format!("osteoflow register BONE SCAN --landmarks {name} POINTS_IN_SCAN"),
+            format!("osteoflow convert {name} points.csv"),
+        ],
+        ..Found::default()
+    }
+    .with_points(&positions)
+    .with_names(&read.points)
 }
 
 fn pose(file: &Path) -> Result<Found> {

@@ -4,7 +4,7 @@ use super::{Register, SpaceOption, inputs::Inputs, refuse_existing, write_new};
 use crate::commands::UsageError;
 use anyhow::{Context, Result};
 use osteoflow_algorithms::target::Target;
-use osteoflow_formats::{Space, cloud_file, pose_file::itk_text};
+use osteoflow_formats::{Space, pose_file::itk_text, write::write_cloud};
 use osteoflow_geometry::{
     Cloud,
     nalgebra::{Isometry3, Point3, Quaternion, Unit, UnitQuaternion},
@@ -27,6 +27,9 @@ pub(super) enum Form {
 
 /// The name of the column of residuals in the moved source.
 pub(super) const RESIDUAL: &str = "residual_mm";
+
+/// The endings under which the moved source can be written with its residuals.
+const MOVED: [&str; 3] = ["ply", "pcd", "csv"];
 
 /// Files to write.
 pub(super) struct OutFiles {
@@ -53,8 +56,8 @@ impl OutFiles {
                 }
             }
         }
-        if let Some(file) = files.source.as_deref().filter(|file| ending(file) != "ply") {
-            let message = format!("{} cannot be written: end it with .ply", file.display());
+        if let Some(file) = files.source.as_deref().filter(|file| !MOVED.contains(&ending(file).as_str())) {
+            let message = format!("{} cannot be written: end it with .ply, .pcd or .csv", file.display());
             return Err(UsageError(format!("--write-source: {message}")).into());
         }
         files.poses.iter().map(|(file, _)| file).chain(&files.source).try_for_each(|file| refuse_existing(file))?;
@@ -102,7 +105,7 @@ impl OutFiles {
             write_new(file, &text_of(*form))?;
         }
         if let (Some(file), Some(moved)) = (&self.source, moved) {
-            cloud_file::write_ply(file, moved, 1.0)?;
+            write_cloud(file, moved, Space::Unknown)?;
         }
         Ok(())
     }
@@ -139,9 +142,7 @@ pub(super) fn itk_file(t_target_source: &Isometry3<f64>, spaces: [Space; 2], com
 pub(super) fn space_of(stated: Space, option: Option<SpaceOption>) -> Space {
     match (stated, option) {
         (Space::Lps | Space::Ras, _) => Space::Lps,
-        (Space::Unknown, Some(SpaceOption::Lps)) => Space::Lps,
-        (Space::Unknown, Some(SpaceOption::Ras)) => Space::Ras,
-        (Space::Unknown, None) => Space::Unknown,
+        (Space::Unknown, option) => option.map_or(Space::Unknown, Into::into),
     }
 }
 
