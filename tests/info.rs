@@ -110,3 +110,60 @@ fn runs_are_listed_with_verdict_and_error_and_a_broken_one_with_its_problem() {
     let text = String::from_utf8(text.stdout).unwrap();
     assert!(text.contains("trusted") && text.contains("problem: "), "{text}");
 }
+
+fn convert(input: &Path, output: &Path, arguments: &[&str]) -> Output {
+    osteoflow().arg("convert").arg(input).arg(output).args(arguments).output().unwrap()
+}
+
+/// The rows of a CSV without its heading, the last three cells as numbers.
+fn rows(file: &Path) -> Vec<[f64; 3]> {
+    let text = fs::read_to_string(file).unwrap();
+    let row = |line: &str| {
+        let cells: Vec<f64> = line.rsplit(',').take(3).map(|cell| cell.parse().unwrap()).collect();
+        [cells[2], cells[1], cells[0]]
+    };
+    text.lines().skip(1).map(row).collect()
+}
+
+#[test]
+fn the_same_points_come_out_of_every_format_that_they_are_converted_through() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let points = [[1.25, -2.5, 300.125], [-40.0, 8.75, 0.5], [7.0, 9.5, -11.25]];
+    let text: String = points.iter().map(|[x, y, z]| format!("{x},{y},{z}\n")).collect();
+    fs::write(at("cloud.csv"), format!("x,y,z\n{text}")).unwrap();
+    for through in ["a.ply", "a.pcd", "a.obj"] {
+        let back = at(through).with_extension("csv");
+        for (from, to) in [(at("cloud.csv"), at(through)), (at(through), back.clone())] {
+            let _ = fs::remove_file(&to);
+            let done = convert(&from, &to, &[]);
+            assert!(done.status.success(), "{through}: {}", String::from_utf8_lossy(&done.stderr));
+        }
+        let found = rows(&back);
+        let off = |(a, b): (&[f64; 3], &[f64; 3])| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(
+            found.len() == 3 && found.iter().zip(&points).map(off).fold(0.0, f64::max) < 1e-4,
+            "{through}: {found:?}"
+        );
+        assert!(fs::read_to_string(&back).unwrap().starts_with("x,y,z\n"), "{through}");
+    }
+    let scaled = convert(&at("cloud.csv"), &at("scaled.csv"), &["--scale", "1000"]);
+    assert!(scaled.status.success() && rows(&at("scaled.csv"))[0] == [1250.0, -2500.0, 300_125.0]);
+
+    // Picked points: a format that claims a space needs one, and RAS numbers are turned to LPS.
+    fs::write(at("picks.csv"), "label,x,y,z\nP1,1,2,3\nP2,4,5,6\n").unwrap();
+    let refused = convert(&at("picks.csv"), &at("picks.mrk.json"), &[]);
+    let stderr = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.code() == Some(2) && stderr.contains("states no space"), "{stderr}");
+    assert!(!at("picks.mrk.json").exists());
+    assert!(convert(&at("picks.csv"), &at("picks.mrk.json"), &["--space", "RAS"]).status.success());
+    assert!(convert(&at("picks.mrk.json"), &at("lps.csv"), &[]).status.success());
+    assert_eq!(fs::read_to_string(at("lps.csv")).unwrap(), "label,x,y,z\nP1,-1,-2,3\nP2,-4,-5,6\n");
+    assert_eq!(found(&at("picks.mrk.json"))["space"], "LPS");
+    for (output, expected) in
+        [("lps.csv", "exists already"), ("new.glb", "nothing is written as"), ("new", "nothing is written as")]
+    {
+        let stderr = String::from_utf8_lossy(&convert(&at("cloud.csv"), &at(output), &[]).stderr).into_owned();
+        assert!(stderr.contains(expected), "{output}: {stderr}");
+    }
+}

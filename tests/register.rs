@@ -542,6 +542,65 @@ fn two_files_need_no_start_and_what_comes_out_is_named_by_its_ending() {
     assert!(stderr.contains("pose.txt exists already; name another file, nothing is overwritten"), "{stderr}");
 }
 
+/// Picked points as CSV.
+fn picks(names: &[&str], points: &[Point3<f64>]) -> String {
+    let mut text = String::from("label,x,y,z\n");
+    names.iter().zip(points).for_each(|(name, p)| writeln!(text, "{name},{:?},{:?},{:?}", p.x, p.y, p.z).unwrap());
+    text
+}
+
+#[test]
+fn picked_points_are_matched_by_name_and_doubted_where_they_are_off_the_surface_or_in_another_order() {
+    let case = Case::new();
+    let n = case.scan.len();
+    let in_scan: Vec<Point3<f64>> = [n / 7, n / 3, n / 2, 4 * n / 5].map(|k| case.scan[k]).to_vec();
+    let on_bone: Vec<Point3<f64>> = in_scan.iter().map(|p| case.t_target_source * p).collect();
+    case.write("bone.csv", &picks(&["a", "b", "c", "d"], &on_bone));
+    // In another order, and with a point that is not on the bone.
+    let order: Vec<Point3<f64>> = [2, 0, 3, 1].map(|k| in_scan[k]).into_iter().chain([Point3::origin()]).collect();
+    case.write("scan_points.csv", &picks(&["c", "a", "d", "b", "other"], &order));
+    let register = |target: &str, source: &str| {
+        case.register(&["bone.stl", "scan.ply", "--landmarks", target, source, "--format", "json"])
+    };
+    let answer = last_line(&register("bone.csv", "scan_points.csv"));
+    assert!(case.off_mm(&answer) < 0.1, "{} mm", case.off_mm(&answer));
+    assert_eq!((&answer["start"]["by"], &answer["verdict"]["answer"]), (&"landmarks".into(), &"trusted".into()));
+    assert!(answer["start"]["report"]["fre_mm"].as_f64().unwrap() < 1e-6, "{answer}");
+    assert!(
+        answer["notes"].to_string().contains("a, b, c, d are in both files and used; the 1 others are not"),
+        "{answer}"
+    );
+
+    case.write("unnamed.xyz", &in_scan.iter().map(|p| format!("{:?} {:?} {:?}\n", p.x, p.y, p.z)).collect::<String>());
+    let answer = last_line(&register("bone.csv", "unnamed.xyz"));
+    assert!(answer["notes"].to_string().contains("matched by their order: a, b, c, d with 1, 2, 3, 4"), "{answer}");
+    assert!(case.off_mm(&answer) < 0.1, "{} mm", case.off_mm(&answer));
+
+    // Two names exchanged: right or not, it is not trusted.
+    case.write("exchanged.csv", &picks(&["a", "d", "c", "b"], &in_scan));
+    let answer = last_line(&register("bone.csv", "exchanged.csv"));
+    assert_ne!(answer["verdict"]["answer"], "trusted", "{}", answer["verdict"]);
+
+    // The right start does not excuse points that belong to a flipped bone.
+    let flipped: Vec<Point3<f64>> = on_bone.iter().map(|p| Point3::new(-p.x, -p.y, p.z)).collect();
+    case.write("flipped.csv", &picks(&["a", "b", "c", "d"], &flipped));
+    let output = register("flipped.csv", "scan_points.csv");
+    let answer = last_line(&output);
+    assert_ne!(answer["verdict"]["answer"], "trusted", "{}", answer["verdict"]);
+    if answer.get("T").is_some() {
+        assert!(answer["warnings"].to_string().contains("RAS and LPS are mixed up"), "{answer}");
+    }
+
+    case.write("two.csv", &picks(&["a", "b", "x"], &in_scan));
+    let stderr = case.fault(1, &["bone.stl", "scan.ply", "--landmarks", "bone.csv", "two.csv"]);
+    assert!(
+        stderr.contains("3 points with the same names are needed in both files; bone.csv has a, b, c, d, two.csv has"),
+        "{stderr}"
+    );
+    let stderr = case.fault(2, &["bone.stl", "scan.ply", "--landmarks", "bone.csv", "two.csv", "--init", "init.txt"]);
+    assert!(stderr.contains("cannot be used with"), "{stderr}");
+}
+
 #[test]
 fn the_graph_of_two_files_finds_what_register_finds() {
     let case = Case::new();
