@@ -36,7 +36,8 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
         match line.strip_prefix('#').or_else(|| line.strip_prefix("//")) {
             Some(comment) => {
                 stated.take(comment).map_err(|message| fault(path, number, message))?;
-                if is_heading(comment) {
+                // Only the count of points may precede it.
+                if is_heading(comment) && rows.iter().all(|(row, _)| row.parse::<usize>().is_ok()) {
                     comment_heading = Some((comment.trim(), number));
                 }
             }
@@ -80,7 +81,11 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
     let width = cells.len();
     let names = match names {
         Some((names, number)) => {
-            if let Some((k, name)) = names.iter().enumerate().find(|(k, name)| names[..*k].contains(name)) {
+            if let Some((k, name)) = names
+                .iter()
+                .enumerate()
+                .find(|(k, name)| names[..*k].iter().any(|other| other.eq_ignore_ascii_case(name)))
+            {
                 return Err(fault(path, number, format!("column {} is called \"{name}\" as one before it is", k + 1)));
             }
             if names.len() != width {
@@ -105,7 +110,7 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
     let normals = normal_columns(|name| names.iter().position(|found| found.eq_ignore_ascii_case(name)));
     let is_needed = |k: usize| places.contains(&k) || normals.is_some_and(|normals| normals.contains(&k));
 
-    let mut columns: Vec<Vec<f64>> = vec![Vec::with_capacity(rows.len()); width];
+    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); width];
     let mut words: Vec<Option<(usize, String)>> = vec![None; width];
     for &(line, number) in rows {
         split.cells(line, &mut cells);
@@ -254,7 +259,7 @@ impl Split {
     }
 
     pub(crate) fn number(&self, cell: &str) -> Option<f64> {
-        if !self.decimal_comma || !cell.contains(',') {
+        if !self.decimal_comma {
             return scalar::number(cell);
         }
         if cell.contains('.') || cell.matches(',').count() > 1 {
@@ -267,6 +272,7 @@ impl Split {
         match self.separator {
             Some(',') if cell.contains(char::is_whitespace) => "; are the numbers separated by blanks and commas?",
             None if cell.contains(',') => "; are the numbers separated by blanks and commas?",
+            _ if self.decimal_comma && cell.contains('.') => "; other numbers have decimal commas",
             _ => "",
         }
     }
@@ -391,7 +397,7 @@ mod tests {
             ("3\n1 2 3\n", "line 1: 3 points are stated, but 1 follow; was the file cut short?"),
             ("x,y,z\n1,2,3\n1,2,3,4\n", "line 3: 3 columns are expected, this line has 4"),
             ("x,y,z\n1,2,3,4\n", "line 2: the heading on line 1 names 3 columns, this line has 4"),
-            ("x,y,z,x\n1,2,3,4\n", "line 1: column 4 is called \"x\" as one before it is"),
+            ("x,y,z,X\n1,2,3,4\n", "line 1: column 4 is called \"X\" as one before it is"),
             ("1 2 3\n1 2 3 4\n", "line 2: 3 numbers are expected, this line has 4"),
             (
                 "1,5;2,5;3,5\n1.5;2,5;3\n",
@@ -403,6 +409,10 @@ mod tests {
                  by semicolons or write decimal points",
             ),
             ("1 2,3,4\n", "line 1: \"1 2\" is not a number; are the numbers separated by blanks and commas?"),
+            (
+                &("1,5;2,5;3,5\n".repeat(100) + "1.234;2,5;3,5\n"),
+                "line 101: \"1.234\" is not a number; other numbers have decimal commas",
+            ),
             ("a,b,z\n1,2,3\n", "line 1: no column is called \"x\"; there are: a, b, z"),
         ] {
             assert_eq!(read(text).unwrap_err().to_string(), format!("cloud.csv: {expected}"), "{text}");

@@ -23,7 +23,7 @@ use crate::{
     vtk,
 };
 use osteoflow_geometry::{Frame, SurfaceOrigin};
-use std::path::Path;
+use std::{borrow::Cow, path::Path};
 
 /// The content of a file.
 #[derive(Debug, Clone, PartialEq)]
@@ -85,7 +85,8 @@ pub(crate) fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     if !is_text(bytes) || starts_with_word(bytes, b"solid") {
         return mesh_file::shape(path, bytes);
     }
-    let text = String::from_utf8_lossy(bytes);
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let text = text(path, bytes)?;
     if obj::is_obj(bytes) {
         return obj::shape(path, &text);
     }
@@ -98,6 +99,18 @@ pub(crate) fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
 /// Whether the first kilobyte is text: a binary header is mostly zeros, and floats are not text.
 pub(crate) fn is_text(bytes: &[u8]) -> bool {
     bytes.iter().take(1024).all(|&b| b >= b' ' || b.is_ascii_whitespace())
+}
+
+/// The whole as text; only comments may be in another encoding than UTF-8.
+///
+/// # Errors
+/// [`FileError`] if it is one line to us, but many to its writer.
+pub(crate) fn text<'a>(path: &Path, bytes: &'a [u8]) -> Result<Cow<'a, str>, FileError> {
+    if bytes.contains(&b'\r') && !bytes.contains(&b'\n') {
+        let message = "lines end with CR alone; save the file with LF or CR LF as line ends";
+        return Err(FileError::content(path, "byte 0", message));
+    }
+    Ok(String::from_utf8_lossy(bytes))
 }
 
 fn starts_with_word(bytes: &[u8], word: &[u8]) -> bool {
@@ -193,6 +206,10 @@ mod tests {
         ] {
             assert_eq!(cloud(text), [Point3::origin(), Point3::new(40.0, 1.0, 2.0)], "{text}");
         }
+        let said = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
+        assert!(said(b"1 2 3\r4 5 6\r").contains("lines end with CR alone"), "{}", said(b"1 2 3\r4 5 6\r"));
+        assert!(said(b"OFF\n0 0 0\n").contains("there is no point in the file"), "{}", said(b"OFF\n0 0 0\n"));
+        assert!(matches!(read(b"\xef\xbb\xbfv 1 2 3\n"), Ok(MeshOrCloud::Cloud(..))));
         // Comments may be in another encoding than UTF-8.
         let latin = b"# Gr\xf6\xdfe\n0 0 0\n40 1 2\n";
         assert!(matches!(read(latin), Ok(MeshOrCloud::Cloud(..))));

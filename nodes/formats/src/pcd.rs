@@ -316,6 +316,9 @@ fn header(path: &Path, bytes: &[u8]) -> Result<Header, FileError> {
         (None, _, Some(p)) => p,
         (None, _, None) => return Err(fault("the header has neither WIDTH nor POINTS".into())),
     };
+    if header.n_points == 0 {
+        return Err(fault("the header counts no point".into()));
+    }
     Ok(header)
 }
 
@@ -487,8 +490,12 @@ mod tests {
             (ascii.replace("SIZE 4 8", "SIZE 4"), "line 11: SIZE has 7 values for 8 fields"),
             (ascii.replace("FIELDS x y", "FIELDS x x"), "FIELDS names \"x\" twice"),
             (
-                ascii.replace("FIELDS x", "FIELDS u").replace("POINTS 2", "POINTS 0").replace("WIDTH 2", "WIDTH 0"),
+                ascii.replace("FIELDS x", "FIELDS u") + &"1 2 3 7 8 1 2 3 0 0 1\n".repeat(2),
                 "no field is called \"x\"; there are: u, y",
+            ),
+            (
+                ascii.replace("POINTS 2", "POINTS 0").replace("WIDTH 2", "WIDTH 0"),
+                "line 11: the header counts no point",
             ),
             (ascii.replace("DATA ascii", "DATA zip"), "line 11: DATA is \"zip\""),
             (HEAD.into(), "the header has no DATA line"),

@@ -18,7 +18,11 @@ mod write;
 
 pub use write::{write_fcsv, write_mrk_json, write_points_csv};
 
-use crate::{FileError, Space, mesh_or_cloud::is_text, refused};
+use crate::{
+    FileError, Space,
+    mesh_or_cloud::{is_text, text as decoded},
+    refused,
+};
 use nalgebra::{Point3, Rotation3, Unit, Vector3};
 use osteoflow_geometry::NamedPoint;
 use std::{collections::HashSet, path::Path, sync::Arc};
@@ -86,15 +90,15 @@ pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, Fi
     let picked = match start.first() {
         None => return refuse("the file is empty; was it written to the end?"),
         Some(b'{') => slicer::json(path, bytes)?,
-        Some(b'<') => text::meshlab(path, &String::from_utf8_lossy(bytes))?,
+        Some(b'<') => text::meshlab(path, &decoded(path, bytes)?)?,
         _ if start.starts_with(b"ply") || start.starts_with(b"solid") => {
             return refuse("this is a surface or a cloud; give a list of points");
         }
-        Some(b'#') if slicer::is_fcsv(start) => slicer::fcsv(path, &String::from_utf8_lossy(bytes))?,
+        Some(b'#') if slicer::is_fcsv(start) => slicer::fcsv(path, &decoded(path, bytes)?)?,
         _ => match refused::refusal(bytes) {
             Some(message) => return refuse(&message),
             None if !is_text(bytes) => return refuse("no text; a list of points is expected"),
-            None => text::list(path, &String::from_utf8_lossy(bytes))?,
+            None => text::list(path, &decoded(path, bytes)?)?,
         },
     };
     if picked.points.is_empty() && picked.planes.is_empty() && picked.rois.is_empty() {

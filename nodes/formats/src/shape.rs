@@ -85,6 +85,10 @@ impl Shape {
             self.extras.iter_mut().for_each(|(_, values)| retain(values, &keep));
         }
         let n_dropped = n_points_in_file - self.points.len();
+        if n_points_in_file == 0 {
+            let message = "there is no point in the file; was it exported from an empty selection?";
+            return Err(FileError::content(path, "points", message));
+        }
         let (space, mut notes) = self.place(unit_mm);
         let mut cloud = Cloud::new(frame, self.points).map_err(|_| {
             FileError::content(path, "points", format!("a coordinate overflows with unit_mm = {unit_mm}"))
