@@ -58,6 +58,7 @@ pub fn registry() -> Registry {
         .node::<transform::to_bone_marker::ToBoneMarker>()
         .node::<transform::points_to_bone_marker::PointsToBoneMarker>()
         .node::<transform::points::Points>()
+        .node::<transform::cloud::Cloud>()
         .node::<transform::first_of::FirstOf>()
         .node::<crop::r#box::Box>()
         .node::<crop::sphere::Sphere>()
@@ -95,6 +96,10 @@ pub fn registry() -> Registry {
         .node::<metrics::verdict::Verdict>()
         .node::<verdict::registration::Registration>()
         .node::<output::ply::Ply>()
-        .node::<output::csv::Csv>();
+        .node::<output::csv::Csv>()
+        .node::<output::mesh::Mesh>()
+        .node::<output::transform::Transform>()
+        .node::<output::points::Points>()
+        .node::<output::planes::Planes>();
     registry
 }

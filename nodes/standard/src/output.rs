@@ -1,10 +1,34 @@
 //! Files for other programs, written into the run's folder.
 
 pub mod csv;
+pub mod mesh;
+pub mod planes;
 pub mod ply;
+pub mod points;
+pub mod transform;
 
+use osteoflow_algorithms::trust::{Answer, Verdict};
+use osteoflow_formats::Space;
+use osteoflow_geometry::Frame;
 use osteoflow_node::{Context, NodeError};
 use std::path::PathBuf;
+
+/// What every file for other programs says, where it can.
+const NOTICE: &str = "osteoflow; research use only, not for clinical use";
+
+/// The space of coordinates in a frame: CT is LPS, the others are no patient's.
+fn space_of(frame: &Frame) -> Space {
+    if frame.as_str() == "ct" { Space::Lps } else { Space::Unknown }
+}
+
+/// Whether the verdict forbids to write, with a warning.
+fn is_refused(verdict: Option<&Verdict>, ctx: &mut Context) -> bool {
+    let refused = verdict.is_some_and(|verdict| verdict.answer == Answer::Refused);
+    if refused {
+        ctx.warn("nothing is written, since the verdict is refused");
+    }
+    refused
+}
 
 /// The path of a file in the run's folder, named after the node; numbered from the second item on.
 fn file_of(ctx: &Context, extension: &str) -> Result<Option<PathBuf>, NodeError> {

@@ -1,6 +1,7 @@
 //! Changes of frame: to the tracker's world, to the marker on the bone.
 
 mod bone_frame;
+pub mod cloud;
 pub mod first_of;
 pub mod points;
 pub mod points_to_bone_marker;

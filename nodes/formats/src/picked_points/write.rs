@@ -1,9 +1,13 @@
 //! Lists of points for other programs.
 
 use crate::{FileError, Space};
+use nalgebra::{Isometry3, Matrix4, Vector3};
 use osteoflow_geometry::NamedPoint;
 use serde_json::json;
-use std::{fmt::Write as _, path::Path};
+use std::{fmt::Write as _, path::Path, sync::Arc};
+
+/// The schema that a JSON of markups names.
+const SCHEMA: &str = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#";
 
 fn fault(path: &Path, place: impl Into<String>, message: &str) -> FileError {
     FileError::content(path, place, message)
@@ -46,7 +50,7 @@ pub fn write_mrk_json(path: &Path, points: &[NamedPoint], space: Space) -> Resul
         return Err(fault(path, "space", "the format states LPS or RAS, but the space of the points is unknown"));
     }
     let whole = json!({
-        "@schema": "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#",
+        "@schema": SCHEMA,
         "markups": [{
             "type": "Fiducial",
             "coordinateSystem": space.to_string(),
@@ -54,6 +58,51 @@ pub fn write_mrk_json(path: &Path, points: &[NamedPoint], space: Space) -> Resul
             "controlPoints": control_points,
         }],
     });
+    let text = serde_json::to_string_pretty(&whole).expect("numbers and texts can be written") + "\n";
+    std::fs::write(path, text).map_err(FileError::write(path))
+}
+
+/// The edge with which a plane is drawn, mm: wider than a fibula.
+const PLANE_MM: f64 = 50.0;
+
+/// Writes planes, by name and pose, as plane markups of 3D Slicer in JSON; mm, LPS. A plane's own z axis is its normal.
+///
+/// # Errors
+/// [`FileError`] if the file cannot be written.
+pub fn write_planes_mrk_json(path: &Path, planes: &[(Arc<str>, Isometry3<f64>)]) -> Result<(), FileError> {
+    let half = PLANE_MM / 2.0;
+    let rows = |matrix: &Matrix4<f64>| matrix.transpose().iter().copied().collect::<Vec<f64>>();
+    let markups = planes.iter().map(|(name, pose)| {
+        let center = pose.translation.vector.as_slice();
+        let rotation: Vec<f64> = pose.rotation.to_rotation_matrix().matrix().transpose().iter().copied().collect();
+        json!({
+            "type": "Plane",
+            "name": &**name,
+            "coordinateSystem": "LPS",
+            "coordinateUnits": "mm",
+            "planeType": "pointNormal",
+            "sizeMode": "absolute",
+            "autoScalingSizeFactor": 1.0,
+            "center": center,
+            "normal": (pose.rotation * Vector3::z()).as_slice(),
+            "objectToBase": rows(&Matrix4::identity()),
+            "baseToNode": rows(&pose.to_homogeneous()),
+            "orientation": rotation,
+            "size": [PLANE_MM, PLANE_MM],
+            "planeBounds": [-half, half, -half, half],
+            "controlPoints": [{
+                "id": "1",
+                "label": &**name,
+                "position": center,
+                "orientation": rotation,
+                "selected": true,
+                "locked": false,
+                "visibility": true,
+                "positionStatus": "defined",
+            }],
+        })
+    });
+    let whole = json!({ "@schema": SCHEMA, "markups": markups.collect::<Vec<_>>() });
     let text = serde_json::to_string_pretty(&whole).expect("numbers and texts can be written") + "\n";
     std::fs::write(path, text).map_err(FileError::write(path))
 }

@@ -1,11 +1,12 @@
 //! The kind `output.ply`.
 
-use super::file_of;
-use osteoflow_formats::cloud_file::write_ply;
+use super::{file_of, is_refused, space_of};
+use osteoflow_algorithms::trust::Verdict;
+use osteoflow_formats::write::write_cloud;
 use osteoflow_geometry::Cloud;
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
-/// Clouds as PLY files in the run's folder, named after the node.
+/// Clouds as PLY files in the run's folder, named after the node; mm, those in `ct` say that they are LPS.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "output.ply"
@@ -18,6 +19,8 @@ pub struct Ply;
 pub struct In {
     /// A cloud; one file for each.
     cloud: Cloud,
+    /// The verdict on what is written. Unwired: it is written whatever the verdict; else a refused one is not.
+    verdict: Option<Verdict>,
 }
 
 /// No outputs.
@@ -35,8 +38,11 @@ impl Node for Ply {
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        if is_refused(i.verdict.as_ref(), ctx) {
+            return Ok(Out {});
+        }
         if let Some(path) = file_of(ctx, "ply")? {
-            write_ply(&path, &i.cloud, 1.0)?;
+            write_cloud(&path, &i.cloud, space_of(&i.cloud.frame))?;
         }
         Ok(Out {})
     }

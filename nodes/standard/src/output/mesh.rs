@@ -1,0 +1,43 @@
+//! The kind `output.mesh`.
+
+use super::{file_of, space_of};
+use osteoflow_formats::write::write_mesh;
+use osteoflow_geometry::Mesh as MeshPayload;
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// Surfaces as binary STL files in the run's folder, named after the node; mm, those in `ct` say that they are LPS.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "output.mesh"
+in   = { mesh = "bone.mesh" }
+"#)]
+pub struct Mesh;
+
+/// Inputs of [`Mesh`].
+#[derive(Inputs)]
+pub struct In {
+    /// A surface; one file for each.
+    mesh: MeshPayload,
+}
+
+/// No outputs.
+#[derive(Outputs)]
+pub struct Out {}
+
+impl Node for Mesh {
+    const KIND: &'static str = "output.mesh";
+    type Params = crate::NoParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        if let Some(path) = file_of(ctx, "stl")? {
+            write_mesh(&path, &i.mesh, space_of(&i.mesh.frame))?;
+        }
+        Ok(Out {})
+    }
+}

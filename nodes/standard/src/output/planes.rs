@@ -1,0 +1,56 @@
+//! The kind `output.planes`.
+
+use super::{file_of, space_of};
+use osteoflow_formats::{Space, picked_points::write_planes_mrk_json};
+use osteoflow_geometry::Planes as PlaneList;
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// Planes in `ct` as markups of 3D Slicer (`.mrk.json`, LPS) in the run's folder, named after the node; planes that are unknown
+/// are left out, with a warning.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "output.planes"
+in   = { planes = "plan.planes" }
+"#)]
+pub struct Planes;
+
+/// Inputs of [`Planes`].
+#[derive(Inputs)]
+pub struct In {
+    /// Planes; one file for each set.
+    planes: PlaneList,
+}
+
+/// No outputs.
+#[derive(Outputs)]
+pub struct Out {}
+
+impl Node for Planes {
+    const KIND: &'static str = "output.planes";
+    type Params = crate::NoParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let space = space_of(&i.planes.frame);
+        if space == Space::Unknown {
+            let frame = &i.planes.frame;
+            return Err(NodeError::new(format!(
+                "the planes are in {frame}, and markups are LPS, as only ct is; wire plan.planes"
+            )));
+        }
+        let known: Vec<_> = i.planes.planes.iter().filter_map(|p| Some((p.name.clone(), *p.isometry()?))).collect();
+        let n_unknown = i.planes.planes.len() - known.len();
+        if n_unknown > 0 {
+            ctx.warn(format!("{n_unknown} planes are unknown and were left out"));
+        }
+        if let Some(path) = file_of(ctx, "mrk.json")? {
+            write_planes_mrk_json(&path, &known)?;
+        }
+        Ok(Out {})
+    }
+}

@@ -1,0 +1,53 @@
+//! The kind `output.points`.
+
+use super::{file_of, space_of};
+use osteoflow_formats::{Space, picked_points::write_mrk_json};
+use osteoflow_geometry::Points as PointList;
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// Named points in `ct` as markups of 3D Slicer (`.mrk.json`, LPS) in the run's folder, named after the node.
+///
+/// Points in another frame are refused, since the format claims a space; `output.csv` writes them.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "output.points"
+in   = { points = "plan.landmarks" }
+"#)]
+pub struct Points;
+
+/// Inputs of [`Points`].
+#[derive(Inputs)]
+pub struct In {
+    /// A list of points; one file for each.
+    points: PointList,
+}
+
+/// No outputs.
+#[derive(Outputs)]
+pub struct Out {}
+
+impl Node for Points {
+    const KIND: &'static str = "output.points";
+    type Params = crate::NoParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let space = space_of(&i.points.frame);
+        if space == Space::Unknown {
+            let frame = &i.points.frame;
+            return Err(NodeError::new(format!(
+                "the points are in {frame}, and markups are LPS, as only ct is; transform them (transform.points), or write \
+                 output.csv"
+            )));
+        }
+        if let Some(path) = file_of(ctx, "mrk.json")? {
+            write_mrk_json(&path, &i.points.points, space)?;
+        }
+        Ok(Out {})
+    }
+}

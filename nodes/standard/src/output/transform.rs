@@ -1,0 +1,54 @@
+//! The kind `output.transform`.
+
+use super::{NOTICE, file_of, is_refused};
+use osteoflow_algorithms::trust::Verdict;
+use osteoflow_formats::pose_file::itk_text;
+use osteoflow_geometry::Pose;
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// Poses as ITK transforms (`.tfm`) in the run's folder, named after the node, for 3D Slicer.
+///
+/// Slicer shows the motion from the pose's `from` to its `to`; the file holds the inverse, as Slicer's files do. Both frames are
+/// named in it. The pose leads to `ct`, which is LPS.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "output.transform"
+in   = { pose = "icp.t_target_source", verdict = "verdict.verdict" }
+"#)]
+pub struct Transform;
+
+/// Inputs of [`Transform`].
+#[derive(Inputs)]
+pub struct In {
+    /// A pose; one file for each.
+    pose: Pose,
+    /// The verdict on what is written. Unwired: it is written whatever the verdict; else a refused one is not.
+    verdict: Option<Verdict>,
+}
+
+/// No outputs.
+#[derive(Outputs)]
+pub struct Out {}
+
+impl Node for Transform {
+    const KIND: &'static str = "output.transform";
+    type Params = crate::NoParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        if is_refused(i.verdict.as_ref(), ctx) {
+            return Ok(Out {});
+        }
+        if let Some(path) = file_of(ctx, "tfm")? {
+            let (to, from) = (&i.pose.to, &i.pose.from);
+            let frames = format!("moves frame {from} to frame {to}, mm, LPS; the parameters are those of the inverse");
+            std::fs::write(path, itk_text(&i.pose.isometry, &[frames, NOTICE.into()]))?;
+        }
+        Ok(Out {})
+    }
+}
