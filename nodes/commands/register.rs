@@ -41,8 +41,8 @@ use std::{
 
 /// Register one file onto another, without a graph: the SOURCE moves, the TARGET stays.
 ///
-/// The same methods, parameters and defaults as the nodes `icp.*`. TARGET is a surface (STL, PLY with faces), from which
-/// points are sampled as by surface.prepare, or points (PLY, XYZ, CSV). Normals that the method needs and the file does not
+/// The same methods, parameters and defaults as the nodes `icp.*`. TARGET is a surface, from which points are sampled as by
+/// surface.prepare, or points; PLY, STL, OBJ, OFF, VTK, PCD and text are read (docs/formats.md). Normals that the method needs and the file does not
 /// have are estimated. SOURCE is points, or the vertices of a surface. Lengths are millimetres; each file has a frame of its
 /// own, and the pose takes coordinates in the source's frame to the target's.
 ///
@@ -77,10 +77,10 @@ Exit codes:
     3  the pose is refused, or no registration is possible, with the reason
   130  interrupted")]
 pub(crate) struct Register {
-    /// The surface that stays: STL or PLY, or points in PLY, XYZ or CSV.
+    /// The surface that stays, or points of it.
     target: PathBuf,
 
-    /// The points that move: PLY, XYZ or CSV, or the vertices of a surface.
+    /// The points that move, or a surface, whose vertices are taken.
     source: PathBuf,
 
     /// The start, source to target: 16 numbers row by row as text or JSON, an ITK transform (.tfm, whose inverse is taken, as

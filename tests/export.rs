@@ -1,0 +1,83 @@
+//! Files for other programs from a run: what they hold, and that a refused run writes none of what is wrong.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{osteoflow, run_whole};
+use osteoflow_algorithms::mesh_query::MeshQuery;
+use osteoflow_formats::{
+    Space,
+    cloud_file::read_cloud_ply,
+    mesh_file::read_mesh,
+    picked_points::read_picked_points,
+    plan_file::{plan_json, read_plan},
+    pose_file::read_pose,
+};
+use osteoflow_geometry::{SurfaceOrigin, isometry_from_matrix, nalgebra::Matrix4};
+use serde_json::Value;
+use std::fs;
+
+const GRAPH: &str = "graphs/variants/fibula_export.toml";
+
+#[test]
+fn the_exported_files_lie_on_each_other_in_lps_and_hold_what_the_results_say() {
+    let ran = run_whole(GRAPH, &["--no-record"]);
+    let at = |name: &str| ran.dir.path().join(name);
+    let bone = read_mesh(&at("export_bone.stl"), 1.0, "ct", SurfaceOrigin::User).unwrap();
+    let scan = read_cloud_ply(&at("export_scan.ply"), 1.0, "ct").unwrap();
+    assert_eq!((bone.space, scan.space), (Space::Lps, Space::Lps));
+    let surface = MeshQuery::new(&bone.mesh);
+    let mut off: Vec<f64> = scan.cloud.points().iter().map(|p| surface.closest_point(p).unwrap().distance_mm).collect();
+    off.sort_by(f64::total_cmp);
+    let median_mm = off[off.len() / 2];
+    assert!(median_mm < 0.1, "{median_mm} mm from the bone in the median");
+
+    let landmarks = read_picked_points(&at("export_landmarks.mrk.json")).unwrap();
+    let names: Vec<&str> = landmarks.points.iter().map(|p| &*p.name).collect();
+    assert_eq!((landmarks.space, &names[..]), (Space::Lps, &["P1", "P2", "P3"][..]));
+    let lowest_mm = landmarks.points.iter().map(|p| surface.closest_point(&p.position).unwrap().distance_mm);
+    assert!(lowest_mm.fold(0.0, f64::max) < 1.0, "landmarks lie on the bone");
+
+    let planes = read_picked_points(&at("export_planes.mrk.json")).unwrap().planes;
+    let text = fs::read_to_string(at("export_planes.mrk.json")).unwrap();
+    let json: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(planes.len(), 2);
+    for (plane, markup) in planes.iter().zip(json["markups"].as_array().unwrap()) {
+        // The matrix, the normal and the control point say the same.
+        let numbers: Vec<f64> = markup["baseToNode"].as_array().unwrap().iter().map(|c| c.as_f64().unwrap()).collect();
+        let pose = isometry_from_matrix(&Matrix4::from_row_slice(&numbers)).unwrap();
+        assert!((pose.translation.vector - plane.origin.coords).norm() < 1e-9);
+        let axis = pose.rotation.to_rotation_matrix().matrix().column(2).into_owned();
+        assert!((axis - plane.normal.into_inner()).norm() < 1e-9);
+        assert_eq!(markup["controlPoints"][0]["position"], markup["center"]);
+    }
+    let transform = read_pose(&at("export_transform.tfm"), 1.0).unwrap().isometry;
+    assert!(fs::read_to_string(at("export_transform.tfm")).unwrap().contains("moves frame bone_marker to frame ct"));
+    let simple = transform.to_homogeneous();
+    assert!(simple.iter().all(|c| c.is_finite()) && transform.translation.vector.norm() > 1.0, "{simple}");
+}
+
+#[test]
+fn a_refused_registration_leaves_no_scan_and_no_transform() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    // So strict that noise alone is refused.
+    let strict = ["--set", "verdict.rules.max_inward_misfit_mm=0"];
+    let output = osteoflow().args(["run", GRAPH, "--no-record", "--out"]).arg(&out).args(strict).output().unwrap();
+    assert_eq!(output.status.code(), Some(3), "{}", String::from_utf8_lossy(&output.stderr));
+    for name in ["export_scan.ply", "export_transform.tfm"] {
+        assert!(!out.join(name).exists(), "{name}");
+    }
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(stderr.contains("nothing is written, since the verdict is refused"), "{stderr}");
+}
+
+#[test]
+fn a_plan_that_is_written_and_read_has_no_unread_keys() {
+    let plan = read_plan(&common::root().join("tests/data/procedure/plan.json")).unwrap();
+    assert_eq!(plan.notes, [""; 0]);
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("plan.json");
+    fs::write(&file, plan_json(&plan.plan).to_string()).unwrap();
+    assert_eq!(read_plan(&file).unwrap().notes, [""; 0]);
+}
