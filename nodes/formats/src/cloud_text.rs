@@ -166,7 +166,7 @@ fn fault(path: &Path, line: usize, message: impl Into<String>) -> FileError {
 }
 
 /// The words of a heading, with any separator.
-fn heading_names(heading: &str) -> Vec<String> {
+pub(crate) fn heading_names(heading: &str) -> Vec<String> {
     let blank = |c: char| c.is_whitespace();
     let separator = [';', ',', '\t'].into_iter().find(|&c| heading.contains(c));
     let bare = |word: &str| word.trim().trim_matches('"').trim().to_owned();

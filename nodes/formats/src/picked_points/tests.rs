@@ -44,6 +44,7 @@ fn the_same_points_are_read_from_every_format() {
         ("P1 1 2.5 -3\nP 2 4 5 6\n".into(), Space::Unknown),
         ("P1;1,0;2,5;-3,0\r\nP 2;4,0;5,0;6,0\r\n".into(), Space::Unknown),
         ("label,x,y,z\nP1,1,2.5,-3\n\"P 2\",4,5,6\n".into(), Space::Unknown),
+        ("# these are x, y and z\n//Name,Z,Y,X\nP1,-3,2.5,1\nP 2,6,5,4\n".into(), Space::Unknown),
         ("# SPACE=RAS\nz,y,x,Name\n-3,-2.5,-1,P1\n6,-5,-4,P 2\n".into(), Space::Ras),
         (
             "<!DOCTYPE PickedPoints>\n<PickedPoints>\n <point y=\"2.5\" active=\"1\" name=\"P1\" x=\"1\" z=\"-3\"/>\n \
@@ -154,6 +155,8 @@ fn a_broken_file_says_where_and_why() {
         ("# CoordinateSystem = LPS\n1,2,nan,3,0,0,0,1,1,1,0,A,,\n".into(), "line 2: point \"A\" is at [2.0, NaN, 3.0]"),
         ("P1,1,2,3\nP1,4,5,6\n".into(), "line 2: label \"P1\" is given twice"),
         ("P1,1,2,3\nP2,4,5\n".into(), "line 2: 4 columns are expected, this line has 3"),
+        ("1 2 3 0 0 1\n".into(), "line 1: a label and three numbers are expected, this line has 6 columns"),
+        ("1 2 3\n1 2 3 4 5\n".into(), "line 2: 3 columns are expected, this line has 5"),
         ("P1,1,two,3\n".into(), "line 1: \"two\" is not a number"),
         ("P1,1,2,3,4\n".into(), "line 1: a label and three numbers are expected, this line has 5 columns"),
         ("label,x,y,q\nP1,1,2,3\n".into(), "line 1: no column is called \"z\"; there are: label, x, y, q"),

@@ -3,7 +3,8 @@
 use super::{Collected, PickedPoints};
 use crate::{
     FileError, Space,
-    cloud_text::{Split, has_words},
+    cloud_text::{Split, has_words, heading_names},
+    scalar::number,
     space::StatedSpace,
 };
 use std::path::Path;
@@ -59,12 +60,11 @@ pub(super) fn meshlab(path: &Path, text: &str) -> Result<PickedPoints, FileError
             None | Some("1" | "true") => {}
             Some(other) => return Err(fault(path, line, format!("active is \"{other}\"; 0 or 1 is expected"))),
         }
-        let number = |name: &str| {
+        let value = |name: &str| {
             let text = point.attribute(name).ok_or_else(|| fault(path, line, format!("the point has no {name}")))?;
-            crate::scalar::number(text.trim())
-                .ok_or_else(|| fault(path, line, format!("{name} is \"{text}\"; a number is expected")))
+            number(text.trim()).ok_or_else(|| fault(path, line, format!("{name} is \"{text}\"; a number is expected")))
         };
-        let position = [number("x")?, number("y")?, number("z")?];
+        let position = [value("x")?, value("y")?, value("z")?];
         let name = point.attribute("name").unwrap_or_default();
         collected.push(name, position, Space::Unknown).map_err(|message| fault(path, line, message))?;
     }
@@ -74,6 +74,7 @@ pub(super) fn meshlab(path: &Path, text: &str) -> Result<PickedPoints, FileError
 /// The points in a text: three numbers a line, with a label or an index before them, or columns that a heading names.
 pub(super) fn list(path: &Path, text: &str) -> Result<PickedPoints, FileError> {
     let mut stated = StatedSpace::default();
+    let mut comment_heading = None;
     let mut rows: Vec<(&str, usize)> = Vec::new();
     for (line, number) in text.lines().zip(1..) {
         let line = line.trim_matches(' ').trim_end();
@@ -81,6 +82,9 @@ pub(super) fn list(path: &Path, text: &str) -> Result<PickedPoints, FileError> {
             // CloudCompare begins the labels of points with this sign.
             Some(comment) if !is_labelled(comment) => {
                 stated.take(comment).map_err(|message| fault(path, number, message))?;
+                if rows.is_empty() && axes_named(&heading_names(comment)) == 3 {
+                    comment_heading = Some((heading_names(comment), number));
+                }
             }
             None if line.is_empty() => {}
             _ => rows.push((line, number)),
@@ -91,15 +95,18 @@ pub(super) fn list(path: &Path, text: &str) -> Result<PickedPoints, FileError> {
     collected.notes.extend(stated.note);
     let Some(&(first, first_number)) = rows.first() else { return Ok(collected.finish(space)) };
     let split = Split::of(&rows, None).map_err(|(number, message)| fault(path, number, message))?;
-    let heading: Option<Vec<String>> = {
-        let names = split_line(&split, first);
-        let is_axis = |name: &&String| ["x", "y", "z"].iter().any(|axis| name.eq_ignore_ascii_case(axis));
-        (has_words(first) && names.iter().filter(is_axis).count() >= 2).then_some(names)
-    };
+    let first_cells = split_line(&split, first);
     let mut rows = &rows[..];
-    let mut columns = None;
-    if let Some(names) = &heading {
+    let heading = if has_words(first) && axes_named(&first_cells) >= 2 {
         rows = &rows[1..];
+        Some((first_cells, first_number))
+    } else {
+        // A sentence about x, y and z is no heading.
+        comment_heading.filter(|(names, _)| names.len() == first_cells.len())
+    };
+    let mut columns = None;
+    if let Some((names, first_number)) = &heading {
+        let first_number = *first_number;
         if let Some((k, name)) =
             names.iter().enumerate().find(|(k, name)| names[..*k].iter().any(|other| other.eq_ignore_ascii_case(name)))
         {
@@ -133,18 +140,19 @@ pub(super) fn list(path: &Path, text: &str) -> Result<PickedPoints, FileError> {
         collected.notes.push("the first of four numbers is taken for an index, not for a name".into());
     }
     let width = columns.map_or_else(|| split_line(&split, first).len(), |(_, _, n)| n);
-    for &(line, number) in rows {
+    for &(line, line_number) in rows {
         let cells = split_line(&split, line);
-        let fault = |message: String| fault(path, number, message);
-        // Blanks may be within a label.
-        let label_may_grow = split.separator.is_none() && columns.is_none() && cells.len() > 4;
+        let fault = |message: String| fault(path, line_number, message);
+        // Blanks may be within a label, but numbers alone are more than a point.
+        let label_may_grow =
+            split.separator.is_none() && columns.is_none() && cells.len() > 4 && number(&cells[0]).is_none();
         if cells.len() != width && !label_may_grow {
             return Err(fault(format!("{width} columns are expected, this line has {}", cells.len())));
         }
         let n = cells.len();
         let (label, axes) = match columns {
             Some((label, axes, _)) => (label.map(|k| cells[k].clone()), axes),
-            None if n < 3 || (n > 4 && split.separator.is_some()) => {
+            None if n < 3 || (n > 4 && !label_may_grow) => {
                 return Err(fault(format!("a label and three numbers are expected, this line has {n} columns")));
             }
             None if n == 3 || is_indexed => (None, [n - 3, n - 2, n - 1]),
@@ -163,7 +171,12 @@ pub(super) fn list(path: &Path, text: &str) -> Result<PickedPoints, FileError> {
 fn is_labelled(comment: &str) -> bool {
     let mut cells = comment.split([',', ';']);
     let is_label = cells.next().is_some_and(|label| label.parse::<u64>().is_ok());
-    is_label && cells.clone().count() == 3 && cells.all(|cell| crate::scalar::number(cell.trim()).is_some())
+    is_label && cells.clone().count() == 3 && cells.all(|cell| number(cell.trim()).is_some())
+}
+
+/// How many of x, y and z are among the names.
+fn axes_named(names: &[String]) -> usize {
+    ["x", "y", "z"].iter().filter(|axis| names.iter().any(|name| name.eq_ignore_ascii_case(axis))).count()
 }
 
 fn split_line(split: &Split, line: &str) -> Vec<String> {
