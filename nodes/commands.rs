@@ -157,7 +157,7 @@ fn paint(coloured: bool, text: &str, style: &str) -> String {
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     Run(run::Run),
-    Register(register::Register),
+    Register(Box<register::Register>),
     Info(info::Info),
     Convert(convert::Convert),
     Check(check::Check),

@@ -107,26 +107,27 @@ fn points(
     Ok((points, is_named))
 }
 
+/// A change of coordinates that is tried.
+type Moved = fn(&Point3<f64>) -> Point3<f64>;
+
 /// Points picked on the target that are far from it, with the likely cause.
 pub(super) fn off_surface(target: &Target, picked: &[NamedPoint]) -> Option<String> {
     let surface_mm = |p: &Point3<f64>| match target.mesh().and_then(|mesh| mesh.closest_point(p)) {
         Some(closest) => closest.distance_mm,
         None => target.nearest(p, f64::INFINITY).map_or(f64::INFINITY, |(_, mm)| mm),
     };
-    let farthest = |moved: &dyn Fn(&Point3<f64>) -> Point3<f64>| {
-        picked.iter().map(|p| surface_mm(&moved(&p.position))).fold(0.0, f64::max)
-    };
-    let off_mm = farthest(&|p| *p);
+    let farthest = |moved: Moved| picked.iter().map(|p| surface_mm(&moved(&p.position))).fold(0.0, f64::max);
+    let off_mm = farthest(|p| *p);
     if off_mm <= OFF_SURFACE_MM {
         return None;
     }
-    let causes: [(&str, &dyn Fn(&Point3<f64>) -> Point3<f64>); 6] = [
-        ("with x and y negated they lie on it: RAS and LPS are mixed up", &|p| Point3::new(-p.x, -p.y, p.z)),
-        ("with x negated they lie on it: left and right are mixed up", &|p| Point3::new(-p.x, p.y, p.z)),
-        ("with y negated they lie on it: an axis is flipped", &|p| Point3::new(p.x, -p.y, p.z)),
-        ("with z negated they lie on it: an axis is flipped", &|p| Point3::new(p.x, p.y, -p.z)),
-        ("a thousand times as large they lie on it: they are in metres", &|p| p * 1e3),
-        ("a thousandth as large they lie on it: they are in micrometres", &|p| p * 1e-3),
+    let causes: [(&str, Moved); 6] = [
+        ("with x and y negated they lie on it: RAS and LPS are mixed up", |p| Point3::new(-p.x, -p.y, p.z)),
+        ("with x negated they lie on it: left and right are mixed up", |p| Point3::new(-p.x, p.y, p.z)),
+        ("with y negated they lie on it: an axis is flipped", |p| Point3::new(p.x, -p.y, p.z)),
+        ("with z negated they lie on it: an axis is flipped", |p| Point3::new(p.x, p.y, -p.z)),
+        ("a thousand times as large they lie on it: they are in metres", |p| p * 1e3),
+        ("a thousandth as large they lie on it: they are in micrometres", |p| p * 1e-3),
     ];
     let cause = causes.iter().find(|(_, moved)| farthest(*moved) <= OFF_SURFACE_MM);
     let cause = cause.map_or("were they picked on this surface?", |(cause, _)| cause);

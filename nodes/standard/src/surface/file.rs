@@ -6,7 +6,7 @@ use osteoflow_node::{
     Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
 };
 
-/// A triangle mesh from an STL or PLY file, binary or ASCII.
+/// A triangle mesh from a file: STL, PLY, OBJ, OFF or VTK, recognised by its content.
 #[derive(Describe)]
 #[describe(example = r#"
 kind  = "surface.file"
@@ -23,7 +23,7 @@ pub struct File {
 #[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// The STL or PLY file.
+    /// The file.
     pub path: FilePath,
     /// The frame of its coordinates. `ct`: a bone's surface is segmented from CT.
     #[serde(default = "ct")]
