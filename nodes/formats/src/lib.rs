@@ -14,6 +14,7 @@
 //! | [`mesh_or_cloud`] | a surface or a cloud: STL, PLY, XYZ, CSV | |
 //! | [`pose_file`] | one rigid motion: a matrix as text or JSON, an ITK transform | |
 //! | [`poses_csv`] | poses over time | poses over time |
+//! | [`volume`] | voxels of a CT: NIfTI, NRRD, a DICOM series | |
 //! | [`folder`] | a whole procedure as a folder of such files | |
 //!
 //! ```
@@ -56,6 +57,7 @@ pub mod pose_file;
 pub mod poses_csv;
 pub mod recording_write;
 mod table;
+pub mod volume;
 
 pub use error::FileError;
 pub use lost::{LostPose, PoseError};
