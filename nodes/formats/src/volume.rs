@@ -138,11 +138,14 @@ fn affine(axes: [[f64; 3]; 3], first: [f64; 3], signs: [f64; 3]) -> Matrix4<f64>
     t
 }
 
-/// Whether values without a stated unit look like Hounsfield units: air below, bone above.
+/// Whether values without a stated unit look like Hounsfield units: air below, bone above, most of them between.
 fn looks_like_hu(voxels: &[f32]) -> bool {
-    let start = (f32::MAX, f32::MIN);
-    let (low, high) = voxels.iter().filter(|v| v.is_finite()).fold(start, |(a, b), v| (a.min(*v), b.max(*v)));
-    (-10_000.0..=-500.0).contains(&low) && (300.0..=70_000.0).contains(&high)
+    let start = (f32::MAX, f32::MIN, 0usize);
+    let (low, high, n_tissue) = voxels
+        .iter()
+        .filter(|v| v.is_finite())
+        .fold(start, |(low, high, n), v| (low.min(*v), high.max(*v), n + usize::from((-1100.0..=3100.0).contains(v))));
+    (-10_000.0..=-500.0).contains(&low) && high >= 300.0 && 2 * n_tissue >= voxels.len()
 }
 
 /// The unit of values whose file states none, with a note.
