@@ -7,7 +7,7 @@
 //! 1. [`calibrate`]: the camera's pose in its marker's frame, from one scan of a phantom.
 //! 2. [`roi`], [`downsample`], [`normals`], [`merge`], [`still_average`]: from raw streams to one clean cloud.
 //! 3. [`hole`]: the laser spots on the bone; [`landmarks`]: the planned marks; [`coarse`]: the fit of both.
-//! 4. [`sample`] and [`target`]: the CT surface, prepared; [`icp`]: the scan onto it.
+//! 4. [`ct_surface`]: the bone's surface in a CT; [`sample`] and [`target`]: prepared; [`icp`]: the scan onto it.
 //! 5. [`axes`] and [`metrics`]: the accuracy; [`fragment`]: the piece that the cuts take out.
 //!
 //! Results do not depend on the number of threads: sums run over chunks of fixed size in order, and ties go to the
@@ -45,11 +45,13 @@ pub mod axes;
 mod bvh;
 pub mod calibrate;
 pub mod coarse;
+pub mod ct_surface;
 pub mod downsample;
 pub mod field;
 pub mod fragment;
 pub mod hole;
 pub mod icp;
+pub mod iso_surface;
 pub mod kabsch;
 pub mod landmarks;
 pub mod merge;

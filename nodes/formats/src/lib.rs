@@ -16,6 +16,7 @@
 //! | [`plan_file`] | surgical plans in JSON | surgical plans in JSON |
 //! | [`pose_file`] | one rigid motion: a matrix as text or JSON, an ITK transform | |
 //! | [`poses_csv`] | poses over time | poses over time |
+//! | [`volume`] | voxels of a CT: NIfTI, NRRD, a DICOM series | |
 //! | [`folder`] | a whole procedure as a folder of such files | |
 //!
 //! ```
@@ -66,6 +67,7 @@ mod scalar;
 mod shape;
 pub mod space;
 mod table;
+pub mod volume;
 mod vtk;
 pub mod write;
 

@@ -3,9 +3,9 @@
 use crate::SimulationError;
 use crate::draws::{Term, stream};
 use crate::error::check_rules;
-use crate::iso_surface::{Grid, iso_surface, make_well_composed};
 use crate::waves::Waves;
 use nalgebra::{Point3, Vector3};
+use osteoflow_algorithms::iso_surface::{iso_surface, make_well_composed};
 use osteoflow_algorithms::mesh_topology::{largest_component, open_edges};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use rand::{RngExt, SeedableRng};
@@ -99,6 +99,15 @@ impl CtParams {
     }
 }
 
+/// A regular grid of voxels, x fastest.
+#[derive(Debug, Clone, PartialEq)]
+struct Grid {
+    /// Centre of the first voxel, mm.
+    origin: Point3<f64>,
+    spacing_mm: f64,
+    size: [usize; 3],
+}
+
 /// Maximum number of voxels: a whole leg at 0.3 mm; more is a mistake in the unit.
 const MAX_VOXELS: u64 = 64_000_000;
 
@@ -143,8 +152,8 @@ pub fn ct_surface(bone: &Mesh, params: &CtParams, seed: u64) -> Result<Mesh, Sim
         volume.par_iter_mut().zip(noise.par_iter()).for_each(|(v, n)| *v += scale * n);
     }
     let level = ((params.threshold_hu - params.tissue_hu) / contrast) as f32;
-    make_well_composed(&mut volume, &grid, level);
-    let (vertices, faces) = iso_surface(&volume, &grid, level);
+    make_well_composed(&mut volume, size, level);
+    let (vertices, faces) = iso_surface(&volume, size, level, |at| grid.origin + at * grid.spacing_mm);
     let (mut vertices, faces) = largest_component(vertices, &faces);
     if faces.is_empty() {
         return Err(SimulationError::NoBoneInCt { voxel_mm: h });

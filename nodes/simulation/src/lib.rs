@@ -20,7 +20,6 @@ mod check_piece;
 pub mod ct;
 mod draws;
 mod error;
-mod iso_surface;
 mod other_bone;
 mod params;
 pub mod phantom;

@@ -45,6 +45,7 @@ pub fn registry() -> Registry {
         .source::<plan::file::File>()
         .source::<plan::simulated::Simulated>()
         .node::<plan::landmarks::Landmarks>()
+        .source::<surface::ct::Ct>()
         .source::<surface::file::File>()
         .source::<surface::simulated::Simulated>()
         .source::<surface::simulated_phantom::SimulatedPhantom>()

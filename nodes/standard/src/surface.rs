@@ -1,5 +1,6 @@
 //! Surfaces of bone and phantom, and the CT surface prepared for registration.
 
+pub mod ct;
 pub mod file;
 pub mod prepare;
 pub mod prepare_cloud;

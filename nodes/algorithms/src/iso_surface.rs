@@ -1,25 +1,16 @@
-//! Extraction of an iso-surface from a volume.
+//! Extraction of an iso-surface from a volume, in the coordinates of its voxels.
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
-/// A regular grid of voxels, x fastest.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Grid {
-    /// Centre of the first voxel, mm.
-    pub(crate) origin: Point3<f64>,
-    pub(crate) spacing_mm: f64,
-    pub(crate) size: [usize; 3],
-}
-
-/// Raises voxels to just above `level` until no two regions touch only at an edge or corner, so that the surface
+/// Raises voxels (`size`, x fastest) to just above `level` until no two regions touch only at an edge or corner, so that the surface
 /// between them is a manifold; returns their number. It is always the voxel nearest the level that is raised.
 ///
 /// # Source
 /// Latecki 1997, 3D well-composed pictures: two diagonal corners of a square of voxels, or two opposite corners of a
 /// cube, must not differ from all others. Raising terminates, as it only ever adds voxels above the level.
-pub(crate) fn make_well_composed(volume: &mut [f32], grid: &Grid, level: f32) -> usize {
-    let [nx, ny, nz] = grid.size;
+pub fn make_well_composed(volume: &mut [f32], size: [usize; 3], level: f32) -> usize {
+    let [nx, ny, nz] = size;
     let step = [1, nx, nx * ny];
     let just_above = level + (1e-5 * level.abs()).max(1e-6);
     let mut n_raised = 0;
@@ -70,8 +61,13 @@ pub(crate) fn make_well_composed(volume: &mut [f32], grid: &Grid, level: f32) ->
     }
 }
 
-/// Vertices and faces of the surface between voxels at or below `level` and those above; normals point to the lower
-/// side. Empty if no voxel is above. Where the border of the grid is above the level the surface stays open.
+/// Vertices and faces of the surface between voxels (`size`, x fastest) at or below `level` and those above; normals
+/// point to the lower side. Empty if no voxel is above. Where the border of the grid is above the level the surface stays
+/// open.
+///
+/// `place` takes the index of a voxel's centre, or a position between centres, to the vertex's coordinates; any affine
+/// map will do. One that mirrors (of negative determinant) turns the normals to the higher side: swap two corners of each
+/// face. `O(voxels)`, on all threads; the result does not depend on their number.
 ///
 /// Naive surface nets: one vertex in each cell of eight voxels that the surface passes through, at the mean of its
 /// intersections with the cell's edges, and one quad for each intersected edge. Triangles are of even size, half as
@@ -79,8 +75,13 @@ pub(crate) fn make_well_composed(volume: &mut [f32], grid: &Grid, level: f32) ->
 ///
 /// # Source
 /// Gibson 1998, Constrained elastic surface nets, in the form without relaxation.
-pub(crate) fn iso_surface(volume: &[f32], grid: &Grid, level: f32) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
-    let [nx, ny, nz] = grid.size;
+pub fn iso_surface(
+    volume: &[f32],
+    size: [usize; 3],
+    level: f32,
+    place: impl Fn(Vector3<f64>) -> Point3<f64> + Sync,
+) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
+    let [nx, ny, nz] = size;
     if nx < 2 || ny < 2 || nz < 2 {
         return (Vec::new(), Vec::new());
     }
@@ -92,15 +93,23 @@ pub(crate) fn iso_surface(volume: &[f32], grid: &Grid, level: f32) -> (Vec<Point
         .map(|z| {
             let mut found = Vec::new();
             for y in 0..ny - 1 {
+                // The four voxels of a cell at one x are its corners 0, 2, 4 and 6.
+                let column = |x: usize| {
+                    let at = [value(x, y, z), value(x, y + 1, z), value(x, y, z + 1), value(x, y + 1, z + 1)];
+                    at.iter().enumerate().fold(0u8, |mask, (k, v)| mask | u8::from(*v > 0.0) << (2 * k))
+                };
+                let mut next = column(0);
                 for x in 0..nx - 1 {
-                    let corners: [f32; 8] = std::array::from_fn(|c| value(x + (c & 1), y + (c >> 1 & 1), z + (c >> 2)));
-                    let above = corners.iter().filter(|v| **v > 0.0).count();
-                    if above == 0 || above == 8 {
+                    let left = next;
+                    next = column(x + 1);
+                    let above = left | next << 1;
+                    if above == 0 || above == 255 {
                         continue;
                     }
+                    let corners: [f32; 8] = std::array::from_fn(|c| value(x + (c & 1), y + (c >> 1 & 1), z + (c >> 2)));
                     let within = cell_vertex(&corners);
                     let at = Vector3::new(x as f64, y as f64, z as f64) + within;
-                    found.push(((y * nx + x) as u32, grid.origin + at * grid.spacing_mm));
+                    found.push(((y * nx + x) as u32, place(at)));
                 }
             }
             found
@@ -173,10 +182,28 @@ fn cell_vertex(corners: &[f32; 8]) -> Vector3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::assert_closed_and_outward;
-    use osteoflow_algorithms::mesh_topology::open_edges;
+    use crate::mesh_topology::open_edges;
     use osteoflow_geometry::{Mesh, SurfaceOrigin};
     use rand::{RngExt, SeedableRng};
+
+    struct Grid {
+        origin: Point3<f64>,
+        spacing_mm: f64,
+        size: [usize; 3],
+    }
+
+    impl Grid {
+        fn surface(&self, volume: &[f32], level: f32) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
+            iso_surface(volume, self.size, level, |at| self.origin + at * self.spacing_mm)
+        }
+    }
+
+    fn assert_closed_and_outward(mesh: &Mesh) -> f64 {
+        assert_eq!(open_edges(mesh), 0, "open edges");
+        let volume = mesh.volume_mm3();
+        assert!(volume > 0.0, "the normals point inward: volume {volume} mm3");
+        volume
+    }
 
     fn sampled(grid: &Grid, f: impl Fn(&Point3<f64>) -> f64) -> Vec<f32> {
         let [nx, ny, nz] = grid.size;
@@ -192,7 +219,7 @@ mod tests {
     fn a_ball_comes_out_closed_and_of_its_size() {
         let grid = Grid { origin: Point3::new(-7.0, -7.0, -7.0), spacing_mm: 0.5, size: [29, 29, 29] };
         let volume = sampled(&grid, |p| 5.0 - p.coords.norm());
-        let (vertices, faces) = iso_surface(&volume, &grid, 0.0);
+        let (vertices, faces) = grid.surface(&volume, 0.0);
         for v in &vertices {
             let radius = v.coords.norm();
             // A chord of one cell's diagonal is 0.02 mm inside the arc.
@@ -212,26 +239,26 @@ mod tests {
         let noise = sampled(&grid, |p| if inside(p) { -0.6 } else { -9.0 });
         let mut noise: Vec<f32> = noise.into_iter().map(|v| v + rng.random::<f32>()).collect();
         let mesh = |volume: &[f32]| {
-            let (vertices, faces) = iso_surface(volume, &grid, 0.5);
+            let (vertices, faces) = grid.surface(volume, 0.5);
             Mesh::new("ct", SurfaceOrigin::SimulatedCt, vertices, faces).unwrap()
         };
         noise.iter_mut().for_each(|v| *v += 0.5);
         assert!(open_edges(&mesh(&noise)) > 0, "the noise should touch itself somewhere");
-        assert!(make_well_composed(&mut noise, &grid, 0.5) > 0);
+        assert!(make_well_composed(&mut noise, grid.size, 0.5) > 0);
         assert_closed_and_outward(&mesh(&noise));
-        assert_eq!(make_well_composed(&mut noise, &grid, 0.5), 0);
+        assert_eq!(make_well_composed(&mut noise, grid.size, 0.5), 0);
     }
 
     #[test]
     fn a_slanted_plane_is_met_exactly_and_a_flat_volume_gives_nothing() {
         let grid = Grid { origin: Point3::new(-3.0, -3.0, -3.0), spacing_mm: 0.6, size: [11, 11, 11] };
         let normal = Vector3::new(0.3, -0.5, 0.8);
-        let (vertices, _) = iso_surface(&sampled(&grid, |p| 0.13 - normal.dot(&p.coords)), &grid, 0.0);
+        let (vertices, _) = grid.surface(&sampled(&grid, |p| 0.13 - normal.dot(&p.coords)), 0.0);
         assert!(!vertices.is_empty());
         for v in &vertices {
             // Values are single precision.
             assert!((normal.dot(&v.coords) - 0.13).abs() < 1e-6);
         }
-        assert!(iso_surface(&vec![1.0; 11 * 11 * 11], &grid, 0.5).0.is_empty());
+        assert!(grid.surface(&[1.0; 11 * 11 * 11], 0.5).0.is_empty());
     }
 }
