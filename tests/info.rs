@@ -86,7 +86,7 @@ fn a_cut_recording_is_read_in_part_with_its_problem_and_what_cannot_be_read_is_r
     }
     let output = info(dir.path());
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(stderr.contains("a folder without procedure.toml or manifest.json"), "{stderr}");
+    assert!(stderr.contains("a folder without procedure.toml or manifest.json, and no DICOM series: "), "{stderr}");
 }
 
 #[test]

@@ -1,10 +1,10 @@
-//! Whether a file holds picked points, or a surface or cloud.
+//! What a file holds, where the readers do not tell: picked points, an image, or a surface or cloud.
 
 use osteoflow_formats::{
     FileError,
     picked_points::{PickedPoints, parse_picked_points},
 };
-use std::path::Path;
+use std::{fs, io::Read as _, path::Path};
 
 /// Nobody picks more points by hand; longer lists of numbers are clouds.
 const N_PICKED: usize = 1000;
@@ -30,4 +30,14 @@ pub(crate) fn picked_points(file: &Path, bytes: &[u8]) -> Option<Result<PickedPo
     };
     let is_indexed = head.lines().take(3).all(indexed);
     (read.points.len() <= N_PICKED && (has_names || is_indexed)).then_some(Ok(read))
+}
+
+/// Whether a file is an image in three dimensions: NIfTI, NRRD or DICOM.
+pub(crate) fn is_volume(file: &Path) -> bool {
+    let mut head = [0; 352];
+    let n = fs::File::open(file).and_then(|mut file| file.read(&mut head)).unwrap_or(0);
+    let head = &head[..n];
+    let at = |from: usize, magic: &[&[u8]]| magic.iter().any(|m| head.get(from..from + m.len()) == Some(*m));
+    // NIfTI and its gzip, NRRD, DICOM.
+    at(0, &[b"\x1f\x8b", b"NRRD"]) || at(344, &[b"n+1", b"ni1"]) || at(4, &[b"n+2", b"ni2"]) || at(128, &[b"DICM"])
 }

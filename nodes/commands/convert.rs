@@ -1,4 +1,7 @@
-use super::{Exit, Global, UsageError, content::picked_points};
+use super::{
+    Exit, Global, UsageError,
+    content::{is_volume, picked_points},
+};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use osteoflow_formats::{
@@ -11,12 +14,15 @@ use osteoflow_geometry::{
     Cloud, Mesh, NamedPoint,
     nalgebra::{Point3, Vector3},
 };
+use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
+use serde_json::json;
 use std::{fs, io::Write, path::PathBuf};
 
-/// Convert a file of points, a surface or picked points into another format.
+/// Convert a file of points, a surface, picked points or a CT into another format.
 ///
 /// The format of IN is recognised by its content, that of OUT by its ending: surfaces to .ply, .stl, .obj, their vertices to .pcd
-/// or .csv; clouds to .ply, .pcd, .obj or .csv (x,y,z with a heading); picked points to .csv (label,x,y,z), .mrk.json or .fcsv.
+/// or .csv; clouds to .ply, .pcd, .obj or .csv (x,y,z with a heading); picked points to .csv (label,x,y,z), .mrk.json or .fcsv;
+/// a CT to the surface of its largest part.
 /// Lengths are millimetres after --scale. Files that state RAS are turned to LPS; where a file states no space its numbers stay as
 /// they are. Nothing is overwritten.
 #[derive(Debug, Args)]
@@ -24,6 +30,7 @@ use std::{fs, io::Write, path::PathBuf};
 Examples:
   osteoflow convert scan.pcd scan.ply
   osteoflow convert bone_in_metres.obj bone.stl --scale 1000
+  osteoflow convert ct_series bone.stl --iso-hu 600
   osteoflow convert plan.mrk.json plan.csv
   osteoflow convert picked.pp picked.mrk.json --space RAS    MeshLab states no space; here its numbers are RAS")]
 pub(crate) struct Convert {
@@ -39,6 +46,10 @@ pub(crate) struct Convert {
     #[arg(long, default_value_t = 1.0, value_name = "FACTOR", value_parser = factor)]
     scale: f64,
 
+    /// The surface of IN, a CT, at this value, HU; its largest part above it.
+    #[arg(long, value_name = "HU", allow_hyphen_values = true)]
+    iso_hu: Option<f64>,
+
     /// The space of the numbers in IN, if IN does not state it; OUT is LPS then, as far as it can say so.
     #[arg(long, value_enum, ignore_case = true, value_name = "LPS|RAS")]
     space: Option<super::register::SpaceOption>,
@@ -51,11 +62,23 @@ impl Convert {
                 format!("{} exists already; name another file, nothing is overwritten", self.output.display());
             return Err(UsageError(message).into());
         }
+        if self.input.is_dir() || is_volume(&self.input) {
+            let (done, notes) = self.ct()?;
+            return self.done(&done, &notes, global);
+        }
+        if self.iso_hu.is_some() {
+            return Err(UsageError(format!("{}: --iso-hu is for a CT", self.input.display())).into());
+        }
         let bytes = fs::read(&self.input).with_context(|| format!("{} cannot be read", self.input.display()))?;
         let (done, notes) = match self.picked(&bytes) {
             Some(picked) => self.points(picked.map_err(without_cause)?)?,
             None => self.shape(&bytes)?,
         };
+        self.done(&done, &notes, global)
+    }
+
+    /// Prints what was written.
+    fn done(&self, done: &str, notes: &[String], global: &Global) -> Result<Exit> {
         if !global.quiet {
             for note in notes {
                 writeln!(std::io::stderr(), "{}: {}: {note}", global.paint_err("note", "1"), self.input.display())?;
@@ -63,6 +86,22 @@ impl Convert {
             writeln!(std::io::stdout(), "{}: {done}", self.output.display())?;
         }
         Ok(Exit::Done)
+    }
+
+    /// The surface of a CT.
+    fn ct(&self) -> Result<(String, Vec<String>)> {
+        if self.scale != 1.0 || self.space.is_some() {
+            let message = "a CT states its unit and space; leave out --scale and --space";
+            return Err(UsageError(format!("{}: {message}", self.input.display())).into());
+        }
+        let Some(iso_hu) = self.iso_hu else {
+            return Err(UsageError(format!("{}: give --iso-hu; bone is above it", self.input.display())).into());
+        };
+        let params = serde_json::from_value(json!({ "path": self.input, "threshold_hu": iso_hu }))?;
+        let bone = read_bone(&params, NoThreshold::Refuse).map_err(|error| anyhow!("{error}"))?;
+        write_mesh(&self.output, &bone.mesh, Space::Lps).map_err(without_cause)?;
+        let (n_vertices, n_faces) = (bone.mesh.vertices().len(), bone.mesh.faces().len());
+        Ok((format!("{n_vertices} vertices, {n_faces} faces{}", in_space(Space::Lps)), bone.notes))
     }
 
     /// The picked points in the bytes; `None` if it is a surface or a cloud. A text of numbers alone is a list of points if OUT is.

@@ -42,7 +42,8 @@ use std::{
 /// Register one file onto another, without a graph: the SOURCE moves, the TARGET stays.
 ///
 /// The same methods, parameters and defaults as the nodes `icp.*`. TARGET is a surface, from which points are sampled as by
-/// surface.prepare, or points; PLY, STL, OBJ, OFF, VTK, PCD and text are read (docs/formats.md). Normals that the method needs and the file does not
+/// surface.prepare, or points; PLY, STL, OBJ, OFF, VTK, PCD and text are read, and
+/// as TARGET a CT: NIfTI, NRRD, or a folder with a DICOM series (docs/formats.md). Normals that the method needs and the file does not
 /// have are estimated. SOURCE is points, or the vertices of a surface. Lengths are millimetres; each file has a frame of its
 /// own, and the pose takes coordinates in the source's frame to the target's.
 ///
@@ -126,6 +127,14 @@ pub(crate) struct Register {
     /// When to stop.
     #[arg(long, value_enum, default_value_t = Stop::Converge, value_name = "WHEN")]
     stop: Stop,
+
+    /// Bone is above this in a TARGET that is a CT, HU. Default: half-way between soft tissue and bone in the volume.
+    #[arg(long, value_name = "HU", allow_hyphen_values = true)]
+    threshold_hu: Option<f64>,
+
+    /// Which DICOM series of the folder TARGET: its number, or the ending of its identifier.
+    #[arg(long, value_name = "SERIES")]
+    series: Option<String>,
 
     /// Number of points sampled from a target that is a surface.
     #[arg(long, default_value_t = 150_000, value_name = "N", value_parser = clap::value_parser!(u64).range(100..=10_000_000))]

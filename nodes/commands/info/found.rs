@@ -1,6 +1,6 @@
 //! What a file or folder is.
 
-use crate::commands::content::picked_points;
+use crate::commands::content::{is_volume, picked_points};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_formats::{
     FileError,
@@ -11,6 +11,7 @@ use osteoflow_formats::{
     picked_points::PickedPoints,
     plan_file::read_plan,
     pose_file::read_pose,
+    volume::{VolumeOptions, VoxelUnit, read_volume},
 };
 use osteoflow_geometry::{NamedPoint, nalgebra::Point3};
 use serde::Serialize;
@@ -40,6 +41,9 @@ pub(super) struct Found {
     centre_mm: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     normals: Option<bool>,
+    /// Number of voxels along each axis.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    size: Option<[usize; 3]>,
     /// LPS or RAS where the file states it.
     #[serde(skip_serializing_if = "Option::is_none")]
     space: Option<String>,
@@ -123,6 +127,9 @@ impl Found {
 pub(super) fn look(file: &Path) -> Result<Found> {
     if file.is_dir() {
         return folder(file);
+    }
+    if is_volume(file) {
+        return volume(file);
     }
     let bytes = fs::read(file).map_err(|error| anyhow!("{}: cannot be read: {error}", file.display()))?;
     if bytes.is_empty() {
@@ -327,6 +334,38 @@ fn frame(message: &Message) -> Option<String> {
     read_pose_in_frame(message).ok().map(|tip| tip.frame.to_string())
 }
 
+fn volume(file: &Path) -> Result<Found> {
+    let read = read_volume(file, &VolumeOptions::default()).map_err(without_cause)?;
+    let (volume, name) = (&read.volume, file.display());
+    let m = &volume.t_lps_voxel;
+    let edges: [f64; 3] = std::array::from_fn(|k| m.fixed_view::<3, 1>(0, k).norm());
+    let at = |corner: usize| {
+        let index = |k: usize| if corner >> k & 1 == 1 { volume.size[k] as f64 - 1.0 } else { 0.0 };
+        m.transform_point(&Point3::new(index(0), index(1), index(2)))
+    };
+    let (min, max) = (1..8).fold((at(0), at(0)), |(a, b), corner| (a.inf(&at(corner)), b.sup(&at(corner))));
+    let unit = if volume.unit == VoxelUnit::Hu { "HU" } else { "unknown" };
+    let [nx, ny, nz] = volume.size;
+    Ok(Found {
+        kind: "ct",
+        about: format!(
+            "an image of {nx} x {ny} x {nz} voxels of {:.3} x {:.3} x {:.3} mm, values in {unit}",
+            edges[0], edges[1], edges[2]
+        ),
+        extent_mm: Some((max - min).into()),
+        centre_mm: Some(((min.coords + max.coords) * 0.5).into()),
+        space: Some(if volume.is_oriented { "LPS" } else { "unknown" }.into()),
+        size: Some(volume.size),
+        notes: read.notes,
+        used_by: vec![
+            format!("osteoflow register {name} SCAN"),
+            format!("osteoflow convert {name} bone.stl --iso-hu HU"),
+            format!("osteoflow run GRAPH --set bone.kind=surface.ct --set bone.path={name} --set bone.threshold_hu=HU"),
+        ],
+        ..Found::default()
+    })
+}
+
 fn folder(folder: &Path) -> Result<Found> {
     let name = folder.display();
     if folder.join("procedure.toml").is_file() {
@@ -348,9 +387,9 @@ fn folder(folder: &Path) -> Result<Found> {
         let used_by = vec![format!("osteoflow report {name}"), format!("osteoflow replay {name}/run.mcap")];
         return Ok(Found { kind: "run", about: "a run".into(), verdict, problems, used_by, ..Found::default() });
     }
-    bail!(
-        "{name}: a folder without procedure.toml or manifest.json; name a file, the folder of a procedure, or that of a run"
-    )
+    volume(folder).map_err(|error| {
+        anyhow!("{name}: a folder without procedure.toml or manifest.json, and no DICOM series: {error}; name a file or another folder")
+    })
 }
 
 /// The error without its cause, which its message already names.

@@ -7,6 +7,7 @@ use super::{
     method::Method,
     start::Start,
 };
+use crate::commands::content::is_volume;
 use anyhow::{Result, anyhow, bail};
 use osteoflow_algorithms::{
     field::{ClosestPointField, FieldParams},
@@ -26,6 +27,7 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Point3, Vector3},
 };
 use osteoflow_payloads::Table;
+use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde_json::{Value, json};
 use std::{fs, path::Path, sync::Arc, time::Instant};
@@ -159,6 +161,23 @@ fn bytes(file: &Path) -> Result<Vec<u8>> {
     fs::read(file).map_err(|source| without_cause(FileError::Io { path: file.into(), action: "read", source }))
 }
 
+/// The surface of the bone in a CT.
+fn ct_surface(asked: &Register, unit_mm: f64, notes: &mut Vec<String>) -> Result<Mesh> {
+    let name = asked.target.display();
+    if unit_mm != 1.0 {
+        bail!("{name}: a CT states its unit; leave out --unit-mm, or give --source-unit-mm");
+    }
+    let params =
+        json!({ "path": asked.target, "threshold_hu": asked.threshold_hu, "series": asked.series, "frame": TARGET });
+    let params = serde_json::from_value(params)?;
+    let bone = read_bone(&params, NoThreshold::Suggest).map_err(|error| {
+        let error = error.to_string().replace("threshold_hu", "--threshold-hu");
+        if error.contains(&name.to_string()) { anyhow!("{error}") } else { anyhow!("{name}: {error}") }
+    })?;
+    notes.extend(bone.notes.into_iter().map(|note| format!("{name}: {note}")));
+    Ok(bone.mesh)
+}
+
 fn shape(
     file: &Path,
     bytes: &[u8],
@@ -187,8 +206,13 @@ impl TargetFile {
     /// Reads the file, or the prepared target of the same bytes from the store.
     fn read(asked: &Register, unit_mm: f64, needs: &Needs, notes: &mut Vec<String>, load: &mut LoadMs) -> Result<Self> {
         let began = Instant::now();
-        let bytes = bytes(&asked.target)?;
         let with_field = needs.field;
+        if asked.target.is_dir() || is_volume(&asked.target) {
+            let read = ct_surface(asked, unit_mm, notes)?;
+            load.target = ms_since(began);
+            return Ok(Self::sampled(asked, read, with_field, load));
+        }
+        let bytes = bytes(&asked.target)?;
         let entry = asked.keep.store()?.and_then(|store| {
             let key = Key::of("register_target").digest("program", store.program()?).bytes("file", &bytes);
             let key = key.number("unit_mm", unit_mm.to_bits()).number("n_points", asked.target_points);
@@ -232,6 +256,17 @@ impl TargetFile {
         // A file with notes or a stated space is not stored, so that the next run repeats them.
         let entry = entry(estimates).filter(|_| notes.len() == n_notes && space == Space::Unknown);
         Ok(Self { content: TargetContent::Read { points, normals, mesh }, estimates, with_field, space, entry })
+    }
+
+    /// A CT's surface, which is not stored.
+    fn sampled(asked: &Register, mesh: Mesh, with_field: bool, load: &mut LoadMs) -> Self {
+        let began = Instant::now();
+        let n_points = asked.target_points as usize;
+        let samples = sample::surface(&mesh, n_points, &mut ChaCha8Rng::seed_from_u64(asked.seed));
+        let (points, normals) = (samples.points.into(), Some(samples.normals.into()));
+        let content = TargetContent::Read { points, normals, mesh: Some(mesh) };
+        load.sample = ms_since(began);
+        Self { content, estimates: false, with_field, space: Space::Lps, entry: None }
     }
 
     /// The target with the structures that method and pairing need.

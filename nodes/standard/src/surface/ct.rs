@@ -114,41 +114,79 @@ impl Source for Ct {
         if std::mem::replace(&mut self.done, true) {
             return Ok(None);
         }
-        let options = VolumeOptions { series: self.params.series.clone() };
-        let read = read_volume(self.params.path.as_ref(), &options)?;
-        let volume = &read.volume;
-        let view = VolumeView { size: volume.size, voxels: &volume.voxels, t_lps_voxel: &volume.t_lps_voxel };
-        let Some(threshold) = self.params.threshold_hu else {
-            return Err(NodeError::new(no_threshold(&view, volume.unit)));
-        };
-        let component = self.params.choice().map_err(|error| NodeError::new(error.to_string()))?;
-        let params = CtSurfaceParams { threshold, component, fill_cavities: self.params.fill_cavities };
-        let surface = ct_surface(&view, &params)?;
-        read.notes.iter().for_each(|note| ctx.warn(note));
-        warnings(volume, &surface, &params).into_iter().for_each(|warning| ctx.warn(warning));
-        let report = serde_json::json!({
-            "source": read.source,
-            "size": volume.size,
-            "t_lps_voxel": (0..4).map(|r| (0..4).map(|c| volume.t_lps_voxel[(r, c)]).collect()).collect::<Vec<Vec<f64>>>(),
-            "unit": if volume.unit == VoxelUnit::Hu { "hu" } else { "unknown" },
-            "is_oriented": volume.is_oriented,
-            "threshold": threshold,
-            "n_components": surface.n_components,
-            "components": surface.components,
-            "chosen": surface.chosen,
-            "n_faces": surface.faces.len() - surface.n_border_faces(),
-            "n_border_faces": surface.n_border_faces(),
-            "n_filled": surface.n_filled,
-            "filled_mm3": surface.filled_mm3,
-            "n_raised_voxels": surface.n_raised,
-            "shift_mm_per_50": surface.shift_mm_per_50,
-            "shift_p95_mm_per_50": surface.shift_p95_mm_per_50,
-        });
-        Ok(Some(Out { mesh: surface.open_mesh(self.params.frame.as_str())?, report: Json(Arc::new(report)) }))
+        let bone = read_bone(&self.params, NoThreshold::Refuse)?;
+        bone.notes.into_iter().for_each(|note| ctx.warn(note));
+        Ok(Some(Out { mesh: bone.mesh, report: Json(Arc::new(bone.report)) }))
     }
 }
 
-fn no_threshold(view: &VolumeView<'_>, unit: VoxelUnit) -> String {
+/// A bone's surface from a CT.
+pub struct CtBone {
+    /// The surface, without the faces on the volume's border.
+    pub mesh: Mesh,
+    /// What is in doubt, one sentence each.
+    pub notes: Vec<String>,
+    /// The volume, the components, and how far the surface moves with the threshold.
+    pub report: serde_json::Value,
+}
+
+/// What to do without a threshold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NoThreshold {
+    /// Refuse, with a suggestion.
+    Refuse,
+    /// Take the suggestion where the values are HU, with a note; refuse elsewhere.
+    Suggest,
+}
+
+/// Reads a volume and extracts the bone's surface.
+///
+/// # Errors
+/// The volume cannot be read, there is no threshold, or nothing lies above it.
+pub fn read_bone(params: &Params, no_threshold: NoThreshold) -> Result<CtBone, NodeError> {
+    let options = VolumeOptions { series: params.series.clone() };
+    let read = read_volume(params.path.as_ref(), &options)?;
+    let volume = &read.volume;
+    let view = VolumeView { size: volume.size, voxels: &volume.voxels, t_lps_voxel: &volume.t_lps_voxel };
+    let mut notes = read.notes.clone();
+    let suggested = || {
+        let wanted = no_threshold == NoThreshold::Suggest && volume.unit == VoxelUnit::Hu;
+        wanted.then(|| suggested_threshold(&view, true)).flatten().inspect(|threshold| {
+            notes.push(format!(
+                "the threshold is {threshold:.0} HU, half-way between soft tissue and bone in this volume; look at the bone's outline \
+                 there"
+            ));
+        })
+    };
+    let Some(threshold) = params.threshold_hu.or_else(suggested) else {
+        return Err(NodeError::new(without_threshold(&view, volume.unit)));
+    };
+    let component = params.choice().map_err(|error| NodeError::new(error.to_string()))?;
+    let choice = CtSurfaceParams { threshold, component, fill_cavities: params.fill_cavities };
+    let surface = ct_surface(&view, &choice)?;
+    notes.extend(warnings(volume, &surface, &choice));
+    let report = serde_json::json!({
+        "source": read.source,
+        "size": volume.size,
+        "t_lps_voxel": (0..4).map(|r| (0..4).map(|c| volume.t_lps_voxel[(r, c)]).collect()).collect::<Vec<Vec<f64>>>(),
+        "unit": if volume.unit == VoxelUnit::Hu { "hu" } else { "unknown" },
+        "is_oriented": volume.is_oriented,
+        "threshold": threshold,
+        "n_components": surface.n_components,
+        "components": surface.components,
+        "chosen": surface.chosen,
+        "n_faces": surface.faces.len() - surface.n_border_faces(),
+        "n_border_faces": surface.n_border_faces(),
+        "n_filled": surface.n_filled,
+        "filled_mm3": surface.filled_mm3,
+        "n_raised_voxels": surface.n_raised,
+        "shift_mm_per_50": surface.shift_mm_per_50,
+        "shift_p95_mm_per_50": surface.shift_p95_mm_per_50,
+    });
+    Ok(CtBone { mesh: surface.open_mesh(params.frame.as_str())?, notes, report })
+}
+
+fn without_threshold(view: &VolumeView<'_>, unit: VoxelUnit) -> String {
     let suggested = suggested_threshold(view, unit == VoxelUnit::Hu);
     match (unit, suggested) {
         (VoxelUnit::Hu, Some(t)) => format!(
