@@ -573,7 +573,7 @@ impl Dicom {
 /// Run-length encoding of 16-bit cells: high bytes as repeats where they are, low bytes as literals.
 fn packed(cells: &[[u8; 2]]) -> Vec<u8> {
     let high: Vec<u8> = cells.iter().map(|c| c[1]).collect();
-    let mut segments = vec![Vec::new(), Vec::new()];
+    let mut segments = [Vec::new(), Vec::new()];
     for run in high.chunk_by(|a, b| a == b) {
         for part in run.chunks(128) {
             if part.len() == 1 {
