@@ -7,11 +7,11 @@ use common::osteoflow;
 use osteoflow_algorithms::sample;
 use osteoflow_formats::{
     cloud_file::{read_cloud_ply, write_ply},
-    mesh_file::write_stl,
+    mesh_file::{read_mesh, write_stl},
     pose_file::read_pose,
 };
 use osteoflow_geometry::{
-    Cloud, Mesh, isometry_from_matrix, matrix_rows,
+    Cloud, Mesh, SurfaceOrigin, isometry_from_matrix, matrix_rows,
     nalgebra::{Isometry3, Matrix4, Point3, Vector3, Vector4},
 };
 use osteoflow_simulation::{BoneParams, bone};
@@ -599,6 +599,39 @@ fn picked_points_are_matched_by_name_and_doubted_where_they_are_off_the_surface_
     );
     let stderr = case.fault(2, &["bone.stl", "scan.ply", "--landmarks", "bone.csv", "two.csv", "--init", "init.txt"]);
     assert!(stderr.contains("cannot be used with"), "{stderr}");
+}
+
+#[test]
+fn a_ct_is_registered_onto_as_its_surface_is() {
+    let Some(mesh) = common::data("registering onto a CT", "bones/TLEM2_CT_fibula_r.stl") else { return };
+    let Some(volume) = common::data("registering onto a CT", "medical/tlem2r_distal_ct.nii.gz") else { return };
+    let mesh = read_mesh(&mesh, 1.0, "ct", SurfaceOrigin::User).unwrap().mesh;
+    let seen = sample::surface(&mesh, 90_000, &mut ChaCha8Rng::seed_from_u64(8));
+    let side = seen.points.iter().zip(&seen.normals).filter(|(p, n)| (-1000.0..-900.0).contains(&p.z) && n.x > 0.2);
+    let scan: Vec<Point3<f64>> = side.map(|(p, _)| *p).collect();
+    let case = Case::new();
+    let motion = Isometry3::new(Vector3::new(40.0, -20.0, 300.0), Vector3::new(1.0, -0.6, 0.9));
+    let moved: Vec<Point3<f64>> = scan.iter().map(|p| motion.inverse() * p).collect();
+    write_ply(&case.path("ct_scan.ply"), &Cloud::new("camera", moved.clone()).unwrap(), 1.0).unwrap();
+    let dicom = volume.with_file_name("tlem2r_distal_ct_dicom");
+    for volume in [volume, dicom] {
+        let output = case.register(&[volume.to_str().unwrap(), "ct_scan.ply", "--format", "json"]);
+        let answer = last_line(&output);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr_of(&output));
+        let found = pose(&answer);
+        let off_mm = moved.iter().zip(&scan).map(|(a, b)| (found * a - b).norm()).fold(0.0, f64::max);
+        assert!(off_mm < 0.3 || answer["verdict"]["answer"] != "trusted", "{off_mm} mm off and trusted: {answer}");
+        assert!(off_mm < 0.3, "{off_mm} mm off: {}", answer["verdict"]);
+        let notes = answer["notes"].to_string();
+        assert!(
+            notes.contains("the threshold is 620 HU") && notes.contains("the volume's border cuts the bone"),
+            "{notes}"
+        );
+    }
+    // An image without a unit needs a threshold, and is not guessed at.
+    let Some(other) = common::data("an image that is no CT", "medical/nibabel_anatomical.nii") else { return };
+    let stderr = case.fault(1, &[other.to_str().unwrap(), "ct_scan.ply"]);
+    assert!(stderr.contains("--threshold-hu is not given, and the values are not HU"), "{stderr}");
 }
 
 #[test]

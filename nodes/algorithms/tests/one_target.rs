@@ -22,7 +22,7 @@ fn points(n: u64) -> Vec<Point3<f64>> {
 
 #[test]
 fn a_tree_is_built_while_other_jobs_of_the_pool_ask_for_it_and_none_waits_for_itself() {
-    let (done, result) = mpsc::channel();
+    let (done, result) = mpsc::sync_channel(1);
     std::thread::spawn(move || {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
         let points = points(100_000);
@@ -31,7 +31,7 @@ fn a_tree_is_built_while_other_jobs_of_the_pool_ask_for_it_and_none_waits_for_it
         for round in 0..50 {
             let target = Target::new("ct", SurfaceOrigin::Exact, points.clone(), None).unwrap();
             target.prepare();
-            let (answers, found) = mpsc::channel();
+            let (answers, found) = mpsc::sync_channel(4);
             pool.in_place_scope(|scope| {
                 let ask = || {
                     let (answers, target, far) = (answers.clone(), &target, &far);
