@@ -127,7 +127,7 @@ fn a_bone_that_is_open_or_too_short_and_a_plan_without_anatomy_are_refused() {
     assert!(words.contains("P2 would lie 130 mm above the malleolus tip, where there is no bone"), "{words}");
 
     let (stl, plan) = write(dir.path(), &whole, &anatomy);
-    fs::write(&plan, "{}").unwrap();
+    fs::write(&plan, "{\"landmarks\": {}}").unwrap();
     let words = own_bone::read(&stl, &plan).err().unwrap().to_string();
     assert!(words.contains("the plan has no anatomy"), "{words}");
     for (node, given, lacks) in [

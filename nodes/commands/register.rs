@@ -67,6 +67,7 @@ The parameters for --set: osteoflow inspect icp.point_to_plane
 Timings:
   load         reading and parsing the files, sampling a surface, or reading the prepared target from the store
   prep_target  preparing the target once: estimated normals, trees, cells, fields
+  start        finding the start by shape or from picked points, once
   prep_source  preparing the source
   align        the registration; cpu is its processor time
   verdict      judging the pose; --no-verdict saves it
