@@ -73,6 +73,21 @@ fn a_refused_registration_leaves_no_scan_and_no_transform() {
 }
 
 #[test]
+fn what_is_not_in_the_ct_is_not_written_as_if_it_were() {
+    for (set, name) in [
+        (r#"export_transform.in.pose="calibration.t_camera_camera_marker""#, "export_transform.tfm"),
+        (r#"export_landmarks.in.points="recording.stylus_assessment""#, "export_landmarks.mrk.json"),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let out = dir.path().join("run");
+        let output = osteoflow().args(["run", GRAPH, "--no-record", "--set", set, "--out"]).arg(&out).output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(stderr.contains("and the file is LPS, as only ct is"), "{set}: {stderr}");
+        assert!(!out.join(name).exists(), "{name}");
+    }
+}
+
+#[test]
 fn a_plan_that_is_written_and_read_has_no_unread_keys() {
     let plan = read_plan(&common::root().join("tests/data/procedure/plan.json")).unwrap();
     assert_eq!(plan.notes, [""; 0]);

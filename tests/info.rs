@@ -160,6 +160,14 @@ fn the_same_points_come_out_of_every_format_that_they_are_converted_through() {
     assert!(convert(&at("picks.mrk.json"), &at("lps.csv"), &[]).status.success());
     assert_eq!(fs::read_to_string(at("lps.csv")).unwrap(), "label,x,y,z\nP1,-1,-2,3\nP2,-4,-5,6\n");
     assert_eq!(found(&at("picks.mrk.json"))["space"], "LPS");
+    let stated = convert(&at("picks.mrk.json"), &at("again.csv"), &["--space", "RAS"]);
+    let stderr = String::from_utf8_lossy(&stated.stderr).into_owned();
+    assert!(stated.status.code() == Some(2) && stderr.contains("states LPS; leave out --space"), "{stderr}");
+    // Points of a cloud and its normals are turned as picked points are.
+    fs::write(at("normals.csv"), "x,y,z,nx,ny,nz,q\n1,2,3,0.6,0,0.8,7\n4,5,6,0,1,0,8\n").unwrap();
+    assert!(convert(&at("normals.csv"), &at("turned.csv"), &["--space", "RAS"]).status.success());
+    let turned = fs::read_to_string(at("turned.csv")).unwrap();
+    assert_eq!(turned, "x,y,z,nx,ny,nz,q\n-1,-2,3,-0.6,0,0.8,7\n-4,-5,6,0,-1,0,8\n");
     for (output, expected) in
         [("lps.csv", "exists already"), ("new.glb", "nothing is written as"), ("new", "nothing is written as")]
     {

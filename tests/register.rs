@@ -6,12 +6,14 @@ mod common;
 use common::osteoflow;
 use osteoflow_algorithms::sample;
 use osteoflow_formats::{
+    Space,
     cloud_file::{read_cloud_ply, write_ply},
     mesh_file::{read_mesh, write_stl},
+    picked_points::write_mrk_json,
     pose_file::read_pose,
 };
 use osteoflow_geometry::{
-    Cloud, Mesh, SurfaceOrigin, isometry_from_matrix, matrix_rows,
+    Cloud, Mesh, NamedPoint, SurfaceOrigin, isometry_from_matrix, matrix_rows,
     nalgebra::{Isometry3, Matrix4, Point3, Vector3, Vector4},
 };
 use osteoflow_simulation::{BoneParams, bone};
@@ -542,6 +544,43 @@ fn two_files_need_no_start_and_what_comes_out_is_named_by_its_ending() {
     assert!(stderr.contains("pose.txt exists already; name another file, nothing is overwritten"), "{stderr}");
 }
 
+#[test]
+fn a_start_that_another_place_serves_as_well_is_doubted_and_the_other_ways_are_named() {
+    let case = Case::new();
+    let another = BoneParams { shape_seed: 5, ..BoneParams::default() };
+    write_stl(&case.path("another.stl"), &bone::fibula(&another)).unwrap();
+    let ways =
+        "start from points picked in both files (--landmarks TARGET_POINTS SOURCE_POINTS) or from a pose (--init FILE)";
+
+    let answer = last_line(&case.register(&["another.stl", "scan.ply", "--format", "json"]));
+    let clearness = answer["start"]["report"]["clearness"].as_f64().unwrap();
+    assert!(clearness < 0.3, "{clearness}: the bone of another subject has no clear place for the scan");
+    assert_ne!(answer["verdict"]["answer"], "trusted", "{}", answer["verdict"]);
+    let reasons = answer["verdict"]["reasons"].as_array().unwrap();
+    let start = reasons.iter().find(|reason| reason["rule"] == "start").unwrap();
+    assert!(start["remedy"].as_str().unwrap().starts_with(ways), "{start}");
+
+    let unjudged = last_line(&case.register(&["another.stl", "scan.ply", "--no-verdict", "--format", "json"]));
+    assert!(unjudged["warnings"].to_string().contains(ways), "{}", unjudged["warnings"]);
+    let clear = last_line(&case.register(&["bone.stl", "scan.ply", "--no-verdict", "--format", "json"]));
+    assert!(!clear["warnings"].to_string().contains("is not clear"), "{}", clear["warnings"]);
+}
+
+#[test]
+fn options_that_would_change_nothing_are_refused() {
+    let case = Case::new();
+    for (option, value) in [("--threshold-hu", "600"), ("--series", "2")] {
+        let stderr = case.fault(2, &["bone.stl", "scan.ply", option, value]);
+        assert!(stderr.contains(&format!("{option} is for a CT, and bone.stl is none")), "{stderr}");
+    }
+    for (name, points) in [("lps_bone.csv", &case.scan), ("lps_scan.csv", &case.scan)] {
+        let rows: String = points.iter().map(|p| format!("{:?},{:?},{:?}\n", p.x, p.y, p.z)).collect();
+        case.write(name, &format!("# SPACE=LPS\nx,y,z\n{rows}"));
+    }
+    let stderr = case.fault(2, &["lps_bone.csv", "lps_scan.csv", "--space", "RAS"]);
+    assert!(stderr.contains("lps_bone.csv and lps_scan.csv state their space; leave out --space"), "{stderr}");
+}
+
 /// Picked points as CSV.
 fn picks(names: &[&str], points: &[Point3<f64>]) -> String {
     let mut text = String::from("label,x,y,z\n");
@@ -589,6 +628,21 @@ fn picked_points_are_matched_by_name_and_doubted_where_they_are_off_the_surface_
     assert_ne!(answer["verdict"]["answer"], "trusted", "{}", answer["verdict"]);
     if answer.get("T").is_some() {
         assert!(answer["warnings"].to_string().contains("RAS and LPS are mixed up"), "{answer}");
+    }
+
+    // Markups are in mm, whatever the unit of the surface.
+    let in_metres: Vec<Point3<f64>> = on_bone.iter().map(|p| p / 1000.0).collect();
+    case.write("metres.csv", &picks(&["a", "b", "c", "d"], &in_metres));
+    let named = |points: &[Point3<f64>]| -> Vec<NamedPoint> {
+        ["a", "b", "c", "d"].into_iter().zip(points).map(|(name, p)| NamedPoint::new(name, *p)).collect()
+    };
+    write_mrk_json(&case.path("bone.mrk.json"), &named(&on_bone), Space::Lps).unwrap();
+    let target = sample::surface(&bone::fibula(&BoneParams::default()), N_TARGET, &mut ChaCha8Rng::seed_from_u64(1));
+    write_ply(&case.path("bone_in_metres.ply"), &Cloud::new("ct", target.points).unwrap(), 1000.0).unwrap();
+    for points in ["metres.csv", "bone.mrk.json"] {
+        let landmarks = ["--target-unit-mm", "1000", "--landmarks", points, "scan_points.csv", "--format", "json"];
+        let answer = last_line(&case.register(&[&["bone_in_metres.ply", "scan.ply"], &landmarks[..]].concat()));
+        assert!(answer["start"]["report"]["fre_mm"].as_f64().is_some_and(|mm| mm < 1e-3), "{points}: {answer}");
     }
 
     case.write("two.csv", &picks(&["a", "b", "x"], &in_scan));
@@ -640,9 +694,7 @@ fn the_graph_of_two_files_finds_what_register_finds() {
     let answer = last_line(&case.register(&["bone.stl", "scan.ply", "--format", "json"]));
     let sets = ["bone.path", "scan.path"].into_iter().zip(["bone.stl", "scan.ply"]);
     let sets: Vec<String> = sets.map(|(key, file)| format!("{key}={}", case.path(file).display())).collect();
-    // The scan is in a frame of its own, not in that of its camera.
-    let remove = r#"remove=["node.scan.camera"]"#;
-    let arguments = ["--no-record", "--set", &sets[0], "--set", &sets[1], "--set", remove];
+    let arguments = ["--no-record", "--set", &sets[0], "--set", &sets[1]];
     let ran = common::run_whole("graphs/two_files.toml", &arguments);
     assert_eq!(ran.results["verdict"]["answer"], "trusted", "{}", ran.stderr);
     let rows = ran.results["t_ct_camera"]["matrix"].as_array().unwrap();

@@ -1,6 +1,6 @@
 use super::{
     Exit, Global, UsageError,
-    content::{is_volume, picked_points},
+    content::{is_volume, picked_points, without_cause},
 };
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
@@ -11,8 +11,8 @@ use osteoflow_formats::{
     write::{write_cloud, write_mesh},
 };
 use osteoflow_geometry::{
-    Cloud, Mesh, NamedPoint,
-    nalgebra::{Point3, Vector3},
+    NamedPoint,
+    nalgebra::{Isometry3, Translation3, UnitQuaternion},
 };
 use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
 use serde_json::json;
@@ -122,18 +122,18 @@ impl Convert {
         if points.is_empty() {
             bail!("{}: there are no points in it, only planes or boxes", self.input.display());
         }
-        let space = self.space_of(space);
+        let (turn, space) = self.to_lps(space)?;
         for NamedPoint { position, .. } in &mut points {
-            *position = placed(position, self.scale, self.turns(space));
+            *position = turn * *position * self.scale;
         }
         let name = self.output.to_string_lossy().to_lowercase();
-        let out = match space {
-            Space::Unknown => Space::Unknown,
-            Space::Lps | Space::Ras => Space::Lps,
-        };
+        if !name.ends_with(".csv") && space == Space::Unknown {
+            let message = "states no space, and the format to write claims one; give --space LPS or --space RAS";
+            return Err(UsageError(format!("{} {message}", self.input.display())).into());
+        }
         let written = match () {
-            () if name.ends_with(".mrk.json") => write_mrk_json(&self.output, &points, self.claimed(out)?),
-            () if name.ends_with(".fcsv") => write_fcsv(&self.output, &points, self.claimed(out)?),
+            () if name.ends_with(".mrk.json") => write_mrk_json(&self.output, &points, space),
+            () if name.ends_with(".fcsv") => write_fcsv(&self.output, &points, space),
             // A comment before the heading would keep other programs from reading it.
             () if name.ends_with(".csv") => write_points_csv(&self.output, &points, Space::Unknown),
             () => {
@@ -142,112 +142,55 @@ impl Convert {
             }
         };
         written.map_err(without_cause)?;
-        notes.extend((out == Space::Unknown).then(|| "it states no space; its numbers stay as they are".to_owned()));
-        Ok((format!("{} points{}", points.len(), in_space(out)), notes))
+        Ok((format!("{} points{}", points.len(), in_space(space)), notes))
     }
 
     fn shape(&self, bytes: &[u8]) -> Result<(String, Vec<String>)> {
         let read = read_mesh_or_cloud(&self.input, bytes, self.scale, "ct").map_err(without_cause)?;
         let ending = self.output.extension().map(|end| end.to_string_lossy().to_lowercase()).unwrap_or_default();
-        let (done, space, notes) = match read {
+        match read {
             MeshOrCloud::Mesh(read) if ["ply", "stl", "obj"].contains(&ending.as_str()) => {
-                let space = self.space_of(read.space);
-                let mesh = self.turned_mesh(read.mesh, space)?;
-                write_mesh(&self.output, &mesh, written(space)).map_err(without_cause)?;
-                let done = format!("{} vertices, {} faces", mesh.vertices().len(), mesh.faces().len());
-                (done, space, read.notes)
+                let (turn, space) = self.to_lps(read.space)?;
+                let mesh = read.mesh.transformed("ct", &Isometry3::from_parts(Translation3::identity(), turn));
+                write_mesh(&self.output, &mesh, space).map_err(without_cause)?;
+                let (n_vertices, n_faces) = (mesh.vertices().len(), mesh.faces().len());
+                Ok((format!("{n_vertices} vertices, {n_faces} faces{}", in_space(space)), read.notes))
             }
-            MeshOrCloud::Mesh(read) => {
-                let space = self.space_of(read.space);
-                let mut notes = read.notes;
-                notes.push("a surface; its vertices are written".into());
-                let cloud = Cloud::new("ct", read.mesh.vertex_column().clone())?;
-                (self.write_cloud(&cloud, space)?, space, notes)
+            other => {
+                let (read, notes) = other.into_cloud();
+                let (turn, space) = self.to_lps(read.space)?;
+                let cloud = read.cloud.transformed("ct", &Isometry3::from_parts(Translation3::identity(), turn));
+                // A comment before the heading would keep other programs from reading it.
+                let stated = if ending == "csv" { Space::Unknown } else { space };
+                write_cloud(&self.output, &cloud, stated).map_err(without_cause)?;
+                Ok((format!("{} points{}", cloud.len(), in_space(space)), notes))
             }
-            MeshOrCloud::Cloud(read, notes) => {
-                let space = self.space_of(read.space);
-                (self.write_cloud(&read.cloud, space)?, space, notes)
+        }
+    }
+
+    /// The rotation that takes what was read to LPS, and the space that it is in then.
+    ///
+    /// # Errors
+    /// --space is given for a file that states its space.
+    fn to_lps(&self, stated: Space) -> Result<(UnitQuaternion<f64>, Space)> {
+        match (stated, self.space) {
+            (Space::Unknown, None) => Ok((UnitQuaternion::identity(), Space::Unknown)),
+            (Space::Unknown, Some(space)) => Ok((Space::from(space).turn(), Space::Lps)),
+            // The reader has turned it.
+            (_, None) => Ok((UnitQuaternion::identity(), Space::Lps)),
+            (stated, Some(_)) => {
+                let message = format!("{} states {stated}; leave out --space", self.input.display());
+                Err(UsageError(message).into())
             }
-        };
-        Ok((format!("{done}{}", in_space(written(space))), notes))
-    }
-
-    fn write_cloud(&self, cloud: &Cloud, space: Space) -> Result<String> {
-        let cloud = self.turned_cloud(cloud, space)?;
-        // A comment before the heading would keep other programs from reading it.
-        let is_csv = self.output.extension().is_some_and(|end| end.eq_ignore_ascii_case("csv"));
-        let stated = if is_csv { Space::Unknown } else { written(space) };
-        write_cloud(&self.output, &cloud, stated).map_err(without_cause)?;
-        Ok(format!("{} points", cloud.len()))
-    }
-
-    /// The space that a file states, else that of --space.
-    fn space_of(&self, stated: Space) -> Space {
-        match stated {
-            Space::Lps | Space::Ras => Space::Lps,
-            Space::Unknown => self.space.map_or(Space::Unknown, Into::into),
         }
-    }
-
-    /// Whether the numbers are RAS and turned to LPS; what stated its space was turned by the reader.
-    fn turns(&self, space: Space) -> bool {
-        space == Space::Ras
-    }
-
-    /// The space for a format that claims one.
-    fn claimed(&self, space: Space) -> Result<Space> {
-        if space != Space::Unknown {
-            return Ok(space);
-        }
-        let message = "states no space, and the format to write claims one; give --space LPS or --space RAS";
-        Err(UsageError(format!("{} {message}", self.input.display())).into())
-    }
-
-    fn turned_mesh(&self, mesh: Mesh, space: Space) -> Result<Mesh> {
-        if !self.turns(space) {
-            return Ok(mesh);
-        }
-        let vertices: Vec<Point3<f64>> = mesh.vertices().iter().map(|p| placed(p, 1.0, true)).collect();
-        Ok(Mesh::new(mesh.frame.clone(), mesh.origin, vertices, mesh.faces().to_vec())?)
-    }
-
-    fn turned_cloud(&self, cloud: &Cloud, space: Space) -> Result<Cloud> {
-        if !self.turns(space) {
-            return Ok(cloud.clone());
-        }
-        let points: Vec<Point3<f64>> = cloud.points().iter().map(|p| placed(p, 1.0, true)).collect();
-        let mut turned = Cloud::new("ct", points)?;
-        if let Some(normals) = cloud.normals() {
-            let normals: Vec<Vector3<f64>> = normals.iter().map(|n| Vector3::new(-n.x, -n.y, n.z)).collect();
-            turned = turned.with_normals(normals)?;
-        }
-        for (name, column) in cloud.extras() {
-            turned = turned.with_extra(name.clone(), column.clone())?;
-        }
-        Ok(turned)
     }
 }
 
-/// The space in which a file is written: LPS, if it is known.
-fn written(space: Space) -> Space {
-    if space == Space::Unknown { Space::Unknown } else { Space::Lps }
-}
-
-fn in_space(space: Space) -> String {
-    if space == Space::Unknown { ", in the space of the file that was read".into() } else { format!(", {space}") }
-}
-
-fn placed(p: &Point3<f64>, scale: f64, turns: bool) -> Point3<f64> {
-    let sign = if turns { -1.0 } else { 1.0 };
-    Point3::new(sign * p.x, sign * p.y, p.z) * scale
+fn in_space(space: Space) -> &'static str {
+    if space == Space::Unknown { ", in the space of the file that was read, which it does not state" } else { ", LPS" }
 }
 
 fn factor(text: &str) -> Result<f64, String> {
     let factor: f64 = text.parse().map_err(|_| "a number is expected, such as 1000")?;
     (1e-6..=1e6).contains(&factor).then_some(factor).ok_or_else(|| "it must be between 1e-6 and 1e6".into())
-}
-
-/// The error without its cause, which its message already names.
-fn without_cause(error: FileError) -> anyhow::Error {
-    anyhow!("{error}")
 }

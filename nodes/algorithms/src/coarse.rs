@@ -4,7 +4,7 @@ mod doubtful;
 mod global;
 
 pub use doubtful::{DoubtParams, confirm};
-pub use global::{GlobalError, GlobalFit, GlobalParams, GlobalReport, RunnerUp, global};
+pub use global::{CLEAR, GlobalError, GlobalFit, GlobalParams, GlobalReport, RunnerUp, global};
 pub(crate) use global::{NearMap, Placed, Points, descend, map_score};
 
 use crate::kabsch::{FitError, centroid, kabsch};

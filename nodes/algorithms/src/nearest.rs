@@ -16,11 +16,11 @@ pub struct Nearest {
     centre: Point3<f64>,
 }
 
-/// Who builds a tree.
+/// Threads that build a tree.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Threads {
-    /// The calling thread alone. Whoever holds a lock must not share work out: while a thread of a pool waits for its
-    /// part, it takes up other work, and if that asks for the lock, it waits for itself.
+    /// The calling thread alone, as needed while a lock is held: a pool thread that waits for stolen work runs other jobs
+    /// meanwhile, and deadlocks if one of them takes the same lock.
     This,
     /// The current pool.
     Pool,

@@ -1,9 +1,8 @@
 //! What a file or folder is.
 
-use crate::commands::content::{is_volume, picked_points};
+use crate::commands::content::{is_volume, picked_points, without_cause};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_formats::{
-    FileError,
     folder::ProcedureFolder,
     foxglove_read::{read_cloud, read_pose_in_frame, read_transforms},
     mcap_read::{Message, Recording},
@@ -390,9 +389,4 @@ fn folder(folder: &Path) -> Result<Found> {
     volume(folder).map_err(|error| {
         anyhow!("{name}: a folder without procedure.toml or manifest.json, and no DICOM series: {error}; name a file or another folder")
     })
-}
-
-/// The error without its cause, which its message already names.
-fn without_cause(error: FileError) -> anyhow::Error {
-    anyhow!("{error}")
 }

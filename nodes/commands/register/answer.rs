@@ -5,13 +5,18 @@ use super::{
     align::{Aligned, Ended},
     files::{Form, OutFiles, itk_file},
     inputs::Inputs,
-    judge, trace, write_new,
+    judge,
+    start::OTHER_WAYS,
+    trace, write_new,
 };
 use crate::commands::{
     Exit, Format, Global, result_table::NOTICE, running::about_command, text_table::TextTable, verdict_lines,
 };
 use anyhow::Result;
-use osteoflow_algorithms::icp::{IcpReport, StopReason, WeakDirection};
+use osteoflow_algorithms::{
+    coarse::CLEAR,
+    icp::{IcpReport, StopReason, WeakDirection},
+};
 use osteoflow_geometry::{
     matrix_rows,
     nalgebra::{Isometry3, Vector3},
@@ -91,6 +96,10 @@ impl Answer<'_> {
     fn warnings(&self, aligned: &Aligned) -> Vec<String> {
         let report = &aligned.fit.report;
         let mut warnings: Vec<String> = aligned.doubt.iter().cloned().collect();
+        // The verdict says so, where there is one.
+        if aligned.judged.is_none() && aligned.started.shape().is_some_and(|start| start.clearness < CLEAR) {
+            warnings.push(format!("the start by shape alone is not clear, and not judged; start from {OTHER_WAYS}"));
+        }
         if !report.converged && self.register.stop == Stop::Converge {
             let left = report.remaining_mm.map_or_else(String::new, |mm| format!("; about {} mm remain", short(mm)));
             warnings.push(format!("not converged: {}{left}", stop_reason(report.stop_reason)));

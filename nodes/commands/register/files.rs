@@ -7,7 +7,7 @@ use osteoflow_algorithms::target::Target;
 use osteoflow_formats::{Space, pose_file::itk_text, write::write_cloud};
 use osteoflow_geometry::{
     Cloud,
-    nalgebra::{Isometry3, Point3, Quaternion, Unit, UnitQuaternion},
+    nalgebra::{Isometry3, Point3},
 };
 use std::{
     fs,
@@ -130,11 +130,7 @@ fn ending(file: &Path) -> String {
 
 /// The pose as an ITK transform, in LPS; `spaces` are those of the numbers of target and source.
 pub(super) fn itk_file(t_target_source: &Isometry3<f64>, spaces: [Space; 2], comments: &[String]) -> String {
-    // Half a turn about z takes RAS to LPS and back.
-    let [target, source] = spaces.map(|space| match space {
-        Space::Ras => Unit::new_unchecked(Quaternion::new(0.0, 0.0, 0.0, 1.0)),
-        Space::Lps | Space::Unknown => UnitQuaternion::identity(),
-    });
+    let [target, source] = spaces.map(Space::turn);
     itk_text(&(target * t_target_source * source), comments)
 }
 

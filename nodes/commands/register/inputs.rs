@@ -7,7 +7,10 @@ use super::{
     method::Method,
     start::Start,
 };
-use crate::commands::content::is_volume;
+use crate::commands::{
+    UsageError,
+    content::{is_volume, without_cause},
+};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_algorithms::{
     field::{ClosestPointField, FieldParams},
@@ -19,6 +22,7 @@ use osteoflow_algorithms::{
 use osteoflow_engine::store::{Key, Store};
 use osteoflow_formats::{
     FileError, Space,
+    cloud_file::CloudFileRead,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     pose_file,
 };
@@ -148,6 +152,10 @@ impl Inputs {
             (None, _) => Start::Shape,
         };
         load.init = ms_since(began);
+        if asked.space.is_some() && target.space != Space::Unknown && source.space != Space::Unknown {
+            let files = [&asked.target, &asked.source].map(|file| file.display().to_string()).join(" and ");
+            return Err(UsageError(format!("{files} state their space; leave out --space")).into());
+        }
         Ok(Self { target, source, start, notes, load })
     }
 
@@ -197,11 +205,6 @@ fn shape(
     Ok(shape)
 }
 
-/// The error without its cause, which its message already names.
-fn without_cause(error: FileError) -> anyhow::Error {
-    anyhow!("{error}")
-}
-
 impl TargetFile {
     /// Reads the file, or the prepared target of the same bytes from the store.
     fn read(asked: &Register, unit_mm: f64, needs: &Needs, notes: &mut Vec<String>, load: &mut LoadMs) -> Result<Self> {
@@ -211,6 +214,14 @@ impl TargetFile {
             let read = ct_surface(asked, unit_mm, notes)?;
             load.target = ms_since(began);
             return Ok(Self::sampled(asked, read, with_field, load));
+        }
+        for (option, is_given) in
+            [("--threshold-hu", asked.threshold_hu.is_some()), ("--series", asked.series.is_some())]
+        {
+            if is_given {
+                let message = format!("{option} is for a CT, and {} is none", asked.target.display());
+                return Err(UsageError(message).into());
+            }
         }
         let bytes = bytes(&asked.target)?;
         let entry = asked.keep.store()?.and_then(|store| {
@@ -366,13 +377,11 @@ fn field(target: &Target, mesh: Option<&MeshQuery>) -> Result<ClosestPointField>
 
 impl SourceFile {
     fn of(shape: MeshOrCloud, camera: Option<Point3<f64>>, notes: &mut Vec<String>, file: &Path) -> Result<Self> {
-        let (cloud, space, n_dropped, is_surface) = match shape {
-            MeshOrCloud::Mesh(read) => {
-                notes.push(format!("{}: a surface; its vertices are taken as the points", file.display()));
-                (Cloud::new(SOURCE, read.mesh.vertex_column().clone())?, read.space, 0, true)
-            }
-            MeshOrCloud::Cloud(read, _) => (read.cloud, read.space, read.n_dropped, false),
-        };
+        let is_surface = matches!(shape, MeshOrCloud::Mesh(_));
+        if is_surface {
+            notes.push(format!("{}: a surface; its vertices are taken as the points", file.display()));
+        }
+        let CloudFileRead { cloud, space, n_dropped, .. } = shape.into_cloud().0;
         let cloud = match camera {
             // Only the camera's position is used.
             Some(camera) => cloud.seen_from(Isometry3::from(camera.coords)),

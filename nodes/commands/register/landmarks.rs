@@ -99,9 +99,12 @@ fn points(
         _ => false,
     };
     for point in &mut points {
-        point.position *= unit_mm;
+        // Formats that state a space are always in mm.
+        if space == Space::Unknown {
+            point.position *= unit_mm;
+        }
         if turned {
-            point.position = Point3::new(-point.position.x, -point.position.y, point.position.z);
+            point.position = Space::Ras.turn() * point.position;
         }
     }
     Ok((points, is_named))

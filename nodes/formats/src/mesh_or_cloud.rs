@@ -22,7 +22,7 @@ use crate::{
     shape::Shape,
     vtk,
 };
-use osteoflow_geometry::{Frame, SurfaceOrigin};
+use osteoflow_geometry::{Cloud, Frame, SurfaceOrigin};
 use std::{borrow::Cow, path::Path};
 
 /// The content of a file.
@@ -32,6 +32,22 @@ pub enum MeshOrCloud {
     Mesh(MeshRead),
     /// Points, with notes on them, one sentence each.
     Cloud(CloudFileRead, Vec<String>),
+}
+
+impl MeshOrCloud {
+    /// The points, with the notes on them: those of a cloud, or the vertices of a surface, which is noted.
+    pub fn into_cloud(self) -> (CloudFileRead, Vec<String>) {
+        match self {
+            Self::Cloud(read, notes) => (read, notes),
+            Self::Mesh(MeshRead { mesh, space, mut notes, .. }) => {
+                let cloud = Cloud::new(mesh.frame.clone(), mesh.vertex_column().clone());
+                let cloud = cloud.expect("the vertices of a mesh are finite");
+                notes.insert(0, "a surface; its vertices are taken as the points".into());
+                let n_points_in_file = cloud.len();
+                (CloudFileRead { cloud, n_points_in_file, n_dropped: 0, space, notes: Vec::new() }, notes)
+            }
+        }
+    }
 }
 
 /// Reads the bytes of a file of [these formats](self), recognised by its content; `path` is used in messages only.

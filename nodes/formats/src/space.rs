@@ -1,5 +1,6 @@
 //! The anatomical axes that a file states for its coordinates.
 
+use nalgebra::{Quaternion, Unit, UnitQuaternion};
 use std::fmt;
 
 /// The axes of a patient's coordinates, as a file states them.
@@ -27,6 +28,14 @@ impl fmt::Display for Space {
 }
 
 impl Space {
+    /// The rotation between coordinates in this space and LPS, in both directions; the identity if unknown.
+    pub fn turn(self) -> UnitQuaternion<f64> {
+        match self {
+            Self::Ras => Unit::new_unchecked(Quaternion::new(0.0, 0.0, 0.0, 1.0)),
+            Self::Lps | Self::Unknown => UnitQuaternion::identity(),
+        }
+    }
+
     /// The factor of x and y between this space and LPS, in both directions.
     pub(crate) fn x_y_sign(self) -> f64 {
         if self == Self::Ras { -1.0 } else { 1.0 }

@@ -10,7 +10,7 @@ mod common;
 
 use common::bench::{built_in, measured, target_of};
 use common::{data_folder, stl};
-use osteoflow_algorithms::coarse::{GlobalParams, global};
+use osteoflow_algorithms::coarse::{CLEAR, GlobalParams, global};
 use osteoflow_algorithms::icp::{self, IcpFit, IcpParams, IcpReport, Method};
 use osteoflow_algorithms::target::Target;
 use osteoflow_algorithms::trust::{Answer, Case, Ended, Registered, Verdict, judge};
@@ -27,9 +27,6 @@ const RIGHT_MM: f64 = 1.5;
 
 /// A scan fits better only with an RMS distance lower by more than this share: two ends of one registration differ by half.
 const BETTER: f64 = 0.01;
-
-/// Clearness below which `coarse.global` warns.
-const CLEAR: f64 = 0.3;
 
 const MYOSIM: &str = "myosim_fibula_r";
 

@@ -21,6 +21,16 @@ fn space_of(frame: &Frame) -> Space {
     if frame.as_str() == "ct" { Space::Lps } else { Space::Unknown }
 }
 
+/// LPS, for a format that claims a space; an error for coordinates in another frame than CT's.
+fn lps(frame: &Frame, what: &str, remedy: &str) -> Result<Space, NodeError> {
+    match space_of(frame) {
+        Space::Unknown => {
+            Err(NodeError::new(format!("{what} in {frame}, and the file is LPS, as only ct is; {remedy}")))
+        }
+        known => Ok(known),
+    }
+}
+
 /// Whether the verdict forbids to write, with a warning.
 fn is_refused(verdict: Option<&Verdict>, ctx: &mut Context) -> bool {
     let refused = verdict.is_some_and(|verdict| verdict.answer == Answer::Refused);

@@ -44,6 +44,9 @@ const APART_MM: f64 = 4.0;
 /// Starts that come to lie closer together than this on the map are one, mm.
 const SAME_MM: f64 = 1.5;
 
+/// Clearness below which an answer may be wrong. 0.3: on real bones right answers had 0.4 and more, wrong ones 0.2 and less.
+pub const CLEAR: f64 = 0.3;
+
 /// Spacing and number of the starts of [`global()`].
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]

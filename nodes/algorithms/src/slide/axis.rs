@@ -3,7 +3,7 @@
 use super::surface::Seen;
 use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector3};
 
-/// One in so many of the points must lie near the surface.
+/// Reciprocal of the minimum share of the points that must lie near the surface.
 pub(super) const MIN_NEAR_PART: usize = 4;
 
 /// Normals steeper to the scan's long axis than this cosine are of an end of the bone.

@@ -8,7 +8,7 @@ use osteoflow_geometry::Cloud;
 /// Number of scan points by which places are compared.
 const N_COMPARED: usize = 2500;
 
-/// Every so many of them a profile is fitted with.
+/// Stride through these points for the fits of a profile.
 const PROFILE_EVERY: usize = 5;
 
 /// Points are paired within this distance, mm.

@@ -9,7 +9,7 @@ use super::planned::{OrderEvidence, PlanFault, landmark_order, plan_faults};
 use super::predict::{Cut, PredictParams, Predicted, Tracking, Where, predict};
 use super::slid::{slide_note, slide_reasons};
 use super::verdict::{Answer, Reason, Verdict};
-use crate::coarse::GlobalReport;
+use crate::coarse::{CLEAR, GlobalReport};
 use crate::metrics::CheckReport;
 use crate::section;
 use crate::slide::SlideReport;
@@ -78,7 +78,7 @@ impl Default for RuleParams {
             max_misfit_mm: 0.12,
             max_inward_misfit_mm: 0.3,
             max_shape_apart_mm: 1.5,
-            min_shape_clearness: 0.3,
+            min_shape_clearness: CLEAR,
             max_scale_error: 0.025,
             min_on_surface: 0.35,
             max_fre_mm: 3.0,

@@ -4,9 +4,10 @@
 //! nifti1.h and nifti2.h of the NIfTI Data Format Working Group. The header is a table of 348 or 540 bytes, of which ten
 //! fields are needed; a crate would bring an array library along for them.
 
-use super::numbers::{Encoding, NumberType, StreamError, fill, read_voxels};
+use super::numbers::{Encoding, StreamError, fill, read_voxels};
 use super::{Volume, VolumeRead, affine, assumed_unit, drain, gunzip, gzip_limit, n_voxels_and_bytes};
 use crate::FileError;
+use crate::scalar::Scalar;
 use nalgebra::{Matrix3, Matrix4, Quaternion, UnitQuaternion, Vector4};
 use std::{
     fs::File,
@@ -166,9 +167,9 @@ fn read_stream(path: &Path, reader: &mut impl Read, limits: &Limits) -> Result<V
         return Err(fault("dim", message));
     }
     let (datatype, bits) = header.datatype();
-    let number = number_type(datatype).map_err(|message| fault("datatype", message))?;
-    if bits != 8 * number.bytes() as i64 {
-        let message = format!("{bits} bits per voxel, but datatype {datatype} has {}", 8 * number.bytes());
+    let scalar = number_type(datatype).map_err(|message| fault("datatype", message))?;
+    if bits != 8 * scalar.n_bytes() as i64 {
+        let message = format!("{bits} bits per voxel, but datatype {datatype} has {}", 8 * scalar.n_bytes());
         return Err(fault("bitpix", message));
     }
     let size = [nx, ny, nz].map(|d| usize::try_from(d).unwrap_or(usize::MAX));
@@ -181,7 +182,7 @@ fn read_stream(path: &Path, reader: &mut impl Read, limits: &Limits) -> Result<V
         return Err(fault("vox_offset", message));
     }
     let offset = offset as u64;
-    let counted = n_voxels_and_bytes(size, number.bytes()).and_then(|(n, b)| Some((n, b, b.checked_add(offset)?)));
+    let counted = n_voxels_and_bytes(size, scalar.n_bytes()).and_then(|(n, b)| Some((n, b, b.checked_add(offset)?)));
     let Some((n, n_bytes, total)) = counted.filter(|c| c.2 <= limits.stream_bytes) else {
         let found = if limits.is_gzip {
             format!("{} bytes of gzip cannot hold them", limits.file_bytes)
@@ -223,11 +224,11 @@ fn read_stream(path: &Path, reader: &mut impl Read, limits: &Limits) -> Result<V
     };
     let (t_lps_voxel, is_oriented) = placement(&header, size, unit_mm, &mut notes).map_err(|(p, m)| fault(p, m))?;
 
-    let encoding = Encoding { number, is_big, slope, intercept };
-    let reserve = usize::try_from(limits.stream_bytes).unwrap_or(usize::MAX) / number.bytes();
+    let encoding = Encoding { scalar, is_big, slope, intercept };
+    let reserve = usize::try_from(limits.stream_bytes).unwrap_or(usize::MAX) / scalar.n_bytes();
     let voxels = read_voxels(reader, n, reserve, &encoding).map_err(|error| match error {
         StreamError::Short(found) => {
-            let there = found * number.bytes();
+            let there = found * scalar.n_bytes();
             let message = format!(
                 "cut short: {nx} x {ny} x {nz} voxels are {n_bytes} bytes, but only {there} are there; copy the file again"
             );
@@ -244,18 +245,18 @@ fn read_stream(path: &Path, reader: &mut impl Read, limits: &Limits) -> Result<V
     Ok(VolumeRead { volume, source: format!("NIfTI-{version}"), notes })
 }
 
-fn number_type(datatype: i64) -> Result<NumberType, String> {
+fn number_type(datatype: i64) -> Result<Scalar, String> {
     let name = match datatype {
-        2 => return Ok(NumberType::U8),
-        4 => return Ok(NumberType::I16),
-        8 => return Ok(NumberType::I32),
-        16 => return Ok(NumberType::F32),
-        64 => return Ok(NumberType::F64),
-        256 => return Ok(NumberType::I8),
-        512 => return Ok(NumberType::U16),
-        768 => return Ok(NumberType::U32),
-        1024 => return Ok(NumberType::I64),
-        1280 => return Ok(NumberType::U64),
+        2 => return Ok(Scalar::U8),
+        4 => return Ok(Scalar::I16),
+        8 => return Ok(Scalar::I32),
+        16 => return Ok(Scalar::F32),
+        64 => return Ok(Scalar::F64),
+        256 => return Ok(Scalar::I8),
+        512 => return Ok(Scalar::U16),
+        768 => return Ok(Scalar::U32),
+        1024 => return Ok(Scalar::I64),
+        1280 => return Ok(Scalar::U64),
         32 | 1792 | 2048 => "complex numbers",
         128 | 2304 => "colours",
         1536 => "128-bit floats",

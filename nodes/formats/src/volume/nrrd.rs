@@ -3,9 +3,10 @@
 //! # Source
 //! Kindlmann, "Definition of NRRD File Format", teem.sourceforge.net/nrrd/format.html.
 
-use super::numbers::{Encoding, NumberType, StreamError, read_voxels};
+use super::numbers::{Encoding, StreamError, read_voxels};
 use super::{Volume, VolumeRead, affine, assumed_unit, drain, gunzip, gzip_limit, n_voxels_and_bytes};
 use crate::FileError;
+use crate::scalar::Scalar;
 use std::{
     collections::HashMap,
     fs::File,
@@ -46,23 +47,23 @@ pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
     }
     let size = [nx as usize, ny as usize, nz as usize];
     let type_name = header.text(path, "type")?.to_ascii_lowercase();
-    let number = match type_name.as_str() {
-        "signed char" | "int8" | "int8_t" => NumberType::I8,
-        "uchar" | "unsigned char" | "uint8" | "uint8_t" => NumberType::U8,
-        "short" | "short int" | "signed short" | "signed short int" | "int16" | "int16_t" => NumberType::I16,
-        "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "uint16_t" => NumberType::U16,
-        "int" | "signed int" | "int32" | "int32_t" => NumberType::I32,
-        "uint" | "unsigned int" | "uint32" | "uint32_t" => NumberType::U32,
+    let scalar = match type_name.as_str() {
+        "signed char" | "int8" | "int8_t" => Scalar::I8,
+        "uchar" | "unsigned char" | "uint8" | "uint8_t" => Scalar::U8,
+        "short" | "short int" | "signed short" | "signed short int" | "int16" | "int16_t" => Scalar::I16,
+        "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "uint16_t" => Scalar::U16,
+        "int" | "signed int" | "int32" | "int32_t" => Scalar::I32,
+        "uint" | "unsigned int" | "uint32" | "uint32_t" => Scalar::U32,
         "longlong"
         | "long long"
         | "long long int"
         | "signed long long"
         | "signed long long int"
         | "int64"
-        | "int64_t" => NumberType::I64,
-        "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => NumberType::U64,
-        "float" => NumberType::F32,
-        "double" => NumberType::F64,
+        | "int64_t" => Scalar::I64,
+        "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => Scalar::U64,
+        "float" => Scalar::F32,
+        "double" => Scalar::F64,
         other => {
             let message = format!("type \"{other}\" is not read; save the volume as short or float");
             return Err(header.fault(path, "type", message));
@@ -74,7 +75,7 @@ pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
         Some(order) if order == "little" => false,
         Some(order) if order == "big" => true,
         Some(order) => return Err(header.fault(path, "endian", format!("\"{order}\" is neither little nor big"))),
-        None if number.bytes() == 1 || matches!(encoding_name.as_str(), "ascii" | "text" | "txt") => false,
+        None if scalar.n_bytes() == 1 || matches!(encoding_name.as_str(), "ascii" | "text" | "txt") => false,
         None => {
             let message =
                 format!("no field \"endian\", which {type_name} needs; add \"endian: little\" or \"endian: big\"");
@@ -83,7 +84,7 @@ pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
     };
     let (data_path, mut data, data_bytes) = header.data(path, reader)?;
     let fault = |place: String, message: String| FileError::content(&data_path, place, message);
-    let Some((n, n_bytes)) = n_voxels_and_bytes(size, number.bytes()) else {
+    let Some((n, n_bytes)) = n_voxels_and_bytes(size, scalar.n_bytes()) else {
         return Err(header.fault(path, "sizes", format!("{nx} x {ny} x {nz} voxels are more than can be counted")));
     };
     let too_short = |found: String| {
@@ -108,10 +109,10 @@ pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
             ));
         }
     }
-    let encoding = Encoding { number, is_big, slope: 1.0, intercept: 0.0 };
+    let encoding = Encoding { scalar, is_big, slope: 1.0, intercept: 0.0 };
     let broken = |error: std::io::Error| fault("gzip".into(), format!("{error}; copy the file again"));
     let short = |error: StreamError| match error {
-        StreamError::Short(found) => too_short(format!("but only {} are there", found * number.bytes())),
+        StreamError::Short(found) => too_short(format!("but only {} are there", found * scalar.n_bytes())),
         StreamError::Io(error) => broken(error),
     };
     let (voxels, n_extra) = match encoding_name.as_str() {

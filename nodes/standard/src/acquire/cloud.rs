@@ -1,6 +1,6 @@
 //! The kind `acquire.cloud`.
 
-use osteoflow_formats::mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud};
+use osteoflow_formats::mesh_or_cloud::read_mesh_or_cloud;
 use osteoflow_geometry::{Cloud, nalgebra::Isometry3};
 use osteoflow_node::{
     Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
@@ -76,19 +76,12 @@ impl Source for CloudFile {
         let Params { path, frame, unit_mm, camera } = &self.params;
         let bytes = std::fs::read(path.as_ref())
             .map_err(|error| NodeError::new(format!("{}: cannot be read: {error}", path.as_ref().display())))?;
-        let (cloud, notes) = match read_mesh_or_cloud(path.as_ref(), &bytes, *unit_mm, frame.as_str())? {
-            MeshOrCloud::Cloud(read, notes) => (read.cloud, notes),
-            MeshOrCloud::Mesh(read) => {
-                let mut notes = read.notes;
-                notes.insert(0, "a surface; its vertices are taken as the points".into());
-                (Cloud::new(frame.as_str(), read.mesh.vertex_column().clone())?, notes)
-            }
-        };
+        let (read, notes) = read_mesh_or_cloud(path.as_ref(), &bytes, *unit_mm, frame.as_str())?.into_cloud();
         notes.into_iter().for_each(|note| ctx.warn(note));
         let cloud = match camera {
             // Only the camera's position is used.
-            Some([x, y, z]) => cloud.seen_from(Isometry3::translation(*x, *y, *z)),
-            None => cloud,
+            Some([x, y, z]) => read.cloud.seen_from(Isometry3::translation(*x, *y, *z)),
+            None => read.cloud,
         };
         Ok(Some(Out { cloud }))
     }

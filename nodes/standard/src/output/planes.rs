@@ -1,7 +1,7 @@
 //! The kind `output.planes`.
 
-use super::{file_of, space_of};
-use osteoflow_formats::{Space, picked_points::write_planes_mrk_json};
+use super::{file_of, lps};
+use osteoflow_formats::picked_points::write_planes_mrk_json;
 use osteoflow_geometry::Planes as PlaneList;
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
@@ -36,13 +36,7 @@ impl Node for Planes {
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let space = space_of(&i.planes.frame);
-        if space == Space::Unknown {
-            let frame = &i.planes.frame;
-            return Err(NodeError::new(format!(
-                "the planes are in {frame}, and markups are LPS, as only ct is; wire plan.planes"
-            )));
-        }
+        lps(&i.planes.frame, "the planes are", "wire plan.planes")?;
         let known: Vec<_> = i.planes.planes.iter().filter_map(|p| Some((p.name.clone(), *p.isometry()?))).collect();
         let n_unknown = i.planes.planes.len() - known.len();
         if n_unknown > 0 {

@@ -1,7 +1,7 @@
 //! The kind `output.points`.
 
-use super::{file_of, space_of};
-use osteoflow_formats::{Space, picked_points::write_mrk_json};
+use super::{file_of, lps};
+use osteoflow_formats::picked_points::write_mrk_json;
 use osteoflow_geometry::Points as PointList;
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
@@ -37,14 +37,7 @@ impl Node for Points {
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let space = space_of(&i.points.frame);
-        if space == Space::Unknown {
-            let frame = &i.points.frame;
-            return Err(NodeError::new(format!(
-                "the points are in {frame}, and markups are LPS, as only ct is; transform them (transform.points), or write \
-                 output.csv"
-            )));
-        }
+        let space = lps(&i.points.frame, "the points are", "transform them (transform.points), or use output.csv")?;
         if let Some(path) = file_of(ctx, "mrk.json")? {
             write_mrk_json(&path, &i.points.points, space)?;
         }

@@ -1,6 +1,6 @@
 //! The kind `output.transform`.
 
-use super::{NOTICE, file_of, is_refused};
+use super::{NOTICE, file_of, is_refused, lps};
 use osteoflow_algorithms::trust::Verdict;
 use osteoflow_formats::pose_file::itk_text;
 use osteoflow_geometry::Pose;
@@ -9,7 +9,7 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamE
 /// Poses as ITK transforms (`.tfm`) in the run's folder, named after the node, for 3D Slicer.
 ///
 /// Slicer shows the motion from the pose's `from` to its `to`; the file holds the inverse, as Slicer's files do. Both frames are
-/// named in it. The pose leads to `ct`, which is LPS.
+/// named in it. A pose that does not lead to `ct` is refused, since such files are LPS.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "output.transform"
@@ -41,6 +41,7 @@ impl Node for Transform {
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        lps(&i.pose.to, "the pose leads to coordinates", "wire one that leads to ct, such as icp.t_target_source")?;
         if is_refused(i.verdict.as_ref(), ctx) {
             return Ok(Out {});
         }
