@@ -4,8 +4,8 @@
 mod common;
 
 use common::{Ran, case::Case, isometry};
-use osteoflow_formats::foxglove_read::{read_cloud, read_transforms};
 use osteoflow_formats::mcap_read::{Message, Recording, Topic};
+use osteoflow_formats::message_read::{read_cloud, read_transforms};
 use osteoflow_formats::recording_write::{Layout, Stream, recording_bytes};
 use osteoflow_geometry::{
     Cloud,

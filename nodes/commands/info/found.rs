@@ -4,9 +4,9 @@ use crate::commands::content::{is_volume, picked_points, without_cause};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_formats::{
     folder::ProcedureFolder,
-    foxglove_read::{read_cloud, read_pose_in_frame, read_transforms},
     mcap_read::{Message, Recording},
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
+    message_read::{read_cloud, read_pose_in_frame, read_transforms},
     picked_points::PickedPoints,
     plan_file::read_plan,
     pose_file::read_pose,
@@ -291,7 +291,7 @@ fn recording(file: &Path) -> Result<Found> {
         (true, Some(_)) => vec![format!("osteoflow recover {name} SAVED.mcap")],
         (false, _) if n_messages == 0 => Vec::new(),
         (false, _) if frames.is_empty() => {
-            problems.push("no topic has clouds, transforms or poses of a schema that is read (foxglove.*)".into());
+            problems.push("no topic has clouds, transforms or poses of a schema that is read (foxglove.*, or sensor_msgs, tf2_msgs and geometry_msgs of ROS 2)".into());
             Vec::new()
         }
         (false, _) => {
@@ -386,7 +386,11 @@ fn folder(folder: &Path) -> Result<Found> {
         let used_by = vec![format!("osteoflow report {name}"), format!("osteoflow replay {name}/run.mcap")];
         return Ok(Found { kind: "run", about: "a run".into(), verdict, problems, used_by, ..Found::default() });
     }
+    let is_recording = |entry: fs::DirEntry| entry.path().extension().is_some_and(|ending| ending == "mcap");
+    if folder.join("metadata.yaml").is_file() || fs::read_dir(folder)?.flatten().any(is_recording) {
+        return recording(folder);
+    }
     volume(folder).map_err(|error| {
-        anyhow!("{name}: a folder without procedure.toml or manifest.json, and no DICOM series: {error}; name a file or another folder")
+        anyhow!("{name}: a folder without procedure.toml, manifest.json or metadata.yaml (a ROS 2 bag), and no DICOM series: {error}; name a file or another folder")
     })
 }

@@ -58,6 +58,8 @@ pub(crate) struct JsonTimestamp {
 pub(crate) struct JsonCloudHead {
     #[serde(default)]
     pub(crate) timestamp: Time,
+    #[serde(default, alias = "frameId")]
+    pub(crate) frame_id: String,
     #[serde(default)]
     pub(crate) pose: Option<JsonPose>,
 }

@@ -1,13 +1,13 @@
-//! Files and foreign streams to geometry and back: surfaces, clouds, picked points, Foxglove messages in MCAP, plans, folders.
+//! Files and foreign streams to geometry and back: surfaces, clouds, picked points, messages in MCAP, plans, folders.
 //!
 //! Every reader gives millimetres, finite points, rigid motions and the frame that the file names. A reader never repairs
 //! silently: ambiguous content is an error with its place and a remedy, data left out are counted, and corrections are noted.
 //!
 //! | Module | Reads | Writes |
 //! |---|---|---|
-//! | [`mcap_read`] | MCAP recordings of any writer, also damaged ones | |
-//! | [`foxglove_read`] | Foxglove point clouds, transforms and poses, protobuf and JSON | |
-//! | [`recording_write`] | | Foxglove recordings, in any layout |
+//! | [`mcap_read`] | MCAP recordings of any writer, also damaged ones, and the folders of ROS 2 bags | |
+//! | [`message_read`] | point clouds, transforms and poses of Foxglove (protobuf, JSON) and ROS 2 (CDR) | |
+//! | [`recording_write`] | | recordings of Foxglove's messages or ROS 2's, in any layout |
 //! | [`mesh_or_cloud`] | a surface or a cloud: PLY, STL, PCD, OBJ, OFF, VTK, text | |
 //! | [`mesh_file`] | a surface in any of these | binary STL |
 //! | [`cloud_file`] | a cloud in any of these | binary PLY |
@@ -21,7 +21,7 @@
 //!
 //! ```
 //! use nalgebra::Point3;
-//! use osteoflow_formats::{foxglove_read::read_cloud, mcap_read::Recording};
+//! use osteoflow_formats::{message_read::read_cloud, mcap_read::Recording};
 //! use osteoflow_formats::recording_write::{Layout, Stream, recording_bytes};
 //! use osteoflow_geometry::Cloud;
 //!
@@ -47,11 +47,11 @@ mod cloud_text;
 mod error;
 pub mod folder;
 mod foxglove_json;
-pub mod foxglove_read;
 mod lost;
 pub mod mcap_read;
 pub mod mesh_file;
 pub mod mesh_or_cloud;
+pub mod message_read;
 mod normals;
 mod obj;
 mod off;
@@ -63,6 +63,7 @@ pub mod pose_file;
 pub mod poses_csv;
 pub mod recording_write;
 mod refused;
+mod ros2;
 mod scalar;
 mod shape;
 pub mod space;

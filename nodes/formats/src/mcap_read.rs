@@ -5,7 +5,7 @@
 //! topics that are not wanted.
 //!
 //! ```no_run
-//! use osteoflow_formats::{foxglove_read::read_cloud, mcap_read::Recording};
+//! use osteoflow_formats::{message_read::read_cloud, mcap_read::Recording};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let recording = Recording::open("procedure.mcap".as_ref(), false)?;
@@ -17,11 +17,13 @@
 //! # }
 //! ```
 
+mod bag;
 mod error;
 mod pass;
 
 pub use error::McapError;
 
+use bag::Bag;
 use bytes::Bytes;
 use osteoflow_container::Reader;
 use osteoflow_geometry::StampNs;
@@ -87,7 +89,8 @@ pub struct Attachment {
 }
 
 impl Recording {
-    /// Reads a recording with all its messages.
+    /// Reads a recording with all its messages: a file, or the folder of a ROS 2 bag, whose recordings are joined in the
+    /// order of its `metadata.yaml`.
     ///
     /// With `allow_truncated`, the intact records of a damaged file are used, and [`Recording::notes`] says what is
     /// missing: a damaged chunk is left out whole, reading resumes at the next intact record, a cut ends the recording.
@@ -106,9 +109,55 @@ impl Recording {
     /// # Errors
     /// As [`Recording::open`].
     pub fn open_topics(path: &Path, allow_truncated: bool, keep: impl Fn(&str) -> bool) -> Result<Self, McapError> {
+        if path.is_dir() {
+            return Self::open_bag(path, allow_truncated, &keep);
+        }
         let name = path.display().to_string();
         let reader = Reader::open(path).map_err(|source| McapError::Io { path: name.clone(), source })?;
         Pass::new(&name, allow_truncated, &keep).read(reader)
+    }
+
+    fn open_bag(folder: &Path, allow_truncated: bool, keep: &dyn Fn(&str) -> bool) -> Result<Self, McapError> {
+        let Bag { files, n_messages, notes } = Bag::open(folder)?;
+        let mut joined = Self { notes, ..Self::default() };
+        for file in &files {
+            joined.append(Self::open_topics(file, allow_truncated, keep)?);
+        }
+        let n_found: usize = joined.topics.iter().map(|topic| topic.n_messages).sum();
+        if let Some(n) = n_messages.filter(|&n| n != n_found) {
+            let folder = folder.display();
+            joined
+                .notes
+                .push(format!("{folder}: metadata.yaml counts {n} messages, but its recordings hold {n_found}"));
+        }
+        Ok(joined)
+    }
+
+    /// Adds what another part of the same recording holds.
+    fn append(&mut self, part: Self) {
+        for (name, entries) in part.metadata {
+            self.metadata.entry(name).or_default().extend(entries);
+        }
+        self.attachments.extend(part.attachments);
+        self.notes.extend(part.notes);
+        self.last_publish_time_ns = self.last_publish_time_ns.max(part.last_publish_time_ns);
+        for topic in part.topics {
+            self.add_topic(topic);
+        }
+        for (name, messages) in part.messages {
+            self.messages.entry(name).or_default().extend(messages);
+        }
+    }
+
+    /// Counts the messages of a topic, which may be known.
+    fn add_topic(&mut self, topic: Topic) {
+        let same = self.topics.iter_mut().find(|t| {
+            (&t.name, &t.schema_name, &t.message_encoding) == (&topic.name, &topic.schema_name, &topic.message_encoding)
+        });
+        match same {
+            Some(known) => known.n_messages += topic.n_messages,
+            None => self.topics.push(topic),
+        }
     }
 
     /// As [`Recording::open`], for a file already in memory; `name` stands for the path in errors.

@@ -1,4 +1,4 @@
-//! Procedures as Foxglove recordings, in any of the layouts that recorders choose.
+//! Procedures as recordings of Foxglove's messages or of ROS 2, in any of the layouts that recorders choose.
 //!
 //! ```no_run
 //! use nalgebra::Point3;
@@ -15,12 +15,13 @@
 //!
 //! Millimetres become metres here. In single precision a coordinate of 200 mm keeps 0.00002 mm.
 
+mod cdr;
 mod json;
 
 use crate::{
     FileError,
-    foxglove_read::{FRAME_TRANSFORM, FRAME_TRANSFORMS, POINT_CLOUD, POSE_IN_FRAME},
     mcap_read::Attachment,
+    message_read::{FRAME_TRANSFORM, FRAME_TRANSFORMS, POINT_CLOUD, POSE_IN_FRAME},
 };
 use foxglove::{
     Encode,
@@ -55,6 +56,11 @@ pub enum Encoding {
     Protobuf,
     /// Text, with the points in base64.
     Json,
+    /// The messages of ROS 2: `PointCloud2`, `TransformStamped` or `TFMessage`, `PoseStamped`. A cloud has no `pose` there.
+    Cdr {
+        /// Whether messages and points have the most significant byte first.
+        big_endian: bool,
+    },
 }
 
 /// The numeric type of coordinates.
@@ -204,7 +210,7 @@ fn encoded(path: &Path, streams: &[(&str, &Stream)], layout: &Layout) -> Result<
             Stream::Clouds(clouds) => {
                 for cloud in clouds {
                     let time = time(cloud.stamp_ns)?;
-                    push(time, layout.message(POINT_CLOUD, &layout.cloud(cloud, time), cloud_json));
+                    push(time, layout.message(POINT_CLOUD, &layout.cloud(cloud, time), cloud_json, cdr::cloud));
                 }
             }
             Stream::Transforms(poses) => {
@@ -212,14 +218,19 @@ fn encoded(path: &Path, streams: &[(&str, &Stream)], layout: &Layout) -> Result<
                 let transforms: Vec<FrameTransform> = transforms.collect::<Result<_, FileError>>()?;
                 for batch in transforms.chunks(layout.transforms_per_message.max(1)) {
                     let time = batch[0].timestamp.expect("each transform has its time");
-                    push(time, match batch {
-                        [single] if layout.transforms_per_message <= 1 => {
-                            layout.message(FRAME_TRANSFORM, single, transform_json)
-                        }
-                        _ => layout.message(FRAME_TRANSFORMS, &FrameTransforms { transforms: batch.to_vec() }, |batch| {
-                            json!({"transforms": batch.transforms.iter().map(transform_json).collect::<Vec<_>>()})
-                        }),
-                    });
+                    push(
+                        time,
+                        match batch {
+                            [single] if layout.transforms_per_message <= 1 => {
+                                layout.message(FRAME_TRANSFORM, single, transform_json, cdr::transform)
+                            }
+                            _ => {
+                                let batch = FrameTransforms { transforms: batch.to_vec() };
+                                let to_json = |batch: &FrameTransforms| json!({"transforms": batch.transforms.iter().map(transform_json).collect::<Vec<_>>()});
+                                layout.message(FRAME_TRANSFORMS, &batch, to_json, cdr::transforms)
+                            }
+                        },
+                    );
                 }
             }
             Stream::Tips(tips) => {
@@ -231,13 +242,11 @@ fn encoded(path: &Path, streams: &[(&str, &Stream)], layout: &Layout) -> Result<
                         frame_id: frame.to_string(),
                         pose: Some(pose_message(&pose)),
                     };
-                    push(
-                        time,
-                        layout.message(POSE_IN_FRAME, &tip, |tip| {
-                            json!({"timestamp": time_json(tip.timestamp), "frame_id": tip.frame_id,
+                    let to_json = |tip: &PoseInFrame| {
+                        json!({"timestamp": time_json(tip.timestamp), "frame_id": tip.frame_id,
                                "pose": tip.pose.as_ref().map(pose_json)})
-                        }),
-                    );
+                    };
+                    push(time, layout.message(POSE_IN_FRAME, &tip, to_json, cdr::pose));
                 }
             }
         }
@@ -320,6 +329,7 @@ impl Encoding {
         match self {
             Self::Protobuf => "protobuf",
             Self::Json => "json",
+            Self::Cdr { .. } => "cdr",
         }
     }
 }
@@ -330,6 +340,7 @@ impl Layout {
         name: &str,
         message: &M,
         to_json: impl Fn(&M) -> Value,
+        to_cdr: impl Fn(&M, bool) -> Vec<u8>,
     ) -> (foxglove::Schema, Vec<u8>) {
         match self.encoding {
             Encoding::Protobuf => {
@@ -342,6 +353,7 @@ impl Layout {
                 let data = serde_json::to_vec(&to_json(message)).expect("a message is JSON");
                 (foxglove::Schema::new(name, "jsonschema", schema), data)
             }
+            Encoding::Cdr { big_endian } => (cdr::schema(name), to_cdr(message, big_endian)),
         }
     }
 
@@ -378,8 +390,10 @@ impl Layout {
 
     fn cloud(&self, cloud: &Cloud, time: Timestamp) -> PointCloud {
         let (fields, stride) = self.fields(cloud.normals().is_some());
-        let to_message = self.pose.map(|pose| pose.inverse());
-        let mut data = Vec::with_capacity(cloud.len() * stride as usize);
+        let pose = self.pose.filter(|_| !matches!(self.encoding, Encoding::Cdr { .. }));
+        let big_endian = self.encoding == Encoding::Cdr { big_endian: true };
+        let to_message = pose.map(|pose| pose.inverse());
+        let mut data: Vec<u8> = Vec::with_capacity(cloud.len() * stride as usize);
         let mut push = |values: [f64; 6], index: usize| {
             let start = data.len();
             for (name, kind, _) in &fields {
@@ -393,11 +407,15 @@ impl Layout {
                     "intensity" => index as f64 * 0.5,
                     _ => (index % 100) as f64,
                 };
+                let number = data.len();
                 match kind {
                     NumericType::Float64 => data.extend(value.to_le_bytes()),
                     NumericType::Float32 => data.extend((value as f32).to_le_bytes()),
                     NumericType::Uint16 => data.extend((value as u16).to_le_bytes()),
                     _ => data.extend((value as i8).to_le_bytes()),
+                }
+                if big_endian {
+                    data[number..].reverse();
                 }
             }
             // What lies between points is anything but a number that could be taken for one.
@@ -420,7 +438,7 @@ impl Layout {
         PointCloud {
             timestamp: Some(time),
             frame_id: cloud.frame.to_string(),
-            pose: Some(pose_message(&self.pose.unwrap_or_default())),
+            pose: Some(pose_message(&pose.unwrap_or_default())),
             point_stride: stride,
             fields: fields.iter().map(field).collect(),
             data: data.into(),

@@ -7,8 +7,8 @@ use nalgebra::Point3;
 use osteoflow_container::Cause;
 use osteoflow_formats::{cloud_file, mesh_file, plan_file, poses_csv};
 use osteoflow_formats::{
-    foxglove_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
     mcap_read::{McapError, Recording},
+    message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
     recording_write::{Compression, Encoding, Layout, Stream, recording_bytes},
 };
 use osteoflow_geometry::Cloud;
@@ -383,26 +383,37 @@ fn no_damage_makes_the_reader_panic_or_ask_for_absurd_memory() {
 
 #[test]
 fn messages_survive_any_bytes() {
-    use osteoflow_formats::foxglove_read::{Encoded, FRAME_TRANSFORM, FRAME_TRANSFORMS, POINT_CLOUD, POSE_IN_FRAME};
+    use osteoflow_formats::message_read::{Encoded, FRAME_TRANSFORM, FRAME_TRANSFORMS, POINT_CLOUD, POSE_IN_FRAME};
     let mut rng = ChaCha8Rng::seed_from_u64(8);
-    let samples: BTreeMap<&str, Vec<Vec<u8>>> = ["protobuf", "json"]
-        .into_iter()
-        .map(|name| {
-            let encoding = if name == "json" { Encoding::Json } else { Encoding::Protobuf };
-            let bytes = recording(&Layout { encoding, ..Layout::default() });
-            let recording = Recording::from_bytes("samples", &bytes, false).unwrap();
-            let messages = ["/scan", "/stylus"].map(|topic| recording.messages(topic)[0].data.to_vec());
-            (name, messages.to_vec())
-        })
-        .collect();
-    for _ in 0..3000 {
-        let encoding = ["protobuf", "json"][rng.random_range(0..2)];
-        let mut data = samples[encoding][rng.random_range(0..2)].clone();
+    let encodings = [
+        ("protobuf", Encoding::Protobuf),
+        ("json", Encoding::Json),
+        ("cdr", Encoding::Cdr { big_endian: false }),
+        ("cdr", Encoding::Cdr { big_endian: true }),
+    ];
+    let samples = encodings.map(|(_, encoding)| {
+        let bytes = recording(&Layout { encoding, ..Layout::default() });
+        let recording = Recording::from_bytes("samples", &bytes, false).unwrap();
+        ["/scan", "/stylus"].map(|topic| recording.messages(topic)[0].data.to_vec())
+    });
+    for _ in 0..6000 {
+        let k = rng.random_range(0..encodings.len());
+        let encoding = encodings[k].0;
+        let mut data = samples[k][rng.random_range(0..2)].clone();
         for _ in 0..rng.random_range(0..4) {
             let at = rng.random_range(0..data.len());
             data[at] = rng.random_range(0..=255);
         }
-        for schema_name in [POINT_CLOUD, FRAME_TRANSFORM, FRAME_TRANSFORMS, POSE_IN_FRAME] {
+        let schemas = match encoding {
+            "cdr" => [
+                "sensor_msgs/msg/PointCloud2",
+                "geometry_msgs/msg/TransformStamped",
+                "tf2_msgs/msg/TFMessage",
+                "geometry_msgs/msg/PoseStamped",
+            ],
+            _ => [POINT_CLOUD, FRAME_TRANSFORM, FRAME_TRANSFORMS, POSE_IN_FRAME],
+        };
+        for schema_name in schemas {
             let data = data.clone().into();
             let message = Encoded { schema_name, message_encoding: encoding, publish_time_ns: 1, data };
             let _ = (stamp(message.clone()), read_cloud(message.clone()));

@@ -5,9 +5,9 @@ use nalgebra::{Point3, Vector3};
 use osteoflow_formats::{
     Space,
     cloud_file::{read_cloud as read_cloud_file, read_cloud_ply},
-    foxglove_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
     mcap_read::{McapError, Recording},
     mesh_file::read_mesh,
+    message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
     picked_points::read_picked_points,
     plan_file::{parse_plan, read_plan},
     write::write_mesh,
@@ -141,7 +141,7 @@ fn ros_recordings_list_their_topics_and_say_what_they_carry() {
         }
         let busy = recording.topics().iter().find(|t| t.n_messages > 0).unwrap();
         let said = read_cloud(&recording.messages(&busy.name)[0]).unwrap_err().to_string();
-        assert!(said.contains("only protobuf and json"), "{said}");
+        assert!(said.contains("of Foxglove or ROS 2 is needed here, but the topic carries "), "{said}");
     }
 }
 

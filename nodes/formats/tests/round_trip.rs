@@ -3,8 +3,8 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_formats::{
-    foxglove_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
     mcap_read::{Attachment, Message, Recording},
+    message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
     recording_write::{Compression, Encoding, Layout, Order, PointType, Stream, recording_bytes},
 };
 use osteoflow_geometry::{Cloud, Pose, StampNs};
@@ -48,7 +48,12 @@ fn metadata() -> BTreeMap<String, BTreeMap<String, String>> {
 fn any_layout(rng: &mut ChaCha8Rng) -> Layout {
     let pick = |rng: &mut ChaCha8Rng, n: usize| rng.random_range(0..n);
     Layout {
-        encoding: [Encoding::Protobuf, Encoding::Json][pick(rng, 2)],
+        encoding: [
+            Encoding::Protobuf,
+            Encoding::Json,
+            Encoding::Cdr { big_endian: false },
+            Encoding::Cdr { big_endian: true },
+        ][pick(rng, 4)],
         compression: [Compression::None, Compression::Lz4, Compression::Zstd][pick(rng, 3)],
         chunk_bytes: [None, Some(300), Some(1 << 20)][pick(rng, 3)],
         index: pick(rng, 2) == 0,

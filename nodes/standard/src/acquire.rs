@@ -3,6 +3,7 @@
 pub mod cloud;
 pub mod folder;
 pub mod mcap;
+mod mcap_events;
 pub mod mcap_live;
 mod mcap_ports;
 mod playback;

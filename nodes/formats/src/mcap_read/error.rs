@@ -12,6 +12,14 @@ pub enum McapError {
         /// What the system said.
         source: io::Error,
     },
+    /// The folder of a ROS 2 bag cannot be read.
+    #[error("{path}: {reason}")]
+    Bag {
+        /// The folder.
+        path: String,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
     /// The file has no bytes.
     #[error("{path}: the file is empty, an MCAP recording is expected; was it stopped before anything was written?")]
     Empty {

@@ -212,14 +212,7 @@ impl<'a> Pass<'a> {
                 message_encoding: channel.message_encoding.clone(),
                 n_messages: self.n_found.get(id).copied().unwrap_or(0),
             };
-            let same = self.recording.topics.iter_mut().find(|t| {
-                (&t.name, &t.schema_name, &t.message_encoding)
-                    == (&topic.name, &topic.schema_name, &topic.message_encoding)
-            });
-            match same {
-                Some(known) => known.n_messages += topic.n_messages,
-                None => self.recording.topics.push(topic),
-            }
+            self.recording.add_topic(topic);
         }
         Ok(self.recording)
     }

@@ -1,6 +1,6 @@
 //! Foxglove's messages as JSON, with the schemas that viewers need.
 
-use crate::foxglove_read::{FRAME_TRANSFORM, FRAME_TRANSFORMS, POSE_IN_FRAME};
+use crate::message_read::{FRAME_TRANSFORM, FRAME_TRANSFORMS, POSE_IN_FRAME};
 use base64::{Engine, engine::general_purpose::STANDARD};
 use foxglove::messages::{
     FrameTransform, PointCloud, Pose as FoxglovePose, Quaternion as FoxgloveQuaternion, Timestamp,

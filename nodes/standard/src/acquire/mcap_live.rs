@@ -1,7 +1,7 @@
 //! The kind `acquire.mcap_live`.
 
 use super::{
-    mcap::{EventBody, Mcap},
+    mcap::{self, EventBody, Mcap},
     mcap_ports::PortParams,
     playback::Event,
 };
@@ -10,7 +10,10 @@ use osteoflow_node::{
     Context, Declared, Describe, FilePath, NodeError, ParamError, Source, rand::RngExt, schemars::JsonSchema,
     serde::Deserialize,
 };
-use std::time::{Duration, Instant};
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant},
+};
 
 /// A recording played in real time, as if its devices sent it now: a live source for tests and rehearsals.
 ///
@@ -41,6 +44,9 @@ pub struct Params {
     /// Whether the intact part of a damaged recording is used, with a warning. false: a damaged recording is an error.
     #[serde(default)]
     pub allow_truncated: bool,
+    /// Frames of the recording that have other names in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
+    #[serde(default)]
+    pub frames: BTreeMap<String, String>,
     /// Playback speed relative to the recording. 1: as recorded; more simulates overload.
     #[serde(default = "one")]
     #[schemars(range(min = 0.001, max = 1e9))]
@@ -83,7 +89,8 @@ impl Source for McapLive {
     type Outputs = Declared<PortParams>;
 
     fn new(params: Params) -> Result<Self, ParamError> {
-        let mcap = Mcap::of(params.path.clone(), params.allow_truncated);
+        let (path, allow_truncated, frames) = (params.path.clone(), params.allow_truncated, params.frames.clone());
+        let mcap = Mcap::of(mcap::Params { path, allow_truncated, frames });
         Ok(Self { mcap, params, schedule: None })
     }
 

@@ -2,9 +2,10 @@ use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 
 /// The messages that one port of `acquire.mcap` and `acquire.mcap_live` reads; `type` is the payload it gives.
 ///
-/// `geometry/Cloud` from `foxglove.PointCloud`; `geometry/Pose` from `foxglove.FrameTransform(s)` and
-/// `foxglove.PoseInFrame`; `geometry/Points`, one point at a time, from `foxglove.PoseInFrame`; `geometry/Region` and
-/// `report/Flag` from `metadata` and `present`.
+/// `geometry/Cloud` from `foxglove.PointCloud` and `sensor_msgs/PointCloud2`; `geometry/Pose` from
+/// `foxglove.FrameTransform(s)`, `tf2_msgs/TFMessage`, `geometry_msgs/TransformStamped` and poses in a frame
+/// (`foxglove.PoseInFrame`, `geometry_msgs/PoseStamped`); `geometry/Points`, one point at a time, from poses in a frame;
+/// `geometry/Region` and `report/Flag` from `metadata` and `present`.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
@@ -19,7 +20,7 @@ pub struct PortParams {
     pub optional: bool,
     /// Only transforms with this parent frame, where a topic carries several.
     pub parent: Option<String>,
-    /// Only transforms with this child frame; for `foxglove.PoseInFrame`, the name of the frame that moves.
+    /// Only transforms with this child frame; for a pose in a frame, the name of the frame that moves.
     pub child: Option<String>,
     /// Silence after which a tracked marker is lost and the port gives an empty; also at the end, up to the last message of the
     /// recording on any topic. Unset: never.

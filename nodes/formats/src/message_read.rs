@@ -1,4 +1,4 @@
-//! Foxglove messages to geometry: point clouds, transforms and poses, in protobuf and in JSON.
+//! Messages to geometry: point clouds, transforms and poses, of Foxglove in protobuf and in JSON, of ROS 2 in CDR.
 //!
 //! Metres become millimetres here. A stamp is the message's own timestamp, the sensor time; the publish time replaces it only
 //! if it is missing or zero.
@@ -7,12 +7,13 @@
 //! `snake_case` or `camelCase`, point types by number or by name, base64 of either alphabet, `NaN` bare, as text or as
 //! null.
 
+mod cdr;
 mod fault;
 mod layout;
 #[cfg(test)]
 mod tests;
 
-pub use fault::FoxgloveError;
+pub use fault::MessageError;
 
 use crate::{
     LostPose, PoseError,
@@ -21,6 +22,7 @@ use crate::{
     },
     mcap_read::{Message, Recording},
     normals::unit_normals,
+    ros2::{POINT_CLOUD_2, POSE_STAMPED, TF_MESSAGE, TRANSFORM_STAMPED},
 };
 use bytes::Bytes;
 use foxglove::{
@@ -45,6 +47,32 @@ pub const FRAME_TRANSFORMS: &str = "foxglove.FrameTransforms";
 /// The schema of a pose in a frame, such as a stylus tip.
 pub const POSE_IN_FRAME: &str = "foxglove.PoseInFrame";
 
+/// What a message holds, whatever its encoding.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MessageKind {
+    /// A point cloud: `foxglove.PointCloud`, `sensor_msgs/msg/PointCloud2`.
+    Cloud,
+    /// One transform: `foxglove.FrameTransform`, `geometry_msgs/msg/TransformStamped`.
+    Transform,
+    /// Several transforms: `foxglove.FrameTransforms`, `tf2_msgs/msg/TFMessage`.
+    Transforms,
+    /// A pose in a frame, such as a stylus tip: `foxglove.PoseInFrame`, `geometry_msgs/msg/PoseStamped`.
+    Pose,
+}
+
+impl MessageKind {
+    /// The kind of a schema; none of one that is not read.
+    pub fn of(schema_name: &str) -> Option<Self> {
+        Some(match schema_name {
+            POINT_CLOUD | POINT_CLOUD_2 => Self::Cloud,
+            FRAME_TRANSFORM | TRANSFORM_STAMPED => Self::Transform,
+            FRAME_TRANSFORMS | TF_MESSAGE => Self::Transforms,
+            POSE_IN_FRAME | POSE_STAMPED => Self::Pose,
+            _ => return None,
+        })
+    }
+}
+
 /// A translation beyond this, a kilometre, is a tracker's code for a marker that it does not see.
 const FARTHEST_M: f64 = 1e3;
 
@@ -53,7 +81,7 @@ const FARTHEST_M: f64 = 1e3;
 pub struct Encoded<'a> {
     /// The schema's name, such as [`POINT_CLOUD`].
     pub schema_name: &'a str,
-    /// `protobuf` or `json`.
+    /// `protobuf`, `json` or `cdr`.
     pub message_encoding: &'a str,
     /// The publish time, which replaces a missing timestamp.
     pub publish_time_ns: StampNs,
@@ -88,8 +116,10 @@ pub struct CloudRead {
 }
 
 /// The properties of a cloud message without its points.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct CloudHead {
+    /// The frame of the points.
+    pub frame: Frame,
     /// The sensor time.
     pub stamp_ns: StampNs,
     /// The correction of the message's pose; zero where it has none.
@@ -129,50 +159,45 @@ impl TipRead {
 /// The sensor time of a message of any of the schemas; for several transforms, of the first one.
 ///
 /// # Errors
-/// [`FoxgloveError`] if the schema or encoding is not known, or the bytes do not follow it.
-pub fn stamp<'a>(message: impl Into<Encoded<'a>>) -> Result<StampNs, FoxgloveError> {
+/// [`MessageError`] if the schema or encoding is not known, or the bytes do not follow it.
+pub fn stamp<'a>(message: impl Into<Encoded<'a>>) -> Result<StampNs, MessageError> {
     let message = message.into();
-    let time = match (message.schema_name, encoding(&message)?) {
-        (POINT_CLOUD, Protobuf) => nanoseconds(decode::<PointCloud>(&message)?.timestamp),
-        (FRAME_TRANSFORM, Protobuf) => nanoseconds(decode::<FrameTransform>(&message)?.timestamp),
-        (POSE_IN_FRAME, Protobuf) => nanoseconds(decode::<PoseInFrame>(&message)?.timestamp),
-        (FRAME_TRANSFORMS, Protobuf) => {
-            decode::<FrameTransforms>(&message)?.transforms.first().and_then(|t| nanoseconds(t.timestamp))
-        }
-        (FRAME_TRANSFORMS, Json) => {
-            parse::<JsonTransforms>(&message)?.transforms.first().and_then(|t| t.timestamp.nanoseconds())
-        }
-        (POINT_CLOUD | FRAME_TRANSFORM | POSE_IN_FRAME, Json) => {
+    let time = match kind_and_encoding(&message)? {
+        (MessageKind::Cloud | MessageKind::Transform | MessageKind::Pose, Json) => {
             parse::<JsonTimestamp>(&message)?.timestamp.nanoseconds()
         }
-        _ => return Err(wrong_schema("a Foxglove point cloud, transform or pose", &message)),
+        (MessageKind::Cloud, encoding) => nanoseconds(raw_cloud(&message, encoding)?.0.timestamp),
+        (MessageKind::Transform | MessageKind::Transforms, _) => {
+            raw_transforms(&message)?.first().and_then(|t| t.timestamp.nanoseconds())
+        }
+        (MessageKind::Pose, _) => raw_pose(&message)?.timestamp.nanoseconds(),
     };
     Ok(time.unwrap_or(message.publish_time_ns))
 }
 
-/// The sensor time of a `foxglove.PointCloud` and the correction of its pose, without its points.
+/// The sensor time of a cloud and the correction of its pose, without its points.
 ///
 /// # Errors
-/// [`FoxgloveError`] if the schema or encoding is another, the bytes do not follow it, or the pose is no rigid motion.
-pub fn read_cloud_head<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudHead, FoxgloveError> {
+/// [`MessageError`] if the schema or encoding is another, the bytes do not follow it, or the pose is no rigid motion.
+pub fn read_cloud_head<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudHead, MessageError> {
     let message = message.into();
-    let (stamp_ns, pose) = match (message.schema_name, encoding(&message)?) {
-        (POINT_CLOUD, Protobuf) => {
-            let cloud: PointCloud = decode(&message)?;
-            (nanoseconds(cloud.timestamp), cloud.pose)
-        }
-        (POINT_CLOUD, Json) => {
+    let (frame, stamp_ns, pose) = match kind_and_encoding(&message)? {
+        (MessageKind::Cloud, Json) => {
             let head: JsonCloudHead = parse(&message)?;
             let pose = head.pose.map(|p| FoxglovePose { position: p.position, orientation: p.orientation });
-            (head.timestamp.nanoseconds(), pose)
+            (head.frame_id, head.timestamp.nanoseconds(), pose)
         }
-        _ => return Err(wrong_schema(POINT_CLOUD, &message)),
+        (MessageKind::Cloud, encoding) => {
+            let (cloud, _) = raw_cloud(&message, encoding)?;
+            (cloud.frame_id, nanoseconds(cloud.timestamp), cloud.pose)
+        }
+        _ => return Err(wrong_schema("a point cloud", &message)),
     };
     let Nearest { correction, .. } = cloud_pose(pose.as_ref())?;
-    Ok(CloudHead { stamp_ns: stamp_ns.unwrap_or(message.publish_time_ns), correction })
+    Ok(CloudHead { frame: frame.into(), stamp_ns: stamp_ns.unwrap_or(message.publish_time_ns), correction })
 }
 
-/// The cloud in a `foxglove.PointCloud`: fields found by name at any stride, order and numeric type, moved by the
+/// The cloud in a `foxglove.PointCloud` or `sensor_msgs/msg/PointCloud2`: fields found by name at any stride, order and numeric type, moved by the
 /// message's `pose`, metres turned to mm.
 ///
 /// Points with a NaN or infinite coordinate are left out and counted. Normals (`normal_x` .. or `nx` ..) come along when
@@ -181,22 +206,18 @@ pub fn read_cloud_head<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudHead,
 /// `phantom`, a marker) it is the `pose`, or unknown where there is none. `O(n)`.
 ///
 /// # Errors
-/// [`FoxgloveError`], saying what is missing, which bytes do not add up, or that the pose is no rigid motion.
-pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, FoxgloveError> {
+/// [`MessageError`], saying what is missing, which bytes do not add up, or that the pose is no rigid motion.
+pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, MessageError> {
     cloud_of(message.into())
 }
 
-fn cloud_of(message: Encoded<'_>) -> Result<CloudRead, FoxgloveError> {
-    let raw: PointCloud = match (message.schema_name, encoding(&message)?) {
-        (POINT_CLOUD, Protobuf) => decode(&message)?,
-        (POINT_CLOUD, Json) => {
-            let cloud: JsonCloud = parse(&message)?;
-            cloud.into_message().map_err(|reason| no_such(&message, reason))?
-        }
-        _ => return Err(wrong_schema(POINT_CLOUD, &message)),
+fn cloud_of(message: Encoded<'_>) -> Result<CloudRead, MessageError> {
+    let (raw, big_endian) = match kind_and_encoding(&message)? {
+        (MessageKind::Cloud, encoding) => raw_cloud(&message, encoding)?,
+        _ => return Err(wrong_schema("a point cloud", &message)),
     };
     let Nearest { value: pose, correction } = cloud_pose(raw.pose.as_ref())?;
-    let layout = Layout::of(&raw)?;
+    let layout = Layout::of(&raw, big_endian)?;
     let n_points_in_message = layout.n_points;
     let (mut points, mut normals) = (Vec::with_capacity(n_points_in_message), Vec::new());
     for bytes in raw.data.chunks_exact(layout.stride.max(1)).take(n_points_in_message) {
@@ -225,7 +246,19 @@ fn cloud_of(message: Encoded<'_>) -> Result<CloudRead, FoxgloveError> {
     Ok(CloudRead { cloud, n_points_in_message, n_dropped, correction, notes })
 }
 
-/// The poses in a `foxglove.FrameTransform` or `foxglove.FrameTransforms`, in order: `t_parent_child`, mm.
+/// The cloud of a message of that kind, and whether the numbers of its points are big-endian.
+fn raw_cloud(message: &Encoded, encoding: Encoding) -> Result<(PointCloud, bool), MessageError> {
+    Ok(match encoding {
+        Protobuf => (decode(message)?, false),
+        Json => {
+            let cloud: JsonCloud = parse(message)?;
+            (cloud.into_message().map_err(|reason| no_such(message, reason))?, false)
+        }
+        Cdr => cdr::cloud(message)?,
+    })
+}
+
+/// The poses in a message of one or several transforms, in order: `t_parent_child`, mm.
 ///
 /// A rounded quaternion gives the nearest rotation, with its correction. A quaternion that is zero or not finite, or a
 /// position that is not finite or beyond a kilometre, is how trackers write a marker they do not see: that transform is
@@ -233,42 +266,43 @@ fn cloud_of(message: Encoded<'_>) -> Result<CloudRead, FoxgloveError> {
 /// [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from 1 is [`PoseError::NotRigid`].
 ///
 /// # Errors
-/// [`FoxgloveError`] if the schema or encoding is another, or the bytes do not follow it.
+/// [`MessageError`] if the schema or encoding is another, or the bytes do not follow it.
 pub fn read_transforms<'a>(
     message: impl Into<Encoded<'a>>,
-) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, FoxgloveError> {
+) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, MessageError> {
     transforms_of(message.into())
 }
 
-fn transforms_of(message: Encoded<'_>) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, FoxgloveError> {
-    let transforms = match (message.schema_name, encoding(&message)?) {
-        (FRAME_TRANSFORM, Protobuf) => vec![decode::<FrameTransform>(&message)?.into()],
-        (FRAME_TRANSFORM, Json) => vec![parse::<JsonTransform>(&message)?],
-        (FRAME_TRANSFORMS, Protobuf) => {
-            decode::<FrameTransforms>(&message)?.transforms.into_iter().map(JsonTransform::from).collect()
-        }
-        (FRAME_TRANSFORMS, Json) => parse::<JsonTransforms>(&message)?.transforms,
-        _ => return Err(wrong_schema("foxglove.FrameTransform or foxglove.FrameTransforms", &message)),
-    };
-    Ok(transforms.into_iter().map(|t| pose_of(t, message.publish_time_ns)).collect())
+fn transforms_of(message: Encoded<'_>) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, MessageError> {
+    Ok(raw_transforms(&message)?.into_iter().map(|t| pose_of(t, message.publish_time_ns)).collect())
 }
 
-/// The point in a `foxglove.PoseInFrame`, mm, such as a stylus tip; its orientation may be missing.
+fn raw_transforms(message: &Encoded) -> Result<Vec<JsonTransform>, MessageError> {
+    Ok(match kind_and_encoding(message)? {
+        (MessageKind::Transform, Protobuf) => vec![decode::<FrameTransform>(message)?.into()],
+        (MessageKind::Transform, Json) => vec![parse::<JsonTransform>(message)?],
+        (MessageKind::Transform, Cdr) => vec![cdr::transform(message)?],
+        (MessageKind::Transforms, Protobuf) => {
+            decode::<FrameTransforms>(message)?.transforms.into_iter().map(JsonTransform::from).collect()
+        }
+        (MessageKind::Transforms, Json) => parse::<JsonTransforms>(message)?.transforms,
+        (MessageKind::Transforms, Cdr) => cdr::transforms(message)?,
+        _ => return Err(wrong_schema("a transform", message)),
+    })
+}
+
+/// The point in a `foxglove.PoseInFrame` or `geometry_msgs/msg/PoseStamped`, mm, such as a stylus tip; its orientation may be missing.
 ///
 /// # Errors
-/// [`FoxgloveError::Pose`] if there is no pose or its position is not finite; otherwise if the schema or encoding is another,
+/// [`MessageError::Pose`] if there is no pose or its position is not finite; otherwise if the schema or encoding is another,
 /// or the bytes do not follow it.
-pub fn read_pose_in_frame<'a>(message: impl Into<Encoded<'a>>) -> Result<TipRead, FoxgloveError> {
+pub fn read_pose_in_frame<'a>(message: impl Into<Encoded<'a>>) -> Result<TipRead, MessageError> {
     tip_of(message.into())
 }
 
-fn tip_of(message: Encoded<'_>) -> Result<TipRead, FoxgloveError> {
-    let read: JsonPoseInFrame = match (message.schema_name, encoding(&message)?) {
-        (POSE_IN_FRAME, Protobuf) => decode::<PoseInFrame>(&message)?.into(),
-        (POSE_IN_FRAME, Json) => parse(&message)?,
-        _ => return Err(wrong_schema(POSE_IN_FRAME, &message)),
-    };
-    let lost = |reason: &str| FoxgloveError::Pose { what: "located point", reason: format!("it has {reason}") };
+fn tip_of(message: Encoded<'_>) -> Result<TipRead, MessageError> {
+    let read = raw_pose(&message)?;
+    let lost = |reason: &str| MessageError::Pose { what: "located point", reason: format!("it has {reason}") };
     let pose = read.pose.ok_or_else(|| lost("no pose"))?;
     let position = translation(&pose.position.unwrap_or_default()).map_err(|reason| lost(&reason))?;
     let orientation = pose.orientation.map(|q| rotation(&q));
@@ -276,15 +310,24 @@ fn tip_of(message: Encoded<'_>) -> Result<TipRead, FoxgloveError> {
     Ok(TipRead { frame: read.frame_id.into(), stamp_ns, position: position.into(), orientation })
 }
 
+fn raw_pose(message: &Encoded) -> Result<JsonPoseInFrame, MessageError> {
+    Ok(match kind_and_encoding(message)? {
+        (MessageKind::Pose, Protobuf) => decode::<PoseInFrame>(message)?.into(),
+        (MessageKind::Pose, Json) => parse(message)?,
+        (MessageKind::Pose, Cdr) => cdr::pose(message)?,
+        _ => return Err(wrong_schema("a pose in a frame", message)),
+    })
+}
+
 /// The region of interest that the recording's metadata record `procedure` gives, if it does: keys `roi_camera_min_m` and
 /// `roi_camera_max_m`, three numbers in metres each, in the camera's frame; mm here.
 ///
 /// # Errors
-/// [`FoxgloveError::Region`] if only one of both is there, it does not hold three finite numbers, or min lies above max.
-pub fn procedure_region(recording: &Recording) -> Result<Option<Region>, FoxgloveError> {
+/// [`MessageError::Region`] if only one of both is there, it does not hold three finite numbers, or min lies above max.
+pub fn procedure_region(recording: &Recording) -> Result<Option<Region>, MessageError> {
     const KEYS: [&str; 2] = ["roi_camera_min_m", "roi_camera_max_m"];
     let Some(record) = recording.metadata.get("procedure") else { return Ok(None) };
-    let fault = |key: &str, reason: String| FoxgloveError::Region { key: key.into(), reason };
+    let fault = |key: &str, reason: String| MessageError::Region { key: key.into(), reason };
     let corners = match KEYS.map(|key| record.get(key)) {
         [None, None] => return Ok(None),
         [Some(min), Some(max)] => [min, max],
@@ -306,34 +349,42 @@ pub fn procedure_region(recording: &Recording) -> Result<Option<Region>, Foxglov
     Ok(Some(Region { frame: "camera".into(), min, max }))
 }
 
+/// How a message is written.
+#[derive(Clone, Copy)]
 enum Encoding {
     Protobuf,
     Json,
+    Cdr,
 }
-use Encoding::{Json, Protobuf};
+use Encoding::{Cdr, Json, Protobuf};
 
-fn encoding(message: &Encoded) -> Result<Encoding, FoxgloveError> {
-    match message.message_encoding {
-        "protobuf" => Ok(Protobuf),
-        "json" => Ok(Json),
-        found => Err(FoxgloveError::Encoding { found: found.into() }),
+fn kind_and_encoding(message: &Encoded) -> Result<(MessageKind, Encoding), MessageError> {
+    let Some(kind) = MessageKind::of(message.schema_name) else {
+        return Err(wrong_schema("a point cloud, transform or pose of Foxglove or ROS 2", message));
+    };
+    // A schema of one family in the encoding of the other would be read with the wrong layout.
+    match (message.message_encoding, message.schema_name.starts_with("foxglove.")) {
+        ("protobuf", true) => Ok((kind, Protobuf)),
+        ("json", true) => Ok((kind, Json)),
+        ("cdr", false) => Ok((kind, Cdr)),
+        (found, _) => Err(MessageError::Encoding { found: found.into(), schema: message.schema_name.into() }),
     }
 }
 
-fn wrong_schema(expected: &'static str, message: &Encoded) -> FoxgloveError {
+fn wrong_schema(expected: &'static str, message: &Encoded) -> MessageError {
     let found = if message.schema_name.is_empty() { "messages without a schema" } else { message.schema_name };
-    FoxgloveError::Schema { expected, found: found.into() }
+    MessageError::Schema { expected, found: found.into() }
 }
 
-fn no_such(message: &Encoded, reason: impl ToString) -> FoxgloveError {
-    FoxgloveError::Decode { schema: message.schema_name.into(), reason: reason.to_string() }
+fn no_such(message: &Encoded, reason: impl ToString) -> MessageError {
+    MessageError::Decode { schema: message.schema_name.into(), reason: reason.to_string() }
 }
 
-fn decode<T: Decode>(message: &Encoded) -> Result<T, FoxgloveError> {
+fn decode<T: Decode>(message: &Encoded) -> Result<T, MessageError> {
     T::decode(message.data.clone()).map_err(|error| no_such(message, error))
 }
 
-fn parse<T: serde::de::DeserializeOwned>(message: &Encoded) -> Result<T, FoxgloveError> {
+fn parse<T: serde::de::DeserializeOwned>(message: &Encoded) -> Result<T, MessageError> {
     foxglove_json::parse(&message.data).map_err(|error| no_such(message, error))
 }
 
@@ -368,9 +419,9 @@ fn no_pose(to: &Frame, from: &Frame, stamp_ns: StampNs, error: RigidError) -> Po
 }
 
 /// The pose of a cloud; `None` if it is unset or the identity, so that coordinates are unchanged.
-fn cloud_pose(pose: Option<&FoxglovePose>) -> Result<Nearest<Option<Isometry3<f64>>>, FoxgloveError> {
+fn cloud_pose(pose: Option<&FoxglovePose>) -> Result<Nearest<Option<Isometry3<f64>>>, MessageError> {
     let Some(pose) = pose else { return Ok(Nearest { value: None, correction: Correction::default() }) };
-    let fault = |reason| FoxgloveError::Pose { what: "cloud's pose", reason };
+    let fault = |reason| MessageError::Pose { what: "cloud's pose", reason };
     let translation =
         translation(&pose.position.unwrap_or_default()).map_err(|reason| fault(format!("it has {reason}")))?;
     let unset = Nearest { value: UnitQuaternion::identity(), correction: Correction::default() };
@@ -380,7 +431,7 @@ fn cloud_pose(pose: Option<&FoxglovePose>) -> Result<Nearest<Option<Isometry3<f6
 }
 
 /// Whether a cloud in a frame of that name was seen from its origin.
-fn is_sensor_frame(frame: &str) -> bool {
+pub fn is_sensor_frame(frame: &str) -> bool {
     !matches!(frame, "world" | "ct" | "phantom") && !frame.ends_with("_marker")
 }
 

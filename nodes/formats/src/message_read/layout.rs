@@ -1,4 +1,4 @@
-use super::FoxgloveError;
+use super::MessageError;
 use foxglove::messages::{PointCloud, packed_element_field::NumericType};
 
 /// A number within a point.
@@ -6,26 +6,32 @@ use foxglove::messages::{PointCloud, packed_element_field::NumericType};
 pub(super) struct Field {
     offset: usize,
     kind: NumericType,
+    big_endian: bool,
 }
 
 impl Field {
     /// The number in a point.
     pub(super) fn value(self, point: &[u8]) -> f64 {
-        fn at<const N: usize>(point: &[u8], offset: usize) -> [u8; N] {
-            std::array::from_fn(|k| point[offset + k])
-        }
-        let o = self.offset;
         match self.kind {
-            NumericType::Uint8 => point[o].into(),
-            NumericType::Int8 => i8::from_le_bytes(at(point, o)).into(),
-            NumericType::Uint16 => u16::from_le_bytes(at(point, o)).into(),
-            NumericType::Int16 => i16::from_le_bytes(at(point, o)).into(),
-            NumericType::Uint32 => u32::from_le_bytes(at(point, o)).into(),
-            NumericType::Int32 => i32::from_le_bytes(at(point, o)).into(),
-            NumericType::Float32 => f32::from_le_bytes(at(point, o)).into(),
-            NumericType::Float64 => f64::from_le_bytes(at(point, o)),
+            NumericType::Uint8 => point[self.offset].into(),
+            NumericType::Int8 => i8::from_le_bytes(self.little_endian(point)).into(),
+            NumericType::Uint16 => u16::from_le_bytes(self.little_endian(point)).into(),
+            NumericType::Int16 => i16::from_le_bytes(self.little_endian(point)).into(),
+            NumericType::Uint32 => u32::from_le_bytes(self.little_endian(point)).into(),
+            NumericType::Int32 => i32::from_le_bytes(self.little_endian(point)).into(),
+            NumericType::Float32 => f32::from_le_bytes(self.little_endian(point)).into(),
+            NumericType::Float64 => f64::from_le_bytes(self.little_endian(point)),
             NumericType::Unknown => f64::NAN,
         }
+    }
+
+    /// The bytes of the number, the least significant first.
+    fn little_endian<const N: usize>(self, point: &[u8]) -> [u8; N] {
+        let mut bytes: [u8; N] = std::array::from_fn(|k| point[self.offset + k]);
+        if self.big_endian {
+            bytes.reverse();
+        }
+        bytes
     }
 }
 
@@ -39,26 +45,26 @@ pub(super) struct Layout {
 
 impl Layout {
     /// Finds the fields of a message by name.
-    pub(super) fn of(raw: &PointCloud) -> Result<Self, FoxgloveError> {
+    pub(super) fn of(raw: &PointCloud, big_endian: bool) -> Result<Self, MessageError> {
         let stride = raw.point_stride;
-        let [x, y, z] = ["x", "y", "z"].map(|name| Self::field(raw, name));
+        let [x, y, z] = ["x", "y", "z"].map(|name| Self::field(raw, name, big_endian));
         let position = [Self::needed(raw, "x", x?)?, Self::needed(raw, "y", y?)?, Self::needed(raw, "z", z?)?];
         let normal = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]].into_iter().find_map(|names| {
             // Normals are optional: if they are incomplete or of an unknown type, the cloud has none.
-            let [x, y, z] = names.map(|name| Self::field(raw, name).ok().flatten());
+            let [x, y, z] = names.map(|name| Self::field(raw, name, big_endian).ok().flatten());
             Some([x?, y?, z?])
         });
         let n_bytes = raw.data.len();
         let rest = n_bytes.checked_rem(stride as usize).unwrap_or(n_bytes);
         if rest != 0 {
-            return Err(FoxgloveError::Length { n_bytes, stride, rest });
+            return Err(MessageError::Length { n_bytes, stride, rest });
         }
         let n_points = n_bytes.checked_div(stride as usize).unwrap_or(0);
         Ok(Self { stride: stride as usize, n_points, position, normal })
     }
 
     /// The first field of that name.
-    fn field(raw: &PointCloud, name: &str) -> Result<Option<Field>, FoxgloveError> {
+    fn field(raw: &PointCloud, name: &str, big_endian: bool) -> Result<Option<Field>, MessageError> {
         let Some(field) = raw.fields.iter().find(|f| f.name == name) else { return Ok(None) };
         let kind = NumericType::try_from(field.r#type).unwrap_or(NumericType::Unknown);
         let n_bytes = match kind {
@@ -67,21 +73,21 @@ impl Layout {
             NumericType::Uint32 | NumericType::Int32 | NumericType::Float32 => 4,
             NumericType::Float64 => 8,
             NumericType::Unknown => {
-                return Err(FoxgloveError::FieldType { field: name.into(), code: field.r#type });
+                return Err(MessageError::FieldType { field: name.into(), code: field.r#type });
             }
         };
         let end = u64::from(field.offset) + n_bytes;
         if end > raw.point_stride.into() {
-            return Err(FoxgloveError::FieldEnd { field: name.into(), end, stride: raw.point_stride });
+            return Err(MessageError::FieldEnd { field: name.into(), end, stride: raw.point_stride });
         }
-        Ok(Some(Field { offset: field.offset as usize, kind }))
+        Ok(Some(Field { offset: field.offset as usize, kind, big_endian }))
     }
 
-    fn needed(raw: &PointCloud, missing: &'static str, field: Option<Field>) -> Result<Field, FoxgloveError> {
+    fn needed(raw: &PointCloud, missing: &'static str, field: Option<Field>) -> Result<Field, MessageError> {
         field.ok_or_else(|| {
             let names: Vec<&str> = raw.fields.iter().map(|f| f.name.as_str()).collect();
             let found = if names.is_empty() { "none".into() } else { names.join(", ") };
-            FoxgloveError::MissingField { missing, found }
+            MessageError::MissingField { missing, found }
         })
     }
 }

@@ -29,7 +29,7 @@ fn xyz_f32(points: &[[f32; 3]]) -> PointCloud {
     cloud_of(12, &[("x", 0, 7), ("y", 4, 7), ("z", 8, 7)], data)
 }
 
-fn read(raw: &PointCloud) -> Result<CloudRead, FoxgloveError> {
+fn read(raw: &PointCloud) -> Result<CloudRead, MessageError> {
     read_cloud(protobuf(POINT_CLOUD, raw))
 }
 
@@ -181,15 +181,15 @@ fn bytes_that_do_not_add_up_are_named_with_their_numbers() {
         "{error}"
     );
     raw.point_stride = 11;
-    assert_eq!(read(&raw), Err(FoxgloveError::FieldEnd { field: "z".into(), end: 12, stride: 11 }));
+    assert_eq!(read(&raw), Err(MessageError::FieldEnd { field: "z".into(), end: 12, stride: 11 }));
     raw.point_stride = 0;
-    assert!(matches!(read(&raw), Err(FoxgloveError::FieldEnd { .. })));
+    assert!(matches!(read(&raw), Err(MessageError::FieldEnd { .. })));
     raw.fields.pop();
-    assert_eq!(read(&raw), Err(FoxgloveError::FieldEnd { field: "x".into(), end: 4, stride: 0 }));
+    assert_eq!(read(&raw), Err(MessageError::FieldEnd { field: "x".into(), end: 4, stride: 0 }));
     raw.point_stride = 23;
-    assert_eq!(read(&raw), Err(FoxgloveError::MissingField { missing: "z", found: "x, y".into() }));
+    assert_eq!(read(&raw), Err(MessageError::MissingField { missing: "z", found: "x, y".into() }));
     raw.fields[0].r#type = 9;
-    assert_eq!(read(&raw), Err(FoxgloveError::FieldType { field: "x".into(), code: 9 }));
+    assert_eq!(read(&raw), Err(MessageError::FieldType { field: "x".into(), code: 9 }));
 }
 
 #[test]
@@ -304,7 +304,13 @@ fn a_tip_may_lack_its_orientation_but_not_its_position() {
 #[test]
 fn another_schema_or_encoding_is_named() {
     let said = read_cloud(message("sensor_msgs/msg/PointCloud2", "cdr", "")).unwrap_err().to_string();
-    assert_eq!(said, "the message is written as \"cdr\", but only protobuf and json can be read");
+    assert_eq!(said, "the message is no sensor_msgs/msg/PointCloud2: it has 0 bytes, and CDR begins with 4");
+    // The schema of one family in the encoding of the other.
+    for (schema, encoding) in [(POINT_CLOUD, "cdr"), ("sensor_msgs/msg/PointCloud2", "protobuf"), (POINT_CLOUD, "ros1")]
+    {
+        let said = read_cloud(message(schema, encoding, "")).unwrap_err().to_string();
+        assert!(said.starts_with(&format!("a {schema} written as \"{encoding}\" is not read; foxglove.*")), "{said}");
+    }
     let said = read_transforms(message(POINT_CLOUD, "protobuf", "")).unwrap_err().to_string();
     assert!(said.contains("but the topic carries foxglove.PointCloud"), "{said}");
 }

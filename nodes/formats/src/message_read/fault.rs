@@ -1,6 +1,6 @@
 /// A message that cannot be read.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum FoxgloveError {
+pub enum MessageError {
     /// The topic carries something else.
     #[error("{expected} is needed here, but the topic carries {found}; name another topic")]
     Schema {
@@ -9,9 +9,13 @@ pub enum FoxgloveError {
         /// The schema that is there.
         found: String,
     },
-    /// The message is neither protobuf nor JSON.
-    #[error("the message is written as \"{found}\", but only protobuf and json can be read")]
+    /// The message is written in another way.
+    #[error(
+        "a {schema} written as \"{found}\" is not read; foxglove.* in protobuf and json are, those of ROS 2 in cdr"
+    )]
     Encoding {
+        /// The schema of the message.
+        schema: String,
         /// The encoding that is there.
         found: String,
     },

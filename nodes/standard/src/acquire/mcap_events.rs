@@ -1,0 +1,268 @@
+//! The events of one declared port over a recording.
+
+use super::{mcap::EventBody, mcap_ports::PortParams, playback::silences};
+use osteoflow_formats::{
+    PoseError,
+    mcap_read::{Message, Recording},
+    message_read::{MessageError, MessageKind, procedure_region, read_cloud_head, read_pose_in_frame, read_transforms},
+};
+use osteoflow_geometry::{Corrections, Frame, NamedPoint, Nearest, Points, Pose, StampNs};
+use osteoflow_node::{DeclaredPort, Emission, NodeError};
+use osteoflow_payloads::Flag;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// One declared port over a recording.
+pub(super) struct Port<'a> {
+    pub(super) recording: &'a Recording,
+    pub(super) declared: &'a DeclaredPort,
+    pub(super) params: &'a PortParams,
+    /// Frames of the recording by another name.
+    pub(super) frames: &'a BTreeMap<String, String>,
+    pub(super) found: &'a mut Findings,
+}
+
+/// What all ports of a recording met.
+#[derive(Default)]
+pub(super) struct Findings {
+    /// The corrections of rotations by topic.
+    pub(super) corrections: BTreeMap<String, Corrections>,
+    /// Frames that have another name in the graph.
+    pub(super) renamed: BTreeSet<String>,
+    /// What the user should know.
+    pub(super) notes: Vec<String>,
+}
+
+impl Port<'_> {
+    /// All events of the port, in no order.
+    pub(super) fn events(&mut self) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
+        let start_ns = self.start_ns();
+        match self.declared.payload.name {
+            "geometry/Region" => Ok(vec![(start_ns, EventBody::Ready(self.region()?))]),
+            "report/Flag" => Ok(vec![(start_ns, EventBody::Ready(Emission::value(Flag(self.flag()))))]),
+            "geometry/Cloud" => self.streams(start_ns, Self::clouds),
+            "geometry/Pose" => self.streams(start_ns, Self::poses),
+            "geometry/Points" => self.streams(start_ns, Self::points),
+            other => Err(self.fault(format!(
+                "a recording gives geometry/Cloud, Pose, Points, Region and report/Flag, but not {other}"
+            ))),
+        }
+    }
+
+    /// The events of all topics of the port; one empty for an optional topic without messages.
+    fn streams(
+        &mut self,
+        start_ns: StampNs,
+        read: impl Fn(&mut Self, &str, Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError>,
+    ) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
+        let params = self.params;
+        let topics = params.topics();
+        if topics.is_empty() {
+            return Err(self.fault("neither topic nor topics is given".into()));
+        }
+        let mut events = Vec::new();
+        for (topic, label) in topics {
+            if !self.recording.messages(topic).is_empty() {
+                events.extend(read(self, topic, label)?);
+            } else if params.optional {
+                let reason = format!("the recording has no messages on {topic}");
+                events.push((start_ns, EventBody::Ready(Emission::Empty(reason))));
+            } else {
+                return Err(self.missing(topic, label));
+            }
+        }
+        Ok(events)
+    }
+
+    fn clouds(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
+        let mut events = Vec::new();
+        for (i, message) in self.recording.messages(topic).iter().enumerate() {
+            let head = read_cloud_head(message).map_err(|error| self.at(topic, i, error))?;
+            self.found.corrections.entry(topic.into()).or_default().add(head.correction);
+            let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
+            let frame = self.renamed(&head.frame);
+            let body = EventBody::Cloud { message: message.clone(), label: Some(label.into()), frame };
+            events.push((head.stamp_ns, body));
+        }
+        Ok(events)
+    }
+
+    /// The name of a frame in the graph, if it is another.
+    fn renamed(&mut self, frame: &Frame) -> Option<Frame> {
+        let (name, renamed) = self.frames.get_key_value(frame.as_str())?;
+        self.found.renamed.insert(name.clone());
+        Some(renamed.as_str().into())
+    }
+
+    fn rename(&mut self, to: &mut Frame, from: &mut Frame) {
+        for frame in [to, from] {
+            if let Some(renamed) = self.renamed(frame) {
+                *frame = renamed;
+            }
+        }
+    }
+
+    fn poses(&mut self, topic: &str, _label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
+        if last_part(topic) == "tf_static" {
+            return self.static_poses(topic);
+        }
+        let (mut events, mut published_ns) = (Vec::new(), StampNs::MIN);
+        for (i, message) in self.recording.messages(topic).iter().enumerate() {
+            let n_before = events.len();
+            for read in self.poses_of(topic, message).map_err(|error| self.at(topic, i, error))? {
+                events.push(match read {
+                    Ok(pose) => {
+                        let mut pose = self.found.corrections.entry(topic.into()).or_default().take(pose);
+                        self.rename(&mut pose.to, &mut pose.from);
+                        (pose.stamp_ns, EventBody::Ready(Emission::value(pose)))
+                    }
+                    Err(PoseError::Lost(mut lost)) => {
+                        self.rename(&mut lost.to, &mut lost.from);
+                        (lost.stamp_ns, EventBody::Ready(Emission::Empty(lost.to_string())))
+                    }
+                    Err(error @ PoseError::NotRigid { .. }) => return Err(self.at(topic, i, error)),
+                });
+            }
+            if events.len() > n_before {
+                published_ns = published_ns.max(message.publish_time_ns);
+            }
+        }
+        if events.is_empty() {
+            return Err(self.no_such_transform(topic));
+        }
+        if let Some(lost_after_ms) = self.params.lost_after_ms {
+            let stamps: Vec<StampNs> = events.iter().map(|(stamp, _)| *stamp).collect();
+            // Stamps and publish times may be of two clocks, so the silence at the end is measured by one.
+            let ended_ns = self.recording.last_publish_time_ns.unwrap_or(published_ns);
+            let last_ns = stamps.iter().copied().max().unwrap_or(published_ns);
+            let end_ns = last_ns.saturating_add(ended_ns.saturating_sub(published_ns));
+            let what = last_part(topic).replace('_', " ");
+            let lost = silences(&stamps, (lost_after_ms * 1e6) as StampNs, end_ns, &format!("the {what}"));
+            events.extend(lost.into_iter().map(|(stamp, empty)| (stamp, EventBody::Ready(empty))));
+        }
+        Ok(events)
+    }
+
+    /// The transforms that hold from the beginning, whenever they were sent: constants, without a stamp. One that is sent
+    /// again with another value holds from its own stamp on.
+    fn static_poses(&mut self, topic: &str) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
+        if self.params.lost_after_ms.is_some() {
+            return Err(self.fault(format!("{topic} holds for good, so nothing on it is lost; remove lost_after_ms")));
+        }
+        let mut held: Vec<Pose> = Vec::new();
+        for (i, message) in self.recording.messages(topic).iter().enumerate() {
+            for read in self.poses_of(topic, message).map_err(|error| self.at(topic, i, error))? {
+                let pose = read.map_err(|error| self.at(topic, i, error))?;
+                let mut pose = self.found.corrections.entry(topic.into()).or_default().take(pose);
+                self.rename(&mut pose.to, &mut pose.from);
+                match held.iter().rfind(|known| (&known.to, &known.from) == (&pose.to, &pose.from)) {
+                    None => pose.stamp_ns = 0,
+                    Some(known) if known.isometry == pose.isometry => continue,
+                    Some(_) => self.found.notes.push(format!(
+                        "topic {topic}: t_{}_{} changes at {} ns, though it is static",
+                        pose.to, pose.from, pose.stamp_ns
+                    )),
+                }
+                held.push(pose);
+            }
+        }
+        if held.is_empty() {
+            return Err(self.no_such_transform(topic));
+        }
+        Ok(held.into_iter().map(|pose| (pose.stamp_ns, EventBody::Ready(Emission::value(pose)))).collect())
+    }
+
+    /// The poses of a message between the frames of the port.
+    fn poses_of(&self, topic: &str, message: &Message) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, MessageError> {
+        if MessageKind::of(&message.schema_name) == Some(MessageKind::Pose) {
+            let child = self.params.child.as_deref().unwrap_or(last_part(topic));
+            return Ok(vec![read_pose_in_frame(message)?.pose(child)]);
+        }
+        let wanted = |to: &Frame, from: &Frame| {
+            self.params.parent.as_deref().is_none_or(|p| p == to.as_str())
+                && self.params.child.as_deref().is_none_or(|c| c == from.as_str())
+        };
+        let reads = read_transforms(message)?.into_iter().filter(|read| match read {
+            Ok(pose) => wanted(&pose.value.to, &pose.value.from),
+            Err(PoseError::Lost(lost)) => wanted(&lost.to, &lost.from),
+            Err(PoseError::NotRigid { to, from, .. }) => wanted(to, from),
+        });
+        Ok(reads.collect())
+    }
+
+    fn points(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
+        let mut tips = Vec::new();
+        for (i, message) in self.recording.messages(topic).iter().enumerate() {
+            tips.push(read_pose_in_frame(message).map_err(|error| self.at(topic, i, error))?);
+        }
+        // Labels are in the order in which the points were touched.
+        tips.sort_by_key(|tip| tip.stamp_ns);
+        let events = tips.into_iter().enumerate().map(|(i, tip)| {
+            let name = match label.or_else(|| self.params.labels.get(i).map(String::as_str)) {
+                Some(label) => label.to_owned(),
+                None => format!("{}_{}", last_part(topic), i + 1),
+            };
+            let mut point = NamedPoint::new(name, tip.position);
+            point.stamp_ns = tip.stamp_ns;
+            let frame = self.renamed(&tip.frame).unwrap_or(tip.frame);
+            (tip.stamp_ns, EventBody::Ready(Emission::value(Points::new(frame, vec![point]))))
+        });
+        Ok(events.collect())
+    }
+
+    fn region(&self) -> Result<Emission, NodeError> {
+        Ok(match procedure_region(self.recording)? {
+            Some(region) => Emission::value(region),
+            None => Emission::Empty("the recording gives no region of interest".into()),
+        })
+    }
+
+    fn flag(&self) -> bool {
+        if let Some(topic) = &self.params.present {
+            return !self.recording.messages(topic).is_empty();
+        }
+        let record = self.params.metadata.as_ref().and_then(|name| self.recording.metadata.get(name));
+        let value = self.params.key.as_ref().and_then(|key| record?.get(key));
+        value.is_some_and(|value| value == "true")
+    }
+
+    /// First publish time of the messages that were read.
+    fn start_ns(&self) -> StampNs {
+        let times = self.recording.topics().iter().flat_map(|t| self.recording.messages(&t.name));
+        times.map(|m| m.publish_time_ns).min().unwrap_or(0)
+    }
+
+    /// The error for a topic without a transform between the frames of the port.
+    fn no_such_transform(&self, topic: &str) -> NodeError {
+        let read = self.recording.messages(topic).iter().filter_map(|message| read_transforms(message).ok()).flatten();
+        let there: BTreeSet<String> =
+            read.filter_map(Result::ok).map(|t| format!("{} -> {}", t.value.from, t.value.to)).collect();
+        let (parent, child) = (self.params.parent.as_deref(), self.params.child.as_deref());
+        let wanted = format!("{} -> {}", child.unwrap_or("any"), parent.unwrap_or("any"));
+        let there: Vec<String> = there.into_iter().collect();
+        self.fault(format!("{topic} has no transform {wanted}, but {}; set child and parent", there.join(", ")))
+    }
+
+    fn missing(&self, topic: &str, label: Option<&str>) -> NodeError {
+        let what = label.map_or_else(String::new, |label| format!(" ({label})"));
+        let topics = self.recording.topics().iter().filter(|t| t.n_messages > 0);
+        let there: Vec<String> = topics.map(|t| format!("{} ({})", t.name, t.schema_name)).collect();
+        self.fault(format!(
+            "the recording has no messages on {topic}{what}; it has: {}",
+            if there.is_empty() { "none at all".into() } else { there.join(", ") }
+        ))
+    }
+
+    fn at(&self, topic: &str, index: usize, error: impl std::fmt::Display) -> NodeError {
+        let n_messages = self.recording.messages(topic).len();
+        self.fault(format!("topic {topic}, message {} of {n_messages}: {error}", index + 1))
+    }
+
+    fn fault(&self, message: String) -> NodeError {
+        NodeError::new(format!("port \"{}\": {message}", self.declared.name))
+    }
+}
+
+/// `camera_marker` of `/tracker/camera_marker`.
+fn last_part(topic: &str) -> &str {
+    topic.rsplit('/').next().unwrap_or(topic)
+}

@@ -1,0 +1,209 @@
+//! A procedure as a bag of ROS 2: the same answer as from Foxglove's messages.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{Ran, case::Case, isometry, osteoflow, root, run};
+use osteoflow_formats::{
+    mcap_read::Recording,
+    message_read::{MessageKind, read_cloud, read_pose_in_frame, read_transforms},
+    recording_write::{Compression, Encoding, Layout, PointType, Stream, write_recording},
+};
+use osteoflow_geometry::{Frame, StampNs};
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
+
+/// The frames of the bag for those of the recording, as ROS names them.
+fn ros_frame(frame: &Frame) -> Frame {
+    match frame.as_str() {
+        "camera" => "camera_depth_optical_frame".into(),
+        "world" => "map".into(),
+        other => other.into(),
+    }
+}
+
+/// The topic of the bag: all moving transforms are on `/tf`, the constant one on `/tf_static`.
+fn ros_topic(topic: &str) -> &str {
+    match topic {
+        "/phantom/marker_cad" => "/tf_static",
+        _ if topic.starts_with("/tracker/") => "/tf",
+        _ => topic,
+    }
+}
+
+/// Topics with their messages sent before and after half of the procedure.
+#[derive(Default)]
+struct Halves([BTreeMap<String, Stream>; 2]);
+
+impl Halves {
+    fn add(&mut self, topic: &str, late: bool, part: Stream) {
+        let half = &mut self.0[usize::from(late)];
+        match (half.get_mut(topic), part) {
+            (Some(Stream::Clouds(all)), Stream::Clouds(part)) => all.extend(part),
+            (Some(Stream::Transforms(all)), Stream::Transforms(part)) => all.extend(part),
+            (Some(Stream::Tips(all)), Stream::Tips(part)) => all.extend(part),
+            (_, part) => {
+                half.insert(topic.into(), part);
+            }
+        }
+    }
+}
+
+/// Writes a recording as a bag of two files, the second big-endian and without an index; the constant transform comes last.
+fn write_bag(recording: &Path, folder: &Path) {
+    let read = Recording::open(recording, false).unwrap();
+    let messages = || read.topics().iter().flat_map(|topic| read.messages(&topic.name));
+    let stamps: Vec<StampNs> = messages().map(|message| message.publish_time_ns).collect();
+    let (first, last) = (*stamps.iter().min().unwrap(), *stamps.iter().max().unwrap());
+    let mut halves = Halves::default();
+    for topic in read.topics() {
+        for message in read.messages(&topic.name) {
+            let (name, late) = (ros_topic(&topic.name), message.publish_time_ns > first.midpoint(last));
+            match MessageKind::of(&message.schema_name).unwrap() {
+                MessageKind::Cloud => {
+                    let mut cloud = read_cloud(message).unwrap().cloud;
+                    cloud.frame = ros_frame(&cloud.frame);
+                    halves.add(name, late, Stream::Clouds(vec![cloud]));
+                }
+                MessageKind::Pose => {
+                    let tip = read_pose_in_frame(message).unwrap();
+                    let tip = (ros_frame(&tip.frame), tip.stamp_ns, tip.position);
+                    halves.add(name, late, Stream::Tips(vec![tip]));
+                }
+                MessageKind::Transform | MessageKind::Transforms => {
+                    for pose in read_transforms(message).unwrap() {
+                        let mut pose = pose.unwrap().value;
+                        (pose.to, pose.from) = (ros_frame(&pose.to), ros_frame(&pose.from));
+                        let held = name == "/tf_static";
+                        pose.stamp_ns = if held { last } else { pose.stamp_ns };
+                        halves.add(name, late || held, Stream::Transforms(vec![pose]));
+                    }
+                }
+            }
+        }
+    }
+    fs::create_dir(folder).unwrap();
+    let layout = |big_endian| Layout {
+        encoding: Encoding::Cdr { big_endian },
+        points: PointType::F64,
+        padding_bytes: 4,
+        transforms_per_message: 3,
+        ..Layout::default()
+    };
+    let layouts = [layout(false), Layout { index: false, compression: Compression::Lz4, ..layout(true) }];
+    let n_messages: usize = layouts
+        .iter()
+        .zip(&halves.0)
+        .enumerate()
+        .map(|(k, (layout, half))| {
+            let streams: Vec<(String, Stream)> =
+                half.iter().map(|(topic, stream)| (topic.clone(), stream.clone())).collect();
+            let file = folder.join(format!("bag_{k}.mcap"));
+            write_recording(&file, &streams, &read.metadata, &[], layout).unwrap();
+            Recording::open(&file, false).unwrap().topics().iter().map(|topic| topic.n_messages).sum::<usize>()
+        })
+        .sum();
+    let metadata = format!(
+        "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  relative_file_paths:\n    - bag_0.mcap\n    \
+         - bag_1.mcap\n  message_count: {n_messages}\n  compression_format: \"\"\n  compression_mode: \"\"\n"
+    );
+    fs::write(folder.join("metadata.yaml"), metadata).unwrap();
+}
+
+/// The shipped graph with the topics and frames of the bag.
+fn write_graph(dir: &Path, frames: &str) -> PathBuf {
+    let tf = |port: &str, child: &str, more: &str| {
+        format!(
+            "out.{port} = {{ type = \"geometry/Pose\", topic = \"/tf\", parent = \"map\", child = \"{child}\", \
+             to = \"world\", from = \"{child}\"{more} }}\n"
+        )
+    };
+    let text = format!(
+        "extends = \"{}\"\n[graph]\nname = \"bag\"\n[node.recording]\npath = \"bag\"\n{frames}\n{}{}{}\
+         out.phantom_marker_cad = {{ type = \"geometry/Pose\", topic = \"/tf_static\", parent = \"phantom\", \
+         child = \"phantom_marker\", to = \"phantom\", from = \"phantom_marker\" }}\n\
+         out.bone_tracked = {{ type = \"report/Flag\", present = \"/tf\" }}\n",
+        root().join("graphs/fibula_recorded.toml").display(),
+        tf("camera_marker", "camera_marker", ""),
+        tf("phantom_marker", "phantom_marker", ""),
+        tf("bone_marker", "bone_marker", ", lost_after_ms = 500"),
+    );
+    let path = dir.join("bag.toml");
+    fs::write(&path, text).unwrap();
+    path
+}
+
+const FRAMES: &str = "frames = { camera_depth_optical_frame = \"camera\", map = \"world\" }";
+
+fn registered(graph: &Path) -> Ran {
+    run(graph.to_str().unwrap(), &["--no-record"])
+}
+
+#[test]
+fn a_bag_of_ros_2_gives_the_answer_of_the_recording_that_it_was_made_from() {
+    let dir = tempfile::tempdir().unwrap();
+    let case = Case::shipped();
+    write_bag(&case.recording, &dir.path().join("bag"));
+    let ran = registered(&write_graph(dir.path(), FRAMES));
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    let expected = case.run(&["--no-record"]);
+    assert_eq!(ran.results["verdict"]["answer"], expected.results["verdict"]["answer"]);
+    for pose in ["t_ct_world", "t_camera_camera_marker"] {
+        let [a, b] = [&ran, &expected].map(|ran| isometry(&ran.results["poses"][pose]["matrix"]));
+        let off = a.inverse() * b;
+        let (mm, rad) = ((a.translation.vector - b.translation.vector).norm(), off.rotation.angle());
+        assert!(mm < 1e-6 && rad < 1e-9, "{pose}: {mm} mm, {rad} rad; both are written in double precision");
+    }
+    let n_planes = |ran: &Ran| ran.results["planes"].as_array().unwrap().len();
+    assert_eq!((n_planes(&ran), n_planes(&expected)), (2, 2));
+}
+
+#[test]
+fn a_bag_that_is_read_in_another_way_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("bag");
+    write_bag(&Case::shipped().recording, &bag);
+
+    // The frames under the names of ROS.
+    let ran = registered(&write_graph(dir.path(), ""));
+    assert_ne!(ran.code, 0);
+    let said = "the region of interest should be in camera_depth_optical_frame, but is in camera";
+    assert!(ran.stderr.contains(said), "{}", ran.stderr);
+
+    let ran =
+        registered(&write_graph(dir.path(), "frames = { camera_depth_optical_frame = \"camera\", odom = \"world\" }"));
+    assert_ne!(ran.code, 0);
+    assert!(ran.stderr.contains("frames names \"odom\", but no message that a port reads is in it"), "{}", ran.stderr);
+
+    fs::remove_file(bag.join("bag_1.mcap")).unwrap();
+    let ran = registered(&write_graph(dir.path(), FRAMES));
+    assert_ne!(ran.code, 0);
+    assert!(ran.stderr.contains("bag_1.mcap is missing, though metadata.yaml names it"), "{}", ran.stderr);
+}
+
+#[test]
+fn info_lists_the_topics_of_a_bag_and_its_problems() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("bag");
+    write_bag(&Case::shipped().recording, &bag);
+    let info = || {
+        let output = osteoflow().arg("info").arg(&bag).args(["--format", "json"]).output().unwrap();
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
+    };
+    let found = info();
+    assert_eq!((&found["kind"], &found["problems"]), (&"recording".into(), &serde_json::json!([])));
+    let topics = found["topics"].as_array().unwrap();
+    let schema = |name: &str| topics.iter().find(|topic| topic["name"] == name).unwrap()["schema"].clone();
+    assert_eq!(schema("/camera/scan"), "sensor_msgs/msg/PointCloud2");
+    assert_eq!(schema("/tf_static"), "tf2_msgs/msg/TFMessage");
+    assert_eq!(schema("/stylus/assessment"), "geometry_msgs/msg/PoseStamped");
+    assert!(found["frames"].to_string().contains("camera_depth_optical_frame"), "{}", found["frames"]);
+
+    let metadata = fs::read_to_string(bag.join("metadata.yaml")).unwrap();
+    let line = metadata.lines().find(|line| line.contains("message_count")).unwrap();
+    fs::write(bag.join("metadata.yaml"), metadata.replace(line, "  message_count: 5000")).unwrap();
+    assert!(info()["notes"].to_string().contains("metadata.yaml counts 5000 messages"), "{}", info());
+}
