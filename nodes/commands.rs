@@ -30,6 +30,7 @@ mod repro;
 mod reproduce;
 mod result_table;
 mod run;
+mod run_path;
 mod run_table;
 mod running;
 mod runs;

@@ -84,9 +84,16 @@ fn a_cut_recording_is_read_in_part_with_its_problem_and_what_cannot_be_read_is_r
         let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(output.status.code() == Some(1) && stderr.contains(expected), "{name}: {stderr}");
     }
-    let output = info(dir.path());
-    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(stderr.contains("a folder without procedure.toml or manifest.json, and no DICOM series: "), "{stderr}");
+    let nothing = dir.path().join("nothing");
+    fs::create_dir(&nothing).unwrap();
+    for (folder, expected) in [
+        (&nothing, "a folder without procedure.toml, manifest.json or metadata.yaml (a ROS 2 bag), and no DICOM series: "),
+        (&dir.path().to_path_buf(), "head.mcap: "),
+    ] {
+        let output = info(folder);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(1) && stderr.contains(expected), "{stderr}");
+    }
 }
 
 #[test]

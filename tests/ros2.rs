@@ -9,7 +9,10 @@ use osteoflow_formats::{
     message_read::{MessageKind, read_cloud, read_pose_in_frame, read_transforms},
     recording_write::{Compression, Encoding, Layout, PointType, Stream, write_recording},
 };
-use osteoflow_geometry::{Frame, StampNs};
+use osteoflow_geometry::{
+    Frame, StampNs,
+    nalgebra::{Isometry3, Point3, Quaternion, UnitQuaternion, Vector3},
+};
 use std::{
     collections::BTreeMap,
     fs,
@@ -206,4 +209,51 @@ fn info_lists_the_topics_of_a_bag_and_its_problems() {
     let line = metadata.lines().find(|line| line.contains("message_count")).unwrap();
     fs::write(bag.join("metadata.yaml"), metadata.replace(line, "  message_count: 5000")).unwrap();
     assert!(info()["notes"].to_string().contains("metadata.yaml counts 5000 messages"), "{}", info());
+}
+
+/// Checks what tests/python/ros2_bag.py writes.
+fn check_bag(folder: &Path) {
+    const START_NS: StampNs = 1_750_000_000_000_000_000;
+    let bag = Recording::open(folder, false).unwrap();
+    assert_eq!(bag.notes, [""; 0]);
+    let clouds: Vec<_> = bag.messages("/camera/points").iter().map(|m| read_cloud(m).unwrap()).collect();
+    let expected = |k: usize| Point3::new(500.0 + k as f64, -2.0 * k as f64, 250.0);
+    for (i, read) in clouds.iter().enumerate() {
+        assert_eq!((read.cloud.frame.as_str(), read.cloud.stamp_ns), ("optical", START_NS + i as StampNs));
+        let without_depth = (i == 2).then_some(3);
+        assert_eq!((read.n_points_in_message, read.n_dropped), (12, usize::from(i == 2)), "cloud {i}");
+        let kept = (0..12).filter(|k| Some(*k) != without_depth).map(expected);
+        for (found, expected) in read.cloud.points().iter().zip(kept) {
+            // Metres in single precision.
+            assert!((found - expected).norm() < 1e-4, "cloud {i}: {found} and {expected}");
+        }
+    }
+    assert_eq!(clouds.len(), 3);
+    let moves = read_transforms(&bag.messages("/tf")[0]).unwrap();
+    let marker = &moves[0].as_ref().unwrap().value;
+    assert_eq!((marker.to.as_str(), marker.from.as_str(), marker.stamp_ns), ("map", "marker", START_NS + 3));
+    let expected = Isometry3::from_parts(
+        Vector3::new(100.0, 200.0, 300.0).into(),
+        UnitQuaternion::from_quaternion(Quaternion::new(0.8, 0.0, 0.0, 0.6)),
+    );
+    let off = marker.isometry.inverse() * expected;
+    assert!(off.translation.vector.norm() < 1e-9 && off.rotation.angle() < 1e-9, "{marker:?}");
+    assert!(moves[1].as_ref().unwrap_err().to_string().contains("all-zero quaternion"));
+    assert_eq!(read_transforms(&bag.messages("/marker")[0]).unwrap()[0].as_ref().unwrap().value, *marker);
+    let tip = read_pose_in_frame(&bag.messages("/tip")[0]).unwrap();
+    assert!((tip.position - Point3::new(400.0, 500.0, 600.0)).norm() < 1e-9 && tip.frame.as_str() == "map");
+    let held = read_transforms(&bag.messages("/tf_static")[0]).unwrap();
+    assert_eq!(held[0].as_ref().unwrap().value.isometry.translation.vector.z, 10.0);
+}
+
+#[test]
+fn a_bag_of_a_public_writer_is_read() {
+    check_bag(&root().join("tests/data/ros2_bag"));
+    let dir = tempfile::tempdir().unwrap();
+    let script = root().join("tests/python/ros2_bag.py");
+    let bag = dir.path().join("bag");
+    match std::process::Command::new("python3").arg(script).arg(&bag).output() {
+        Ok(output) if output.status.success() => check_bag(&bag),
+        _ => println!("skipped: a fresh bag, because python3 with the package rosbags is not there"),
+    }
 }

@@ -68,9 +68,12 @@ impl fmt::Display for Finding {
 /// Findings, of which at most [`LISTED`] of each kind are stored.
 #[derive(Debug, Default)]
 pub(crate) struct Findings {
-    listed: Vec<Finding>,
+    listed: Vec<(&'static str, Finding)>,
     n_by_kind: BTreeMap<&'static str, u64>,
 }
+
+/// Kinds of findings that say no more than that something is missing.
+const LOSSES: [&str; 4] = ["statistics", "hole", "count", "view"];
 
 impl Findings {
     /// Adds a finding; `kind` groups findings that differ only in their place.
@@ -78,12 +81,36 @@ impl Findings {
         let n = self.n_by_kind.entry(kind).or_default();
         *n += 1;
         if *n <= LISTED {
-            self.listed.push(finding);
+            self.listed.push((kind, finding));
         }
     }
 
     fn n(&self) -> u64 {
         self.n_by_kind.values().sum()
+    }
+
+    /// Removes the findings of these kinds.
+    fn take(&mut self, kinds: &[&str]) -> Vec<Finding> {
+        self.n_by_kind.retain(|kind, _| !kinds.contains(kind));
+        let (taken, rest) = std::mem::take(&mut self.listed).into_iter().partition(|(kind, _)| kinds.contains(kind));
+        self.listed = rest;
+        Vec::into_iter(taken).map(|(_, finding)| finding).collect()
+    }
+
+    /// Replaces the findings that follow from damage by one: `lost` and the wires that lack items.
+    fn fold_losses(&mut self, lost: &str) {
+        let taken = self.take(&LOSSES);
+        let mut wires: Vec<&str> = taken.iter().filter_map(|finding| finding.wire.as_deref()).collect();
+        wires.dedup();
+        if taken.is_empty() {
+            return;
+        }
+        let named = match wires.len() {
+            0 => String::new(),
+            n @ 1..=6 => format!("; wires that lack items: {}", wires[..n].join(", ")),
+            n => format!("; wires that lack items: {}, and {} more", wires[..5].join(", "), n - 5),
+        };
+        self.add("loss", Finding::new(None, format!("missing with the damage: {lost}{named}")));
     }
 }
 
@@ -162,18 +189,22 @@ pub fn validate(
         notes.push(format!("{trailing} bytes follow the closing magic; they are not read"));
     }
     let (n_messages, n_chunks) = (container.n_messages(), container.n_chunks());
-    container.finish(&mut findings);
     let is_recording = metadata.has::<RunRecord>() || items.has_wires();
+    let lost = container.finish(&mut findings);
     if is_recording {
         check_metadata(path, &metadata, &kinds.over(items.registry()), &mut findings, &mut notes);
         items.finish(&metadata, &mut findings, &mut notes);
     } else {
         notes.push("it is no recording of a run: only the container was checked".into());
+        notes.extend(findings.take(&["habit"]).iter().map(|habit| format!("{habit}; a habit of its writer")));
+    }
+    if let Some(lost) = lost {
+        findings.fold_losses(&lost);
     }
     Ok(ValidateReport {
         is_recording,
         n_findings: findings.n(),
-        findings: findings.listed,
+        findings: findings.listed.into_iter().map(|(_, finding)| finding).collect(),
         notes,
         wires: items.wires(),
         n_messages,
@@ -243,7 +274,7 @@ impl Pass<'_> {
     fn metadata(&mut self, place: Location, name: &str, entries: BTreeMap<String, String>) {
         if !self.metadata.insert(name, entries) {
             let what = format!("a second metadata record \"{name}\"");
-            self.findings.add("metadata", Finding::new(place, what));
+            self.findings.add("habit", Finding::new(place, what));
         }
     }
 }

@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, UsageError, print_json, reading::Reading, text_table::TextTable};
+use super::{Exit, Format, Global, UsageError, print_json, reading::Reading, run_path, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::diff::{DiffOptions, DiffReport, Difference, Largest, Side, WireDiff, diff};
@@ -12,14 +12,14 @@ use std::{io::Write, path::PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  osteoflow diff runs/first/run.mcap runs/second/run.mcap
+  osteoflow diff runs/first runs/second
   osteoflow diff a.mcap b.mcap --wires 'icp.*' 'planes.*'
   osteoflow diff a.mcap b.mcap --tolerance 1e-9  equal within 1e-9 mm and 1e-9 rad")]
 pub(crate) struct Diff {
-    /// The first recording; its graph gives the order.
+    /// The first run's folder or recording; its graph gives the order.
     a: PathBuf,
 
-    /// The second recording.
+    /// The second run's folder or recording.
     b: PathBuf,
 
     /// Wires as NODE.PORT; * matches any characters. Default: all.
@@ -38,8 +38,9 @@ impl Diff {
             return Err(UsageError(message).into());
         }
         let options = DiffOptions { wires: self.wires.clone(), tolerance: self.tolerance };
-        let mut reading = Reading::begin("comparing", &self.a, global);
-        let report = diff(&self.a, &self.b, &options, &mut |at, of| reading.at(at, of))?;
+        let [a, b] = [run_path::recording(&self.a)?, run_path::recording(&self.b)?];
+        let mut reading = Reading::begin("comparing", &a, global);
+        let report = diff(&a, &b, &options, &mut |at, of| reading.at(at, of))?;
         drop(reading);
         if report.wires.is_empty() && !self.wires.is_empty() {
             let message = format!("no wire of either recording is called {}", self.wires.join(" or "));

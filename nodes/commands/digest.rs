@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, print_json, reading::Reading, text_table::TextTable};
+use super::{Exit, Format, Global, print_json, reading::Reading, run_path, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::recording::digest::{DigestReport, digest};
@@ -16,12 +16,12 @@ use std::{
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  osteoflow digest runs/fibula-20260314-092653/run.mcap
-  osteoflow digest -q runs/*/run.mcap            one line per file, as printed by sha256sum
+  osteoflow digest runs/fibula-20260314-092653
+  osteoflow digest -q runs/*                     one line per file, as printed by sha256sum
   osteoflow digest run.mcap --format json")]
 pub(crate) struct Digest {
-    /// The run.mcap of a run, or a file of `osteoflow record`.
-    #[arg(required = true, value_name = "FILE")]
+    /// A run's folder or its run.mcap, or a file of `osteoflow record`.
+    #[arg(required = true, value_name = "RUN")]
     files: Vec<PathBuf>,
 }
 
@@ -30,6 +30,7 @@ impl Digest {
         let mut exit = Exit::Done;
         let mut answers = Vec::new();
         for file in &self.files {
+            let file = &run_path::recording(file)?;
             let mut reading = Reading::begin("reading", file, global);
             let report = digest(file, &mut |at, of| reading.at(at, of));
             drop(reading);

@@ -3,7 +3,7 @@ use super::{
     progress::Progress,
     result_table,
     run::{self, Leave},
-    run_table,
+    run_path, run_table,
     running::{self, Ran},
     text_table::TextTable,
     verdict_lines,
@@ -25,7 +25,7 @@ use std::{io::Write, path::PathBuf, sync::Arc};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  osteoflow replay runs/fibula-20260314-092653/run.mcap
+  osteoflow replay runs/fibula-20260314-092653
   osteoflow replay run.mcap --set icp.max_pair_distance_mm=1     what a parameter changes, and where first
   osteoflow replay run.mcap --from icp --set icp.kind=icp.point_to_point --out again
   osteoflow replay run.mcap --graph other.toml                   the recorded streams through another graph
@@ -33,7 +33,8 @@ Examples:
 
 Exit codes: 0 equal, 4 differs; 3 if the run is refused again, for the same reason.")]
 pub(crate) struct Replay {
-    /// The run.mcap of a run, or a file of `osteoflow record`.
+    /// A run's folder or its run.mcap, or a file of `osteoflow record`.
+    #[arg(value_name = "RUN")]
     file: PathBuf,
 
     /// Compute only this node and everything downstream; its inputs are played as recorded.
@@ -82,6 +83,7 @@ fn rate(text: &str) -> Result<Rate, String> {
 
 impl Replay {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        let file = run_path::recording(&self.file)?;
         let cancelled = Arc::default();
         let dir =
             self.leave.out.as_deref().map(|dir| out_dir::make(Some(dir), "replay", self.leave.force)).transpose()?;
@@ -98,8 +100,8 @@ impl Replay {
             start: self.start,
             end: self.end,
         };
-        let what = format!("replaying {}: {} workers", self.file.display(), options.workers);
-        let (progress, file) = (Progress::begin(&what, None, global), self.file.clone());
+        let what = format!("replaying {}: {} workers", file.display(), options.workers);
+        let progress = Progress::begin(&what, None, global);
         let (colour, kinds) = (global.colour_err(), self.plugins.kinds()?);
         let ran = running::watch(progress, cancelled, move |progress| {
             let replayed = osteoflow_engine::replay::replay(&file, &changes, kinds, &options, progress);

@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, PluginArgs, UsageError, print_json};
+use super::{Exit, Format, Global, PluginArgs, UsageError, print_json, run_path};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{run::files, sweep};
@@ -20,13 +20,14 @@ Examples:
   osteoflow report runs/sensitivity-20260314-101500 --out sensitivity.html
 What it shows: docs/report.md")]
 pub(crate) struct Report {
-    /// The folder of a run or of a sweep.
+    /// The folder of a run or of a sweep, or the run.mcap in it.
+    #[arg(value_name = "RUN")]
     dir: PathBuf,
 
     #[command(flatten)]
     plugins: PluginArgs,
 
-    /// The file to write. Default: report.html in DIR.
+    /// The file to write. Default: report.html in the folder.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -34,31 +35,24 @@ pub(crate) struct Report {
 impl Report {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let registry = super::registry();
-        let report = match self.holds() {
-            Holds::Sweep => osteoflow_report::of_sweep(&self.dir, &registry, &self.plugins.kinds()?, true)?,
-            Holds::Run => osteoflow_report::of_run(&self.dir, &registry)?,
+        let dir = run_path::folder(&self.dir);
+        let report = match Holds::of(&dir) {
+            Holds::Sweep => osteoflow_report::of_sweep(&dir, &registry, &self.plugins.kinds()?, true)?,
+            Holds::Run => osteoflow_report::of_run(&dir, &registry)?,
             Holds::Neither => {
                 let message = format!(
                     "{} is not the folder of a run ({} is missing) or of a sweep ({} is missing); name one that `osteoflow run` \
                      or `osteoflow sweep` has left",
-                    self.dir.display(),
+                    dir.display(),
                     files::MANIFEST,
                     sweep::DESIGN
                 );
                 return Err(UsageError(message).into());
             }
         };
-        let page = self.out.clone().unwrap_or_else(|| self.dir.join(osteoflow_report::PAGE));
-        report.write(&self.dir, &page)?;
+        let page = self.out.clone().unwrap_or_else(|| dir.join(osteoflow_report::PAGE));
+        report.write(&dir, &page)?;
         print_end(&page, &report, global)
-    }
-
-    fn holds(&self) -> Holds {
-        match () {
-            () if self.dir.join(sweep::DESIGN).is_file() => Holds::Sweep,
-            () if self.dir.join(files::MANIFEST).is_file() => Holds::Run,
-            () => Holds::Neither,
-        }
     }
 }
 
@@ -66,6 +60,16 @@ enum Holds {
     Run,
     Sweep,
     Neither,
+}
+
+impl Holds {
+    fn of(dir: &Path) -> Self {
+        match () {
+            () if dir.join(sweep::DESIGN).is_file() => Self::Sweep,
+            () if dir.join(files::MANIFEST).is_file() => Self::Run,
+            () => Self::Neither,
+        }
+    }
 }
 
 fn print_end(page: &Path, report: &osteoflow_report::Report, global: &Global) -> Result<Exit> {

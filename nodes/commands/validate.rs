@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, PluginArgs, print_json, reading::Reading, text_table::TextTable};
+use super::{Exit, Format, Global, PluginArgs, print_json, reading::Reading, run_path, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::validate::{Finding, ValidateReport, validate};
@@ -8,16 +8,17 @@ use std::{io::Write, path::PathBuf};
 /// Check a recording from its first byte to its last, and list everything that is wrong with it.
 ///
 /// Checks CRCs of chunks and of the file, schemas, indexes and counts; for each wire that numbers have no gaps, stamps never
-/// decrease and items decode; and the metadata of the run. Exit code 0: sound; 1: not. For an MCAP file of another program
-/// only the container is checked.
+/// decrease and items decode; and the metadata of the run. What damage takes with it is counted once. Exit code 0: sound; 1:
+/// not. For an MCAP file of another program only the container is checked, and habits of its writer are notes.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  osteoflow validate runs/fibula-20260314-092653/run.mcap
+  osteoflow validate runs/fibula-20260314-092653
   osteoflow validate run.mcap --format json
   osteoflow recover run.mcap saved.mcap          what to do with one that is not sound")]
 pub(crate) struct Validate {
-    /// The run.mcap of a run, or any MCAP file.
+    /// A run's folder or its run.mcap, or any MCAP file.
+    #[arg(value_name = "RUN")]
     file: PathBuf,
 
     #[command(flatten)]
@@ -26,8 +27,9 @@ pub(crate) struct Validate {
 
 impl Validate {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let mut reading = Reading::begin("checking", &self.file, global);
-        let report = validate(&self.file, self.plugins.kinds()?, &mut |at, of| reading.at(at, of))?;
+        let file = run_path::recording(&self.file)?;
+        let mut reading = Reading::begin("checking", &file, global);
+        let report = validate(&file, self.plugins.kinds()?, &mut |at, of| reading.at(at, of))?;
         drop(reading);
         let exit = if report.is_sound() { Exit::Done } else { Exit::Unsound };
         match global.format {

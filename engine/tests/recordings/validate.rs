@@ -164,3 +164,56 @@ fn of_a_file_of_another_program_the_container_is_checked() {
     fs::write(&path, bytes).unwrap();
     assert!(!of(&path).is_sound());
 }
+
+#[test]
+fn habits_of_other_writers_are_notes_and_not_faults() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("bag.mcap");
+    let mut writer = mcap::Writer::new(fs::File::create(&path).unwrap()).unwrap();
+    let channel = writer.add_channel(0, "/chatter", "cdr", &Default::default()).unwrap();
+    let header = mcap::records::MessageHeader { channel_id: channel, sequence: 1, log_time: 5, publish_time: 5 };
+    writer.write_to_known_channel(&header, b"{}").unwrap();
+    for version in ["1", "2"] {
+        let metadata = [("serialized_metadata".to_owned(), version.to_owned())].into();
+        writer.write_metadata(&mcap::records::Metadata { name: "rosbag2".into(), metadata }).unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    let report = of(&path);
+    assert!(report.is_sound(), "{:#?}", messages(&report));
+    let habit = report.notes.iter().find(|note| note.contains("a second metadata record \"rosbag2\"")).unwrap();
+    assert!(habit.ends_with("a habit of its writer"), "{habit}");
+
+    // In a recording of a run each record stands once.
+    let run = record(dir.path(), &[], 1);
+    let mut bytes = fs::read(&run).unwrap();
+    // A record of metadata begins with its operation code and length, then its name.
+    let name = b"\x09\0\0\0osteoflow";
+    let mut names = (9..bytes.len() - 13).filter(|&at| bytes[at..].starts_with(name) && bytes[at - 9] == 0x0c);
+    let start = names.next().unwrap() - 9;
+    let length = u64::from_le_bytes(bytes[start + 1..start + 9].try_into().unwrap()) as usize;
+    let again = bytes[start..start + 9 + length].to_vec();
+    bytes.splice(start..start, again);
+    fs::write(&run, bytes).unwrap();
+    assert_says(&of(&run), "a second metadata record \"osteoflow\"");
+}
+
+#[test]
+fn what_one_bad_chunk_takes_with_it_is_said_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let original = record(dir.path(), &[], 1);
+    let path = dir.path().join("chunked.mcap");
+    copy(&original, &path, &Layout { crc: true, ..SMALL });
+    let whole = of(&path);
+    assert!(whole.is_sound() && whole.n_chunks > 3, "{} chunks", whole.n_chunks);
+    let mut bytes = fs::read(&path).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 4;
+    fs::write(&path, bytes).unwrap();
+    let report = of(&path);
+    let lost = messages(&report);
+    assert_eq!((lost.len(), report.n_findings), (2, 2), "the damage and what it took: {lost:#?}");
+    let (n_lost, n) = (whole.n_messages - report.n_messages, whole.n_messages);
+    assert!(lost[1].contains(&format!("missing with the damage: {n_lost} of {n} messages, 1 of ")), "{lost:#?}");
+    assert!(lost[1].contains("wires that lack items: "), "{lost:#?}");
+}
