@@ -87,7 +87,10 @@ fn a_cut_recording_is_read_in_part_with_its_problem_and_what_cannot_be_read_is_r
     let nothing = dir.path().join("nothing");
     fs::create_dir(&nothing).unwrap();
     for (folder, expected) in [
-        (&nothing, "a folder without procedure.toml, manifest.json or metadata.yaml (a ROS 2 bag), and no DICOM series: "),
+        (
+            &nothing,
+            "a folder without procedure.toml, manifest.json or metadata.yaml (a ROS 2 bag), and no DICOM series: ",
+        ),
         (&dir.path().to_path_buf(), "head.mcap: "),
     ] {
         let output = info(folder);

@@ -169,6 +169,85 @@ fn the_rate_changes_no_result_and_a_part_of_a_recording_is_played_and_not_compar
 }
 
 #[test]
+fn a_range_plays_the_calibration_and_the_registration_that_do_not_change_and_computes_what_moves() {
+    let (_ran, recording) = recorded();
+    // The range of docs/recording.md ends before the third laser scan, and the later one begins after all of them.
+    for range in [&["--start", "10", "--end", "20.5"][..], &["--start", "15"]] {
+        let (code, answer, printed) = replay(&recording, range);
+        assert_eq!(code, 0, "{range:?}: {printed}");
+        for (wire, part) in [
+            ("calibration.t_camera_camera_marker", "played"),
+            ("icp.t_target_source", "played"),
+            ("planes.planes", "computed"),
+        ] {
+            assert_eq!(part_of(&answer, wire).0, part, "{range:?}: {wire}");
+        }
+        assert_eq!(answer["results"]["planes"].as_array().unwrap().len(), 2, "{range:?}: the planes are known");
+    }
+    // What a setting changes is computed, and what follows it.
+    let (code, answer, printed) = replay(&recording, &["--start", "15", "--set", "icp.max_pair_distance_mm=3"]);
+    assert_eq!(code, 0, "{printed}");
+    assert_eq!(part_of(&answer, "coarse.t_target_source").0, "played");
+    for wire in ["icp.t_target_source", "planes_at_scan.planes", "verdict.verdict"] {
+        assert_eq!(part_of(&answer, wire).0, "computed", "{wire}");
+    }
+}
+
+#[test]
+fn files_that_a_procedure_names_outside_of_its_folder_are_in_the_manifest_and_may_not_change() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("folder");
+    fs::create_dir(&folder).unwrap();
+    let shipped = root().join("tests/data/folder");
+    for entry in fs::read_dir(&shipped).unwrap() {
+        let name = entry.unwrap().file_name();
+        fs::copy(shipped.join(&name), folder.join(&name)).unwrap();
+    }
+    let scan = dir.path().join("scan.ply");
+    fs::rename(folder.join("scan.ply"), &scan).unwrap();
+    let procedure = fs::read_to_string(folder.join("procedure.toml")).unwrap();
+    fs::write(folder.join("procedure.toml"), procedure.replace("\"scan.ply\"", "\"../scan.ply\"")).unwrap();
+    let set = format!("recording.path={}", folder.display());
+    let ran = run_whole("graphs/fibula_folder.toml", &["--set", &set, "--set", "record.sources=hash"]);
+    let manifest = json(&ran.dir.path().join("manifest.json"));
+    let paths: Vec<_> = manifest["inputs"].as_array().unwrap().iter().map(|input| input["path"].clone()).collect();
+    assert!(paths.contains(&scan.display().to_string().into()), "{paths:#?}");
+    assert!(paths.iter().all(|path| paths.iter().filter(|other| *other == path).count() == 1), "{paths:#?}");
+
+    let recording = ran.dir.path().join("run.mcap");
+    assert_eq!(replay(&recording, &[]).0, 0);
+    let mut bytes = fs::read(&scan).unwrap();
+    let last = bytes.len() - 1;
+    bytes[last] ^= 1;
+    fs::write(&scan, bytes).unwrap();
+    let (code, _, printed) = replay(&recording, &[]);
+    assert!(code == 1 && printed.contains("scan.ply is not the file that the run had read"), "{printed}");
+}
+
+#[test]
+fn a_run_is_named_by_its_folder_or_by_its_recording() {
+    let (ran, recording) = recorded();
+    let folder = ran.dir.path();
+    assert_eq!(replay(folder, &[]).0, 0);
+    let output = |arguments: &[&Path], command: &str| {
+        let output = osteoflow().arg(command).args(arguments).output().unwrap();
+        let text = [output.stdout, output.stderr].concat();
+        (output.status.code().unwrap(), String::from_utf8(text).unwrap())
+    };
+    for command in ["digest", "validate"] {
+        assert_eq!(output(&[folder], command).1, output(&[&recording], command).1);
+    }
+    assert_eq!(output(&[folder, &recording], "diff").0, 0);
+    let (code, text) = output(&[&recording], "report");
+    assert!(code == 0 && folder.join("report.html").is_file(), "{text}");
+    fs::remove_file(&recording).unwrap();
+    let (code, text) = output(&[folder], "digest");
+    assert!(code == 2 && text.contains("this run was not recorded (--no-record)"), "{code}: {text}");
+    let (code, text) = output(&[&root().join("docs")], "replay");
+    assert!(code == 2 && text.contains("name the folder of a run, or a recording"), "{code}: {text}");
+}
+
+#[test]
 fn sources_named_by_hash_are_read_again_and_only_if_they_are_the_same() {
     let dir = tempfile::tempdir().unwrap();
     let copy = dir.path().join("bone.stl");

@@ -172,6 +172,31 @@ fn a_sweep_without_any_result_is_refused_and_one_without_a_value_in_a_column_war
 }
 
 #[test]
+fn a_factor_over_files_does_not_need_the_file_of_the_graph() {
+    let dir = tempfile::tempdir().unwrap();
+    let bone = root().join("tests/data/procedure/bone.stl");
+    fs::copy(&bone, dir.path().join("b.stl")).unwrap();
+    let text = format!(
+        "extends = \"{}\"\n[graph]\nname = \"files\"\n[node.bone]\npath = \"to be set.stl\"\n[sweep]\n\
+         [sweep.factor]\nbone = {{ key = \"bone.path\", values = [\"{}\", \"b.stl\"] }}\n\
+         [sweep.columns]\nrms_mm = \"icp.rms_mm\"\n",
+        root().join("graphs/fibula_recorded.toml").display(),
+        bone.display()
+    );
+    let file = path(dir.path(), "files.toml");
+    fs::write(&file, &text).unwrap();
+    let out = path(dir.path(), "out");
+    let (_, stderr, code) = output(&["sweep", &file, "--out", &out]);
+    assert_eq!(code, 0, "{stderr}");
+    let summary = json(&format!("{out}/summary.json"));
+    assert_eq!((&summary["n_runs"], &summary["notes"]), (&2.into(), &serde_json::json!([])), "{summary}");
+    // A file that a run does read must be there.
+    fs::write(&file, text.replace("\"b.stl\"", "\"gone.stl\"")).unwrap();
+    let (_, stderr, code) = output(&["sweep", &file, "--out", &path(dir.path(), "again")]);
+    assert!(code == 2 && stderr.contains("there is no file ") && stderr.contains("gone.stl"), "{stderr}");
+}
+
+#[test]
 fn two_runs_are_compared_number_by_number() {
     let dir = tempfile::tempdir().unwrap();
     let graph = root().join("graphs/fibula.toml");

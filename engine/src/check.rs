@@ -79,6 +79,16 @@ pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Result<Ch
     }
 }
 
+/// Checks the graph file of a sweep. The files that it names are those of no run if a factor replaces them, so they may be
+/// missing here; those of the runs are checked with each.
+pub(crate) fn check_sweep(path: &Path, sets: &[String], kinds: Kinds) -> Result<Checked, Faults> {
+    let mut faults = Vec::new();
+    match graph::load(path, sets, &mut faults) {
+        Some(graph) => Check::new(&known(&graph, &kinds), Files::Replaced, faults).graph(&graph, path),
+        None => Err(Faults(faults)),
+    }
+}
+
 /// Checks a graph file for one run of its sweep, with the settings of the run's row, which are relative to the graph
 /// file. Its `[sweep]` has been checked already.
 pub(crate) fn check_row(path: &Path, sets: &[String], row: &[String], kinds: Kinds) -> Result<Checked, Faults> {
@@ -149,7 +159,7 @@ pub fn check_recorded(
     sets: &[String],
     kinds: impl Into<Kinds>,
 ) -> Result<Checked, Faults> {
-    check_given(text, virtual_path, sets, &kinds.into(), Files::Recorded)
+    check_given(text, virtual_path, sets, &kinds.into(), Files::Replaced)
 }
 
 fn check_given(text: &str, path: &Path, sets: &[String], kinds: &Kinds, files: Files) -> Result<Checked, Faults> {

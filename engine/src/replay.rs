@@ -1,6 +1,7 @@
 //! Runs a recording again: plays recorded wires, recomputes what follows from them and compares.
 
 mod compare;
+mod range;
 mod select;
 #[cfg(test)]
 mod tests;
@@ -19,7 +20,8 @@ use crate::{
     runtime::{Observer, Replayed, Substitutes},
 };
 use compare::Compare;
-use osteoflow_node::{Body, ClockReading, Item, Join, PortPayload, Registry, Role, StampNs};
+use osteoflow_node::{Body, ClockReading, Item, PortPayload, Registry, Role, StampNs};
+use range::{is_constant, play_what_does_not_change};
 use std::{
     borrow::Cow,
     collections::{BTreeMap, BTreeSet},
@@ -267,7 +269,8 @@ pub(crate) fn replay_plan(
     observer: &dyn Observer,
 ) -> Result<ReplayReport, ReplayError> {
     let recorded = recorded_outputs(plan, recording)?;
-    let parts = parts(plan, recording, changes, &recorded)?;
+    let mut parts = parts(plan, recording, changes, &recorded)?;
+    let unchanged = play_what_does_not_change(plan, recording, changes, registry, &recorded, &mut parts)?;
     sets_take_effect(plan, changes, &parts)?;
     let computed = |index: usize| parts[index] == NodeMode::Computed;
     let runs_sources = plan.nodes.iter().enumerate().any(|(i, node)| node.role != Role::Node && computed(i));
@@ -289,7 +292,7 @@ pub(crate) fn replay_plan(
     let computes: BTreeSet<_> =
         plan.nodes.iter().enumerate().filter(|(i, _)| computed(*i)).map(|(_, n)| &*n.name).collect();
     let is_computed = |node: usize| computes.contains(&*reduced.nodes[node].name);
-    let Players { substitutes, cut } = players(&reduced, recording, changes, registry, is_computed)?;
+    let Players { substitutes, cut } = players(&reduced, recording, changes, registry, &unchanged, is_computed)?;
     let replayed = Replayed {
         substitutes,
         drops: Some(drops(&reduced, recording, &cut)),
@@ -386,13 +389,17 @@ fn parts(
     parts.map_err(|wire| ReplayError::Missing { wire: plan.wire_name(wire) })
 }
 
+/// Whether the setting is of a key of this node.
+fn sets(set: &str, node: &str) -> bool {
+    let key = set.split('=').next().unwrap_or_default().trim();
+    let key = key.strip_prefix("node.").unwrap_or(key);
+    key.strip_prefix(node).is_some_and(|rest| rest.starts_with('.'))
+}
+
 /// Refuses settings of played nodes, which would have no effect.
 fn sets_take_effect(plan: &Plan, changes: &ReplayOptions, parts: &[NodeMode]) -> Result<(), ReplayError> {
     for set in &changes.sets {
-        let key = set.split('=').next().unwrap_or_default().trim();
-        let key = key.strip_prefix("node.").unwrap_or(key);
-        let named = |name: &str| key.strip_prefix(name).is_some_and(|rest| rest.starts_with('.'));
-        let node = plan.nodes.iter().zip(parts).find(|(node, _)| named(&node.name));
+        let node = plan.nodes.iter().zip(parts).find(|(node, _)| sets(set, &node.name));
         if let Some((node, NodeMode::Played | NodeMode::LeftOut)) = node {
             return Err(ReplayError::NoEffect { set: set.clone(), node: node.name.to_string() });
         }
@@ -445,6 +452,7 @@ fn players(
     recording: &Recording,
     changes: &ReplayOptions,
     registry: &Registry,
+    unchanged: &BTreeSet<Arc<str>>,
     is_computed: impl Fn(usize) -> bool,
 ) -> Result<Players, ReplayError> {
     let mut cut = BTreeMap::new();
@@ -457,7 +465,8 @@ fn players(
     let start = changes.start.map_or(StampNs::MIN, |start| start.stamp(first_ns));
     let end = changes.end.map_or(StampNs::MAX, |end| end.stamp(first_ns));
     for (id, items) in &mut items {
-        if !is_constant(plan, *id) {
+        let is_single_result = items.len() == 1 && partial::consumers(plan, *id).next().is_none();
+        if !is_constant(plan, *id) && !is_single_result && !unchanged.contains(&plan.nodes[id.node].name) {
             let before = items.iter().filter(|item| item.stamp_ns > 0 && item.stamp_ns < start);
             cut.insert(*id, before.count() as u64);
             // An item without a time is a constant too.
@@ -488,12 +497,6 @@ fn failing(ports: &mut [Vec<Item>], node: &str, reason: &str) -> Option<Failing>
         }
     }
     Some(Failing { reason: reason.into(), stamp_ns: stamp_ns?, promised: false })
-}
-
-/// Whether every consumer of the output takes one item for the whole run.
-fn is_constant(plan: &Plan, id: OutputId) -> bool {
-    let mut links = partial::consumers(plan, id).peekable();
-    links.peek().is_some() && links.all(|link| plan.nodes[link.to_node].inputs[link.to_port].port.join == Join::Once)
 }
 
 /// Recorded drops, by the index of the link, with the numbers of the items as played.

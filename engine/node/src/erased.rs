@@ -1,7 +1,7 @@
 //! Type-erased nodes and sources, as the engine holds them.
 
 use crate::{Context, Emission, Inputs, Joined, Node, NodeError, Outputs, Source, StampNs, traits::SILENT_AFTER};
-use std::time::Duration;
+use std::{path::PathBuf, time::Duration};
 
 /// A node of any kind.
 pub trait AnyNode: Send {
@@ -19,6 +19,11 @@ pub trait AnySource: Send {
     /// # Errors
     /// The error of the source.
     fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError>;
+
+    /// See [`Source::files`].
+    fn files(&self) -> Vec<PathBuf> {
+        Vec::new()
+    }
 
     /// See [`Source::max_delay_ns`].
     fn max_delay_ns(&self) -> StampNs {
@@ -52,6 +57,10 @@ impl<N: Node> AnyNode for Erased<N> {
 impl<S: Source> AnySource for Erased<S> {
     fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError> {
         Ok(self.0.next(ctx)?.map(|answer| answer.put(out)).is_some())
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        self.0.files()
     }
 
     fn max_delay_ns(&self) -> StampNs {

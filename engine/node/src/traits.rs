@@ -4,7 +4,7 @@ use crate::{
 };
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
-use std::time::Duration;
+use std::{path::PathBuf, time::Duration};
 
 /// A node with inputs: fires when its ports join, and gives a value or an empty on every output.
 pub trait Node: Describe + Send + Sized + 'static {
@@ -65,6 +65,12 @@ pub trait Source: Describe + Send + Sized + 'static {
     /// For a live source: time without an answer after which the run reports it as silent.
     fn silent_after(&self) -> Duration {
         SILENT_AFTER
+    }
+
+    /// Files that the source will read beside those that its parameters name, such as those that a list names; none if the
+    /// list cannot be read. The manifest of a run holds their hashes, and a replay by hash refuses changed ones.
+    fn files(&self) -> Vec<PathBuf> {
+        Vec::new()
     }
 
     /// The next answer, at the stamp given to [`Context::set_stamp_ns`]; `None` at the end. Ports may stay silent.

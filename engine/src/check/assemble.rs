@@ -5,15 +5,20 @@ use super::{
     record::Record,
     resolved,
     results::{Result, Results},
+    schema::files::tidy,
     wires::OutputIndex,
 };
 use crate::{
     graph::header::Header,
+    panics,
     plan::{Link, OutputId, Plan, PlanInput, PlanNode, PlanOutput, PlanPlugin, ResultEntry},
     plugin::Known,
 };
-use osteoflow_node::Role;
-use std::{collections::BTreeSet, path::Path};
+use osteoflow_node::{BuildContext, Built, Kind, Role};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 
 /// A graph without faults, resolved and ready to be planned.
 pub(super) struct Net<'a> {
@@ -37,6 +42,18 @@ pub(super) fn plugins(known: &Known, parsed_nodes: &[ParsedNode<'_>]) -> Vec<Pla
         (plugin.named || !kinds.is_empty()).then(|| plugin.in_plan(kinds.into_iter().collect()))
     });
     used.collect()
+}
+
+/// The files that a source will read beside those that its parameters name. A source of a plugin is not asked.
+fn further_files(node: &PlanNode, kind: &Kind, seed: u64) -> Vec<PathBuf> {
+    if node.role == Role::Node || node.files.is_empty() || kind.plugin.is_some() {
+        return Vec::new();
+    }
+    let context = BuildContext { node: node.name.clone(), seed, declared: node.declared.clone(), joins: Vec::new() };
+    // Parameters that do not fit together are a fault when the graph is built.
+    let Ok(Ok(Built::Source(source))) = panics::catch(|| kind.build(&node.params, &context)) else { return Vec::new() };
+    let files = panics::catch(|| source.files()).unwrap_or_default();
+    files.iter().map(|file| tidy(file)).collect()
 }
 
 impl Net<'_> {
@@ -68,6 +85,9 @@ impl Net<'_> {
         };
         let mut input_files: Vec<_> =
             self.parsed_nodes.iter().flat_map(|parsed_node| parsed_node.input_files.clone()).collect();
+        let built =
+            nodes.iter().zip(&self.order).filter_map(|(node, parsed)| Some((node, self.parsed_nodes[*parsed].kind?)));
+        input_files.extend(built.flat_map(|(node, kind)| further_files(node, kind, self.header.seed)));
         input_files.sort();
         input_files.dedup();
         Plan {

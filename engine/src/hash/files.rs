@@ -4,6 +4,7 @@ use super::Digest;
 use serde_json::{Value as Json, json};
 use sha2::{Digest as _, Sha256};
 use std::{
+    collections::BTreeSet,
     fs::File,
     io::{self, Read},
     path::{Path, PathBuf},
@@ -31,13 +32,16 @@ impl Hashes {
     }
 }
 
-/// Path, size and SHA-256 of each input file; a folder is replaced by its files, sorted by name.
+/// Path, size and SHA-256 of each input file, once; a folder is replaced by its files, sorted by name.
 pub(crate) fn hashes(paths: &[PathBuf]) -> Vec<Json> {
-    let mut out = Vec::new();
+    let (mut out, mut known) = (Vec::new(), BTreeSet::new());
     for path in paths {
         let mut files = Vec::new();
         match list(path, &mut files) {
-            Ok(()) => out.extend(files.iter().map(|file| entry(file))),
+            Ok(()) => {
+                files.retain(|file| known.insert(file.clone()));
+                out.extend(files.iter().map(|file| entry(file)));
+            }
             Err(error) => out.push(json!({ "path": path.display().to_string(), "error": error.to_string() })),
         }
     }

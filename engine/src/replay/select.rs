@@ -67,6 +67,7 @@ pub(super) fn from(
     Ok((0..plan.nodes.len()).map(part).collect())
 }
 
-fn is_used(plan: &Plan, id: OutputId) -> bool {
+/// Whether a node or a result takes the output.
+pub(super) fn is_used(plan: &Plan, id: OutputId) -> bool {
     consumers(plan, id).next().is_some() || plan.results.iter().any(|entry| entry.from == id)
 }

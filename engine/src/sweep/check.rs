@@ -31,7 +31,7 @@ use std::{
 /// `[sweep]`.
 pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>, workers: usize) -> Result<Sweep, Faults> {
     let kinds = kinds.into();
-    let Checked { plan, warnings, registry, sweep } = check::check(path, sets, kinds.clone())?;
+    let Checked { plan, warnings, registry, sweep } = check::check_sweep(path, sets, kinds.clone())?;
     let Some(spec) = sweep else {
         let fault = Fault::new(format!("{} has no table [sweep]", path.display()));
         let help = "say what is varied, such as [sweep] repeat = 10, and which numbers are wanted in [sweep.columns]";

@@ -311,6 +311,11 @@ impl ProcedureFolder {
         read_mesh(&self.resolve(&file.file), self.unit_mm(file.unit), frame, SurfaceOrigin::User).map(Some)
     }
 
+    /// The files that `procedure.toml` names, in or out of its folder.
+    pub fn named_files(&self) -> Vec<PathBuf> {
+        self.files().map(|file| self.resolve(file)).collect()
+    }
+
     /// Reads everything that has a time, and gives it in order of sensor time.
     ///
     /// # Errors

@@ -14,7 +14,11 @@ mod numbers;
 use crate::FileError;
 use flate2::read::MultiGzDecoder;
 use nalgebra::{Matrix3, Matrix4, Vector3};
-use std::{fs::File, io::Read, path::Path};
+use std::{
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+};
 
 /// The most that deflate can expand a byte.
 const MAX_EXPANSION: u64 = 1032;
@@ -59,6 +63,11 @@ pub struct VolumeRead {
 pub struct VolumeOptions {
     /// Number of a DICOM series, or the ending of its unique identifier. None: the only one.
     pub series: Option<String>,
+}
+
+/// The file beside that holds the voxels of a detached header (.nhdr); none if there is no other, or it cannot be found.
+pub fn data_file(path: &Path) -> Option<PathBuf> {
+    start_of(path).ok().filter(|start| start.starts_with(b"NRRD")).and_then(|_| nrrd::data_file(path))
 }
 
 /// Reads the volume in a NIfTI, NRRD or DICOM file, recognised by its content, or the DICOM series in a folder.

@@ -43,7 +43,7 @@ fn relative(from: &str) -> String {
 }
 
 /// The path without `.` and `x/..`, unless links make that a different file.
-fn tidy(path: &Path) -> PathBuf {
+pub(crate) fn tidy(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
     let mut out = PathBuf::new();
     for component in path.components() {

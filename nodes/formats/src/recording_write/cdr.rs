@@ -78,7 +78,7 @@ pub(super) fn transforms(batch: &FrameTransforms, big_endian: bool) -> Vec<u8> {
 }
 
 pub(super) fn pose(tip: &PoseInFrame, big_endian: bool) -> Vec<u8> {
-    let Pose { position, orientation } = tip.pose.clone().unwrap_or_default();
+    let Pose { position, orientation } = tip.pose.unwrap_or_default();
     let (p, q) = (position.unwrap_or_default(), orientation.unwrap_or_default());
     let message = PoseStamped {
         header: header(tip.timestamp, &tip.frame_id),

@@ -24,6 +24,12 @@ struct Header {
     n_bytes: u64,
 }
 
+/// The file that holds the data of a detached header; none if the data follow the header, or it cannot be read.
+pub(super) fn data_file(path: &Path) -> Option<PathBuf> {
+    let mut reader = BufReader::new(File::open(path).ok()?);
+    Header::read(path, &mut reader).ok()?.data_path(path)
+}
+
 /// Reads a .nrrd or .nhdr file.
 pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
     let file = File::open(path).map_err(FileError::read(path))?;
@@ -286,6 +292,12 @@ impl Header {
             rest = after.trim_start();
         }
         Ok(vectors)
+    }
+
+    /// The path of the data of a detached header.
+    fn data_path(&self, path: &Path) -> Option<PathBuf> {
+        let (_, name) = self.get("data file")?;
+        Some(path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).join(name))
     }
 
     /// The file with the data, at their beginning, and the number of bytes from there to its end.

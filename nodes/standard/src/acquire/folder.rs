@@ -11,6 +11,7 @@ use osteoflow_node::{
     serde::Deserialize,
 };
 use osteoflow_payloads::Flag;
+use std::path::PathBuf;
 
 /// The streams of a procedure stored as a folder of files, for setups without a recorder.
 ///
@@ -58,6 +59,10 @@ impl Source for Folder {
 
     fn new(params: Params) -> Result<Self, ParamError> {
         Ok(Self { path: params.path, playback: None })
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        ProcedureFolder::open(self.path.as_ref()).map_or_else(|_| Vec::new(), |folder| folder.named_files())
     }
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {

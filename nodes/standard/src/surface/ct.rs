@@ -3,13 +3,13 @@
 use osteoflow_algorithms::ct_surface::{
     ComponentChoice, CtSurface, CtSurfaceParams, VolumeView, ct_surface, suggested_threshold,
 };
-use osteoflow_formats::volume::{Volume, VolumeOptions, VoxelUnit, read_volume};
+use osteoflow_formats::volume::{Volume, VolumeOptions, VoxelUnit, data_file, read_volume};
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{
     Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
-use std::sync::Arc;
+use std::{path::PathBuf, sync::Arc};
 
 /// The surface of a bone in a CT: NIfTI, NRRD, or a DICOM series in a folder.
 ///
@@ -108,6 +108,10 @@ impl Source for Ct {
             return Err(ParamError::new("threshold_hu", "it is not finite"));
         }
         Ok(Self { params, done: false })
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        data_file(self.params.path.as_ref()).into_iter().collect()
     }
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
