@@ -29,7 +29,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("runs", "--format json"),
     ("reproduce", "--bone"),
     ("simulate", "--seed"),
-    ("new", "plugin"),
+    ("new", "procedure"),
     ("completions", "bash"),
 ];
 

@@ -30,6 +30,48 @@ fn the_schema_beside_the_graphs_is_that_of_the_nodes() {
 }
 
 #[test]
+fn every_plan_fits_its_schema_and_what_the_reader_refuses_does_not() {
+    let text = fs::read_to_string(root().join("graphs/plan.schema.json")).unwrap();
+    let printed = osteoflow().args(["schema", "--plan"]).assert().success();
+    assert_eq!(String::from_utf8(printed.get_output().stdout.clone()).unwrap(), text);
+    let validator = jsonschema::draft7::new(&serde_json::from_str(&text).unwrap()).unwrap();
+    let read = |plan: &Value| osteoflow_formats::plan_file::parse_plan("plan.json".as_ref(), &plan.to_string());
+    let plans = [
+        "tests/data/procedure/plan.json",
+        "tests/data/folder/plan.json",
+        "../shared/data/recordings/procedure_dev.plan.json",
+    ];
+    for path in plans.map(|path| root().join(path)).iter().filter(|path| path.is_file()) {
+        let plan: Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();
+        let wrong: Vec<_> = validator.iter_errors(&plan).map(|error| error.to_string()).collect();
+        assert!(wrong.is_empty() && read(&plan).is_ok(), "{}: {wrong:#?}", path.display());
+        // Every key of the schema is one that the reader knows.
+        let known = read(&plan).unwrap().notes;
+        assert!(known.iter().all(|note| !note.contains("no such keys")), "{known:?}");
+    }
+    let whole = "tests/data/procedure/plan.json";
+    let sound: Value = serde_json::from_str(&fs::read_to_string(root().join(whole)).unwrap()).unwrap();
+    let with = |key: &str, value: Value| {
+        let mut plan = sound.clone();
+        plan[key] = value;
+        plan
+    };
+    let matrix = serde_json::json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]);
+    for (key, value) in [
+        ("units", "m".into()),
+        ("landmarks", serde_json::json!({ "P1": [1, 2] })),
+        ("assessment", serde_json::json!([[1, 2, 3]])),
+        ("planes", serde_json::json!([matrix])),
+        ("proximal", "up".into()),
+        ("phantom_marker_in_phantom", matrix),
+    ] {
+        let plan = with(key, value);
+        assert!(!validator.is_valid(&plan) && read(&plan).is_err(), "{key}: {}", plan[key]);
+    }
+    assert!(!validator.is_valid(&serde_json::json!({ "markups": [] })));
+}
+
+#[test]
 fn every_shipped_graph_names_the_schema_in_its_first_line_and_fits_it() {
     let validator = validator();
     for path in shipped_graphs().into_iter().chain(shipped_modules()) {

@@ -182,3 +182,28 @@ fn a_recording_with_swapped_scans_has_each_in_the_topic_of_its_label() {
         assert!((a - b).norm() < 0.05, "{name} is {} mm from where it was", (a - b).norm());
     }
 }
+
+#[test]
+fn a_new_procedure_runs_as_it_is_and_its_folder_is_not_overwritten() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("mine");
+    let made = osteoflow().args(["new", "procedure"]).arg(&folder).assert().success();
+    let printed = String::from_utf8(made.get_output().stdout.clone()).unwrap();
+    assert!(printed.contains("SIMULATED") && printed.contains("osteoflow run run.toml"), "{printed}");
+    let ran = osteoflow().current_dir(&folder).args(["run", "run.toml", "--out", "left"]).output().unwrap();
+    assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
+    let results = common::json(&folder.join("left/results.json"));
+    assert_eq!(results["verdict"]["answer"], "trusted", "{}", results["verdict"]);
+    let manifest = common::json(&folder.join("left/manifest.json"));
+    let paths: Vec<_> = manifest["inputs"].as_array().unwrap().iter().map(|input| input["path"].clone()).collect();
+    assert!(paths.contains(&"data/scan.ply".into()), "{paths:?}");
+    // The README names every file of the example.
+    let readme = std::fs::read_to_string(folder.join("README.md")).unwrap();
+    for entry in std::fs::read_dir(folder.join("data")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        let is_named =
+            readme.contains(&format!("data/{name}")) || name.starts_with("laser_p") || name.starts_with("stylus_");
+        assert!(is_named || name == "README.md", "{name} is not in the README");
+    }
+    osteoflow().args(["new", "procedure"]).arg(&folder).assert().code(2);
+}

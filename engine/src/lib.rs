@@ -32,6 +32,7 @@ pub mod replay;
 pub mod repro;
 pub mod run;
 pub mod schema;
+mod shown_paths;
 pub mod store;
 pub mod sweep;
 pub mod validate;

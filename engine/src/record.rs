@@ -19,6 +19,7 @@ use crate::{
         InputHashes, MetadataRecord, Outcome, PROFILE, PluginRecords, Program, RecordedFailure, RunRecord, WireCounts,
     },
     runtime::Tap,
+    shown_paths::ShownPaths,
 };
 use osteoflow_container::{WriteOptions, Writer};
 use osteoflow_node::{Body, ClockReading, Item, StampNs};
@@ -144,12 +145,13 @@ impl Recorder {
         plan: &Plan,
         options: &RunOptions,
         inputs: Option<&[Json]>,
+        shown: &ShownPaths,
     ) -> Result<Self, RecordError> {
         let create = |source| RecordError::Create { path: path.into(), source };
         let write = |source| RecordError::Write { path: path.into(), source };
         let inputs = inputs.map(named_inputs).transpose()?;
         let file = File::create(path).map_err(create)?;
-        let sink = begin(file, plan, options, inputs).map_err(write)?;
+        let sink = begin(file, plan, options, inputs, shown).map_err(write)?;
         let shared =
             Arc::new(Shared { queue: Queue::new(), firings: Mutex::default(), cancelled: options.cancelled.clone() });
         let (seen, path) = (shared.clone(), path.to_owned());
@@ -237,7 +239,13 @@ impl Tap for Recorder {
 }
 
 /// Creates the file with everything known before the run.
-fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<InputHashes>) -> io::Result<Sink> {
+fn begin(
+    file: File,
+    plan: &Plan,
+    options: &RunOptions,
+    inputs: Option<InputHashes>,
+    shown: &ShownPaths,
+) -> io::Result<Sink> {
     let library = concat!("osteoflow ", env!("CARGO_PKG_VERSION"));
     let mut file = Writer::new(
         file,
@@ -249,8 +257,8 @@ fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<InputHash
         },
     )?;
     let run = RunRecord {
-        graph: plan.resolved.clone(),
-        graph_file: plan.path.clone(),
+        graph: shown.text(&plan.resolved),
+        graph_file: shown.path(&plan.path),
         name: plan.name.clone(),
         seed: plan.seed,
         sources: plan.recording.sources,
@@ -258,10 +266,12 @@ fn begin(file: File, plan: &Plan, options: &RunOptions, inputs: Option<InputHash
     };
     let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let program = options.command.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
-    let program = Program(program.map(|(key, value)| (key.clone(), text(value))).collect());
+    let program = Program(program.map(|(key, value)| (key.clone(), shown.text(&text(value)))).collect());
     write(&mut file, &run)?;
     write(&mut file, &program)?;
-    write(&mut file, &PluginRecords(plan.plugins.clone()))?;
+    let mut plugins = plan.plugins.clone();
+    plugins.iter_mut().for_each(|plugin| plugin.path = shown.path(&plugin.path));
+    write(&mut file, &PluginRecords(plugins))?;
     inputs.iter().try_for_each(|inputs| write(&mut file, inputs))?;
     let mut sink = Sink::begin(file, plan)?;
     // From here on, a truncated file names the wires it was to hold.

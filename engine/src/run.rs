@@ -30,6 +30,7 @@ use crate::{
     recording::RecordedFailure,
     repro::Saver,
     runtime::{AnswerCache, Failure, Latency, Replayed, RunSettings, Runtime, Tap},
+    shown_paths::ShownPaths,
 };
 use finished::ItemKeeper;
 use osteoflow_node::Registry;
@@ -101,11 +102,12 @@ pub(crate) fn run_part(
     // Hashing the inputs takes as long as reading them; it runs in parallel, unless the recording begins with the
     // hashes.
     let mut hashes = out_dir.map(|_| Hashes::begin(&plan.input_files));
+    let shown = ShownPaths::of(plan, out_dir);
     let recorder = match out_dir.filter(|_| options.record) {
         Some(dir) => {
             let by_hash = plan.recording.sources == Sources::Hashes;
             let inputs = hashes.as_mut().filter(|_| by_hash).map(|hashes| hashes.done());
-            Some(Recorder::create(&dir.join(files::RECORDING), plan, options, inputs)?)
+            Some(Recorder::create(&dir.join(files::RECORDING), plan, options, inputs, &shown)?)
         }
         None => None,
     };
@@ -134,8 +136,11 @@ pub(crate) fn run_part(
     let inputs = hashes.as_mut().map(|hashes| hashes.done()).unwrap_or_default();
     let recorded = recorder.map(|recorder| {
         let at_end = (plan.recording.sources != Sources::Hashes).then_some(inputs);
-        let failures: Vec<_> = finished.ended.failures.iter().map(|failure| recorded(plan, failure)).collect();
-        recorder.finish(outcome.status(), &results, &failures, options, at_end)
+        let mut failures: Vec<_> = finished.ended.failures.iter().map(|failure| recorded(plan, failure)).collect();
+        failures.iter_mut().for_each(|failure| failure.reason = shown.text(&failure.reason));
+        let at_end = at_end.map(|inputs| shown.json(inputs.into()));
+        let at_end = at_end.as_ref().and_then(|inputs| inputs.as_array().map(Vec::as_slice));
+        recorder.finish(outcome.status(), &shown.json(results.clone()), &failures, options, at_end)
     });
     if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
         // The user did not stop the run.
@@ -145,13 +150,13 @@ pub(crate) fn run_part(
     report.latencies = latencies;
     report.cached_answers = answers.map(StoredAnswers::finish).unwrap_or_default();
     if let Some(dir) = out_dir {
-        write_json(&dir.join(files::RESULTS), &report.results)?;
+        write_json(&dir.join(files::RESULTS), &shown.json(report.results.clone()))?;
         let times = (began, SystemTime::now());
         let mut manifest = manifest::manifest(plan, options, &report, recorded.as_ref(), inputs, times);
         if let Some(about) = about {
             manifest["watch"] = about;
         }
-        write_json(&dir.join(files::MANIFEST), &manifest)?;
+        write_json(&dir.join(files::MANIFEST), &shown.json(manifest))?;
     }
     recorded.transpose()?;
     Ok(report)

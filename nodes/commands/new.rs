@@ -1,3 +1,5 @@
+mod procedure;
+
 use super::{Exit, Format, Global, UsageError, print_json, registry};
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand, ValueEnum};
@@ -8,12 +10,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Create a project from a template.
+/// Create a project from a template: a plugin, or a procedure in files.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   osteoflow new plugin my_icp                 a crate with an ICP of its own, a test and a graph
-  osteoflow new plugin my_crop --lang c")]
+  osteoflow new plugin my_crop --lang c
+  osteoflow new procedure my_procedure        a procedure in files that runs, to replace by yours")]
 pub(crate) struct New {
     #[command(subcommand)]
     what: What,
@@ -22,6 +25,7 @@ pub(crate) struct New {
 #[derive(Debug, Subcommand)]
 enum What {
     Plugin(Plugin),
+    Procedure(procedure::Procedure),
 }
 
 /// Create a plugin: one node, its test, a graph that runs it, and a README.
@@ -172,10 +176,17 @@ const NOT_FOR_CRATES: &[&str] = &[
     "yield",
 ];
 
+/// A graph without the line that names its schema, which editors find only beside the shipped graphs.
+fn without_schema(text: &'static str) -> &'static str {
+    text.split_once('\n').filter(|(line, _)| line.starts_with("#:schema")).map_or(text, |(_, rest)| rest)
+}
+
 impl New {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let What::Plugin(plugin) = &self.what;
-        plugin.execute(global)
+        match &self.what {
+            What::Plugin(plugin) => plugin.execute(global),
+            What::Procedure(procedure) => procedure.execute(global),
+        }
     }
 }
 
@@ -196,10 +207,7 @@ impl Plugin {
             let message = format!("{} is not empty; name another folder with --out", dir.display());
             return Err(UsageError(message).into());
         }
-        // Editors find the schema only beside the shipped graphs.
-        let fibula =
-            FIBULA.1.split_once('\n').filter(|(line, _)| line.starts_with("#:schema")).map_or(FIBULA.1, |f| f.1);
-        write(&dir, FIBULA.0, fibula)?;
+        write(&dir, FIBULA.0, without_schema(FIBULA.1))?;
         for (path, text) in template.files {
             let mut text = text.replace(template.placeholder, &self.name);
             if *path == "Cargo.toml" {

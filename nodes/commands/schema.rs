@@ -4,26 +4,38 @@ use clap::Args;
 use osteoflow_engine::schema;
 use std::io::Write;
 
-/// Write the JSON Schema of the graph file, with which editors complete kinds and parameters and mark faults.
+/// Write the JSON Schema of the graph file or the plan, with which editors complete keys and mark faults.
 ///
-/// It is generated from the descriptions of the nodes. A TOML language server (taplo, Even Better TOML) finds it by the
+/// That of the graph is generated from the descriptions of the nodes. A TOML language server (taplo, Even Better TOML) finds it by the
 /// first line of a graph: #:schema PATH, relative to the graph.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   osteoflow schema > graphs/osteoflow.schema.json
-  osteoflow schema --kind icp.point_to_plane       the table of one node")]
+  osteoflow schema --kind icp.point_to_plane       the table of one node
+  osteoflow schema --plan                          the surgical plan, plan.json")]
 pub(crate) struct Schema {
     /// Only the table of a node of this kind.
     #[arg(long, value_name = "KIND")]
     kind: Option<String>,
 
+    /// The schema of plan.json instead.
+    #[arg(long, conflicts_with = "kind")]
+    plan: bool,
+
     #[command(flatten)]
     plugins: PluginArgs,
 }
 
+/// The schema of a plan.
+const PLAN: &str = include_str!("../../graphs/plan.schema.json");
+
 impl Schema {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        if self.plan {
+            write!(std::io::stdout(), "{PLAN}")?;
+            return Ok(Exit::Done);
+        }
         let known = self.plugins.kinds()?.known();
         let exit = plugins::print_refused(&known, global)?;
         let registry = known.registry;

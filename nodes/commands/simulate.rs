@@ -75,6 +75,12 @@ enum StreamFormat {
 }
 
 impl Simulate {
+    /// The procedure of `osteoflow new procedure`: a folder of files.
+    pub(crate) fn example(out: PathBuf) -> Self {
+        let shape = StreamFormat::Folder;
+        Self { seed: 42, points: 10_000, bone: None, plan: None, sets: Vec::new(), shape, out, force: false }
+    }
+
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let settings = Settings::new(self.points, &self.sets)?;
         let dir = &self.out;

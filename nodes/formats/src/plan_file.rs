@@ -119,7 +119,7 @@ const KEYS: [&str; 11] = [
 ];
 
 /// Keys for people.
-const REMARKS: [&str; 6] = ["mesh", "name", "side", "description", "comment", "note"];
+const REMARKS: [&str; 7] = ["$schema", "mesh", "name", "side", "description", "comment", "note"];
 
 /// The plan, and the keys that were not read.
 fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<(PlanRead, Vec<String>), FileError> {
