@@ -1,5 +1,6 @@
 //! Runs a checked graph: options, events, report and the files written.
 
+mod closing_log;
 pub mod files;
 mod finished;
 #[cfg(test)]
@@ -31,6 +32,7 @@ use crate::{
     repro::Saver,
     runtime::{AnswerCache, Failure, Latency, Replayed, RunSettings, Runtime, Tap},
 };
+use closing_log::closing_log;
 use finished::ItemKeeper;
 use osteoflow_node::Registry;
 use std::{path::Path, time::SystemTime};
@@ -123,6 +125,7 @@ pub(crate) fn run_part(
     drop(taps);
     let latencies = latency.map(|latency| latency.stats(plan)).unwrap_or_default();
     let mut finished = keeper.finish(ended, saver.map(Saver::finish).unwrap_or_default());
+    let recorded_plan = plan;
     let (plan, about) = match whole {
         Some(whole) => {
             finished = (whole.complete)(finished);
@@ -135,7 +138,8 @@ pub(crate) fn run_part(
     let recorded = recorder.map(|recorder| {
         let at_end = (plan.recording.sources != Sources::Hashes).then_some(inputs);
         let failures: Vec<_> = finished.ended.failures.iter().map(|failure| recorded(plan, failure)).collect();
-        recorder.finish(outcome.status(), &results, &failures, options, at_end)
+        let log = closing_log(recorded_plan, &finished.ended.warnings, &outcome, &results);
+        recorder.finish(outcome.status(), &results, &failures, options, at_end, log)
     });
     if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
         // The user did not stop the run.
