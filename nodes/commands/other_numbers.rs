@@ -99,7 +99,7 @@ fn short(value: &Value) -> Option<String> {
 fn shown(number: &Value) -> String {
     match number.as_f64() {
         _ if number.is_i64() || number.is_u64() => number.to_string(),
-        Some(v) if v == 0.0 => "0".into(),
+        Some(0.0) => "0".into(),
         Some(v) if v.abs() < 1e-3 || v.abs() >= 1e6 => format!("{v:.3e}"),
         Some(v) => format!("{v:.4}"),
         None => number.to_string(),
