@@ -1,9 +1,6 @@
 //! Stands in for `foxglove.rs` without the feature `viewer`: no views.
 
-use osteoflow_geometry::{
-    Frame, Mesh, Planes, Points, Pose,
-    nalgebra::{Point3, Vector3},
-};
+use osteoflow_geometry::{Frame, Mesh, Planes, Points, Pose, nalgebra::Point3};
 use osteoflow_node::{Display, DisplayContext, StampNs};
 
 pub(crate) fn points_schema() -> Option<Display> {
@@ -34,7 +31,7 @@ pub(crate) fn mesh(_: &Mesh, _: &DisplayContext<'_>) -> Option<Vec<u8>> {
 pub(crate) fn surface_points(
     _: &Frame,
     _: &[Point3<f64>],
-    _: Option<&[Vector3<f64>]>,
+    _: Option<&[osteoflow_geometry::nalgebra::Vector3<f64>]>,
     _: &DisplayContext<'_>,
 ) -> Option<Vec<u8>> {
     None
