@@ -17,6 +17,7 @@ pub(crate) mod log;
 mod module_docs;
 mod new;
 mod node_docs;
+mod other_numbers;
 mod out_dir;
 mod plugins;
 mod progress;

@@ -58,6 +58,63 @@ fn the_exported_files_lie_on_each_other_in_lps_and_hold_what_the_results_say() {
 }
 
 #[test]
+fn other_programs_read_the_folder_export_of_every_graph_with_a_ct_to_a_ten_thousandth_of_a_millimetre() {
+    for graph in ["graphs/fibula.toml", "graphs/fibula_folder.toml", "graphs/variants/fibula_modules.toml"] {
+        let dir = tempfile::tempdir().unwrap();
+        let wires = r#"record.wires=["to_bone.cloud", "icp.*"]"#;
+        let output = osteoflow().args(["run", graph, "--set", wires, "--out"]).arg(dir.path()).output().unwrap();
+        assert!(output.status.success(), "{graph}: {}", String::from_utf8_lossy(&output.stderr));
+        let files = ["bone.stl", "scan.ply", "scan.vtk", "scan_to_ct.tfm", "landmarks.mrk.json", "planes.mrk.json"];
+        for file in files {
+            let bytes = fs::read(dir.path().join("export").join(file)).unwrap();
+            let notice = b"research use only";
+            assert!(bytes.windows(notice.len()).any(|part| part == notice), "{graph}: {file} is not marked");
+        }
+        let python = std::env::var("OSTEOFLOW_PYTHON").unwrap_or_else(|_| "python3".into());
+        let script = common::root().join("tests/python/check_export.py");
+        let checked = match std::process::Command::new(&python).arg(script).arg(dir.path()).output() {
+            Ok(checked) => checked,
+            Err(error) => return eprintln!("skipped: export read by other programs: {python}: {error}"),
+        };
+        let said = String::from_utf8_lossy(&checked.stdout).into_owned();
+        if checked.status.code() == Some(2) {
+            return eprintln!("skipped: export read by other programs: {python}: {}", said.trim());
+        }
+        assert!(checked.status.success(), "{graph}: {said}{}", String::from_utf8_lossy(&checked.stderr));
+        // The script sees a scan that lies elsewhere.
+        let scan = dir.path().join("export/scan.vtk");
+        let text = fs::read_to_string(&scan).unwrap();
+        let (head, points) = text.split_once("double\n").unwrap();
+        let (first, rest) = points.split_once(' ').unwrap();
+        let moved = first.parse::<f64>().unwrap() + 2e-4;
+        fs::write(&scan, format!("{head}double\n{moved} {rest}")).unwrap();
+        let checked = std::process::Command::new(&python)
+            .arg(common::root().join("tests/python/check_export.py"))
+            .arg(dir.path())
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&checked.stdout).into_owned();
+        assert!(checked.status.code() == Some(1) && said.ends_with("wrong: scan.vtk (vtk)\n"), "{said}");
+    }
+}
+
+#[test]
+fn two_files_are_exported_without_a_plan_and_without_a_fit_only_the_bone() {
+    let ran = run_whole("graphs/two_files.toml", &[]);
+    let export = ran.dir.path().join("export");
+    let mut names: Vec<_> =
+        fs::read_dir(&export).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    assert_eq!(names, ["bone.stl", "scan.ply", "scan.vtk", "scan_to_ct.tfm"]);
+
+    let ran = common::run("graphs/fibula.toml", &["--no-record", "--set", "icp.max_pair_distance_mm=0.000001"]);
+    assert_eq!(ran.code, 3, "{}", ran.stderr);
+    let export = ran.dir.path().join("export");
+    assert!(["bone.stl", "landmarks.mrk.json", "planes.mrk.json"].iter().all(|name| export.join(name).exists()));
+    assert!(!["scan.ply", "scan.vtk", "scan_to_ct.tfm"].iter().any(|name| export.join(name).exists()));
+}
+
+#[test]
 fn a_refused_registration_leaves_no_scan_and_no_transform() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("run");
@@ -67,6 +124,14 @@ fn a_refused_registration_leaves_no_scan_and_no_transform() {
     assert_eq!(output.status.code(), Some(3), "{}", String::from_utf8_lossy(&output.stderr));
     for name in ["export_scan.ply", "export_transform.tfm"] {
         assert!(!out.join(name).exists(), "{name}");
+    }
+    let whole = dir.path().join("whole");
+    let refused =
+        osteoflow().args(["run", "graphs/fibula.toml", "--no-record", "--out"]).arg(&whole).args(strict).output();
+    assert_eq!(refused.unwrap().status.code(), Some(3));
+    assert!(whole.join("export/bone.stl").exists());
+    for name in ["scan.ply", "scan.vtk", "scan_to_ct.tfm"] {
+        assert!(!whole.join("export").join(name).exists(), "{name}");
     }
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(stderr.contains("nothing is written, since the verdict is refused"), "{stderr}");

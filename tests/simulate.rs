@@ -160,7 +160,7 @@ fn a_recording_with_swapped_scans_has_each_in_the_topic_of_its_label() {
         // Fewer points do not resolve a hole.
         simulate(&out, &[&["--set", "camera.n_points=10000"], arguments].concat());
         // The verdict refuses exchanged landmarks, and withholds them.
-        let mut sets = vec![r#"remove=["node.verdict", "results.verdict"]"#.to_owned()];
+        let mut sets = vec![r#"remove=["node.verdict", "node.export", "results.verdict"]"#.to_owned()];
         sets.push(format!("recording.path={}", out.join("procedure.mcap").display()));
         for (node, file) in [("bone", "bone.stl"), ("phantom", "phantom.stl"), ("plan", "plan.json")] {
             sets.push(format!("{node}.path={}", out.join(file).display()));

@@ -93,8 +93,8 @@ fn list(of: &Value) -> Vec<&str> {
 }
 
 /// The ICP and everything downstream.
-const FROM_ICP: [&str; 8] =
-    ["icp", "planes_at_scan", "planes", "planes_last", "tre_measured", "fre", "surface", "verdict"];
+const FROM_ICP: [&str; 9] =
+    ["icp", "planes_at_scan", "planes", "planes_last", "tre_measured", "fre", "surface", "verdict", "export"];
 
 /// Asserts that a run of the whole graph writes the same results, bit for bit.
 fn assert_as_whole(graph: &Path, rerun: &Path) {

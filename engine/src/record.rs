@@ -3,11 +3,15 @@
 //! Items are cheap handles. Views are made, compressed and written on a separate thread, so that a node waits only when
 //! the disk is slower than the graph. Each wire has an exact channel, `/exact/<node.port>`, and, if its payload has a
 //! picture for viewers, a second one, `/view/<node.port>`. Firing times are on `/run/timing`, dropped items on
-//! `/run/drops`, clock readings on `/run/live`.
+//! `/run/drops`, clock readings on `/run/live`, transforms of frames on `/run/frames`, messages of nodes on `/run/log`.
 //!
 //! Everything that a replay needs comes first in the file, and waiting items are written as a chunk several times a
 //! second: a run that is killed leaves a recording that can be read and replayed up to its last whole chunk.
 
+mod frame_tree;
+mod layout;
+mod log;
+mod pictures;
 mod queue;
 mod sink;
 
@@ -16,11 +20,13 @@ use crate::{
     panics,
     plan::{OutputId, Plan},
     recording::format::{
-        InputHashes, MetadataRecord, Outcome, PROFILE, PluginRecords, Program, RecordedFailure, RunRecord, WireCounts,
+        FIRST_NS, InputHashes, LogLevel, MetadataRecord, Outcome, PROFILE, PluginRecords, Program, RecordedFailure,
+        RunRecord, WireCounts,
     },
-    runtime::Tap,
+    runtime::{Failed, Tap},
     shown_paths::ShownPaths,
 };
+pub(crate) use log::LogEntry;
 use osteoflow_container::{WriteOptions, Writer};
 use osteoflow_node::{Body, ClockReading, Item, StampNs};
 use queue::Queue;
@@ -39,6 +45,8 @@ use std::{
     time::{Duration, Instant},
 };
 
+/// Name of the layout of viewers, beside the recording.
+pub(crate) const LAYOUT: &str = "layout.json";
 /// Interval at which the writer polls the queue.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Maximum age of an item before it is written as a chunk, however short; bounds what a kill can lose.
@@ -107,7 +115,7 @@ pub(crate) struct Recorder {
     wires: BTreeSet<OutputId>,
     path: PathBuf,
     shared: Arc<Shared>,
-    writer: JoinHandle<Result<WireCounts, Stopped>>,
+    writer: JoinHandle<Result<Written, Stopped>>,
 }
 
 /// State shared by the tap and the writer.
@@ -124,8 +132,22 @@ enum QueueItem {
     Firings(Vec<Firing>),
     Dropped(usize, u64),
     Live(usize, u64, Vec<ClockReading>),
-    /// Metadata at the end of the recording.
-    End(Vec<(&'static str, BTreeMap<String, String>)>),
+    Log(LogEntry),
+    End(End),
+}
+
+/// What the writer leaves.
+struct Written {
+    counts: WireCounts,
+    layout: Option<Json>,
+}
+
+/// What is known at the end of the run.
+#[derive(Default)]
+struct End {
+    metadata: Vec<(&'static str, BTreeMap<String, String>)>,
+    complete: bool,
+    log: Vec<LogEntry>,
 }
 
 /// Wall-clock time of a node's firing.
@@ -176,6 +198,7 @@ impl Recorder {
         failures: &[RecordedFailure],
         options: &RunOptions,
         inputs: Option<&[Json]>,
+        log: Vec<LogEntry>,
     ) -> Result<WireCounts, RecordError> {
         let outcome = Outcome {
             status: status.into(),
@@ -183,16 +206,28 @@ impl Recorder {
             fixed_results: options.fixed_results.iter().cloned().collect(),
             failures: failures.to_vec(),
         };
-        let mut end = vec![(Outcome::NAME, outcome.to_metadata())];
-        end.extend(inputs.map(|inputs| (InputHashes::NAME, all_inputs(inputs).0)));
+        let mut metadata = vec![(Outcome::NAME, outcome.to_metadata())];
+        metadata.extend(inputs.map(|inputs| (InputHashes::NAME, all_inputs(inputs).0)));
         let queue = &self.shared.queue;
         queue.put(QueueItem::Firings(self.shared.take_firings()), 0);
-        queue.put(QueueItem::End(end), 0);
+        queue.put(QueueItem::End(End { metadata, complete: status == "complete", log }), 0);
         queue.close();
-        match self.writer.join() {
-            Ok(written) => written.map_err(|stopped| stopped.into_error(&self.path)),
-            Err(_) => Err(RecordError::Panicked { path: self.path, panic: "panicked".into() }),
+        let Ok(written) = self.writer.join() else {
+            return Err(RecordError::Panicked { path: self.path, panic: "panicked".into() });
+        };
+        let Written { counts, layout } = written.map_err(|stopped| stopped.into_error(&self.path))?;
+        if let Some(layout) = layout {
+            let path = self.path.with_file_name(LAYOUT);
+            std::fs::write(&path, format!("{layout:#}\n")).map_err(|source| RecordError::Write { path, source })?;
         }
+        Ok(counts)
+    }
+}
+
+impl Recorder {
+    fn log(&self, entry: LogEntry) {
+        let n_bytes = entry.message.len();
+        self.shared.queue.put(QueueItem::Log(entry), n_bytes);
     }
 }
 
@@ -236,6 +271,17 @@ impl Tap for Recorder {
     fn dropped(&self, link: usize, number: u64) {
         self.shared.queue.put(QueueItem::Dropped(link, number), 0);
     }
+
+    fn warned(&self, node: usize, item: u64, message: &str) {
+        let (level, message) = (LogLevel::Warning, message.to_owned());
+        self.log(LogEntry { node: Some(node), item, stamp_ns: None, level, message });
+    }
+
+    fn failed(&self, failed: &Failed<'_>) -> Option<String> {
+        let (level, message, stamp_ns) = (LogLevel::Error, failed.reason.to_owned(), Some(failed.stamp_ns));
+        self.log(LogEntry { node: Some(failed.node), item: failed.item, stamp_ns, level, message });
+        None
+    }
 }
 
 /// Creates the file with everything known before the run.
@@ -273,7 +319,7 @@ fn begin(
     plugins.iter_mut().for_each(|plugin| plugin.path = shown.path(&plugin.path));
     write(&mut file, &PluginRecords(plugins))?;
     inputs.iter().try_for_each(|inputs| write(&mut file, inputs))?;
-    let mut sink = Sink::begin(file, plan)?;
+    let mut sink = Sink::begin(file, plan, shown)?;
     // From here on, a truncated file names the wires it was to hold.
     sink.file.flush()?;
     Ok(sink)
@@ -303,10 +349,10 @@ fn all_inputs(inputs: &[Json]) -> InputHashes {
 }
 
 /// Writer thread: runs until the queue is closed and empty, or writing fails.
-fn record(mut sink: Sink, shared: &Shared) -> Result<WireCounts, Stopped> {
+fn record(mut sink: Sink, shared: &Shared) -> Result<Written, Stopped> {
     let mut flushed = Instant::now();
     let began = flushed;
-    let mut end = Vec::new();
+    let mut end = End::default();
     loop {
         let (batch, closed) = shared.queue.take(POLL_INTERVAL);
         if batch.is_empty() && closed {
@@ -324,7 +370,8 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<WireCounts, Stopped> {
                 QueueItem::Firings(firings) => sink.firings(&firings)?,
                 QueueItem::Dropped(link, number) => drops.push((link, number)),
                 QueueItem::Live(node, item, readings) => sink.live(node, item, &readings)?,
-                QueueItem::End(metadata) => end = metadata,
+                QueueItem::Log(entry) => sink.log(entry)?,
+                QueueItem::End(last) => end = last,
             }
             shared.queue.release(n_bytes);
         }
@@ -332,17 +379,16 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<WireCounts, Stopped> {
         if flushed.elapsed() >= FLUSH_EVERY {
             sink.firings(&shared.take_firings())?;
             if sink.waits_for_time() && began.elapsed() >= MAX_WAIT_FOR_TIME {
-                sink.begin_time(1)?;
+                sink.begin_time(FIRST_NS)?;
             }
             sink.file.flush()?;
             flushed = Instant::now();
         }
     }
-    // Viewers reject a time of zero; a run without any time is shown at its first nanosecond.
-    sink.begin_time(1)?;
+    sink.finish_views(end.complete, end.log)?;
     let counts = sink.counts();
     write(&mut sink.file, &counts)?;
-    end.iter().try_for_each(|(name, metadata)| sink.file.write_metadata(name, metadata))?;
+    end.metadata.iter().try_for_each(|(name, metadata)| sink.file.write_metadata(name, metadata))?;
     sink.file.finish()?;
-    Ok(counts)
+    Ok(Written { counts, layout: sink.pictures.layout() })
 }

@@ -1,5 +1,6 @@
 //! Runs a checked graph: options, events, report and the files written.
 
+mod closing_log;
 pub mod files;
 mod finished;
 #[cfg(test)]
@@ -32,6 +33,7 @@ use crate::{
     runtime::{AnswerCache, Failure, Latency, Replayed, RunSettings, Runtime, Tap},
     shown_paths::ShownPaths,
 };
+use closing_log::closing_log;
 use finished::ItemKeeper;
 use osteoflow_node::Registry;
 use std::{path::Path, time::SystemTime};
@@ -125,6 +127,7 @@ pub(crate) fn run_part(
     drop(taps);
     let latencies = latency.map(|latency| latency.stats(plan)).unwrap_or_default();
     let mut finished = keeper.finish(ended, saver.map(Saver::finish).unwrap_or_default());
+    let recorded_plan = plan;
     let (plan, about) = match whole {
         Some(whole) => {
             finished = (whole.complete)(finished);
@@ -140,7 +143,8 @@ pub(crate) fn run_part(
         failures.iter_mut().for_each(|failure| failure.reason = shown.text(&failure.reason));
         let at_end = at_end.map(|inputs| shown.json(inputs.into()));
         let at_end = at_end.as_ref().and_then(|inputs| inputs.as_array().map(Vec::as_slice));
-        recorder.finish(outcome.status(), &shown.json(results.clone()), &failures, options, at_end)
+        let log = closing_log(recorded_plan, &finished.ended.warnings, &outcome, &results);
+        recorder.finish(outcome.status(), &shown.json(results.clone()), &failures, options, at_end, log)
     });
     if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
         // The user did not stop the run.

@@ -12,7 +12,7 @@ use std::{
 };
 
 /// Replaces absolute paths in texts.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub(crate) struct ShownPaths {
     /// Absolute path and what is shown, the longest first.
     pairs: Vec<(String, String)>,

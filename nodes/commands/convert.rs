@@ -21,7 +21,7 @@ use std::{fs, io::Write, path::PathBuf};
 /// Convert a file of points, a surface, picked points or a CT into another format.
 ///
 /// The format of IN is recognised by its content, that of OUT by its ending: surfaces to .ply, .stl, .obj, their vertices to .pcd
-/// or .csv; clouds to .ply, .pcd, .obj or .csv (x,y,z with a heading); picked points to .csv (label,x,y,z), .mrk.json or .fcsv;
+/// or .csv; clouds to .ply, .pcd, .vtk, .obj or .csv (x,y,z with a heading); picked points to .csv (label,x,y,z), .mrk.json or .fcsv;
 /// a CT to the surface of its largest part.
 /// Lengths are millimetres after --scale. Files that state RAS are turned to LPS; where a file states no space its numbers stay as
 /// they are. Nothing is overwritten.

@@ -1,13 +1,13 @@
 //! Tables of a run's results: the verdict, and the known keys of `results.json` in mm and degrees.
 
-use super::{Global, text_table::TextTable, verdict_lines};
+use super::{Global, other_numbers, text_table::TextTable, verdict_lines};
 use osteoflow_geometry::{isometry_from_matrix, nalgebra::Matrix4};
 use serde_json::Value;
 
 /// The notice on every result, on the terminal and in files.
 pub(crate) const NOTICE: &str = "research use only, not for clinical use";
 
-/// The verdict and the tables of the known keys in `results`; other keys are shown by the file only.
+/// The verdict, the tables of the known keys in `results`, and all other numbers.
 pub(crate) fn text(results: &Value, global: &Global) -> String {
     blocks(results, tables(results), global)
 }
@@ -27,6 +27,8 @@ pub(crate) fn text_beside(results: &Value, earlier: &Value, global: &Global) -> 
 fn blocks(results: &Value, tables: Vec<TextTable>, global: &Global) -> String {
     let mut blocks: Vec<_> = verdict_lines::text(results, global).into_iter().collect();
     blocks.push(banner(results));
+    // Before the tables, which are then above the prompt.
+    blocks.extend(other_numbers::text(results));
     blocks.extend(tables.iter().map(TextTable::lines));
     blocks.join("\n")
 }

@@ -72,6 +72,7 @@ impl PayloadType {
             interpolate: |_, _, _| None,
             display: || None,
             to_display: |_, _| None,
+            display_centre: |_| None,
         }));
         types.push(ty);
         Ok(ty)

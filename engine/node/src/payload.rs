@@ -1,6 +1,6 @@
 //! Payload types, and the type-erased values that the engine carries.
 
-use crate::{SchemaEntry, StampNs, View, ViewError};
+use crate::{Display, DisplayContext, SchemaEntry, View, ViewError};
 use std::{
     any::{Any, TypeId},
     fmt,
@@ -50,22 +50,14 @@ pub trait Payload<By>: Clone + Send + Sync + 'static {
     }
 
     /// The message for viewers, encoded as [`Payload::display`] says.
-    fn to_display(&self, _stamp_ns: StampNs) -> Option<Vec<u8>> {
+    fn to_display(&self, _about: &DisplayContext<'_>) -> Option<Vec<u8>> {
         None
     }
-}
 
-/// The message type that viewers show for a payload, such as `foxglove.PointCloud`.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Display {
-    /// The schema's name.
-    pub schema_name: String,
-    /// The encoding of the schema's data: `protobuf` or `jsonschema`.
-    pub schema_encoding: String,
-    /// The schema itself.
-    pub schema_data: Vec<u8>,
-    /// The encoding of the messages: `protobuf` or `json`.
-    pub message_encoding: String,
+    /// Where a viewer's camera should look to see it, in metres in its frame; `None` if it has no extent.
+    fn display_centre(&self) -> Option<[f64; 3]> {
+        None
+    }
 }
 
 /// A payload type known at run time: of a Rust type, or made by [`PayloadType::dynamic`]. Two are equal if Rust type, name,
@@ -86,7 +78,8 @@ pub struct PayloadType {
     pub(crate) n_bytes: fn(&dyn Any) -> usize,
     pub(crate) interpolate: fn(&dyn Any, &dyn Any, f64) -> Option<Value>,
     pub(crate) display: fn() -> Option<Display>,
-    pub(crate) to_display: fn(&dyn Any, StampNs) -> Option<Vec<u8>>,
+    pub(crate) to_display: fn(&dyn Any, &DisplayContext<'_>) -> Option<Vec<u8>>,
+    pub(crate) display_centre: fn(&dyn Any) -> Option<[f64; 3]>,
 }
 
 struct TypeOf<T, By>(std::marker::PhantomData<(T, By)>);
@@ -104,7 +97,8 @@ impl<T: Payload<By>, By: 'static> TypeOf<T, By> {
         n_bytes: |any| cast::<T>(any).n_bytes(),
         interpolate: |a, b, s| T::interpolate(cast(a), cast(b), s).map(Value::new),
         display: T::display,
-        to_display: |any, stamp_ns| cast::<T>(any).to_display(stamp_ns),
+        to_display: |any, about| cast::<T>(any).to_display(about),
+        display_centre: |any| cast::<T>(any).display_centre(),
     };
 }
 
@@ -142,6 +136,7 @@ impl PayloadType {
             interpolate: |_, _, _| None,
             display: || None,
             to_display: |_, _| None,
+            display_centre: |_| None,
         }))
     }
 
@@ -253,8 +248,13 @@ impl Value {
     }
 
     /// The message for viewers.
-    pub fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
-        (self.ty.to_display)(&*self.inner, stamp_ns)
+    pub fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        (self.ty.to_display)(&*self.inner, about)
+    }
+
+    /// Where a viewer's camera should look to see it, in metres in its frame.
+    pub fn display_centre(&self) -> Option<[f64; 3]> {
+        (self.ty.display_centre)(&*self.inner)
     }
 }
 

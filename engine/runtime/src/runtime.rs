@@ -369,6 +369,7 @@ impl<'a> Runtime<'a> {
 
     pub(crate) fn warn(&self, node: usize, item: u64, messages: Vec<String>) {
         for message in messages {
+            self.taps.iter().for_each(|tap| tap.warned(node, item, &message));
             let warning = Warning { node: self.plan.nodes[node].name.to_string(), item, message };
             self.event(&Event::Warned(&warning));
             locked(&self.messages).warning(node, warning);

@@ -48,6 +48,9 @@ pub trait Tap: Sync {
     /// recorded or not, in the order of the numbers along a link.
     fn dropped(&self, _link: usize, _number: u64) {}
 
+    /// A node warned at the activation with this number, from 0.
+    fn warned(&self, _node: usize, _item: u64, _message: &str) {}
+
     /// A firing failed; its items are still joined. Returns a warning for the node, for example that they could not be
     /// saved.
     fn failed(&self, _failed: &Failed<'_>) -> Option<String> {

@@ -1,12 +1,18 @@
-use super::{Firing, RecordError};
+use super::{
+    Firing, RecordError,
+    log::{LogEntry, LogFilter},
+    pictures::Pictures,
+};
 use crate::{
     plan::{OutputId, Plan},
     recording::{
         codec,
         format::{
-            Drops, EXACT_ENCODING, Live, RUN_ENCODING, RunMessage, Timing, Topic, WireCount, WireCounts, WireHeader,
+            Drops, EXACT_ENCODING, FIRST_NS, Live, Log, LogLevel, RUN_ENCODING, RunMessage, Timing, Topic, WireCount,
+            WireCounts, WireHeader,
         },
     },
+    shown_paths::ShownPaths,
 };
 use osteoflow_container::{MessageHeader, Writer};
 use osteoflow_node::{Body, ClockReading, Item, PayloadType, PortPayload, Role, StampNs};
@@ -22,8 +28,15 @@ const MAX_WAITING_BYTES: usize = 64 << 20;
 pub(super) struct Sink {
     pub(super) file: Writer<File>,
     wires: BTreeMap<OutputId, WireChannels>,
+    pub(super) pictures: Pictures,
+    log: LogFilter,
+    shown: ShownPaths,
+    /// Whether the recording is for viewers too.
+    views: bool,
     nodes: Vec<String>,
     links: Vec<(String, String)>,
+    /// Earliest time written.
+    first_ns: u64,
     /// Latest time written; `None` before the first stamp that is a time. Constants, which have no time of their own,
     /// wait for it: viewers show them from then on.
     time_ns: Option<u64>,
@@ -36,6 +49,7 @@ pub(super) struct Sink {
 enum Waiting {
     Item(OutputId, Item),
     Run(RunBytes),
+    Log(LogEntry),
 }
 
 /// A message about the run, with its topic and schema.
@@ -48,8 +62,8 @@ struct RunBytes {
 /// The channels of a recorded wire.
 struct WireChannels {
     name: String,
+    node: usize,
     exact: u16,
-    view: Option<u16>,
     payload: PortPayload,
     count: WireCount,
 }
@@ -80,9 +94,8 @@ impl Stopped {
 
 impl Sink {
     /// Adds the channels of the recorded wires.
-    pub(super) fn begin(mut file: Writer<File>, plan: &Plan) -> io::Result<Self> {
+    pub(super) fn begin(mut file: Writer<File>, plan: &Plan, shown: &ShownPaths) -> io::Result<Self> {
         let mut wires = BTreeMap::new();
-        let views = plan.recording.views;
         for &id in &plan.record {
             let (node, output) = (&plan.nodes[id.node], &plan.nodes[id.node].outputs[id.port]);
             let name = plan.wire_name(id);
@@ -106,16 +119,10 @@ impl Sink {
             };
             let schema = file.add_schema(&header.schema_name(), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
             let exact = file.add_channel(schema, &Topic::Exact(&name).name(), EXACT_ENCODING, &header.to_metadata())?;
-            let view = match ty.and_then(PayloadType::display).filter(|_| views) {
-                Some(d) => {
-                    let schema = file.add_schema(&d.schema_name, &d.schema_encoding, &d.schema_data)?;
-                    let topic = Topic::View(&name).name();
-                    Some(file.add_channel(schema, &topic, &d.message_encoding, &BTreeMap::new())?)
-                }
-                None => None,
-            };
-            wires.insert(id, WireChannels { name, exact, view, payload: output.payload, count: WireCount::default() });
+            let payload = output.payload;
+            wires.insert(id, WireChannels { node: id.node, name, exact, payload, count: WireCount::default() });
         }
+        let pictures = Pictures::begin(&mut file, plan)?;
         let link = |link: &crate::plan::Link| {
             let to = &plan.nodes[link.to_node];
             (plan.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name))
@@ -123,6 +130,11 @@ impl Sink {
         Ok(Self {
             file,
             wires,
+            pictures,
+            log: LogFilter::default(),
+            shown: shown.clone(),
+            views: plan.recording.views,
+            first_ns: u64::MAX,
             nodes: plan.nodes.iter().map(|node| node.name.to_string()).collect(),
             links: plan.links.iter().map(link).collect(),
             time_ns: None,
@@ -144,7 +156,7 @@ impl Sink {
         }
         self.n_waiting_bytes = self.n_waiting_bytes.saturating_add(n_bytes);
         self.waiting.push(Waiting::Item(id, item));
-        if self.n_waiting_bytes > MAX_WAITING_BYTES { self.begin_time(1) } else { Ok(()) }
+        if self.n_waiting_bytes > MAX_WAITING_BYTES { self.begin_time(FIRST_NS) } else { Ok(()) }
     }
 
     /// Writes firing times.
@@ -183,6 +195,11 @@ impl Sink {
             self.waiting.push(Waiting::Run(message));
             return Ok(());
         };
+        self.write_run_at(message, time_ns)
+    }
+
+    fn write_run_at(&mut self, message: RunBytes, time_ns: u64) -> Result<(), Stopped> {
+        self.first_ns = self.first_ns.min(time_ns);
         let RunBytes { topic, schema: (name, schema), bytes } = message;
         if !self.run.contains_key(&topic) {
             let schema = self.file.add_schema(name, "jsonschema", schema().to_string().as_bytes())?;
@@ -195,6 +212,37 @@ impl Sink {
         Ok(self.file.write_message(head, bytes.into())?)
     }
 
+    /// Writes a message of a node for viewers, at its stamp or at the latest time written.
+    pub(super) fn log(&mut self, mut entry: LogEntry) -> Result<(), Stopped> {
+        entry.message = self.shown.text(&entry.message);
+        let Some(entry) = self.log.pass(entry).filter(|_| self.views) else { return Ok(()) };
+        if self.time_ns.is_some() {
+            return self.write_log(&entry);
+        }
+        self.n_waiting_bytes += entry.message.len();
+        self.waiting.push(Waiting::Log(entry));
+        Ok(())
+    }
+
+    fn write_log(&mut self, entry: &LogEntry) -> Result<(), Stopped> {
+        let stamp = entry.stamp_ns.filter(|&stamp| stamp > 0).map(|stamp| stamp as u64);
+        let time_ns = stamp.or(self.time_ns).unwrap_or(FIRST_NS as u64);
+        let node = entry.node.and_then(|node| self.nodes.get(node)).map_or("osteoflow", String::as_str);
+        let message = run_bytes(&Log::new(time_ns, entry.level, node, &entry.message));
+        self.write_run_at(message, time_ns)
+    }
+
+    /// Writes what viewers are shown at the end: transforms, answers if the run is `complete`, and messages.
+    pub(super) fn finish_views(&mut self, complete: bool, log: Vec<LogEntry>) -> Result<(), Stopped> {
+        // Viewers reject a time of zero; a run without any time is shown at its first nanoseconds.
+        self.begin_time(FIRST_NS)?;
+        let before_all = self.first_ns.saturating_sub(1).max(1);
+        let notes = self.pictures.finish(&mut self.file, before_all, complete)?;
+        log.into_iter().try_for_each(|entry| self.log(entry))?;
+        let warning = |message| LogEntry { node: None, item: 0, stamp_ns: None, level: LogLevel::Warning, message };
+        notes.into_iter().map(warning).try_for_each(|entry| self.log(entry))
+    }
+
     /// Sets the first time and writes the messages that waited for it.
     pub(super) fn begin_time(&mut self, time_ns: StampNs) -> Result<(), Stopped> {
         if self.time_ns.is_some() {
@@ -205,6 +253,7 @@ impl Sink {
         std::mem::take(&mut self.waiting).into_iter().try_for_each(|waiting| match waiting {
             Waiting::Item(id, item) => self.write(id, &item),
             Waiting::Run(message) => self.write_run(message),
+            Waiting::Log(entry) => self.write_log(&entry),
         })
     }
 
@@ -219,7 +268,8 @@ impl Sink {
         let latest = self.time_ns.unwrap_or(1);
         let time_ns = if item.stamp_ns > 0 { item.stamp_ns as u64 } else { latest };
         self.time_ns = Some(latest.max(time_ns));
-        let WireChannels { name, exact, view, payload, .. } = &self.wires[&id];
+        self.first_ns = self.first_ns.min(time_ns);
+        let WireChannels { name, node, exact, payload, .. } = &self.wires[&id];
         // The format's sequence number has 32 bits; the message itself holds the full number.
         let sequence = item.number as u32;
         let head = |channel_id: u16| MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
@@ -228,9 +278,15 @@ impl Sink {
             return Err(Stopped::TooLong { wire: name.clone(), number: item.number, n_bytes: parts.len() });
         }
         self.file.write_message(head(*exact), parts)?;
-        let (Some(channel), Body::Value(value)) = (view, &item.body) else { return Ok(()) };
-        let Some(picture) = value.to_display(time_ns as StampNs) else { return Ok(()) };
-        Ok(self.file.write_message(head(*channel), picture.into())?)
+        match &item.body {
+            Body::Value(value) => Ok(self.pictures.write(&mut self.file, id, (item, value), time_ns)?),
+            Body::Empty(empty) if *empty.node == *self.nodes[*node] => {
+                let (node, message) = (Some(*node), format!("no value: {}", empty.reason));
+                let level = LogLevel::Info;
+                self.log(LogEntry { node, item: item.number, stamp_ns: Some(time_ns as StampNs), level, message })
+            }
+            Body::Empty(_) => Ok(()),
+        }
     }
 
     /// Number of items of each wire, and of values among them.

@@ -6,7 +6,7 @@
 mod messages;
 mod records;
 
-pub(crate) use messages::{Drops, Live, RunMessage, Timing};
+pub(crate) use messages::{Drops, Live, Log, LogLevel, RunMessage, Timing};
 pub use records::RecordedFailure;
 pub(crate) use records::{
     InputHashes, Outcome, PluginRecords, Program, Recovered, ReproRecord, RunRecord, WireCount, WireCounts, WireHeader,
@@ -31,6 +31,10 @@ pub(crate) const PROFILE: &str = "osteoflow";
 /// Profile in the header of `inputs.mcap`, the input items of a firing.
 pub(crate) const REPRO_PROFILE: &str = "osteoflow-repro";
 
+/// Log time of items without a time in a recording that has no other. The transforms of frames are logged one nanosecond
+/// earlier, so that viewers know them first.
+pub(crate) const FIRST_NS: i64 = 2;
+
 const EXACT: &str = "/exact/";
 const VIEW: &str = "/view/";
 
@@ -47,12 +51,18 @@ pub enum Topic<'a> {
     Drops,
     /// What firings read from the clock.
     Live,
+    /// Where each frame is first known to be, for viewers.
+    Frames,
+    /// What nodes say about their items, for viewers.
+    Log,
 }
 
 impl<'a> Topic<'a> {
     /// Parses a topic; `None` for another program's.
     pub fn parse(topic: &'a str) -> Option<Self> {
-        let run = [Self::Timing, Self::Drops, Self::Live].into_iter().find(|run| run.name() == topic);
+        let run = [Self::Timing, Self::Drops, Self::Live, Self::Frames, Self::Log]
+            .into_iter()
+            .find(|run| run.name() == topic);
         run.or_else(|| Some(Self::Exact(topic.strip_prefix(EXACT)?)))
             .or_else(|| Some(Self::View(topic.strip_prefix(VIEW)?)))
     }
@@ -65,6 +75,8 @@ impl<'a> Topic<'a> {
             Self::Timing => "/run/timing".into(),
             Self::Drops => "/run/drops".into(),
             Self::Live => "/run/live".into(),
+            Self::Frames => "/run/frames".into(),
+            Self::Log => "/run/log".into(),
         }
     }
 }

@@ -10,7 +10,7 @@ use osteoflow_container::{
     Compression, Damage, Location, Message, MessageHeader, Reader, Record, Visitor, WriteOptions, Writer,
     damage_message,
 };
-use osteoflow_node::{Body, Item, PayloadType, PortPayload, Registry, StampNs};
+use osteoflow_node::{Body, DisplayContext, FrameEdge, Item, PayloadType, PortPayload, Registry, StampNs};
 use std::{collections::BTreeMap, fs::File, io, ops::ControlFlow, path::Path};
 
 /// Writes the items of a firing, one at a time, so that they are not copied all at once.
@@ -71,7 +71,7 @@ impl Items {
         let n_bytes = message.len() as u64;
         self.writer.write_message(header(port.exact), message)?;
         if let (Some(view), Body::Value(value)) = (port.view, &item.body)
-            && let Some(picture) = value.to_display(log_time_ns)
+            && let Some(picture) = value.to_display(&unplanned(log_time_ns))
         {
             self.writer.write_message(header(view), picture.into())?;
         }
@@ -81,6 +81,11 @@ impl Items {
     pub(super) fn finish(self) -> io::Result<()> {
         self.writer.finish().map(drop)
     }
+}
+
+/// The items of one firing have no tree of frames.
+fn unplanned(stamp_ns: StampNs) -> DisplayContext<'static> {
+    DisplayContext { stamp_ns, wire: "", edge: FrameEdge::Unplanned }
 }
 
 /// Reads the items of each port, in the order in which they were written.

@@ -2,7 +2,7 @@ use super::{Finding, Findings, ValidatedWire};
 use crate::recording::{
     RecordedTypes,
     codec::{self, CodecError},
-    format::{MetadataRecord, MetadataRecords, Recovered, WireCount, WireCounts},
+    format::{FIRST_NS, MetadataRecord, MetadataRecords, Recovered, WireCount, WireCounts},
     number_set::NumberSet,
     wires::{Carries, Channels, Wire},
 };
@@ -219,10 +219,11 @@ impl<'a> Items<'a> {
 
     /// Checks that each item without a time has a log time within the run.
     fn check_timeless(&self, findings: &mut Findings) {
+        let is_first = |log_time: u64| (1..=FIRST_NS as u64).contains(&log_time);
         for (&log_time, (wire, number, place)) in &self.timeless {
             let fits = match self.times {
-                Some((first, last)) => log_time == 1 || (first as u64..=last as u64).contains(&log_time),
-                None => log_time == 1,
+                Some((first, last)) => is_first(log_time) || (first as u64..=last as u64).contains(&log_time),
+                None => is_first(log_time),
             };
             if !fits {
                 let what = format!("it has no time of its own, and its log time {log_time} is no time of the run");

@@ -1,8 +1,8 @@
 //! A camera that gives a megabyte thirty times a second, for measuring what recording costs.
 
 use osteoflow_node::{
-    Buffer, Column, ColumnType, Context, Describe, Display, NodeError, Outputs, ParamError, Payload, SchemaEntry,
-    Source, StampNs, View, ViewError, schemars, serde, serde_json,
+    Buffer, Column, ColumnType, Context, Describe, Display, DisplayContext, NodeError, Outputs, ParamError, Payload,
+    SchemaEntry, Source, View, ViewError, schemars, serde, serde_json,
 };
 use std::{
     sync::Arc,
@@ -48,11 +48,12 @@ impl Payload<Cloud> for Cloud {
             schema_encoding: "jsonschema".into(),
             schema_data: b"{\"type\":\"object\"}".to_vec(),
             message_encoding: "raw".into(),
+            answer: false,
         })
     }
 
     /// Metres in 32 bits, as viewers expect.
-    fn to_display(&self, _: StampNs) -> Option<Vec<u8>> {
+    fn to_display(&self, _: &DisplayContext<'_>) -> Option<Vec<u8>> {
         let bytes: &[u8] = (*self.0).as_ref();
         let mut out = Vec::with_capacity(bytes.len() / 2);
         for number in bytes.chunks_exact(8) {

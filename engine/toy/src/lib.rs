@@ -57,5 +57,6 @@ fn json_display(schema_name: &str) -> Display {
         schema_encoding: "jsonschema".into(),
         schema_data: b"{}".to_vec(),
         message_encoding: "json".into(),
+        answer: false,
     }
 }

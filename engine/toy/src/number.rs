@@ -1,4 +1,4 @@
-use osteoflow_node::{Display, Payload, SchemaEntry, StampNs, View, ViewError, serde_json};
+use osteoflow_node::{Display, DisplayContext, Payload, SchemaEntry, View, ViewError, serde_json};
 
 /// A number.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,7 +30,8 @@ impl Payload<Number> for Number {
         Some(crate::json_display("toy.Number"))
     }
 
-    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
+    fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        let stamp_ns = about.stamp_ns;
         Some(format!("{{\"value\": {}, \"stamp_ns\": {stamp_ns}}}", self.0).into_bytes())
     }
 }

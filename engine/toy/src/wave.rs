@@ -2,8 +2,8 @@
 
 use crate::{NoParams, json_display, samples::float_column};
 use osteoflow_node::{
-    ColumnType, Context, Declared, Describe, Display, Emit, Inputs, Node, NodeError, Outputs, ParamError, Payload,
-    Registry, SchemaEntry, Source, StampNs, Value, View, ViewError, schemars, serde, serde_json,
+    ColumnType, Context, Declared, Describe, Display, DisplayContext, Emit, Inputs, Node, NodeError, Outputs,
+    ParamError, Payload, Registry, SchemaEntry, Source, Value, View, ViewError, schemars, serde, serde_json,
 };
 
 /// Samples with a label and a JSON text, which viewers can show.
@@ -45,7 +45,8 @@ impl Payload<Wave> for Wave {
         Some(json_display("toy.Wave"))
     }
 
-    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
+    fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        let stamp_ns = about.stamp_ns;
         Some(format!("{{\"stamp_ns\": {stamp_ns}, \"n\": {}}}", self.samples.len()).into_bytes())
     }
 }

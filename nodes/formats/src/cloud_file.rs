@@ -52,7 +52,7 @@ pub fn read_cloud_ply(path: &Path, unit_mm: f64, frame: impl Into<Frame>) -> Res
 /// # Errors
 /// [`FileError`] if the file cannot be written, or a further column has the name of a coordinate.
 pub fn write_ply(path: &Path, cloud: &Cloud, unit_mm: f64) -> Result<(), FileError> {
-    std::fs::write(path, write::cloud_ply(path, cloud, unit_mm, Space::Unknown)?).map_err(FileError::write(path))
+    std::fs::write(path, write::cloud_ply(path, cloud, unit_mm, Space::Unknown, None)?).map_err(FileError::write(path))
 }
 
 #[cfg(test)]

@@ -65,7 +65,7 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
 /// # Errors
 /// [`FileError::Io`] if the file cannot be written.
 pub fn write_stl(path: &Path, mesh: &Mesh) -> Result<(), FileError> {
-    std::fs::write(path, write::stl(mesh, Space::Unknown)).map_err(FileError::write(path))
+    std::fs::write(path, write::stl(mesh, Space::Unknown, None)).map_err(FileError::write(path))
 }
 
 type Faces = (Vec<Point3<f64>>, Vec<[u32; 3]>);

@@ -6,18 +6,21 @@ use osteoflow_geometry::{Cloud, Mesh};
 use std::{fmt::Write as _, path::Path};
 
 const MESH_ENDINGS: &str = "a surface is written as .ply, .stl or .obj";
-const CLOUD_ENDINGS: &str = "a cloud is written as .ply, .pcd, .obj or .csv";
+const CLOUD_ENDINGS: &str = "a cloud is written as .ply, .pcd, .vtk, .obj or .csv";
+
+/// What every file for other programs says in its header or in a comment, where its format has one.
+pub const NOTICE: &str = "research use only, not for clinical use";
 
 /// Writes a surface, mm: `.ply` (binary, double precision), `.stl` (binary, single precision) or `.obj`.
 ///
-/// `mesh` is LPS if `space` is known; the file then states `space`, and for RAS x and y are negated.
+/// `mesh` is LPS if `space` is known; the file then states `space`, and for RAS x and y are negated. It has [`NOTICE`].
 ///
 /// # Errors
 /// [`FileError`] if the ending is another, or the file cannot be written.
 pub fn write_mesh(path: &Path, mesh: &Mesh, space: Space) -> Result<(), FileError> {
     let bytes = match ending(path).as_str() {
         "ply" => mesh_ply(mesh, space),
-        "stl" => stl(mesh, space),
+        "stl" => stl(mesh, space, Some(NOTICE)),
         "obj" => {
             let mut text = obj_head(mesh.frame.as_str(), space);
             mesh.vertices().iter().for_each(|&p| line(&mut text, "v", placed(p, space)));
@@ -32,17 +35,20 @@ pub fn write_mesh(path: &Path, mesh: &Mesh, space: Space) -> Result<(), FileErro
     std::fs::write(path, bytes).map_err(FileError::write(path))
 }
 
-/// Writes a cloud, mm: `.ply` and `.pcd` (binary, double precision), `.csv` or `.obj`.
+/// Writes a cloud, mm: `.ply` and `.pcd` (binary, double precision), `.vtk` (legacy, text), `.csv` or `.obj`.
+///
+/// 3D Slicer draws a `.vtk`, whose points are vertices, and nothing of a `.ply` without faces.
 ///
 /// Normals are written if the cloud has them, further columns by all but `.obj`. `cloud` is LPS if `space` is known; the file
-/// then states `space`, and for RAS x and y of points and normals are negated.
+/// then states `space`, and for RAS x and y of points and normals are negated. It has [`NOTICE`], a `.csv` if it has comments.
 ///
 /// # Errors
 /// [`FileError`] if the ending is another, a column's name is one of a coordinate or given twice, an `.obj` would lose
 /// further columns, or the file cannot be written.
 pub fn write_cloud(path: &Path, cloud: &Cloud, space: Space) -> Result<(), FileError> {
     let bytes = match ending(path).as_str() {
-        "ply" => cloud_ply(path, cloud, 1.0, space)?,
+        "ply" => cloud_ply(path, cloud, 1.0, space, Some(NOTICE))?,
+        "vtk" => vtk(path, cloud, space)?.into_bytes(),
         "pcd" => pcd(path, cloud, space)?,
         "csv" => csv(path, cloud, space)?.into_bytes(),
         "obj" => {
@@ -85,7 +91,7 @@ fn one_line(text: &str) -> String {
 
 fn obj_head(frame: &str, space: Space) -> String {
     let tag = space.tag().map_or_else(String::new, |tag| format!(", {tag}"));
-    format!("# osteoflow, mm, frame {}{tag}\n", one_line(frame))
+    format!("# osteoflow, mm, frame {}{tag}\n# {NOTICE}\n", one_line(frame))
 }
 
 fn line(text: &mut String, key: &str, [x, y, z]: [f64; 3]) {
@@ -116,9 +122,15 @@ fn row(cloud: &Cloud, k: usize, space: Space) -> impl Iterator<Item = f64> {
 }
 
 /// A cloud as little-endian PLY in double precision.
-pub(crate) fn cloud_ply(path: &Path, cloud: &Cloud, unit_mm: f64, space: Space) -> Result<Vec<u8>, FileError> {
+pub(crate) fn cloud_ply(
+    path: &Path,
+    cloud: &Cloud,
+    unit_mm: f64,
+    space: Space,
+    notice: Option<&str>,
+) -> Result<Vec<u8>, FileError> {
     let names = column_names(path, cloud)?;
-    let mut header = ply_head("cloud", cloud.frame.as_str(), space);
+    let mut header = ply_head("cloud", cloud.frame.as_str(), space, notice);
     writeln!(header, "element vertex {}", cloud.len()).expect(ANY_TEXT);
     names.iter().for_each(|name| writeln!(header, "property double {name}").expect(ANY_TEXT));
     header.push_str("end_header\n");
@@ -133,13 +145,15 @@ pub(crate) fn cloud_ply(path: &Path, cloud: &Cloud, unit_mm: f64, space: Space) 
     Ok(bytes)
 }
 
-fn ply_head(what: &str, frame: &str, space: Space) -> String {
+fn ply_head(what: &str, frame: &str, space: Space, notice: Option<&str>) -> String {
+    let notice = notice.map_or_else(String::new, |notice| format!("comment {notice}\n"));
     let tag = space.tag().map_or_else(String::new, |tag| format!("comment {tag}\n"));
-    format!("ply\nformat binary_little_endian 1.0\ncomment osteoflow {what}, frame {}\n{tag}", one_line(frame))
+    let frame = one_line(frame);
+    format!("ply\nformat binary_little_endian 1.0\ncomment osteoflow {what}, frame {frame}\n{notice}{tag}")
 }
 
 fn mesh_ply(mesh: &Mesh, space: Space) -> Vec<u8> {
-    let mut header = ply_head("surface", mesh.frame.as_str(), space);
+    let mut header = ply_head("surface", mesh.frame.as_str(), space, Some(NOTICE));
     write!(
         header,
         "element vertex {}\nproperty double x\nproperty double y\nproperty double z\n\
@@ -159,11 +173,12 @@ fn mesh_ply(mesh: &Mesh, space: Space) -> Vec<u8> {
     bytes
 }
 
-/// A surface as binary STL.
-pub(crate) fn stl(mesh: &Mesh, space: Space) -> Vec<u8> {
+/// A surface as binary STL; its header of 80 bytes has the first part of the notice.
+pub(crate) fn stl(mesh: &Mesh, space: Space, notice: Option<&str>) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(84 + 50 * mesh.faces().len());
     let tag = space.tag().map_or_else(String::new, |tag| format!("{tag}, "));
-    let header = format!("osteoflow surface, {tag}mm, frame {}", mesh.frame);
+    let notice = notice.and_then(|notice| notice.split(',').next()).map_or_else(String::new, |n| format!("{n}, "));
+    let header = format!("osteoflow surface, {tag}{notice}mm, frame {}", mesh.frame);
     bytes.extend(header.bytes().chain(std::iter::repeat(0)).take(80));
     bytes.extend((mesh.faces().len() as u32).to_le_bytes());
     for face in 0..mesh.faces().len() {
@@ -191,7 +206,7 @@ fn pcd(path: &Path, cloud: &Cloud, space: Space) -> Result<Vec<u8>, FileError> {
     let tag = space.tag().map_or_else(String::new, |tag| format!("# {tag}\n"));
     let n = cloud.len();
     let header = format!(
-        "# .PCD v0.7 - Point Cloud Data file format\n{tag}VERSION 0.7\nFIELDS {}\nSIZE {}\nTYPE {}\nCOUNT {}\nWIDTH {n}\n\
+        "# .PCD v0.7 - Point Cloud Data file format\n# {NOTICE}\n{tag}VERSION 0.7\nFIELDS {}\nSIZE {}\nTYPE {}\nCOUNT {}\nWIDTH {n}\n\
          HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA binary\n",
         names.join(" "),
         same("8"),
@@ -203,8 +218,34 @@ fn pcd(path: &Path, cloud: &Cloud, space: Space) -> Result<Vec<u8>, FileError> {
     Ok(bytes)
 }
 
+/// A cloud as legacy VTK poly data in text, each point a vertex; normals and further columns as attributes.
+fn vtk(path: &Path, cloud: &Cloud, space: Space) -> Result<String, FileError> {
+    let names = column_names(path, cloud)?;
+    let tag = space.tag().map_or_else(String::new, |tag| format!(", {tag}"));
+    let n = cloud.len();
+    let title = format!("osteoflow cloud, mm{tag}, {NOTICE}");
+    let mut text = format!("# vtk DataFile Version 3.0\n{title}\nASCII\nDATASET POLYDATA\nPOINTS {n} double\n");
+    let triple = |text: &mut String, [x, y, z]: [f64; 3]| writeln!(text, "{x} {y} {z}").expect(ANY_TEXT);
+    cloud.points().iter().for_each(|&p| triple(&mut text, placed(p, space)));
+    writeln!(text, "VERTICES {n} {}", 2 * n).expect(ANY_TEXT);
+    (0..n).for_each(|k| writeln!(text, "1 {k}").expect(ANY_TEXT));
+    if cloud.normals().is_some() || !cloud.extras().is_empty() {
+        writeln!(text, "POINT_DATA {n}").expect(ANY_TEXT);
+    }
+    if let Some(normals) = cloud.normals() {
+        text.push_str("NORMALS normals double\n");
+        normals.iter().for_each(|&normal| triple(&mut text, turned(normal, space)));
+    }
+    let further = names.iter().skip(if cloud.normals().is_some() { 6 } else { 3 });
+    for (name, (_, values)) in further.zip(cloud.extras()) {
+        writeln!(text, "SCALARS {name} double 1\nLOOKUP_TABLE default").expect(ANY_TEXT);
+        values.iter().for_each(|value| writeln!(text, "{value}").expect(ANY_TEXT));
+    }
+    Ok(text)
+}
+
 fn csv(path: &Path, cloud: &Cloud, space: Space) -> Result<String, FileError> {
-    let mut text = space.tag().map_or_else(String::new, |tag| format!("# {tag}\n"));
+    let mut text = space.tag().map_or_else(String::new, |tag| format!("# {tag}\n# {NOTICE}\n"));
     text.push_str(&column_names(path, cloud)?.join(","));
     text.push('\n');
     for k in 0..cloud.len() {
@@ -235,7 +276,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let with_normals = cloud().with_normals(vec![Vector3::z(), Vector3::new(0.6, 0.0, -0.8)]).unwrap();
         let with_extras = with_normals.clone().with_extra("intensity", vec![7.5, -1.0]).unwrap();
-        for ending in ["ply", "PCD", "csv", "obj"] {
+        for ending in ["ply", "PCD", "vtk", "csv", "obj"] {
             let path = dir.path().join(format!("cloud.{ending}"));
             for cloud in [cloud(), with_normals.clone(), with_extras.clone()] {
                 for space in SPACES {
@@ -281,7 +322,7 @@ mod tests {
         let said = write_cloud("a.xyzrgb".as_ref(), &cloud(), Space::Lps).unwrap_err().to_string();
         assert_eq!(
             said,
-            "a.xyzrgb: name: nothing is written as \".xyzrgb\"; a cloud is written as .ply, .pcd, .obj or .csv"
+            "a.xyzrgb: name: nothing is written as \".xyzrgb\"; a cloud is written as .ply, .pcd, .vtk, .obj or .csv"
         );
         let mesh = Mesh::new("ct", SurfaceOrigin::User, vec![Point3::origin(); 3], vec![[0, 1, 2]]).unwrap();
         let said = write_mesh("a.pcd".as_ref(), &mesh, Space::Lps).unwrap_err().to_string();

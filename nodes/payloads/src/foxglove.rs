@@ -1,18 +1,22 @@
 //! Views for Foxglove and other viewers: its schemas, metres. Derived, lossy, and outside digests.
 
+mod scene;
+
+pub(crate) use scene::{mesh, named_points, planes, scene_schema, surface_points};
+
 use foxglove::{
     Encode,
     bytes::Bytes,
     messages::{
-        FrameTransform, PackedElementField, PointCloud, Pose as FoxglovePose, PosesInFrame, Quaternion, Timestamp,
-        Vector3, packed_element_field::NumericType,
+        FrameTransform, PackedElementField, PointCloud, Pose as FoxglovePose, Quaternion, Timestamp, Vector3,
+        packed_element_field::NumericType,
     },
 };
 use osteoflow_geometry::{
-    Frame, MM_PER_M, Planes, Pose,
+    Frame, MM_PER_M, Pose,
     nalgebra::{Isometry3, Point3},
 };
-use osteoflow_node::{Display, StampNs};
+use osteoflow_node::{Display, DisplayContext, StampNs, frame_edge};
 
 const NS_PER_S: i64 = 1_000_000_000;
 
@@ -26,11 +30,6 @@ pub(crate) fn transform_schema() -> Option<Display> {
     schema::<FrameTransform>()
 }
 
-/// The channel of [`poses`].
-pub(crate) fn poses_schema() -> Option<Display> {
-    schema::<PosesInFrame>()
-}
-
 fn schema<M: Encode>() -> Option<Display> {
     let schema = M::get_schema()?;
     Some(Display {
@@ -38,6 +37,7 @@ fn schema<M: Encode>() -> Option<Display> {
         schema_encoding: schema.encoding,
         schema_data: schema.data.into_owned(),
         message_encoding: M::get_message_encoding(),
+        answer: false,
     })
 }
 
@@ -59,25 +59,25 @@ pub(crate) fn points(frame: &Frame, stamp_ns: StampNs, points: &[Point3<f64>]) -
     })
 }
 
-/// `foxglove.FrameTransform` with parent `to` and child `from`.
-pub(crate) fn transform(t: &Pose, stamp_ns: StampNs) -> Option<Vec<u8>> {
-    let FoxglovePose { position, orientation } = pose(&t.isometry);
+/// `foxglove.FrameTransform` of the edge that the pose is in the tree of frames.
+pub(crate) fn transform(t: &Pose, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+    let (parent_frame_id, child_frame_id, inverted) = frame_edge(about, t.to.as_str(), t.from.as_str());
+    let t_parent_child = if inverted { t.isometry.inverse() } else { t.isometry };
+    let FoxglovePose { position, orientation } = pose(&t_parent_child);
     encode(&FrameTransform {
-        timestamp: timestamp(stamp_ns),
-        parent_frame_id: t.to.to_string(),
-        child_frame_id: t.from.to_string(),
+        timestamp: timestamp(about.stamp_ns),
+        parent_frame_id,
+        child_frame_id,
         translation: position,
         rotation: orientation,
     })
 }
 
-/// `foxglove.PosesInFrame` of the planes that are known.
-pub(crate) fn poses(planes: &Planes, stamp_ns: StampNs) -> Option<Vec<u8>> {
-    encode(&PosesInFrame {
-        timestamp: timestamp(stamp_ns),
-        frame_id: planes.frame.to_string(),
-        poses: planes.planes.iter().filter_map(|p| p.isometry()).map(pose).collect(),
-    })
+/// The middle of the smallest box around points, metres.
+pub(crate) fn centre(points: &[Point3<f64>]) -> Option<[f64; 3]> {
+    let first = points.first()?;
+    let (min, max) = points.iter().fold((*first, *first), |(min, max), p| (min.inf(p), max.sup(p)));
+    Some(std::array::from_fn(|k| (min[k] + max[k]) / 2.0 / MM_PER_M))
 }
 
 fn pose(t: &Isometry3<f64>) -> FoxglovePose {

@@ -10,7 +10,7 @@ use osteoflow_geometry::{
     check_rotation, exact_isometry, matrix_rows,
     nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Vector3},
 };
-use osteoflow_node::{ColumnType, Display, Payload, SchemaEntry, StampNs, View, ViewError};
+use osteoflow_node::{ColumnType, Display, DisplayContext, Payload, SchemaEntry, View, ViewError};
 use serde_json::{Value as Json, json};
 
 /// Separator of names in one text field; a name holds no line break.
@@ -108,8 +108,12 @@ impl Payload<Table> for Cloud {
         foxglove::points_schema()
     }
 
-    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
-        foxglove::points(&self.frame, stamp_ns, self.points())
+    fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        foxglove::points(&self.frame, about.stamp_ns, self.points())
+    }
+
+    fn display_centre(&self) -> Option<[f64; 3]> {
+        foxglove::centre(self.points())
     }
 }
 
@@ -145,11 +149,15 @@ impl Payload<Table> for Mesh {
     }
 
     fn display() -> Option<Display> {
-        foxglove::points_schema()
+        foxglove::scene_schema()
     }
 
-    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
-        foxglove::points(&self.frame, stamp_ns, self.vertices())
+    fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        foxglove::mesh(self, about)
+    }
+
+    fn display_centre(&self) -> Option<[f64; 3]> {
+        foxglove::centre(self.vertices())
     }
 }
 
@@ -199,8 +207,8 @@ impl Payload<Table> for Pose {
         foxglove::transform_schema()
     }
 
-    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
-        foxglove::transform(self, stamp_ns)
+    fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        foxglove::transform(self, about)
     }
 }
 
@@ -266,11 +274,11 @@ impl Payload<Table> for Points {
     }
 
     fn display() -> Option<Display> {
-        foxglove::points_schema()
+        foxglove::scene_schema()
     }
 
-    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
-        foxglove::points(&self.frame, stamp_ns, &self.positions())
+    fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        foxglove::named_points(self, about)
     }
 }
 
@@ -344,11 +352,11 @@ impl Payload<Table> for Planes {
     }
 
     fn display() -> Option<Display> {
-        foxglove::poses_schema()
+        Some(Display { answer: true, ..foxglove::scene_schema()? })
     }
 
-    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
-        foxglove::poses(self, stamp_ns)
+    fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        foxglove::planes(self, about)
     }
 }
 

@@ -10,7 +10,7 @@ use osteoflow_algorithms::{
     target::{GridColumns, Target},
 };
 use osteoflow_geometry::{Column, Mesh, first_not_unit, nalgebra::Vector3};
-use osteoflow_node::{ColumnType, Display, Payload, SchemaEntry, StampNs, View, ViewError};
+use osteoflow_node::{ColumnType, Display, DisplayContext, Payload, SchemaEntry, View, ViewError};
 use serde_json::{Value as Json, json};
 
 /// The head field that is present if the view has a grid.
@@ -119,11 +119,18 @@ impl Payload<Table> for Target {
     }
 
     fn display() -> Option<Display> {
-        foxglove::points_schema()
+        foxglove::scene_schema()
     }
 
-    fn to_display(&self, stamp_ns: StampNs) -> Option<Vec<u8>> {
-        foxglove::points(&self.frame, stamp_ns, self.points())
+    fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        match self.mesh() {
+            Some(mesh) => foxglove::mesh(mesh.mesh(), about),
+            None => foxglove::surface_points(&self.frame, self.points(), self.normals(), about),
+        }
+    }
+
+    fn display_centre(&self) -> Option<[f64; 3]> {
+        foxglove::centre(self.points())
     }
 }
 

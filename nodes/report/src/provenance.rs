@@ -7,6 +7,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
+/// A folder as it was named, or without the folders above it, whose names are nobody's business.
+pub(crate) fn folder_name(dir: &Path) -> String {
+    let name = dir.file_name().filter(|_| dir.is_absolute());
+    name.map_or_else(|| dir.display().to_string(), |name| name.to_string_lossy().into_owned())
+}
+
 /// The provenance of a run, from its manifest.
 pub(crate) fn of_run(page: &mut Page, dir: &Path, manifest: &Json) {
     let graph = &manifest["graph"];
@@ -19,10 +25,11 @@ pub(crate) fn of_run(page: &mut Page, dir: &Path, manifest: &Json) {
         row("workers", word(&manifest["workers"])),
     ];
     rows.extend(program(&manifest["command"]));
-    rows.push(row("folder", dir.display().to_string()));
+    rows.push(row("folder", folder_name(dir)));
     page.table("Provenance of this run.", &["what".into(), "value".into()], &rows);
     again(page, &manifest["command"]);
-    inputs(page, &manifest["inputs"], &manifest["plugins"]);
+    let base = Path::new(graph["file"].as_str().unwrap_or_default()).parent().unwrap_or(Path::new(""));
+    inputs(page, base, &manifest["inputs"], &manifest["plugins"]);
     if let Some(graph) = manifest["resolved_graph"].as_str() {
         page.folded("The graph as it ran, with every default", graph);
     }
@@ -39,10 +46,10 @@ pub(crate) fn of_sweep(page: &mut Page, dir: &Path, about: &Json) {
         row("runs", word(&about["n_runs"])),
     ];
     rows.extend(program(&about["command"]));
-    rows.push(row("folder", dir.display().to_string()));
+    rows.push(row("folder", folder_name(dir)));
     page.table("Provenance of this sweep.", &["what".into(), "value".into()], &rows);
     again(page, &about["command"]);
-    inputs(page, &about["inputs"], &about["plugins"]);
+    inputs(page, Path::new(""), &about["inputs"], &about["plugins"]);
     if let Ok(graph) = fs::read_to_string(dir.join(osteoflow_engine::sweep::GRAPH)) {
         page.folded("The frozen graph (sweep.toml), without the settings of any run", &graph);
     }
@@ -75,10 +82,11 @@ fn again(page: &mut Page, command: &Json) {
 }
 
 /// A table of inputs and plugins with their hashes and licences.
-fn inputs(page: &mut Page, inputs: &Json, plugins: &Json) {
+/// Inputs and plugins; relative paths are those of the graph's folder `base`.
+fn inputs(page: &mut Page, base: &Path, inputs: &Json, plugins: &Json) {
     let rows: Vec<_> = entries(inputs)
         .into_iter()
-        .map(|(path, hash)| vec![Cell::Code(path.clone()), Cell::Code(hash), Cell::word(licence(Path::new(&path)))])
+        .map(|(path, hash)| vec![Cell::Code(path.clone()), Cell::Code(hash), Cell::word(licence(&base.join(&path)))])
         .chain(plugins.as_array().into_iter().flatten().map(|plugin| {
             let hash = word(&plugin["sha256"]);
             vec![

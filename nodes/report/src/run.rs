@@ -1,5 +1,6 @@
 //! The page of one run.
 
+mod answer;
 pub(crate) mod fragments;
 mod predicted;
 mod slide;
@@ -33,20 +34,16 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     let verdict = Verdict::of(&run.results);
     if let Some(verdict) = &verdict {
         page.verdict(verdict);
+    }
+    answer::table(&mut page, &run.results);
+    outcome(&mut page, &run);
+    if let Some(verdict) = &verdict {
         predicted::tables(&mut page, verdict.predicted());
     }
     // Pictures of refused results would show them as if they were right.
     let refused = verdict.as_ref().filter(|verdict| verdict.answer() == Answer::Refused);
     let refused = refused.map(|verdict| format!("the result is refused: {}", verdict.sentence()));
 
-    page.section("The graph as run");
-    outcome(&mut page, &run);
-    match diagram::of_manifest(&run.manifest) {
-        Ok(diagram) => {
-            graph(&mut page, diagram, "The graph as it ran: nodes with kinds and times, wires with numbers of items.");
-        }
-        Err(why) => page.missing("The graph", &why),
-    }
     page.section("Registration");
     match &refused {
         Some(why) => page.missing(views::SCAN, why),
@@ -66,6 +63,13 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
             }
         }
     }
+    page.section("The graph as run");
+    match diagram::of_manifest(&run.manifest) {
+        Ok(diagram) => {
+            graph(&mut page, diagram, "The graph as it ran: nodes with kinds and times, wires with numbers of items.");
+        }
+        Err(why) => page.missing("The graph", &why),
+    }
     page.section("Results");
     tables::results(&mut page, &run.results);
     page.section("Methods");
@@ -77,7 +81,7 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     let bibliography = citations::section(&mut page, &kinds, registry);
 
     let began = run.manifest["began"].as_str().unwrap_or_default();
-    let (html, figures) = page.finish(&format!("{}, {began}", dir.display()));
+    let (html, figures) = page.finish(&format!("{}, {began}", provenance::folder_name(dir)));
     Ok(Report { html, figures, bibliography })
 }
 

@@ -54,7 +54,7 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> R
         true => again::maps(&mut page, &sweep, &folder, kinds),
         false => page.text(&format!(
             "Maps of fragments need two further runs and were not requested; osteoflow report {} draws them.",
-            dir.display()
+            provenance::folder_name(dir)
         )),
     }
     page.section("Statistics");
@@ -73,7 +73,7 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> R
     provenance::of_sweep(&mut page, dir, &sweep.about);
     page.section("References");
     let bibliography = citations::section(&mut page, &used, registry);
-    let (html, figures) = page.finish(&dir.display().to_string());
+    let (html, figures) = page.finish(&provenance::folder_name(dir));
     Ok(Report { html, figures, bibliography })
 }
 

@@ -27,7 +27,12 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
             _ => found.walk(key, value),
         }
     }
-    for (path, items) in found.lists {
+    let laser_points = named(results.get("laser_points"));
+    for (path, mut items) in found.lists {
+        if path == "holes" && items.len() == laser_points.len() {
+            // A hole's report has no name; the points of the same scans have, in the same order.
+            items.iter_mut().zip(&laser_points).for_each(|(hole, point)| *hole = joined(point, hole));
+        }
         objects(page, &path.replace('_', " ").replace('.', ": "), &items);
     }
     let heads = |heads: &[&str]| heads.iter().map(|head| (*head).to_owned()).collect::<Vec<_>>();
@@ -43,6 +48,18 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
     let caption = "Every result that is one number or word, by its path in results.json.";
     page.table(caption, &heads(&["result", "value"]), &found.singles);
     page.unfold();
+}
+
+/// Name, frame and position of each point.
+fn named(points: Option<&Json>) -> Vec<Map<String, Json>> {
+    let keys = ["name", "frame", "position_mm"];
+    let point = |point: &Json| keys.iter().filter_map(|key| Some(((*key).into(), point.get(key)?.clone()))).collect();
+    points.and_then(Json::as_array).into_iter().flatten().map(point).collect()
+}
+
+/// The entries of both, those of `first` first.
+fn joined(first: &Map<String, Json>, second: &Map<String, Json>) -> Map<String, Json> {
+    first.iter().chain(second).map(|(key, value)| (key.clone(), value.clone())).collect()
 }
 
 /// Results by form.
@@ -92,6 +109,7 @@ fn flat(object: &Map<String, Json>) -> Map<String, Json> {
     let mut out = Map::new();
     for (key, value) in object {
         match value {
+            Json::Array(_) if key == "matrix" => out.extend(placed(value)),
             Json::Object(inner) => {
                 out.extend(flat(inner).into_iter().map(|(inner, value)| (format!("{key}.{inner}"), value)));
             }
@@ -100,6 +118,16 @@ fn flat(object: &Map<String, Json>) -> Map<String, Json> {
         }
     }
     out
+}
+
+/// Origin and z axis of a pose, which for a plane is its normal; nothing if the value is no pose.
+fn placed(matrix: &Json) -> Map<String, Json> {
+    let rows = serde_json::from_value::<[[f64; 4]; 4]>(matrix.clone()).unwrap_or_default();
+    let pose = isometry_from_matrix(&Matrix4::from_fn(|row, column| rows[row][column]));
+    let Ok(pose) = pose else { return Map::new() };
+    let list = |v: &nalgebra::Vector3<f64>| Json::from(v.as_slice());
+    let axis = pose.rotation * nalgebra::Vector3::z();
+    Map::from_iter([("origin_mm".to_owned(), list(&pose.translation.vector)), ("normal".to_owned(), list(&axis))])
 }
 
 /// A table with a row for each object.
@@ -124,6 +152,31 @@ pub(crate) fn objects(page: &mut Page, caption: &str, items: &[Map<String, Json>
 mod tests {
     use super::*;
     use serde_json::json;
+
+    #[test]
+    fn planes_have_poses_and_holes_have_the_names_of_their_points() {
+        let plane = [[1.0, 0.0, 0.0, 10.5], [0.0, 0.0, 1.0, -2.0], [0.0, -1.0, 0.0, 3.0], [0.0, 0.0, 0.0, 1.0]];
+        let mut page = Page::new("", false);
+        results(
+            &mut page,
+            &json!({
+                "planes": [{ "name": "plane_1", "frame": "world", "matrix": plane }, { "name": "plane_2", "unknown": "lost" }],
+                "laser_points": [{ "name": "P1", "position_mm": [7.25, 1.5, -8.5], "confidence": 1.0 }],
+                "holes": [{ "n_hole": 72 }],
+            }),
+        );
+        let (html, _) = page.finish("");
+        let table = |caption: &str| {
+            let end = html.find(caption).unwrap_or_else(|| panic!("no table {caption}:\n{html}"));
+            html[end..].split("</table>").next().unwrap().to_owned()
+        };
+        let planes = table("planes");
+        for text in ["origin mm", "10.5", "normal", "plane_2", "lost"] {
+            assert!(planes.contains(text), "{text} is missing:\n{planes}");
+        }
+        let holes = table("holes");
+        assert!(holes.contains("P1") && holes.contains("7.25") && holes.contains("72"), "{holes}");
+    }
 
     #[test]
     fn a_pose_is_shown_as_origin_and_rotation_and_a_stamp_to_the_nanosecond() {

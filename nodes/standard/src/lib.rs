@@ -96,6 +96,7 @@ pub fn registry() -> Registry {
         .node::<metrics::laser_spot::LaserSpot>()
         .node::<metrics::verdict::Verdict>()
         .node::<verdict::registration::Registration>()
+        .node::<output::export::Export>()
         .node::<output::ply::Ply>()
         .node::<output::csv::Csv>()
         .node::<output::mesh::Mesh>()

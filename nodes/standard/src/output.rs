@@ -1,6 +1,7 @@
 //! Files for other programs, written into the run's folder.
 
 pub mod csv;
+pub mod export;
 pub mod mesh;
 pub mod planes;
 pub mod ply;

@@ -41,6 +41,57 @@ pub(crate) struct Live {
     pub(crate) readings: Vec<ClockReading>,
 }
 
+/// A message of a node, as `foxglove.Log`, which viewers list.
+#[derive(Serialize)]
+pub(crate) struct Log<'a> {
+    timestamp: Time,
+    level: u8,
+    message: &'a str,
+    name: &'a str,
+    file: &'static str,
+    line: u32,
+}
+
+/// The levels of `foxglove.Log` that are used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum LogLevel {
+    Info = 2,
+    Warning = 3,
+    Error = 4,
+}
+
+#[derive(Serialize)]
+struct Time {
+    sec: u64,
+    nsec: u64,
+}
+
+impl<'a> Log<'a> {
+    /// A message of the node `name`.
+    pub(crate) fn new(time_ns: u64, level: LogLevel, name: &'a str, message: &'a str) -> Self {
+        let timestamp = Time { sec: time_ns / 1_000_000_000, nsec: time_ns % 1_000_000_000 };
+        Self { timestamp, level: level as u8, message, name, file: "", line: 0 }
+    }
+}
+
+impl RunMessage for Log<'_> {
+    const TOPIC: Topic<'static> = Topic::Log;
+    const SCHEMA: &'static str = "foxglove.Log";
+
+    fn schema() -> Json {
+        let time = json!({ "sec": { "type": "integer" }, "nsec": { "type": "integer" } });
+        let properties = json!({
+            "timestamp": { "type": "object", "title": "time", "properties": time },
+            "level": { "type": "integer", "description": "2 info, 3 warning, 4 error" },
+            "message": { "type": "string" },
+            "name": { "type": "string", "description": "the node" },
+            "file": { "type": "string" },
+            "line": { "type": "integer" },
+        });
+        json!({ "title": "foxglove.Log", "type": "object", "properties": properties })
+    }
+}
+
 fn rows(name: &str, doc: &str) -> Json {
     json!({
         "type": "object",

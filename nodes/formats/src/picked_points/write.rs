@@ -1,6 +1,6 @@
 //! Lists of points for other programs.
 
-use crate::{FileError, Space};
+use crate::{FileError, Space, write::NOTICE};
 use nalgebra::{Isometry3, Matrix4, Vector3};
 use osteoflow_geometry::NamedPoint;
 use serde_json::json;
@@ -36,7 +36,7 @@ pub fn write_mrk_json(path: &Path, points: &[NamedPoint], space: Space) -> Resul
         Ok(json!({
             "id": (k + 1).to_string(),
             "label": &*point.name,
-            "description": "",
+            "description": NOTICE,
             "associatedNodeID": "",
             "position": stated(path, space, point)?,
             "selected": true,
@@ -93,6 +93,7 @@ pub fn write_planes_mrk_json(path: &Path, planes: &[(Arc<str>, Isometry3<f64>)])
             "controlPoints": [{
                 "id": "1",
                 "label": &**name,
+                "description": NOTICE,
                 "position": center,
                 "orientation": rotation,
                 "selected": true,
@@ -116,7 +117,7 @@ pub fn write_fcsv(path: &Path, points: &[NamedPoint], space: Space) -> Result<()
         return Err(fault(path, "space", "the format states LPS or RAS, but the space of the points is unknown"));
     }
     let mut text = format!(
-        "# Markups fiducial file version = 4.11\n# CoordinateSystem = {space}\n\
+        "# Markups fiducial file version = 4.11\n# CoordinateSystem = {space}\n# {NOTICE}\n\
          # columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
     );
     for (k, point) in points.iter().enumerate() {
@@ -133,7 +134,7 @@ pub fn write_fcsv(path: &Path, points: &[NamedPoint], space: Space) -> Result<()
 /// # Errors
 /// [`FileError`] if a name holds a line break, or the file cannot be written.
 pub fn write_points_csv(path: &Path, points: &[NamedPoint], space: Space) -> Result<(), FileError> {
-    let mut text = space.tag().map_or_else(String::new, |tag| format!("# {tag}\n"));
+    let mut text = space.tag().map_or_else(String::new, |tag| format!("# {tag}\n# {NOTICE}\n"));
     text.push_str("label,x,y,z\n");
     let sign = space.x_y_sign();
     for point in points {

@@ -1,0 +1,161 @@
+//! The numbers of a run's results that no table of their own shows: reports, and metrics of the user.
+
+use serde_json::Value;
+
+/// Width of the terminal that lines are wrapped to.
+const WIDTH: usize = 110;
+/// Keys whose numbers other tables show.
+const SHOWN: [&str; 6] = ["verdict", "refused", "poses", "laser_points", "planes_at_scan", "planes"];
+/// Parts of the results of a target error that a table shows.
+const SHOWN_OF_TRE: [&str; 2] = ["points", "mean_abs"];
+/// How deep objects are followed below a key of the results; deeper numbers are counted.
+const MAX_DEPTH: usize = 2;
+
+/// Numbers by the path of what holds them, wrapped; `None` if the tables show all. Numbers of long lists and of nested parts
+/// are counted, with the file that has them.
+pub(crate) fn text(results: &Value) -> Option<String> {
+    let mut found = Found::default();
+    for (key, value) in results.as_object()?.iter().filter(|(key, _)| !SHOWN.contains(&key.as_str())) {
+        found.add(key, value, 0);
+    }
+    if found.rows.is_empty() && found.n_left_out == 0 {
+        return None;
+    }
+    let width = found.rows.iter().map(|(path, _)| path.chars().count()).max().unwrap_or_default();
+    let mut out = String::from("other results\n");
+    for (path, numbers) in &found.rows {
+        let mut line = format!("  {path:width$}");
+        for number in numbers {
+            if line.chars().count() + 2 + number.chars().count() > WIDTH && !line.ends_with("  ") {
+                out.push_str(line.trim_end());
+                out.push('\n');
+                line = " ".repeat(width + 2);
+            }
+            line.push_str("  ");
+            line.push_str(number);
+        }
+        out.push_str(line.trim_end());
+        out.push('\n');
+    }
+    if found.n_left_out > 0 {
+        out.push_str(&format!("  {} more numbers, of lists and nested parts, in results.json\n", found.n_left_out));
+    }
+    Some(out)
+}
+
+#[derive(Default)]
+struct Found {
+    rows: Vec<(String, Vec<String>)>,
+    n_left_out: usize,
+}
+
+impl Found {
+    fn add(&mut self, path: &str, value: &Value, depth: usize) {
+        match value {
+            Value::Number(_) => self.rows.push((path.into(), vec![shown(value)])),
+            Value::Object(object) => {
+                let own = object.iter().filter_map(|(name, value)| Some((name, short(value)?)));
+                let numbers: Vec<_> = own.map(|(name, numbers)| format!("{name} {numbers}")).collect();
+                if !numbers.is_empty() {
+                    self.rows.push((path.into(), numbers));
+                }
+                let is_tre = path.starts_with("metrics.tre_");
+                for (name, value) in object.iter().filter(|(_, value)| short(value).is_none()) {
+                    if is_tre && SHOWN_OF_TRE.contains(&name.as_str()) {
+                        continue;
+                    }
+                    match value {
+                        Value::Object(_) | Value::Array(_) if depth < MAX_DEPTH => {
+                            self.add(&format!("{path}.{name}"), value, depth + 1);
+                        }
+                        _ => self.n_left_out += count(value),
+                    }
+                }
+            }
+            // The items of a wire, or parts with names.
+            Value::Array(items) if depth == 0 || items.iter().any(|item| item.get("name").is_some()) => {
+                for (index, item) in items.iter().enumerate() {
+                    let name =
+                        item.get("name").and_then(Value::as_str).map_or_else(|| index.to_string(), str::to_owned);
+                    self.add(&format!("{path}.{name}"), item, depth + 1);
+                }
+            }
+            _ => self.n_left_out += count(value),
+        }
+    }
+}
+
+/// A number, or up to three in brackets.
+fn short(value: &Value) -> Option<String> {
+    match value {
+        Value::Number(_) => Some(shown(value)),
+        Value::Array(list) if (1..=3).contains(&list.len()) && list.iter().all(Value::is_number) => {
+            Some(format!("[{}]", list.iter().map(shown).collect::<Vec<_>>().join(" ")))
+        }
+        _ => None,
+    }
+}
+
+fn shown(number: &Value) -> String {
+    match number.as_f64() {
+        _ if number.is_i64() || number.is_u64() => number.to_string(),
+        Some(0.0) => "0".into(),
+        Some(v) if v.abs() < 1e-3 || v.abs() >= 1e6 => format!("{v:.3e}"),
+        Some(v) => format!("{v:.4}"),
+        None => number.to_string(),
+    }
+}
+
+fn count(value: &Value) -> usize {
+    match value {
+        Value::Number(_) => 1,
+        Value::Array(items) => items.iter().map(count).sum(),
+        Value::Object(object) => object.values().map(count).sum(),
+        _ => 0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn each_number_of_the_results_is_shown_or_counted() {
+        let results = json!({
+            "verdict": { "answer": "trusted", "predicted": { "mean_tre_mm": 0.5 } },
+            "my_metric": 3.25,
+            "metrics": {
+                "own": { "gap_mm": 0.125, "n": 7, "tilt_rad": 2e-5, "at": [1, 2.5, -3] },
+                "cuts": { "cuts": [{ "name": "plane_1", "offset_mm": 0.5 }], "n": 1 },
+                "tre_true_mm": { "points": [{ "name": "M1", "x": 1.5 }], "mean_abs": { "x": 1.5 }, "rms": { "x": 1.75 }, "n": 1 },
+            },
+            "holes": [{ "n_hole": 72 }, { "n_hole": 61 }],
+            "icp": { "iterations": 13, "normal_matrix": [[1, 2, 3, 4, 5, 6]], "a": { "b": { "c": { "x": 1 } } } },
+        });
+        let text = text(&results).unwrap();
+        let line = |start: &str| {
+            let found = text.lines().find(|line| line.trim_start().starts_with(&format!("{start} ")));
+            found
+                .unwrap_or_else(|| panic!("no {start}: {text}"))
+                .split_whitespace()
+                .skip(1)
+                .collect::<Vec<_>>()
+                .join(" ")
+        };
+        assert_eq!(line("my_metric"), "3.2500");
+        assert_eq!(line("metrics.own"), "gap_mm 0.1250 n 7 tilt_rad 2.000e-5 at [1 2.5000 -3]");
+        assert_eq!(line("metrics.cuts.cuts.plane_1"), "offset_mm 0.5000");
+        assert_eq!(line("metrics.tre_true_mm.rms"), "x 1.7500");
+        assert_eq!(line("holes.1"), "n_hole 61");
+        assert_eq!(line("icp"), "iterations 13");
+        assert!(!text.contains("M1") && !text.contains("mean_tre_mm"), "tables show them: {text}");
+        assert!(text.ends_with("  7 more numbers, of lists and nested parts, in results.json\n"), "{text}");
+        assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");
+    }
+
+    #[test]
+    fn results_without_numbers_have_no_such_lines() {
+        assert_eq!(super::text(&json!({ "notice": "research use only", "simulated": true, "planes": [] })), None);
+    }
+}

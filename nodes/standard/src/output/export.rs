@@ -1,0 +1,103 @@
+//! The kind `output.export`.
+
+use super::{NOTICE, is_refused, lps};
+use osteoflow_algorithms::trust::Verdict;
+use osteoflow_formats::{
+    Space,
+    picked_points::{write_mrk_json, write_planes_mrk_json},
+    pose_file::itk_text,
+    write::{write_cloud, write_mesh},
+};
+use osteoflow_geometry::{Cloud, Mesh, Planes, Points, Pose};
+use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use std::path::Path;
+
+/// A registration as a folder that 3D Slicer and CloudCompare open beside the CT: LPS, mm, in the run's folder, named after the
+/// node.
+///
+/// `bone.stl`, `landmarks.mrk.json` and `planes.mrk.json` are the CT's surface and the plan; `scan.vtk` (drawn by 3D Slicer),
+/// `scan.ply` (for CloudCompare) and `scan_to_ct.tfm` the scan on the CT and the motion that takes it there. Of a refused
+/// registration, and where there is none, the last three are not written. Every file says that it is for research use only.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "output.export"
+in   = { bone = "bone.mesh", scan = "to_bone.cloud", t_ct_scan = "icp.t_target_source", landmarks = "plan.landmarks", planes = "plan.planes", verdict = "verdict.verdict" }
+"#)]
+pub struct Export;
+
+/// Inputs of [`Export`].
+#[derive(Inputs)]
+pub struct In {
+    /// The surface in the CT.
+    #[port(join = "once", frame = "@ct")]
+    bone: Mesh,
+    /// The scan, in its own frame; one folder for each.
+    #[port(frame = "t_ct_scan.from")]
+    scan: Option<Cloud>,
+    /// Where the scan lies in the CT.
+    #[port(to = "bone", from = "scan")]
+    t_ct_scan: Option<Pose>,
+    /// The planned landmarks.
+    #[port(join = "once", frame = "bone")]
+    landmarks: Option<Points>,
+    /// The planned planes.
+    #[port(join = "once", frame = "bone")]
+    planes: Option<Planes>,
+    /// The verdict on the registration. Unwired: the scan is written whatever the verdict.
+    verdict: Option<Verdict>,
+}
+
+/// No outputs.
+#[derive(Outputs)]
+pub struct Out {}
+
+impl Node for Export {
+    const KIND: &'static str = "output.export";
+    type Params = crate::NoParams;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let space = lps(&i.bone.frame, "the surface is", "name its frame ct")?;
+        let Some(dir) = ctx.out_dir() else { return Ok(Out {}) };
+        let number = if ctx.item() == 0 { String::new() } else { format!("-{}", ctx.item()) };
+        let dir = dir.join(format!("{}{number}", ctx.node()));
+        std::fs::create_dir_all(&dir)?;
+        write_mesh(&dir.join("bone.stl"), &i.bone, space)?;
+        if let Some(landmarks) = &i.landmarks {
+            landmarks.frame.expect(&i.bone.frame, "the landmarks")?;
+            write_mrk_json(&dir.join("landmarks.mrk.json"), &landmarks.points, space)?;
+        }
+        if let Some(planes) = &i.planes {
+            planes.frame.expect(&i.bone.frame, "the planes")?;
+            let known: Vec<_> = planes.planes.iter().filter_map(|p| Some((p.name.clone(), *p.isometry()?))).collect();
+            write_planes_mrk_json(&dir.join("planes.mrk.json"), &known)?;
+        }
+        let (Some(scan), Some(t_ct_scan)) = (&i.scan, &i.t_ct_scan) else {
+            ctx.warn("the scan is not written, since it is not registered");
+            return Ok(Out {});
+        };
+        if !is_refused(i.verdict.as_ref(), ctx) {
+            write_scan(&dir, scan, &t_ct_scan.clone().expect(&i.bone.frame, &scan.frame)?, space)?;
+        }
+        Ok(Out {})
+    }
+}
+
+fn write_scan(
+    dir: &Path,
+    scan: &Cloud,
+    t_ct_scan: &osteoflow_geometry::nalgebra::Isometry3<f64>,
+    space: Space,
+) -> Result<(), NodeError> {
+    let on_ct = scan.transformed("ct", t_ct_scan);
+    write_cloud(&dir.join("scan.ply"), &on_ct, space)?;
+    write_cloud(&dir.join("scan.vtk"), &on_ct, space)?;
+    let frames = format!("moves frame {} to frame ct, mm, LPS; the parameters are those of the inverse", scan.frame);
+    std::fs::write(dir.join("scan_to_ct.tfm"), itk_text(t_ct_scan, &[frames, NOTICE.into()]))?;
+    Ok(())
+}
