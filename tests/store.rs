@@ -167,10 +167,15 @@ fn a_store_that_cannot_be_written_is_a_warning() {
 
     // The largest file that this shell's children may write has 1 MiB: a prepared surface is larger.
     let (cache, out) = (dir.path().join("cache"), dir.path().join("out"));
+    let graph = dir.path().join("graph.toml");
+    let text =
+        format!("extends = {:?}\nremove = [\"node.export\"]\n[graph]\nname = \"no_export\"\n", root().join(GRAPH));
+    fs::write(&graph, text).unwrap();
     let script = format!(
-        "trap '' XFSZ; ulimit -f 1024; OSTEOFLOW_CACHE={} exec {} run {GRAPH} --no-record --out {}",
+        "trap '' XFSZ; ulimit -f 1024; OSTEOFLOW_CACHE={} exec {} run {} --no-record --out {}",
         cache.display(),
         program().display(),
+        graph.display(),
         out.display()
     );
     let output = Command::new("bash").current_dir(root()).args(["-c", &script]).output().unwrap();

@@ -315,9 +315,7 @@ fn begin(
     let program = Program(program.map(|(key, value)| (key.clone(), shown.text(&text(value)))).collect());
     write(&mut file, &run)?;
     write(&mut file, &program)?;
-    let mut plugins = plan.plugins.clone();
-    plugins.iter_mut().for_each(|plugin| plugin.path = shown.path(&plugin.path));
-    write(&mut file, &PluginRecords(plugins))?;
+    write(&mut file, &PluginRecords(plan.plugins.clone()))?;
     inputs.iter().try_for_each(|inputs| write(&mut file, inputs))?;
     let mut sink = Sink::begin(file, plan, shown)?;
     // From here on, a truncated file names the wires it was to hold.

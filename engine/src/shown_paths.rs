@@ -2,7 +2,7 @@
 //!
 //! A file below the folder of the graph, or with it below the current folder, is shown relative to the graph, as graph files
 //! name files; any other by its name alone. Its SHA-256 is beside it. With `sources = "hash"` paths stay absolute, since a
-//! replay reads the files again.
+//! replay reads the files again; so do those of the libraries of plugins, which every replay loads.
 
 use crate::plan::{Plan, Sources};
 use serde_json::Value as Json;
@@ -32,8 +32,6 @@ impl ShownPaths {
         for path in named.filter(|path| path.is_absolute()) {
             shown.insert(path.clone(), relative(path, &graph_dir, &current));
         }
-        let libraries = plan.plugins.iter().map(|plugin| &plugin.path).filter(|path| path.starts_with(&current));
-        shown.extend(libraries.map(|path| (path.clone(), relative(path, &graph_dir, &current))));
         for path in [Some(plan.path.as_path()), out_dir].into_iter().flatten().filter(|path| path.is_absolute()) {
             shown.insert(path.into(), relative(path, &current, &current));
         }

@@ -28,7 +28,7 @@ const CRATES: [(&str, Floors); 2] = [
         &[
             // The crate `osteoflow-runtime`, by the names under which the engine hands it on.
             &["names", "panics", "plan", "runtime"],
-            &["fault", "hash"],
+            &["fault", "hash", "shown_paths"],
             &["graph", "recording"],
             &["store"],
             &["options", "plugin"],

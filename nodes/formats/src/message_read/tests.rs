@@ -142,7 +142,10 @@ fn a_rounded_pose_of_a_cloud_is_corrected_and_says_by_how_much() {
     let found = read(&raw).unwrap();
     assert!((found.correction.deviation - 2e-4).abs() < 1e-12, "{:?}", found.correction);
     let head = read_cloud_head(protobuf(POINT_CLOUD, &raw)).unwrap();
-    assert_eq!(head, CloudHead { frame: "camera".into(), stamp_ns: 5_000_000_006, correction: found.correction });
+    assert_eq!(
+        head,
+        CloudHead { frame: found.cloud.frame.clone(), stamp_ns: 5_000_000_006, correction: found.correction }
+    );
     let json = r#"{"timestamp":{"sec":5,"nsec":6},"pose":{"orientation":{"w":0.9998}},"data":"!"}"#;
     assert_eq!(read_cloud_head(message(POINT_CLOUD, "json", json)).unwrap(), head);
 }
