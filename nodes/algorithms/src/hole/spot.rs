@@ -15,6 +15,9 @@ const SURE_SPACING: f64 = 0.5;
 /// not locate it.
 const MIN_POINTS: f64 = 10.0;
 
+/// The same for the second tier, whose place something else confirms.
+const MIN_POINTS_AGREEING: f64 = 6.0;
+
 /// Variance of the number of points that one scan has where another has one, by lost points on a regular grid.
 const COUNT_VARIANCE: f64 = 0.5;
 
@@ -71,7 +74,7 @@ struct Candidate {
 impl Candidate {
     /// Whether the scan goes on around it, except where it goes on in neither scan.
     fn is_admissible(&self) -> bool {
-        self.n_lost <= MAX_LOST_SECTORS && self.n_seen >= MIN_SEEN_SECTORS && !self.is_too_sparse()
+        self.n_lost <= MAX_LOST_SECTORS && self.n_seen >= MIN_SEEN_SECTORS
     }
 
     /// Whether the scan lacks all of its disc: so it is at a spot, also where the silhouette hides most of it.
@@ -79,8 +82,16 @@ impl Candidate {
         self.hole.report.empty_share >= MIN_EMPTY_SHARE
     }
 
-    fn is_too_sparse(&self) -> bool {
-        self.n_expected < MIN_POINTS
+    fn is_of_first_tier(&self, params: &HoleParams) -> bool {
+        self.is_admissible() && self.n_expected >= MIN_POINTS && self.hole.confidence >= params.min_confidence
+    }
+
+    fn is_of_second_tier(&self, params: &HoleParams) -> bool {
+        let confidence = params.min_confidence_agreeing..params.min_confidence;
+        self.is_admissible()
+            && self.n_seen >= MIN_SEEN_SECTORS_AGREEING
+            && self.n_expected >= MIN_POINTS_AGREEING
+            && confidence.contains(&self.hole.confidence)
     }
 
     /// Score against rivals: a strip that is lost at a steep edge continues around the disc, a spot does not.
@@ -101,7 +112,7 @@ pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) ->
     }
     candidates.sort_by(|a, b| b.score().total_cmp(&a.score()));
     let not_found = not_found(scene, missing, candidates.first(), params);
-    let first_tier = |c: &&Candidate| c.is_admissible() && c.hole.confidence >= params.min_confidence;
+    let first_tier = |c: &&Candidate| c.is_of_first_tier(params);
     if let Some(best) = candidates.iter().find(first_tier) {
         let rivals = rivals(best, candidates.iter().filter(first_tier), params);
         return match rivals.first() {
@@ -117,12 +128,7 @@ pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) ->
     }
     let mut empty: Vec<Candidate> = candidates.into_iter().filter(Candidate::is_empty).collect();
     empty.iter_mut().for_each(|c| c.hole.report.tier = 2);
-    let second_tier = |c: &&Candidate| {
-        c.is_admissible()
-            && c.n_seen >= MIN_SEEN_SECTORS_AGREEING
-            && c.hole.confidence >= params.min_confidence_agreeing
-    };
-    match empty.iter().find(second_tier) {
+    match empty.iter().find(|c| c.is_of_second_tier(params)) {
         Some(best) if rivals(best, empty.iter(), params).is_empty() => Ok(best.hole.clone()),
         _ => Err(not_found),
     }
@@ -172,8 +178,9 @@ fn not_found(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, par
             )
         }
         Some(Candidate { hole, n_expected, .. }) if *n_expected < MIN_POINTS => format!(
-            "the best gap, at {:.1?} mm, lacks {n_expected:.0} points, {MIN_POINTS} needed",
-            <[f64; 3]>::from(hole.centre.coords)
+            "the best gap, at {:.1?} mm, lacks {n_expected:.0} points of {MIN_POINTS} needed (confidence {:.2})",
+            <[f64; 3]>::from(hole.centre.coords),
+            hole.confidence
         ),
         Some(Candidate { hole, .. }) => format!(
             "the best gap, at {:.1?} mm, has a radius of {:.1} mm, is empty by {:.0} % and has {:.0} % of its rim \
