@@ -34,7 +34,7 @@ impl Sight {
             let t_camera_cloud = viewpoint.inverse();
             let mut depths: Vec<f64> = cloud.points().iter().map(|p| (t_camera_cloud * p).z).collect();
             let depth_mm = median(&mut depths);
-            (depth_mm > 0.0).then(|| Camera { t_camera_cloud, depth_mm, nearest_mm: NEAREST * depth_mm })
+            (depth_mm > 0.0).then_some(Camera { t_camera_cloud, depth_mm, nearest_mm: NEAREST * depth_mm })
         }))
     }
 
