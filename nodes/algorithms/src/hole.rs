@@ -7,8 +7,10 @@
 mod boundary;
 mod cloud_difference;
 mod image;
+mod patch;
 mod range_image;
 mod scene;
+mod sight;
 mod spot;
 
 pub use boundary::boundary;
@@ -45,7 +47,7 @@ pub struct HoleParams {
 
 impl Default for HoleParams {
     fn default() -> Self {
-        Self { spot_radius_mm: 2.0, max_scan_residual_mm: 0.5, min_confidence: 0.4, min_confidence_agreeing: 0.12 }
+        Self { spot_radius_mm: 2.0, max_scan_residual_mm: 0.5, min_confidence: 0.4, min_confidence_agreeing: 0.14 }
     }
 }
 
@@ -96,7 +98,8 @@ pub struct HoleReport {
     pub seen_share: f64,
     /// Share of the rim, by direction, that the scan with the laser covers.
     pub rim_share: f64,
-    /// 1 if the radius is as expected, falling to 0 where it is 1.6 times too small or too large.
+    /// 1 if the radius is as expected, falling to 0 where it is 1.6 times too small or too large; of a radius too small its
+    /// lower standard error counts, so that few points give less.
     pub size_share: f64,
     /// `empty_share² · seen_share · √rim_share · size_share`.
     pub confidence: f64,

@@ -36,6 +36,11 @@ impl Pixel {
     pub(crate) fn point(&self) -> Point3<f64> {
         Point3::from(self.ray * self.distance_mm)
     }
+
+    /// The true point of the film on it, which the light falls on; of the surface where it is bare.
+    pub(crate) fn lit(&self) -> Point3<f64> {
+        Point3::from(self.ray * (self.distance_mm - self.film_mm))
+    }
 }
 
 /// The visible stretch of an object; the rest is covered by soft tissue.
@@ -263,25 +268,52 @@ impl Periosteum {
     /// Moves what pixels see of the bone towards the camera, until it is as far off the bone as the film is thick.
     pub(crate) fn cover(&self, pixels: &mut [Pixel], t_object_camera: &Isometry3<f64>, object: &MeshQuery) {
         pixels.par_iter_mut().filter(|pixel| pixel.on_object).for_each(|pixel| {
-            let thickness_mm = self.at(&(t_object_camera * pixel.point()));
-            if thickness_mm <= 0.0 {
-                return;
-            }
-            let off = |film_mm: f64| {
-                let point = t_object_camera * Point3::from(pixel.ray * (pixel.distance_mm - film_mm));
-                object.closest_point(&point).map_or(0.0, |closest| closest.distance_mm)
-            };
-            // On a plane; a convex bone turns away from a slanted ray.
-            let (mut low, mut high) = (0.0, thickness_mm / pixel.cos_incidence);
-            const PRECISION_MM: f64 = 1e-3;
-            if off(high) > thickness_mm + PRECISION_MM {
-                while high - low > PRECISION_MM {
-                    let middle = (low + high) / 2.0;
-                    if off(middle) < thickness_mm { low = middle } else { high = middle }
-                }
-            }
-            pixel.film_mm = high;
+            pixel.film_mm = self.along(&pixel.point(), pixel.cos_incidence, t_object_camera, object);
         });
+    }
+
+    /// A point of the bone moved onto the film along its ray, camera frame.
+    pub(crate) fn onto(
+        &self,
+        point: &Point3<f64>,
+        t_object_camera: &Isometry3<f64>,
+        object: &MeshQuery,
+    ) -> Point3<f64> {
+        let ray = point.coords.normalize();
+        let normal = object.closest_point(&(t_object_camera * point)).map_or(-(t_object_camera * ray), |at| at.normal);
+        // Beyond this slant no pixel sees it.
+        const LEAST_COS: f64 = 0.1;
+        let cos_incidence = (-(t_object_camera * ray).dot(&normal)).max(LEAST_COS);
+        point - ray * self.along(point, cos_incidence, t_object_camera, object)
+    }
+
+    /// Length of a ray, to this point of the bone, within the film, mm.
+    fn along(
+        &self,
+        point: &Point3<f64>,
+        cos_incidence: f64,
+        t_object_camera: &Isometry3<f64>,
+        object: &MeshQuery,
+    ) -> f64 {
+        let thickness_mm = self.at(&(t_object_camera * point));
+        if thickness_mm <= 0.0 {
+            return 0.0;
+        }
+        let (ray, distance_mm) = (point.coords.normalize(), point.coords.norm());
+        let off = |film_mm: f64| {
+            let point = t_object_camera * Point3::from(ray * (distance_mm - film_mm));
+            object.closest_point(&point).map_or(0.0, |closest| closest.distance_mm)
+        };
+        // On a plane; a convex bone turns away from a slanted ray.
+        let (mut low, mut high) = (0.0, thickness_mm / cos_incidence);
+        const PRECISION_MM: f64 = 1e-3;
+        if off(high) > thickness_mm + PRECISION_MM {
+            while high - low > PRECISION_MM {
+                let middle = (low + high) / 2.0;
+                if off(middle) < thickness_mm { low = middle } else { high = middle }
+            }
+        }
+        high
     }
 }
 
@@ -323,7 +355,7 @@ pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<
         let truth = pixel.point();
         if drop < params.dropout
             || patches.iter().any(|centre| within(&truth, centre, params.patch_radius_mm))
-            || hole.is_some_and(|hole| hole.takes(&truth))
+            || hole.is_some_and(|hole| hole.takes(&pixel.lit()))
             || pools.iter().any(|centre| within(&truth, centre, params.pool_radius_mm))
         {
             continue;

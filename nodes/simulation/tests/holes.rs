@@ -1,12 +1,14 @@
 //! Laser spots that are hard to see, and scans without one: which holes count, alone and beside the plan.
 //!
-//! Limits were chosen on the built-in bones 1, 3 and 5 and on TLEM2 with seeds below 30; the tests take other bones and seeds.
+//! Limits were chosen on the built-in bones 1, 3, 5 and 7 to 10 and on TLEM2 with seeds below 30 and from 300 to 317; the tests
+//! take other bones and seeds.
 //! With `SLOW_TESTS` they take more seeds.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod common;
 
+use nalgebra::Point3;
 use osteoflow_algorithms::coarse::{CoarseError, DoubtParams, confirm, three_point};
 use osteoflow_algorithms::hole::{Hole, HoleError, HoleParams, cloud_difference, range_image};
 use osteoflow_geometry::{Cloud, NamedPoint};
@@ -93,7 +95,7 @@ fn a_spot_at_the_silhouette_counts_where_the_plan_confirms_it() {
                         let mm = (hole.centre - spots[k].position).norm();
                         let what = format!("{name}, {detector}, P{}, {:?}", k + 1, hole.report);
                         assert!(mm < 0.8, "{what}: {mm:.2} mm from the spot");
-                        let (least, enough) = (0.12, 0.4);
+                        let (least, enough) = (0.14, 0.4);
                         assert!((least..enough).contains(&hole.confidence), "{what}");
                         second += 1;
                         // The laser was aimed more than 2 mm beside the mark.
@@ -110,31 +112,86 @@ fn a_spot_at_the_silhouette_counts_where_the_plan_confirms_it() {
     }
 }
 
+/// The full scan within the region of interest, as the graphs crop it; the scans with the laser are not cropped.
+fn cropped(procedure: &Procedure) -> Cloud {
+    let (scan, region) = (&procedure.scan, procedure.region.as_ref().unwrap());
+    let is_inside = |p: &Point3<f64>| (0..3).all(|k| (region.min[k]..=region.max[k]).contains(&p[k]));
+    let points: Vec<Point3<f64>> = scan.points().iter().copied().filter(is_inside).collect();
+    Cloud::new(scan.frame.clone(), points).unwrap().seen_from(scan.viewpoint.unwrap())
+}
+
 #[test]
 fn no_lost_patch_counts_as_a_spot_where_the_laser_is_off() {
     const NAME: &str = "no_lost_patch_counts_as_a_spot_where_the_laser_is_off";
-    let mut n = 0;
-    for (name, subject) in subjects(NAME) {
-        // Drawn anew in every scan.
-        for n_patches in [1, 2, 3, 4] {
-            let mut params = ProcedureParams::default();
-            params.camera.n_patches = n_patches;
-            // As good as off: a few points are missing.
-            params.laser.hole_radius_mm = 0.35;
-            for procedure in procedures(&subject, &params) {
-                for (k, cloud) in procedure.laser.iter().enumerate() {
-                    n += 1;
-                    for (detector, detect) in DETECTORS {
-                        let Ok(hole) = detect(&procedure.scan, cloud, &HoleParams::default()) else { continue };
-                        let what = format!("{name}, {detector}, {n_patches} patches, P{}, {:?}", k + 1, hole.report);
-                        assert!(!is_confirmed(&procedure, k, &hole), "{what}: a lost patch counts as the spot");
+    // With and without clutter, of which each point of the bone costs two more. The sparse scans show fewer of the spots,
+    // which are smaller than their spacing, and without a point at its spot nothing is simulated.
+    for (n_points, surroundings, n_least) in
+        [(20_000, false, 100), (60_000, true, 60), (5000, false, 60), (20_000, true, 20)]
+    {
+        let mut n = 0;
+        for (name, subject) in subjects(NAME) {
+            // Drawn anew in every scan.
+            for n_patches in [1, 2, 3, 4] {
+                let mut params = ProcedureParams::default();
+                (params.camera.n_points, params.camera.surroundings) = (n_points, surroundings);
+                params.camera.n_patches = n_patches;
+                // As good as off: a few points are missing.
+                params.laser.hole_radius_mm = 0.35;
+                for procedure in procedures(&subject, &params) {
+                    let scan = cropped(&procedure);
+                    for (k, cloud) in procedure.laser.iter().enumerate() {
+                        n += 1;
+                        for (detector, detect) in DETECTORS {
+                            let Ok(hole) = detect(&scan, cloud, &HoleParams::default()) else { continue };
+                            let what =
+                                format!("{name}, {detector}, {n_patches} patches, P{}, {:?}", k + 1, hole.report);
+                            assert!(!is_confirmed(&procedure, k, &hole), "{what}: a lost patch counts as the spot");
+                        }
                     }
                 }
             }
         }
+        println!("{n_points} points, clutter {surroundings}: none of {n} scans without a spot has one");
+        assert!(n >= n_least, "{n_points} points: {n} scans without a spot");
     }
-    println!("none of {n} scans without a spot has one");
-    assert!(n >= 100, "{n} scans without a spot");
+}
+
+#[test]
+fn nearly_every_spot_that_the_screen_shows_is_found_and_none_is_off() {
+    const NAME: &str = "nearly_every_spot_that_the_screen_shows_is_found_and_none_is_off";
+    type Change = fn(&mut ProcedureParams);
+    let conditions: [(&str, Change, f64); 3] = [
+        ("5,000 points", |p| p.camera.n_points = 5000, 0.8),
+        ("clutter", |p| (p.camera.surroundings, p.camera.n_points) = (true, 60_000), 0.8),
+        ("film of 2 mm", |p| (p.periosteum.thickness_mm, p.periosteum.share) = (2.0, 0.3), 1.0),
+    ];
+    for (condition, change, limit_mm) in conditions {
+        let mut params = ProcedureParams::default();
+        params.laser.max_attempts = 3;
+        change(&mut params);
+        for (detector, detect) in DETECTORS {
+            let (mut n, mut refused) = (0, 0);
+            for (name, subject) in subjects(NAME) {
+                for procedure in procedures(&subject, &params) {
+                    let (scan, spots) = (cropped(&procedure), spots(&procedure));
+                    for (k, cloud) in procedure.laser.iter().enumerate() {
+                        n += 1;
+                        let Ok(hole) = detect(&scan, cloud, &HoleParams::default()) else {
+                            refused += 1;
+                            continue;
+                        };
+                        // A film lifts the spot along the line of sight.
+                        let (off, sight) = (hole.centre - spots[k].position, spots[k].position.coords.normalize());
+                        let mm = (off - sight * sight.dot(&off)).norm();
+                        let what = format!("{condition}, {name}, {detector}, P{}, {:?}", k + 1, hole.report);
+                        assert!(mm < limit_mm, "{what}: {mm:.2} mm off");
+                    }
+                }
+            }
+            println!("{condition}, {detector}: {refused} of {n} are not found");
+            assert!(n >= 30 && refused * 10 <= n, "{condition}, {detector}: {refused} of {n} are not found");
+        }
+    }
 }
 
 #[test]

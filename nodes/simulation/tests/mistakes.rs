@@ -336,6 +336,37 @@ fn bumps_of_the_ct_have_their_size_on_the_built_in_bone_and_on_measured_ones() {
 }
 
 #[test]
+fn the_laser_blinds_a_disc_of_the_film_that_it_falls_on() {
+    let (mut lifted, mut n) = (0, 0);
+    for seed in 0..12 {
+        let params = with(exact(), |p| {
+            (p.periosteum.thickness_mm, p.periosteum.share, p.camera.n_points) = (2.0, 0.5, 20_000);
+        });
+        let procedure = simulate(&params, seed);
+        let surface = MeshQuery::new(&procedure.truth.bone);
+        let t_ct_camera = t_ct_camera(&procedure);
+        for (spot, laser) in procedure.truth.laser_spots_ct.points.iter().zip(&procedure.laser) {
+            let on_bone = t_ct_camera.inverse() * spot.position;
+            // The point of the film in front of the spot, from the full scan.
+            let ray = on_bone.coords.normalize();
+            let aside = |p: &Point3<f64>| (p - on_bone - ray * ray.dot(&(p - on_bone))).norm();
+            let nearest = procedure.scan.points().iter().min_by(|a, b| aside(a).total_cmp(&aside(b))).unwrap();
+            let film_mm = surface.closest_point(&(t_ct_camera * nearest)).unwrap().distance_mm;
+            let count = |cloud: &Cloud, from: f64, to: f64| {
+                cloud.points().iter().filter(|p| (from..to).contains(&(*p - nearest).norm())).count()
+            };
+            // The nearest pixel is up to 0.16 mm aside, a little more along the surface.
+            let (inside, around) =
+                (count(laser, 0.0, 1.5), [&procedure.scan, laser].map(|cloud| count(cloud, 2.5, 3.0)));
+            assert_eq!(inside, 0, "seed {seed}, {}: film of {film_mm} mm", spot.name);
+            assert!(around[1] * 10 >= around[0] * 7, "seed {seed}, {}: {around:?} around it", spot.name);
+            (lifted, n) = (lifted + usize::from(film_mm > 0.3), n + 1);
+        }
+    }
+    assert!(lifted * 4 > n && lifted < n, "{lifted} of {n} spots are on film");
+}
+
+#[test]
 fn film_covers_its_share_and_is_as_thick_as_documented() {
     for share in [0.3, 0.5] {
         let (mut off, mut n) = (Vec::new(), 0);

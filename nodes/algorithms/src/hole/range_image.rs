@@ -25,8 +25,8 @@ pub fn range_image(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Res
 /// `None` if the scan is not in front of the camera.
 fn missing(scene: &Scene<'_>, t_camera_cloud: &Isometry3<f64>) -> Option<Missing> {
     let image = |p: &Point3<f64>| seen(&(t_camera_cloud * p));
-    let of_cloud: Vec<Point3<f64>> = scene.cloud.iter().filter_map(image).collect();
-    let of_reference: Vec<Option<Point3<f64>>> = scene.reference.iter().map(image).collect();
+    let of_cloud: Vec<Point3<f64>> = scene.cloud.points.iter().filter_map(image).collect();
+    let of_reference: Vec<Option<Point3<f64>>> = scene.reference.points.iter().map(image).collect();
     let laser = Grid::over(&of_cloud)?;
     let full = laser.with(of_reference.iter().flatten());
     let is_missing = |i: &usize| {

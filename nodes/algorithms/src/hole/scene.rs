@@ -1,10 +1,13 @@
 //! The reference scan and the scan with the laser, prepared for comparison.
 
+use super::sight::Sight;
 use super::{HoleError, HoleParams};
 use crate::nearest::Nearest;
 use crate::normals::plane_normal;
 use nalgebra::Point3;
 use osteoflow_geometry::Cloud;
+use rayon::iter::StepBy;
+use rayon::prelude::*;
 
 /// Neighbours that determine the spacing around a point: the first ring of a square grid.
 const RING: usize = 8;
@@ -17,18 +20,66 @@ const AROUND: usize = 12;
 
 /// Both scans in one frame, with trees and spacing.
 pub(super) struct Scene<'a> {
-    pub(super) reference: &'a [Point3<f64>],
-    pub(super) cloud: &'a [Point3<f64>],
-    pub(super) reference_tree: Nearest,
-    pub(super) cloud_tree: Nearest,
+    pub(super) reference: Scan<'a>,
+    pub(super) cloud: Scan<'a>,
+    pub(super) sight: Sight,
     /// Ratio of the spacings of the laser scan and the reference, at least 1.
     coarser: f64,
+    /// Median of [`Scene::spacing_mm`].
+    pub(super) median_spacing_mm: f64,
+    /// Median point spacing on the surface, mm: more than the camera sees where the surface is slanted.
+    pub(super) surface_spacing_mm: f64,
     /// Point spacing of the laser scan in its camera's grid, across the line of sight, mm, if it has a viewpoint.
     pub(super) grid_mm: Option<f64>,
     /// Points of the laser scan per point of the reference, where both overlap.
     pub(super) density: f64,
     /// Median distance of the scan with the laser from the reference's surface, mm.
     pub(super) residual_mm: f64,
+}
+
+/// One scan as the camera of the scan with the laser sees it.
+pub(super) struct Scan<'a> {
+    /// Points in the frame of the clouds.
+    pub(super) points: &'a [Point3<f64>],
+    /// The points as [`Sight`] flattens them, and their tree.
+    pub(super) flat: Vec<Point3<f64>>,
+    tree: Nearest,
+}
+
+impl<'a> Scan<'a> {
+    fn new(points: &'a [Point3<f64>], sight: &Sight) -> Self {
+        let flat: Vec<Point3<f64>> = points.iter().map(|p| sight.flatten(p)).collect();
+        Self { points, tree: Nearest::new(&flat), flat }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Squared distance (mm²) of the nearest point, both flattened.
+    pub(super) fn nearest_flat(&self, flat: &Point3<f64>) -> Option<f64> {
+        self.tree.nearest(flat).map(|(_, square)| square)
+    }
+
+    /// Spacing around a point as the camera sees it, from the distance of the farthest of the first ring, and the distance of
+    /// the second neighbour, mm.
+    fn spacing(&self, index: usize) -> [f64; 2] {
+        let ring = self.tree.nearest_n(&self.flat[index], RING + 1);
+        // The first is the point itself.
+        let [farthest, second] = [ring.last(), ring.get(2)].map(|p| p.map_or(0.0, |(_, square)| *square));
+        [(farthest / 2.0).sqrt(), second.sqrt()]
+    }
+
+    /// Medians of [`Scan::spacing`].
+    fn median_spacing(&self) -> [f64; 2] {
+        let all: Vec<[f64; 2]> = self.sampled().map(|i| self.spacing(i)).collect();
+        [0, 1].map(|k| median(&mut all.iter().map(|mm| mm[k]).collect::<Vec<_>>()))
+    }
+
+    /// About [`SAMPLED`] indices, evenly along the scan.
+    fn sampled(&self) -> StepBy<rayon::range::Iter<usize>> {
+        (0..self.len()).into_par_iter().step_by(self.len().div_ceil(SAMPLED).max(1))
+    }
 }
 
 impl<'a> Scene<'a> {
@@ -40,32 +91,34 @@ impl<'a> Scene<'a> {
                 return Err(HoleError::Empty { what });
             }
         }
-        let camera = cloud.viewpoint.map(|viewpoint| Point3::from(viewpoint.translation.vector));
-        let (reference, cloud) = (reference.points(), cloud.points());
-        let (reference_tree, cloud_tree) = (Nearest::new(reference), Nearest::new(cloud));
+        let sight = Sight::of(cloud);
+        let (reference, cloud) = (Scan::new(reference.points(), &sight), Scan::new(cloud.points(), &sight));
+        let ([of_reference, _], [of_cloud, grid_mm]) = (reference.median_spacing(), cloud.median_spacing());
         let mut scene = Self {
+            grid_mm: sight.is_known().then_some(grid_mm),
             reference,
             cloud,
-            reference_tree,
-            cloud_tree,
-            coarser: 1.0,
-            grid_mm: None,
+            sight,
+            coarser: (of_cloud / of_reference).max(1.0),
+            median_spacing_mm: of_cloud.max(of_reference),
+            surface_spacing_mm: 0.0,
             density: 1.0,
             residual_mm: 0.0,
         };
-        scene.grid_mm = camera.map(|camera| grid_mm(&scene.cloud_tree, cloud, &camera));
-        let mut of_cloud: Vec<f64> = thinned(cloud).map(|p| spacing(&scene.cloud_tree, p)).collect();
-        scene.coarser = (median(&mut of_cloud) / scene.median_spacing()).max(1.0);
-        scene.residual_mm = scene.median_residual(params.spot_radius_mm);
+        let [residual_mm, slant] = scene.median_residual(params.spot_radius_mm);
+        (scene.residual_mm, scene.surface_spacing_mm) = (residual_mm, scene.median_spacing_mm * slant);
         if scene.residual_mm > params.max_scan_residual_mm {
             let limit_mm = params.max_scan_residual_mm;
             return Err(HoleError::ScansApart { residual_mm: scene.residual_mm, limit_mm });
         }
-        let mut density: Vec<f64> = thinned(reference)
+        let mut density: Vec<f64> = scene
+            .reference
+            .sampled()
             .step_by(4)
-            .map(|p| {
-                let count = |tree: &Nearest| tree.within(p, params.spot_radius_mm).len() as f64;
-                count(&scene.cloud_tree) / count(&scene.reference_tree)
+            .map(|i| {
+                let count =
+                    |scan: &Scan| scan.tree.within(&scene.reference.flat[i], params.spot_radius_mm).len() as f64;
+                count(&scene.cloud) / count(&scene.reference)
             })
             .filter(|share| *share > 0.0)
             .collect();
@@ -78,70 +131,48 @@ impl<'a> Scene<'a> {
         if self.coarser > 1.0 { "laser" } else { "reference" }
     }
 
-    /// Spacing around a reference point, mm, in whichever scan is coarser.
+    /// Spacing around a reference point as the camera sees it, mm, in whichever scan is coarser.
     pub(super) fn spacing_mm(&self, index: usize) -> f64 {
-        self.coarser * spacing(&self.reference_tree, &self.reference[index])
+        self.coarser * self.reference.spacing(index)[0]
     }
 
-    /// Median of [`Scene::spacing_mm`].
-    pub(super) fn median_spacing(&self) -> f64 {
-        median(
-            &mut thinned(self.reference).map(|p| self.coarser * spacing(&self.reference_tree, p)).collect::<Vec<_>>(),
-        )
+    /// Indices and squared distances (mm²) of the points of a scan no farther than `radius_mm` in space, by index.
+    pub(super) fn within(&self, scan: &Scan<'_>, point: &Point3<f64>, radius_mm: f64) -> Vec<(usize, f64)> {
+        let mut found = scan.tree.within(&self.sight.flatten(point), self.sight.reach_mm(point, radius_mm));
+        found.iter_mut().for_each(|(i, square)| *square = (scan.points[*i] - point).norm_squared());
+        found.retain(|(_, square)| *square <= radius_mm * radius_mm);
+        found
     }
 
     /// Median distance of the laser scan from the planes through its neighbours in the reference, over their overlap;
-    /// over everything if they do not overlap.
-    fn median_residual(&self, reach_mm: f64) -> f64 {
-        let residuals: Vec<(f64, f64)> = thinned(self.cloud)
-            .map(|p| {
-                let found = self.reference_tree.nearest_n(p, AROUND);
-                let near = found.first().map_or(f64::MAX, |(_, square)| square.sqrt());
-                let around: Vec<Point3<f64>> = found.iter().map(|(i, _)| self.reference[*i]).collect();
+    /// over everything if they do not overlap. Second, the median of [`Sight::slant`].
+    fn median_residual(&self, reach_mm: f64) -> [f64; 2] {
+        let Self { reference, cloud, .. } = self;
+        let residuals: Vec<(f64, f64, f64)> = cloud
+            .sampled()
+            .map(|i| {
+                let point = &cloud.points[i];
+                let found = reference.tree.nearest_n(&cloud.flat[i], AROUND);
+                let around: Vec<Point3<f64>> = found.iter().map(|(j, _)| reference.points[*j]).collect();
+                let near = around.iter().map(|p| (p - point).norm()).fold(f64::MAX, f64::min);
                 let centre = crate::kabsch::centroid(&around);
-                (near, plane_normal(&around).map_or(near, |n| n.dot(&(p - centre)).abs()))
+                let normal = plane_normal(&around);
+                let off = normal.map_or(near, |n| n.dot(&(point - centre)).abs());
+                (near, off, normal.map_or(1.0, |n| self.sight.slant(point, &n)))
             })
             .collect();
-        let mut shared: Vec<f64> = residuals.iter().filter(|(near, _)| *near <= reach_mm).map(|(_, d)| *d).collect();
+        let mut shared: Vec<f64> =
+            residuals.iter().filter(|(near, ..)| *near <= reach_mm).map(|(_, off, _)| *off).collect();
         // Either scan may be cropped, so a part of one that the other shares is enough.
-        let is_shared =
-            |p: &Point3<f64>| self.cloud_tree.nearest(p).is_some_and(|(_, square)| square.sqrt() <= reach_mm);
-        let covered =
-            || thinned(self.reference).filter(|p| is_shared(p)).count() * 2 >= thinned(self.reference).count();
+        let is_shared = |i: &usize| !self.within(cloud, &reference.points[*i], reach_mm).is_empty();
+        let covered = || reference.sampled().filter(is_shared).count() * 2 >= reference.sampled().count();
         if shared.len() * 5 < residuals.len() && (shared.is_empty() || !covered()) {
-            shared = residuals.iter().map(|(near, _)| *near).collect();
+            shared = residuals.iter().map(|(near, ..)| *near).collect();
         }
-        median(&mut shared)
+        let slants = residuals.iter().filter(|(near, ..)| *near <= reach_mm).map(|(.., slant)| *slant);
+        let slant = if shared.is_empty() { 1.0 } else { median(&mut slants.collect::<Vec<_>>()) };
+        [median(&mut shared), slant]
     }
-}
-
-/// Distance to the farthest of the first ring, so a grid seen at a slant counts by its wide side, mm.
-fn spacing(tree: &Nearest, point: &Point3<f64>) -> f64 {
-    tree.nearest_n(point, RING + 1).last().map_or(0.0, |(_, square)| (square / 2.0).sqrt())
-}
-
-/// Median distance of points from their second neighbour across the line of sight, mm: a step of the camera's grid, of which
-/// a surface at a slant shows every one along the shorter side.
-fn grid_mm(tree: &Nearest, points: &[Point3<f64>], camera: &Point3<f64>) -> f64 {
-    let mut steps: Vec<f64> = thinned(points)
-        .filter_map(|point| {
-            let sight = (point - camera).try_normalize(0.0)?;
-            let across = |i: usize| {
-                let offset = points[i] - point;
-                (offset - sight * offset.dot(&sight)).norm()
-            };
-            let mut around: Vec<f64> = tree.nearest_n(point, RING + 1).iter().map(|(i, _)| across(*i)).collect();
-            around.sort_by(f64::total_cmp);
-            // The first is the point itself.
-            around.get(2).copied()
-        })
-        .collect();
-    median(&mut steps)
-}
-
-/// About [`SAMPLED`] points, evenly along the scan.
-fn thinned(points: &[Point3<f64>]) -> impl Iterator<Item = &Point3<f64>> {
-    points.iter().step_by(points.len().div_ceil(SAMPLED).max(1))
 }
 
 /// The median; zero without values.

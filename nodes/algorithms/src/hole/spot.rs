@@ -1,22 +1,31 @@
 //! The search of all detectors for a disc among the missing points.
 
-use super::scene::Scene;
+use super::patch::Patch;
+use super::scene::{Scan, Scene};
 use super::{Hole, HoleError, HoleParams, HoleReport};
 use crate::kabsch::centroid;
-use crate::normals::plane_normal;
-use nalgebra::{Matrix2, Matrix6, Point3, Vector2, Vector3, Vector6};
+use nalgebra::Point3;
 use rayon::prelude::*;
 
-/// Point spacing on the surface, as a share of the disc's radius, up to which every hole is found: ten of its points are
-/// missing.
-const SURE_SPACING: f64 = 0.32;
+/// Point spacing on the surface, as a share of the disc's radius, up to which nearly every hole is found: 20 of its points
+/// are missing.
+const SURE_SPACING: f64 = 0.5;
 
-/// Maximum point spacing of a hole of the first and of the second tier, likewise. Half of the holes are found at 0.42 and
-/// one in thirty at 0.5; the second tier's centres are more than 0.8 mm off beyond 0.45.
-const MAX_SPACING: [f64; 2] = [0.5, 0.45];
+/// Minimum number of points that the scan would have in the disc if it were not missing: fewer are lost by chance, and do
+/// not locate it.
+const MIN_POINTS: f64 = 10.0;
+
+/// The same for the second tier, whose place something else confirms.
+const MIN_POINTS_AGREEING: f64 = 6.0;
+
+/// Variance of the number of points that one scan has where another has one, by lost points on a regular grid.
+const COUNT_VARIANCE: f64 = 0.5;
 
 /// Minimum number of missing points close together; a single one is dropout, of a sparse scan two are a spot's.
 const MIN_CLUSTER: usize = 2;
+
+/// Minimum share of missing points around a seed.
+const MIN_SEED_SHARE: f64 = 0.08;
 
 /// Factor by which a gap may be too large or too small: other losses of a scan are a little over half as large.
 const WRONG_SIZE: f64 = 1.6;
@@ -37,24 +46,15 @@ const MAX_LOST_SECTORS: usize = 4;
 /// Minimum number of sectors present: at a silhouette half of them are empty in both scans.
 const MIN_SEEN_SECTORS: usize = 4;
 
+/// The same for the second tier: a strip lost along a silhouette is open on its far side and at both ends.
+const MIN_SEEN_SECTORS_AGREEING: usize = 5;
+
 /// Relative score at which a second hole makes the result ambiguous.
 const AMBIGUOUS_SHARE: f64 = 0.5;
 
 /// Minimum share of its disc that a hole of the second tier lacks: spots at the silhouette lack all of it, losses of
 /// 1.2 mm radius up to 0.83.
 const MIN_EMPTY_SHARE: f64 = 0.9;
-
-/// Standard deviation of the Gaussian weights of a surface patch, relative to its radius.
-const WIDTH: f64 = 0.2;
-
-/// Number of steps of the fit of a centre; each half converges in five.
-const FIT_STEPS: usize = 24;
-
-/// Weight of a present point relative to a missing one.
-const PRESENT_WEIGHT: f64 = 2.0;
-
-/// Distance from the disc, in bands, beyond which a point is missing for another reason.
-const MAX_BANDS: f64 = 3.0;
 
 /// Reference points without a counterpart, by ascending index.
 pub(super) struct Missing {
@@ -68,6 +68,7 @@ struct Candidate {
     hole: Hole,
     n_lost: usize,
     n_seen: usize,
+    n_expected: f64,
 }
 
 impl Candidate {
@@ -81,9 +82,16 @@ impl Candidate {
         self.hole.report.empty_share >= MIN_EMPTY_SHARE
     }
 
-    fn is_too_sparse(&self, params: &HoleParams) -> bool {
-        let report = &self.hole.report;
-        report.spacing_mm > MAX_SPACING[usize::from(report.tier > 1)] * params.spot_radius_mm
+    fn is_of_first_tier(&self, params: &HoleParams) -> bool {
+        self.is_admissible() && self.n_expected >= MIN_POINTS && self.hole.confidence >= params.min_confidence
+    }
+
+    fn is_of_second_tier(&self, params: &HoleParams) -> bool {
+        let confidence = params.min_confidence_agreeing..params.min_confidence;
+        self.is_admissible()
+            && self.n_seen >= MIN_SEEN_SECTORS_AGREEING
+            && self.n_expected >= MIN_POINTS_AGREEING
+            && confidence.contains(&self.hole.confidence)
     }
 
     /// Score against rivals: a strip that is lost at a steep edge continues around the disc, a spot does not.
@@ -104,11 +112,8 @@ pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) ->
     }
     candidates.sort_by(|a, b| b.score().total_cmp(&a.score()));
     let not_found = not_found(scene, missing, candidates.first(), params);
-    let first_tier = |c: &&Candidate| c.is_admissible() && c.hole.confidence >= params.min_confidence;
+    let first_tier = |c: &&Candidate| c.is_of_first_tier(params);
     if let Some(best) = candidates.iter().find(first_tier) {
-        if best.is_too_sparse(params) {
-            return Err(too_sparse(scene, best.hole.report.spacing_mm, params));
-        }
         let rivals = rivals(best, candidates.iter().filter(first_tier), params);
         return match rivals.first() {
             Some(rival) => Err(HoleError::Several {
@@ -123,10 +128,7 @@ pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) ->
     }
     let mut empty: Vec<Candidate> = candidates.into_iter().filter(Candidate::is_empty).collect();
     empty.iter_mut().for_each(|c| c.hole.report.tier = 2);
-    let second_tier = |c: &&Candidate| {
-        c.is_admissible() && c.hole.confidence >= params.min_confidence_agreeing && !c.is_too_sparse(params)
-    };
-    match empty.iter().find(second_tier) {
+    match empty.iter().find(|c| c.is_of_second_tier(params)) {
         Some(best) if rivals(best, empty.iter(), params).is_empty() => Ok(best.hole.clone()),
         _ => Err(not_found),
     }
@@ -161,7 +163,7 @@ fn too_sparse(scene: &Scene<'_>, spacing_mm: f64, params: &HoleParams) -> HoleEr
 
 /// The error that describes why there is no hole.
 fn not_found(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, params: &HoleParams) -> HoleError {
-    let spacing_mm = scene.median_spacing();
+    let spacing_mm = scene.surface_spacing_mm;
     if spacing_mm > SURE_SPACING * params.spot_radius_mm {
         return too_sparse(scene, spacing_mm, params);
     }
@@ -175,6 +177,11 @@ fn not_found(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, par
                 <[f64; 3]>::from(hole.centre.coords)
             )
         }
+        Some(Candidate { hole, n_expected, .. }) if *n_expected < MIN_POINTS => format!(
+            "the best gap, at {:.1?} mm, lacks {n_expected:.0} points of {MIN_POINTS} needed (confidence {:.2})",
+            <[f64; 3]>::from(hole.centre.coords),
+            hole.confidence
+        ),
         Some(Candidate { hole, .. }) => format!(
             "the best gap, at {:.1?} mm, has a radius of {:.1} mm, is empty by {:.0} % and has {:.0} % of its rim \
              (confidence {:.2}, {} needed)",
@@ -192,8 +199,9 @@ fn not_found(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, par
 /// Missing points with the most missing points around, no two within a radius of each other.
 fn seeds(scene: &Scene<'_>, missing: &Missing, is_missing: &[bool], radius_mm: f64) -> Vec<Point3<f64>> {
     let crowd = |&i: &usize| {
-        let around = scene.reference_tree.within(&scene.reference[i], radius_mm);
-        (around.into_iter().filter(|(j, _)| is_missing[*j]).count(), i)
+        let around = scene.within(&scene.reference, &scene.reference.points[i], radius_mm);
+        let n = around.iter().filter(|(j, _)| is_missing[*j]).count();
+        (if n as f64 >= MIN_SEED_SHARE * around.len() as f64 { n } else { 0 }, i)
     };
     let mut crowds: Vec<(usize, usize)> = missing.indices.par_iter().map(crowd).collect();
     crowds.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -204,8 +212,11 @@ fn seeds(scene: &Scene<'_>, missing: &Missing, is_missing: &[bool], radius_mm: f
             break;
         }
         if !taken[i] {
-            seeds.push(scene.reference[i]);
-            scene.reference_tree.within(&scene.reference[i], radius_mm).iter().for_each(|(j, _)| taken[*j] = true);
+            seeds.push(scene.reference.points[i]);
+            scene
+                .within(&scene.reference, &scene.reference.points[i], radius_mm)
+                .iter()
+                .for_each(|(j, _)| taken[*j] = true);
         }
     }
     seeds
@@ -221,35 +232,43 @@ fn rate(
 ) -> Option<Candidate> {
     let radius = params.spot_radius_mm;
     let lost = |around: &Point3<f64>, reach: f64| -> Vec<usize> {
-        let near = scene.reference_tree.within(around, reach);
+        let near = scene.within(&scene.reference, around, reach);
         near.into_iter().map(|(i, _)| i).filter(|i| is_missing[*i]).collect()
     };
-    let start = centroid(&lost(seed, radius).iter().map(|&i| scene.reference[i]).collect::<Vec<_>>());
+    let start = centroid(&lost(seed, radius).iter().map(|&i| scene.reference.points[i]).collect::<Vec<_>>());
     let local = lost(&start, 2.0 * radius);
-    let spacing_mm = local.iter().map(|&i| scene.spacing_mm(i)).sum::<f64>() / local.len().max(1) as f64;
+    let step_mm = local.iter().map(|&i| scene.spacing_mm(i)).sum::<f64>() / local.len().max(1) as f64;
     let patch = Patch::new(scene, &start, 2.0 * radius)?;
-    let inside: Vec<Point3<f64>> = local.iter().map(|&i| scene.reference[i]).collect();
+    let inside: Vec<Point3<f64>> = local.iter().map(|&i| scene.reference.points[i]).collect();
     let outside: Vec<Point3<f64>> =
-        scene.cloud_tree.within(&start, 3.0 * radius).into_iter().map(|(i, _)| scene.cloud[i]).collect();
-    let band = spacing_mm.max(0.1 * radius);
+        scene.within(&scene.cloud, &start, 3.0 * radius).into_iter().map(|(i, _)| scene.cloud.points[i]).collect();
+    let band = step_mm.max(0.1 * radius);
     let inner = (radius - missing.margin_mm - band).max(0.1 * radius);
     let rough = patch.fit(&inside, inner, &outside, radius + band, band);
     let patch = Patch::new(scene, &rough, 2.0 * radius).unwrap_or(patch);
     let centre = patch.fit(&inside, inner, &outside, radius + band, band);
 
-    let count = |points: &crate::nearest::Nearest, reach: f64| points.within(&centre, reach).len() as f64;
-    let core = (radius - spacing_mm / 2.0).max(0.5 * radius);
-    let expected = |reach: f64| scene.density * count(&scene.reference_tree, reach);
-    let empty_share = (1.0 - count(&scene.cloud_tree, core) / expected(core).max(1.0)).clamp(0.0, 1.0);
+    let count = |scan: &Scan<'_>, reach: f64| scene.within(scan, &centre, reach).len() as f64;
+    let core = (radius - step_mm / 2.0).max(0.5 * radius);
+    let expected = |reach: f64| scene.density * count(&scene.reference, reach);
+    let empty_share = (1.0 - count(&scene.cloud, core) / expected(core).max(1.0)).clamp(0.0, 1.0);
     // The share missing of a wider disc gives the radius, independent of the blurred rim.
     let wide = 1.4 * radius;
-    let share = (1.0 - count(&scene.cloud_tree, wide) / expected(wide).max(1.0)).clamp(0.0, 1.0);
+    let n_wide = expected(wide).max(1.0);
+    let share = (1.0 - count(&scene.cloud, wide) / n_wide).clamp(0.0, 1.0);
     let radius_mm = wide * share.sqrt();
-    let size_share = (1.0 - (radius_mm / radius).ln().abs() / WRONG_SIZE.ln()).clamp(0.0, 1.0);
-    let (n_seen, n_lost) = rim(scene, &patch, &centre, radius, spacing_mm);
+    // Few points measure the radius less well: a smaller loss must not pass for a spot by chance.
+    let least = wide * (share - (COUNT_VARIANCE * share * (1.0 - share) / n_wide).sqrt()).max(0.0).sqrt();
+    let off = if radius_mm < radius { least / radius } else { radius_mm / radius };
+    let size_share = (1.0 - off.ln().abs() / WRONG_SIZE.ln()).clamp(0.0, 1.0);
+    let (n_seen, n_lost) = rim(scene, &patch, &centre, radius, step_mm);
     let rim_share = n_seen as f64 / SECTORS as f64;
-    let area: f64 =
-        scene.reference_tree.within(&centre, core).iter().map(|(i, _)| scene.spacing_mm(*i).powi(2) * RING_AREA).sum();
+    let slant = scene.sight.slant(&centre, patch.normal());
+    let spacing_mm = step_mm * slant;
+    let area =
+        scene.within(&scene.reference, &centre, core).iter().map(|(i, _)| scene.spacing_mm(*i).powi(2)).sum::<f64>()
+            * RING_AREA
+            * slant;
     let seen_share = (area / (std::f64::consts::PI * core * core)).min(1.0);
     let confidence = empty_share.powi(2) * seen_share * rim_share.sqrt() * size_share;
     let report = HoleReport {
@@ -270,105 +289,27 @@ fn rate(
         size_share,
         confidence,
     };
-    Some(Candidate { hole: Hole { centre, radius_mm, confidence, report }, n_lost, n_seen })
+    Some(Candidate { hole: Hole { centre, radius_mm, confidence, report }, n_lost, n_seen, n_expected: expected(core) })
 }
 
 /// Numbers of sectors of the rim that the scan covers, and that only the reference covers.
 fn rim(scene: &Scene<'_>, patch: &Patch, centre: &Point3<f64>, radius: f64, spacing_mm: f64) -> (usize, usize) {
     let reach = radius + (0.6 * radius).max(2.0 * spacing_mm);
-    let sectors = |points: &[Point3<f64>], tree: &crate::nearest::Nearest| {
+    let sectors = |scan: &Scan<'_>| {
         let mut sectors = [0.0; SECTORS];
-        for (i, square) in tree.within(centre, reach) {
+        for (i, square) in scene.within(scan, centre, reach) {
             if square > radius * radius {
-                let offset = patch.local(&points[i]) - patch.local(centre);
+                let offset = patch.local(&scan.points[i]) - patch.local(centre);
                 let turn = (offset.y.atan2(offset.x) / std::f64::consts::TAU).rem_euclid(1.0);
                 sectors[((turn * SECTORS as f64) as usize).min(SECTORS - 1)] += 1.0;
             }
         }
         sectors
     };
-    let expected = sectors(scene.reference, &scene.reference_tree).map(|n| n * scene.density);
-    let found = sectors(scene.cloud, &scene.cloud_tree);
+    let expected = sectors(&scene.reference).map(|n| n * scene.density);
+    let found = sectors(&scene.cloud);
     let pairs = || found.iter().zip(&expected);
     let n_seen = pairs().filter(|(found, expected)| **found >= 1.0 && **found >= PRESENT_SHARE * **expected).count();
     let n_lost = pairs().filter(|(found, expected)| **expected >= 2.0 && **found < PRESENT_SHARE * **expected).count();
     (n_seen, n_lost)
-}
-
-/// The reference's surface around a point, as a quadratic height over its tangent plane.
-struct Patch {
-    origin: Point3<f64>,
-    axes: [Vector3<f64>; 3],
-    height: Vector6<f64>,
-}
-
-impl Patch {
-    fn new(scene: &Scene<'_>, origin: &Point3<f64>, reach_mm: f64) -> Option<Self> {
-        let around: Vec<Point3<f64>> =
-            scene.reference_tree.within(origin, reach_mm).into_iter().map(|(i, _)| scene.reference[i]).collect();
-        let z = plane_normal(&around)?;
-        let x = z.cross(&Vector3::ith(z.iamin(), 1.0)).normalize();
-        let mut patch = Self { origin: *origin, axes: [x, z.cross(&x), z], height: Vector6::zeros() };
-        let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
-        for point in &around {
-            let [x, y, z] = patch.local(point).into();
-            // A bone bends within a spot's radius more than a quadratic can follow, so near points count most.
-            let weight = (-(x * x + y * y) / (2.0 * (WIDTH * reach_mm).powi(2))).exp();
-            let row = monomials(x, y);
-            normal += row * row.transpose() * weight;
-            right += row * (z * weight);
-        }
-        // Regularization: curvatures that too few points determine stay flat.
-        let damped = normal + Matrix6::identity() * 1e-3;
-        patch.height = damped.cholesky()?.solve(&right);
-        Some(patch)
-    }
-
-    /// Coordinates along the patch's axes.
-    fn local(&self, point: &Point3<f64>) -> Vector3<f64> {
-        let offset = point - self.origin;
-        Vector3::from(self.axes.map(|axis| axis.dot(&offset)))
-    }
-
-    fn on_surface(&self, at: &Vector2<f64>) -> Point3<f64> {
-        let z = self.height.dot(&monomials(at.x, at.y));
-        self.origin + self.axes[0] * at.x + self.axes[1] * at.y + self.axes[2] * z
-    }
-
-    /// The point on the surface with the points `inside` closer than `inner` and those `outside` farther than `outer`,
-    /// in the least-squares sense.
-    ///
-    /// A present point is certainly outside of the hole; a missing one may be missing for another reason, so its
-    /// residual is limited to `band`, and in the second half of the steps it is ignored far beyond.
-    fn fit(&self, inside: &[Point3<f64>], inner: f64, outside: &[Point3<f64>], outer: f64, band: f64) -> Point3<f64> {
-        let mut at = Vector2::zeros();
-        for round in 0..FIT_STEPS {
-            let centre = self.on_surface(&at);
-            let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
-            let mut add = |point: &Point3<f64>, limit: f64, weight: &dyn Fn(f64) -> f64| {
-                let offset = point - centre;
-                let distance = offset.norm();
-                let (excess, weight) = (distance - limit, weight(distance - limit));
-                if weight > 0.0 && distance > 0.0 {
-                    let direction = Vector2::new(self.axes[0].dot(&offset), self.axes[1].dot(&offset)) / distance;
-                    normal += direction * direction.transpose() * weight;
-                    right += direction * (excess * weight);
-                }
-            };
-            let missing = |excess: f64| match excess {
-                e if e <= 0.0 || (round >= FIT_STEPS / 2 && e > MAX_BANDS * band) => 0.0,
-                e => (band / e).min(1.0),
-            };
-            inside.iter().for_each(|p| add(p, inner, &missing));
-            outside.iter().for_each(|p| add(p, outer, &|excess| if excess < 0.0 { PRESENT_WEIGHT } else { 0.0 }));
-            // Damping: where the rim is open, the centre stays.
-            let Some(inverse) = (normal + Matrix2::identity()).try_inverse() else { break };
-            at += inverse * right;
-        }
-        self.on_surface(&at)
-    }
-}
-
-fn monomials(x: f64, y: f64) -> Vector6<f64> {
-    Vector6::new(1.0, x, y, x * x, x * y, y * y)
 }

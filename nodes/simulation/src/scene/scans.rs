@@ -51,12 +51,17 @@ impl Scene<'_> {
         bias: &DepthBias,
     ) -> Result<Vec<Cloud>, SimulationError> {
         let is_still = self.is_still_between_scans();
+        // The light falls on the film, where there is one.
+        let film = Periosteum::new(&self.params.periosteum, self.seed);
         let one = |(k, spot): (usize, &osteoflow_geometry::NamedPoint)| {
             let s = laser_s(k);
-            let hole = self.hole(k, &(self.t_ct_camera(s).inverse() * spot.position));
+            let t_ct_camera = self.t_ct_camera(s);
+            let on_bone = t_ct_camera.inverse() * spot.position;
+            let hole =
+                self.hole(k, &film.as_ref().map_or(on_bone, |f| f.onto(&on_bone, &t_ct_camera, self.bone_surface)));
             let moved = if is_still { None } else { Some(self.bone_view(s, bias, wound.tissue.as_ref())?) };
             let pixels = moved.as_deref().unwrap_or(pixels);
-            if !pixels.iter().any(|p| p.on_object && (p.point() - hole.spot).norm() < hole.radius_mm) {
+            if !pixels.iter().any(|p| p.on_object && (p.lit() - hole.spot).norm() < hole.radius_mm) {
                 return Err(SimulationError::SpotHidden { name: spot.name.to_string() });
             }
             Ok(self.bone_scan(pixels, Some(hole), wound, s, tracker, 2 + k as u64)?.labelled(self.label(&spot.name)))
