@@ -80,6 +80,7 @@ const IN_VIVO: &str = r#"extends = "GRAPH"
 remove = ["node.calibration", "node.verdict.in.calibration", "node.verdict.in.t_camera_camera_marker", "node.verdict.in.t_camera_phantom_marker", "node.phantom", "node.phantom_marker", "node.assessment", "node.fre", "results.calibration", "results.poses.t_camera_camera_marker", "results.metrics.fre_mm", "node.bone_marker", "node.to_bone.in.motion", "node.to_bone_laser.in.motion"]
 [graph]
 name = "sim_vivo"
+seed = 46
 [node.recording]
 tracker = { none = true }
 laser = { assessment = true, disc = "beam" }

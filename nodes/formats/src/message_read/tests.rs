@@ -146,7 +146,7 @@ fn a_rounded_pose_of_a_cloud_is_corrected_and_says_by_how_much() {
         head,
         CloudHead { frame: found.cloud.frame.clone(), stamp_ns: 5_000_000_006, correction: found.correction }
     );
-    let json = r#"{"timestamp":{"sec":5,"nsec":6},"pose":{"orientation":{"w":0.9998}},"data":"!"}"#;
+    let json = r#"{"timestamp":{"sec":5,"nsec":6},"frame_id":"camera","pose":{"orientation":{"w":0.9998}},"data":"!"}"#;
     assert_eq!(read_cloud_head(message(POINT_CLOUD, "json", json)).unwrap(), head);
 }
 
