@@ -8,15 +8,18 @@ use osteoflow_geometry::{ROUNDED_ROTATION, direction};
 pub(crate) fn unit_normals(mut normals: Vec<Vector3<f64>>) -> (Option<Vec<Vector3<f64>>>, Vec<String>) {
     let (mut n_bad, mut n_scaled, mut shortest, mut longest) = (0, 0, f64::INFINITY, 0.0_f64);
     for normal in &mut normals {
+        let length = normal.norm();
+        // A NaN compares as false.
+        if (length - 1.0).abs() <= ROUNDED_ROTATION {
+            *normal /= length;
+            continue;
+        }
         let Ok(unit) = direction(*normal) else {
             n_bad += 1;
             continue;
         };
-        let length = normal.norm();
-        if (length - 1.0).abs() > ROUNDED_ROTATION {
-            (shortest, longest) = (shortest.min(length), longest.max(length));
-            n_scaled += 1;
-        }
+        (shortest, longest) = (shortest.min(length), longest.max(length));
+        n_scaled += 1;
         *normal = unit.into_inner();
     }
     let n = normals.len();
