@@ -230,3 +230,37 @@ fn a_slide_ends_in_one_place_after_any_icp_and_its_profile_is_in_the_results() {
         assert!(report["modes"][0].as_str().unwrap().contains("along the bone"), "{}", report["modes"]);
     }
 }
+
+#[test]
+fn a_sparse_scan_of_a_slanted_landmark_is_registered_and_without_its_spot_refused() {
+    // Bone, seed and stripped stretch of procedures in which P2 is seen at 60 degrees and more.
+    for (bone, seed, from_mm, to_mm) in
+        [(7, 5501, 74.752, 160.586), (8, 5505, 73.445, 167.261), (10, 5506, 67.269, 166.011)]
+    {
+        let mut set = vec![
+            format!("graph.seed={seed}"),
+            "recording.camera.n_points=5000".to_owned(),
+            "recording.laser.max_attempts=3".to_owned(),
+            format!("recording.camera.scan_from_mm={from_mm}"),
+            format!("recording.camera.scan_to_mm={to_mm}"),
+        ];
+        set.extend(["recording", "plan", "bone"].map(|node| format!("{node}.bone.shape_seed={bone}")));
+        let arguments = |set: &[String]| {
+            set.iter().flat_map(|set| ["--set".to_owned(), set.clone()]).chain(["--no-record".to_owned()]).collect()
+        };
+        let (with_spots, mut off): (Vec<String>, Vec<String>) = (arguments(&set), arguments(&set));
+        let ran = run_whole(GRAPH, &with_spots.iter().map(String::as_str).collect::<Vec<_>>());
+        let norm = number(&ran.results["metrics"]["tre_true_mm"]["mean_abs"]["norm"]);
+        assert!(norm < 1.0, "bone {bone}: TRE {norm} mm");
+        let holes = ran.results["holes"].as_array().unwrap();
+        assert_eq!(holes.len(), 3, "bone {bone}");
+        // The spacing in the camera's grid and on the surface are both reported.
+        for hole in holes {
+            assert!(number(&hole["grid_mm"]) < number(&hole["spacing_mm"]), "bone {bone}: {hole}");
+        }
+        off.extend(["--set".to_owned(), "recording.laser.hole_radius_mm=0.6".to_owned()]);
+        let refused = run(GRAPH, &off.iter().map(String::as_str).collect::<Vec<_>>());
+        assert_eq!(refused.code, 3, "bone {bone}: {}", refused.stderr);
+        assert!(refused.stderr.contains("no hole of 2 mm radius"), "bone {bone}: {}", refused.stderr);
+    }
+}

@@ -7,8 +7,8 @@ use crate::kabsch::centroid;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-/// Point spacing on the surface, as a share of the disc's radius, up to which nearly every hole is found: 20 of its points
-/// are missing.
+/// Point spacing on the surface, as a share of the disc's radius, up to which nearly every hole is found: a dozen of its
+/// points are missing.
 const SURE_SPACING: f64 = 0.5;
 
 /// Minimum number of points that the scan would have in the disc if it were not missing: fewer are lost by chance, and do

@@ -8,7 +8,8 @@ use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
 ///
 /// Both scans are in one frame. The main cluster of missing points is the hole; its centre is the landmark. Where the scan
 /// with the laser has a viewpoint, points are compared as its camera sees them, so that a slanted surface, on which they are
-/// far apart, shows its hole. Ten points must be missing, or six where the distances to the other landmarks confirm the spot.
+/// far apart, shows its hole. The hole must be large enough for ten points, or for six where the distances to the other
+/// landmarks confirm the spot.
 #[derive(Describe)]
 #[describe(
     example = r#"
