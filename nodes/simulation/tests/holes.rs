@@ -125,11 +125,13 @@ fn no_lost_patch_counts_as_a_spot_where_the_laser_is_off() {
     const NAME: &str = "no_lost_patch_counts_as_a_spot_where_the_laser_is_off";
     // With and without clutter, of which each point of the bone costs two more. The sparse scans show fewer of the spots,
     // which are smaller than their spacing, and without a point at its spot nothing is simulated.
-    for (n_points, surroundings, n_least) in
-        [(20_000, false, 100), (60_000, true, 60), (5000, false, 60), (20_000, true, 20)]
+    for (n_points, surroundings, n_least_of_each) in
+        [(20_000, false, 30), (60_000, true, 15), (5000, false, 15), (20_000, true, 5)]
     {
+        let subjects = subjects(NAME);
+        let n_least = n_least_of_each * subjects.len();
         let mut n = 0;
-        for (name, subject) in subjects(NAME) {
+        for (name, subject) in subjects {
             // Drawn anew in every scan.
             for n_patches in [1, 2, 3, 4] {
                 let mut params = ProcedureParams::default();
