@@ -96,6 +96,8 @@ fn run_on_series(dir: &Path, out: &Path, sets: &[&str]) -> String {
     .unwrap();
     let path = format!("bone.path={}", series.display());
     let mut command = osteoflow();
+    // The folder of cached answers is named in the manifest, too.
+    command.env("OSTEOFLOW_CACHE", dir.join("answers"));
     command.arg("run").arg(&graph).args(["--set", &path]).args(sets).arg("--out").arg(out);
     let run = command.output().unwrap();
     let stderr = String::from_utf8_lossy(&run.stderr).into_owned();
@@ -126,6 +128,7 @@ fn no_tag_of_a_patient_and_no_absolute_path_is_in_what_a_run_leaves() {
     let tags: Vec<_> = ["ELSEWHERE", "LEFT LEG", "19610203"].into_iter().filter(|tag| stderr.contains(tag)).collect();
     assert_eq!(tags, [""; 0], "{stderr}");
     let manifest = json(&out.join("manifest.json"));
+    assert_eq!(manifest["store"]["dir"], "answers", "the store was used, and is named without its folder");
     assert_eq!(manifest["inputs"].as_array().unwrap().len(), 30);
     assert_eq!(manifest["inputs"][0]["path"], "ct/0.dcm", "the file with its hash, without its folder");
     assert!(manifest["resolved_graph"].as_str().unwrap().contains("path = \"ct\""), "{}", manifest["resolved_graph"]);

@@ -10,7 +10,7 @@ use osteoflow_formats::{
     recording_write::{Compression, Encoding, Layout, PointType, Stream, write_recording},
 };
 use osteoflow_geometry::{
-    Frame, StampNs,
+    Frame, Pose, StampNs,
     nalgebra::{Isometry3, Point3, Quaternion, UnitQuaternion, Vector3},
 };
 use std::{
@@ -185,6 +185,41 @@ fn a_bag_that_is_read_in_another_way_says_so() {
     let ran = registered(&write_graph(dir.path(), FRAMES));
     assert_ne!(ran.code, 0);
     assert!(ran.stderr.contains("bag_1.mcap is missing, though metadata.yaml names it"), "{}", ran.stderr);
+}
+
+#[test]
+fn a_static_transform_holds_from_the_beginning_and_a_changed_one_is_told() {
+    const START_NS: StampNs = 1_750_000_000_000_000_000;
+    let dir = tempfile::tempdir().unwrap();
+    let pose = |x: f64, k: StampNs| {
+        Pose::new("base", "camera", Isometry3::translation(x, 0.0, 0.0)).at(START_NS + k * 1_000_000_000)
+    };
+    let run_with = |poses: Vec<Pose>, more: &str| {
+        let layout = Layout { encoding: Encoding::Cdr { big_endian: false }, ..Layout::default() };
+        let streams = [("/tf_static", Stream::Transforms(poses))];
+        write_recording(&dir.path().join("static.mcap"), &streams, &BTreeMap::new(), &[], &layout).unwrap();
+        let graph = format!(
+            "[graph]\nformat = 1\nframes = [\"world\", \"camera\"]\n[node.recording]\nkind = \"acquire.mcap\"\n\
+             path = \"static.mcap\"\nframes = {{ base = \"world\" }}\nout.held = {{ type = \"geometry/Pose\", \
+             topic = \"/tf_static\", to = \"world\", from = \"camera\"{more} }}\n[results]\n\
+             held = {{ from = \"recording.held\", all = true }}\n"
+        );
+        fs::write(dir.path().join("static.toml"), graph).unwrap();
+        registered(&dir.path().join("static.toml"))
+    };
+    let ran = run_with(vec![pose(5.0, 3), pose(5.0, 4)], "");
+    let held = ran.results["held"].as_array().unwrap();
+    assert_eq!((ran.code, held.len()), (0, 1), "what is sent again is the same: {}", ran.stderr);
+    assert_eq!(held[0]["to"], "world", "{}", held[0]);
+    let ran = run_with(vec![pose(5.0, 3), pose(6.0, 4)], "");
+    assert_eq!((ran.code, ran.results["held"].as_array().unwrap().len()), (0, 2), "{}", ran.stderr);
+    assert!(
+        ran.stderr.contains("t_world_camera changes at 1750000004000000000 ns, though it is static"),
+        "{}",
+        ran.stderr
+    );
+    let ran = run_with(vec![pose(5.0, 3)], ", lost_after_ms = 500");
+    assert!(ran.code != 0 && ran.stderr.contains("remove lost_after_ms"), "{}", ran.stderr);
 }
 
 #[test]

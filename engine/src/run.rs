@@ -104,7 +104,7 @@ pub(crate) fn run_part(
     // Hashing the inputs takes as long as reading them; it runs in parallel, unless the recording begins with the
     // hashes.
     let mut hashes = out_dir.map(|_| Hashes::begin(&plan.input_files));
-    let shown = ShownPaths::of(plan, out_dir);
+    let shown = ShownPaths::of(plan, options);
     let recorder = match out_dir.filter(|_| options.record) {
         Some(dir) => {
             let by_hash = plan.recording.sources == Sources::Hashes;

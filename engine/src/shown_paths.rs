@@ -4,7 +4,10 @@
 //! name files; any other by its name alone. Its SHA-256 is beside it. With `sources = "hash"` paths stay absolute, since a
 //! replay reads the files again; so do those of the libraries of plugins, which every replay loads.
 
-use crate::plan::{Plan, Sources};
+use crate::{
+    options::RunOptions,
+    plan::{Plan, Sources},
+};
 use serde_json::Value as Json;
 use std::{
     collections::BTreeMap,
@@ -19,8 +22,8 @@ pub(crate) struct ShownPaths {
 }
 
 impl ShownPaths {
-    /// The paths of a run: its graph, the files that it names, and the folder that it leaves.
-    pub(crate) fn of(plan: &Plan, out_dir: Option<&Path>) -> Self {
+    /// The paths of a run: its graph, the files that it names, the folder that it leaves and the store of cached answers.
+    pub(crate) fn of(plan: &Plan, options: &RunOptions) -> Self {
         if plan.recording.sources == Sources::Hashes {
             return Self::default();
         }
@@ -32,7 +35,9 @@ impl ShownPaths {
         for path in named.filter(|path| path.is_absolute()) {
             shown.insert(path.clone(), relative(path, &graph_dir, &current));
         }
-        for path in [Some(plan.path.as_path()), out_dir].into_iter().flatten().filter(|path| path.is_absolute()) {
+        let store = options.store.as_ref().map(|store| store.dir());
+        let others = [Some(plan.path.as_path()), options.out_dir.as_deref(), store];
+        for path in others.into_iter().flatten().filter(|path| path.is_absolute()) {
             shown.insert(path.into(), relative(path, &current, &current));
         }
         distinguish(&mut shown);
@@ -68,14 +73,15 @@ impl ShownPaths {
     }
 }
 
-/// Replaces a path where it is not the beginning of a longer name.
+/// Replaces a path where it is neither the beginning of a longer name nor the end of a longer path.
 fn replace(text: &str, path: &str, shown: &str) -> String {
+    let of_name = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-');
     let (mut out, mut rest) = (String::with_capacity(text.len()), text);
     while let Some(at) = rest.find(path) {
-        let after = &rest[at + path.len()..];
-        let ends = !after.starts_with(|c: char| c.is_alphanumeric() || matches!(c, '_' | '-'));
-        out.push_str(&rest[..at]);
-        out.push_str(if ends { shown } else { path });
+        let (before, after) = (&rest[..at], &rest[at + path.len()..]);
+        out.push_str(before);
+        let is_whole = !after.starts_with(of_name) && !out.ends_with(|c: char| of_name(c) || c == '.');
+        out.push_str(if is_whole { shown } else { path });
         rest = after;
     }
     out + rest
@@ -130,8 +136,10 @@ mod tests {
     #[test]
     fn a_path_within_a_text_is_replaced_and_a_longer_name_is_not() {
         let paths = ShownPaths { pairs: vec![("/d/ct/1.dcm".into(), "1.dcm".into()), ("/d/ct".into(), "ct".into())] };
-        let text = "/d/ct/1.dcm: cut; folder /d/ct, --set bone.path=/d/ct and /d/ct2 /d/ct/2.dcm";
-        assert_eq!(paths.text(text), "1.dcm: cut; folder ct, --set bone.path=ct and /d/ct2 ct/2.dcm");
+        let text =
+            "/d/ct/1.dcm: cut; folder /d/ct, --set bone.path=/d/ct and /d/ct2 /d/ct/2.dcm, not ../d/ct or /e/d/ct";
+        let shown = "1.dcm: cut; folder ct, --set bone.path=ct and /d/ct2 ct/2.dcm, not ../d/ct or /e/d/ct";
+        assert_eq!(paths.text(text), shown);
     }
 
     #[test]

@@ -92,9 +92,10 @@ impl Findings {
     /// Removes the findings of these kinds.
     fn take(&mut self, kinds: &[&str]) -> Vec<Finding> {
         self.n_by_kind.retain(|kind, _| !kinds.contains(kind));
-        let (taken, rest) = std::mem::take(&mut self.listed).into_iter().partition(|(kind, _)| kinds.contains(kind));
+        let listed = std::mem::take(&mut self.listed);
+        let (taken, rest): (Vec<_>, Vec<_>) = listed.into_iter().partition(|(kind, _)| kinds.contains(kind));
         self.listed = rest;
-        Vec::into_iter(taken).map(|(_, finding)| finding).collect()
+        taken.into_iter().map(|(_, finding)| finding).collect()
     }
 
     /// Replaces the findings that follow from damage by one: `lost` and the wires that lack items.

@@ -176,6 +176,15 @@ const NOT_FOR_CRATES: &[&str] = &[
     "yield",
 ];
 
+/// Makes a folder, or takes one that is empty.
+fn empty_folder(dir: &Path, advice: &str) -> Result<()> {
+    fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
+    if fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some() {
+        return Err(UsageError(format!("{} is not empty; {advice}", dir.display())).into());
+    }
+    Ok(())
+}
+
 /// A graph without the line that names its schema, which editors find only beside the shipped graphs.
 fn without_schema(text: &'static str) -> &'static str {
     text.split_once('\n').filter(|(line, _)| line.starts_with("#:schema")).map_or(text, |(_, rest)| rest)
@@ -202,11 +211,7 @@ impl Plugin {
             }
             Lang::C => (&C, Sdk::default()),
         };
-        fs::create_dir_all(&dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
-        if fs::read_dir(&dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some() {
-            let message = format!("{} is not empty; name another folder with --out", dir.display());
-            return Err(UsageError(message).into());
-        }
+        empty_folder(&dir, "name another folder with --out")?;
         write(&dir, FIBULA.0, without_schema(FIBULA.1))?;
         for (path, text) in template.files {
             let mut text = text.replace(template.placeholder, &self.name);

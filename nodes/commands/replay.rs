@@ -217,6 +217,7 @@ fn comparison(wire: &WireComparison) -> String {
         (None, WirePart::Played) => "played".into(),
         (None, WirePart::Absent) => "not in this graph".into(),
         (None, WirePart::Computed) if wire.n_compared == wire.n_recorded => "equal".into(),
+        (None, WirePart::Computed) if wire.n_compared == 0 => "not compared".into(),
         (None, WirePart::Computed) => format!("{} compared, equal", wire.n_compared),
     }
 }

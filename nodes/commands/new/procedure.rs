@@ -1,11 +1,11 @@
 //! The example folder of a procedure.
 
-use super::{FIBULA, File, without_schema, write};
-use crate::commands::{Exit, Format, Global, UsageError, print_json, simulate::Simulate};
-use anyhow::{Context, Result};
+use super::{FIBULA, File, empty_folder, without_schema, write};
+use crate::commands::{Exit, Format, Global, print_json, simulate::Simulate};
+use anyhow::Result;
 use clap::Args;
 use serde_json::json;
-use std::{fs, io::Write, path::PathBuf};
+use std::{io::Write, path::PathBuf};
 
 /// Create a folder with a simulated procedure as plain files, the graph that registers it, and a README that says which file to
 /// replace by which of yours.
@@ -75,10 +75,7 @@ by yours and run again; what does not fit is refused by name.
 impl Procedure {
     pub(super) fn execute(&self, global: &Global) -> Result<Exit> {
         let dir = &self.dir;
-        fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
-        if fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some() {
-            return Err(UsageError(format!("{} is not empty; name another folder", dir.display())).into());
-        }
+        empty_folder(dir, "name another folder")?;
         let quiet = Global { quiet: true, ..*global };
         Simulate::example(dir.join("data")).execute(&quiet)?;
         for (path, text) in GRAPHS {
