@@ -12,10 +12,11 @@ use osteoflow_formats::{
     picked_points::read_picked_points,
     plan_file::{plan_json, read_plan},
     pose_file::read_pose,
+    write::write_mesh,
 };
 use osteoflow_geometry::{SurfaceOrigin, isometry_from_matrix, nalgebra::Matrix4};
 use serde_json::Value;
-use std::fs;
+use std::{fs, path::Path};
 
 const GRAPH: &str = "graphs/variants/fibula_export.toml";
 
@@ -160,4 +161,51 @@ fn a_plan_that_is_written_and_read_has_no_unread_keys() {
     let file = dir.path().join("plan.json");
     fs::write(&file, plan_json(&plan.plan).to_string()).unwrap();
     assert_eq!(read_plan(&file).unwrap().notes, [""; 0]);
+}
+
+#[test]
+fn a_surface_that_states_no_space_is_told_and_turned_where_the_graph_says_ras() {
+    let dir = tempfile::tempdir().unwrap();
+    let stated = read_mesh("tests/data/folder/bone.stl".as_ref(), 1.0, "ct", SurfaceOrigin::User).unwrap();
+    let write = |name: &str, space: Space, says: bool| {
+        let path = dir.path().join(name);
+        write_mesh(&path, &stated.mesh, space).unwrap();
+        if !says {
+            let mut bytes = fs::read(&path).unwrap();
+            bytes[..80].fill(0);
+            fs::write(&path, bytes).unwrap();
+        }
+        path
+    };
+    let exported = |path: &Path, space: &str| {
+        let graph = dir.path().join("graph.toml");
+        let text = format!(
+            "[graph]\nformat = 1\n[node.bone]\nkind = \"surface.file\"\npath = {path:?}\n{space}\n[node.export]\nkind = \
+             \"output.export\"\nin = {{ bone = \"bone.mesh\" }}\n"
+        );
+        fs::write(&graph, text).unwrap();
+        let out = tempfile::tempdir_in(dir.path()).unwrap().path().join("out");
+        let output = osteoflow().arg("run").arg(&graph).arg("--out").arg(&out).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        let mesh = read_mesh(&out.join("export/bone.stl"), 1.0, "ct", SurfaceOrigin::User).ok().map(|read| read.mesh);
+        (output.status.code(), mesh, said)
+    };
+    let note = "the file states no space: its numbers are taken for LPS, as 3D Slicer takes them; set space";
+    for (name, space, says, option, is_told) in [
+        ("lps.stl", Space::Lps, true, "", false),
+        ("ras.stl", Space::Ras, true, "", false),
+        ("ras.stl", Space::Ras, true, "space = \"RAS\"", false),
+        ("silent.stl", Space::Lps, false, "", true),
+        ("silent.stl", Space::Lps, false, "space = \"LPS\"", false),
+        ("silent_ras.stl", Space::Ras, false, "space = \"RAS\"", false),
+    ] {
+        let (code, mesh, said) = exported(&write(name, space, says), option);
+        assert_eq!((code, said.contains(note)), (Some(0), is_told), "{name} {option}: {said}");
+        let mesh = mesh.unwrap();
+        assert_eq!(mesh.vertices(), stated.mesh.vertices(), "{name} {option}");
+        assert_eq!(mesh.volume_mm3(), stated.mesh.volume_mm3(), "{name} {option}: turned, not mirrored");
+    }
+    let (code, mesh, said) = exported(&write("ras.stl", Space::Ras, true), "space = \"LPS\"");
+    assert_eq!((code, mesh), (Some(3), None));
+    assert!(said.contains("the file states SPACE=RAS, but space = \"LPS\"; leave space out"), "{said}");
 }

@@ -1,6 +1,9 @@
 use nalgebra::Vector3;
 use osteoflow_geometry::{ROUNDED_ROTATION, direction};
 
+/// By how much the squared length of a unit normal in single precision differs from 1 at most, generously.
+const ROUNDED_TO_SINGLE: f64 = 1e-6;
+
 /// Normals of any length, scaled to length 1, and what was done to them, one sentence each; none if one has no direction.
 ///
 /// A normal is a direction: scaling it moves nothing, so any length but zero is taken. Lengths that rounding does not explain
@@ -8,8 +11,14 @@ use osteoflow_geometry::{ROUNDED_ROTATION, direction};
 pub(crate) fn unit_normals(mut normals: Vec<Vector3<f64>>) -> (Option<Vec<Vector3<f64>>>, Vec<String>) {
     let (mut n_bad, mut n_scaled, mut shortest, mut longest) = (0, 0, f64::INFINITY, 0.0_f64);
     for normal in &mut normals {
-        let length = normal.norm();
+        let excess = normal.norm_squared() - 1.0;
         // A NaN compares as false.
+        if excess.abs() <= ROUNDED_TO_SINGLE {
+            // 1 / sqrt(1 + excess) to 1e-18, without root and division.
+            *normal *= 1.0 - excess * (0.5 - 0.375 * excess);
+            continue;
+        }
+        let length = normal.norm();
         if (length - 1.0).abs() <= ROUNDED_ROTATION {
             *normal /= length;
             continue;

@@ -1,6 +1,7 @@
 //! The anatomical axes that a file states for its coordinates.
 
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
+use osteoflow_geometry::Frame;
 use std::fmt;
 
 /// The axes of a patient's coordinates, as a file states them.
@@ -28,6 +29,11 @@ impl fmt::Display for Space {
 }
 
 impl Space {
+    /// The space of coordinates in a frame: `ct` is LPS, the others are no patient's.
+    pub fn of(frame: &Frame) -> Self {
+        if frame.as_str() == "ct" { Self::Lps } else { Self::Unknown }
+    }
+
     /// The rotation between coordinates in this space and LPS, in both directions; the identity if unknown.
     pub fn turn(self) -> UnitQuaternion<f64> {
         match self {

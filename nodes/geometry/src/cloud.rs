@@ -1,4 +1,4 @@
-use crate::{Column, Frame, StampNs, first_not_unit};
+use crate::{Column, Frame, StampNs, first_not_unit, rigid::first_not};
 use nalgebra::{Isometry3, Point3, Vector3};
 use std::sync::Arc;
 
@@ -61,7 +61,7 @@ impl Cloud {
     }
 
     fn checked(frame: Frame, points: Column<Point3<f64>>) -> Result<Self, CloudError> {
-        if let Some(index) = points.iter().position(|p| !p.coords.iter().all(|c| c.is_finite())) {
+        if let Some(index) = first_not(&points, |p| p.x.is_finite() & p.y.is_finite() & p.z.is_finite()) {
             return Err(CloudError::NotFinite { index });
         }
         Ok(Self { frame, stamp_ns: 0, label: None, viewpoint: None, points, normals: None, extras: Vec::new() })

@@ -316,7 +316,16 @@ pub fn direction(vector: Vector3<f64>) -> Result<Unit<Vector3<f64>>, DirectionEr
 pub fn first_not_unit(normals: &[Vector3<f64>]) -> Option<(usize, f64)> {
     // The squared length is off by twice as much.
     let is_unit = |n: &Vector3<f64>| (n.norm_squared() - 1.0).abs() <= 2.0 * EXACT_ROTATION;
-    normals.iter().position(|n| !is_unit(n)).map(|index| (index, normals[index].norm()))
+    let index = first_not(normals, is_unit)?;
+    Some((index, normals[index].norm()))
+}
+
+/// The index of the first item for which `is_fine` does not hold. Looked for by blocks, which a compiler checks without branches.
+pub(crate) fn first_not<T>(items: &[T], is_fine: impl Fn(&T) -> bool) -> Option<usize> {
+    const BLOCK: usize = 1024;
+    let k = items.chunks(BLOCK).position(|block| !block.iter().fold(true, |fine, item| fine & is_fine(item)))?;
+    let at = k * BLOCK;
+    items[at..].iter().position(|item| !is_fine(item)).map(|i| at + i)
 }
 
 /// The rows of the homogeneous matrix of `isometry`, as results and plans write it.

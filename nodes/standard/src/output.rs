@@ -17,14 +17,9 @@ use std::path::PathBuf;
 /// What every file for other programs says, where it can.
 const NOTICE: &str = "osteoflow; research use only, not for clinical use";
 
-/// The space of coordinates in a frame: CT is LPS, the others are no patient's.
-fn space_of(frame: &Frame) -> Space {
-    if frame.as_str() == "ct" { Space::Lps } else { Space::Unknown }
-}
-
 /// LPS, for a format that claims a space; an error for coordinates in another frame than CT's.
 fn lps(frame: &Frame, what: &str, remedy: &str) -> Result<Space, NodeError> {
-    match space_of(frame) {
+    match Space::of(frame) {
         Space::Unknown => {
             Err(NodeError::new(format!("{what} in {frame}, and the file is LPS, as only ct is; {remedy}")))
         }

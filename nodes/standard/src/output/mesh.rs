@@ -1,7 +1,7 @@
 //! The kind `output.mesh`.
 
-use super::{file_of, space_of};
-use osteoflow_formats::write::write_mesh;
+use super::file_of;
+use osteoflow_formats::{Space, write::write_mesh};
 use osteoflow_geometry::Mesh as MeshPayload;
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
@@ -36,7 +36,7 @@ impl Node for Mesh {
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         if let Some(path) = file_of(ctx, "stl")? {
-            write_mesh(&path, &i.mesh, space_of(&i.mesh.frame))?;
+            write_mesh(&path, &i.mesh, Space::of(&i.mesh.frame))?;
         }
         Ok(Out {})
     }

@@ -1,8 +1,8 @@
 //! The kind `output.ply`.
 
-use super::{file_of, is_refused, space_of};
+use super::{file_of, is_refused};
 use osteoflow_algorithms::trust::Verdict;
-use osteoflow_formats::write::write_cloud;
+use osteoflow_formats::{Space, write::write_cloud};
 use osteoflow_geometry::Cloud;
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 
@@ -42,7 +42,7 @@ impl Node for Ply {
             return Ok(Out {});
         }
         if let Some(path) = file_of(ctx, "ply")? {
-            write_cloud(&path, &i.cloud, space_of(&i.cloud.frame))?;
+            write_cloud(&path, &i.cloud, Space::of(&i.cloud.frame))?;
         }
         Ok(Out {})
     }

@@ -1,6 +1,6 @@
 //! The kind `surface.file`.
 
-use osteoflow_formats::mesh_file::read_mesh;
+use osteoflow_formats::{Space, mesh_file::read_mesh};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use osteoflow_node::{
     Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
@@ -32,6 +32,22 @@ pub struct Params {
     #[serde(default = "one")]
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub unit_mm: f64,
+    /// The axes of the file's numbers, where it does not state them; RAS is turned to LPS. Unset: in frame `ct` they are taken
+    /// for LPS, as 3D Slicer takes them, with a warning.
+    pub space: Option<SpaceName>,
+}
+
+/// The axes of a patient's coordinates.
+#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
+#[serde(crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub enum SpaceName {
+    /// x to the patient's left, y to posterior, z to superior.
+    #[serde(rename = "LPS")]
+    Lps,
+    /// x to the patient's right, y to anterior, z to superior.
+    #[serde(rename = "RAS")]
+    Ras,
 }
 
 fn ct() -> String {
@@ -64,8 +80,19 @@ impl Source for File {
         if std::mem::replace(&mut self.done, true) {
             return Ok(None);
         }
-        let read =
-            read_mesh(self.params.path.as_ref(), self.params.unit_mm, self.params.frame.as_str(), SurfaceOrigin::User)?;
+        let Params { path, frame, unit_mm, space } = &self.params;
+        let mut read = read_mesh(path.as_ref(), *unit_mm, frame.as_str(), SurfaceOrigin::User)?;
+        if let Some(name) = space {
+            let space = match name {
+                SpaceName::Lps => Space::Lps,
+                SpaceName::Ras => Space::Ras,
+            };
+            let contradicts = |said| NodeError::new(format!("{said}, but space = \"{space}\"; leave space out"));
+            read = read.in_space(space).map_err(contradicts)?;
+        }
+        if let Some(note) = read.taken_for_lps() {
+            ctx.warn(format!("{note}; set space = \"LPS\", or \"RAS\" if they are that"));
+        }
         read.notes.into_iter().for_each(|note| ctx.warn(note));
         Ok(Some(Out { mesh: read.mesh }))
     }
