@@ -183,9 +183,15 @@ pub(crate) enum Command {
     New(new::New),
     Completions(completions::Completions),
     PluginProbe(plugins::PluginProbe),
+    Worker(plugins::Worker),
 }
 
 impl Command {
+    /// Whether it serves another process, which logs for it.
+    pub(crate) fn is_worker(&self) -> bool {
+        matches!(self, Self::Worker(_))
+    }
+
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         match self {
             Self::Run(command) => command.execute(global),
@@ -213,6 +219,7 @@ impl Command {
             Self::New(command) => command.execute(global),
             Self::Completions(command) => command.execute(global),
             Self::PluginProbe(command) => command.execute(),
+            Self::Worker(command) => command.execute(),
         }
     }
 }

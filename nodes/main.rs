@@ -18,7 +18,9 @@ fn main() -> ExitCode {
             return if said.use_stderr() { Exit::Usage.into() } else { Exit::Done.into() };
         }
     };
-    commands::log::start(&cli.global);
+    if !cli.command.is_worker() {
+        commands::log::start(&cli.global);
+    }
     match cli.command.execute(&cli.global) {
         Ok(exit) => exit.into(),
         // A reader of stdout may stop reading, as `head` does.

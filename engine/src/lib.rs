@@ -8,6 +8,7 @@
 //! | faults and hashes | [`fault`], [`hash`] |
 //! | file contents | `graph` (a graph file as a tree), [`recording`] (what a recording holds) |
 //! | cache | [`store`] |
+//! | nodes in processes of their own | `process` (messages and shared memory) |
 //! | options of a run | `options` |
 //! | what a run uses | [`plugin`], `answer_cache` (answers of the store instead of firings) |
 //! | input and output | [`check()`], `record`, [`repro`] |
@@ -25,6 +26,8 @@ mod partial;
 #[cfg(test)]
 mod plan_builder;
 pub mod plugin;
+#[cfg(unix)]
+mod process;
 pub mod record;
 pub mod recording;
 pub mod recover;

@@ -112,6 +112,7 @@ impl PlanBuilder {
             inputs,
             outputs,
             on_error: OnError::Stop,
+            place: Default::default(),
         });
     }
 

@@ -2,6 +2,8 @@
 //!
 //! A library is loaded once and never unloaded: its descriptions and threads may outlive any use.
 
+#[cfg(unix)]
+mod apart;
 mod description;
 mod host;
 mod kinds;
@@ -10,9 +12,15 @@ mod load;
 mod node;
 mod probe;
 mod provide;
+#[cfg(unix)]
+mod worker;
 
 pub use description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
 pub use kinds::{Finder, Kinds, Known, Plugin, Refused};
 pub use library::{Library, LibraryError, Why};
 pub use probe::{Prober, answer};
+#[cfg(unix)]
+pub use crate::process::child::Launcher;
 pub use provide::{ProvideError, provide};
+#[cfg(unix)]
+pub use worker::serve;

@@ -26,7 +26,7 @@ use crate::{
     runtime::{self, emission_fault, planned_failure},
 };
 use osteoflow_node::{
-    BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, PortPayload, Registry, Role,
+    BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, Place, PortPayload, Registry, Role,
     Slot, StampNs,
 };
 use std::{
@@ -85,9 +85,11 @@ pub fn repro(
     });
     let declared: Arc<[DeclaredPort]> = declared.collect::<Result<Vec<_>, ReproError>>()?.into();
     let joins = kind.description.inputs.iter().map(|port| port.join).collect();
-    let build_context =
-        BuildContext { node: node.name.as_str().into(), seed: bundle.seed, declared: declared.clone(), joins };
-    let built = match panics::catch(|| kind.build(&node.params, &build_context)) {
+    let stop_after = node.stop_after_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
+    let place = Place { process: node.process, stop_after };
+    let name = node.name.as_str().into();
+    let build_context = BuildContext { node: name, seed: bundle.seed, declared: declared.clone(), joins, place };
+    let built = match panics::catch(|| registry.build(kind, &node.params, &build_context)) {
         Ok(built) => built.map_err(|error| build(error.to_string()))?,
         Err(panic) => return Err(build(panic)),
     };

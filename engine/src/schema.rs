@@ -269,6 +269,15 @@ fn common(registry: &Registry) -> Map<String, Value> {
     out.insert("input".into(), input(&single));
     out.insert("input_of_many".into(), input(&["collect"]));
     out.insert("on_error".into(), on_error);
+    out.insert(
+        "process".into(),
+        json!({ "type": "boolean", "description": "Whether it fires in a process of its own, which may crash alone." }),
+    );
+    out.insert(
+        "stop_after_s".into(),
+        json!({ "type": "number", "exclusiveMinimum": 0, "maximum": 86400,
+            "description": "The time limit of a firing, after which the process of the node is stopped." }),
+    );
     out.insert("payload".into(), json!({ "enum": payloads, "description": "The payload type." }));
     out.insert("result".into(), json!({ "anyOf": [{ "$ref": "#/definitions/wire" }, {
         "description": "A wire, or a group of results.",
@@ -297,7 +306,8 @@ fn common(registry: &Registry) -> Map<String, Value> {
     out.insert("partial".into(), json!({
         "description": "What a variant changes of a node whose kind the extended graph or a module chose.",
         "type": "object",
-        "properties": { "in": any_inputs, "out": { "type": "object" }, "on_error": { "$ref": "#/definitions/on_error" } },
+        "properties": { "in": any_inputs, "out": { "type": "object" }, "on_error": { "$ref": "#/definitions/on_error" },
+            "process": { "$ref": "#/definitions/process" }, "stop_after_s": { "$ref": "#/definitions/stop_after_s" } },
         "not": { "required": ["kind"] },
     }));
     out
@@ -335,7 +345,9 @@ fn node(of: &Description) -> Value {
             "type": "object", "description": "What it gives: a table for each output.", "additionalProperties": port,
         }));
     }
-    properties.insert("on_error".into(), json!({ "$ref": "#/definitions/on_error" }));
+    for key in ["on_error", "process", "stop_after_s"] {
+        properties.insert(key.into(), json!({ "$ref": format!("#/definitions/{key}") }));
+    }
     let params = object(plain(&of.params, &of.params, 0));
     let open = params.get("additionalProperties").filter(|more| **more != Value::Bool(false)).cloned();
     if let Some(Value::Object(known)) = params.get("properties") {

@@ -6,7 +6,7 @@ use clap::Args;
 use osteoflow_engine::{
     Faults,
     fault::Severity,
-    plugin::{Finder, Kinds, Known, Prober, answer},
+    plugin::{Finder, Kinds, Known, Launcher, Prober, answer, serve},
     store::{Settings, Store},
 };
 use serde_json::{Value, json};
@@ -29,11 +29,23 @@ pub(crate) struct PluginArgs {
 impl PluginArgs {
     /// The kinds of this program and of all plugins that are found.
     pub(crate) fn kinds(&self) -> Result<Kinds> {
+        self.kinds_of(false)
+    }
+
+    /// As [`Self::kinds`], for commands that run many times: kinds of plugins fire in processes of their own unless the graph
+    /// says otherwise, so that one that crashes costs a run and not the command.
+    pub(crate) fn kinds_apart(&self) -> Result<Kinds> {
+        self.kinds_of(true)
+    }
+
+    fn kinds_of(&self, plugins_apart: bool) -> Result<Kinds> {
         let folders = env::var_os(FOLDERS).map(|folders| env::split_paths(&folders).collect()).unwrap_or_default();
         // A wrong setting of the store is reported by commands that use it.
         let store = Settings::from_env().ok().flatten().map(|settings| Arc::new(Store::open(settings)));
-        let finder = Finder { prober: prober()?, store, asked: self.plugins.clone(), folders };
-        Ok(Kinds::new(registry(), finder))
+        let prober = prober()?;
+        let launcher = Some(Launcher { program: prober.program.clone(), arguments: vec!["worker".into()] });
+        let asked = self.plugins.clone();
+        Ok(Kinds::new(registry(), Finder { prober, store, asked, folders, launcher, plugins_apart }))
     }
 }
 
@@ -65,6 +77,18 @@ pub(crate) struct PluginProbe {
 impl PluginProbe {
     pub(crate) fn execute(&self) -> Result<Exit> {
         std::io::stdout().write_all(answer(&self.file).as_bytes())?;
+        Ok(Exit::Done)
+    }
+}
+
+/// Build a node and fire it when asked, over the connection on standard input; run by other commands as a separate process.
+#[derive(Debug, Args)]
+#[command(hide = true)]
+pub(crate) struct Worker {}
+
+impl Worker {
+    pub(crate) fn execute(&self) -> Result<Exit> {
+        serve(registry()).context("this command is run by others, for a node with process = true")?;
         Ok(Exit::Done)
     }
 }

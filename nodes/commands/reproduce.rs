@@ -118,7 +118,7 @@ impl Reproduce {
             // Everything is checked before the first run of an experiment; an experiment's own faults stop it there.
             let graph = self.graphs.join(format!("{name}.toml"));
             let sets: Vec<_> = self.sets.iter().cloned().chain(bone.iter().flat_map(|b| b.of(name))).collect();
-            match sweep::check(&graph, &sets, PluginArgs::default().kinds()?, workers) {
+            match sweep::check(&graph, &sets, PluginArgs::default().kinds_apart()?, workers) {
                 Ok(sweep) => sweeps.push((name, sweep)),
                 Err(faults) => {
                     graph_args::print_faults(&faults, global)?;
@@ -302,7 +302,7 @@ fn quoted(word: &str) -> String {
 /// Writes the report of each experiment into its folder, and returns the paths of the pages.
 fn reports(sweeps: &[(String, Folder)]) -> Result<Vec<String>> {
     let registry = super::registry();
-    let kinds = PluginArgs::default().kinds()?;
+    let kinds = PluginArgs::default().kinds_apart()?;
     let write = |(name, folder): &(String, Folder)| -> Result<String> {
         let maps = WITH_MAPS.contains(&name.as_str());
         let page = folder.dir().join(osteoflow_report::PAGE);

@@ -113,7 +113,7 @@ impl Sweep {
         let cancelled = Arc::default();
         let run = running::options(self.workers, &cancelled)?;
         let workers = run.workers;
-        let sweep = match sweep::check(graph, &self.sets, self.plugins.kinds()?, workers) {
+        let sweep = match sweep::check(graph, &self.sets, self.plugins.kinds_apart()?, workers) {
             Ok(sweep) => sweep,
             Err(faults) => {
                 graph_args::print_faults(&faults, global)?;

@@ -72,7 +72,7 @@ impl Watch {
         loop {
             // Taken before the files are read: later saves count as changes.
             let graph = &self.run.graph;
-            let graph = Stamps::of(files(&graph.graph, &graph.sets, graph.plugins.kinds()?));
+            let graph = Stamps::of(files(&graph.graph, &graph.sets, graph.plugins.kinds_apart()?));
             let stamps = match self.look(seen)? {
                 Looked::Files(files) => graph.and(&files),
                 Looked::Interrupted => return Ok(Exit::Interrupted),
@@ -86,7 +86,7 @@ impl Watch {
 
     /// Checks the graph, and runs what has changed.
     fn look(&mut self, seen: Instant) -> Result<Looked> {
-        let kinds = self.run.graph.plugins.kinds()?;
+        let kinds = self.run.graph.plugins.kinds_apart()?;
         let (path, sets) = (&self.run.graph.graph, &self.run.graph.sets);
         let Checked { plan, warnings, registry, .. } = match check(path, sets, &kinds) {
             Ok(checked) => checked,

@@ -96,6 +96,8 @@ pub(crate) struct Readings {
 }
 
 enum Taken {
+    /// By a node in a process of its own.
+    Elsewhere(ClockReading),
     Clock(StampNs),
     Budget(Arc<Checks>),
 }
@@ -114,6 +116,16 @@ impl Readings {
         self.recorded = Some(recorded.iter().copied().collect());
     }
 
+    /// What a replay has left to answer; none outside a replay.
+    pub(crate) fn recorded(&self) -> Option<Vec<ClockReading>> {
+        self.recorded.as_ref().map(|recorded| recorded.iter().copied().collect())
+    }
+
+    /// Readings that another process took.
+    pub(crate) fn add(&mut self, readings: Vec<ClockReading>) {
+        self.taken.extend(readings.into_iter().map(Taken::Elsewhere));
+    }
+
     #[inline]
     pub(crate) fn has_any(&self) -> bool {
         !self.taken.is_empty()
@@ -122,6 +134,7 @@ impl Readings {
     /// The readings since the firing began.
     pub(crate) fn take(&mut self) -> Vec<ClockReading> {
         let reading = |taken| match taken {
+            Taken::Elsewhere(reading) => reading,
             Taken::Clock(ns) => ClockReading::Clock { ns },
             Taken::Budget(checks) => ClockReading::Budget {
                 looks: checks.n.load(Ordering::Relaxed),

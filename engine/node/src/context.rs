@@ -4,7 +4,9 @@ use crate::{
     plugin::Host,
 };
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use serde::{Deserialize, Serialize};
 use std::{
+    path::PathBuf,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -40,7 +42,84 @@ struct Used {
     other: AtomicBool,
 }
 
+/// What a firing in another process needs of its context.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct FiringSent {
+    /// The number of the firing.
+    pub item: u64,
+    /// Its stamp.
+    pub stamp_ns: StampNs,
+    /// In a replay: the recorded clock readings.
+    pub recorded: Option<Vec<ClockReading>>,
+    /// The folder for files that nodes write.
+    pub out_dir: Option<PathBuf>,
+    /// The optional ports that got nothing, and why.
+    pub absent: Vec<(String, Empty)>,
+}
+
+/// What a firing in another process did with its context.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct FiringDone {
+    /// The stamp that a source set.
+    pub stamp_ns: StampNs,
+    /// Its clock readings.
+    pub readings: Vec<ClockReading>,
+    /// Its warnings.
+    pub warnings: Vec<String>,
+    /// Whether it used the generator, or a value that seeds it.
+    pub used_generator: bool,
+    /// Whether it used the stamp or the folder.
+    pub used_other: bool,
+}
+
 impl Context {
+    /// For the engine: what a firing in another process needs.
+    pub fn sent(&self) -> FiringSent {
+        FiringSent {
+            item: self.item,
+            stamp_ns: self.stamp_ns,
+            recorded: self.readings.recorded(),
+            out_dir: self.out_dir.as_deref().map(Into::into),
+            absent: self.absent.iter().map(|(port, empty)| ((*port).into(), (**empty).clone())).collect(),
+        }
+    }
+
+    /// For the engine, in the other process: begins the firing. `inputs` are the names of the ports.
+    pub fn receive(&mut self, sent: FiringSent, inputs: &[&'static str]) {
+        self.begin(sent.item, sent.stamp_ns);
+        self.track_use();
+        self.out_dir = sent.out_dir.map(Into::into);
+        if let Some(recorded) = &sent.recorded {
+            self.replay_readings(recorded);
+        }
+        for (port, empty) in sent.absent {
+            if let Some(port) = inputs.iter().find(|name| **name == port) {
+                self.note_absent(port, Arc::new(empty));
+            }
+        }
+    }
+
+    /// For the engine, in the other process: what the firing did.
+    pub fn done(&mut self) -> FiringDone {
+        FiringDone {
+            stamp_ns: self.stamp_ns,
+            readings: self.take_readings(),
+            warnings: self.take_warnings(),
+            used_generator: self.used.generator.load(Ordering::Relaxed),
+            used_other: self.used.other.load(Ordering::Relaxed),
+        }
+    }
+
+    /// For the engine: takes over what the firing did in another process.
+    pub fn take_over(&mut self, done: FiringDone) {
+        self.stamp_ns = done.stamp_ns;
+        self.readings.add(done.readings);
+        self.warnings.extend(done.warnings);
+        self.used.generator.fetch_or(done.used_generator, Ordering::Relaxed);
+        self.used.other.fetch_or(done.used_other, Ordering::Relaxed);
+    }
+
     /// A context for the node with this full name; for the engine and for tests.
     pub fn new(
         node: impl Into<Arc<str>>,

@@ -9,6 +9,19 @@ use std::{collections::BTreeMap, fmt, sync::Arc};
 pub struct Registry {
     kinds: BTreeMap<&'static str, Arc<Kind>>,
     payloads: BTreeMap<&'static str, &'static PayloadType>,
+    launcher: Option<Arc<dyn Launch>>,
+}
+
+/// Builds nodes that fire in processes of their own.
+pub trait Launch: Send + Sync {
+    /// Whether a node of this kind fires in a process of its own where the graph does not say.
+    fn is_wanted(&self, kind: &Kind) -> bool;
+
+    /// Starts the process and builds the node in it.
+    ///
+    /// # Errors
+    /// [`ParamError`] if the process cannot be started, or the node not be built there.
+    fn launch(&self, kind: &Kind, params: &serde_json::Value, context: &BuildContext) -> Result<Built, ParamError>;
 }
 
 impl fmt::Debug for Registry {
@@ -155,6 +168,31 @@ impl Registry {
         let added = Kind { description, plugin: Some(plugin), build: Box::new(build) };
         self.kinds.insert(kind, Arc::new(added));
         Ok(())
+    }
+
+    /// Sets what builds nodes that fire in processes of their own.
+    pub fn set_launcher(&mut self, launcher: Arc<dyn Launch>) {
+        self.launcher = Some(launcher);
+    }
+
+    /// Builds a node of `kind` from checked parameters, in this process or one of its own.
+    ///
+    /// # Errors
+    /// [`ParamError`] if the parameters do not fit together, or the process cannot be started.
+    pub fn build(
+        &self,
+        kind: &Kind,
+        params: &serde_json::Value,
+        context: &BuildContext,
+    ) -> Result<Built, ParamError> {
+        let is_wanted = |launcher: &Arc<dyn Launch>| context.place.process.unwrap_or_else(|| launcher.is_wanted(kind));
+        match &self.launcher {
+            Some(launcher) if is_wanted(launcher) => launcher.launch(kind, params, context),
+            None if context.place.process == Some(true) => {
+                Err(ParamError::new("process", "this program runs no nodes in processes of their own"))
+            }
+            _ => kind.build(params, context),
+        }
     }
 
     /// The kind with this name.

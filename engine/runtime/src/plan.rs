@@ -1,7 +1,7 @@
 //! The plan that `check` passes to `run`: a graph with all names resolved and no faults.
 
 use osteoflow_container::Compression;
-use osteoflow_node::{DeclaredPort, InputPort, PortPayload, Role};
+use osteoflow_node::{DeclaredPort, InputPort, Place, PortPayload, Role};
 use serde::{Deserialize, Serialize, Serializer};
 use std::{fmt, path::PathBuf, sync::Arc};
 
@@ -133,6 +133,8 @@ pub struct PlanNode {
     pub outputs: Vec<PlanOutput>,
     /// What happens when a firing fails.
     pub on_error: OnError,
+    /// Where it fires.
+    pub place: Place,
 }
 
 /// An input of a plan's node.

@@ -489,8 +489,9 @@ fn build(registry: &Registry, node: &PlanNode, seed: u64) -> Result<Built, Build
         return Err(fault(String::new(), format!("there is no kind \"{}\" here", node.kind)));
     };
     let joins = node.inputs.iter().map(|input| input.port.join).collect();
-    let build_context = BuildContext { node: node.name.clone(), seed, declared: node.declared.clone(), joins };
-    match panics::catch(|| kind.build(&node.params, &build_context)) {
+    let build_context =
+        BuildContext { node: node.name.clone(), seed, declared: node.declared.clone(), joins, place: node.place };
+    match panics::catch(|| registry.build(kind, &node.params, &build_context)) {
         Ok(built) => built.map_err(|error| fault(error.parameter, error.message)),
         Err(panic) => Err(fault(String::new(), panic)),
     }

@@ -49,7 +49,9 @@ fn further_files(node: &PlanNode, kind: &Kind, seed: u64) -> Vec<PathBuf> {
     if node.role == Role::Node || node.files.is_empty() || kind.plugin.is_some() {
         return Vec::new();
     }
-    let context = BuildContext { node: node.name.clone(), seed, declared: node.declared.clone(), joins: Vec::new() };
+    let declared = node.declared.clone();
+    let context =
+        BuildContext { node: node.name.clone(), seed, declared, joins: Vec::new(), place: Default::default() };
     // Parameters that do not fit together are a fault when the graph is built.
     let Ok(Ok(Built::Source(source))) = panics::catch(|| kind.build(&node.params, &context)) else { return Vec::new() };
     let files = panics::catch(|| source.files()).unwrap_or_default();
@@ -129,6 +131,7 @@ impl Net<'_> {
             inputs: self.inputs[index].iter().map(|i| PlanInput { port: i.port.clone(), link: None }).collect(),
             outputs: outputs.filter_map(output).collect(),
             on_error: parsed_node.on_error,
+            place: parsed_node.place,
         }
     }
 }

@@ -5,9 +5,9 @@ use crate::{
     names::nearest,
     plan::{OnError, PortFrames},
 };
-use osteoflow_node::{DeclaredPort, FrameExpr, Kind, OutputPorts, PortPayload, Role};
+use osteoflow_node::{DeclaredPort, FrameExpr, Kind, OutputPorts, Place, PortPayload, Role};
 use serde_json::{Map, Value as Json};
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 
 /// A node as read from its own table, before wires are resolved.
 pub(super) struct ParsedNode<'a> {
@@ -22,6 +22,7 @@ pub(super) struct ParsedNode<'a> {
     /// `None` if they have a fault.
     pub(super) outputs: Option<Vec<Output>>,
     pub(super) on_error: OnError,
+    pub(super) place: Place,
 }
 
 /// An output of a parsed node.
@@ -119,6 +120,7 @@ impl<'r> Check<'r> {
             declared: Vec::new(),
             outputs: None,
             on_error: self.on_error(name, table),
+            place: self.place(name, table),
         };
         if let Some(kind) = kind {
             self.params(&mut parsed_node, kind);
@@ -169,6 +171,25 @@ impl<'r> Check<'r> {
                 OnError::Stop
             }
         }
+    }
+
+    fn place(&mut self, name: &str, table: &Table) -> Place {
+        let mut place = Place::default();
+        if let Some(entry) = table.get("process") {
+            let what = format!("node \"{name}\": process");
+            place.process = extract::boolean(&entry.value, &what, &mut self.faults);
+        }
+        if let Some(entry) = table.get("stop_after_s") {
+            let what = format!("node \"{name}\": stop_after_s");
+            let limit = extract::seconds(&entry.value, &what, &mut self.faults).map(Duration::from_secs_f64);
+            if place.process == Some(false) {
+                let fault = Fault::new(format!("{what} ends a process of the node, but process is false"));
+                self.faults.push(fault.at(&entry.value.at, "no process to end").help("take process = false out"));
+            }
+            // Only a process can be stopped from outside.
+            place = Place { process: Some(true), stop_after: limit };
+        }
+        place
     }
 
     fn params(&mut self, parsed_node: &mut ParsedNode<'_>, kind: &Kind) {

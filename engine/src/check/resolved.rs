@@ -2,7 +2,7 @@
 
 use super::{assemble::Net, inputs::Input, parsed_nodes::ParsedNode, wires};
 use crate::plan::{OnError, Policy, PortFrames, RecordSettings, Require, Sources};
-use osteoflow_node::Join;
+use osteoflow_node::{Join, Place};
 use serde_json::Value as Json;
 use std::fmt::Write;
 
@@ -52,6 +52,13 @@ fn node(out: &mut String, parsed_node: &ParsedNode<'_>, inputs: &[Input], parsed
     line(out, &format!("kind = {}", quote(parsed_node.kind_name())));
     if parsed_node.on_error == OnError::Skip {
         line(out, "on_error = \"skip\"");
+    }
+    let Place { process, stop_after } = parsed_node.place;
+    if let Some(process) = process.filter(|process| !(*process && stop_after.is_some())) {
+        line(out, &format!("process = {process}"));
+    }
+    if let Some(limit) = stop_after {
+        line(out, &format!("stop_after_s = {:?}", limit.as_secs_f64()));
     }
     for input in inputs {
         if let Some(wire) = input.from {

@@ -84,6 +84,20 @@ pub(crate) fn milliseconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>)
     None
 }
 
+/// A number of seconds above 0 and at most a day.
+pub(crate) fn seconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<f64> {
+    let s = match value.value {
+        Value::Int(number) => number as f64,
+        Value::Float(number) => number,
+        _ => f64::NAN,
+    };
+    if s > 0.0 && s <= 86_400.0 {
+        return Some(s);
+    }
+    faults.push(wrong(value, what, "a number of seconds above 0 and at most 86400"));
+    None
+}
+
 pub(crate) fn table<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<&'a Table> {
     let table = value.as_table();
     if table.is_none() {

@@ -6,7 +6,7 @@ pub(crate) const TOP: [&str; 9] =
 /// `[graph]`.
 pub(crate) const GRAPH: [&str; 5] = ["format", "name", "seed", "frames", "lossy"];
 /// The keys of a node's table that are no parameters.
-pub(crate) const NODE: [&str; 4] = ["kind", "in", "out", "on_error"];
+pub(crate) const NODE: [&str; 6] = ["kind", "in", "out", "on_error", "process", "stop_after_s"];
 /// A node that is a module.
 pub(crate) const MODULE_NODE: [&str; 3] = ["kind", "file", "in"];
 /// The table of an input.

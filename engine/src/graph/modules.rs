@@ -310,7 +310,9 @@ impl User<'_> {
             let fault = Fault::new(format!("node \"{node}\": module {file} has no parameter \"{key}\""));
             let fault = fault.at(&entry.key_at, "unknown");
             faults.push(match key {
-                "on_error" => fault.help(format!("say it of a node within: [node.\"{node}/NAME\"] on_error = ..")),
+                "on_error" | "process" | "stop_after_s" => {
+                    fault.help(format!("say it of a node within: [node.\"{node}/NAME\"] {key} = .."))
+                }
                 "out" => fault.help("its outputs are those that the module declares: take out away"),
                 _ => match unit::same_quantity(key, None, param_decls()) {
                     Some(other) => fault.help(format!("did you mean \"{}\"? the unit is part of the name", other.name)),

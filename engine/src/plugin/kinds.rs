@@ -1,6 +1,6 @@
 //! The kinds that graphs may name: the program's own, and those of plugins.
 
-use super::{PluginDescription, Prober, ProvideError, load, probe, provide};
+use super::{Launcher, PluginDescription, Prober, ProvideError, apart::Processes, load, probe, provide};
 use crate::{
     fault::{Fault, Span},
     graph::plugins::NamedPlugin,
@@ -9,7 +9,7 @@ use crate::{
     plan::PlanPlugin,
     store::{Key, Store},
 };
-use osteoflow_node::{Registry, abi};
+use osteoflow_node::{PayloadType, Registry, abi};
 use std::{
     collections::BTreeSet,
     env::consts::{DLL_EXTENSION, DLL_PREFIX, DLL_SUFFIX},
@@ -38,6 +38,10 @@ pub struct Finder {
     pub asked: Vec<PathBuf>,
     /// Folders whose libraries are all read, and which are searched for names without a folder.
     pub folders: Vec<PathBuf>,
+    /// Starts the processes of nodes that have one of their own; `None` if this program runs none.
+    pub launcher: Option<Launcher>,
+    /// Whether the kinds of plugins fire in processes of their own where the graph does not say.
+    pub plugins_apart: bool,
 }
 
 /// A library that is a plugin.
@@ -175,6 +179,15 @@ impl Kinds {
         for library in finder.folders.iter().flat_map(|folder| libraries(folder)) {
             known.add(finder, &library, Origin::Folder);
         }
+        let is_own = |ty: &&PayloadType| self.registry.payload_type(ty.name).is_some();
+        let types: Vec<&'static PayloadType> = known.registry.payload_types().collect();
+        known.registry.set_launcher(Arc::new(Processes {
+            launcher: finder.launcher.clone(),
+            of_plugins: finder.plugins_apart,
+            plugins: known.plugins.clone(),
+            payloads: types.iter().copied().filter(|ty| !is_own(ty)).collect(),
+            types: types.into(),
+        }));
         known
     }
 

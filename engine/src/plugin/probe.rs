@@ -138,21 +138,8 @@ fn wait(child: &mut Child, timeout: Duration) -> io::Result<Option<ExitStatus>> 
     }
 }
 
-/// The signal that ended a process.
 #[cfg(unix)]
-fn signal(status: ExitStatus) -> Option<String> {
-    let number = std::os::unix::process::ExitStatusExt::signal(&status)?;
-    let name = match number {
-        4 => "SIGILL, an instruction that the processor does not have",
-        6 => "SIGABRT, it stopped itself",
-        8 => "SIGFPE, a division by zero",
-        9 => "SIGKILL, the system or somebody stopped it",
-        11 => "SIGSEGV, memory that it may not touch",
-        7 | 10 => "SIGBUS, memory that is not there",
-        _ => return Some(format!("signal {number}")),
-    };
-    Some(format!("signal {number} ({name})"))
-}
+use crate::process::child::signal;
 
 #[cfg(not(unix))]
 fn signal(_: ExitStatus) -> Option<String> {

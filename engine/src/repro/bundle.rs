@@ -59,6 +59,12 @@ pub struct Node {
     pub role: Role,
     /// `stop` or `skip`.
     pub on_error: String,
+    /// Whether it fired in a process of its own, where the graph says so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub process: Option<bool>,
+    /// The time limit of a firing, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stop_after_s: Option<f64>,
     /// Its table in the resolved graph, in the text of a graph file; informative.
     pub table: String,
     /// The plugin that provides its kind.

@@ -247,6 +247,8 @@ fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path
             kind: node.kind.clone(),
             role: node.role,
             on_error: if node.on_error == OnError::Skip { "skip" } else { "stop" }.into(),
+            process: node.place.process,
+            stop_after_s: node.place.stop_after.map(|limit| limit.as_secs_f64()),
             table: table(plan, node),
             plugin: plan.plugins.iter().find(|plugin| Some(&*plugin.sha256) == node.plugin.as_deref()).cloned(),
             params: node.params.clone(),

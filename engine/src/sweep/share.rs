@@ -24,7 +24,8 @@ pub(super) fn keys(plan: &Plan, files: &Stamps) -> Vec<Digest> {
             .text("plugin", node.plugin.as_deref().unwrap_or_default())
             .number("seed", plan.seed)
             .json("params", &node.params)
-            .text("on_error", &format!("{:?}", node.on_error));
+            .text("on_error", &format!("{:?}", node.on_error))
+            .text("place", &format!("{:?}", node.place));
         for port in node.declared.iter() {
             key = key.text("out", &port.name).text("type", port.payload.name).json("params", &port.params);
         }

@@ -61,6 +61,9 @@ fn differences(old: &Plan, before: &PlanNode, plan: &Plan, node: &PlanNode) -> V
     if before.on_error != node.on_error {
         why.push("on_error".into());
     }
+    if before.place != node.place {
+        why.push("where it fires".into());
+    }
     let outputs = |node: &PlanNode| -> Vec<_> {
         node.outputs.iter().map(|output| (output.name.clone(), output.payload.name())).collect()
     };

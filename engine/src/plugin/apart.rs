@@ -1,0 +1,322 @@
+//! Nodes that fire in a process of their own.
+
+use super::Plugin;
+use crate::{
+    panics,
+    process::{
+        child::{Child, Launcher},
+        segment::{Pool, StopPage, Views},
+        socket::Received,
+        wire::{self, Answer, Emitted, Ended, Fire, FromWorker, Place, ToWorker},
+    },
+};
+use osteoflow_node::{
+    AnyNode, AnySource, BuildContext, Built, Context, Emission, Item, Join, Joined, Kind, Launch, NodeError, OutputPorts,
+    ParamError, PayloadType, PortPayload, Role, SILENT_AFTER, Slot, StampNs, Value, abi::schema::PayloadDescription,
+};
+use std::{
+    io,
+    path::PathBuf,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+/// How often a waiting node looks whether the user asked to stop or its time is over.
+const LOOK_INTERVAL: Duration = Duration::from_millis(20);
+/// How long a process may take to build its node: loading a library takes milliseconds, an interpreter's imports seconds.
+const BUILD_WITHIN: Duration = Duration::from_secs(60);
+
+/// Starts processes of this program for nodes.
+pub(super) struct Processes {
+    pub(super) launcher: Option<Launcher>,
+    /// Whether the kinds of plugins fire there where the graph does not say.
+    pub(super) of_plugins: bool,
+    pub(super) plugins: Vec<Arc<Plugin>>,
+    /// The payload types that the program does not have by itself.
+    pub(super) payloads: Vec<&'static PayloadType>,
+    /// All payload types.
+    pub(super) types: Arc<[&'static PayloadType]>,
+}
+
+impl Launch for Processes {
+    fn is_wanted(&self, kind: &Kind) -> bool {
+        self.of_plugins && self.launcher.is_some() && kind.plugin.is_some()
+    }
+
+    fn launch(&self, kind: &Kind, params: &serde_json::Value, context: &BuildContext) -> Result<Built, ParamError> {
+        let plugin = kind.plugin.as_ref().and_then(|sha| self.plugins.iter().find(|plugin| plugin.sha256 == *sha));
+        let Some(launcher) = &self.launcher else {
+            return Err(ParamError::new("process", "this program runs no nodes in processes of their own"));
+        };
+        let fault = |error: io::Error| ParamError::new("process", format!("its process cannot be started: {error}"));
+        let mut child = Child::start(launcher).map_err(fault)?;
+        let stop_page = StopPage::new().map_err(|error| fault(error.into()))?;
+        let declared = context.declared.iter().map(|port| wire::Declared {
+            name: port.name.clone(),
+            payload: port.payload.name.into(),
+            params: port.params.clone(),
+        });
+        let payloads = self.payloads.iter().map(|ty| PayloadDescription {
+            name: ty.name.into(),
+            version: ty.version,
+            schema: ty.schema.to_vec(),
+        });
+        let build = wire::Build {
+            version: wire::VERSION,
+            node: context.node.to_string(),
+            kind: kind.description.kind.into(),
+            seed: context.seed,
+            params: params.clone(),
+            joins: context.joins.clone(),
+            declared: declared.collect(),
+            plugin: plugin.map(|plugin| library(plugin)),
+            payloads: payloads.collect(),
+            n_threads: rayon::current_num_threads(),
+            log_level: log_level(),
+        };
+        let fds: Vec<_> = stop_page.fd().into_iter().collect();
+        child.socket.send(&ToWorker::Build(Box::new(build)), &fds).map_err(fault)?;
+        let outputs = match &kind.description.outputs {
+            OutputPorts::Fixed(ports) => ports.iter().map(|port| port.payload).collect(),
+            OutputPorts::Declared { .. } => context.declared.iter().map(|p| PortPayload::Type(p.payload)).collect(),
+        };
+        let mut node = Apart {
+            child,
+            stop_page,
+            file: plugin.map(|plugin| plugin.path.clone()),
+            stop_after: context.place.stop_after,
+            pool: Pool::default(),
+            views: Views::default(),
+            constants: context.joins.iter().map(|join| matches!(join, Join::Once).then_some(None)).collect(),
+            outputs,
+            types: self.types.clone(),
+            max_delay_ns: 0,
+            silent_after: SILENT_AFTER,
+            is_gone: false,
+        };
+        match node.reply(Some(BUILD_WITHIN), &mut || false) {
+            Ok(FromWorker::Built { max_delay_ns, silent_after_ns }) => {
+                node.max_delay_ns = max_delay_ns;
+                node.silent_after = silent_after_ns.map_or(SILENT_AFTER, Duration::from_nanos);
+            }
+            Ok(FromWorker::Refused { parameter, message }) => return Err(ParamError::new(parameter, message)),
+            Ok(_) => return Err(ParamError::new("", "its process answers something else than that the node is built")),
+            Err(Gone(message)) => return Err(ParamError::new("", message)),
+        }
+        Ok(match kind.description.role {
+            Role::Node => Built::Node(Box::new(node)),
+            Role::Source | Role::LiveSource => Built::Source(Box::new(node)),
+        })
+    }
+}
+
+fn library(plugin: &Plugin) -> wire::Library {
+    let description = serde_json::to_value(&plugin.description).unwrap_or_default();
+    wire::Library { path: plugin.path.clone(), sha256: plugin.sha256.to_string(), description }
+}
+
+fn log_level() -> u32 {
+    use tracing::level_filters::LevelFilter;
+    match LevelFilter::current() {
+        LevelFilter::OFF => 0,
+        LevelFilter::ERROR => 1,
+        LevelFilter::WARN => 2,
+        LevelFilter::INFO => 3,
+        LevelFilter::DEBUG => 4,
+        _ => 5,
+    }
+}
+
+/// A constant that the process has: the value, and where it lies.
+type Sent = Option<(Value, Place)>;
+
+/// A node in a process of its own.
+struct Apart {
+    child: Child,
+    stop_page: StopPage,
+    /// The library or program of its kind.
+    file: Option<PathBuf>,
+    stop_after: Option<Duration>,
+    pool: Pool,
+    views: Views,
+    /// For each input joined by `once`: what the process has.
+    constants: Vec<Option<Sent>>,
+    outputs: Vec<PortPayload>,
+    types: Arc<[&'static PayloadType]>,
+    max_delay_ns: StampNs,
+    silent_after: Duration,
+    is_gone: bool,
+}
+
+/// The process is gone or does not keep to the protocol: why.
+struct Gone(String);
+
+impl Apart {
+    /// The next message of the process but log lines.
+    fn reply(&mut self, limit: Option<Duration>, cancelled: &mut dyn FnMut() -> bool) -> Result<FromWorker, Gone> {
+        let began = Instant::now();
+        let _ = self.child.socket.wait_at_most(Some(LOOK_INTERVAL));
+        loop {
+            match self.child.socket.receive::<FromWorker>() {
+                Ok(Received::Message(FromWorker::Log { level, target, message })) => log(level, &target, &message),
+                Ok(Received::Message(message)) => return Ok(message),
+                Ok(Received::Nothing) => {
+                    if cancelled() {
+                        self.stop_page.stop();
+                    }
+                    if let Some(limit) = limit.filter(|limit| began.elapsed() > *limit) {
+                        self.child.kill();
+                        let within = limit.as_secs_f64();
+                        return Err(self.gone(format!("it did not answer within {within} s, and its process was stopped")));
+                    }
+                }
+                Ok(Received::Closed) => {
+                    let how = self.child.obituary();
+                    return Err(self.gone(how));
+                }
+                Err(error) => {
+                    self.child.kill();
+                    return Err(self.gone(format!("its process sends what cannot be read: {error}")));
+                }
+            }
+        }
+    }
+
+    fn gone(&mut self, how: String) -> Gone {
+        self.is_gone = true;
+        let of = self.file.as_ref().map(|file| format!(", plugin {}", file.display())).unwrap_or_default();
+        Gone(format!("{how}{of}"))
+    }
+
+    /// Sends a firing, and takes its answer.
+    fn call(&mut self, joined: &Joined, out: &mut [Emission], context: &mut Context) -> Result<bool, NodeError> {
+        if self.is_gone {
+            return Err(NodeError::new("its process has ended"));
+        }
+        let slots = joined.slots.iter().enumerate().map(|(port, slot)| self.slot(port, slot)).collect::<io::Result<_>>();
+        let slots = slots.map_err(|error| NodeError::new(format!("no memory to share with its process: {error}")))?;
+        let held = self.views.held();
+        let (new, fds) = self.pool.news();
+        let fire = ToWorker::Fire(Box::new(Fire { context: context.sent(), slots, new, held }));
+        let sent = self.child.socket.send(&fire, &fds);
+        if sent.is_err() {
+            let how = self.child.obituary();
+            return Err(NodeError::new(self.gone(how).0));
+        }
+        let answer = match self.reply(self.stop_after, &mut || context.cancelled()) {
+            Ok(FromWorker::Answer(answer)) => *answer,
+            Ok(_) => return Err(NodeError::new("its process answers something else than a firing")),
+            Err(Gone(message)) => return Err(NodeError::new(message)),
+        };
+        self.take(answer, out, context).map_err(|message| NodeError::new(format!("its process {message}")))?
+    }
+
+    fn slot(&mut self, port: usize, slot: &Slot) -> io::Result<wire::Slot> {
+        Ok(match slot {
+            Slot::Absent(empty) => wire::Slot::Absent((**empty).clone()),
+            Slot::Items(items) => {
+                let places = items.iter().map(|item| self.pool.put(item, false));
+                wire::Slot::Items(places.collect::<Result<_, _>>()?)
+            }
+            Slot::Item(item) => match self.constants.get_mut(port) {
+                Some(Some(sent)) => wire::Slot::Constant(constant(&mut self.pool, sent, item)?),
+                _ => wire::Slot::Item(self.pool.put(item, false)?),
+            },
+        })
+    }
+
+    /// Takes the answer over; the error says what is wrong with it.
+    fn take(
+        &mut self,
+        answer: Answer,
+        out: &mut [Emission],
+        context: &mut Context,
+    ) -> Result<Result<bool, NodeError>, String> {
+        let fds = self.child.socket.take_fds(answer.new.len()).map_err(|error| format!("breaks the protocol: {error}"))?;
+        self.views.add(&answer.new, fds).map_err(|error| format!("shares memory that cannot be read: {error}"))?;
+        self.pool.answered(&answer.held);
+        context.take_over(answer.context);
+        match answer.ended {
+            Ended::Well => {}
+            Ended::End => return Ok(Ok(false)),
+            Ended::Failed(message) => return Ok(Err(NodeError::new(message))),
+            Ended::Panicked(message) => panics::resume_described(message),
+        }
+        if answer.outputs.len() != out.len() {
+            return Err(format!("answers on {} outputs of {}", answer.outputs.len(), out.len()));
+        }
+        for (port, (emitted, emission)) in answer.outputs.into_iter().zip(out).enumerate() {
+            *emission = match emitted {
+                Emitted::Silent => Emission::Silent,
+                Emitted::Empty(reason) => Emission::Empty(reason),
+                Emitted::PassedOn(empty) => Emission::PassedOn(Arc::new(empty)),
+                Emitted::Value(place) => match self.value(port, place) {
+                    Ok(value) => Emission::Value(value),
+                    Err(message) => return Ok(Err(NodeError::new(message))),
+                },
+            };
+        }
+        Ok(Ok(true))
+    }
+
+    fn value(&self, port: usize, place: Place) -> Result<Value, String> {
+        let item = self.views.item(place).map_err(|error| format!("output {port} cannot be read: {error}"))?;
+        let name = item.payload.as_ref().map(|(name, _)| name.as_str()).unwrap_or_default();
+        let ty = match self.outputs.get(port) {
+            Some(PortPayload::Type(ty)) if ty.name == name => Some(*ty),
+            Some(PortPayload::Type(ty)) => return Err(format!("output {port} gives a {name}, but is a {}", ty.name)),
+            _ => self.types.iter().copied().find(|ty| ty.name == name),
+        };
+        let ty = ty.ok_or_else(|| format!("output {port} gives a {name}, which nothing describes"))?;
+        if let Some((_, version)) = item.payload.as_ref().filter(|(_, version)| *version != ty.version) {
+            return Err(format!("output {port} gives version {version} of {name}, here it is version {}", ty.version));
+        }
+        let view = item.body.map_err(|_| format!("output {port} gives no value"))?;
+        ty.from_view(&view).map_err(|error| format!("output {port} gives no {name}: {error}"))
+    }
+}
+
+/// Where the process has the constant; sent anew if it is another.
+fn constant(pool: &mut Pool, sent: &mut Sent, item: &Item) -> io::Result<Place> {
+    if let osteoflow_node::Body::Value(value) = &item.body {
+        if let Some((_, place)) = sent.as_ref().filter(|(known, _)| known.is_same(value)) {
+            return Ok(*place);
+        }
+        let place = pool.put(item, true)?;
+        if let Some((_, old)) = sent.replace((value.clone(), place)) {
+            pool.release(old);
+        }
+        return Ok(place);
+    }
+    Ok(pool.put(item, false)?)
+}
+
+fn log(level: u32, target: &str, message: &str) {
+    match level {
+        1 => tracing::error!(target: "plugin", "{target}: {message}"),
+        2 => tracing::warn!(target: "plugin", "{target}: {message}"),
+        3 => tracing::info!(target: "plugin", "{target}: {message}"),
+        4 => tracing::debug!(target: "plugin", "{target}: {message}"),
+        _ => tracing::trace!(target: "plugin", "{target}: {message}"),
+    }
+}
+
+impl AnyNode for Apart {
+    fn fire(&mut self, joined: &mut Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError> {
+        self.call(joined, out, ctx).map(|_| ())
+    }
+}
+
+impl AnySource for Apart {
+    fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError> {
+        self.call(&Joined::default(), out, ctx)
+    }
+
+    fn max_delay_ns(&self) -> StampNs {
+        self.max_delay_ns
+    }
+
+    fn silent_after(&self) -> Duration {
+        self.silent_after
+    }
+}

@@ -1,0 +1,13 @@
+//! Talk with a process in which a node fires: messages over a socket, and items in shared memory.
+//!
+//! Every message is its length (u32, little-endian) and JSON: [`wire::ToWorker`] one way, [`wire::FromWorker`] the other.
+//! Descriptors of shared memory travel with the message that first names their segment (`SCM_RIGHTS`). Items lie in the
+//! segments in the encoding of recordings, so that columns are read where they are. A segment is written by the process
+//! that made it; the other maps it for reading, and says with each message which of them it still uses.
+//!
+//! docs/processes.md has the protocol for authors of workers in other languages.
+
+pub(crate) mod child;
+pub(crate) mod segment;
+pub(crate) mod socket;
+pub(crate) mod wire;

@@ -1,0 +1,151 @@
+//! The messages between the program and the process of a node. docs/processes.md describes them.
+
+use osteoflow_node::{Empty, FiringDone, FiringSent, Join, StampNs, abi::schema::PayloadDescription};
+use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
+use std::path::PathBuf;
+
+/// The version of the protocol; the process refuses another.
+pub(crate) const VERSION: u32 = 1;
+
+/// Shared memory that is new.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct NewSegment {
+    pub(crate) id: u32,
+    pub(crate) n_bytes: u64,
+}
+
+/// An item in shared memory, from the start of its segment.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Place {
+    pub(crate) segment: u32,
+    pub(crate) n_bytes: u64,
+}
+
+/// What the program says.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum ToWorker {
+    Build(Box<Build>),
+    Fire(Box<Fire>),
+}
+
+/// Builds the node; the first message. With it comes the descriptor of a page of memory, whose first byte becomes 1 when the
+/// user asks to stop.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Build {
+    /// [`VERSION`].
+    pub(crate) version: u32,
+    pub(crate) node: String,
+    pub(crate) kind: String,
+    pub(crate) seed: u64,
+    pub(crate) params: Json,
+    pub(crate) joins: Vec<Join>,
+    pub(crate) declared: Vec<Declared>,
+    /// The plugin of the kind.
+    pub(crate) plugin: Option<Library>,
+    /// Payloads that plugins describe.
+    pub(crate) payloads: Vec<PayloadDescription>,
+    /// Threads for parallel algorithms.
+    pub(crate) n_threads: usize,
+    /// 0 (nothing) to 5 (trace).
+    pub(crate) log_level: u32,
+}
+
+/// A plugin's library.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Library {
+    pub(crate) path: PathBuf,
+    pub(crate) sha256: String,
+    /// Its description, as the program has read it.
+    pub(crate) description: Json,
+}
+
+/// An output that the graph declares.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Declared {
+    pub(crate) name: String,
+    pub(crate) payload: String,
+    pub(crate) params: Json,
+}
+
+/// Asks for a firing.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Fire {
+    pub(crate) context: FiringSent,
+    pub(crate) slots: Vec<Slot>,
+    /// Segments that are new, in the order of the descriptors that come with the message.
+    pub(crate) new: Vec<NewSegment>,
+    /// The segments of the process that the program still uses.
+    pub(crate) held: Vec<u32>,
+}
+
+/// What a port brings.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Slot {
+    Item(Place),
+    /// The same item at every firing, until the port brings another place.
+    Constant(Place),
+    Items(Vec<Place>),
+    Absent(Empty),
+}
+
+/// What the process says.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum FromWorker {
+    /// The node is built.
+    Built {
+        #[serde(default)]
+        max_delay_ns: StampNs,
+        #[serde(default)]
+        silent_after_ns: Option<u64>,
+    },
+    /// The node cannot be built.
+    Refused {
+        #[serde(default)]
+        parameter: String,
+        message: String,
+    },
+    /// A line for the log, at any time.
+    Log { level: u32, target: String, message: String },
+    /// The answer to a firing.
+    Answer(Box<Answer>),
+}
+
+/// The answer to a firing.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Answer {
+    pub(crate) ended: Ended,
+    /// One for each output; none unless it ended well.
+    #[serde(default)]
+    pub(crate) outputs: Vec<Emitted>,
+    #[serde(default)]
+    pub(crate) context: FiringDone,
+    #[serde(default)]
+    pub(crate) new: Vec<NewSegment>,
+    #[serde(default)]
+    pub(crate) held: Vec<u32>,
+}
+
+/// How a firing ended.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Ended {
+    Well,
+    /// A source has no more items.
+    End,
+    Failed(String),
+    Panicked(String),
+}
+
+/// What an output gives.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Emitted {
+    Value(Place),
+    Empty(String),
+    PassedOn(Empty),
+    Silent,
+}
