@@ -15,12 +15,12 @@ mod provide;
 #[cfg(unix)]
 mod worker;
 
+#[cfg(unix)]
+pub use crate::process::child::Launcher;
 pub use description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
 pub use kinds::{Finder, Kinds, Known, Plugin, Refused};
 pub use library::{Library, LibraryError, Why};
 pub use probe::{Prober, answer};
-#[cfg(unix)]
-pub use crate::process::child::Launcher;
 pub use provide::{ProvideError, provide};
 #[cfg(unix)]
 pub use worker::serve;

@@ -26,8 +26,8 @@ use crate::{
     runtime::{self, emission_fault, planned_failure},
 };
 use osteoflow_node::{
-    BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, Place, PortPayload, Registry, Role,
-    Slot, StampNs,
+    BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, Place, PortPayload, Registry,
+    Role, Slot, StampNs,
 };
 use std::{
     path::Path,

@@ -31,6 +31,7 @@ const CRATES: [(&str, Floors); 2] = [
             &["fault", "hash"],
             &["graph", "recording"],
             &["store"],
+            &["process"],
             &["options", "plugin"],
             &["shown_paths"],
             &["answer_cache", "check", "record", "repro"],

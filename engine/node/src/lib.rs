@@ -104,7 +104,7 @@ pub use file::FilePath;
 pub use item::{Body, Emission, Empty, Item, Joined, Slot};
 pub use payload::{Payload, PayloadType, Value};
 pub use port::{Declared, DeclaredPort, FrameExpr, InputPort, Join, OutputPort, OutputPorts, PortPayload, Unused};
-pub use registry::{Launch, Kind, KindClash, PayloadClash, Registry};
+pub use registry::{Kind, KindClash, Launch, PayloadClash, Registry};
 pub use schema::{EntryType, SchemaEntry, SchemaError};
 pub use traits::{Describe, Emit, Inputs, Node, Outputs, Parameters, SILENT_AFTER, Source};
 pub use view::{Buffer, Column, ColumnType, Field, Name, View, ViewError};

@@ -179,12 +179,7 @@ impl Registry {
     ///
     /// # Errors
     /// [`ParamError`] if the parameters do not fit together, or the process cannot be started.
-    pub fn build(
-        &self,
-        kind: &Kind,
-        params: &serde_json::Value,
-        context: &BuildContext,
-    ) -> Result<Built, ParamError> {
+    pub fn build(&self, kind: &Kind, params: &serde_json::Value, context: &BuildContext) -> Result<Built, ParamError> {
         let is_wanted = |launcher: &Arc<dyn Launch>| context.place.process.unwrap_or_else(|| launcher.is_wanted(kind));
         match &self.launcher {
             Some(launcher) if is_wanted(launcher) => launcher.launch(kind, params, context),

@@ -11,8 +11,9 @@ use crate::{
     },
 };
 use osteoflow_node::{
-    AnyNode, AnySource, BuildContext, Built, Context, Emission, Item, Join, Joined, Kind, Launch, NodeError, OutputPorts,
-    ParamError, PayloadType, PortPayload, Role, SILENT_AFTER, Slot, StampNs, Value, abi::schema::PayloadDescription,
+    AnyNode, AnySource, BuildContext, Built, Context, Emission, Item, Join, Joined, Kind, Launch, NodeError,
+    OutputPorts, ParamError, PayloadType, PortPayload, Role, SILENT_AFTER, Slot, StampNs, Value,
+    abi::schema::PayloadDescription,
 };
 use std::{
     io,
@@ -167,7 +168,9 @@ impl Apart {
                     if let Some(limit) = limit.filter(|limit| began.elapsed() > *limit) {
                         self.child.kill();
                         let within = limit.as_secs_f64();
-                        return Err(self.gone(format!("it did not answer within {within} s, and its process was stopped")));
+                        return Err(
+                            self.gone(format!("it did not answer within {within} s, and its process was stopped"))
+                        );
                     }
                 }
                 Ok(Received::Closed) => {
@@ -193,7 +196,8 @@ impl Apart {
         if self.is_gone {
             return Err(NodeError::new("its process has ended"));
         }
-        let slots = joined.slots.iter().enumerate().map(|(port, slot)| self.slot(port, slot)).collect::<io::Result<_>>();
+        let slots =
+            joined.slots.iter().enumerate().map(|(port, slot)| self.slot(port, slot)).collect::<io::Result<_>>();
         let slots = slots.map_err(|error| NodeError::new(format!("no memory to share with its process: {error}")))?;
         let held = self.views.held();
         let (new, fds) = self.pool.news();
@@ -232,7 +236,8 @@ impl Apart {
         out: &mut [Emission],
         context: &mut Context,
     ) -> Result<Result<bool, NodeError>, String> {
-        let fds = self.child.socket.take_fds(answer.new.len()).map_err(|error| format!("breaks the protocol: {error}"))?;
+        let fds =
+            self.child.socket.take_fds(answer.new.len()).map_err(|error| format!("breaks the protocol: {error}"))?;
         self.views.add(&answer.new, fds).map_err(|error| format!("shares memory that cannot be read: {error}"))?;
         self.pool.answered(&answer.held);
         context.take_over(answer.context);

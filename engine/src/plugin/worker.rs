@@ -126,7 +126,8 @@ type Ready = (Built, Arc<[DeclaredPort]>, Vec<&'static str>, usize);
 fn built(registry: &mut Registry, build: wire::Build) -> Result<Ready, (String, String)> {
     let whole = |message: String| (String::new(), message);
     if build.version != wire::VERSION {
-        let message = format!("the process speaks version {} of the protocol, the program {}", wire::VERSION, build.version);
+        let message =
+            format!("the process speaks version {} of the protocol, the program {}", wire::VERSION, build.version);
         return Err(whole(message));
     }
     if let Some(library) = build.plugin {
@@ -220,7 +221,9 @@ impl Server {
         Ok(match slot {
             wire::Slot::Absent(empty) => Slot::Absent(Arc::new(empty)),
             wire::Slot::Item(place) => Slot::Item(self.item(place)?),
-            wire::Slot::Items(places) => Slot::Items(places.into_iter().map(|p| self.item(p)).collect::<Result<_, _>>()?),
+            wire::Slot::Items(places) => {
+                Slot::Items(places.into_iter().map(|p| self.item(p)).collect::<Result<_, _>>()?)
+            }
             wire::Slot::Constant(place) => match self.constants.get(&port) {
                 Some((known, item)) if *known == place => Slot::Item(item.clone()),
                 _ => {
@@ -238,7 +241,8 @@ impl Server {
         let body = match (recorded.body, recorded.payload) {
             (Err(empty), _) => Body::Empty(Arc::new(empty)),
             (Ok(view), Some((name, _))) => {
-                let ty = self.registry.payload_type(&name).ok_or_else(|| format!("payload {name} is not known here"))?;
+                let ty =
+                    self.registry.payload_type(&name).ok_or_else(|| format!("payload {name} is not known here"))?;
                 Body::Value(ty.from_view(&view).map_err(|error| format!("{name}: {error}"))?)
             }
             (Ok(_), None) => return Err("a value without its payload".into()),

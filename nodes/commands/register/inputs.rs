@@ -205,6 +205,9 @@ fn shape(
     Ok(shape)
 }
 
+/// The spaces of files whose prepared targets are stored: one in RAS has a note.
+const STORED_SPACES: [Space; 2] = [Space::Unknown, Space::Lps];
+
 impl TargetFile {
     /// Reads the file, or the prepared target of the same bytes from the store.
     fn read(asked: &Register, unit_mm: f64, needs: &Needs, notes: &mut Vec<String>, load: &mut LoadMs) -> Result<Self> {
@@ -230,16 +233,17 @@ impl TargetFile {
             // Of the structures for pairing only the field is stored.
             Some((store, key.number("seed", asked.seed).number("field", with_field.into())))
         });
-        let entry = |estimates: bool| {
+        let entry = |estimates: bool, space: Space| {
             let (store, key) = entry.as_ref()?;
-            Some((store.clone(), key.clone().number("estimates", estimates.into()).done()))
+            let key = key.clone().number("estimates", estimates.into()).text("space", &space.to_string());
+            Some((store.clone(), key.done()))
         };
-        for estimates in [false, true] {
-            let stored = entry(estimates).and_then(|(store, key)| store.load::<Target, Table>(&key));
+        for (estimates, space) in [false, true].into_iter().flat_map(|e| STORED_SPACES.map(|space| (e, space))) {
+            let stored = entry(estimates, space).and_then(|(store, key)| store.load::<Target, Table>(&key));
             let serves = |target: &Target| if needs.normals { target.normals().is_some() } else { !estimates };
             if let Some(target) = stored.filter(serves) {
                 load.target = ms_since(began);
-                let (content, space) = (TargetContent::Stored(target), Space::Unknown);
+                let content = TargetContent::Stored(target);
                 return Ok(Self { content, estimates, with_field, space, entry: None });
             }
         }
@@ -264,8 +268,8 @@ impl TargetFile {
         };
         load.sample = ms_since(began);
         let estimates = normals.is_none() && needs.normals;
-        // A file with notes or a stated space is not stored, so that the next run repeats them.
-        let entry = entry(estimates).filter(|_| notes.len() == n_notes && space == Space::Unknown);
+        // A file with notes is not stored, so that the next run repeats them.
+        let entry = entry(estimates, space).filter(|_| notes.len() == n_notes && STORED_SPACES.contains(&space));
         Ok(Self { content: TargetContent::Read { points, normals, mesh }, estimates, with_field, space, entry })
     }
 
