@@ -18,7 +18,7 @@ mod worker;
 #[cfg(unix)]
 pub use crate::process::child::Launcher;
 pub use description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
-pub use kinds::{Finder, Kinds, Known, Plugin, Refused};
+pub use kinds::{Finder, Kinds, Known, Plugin, Refused, Scripts};
 pub use library::{Library, LibraryError, Why};
 pub use probe::{Prober, answer};
 pub use provide::{ProvideError, provide};

@@ -37,6 +37,7 @@ fn main() {
         asked: libraries.into_iter().map(|(_, library)| library).collect(),
         folders: Vec::new(),
         launcher: Some(Launcher { program: program.into(), arguments: vec!["worker".into()] }),
+        scripts: None,
         plugins_apart: false,
     };
     let registry = Kinds::new(osteoflow_standard::registry(), finder).known().registry;

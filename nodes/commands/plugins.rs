@@ -6,7 +6,7 @@ use clap::Args;
 use osteoflow_engine::{
     Faults,
     fault::Severity,
-    plugin::{Finder, Kinds, Known, Launcher, Prober, answer, serve},
+    plugin::{Finder, Kinds, Known, Launcher, Prober, Scripts, answer, serve},
     store::{Settings, Store},
 };
 use serde_json::{Value, json};
@@ -14,6 +14,8 @@ use std::{env, io::Write, path::PathBuf, sync::Arc, time::Duration};
 
 /// Environment variable with folders whose libraries are all inspected.
 const FOLDERS: &str = "OSTEOFLOW_PLUGIN_PATH";
+/// Environment variable with the interpreter for plugins in Python.
+const PYTHON: &str = "OSTEOFLOW_PYTHON";
 /// Environment variable with the maximum time to load a library.
 const TIMEOUT: &str = "OSTEOFLOW_PLUGIN_TIMEOUT_S";
 
@@ -24,7 +26,14 @@ pub(crate) struct PluginArgs {
     /// may be given again. OSTEOFLOW_PLUGIN_PATH names folders whose libraries are all loaded.
     #[arg(long = "plugin", value_name = "FILE")]
     plugins: Vec<PathBuf>,
+
+    /// The interpreter for plugins in Python. Otherwise OSTEOFLOW_PYTHON, that of the active environment (VIRTUAL_ENV), or python3.
+    #[arg(long, value_name = "FILE")]
+    python: Option<PathBuf>,
 }
+
+/// What serves nodes in Python, passed to the interpreter.
+const PYTHON_HELPER: &str = include_str!("../payloads/python/osteoflow_node.py");
 
 impl PluginArgs {
     /// The kinds of this program and of all plugins that are found.
@@ -38,6 +47,13 @@ impl PluginArgs {
         self.kinds_of(true)
     }
 
+    /// The interpreter of plugins in Python: the one asked for, that of the active environment, or the one that is found first.
+    fn interpreter(&self) -> PathBuf {
+        let of_environment = || env::var_os("VIRTUAL_ENV").map(|dir| PathBuf::from(dir).join("bin/python"));
+        let named = self.python.clone().or_else(|| env::var_os(PYTHON).filter(|name| !name.is_empty()).map(Into::into));
+        named.or_else(|| of_environment().filter(|python| python.is_file())).unwrap_or("python3".into())
+    }
+
     fn kinds_of(&self, plugins_apart: bool) -> Result<Kinds> {
         let folders = env::var_os(FOLDERS).map(|folders| env::split_paths(&folders).collect()).unwrap_or_default();
         // A wrong setting of the store is reported by commands that use it.
@@ -45,7 +61,9 @@ impl PluginArgs {
         let prober = prober()?;
         let launcher = Some(Launcher { program: prober.program.clone(), arguments: vec!["worker".into()] });
         let asked = self.plugins.clone();
-        Ok(Kinds::new(registry(), Finder { prober, store, asked, folders, launcher, plugins_apart }))
+        let interpreter = Launcher { program: self.interpreter(), arguments: vec!["-c".into(), PYTHON_HELPER.into()] };
+        let scripts = Some(Scripts { ending: "py", interpreter });
+        Ok(Kinds::new(registry(), Finder { prober, store, asked, folders, launcher, scripts, plugins_apart }))
     }
 }
 

@@ -41,12 +41,14 @@ pub(super) struct Processes {
 
 impl Launch for Processes {
     fn is_wanted(&self, kind: &Kind) -> bool {
-        self.of_plugins && self.launcher.is_some() && kind.plugin.is_some()
+        let is_script = || self.of_kind(kind).is_some_and(|plugin| plugin.script.is_some());
+        kind.plugin.is_some() && (is_script() || self.of_plugins && self.launcher.is_some())
     }
 
     fn launch(&self, kind: &Kind, params: &serde_json::Value, context: &BuildContext) -> Result<Built, ParamError> {
-        let plugin = kind.plugin.as_ref().and_then(|sha| self.plugins.iter().find(|plugin| plugin.sha256 == *sha));
-        let Some(launcher) = &self.launcher else {
+        let plugin = self.of_kind(kind);
+        let script = plugin.and_then(|plugin| plugin.script.as_ref());
+        let Some(launcher) = script.or(self.launcher.as_ref()) else {
             return Err(ParamError::new("process", "this program runs no nodes in processes of their own"));
         };
         let fault = |error: io::Error| ParamError::new("process", format!("its process cannot be started: {error}"));
@@ -57,7 +59,9 @@ impl Launch for Processes {
             payload: port.payload.name.into(),
             params: port.params.clone(),
         });
-        let payloads = self.payloads.iter().map(|ty| PayloadDescription {
+        // A script knows no payload but those of its ports.
+        let of_ports = script.map(|_| of_ports(kind, context)).unwrap_or_default();
+        let payloads = self.payloads.iter().chain(&of_ports).map(|ty| PayloadDescription {
             name: ty.name.into(),
             version: ty.version,
             schema: ty.schema.to_vec(),
@@ -70,7 +74,7 @@ impl Launch for Processes {
             params: params.clone(),
             joins: context.joins.clone(),
             declared: declared.collect(),
-            plugin: plugin.map(|plugin| library(plugin)),
+            plugin: plugin.map(library),
             payloads: payloads.collect(),
             n_threads: rayon::current_num_threads(),
             log_level: log_level(),
@@ -109,6 +113,27 @@ impl Launch for Processes {
             Role::Source | Role::LiveSource => Built::Source(Box::new(node)),
         })
     }
+}
+
+impl Processes {
+    fn of_kind(&self, kind: &Kind) -> Option<&Plugin> {
+        let sha256 = kind.plugin.as_ref()?;
+        self.plugins.iter().find(|plugin| plugin.sha256 == *sha256).map(|plugin| &**plugin)
+    }
+}
+
+/// The payload types of a node's ports.
+fn of_ports(kind: &Kind, context: &BuildContext) -> Vec<&'static PayloadType> {
+    let inputs = kind.description.inputs.iter().map(|port| port.payload);
+    let outputs = match &kind.description.outputs {
+        OutputPorts::Fixed(ports) => ports.iter().map(|port| port.payload).collect(),
+        OutputPorts::Declared { .. } => Vec::new(),
+    };
+    let types = inputs.chain(outputs).filter_map(|payload| match payload {
+        PortPayload::Type(ty) => Some(ty),
+        PortPayload::Any => None,
+    });
+    types.chain(context.declared.iter().map(|port| port.payload)).collect()
 }
 
 fn library(plugin: &Plugin) -> wire::Library {

@@ -40,8 +40,20 @@ pub struct Finder {
     pub folders: Vec<PathBuf>,
     /// Starts the processes of nodes that have one of their own; `None` if this program runs none.
     pub launcher: Option<Launcher>,
+    /// Runs plugins that are scripts; `None` if this program runs none.
+    pub scripts: Option<Scripts>,
     /// Whether the kinds of plugins fire in processes of their own where the graph does not say.
     pub plugins_apart: bool,
+}
+
+/// Plugins in an interpreted language: `INTERPRETER ARGUMENTS describe FILE` prints the description of a file as the prober does
+/// that of a library, `INTERPRETER ARGUMENTS serve FILE` serves a node over standard input.
+#[derive(Debug, Clone)]
+pub struct Scripts {
+    /// The ending of their files.
+    pub ending: &'static str,
+    /// The interpreter, with the arguments before `describe` or `serve`.
+    pub interpreter: Launcher,
 }
 
 /// A library that is a plugin.
@@ -55,6 +67,8 @@ pub struct Plugin {
     pub description: PluginDescription,
     /// Whether the graph names it.
     pub named: bool,
+    /// What serves its nodes, if it is a script.
+    pub script: Option<Launcher>,
 }
 
 impl Plugin {
@@ -205,6 +219,15 @@ impl Kinds {
     }
 }
 
+impl Scripts {
+    fn command(&self, what: &str, file: Option<&Path>) -> Launcher {
+        let mut command = self.interpreter.clone();
+        command.arguments.push(what.into());
+        command.arguments.extend(file.map(|file| file.as_os_str().into()));
+        command
+    }
+}
+
 impl Finder {
     /// The folders in which a path is searched.
     fn places(&self, dir: &Path, path: &Path) -> Vec<PathBuf> {
@@ -239,7 +262,7 @@ impl Finder {
             let kept = kept.and_then(|entry| serde_json::from_slice(entry.bytes()).ok());
             let description = match kept {
                 Some(description) => Ok(description),
-                None => probe::probe(&self.prober, path).map_err(|error| error.to_string()),
+                None => probe::probe(&self.prober(path), path).map_err(|error| error.to_string()),
             };
             if stamp(&fs::metadata(path).map_err(unread)?) != before {
                 continue;
@@ -251,14 +274,28 @@ impl Finder {
                 // If the description cannot be cached, it is read again next time.
                 let _ = store.put(key, &[&json]);
             }
-            return Ok(Plugin { path: path.into(), sha256: digest.to_string().into(), description, named: false });
+            let script = self.script(path).map(|scripts| scripts.command("serve", Some(path)));
+            return Ok(Plugin { path: path.into(), sha256: digest.to_string().into(), description, named: false, script });
         }
         Err("it changes while it is looked at; is it being built?".into())
+    }
+
+    /// What runs the file, if it is a script.
+    fn script(&self, path: &Path) -> Option<&Scripts> {
+        self.scripts.as_ref().filter(|scripts| path.extension().is_some_and(|ending| ending == scripts.ending))
+    }
+
+    fn prober(&self, path: &Path) -> Prober {
+        let Some(scripts) = self.script(path) else { return self.prober.clone() };
+        let Launcher { program, arguments } = scripts.command("describe", None);
+        Prober { program, arguments, timeout: self.prober.timeout }
     }
 
     fn key(&self, path: &Path, stamp: &str, digest: Digest) -> Option<Key> {
         let key = Key::of("plugin_probe").text("path", &path.to_string_lossy()).text("stamp", stamp);
         let key = key.digest("file", digest).digest("program", self.store.as_ref()?.program()?);
+        let interpreter = self.script(path).map(|scripts| scripts.interpreter.program.to_string_lossy().into_owned());
+        let key = key.text("interpreter", &interpreter.unwrap_or_default());
         Some(key.number("abi", u64::from(abi::MAJOR) << 32 | u64::from(abi::MINOR)).done())
     }
 
@@ -355,7 +392,7 @@ impl Refused {
 /// The file names for a plugin's name: `lib` and `.so` may be left out.
 fn names(path: &Path) -> Vec<PathBuf> {
     let Some(name) = path.file_name().map(|name| name.to_string_lossy().into_owned()) else { return Vec::new() };
-    let is_library = path.extension().is_some_and(|e| ["so", "dylib", "dll"].iter().any(|library| e == *library))
+    let is_library = path.extension().is_some_and(|e| ["so", "dylib", "dll", "py"].iter().any(|library| e == *library))
         || name.contains(".so.");
     let mut names = vec![PathBuf::from(&name)];
     if !is_library {

@@ -39,6 +39,9 @@ pub(super) fn load(plugin: &Plugin) -> Result<&'static Library, String> {
     }
     let path = &plugin.path;
     let message = |why: &dyn std::fmt::Display| format!("plugin {}: {why}", path.display());
+    if plugin.script.is_some() {
+        return Err(message(&"it is a script, whose nodes fire in processes of their own; take process = false out"));
+    }
     let bytes = fs::read(path).map_err(|error| message(&format!("it cannot be read: {error}")))?;
     if Digest::of(&bytes).to_string() != *plugin.sha256 {
         return Err(message(&"it has changed since it was looked at; run again"));

@@ -20,7 +20,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(1);
 const N_LINES: usize = 3;
 
 /// A program that runs nodes.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Launcher {
     /// The program.
     pub program: PathBuf,

@@ -1,0 +1,1008 @@
+"""Nodes of Osteoflow in Python.
+
+    from osteoflow_node import Cloud, Pose, Surface, node, param
+
+    @node("my_icp.plain", output="t_target_source")
+    def icp(source: Cloud, target: Surface, init: Pose) -> Pose:
+        ...
+
+The program hands this module to the interpreter; it needs numpy, and no package of Osteoflow. Lengths are millimetres, angles radians,
+times nanoseconds; a pose `t_a_b` takes coordinates in `b` to coordinates in `a`. Columns are numpy arrays on memory that the program
+shares: read-only, and valid as long as somebody holds them. docs/python-nodes.md describes everything.
+"""
+
+import array
+import dataclasses
+import hashlib
+import importlib.util
+import inspect
+import json
+import logging
+import mmap
+import os
+import platform
+import socket
+import struct
+import sys
+import threading
+import time
+import traceback
+import types
+import typing
+import weakref
+
+import numpy as np
+
+__all__ = [
+    "Axes", "Cloud", "Context", "Flag", "Mesh", "NodeError", "Planes", "Points", "Pose", "Region", "Surface", "Text", "Value",
+    "column", "node", "param", "payload", "port", "source",
+]
+
+PROTOCOL = 1
+"""The version of the protocol; docs/processes.md describes it."""
+
+DTYPES = {"f64": np.dtype("<f8"), "f32": np.dtype("<f4"), "i64": np.dtype("<i8"), "u32": np.dtype("<u4"), "u8": np.dtype("u1")}
+CODES = {1: "f64", 2: "f32", 3: "i64", 4: "u32", 5: "u8"}
+
+
+class NodeError(Exception):
+    """Why a node gives no result: lower case, no full stop. Shown as it is, without the place in the file."""
+
+
+# ── payloads ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+class Value:
+    """A payload of any type: head fields and columns by name."""
+
+    payload = None
+
+    def __init__(self, head, columns, payload=None):
+        self.head, self.columns = head, columns
+        if payload is not None:
+            self.payload = payload
+
+    def __repr__(self):
+        columns = ", ".join(f"{name} {array.shape}" for name, array in self.columns.items())
+        return f"{type(self).__name__}({self.head}, {columns})"
+
+    @classmethod
+    def _of(cls, head, columns, payload):
+        if cls is Value:
+            return Value(head, columns, payload)
+        self = cls.__new__(cls)
+        Value.__init__(self, head, columns, payload)
+        return self
+
+
+def _field(name, doc):
+    return property(lambda self: self.head.get(name), doc=doc)
+
+
+def _column(name, doc):
+    return property(lambda self: self.columns.get(name), doc=doc)
+
+
+def _rows(name, values, width, dtype=np.float64):
+    values = np.ascontiguousarray(values, dtype=dtype)
+    if width == 1 and values.ndim == 1:
+        return values
+    if values.ndim != 2 or values.shape[1] != width:
+        raise NodeError(f"{name} must have shape (n, {width}), found {values.shape}")
+    return values
+
+
+class Cloud(Value):
+    """Points in mm, (n, 3), with normals of length 1 and further columns where they are known."""
+
+    payload = ("geometry/Cloud", 1)
+    frame = _field("frame", "the frame of the coordinates")
+    stamp_ns = _field("stamp_ns", "when it was measured")
+    label = _field("label", "its label, or None")
+    viewpoint = _field("viewpoint", "the sensor's pose: x, y, z and the quaternion x, y, z, w; or None")
+    points = _column("points", "(n, 3), mm")
+    normals = _column("normals", "(n, 3), of length 1, or None")
+
+    def __init__(self, frame, points, normals=None, stamp_ns=0, label=None, viewpoint=None, extras=None):
+        head = {"frame": frame, "stamp_ns": int(stamp_ns), "label": label, "viewpoint": viewpoint}
+        columns = {"points": _rows("points", points, 3)}
+        if normals is not None:
+            columns["normals"] = _rows("normals", normals, 3)
+        for name, values in (extras or {}).items():
+            columns[f"extra/{name}"] = _rows(name, values, 1)
+        super().__init__(head, columns)
+
+    @property
+    def extras(self):
+        """Further columns by name, (n,)."""
+        return {name[6:]: values for name, values in self.columns.items() if name.startswith("extra/")}
+
+    def __len__(self):
+        return len(self.points)
+
+    def chosen(self, which):
+        """The points for which `which` (a mask or indices) holds, with all their columns."""
+        return Cloud._of(dict(self.head), {name: values[which] for name, values in self.columns.items()}, self.payload)
+
+
+class Mesh(Value):
+    """Triangles: vertices in mm, (n, 3), and the indices of corners, (m, 3)."""
+
+    payload = ("geometry/Mesh", 1)
+    frame = _field("frame", "the frame of the coordinates")
+    vertices = _column("vertices", "(n, 3), mm")
+    faces = _column("faces", "(m, 3), indices of vertices")
+
+    def __init__(self, frame, vertices, faces, origin="user"):
+        columns = {"vertices": _rows("vertices", vertices, 3), "faces": _rows("faces", faces, 3, np.uint32)}
+        super().__init__({"frame": frame, "origin": origin}, columns)
+
+
+class Surface(Value):
+    """What scans are registered onto: points of the CT surface with normals, and its triangles where it has them."""
+
+    payload = ("algorithms/Target", 1)
+    frame = _field("frame", "the frame of the coordinates")
+    points = _column("points", "(n, 3), mm")
+    normals = _column("normals", "(n, 3), of length 1, or None")
+    vertices = _column("mesh/vertices", "(k, 3), mm, or None")
+    faces = _column("mesh/faces", "(m, 3), indices of vertices, or None")
+
+    def __init__(self, frame, points, normals=None, origin="user"):
+        columns = {"points": _rows("points", points, 3)}
+        if normals is not None:
+            columns["normals"] = _rows("normals", normals, 3)
+        super().__init__({"frame": frame, "origin": origin}, columns)
+
+
+class Pose(Value):
+    """A rigid motion: takes coordinates in `from_` to coordinates in `to`."""
+
+    payload = ("geometry/Pose", 1)
+    to = _field("to", "the frame of the coordinates that it gives")
+    from_ = _field("from", "the frame of the coordinates that it takes")
+    stamp_ns = _field("stamp_ns", "when it held")
+
+    def __init__(self, to, from_, matrix, stamp_ns=0):
+        matrix = np.asarray(matrix, dtype=np.float64)
+        if matrix.shape != (4, 4):
+            raise NodeError(f"the matrix of a pose must have shape (4, 4), found {matrix.shape}")
+        rotation = matrix[:3, :3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0.0:
+            raise NodeError("the matrix of a pose must turn and move, but it scales, shears or mirrors")
+        isometry = [*map(float, matrix[:3, 3]), *_quaternion(rotation)]
+        super().__init__({"to": to, "from": from_, "stamp_ns": int(stamp_ns), "isometry": isometry}, {})
+
+    @property
+    def matrix(self):
+        """(4, 4)."""
+        x, y, z, i, j, k, w = self.head["isometry"]
+        matrix = np.eye(4)
+        matrix[:3, 3] = x, y, z
+        matrix[:3, :3] = [
+            [w * w + i * i - j * j - k * k, 2 * (i * j - w * k), 2 * (w * j + i * k)],
+            [2 * (w * k + i * j), w * w - i * i + j * j - k * k, 2 * (j * k - w * i)],
+            [2 * (i * k - w * j), 2 * (w * i + j * k), w * w - i * i - j * j + k * k],
+        ]
+        return matrix
+
+
+def _quaternion(rotation):
+    """The unit quaternion x, y, z, w of a rotation matrix (Shepperd 1978: by the largest of the four)."""
+    m = rotation
+    squares = np.array([1 + m[0, 0] - m[1, 1] - m[2, 2], 1 - m[0, 0] + m[1, 1] - m[2, 2], 1 - m[0, 0] - m[1, 1] + m[2, 2],
+                        1 + m[0, 0] + m[1, 1] + m[2, 2]])
+    largest = int(np.argmax(squares))
+    d = squares[largest]
+    q = [
+        [d, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
+        [m[0, 1] + m[1, 0], d, m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]],
+        [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], d, m[1, 0] - m[0, 1]],
+        [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], d],
+    ][largest]
+    q = np.array(q, dtype=np.float64)
+    return [float(c) for c in q / np.linalg.norm(q)]
+
+
+class Points(Value):
+    """Named points in mm, such as landmarks."""
+
+    payload = ("geometry/Points", 1)
+    frame = _field("frame", "the frame of the coordinates")
+    positions = _column("positions", "(n, 3), mm")
+    stamps_ns = _column("stamps_ns", "(n,)")
+    confidences = _column("confidences", "(n,), NaN for none")
+
+    def __init__(self, frame, names, positions, stamp_ns=0, confidences=None):
+        names, positions = list(names), _rows("positions", positions, 3)
+        if len(names) != len(positions):
+            raise NodeError(f"{len(names)} names for {len(positions)} points")
+        if confidences is None:
+            confidences = np.full(len(names), np.nan)
+        columns = {"positions": positions, "stamps_ns": np.full(len(names), int(stamp_ns), dtype=np.int64),
+                   "confidences": _rows("confidences", confidences, 1)}
+        super().__init__({"frame": frame, "stamp_ns": int(stamp_ns), "names": "\n".join(names)}, columns)
+
+    @property
+    def names(self):
+        """Their names, in order."""
+        return self.head["names"].split("\n") if len(self.positions) else []
+
+
+class Planes(Value):
+    """Cutting planes: poses `t_frame_plane`, whose z axis is the normal."""
+
+    payload = ("geometry/Planes", 1)
+    frame = _field("frame", "the frame of the coordinates")
+    isometries = _column("isometries", "(n, 7): x, y, z and the quaternion x, y, z, w; NaN where the place is unknown")
+
+    @property
+    def names(self):
+        """Their names, in order."""
+        return self.head["names"].split("\n") if len(self.isometries) else []
+
+
+class Region(Value):
+    """A box with the axes of its frame, mm."""
+
+    payload = ("geometry/Region", 1)
+    frame = _field("frame", "the frame of the coordinates")
+    min = _field("min", "its lowest corner")
+    max = _field("max", "its highest corner")
+
+
+class Axes(Value):
+    """Anatomical axes along which errors are resolved."""
+
+    payload = ("geometry/Axes", 1)
+    frame = _field("frame", "the frame of the coordinates")
+
+
+class Flag(Value):
+    """Yes or no."""
+
+    payload = ("report/Flag", 1)
+
+    def __init__(self, value):
+        super().__init__({"flag": bool(value)}, {})
+
+    value = _field("flag", "whether")
+
+
+class Text(Value):
+    """A text."""
+
+    payload = ("report/Text", 1)
+
+    def __init__(self, value):
+        super().__init__({"text": str(value)}, {})
+
+    value = _field("text", "the text")
+
+
+BUILT_IN = [Axes, Cloud, Flag, Mesh, Planes, Points, Pose, Region, Surface, Text]
+
+# ── payloads of one's own ────────────────────────────────────────────────────────────────────────────────────────────────
+
+FIELDS = {bool: "bool", int: "int", float: "float", str: "text", "list[float]": "floats"}
+
+
+def column(kind="f64", width=1, unit="", doc=""):
+    """A column of one's own payload: rows of `width` values of `kind` (f64, f32, i64, u32, u8)."""
+    return dataclasses.field(default=None, metadata={"column": kind, "width": width, "unit": unit, "doc": doc})
+
+
+def payload(name, version=1):
+    """Makes a dataclass a payload type: `@payload("mine/Report")`. Fields are bool, int, float, str, list[float] (any may be
+    Optional) and `column(...)`. Raise the version with each change."""
+
+    def decorate(cls):
+        cls = dataclasses.dataclass(cls)
+        hints = typing.get_type_hints(cls)
+        fields, columns = [], []
+        for field in dataclasses.fields(cls):
+            about, (kind, optional) = field.metadata, _optional(hints[field.name])
+            entry = {"name": field.name}
+            if "column" in about:
+                entry.update(column=about["column"], width=about["width"])
+                columns.append(entry)
+            else:
+                key = "list[float]" if kind == list[float] else kind
+                if key not in FIELDS:
+                    raise TypeError(f"{cls.__name__}.{field.name}: a payload has fields of bool, int, float, str, list[float], "
+                                    f"and columns by column(..), found {kind}")
+                entry["field"] = FIELDS[key]
+                fields.append(entry)
+            entry.update({key: about[key] for key in ("unit", "doc") if about.get(key)})
+            if optional:
+                entry["optional"] = True
+        cls.payload, cls._schema = (name, version), fields + columns
+        cls._of = classmethod(lambda cls, head, columns, _: cls(**{
+            entry["name"]: (head if "field" in entry else columns).get(entry["name"]) for entry in cls._schema}))
+        cls.head = property(lambda self: {entry["name"]: getattr(self, entry["name"]) for entry in fields})
+        cls.columns = property(lambda self: {
+            entry["name"]: _rows(entry["name"], getattr(self, entry["name"]), entry["width"], DTYPES[entry["column"]])
+            for entry in columns if getattr(self, entry["name"]) is not None})
+        return cls
+
+    return decorate
+
+
+def _optional(hint):
+    """The type within `Optional[..]`, and whether it was one."""
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        inner = [part for part in typing.get_args(hint) if part is not type(None)]
+        if len(inner) == 1 and len(inner) < len(typing.get_args(hint)):
+            return inner[0], True
+    return hint, False
+
+
+# ── kinds ────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+KINDS = []
+
+
+def param(default=dataclasses.MISSING, *, doc="", ge=None, gt=None, le=None, lt=None, choices=None, path=False):
+    """A parameter: its default, what it means, and the values that it takes. Lengths end in _mm, times in _s, angles in _deg or
+    _rad. `path`: it names a file, relative to the graph, which is hashed with the run."""
+    about = {"description": doc, "minimum": ge, "exclusiveMinimum": gt, "maximum": le, "exclusiveMaximum": lt, "enum": choices,
+             "format": "input-path" if path else None}
+    about = {key: value for key, value in about.items() if value not in (None, "")}
+    if isinstance(default, (list, dict)):
+        return dataclasses.field(default_factory=lambda: type(default)(default), metadata=about)
+    return dataclasses.field(default=default, metadata=about)
+
+
+@dataclasses.dataclass(frozen=True)
+class port:
+    """What is known of a port beside its type: `Annotated[Pose, port(to="target", from_="source")]`. A frame is the name of an
+    input, whose frame is meant, `@name`, a frame, or `$parameter`, the frame that it names."""
+
+    doc: str = ""
+    join: str = ""
+    frame: str | None = None
+    to: str | None = None
+    from_: str | None = None
+    n: int | None = None
+
+
+def node(kind, *, output=None, example="", literature=()):
+    """Makes a function or class a node: its typed parameters are the ports, by their names. `output` names the output, where it is
+    one; several are a NamedTuple or dataclass of payloads as the return type. A class takes its parameters in `__init__`, and
+    fires by `process`."""
+    return _kind(kind, "node", output, example, literature)
+
+
+def source(kind, *, output=None, example="", literature=()):
+    """Makes a generator function a source: it yields `(stamp_ns, payload)`."""
+    return _kind(kind, "source", output, example, literature)
+
+
+def _kind(kind, role, output, example, literature):
+    def decorate(made):
+        KINDS.append(Kind(made, kind, role, output, example, list(literature)))
+        return made
+
+    return decorate
+
+
+class Kind:
+    """A kind of node, as its function or class describes it."""
+
+    def __init__(self, made, kind, role, output, example, literature):
+        self.made, self.kind, self.role, self.example, self.literature = made, kind, role, example, literature
+        self.is_class = inspect.isclass(made)
+        fires = made.process if self.is_class and role == "node" else made.items if self.is_class else made
+        hints = typing.get_type_hints(fires, include_extras=True)
+        self.params = None
+        if self.is_class:
+            given = typing.get_type_hints(made.__init__) if made.__init__ is not object.__init__ else {}
+            self.params = given.get("params")
+        self.inputs, self.arguments = [], []
+        for name in inspect.signature(fires).parameters:
+            if name == "self":
+                continue
+            if name == "ctx":
+                self.arguments.append(("ctx", None))
+            elif name == "params" and not self.is_class:
+                self.params = hints.get("params")
+                self.arguments.append(("params", None))
+            else:
+                if role == "source":
+                    raise TypeError(f"{kind}: a source takes params and ctx alone, found \"{name}\"")
+                self.arguments.append(("port", len(self.inputs)))
+                self.inputs.append(Port.of(kind, name, hints))
+        if self.params is not None and not dataclasses.is_dataclass(self.params):
+            raise TypeError(f"{kind}: params must be a dataclass, found {self.params}")
+        self.outputs, self.tuple = self._outputs(hints.get("return"), output)
+
+    def _outputs(self, given, output):
+        if given in (None, type(None)):
+            if self.role == "source":
+                raise TypeError(f"{self.kind}: a source says what it yields: -> Cloud")
+            return [], None
+        inner, _ = _unannotated(given)
+        if typing.get_origin(inner) is not None and self.role == "source":
+            raise TypeError(f"{self.kind}: a source says what it yields: -> Cloud")
+        names = getattr(inner, "_fields", None)
+        if names is None and dataclasses.is_dataclass(inner) and not hasattr(inner, "payload"):
+            names = [field.name for field in dataclasses.fields(inner)]
+        if names is None:
+            name = output or _unannotated(given)[0].__name__.lower()
+            return [Port.of(self.kind, name, {name: given})], None
+        hints = typing.get_type_hints(inner, include_extras=True)
+        return [Port.of(self.kind, name, hints) for name in names], inner
+
+    def described(self):
+        """Its entry in the description of the plugin."""
+        doc = inspect.getdoc(self.made) or f"{self.kind}, without a description."
+        outputs = {"Fixed": [output.described() for output in self.outputs]}
+        return {
+            "kind": self.kind, "doc": doc, "params": self.schema(), "example": self.example, "literature": self.literature,
+            "role": self.role, "constant": False, "kept": "no", "outputs": outputs,
+            "inputs": [dict(port=p.described(), join=p.join, optional=p.optional, unused=False) for p in self.inputs],
+        }
+
+    def schema(self):
+        """The JSON Schema of its parameters."""
+        schema = {"type": "object", "additionalProperties": False, "properties": {}}
+        if self.params is None:
+            return schema
+        hints, required = typing.get_type_hints(self.params), []
+        for field in dataclasses.fields(self.params):
+            entry = {**_schema_of(f"{self.kind}: params.{field.name}", hints[field.name]), **field.metadata}
+            if field.default is not dataclasses.MISSING:
+                entry["default"] = field.default
+            elif field.default_factory is not dataclasses.MISSING:
+                entry["default"] = field.default_factory()
+            else:
+                required.append(field.name)
+            schema["properties"][field.name] = entry
+        return {**schema, "required": required} if required else schema
+
+
+def _schema_of(what, hint):
+    hint, optional = _optional(hint)
+    simple = {bool: "boolean", int: "integer", float: "number", str: "string"}
+    if hint in simple:
+        kind = {"type": [simple[hint], "null"] if optional else simple[hint]}
+    elif typing.get_origin(hint) in (list, tuple):
+        parts = [part for part in typing.get_args(hint) if part is not Ellipsis]
+        kind = {"type": "array", "items": _schema_of(what, parts[0])}
+        if typing.get_origin(hint) is tuple and Ellipsis not in typing.get_args(hint):
+            kind.update(minItems=len(parts), maxItems=len(parts))
+    else:
+        raise TypeError(f"{what} must be bool, int, float, str, or a list or tuple of one, found {hint}")
+    return kind
+
+
+def _unannotated(hint):
+    """A type, and the `port` that it is annotated with."""
+    if typing.get_origin(hint) is typing.Annotated:
+        inner, *more = typing.get_args(hint)
+        return inner, next((about for about in more if isinstance(about, port)), port())
+    return hint, port()
+
+
+class Port:
+    """A port, from its annotation."""
+
+    @classmethod
+    def of(cls, kind, name, hints):
+        if name not in hints:
+            raise TypeError(f"{kind}: port \"{name}\" has no type; write {name}: Cloud, or another payload")
+        self = cls()
+        hint, about = _unannotated(hints[name])
+        hint, self.optional = _optional(hint)
+        self.many = typing.get_origin(hint) is list
+        if self.many:
+            hint = typing.get_args(hint)[0]
+        if not (hint is Value or getattr(hint, "payload", None)):
+            raise TypeError(f"{kind}: port \"{name}\" is a {hint}, but must be a payload, such as Cloud or Pose")
+        self.name, self.type, self.about = name, hint, about
+        rule = about.join or ("collect" if self.many else "once" if hint in (Surface, Axes, Mesh) else "each")
+        self.join = {"rule": rule}
+        if rule == "collect":
+            self.join["n"] = about.n
+        elif rule in ("stamp", "interpolate"):
+            self.join.update({"tolerance_ns": 0} if rule == "stamp" else {"max_gap_ns": None})
+        return self
+
+    def described(self):
+        about, given = self.about, self.type.payload
+        return {"name": self.name, "doc": about.doc or f"{(inspect.getdoc(self.type) or self.name).splitlines()[0]}",
+                "payload": list(given) if given else None, "frames": [about.frame, about.to, about.from_]}
+
+
+def describe(file):
+    """The description of the plugin in a file."""
+    load(file)
+    if not KINDS:
+        raise ImportError("it has no node; write @node(\"stage.name\") above a function")
+    ports = [port for kind in KINDS for port in kind.inputs + kind.outputs]
+    own = {port.type.payload: port.type._schema for port in ports if hasattr(port.type, "_schema")}
+    return {
+        "name": os.path.splitext(os.path.basename(file))[0],
+        "version": str(getattr(sys.modules["__plugin__"], "__version__", "0")),
+        "sdk": "osteoflow_node.py", "abi": [1, 0],
+        "compiler": f"{platform.python_implementation()} {platform.python_version()}, numpy {np.__version__}",
+        "kinds": [kind.described() for kind in KINDS],
+        "payloads": [{"name": name, "version": version, "schema": schema} for (name, version), schema in own.items()],
+    }
+
+
+def load(file):
+    """Runs the file of a plugin."""
+    sys.path.insert(0, os.path.dirname(os.path.abspath(file)))
+    spec = importlib.util.spec_from_file_location("__plugin__", file)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["__plugin__"] = module
+    spec.loader.exec_module(module)
+
+
+def where(error, file):
+    """An exception as one line, with the line of the plugin's file at which it came up."""
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if os.path.abspath(frame.filename) == os.path.abspath(file)]
+    if isinstance(error, SyntaxError) and error.filename and os.path.abspath(error.filename) == os.path.abspath(file):
+        place = f"{os.path.basename(file)}:{error.lineno}: "
+    else:
+        place = f"{os.path.basename(file)}:{frames[-1].lineno}: " if frames else ""
+    said = str(error.msg if isinstance(error, SyntaxError) else error)
+    return f"{place}{type(error).__name__}: {said}" if said else f"{place}{type(error).__name__}"
+
+
+# ── the context ──────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+class Context:
+    """What a node may know of the run beside its inputs. All random numbers and times come from here, so that a run is a function
+    of graph, inputs and seed."""
+
+    def __init__(self, build, stop_page):
+        self.node, self.seed = build["node"], build["seed"]
+        self._stop_page = stop_page
+        self.begin({"item": 0, "stamp_ns": 0, "recorded": None, "out_dir": None, "absent": []})
+
+    def begin(self, sent):
+        self.item, self._stamp_ns, self._out_dir = sent["item"], sent["stamp_ns"], sent["out_dir"]
+        self._recorded = None if sent["recorded"] is None else list(sent["recorded"])
+        self._absent = {port: empty["reason"] for port, empty in sent["absent"]}
+        self._readings, self._warnings, self._used_generator, self._used_other = [], [], False, False
+
+    def done(self):
+        return {"stamp_ns": self._stamp_ns, "readings": self._readings, "warnings": self._warnings,
+                "used_generator": self._used_generator, "used_other": self._used_other}
+
+    @property
+    def stamp_ns(self):
+        """The stamp of the firing: the largest of the items that triggered it."""
+        self._used_other = True
+        return self._stamp_ns
+
+    @property
+    def out_dir(self):
+        """The folder for files that the node writes, or None if the run has none."""
+        self._used_other = True
+        return self._out_dir
+
+    def rng(self):
+        """A numpy generator seeded by run seed, node name and item."""
+        self._used_generator = True
+        words = hashlib.sha256(f"{self.seed}\0{self.node}\0{self.item}".encode()).digest()
+        return np.random.Generator(np.random.PCG64(int.from_bytes(words, "little")))
+
+    def clock_ns(self):
+        """The time of day, recorded with the firing and answered from the recording in a replay."""
+        ns = time.time_ns()
+        if self._recorded:
+            reading = self._recorded.pop(0)
+            ns = reading["ns"] if reading["kind"] == "clock" else ns
+        self._readings.append({"kind": "clock", "ns": ns})
+        return ns
+
+    def cancelled(self):
+        """Whether the user asked to stop. A long computation looks from time to time, and raises NodeError."""
+        return self._stop_page[0] != 0
+
+    def warn(self, message):
+        """Warns the user about this item; shown, counted, and written to the manifest."""
+        self._warnings.append(str(message))
+
+    def absent_reason(self, port):
+        """Why an optional port got nothing, or None."""
+        return self._absent.get(port)
+
+
+# ── the connection ───────────────────────────────────────────────────────────────────────────────────────────────────────
+
+HEAD = struct.Struct("<8sqQB3xIII")
+MAX_FDS = 64
+
+
+class Connection:
+    """Messages over the socket that is standard input; docs/processes.md."""
+
+    def __init__(self):
+        self.socket = socket.socket(fileno=os.dup(0))
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, 0)
+        os.close(nothing)
+        self.bytes, self.fds, self.lock = b"", [], threading.Lock()
+
+    def receive(self):
+        """The next message, or None at the end."""
+        while True:
+            if len(self.bytes) >= 4:
+                end = 4 + int.from_bytes(self.bytes[:4], "little")
+                if len(self.bytes) >= end:
+                    message, self.bytes = json.loads(self.bytes[4:end]), self.bytes[end:]
+                    return message
+            fds = array.array("i")
+            data, control, _, _ = self.socket.recvmsg(1 << 16, socket.CMSG_SPACE(MAX_FDS * fds.itemsize))
+            for level, kind, payload in control:
+                if level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:
+                    fds.frombytes(payload[: len(payload) - len(payload) % fds.itemsize])
+            self.fds.extend(fds)
+            if not data:
+                return None
+            self.bytes += data
+
+    def take_fds(self, n):
+        taken, self.fds = self.fds[:n], self.fds[n:]
+        return taken
+
+    def send(self, message, fds=()):
+        data = json.dumps(message).encode()
+        data = len(data).to_bytes(4, "little") + data
+        with self.lock:
+            if fds:
+                control = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", fds))]
+                data = data[self.socket.sendmsg([data], control):]
+            self.socket.sendall(data)
+
+
+class Pool:
+    """The segments of shared memory that this process writes."""
+
+    def __init__(self):
+        self.maps, self.state, self.new, self.fds = [], [], [], []
+
+    def put(self, value):
+        parts, n_bytes = encode(value)
+        fitting = [i for i, m in enumerate(self.maps) if self.state[i] == "free" and len(m) >= n_bytes]
+        if not fitting:
+            self._make(n_bytes)
+            fitting = [len(self.maps) - 1]
+        segment = min(fitting, key=lambda i: len(self.maps[i]))
+        self.state[segment] = "used"
+        at, memory = 0, self.maps[segment]
+        for part in parts:
+            memory[at:at + len(part)] = part
+            at += len(part)
+        return {"segment": segment, "n_bytes": n_bytes}
+
+    def _make(self, n_bytes):
+        size = max(1 << 16, 1 << (n_bytes - 1).bit_length())
+        fd = os.memfd_create("osteoflow") if hasattr(os, "memfd_create") else _unnamed()
+        os.ftruncate(fd, size)
+        self.new.append({"id": len(self.maps), "n_bytes": size})
+        self.fds.append(fd)
+        self.maps.append(mmap.mmap(fd, size))
+        self.state.append("free")
+
+    def news(self):
+        new, fds = self.new, self.fds
+        self.new, self.fds = [], []
+        return new, fds
+
+    def answered(self, held):
+        self.state = ["used" if i in held else "free" for i in range(len(self.maps))]
+
+
+def _unnamed():
+    import tempfile
+
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())
+
+
+class Views:
+    """The segments of the program, for reading."""
+
+    def __init__(self):
+        self.maps, self.roots = {}, {}
+
+    def add(self, new, fds):
+        for segment, fd in zip(new, fds, strict=True):
+            self.maps[segment["id"]] = mmap.mmap(fd, segment["n_bytes"], prot=mmap.PROT_READ)
+            os.close(fd)
+
+    def item(self, place, types):
+        """The item at a place; its columns stay where they are."""
+        memory, roots = self.maps[place["segment"]], self.roots.setdefault(place["segment"], [])
+        return decode(memory, types, roots)
+
+    def held(self):
+        """The segments on which an array still lies."""
+        held = []
+        for segment, roots in self.roots.items():
+            roots[:] = [root for root in roots if root() is not None]
+            if roots:
+                held.append(segment)
+        return held
+
+
+class Empty:
+    """An item without a value."""
+
+    def __init__(self, node, reason):
+        self.node, self.reason = node, reason
+
+
+def decode(memory, types, roots):
+    """The value of an item in the encoding of recordings (docs/recording.md)."""
+    magic, _, _, body, n_fields, n_columns, _ = HEAD.unpack_from(memory, 0)
+    if magic != b"OSTEOVW1":
+        raise NodeError("the program sent what is no item")
+    at = HEAD.size
+
+    def number(form, size):
+        nonlocal at
+        value = struct.unpack_from(form, memory, at)[0]
+        at += size
+        return value
+
+    def text():
+        nonlocal at
+        n = number("<I", 4)
+        at += n
+        return memory[at - n:at].decode()
+
+    if body == 1:
+        return Empty(text(), text())
+    name, version = (text(), number("<I", 4)) if body == 2 else (None, None)
+    head, columns = {}, {}
+    for _ in range(n_fields):
+        kind, field = number("<B", 1), text()
+        if kind == 1:
+            head[field] = number("<B", 1) != 0
+        elif kind == 4:
+            n = number("<I", 4)
+            head[field] = list(struct.unpack_from(f"<{n}d", memory, at))
+            at += 8 * n
+        else:
+            head[field] = text() if kind == 5 else number(*{2: ("<q", 8), 3: ("<d", 8)}[kind])
+    for _ in range(n_columns):
+        field, kind, width, n_bytes = text(), number("<B", 1), number("<I", 4), number("<Q", 8)
+        at += -at % 8
+        dtype = DTYPES[CODES[kind]]
+        root = np.frombuffer(memory, dtype, n_bytes // dtype.itemsize, at)
+        roots.append(weakref.ref(root))
+        columns[field] = root if width == 1 else root.reshape(-1, width)
+        at += n_bytes
+    return types.get(name, Value)._of(head, columns, (name, version))
+
+
+SCHEMAS = {}
+
+
+def encode(value):
+    """A value in the encoding of recordings: parts, and their length."""
+    name, version = value.payload
+    schema = SCHEMAS.get(name)
+    if schema is None:
+        raise NodeError(f"payload {name} is not one that this node gives")
+    head, columns = value.head, value.columns
+    out = bytearray()
+
+    def text(of):
+        data = of.encode()
+        out.extend(len(data).to_bytes(4, "little") + data)
+
+    text(name)
+    out += version.to_bytes(4, "little")
+    n_fields = 0
+    known = set()
+    for entry in schema:
+        field = entry["name"]
+        known.add(field)
+        if "field" not in entry:
+            continue
+        given, kind = head.get(field), entry["field"]
+        if given is None:
+            if not entry.get("optional"):
+                raise NodeError(f"{name} has no \"{field}\"")
+            continue
+        n_fields += 1
+        out.append({"bool": 1, "int": 2, "float": 3, "text": 5}.get(kind, 4))
+        text(field)
+        if kind == "bool":
+            out.append(bool(given))
+        elif kind == "int":
+            out += struct.pack("<q", given)
+        elif kind == "float":
+            out += struct.pack("<d", given)
+        elif kind == "text":
+            text(given)
+        else:
+            out += struct.pack(f"<I{len(given)}d", len(given), *given)
+    parts, n_bytes = [], HEAD.size + len(out)
+    types = {entry["name"]: entry for entry in schema if "column" in entry}
+    pattern = next((entry for field, entry in types.items() if field.endswith("/*")), None)
+    for field, rows in columns.items():
+        entry = types.get(field) or (pattern if pattern and field.startswith(pattern["name"][:-1]) else None)
+        if entry is None:
+            raise NodeError(f"{name} has no column \"{field}\"")
+        rows = _rows(field, rows, entry["width"], DTYPES[entry["column"]])
+        label, data = field.encode(), memoryview(rows).cast("B")
+        code = next(code for code, kind in CODES.items() if kind == entry["column"])
+        about = len(label).to_bytes(4, "little") + label + struct.pack("<BIQ", code, entry["width"], len(data))
+        about += bytes(-(n_bytes + len(about)) % 8)
+        parts += [about, data]
+        n_bytes += len(about) + len(data)
+    first = HEAD.pack(b"OSTEOVW1", 0, 0, 2, n_fields, len(columns), 0) + bytes(out)
+    return [first, *parts], n_bytes
+
+
+class Log(logging.Handler):
+    """Sends what `logging` says to the program."""
+
+    LEVELS = {logging.CRITICAL: 1, logging.ERROR: 1, logging.WARNING: 2, logging.INFO: 3, logging.DEBUG: 4}
+
+    def __init__(self, connection, level):
+        super().__init__()
+        self.connection, self.most = connection, level
+
+    def emit(self, record):
+        level = self.LEVELS.get(record.levelno, 3)
+        if level <= self.most:
+            self.connection.send({"log": {"level": level, "target": record.name, "message": record.getMessage()}})
+
+
+class Server:
+    """Fires one node."""
+
+    def __init__(self, connection, build, stop_page, kind):
+        self.connection, self.kind, self.context = connection, kind, Context(build, stop_page)
+        self.views, self.pool, self.constants = Views(), Pool(), {}
+        self.types = {t.payload[0]: t for t in BUILT_IN}
+        self.types.update({port.type.payload[0]: port.type for port in kind.inputs if port.type.payload})
+        self.params = self._params(build["params"])
+        given = () if self.params is None else (self.params,)
+        self.made = kind.made(*given) if kind.is_class else kind.made
+        self.running = None
+
+    def _params(self, given):
+        if self.kind.params is None:
+            return None
+        hints = typing.get_type_hints(self.kind.params)
+        values = {}
+        for name, value in given.items():
+            origin = typing.get_origin(_optional(hints[name])[0])
+            values[name] = tuple(value) if origin is tuple else float(value) if hints[name] is float else value
+        return self.kind.params(**values)
+
+    def fire(self, fire):
+        self.context.begin(fire["context"])
+        self.pool.answered(fire["held"])
+        ports = [self.slot(index, slot) for index, slot in enumerate(fire["slots"])]
+        fires = self.made.process if self.kind.is_class and self.kind.role == "node" else self.made
+        given = {"ctx": self.context, "params": self.params}
+        arguments = [ports[index] if what == "port" else given[what] for what, index in self.kind.arguments]
+        del ports
+        if self.kind.role == "source":
+            if self.running is None:
+                self.running = iter(self.made.items(*arguments) if self.kind.is_class else self.made(*arguments))
+            step = next(self.running, None)
+            if step is None:
+                return "end", []
+            if not (isinstance(step, tuple) and len(step) == 2 and isinstance(step[0], int)):
+                raise NodeError("a source yields (stamp_ns, payload)")
+            self.context._stamp_ns, answer = step
+        else:
+            answer = fires(*arguments)
+        del arguments
+        return "well", self.emitted(answer)
+
+    def slot(self, index, slot):
+        (what, given), = slot.items()
+        port = self.kind.inputs[index]
+        if what == "absent":
+            return [] if port.many else None
+        if what == "items":
+            return [item for item in (self.item(place) for place in given) if item is not None]
+        if what == "constant":
+            known = self.constants.get(index)
+            if known is None or known[0] != given:
+                self.constants.pop(index, None)
+                known = self.constants[index] = (given, self.item(given))
+            return known[1]
+        return self.item(given)
+
+    def item(self, place):
+        item = self.views.item(place, self.types)
+        return None if isinstance(item, Empty) else item
+
+    def emitted(self, answer):
+        ports = self.kind.outputs
+        if self.kind.tuple is None:
+            answers = [answer] if ports else []
+            if not ports and answer is not None:
+                raise NodeError(f"it returns a {type(answer).__name__}, but has no output; write -> and the payload")
+        else:
+            names = [port.name for port in ports]
+            answers = [None] * len(names) if answer is None else [getattr(answer, name) for name in names]
+        out = []
+        for port, answer in zip(ports, answers):
+            if answer is None:
+                out.append({"empty": "the node gave no value"})
+                continue
+            if getattr(answer, "payload", None) is None or (port.type is not Value and answer.payload != port.type.payload):
+                raise NodeError(f"output \"{port.name}\" must be a {port.type.__name__}, found a {type(answer).__name__}")
+            out.append({"value": self.pool.put(answer)})
+        return out
+
+
+def serve(file):
+    """Serves the node that the first message asks for."""
+    connection = Connection()
+    build = connection.receive()["build"]
+    sys.stdout.reconfigure(line_buffering=True)
+    (stop_fd,) = connection.take_fds(1)
+    stop_page = mmap.mmap(stop_fd, mmap.PAGESIZE, prot=mmap.PROT_READ)
+    parent = os.getppid()
+
+    def watch():
+        while os.getppid() == parent:
+            time.sleep(0.25)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+    logging.basicConfig(level=logging.DEBUG, handlers=[Log(connection, build["log_level"])])
+    try:
+        if build["version"] != PROTOCOL:
+            raise NodeError(f"the program speaks version {build['version']} of the protocol, this module {PROTOCOL}")
+        with open(file, "rb") as opened:
+            if hashlib.sha256(opened.read()).hexdigest() != build["plugin"]["sha256"]:
+                raise NodeError(f"plugin {file}: it has changed since it was looked at; run again")
+        load(file)
+        SCHEMAS.update({described["name"]: described["schema"] for described in build["payloads"]})
+        kind = next(kind for kind in KINDS if kind.kind == build["kind"])
+        server = Server(connection, build, stop_page, kind)
+    except NodeError as error:
+        return connection.send({"refused": {"parameter": "", "message": str(error)}})
+    except Exception as error:
+        return connection.send({"refused": {"parameter": "", "message": where(error, file)}})
+    connection.send({"built": {}})
+    while (message := connection.receive()) is not None:
+        fire = message["fire"]
+        server.views.add(fire["new"], connection.take_fds(len(fire["new"])))
+        outputs = []
+        try:
+            ended, outputs = server.fire(fire)
+        except NodeError as error:
+            ended = {"failed": str(error)}
+        except Exception as error:
+            logging.getLogger("osteoflow_node").debug("%s", traceback.format_exc())
+            ended = {"failed": where(error, file)}
+        new, fds = server.pool.news()
+        answer = {"ended": ended, "outputs": outputs, "context": server.context.done(), "new": new, "held": server.views.held()}
+        connection.send({"answer": answer}, fds)
+        for fd in fds:
+            os.close(fd)
+
+
+def main(arguments):
+    sys.modules["osteoflow_node"] = sys.modules[__name__]
+    what, file = arguments
+    if what == "serve":
+        return serve(file)
+    try:
+        answer = {"plugin": describe(file)}
+    except BaseException as error:
+        answer = {"refused": where(error, file)}
+    print(f"\nosteoflow plugin: {json.dumps(answer)}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
