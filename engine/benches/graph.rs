@@ -50,6 +50,7 @@ pub(crate) fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Optio
             inputs: inputs.collect(),
             outputs: outputs.collect(),
             on_error: OnError::Stop,
+            place: Default::default(),
         });
     }
     Plan {

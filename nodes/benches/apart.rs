@@ -3,15 +3,14 @@
 //! `cargo bench -p osteoflow --bench apart`. docs/performance.md has the figures.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed bench, with its line")]
 
+#[allow(dead_code, reason = "tests use the rest")]
 #[path = "../../engine/tests/plugins/build.rs"]
 mod build;
 
 use osteoflow_algorithms::sample;
 use osteoflow_engine::plugin::{Finder, Kinds, Launcher, Prober};
 use osteoflow_geometry::{Cloud, NamedPoint, Points, nalgebra::Point3};
-use osteoflow_node::{
-    Body, BuildContext, Built, Context, Emission, Item, Join, Joined, Place, Registry, Slot, Value,
-};
+use osteoflow_node::{Body, BuildContext, Built, Context, Emission, Item, Join, Joined, Place, Registry, Slot, Value};
 use osteoflow_simulation::bone::{BoneParams, fibula};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde_json::json;

@@ -16,6 +16,7 @@ use std::{
 Examples:
   osteoflow new plugin my_icp                 a crate with an ICP of its own, a test and a graph
   osteoflow new plugin my_crop --lang c
+  osteoflow new plugin my_icp --lang python   one file that is not built; needs numpy and scipy
   osteoflow new procedure my_procedure        a procedure in files that runs, to replace by yours")]
 pub(crate) struct New {
     #[command(subcommand)]
@@ -58,6 +59,8 @@ enum Lang {
     Rust,
     /// A folder with a Makefile; also for C++.
     C,
+    /// One file, which is not built.
+    Python,
 }
 
 /// A file of a template: path and content.
@@ -94,6 +97,17 @@ const C: Template = Template {
         ("graphs/my_crop.toml", include_str!("../template/c/graphs/my_crop.toml")),
         ("README.md", include_str!("../template/c/README.md")),
         (".gitignore", "/build\n/runs\n"),
+    ],
+};
+
+const PYTHON: Template = Template {
+    placeholder: "my_icp",
+    build: "python3 -m pip install numpy scipy",
+    files: &[
+        ("my_icp.py", include_str!("../template/python/my_icp.py")),
+        ("graphs/my_icp.toml", include_str!("../template/python/graphs/my_icp.toml")),
+        ("README.md", include_str!("../template/python/README.md")),
+        (".gitignore", "/runs\n__pycache__\n"),
     ],
 };
 
@@ -205,11 +219,13 @@ impl Plugin {
         let dir = self.out.clone().unwrap_or_else(|| PathBuf::from(&self.name));
         let (template, sdk) = match self.lang {
             Lang::Rust => (&RUST, self.sdk()?),
-            Lang::C if self.sdk.is_some() => {
-                let message = "--sdk is for Rust; in C the headers of this program are written beside the plugin";
+            Lang::C | Lang::Python if self.sdk.is_some() => {
+                let message = "--sdk is for Rust; in C the headers of this program are written beside the plugin, and in Python \
+                               its module comes from the program";
                 return Err(UsageError(message.into()).into());
             }
             Lang::C => (&C, Sdk::default()),
+            Lang::Python => (&PYTHON, Sdk::default()),
         };
         empty_folder(&dir, "name another folder with --out")?;
         write(&dir, FIBULA.0, without_schema(FIBULA.1))?;

@@ -5,6 +5,7 @@
 #[path = "../../engine/tests/plugins/build.rs"]
 pub(crate) mod build;
 pub(crate) mod case;
+pub(crate) mod python;
 
 use assert_cmd::Command;
 use osteoflow_geometry::{

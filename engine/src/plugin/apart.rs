@@ -82,8 +82,10 @@ impl Launch for Processes {
         let fds: Vec<_> = stop_page.fd().into_iter().collect();
         child.socket.send(&ToWorker::Build(Box::new(build)), &fds).map_err(fault)?;
         let outputs = match &kind.description.outputs {
-            OutputPorts::Fixed(ports) => ports.iter().map(|port| port.payload).collect(),
-            OutputPorts::Declared { .. } => context.declared.iter().map(|p| PortPayload::Type(p.payload)).collect(),
+            OutputPorts::Fixed(ports) => ports.iter().map(|port| (port.name.into(), port.payload)).collect(),
+            OutputPorts::Declared { .. } => {
+                context.declared.iter().map(|port| (port.name.clone(), PortPayload::Type(port.payload))).collect()
+            }
         };
         let mut node = Apart {
             child,
@@ -167,7 +169,8 @@ struct Apart {
     views: Views,
     /// For each input joined by `once`: what the process has.
     constants: Vec<Option<Sent>>,
-    outputs: Vec<PortPayload>,
+    /// Names and payloads.
+    outputs: Vec<(String, PortPayload)>,
     types: Arc<[&'static PayloadType]>,
     max_delay_ns: StampNs,
     silent_after: Duration,
@@ -290,19 +293,19 @@ impl Apart {
     }
 
     fn value(&self, port: usize, place: Place) -> Result<Value, String> {
-        let item = self.views.item(place).map_err(|error| format!("output {port} cannot be read: {error}"))?;
-        let name = item.payload.as_ref().map(|(name, _)| name.as_str()).unwrap_or_default();
-        let ty = match self.outputs.get(port) {
-            Some(PortPayload::Type(ty)) if ty.name == name => Some(*ty),
-            Some(PortPayload::Type(ty)) => return Err(format!("output {port} gives a {name}, but is a {}", ty.name)),
-            _ => self.types.iter().copied().find(|ty| ty.name == name),
+        let (output, payload) = &self.outputs[port];
+        let fault = |what: &str, error: &dyn std::fmt::Display| format!("output \"{output}\": {what}: {error}");
+        let item = self.views.item(place).map_err(|error| fault("it cannot be read", &error))?;
+        let (name, version) = item.payload.unwrap_or_default();
+        let ty = match payload {
+            PortPayload::Type(ty) => Some(*ty),
+            PortPayload::Any => self.types.iter().copied().find(|ty| ty.name == name),
         };
-        let ty = ty.ok_or_else(|| format!("output {port} gives a {name}, which nothing describes"))?;
-        if let Some((_, version)) = item.payload.as_ref().filter(|(_, version)| *version != ty.version) {
-            return Err(format!("output {port} gives version {version} of {name}, here it is version {}", ty.version));
-        }
-        let view = item.body.map_err(|_| format!("output {port} gives no value"))?;
-        ty.from_view(&view).map_err(|error| format!("output {port} gives no {name}: {error}"))
+        let ty = ty.filter(|ty| (ty.name, ty.version) == (&*name, version));
+        let ty =
+            ty.ok_or_else(|| fault(&format!("{name}@{version}"), &format!("the port gives {}", payload.name())))?;
+        let view = item.body.map_err(|_| fault(ty.name, &"there is no value"))?;
+        ty.from_view(&view).map_err(|error| fault(ty.name, &error))
     }
 }
 

@@ -275,7 +275,13 @@ impl Finder {
                 let _ = store.put(key, &[&json]);
             }
             let script = self.script(path).map(|scripts| scripts.command("serve", Some(path)));
-            return Ok(Plugin { path: path.into(), sha256: digest.to_string().into(), description, named: false, script });
+            return Ok(Plugin {
+                path: path.into(),
+                sha256: digest.to_string().into(),
+                description,
+                named: false,
+                script,
+            });
         }
         Err("it changes while it is looked at; is it being built?".into())
     }

@@ -43,8 +43,8 @@ pub(super) enum ProbeError {
     Hung(Duration),
     #[error("it ended the process that looked at it: {0}")]
     Ended(String),
-    #[error("the process that looks at it cannot be started: {0}")]
-    Start(io::Error),
+    #[error("the program that looks at it, {0}, cannot be started: {1}")]
+    Start(String, io::Error),
 }
 
 /// The output of the process.
@@ -80,9 +80,10 @@ pub(super) fn probe(prober: &Prober, file: &Path) -> Result<PluginDescription, P
     let mut command = Command::new(&prober.program);
     command.args(&prober.arguments).arg(file);
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let mut child = command.spawn().map_err(ProbeError::Start)?;
+    let start = |error| ProbeError::Start(prober.program.display().to_string(), error);
+    let mut child = command.spawn().map_err(start)?;
     let (out, err) = (read(child.stdout.take()), read(child.stderr.take()));
-    let ended = wait(&mut child, prober.timeout).map_err(ProbeError::Start)?;
+    let ended = wait(&mut child, prober.timeout).map_err(start)?;
     let Some(status) = ended else { return Err(ProbeError::Hung(prober.timeout)) };
     let printed = |bytes: Receiver<Vec<u8>>| bytes.recv_timeout(OUTPUT_TIMEOUT).unwrap_or_default();
     let (out, err) = (printed(out), printed(err));

@@ -5,7 +5,10 @@ use std::{
     collections::VecDeque,
     ffi::OsString,
     io::{self, BufRead, BufReader, Write},
-    os::{fd::OwnedFd, unix::net::UnixStream},
+    os::{
+        fd::OwnedFd,
+        unix::{net::UnixStream, process::CommandExt},
+    },
     path::PathBuf,
     process::{Child as Process, Command, ExitStatus, Stdio},
     sync::{Arc, Mutex, PoisonError},
@@ -44,6 +47,8 @@ impl Child {
         let mut command = Command::new(&launcher.program);
         command.args(&launcher.arguments).stdin(Stdio::from(OwnedFd::from(theirs)));
         command.stdout(writer.try_clone()?).stderr(writer);
+        // Ctrl-C on the terminal is for the program, which ends its runs in order.
+        command.process_group(0);
         let process = command.spawn()?;
         // The command holds the other ends of socket and pipe open.
         drop(command);

@@ -971,7 +971,7 @@ def serve(file):
         server = Server(connection, build, stop_page, kind)
     except NodeError as error:
         return connection.send({"refused": {"parameter": "", "message": str(error)}})
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         return connection.send({"refused": {"parameter": "", "message": where(error, file)}})
     connection.send({"built": {}})
     while (message := connection.receive()) is not None:
@@ -982,7 +982,7 @@ def serve(file):
             ended, outputs = server.fire(fire)
         except NodeError as error:
             ended = {"failed": str(error)}
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             logging.getLogger("osteoflow_node").debug("%s", traceback.format_exc())
             ended = {"failed": where(error, file)}
         new, fds = server.pool.news()

@@ -1,0 +1,350 @@
+//! Nodes in Python: they agree with built-in ones, and what is wrong in them is said at its place.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+#![cfg(unix)]
+
+mod common;
+
+use common::{osteoflow, osteoflow_to_spawn, python::python, root};
+use osteoflow_geometry::nalgebra::{Matrix4, Point3};
+use serde_json::{Value, json};
+use std::{
+    fs,
+    io::{BufRead, BufReader},
+    path::{Path, PathBuf},
+    process::Stdio,
+    sync::mpsc::sync_channel,
+    thread,
+    time::{Duration, Instant},
+};
+
+/// A folder with files, and the interpreter for its plugins; `None` where there is no Python.
+struct Folder(tempfile::TempDir, PathBuf);
+
+struct Left {
+    code: Option<i32>,
+    stderr: String,
+    results: Value,
+}
+
+impl Folder {
+    fn new(test: &str, files: &[(&str, &str)]) -> Option<Self> {
+        let folder = Self(tempfile::tempdir().unwrap(), python(test)?);
+        files.iter().for_each(|(name, text)| folder.write(name, text));
+        Some(folder)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        fs::create_dir_all(self.path(name).parent().unwrap()).unwrap();
+        fs::write(self.path(name), text).unwrap();
+    }
+
+    fn run(&self, graph: &str, arguments: &[&str]) -> Left {
+        let out = tempfile::tempdir_in(self.0.path()).unwrap().path().join("run");
+        let mut command = osteoflow();
+        command.arg("run").arg(self.path(graph)).arg("--out").arg(&out).args(arguments).arg("--python").arg(&self.1);
+        let output = command.output().unwrap();
+        let results = fs::read(out.join("results.json")).unwrap_or_default();
+        Left {
+            code: output.status.code(),
+            stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
+            results: serde_json::from_slice(&results).unwrap_or(Value::Null),
+        }
+    }
+}
+
+const SOURCE: &str = r#"
+[graph]
+format = 1
+
+[node.recording]
+kind = "acquire.simulated"
+"#;
+
+fn matrix(value: &Value) -> Matrix4<f64> {
+    let rows: Vec<Vec<f64>> = serde_json::from_value(value["matrix"].clone()).unwrap();
+    Matrix4::from_row_slice(&rows.concat())
+}
+
+#[test]
+fn the_icp_of_the_template_agrees_with_the_built_in_one() {
+    let Some(folder) = Folder::new("an ICP in Python", &[]) else { return };
+    let new = osteoflow()
+        .current_dir(folder.0.path())
+        .args(["new", "plugin", "my_fit", "--lang", "python"])
+        .output()
+        .unwrap();
+    let said = String::from_utf8(new.stdout).unwrap();
+    assert!(new.status.success() && said.contains("osteoflow run graphs/my_fit.toml"), "{said}");
+    let stop = ["--set", "icp.stop_step_mm=1e-8", "--set", "results.fit=icp.t_target_source"];
+    let here = folder.run("my_fit/graphs/my_fit.toml", &stop);
+    assert_eq!(here.code, Some(0), "{}", here.stderr);
+    let graph = "extends = \"fibula.toml\"\n[node.icp]\ngate_sigmas = 0.0\none_sided = false\nlevels = []\npairing = \"tree\"\n\
+                 stop_step_rad = 1e-10\n";
+    folder.write("my_fit/graphs/built_in.toml", graph);
+    let built_in = folder.run("my_fit/graphs/built_in.toml", &stop);
+    assert_eq!(built_in.code, Some(0), "{}", built_in.stderr);
+    let (here_fit, there) = (matrix(&here.results["fit"]), matrix(&built_in.results["fit"]));
+    let scanned = Point3::from_slice(&there.fixed_view::<3, 1>(0, 3).clone_owned().as_slice()[..3]);
+    for offset in [-50.0, 0.0, 50.0] {
+        let point = there
+            .try_inverse()
+            .unwrap()
+            .transform_point(&(scanned + osteoflow_geometry::nalgebra::Vector3::repeat(offset)));
+        let off_mm = (here_fit.transform_point(&point) - there.transform_point(&point)).norm();
+        assert!(off_mm < 1e-6, "{off_mm} mm");
+    }
+    let report = &here.results["icp"];
+    assert_eq!((&report["n_pairs"], report["rms_mm"].as_f64().unwrap() < 0.1), (&20_000.into(), true), "{report}");
+    // As a plugin in any language: the recording replays to the same bits, and `process = false` is no way out.
+    let refused = folder.run("my_fit/graphs/my_fit.toml", &["--set", "icp.process=false"]);
+    assert!(refused.code != Some(0) && refused.stderr.contains("take process = false out"), "{}", refused.stderr);
+}
+
+#[test]
+fn a_hole_detector_in_python_finds_the_holes_of_the_built_in_one() {
+    let graph = "extends = \"fibula.toml\"\nplugins = [\"hole.py\"]\n[node.hole]\nkind = \"hole_example.difference\"\n\
+                 remove = []\n";
+    let files = [
+        ("hole.py", include_str!("../nodes/payloads/examples/python/hole.py")),
+        ("fibula.toml", include_str!("../graphs/fibula.toml")),
+        ("hole.toml", &graph.replace("remove = []\n", "")),
+    ];
+    let Some(folder) = Folder::new("a hole detector in Python", &files) else { return };
+    let (found, built_in) = (folder.run("hole.toml", &[]), folder.run("fibula.toml", &[]));
+    assert_eq!((found.code, built_in.code), (Some(0), Some(0)), "{}", found.stderr);
+    for k in 0..3 {
+        let place = |left: &Left| -> Point3<f64> {
+            let place = &left.results["laser_points"][k]["position_mm"];
+            Point3::from_slice(&serde_json::from_value::<Vec<f64>>(place.clone()).unwrap())
+        };
+        let apart_mm = (place(&found) - place(&built_in)).norm();
+        assert!(apart_mm < 1.0, "hole {k}: {apart_mm} mm apart");
+        assert_eq!(found.results["laser_points"][k]["name"], built_in.results["laser_points"][k]["name"]);
+    }
+    assert_eq!(found.results["verdict"]["answer"], "trusted", "{}", found.results["verdict"]);
+}
+
+#[test]
+fn sources_sinks_and_payloads_of_ones_own_travel_as_any() {
+    let plugin = r#"
+from dataclasses import dataclass
+from typing import Annotated, Optional
+import numpy as np
+from osteoflow_node import Cloud, Context, Points, column, node, param, payload, port, source
+
+
+@payload("acme/Wave", version=3)
+class Wave:
+    label: str
+    gain: float
+    on: bool
+    n: int
+    taps: list[float]
+    note: Optional[str] = None
+    samples: np.ndarray = column("f32", 2, unit="mm")
+
+
+@dataclass
+class Params:
+    n: int = param(3, ge=0, le=100, doc="How many.")
+
+
+@source("acme.waves", output="wave")
+def waves(params: Params, ctx: Context) -> Wave:
+    """Gives waves."""
+    for k in range(params.n):
+        yield 1_000_000 * k, Wave("w", float(ctx.rng().random()), k % 2 == 0, k, [1.0, 2.0], None, np.full((4, 2), k))
+
+
+@node("acme.sum", output="points")
+def sums(wave: Wave, scale: Optional[Points], ctx: Context) -> Points:
+    """Sums a wave."""
+    assert scale is None and "nothing is wired" in ctx.absent_reason("scale"), ctx.absent_reason("scale")
+    assert isinstance(wave, Wave) and wave.note is None and wave.taps == [1.0, 2.0] and wave.samples.shape == (4, 2)
+    if wave.n == 1:
+        ctx.warn("one")
+    return Points("ct", ["a"], [[wave.samples.sum(), wave.gain, float(wave.on)]], ctx.stamp_ns)
+
+
+@node("acme.write")
+def write(points: Points, ctx: Context) -> None:
+    """Writes points."""
+    with open(f"{ctx.out_dir}/{ctx.node}-{ctx.item}.txt", "w") as file:
+        file.write(f"{points.names} {points.positions.tolist()[0][0]}")
+
+
+@node("acme.all", output="points")
+def all_of(points: list[Points]) -> Points:
+    """The first of all."""
+    return Points("ct", ["n"], [[len(points), 0, 0]])
+"#;
+    let graph = r#"
+plugins = ["acme.py"]
+[graph]
+format = 1
+[node.waves]
+kind = "acme.waves"
+n = 4
+[node.sum]
+kind = "acme.sum"
+in = { wave = "waves.wave" }
+[node.write]
+kind = "acme.write"
+in = { points = "sum.points" }
+[node.all]
+kind = "acme.all"
+in = { points = "sum.points" }
+[record]
+wires = ["*"]
+[results]
+sums = { from = "sum.points", all = true }
+n = "all.points"
+wave = "waves.wave"
+"#;
+    let Some(folder) = Folder::new("sources and sinks in Python", &[("acme.py", plugin), ("acme.toml", graph)]) else {
+        return;
+    };
+    let out = folder.path("out");
+    let run = |out: &Path| {
+        let mut command = osteoflow();
+        command.arg("run").arg(folder.path("acme.toml")).arg("--out").arg(out).arg("--python").arg(&folder.1);
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        (fs::read_to_string(out.join("results.json")).unwrap(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (text, said) = run(&out);
+    let results: Value = serde_json::from_str(&text).unwrap();
+    let x = |k: usize| results["sums"][k][0]["position_mm"].clone();
+    assert_eq!((&x(0)[0], &x(3)[0], &x(0)[2], &x(3)[2]), (&json!(0.0), &json!(24.0), &json!(1.0), &json!(0.0)));
+    assert_ne!(x(0)[1], x(1)[1], "draws differ by item");
+    assert_eq!(results["n"][0]["position_mm"][0], 4.0);
+    assert_eq!(results["wave"]["samples"], json!([[3.0, 3.0], [3.0, 3.0], [3.0, 3.0], [3.0, 3.0]]));
+    assert!(said.contains("node \"sum\", item 1: one"), "{said}");
+    assert_eq!(fs::read_to_string(out.join("write-3.txt")).unwrap(), "['a'] 24.0");
+    assert_eq!(run(&folder.path("again")).0, text, "draws are those of seed, node and item");
+    let mut replay = osteoflow();
+    replay.arg("replay").arg(&out).arg("--out").arg(folder.path("replayed")).arg("--python").arg(&folder.1);
+    let output = replay.output().unwrap();
+    let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+    assert!(output.status.success() && said.contains("equal"), "{said}");
+}
+
+/// A plugin with one node whose body is given.
+fn relay(body: &str) -> String {
+    format!(
+        "from osteoflow_node import *\nimport numpy as np, os, sys, time\n\n@node(\"bad.relay\", output=\"cloud\")\n\
+         def relay(cloud: Cloud, ctx: Context) -> Cloud:\n    \"\"\"Passes clouds on.\"\"\"\n{body}\n"
+    )
+}
+
+#[test]
+fn what_is_wrong_in_a_plugin_is_said_at_its_line() {
+    let graph = format!(
+        "plugins = [\"bad.py\"]\n{SOURCE}\n[node.relay]\nkind = \"bad.relay\"\nin = {{ cloud = \"recording.laser\" }}\n\
+         [results]\nclouds = {{ from = \"relay.cloud\", all = true }}\n"
+    );
+    let Some(folder) = Folder::new("faults in Python", &[("graph.toml", &graph)]) else { return };
+    for (body, expected) in [
+        ("    return cloud.nothing", "bad.py:7: AttributeError: 'Cloud' object has no attribute 'nothing'"),
+        ("    raise NodeError(\"no hole\")", "item 0: no hole"),
+        ("    cloud.points[0] = 0.0\n    return cloud", "bad.py:7: ValueError: assignment destination is read-only"),
+        ("    return 3", "output \"cloud\" must be a Cloud, found a int"),
+        ("    return Cloud(cloud.frame, np.zeros((5, 2)))", "points must have shape (n, 3), found (5, 2)"),
+        ("    return Cloud(cloud.frame, np.full((5, 3), np.nan))", "output \"cloud\": geometry/Cloud"),
+        ("    return Cloud(cloud.frame, np.ones((5, 3)), normals=np.ones((5, 3)))", "output \"cloud\": geometry/Cloud"),
+        ("    return Pose(\"a\", \"b\", np.diag([1, 1, -1, 1]))", "it scales, shears or mirrors"),
+        ("    os._exit(0)", "its process ended with exit code 0, without an answer"),
+        ("    sys.exit(0)", "bad.py:7: SystemExit: 0"),
+        ("    os.abort()", "its process ended by signal 6 (SIGABRT, it stopped itself)"),
+        ("    return relay(cloud, ctx)", "RecursionError: maximum recursion depth exceeded"),
+    ] {
+        folder.write("bad.py", &relay(body));
+        let failed = folder.run("graph.toml", &[]);
+        assert_eq!(failed.code, Some(3), "{body}: {}", failed.stderr);
+        assert!(failed.stderr.contains("node \"relay\", item 0: "), "{body}: {}", failed.stderr);
+        assert!(failed.stderr.contains(expected), "{body}: {expected}: {}", failed.stderr);
+    }
+    // What is kept of earlier items stays what it was, though memory is used again.
+    let keep = "    relay.kept = getattr(relay, 'kept', []) + [(cloud.points, cloud.points.copy())]\n    assert all((a == b).all() \
+                for a, b in relay.kept)\n    assert len({tuple(a[0]) for a, _ in relay.kept}) == len(relay.kept) == ctx.item + 1\n    \
+                return cloud";
+    folder.write("bad.py", &relay(keep));
+    let kept = folder.run("graph.toml", &[]);
+    assert_eq!(kept.code, Some(0), "{}", kept.stderr);
+    folder.write("bad.py", &relay("    time.sleep(60)"));
+    let began = Instant::now();
+    let slow = folder.run("graph.toml", &["--set", "relay.stop_after_s=0.5"]);
+    assert!(slow.stderr.contains("it did not answer within 0.5 s"), "{}", slow.stderr);
+    assert!(began.elapsed() < Duration::from_secs(30));
+    for (text, expected) in [
+        ("def f(:\n", "bad.py:1: SyntaxError: invalid syntax"),
+        ("import no_such_package\n", "bad.py:1: ModuleNotFoundError: No module named 'no_such_package'"),
+        ("x = 1\n", "it has no node"),
+        (
+            "from osteoflow_node import *\n@node(\"bad.relay\")\ndef f(cloud) -> Cloud: ...\n",
+            "port \"cloud\" has no type",
+        ),
+        (
+            "from osteoflow_node import *\n@node(\"bad.relay\")\ndef f(cloud: int) -> Cloud: ...\n",
+            "but must be a payload",
+        ),
+        ("import os\nos._exit(0)\n", "it ended the process that looked at it"),
+    ] {
+        folder.write("bad.py", text);
+        let failed = folder.run("graph.toml", &[]);
+        assert_eq!(failed.code, Some(2), "{text}: {}", failed.stderr);
+        assert!(failed.stderr.contains(expected), "{text}: {expected}: {}", failed.stderr);
+    }
+    // The example of the page.
+    let page = include_str!("../docs/python-nodes.md");
+    let example = page.split("```python\n").nth(1).unwrap().split("```").next().unwrap();
+    folder.write("bad.py", &example.replace("half.first", "bad.relay"));
+    let halves = folder.run("graph.toml", &[]);
+    assert_eq!((halves.code, &halves.results["clouds"][2]["n_points"]), (Some(0), &10_000.into()), "{}", halves.stderr);
+    // Parameters are checked at their character, as for any kind.
+    let params = "from dataclasses import dataclass\nfrom osteoflow_node import *\n@dataclass\nclass P:\n    share: float = \
+                  param(0.5, gt=0, le=1)\n@node(\"bad.relay\", output=\"cloud\")\ndef f(cloud: Cloud, params: P) -> Cloud:\n    \
+                  return cloud\n";
+    folder.write("bad.py", params);
+    for (set, expected) in [("relay.share=2", "share"), ("relay.shore=0.5", "did you mean \"share\"")] {
+        let failed = folder.run("graph.toml", &["--set", set]);
+        assert!(failed.code == Some(2) && failed.stderr.contains(expected), "{set}: {}", failed.stderr);
+    }
+    assert_eq!(folder.run("graph.toml", &["--set", "relay.share=1"]).code, Some(0));
+    // An interpreter that is not there is named.
+    let failed =
+        osteoflow().arg("check").arg(folder.path("graph.toml")).args(["--python", "/no/python"]).output().unwrap();
+    let said = String::from_utf8(failed.stderr).unwrap();
+    assert!(said.contains("the program that looks at it, /no/python, cannot be started"), "{said}");
+}
+
+#[test]
+fn a_saved_plugin_gives_new_numbers_at_once() {
+    let relay = |share: f64| relay(&format!("    return cloud.chosen(slice(0, int({share} * len(cloud))))"));
+    let graph = format!(
+        "plugins = [\"bad.py\"]\n{SOURCE}\n[node.relay]\nkind = \"bad.relay\"\nin = {{ cloud = \"recording.scan\" }}\n\
+         [results]\ncloud = \"relay.cloud\"\n"
+    );
+    let files = [("graph.toml", graph.as_str()), ("bad.py", &relay(0.5))];
+    let Some(folder) = Folder::new("a watch of a plugin in Python", &files) else { return };
+    let mut command = osteoflow_to_spawn();
+    command.arg("run").arg(folder.path("graph.toml")).args(["--watch", "--format", "json", "--python"]).arg(&folder.1);
+    command.arg("--out").arg(folder.path("watched")).stdout(Stdio::piped()).stderr(Stdio::null());
+    let mut watch = command.spawn().unwrap();
+    let (send, lines) = sync_channel(1000);
+    let stdout = BufReader::new(watch.stdout.take().unwrap());
+    thread::spawn(move || stdout.lines().map_while(Result::ok).try_for_each(|line| send.send(line)));
+    let next = || -> Value {
+        serde_json::from_str(&lines.recv_timeout(Duration::from_secs(60)).expect("the watch answers")).unwrap()
+    };
+    assert_eq!(next()["cloud"]["n_points"], 10_000);
+    folder.write("bad.py", &relay(0.25));
+    assert_eq!(next()["cloud"]["n_points"], 5_000);
+    watch.kill().unwrap();
+    watch.wait().unwrap();
+    assert!(root().join("docs/python-nodes.md").is_file());
+}
