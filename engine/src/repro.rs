@@ -22,6 +22,7 @@ pub use save::{FOLDER, Saved, SavedBundle};
 use crate::{
     graph::plugins::NamedPlugin,
     panics,
+    plan::PlanPlugin,
     plugin::Kinds,
     runtime::{self, emission_fault, planned_failure},
 };
@@ -67,7 +68,11 @@ pub fn repro(
     let kinds: Kinds = kinds.into();
     let bundle = Bundle::open(dir)?;
     let node = &bundle.node;
-    let named: Vec<_> = node.plugin.iter().map(|plugin| NamedPlugin::file(&plugin.path)).collect();
+    let of = |plugin: &PlanPlugin| NamedPlugin {
+        interpreter: plugin.interpreter.clone(),
+        ..NamedPlugin::file(&plugin.path)
+    };
+    let named: Vec<_> = node.plugin.iter().map(of).collect();
     let known = kinds.with(&named);
     let registry = &known.registry;
     if let Some(refused) = known.refused.iter().find(|refused| refused.is_asked()) {

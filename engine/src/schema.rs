@@ -37,7 +37,15 @@ pub fn schema(registry: &Registry) -> Value {
             "extends": { "type": "string", "description": "The graph file that this one changes, relative to this file." },
             "plugins": {
                 "description": "Libraries with kinds of nodes, relative to this file: \"libmy_nodes.so\", or \"my_nodes\" for short.",
-                "type": "array", "items": { "type": "string" },
+                "type": "array", "items": { "anyOf": [{ "type": "string" }, {
+                    "type": "object", "required": ["file"], "additionalProperties": false, "properties": {
+                        "file": { "type": "string", "description": "The file, relative to this one." },
+                        "interpreter": {
+                            "type": "string",
+                            "description": "What runs it: a path relative to this file, or a name that the system finds.",
+                        },
+                    },
+                }] },
             },
             "remove": {
                 "description": "What is taken away from the extended graph: \"node.x\", \"node.x.key\", \"results.y\".",

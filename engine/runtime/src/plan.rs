@@ -52,6 +52,9 @@ pub struct PlanPlugin {
     pub sdk: String,
     /// The compiler that built it.
     pub compiler: String,
+    /// The interpreter that the graph names for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub interpreter: Option<PathBuf>,
     /// The kinds of the plugin that the graph uses.
     pub kinds: Vec<String>,
 }

@@ -10,7 +10,11 @@ use std::fmt::Write;
 pub(super) fn text(net: &Net<'_>) -> String {
     let mut out = String::new();
     if !net.plugins.is_empty() {
-        let paths = net.plugins.iter().map(|plugin| quote(&plugin.path.to_string_lossy()));
+        let paths = net.plugins.iter().map(|plugin| {
+            let file = quote(&plugin.path.to_string_lossy());
+            let interpreter = plugin.interpreter.as_ref().map(|path| quote(&path.to_string_lossy()));
+            interpreter.map_or_else(|| file.clone(), |path| format!("{{ file = {file}, interpreter = {path} }}"))
+        });
         line(&mut out, &format!("plugins = {}\n", list(paths)));
     }
     line(&mut out, "[graph]");

@@ -3,6 +3,8 @@
 /// The top level.
 pub(crate) const TOP: [&str; 9] =
     ["graph", "node", "record", "results", "extends", "remove", "module", "plugins", "sweep"];
+/// A plugin, in `plugins`.
+pub(crate) const PLUGIN: [&str; 2] = ["file", "interpreter"];
 /// `[graph]`.
 pub(crate) const GRAPH: [&str; 5] = ["format", "name", "seed", "frames", "lossy"];
 /// The keys of a node's table that are no parameters.

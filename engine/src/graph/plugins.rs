@@ -1,4 +1,7 @@
-use super::tree::{Table, Value};
+use super::{
+    extract, grammar,
+    tree::{Spanned, Table, Value},
+};
 use crate::fault::{Fault, Span};
 use std::path::{Path, PathBuf};
 
@@ -6,6 +9,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone)]
 pub(crate) struct NamedPlugin {
     pub(crate) text: String,
+    /// The interpreter that the graph names for it, absolute.
+    pub(crate) interpreter: Option<PathBuf>,
     /// The folder that its path is relative to.
     pub(crate) dir: PathBuf,
     pub(crate) at: Option<Span>,
@@ -14,7 +19,7 @@ pub(crate) struct NamedPlugin {
 impl NamedPlugin {
     /// A plugin file that a recording names.
     pub(crate) fn file(path: &Path) -> Self {
-        Self { text: path.display().to_string(), dir: PathBuf::new(), at: None }
+        Self { text: path.display().to_string(), interpreter: None, dir: PathBuf::new(), at: None }
     }
 }
 
@@ -27,13 +32,31 @@ pub(super) fn take(table: &mut Table, faults: &mut Vec<Fault>) -> Vec<NamedPlugi
         faults.push(fault.help("write plugins = [\"libmy_nodes.so\"]"));
         return Vec::new();
     };
-    let named = items.iter().filter_map(|item| match item.as_text() {
-        Some(text) => Some(NamedPlugin { text: text.into(), dir: item.at.dir().into(), at: Some(item.at.clone()) }),
-        None => {
-            let fault = Fault::new(format!("a plugin is named by the path of its library, found {}", item.found()));
-            faults.push(fault.at(&item.at, "a text is needed"));
-            None
-        }
-    });
-    named.collect()
+    items.iter().filter_map(|item| plugin(item, faults)).collect()
+}
+
+/// A plugin: the path of its file, or a table of file and interpreter.
+fn plugin(item: &Spanned, faults: &mut Vec<Fault>) -> Option<NamedPlugin> {
+    let (dir, at) = (item.at.dir().to_path_buf(), Some(item.at.clone()));
+    if let Some(text) = item.as_text() {
+        return Some(NamedPlugin { text: text.into(), interpreter: None, dir, at });
+    }
+    let Some(table) = item.as_table() else {
+        let fault = Fault::new(format!("a plugin is named by the path of its file, found {}", item.found()));
+        faults.push(fault.at(&item.at, "a text is needed"));
+        return None;
+    };
+    extract::only(table, &grammar::PLUGIN, "a plugin", faults);
+    let mut text = |key: &str| extract::text(&table.get(key)?.value, key, faults).map(str::to_owned);
+    let (file, interpreter) = (text("file"), text("interpreter"));
+    let Some(text) = file else {
+        let fault = Fault::new("a plugin is named by the path of its file");
+        faults.push(
+            fault.at(&item.at, "no file").help("write { file = \"my_icp.py\", interpreter = \".venv/bin/python\" }"),
+        );
+        return None;
+    };
+    // A name without a folder is looked for by the system.
+    let interpreter = interpreter.map(|name| if name.contains('/') { dir.join(name) } else { name.into() });
+    Some(NamedPlugin { text, interpreter, dir, at })
 }

@@ -69,6 +69,8 @@ pub struct Plugin {
     pub named: bool,
     /// What serves its nodes, if it is a script.
     pub script: Option<Launcher>,
+    /// Whether the graph names its interpreter.
+    pub names_interpreter: bool,
 }
 
 impl Plugin {
@@ -82,6 +84,7 @@ impl Plugin {
             abi: self.description.abi,
             sdk: self.description.sdk.clone(),
             compiler: self.description.compiler.clone(),
+            interpreter: self.script.as_ref().filter(|_| self.names_interpreter).map(|script| script.program.clone()),
             kinds,
         }
     }
@@ -168,7 +171,7 @@ impl Kinds {
             finder.asked.iter().map(|path| (path, find(path, &finder.places(Path::new(""), path)))).collect();
         for (path, found) in &asked {
             match found {
-                Some(found) => known.add(finder, found, Origin::Asked),
+                Some(found) => known.add(finder, found, None, Origin::Asked),
                 None => known.refused.push(finder.not_found(path, &finder.places(Path::new(""), path), Origin::Asked)),
             }
         }
@@ -181,17 +184,18 @@ impl Kinds {
             });
             let origin = Origin::Graph(named.text.clone(), named.at.clone());
             let places = finder.places(&named.dir, text);
+            let interpreter = named.interpreter.as_deref();
             match stands_in {
-                Some((_, Some(found))) => known.add(finder, found, origin),
+                Some((_, Some(found))) => known.add(finder, found, interpreter, origin),
                 Some((_, None)) => {}
                 None => match find(text, &places) {
-                    Some(found) => known.add(finder, &found, origin),
+                    Some(found) => known.add(finder, &found, interpreter, origin),
                     None => known.refused.push(finder.not_found(text, &places, origin)),
                 },
             }
         }
         for library in finder.folders.iter().flat_map(|folder| libraries(folder)) {
-            known.add(finder, &library, Origin::Folder);
+            known.add(finder, &library, None, Origin::Folder);
         }
         let is_own = |ty: &&PayloadType| self.registry.payload_type(ty.name).is_some();
         let types: Vec<&'static PayloadType> = known.registry.payload_types().collect();
@@ -251,18 +255,19 @@ impl Finder {
     }
 
     /// Reads the description of the library at `path`: from the cache, or by another process.
-    fn look_at(&self, path: &Path) -> Result<Plugin, String> {
+    fn look_at(&self, path: &Path, interpreter: Option<&Path>) -> Result<Plugin, String> {
+        let script = self.script(path, interpreter);
         let unread = |error: io::Error| format!("it cannot be read: {error}");
         // The file may be rebuilt while it is read.
         for _ in 0..3 {
             let before = stamp(&fs::metadata(path).map_err(unread)?);
             let digest = self.sha256(path, &before).map_err(unread)?;
-            let key = self.key(path, &before, digest);
+            let key = self.key(path, &before, digest, script.as_ref());
             let kept = key.as_ref().and_then(|key| self.store.as_ref()?.get(key));
             let kept = kept.and_then(|entry| serde_json::from_slice(entry.bytes()).ok());
             let description = match kept {
                 Some(description) => Ok(description),
-                None => probe::probe(&self.prober(path), path).map_err(|error| error.to_string()),
+                None => probe::probe(&self.prober(script.as_ref()), path).map_err(|error| error.to_string()),
             };
             if stamp(&fs::metadata(path).map_err(unread)?) != before {
                 continue;
@@ -274,33 +279,34 @@ impl Finder {
                 // If the description cannot be cached, it is read again next time.
                 let _ = store.put(key, &[&json]);
             }
-            let script = self.script(path).map(|scripts| scripts.command("serve", Some(path)));
-            return Ok(Plugin {
-                path: path.into(),
-                sha256: digest.to_string().into(),
-                description,
-                named: false,
-                script,
-            });
+            let names_interpreter = script.is_some() && interpreter.is_some();
+            let script = script.map(|scripts| scripts.command("serve", Some(path)));
+            let sha256 = digest.to_string().into();
+            return Ok(Plugin { path: path.into(), sha256, description, named: false, script, names_interpreter });
         }
         Err("it changes while it is looked at; is it being built?".into())
     }
 
     /// What runs the file, if it is a script.
-    fn script(&self, path: &Path) -> Option<&Scripts> {
-        self.scripts.as_ref().filter(|scripts| path.extension().is_some_and(|ending| ending == scripts.ending))
+    fn script(&self, path: &Path, interpreter: Option<&Path>) -> Option<Scripts> {
+        let is_script = |scripts: &&Scripts| path.extension().is_some_and(|ending| ending == scripts.ending);
+        let mut scripts = self.scripts.as_ref().filter(is_script)?.clone();
+        if let Some(interpreter) = interpreter {
+            scripts.interpreter.program = interpreter.into();
+        }
+        Some(scripts)
     }
 
-    fn prober(&self, path: &Path) -> Prober {
-        let Some(scripts) = self.script(path) else { return self.prober.clone() };
+    fn prober(&self, script: Option<&Scripts>) -> Prober {
+        let Some(scripts) = script else { return self.prober.clone() };
         let Launcher { program, arguments } = scripts.command("describe", None);
         Prober { program, arguments, timeout: self.prober.timeout }
     }
 
-    fn key(&self, path: &Path, stamp: &str, digest: Digest) -> Option<Key> {
+    fn key(&self, path: &Path, stamp: &str, digest: Digest, script: Option<&Scripts>) -> Option<Key> {
         let key = Key::of("plugin_probe").text("path", &path.to_string_lossy()).text("stamp", stamp);
         let key = key.digest("file", digest).digest("program", self.store.as_ref()?.program()?);
-        let interpreter = self.script(path).map(|scripts| scripts.interpreter.program.to_string_lossy().into_owned());
+        let interpreter = script.map(|scripts| scripts.interpreter.program.to_string_lossy().into_owned());
         let key = key.text("interpreter", &interpreter.unwrap_or_default());
         Some(key.number("abi", u64::from(abi::MAJOR) << 32 | u64::from(abi::MINOR)).done())
     }
@@ -318,7 +324,7 @@ impl Finder {
 }
 
 impl Known {
-    fn add(&mut self, finder: &Finder, path: &Path, origin: Origin) {
+    fn add(&mut self, finder: &Finder, path: &Path, interpreter: Option<&Path>, origin: Origin) {
         let named = matches!(origin, Origin::Graph(..));
         let path = &absolute(path);
         if self.refused.iter().any(|refused| refused.path == *path) {
@@ -328,7 +334,7 @@ impl Known {
             Arc::make_mut(known).named |= named;
             return;
         }
-        match finder.look_at(path).and_then(|plugin| self.provide(Plugin { named, ..plugin })) {
+        match finder.look_at(path, interpreter).and_then(|plugin| self.provide(Plugin { named, ..plugin })) {
             Ok(()) => {}
             Err(why) => self.refused.push(Refused { path: path.clone(), why, origin, note: None, help: None }),
         }

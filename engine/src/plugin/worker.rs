@@ -138,8 +138,14 @@ fn built(registry: &mut Registry, build: wire::Build) -> Result<Ready, (String, 
         let description: PluginDescription =
             serde_json::from_value(library.description).map_err(|error| whole(error.to_string()))?;
         let sha256: Arc<str> = library.sha256.as_str().into();
-        let plugin =
-            super::Plugin { path: library.path, sha256: sha256.clone(), description, named: true, script: None };
+        let plugin = super::Plugin {
+            path: library.path,
+            sha256: sha256.clone(),
+            description,
+            named: true,
+            script: None,
+            names_interpreter: false,
+        };
         let description = plugin.description.clone();
         provide(registry, &description, &sha256, move || -> Result<&'static Library, String> { load::load(&plugin) })
             .map_err(|error| whole(error.to_string()))?;
