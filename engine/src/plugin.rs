@@ -9,6 +9,7 @@ mod host;
 mod kinds;
 mod library;
 mod load;
+mod log_lines;
 mod node;
 mod probe;
 mod provide;

@@ -83,6 +83,7 @@ mod erased;
 mod error;
 mod file;
 mod item;
+mod log_forward;
 mod payload;
 #[doc(hidden)]
 pub mod plugin;
@@ -102,6 +103,7 @@ pub use erased::{AnyNode, AnySource, Built};
 pub use error::{NodeError, ParamError};
 pub use file::FilePath;
 pub use item::{Body, Emission, Empty, Item, Joined, Slot};
+pub use log_forward::LogForward;
 pub use payload::{Payload, PayloadType, Value};
 pub use port::{Declared, DeclaredPort, FrameExpr, InputPort, Join, OutputPort, OutputPorts, PortPayload, Unused};
 pub use registry::{Kind, KindClash, Launch, PayloadClash, Registry};

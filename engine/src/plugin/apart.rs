@@ -1,6 +1,6 @@
 //! Nodes that fire in a process of their own.
 
-use super::Plugin;
+use super::{Plugin, log_lines};
 use crate::{
     panics,
     process::{
@@ -77,7 +77,7 @@ impl Launch for Processes {
             plugin: plugin.map(library),
             payloads: payloads.collect(),
             n_threads: rayon::current_num_threads(),
-            log_level: log_level(),
+            log_level: log_lines::level(),
         };
         let fds: Vec<_> = stop_page.fd().into_iter().collect();
         child.socket.send(&ToWorker::Build(Box::new(build)), &fds).map_err(fault)?;
@@ -143,18 +143,6 @@ fn library(plugin: &Plugin) -> wire::Library {
     wire::Library { path: plugin.path.clone(), sha256: plugin.sha256.to_string(), description }
 }
 
-fn log_level() -> u32 {
-    use tracing::level_filters::LevelFilter;
-    match LevelFilter::current() {
-        LevelFilter::OFF => 0,
-        LevelFilter::ERROR => 1,
-        LevelFilter::WARN => 2,
-        LevelFilter::INFO => 3,
-        LevelFilter::DEBUG => 4,
-        _ => 5,
-    }
-}
-
 /// A constant that the process has: the value, and where it lies.
 type Sent = Option<(Value, Place)>;
 
@@ -187,7 +175,9 @@ impl Apart {
         let _ = self.child.socket.wait_at_most(Some(LOOK_INTERVAL));
         loop {
             match self.child.socket.receive::<FromWorker>() {
-                Ok(Received::Message(FromWorker::Log { level, target, message })) => log(level, &target, &message),
+                Ok(Received::Message(FromWorker::Log { level, target, message })) => {
+                    log_lines::log(level, &target, &message)
+                }
                 Ok(Received::Message(message)) => return Ok(message),
                 Ok(Received::Nothing) => {
                     if cancelled() {
@@ -322,16 +312,6 @@ fn constant(pool: &mut Pool, sent: &mut Sent, item: &Item) -> io::Result<Place> 
         return Ok(place);
     }
     Ok(pool.put(item, false)?)
-}
-
-fn log(level: u32, target: &str, message: &str) {
-    match level {
-        1 => tracing::error!(target: "plugin", "{target}: {message}"),
-        2 => tracing::warn!(target: "plugin", "{target}: {message}"),
-        3 => tracing::info!(target: "plugin", "{target}: {message}"),
-        4 => tracing::debug!(target: "plugin", "{target}: {message}"),
-        _ => tracing::trace!(target: "plugin", "{target}: {message}"),
-    }
 }
 
 impl AnyNode for Apart {

@@ -1,6 +1,7 @@
 //! The host functions that a plugin calls. Each catches panics: nothing unwinds into a plugin.
 #![allow(unsafe_code, reason = "is called through pointers")]
 
+use super::log_lines;
 use crate::panics;
 use osteoflow_node::{
     Budget, BuildContext, Context, Emission, PayloadType, PortPayload, Value, ViewError,
@@ -540,29 +541,14 @@ unsafe extern "C" fn declared(run: *const abi::Run, index: u64, place: *mut abi:
 }
 
 unsafe extern "C" fn log_level() -> u32 {
-    use tracing::level_filters::LevelFilter;
-    match LevelFilter::current() {
-        LevelFilter::OFF => 0,
-        LevelFilter::ERROR => 1,
-        LevelFilter::WARN => 2,
-        LevelFilter::INFO => 3,
-        LevelFilter::DEBUG => 4,
-        _ => 5,
-    }
+    log_lines::level()
 }
-
 unsafe extern "C" fn log(level: u32, target: Text, message: Text) {
     // SAFETY: the plugin calls it as the header requires.
     let [target, message] = [target, message].map(|text| unsafe { abi::text(text, "a log line") }.ok().flatten());
     let (target, message) = (target.unwrap_or("plugin"), message.unwrap_or_default());
     // A subscriber's panic must not unwind into the plugin.
-    let _ = panics::catch(|| match level {
-        1 => tracing::error!(target: "plugin", "{target}: {message}"),
-        2 => tracing::warn!(target: "plugin", "{target}: {message}"),
-        3 => tracing::info!(target: "plugin", "{target}: {message}"),
-        4 => tracing::debug!(target: "plugin", "{target}: {message}"),
-        _ => tracing::trace!(target: "plugin", "{target}: {message}"),
-    });
+    let _ = panics::catch(|| log_lines::log(level, target, message));
 }
 
 /// The function table passed to every plugin.

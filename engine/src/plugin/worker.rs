@@ -10,21 +10,20 @@ use crate::{
     },
 };
 use osteoflow_node::{
-    Body, BuildContext, Built, Context, DeclaredPort, Emission, Item, Joined, Kind, PayloadType, Registry, Slot,
+    Body, BuildContext, Built, Context, DeclaredPort, Emission, Item, Joined, Kind, LogForward, PayloadType, Registry,
+    Slot,
 };
 use std::{
     collections::BTreeMap,
-    fmt::{self, Write as _},
     io,
     os::unix::net::UnixStream,
     sync::{
         Arc, Mutex, PoisonError,
-        atomic::{AtomicBool, AtomicU64, Ordering},
+        atomic::{AtomicBool, Ordering},
     },
     thread,
     time::Duration,
 };
-use tracing::{Event, Level, Metadata, Subscriber, field, span};
 
 /// How often the process looks whether it shall stop, and whether its program is still there.
 const LOOK_INTERVAL: Duration = Duration::from_millis(50);
@@ -43,7 +42,11 @@ pub fn serve(mut registry: Registry) -> io::Result<()> {
     watch(StopPage::of(&fds[0])?, cancelled.clone())?;
     let socket = Arc::new(Mutex::new(socket));
     if build.log_level > 0 {
-        let forward = Forward { level: build.log_level, socket: socket.clone(), n_spans: AtomicU64::new(1) };
+        let socket = socket.clone();
+        let forward = LogForward::new(build.log_level, move |level, target: &str, message: &str| {
+            let line = FromWorker::Log { level, target: target.into(), message: message.into() };
+            let _ = send(&socket, &line, &[]);
+        });
         let _ = tracing::subscriber::set_global_default(forward);
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(build.n_threads);
@@ -271,65 +274,5 @@ impl Server {
                 Emitted::Value(self.pool.put(&item, false)?)
             }
         })
-    }
-}
-
-/// Sends `tracing` events to the program.
-struct Forward {
-    level: u32,
-    socket: Arc<Mutex<Socket>>,
-    n_spans: AtomicU64,
-}
-
-fn code(level: Level) -> u32 {
-    match level {
-        Level::ERROR => 1,
-        Level::WARN => 2,
-        Level::INFO => 3,
-        Level::DEBUG => 4,
-        Level::TRACE => 5,
-    }
-}
-
-impl Subscriber for Forward {
-    fn enabled(&self, metadata: &Metadata<'_>) -> bool {
-        metadata.is_event() && code(*metadata.level()) <= self.level
-    }
-
-    fn new_span(&self, _: &span::Attributes<'_>) -> span::Id {
-        span::Id::from_u64(self.n_spans.fetch_add(1, Ordering::Relaxed))
-    }
-
-    fn record(&self, _: &span::Id, _: &span::Record<'_>) {}
-
-    fn record_follows_from(&self, _: &span::Id, _: &span::Id) {}
-
-    fn event(&self, event: &Event<'_>) {
-        let mut line = Line::default();
-        event.record(&mut line);
-        let (level, target) = (code(*event.metadata().level()), event.metadata().target().to_owned());
-        let message = FromWorker::Log { level, target, message: line.message + &line.rest };
-        let _ = send(&self.socket, &message, &[]);
-    }
-
-    fn enter(&self, _: &span::Id) {}
-
-    fn exit(&self, _: &span::Id) {}
-}
-
-/// The message, followed by the other fields.
-#[derive(Default)]
-struct Line {
-    message: String,
-    rest: String,
-}
-
-impl field::Visit for Line {
-    fn record_debug(&mut self, field: &field::Field, value: &dyn fmt::Debug) {
-        // Writing to a string cannot fail.
-        let _ = match field.name() {
-            "message" => write!(self.message, "{value:?}"),
-            name => write!(self.rest, " {name}={value:?}"),
-        };
     }
 }
