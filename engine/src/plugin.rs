@@ -5,6 +5,7 @@
 mod description;
 mod host;
 mod kinds;
+mod lent_check;
 mod library;
 mod load;
 mod node;
@@ -13,6 +14,7 @@ mod provide;
 
 pub use description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
 pub use kinds::{Finder, Kinds, Known, Plugin, Refused};
+pub use lent_check::check_lent_memory;
 pub use library::{Library, LibraryError, Why};
 pub use probe::{Prober, answer};
 pub use provide::{ProvideError, provide};

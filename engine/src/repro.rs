@@ -20,6 +20,7 @@ pub(crate) use save::Saver;
 pub use save::{FOLDER, Saved, SavedBundle};
 
 use crate::{
+    activity::{self, Doing, Name},
     graph::plugins::NamedPlugin,
     panics,
     plugin::Kinds,
@@ -87,10 +88,13 @@ pub fn repro(
     let joins = kind.description.inputs.iter().map(|port| port.join).collect();
     let build_context =
         BuildContext { node: node.name.as_str().into(), seed: bundle.seed, declared: declared.clone(), joins };
+    let name = Name::of(&node.name);
+    let under = activity::begin(name, Doing::Building, 0);
     let built = match panics::catch(|| kind.build(&node.params, &build_context)) {
         Ok(built) => built.map_err(|error| build(error.to_string()))?,
         Err(panic) => return Err(build(panic)),
     };
+    drop(under);
     let built = planned_failure(built, &node.name, bundle.item, bundle.injected);
     // Files that the node writes go to a temporary folder.
     let scratch = bundle.out_dir.as_ref().map(|_| Scratch::make()).transpose().map_err(ReproError::Scratch)?;
@@ -102,6 +106,7 @@ pub fn repro(
 
     let began = Instant::now();
     let mut n_calls = 0;
+    let _under = activity::begin(name, Doing::Firing, bundle.item);
     let failed = match built {
         Built::Node(mut built) => {
             let mut joined = joined(&bundle, dir, kind, registry, &mut context)?;
