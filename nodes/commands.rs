@@ -1,10 +1,12 @@
 //! The subcommands, one file each, and their common switches, exit codes and registry.
 
+mod busy;
 mod check;
 mod compare;
 mod completions;
 mod content;
 mod convert;
+pub(crate) mod crash;
 mod diff;
 mod digest;
 mod exit;

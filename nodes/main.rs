@@ -10,6 +10,13 @@ use commands::{Cli, Exit, UsageError};
 use std::{io::Write, process::ExitCode};
 
 fn main() -> ExitCode {
+    commands::crash::install();
+    let exit = execute();
+    commands::crash::leave();
+    exit
+}
+
+fn execute() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         // Help and version are results, anything else is a fault of the command line; clap formats both.

@@ -123,13 +123,23 @@ fn the_crate_of_another_compiler_loads() {
 
 #[test]
 fn the_plugin_in_c_builds_tests_itself_and_crops_as_the_built_in_sphere_to_the_last_bit() {
-    let (_dir, folder) = written("my_crop", &["--lang", "c"]);
-    if !["cc", "make"].iter().all(|name| Command::new(name).arg("--version").output().is_ok()) {
-        eprintln!("skipped: the plugin in C: there is no C compiler or no make");
+    assert_crops_as_built_in("c", "cc", "CFLAGS", &[&[], &["test"]]);
+}
+
+#[test]
+fn the_plugin_in_cpp_builds_without_warnings_and_crops_as_the_built_in_sphere_to_the_last_bit() {
+    assert_crops_as_built_in("cpp", "c++", "CXXFLAGS", &[&[]]);
+}
+
+fn assert_crops_as_built_in(lang: &str, compiler: &str, flags: &str, targets: &[&[&str]]) {
+    let (_dir, folder) = written("my_crop", &["--lang", lang]);
+    if ![compiler, "make"].iter().all(|name| Command::new(name).arg("--version").output().is_ok()) {
+        eprintln!("skipped: the plugin in {lang}: there is no {compiler} or no make");
         return;
     }
-    for target in [&[][..], &["test"]] {
-        done(Command::new("make").current_dir(&folder).arg("CFLAGS=-O2 -Wall -Wextra -Werror -pedantic").args(target));
+    for target in targets {
+        let flags = format!("{flags}=-O2 -Wall -Wextra -Werror -pedantic");
+        done(Command::new("make").current_dir(&folder).arg(flags).args(*target));
     }
     let own = ran(&folder.join("graphs/my_crop.toml"), &[]);
     let graph = fs::read_to_string(folder.join("graphs/my_crop.toml")).unwrap();

@@ -455,6 +455,191 @@ fn a_type_mismatch_between_a_plugin_and_a_built_in_kind_is_a_fault_at_its_line()
     assert!(err.contains("graph.toml:22:"), "{err}");
 }
 
+/// How a run with a plugin that ends the process ended: its exit code or signal, and stderr.
+#[cfg(target_os = "linux")]
+fn end_of_crash(folder: &Folder, how: &str, arguments: &[&str]) -> (Result<i32, i32>, String) {
+    use std::os::unix::process::ExitStatusExt;
+    folder.compile(
+        "crash.c",
+        "libtoy.so",
+        &[&format!("-DHOW=\"{how}\""), "-Wno-infinite-recursion", "-Wno-unused-function"],
+    );
+    let arguments = [&["run", "graph.toml", "--force", "--out", "out"], arguments].concat();
+    let output = folder.command(&arguments).output().unwrap();
+    let dir = folder.0.path().canonicalize().unwrap();
+    let err = String::from_utf8_lossy(&output.stderr).replace(dir.to_str().unwrap(), "DIR");
+    (output.status.code().ok_or_else(|| output.status.signal().unwrap()), err)
+}
+
+const SIGABRT: i32 = 6;
+const SIGSEGV: i32 = 11;
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_plugin_that_crashes_is_named_with_its_node_and_item_and_the_signal_ends_the_program() {
+    let Some(folder) = Folder::new(&naming("[\"toy\"]")) else { return };
+    let at_item = "crashed: node \"add\", item 1, in plugin DIR/libtoy.so: ";
+    for workers in ["1", "2"] {
+        for (how, signal, said) in [
+            ("segfault", SIGSEGV, format!("{at_item}SIGSEGV")),
+            ("abort", SIGABRT, format!("{at_item}SIGABRT")),
+            // Rust ends the process by an abort after its message.
+            ("overflow", SIGABRT, format!("{at_item}SIGSEGV")),
+            ("create", SIGSEGV, "crashed: node \"add\", while it was built, in plugin DIR/libtoy.so: ".into()),
+            ("thread", SIGSEGV, "crashed: on a thread that no node was called on, during node \"add\", item 1".into()),
+        ] {
+            let (end, err) = end_of_crash(&folder, how, &["--workers", workers]);
+            assert_eq!(end, Err(signal), "{how}: {err}");
+            assert!(err.contains(&said), "{how}: {err}");
+            assert_eq!(err.matches("crashed: ").count(), 1, "{how}: {err}");
+            assert_eq!(err.contains("has overflowed its stack"), how == "overflow", "{how}: {err}");
+        }
+    }
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_plugin_that_calls_exit_does_not_end_the_program_as_if_all_were_well() {
+    let Some(folder) = Folder::new(&naming("[\"toy\"]")) else { return };
+    for workers in ["1", "2"] {
+        let (end, err) = end_of_crash(&folder, "exit", &["--quiet", "--workers", workers]);
+        let said = "ended: node \"add\", item 1, in plugin DIR/libtoy.so: it called exit(), which ends the program\n";
+        assert_eq!((end, err.as_str()), (Ok(1), said));
+        assert!(!folder.path("out/results.json").exists(), "the run was not whole");
+    }
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn an_exception_that_leaves_a_plugin_in_cpp_is_named_with_its_node() {
+    let graph = GRAPH.replace("toy.add", "toy.throw");
+    let Some(folder) = Folder::new(&format!("plugins = [\"toy\", \"throw_out\"]\n{graph}")) else { return };
+    if let Err(error) = Command::new("c++").arg("--version").output() {
+        return println!("skipped: there is no C++ compiler here: {error}");
+    }
+    folder.compile("throw_out.cpp", "libthrow_out.so", &[]);
+    let (end, err) = end_of_crash(&folder, "", &["--quiet"]);
+    assert_eq!(end, Err(SIGABRT), "{err}");
+    assert!(err.contains("crashed: node \"add\", item 1, in plugin DIR/libthrow_out.so: SIGABRT"), "{err}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_plugin_that_crashes_when_it_is_destroyed_costs_no_results() {
+    let Some(folder) = Folder::new(&naming("[\"toy\"]")) else { return };
+    let (end, err) = end_of_crash(&folder, "destroy", &["--quiet"]);
+    assert_eq!(end, Err(SIGSEGV), "{err}");
+    let said = "node \"add\", while it was destroyed after the files of the run were written, in plugin DIR/libtoy.so";
+    assert!(err.contains(said), "{err}");
+    assert_eq!(json(&folder.path("out/results.json"))["sum"], json!({ "value": 43.0 }));
+    assert_eq!(json(&folder.path("out/manifest.json"))["plugins"][0]["name"], "toy");
+    let (code, _, err) = folder.says(&mut folder.command(&["validate", "out/run.mcap"]));
+    assert_eq!(code, 0, "{err}");
+}
+
+/// A run of a source that gives a lie on one of its ports: exit code and stderr.
+#[cfg(unix)]
+fn told(folder: &Folder, how: &str, port: usize) -> (i32, String) {
+    let names = ["cloud", "pose", "target", "planes", "points", "mesh"];
+    let graph = format!(
+        "plugins = [\"lies\"]\n[graph]\nformat = 1\n[node.liar]\nkind = \"lies.give\"\nhow = \"{how}\"\nport = {port}\n\
+         [results]\nanswer = \"liar.{}\"\n",
+        names[port]
+    );
+    fs::write(folder.path("graph.toml"), graph).unwrap();
+    let (code, _, err) = folder.run(&["--quiet"]);
+    (code, err)
+}
+
+#[test]
+fn what_a_plugin_gives_is_held_to_what_it_means_and_a_lie_is_refused_at_its_node() {
+    let Some(folder) = Folder::new("") else { return };
+    folder.compile("lies.c", &format!("liblies{DLL_SUFFIX}"), &[]);
+    for port in 0..6 {
+        let (code, err) = told(&folder, "", port);
+        assert_eq!(code, 0, "without a lie, port {port}: {err}");
+    }
+    let (cloud, pose, target, planes, points, mesh) = (0, 1, 2, 3, 4, 5);
+    let poses = [cloud, pose, planes];
+    let stamped = [cloud, pose, planes, points];
+    for (how, ports, said) in [
+        ("quaternion of length 2", &poses[..], "the quaternion has length 2 instead of 1"),
+        ("quaternion, 5e-6 too long", &poses[..], "off by 5.0e-6 where 1e-6 is allowed"),
+        ("quaternion of zeros", &poses[..], "the quaternion is zero"),
+        ("quaternion of NaN", &poses[..], "the quaternion is not finite"),
+        ("translation of infinity", &poses[..], "the translation is not finite"),
+        ("normal of length 0.5", &[cloud, target], "normal 1 has length 0.5 instead of 1"),
+        ("normal of NaN", &[cloud, target], "normal 1 has length NaN instead of 1"),
+        ("point of NaN", &[cloud, target, points, mesh], "is not finite"),
+        ("point of infinity", &[cloud, target, points, mesh], "is not finite"),
+        ("value of the end of time", &stamped[..], "stamp_ns 9223372036854775807 is more than 146 years from 1970"),
+        ("stamp of the end of time", &[mesh], "gave stamp 9223372036854775807 ns, more than 146 years from 1970"),
+        ("stamp of the begin of time", &[mesh], "gave stamp -9223372036854775808 ns, more than 146 years from 1970"),
+        (
+            "stamps that run backwards",
+            &stamped[..],
+            "gave stamp -1000 ns after 0 ns; stamps never decrease along a wire",
+        ),
+    ] {
+        for port in ports {
+            let (code, err) = told(&folder, how, *port);
+            assert_eq!(code, 3, "{how}, port {port}: {err}");
+            assert!(err.contains("node \"liar\", item ") && err.contains(said), "{how}, port {port}: {err}");
+        }
+    }
+}
+
+#[test]
+fn check_plugins_names_the_node_that_writes_into_its_input() {
+    let Some(folder) = Folder::new("") else { return };
+    folder.compile("lies.c", &format!("liblies{DLL_SUFFIX}"), &[]);
+    let run = |how: &str, arguments: &[&str]| {
+        let graph = format!(
+            "plugins = [\"lies\"]\n[graph]\nformat = 1\n[node.give]\nkind = \"lies.give\"\n[node.write]\n\
+             kind = \"lies.write\"\nhow = \"{how}\"\nin = {{ cloud = \"give.cloud\" }}\n[results]\nread = \"write.text\"\n"
+        );
+        fs::write(folder.path("graph.toml"), graph).unwrap();
+        let (code, _, err) = folder.run(&[&["--quiet"], arguments].concat());
+        (code, err)
+    };
+    assert_eq!(run("", &["--check-plugins"]), (0, String::new()), "it only reads");
+    assert_eq!(run("column", &[]), (0, String::new()), "nobody looked");
+    for (how, place) in [("column", "input \"cloud\", column \"points\", row 1"), ("head", "input \"cloud\", the head")]
+    {
+        let (code, err) = run(how, &["--check-plugins"]);
+        assert_eq!(code, 3, "{how}: {err}");
+        let said = format!("node \"write\", item 0: it wrote into {place}: lent memory is read-only");
+        assert!(err.contains(&said), "{how}: {err}");
+    }
+}
+
+/// A node that does not return is named while the run goes on, and when the user stops it.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_busy_node_is_named_when_the_run_is_stopped() {
+    let Some(folder) = Folder::new(&naming("[\"toy\"]")) else { return };
+    folder.compile("crash.c", "libtoy.so", &["-DHOW=\"hang\"", "-Wno-infinite-recursion", "-Wno-unused-function"]);
+    let mut child = folder.command(&["run", "graph.toml", "--out", "out"]).stderr(Stdio::piped()).spawn().unwrap();
+    let (send, lines) = sync_channel(1000);
+    let stderr = BufReader::new(child.stderr.take().unwrap());
+    thread::spawn(move || stderr.lines().map_while(Result::ok).try_for_each(|line| send.send(line)));
+    let interrupt = || {
+        assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+        lines.recv_timeout(LIMIT).expect("it says that it stops")
+    };
+    assert!(lines.recv_timeout(LIMIT).unwrap().starts_with("running "));
+    while !folder.path("hangs").exists() {
+        thread::sleep(Duration::from_millis(20));
+    }
+    thread::sleep(Duration::from_millis(1500));
+    let said = interrupt();
+    let busy =
+        "stopping after the current work (node \"add\", item 1, busy for 1 s); press Ctrl-C again to leave at once";
+    assert_eq!(said.replace("busy for 2 s", "busy for 1 s"), busy);
+    assert!(interrupt().starts_with("left: "));
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+}
+
 /// Describes, builds, fires and frees a node under valgrind. Leaks are not counted, because names of kinds and ports live as
 /// long as the process.
 #[test]

@@ -43,7 +43,7 @@ pub mod watch;
 
 pub use check::{Checked, CheckedFile, Module, check, check_file, check_recorded, check_text};
 pub use fault::{Fault, Faults};
-pub use osteoflow_runtime::{names, panics, plan};
+pub use osteoflow_runtime::{activity, names, panics, plan};
 pub use recording::Recording;
 pub use replay::{ReplayOptions, ReplayReport, replay};
 pub use run::{Event, Observer, Outcome, Refusal, RunError, RunOptions, RunReport, run};

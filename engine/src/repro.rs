@@ -20,6 +20,7 @@ pub(crate) use save::Saver;
 pub use save::{FOLDER, Saved, SavedBundle};
 
 use crate::{
+    activity::{self, Doing, Name},
     graph::plugins::NamedPlugin,
     panics,
     plan::PlanPlugin,
@@ -92,12 +93,14 @@ pub fn repro(
     let joins = kind.description.inputs.iter().map(|port| port.join).collect();
     let stop_after = node.stop_after_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
     let place = Place { process: node.process, stop_after };
-    let name = node.name.as_str().into();
-    let build_context = BuildContext { node: name, seed: bundle.seed, declared: declared.clone(), joins, place };
+    let (full_name, name) = (node.name.as_str().into(), Name::of(&node.name));
+    let build_context = BuildContext { node: full_name, seed: bundle.seed, declared: declared.clone(), joins, place };
+    let under = activity::begin(name, Doing::Building, 0);
     let built = match panics::catch(|| registry.build(kind, &node.params, &build_context)) {
         Ok(built) => built.map_err(|error| build(error.to_string()))?,
         Err(panic) => return Err(build(panic)),
     };
+    drop(under);
     let built = planned_failure(built, &node.name, bundle.item, bundle.injected);
     // Files that the node writes go to a temporary folder.
     let scratch = bundle.out_dir.as_ref().map(|_| Scratch::make()).transpose().map_err(ReproError::Scratch)?;
@@ -109,6 +112,7 @@ pub fn repro(
 
     let began = Instant::now();
     let mut n_calls = 0;
+    let _under = activity::begin(name, Doing::Firing, bundle.item);
     let failed = match built {
         Built::Node(mut built) => {
             let mut joined = joined(&bundle, dir, kind, registry, &mut context)?;

@@ -127,6 +127,8 @@ pub(crate) fn run_part(
     drop(taps);
     let latencies = latency.map(|latency| latency.stats(plan)).unwrap_or_default();
     let mut finished = keeper.finish(ended, saver.map(Saver::finish).unwrap_or_default());
+    // Destroyed when everything is written, also where that fails.
+    let retired = std::mem::take(&mut finished.ended.retired);
     let recorded_plan = plan;
     let (plan, about) = match whole {
         Some(whole) => {
@@ -163,6 +165,7 @@ pub(crate) fn run_part(
         write_json(&dir.join(files::MANIFEST), &shown.json(manifest))?;
     }
     recorded.transpose()?;
+    drop(retired);
     Ok(report)
 }
 

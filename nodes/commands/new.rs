@@ -35,7 +35,7 @@ enum What {
 Examples:
   osteoflow new plugin my_icp                 in Rust; the SDK is fetched at the revision of this program
   osteoflow new plugin my_icp --sdk ~/osteoflow     the SDK of a checkout
-  osteoflow new plugin my_crop --lang c       in C; the headers are written beside it")]
+  osteoflow new plugin my_crop --lang c       in C or C++ (cpp); the headers are written beside it")]
 struct Plugin {
     /// The name of the crate, of its folder and of the stage of its kind, as in `my_icp.point_to_point`.
     name: String,
@@ -57,10 +57,12 @@ struct Plugin {
 enum Lang {
     /// A crate.
     Rust,
-    /// A folder with a Makefile; also for C++.
+    /// A folder with a Makefile.
     C,
     /// One file, which is not built.
     Python,
+    /// A folder with a Makefile; exceptions become errors of the node.
+    Cpp,
 }
 
 /// A file of a template: path and content.
@@ -108,6 +110,21 @@ const PYTHON: Template = Template {
         ("graphs/my_icp.toml", include_str!("../template/python/graphs/my_icp.toml")),
         ("README.md", include_str!("../template/python/README.md")),
         (".gitignore", "/runs\n__pycache__\n"),
+    ],
+};
+
+const CPP: Template = Template {
+    placeholder: "my_crop",
+    build: "make",
+    files: &[
+        ("Makefile", include_str!("../template/cpp/Makefile")),
+        ("my_crop.cpp", include_str!("../template/cpp/my_crop.cpp")),
+        ("osteoflow.hpp", include_str!("../../engine/node/include/osteoflow.hpp")),
+        ("osteoflow.h", include_str!("../../engine/node/include/osteoflow.h")),
+        ("osteoflow_geometry.h", include_str!("../payloads/include/osteoflow_geometry.h")),
+        ("graphs/my_crop.toml", include_str!("../template/cpp/graphs/my_crop.toml")),
+        ("README.md", include_str!("../template/cpp/README.md")),
+        (".gitignore", "/build\n/runs\n"),
     ],
 };
 
@@ -219,12 +236,13 @@ impl Plugin {
         let dir = self.out.clone().unwrap_or_else(|| PathBuf::from(&self.name));
         let (template, sdk) = match self.lang {
             Lang::Rust => (&RUST, self.sdk()?),
-            Lang::C | Lang::Python if self.sdk.is_some() => {
-                let message = "--sdk is for Rust; in C the headers of this program are written beside the plugin, and in Python \
-                               its module comes from the program";
+            Lang::C | Lang::Cpp | Lang::Python if self.sdk.is_some() => {
+                let message = "--sdk is for Rust; in C and C++ the headers of this program are written beside the plugin, and in \
+                               Python its module comes from the program";
                 return Err(UsageError(message.into()).into());
             }
             Lang::C => (&C, Sdk::default()),
+            Lang::Cpp => (&CPP, Sdk::default()),
             Lang::Python => (&PYTHON, Sdk::default()),
         };
         empty_folder(&dir, "name another folder with --out")?;

@@ -1,6 +1,6 @@
 //! Progress of a run: an updated line on a terminal, a few plain lines elsewhere.
 
-use super::{Format, Global};
+use super::{Format, Global, busy::Longest};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use osteoflow_engine::{
     plan::Plan,
@@ -15,9 +15,16 @@ use std::{
 /// Refresh interval of the line; nodes that fire more often are counted only.
 const REFRESH: Duration = Duration::from_millis(60);
 
+/// Time after which a busy node is named on a terminal.
+const NAMED_AFTER: Duration = Duration::from_secs(3);
+/// Time after which a busy node is named in a line of its own elsewhere; the next line comes after twice the time.
+const LINE_AFTER: Duration = Duration::from_secs(30);
+
 /// An observer that shows the progress of a run.
 pub(crate) struct Progress {
     bar: ProgressBar,
+    /// Progress is shown as plain lines.
+    has_lines: bool,
     state: Mutex<State>,
 }
 
@@ -27,6 +34,28 @@ struct State {
     n_ended: u64,
     n_items: u64,
     shown: Instant,
+    /// The node that has been busy for long, as it is shown.
+    busy_for_long: Option<String>,
+    /// Time after which the next line names a busy node.
+    next_line: Duration,
+}
+
+impl State {
+    fn new() -> Self {
+        Self {
+            busy: Vec::new(),
+            n_ended: 0,
+            n_items: 0,
+            shown: Instant::now(),
+            busy_for_long: None,
+            next_line: LINE_AFTER,
+        }
+    }
+
+    fn message(&self, latest: Option<&str>) -> String {
+        let node = self.busy.last().map(String::as_str).or(latest).unwrap_or_default();
+        format!("{} items  {}", self.n_items, self.busy_for_long.as_deref().unwrap_or(node))
+    }
 }
 
 impl Progress {
@@ -49,7 +78,7 @@ impl Progress {
             // Keeps the spinner turning while one node works for long.
             bar.enable_steady_tick(Duration::from_millis(120));
         }
-        Self { bar, state: Mutex::new(State { busy: Vec::new(), n_ended: 0, n_items: 0, shown: Instant::now() }) }
+        Self { bar, has_lines: shown && !terminal, state: Mutex::new(State::new()) }
     }
 
     /// Begins to show the progress of a run.
@@ -61,8 +90,28 @@ impl Progress {
 
     /// Shows nothing, for runs that are displayed otherwise.
     pub(crate) fn hidden() -> Self {
-        let state = State { busy: Vec::new(), n_ended: 0, n_items: 0, shown: Instant::now() };
-        Self { bar: ProgressBar::hidden(), state: Mutex::new(state) }
+        Self { bar: ProgressBar::hidden(), has_lines: false, state: Mutex::new(State::new()) }
+    }
+
+    /// Names the node that has been busy for longest, if that is long.
+    pub(crate) fn busy(&self, longest: Option<Longest>) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.has_lines {
+            match longest {
+                Some(longest) if longest.took >= state.next_line => {
+                    state.next_line *= 2;
+                    let _ = writeln!(std::io::stderr(), "{longest}");
+                }
+                Some(longest) if longest.took >= LINE_AFTER => {}
+                _ => state.next_line = LINE_AFTER,
+            }
+            return;
+        }
+        let named = longest.filter(|longest| longest.took >= NAMED_AFTER).map(|longest| longest.to_string());
+        if named != state.busy_for_long {
+            state.busy_for_long = named;
+            self.bar.set_message(state.message(None));
+        }
     }
 
     /// Removes the line.
@@ -102,8 +151,7 @@ impl Observer for Progress {
             return;
         }
         state.shown = Instant::now();
-        let node = state.busy.last().map(String::as_str).or(latest).unwrap_or_default();
         self.bar.set_position(state.n_ended);
-        self.bar.set_message(format!("{} items  {node}", state.n_items));
+        self.bar.set_message(state.message(latest));
     }
 }

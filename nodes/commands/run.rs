@@ -8,6 +8,7 @@ use super::{
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
+    plugin::check_lent_memory,
     run::{Injection, Outcome, RunOptions, RunReport, files},
     store::{Settings, Store},
 };
@@ -59,6 +60,12 @@ pub(crate) struct Run {
     #[arg(long, value_name = "NODE[@ITEM][=panic|error]")]
     inject: Vec<String>,
 
+    /// Check after each firing of a plugin's node that it did not write into its inputs, which are lent to be read. A node
+    /// that did is an error that names the input and the column. The inputs are copied before each firing, and nodes run on
+    /// one thread, so that the writer is told from other readers.
+    #[arg(long, conflicts_with_all = ["watch", "workers"])]
+    check_plugins: bool,
+
     /// For tests: delay threads, wake them without reason and reorder nodes, at random from this seed. The results are the
     /// same with any seed and without, on any number of workers.
     #[arg(long, value_name = "SEED")]
@@ -108,7 +115,13 @@ impl Run {
         let (plan, registry) = (checked.plan, checked.registry);
         let inject = self.inject.iter().map(|text| Injection::parse(text, &plan)).collect::<Result<_, _>>();
         let inject = inject.map_err(|message| UsageError(format!("--inject: {message}")))?;
-        let (store, cancelled) = (self.keep.store()?, Arc::default());
+        let cancelled = Arc::default();
+        // A cached answer would not show what the node does.
+        let store = if self.check_plugins { None } else { self.keep.store()? };
+        let workers = if self.check_plugins { Some(NonZeroUsize::MIN) } else { self.leave.workers };
+        if self.check_plugins {
+            check_lent_memory();
+        }
         let dir = out_dir::make(self.leave.out.as_deref(), &plan.name, self.leave.force)?;
         let options = RunOptions {
             out_dir: Some(dir.clone()),
@@ -118,7 +131,7 @@ impl Run {
             inject,
             shuffle: self.shuffle,
             store,
-            ..running::options(self.leave.workers, &cancelled)?
+            ..running::options(workers, &cancelled)?
         };
         let progress = Progress::of_run(&plan, options.workers, global);
         let ran = running::watch(progress, cancelled, move |progress| {

@@ -1,6 +1,10 @@
 //! Runs a plan on another thread, while the main thread shows progress and handles Ctrl-C.
 
-use super::{Global, UsageError, progress::Progress};
+use super::{
+    Global, UsageError,
+    busy::{Busy, LOOK},
+    progress::Progress,
+};
 use anyhow::{Context, Result, anyhow};
 use osteoflow_engine::{
     panics::mark_helper_thread,
@@ -10,9 +14,9 @@ use serde_json::json;
 use std::{
     num::NonZeroUsize,
     sync::{
-        Arc,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicUsize, Ordering},
-        mpsc::{SyncSender, sync_channel},
+        mpsc::{RecvTimeoutError, SyncSender, sync_channel},
     },
     thread,
 };
@@ -92,14 +96,24 @@ pub(crate) fn watch<T: Send + 'static>(
 ) -> Result<Ran<T>> {
     let progress = Arc::new(progress);
     let (sender, receiver) = sync_channel(2);
-    listen(sender.clone(), cancelled, progress.clone())?;
+    let busy = Arc::new(Mutex::new(Busy::default()));
+    listen(sender.clone(), cancelled, progress.clone(), busy.clone())?;
     let watched = progress.clone();
     let runner = thread::Builder::new().name("run".into()).spawn(move || {
         let ended = work(&watched);
         let _ = sender.send(News::Ended(ended));
     });
     runner.context("no thread for the run")?;
-    let news = receiver.recv();
+    let news = loop {
+        match receiver.recv_timeout(LOOK) {
+            Err(RecvTimeoutError::Timeout) => {
+                let mut busy = busy.lock().unwrap_or_else(PoisonError::into_inner);
+                busy.look();
+                progress.busy(busy.longest());
+            }
+            news => break news,
+        }
+    };
     progress.end();
     match news {
         Ok(News::Ended(answer)) => Ok(Ran::Ended(answer?)),
@@ -112,12 +126,17 @@ fn listen<T: Send + 'static>(
     sender: SyncSender<News<T>>,
     cancelled: Arc<AtomicBool>,
     progress: Arc<Progress>,
+    busy: Arc<Mutex<Busy>>,
 ) -> Result<()> {
     let presses = AtomicUsize::new(0);
     ctrlc::set_handler(move || {
         if presses.fetch_add(1, Ordering::Relaxed) == 0 {
             cancelled.store(true, Ordering::Relaxed);
-            progress.println("stopping after the current work; press Ctrl-C again to leave at once");
+            let mut busy = busy.lock().unwrap_or_else(PoisonError::into_inner);
+            busy.look();
+            let waits_for = busy.longest().map(|longest| format!(" ({longest})")).unwrap_or_default();
+            progress
+                .println(&format!("stopping after the current work{waits_for}; press Ctrl-C again to leave at once"));
         } else {
             let _ = sender.try_send(News::SecondInterrupt);
         }

@@ -16,7 +16,7 @@ const CRATES: [(&str, Floors); 2] = [
     (
         "engine/runtime/src",
         &[
-            &["histogram", "join", "names", "panics", "plan", "sync"],
+            &["activity", "histogram", "join", "names", "panics", "plan", "sync"],
             &["channel", "inject", "report", "scheduler"],
             &["ended", "messages", "tap"],
             &["latency"],
@@ -27,7 +27,7 @@ const CRATES: [(&str, Floors); 2] = [
         "engine/src",
         &[
             // The crate `osteoflow-runtime`, by the names under which the engine hands it on.
-            &["names", "panics", "plan", "runtime"],
+            &["activity", "names", "panics", "plan", "runtime"],
             &["fault", "hash"],
             &["graph", "recording"],
             &["store"],

@@ -39,6 +39,9 @@
 #ifndef CREATE
 #define CREATE create_add
 #endif
+#ifndef DESTROY
+#define DESTROY destroy_add
+#endif
 #ifndef PAYLOAD
 #define PAYLOAD "toy/Number"
 #endif
@@ -144,7 +147,7 @@ static const osteoflow_kind kinds[] = {
       0, 0, NULL, create_give, fire_give, destroy_give, NULL, NULL },
     { KIND_OF_ADD, OSTEOFLOW_TEXT("Adds to a number."), PARAMS_OF_ADD, OSTEOFLOW_NO_TEXT,
       OSTEOFLOW_NO_TEXT, NULL, 0, add_in, 1, add_out, 1, OSTEOFLOW_ROLE_NODE, OSTEOFLOW_KEPT_BY_INPUTS, 0, 0, NULL,
-      CREATE, fire_add, destroy_add, NULL, NULL },
+      CREATE, fire_add, DESTROY, NULL, NULL },
 };
 
 const osteoflow_plugin *osteoflow_describe(void) {

@@ -1,4 +1,9 @@
-use crate::report::{Enlargement, Failure, LinkStats, NodeStats, Warning};
+use crate::{
+    activity::{self, Doing, Name},
+    panics,
+    report::{Enlargement, Failure, LinkStats, NodeStats, Warning},
+};
+use osteoflow_node::Built;
 use std::time::Duration;
 
 /// Outcome of a run, apart from the items that its taps have kept.
@@ -21,4 +26,28 @@ pub struct Ended {
     pub enlargements: Vec<Enlargement>,
     /// Wall time of the run.
     pub elapsed: Duration,
+    /// The nodes, to be dropped once the files of the run have been written.
+    pub retired: Retired,
+}
+
+/// The nodes of a run that has ended. They are destroyed when this is dropped: a node that crashes in its destructor must
+/// not cost the results.
+#[derive(Default)]
+pub struct Retired(Vec<(Name, Built)>);
+
+impl Retired {
+    pub(crate) fn new(nodes: impl Iterator<Item = (Name, Option<Built>)>) -> Self {
+        Self(nodes.filter_map(|(name, built)| Some((name, built?))).collect())
+    }
+}
+
+impl Drop for Retired {
+    fn drop(&mut self) {
+        for (name, built) in self.0.drain(..) {
+            let _under = activity::begin(name, Doing::Closing, 0);
+            if let Err(panic) = panics::catch(move || drop(built)) {
+                tracing::warn!("a node that had ended {panic}");
+            }
+        }
+    }
 }

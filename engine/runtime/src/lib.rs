@@ -8,6 +8,7 @@
 //! It is a crate of its own because it is the only part of the engine that every item passes through: it alone is
 //! compiled for speed.
 
+pub mod activity;
 mod channel;
 mod ended;
 mod histogram;

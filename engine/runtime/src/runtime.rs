@@ -6,8 +6,9 @@ mod live;
 pub use cell::{emission_fault, stamp_or_zero};
 
 use crate::{
+    activity::{self, Doing, Name},
     channel::{self, Limits, LinkState, RecvEnd, SendEnd},
-    ended::Ended,
+    ended::{Ended, Retired},
     inject::{Injection, Planned},
     join::{Joiner, PortSpec},
     messages::Messages,
@@ -268,6 +269,7 @@ impl<'a> Runtime<'a> {
             warnings: warnings.into_iter().map(|(_, warning)| warning).collect(),
             enlargements: self.enlargements.into_inner().unwrap_or_else(PoisonError::into_inner),
             elapsed: self.elapsed,
+            retired: Retired::new(cells.into_iter().map(Cell::into_retired)),
         }
     }
 
@@ -491,6 +493,7 @@ fn build(registry: &Registry, node: &PlanNode, seed: u64) -> Result<Built, Build
     let joins = node.inputs.iter().map(|input| input.port.join).collect();
     let build_context =
         BuildContext { node: node.name.clone(), seed, declared: node.declared.clone(), joins, place: node.place };
+    let _under = activity::begin(Name::of(&node.name), Doing::Building, 0);
     match panics::catch(|| registry.build(kind, &node.params, &build_context)) {
         Ok(built) => built.map_err(|error| fault(error.parameter, error.message)),
         Err(panic) => Err(fault(String::new(), panic)),

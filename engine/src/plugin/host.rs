@@ -74,6 +74,16 @@ impl LentValue {
         ptr::from_ref(self).cast()
     }
 
+    /// The view, created on first use; `None`, with a log line, if the payload has none.
+    pub(super) fn abi_view(&self) -> Option<abi::View> {
+        let made = self.view.get_or(|| {
+            let ty = self.value.ty();
+            let made = abi::OutgoingView::lent(self.value.to_view(), ty.schema);
+            made.inspect_err(|error| tracing::error!("a {} has no view for a plugin: {error}", ty.name)).ok()
+        });
+        made.as_ref().map(abi::OutgoingView::view)
+    }
+
     fn of(value: Value) -> Self {
         Self { value: ManuallyDrop::new(value), view: Lazy::new(), result: Lazy::new() }
     }
@@ -225,14 +235,7 @@ unsafe fn lent<'a>(value: *const abi::Value) -> &'a LentValue {
 unsafe extern "C" fn view(value: *const abi::Value, view: *mut abi::View) -> i32 {
     // SAFETY: the plugin calls it as the header requires.
     let lent = unsafe { lent(value) };
-    let made = panics::catch(|| {
-        let ty = lent.value.ty();
-        let made = lent.view.get_or(|| {
-            let made = abi::OutgoingView::lent(lent.value.to_view(), ty.schema);
-            made.inspect_err(|error| tracing::error!("a {} has no view for a plugin: {error}", ty.name)).ok()
-        });
-        made.as_ref().map(abi::OutgoingView::view)
-    });
+    let made = panics::catch(|| lent.abi_view());
     match made {
         Ok(Some(made)) => {
             // SAFETY: the header requires a valid pointer to a view.

@@ -2,6 +2,7 @@
 #![allow(unsafe_code, reason = "loads a library and reads what it describes")]
 
 use super::description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
+use crate::activity::Name;
 use osteoflow_node::{
     CachePolicy, Join, Role,
     abi::{self, AbiError, kind, panics},
@@ -78,6 +79,8 @@ impl From<AbiError> for Why {
 
 /// A loaded plugin.
 pub struct Library {
+    /// The file as it is shown, for reports of calls into it.
+    file: Name,
     description: PluginDescription,
     kinds: Vec<abi::Kind>,
     start: Option<unsafe extern "C" fn(*const abi::Host)>,
@@ -98,7 +101,8 @@ impl Library {
     /// [`LibraryError`] naming the file.
     pub fn load(path: &Path) -> Result<Self, LibraryError> {
         let absolute = std::path::absolute(path).unwrap_or_else(|_| path.into());
-        Self::of(&absolute).map_err(|why| LibraryError { path: path.into(), why })
+        let library = Self::of(&absolute).map_err(|why| LibraryError { path: path.into(), why })?;
+        Ok(library.shown_as(path))
     }
 
     fn of(path: &Path) -> Result<Self, Why> {
@@ -159,12 +163,22 @@ impl Library {
             kinds: kinds.iter().map(|kind| unsafe { read_kind(kind, &sizes) }).collect::<Result<_, _>>()?,
             payloads: payloads.collect::<Result<_, _>>()?,
         };
-        Ok(Self { description: described, kinds, start: raw.start, started: Once::new() })
+        Ok(Self { description: described, kinds, start: raw.start, started: Once::new(), file: Name::of("") })
     }
 
     /// The plugin's description.
     pub fn description(&self) -> &PluginDescription {
         &self.description
+    }
+
+    /// The same library, reported by another path than that of the copy it was loaded from.
+    pub(super) fn shown_as(self, path: &Path) -> Self {
+        Self { file: Name::of(&path.display().to_string()), ..self }
+    }
+
+    /// The file, for reports of calls into it.
+    pub(super) fn file(&self) -> Name {
+        self.file
     }
 
     /// The kind at an index of [`PluginDescription::kinds`].

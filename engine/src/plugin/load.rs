@@ -61,7 +61,7 @@ pub(super) fn load(plugin: &Plugin) -> Result<&'static Library, String> {
             &"it describes itself otherwise than when it was looked at; it must not depend on its process",
         ));
     }
-    let library: &'static Library = Box::leak(Box::new(library));
+    let library: &'static Library = Box::leak(Box::new(library.shown_as(path)));
     loaded.libraries.insert(plugin.sha256.clone(), library);
     Ok(library)
 }

@@ -4,8 +4,9 @@
 use super::{
     Library,
     host::{CallContext, HOST, HeldValue, LentValue, Run},
+    lent_check::Copies,
 };
-use crate::panics;
+use crate::{activity::in_library, panics};
 use osteoflow_node::{
     AnyNode, AnySource, Body, BuildContext, Built, Context, Emission, Empty, Item, Join, Joined, NodeError, ParamError,
     PayloadType, PortPayload, Role, SILENT_AFTER, Slot, StampNs,
@@ -78,6 +79,7 @@ pub(super) fn build(
     params: &Json,
     context: &BuildContext,
 ) -> Result<Built, ParamError> {
+    let _under = in_library(library.file());
     library.start(&HOST);
     let kind = library.kind(index);
     let described = &library.description().kinds[index];
@@ -176,6 +178,7 @@ unsafe impl Send for PluginNode {}
 
 impl Drop for PluginNode {
     fn drop(&mut self) {
+        let _under = in_library(self.library.file());
         let destroy = self.library.kind(self.index).destroy;
         // SAFETY: called once with the pointer returned by `create`.
         unsafe { destroy.expect("a kind without it is refused when its library is read")(self.node) };
@@ -248,9 +251,20 @@ impl PluginNode {
         }
     }
 
+    /// The lent values, each with its input.
+    fn lent(&self) -> impl Iterator<Item = (usize, &LentValue)> {
+        self.slots.iter().enumerate().flat_map(|(port, slot)| {
+            // SAFETY: the slots and items were laid out for this firing, and their values are lent until its end.
+            let items = unsafe { std::slice::from_raw_parts(slot.items, slot.n_items as usize) };
+            // SAFETY: as above.
+            items.iter().filter_map(move |item| Some((port, unsafe { item.value.cast::<LentValue>().as_ref() }?)))
+        })
+    }
+
     /// Calls the plugin; `false` at the end of a source.
     fn call(&mut self, joined: &Joined, out: &mut [Emission], context: &mut Context) -> Result<bool, NodeError> {
         self.fill_arguments(joined);
+        let copies = Copies::of(self.lent());
         let mut run = Run {
             context: CallContext::Firing(context),
             built: &self.built,
@@ -266,15 +280,22 @@ impl PluginNode {
             slots: self.slots.as_ptr(),
             n_slots: self.slots.len() as u64,
         };
+        let under = in_library(self.library.file());
         let fire = self.library.kind(self.index).fire;
         // SAFETY: called as the header requires: with the pointer returned by `create`, from one thread at a time, and
         // a firing that outlives the call.
         let answered =
             unsafe { fire.expect("a kind without it is refused when its library is read")(self.node, &firing) };
+        drop(under);
         let failed = run.failed.take();
+        let inputs = &self.library.description().kinds[self.index].inputs;
+        let written = copies.changed(|port| inputs.get(port).map_or_else(String::new, |input| input.port.name.clone()));
         self.slots.clear();
         self.items.clear();
         self.values.clear();
+        if let Some(written) = written {
+            return Err(NodeError::new(written));
+        }
         match (answered, failed) {
             (status::OK, None) => Ok(true),
             (status::END, None) if self.is_source => Ok(false),

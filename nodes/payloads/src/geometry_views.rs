@@ -40,6 +40,18 @@ pub(crate) fn invalid(error: impl std::fmt::Display) -> ViewError {
     ViewError::Invalid(error.to_string())
 }
 
+/// Largest distance of a stamp from 1970, as for the stamps of items.
+const MAX_STAMP_NS: u64 = 1 << 62;
+
+/// The stamp of the head.
+fn stamp_ns(view: &View) -> Result<i64, ViewError> {
+    let stamp_ns = view.int("stamp_ns")?;
+    match stamp_ns.unsigned_abs() > MAX_STAMP_NS {
+        true => Err(invalid(format!("stamp_ns {stamp_ns} is more than 146 years from 1970; is it in nanoseconds?"))),
+        false => Ok(stamp_ns),
+    }
+}
+
 fn frame(view: &View) -> Result<Frame, ViewError> {
     view.shared_text("frame").map(Frame::from)
 }
@@ -77,7 +89,7 @@ impl Payload<Table> for Cloud {
 
     fn from_view(view: &View) -> Result<Self, ViewError> {
         let mut cloud = Cloud::new(frame(view)?, from_column(view, "points")?).map_err(invalid)?;
-        cloud.stamp_ns = view.int("stamp_ns")?;
+        cloud.stamp_ns = stamp_ns(view)?;
         cloud.label = view.shared_text("label").ok();
         if view.field("viewpoint").is_some() {
             let viewpoint = isometry(&view.floats("viewpoint")?);
@@ -192,7 +204,7 @@ impl Payload<Table> for Pose {
         let (to, from) = (view.shared_text("to")?, view.shared_text("from")?);
         let isometry = isometry(&view.floats("isometry")?);
         let isometry = isometry.map_err(|error| invalid(format!("t_{to}_{from} is no rigid motion: {error}")))?;
-        Ok(Pose::new(to, from, isometry).at(view.int("stamp_ns")?))
+        Ok(Pose::new(to, from, isometry).at(stamp_ns(view)?))
     }
 
     fn to_result(&self) -> Json {
@@ -255,7 +267,7 @@ impl Payload<Table> for Points {
             stamp_ns: stamps[i],
             confidence: Some(confidences[i]).filter(|c| !c.is_nan()),
         });
-        Ok(Points { frame: frame(view)?, stamp_ns: view.int("stamp_ns")?, points: points.collect() })
+        Ok(Points { frame: frame(view)?, stamp_ns: stamp_ns(view)?, points: points.collect() })
     }
 
     fn n_bytes(&self) -> usize {
@@ -334,7 +346,7 @@ impl Payload<Table> for Planes {
             Ok(Plane { name: names[i].into(), place })
         };
         let planes = (0..names.len()).map(plane).collect::<Result<_, ViewError>>()?;
-        Ok(Planes { frame: frame(view)?, stamp_ns: view.int("stamp_ns")?, planes })
+        Ok(Planes { frame: frame(view)?, stamp_ns: stamp_ns(view)?, planes })
     }
 
     fn n_bytes(&self) -> usize {

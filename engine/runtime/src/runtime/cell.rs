@@ -10,6 +10,7 @@ pub(crate) use {
 };
 
 use crate::{
+    activity::{self, Doing, Name},
     channel::{Received, RecvEnd},
     histogram::Histogram,
     join::{Activation, Joiner, Step},
@@ -32,6 +33,10 @@ pub(crate) struct Cell {
     pub(crate) index: usize,
     core: Core,
     context: Context,
+    /// The node's name, for reports of its calls.
+    name: Name,
+    /// The node once it has ended; it is destroyed after the run, so that a crash in its destructor costs no results.
+    retired: Option<Built>,
     pub(crate) inputs: Vec<Input>,
     pub(crate) outputs: Vec<Output>,
     /// It has taken items since it last notified blocked producers.
@@ -104,7 +109,9 @@ impl Cell {
         Self {
             index,
             core,
+            name: Name::of(context.node()),
             context,
+            retired: None,
             inputs,
             has_taken: false,
             emissions: vec![Emission::Silent; outputs.len()],
@@ -310,7 +317,7 @@ impl Cell {
         joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
         let (context, out) = (&mut self.context, &mut self.emissions);
         let answer_cache = run.answer_cache(self.index);
-        let answered = call_node(item, context, |context| match answer_cache {
+        let answered = call_node(self.name, Doing::Firing, item, context, |context| match answer_cache {
             Some(answer_cache) => answer_cache.fire(self.index, node.as_mut(), joiner.joined_mut(), out, context),
             None => node.fire(joiner.joined_mut(), out, context),
         });
@@ -327,7 +334,7 @@ impl Cell {
         let began = self.begin(item, stamp_or_zero(self.stamp_ns), run, turn);
         let Core::Source(source) = &mut self.core else { unreachable!("only a source is called") };
         let (context, out) = (&mut self.context, &mut self.emissions);
-        let answered = call_node(item, context, |context| source.next(out, context));
+        let answered = call_node(self.name, Doing::Firing, item, context, |context| source.next(out, context));
         let stamp_ns = self.context.stamp_ns();
         if matches!(answered, Ok(Ok(false))) {
             // The call that found the end is not an answer.
@@ -440,7 +447,7 @@ impl Cell {
                     Some(Ok(Built::Node(node))) => {
                         self.fail(item, reason.clone(), panicked, true, run);
                         if let Core::Node(old, _) = &mut self.core {
-                            discard(std::mem::replace(old, node));
+                            discard(self.name, Doing::Destroying, std::mem::replace(old, node));
                         }
                         let empty = self.empty(reason);
                         self.send_empties(empty, run, turn);
@@ -535,19 +542,29 @@ impl Cell {
         run.event(&Event::Ended { node: self.context.node() });
         self.core = match std::mem::replace(&mut self.core, Core::Gone(None)) {
             Core::Node(node, mut joiner) => {
-                discard(node);
+                self.retired = Some(Built::Node(node));
                 if failed {
                     joiner.stop();
                 }
                 Core::Gone(Some(joiner))
             }
             Core::Source(source) => {
-                discard(source);
+                self.retired = Some(Built::Source(source));
                 Core::Gone(None)
             }
             gone => gone,
         };
         self.phase = if self.inputs.is_empty() { Phase::Done } else { Phase::Draining };
+    }
+
+    /// The node, to be destroyed after the run.
+    pub(crate) fn into_retired(self) -> (Name, Option<Built>) {
+        let built = match self.core {
+            Core::Node(node, _) => Some(Built::Node(node)),
+            Core::Source(source) => Some(Built::Source(source)),
+            Core::Live(_) | Core::Gone(_) => self.retired,
+        };
+        (self.name, built)
     }
 
     pub(crate) fn unmatched(&self, port: usize) -> u64 {
@@ -599,16 +616,20 @@ fn took_since(began: Instant, turn: &mut Turn<'_>) -> Duration {
 
 /// Calls the node in its tracing span and catches a panic.
 fn call_node<T>(
+    name: Name,
+    doing: Doing,
     item: u64,
     context: &mut Context,
     call: impl FnOnce(&mut Context) -> Result<T, NodeError>,
 ) -> Result<Result<T, NodeError>, String> {
     let _span = tracing::debug_span!("fire", node = context.node(), item).entered();
+    let _under = activity::begin(name, doing, item);
     panics::catch(|| call(context))
 }
 
 /// Drops the node; a panic in its destructor is ignored.
-pub(crate) fn discard<T>(built: T) {
+pub(crate) fn discard<T>(name: Name, doing: Doing, built: T) {
+    let _under = activity::begin(name, doing, 0);
     if let Err(panic) = panics::catch(move || drop(built)) {
         tracing::warn!("a node that had ended {panic}");
     }

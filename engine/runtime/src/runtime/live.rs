@@ -9,7 +9,10 @@ use super::{
     Runtime,
     cell::{self, Answer, Asked},
 };
-use crate::scheduler::Scheduler;
+use crate::{
+    activity::{Doing, Name},
+    scheduler::Scheduler,
+};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use osteoflow_node::{AnySource, Context, StampNs};
 use std::{
@@ -249,13 +252,14 @@ impl Server<'_, '_> {
 /// Thread function of a source.
 fn run_source(live: Live, asks: &Receiver<Ask>, answers: &Sender<LiveMessage>) {
     let Live { node, mut source, mut context, n_ports } = live;
+    let name = Name::of(context.node());
     for Ask { item, stamp_ns } in asks {
-        let answer = Answer::of(&mut *source, &mut context, n_ports, item, stamp_ns);
+        let answer = Answer::of(name, &mut *source, &mut context, n_ports, item, stamp_ns);
         if answers.try_send(LiveMessage::Answered(node, answer)).is_err() {
             break;
         }
     }
-    cell::discard(source);
+    cell::discard(name, Doing::Destroying, source);
     let _ = answers.try_send(LiveMessage::Gone);
 }
 

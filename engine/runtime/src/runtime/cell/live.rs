@@ -5,7 +5,13 @@ use super::{
     output::{Late, Output},
     stamp_or_zero,
 };
-use crate::{plan::Plan, report::Warning, runtime::Runtime, scheduler::Turn};
+use crate::{
+    activity::{Doing, Name},
+    plan::Plan,
+    report::Warning,
+    runtime::Runtime,
+    scheduler::Turn,
+};
 use osteoflow_node::{AnySource, Context, Emission, NodeError, StampNs};
 use std::time::Instant;
 
@@ -47,6 +53,7 @@ impl Answer {
 
     /// Asks the source.
     pub(crate) fn of(
+        name: Name,
         source: &mut dyn AnySource,
         context: &mut Context,
         n_ports: usize,
@@ -56,7 +63,7 @@ impl Answer {
         context.begin(item, stamp_ns);
         let mut emissions = vec![Emission::Silent; n_ports];
         let began = Instant::now();
-        let answered = call_node(item, context, |context| source.next(&mut emissions, context));
+        let answered = call_node(name, Doing::Waiting, item, context, |context| source.next(&mut emissions, context));
         let firing = Firing { item, stamp_ns: context.stamp_ns(), timed: Some((began, began.elapsed())) };
         Self { firing, emissions, warnings: context.take_warnings(), answered }
     }

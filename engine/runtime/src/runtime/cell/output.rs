@@ -103,6 +103,9 @@ impl Output {
     }
 }
 
+/// Largest distance of a stamp from 1970; what lies farther is no time, and leaves no room for tolerances.
+const MAX_STAMP_NS: u64 = 1 << 62;
+
 /// Checks what every node promises of its emissions: one answer on each output, of its type, in the order of time.
 /// Returns the violation.
 pub fn emission_fault(
@@ -113,6 +116,9 @@ pub fn emission_fault(
     stamp_ns: StampNs,
 ) -> Option<String> {
     match (emission, payload) {
+        _ if stamp_ns.unsigned_abs() > MAX_STAMP_NS => {
+            Some(format!("gave stamp {stamp_ns} ns, more than 146 years from 1970; is it in nanoseconds?"))
+        }
         (Emission::Silent, _) if is_source => None,
         (Emission::Silent, _) => Some("stayed silent, which only a source may".into()),
         (Emission::Value(value), PortPayload::Type(ty)) if value.ty() != *ty => {
