@@ -8,6 +8,7 @@ mod kinds;
 mod lent_check;
 mod library;
 mod load;
+mod moved;
 mod node;
 mod probe;
 mod provide;
