@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::{Ran, build, is_slow_run, isometry, osteoflow, root, run_whole};
+use common::{Ran, build, is_slow_run, isometry, osteoflow, osteoflow_to_spawn, root, run_whole};
 use serde_json::Value;
 use std::{
     env::consts::{DLL_PREFIX, DLL_SUFFIX},
@@ -75,8 +75,6 @@ fn the_crate_registers_as_the_built_in_icp_does_to_1e_9_mm_and_logs_through_the_
 /// Builds and tests the written crate alone, then runs its graph.
 fn alone(toolchain: &[&str], profile: &[&str]) {
     let (_dir, folder) = written_crate("my_icp");
-    // The versions of this repository, which are on this machine.
-    fs::copy(root().join("Cargo.lock"), folder.join("Cargo.lock")).unwrap();
     let target = root().join("target/new_plugin").join(toolchain.concat());
     let cargo = |command: &str| {
         let mut cargo = Command::new("cargo");
@@ -193,13 +191,23 @@ fn what_is_written_is_the_template_under_its_new_name() {
     assert_eq!(Path::new(sdk), root().join("engine/node").canonicalize().unwrap());
     assert!(manifest["workspace"].as_table().unwrap().is_empty() && manifest.contains_key("profile"));
 
-    let output =
-        osteoflow().args(["new", "plugin", "my_icp", "--format", "json", "--out"]).arg(folder.join("b")).output();
-    let output = output.unwrap();
+    // Without --sdk it is that of the checkout in which the program lies, which needs no network.
+    osteoflow().args(["new", "plugin", "my_icp", "--out"]).arg(folder.join("a")).assert().success();
+    let manifest: toml::Table = fs::read_to_string(folder.join("a/Cargo.toml")).unwrap().parse().unwrap();
+    let sdk = manifest["dependencies"]["osteoflow-node"]["path"].as_str().unwrap();
+    assert_eq!(Path::new(sdk), root().join("engine/node").canonicalize().unwrap());
+
+    // A program that lies elsewhere.
+    let program = folder.join("osteoflow");
+    fs::copy(osteoflow_to_spawn().get_program(), &program).unwrap();
+    let mut elsewhere = Command::new(program);
+    elsewhere.args(["new", "plugin", "my_icp", "--format", "json", "--out"]).arg(folder.join("b"));
+    let output = elsewhere.output().unwrap();
     // Where this program was built outside git, it asks for the SDK; else it names the revision.
     if output.status.success() {
         let printed: Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(printed["commands"].as_array().unwrap().len(), 3);
+        assert!(printed["note"].as_str().unwrap().contains("--sdk names a checkout"), "{printed}");
         let manifest: toml::Table = fs::read_to_string(folder.join("b/Cargo.toml")).unwrap().parse().unwrap();
         for name in ["osteoflow-node", "osteoflow-payloads"] {
             let dependency = &manifest["dependencies"][name];

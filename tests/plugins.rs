@@ -177,6 +177,14 @@ fn a_manifest_lists_the_libraries_and_a_replay_reports_changed_ones() {
     let (code, _, err) = replay();
     assert_eq!(code, 2, "{err}");
     assert!(err.contains("libtoy") && err.contains("there is no such file"), "{err}");
+    // It has moved into a folder of plugins: the recorded library is found there, another of its name is not taken for it.
+    for (folder_name, add, expected) in [("moved", "1", 0), ("other", "3", 2)] {
+        let moved = folder.toy(&format!("{folder_name}/libtoy{DLL_SUFFIX}"), add);
+        assert_eq!(sha256(&moved) == first, add == "1", "the compiler gives the same bytes");
+        let mut replay = folder.command(&["replay", "--quiet", recording.to_str().unwrap()]);
+        let (code, out, err) = folder.says(replay.env("OSTEOFLOW_PLUGIN_PATH", moved.parent().unwrap()));
+        assert_eq!(code, expected, "{folder_name}: {out}{err}");
+    }
 }
 
 #[test]
@@ -453,6 +461,22 @@ fn a_type_mismatch_between_a_plugin_and_a_built_in_kind_is_a_fault_at_its_line()
     assert_eq!(code, 2);
     assert!(err.contains("takes geometry/Cloud, but \"add.sum\" gives toy/Number"), "{err}");
     assert!(err.contains("graph.toml:22:"), "{err}");
+}
+
+#[test]
+fn a_parameter_that_a_plugin_refuses_is_shown_where_it_is_set() {
+    let graph = naming("[\"toy\"]").replace("\n[record]", "\n[node.add.at]\nlimit = 2\n\n[record]");
+    let Some(folder) = Folder::new(&graph) else { return };
+    folder.compile("refuse.c", &format!("libtoy{DLL_SUFFIX}"), &["-Wno-unused-function"]);
+    let said = ": node \"add\": parameter \"at.limit\": the limit is above 1";
+    let (code, _, err) = folder.run(&["--quiet"]);
+    assert_eq!(code, 2, "{err}");
+    let line = graph.lines().position(|line| line == "limit = 2").unwrap() + 1;
+    assert!(err.contains(&format!("graph.toml:{line}{said}")), "{err}");
+    let (code, _, err) = folder.run(&["--quiet", "--set", "add.at.limit=3"]);
+    assert_eq!(code, 2, "{err}");
+    assert!(err.contains(&format!("command line:1{said}")), "{err}");
+    assert_eq!(folder.sum(&["--set", "add.at.limit=1"]), json!({ "value": 43.0 }));
 }
 
 /// How a run with a plugin that ends the process ended: its exit code or signal, and stderr.

@@ -45,6 +45,7 @@ pub(crate) fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Optio
             location: location.clone(),
             plugin: None,
             params: params.clone(),
+            param_places: Default::default(),
             files: Vec::new(),
             declared: Arc::from([]),
             inputs: inputs.collect(),

@@ -107,6 +107,7 @@ impl PlanBuilder {
             location,
             plugin: None,
             params,
+            param_places: Default::default(),
             files: Vec::new(),
             declared,
             inputs,

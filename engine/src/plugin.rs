@@ -11,6 +11,7 @@ mod lent_check;
 mod library;
 mod load;
 mod log_lines;
+mod moved;
 mod node;
 mod probe;
 mod provide;

@@ -244,7 +244,7 @@ pub fn replay(
 ) -> Result<ReplayReport, ReplayError> {
     let recording = Recording::open(path)?;
     let kinds: Kinds = kinds.into();
-    let kinds = &kinds.over(recording.registry(kinds.registry()));
+    let kinds = &kinds.over(recording.registry(kinds.registry())).with_moved(&recording.plugins);
     let sets = &changes.sets;
     let checked = match &changes.graph {
         // Files of played sources need not exist; a graph file that cannot be read is a fault.

@@ -33,7 +33,7 @@ enum What {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  osteoflow new plugin my_icp                 in Rust; the SDK is fetched at the revision of this program
+  osteoflow new plugin my_icp                 in Rust; the SDK is that of the checkout of this program
   osteoflow new plugin my_icp --sdk ~/osteoflow     the SDK of a checkout
   osteoflow new plugin my_crop --lang c       in C or C++ (cpp); the headers are written beside it")]
 struct Plugin {
@@ -44,7 +44,8 @@ struct Plugin {
     #[arg(long, value_enum, default_value_t = Lang::Rust)]
     lang: Lang,
 
-    /// A checkout of Osteoflow to build against, instead of the revision that this program was built from.
+    /// A checkout of Osteoflow to build against. Default: the checkout that this program lies in; elsewhere the revision that
+    /// it was built from, which the first build fetches over the network.
     #[arg(long, value_name = "PATH")]
     sdk: Option<PathBuf>,
 
@@ -134,6 +135,9 @@ const FIBULA: File = ("graphs/fibula.toml", include_str!("../../graphs/fibula.to
 /// The dependency on `osteoflow-node` in the manifest of the template.
 const NODE_PATH: &str = "path = \"../../../engine/node\"";
 const PAYLOADS_PATH: &str = "path = \"../../payloads\"";
+
+/// A file that every checkout has.
+const NODE_PATH_IN_CHECKOUT: &str = "engine/node/Cargo.toml";
 
 /// Sections that a manifest needs outside of this repository.
 const ALONE: &str = "
@@ -254,6 +258,9 @@ impl Plugin {
             }
             write(&dir, &path.replace(template.placeholder, &self.name), &text)?;
         }
+        if let Some(lock) = &sdk.lock {
+            write(&dir, "Cargo.lock", lock)?;
+        }
         let commands = [
             format!("cd {}", dir.display()),
             template.build.to_owned(),
@@ -275,7 +282,7 @@ impl Plugin {
 
     /// The sources to build the crate against.
     fn sdk(&self) -> Result<Sdk> {
-        if let Some(checkout) = &self.sdk {
+        if let Some(checkout) = self.sdk.clone().or_else(own_checkout) {
             let crate_in = |folder: &str| -> Result<String> {
                 let path = checkout.join(folder);
                 if !path.join("Cargo.toml").is_file() {
@@ -285,7 +292,8 @@ impl Plugin {
                 let path = path.canonicalize().with_context(|| format!("{} cannot be read", path.display()))?;
                 Ok(format!("path = {:?}", path))
             };
-            return Ok(Sdk { node: crate_in("engine/node")?, payloads: crate_in("nodes/payloads")?, note: None });
+            let (node, payloads) = (crate_in("engine/node")?, crate_in("nodes/payloads")?);
+            return Ok(Sdk { node, payloads, lock: fs::read_to_string(checkout.join("Cargo.lock")).ok(), note: None });
         }
         let revision = env!("OSTEOFLOW_BUILD_GIT_REVISION");
         let (commit, changed) = revision.split_once(',').map_or((revision, false), |(commit, _)| (commit, true));
@@ -295,11 +303,19 @@ impl Plugin {
             return Err(UsageError(message.into()).into());
         }
         let git = format!("git = {:?}, rev = {commit:?}", env!("CARGO_PKG_REPOSITORY"));
-        let note = changed.then(|| {
-            format!("this program was built from sources that differ from their commit {commit}; --sdk names them")
-        });
-        Ok(Sdk { node: git.clone(), payloads: git, note })
+        let mut note = "the first build fetches the SDK over the network; --sdk names a checkout instead".to_owned();
+        if changed {
+            note += &format!("; this program was built from sources that differ from their commit {commit}");
+        }
+        Ok(Sdk { node: git.clone(), payloads: git, lock: None, note: Some(note) })
     }
+}
+
+/// The checkout whose `target` folder this program lies in.
+fn own_checkout() -> Option<PathBuf> {
+    let program = std::env::current_exe().ok()?;
+    let has_sdk = |folder: &&Path| folder.join(NODE_PATH_IN_CHECKOUT).is_file();
+    program.ancestors().find(has_sdk).map(Path::to_owned)
 }
 
 /// The location of the SDK's crates, as a manifest states it.
@@ -307,6 +323,8 @@ impl Plugin {
 struct Sdk {
     node: String,
     payloads: String,
+    /// The versions that the checkout was built with, which this machine has.
+    lock: Option<String>,
     note: Option<String>,
 }
 

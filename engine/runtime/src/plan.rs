@@ -3,7 +3,7 @@
 use osteoflow_container::Compression;
 use osteoflow_node::{DeclaredPort, InputPort, Place, PortPayload, Role};
 use serde::{Deserialize, Serialize, Serializer};
-use std::{fmt, path::PathBuf, sync::Arc};
+use std::{collections::BTreeMap, fmt, path::PathBuf, sync::Arc};
 
 /// A checked graph, ready to be built.
 #[derive(Debug, Clone)]
@@ -126,6 +126,8 @@ pub struct PlanNode {
     pub plugin: Option<Arc<str>>,
     /// Checked parameters, paths absolute.
     pub params: serde_json::Value,
+    /// Where each parameter is set, by its dotted path.
+    pub param_places: BTreeMap<String, Location>,
     /// The files that its parameters name, absolute.
     pub files: Vec<PathBuf>,
     /// The outputs that the graph declared by `out`, for sources that take such.

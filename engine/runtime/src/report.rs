@@ -163,7 +163,7 @@ pub enum BuildError {
 pub struct BuildFault {
     /// The node.
     pub node: String,
-    /// Where its table begins.
+    /// Where the faulty parameter is set, otherwise where the node's table begins.
     pub location: Location,
     /// The faulty parameter; empty if it is several.
     pub parameter: String,

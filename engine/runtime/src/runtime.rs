@@ -483,7 +483,8 @@ impl Work for Runtime<'_> {
 fn build(registry: &Registry, node: &PlanNode, seed: u64) -> Result<Built, BuildFault> {
     let fault = |parameter: String, message: String| BuildFault {
         node: node.name.to_string(),
-        location: node.location.clone(),
+        // A parameter with its default is set nowhere.
+        location: node.param_places.get(&parameter).unwrap_or(&node.location).clone(),
         parameter,
         message,
     };

@@ -9,14 +9,14 @@ use super::{
     wires::OutputIndex,
 };
 use crate::{
-    graph::header::Header,
+    graph::{Table, Value, header::Header},
     panics,
-    plan::{Link, OutputId, Plan, PlanInput, PlanNode, PlanOutput, PlanPlugin, ResultEntry},
+    plan::{Link, Location, OutputId, Plan, PlanInput, PlanNode, PlanOutput, PlanPlugin, ResultEntry},
     plugin::Known,
 };
 use osteoflow_node::{BuildContext, Built, Kind, Role};
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
 };
 
@@ -56,6 +56,22 @@ fn further_files(node: &PlanNode, kind: &Kind, seed: u64) -> Vec<PathBuf> {
     let Ok(Ok(Built::Source(source))) = panics::catch(|| kind.build(&node.params, &context)) else { return Vec::new() };
     let files = panics::catch(|| source.files()).unwrap_or_default();
     files.iter().map(|file| tidy(file)).collect()
+}
+
+/// Where each entry of the table, and of the tables in it, is set.
+fn param_places(table: &Table) -> BTreeMap<String, Location> {
+    let mut places = BTreeMap::new();
+    let mut open = vec![(String::new(), table)];
+    while let Some((prefix, table)) = open.pop() {
+        for entry in &table.0 {
+            let path = format!("{prefix}{}", entry.key);
+            if let Value::Table(inner) = &entry.value.value {
+                open.push((format!("{path}."), inner));
+            }
+            places.insert(path, entry.value.at.location());
+        }
+    }
+    places
 }
 
 impl Net<'_> {
@@ -126,6 +142,7 @@ impl Net<'_> {
             location: parsed_node.reported_at().location(),
             plugin: parsed_node.kind.and_then(|kind| kind.plugin.clone()),
             params: parsed_node.params.clone(),
+            param_places: param_places(parsed_node.table),
             files: parsed_node.input_files.clone(),
             declared: parsed_node.declared.clone().into(),
             inputs: self.inputs[index].iter().map(|i| PlanInput { port: i.port.clone(), link: None }).collect(),

@@ -23,12 +23,12 @@ use std::{
 /// plugins.
 #[derive(Debug, Clone)]
 pub struct Kinds {
-    registry: Registry,
-    finder: Option<Arc<Finder>>,
+    pub(super) registry: Registry,
+    pub(super) finder: Option<Arc<Finder>>,
 }
 
 /// Finds plugins and reads their descriptions.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Finder {
     /// Reads the description of a library.
     pub prober: Prober,

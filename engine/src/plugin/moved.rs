@@ -1,7 +1,7 @@
 //! Libraries of a recording that have moved since.
 
 use super::{Finder, Kinds};
-use crate::{hash::sha256, plan::PlanPlugin};
+use crate::{hash::files::sha256, plan::PlanPlugin};
 use std::{
     path::{Path, PathBuf},
     sync::Arc,
