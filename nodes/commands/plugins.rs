@@ -10,12 +10,22 @@ use osteoflow_engine::{
     store::{Settings, Store},
 };
 use serde_json::{Value, json};
-use std::{env, io::Write, path::PathBuf, sync::Arc, time::Duration};
+use std::{
+    env,
+    ffi::OsString,
+    io::Write,
+    path::PathBuf,
+    sync::{Arc, OnceLock},
+    time::Duration,
+};
 
 /// Environment variable with folders whose libraries are all inspected.
 const FOLDERS: &str = "OSTEOFLOW_PLUGIN_PATH";
 /// Environment variable with the maximum time to load a library.
 const TIMEOUT: &str = "OSTEOFLOW_PLUGIN_TIMEOUT_S";
+
+/// The program that runs this library, and the arguments with which it runs a command, if it is not the command itself.
+pub(crate) static HOST: OnceLock<(PathBuf, Vec<OsString>)> = OnceLock::new();
 
 /// Plugins in addition to those of the graph.
 #[derive(Debug, Clone, Default, Args)]
@@ -39,9 +49,15 @@ impl PluginArgs {
 
 /// This program, which is started as another process to inspect a library.
 fn prober() -> Result<Prober> {
-    let own = env::current_exe().context("the path of this program is unknown")?;
-    // This is the running program even if its file was replaced since. Not under valgrind, where it is valgrind itself.
-    let program = if own.is_file() { own } else { "/proc/self/exe".into() };
+    let (program, before) = match HOST.get() {
+        Some((program, before)) => (program.clone(), before.clone()),
+        None => {
+            let own = env::current_exe().context("the path of this program is unknown")?;
+            // This is the running program even if its file was replaced since. Not under valgrind, where it is valgrind
+            // itself.
+            (if own.is_file() { own } else { "/proc/self/exe".into() }, Vec::new())
+        }
+    };
     let value = env::var(TIMEOUT).ok().filter(|value| !value.is_empty());
     let timeout = match value.as_deref().map(str::parse::<f64>) {
         None => Prober::TIMEOUT,
@@ -52,7 +68,8 @@ fn prober() -> Result<Prober> {
             return Err(UsageError(message).into());
         }
     };
-    Ok(Prober { program, arguments: vec!["plugin-probe".into()], timeout })
+    let arguments = before.into_iter().chain(["plugin-probe".into()]).collect();
+    Ok(Prober { program, arguments, timeout })
 }
 
 /// Inspect a library and print its description; run by other commands as a separate process.
