@@ -14,7 +14,11 @@ use osteoflow_formats::{
     pose_file::{itk_text, read_pose},
     write,
 };
-use osteoflow_geometry::{Cloud, Mesh, NamedPoint, matrix_rows, nalgebra::Isometry3};
+use osteoflow_geometry::{
+    Cloud, Mesh, NamedPoint,
+    nalgebra::{Isometry3, Matrix4},
+    nearest_isometry,
+};
 use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
 use serde_json::json;
 use std::{fs, path::Path};
@@ -158,18 +162,20 @@ pub fn write_points(file: &Path, points: &[NamedPoint], space: Space) -> Result<
     Ok(written.map_err(without_cause)?)
 }
 
-/// Writes a rigid motion as `.txt` (the matrix), `.json` (under `T`) or `.tfm` (an ITK transform, LPS); nothing is overwritten.
+/// Writes a rigid motion, the rows of its matrix, as `.txt` (these numbers), `.json` (these numbers under `T`) or `.tfm` (an ITK
+/// transform, LPS); nothing is overwritten.
 ///
 /// # Errors
-/// As [`write_mesh`].
-pub fn write_pose(file: &Path, t_to_from: &Isometry3<f64>) -> Result<(), Error> {
+/// As [`write_mesh`]; also if it is no rigid motion.
+pub fn write_pose(file: &Path, rows: &[[f64; 4]; 4]) -> Result<(), Error> {
     check_new(file)?;
-    let rows = matrix_rows(t_to_from);
+    let matrix = Matrix4::from_fn(|row, column| rows[row][column]);
+    let t_to_from = nearest_isometry(&matrix).map_err(|error| Error::Usage(format!("the pose: {error}")))?.value;
     let ending = file.extension().map(|end| end.to_string_lossy().to_lowercase()).unwrap_or_default();
     let text = match ending.as_str() {
         "txt" => rows.map(|row| row.map(|c| format!("{c:?}")).join(" ") + "\n").concat(),
         "json" => format!("{}\n", json!({ "T": rows.concat() })),
-        "tfm" => itk_text(t_to_from, &[]),
+        "tfm" => itk_text(&t_to_from, &[]),
         _ => {
             let message = "no pose is written so; end it with .txt (the matrix), .json or .tfm (3D Slicer)";
             return Err(Error::Usage(format!("{}: {message}", file.display())));

@@ -156,7 +156,7 @@ pub(crate) fn write_points(
 /// Writes a rigid motion.
 #[pyfunction]
 pub(crate) fn write_pose(py: Python<'_>, file: PathBuf, pose: [[f64; 4]; 4]) -> PyResult<()> {
-    library::write_pose(&file, &rigid(&pose, "the pose")?).map_err(|error| exception(py, error))
+    library::write_pose(&file, &pose).map_err(|error| exception(py, error))
 }
 
 /// A 4 x 4 matrix as the seven numbers of a pose payload.

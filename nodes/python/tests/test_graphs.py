@@ -91,8 +91,8 @@ def test_a_surface_is_given_in_memory(files):
     assert by_array["icp.t_target_source"].array.tobytes() == by_file["icp.t_target_source"].array.tobytes()
 
 
-def test_a_run_writes_files_only_if_asked_and_says_what_was_given(files, tmp_path):
-    os.chdir(tmp_path)
+def test_a_run_writes_files_only_if_asked_and_says_what_was_given(files, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     scan = osteoflow.read(files / "scan.ply").points
     run = osteoflow.Graph(TWO_FILES).run(wires=None)
     assert run.out_dir is None and list(tmp_path.iterdir()) == [] and len(run) == 0
