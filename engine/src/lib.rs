@@ -13,12 +13,13 @@
 //! | what a run uses | [`plugin`], `answer_cache` (answers of the store instead of firings) |
 //! | input and output | [`check()`], `record`, [`repro`] |
 //! | whole tasks on files | [`run()`], [`validate`], [`diff`], [`recover`], [`schema`] |
-//! | repeated runs | `partial`, [`replay()`], [`watch`], [`sweep`] |
+//! | repeated runs | `partial`, [`given`], [`replay()`], [`watch`], [`sweep`] |
 
 mod answer_cache;
 pub mod check;
 pub mod diff;
 pub mod fault;
+pub mod given;
 mod graph;
 pub mod hash;
 mod options;

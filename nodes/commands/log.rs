@@ -23,7 +23,9 @@ pub(crate) fn start(global: &Global) {
         .with_ansi(global.colour_err())
         .without_time()
         .with_target(false)
-        .init();
+        .try_init()
+        // A program that calls this one has started its own.
+        .unwrap_or_default();
     if let Some(Err(_)) = by_name {
         let level = named.unwrap_or_default();
         tracing::warn!("{LEVEL_VARIABLE}={level} is not a level; use off, error, warn, info, debug or trace");

@@ -10,7 +10,14 @@ use osteoflow_engine::{
     store::{Settings, Store},
 };
 use serde_json::{Value, json};
-use std::{env, io::Write, path::PathBuf, sync::Arc, time::Duration};
+use std::{
+    env,
+    ffi::OsString,
+    io::Write,
+    path::PathBuf,
+    sync::{Arc, OnceLock},
+    time::Duration,
+};
 
 /// Environment variable with folders whose libraries are all inspected.
 const FOLDERS: &str = "OSTEOFLOW_PLUGIN_PATH";
@@ -18,6 +25,9 @@ const FOLDERS: &str = "OSTEOFLOW_PLUGIN_PATH";
 const PYTHON: &str = "OSTEOFLOW_PYTHON";
 /// Environment variable with the maximum time to load a library.
 const TIMEOUT: &str = "OSTEOFLOW_PLUGIN_TIMEOUT_S";
+
+/// The program that runs this library, and the arguments with which it runs a command, if it is not the command itself.
+pub(crate) static HOST: OnceLock<(PathBuf, Vec<OsString>)> = OnceLock::new();
 
 /// Plugins in addition to those of the graph.
 #[derive(Debug, Clone, Default, Args)]
@@ -59,7 +69,7 @@ impl PluginArgs {
         // A wrong setting of the store is reported by commands that use it.
         let store = Settings::from_env().ok().flatten().map(|settings| Arc::new(Store::open(settings)));
         let prober = prober()?;
-        let launcher = Some(Launcher { program: prober.program.clone(), arguments: vec!["worker".into()] });
+        let launcher = Some(own("worker")?);
         let asked = self.plugins.clone();
         let interpreter = Launcher { program: self.interpreter(), arguments: vec!["-c".into(), PYTHON_HELPER.into()] };
         let scripts = Some(Scripts { ending: "py", interpreter });
@@ -67,11 +77,23 @@ impl PluginArgs {
     }
 }
 
-/// This program, which is started as another process to inspect a library.
+/// This program with a subcommand, to be started as another process.
+fn own(subcommand: &str) -> Result<Launcher> {
+    let (program, mut arguments) = match HOST.get() {
+        Some((program, before)) => (program.clone(), before.clone()),
+        None => {
+            let own = env::current_exe().context("the path of this program is unknown")?;
+            // This is the running program even if its file was replaced since. Not under valgrind, where it is valgrind
+            // itself.
+            (if own.is_file() { own } else { "/proc/self/exe".into() }, Vec::new())
+        }
+    };
+    arguments.push(subcommand.into());
+    Ok(Launcher { program, arguments })
+}
+
+/// What inspects a library.
 fn prober() -> Result<Prober> {
-    let own = env::current_exe().context("the path of this program is unknown")?;
-    // This is the running program even if its file was replaced since. Not under valgrind, where it is valgrind itself.
-    let program = if own.is_file() { own } else { "/proc/self/exe".into() };
     let value = env::var(TIMEOUT).ok().filter(|value| !value.is_empty());
     let timeout = match value.as_deref().map(str::parse::<f64>) {
         None => Prober::TIMEOUT,
@@ -82,7 +104,8 @@ fn prober() -> Result<Prober> {
             return Err(UsageError(message).into());
         }
     };
-    Ok(Prober { program, arguments: vec!["plugin-probe".into()], timeout })
+    let Launcher { program, arguments } = own("plugin-probe")?;
+    Ok(Prober { program, arguments, timeout })
 }
 
 /// Inspect a library and print its description; run by other commands as a separate process.

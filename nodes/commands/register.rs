@@ -1,9 +1,9 @@
 //! `register`: one file registered onto another, without a graph.
 
-mod align;
-mod answer;
+pub(crate) mod align;
+pub(crate) mod answer;
 mod files;
-mod inputs;
+pub(crate) mod inputs;
 mod judge;
 mod landmarks;
 mod method;
@@ -21,21 +21,23 @@ use super::{
 use align::{Ended, Work};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum, builder::PossibleValuesParser};
-use inputs::Inputs;
+use inputs::{Given, Inputs};
 use method::{Method, MethodParams};
 use osteoflow_engine::{
+    Faults,
     check::{CommandLineParam, parameters},
     panics::mark_helper_thread,
 };
 use osteoflow_formats::Space;
 use osteoflow_geometry::nalgebra::Point3;
+use rayon::ThreadPool;
 use serde_json::Value;
 use std::{
     fs,
     io::Write,
     num::NonZeroUsize,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, atomic::AtomicBool},
     thread,
 };
 
@@ -249,44 +251,53 @@ impl Stop {
 
 impl Register {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let method = method::named(&self.method);
-        let Some(params) = self.params(method, global)? else { return Ok(Exit::Usage) };
-        let mut files = files::OutFiles::of(self)?;
-        self.trace.iter().try_for_each(|file| refuse_existing(file))?;
-        let workers = self.workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
-        let pool = pool.build().context("no threads for the registration")?;
-        let inputs = Arc::new(pool.install(|| Inputs::read(self, method, params.method.pairing()))?);
-        files.check_space(self, &inputs)?;
+        let ready = match self.ready(Given::default()) {
+            Err(error) => match error.downcast::<Faults>() {
+                Ok(faults) => {
+                    print_faults(&faults, global)?;
+                    return Ok(Exit::Usage);
+                }
+                Err(error) => return Err(error),
+            },
+            Ok(ready) => ready,
+        };
         if global.format == Format::Text && !global.quiet {
-            for note in &inputs.notes {
+            for note in &ready.inputs.notes {
                 writeln!(std::io::stderr(), "{}: {note}", global.paint_err("note", "1"))?;
             }
         }
-
         let cancelled = Arc::default();
-        let work = Work {
-            method,
-            params: params.clone(),
-            inputs: inputs.clone(),
-            repeat: self.repeat,
-            judge: (!self.no_verdict)
-                .then_some(judge::Judge { trusted_only: self.require == Require::Trusted, stop: self.stop }),
-            moves_source: files.source.is_some(),
-            cancelled: Arc::clone(&cancelled),
-            progress: align::ProgressLine::new(self.repeat, global),
-        };
+        let (work, pool) = (ready.work(&cancelled, global), ready.pool.clone());
         let ran = running::watch(Progress::hidden(), cancelled, move |_| Ok(pool.install(|| work.run())))?;
         let ended = match ran {
             Ran::Ended(ended) => ended,
             Ran::Left => Ended::Interrupted,
         };
-        let answer = answer::Answer { register: self, params: &params, inputs: &inputs, files: &files, workers };
-        answer.write(&ended, global)
+        ready.answer().write(&ended, global)
     }
 
-    /// The method's parameters; `None` if they have faults, which are printed.
-    fn params(&self, method: &Method, global: &Global) -> Result<Option<Params>> {
+    /// Checks the parameters and reads the files, except those that `given` replaces.
+    ///
+    /// # Errors
+    /// [`Faults`] of the parameters, a [`UsageError`], or a file that cannot be read.
+    pub(crate) fn ready(&self, given: Given) -> Result<Ready<'_>> {
+        let method = method::named(&self.method);
+        let params = self.params(method)?;
+        let mut files = files::OutFiles::of(self)?;
+        self.trace.iter().try_for_each(|file| refuse_existing(file))?;
+        let workers = self.workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
+        let pool = Arc::new(pool.build().context("no threads for the registration")?);
+        let inputs = pool.install(|| Inputs::read(self, method, params.method.pairing(), given))?;
+        files.check_space(self, &inputs)?;
+        Ok(Ready { register: self, method, params, files, workers, pool, inputs: Arc::new(inputs) })
+    }
+
+    /// The method's parameters.
+    ///
+    /// # Errors
+    /// Their [`Faults`].
+    fn params(&self, method: &Method) -> Result<Params> {
         let registry = registry();
         let kind = registry.kind(method.kind).context("a method is a node, too")?;
         let number = |value: Option<f64>| value.map(|value| format!("{value:?}"));
@@ -303,17 +314,46 @@ impl Register {
         let fixed = method.fixed.iter().filter(|_| self.stop == Stop::Fixed);
         let fixed = fixed.map(|&(key, value)| CommandLineParam::Option { option: "stop fixed", key, value });
         let given: Vec<_> = given.chain(self.sets.iter().map(|set| CommandLineParam::Set(set))).chain(fixed).collect();
-        let as_json = match parameters(&kind.description, "register", &given) {
-            Ok(params) => params,
-            Err(faults) => {
-                print_faults(&faults, global)?;
-                return Ok(None);
-            }
-        };
+        let as_json = parameters(&kind.description, "register", &given)?;
         kind.build(&as_json, &osteoflow_node::BuildContext::detached("register"))
             .map_err(|error| UsageError(error.to_string()))?;
         let params = method.params(as_json.clone()).context("the parameters of the node are not the method's")?;
-        Ok(Some(Params { method: params, as_json }))
+        Ok(Params { method: params, as_json })
+    }
+}
+
+/// A registration with its inputs.
+pub(crate) struct Ready<'a> {
+    register: &'a Register,
+    method: &'static Method,
+    params: Params,
+    files: files::OutFiles,
+    workers: usize,
+    pub(crate) pool: Arc<ThreadPool>,
+    pub(crate) inputs: Arc<Inputs>,
+}
+
+impl Ready<'_> {
+    /// What is to be computed.
+    pub(crate) fn work(&self, cancelled: &Arc<AtomicBool>, global: &Global) -> Work {
+        let asked = self.register;
+        let trusted_only = asked.require == Require::Trusted;
+        Work {
+            method: self.method,
+            params: self.params.clone(),
+            inputs: self.inputs.clone(),
+            repeat: asked.repeat,
+            judge: (!asked.no_verdict).then_some(judge::Judge { trusted_only, stop: asked.stop }),
+            moves_source: self.files.source.is_some(),
+            cancelled: cancelled.clone(),
+            progress: align::ProgressLine::new(asked.repeat, global),
+        }
+    }
+
+    /// What the answer is made of.
+    pub(crate) fn answer(&self) -> answer::Answer<'_> {
+        let Self { register, params, files, workers, inputs, .. } = self;
+        answer::Answer { register, params, inputs, files, workers: *workers }
     }
 }
 

@@ -35,13 +35,13 @@ Examples:
   osteoflow run graphs/fibula.toml --format json --quiet | jq .metrics.tre_true_mm")]
 pub(crate) struct Run {
     #[command(flatten)]
-    pub(super) graph: GraphArgs,
+    pub(crate) graph: GraphArgs,
 
     #[command(flatten)]
-    pub(super) leave: Leave,
+    pub(crate) leave: Leave,
 
     #[command(flatten)]
-    pub(super) keep: Keep,
+    pub(crate) keep: Keep,
 
     /// Run again whenever the graph file is saved, or a file that it extends, uses as a module or names in a parameter, or
     /// when a plugin is rebuilt. A rerun starts from the first changed node; the outputs of all others are kept in memory. It
@@ -53,7 +53,7 @@ pub(crate) struct Run {
 
     /// Do not write run.mcap.
     #[arg(long)]
-    pub(super) no_record: bool,
+    pub(crate) no_record: bool,
 
     /// For tests of failures: make a node panic, or return an error, instead of processing this item (default: 0); may be
     /// given again.
@@ -69,7 +69,7 @@ pub(crate) struct Run {
     /// For tests: delay threads, wake them without reason and reorder nodes, at random from this seed. The results are the
     /// same with any seed and without, on any number of workers.
     #[arg(long, value_name = "SEED")]
-    pub(super) shuffle: Option<u64>,
+    pub(crate) shuffle: Option<u64>,
 }
 
 /// Output folder and number of threads of a run.

@@ -36,16 +36,21 @@ enum News<T> {
 
 /// Options common to all runs. Creates the pool of `workers` threads for parallel algorithms.
 pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>) -> Result<RunOptions> {
-    let workers = workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
+    let options = options_alone(workers, cancelled);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(options.workers).start_handler(|_| mark_helper_thread());
     pool.build_global().context("no threads for the algorithms")?;
-    Ok(RunOptions {
-        workers,
+    Ok(options)
+}
+
+/// Options common to all runs, for a process that has a pool of threads already.
+pub(crate) fn options_alone(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>) -> RunOptions {
+    RunOptions {
+        workers: workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get),
         fixed_results: vec![("notice".into(), super::result_table::NOTICE.into())],
         cancelled: cancelled.clone(),
         command: about_command(),
         ..RunOptions::default()
-    })
+    }
 }
 
 /// The manifest's entries about program and machine; determinism is promised for equal CPU features.

@@ -14,7 +14,7 @@ use std::{
     io::{IsTerminal, Write},
     num::NonZeroUsize,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, atomic::AtomicBool},
     time::{Duration, Instant},
 };
 
@@ -102,17 +102,14 @@ impl Sweep {
     }
 
     fn merged(&self, global: &Global) -> Result<Exit> {
-        let shards =
-            self.merge.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>, _>>().map_err(folder_error)?;
-        let folder = sweep::merge(&shards, &new_dir(self.out.as_deref(), "")?).map_err(folder_error)?;
+        let folder = self.merged_folder()?;
         let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
         print_end(&folder, &swept, Duration::ZERO, global)
     }
 
     fn swept(&self, graph: &Path, global: &Global) -> Result<Exit> {
         let cancelled = Arc::default();
-        let run = running::options(self.workers, &cancelled)?;
-        let workers = run.workers;
+        let workers = running::options(self.workers, &cancelled)?.workers;
         let sweep = match sweep::check(graph, &self.sets, self.plugins.kinds_apart()?, workers) {
             Ok(sweep) => sweep,
             Err(faults) => {
@@ -124,12 +121,8 @@ impl Sweep {
         if self.dry_run {
             return list(&sweep, self.shard, global);
         }
-        let run = osteoflow_engine::RunOptions { store: self.keep.store()?, ..run };
-        let options = SweepOptions { workers, run, share: !self.no_share, shard: self.shard };
-        let folder = match (&self.out, self.resume) {
-            (Some(dir), true) => sweep.resume(dir, self.shard).map_err(folder_error)?,
-            (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, &options).map_err(folder_error)?,
-        };
+        let options = self.options(&cancelled)?;
+        let folder = self.folder(&sweep, &options)?;
         let began = Instant::now();
         let bar = Bar::begin(&sweep, &folder, &options, global)?;
         let of_thread = folder.clone();
@@ -141,6 +134,39 @@ impl Sweep {
         match ran {
             running::Ran::Ended(swept) => print_end(&folder, &swept, began.elapsed(), global),
             running::Ran::Left => Ok(Exit::Interrupted),
+        }
+    }
+}
+
+impl Sweep {
+    /// The graph and the settings for all runs.
+    pub(crate) fn graph(&self) -> Option<(&Path, &[String])> {
+        Some((self.graph.as_deref()?, &self.sets))
+    }
+
+    /// The folder of all shards.
+    pub(crate) fn merged_folder(&self) -> Result<Folder> {
+        let shards =
+            self.merge.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>, _>>().map_err(folder_error)?;
+        sweep::merge(&shards, &new_dir(self.out.as_deref(), "")?).map_err(folder_error)
+    }
+
+    pub(crate) fn kinds(&self) -> Result<osteoflow_engine::plugin::Kinds> {
+        self.plugins.kinds()
+    }
+
+    /// How many runs at a time, which store, and which part.
+    pub(crate) fn options(&self, cancelled: &Arc<AtomicBool>) -> Result<SweepOptions> {
+        let run = running::options_alone(self.workers, cancelled);
+        let run = osteoflow_engine::RunOptions { store: self.keep.store()?, ..run };
+        Ok(SweepOptions { workers: run.workers, run, share: !self.no_share, shard: self.shard })
+    }
+
+    /// The new folder of a sweep, or the one to resume.
+    pub(crate) fn folder(&self, sweep: &Checked, options: &SweepOptions) -> Result<Folder> {
+        match (&self.out, self.resume) {
+            (Some(dir), true) => sweep.resume(dir, self.shard).map_err(folder_error),
+            (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, options).map_err(folder_error),
         }
     }
 }
@@ -173,7 +199,7 @@ pub(crate) fn new_dir(asked: Option<&Path>, graph: &str) -> Result<PathBuf> {
 pub(crate) struct Bar(ProgressBar);
 
 impl Bar {
-    fn begin(sweep: &Checked, folder: &Folder, options: &SweepOptions, global: &Global) -> Result<Self> {
+    pub(crate) fn begin(sweep: &Checked, folder: &Folder, options: &SweepOptions, global: &Global) -> Result<Self> {
         let there = folder.runs().map_err(folder_error)?.len();
         let n = sweep.part(options.shard).count();
         let shard = options.shard.map_or_else(String::new, |shard| format!(", part {shard}"));
@@ -235,9 +261,14 @@ fn list(sweep: &Checked, shard: Option<Shard>, global: &Global) -> Result<Exit> 
     Ok(Exit::Done)
 }
 
+/// Writes the tables and returns the summary.
+pub(crate) fn summary(folder: &Folder) -> Result<Value> {
+    Ok(osteoflow_report::summary::write(folder, NOTICE)?)
+}
+
 /// Writes the tables, and prints how the sweep ended.
 fn print_end(folder: &Folder, swept: &SweepCounts, took: Duration, global: &Global) -> Result<Exit> {
-    let summary = osteoflow_report::summary::write(folder, NOTICE)?;
+    let summary = summary(folder)?;
     let (dir, n_here) = (folder.dir().display(), swept.n_before + swept.n_run);
     let n_without = summary["n_without_results"].as_u64().unwrap_or_default();
     let nothing = n_without > 0 && summary["n_runs"] == n_without;

@@ -37,7 +37,7 @@ const CRATES: [(&str, Floors); 2] = [
             &["answer_cache", "check", "record", "repro"],
             &["diff", "recover", "run", "schema", "validate"],
             &["partial"],
-            &["replay", "watch"],
+            &["given", "replay", "watch"],
             &["sweep"],
         ],
     ),

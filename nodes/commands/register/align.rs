@@ -33,7 +33,7 @@ const DELAY: Duration = Duration::from_millis(400);
 const REFRESH: Duration = Duration::from_millis(60);
 
 /// The registrations to do.
-pub(super) struct Work {
+pub(crate) struct Work {
     pub(super) method: &'static Method,
     pub(super) params: Params,
     pub(super) inputs: Arc<Inputs>,
@@ -47,7 +47,7 @@ pub(super) struct Work {
 }
 
 /// How the registrations ended.
-pub(super) enum Ended {
+pub(crate) enum Ended {
     /// With a pose.
     Fit(Box<Aligned>),
     /// Without a pose, for this reason.
@@ -57,7 +57,7 @@ pub(super) enum Ended {
 }
 
 /// A fit and its timings.
-pub(super) struct Aligned {
+pub(crate) struct Aligned {
     pub(super) fit: IcpFit,
     /// A doubt about the picked points.
     pub(super) doubt: Option<String>,
@@ -89,7 +89,7 @@ pub(super) struct Timings {
 }
 
 impl Work {
-    pub(super) fn run(mut self) -> Ended {
+    pub(crate) fn run(mut self) -> Ended {
         let mut timings = Timings::default();
         let mut first: Option<(Target, IcpFit)> = None;
         let mut same_bits = true;

@@ -35,7 +35,7 @@ const TURNED_DEG: f64 = 30.0;
 const MOSTLY: f64 = 0.95;
 
 /// The inputs of the answer.
-pub(super) struct Answer<'a> {
+pub(crate) struct Answer<'a> {
     pub(super) register: &'a Register,
     pub(super) params: &'a Params,
     pub(super) inputs: &'a Inputs,
@@ -43,9 +43,16 @@ pub(super) struct Answer<'a> {
     pub(super) workers: usize,
 }
 
+/// The answer as the program gives it.
+pub(crate) struct Answered {
+    pub(crate) exit: Exit,
+    pub(crate) warnings: Vec<String>,
+    pub(crate) json: Value,
+}
+
 impl Answer<'_> {
-    /// Prints the answer, writes the files, and returns the exit code.
-    pub(super) fn write(&self, ended: &Ended, global: &Global) -> Result<Exit> {
+    /// Writes the files and returns the answer.
+    pub(crate) fn answered(&self, ended: &Ended, with_trace: bool) -> Result<Answered> {
         let exit = match ended {
             Ended::Fit(aligned) if aligned.refusal().is_none() => Exit::Done,
             Ended::Fit(_) | Ended::Refused(_) => Exit::Refused,
@@ -55,7 +62,7 @@ impl Answer<'_> {
             Ended::Fit(aligned) => self.warnings(aligned),
             _ => Vec::new(),
         };
-        let json = self.json(ended, exit, &warnings, global.verbose > 0);
+        let json = self.json(ended, exit, &warnings, with_trace);
         if let (Ended::Fit(aligned), Exit::Done) = (ended, exit) {
             let text_of = |form| match form {
                 Form::Json => format!("{json}\n"),
@@ -67,6 +74,12 @@ impl Answer<'_> {
                 write_new(file, &trace::csv(&aligned.fit.trace.steps))?;
             }
         }
+        Ok(Answered { exit, warnings, json })
+    }
+
+    /// Prints the answer, writes the files, and returns the exit code.
+    pub(super) fn write(&self, ended: &Ended, global: &Global) -> Result<Exit> {
+        let Answered { exit, warnings, json } = self.answered(ended, global.verbose > 0)?;
         let mut err = std::io::stderr().lock();
         if !global.quiet {
             for warning in &warnings {

@@ -44,13 +44,21 @@ const SOURCE: &str = "source";
 const IDENTITY: &str = "identity";
 
 /// The contents of the files, in mm.
-pub(super) struct Inputs {
+pub(crate) struct Inputs {
     pub(super) target: TargetFile,
     pub(super) source: SourceFile,
     pub(super) start: Start,
     /// Notes on the files, one sentence each.
-    pub(super) notes: Vec<String>,
+    pub(crate) notes: Vec<String>,
     pub(super) load: LoadMs,
+}
+
+/// Inputs that are in memory already, in mm, and replace the files of the command line.
+#[derive(Debug, Default)]
+pub(crate) struct Given {
+    pub(crate) target: Option<MeshOrCloud>,
+    pub(crate) source: Option<MeshOrCloud>,
+    pub(crate) init: Option<Isometry3<f64>>,
 }
 
 /// Reading times, ms.
@@ -113,14 +121,14 @@ pub(super) struct SourceFile {
 
 impl Inputs {
     /// Reads all files.
-    pub(super) fn read(asked: &Register, method: &Method, pairing: PairingKind) -> Result<Self> {
+    pub(super) fn read(asked: &Register, method: &Method, pairing: PairingKind, given: Given) -> Result<Self> {
         let mut notes = Vec::new();
         let mut load = LoadMs::default();
         let unit = |of_file: Option<f64>| of_file.unwrap_or(asked.unit_mm);
 
         let unit_mm = unit(asked.target_unit_mm);
         let needs = Needs { normals: method.needs_normals, field: pairing == PairingKind::Field };
-        let target = TargetFile::read(asked, unit_mm, &needs, &mut notes, &mut load)?;
+        let target = TargetFile::read(asked, given.target, unit_mm, &needs, &mut notes, &mut load)?;
         if target.estimates {
             notes.push(format!(
                 "{}: no normals; they are estimated from the points, outwards if the surface is closed; on an open one their \
@@ -130,13 +138,19 @@ impl Inputs {
         }
 
         let began = Instant::now();
-        let bytes = bytes(&asked.source)?;
-        let shape = shape(&asked.source, &bytes, unit(asked.source_unit_mm), SOURCE, "source", &mut notes)?;
+        let shape = match given.source {
+            Some(shape) => shape,
+            None => {
+                let bytes = bytes(&asked.source)?;
+                shape(&asked.source, &bytes, unit(asked.source_unit_mm), SOURCE, "source", &mut notes)?
+            }
+        };
         let source = SourceFile::of(shape, asked.camera, &mut notes, &asked.source)?;
         load.source = ms_since(began);
 
         let began = Instant::now();
         let start = match (&asked.init, asked.landmarks.as_deref()) {
+            _ if given.init.is_some() => Start::Pose(given.init.unwrap_or_default()),
             (None, Some([of_target, of_source])) => {
                 let picked = [(of_target, target.space), (of_source, source.space)];
                 let picked = picked.map(|(file, stated)| Picked { file, stated });
@@ -210,9 +224,19 @@ const STORED_SPACES: [Space; 2] = [Space::Unknown, Space::Lps];
 
 impl TargetFile {
     /// Reads the file, or the prepared target of the same bytes from the store.
-    fn read(asked: &Register, unit_mm: f64, needs: &Needs, notes: &mut Vec<String>, load: &mut LoadMs) -> Result<Self> {
+    fn read(
+        asked: &Register,
+        given: Option<MeshOrCloud>,
+        unit_mm: f64,
+        needs: &Needs,
+        notes: &mut Vec<String>,
+        load: &mut LoadMs,
+    ) -> Result<Self> {
         let began = Instant::now();
         let with_field = needs.field;
+        if let Some(shape) = given {
+            return Self::of(asked, shape, needs, load);
+        }
         if asked.target.is_dir() || is_volume(&asked.target) {
             let read = ct_surface(asked, unit_mm, notes)?;
             load.target = ms_since(began);
@@ -250,11 +274,18 @@ impl TargetFile {
         let n_notes = notes.len();
         let shape = shape(&asked.target, &bytes, unit_mm, TARGET, "target", notes)?;
         load.target = ms_since(began);
+        let read = Self::of(asked, shape, needs, load)?;
+        // A file with notes is not stored, so that the next run repeats them.
+        let is_stored = notes.len() == n_notes && STORED_SPACES.contains(&read.space);
+        Ok(Self { entry: entry(read.estimates, read.space).filter(|_| is_stored), ..read })
+    }
+
+    /// The target of a surface or cloud, which is not stored.
+    fn of(asked: &Register, shape: MeshOrCloud, needs: &Needs, load: &mut LoadMs) -> Result<Self> {
         let space = match &shape {
             MeshOrCloud::Mesh(read) => read.space,
             MeshOrCloud::Cloud(read, _) => read.space,
         };
-
         let began = Instant::now();
         let (points, normals, mesh) = match shape {
             MeshOrCloud::Mesh(read) => {
@@ -268,9 +299,8 @@ impl TargetFile {
         };
         load.sample = ms_since(began);
         let estimates = normals.is_none() && needs.normals;
-        // A file with notes is not stored, so that the next run repeats them.
-        let entry = entry(estimates, space).filter(|_| notes.len() == n_notes && STORED_SPACES.contains(&space));
-        Ok(Self { content: TargetContent::Read { points, normals, mesh }, estimates, with_field, space, entry })
+        let content = TargetContent::Read { points, normals, mesh };
+        Ok(Self { content, estimates, with_field: needs.field, space, entry: None })
     }
 
     /// A CT's surface, which is not stored.

@@ -1,0 +1,49 @@
+//! The command `osteoflow` as a library: its `main`, and what other programs call of it.
+//!
+//! `main` reads the command line, starts logging and turns the result into an exit code; each subcommand is a file in
+//! `commands/`. [`library`] does what the subcommands do with values in memory, for the Python package.
+
+mod commands;
+pub mod library;
+
+use clap::Parser;
+use commands::{Cli, Exit, UsageError};
+use std::{ffi::OsString, io::Write, process::ExitCode};
+
+/// Runs the command with these arguments, the program's name first.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    commands::crash::install();
+    let code = code_of(arguments.into_iter().collect());
+    commands::crash::leave();
+    code.into()
+}
+
+/// Runs the command with these arguments, the program's name first, and returns its exit code.
+pub fn code_of(arguments: Vec<OsString>) -> u8 {
+    let cli = match Cli::try_parse_from(arguments) {
+        Ok(cli) => cli,
+        // Help and version are results, anything else is a fault of the command line; clap formats both.
+        Err(said) => {
+            let _ = said.print();
+            return if said.use_stderr() { Exit::Usage } else { Exit::Done }.code();
+        }
+    };
+    if !cli.command.is_worker() {
+        commands::log::start(&cli.global);
+    }
+    let exit = match cli.command.execute(&cli.global) {
+        Ok(exit) => exit,
+        // A reader of stdout may stop reading, as `head` does.
+        Err(error) if is_broken_pipe(&error) => Exit::Done,
+        Err(error) => {
+            let _ = writeln!(std::io::stderr(), "{}: {error:#}", cli.global.paint_err("error", "1;31"));
+            if error.chain().any(|cause| cause.is::<UsageError>()) { Exit::Usage } else { Exit::Failed }
+        }
+    };
+    exit.code()
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    let io = error.chain().find_map(|cause| cause.downcast_ref::<std::io::Error>());
+    io.is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+}

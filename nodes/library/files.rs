@@ -1,0 +1,186 @@
+//! Files of clouds, surfaces, picked points, poses and CTs, each recognised by its content.
+
+use super::Error;
+use crate::commands::{
+    UsageError,
+    content::{is_volume, picked_points, without_cause},
+};
+use anyhow::{Context, Result, anyhow};
+use osteoflow_formats::{
+    Space,
+    mesh_file::MeshRead,
+    mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
+    picked_points::{PickedPoints, write_fcsv, write_mrk_json, write_points_csv},
+    pose_file::{itk_text, read_pose},
+    write,
+};
+use osteoflow_geometry::{
+    Cloud, Mesh, NamedPoint,
+    nalgebra::{Isometry3, Matrix4},
+    nearest_isometry,
+};
+use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
+use serde_json::json;
+use std::{fs, path::Path};
+
+/// What a file holds.
+#[derive(Debug)]
+pub enum Content {
+    /// A surface or a cloud, or the surface of the bone in a CT; mm.
+    Shape(MeshOrCloud),
+    /// Points picked by hand, mm.
+    Points(PickedPoints),
+    /// A rigid motion, mm, and notes on it.
+    Pose(Isometry3<f64>, Vec<String>),
+    /// A recording of a run.
+    Recording,
+}
+
+/// Reads a file of any format that the program reads.
+///
+/// `unit_mm` is the file's unit in mm. `threshold_hu` and `series` are for a CT. Coordinates are LPS where the file states a
+/// space.
+///
+/// # Errors
+/// [`Error`] if it cannot be read or is of no known format.
+pub fn read(
+    file: &Path,
+    unit_mm: f64,
+    frame: &str,
+    threshold_hu: Option<f64>,
+    series: Option<&str>,
+) -> Result<Content, Error> {
+    if !(1e-6..=1e6).contains(&unit_mm) {
+        let message =
+            format!("unit_mm is {unit_mm}, but must be between 1e-6 and 1e6: 1 for millimetres, 1000 for metres");
+        return Err(Error::Usage(message));
+    }
+    if file.is_dir() || is_volume(file) {
+        return ct(file, unit_mm, frame, threshold_hu, series);
+    }
+    for (option, is_given) in [("threshold_hu", threshold_hu.is_some()), ("series", series.is_some())] {
+        if is_given {
+            return Err(Error::Usage(format!("{option} is for a CT, and {} is none", file.display())));
+        }
+    }
+    let bytes = fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?;
+    if bytes.starts_with(b"\x89MCAP") {
+        return Ok(Content::Recording);
+    }
+    if let Some(picked) = picked_points(file, &bytes) {
+        let mut picked = picked.map_err(without_cause)?;
+        if picked.space == Space::Unknown {
+            picked.points.iter_mut().for_each(|point| point.position *= unit_mm);
+        }
+        return Ok(Content::Points(picked));
+    }
+    if may_be_a_pose(file, &bytes) {
+        let read = read_pose(file, unit_mm).map_err(without_cause)?;
+        return Ok(Content::Pose(read.isometry, read.notes));
+    }
+    Ok(Content::Shape(read_mesh_or_cloud(file, &bytes, unit_mm, frame).map_err(without_cause)?))
+}
+
+/// Whether a file is a transform: an ITK file, JSON, or a text of four rows of four numbers that ends in 0 0 0 1.
+fn may_be_a_pose(file: &Path, bytes: &[u8]) -> bool {
+    let Ok(text) = std::str::from_utf8(bytes) else { return false };
+    let start = text.trim_start();
+    if start.starts_with("#Insight Transform File") || start.starts_with('{') || start.starts_with('[') {
+        return true;
+    }
+    let ends = text.split_whitespace().rev().take(4).filter_map(|word| word.parse::<f64>().ok()).collect::<Vec<_>>();
+    ends == [1.0, 0.0, 0.0, 0.0] && read_pose(file, 1.0).is_ok()
+}
+
+fn ct(
+    file: &Path,
+    unit_mm: f64,
+    frame: &str,
+    threshold_hu: Option<f64>,
+    series: Option<&str>,
+) -> Result<Content, Error> {
+    let name = file.display();
+    if unit_mm != 1.0 {
+        return Err(Error::Usage(format!("{name}: a CT states its unit; leave out unit_mm")));
+    }
+    let params = json!({ "path": file, "threshold_hu": threshold_hu, "series": series, "frame": frame });
+    let params = serde_json::from_value(params).map_err(|error| Error::Usage(error.to_string()))?;
+    let bone = read_bone(&params, NoThreshold::Suggest).map_err(|error| {
+        let error = error.to_string();
+        if error.contains(&name.to_string()) { anyhow!("{error}") } else { anyhow!("{name}: {error}") }
+    })?;
+    let read = MeshRead { mesh: bone.mesh, n_degenerate: 0, space: Space::Lps, notes: bone.notes };
+    Ok(Content::Shape(MeshOrCloud::Mesh(read)))
+}
+
+/// Refuses to overwrite a file.
+fn check_new(file: &Path) -> Result<()> {
+    if !file.exists() {
+        return Ok(());
+    }
+    Err(UsageError(format!("{} exists already; name another file, nothing is overwritten", file.display())).into())
+}
+
+/// Writes a surface as PLY, STL or OBJ, by the ending of the file; nothing is overwritten.
+///
+/// # Errors
+/// [`Error`] if the file exists, has another ending, or cannot be written.
+pub fn write_mesh(file: &Path, mesh: &Mesh, space: Space) -> Result<(), Error> {
+    check_new(file)?;
+    Ok(write::write_mesh(file, mesh, space).map_err(without_cause)?)
+}
+
+/// Writes a cloud as PLY, PCD, VTK, OBJ or CSV, by the ending of the file; nothing is overwritten.
+///
+/// # Errors
+/// As [`write_mesh`].
+pub fn write_cloud(file: &Path, cloud: &Cloud, space: Space) -> Result<(), Error> {
+    check_new(file)?;
+    Ok(write::write_cloud(file, cloud, space).map_err(without_cause)?)
+}
+
+/// Writes named points as `.mrk.json`, `.fcsv` or `.csv`; nothing is overwritten.
+///
+/// # Errors
+/// As [`write_mesh`]; also if the format states a space and `space` is unknown.
+pub fn write_points(file: &Path, points: &[NamedPoint], space: Space) -> Result<(), Error> {
+    check_new(file)?;
+    let name = file.to_string_lossy().to_lowercase();
+    if !name.ends_with(".csv") && space == Space::Unknown {
+        let message = "the format to write claims a space; give space = \"LPS\" or \"RAS\"";
+        return Err(Error::Usage(format!("{}: {message}", file.display())));
+    }
+    let written = match () {
+        () if name.ends_with(".mrk.json") => write_mrk_json(file, points, space),
+        () if name.ends_with(".fcsv") => write_fcsv(file, points, space),
+        () if name.ends_with(".csv") => write_points_csv(file, points, Space::Unknown),
+        () => {
+            let message = "picked points are written as .csv, .mrk.json or .fcsv";
+            return Err(Error::Usage(format!("{}: {message}", file.display())));
+        }
+    };
+    Ok(written.map_err(without_cause)?)
+}
+
+/// Writes a rigid motion, the rows of its matrix, as `.txt` (these numbers), `.json` (these numbers under `T`) or `.tfm` (an ITK
+/// transform, LPS); nothing is overwritten.
+///
+/// # Errors
+/// As [`write_mesh`]; also if it is no rigid motion.
+pub fn write_pose(file: &Path, rows: &[[f64; 4]; 4]) -> Result<(), Error> {
+    check_new(file)?;
+    let matrix = Matrix4::from_fn(|row, column| rows[row][column]);
+    let t_to_from = nearest_isometry(&matrix).map_err(|error| Error::Usage(format!("the pose: {error}")))?.value;
+    let ending = file.extension().map(|end| end.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let text = match ending.as_str() {
+        "txt" => rows.map(|row| row.map(|c| format!("{c:?}")).join(" ") + "\n").concat(),
+        "json" => format!("{}\n", json!({ "T": rows.concat() })),
+        "tfm" => itk_text(&t_to_from, &[]),
+        _ => {
+            let message = "no pose is written so; end it with .txt (the matrix), .json or .tfm (3D Slicer)";
+            return Err(Error::Usage(format!("{}: {message}", file.display())));
+        }
+    };
+    fs::write(file, text).with_context(|| format!("{} cannot be written", file.display()))?;
+    Ok(())
+}

@@ -1,0 +1,246 @@
+//! The Python package `osteoflow`: thin functions over [`osteoflow::library`], which the files in `python/osteoflow` complete.
+
+mod errors;
+mod foreign;
+mod shapes;
+mod views;
+
+use errors::{exception, watched};
+use osteoflow::library::{self, Given, MeshOrCloud};
+use osteoflow_engine::Recording;
+use osteoflow_node::{Item, PortPayload};
+use pyo3::{
+    exceptions::PyKeyError,
+    prelude::*,
+    types::{PyDict, PyList},
+};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    ffi::OsString,
+    path::PathBuf,
+    sync::Arc,
+};
+
+/// Registers as the command does, and returns its JSON.
+#[pyfunction]
+#[pyo3(signature = (options, target, source, init, trace, progress))]
+fn register(
+    py: Python<'_>,
+    options: Vec<String>,
+    target: Option<Bound<'_, PyAny>>,
+    source: Option<Bound<'_, PyAny>>,
+    init: Option<[[f64; 4]; 4]>,
+    trace: bool,
+    progress: bool,
+) -> PyResult<String> {
+    let given = |shape: Option<Bound<'_, PyAny>>, what: &str| -> PyResult<Option<MeshOrCloud>> {
+        shape.map(|shape| shapes::given(&shape, what)).transpose()
+    };
+    let (target, source) = (given(target, "target")?, given(source, "source")?);
+    let init = init.map(|rows| shapes::rigid(&rows, "init")).transpose()?;
+    let inputs = library::RegisterInputs { target, source, init };
+    let cancelled = Arc::default();
+    let json = watched(py, &cancelled, || library::register(&options, inputs, trace, progress, &cancelled))?;
+    Ok(json.to_string())
+}
+
+/// A checked graph.
+#[pyclass(frozen, module = "osteoflow._core")]
+struct Graph(library::Graph);
+
+/// Results, warnings, folder, and the wires of a run.
+type Ran = (String, Vec<String>, Option<PathBuf>, Wires);
+
+#[pymethods]
+impl Graph {
+    #[new]
+    fn new(py: Python<'_>, options: Vec<String>) -> PyResult<Self> {
+        let cancelled = Arc::default();
+        watched(py, &cancelled, || library::graph(&options)).map(Self)
+    }
+
+    /// Warnings about the graph.
+    fn warnings(&self) -> Vec<String> {
+        self.0.warnings()
+    }
+
+    /// Each wire with its payload (None for any) and its frames, as far as they are known: frame, to, from.
+    fn wires(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
+        let all = PyDict::new(py);
+        let plan = self.0.plan();
+        for (node, index) in plan.nodes.iter().zip(0..) {
+            for (output, port) in node.outputs.iter().zip(0..) {
+                let name = plan.wire_name(osteoflow_engine::plan::OutputId { node: index, port });
+                let frames = &output.frames;
+                let payload = output.payload.ty().map(|ty| ty.name);
+                let about = (payload, frames.frame.clone(), frames.to.clone(), frames.from.clone());
+                all.set_item(name, about)?;
+            }
+        }
+        Ok(all.unbind())
+    }
+
+    /// The full name of a wire, or of the one output of a node.
+    fn wire(&self, py: Python<'_>, name: &str) -> PyResult<String> {
+        let id = self.0.output(name).map_err(|error| exception(py, error))?;
+        Ok(self.0.plan().wire_name(id))
+    }
+
+    /// Runs it: items by wire in place of those of its nodes, and the wires to keep (None: all).
+    fn run(
+        &self,
+        py: Python<'_>,
+        inputs: Bound<'_, PyDict>,
+        keep: Option<BTreeSet<String>>,
+        progress: bool,
+    ) -> PyResult<Ran> {
+        errors::check_threads()?;
+        let mut given = Given::default();
+        for (wire, items) in inputs.iter() {
+            let id = self.0.output(&wire.extract::<String>()?).map_err(|error| exception(py, error))?;
+            let (payload, items): (String, Bound<'_, PyList>) = items.extract()?;
+            let port = &self.0.plan().nodes[id.node].outputs[id.port].payload;
+            let ty = match port {
+                PortPayload::Type(ty) => Some(*ty),
+                PortPayload::Any => self.0.registry().payload_type(&payload),
+            };
+            let ty = ty.filter(|ty| ty.name == payload).ok_or_else(|| {
+                let wire = self.0.plan().wire_name(id);
+                let carries = port.ty().map_or("any payload", |ty| ty.name);
+                errors::UsageError::new_err(format!("wire \"{wire}\" carries {carries}, but {payload} was given"))
+            })?;
+            let items = items.iter().zip(0..).map(|(item, number)| views::given_item(ty, number, &item));
+            let items: Vec<Item> = items.collect::<PyResult<_>>()?;
+            given.add(self.0.plan(), id, items).map_err(errors::UsageError::new_err)?;
+        }
+        let keeps = |wire: &str| keep.as_ref().is_none_or(|keep| keep.contains(wire));
+        let cancelled = Arc::default();
+        let ran = watched(py, &cancelled, || self.0.run(given, &keeps, progress, &cancelled))?;
+        Ok((ran.results.to_string(), ran.warnings, ran.out_dir, Wires(Source::Run(ran.wires))))
+    }
+}
+
+enum Source {
+    Run(BTreeMap<String, Vec<Item>>),
+    File(Box<Recording>),
+}
+
+/// The items of wires, of a run or of a recording.
+#[pyclass(frozen, module = "osteoflow._core")]
+struct Wires(Source);
+
+#[pymethods]
+impl Wires {
+    /// Opens a recording.
+    #[staticmethod]
+    fn open(py: Python<'_>, file: PathBuf) -> PyResult<Self> {
+        let cancelled = Arc::default();
+        let recording = watched(py, &cancelled, || library::recording(&file))?;
+        Ok(Self(Source::File(Box::new(recording))))
+    }
+
+    /// The wires.
+    fn names(&self) -> Vec<String> {
+        match &self.0 {
+            Source::Run(wires) => wires.keys().cloned().collect(),
+            Source::File(recording) => recording.wires.keys().cloned().collect(),
+        }
+    }
+
+    /// The items of a wire.
+    fn items<'py>(&self, py: Python<'py>, wire: &str) -> PyResult<Bound<'py, PyList>> {
+        let missing = || PyKeyError::new_err(wire.to_owned());
+        let items = match &self.0 {
+            Source::Run(wires) => {
+                let items = wires.get(wire).ok_or_else(missing)?.iter();
+                items.map(|item| views::item_of_run(py, item)).collect::<PyResult<_>>()?
+            }
+            Source::File(recording) => {
+                let found = recording.wires.get(wire).ok_or_else(missing)?;
+                let items = found.items().map_err(|(number, error)| {
+                    errors::OsteoflowError::new_err(format!("wire {wire}, item {number}: {error}"))
+                })?;
+                let items = items.iter().map(|item| {
+                    let payload = item.payload.as_ref().map_or(&*found.payload, |(name, _)| name);
+                    views::item(py, item.number, item.stamp_ns, payload, item.body.as_ref())
+                });
+                items.collect::<PyResult<_>>()?
+            }
+        };
+        views::list(py, items)
+    }
+
+    /// What a recording says of its run, as JSON; None for a run.
+    fn about(&self) -> Option<String> {
+        let Source::File(recording) = &self.0 else { return None };
+        let about = serde_json::json!({
+            "name": recording.name, "graph": recording.graph, "seed": recording.seed, "version": recording.version,
+            "results": recording.results, "interrupted": recording.interrupted, "truncated": recording.truncated,
+        });
+        Some(about.to_string())
+    }
+}
+
+/// Simulates a procedure into a folder.
+#[pyfunction]
+fn simulate(py: Python<'_>, options: Vec<String>) -> PyResult<()> {
+    let cancelled = Arc::default();
+    watched(py, &cancelled, || library::simulate(&options))
+}
+
+/// Sweeps a graph, or merges shards; returns the folder and the summary as JSON.
+#[pyfunction]
+fn sweep(py: Python<'_>, options: Vec<String>, progress: bool) -> PyResult<(PathBuf, String)> {
+    let cancelled = Arc::default();
+    errors::check_threads()?;
+    let (folder, summary) = watched(py, &cancelled, || library::sweep(&options, progress, &cancelled))?;
+    Ok((folder, summary.to_string()))
+}
+
+/// Number of runs of a sweep.
+#[pyfunction]
+fn n_runs(py: Python<'_>, options: Vec<String>) -> PyResult<usize> {
+    let cancelled = Arc::default();
+    watched(py, &cancelled, || library::n_runs(&options))
+}
+
+/// Runs the command with these arguments, the program's name first; returns its exit code.
+#[pyfunction]
+fn command(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
+    py.detach(|| osteoflow::code_of(arguments))
+}
+
+/// Names the Python program and its arguments that run the command.
+#[pyfunction]
+fn hosted_by(program: PathBuf, before: Vec<OsString>) {
+    library::hosted_by(program, before);
+}
+
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    let py = module.py();
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add("OsteoflowError", py.get_type::<errors::OsteoflowError>())?;
+    module.add("UsageError", py.get_type::<errors::UsageError>())?;
+    module.add("Refused", py.get_type::<errors::Refused>())?;
+    module.add_class::<Graph>()?;
+    module.add_class::<Wires>()?;
+    for function in [
+        wrap_pyfunction!(register, module)?,
+        wrap_pyfunction!(simulate, module)?,
+        wrap_pyfunction!(sweep, module)?,
+        wrap_pyfunction!(n_runs, module)?,
+        wrap_pyfunction!(command, module)?,
+        wrap_pyfunction!(hosted_by, module)?,
+        wrap_pyfunction!(errors::forked, module)?,
+        wrap_pyfunction!(shapes::seven, module)?,
+        wrap_pyfunction!(shapes::matrix, module)?,
+        wrap_pyfunction!(shapes::read, module)?,
+        wrap_pyfunction!(shapes::write_shape, module)?,
+        wrap_pyfunction!(shapes::write_points, module)?,
+        wrap_pyfunction!(shapes::write_pose, module)?,
+    ] {
+        module.add_function(function)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,199 @@
+"""Graphs, recordings, simulations and sweeps."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+
+import numpy as np
+import osteoflow
+import pytest
+from conftest import ROOT
+
+TWO_FILES = ROOT / "graphs/two_files.toml"
+FIBULA = ROOT / "graphs/fibula.toml"
+
+SWEEP = """
+extends = "{graph}"
+
+[sweep]
+repeat = 2
+
+[sweep.factor]
+icp = {{ key = "icp.kind", values = ["icp.point_to_plane", "icp.point_to_point"] }}
+
+[sweep.columns]
+answer = "verdict.answer"
+"""
+
+
+def without_paths(results):
+    return json.loads(json.dumps({k: v for k, v in results.items() if k != "exported"}))
+
+
+def test_a_run_gives_the_results_and_wires_of_the_command(command, tmp_path):
+    out = tmp_path / "run"
+    ended = command("run", FIBULA, "--out", out, "--set", "graph.seed=7", "--set", 'record.wires=["*.*"]')
+    assert ended.returncode == 0, ended.stderr
+    run = osteoflow.Graph(FIBULA).run(set={"graph.seed": 7})
+    assert run.results == json.loads((out / "results.json").read_text())
+    recording = osteoflow.Recording(out / "run.mcap")
+    assert recording.results == run.results and recording.seed == 7
+    assert len(recording) > 20
+    for name in recording:
+        ours, theirs = run[name], recording[name]
+        assert len(ours) == len(theirs), name
+        for a, b in zip(ours, theirs):
+            assert (a.number, a.stamp_ns, a.payload, a.empty) == (b.number, b.stamp_ns, b.payload, b.empty)
+            assert list(a) == list(b)
+            for key in a:
+                assert np.asarray(a[key]).tobytes() == np.asarray(b[key]).tobytes(), (name, key)
+    cloud = recording["to_bone.cloud"].array
+    assert cloud.dtype == np.float64 and cloud.shape[1] == 3
+    poses = recording["bone_marker.pose"] if "bone_marker.pose" in recording else recording["icp.t_target_source"]
+    assert poses.array.shape[-2:] == (4, 4)
+    with pytest.raises(KeyError, match="there is no wire 'to_bone.clouds'; there are"):
+        recording["to_bone.clouds"]
+
+
+def test_a_wire_is_replaced_by_an_array_and_gives_the_bits_of_its_file(files):
+    graph = osteoflow.Graph(TWO_FILES)
+    by_file = graph.run()
+    scan = osteoflow.read(files / "scan.ply")
+    for given in [{"scan": scan.points}, {"scan.cloud": osteoflow.Cloud(scan.points, scan.normals, frame="camera")}]:
+        by_array = graph.run(inputs=given, wires="icp.t_target_source")
+        assert by_array["icp.t_target_source"].array.tobytes() == by_file["icp.t_target_source"].array.tobytes()
+        assert list(by_array) == ["icp.t_target_source"]
+    # Another scan gives another pose: the file is not read.
+    other = graph.run(inputs={"scan": scan.points + [1.0, 0.0, 0.0]})
+    assert other["icp.t_target_source"].array.tobytes() != by_file["icp.t_target_source"].array.tobytes()
+    # A node with inputs can be replaced, too: here the start.
+    start = by_file["coarse.t_target_source"].array
+    report = by_file["coarse.report"][0]
+    assert start.shape == (4, 4) and report.payload
+    with pytest.raises(osteoflow.UsageError, match="coarse.report.*is in use"):
+        graph.run(inputs={"coarse.t_target_source": start})
+    with pytest.raises(osteoflow.UsageError, match='carries geometry/Cloud, but geometry/Mesh was given'):
+        graph.run(inputs={"scan": osteoflow.read(files / "bone.stl")})
+    with pytest.raises(osteoflow.UsageError, match='no wire "scam".*scan'):
+        graph.run(inputs={"scam": scan.points})
+
+
+def test_a_surface_is_given_in_memory(files):
+    graph = osteoflow.Graph(TWO_FILES)
+    by_file = graph.run(wires="icp.t_target_source")
+    bone = osteoflow.read(files / "bone.stl")
+    by_array = graph.run(inputs={"bone": bone}, wires=["icp.t_target_source"])
+    assert by_array["icp.t_target_source"].array.tobytes() == by_file["icp.t_target_source"].array.tobytes()
+
+
+def test_a_run_writes_files_only_if_asked_and_says_what_was_given(files, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scan = osteoflow.read(files / "scan.ply").points
+    run = osteoflow.Graph(TWO_FILES).run(wires=None)
+    assert run.out_dir is None and list(tmp_path.iterdir()) == [] and len(run) == 0
+    run = osteoflow.Graph(TWO_FILES).run(inputs={"scan": scan}, out=tmp_path / "run")
+    manifest = json.loads((tmp_path / "run/manifest.json").read_text())
+    assert "scan.cloud" in json.dumps(manifest["command"]["given_wires"])
+    assert not (tmp_path / "run/run.mcap").exists(), "a replay would not have the given items"
+    osteoflow.Graph(TWO_FILES).run(out=tmp_path / "whole")
+    assert "icp.t_target_source" in osteoflow.Recording(tmp_path / "whole/run.mcap")
+
+
+def test_faults_of_a_graph_are_raised_with_the_words_of_the_command(command, tmp_path):
+    graph = tmp_path / "broken.toml"
+    graph.write_text('[graph]\nformat = 1\nname = "broken"\n\n[node.scan]\nkind = "acquire.clouds"\n')
+    told = command("check", graph).stderr.strip()
+    for call in [lambda: osteoflow.Graph(graph).check(), lambda: osteoflow.Graph(graph).run(), lambda: osteoflow.sweep(graph)]:
+        with pytest.raises(osteoflow.UsageError) as raised:
+            call()
+        assert "acquire.clouds" in str(raised.value)
+    with pytest.raises(osteoflow.UsageError) as raised:
+        osteoflow.Graph(graph).check()
+    assert str(raised.value).strip() == told
+
+
+def test_a_refused_run_is_raised_with_its_reason_and_report(command, tmp_path):
+    settings = {"icp.max_pair_distance_mm": 0.001}
+    ended = command("run", TWO_FILES, "--out", tmp_path / "run", "--set", "icp.max_pair_distance_mm=0.001")
+    assert ended.returncode == 3, ended.stderr
+    with pytest.raises(osteoflow.Refused) as raised:
+        osteoflow.Graph(TWO_FILES).run(set=settings)
+    assert f"refused: {raised.value}" in ended.stderr
+    assert isinstance(raised.value.report, dict)
+
+
+def test_ctrl_c_stops_a_run(tmp_path):
+    press = threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT))
+    press.start()
+    with pytest.raises(KeyboardInterrupt):
+        osteoflow.sweep(graph_with_sweep(tmp_path), set={"sweep.repeat": 5000}, progress=False)
+
+
+def test_a_simulation_is_that_of_the_command(command, tmp_path):
+    out = osteoflow.simulate(tmp_path / "ours", seed=3, points=1000, shape="folder", set={"tissue.share": 0.1})
+    ended = command(
+        "simulate", "--seed", 3, "--points", 1000, "--as", "folder", "--out", tmp_path / "theirs", "--set", "tissue.share=0.1"
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert out == tmp_path / "ours"
+    names = sorted(file.name for file in out.iterdir())
+    assert names == sorted(file.name for file in (tmp_path / "theirs").iterdir()) and "truth.json" in names
+    for name in names:
+        if name != "README.md":
+            assert (out / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes(), name
+    with pytest.raises(osteoflow.UsageError, match="not empty"):
+        osteoflow.simulate(out)
+
+
+def graph_with_sweep(folder):
+    graph = folder / "sweep.toml"
+    graph.write_text(SWEEP.format(graph=TWO_FILES.as_posix()))
+    return graph
+
+
+def test_a_sweep_gives_the_table_of_the_command(command, tmp_path):
+    graph = graph_with_sweep(tmp_path)
+    ended = command("sweep", graph, "--out", tmp_path / "theirs")
+    assert ended.returncode == 0, ended.stderr
+    rows = osteoflow.sweep(graph, out=tmp_path / "ours", table="dicts")
+    for name in ["runs.csv", "points.csv"]:
+        assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes(), name
+    assert len(rows) == 4 and {row["icp"] for row in rows} == {"icp.point_to_plane", "icp.point_to_point"}
+    pandas = pytest.importorskip("pandas")
+    frame = osteoflow.sweep(graph)
+    assert isinstance(frame, pandas.DataFrame) and list(frame["run"]) == [row["run"] for row in rows]
+
+
+class LosesWorkers(ThreadPoolExecutor):
+    """Loses the worker of the first task."""
+
+    n_lost = 0
+
+    def submit(self, *arguments, **keywords):
+        if self.n_lost == 0:
+            self.n_lost = 1
+            lost = Future()
+            lost.set_exception(BrokenProcessPool("a worker died"))
+            return lost
+        return super().submit(*arguments, **keywords)
+
+
+def test_a_sweep_on_an_executor_gives_the_same_bytes_even_if_workers_are_lost(tmp_path):
+    graph = graph_with_sweep(tmp_path)
+    osteoflow.sweep(graph, out=tmp_path / "alone")
+    with ProcessPoolExecutor(2) as processes, LosesWorkers(2) as threads:
+        for name, executor in [("processes", processes), ("threads", threads)]:
+            osteoflow.sweep(graph, out=tmp_path / name, executor=executor)
+            for file in ["runs.csv", "points.csv"]:
+                assert (tmp_path / name / file).read_bytes() == (tmp_path / "alone" / file).read_bytes(), (name, file)
+        assert threads.n_lost == 1
+
+
+def test_the_command_is_there_as_a_module():
+    told = subprocess.run([sys.executable, "-m", "osteoflow", "--version"], capture_output=True, text=True, check=True)
+    assert told.stdout.startswith("osteoflow 0.1.0")

@@ -1,0 +1,178 @@
+"""`register`, `read` and `write`: the bits and words of the command."""
+
+import json
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import osteoflow
+import pytest
+
+#: Entries of the report that are times, or say which program and file it was.
+OF_THE_CALL = {"command", "load", "load_ms", "target", "source", "init", "start", "notes"}
+
+
+def same(report, told):
+    """Compares a report with the command's JSON, without times and what names program and files."""
+    def plain(answer):
+        return {k: v for k, v in answer.items() if k not in OF_THE_CALL and not k.endswith("_ms") or k in ("rms_mm",)}
+
+    assert list(report) == list(told)
+    assert plain(report) == plain(told)
+
+
+def test_two_files_give_the_bits_verdict_and_report_of_the_command(files, command_json):
+    told = command_json("register", files / "bone.stl", files / "scan.ply")
+    fit = osteoflow.register(files / "bone.stl", files / "scan.ply")
+    assert fit.t_target_source.tobytes() == np.array(told["T"]).tobytes()
+    assert fit.verdict == told["verdict"]
+    same(fit.report, told)
+    assert fit.n_pairs == told["n_pairs"] and fit.workers == os.cpu_count()
+    with pytest.raises(AttributeError, match="no 'pairs'"):
+        fit.pairs
+
+
+@pytest.mark.parametrize("method", ["point_to_plane", "point_to_point", "symmetric", "generalized", "point_to_mesh", "published"])
+def test_every_method_gives_the_bits_of_the_command_from_what_read_gives(files, command_json, tmp_path, method):
+    bone, scan = osteoflow.read(files / "bone.stl"), osteoflow.read(files / "scan.ply")
+    start = osteoflow.register(bone, scan).t_target_source
+    osteoflow.write(tmp_path / "init.txt", start)
+    # The paper does not say which rule it stopped by, so it has no default.
+    settings = {"reading": "iterations"} if method == "published" else {}
+    sets = [word for key in settings for word in ("--set", f"{key}={settings[key]}")]
+    files = [files / "bone.stl", files / "scan.ply"]
+    told = command_json("register", *files, "--method", method, "--init", tmp_path / "init.txt", "--workers", 1, *sets)
+    fit = osteoflow.register(bone, scan, start, method, set=settings, workers=2)
+    assert fit.t_target_source.tobytes() == np.array(told["T"]).tobytes()
+    assert fit.verdict == told["verdict"]
+    assert fit.report["report"] == told["report"]
+
+
+def test_arrays_of_any_layout_give_the_same_bits_and_only_others_are_copied(files, command_json, tmp_path):
+    bone, scan = osteoflow.read(files / "bone.stl"), osteoflow.read(files / "scan.ply")
+    rng = np.random.default_rng(1)
+    target = bone.vertices[rng.permutation(len(bone.vertices))[:20_000]].copy()
+    osteoflow.write(tmp_path / "target.csv", target)
+    told = command_json("register", tmp_path / "target.csv", files / "scan.ply")
+    expected = np.array(told["T"]).tobytes()
+    scans = [scan, scan.points, np.asfortranarray(scan.points), np.repeat(scan.points, 2, axis=0)[::2], scan.points.tolist()]
+    for given in scans:
+        fit = osteoflow.register(target, given)
+        assert fit.t_target_source.tobytes() == expected
+        assert fit.verdict == told["verdict"]
+    assert osteoflow.Cloud(target).points is target
+    assert np.shares_memory(osteoflow.Cloud(np.asfortranarray(target)).points, target) is False
+    # The arrays are not held after the call: they can be resized.
+    own = scan.points.copy()
+    osteoflow.register(target, own)
+    own.resize((10, 3), refcheck=False)
+
+
+def test_options_have_the_words_of_the_command_and_its_errors_too(files, command):
+    def said(*arguments):
+        text = command("register", *arguments).stderr
+        return text.split(": ", 1)[1].split("\n\nUsage:")[0].strip()
+
+    bone, scan = files / "bone.stl", files / "scan.ply"
+    with pytest.raises(osteoflow.UsageError) as raised:
+        osteoflow.register(bone, scan, method="nearest")
+    assert str(raised.value) == said(bone, scan, "--method=nearest")
+    with pytest.raises(osteoflow.UsageError) as raised:
+        osteoflow.register(bone, scan, set={"trim_fractions": 0.2})
+    assert "trim_fractions" in str(raised.value) and "did you mean" in str(raised.value), str(raised.value)
+    with pytest.raises(osteoflow.OsteoflowError) as raised:
+        osteoflow.register(bone, files / "none.ply")
+    assert str(raised.value) == said(bone, files / "none.ply")
+    with pytest.raises(osteoflow.Refused) as raised:
+        osteoflow.register(bone, scan, np.eye(4), max_pair_distance_mm=1e-3)
+    assert str(raised.value) == said(bone, scan, "--init=identity", "--max-pair-distance-mm=0.001").splitlines()[0].removeprefix("refused: ")
+    assert raised.value.report["verdict"]["answer"] == "refused"
+
+
+def test_what_is_wrong_with_an_array_is_said(files):
+    bone = osteoflow.read(files / "bone.stl")
+    points = osteoflow.read(files / "scan.ply").points.copy()
+    with pytest.raises(ValueError, match=r"points has shape \(4000, 2\), but must be \(n, 3\)|shape"):
+        osteoflow.register(bone, points[:, :2])
+    points[7, 1] = np.nan
+    with pytest.raises(ValueError, match="point 7 is not finite.*isfinite"):
+        osteoflow.register(bone, points)
+    with pytest.raises(ValueError, match="init"):
+        osteoflow.register(bone, points[8:], np.diag([1.0, 1.0, 2.0, 1.0]))
+    with pytest.raises(osteoflow.UsageError, match="must be in mm"):
+        osteoflow.register(bone, points[8:], unit_mm=1000)
+    with pytest.raises(osteoflow.UsageError, match="finite|number"):
+        osteoflow.register(bone, points[8:], max_pair_distance_mm=float("nan"))
+
+
+def test_files_are_read_and_written_in_every_format(files, tmp_path):
+    bone, scan = osteoflow.read(files / "bone.stl"), osteoflow.read(files / "scan.ply")
+    assert bone.vertices.dtype == np.float64 and bone.faces.dtype == np.uint32 and bone.faces.shape[1] == 3
+    for ending in ["ply", "stl", "obj"]:
+        osteoflow.write(tmp_path / f"bone.{ending}", bone)
+        back = osteoflow.read(tmp_path / f"bone.{ending}")
+        assert back.faces.shape == bone.faces.shape
+        assert np.abs(back.vertices[back.faces] - bone.vertices[bone.faces]).max() < 1e-4, "STL has single precision"
+    for ending in ["ply", "pcd", "vtk", "obj", "csv"]:
+        osteoflow.write(tmp_path / f"scan.{ending}", scan)
+        back = osteoflow.read(tmp_path / f"scan.{ending}")
+        assert np.abs(back.points - scan.points).max() < 1e-4, ending
+    points = {"P1": np.array([1.0, 2.0, 3.0]), "P2": np.array([4.0, 5.0, 6.0])}
+    for ending in ["mrk.json", "fcsv", "csv"]:
+        osteoflow.write(tmp_path / f"picked.{ending}", points, space="LPS")
+        back = osteoflow.read(tmp_path / f"picked.{ending}")
+        assert {name: xyz.tolist() for name, xyz in back.items()} == {k: v.tolist() for k, v in points.items()}
+    pose = osteoflow.register(bone, scan).t_target_source
+    for ending in ["txt", "json"]:
+        osteoflow.write(tmp_path / f"pose.{ending}", pose)
+        assert np.abs(osteoflow.read(tmp_path / f"pose.{ending}") - pose).max() < 1e-12
+    osteoflow.write(tmp_path / "pose.tfm", pose)
+    with pytest.warns(osteoflow.OsteoflowWarning, match="its inverse is taken"):
+        assert np.abs(osteoflow.read(tmp_path / "pose.tfm") - pose).max() < 1e-9
+    with pytest.raises(osteoflow.UsageError, match="exists already"):
+        osteoflow.write(tmp_path / "pose.txt", pose)
+    with pytest.raises(osteoflow.UsageError, match="claims a space"):
+        osteoflow.write(tmp_path / "other.fcsv", points)
+    with pytest.raises(osteoflow.OsteoflowError, match="none.ply cannot be read"):
+        osteoflow.read(tmp_path / "none.ply")
+
+
+def test_ctrl_c_stops_a_registration_as_a_keyboard_interrupt(files):
+    bone, scan = osteoflow.read(files / "bone.stl"), osteoflow.read(files / "scan.ply")
+    started = time.monotonic()
+    press = threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT))
+    press.start()
+    with pytest.raises(KeyboardInterrupt):
+        osteoflow.register(bone, scan, repeat=100_000, progress=False)
+    assert time.monotonic() - started < 30
+
+
+def test_the_gil_is_released(files):
+    bone, scan = osteoflow.read(files / "bone.stl"), osteoflow.read(files / "scan.ply")
+    done = threading.Event()
+
+    def work():
+        osteoflow.register(bone, scan, repeat=20)
+        done.set()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    n = 0
+    while not done.is_set():
+        n += 1
+        time.sleep(0.001)
+    thread.join()
+    assert n > 20, f"the main thread got {n} turns"
+
+
+def test_stubs_and_docstrings_are_there():
+    from importlib.resources import files as resources
+
+    package = resources("osteoflow")
+    assert (package / "py.typed").is_file() and (package / "_core.pyi").is_file()
+    for name in osteoflow.__all__:
+        if name != "__version__":
+            assert getattr(osteoflow, name).__doc__, name
+    assert json.loads(json.dumps(osteoflow.__version__)) == "0.1.0"

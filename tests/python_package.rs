@@ -1,0 +1,127 @@
+//! The Python package: its tests, run by pytest in an environment under target/, and that it is built as the program is.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{program, root};
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+const PACKAGE: &str = "nodes/python";
+
+/// What the tests need beside the package.
+const NEEDED: [&str; 6] = ["maturin>=1.7,<2", "numpy", "pytest", "pandas", "matplotlib", "nbclient"];
+
+fn table(path: &str) -> toml::Table {
+    fs::read_to_string(root().join(path)).unwrap().parse().unwrap()
+}
+
+fn skip(why: &str) {
+    eprintln!("skipped: python package: {why}");
+}
+
+/// The folder for what is built: that of the test itself.
+fn target() -> PathBuf {
+    let program = program();
+    program.ancestors().nth(2).unwrap().to_owned()
+}
+
+fn text(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+/// The Python of an environment with what the tests need; `None` if there is none, with the reason.
+fn environment() -> Result<PathBuf, String> {
+    let folder = target().join("python-tests");
+    let python = folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" });
+    let system = if cfg!(windows) { "python" } else { "python3" };
+    let newer = "import sys; sys.exit(sys.version_info < (3, 9))";
+    match Command::new(system).args(["-c", newer]).status() {
+        Ok(status) if status.success() => {}
+        Ok(_) => return Err(format!("{system} is older than 3.9")),
+        Err(error) => return Err(format!("{system}: {error}")),
+    }
+    let made = Command::new(system).args(["-m", "venv"]).arg(&folder).output().map_err(|error| error.to_string())?;
+    if !made.status.success() {
+        return Err(format!("no environment can be made: {}", text(&made).trim()));
+    }
+    let installed = Command::new(&python)
+        .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--retries=1", "--timeout=20"])
+        .args(NEEDED)
+        .arg("ipykernel")
+        .output()
+        .map_err(|error| error.to_string())?;
+    if !installed.status.success() {
+        return Err(format!("pip installs no {}: {}", NEEDED.join(", "), text(&installed).trim()));
+    }
+    Ok(python)
+}
+
+#[test]
+fn the_package_gives_the_bits_of_the_command() {
+    let python = match environment() {
+        Ok(python) => python,
+        Err(why) => return skip(&why),
+    };
+    let target = target();
+    let install =
+        ["-m", "pip", "install", "--quiet", "--no-build-isolation", "--no-deps", "--disable-pip-version-check"];
+    // What cargo has compiled for the program is used again.
+    let path = std::env::join_paths(
+        std::iter::once(python.parent().unwrap().to_owned())
+            .chain(std::env::split_paths(&std::env::var_os("PATH").unwrap())),
+    );
+    let installed = Command::new(&python)
+        .args(install)
+        .arg(root().join(PACKAGE))
+        .env("CARGO_TARGET_DIR", &target)
+        .env("PATH", path.unwrap())
+        .output()
+        .unwrap();
+    assert!(installed.status.success(), "pip install ./{PACKAGE}: {}", text(&installed));
+    let tested = Command::new(&python)
+        .args(["-m", "pytest", "-q", "-p", "no:cacheprovider", "-o", "faulthandler_timeout=120"])
+        .arg(root().join(PACKAGE).join("tests"))
+        .env("OSTEOFLOW_COMMAND", program())
+        .env("PYTHONDONTWRITEBYTECODE", "1")
+        .current_dir(root())
+        .output()
+        .unwrap();
+    assert!(tested.status.success(), "{}", text(&tested));
+    // Tests that pytest left out are counted here, by their names.
+    for line in text(&tested).lines().filter(|line| line.contains("skipped")) {
+        eprintln!("skipped: python package: {line}");
+    }
+}
+
+#[test]
+fn the_package_is_compiled_as_the_program_is() {
+    let (ours, package) = (table("Cargo.toml"), table(&format!("{PACKAGE}/Cargo.toml")));
+    assert_eq!(ours["profile"], package["profile"], "the profile of {PACKAGE}/Cargo.toml is that of Cargo.toml");
+    assert_eq!(ours["workspace"]["package"]["version"], package["package"]["version"]);
+    let versions = |file: &str| -> BTreeMap<String, Vec<String>> {
+        let mut all = BTreeMap::<String, Vec<String>>::new();
+        for package in table(file)["package"].as_array().unwrap() {
+            let word = |key: &str| package[key].as_str().unwrap().to_owned();
+            all.entry(word("name")).or_default().push(word("version"));
+        }
+        all
+    };
+    let (ours, package) = (versions("Cargo.lock"), versions(&format!("{PACKAGE}/Cargo.lock")));
+    let known = |name: &&String| ours.contains_key(*name);
+    for name in package.keys().filter(known) {
+        let other: Vec<_> = package[name].iter().filter(|version| !ours[name].contains(version)).collect();
+        assert!(other.is_empty(), "{name} is {:?} in Cargo.lock, but also {other:?} in that of {PACKAGE}", ours[name]);
+    }
+}
+
+#[test]
+fn the_package_is_no_part_of_the_workspace() {
+    let members = table("Cargo.toml")["workspace"]["members"].as_array().unwrap().clone();
+    assert!(members.iter().all(|member| member.as_str() != Some(PACKAGE)));
+    assert!(Path::new(env!("CARGO_MANIFEST_DIR")).join(PACKAGE).join("pyproject.toml").exists());
+}
