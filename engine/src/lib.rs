@@ -27,7 +27,6 @@ mod partial;
 #[cfg(test)]
 mod plan_builder;
 pub mod plugin;
-#[cfg(unix)]
 mod process;
 pub mod record;
 pub mod recording;

@@ -18,8 +18,7 @@ mod provide;
 #[cfg(unix)]
 mod worker;
 
-#[cfg(unix)]
-pub use crate::process::child::Launcher;
+pub use crate::process::Launcher;
 pub use description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
 pub use kinds::{Finder, Kinds, Known, Plugin, Refused, Scripts};
 pub use lent_check::check_lent_memory;
@@ -28,3 +27,12 @@ pub use probe::{Prober, answer};
 pub use provide::{ProvideError, provide};
 #[cfg(unix)]
 pub use worker::serve;
+
+/// Serves one node until the connection on standard input is closed.
+///
+/// # Errors
+/// Always: nodes have processes of their own on Unix only.
+#[cfg(not(unix))]
+pub fn serve(_: osteoflow_node::Registry) -> std::io::Result<()> {
+    Err(std::io::ErrorKind::Unsupported.into())
+}

@@ -7,7 +7,22 @@
 //!
 //! docs/processes.md has the protocol for authors of workers in other languages.
 
+#[cfg(unix)]
 pub(crate) mod child;
+#[cfg(unix)]
 pub(crate) mod segment;
+#[cfg(unix)]
 pub(crate) mod socket;
+#[cfg(unix)]
 pub(crate) mod wire;
+
+use std::{ffi::OsString, path::PathBuf};
+
+/// A program that runs nodes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Launcher {
+    /// The program.
+    pub program: PathBuf,
+    /// Its arguments.
+    pub arguments: Vec<OsString>,
+}

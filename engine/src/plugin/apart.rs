@@ -4,7 +4,8 @@ use super::{Plugin, log_lines};
 use crate::{
     panics,
     process::{
-        child::{Child, Launcher},
+        Launcher,
+        child::Child,
         segment::{Pool, StopPage, Views},
         socket::Received,
         wire::{self, Answer, Emitted, Ended, Fire, FromWorker, Place, ToWorker},

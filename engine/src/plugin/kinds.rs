@@ -1,6 +1,6 @@
 //! The kinds that graphs may name: the program's own, and those of plugins.
 
-use super::{Launcher, PluginDescription, Prober, ProvideError, apart::Processes, load, probe, provide};
+use super::{Launcher, PluginDescription, Prober, ProvideError, load, probe, provide};
 use crate::{
     fault::{Fault, Span},
     graph::plugins::NamedPlugin,
@@ -9,7 +9,9 @@ use crate::{
     plan::PlanPlugin,
     store::{Key, Store},
 };
-use osteoflow_node::{PayloadType, Registry, abi};
+#[cfg(unix)]
+use osteoflow_node::PayloadType;
+use osteoflow_node::{Registry, abi};
 use std::{
     collections::BTreeSet,
     env::consts::{DLL_EXTENSION, DLL_PREFIX, DLL_SUFFIX},
@@ -197,15 +199,8 @@ impl Kinds {
         for library in finder.folders.iter().flat_map(|folder| libraries(folder)) {
             known.add(finder, &library, None, Origin::Folder);
         }
-        let is_own = |ty: &&PayloadType| self.registry.payload_type(ty.name).is_some();
-        let types: Vec<&'static PayloadType> = known.registry.payload_types().collect();
-        known.registry.set_launcher(Arc::new(Processes {
-            launcher: finder.launcher.clone(),
-            of_plugins: finder.plugins_apart,
-            plugins: known.plugins.clone(),
-            payloads: types.iter().copied().filter(|ty| !is_own(ty)).collect(),
-            types: types.into(),
-        }));
+        #[cfg(unix)]
+        known.launch_by(finder, &self.registry);
         known
     }
 
@@ -324,6 +319,19 @@ impl Finder {
 }
 
 impl Known {
+    /// Lets nodes fire in processes of their own.
+    #[cfg(unix)]
+    fn launch_by(&mut self, finder: &Finder, own: &Registry) {
+        let types: Vec<&'static PayloadType> = self.registry.payload_types().collect();
+        self.registry.set_launcher(Arc::new(super::apart::Processes {
+            launcher: finder.launcher.clone(),
+            of_plugins: finder.plugins_apart,
+            plugins: self.plugins.clone(),
+            payloads: types.iter().copied().filter(|ty| own.payload_type(ty.name).is_none()).collect(),
+            types: types.into(),
+        }));
+    }
+
     fn add(&mut self, finder: &Finder, path: &Path, interpreter: Option<&Path>, origin: Origin) {
         let named = matches!(origin, Origin::Graph(..));
         let path = &absolute(path);

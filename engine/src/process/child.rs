@@ -1,15 +1,13 @@
 //! The process of a node: started, listened to, and stopped.
 
-use super::socket::Socket;
+use super::{Launcher, socket::Socket};
 use std::{
     collections::VecDeque,
-    ffi::OsString,
     io::{self, BufRead, BufReader, Write},
     os::{
         fd::OwnedFd,
         unix::{net::UnixStream, process::CommandExt},
     },
-    path::PathBuf,
     process::{Child as Process, Command, ExitStatus, Stdio},
     sync::{Arc, Mutex, PoisonError},
     thread::{self, JoinHandle},
@@ -22,21 +20,14 @@ const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// Lines that are kept of what it prints, for an error.
 const N_LINES: usize = 3;
 
-/// A program that runs nodes.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Launcher {
-    /// The program.
-    pub program: PathBuf,
-    /// Its arguments.
-    pub arguments: Vec<OsString>,
-}
-
 /// A running process.
 pub(crate) struct Child {
     process: Process,
     pub(crate) socket: Socket,
     said: Arc<Mutex<VecDeque<String>>>,
     forwarder: Option<JoinHandle<()>>,
+    /// Whether its end has been told, or was brought about.
+    is_told: bool,
 }
 
 impl Child {
@@ -71,21 +62,18 @@ impl Child {
             }
         };
         let forwarder = thread::Builder::new().name("worker output".into()).spawn(forward)?;
-        Ok(Self { process, socket: Socket::new(ours), said, forwarder: Some(forwarder) })
+        Ok(Self { process, socket: Socket::new(ours), said, forwarder: Some(forwarder), is_told: false })
     }
 
     /// How the process ended, with what it printed last. Call when the connection is closed.
     pub(crate) fn obituary(&mut self) -> String {
+        self.is_told = true;
         let Some(status) = self.wait(END_WITHIN) else {
             self.kill();
             return "its process closed the connection and went on, and was stopped".into();
         };
-        let how = match (signal(status), status.code()) {
-            (Some(signal), _) => format!("its process ended by {signal}"),
-            (None, Some(0)) => "its process ended with exit code 0, without an answer".into(),
-            (None, code) => format!("its process ended with exit code {}", code.unwrap_or_default()),
-        };
-        format!("{how}{}", self.last_words())
+        let without = if status.success() { ", without an answer" } else { "" };
+        format!("its process {}{without}{}", how(status), self.last_words())
     }
 
     /// What it printed last, for an error.
@@ -102,6 +90,7 @@ impl Child {
 
     /// Stops the process at once.
     pub(crate) fn kill(&mut self) {
+        self.is_told = true;
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
@@ -122,10 +111,25 @@ impl Drop for Child {
     fn drop(&mut self) {
         // It destroys its node and ends when the connection is closed.
         self.socket.close();
-        if self.wait(END_WITHIN).is_none() {
-            self.kill();
+        match self.wait(END_WITHIN) {
+            Some(status) if status.success() || self.is_told => {}
+            Some(status) => tracing::warn!("the process of a node that had ended {}{}", how(status), self.last_words()),
+            None => {
+                self.kill();
+                tracing::warn!(
+                    "the process of a node that had ended did not end within {END_WITHIN:?}, and was stopped"
+                );
+            }
         }
         self.last_words();
+    }
+}
+
+/// How a process ended.
+fn how(status: ExitStatus) -> String {
+    match signal(status) {
+        Some(signal) => format!("ended by {signal}"),
+        None => format!("ended with exit code {}", status.code().unwrap_or_default()),
     }
 }
 
