@@ -152,7 +152,7 @@ impl Sweep {
     }
 
     pub(crate) fn kinds(&self) -> Result<osteoflow_engine::plugin::Kinds> {
-        self.plugins.kinds()
+        self.plugins.kinds_apart()
     }
 
     /// How many runs at a time, which store, and which part.

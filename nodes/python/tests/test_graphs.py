@@ -128,6 +128,8 @@ def test_a_refused_run_is_raised_with_its_reason_and_report(command, tmp_path):
 
 
 def test_ctrl_c_stops_a_run(tmp_path):
+    # A background process of a shell is started with Ctrl-C ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     press = threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT))
     press.start()
     with pytest.raises(KeyboardInterrupt):
