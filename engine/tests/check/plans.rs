@@ -17,7 +17,10 @@ fn checked(path: &str, sets: &[&str]) -> Checked {
 fn bare(mut plan: Plan) -> String {
     plan.path = "".into();
     let nowhere = || osteoflow_engine::plan::Location { file: "".into(), line: 0, column: 0 };
-    plan.nodes.iter_mut().for_each(|node| node.location = nowhere());
+    for node in &mut plan.nodes {
+        node.location = nowhere();
+        node.param_places.clear();
+    }
     plan.results.iter_mut().for_each(|result| result.location = nowhere());
     format!("{plan:#?}")
 }
