@@ -563,7 +563,7 @@ fn a_plugin_that_crashes_when_it_is_destroyed_costs_no_results() {
 
 /// A run of a source that gives a lie on one of its ports: exit code and stderr.
 #[cfg(unix)]
-fn told(folder: &Folder, how: &str, port: usize) -> (i32, String) {
+fn reported(folder: &Folder, how: &str, port: usize) -> (i32, String) {
     let names = ["cloud", "pose", "target", "planes", "points", "mesh"];
     let graph = format!(
         "plugins = [\"lies\"]\n[graph]\nformat = 1\n[node.liar]\nkind = \"lies.give\"\nhow = \"{how}\"\nport = {port}\n\
@@ -580,7 +580,7 @@ fn what_a_plugin_gives_is_held_to_what_it_means_and_a_lie_is_refused_at_its_node
     let Some(folder) = Folder::new("") else { return };
     folder.compile("lies.c", &format!("liblies{DLL_SUFFIX}"), &[]);
     for port in 0..6 {
-        let (code, err) = told(&folder, "", port);
+        let (code, err) = reported(&folder, "", port);
         assert_eq!(code, 0, "without a lie, port {port}: {err}");
     }
     let (cloud, pose, target, planes, points, mesh) = (0, 1, 2, 3, 4, 5);
@@ -606,7 +606,7 @@ fn what_a_plugin_gives_is_held_to_what_it_means_and_a_lie_is_refused_at_its_node
         ),
     ] {
         for port in ports {
-            let (code, err) = told(&folder, how, *port);
+            let (code, err) = reported(&folder, how, *port);
             assert_eq!(code, 3, "{how}, port {port}: {err}");
             assert!(err.contains("node \"liar\", item ") && err.contains(said), "{how}, port {port}: {err}");
         }

@@ -275,6 +275,14 @@ fn what_is_wrong_in_a_plugin_is_said_at_its_line() {
     folder.write("bad.py", &relay(keep));
     let kept = folder.run("graph.toml", &[]);
     assert_eq!(kept.code, Some(0), "{}", kept.stderr);
+    let stale = "    from __main__ import Connection\n    send = Connection.send\n    Connection.send = lambda self, message, \
+                 fds=(): send(self, {**message, 'answer': {**message['answer'], 'item': 7}}, fds)\n    return cloud";
+    folder.write("bad.py", &relay(stale));
+    let failed = folder.run("graph.toml", &[]);
+    assert!(failed.stderr.contains("its process answers for item 7, and was stopped"), "{}", failed.stderr);
+    folder.write("bad.py", &relay("    import logging\n    while True:\n        logging.error('again')"));
+    let loud = folder.run("graph.toml", &["--set", "relay.stop_after_s=0.5", "-q"]);
+    assert!(loud.stderr.contains("it did not answer within 0.5 s"), "it logs without end");
     folder.write("bad.py", &relay("    time.sleep(60)"));
     let began = Instant::now();
     let slow = folder.run("graph.toml", &["--set", "relay.stop_after_s=0.5"]);

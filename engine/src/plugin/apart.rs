@@ -175,25 +175,23 @@ impl Apart {
         let began = Instant::now();
         let _ = self.child.socket.wait_at_most(Some(LOOK_INTERVAL));
         loop {
+            // Looked at after log lines, too: a process that logs without end is stopped like a silent one.
+            if cancelled() {
+                self.stop_page.stop();
+            }
+            if let Some(limit) = limit.filter(|limit| began.elapsed() > *limit) {
+                self.child.kill();
+                let within = limit.as_secs_f64();
+                return Err(self.gone(format!("it did not answer within {within} s, and its process was stopped")));
+            }
             match self.child.socket.receive::<FromWorker>() {
                 Ok(Received::Message(FromWorker::Log { level, target, message })) => {
                     log_lines::log(level, &target, &message)
                 }
                 Ok(Received::Message(message)) => return Ok(message),
-                Ok(Received::Nothing) => {
-                    if cancelled() {
-                        self.stop_page.stop();
-                    }
-                    if let Some(limit) = limit.filter(|limit| began.elapsed() > *limit) {
-                        self.child.kill();
-                        let within = limit.as_secs_f64();
-                        return Err(
-                            self.gone(format!("it did not answer within {within} s, and its process was stopped"))
-                        );
-                    }
-                }
+                Ok(Received::Nothing) => {}
                 Ok(Received::Closed) => {
-                    let how = self.child.obituary();
+                    let how = self.child.ending();
                     return Err(self.gone(how));
                 }
                 Err(error) => {
@@ -220,14 +218,21 @@ impl Apart {
         let slots = slots.map_err(|error| NodeError::new(format!("no memory to share with its process: {error}")))?;
         let held = self.views.held();
         let (new, fds) = self.pool.news();
-        let fire = ToWorker::Fire(Box::new(Fire { context: context.sent(), slots, new, held }));
+        let sent_context = context.sent();
+        let number = sent_context.item;
+        let fire = ToWorker::Fire(Box::new(Fire { context: sent_context, slots, new, held }));
         let sent = self.child.socket.send(&fire, &fds);
         if sent.is_err() {
-            let how = self.child.obituary();
+            let how = self.child.ending();
             return Err(NodeError::new(self.gone(how).0));
         }
         let answer = match self.reply(self.stop_after, &mut || context.cancelled()) {
-            Ok(FromWorker::Answer(answer)) => *answer,
+            Ok(FromWorker::Answer(answer)) if answer.item == number => *answer,
+            Ok(FromWorker::Answer(answer)) => {
+                self.child.kill();
+                let message = format!("its process answers for item {}, and was stopped", answer.item);
+                return Err(NodeError::new(self.gone(message).0));
+            }
             Ok(_) => return Err(NodeError::new("its process answers something else than a firing")),
             Err(Gone(message)) => return Err(NodeError::new(message)),
         };

@@ -199,6 +199,7 @@ struct Server {
 
 impl Server {
     fn fire(&mut self, fire: Fire) -> Answer {
+        let item = fire.context.item;
         let slots = fire.slots.into_iter().enumerate().map(|(port, slot)| self.slot(port, slot)).collect();
         self.context.receive(fire.context, &self.inputs);
         self.out.fill(Emission::Silent);
@@ -228,7 +229,7 @@ impl Server {
             Ok(outputs) => (ended, outputs),
             Err(error) => (Ended::Failed(format!("no memory to share: {error}")), Vec::new()),
         };
-        Answer { ended, outputs, context: self.context.done(), new: Vec::new(), held: self.views.held() }
+        Answer { item, ended, outputs, context: self.context.done(), new: Vec::new(), held: self.views.held() }
     }
 
     fn slot(&mut self, port: usize, slot: wire::Slot) -> Result<Slot, String> {

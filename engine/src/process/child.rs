@@ -26,8 +26,8 @@ pub(crate) struct Child {
     pub(crate) socket: Socket,
     said: Arc<Mutex<VecDeque<String>>>,
     forwarder: Option<JoinHandle<()>>,
-    /// Whether its end has been told, or was brought about.
-    is_told: bool,
+    /// Whether its end is reported by an error, or was brought about.
+    is_reported: bool,
 }
 
 impl Child {
@@ -62,22 +62,22 @@ impl Child {
             }
         };
         let forwarder = thread::Builder::new().name("worker output".into()).spawn(forward)?;
-        Ok(Self { process, socket: Socket::new(ours), said, forwarder: Some(forwarder), is_told: false })
+        Ok(Self { process, socket: Socket::new(ours), said, forwarder: Some(forwarder), is_reported: false })
     }
 
     /// How the process ended, with what it printed last. Call when the connection is closed.
-    pub(crate) fn obituary(&mut self) -> String {
-        self.is_told = true;
+    pub(crate) fn ending(&mut self) -> String {
+        self.is_reported = true;
         let Some(status) = self.wait(END_WITHIN) else {
             self.kill();
             return "its process closed the connection and went on, and was stopped".into();
         };
         let without = if status.success() { ", without an answer" } else { "" };
-        format!("its process {}{without}{}", how(status), self.last_words())
+        format!("its process {}{without}{}", how(status), self.printed())
     }
 
     /// What it printed last, for an error.
-    pub(crate) fn last_words(&mut self) -> String {
+    pub(crate) fn printed(&mut self) -> String {
         // Children of its own may keep the pipe open.
         let end = Instant::now() + Duration::from_millis(200);
         while self.forwarder.as_ref().is_some_and(|forwarder| !forwarder.is_finished()) && Instant::now() < end {
@@ -90,7 +90,7 @@ impl Child {
 
     /// Stops the process at once.
     pub(crate) fn kill(&mut self) {
-        self.is_told = true;
+        self.is_reported = true;
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
@@ -112,8 +112,8 @@ impl Drop for Child {
         // It destroys its node and ends when the connection is closed.
         self.socket.close();
         match self.wait(END_WITHIN) {
-            Some(status) if status.success() || self.is_told => {}
-            Some(status) => tracing::warn!("the process of a node that had ended {}{}", how(status), self.last_words()),
+            Some(status) if status.success() || self.is_reported => {}
+            Some(status) => tracing::warn!("the process of a node that had ended {}{}", how(status), self.printed()),
             None => {
                 self.kill();
                 tracing::warn!(
@@ -121,7 +121,7 @@ impl Drop for Child {
                 );
             }
         }
-        self.last_words();
+        self.printed();
     }
 }
 

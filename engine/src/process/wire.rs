@@ -117,6 +117,8 @@ pub(crate) enum FromWorker {
 /// The answer to a firing.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Answer {
+    /// The number of the firing: an answer to another one is refused.
+    pub(crate) item: u64,
     pub(crate) ended: Ended,
     /// One for each output; none unless it ended well.
     #[serde(default)]

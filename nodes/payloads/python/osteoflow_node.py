@@ -986,7 +986,7 @@ def serve(file):
             logging.getLogger("osteoflow_node").debug("%s", traceback.format_exc())
             ended = {"failed": where(error, file)}
         new, fds = server.pool.news()
-        answer = {"ended": ended, "outputs": outputs, "context": server.context.done(), "new": new, "held": server.views.held()}
+        answer = {"item": fire["context"]["item"], "ended": ended, "outputs": outputs, "context": server.context.done(), "new": new, "held": server.views.held()}
         connection.send({"answer": answer}, fds)
         for fd in fds:
             os.close(fd)
