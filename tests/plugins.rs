@@ -201,6 +201,14 @@ fn repro_repeats_a_failed_item_of_a_plugin() {
     let (code, out, err) = folder.says(&mut folder.command(&["repro", "out/repro/add-0"]));
     assert_eq!(code, 4, "{out}{err}");
     assert!(err.contains("plugin toy 1.2.3 was another library"), "{err}");
+    // It has moved into a folder of plugins, where another of its name is not taken for it.
+    fs::remove_file(folder.path(&library)).unwrap();
+    for (folder_name, add, expected) in [("moved", "1", 0), ("other", "3", 2)] {
+        let moved = folder.toy(&format!("{folder_name}/{library}"), add);
+        let mut repro = folder.command(&["repro", "out/repro/add-0"]);
+        let (code, out, err) = folder.says(repro.env("OSTEOFLOW_PLUGIN_PATH", moved.parent().unwrap()));
+        assert_eq!(code, expected, "{folder_name}: {out}{err}");
+    }
 }
 
 #[test]

@@ -2,6 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 #![cfg(unix)]
 
+#[path = "common/apart.rs"]
+mod apart;
 mod common;
 
 use common::{build, osteoflow, osteoflow_to_spawn, root};
@@ -126,11 +128,11 @@ fn a_process_that_dies_is_named_and_the_rest_of_the_run_is_whole() {
     assert_eq!(digest(&whole.dir), digest(&folder.run("here", &[]).dir), "the plugin in the program");
     for (how, expected) in [
         ("exit", "its process ended with exit code 0, without an answer"),
-        ("abort", "its process ended by signal 6 (SIGABRT, it stopped itself)"),
+        ("abort", "its process ended by signal 6, SIGABRT (abort, or an exception that nothing caught)"),
         ("overflow", "its process ended by signal"),
-        ("segv", "its process ended by signal 11 (SIGSEGV, memory that it may not touch)"),
-        ("write", "its process ended by signal 11 (SIGSEGV, memory that it may not touch)"),
-        ("throw", "its process ended by signal 6 (SIGABRT, it stopped itself)"),
+        ("segv", "its process ended by signal 11, SIGSEGV (invalid memory, or its stack is full)"),
+        ("write", "its process ended by signal 11, SIGSEGV (invalid memory, or its stack is full)"),
+        ("throw", "its process ended by signal 6, SIGABRT (abort, or an exception that nothing caught)"),
     ] {
         let died = folder.run(how, &["--set", "dies.process=true", "--set", &format!("dies.how={how}")]);
         assert_eq!(died.code, Some(3), "{how}: {}", died.stderr);
@@ -235,6 +237,37 @@ fn a_watch_outlives_a_node_that_dies() {
     assert!(is_whole(&last), "{last}");
     watch.kill().unwrap();
     watch.wait().unwrap();
+}
+
+#[test]
+fn a_process_that_is_killed_between_two_items_is_named_at_the_next() {
+    let late = "\n[node.late]\nkind = \"dies.relay\"\nin   = { value = \"recording.laser\" }\nhow  = \"late\"\nprocess = true\n";
+    let Some(folder) = Folder::new(late) else { return };
+    let sets = ["dies.in.value=late.value", "dies.how=killed", "dies.process=true"];
+    let left = folder.run("out", &sets.map(|set| ["--set", set]).concat());
+    assert_eq!(left.code, Some(3), "{}", left.stderr);
+    let named = "node \"dies\", item 2: its process ended by signal 9, SIGKILL";
+    assert!(left.stderr.contains(named), "{}", left.stderr);
+    assert_eq!((&left.results["refused"]["node"], &left.results["refused"]["item"]), (&"dies".into(), &2.into()));
+    assert!(left.dir.join("repro/dies-2").is_dir(), "the item is saved");
+}
+
+/// Ten times the limits of an idle machine (docs/performance.md): what exceeds them copies or waits, whatever the load.
+#[test]
+fn a_firing_apart_costs_at_most_ten_times_its_limit() {
+    let limits = [Duration::from_millis(5), Duration::from_millis(1)];
+    let mut least = [Duration::MAX; 2];
+    for _ in 0..3 {
+        let Some(cases) = apart::measure(100) else { return };
+        for (least, case) in least.iter_mut().zip(&cases) {
+            assert!(case.here < case.apart, "{}: {:?} apart, {:?} here", case.name, case.apart, case.here);
+            *least = case.more().min(*least);
+        }
+        if least.iter().zip(&limits).all(|(least, limit)| least < limit) {
+            return;
+        }
+    }
+    panic!("{least:?} more than in the program");
 }
 
 #[test]

@@ -11,7 +11,7 @@ use std::{
     fs,
     io::{BufRead, BufReader},
     path::{Path, PathBuf},
-    process::Stdio,
+    process::{Command, Stdio},
     sync::mpsc::sync_channel,
     thread,
     time::{Duration, Instant},
@@ -259,7 +259,7 @@ fn what_is_wrong_in_a_plugin_is_said_at_its_line() {
         ("    return Pose(\"a\", \"b\", np.diag([1, 1, -1, 1]))", "it scales, shears or mirrors"),
         ("    os._exit(0)", "its process ended with exit code 0, without an answer"),
         ("    sys.exit(0)", "bad.py:7: SystemExit: 0"),
-        ("    os.abort()", "its process ended by signal 6 (SIGABRT, it stopped itself)"),
+        ("    os.abort()", "its process ended by signal 6, SIGABRT (abort, or an exception that nothing caught)"),
         ("    return relay(cloud, ctx)", "RecursionError: maximum recursion depth exceeded"),
     ] {
         folder.write("bad.py", &relay(body));
@@ -369,3 +369,141 @@ fn a_saved_plugin_gives_new_numbers_at_once() {
     watch.wait().unwrap();
     assert!(root().join("docs/python-nodes.md").is_file());
 }
+
+/// A registration that gives `POSE` for each pose it starts from, and says that it converged.
+const REGISTRATION: &str = r#"
+import os
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+import numpy as np
+from osteoflow_node import Cloud, NodeError, Pose, Surface, node, payload, port
+
+@payload("claims/Report")
+class Report:
+    converged: bool
+
+class Fit(NamedTuple):
+    t_target_source: Annotated[Pose, port("The pose.", to="target", from_="source")]
+    report: Report
+
+@node("claims.fit")
+def fit(
+    source: Cloud,
+    target: Annotated[Surface, port("The surface.", frame="init.to")],
+    init: Annotated[Pose, port("The start.", to="target", from_="source")],
+) -> Fit:
+    """Registers."""
+    t = init.matrix.copy()
+    to, from_ = target.frame, source.frame
+    POSE
+    return Fit(Pose(to, from_, t, source.stamp_ns), Report(True))
+"#;
+
+/// The small bone and a scan of it.
+fn bone_and_scan() -> [PathBuf; 2] {
+    ["bone.stl", "scan.ply"].map(|file| root().join("tests/data/folder").join(file))
+}
+
+impl Folder {
+    /// Exit code, answer and stderr of `register` with a plugin.
+    fn register(&self, plugin: &str, arguments: &[&str]) -> (Option<i32>, Value, String) {
+        let mut command = osteoflow();
+        command.arg("register").args(bone_and_scan()).arg("--plugin").arg(self.path(plugin));
+        command.arg("--python").arg(&self.1).args(["--format", "json"]).args(arguments);
+        let output = command.output().unwrap();
+        let answer = serde_json::from_slice(&output.stdout).unwrap_or(Value::Null);
+        (output.status.code(), answer, String::from_utf8_lossy(&output.stderr).into_owned())
+    }
+}
+
+#[test]
+fn register_with_a_plugin_gives_its_pose_and_judges_it() {
+    let Some(folder) = Folder::new("register with a plugin", &[]) else { return };
+    let new = osteoflow().current_dir(folder.0.path()).args(["new", "plugin", "my_fit", "--lang", "python"]).output();
+    assert!(new.unwrap().status.success());
+    let (code, answer, stderr) = folder.register("my_fit/my_fit.py", &["--set", "max_iterations=150"]);
+    assert_eq!(code, Some(0), "{stderr}");
+    let built_in = osteoflow().arg("register").args(bone_and_scan()).args(["--format", "json"]).output().unwrap();
+    let built_in: Value = serde_json::from_slice(&built_in.stdout).unwrap();
+    let pose = |answer: &Value| -> Matrix4<f64> {
+        let numbers: Vec<f64> = serde_json::from_value(answer["T"].clone()).unwrap();
+        Matrix4::from_row_slice(&numbers)
+    };
+    let (ours, theirs) = (pose(&built_in), pose(&answer));
+    for corner in [[0.0, 0.0, 0.0], [900.0, 100.0, 100.0], [1000.0, -100.0, 200.0]] {
+        let point = Point3::from(corner);
+        let off_mm = (ours.transform_point(&point) - theirs.transform_point(&point)).norm();
+        assert!(off_mm < 0.05, "{off_mm} mm; the built-in one leaves out pairs that the template takes");
+    }
+    assert_eq!(answer["verdict"]["answer"], "trusted", "{answer}");
+    assert_eq!((&answer["method"], &answer["converged"]), (&json!("my_fit.point_to_plane"), &json!(true)));
+    assert_eq!(answer["params"]["max_iterations"], json!(150));
+    let hash = "import hashlib, sys; print(hashlib.sha256(open(sys.argv[1], 'rb').read()).hexdigest())";
+    let hash = Command::new(&folder.1).args(["-c", hash]).arg(folder.path("my_fit/my_fit.py")).output().unwrap();
+    assert_eq!(answer["plugin"]["sha256"], json!(String::from_utf8(hash.stdout).unwrap().trim()));
+    for (arguments, fault) in [
+        (&["--set", "max_iterations=0"][..], "max_iterations takes a whole number from 1 to 100000, found 0"),
+        (&["--pairing", "tree"], "my_fit.point_to_plane has no parameter \"pairing\""),
+        (&["--kind", "my_fit.other"], "the plugin has no kind \"my_fit.other\""),
+        (&["--method", "symmetric"], "cannot be used with"),
+        (&["--stop", "fixed"], "cannot be used with"),
+    ] {
+        let (code, answer, stderr) = folder.register("my_fit/my_fit.py", arguments);
+        let faults = format!("{stderr}{}", answer["faults"]).replace("\\\"", "\"");
+        assert!(code == Some(2) && faults.contains(fault), "{arguments:?}: {code:?} {stderr} {answer}");
+    }
+}
+
+#[test]
+fn register_believes_no_plugin() {
+    let cases = [
+        // 8 mm along the bone, and a quarter turn about it.
+        ("t[:3, 3] += 8.0 * np.array([0.0, 0.0, 1.0])", "verdict", ""),
+        ("t[:3, :3] = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]) @ t[:3, :3]", "verdict", ""),
+        ("t[:3, :3] = -t[:3, :3]", "pose", "scales, shears or mirrors"),
+        ("t[:3, :3] = 1.05 * t[:3, :3]", "pose", "scales, shears or mirrors"),
+        ("t[0, 3] = np.nan", "pose", "finite"),
+        ("to, from_ = from_, to", "pose", "source"),
+        ("raise NodeError('no overlap')", "pose", "no overlap"),
+        ("os._exit(0)", "pose", "exit code 0"),
+        ("os.abort()", "pose", "SIGABRT"),
+    ];
+    let files: Vec<_> = (0..cases.len()).map(|k| format!("claims_{k}.py")).collect();
+    let texts = cases.map(|(pose, _, _)| REGISTRATION.replace("POSE", pose));
+    let pairs: Vec<_> = files.iter().zip(&texts).map(|(file, text)| (file.as_str(), text.as_str())).collect();
+    let Some(folder) = Folder::new("register with a plugin that is wrong", &pairs) else { return };
+    for ((file, text), (pose, what, said)) in pairs.iter().zip(cases) {
+        let (code, answer, stderr) = folder.register(file, &[]);
+        assert_ne!(answer["verdict"]["answer"], "trusted", "{pose}: {answer}");
+        assert!(!answer.is_null() && !text.contains("POSE"), "{pose}: {stderr}");
+        if what == "pose" {
+            assert_eq!((code, &answer["T"]), (Some(3), &Value::Null), "{pose}: {answer}");
+            assert!(stderr.contains("node \"register\"") && stderr.contains(said), "{pose}: {stderr}");
+        }
+    }
+    folder.write("two.py", &format!("{}{TWO}", texts[0]));
+    let (code, _, stderr) = folder.register("two.py", &[]);
+    assert!(code == Some(2) && stderr.contains("claims.fit, claims.other; name one with --kind"), "{stderr}");
+    let (_, answer, stderr) = folder.register("two.py", &["--kind", "claims.other"]);
+    assert_eq!((&answer["method"], &answer["converged"]), (&json!("claims.other"), &Value::Null), "{stderr}");
+    let not_reported = answer["verdict"]["assumptions"].to_string();
+    assert!(not_reported.contains("it does not report whether it did"), "{not_reported}");
+    folder.write("crop.py", "from osteoflow_node import Cloud, node\n@node(\"no.fit\")\ndef crop(cloud: Cloud) -> Cloud:\n    \"\"\"Crops.\"\"\"\n    return cloud\n");
+    let (code, _, stderr) = folder.register("crop.py", &[]);
+    assert!(code == Some(2) && stderr.contains("no kind of it is a registration"), "{stderr}");
+}
+
+/// A second registration, without a report.
+const TWO: &str = r#"
+class Alone(NamedTuple):
+    t_target_source: Annotated[Pose, port("The pose.", to="target", from_="source")]
+
+@node("claims.other")
+def other(
+    source: Cloud,
+    target: Annotated[Surface, port("The surface.", frame="init.to")],
+    init: Annotated[Pose, port("The start.", to="target", from_="source")],
+) -> Alone:
+    """Registers."""
+    return Alone(Pose(target.frame, source.frame, init.matrix, source.stamp_ns))
+"#;

@@ -19,6 +19,8 @@ mod provide;
 mod worker;
 
 pub use crate::process::Launcher;
+#[cfg(unix)]
+pub use crate::process::child::signal_name;
 pub use description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
 pub use kinds::{Finder, Kinds, Known, Plugin, Refused, Scripts};
 pub use lent_check::check_lent_memory;

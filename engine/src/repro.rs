@@ -66,9 +66,9 @@ pub fn repro(
     program: Program,
     backtrace: bool,
 ) -> Result<ReproReport, ReproError> {
-    let kinds: Kinds = kinds.into();
     let bundle = Bundle::open(dir)?;
     let node = &bundle.node;
+    let kinds = kinds.into().with_moved(node.plugin.as_slice());
     let of = |plugin: &PlanPlugin| NamedPlugin {
         interpreter: plugin.interpreter.clone(),
         ..NamedPlugin::file(&plugin.path)

@@ -18,7 +18,10 @@ pub(crate) fn leave() {}
 #[cfg(unix)]
 mod unix {
     use crate::commands::Exit;
-    use osteoflow_engine::activity::{self, Call, Doing};
+    use osteoflow_engine::{
+        activity::{self, Call, Doing},
+        plugin::signal_name,
+    };
     use std::{
         io::IsTerminal,
         mem::MaybeUninit,
@@ -29,13 +32,7 @@ mod unix {
         },
     };
 
-    const SIGNALS: [(libc::c_int, &str); 5] = [
-        (libc::SIGSEGV, "SIGSEGV (invalid memory, or its stack is full)"),
-        (libc::SIGBUS, "SIGBUS (invalid memory)"),
-        (libc::SIGILL, "SIGILL (invalid instruction)"),
-        (libc::SIGFPE, "SIGFPE (invalid arithmetic)"),
-        (libc::SIGABRT, "SIGABRT (abort, or an exception that nothing caught)"),
-    ];
+    const SIGNALS: [libc::c_int; 5] = [libc::SIGSEGV, libc::SIGBUS, libc::SIGILL, libc::SIGFPE, libc::SIGABRT];
 
     /// The handlers that were installed before.
     static BEFORE: [OnceLock<libc::sigaction>; SIGNALS.len()] = [const { OnceLock::new() }; SIGNALS.len()];
@@ -49,7 +46,7 @@ mod unix {
     /// Reports crashes and ends of the process from here on.
     pub(crate) fn install() {
         ON_TERMINAL.store(std::io::stderr().is_terminal(), Ordering::Relaxed);
-        for ((signal, _), before) in SIGNALS.iter().zip(&BEFORE) {
+        for (signal, before) in SIGNALS.iter().zip(&BEFORE) {
             let mut old = MaybeUninit::uninit();
             // SAFETY: a zeroed sigaction is a valid one without flags; the handler has the type that SA_SIGINFO asks for.
             unsafe {
@@ -75,14 +72,13 @@ mod unix {
 
     /// Calls only what a signal handler may call: no lock, no allocation.
     extern "C" fn on_signal(signal: libc::c_int, info: *mut libc::siginfo_t, _context: *mut libc::c_void) {
-        let index = SIGNALS.iter().position(|(known, _)| *known == signal);
         if !REPORTED.swap(true, Ordering::Relaxed) {
-            report_calls("crashed: ", "", index.map_or("a signal", |index| SIGNALS[index].1));
+            report_calls("crashed: ", "", signal_name(signal).unwrap_or("a signal"));
         }
         // The handlers of before, for this signal and for an abort that follows it.
         // SAFETY: they are those that the system gave.
         unsafe {
-            for ((known, _), before) in SIGNALS.iter().zip(&BEFORE) {
+            for (known, before) in SIGNALS.iter().zip(&BEFORE) {
                 if let Some(before) = before.get() {
                     libc::sigaction(*known, before, ptr::null_mut());
                 }

@@ -46,6 +46,11 @@ pub(crate) struct PluginArgs {
 const PYTHON_HELPER: &str = include_str!("../payloads/python/osteoflow_node.py");
 
 impl PluginArgs {
+    /// The libraries that the command line names.
+    pub(crate) fn files(&self) -> &[PathBuf] {
+        &self.plugins
+    }
+
     /// The kinds of this program and of all plugins that are found.
     pub(crate) fn kinds(&self) -> Result<Kinds> {
         self.kinds_of(false)

@@ -7,6 +7,7 @@ pub(crate) mod inputs;
 mod judge;
 mod landmarks;
 mod method;
+mod plugin;
 mod start;
 mod trace;
 
@@ -27,9 +28,12 @@ use osteoflow_engine::{
     Faults,
     check::{CommandLineParam, parameters},
     panics::mark_helper_thread,
+    plugin::Kinds,
 };
 use osteoflow_formats::Space;
 use osteoflow_geometry::nalgebra::Point3;
+use osteoflow_node::Kind;
+use plugin::{ByPlugin, PluginMethod};
 use rayon::ThreadPool;
 use serde_json::Value;
 use std::{
@@ -62,6 +66,7 @@ Examples:
   osteoflow register bone.stl scan.ply --init coarse.tfm --method point_to_point -v
   osteoflow register bone.stl scan.xyz --source-unit-mm 1000 --camera 0,0,0 --out pose.txt
   osteoflow register bone.stl scan.ply --init pose.json --set trim_fraction=0.2 --trace steps.csv
+  osteoflow register bone.stl scan.ply --plugin my_icp/my_icp.py       with the registration of a plugin
   osteoflow register bone.stl scan.ply --repeat 10 --workers 1 --format json | jq .align_ms
 
 The parameters for --set: osteoflow inspect icp.point_to_plane
@@ -98,9 +103,12 @@ pub(crate) struct Register {
     landmarks: Option<Vec<PathBuf>>,
 
     /// The residual to minimise.
-    #[arg(long, default_value = method::DEFAULT, value_name = "METHOD",
+    #[arg(long, default_value = method::DEFAULT, value_name = "METHOD", conflicts_with = "plugins",
           value_parser = PossibleValuesParser::new(method::METHODS.iter().map(Method::possible_value)))]
     method: String,
+
+    #[command(flatten)]
+    by_plugin: ByPlugin,
 
     /// Correspondence search: cached (the nearest samples, kept while none can be nearer), tree (the nearest samples, searched
     /// at every step), or field (a grid of closest points). Default: as the method's node.
@@ -128,7 +136,7 @@ pub(crate) struct Register {
     sets: Vec<String>,
 
     /// When to stop.
-    #[arg(long, value_enum, default_value_t = Stop::Converge, value_name = "WHEN")]
+    #[arg(long, value_enum, default_value_t = Stop::Converge, value_name = "WHEN", conflicts_with = "plugins")]
     stop: Stop,
 
     /// Bone is above this in a TARGET that is a CT, HU. Default: half-way between soft tissue and bone in the volume.
@@ -200,7 +208,7 @@ pub(crate) struct Register {
     space: Option<SpaceOption>,
 
     /// Write every step into a CSV. Nothing is overwritten.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "plugins")]
     trace: Option<PathBuf>,
 }
 
@@ -281,8 +289,16 @@ impl Register {
     /// # Errors
     /// [`Faults`] of the parameters, a [`UsageError`], or a file that cannot be read.
     pub(crate) fn ready(&self, given: Given) -> Result<Ready<'_>> {
-        let method = method::named(&self.method);
-        let params = self.params(method)?;
+        let (method, params) = match self.by_plugin.find()? {
+            Some((kinds, known, kind)) => {
+                let kind = known.registry.kind(&kind).context("the kind was found")?;
+                (&method::OF_PLUGIN, self.params_of_plugin(&kinds, kind)?)
+            }
+            None => {
+                let method = method::named(&self.method);
+                (method, self.params(method)?)
+            }
+        };
         let mut files = files::OutFiles::of(self)?;
         self.trace.iter().try_for_each(|file| refuse_existing(file))?;
         let workers = self.workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
@@ -293,13 +309,8 @@ impl Register {
         Ok(Ready { register: self, method, params, files, workers, pool, inputs: Arc::new(inputs) })
     }
 
-    /// The method's parameters.
-    ///
-    /// # Errors
-    /// Their [`Faults`].
-    fn params(&self, method: &Method) -> Result<Params> {
-        let registry = registry();
-        let kind = registry.kind(method.kind).context("a method is a node, too")?;
+    /// The options that set a parameter: option, key and value.
+    fn options(&self) -> Vec<(&'static str, &'static str, String)> {
         let number = |value: Option<f64>| value.map(|value| format!("{value:?}"));
         let options = [
             ("pairing", "pairing", self.pairing.clone()),
@@ -308,17 +319,45 @@ impl Register {
             ("step-mm", "stop_step_mm", number(self.step_mm)),
             ("step-rad", "stop_step_rad", number(self.step_rad)),
         ];
-        let given = options.iter().filter_map(|(option, key, value)| {
-            Some(CommandLineParam::Option { option, key, value: value.as_deref()? })
-        });
-        let fixed = method.fixed.iter().filter(|_| self.stop == Stop::Fixed);
-        let fixed = fixed.map(|&(key, value)| CommandLineParam::Option { option: "stop fixed", key, value });
+        options.into_iter().filter_map(|(option, key, value)| Some((option, key, value?))).collect()
+    }
+
+    /// The parameters of a kind that were given, and the defaults of the others.
+    ///
+    /// # Errors
+    /// Their [`Faults`].
+    fn checked_params(&self, kind: &Kind, fixed: &[(&str, &str)]) -> Result<Value> {
+        let options = self.options();
+        let given = options.iter().map(|(option, key, value)| CommandLineParam::Option { option, key, value });
+        let fixed = fixed.iter().map(|&(key, value)| CommandLineParam::Option { option: "stop fixed", key, value });
         let given: Vec<_> = given.chain(self.sets.iter().map(|set| CommandLineParam::Set(set))).chain(fixed).collect();
-        let as_json = parameters(&kind.description, "register", &given)?;
-        kind.build(&as_json, &osteoflow_node::BuildContext::detached("register"))
+        Ok(parameters(&kind.description, plugin::NODE, &given)?)
+    }
+
+    /// The method's parameters.
+    ///
+    /// # Errors
+    /// Their [`Faults`].
+    fn params(&self, method: &Method) -> Result<Params> {
+        let registry = registry();
+        let kind = registry.kind(method.kind).context("a method is a node, too")?;
+        let as_json = self.checked_params(kind, if self.stop == Stop::Fixed { method.fixed } else { &[] })?;
+        kind.build(&as_json, &osteoflow_node::BuildContext::detached(plugin::NODE))
             .map_err(|error| UsageError(error.to_string()))?;
         let params = method.params(as_json.clone()).context("the parameters of the node are not the method's")?;
         Ok(Params { method: params, as_json })
+    }
+
+    /// The parameters of a plugin's kind.
+    ///
+    /// # Errors
+    /// Their [`Faults`], and those of its ports.
+    fn params_of_plugin(&self, kinds: &Kinds, kind: &Kind) -> Result<Params> {
+        let as_json = self.checked_params(kind, &[])?;
+        let options = self.options().into_iter().map(|(_, key, value)| format!("{key}={value}"));
+        let sets: Vec<String> = options.chain(self.sets.iter().cloned()).collect();
+        let method = PluginMethod::new(kinds, kind, &sets, self.seed, self.workers)?;
+        Ok(Params { method: MethodParams::Plugin(method), as_json })
     }
 }
 

@@ -1,11 +1,14 @@
 // Passes on its input, and at item 1 does what the parameter `how` says: nothing good.
 #include "osteoflow_geometry.h"
 
+#include <chrono>
+#include <csignal>
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
 #include <stdexcept>
 #include <string>
+#include <thread>
 
 struct dies {
     std::string how;
@@ -33,8 +36,16 @@ static int overflow(int n) {
 
 static int32_t fire(void *node, const osteoflow_firing *firing) {
     const std::string &how = static_cast<dies *>(node)->how;
+    if (how == "late" && firing->slots[0].items[0].number == 2) {
+        std::this_thread::sleep_for(std::chrono::seconds(1));
+    }
     if (firing->slots[0].items[0].number == 1) {
-        if (how == "exit") {
+        if (how == "killed") {
+            std::thread([] {
+                std::this_thread::sleep_for(std::chrono::milliseconds(100));
+                std::raise(SIGKILL);
+            }).detach();
+        } else if (how == "exit") {
             std::exit(0);
         } else if (how == "abort") {
             std::abort();

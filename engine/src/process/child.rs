@@ -136,14 +136,19 @@ fn how(status: ExitStatus) -> String {
 /// The signal that ended a process.
 pub(crate) fn signal(status: ExitStatus) -> Option<String> {
     let number = std::os::unix::process::ExitStatusExt::signal(&status)?;
-    let name = match number {
-        4 => "SIGILL, an instruction that the processor does not have",
-        6 => "SIGABRT, it stopped itself",
-        8 => "SIGFPE, a division by zero",
-        9 => "SIGKILL, the system or somebody stopped it",
-        11 => "SIGSEGV, memory that it may not touch",
-        7 | 10 => "SIGBUS, memory that is not there",
-        _ => return Some(format!("signal {number}")),
-    };
-    Some(format!("signal {number} ({name})"))
+    let name = signal_name(number).map_or_else(String::new, |name| format!(", {name}"));
+    Some(format!("signal {number}{name}"))
+}
+
+/// Name of a signal that ends a process, and what raises it.
+pub const fn signal_name(number: i32) -> Option<&'static str> {
+    Some(match number {
+        4 => "SIGILL (invalid instruction)",
+        6 => "SIGABRT (abort, or an exception that nothing caught)",
+        8 => "SIGFPE (invalid arithmetic)",
+        9 => "SIGKILL (stopped from outside, or memory is exhausted)",
+        11 => "SIGSEGV (invalid memory, or its stack is full)",
+        7 | 10 => "SIGBUS (invalid memory)",
+        _ => return None,
+    })
 }

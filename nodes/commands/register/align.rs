@@ -12,11 +12,13 @@ use super::{
 use crate::commands::{Format, Global};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use osteoflow_algorithms::{
-    icp::{Halt, IcpFit, IcpStep, StopReason},
+    icp::{Halt, IcpFit, IcpReport, IcpStep},
     target::Target,
+    trust,
 };
-use osteoflow_geometry::Cloud;
+use osteoflow_geometry::{Cloud, nalgebra::Isometry3};
 use serde::Serialize;
+use serde_json::Value;
 use std::{
     io::IsTerminal,
     ops::ControlFlow,
@@ -56,9 +58,51 @@ pub(crate) enum Ended {
     Interrupted,
 }
 
+/// What a method found.
+pub(super) struct Fit {
+    pub(super) t_target_source: Isometry3<f64>,
+    pub(super) report: Report,
+    /// The steps of a built-in method.
+    pub(super) steps: Vec<IcpStep>,
+}
+
+/// The report of a method.
+pub(super) enum Report {
+    BuiltIn(Box<IcpReport>),
+    Plugin {
+        /// As in `results.json`, if the kind has a report.
+        theirs: Option<Value>,
+        warnings: Vec<String>,
+    },
+}
+
+/// Why a method found no pose.
+pub(super) enum NoFit {
+    Refused(String),
+    Cancelled,
+}
+
+impl From<IcpFit> for Fit {
+    fn from(IcpFit { t_target_source, report, trace }: IcpFit) -> Self {
+        Self { t_target_source, report: Report::BuiltIn(Box::new(report)), steps: trace.steps }
+    }
+}
+
+impl Report {
+    /// How the method ended, by its own report; nothing is known of one without a report.
+    pub(super) fn ended(&self) -> trust::Ended {
+        match self {
+            Self::BuiltIn(report) => trust::Ended::from(&**report),
+            Self::Plugin { theirs, .. } => {
+                theirs.clone().and_then(|report| serde_json::from_value(report).ok()).unwrap_or_default()
+            }
+        }
+    }
+}
+
 /// A fit and its timings.
 pub(crate) struct Aligned {
-    pub(super) fit: IcpFit,
+    pub(super) fit: Fit,
     /// A doubt about the picked points.
     pub(super) doubt: Option<String>,
     /// The moved source with its residuals, if it is written.
@@ -91,7 +135,7 @@ pub(super) struct Timings {
 impl Work {
     pub(crate) fn run(mut self) -> Ended {
         let mut timings = Timings::default();
-        let mut first: Option<(Target, IcpFit)> = None;
+        let mut first: Option<(Target, Fit)> = None;
         let mut same_bits = true;
         let mut started: Option<Started> = None;
         for n in 1..=self.repeat {
@@ -128,12 +172,12 @@ impl Work {
                     ControlFlow::Continue(())
                 }
             };
-            let fit = self.params.method.register(&target, source, &init, &mut observer);
+            let fit = self.params.method.register(&target, source, &init, &mut observer, cancelled);
             timings.align_ms.push(ms_since(began));
             timings.cpu_ms.extend(cpu_ms().zip(cpu).map(|(after, before)| after - before));
             match fit {
-                Err(error) => return Ended::Refused(error.to_string()),
-                Ok(fit) if fit.report.stop_reason == StopReason::Cancelled => return Ended::Interrupted,
+                Err(NoFit::Refused(why)) => return Ended::Refused(why),
+                Err(NoFit::Cancelled) => return Ended::Interrupted,
                 Ok(fit) => {
                     same_bits &= first.as_ref().is_none_or(|(_, first)| first.t_target_source == fit.t_target_source);
                     first.get_or_insert((target, fit));

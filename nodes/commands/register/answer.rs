@@ -2,10 +2,12 @@
 
 use super::{
     Params, Register, Stop,
-    align::{Aligned, Ended},
+    align::{Aligned, Ended, Report},
     files::{Form, OutFiles, itk_file},
     inputs::Inputs,
     judge,
+    method::MethodParams,
+    plugin::PluginMethod,
     start::OTHER_WAYS,
     trace, write_new,
 };
@@ -71,7 +73,7 @@ impl Answer<'_> {
             };
             self.files.write(text_of, aligned.moved.as_ref())?;
             if let Some(file) = &self.register.trace {
-                write_new(file, &trace::csv(&aligned.fit.trace.steps))?;
+                write_new(file, &trace::csv(&aligned.fit.steps))?;
             }
         }
         Ok(Answered { exit, warnings, json })
@@ -107,12 +109,34 @@ impl Answer<'_> {
     }
 
     fn warnings(&self, aligned: &Aligned) -> Vec<String> {
-        let report = &aligned.fit.report;
         let mut warnings: Vec<String> = aligned.doubt.iter().cloned().collect();
         // The verdict says so, where there is one.
         if aligned.judged.is_none() && aligned.started.shape().is_some_and(|start| start.clearness < CLEAR) {
             warnings.push(format!("the start by shape alone is not clear, and not judged; start from {OTHER_WAYS}"));
         }
+        match &aligned.fit.report {
+            Report::BuiltIn(report) => warnings.extend(self.warnings_of(report)),
+            Report::Plugin { warnings: theirs, .. } => {
+                warnings.extend(theirs.iter().map(|warning| format!("{}: {warning}", self.method())));
+                if aligned.fit.report.ended().converged == Some(false) {
+                    warnings.push(format!("not converged, by the report of {}", self.method()));
+                }
+            }
+        }
+        let turned_deg = aligned.fit.t_target_source.rotation.angle_to(&aligned.started.init.rotation).to_degrees();
+        if turned_deg > TURNED_DEG {
+            let turned = format!("it turned the source by {turned_deg:.0} degrees from the start");
+            warnings.push(format!("{turned}, so it may have converged to another minimum; is the start right?"));
+        }
+        if !aligned.same_bits {
+            warnings.push("the repeats gave different poses, which only a time limit should cause".into());
+        }
+        warnings
+    }
+
+    /// Warnings of a built-in method.
+    fn warnings_of(&self, report: &IcpReport) -> Vec<String> {
+        let mut warnings = Vec::new();
         if !report.converged && self.register.stop == Stop::Converge {
             let left = report.remaining_mm.map_or_else(String::new, |mm| format!("; about {} mm remain", short(mm)));
             warnings.push(format!("not converged: {}{left}", stop_reason(report.stop_reason)));
@@ -124,14 +148,6 @@ impl Answer<'_> {
         if let Some(left_mm) = report.left_mm.filter(|mm| *mm > LEFT_MM) {
             let left = format!("it stopped {left_mm:.2} mm from where point_to_plane ends that starts there");
             warnings.push(format!("{left}; use --method point_to_plane"));
-        }
-        let turned_deg = aligned.fit.t_target_source.rotation.angle_to(&aligned.started.init.rotation).to_degrees();
-        if turned_deg > TURNED_DEG {
-            let turned = format!("it turned the source by {turned_deg:.0} degrees from the start");
-            warnings.push(format!("{turned}, so it may have converged to another minimum; is the start right?"));
-        }
-        if !aligned.same_bits {
-            warnings.push("the repeats gave different poses, which only a time limit should cause".into());
         }
         warnings
     }
@@ -150,18 +166,21 @@ impl Answer<'_> {
             Ended::Refused(why) => put("refused", json!({ "reason": why })),
             Ended::Interrupted => put("refused", json!({ "reason": "interrupted" })),
             Ended::Fit(aligned) => {
-                let (fit, report) = (&aligned.fit, &aligned.fit.report);
+                let fit = &aligned.fit;
                 match aligned.refusal() {
                     None => put("T", json!(matrix_rows(&fit.t_target_source).concat())),
                     Some(why) => put("refused", json!({ "reason": why })),
                 }
-                put("converged", report.converged.into());
-                put("stop_reason", json!(report.stop_reason));
-                put("iterations", report.iterations.into());
-                put("n_pairs", report.n_pairs.into());
-                put("rms_mm", json!(report.rms_mm));
-                put("remaining_mm", json!(report.remaining_mm));
-                put("undetermined", json!(report.observability.undetermined));
+                let report = match &fit.report {
+                    Report::BuiltIn(report) => {
+                        put("undetermined", json!(report.observability.undetermined));
+                        json!(report)
+                    }
+                    Report::Plugin { theirs, .. } => theirs.clone().unwrap_or_default(),
+                };
+                for key in ["converged", "stop_reason", "iterations", "n_pairs", "rms_mm", "remaining_mm"] {
+                    put(key, report.get(key).cloned().unwrap_or_default());
+                }
                 put("same_bits", aligned.same_bits.into());
                 if let Ok(Value::Object(timings)) = serde_json::to_value(&aligned.timings) {
                     timings.into_iter().for_each(|(key, value)| put(&key, value));
@@ -169,9 +188,9 @@ impl Answer<'_> {
                 if let Some(judged) = &aligned.judged {
                     put("verdict_ms", json!(judged.ms));
                 }
-                put("report", json!(report));
+                put("report", report);
                 if with_trace && exit == Exit::Done {
-                    put("trace", json!(fit.trace.steps));
+                    put("trace", json!(fit.steps));
                 }
             }
         }
@@ -185,7 +204,10 @@ impl Answer<'_> {
         );
         put("warnings", json!(warnings));
         put("notes", json!(inputs.notes));
-        put("method", asked.method.as_str().into());
+        put("method", self.method().into());
+        if let Some(plugin) = self.plugin().and_then(PluginMethod::plugin) {
+            put("plugin", json!(plugin));
+        }
         put("pairing", self.pairing().into());
         put("stop", asked.stop.name().into());
         put("params", self.params.as_json.clone());
@@ -215,6 +237,18 @@ impl Answer<'_> {
         }
     }
 
+    fn plugin(&self) -> Option<&PluginMethod> {
+        match &self.params.method {
+            MethodParams::Plugin(plugin) => Some(plugin),
+            _ => None,
+        }
+    }
+
+    /// The name of the method, or the kind of the plugin.
+    fn method(&self) -> &str {
+        self.plugin().map_or(&self.register.method, |plugin| &plugin.kind)
+    }
+
     fn pairing(&self) -> &str {
         self.params.as_json.get("pairing").and_then(Value::as_str).unwrap_or("cached")
     }
@@ -227,8 +261,11 @@ impl Answer<'_> {
 
     /// Who made a file, and how the registration ended.
     fn made_by(&self, aligned: &Aligned) -> String {
-        let ended = stop_reason(aligned.fit.report.stop_reason);
-        format!("osteoflow {}, {}: {ended}; {NOTICE}", env!("CARGO_PKG_VERSION"), self.register.method)
+        let ended = match &aligned.fit.report {
+            Report::BuiltIn(report) => stop_reason(report.stop_reason),
+            Report::Plugin { .. } => converged(aligned.fit.report.ended().converged),
+        };
+        format!("osteoflow {}, {}: {ended}; {NOTICE}", env!("CARGO_PKG_VERSION"), self.method())
     }
 
     /// The pose for 3D Slicer.
@@ -262,12 +299,15 @@ impl Answer<'_> {
         }
         let is_given = aligned.refusal().is_none();
         if global.verbose > 0 && is_given {
-            let _ = writeln!(out, "{}", trace::text(&fit.trace.steps));
+            let _ = writeln!(out, "{}", trace::text(&fit.steps));
         }
         let _ = writeln!(out, "{NOTICE}\n");
         let _ = writeln!(out, "target  {}, {}", asked.target.display(), inputs.target.describe());
         let _ = writeln!(out, "source  {}, {}", asked.source.display(), inputs.source.describe());
-        let _ = writeln!(out, "method  {}, pairing {}", asked.method, self.pairing());
+        let _ = match self.plugin().and_then(PluginMethod::plugin) {
+            Some(plugin) => writeln!(out, "method  {}, {}", self.method(), plugin.path.display()),
+            None => writeln!(out, "method  {}, pairing {}", asked.method, self.pairing()),
+        };
         let start = aligned.started.describe();
         let _ = writeln!(out, "{}", start.map_or_else(String::new, |start| format!("start   {start}\n")));
         if is_given {
@@ -321,14 +361,36 @@ impl Answer<'_> {
     }
 }
 
-fn summary(report: &IcpReport, params: &Params, moved: &str) -> String {
+/// What a plugin reports of its convergence.
+fn converged(stated: Option<bool>) -> &'static str {
+    match stated {
+        Some(true) => "yes, by its report",
+        Some(false) => "NO, by its report",
+        None => "not reported",
+    }
+}
+
+fn summary(report: &Report, params: &Params, moved: &str) -> String {
+    let lines = match report {
+        Report::BuiltIn(report) => built_in_lines(report, params, moved),
+        Report::Plugin { theirs, .. } => {
+            let fields = theirs.iter().filter_map(Value::as_object).flatten();
+            let shown = fields.filter(|(key, value)| *key != "converged" && (value.is_number() || value.is_string()));
+            let shown = shown
+                .map(|(key, value)| (key.as_str(), value.as_str().map_or_else(|| value.to_string(), String::from)));
+            let first = ("converged", converged(report.ended().converged).to_owned());
+            std::iter::once(first).chain(shown).chain([("moved", moved.into())]).collect()
+        }
+    };
+    lines.iter().fold("result\n".to_owned(), |out, (name, value)| out + &format!("  {name:<14}{value}\n"))
+}
+
+fn built_in_lines(report: &IcpReport, params: &Params, moved: &str) -> Vec<(&'static str, String)> {
+    let within = params.method.max_pair_distance_mm().map_or_else(String::new, |mm| format!(", within {mm} mm"));
     let mut lines = vec![
         ("converged", format!("{}: {}", if report.converged { "yes" } else { "NO" }, stop_reason(report.stop_reason))),
         ("steps", report.iterations.to_string()),
-        (
-            "pairs",
-            format!("{} of {}, within {} mm", report.n_pairs, report.n_source, params.method.max_pair_distance_mm()),
-        ),
+        ("pairs", format!("{} of {}{within}", report.n_pairs, report.n_source)),
         ("residual", format!("{:.4} mm RMS, {:.4} mm between the points", report.rms_mm, report.point_rms_mm)),
     ];
     lines.extend(report.remaining_mm.map(|mm| ("remaining", format!("{} mm", short(mm)))));
@@ -347,7 +409,7 @@ fn summary(report: &IcpReport, params: &Params, moved: &str) -> String {
             free.iter().map(describe).collect::<Vec<_>>().join("; ")
         },
     ));
-    lines.iter().fold("result\n".to_owned(), |out, (name, value)| out + &format!("  {name:<14}{value}\n"))
+    lines
 }
 
 fn stop_reason(reason: StopReason) -> &'static str {

@@ -37,8 +37,8 @@ use serde_json::{Value, json};
 use std::{fs, path::Path, sync::Arc, time::Instant};
 
 /// The frames of the two files.
-const TARGET: &str = "target";
-const SOURCE: &str = "source";
+pub(super) const TARGET: &str = "target";
+pub(super) const SOURCE: &str = "source";
 
 /// The word for the identity as the start.
 const IDENTITY: &str = "identity";

@@ -2,14 +2,14 @@
 
 use super::{
     Stop,
+    align::Fit,
     inputs::{Inputs, ms_since},
     start::{OTHER_WAYS, Started},
 };
 use osteoflow_algorithms::{
-    icp::IcpFit,
     normals,
     target::{Target, TargetError},
-    trust::{self, Answer, Case, Ended, EvidenceParams, PredictParams, Reason, Registered, RuleParams, Verdict},
+    trust::{self, Answer, Case, EvidenceParams, PredictParams, Reason, Registered, RuleParams, Verdict},
 };
 use osteoflow_engine::run::verdict::{FAILURE, INTERRUPTED, REQUIRE};
 use std::time::Instant;
@@ -32,13 +32,13 @@ pub(super) struct Judged {
 
 impl Judge {
     /// Judges a pose. A target without normals is examined with estimated ones.
-    pub(super) fn judge(self, target: &Target, inputs: &Inputs, started: &Started, fit: &IcpFit) -> Judged {
+    pub(super) fn judge(self, target: &Target, inputs: &Inputs, started: &Started, fit: &Fit) -> Judged {
         let began = Instant::now();
         let with_normals = match target.normals() {
             Some(_) => None,
             None => estimated(target),
         };
-        let ended = Ended::from(&fit.report);
+        let ended = fit.report.ended();
         let (landmarks, located) = inputs.start.landmarks();
         let case = Case {
             registered: Registered {
@@ -63,6 +63,9 @@ impl Judge {
         let (examine, rules, errors) = (EvidenceParams::default(), RuleParams::default(), PredictParams::default());
         let mut verdict = trust::judge(&case, &examine, &rules, &errors);
         verdict.assumptions = assumptions(inputs, with_normals.is_some());
+        if ended.converged.is_none() {
+            verdict.assumptions.push("the plugin converged: it does not report whether it did".to_owned());
+        }
         if started.shape().is_some() {
             let by_shape = verdict.reasons.iter_mut().filter(|reason| ["start", "shape"].contains(&&*reason.rule));
             by_shape.for_each(|reason| reason.remedy = format!("start from {OTHER_WAYS}, or scan more of the bone"));

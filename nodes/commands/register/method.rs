@@ -1,13 +1,20 @@
 //! The methods of `register`, in one table.
 
+use super::{
+    align::{Fit, NoFit},
+    plugin::PluginMethod,
+};
 use clap::builder::PossibleValue;
 use osteoflow_algorithms::{
-    icp::{self, Halt, IcpError, IcpFit, IcpParams, IcpStep, PairingKind, PublishedParams},
+    icp::{self, Halt, IcpParams, IcpStep, PairingKind, PublishedParams, StopReason},
     target::Target,
 };
 use osteoflow_geometry::{Cloud, nalgebra::Isometry3};
 use serde_json::Value;
-use std::ops::ControlFlow;
+use std::{
+    ops::ControlFlow,
+    sync::{Arc, atomic::AtomicBool},
+};
 
 /// A registration method.
 pub(super) struct Method {
@@ -28,7 +35,12 @@ pub(super) struct Method {
 pub(super) enum MethodParams {
     Variant(icp::Method, IcpParams),
     Published(PublishedParams),
+    Plugin(PluginMethod),
 }
+
+/// What a method of a plugin gets: normals, and the mesh if the target has one.
+pub(super) const OF_PLUGIN: Method =
+    Method { variant: None, kind: "", about: "", fixed: &[], needs_mesh: false, needs_normals: true };
 
 const FIXED: &[(&str, &str)] =
     &[("stop_step_mm", "0.0"), ("stop_step_rad", "0.0"), ("stop_residual_mm", "0.0"), ("levels", "[]")];
@@ -111,24 +123,33 @@ impl MethodParams {
         source: &Cloud,
         init: &Isometry3<f64>,
         observer: &mut dyn FnMut(&IcpStep) -> ControlFlow<Halt>,
-    ) -> Result<IcpFit, IcpError> {
-        match self {
+        cancelled: &Arc<AtomicBool>,
+    ) -> Result<Fit, NoFit> {
+        let fit = match self {
             Self::Variant(variant, params) => icp::register(*variant, target, source, init, params, observer),
             Self::Published(params) => icp::register_published(target, source, init, params, observer),
+            Self::Plugin(plugin) => return plugin.register(target, source, init, cancelled),
+        };
+        match fit {
+            Err(error) => Err(NoFit::Refused(error.to_string())),
+            Ok(fit) if fit.report.stop_reason == StopReason::Cancelled => Err(NoFit::Cancelled),
+            Ok(fit) => Ok(fit.into()),
         }
     }
 
     pub(super) fn pairing(&self) -> PairingKind {
         match self {
             Self::Variant(_, params) => params.pairing,
-            Self::Published(_) => PairingKind::Cached,
+            Self::Published(_) | Self::Plugin(_) => PairingKind::Cached,
         }
     }
 
-    pub(super) fn max_pair_distance_mm(&self) -> f64 {
+    /// Largest distance of a pair, mm, if the method states one.
+    pub(super) fn max_pair_distance_mm(&self) -> Option<f64> {
         match self {
-            Self::Variant(_, params) => params.max_pair_distance_mm,
-            Self::Published(params) => params.max_pair_distance_mm,
+            Self::Variant(_, params) => Some(params.max_pair_distance_mm),
+            Self::Published(params) => Some(params.max_pair_distance_mm),
+            Self::Plugin(_) => None,
         }
     }
 
@@ -136,6 +157,7 @@ impl MethodParams {
         match self {
             Self::Variant(_, params) => params.stop_after_ms,
             Self::Published(params) => params.stop_after_ms,
+            Self::Plugin(_) => 0.0,
         }
     }
 }
