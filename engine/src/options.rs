@@ -2,6 +2,8 @@
 
 use crate::{runtime::Injection, store::Store};
 use std::{
+    collections::BTreeMap,
+    fmt,
     path::PathBuf,
     sync::{Arc, atomic::AtomicBool},
 };
@@ -31,6 +33,38 @@ pub struct RunOptions {
     /// Store of cached answers, looked up before a node whose kind is cached fires. The results and recorded wires are
     /// the same with and without; `None` computes everything.
     pub store: Option<Arc<Store>>,
+    /// Receives what is recorded while it is recorded; nothing if `record` is not set.
+    pub listener: Option<Arc<dyn Listener>>,
+}
+
+/// Receives the channels and messages of a recording in the order of its file, such as a server of viewers.
+///
+/// It is called on the recorder's thread, which the graph may have to wait for: it must not wait itself.
+pub trait Listener: fmt::Debug + Send + Sync {
+    /// A channel, before its first message.
+    fn channel(&self, channel: ListenedChannel);
+
+    /// A message of a channel.
+    fn message(&self, channel: u16, log_time_ns: u64, data: Vec<u8>);
+}
+
+/// A channel of a recording.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ListenedChannel {
+    /// Its number in the recording.
+    pub id: u16,
+    /// Its topic, such as `/exact/icp.t_target_source`.
+    pub topic: String,
+    /// The encoding of its messages.
+    pub encoding: String,
+    /// The name of their schema.
+    pub schema_name: String,
+    /// The encoding of the schema.
+    pub schema_encoding: String,
+    /// The schema.
+    pub schema: Arc<[u8]>,
+    /// Its metadata: node, port, kind, units.
+    pub metadata: BTreeMap<String, String>,
 }
 
 impl Default for RunOptions {
@@ -46,6 +80,7 @@ impl Default for RunOptions {
             command: serde_json::Value::Null,
             inject: Vec::new(),
             store: None,
+            listener: None,
         }
     }
 }

@@ -11,6 +11,7 @@
 mod frame_tree;
 mod layout;
 mod log;
+mod output;
 mod pictures;
 mod queue;
 mod sink;
@@ -29,6 +30,7 @@ use crate::{
 pub(crate) use log::LogEntry;
 use osteoflow_container::{WriteOptions, Writer};
 use osteoflow_node::{Body, ClockReading, Item, StampNs};
+use output::Output;
 use queue::Queue;
 use serde_json::Value as Json;
 use sink::{Sink, Stopped};
@@ -317,7 +319,7 @@ fn begin(
     write(&mut file, &program)?;
     write(&mut file, &PluginRecords(plan.plugins.clone()))?;
     inputs.iter().try_for_each(|inputs| write(&mut file, inputs))?;
-    let mut sink = Sink::begin(file, plan, shown)?;
+    let mut sink = Sink::begin(Output::new(file, options.listener.clone()), plan, shown)?;
     // From here on, a truncated file names the wires it was to hold.
     sink.file.flush()?;
     Ok(sink)

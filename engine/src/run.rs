@@ -18,7 +18,10 @@ pub use crate::runtime::{
     BuildFault, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer, Refusal, Spread,
     Warning,
 };
-pub use crate::{answer_cache::CachedAnswer, options::RunOptions};
+pub use crate::{
+    answer_cache::CachedAnswer,
+    options::{ListenedChannel, Listener, RunOptions},
+};
 pub(crate) use finished::{Finished, WireItems};
 pub use report::{Outcome, RunError, RunReport};
 pub use verdict::{Answer, Reason, Verdict};

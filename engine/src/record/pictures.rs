@@ -3,15 +3,16 @@
 use super::{
     frame_tree::FrameTree,
     layout::{Focus, Shown, layout},
+    output::Output,
 };
 use crate::{
     plan::{OutputId, Plan},
     recording::format::Topic,
 };
-use osteoflow_container::{MessageHeader, Writer};
+use osteoflow_container::MessageHeader;
 use osteoflow_node::{Display, DisplayContext, Item, PortPayload, StampNs, Value};
 use serde_json::Value as Json;
-use std::{collections::BTreeMap, fs::File, io};
+use std::{collections::BTreeMap, io};
 
 /// Maximum size of the pictures of answers that wait for the end of the run; later ones are left out and counted.
 const MAX_HELD_BYTES: usize = 64 << 20;
@@ -40,7 +41,7 @@ struct Channel {
 
 impl Pictures {
     /// Adds a channel for each recorded wire whose payload viewers can show.
-    pub(super) fn begin(file: &mut Writer<File>, plan: &Plan) -> io::Result<Self> {
+    pub(super) fn begin(file: &mut Output, plan: &Plan) -> io::Result<Self> {
         let mut wires = BTreeMap::new();
         for &id in plan.record.iter().filter(|_| plan.recording.views) {
             let output = &plan.nodes[id.node].outputs[id.port];
@@ -60,7 +61,7 @@ impl Pictures {
     /// Writes the picture of a value, or holds it until the end if it shows an answer.
     pub(super) fn write(
         &mut self,
-        file: &mut Writer<File>,
+        file: &mut Output,
         wire: OutputId,
         (item, value): (&Item, &Value),
         time_ns: u64,
@@ -87,7 +88,7 @@ impl Pictures {
 
     /// Writes the first transform of each wire of poses at `first_ns`, before everything else in the file, and the answers
     /// if the run is `complete`. Returns what viewers cannot show.
-    pub(super) fn finish(&mut self, file: &mut Writer<File>, first_ns: u64, complete: bool) -> io::Result<Vec<String>> {
+    pub(super) fn finish(&mut self, file: &mut Output, first_ns: u64, complete: bool) -> io::Result<Vec<String>> {
         let mut notes = self.not_connected();
         if !complete && !self.held.is_empty() {
             let n = self.held.len() + self.n_left_out;
@@ -160,7 +161,7 @@ impl Pictures {
     }
 }
 
-fn add_channel(file: &mut Writer<File>, topic: &str, display: &Display) -> io::Result<u16> {
+fn add_channel(file: &mut Output, topic: &str, display: &Display) -> io::Result<u16> {
     let schema = file.add_schema(&display.schema_name, &display.schema_encoding, &display.schema_data)?;
     file.add_channel(schema, topic, &display.message_encoding, &BTreeMap::new())
 }

@@ -1,6 +1,7 @@
 use super::{
     Firing, RecordError,
     log::{LogEntry, LogFilter},
+    output::Output,
     pictures::Pictures,
 };
 use crate::{
@@ -14,10 +15,10 @@ use crate::{
     },
     shown_paths::ShownPaths,
 };
-use osteoflow_container::{MessageHeader, Writer};
+use osteoflow_container::MessageHeader;
 use osteoflow_node::{Body, ClockReading, Item, PayloadType, PortPayload, Role, StampNs};
 use serde_json::Value as Json;
-use std::{collections::BTreeMap, fs::File, io, time::Duration};
+use std::{collections::BTreeMap, io, time::Duration};
 
 /// Maximum size of an item. Readers accept no longer record, and the chunk holds more than the item.
 const MAX_ITEM_BYTES: usize = (1 << 30) - (16 << 20);
@@ -26,7 +27,7 @@ const MAX_WAITING_BYTES: usize = 64 << 20;
 
 /// Channels of a recording, with their message counts.
 pub(super) struct Sink {
-    pub(super) file: Writer<File>,
+    pub(super) file: Output,
     wires: BTreeMap<OutputId, WireChannels>,
     pub(super) pictures: Pictures,
     log: LogFilter,
@@ -94,7 +95,7 @@ impl Stopped {
 
 impl Sink {
     /// Adds the channels of the recorded wires.
-    pub(super) fn begin(mut file: Writer<File>, plan: &Plan, shown: &ShownPaths) -> io::Result<Self> {
+    pub(super) fn begin(mut file: Output, plan: &Plan, shown: &ShownPaths) -> io::Result<Self> {
         let mut wires = BTreeMap::new();
         for &id in &plan.record {
             let (node, output) = (&plan.nodes[id.node], &plan.nodes[id.node].outputs[id.port]);

@@ -1,0 +1,18 @@
+//! A live stream of what a run records, or of a recording, and the page that shows it.
+//!
+//! [`Stream`] is the listener of a run ([`osteoflow_engine::run::RunOptions::listener`]); [`Server`] sends it to viewers by the
+//! Foxglove WebSocket protocol and serves the page, both at one address. The server is small and of this crate, because that of
+//! the `foxglove` crate looks at the subprotocol of a request only, and needs an asynchronous runtime: here the token, the `Host`
+//! and the `Origin` are checked before a request becomes a stream (docs/decisions/0032).
+
+mod access;
+mod http;
+mod page;
+mod protocol;
+mod server;
+mod stream;
+
+pub use http::Answer;
+pub use protocol::PlaybackState;
+pub use server::{App, ServeOptions, Server, Watched};
+pub use stream::{Stream, Totals};

@@ -1,0 +1,53 @@
+//! The files of the page, which are part of the program.
+
+use crate::http::Answer;
+
+/// A file: its path below the page, its content type and its content.
+type File = (&'static str, &'static str, &'static str);
+
+const HTML: &str = "text/html; charset=utf-8";
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+const STYLE: &str = "text/css; charset=utf-8";
+
+const INDEX: &str = include_str!("../page/index.html");
+
+/// Where the index has the nonce of its one inline script, the map of imports.
+const NONCE: &str = "NONCE";
+
+const FILES: &[File] = &[
+    ("page.css", STYLE, include_str!("../page/page.css")),
+    ("main.js", SCRIPT, include_str!("../page/main.js")),
+    ("connection.js", SCRIPT, include_str!("../page/connection.js")),
+    ("message.js", SCRIPT, include_str!("../page/message.js")),
+    ("frames.js", SCRIPT, include_str!("../page/frames.js")),
+    ("scene.js", SCRIPT, include_str!("../page/scene.js")),
+    ("verdict.js", SCRIPT, include_str!("../page/verdict.js")),
+    ("three/three.module.min.js", SCRIPT, include_str!("../page/three/three.module.min.js")),
+    ("three/three.core.min.js", SCRIPT, include_str!("../page/three/three.core.min.js")),
+    ("three/OrbitControls.js", SCRIPT, include_str!("../page/three/OrbitControls.js")),
+    ("three/LICENSE", "text/plain; charset=utf-8", include_str!("../page/three/LICENSE")),
+];
+
+/// The file at a path.
+pub(crate) fn file(path: &str) -> Option<Answer> {
+    if path.is_empty() {
+        return Some(index());
+    }
+    let (_, content_type, content) = FILES.iter().find(|(known, _, _)| *known == path)?;
+    Some(Answer::new(200, content_type, content.as_bytes().to_vec()))
+}
+
+/// The page itself. It may load nothing but what this server has.
+fn index() -> Answer {
+    let mut bits = [0; 16];
+    if getrandom::fill(&mut bits).is_err() {
+        return Answer::refused(500, "the system gives no random numbers");
+    }
+    let nonce: String = bits.iter().map(|byte| format!("{byte:02x}")).collect();
+    let mut page = Answer::new(200, HTML, INDEX.replace(NONCE, &nonce).into_bytes());
+    page.headers = format!(
+        "Content-Security-Policy: default-src 'none'; script-src 'self' 'nonce-{nonce}'; style-src 'self'; img-src 'self' \
+         data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'\r\n"
+    );
+    page
+}

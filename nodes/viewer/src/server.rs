@@ -1,0 +1,425 @@
+//! The server: the page, and the stream to viewers, at one address.
+
+use crate::{
+    access::{Access, Asks, Denied},
+    http::{Answer, PATIENCE, Request},
+    page,
+    protocol::{self, FromClient, Level, PlaybackState, SUBPROTOCOLS},
+    stream::{Out, Stream, Totals, Viewer},
+};
+use serde_json::Value;
+use std::{
+    fmt,
+    io::{self, Read, Write},
+    net::{IpAddr, Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, AtomicUsize, Ordering},
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+use tungstenite::{
+    Message, WebSocket,
+    handshake::derive_accept_key,
+    protocol::{Role, WebSocketConfig},
+};
+
+/// Connections at a time; a browser opens six to one address.
+const MAX_CONNECTIONS: usize = 64;
+/// Longest message of a viewer.
+const MAX_MESSAGE_BYTES: usize = 1 << 20;
+/// Time after which a viewer that takes nothing is left.
+const STUCK: Duration = Duration::from_secs(30);
+/// How long a viewer's thread waits for a message before it looks whether to end.
+const LOOK: Duration = Duration::from_millis(500);
+/// Time for viewers to receive the end of the stream.
+const LAST_WORDS: Duration = Duration::from_secs(2);
+
+/// How to serve.
+#[derive(Debug, Clone)]
+pub struct ServeOptions {
+    /// Where to listen; port 0 for a free one.
+    pub address: SocketAddr,
+    /// Origins whose pages may connect besides the server's own.
+    pub allowed_origins: Vec<String>,
+    /// What is served: the name of a graph or a file.
+    pub name: String,
+}
+
+impl ServeOptions {
+    /// On the loopback, at a free port.
+    pub fn new(name: impl Into<String>) -> Self {
+        Self { address: (Ipv4Addr::LOCALHOST, 0).into(), allowed_origins: Vec::new(), name: name.into() }
+    }
+}
+
+/// What is behind the page and the stream. All of it is optional.
+pub trait App: Send + Sync {
+    /// The answer to a request of the page for `path`.
+    fn get(&self, _path: &str) -> Option<Answer> {
+        None
+    }
+
+    /// The answer to a request of the page that changes something.
+    fn post(&self, _path: &str, _body: &[u8]) -> Option<Answer> {
+        None
+    }
+
+    /// Parameters of nodes, `icp.max_iterations`.
+    fn parameters(&self) -> Vec<(String, Value)> {
+        Vec::new()
+    }
+
+    /// Sets a parameter.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    fn set_parameter(&self, name: &str, _value: &Value) -> Result<(), String> {
+        Err(format!("{name} cannot be changed here"))
+    }
+
+    /// Names of the actions that viewers may call.
+    fn services(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// Does what a service says.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    fn call(&self, service: &str, _request: &Value) -> Result<Value, String> {
+        Err(format!("there is no service {service}"))
+    }
+
+    /// First and last time of a recording that is played, ns.
+    fn range_ns(&self) -> Option<(u64, u64)> {
+        None
+    }
+
+    /// Plays, stops, or goes to a time; `None` if nothing is played.
+    fn play(&self, _plays: bool, _speed: f32, _seek_ns: Option<u64>) -> Option<PlaybackState> {
+        None
+    }
+}
+
+/// An app without anything: a run that is only watched.
+#[derive(Debug, Clone, Copy)]
+pub struct Watched;
+
+impl App for Watched {}
+
+/// A server that runs.
+pub struct Server {
+    shared: Arc<Shared>,
+    acceptor: Option<JoinHandle<()>>,
+}
+
+struct Shared {
+    access: Access,
+    name: String,
+    /// Changes with each start, so that viewers do not take one run for another.
+    session: String,
+    stream: Arc<Stream>,
+    app: Arc<dyn App>,
+    is_ending: AtomicBool,
+    n_connections: AtomicUsize,
+}
+
+impl fmt::Debug for Server {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Server").field("address", &self.shared.access.address).finish_non_exhaustive()
+    }
+}
+
+impl Server {
+    /// Listens, and serves from threads of its own.
+    ///
+    /// # Errors
+    /// The address cannot be listened at, or the system gives no random numbers for the token.
+    pub fn start(options: ServeOptions, stream: Arc<Stream>, app: Arc<dyn App>) -> io::Result<Self> {
+        let listener = TcpListener::bind(options.address)?;
+        let access =
+            Access { address: listener.local_addr()?, token: token()?, allowed_origins: options.allowed_origins };
+        let (is_ending, n_connections) = (AtomicBool::new(false), AtomicUsize::new(0));
+        let session = token()?;
+        let shared = Arc::new(Shared { access, name: options.name, session, stream, app, is_ending, n_connections });
+        let of_acceptor = shared.clone();
+        let acceptor = thread::Builder::new().name("viewers".into()).spawn(move || accept(&listener, &of_acceptor))?;
+        Ok(Self { shared, acceptor: Some(acceptor) })
+    }
+
+    /// The address of the page, with the token.
+    pub fn page(&self) -> String {
+        format!("http://{}/{}/", self.host(), self.shared.access.token)
+    }
+
+    /// The address for viewers of the protocol, with the token.
+    pub fn stream_address(&self) -> String {
+        format!("ws://{}/{}", self.host(), self.shared.access.token)
+    }
+
+    fn host(&self) -> SocketAddr {
+        let mut address = self.shared.access.address;
+        if address.ip().is_unspecified() {
+            // The address of this machine in its network is not known here.
+            address.set_ip(IpAddr::V4(Ipv4Addr::LOCALHOST));
+        }
+        address
+    }
+
+    /// Sends what waits, closes all connections, and returns how many messages were sent.
+    pub fn end(mut self) -> Totals {
+        self.close()
+    }
+
+    fn close(&mut self) -> Totals {
+        let Some(acceptor) = self.acceptor.take() else { return self.shared.stream.totals() };
+        self.shared.stream.end();
+        let began = Instant::now();
+        while self.shared.n_connections.load(Ordering::Relaxed) > 0 && began.elapsed() < LAST_WORDS {
+            thread::sleep(Duration::from_millis(5));
+        }
+        self.shared.is_ending.store(true, Ordering::Relaxed);
+        // Wakes the acceptor.
+        let _ = TcpStream::connect_timeout(&self.host(), Duration::from_secs(1));
+        let _ = acceptor.join();
+        self.shared.stream.totals()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+/// 128 random bits as hexadecimal digits.
+fn token() -> io::Result<String> {
+    let mut bits = [0; 16];
+    getrandom::fill(&mut bits).map_err(|error| io::Error::other(error.to_string()))?;
+    Ok(bits.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
+    for connection in listener.incoming() {
+        if shared.is_ending.load(Ordering::Relaxed) {
+            return;
+        }
+        let Ok(connection) = connection else { continue };
+        if shared.n_connections.fetch_add(1, Ordering::Relaxed) >= MAX_CONNECTIONS {
+            shared.n_connections.fetch_sub(1, Ordering::Relaxed);
+            let _ = connection.shutdown(Shutdown::Both);
+            continue;
+        }
+        let of_thread = shared.clone();
+        let started = thread::Builder::new().name("viewer".into()).spawn(move || {
+            serve(connection, &of_thread);
+            of_thread.n_connections.fetch_sub(1, Ordering::Relaxed);
+        });
+        if started.is_err() {
+            shared.n_connections.fetch_sub(1, Ordering::Relaxed);
+        }
+    }
+}
+
+/// A connection that must have sent its request by a time.
+struct Until<'a>(&'a TcpStream, Instant);
+
+impl Read for Until<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let left = self.1.saturating_duration_since(Instant::now());
+        self.0.set_read_timeout(Some(left.max(Duration::from_millis(1))))?;
+        self.0.read(buffer)
+    }
+}
+
+fn serve(mut connection: TcpStream, shared: &Arc<Shared>) {
+    let _ = connection.set_nodelay(true);
+    let _ = connection.set_write_timeout(Some(STUCK));
+    let request = match Request::read(&mut Until(&connection, Instant::now() + PATIENCE)) {
+        Ok(request) => request,
+        Err(fault) => {
+            if let Some((status, message)) = fault {
+                let _ = Answer::refused(status, message).write(&mut connection);
+            }
+            return;
+        }
+    };
+    let path = request.path.split('?').next().unwrap_or_default();
+    let asks = Asks { path, hosts: request.all("host"), origins: request.all("origin") };
+    let answer = match shared.access.check(&asks) {
+        Err(Denied(status, message)) => Answer::refused(status, &message),
+        Ok(_) if request.lists("upgrade", "websocket") => match upgrade(&request) {
+            Err(message) => Answer::refused(400, message),
+            Ok(head) => {
+                if connection.write_all(head.as_bytes()).is_ok() {
+                    view(connection, shared);
+                }
+                return;
+            }
+        },
+        Ok(rest) => answer(&request, rest, shared),
+    };
+    let _ = answer.write(&mut connection);
+}
+
+fn answer(request: &Request, rest: &str, shared: &Shared) -> Answer {
+    let found = match &*request.method {
+        // Relative addresses of the page need the slash.
+        "GET" if rest.is_empty() && !request.path.ends_with('/') => {
+            let mut moved = Answer::refused(308, "the page is one slash further");
+            moved.headers = format!("Location: {}/\r\n", request.path);
+            Some(moved)
+        }
+        "GET" => page::file(rest).or_else(|| shared.app.get(rest)),
+        "POST" => shared.app.post(rest, &request.body),
+        _ => return Answer::refused(405, "GET and POST are served"),
+    };
+    found.unwrap_or_else(|| Answer::refused(404, "there is nothing at this address"))
+}
+
+/// The head of the answer that makes a connection a WebSocket.
+///
+/// # Errors
+/// What the request lacks.
+fn upgrade(request: &Request) -> Result<String, &'static str> {
+    let [key] = request.all("sec-websocket-key")[..] else { return Err("one Sec-WebSocket-Key is needed") };
+    let is_whole = request.method == "GET" && request.lists("connection", "upgrade");
+    if !is_whole || request.all("sec-websocket-version") != ["13"] {
+        return Err("this is no handshake of WebSocket version 13");
+    }
+    let offered = SUBPROTOCOLS.iter().find(|known| request.words("sec-websocket-protocol").any(|word| word == **known));
+    let protocol = offered.ok_or("the subprotocol foxglove.sdk.v1 or foxglove.websocket.v1 is needed")?;
+    Ok(format!(
+        "HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Accept: {}\r\n\
+         Sec-WebSocket-Protocol: {protocol}\r\n\r\n",
+        derive_accept_key(key.as_bytes())
+    ))
+}
+
+/// A connection that one thread reads and another writes. Each write is whole, so that frames of both stay whole.
+struct Duplex(TcpStream, Arc<Mutex<TcpStream>>);
+
+impl Read for Duplex {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.0.read(buffer)
+    }
+}
+
+impl Write for Duplex {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.1.lock().unwrap_or_else(PoisonError::into_inner).write_all(bytes).map(|()| bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Serves a viewer until it leaves.
+fn view(connection: TcpStream, shared: &Arc<Shared>) {
+    let (Ok(for_writer), Ok(to_close)) = (connection.try_clone(), connection.try_clone()) else { return };
+    let (Ok(a), Ok(b)) = (connection.try_clone(), connection.try_clone()) else { return };
+    let _ = connection.set_read_timeout(None);
+    let both = Arc::new(Mutex::new(for_writer));
+    let config =
+        WebSocketConfig::default().max_message_size(Some(MAX_MESSAGE_BYTES)).max_frame_size(Some(MAX_MESSAGE_BYTES));
+    let mut reader = WebSocket::from_raw_socket(Duplex(a, both.clone()), Role::Server, Some(config));
+    let mut writer = WebSocket::from_raw_socket(Duplex(b, both), Role::Server, None);
+
+    let services = shared.app.services();
+    let info = protocol::server_info(&shared.name, &shared.session, !services.is_empty(), shared.app.range_ns());
+    if writer.send(Message::text(info)).is_err() {
+        return;
+    }
+    let viewer = shared.stream.join();
+    if !services.is_empty() {
+        viewer.tell(Out::Text(protocol::advertise_services(services)));
+    }
+    let of_writer = viewer.clone();
+    let ending = shared.clone();
+    let started = thread::Builder::new().name("viewer".into()).spawn(move || {
+        while let Some(messages) = of_writer.take(LOOK) {
+            for message in messages {
+                let message = match message {
+                    Out::Text(text) => Message::text(text),
+                    Out::Binary(bytes) => Message::binary(bytes),
+                };
+                if writer.send(message).is_err() {
+                    let _ = to_close.shutdown(Shutdown::Both);
+                    return;
+                }
+            }
+            if ending.is_ending.load(Ordering::Relaxed) {
+                break;
+            }
+        }
+        let _ = writer.close(None);
+        let _ = writer.flush();
+        let _ = to_close.shutdown(Shutdown::Both);
+    });
+    if started.is_ok() {
+        while let Ok(message) = reader.read() {
+            let asked = match &message {
+                Message::Text(text) => protocol::read_text(text),
+                Message::Binary(bytes) => protocol::read_binary(bytes),
+                _ => continue,
+            };
+            if let Err(fault) = asked.and_then(|asked| shared.answer(&viewer, asked)) {
+                viewer.tell(Out::Text(protocol::status(Level::Error, &fault, "request")));
+            }
+        }
+    }
+    shared.stream.leave(&viewer);
+}
+
+impl Shared {
+    /// Answers a message of a viewer.
+    ///
+    /// # Errors
+    /// A sentence for the viewer.
+    fn answer(&self, viewer: &Viewer, asked: FromClient) -> Result<(), String> {
+        match asked {
+            FromClient::Subscribe(pairs) => {
+                pairs.into_iter().try_for_each(|(id, channel)| self.stream.subscribe(viewer, id, channel))?;
+            }
+            FromClient::Unsubscribe(ids) => ids.into_iter().for_each(|id| viewer.unsubscribe(id)),
+            FromClient::GetParameters { names, id } => {
+                let all = self.app.parameters();
+                let asked = all.into_iter().filter(|(name, _)| names.is_empty() || names.contains(name));
+                let values: Vec<_> = asked.collect();
+                viewer.tell(Out::Text(protocol::parameter_values(&values, id.as_deref())));
+            }
+            FromClient::SetParameters { values, id } => {
+                let set = values.iter().try_for_each(|(name, value)| self.app.set_parameter(name, value));
+                // Of a refused one the viewer is sent what it still is.
+                let now = self.app.parameters().into_iter();
+                let now: Vec<_> = now.filter(|(name, _)| values.iter().any(|(set, _)| set == name)).collect();
+                viewer.tell(Out::Text(protocol::parameter_values(&now, id.as_deref())));
+                set?;
+                self.stream.tell_all(&Out::Text(protocol::parameter_values(&now, None)));
+            }
+            FromClient::Service(call) => {
+                let named = (call.service as usize).checked_sub(1).and_then(|index| self.app.services().get(index));
+                let answer = named.ok_or("there is no such service".to_owned());
+                viewer.tell(match answer.and_then(|name| self.app.call(name, &call.request)) {
+                    Ok(answer) => Out::Binary(protocol::service_response(&call, &answer)),
+                    Err(message) => Out::Text(protocol::service_failure(&call, &message)),
+                });
+            }
+            FromClient::Playback(request) => {
+                let speed = request.speed;
+                if !(speed > 0.0 && speed <= 1e6) {
+                    return Err(format!("a playback speed of {speed} is not possible"));
+                }
+                let state = self.app.play(request.plays, speed, request.seek_ns);
+                let state = state.ok_or("nothing is played back: this is live")?;
+                let bytes = protocol::playback_state(&state, request.seek_ns.is_some(), &request.id);
+                self.stream.tell_all(&Out::Binary(bytes));
+            }
+            FromClient::Other => {}
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,374 @@
+//! Channels with the last message of each, and the queues of the viewers.
+//!
+//! Whoever publishes never waits: a viewer that reads too slowly loses messages of its own, the oldest first, but never the
+//! last one of a channel.
+
+use crate::protocol::{self, Level};
+use osteoflow_engine::run::{ListenedChannel, Listener};
+use serde_json::Value;
+use std::{
+    collections::{BTreeMap, BTreeSet, VecDeque},
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+/// Bytes that may wait for a viewer: two seconds of 20,000 points with normals at 20 Hz, twice.
+const MAX_WAITING_BYTES: usize = 64 << 20;
+
+/// Channels of the server itself are numbered down from here, those of a recording up from 1.
+const OWN_CHANNELS: u16 = u16::MAX;
+
+/// A message of a channel.
+#[derive(Debug)]
+struct Message {
+    channel: u16,
+    log_time_ns: u64,
+    data: Vec<u8>,
+}
+
+/// The channels of a run or a recording, and who views them.
+#[derive(Debug, Default)]
+pub struct Stream(Mutex<Hub>);
+
+#[derive(Debug, Default)]
+struct Hub {
+    channels: BTreeMap<u16, ListenedChannel>,
+    last: BTreeMap<u16, Arc<Message>>,
+    own: BTreeMap<String, u16>,
+    viewers: Vec<Arc<Viewer>>,
+    totals: Totals,
+}
+
+/// Numbers of messages of all viewers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Totals {
+    /// Viewers so far.
+    pub n_viewers: u64,
+    /// Messages that were sent.
+    pub n_sent: u64,
+    /// Messages that slow viewers have lost.
+    pub n_dropped: u64,
+}
+
+impl Stream {
+    fn hub(&self) -> MutexGuard<'_, Hub> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Publishes JSON on a channel of the server itself.
+    pub fn publish(&self, topic: &str, value: &Value) {
+        let mut hub = self.hub();
+        let known = hub.own.get(topic).copied();
+        let id = known.unwrap_or_else(|| {
+            let id = OWN_CHANNELS - hub.own.len() as u16;
+            hub.own.insert(topic.into(), id);
+            hub.add(ListenedChannel {
+                id,
+                topic: topic.into(),
+                encoding: "json".into(),
+                schema_name: topic.trim_start_matches('/').replace('/', "."),
+                schema_encoding: "jsonschema".into(),
+                schema: (*b"{\"type\":\"object\"}").into(),
+                metadata: BTreeMap::new(),
+            });
+            id
+        });
+        hub.publish(Message { channel: id, log_time_ns: 1, data: value.to_string().into_bytes() });
+    }
+
+    /// Forgets the last message of each channel, and what waits for viewers: the time of a recording jumps.
+    pub fn forget(&self) {
+        let mut hub = self.hub();
+        let own: BTreeSet<u16> = hub.own.values().copied().collect();
+        hub.last.retain(|channel, _| own.contains(channel));
+        hub.viewers.iter().for_each(|viewer| viewer.forget());
+    }
+
+    /// Sends a control message to all viewers.
+    pub(crate) fn tell_all(&self, message: &Out) {
+        self.hub().viewers.iter().for_each(|viewer| viewer.tell(message.clone()));
+    }
+
+    /// Numbers of viewers and messages so far.
+    pub fn totals(&self) -> Totals {
+        let hub = self.hub();
+        hub.viewers.iter().fold(hub.totals, |totals, viewer| totals.with(viewer))
+    }
+
+    pub(crate) fn join(&self) -> Arc<Viewer> {
+        let viewer = Arc::new(Viewer::default());
+        let mut hub = self.hub();
+        let channels: Vec<ListenedChannel> = hub.channels.values().cloned().collect();
+        viewer.tell(Out::Text(protocol::advertise(&channels)));
+        hub.viewers.push(viewer.clone());
+        hub.totals.n_viewers += 1;
+        viewer
+    }
+
+    pub(crate) fn leave(&self, viewer: &Arc<Viewer>) {
+        viewer.close();
+        let mut hub = self.hub();
+        hub.totals = hub.totals.with(viewer);
+        hub.viewers.retain(|other| !Arc::ptr_eq(other, viewer));
+    }
+
+    /// Subscribes, and sends the last message of the channel.
+    ///
+    /// # Errors
+    /// A sentence if there is no such channel, or the viewer has used this number already.
+    pub(crate) fn subscribe(&self, viewer: &Viewer, subscription: u32, channel: u32) -> Result<(), String> {
+        let hub = self.hub();
+        let known = u16::try_from(channel).ok().filter(|channel| hub.channels.contains_key(channel));
+        let channel = known.ok_or(format!("there is no channel {channel}"))?;
+        viewer.subscribe(subscription, channel)?;
+        if let Some(last) = hub.last.get(&channel) {
+            viewer.offer(last);
+        }
+        Ok(())
+    }
+
+    /// Closes all viewers after what they have not received yet.
+    pub(crate) fn end(&self) {
+        self.hub().viewers.iter().for_each(|viewer| viewer.end());
+    }
+}
+
+impl Listener for Stream {
+    fn channel(&self, channel: ListenedChannel) {
+        self.hub().add(channel);
+    }
+
+    fn message(&self, channel: u16, log_time_ns: u64, data: Vec<u8>) {
+        self.hub().publish(Message { channel, log_time_ns, data });
+    }
+}
+
+impl Hub {
+    fn add(&mut self, channel: ListenedChannel) {
+        let text = protocol::advertise(std::slice::from_ref(&channel));
+        self.viewers.iter().for_each(|viewer| viewer.tell(Out::Text(text.clone())));
+        self.channels.insert(channel.id, channel);
+    }
+
+    fn publish(&mut self, message: Message) {
+        let message = Arc::new(message);
+        self.viewers.iter().for_each(|viewer| viewer.offer(&message));
+        self.last.insert(message.channel, message);
+    }
+}
+
+impl Totals {
+    fn with(self, viewer: &Viewer) -> Self {
+        let queue = viewer.queue();
+        Self { n_sent: self.n_sent + queue.n_sent, n_dropped: self.n_dropped + queue.n_dropped, ..self }
+    }
+}
+
+/// A message of the protocol.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Out {
+    Text(String),
+    Binary(Vec<u8>),
+}
+
+/// A viewer's queue.
+#[derive(Debug, Default)]
+pub(crate) struct Viewer {
+    queue: Mutex<Queue>,
+    filled: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct Queue {
+    control: VecDeque<Out>,
+    messages: VecDeque<Arc<Message>>,
+    n_bytes: usize,
+    /// Number of waiting messages of each channel.
+    n_of: BTreeMap<u16, usize>,
+    /// Channel of each subscription.
+    subscriptions: BTreeMap<u32, u16>,
+    n_sent: u64,
+    n_dropped: u64,
+    /// Messages lost when the viewer was last informed.
+    n_informed: u64,
+    ends: bool,
+    is_closed: bool,
+}
+
+impl Viewer {
+    fn queue(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn tell(&self, message: Out) {
+        self.queue().control.push_back(message);
+        self.filled.notify_one();
+    }
+
+    fn subscribe(&self, subscription: u32, channel: u16) -> Result<(), String> {
+        match self.queue().subscriptions.insert(subscription, channel) {
+            None => Ok(()),
+            Some(_) => Err(format!("subscription {subscription} is used twice")),
+        }
+    }
+
+    pub(crate) fn unsubscribe(&self, subscription: u32) {
+        self.queue().subscriptions.remove(&subscription);
+    }
+
+    /// Queues a message if it is subscribed to.
+    fn offer(&self, message: &Arc<Message>) {
+        let mut queue = self.queue();
+        if queue.is_closed || !queue.subscriptions.values().any(|channel| *channel == message.channel) {
+            return;
+        }
+        queue.n_bytes += message.data.len();
+        *queue.n_of.entry(message.channel).or_default() += 1;
+        queue.messages.push_back(message.clone());
+        while queue.n_bytes > MAX_WAITING_BYTES {
+            let replaced = queue.messages.iter().position(|waiting| queue.n_of.get(&waiting.channel) > Some(&1));
+            let Some(dropped) = replaced.and_then(|at| queue.messages.remove(at)) else { break };
+            queue.n_dropped += 1;
+            queue.took(&dropped);
+        }
+        drop(queue);
+        self.filled.notify_one();
+    }
+
+    fn forget(&self) {
+        let mut queue = self.queue();
+        queue.messages.clear();
+        queue.n_of.clear();
+        queue.n_bytes = 0;
+    }
+
+    /// Next messages to send, at most one item of data; `None` if there will be no more. Empty after `patience`.
+    pub(crate) fn take(&self, patience: Duration) -> Option<Vec<Out>> {
+        let mut queue = self.queue();
+        if queue.control.is_empty() && queue.messages.is_empty() && !queue.is_closed && !queue.ends {
+            queue = self.filled.wait_timeout(queue, patience).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        if queue.is_closed {
+            return None;
+        }
+        let mut out: Vec<Out> = queue.control.drain(..).collect();
+        if let Some(message) = queue.messages.pop_front() {
+            queue.took(&message);
+            let of_channel = |(_, channel): &(&u32, &u16)| **channel == message.channel;
+            let subscriptions: Vec<u32> = queue.subscriptions.iter().filter(of_channel).map(|(id, _)| *id).collect();
+            queue.n_sent += subscriptions.len() as u64;
+            out.extend(
+                subscriptions.iter().map(|id| Out::Binary(protocol::message(*id, message.log_time_ns, &message.data))),
+            );
+        } else if queue.ends && out.is_empty() {
+            return None;
+        }
+        if queue.n_dropped > queue.n_informed {
+            queue.n_informed = queue.n_dropped;
+            let (n_dropped, n_all) = (queue.n_dropped, queue.n_dropped + queue.n_sent);
+            let text = format!("this viewer reads too slowly: {n_dropped} of {n_all} messages were left out");
+            out.push(Out::Text(protocol::status(Level::Warning, &text, "slow")));
+        }
+        Some(out)
+    }
+
+    fn end(&self) {
+        self.queue().ends = true;
+        self.filled.notify_one();
+    }
+
+    fn close(&self) {
+        self.queue().is_closed = true;
+        self.filled.notify_one();
+    }
+}
+
+impl Queue {
+    fn took(&mut self, message: &Message) {
+        self.n_bytes -= message.data.len();
+        if let Some(n) = self.n_of.get_mut(&message.channel) {
+            *n -= 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOW: Duration = Duration::ZERO;
+
+    fn channel(id: u16) -> ListenedChannel {
+        ListenedChannel {
+            id,
+            topic: format!("/{id}"),
+            encoding: "json".into(),
+            schema_name: "s".into(),
+            schema_encoding: String::new(),
+            schema: [].into(),
+            metadata: BTreeMap::new(),
+        }
+    }
+
+    /// The first byte of data of the messages that come out.
+    fn received(viewer: &Viewer) -> Vec<u8> {
+        let mut out = Vec::new();
+        while let Some(messages) = viewer.take(NOW).filter(|messages| !messages.is_empty()) {
+            out.extend(messages.into_iter().filter_map(|message| match message {
+                Out::Binary(bytes) => Some(bytes[13]),
+                Out::Text(_) => None,
+            }));
+        }
+        out
+    }
+
+    #[test]
+    fn who_comes_late_gets_the_last_message_of_each_channel() {
+        let stream = Stream::default();
+        [1, 2].into_iter().for_each(|id| stream.channel(channel(id)));
+        [(1, 10), (1, 11), (2, 20)].into_iter().for_each(|(id, byte)| stream.message(id, 1, vec![byte]));
+        let viewer = stream.join();
+        assert!(stream.subscribe(&viewer, 5, 1).is_ok() && stream.subscribe(&viewer, 6, 2).is_ok());
+        assert_eq!(received(&viewer), [11, 20]);
+        stream.message(1, 1, vec![12]);
+        assert_eq!(received(&viewer), [12]);
+        viewer.unsubscribe(5);
+        stream.message(1, 1, vec![13]);
+        assert_eq!(received(&viewer), [] as [u8; 0]);
+        assert!(stream.subscribe(&viewer, 6, 1).is_err(), "a number twice");
+        assert!(stream.subscribe(&viewer, 7, 3).is_err() && stream.subscribe(&viewer, 7, 70_000).is_err());
+    }
+
+    #[test]
+    fn a_slow_viewer_loses_its_oldest_messages_but_the_last_of_no_channel() {
+        let stream = Stream::default();
+        [1, 2].into_iter().for_each(|id| stream.channel(channel(id)));
+        let (slow, quick) = (stream.join(), stream.join());
+        for viewer in [&slow, &quick] {
+            [1, 2].into_iter().for_each(|id| stream.subscribe(viewer, id, id).unwrap());
+        }
+        stream.message(2, 1, vec![200; MAX_WAITING_BYTES / 4]);
+        let mut quick_got = received(&quick);
+        for k in 0..10 {
+            stream.message(1, 1, vec![k; MAX_WAITING_BYTES / 4]);
+            quick_got.extend(received(&quick));
+        }
+        assert_eq!(quick_got, [200, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9]);
+        assert_eq!(received(&slow), [200, 7, 8, 9], "the only message of channel 2 stays");
+        assert_eq!(stream.totals(), Totals { n_viewers: 2, n_sent: 15, n_dropped: 7 });
+        [slow, quick].into_iter().for_each(|viewer| stream.leave(&viewer));
+        assert_eq!(stream.totals(), Totals { n_viewers: 2, n_sent: 15, n_dropped: 7 });
+    }
+
+    #[test]
+    fn a_stream_that_ends_is_sent_to_its_end() {
+        let stream = Stream::default();
+        stream.channel(channel(1));
+        let viewer = stream.join();
+        stream.subscribe(&viewer, 1, 1).unwrap();
+        [1, 2].into_iter().for_each(|byte| stream.message(1, 1, vec![byte]));
+        stream.end();
+        assert_eq!(received(&viewer), [1, 2]);
+        assert_eq!(viewer.take(NOW), None);
+    }
+}
