@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::{Ran, build, isometry, osteoflow, point, python::python, root, run, run_whole};
+use common::{Ran, build, is_slow_run, isometry, osteoflow, point, python::python, root, run, run_whole};
 use osteoflow_geometry::nalgebra::Point3;
 use serde_json::Value;
 use std::{
@@ -319,6 +319,23 @@ fn what_is_written_has_the_name_of_the_plugin_alone_and_the_commands_of_its_page
             for file in files {
                 assert!(dir.path().join(file).is_file(), "{lang} {kind}: there is no {file}");
             }
+        }
+    }
+}
+
+#[test]
+fn the_crates_of_all_kinds_build_alone_without_warnings_and_their_tests_pass() {
+    if !is_slow_run() {
+        return;
+    }
+    for kind in KINDS {
+        let (dir, _) = written(NAME, "rust", kind);
+        for command in
+            [&["rustc", "--release", "--offline", "--", "-D", "warnings"][..], &["test", "--release", "--offline"]]
+        {
+            let mut cargo = Command::new("cargo");
+            cargo.current_dir(dir.path()).env("CARGO_TARGET_DIR", root().join("target/new_plugin"));
+            done(cargo.args(command));
         }
     }
 }
