@@ -47,13 +47,13 @@ fn ran(graph: &Path, arguments: &[&str]) -> Ran {
 fn assert_registers_as_built_in(folder: &Path, library_file: &Path) {
     let release = folder.join("target/release");
     fs::create_dir_all(&release).unwrap();
-    fs::copy(library_file, release.join(library("my_icp"))).unwrap();
-    let own = ran(&folder.join("graphs/my_icp.toml"), &[]);
+    fs::copy(library_file, release.join(library("my_plugin"))).unwrap();
+    let own = ran(&folder.join("graphs/my_plugin.toml"), &[]);
     let published = ["--set", "icp.kind=icp.published", "--set", "icp.reading=change_1e-5"];
     let built_in = ran(&folder.join("graphs/fibula.toml"), &published);
     let poses = [&own, &built_in].map(|ran| isometry(&ran.results["poses"]["t_ct_world"]["matrix"]));
     let apart = (poses[0].to_homogeneous() - poses[1].to_homogeneous()).amax();
-    assert!(apart < 1e-9, "{apart} mm between my_icp.point_to_point and icp.published");
+    assert!(apart < 1e-9, "{apart} mm between my_plugin.point_to_point and icp.published");
     assert_eq!(own.results["icp"]["iterations"], built_in.results["icp"]["iterations"]);
     let tre_mm = own.results["metrics"]["tre_true_mm"]["mean_abs"]["norm"].as_f64().unwrap();
     assert!(tre_mm < 0.3, "a TRE of {tre_mm} mm, but the built-in ICP leaves 0.16 mm");
@@ -61,10 +61,11 @@ fn assert_registers_as_built_in(folder: &Path, library_file: &Path) {
 
 #[test]
 fn the_crate_registers_as_the_built_in_icp_does_to_1e_9_mm_and_logs_through_the_program() {
-    let (_dir, folder) = written_crate("my_icp");
-    assert_registers_as_built_in(&folder, &build::example("plugin_template"));
+    // The example has the name of the template.
+    let (_dir, folder) = written_crate("my_plugin");
+    assert_registers_as_built_in(&folder, &build::example("template_icp"));
 
-    let graph = folder.join("graphs/my_icp.toml");
+    let graph = folder.join("graphs/my_plugin.toml");
     let out = folder.join("out");
     let logged =
         osteoflow().env("OSTEOFLOW_LOG", "debug").arg("run").arg(graph).arg("--out").arg(out).output().unwrap();
@@ -74,7 +75,7 @@ fn the_crate_registers_as_the_built_in_icp_does_to_1e_9_mm_and_logs_through_the_
 
 /// Builds and tests the written crate alone, then runs its graph.
 fn alone(toolchain: &[&str], profile: &[&str]) {
-    let (_dir, folder) = written_crate("my_icp");
+    let (_dir, folder) = written_crate("my_plugin");
     let target = root().join("target/new_plugin").join(toolchain.concat());
     let cargo = |command: &str| {
         let mut cargo = Command::new("cargo");
@@ -89,7 +90,7 @@ fn alone(toolchain: &[&str], profile: &[&str]) {
     };
     cargo("build");
     let built = if profile.is_empty() { "debug" } else { "release" };
-    assert_registers_as_built_in(&folder, &target.join(built).join(library("my_icp")));
+    assert_registers_as_built_in(&folder, &target.join(built).join(library("my_plugin")));
     cargo("test");
 }
 
@@ -182,8 +183,8 @@ fn names_that_make_no_crate_or_no_stage_are_refused_and_nothing_is_written() {
 fn what_is_written_is_the_template_under_its_new_name() {
     let (_dir, folder) = written_crate("spiral_icp");
     let text = |path: &str| fs::read_to_string(folder.join(path)).unwrap();
-    let template = fs::read_to_string(root().join("nodes/template/rust/src/lib.rs")).unwrap();
-    assert_eq!(text("src/lib.rs"), template.replace("my_icp", "spiral_icp"));
+    let template = fs::read_to_string(root().join("nodes/template/rust/icp.rs")).unwrap();
+    assert_eq!(text("src/lib.rs"), template.replace("my_plugin", "spiral_icp"));
     assert!(text("graphs/spiral_icp.toml").contains("kind = \"spiral_icp.point_to_point\""));
     let manifest: toml::Table = text("Cargo.toml").parse().unwrap();
     assert_eq!(manifest["package"]["name"].as_str(), Some("spiral_icp"));

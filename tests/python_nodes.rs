@@ -105,30 +105,6 @@ fn the_icp_of_the_template_agrees_with_the_built_in_one() {
 }
 
 #[test]
-fn a_hole_detector_in_python_finds_the_holes_of_the_built_in_one() {
-    let graph = "extends = \"fibula.toml\"\nplugins = [\"hole.py\"]\n[node.hole]\nkind = \"hole_example.difference\"\n\
-                 remove = []\n";
-    let files = [
-        ("hole.py", include_str!("../nodes/payloads/examples/python/hole.py")),
-        ("fibula.toml", include_str!("../graphs/fibula.toml")),
-        ("hole.toml", &graph.replace("remove = []\n", "")),
-    ];
-    let Some(folder) = Folder::new("a hole detector in Python", &files) else { return };
-    let (found, built_in) = (folder.run("hole.toml", &[]), folder.run("fibula.toml", &[]));
-    assert_eq!((found.code, built_in.code), (Some(0), Some(0)), "{}", found.stderr);
-    for k in 0..3 {
-        let place = |left: &Left| -> Point3<f64> {
-            let place = &left.results["laser_points"][k]["position_mm"];
-            Point3::from_slice(&serde_json::from_value::<Vec<f64>>(place.clone()).unwrap())
-        };
-        let apart_mm = (place(&found) - place(&built_in)).norm();
-        assert!(apart_mm < 1.0, "hole {k}: {apart_mm} mm apart");
-        assert_eq!(found.results["laser_points"][k]["name"], built_in.results["laser_points"][k]["name"]);
-    }
-    assert_eq!(found.results["verdict"]["answer"], "trusted", "{}", found.results["verdict"]);
-}
-
-#[test]
 fn sources_sinks_and_payloads_of_ones_own_travel_as_any() {
     let plugin = r#"
 from dataclasses import dataclass

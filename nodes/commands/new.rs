@@ -1,14 +1,16 @@
 mod procedure;
+mod template;
 
 use super::{Exit, Format, Global, UsageError, print_json, registry};
 use anyhow::{Context, Result};
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 use serde_json::json;
 use std::{
     fs,
     io::Write,
     path::{Path, PathBuf},
 };
+use template::{Lang, Like};
 
 /// Create a project from a template: a plugin, or a procedure in files.
 #[derive(Debug, Args)]
@@ -35,7 +37,8 @@ enum What {
 Examples:
   osteoflow new plugin my_icp                 in Rust; the SDK is that of the checkout of this program
   osteoflow new plugin my_icp --sdk ~/osteoflow     the SDK of a checkout
-  osteoflow new plugin my_crop --lang c       in C or C++ (cpp); the headers are written beside it")]
+  osteoflow new plugin my_crop --lang c       in C or C++ (cpp); the headers are written beside it
+  osteoflow new plugin my_spots --lang python --like hole     in Python, with the ports of a hole detector")]
 struct Plugin {
     /// The name of the crate, of its folder and of the stage of its kind, as in `my_icp.point_to_point`.
     name: String,
@@ -43,6 +46,10 @@ struct Plugin {
     /// The programming language.
     #[arg(long, value_enum, default_value_t = Lang::Rust)]
     lang: Lang,
+
+    /// The kind of node: its ports, and a short method of its own. Default: icp, in C and C++ crop.
+    #[arg(long, value_enum, value_name = "KIND")]
+    like: Option<Like>,
 
     /// A checkout of Osteoflow to build against. Default: the checkout that this program lies in; elsewhere the revision that
     /// it was built from, which the first build fetches over the network.
@@ -54,80 +61,8 @@ struct Plugin {
     out: Option<PathBuf>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Lang {
-    /// A crate.
-    Rust,
-    /// A folder with a Makefile.
-    C,
-    /// One file, which is not built.
-    Python,
-    /// A folder with a Makefile; exceptions become errors of the node.
-    Cpp,
-}
-
 /// A file of a template: path and content.
 type File = (&'static str, &'static str);
-
-/// A template in `nodes/template`, whose plugin is named `placeholder`.
-struct Template {
-    placeholder: &'static str,
-    build: &'static str,
-    files: &'static [File],
-}
-
-const RUST: Template = Template {
-    placeholder: "my_icp",
-    build: "cargo build --release",
-    files: &[
-        ("Cargo.toml", include_str!("../template/rust/Cargo.toml")),
-        ("src/lib.rs", include_str!("../template/rust/src/lib.rs")),
-        ("graphs/my_icp.toml", include_str!("../template/rust/graphs/my_icp.toml")),
-        ("README.md", include_str!("../template/rust/README.md")),
-        (".gitignore", "/target\n/runs\n"),
-    ],
-};
-
-const C: Template = Template {
-    placeholder: "my_crop",
-    build: "make",
-    files: &[
-        ("Makefile", include_str!("../template/c/Makefile")),
-        ("my_crop.c", include_str!("../template/c/my_crop.c")),
-        ("my_crop_test.c", include_str!("../template/c/my_crop_test.c")),
-        ("osteoflow.h", include_str!("../../engine/node/include/osteoflow.h")),
-        ("osteoflow_geometry.h", include_str!("../payloads/include/osteoflow_geometry.h")),
-        ("graphs/my_crop.toml", include_str!("../template/c/graphs/my_crop.toml")),
-        ("README.md", include_str!("../template/c/README.md")),
-        (".gitignore", "/build\n/runs\n"),
-    ],
-};
-
-const PYTHON: Template = Template {
-    placeholder: "my_icp",
-    build: "python3 -m pip install numpy scipy",
-    files: &[
-        ("my_icp.py", include_str!("../template/python/my_icp.py")),
-        ("graphs/my_icp.toml", include_str!("../template/python/graphs/my_icp.toml")),
-        ("README.md", include_str!("../template/python/README.md")),
-        (".gitignore", "/runs\n__pycache__\n"),
-    ],
-};
-
-const CPP: Template = Template {
-    placeholder: "my_crop",
-    build: "make",
-    files: &[
-        ("Makefile", include_str!("../template/cpp/Makefile")),
-        ("my_crop.cpp", include_str!("../template/cpp/my_crop.cpp")),
-        ("osteoflow.hpp", include_str!("../../engine/node/include/osteoflow.hpp")),
-        ("osteoflow.h", include_str!("../../engine/node/include/osteoflow.h")),
-        ("osteoflow_geometry.h", include_str!("../payloads/include/osteoflow_geometry.h")),
-        ("graphs/my_crop.toml", include_str!("../template/cpp/graphs/my_crop.toml")),
-        ("README.md", include_str!("../template/cpp/README.md")),
-        (".gitignore", "/build\n/runs\n"),
-    ],
-};
 
 /// The graph that the graphs of the templates extend.
 const FIBULA: File = ("graphs/fibula.toml", include_str!("../../graphs/fibula.toml"));
@@ -135,6 +70,9 @@ const FIBULA: File = ("graphs/fibula.toml", include_str!("../../graphs/fibula.to
 /// The dependency on `osteoflow-node` in the manifest of the template.
 const NODE_PATH: &str = "path = \"../../../engine/node\"";
 const PAYLOADS_PATH: &str = "path = \"../../payloads\"";
+
+/// The line of that manifest that names one of the sources.
+const LIB_PATH: &str = "path = \"icp.rs\"\n";
 
 /// A file that every checkout has.
 const NODE_PATH_IN_CHECKOUT: &str = "engine/node/Cargo.toml";
@@ -211,6 +149,9 @@ const NOT_FOR_CRATES: &[&str] = &[
     "yield",
 ];
 
+/// Names whose files would replace others: `graphs/fibula.toml`, and packages of Python.
+const WRITTEN_OR_IMPORTED: &[&str] = &["fibula", "numpy", "scipy"];
+
 /// Makes a folder, or takes one that is empty.
 fn empty_folder(dir: &Path, advice: &str) -> Result<()> {
     fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
@@ -238,32 +179,30 @@ impl Plugin {
     fn execute(&self, global: &Global) -> Result<Exit> {
         check_name(&self.name)?;
         let dir = self.out.clone().unwrap_or_else(|| PathBuf::from(&self.name));
-        let (template, sdk) = match self.lang {
-            Lang::Rust => (&RUST, self.sdk()?),
+        let like = self.like.unwrap_or_else(|| self.lang.default_like());
+        let sdk = match self.lang {
+            Lang::Rust => self.sdk()?,
             Lang::C | Lang::Cpp | Lang::Python if self.sdk.is_some() => {
                 let message = "--sdk is for Rust; in C and C++ the headers of this program are written beside the plugin, and in \
                                Python its module comes from the program";
                 return Err(UsageError(message.into()).into());
             }
-            Lang::C => (&C, Sdk::default()),
-            Lang::Cpp => (&CPP, Sdk::default()),
-            Lang::Python => (&PYTHON, Sdk::default()),
+            Lang::C | Lang::Cpp | Lang::Python => Sdk::default(),
         };
         empty_folder(&dir, "name another folder with --out")?;
-        write(&dir, FIBULA.0, without_schema(FIBULA.1))?;
-        for (path, text) in template.files {
-            let mut text = text.replace(template.placeholder, &self.name);
-            if *path == "Cargo.toml" {
-                text = text.replace(NODE_PATH, &sdk.node).replace(PAYLOADS_PATH, &sdk.payloads) + ALONE;
+        for (path, mut text) in template::files(&self.name, self.lang, like) {
+            if path == "Cargo.toml" {
+                text = text.replace(NODE_PATH, &sdk.node).replace(PAYLOADS_PATH, &sdk.payloads).replace(LIB_PATH, "")
+                    + ALONE;
             }
-            write(&dir, &path.replace(template.placeholder, &self.name), &text)?;
+            write(&dir, &path, &text)?;
         }
         if let Some(lock) = &sdk.lock {
             write(&dir, "Cargo.lock", lock)?;
         }
         let commands = [
             format!("cd {}", dir.display()),
-            template.build.to_owned(),
+            self.lang.build(like).to_owned(),
             format!("osteoflow run graphs/{}.toml", self.name),
         ];
         match global.format {
@@ -342,6 +281,10 @@ fn check_name(name: &str) -> Result<()> {
         format!("\"{name}\" is a keyword of Rust or an existing crate; choose another, such as my_{name}")
     } else if registry.kinds().any(|kind| is_stage(kind.description.kind)) {
         format!("\"{name}\" is a stage of built-in nodes; choose another name, such as my_{name}")
+    } else if WRITTEN_OR_IMPORTED.contains(&name) {
+        format!(
+            "\"{name}\" is a graph beside the plugin or a package that it imports; choose another name, such as my_{name}"
+        )
     } else {
         return Ok(());
     };

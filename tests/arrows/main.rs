@@ -46,7 +46,7 @@ const ARROWS: [(&str, &str, &[&str]); 16] = [
         ],
     ),
     // The template may depend on what every plugin may depend on.
-    ("my_icp", "nodes/template/rust", &["osteoflow-node", "osteoflow-payloads"]),
+    ("my_plugin", "nodes/template/rust", &["osteoflow-node", "osteoflow-payloads"]),
 ];
 
 /// Dependencies that read or write files, or run graphs: not allowed in crates of plain functions.

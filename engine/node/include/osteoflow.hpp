@@ -311,6 +311,26 @@ inline osteoflow_output output(const char *name, const char *doc, const char *pa
     return port;
 }
 
+/* A kind of nodes of one class. The texts are literals; `params` is the JSON Schema of the parameters. */
+template <class Node>
+osteoflow_kind kind(const char *name, const char *doc, const char *params, const char *example,
+                    std::vector<osteoflow_input> inputs, std::vector<osteoflow_output> outputs) {
+    static const std::vector<osteoflow_input> its_inputs = std::move(inputs);
+    static const std::vector<osteoflow_output> its_outputs = std::move(outputs);
+    osteoflow_kind kind = osteoflow_kind();
+    kind.kind = text(name);
+    kind.doc = text(doc);
+    kind.params_schema = text(params);
+    kind.example = text(example);
+    kind.inputs = its_inputs.data();
+    kind.n_inputs = its_inputs.size();
+    kind.outputs = its_outputs.data();
+    kind.n_outputs = its_outputs.size();
+    kind.role = OSTEOFLOW_ROLE_NODE;
+    set_functions<Node>(kind);
+    return kind;
+}
+
 } // namespace osteoflow
 
 #endif

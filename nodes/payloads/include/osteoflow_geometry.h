@@ -205,6 +205,17 @@ static inline osteoflow_column osteoflow_malloced_column(osteoflow_text name, ui
     return column;
 }
 
+/* A column over a copy of rows that lie end to end. Without memory it has no rows, and the program refuses the payload. */
+static inline osteoflow_column osteoflow_copied_column(const char *name, uint32_t type, uint32_t width, const void *rows,
+                                                       uint64_t n_rows) {
+    const size_t size = (size_t)(osteoflow_type_size(type) * width * n_rows);
+    void *copy = malloc(size > 0 ? size : 1);
+    if (copy != NULL && size > 0) {
+        memcpy(copy, rows, size);
+    }
+    return osteoflow_malloced_column(osteoflow_text_of(name), type, width, copy, copy != NULL ? n_rows : 0);
+}
+
 /* A column of an input, to be emitted or kept without a copy: emit takes it over, else call owner.release(owner.self). */
 static inline osteoflow_column osteoflow_held_column(const osteoflow_column *lent) {
     osteoflow_column column = *lent;

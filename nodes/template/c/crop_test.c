@@ -1,5 +1,5 @@
-/* Tests my_crop.c without Osteoflow: `make test`. */
-#include "my_crop.c"
+/* Tests my_plugin.c without Osteoflow: `make test`. */
+#include "my_plugin.c"
 
 static int same(uint64_t found, uint64_t expected, const char *what) {
     if (found != expected) {

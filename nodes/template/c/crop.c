@@ -1,6 +1,7 @@
 /*
- * A node in C as a starting point: my_crop.sphere keeps the points within a distance of a centre. Change it, run make, run
- * the graph. Read from the end, where the kinds of the plugin are listed.
+ * A node in C as a starting point: my_plugin.sphere keeps the points within a distance of a centre. Change it, run make, run
+ * the graph. Read from the end, where the kinds of the plugin are listed. Unchanged, it gives the same points to the last bit as
+ * the built-in crop.sphere with the same centre and radius.
  */
 #include "osteoflow_geometry.h"
 
@@ -132,7 +133,7 @@ static const osteoflow_output outputs[] = {
 };
 
 static const osteoflow_kind kinds[] = {
-    { .kind = OSTEOFLOW_TEXT("my_crop.sphere"),
+    { .kind = OSTEOFLOW_TEXT("my_plugin.sphere"),
       .doc = OSTEOFLOW_TEXT("Points within a distance of a centre."),
       .params_schema = OSTEOFLOW_TEXT(
           "{ \"type\": \"object\", \"additionalProperties\": false, \"required\": [\"centre_mm\", \"radius_mm\"], "
@@ -141,7 +142,7 @@ static const osteoflow_kind kinds[] = {
           "\"description\": \"The centre in the cloud's frame.\" }, "
           "\"radius_mm\": { \"type\": \"number\", \"minimum\": 0.001, \"maximum\": 1e6, "
           "\"description\": \"The radius.\" } } }"),
-      .example = OSTEOFLOW_TEXT("kind = \"my_crop.sphere\"\n"
+      .example = OSTEOFLOW_TEXT("kind = \"my_plugin.sphere\"\n"
                                 "in   = { cloud = \"recording.scan\" }\n"
                                 "centre_mm = [0.0, 0.0, 200.0]\n"
                                 "radius_mm = 80.0\n"),
@@ -155,4 +156,4 @@ static const osteoflow_kind kinds[] = {
       .destroy = destroy },
 };
 
-OSTEOFLOW_PLUGIN("my_crop", "0.1.0", kinds)
+OSTEOFLOW_PLUGIN("my_plugin", "0.1.0", kinds)

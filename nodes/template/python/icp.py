@@ -1,4 +1,9 @@
-"""An ICP of one's own, as a node of Osteoflow: point-to-plane, with all pairs alike."""
+"""An ICP of one's own, as a node of Osteoflow: point-to-plane, with all pairs alike.
+
+Unchanged, it gives the pose of the built-in `icp.point_to_plane` with `gate_sigmas = 0`, `one_sided = false`, `levels = []` and
+`pairing = "tree"`, within 1e-6 mm on the simulated procedure when both stop at `stop_step_mm = 1e-8`. The built-in one is faster, and
+takes tissue and outliers.
+"""
 
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
@@ -15,7 +20,7 @@ class Params:
     stop_step_mm: float = param(1e-4, gt=0, le=10, doc="Converged if a step moves the scan by less (RMS).")
 
 
-@payload("my_icp/Report")
+@payload("my_plugin/Report")
 class Report:
     """Convergence of the fit; the verdict of a run reads `converged` and `stop_reason`."""
 
@@ -31,7 +36,7 @@ class Fit(NamedTuple):
     report: Report
 
 
-@node("my_icp.point_to_plane", literature=["Chen & Medioni 1992"])
+@node("my_plugin.point_to_plane", literature=["Chen & Medioni 1992"])
 class PointToPlane:
     """Registers a scan onto the CT surface by point-to-plane ICP.
 
@@ -49,6 +54,9 @@ class PointToPlane:
         init: Annotated[Pose, port("The start.", to="target", from_="source")],
         ctx: Context,
     ) -> Fit:
+        if (init.to, init.from_) != (target.frame, source.frame):
+            frames = f"source is in {source.frame} and target in {target.frame}"
+            raise NodeError(f"init maps {init.from_} -> {init.to}, but {frames}")
         if target.normals is None:
             raise NodeError("the target has no normals; prepare it with normals")
         tree, points = self.tree(target), source.points
