@@ -24,6 +24,7 @@ use osteoflow_engine::{
     given::{output, run_given},
     plan::{OutputId, Plan},
     run::{Outcome, RunOptions},
+    sweep::{Folder, FolderError, Shard, difference},
 };
 use osteoflow_geometry::nalgebra::Isometry3;
 use osteoflow_node::{Item, Registry};
@@ -31,7 +32,7 @@ use serde_json::Value;
 use std::{
     collections::BTreeMap,
     io::IsTerminal,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{Arc, Once, atomic::AtomicBool},
 };
 
@@ -55,9 +56,10 @@ impl From<anyhow::Error> for Error {
     }
 }
 
-/// Names the program that runs this library, and the arguments with which it runs [`crate::main`]: another process of it looks
-/// at plugins.
-pub fn hosted_by(program: PathBuf, before: Vec<std::ffi::OsString>) {
+/// Names the program that runs this library, the arguments with which it runs [`crate::main`], and the file of the library:
+/// another process of it looks at plugins, and the file identifies the program of a sweep.
+pub fn hosted_by(program: PathBuf, before: Vec<std::ffi::OsString>, library: PathBuf) {
+    osteoflow_engine::hash::program::set_file(library);
     let _ = HOST.set((program, before));
 }
 
@@ -252,21 +254,81 @@ pub fn sweep(options: &[String], shows_progress: bool, cancelled: &Arc<AtomicBoo
     }
 }
 
-/// Number of runs of a sweep.
+/// Begins the empty folder of a sweep, whose shards are run elsewhere, and returns the numbers of the runs of each shard: of
+/// `n_shards`, or of one for each run.
 ///
 /// # Errors
 /// [`Error::Usage`] with all faults of the graph and its sweep.
-pub fn n_runs(options: &[String]) -> Result<usize, Error> {
+pub fn sweep_shards(options: &[String], n_shards: Option<usize>) -> Result<Vec<Vec<usize>>, Error> {
     let Command::Sweep(asked) = parsed("sweep", options)? else { return Err(not_parsed()) };
     let Some((graph, sets)) = asked.graph() else { return Err(not_parsed()) };
-    let checked = osteoflow_engine::sweep::check(graph, sets, asked.kinds()?, 1);
-    Ok(checked.map_err(|faults| Error::Usage(faults.to_string()))?.n_runs())
+    let options = asked.options(&Arc::default())?;
+    let checked = osteoflow_engine::sweep::check(graph, sets, asked.kinds()?, options.workers)
+        .map_err(|faults| Error::Usage(faults.to_string()))?;
+    asked.folder(&checked, &options)?;
+    let of = n_shards.unwrap_or(usize::MAX).min(checked.n_runs()).max(1);
+    let runs_of = |index| checked.part(Some(Shard { index, of })).map(|row| row.run).collect();
+    Ok((1..=of).map(runs_of).collect())
+}
+
+/// Why the folder of a shard cannot be used.
+#[derive(Debug)]
+pub enum ShardFault {
+    /// It is of another sweep, with what differs.
+    Other(String),
+    /// It is damaged, or has other runs.
+    Damaged(String),
+}
+
+/// Checks that the folder of a shard is of the sweep in `sweep`, and has exactly these runs, each readable.
+///
+/// # Errors
+/// [`ShardFault`].
+pub fn check_shard(sweep: &Path, shard: &Path, runs: &[usize]) -> Result<(), ShardFault> {
+    let damaged = |error: FolderError| ShardFault::Damaged(error.to_string());
+    let (sweep, folder) = (Folder::open(sweep).map_err(damaged)?, Folder::open(shard).map_err(damaged)?);
+    if let Some(what) = difference(&sweep, &folder) {
+        return Err(ShardFault::Other(what));
+    }
+    let found = folder.runs().map_err(damaged)?;
+    if found != runs {
+        return Err(ShardFault::Damaged(format!("it has the runs {found:?}, but was asked for {runs:?}")));
+    }
+    folder.done().map_err(damaged)?.try_for_each(|done| done.map(drop).map_err(damaged))
+}
+
+/// A line on the terminal with the progress of a sweep whose runs end elsewhere; shows nothing if stderr is no terminal.
+pub struct SweepProgress(sweep::Bar);
+
+impl SweepProgress {
+    /// Begins to show the progress of `n_runs` runs.
+    ///
+    /// # Errors
+    /// If stderr cannot be written.
+    pub fn begin(n_runs: usize, shown: bool) -> Result<Self, Error> {
+        Ok(Self(sweep::Bar::of(n_runs, "", 0, &global(shown))?))
+    }
+
+    /// Counts runs that have ended.
+    pub fn ended(&self, n_runs: usize) {
+        self.0.ended_elsewhere(n_runs);
+    }
+
+    /// Shows a message.
+    pub fn message(&self, what: &str) {
+        self.0.message(what);
+    }
+
+    /// Removes the line.
+    pub fn end(&self) {
+        self.0.end();
+    }
 }
 
 /// A recording of a run.
 ///
 /// # Errors
 /// [`Error::Failed`] if it cannot be read.
-pub fn recording(file: &std::path::Path) -> Result<osteoflow_engine::Recording, Error> {
+pub fn recording(file: &Path) -> Result<osteoflow_engine::Recording, Error> {
     osteoflow_engine::Recording::open(file).map_err(|error| anyhow!("{error}").into())
 }

@@ -19,12 +19,12 @@ mod tests;
 pub use crate::check::sweep::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec};
 pub use check::{again, check};
 pub use design::{SweepRow, rows};
-pub use folder::{DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, merge};
+pub use folder::{DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, difference, merge};
 pub use table::{PointValue, at_path, point_values, without_value, write_points, write_runs};
 
 use crate::{
     fault::Fault,
-    hash::{Digest, files::hashes},
+    hash::{Digest, files::hashes, program},
     options::RunOptions,
     plan::Plan,
     watch::Stamps,
@@ -137,6 +137,7 @@ impl Sweep {
             "shard": options.shard.map(|shard| shard.to_string()),
             "sweep": self.spec,
             "engine_version": env!("CARGO_PKG_VERSION"),
+            "program_sha256": program::digest().map(|digest| digest.to_string()),
             "command": options.run.command,
             "inputs": hashes(&files),
             "plugins": self.plan.plugins,

@@ -230,6 +230,11 @@ impl Bar {
         self.0.set_message(what.to_owned());
     }
 
+    /// Counts runs that have ended on other machines.
+    pub(crate) fn ended_elsewhere(&self, n_runs: usize) {
+        self.0.inc(n_runs as u64);
+    }
+
     /// Removes the line.
     pub(crate) fn end(&self) {
         self.0.finish_and_clear();

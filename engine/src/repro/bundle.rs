@@ -204,8 +204,7 @@ pub struct Program {
 impl Program {
     /// This program, with the description of the command.
     pub fn current(command: Json) -> Self {
-        let executable = std::env::current_exe().ok().and_then(|path| crate::hash::files::sha256(&path).ok());
-        let sha256 = executable.map(|(_, hash)| hash.to_string());
+        let sha256 = crate::hash::program::digest().map(|hash| hash.to_string());
         Self { engine_version: env!("CARGO_PKG_VERSION").into(), sha256, command }
     }
 

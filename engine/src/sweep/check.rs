@@ -5,10 +5,7 @@ use crate::{
     check::{self, Checked},
     fault::{Fault, Faults},
     graph::{SetKey, keys_set},
-    hash::{
-        Digest,
-        files::{hashes, sha256},
-    },
+    hash::{Digest, files::hashes, program},
     plugin::Kinds,
     runtime::on_workers,
     store::Key,
@@ -140,7 +137,7 @@ fn check_rows(
 /// Hash of the sweep, the graph of each run with the contents of its input files, and the program.
 fn hash(spec: &Spec, runs: &[Run]) -> Digest {
     let mut key = Key::of("sweep").json("spec", &json!(spec));
-    if let Ok((_, program)) = std::env::current_exe().and_then(|path| sha256(&path)) {
+    if let Some(program) = program::digest() {
         key = key.digest("program", program);
     }
     // The same files at another path give the same sweep.

@@ -377,13 +377,44 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
 
 /// Checks that both folders are of the same sweep.
 fn check_same_sweep(a: &Folder, b: &Folder) -> Result<(), FolderError> {
-    match a.hash() == b.hash() {
-        true => Ok(()),
-        false => {
-            let what = format!("its hash is {}, that of {} is {}", b.hash(), a.dir.display(), a.hash());
-            Err(FolderError::Other { path: b.dir.display().to_string(), what })
-        }
+    difference(a, b).map_or(Ok(()), |what| Err(FolderError::Other { path: b.dir.display().to_string(), what }))
+}
+
+/// What differs if the folders are of different sweeps; `None` if their hashes are equal.
+pub fn difference(a: &Folder, b: &Folder) -> Option<String> {
+    if a.hash() == b.hash() && !a.hash().is_empty() {
+        return None;
     }
+    let text = |folder: &Folder, key: &str| folder.about[key].as_str().unwrap_or("unknown").to_owned();
+    let both = |key: &str| (text(a, key), text(b, key));
+    let mut found = Vec::new();
+    let (version, other) = both("engine_version");
+    let (program, other_program) = both("program_sha256");
+    if version != other {
+        found.push(format!("it is of version {other} of the program, the first of {version}"));
+    } else if program != other_program {
+        found.push(format!("it is of another build of version {version} of the program"));
+    }
+    for (key, what) in [("inputs", "input file"), ("plugins", "plugin")] {
+        let of = |folder: &Folder| folder.about[key].as_array().cloned().unwrap_or_default();
+        let (ours, others) = (of(a), of(b));
+        // Equal files may have other paths.
+        let lacks = |all: &[Json], entry: &Json| all.iter().all(|other| other["sha256"] != entry["sha256"]);
+        let differs: Vec<_> = others.iter().filter(|entry| lacks(&ours, entry)).map(shown).collect();
+        found.extend(differs.iter().map(|name| format!("its {what} {name} is another")));
+        let missing = ours.iter().filter(|entry| lacks(&others, entry)).map(shown);
+        found.extend(missing.filter(|name| !differs.contains(name)).map(|name| format!("it has no {what} {name}")));
+    }
+    if found.is_empty() {
+        found.push("its graph or its settings differ".into());
+    }
+    Some(format!("{} (hash {}, of {} {})", found.join("; "), b.hash(), a.dir.display(), a.hash()))
+}
+
+/// Name of an input file or a plugin in `sweep.json`.
+fn shown(entry: &Json) -> String {
+    let name = ["path", "file", "name"].iter().find_map(|key| entry[*key].as_str());
+    name.map_or_else(|| entry.to_string(), str::to_owned)
 }
 
 fn file_name(run: usize) -> String {

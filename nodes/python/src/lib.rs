@@ -6,11 +6,11 @@ mod shapes;
 mod views;
 
 use errors::{exception, watched};
-use osteoflow::library::{self, Given, MeshOrCloud};
+use osteoflow::library::{self, Given, MeshOrCloud, ShardFault};
 use osteoflow_engine::Recording;
 use osteoflow_node::{Item, PortPayload};
 use pyo3::{
-    exceptions::PyKeyError,
+    exceptions::{PyKeyError, PyValueError},
     prelude::*,
     types::{PyDict, PyList},
 };
@@ -197,11 +197,47 @@ fn sweep(py: Python<'_>, options: Vec<String>, progress: bool) -> PyResult<(Path
     Ok((folder, summary.to_string()))
 }
 
-/// Number of runs of a sweep.
+/// Begins the folder of a sweep whose shards are run elsewhere; returns the numbers of the runs of each shard.
 #[pyfunction]
-fn n_runs(py: Python<'_>, options: Vec<String>) -> PyResult<usize> {
+fn sweep_shards(py: Python<'_>, options: Vec<String>, n_shards: Option<usize>) -> PyResult<Vec<Vec<usize>>> {
     let cancelled = Arc::default();
-    watched(py, &cancelled, || library::n_runs(&options))
+    watched(py, &cancelled, || library::sweep_shards(&options, n_shards))
+}
+
+/// Checks the folder of a shard: UsageError if it is of another sweep, ValueError if it is damaged.
+#[pyfunction]
+fn check_shard(py: Python<'_>, sweep: PathBuf, shard: PathBuf, runs: Vec<usize>) -> PyResult<()> {
+    py.detach(|| library::check_shard(&sweep, &shard, &runs)).map_err(|fault| match fault {
+        ShardFault::Other(what) => errors::UsageError::new_err(what),
+        ShardFault::Damaged(what) => PyValueError::new_err(what),
+    })
+}
+
+/// The progress of a sweep whose runs end elsewhere.
+#[pyclass(frozen, module = "osteoflow._core")]
+struct SweepProgress(library::SweepProgress);
+
+#[pymethods]
+impl SweepProgress {
+    #[new]
+    fn new(py: Python<'_>, n_runs: usize, shown: bool) -> PyResult<Self> {
+        library::SweepProgress::begin(n_runs, shown).map(Self).map_err(|error| exception(py, error))
+    }
+
+    /// Counts runs that have ended.
+    fn ended(&self, n_runs: usize) {
+        self.0.ended(n_runs);
+    }
+
+    /// Shows a message.
+    fn message(&self, what: &str) {
+        self.0.message(what);
+    }
+
+    /// Removes the line.
+    fn end(&self) {
+        self.0.end();
+    }
 }
 
 /// Runs the command with these arguments, the program's name first; returns its exit code.
@@ -210,10 +246,10 @@ fn command(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
     py.detach(|| osteoflow::code_of(arguments))
 }
 
-/// Names the Python program and its arguments that run the command.
+/// Names the Python program and its arguments that run the command, and the file of this library.
 #[pyfunction]
-fn hosted_by(program: PathBuf, before: Vec<OsString>) {
-    library::hosted_by(program, before);
+fn hosted_by(program: PathBuf, before: Vec<OsString>, library: PathBuf) {
+    library::hosted_by(program, before, library);
 }
 
 #[pymodule]
@@ -225,11 +261,13 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("Refused", py.get_type::<errors::Refused>())?;
     module.add_class::<Graph>()?;
     module.add_class::<Wires>()?;
+    module.add_class::<SweepProgress>()?;
     for function in [
         wrap_pyfunction!(register, module)?,
         wrap_pyfunction!(simulate, module)?,
         wrap_pyfunction!(sweep, module)?,
-        wrap_pyfunction!(n_runs, module)?,
+        wrap_pyfunction!(sweep_shards, module)?,
+        wrap_pyfunction!(check_shard, module)?,
         wrap_pyfunction!(command, module)?,
         wrap_pyfunction!(hosted_by, module)?,
         wrap_pyfunction!(errors::forked, module)?,

@@ -2,34 +2,18 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import threading
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
 import osteoflow
 import pytest
-from conftest import ROOT
+from conftest import ROOT, TWO_FILES, graph_with_sweep
 
-TWO_FILES = ROOT / "graphs/two_files.toml"
 FIBULA = ROOT / "graphs/fibula.toml"
-
-SWEEP = """
-extends = "{graph}"
-
-[sweep]
-repeat = 2
-
-[sweep.factor]
-icp = {{ key = "icp.kind", values = ["icp.point_to_plane", "icp.point_to_point"] }}
-
-[sweep.columns]
-answer = "verdict.answer"
-"""
-
 
 def without_paths(results):
     return json.loads(json.dumps({k: v for k, v in results.items() if k != "exported"}))
@@ -152,12 +136,6 @@ def test_a_simulation_is_that_of_the_command(command, tmp_path):
         osteoflow.simulate(out)
 
 
-def graph_with_sweep(folder):
-    graph = folder / "sweep.toml"
-    graph.write_text(SWEEP.format(graph=TWO_FILES.as_posix()))
-    return graph
-
-
 def test_a_sweep_gives_the_table_of_the_command(command, tmp_path):
     graph = graph_with_sweep(tmp_path)
     ended = command("sweep", graph, "--out", tmp_path / "theirs")
@@ -171,31 +149,84 @@ def test_a_sweep_gives_the_table_of_the_command(command, tmp_path):
     assert isinstance(frame, pandas.DataFrame) and list(frame["run"]) == [row["run"] for row in rows]
 
 
-class LosesWorkers(ThreadPoolExecutor):
-    """Loses the worker of the first task."""
-
-    n_lost = 0
-
-    def submit(self, *arguments, **keywords):
-        if self.n_lost == 0:
-            self.n_lost = 1
-            lost = Future()
-            lost.set_exception(BrokenProcessPool("a worker died"))
-            return lost
-        return super().submit(*arguments, **keywords)
-
-
-def test_a_sweep_on_an_executor_gives_the_same_bytes_even_if_workers_are_lost(tmp_path):
-    graph = graph_with_sweep(tmp_path)
-    osteoflow.sweep(graph, out=tmp_path / "alone")
-    with ProcessPoolExecutor(2) as processes, LosesWorkers(2) as threads:
-        for name, executor in [("processes", processes), ("threads", threads)]:
-            osteoflow.sweep(graph, out=tmp_path / name, executor=executor)
-            for file in ["runs.csv", "points.csv"]:
-                assert (tmp_path / name / file).read_bytes() == (tmp_path / "alone" / file).read_bytes(), (name, file)
-        assert threads.n_lost == 1
-
-
 def test_the_command_is_there_as_a_module():
     told = subprocess.run([sys.executable, "-m", "osteoflow", "--version"], capture_output=True, text=True, check=True)
     assert told.stdout.startswith("osteoflow 0.1.0")
+
+
+CROP = """
+[graph]
+format = 1
+name   = "crop"
+
+[node.scan]
+kind = "acquire.cloud"
+path = "{scan}"
+
+[node.crop]
+kind   = "{kind}"
+in     = {{ cloud = "scan.cloud" }}
+min_mm = [-1000.0, -5.0, -1000.0]
+max_mm = [1000.0, 5.0, 1000.0]
+"""
+
+
+def test_a_plugin_in_c_is_looked_at_and_run_from_python(files, tmp_path):
+    compiler = shutil.which("cc") or pytest.skip("there is no C compiler")
+    library = tmp_path / "libcrop_box.so"
+    headers = ["-I", ROOT / "engine/node/include", "-I", ROOT / "nodes/payloads/include"]
+    source = ROOT / "nodes/payloads/examples/c/crop_box.c"
+    subprocess.run([compiler, "-std=c11", "-O2", "-shared", "-fPIC", *headers, source, "-o", library], check=True)
+
+    def graph(kind, plugins=()):
+        file = tmp_path / f"{kind}.toml"
+        file.write_text(CROP.format(scan=(files / "scan.ply").as_posix(), kind=kind))
+        return osteoflow.Graph(file, plugins=plugins)
+
+    ours = graph("crop_c.box", [library])
+    with pytest.raises(osteoflow.UsageError, match="crop_c.box"):
+        graph("crop_c.box").check()
+    assert ours.check() == [] and ours.wires()["crop.cloud"] == "geometry/Cloud"
+    built_in, by_plugin = graph("crop.box").run(), ours.run()
+    assert 10 < len(by_plugin["crop.cloud"].array) < len(built_in["scan.cloud"].array)
+    assert by_plugin["crop.cloud"].array.tobytes() == built_in["crop.cloud"].array.tobytes()
+    with pytest.raises(osteoflow.UsageError, match="min_mm"):
+        ours.check(set={"crop.min_mm": "everywhere"})
+    with pytest.raises(osteoflow.OsteoflowError, match="libnone.so"):
+        graph("crop_c.box", [tmp_path / "libnone.so"]).check()
+
+
+def test_a_process_that_was_forked_after_a_run_refuses_to_run_and_one_forked_before_runs():
+    if not hasattr(os, "fork"):
+        pytest.skip("there is no fork")
+    code = f"""
+import os, sys, osteoflow
+graph = osteoflow.Graph({str(TWO_FILES)!r})
+
+def child():
+    sys.stdout.flush()
+    if os.fork():
+        return os.wait()[1]
+    try:
+        graph.run(wires=None)
+        print("it ran")
+    except osteoflow.OsteoflowError as error:
+        print("refused:", error)
+    try:
+        osteoflow.sweep({str(TWO_FILES)!r}, {{"sweep.repeat": 1}})
+        print("it swept")
+    except osteoflow.OsteoflowError as error:
+        print("refused:", error)
+    sys.stdout.flush()
+    os._exit(0)
+
+assert child() == 0
+graph.run(wires=None)
+assert child() == 0
+graph.run(wires=None)
+print("the parent runs on")
+"""
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    lines = told.stdout.splitlines()
+    refused = 'refused: this process was forked from one that had run a graph, and a fork loses its threads; start processes with multiprocessing.get_context("spawn")'
+    assert lines == ["it ran", "it swept", refused, refused, "the parent runs on"], told.stdout + told.stderr

@@ -176,3 +176,61 @@ def test_stubs_and_docstrings_are_there():
         if name != "__version__":
             assert getattr(osteoflow, name).__doc__, name
     assert json.loads(json.dumps(osteoflow.__version__)) == "0.1.0"
+
+
+def sphere_in_a_ct(file, spacing_mm=0.8, radius_mm=12.0, centre_ras_mm=(10.0, -20.0, 30.0)):
+    """Writes a CT as NIfTI-1: a sphere of bone, 1000 HU, in soft tissue, 40 HU, in air; edges are 1.6 mm wide."""
+    import struct
+
+    n = 48
+    corner = [c - spacing_mm * n / 2 for c in centre_ras_mm]
+    axis = [corner[k] + spacing_mm * np.arange(n) - centre_ras_mm[k] for k in range(3)]
+    r = np.sqrt(axis[0][None, None, :] ** 2 + axis[1][None, :, None] ** 2 + axis[2][:, None, None] ** 2)
+    hu = 40.0 + 960.0 * np.clip(0.5 + (radius_mm - r) / 1.6, 0.0, 1.0)
+    hu -= 1040.0 * np.clip(0.5 + (r - radius_mm - 5.0) / 1.6, 0.0, 1.0)
+    header = bytearray(352)
+    struct.pack_into("<i", header, 0, 348)
+    struct.pack_into("<8h", header, 40, 3, n, n, n, 1, 1, 1, 1)
+    struct.pack_into("<2h", header, 70, 4, 16)
+    struct.pack_into("<8f", header, 76, 1.0, spacing_mm, spacing_mm, spacing_mm, 0, 0, 0, 0)
+    struct.pack_into("<3f", header, 108, 352.0, 1.0, 0.0)
+    header[123] = 2  # mm
+    struct.pack_into("<h", header, 254, 1)
+    for row, offset in enumerate((280, 296, 312)):
+        numbers = [0.0, 0.0, 0.0, corner[row]]
+        numbers[row] = spacing_mm
+        struct.pack_into("<4f", header, offset, *numbers)
+    header[344:348] = b"n+1\0"
+    file.write_bytes(bytes(header) + hu.astype("<i2").tobytes())
+
+
+def test_a_ct_gives_the_surface_of_the_bone_in_lps(command, command_json, files, tmp_path):
+    ct = tmp_path / "ct.nii"
+    sphere_in_a_ct(ct)
+    bone = osteoflow.read(ct)
+    assert isinstance(bone, osteoflow.Mesh) and bone.space == "LPS" and len(bone.faces) > 1000
+    off = np.linalg.norm(bone.vertices - [-10.0, 20.0, 30.0], axis=1) - 12.0
+    assert np.abs(off).max() < 0.1, f"{np.abs(off).max()} mm off a sphere on a grid of 0.8 mm"
+    # A higher threshold is further in: an edge is 960 HU in 1.6 mm.
+    higher = osteoflow.read(ct, threshold_hu=760.0)
+    moved = np.linalg.norm(higher.vertices - [-10.0, 20.0, 30.0], axis=1).mean() - 12.0
+    assert abs(moved + 0.4) < 0.05, f"{moved} mm"
+    # The same surface as the command's.
+    ended = command("convert", ct, tmp_path / "bone.ply", "--iso-hu", 760)
+    assert ended.returncode == 0, ended.stderr
+    told = osteoflow.read(tmp_path / "bone.ply")
+    assert len(told.faces) == len(higher.faces) and np.abs(told.vertices - higher.vertices).max() < 1e-4
+    # Registered as a file and as what was read.
+    scan = higher.vertices[higher.vertices[:, 2] > 32.0][::2] + [0.5, 0.0, 0.0]
+    told = command_json("register", ct, tmp_path / "bone.ply", "--init", "identity", "--threshold-hu", 760, "--no-verdict")
+    fit = osteoflow.register(ct, tmp_path / "bone.ply", "identity", threshold_hu=760.0, verdict=False)
+    assert fit.t_target_source.tobytes() == np.array(told["T"]).tobytes()
+    assert osteoflow.register(higher, scan, "identity", verdict=False).rms_mm < 0.1
+    with pytest.raises(osteoflow.UsageError, match="threshold_hu|CT"):
+        osteoflow.read(files / "bone.stl", threshold_hu=760.0)
+    with pytest.raises(osteoflow.OsteoflowError):
+        osteoflow.read(ct, threshold_hu=5000.0)
+    broken = tmp_path / "broken.nii"
+    broken.write_bytes(ct.read_bytes()[:-1000])
+    with pytest.raises(osteoflow.OsteoflowError, match="broken.nii"):
+        osteoflow.read(broken)

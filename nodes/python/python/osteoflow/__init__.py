@@ -32,8 +32,8 @@ __all__ = [
     "Registration", "UsageError", "Wire", "__version__", "read", "register", "simulate", "sweep", "write",
 ]
 
-# Plugins are looked at by another process.
-_core.hosted_by(_sys.executable, ["-m", "osteoflow"])
+# Plugins are looked at by another process; a sweep is of this build of the program.
+_core.hosted_by(_sys.executable, ["-m", "osteoflow"], _core.__file__)
 if hasattr(_os, "register_at_fork"):
     _os.register_at_fork(after_in_child=_core.forked)
 
@@ -432,6 +432,7 @@ def sweep(
     plugins: Sequence[Union[str, "_os.PathLike[str]"]] = (),
     table: Optional[str] = None,
     executor: Any = None,
+    tasks: Optional[int] = None,
     progress: bool = True,
 ) -> Any:
     """Run a graph many times as its table [sweep] says, and return the table runs.csv: `osteoflow sweep`.
@@ -443,11 +444,14 @@ def sweep(
     out : folder to write into (runs.csv, points.csv, summary.json, ...). Default: a temporary one, which is removed.
     resume : go on with the sweep in `out`.
     executor : a `concurrent.futures.Executor` whose workers have this package and the files of the graph under the same
-        paths; each run is a task. The tables are byte for byte those of one machine. A run whose worker is lost is submitted
-        again, at most three times.
+        paths, such as of Dask (docs/clusters.md). The tables are byte for byte those of one machine. A task whose worker is lost
+        is submitted at most three times.
+    tasks : number of tasks for the executor, of adjacent runs each. Default: one for each run.
     """
     common = [*_sets(set), *(f"--plugin={_os.fspath(plugin)}" for plugin in plugins), *_options(no_share=not share, no_cache=not cache)]
     graph = _os.fspath(path)
+    if tasks is not None and executor is None:
+        raise UsageError("tasks is for an executor; give one, or leave it out")
     with _tempfile.TemporaryDirectory(prefix="osteoflow-sweep-") as temporary:
         folder = _Path(temporary, "sweep") if out is None else _Path(out)
         if executor is None:
@@ -458,5 +462,5 @@ def sweep(
 
             if resume:
                 raise UsageError("a sweep on an executor is not resumed; leave out resume, or the executor")
-            sweep_on(executor, graph, common, folder, _Path(temporary))
+            _warn(sweep_on(executor, graph, common, folder, _Path(temporary), tasks, progress))
         return _table(folder / "runs.csv", table or "")
