@@ -38,6 +38,7 @@ mod run_table;
 pub(crate) mod running;
 mod runs;
 mod schema;
+mod serve;
 pub(crate) mod simulate;
 mod simulate_folder;
 mod simulate_set;
@@ -46,6 +47,7 @@ pub(crate) mod sweep;
 mod text_table;
 mod validate;
 pub(crate) mod verdict_lines;
+mod view;
 mod watch;
 
 pub(crate) use exit::{Exit, UsageError};
@@ -179,6 +181,7 @@ pub(crate) enum Command {
     Repro(repro::Repro),
     Sweep(sweep::Sweep),
     Report(report::Report),
+    View(view::View),
     Compare(compare::Compare),
     Reproduce(reproduce::Reproduce),
     Simulate(simulate::Simulate),
@@ -215,6 +218,7 @@ impl Command {
             Self::Schema(command) => command.execute(global),
             Self::Sweep(command) => command.execute(global),
             Self::Report(command) => command.execute(global),
+            Self::View(command) => command.execute(global),
             Self::Reproduce(command) => command.execute(global),
             Self::Compare(command) => command.execute(global),
             Self::Simulate(command) => command.execute(global),

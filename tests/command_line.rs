@@ -23,6 +23,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("recover", "OUT"),
     ("sweep", "--resume"),
     ("report", "citations.bib"),
+    ("view", "--allow-origin"),
     ("compare", "paired"),
     ("info", "extent_mm"),
     ("convert", "--scale"),

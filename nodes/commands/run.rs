@@ -3,18 +3,22 @@ use super::{
     progress::Progress,
     result_table, run_table,
     running::{self, Ran},
+    serve::{self, Admission, Serving},
     verdict_lines, watch,
 };
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
+    plan::Plan,
     plugin::check_lent_memory,
     run::{Injection, Outcome, RunOptions, RunReport, files},
     store::{Settings, Store},
 };
+use osteoflow_viewer::{Stream, Watched};
 use serde_json::Value;
 use std::{
     io::Write,
+    net::SocketAddr,
     num::NonZeroUsize,
     path::{Path, PathBuf},
     sync::Arc,
@@ -30,6 +34,7 @@ Examples:
   osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_point --set graph.seed=7
   osteoflow run graphs/fibula_recorded.toml --set recording.path=R.mcap --set bone.path=B.stl \\
       --set phantom.path=P.stl --set plan.path=R.plan.json --out DIR
+  osteoflow run graphs/variants/fibula_live.toml --serve    and open the page that it prints
   osteoflow run graphs/fibula.toml --watch              then edit the graph: each save is run within the second
   osteoflow run graphs/fibula.toml --inject icp --out R && osteoflow repro R/repro/icp-0
   osteoflow run graphs/fibula.toml --format json --quiet | jq .metrics.tre_true_mm")]
@@ -50,6 +55,16 @@ pub(crate) struct Run {
     /// JSON. Live sources are refused.
     #[arg(long, conflicts_with = "inject")]
     watch: bool,
+
+    /// Serve what is recorded while it is recorded: a page for the browser, and a stream for Foxglove and Lichtblick. ADDR is
+    /// HOST:PORT or a PORT of the loopback; default: a free port of the loopback. Both stay after the run, until Ctrl-C. A viewer that
+    /// is slow loses messages of its own and never holds up the run.
+    #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:0", value_parser = serve::address,
+          conflicts_with_all = ["no_record", "watch"])]
+    serve: Option<SocketAddr>,
+
+    #[command(flatten)]
+    admission: Admission,
 
     /// Do not write run.mcap.
     #[arg(long)]
@@ -123,8 +138,10 @@ impl Run {
             check_lent_memory();
         }
         let dir = out_dir::make(self.leave.out.as_deref(), &plan.name, self.leave.force)?;
+        let mut serving = self.serve.map(|address| self.serving(address, &plan, global)).transpose()?;
         let options = RunOptions {
             out_dir: Some(dir.clone()),
+            listener: serving.as_ref().map(Serving::listener),
             record: !self.no_record,
             // A recorded run measures the time of every firing in any case.
             latency: !self.no_record || global.verbose > 0,
@@ -134,16 +151,33 @@ impl Run {
             ..running::options(workers, &cancelled)?
         };
         let progress = Progress::of_run(&plan, options.workers, global);
+        let (of_run, folder) = (global.clone(), dir.clone());
         let ran = running::watch(progress, cancelled, move |progress| {
-            osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(running::run_error)
+            let report =
+                osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(running::run_error)?;
+            progress.end();
+            if let Some(serving) = &mut serving {
+                serving.ended(&report);
+            }
+            let exit = print_end(&report, &folder, &of_run)?;
+            serving.map_or(Ok(()), |serving| serving.wait(&options.cancelled, &of_run))?;
+            Ok(exit)
         })?;
         match ran {
-            Ran::Ended(report) => print_end(&report, &dir, global),
+            Ran::Ended(exit) => Ok(exit),
             Ran::Left => {
                 running::print_left_files(&dir, global);
                 Ok(Exit::Interrupted)
             }
         }
+    }
+}
+
+impl Run {
+    fn serving(&self, address: SocketAddr, plan: &Plan, global: &Global) -> Result<Serving> {
+        let stream = Arc::new(Stream::default());
+        let server = self.admission.serve(address, &plan.name, stream.clone(), Arc::new(Watched), global)?;
+        Ok(Serving::begin(server, stream, plan))
     }
 }
 

@@ -7,7 +7,7 @@ mod floors;
 use std::{collections::BTreeMap, fs, path::Path};
 
 /// Every crate of the workspace, its folder, and the crates of the workspace that it may depend on.
-const ARROWS: [(&str, &str, &[&str]); 16] = [
+const ARROWS: [(&str, &str, &[&str]); 17] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
     ("osteoflow-container", "engine/container", &[]),
@@ -32,6 +32,7 @@ const ARROWS: [(&str, &str, &[&str]); 16] = [
             "osteoflow-statistics",
         ],
     ),
+    ("osteoflow-viewer", "nodes/viewer", &["osteoflow-container", "osteoflow-engine"]),
     ("osteoflow-payloads", "nodes/payloads", &["osteoflow-node", "osteoflow-geometry", "osteoflow-algorithms"]),
     (
         "osteoflow-standard",

@@ -113,6 +113,7 @@ impl Browser {
         }
     }
 
+    #[allow(dead_code, reason = "not all tests open files")]
     /// Opens a file and waits until it is loaded and drawn.
     pub(crate) fn open(&mut self, file: &Path) {
         self.events.clear();
@@ -138,6 +139,7 @@ impl Browser {
         }
     }
 
+    #[allow(dead_code, reason = "not all tests drag")]
     /// Drags the mouse with its left button, in steps.
     pub(crate) fn drag(&mut self, from: [f64; 2], to: [f64; 2]) {
         let at = |share: f64| [0, 1].map(|k| from[k] + share * (to[k] - from[k]));

@@ -1,0 +1,318 @@
+// The page: one connection, one view, the verdict and the numbers.
+
+import { Connection } from "./connection.js";
+import { Frames } from "./frames.js";
+import { readItem, readTransform } from "./message.js";
+import { Scene } from "./scene.js";
+import { showVerdict } from "./verdict.js";
+
+/** @typedef {import("./connection.js").Channel} Channel */
+
+const EXACT = "/exact/";
+const VIEW = "/view/";
+const STATE = "/viewer/state";
+const LOG = "/run/log";
+/** Time without an item of a stream after which what it places is not drawn any more, ms. */
+const STALE_MS = 2000;
+/** Messages that the list shows. */
+const MAX_MESSAGES = 50;
+
+/** @param {string} id */
+const element = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+const frames = new Frames();
+const scene = new Scene(element("view"));
+
+/** What the server said of itself: how it ended, where its data come from. @type {any} */
+let state = { state: "connecting" };
+/** The verdicts by wire. @type {Map<string, any>} */
+const verdicts = new Map();
+/** Whether a recording was played to its end. */
+let isAtEnd = false;
+let isOpen = false;
+/** Time of the last item of each stream, ms. @type {Map<string, {at: number, n: number}>} */
+const heard = new Map();
+
+const SEVERITY = ["trusted", "doubtful", "refused"];
+
+/** The verdict: that of the run where it has ended, else of the wire of the results, else the worst. */
+function verdict() {
+  const hasEnded = state.origin === "live" || state.state !== "recorded" ? state.state !== "running" : isAtEnd;
+  // A page that hears nothing any more says so, and draws no planes.
+  if (!isOpen && !hasEnded) return null;
+  if (hasEnded && state.verdict) return state.verdict;
+  const all = state.verdict_wire ? [verdicts.get(state.verdict_wire)] : [...verdicts.values()];
+  const known = all.filter(Boolean);
+  return known.sort((a, b) => SEVERITY.indexOf(b.answer) - SEVERITY.indexOf(a.answer))[0] ?? null;
+}
+
+function judge() {
+  const waiting = !isOpen ? "not connected" : state.state === "running" || !isAtEnd ? "not judged yet" : "not judged";
+  const now = verdict();
+  showVerdict(element("verdict"), now, waiting);
+  scene.judge(now?.answer ?? null);
+}
+
+function showState() {
+  const words = [state.simulated ? "simulated" : "", state.origin === "live" ? "" : state.origin ?? ""].filter(Boolean);
+  for (const id of ["origin", "watermark"]) {
+    element(id).hidden = words.length === 0;
+    element(id).textContent = words.join(" · ");
+  }
+  document.title = state.name ? `${state.name} · Osteoflow` : "Osteoflow";
+  element("problem").hidden = !state.problem;
+  element("problem").textContent = state.problem ? `The recording is damaged: ${state.problem}` : "";
+  showNumbers();
+  judge();
+}
+
+function showNumbers() {
+  const rows = Object.entries(state.numbers ?? {});
+  element("numbers").replaceChildren(
+    ...rows.flatMap(([name, value]) => {
+      const [term, number] = [document.createElement("dt"), document.createElement("dd")];
+      term.textContent = name;
+      number.textContent = typeof value === "number" ? value.toPrecision(3) : String(value);
+      return [term, number];
+    }),
+  );
+}
+
+let listed = "";
+
+/** The list of what can be shown, with why something is not. */
+function showList() {
+  const rows = [...scene.drawn].map(([wire, { shown, object }]) => ({ wire, shown, why: object.userData.why ?? null }));
+  rows.sort((a, b) => (a.wire < b.wire ? -1 : 1));
+  const key = JSON.stringify(rows);
+  if (key === listed) return;
+  listed = key;
+  element("shown").replaceChildren(
+    ...rows.map(({ wire, shown, why }) => {
+      const entry = document.createElement("li");
+      const name = document.createElement("label");
+      const box = document.createElement("input");
+      box.type = "checkbox";
+      box.checked = shown;
+      box.onchange = () => {
+        const drawn = scene.drawn.get(wire);
+        if (drawn) drawn.shown = box.checked;
+        scene.redraw();
+      };
+      name.append(box, ` ${wire}`);
+      entry.append(name);
+      if (why !== null) {
+        entry.className = "hidden";
+        const reason = document.createElement("small");
+        reason.textContent = why;
+        entry.append(reason);
+      }
+      return entry;
+    }),
+  );
+}
+
+/** @param {string} text */
+function log(text) {
+  const entry = document.createElement("li");
+  entry.textContent = text;
+  const list = element("log");
+  list.prepend(entry);
+  while (list.childElementCount > MAX_MESSAGES) list.lastElementChild?.remove();
+}
+
+/** Schemas of which only the last item of a wire is drawn. */
+const LAST_COUNTS = new Set(["geometry/Cloud@1", "geometry/Mesh@1", "geometry/Planes@1"]);
+/** What waits to be drawn, by wire. @type {Map<string, {payload: string, data: DataView}>} */
+const pending = new Map();
+
+function drawPending() {
+  for (const [wire, { payload, data }] of pending) {
+    attempt(wire, () => scene.update(wire, payload, readItem(data)));
+  }
+  pending.clear();
+}
+
+/** Does something with a message; a message that is damaged is named, and the page goes on. @param {string} what @param {() => void} work */
+function attempt(what, work) {
+  try {
+    work();
+  } catch (error) {
+    log(`${what}: ${error instanceof Error ? error.message : error}`);
+  }
+}
+
+/** @param {Channel} channel @param {DataView} data */
+function receive(channel, data) {
+  if (channel.topic === STATE) {
+    // What a wire said of the simulation stays known.
+    state = { simulated: state.simulated, ...JSON.parse(new TextDecoder().decode(data)) };
+    showState();
+    return;
+  }
+  if (channel.topic === LOG) {
+    const { name, message } = JSON.parse(new TextDecoder().decode(data));
+    log(`${name}: ${message}`);
+    return;
+  }
+  if (channel.topic.startsWith(VIEW)) {
+    frames.place(channel.topic.slice(VIEW.length), readTransform(data));
+    scene.redraw();
+    return;
+  }
+  const wire = channel.topic.slice(EXACT.length);
+  if (LAST_COUNTS.has(channel.schemaName)) {
+    // Read when it is drawn: of a stream that is faster than the screen only the last.
+    const before = heard.get(wire);
+    heard.set(wire, { at: performance.now(), n: (before?.n ?? 0) + 1 });
+    pending.set(wire, { payload: channel.schemaName.split("@")[0], data });
+    return;
+  }
+  const item = readItem(data);
+  const payload = item.payload ?? channel.schemaName.split("@")[0];
+  const before = heard.get(wire);
+  heard.set(wire, { at: performance.now(), n: (before?.n ?? 0) + 1 });
+  if (payload === "geometry/Pose") {
+    if (item.empty) frames.unknown.set(wire, item.empty.reason);
+    else frames.unknown.delete(wire);
+    scene.redraw();
+  } else if (payload === "report/Verdict") {
+    verdicts.set(wire, item.empty ? null : JSON.parse(String(item.fields.json)));
+    judge();
+  } else if (payload === "report/Flag" && wire.endsWith(".simulated") && !item.empty) {
+    state.simulated = Object.values(item.fields)[0] === true;
+    showState();
+  } else {
+    scene.update(wire, payload, item);
+  }
+}
+
+/** The time of a recording has jumped: what comes next is all that is known. */
+function forget() {
+  frames.clear();
+  scene.clear();
+  pending.clear();
+  verdicts.clear();
+  heard.clear();
+}
+
+/** In a live run, what a stream placed is not drawn once the stream is silent. */
+function noticeSilence() {
+  if (state.origin !== "live" || state.state !== "running") return;
+  const now = performance.now();
+  for (const [wire, { at, n }] of heard) {
+    // A wire that gave one item is a constant.
+    if (n < 2) continue;
+    const silentMs = now - at;
+    const reason = `nothing for ${(silentMs / 1000).toFixed(0)} s`;
+    const drawn = scene.drawn.get(wire);
+    if (silentMs > STALE_MS) {
+      if ([...frames.edges.values()].some((edge) => edge.wire === wire)) frames.unknown.set(wire, reason);
+      if (drawn && drawn.payload === "geometry/Planes") drawn.unknown = reason;
+      scene.redraw();
+    }
+  }
+}
+
+const address = new URL(".", location.href);
+address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
+const connection = new Connection(address.href, {
+  info: (info) => setRange(info),
+  wants: ({ topic, encoding, schemaName }) =>
+    topic === STATE || topic === LOG || encoding === "osteoflow-view" ||
+    (topic.startsWith(VIEW) && schemaName === "foxglove.FrameTransform"),
+  message: (channel, _time, data) => {
+    const began = performance.now();
+    attempt(channel.topic, () => receive(channel, data));
+    measure(performance.now() - began);
+  },
+  playback: showPlayback,
+  status: log,
+  open: (open) => {
+    isOpen = open;
+    if (!open) log("the connection is closed; what is shown is old");
+    document.body.classList.toggle("closed", !open);
+    judge();
+  },
+});
+
+// Time of this script between two frames, for the tests.
+let frameMs = 0;
+/** @type {number[]} */
+const frameTimes = [];
+
+/** @param {number} ms */
+function measure(ms) { frameMs += ms; }
+
+function animate() {
+  const began = performance.now();
+  drawPending();
+  noticeSilence();
+  const drawMs = scene.draw(frames);
+  showList();
+  // The renderer's own time depends on the graphics card, of which some machines have none.
+  measure(performance.now() - began - drawMs);
+  if (frameTimes.push(frameMs) > 2000) frameTimes.shift();
+  frameMs = 0;
+  requestAnimationFrame(animate);
+}
+
+// The player of a recording.
+/** @type {{start: bigint, end: bigint} | null} */
+let range = null;
+let plays = false;
+/** @type {bigint} */
+let atNs = 0n;
+
+/** @param {any} info */
+function setRange(info) {
+  const time = (/** @type {any} */ t) => BigInt(t.sec) * 1000000000n + BigInt(t.nsec);
+  if (!info.dataStartTime || !info.dataEndTime) return;
+  range = { start: time(info.dataStartTime), end: time(info.dataEndTime) };
+  atNs = range.start;
+  element("player").hidden = false;
+}
+
+/** @param {import("./connection.js").Playback} playback */
+function showPlayback(playback) {
+  plays = playback.status === "playing";
+  isAtEnd = playback.status === "ended";
+  if (playback.didSeek) forget();
+  judge();
+  element("play").textContent = plays ? "pause" : "play";
+  atNs = playback.atNs;
+  if (!range) return;
+  const length = Number(range.end - range.start);
+  /** @type {HTMLInputElement} */ (element("time")).value = String(length > 0 ? (1000 * Number(atNs - range.start)) / length : 0);
+  element("clock").textContent = `${(Number(atNs - range.start) / 1e9).toFixed(1)} of ${(length / 1e9).toFixed(1)} s`;
+}
+
+const speed = () => Number(/** @type {HTMLSelectElement} */ (element("speed")).value);
+element("play").onclick = () => connection.play(!plays, speed(), null);
+element("speed").onchange = () => connection.play(plays, speed(), null);
+element("time").onchange = () => {
+  if (!range) return;
+  const share = Number(/** @type {HTMLInputElement} */ (element("time")).value);
+  connection.play(plays, speed(), range.start + ((range.end - range.start) * BigInt(share)) / 1000n);
+};
+
+const sides = /** @type {const} */ (["lateral", "anterior", "along"]);
+for (const side of sides) {
+  const button = /** @type {HTMLButtonElement} */ (document.querySelector(`[data-side=${side}]`));
+  button.onclick = () => scene.look(side, frames);
+}
+element("full").onclick = () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
+document.addEventListener("keydown", (event) => {
+  if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement) return;
+  if (["1", "2", "3"].includes(event.key)) scene.look(sides[Number(event.key) - 1], frames);
+  if (event.key === "f") element("full").click();
+  if (event.key === " " && range) {
+    event.preventDefault();
+    element("play").click();
+  }
+});
+
+judge();
+animate();
+// For tests and for whoever wants to look closer in the browser's console.
+Object.assign(window, { osteoflow: { scene, frames, frameTimes, get state() { return state; }, get verdict() { return verdict(); } } });

@@ -1,0 +1,40 @@
+// The verdict at the top: in words, colour and shape.
+
+/** Circle, triangle, octagon; a dashed circle where nothing is judged. */
+const SHAPES = {
+  trusted: '<circle cx="16" cy="16" r="14"/><path class="mark" d="M9 17l5 5 9-11"/>',
+  doubtful: '<path d="M16 2 31 29H1z"/><path class="mark" d="M16 11v9M16 23.5v2"/>',
+  refused: '<path d="M10 2h12l8 8v12l-8 8H10l-8-8V10z"/><path class="mark" d="M10 10l12 12M22 10 10 22"/>',
+  unknown: '<circle class="open" cx="16" cy="16" r="13"/><path class="mark dark" d="M9 16h14"/>',
+};
+
+/**
+ * @param {HTMLElement} holder
+ * @param {any} verdict as in results.json, or null
+ * @param {string} waiting what to say without one
+ */
+export function showVerdict(holder, verdict, waiting) {
+  const answer = verdict?.answer ?? null;
+  const kind = answer !== null && Object.hasOwn(SHAPES, answer) ? answer : "unknown";
+  holder.className = `verdict ${kind}`;
+  const shape = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  shape.setAttribute("viewBox", "0 0 32 32");
+  shape.setAttribute("aria-hidden", "true");
+  shape.innerHTML = SHAPES[/** @type {keyof typeof SHAPES} */ (kind)];
+  const words = document.createElement("div");
+  const head = document.createElement("strong");
+  head.textContent = answer === null ? waiting : answer;
+  words.append(head);
+  if (verdict?.sentence) words.append(` ${verdict.sentence}`);
+  const reasons = (verdict?.reasons ?? []).filter((/** @type {any} */ reason) => reason.answer !== "trusted");
+  if (reasons.length > 0) {
+    const list = document.createElement("ul");
+    for (const { reason, remedy } of reasons) {
+      const entry = document.createElement("li");
+      entry.textContent = remedy ? `${reason}; ${remedy}` : reason;
+      list.append(entry);
+    }
+    words.append(list);
+  }
+  holder.replaceChildren(shape, words);
+}

@@ -8,11 +8,13 @@
 mod access;
 mod http;
 mod page;
+mod playback;
 mod protocol;
 mod server;
 mod stream;
 
 pub use http::Answer;
+pub use playback::Playback;
 pub use protocol::PlaybackState;
 pub use server::{App, ServeOptions, Server, Watched};
 pub use stream::{Stream, Totals};

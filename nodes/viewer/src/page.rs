@@ -21,6 +21,7 @@ const FILES: &[File] = &[
     ("message.js", SCRIPT, include_str!("../page/message.js")),
     ("frames.js", SCRIPT, include_str!("../page/frames.js")),
     ("scene.js", SCRIPT, include_str!("../page/scene.js")),
+    ("residual.js", SCRIPT, include_str!("../page/residual.js")),
     ("verdict.js", SCRIPT, include_str!("../page/verdict.js")),
     ("three/three.module.min.js", SCRIPT, include_str!("../page/three/three.module.min.js")),
     ("three/three.core.min.js", SCRIPT, include_str!("../page/three/three.core.min.js")),
@@ -47,7 +48,7 @@ fn index() -> Answer {
     let mut page = Answer::new(200, HTML, INDEX.replace(NONCE, &nonce).into_bytes());
     page.headers = format!(
         "Content-Security-Policy: default-src 'none'; script-src 'self' 'nonce-{nonce}'; style-src 'self'; img-src 'self' \
-         data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'\r\n"
+         data: blob:; connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'\r\n"
     );
     page
 }

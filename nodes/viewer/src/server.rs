@@ -101,6 +101,11 @@ pub trait App: Send + Sync {
     fn play(&self, _plays: bool, _speed: f32, _seek_ns: Option<u64>) -> Option<PlaybackState> {
         None
     }
+
+    /// How the playback goes; `None` if nothing is played.
+    fn playback(&self) -> Option<PlaybackState> {
+        None
+    }
 }
 
 /// An app without anything: a run that is only watched.
@@ -334,6 +339,9 @@ fn view(connection: TcpStream, shared: &Arc<Shared>) {
         return;
     }
     let viewer = shared.stream.join();
+    if let Some(state) = shared.app.playback() {
+        viewer.tell(Out::Binary(protocol::playback_state(&state, false, "")));
+    }
     if !services.is_empty() {
         viewer.tell(Out::Text(protocol::advertise_services(services)));
     }
@@ -415,8 +423,9 @@ impl Shared {
                 }
                 let state = self.app.play(request.plays, speed, request.seek_ns);
                 let state = state.ok_or("nothing is played back: this is live")?;
-                let bytes = protocol::playback_state(&state, request.seek_ns.is_some(), &request.id);
-                self.stream.tell_all(&Out::Binary(bytes));
+                // A jump is told to all by the playback, before what follows it.
+                let bytes = protocol::playback_state(&state, false, &request.id);
+                viewer.tell(Out::Binary(bytes));
             }
             FromClient::Other => {}
         }

@@ -312,14 +312,22 @@ mod tests {
 
     /// The first byte of data of the messages that come out.
     fn received(viewer: &Viewer) -> Vec<u8> {
-        let mut out = Vec::new();
+        received_and_told(viewer).0
+    }
+
+    /// The same, and the last status.
+    fn received_and_told(viewer: &Viewer) -> (Vec<u8>, String) {
+        let (mut out, mut told) = (Vec::new(), String::new());
         while let Some(messages) = viewer.take(NOW).filter(|messages| !messages.is_empty()) {
             out.extend(messages.into_iter().filter_map(|message| match message {
                 Out::Binary(bytes) => Some(bytes[13]),
-                Out::Text(_) => None,
+                Out::Text(text) => {
+                    told = text;
+                    None
+                }
             }));
         }
-        out
+        (out, told)
     }
 
     #[test]
@@ -354,7 +362,9 @@ mod tests {
             quick_got.extend(received(&quick));
         }
         assert_eq!(quick_got, [200, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9]);
-        assert_eq!(received(&slow), [200, 7, 8, 9], "the only message of channel 2 stays");
+        let (got, told) = received_and_told(&slow);
+        assert_eq!(got, [200, 7, 8, 9], "the only message of channel 2 stays");
+        assert!(told.contains("too slowly: 7 of 8"), "{told}");
         assert_eq!(stream.totals(), Totals { n_viewers: 2, n_sent: 15, n_dropped: 7 });
         [slow, quick].into_iter().for_each(|viewer| stream.leave(&viewer));
         assert_eq!(stream.totals(), Totals { n_viewers: 2, n_sent: 15, n_dropped: 7 });

@@ -1,0 +1,213 @@
+//! Serving the page and the stream to viewers: the options, and what is said about the run.
+
+use super::{Global, UsageError};
+use anyhow::{Context, Result};
+use clap::Args;
+use osteoflow_engine::{
+    plan::Plan,
+    run::{Listener, Outcome, RunReport},
+};
+use osteoflow_node::Role;
+use osteoflow_viewer::{App, ServeOptions, Server, Stream};
+use serde_json::{Map, Value, json};
+use std::{
+    io::Write,
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::Duration,
+};
+
+/// The topic that the page reads first: what is shown, and how it ended.
+const STATE: &str = "/viewer/state";
+/// Interval at which the end is looked for.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Who may connect to the page and the stream.
+#[derive(Debug, Clone, Default, Args)]
+pub(crate) struct Admission {
+    /// Serve on an address that other machines reach, without encryption: whoever is in the network and has the address
+    /// with its token sees everything that is shown.
+    #[arg(long)]
+    serve_public: bool,
+
+    /// Let pages of this origin connect, such as https://app.foxglove.dev or https://lichtblick.example; may be given again. Desktop
+    /// viewers and the page itself need no such permission.
+    #[arg(long, value_name = "ORIGIN")]
+    allow_origin: Vec<String>,
+}
+
+impl Admission {
+    /// Listens, and prints the addresses.
+    pub(crate) fn serve(
+        &self,
+        address: SocketAddr,
+        name: &str,
+        stream: Arc<Stream>,
+        app: Arc<dyn App>,
+        global: &Global,
+    ) -> Result<Server> {
+        if !address.ip().is_loopback() && !self.serve_public {
+            let message = format!(
+                "{} is reached by other machines, without encryption; add --serve-public if that is wanted, or serve on \
+                 the loopback and forward the port by ssh",
+                address.ip()
+            );
+            return Err(UsageError(message).into());
+        }
+        for origin in &self.allow_origin {
+            let rest = origin.split_once("://").map_or("", |(_, rest)| rest);
+            if rest.is_empty() || rest.contains(['/', '*', ' ']) {
+                let message = format!(
+                    "--allow-origin {origin}: an origin is a scheme and a host, such as https://app.foxglove.dev"
+                );
+                return Err(UsageError(message).into());
+            }
+        }
+        let options = ServeOptions { address, allowed_origins: self.allow_origin.clone(), name: name.to_owned() };
+        let server = Server::start(options, stream, app).with_context(|| format!("{address} cannot be served"))?;
+        let mut err = std::io::stderr().lock();
+        writeln!(err, "{}: {}", global.paint_err("page", "1"), server.page())?;
+        writeln!(
+            err,
+            "{}: {} for Foxglove and Lichtblick on the desktop; for their web pages add --allow-origin ORIGIN",
+            global.paint_err("stream", "1"),
+            server.stream_address()
+        )?;
+        Ok(server)
+    }
+}
+
+/// Reads an address: `HOST:PORT`, `:PORT` or `PORT` on the loopback, or `HOST` with a free port.
+pub(crate) fn address(text: &str) -> Result<SocketAddr, String> {
+    let port = |text: &str| text.strip_prefix(':').unwrap_or(text).parse().ok();
+    let known = text
+        .parse()
+        .ok()
+        .or_else(|| port(text).map(|port: u16| (Ipv4Addr::LOCALHOST, port).into()))
+        .or_else(|| text.parse::<IpAddr>().ok().map(|ip| (ip, 0).into()))
+        .or_else(|| (text == "localhost").then(|| (Ipv4Addr::LOCALHOST, 0).into()));
+    known.ok_or_else(|| "an address is HOST:PORT, such as 127.0.0.1:8765, or a PORT of the loopback".into())
+}
+
+/// A run that is served.
+pub(crate) struct Serving {
+    server: Server,
+    stream: Arc<Stream>,
+    /// What the page was told last.
+    state: Value,
+}
+
+impl Serving {
+    /// Says that the run begins.
+    pub(crate) fn begin(server: Server, stream: Arc<Stream>, plan: &Plan) -> Self {
+        let is_live = plan.nodes.iter().any(|node| node.role == Role::LiveSource);
+        let of_results =
+            plan.results.iter().find(|entry| entry.key == "verdict").map(|entry| plan.wire_name(entry.from));
+        let origin = if is_live { "live" } else { "recorded" };
+        let state = json!({ "name": plan.name, "state": "running", "origin": origin, "verdict_wire": of_results });
+        stream.publish(STATE, &state);
+        Self { server, stream, state }
+    }
+
+    pub(crate) fn listener(&self) -> Arc<dyn Listener> {
+        self.stream.clone()
+    }
+
+    /// Says how the run ended.
+    pub(crate) fn ended(&mut self, report: &RunReport) {
+        let status = match &report.outcome {
+            Outcome::Complete => "complete",
+            Outcome::Refused(_) => "refused",
+            Outcome::Interrupted => "interrupted",
+        };
+        self.state["state"] = status.into();
+        add_results(&mut self.state, &report.results);
+        self.stream.publish(STATE, &self.state);
+    }
+
+    /// Serves until Ctrl-C.
+    pub(crate) fn wait(self, cancelled: &AtomicBool, global: &Global) -> Result<()> {
+        if !cancelled.load(Ordering::Relaxed) && !global.quiet {
+            writeln!(std::io::stderr(), "the page stays until Ctrl-C")?;
+        }
+        wait(self.server, cancelled, global)
+    }
+}
+
+/// Serves until Ctrl-C, then says how much was sent.
+pub(crate) fn wait(server: Server, cancelled: &AtomicBool, global: &Global) -> Result<()> {
+    while !cancelled.load(Ordering::Relaxed) {
+        thread::sleep(LOOK);
+    }
+    let totals = server.end();
+    if totals.n_dropped > 0 && !global.quiet {
+        let n_all = totals.n_sent + totals.n_dropped;
+        writeln!(
+            std::io::stderr(),
+            "note: slow viewers lost {} of {n_all} messages; the run lost none",
+            totals.n_dropped
+        )?;
+    }
+    Ok(())
+}
+
+/// Says what a recording is.
+pub(crate) fn recorded(stream: &Stream, name: &str, results: Option<&Value>, problem: Option<&str>) {
+    let mut state = json!({ "name": name, "state": "recorded", "origin": "recorded", "problem": problem });
+    if let Some(results) = results {
+        add_results(&mut state, results);
+    }
+    stream.publish(STATE, &state);
+}
+
+fn add_results(state: &mut Value, results: &Value) {
+    state["verdict"] = results["verdict"].clone();
+    if results["simulated"] == true {
+        state["simulated"] = true.into();
+    }
+    state["numbers"] = numbers(results).into();
+}
+
+/// The numbers that a user looks at first.
+fn numbers(results: &Value) -> Map<String, Value> {
+    let mut numbers = Map::new();
+    let mut put = |name: &str, value: &Value| {
+        if value.is_number() {
+            numbers.insert(name.to_owned(), value.clone());
+        }
+    };
+    put("surface residual RMS, mm", &results["icp"]["rms_mm"]);
+    put("pairs", &results["icp"]["n_pairs"]);
+    put("weakest motion, mm per mm", &results["icp"]["observability"]["weakest"]["residual_per_mm"]);
+    for (name, metric) in results["metrics"].as_object().into_iter().flatten() {
+        let name = name.trim_end_matches("_mm").replace('_', " ");
+        put(&format!("{name}, mean, mm"), &metric["mean_abs"]["norm"]);
+    }
+    numbers
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_may_lack_its_host_or_its_port() {
+        for (text, expected) in [
+            ("127.0.0.1:8765", "127.0.0.1:8765"),
+            (":8765", "127.0.0.1:8765"),
+            ("8765", "127.0.0.1:8765"),
+            ("0.0.0.0", "0.0.0.0:0"),
+            ("localhost", "127.0.0.1:0"),
+            ("[::1]:80", "[::1]:80"),
+        ] {
+            assert_eq!(address(text), Ok(expected.parse().unwrap()), "{text}");
+        }
+        for text in ["", "example.org:80", "70000", "-1", "localhost:80:80"] {
+            assert!(address(text).is_err(), "{text}");
+        }
+    }
+}

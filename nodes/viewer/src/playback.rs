@@ -1,0 +1,307 @@
+//! A recording as a stream: at its own pace, stopped, or from any time.
+
+use crate::{
+    protocol::{self, PlaybackState},
+    server::App,
+    stream::{Out, Stream},
+};
+use osteoflow_container::{Damage, Location, MESSAGE_HEADER_BYTES, ReadError, Reader, Record, Visitor, damage_message};
+use osteoflow_engine::run::{ListenedChannel, Listener};
+use std::{
+    collections::BTreeMap,
+    fs::File,
+    io,
+    ops::ControlFlow,
+    path::Path,
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    thread,
+    time::{Duration, Instant},
+};
+
+/// Interval at which the time is sent while the recording plays.
+const CLOCK: Duration = Duration::from_millis(200);
+/// Longest wait for the next message, so that the time advances through gaps.
+const STEP: Duration = Duration::from_millis(50);
+
+type Input = Reader<File>;
+
+/// A message in the file.
+#[derive(Debug, Clone, Copy)]
+struct Entry {
+    log_time_ns: u64,
+    channel: u16,
+    /// Of its record.
+    location: Location,
+    n_bytes: u64,
+}
+
+/// Plays a recording into a stream.
+pub struct Playback {
+    control: Arc<Control>,
+    range_ns: (u64, u64),
+    problem: Option<String>,
+}
+
+/// What the viewers asked for.
+struct Control {
+    asked: Mutex<Asked>,
+    changed: Condvar,
+    /// Called after the last message.
+    stream: Arc<Stream>,
+}
+
+struct Asked {
+    state: PlaybackState,
+    /// Where to continue, if a viewer asked for a time.
+    seek_ns: Option<u64>,
+    ends: bool,
+}
+
+impl Playback {
+    /// Reads where the messages are, and shows the end of the recording, stopped. What is damaged is left out.
+    ///
+    /// # Errors
+    /// [`ReadError`] if it cannot be read at all; a recording without messages is [`ReadError::Empty`].
+    pub fn open(path: &Path, stream: Arc<Stream>) -> Result<Self, ReadError> {
+        let mut input = Reader::open(path)?;
+        let mut index = Index::default();
+        let end = input.read(&mut index)?;
+        let problem = damage_message(&index.damages, &end);
+        let Index { mut entries, channels, .. } = index;
+        // Stable: messages of one time stay in the order of the file.
+        entries.sort_by_key(|entry| entry.log_time_ns);
+        let (Some(first), Some(last)) = (entries.first(), entries.last()) else { return Err(ReadError::Empty) };
+        // Constants are logged just before everything else, or at the beginning of all time.
+        let start =
+            entries.iter().map(|entry| entry.log_time_ns).find(|ns| *ns > 1_000_000).unwrap_or(first.log_time_ns);
+        let range_ns = (start, last.log_time_ns);
+        channels.into_values().for_each(|channel| stream.channel(channel));
+        let state = PlaybackState { plays: false, ended: true, at_ns: range_ns.1, speed: 1.0 };
+        let asked = Asked { state, seek_ns: Some(range_ns.1), ends: false };
+        let control = Arc::new(Control { asked: Mutex::new(asked), changed: Condvar::new(), stream });
+        let player = Player { input, entries, next: 0, chunk: None, control: control.clone(), range_ns };
+        thread::Builder::new().name("playback".into()).spawn(move || player.run())?;
+        Ok(Self { control, range_ns, problem })
+    }
+
+    /// What is wrong with the file, if it is damaged.
+    pub fn problem(&self) -> Option<&str> {
+        self.problem.as_deref()
+    }
+}
+
+impl Drop for Playback {
+    fn drop(&mut self) {
+        self.control.asked().ends = true;
+        self.control.changed.notify_one();
+    }
+}
+
+impl App for Playback {
+    fn range_ns(&self) -> Option<(u64, u64)> {
+        Some(self.range_ns)
+    }
+
+    fn play(&self, plays: bool, speed: f32, seek_ns: Option<u64>) -> Option<PlaybackState> {
+        let mut asked = self.control.asked();
+        let (start, end) = self.range_ns;
+        // From the end it plays from the start.
+        let again = (plays && asked.state.ended && seek_ns.is_none()).then_some(start);
+        if let Some(seek) = seek_ns.or(again) {
+            let seek = seek.clamp(start, end);
+            asked.seek_ns = Some(seek);
+            asked.state.at_ns = seek;
+        }
+        let ended = asked.state.at_ns >= end;
+        asked.state = PlaybackState { plays: plays && !ended, ended, speed, ..asked.state };
+        let state = asked.state;
+        drop(asked);
+        self.control.changed.notify_one();
+        Some(state)
+    }
+
+    fn playback(&self) -> Option<PlaybackState> {
+        Some(self.control.asked().state)
+    }
+}
+
+impl Control {
+    fn asked(&self) -> MutexGuard<'_, Asked> {
+        self.asked.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The thread that reads and sends.
+struct Player {
+    input: Input,
+    entries: Vec<Entry>,
+    /// The next message to send.
+    next: usize,
+    /// The unpacked chunk of the last message.
+    chunk: Option<(u64, Vec<u8>)>,
+    control: Arc<Control>,
+    range_ns: (u64, u64),
+}
+
+impl Player {
+    fn run(mut self) {
+        // Time of the recording at a time of the clock.
+        let mut since = (Instant::now(), self.range_ns.0);
+        let mut told = Instant::now();
+        loop {
+            let control = self.control.clone();
+            let mut asked = control.asked();
+            if asked.ends {
+                return;
+            }
+            if let Some(seek) = asked.seek_ns.take() {
+                let state = asked.state;
+                drop(asked);
+                // Viewers forget what they show, then get what is known at that time.
+                self.control.stream.forget();
+                self.tell(&state, true);
+                if let Err(error) = self.seek(seek) {
+                    return self.fail(&error);
+                }
+                since = (Instant::now(), seek);
+                continue;
+            }
+            if !asked.state.plays {
+                drop(control.changed.wait_timeout(asked, Duration::from_secs(1)));
+                since = (Instant::now(), control.asked().state.at_ns);
+                continue;
+            }
+            // A change of the speed does not move the past.
+            let now = Instant::now();
+            let passed_ns = (now - since.0).as_nanos() as f64 * f64::from(asked.state.speed);
+            let at_ns = since.1.saturating_add(passed_ns as u64).min(self.range_ns.1);
+            since = (now, at_ns);
+            asked.state.at_ns = at_ns;
+            if at_ns >= self.range_ns.1 {
+                asked.state = PlaybackState { plays: false, ended: true, ..asked.state };
+            }
+            let state = asked.state;
+            drop(asked);
+            if let Err(error) = self.send_until(at_ns) {
+                return self.fail(&error);
+            }
+            if state.ended || told.elapsed() >= CLOCK {
+                self.tell(&state, false);
+                told = Instant::now();
+            }
+            if !state.ended {
+                let next_ns = self.entries.get(self.next).map_or(at_ns, |entry| entry.log_time_ns);
+                let wait = Duration::from_secs_f64((next_ns - at_ns) as f64 / 1e9 / f64::from(state.speed));
+                let asked = control.asked();
+                if asked.seek_ns.is_none() && asked.state.plays {
+                    drop(control.changed.wait_timeout(asked, wait.min(STEP)));
+                }
+            }
+        }
+    }
+
+    /// Sends the last message of each channel up to a time.
+    fn seek(&mut self, at_ns: u64) -> io::Result<()> {
+        self.next = self.entries.partition_point(|entry| entry.log_time_ns <= at_ns);
+        let mut last: BTreeMap<u16, usize> = BTreeMap::new();
+        self.entries[..self.next].iter().enumerate().for_each(|(at, entry)| {
+            last.insert(entry.channel, at);
+        });
+        let mut shown: Vec<usize> = last.into_values().collect();
+        shown.sort_unstable();
+        shown.into_iter().try_for_each(|at| self.send(self.entries[at]))
+    }
+
+    fn send_until(&mut self, at_ns: u64) -> io::Result<()> {
+        while let Some(entry) = self.entries.get(self.next).copied().filter(|entry| entry.log_time_ns <= at_ns) {
+            self.next += 1;
+            self.send(entry)?;
+        }
+        Ok(())
+    }
+
+    fn send(&mut self, entry: Entry) -> io::Result<()> {
+        let head = MESSAGE_HEADER_BYTES;
+        let data = match entry.location.in_chunk {
+            None => {
+                let at = entry.location.offset + head;
+                self.input.bytes_at(at, entry.n_bytes)?
+            }
+            Some(at) => {
+                let offset = entry.location.offset;
+                if self.chunk.as_ref().is_none_or(|(known, _)| *known != offset) {
+                    self.chunk = Some((offset, self.input.chunk_at(offset)?));
+                }
+                let records = self.chunk.as_ref().map_or(&[][..], |(_, records)| records);
+                let start = usize::try_from(at + head).map_err(io::Error::other)?;
+                let bytes = records.get(start..).and_then(|rest| rest.get(..entry.n_bytes as usize));
+                bytes.ok_or_else(|| io::Error::other("the file has changed"))?.to_vec()
+            }
+        };
+        self.control.stream.message(entry.channel, entry.log_time_ns, data);
+        Ok(())
+    }
+
+    fn tell(&self, state: &PlaybackState, did_seek: bool) {
+        self.control.stream.tell_all(&Out::Binary(protocol::playback_state(state, did_seek, "")));
+    }
+
+    fn fail(&self, error: &io::Error) {
+        tracing::error!("the recording cannot be played any more: {error}");
+        let status = protocol::status(
+            protocol::Level::Error,
+            &format!("the recording cannot be read any more: {error}"),
+            "file",
+        );
+        self.control.stream.tell_all(&Out::Text(status));
+    }
+}
+
+/// Where the messages are.
+#[derive(Default)]
+struct Index {
+    entries: Vec<Entry>,
+    schemas: BTreeMap<u16, (String, String, Arc<[u8]>)>,
+    channels: BTreeMap<u16, ListenedChannel>,
+    damages: Vec<Damage>,
+}
+
+impl Visitor for Index {
+    fn record(&mut self, location: Location, record: Record<'_>) -> ControlFlow<()> {
+        match record {
+            Record::Schema { id, name, encoding, data } => {
+                self.schemas.insert(id, (name.into(), encoding.into(), data.into()));
+            }
+            Record::Channel(channel) => {
+                let none = || (String::new(), String::new(), [].into());
+                let (schema_name, schema_encoding, schema) =
+                    self.schemas.get(&channel.schema_id).cloned().unwrap_or_else(none);
+                self.channels.insert(
+                    channel.id,
+                    ListenedChannel {
+                        id: channel.id,
+                        topic: channel.topic,
+                        encoding: channel.message_encoding,
+                        schema_name,
+                        schema_encoding,
+                        schema,
+                        metadata: channel.metadata,
+                    },
+                );
+            }
+            Record::Message(message) => self.entries.push(Entry {
+                log_time_ns: message.log_time,
+                channel: message.channel_id,
+                location,
+                n_bytes: message.data.len() as u64,
+            }),
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        self.damages.push(damage);
+        ControlFlow::Continue(())
+    }
+}
