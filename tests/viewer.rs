@@ -8,6 +8,10 @@ mod common;
 
 use browser::Browser;
 use common::{osteoflow, osteoflow_to_spawn};
+use osteoflow_geometry::{
+    isometry_from_matrix,
+    nalgebra::{Matrix4, Point3},
+};
 use rand_chacha::{
     ChaCha8Rng,
     rand_core::{Rng, SeedableRng},
@@ -389,6 +393,9 @@ fn a_viewer_that_does_not_read_never_holds_up_the_run() {
 /// The page in a browser, without a word of complaint.
 fn open(browser: &mut Browser, served: &Served) {
     browser.events.clear();
+    // A small view, as the renderer has no graphics card.
+    let size = json!({ "width": 420, "height": 320, "deviceScaleFactor": 1, "mobile": false });
+    browser.call("Emulation.setDeviceMetricsOverride", size);
     browser.call("Page.navigate", json!({ "url": served.page }));
     browser.wait_until("document.readyState === 'complete' && typeof osteoflow === 'object'");
 }
@@ -527,6 +534,48 @@ fn a_live_run_shows_what_is_unknown_as_unknown_and_its_planes_once_it_is_trusted
     // The page says when the program has gone, and draws no plane of a run that it does not hear any more.
     assert_eq!(served.interrupt().code(), Some(0));
     browser.wait_until("document.body.classList.contains('closed')");
+}
+
+#[test]
+fn a_bone_and_a_scan_are_registered_shown_and_the_pose_is_that_of_register() {
+    let out = tempfile::tempdir().unwrap();
+    let run = out.path().join("run");
+    let files = ["tests/data/folder/bone.stl", "tests/data/folder/scan.ply"];
+    let served = Served::start(&["view", files[0], files[1], "--out", run.to_str().unwrap()]);
+    let until = Instant::now() + LIMIT;
+    while !run.join("results.json").exists() {
+        assert!(Instant::now() < until, "the registration does not end");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let results: Value = serde_json::from_slice(&fs::read(run.join("results.json")).unwrap()).unwrap();
+    let registered = osteoflow().arg("register").args(files).args(["--format", "json"]).output().unwrap();
+    let registered: Value = serde_json::from_slice(&registered.stdout).unwrap();
+    let matrix = |numbers: Vec<f64>| isometry_from_matrix(&Matrix4::from_row_slice(&numbers)).unwrap();
+    let rows: Vec<Vec<f64>> = serde_json::from_value(results["t_ct_camera"]["matrix"].clone()).unwrap();
+    let (ours, theirs) = (matrix(rows.concat()), matrix(serde_json::from_value(registered["T"].clone()).unwrap()));
+    let centroid: [f64; 3] = serde_json::from_value(results["icp"]["centroid_mm"].clone()).unwrap();
+    let off_mm = (theirs * ours.inverse_transform_point(&Point3::from(centroid)) - Point3::from(centroid)).norm();
+    let off_rad = ours.rotation.angle_to(&theirs.rotation);
+    assert!(off_mm < 0.02 && off_rad < 1e-3, "{off_mm} mm, {off_rad} rad; the samples of the surface differ");
+    assert!(run.join("export").is_dir(), "the pose for 3D Slicer");
+    let Some(mut browser) = Browser::start("a_bone_and_a_scan") else { return };
+    open(&mut browser, &served);
+    browser.wait_until("document.getElementById('verdict').className === 'verdict trusted'");
+    browser.wait_until("osteoflow.scene.drawn.get('bone.mesh')?.object.visible && osteoflow.scene.drawn.get('scan.cloud')?.object.visible");
+    // The colours are the distances: none of the scan is far from the bone, and the page computes what the verdict measured.
+    browser.wait_until("osteoflow.scene.residuals?.has('scan.cloud')");
+    let median = browser.evaluate("(() => { const all = [...osteoflow.scene.residuals.get('scan.cloud')].map(Math.abs).sort((a, b) => a - b); return all[all.length >> 1]; })()");
+    let expected = results["verdict"]["measured"]["median_mm"].as_f64().unwrap();
+    assert!((median.as_f64().unwrap() - expected).abs() < 0.1 * expected, "{median} {expected}");
+    browser.evaluate("document.getElementById('glass').click()");
+    browser.wait_until("osteoflow.scene.drawn.get('bone.mesh').object.children[0].material.opacity < 1");
+    assert_eq!(complaints(&mut browser, &served), Vec::<String>::new());
+
+    let refused = osteoflow().args(["view", files[0], "--out", "x"]).output().unwrap();
+    assert_eq!(refused.status.code(), Some(2), "--out is for a registration");
+    let missing = osteoflow().args(["view", files[0], "no-scan.ply"]).output().unwrap();
+    let stderr = String::from_utf8_lossy(&missing.stderr).into_owned();
+    assert!(missing.status.code() == Some(2) && stderr.contains("no-scan.ply"), "{stderr}");
 }
 
 #[test]

@@ -174,6 +174,22 @@ impl Run {
 }
 
 impl Run {
+    /// A run of a graph that is served; everything else as by default.
+    pub(super) fn served(graph: GraphArgs, out: Option<PathBuf>, address: SocketAddr, admission: Admission) -> Self {
+        Self {
+            graph,
+            leave: Leave { out, force: false, workers: None },
+            keep: Keep { no_cache: false },
+            watch: false,
+            serve: Some(address),
+            admission,
+            no_record: false,
+            inject: Vec::new(),
+            check_plugins: false,
+            shuffle: None,
+        }
+    }
+
     fn serving(&self, address: SocketAddr, plan: &Plan, global: &Global) -> Result<Serving> {
         let stream = Arc::new(Stream::default());
         let server = self.admission.serve(address, &plan.name, stream.clone(), Arc::new(Watched), global)?;

@@ -296,16 +296,21 @@ element("time").onchange = () => {
   connection.play(plays, speed(), range.start + ((range.end - range.start) * BigInt(share)) / 1000n);
 };
 
-const sides = /** @type {const} */ (["lateral", "anterior", "along"]);
+const sides = /** @type {const} */ (["scan", "lateral", "anterior", "along"]);
 for (const side of sides) {
   const button = /** @type {HTMLButtonElement} */ (document.querySelector(`[data-side=${side}]`));
   button.onclick = () => scene.look(side, frames);
 }
+element("glass").onclick = () => {
+  scene.glass(!scene.isGlass);
+  element("glass").setAttribute("aria-pressed", String(scene.isGlass));
+};
 element("full").onclick = () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
 document.addEventListener("keydown", (event) => {
   if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement) return;
-  if (["1", "2", "3"].includes(event.key)) scene.look(sides[Number(event.key) - 1], frames);
+  if (["1", "2", "3", "4"].includes(event.key)) scene.look(sides[Number(event.key) - 1], frames);
   if (event.key === "f") element("full").click();
+  if (event.key === "g") element("glass").click();
   if (event.key === " " && range) {
     event.preventDefault();
     element("play").click();

@@ -49,6 +49,7 @@ export class Scene {
     /** @type {Answer} */
     this.answer = null;
     this.isLookedAt = false;
+    this.isGlass = false;
     this.isDirty = true;
     this.worker = new Worker("residual.js", { type: "module" });
     this.worker.onmessage = ({ data }) => this.colour(data);
@@ -57,6 +58,8 @@ export class Scene {
     /** What was asked last for each cloud. @type {Map<string, {key: string, question: number}>} */
     this.asked = new Map();
     this.questions = 0;
+    /** The distances of the points of each cloud from the surface, mm. @type {Map<string, Float32Array>} */
+    this.residuals = new Map();
     new ResizeObserver(() => this.resize()).observe(holder);
     this.resize();
   }
@@ -77,6 +80,7 @@ export class Scene {
     this.axes = null;
     this.surface = null;
     this.asked.clear();
+    this.residuals.clear();
     this.isLookedAt = false;
     this.redraw();
   }
@@ -121,6 +125,7 @@ export class Scene {
     object.matrixAutoUpdate = false;
     this.scene.add(object);
     this.drawn.set(wire, { object, frame, payload, shown, unknown });
+    if (payload === "geometry/Mesh") this.glaze(object);
     if (payload === "geometry/Mesh" && !wire.startsWith("phantom")) {
       const { vertices, faces } = item.columns;
       this.surface = wire;
@@ -155,7 +160,7 @@ export class Scene {
       if (drawn.payload === "geometry/Planes") hatch(drawn.object, this.answer === "doubtful");
     }
     this.askForResiduals(frames);
-    if (!this.isLookedAt) this.isLookedAt = this.look("lateral", frames);
+    if (!this.isLookedAt) this.isLookedAt = this.look("scan", frames);
     const began = performance.now();
     this.renderer.render(this.scene, this.camera);
     return performance.now() - began;
@@ -174,7 +179,8 @@ export class Scene {
       const matrix = toSurface.clone().multiply(frames.toRoot(frame).matrix);
       // From metres to millimetres.
       const elements = matrix.elements.map((c, k) => (k >= 12 && k < 15 ? c / MM : c));
-      const key = `${object.id} ${elements.map((c) => c.toPrecision(7))}`;
+      // To 10 nm: the rounding of a pose that goes there and back is no motion.
+      const key = `${object.id} ${elements.map((c) => c.toFixed(5))}`;
       // One question at a time: of a stream the newest is asked next.
       if (known?.key === key || (known && known.question >= 0)) continue;
       const question = this.questions++;
@@ -191,6 +197,7 @@ export class Scene {
     this.asked.set(wire, { ...asked, question: -1 });
     const points = drawn.object.children[0];
     if (!(points instanceof THREE.Points) || points.geometry.getAttribute("position").count !== residuals.length) return this.redraw();
+    this.residuals.set(wire, residuals);
     const colours = new Float32Array(3 * residuals.length);
     residuals.forEach((mm, k) => colours.set(residualColour(mm), 3 * k));
     points.geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
@@ -226,8 +233,8 @@ export class Scene {
   }
 
   /**
-   * Looks at the bone from a side.
-   * @param {"lateral" | "anterior" | "along"} side
+   * Looks at the bone from a side; `scan` is the side that was scanned.
+   * @param {"scan" | "lateral" | "anterior" | "along"} side
    * @param {Frames} frames
    * @returns {boolean} whether there was anything to look at
    */
@@ -241,7 +248,7 @@ export class Scene {
     const centre = box.getCenter(new THREE.Vector3());
     const length = box.getSize(new THREE.Vector3()).length();
     const [lateral, anterior, along] = this.directions(bone, frames);
-    const from = { lateral, anterior, along }[side];
+    const from = side === "scan" ? this.scannedSide(bone, along) ?? lateral : { lateral, anterior, along }[side];
     this.camera.up.copy(side === "along" ? anterior : along);
     const distance = (0.55 * length) / Math.tan((this.camera.fov * Math.PI) / 360);
     this.camera.position.copy(centre).addScaledVector(from, side === "along" ? 0.6 * length : distance);
@@ -252,6 +259,48 @@ export class Scene {
     this.controls.update();
     this.redraw();
     return true;
+  }
+
+  /**
+   * The direction across the bone in which the scan lies: from the middle of the bone along the scan to that of the scan.
+   * @param {Drawn} bone
+   * @param {THREE.Vector3} along
+   */
+  scannedSide(bone, along) {
+    const scan = [...this.drawn.values()].find(({ payload, object }) => payload === "geometry/Cloud" && object.visible);
+    if (!scan || scan === bone) return null;
+    const places = (/** @type {Drawn} */ { object }) => {
+      const [part] = object.children;
+      const { array } = /** @type {THREE.Points} */ (part).geometry.getAttribute("position");
+      const every = 3 * Math.ceil(array.length / 30000);
+      const all = [];
+      for (let k = 0; k + 2 < array.length; k += every) all.push(new THREE.Vector3().fromArray(array, k).applyMatrix4(part.matrixWorld));
+      return all;
+    };
+    const middle = (/** @type {THREE.Vector3[]} */ all) => all.reduce((sum, place) => sum.add(place), new THREE.Vector3()).divideScalar(all.length);
+    const scanned = places(scan);
+    const levels = scanned.map((place) => place.dot(along));
+    const [low, high] = [levels.reduce((a, b) => Math.min(a, b)), levels.reduce((a, b) => Math.max(a, b))];
+    const beside = places(bone).filter((place) => place.dot(along) >= low && place.dot(along) <= high);
+    if (beside.length === 0) return null;
+    const across = middle(scanned).sub(middle(beside)).projectOnPlane(along);
+    return across.length() > 0 ? across.normalize() : null;
+  }
+
+  /** Shows the bone as glass, or solid. @param {boolean} isGlass */
+  glass(isGlass) {
+    this.isGlass = isGlass;
+    for (const [, { payload, object }] of this.drawn) if (payload === "geometry/Mesh") this.glaze(object);
+    this.redraw();
+  }
+
+  /** @param {THREE.Object3D} object */
+  glaze(object) {
+    const { material } = /** @type {THREE.Mesh<any, THREE.MeshLambertMaterial>} */ (object.children[0]);
+    material.transparent = this.isGlass;
+    material.opacity = this.isGlass ? 0.35 : 1;
+    material.depthWrite = !this.isGlass;
+    material.needsUpdate = true;
   }
 
   /**
@@ -330,7 +379,7 @@ function surface(item) {
   const geometry = new THREE.BufferGeometry().setAttribute("position", attribute);
   geometry.setIndex(new THREE.BufferAttribute(/** @type {Uint32Array} */ (item.columns.faces.rows).slice(), 1));
   geometry.computeVertexNormals();
-  const material = new THREE.MeshStandardMaterial({ color: BONE, roughness: 0.85, side: THREE.DoubleSide });
+  const material = new THREE.MeshLambertMaterial({ color: BONE, side: THREE.DoubleSide });
   return at(new THREE.Mesh(geometry, material), origin);
 }
 
@@ -356,7 +405,7 @@ function points(item, before) {
   const group = new THREE.Group();
   group.userData.places = places;
   for (const [text, place] of places) {
-    const ball = new THREE.Mesh(new THREE.SphereGeometry(1.2, 16, 12), new THREE.MeshStandardMaterial({ color: POINT }));
+    const ball = new THREE.Mesh(new THREE.SphereGeometry(1.2, 16, 12), new THREE.MeshLambertMaterial({ color: POINT }));
     ball.position.fromArray(place);
     const name = label(text);
     name.position.fromArray(place);
