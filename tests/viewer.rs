@@ -445,6 +445,21 @@ fn the_page_shows_a_recording_as_it_ended_and_as_it_was_before() {
         "osteoflow.scene.drawn.get('to_bone.cloud').object.children[0].geometry.getAttribute('color') !== undefined",
     );
 
+    // The graph: each node with what it did, and its parameters.
+    let of = |browser: &mut Browser, node: &str| {
+        browser.evaluate(&format!("[...document.querySelectorAll('#graph details')].find((row) => row.querySelector('b').textContent === '{node}').textContent"))
+    };
+    browser.wait_until("document.querySelectorAll('#graph details').length > 20 && document.querySelector('#graph span').textContent !== ''");
+    let planes = of(&mut browser, "planes");
+    assert!(planes.as_str().unwrap().contains("planes602 \u{d7}"), "{planes}");
+    let icp = of(&mut browser, "icp");
+    assert!(
+        ["icp.point_to_plane", "source \u{2190} to_bone.cloud", "max_pair_distance_mm = "]
+            .iter()
+            .all(|text| icp.as_str().unwrap().contains(text)),
+        "{icp}"
+    );
+
     // Back to the start: nothing is judged, and no plane is drawn.
     browser.evaluate("(() => { const time = document.getElementById('time'); time.value = '0'; time.onchange(); })()");
     browser.wait_until("document.getElementById('verdict').className === 'verdict unknown'");

@@ -14,6 +14,7 @@ use osteoflow_engine::{
     run::{Injection, Outcome, RunOptions, RunReport, files},
     store::{Settings, Store},
 };
+use osteoflow_node::Registry;
 use osteoflow_viewer::{Stream, Watched};
 use serde_json::Value;
 use std::{
@@ -138,7 +139,7 @@ impl Run {
             check_lent_memory();
         }
         let dir = out_dir::make(self.leave.out.as_deref(), &plan.name, self.leave.force)?;
-        let mut serving = self.serve.map(|address| self.serving(address, &plan, global)).transpose()?;
+        let mut serving = self.serve.map(|address| self.serving(address, &plan, &registry, global)).transpose()?;
         let options = RunOptions {
             out_dir: Some(dir.clone()),
             listener: serving.as_ref().map(Serving::listener),
@@ -190,10 +191,10 @@ impl Run {
         }
     }
 
-    fn serving(&self, address: SocketAddr, plan: &Plan, global: &Global) -> Result<Serving> {
+    fn serving(&self, address: SocketAddr, plan: &Plan, registry: &Registry, global: &Global) -> Result<Serving> {
         let stream = Arc::new(Stream::default());
         let server = self.admission.serve(address, &plan.name, stream.clone(), Arc::new(Watched), global)?;
-        Ok(Serving::begin(server, stream, plan))
+        Ok(Serving::begin(server, stream, plan, registry))
     }
 }
 

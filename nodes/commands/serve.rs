@@ -1,18 +1,22 @@
 //! Serving the page and the stream to viewers: the options, and what is said about the run.
 
-use super::{Global, UsageError};
+mod graph;
+
+use super::{Global, UsageError, registry};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{
+    Recording, check_recorded,
     plan::Plan,
     run::{Listener, Outcome, RunReport},
 };
-use osteoflow_node::Role;
+use osteoflow_node::{Registry, Role};
 use osteoflow_viewer::{App, ServeOptions, Server, Stream};
 use serde_json::{Map, Value, json};
 use std::{
     io::Write,
     net::{IpAddr, Ipv4Addr, SocketAddr},
+    path::Path,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -23,6 +27,8 @@ use std::{
 
 /// The topic that the page reads first: what is shown, and how it ended.
 const STATE: &str = "/viewer/state";
+/// The topic with the nodes of the graph.
+const GRAPH: &str = "/viewer/graph";
 /// Interval at which the end is looked for.
 const LOOK: Duration = Duration::from_millis(50);
 
@@ -103,13 +109,14 @@ pub(crate) struct Serving {
 
 impl Serving {
     /// Says that the run begins.
-    pub(crate) fn begin(server: Server, stream: Arc<Stream>, plan: &Plan) -> Self {
+    pub(crate) fn begin(server: Server, stream: Arc<Stream>, plan: &Plan, registry: &Registry) -> Self {
         let is_live = plan.nodes.iter().any(|node| node.role == Role::LiveSource);
         let of_results =
             plan.results.iter().find(|entry| entry.key == "verdict").map(|entry| plan.wire_name(entry.from));
         let origin = if is_live { "live" } else { "recorded" };
         let state = json!({ "name": plan.name, "state": "running", "origin": origin, "verdict_wire": of_results });
         stream.publish(STATE, &state);
+        stream.publish(GRAPH, &graph::as_json(plan, registry));
         Self { server, stream, state }
     }
 
@@ -155,13 +162,19 @@ pub(crate) fn wait(server: Server, cancelled: &AtomicBool, global: &Global) -> R
     Ok(())
 }
 
-/// Says what a recording is.
-pub(crate) fn recorded(stream: &Stream, name: &str, results: Option<&Value>, problem: Option<&str>) {
+/// Says what a recording is; its graph is listed if this program has its kinds.
+pub(crate) fn recorded(stream: &Stream, name: &str, recording: Option<&Recording>, problem: Option<&str>) {
     let mut state = json!({ "name": name, "state": "recorded", "origin": "recorded", "problem": problem });
-    if let Some(results) = results {
+    if let Some(results) = recording.and_then(|recording| recording.results.as_ref()) {
         add_results(&mut state, results);
     }
     stream.publish(STATE, &state);
+    let checked = recording.and_then(|recording| {
+        check_recorded(&recording.graph, Path::new(&recording.graph_file), &[], &recording.registry(&registry())).ok()
+    });
+    if let Some(checked) = checked {
+        stream.publish(GRAPH, &graph::as_json(&checked.plan, &checked.registry));
+    }
 }
 
 fn add_results(state: &mut Value, results: &Value) {

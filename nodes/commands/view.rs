@@ -93,10 +93,9 @@ impl View {
         let playback = opened.with_context(|| format!("{} cannot be shown", path.display()))?;
         // A recording of other programs has neither a name nor results.
         let recording = Recording::open(&path).ok();
-        let results = recording.as_ref().and_then(|recording| recording.results.as_ref());
         let file = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         let name = recording.as_ref().map_or(&file, |recording| &recording.name);
-        serve::recorded(&stream, name, results, playback.problem());
+        serve::recorded(&stream, name, recording.as_ref(), playback.problem());
         let server = self.admission.serve(self.address, name, stream, Arc::new(playback), global)?;
         let cancelled = Arc::default();
         let (until, global) = (Arc::clone(&cancelled), global.clone());

@@ -1,6 +1,7 @@
 // The page: one connection, one view, the verdict and the numbers.
 
 import { Connection } from "./connection.js";
+import { GraphList } from "./graph.js";
 import { Frames } from "./frames.js";
 import { readItem, readTransform } from "./message.js";
 import { Scene } from "./scene.js";
@@ -12,6 +13,8 @@ const EXACT = "/exact/";
 const VIEW = "/view/";
 const STATE = "/viewer/state";
 const LOG = "/run/log";
+const GRAPH = "/viewer/graph";
+const NODES = "/viewer/nodes";
 /** Time without an item of a stream after which what it places is not drawn any more, ms. */
 const STALE_MS = 2000;
 /** Messages that the list shows. */
@@ -22,6 +25,7 @@ const element = (id) => /** @type {HTMLElement} */ (document.getElementById(id))
 
 const frames = new Frames();
 const scene = new Scene(element("view"));
+const graph = new GraphList(element("graph"));
 
 /** What the server said of itself: how it ended, where its data come from. @type {any} */
 let state = { state: "connecting" };
@@ -150,6 +154,12 @@ function receive(channel, data) {
     showState();
     return;
   }
+  if (channel.topic === GRAPH || channel.topic === NODES) {
+    const told = JSON.parse(new TextDecoder().decode(data));
+    if (channel.topic === GRAPH) graph.show(told);
+    else graph.count(told);
+    return;
+  }
   if (channel.topic === LOG) {
     const { name, message } = JSON.parse(new TextDecoder().decode(data));
     log(`${name}: ${message}`);
@@ -194,6 +204,7 @@ function forget() {
   pending.clear();
   verdicts.clear();
   heard.clear();
+  graph.count({});
 }
 
 /** In a live run, what a stream placed is not drawn once the stream is silent. */
@@ -219,7 +230,7 @@ address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
 const connection = new Connection(address.href, {
   info: (info) => setRange(info),
   wants: ({ topic, encoding, schemaName }) =>
-    topic === STATE || topic === LOG || encoding === "osteoflow-view" ||
+    [STATE, LOG, GRAPH, NODES].includes(topic) || encoding === "osteoflow-view" ||
     (topic.startsWith(VIEW) && schemaName === "foxglove.FrameTransform"),
   message: (channel, _time, data) => {
     const began = performance.now();
@@ -244,12 +255,20 @@ const frameTimes = [];
 /** @param {number} ms */
 function measure(ms) { frameMs += ms; }
 
+/** When to draw next: a renderer without a graphics card gets half of the time at most, so that messages are read. */
+let drawsAt = 0;
+
 function animate() {
   const began = performance.now();
-  drawPending();
-  noticeSilence();
-  const drawMs = scene.draw(frames);
+  let drawMs = 0;
+  if (began >= drawsAt) {
+    drawPending();
+    noticeSilence();
+    drawMs = scene.draw(frames);
+    drawsAt = performance.now() + drawMs;
+  }
   showList();
+  graph.draw();
   // The renderer's own time depends on the graphics card, of which some machines have none.
   measure(performance.now() - began - drawMs);
   if (frameTimes.push(frameMs) > 2000) frameTimes.shift();

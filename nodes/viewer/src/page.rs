@@ -20,6 +20,7 @@ const FILES: &[File] = &[
     ("connection.js", SCRIPT, include_str!("../page/connection.js")),
     ("message.js", SCRIPT, include_str!("../page/message.js")),
     ("frames.js", SCRIPT, include_str!("../page/frames.js")),
+    ("graph.js", SCRIPT, include_str!("../page/graph.js")),
     ("scene.js", SCRIPT, include_str!("../page/scene.js")),
     ("residual.js", SCRIPT, include_str!("../page/residual.js")),
     ("verdict.js", SCRIPT, include_str!("../page/verdict.js")),

@@ -3,7 +3,7 @@
 use crate::{
     protocol::{self, PlaybackState},
     server::App,
-    stream::{Out, Stream},
+    stream::{DROPS, Out, Stream, TIMING},
 };
 use osteoflow_container::{Damage, Location, MESSAGE_HEADER_BYTES, ReadError, Reader, Record, Visitor, damage_message};
 use osteoflow_engine::run::{ListenedChannel, Listener};
@@ -75,11 +75,13 @@ impl Playback {
         let start =
             entries.iter().map(|entry| entry.log_time_ns).find(|ns| *ns > 1_000_000).unwrap_or(first.log_time_ns);
         let range_ns = (start, last.log_time_ns);
+        let adds = channels.values().filter(|channel| [TIMING, DROPS].contains(&&*channel.topic));
+        let adds_up = adds.map(|channel| channel.id).collect();
         channels.into_values().for_each(|channel| stream.channel(channel));
         let state = PlaybackState { plays: false, ended: true, at_ns: range_ns.1, speed: 1.0 };
         let asked = Asked { state, seek_ns: Some(range_ns.1), ends: false };
         let control = Arc::new(Control { asked: Mutex::new(asked), changed: Condvar::new(), stream });
-        let player = Player { input, entries, next: 0, chunk: None, control: control.clone(), range_ns };
+        let player = Player { input, entries, next: 0, chunk: None, control: control.clone(), range_ns, adds_up };
         thread::Builder::new().name("playback".into()).spawn(move || player.run())?;
         Ok(Self { control, range_ns, problem })
     }
@@ -141,6 +143,8 @@ struct Player {
     chunk: Option<(u64, Vec<u8>)>,
     control: Arc<Control>,
     range_ns: (u64, u64),
+    /// Channels whose messages add up.
+    adds_up: Vec<u16>,
 }
 
 impl Player {
@@ -200,15 +204,18 @@ impl Player {
         }
     }
 
-    /// Sends the last message of each channel up to a time.
+    /// Sends the last message of each channel up to a time, and all of those that add up.
     fn seek(&mut self, at_ns: u64) -> io::Result<()> {
         self.next = self.entries.partition_point(|entry| entry.log_time_ns <= at_ns);
         let mut last: BTreeMap<u16, usize> = BTreeMap::new();
         self.entries[..self.next].iter().enumerate().for_each(|(at, entry)| {
             last.insert(entry.channel, at);
         });
-        let mut shown: Vec<usize> = last.into_values().collect();
+        let before = self.entries[..self.next].iter().enumerate();
+        let added = before.filter(|(_, entry)| self.adds_up.contains(&entry.channel)).map(|(at, _)| at);
+        let mut shown: Vec<usize> = last.into_values().chain(added).collect();
         shown.sort_unstable();
+        shown.dedup();
         shown.into_iter().try_for_each(|at| self.send(self.entries[at]))
     }
 

@@ -5,7 +5,7 @@
 
 use crate::protocol::{self, Level};
 use osteoflow_engine::run::{ListenedChannel, Listener};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
@@ -17,6 +17,19 @@ const MAX_WAITING_BYTES: usize = 64 << 20;
 
 /// Channels of the server itself are numbered down from here, those of a recording up from 1.
 const OWN_CHANNELS: u16 = u16::MAX;
+
+/// Channels of a run whose messages add up, and the one that has their sums.
+pub(crate) const TIMING: &str = "/run/timing";
+pub(crate) const DROPS: &str = "/run/drops";
+const NODES: &str = "/viewer/nodes";
+
+/// What a node has done so far.
+#[derive(Debug, Clone, Copy, Default)]
+struct NodeSum {
+    n_firings: u64,
+    ms: f64,
+    n_dropped: u64,
+}
 
 /// A message of a channel.
 #[derive(Debug)]
@@ -35,6 +48,7 @@ struct Hub {
     channels: BTreeMap<u16, ListenedChannel>,
     last: BTreeMap<u16, Arc<Message>>,
     own: BTreeMap<String, u16>,
+    nodes: BTreeMap<String, NodeSum>,
     viewers: Vec<Arc<Viewer>>,
     totals: Totals,
 }
@@ -57,23 +71,7 @@ impl Stream {
 
     /// Publishes JSON on a channel of the server itself.
     pub fn publish(&self, topic: &str, value: &Value) {
-        let mut hub = self.hub();
-        let known = hub.own.get(topic).copied();
-        let id = known.unwrap_or_else(|| {
-            let id = OWN_CHANNELS - hub.own.len() as u16;
-            hub.own.insert(topic.into(), id);
-            hub.add(ListenedChannel {
-                id,
-                topic: topic.into(),
-                encoding: "json".into(),
-                schema_name: topic.trim_start_matches('/').replace('/', "."),
-                schema_encoding: "jsonschema".into(),
-                schema: (*b"{\"type\":\"object\"}").into(),
-                metadata: BTreeMap::new(),
-            });
-            id
-        });
-        hub.publish(Message { channel: id, log_time_ns: 1, data: value.to_string().into_bytes() });
+        self.hub().publish_own(topic, value);
     }
 
     /// Forgets the last message of each channel, and what waits for viewers: the time of a recording jumps.
@@ -81,6 +79,7 @@ impl Stream {
         let mut hub = self.hub();
         let own: BTreeSet<u16> = hub.own.values().copied().collect();
         hub.last.retain(|channel, _| own.contains(channel));
+        hub.nodes.clear();
         hub.viewers.iter().for_each(|viewer| viewer.forget());
     }
 
@@ -139,11 +138,56 @@ impl Listener for Stream {
     }
 
     fn message(&self, channel: u16, log_time_ns: u64, data: Vec<u8>) {
-        self.hub().publish(Message { channel, log_time_ns, data });
+        let message = Message { channel, log_time_ns, data };
+        let mut hub = self.hub();
+        hub.add_up(&message);
+        hub.publish(message);
     }
 }
 
 impl Hub {
+    fn publish_own(&mut self, topic: &str, value: &Value) {
+        let known = self.own.get(topic).copied();
+        let id = known.unwrap_or_else(|| {
+            let id = OWN_CHANNELS - self.own.len() as u16;
+            self.own.insert(topic.into(), id);
+            self.add(ListenedChannel {
+                id,
+                topic: topic.into(),
+                encoding: "json".into(),
+                schema_name: topic.trim_start_matches('/').replace('/', "."),
+                schema_encoding: "jsonschema".into(),
+                schema: (*b"{\"type\":\"object\"}").into(),
+                metadata: BTreeMap::new(),
+            });
+            id
+        });
+        self.publish(Message { channel: id, log_time_ns: 1, data: value.to_string().into_bytes() });
+    }
+
+    /// Adds up what nodes have done, so that a viewer that comes late knows it, too.
+    fn add_up(&mut self, message: &Message) {
+        let Some(topic) = self.channels.get(&message.channel).map(|channel| channel.topic.as_str()) else { return };
+        let (is_timing, is_drops) = (topic == TIMING, topic == DROPS);
+        if !is_timing && !is_drops {
+            return;
+        }
+        let Ok(told) = serde_json::from_slice::<Value>(&message.data) else { return };
+        for firing in told["firings"].as_array().into_iter().flatten().filter(|_| is_timing) {
+            let Some(node) = firing[0].as_str() else { continue };
+            let sum = self.nodes.entry(node.into()).or_default();
+            sum.n_firings += 1;
+            sum.ms += firing[3].as_f64().unwrap_or(0.0) / 1e6;
+        }
+        for drop in told["drops"].as_array().into_iter().flatten().filter(|_| is_drops) {
+            let Some((node, _)) = drop[1].as_str().and_then(|input| input.rsplit_once('.')) else { continue };
+            self.nodes.entry(node.into()).or_default().n_dropped += 1;
+        }
+        let row = |(name, sum): (&String, &NodeSum)| (name.clone(), json!([sum.n_firings, sum.ms, sum.n_dropped]));
+        let rows: serde_json::Map<String, Value> = self.nodes.iter().map(row).collect();
+        self.publish_own(NODES, &Value::Object(rows));
+    }
+
     fn add(&mut self, channel: ListenedChannel) {
         let text = protocol::advertise(std::slice::from_ref(&channel));
         self.viewers.iter().for_each(|viewer| viewer.tell(Out::Text(text.clone())));
@@ -368,6 +412,31 @@ mod tests {
         assert_eq!(stream.totals(), Totals { n_viewers: 2, n_sent: 15, n_dropped: 7 });
         [slow, quick].into_iter().for_each(|viewer| stream.leave(&viewer));
         assert_eq!(stream.totals(), Totals { n_viewers: 2, n_sent: 15, n_dropped: 7 });
+    }
+
+    #[test]
+    fn what_nodes_have_done_is_added_up_for_who_comes_late() {
+        let stream = Stream::default();
+        for (id, topic) in [(1, TIMING), (2, DROPS)] {
+            stream.channel(ListenedChannel { topic: topic.into(), ..channel(id) });
+        }
+        let told = [
+            (1, json!({ "firings": [["icp", 0, 5, 2_000_000], ["crop", 0, 5, 500_000]] })),
+            (1, json!({ "firings": [["icp", 1, 9, 4_000_000]] })),
+            (2, json!({ "drops": [["scan.cloud", "m.crop.cloud", 3]] })),
+            (1, json!("nonsense")),
+        ];
+        told.into_iter().for_each(|(id, message)| stream.message(id, 1, message.to_string().into_bytes()));
+        stream.message(1, 1, b"{".to_vec());
+        let sums = |stream: &Stream| {
+            let hub = stream.hub();
+            let last = hub.last[&hub.own[NODES]].clone();
+            serde_json::from_slice::<Value>(&last.data).unwrap()
+        };
+        assert_eq!(sums(&stream), json!({ "crop": [1, 0.5, 0], "icp": [2, 6.0, 0], "m.crop": [0, 0.0, 1] }));
+        stream.forget();
+        stream.message(1, 1, json!({ "firings": [["icp", 1, 9, 4_000_000]] }).to_string().into_bytes());
+        assert_eq!(sums(&stream), json!({ "icp": [1, 4.0, 0] }));
     }
 
     #[test]
