@@ -40,6 +40,7 @@ mod runs;
 mod schema;
 pub(crate) mod simulate;
 mod simulate_folder;
+mod simulate_openigtlink;
 mod simulate_set;
 mod summary_table;
 pub(crate) mod sweep;

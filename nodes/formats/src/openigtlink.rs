@@ -155,5 +155,19 @@ impl Message {
     }
 }
 
+/// The device of the pose `t_to_from` as PLUS names it: `CameraMarkerToWorld` takes coordinates in `camera_marker` to `world`.
+pub fn device_name(to: &str, from: &str) -> String {
+    format!("{}To{}", device_word(from), device_word(to))
+}
+
+/// A name as a part of a device: `CameraMarker` of `camera_marker`.
+pub fn device_word(name: &str) -> String {
+    let capitalized = |word: &str| {
+        let mut letters = word.chars();
+        letters.next().map(|first| first.to_uppercase().chain(letters).collect()).unwrap_or_default()
+    };
+    name.split(['_', '-', '.']).map(capitalized).collect::<Vec<String>>().concat()
+}
+
 #[cfg(test)]
 mod tests;

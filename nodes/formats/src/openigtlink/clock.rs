@@ -9,6 +9,10 @@ const N_FIRST: usize = 20;
 const N_WINDOW: usize = 100;
 /// Change of the offset that is reported: longer than a network delays a hundred messages in a row.
 const JUMP_NS: StampNs = 250_000_000;
+/// Jumps within [`N_STEADY`] messages after which the clock is taken to run at another rate, as that of a recording played fast.
+const N_JUMPS: usize = 3;
+/// Messages within which jumps count together.
+const N_STEADY: usize = 300;
 
 /// Estimates how far this machine's clock is ahead of a sender's: the least difference of arrival and stamp over the last
 /// messages, which contains the shortest delay of a message.
@@ -16,15 +20,24 @@ const JUMP_NS: StampNs = 250_000_000;
 pub struct ClockOffset {
     window: VecDeque<StampNs>,
     reported_ns: Option<StampNs>,
+    /// Stamp and arrival of the first message.
+    first_ns: Option<(StampNs, StampNs)>,
+    n: usize,
+    /// Numbers of the last messages at which the offset jumped.
+    jumps: VecDeque<usize>,
+    /// Whether the clock runs at another rate, which has been reported.
+    is_played: bool,
 }
 
 /// What is worth reporting of a sender's clock.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ClockNote {
     /// The offset, known for the first time.
     Offset(StampNs),
     /// The offset before and now.
     Jump(StampNs, StampNs),
+    /// The offset changes all the time: the seconds of the sender in one of this machine's.
+    Rate(f64),
 }
 
 impl ClockOffset {
@@ -34,22 +47,27 @@ impl ClockOffset {
             self.window.pop_front();
         }
         self.window.push_back(arrived_ns.saturating_sub(stamp_ns));
+        self.n += 1;
+        let (first_stamp_ns, first_arrived_ns) = *self.first_ns.get_or_insert((stamp_ns, arrived_ns));
         let now = self.offset_ns()?;
-        match self.reported_ns {
-            None => {
-                self.reported_ns = Some(now);
-                Some(ClockNote::Offset(now))
-            }
-            Some(before) => {
-                // A clock set back shows over the whole window, one set forward at once.
-                let is_jump = (now - before).abs() > JUMP_NS;
-                is_jump.then(|| {
-                    self.reported_ns = Some(now);
-                    self.window.retain(|delay| delay - now <= JUMP_NS);
-                    ClockNote::Jump(before, now)
-                })
-            }
+        let Some(before) = self.reported_ns else {
+            self.reported_ns = Some(now);
+            return Some(ClockNote::Offset(now));
+        };
+        // A clock set back shows over the whole window, one set forward at once.
+        if (now - before).abs() <= JUMP_NS || self.is_played {
+            return None;
         }
+        self.reported_ns = Some(now);
+        self.window.retain(|delay| delay - now <= JUMP_NS);
+        self.jumps.push_back(self.n);
+        self.jumps.retain(|n| self.n - n < N_STEADY);
+        if self.jumps.len() < N_JUMPS {
+            return Some(ClockNote::Jump(before, now));
+        }
+        self.is_played = true;
+        let elapsed_ns = (arrived_ns - first_arrived_ns).max(1);
+        Some(ClockNote::Rate((stamp_ns - first_stamp_ns) as f64 / elapsed_ns as f64))
     }
 
     /// The offset, ns; `None` before enough messages came.
@@ -63,6 +81,9 @@ impl fmt::Display for ClockNote {
         let seconds = |ns: StampNs| ns as f64 * 1e-9;
         match self {
             Self::Offset(ns) => write!(f, "its clock is {:.3} s behind this machine's, delay included", seconds(*ns)),
+            Self::Rate(rate) => {
+                write!(f, "its clock runs {rate:.2} times as fast as this machine's; is a recording played?")
+            }
             Self::Jump(before, now) => write!(
                 f,
                 "its clock jumped by {:.3} s: it was {:.3} s behind this machine's and is {:.3} s",
@@ -101,6 +122,17 @@ mod tests {
             let is_near = |now: StampNs| (now + by).abs() < S / 30;
             assert!(matches!(found[1..], [ClockNote::Jump(0, now)] if is_near(now)), "{found:?}");
         }
+    }
+
+    #[test]
+    fn a_recording_played_fast_is_reported_once_and_not_as_jumps_without_end() {
+        let start = 1_750_000_000 * S;
+        let found = notes(10_000, |now| start + (now - start) * 10);
+        assert!(
+            matches!(found[..], [ClockNote::Offset(_), ClockNote::Jump(..), ClockNote::Jump(..), ClockNote::Rate(rate)]
+            if (rate - 10.0).abs() < 0.5),
+            "{found:?}"
+        );
     }
 
     #[test]
