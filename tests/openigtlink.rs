@@ -86,6 +86,11 @@ fn the_whole_method_over_openigtlink_gives_the_results_of_the_same_procedure_fro
         }
         assert_eq!(live.results["verdict"]["answer"], "trusted");
         assert_eq!(live.results["simulated"], true);
+        assert!(
+            !live.stderr.contains("equal to the last bit") && !live.stderr.contains("some are not sent"),
+            "{}",
+            live.stderr
+        );
         assert!(!live.stderr.contains("late") && !live.stderr.contains("has not come"), "{}", live.stderr);
     }
 }
@@ -135,6 +140,22 @@ fn a_receiver_gets_registration_and_planes_of_the_results_while_they_are_trusted
         .filter_map(|m| if let Body::Status(status) = &m.body { Some(status.name.as_str()) } else { None })
         .collect();
     assert!(statuses.contains(&"planes sent") && statuses.last() == Some(&"exiting"), "{statuses:?}");
+}
+
+#[test]
+fn a_recorded_run_replays_without_rig_and_receivers() {
+    let rig = Rig::start(&["--points", "2000", "--rate", "1e6"]);
+    let navigation = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = navigation.local_addr().unwrap();
+    drop(navigation);
+    let sets = [format!("recording.address={}", rig.address), format!("navigation.address={address}")];
+    let live = common::run(LIVE, &["--set", &sets[0], "--set", &sets[1]]);
+    drop(rig);
+    // Nobody else may listen there if the replay did.
+    let _taken = TcpListener::bind(address).unwrap();
+    let replay = osteoflow().arg("replay").arg(live.dir.path().join("run.mcap")).output().unwrap();
+    let printed = String::from_utf8_lossy(&replay.stdout);
+    assert!(printed.contains(", 0 differ, "), "{printed}{}", String::from_utf8_lossy(&replay.stderr));
 }
 
 #[test]

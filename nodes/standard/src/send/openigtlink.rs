@@ -140,7 +140,7 @@ impl Node for OpenIgtLink {
         let n_dropped = self.outlet.as_ref().map_or(0, |outlet| outlet.n_dropped);
         if n_dropped > 0 && self.said.n_dropped == 0 {
             self.said.n_dropped = n_dropped;
-            ctx.warn("a receiver is too slow; messages are dropped");
+            ctx.warn("planes come faster than they can be sent; some are not sent");
         }
         Ok(Out {})
     }

@@ -15,6 +15,8 @@ use osteoflow_payloads::{Flag, Text as TextPayload};
 
 /// Largest deviation of a rotation that is not reported: single precision leaves 2e-7.
 const SINGLE_PRECISION: f64 = 1e-6;
+/// Equal poses in a row that are reported: measurements differ in their last bits.
+const N_EQUAL: usize = 40;
 /// A cloud that is smaller than this is probably in metres.
 const SMALLEST_CLOUD_MM: f64 = 2.0;
 
@@ -42,6 +44,9 @@ pub struct PortParams {
     /// Unset: never.
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
+    /// Whether a pose that is exactly the identity means that the tool is lost, as some trackers send it. Unset: it does; a
+    /// constant of a configuration may need false.
+    pub identity_is_lost: Option<bool>,
     /// What a `report/Flag` gives with the first item of another port, if its device did not come before. Unset: it waits for its
     /// device.
     pub default: Option<bool>,
@@ -71,6 +76,9 @@ pub(super) struct Port {
     pub(super) devices: Vec<String>,
     pub(super) lost_after_ns: Option<StampNs>,
     pub(super) default: Option<bool>,
+    identity_is_lost: bool,
+    /// The last pose as it came, and how often it came in a row.
+    last: Option<(Isometry3<f64>, usize)>,
     labels: Vec<String>,
     /// The rotation of coordinates in `ct` to LPS.
     turn: Isometry3<f64>,
@@ -142,8 +150,21 @@ impl Port {
             )));
         }
         let lost_after_ns = params.lost_after_ms.map(|ms| (ms * 1e6).round() as StampNs);
-        let (default, labels) = (params.default, params.labels);
-        Ok(Self { name, payload, devices, lost_after_ns, default, labels, turn, frame, to, from, n: 0 })
+        Ok(Self {
+            name,
+            payload,
+            devices,
+            lost_after_ns,
+            default: params.default,
+            identity_is_lost: params.identity_is_lost.unwrap_or(true),
+            last: None,
+            labels: params.labels,
+            turn,
+            frame,
+            to,
+            from,
+            n: 0,
+        })
     }
 
     /// What a message of `device` gives; `None` if its type is none that the port reads. `tool` is its index in a TDATA.
@@ -189,7 +210,7 @@ impl Port {
         }))
     }
 
-    fn pose(&self, message: &Message, device: &str, affine: &Affine, stamp_ns: StampNs) -> Result<Given, String> {
+    fn pose(&mut self, message: &Message, device: &str, affine: &Affine, stamp_ns: StampNs) -> Result<Given, String> {
         if let Some(lost) = lost(message, device) {
             return Ok(Given { emission: Emission::Empty(format!("{device} is lost: {lost}")), note: None });
         }
@@ -198,11 +219,11 @@ impl Port {
         let is_fine = correction.deviation <= SINGLE_PRECISION;
         let note =
             (!is_fine).then(|| format!("{device}: a rotation is rounded, and the nearest one is used: {correction}"));
-        Ok(Given { emission: self.placed(nearest.value, stamp_ns), note })
+        Ok(self.placed(nearest.value, device, stamp_ns, note))
     }
 
     fn position(
-        &self,
+        &mut self,
         message: &Message,
         device: &str,
         positions: &[Position],
@@ -224,15 +245,30 @@ impl Port {
         let is_fine = correction.deviation <= SINGLE_PRECISION;
         let note =
             (!is_fine).then(|| format!("{device}: a rotation is rounded, and the nearest one is used: {correction}"));
-        Ok(Given { emission: self.placed(isometry, stamp_ns), note })
+        Ok(self.placed(isometry, device, stamp_ns, note))
     }
 
-    fn placed(&self, isometry: Isometry3<f64>, stamp_ns: StampNs) -> Emission {
+    fn placed(&mut self, isometry: Isometry3<f64>, device: &str, stamp_ns: StampNs, note: Option<String>) -> Given {
+        if self.identity_is_lost && isometry == Isometry3::identity() {
+            let reason =
+                format!("{device} is lost: it is the identity; if that is its pose, set identity_is_lost = false");
+            return Given { emission: Emission::Empty(reason), note };
+        }
+        let n_equal = match &self.last {
+            Some((last, n)) if *last == isometry => n + 1,
+            _ => 1,
+        };
+        self.last = Some((isometry, n_equal));
+        let is_frozen = n_equal == N_EQUAL;
+        let note = note.or_else(|| {
+            is_frozen
+                .then(|| format!("{device}: {N_EQUAL} poses in a row are equal to the last bit; is the tool in view?"))
+        });
         let is_ct = |frame| Space::of(frame) == Space::Lps;
         // The turn by half is its own inverse.
         let isometry = if is_ct(&self.to) { self.turn * isometry } else { isometry };
         let isometry = if is_ct(&self.from) { isometry * self.turn } else { isometry };
-        Emission::value(Pose::new(&self.to, &self.from, isometry).at(stamp_ns))
+        Given { emission: Emission::value(Pose::new(&self.to, &self.from, isometry).at(stamp_ns)), note }
     }
 
     fn label(&self, device: &str) -> Option<&str> {

@@ -239,6 +239,27 @@ fn a_tool_that_plus_calls_lost_is_unknown_in_each_way_of_saying_it() {
 }
 
 #[test]
+fn an_exact_identity_is_a_lost_tool_unless_the_port_says_otherwise() {
+    let identity = Body::Transform(Affine::of(&Isometry3::identity()));
+    let message = messages(&[Message::new("StylusToReference", STAMP, identity)]);
+    let ran = sent(message.clone(), &[stylus()]);
+    assert!(reason(ran.of_port(0)[0].1).starts_with("StylusToReference is lost: it is the identity"));
+    let mut stylus = stylus();
+    stylus.2["identity_is_lost"] = json!(false);
+    let ran = sent(message, &[stylus]);
+    assert_eq!(value::<Pose>(ran.of_port(0)[0].1).isometry, Isometry3::identity());
+}
+
+#[test]
+fn a_pose_that_is_repeated_to_the_last_bit_is_reported_once() {
+    let frozen: Vec<_> = (0..100).map(|i| transform("StylusToReference", STAMP + i * 50 * MS, 1.0)).collect();
+    let ran = sent(messages(&frozen), &[stylus()]);
+    assert_eq!(ran.items.len(), 100);
+    let reports = ran.warnings.iter().filter(|w| w.contains("40 poses in a row are equal to the last bit")).count();
+    assert_eq!(reports, 1, "{:?}", ran.warnings);
+}
+
+#[test]
 fn a_tool_that_is_no_longer_sent_is_lost_at_the_limit_and_found_again() {
     let mut all = vec![transform("StylusToReference", STAMP, 0.0)];
     all.extend((1..20).map(|i| transform("CameraMarkerToWorld", STAMP + i * 50 * MS, 0.0)));

@@ -13,7 +13,7 @@ use std::{
 };
 
 /// Messages that wait for the thread; more are dropped, because an old pose is worth nothing.
-const N_WAITING: usize = 256;
+const N_WAITING: usize = 1024;
 /// How often the thread looks for receivers.
 const LOOK: Duration = Duration::from_millis(20);
 /// Time after which a receiver that takes nothing is left.
@@ -96,11 +96,14 @@ impl Outlet {
         Ok(Self { tasks: Some(tasks), thread: Some(thread), n_dropped: 0 })
     }
 
-    /// Hands a task on; never waits.
+    /// Hands a task on. What lasts waits for room, which a stuck receiver delays by [`STUCK`] at most; the rest is dropped.
     pub(super) fn put(&mut self, task: Task) {
-        if self.tasks.as_ref().is_some_and(|tasks| tasks.try_send(task).is_err()) {
-            self.n_dropped += 1;
-        }
+        let Some(tasks) = &self.tasks else { return };
+        let is_put = match task {
+            Task::Send { lasts: true, .. } => tasks.send(task).is_ok(),
+            _ => tasks.try_send(task).is_ok(),
+        };
+        self.n_dropped += u64::from(!is_put);
     }
 }
 
@@ -122,8 +125,12 @@ pub(super) fn status(code: u16, name: &str, message: &str) -> Message {
 
 impl Receivers {
     fn run(mut self, tasks: &Receiver<Task>) {
+        let mut looked: Option<Instant> = None;
         loop {
-            self.look();
+            if looked.is_none_or(|looked| looked.elapsed() >= LOOK) {
+                self.look();
+                looked = Some(Instant::now());
+            }
             match tasks.recv_timeout(LOOK) {
                 Ok(Task::Send { message, lasts }) => {
                     self.send(&message, lasts);

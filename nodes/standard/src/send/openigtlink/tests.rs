@@ -223,6 +223,20 @@ fn a_receiver_that_comes_late_gets_what_lasts_and_hears_when_planes_are_old_and_
 }
 
 #[test]
+fn a_client_connects_to_its_receiver_when_that_comes_and_again_when_it_left() {
+    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let mut node = node(|params| (params.address, params.role) = (address.to_string(), Role::Client));
+    let mut ctx = Context::for_test("navigation").with_out_dir(Some(Arc::from(Path::new("."))));
+    ctx.begin(0, STAMP);
+    node.process(input("world", Some(Answer::Trusted)), &mut ctx).map(drop).unwrap();
+    let listener = TcpListener::bind(address).unwrap();
+    for _ in 0..2 {
+        let (mut stream, _) = listener.accept().unwrap();
+        assert!(read_until(&mut stream, &mut Decoder::default(), |m| m.device == "WorldToRas").is_some());
+    }
+}
+
+#[test]
 fn a_receiver_that_reads_nothing_stops_neither_the_node_nor_the_others() {
     let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let mut node = node(|params| (params.address, params.plane_size_mm) = (address.to_string(), 0.0));
