@@ -73,8 +73,8 @@ fn the_whole_method_over_openigtlink_gives_the_results_of_the_same_procedure_fro
         RECORDED,
         &["--no-record", "--set", r#"remove=["node.verdict.in.measured", "node.verdict.in.followed"]"#],
     );
-    for workers in ["1", "8"] {
-        let rig = Rig::start(&["--points", "10000", "--rate", "1e6"]);
+    for (workers, scans) in [("1", "polydata"), ("8", "point")] {
+        let rig = Rig::start(&["--points", "10000", "--rate", "1e6", "--scans", scans]);
         let address = format!("recording.address={}", rig.address);
         let navigation = format!("navigation.address={}", free_address());
         let arguments = ["--no-record", "--workers", workers, "--set", &address, "--set", &navigation];
@@ -82,7 +82,7 @@ fn the_whole_method_over_openigtlink_gives_the_results_of_the_same_procedure_fro
         for key in ["poses", "planes", "planes_at_scan", "laser_points", "metrics"] {
             let (difference, at) = largest_difference(&live.results[key], &recorded.results[key], key);
             assert!(difference < 0.05, "{at}: {difference} mm apart");
-            println!("{key}: at most {difference:.1e} apart, at {at}");
+            println!("{key}, scans as {scans}: at most {difference:.1e} apart, at {at}");
         }
         assert_eq!(live.results["verdict"]["answer"], "trusted");
         assert_eq!(live.results["simulated"], true);

@@ -67,6 +67,10 @@ pub(crate) struct Simulate {
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "openigtlink", value_parser = rate)]
     rate: f64,
 
+    /// The type of the scans of --openigtlink.
+    #[arg(long, value_enum, default_value_t = ScanType::Polydata, value_name = "TYPE", requires = "openigtlink")]
+    scans: ScanType,
+
     /// The folder to write into.
     #[arg(long, value_name = "DIR", required_unless_present = "openigtlink")]
     out: Option<PathBuf>,
@@ -84,6 +88,15 @@ enum StreamFormat {
     Folder,
 }
 
+/// The messages in which scans are sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum ScanType {
+    /// POLYDATA: 12 bytes a point.
+    Polydata,
+    /// POINT: 136 bytes a point.
+    Point,
+}
+
 impl Simulate {
     /// The procedure of `osteoflow new procedure`: a folder of files.
     pub(crate) fn example(out: PathBuf) -> Self {
@@ -97,6 +110,7 @@ impl Simulate {
             shape,
             openigtlink: None,
             rate: 1.0,
+            scans: ScanType::Polydata,
             out: Some(out),
             force: false,
         }
@@ -123,7 +137,7 @@ impl Simulate {
             }
         }
         if let Some(port) = self.openigtlink {
-            super::simulate_openigtlink::serve(&procedure, port, self.rate, global)?;
+            super::simulate_openigtlink::serve(&procedure, port, self.rate, self.scans, global)?;
         }
         Ok(Exit::Done)
     }

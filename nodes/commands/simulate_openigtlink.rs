@@ -1,4 +1,7 @@
-use super::{Global, simulate::laser_number};
+use super::{
+    Global,
+    simulate::{ScanType, laser_number},
+};
 use anyhow::{Context, Result, bail};
 use osteoflow_formats::openigtlink::{Affine, Body, Fiducial, Message, Metadata, PolyData, Status, Text, device_name};
 use osteoflow_geometry::{Cloud, Points, Pose, StampNs, nalgebra::Point3};
@@ -14,8 +17,8 @@ use std::{
 const LAST_WORDS: Duration = Duration::from_secs(60);
 
 /// Waits for one client at a port of the loopback and plays the procedure to it.
-pub(super) fn serve(procedure: &Procedure, port: u16, rate: f64, global: &Global) -> Result<()> {
-    let messages = messages(procedure)?;
+pub(super) fn serve(procedure: &Procedure, port: u16, rate: f64, scans: ScanType, global: &Global) -> Result<()> {
+    let messages = messages(procedure, scans)?;
     let listener =
         TcpListener::bind(("127.0.0.1", port)).with_context(|| format!("cannot listen at 127.0.0.1:{port}"))?;
     // Whoever started this for a free port needs it, quiet or not.
@@ -57,14 +60,18 @@ fn finish(stream: &mut TcpStream) -> Result<()> {
 }
 
 /// All messages in the order of their stamps.
-fn messages(procedure: &Procedure) -> Result<Vec<(StampNs, Vec<u8>)>> {
+fn messages(procedure: &Procedure, scans: ScanType) -> Result<Vec<(StampNs, Vec<u8>)>> {
     let mut messages = Vec::new();
     for pose in procedure.camera_marker.iter().chain(&procedure.phantom_marker).chain(&procedure.bone_marker) {
         messages.push(transform(pose));
     }
     let scan = |device: &str, cloud: &Cloud| {
-        let points = cloud.points().iter().map(single).collect();
-        Message::new(device, cloud.stamp_ns, Body::PolyData(PolyData::of_points(points)))
+        let points = cloud.points().iter().map(single);
+        let body = match scans {
+            ScanType::Polydata => Body::PolyData(PolyData::of_points(points.collect())),
+            ScanType::Point => Body::Points(points.map(|point| Fiducial::new("", point)).collect()),
+        };
+        Message::new(device, cloud.stamp_ns, body)
     };
     messages.push(scan("PhantomScan", &procedure.phantom_scan));
     messages.push(scan("Scan", &procedure.scan));
