@@ -16,6 +16,7 @@
 //! | POLYDATA | yes | yes |
 //! | STATUS | yes | yes |
 //! | STRING | yes | yes |
+//! | STT_TDATA | yes | yes |
 //! | any other | type and size | no |
 //!
 //! ```

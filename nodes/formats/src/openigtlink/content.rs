@@ -26,6 +26,13 @@ pub enum Body {
     Status(Status),
     /// STRING.
     Text(Text),
+    /// STT_TDATA: asks a server for TDATA.
+    StartTracking {
+        /// The least time between two, ms.
+        interval_ms: u32,
+        /// The name of the coordinates; empty for those of the server.
+        coordinates: String,
+    },
     /// A type that is not decoded.
     Other {
         /// The type.
@@ -154,6 +161,7 @@ impl Body {
             Self::PolyData(_) => "POLYDATA",
             Self::Status(_) => "STATUS",
             Self::Text(_) => "STRING",
+            Self::StartTracking { .. } => "STT_TDATA",
             Self::Other { type_name, .. } => type_name,
         }
     }
@@ -175,6 +183,7 @@ impl Body {
                 let (_encoding, n) = (reader.u16()?, reader.u16()?);
                 Self::Text(Text(String::from_utf8_lossy(reader.take(usize::from(n))?).into_owned()))
             }
+            "STT_TDATA" => Self::StartTracking { interval_ms: reader.u32()?, coordinates: reader.name(32)? },
             _ => Self::Other { type_name: type_name.into(), n_bytes: reader.take(reader.left())?.len() },
         })
     }
@@ -230,6 +239,10 @@ impl Body {
                 out.extend(encoding_of(text).to_be_bytes());
                 out.extend(n.to_be_bytes());
                 out.extend(text.as_bytes());
+            }
+            Self::StartTracking { interval_ms, coordinates } => {
+                out.extend(interval_ms.to_be_bytes());
+                put_name(out, "the coordinates", coordinates, 32)?;
             }
             Self::Other { type_name, .. } => {
                 return Err(EncodeError::Content(format!("{type_name} cannot be written")));

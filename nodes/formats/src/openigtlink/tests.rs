@@ -51,6 +51,7 @@ fn every_kind() -> Vec<Message> {
         Body::PolyData(mesh),
         Body::Status(Status::new(Status::OK, "OK", "all is well")),
         Body::Text(Text("Grüße".into())),
+        Body::StartTracking { interval_ms: 50, coordinates: "Reference".into() },
     ];
     let messages = bodies.into_iter().map(|body| Message::new("Device", STAMP, body));
     let extended = |message: Message| message.extended(7, vec![Metadata::new("TransformStatus", "OK")]);

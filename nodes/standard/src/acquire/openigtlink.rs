@@ -68,6 +68,10 @@ pub struct Params {
     /// Time without an item after which the source is reported as silent. 5 s: longer than any camera's interval.
     #[schemars(range(min = 0.01, max = 86_400.0))]
     pub silent_after_s: f64,
+    /// The least time between two TDATA, which the source then asks for (STT_TDATA): PLUS sends them on request only. Unset: not
+    /// asked for.
+    #[schemars(range(min = 0, max = 60_000))]
+    pub tdata_ms: Option<u32>,
     /// Maximum delay of one device against another; an item beyond it is late and replaced by an empty. Joins wait this much
     /// longer. 0: sufficient where the sender sends in the order of its stamps.
     #[schemars(range(min = 0.0, max = 60_000.0))]
@@ -93,6 +97,7 @@ impl Default for Params {
             timeout_s: 10.0,
             reconnect: true,
             silent_after_s: osteoflow_node::SILENT_AFTER.as_secs_f64(),
+            tdata_ms: None,
             max_delay_ms: 0.0,
         }
     }
@@ -148,7 +153,7 @@ impl Source for OpenIgtLink {
             return Err(ParamError::new("address", message));
         }
         Ok(Self {
-            connection: Connection::new(params.role, params.address.clone()),
+            connection: Connection::new(params.role, params.address.clone(), params.tdata_ms),
             params,
             decoder: Decoder::default(),
             clock: ClockOffset::default(),
@@ -171,7 +176,8 @@ impl Source for OpenIgtLink {
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Self::Outputs>, NodeError> {
         if self.ports.is_none() {
             self.ports = Some(read_ports(ctx)?);
-            self.connection = Connection::new(self.params.role, self.params.address.clone());
+            let Params { role, address, tdata_ms, .. } = &self.params;
+            self.connection = Connection::new(*role, address.clone(), *tdata_ms);
         }
         loop {
             if let Some(Event { stamp_ns, port, emission }) = self.events.pop_front() {

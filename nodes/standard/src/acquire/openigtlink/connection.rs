@@ -20,6 +20,8 @@ const PIECE: usize = 64 << 10;
 pub(super) struct Connection {
     role: Role,
     address: String,
+    /// The least time between two TDATA that are asked for.
+    tdata_ms: Option<u32>,
     listener: Option<TcpListener>,
     stream: Option<TcpStream>,
     peer: Option<SocketAddr>,
@@ -43,10 +45,11 @@ pub(super) enum Received<'a> {
 }
 
 impl Connection {
-    pub(super) fn new(role: Role, address: String) -> Self {
+    pub(super) fn new(role: Role, address: String, tdata_ms: Option<u32>) -> Self {
         Self {
             role,
             address,
+            tdata_ms,
             listener: None,
             stream: None,
             peer: None,
@@ -135,11 +138,13 @@ impl Connection {
         stream.set_read_timeout(Some(LOOK))?;
         stream.set_write_timeout(Some(TRY))?;
         // PLUS answers in the header version of its client, and states lost tools in the metadata of version 2 only.
-        let hello =
-            Message::new("Osteoflow", 0, Body::Status(Status::new(Status::OK, "OK", ""))).extended(0, Vec::new());
-        if let Ok(bytes) = hello.to_bytes() {
-            // A sender that takes nothing is no fault.
-            let _ = stream.write_all(&bytes);
+        let hello = Some(Body::Status(Status::new(Status::OK, "OK", "")));
+        let query = self.tdata_ms.map(|interval_ms| Body::StartTracking { interval_ms, coordinates: String::new() });
+        for body in hello.into_iter().chain(query) {
+            if let Ok(bytes) = Message::new("Osteoflow", 0, body).extended(0, Vec::new()).to_bytes() {
+                // A sender that takes nothing is no fault.
+                let _ = stream.write_all(&bytes);
+            }
         }
         (self.stream, self.peer) = (Some(stream), Some(peer));
         Ok(())

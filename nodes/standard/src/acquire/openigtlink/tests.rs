@@ -452,6 +452,28 @@ fn a_lost_connection_makes_poses_unknown_and_is_waited_for() {
 }
 
 #[test]
+fn a_source_says_that_it_reads_header_version_2_and_asks_for_tracking_data() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let sender = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let (mut decoder, mut found, mut buffer) = (Decoder::default(), Vec::new(), [0; 1024]);
+        while found.len() < 2 {
+            let n = std::io::Read::read(&mut stream, &mut buffer).unwrap();
+            assert!(n > 0, "closed after {found:?}");
+            decoder.push(&buffer[..n]);
+            found.extend(decoder.by_ref().map(Result::unwrap));
+        }
+        found
+    });
+    take_all(&mut source(address, |params| params.tdata_ms = Some(50)), &mut context(&[stylus()])).unwrap();
+    let found = sender.join().unwrap();
+    assert!(found.iter().all(|message| message.extended.is_some()), "{found:?}");
+    assert!(matches!(&found[0].body, Body::Status(status) if status.code == Status::OK), "{found:?}");
+    assert_eq!(found[1].body, Body::StartTracking { interval_ms: 50, coordinates: String::new() });
+}
+
+#[test]
 fn no_sender_within_the_timeout_is_an_error_that_names_the_address() {
     let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     for (role, part) in [(Role::Client, "is the server running there?"), (Role::Server, "no sender connected to")] {
