@@ -41,6 +41,7 @@ mod schema;
 mod serve;
 pub(crate) mod simulate;
 mod simulate_folder;
+mod simulate_openigtlink;
 mod simulate_set;
 mod summary_table;
 pub(crate) mod sweep;

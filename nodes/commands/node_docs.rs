@@ -5,7 +5,7 @@ use serde_json::{Map, Value};
 use std::{collections::BTreeMap, fmt::Write as _};
 
 /// The stages in the order of the procedure; others follow by name.
-const STAGES: [&str; 15] = [
+const STAGES: [&str; 16] = [
     "acquire",
     "plan",
     "surface",
@@ -21,6 +21,7 @@ const STAGES: [&str; 15] = [
     "stylus",
     "metrics",
     "output",
+    "send",
 ];
 
 /// Every page of `docs/nodes`: file name and text, the index first.

@@ -7,7 +7,7 @@ use osteoflow_formats::{
     recording_write::{Layout, Stream, write_recording},
 };
 use osteoflow_geometry::{Cloud, Points, Pose, matrix_rows};
-use osteoflow_simulation::{BoneParams, Procedure, Subject, ct_surface};
+use osteoflow_simulation::{BoneParams, CtParams, Procedure, Subject, ct_surface};
 use osteoflow_standard::own_bone;
 use serde_json::{Value, json};
 use std::{
@@ -20,7 +20,7 @@ use std::{
 /// Write a simulated procedure, on the built-in bone or on your own, as files that other programs can read.
 ///
 /// A recording in Foxglove's schemas (or a folder of plain files), the CT surface, the phantom, the plan, and the ground
-/// truth, with a README that explains how they were made.
+/// truth, with a README that explains how they were made; or the streams over OpenIGTLink, as their devices would send them.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -28,6 +28,7 @@ Examples:
   osteoflow simulate --points 4000 --out /tmp/small
   osteoflow simulate --bone fibula.stl --plan anatomy.json --out /tmp/mine
   osteoflow simulate --set ct_bone.mirrored=true --set tissue.share=0.2 --out /tmp/wrong_leg
+  osteoflow simulate --openigtlink 18944 --rate 10
   osteoflow run graphs/fibula_recorded.toml --set recording.path=/tmp/procedure/procedure.mcap \\
       --set bone.path=/tmp/procedure/bone.stl --set phantom.path=/tmp/procedure/phantom.stl \\
       --set plan.path=/tmp/procedure/plan.json")]
@@ -57,9 +58,22 @@ pub(crate) struct Simulate {
     #[arg(long = "as", value_enum, default_value_t = StreamFormat::Mcap, value_name = "SHAPE")]
     shape: StreamFormat,
 
+    /// Play the procedure over OpenIGTLink, as a PLUS server would: wait at this port of 127.0.0.1 for one client, send, and end.
+    /// 0 is a free port, which is printed.
+    #[arg(long, value_name = "PORT")]
+    openigtlink: Option<u16>,
+
+    /// The speed of --openigtlink relative to the procedure's own time.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "openigtlink", value_parser = rate)]
+    rate: f64,
+
+    /// The type of the scans of --openigtlink.
+    #[arg(long, value_enum, default_value_t = ScanType::Polydata, value_name = "TYPE", requires = "openigtlink")]
+    scans: ScanType,
+
     /// The folder to write into.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "openigtlink")]
+    out: Option<PathBuf>,
 
     /// Replace existing files.
     #[arg(long)]
@@ -74,22 +88,38 @@ enum StreamFormat {
     Folder,
 }
 
+/// The messages in which scans are sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum ScanType {
+    /// POLYDATA: 12 bytes a point.
+    Polydata,
+    /// POINT: 136 bytes a point.
+    Point,
+}
+
 impl Simulate {
     /// The procedure of `osteoflow new procedure`: a folder of files.
     pub(crate) fn example(out: PathBuf) -> Self {
         let shape = StreamFormat::Folder;
-        Self { seed: 42, points: 10_000, bone: None, plan: None, sets: Vec::new(), shape, out, force: false }
+        Self {
+            seed: 42,
+            points: 10_000,
+            bone: None,
+            plan: None,
+            sets: Vec::new(),
+            shape,
+            openigtlink: None,
+            rate: 1.0,
+            scans: ScanType::Polydata,
+            out: Some(out),
+            force: false,
+        }
     }
 
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let settings = Settings::new(self.points, &self.sets)?;
-        let dir = &self.out;
-        fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
-        let used = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some();
-        if used && !self.force {
-            let message =
-                format!("{} is not empty; name another folder, or replace what is in it with --force", dir.display());
-            return Err(UsageError(message).into());
+        if let Some(dir) = &self.out {
+            self.make_folder(dir)?;
         }
         let Settings { procedure: params, ct, ct_bone } = settings;
         let subject = self.subject(&params.bone)?;
@@ -100,20 +130,40 @@ impl Simulate {
         // The plan was made on the CT.
         let in_ct = ct_bone.map_or(Ok(subject), |bone| self.subject(&bone))?;
         procedure.plan = in_ct.plan.clone();
-        match self.shape {
-            StreamFormat::Mcap => write_streams(&dir.join("procedure.mcap"), &procedure, self.seed)?,
-            StreamFormat::Folder => super::simulate_folder::write(dir, &procedure)?,
+        if let Some(dir) = &self.out {
+            self.write_files(dir, &procedure, &in_ct, &ct)?;
+            if !global.quiet {
+                writeln!(std::io::stderr(), "SIMULATED procedure of seed {} in {}", self.seed, dir.display())?;
+            }
         }
-        let ct_surface = ct_surface(in_ct.bone(), &ct, self.seed)?;
+        if let Some(port) = self.openigtlink {
+            super::simulate_openigtlink::serve(&procedure, port, self.rate, self.scans, global)?;
+        }
+        Ok(Exit::Done)
+    }
+
+    fn make_folder(&self, dir: &Path) -> Result<()> {
+        fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
+        let used = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some();
+        if used && !self.force {
+            let message =
+                format!("{} is not empty; name another folder, or replace what is in it with --force", dir.display());
+            return Err(UsageError(message).into());
+        }
+        Ok(())
+    }
+
+    fn write_files(&self, dir: &Path, procedure: &Procedure, in_ct: &Subject, ct: &CtParams) -> Result<()> {
+        match self.shape {
+            StreamFormat::Mcap => write_streams(&dir.join("procedure.mcap"), procedure, self.seed)?,
+            StreamFormat::Folder => super::simulate_folder::write(dir, procedure)?,
+        }
+        let ct_surface = ct_surface(in_ct.bone(), ct, self.seed)?;
         mesh_file::write_stl(&dir.join("bone.stl"), &ct_surface)?;
         mesh_file::write_stl(&dir.join("phantom.stl"), &procedure.phantom)?;
         plan_file::write_plan(&dir.join("plan.json"), &procedure.plan)?;
-        write_text(&dir.join("truth.json"), &format!("{:#}\n", self.truth_json(&procedure)))?;
-        write_text(&dir.join("README.md"), &self.readme())?;
-        if !global.quiet {
-            writeln!(std::io::stderr(), "SIMULATED procedure of seed {} in {}", self.seed, dir.display())?;
-        }
-        Ok(Exit::Done)
+        write_text(&dir.join("truth.json"), &format!("{:#}\n", self.truth_json(procedure)))?;
+        write_text(&dir.join("README.md"), &self.readme())
     }
 
     /// The bone and its plan, built in or from files.
@@ -171,6 +221,19 @@ fn write_text(path: &Path, text: &str) -> Result<()> {
     fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
 }
 
+/// The number of the landmark of a laser scan: a scan with another's label is in the other's stream.
+pub(super) fn laser_number(procedure: &Procedure, k: usize) -> usize {
+    let marks = &procedure.truth.laser_marks_ct.points;
+    marks.iter().position(|mark| procedure.laser[k].label.as_ref() == Some(&mark.name)).unwrap_or(k) + 1
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(rate) if (0.001..=1e9).contains(&rate) => Ok(rate),
+        _ => Err("a speed is a number from 0.001 to 1e9".into()),
+    }
+}
+
 /// The procedure as one recording: the topics of a real one, the plan as attachment, the region of interest as metadata.
 fn write_streams(path: &Path, procedure: &Procedure, seed: u64) -> Result<()> {
     let cloud = |cloud: &Cloud| Stream::Clouds(vec![cloud.clone()]);
@@ -186,12 +249,9 @@ fn write_streams(path: &Path, procedure: &Procedure, seed: u64) -> Result<()> {
         ("/camera/calibration".into(), cloud(&procedure.phantom_scan)),
         ("/camera/scan".into(), cloud(&procedure.scan)),
     ];
-    // The topic tells the landmark, so a scan with another's label is in the other's topic.
-    let marks = &procedure.truth.laser_marks_ct.points;
-    let number =
-        |k: usize, scan: &Cloud| marks.iter().position(|mark| scan.label.as_ref() == Some(&mark.name)).unwrap_or(k) + 1;
     let lasers = procedure.laser.iter().enumerate();
-    streams.extend(lasers.map(|(k, scan)| (format!("/camera/laser_p{}", number(k, scan)), cloud(scan))));
+    let number = |k: usize| laser_number(procedure, k);
+    streams.extend(lasers.map(|(k, scan)| (format!("/camera/laser_p{}", number(k)), cloud(scan))));
     streams.push(("/stylus/init".into(), tips(&procedure.stylus_init)));
     streams.push(("/stylus/assessment".into(), tips(&procedure.stylus_assessment)));
     streams.push(("/stylus/palpation".into(), tips(&procedure.stylus_palpation)));

@@ -65,7 +65,15 @@ impl Check<'_> {
             faults: Vec::new(),
             input_files: Vec::new(),
         };
-        let params = walker.table(schema, table, &entry.key_at, "", &RESERVED);
+        let mut params = walker.table(schema, table, &entry.key_at, "", &RESERVED);
+        // A kind whose messages name no frames asks for those of the port by parameters of the same names.
+        let asked = |key: &str| schema.pointer(&format!("/properties/{key}")).is_some();
+        let given = [("frame", &output.given.frame), ("to", &output.given.to), ("from", &output.given.from)];
+        for (key, frame) in given.into_iter().filter(|(key, _)| asked(key)) {
+            if let (Some(params), Some(frame)) = (&mut params, frame) {
+                params.insert(key.into(), frame.clone().into());
+            }
+        }
         self.faults.append(&mut walker.faults);
         parsed_node.input_files.append(&mut walker.input_files);
         if let (Some(payload), Some(params)) = (payload, params) {

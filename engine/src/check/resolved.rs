@@ -72,7 +72,9 @@ fn node(out: &mut String, parsed_node: &ParsedNode<'_>, inputs: &[Input], parsed
     for (output, port) in parsed_node.outputs.iter().flatten().zip(parsed_node.declared.iter()) {
         let mut parts = vec![format!("type = {}", quote(port.payload.name))];
         let PortFrames { frame, to, from } = &output.given;
-        for (key, frame) in [("frame", frame), ("to", to), ("from", from)] {
+        // Kinds that ask for them have the frames among their parameters.
+        let frames = [("frame", frame), ("to", to), ("from", from)];
+        for (key, frame) in frames.into_iter().filter(|(key, _)| port.params.get(key).is_none()) {
             parts.extend(frame.as_ref().map(|frame| format!("{key} = {}", quote(frame))));
         }
         parts.extend(pairs(&port.params));

@@ -17,6 +17,7 @@
 //! | [`pose_file`] | one rigid motion: a matrix as text or JSON, an ITK transform | |
 //! | [`poses_csv`] | poses over time | poses over time |
 //! | [`volume`] | voxels of a CT: NIfTI, NRRD, a DICOM series | |
+//! | [`openigtlink`] | messages of OpenIGTLink | messages of OpenIGTLink |
 //! | [`folder`] | a whole procedure as a folder of such files | |
 //!
 //! ```
@@ -55,6 +56,7 @@ pub mod message_read;
 mod normals;
 mod obj;
 mod off;
+pub mod openigtlink;
 mod pcd;
 pub mod picked_points;
 pub mod plan_file;

@@ -6,6 +6,7 @@ pub mod mcap;
 mod mcap_events;
 pub mod mcap_live;
 mod mcap_ports;
+pub mod openigtlink;
 mod playback;
 mod procedure_ports;
 pub mod simulated;

@@ -22,6 +22,7 @@ pub mod output;
 pub mod plan;
 pub mod plane;
 pub mod refine;
+pub mod send;
 pub mod surface;
 pub mod transform;
 pub mod verdict;
@@ -41,6 +42,7 @@ pub fn registry() -> Registry {
         .source::<acquire::folder::Folder>()
         .source::<acquire::mcap::Mcap>()
         .source::<acquire::mcap_live::McapLive>()
+        .source::<acquire::openigtlink::OpenIgtLink>()
         .source::<acquire::simulated::Simulated>()
         .source::<plan::file::File>()
         .source::<plan::simulated::Simulated>()
@@ -102,6 +104,7 @@ pub fn registry() -> Registry {
         .node::<output::mesh::Mesh>()
         .node::<output::transform::Transform>()
         .node::<output::points::Points>()
-        .node::<output::planes::Planes>();
+        .node::<output::planes::Planes>()
+        .node::<send::openigtlink::OpenIgtLink>();
     registry
 }

@@ -1,0 +1,128 @@
+//! Messages in a stream of bytes.
+
+use super::{
+    Message,
+    bytes::Reader,
+    crc64,
+    header::{HEADER_BYTES, Header, HeaderError, find},
+};
+
+/// Takes a stream of bytes apart, in pieces of any size.
+///
+/// After damage it goes on at the next bytes that can be a header, so a message is lost only if it was damaged itself. A
+/// damaged length can make it wait for a body that never ends; [`Decoder::give_up`] ends that.
+#[derive(Debug, Default)]
+pub struct Decoder {
+    buffer: Vec<u8>,
+    at: usize,
+    /// Whether the bytes before `at` were damaged, which has been reported.
+    is_lost: bool,
+}
+
+/// Bytes that gave no message.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Damage {
+    /// The bytes are no header; the next header is looked for.
+    #[error("the stream is out of step: {0}")]
+    Header(#[from] HeaderError),
+    /// The body is not the one that was sent.
+    #[error("{type_name} of \"{device}\": the CRC of its body is wrong")]
+    Crc {
+        /// The type.
+        type_name: String,
+        /// The device.
+        device: String,
+    },
+    /// The body was sent so, and is not what its type prescribes.
+    #[error("{type_name} of \"{device}\" is malformed: {reason}")]
+    Content {
+        /// The type.
+        type_name: String,
+        /// The device.
+        device: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The rest of the body did not come.
+    #[error("{type_name} of \"{device}\" ended after {n_found} of {n_expected} bytes")]
+    Incomplete {
+        /// The type.
+        type_name: String,
+        /// The device.
+        device: String,
+        /// Bytes of the body that came.
+        n_found: usize,
+        /// Bytes of the body that were announced.
+        n_expected: usize,
+    },
+}
+
+impl Decoder {
+    /// Adds bytes as they arrived.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.buffer.drain(..std::mem::take(&mut self.at));
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// Whether the last message is not complete.
+    pub fn is_waiting(&self) -> bool {
+        self.at < self.buffer.len()
+    }
+
+    /// Gives up the message that is not complete: looks for the next header within what came of it.
+    pub fn give_up(&mut self) -> Option<Damage> {
+        let header = self.header()?.ok()?;
+        let n_found = self.buffer.len() - self.at - HEADER_BYTES;
+        let Header { type_name, device, n_body, .. } = header;
+        self.skip();
+        Some(Damage::Incomplete { type_name, device, n_found, n_expected: n_body })
+    }
+
+    /// The bytes at hand, as a header; `None` if there are too few.
+    fn header(&self) -> Option<Result<Header, HeaderError>> {
+        let rest = Reader::new(&self.buffer[self.at..]).array().ok()?;
+        Some(Header::parse(&rest))
+    }
+
+    /// Goes on at the next bytes that can be a header.
+    fn skip(&mut self) {
+        self.is_lost = true;
+        let rest = &self.buffer[self.at..];
+        // The last bytes may be the beginning of a header.
+        self.at += find(rest).unwrap_or_else(|| (rest.len() + 1).saturating_sub(HEADER_BYTES).max(1));
+    }
+}
+
+impl Iterator for Decoder {
+    type Item = Result<Message, Damage>;
+
+    /// The next message, or the reason why bytes gave none; `None` until more bytes are pushed.
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            let was_lost = self.is_lost;
+            let header = match self.header()? {
+                Ok(header) => header,
+                Err(error) => {
+                    self.skip();
+                    if was_lost {
+                        continue;
+                    }
+                    return Some(Err(error.into()));
+                }
+            };
+            let body = self.buffer[self.at + HEADER_BYTES..].get(..header.n_body)?;
+            if crc64(body) != header.crc {
+                self.skip();
+                return Some(Err(Damage::Crc { type_name: header.type_name, device: header.device }));
+            }
+            let parsed = Message::parse(&header, body);
+            self.at += HEADER_BYTES + header.n_body;
+            self.is_lost = false;
+            return Some(parsed.map_err(|reason| Damage::Content {
+                type_name: header.type_name,
+                device: header.device,
+                reason,
+            }));
+        }
+    }
+}

@@ -1,0 +1,485 @@
+use super::*;
+use osteoflow_formats::openigtlink::{
+    Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, Text, TrackedTool,
+};
+use osteoflow_geometry::{
+    Cloud, Mesh, Points, Pose, Region,
+    nalgebra::{Isometry3, Point3, Vector3},
+};
+use osteoflow_node::{DeclaredPort, Outputs, Registry};
+use osteoflow_payloads::{Flag, Text as TextPayload};
+use serde_json::{Value, json};
+use std::{
+    io::Write,
+    net::{SocketAddr, TcpListener, TcpStream},
+    thread,
+};
+
+const STAMP: StampNs = 1_750_000_011_000_000_000;
+const MS: StampNs = 1_000_000;
+
+fn context(ports: &[(&str, &str, Value)]) -> Context {
+    let mut registry = Registry::default();
+    osteoflow_payloads::register(&mut registry);
+    let declared = ports.iter().map(|(name, ty, params)| DeclaredPort {
+        name: (*name).into(),
+        payload: registry.payload_type(ty).unwrap(),
+        params: params.clone(),
+    });
+    Context::new("tracker", 0, std::sync::Arc::default(), declared.collect::<Vec<_>>().into())
+}
+
+fn source(address: SocketAddr, change: impl FnOnce(&mut Params)) -> OpenIgtLink {
+    let mut params = Params { address: address.to_string(), reconnect: false, ..Params::default() };
+    change(&mut params);
+    OpenIgtLink::new(params).unwrap()
+}
+
+/// What a source gave: stamp, port, value or reason.
+struct Ran {
+    items: Vec<(StampNs, usize, Emission)>,
+    warnings: Vec<String>,
+}
+
+impl Ran {
+    fn of_port(&self, port: usize) -> Vec<(StampNs, &Emission)> {
+        self.items.iter().filter(|item| item.1 == port).map(|(stamp, _, emission)| (*stamp, emission)).collect()
+    }
+}
+
+/// Takes all items until the source ends.
+fn take_all(source: &mut OpenIgtLink, ctx: &mut Context) -> Result<Ran, NodeError> {
+    let n_ports = ctx.declared().len();
+    let mut ran = Ran { items: Vec::new(), warnings: Vec::new() };
+    loop {
+        ctx.begin(0, 0);
+        let given = source.next(ctx)?;
+        ran.warnings.extend(ctx.take_warnings());
+        let Some(given) = given else { return Ok(ran) };
+        let mut out: Vec<Emission> = (0..n_ports).map(|_| Emission::Silent).collect();
+        given.put(&mut out);
+        let stamp_ns = ctx.stamp_ns();
+        let items = out.into_iter().enumerate().filter(|(_, emission)| !matches!(emission, Emission::Silent));
+        ran.items.extend(items.map(|(port, emission)| (stamp_ns, port, emission)));
+    }
+}
+
+/// Sends bytes to a source as one sender does, and closes.
+fn sent(bytes: Vec<u8>, ports: &[(&str, &str, Value)]) -> Ran {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let sender = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        stream.write_all(&bytes).unwrap();
+        stream.shutdown(std::net::Shutdown::Write).unwrap();
+        // The source reads to the end before this side closes.
+        let _ = std::io::copy(&mut stream, &mut std::io::sink());
+    });
+    let ran = take_all(&mut source(address, |_| {}), &mut context(ports)).unwrap();
+    sender.join().unwrap();
+    ran
+}
+
+fn messages(messages: &[Message]) -> Vec<u8> {
+    messages.iter().flat_map(|message| message.to_bytes().unwrap()).collect()
+}
+
+fn pose(x: f64) -> Isometry3<f64> {
+    Isometry3::new(Vector3::new(x, 20.0, -30.0), Vector3::new(0.3, -0.2, 0.9))
+}
+
+fn transform(device: &str, stamp_ns: StampNs, x: f64) -> Message {
+    Message::new(device, stamp_ns, Body::Transform(Affine::of(&pose(x))))
+}
+
+fn value<T: Clone + 'static>(emission: &Emission) -> T {
+    match emission {
+        Emission::Value(value) => value.get::<T>().unwrap().clone(),
+        other => panic!("no value: {other:?}"),
+    }
+}
+
+fn reason(emission: &Emission) -> &str {
+    match emission {
+        Emission::Empty(reason) => reason,
+        other => panic!("no empty: {other:?}"),
+    }
+}
+
+fn stylus() -> (&'static str, &'static str, Value) {
+    ("stylus", "geometry/Pose", json!({ "device": "StylusToReference", "to": "world", "from": "stylus_marker" }))
+}
+
+/// The error of ports that cannot be read.
+fn fault(ports: &[(&str, &str, Value)]) -> String {
+    read_ports(&context(ports)).map(drop).unwrap_err().to_string()
+}
+
+#[test]
+fn ten_thousand_transforms_arrive_in_order_between_a_thousand_random_messages() {
+    let mut bytes = Vec::new();
+    let mut state = 1_u64;
+    let mut random = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 56) as u8
+    };
+    for i in 0..10_000 {
+        bytes.extend(transform("StylusToReference", STAMP + i * MS, i as f64 * 0.01).to_bytes().unwrap());
+        match i % 10 {
+            // Random bytes.
+            0 => bytes.extend((0..200).map(|_| random())),
+            // Half a message.
+            5 => bytes.extend(&transform("StylusToReference", STAMP, 0.0).to_bytes().unwrap()[..80]),
+            // A message whose body was changed.
+            7 => {
+                let mut changed = transform("StylusToReference", STAMP, 0.0).to_bytes().unwrap();
+                changed[70] ^= 0x40;
+                bytes.extend(changed);
+            }
+            _ => {}
+        }
+    }
+    let ran = sent(bytes, &[stylus()]);
+    assert_eq!(ran.items.len(), 10_000);
+    for (i, (stamp_ns, emission)) in ran.of_port(0).into_iter().enumerate() {
+        let found: Pose = value(emission);
+        assert_eq!((stamp_ns, found.stamp_ns), (STAMP + i as i64 * MS, stamp_ns));
+        assert!((found.isometry.translation.x - i as f64 * 0.01).abs() < 1e-5, "message {i}");
+        assert_eq!((found.to.as_str(), found.from.as_str()), ("world", "stylus_marker"));
+    }
+    let n_damages = ran.warnings.iter().filter(|w| w.contains("out of step") || w.contains("CRC")).count();
+    assert!((2..=20).contains(&n_damages), "reported, but not without end: {:#?}", ran.warnings);
+}
+
+#[test]
+fn every_type_reaches_a_port_of_its_payload() {
+    let quaternion = Some(pose(1.0).rotation.coords.map(|c| c as f32).into());
+    let position = Position { name: String::new(), position: [1.0, 20.0, -30.0], quaternion };
+    let tool = TrackedTool { name: "ProbeToWorld".into(), kind: 2, matrix: Affine::of(&pose(2.0)) };
+    let triangle = PolyData {
+        points: vec![[0.0; 3], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [10.0, 10.0, f32::NAN]],
+        polygons: Cells::new([[0, 1, 2]]),
+        ..PolyData::default()
+    };
+    let mesh = PolyData { points: triangle.points[..3].to_vec(), ..triangle.clone() };
+    let points = vec![Fiducial::new("M1", [5.0, 6.0, 7.0]), Fiducial::new("M2", [1.0, 2.0, 30.0])];
+    let all = [
+        Message::new("Simulated", STAMP, Body::Text(Text("true".into()))),
+        transform("StylusToReference", STAMP, 0.0),
+        Message::new("PointerToWorld", STAMP, Body::Positions(vec![position])),
+        Message::new("Tracker", STAMP, Body::Tracking(vec![tool])),
+        Message::new("Scan", STAMP, Body::PolyData(triangle)),
+        Message::new("Touched", STAMP, Body::Points(points.clone())),
+        Message::new("Bone", STAMP, Body::PolyData(mesh)),
+        Message::new("Roi", STAMP, Body::Points(points)),
+        Message::new("Note", STAMP, Body::Text(Text("here".into()))),
+        Message::new("Camera", STAMP, Body::Status(Status::new(13, "warm", "warming up"))),
+    ];
+    let ports = [
+        stylus(),
+        ("pointer", "geometry/Pose", json!({ "to": "world", "from": "pointer" })),
+        ("probe", "geometry/Pose", json!({ "to": "world", "from": "probe" })),
+        ("scan", "geometry/Cloud", json!({ "device": "Scan", "frame": "camera" })),
+        ("cloud", "geometry/Cloud", json!({ "device": "Touched", "frame": "world" })),
+        ("touched", "geometry/Points", json!({ "device": "Touched", "frame": "world" })),
+        ("bone", "geometry/Mesh", json!({ "device": "Bone", "frame": "phantom" })),
+        ("roi", "geometry/Region", json!({ "device": "Roi", "frame": "camera" })),
+        ("note", "report/Text", json!({ "devices": ["Note", "Camera"] })),
+        ("simulated", "report/Flag", json!({ "device": "Simulated", "default": false })),
+        ("tracked", "report/Flag", json!({ "default": true })),
+    ];
+    let ran = sent(messages(&all), &ports);
+    let one = |port: usize| ran.of_port(port)[0].1;
+    for (port, x) in [(0, 0.0), (1, 1.0), (2, 2.0)] {
+        let found: Pose = value(one(port));
+        assert!((found.isometry.to_homogeneous() - pose(x).to_homogeneous()).amax() < 1e-5, "port {port}");
+    }
+    let scan: Cloud = value(one(3));
+    assert_eq!((scan.len(), scan.frame.as_str(), scan.viewpoint), (3, "camera", Some(Isometry3::identity())));
+    assert!(ran.warnings.iter().any(|w| w == "Scan: 1 of 4 points are NaN or infinite and were left out"));
+    let cloud: Cloud = value(one(4));
+    assert_eq!((cloud.points()[0], cloud.viewpoint), (Point3::new(5.0, 6.0, 7.0), None));
+    let touched: Points = value(one(5));
+    assert_eq!((&*touched.points[1].name, touched.points[1].stamp_ns), ("M2", STAMP));
+    assert_eq!(value::<Mesh>(one(6)).faces().len(), 1);
+    let roi: Region = value(one(7));
+    assert_eq!((roi.min, roi.max), (Point3::new(1.0, 2.0, 7.0), Point3::new(5.0, 6.0, 30.0)));
+    let notes: Vec<TextPayload> = ran.of_port(8).iter().map(|(_, emission)| value(emission)).collect();
+    assert_eq!(notes, [TextPayload("here".into()), TextPayload("13 warm: warming up".into())]);
+    assert_eq!((value::<Flag>(one(9)), value::<Flag>(one(10))), (Flag(true), Flag(true)));
+}
+
+#[test]
+fn a_tool_that_plus_calls_lost_is_unknown_in_each_way_of_saying_it() {
+    let said = |key: &str, text: &str| vec![Metadata::new(key, text)];
+    let tools = |name: &str, x| TrackedTool { name: name.into(), kind: 2, matrix: Affine::of(&pose(x)) };
+    let tracked = Body::Tracking(vec![tools("StylusToReference", 5.0), tools("ProbeToReference", 6.0)]);
+    let all = [
+        transform("StylusToReference", STAMP, 0.0).extended(0, said("TransformStatus", "OUT_OF_VIEW")),
+        transform("StylusToReference", STAMP + MS, 1.0).extended(0, said("TransformValid", "False")),
+        transform("StylusToReference", STAMP + 2 * MS, 2.0).extended(0, said("Status", "INVALID")),
+        Message::new("T", STAMP + 3 * MS, tracked).extended(0, said("StylusToReferenceStatus", "MISSING")),
+        transform("StylusToReference", STAMP + 4 * MS, 4.0).extended(0, said("TransformStatus", "OK")),
+    ];
+    let probe = ("probe", "geometry/Pose", json!({ "device": "ProbeToReference", "to": "world", "from": "probe" }));
+    let ran = sent(messages(&all), &[stylus(), probe]);
+    let stylus = ran.of_port(0);
+    let reasons: Vec<_> = stylus[..4].iter().map(|(_, emission)| reason(emission)).collect();
+    assert_eq!(
+        reasons,
+        [
+            "StylusToReference is lost: TransformStatus is OUT_OF_VIEW",
+            "StylusToReference is lost: TransformValid is False",
+            "StylusToReference is lost: Status is INVALID",
+            "StylusToReference is lost: StylusToReferenceStatus is MISSING",
+        ]
+    );
+    assert!((value::<Pose>(stylus[4].1).isometry.translation.x - 4.0).abs() < 1e-5);
+    assert!((value::<Pose>(ran.of_port(1)[0].1).isometry.translation.x - 6.0).abs() < 1e-5, "the other tool is seen");
+}
+
+#[test]
+fn an_exact_identity_is_a_lost_tool_unless_the_port_says_otherwise() {
+    let identity = Body::Transform(Affine::of(&Isometry3::identity()));
+    let message = messages(&[Message::new("StylusToReference", STAMP, identity)]);
+    let ran = sent(message.clone(), &[stylus()]);
+    assert!(reason(ran.of_port(0)[0].1).starts_with("StylusToReference is lost: it is the identity"));
+    let mut stylus = stylus();
+    stylus.2["identity_is_lost"] = json!(false);
+    let ran = sent(message, &[stylus]);
+    assert_eq!(value::<Pose>(ran.of_port(0)[0].1).isometry, Isometry3::identity());
+}
+
+#[test]
+fn a_pose_that_is_repeated_to_the_last_bit_is_reported_once() {
+    let frozen: Vec<_> = (0..100).map(|i| transform("StylusToReference", STAMP + i * 50 * MS, 1.0)).collect();
+    let ran = sent(messages(&frozen), &[stylus()]);
+    assert_eq!(ran.items.len(), 100);
+    let reports = ran.warnings.iter().filter(|w| w.contains("40 poses in a row are equal to the last bit")).count();
+    assert_eq!(reports, 1, "{:?}", ran.warnings);
+}
+
+#[test]
+fn a_tool_that_is_no_longer_sent_is_lost_at_the_limit_and_found_again() {
+    let mut all = vec![transform("StylusToReference", STAMP, 0.0)];
+    all.extend((1..20).map(|i| transform("CameraMarkerToWorld", STAMP + i * 50 * MS, 0.0)));
+    all.push(transform("StylusToReference", STAMP + 1000 * MS, 7.0));
+    let mut stylus = stylus();
+    stylus.2["lost_after_ms"] = json!(200.0);
+    let camera = ("camera", "geometry/Pose", json!({ "to": "world", "from": "camera_marker" }));
+    let ran = sent(messages(&all), &[stylus, camera]);
+    let stylus = ran.of_port(0);
+    assert_eq!(stylus.iter().map(|(stamp_ns, _)| stamp_ns - STAMP).collect::<Vec<_>>(), [0, 200 * MS, 1000 * MS]);
+    assert_eq!(reason(stylus[1].1), "StylusToReference was not sent for 0.20 s");
+    assert!(ran.items.is_sorted_by_key(|item| item.0), "stamps never decrease");
+}
+
+#[test]
+fn matrices_that_are_no_rigid_motion_are_refused_by_device_and_number_and_the_next_is_used() {
+    let mut mirrored = Affine::of(&pose(0.0));
+    (0..4).for_each(|column| mirrored.0[3 * column] *= -1.0);
+    let mut scaled = Affine::of(&pose(0.0));
+    scaled.0[..9].iter_mut().for_each(|c| *c *= 1.01);
+    let bad = |affine: Affine| Message::new("StylusToReference", STAMP, Body::Transform(affine));
+    let all = [
+        transform("StylusToReference", STAMP, 0.0),
+        bad(mirrored),
+        bad(scaled),
+        bad(Affine([f32::NAN; 12])),
+        bad(Affine([0.0; 12])),
+        transform("StylusToReference", STAMP, 5.0),
+    ];
+    let ran = sent(messages(&all), &[stylus()]);
+    let found = ran.of_port(0);
+    for (k, part) in [(1, "mirror image"), (2, "not a rotation"), (3, "not finite"), (4, "zero")] {
+        let reason = reason(found[k].1);
+        assert!(reason.starts_with(&format!("StylusToReference, message {}: ", k + 1)), "{reason}");
+        assert!(reason.contains(part), "{reason}");
+        assert!(ran.warnings.iter().any(|warning| warning == reason), "{reason} is no warning");
+    }
+    assert!((value::<Pose>(found[5].1).isometry.translation.x - 5.0).abs() < 1e-5);
+}
+
+#[test]
+fn single_precision_is_not_reported_and_a_rounded_rotation_is() {
+    let mut rounded = Affine::of(&pose(0.0));
+    rounded.0[..9].iter_mut().for_each(|c| *c = (*c * 1000.0).round() / 1000.0);
+    let ran = sent(messages(&[transform("StylusToReference", STAMP, 0.0)]), &[stylus()]);
+    assert_eq!(ran.warnings, Vec::<String>::new());
+    let ran = sent(messages(&[Message::new("StylusToReference", STAMP, Body::Transform(rounded))]), &[stylus()]);
+    assert!(ran.warnings[0].starts_with("StylusToReference: a rotation is rounded"), "{:?}", ran.warnings);
+}
+
+#[test]
+fn coordinates_of_a_patient_are_turned_from_ras_and_never_mirrored() {
+    let cloud = PolyData::of_points(vec![[1.0, 2.0, 3.0], [-40.0, 5.0, 6.0], [7.0, -80.0, 9.0]]);
+    let message = [
+        Message::new("Scan", STAMP, Body::PolyData(cloud)),
+        Message::new("ReferenceToRas", STAMP, Body::Transform(Affine::of(&pose(10.0)))),
+    ];
+    let found = |space: &str| {
+        let cloud = ("scan", "geometry/Cloud", json!({ "device": "Scan", "frame": "ct", "space": space }));
+        let params = json!({ "device": "ReferenceToRas", "to": "ct", "from": "world", "space": space });
+        let ran = sent(messages(&message), &[cloud, ("pose", "geometry/Pose", params)]);
+        (value::<Cloud>(ran.of_port(0)[0].1), value::<Pose>(ran.of_port(1)[0].1))
+    };
+    let (lps, t_lps) = found("lps");
+    let (ras, t_ras) = found("ras");
+    assert_eq!(lps.points()[0], Point3::new(1.0, 2.0, 3.0));
+    assert_eq!(ras.points()[0], Point3::new(-1.0, -2.0, 3.0));
+    assert!((t_lps.isometry.translation.vector - Vector3::new(10.0, 20.0, -30.0)).norm() < 1e-5);
+    assert!((t_ras.isometry.translation.vector - Vector3::new(-10.0, -20.0, -30.0)).norm() < 1e-5);
+    // A mirror image would have the opposite volume.
+    let volume = |c: &Cloud| {
+        let [a, b, c] = [0, 1, 2].map(|k| c.points()[k].coords);
+        a.dot(&b.cross(&c))
+    };
+    assert!((volume(&lps) - volume(&ras)).abs() < 1e-9 && volume(&lps).abs() > 100.0);
+}
+
+#[test]
+fn ports_that_would_be_wrong_in_silence_are_refused() {
+    let cloud = |params| ("scan", "geometry/Cloud", params);
+    let of_pose = |params| ("p", "geometry/Pose", params);
+    let ct = fault(&[cloud(json!({ "device": "Scan", "frame": "ct" }))]);
+    assert!(ct.contains("set space = \"ras\""), "{ct}");
+    let world = fault(&[cloud(json!({ "device": "Scan", "frame": "world", "space": "ras" }))]);
+    assert!(world.contains("space is for coordinates in ct alone"), "{world}");
+    assert!(fault(&[cloud(json!({ "device": "Scan" }))]).contains("frame is not given"));
+    assert!(fault(&[cloud(json!({ "frame": "camera" }))]).contains("neither device nor devices"));
+    let swapped = fault(&[of_pose(json!({ "device": "WorldToStylus", "to": "world", "from": "stylus" }))]);
+    assert!(swapped.contains("swap to and from"), "{swapped}");
+    let long = fault(&[of_pose(json!({ "to": "tracker", "from": "phantom_marker" }))]);
+    assert!(long.contains("PhantomMarkerToTracker") && long.contains("20 at most"), "{long}");
+    let same = json!({ "device": "StylusToReference", "to": "world", "from": "stylus" });
+    let twice = fault(&[of_pose(same.clone()), ("q", "geometry/Pose", same)]);
+    assert!(twice.contains("ports \"p\" and \"q\" both read geometry/Pose of StylusToReference"), "{twice}");
+    assert!(fault(&[("t", "geometry/Axes", json!({}))]).contains("but not geometry/Axes"));
+}
+
+#[test]
+fn a_device_that_does_not_come_is_reported_with_those_that_do() {
+    let ran = sent(messages(&[transform("ProbeToReference", STAMP, 0.0)]), &[stylus()]);
+    assert_eq!(ran.items.len(), 0, "another tool's pose is not the stylus'");
+    assert_eq!(ran.warnings, ["port \"stylus\": StylusToReference has not come; unread are ProbeToReference"]);
+}
+
+#[test]
+fn a_cloud_in_metres_is_suspected() {
+    let metres = PolyData::of_points((0..100).map(|k| [0.001 * k as f32, 0.2, 0.3]).collect());
+    let port = ("scan", "geometry/Cloud", json!({ "device": "Scan", "frame": "camera" }));
+    let ran = sent(messages(&[Message::new("Scan", STAMP, Body::PolyData(metres))]), &[port]);
+    assert_eq!(ran.warnings, ["Scan: 100 points within 2 mm; is the cloud in metres?"]);
+}
+
+#[test]
+fn a_jump_of_the_senders_clock_is_reported_and_its_stamps_stay() {
+    let jump = 3600 * 1000 * MS;
+    let all: Vec<_> =
+        (0..60).map(|i| transform("StylusToReference", STAMP + i * MS + if i < 30 { 0 } else { jump }, 0.0)).collect();
+    let ran = sent(messages(&all), &[stylus()]);
+    assert_eq!(ran.items.last().unwrap().0, STAMP + 59 * MS + jump);
+    let jumps: Vec<_> = ran.warnings.iter().filter(|w| w.contains("its clock jumped by 3600.")).collect();
+    assert_eq!(jumps.len(), 1, "{:?}", ran.warnings);
+}
+
+#[test]
+fn a_message_without_a_stamp_gets_the_time_of_its_arrival() {
+    let ran = sent(messages(&[transform("StylusToReference", 0, 0.0)]), &[stylus()]);
+    assert!(ran.items[0].0 > STAMP, "{}", ran.items[0].0);
+    assert!(ran.warnings[0].contains("StylusToReference has no stamp"), "{:?}", ran.warnings);
+}
+
+#[test]
+fn a_server_takes_one_sender_at_a_time_and_reports_the_second() {
+    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let connect = move || {
+        let until = Instant::now() + Duration::from_secs(10);
+        loop {
+            match TcpStream::connect(address) {
+                Ok(stream) => break stream,
+                Err(error) => assert!(Instant::now() < until, "{error}"),
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+    };
+    let senders = thread::spawn(move || {
+        let mut first = connect();
+        first.write_all(&transform("StylusToReference", STAMP, 1.0).to_bytes().unwrap()).unwrap();
+        thread::sleep(Duration::from_millis(300));
+        let mut second = connect();
+        // The second may be closed before it has written.
+        let _ = second.write_all(&transform("StylusToReference", STAMP + MS, 99.0).to_bytes().unwrap());
+        thread::sleep(Duration::from_millis(300));
+        first.write_all(&transform("StylusToReference", STAMP + 2 * MS, 2.0).to_bytes().unwrap()).unwrap();
+    });
+    let mut source = source(address, |params| params.role = Role::Server);
+    let ran = take_all(&mut source, &mut context(&[stylus()])).unwrap();
+    senders.join().unwrap();
+    let found: Vec<f64> = ran.items.iter().map(|(_, _, e)| value::<Pose>(e).isometry.translation.x.round()).collect();
+    assert_eq!(found, [1.0, 2.0]);
+    assert!(ran.warnings.iter().any(|w| w.contains("was turned away")), "{:?}", ran.warnings);
+}
+
+#[test]
+fn a_lost_connection_makes_poses_unknown_and_is_waited_for() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let sender = thread::spawn(move || {
+        for i in 0..2 {
+            let (mut stream, _) = listener.accept().unwrap();
+            stream.write_all(&transform("StylusToReference", STAMP + i * MS, i as f64).to_bytes().unwrap()).unwrap();
+        }
+    });
+    let mut source = source(address, |params| params.reconnect = true);
+    let mut ctx = context(&[stylus()]);
+    let mut found = Vec::new();
+    let mut warnings = Vec::new();
+    while found.len() < 3 {
+        ctx.begin(0, 0);
+        let given = source.next(&mut ctx).unwrap().unwrap();
+        warnings.extend(ctx.take_warnings());
+        let mut out = vec![Emission::Silent];
+        given.put(&mut out);
+        found.extend(out.into_iter().filter(|emission| !matches!(emission, Emission::Silent)));
+    }
+    sender.join().unwrap();
+    assert!(matches!(found[0], Emission::Value(_)) && matches!(found[2], Emission::Value(_)));
+    let lost = reason(&found[1]);
+    assert!(lost.starts_with("StylusToReference: ") && lost.contains("connection"), "{lost}");
+    assert!(warnings.iter().any(|w| w.contains("waiting for the sender again")), "{warnings:?}");
+    assert!(warnings.iter().any(|w| w.starts_with("connected again, with 127.0.0.1")), "{warnings:?}");
+}
+
+#[test]
+fn a_source_says_that_it_reads_header_version_2_and_asks_for_tracking_data() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let sender = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let (mut decoder, mut found, mut buffer) = (Decoder::default(), Vec::new(), [0; 1024]);
+        while found.len() < 2 {
+            let n = std::io::Read::read(&mut stream, &mut buffer).unwrap();
+            assert!(n > 0, "closed after {found:?}");
+            decoder.push(&buffer[..n]);
+            found.extend(decoder.by_ref().map(Result::unwrap));
+        }
+        found
+    });
+    take_all(&mut source(address, |params| params.tdata_ms = Some(50)), &mut context(&[stylus()])).unwrap();
+    let found = sender.join().unwrap();
+    assert!(found.iter().all(|message| message.extended.is_some()), "{found:?}");
+    assert!(matches!(&found[0].body, Body::Status(status) if status.code == Status::OK), "{found:?}");
+    assert_eq!(found[1].body, Body::StartTracking { interval_ms: 50, coordinates: String::new() });
+}
+
+#[test]
+fn no_sender_within_the_timeout_is_an_error_that_names_the_address() {
+    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    for (role, part) in [(Role::Client, "is the server running there?"), (Role::Server, "no sender connected to")] {
+        let mut source = source(address, |params| (params.timeout_s, params.role) = (0.3, role));
+        let error = take_all(&mut source, &mut context(&[stylus()])).map(drop).unwrap_err().to_string();
+        assert!(error.contains(part) && error.contains(&address.to_string()), "{error}");
+    }
+    assert!(OpenIgtLink::new(Params { address: "tracker".into(), ..Params::default() }).is_err());
+}

@@ -1,0 +1,3 @@
+//! Streams to other programs while a run lasts.
+
+pub mod openigtlink;

@@ -1,0 +1,251 @@
+//! The connections to receivers, on a thread of their own.
+
+use crate::acquire::openigtlink::Role;
+use osteoflow_formats::openigtlink::{Body, Message, Metadata, Status};
+use osteoflow_node::tracing;
+use std::{
+    collections::BTreeMap,
+    io::{ErrorKind, Read, Write},
+    net::{Shutdown, SocketAddr, TcpListener, TcpStream, ToSocketAddrs},
+    sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+/// Messages that wait for the thread; more are dropped, because an old pose is worth nothing.
+const N_WAITING: usize = 1024;
+/// How often the thread looks for receivers.
+const LOOK: Duration = Duration::from_millis(20);
+/// Time after which a receiver that takes nothing is left.
+const STUCK: Duration = Duration::from_millis(500);
+/// Time between two tries to connect.
+const RETRY: Duration = Duration::from_secs(1);
+/// Receivers at a time.
+const N_RECEIVERS: usize = 16;
+/// Time for receivers to take the last messages.
+const LAST_WORDS: Duration = Duration::from_millis(500);
+/// The device of statuses.
+pub(super) const DEVICE: &str = "Osteoflow";
+
+/// What the thread is told.
+pub(super) enum Task {
+    /// Sends a message now. A lasting one is sent to later receivers too, instead of an earlier one of its device and type.
+    Send {
+        /// The message.
+        message: Message,
+        /// Whether it is kept for later receivers.
+        lasts: bool,
+    },
+    /// Planes were sent; without more within this time they are reported as old.
+    Fresh(Duration),
+    /// No planes are shown that could become old.
+    Withheld,
+}
+
+/// Sends messages to all receivers; ends them when dropped.
+pub(super) struct Outlet {
+    tasks: Option<SyncSender<Task>>,
+    thread: Option<JoinHandle<()>>,
+    pub(super) n_dropped: u64,
+}
+
+struct Receivers {
+    role: Role,
+    addresses: Vec<SocketAddr>,
+    listener: Option<TcpListener>,
+    streams: Vec<(TcpStream, SocketAddr)>,
+    lasting: BTreeMap<(String, String), Vec<u8>>,
+    tried: Option<Instant>,
+    fresh_until: Option<Instant>,
+    /// The last status of the node, and whether it has been followed by the report of old planes.
+    status: Option<Message>,
+    is_stale: bool,
+}
+
+impl Outlet {
+    /// Listens at `address`, or connects to it as soon as there is a server.
+    pub(super) fn open(role: Role, address: &str) -> Result<Self, String> {
+        let invalid = |error| format!("\"{address}\" is no address: {error}; write HOST:PORT, such as 127.0.0.1:18945");
+        let addresses: Vec<_> = address.to_socket_addrs().map_err(invalid)?.collect();
+        let listener = match role {
+            Role::Client => None,
+            Role::Server => {
+                let listener = TcpListener::bind(&addresses[..])
+                    .and_then(|listener| listener.set_nonblocking(true).map(|()| listener))
+                    .map_err(|error| format!("cannot listen at {address}: {error}"))?;
+                tracing::info!(address = ?listener.local_addr().ok(), "receivers can connect");
+                Some(listener)
+            }
+        };
+        let (tasks, rx) = sync_channel(N_WAITING);
+        let receivers = Receivers {
+            role,
+            addresses,
+            listener,
+            streams: Vec::new(),
+            lasting: BTreeMap::new(),
+            tried: None,
+            fresh_until: None,
+            status: None,
+            is_stale: false,
+        };
+        let thread = thread::Builder::new()
+            .name("openigtlink".into())
+            .spawn(move || receivers.run(&rx))
+            .map_err(|error| format!("no thread could be started: {error}"))?;
+        Ok(Self { tasks: Some(tasks), thread: Some(thread), n_dropped: 0 })
+    }
+
+    /// Hands a task on. What lasts waits for room, which a stuck receiver delays by [`STUCK`] at most; the rest is dropped.
+    pub(super) fn put(&mut self, task: Task) {
+        let Some(tasks) = &self.tasks else { return };
+        let is_put = match task {
+            Task::Send { lasts: true, .. } => tasks.send(task).is_ok(),
+            _ => tasks.try_send(task).is_ok(),
+        };
+        self.n_dropped += u64::from(!is_put);
+    }
+}
+
+impl Drop for Outlet {
+    fn drop(&mut self) {
+        self.tasks = None;
+        if let Some(thread) = self.thread.take() {
+            // It panics nowhere, and its end is what matters.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// A status in header version 2.
+pub(super) fn status(code: u16, name: &str, message: &str) -> Message {
+    let body = Body::Status(Status::new(code, name, message));
+    Message::new(DEVICE, 0, body).extended(0, vec![Metadata::new("Sender", "osteoflow; research use only")])
+}
+
+impl Receivers {
+    fn run(mut self, tasks: &Receiver<Task>) {
+        let mut looked: Option<Instant> = None;
+        loop {
+            if looked.is_none_or(|looked| looked.elapsed() >= LOOK) {
+                self.look();
+                looked = Some(Instant::now());
+            }
+            match tasks.recv_timeout(LOOK) {
+                Ok(Task::Send { message, lasts }) => {
+                    self.send(&message, lasts);
+                    if matches!(message.body, Body::Status(_)) {
+                        (self.status, self.is_stale) = (Some(message), false);
+                    }
+                }
+                Ok(Task::Fresh(time)) => {
+                    self.fresh_until = Some(Instant::now() + time);
+                    if std::mem::take(&mut self.is_stale)
+                        && let Some(status) = self.status.clone()
+                    {
+                        self.send(&status, true);
+                    }
+                }
+                Ok(Task::Withheld) => self.fresh_until = None,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            if self.fresh_until.is_some_and(|until| Instant::now() > until) {
+                (self.fresh_until, self.is_stale) = (None, true);
+                let text = "no new planes came; those shown are old";
+                self.send(&status(Status::NOT_READY, "stale", text), true);
+            }
+        }
+        self.look();
+        self.send(&status(Status::EXITING, "exiting", "the run has ended; planes shown are old"), false);
+        self.leave();
+    }
+
+    /// Accepts or connects, and discards what receivers say.
+    fn look(&mut self) {
+        match &self.listener {
+            Some(listener) => {
+                while let Ok((stream, peer)) = listener.accept() {
+                    if self.streams.len() < N_RECEIVERS {
+                        Self::greet(&mut self.streams, &self.lasting, stream, peer);
+                    } else {
+                        tracing::warn!(%peer, "turned away, {N_RECEIVERS} receivers are connected");
+                    }
+                }
+            }
+            None if self.streams.is_empty() && self.tried.is_none_or(|tried| tried.elapsed() > RETRY) => {
+                debug_assert_eq!(self.role, Role::Client);
+                self.tried = Some(Instant::now());
+                let found = self.addresses.iter().find_map(|a| Some((TcpStream::connect_timeout(a, STUCK).ok()?, *a)));
+                if let Some((stream, peer)) = found {
+                    Self::greet(&mut self.streams, &self.lasting, stream, peer);
+                }
+            }
+            None => {}
+        }
+        let mut unread = [0; 4096];
+        self.streams.retain_mut(|(stream, peer)| {
+            let _ = stream.set_nonblocking(true);
+            let is_open = loop {
+                match stream.read(&mut unread) {
+                    Ok(0) => break false,
+                    Ok(_) => {}
+                    Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                    Err(error) => break error.kind() == ErrorKind::WouldBlock,
+                }
+            };
+            let _ = stream.set_nonblocking(false);
+            if !is_open {
+                tracing::info!(%peer, "the receiver left");
+            }
+            is_open
+        });
+    }
+
+    fn greet(
+        streams: &mut Vec<(TcpStream, SocketAddr)>,
+        lasting: &BTreeMap<(String, String), Vec<u8>>,
+        mut stream: TcpStream,
+        peer: SocketAddr,
+    ) {
+        let is_ready = stream.set_nonblocking(false).and_then(|()| stream.set_nodelay(true)).is_ok()
+            && stream.set_write_timeout(Some(STUCK)).is_ok()
+            && lasting.values().all(|bytes| stream.write_all(bytes).is_ok());
+        if is_ready {
+            tracing::info!(%peer, "a receiver connected");
+            streams.push((stream, peer));
+        }
+    }
+
+    fn send(&mut self, message: &Message, lasts: bool) {
+        let bytes = match message.to_bytes() {
+            Ok(bytes) => bytes,
+            Err(error) => return tracing::warn!("{} is not sent: {error}", message.device),
+        };
+        self.streams.retain_mut(|(stream, peer)| {
+            // After part of a message nothing else can be read, so the receiver is left.
+            let is_taken = stream.write_all(&bytes);
+            if let Err(error) = &is_taken {
+                tracing::warn!(%peer, "the receiver is left: {error}");
+            }
+            is_taken.is_ok()
+        });
+        if lasts {
+            self.lasting.insert((message.device.clone(), message.body.type_name().to_owned()), bytes);
+        }
+    }
+
+    /// Lets receivers take what was sent: closing a socket with unread bytes would discard it.
+    fn leave(mut self) {
+        let until = Instant::now() + LAST_WORDS;
+        for (stream, _) in &self.streams {
+            let _ = stream.shutdown(Shutdown::Write);
+        }
+        while !self.streams.is_empty() && Instant::now() < until {
+            self.listener = None;
+            self.tried = Some(Instant::now());
+            self.look();
+            thread::sleep(LOOK);
+        }
+    }
+}
