@@ -456,12 +456,24 @@ impl<'a> Search<'a> {
             }
         }
         let is_swapped = self.candidates(Channels::Bgr).iter().any(|c| c.confidence >= self.params.min_confidence);
+        let on_bone = blobs(self.image, &self.mask, Channels::Rgb, &strength, self.params.min_contrast, SATURATED);
+        let best = match on_bone.iter().max_by_key(|blob| blob.n_pixels) {
+            Some(blob) if !is_swapped => {
+                let (pixel, n) = (blob.centre, blob.n_pixels);
+                let best = format!(
+                    "the largest blob of that colour, at pixel {pixel:.0?}, has {n} pixels ({MIN_PIXELS} needed) and no rim that \
+                     determines its centre; is it at the bone's silhouette or under a highlight?"
+                );
+                return RgbSpotError::None { colour, radius_mm, best, hint: "" };
+            }
+            _ => "no blob has that colour".into(),
+        };
         let hint = match (is_swapped, self.params.mark) {
             (true, _) => "; with red and blue exchanged there is one: is the image BGR?",
             (false, Mark::Laser) => "; is the laser on and red, and the exposure short enough for its colour?",
             (false, Mark::Pen) => "; is the mark in view, and lit well enough to have a colour?",
         };
-        RgbSpotError::None { colour, radius_mm, best: "no blob has that colour".into(), hint }
+        RgbSpotError::None { colour, radius_mm, best, hint }
     }
 }
 
