@@ -2,13 +2,16 @@
 //!
 //! The laser saturates the camera, so a disc around the spot is missing from the scan. It is found by comparison with a
 //! full `reference` scan of the same surface; `cloud` is the scan with the laser on. Both are in one frame, each with
-//! its own viewpoint, so the bone and the camera may have moved between them. [`boundary()`] needs no reference.
+//! its own viewpoint, so the bone and the camera may have moved between them. [`boundary()`] needs no reference. [`rgb_spot()`]
+//! finds the spot itself in a colour image.
 
+mod blobs;
 mod boundary;
 mod cloud_difference;
 mod image;
 mod patch;
 mod range_image;
+mod rgb_spot;
 mod scene;
 mod sight;
 mod spot;
@@ -16,6 +19,7 @@ mod spot;
 pub use boundary::boundary;
 pub use cloud_difference::cloud_difference;
 pub use range_image::range_image;
+pub use rgb_spot::{Mark, RgbSpotError, RgbSpotParams, rgb_spot};
 
 use nalgebra::Point3;
 use schemars::JsonSchema;

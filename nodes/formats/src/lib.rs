@@ -61,6 +61,7 @@ mod pcd;
 pub mod picked_points;
 pub mod plan_file;
 mod ply;
+mod png;
 pub mod pose_file;
 pub mod poses_csv;
 pub mod recording_write;

@@ -9,11 +9,15 @@
 
 mod cdr;
 mod fault;
+mod image;
 mod layout;
 #[cfg(test)]
 mod tests;
 
 pub use fault::MessageError;
+pub use image::{
+    CAMERA_CALIBRATION, COMPRESSED_IMAGE, Calibration, RAW_IMAGE, read_calibration, read_image, read_image_head,
+};
 
 use crate::{
     LostPose, PoseError,

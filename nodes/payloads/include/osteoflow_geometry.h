@@ -42,6 +42,25 @@ typedef struct osteoflow_cloud {
 } osteoflow_cloud;
 
 /*
+ * An image of a pinhole camera without distortion, in the frame of that camera (x right, y down, z forward).
+ * pixels: uint8_t[1], row by row from the top left, channels bytes for each pixel
+ */
+#define OSTEOFLOW_IMAGE "geometry/Image"
+#define OSTEOFLOW_IMAGE_VERSION 1
+typedef struct osteoflow_image {
+    osteoflow_text frame;
+    int64_t stamp_ns;
+    /* What it shows, where a stream carries several: "P1"; may be missing. */
+    osteoflow_text label;
+    int64_t width;
+    int64_t height;
+    /* 1: grey, 3: red, green, blue. */
+    int64_t channels;
+    /* fx, fy, cx, cy, pixels; the centre of the top left pixel is 0, 0. */
+    double intrinsics[4];
+} osteoflow_image;
+
+/*
  * Triangles.
  * vertices: double[3], mm
  * faces: uint32_t[3], indices of the corners
@@ -257,6 +276,14 @@ OSTEOFLOW_ASSERT(offsetof(osteoflow_cloud, frame) == 0);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_cloud, stamp_ns) == 16);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_cloud, label) == 24);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_cloud, viewpoint) == 40);
+OSTEOFLOW_ASSERT(sizeof(osteoflow_image) == 96);
+OSTEOFLOW_ASSERT(offsetof(osteoflow_image, frame) == 0);
+OSTEOFLOW_ASSERT(offsetof(osteoflow_image, stamp_ns) == 16);
+OSTEOFLOW_ASSERT(offsetof(osteoflow_image, label) == 24);
+OSTEOFLOW_ASSERT(offsetof(osteoflow_image, width) == 40);
+OSTEOFLOW_ASSERT(offsetof(osteoflow_image, height) == 48);
+OSTEOFLOW_ASSERT(offsetof(osteoflow_image, channels) == 56);
+OSTEOFLOW_ASSERT(offsetof(osteoflow_image, intrinsics) == 64);
 OSTEOFLOW_ASSERT(sizeof(osteoflow_mesh) == 32);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_mesh, frame) == 0);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_mesh, origin) == 16);

@@ -8,12 +8,12 @@ use foxglove::{
     Encode,
     bytes::Bytes,
     messages::{
-        FrameTransform, PackedElementField, PointCloud, Pose as FoxglovePose, Quaternion, Timestamp, Vector3,
+        FrameTransform, PackedElementField, PointCloud, Pose as FoxglovePose, Quaternion, RawImage, Timestamp, Vector3,
         packed_element_field::NumericType,
     },
 };
 use osteoflow_geometry::{
-    Frame, MM_PER_M, Pose,
+    Frame, Image, MM_PER_M, Pose,
     nalgebra::{Isometry3, Point3},
 };
 use osteoflow_node::{Display, DisplayContext, StampNs, frame_edge};
@@ -56,6 +56,24 @@ pub(crate) fn points(frame: &Frame, stamp_ns: StampNs, points: &[Point3<f64>]) -
         point_stride: 12,
         fields: vec![field("x", 0), field("y", 4), field("z", 8)],
         data: Bytes::from(data),
+    })
+}
+
+/// The channel of [`image`].
+pub(crate) fn image_schema() -> Option<Display> {
+    schema::<RawImage>()
+}
+
+/// `foxglove.RawImage`, `rgb8` or `mono8`. The intrinsics are in the exact payload alone.
+pub(crate) fn image(image: &Image, stamp_ns: StampNs) -> Option<Vec<u8>> {
+    encode(&RawImage {
+        timestamp: timestamp(stamp_ns),
+        frame_id: image.frame.to_string(),
+        width: image.width(),
+        height: image.height(),
+        encoding: if image.channels() == 1 { "mono8" } else { "rgb8" }.into(),
+        step: image.width() * image.channels(),
+        data: Bytes::copy_from_slice(image.pixels()),
     })
 }
 

@@ -6,8 +6,8 @@ use crate::{
     foxglove,
 };
 use osteoflow_geometry::{
-    Axes, Cloud, Frame, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose, Region, RigidError, SurfaceOrigin,
-    check_rotation, exact_isometry, matrix_rows,
+    Axes, Cloud, Frame, Image, Intrinsics, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose, Region,
+    RigidError, SurfaceOrigin, check_rotation, exact_isometry, matrix_rows,
     nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Vector3},
 };
 use osteoflow_node::{ColumnType, Display, DisplayContext, Payload, SchemaEntry, View, ViewError};
@@ -433,6 +433,70 @@ impl Payload<Table> for Axes {
     }
 }
 
+impl Payload<Table> for Image {
+    const NAME: &'static str = "geometry/Image";
+    const VERSION: u32 = 1;
+    const SCHEMA: &'static [SchemaEntry] = &[
+        SchemaEntry::text("frame").doc("of its camera: x right, y down, z forward"),
+        SchemaEntry::int("stamp_ns"),
+        SchemaEntry::text("label").optional(),
+        SchemaEntry::int("width").unit("px"),
+        SchemaEntry::int("height").unit("px"),
+        SchemaEntry::int("channels").doc("bytes of a pixel: 1 grey, 3 red, green, blue"),
+        SchemaEntry::floats("intrinsics", 4)
+            .unit("px")
+            .doc("fx, fy, cx, cy of a pinhole without distortion; the top left pixel's centre is 0, 0"),
+        SchemaEntry::column("pixels", ColumnType::U8, 1).doc("row by row from the top left"),
+    ];
+
+    fn to_view(&self) -> View {
+        let Intrinsics { fx, fy, cx, cy } = *self.intrinsics();
+        let mut view = View::new().with("frame", self.frame.shared()).with("stamp_ns", self.stamp_ns);
+        if let Some(label) = &self.label {
+            view = view.with("label", label.clone());
+        }
+        view.with("width", i64::from(self.width()))
+            .with("height", i64::from(self.height()))
+            .with("channels", i64::from(self.channels()))
+            .with("intrinsics", vec![fx, fy, cx, cy])
+            .with_column(to_column("pixels", ColumnType::U8, self.pixel_column()))
+    }
+
+    fn from_view(view: &View) -> Result<Self, ViewError> {
+        let count = |name: &str| {
+            let n = view.int(name)?;
+            u32::try_from(n).map_err(|_| invalid(format!("{name} {n} is no number of pixels or bytes")))
+        };
+        let [fx, fy, cx, cy] = view.floats("intrinsics")?;
+        let size = [count("width")?, count("height")?];
+        let pixels = from_column::<u8>(view, "pixels")?;
+        let intrinsics = Intrinsics { fx, fy, cx, cy };
+        let mut image = Image::new(frame(view)?, size, count("channels")?, intrinsics, pixels).map_err(invalid)?;
+        image.stamp_ns = stamp_ns(view)?;
+        image.label = view.shared_text("label").ok();
+        Ok(image)
+    }
+
+    fn n_bytes(&self) -> usize {
+        size_of::<Self>() + self.pixels().len()
+    }
+
+    fn to_result(&self) -> Json {
+        json!({
+            "frame": self.frame, "stamp_ns": self.stamp_ns, "label": self.label,
+            "width": self.width(), "height": self.height(), "channels": self.channels(),
+        })
+    }
+
+    fn display() -> Option<Display> {
+        foxglove::image_schema()
+    }
+
+    fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        foxglove::image(self, about.stamp_ns)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -456,6 +520,11 @@ mod tests {
         let points = vec![Point3::new(0.1, 0.2, 0.3), Point3::new(-1e3, 1e-9, 7.0)];
         let cloud = Cloud::new("camera", points.clone()).unwrap().at(17).labelled("P1").seen_from(turn());
         survives(cloud.clone());
+        let intrinsics = Intrinsics { fx: 100.1, fy: 99.9, cx: 0.7, cy: 0.3 };
+        let image = Image::new("camera", [2, 2], 3, intrinsics, (0..12).collect::<Vec<u8>>()).unwrap();
+        survives(image.clone());
+        survives(image.at(17).labelled("P1"));
+        survives(Image::new("camera", [2, 2], 1, intrinsics, vec![7u8; 4]).unwrap());
         survives(cloud.with_normals(vec![Vector3::x(); 2]).unwrap().with_extra("grey", vec![1.0, 2.0]).unwrap());
         let corners = vec![Point3::origin(), Point3::new(1.0, 0.0, 0.0), Point3::new(0.0, 1.0, 0.0)];
         survives(Mesh::new("ct", SurfaceOrigin::SimulatedCt, corners, vec![[0, 1, 2]]).unwrap());

@@ -40,7 +40,7 @@ pub struct Table;
 
 /// Adds every payload type of the table to a registry.
 pub fn register(registry: &mut Registry) {
-    use osteoflow_geometry::{Axes, Cloud, Mesh, Planes, Points, Pose, Region};
+    use osteoflow_geometry::{Axes, Cloud, Image, Mesh, Planes, Points, Pose, Region};
     registry
         .payload::<Cloud, _>()
         .payload::<Mesh, _>()
@@ -49,6 +49,7 @@ pub fn register(registry: &mut Registry) {
         .payload::<Planes, _>()
         .payload::<Region, _>()
         .payload::<Axes, _>()
+        .payload::<Image, _>()
         .payload::<Text, _>()
         .payload::<Flag, _>()
         .payload::<Json, _>()

@@ -1,9 +1,17 @@
 //! Stands in for `foxglove.rs` without the feature `viewer`: no views.
 
-use osteoflow_geometry::{Frame, Mesh, Planes, Points, Pose, nalgebra::Point3};
+use osteoflow_geometry::{Frame, Image, Mesh, Planes, Points, Pose, nalgebra::Point3};
 use osteoflow_node::{Display, DisplayContext, StampNs};
 
 pub(crate) fn points_schema() -> Option<Display> {
+    None
+}
+
+pub(crate) fn image_schema() -> Option<Display> {
+    None
+}
+
+pub(crate) fn image(_: &Image, _: StampNs) -> Option<Vec<u8>> {
     None
 }
 

@@ -53,7 +53,7 @@ pub(crate) struct Stretch {
 }
 
 impl Stretch {
-    fn holds(&self, point: &Point3<f64>) -> bool {
+    pub(crate) fn holds(&self, point: &Point3<f64>) -> bool {
         let height = (point - self.from).dot(&self.along);
         self.min_mm <= height && height <= self.max_mm
     }
@@ -220,16 +220,16 @@ pub(crate) struct Hole {
 
 impl Hole {
     pub(crate) fn takes(&self, point: &Point3<f64>) -> bool {
-        // Farther along the beam there is another surface.
+        self.off_mm(point) < self.radius_mm
+    }
+
+    /// Distance from the spot, or from the beam; infinite far along the beam, where there is another surface.
+    pub(crate) fn off_mm(&self, point: &Point3<f64>) -> f64 {
         const REACH_MM: f64 = 20.0;
         let off = point - self.spot;
-        match self.beam {
-            None => off.norm() < self.radius_mm,
-            Some(beam) => {
-                let along = off.dot(&beam);
-                along.abs() < REACH_MM && (off - *beam * along).norm() < self.radius_mm
-            }
-        }
+        let Some(beam) = self.beam else { return off.norm() };
+        let along = off.dot(&beam);
+        if along.abs() < REACH_MM { (off - *beam * along).norm() } else { f64::INFINITY }
     }
 }
 

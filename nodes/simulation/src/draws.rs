@@ -49,6 +49,9 @@ pub(crate) enum Term {
     PhantomMarkerCad = 38,
     TissueLumps = 39,
     TissueSurface = 40,
+    ImageNoise = 41,
+    ImageGlare = 42,
+    ImageReflection = 43,
 }
 
 /// The stream of `term`; `item` distinguishes scans, markers or placements.

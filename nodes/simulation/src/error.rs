@@ -1,5 +1,5 @@
 use osteoflow_algorithms::{calibrate::PivotError, landmarks::LandmarkError};
-use osteoflow_geometry::{CloudError, FrameError, MeshError};
+use osteoflow_geometry::{CloudError, FrameError, ImageError, MeshError};
 
 /// Errors of the simulation.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -105,6 +105,9 @@ pub enum SimulationError {
     /// Points are not a valid cloud.
     #[error(transparent)]
     Cloud(#[from] CloudError),
+    /// Pixels are not a valid image.
+    #[error(transparent)]
+    Image(#[from] ImageError),
 }
 
 /// A rule for a finite value: its name, the value, whether it holds, and the requirement.

@@ -20,6 +20,7 @@ mod check_piece;
 pub mod ct;
 mod draws;
 mod error;
+mod image;
 mod other_bone;
 mod params;
 pub mod phantom;
@@ -38,8 +39,8 @@ pub use bone::BoneParams;
 pub use ct::{CtParams, ct_surface};
 pub use error::SimulationError;
 pub use params::{
-    CameraParams, CheckParams, LaserDisc, LaserParams, MotionParams, PeriosteumParams, PhantomParams, ProcedureParams,
-    RulerParams, SlipsBefore, StylusParams, TissueParams, TrackerParams,
+    CameraParams, CheckParams, ImageMark, ImageParams, LaserDisc, LaserParams, MotionParams, PeriosteumParams,
+    PhantomParams, ProcedureParams, RulerParams, SlipsBefore, StylusParams, TissueParams, TrackerParams,
 };
 pub use plan::plan;
 pub use procedure::{Procedure, Truth, t_camera_camera_marker_nominal};

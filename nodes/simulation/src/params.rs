@@ -20,6 +20,8 @@ pub struct ProcedureParams {
     pub tracker: TrackerParams,
     /// The laser pointer that marks the landmarks.
     pub laser: LaserParams,
+    /// The colour images at the scans with the laser.
+    pub image: ImageParams,
     /// The calibration phantom and the camera marker's support.
     pub phantom: PhantomParams,
     /// The printed check piece of a calibration.
@@ -251,6 +253,77 @@ impl Default for LaserParams {
             scans: true,
             assessment: false,
             swap: Vec::new(),
+        }
+    }
+}
+
+/// The colour images that the camera takes at each scan with the laser. The paper's camera takes none.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ImageParams {
+    /// Whether images are taken. false: the paper's camera has no colour.
+    pub taken: bool,
+    /// Width. 640: assumed, the colour sensor of a small depth camera.
+    #[schemars(range(min = 16, max = 4096))]
+    pub width_px: u32,
+    /// Height. 480: assumed.
+    #[schemars(range(min = 16, max = 4096))]
+    pub height_px: u32,
+    /// Horizontal field of view. 40 degrees: 146 mm at the working distance, so the stripped bone is in the image.
+    #[schemars(range(min = 5.0, max = 120.0))]
+    pub field_deg: f64,
+    /// What marks the landmark in the image. `laser`.
+    pub mark: ImageMark,
+    /// Radius of a pen's mark. 1 mm: assumed.
+    #[schemars(range(min = 0.1, max = 10.0))]
+    pub pen_radius_mm: f64,
+    /// Brightness of bone that faces the lamp, relative to white. 0.6: assumed, an exposure that keeps the bone unsaturated.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub exposure: f64,
+    /// The laser's irradiance at its centre, relative to white; it falls to 0.12 at the radius of the laser's hole. 8: assumed, so
+    /// that the core saturates all channels.
+    #[schemars(range(min = 0.3, max = 1000.0))]
+    pub laser_peak: f64,
+    /// Number of white highlights on the bone, drawn for each image. 3: assumed, a wet bone.
+    #[schemars(range(min = 0, max = 100))]
+    pub n_glare: u32,
+    /// The radius at which a highlight's light has fallen to a third. 1 mm: assumed.
+    #[schemars(range(min = 0.1, max = 20.0))]
+    pub glare_radius_mm: f64,
+    /// Brightness of a second reflection of the laser, somewhere on the bone, relative to the spot. 0: off.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub reflection: f64,
+    /// Standard deviation of each channel's noise, levels of 255. 2: assumed.
+    #[schemars(range(min = 0.0, max = 50.0))]
+    pub noise_levels: f64,
+}
+
+/// What marks a landmark in an image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ImageMark {
+    /// The laser's spot.
+    #[default]
+    Laser,
+    /// A violet disc at the mark, drawn with a surgical pen, with the laser off; one mark at a time.
+    Pen,
+}
+
+impl Default for ImageParams {
+    fn default() -> Self {
+        Self {
+            taken: false,
+            width_px: 640,
+            height_px: 480,
+            field_deg: 40.0,
+            mark: ImageMark::Laser,
+            pen_radius_mm: 1.0,
+            exposure: 0.6,
+            laser_peak: 8.0,
+            n_glare: 3,
+            glare_radius_mm: 1.0,
+            reflection: 0.0,
+            noise_levels: 2.0,
         }
     }
 }
@@ -545,6 +618,7 @@ impl ProcedureParams {
                 ..self.tracker
             },
             laser: LaserParams { aim_across_mm: 0.0, aim_along_mm: 0.0, swap: Vec::new(), ..self.laser },
+            image: ImageParams { n_glare: 0, reflection: 0.0, noise_levels: 0.0, ..self.image },
             phantom: PhantomParams {
                 print_mm: 0.0,
                 print_deg: 0.0,
@@ -624,6 +698,30 @@ impl ProcedureParams {
             ("laser.aim_across_mm", self.laser.aim_across_mm, self.laser.aim_across_mm >= 0.0, not_negative),
             ("laser.aim_along_mm", self.laser.aim_along_mm, self.laser.aim_along_mm >= 0.0, not_negative),
             ("laser.max_attempts", self.laser.max_attempts as f64, self.laser.max_attempts >= 1, "1 or more"),
+            (
+                "image.width_px",
+                f64::from(self.image.width_px),
+                (1..=16_384).contains(&self.image.width_px),
+                "1 to 16384",
+            ),
+            (
+                "image.height_px",
+                f64::from(self.image.height_px),
+                (1..=16_384).contains(&self.image.height_px),
+                "1 to 16384",
+            ),
+            (
+                "image.field_deg",
+                self.image.field_deg,
+                0.0 < self.image.field_deg && self.image.field_deg < 180.0,
+                "between 0 and 180",
+            ),
+            ("image.pen_radius_mm", self.image.pen_radius_mm, self.image.pen_radius_mm > 0.0, positive),
+            ("image.exposure", self.image.exposure, self.image.exposure >= 0.0, not_negative),
+            ("image.laser_peak", self.image.laser_peak, self.image.laser_peak > 0.0, positive),
+            ("image.glare_radius_mm", self.image.glare_radius_mm, self.image.glare_radius_mm > 0.0, positive),
+            ("image.reflection", self.image.reflection, self.image.reflection >= 0.0, not_negative),
+            ("image.noise_levels", self.image.noise_levels, self.image.noise_levels >= 0.0, not_negative),
             ("phantom.print_mm", self.phantom.print_mm, self.phantom.print_mm >= 0.0, not_negative),
             ("phantom.print_deg", self.phantom.print_deg, self.phantom.print_deg >= 0.0, not_negative),
             (

@@ -4,7 +4,7 @@ use crate::scene::Scene;
 use crate::{ProcedureParams, SimulationError, Subject, phantom};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
-use osteoflow_geometry::{Cloud, Mesh, Planes, Points, Pose, Region, SurgicalPlan};
+use osteoflow_geometry::{Cloud, Image, Mesh, Planes, Points, Pose, Region, SurgicalPlan};
 
 /// The contents of a recording of a procedure, and separately the truth.
 ///
@@ -23,6 +23,8 @@ pub struct Procedure {
     /// The same view with the laser on each landmark in turn, labelled `P1`, `P2`, ...: a disc around the spot is
     /// missing. The assessment marks follow if requested. Exchanged labels are as in `laser.swap`.
     pub laser: Vec<Cloud>,
+    /// A colour image at each of these scans, with its stamp and label, frame `camera`; empty unless `image.taken`.
+    pub images: Vec<Image>,
     /// `t_world_camera_marker`, in bursts around each cloud.
     pub camera_marker: Vec<Pose>,
     /// `t_world_phantom_marker`, around the calibration only.

@@ -101,6 +101,8 @@ impl Scene<'_> {
         let scan = self.bone_scan(&pixels, None, &wound, SCAN_S, &tracker, 1)?;
         let laser =
             if params.laser.scans { self.laser_scans(&pixels, &spots, &wound, &tracker, &bias)? } else { Vec::new() };
+        let images =
+            if params.image.taken && params.laser.scans { self.images(&spots, &wound, &tracker)? } else { Vec::new() };
         let (markers, check, touches) = if params.tracker.none {
             (self.markers(&tracker, laser.len()).untracked(), Vec::new(), Touches::default())
         } else {
@@ -115,6 +117,7 @@ impl Scene<'_> {
             phantom_scan,
             scan,
             laser,
+            images,
             camera_marker,
             phantom_marker,
             bone_marker,

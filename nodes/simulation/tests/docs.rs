@@ -40,6 +40,7 @@ fn the_documented_error_terms_are_the_parameters_own_words() {
         "camera",
         "tracker",
         "laser",
+        "image",
         "phantom",
         "check",
         "stylus",

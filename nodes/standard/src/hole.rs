@@ -1,10 +1,12 @@
-//! Detection of the landmark under a laser spot, from the hole that it leaves in a scan. All kinds have the same ports.
+//! Detection of the landmark under a laser spot, from the hole that it leaves in a scan, or from a colour
+//! image. All kinds have the same ports, `hole.rgb_spot` two more for the image.
 
 pub mod boundary;
 pub mod cloud_difference;
 pub mod range_image;
+pub mod rgb_spot;
 
-use osteoflow_algorithms::hole::{Hole, HoleError, HoleReport};
+use osteoflow_algorithms::hole::{Hole, HoleReport};
 use osteoflow_geometry::{Cloud, FrameError, NamedPoint, Points};
 use osteoflow_node::{Context, Inputs, NodeError, Outputs};
 
@@ -43,7 +45,7 @@ fn name(cloud: &Cloud, ctx: &Context) -> String {
 /// The landmark at the hole.
 ///
 /// One of the second tier is reported, so that none counts without anybody's knowledge where nothing confirms it.
-fn answer(cloud: &Cloud, found: Result<Hole, HoleError>, ctx: &mut Context) -> Result<Out, NodeError> {
+fn answer(cloud: &Cloud, found: Result<Hole, impl std::fmt::Display>, ctx: &mut Context) -> Result<Out, NodeError> {
     let name = name(cloud, ctx);
     let hole = found.map_err(|error| NodeError::new(format!("{name}: {error}")))?;
     if hole.report.tier > 1 {

@@ -74,6 +74,7 @@ pub fn registry() -> Registry {
         .node::<hole::cloud_difference::CloudDifference>()
         .node::<hole::range_image::RangeImage>()
         .node::<hole::boundary::Boundary>()
+        .node::<hole::rgb_spot::RgbSpot>()
         .node::<coarse::three_point::ThreePoint>()
         .node::<coarse::global::Global>()
         .node::<landmarks::ruled::Ruled>()

@@ -60,7 +60,26 @@ impl Patch {
         Vector3::from(self.axes.map(|axis| axis.dot(&offset)))
     }
 
-    fn on_surface(&self, at: &Vector2<f64>) -> Point3<f64> {
+    /// Where a ray meets the surface, along the patch's axes.
+    ///
+    /// `None` if the ray runs along it, or does not meet it within `reach_mm`, beyond which a quadratic says nothing.
+    pub(super) fn hit(&self, origin: &Point3<f64>, along: &Vector3<f64>, reach_mm: f64) -> Option<Vector2<f64>> {
+        const STEPS: usize = 12;
+        let (start, along) = (self.local(origin), Vector3::from(self.axes.map(|axis| axis.dot(along))));
+        const MIN_COS: f64 = 0.05;
+        if along.z.abs() < MIN_COS {
+            return None;
+        }
+        // Fixed point: the height at the last place is that of the plane to be met.
+        let meet = |height: f64| (start + along * ((height - start.z) / along.z)).xy();
+        let mut at = meet(0.0);
+        for _ in 0..STEPS {
+            at = meet(self.height.dot(&monomials(at.x, at.y)));
+        }
+        (at.norm() <= reach_mm).then_some(at)
+    }
+
+    pub(super) fn on_surface(&self, at: &Vector2<f64>) -> Point3<f64> {
         let z = self.height.dot(&monomials(at.x, at.y));
         self.origin + self.axes[0] * at.x + self.axes[1] * at.y + self.axes[2] * z
     }

@@ -4,12 +4,13 @@ use super::{CALIBRATION_S, SCAN_S, Scene, laser_s};
 use crate::SimulationError;
 use crate::camera::{DepthBias, Hole, Periosteum, Pixel, Shot, Sight, Stretch, Wound, scan, view};
 use crate::draws::{Term, stream};
+use crate::image;
 use crate::scene::places::towards_camera;
 use crate::tissue::{Site, tissue};
 use crate::tracker::Tracker;
 use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
-use osteoflow_geometry::{Cloud, Points, Region};
+use osteoflow_geometry::{Cloud, Image, Points, Region};
 use rand::RngExt;
 
 impl Scene<'_> {
@@ -51,14 +52,10 @@ impl Scene<'_> {
         bias: &DepthBias,
     ) -> Result<Vec<Cloud>, SimulationError> {
         let is_still = self.is_still_between_scans();
-        // The light falls on the film, where there is one.
         let film = Periosteum::new(&self.params.periosteum, self.seed);
         let one = |(k, spot): (usize, &osteoflow_geometry::NamedPoint)| {
             let s = laser_s(k);
-            let t_ct_camera = self.t_ct_camera(s);
-            let on_bone = t_ct_camera.inverse() * spot.position;
-            let hole =
-                self.hole(k, &film.as_ref().map_or(on_bone, |f| f.onto(&on_bone, &t_ct_camera, self.bone_surface)));
+            let hole = self.hole_on_film(k, &spot.position, film.as_ref());
             let moved = if is_still { None } else { Some(self.bone_view(s, bias, wound.tissue.as_ref())?) };
             let pixels = moved.as_deref().unwrap_or(pixels);
             if !pixels.iter().any(|p| p.on_object && (p.lit() - hole.spot).norm() < hole.radius_mm) {
@@ -67,6 +64,37 @@ impl Scene<'_> {
             Ok(self.bone_scan(pixels, Some(hole), wound, s, tracker, 2 + k as u64)?.labelled(self.label(&spot.name)))
         };
         spots.points.iter().enumerate().map(one).collect()
+    }
+
+    /// A colour image at each laser scan. The film on the bone, if any, is transparent.
+    pub(super) fn images(
+        &self,
+        spots: &Points,
+        wound: &Wound,
+        tracker: &Tracker<'_>,
+    ) -> Result<Vec<Image>, SimulationError> {
+        let (params, stretch) = (&self.params.image, self.stretch());
+        let sight = Sight { lumps: wound.tissue.as_ref(), ..self.sight(&stretch) };
+        let film = Periosteum::new(&self.params.periosteum, self.seed);
+        let view = |s: f64| image::View::new(&sight, &self.t_ct_camera(s), params);
+        let still = self.is_still_between_scans().then(|| view(SCAN_S));
+        let one = |(k, spot): (usize, &osteoflow_geometry::NamedPoint)| {
+            let s = laser_s(k);
+            let moved = if still.is_some() { None } else { Some(view(s)) };
+            let view = still.as_ref().or(moved.as_ref()).expect("one of both was made");
+            let laser = self.hole_on_film(k, &spot.position, film.as_ref());
+            let mark = self.t_ct_camera(s).inverse() * self.laser_marks.points[k].position;
+            let shot = image::Shot { laser: &laser, mark, stamp_ns: tracker.stamp(s), number: 2 + k as u64 };
+            Ok(view.image(&shot, params, self.seed)?.labelled(self.label(&spot.name)))
+        };
+        spots.points.iter().enumerate().map(one).collect()
+    }
+
+    /// The hole of a spot in the frame of the bone, where its light falls on the film, if there is one.
+    fn hole_on_film(&self, k: usize, spot: &Point3<f64>, film: Option<&Periosteum>) -> Hole {
+        let t_ct_camera = self.t_ct_camera(laser_s(k));
+        let on_bone = t_ct_camera.inverse() * spot;
+        self.hole(k, &film.map_or(on_bone, |f| f.onto(&on_bone, &t_ct_camera, self.bone_surface)))
     }
 
     /// Blood and tissue on the bone.

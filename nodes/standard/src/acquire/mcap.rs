@@ -7,7 +7,7 @@ use super::{
 };
 use osteoflow_formats::{
     mcap_read::{Message, Recording},
-    message_read::{is_sensor_frame, read_cloud},
+    message_read::{Calibration, is_sensor_frame, read_cloud, read_image},
 };
 use osteoflow_geometry::Frame;
 use osteoflow_node::{
@@ -51,9 +51,10 @@ pub struct Params {
     pub frames: BTreeMap<String, String>,
 }
 
-/// The body of an event. Clouds are decoded when they are due.
+/// The body of an event. Clouds and images are decoded when they are due.
 pub(super) enum EventBody {
     Cloud { message: Message, label: Option<Arc<str>>, frame: Option<Frame> },
+    Image { message: Message, calibration: Arc<Calibration>, label: Arc<str>, frame: Option<Frame> },
     Ready(Emission),
 }
 
@@ -94,6 +95,16 @@ impl Mcap {
             EventBody::Cloud { message, label, frame } => {
                 cloud(&message, label, frame, &ctx.declared()[event.port].name, ctx)
             }
+            EventBody::Image { message, calibration, label, frame } => {
+                let port = &ctx.declared()[event.port].name;
+                let read = read_image(&message, &calibration)
+                    .map_err(|error| NodeError::new(format!("port \"{port}\", {label}: {error}")))?;
+                let mut image = read.labelled(label);
+                if let Some(frame) = frame {
+                    image.frame = frame;
+                }
+                Ok(Emission::value(image))
+            }
         }
     }
 
@@ -101,7 +112,11 @@ impl Mcap {
         let ports = ctx.declared();
         let params = ports.iter().map(DeclaredPort::params).collect::<Result<Vec<PortParams>, _>>()?;
         let wanted = |topic: &str| {
-            params.iter().any(|p| p.topics().iter().any(|(t, _)| *t == topic) || p.present.as_deref() == Some(topic))
+            let is_named = |p: &PortParams| {
+                [&p.present, &p.calibration].into_iter().any(|name| name.as_deref() == Some(topic))
+                    || p.topics().iter().any(|(t, _)| *t == topic)
+            };
+            params.iter().any(is_named)
         };
         let recording = Recording::open_topics(self.params.path.as_ref(), self.params.allow_truncated, wanted)?;
         for note in &recording.notes {

@@ -4,12 +4,18 @@ use super::{mcap::EventBody, mcap_ports::PortParams, playback::silences};
 use osteoflow_formats::{
     PoseError,
     mcap_read::{Message, Recording},
-    message_read::{MessageError, MessageKind, procedure_region, read_cloud_head, read_pose_in_frame, read_transforms},
+    message_read::{
+        Calibration, MessageError, MessageKind, procedure_region, read_calibration, read_cloud_head, read_image_head,
+        read_pose_in_frame, read_transforms,
+    },
 };
 use osteoflow_geometry::{Corrections, Frame, NamedPoint, Nearest, Points, Pose, StampNs};
 use osteoflow_node::{DeclaredPort, Emission, NodeError};
 use osteoflow_payloads::Flag;
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
 
 /// One declared port over a recording.
 pub(super) struct Port<'a> {
@@ -40,10 +46,14 @@ impl Port<'_> {
             "geometry/Region" => Ok(vec![(start_ns, EventBody::Ready(self.region()?))]),
             "report/Flag" => Ok(vec![(start_ns, EventBody::Ready(Emission::value(Flag(self.flag()))))]),
             "geometry/Cloud" => self.streams(start_ns, Self::clouds),
+            "geometry/Image" => {
+                let calibration = self.calibration()?;
+                self.streams(start_ns, move |port, topic, label| port.images(topic, label, &calibration))
+            }
             "geometry/Pose" => self.streams(start_ns, Self::poses),
             "geometry/Points" => self.streams(start_ns, Self::points),
             other => Err(self.fault(format!(
-                "a recording gives geometry/Cloud, Pose, Points, Region and report/Flag, but not {other}"
+                "a recording gives geometry/Cloud, Image, Pose, Points, Region and report/Flag, but not {other}"
             ))),
         }
     }
@@ -82,6 +92,46 @@ impl Port<'_> {
             let frame = self.renamed(&head.frame);
             let body = EventBody::Cloud { message: message.clone(), label: Some(label.into()), frame };
             events.push((head.stamp_ns, body));
+        }
+        Ok(events)
+    }
+
+    /// The calibration of the images' camera; of a recording without images it is not needed.
+    fn calibration(&self) -> Result<Option<Arc<Calibration>>, NodeError> {
+        let Some(topic) = self.params.calibration.as_deref() else {
+            return Err(
+                self.fault("images need calibration, the topic of their camera's foxglove.CameraCalibration".into())
+            );
+        };
+        let mut found: Option<Calibration> = None;
+        for (i, message) in self.recording.messages(topic).iter().enumerate() {
+            let read = read_calibration(message).map_err(|error| self.at(topic, i, error))?;
+            match &found {
+                Some(first) if *first != read => {
+                    return Err(self.at(topic, i, "it differs from the first one, but a port has one camera"));
+                }
+                _ => found = Some(read),
+            }
+        }
+        Ok(found.map(Arc::new))
+    }
+
+    fn images(
+        &mut self,
+        topic: &str,
+        label: Option<&str>,
+        calibration: &Option<Arc<Calibration>>,
+    ) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
+        let Some(calibration) = calibration else {
+            return Err(self.missing(self.params.calibration.as_deref().unwrap_or_default(), None));
+        };
+        let mut events = Vec::new();
+        for (i, message) in self.recording.messages(topic).iter().enumerate() {
+            let (frame, stamp_ns) = read_image_head(message).map_err(|error| self.at(topic, i, error))?;
+            let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
+            let frame = self.renamed(&frame);
+            let (message, calibration) = (message.clone(), calibration.clone());
+            events.push((stamp_ns, EventBody::Image { message, calibration, label: label.into(), frame }));
         }
         Ok(events)
     }

@@ -5,6 +5,7 @@ use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 /// `geometry/Cloud` from `foxglove.PointCloud` and `sensor_msgs/PointCloud2`; `geometry/Pose` from
 /// `foxglove.FrameTransform(s)`, `tf2_msgs/TFMessage`, `geometry_msgs/TransformStamped` and poses in a frame
 /// (`foxglove.PoseInFrame`, `geometry_msgs/PoseStamped`); `geometry/Points`, one point at a time, from poses in a frame;
+/// `geometry/Image` from `foxglove.RawImage` and `foxglove.CompressedImage` (PNG) with the `foxglove.CameraCalibration` of `calibration`;
 /// `geometry/Region` and `report/Flag` from `metadata` and `present`.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
@@ -30,6 +31,9 @@ pub struct PortParams {
     pub metadata: Option<String>,
     /// The key of the metadata record whose value `true` means yes; anything else, or no such key, means no.
     pub key: Option<String>,
+    /// The topic with the calibration of the images' camera; it must be of their size and frame, without distortion, and the same in
+    /// all its messages.
+    pub calibration: Option<String>,
     /// A topic; the port gives whether the recording has messages on it.
     pub present: Option<String>,
 }

@@ -1,4 +1,4 @@
-use osteoflow_geometry::{Cloud, Points, Pose, Region};
+use osteoflow_geometry::{Cloud, Image, Points, Pose, Region};
 use osteoflow_node::{Emission, Emit, OutputPorts, Outputs};
 use osteoflow_payloads::Flag;
 
@@ -85,11 +85,14 @@ procedure_ports! {
     /// The bone with the laser spot on M1, M2, .. in turn, labelled so, if no stylus touches them.
     #[port(frame = "@camera")]
     LaserAssessment = laser_assessment: Cloud,
+    /// A colour image at each scan of `laser`, labelled as it; only a simulation with `image.taken` has them.
+    #[port(frame = "@camera")]
+    Image = image: Image,
 }
 
 impl ProcedurePort {
     /// The ports that only a simulation or a bench fills.
-    pub(crate) const OF_EXPERIMENTS: [Self; 7] = [
+    pub(crate) const OF_EXPERIMENTS: [Self; 8] = [
         Self::LaserSpotsTrue,
         Self::LaserMarksTrue,
         Self::CheckCamera,
@@ -97,6 +100,7 @@ impl ProcedurePort {
         Self::StylusPivoting,
         Self::StylusMarker,
         Self::LaserAssessment,
+        Self::Image,
     ];
 }
 
@@ -131,7 +135,7 @@ mod tests {
         let OutputPorts::Fixed(ports) = ProcedurePorts::ports() else { panic!("the ports are fixed") };
         assert_eq!(ports[ProcedurePort::PhantomScan as usize].name, "phantom_scan");
         assert_eq!(ports[ProcedurePort::TCtWorldTrue as usize].name, "t_ct_world_true");
-        assert_eq!(ports.last().map(|port| port.name), Some("laser_assessment"));
-        assert_eq!(ports.len() - 1, ProcedurePort::LaserAssessment as usize);
+        assert_eq!(ports.last().map(|port| port.name), Some("image"));
+        assert_eq!(ports.len() - 1, ProcedurePort::Image as usize);
     }
 }

@@ -90,6 +90,10 @@ fn events(procedure: Procedure) -> Vec<Event<Emission>> {
     let on_assessment = on_landmarks.split_off(n_landmarks);
     events.clouds(ProcedurePort::Laser, on_landmarks);
     events.clouds(ProcedurePort::LaserAssessment, on_assessment);
+    // Nothing where none are taken, so that recordings stay the same.
+    for image in procedure.images.into_iter().take(n_landmarks) {
+        events.add(ProcedurePort::Image, image.stamp_ns, Emission::value(image));
+    }
     events.poses(ProcedurePort::CameraMarker, procedure.camera_marker);
     events.poses(ProcedurePort::PhantomMarker, procedure.phantom_marker);
     events.poses(ProcedurePort::BoneMarker, procedure.bone_marker);

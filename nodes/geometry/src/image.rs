@@ -1,0 +1,233 @@
+use crate::{Column, Frame, StampNs};
+use nalgebra::{Point3, Vector3};
+use std::sync::Arc;
+
+/// Largest width and height, pixels: a product of two is far from overflowing.
+const MAX_SIDE: u32 = 16_384;
+
+/// A pinhole camera without distortion, in pixels. The centre of the top left pixel is (0, 0), as in OpenCV and ROS.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Intrinsics {
+    /// Focal length along x.
+    pub fx: f64,
+    /// Focal length along y.
+    pub fy: f64,
+    /// Principal point, x.
+    pub cx: f64,
+    /// Principal point, y.
+    pub cy: f64,
+}
+
+impl Intrinsics {
+    /// The direction of the ray through a pixel, camera frame (x right, y down, z forward), of depth 1.
+    pub fn ray(&self, [u, v]: [f64; 2]) -> Vector3<f64> {
+        Vector3::new((u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0)
+    }
+
+    /// The pixel that shows a point of the camera's frame; `None` for one that is not in front of the camera.
+    pub fn pixel(&self, point: &Point3<f64>) -> Option<[f64; 2]> {
+        let seen = [self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy];
+        (point.z > 0.0 && seen.iter().all(|c| c.is_finite())).then_some(seen)
+    }
+}
+
+/// An image of a pinhole camera: 8 bits, grey or red, green, blue, rows from the top.
+///
+/// A cheap handle: clones share the pixels. It is in the frame of its own camera; a cloud of another sensor is registered to
+/// it by the pose between both frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Image {
+    /// The frame of its camera: x right, y down, z forward.
+    pub frame: Frame,
+    /// The time at which it was taken.
+    pub stamp_ns: StampNs,
+    /// The subject, if a stream carries several: `P1` for the image with the laser on P1.
+    pub label: Option<Arc<str>>,
+    width: u32,
+    height: u32,
+    channels: u32,
+    intrinsics: Intrinsics,
+    pixels: Column<u8>,
+}
+
+/// An invalid image.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ImageError {
+    /// A side is 0, or too large.
+    #[error("the image is {width} x {height} pixels; 1 to 16384 each are expected")]
+    Side {
+        /// Width found.
+        width: u32,
+        /// Height found.
+        height: u32,
+    },
+    /// Neither grey nor colour.
+    #[error("a pixel has {channels} channels; 1 (grey) or 3 (red, green, blue) are expected")]
+    Channels {
+        /// Number found.
+        channels: u32,
+    },
+    /// The bytes do not fill the image.
+    #[error("{found} bytes for {width} x {height} pixels of {channels} bytes; {expected} are expected")]
+    Bytes {
+        /// Width.
+        width: u32,
+        /// Height.
+        height: u32,
+        /// Bytes of a pixel.
+        channels: u32,
+        /// Number expected.
+        expected: usize,
+        /// Number found.
+        found: usize,
+    },
+    /// A focal length is not positive, or a number not finite.
+    #[error("intrinsics fx {0}, fy {1}, cx {2}, cy {3}: finite numbers and positive focal lengths are expected")]
+    Intrinsics(f64, f64, f64, f64),
+    /// The principal point is outside, which is what a calibration at twice the resolution gives.
+    #[error(
+        "the principal point ({cx:.1}, {cy:.1}) is outside of the image of {width} x {height} pixels; do the intrinsics belong \
+         to another resolution?"
+    )]
+    PrincipalPoint {
+        /// Principal point, x.
+        cx: f64,
+        /// Principal point, y.
+        cy: f64,
+        /// Width.
+        width: u32,
+        /// Height.
+        height: u32,
+    },
+}
+
+impl Image {
+    /// An image in the frame of its camera; `pixels` are row by row from the top left, each of `channels` bytes, 1 (grey) or
+    /// 3 (red, green, blue).
+    ///
+    /// # Errors
+    /// [`ImageError`] if the sizes do not match or the intrinsics cannot be those of this image.
+    pub fn new(
+        frame: impl Into<Frame>,
+        [width, height]: [u32; 2],
+        channels: u32,
+        intrinsics: Intrinsics,
+        pixels: impl Into<Column<u8>>,
+    ) -> Result<Self, ImageError> {
+        let pixels = pixels.into();
+        let Intrinsics { fx, fy, cx, cy } = intrinsics;
+        if !(1..=MAX_SIDE).contains(&width) || !(1..=MAX_SIDE).contains(&height) {
+            return Err(ImageError::Side { width, height });
+        }
+        if channels != 1 && channels != 3 {
+            return Err(ImageError::Channels { channels });
+        }
+        let expected = width as usize * height as usize * channels as usize;
+        if pixels.len() != expected {
+            return Err(ImageError::Bytes { width, height, channels, expected, found: pixels.len() });
+        }
+        if ![fx, fy, cx, cy].iter().all(|c| c.is_finite()) || fx <= 0.0 || fy <= 0.0 {
+            return Err(ImageError::Intrinsics(fx, fy, cx, cy));
+        }
+        let inside = |c: f64, side: u32| (0.0..=f64::from(side - 1)).contains(&c);
+        if !inside(cx, width) || !inside(cy, height) {
+            return Err(ImageError::PrincipalPoint { cx, cy, width, height });
+        }
+        Ok(Self { frame: frame.into(), stamp_ns: 0, label: None, width, height, channels, intrinsics, pixels })
+    }
+
+    /// Sets the stamp.
+    pub fn at(mut self, stamp_ns: StampNs) -> Self {
+        self.stamp_ns = stamp_ns;
+        self
+    }
+
+    /// Sets the label.
+    pub fn labelled(mut self, label: impl Into<Arc<str>>) -> Self {
+        self.label = Some(label.into());
+        self
+    }
+
+    /// Number of columns.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Number of rows.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Bytes of a pixel: 1 (grey) or 3 (red, green, blue).
+    pub fn channels(&self) -> u32 {
+        self.channels
+    }
+
+    /// The camera.
+    pub fn intrinsics(&self) -> &Intrinsics {
+        &self.intrinsics
+    }
+
+    /// The bytes, row by row.
+    pub fn pixels(&self) -> &[u8] {
+        &self.pixels
+    }
+
+    /// The bytes as a column that can be shared.
+    pub fn pixel_column(&self) -> &Column<u8> {
+        &self.pixels
+    }
+
+    /// Red, green and blue of the pixel at column `x`, row `y`; three times the same where the image is grey.
+    ///
+    /// # Panics
+    /// If the pixel is outside of the image.
+    pub fn rgb(&self, x: usize, y: usize) -> [u8; 3] {
+        assert!(x < self.width as usize, "column {x} of {}", self.width);
+        let first = (y * self.width as usize + x) * self.channels as usize;
+        match self.channels {
+            1 => [self.pixels[first]; 3],
+            _ => [self.pixels[first], self.pixels[first + 1], self.pixels[first + 2]],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PINHOLE: Intrinsics = Intrinsics { fx: 100.0, fy: 110.0, cx: 1.5, cy: 0.5 };
+
+    #[test]
+    fn a_pixel_and_its_ray_agree_and_what_is_behind_has_no_pixel() {
+        let image = Image::new("camera", [4, 2], 3, PINHOLE, (0..24).collect::<Vec<u8>>()).unwrap();
+        let ray = image.intrinsics().ray([3.0, 1.0]);
+        assert_eq!(image.intrinsics().pixel(&Point3::from(ray * 200.0)), Some([3.0, 1.0]));
+        assert_eq!(image.intrinsics().pixel(&Point3::new(0.0, 0.0, -1.0)), None);
+        assert_eq!(image.rgb(3, 1), [21, 22, 23]);
+        let grey = Image::new("camera", [4, 2], 1, PINHOLE, (0..8).collect::<Vec<u8>>()).unwrap();
+        assert_eq!(grey.rgb(1, 1), [5; 3]);
+    }
+
+    #[test]
+    fn sizes_that_do_not_match_and_impossible_intrinsics_make_no_image() {
+        let image = |size, channels, intrinsics, n: usize| {
+            Image::new("camera", size, channels, intrinsics, vec![0u8; n]).map(drop).unwrap_err().to_string()
+        };
+        assert!(image([4, 2], 3, PINHOLE, 8).starts_with("8 bytes for 4 x 2 pixels of 3 bytes; 24 are expected"));
+        assert!(image([0, 2], 3, PINHOLE, 0).starts_with("the image is 0 x 2 pixels"));
+        assert!(image([u32::MAX, u32::MAX], 3, PINHOLE, 0).starts_with("the image is 4294967295 x"));
+        assert!(image([4, 2], 4, PINHOLE, 32).starts_with("a pixel has 4 channels"));
+        for bad in [
+            Intrinsics { fx: 0.0, ..PINHOLE },
+            Intrinsics { fy: -100.0, ..PINHOLE },
+            Intrinsics { fx: f64::INFINITY, ..PINHOLE },
+            Intrinsics { cx: f64::NAN, ..PINHOLE },
+        ] {
+            assert!(image([4, 2], 3, bad, 24).starts_with("intrinsics fx"), "{bad:?}");
+        }
+        // A calibration at twice the resolution.
+        let twice = Intrinsics { fx: 200.0, fy: 220.0, cx: 3.5, cy: 1.5 };
+        assert!(image([4, 2], 3, twice, 24).ends_with("do the intrinsics belong to another resolution?"));
+    }
+}

@@ -1,0 +1,145 @@
+//! Colour images in recordings: the same landmarks as from the simulated camera, and images that do not fit are refused by name.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod common;
+
+use common::{Ran, root, run, run_whole};
+use foxglove::{
+    Encode,
+    messages::{CameraCalibration, RawImage, Timestamp},
+};
+use osteoflow_geometry::Image;
+use osteoflow_simulation::{Procedure, ProcedureParams};
+use std::{collections::BTreeMap, path::Path};
+
+/// The images of graphs/variants/fibula_rgb_spot.toml.
+fn images() -> Vec<Image> {
+    let mut params = ProcedureParams::default();
+    params.image.taken = true;
+    Procedure::simulate(&params, 42).unwrap().images
+}
+
+fn bytes<M: Encode>(message: &M) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    message.encode(&mut bytes).unwrap();
+    bytes
+}
+
+/// A recording of the images, red and blue in the order of `encoding`, and of the calibration of their camera, `scale` times too
+/// large.
+fn record(path: &Path, images: &[Image], encoding: &str, scale: u32) {
+    let mut writer = mcap::Writer::new(std::io::BufWriter::new(std::fs::File::create(path).unwrap())).unwrap();
+    let mut channel = |topic: &str, schema: &str| {
+        let schema = writer.add_schema(schema, "protobuf", &[]).unwrap();
+        writer.add_channel(schema, topic, "protobuf", &BTreeMap::new()).unwrap()
+    };
+    let (raw, calibrated) =
+        (channel("/camera/color", "foxglove.RawImage"), channel("/camera/info", "foxglove.CameraCalibration"));
+    for image in images {
+        let (seconds, rest) = (image.stamp_ns / 1_000_000_000, image.stamp_ns % 1_000_000_000);
+        let timestamp = Some(Timestamp::new(seconds as u32, rest as u32));
+        let mut data = image.pixels().to_vec();
+        if encoding == "bgr8" {
+            data.chunks_exact_mut(3).for_each(|pixel| pixel.swap(0, 2));
+        }
+        let message = RawImage {
+            timestamp,
+            frame_id: "colour_optical_frame".into(),
+            width: image.width(),
+            height: image.height(),
+            encoding: encoding.into(),
+            step: image.width() * 3,
+            data: data.into(),
+        };
+        let i = image.intrinsics();
+        let times = f64::from(scale);
+        let calibration = CameraCalibration {
+            timestamp,
+            frame_id: "colour_optical_frame".into(),
+            width: image.width() * scale,
+            height: image.height() * scale,
+            distortion_model: String::new(),
+            d: Vec::new(),
+            k: vec![times * i.fx, 0.0, times * i.cx, 0.0, times * i.fy, times * i.cy, 0.0, 0.0, 1.0],
+            r: Vec::new(),
+            p: Vec::new(),
+        };
+        for (channel_id, data) in [(calibrated, bytes(&calibration)), (raw, bytes(&message))] {
+            let time = image.stamp_ns as u64;
+            let header = mcap::records::MessageHeader { channel_id, sequence: 0, log_time: time, publish_time: time };
+            writer.write_to_known_channel(&header, &data).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+}
+
+/// The procedure of the graph with the images of a recording.
+fn run_recorded(dir: &Path, kind: &str) -> Ran {
+    let graph = format!(
+        r#"
+extends = "{}"
+
+[node.images]
+kind = "{kind}"
+path = "images.mcap"
+frames = {{ colour_optical_frame = "camera" }}
+out.image = {{ type = "geometry/Image", topic = "/camera/color", calibration = "/camera/info", labels = ["P1", "P2", "P3"], frame = "camera" }}
+
+[node.hole]
+in = {{ reference = "to_bone.cloud", cloud = "to_bone_laser.cloud", image = "images.image" }}
+"#,
+        root().join("graphs/variants/fibula_rgb_spot.toml").display()
+    );
+    let path = dir.join("graph.toml");
+    std::fs::write(&path, graph).unwrap();
+    run(path.to_str().unwrap(), &[])
+}
+
+#[test]
+fn recorded_images_give_the_landmarks_of_the_simulated_ones_bit_for_bit() {
+    let simulated = run_whole("graphs/variants/fibula_rgb_spot.toml", &[]);
+    let holes = &simulated.results["holes"];
+    assert_eq!(holes.as_array().unwrap().len(), 3, "{holes}");
+    let images = images();
+    for encoding in ["rgb8", "bgr8"] {
+        let dir = tempfile::tempdir().unwrap();
+        record(&dir.path().join("images.mcap"), &images, encoding, 1);
+        let recorded = run_recorded(dir.path(), "acquire.mcap");
+        assert_eq!(&recorded.results["holes"], holes, "{encoding}: {}", recorded.stderr);
+        assert_eq!(recorded.results["laser_points"], simulated.results["laser_points"], "{encoding}");
+    }
+}
+
+#[test]
+fn images_of_another_order_time_resolution_or_encoding_are_refused_with_the_reason() {
+    let refused = |what: &str, images: &[Image], encoding: &str, scale: u32, expected: &str| {
+        let dir = tempfile::tempdir().unwrap();
+        record(&dir.path().join("images.mcap"), images, encoding, scale);
+        let ran = run_recorded(dir.path(), "acquire.mcap");
+        assert!(ran.code != 0 && ran.stderr.contains(expected), "{what}: {}\n{}", ran.code, ran.stderr);
+        assert!(ran.results["laser_points"].as_array().is_none_or(|points| points.len() < 3), "{what}");
+    };
+    let all = images();
+    refused(
+        "twice the resolution",
+        &all,
+        "rgb8",
+        2,
+        "640 x 480 pixels, but its camera's calibration is for 1280 x 960",
+    );
+    refused("unknown encoding", &all, "yuv422", 1, "encoding \"yuv422\" is not read");
+    // Red and blue exchanged by a writer that says nothing of it.
+    let blue: Vec<Image> = all.iter().map(|image| repainted(image, |rgb| [rgb[2], rgb[1], rgb[0]])).collect();
+    refused("BGR as RGB", &blue, "rgb8", 1, "is the image BGR?");
+    let late: Vec<Image> = all.iter().map(|image| image.clone().at(image.stamp_ns + 4_000_000_000)).collect();
+    refused("4 s late", &late, "rgb8", 1, "the image was taken 4.0 s before or after the scan");
+    // The second image with the stamp of the first, and so on.
+    let swapped: Vec<Image> = (0..3).map(|k| all[(k + 1) % 3].clone().at(all[k].stamp_ns)).collect();
+    refused("exchanged", &swapped, "rgb8", 1, "is the image mirrored, of another scan or camera");
+}
+
+fn repainted(image: &Image, colour: impl Fn([u8; 3]) -> [u8; 3]) -> Image {
+    let pixels: Vec<u8> = image.pixels().chunks_exact(3).flat_map(|p| colour([p[0], p[1], p[2]])).collect();
+    let size = [image.width(), image.height()];
+    Image::new(image.frame.clone(), size, 3, *image.intrinsics(), pixels).unwrap().at(image.stamp_ns)
+}
