@@ -229,7 +229,7 @@ mod tests {
             read_image(encoded(COMPRESSED_IMAGE, message), &calibration()).unwrap_err().to_string()
         };
         assert!(error(&jpeg).contains("format \"jpeg\" is not read; record png"));
-        assert!(error(&CompressedImage { format: "png".into(), ..jpeg }).contains("the PNG image does not begin"));
+        assert!(error(&CompressedImage { format: "png".into(), ..jpeg }).contains("the PNG image cannot be read"));
         let json = Encoded { message_encoding: "json", ..encoded(RAW_IMAGE, &raw("rgb8", 12, vec![0; 24])) };
         assert!(matches!(read_image(json, &calibration()), Err(MessageError::Encoding { .. })));
     }
