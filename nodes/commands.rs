@@ -43,6 +43,7 @@ pub(crate) mod simulate;
 mod simulate_folder;
 mod simulate_openigtlink;
 mod simulate_set;
+mod steer;
 mod summary_table;
 pub(crate) mod sweep;
 mod text_table;

@@ -5,9 +5,11 @@
 #[path = "common/browser.rs"]
 mod browser;
 mod common;
+#[path = "common/served.rs"]
+mod served;
 
 use browser::Browser;
-use common::{osteoflow, osteoflow_to_spawn};
+use common::osteoflow;
 use osteoflow_geometry::{
     isometry_from_matrix,
     nalgebra::{Matrix4, Point3},
@@ -17,13 +19,13 @@ use rand_chacha::{
     rand_core::{Rng, SeedableRng},
 };
 use serde_json::{Value, json};
+use served::Served;
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
-    io::{BufRead, BufReader, Read, Write},
     net::TcpStream,
     path::{Path, PathBuf},
-    process::{Child, Command, ExitStatus, Stdio},
+    process::Command,
     time::{Duration, Instant},
 };
 use tungstenite::{ClientRequestBuilder, Message, WebSocket};
@@ -33,77 +35,9 @@ const LIMIT: Duration = Duration::from_secs(60);
 /// Opcode of a message of a channel.
 const MESSAGE: u8 = 1;
 
-/// A command that serves.
-struct Served {
-    child: Child,
-    page: String,
-    stream: String,
-}
-
 impl Served {
-    fn start(arguments: &[&str]) -> Self {
-        let mut command = osteoflow_to_spawn();
-        let mut child = command.args(arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
-        let mut said = String::new();
-        let mut find = |what: &str| -> String {
-            for line in lines.by_ref() {
-                said += &format!("{line}\n");
-                if let Some(rest) = line.strip_prefix(what) {
-                    return rest.split_whitespace().next().unwrap().to_owned();
-                }
-            }
-            panic!("no line begins with {what}: {said}");
-        };
-        let (page, stream) = (find("page: "), find("stream: "));
-        std::thread::spawn(move || lines.for_each(drop));
-        Self { child, page, stream }
-    }
-
-    /// `127.0.0.1:PORT` and the token.
-    fn parts(&self) -> (&str, &str) {
-        self.page.strip_prefix("http://").unwrap().trim_end_matches('/').split_once('/').unwrap()
-    }
-
-    fn interrupt(mut self) -> ExitStatus {
-        let pid = self.child.id().to_string();
-        assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
-        let until = Instant::now() + LIMIT;
-        loop {
-            if let Some(status) = self.child.try_wait().unwrap() {
-                return status;
-            }
-            assert!(Instant::now() < until, "it does not end");
-            std::thread::sleep(Duration::from_millis(20));
-        }
-    }
-
-    /// Sends bytes and returns all that comes back.
-    fn raw(&self, bytes: &[u8]) -> String {
-        let mut connection = TcpStream::connect(self.parts().0).unwrap();
-        connection.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
-        let _ = connection.write_all(bytes);
-        let _ = connection.shutdown(std::net::Shutdown::Write);
-        let mut answer = Vec::new();
-        let _ = connection.read_to_end(&mut answer);
-        String::from_utf8_lossy(&answer).into_owned()
-    }
-
-    fn get(&self, path: &str, headers: &str) -> String {
-        let (host, token) = self.parts();
-        let host = if headers.contains("Host:") { String::new() } else { format!("Host: {host}\r\n") };
-        self.raw(format!("GET {} HTTP/1.1\r\n{host}{headers}\r\n", path.replace("TOKEN", token)).as_bytes())
-    }
-
     fn view(&self) -> Viewer {
         Viewer::connect(&self.stream, None, "foxglove.sdk.v1").unwrap()
-    }
-}
-
-impl Drop for Served {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 
@@ -329,12 +263,11 @@ fn a_viewer_gets_every_channel_with_its_schema_and_who_comes_late_the_last_of_ea
     let out = tempfile::tempdir().unwrap();
     let run = out.path().join("run");
     let served = Served::start(&["run", "graphs/fibula.toml", "--out", run.to_str().unwrap(), "--serve"]);
-    let until = Instant::now() + LIMIT;
-    while !run.join("results.json").exists() {
-        assert!(Instant::now() < until, "the run does not end");
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    // The run has ended: all that comes is what came last.
+    // It is published after the files are written that the run has ended.
+    let mut early = served.view();
+    early.subscribe(|topic| topic == "/viewer/state");
+    while serde_json::from_slice::<Value>(&early.data().unwrap().2).unwrap()["state"] != "complete" {}
+    // All that comes now is what came last.
     let mut viewer = served.view();
     for (topic, encoding, schema) in [
         ("/view/icp.t_target_source", "protobuf", "foxglove.FrameTransform"),
@@ -382,11 +315,12 @@ fn a_viewer_that_does_not_read_never_holds_up_the_run() {
         assert!(Instant::now() < until, "the run waits for a viewer that does not read");
         std::thread::sleep(Duration::from_millis(20));
     }
+    // Before the server leaves it as stuck.
+    assert!(slow.data().is_some());
     let other = out.path().join("other");
     let ran = osteoflow().args(["run", graph, "--quiet", "--out"]).arg(&other).args(arguments).output().unwrap();
     assert_eq!(ran.status.code(), Some(0));
     assert_eq!(digest(&run), digest(&other));
-    assert!(slow.data().is_some());
     assert_eq!(served.interrupt().code(), Some(0));
 }
 

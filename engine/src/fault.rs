@@ -33,6 +33,8 @@ pub struct Fault {
     pub notes: Vec<String>,
     /// Suggestions.
     pub help: Vec<String>,
+    /// Path of a key, as `remove` takes it, without which the fault is gone.
+    pub removes: Option<String>,
     /// Whether it may be only a consequence of a syntax fault elsewhere.
     pub(crate) follows: bool,
     /// The text that could not be read because of it; faults inside that text are unreliable.
@@ -43,7 +45,7 @@ impl Fault {
     pub(crate) fn new(message: impl Into<String>) -> Self {
         let severity = Severity::Error;
         let (at, also, notes, help) = (None, Vec::new(), Vec::new(), Vec::new());
-        Self { severity, message: message.into(), at, also, notes, help, follows: false, hides: None }
+        Self { severity, message: message.into(), at, also, notes, help, removes: None, follows: false, hides: None }
     }
 
     pub(crate) fn warning(mut self) -> Self {

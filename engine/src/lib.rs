@@ -42,7 +42,7 @@ pub mod validate;
 pub mod watch;
 
 pub use check::{Checked, CheckedFile, Module, check, check_file, check_recorded, check_text};
-pub use fault::{Fault, Faults};
+pub use fault::{Fault, Faults, Severity};
 pub use osteoflow_runtime::{activity, names, panics, plan};
 pub use recording::Recording;
 pub use replay::{ReplayOptions, ReplayReport, replay};

@@ -9,12 +9,10 @@ use super::{
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
-    plan::Plan,
     plugin::check_lent_memory,
-    run::{Injection, Outcome, RunOptions, RunReport, files},
+    run::{Injection, Listener, Outcome, RunOptions, RunReport, files},
     store::{Settings, Store},
 };
-use osteoflow_node::Registry;
 use osteoflow_viewer::{Stream, Watched};
 use serde_json::Value;
 use std::{
@@ -22,7 +20,7 @@ use std::{
     net::SocketAddr,
     num::NonZeroUsize,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, atomic::Ordering},
 };
 
 /// Run a graph: check it, run it, write results, their provenance and a recording of its wires.
@@ -105,7 +103,7 @@ pub(crate) struct Leave {
 }
 
 /// Whether to cache answers between runs.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Default, Args)]
 pub(crate) struct Keep {
     /// Compute everything: neither load answers from the store nor save them there. The results are the same with and
     /// without it. OSTEOFLOW_CACHE names the store's folder, or is `off`; OSTEOFLOW_CACHE_MAX_MB limits its size (1 GiB).
@@ -139,10 +137,18 @@ impl Run {
             check_lent_memory();
         }
         let dir = out_dir::make(self.leave.out.as_deref(), &plan.name, self.leave.force)?;
-        let mut serving = self.serve.map(|address| self.serving(address, &plan, &registry, global)).transpose()?;
+        let stream = self.serve.map(|_| Arc::new(Stream::default()));
+        // Before the first viewer can connect, so that each finds the channel of the state.
+        let graph = serve::graph_json(&plan, &registry);
+        let mut serving = stream.clone().map(|stream| Serving::begin(stream, &plan, &graph));
+        let server = self
+            .serve
+            .zip(stream.clone())
+            .map(|(address, stream)| self.admission.serve(address, &plan.name, stream, Arc::new(Watched), global));
+        let server = server.transpose()?;
         let options = RunOptions {
             out_dir: Some(dir.clone()),
-            listener: serving.as_ref().map(Serving::listener),
+            listener: stream.map(|stream| stream as Arc<dyn Listener>),
             record: !self.no_record,
             // A recorded run measures the time of every firing in any case.
             latency: !self.no_record || global.verbose > 0,
@@ -161,7 +167,12 @@ impl Run {
                 serving.ended(&report);
             }
             let exit = print_end(&report, &folder, &of_run)?;
-            serving.map_or(Ok(()), |serving| serving.wait(&options.cancelled, &of_run))?;
+            if let Some(server) = server {
+                if !options.cancelled.load(Ordering::Relaxed) && !of_run.quiet {
+                    writeln!(std::io::stderr(), "the page stays until Ctrl-C")?;
+                }
+                serve::wait(server, &options.cancelled, &of_run)?;
+            }
             Ok(exit)
         })?;
         match ran {
@@ -171,30 +182,6 @@ impl Run {
                 Ok(Exit::Interrupted)
             }
         }
-    }
-}
-
-impl Run {
-    /// A run of a graph that is served; everything else as by default.
-    pub(super) fn served(graph: GraphArgs, out: Option<PathBuf>, address: SocketAddr, admission: Admission) -> Self {
-        Self {
-            graph,
-            leave: Leave { out, force: false, workers: None },
-            keep: Keep { no_cache: false },
-            watch: false,
-            serve: Some(address),
-            admission,
-            no_record: false,
-            inject: Vec::new(),
-            check_plugins: false,
-            shuffle: None,
-        }
-    }
-
-    fn serving(&self, address: SocketAddr, plan: &Plan, registry: &Registry, global: &Global) -> Result<Serving> {
-        let stream = Arc::new(Stream::default());
-        let server = self.admission.serve(address, &plan.name, stream.clone(), Arc::new(Watched), global)?;
-        Ok(Serving::begin(server, stream, plan, registry))
     }
 }
 

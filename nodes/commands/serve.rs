@@ -1,14 +1,16 @@
 //! Serving the page and the stream to viewers: the options, and what is said about the run.
 
 mod graph;
+pub(crate) mod known_plan;
+pub(crate) mod picks;
 
-use super::{Global, UsageError, registry};
+use super::{Global, UsageError, registry, verdict_lines};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{
     Recording, check_recorded,
     plan::Plan,
-    run::{Listener, Outcome, RunReport},
+    run::{Outcome, RunReport},
 };
 use osteoflow_node::{Registry, Role};
 use osteoflow_viewer::{App, ServeOptions, Server, Stream};
@@ -26,7 +28,7 @@ use std::{
 };
 
 /// The topic that the page reads first: what is shown, and how it ended.
-const STATE: &str = "/viewer/state";
+pub(super) const STATE: &str = "/viewer/state";
 /// The topic with the nodes of the graph.
 const GRAPH: &str = "/viewer/graph";
 /// Interval at which the end is looked for.
@@ -35,7 +37,7 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Who may connect to the page and the stream.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct Admission {
-    /// Serve on an address that other machines reach, without encryption: whoever is in the network and has the address
+    /// Serve on an address that other machines reach, without encryption: everyone in the network who has the address
     /// with its token sees everything that is shown.
     #[arg(long)]
     serve_public: bool,
@@ -101,27 +103,38 @@ pub(crate) fn address(text: &str) -> Result<SocketAddr, String> {
 
 /// A run that is served.
 pub(crate) struct Serving {
-    server: Server,
     stream: Arc<Stream>,
-    /// What the page was told last.
+    /// The last state that was published.
     state: Value,
 }
 
 impl Serving {
     /// Says that the run begins.
-    pub(crate) fn begin(server: Server, stream: Arc<Stream>, plan: &Plan, registry: &Registry) -> Self {
+    pub(crate) fn begin(stream: Arc<Stream>, plan: &Plan, graph: &Value) -> Self {
         let is_live = plan.nodes.iter().any(|node| node.role == Role::LiveSource);
         let of_results =
             plan.results.iter().find(|entry| entry.key == "verdict").map(|entry| plan.wire_name(entry.from));
         let origin = if is_live { "live" } else { "recorded" };
         let state = json!({ "name": plan.name, "state": "running", "origin": origin, "verdict_wire": of_results });
         stream.publish(STATE, &state);
-        stream.publish(GRAPH, &graph::as_json(plan, registry));
-        Self { server, stream, state }
+        stream.publish(GRAPH, graph);
+        Self { stream, state }
     }
 
-    pub(crate) fn listener(&self) -> Arc<dyn Listener> {
-        self.stream.clone()
+    /// Publishes something more about the run.
+    pub(super) fn add(&mut self, key: &str, value: Value) {
+        self.state[key] = value;
+        self.stream.publish(STATE, &self.state);
+    }
+
+    /// The last state that was published.
+    pub(super) fn state(&self) -> &Value {
+        &self.state
+    }
+
+    /// Says that the run gave nothing.
+    pub(super) fn failed(&mut self) {
+        self.add("state", "failed".into());
     }
 
     /// Says how the run ended.
@@ -132,17 +145,17 @@ impl Serving {
             Outcome::Interrupted => "interrupted",
         };
         self.state["state"] = status.into();
+        if let Outcome::Refused(refusal) = &report.outcome {
+            self.state["refusal"] = verdict_lines::refusal_in_short(refusal, &report.results).into();
+        }
         add_results(&mut self.state, &report.results);
         self.stream.publish(STATE, &self.state);
     }
+}
 
-    /// Serves until Ctrl-C.
-    pub(crate) fn wait(self, cancelled: &AtomicBool, global: &Global) -> Result<()> {
-        if !cancelled.load(Ordering::Relaxed) && !global.quiet {
-            writeln!(std::io::stderr(), "the page stays until Ctrl-C")?;
-        }
-        wait(self.server, cancelled, global)
-    }
+/// The nodes of a plan as the page lists them.
+pub(super) fn graph_json(plan: &Plan, registry: &Registry) -> Value {
+    graph::as_json(plan, registry)
 }
 
 /// Serves until Ctrl-C, then says how much was sent.
@@ -164,6 +177,7 @@ pub(crate) fn wait(server: Server, cancelled: &AtomicBool, global: &Global) -> R
 
 /// Says what a recording is; its graph is listed if this program has its kinds.
 pub(crate) fn recorded(stream: &Stream, name: &str, recording: Option<&Recording>, problem: Option<&str>) {
+    let problem = problem.map(|problem| format!("the recording is damaged: {problem}"));
     let mut state = json!({ "name": name, "state": "recorded", "origin": "recorded", "problem": problem });
     if let Some(results) = recording.and_then(|recording| recording.results.as_ref()) {
         add_results(&mut state, results);

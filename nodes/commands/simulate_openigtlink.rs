@@ -21,7 +21,7 @@ pub(super) fn serve(procedure: &Procedure, port: u16, rate: f64, scans: ScanType
     let messages = messages(procedure, scans)?;
     let listener =
         TcpListener::bind(("127.0.0.1", port)).with_context(|| format!("cannot listen at 127.0.0.1:{port}"))?;
-    // Whoever started this for a free port needs it, quiet or not.
+    // A program that asked for a free port needs it, quiet or not.
     writeln!(std::io::stderr(), "SIMULATED procedure over OpenIGTLink at {}", listener.local_addr()?)?;
     let (mut stream, peer) = listener.accept()?;
     stream.set_nodelay(true)?;

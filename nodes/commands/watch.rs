@@ -4,7 +4,7 @@ use super::{
     Exit, Format, Global, UsageError, graph_args, out_dir,
     progress::Progress,
     result_table,
-    run::{self, Run},
+    run::{self, Leave, Run},
     running::{self, Ran},
 };
 use anyhow::{Result, anyhow};
@@ -21,7 +21,7 @@ use std::{
     fs,
     io::Write,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, atomic::Ordering},
     time::Instant,
 };
 
@@ -77,7 +77,7 @@ impl Watch {
                 Looked::Files(files) => graph.and(&files),
                 Looked::Interrupted => return Ok(Exit::Interrupted),
             };
-            match stamps.wait(&self.options.cancelled) {
+            match stamps.wait(&|| self.options.cancelled.load(Ordering::Relaxed)) {
                 Some(change) => seen = change,
                 None => return Ok(Exit::Done),
             }
@@ -113,7 +113,7 @@ impl Watch {
             self.print_unchanged()?;
             return Ok(Looked::Files(files));
         }
-        let dir = self.folder(next.plan())?;
+        let dir = folder(&self.run.leave, next.plan(), self.n_runs)?;
         let what = RerunNotice::of(&next, self.n_runs > 0);
         if self.global.format == Format::Text && !self.global.quiet {
             what.print_changes()?;
@@ -146,27 +146,6 @@ impl Watch {
         self.n_runs += 1;
         self.print_end(report, &what, &plan_results, &dir, seen)
             .map(|exit| if exit == Exit::Interrupted { Looked::Interrupted } else { Looked::Files(files) })
-    }
-
-    /// The folder of the next run.
-    fn folder(&self, plan: &Plan) -> Result<PathBuf> {
-        let leave = &self.run.leave;
-        let dir = match &leave.out {
-            Some(first) if self.n_runs > 0 => out_dir::make_after(first)?,
-            asked => out_dir::make(asked.as_deref(), &plan.name, leave.force)?,
-        };
-        let within = |file: &&PathBuf| match (dir.canonicalize(), file.canonicalize()) {
-            (Ok(dir), Ok(file)) => dir.starts_with(file),
-            _ => false,
-        };
-        if let Some(read) = plan.input_files.iter().find(within) {
-            let (dir, read) = (dir.display(), read.display());
-            let message = format!(
-                "{dir} is inside {read}, which the graph reads, so each run would start the next; name another folder with --out"
-            );
-            return Err(UsageError(message).into());
-        }
-        Ok(dir)
     }
 
     /// Prints the faults of a graph; a later save may fix them. In the first look they are faults of the command line.
@@ -256,6 +235,26 @@ impl Watch {
         }
         Ok(exit)
     }
+}
+
+/// The folder of the next of several runs.
+pub(super) fn folder(leave: &Leave, plan: &Plan, n_runs: usize) -> Result<PathBuf> {
+    let dir = match &leave.out {
+        Some(first) if n_runs > 0 => out_dir::make_after(first)?,
+        asked => out_dir::make(asked.as_deref(), &plan.name, leave.force)?,
+    };
+    let within = |file: &&PathBuf| match (dir.canonicalize(), file.canonicalize()) {
+        (Ok(dir), Ok(file)) => dir.starts_with(file),
+        _ => false,
+    };
+    if let Some(read) = plan.input_files.iter().find(within) {
+        let (dir, read) = (dir.display(), read.display());
+        let message = format!(
+            "{dir} is inside {read}, which the graph reads, so each run would start the next; name another folder with --out"
+        );
+        return Err(UsageError(message).into());
+    }
+    Ok(dir)
 }
 
 /// An observer that collects the announcements of a run.

@@ -139,21 +139,63 @@ impl Browser {
         }
     }
 
-    #[allow(dead_code, reason = "not all tests drag")]
-    /// Drags the mouse with its left button, in steps.
-    pub(crate) fn drag(&mut self, from: [f64; 2], to: [f64; 2]) {
-        let at = |share: f64| [0, 1].map(|k| from[k] + share * (to[k] - from[k]));
+    #[allow(dead_code, reason = "not all tests draw")]
+    /// Draws with the mouse's left button from place to place, in steps.
+    pub(crate) fn stroke(&mut self, places: &[[f64; 2]]) {
         let mut event = |kind: &str, [x, y]: [f64; 2], buttons: u32| {
             let button = if kind == "mouseMoved" { "none" } else { "left" };
             let mouse = json!({ "type": kind, "x": x, "y": y, "button": button, "buttons": buttons, "clickCount": 1 });
             self.call("Input.dispatchMouseEvent", mouse);
         };
-        event("mousePressed", from, 1);
-        (1..=6).for_each(|step| event("mouseMoved", at(f64::from(step) / 6.0), 1));
-        event("mouseReleased", to, 0);
+        event("mousePressed", places[0], 1);
+        for pair in places.windows(2) {
+            for step in 1..=6 {
+                let share = f64::from(step) / 6.0;
+                event("mouseMoved", [0, 1].map(|k| pair[0][k] + share * (pair[1][k] - pair[0][k])), 1);
+            }
+        }
+        event("mouseReleased", places[places.len() - 1], 0);
         self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
     }
 
+    #[allow(dead_code, reason = "not all tests drag")]
+    /// Drags the mouse with its left button, in steps.
+    pub(crate) fn drag(&mut self, from: [f64; 2], to: [f64; 2]) {
+        self.stroke(&[from, to]);
+    }
+
+    #[allow(dead_code, reason = "not all tests click")]
+    /// Clicks with the left button of the mouse.
+    pub(crate) fn click(&mut self, [x, y]: [f64; 2]) {
+        for (kind, button, buttons) in
+            [("mouseMoved", "none", 0), ("mousePressed", "left", 1), ("mouseReleased", "left", 0)]
+        {
+            let mouse = json!({ "type": kind, "x": x, "y": y, "button": button, "buttons": buttons, "clickCount": 1 });
+            self.call("Input.dispatchMouseEvent", mouse);
+        }
+        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+    }
+
+    #[allow(dead_code, reason = "not all tests touch")]
+    /// Touches with one finger, and lifts it.
+    pub(crate) fn tap(&mut self, [x, y]: [f64; 2]) {
+        self.call("Input.dispatchTouchEvent", json!({ "type": "touchStart", "touchPoints": [{ "x": x, "y": y }] }));
+        self.call("Input.dispatchTouchEvent", json!({ "type": "touchEnd", "touchPoints": [] }));
+        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+    }
+
+    #[allow(dead_code, reason = "not all tests use the keyboard")]
+    /// Presses a key, with Ctrl if it is asked for.
+    pub(crate) fn key(&mut self, key: &str, with_ctrl: bool) {
+        for kind in ["rawKeyDown", "keyUp"] {
+            let modifiers = if with_ctrl { 2 } else { 0 };
+            let code = json!({ "type": kind, "key": key, "modifiers": modifiers });
+            self.call("Input.dispatchKeyEvent", code);
+        }
+        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+    }
+
+    #[allow(dead_code, reason = "not all tests look at them")]
     /// Errors that the page has reported, and URLs that it has requested, except its own.
     pub(crate) fn complaints(&mut self, file: &Path) -> Vec<String> {
         // Earlier events have arrived before this answer.

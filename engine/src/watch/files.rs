@@ -11,7 +11,6 @@ use crate::{
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
-    sync::atomic::{AtomicBool, Ordering},
     thread,
     time::{Duration, Instant},
 };
@@ -57,11 +56,11 @@ impl Stamps {
     }
 
     /// Waits until a file has changed and all files are stable: two consecutive polls agree, so that a half-written
-    /// file is not taken for the new one. Returns when the change was seen; `None` if cancelled.
-    pub fn wait(&self, cancelled: &AtomicBool) -> Option<Instant> {
+    /// file is not taken for the new one. Returns when the change was seen; `None` once `stops` says so.
+    pub fn wait(&self, stops: &dyn Fn() -> bool) -> Option<Instant> {
         let look = || {
             thread::sleep(POLL_INTERVAL);
-            (!cancelled.load(Ordering::Relaxed)).then(|| Self::of(self.0.keys().cloned()))
+            (!stops()).then(|| Self::of(self.0.keys().cloned()))
         };
         let mut now = look()?;
         while now == *self {

@@ -8,7 +8,10 @@ use crate::{
 use osteoflow_node::Join;
 use osteoflow_toy::registry;
 use serde_json::{Value as Json, json};
-use std::sync::{Arc, atomic::AtomicBool};
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
 
 fn options(workers: usize) -> RunOptions {
     RunOptions { workers, fixed_results: vec![("notice".into(), json!("toy"))], ..RunOptions::default() }
@@ -356,10 +359,10 @@ fn a_change_is_seen_once_the_file_is_stable() {
             "appears" => std::fs::write(&other, "").unwrap(),
             _ => std::fs::remove_file(&other).unwrap(),
         }
-        assert!(before.wait(&cancelled).is_some(), "{change}");
+        assert!(before.wait(&|| cancelled.load(Ordering::Relaxed)).is_some(), "{change}");
     }
-    cancelled.store(true, std::sync::atomic::Ordering::Relaxed);
-    assert!(Stamps::of([file]).wait(&cancelled).is_none());
+    cancelled.store(true, Ordering::Relaxed);
+    assert!(Stamps::of([file]).wait(&|| cancelled.load(Ordering::Relaxed)).is_none());
 }
 
 #[test]

@@ -8,6 +8,7 @@
 mod blobs;
 mod boundary;
 mod cloud_difference;
+mod footprint;
 mod image;
 mod patch;
 mod range_image;
@@ -21,6 +22,7 @@ pub use cloud_difference::cloud_difference;
 pub use range_image::range_image;
 pub use rgb_spot::{Mark, RgbSpotError, RgbSpotParams, rgb_spot};
 
+use footprint::{Footprint, Place};
 use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -72,7 +74,7 @@ pub struct Hole {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HoleReport {
     /// 1 if the confidence reaches `min_confidence`, 2 if only `min_confidence_agreeing`: then something else has to confirm
-    /// the hole.
+    /// the hole. 2 too where `centre_uncertainty_mm` lowers it.
     pub tier: u8,
     /// Points of the reference scan, or of the scan with its gaps filled where there is no reference.
     pub n_reference: usize,
@@ -105,8 +107,31 @@ pub struct HoleReport {
     /// 1 if the radius is as expected, falling to 0 where it is 1.6 times too small or too large; of a radius too small its
     /// lower standard error counts, so that few points give less.
     pub size_share: f64,
-    /// `empty_share² · seen_share · √rim_share · size_share`.
+    /// Largest distance from the centre of another place at which the spot explains the hole as well, mm. A disc on the surface and
+    /// the cross-section of a slanted beam have different centres where the silhouette cuts the hole off. None without a viewpoint.
+    #[serde(default)]
+    pub centre_uncertainty_mm: Option<f64>,
+    /// `empty_share² · seen_share · √rim_share · size_share`, times the share `(r / (r + centre_uncertainty_mm))²` that the spot of radius r has of
+    /// the area in which it may be. The last factor does not lower it below `min_confidence_agreeing`.
     pub confidence: f64,
+}
+
+impl Hole {
+    /// Moves the centre to the place that explains the footprint, and lowers the confidence to the share of the area in which the spot
+    /// may be that the spot has, but not below that of the second tier, if there is one.
+    fn place(&mut self, footprint: &Footprint<'_>, params: &HoleParams) {
+        let radius_mm = params.spot_radius_mm;
+        if let Some(Place { centre, uncertainty_mm }) = footprint.place(self.centre) {
+            let share = (radius_mm / (radius_mm + uncertainty_mm)).powi(2);
+            let agreeing = params.min_confidence_agreeing;
+            let least = if agreeing < params.min_confidence { agreeing.min(self.confidence) } else { 0.0 };
+            self.centre = centre;
+            self.confidence = (self.confidence * share).max(least);
+            self.report.centre_uncertainty_mm = Some(uncertainty_mm);
+        }
+        self.report.confidence = self.confidence;
+        self.report.tier = if self.confidence < params.min_confidence { 2 } else { 1 };
+    }
 }
 
 /// Errors of the detectors.
@@ -158,6 +183,22 @@ pub enum HoleError {
         first_confidence: f64,
         /// Confidence of the second.
         second_confidence: f64,
+    },
+    /// The hole does not determine the place of the spot, and there is no second tier.
+    #[error(
+        "the spot is somewhere within {uncertainty_mm:.1} mm of {at:.1?} mm: a disc on the surface and the cross-section of a slanted beam \
+         explain the hole with different centres, as around a hole that the silhouette cuts off (confidence {confidence:.2}, {needed} \
+         needed); aim again, or turn the camera"
+    )]
+    Uncertain {
+        /// Centre of the hole.
+        at: [f64; 3],
+        /// Distance of the farthest place that explains it.
+        uncertainty_mm: f64,
+        /// Its confidence.
+        confidence: f64,
+        /// Confidence needed.
+        needed: f64,
     },
     /// The points are too far apart to show a hole.
     #[error(

@@ -1,7 +1,7 @@
 //! Points of a cloud in a region of interest, as indices in the cloud's order.
 
 use nalgebra::{Point2, Point3, Unit, Vector3};
-use osteoflow_geometry::{Cloud, Region};
+use osteoflow_geometry::{Cloud, Region, encloses};
 
 /// A region that cannot be applied.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -54,14 +54,6 @@ pub fn in_polygon(cloud: &Cloud, polygon: &[Point2<f64>]) -> Result<Vec<usize>, 
         let seen = t_camera_cloud * p;
         seen.z > 0.0 && encloses(polygon, seen.x / seen.z, seen.y / seen.z)
     }))
-}
-
-fn encloses(polygon: &[Point2<f64>], x: f64, y: f64) -> bool {
-    let before = polygon.iter().cycle().skip(polygon.len() - 1);
-    polygon.iter().zip(before).fold(false, |inside, (a, b)| {
-        let crosses = (a.y > y) != (b.y > y) && x < a.x + (b.x - a.x) * (y - a.y) / (b.y - a.y);
-        inside != crosses
-    })
 }
 
 fn select(cloud: &Cloud, keep: impl Fn(&Point3<f64>) -> bool) -> Vec<usize> {

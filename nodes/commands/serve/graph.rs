@@ -17,12 +17,13 @@ fn node_json(plan: &Plan, registry: &Registry, node: &PlanNode) -> Value {
         json!({ "name": input.port.name, "from": from, "doc": input.port.doc })
     });
     let outputs = node.outputs.iter().map(|output| json!({ "name": output.name, "payload": output.payload.name() }));
-    let schema = description.map(|description| &description.params["properties"]);
-    let docs = |name: &str, key: &str| schema.map_or(Value::Null, |schema| schema[name][key].clone());
-    let values = node.params.as_object().into_iter().flatten();
-    let params = values.map(|(name, value)| {
-        json!({ "name": name, "value": without_folders(node, value), "default": docs(name, "default"), "doc": docs(name, "description") })
-    });
+    let mut params = Vec::new();
+    if let (Some(description), Value::Object(values)) = (description, &node.params) {
+        let schema = Schema { root: &description.params, at: &description.params };
+        add_params(node, "", values, schema, &mut params);
+    }
+    let stage = stage(&node.kind);
+    let alternatives = registry.kinds().map(|kind| kind.description.kind).filter(|kind| self::stage(kind) == stage);
     json!({
         "name": *node.name,
         "kind": node.kind,
@@ -30,8 +31,63 @@ fn node_json(plan: &Plan, registry: &Registry, node: &PlanNode) -> Value {
         "summary": description.map(|description| &description.summary),
         "inputs": inputs.collect::<Vec<_>>(),
         "outputs": outputs.collect::<Vec<_>>(),
-        "params": params.collect::<Vec<_>>(),
+        "params": params,
+        "kinds": alternatives.collect::<Vec<_>>(),
     })
+}
+
+/// The part of a kind before the dot: kinds of one stage can often replace each other.
+fn stage(kind: &str) -> &str {
+    kind.split('.').next().unwrap_or(kind)
+}
+
+/// A part of the JSON Schema of a kind's parameters.
+#[derive(Clone, Copy)]
+struct Schema<'a> {
+    root: &'a Value,
+    at: &'a Value,
+}
+
+impl<'a> Schema<'a> {
+    /// The schema of a property, and the one that it refers to.
+    fn property(self, name: &str) -> (&'a Value, Self) {
+        let property = &self.at["properties"][name];
+        let of_reference = |schema: &Value| schema["$ref"].as_str()?.strip_prefix("#/$defs/").map(str::to_owned);
+        // An optional table is any of the table and null.
+        let any = property["anyOf"].as_array().into_iter().flatten();
+        let reference = of_reference(property).or_else(|| any.filter_map(of_reference).next());
+        let at = reference.map_or(property, |name| &self.root["$defs"][&name]);
+        (property, Self { at, ..self })
+    }
+}
+
+/// Adds the parameters, those of tables by their dotted names.
+fn add_params(node: &PlanNode, prefix: &str, values: &Map<String, Value>, schema: Schema<'_>, out: &mut Vec<Value>) {
+    for (name, value) in values {
+        let (property, inner) = schema.property(name);
+        let name = format!("{prefix}{name}");
+        match value {
+            Value::Object(values) if inner.at["properties"].is_object() => {
+                add_params(node, &format!("{name}."), values, inner, out);
+            }
+            _ => {
+                let mut row =
+                    json!({ "name": name, "value": without_folders(node, value), "doc": property["description"] });
+                for key in ["default", "minimum", "maximum"] {
+                    row[key] = if property[key].is_null() { inner.at[key].clone() } else { property[key].clone() };
+                }
+                row["words"] = json!(words(inner.at));
+                out.push(row);
+            }
+        }
+    }
+}
+
+/// The words that a parameter may be; empty if it is no choice of words.
+fn words(schema: &Value) -> Vec<&Value> {
+    let one_of = schema["oneOf"].as_array().into_iter().flatten().map(|choice| &choice["const"]);
+    let listed = schema["enum"].as_array().into_iter().flatten();
+    listed.chain(one_of).filter(|word| word.is_string()).collect()
 }
 
 /// A value in which files have their names alone: folders are named after people.

@@ -15,6 +15,7 @@
 //! | [`picked_points`] | named points of 3D Slicer, MeshLab, CloudCompare, CSV | markups of 3D Slicer, CSV |
 //! | [`plan_file`] | surgical plans in JSON | surgical plans in JSON |
 //! | [`pose_file`] | one rigid motion: a matrix as text or JSON, an ITK transform | |
+//! | [`region_file`] | regions of interest drawn by hand, JSON | the same |
 //! | [`poses_csv`] | poses over time | poses over time |
 //! | [`volume`] | voxels of a CT: NIfTI, NRRD, a DICOM series | |
 //! | [`openigtlink`] | messages of OpenIGTLink | messages of OpenIGTLink |
@@ -66,6 +67,7 @@ pub mod pose_file;
 pub mod poses_csv;
 pub mod recording_write;
 mod refused;
+pub mod region_file;
 mod ros2;
 mod scalar;
 mod shape;

@@ -16,7 +16,7 @@ mod slicer;
 mod text;
 mod write;
 
-pub use write::{write_fcsv, write_mrk_json, write_planes_mrk_json, write_points_csv};
+pub use write::{write_fcsv, write_mrk_json, write_planes_mrk_json, write_points_csv, write_roi_mrk_json};
 
 use crate::{
     FileError, Space,

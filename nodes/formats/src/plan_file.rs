@@ -30,8 +30,10 @@ use std::{cell::RefCell, path::Path};
 pub struct PlanRead {
     /// The plan.
     pub plan: SurgicalPlan,
-    /// Changes to the numbers, one sentence each.
+    /// Changes to the numbers and keys that were not read, one sentence each.
     pub notes: Vec<String>,
+    /// The keys that were not read.
+    pub unread: Vec<String>,
 }
 
 /// Reads a plan. Its rotations may be rounded: the nearest ones are taken, and a note says how far they are.
@@ -52,7 +54,7 @@ pub fn read_plan_of(path: &Path, bone: &str) -> Result<PlanRead, FileError> {
     let root = parse_root(path, &text)?;
     if let Some(Value::Object(own)) = root.get(bone) {
         // What else a table of bones holds is not the plan's.
-        return plan_of(path, own).map(|read| read.0);
+        return plan_of(path, own).map(|read| PlanRead { unread: Vec::new(), ..read });
     }
     let bones: Vec<&str> = root.iter().filter(|(_, value)| value.is_object()).map(|(key, _)| key.as_str()).collect();
     if !bones.is_empty() && !OWN_KEYS.iter().any(|key| root.contains_key(*key)) {
@@ -78,13 +80,13 @@ pub fn parse_plan(path: &Path, text: &str) -> Result<PlanRead, FileError> {
 
 /// The plan, with a note on the keys that were not read.
 fn noted(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError> {
-    let (mut read, unread) = plan_of(path, root)?;
-    if !unread.is_empty() {
+    let mut read = plan_of(path, root)?;
+    if !read.unread.is_empty() {
         let message = "a plan has no such keys, and they were not read";
         read.notes.push(format!(
             "{}: {message}: {}; a plan's are {}",
             path.display(),
-            unread.join(", "),
+            read.unread.join(", "),
             KEYS.join(", ")
         ));
     }
@@ -121,8 +123,8 @@ const KEYS: [&str; 11] = [
 /// Keys for people.
 const REMARKS: [&str; 7] = ["$schema", "mesh", "name", "side", "description", "comment", "note"];
 
-/// The plan, and the keys that were not read.
-fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<(PlanRead, Vec<String>), FileError> {
+/// The plan, without a note on the keys that were not read.
+fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError> {
     if !KEYS.iter().any(|key| root.contains_key(*key)) {
         let advice = if root.contains_key("markups") {
             "these are markups of 3D Slicer, points or planes without their meaning; write them as a plan"
@@ -150,7 +152,7 @@ fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<(PlanRead, Vec<Stri
     let notes = plan.corrections.take().note().map(|note| format!("{}: {note}", path.display()));
     let is_read = |key: &str| KEYS.contains(&key) || ["units", "unit", "frame"].contains(&key);
     let unread = root.keys().filter(|key| !is_read(key) && !REMARKS.contains(&key.as_str()) && !key.ends_with("_note"));
-    Ok((PlanRead { plan: read, notes: notes.into_iter().collect() }, unread.cloned().collect()))
+    Ok(PlanRead { plan: read, notes: notes.into_iter().collect(), unread: unread.cloned().collect() })
 }
 
 /// Writes a plan so that [`read_plan`] gives it back; planes whose place is unknown are left out.
@@ -389,7 +391,7 @@ mod tests {
     fn a_plan_survives_being_written_with_its_points_in_their_order() {
         let file = tempfile::NamedTempFile::new().unwrap();
         write_plan(file.path(), &example()).unwrap();
-        let PlanRead { plan: back, notes } = read_plan(file.path()).unwrap();
+        let PlanRead { plan: back, notes, .. } = read_plan(file.path()).unwrap();
         assert_eq!(notes, [""; 0]);
         assert_eq!(
             (&back.landmarks, &back.assessment, &back.anatomy),
@@ -463,7 +465,7 @@ mod tests {
                 .flat_map(|row| row.as_array_mut().unwrap())
                 .for_each(round);
         }
-        let PlanRead { plan, notes } = parse_plan("plan.json".as_ref(), &value.to_string()).unwrap();
+        let PlanRead { plan, notes, .. } = parse_plan("plan.json".as_ref(), &value.to_string()).unwrap();
         for (a, b) in plan.planes.planes.iter().zip(example().planes.planes.iter()) {
             let off = a.isometry().unwrap().rotation.angle_to(&b.isometry().unwrap().rotation);
             assert!(off > 1e-7 && off < 2e-4, "{off} rad: four decimals");

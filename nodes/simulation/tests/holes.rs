@@ -94,7 +94,9 @@ fn a_spot_at_the_silhouette_counts_where_the_plan_confirms_it() {
                         }
                         let mm = (hole.centre - spots[k].position).norm();
                         let what = format!("{name}, {detector}, P{}, {:?}", k + 1, hole.report);
-                        assert!(mm < 0.8, "{what}: {mm:.2} mm from the spot");
+                        // A spot that a slanted beam explains as well says how far it may be off, to half a millimetre.
+                        let uncertainty_mm = hole.report.centre_uncertainty_mm.unwrap_or(0.0);
+                        assert!(mm < (uncertainty_mm + 0.5).max(0.8), "{what}: {mm:.2} mm from the spot");
                         let (least, enough) = (0.14, 0.4);
                         assert!((least..enough).contains(&hole.confidence), "{what}");
                         second += 1;
@@ -203,14 +205,16 @@ fn spots_are_found_in_sparse_scans_as_far_as_the_detector_can() {
         let mut params = ProcedureParams::default();
         params.camera.n_points = n_points;
         for (detector, detect) in DETECTORS {
-            let (mut n, mut errors) = (0, Vec::new());
+            let (mut n, mut n_confident, mut errors) = (0, 0, Vec::new());
             for (name, subject) in subjects(NAME) {
                 for procedure in procedures(&subject, &params) {
                     let spots = spots(&procedure);
                     for (k, cloud) in procedure.laser.iter().enumerate() {
                         n += 1;
                         match detect(&procedure.scan, cloud, &HoleParams::default()) {
-                            Ok(hole) if hole.report.tier == 1 => {
+                            // Of the second tier only because few points do not tell a disc from a part of a beam.
+                            Ok(hole) if hole.report.tier == 1 || hole.report.centre_uncertainty_mm > Some(0.0) => {
+                                n_confident += i32::from(hole.report.tier == 1);
                                 errors.push((hole.centre - spots[k].position).norm());
                                 let (grid_mm, surface_mm) = (hole.report.grid_mm.unwrap(), hole.report.spacing_mm);
                                 assert!(grid_mm < surface_mm, "{name}: {grid_mm} mm in the grid, {surface_mm} mm");
@@ -224,7 +228,9 @@ fn spots_are_found_in_sparse_scans_as_far_as_the_detector_can() {
             let (found, at) =
                 (errors.len() as f64 / f64::from(n), |share: f64| errors[((errors.len() - 1) as f64 * share) as usize]);
             let (median, most, max) = (at(0.5), at(0.9), at(1.0));
-            println!("{detector}, {n_points} points: {found:.2} of {n} found, {median:.2}, {most:.2}, {max:.2} mm off");
+            println!(
+                "{detector}, {n_points} points: {found:.2} of {n} found, {n_confident} confident, {median:.2}, {most:.2}, {max:.2} mm off"
+            );
             assert!(found >= least_share, "{detector}, {n_points} points: {found:.2} of {n} found");
             assert!(median < 0.3 && most < 0.8 && max < 2.0, "{detector}, {n_points}: {median}, {most}, {max} mm off");
         }

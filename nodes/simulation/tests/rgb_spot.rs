@@ -47,20 +47,39 @@ fn find(procedure: &Procedure, k: usize, image: &Image) -> Result<Hole, RgbSpotE
     rgb_spot(&procedure.scan, &procedure.laser[k], image, &here, &RgbSpotParams::default())
 }
 
-/// Distances from the spots and reasons of the refusals.
+/// Confidence that counts by itself in `coarse.three_point`.
+const CONFIDENT: f64 = 0.4;
+
+/// Distances from the spots, those of confident ones, and reasons of the refusals.
 #[derive(Default)]
 struct Tally {
     mm: Vec<f64>,
+    confident_mm: Vec<f64>,
     refused: Vec<String>,
 }
 
 impl Tally {
     fn add(&mut self, found: Result<Hole, String>, spot: &Point3<f64>) {
         match found {
-            Ok(hole) => self.mm.push((hole.centre - spot).norm()),
+            Ok(hole) => {
+                let mm = (hole.centre - spot).norm();
+                self.mm.push(mm);
+                assert_eq!(hole.report.tier == 1, hole.confidence >= CONFIDENT, "{:?}", hole.report);
+                if hole.confidence >= CONFIDENT {
+                    self.confident_mm.push(mm);
+                }
+            }
             Err(reason) => self.refused.push(reason),
         }
     }
+}
+
+fn mean(mm: &[f64]) -> f64 {
+    mm.iter().sum::<f64>() / mm.len().max(1) as f64
+}
+
+fn largest(mm: &[f64]) -> f64 {
+    mm.iter().copied().fold(0.0, f64::max)
 }
 
 type Detector = fn(&Cloud, &Cloud, &HoleParams) -> Result<Hole, HoleError>;
@@ -73,11 +92,11 @@ fn the_four_detectors_side_by_side() {
         ("hole.boundary", |_, cloud, params| boundary(cloud, params)),
     ];
     type Change = fn(&mut ProcedureParams);
-    // Limits on the mean and the largest error of `hole.rgb_spot`, mm. A slanted beam's spot is no circle on the surface: no detector
-    // finds its centre well.
+    // Limits on the mean and the largest error of the confident spots of `hole.rgb_spot`, mm. With a beam: half the spot's radius, and the
+    // radius.
     let settings: [(&str, Change, [f64; 2]); 4] = [
         ("as shipped", |_| (), [0.2, 1.0]),
-        ("laser disc `beam`", |p| p.laser.disc = LaserDisc::Beam, [1.0, 5.0]),
+        ("laser disc `beam`", |p| p.laser.disc = LaserDisc::Beam, [1.0, 2.0]),
         ("10 highlights of 1.5 mm", |p| (p.image.n_glare, p.image.glare_radius_mm) = (10, 1.5), [0.2, 1.0]),
         ("from 30 degrees, P1 near the silhouette", |p| p.camera.view_azimuth_deg = 30.0, [0.3, 1.5]),
     ];
@@ -94,17 +113,93 @@ fn the_four_detectors_side_by_side() {
                 tallies[3].1.add(find(&procedure, k, &procedure.images[k]).map_err(|e| e.to_string()), spot);
             }
         }
-        for (name, Tally { mm, refused }) in &tallies {
-            let mean = mm.iter().sum::<f64>() / mm.len().max(1) as f64;
-            let worst = mm.iter().copied().fold(0.0, f64::max);
-            let n = mm.len() + refused.len();
-            println!("| {setting} | `{name}` | {n} | {mean:.2} | {worst:.2} | {} |", refused.len());
+        for (name, Tally { mm, confident_mm, refused }) in &tallies {
+            let (n, n_confident) = (mm.len() + refused.len(), confident_mm.len());
+            let (found, confident) = ([mean(mm), largest(mm)], [mean(confident_mm), largest(confident_mm)]);
+            println!(
+                "| {setting} | `{name}` | {n} | {:.2} | {:.2} | {} | {n_confident} | {:.2} | {:.2} |",
+                found[0],
+                found[1],
+                refused.len(),
+                confident[0],
+                confident[1]
+            );
             if *name == "hole.rgb_spot" {
                 refused.iter().for_each(|reason| println!("  {reason}"));
                 assert!(mm.len() * 2 > n && n >= 9, "{setting}: {} of {n} are found", mm.len());
-                assert!(mean < mean_mm && worst < worst_mm, "{setting}: {mean:.2} mm, at most {worst:.2} mm");
+                assert!(n_confident * 3 > n, "{setting}: {n_confident} of {n} are confident");
+                assert!(confident[0] < mean_mm && confident[1] < worst_mm, "{setting}: {confident:.2?} mm");
             }
         }
+    }
+}
+
+/// The four detectors, given a procedure and the number of a spot.
+fn all_four(p: &Procedure, k: usize) -> [(&'static str, Option<Hole>); 4] {
+    let (scan, cloud, params) = (&p.scan, &p.laser[k], HoleParams::default());
+    [
+        ("hole.cloud_difference", cloud_difference(scan, cloud, &params).ok()),
+        ("hole.range_image", range_image(scan, cloud, &params).ok()),
+        ("hole.boundary", boundary(cloud, &params).ok()),
+        ("hole.rgb_spot", find(p, k, &p.images[k]).ok()),
+    ]
+}
+
+/// The limits of the rule were chosen on the bones 1, 3 and 5, seeds 0 to 19.
+#[test]
+fn a_slanted_beams_spot_is_within_its_radius_of_the_centre_or_has_a_low_confidence_and_says_why() {
+    let n_seeds = if std::env::var_os("SLOW_TESTS").is_some() { 20 } else { 4 };
+    for disc in [LaserDisc::Beam, LaserDisc::Ball] {
+        let mut tallies: [Tally; 4] = Default::default();
+        let mut n_doubtful = 0;
+        for shape_seed in [2, 4, 6] {
+            let (subject, mut params) = (subject(shape_seed), params(shape_seed));
+            params.laser.disc = disc;
+            for seed in 300..300 + n_seeds {
+                let Ok(procedure) = Procedure::simulate_for(&subject, &params, seed) else { continue };
+                for (k, spot) in spots(&procedure, ImageMark::Laser).iter().enumerate() {
+                    for ((name, found), tally) in all_four(&procedure, k).into_iter().zip(&mut tallies) {
+                        let Some(hole) = found else {
+                            tally.refused.push(name.into());
+                            continue;
+                        };
+                        let mm = (hole.centre - spot).norm();
+                        let what = format!(
+                            "bone {shape_seed}, seed {seed}, P{}, {name}: {mm:.2} mm, {:?}",
+                            k + 1,
+                            hole.report
+                        );
+                        let uncertainty_mm = hole.report.centre_uncertainty_mm.unwrap();
+                        // Half a millimetre besides: noise, and a beam tilted by more than is assumed.
+                        if mm > uncertainty_mm + 0.5 {
+                            n_doubtful += 1;
+                        }
+                        assert!(mm < 2.0 || (hole.confidence < CONFIDENT && uncertainty_mm > 1.0), "{what}");
+                        tally.add(Ok(hole), spot);
+                    }
+                }
+            }
+        }
+        let names = ["hole.cloud_difference", "hole.range_image", "hole.boundary", "hole.rgb_spot"];
+        for (name, Tally { mm, confident_mm, refused }) in names.into_iter().zip(&tallies) {
+            let n = mm.len() + refused.len();
+            println!(
+                "| {disc:?} | `{name}` | {n} | {} | {} | {:.2} | {:.2} | {:.2} |",
+                refused.len(),
+                confident_mm.len(),
+                mean(confident_mm),
+                largest(confident_mm),
+                largest(mm)
+            );
+            // All but hole.boundary find nearly all spots; most discs are clear.
+            assert!(name == "hole.boundary" || refused.len() * 5 < n, "{disc:?}, {name}: {} of {n}", refused.len());
+            assert!(
+                disc == LaserDisc::Beam || confident_mm.len() * 2 > mm.len(),
+                "{name}: {} are confident",
+                confident_mm.len()
+            );
+        }
+        println!("{disc:?}: {n_doubtful} spots are more than 0.5 mm beyond the uncertainty that is reported");
     }
 }
 

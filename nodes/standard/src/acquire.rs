@@ -2,12 +2,14 @@
 
 pub mod cloud;
 pub mod folder;
+pub mod foxglove_ws;
 pub mod mcap;
 mod mcap_events;
 pub mod mcap_live;
 mod mcap_ports;
 pub mod openigtlink;
 mod playback;
+pub mod points;
 mod procedure_ports;
 pub mod simulated;
 

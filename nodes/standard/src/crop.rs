@@ -1,6 +1,7 @@
 //! Crops to the region of interest. All kinds have the same ports.
 
 pub mod r#box;
+pub mod file;
 pub mod polygon;
 pub mod slab;
 pub mod sphere;

@@ -49,10 +49,17 @@ fn answer(cloud: &Cloud, found: Result<Hole, impl std::fmt::Display>, ctx: &mut 
     let name = name(cloud, ctx);
     let hole = found.map_err(|error| NodeError::new(format!("{name}: {error}")))?;
     if hole.report.tier > 1 {
+        let what = match hole.report.centre_uncertainty_mm.filter(|mm| *mm > 0.0) {
+            Some(mm) => format!(
+                "the spot may be up to {mm:.1} mm from the centre found, as a disc on the surface or a slanted beam explains the hole \
+                 there too, and its confidence is {:.2}",
+                hole.confidence
+            ),
+            None => format!("the only candidate has a confidence of {:.2}", hole.confidence),
+        };
         ctx.warn(format!(
-            "{name}: the only candidate has a confidence of {:.2}, which is not enough by itself: coarse.three_point takes \
-             it if its distances to the other landmarks are as planned, and nothing else checks it",
-            hole.confidence
+            "{name}: {what}, which is not enough by itself: coarse.three_point takes it if its distances to the other landmarks are as \
+             planned, and nothing else checks it"
         ));
     }
     let point = NamedPoint {

@@ -15,6 +15,7 @@ const PLAYBACK_CONTROL = 3;
  * @property {(info: any) => void} info
  * @property {(channel: Channel) => boolean} wants
  * @property {(channel: Channel, logTimeNs: bigint, data: DataView) => void} message
+ * @property {() => void} restart the channels of a run are gone: another begins
  * @property {(playback: Playback) => void} playback
  * @property {(text: string) => void} status
  * @property {(isOpen: boolean) => void} open
@@ -51,6 +52,11 @@ export class Connection {
         if (wanted.length === 0) break;
         const subscriptions = wanted.map(({ id }) => ({ id, channelId: id }));
         this.socket.send(JSON.stringify({ op: "subscribe", subscriptions }));
+        break;
+      }
+      case "unadvertise": {
+        for (const id of message.channelIds) this.channels.delete(id);
+        this.handlers.restart();
         break;
       }
       case "status": this.handlers.status(message.message); break;

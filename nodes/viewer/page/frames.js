@@ -26,6 +26,13 @@ export class Frames {
     this.edges.set(child, { parent, matrix, wire });
   }
 
+  /** The frames from one to the top of its chain. @param {string} frame */
+  chain(frame) {
+    const all = [frame];
+    for (let edge = this.edges.get(frame); edge && all.length <= this.edges.size; edge = this.edges.get(edge.parent)) all.push(edge.parent);
+    return all;
+  }
+
   /** The frame at the top of a frame's chain. @param {string} frame */
   root(frame) {
     let at = frame;

@@ -1,9 +1,13 @@
 // The page: one connection, one view, the verdict and the numbers.
 
+import { showChanges } from "./changes.js";
 import { Connection } from "./connection.js";
+import { Devices } from "./devices.js";
 import { GraphList } from "./graph.js";
 import { Frames } from "./frames.js";
 import { readItem, readTransform } from "./message.js";
+import { Picking } from "./pick.js";
+import { RegionTool } from "./region.js";
 import { Scene } from "./scene.js";
 import { showVerdict } from "./verdict.js";
 
@@ -26,6 +30,14 @@ const element = (id) => /** @type {HTMLElement} */ (document.getElementById(id))
 const frames = new Frames();
 const scene = new Scene(element("view"));
 const graph = new GraphList(element("graph"));
+const devices = new Devices(scene);
+const picking = new Picking(scene, element("picking"));
+
+const region = new RegionTool(scene, element("region"), log, (isOpen) => {
+  // One tool at a time.
+  if (isOpen) picking.enter(null);
+  element("picking").inert = isOpen;
+});
 
 /** What the server said of itself: how it ended, where its data come from. @type {any} */
 let state = { state: "connecting" };
@@ -41,7 +53,8 @@ const SEVERITY = ["trusted", "doubtful", "refused"];
 
 /** The verdict: that of the run where it has ended, else of the wire of the results, else the worst. */
 function verdict() {
-  const hasEnded = state.origin === "live" || state.state !== "recorded" ? state.state !== "running" : isAtEnd;
+  // A recording has ended where it was played to its end, a run by its own word.
+  const hasEnded = state.state === "recorded" ? isAtEnd : state.state !== "running";
   // A page that hears nothing any more says so, and draws no planes.
   if (!isOpen && !hasEnded) return null;
   if (hasEnded && state.verdict) return state.verdict;
@@ -64,19 +77,42 @@ function showState() {
     element(id).textContent = words.join(" · ");
   }
   document.title = state.name ? `${state.name} · Osteoflow` : "Osteoflow";
-  element("problem").hidden = !state.problem;
-  element("problem").textContent = state.problem ? `The recording is damaged: ${state.problem}` : "";
+  // A refusal by the verdict is at the top with its reasons.
+  const problem = state.problem ?? (state.verdict ? null : state.refusal) ?? "";
+  element("problem").hidden = problem === "";
+  element("problem").textContent = problem;
+  graph.allow(Boolean(state.changes) && !state.changes.fixed);
+  showChanges(element("changes"), state.changes ?? null, log);
+  showRegionButton();
   showNumbers();
   judge();
 }
 
+/** The crops of the graph and their clouds. */
+function crops() {
+  const of = graph.all.filter(({ kind }) => kind.startsWith("crop."));
+  return of.map(({ name, inputs }) => ({ node: name, wire: inputs.find((input) => input.name === "cloud")?.from ?? null }));
+}
+
+function showRegionButton() {
+  element("draw").hidden = !graph.mayChange || crops().length === 0;
+}
+
 function showNumbers() {
-  const rows = Object.entries(state.numbers ?? {});
+  const text = (/** @type {unknown} */ value) => (typeof value === "number" && !Number.isInteger(value) ? value.toPrecision(3) : String(value ?? "none"));
+  const rows = Object.entries(state.numbers ?? {}).map(([name, value]) => [name, value, state.was?.numbers?.[name]]);
+  const [is, was] = [state.verdict?.answer, state.was?.verdict?.answer];
+  if (state.was && is !== was) rows.unshift(["verdict", is, was]);
   element("numbers").replaceChildren(
-    ...rows.flatMap(([name, value]) => {
+    ...rows.flatMap(([name, value, before]) => {
       const [term, number] = [document.createElement("dt"), document.createElement("dd")];
-      term.textContent = name;
-      number.textContent = typeof value === "number" ? value.toPrecision(3) : String(value);
+      term.textContent = String(name);
+      number.textContent = text(value);
+      if (state.was && text(before) !== text(value)) {
+        const old = document.createElement("small");
+        old.textContent = ` was ${text(before)}`;
+        number.append(old);
+      }
       return [term, number];
     }),
   );
@@ -101,6 +137,7 @@ function showList() {
       box.onchange = () => {
         const drawn = scene.drawn.get(wire);
         if (drawn) drawn.shown = box.checked;
+        scene.choices.set(wire, box.checked);
         scene.redraw();
       };
       name.append(box, ` ${wire}`);
@@ -132,7 +169,12 @@ const pending = new Map();
 
 function drawPending() {
   for (const [wire, { payload, data }] of pending) {
-    attempt(wire, () => scene.update(wire, payload, readItem(data)));
+    attempt(wire, () => {
+      const item = readItem(data);
+      scene.update(wire, payload, item);
+      picking.item(wire, payload, item);
+      devices.item(payload, item);
+    });
   }
   pending.clear();
 }
@@ -150,14 +192,20 @@ function attempt(what, work) {
 function receive(channel, data) {
   if (channel.topic === STATE) {
     // What a wire said of the simulation stays known.
+    const before = state.state;
     state = { simulated: state.simulated, ...JSON.parse(new TextDecoder().decode(data)) };
+    // Where a run has ended the bone is where it was followed to.
+    if (before === "running" && state.state !== before && !scene.isTurned) scene.isLookedAt = false;
     showState();
     return;
   }
   if (channel.topic === GRAPH || channel.topic === NODES) {
-    const told = JSON.parse(new TextDecoder().decode(data));
-    if (channel.topic === GRAPH) graph.show(told);
-    else graph.count(told);
+    const message = JSON.parse(new TextDecoder().decode(data));
+    if (channel.topic === GRAPH) {
+      graph.show(message);
+      picking.graph(message);
+      showRegionButton();
+    } else graph.count(message);
     return;
   }
   if (channel.topic === LOG) {
@@ -171,17 +219,15 @@ function receive(channel, data) {
     return;
   }
   const wire = channel.topic.slice(EXACT.length);
+  heard.set(wire, { at: performance.now(), n: (heard.get(wire)?.n ?? 0) + 1 });
   if (LAST_COUNTS.has(channel.schemaName)) {
     // Read when it is drawn: of a stream that is faster than the screen only the last.
-    const before = heard.get(wire);
-    heard.set(wire, { at: performance.now(), n: (before?.n ?? 0) + 1 });
     pending.set(wire, { payload: channel.schemaName.split("@")[0], data });
     return;
   }
   const item = readItem(data);
   const payload = item.payload ?? channel.schemaName.split("@")[0];
-  const before = heard.get(wire);
-  heard.set(wire, { at: performance.now(), n: (before?.n ?? 0) + 1 });
+  picking.item(wire, payload, item);
   if (payload === "geometry/Pose") {
     if (item.empty) frames.unknown.set(wire, item.empty.reason);
     else frames.unknown.delete(wire);
@@ -199,6 +245,7 @@ function receive(channel, data) {
 
 /** The time of a recording has jumped: what comes next is all that is known. */
 function forget() {
+  listed = "";
   frames.clear();
   scene.clear();
   pending.clear();
@@ -237,6 +284,7 @@ const connection = new Connection(address.href, {
     attempt(channel.topic, () => receive(channel, data));
     measure(performance.now() - began);
   },
+  restart: forget,
   playback: showPlayback,
   status: log,
   open: (open) => {
@@ -264,6 +312,8 @@ function animate() {
   if (began >= drawsAt) {
     drawPending();
     noticeSilence();
+    picking.draw();
+    devices.draw(frames);
     drawMs = scene.draw(frames);
     drawsAt = performance.now() + drawMs;
   }
@@ -318,11 +368,21 @@ element("time").onchange = () => {
 const sides = /** @type {const} */ (["scan", "lateral", "anterior", "along"]);
 for (const side of sides) {
   const button = /** @type {HTMLButtonElement} */ (document.querySelector(`[data-side=${side}]`));
-  button.onclick = () => scene.look(side, frames);
+  button.onclick = () => {
+    scene.isTurned = true;
+    scene.look(side, frames);
+  };
 }
 element("glass").onclick = () => {
   scene.glass(!scene.isGlass);
   element("glass").setAttribute("aria-pressed", String(scene.isGlass));
+};
+element("draw").onclick = () => {
+  // The first crop that has a cloud here; a graph has one, as a rule.
+  const all = crops();
+  const { node, wire } = all.find((crop) => crop.wire !== null && scene.drawn.has(crop.wire)) ?? all[0];
+  if (region.isOpen) region.close();
+  else region.open(node, String(wire));
 };
 element("full").onclick = () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
 document.addEventListener("keydown", (event) => {
@@ -338,5 +398,5 @@ document.addEventListener("keydown", (event) => {
 
 judge();
 animate();
-// For tests and for whoever wants to look closer in the browser's console.
-Object.assign(window, { osteoflow: { scene, frames, frameTimes, get state() { return state; }, get verdict() { return verdict(); } } });
+// For tests, and for the browser's console.
+Object.assign(window, { osteoflow: { scene, frames, region, picking, devices, frameTimes, get state() { return state; }, get verdict() { return verdict(); } } });

@@ -8,11 +8,11 @@ import { OrbitControls } from "./three/OrbitControls.js";
 /** @typedef {"trusted" | "doubtful" | "refused" | null} Answer */
 
 /** Millimetres in the scene's metres. */
-const MM = 0.001;
+export const MM = 0.001;
 /** Half the side of a drawn plane, mm: a bone's width and some. */
-const PLANE_MM = 18;
+export const PLANE_MM = 18;
 /** Colours that differ in lightness too, for those who cannot tell red from green. */
-const BONE = 0xd9cfbb, SCAN = 0x0072b2, PLANE = 0x8a3ffc, POINT = 0xd55e00;
+export const BONE = 0xd9cfbb, SCAN = 0x0072b2, PLANE = 0x8a3ffc, POINT = 0xd55e00;
 
 /** Residual at the ends of the colour scale, mm. */
 export const RESIDUAL_MM = 1;
@@ -38,19 +38,30 @@ export class Scene {
     this.camera = new THREE.PerspectiveCamera(35, 1, 0.001, 20);
     this.camera.position.set(0.3, 0.3, 0.3);
     const light = new THREE.DirectionalLight(0xffffff, 2.2);
-    this.camera.add(light);
+    // Over the viewer's left shoulder, wherever the viewer is.
+    light.position.set(-0.5, 0.6, 1);
+    this.camera.add(light, light.target);
     this.scene.add(this.camera, new THREE.AmbientLight(0xffffff, 0.9));
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     this.controls.addEventListener("change", () => this.redraw());
+    this.controls.addEventListener("start", () => { this.isTurned = true; });
     /** @type {Map<string, Drawn>} */
     this.drawn = new Map();
+    /** What the user chose to show or hide. @type {Map<string, boolean>} */
+    this.choices = new Map();
     /** Directions of the bone in its frame. @type {{frame: string, axes: THREE.Matrix3} | null} */
     this.axes = null;
     /** @type {Answer} */
     this.answer = null;
     this.isLookedAt = false;
+    /** What was known when the view was chosen. */
+    this.lookedAt = "";
+    /** Whether the user chose the view, which then stays. */
+    this.isTurned = false;
     this.isGlass = false;
     this.isDirty = true;
+    /** What is shown instead of everything else. @type {THREE.Object3D | null} */
+    this.solo = null;
     this.worker = new Worker("residual.js", { type: "module" });
     this.worker.onmessage = ({ data }) => this.colour(data);
     /** The surface that residuals are measured from. @type {string | null} */
@@ -60,6 +71,8 @@ export class Scene {
     this.questions = 0;
     /** The distances of the points of each cloud from the surface, mm. @type {Map<string, Float32Array>} */
     this.residuals = new Map();
+    /** Shows some of one frame alone, in its own coordinates: what is picked on does not move. @type {{frame: string, shows: (wire: string) => boolean} | null} */
+    this.focus = null;
     new ResizeObserver(() => this.resize()).observe(holder);
     this.resize();
   }
@@ -81,7 +94,7 @@ export class Scene {
     this.surface = null;
     this.asked.clear();
     this.residuals.clear();
-    this.isLookedAt = false;
+    if (!this.isTurned) this.isLookedAt = false;
     this.redraw();
   }
 
@@ -117,10 +130,16 @@ export class Scene {
       this.redraw();
       return;
     }
-    const made = payload === "geometry/Points" ? points(item, before) : make(payload, item);
+    if (before && before.frame === frame && payload === "geometry/Points") {
+      addPoints(before.object, item);
+      before.unknown = null;
+      this.redraw();
+      return;
+    }
+    const made = make(payload, item);
     if (!made) return;
     const { object, unknown } = made;
-    const shown = before?.shown ?? isShownAtFirst(wire, payload);
+    const shown = before?.shown ?? this.choices.get(wire) ?? isShownAtFirst(wire, payload);
     this.remove(wire);
     object.matrixAutoUpdate = false;
     this.scene.add(object);
@@ -150,26 +169,48 @@ export class Scene {
   draw(frames) {
     if (!this.isDirty) return 0;
     this.isDirty = false;
-    const root = this.rootOf(frames);
-    for (const [, drawn] of this.drawn) {
-      const place = frames.toRoot(drawn.frame);
-      const why = this.whyHidden(drawn, place, root);
+    const root = this.focus?.frame ?? this.rootOf(frames);
+    for (const [wire, drawn] of this.drawn) {
+      const place = this.placeOf(drawn.frame, frames);
+      const isLeftOut = this.focus !== null && (drawn.frame !== root || !this.focus.shows(wire));
+      const why = isLeftOut ? "not shown while picking" : this.whyHidden(drawn, place, root);
       drawn.object.userData.why = why;
-      drawn.object.visible = drawn.shown && why === null;
+      drawn.object.visible = drawn.shown && why === null && this.solo === null;
       drawn.object.matrix.copy(place.matrix).multiply(new THREE.Matrix4().makeScale(MM, MM, MM));
       if (drawn.payload === "geometry/Planes") hatch(drawn.object, this.answer === "doubtful");
     }
     this.askForResiduals(frames);
-    if (!this.isLookedAt) this.isLookedAt = this.look("scan", frames);
+    this.lookAtFirst(frames, root);
     const began = performance.now();
     this.renderer.render(this.scene, this.camera);
     return performance.now() - began;
   }
 
+  /** Where a frame is drawn. @param {string} frame @param {Frames} frames */
+  placeOf(frame, frames) {
+    return this.focus ? { root: frame, matrix: new THREE.Matrix4(), unknown: null } : frames.toRoot(frame);
+  }
+
+  /**
+   * Looks at the bone as soon as it is there, and again when it is placed by other frames or a scan comes, unless the user has turned
+   * the view.
+   * @param {Frames} frames
+   * @param {string} root
+   */
+  lookAtFirst(frames, root) {
+    if (this.solo !== null) return;
+    const hasScan = [...this.drawn.values()].some(({ payload, object }) => payload === "geometry/Cloud" && object.visible);
+    const ways = [...this.drawn.values()].filter(({ payload }) => payload === "geometry/Mesh").map(({ frame }) => frames.chain(frame));
+    const seen = `${root} ${hasScan} ${ways}`;
+    if (this.isLookedAt && (this.isTurned || this.focus !== null || seen === this.lookedAt)) return;
+    this.isLookedAt = this.look("scan", frames);
+    if (this.isLookedAt) this.lookedAt = seen;
+  }
+
   /** Asks for the residuals of the clouds that are drawn, if a cloud or its place on the surface has changed. @param {Frames} frames */
   askForResiduals(frames) {
     const surface = this.surface === null ? undefined : this.drawn.get(this.surface);
-    if (!surface) return;
+    if (!surface || this.focus) return;
     const toSurface = frames.toRoot(surface.frame).matrix.clone().invert();
     for (const [wire, { object, frame, payload }] of this.drawn) {
       const { points } = object.userData;
@@ -210,7 +251,8 @@ export class Scene {
   /** The frame that all is drawn in: that of most of what is drawn. @param {Frames} frames */
   rootOf(frames) {
     const counts = new Map();
-    for (const [, { frame }] of this.drawn) {
+    for (const [, { frame, payload }] of this.drawn) {
+      if (payload === "device") continue;
       const root = frames.root(frame);
       counts.set(root, (counts.get(root) ?? 0) + 1);
     }
@@ -287,6 +329,49 @@ export class Scene {
     return across.length() > 0 ? across.normalize() : null;
   }
 
+  /**
+   * Shows an object alone, in its own coordinates.
+   * @param {THREE.Object3D} object
+   * @returns {() => void} shows everything again, from where it was seen
+   */
+  alone(object) {
+    const { position, up, near, far, fov } = this.camera;
+    const before = { position: position.clone(), up: up.clone(), target: this.controls.target.clone(), near, far, fov };
+    this.solo = object;
+    this.scene.add(object);
+    this.redraw();
+    return () => {
+      this.scene.remove(object);
+      this.solo = null;
+      Object.assign(this.camera, { near: before.near, far: before.far, fov: before.fov });
+      this.camera.position.copy(before.position);
+      this.camera.up.copy(before.up);
+      this.camera.updateProjectionMatrix();
+      this.controls.target.copy(before.target);
+      this.controls.update();
+      this.redraw();
+    };
+  }
+
+  /**
+   * @param {THREE.Vector3} eye
+   * @param {THREE.Vector3} target
+   * @param {THREE.Vector3} up
+   * @param {number} size of what is looked at
+   */
+  lookFrom(eye, target, up, size) {
+    // All of it, if the narrower side of the view is that of its breadth.
+    this.camera.fov = (360 / Math.PI) * Math.atan((0.55 * size) / eye.distanceTo(target) / Math.min(this.camera.aspect, 2));
+    this.camera.up.copy(up);
+    this.camera.position.copy(eye);
+    this.camera.near = size / 500;
+    this.camera.far = size * 40;
+    this.camera.updateProjectionMatrix();
+    this.controls.target.copy(target);
+    this.controls.update();
+    this.redraw();
+  }
+
   /** Shows the bone as glass, or solid. @param {boolean} isGlass */
   glass(isGlass) {
     this.isGlass = isGlass;
@@ -310,7 +395,7 @@ export class Scene {
    */
   directions(bone, frames) {
     const frame = this.axes?.frame ?? bone.frame;
-    const turn = new THREE.Matrix3().setFromMatrix4(frames.toRoot(frame).matrix);
+    const turn = new THREE.Matrix3().setFromMatrix4(this.placeOf(frame, frames).matrix);
     const axes = this.axes?.axes ?? new THREE.Matrix3();
     const [x, y, z] = [0, 1, 2].map((k) => {
       const column = new THREE.Vector3().fromArray(axes.elements, 3 * k);
@@ -351,6 +436,7 @@ function make(payload, item) {
     case "geometry/Mesh": return { object: surface(item), unknown: null };
     case "geometry/Cloud": return { object: cloud(item), unknown: null };
     case "geometry/Planes": return planes(item);
+    case "geometry/Points": return { object: addPoints(new THREE.Group(), item), unknown: null };
     default: return null;
   }
 }
@@ -391,27 +477,33 @@ function cloud(item) {
   return at(new THREE.Points(geometry, material), origin);
 }
 
+const BALL = new THREE.SphereGeometry(1.2, 16, 12);
+
 /**
- * The points of an item, with those of other names that its wire gave before: the three laser points come one by one.
+ * Puts the points of an item into a group, beside those of other names that its wire gave before: the three laser points come one
+ * by one.
+ * @param {THREE.Object3D} group
  * @param {Item} item
- * @param {Drawn | undefined} before
  */
-function points(item, before) {
+function addPoints(group, item) {
   const rows = /** @type {Float64Array} */ (item.columns.positions.rows);
   const names = String(item.fields.names ?? "").split("\n");
   /** @type {Map<string, number[]>} */
-  const places = new Map(before?.frame === item.fields.frame ? before?.object.userData.places : []);
-  for (let k = 0; 3 * k < rows.length; k++) places.set(names[k] ?? "", [rows[3 * k], rows[3 * k + 1], rows[3 * k + 2]]);
-  const group = new THREE.Group();
-  group.userData.places = places;
-  for (const [text, place] of places) {
-    const ball = new THREE.Mesh(new THREE.SphereGeometry(1.2, 16, 12), new THREE.MeshLambertMaterial({ color: POINT }));
-    ball.position.fromArray(place);
-    const name = label(text);
-    name.position.fromArray(place);
-    group.add(ball, name);
+  const places = (group.userData.places ??= new Map());
+  /** @type {Map<string, THREE.Object3D[]>} */
+  const parts = (group.userData.parts ??= new Map());
+  for (let k = 0; 3 * k < rows.length; k++) {
+    const text = names[k] ?? "";
+    places.set(text, [rows[3 * k], rows[3 * k + 1], rows[3 * k + 2]]);
+    let pair = parts.get(text);
+    if (!pair) {
+      pair = [new THREE.Mesh(BALL, new THREE.MeshLambertMaterial({ color: POINT })), label(text)];
+      parts.set(text, pair);
+      group.add(...pair);
+    }
+    for (const part of pair) part.position.set(rows[3 * k], rows[3 * k + 1], rows[3 * k + 2]);
   }
-  return { object: group, unknown: null };
+  return group;
 }
 
 /** @param {Item} item */
@@ -498,7 +590,7 @@ function stripeTexture() {
 }
 
 /** A name that faces the viewer. @param {string} text */
-function label(text) {
+export function label(text) {
   const canvas = document.createElement("canvas");
   const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
   const font = "600 40px system-ui, sans-serif";

@@ -23,8 +23,6 @@ const CLOCK: Duration = Duration::from_millis(200);
 /// Longest wait for the next message, so that the time advances through gaps.
 const STEP: Duration = Duration::from_millis(50);
 
-type Input = Reader<File>;
-
 /// A message in the file.
 #[derive(Debug, Clone, Copy)]
 struct Entry {
@@ -42,11 +40,10 @@ pub struct Playback {
     problem: Option<String>,
 }
 
-/// What the viewers asked for.
+/// What the player's thread shares with the viewers' requests.
 struct Control {
     asked: Mutex<Asked>,
     changed: Condvar,
-    /// Called after the last message.
     stream: Arc<Stream>,
 }
 
@@ -106,6 +103,9 @@ impl App for Playback {
 
     fn play(&self, plays: bool, speed: f32, seek_ns: Option<u64>) -> Option<PlaybackState> {
         let mut asked = self.control.asked();
+        if asked.ends {
+            return Some(asked.state);
+        }
         let (start, end) = self.range_ns;
         // From the end it plays from the start.
         let again = (plays && asked.state.ended && seek_ns.is_none()).then_some(start);
@@ -135,7 +135,7 @@ impl Control {
 
 /// The thread that reads and sends.
 struct Player {
-    input: Input,
+    input: Reader<File>,
     entries: Vec<Entry>,
     /// The next message to send.
     next: usize,
@@ -151,7 +151,7 @@ impl Player {
     fn run(mut self) {
         // Time of the recording at a time of the clock.
         let mut since = (Instant::now(), self.range_ns.0);
-        let mut told = Instant::now();
+        let mut clock_sent = Instant::now();
         loop {
             let control = self.control.clone();
             let mut asked = control.asked();
@@ -163,7 +163,7 @@ impl Player {
                 drop(asked);
                 // Viewers forget what they show, then get what is known at that time.
                 self.control.stream.forget();
-                self.tell(&state, true);
+                self.send_state(&state, true);
                 if let Err(error) = self.seek(seek) {
                     return self.fail(&error);
                 }
@@ -189,13 +189,13 @@ impl Player {
             if let Err(error) = self.send_until(at_ns) {
                 return self.fail(&error);
             }
-            if state.ended || told.elapsed() >= CLOCK {
-                self.tell(&state, false);
-                told = Instant::now();
+            if state.ended || clock_sent.elapsed() >= CLOCK {
+                self.send_state(&state, false);
+                clock_sent = Instant::now();
             }
             if !state.ended {
                 let next_ns = self.entries.get(self.next).map_or(at_ns, |entry| entry.log_time_ns);
-                let wait = Duration::from_secs_f64((next_ns - at_ns) as f64 / 1e9 / f64::from(state.speed));
+                let wait = Duration::from_secs_f64(next_ns.saturating_sub(at_ns) as f64 / 1e9 / f64::from(state.speed));
                 let asked = control.asked();
                 if asked.seek_ns.is_none() && asked.state.plays {
                     drop(control.changed.wait_timeout(asked, wait.min(STEP)));
@@ -249,18 +249,24 @@ impl Player {
         Ok(())
     }
 
-    fn tell(&self, state: &PlaybackState, did_seek: bool) {
-        self.control.stream.tell_all(&Out::Binary(protocol::playback_state(state, did_seek, "")));
+    fn send_state(&self, state: &PlaybackState, did_seek: bool) {
+        self.control.stream.send_to_all(&Out::Binary(protocol::playback_state(state, did_seek, "")));
     }
 
+    /// Stops for good: the file has changed or cannot be read any more.
     fn fail(&self, error: &io::Error) {
+        let mut asked = self.control.asked();
+        (asked.state.plays, asked.ends) = (false, true);
+        let state = asked.state;
+        drop(asked);
+        self.send_state(&state, false);
         tracing::error!("the recording cannot be played any more: {error}");
         let status = protocol::status(
             protocol::Level::Error,
             &format!("the recording cannot be read any more: {error}"),
             "file",
         );
-        self.control.stream.tell_all(&Out::Text(status));
+        self.control.stream.send_to_all(&Out::Text(status));
     }
 }
 

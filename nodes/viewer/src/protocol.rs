@@ -94,18 +94,22 @@ pub(crate) fn server_info(name: &str, session: &str, services: bool, range_ns: O
 }
 
 /// Schemas in text are sent as they are, binary ones in base 64.
-pub(crate) fn advertise(channels: &[ListenedChannel]) -> String {
-    let row = |channel: &ListenedChannel| {
+pub(crate) fn advertise<'a>(channels: impl IntoIterator<Item = (&'a u32, &'a ListenedChannel)>) -> String {
+    let row = |(id, channel): (&u32, &ListenedChannel)| {
         let schema = match channel.schema_encoding.as_str() {
             "protobuf" | "flatbuffer" => STANDARD.encode(&channel.schema),
             _ => String::from_utf8_lossy(&channel.schema).into_owned(),
         };
         json!({
-            "id": channel.id, "topic": channel.topic, "encoding": channel.encoding, "schemaName": channel.schema_name,
+            "id": id, "topic": channel.topic, "encoding": channel.encoding, "schemaName": channel.schema_name,
             "schemaEncoding": channel.schema_encoding, "schema": schema,
         })
     };
-    json!({ "op": "advertise", "channels": channels.iter().map(row).collect::<Vec<_>>() }).to_string()
+    json!({ "op": "advertise", "channels": channels.into_iter().map(row).collect::<Vec<_>>() }).to_string()
+}
+
+pub(crate) fn unadvertise(channels: &[u32]) -> String {
+    json!({ "op": "unadvertise", "channelIds": channels }).to_string()
 }
 
 /// Services are numbered from 1.
@@ -316,7 +320,8 @@ mod tests {
             schema: schema.into(),
             metadata: Default::default(),
         };
-        let text = advertise(&[channel("protobuf", &[0, 255]), channel("jsonschema", b"{}")]);
+        let channels = [channel("protobuf", &[0, 255]), channel("jsonschema", b"{}")];
+        let text = advertise([1, 2].iter().zip(&channels));
         let message: Value = serde_json::from_str(&text).unwrap();
         assert_eq!(
             (&message["channels"][0]["schema"], &message["channels"][1]["schema"]),

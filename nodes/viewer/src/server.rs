@@ -71,12 +71,13 @@ pub trait App: Send + Sync {
         Vec::new()
     }
 
-    /// Sets a parameter.
+    /// Sets parameters, all of them or none.
     ///
     /// # Errors
     /// A sentence for the user.
-    fn set_parameter(&self, name: &str, _value: &Value) -> Result<(), String> {
-        Err(format!("{name} cannot be changed here"))
+    fn set_parameters(&self, values: &[(String, Value)]) -> Result<(), String> {
+        let names: Vec<&str> = values.iter().map(|(name, _)| name.as_str()).collect();
+        Err(format!("{} cannot be changed here", names.join(", ")))
     }
 
     /// Names of the actions that viewers may call.
@@ -340,10 +341,10 @@ fn view(connection: TcpStream, shared: &Arc<Shared>) {
     }
     let viewer = shared.stream.join();
     if let Some(state) = shared.app.playback() {
-        viewer.tell(Out::Binary(protocol::playback_state(&state, false, "")));
+        viewer.send(Out::Binary(protocol::playback_state(&state, false, "")));
     }
     if !services.is_empty() {
-        viewer.tell(Out::Text(protocol::advertise_services(services)));
+        viewer.send(Out::Text(protocol::advertise_services(services)));
     }
     let of_writer = viewer.clone();
     let ending = shared.clone();
@@ -375,7 +376,7 @@ fn view(connection: TcpStream, shared: &Arc<Shared>) {
                 _ => continue,
             };
             if let Err(fault) = asked.and_then(|asked| shared.answer(&viewer, asked)) {
-                viewer.tell(Out::Text(protocol::status(Level::Error, &fault, "request")));
+                viewer.send(Out::Text(protocol::status(Level::Error, &fault, "request")));
             }
         }
     }
@@ -397,21 +398,21 @@ impl Shared {
                 let all = self.app.parameters();
                 let asked = all.into_iter().filter(|(name, _)| names.is_empty() || names.contains(name));
                 let values: Vec<_> = asked.collect();
-                viewer.tell(Out::Text(protocol::parameter_values(&values, id.as_deref())));
+                viewer.send(Out::Text(protocol::parameter_values(&values, id.as_deref())));
             }
             FromClient::SetParameters { values, id } => {
-                let set = values.iter().try_for_each(|(name, value)| self.app.set_parameter(name, value));
+                let set = self.app.set_parameters(&values);
                 // Of a refused one the viewer is sent what it still is.
                 let now = self.app.parameters().into_iter();
                 let now: Vec<_> = now.filter(|(name, _)| values.iter().any(|(set, _)| set == name)).collect();
-                viewer.tell(Out::Text(protocol::parameter_values(&now, id.as_deref())));
+                viewer.send(Out::Text(protocol::parameter_values(&now, id.as_deref())));
                 set?;
-                self.stream.tell_all(&Out::Text(protocol::parameter_values(&now, None)));
+                self.stream.publish_parameters(&now);
             }
             FromClient::Service(call) => {
                 let named = (call.service as usize).checked_sub(1).and_then(|index| self.app.services().get(index));
                 let answer = named.ok_or("there is no such service".to_owned());
-                viewer.tell(match answer.and_then(|name| self.app.call(name, &call.request)) {
+                viewer.send(match answer.and_then(|name| self.app.call(name, &call.request)) {
                     Ok(answer) => Out::Binary(protocol::service_response(&call, &answer)),
                     Err(message) => Out::Text(protocol::service_failure(&call, &message)),
                 });
@@ -423,9 +424,9 @@ impl Shared {
                 }
                 let state = self.app.play(request.plays, speed, request.seek_ns);
                 let state = state.ok_or("nothing is played back: this is live")?;
-                // A jump is told to all by the playback, before what follows it.
+                // The playback announces a jump to all viewers, before what follows it.
                 let bytes = protocol::playback_state(&state, false, &request.id);
-                viewer.tell(Out::Binary(bytes));
+                viewer.send(Out::Binary(bytes));
             }
             FromClient::Other => {}
         }

@@ -1,6 +1,6 @@
 //! Channels with the last message of each, and the queues of the viewers.
 //!
-//! Whoever publishes never waits: a viewer that reads too slowly loses messages of its own, the oldest first, but never the
+//! Publishing never waits: a viewer that reads too slowly loses messages of its own, the oldest first, but never the
 //! last one of a channel.
 
 use crate::protocol::{self, Level};
@@ -15,8 +15,8 @@ use std::{
 /// Bytes that may wait for a viewer: two seconds of 20,000 points with normals at 20 Hz, twice.
 const MAX_WAITING_BYTES: usize = 64 << 20;
 
-/// Channels of the server itself are numbered down from here, those of a recording up from 1.
-const OWN_CHANNELS: u16 = u16::MAX;
+/// Channels of the server itself are numbered down from here, those of runs and recordings up from 1.
+const OWN_CHANNELS: u32 = u32::MAX;
 
 /// Channels of a run whose messages add up, and the one that has their sums.
 pub(crate) const TIMING: &str = "/run/timing";
@@ -34,7 +34,7 @@ struct NodeSum {
 /// A message of a channel.
 #[derive(Debug)]
 struct Message {
-    channel: u16,
+    channel: u32,
     log_time_ns: u64,
     data: Vec<u8>,
 }
@@ -45,9 +45,12 @@ pub struct Stream(Mutex<Hub>);
 
 #[derive(Debug, Default)]
 struct Hub {
-    channels: BTreeMap<u16, ListenedChannel>,
-    last: BTreeMap<u16, Arc<Message>>,
-    own: BTreeMap<String, u16>,
+    /// Channels by the number that viewers know.
+    channels: BTreeMap<u32, ListenedChannel>,
+    /// Added to the number that a run has for a channel: no number is used again after [`Stream::restart`].
+    offset: u32,
+    last: BTreeMap<u32, Arc<Message>>,
+    own: BTreeMap<String, u32>,
     nodes: BTreeMap<String, NodeSum>,
     viewers: Vec<Arc<Viewer>>,
     totals: Totals,
@@ -77,15 +80,34 @@ impl Stream {
     /// Forgets the last message of each channel, and what waits for viewers: the time of a recording jumps.
     pub fn forget(&self) {
         let mut hub = self.hub();
-        let own: BTreeSet<u16> = hub.own.values().copied().collect();
+        let own: BTreeSet<u32> = hub.own.values().copied().collect();
         hub.last.retain(|channel, _| own.contains(channel));
         hub.nodes.clear();
         hub.viewers.iter().for_each(|viewer| viewer.forget());
     }
 
+    /// Removes the channels of a run that has ended: another run begins.
+    pub fn restart(&self) {
+        self.forget();
+        let mut hub = self.hub();
+        let own: BTreeSet<u32> = hub.own.values().copied().collect();
+        let gone: Vec<u32> = hub.channels.keys().copied().filter(|id| !own.contains(id)).collect();
+        hub.channels.retain(|id, _| own.contains(id));
+        hub.offset = gone.iter().copied().max().unwrap_or(hub.offset);
+        for viewer in &hub.viewers {
+            gone.iter().for_each(|channel| viewer.unsubscribe_from(*channel));
+            viewer.send(Out::Text(protocol::unadvertise(&gone)));
+        }
+    }
+
+    /// Sends the values of parameters to all viewers.
+    pub fn publish_parameters(&self, values: &[(String, Value)]) {
+        self.send_to_all(&Out::Text(protocol::parameter_values(values, None)));
+    }
+
     /// Sends a control message to all viewers.
-    pub(crate) fn tell_all(&self, message: &Out) {
-        self.hub().viewers.iter().for_each(|viewer| viewer.tell(message.clone()));
+    pub(crate) fn send_to_all(&self, message: &Out) {
+        self.hub().viewers.iter().for_each(|viewer| viewer.send(message.clone()));
     }
 
     /// Numbers of viewers and messages so far.
@@ -97,8 +119,7 @@ impl Stream {
     pub(crate) fn join(&self) -> Arc<Viewer> {
         let viewer = Arc::new(Viewer::default());
         let mut hub = self.hub();
-        let channels: Vec<ListenedChannel> = hub.channels.values().cloned().collect();
-        viewer.tell(Out::Text(protocol::advertise(&channels)));
+        viewer.send(Out::Text(protocol::advertise(&hub.channels)));
         hub.viewers.push(viewer.clone());
         hub.totals.n_viewers += 1;
         viewer
@@ -117,8 +138,9 @@ impl Stream {
     /// A sentence if there is no such channel, or the viewer has used this number already.
     pub(crate) fn subscribe(&self, viewer: &Viewer, subscription: u32, channel: u32) -> Result<(), String> {
         let hub = self.hub();
-        let known = u16::try_from(channel).ok().filter(|channel| hub.channels.contains_key(channel));
-        let channel = known.ok_or(format!("there is no channel {channel}"))?;
+        if !hub.channels.contains_key(&channel) {
+            return Err(format!("there is no channel {channel}"));
+        }
         viewer.subscribe(subscription, channel)?;
         if let Some(last) = hub.last.get(&channel) {
             viewer.offer(last);
@@ -134,12 +156,14 @@ impl Stream {
 
 impl Listener for Stream {
     fn channel(&self, channel: ListenedChannel) {
-        self.hub().add(channel);
+        let mut hub = self.hub();
+        let id = hub.offset + u32::from(channel.id);
+        hub.add(id, channel);
     }
 
     fn message(&self, channel: u16, log_time_ns: u64, data: Vec<u8>) {
-        let message = Message { channel, log_time_ns, data };
         let mut hub = self.hub();
+        let message = Message { channel: hub.offset + u32::from(channel), log_time_ns, data };
         hub.add_up(&message);
         hub.publish(message);
     }
@@ -149,17 +173,18 @@ impl Hub {
     fn publish_own(&mut self, topic: &str, value: &Value) {
         let known = self.own.get(topic).copied();
         let id = known.unwrap_or_else(|| {
-            let id = OWN_CHANNELS - self.own.len() as u16;
+            let id = OWN_CHANNELS - self.own.len() as u32;
             self.own.insert(topic.into(), id);
-            self.add(ListenedChannel {
-                id,
+            let channel = ListenedChannel {
+                id: 0,
                 topic: topic.into(),
                 encoding: "json".into(),
                 schema_name: topic.trim_start_matches('/').replace('/', "."),
                 schema_encoding: "jsonschema".into(),
                 schema: (*b"{\"type\":\"object\"}").into(),
                 metadata: BTreeMap::new(),
-            });
+            };
+            self.add(id, channel);
             id
         });
         self.publish(Message { channel: id, log_time_ns: 1, data: value.to_string().into_bytes() });
@@ -172,14 +197,14 @@ impl Hub {
         if !is_timing && !is_drops {
             return;
         }
-        let Ok(told) = serde_json::from_slice::<Value>(&message.data) else { return };
-        for firing in told["firings"].as_array().into_iter().flatten().filter(|_| is_timing) {
+        let Ok(record) = serde_json::from_slice::<Value>(&message.data) else { return };
+        for firing in record["firings"].as_array().into_iter().flatten().filter(|_| is_timing) {
             let Some(node) = firing[0].as_str() else { continue };
             let sum = self.nodes.entry(node.into()).or_default();
             sum.n_firings += 1;
             sum.ms += firing[3].as_f64().unwrap_or(0.0) / 1e6;
         }
-        for drop in told["drops"].as_array().into_iter().flatten().filter(|_| is_drops) {
+        for drop in record["drops"].as_array().into_iter().flatten().filter(|_| is_drops) {
             let Some((node, _)) = drop[1].as_str().and_then(|input| input.rsplit_once('.')) else { continue };
             self.nodes.entry(node.into()).or_default().n_dropped += 1;
         }
@@ -188,10 +213,10 @@ impl Hub {
         self.publish_own(NODES, &Value::Object(rows));
     }
 
-    fn add(&mut self, channel: ListenedChannel) {
-        let text = protocol::advertise(std::slice::from_ref(&channel));
-        self.viewers.iter().for_each(|viewer| viewer.tell(Out::Text(text.clone())));
-        self.channels.insert(channel.id, channel);
+    fn add(&mut self, id: u32, channel: ListenedChannel) {
+        let text = protocol::advertise([(&id, &channel)]);
+        self.viewers.iter().for_each(|viewer| viewer.send(Out::Text(text.clone())));
+        self.channels.insert(id, channel);
     }
 
     fn publish(&mut self, message: Message) {
@@ -228,9 +253,9 @@ struct Queue {
     messages: VecDeque<Arc<Message>>,
     n_bytes: usize,
     /// Number of waiting messages of each channel.
-    n_of: BTreeMap<u16, usize>,
+    n_of: BTreeMap<u32, usize>,
     /// Channel of each subscription.
-    subscriptions: BTreeMap<u32, u16>,
+    subscriptions: BTreeMap<u32, u32>,
     n_sent: u64,
     n_dropped: u64,
     /// Messages lost when the viewer was last informed.
@@ -244,12 +269,12 @@ impl Viewer {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(crate) fn tell(&self, message: Out) {
+    pub(crate) fn send(&self, message: Out) {
         self.queue().control.push_back(message);
         self.filled.notify_one();
     }
 
-    fn subscribe(&self, subscription: u32, channel: u16) -> Result<(), String> {
+    fn subscribe(&self, subscription: u32, channel: u32) -> Result<(), String> {
         match self.queue().subscriptions.insert(subscription, channel) {
             None => Ok(()),
             Some(_) => Err(format!("subscription {subscription} is used twice")),
@@ -258,6 +283,10 @@ impl Viewer {
 
     pub(crate) fn unsubscribe(&self, subscription: u32) {
         self.queue().subscriptions.remove(&subscription);
+    }
+
+    fn unsubscribe_from(&self, channel: u32) {
+        self.queue().subscriptions.retain(|_, subscribed| *subscribed != channel);
     }
 
     /// Queues a message if it is subscribed to.
@@ -298,7 +327,7 @@ impl Viewer {
         let mut out: Vec<Out> = queue.control.drain(..).collect();
         if let Some(message) = queue.messages.pop_front() {
             queue.took(&message);
-            let of_channel = |(_, channel): &(&u32, &u16)| **channel == message.channel;
+            let of_channel = |(_, channel): &(&u32, &u32)| **channel == message.channel;
             let subscriptions: Vec<u32> = queue.subscriptions.iter().filter(of_channel).map(|(id, _)| *id).collect();
             queue.n_sent += subscriptions.len() as u64;
             out.extend(
@@ -356,22 +385,22 @@ mod tests {
 
     /// The first byte of data of the messages that come out.
     fn received(viewer: &Viewer) -> Vec<u8> {
-        received_and_told(viewer).0
+        received_and_status(viewer).0
     }
 
     /// The same, and the last status.
-    fn received_and_told(viewer: &Viewer) -> (Vec<u8>, String) {
-        let (mut out, mut told) = (Vec::new(), String::new());
+    fn received_and_status(viewer: &Viewer) -> (Vec<u8>, String) {
+        let (mut out, mut status) = (Vec::new(), String::new());
         while let Some(messages) = viewer.take(NOW).filter(|messages| !messages.is_empty()) {
             out.extend(messages.into_iter().filter_map(|message| match message {
                 Out::Binary(bytes) => Some(bytes[13]),
                 Out::Text(text) => {
-                    told = text;
+                    status = text;
                     None
                 }
             }));
         }
-        (out, told)
+        (out, status)
     }
 
     #[test]
@@ -406,9 +435,9 @@ mod tests {
             quick_got.extend(received(&quick));
         }
         assert_eq!(quick_got, [200, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9]);
-        let (got, told) = received_and_told(&slow);
+        let (got, status) = received_and_status(&slow);
         assert_eq!(got, [200, 7, 8, 9], "the only message of channel 2 stays");
-        assert!(told.contains("too slowly: 7 of 8"), "{told}");
+        assert!(status.contains("too slowly: 7 of 8"), "{status}");
         assert_eq!(stream.totals(), Totals { n_viewers: 2, n_sent: 15, n_dropped: 7 });
         [slow, quick].into_iter().for_each(|viewer| stream.leave(&viewer));
         assert_eq!(stream.totals(), Totals { n_viewers: 2, n_sent: 15, n_dropped: 7 });
@@ -420,13 +449,13 @@ mod tests {
         for (id, topic) in [(1, TIMING), (2, DROPS)] {
             stream.channel(ListenedChannel { topic: topic.into(), ..channel(id) });
         }
-        let told = [
+        let records = [
             (1, json!({ "firings": [["icp", 0, 5, 2_000_000], ["crop", 0, 5, 500_000]] })),
             (1, json!({ "firings": [["icp", 1, 9, 4_000_000]] })),
             (2, json!({ "drops": [["scan.cloud", "m.crop.cloud", 3]] })),
             (1, json!("nonsense")),
         ];
-        told.into_iter().for_each(|(id, message)| stream.message(id, 1, message.to_string().into_bytes()));
+        records.into_iter().for_each(|(id, message)| stream.message(id, 1, message.to_string().into_bytes()));
         stream.message(1, 1, b"{".to_vec());
         let sums = |stream: &Stream| {
             let hub = stream.hub();
@@ -437,6 +466,33 @@ mod tests {
         stream.forget();
         stream.message(1, 1, json!({ "firings": [["icp", 1, 9, 4_000_000]] }).to_string().into_bytes());
         assert_eq!(sums(&stream), json!({ "icp": [1, 4.0, 0] }));
+    }
+
+    #[test]
+    fn a_restart_takes_the_channels_away_and_uses_no_number_again() {
+        let stream = Stream::default();
+        stream.publish("/own", &json!({}));
+        [1, 2].into_iter().for_each(|id| stream.channel(channel(id)));
+        let viewer = stream.join();
+        [1, 2, OWN_CHANNELS].into_iter().for_each(|id| stream.subscribe(&viewer, id, id).unwrap());
+        received(&viewer);
+        stream.message(1, 1, vec![1]);
+        stream.restart();
+        let (got, text) = received_and_status(&viewer);
+        assert_eq!((got.as_slice(), text.as_str()), (&[][..], r#"{"op":"unadvertise","channelIds":[1,2]}"#));
+        // A request that was under way names a channel that is gone, and gets none of the next run.
+        assert!(stream.subscribe(&viewer, 1, 1).is_err());
+        stream.channel(channel(1));
+        stream.message(1, 1, vec![3]);
+        assert_eq!(received(&viewer), [] as [u8; 0]);
+        stream.subscribe(&viewer, 3, 3).unwrap();
+        assert_eq!(received(&viewer), [3]);
+        stream.publish("/own", &json!({}));
+        assert_eq!(received(&viewer).len(), 1, "channels of the server stay");
+        stream.restart();
+        stream.restart();
+        stream.channel(channel(1));
+        assert!(stream.subscribe(&viewer, 4, 4).is_ok());
     }
 
     #[test]

@@ -133,10 +133,11 @@ impl<'a> Walker<'a> {
     }
 
     /// If a variant chose the kind and another file set the parameter, shows both places.
-    fn kind_elsewhere(&self, fault: Fault, entry: &Entry, prefix: &str) -> Fault {
+    fn kind_elsewhere(&self, mut fault: Fault, entry: &Entry, prefix: &str) -> Fault {
+        let path = format!("{}.{prefix}{}", self.path, entry.key);
+        fault.removes = (!entry.key_at.source.command_line).then(|| path.clone());
         match self.kind_at {
             Some(kind_at) if kind_at.source.order < entry.key_at.source.order && !entry.key_at.source.command_line => {
-                let path = format!("{}.{prefix}{}", self.path, entry.key);
                 let take_away = format!("take it away where the kind is chosen: remove = [\"{path}\"]");
                 fault.also(kind_at, "the kind is chosen here").or_help(take_away)
             }

@@ -34,7 +34,8 @@ const MIN_AROUND: usize = 24;
 /// The scan is projected into its camera's image, where it is sampled evenly. An enclosed gap is filled with points as
 /// dense as the scan's, on a quadratic surface fitted to the points around it; these replace the missing points of a
 /// reference, and the search continues as in [`cloud_difference`](super::cloud_difference()). A spot at the silhouette
-/// is not enclosed and not found, and any other loss as large as the spot is taken for it, so there is no second tier.
+/// is not enclosed and not found, and any other loss as large as the spot is taken for it, so only a hole whose centre is
+/// uncertain is of the second tier.
 /// `O(n log n)`.
 ///
 /// # Errors
@@ -51,8 +52,7 @@ pub fn boundary(cloud: &Cloud, params: &HoleParams) -> Result<Hole, HoleError> {
     let points: Vec<Point3<f64>> = cloud.points().iter().copied().chain(fill.points).collect();
     let indices = (n_seen..points.len()).collect();
     let reference = Cloud::new(cloud.frame.clone(), points).map_err(|_| HoleError::NoViewpoint)?;
-    let first_tier = HoleParams { min_confidence_agreeing: 1.0, ..params.clone() };
-    find(&Scene::new(&reference, cloud, params)?, &Missing { indices, margin_mm }, &first_tier)
+    find(&Scene::new(&reference, cloud, params)?, &Missing { indices, margin_mm, alone_is_enough: false }, params)
 }
 
 /// Points that fill the gaps.

@@ -33,6 +33,11 @@ const NARROWEST: f64 = 1.0;
 /// Section 2.3 of the paper, which takes the centre of the largest cluster of missing points.
 pub fn cloud_difference(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Result<Hole, HoleError> {
     let scene = Scene::new(reference, cloud, params)?;
+    find(&scene, &missing(&scene, params), params)
+}
+
+/// Reference points farther from the scan with the laser than its spacing explains.
+pub(super) fn missing(scene: &Scene<'_>, params: &HoleParams) -> Missing {
     // The distance between the scans must not look like a gap.
     let apart_mm = 2.0 * scene.residual_mm * scene.sight.depth_share();
     let factor = (WIDEST * params.spot_radius_mm / scene.median_spacing_mm).clamp(NARROWEST, GAP);
@@ -45,5 +50,5 @@ pub fn cloud_difference(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -
     let indices: Vec<usize> = (0..scene.reference.len()).into_par_iter().filter(is_missing).collect();
     // A point this close to the rim still has a neighbour beyond it.
     let margin_mm = indices.iter().map(|&i| gap(i)).sum::<f64>() / indices.len().max(1) as f64;
-    find(&scene, &Missing { indices, margin_mm }, params)
+    Missing { indices, margin_mm, alone_is_enough: true }
 }

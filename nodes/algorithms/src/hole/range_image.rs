@@ -35,7 +35,7 @@ fn missing(scene: &Scene<'_>, t_camera_cloud: &Isometry3<f64>) -> Option<Missing
     };
     let indices: Vec<usize> = (0..scene.reference.len()).filter(is_missing).collect();
     let margin_mm = indices.iter().map(|&i| scene.spacing_mm(i)).sum::<f64>() / indices.len().max(1) as f64 / 2.0;
-    Some(Missing { indices, margin_mm })
+    Some(Missing { indices, margin_mm, alone_is_enough: true })
 }
 
 /// Whether more than half of the cells in the 3 × 3 neighbourhood that the reference fills are empty in the laser scan.

@@ -1,4 +1,6 @@
 use super::blobs::{Blob, Channels, Mask, blobs};
+use super::cloud_difference::missing;
+use super::footprint::Footprint;
 use super::patch::Patch;
 use super::scene::Scene;
 use super::{Hole, HoleError, HoleParams, HoleReport};
@@ -65,7 +67,8 @@ pub struct RgbSpotParams {
     #[schemars(range(min = 1.0, max = 255.0))]
     pub min_contrast: f64,
     /// Whether the scan has to lack half of its points at the laser's spot. true: a mirrored image, wrong intrinsics and the image of
-    /// another scan are recognized by it; false for a camera whose depth the laser does not disturb. Not used for a pen.
+    /// another scan are recognized by it, and a spot of which the silhouette hides a part; false for a camera whose depth the laser does
+    /// not disturb. Not used for a pen.
     pub require_hole: bool,
 }
 
@@ -246,7 +249,7 @@ pub fn rgb_spot(
         let (percent, needed) = (best.empty_share * 100.0, MIN_EMPTY_SHARE * 100.0);
         return Err(RgbSpotError::HoleElsewhere { at, percent, needed });
     }
-    Ok(search.hole(best, found.len()))
+    Ok(search.placed(best, found.len()))
 }
 
 impl RgbSpotParams {
@@ -398,6 +401,18 @@ impl<'a> Search<'a> {
         3.0 * self.spacing_px.max(1.0)
     }
 
+    /// The hole where disc or beam explain what the scan lacks, with the confidence that the distance between these places leaves.
+    fn placed(&self, best: &Candidate, n_candidates: usize) -> Hole {
+        let mut hole = self.hole(best, n_candidates);
+        if self.params.mark == Mark::Laser && self.params.require_hole {
+            let params = self.params.of_holes();
+            let missing = missing(self.scene, &params);
+            let footprint = Footprint::of_hole(self.scene, &missing, &hole.centre, &params);
+            hole.place(&footprint, &params);
+        }
+        hole
+    }
+
     fn hole(&self, best: &Candidate, n_candidates: usize) -> Hole {
         let scene = self.scene;
         let report = HoleReport {
@@ -416,6 +431,7 @@ impl<'a> Search<'a> {
             seen_share: 1.0,
             rim_share: best.n_sectors as f64 / SECTORS as f64,
             size_share: best.size_share,
+            centre_uncertainty_mm: None,
             confidence: best.confidence,
         };
         Hole { centre: best.centre, radius_mm: best.radius_mm, confidence: best.confidence, report }

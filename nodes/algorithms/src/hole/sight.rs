@@ -56,6 +56,13 @@ impl Sight {
         Point3::new(p.x * scale, p.y * scale, DEPTH_SHARE * p.z)
     }
 
+    /// The scale of the flattened image at a point's depth, and its depth, mm; `None` without a camera.
+    pub(super) fn image(&self, point: &Point3<f64>) -> Option<(f64, f64)> {
+        let camera = self.0.as_ref()?;
+        let z = (camera.t_camera_cloud * point).z;
+        Some((camera.depth_mm / z.max(camera.nearest_mm), z))
+    }
+
     /// A distance that points within `radius_mm` of `point` in space are within when flattened, mm.
     pub(super) fn reach_mm(&self, point: &Point3<f64>, radius_mm: f64) -> f64 {
         let Some(camera) = &self.0 else { return radius_mm };

@@ -1,5 +1,6 @@
 //! The search of all detectors for a disc among the missing points.
 
+use super::footprint::Footprint;
 use super::patch::Patch;
 use super::scene::{Scan, Scene};
 use super::{Hole, HoleError, HoleParams, HoleReport};
@@ -61,6 +62,8 @@ pub(super) struct Missing {
     pub(super) indices: Vec<usize>,
     /// Distance inside the rim within which points still count as present, mm.
     pub(super) margin_mm: f64,
+    /// Whether a hole that lacks its whole disc and is the only candidate is of the second tier.
+    pub(super) alone_is_enough: bool,
 }
 
 /// A candidate for the hole.
@@ -94,6 +97,21 @@ impl Candidate {
             && confidence.contains(&self.hole.confidence)
     }
 
+    /// The hole where disc or beam explain it, with the confidence that the distance between these places leaves.
+    fn placed(&self, scene: &Scene<'_>, missing: &Missing, params: &HoleParams) -> Result<Hole, HoleError> {
+        let mut hole = self.hole.clone();
+        hole.place(&Footprint::of_hole(scene, missing, &hole.centre, params), params);
+        if hole.report.tier > 1 && params.min_confidence_agreeing >= params.min_confidence {
+            return Err(HoleError::Uncertain {
+                at: hole.centre.coords.into(),
+                uncertainty_mm: hole.report.centre_uncertainty_mm.unwrap_or_default(),
+                confidence: hole.confidence,
+                needed: params.min_confidence,
+            });
+        }
+        Ok(hole)
+    }
+
     /// Score against rivals: a strip that is lost at a steep edge continues around the disc, a spot does not.
     fn score(&self) -> f64 {
         self.hole.confidence * (1.0 - self.n_lost as f64 / SECTORS as f64).powi(2)
@@ -123,13 +141,15 @@ pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) ->
                 first_confidence: best.hole.confidence,
                 second_confidence: rival.hole.confidence,
             }),
-            None => Ok(best.hole.clone()),
+            None => best.placed(scene, missing, params),
         };
     }
-    let mut empty: Vec<Candidate> = candidates.into_iter().filter(Candidate::is_empty).collect();
-    empty.iter_mut().for_each(|c| c.hole.report.tier = 2);
+    if !missing.alone_is_enough {
+        return Err(not_found);
+    }
+    let empty: Vec<Candidate> = candidates.into_iter().filter(Candidate::is_empty).collect();
     match empty.iter().find(|c| c.is_of_second_tier(params)) {
-        Some(best) if rivals(best, empty.iter(), params).is_empty() => Ok(best.hole.clone()),
+        Some(best) if rivals(best, empty.iter(), params).is_empty() => best.placed(scene, missing, params),
         _ => Err(not_found),
     }
 }
@@ -287,6 +307,7 @@ fn rate(
         seen_share,
         rim_share,
         size_share,
+        centre_uncertainty_mm: None,
         confidence,
     };
     Some(Candidate { hole: Hole { centre, radius_mm, confidence, report }, n_lost, n_seen, n_expected: expected(core) })

@@ -216,3 +216,15 @@ fn points_survive_being_written_in_either_space() {
     }
     assert!(write_fcsv(&path, &[NamedPoint::new("a\nb", Point3::origin())], Space::Lps).is_err());
 }
+
+#[test]
+fn a_box_is_read_as_it_was_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("roi.mrk.json");
+    let (min, max) = (Point3::new(-60.0, -40.0, 150.0), Point3::new(60.0, 41.0, 250.0));
+    write_roi_mrk_json(&path, "region", &min, &max).unwrap();
+    let read = read_picked_points(&path).unwrap();
+    let [roi] = &read.rois[..] else { panic!("{} boxes", read.rois.len()) };
+    assert_eq!((&*roi.name, roi.center, roi.size_mm), ("region", Point3::new(0.0, 0.5, 200.0), max - min));
+    assert_eq!(roi.axes, Rotation3::identity());
+}

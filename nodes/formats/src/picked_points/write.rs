@@ -1,7 +1,7 @@
 //! Lists of points for other programs.
 
 use crate::{FileError, Space, write::NOTICE};
-use nalgebra::{Isometry3, Matrix4, Vector3};
+use nalgebra::{Isometry3, Matrix4, Point3, Vector3};
 use osteoflow_geometry::NamedPoint;
 use serde_json::json;
 use std::{fmt::Write as _, path::Path, sync::Arc};
@@ -56,6 +56,41 @@ pub fn write_mrk_json(path: &Path, points: &[NamedPoint], space: Space) -> Resul
             "coordinateSystem": space.to_string(),
             "coordinateUnits": "mm",
             "controlPoints": control_points,
+        }],
+    });
+    let text = serde_json::to_string_pretty(&whole).expect("numbers and texts can be written") + "\n";
+    std::fs::write(path, text).map_err(FileError::write(path))
+}
+
+/// Writes a box along the axes as a region of interest of 3D Slicer in JSON; mm, called LPS.
+///
+/// # Errors
+/// [`FileError`] if the file cannot be written.
+pub fn write_roi_mrk_json(path: &Path, name: &str, min: &Point3<f64>, max: &Point3<f64>) -> Result<(), FileError> {
+    let center = nalgebra::center(min, max);
+    let whole = json!({
+        "@schema": SCHEMA,
+        "markups": [{
+            "type": "ROI",
+            "name": name,
+            "description": NOTICE,
+            "coordinateSystem": "LPS",
+            "coordinateUnits": "mm",
+            "roiType": "Box",
+            "center": center.coords.as_slice(),
+            "orientation": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            "size": (max - min).as_slice(),
+            "insideOut": false,
+            "controlPoints": [{
+                "id": "1",
+                "label": name,
+                "description": NOTICE,
+                "position": center.coords.as_slice(),
+                "selected": true,
+                "locked": false,
+                "visibility": true,
+                "positionStatus": "defined",
+            }],
         }],
     });
     let text = serde_json::to_string_pretty(&whole).expect("numbers and texts can be written") + "\n";

@@ -27,7 +27,7 @@ const LAST_WORDS: Duration = Duration::from_millis(500);
 /// The device of statuses.
 pub(super) const DEVICE: &str = "Osteoflow";
 
-/// What the thread is told.
+/// Messages to the thread.
 pub(super) enum Task {
     /// Sends a message now. A lasting one is sent to later receivers too, instead of an earlier one of its device and type.
     Send {

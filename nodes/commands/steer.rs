@@ -1,0 +1,378 @@
+//! `view GRAPH`: runs a graph, shows it on the page, and runs it again whenever its files change or the user changes it there.
+//!
+//! Each run is a whole one, with a recording of its own, so that what the page shows can always be replayed; expensive answers come
+//! from the store (docs/decisions/0034).
+
+mod changes;
+mod two_files;
+mod write_back;
+
+pub(crate) use two_files::TwoFiles;
+
+use super::{
+    Exit, Global, GraphArgs, graph_args,
+    progress::Progress,
+    run::{self, Keep, Leave},
+    running::{self, Ran},
+    serve::{
+        self, Admission, Serving, known_plan,
+        picks::{self, Picks},
+    },
+    watch,
+};
+use anyhow::Result;
+use changes::{Changes, Problem};
+use osteoflow_engine::{
+    Checked,
+    check::files,
+    check_recorded,
+    run::{Outcome, RunOptions, run as run_graph},
+    watch::Stamps,
+};
+use osteoflow_geometry::SurgicalPlan;
+use osteoflow_node::Role;
+use osteoflow_viewer::{Answer, App, Server, Stream};
+use serde_json::{Value, json};
+use std::{
+    fs,
+    io::Write,
+    net::SocketAddr,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex, PoisonError, atomic::Ordering},
+};
+
+/// What the page may do to the graph.
+const ACTIONS: [&str; 4] = ["set", "revert", "write", "region"];
+
+/// A graph to show and change.
+pub(crate) struct Steered {
+    pub(crate) graph: GraphArgs,
+    pub(crate) out: Option<PathBuf>,
+    pub(crate) address: SocketAddr,
+    pub(crate) admission: Admission,
+    /// The graph of a bone and a scan, which is not the user's.
+    pub(crate) two_files: Option<TwoFiles>,
+    pub(crate) picks: Picks,
+}
+
+/// What the page shows, and what it may change.
+struct Steering {
+    changes: Changes,
+    /// The parameters as the page lists them, by node.
+    graph: Mutex<Value>,
+    /// The plan that the graph reads, with what the page does not see of it.
+    plan: Mutex<Option<SurgicalPlan>>,
+    picks: Picks,
+    two_files: Option<TwoFiles>,
+}
+
+impl Steering {
+    /// Does what the page asks for.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    fn act(&self, action: &str, request: &Value) -> Result<Value, String> {
+        match action {
+            "set" => {
+                let values =
+                    request["values"].as_object().ok_or("\"values\" is missing: an object of keys and values")?;
+                let values: Vec<_> = values.iter().map(|(key, value)| (key.clone(), value.clone())).collect();
+                self.changes.set(&values)
+            }
+            "revert" => self.changes.revert(),
+            "write" => self.changes.write(),
+            "region" => self.save_region(request),
+            _ => Err(format!("there is no action {action}")),
+        }
+    }
+
+    fn plan(&self) -> Option<SurgicalPlan> {
+        self.plan.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Saves a region that was drawn on the page, and lets a crop use it.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    fn save_region(&self, request: &Value) -> Result<Value, String> {
+        let node = request["node"].as_str().ok_or("\"node\" is missing: the crop that uses the region")?;
+        let is_crop = {
+            let graph = self.graph.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut nodes = graph["nodes"].as_array().into_iter().flatten();
+            nodes.any(|known| {
+                known["name"] == node && known["kind"].as_str().is_some_and(|kind| kind.starts_with("crop."))
+            })
+        };
+        if !is_crop {
+            return Err(format!("the graph has no crop \"{node}\" that could use the region"));
+        }
+        let path = self.picks.save_region(&request["region"].to_string())?;
+        let changes = self.use_file(&[node], "crop.file", &path)?;
+        Ok(json!({ "changes": changes, "message": format!("saved in {}", path.display()) }))
+    }
+
+    /// Lets nodes read a file.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    fn use_file(&self, nodes: &[&str], kind: &str, path: &Path) -> Result<Value, String> {
+        let path = path.display().to_string();
+        let settings =
+            |node: &&str| [(format!("{node}.kind"), kind.into()), (format!("{node}.path"), path.as_str().into())];
+        let settings: Vec<(String, Value)> = nodes.iter().flat_map(settings).collect();
+        self.changes.set(&settings).map_err(|why| format!("{path} is saved, but the graph cannot use it: {why}"))
+    }
+
+    /// Lets the graph use picks that were saved: the plan of its plan nodes, or the pairs of a registration of two files.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    fn use_picks(&self, what: &str, saved: &Value) -> Result<&'static str, String> {
+        let file = |name: &str| {
+            let files = saved["files"].as_array().into_iter().flatten().filter_map(Value::as_str).map(Path::new);
+            let mut of_name = files.filter(|file| file.file_name().is_some_and(|known| known == name));
+            of_name.next().ok_or(format!("{name} was not saved")).and_then(picks::absolute)
+        };
+        if what == "pairs" {
+            let Some(graph) = &self.two_files else { return Ok("") };
+            let (bone, scan) = (file("bone_points.mrk.json")?, file("scan_points.mrk.json")?);
+            return graph.start_from_pairs(&bone, &scan).map(|()| "; the registration starts from them");
+        }
+        let graph = self.graph.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let nodes = graph["nodes"].as_array().into_iter().flatten().filter(|node| {
+            let mut outputs = node["outputs"].as_array().into_iter().flatten();
+            node["kind"].as_str().is_some_and(|kind| kind.starts_with("plan."))
+                && outputs.any(|output| output["name"] == "planes")
+        });
+        let nodes: Vec<&str> = nodes.filter_map(|node| node["name"].as_str()).collect();
+        if nodes.is_empty() {
+            return Ok("; the graph has no node of a plan that could use it");
+        }
+        self.use_file(&nodes, "plan.file", &file("plan.json")?).map(|_| "; the graph runs with it")
+    }
+}
+
+impl App for Steering {
+    fn get(&self, path: &str) -> Option<Answer> {
+        self.picks.get(path, self.plan().as_ref())
+    }
+
+    fn post(&self, path: &str, body: &[u8]) -> Option<Answer> {
+        if let Some(what) = path.strip_prefix("save/") {
+            let known = self.plan();
+            let saved = match &known {
+                Some(plan) => self.picks.save_with(what, body, plan),
+                None => self.picks.save(what, body),
+            };
+            let used = saved.and_then(|mut saved| {
+                let more = self.use_picks(what, &saved)?;
+                saved["message"] = format!("{}{more}", saved["message"].as_str().unwrap_or_default()).into();
+                Ok(saved)
+            });
+            return Some(match used {
+                Ok(saved) => Answer::json(&saved),
+                Err(message) => Answer::refused(422, &message),
+            });
+        }
+        let action = ACTIONS.iter().find(|action| **action == path)?;
+        let request = serde_json::from_slice(body).map_err(|error| format!("the request is no JSON: {error}"));
+        Some(match request.and_then(|request| self.act(action, &request)) {
+            Ok(answer) => Answer::json(&answer),
+            Err(message) => Answer::refused(422, &message),
+        })
+    }
+
+    fn parameters(&self) -> Vec<(String, Value)> {
+        let graph = self.graph.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut all = Vec::new();
+        for node in graph["nodes"].as_array().into_iter().flatten() {
+            let name = node["name"].as_str().unwrap_or_default();
+            all.push((format!("{name}.kind"), node["kind"].clone()));
+            for param in node["params"].as_array().into_iter().flatten() {
+                all.push((format!("{name}.{}", param["name"].as_str().unwrap_or_default()), param["value"].clone()));
+            }
+        }
+        drop(graph);
+        // What was set counts before it has been run.
+        self.changes.overlay(&mut all);
+        all
+    }
+
+    fn set_parameters(&self, values: &[(String, Value)]) -> Result<(), String> {
+        self.changes.set(values).map(drop)
+    }
+
+    fn services(&self) -> &'static [&'static str] {
+        &ACTIONS
+    }
+
+    fn call(&self, service: &str, request: &Value) -> Result<Value, String> {
+        self.act(service, request)
+    }
+}
+
+/// Runs, shows and runs again until Ctrl-C.
+pub(crate) fn execute(steered: Steered, global: &Global) -> Result<Exit> {
+    let cancelled = Arc::default();
+    let options = RunOptions { store: Keep::default().store()?, ..running::options(None, &cancelled)? };
+    let stream = Arc::new(Stream::default());
+    let built_in = steered.two_files.as_ref();
+    let no_file = built_in.map(|_| "this graph is built in; show graphs/two_files.toml to change a file");
+    let changes = Changes::new(steered.graph.clone(), no_file);
+    let steering = Arc::new(Steering {
+        changes,
+        graph: Mutex::default(),
+        plan: Mutex::default(),
+        picks: steered.picks,
+        two_files: steered.two_files,
+    });
+    let name = steered.graph.graph.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    let server = steered.admission.serve(steered.address, &name, stream.clone(), steering.clone(), global)?;
+    let leave = Leave { out: steered.out, force: false, workers: None };
+    let mut session = Session {
+        steering,
+        stream,
+        options,
+        leave,
+        global: global.clone(),
+        n_runs: 0,
+        was_interrupted: false,
+        before: None,
+    };
+    match running::watch(Progress::hidden(), cancelled, move |_| session.run(server))? {
+        Ran::Ended(exit) => Ok(exit),
+        Ran::Left => Ok(Exit::Interrupted),
+    }
+}
+
+/// The thread that runs the graph.
+struct Session {
+    steering: Arc<Steering>,
+    stream: Arc<Stream>,
+    options: RunOptions,
+    leave: Leave,
+    global: Global,
+    n_runs: usize,
+    was_interrupted: bool,
+    /// The state that the page showed after the last run, and the graph of that run.
+    before: Option<(Value, String)>,
+}
+
+impl Session {
+    fn run(&mut self, server: Server) -> Result<Exit> {
+        let cancelled = self.options.cancelled.clone();
+        loop {
+            // Both are taken before the graph is read: what changes later counts as a change.
+            let count = self.steering.changes.count();
+            let graph = Stamps::of(self.files()?);
+            let Some(files) = self.look()? else { return Ok(Exit::Usage) };
+            let stamps = graph.and(&files);
+            let is_asked = || cancelled.load(Ordering::Relaxed) || self.steering.changes.count() != count;
+            // The items of a live source cannot be repeated.
+            if !self.steering.changes.is_fixed() {
+                let _ = stamps.wait(&is_asked);
+            }
+            if self.steering.changes.is_fixed() || cancelled.load(Ordering::Relaxed) {
+                serve::wait(server, &cancelled, &self.global)?;
+                return Ok(if self.was_interrupted { Exit::Interrupted } else { Exit::Done });
+            }
+        }
+    }
+
+    /// The files of the graph.
+    fn files(&self) -> Result<Vec<PathBuf>> {
+        let changes = &self.steering.changes;
+        Ok(files(changes.path(), &changes.sets(), changes.kinds()?))
+    }
+
+    /// Checks the graph and runs it if it has changed; returns the state of the files that it reads, `None` if
+    /// there is nothing to wait for.
+    fn look(&mut self) -> Result<Option<Stamps>> {
+        let changes = &self.steering.changes;
+        let Checked { plan, warnings, registry, .. } = match changes.check() {
+            Ok(checked) => checked,
+            Err(problem) => {
+                if let Problem::Faults(faults) = &problem {
+                    graph_args::print_faults(faults, &self.global)?;
+                }
+                // A graph of the user's may be mended; a file that was named wrongly on the command line is not.
+                if self.n_runs == 0 && (self.steering.two_files.is_some() || !changes.path().exists()) {
+                    return Ok(None);
+                }
+                let mut state = self.before.as_ref().map_or(json!({}), |(state, _)| state.clone());
+                state["problem"] = format!("the graph has a fault and was not run: {problem}").into();
+                state["changes"] = changes.describe();
+                self.stream.publish(serve::STATE, &state);
+                let text = fs::read_to_string(changes.path()).unwrap_or_default();
+                let checked = check_recorded(&text, changes.path(), &changes.sets(), &changes.kinds()?);
+                return Ok(Some(checked.map(|checked| Stamps::of_plan(&checked.plan)).unwrap_or_default()));
+            }
+        };
+        let stamps = Stamps::of_plan(&plan);
+        let resolved = format!("{}{stamps:?}", plan.resolved);
+        if let Some((state, before)) = &mut self.before
+            && *before == resolved
+        {
+            state["changes"] = changes.describe();
+            if let Some(state) = state.as_object_mut() {
+                state.remove("problem");
+            }
+            self.stream.publish(serve::STATE, state);
+            return Ok(Some(stamps));
+        }
+        graph_args::warn(&warnings, &self.global)?;
+        if let Some(node) = plan.nodes.iter().find(|node| node.role == Role::LiveSource) {
+            changes.fix(format!(
+                "node \"{}\" is a live source, whose items cannot be repeated; change the graph, and start again",
+                node.name
+            ));
+        }
+        let dir = watch::folder(&self.leave, &plan, self.n_runs)?;
+        let graph = serve::graph_json(&plan, &registry);
+        *self.steering.plan.lock().unwrap_or_else(PoisonError::into_inner) = known_plan::of_graph(&plan);
+        self.steering.graph.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&graph);
+        self.stream.restart();
+        self.stream.publish_parameters(&self.steering.parameters());
+        let mut serving = Serving::begin(self.stream.clone(), &plan, &graph);
+        serving.add("changes", changes.describe());
+        let options = RunOptions {
+            out_dir: Some(dir.clone()),
+            listener: Some(self.stream.clone()),
+            record: true,
+            latency: true,
+            ..self.options.clone()
+        };
+        let progress = Progress::of_run(&plan, options.workers, &self.global);
+        let ran = run_graph(&plan, &registry, &options, &progress);
+        progress.end();
+        let report = match ran {
+            Ok(report) => report,
+            Err(error) => {
+                let _ = fs::remove_dir(&dir);
+                if self.n_runs == 0 {
+                    return Err(running::run_error(error));
+                }
+                serving.add("problem", format!("{error}").into());
+                serving.failed();
+                self.before = None;
+                return Ok(Some(stamps));
+            }
+        };
+        self.was_interrupted = report.outcome == Outcome::Interrupted;
+        let first = self.n_runs == 0;
+        self.n_runs += 1;
+        let was =
+            self.before.take().map(|(state, _)| json!({ "numbers": state["numbers"], "verdict": state["verdict"] }));
+        serving.add("was", was.unwrap_or(Value::Null));
+        serving.add("run", dir.file_name().map(|name| name.to_string_lossy()).into());
+        serving.ended(&report);
+        self.before = Some((serving.state().clone(), resolved));
+        run::print_end(&report, &dir, &self.global)?;
+        if first && !self.was_interrupted && !self.global.quiet {
+            let again = format!("; {} is run again when it changes", changes.path().display());
+            let again = if changes.is_fixed() { "" } else { &again };
+            writeln!(std::io::stderr(), "the page stays until Ctrl-C{again}")?;
+        }
+        Ok(Some(stamps))
+    }
+}

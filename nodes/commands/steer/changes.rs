@@ -1,0 +1,256 @@
+//! What the user changes on the page: settings on top of the graph file, until they are written into it.
+
+use super::write_back;
+use crate::commands::GraphArgs;
+use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text, plugin::Kinds};
+use serde_json::{Value, json};
+use std::{
+    path::Path,
+    sync::{Mutex, MutexGuard, PoisonError},
+};
+
+/// Attempts to check a change; each takes away the keys that the last one found unknown.
+const MAX_ATTEMPTS: usize = 3;
+
+/// The changes to a graph, shared by the thread that runs it and those that serve the page.
+#[derive(Debug)]
+pub(super) struct Changes {
+    graph: GraphArgs,
+    /// Why nothing can be written into the graph file.
+    no_file: Option<&'static str>,
+    made: Mutex<Made>,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Made {
+    /// Values by key, such as `icp.max_iterations`, in the order in which they were first set.
+    values: Vec<(String, toml::Value)>,
+    /// Keys of the file that a changed kind does not have, as `remove` takes them.
+    removed: Vec<String>,
+    /// Increases with each change.
+    count: u64,
+    /// Why nothing can be changed.
+    fixed: Option<String>,
+}
+
+impl Changes {
+    pub(super) fn new(graph: GraphArgs, no_file: Option<&'static str>) -> Self {
+        Self { graph, no_file, made: Mutex::default() }
+    }
+
+    fn made(&self) -> MutexGuard<'_, Made> {
+        self.made.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Increases with each change.
+    pub(super) fn count(&self) -> u64 {
+        self.made().count
+    }
+
+    /// Refuses all further changes.
+    pub(super) fn fix(&self, why: String) {
+        self.made().fixed = Some(why);
+    }
+
+    /// Whether nothing can be changed.
+    pub(super) fn is_fixed(&self) -> bool {
+        self.made().fixed.is_some()
+    }
+
+    /// The settings of the command line and those of the page.
+    pub(super) fn sets(&self) -> Vec<String> {
+        self.sets_of(&self.made())
+    }
+
+    fn sets_of(&self, made: &Made) -> Vec<String> {
+        self.graph.sets.iter().cloned().chain(made.sets()).collect()
+    }
+
+    /// The graph as it is now.
+    ///
+    /// # Errors
+    /// The faults of the graph file with the changes.
+    pub(super) fn check(&self) -> Result<Checked, Problem> {
+        self.check_made(&self.made())
+    }
+
+    fn check_made(&self, made: &Made) -> Result<Checked, Problem> {
+        let kinds = self.kinds().map_err(Problem::Other)?;
+        check(&self.graph.graph, &self.sets_of(made), &kinds).map_err(Problem::Faults)
+    }
+
+    /// Sets keys, all of them or none. A value of null takes a change back. Keys that a new kind does not have are taken away.
+    ///
+    /// # Errors
+    /// A sentence for the user; nothing has changed then.
+    pub(super) fn set(&self, values: &[(String, Value)]) -> Result<Value, String> {
+        let mut made = self.made();
+        if let Some(why) = &made.fixed {
+            return Err(why.clone());
+        }
+        let mut trial = made.clone();
+        for (key, value) in values {
+            trial.set(key, value)?;
+        }
+        trial.removed.clear();
+        for _ in 0..MAX_ATTEMPTS {
+            let faults = match self.check_made(&trial) {
+                Ok(_) => {
+                    trial.count += 1;
+                    *made = trial;
+                    return Ok(self.describe_made(&made));
+                }
+                Err(Problem::Faults(faults)) => faults,
+                Err(Problem::Other(error)) => return Err(format!("{error:#}")),
+            };
+            let unknown: Option<Vec<String>> = errors(&faults).map(|fault| fault.removes.clone()).collect();
+            let Some(unknown) = unknown.filter(|all| all.iter().all(|key| !trial.removed.contains(key))) else {
+                return Err(sentence(&faults));
+            };
+            trial.removed.extend(unknown);
+        }
+        Err("the graph has faults with this change".into())
+    }
+
+    /// Takes all changes back.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    pub(super) fn revert(&self) -> Result<Value, String> {
+        let mut made = self.made();
+        if let Some(why) = &made.fixed {
+            return Err(why.clone());
+        }
+        *made = Made { count: made.count + 1, ..Made::default() };
+        Ok(self.describe_made(&made))
+    }
+
+    /// Writes the changes into the graph file, whose comments and order stay. The file must then say what the page shows.
+    ///
+    /// # Errors
+    /// A sentence for the user; the file is as it was.
+    pub(super) fn write(&self) -> Result<Value, String> {
+        let mut made = self.made();
+        if let Some(why) = self.no_file {
+            return Err(why.into());
+        }
+        if made.values.is_empty() {
+            return Err("nothing was changed".into());
+        }
+        let wanted = self.check_made(&made).map_err(|problem| problem.to_string())?.plan.resolved;
+        let path = &self.graph.graph;
+        let kinds = self.kinds().map_err(|error| format!("{error:#}"))?;
+        let before =
+            std::fs::read_to_string(path).map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
+        let text = write_back::edited(&before, path, &made.values, &made.removed)?;
+        let written = check_text(&text, path, &self.graph.sets, &kinds);
+        let written = written.map_err(|faults| format!("the file would have a fault: {}", sentence(&faults)))?;
+        if written.plan.resolved != wanted {
+            let message = "the file would not say what the page shows: a --set of the command line, or a module, sets the same key";
+            return Err(format!("{message}; change {} by hand", path.display()));
+        }
+        write_back::replace(path, &before, &text)?;
+        *made = Made { count: made.count + 1, ..Made::default() };
+        Ok(self.describe_made(&made))
+    }
+
+    /// Replaces the values of keys that were changed.
+    pub(super) fn overlay(&self, all: &mut [(String, Value)]) {
+        for (key, value) in &self.made().values {
+            let known = all.iter_mut().find(|(name, _)| name == key);
+            known.into_iter().for_each(|(_, old)| *old = json!(value));
+        }
+    }
+
+    /// The changes for the page: keys with their values, and the command that makes the same run.
+    pub(super) fn describe(&self) -> Value {
+        self.describe_made(&self.made())
+    }
+
+    fn describe_made(&self, made: &Made) -> Value {
+        let values: Vec<_> = made.values.iter().map(|(key, value)| json!([key, value])).collect();
+        let sets = made.sets().map(|set| format!(" --set {}", quoted(&set))).collect::<String>();
+        json!({
+            "values": values,
+            "removed": made.removed,
+            "settings": sets.trim_start(),
+            "fixed": made.fixed,
+            "no_file": self.no_file,
+            "file": self.graph.graph.file_name().map(|name| name.to_string_lossy()),
+        })
+    }
+
+    /// The kinds that the graph may use.
+    pub(super) fn kinds(&self) -> anyhow::Result<Kinds> {
+        self.graph.plugins.kinds_apart()
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.graph.graph
+    }
+}
+
+impl Made {
+    /// The changes as `--set` takes them.
+    fn sets(&self) -> impl Iterator<Item = String> {
+        let removed = (!self.removed.is_empty()).then(|| {
+            let keys: Vec<toml::Value> = self.removed.iter().map(|key| key.as_str().into()).collect();
+            format!("remove={}", toml::Value::from(keys))
+        });
+        removed.into_iter().chain(self.values.iter().map(|(key, value)| format!("{key}={value}")))
+    }
+
+    fn set(&mut self, key: &str, value: &Value) -> Result<(), String> {
+        let is_key =
+            |part: &str| !part.is_empty() && part.chars().all(|c| c.is_alphanumeric() || matches!(c, '_' | '-' | '/'));
+        if key.split('.').count() < 2 || !key.split('.').all(is_key) {
+            return Err(format!("\"{key}\" is no key such as icp.max_iterations"));
+        }
+        let known = self.values.iter().position(|(of, _)| of == key);
+        if value.is_null() {
+            known.map(|at| self.values.remove(at));
+            return Ok(());
+        }
+        let value = toml::Value::try_from(value).map_err(|error| format!("{key}: {error}"))?;
+        match known {
+            Some(at) => self.values[at].1 = value,
+            None => self.values.push((key.into(), value)),
+        }
+        Ok(())
+    }
+}
+
+/// Why a graph cannot be run.
+#[derive(Debug)]
+pub(super) enum Problem {
+    Faults(Faults),
+    Other(anyhow::Error),
+}
+
+impl std::fmt::Display for Problem {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Faults(faults) => f.write_str(&sentence(faults)),
+            Self::Other(error) => write!(f, "{error:#}"),
+        }
+    }
+}
+
+fn errors(faults: &Faults) -> impl Iterator<Item = &Fault> {
+    faults.0.iter().filter(|fault| fault.severity == Severity::Error)
+}
+
+/// The errors without their places, which the page does not show.
+fn sentence(faults: &Faults) -> String {
+    let one = |fault: &Fault| {
+        let more = fault.notes.iter().chain(&fault.help).map(|text| format!("; {text}"));
+        fault.message.clone() + &more.collect::<String>()
+    };
+    errors(faults).map(one).collect::<Vec<_>>().join("\n")
+}
+
+/// An argument as a shell takes it.
+fn quoted(text: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-/=:+".contains(c);
+    if text.chars().all(is_plain) { text.into() } else { format!("'{}'", text.replace('\'', r"'\''")) }
+}

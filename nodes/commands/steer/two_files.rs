@@ -1,0 +1,53 @@
+//! The graph of a bone and a scan: by the shape of the bone, or from pairs that were picked on both.
+
+use anyhow::{Context, Result};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+use tempfile::TempDir;
+
+const BY_SHAPE: &str = include_str!("../../../graphs/two_files.toml");
+const FROM_PAIRS: &str = include_str!("../../../graphs/variants/two_files_picked.toml");
+const BASE: &str = "two_files.toml";
+const GRAPH: &str = "graph.toml";
+
+/// The graph in a temporary folder.
+#[derive(Debug)]
+pub(crate) struct TwoFiles(TempDir);
+
+impl TwoFiles {
+    /// By shape alone.
+    ///
+    /// # Errors
+    /// The system has no place for temporary files.
+    pub(crate) fn new() -> Result<Self> {
+        let folder = Self(tempfile::tempdir().context("a temporary folder cannot be made")?);
+        for name in [BASE, GRAPH] {
+            let path = folder.0.path().join(name);
+            fs::write(&path, BY_SHAPE).with_context(|| format!("{} cannot be written", path.display()))?;
+        }
+        Ok(folder)
+    }
+
+    /// The graph file.
+    pub(crate) fn graph(&self) -> PathBuf {
+        self.0.path().join(GRAPH)
+    }
+
+    /// Starts the registration from two files of picked points, matched by name.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    pub(super) fn start_from_pairs(&self, bone: &Path, scan: &Path) -> Result<(), String> {
+        let mut graph: toml_edit::DocumentMut = FROM_PAIRS.parse().map_err(|error| format!("{error}"))?;
+        graph["extends"] = BASE.into();
+        for (node, path) in [("bone_points", bone), ("scan_points", scan)] {
+            graph["node"][node]["path"] = path.display().to_string().into();
+        }
+        // In one step, as the graph is watched.
+        let next = self.0.path().join("next.toml");
+        let written = fs::write(&next, graph.to_string()).and_then(|()| fs::rename(&next, self.graph()));
+        written.map_err(|error| format!("the graph cannot be changed: {error}"))
+    }
+}

@@ -1,0 +1,38 @@
+use crate::commands::serve::picks::Picks;
+use osteoflow_geometry::SurgicalPlan;
+use osteoflow_viewer::{Answer, App, Playback, PlaybackState};
+
+/// A recording on the page: it is played, and what is picked on it is saved.
+pub(super) struct Played {
+    playback: Playback,
+    picks: Picks,
+    plan: Option<SurgicalPlan>,
+}
+
+impl Played {
+    pub(super) fn new(playback: Playback, picks: Picks, plan: Option<SurgicalPlan>) -> Self {
+        Self { playback, picks, plan }
+    }
+}
+
+impl App for Played {
+    fn get(&self, path: &str) -> Option<Answer> {
+        self.picks.get(path, self.plan.as_ref())
+    }
+
+    fn post(&self, path: &str, body: &[u8]) -> Option<Answer> {
+        self.picks.post(path, body, self.plan.as_ref())
+    }
+
+    fn range_ns(&self) -> Option<(u64, u64)> {
+        self.playback.range_ns()
+    }
+
+    fn play(&self, plays: bool, speed: f32, seek_ns: Option<u64>) -> Option<PlaybackState> {
+        self.playback.play(plays, speed, seek_ns)
+    }
+
+    fn playback(&self) -> Option<PlaybackState> {
+        self.playback.playback()
+    }
+}

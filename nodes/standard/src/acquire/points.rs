@@ -1,0 +1,79 @@
+//! The kind `acquire.points`.
+
+use osteoflow_formats::{Space, picked_points::read_picked_points};
+use osteoflow_geometry::Points;
+use osteoflow_node::{
+    Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
+};
+
+/// Named points that were picked in another program or on the page of `osteoflow view`, from a file.
+///
+/// Formats: 3D Slicer's `.mrk.json` and `.fcsv`, MeshLab's `.pp`, CloudCompare's picking list, and CSV with the heading
+/// `label,x,y,z`; mm. Slicer's files state LPS or RAS; RAS is turned to LPS, with a note. The others are taken as they are.
+#[derive(Describe)]
+#[describe(example = r#"
+kind  = "acquire.points"
+path  = "scan_points.mrk.json"
+frame = "camera"
+"#)]
+pub struct PointsFile {
+    params: Params,
+    done: bool,
+}
+
+/// Parameters of [`PointsFile`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// The file.
+    pub path: FilePath,
+    /// The frame of its coordinates, such as `ct` for points on the bone and `camera` for points on a scan. There is no default: a
+    /// file of points does not say what they were picked on.
+    pub frame: String,
+}
+
+/// Outputs of [`PointsFile`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The points, once, in the order of the file.
+    #[port(frame = "$frame")]
+    points: Points,
+}
+
+impl Source for PointsFile {
+    const KIND: &'static str = "acquire.points";
+    const CONSTANT: bool = true;
+    type Params = Params;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        if params.frame.trim().is_empty() {
+            return Err(ParamError::new("frame", "a name is expected, such as \"ct\""));
+        }
+        Ok(Self { params, done: false })
+    }
+
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
+        if std::mem::replace(&mut self.done, true) {
+            return Ok(None);
+        }
+        let Params { path, frame } = &self.params;
+        let read = read_picked_points(path.as_ref())?;
+        let name = path.as_ref().display();
+        if read.points.is_empty() {
+            return Err(NodeError::new(format!("{name} holds planes or boxes, but no points")));
+        }
+        read.notes.into_iter().for_each(|note| ctx.warn(format!("{name}: {note}")));
+        if read.n_skipped > 0 {
+            ctx.warn(format!("{name}: {} points are not placed or not active, and were passed over", read.n_skipped));
+        }
+        if !read.is_named {
+            ctx.warn(format!("{name}: points without a name are called by their place in the list"));
+        }
+        if read.space == Space::Unknown && frame == "ct" {
+            ctx.warn(format!("{name}: the file states neither LPS nor RAS, and its numbers are taken to be LPS"));
+        }
+        Ok(Some(Out { points: Points::new(frame.as_str(), read.points) }))
+    }
+}

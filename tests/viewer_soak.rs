@@ -1,0 +1,207 @@
+//! The page beside a camera of 20 clouds of 20,000 points a second: two minutes, or 30 with SLOW_TESTS.
+//!
+//! Memory of page and program, and messages lost, decide; times are printed for docs/viewing.md.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+#![cfg(unix)]
+
+#[path = "common/browser.rs"]
+mod browser;
+mod common;
+#[path = "common/served.rs"]
+mod served;
+
+use browser::Browser;
+use osteoflow_formats::{
+    mesh_file::read_mesh,
+    openigtlink::{Affine, Body, Message, PolyData, device_name},
+};
+use osteoflow_geometry::{
+    SurfaceOrigin,
+    nalgebra::{Isometry3, Point3, Vector3},
+};
+use rand_chacha::{
+    ChaCha8Rng,
+    rand_core::{Rng, SeedableRng},
+};
+use serde_json::{Value, json};
+use served::Served;
+use std::{
+    fs,
+    io::{ErrorKind, Read, Write},
+    net::{TcpListener, TcpStream},
+    path::Path,
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+const HZ: u32 = 20;
+const N_POINTS: usize = 20_000;
+/// Growth of memory that is none: a garbage collector's slack, with room.
+const FLAT_BYTES: f64 = 48e6;
+/// What may wait for a viewer, as docs/viewing.md has it.
+const WAITING_BYTES: f64 = 64e6;
+
+/// Clouds on the bone's surface, each with its own noise of 0.3 mm.
+fn clouds() -> Vec<Vec<[f32; 3]>> {
+    let mesh = read_mesh(Path::new("tests/data/folder/bone.stl"), 1.0, "ct", SurfaceOrigin::User).unwrap().mesh;
+    let mut rng = ChaCha8Rng::seed_from_u64(20);
+    let mut uniform = || f64::from(rng.next_u32()) / f64::from(u32::MAX);
+    let mut cloud = || {
+        let point = || {
+            let face = mesh.faces()[(uniform() * (mesh.faces().len() - 1) as f64) as usize];
+            let [a, b, c] = face.map(|k| mesh.vertices()[k as usize]);
+            let (s, t) = (uniform(), uniform());
+            let (s, t) = if s + t > 1.0 { (1.0 - s, 1.0 - t) } else { (s, t) };
+            let noise = Vector3::from_fn(|_, _| 0.6 * (uniform() - 0.5));
+            let p: Point3<f64> = a + s * (b - a) + t * (c - a) + noise;
+            [p.x as f32, p.y as f32, p.z as f32]
+        };
+        std::iter::repeat_with(point).take(N_POINTS).collect()
+    };
+    (0..10).map(|_| cloud()).collect()
+}
+
+/// Sends clouds and the pose of the bone for a time, to one client; returns the number of clouds.
+fn camera(clouds: Vec<Vec<[f32; 3]>>, time: Duration) -> (String, JoinHandle<u32>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let sender = thread::spawn(move || {
+        let mut stream = listener.accept().unwrap().0;
+        let began = Instant::now();
+        let n = HZ * time.as_secs() as u32;
+        for k in 0..n {
+            thread::sleep((Duration::from_secs(1) * k / HZ).saturating_sub(began.elapsed()));
+            let stamp_ns = 1_750_000_000_000_000_000 + i64::from(k) * 1_000_000_000 / i64::from(HZ);
+            let turn = Isometry3::new(Vector3::new(0.0, 0.0, 500.0), Vector3::z() * (f64::from(k) * 0.002));
+            let cloud = clouds[k as usize % clouds.len()].clone();
+            for (device, body) in [
+                (device_name("world", "ct"), Body::Transform(Affine::of(&turn))),
+                ("Scan".into(), Body::PolyData(PolyData::of_points(cloud))),
+            ] {
+                stream.write_all(&Message::new(device, stamp_ns, body).to_bytes().unwrap()).unwrap();
+            }
+        }
+        finish(&mut stream);
+        n
+    });
+    (address, sender)
+}
+
+/// Closes a connection once the other side has read all of it.
+fn finish(stream: &mut TcpStream) {
+    stream.shutdown(std::net::Shutdown::Write).unwrap();
+    let mut unread = [0; 1024];
+    loop {
+        match stream.read(&mut unread) {
+            Ok(0) => return,
+            Err(error) if error.kind() != ErrorKind::Interrupted => return,
+            _ => {}
+        }
+    }
+}
+
+/// A graph that reads the camera and crops its clouds.
+fn graph(folder: &Path, address: &str) -> String {
+    let bone = fs::canonicalize("tests/data/folder/bone.stl").unwrap();
+    let text = format!(
+        r#"[graph]
+format = 1
+name = "camera"
+frames = ["world", "ct"]
+
+[node.bone]
+kind = "surface.file"
+path = {bone:?}
+
+[node.camera]
+kind = "acquire.openigtlink"
+address = "{address}"
+reconnect = false
+out.scan = {{ type = "geometry/Cloud", device = "Scan", frame = "ct", space = "lps" }}
+out.bone = {{ type = "geometry/Pose", device = "{}", to = "world", from = "ct", space = "lps" }}
+
+[node.crop]
+kind = "crop.box"
+in   = {{ cloud = "camera.scan" }}
+"#,
+        device_name("world", "ct")
+    );
+    let path = folder.join("camera.toml");
+    fs::write(&path, text).unwrap();
+    path.display().to_string()
+}
+
+/// Median and 95 % of the latency from camera to crop, ms, the numbers of clouds sent and dropped.
+fn of_manifest(run: &Path) -> (f64, f64, u64, u64) {
+    let manifest: Value = serde_json::from_slice(&fs::read(run.join("manifest.json")).unwrap()).unwrap();
+    let find = |list: &str, keep: &dyn Fn(&Value) -> bool| {
+        manifest[list].as_array().unwrap().iter().find(|row| keep(row)).cloned().unwrap_or_else(|| panic!("{list}"))
+    };
+    let latency = find("latencies", &|row| row["source"] == "camera");
+    let wire = find("links", &|row| row["from"] == "camera.scan");
+    let ms = |name: &str| latency[name].as_f64().unwrap_or_else(|| panic!("{name} in {latency}"));
+    (ms("p50_ms"), ms("p95_ms"), wire["sent"].as_u64().unwrap(), wire["dropped"].as_u64().unwrap())
+}
+
+#[test]
+fn beside_a_fast_camera_memory_stays_and_only_the_viewer_loses_messages() {
+    let minutes = if std::env::var_os("SLOW_TESTS").is_some() { 30 } else { 2 };
+    let (time, all) = (Duration::from_secs(60 * minutes), clouds());
+    let folder = tempfile::tempdir().unwrap();
+    let Some(mut browser) = Browser::start("beside_a_fast_camera") else { return };
+
+    let (address, sender) = camera(all.clone(), Duration::from_secs(20));
+    let alone = folder.path().join("alone");
+    let graph_file = graph(folder.path(), &address);
+    let ran = common::osteoflow().arg("run").arg(&graph_file).arg("--out").arg(&alone).output().unwrap();
+    assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
+    assert_eq!(sender.join().unwrap(), 20 * HZ);
+    let (p50, p95, ..) = of_manifest(&alone);
+
+    let (address, sender) = camera(all, time);
+    let run = folder.path().join("served");
+    let served = Served::start(&["run", &graph(folder.path(), &address), "--serve", "--out", run.to_str().unwrap()]);
+    let size = json!({ "width": 420, "height": 320, "deviceScaleFactor": 1, "mobile": false });
+    browser.call("Emulation.setDeviceMetricsOverride", size);
+    browser.call("Page.navigate", json!({ "url": served.page }));
+    browser.wait_until("typeof osteoflow === 'object' && osteoflow.scene.drawn.get('camera.scan')?.object.visible");
+    let memory = |browser: &mut Browser| {
+        browser.call("HeapProfiler.enable", json!({}));
+        browser.call("HeapProfiler.collectGarbage", json!({}));
+        let heap = browser.call("Runtime.getHeapUsage", json!({}));
+        let page = heap["usedSize"].as_f64().unwrap() + heap["backingStorageSize"].as_f64().unwrap_or(0.0);
+        (page, served.resident_bytes())
+    };
+    let began = Instant::now();
+    // After a first part in which buffers fill.
+    thread::sleep(time / 6);
+    let first = memory(&mut browser);
+    let mut rows = vec![first];
+    while began.elapsed() + time / 6 < time - Duration::from_secs(10) {
+        thread::sleep(time / 6);
+        rows.push(memory(&mut browser));
+    }
+    assert!(rows.len() >= 4, "{} measurements", rows.len());
+    let ms = browser.evaluate("(() => { const all = [...osteoflow.frameTimes].sort((a, b) => a - b); return all[Math.floor(0.95 * all.length)]; })()");
+    let n = sender.join().unwrap();
+    browser.wait_until("osteoflow.state.state === 'complete'");
+    let said = served.interrupt_and_read();
+
+    let (served_p50, served_p95, sent, dropped) = of_manifest(&run);
+    println!("{minutes} min, {n} clouds of {N_POINTS} points at {HZ} Hz");
+    println!("camera to crop, ms: alone {p50:.2} ({p95:.2} at 95 %), served {served_p50:.2} ({served_p95:.2})");
+    println!("the page's script: {ms} ms a frame at 95 %");
+    for (page, program) in &rows {
+        println!("page {:.1} MB, program {:.1} MB", page / 1e6, program / 1e6);
+    }
+    println!("{}", said.lines().find(|line| line.contains("slow viewers")).unwrap_or("no message was lost"));
+    assert_eq!((sent, dropped), (u64::from(n), 0), "clouds on the graph's wire");
+    for (page, program) in &rows {
+        assert!(page - first.0 < FLAT_BYTES, "the page grows from {} to {page} bytes", first.0);
+        assert!(
+            program - first.1 < FLAT_BYTES + WAITING_BYTES,
+            "the program grows from {} to {program} bytes",
+            first.1
+        );
+    }
+}

@@ -1,0 +1,505 @@
+//! A graph that is changed on the page: parameters, kinds, the region of interest; what is refused, and what is written back.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+#![cfg(unix)]
+
+#[path = "common/browser.rs"]
+mod browser;
+mod common;
+#[path = "common/served.rs"]
+mod served;
+
+use browser::Browser;
+use common::osteoflow;
+use serde_json::{Value, json};
+use served::Served;
+use std::{
+    fs,
+    net::TcpStream,
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+use tungstenite::{ClientRequestBuilder, Message, WebSocket};
+
+const LIMIT: Duration = Duration::from_secs(60);
+
+/// A copy of the shipped graphs that may be written, and the folder of the runs.
+struct Bench {
+    folder: tempfile::TempDir,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["fibula.toml", "variants/fibula_point_to_point.toml"] {
+            let to = folder.path().join(name);
+            fs::create_dir_all(to.parent().unwrap()).unwrap();
+            fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join("graphs").join(name), to).unwrap();
+        }
+        Self { folder }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn text(&self, name: &str) -> String {
+        fs::read_to_string(self.path(name)).unwrap()
+    }
+
+    /// Serves a graph of the folder and waits for its first run.
+    fn view(&self, graph: &str, arguments: &[&str]) -> Served {
+        let (graph, out, picks) = (self.path(graph), self.path("run"), self.path("picks"));
+        let mut all = vec!["view", graph.to_str().unwrap(), "--out", out.to_str().unwrap(), "--picks"];
+        all.push(picks.to_str().unwrap());
+        all.extend(arguments);
+        let served = Served::start(&all);
+        self.results(1);
+        served
+    }
+
+    /// The folder of the n-th run.
+    fn run(&self, n: usize) -> PathBuf {
+        self.path(&if n == 1 { "run".to_owned() } else { format!("run-{n}") })
+    }
+
+    /// The results of the n-th run, once it has ended.
+    fn results(&self, n: usize) -> Value {
+        let (file, until) = (self.run(n).join("results.json"), Instant::now() + LIMIT);
+        // The manifest is written last.
+        while !self.run(n).join("manifest.json").exists() {
+            assert!(Instant::now() < until, "run {n} does not end");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        serde_json::from_str(&fs::read_to_string(file).unwrap()).unwrap()
+    }
+
+    /// The results of the same graph from the command line.
+    fn on_command_line(&self, graph: &str, sets: &[&str]) -> Value {
+        let out = tempfile::tempdir().unwrap();
+        let sets = sets.iter().flat_map(|set| ["--set", set]);
+        let (graph, out_dir) = (self.path(graph), out.path().join("run"));
+        let run = osteoflow().arg("run").arg(graph).args(sets).arg("--out").arg(&out_dir).output().unwrap();
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        serde_json::from_str(&fs::read_to_string(out_dir.join("results.json")).unwrap()).unwrap()
+    }
+}
+
+/// Posts JSON; the status and the answer.
+fn post(served: &Served, path: &str, body: &Value) -> (u16, String) {
+    let answer = served.ask("POST", path, "", &body.to_string());
+    let status = answer.split(' ').nth(1).unwrap().parse().unwrap();
+    (status, answer.split_once("\r\n\r\n").unwrap().1.to_owned())
+}
+
+fn set(served: &Served, key: &str, value: Value) -> (u16, String) {
+    post(served, "set", &json!({ "values": { key: value } }))
+}
+
+#[test]
+fn a_change_runs_the_graph_again_and_is_written_into_its_file_alone() {
+    let bench = Bench::new();
+    let before = bench.text("fibula.toml");
+    let served = bench.view("fibula.toml", &[]);
+    let (status, answer) = set(&served, "icp.kind", json!("icp.point_to_point"));
+    assert_eq!(status, 200, "{answer}");
+    assert_eq!(bench.results(2), bench.on_command_line("fibula.toml", &["icp.kind=icp.point_to_point"]));
+    assert_ne!(bench.results(2)["icp"], bench.results(1)["icp"]);
+    assert_eq!(bench.text("fibula.toml"), before, "the file is as it was until it is written");
+
+    // Every run can be replayed.
+    let replayed = osteoflow().arg("replay").arg(bench.run(2)).output().unwrap();
+    assert!(replayed.status.success(), "{}", String::from_utf8_lossy(&replayed.stderr));
+
+    assert_eq!(post(&served, "write", &json!({})).0, 200);
+    let expected = before.replace("kind = \"icp.point_to_plane\"  ", "kind = \"icp.point_to_point\"  ");
+    assert_ne!(expected, before);
+    assert_eq!(bench.text("fibula.toml"), expected);
+    // The file now says what was run: there is nothing to run again.
+    std::thread::sleep(Duration::from_millis(500));
+    assert!(!bench.run(3).exists());
+    assert_eq!(bench.on_command_line("fibula.toml", &[]), bench.results(2));
+    let (status, message) = post(&served, "write", &json!({}));
+    assert_eq!((status, message.trim()), (422, "nothing was changed"));
+
+    // A change of the file from elsewhere is run, too, and a fault is said and not run.
+    fs::write(bench.path("fibula.toml"), &before).unwrap();
+    assert_eq!(bench.results(3), bench.results(1));
+    fs::write(bench.path("fibula.toml"), before.replace("seed   = 42", "seed   = ")).unwrap();
+    std::thread::sleep(Duration::from_millis(500));
+    let (status, message) = set(&served, "icp.max_iterations", json!(50));
+    assert!(status == 422 && !bench.run(4).exists(), "{message}");
+    fs::write(bench.path("fibula.toml"), &before).unwrap();
+    assert!(served.interrupt().success());
+}
+
+#[test]
+fn a_change_that_the_graph_refuses_changes_nothing_and_says_why() {
+    let bench = Bench::new();
+    let served = bench.view("fibula.toml", &[]);
+    for (key, value, expected) in [
+        ("icp.max_iterations", json!(-1), "max_iterations takes a whole number from 1 to 100000, found -1"),
+        ("icp.max_iterations", json!("many"), "max_iterations"),
+        ("icp.max_iteration", json!(5), "did you mean \"max_iterations\""),
+        ("icp.kind", json!("icp.nothing"), "there is no kind \"icp.nothing\""),
+        ("icp.kind", json!("hole.boundary"), "icp"),
+        ("nothing.kind", json!("icp.point_to_plane"), "nothing"),
+        ("plan.path", json!("plan.json"), "plan.simulated has no parameter \"path\""),
+        ("icp", json!(1), "is no key"),
+        ("icp.max_iterations\n[graph]", json!(1), "is no key"),
+        ("icp.kind=x.y", json!(1), "is no key"),
+        ("extends.x", json!("other.toml"), "extends"),
+        ("plugins.x", json!("/tmp/evil.so"), "plugins"),
+    ] {
+        let (status, message) = set(&served, key, value.clone());
+        assert!(status == 422 && message.contains(expected), "{key} = {value}: {status} {message}");
+    }
+    for (path, body, status) in [
+        ("set", json!([1]), 422),
+        ("set", json!({ "values": { "icp.trim_fraction": { "a": null } } }), 422),
+        ("region", json!({ "node": "crop" }), 422),
+        ("region", json!({ "node": "icp", "region": region(&[0.0, 0.0, 0.0]) }), 422),
+        ("region", json!({ "node": "crop", "region": region(&[0.0, 0.0]) }), 422),
+        ("nothing", json!({}), 404),
+    ] {
+        let (answered, message) = post(&served, path, &body);
+        assert_eq!(answered, status, "{path} {body}: {message}");
+    }
+    // One of two is refused: neither is made.
+    let two = json!({ "values": { "icp.trim_fraction": 0.1, "icp.max_iterations": 0 } });
+    assert_eq!(post(&served, "set", &two).0, 422);
+    assert_eq!(post(&served, "revert", &json!({})).0, 200);
+    std::thread::sleep(Duration::from_millis(400));
+    assert!(!bench.run(2).exists() && !bench.path("picks").exists());
+}
+
+#[test]
+fn a_picked_plan_is_merged_with_the_known_one_and_the_graph_runs_with_it() {
+    let bench = Bench::new();
+    let served = bench.view("fibula.toml", &[]);
+    let known = served.get("/TOKEN/picks", "");
+    let known: Value = serde_json::from_str(known.split_once("\r\n\r\n").unwrap().1).unwrap();
+    let mut plan = known["plan"].clone();
+    let shown = ["units", "landmarks", "assessment", "planes"];
+    plan.as_object_mut().unwrap().retain(|key, _| shown.contains(&key.as_str()));
+    let moved = plan["landmarks"]["P1"][2].as_f64().unwrap() + 0.5;
+    plan["landmarks"]["P1"][2] = moved.into();
+    let (status, answer) = post(&served, "save/plan", &plan);
+    assert!(status == 200 && answer.contains("the graph runs with it"), "{answer}");
+    let path = format!("plan.path={}", bench.path("picks/picks-1/plan.json").display());
+    let again = bench.on_command_line("fibula.toml", &["plan.kind=plan.file", &path]);
+    assert_eq!(bench.results(2), again);
+    assert_ne!(again["coarse"], bench.results(1)["coarse"], "the landmark was moved");
+    // What the page does not see is as it was: the calibration starts where it did.
+    let rms = |results: &Value| results["calibration"]["icp"]["rms_mm"].as_f64().unwrap();
+    assert!(
+        (rms(&again) - rms(&bench.results(1))).abs() < 1e-9,
+        "rotations are written as matrices, to the last digit"
+    );
+    // A plan of fewer landmarks is not saved, and nothing is run.
+    plan["landmarks"].as_object_mut().unwrap().remove("P3");
+    assert_eq!(post(&served, "save/plan", &plan).0, 422);
+    assert!(!bench.path("picks/picks-2").exists());
+}
+
+#[test]
+fn picked_pairs_start_the_registration_of_two_files() {
+    let bench = Bench::new();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let file = |name: &str| root.join("tests/data").join(name).display().to_string();
+    let (bone, scan) = (file("folder/bone.stl"), file("folder/scan.ply"));
+    let (out, picks) = (bench.path("run"), bench.path("picks"));
+    let served =
+        Served::start(&["view", &bone, &scan, "--out", out.to_str().unwrap(), "--picks", picks.to_str().unwrap()]);
+    bench.results(1);
+    let read = |name: &str| {
+        let markups: Value = serde_json::from_str(&fs::read_to_string(file(name)).unwrap()).unwrap();
+        let points = markups["markups"][0]["controlPoints"].as_array().unwrap().iter();
+        points.map(|point| json!({ "name": point["label"], "position": point["position"] })).collect::<Vec<_>>()
+    };
+    let pairs = json!({ "bone": read("picks/bone_points.mrk.json"), "scan": read("picks/scan_points.mrk.json") });
+    let (status, answer) = post(&served, "save/pairs", &pairs);
+    assert!(status == 200 && answer.contains("the registration starts from them"), "{answer}");
+    let picked =
+        |node: &str| format!("{node}.path={}", picks.join("picks-1").join(format!("{node}.mrk.json")).display());
+    let command = tempfile::tempdir().unwrap();
+    let ran = osteoflow()
+        .arg("run")
+        .arg(root.join("graphs/variants/two_files_picked.toml"))
+        .args(["--set", &format!("bone.path={bone}"), "--set", &format!("scan.path={scan}")])
+        .args(["--set", &picked("bone_points"), "--set", &picked("scan_points")])
+        .arg("--out")
+        .arg(command.path().join("run"))
+        .output()
+        .unwrap();
+    assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
+    let again: Value = serde_json::from_slice(&fs::read(command.path().join("run/results.json")).unwrap()).unwrap();
+    assert_eq!(bench.results(2), again);
+    assert_eq!(post(&served, "write", &json!({})).0, 422, "the graph is no file of the user's");
+}
+
+#[test]
+fn a_viewer_of_the_protocol_sets_parameters_and_calls_services() {
+    let bench = Bench::new();
+    let served = bench.view("fibula.toml", &[]);
+    let mut viewer = Client::connect(&served.stream);
+    let set = |values: Value| json!({ "op": "setParameters", "parameters": values, "id": "a" });
+    let value = |name: &str, value: Value| json!({ "name": name, "value": value });
+    viewer.send(&set(json!([value("icp.kind", json!("icp.point_to_point")), value("icp.trim_fraction", json!(0.1))])));
+    let answer = viewer.text("parameterValues");
+    let expected = json!([value("icp.kind", json!("icp.point_to_point")), value("icp.trim_fraction", json!(0.1))]);
+    assert_eq!((&answer["parameters"], &answer["id"]), (&expected, &json!("a")));
+    // Both at once: one run.
+    let both = bench.on_command_line("fibula.toml", &["icp.kind=icp.point_to_point", "icp.trim_fraction=0.1"]);
+    assert_eq!(bench.results(2), both);
+
+    // One that is refused leaves the other as it was, and both are answered with what they are.
+    viewer.send(&set(json!([value("icp.trim_fraction", json!(0.2)), value("icp.max_iterations", json!(-5))])));
+    let message = viewer.text("status");
+    assert!(message["message"].as_str().unwrap().contains("found -5"), "{message}");
+    viewer.send(&json!({ "op": "getParameters", "parameterNames": ["icp.trim_fraction"], "id": "b" }));
+    assert_eq!(viewer.values("b"), json!([value("icp.trim_fraction", json!(0.1))]));
+
+    let services = viewer.services.clone();
+    let revert = services.as_array().unwrap().iter().find(|service| service["name"] == "revert").unwrap();
+    let mut call = vec![2];
+    call.extend((revert["id"].as_u64().unwrap() as u32).to_le_bytes());
+    call.extend(9_u32.to_le_bytes());
+    call.extend(4_u32.to_le_bytes());
+    call.extend(b"json{}");
+    viewer.socket.send(Message::binary(call)).unwrap();
+    assert_eq!(bench.results(3), bench.results(1));
+}
+
+/// A viewer that speaks the protocol.
+struct Client {
+    socket: WebSocket<TcpStream>,
+    services: Value,
+}
+
+impl Client {
+    fn connect(address: &str) -> Self {
+        let host = address.strip_prefix("ws://").unwrap().split('/').next().unwrap();
+        let connection = TcpStream::connect(host).unwrap();
+        connection.set_read_timeout(Some(LIMIT)).unwrap();
+        let request = ClientRequestBuilder::new(address.parse().unwrap()).with_sub_protocol("foxglove.websocket.v1");
+        let mut client = Self { socket: tungstenite::client(request, connection).unwrap().0, services: Value::Null };
+        client.services = client.text("advertiseServices")["services"].clone();
+        client
+    }
+
+    fn send(&mut self, message: &Value) {
+        self.socket.send(Message::text(message.to_string())).unwrap();
+    }
+
+    /// The next text message with this `op`.
+    fn text(&mut self, op: &str) -> Value {
+        loop {
+            if let Message::Text(text) = self.socket.read().unwrap() {
+                let message: Value = serde_json::from_str(&text).unwrap();
+                if message["op"] == op {
+                    return message;
+                }
+            }
+        }
+    }
+
+    /// The parameters of the answer with this id.
+    fn values(&mut self, id: &str) -> Value {
+        loop {
+            let answer = self.text("parameterValues");
+            if answer["id"] == id {
+                return answer["parameters"].clone();
+            }
+        }
+    }
+}
+
+/// A region of one box, whose smallest corner is given.
+fn region(min: &[f64]) -> Value {
+    json!({
+        "format": "osteoflow-region", "version": 1, "units": "mm", "frame": "camera",
+        "keep": [{ "shape": "box", "min": min, "max": [500.0, 500.0, 500.0] }],
+    })
+}
+
+#[test]
+fn a_variant_takes_away_what_a_new_kind_does_not_have() {
+    let bench = Bench::new();
+    let name = "variants/fibula_point_to_point.toml";
+    let served = bench.view(name, &[]);
+    // The base sets a parameter of the crop that the region's kind does not have.
+    let wired = "region = \"recording.region\" }\n";
+    let bounded = bench.text("fibula.toml").replace(wired, &format!("{wired}min_mm = [-500.0, -500.0, -500.0]\n"));
+    fs::write(bench.path("fibula.toml"), bounded).unwrap();
+    bench.results(2);
+    let (status, answer) =
+        post(&served, "region", &json!({ "node": "crop", "region": region(&[-500.0, -500.0, 1.0]) }));
+    assert_eq!(status, 200, "{answer}");
+    let answer: Value = serde_json::from_str(&answer).unwrap();
+    assert_eq!(answer["changes"]["removed"], json!(["node.crop.min_mm"]));
+    assert_eq!(bench.results(3)["icp"], bench.results(1)["icp"], "all points are in this region");
+    // Each region has a folder of its own, and a box is one of 3D Slicer, too.
+    assert!(bench.path("picks/picks-1/region.mrk.json").exists());
+
+    assert_eq!(post(&served, "write", &json!({})).0, 200);
+    let written: toml::Table = bench.text(name).parse().unwrap();
+    let removed = written["remove"].as_array().unwrap();
+    assert!(removed.contains(&"node.crop.min_mm".into()), "{removed:?}");
+    // Where the graph is, the path is short.
+    assert_eq!(written["node"]["crop"]["kind"].as_str(), Some("crop.file"));
+    assert_eq!(bench.on_command_line(name, &[]), bench.results(3));
+}
+
+#[test]
+fn a_live_graph_is_run_once_and_nothing_of_it_can_be_changed() {
+    let bench = Bench::new();
+    let out = bench.path("run");
+    let graph = "graphs/variants/fibula_live.toml";
+    let served = Served::start(&["view", graph, "--set", "recording.rate=1000", "--out", out.to_str().unwrap()]);
+    bench.results(1);
+    for (path, body) in [("set", json!({ "values": { "icp.max_iterations": 50 } })), ("revert", json!({}))] {
+        let (status, message) = post(&served, path, &body);
+        assert!(status == 422 && message.contains("\"recording\" is a live source"), "{path}: {status} {message}");
+    }
+    assert!(served.interrupt().success());
+    assert!(!bench.run(2).exists());
+}
+
+#[test]
+fn what_the_command_line_sets_is_not_written_over() {
+    let bench = Bench::new();
+    let before = bench.text("fibula.toml");
+    let served = bench.view("fibula.toml", &["--set", "icp.max_iterations=40"]);
+    assert_eq!(set(&served, "icp.max_iterations", json!(41)).0, 200);
+    let (status, message) = post(&served, "write", &json!({}));
+    assert!(status == 422 && message.contains("--set of the command line"), "{message}");
+    assert_eq!(bench.text("fibula.toml"), before);
+}
+
+#[test]
+fn a_region_of_another_frame_or_scan_is_no_silent_result() {
+    let bench = Bench::new();
+    let save = |name: &str, value: &Value| fs::write(bench.path(name), value.to_string()).unwrap();
+    let mut wrong = region(&[-500.0, -500.0, -500.0]);
+    wrong["frame"] = "ct".into();
+    save("frame.json", &wrong);
+    save("empty.json", &region(&[499.0, 499.0, 499.0]));
+    let mut moved = region(&[-500.0, -500.0, -500.0]);
+    moved["keep"][0]["max"] = json!([-20.0, 500.0, 500.0]);
+    moved["drawn_on"] = json!({ "n_points": 20000, "n_inside": 19999 });
+    save("moved.json", &moved);
+    for (file, expected) in [
+        ("frame.json", "the drawn region of interest"),
+        ("empty.json", "lies in the drawn region; was it drawn on another scan?"),
+        ("moved.json", "19999 of 20000 did when it was drawn; was the camera moved since?"),
+    ] {
+        let path = format!("crop.path={}", bench.path(file).display());
+        let out = bench.path(&format!("{file}.run"));
+        let mut command = osteoflow();
+        command.arg("run").arg(bench.path("fibula.toml")).args(["--set", "crop.kind=crop.file", "--set", &path]);
+        let run = command.arg("--out").arg(out).output().unwrap();
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert!(said.contains(expected), "{file}: {said}");
+    }
+}
+
+/// The page in a browser.
+fn open(browser: &mut Browser, served: &Served) {
+    browser.events.clear();
+    let size = json!({ "width": 1000, "height": 700, "deviceScaleFactor": 1, "mobile": false });
+    browser.call("Emulation.setDeviceMetricsOverride", size);
+    browser.call("Page.navigate", json!({ "url": served.page }));
+    browser.wait_until("document.readyState === 'complete' && typeof osteoflow === 'object'");
+    browser.wait_until("osteoflow.state.state === 'complete' && osteoflow.scene.drawn.has('recording.scan')");
+    // The bone is in the middle of the view, wherever it was followed to.
+    browser.wait_until(
+        "(() => { const { camera, drawn } = osteoflow.scene; const mesh = drawn.get('bone.mesh').object.children[0]; \
+         mesh.geometry.computeBoundingBox(); const at = mesh.geometry.boundingBox.min.clone().add(mesh.geometry.boundingBox.max); \
+         at.multiplyScalar(0.5).applyMatrix4(mesh.matrixWorld).project(camera); \
+         return Math.abs(at.x) < 0.1 && Math.abs(at.y) < 0.1 && at.z < 1; })()",
+    );
+}
+
+#[test]
+fn a_kind_changed_and_a_lasso_drawn_on_the_page_are_the_runs_of_the_command_line() {
+    let Some(mut browser) = Browser::start("a_kind_changed_and_a_lasso_drawn_on_the_page") else { return };
+    let bench = Bench::new();
+    let before = bench.text("fibula.toml");
+    let served = bench.view("fibula.toml", &[]);
+    open(&mut browser, &served);
+
+    // The kind, by its field.
+    let field = |key: &str| format!("document.getElementById('field-{key}')");
+    browser.wait_until(&format!("{} !== null", field("icp.kind")));
+    browser.evaluate(&format!("{}.closest('details').open = true", field("icp.kind")));
+    let choose = |browser: &mut Browser, key: &str, value: &str| {
+        browser.evaluate(&format!(
+            "(() => {{ const input = {}; input.value = '{value}'; input.dispatchEvent(new Event('change')); }})()",
+            field(key)
+        ));
+    };
+    choose(&mut browser, "icp.kind", "icp.point_to_point");
+    browser.wait_until("osteoflow.state.run === 'run-2' && osteoflow.state.state === 'complete'");
+    let numbers = browser.evaluate("document.getElementById('numbers').textContent");
+    let rms = |n: usize| bench.results(n)["icp"]["rms_mm"].as_f64().unwrap();
+    for n in [1, 2] {
+        // Three digits, as the page shows them.
+        let digits = browser.evaluate(&format!("({}).toPrecision(3)", rms(n)));
+        assert!(numbers.as_str().unwrap().contains(digits.as_str().unwrap()), "{numbers}: {digits}");
+    }
+    assert!(numbers.as_str().unwrap().contains(" was "), "{numbers}");
+
+    // A value that is refused is put back, with the reason beside it.
+    choose(&mut browser, "icp.max_iterations", "0");
+    let fault = format!("{}.closest('.field').querySelector('.fault').textContent", field("icp.max_iterations"));
+    browser.wait_until(&format!("{fault}.includes('from 1 to 100000')"));
+    assert_eq!(browser.evaluate(&format!("{}.value", field("icp.max_iterations"))), "500");
+
+    // Written into the file by its button.
+    browser.evaluate("document.getElementById('write').click()");
+    browser.wait_until("document.getElementById('changes').closest('section').hidden");
+    assert_eq!(bench.text("fibula.toml"), before.replace("\"icp.point_to_plane\"  ", "\"icp.point_to_point\"  "));
+
+    // A lasso around the scan without its ends, by the mouse.
+    browser.evaluate("document.getElementById('draw').click()");
+    browser.wait_until("osteoflow.region.isOpen");
+    let [left, top, width, height] = ["left", "top", "width", "height"].map(|side| {
+        let value = browser.evaluate(&format!("document.getElementById('view').getBoundingClientRect().{side}"));
+        value.as_f64().unwrap()
+    });
+    let at = |x: f64, y: f64| [left + x * width, top + y * height];
+    browser.stroke(&[at(0.25, 0.25), at(0.75, 0.25), at(0.75, 0.66), at(0.25, 0.66)]);
+    let count = |browser: &mut Browser| {
+        let text = browser.evaluate("document.getElementById('region-count').textContent");
+        text.as_str().unwrap().split(' ').next().unwrap().parse::<usize>().unwrap()
+    };
+    let lassoed = count(&mut browser);
+    assert!((2000..19000).contains(&lassoed), "{lassoed} points");
+    // Cut some away with the brush, take that back, and cut again.
+    for id in ["region-cut", "region-brush"] {
+        browser.evaluate(&format!("document.getElementById('{id}').click()"));
+    }
+    browser.stroke(&[at(0.48, 0.5), at(0.52, 0.5)]);
+    let cut = count(&mut browser);
+    assert!(cut < lassoed, "{cut} of {lassoed}");
+    browser.evaluate("document.getElementById('region-undo').click()");
+    assert_eq!(count(&mut browser), lassoed);
+    browser.evaluate("document.getElementById('region-save').click()");
+    browser.wait_until("osteoflow.state.run === 'run-3' && ['complete', 'refused'].includes(osteoflow.state.state)");
+    browser.wait_until("!osteoflow.region.isOpen");
+
+    // The file has what was counted, and the command line gives the page's run.
+    let file = bench.path("picks/picks-1/region.json");
+    let saved: Value = serde_json::from_str(&fs::read_to_string(&file).unwrap()).unwrap();
+    assert_eq!((&saved["drawn_on"]["n_inside"], &saved["frame"]), (&json!(lassoed), &json!("camera")));
+    browser.wait_until("osteoflow.scene.drawn.has('to_bone.cloud')");
+    let shown = browser.evaluate("osteoflow.scene.drawn.get('to_bone.cloud').object.userData.points.length / 3");
+    assert_eq!(shown, lassoed, "points that the run kept");
+    let path = format!("crop.path={}", file.display());
+    let again = bench.on_command_line("fibula.toml", &["crop.kind=crop.file", &path]);
+    assert_eq!(again, bench.results(3));
+    let complaints = browser.complaints(Path::new("/none"));
+    let own = served.page.trim_start_matches("http://").to_owned();
+    let complaints: Vec<_> = complaints.iter().filter(|c| !c.contains(&own) && !c.contains("422")).collect();
+    assert!(complaints.is_empty(), "{complaints:?}");
+}
