@@ -194,7 +194,7 @@ impl Graph {
             out => Some(crate::commands::out_dir::make(out, &plan.name, asked.leave.force)?),
         };
         let mut options = RunOptions {
-            out_dir: out_dir.clone(),
+            out_dir: out_dir.as_ref().map(|dir| dir.to_path_buf()),
             record: out_dir.is_some() && !asked.no_record,
             latency: out_dir.is_some() && !asked.no_record,
             shuffle: asked.shuffle,
@@ -211,7 +211,7 @@ impl Graph {
         let warnings = report.warnings.iter();
         let warnings = warnings.map(|w| format!("node \"{}\", item {}: {}", w.node, w.item, w.message)).collect();
         match &report.outcome {
-            Outcome::Complete => Ok(GraphRun { results: report.results, wires, warnings, out_dir }),
+            Outcome::Complete => Ok(GraphRun { results: report.results, wires, warnings, out_dir: options.out_dir }),
             Outcome::Interrupted => Err(Error::Interrupted),
             Outcome::Refused(refusal) => {
                 let why = verdict_lines::refusal_in_short(refusal, &report.results);

@@ -193,7 +193,7 @@ impl AnswerCache for StoredAnswers<'_> {
                 "this answer is not kept: {kind} says that it is decided {}, but took more from its context",
                 if kept == CachePolicy::ByInputs { "by its inputs" } else { "by its inputs and its seed" }
             ));
-        } else if !context.cancelled() && !self.cannot_keep.load(Ordering::Relaxed) {
+        } else if !context.saw_stop() && !self.cannot_keep.load(Ordering::Relaxed) {
             self.save(&key, out, context);
         }
         Ok(())

@@ -18,6 +18,7 @@
 mod answer_cache;
 pub mod check;
 pub mod diff;
+pub mod durable;
 pub mod fault;
 pub mod given;
 mod graph;

@@ -17,6 +17,7 @@ mod queue;
 mod sink;
 
 use crate::{
+    durable,
     options::RunOptions,
     panics,
     plan::{OutputId, Plan},
@@ -174,7 +175,7 @@ impl Recorder {
         let create = |source| RecordError::Create { path: path.into(), source };
         let write = |source| RecordError::Write { path: path.into(), source };
         let inputs = inputs.map(named_inputs).transpose()?;
-        let file = File::create(path).map_err(create)?;
+        let file = durable::create(path).map_err(create)?;
         let sink = begin(file, plan, options, inputs, shown).map_err(write)?;
         let shared =
             Arc::new(Shared { queue: Queue::new(), firings: Mutex::default(), cancelled: options.cancelled.clone() });
@@ -218,9 +219,12 @@ impl Recorder {
             return Err(RecordError::Panicked { path: self.path, panic: "panicked".into() });
         };
         let Written { counts, layout } = written.map_err(|stopped| stopped.into_error(&self.path))?;
+        let synced = durable::sync_folder_of(&self.path);
+        synced.map_err(|source| RecordError::Write { path: self.path.clone(), source })?;
         if let Some(layout) = layout {
             let path = self.path.with_file_name(LAYOUT);
-            std::fs::write(&path, format!("{layout:#}\n")).map_err(|source| RecordError::Write { path, source })?;
+            let written = durable::write(&path, format!("{layout:#}\n").as_bytes());
+            written.map_err(|source| RecordError::Write { path, source })?;
         }
         Ok(counts)
     }
@@ -389,6 +393,7 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<Written, Stopped> {
     let counts = sink.counts();
     write(&mut sink.file, &counts)?;
     end.metadata.iter().try_for_each(|(name, metadata)| sink.file.write_metadata(name, metadata))?;
-    sink.file.finish()?;
+    let file = sink.file.finish()?;
+    file.sync_all()?;
     Ok(Written { counts, layout: sink.pictures.layout() })
 }

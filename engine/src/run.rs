@@ -28,9 +28,10 @@ pub use verdict::{Answer, Reason, Verdict};
 
 use crate::{
     answer_cache::StoredAnswers,
+    durable,
     hash::files::Hashes,
     plan::{Plan, Sources},
-    record::Recorder,
+    record::{RecordError, Recorder},
     recording::RecordedFailure,
     repro::Saver,
     runtime::{AnswerCache, Failure, Latency, Replayed, RunSettings, Runtime, Tap},
@@ -159,13 +160,13 @@ pub(crate) fn run_part(
     report.latencies = latencies;
     report.cached_answers = answers.map(StoredAnswers::finish).unwrap_or_default();
     if let Some(dir) = out_dir {
-        write_json(&dir.join(files::RESULTS), &shown.json(report.results.clone()))?;
         let times = (began, SystemTime::now());
         let mut manifest = manifest::manifest(plan, options, &report, recorded.as_ref(), inputs, times);
         if let Some(about) = about {
             manifest["watch"] = about;
         }
-        write_json(&dir.join(files::MANIFEST), &shown.json(manifest))?;
+        let to_write = [(files::RESULTS, shown.json(report.results.clone())), (files::MANIFEST, shown.json(manifest))];
+        write_files(dir, &to_write, recorded.as_ref().and_then(|recorded| recorded.as_ref().err()))?;
     }
     recorded.transpose()?;
     drop(retired);
@@ -207,14 +208,27 @@ fn report_of(plan: &Plan, finished: Finished, outcome: Outcome, results: serde_j
     }
 }
 
-/// Writes a file atomically.
-fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), RunError> {
-    let write = || {
+/// Writes the files that follow the recording. A reader that finds them finds the recording whole, as it is synced
+/// first.
+fn write_files(
+    dir: &Path,
+    to_write: &[(&'static str, serde_json::Value)],
+    not_recorded: Option<&RecordError>,
+) -> Result<(), RunError> {
+    let write = |name: &str, value: &serde_json::Value| {
         let mut text = serde_json::to_string_pretty(value)?;
         text.push('\n');
-        let part = path.with_extension("json.part");
-        std::fs::write(&part, text)?;
-        std::fs::rename(&part, path)
+        durable::write(&dir.join(name), text.as_bytes())
     };
-    write().map_err(|source: std::io::Error| RunError::Write { path: path.into(), source })
+    let mut failed: Vec<(&'static str, std::io::Error)> =
+        to_write.iter().filter_map(|(name, value)| Some((*name, write(name, value).err()?))).collect();
+    if failed.is_empty() {
+        return Ok(());
+    }
+    let mut missing: Vec<_> = failed.iter().map(|(name, _)| (*name).to_owned()).collect();
+    if not_recorded.is_some() {
+        missing.insert(0, format!("the end of {}", files::RECORDING));
+    }
+    let (name, source) = failed.swap_remove(0);
+    Err(RunError::Files { path: dir.join(name), source, missing: missing.join(", ") })
 }

@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, GraphArgs, print_json};
+use super::{Exit, Format, Global, GraphArgs, print_json, terminal};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{CheckedFile, Faults};
@@ -45,7 +45,7 @@ impl Check {
                     1 => ", 1 warning".into(),
                     n => format!(", {n} warnings"),
                 };
-                writeln!(std::io::stdout(), "{graph}: {module}{nodes} nodes, {wires} wires, no faults{warned}")?;
+                writeln!(terminal::stdout(), "{graph}: {module}{nodes} nodes, {wires} wires, no faults{warned}")?;
             }
             Format::Text => {}
         }

@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, UsageError, print_json, summary_table, text_table::TextTable};
+use super::{Exit, Format, Global, UsageError, print_json, summary_table, terminal, text_table::TextTable};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{
@@ -86,7 +86,7 @@ impl Compare {
             let differences = values[1..].iter().map(|v| v - values[0]);
             table.row(key.as_str(), values.iter().copied().chain(differences).map(|x| format!("{x:.6}")));
         }
-        let mut out = std::io::stdout().lock();
+        let mut out = terminal::stdout().lock();
         writeln!(out, "{}", self.legend())?;
         match rows.iter().any(|(_, values)| differing(values)) {
             true => writeln!(out, "{}", table.lines())?,
@@ -112,7 +112,7 @@ impl Compare {
             if n < all {
                 let word = global.paint_err("warning", "1;33");
                 let dir = folder.dir().display();
-                writeln!(std::io::stderr(), "{word}: {dir} is not finished: it has {n} of {all} runs")?;
+                writeln!(terminal::stderr(), "{word}: {dir} is not finished: it has {n} of {all} runs")?;
             }
         }
         let mut comparisons = Vec::new();
@@ -133,7 +133,7 @@ impl Compare {
             }
             Format::Text => {
                 let table = summary_table::of_comparisons(&comparisons).unwrap_or_default();
-                writeln!(std::io::stdout(), "{}\n{table}", self.legend())?;
+                writeln!(terminal::stdout(), "{}\n{table}", self.legend())?;
             }
         }
         Ok(Exit::Done)

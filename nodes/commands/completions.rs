@@ -1,4 +1,4 @@
-use super::{Cli, Exit, Global};
+use super::{Cli, Exit, Global, terminal};
 use anyhow::Result;
 use clap::{Args, CommandFactory};
 use clap_complete::Shell;
@@ -19,7 +19,7 @@ impl Completions {
     pub(crate) fn execute(&self, _global: &Global) -> Result<Exit> {
         let mut script = Vec::new();
         clap_complete::generate(self.shell, &mut Cli::command(), "osteoflow", &mut script);
-        std::io::stdout().write_all(&script)?;
+        terminal::stdout().write_all(&script)?;
         Ok(Exit::Done)
     }
 }

@@ -1,6 +1,7 @@
 use super::{
     Exit, Global, UsageError,
     content::{is_volume, picked_points, without_cause},
+    terminal,
 };
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
@@ -81,9 +82,9 @@ impl Convert {
     fn done(&self, done: &str, notes: &[String], global: &Global) -> Result<Exit> {
         if !global.quiet {
             for note in notes {
-                writeln!(std::io::stderr(), "{}: {}: {note}", global.paint_err("note", "1"), self.input.display())?;
+                writeln!(terminal::stderr(), "{}: {}: {note}", global.paint_err("note", "1"), self.input.display())?;
             }
-            writeln!(std::io::stdout(), "{}: {done}", self.output.display())?;
+            writeln!(terminal::stdout(), "{}: {done}", self.output.display())?;
         }
         Ok(Exit::Done)
     }

@@ -1,4 +1,6 @@
-use super::{Exit, Format, Global, UsageError, print_json, reading::Reading, run_path, text_table::TextTable};
+use super::{
+    Exit, Format, Global, UsageError, print_json, reading::Reading, run_path, terminal, text_table::TextTable,
+};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::diff::{DiffOptions, DiffReport, Difference, Largest, Side, WireDiff, diff};
@@ -59,10 +61,10 @@ impl Diff {
         for (path, side) in [&self.a, &self.b].into_iter().zip(&report.sides) {
             if let Some(reason) = &side.incomplete {
                 let path = path.display();
-                writeln!(std::io::stderr(), "{word}: {path} may lack items ({reason}); the rest is compared")?;
+                writeln!(terminal::stderr(), "{word}: {path} may lack items ({reason}); the rest is compared")?;
             }
         }
-        let mut out = std::io::stdout().lock();
+        let mut out = terminal::stdout().lock();
         if let Some(first) = &report.first {
             let (wire, item) = (&first.wire, first.item);
             writeln!(out, "{}: wire {wire}, item {item}", global.paint_out("first divergence", "1;31"))?;

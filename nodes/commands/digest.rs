@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, print_json, reading::Reading, run_path, text_table::TextTable};
+use super::{Exit, Format, Global, print_json, reading::Reading, run_path, terminal, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::recording::digest::{DigestReport, digest};
@@ -45,7 +45,7 @@ impl Digest {
                 }
                 (Format::Text, Ok(report)) => print_text(file, &report, global)?,
                 (Format::Text, Err(error)) => {
-                    writeln!(std::io::stderr(), "{}: {error}", global.paint_err("error", "1;31"))?;
+                    writeln!(terminal::stderr(), "{}: {error}", global.paint_err("error", "1;31"))?;
                 }
             }
         }
@@ -59,9 +59,9 @@ impl Digest {
 fn print_text(file: &Path, report: &DigestReport, global: &Global) -> Result<()> {
     let word = global.paint_err("warning", "1;33");
     for warning in report.incomplete.iter().chain(&report.partial) {
-        writeln!(std::io::stderr(), "{word}: {}: {warning}; the digest is of the remaining items", file.display())?;
+        writeln!(terminal::stderr(), "{word}: {}: {warning}; the digest is of the remaining items", file.display())?;
     }
-    let mut out = std::io::stdout().lock();
+    let mut out = terminal::stdout().lock();
     if !global.quiet {
         let mut table = TextTable::new("wires", &["payload", "items", "values", "digest"]);
         for wire in &report.wires {

@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, GraphArgs, print_json};
+use super::{Exit, Format, Global, GraphArgs, print_json, terminal};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{Faults, plan::Plan};
@@ -37,7 +37,7 @@ impl Expand {
                 })).collect::<Vec<_>>(),
                 "warnings": Faults(checked.warnings.clone()).to_json(),
             }))?,
-            Format::Text => write!(std::io::stdout(), "{}", commented(plan))?,
+            Format::Text => write!(terminal::stdout(), "{}", commented(plan))?,
         }
         Ok(Exit::Done)
     }

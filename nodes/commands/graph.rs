@@ -1,4 +1,4 @@
-use super::{Exit, Global, GraphArgs, PluginArgs, UsageError};
+use super::{Exit, Global, GraphArgs, PluginArgs, UsageError, terminal};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use osteoflow_draw::{Diagram, dot, mermaid, svg};
@@ -67,7 +67,7 @@ impl Graph {
             Language::Dot => dot(&diagram),
             Language::Svg => svg(&diagram),
         };
-        writeln!(std::io::stdout(), "{}", drawn.trim_end())?;
+        writeln!(terminal::stdout(), "{}", drawn.trim_end())?;
         Ok(Exit::Done)
     }
 }

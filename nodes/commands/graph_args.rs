@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, PluginArgs};
+use super::{Exit, Format, Global, PluginArgs, terminal};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{Checked, CheckedFile, Fault, Faults, Module};
@@ -56,7 +56,7 @@ impl GraphArgs {
 /// Prints warnings about the graph.
 pub(super) fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
     if !warnings.is_empty() && !global.quiet && global.format == Format::Text {
-        writeln!(std::io::stderr(), "{}\n", Faults(warnings.to_vec()).render(global.colour_err()))?;
+        writeln!(terminal::stderr(), "{}\n", Faults(warnings.to_vec()).render(global.colour_err()))?;
     }
     Ok(())
 }
@@ -64,7 +64,7 @@ pub(super) fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
 /// Prints all faults: as text on stderr, or as JSON on stdout.
 pub(super) fn print_faults(faults: &Faults, global: &Global) -> Result<()> {
     match global.format {
-        Format::Text => writeln!(std::io::stderr(), "{}", faults.render(global.colour_err()))?,
+        Format::Text => writeln!(terminal::stderr(), "{}", faults.render(global.colour_err()))?,
         Format::Json => print_json(&as_json(faults))?,
     }
     Ok(())
@@ -77,6 +77,6 @@ pub(super) fn as_json(faults: &Faults) -> Value {
 
 /// Prints the JSON value of a command.
 pub(crate) fn print_json(value: &Value) -> Result<()> {
-    writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(value)?)?;
+    writeln!(terminal::stdout(), "{}", serde_json::to_string_pretty(value)?)?;
     Ok(())
 }

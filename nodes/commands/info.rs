@@ -2,7 +2,7 @@
 
 mod found;
 
-use super::{Exit, Format, Global, print_json, text_table::TextTable};
+use super::{Exit, Format, Global, print_json, terminal, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use found::{Found, Topic};
@@ -44,7 +44,7 @@ impl Info {
     }
 
     fn print_text(&self, found: &Found, global: &Global) -> Result<()> {
-        let mut out = std::io::stdout().lock();
+        let mut out = terminal::stdout().lock();
         writeln!(out, "{}: {}", self.file.display(), found.about)?;
         for (name, value) in found.lines() {
             writeln!(out, "  {name:<11} {value}")?;

@@ -1,5 +1,6 @@
 use super::{
     Exit, Format, Global, GraphArgs, PluginArgs, UsageError, module_docs, node_docs, plugins, print_json, registry,
+    terminal,
 };
 use anyhow::{Context, Result};
 use clap::Args;
@@ -66,7 +67,7 @@ impl Inspect {
             return self.module(file, global);
         }
         let chosen = self.chosen(registry)?;
-        let mut out = std::io::stdout().lock();
+        let mut out = terminal::stdout().lock();
         let whole = self.kind.as_deref().is_some_and(|kind| registry.kind(kind).is_some());
         match global.format {
             Format::Json => {
@@ -116,7 +117,7 @@ impl Inspect {
         };
         match global.format {
             Format::Json => print_json(&json!(module.description))?,
-            Format::Text => write!(std::io::stdout(), "{}", module_docs::markdown(&module.description, file))?,
+            Format::Text => write!(terminal::stdout(), "{}", module_docs::markdown(&module.description, file))?,
         }
         Ok(Exit::Done)
     }
@@ -174,7 +175,7 @@ fn payloads(registry: &Registry, global: &Global) -> Result<Exit> {
         print_json(&rows.collect())?;
         return Ok(Exit::Done);
     }
-    let mut out = std::io::stdout().lock();
+    let mut out = terminal::stdout().lock();
     for ty in types {
         let between = if ty.interpolates { "; joins by interpolate" } else { "" };
         writeln!(out, "{} (version {}{between})", global.paint_out(ty.name, "1"), ty.version)?;

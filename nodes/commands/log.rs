@@ -1,6 +1,6 @@
 //! Log lines go to stderr, because stdout carries results only.
 
-use super::Global;
+use super::{Global, terminal};
 use tracing::level_filters::LevelFilter;
 
 /// The environment variable that names a level: `off`, `error`, `warn`, `info`, `debug` or `trace`.
@@ -19,7 +19,7 @@ pub(crate) fn start(global: &Global) {
     let by_name = named.as_deref().map(str::parse::<LevelFilter>);
     tracing_subscriber::fmt()
         .with_max_level(by_name.clone().and_then(Result::ok).unwrap_or(by_switch))
-        .with_writer(std::io::stderr)
+        .with_writer(terminal::stderr)
         .with_ansi(global.colour_err())
         .without_time()
         .with_target(false)

@@ -1,7 +1,7 @@
 mod procedure;
 mod template;
 
-use super::{Exit, Format, Global, UsageError, print_json, registry};
+use super::{Exit, Format, Global, UsageError, print_json, registry, terminal};
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
 use serde_json::json;
@@ -208,7 +208,7 @@ impl Plugin {
         match global.format {
             Format::Json => print_json(&json!({ "folder": dir, "note": sdk.note, "commands": commands }))?,
             Format::Text => {
-                let mut out = std::io::stdout().lock();
+                let mut out = terminal::stdout().lock();
                 if let Some(note) = sdk.note.filter(|_| !global.quiet) {
                     writeln!(out, "note: {note}\n")?;
                 }

@@ -1,11 +1,15 @@
-//! The folder that a run writes its files into: new or empty, except with `--force`.
+//! The folder that a run writes its files into: new or empty, except with `--force`, and of this process alone.
 
-use super::UsageError;
+use super::{
+    UsageError,
+    folder_lock::{FolderLock, HOLDER},
+};
 use anyhow::{Context, Result};
 use jiff::Timestamp;
 use osteoflow_engine::run::files;
 use std::{
     fs, io,
+    ops::Deref,
     path::{Path, PathBuf},
     time::SystemTime,
 };
@@ -13,15 +17,41 @@ use std::{
 /// The folder for runs that name none, in the current folder.
 const RUNS: &str = "runs";
 
+/// A folder for the files of a run, locked until it is dropped.
+#[derive(Debug)]
+pub(crate) struct OutDir {
+    path: PathBuf,
+    _lock: FolderLock,
+}
+
+impl OutDir {
+    /// Removes the folder of a run that has written nothing.
+    pub(crate) fn remove_if_empty(self) {
+        let path = self.path.clone();
+        drop(self);
+        let _ = fs::remove_dir(path);
+    }
+}
+
+impl Deref for OutDir {
+    type Target = Path;
+
+    fn deref(&self) -> &Path {
+        &self.path
+    }
+}
+
 /// Creates the folder: `asked` if given, otherwise a new one under `runs/` in the current folder.
 ///
 /// # Errors
-/// If `asked` is a file, or a folder that is not empty and `force` is not set. With `force`, the files of an earlier run are
-/// removed and everything else stays.
-pub(crate) fn make(asked: Option<&Path>, graph: &str, force: bool) -> Result<PathBuf> {
+/// If `asked` is a file, a folder that another process writes into, or a folder that is not empty and `force` is not set. With
+/// `force`, the files of an earlier run are removed and everything else stays.
+pub(crate) fn make(asked: Option<&Path>, graph: &str, force: bool) -> Result<OutDir> {
     let Some(dir) = asked else { return make_new(Path::new(RUNS), graph, SystemTime::now()) };
     fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
-    let used = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some();
+    let lock = FolderLock::take(dir)?;
+    let mut entries = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?;
+    let used = entries.any(|entry| entry.is_ok_and(|entry| entry.file_name() != HOLDER));
     if used && !force {
         let message =
             format!("{} is not empty; name another folder, or replace the run in it with --force", dir.display());
@@ -37,7 +67,7 @@ pub(crate) fn make(asked: Option<&Path>, graph: &str, force: bool) -> Result<Pat
     }
     remove_bundles(&dir.join(files::REPRO))
         .with_context(|| format!("{} cannot be replaced", dir.join(files::REPRO).display()))?;
-    Ok(dir.to_owned())
+    Ok(OutDir { path: dir.to_owned(), _lock: lock })
 }
 
 /// Removes the bundles of an earlier run, and then the folder if nothing else is in it.
@@ -58,7 +88,7 @@ fn remove_bundles(folder: &Path) -> io::Result<()> {
 }
 
 /// Creates a new folder `<graph>-<time>`; `-2`, `-3` ... is appended if several runs begin in the same second.
-fn make_new(parent: &Path, graph: &str, now: SystemTime) -> Result<PathBuf> {
+fn make_new(parent: &Path, graph: &str, now: SystemTime) -> Result<OutDir> {
     fs::create_dir_all(parent).with_context(|| format!("{} cannot be made a folder", parent.display()))?;
     // A graph may have any name; that of a folder must not contain separators.
     let plain = |c: char| if c.is_alphanumeric() || "-_".contains(c) { c } else { '_' };
@@ -70,7 +100,7 @@ fn make_new(parent: &Path, graph: &str, now: SystemTime) -> Result<PathBuf> {
 ///
 /// # Errors
 /// If it cannot be made, or `dir` is the root, which has nothing beside it.
-pub(crate) fn make_after(dir: &Path) -> Result<PathBuf> {
+pub(crate) fn make_after(dir: &Path) -> Result<OutDir> {
     // A path such as `.` has no name to append a number to.
     let dir = match dir.file_name() {
         Some(_) => dir.to_owned(),
@@ -83,11 +113,14 @@ pub(crate) fn make_after(dir: &Path) -> Result<PathBuf> {
 }
 
 /// Creates the first folder of this name and a number that does not exist yet; number 1 is left out.
-fn make_numbered(parent: &Path, stem: &str, first: u32) -> Result<PathBuf> {
+fn make_numbered(parent: &Path, stem: &str, first: u32) -> Result<OutDir> {
     for n in first.. {
         let dir = parent.join(if n == 1 { stem.to_owned() } else { format!("{stem}-{n}") });
         match fs::create_dir(&dir) {
-            Ok(()) => return Ok(dir),
+            Ok(()) => {
+                let _lock = FolderLock::take(&dir)?;
+                return Ok(OutDir { path: dir, _lock });
+            }
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
             Err(error) => return Err(error).with_context(|| format!("{} cannot be made", dir.display())),
         }
@@ -129,6 +162,7 @@ mod tests {
         let parent = tempfile::tempdir().unwrap();
         fs::create_dir(parent.path().join("out-3")).unwrap();
         let made: Vec<_> = (0..2).map(|_| make_after(&parent.path().join("out")).unwrap()).collect();
+        let made: Vec<&Path> = made.iter().map(|dir| &**dir).collect();
         assert_eq!(made, [parent.path().join("out-2"), parent.path().join("out-4")]);
         assert!(make_after(Path::new("/")).is_err());
     }
@@ -137,7 +171,7 @@ mod tests {
     fn the_name_of_a_graph_cannot_leave_the_folder() {
         let parent = tempfile::tempdir().unwrap();
         let made = make_new(parent.path(), "../a b", UNIX_EPOCH).unwrap();
-        assert_eq!(made, parent.path().join("___a_b-19700101-000000"));
+        assert_eq!(*made, parent.path().join("___a_b-19700101-000000"));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Plugins of a command: search, inspection and listing.
 
-use super::{Exit, Format, Global, UsageError, print_json, registry, text_table::TextTable};
+use super::{Exit, Format, Global, UsageError, print_json, registry, terminal, text_table::TextTable};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{
@@ -148,7 +148,7 @@ pub(crate) fn print_refused(known: &Known, global: &Global) -> Result<Exit> {
     };
     let shown: Vec<_> = faults.into_iter().filter(|f| !global.quiet || f.severity == Severity::Error).collect();
     if !shown.is_empty() {
-        writeln!(std::io::stderr(), "{}\n", Faults(shown).render(global.colour_err()))?;
+        writeln!(terminal::stderr(), "{}\n", Faults(shown).render(global.colour_err()))?;
     }
     Ok(exit)
 }
@@ -169,7 +169,7 @@ pub(crate) fn table(known: &Known, global: &Global) -> Result<Exit> {
         print_json(&json!({ "plugins": found.collect::<Value>(), "refused": refused.collect::<Value>() }))?;
         return print_refused(known, &Global { quiet: true, ..global.clone() });
     }
-    let mut out = std::io::stdout().lock();
+    let mut out = terminal::stdout().lock();
     if known.plugins.is_empty() {
         writeln!(out, "no plugins; name one by --plugin FILE, or folders of them by {FOLDERS}")?;
     } else {

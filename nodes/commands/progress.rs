@@ -1,6 +1,6 @@
 //! Progress of a run: an updated line on a terminal, a few plain lines elsewhere.
 
-use super::{Format, Global, busy::Longest};
+use super::{Format, Global, busy::Longest, terminal};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use osteoflow_engine::{
     plan::Plan,
@@ -64,7 +64,7 @@ impl Progress {
         let shown = !global.quiet && global.format == Format::Text;
         let terminal = std::io::stderr().is_terminal();
         if shown && !terminal {
-            let _ = writeln!(std::io::stderr(), "{what}");
+            let _ = writeln!(terminal::stderr(), "{what}");
         }
         let target = if shown && terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(n_nodes.map(|n| n as u64), target);
@@ -100,7 +100,7 @@ impl Progress {
             match longest {
                 Some(longest) if longest.took >= state.next_line => {
                     state.next_line *= 2;
-                    let _ = writeln!(std::io::stderr(), "{longest}");
+                    let _ = writeln!(terminal::stderr(), "{longest}");
                 }
                 Some(longest) if longest.took >= LINE_AFTER => {}
                 _ => state.next_line = LINE_AFTER,
@@ -110,7 +110,7 @@ impl Progress {
         let named = longest.filter(|longest| longest.took >= NAMED_AFTER).map(|longest| longest.to_string());
         if named != state.busy_for_long {
             state.busy_for_long = named;
-            self.bar.set_message(state.message(None));
+            self.bar.set_message(terminal::escape(&state.message(None)));
         }
     }
 
@@ -122,7 +122,7 @@ impl Progress {
     /// Writes a line to stderr without disturbing the progress line.
     pub(crate) fn println(&self, line: &str) {
         self.bar.suspend(|| {
-            let _ = writeln!(std::io::stderr(), "{line}");
+            let _ = writeln!(terminal::stderr(), "{line}");
         });
     }
 }
@@ -152,6 +152,6 @@ impl Observer for Progress {
         }
         state.shown = Instant::now();
         self.bar.set_position(state.n_ended);
-        self.bar.set_message(state.message(latest));
+        self.bar.set_message(terminal::escape(&state.message(latest)));
     }
 }

@@ -1,8 +1,9 @@
 use super::{
-    Exit, Format, Global, GraphArgs, UsageError, print_json,
+    Exit, Format, Global, GraphArgs, UsageError, out_dir, print_json,
     progress::Progress,
     run::Keep,
     running::{self, Ran},
+    terminal,
 };
 use anyhow::{Context, Result};
 use clap::Args;
@@ -60,10 +61,10 @@ impl Record {
         let mut name = file.file_name().context("--out does not name a file")?.to_owned();
         name.push(".part");
         let part = file.with_file_name(name);
-        let _ = fs::remove_dir_all(&part);
+        let part = out_dir::make(Some(&part), "record", true)?;
         let cancelled = Arc::default();
         let options = RunOptions {
-            out_dir: Some(part.clone()),
+            out_dir: Some(part.to_path_buf()),
             record: true,
             store: self.keep.store()?,
             ..running::options(self.workers, &cancelled)?
@@ -79,11 +80,11 @@ impl Record {
         };
         fs::rename(part.join(files::RECORDING), file)
             .with_context(|| format!("{} cannot be written", file.display()))?;
-        fs::remove_dir_all(&part).with_context(|| format!("{} cannot be removed", part.display()))?;
+        fs::remove_dir_all(&*part).with_context(|| format!("{} cannot be removed", part.display()))?;
         let exit = match &report.outcome {
             Outcome::Complete => Exit::Done,
             Outcome::Refused(refusal) => {
-                writeln!(std::io::stderr(), "{}: {refusal}", global.paint_err("refused", "1;31"))?;
+                writeln!(terminal::stderr(), "{}: {refusal}", global.paint_err("refused", "1;31"))?;
                 Exit::Refused
             }
             Outcome::Interrupted => Exit::Interrupted,
@@ -95,7 +96,7 @@ impl Record {
                 "wires": n_wires,
             }))?,
             Format::Text if global.quiet => {}
-            Format::Text => writeln!(std::io::stdout(), "{n_wires} wires in {}", file.display())?,
+            Format::Text => writeln!(terminal::stdout(), "{n_wires} wires in {}", file.display())?,
         }
         Ok(exit)
     }

@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, UsageError, print_json, reading::Reading, text_table::TextTable};
+use super::{Exit, Format, Global, UsageError, print_json, reading::Reading, terminal, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::recover::{RecoverError, RecoverReport, RecoveredWire, recover};
@@ -42,7 +42,7 @@ impl Recover {
     }
 
     fn print_text(&self, report: &RecoverReport, global: &Global) -> Result<()> {
-        let mut out = std::io::stdout().lock();
+        let mut out = terminal::stdout().lock();
         if !global.quiet {
             let mut table = TextTable::new("wires", &["items"]);
             for wire in &report.wires {

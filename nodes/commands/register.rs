@@ -18,6 +18,7 @@ use super::{
     registry,
     run::Keep,
     running::{self, Ran},
+    terminal,
 };
 use align::{Ended, Work};
 use anyhow::{Context, Result};
@@ -271,7 +272,7 @@ impl Register {
         };
         if global.format == Format::Text && !global.quiet {
             for note in &ready.inputs.notes {
-                writeln!(std::io::stderr(), "{}: {note}", global.paint_err("note", "1"))?;
+                writeln!(terminal::stderr(), "{}: {note}", global.paint_err("note", "1"))?;
             }
         }
         let cancelled = Arc::default();

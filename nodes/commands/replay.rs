@@ -5,6 +5,7 @@ use super::{
     run::{self, Leave},
     run_path, run_table,
     running::{self, Ran},
+    terminal,
     text_table::TextTable,
     verdict_lines,
 };
@@ -88,7 +89,7 @@ impl Replay {
         let dir =
             self.leave.out.as_deref().map(|dir| out_dir::make(Some(dir), "replay", self.leave.force)).transpose()?;
         let options = RunOptions {
-            out_dir: dir.clone(),
+            out_dir: dir.as_ref().map(|dir| dir.to_path_buf()),
             record: dir.is_some(),
             ..running::options(self.leave.workers, &cancelled)?
         };
@@ -131,7 +132,7 @@ impl Replay {
 }
 
 fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> {
-    let mut err = std::io::stderr().lock();
+    let mut err = terminal::stderr().lock();
     if let Some(reason) = &report.truncated {
         let word = global.paint_err("warning", "1;33");
         writeln!(err, "{word}: the recording ends early ({reason}); everything before is compared")?;
@@ -154,7 +155,7 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
         writeln!(err, "{}: nothing is compared", global.paint_err("interrupted", "1;33"))?;
     }
     drop(err);
-    let mut out = std::io::stdout().lock();
+    let mut out = terminal::stdout().lock();
     if global.verbose > 0 {
         writeln!(out, "{}", run_table::text(&report.run))?;
     }

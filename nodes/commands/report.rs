@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, PluginArgs, UsageError, print_json, run_path};
+use super::{Exit, Format, Global, PluginArgs, UsageError, print_json, run_path, terminal};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{run::files, sweep};
@@ -82,7 +82,7 @@ fn print_end(page: &Path, report: &osteoflow_report::Report, global: &Global) ->
     }
     if !global.quiet {
         let size = report.html.len() as f64 / 1e6;
-        writeln!(std::io::stdout(), "{} ({size:.1} MB), {} figures", page.display(), figures.len())?;
+        writeln!(terminal::stdout(), "{} ({size:.1} MB), {} figures", page.display(), figures.len())?;
     }
     Ok(Exit::Done)
 }

@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, PluginArgs, UsageError, print_json, running, text_table::TextTable};
+use super::{Exit, Format, Global, PluginArgs, UsageError, print_json, running, terminal, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
@@ -62,7 +62,7 @@ impl Repro {
 
 fn print_text(report: &ReproReport, backtrace: bool, global: &Global) -> Result<()> {
     let bundle = &report.bundle;
-    let mut err = std::io::stderr().lock();
+    let mut err = terminal::stderr().lock();
     for difference in &report.differences {
         writeln!(err, "{}: {difference}", global.paint_err("warning", "1;33"))?;
     }
@@ -70,7 +70,7 @@ fn print_text(report: &ReproReport, backtrace: bool, global: &Global) -> Result<
         writeln!(err, "{}: node \"{}\": {warning}", global.paint_err("warning", "1;33"), bundle.node.name)?;
     }
     drop(err);
-    let mut out = std::io::stdout().lock();
+    let mut out = terminal::stdout().lock();
     let (name, kind) = (&bundle.node.name, &bundle.node.kind);
     writeln!(out, "node \"{name}\" ({kind}), item {}, {}", bundle.item, bundle.location)?;
     if global.verbose > 0 {

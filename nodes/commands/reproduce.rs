@@ -1,6 +1,6 @@
 use super::{
     Exit, Format, Global, UsageError, graph_args, plugins::PluginArgs, print_json, result_table::NOTICE, run::Keep,
-    running, sweep as sweep_command,
+    running, sweep as sweep_command, terminal,
 };
 use anyhow::{Context, Result};
 use clap::Args;
@@ -105,7 +105,7 @@ impl Reproduce {
         let options = SweepOptions { workers, run, share: true, shard: None };
         let out = match (&self.out, self.resume) {
             (Some(dir), true) => dir.clone(),
-            (dir, _) => sweep_command::new_dir(dir.as_deref(), "reproduce")?,
+            (dir, _) => sweep_command::new_dir(dir.as_deref(), "reproduce")?.to_path_buf(),
         };
         let bone = self.bone_sets()?;
         let names: Vec<String> = match self.only.as_slice() {
@@ -154,7 +154,7 @@ impl Reproduce {
         let running::Ran::Ended(true) = ran else {
             if !global.quiet {
                 let word = global.paint_err("interrupted", "1;33");
-                writeln!(std::io::stderr(), "{word}: continue with --out {} --resume", out.display())?;
+                writeln!(terminal::stderr(), "{word}: continue with --out {} --resume", out.display())?;
             }
             return Ok(Exit::Interrupted);
         };
@@ -175,11 +175,11 @@ impl Reproduce {
         let outside = reproduction.outside();
         let empty = reproduction.without_results();
         for line in &empty {
-            writeln!(std::io::stderr(), "{} {line}", global.paint_err("without results:", "1;33"))?;
+            writeln!(terminal::stderr(), "{} {line}", global.paint_err("without results:", "1;33"))?;
         }
         let missing = reproduction.missing();
         for line in &missing {
-            writeln!(std::io::stderr(), "{} {line}", global.paint_err("without a number:", "1;33"))?;
+            writeln!(terminal::stderr(), "{} {line}", global.paint_err("without a number:", "1;33"))?;
         }
         let exit = if empty.is_empty() && missing.is_empty() { Exit::Done } else { Exit::Refused };
         let reports = reports(sweeps)?;
@@ -192,7 +192,7 @@ impl Reproduce {
             }))?;
             return Ok(exit);
         }
-        let mut to = std::io::stdout().lock();
+        let mut to = terminal::stdout().lock();
         for line in &outside {
             writeln!(to, "outside the paper's spread: {line}")?;
         }
@@ -279,7 +279,7 @@ impl Reproduce {
 fn check_bone(bone: &Path, plan: &Path, as_it_is: bool) -> Result<()> {
     let subject = own_bone::read(bone, plan).map_err(|error| anyhow::anyhow!("{error}"))?;
     for note in &subject.notes {
-        writeln!(std::io::stderr(), "warning: {note}")?;
+        writeln!(terminal::stderr(), "warning: {note}")?;
     }
     if !as_it_is {
         return Ok(());

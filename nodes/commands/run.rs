@@ -4,7 +4,7 @@ use super::{
     result_table, run_table,
     running::{self, Ran},
     serve::{self, Admission, Serving},
-    verdict_lines, watch,
+    terminal, verdict_lines, watch,
 };
 use anyhow::Result;
 use clap::Args;
@@ -147,7 +147,7 @@ impl Run {
             .map(|(address, stream)| self.admission.serve(address, &plan.name, stream, Arc::new(Watched), global));
         let server = server.transpose()?;
         let options = RunOptions {
-            out_dir: Some(dir.clone()),
+            out_dir: Some(dir.to_path_buf()),
             listener: stream.map(|stream| stream as Arc<dyn Listener>),
             record: !self.no_record,
             // A recorded run measures the time of every firing in any case.
@@ -158,7 +158,7 @@ impl Run {
             ..running::options(workers, &cancelled)?
         };
         let progress = Progress::of_run(&plan, options.workers, global);
-        let (of_run, folder) = (global.clone(), dir.clone());
+        let (of_run, folder) = (global.clone(), dir.to_path_buf());
         let ran = running::watch(progress, cancelled, move |progress| {
             let report =
                 osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(running::run_error)?;
@@ -169,7 +169,7 @@ impl Run {
             let exit = print_end(&report, &folder, &of_run)?;
             if let Some(server) = server {
                 if !options.cancelled.load(Ordering::Relaxed) && !of_run.quiet {
-                    writeln!(std::io::stderr(), "the page stays until Ctrl-C")?;
+                    writeln!(terminal::stderr(), "the page stays until Ctrl-C")?;
                 }
                 serve::wait(server, &options.cancelled, &of_run)?;
             }
@@ -202,7 +202,7 @@ pub(super) fn print_warnings_and_failure(report: &RunReport, global: &Global) ->
         Outcome::Refused(_) => Exit::Refused,
         Outcome::Interrupted => Exit::Interrupted,
     };
-    let mut err = std::io::stderr().lock();
+    let mut err = terminal::stderr().lock();
     for warning in &report.warnings {
         let word = global.paint_err("warning", "1;33");
         writeln!(err, "{word}: node \"{}\", item {}: {}", warning.node, warning.item, warning.message)?;
@@ -239,7 +239,7 @@ pub(super) fn has_table(report: &RunReport) -> bool {
 
 /// Prints the tables and the paths of the files.
 pub(super) fn print_text(report: &RunReport, table: &str, dir: &Path, global: &Global) -> Result<()> {
-    let mut out = std::io::stdout().lock();
+    let mut out = terminal::stdout().lock();
     if global.verbose > 0 {
         writeln!(out, "{}", run_table::text(report))?;
     }

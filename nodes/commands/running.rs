@@ -4,6 +4,7 @@ use super::{
     Global, UsageError,
     busy::{Busy, LOOK},
     progress::Progress,
+    terminal,
 };
 use anyhow::{Context, Result, anyhow};
 use osteoflow_engine::{
@@ -162,5 +163,5 @@ pub(crate) fn print_left_files(out_dir: &std::path::Path, global: &Global) {
     use std::io::Write;
     let (word, dir) = (global.paint_err("left", "1;33"), out_dir.display());
     let message = format!("{word}: the files are in {dir}; the end of {} may be missing", files::RECORDING);
-    let _ = writeln!(std::io::stderr(), "{message}");
+    let _ = writeln!(terminal::stderr(), "{message}");
 }

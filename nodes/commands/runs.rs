@@ -1,4 +1,4 @@
-use super::{Exit, Format, Global, print_json, text_table::TextTable};
+use super::{Exit, Format, Global, print_json, terminal, text_table::TextTable};
 use anyhow::{Context, Result};
 use clap::Args;
 use serde::Serialize;
@@ -91,7 +91,7 @@ fn json(file: &Path) -> (Value, Option<String>) {
 }
 
 fn print_text(folder: &Path, rows: &[Row]) -> Result<()> {
-    let mut out = std::io::stdout().lock();
+    let mut out = terminal::stdout().lock();
     if rows.is_empty() {
         writeln!(out, "no runs in {}", folder.display())?;
         return Ok(());

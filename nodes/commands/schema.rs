@@ -1,4 +1,4 @@
-use super::{Exit, Global, PluginArgs, UsageError, plugins};
+use super::{Exit, Global, PluginArgs, UsageError, plugins, terminal};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::schema;
@@ -33,7 +33,7 @@ const PLAN: &str = include_str!("../../graphs/plan.schema.json");
 impl Schema {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         if self.plan {
-            write!(std::io::stdout(), "{PLAN}")?;
+            write!(terminal::stdout(), "{PLAN}")?;
             return Ok(Exit::Done);
         }
         let known = self.plugins.kinds()?.known();
@@ -48,7 +48,7 @@ impl Schema {
                 UsageError(format!("there is no kind \"{kind}\"; {near}`osteoflow inspect` lists them"))
             })?,
         };
-        writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&schema)?)?;
+        writeln!(terminal::stdout(), "{}", serde_json::to_string_pretty(&schema)?)?;
         Ok(exit)
     }
 }

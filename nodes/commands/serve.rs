@@ -4,7 +4,7 @@ mod graph;
 pub(crate) mod known_plan;
 pub(crate) mod picks;
 
-use super::{Global, UsageError, registry, verdict_lines};
+use super::{Global, UsageError, registry, terminal, verdict_lines};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{
@@ -77,7 +77,7 @@ impl Admission {
         }
         let options = ServeOptions { address, allowed_origins: self.allow_origin.clone(), name: name.to_owned() };
         let server = Server::start(options, stream, app).with_context(|| format!("{address} cannot be served"))?;
-        let mut err = std::io::stderr().lock();
+        let mut err = terminal::stderr().lock();
         writeln!(err, "{}: {}", global.paint_err("page", "1"), server.page())?;
         writeln!(
             err,
@@ -167,7 +167,7 @@ pub(crate) fn wait(server: Server, cancelled: &AtomicBool, global: &Global) -> R
     if totals.n_dropped > 0 && !global.quiet {
         let n_all = totals.n_sent + totals.n_dropped;
         writeln!(
-            std::io::stderr(),
+            terminal::stderr(),
             "note: slow viewers lost {} of {n_all} messages; the run lost none",
             totals.n_dropped
         )?;

@@ -1,4 +1,4 @@
-use super::{Exit, Global, UsageError, simulate_set::Settings};
+use super::{Exit, Global, UsageError, simulate_set::Settings, terminal};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use osteoflow_formats::{
@@ -124,7 +124,7 @@ impl Simulate {
         let Settings { procedure: params, ct, ct_bone } = settings;
         let subject = self.subject(&params.bone)?;
         for note in &subject.notes {
-            writeln!(std::io::stderr(), "warning: {note}")?;
+            writeln!(terminal::stderr(), "warning: {note}")?;
         }
         let mut procedure = Procedure::simulate_for(&subject, &params, self.seed)?;
         // The plan was made on the CT.
@@ -133,7 +133,7 @@ impl Simulate {
         if let Some(dir) = &self.out {
             self.write_files(dir, &procedure, &in_ct, &ct)?;
             if !global.quiet {
-                writeln!(std::io::stderr(), "SIMULATED procedure of seed {} in {}", self.seed, dir.display())?;
+                writeln!(terminal::stderr(), "SIMULATED procedure of seed {} in {}", self.seed, dir.display())?;
             }
         }
         if let Some(port) = self.openigtlink {

@@ -1,6 +1,7 @@
 use super::{
     Global,
     simulate::{ScanType, laser_number},
+    terminal,
 };
 use anyhow::{Context, Result, bail};
 use osteoflow_formats::openigtlink::{Affine, Body, Fiducial, Message, Metadata, PolyData, Status, Text, device_name};
@@ -22,7 +23,7 @@ pub(super) fn serve(procedure: &Procedure, port: u16, rate: f64, scans: ScanType
     let listener =
         TcpListener::bind(("127.0.0.1", port)).with_context(|| format!("cannot listen at 127.0.0.1:{port}"))?;
     // A program that asked for a free port needs it, quiet or not.
-    writeln!(std::io::stderr(), "SIMULATED procedure over OpenIGTLink at {}", listener.local_addr()?)?;
+    writeln!(terminal::stderr(), "SIMULATED procedure over OpenIGTLink at {}", listener.local_addr()?)?;
     let (mut stream, peer) = listener.accept()?;
     stream.set_nodelay(true)?;
     let began = Instant::now();
@@ -36,7 +37,7 @@ pub(super) fn serve(procedure: &Procedure, port: u16, rate: f64, scans: ScanType
     }
     finish(&mut stream)?;
     if !global.quiet {
-        writeln!(std::io::stderr(), "{} messages sent to {peer}", messages.len())?;
+        writeln!(terminal::stderr(), "{} messages sent to {peer}", messages.len())?;
     }
     Ok(())
 }

@@ -18,7 +18,7 @@ use super::{
         self, Admission, Serving, known_plan,
         picks::{self, Picks},
     },
-    watch,
+    terminal, watch,
 };
 use anyhow::Result;
 use changes::{Changes, Problem};
@@ -336,7 +336,7 @@ impl Session {
         let mut serving = Serving::begin(self.stream.clone(), &plan, &graph);
         serving.add("changes", changes.describe());
         let options = RunOptions {
-            out_dir: Some(dir.clone()),
+            out_dir: Some(dir.to_path_buf()),
             listener: Some(self.stream.clone()),
             record: true,
             latency: true,
@@ -348,7 +348,7 @@ impl Session {
         let report = match ran {
             Ok(report) => report,
             Err(error) => {
-                let _ = fs::remove_dir(&dir);
+                dir.remove_if_empty();
                 if self.n_runs == 0 {
                     return Err(running::run_error(error));
                 }
@@ -371,7 +371,7 @@ impl Session {
         if first && !self.was_interrupted && !self.global.quiet {
             let again = format!("; {} is run again when it changes", changes.path().display());
             let again = if changes.is_fixed() { "" } else { &again };
-            writeln!(std::io::stderr(), "the page stays until Ctrl-C{again}")?;
+            writeln!(terminal::stderr(), "the page stays until Ctrl-C{again}")?;
         }
         Ok(Some(stamps))
     }

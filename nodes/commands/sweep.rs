@@ -1,6 +1,12 @@
 use super::{
-    Exit, Format, Global, PluginArgs, UsageError, graph_args, out_dir, print_json, result_table::NOTICE, run::Keep,
-    running, summary_table,
+    Exit, Format, Global, PluginArgs, UsageError,
+    folder_lock::HOLDER,
+    graph_args,
+    out_dir::{self, OutDir},
+    print_json,
+    result_table::NOTICE,
+    run::Keep,
+    running, summary_table, terminal,
 };
 use anyhow::Result;
 use clap::Args;
@@ -183,13 +189,16 @@ pub(crate) fn folder_error(error: FolderError) -> anyhow::Error {
 }
 
 /// Creates the folder, or takes an empty one; for a folder with a sweep the error suggests --resume.
-pub(crate) fn new_dir(asked: Option<&Path>, graph: &str) -> Result<PathBuf> {
+pub(crate) fn new_dir(asked: Option<&Path>, graph: &str) -> Result<OutDir> {
     if let Some(dir) = asked.filter(|dir| dir.join(sweep::DESIGN).is_file()) {
         let dir = dir.display();
         let message = format!("{dir} holds a sweep already; continue it with --resume, or name another folder");
         return Err(UsageError(message).into());
     }
-    if let Some(dir) = asked.filter(|dir| fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some())) {
+    if let Some(dir) = asked.filter(|dir| {
+        fs::read_dir(dir)
+            .is_ok_and(|mut entries| entries.any(|entry| entry.is_ok_and(|entry| entry.file_name() != HOLDER)))
+    }) {
         return Err(UsageError(format!("{} is not empty; name another folder", dir.display())).into());
     }
     out_dir::make(asked, graph, false)
@@ -212,7 +221,7 @@ impl Bar {
         let shown = !global.quiet && global.format == Format::Text;
         let terminal = std::io::stderr().is_terminal();
         if shown && !terminal {
-            writeln!(std::io::stderr(), "{what}: {n_runs} runs, {workers} at a time")?;
+            writeln!(terminal::stderr(), "{what}: {n_runs} runs, {workers} at a time")?;
         }
         let target = if shown && terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(Some(n_runs as u64), target);
@@ -227,7 +236,7 @@ impl Bar {
 
     /// Shows the current step.
     pub(crate) fn message(&self, what: &str) {
-        self.0.set_message(what.to_owned());
+        self.0.set_message(terminal::escape(what));
     }
 
     /// Counts runs that have ended on other machines.
@@ -244,7 +253,7 @@ impl Bar {
 impl Watcher for Bar {
     fn ended(&self, done: &Done) {
         if let Some(reason) = &done.reason {
-            self.0.set_message(format!("run {}: {reason}", done.run));
+            self.0.set_message(terminal::escape(&format!("run {}: {reason}", done.run)));
         }
         self.0.inc(1);
     }
@@ -259,7 +268,7 @@ fn list(sweep: &Checked, shard: Option<Shard>, global: &Global) -> Result<Exit> 
         print_json(&json!({ "hash": sweep.hash().to_string(), "runs": runs.collect::<Vec<_>>() }))?;
         return Ok(Exit::Done);
     }
-    let mut out = std::io::stdout().lock();
+    let mut out = terminal::stdout().lock();
     for row in sweep.part(shard) {
         writeln!(out, "run {}: {}", row.run, row.sets.join(" "))?;
     }
@@ -282,7 +291,7 @@ fn print_end(folder: &Folder, swept: &SweepCounts, took: Duration, global: &Glob
         (0, true) => Exit::Refused,
         (0, false) => Exit::Done,
     };
-    let mut err = std::io::stderr().lock();
+    let mut err = terminal::stderr().lock();
     if let (true, Some(first)) = (nothing, folder.done().map_err(folder_error)?.next()) {
         let (first, word) = (first.map_err(folder_error)?, global.paint_err("refused", "1;31"));
         let reason = first.reason.as_deref().unwrap_or("no reason given");
@@ -308,12 +317,12 @@ fn print_end(folder: &Folder, swept: &SweepCounts, took: Duration, global: &Glob
     if swept.n_missing > 0 && !global.quiet {
         let word = global.paint_err("interrupted", "1;33");
         writeln!(
-            std::io::stderr(),
+            terminal::stderr(),
             "{word}: {} runs are missing; continue with --out {dir} --resume",
             swept.n_missing
         )?;
     }
-    let mut out = std::io::stdout().lock();
+    let mut out = terminal::stdout().lock();
     writeln!(out, "{}", summary_table::text(&summary))?;
     if n_without > 0 {
         writeln!(out, "{n_without} of {n_here} runs have no results; runs.csv says why")?;

@@ -1,4 +1,6 @@
-use super::{Exit, Format, Global, PluginArgs, print_json, reading::Reading, run_path, text_table::TextTable};
+use super::{
+    Exit, Format, Global, PluginArgs, print_json, reading::Reading, run_path, terminal, text_table::TextTable,
+};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::validate::{Finding, ValidateReport, validate};
@@ -44,7 +46,7 @@ impl Validate {
 }
 
 fn print_text(path: &Path, report: &ValidateReport, global: &Global) -> Result<()> {
-    let mut out = std::io::stdout().lock();
+    let mut out = terminal::stdout().lock();
     if !global.quiet && !report.wires.is_empty() {
         let mut table = TextTable::new("wires", &["payload", "items", "values", "views"]);
         for wire in &report.wires {

@@ -1,11 +1,13 @@
 //! `run --watch`: runs the graph again whenever one of its files has changed.
 
 use super::{
-    Exit, Format, Global, UsageError, graph_args, out_dir,
+    Exit, Format, Global, UsageError, graph_args,
+    out_dir::{self, OutDir},
     progress::Progress,
     result_table,
     run::{self, Leave, Run},
     running::{self, Ran},
+    terminal,
 };
 use anyhow::{Result, anyhow};
 use osteoflow_engine::{
@@ -119,7 +121,7 @@ impl Watch {
             what.print_changes()?;
         }
         let options = RunOptions {
-            out_dir: Some(dir.clone()),
+            out_dir: Some(dir.to_path_buf()),
             record: !self.run.no_record,
             latency: !self.run.no_record || self.global.verbose > 0,
             ..self.options.clone()
@@ -138,7 +140,7 @@ impl Watch {
         let report = match ran {
             Ok(report) => report,
             Err(error @ RunError::Build(_)) => {
-                let _ = fs::remove_dir(&dir);
+                dir.remove_if_empty();
                 return self.refuse(error.to_string()).map(|()| Looked::Files(files));
             }
             Err(error) => return Err(running::run_error(error)),
@@ -154,7 +156,7 @@ impl Watch {
             return Err(UsageError(message).into());
         }
         match self.global.format {
-            Format::Text => writeln!(std::io::stderr(), "{}: {message}", self.global.paint_err("error", "1;31"))?,
+            Format::Text => writeln!(terminal::stderr(), "{}: {message}", self.global.paint_err("error", "1;31"))?,
             Format::Json => {
                 print_line(&json!({ "outcome": Exit::Usage.to_json(), "faults": [{ "message": message }] }))?
             }
@@ -165,7 +167,7 @@ impl Watch {
     fn print_unchanged(&self) -> Result<()> {
         match self.global.format {
             Format::Text if self.global.quiet => {}
-            Format::Text => writeln!(std::io::stderr(), "no node has changed; nothing was run")?,
+            Format::Text => writeln!(terminal::stderr(), "no node has changed; nothing was run")?,
             Format::Json => {
                 let mut outcome = Exit::Done.to_json();
                 outcome["watch"] = json!({ "computed": [] });
@@ -211,7 +213,7 @@ impl Watch {
                     None => result_table::text(&report.results, &self.global),
                 };
                 run::print_text(&report, &table, dir, &self.global)?;
-                let mut out = std::io::stdout().lock();
+                let mut out = terminal::stdout().lock();
                 match differ.as_deref() {
                     Some([]) => writeln!(out, "no result differs from the previous run")?,
                     Some(keys) => writeln!(out, "changed since the previous run: {}", keys.join(", "))?,
@@ -223,7 +225,7 @@ impl Watch {
                 if self.n_runs == 1 && !self.global.quiet {
                     let mb = self.session.n_bytes() as f64 / 1e6;
                     writeln!(
-                        std::io::stderr(),
+                        terminal::stderr(),
                         "watching {}, {mb:.1} MB kept; Ctrl-C ends it",
                         self.run.graph.graph.display()
                     )?;
@@ -238,7 +240,7 @@ impl Watch {
 }
 
 /// The folder of the next of several runs.
-pub(super) fn folder(leave: &Leave, plan: &Plan, n_runs: usize) -> Result<PathBuf> {
+pub(super) fn folder(leave: &Leave, plan: &Plan, n_runs: usize) -> Result<OutDir> {
     let dir = match &leave.out {
         Some(first) if n_runs > 0 => out_dir::make_after(first)?,
         asked => out_dir::make(asked.as_deref(), &plan.name, leave.force)?,
@@ -277,7 +279,7 @@ impl RerunNotice {
     }
 
     fn print_changes(&self) -> Result<()> {
-        let mut err = std::io::stderr().lock();
+        let mut err = terminal::stderr().lock();
         for change in &self.changes {
             writeln!(err, "{change}")?;
         }
@@ -295,5 +297,5 @@ fn at<'a>(results: &'a Value, key: &str) -> Option<&'a Value> {
 
 /// Prints one JSON value on one line.
 fn print_line(value: &Value) -> Result<()> {
-    writeln!(std::io::stdout(), "{value}").map_err(|error| anyhow!("stdout cannot be written: {error}"))
+    writeln!(terminal::stdout(), "{value}").map_err(|error| anyhow!("stdout cannot be written: {error}"))
 }

@@ -27,7 +27,7 @@ const CRATES: [(&str, Floors); 2] = [
         "engine/src",
         &[
             // The crate `osteoflow-runtime`, by the names under which the engine hands it on.
-            &["activity", "names", "panics", "plan", "runtime"],
+            &["activity", "durable", "names", "panics", "plan", "runtime"],
             &["fault", "hash"],
             &["graph", "recording"],
             &["store"],

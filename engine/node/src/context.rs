@@ -29,6 +29,8 @@ pub struct Context {
     warnings: Vec<String>,
     readings: Readings,
     used: Used,
+    /// Whether this firing was answered that the user asked to stop: what it gives depends on when that was.
+    saw_stop: AtomicBool,
     /// In a plugin, during a firing: the program, which answers instead of the fields above.
     host: Option<Host>,
 }
@@ -139,6 +141,7 @@ impl Context {
             warnings: Vec::new(),
             readings: Readings::default(),
             used: Used::default(),
+            saw_stop: AtomicBool::new(false),
             host: None,
         }
     }
@@ -170,6 +173,12 @@ impl Context {
         (self.item, self.stamp_ns) = (item, stamp_ns);
         self.absent.clear();
         self.readings.begin();
+        *self.saw_stop.get_mut() = false;
+    }
+
+    /// For the engine: whether this firing was answered that the user asked to stop.
+    pub fn saw_stop(&self) -> bool {
+        self.saw_stop.load(Ordering::Relaxed)
     }
 
     /// For the engine: in a replay, the recorded clock readings of this firing. Call after [`Context::begin`].
@@ -321,12 +330,17 @@ impl Context {
         }
     }
 
-    /// Whether the user asked to stop. A long computation checks this from time to time and returns an error.
+    /// Whether the user asked to stop. A long computation checks this from time to time and returns; what it returns after
+    /// the answer `true` is discarded, since it depends on the moment.
     pub fn cancelled(&self) -> bool {
         if let Some(host) = &self.host {
             return host.cancelled();
         }
-        self.cancelled.load(Ordering::Relaxed)
+        let cancelled = self.cancelled.load(Ordering::Relaxed);
+        if cancelled {
+            self.saw_stop.store(true, Ordering::Relaxed);
+        }
+        cancelled
     }
 
     /// For a live source: waits until `then`; `false` if the user asked to stop meanwhile.

@@ -75,6 +75,9 @@ pub struct Runtime<'a> {
     cancelled: Arc<AtomicBool>,
     /// Whether a stop request has changed what the run did.
     interrupted: AtomicBool,
+    /// Whether a firing was discarded because it saw the stop request. No node fires any more: what follows from the
+    /// missing item would be computed otherwise in a replay.
+    halted: AtomicBool,
     n_workers: usize,
     shuffle: Option<u64>,
     cells: Vec<Mutex<Cell>>,
@@ -188,6 +191,7 @@ impl<'a> Runtime<'a> {
             observer,
             cancelled: settings.cancelled.clone(),
             interrupted: AtomicBool::new(false),
+            halted: AtomicBool::new(false),
             n_workers: settings.workers.max(1),
             shuffle: settings.shuffle,
             cheap: cells.iter().map(|_| AtomicBool::new(false)).collect(),
@@ -314,6 +318,16 @@ impl<'a> Runtime<'a> {
 
     pub(crate) fn note_interrupted(&self) {
         self.interrupted.store(true, Ordering::Relaxed);
+    }
+
+    /// Stops all nodes; call before the outputs of the halted node are closed.
+    pub(crate) fn halt(&self) {
+        self.note_interrupted();
+        self.halted.store(true, Ordering::Release);
+    }
+
+    pub(crate) fn is_halted(&self) -> bool {
+        self.halted.load(Ordering::Acquire)
     }
 
     pub(crate) fn event(&self, event: &Event<'_>) {

@@ -1,8 +1,13 @@
 use super::*;
-use crate::{plan::Policy, plan_builder::PlanBuilder, run::run};
+use crate::{
+    plan::Policy,
+    plan_builder::PlanBuilder,
+    run::{Event, Outcome, run},
+};
 use osteoflow_node::Join;
-use osteoflow_toy::registry;
+use osteoflow_toy::{Gate, registry};
 use serde_json::json;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Runs the plan into a folder and reads its recording.
 fn recorded(plan: &Plan, dir: &Path) -> (RunReport, Recording) {
@@ -27,6 +32,47 @@ fn overloaded() -> Plan {
         .result("all", "after.out", true, false)
         .link("slow.a", |link| link.policy = Policy::Sample(3))
         .plan()
+}
+
+/// Requests a stop when a node fires for the first time.
+struct StopIn(&'static str, Arc<AtomicBool>);
+
+impl Observer for StopIn {
+    fn event(&self, event: &Event<'_>) {
+        if matches!(event, Event::Started { node } if *node == self.0) {
+            self.1.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+#[test]
+fn what_a_node_gives_because_it_was_asked_to_stop_is_no_value_and_nothing_follows_from_it() {
+    for workers in [1, 2, 8] {
+        let gate = format!("stopped {workers}");
+        let calls: Vec<_> = (0..20).map(|i| json!({ "stamp_ns": 10 + i, "give": [[0, f64::from(i)]] })).collect();
+        let plan = PlanBuilder::new()
+            .source("scan", "toy.live", 1, json!({ "calls": calls }))
+            .node("slow", "toy.add", json!({ "gate": gate }), &[("a", "scan.p0", None)])
+            .node("next", "toy.add", json!({}), &[("a", "slow.out", None)])
+            .node("after", "toy.add", json!({}), &[("a", "scan.p0", None), ("b", "slow.out", Some(Join::Latest))])
+            .record(&["scan.p0", "slow.out", "next.out", "after.out"])
+            .result("all", "after.out", true, false)
+            .plan();
+        let dir = tempfile::tempdir().unwrap();
+        let options = RunOptions { workers, out_dir: Some(dir.path().into()), record: true, ..RunOptions::default() };
+        let stop = StopIn("slow", options.cancelled.clone());
+        // The gate lets the node go on only because of the stop.
+        let report = run(&plan, &registry(), &options, &stop).unwrap();
+        assert_eq!(report.outcome, Outcome::Interrupted);
+        let recording = Recording::open(&dir.path().join("run.mcap")).unwrap();
+        for wire in ["slow.out", "next.out", "after.out"] {
+            assert_eq!(recording.wires[wire].messages.len(), 0, "{wire}, {workers} workers");
+        }
+        assert!(!recording.wires["scan.p0"].messages.is_empty());
+        Gate::of(&gate).open();
+        let replayed = replay_again(&plan, &recording, &ReplayOptions::default(), workers);
+        assert!(replayed.is_equal(), "{:#?}", replayed.wires);
+    }
 }
 
 #[test]

@@ -72,6 +72,16 @@ pub enum RunError {
         /// Why.
         source: std::io::Error,
     },
+    /// Files at the end of the run cannot be written.
+    #[error("cannot write {}: {source}; the files of this run lack {missing}", .path.display())]
+    Files {
+        /// The first file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+        /// What is missing.
+        missing: String,
+    },
     /// The recording cannot be written.
     #[error(transparent)]
     Record(#[from] RecordError),

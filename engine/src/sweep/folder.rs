@@ -1,7 +1,7 @@
 //! The folder of a sweep: its specification, and one file for each run that ended.
 //!
-//! A run's file is written under another name and then renamed, so that it is complete or absent whenever the program
-//! is stopped.
+//! A run's file is written under another name, synced and renamed, so that it is complete or absent whenever the program
+//! or the machine is stopped. The folder may come from elsewhere: its files are written inside it only, through no link.
 
 use super::{
     design::SweepRow,
@@ -9,6 +9,7 @@ use super::{
 };
 use crate::{
     check::sweep::Spec,
+    durable,
     run::{Answer, Verdict},
 };
 use serde_json::{Value as Json, json};
@@ -203,9 +204,24 @@ impl Folder {
         let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
         let about: Json = serde_json::from_str(&text).map_err(|error| form(error.to_string()))?;
         match about["format"].as_u64() {
-            Some(FORMAT) => Ok(Self { dir: dir.into(), about }),
+            Some(FORMAT) => {
+                let folder = Self { dir: dir.into(), about };
+                folder.check_runs_folder()?;
+                Ok(folder)
+            }
             Some(other) => Err(form(format!("format {other}, this program reads {FORMAT}"))),
             None => Err(form("it does not say its format".into())),
+        }
+    }
+
+    /// Refuses a link: runs would be written outside of the folder.
+    fn check_runs_folder(&self) -> Result<(), FolderError> {
+        let path = self.dir.join(RUNS_DIR);
+        let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
+        match fs::symlink_metadata(&path) {
+            Ok(found) if found.is_dir() => Ok(()),
+            Ok(_) => Err(form("it is a link or a file, not a folder".into())),
+            Err(error) => Err(form(error.to_string())),
         }
     }
 
@@ -233,17 +249,28 @@ impl Folder {
         serde_json::from_value(self.about["sweep"].clone()).map_err(|e| FolderError::Form { path, what: e.to_string() })
     }
 
-    /// Numbers of the stored runs, ascending.
+    /// Numbers of the stored runs, ascending. An empty file is what a full disk or a power cut may leave of a run that
+    /// did not end, which then counts as missing.
     ///
     /// # Errors
-    /// If the folder cannot be read.
+    /// If the folder cannot be read, or a file is named as another one would be of the same run.
     pub fn runs(&self) -> Result<Vec<usize>, FolderError> {
         let dir = self.dir.join(RUNS_DIR);
         let cannot = |source| FolderError::Read { path: dir.display().to_string(), source };
         let mut runs = Vec::new();
         for entry in fs::read_dir(&dir).map_err(cannot)? {
-            let name = entry.map_err(cannot)?.file_name();
-            runs.extend(name.to_str().and_then(|name| name.strip_suffix(".json")?.parse::<usize>().ok()));
+            let entry = entry.map_err(cannot)?;
+            let name = entry.file_name();
+            let number = name.to_str().and_then(|name| name.strip_suffix(".json")?.parse::<usize>().ok());
+            let Some(run) = number else { continue };
+            if *name != *file_name(run) {
+                let path = entry.path().display().to_string();
+                let what = format!("run {run} is read from {} only; remove one of the two", file_name(run));
+                return Err(FolderError::Form { path, what });
+            }
+            if entry.metadata().map_err(cannot)?.len() > 0 {
+                runs.push(run);
+            }
         }
         runs.sort_unstable();
         Ok(runs)
@@ -267,6 +294,9 @@ impl Folder {
         let text = text.map_err(|source| FolderError::Read { path: path.display().to_string(), source })?;
         let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
         let json: Json = serde_json::from_str(&text).map_err(|error| form(error.to_string()))?;
+        if json["run"].as_u64() != Some(run as u64) {
+            return Err(form(format!("it holds run {}", json["run"])));
+        }
         let values = json["values"].as_object().ok_or_else(|| form("no values".into()))?;
         let warnings = json["warnings"].as_array().into_iter().flatten();
         Ok(Done {
@@ -328,11 +358,8 @@ impl Folder {
     /// # Errors
     /// If it cannot be written.
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), FolderError> {
-        let path = self.dir.join(name);
-        // Two processes may resume the same sweep; they must not write to the same temporary file.
-        let part = self.dir.join(format!("{name}.{}.part", std::process::id()));
-        let written = fs::write(&part, bytes).and_then(|()| fs::rename(&part, &path));
-        written.map_err(|source| self.cannot_write(name, source))
+        // Two processes may resume the same sweep: each has a side file of its own.
+        durable::write(&self.dir.join(name), bytes).map_err(|source| self.cannot_write(name, source))
     }
 
     pub(super) fn cannot_write(&self, name: &str, source: impl Into<io::Error>) -> FolderError {

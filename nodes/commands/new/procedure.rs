@@ -1,7 +1,7 @@
 //! The example folder of a procedure.
 
 use super::{FIBULA, File, empty_folder, without_schema, write};
-use crate::commands::{Exit, Format, Global, print_json, simulate::Simulate};
+use crate::commands::{Exit, Format, Global, print_json, simulate::Simulate, terminal};
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
@@ -87,7 +87,7 @@ impl Procedure {
         match global.format {
             Format::Json => print_json(&json!({ "folder": dir, "commands": commands }))?,
             Format::Text => {
-                let mut out = std::io::stdout().lock();
+                let mut out = terminal::stdout().lock();
                 writeln!(out, "written, SIMULATED; next:")?;
                 commands.iter().try_for_each(|command| writeln!(out, "  {command}"))?;
             }

@@ -12,7 +12,7 @@ use super::{
     trace, write_new,
 };
 use crate::commands::{
-    Exit, Format, Global, result_table::NOTICE, running::about_command, text_table::TextTable, verdict_lines,
+    Exit, Format, Global, result_table::NOTICE, running::about_command, terminal, text_table::TextTable, verdict_lines,
 };
 use anyhow::Result;
 use osteoflow_algorithms::{
@@ -82,7 +82,7 @@ impl Answer<'_> {
     /// Prints the answer, writes the files, and returns the exit code.
     pub(super) fn write(&self, ended: &Ended, global: &Global) -> Result<Exit> {
         let Answered { exit, warnings, json } = self.answered(ended, global.verbose > 0)?;
-        let mut err = std::io::stderr().lock();
+        let mut err = terminal::stderr().lock();
         if !global.quiet {
             for warning in &warnings {
                 writeln!(err, "{}: {warning}", global.paint_err("warning", "1;33"))?;
@@ -98,7 +98,7 @@ impl Answer<'_> {
             }
         }
         drop(err);
-        let mut out = std::io::stdout().lock();
+        let mut out = terminal::stdout().lock();
         match (global.format, ended) {
             // One line, so that the last line is the answer wherever others print before it.
             (Format::Json, _) => writeln!(out, "{json}")?,

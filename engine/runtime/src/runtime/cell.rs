@@ -211,6 +211,10 @@ impl Cell {
             return Some(Stepped::Idle);
         }
         let pulled = self.pull(run);
+        if run.is_halted() {
+            self.end(run, turn);
+            return None;
+        }
         let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
         if in_lock_step && !joiner.lacks_item() && !self.has_room(run) {
             return Some(Stepped::Idle);
@@ -406,6 +410,15 @@ impl Cell {
         }
         self.pass_warnings_on(item, run);
         run.event(&Event::Fired { node: self.context.node(), item, stamp_ns });
+        let is_node = matches!(self.core, Core::Node(..));
+        if self.context.saw_stop() && (is_node || !matches!(answered, Ok(Ok(())))) {
+            self.emissions.fill(Emission::Silent);
+            if is_node {
+                run.halt();
+            }
+            run.note_interrupted();
+            return self.end(run, turn);
+        }
         let answered = match answered {
             Ok(Ok(())) => {
                 self.empty_late_items(stamp_ns);
