@@ -1,7 +1,9 @@
 //! The format of recordings and how they are read: items as bytes, wires, and records of the run.
 
 pub(crate) mod codec;
+pub(crate) mod container;
 pub mod digest;
+pub(crate) mod findings;
 pub mod format;
 pub(crate) mod number_set;
 mod read;
@@ -10,5 +12,5 @@ pub(crate) mod wires;
 
 pub use format::RecordedFailure;
 pub use read::{RecordedWire, Recording, RecordingError};
-pub(crate) use read::{known, run_record};
+pub(crate) use read::{known, run_record, too_large};
 pub(crate) use types::RecordedTypes;

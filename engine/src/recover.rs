@@ -7,6 +7,8 @@
 
 use crate::recording::{
     RecordingError, codec,
+    container::Soundness,
+    findings::Finding,
     format::{InputHashes, MetadataRecord, Outcome, Recovered, RunRecord, WireCounts},
     number_set::NumberSet,
     wires::{Carries, Channels},
@@ -63,6 +65,8 @@ pub struct RecoverReport {
     pub n_messages: u64,
     /// The wires, by name.
     pub wires: Vec<RecoveredWire>,
+    /// What is not sound of a file without lost segments: bytes that no chunk holds have changed.
+    pub unsound: Vec<Finding>,
     /// What the file no longer says of the run.
     pub lost: Vec<String>,
     /// Messages whose channels nothing describes any more; they are left out.
@@ -92,7 +96,7 @@ impl RecoverReport {
 
     /// Whether nothing is missing.
     pub fn is_whole(&self) -> bool {
-        self.damages.is_empty() && self.lost.is_empty() && self.n_unknown == 0
+        self.damages.is_empty() && self.unsound.is_empty() && self.lost.is_empty() && self.n_unknown == 0
     }
 
     /// Whether the new file still says which graph ran.
@@ -107,7 +111,7 @@ impl RecoverReport {
 /// [`RecoverError`] if `from` cannot be read or holds nothing, or `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<RecoverReport, RecoverError> {
     let failed = |error| RecoverError::Read(RecordingError::of(from, error));
-    let mut reader = Reader::open(from).map_err(|error| failed(error.into()))?;
+    let mut reader = Reader::open(from).map_err(|error| failed(error.into()))?.with_section_crcs();
     let write_error = |source| RecoverError::Write { path: to.into(), source };
     let file = File::options().write(true).create_new(true).open(to).map_err(|error| match error.kind() {
         io::ErrorKind::AlreadyExists => RecoverError::Exists { path: to.into() },
@@ -175,6 +179,7 @@ struct Recovery<'a> {
     metadata: BTreeSet<String>,
     recovered_before: Option<Recovered>,
     damages: Vec<Damage>,
+    soundness: Soundness,
     n_messages: u64,
     n_unknown: u64,
     progress: Progress<'a>,
@@ -194,6 +199,7 @@ impl<'a> Recovery<'a> {
             metadata: BTreeSet::new(),
             recovered_before: None,
             damages: Vec::new(),
+            soundness: Soundness::default(),
             n_messages: 0,
             n_unknown: 0,
             progress,
@@ -307,6 +313,7 @@ impl<'a> Recovery<'a> {
             n_bytes,
             wires: wires.collect(),
             damages: std::mem::take(&mut self.damages),
+            unsound: std::mem::take(&mut self.soundness).finish(),
             n_messages: self.n_messages,
             lost: parts.map(|(name, what)| format!("{what} (\"{name}\")")).collect(),
             n_unknown: self.n_unknown,
@@ -328,6 +335,7 @@ fn recovered(report: &RecoverReport, from: &Path, earlier: Option<Recovered>) ->
     let mut damage = earlier.unwrap_or_default().damage;
     let name = from.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     damage.extend(report.damages.iter().map(|damage| format!("{name}: {damage}")));
+    damage.extend(report.unsound.iter().map(|finding| format!("{name}: {finding}")));
     let missing = report.wires.iter().filter(|wire| !wire.missing.is_empty());
     Recovered {
         damage,
@@ -339,7 +347,8 @@ fn recovered(report: &RecoverReport, from: &Path, earlier: Option<Recovered>) ->
 }
 
 impl Visitor for Recovery<'_> {
-    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
+    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
+        self.soundness.record(place, &record);
         match self.write(record) {
             Ok(()) => ControlFlow::Continue(()),
             Err(error) => {
@@ -353,6 +362,7 @@ impl Visitor for Recovery<'_> {
         if self.before_damage.is_none() {
             self.before_damage = Some(self.leading());
         }
+        self.soundness.damage(&damage);
         self.damages.push(damage);
         ControlFlow::Continue(())
     }

@@ -170,6 +170,8 @@ pub struct ReplayReport {
     pub not_compared: Option<String>,
     /// Why a truncated recording ends early; the items up to there are compared.
     pub truncated: Option<String>,
+    /// What is not sound of a recording whose items are all there.
+    pub unsound: Option<String>,
     /// Nodes computed in addition to the requested ones, because their wires were not recorded.
     pub computed_too: Vec<String>,
     /// How the libraries of plugins differ from those of the run.
@@ -244,6 +246,11 @@ pub fn replay(
 ) -> Result<ReplayReport, ReplayError> {
     let recording = Recording::open(path)?;
     let kinds: Kinds = kinds.into();
+    let kinds = match changes.graph {
+        // The user names this graph.
+        Some(_) => kinds,
+        None => kinds.recorded_by(&recording.plugins),
+    };
     let kinds = &kinds.over(recording.registry(kinds.registry())).with_moved(&recording.plugins);
     let sets = &changes.sets;
     let checked = match &changes.graph {
@@ -331,6 +338,7 @@ pub(crate) fn replay_plan(
         results_equal,
         not_compared,
         truncated: recording.truncated.clone(),
+        unsound: recording.unsound.clone(),
         computed_too,
         differences,
     })

@@ -68,7 +68,7 @@ pub fn repro(
 ) -> Result<ReproReport, ReproError> {
     let bundle = Bundle::open(dir)?;
     let node = &bundle.node;
-    let kinds = kinds.into().with_moved(node.plugin.as_slice());
+    let kinds = kinds.into().recorded_by(node.plugin.as_slice()).with_moved(node.plugin.as_slice());
     let of = |plugin: &PlanPlugin| NamedPlugin {
         interpreter: plugin.interpreter.clone(),
         ..NamedPlugin::file(&plugin.path)

@@ -1,119 +1,22 @@
 //! Checks a whole recording and lists everything that is wrong with it.
 
-mod container;
 mod items;
 
+pub use crate::recording::findings::Finding;
 use crate::{
     check::check_recorded,
     plugin::Kinds,
     recording::{
         RecordingError,
+        container::Container,
+        findings::Findings,
         format::{MetadataRecord, MetadataRecords, Outcome, PluginRecords, Recovered, RunRecord, WireCounts},
-        run_record,
+        run_record, too_large,
     },
 };
-use container::Container;
 use items::Items;
 use osteoflow_container::{Damage, End, Location, Progress, Reader, Record, Visitor};
-use std::{collections::BTreeMap, fmt, ops::ControlFlow, path::Path};
-
-/// Maximum number of listed findings of each kind; the others are only counted.
-const LISTED: u64 = 100;
-
-/// Something wrong in the file.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Finding {
-    /// The wire that it concerns, if any.
-    pub wire: Option<String>,
-    /// Number of the item that it concerns, if any.
-    pub item: Option<u64>,
-    /// Its place in the file, if known.
-    pub place: Option<Location>,
-    /// What is wrong.
-    pub what: String,
-}
-
-impl Finding {
-    fn new(place: impl Into<Option<Location>>, what: impl Into<String>) -> Self {
-        Self { wire: None, item: None, place: place.into(), what: what.into() }
-    }
-
-    fn of(
-        wire: &str,
-        item: impl Into<Option<u64>>,
-        place: impl Into<Option<Location>>,
-        what: impl Into<String>,
-    ) -> Self {
-        Self { wire: Some(wire.into()), item: item.into(), place: place.into(), what: what.into() }
-    }
-}
-
-impl fmt::Display for Finding {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if let Some(wire) = &self.wire {
-            write!(f, "wire {wire}")?;
-            if let Some(item) = self.item {
-                write!(f, ", item {item}")?;
-            }
-            f.write_str(": ")?;
-        }
-        f.write_str(&self.what)?;
-        match self.place {
-            Some(place) => write!(f, " ({place})"),
-            None => Ok(()),
-        }
-    }
-}
-
-/// Findings, of which at most [`LISTED`] of each kind are stored.
-#[derive(Debug, Default)]
-pub(crate) struct Findings {
-    listed: Vec<(&'static str, Finding)>,
-    n_by_kind: BTreeMap<&'static str, u64>,
-}
-
-/// Kinds of findings that say no more than that something is missing.
-const LOSSES: [&str; 4] = ["statistics", "hole", "count", "view"];
-
-impl Findings {
-    /// Adds a finding; `kind` groups findings that differ only in their place.
-    fn add(&mut self, kind: &'static str, finding: Finding) {
-        let n = self.n_by_kind.entry(kind).or_default();
-        *n += 1;
-        if *n <= LISTED {
-            self.listed.push((kind, finding));
-        }
-    }
-
-    fn n(&self) -> u64 {
-        self.n_by_kind.values().sum()
-    }
-
-    /// Removes the findings of these kinds.
-    fn take(&mut self, kinds: &[&str]) -> Vec<Finding> {
-        self.n_by_kind.retain(|kind, _| !kinds.contains(kind));
-        let listed = std::mem::take(&mut self.listed);
-        let (taken, rest): (Vec<_>, Vec<_>) = listed.into_iter().partition(|(kind, _)| kinds.contains(kind));
-        self.listed = rest;
-        taken.into_iter().map(|(_, finding)| finding).collect()
-    }
-
-    /// Replaces the findings that follow from damage by one: `lost` and the wires that lack items.
-    fn fold_losses(&mut self, lost: &str) {
-        let taken = self.take(&LOSSES);
-        let mut wires: Vec<&str> = taken.iter().filter_map(|finding| finding.wire.as_deref()).collect();
-        wires.dedup();
-        if taken.is_empty() {
-            return;
-        }
-        let named = match wires.len() {
-            0 => String::new(),
-            n @ 1..=6 => format!("; wires that lack items: {}", wires[..n].join(", ")),
-            n => format!("; wires that lack items: {}, and {} more", wires[..5].join(", "), n - 5),
-        };
-        self.add("loss", Finding::new(None, format!("missing with the damage: {lost}{named}")));
-    }
-}
+use std::{collections::BTreeMap, ops::ControlFlow, path::Path};
 
 /// A wire of the recording.
 #[derive(Debug, Clone, PartialEq)]
@@ -175,10 +78,12 @@ pub fn validate(
         container: Container::default(),
         items: Items::new(kinds.registry()),
         metadata: MetadataRecords::default(),
+        full_at: None,
         progress,
     };
     let end = reader.read(&mut pass).map_err(failed)?;
-    let Pass { mut findings, container, mut items, metadata, .. } = pass;
+    let Pass { mut findings, container, mut items, metadata, full_at, .. } = pass;
+    too_large(path, items.allowance(), full_at, reader.n_bytes())?;
     if let End::Truncated(damage) = &end {
         let what = format!("the file was cut short: {damage}; `osteoflow recover` saves what is before");
         findings.add("end", Finding::new(None, what));
@@ -205,7 +110,7 @@ pub fn validate(
     Ok(ValidateReport {
         is_recording,
         n_findings: findings.n(),
-        findings: findings.listed.into_iter().map(|(_, finding)| finding).collect(),
+        findings: findings.into_listed(),
         notes,
         wires: items.wires(),
         n_messages,
@@ -268,6 +173,7 @@ struct Pass<'a> {
     container: Container,
     items: Items<'a>,
     metadata: MetadataRecords,
+    full_at: Option<Location>,
     progress: Progress<'a>,
 }
 
@@ -286,7 +192,13 @@ impl Visitor for Pass<'_> {
         match record {
             Record::Metadata { name, entries } => self.metadata(place, name, entries),
             Record::Channel(channel) => self.items.channel(channel),
-            Record::Message(message) => self.items.message(place, &message, &mut self.findings),
+            Record::Message(message) => {
+                self.items.message(place, &message, &mut self.findings);
+                if self.items.allowance().exceeded().is_some() {
+                    self.full_at = Some(place);
+                    return ControlFlow::Break(());
+                }
+            }
             _ => {}
         }
         ControlFlow::Continue(())

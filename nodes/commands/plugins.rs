@@ -37,6 +37,10 @@ pub(crate) struct PluginArgs {
     #[arg(long = "plugin", value_name = "FILE")]
     plugins: Vec<PathBuf>,
 
+    /// Load no plugins, whatever the graph, the environment or a recording names; kinds of plugins are then unknown.
+    #[arg(long, conflicts_with_all = ["plugins", "python"])]
+    no_plugins: bool,
+
     /// The interpreter for plugins in Python. Otherwise OSTEOFLOW_PYTHON, that of the active environment (VIRTUAL_ENV), or python3.
     #[arg(long, value_name = "FILE")]
     python: Option<PathBuf>,
@@ -70,6 +74,9 @@ impl PluginArgs {
     }
 
     fn kinds_of(&self, plugins_apart: bool) -> Result<Kinds> {
+        if self.no_plugins {
+            return Ok(Kinds::from(&registry()));
+        }
         let folders = env::var_os(FOLDERS).map(|folders| env::split_paths(&folders).collect()).unwrap_or_default();
         // A wrong setting of the store is reported by commands that use it.
         let store = Settings::from_env().ok().flatten().map(|settings| Arc::new(Store::open(settings)));
@@ -78,7 +85,10 @@ impl PluginArgs {
         let asked = self.plugins.clone();
         let interpreter = Launcher { program: self.interpreter(), arguments: vec!["-c".into(), PYTHON_HELPER.into()] };
         let scripts = Some(Scripts { ending: "py", interpreter });
-        Ok(Kinds::new(registry(), Finder { prober, store, asked, folders, launcher, scripts, plugins_apart }))
+        Ok(Kinds::new(
+            registry(),
+            Finder { prober, store, asked, folders, launcher, scripts, only: None, plugins_apart },
+        ))
     }
 }
 

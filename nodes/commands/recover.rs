@@ -53,6 +53,12 @@ impl Recover {
         for damage in &report.damages {
             writeln!(out, "lost: {damage}")?;
         }
+        for finding in &report.unsound {
+            writeln!(
+                out,
+                "not sound: {finding}; graph, results and hashes in the new file may not be those of the run"
+            )?;
+        }
         for lost in &report.lost {
             writeln!(out, "lost: {lost}")?;
         }
@@ -63,7 +69,11 @@ impl Recover {
             writeln!(out, "it can be digested and compared, but not replayed, because the graph is lost")?;
         }
         let (n, of) = (report.bytes_lost(), report.n_bytes);
-        let what = if report.is_whole() { "nothing is missing".into() } else { format!("{n} of {of} bytes are lost") };
+        let what = match report.is_whole() {
+            true => "nothing is missing".into(),
+            false if n == 0 => "it is not whole".into(),
+            false => format!("{n} of {of} bytes are lost"),
+        };
         writeln!(out, "{} messages in {}; {what}", report.n_messages, self.to.display())?;
         Ok(())
     }
@@ -90,6 +100,7 @@ impl Recover {
             "bytes": report.n_bytes,
             "bytes_lost": report.bytes_lost(),
             "damages": damages.collect::<Value>(),
+            "unsound": report.unsound.iter().map(ToString::to_string).collect::<Vec<_>>(),
             "lost": report.lost,
             "messages_of_unknown_channels": report.n_unknown,
             "wires": wires.collect::<Value>(),

@@ -137,7 +137,7 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
         let word = global.paint_err("warning", "1;33");
         writeln!(err, "{word}: the recording ends early ({reason}); everything before is compared")?;
     }
-    for difference in &report.differences {
+    for difference in report.unsound.iter().chain(&report.differences) {
         writeln!(err, "{}: {difference}", global.paint_err("warning", "1;33"))?;
     }
     if let Some(reason) = &report.not_compared {
@@ -250,6 +250,7 @@ fn as_json(report: &ReplayReport, exit: Exit) -> Value {
         "first_divergence": report.first_divergence().and_then(difference),
         "not_compared": report.not_compared,
         "truncated": report.truncated,
+        "unsound": report.unsound,
         "computed_too": report.computed_too,
         "differences": report.differences,
         "wires": wires.collect::<Value>(),

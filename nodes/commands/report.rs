@@ -1,7 +1,7 @@
-use super::{Exit, Format, Global, PluginArgs, UsageError, print_json, run_path, terminal};
+use super::{Exit, Format, Global, UsageError, print_json, run_path, terminal};
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::{run::files, sweep};
+use osteoflow_engine::{plugin::Kinds, run::files, sweep};
 use serde_json::json;
 use std::{
     io::Write,
@@ -24,9 +24,6 @@ pub(crate) struct Report {
     #[arg(value_name = "RUN")]
     dir: PathBuf,
 
-    #[command(flatten)]
-    plugins: PluginArgs,
-
     /// The file to write. Default: report.html in the folder.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -37,7 +34,7 @@ impl Report {
         let registry = super::registry();
         let dir = run_path::folder(&self.dir);
         let report = match Holds::of(&dir) {
-            Holds::Sweep => osteoflow_report::of_sweep(&dir, &registry, &self.plugins.kinds()?, true)?,
+            Holds::Sweep => osteoflow_report::of_sweep(&dir, &registry, &Kinds::from(&registry), true)?,
             Holds::Run => osteoflow_report::of_run(&dir, &registry)?,
             Holds::Neither => {
                 let message = format!(
@@ -52,6 +49,9 @@ impl Report {
         };
         let page = self.out.clone().unwrap_or_else(|| dir.join(osteoflow_report::PAGE));
         report.write(&dir, &page)?;
+        if let Some(fault) = &report.fault {
+            writeln!(terminal::stderr(), "{}: {fault}", global.paint_err("warning", "1;33"))?;
+        }
         print_end(&page, &report, global)
     }
 }
@@ -74,9 +74,11 @@ impl Holds {
 
 fn print_end(page: &Path, report: &osteoflow_report::Report, global: &Global) -> Result<Exit> {
     let figures: Vec<_> = report.figures.iter().map(|figure| figure.name.as_str()).collect();
+    let exit = if report.fault.is_some() { Exit::Unsound } else { Exit::Done };
     if global.format == Format::Json {
-        let exit = Exit::Done;
-        let message = json!({ "outcome": exit.to_json(), "page": page.display().to_string(), "figures": figures });
+        let message = json!({
+            "outcome": exit.to_json(), "page": page.display().to_string(), "figures": figures, "fault": report.fault,
+        });
         print_json(&message)?;
         return Ok(exit);
     }
@@ -84,5 +86,5 @@ fn print_end(page: &Path, report: &osteoflow_report::Report, global: &Global) ->
         let size = report.html.len() as f64 / 1e6;
         writeln!(terminal::stdout(), "{} ({size:.1} MB), {} figures", page.display(), figures.len())?;
     }
-    Ok(Exit::Done)
+    Ok(exit)
 }

@@ -1,6 +1,4 @@
-use super::{
-    Exit, Format, Global, PluginArgs, print_json, reading::Reading, run_path, terminal, text_table::TextTable,
-};
+use super::{Exit, Format, Global, print_json, reading::Reading, run_path, terminal, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::validate::{Finding, ValidateReport, validate};
@@ -25,16 +23,13 @@ pub(crate) struct Validate {
     /// A run's folder or its run.mcap, or any MCAP file.
     #[arg(value_name = "RUN")]
     file: PathBuf,
-
-    #[command(flatten)]
-    plugins: PluginArgs,
 }
 
 impl Validate {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let file = run_path::recording(&self.file)?;
         let mut reading = Reading::begin("checking", &file, global);
-        let report = validate(&file, self.plugins.kinds()?, &mut |at, of| reading.at(at, of))?;
+        let report = validate(&file, &super::registry(), &mut |at, of| reading.at(at, of))?;
         drop(reading);
         let exit = if report.is_sound() { Exit::Done } else { Exit::Unsound };
         match global.format {

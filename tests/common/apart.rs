@@ -42,6 +42,7 @@ pub(crate) fn measure(n_firings: u64) -> Option<[Case; 2]> {
         folders: Vec::new(),
         launcher: Some(Launcher { program: program.into(), arguments: vec!["worker".into()] }),
         scripts: None,
+        only: None,
         plugins_apart: false,
     };
     let registry = Kinds::new(osteoflow_standard::registry(), finder).known().registry;

@@ -7,6 +7,23 @@ pub(crate) struct Descriptions {
     /// Name and encoding of each schema.
     schemas: BTreeMap<u16, (String, String)>,
     channels: BTreeMap<u16, Channel>,
+    n_bytes: u64,
+}
+
+/// Bytes of the names and the metadata of all schemas and channels: no recorder describes more, and each is kept while a
+/// file is read.
+const MAX_BYTES: u64 = 256 << 20;
+
+fn n_bytes(record: &Record<'_>) -> u64 {
+    let n = match record {
+        Record::Schema { name, encoding, data, .. } => name.len() + encoding.len() + data.len(),
+        Record::Channel(channel) => {
+            let metadata: usize = channel.metadata.iter().map(|(key, value)| key.len() + value.len()).sum();
+            channel.topic.len() + channel.message_encoding.len() + metadata
+        }
+        _ => 0,
+    };
+    n as u64
 }
 
 impl Descriptions {
@@ -23,6 +40,10 @@ impl Descriptions {
     /// Refuses a description that gives an identifier another meaning than the first one: messages would be taken for
     /// those of another topic. Metadata may differ; some writers extend it.
     pub(crate) fn check(&self, record: &Record<'_>) -> Result<(), Cause> {
+        if self.n_bytes.saturating_add(n_bytes(record)) > MAX_BYTES {
+            let reason = format!("the file describes schemas and channels with more than {MAX_BYTES} bytes");
+            return Err(Cause::Malformed { what: "description", reason });
+        }
         match record {
             Record::Schema { id, name, encoding, .. } => match self.schemas.get(id) {
                 Some((known, known_encoding)) if (&**known, &**known_encoding) != (*name, *encoding) => {
@@ -49,6 +70,7 @@ impl Descriptions {
 
     /// Adds a schema or channel, unless its identifier is known.
     pub(crate) fn add(&mut self, record: &Record<'_>) {
+        self.n_bytes = self.n_bytes.saturating_add(n_bytes(record));
         match record {
             Record::Schema { id, name, encoding, .. } => {
                 self.schemas.entry(*id).or_insert_with(|| ((*name).into(), (*encoding).into()));
@@ -62,6 +84,7 @@ impl Descriptions {
 
     /// Adds all descriptions of `other`.
     pub(crate) fn append(&mut self, mut other: Self) {
+        self.n_bytes = self.n_bytes.saturating_add(other.n_bytes);
         self.schemas.append(&mut other.schemas);
         self.channels.append(&mut other.channels);
     }

@@ -5,6 +5,7 @@
 //! never seeks, so a process that is killed leaves every chunk that was finished. The `mcap` crate does neither
 //! (`docs/decisions/0010`); the tests use it as the other side.
 
+mod allowance;
 mod chunk;
 mod compression;
 mod damage;
@@ -18,6 +19,7 @@ mod resync;
 mod segments;
 mod write;
 
+pub use allowance::{Allowance, TooLarge};
 pub use compression::Compression;
 pub use damage::{Cause, Damage, End, damage_message};
 pub use read::{Location, Progress, ReadError, Reader, Visitor};

@@ -4,12 +4,13 @@ use crate::{
     hash::Digest,
     recording::{
         RecordingError, codec,
+        container::{Soundness, summary_of},
         format::{MetadataRecords, Recovered, RunRecord, WireCounts},
-        run_record,
+        run_record, too_large,
         wires::{Carries, Channels, Wire},
     },
 };
-use osteoflow_container::{Damage, Location, MESSAGE_HEADER_BYTES, Reader, Record, Visitor, damage_message};
+use osteoflow_container::{Allowance, Damage, Location, MESSAGE_HEADER_BYTES, Reader, Record, Visitor, damage_message};
 use std::{
     collections::{BTreeMap, VecDeque},
     fs::File,
@@ -51,17 +52,21 @@ pub(super) struct Index {
 impl Index {
     pub(super) fn of(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Self, RecordingError> {
         let failed = |error| RecordingError::of(path, error);
-        let mut reader = Reader::open(path).map_err(|error| failed(error.into()))?;
+        let mut reader = Reader::open(path).map_err(|error| failed(error.into()))?.with_section_crcs();
         let mut pass = Pass {
             wires: BTreeMap::new(),
             channels: Channels::default(),
             metadata: MetadataRecords::default(),
             damages: Vec::new(),
+            soundness: Soundness::default(),
+            allowance: Allowance::from_env(),
+            full_at: None,
             progress,
         };
         let end = reader.read(&mut pass).map_err(failed)?;
-        let Pass { mut wires, metadata, damages, .. } = pass;
-        let mut incomplete = damage_message(&damages, &end);
+        let Pass { mut wires, metadata, damages, soundness, allowance, full_at, .. } = pass;
+        too_large(path, &allowance, full_at, reader.n_bytes())?;
+        let mut incomplete = damage_message(&damages, &end).or_else(|| summary_of(&soundness.finish()));
         if wires.is_empty() && !metadata.has::<RunRecord>() {
             let reason = incomplete.unwrap_or_else(|| "it has no exact channel".into());
             return Err(RecordingError::Foreign { path: path.into(), reason });
@@ -126,11 +131,15 @@ struct Pass<'a> {
     wires: BTreeMap<String, Indexed>,
     metadata: MetadataRecords,
     damages: Vec<Damage>,
+    soundness: Soundness,
+    allowance: Allowance,
+    full_at: Option<Location>,
     progress: &'a mut dyn FnMut(u64, u64),
 }
 
 impl Visitor for Pass<'_> {
     fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
+        self.soundness.record(place, &record);
         match record {
             Record::Metadata { name, entries } => drop(self.metadata.insert(name, entries)),
             Record::Channel(channel) => {
@@ -145,6 +154,10 @@ impl Visitor for Pass<'_> {
                     && let Some(number) = codec::number(message.data)
                     && let Ok(n_bytes) = message.data.len().try_into()
                 {
+                    if self.allowance.take(size_of::<IndexEntry>()).is_break() {
+                        self.full_at = Some(place);
+                        return ControlFlow::Break(());
+                    }
                     let digest = Digest::of(message.data);
                     indexed.entries.push(IndexEntry { number, digest, place, n_bytes });
                 }
@@ -155,6 +168,7 @@ impl Visitor for Pass<'_> {
     }
 
     fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        self.soundness.damage(&damage);
         self.damages.push(damage);
         ControlFlow::Continue(())
     }

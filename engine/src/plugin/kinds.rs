@@ -44,6 +44,9 @@ pub struct Finder {
     pub launcher: Option<Launcher>,
     /// Runs plugins that are scripts; `None` if this program runs none.
     pub scripts: Option<Scripts>,
+    /// The SHA-256 of the files that a graph may name; `None` for all. Of the files that a recording names, only those that
+    /// the run had loaded may be, since loading one runs its code. The command line and the folders are the user's.
+    pub only: Option<BTreeSet<String>>,
     /// Whether the kinds of plugins fire in processes of their own where the graph does not say.
     pub plugins_apart: bool,
 }
@@ -149,6 +152,14 @@ impl Kinds {
         &self.registry
     }
 
+    /// The kinds for a graph of a recording or a bundle that names these plugins.
+    #[must_use]
+    pub fn recorded_by(&self, plugins: &[PlanPlugin]) -> Self {
+        let only = plugins.iter().map(|plugin| plugin.sha256.clone()).collect();
+        let finder = self.finder.as_ref().map(|finder| Arc::new(Finder { only: Some(only), ..(**finder).clone() }));
+        Self { registry: self.registry.clone(), finder }
+    }
+
     /// The kinds with another registry of the program's own kinds.
     #[must_use]
     pub fn over(&self, registry: Registry) -> Self {
@@ -165,7 +176,7 @@ impl Kinds {
     pub(crate) fn with(&self, named: &[NamedPlugin]) -> Known {
         let mut known = Known { registry: self.registry.clone(), plugins: Vec::new(), refused: Vec::new() };
         let Some(finder) = &self.finder else {
-            let why = "this program loads no plugins";
+            let why = "no plugins are loaded here";
             known.refused.extend(named.iter().map(|named| Refused::of(named, why.into())));
             return known;
         };
@@ -191,7 +202,13 @@ impl Kinds {
                 Some((_, Some(found))) => known.add(finder, found, interpreter, origin),
                 Some((_, None)) => {}
                 None => match find(text, &places) {
-                    Some(found) => known.add(finder, &found, interpreter, origin),
+                    Some(found) => match finder.permits(&found) {
+                        // An interpreter is a program, too: the user's is taken.
+                        Ok(()) => known.add(finder, &found, interpreter.filter(|_| finder.only.is_none()), origin),
+                        Err(why) => {
+                            known.refused.push(Refused { path: found, why, origin, note: None, help: None });
+                        }
+                    },
                     None => known.refused.push(finder.not_found(text, &places, origin)),
                 },
             }
@@ -228,6 +245,20 @@ impl Scripts {
 }
 
 impl Finder {
+    /// Whether a file that a graph names may be loaded.
+    fn permits(&self, path: &Path) -> Result<(), String> {
+        let Some(only) = &self.only else { return Ok(()) };
+        let found = sha256(path).map_err(|error| format!("it cannot be read: {error}"))?.1.to_string();
+        match only.contains(&found) {
+            true => Ok(()),
+            false => Err(format!(
+                "its SHA-256 is {found}, not that of the recorded run, and a file that a recording names is not loaded \
+                 without that; if you trust it, name it yourself: --plugin {}",
+                path.display()
+            )),
+        }
+    }
+
     /// The folders in which a path is searched.
     fn places(&self, dir: &Path, path: &Path) -> Vec<PathBuf> {
         let parent = path.parent().unwrap_or(Path::new(""));

@@ -10,13 +10,14 @@
 
 use super::{
     codec,
+    container::{Soundness, summary_of},
     format::{MetadataRecords, Recovered, RunRecord, WireCounts},
     number_set::NumberSet,
-    read::RecordingError,
+    read::{RecordingError, too_large},
     wires::{Carries, Channels, Wire},
 };
 use crate::hash::Digest;
-use osteoflow_container::{Damage, Location, Progress, Reader, Record, Visitor, damage_message};
+use osteoflow_container::{Allowance, Damage, Location, Progress, Reader, Record, Visitor, damage_message};
 use sha2::{Digest as _, Sha256};
 use std::{
     collections::BTreeMap,
@@ -137,17 +138,21 @@ pub struct DigestReport {
     pub n_bytes: u64,
 }
 
-/// Digests of the recorded wires, with a note if the file is incomplete. Memory: one chunk.
+/// Digests of the recorded wires, with a note if the file is incomplete. Memory: one chunk,
+/// and what comes out of order.
 ///
 /// # Errors
 /// [`RecordingError`] if the file cannot be read or holds no exact channel.
 pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, RecordingError> {
-    let mut reader = Reader::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
+    let reader = Reader::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
+    let mut reader = reader.with_section_crcs();
     let failed = |error| RecordingError::of(path, error);
     let mut hashing = Hashing::new(progress);
     let end = reader.read(&mut hashing).map_err(failed)?;
-    let Hashing { wires, damages, metadata, n_unknown, n_no_items, .. } = hashing;
+    let Hashing { wires, damages, metadata, n_unknown, n_no_items, soundness, allowance, full_at, .. } = hashing;
+    too_large(path, &allowance, full_at, reader.n_bytes())?;
     let mut notes: Vec<String> = damage_message(&damages, &end).into_iter().collect();
+    notes.extend(summary_of(&soundness.finish()).filter(|_| notes.is_empty()));
     if wires.is_empty() && !metadata.has::<RunRecord>() {
         let reason = notes.pop().unwrap_or_else(|| "it has no exact channel".into());
         return Err(RecordingError::Foreign { path: path.into(), reason });
@@ -212,6 +217,9 @@ struct Hashing<'a> {
     damages: Vec<Damage>,
     n_unknown: u64,
     n_no_items: u64,
+    soundness: Soundness,
+    allowance: Allowance,
+    full_at: Option<Location>,
     progress: Progress<'a>,
 }
 
@@ -224,13 +232,17 @@ impl<'a> Hashing<'a> {
             damages: Vec::new(),
             n_unknown: 0,
             n_no_items: 0,
+            soundness: Soundness::default(),
+            allowance: Allowance::from_env(),
+            full_at: None,
             progress,
         }
     }
 }
 
 impl Visitor for Hashing<'_> {
-    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
+    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
+        self.soundness.record(place, &record);
         match record {
             Record::Metadata { name, entries } => drop(self.metadata.insert(name, entries)),
             Record::Channel(channel) => {
@@ -243,6 +255,11 @@ impl Visitor for Hashing<'_> {
                 Some(Carries::Exact(wire)) => match (codec::head(message.data), self.wires.get_mut(&wire.name)) {
                     (Some(head), Some(hashed)) => {
                         hashed.n_values += u64::from(!head.is_empty);
+                        // Items out of order are kept until their turn.
+                        if head.number > hashed.hasher.n_items() && self.allowance.take(0).is_break() {
+                            self.full_at = Some(place);
+                            return ControlFlow::Break(());
+                        }
                         hashed.hasher.add(head.number, message.data);
                     }
                     _ => self.n_no_items += 1,
@@ -256,6 +273,7 @@ impl Visitor for Hashing<'_> {
     }
 
     fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        self.soundness.damage(&damage);
         self.damages.push(damage);
         ControlFlow::Continue(())
     }

@@ -3,6 +3,7 @@
 use super::{
     RecordedTypes,
     codec::{self, CodecError, RecordedItem},
+    container::{Soundness, summary_of},
     format::{
         self, Drops, FORMAT_VERSION, InputHashes, Live, MetadataRecord, MetadataRecords, Outcome, PluginRecords,
         RecordedFailure, Recovered, RunRecord, WireCounts,
@@ -10,7 +11,9 @@ use super::{
     wires::{Carries, Channels, Wire},
 };
 use crate::plan::{PlanPlugin, Sources};
-use osteoflow_container::{Damage, Location, ReadError, Reader, Record, Visitor, damage_message};
+use osteoflow_container::{
+    Allowance, Damage, Location, Message, ReadError, Reader, Record, TooLarge, Visitor, damage_message,
+};
 use osteoflow_node::{Body, ClockReading, Item, PayloadType, Registry};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -46,6 +49,18 @@ pub enum RecordingError {
         path: PathBuf,
         /// Its version.
         found: String,
+    },
+    /// It takes more memory than is allowed.
+    #[error("{} is too large at byte {} of {n_bytes}: {source}", .path.display(), .place.offset)]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Where the allowed memory was full.
+        place: Location,
+        /// Size of the file.
+        n_bytes: u64,
+        /// The limit.
+        source: TooLarge,
     },
     /// A wire's items are damaged.
     #[error("wire {wire}, item {number}: {reason}")]
@@ -84,6 +99,9 @@ pub struct Recording {
     pub interrupted: bool,
     /// Why a truncated or damaged file ends early. Everything before that is intact and included.
     pub truncated: Option<String>,
+    /// What is not sound of a file whose items are all there, such as changed bytes outside of chunks: results, graph or
+    /// hashes may not be those of the run.
+    pub unsound: Option<String>,
     /// How a replay gets the data of the sources.
     pub sources: Sources,
     /// The SHA-256 of each input file, by its path, or why there is none.
@@ -171,8 +189,8 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] if the file is not a recording of a run, or numbers of a wire are missing.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        let mut reading = Pass::default();
-        let truncated = reading.read(path)?;
+        let mut reading = Pass::new();
+        let (truncated, unsound) = reading.read(path)?;
         let metadata = &reading.metadata;
         let run = run_record(path, metadata, truncated.as_deref())?;
         let recovered: Option<Recovered> = readable(path, metadata)?;
@@ -202,6 +220,7 @@ impl Recording {
             fixed_results: outcome.iter().flat_map(|outcome| outcome.fixed_results.clone()).collect(),
             interrupted,
             truncated,
+            unsound,
             wires,
             sources: run.sources,
             inputs,
@@ -255,7 +274,6 @@ pub(crate) fn known(name: &str, version: u32, registry: &Registry) -> Result<&'s
 }
 
 /// Collects the records of a file up to the first damage: later items may depend on lost ones.
-#[derive(Default)]
 struct Pass {
     channels: Channels,
     metadata: MetadataRecords,
@@ -263,6 +281,10 @@ struct Pass {
     drops: BTreeMap<(String, String), BTreeSet<u64>>,
     readings: BTreeMap<(String, u64), Vec<ClockReading>>,
     damage: Option<Damage>,
+    soundness: Soundness,
+    allowance: Allowance,
+    /// Where the allowance was used up.
+    full_at: Option<Location>,
 }
 
 struct Gathered {
@@ -272,16 +294,78 @@ struct Gathered {
 }
 
 impl Pass {
-    fn read(&mut self, path: &Path) -> Result<Option<String>, RecordingError> {
-        let mut reader = Reader::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
+    fn new() -> Self {
+        Self {
+            channels: Channels::default(),
+            metadata: MetadataRecords::default(),
+            wires: BTreeMap::new(),
+            drops: BTreeMap::new(),
+            readings: BTreeMap::new(),
+            damage: None,
+            soundness: Soundness::default(),
+            allowance: Allowance::from_env(),
+            full_at: None,
+        }
+    }
+
+    /// Reads the file; returns why it ends early, and what is not sound of one that does not.
+    fn read(&mut self, path: &Path) -> Result<(Option<String>, Option<String>), RecordingError> {
+        let opened = Reader::open(path).map_err(|source| RecordingError::Read { path: path.into(), source });
+        let mut reader = opened?.with_section_crcs();
         let end = reader.read(self).map_err(|error| RecordingError::of(path, error))?;
+        too_large(path, &self.allowance, self.full_at, reader.n_bytes())?;
         let damages: Vec<_> = self.damage.take().into_iter().collect();
-        Ok(damage_message(&damages, &end))
+        let unsound = summary_of(&std::mem::take(&mut self.soundness).finish());
+        Ok(match damage_message(&damages, &end) {
+            Some(damage) => (Some(damage), None),
+            None => (None, unsound),
+        })
+    }
+
+    fn message(&mut self, message: &Message<'_>) -> ControlFlow<()> {
+        match self.channels.get(message.channel_id) {
+            Some(Carries::Exact(wire)) => {
+                self.allowance.take(message.data.len())?;
+                if let Some(gathered) = self.wires.get_mut(&wire.name) {
+                    gathered.messages.push((codec::number(message.data), message.data.to_vec()));
+                }
+            }
+            Some(Carries::Drops) => {
+                self.allowance.take(message.data.len())?;
+                let drops = serde_json::from_slice::<Drops>(message.data).map(|message| message.drops);
+                for (wire, input, number) in drops.unwrap_or_default() {
+                    self.allowance.take(0)?;
+                    self.drops.entry((wire, input)).or_default().insert(number);
+                }
+            }
+            Some(Carries::Live) => {
+                self.allowance.take(message.data.len())?;
+                if let Ok(Live { node, item, readings }) = serde_json::from_slice(message.data) {
+                    self.readings.insert((node, item), readings);
+                }
+            }
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+/// Refuses a file whose content does not fit into the allowed memory.
+pub(crate) fn too_large(
+    path: &Path,
+    allowance: &Allowance,
+    place: Option<Location>,
+    n_bytes: u64,
+) -> Result<(), RecordingError> {
+    match allowance.exceeded().zip(place) {
+        Some((source, place)) => Err(RecordingError::TooLarge { path: path.into(), place, n_bytes, source }),
+        None => Ok(()),
     }
 }
 
 impl Visitor for Pass {
-    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
+    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
+        self.soundness.record(place, &record);
         match record {
             Record::Metadata { name, entries } => drop(self.metadata.insert(name, entries)),
             Record::Channel(channel) => {
@@ -290,31 +374,20 @@ impl Visitor for Pass {
                     self.wires.entry(wire.name.clone()).or_insert_with(gathered);
                 }
             }
-            Record::Message(message) => match self.channels.get(message.channel_id) {
-                Some(Carries::Exact(wire)) => {
-                    if let Some(gathered) = self.wires.get_mut(&wire.name) {
-                        gathered.messages.push((codec::number(message.data), message.data.to_vec()));
-                    }
+            Record::Message(message) => {
+                let taken = self.message(&message);
+                if taken.is_break() {
+                    self.full_at = Some(place);
                 }
-                Some(Carries::Drops) => {
-                    let drops = serde_json::from_slice::<Drops>(message.data).map(|message| message.drops);
-                    for (wire, input, number) in drops.unwrap_or_default() {
-                        self.drops.entry((wire, input)).or_default().insert(number);
-                    }
-                }
-                Some(Carries::Live) => {
-                    if let Ok(Live { node, item, readings }) = serde_json::from_slice(message.data) {
-                        self.readings.insert((node, item), readings);
-                    }
-                }
-                _ => {}
-            },
+                return taken;
+            }
             _ => {}
         }
         ControlFlow::Continue(())
     }
 
     fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+        self.soundness.damage(&damage);
         self.damage = Some(damage);
         ControlFlow::Break(())
     }

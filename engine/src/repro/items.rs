@@ -3,11 +3,11 @@
 use crate::recording::{
     RecordingError, codec,
     format::{EXACT_ENCODING, MetadataRecord, REPRO_PROFILE, ReproRecord, Topic, WireHeader},
-    known,
+    known, too_large,
     wires::{Carries, Channels, Wire},
 };
 use osteoflow_container::{
-    Compression, Damage, Location, Message, MessageHeader, Reader, Record, Visitor, WriteOptions, Writer,
+    Allowance, Compression, Damage, Location, Message, MessageHeader, Reader, Record, Visitor, WriteOptions, Writer,
     damage_message,
 };
 use osteoflow_node::{Body, DisplayContext, FrameEdge, Item, PayloadType, PortPayload, Registry, StampNs};
@@ -101,8 +101,11 @@ pub(super) fn read(path: &Path, registry: &Registry) -> Result<BTreeMap<String, 
         damages: Vec::new(),
         n_unknown: 0,
         failed: None,
+        allowance: Allowance::from_env(),
+        full_at: None,
     };
     let end = reader.read(&mut pass).map_err(|error| RecordingError::of(path, error))?;
+    too_large(path, &pass.allowance, pass.full_at, reader.n_bytes())?;
     if let Some(error) = pass.failed {
         return Err(error);
     }
@@ -121,6 +124,8 @@ struct Pass<'a> {
     damages: Vec<Damage>,
     n_unknown: u64,
     failed: Option<RecordingError>,
+    allowance: Allowance,
+    full_at: Option<Location>,
 }
 
 impl Pass<'_> {
@@ -144,7 +149,7 @@ impl Pass<'_> {
 }
 
 impl Visitor for Pass<'_> {
-    fn record(&mut self, _: Location, record: Record<'_>) -> ControlFlow<()> {
+    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
         match record {
             Record::Channel(channel) => drop(self.channels.add(channel)),
             Record::Message(message) => {
@@ -156,6 +161,10 @@ impl Visitor for Pass<'_> {
                         return ControlFlow::Continue(());
                     }
                 };
+                if self.allowance.take(message.data.len()).is_break() {
+                    self.full_at = Some(place);
+                    return ControlFlow::Break(());
+                }
                 match self.item(port, &message) {
                     Ok(item) => self.items.entry(port.name.clone()).or_default().push(item),
                     Err(error) => {

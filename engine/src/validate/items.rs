@@ -1,12 +1,13 @@
-use super::{Finding, Findings, ValidatedWire};
+use super::ValidatedWire;
 use crate::recording::{
     RecordedTypes,
     codec::{self, CodecError},
+    findings::{Finding, Findings},
     format::{FIRST_NS, MetadataRecord, MetadataRecords, Recovered, WireCount, WireCounts},
     number_set::NumberSet,
     wires::{Carries, Channels, Wire},
 };
-use osteoflow_container::{Channel, Location, Message};
+use osteoflow_container::{Allowance, Channel, Location, Message};
 use osteoflow_node::{Registry, StampNs};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -22,6 +23,7 @@ pub(super) struct Items<'a> {
     /// Wire, number and place of one item without a time, by log time.
     timeless: BTreeMap<u64, (String, u64, Location)>,
     unknown_payloads: BTreeSet<String>,
+    allowance: Allowance,
 }
 
 #[derive(Default)]
@@ -47,6 +49,7 @@ impl<'a> Items<'a> {
             times: None,
             timeless: BTreeMap::new(),
             unknown_payloads: BTreeSet::new(),
+            allowance: Allowance::from_env(),
         }
     }
 
@@ -68,6 +71,11 @@ impl<'a> Items<'a> {
             }
             Carries::View(_) | Carries::Drops | Carries::Live | Carries::Other => {}
         }
+    }
+
+    /// The memory that is taken by what comes out of order.
+    pub(super) fn allowance(&self) -> &Allowance {
+        &self.allowance
     }
 
     pub(super) fn message(&mut self, place: Location, message: &Message<'_>, findings: &mut Findings) {
@@ -100,6 +108,7 @@ impl<'a> Items<'a> {
         } else if message.log_time == 0 {
             wrong("log time", "its log time is zero, which viewers take for 1970".into());
         } else {
+            let _ = self.allowance.take(name.len());
             self.timeless.entry(message.log_time).or_insert_with(|| (name.clone(), number, place));
         }
         let is_value = item.body.is_ok();
@@ -118,6 +127,10 @@ impl<'a> Items<'a> {
         }
         let Some(checked) = self.wires.get_mut(name) else { return };
         checked.n_values += u64::from(is_value);
+        // Items out of order are kept until their turn.
+        if number > checked.next {
+            let _ = self.allowance.take(0);
+        }
         if !checked.numbers.insert(number) {
             return wrong("number", "the number stands there twice".into());
         }
@@ -145,7 +158,11 @@ impl<'a> Items<'a> {
             Some("protobuf") if !is_protobuf(message.data) => wrong("is no protobuf".into()),
             _ => {}
         }
-        if !self.wires.entry(wire.into()).or_default().views.insert(number) {
+        let views = &mut self.wires.entry(wire.into()).or_default().views;
+        if number > views.len() {
+            let _ = self.allowance.take(0);
+        }
+        if !views.insert(number) {
             wrong("stands there twice".into());
         }
     }

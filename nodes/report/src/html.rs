@@ -96,6 +96,11 @@ impl Page {
         self.body.push_str("</section>\n");
     }
 
+    /// What is wrong with the files that the page is made from.
+    pub(crate) fn fault(&mut self, what: &str) {
+        let _ = writeln!(self.body, "<p class=\"banner\"><b>NOT SOUND.</b> {}</p>", escape(what));
+    }
+
     /// A paragraph of plain text.
     pub(crate) fn text(&mut self, words: &str) {
         let _ = writeln!(self.body, "<p>{}</p>", escape(words));

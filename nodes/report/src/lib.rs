@@ -37,6 +37,7 @@ pub use html::Figure;
 pub use run::of_run;
 pub use sweep::of_sweep;
 
+use osteoflow_engine::durable;
 use std::{fs, io, path::Path};
 
 /// A report.
@@ -48,6 +49,8 @@ pub struct Report {
     pub figures: Vec<Figure>,
     /// The literature as BibTeX.
     pub bibliography: String,
+    /// What is wrong with the files that it was made from; also at the top of the page.
+    pub fault: Option<String>,
 }
 
 /// Folder for the figures, inside the folder of the run or sweep.
@@ -97,13 +100,19 @@ impl Report {
     /// If a file cannot be written.
     pub fn write(&self, dir: &Path, page: &Path) -> Result<(), ReportError> {
         let to = |path: &Path, text: &str| {
-            fs::write(path, text).map_err(|source| ReportError::Write { path: path.display().to_string(), source })
+            durable::write(path, text.as_bytes())
+                .map_err(|source| ReportError::Write { path: path.display().to_string(), source })
         };
         let figures = dir.join(FIGURES);
-        fs::create_dir_all(&figures)
-            .map_err(|source| ReportError::Write { path: figures.display().to_string(), source })?;
+        let failed = |source| ReportError::Write { path: figures.display().to_string(), source };
+        fs::create_dir_all(&figures).map_err(failed)?;
+        if figures.is_symlink() {
+            return Err(failed(io::Error::other("it is a link, and figures are written into the folder itself")));
+        }
         for figure in &self.figures {
-            to(&figures.join(format!("{}.svg", figure.name)), &figure.svg)?;
+            // Names come from graphs: no separator may lead out of the folder.
+            let name = figure.name.replace(['/', '\\'], "_");
+            to(&figures.join(format!("{name}.svg")), &figure.svg)?;
         }
         self.remove_stale(&figures)?;
         to(&dir.join(BIBLIOGRAPHY), &self.bibliography)?;
@@ -137,6 +146,7 @@ mod tests {
             html: String::new(),
             figures: vec![Figure { name: name.into(), svg: String::new() }],
             bibliography: String::new(),
+            fault: None,
         };
         report("view-fragment-run-7").write(dir.path(), &dir.path().join(PAGE)).unwrap();
         fs::write(figures.join("mine.svg"), "").unwrap();

@@ -31,6 +31,10 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     let name = run.manifest["graph"]["name"].as_str().unwrap_or("run");
     let mut page = Page::new(&format!("Run of {name}"), run.is_simulated());
 
+    let fault = run.fault();
+    if let Some(fault) = &fault {
+        page.fault(fault);
+    }
     let verdict = Verdict::of(&run.results);
     if let Some(verdict) = &verdict {
         page.verdict(verdict);
@@ -82,7 +86,7 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
 
     let began = run.manifest["began"].as_str().unwrap_or_default();
     let (html, figures) = page.finish(&format!("{}, {began}", provenance::folder_name(dir)));
-    Ok(Report { html, figures, bibliography })
+    Ok(Report { html, figures, bibliography, fault })
 }
 
 /// Draws a graph with the disclaimer of all figures.

@@ -11,6 +11,7 @@ pub(crate) struct RunFolder {
     pub(crate) manifest: Json,
     pub(crate) results: Json,
     recording: Result<Recording, String>,
+    has_recording: bool,
     registry: Registry,
 }
 
@@ -31,14 +32,30 @@ impl RunFolder {
             results => results?,
         };
         let path = dir.join(files::RECORDING);
-        let recording = match path.is_file() {
+        let has_recording = path.is_file();
+        let recording = match has_recording {
             true => Recording::open(&path).map_err(|e| e.to_string()),
             false => {
                 Err(format!("the run was not recorded ({} is missing); run it without --no-record", files::RECORDING))
             }
         };
         let registry = recording.as_ref().map_or_else(|_| registry.clone(), |recording| recording.registry(registry));
-        Ok(Self { manifest, results, recording, registry })
+        Ok(Self { manifest, results, recording, has_recording, registry })
+    }
+
+    /// What is wrong with the files of the run: a recording that is damaged or cannot be read, or results that are not
+    /// those of the recording.
+    pub(crate) fn fault(&self) -> Option<String> {
+        let recording = match &self.recording {
+            Ok(recording) => recording,
+            Err(error) => return self.has_recording.then(|| error.clone()),
+        };
+        let damage = recording.truncated.as_ref().or(recording.unsound.as_ref());
+        if let Some(damage) = damage {
+            return Some(format!("{}: {damage}", files::RECORDING));
+        }
+        let differ = recording.results.as_ref().is_some_and(|results| *results != self.results);
+        differ.then(|| format!("{} holds other results than {}", files::RESULTS, files::RECORDING))
     }
 
     pub(crate) fn is_simulated(&self) -> bool {

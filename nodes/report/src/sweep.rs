@@ -74,7 +74,7 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> R
     page.section("References");
     let bibliography = citations::section(&mut page, &used, registry);
     let (html, figures) = page.finish(&provenance::folder_name(dir));
-    Ok(Report { html, figures, bibliography })
+    Ok(Report { html, figures, bibliography, fault: None })
 }
 
 impl Swept {

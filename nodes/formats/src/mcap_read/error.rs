@@ -1,4 +1,4 @@
-use osteoflow_container::{Cause, Damage, Location, ReadError};
+use osteoflow_container::{Cause, Damage, Location, ReadError, TooLarge};
 use std::io;
 
 /// A recording that cannot be read, or not to its end.
@@ -48,6 +48,16 @@ pub enum McapError {
         damage: Damage,
         /// Number of messages before it.
         n_messages: usize,
+    },
+    /// Its messages take more memory than is allowed.
+    #[error("{path}: at {place}: {source}")]
+    TooLarge {
+        /// The file.
+        path: String,
+        /// Where the allowed memory was full.
+        place: Location,
+        /// The limit.
+        source: TooLarge,
     },
     /// Bytes of the file are damaged.
     #[error(

@@ -3,7 +3,7 @@
 use super::{Attachment, McapError, Message, Recording, Topic, error::section_damage};
 use bytes::Bytes;
 use osteoflow_container::{
-    Cause, Channel, Damage, End, Location, MESSAGE_HEADER_BYTES, Reader, Record, Statistics, Visitor,
+    Allowance, Cause, Channel, Damage, End, Location, MESSAGE_HEADER_BYTES, Reader, Record, Statistics, Visitor,
 };
 use osteoflow_geometry::StampNs;
 use std::{
@@ -44,6 +44,7 @@ pub(super) struct Pass<'a> {
     data_end: u64,
     recording: Recording,
     failed: Option<McapError>,
+    allowance: Allowance,
 }
 
 impl<'a> Pass<'a> {
@@ -62,6 +63,7 @@ impl<'a> Pass<'a> {
             data_end: 0,
             recording: Recording::default(),
             failed: None,
+            allowance: Allowance::from_env(),
         }
     }
 
@@ -145,13 +147,18 @@ impl<'a> Pass<'a> {
         }
     }
 
-    fn message(&mut self, location: Location, message: &osteoflow_container::Message<'_>) {
+    fn message(&mut self, location: Location, message: &osteoflow_container::Message<'_>) -> ControlFlow<()> {
         let channel_id = message.channel_id;
         *self.n_found.entry(channel_id).or_default() += 1;
         let last = &mut self.recording.last_publish_time_ns;
         *last = (*last).max(Some(stamp(message.publish_time)));
         if self.channels.get(&channel_id).is_some_and(|(channel, _)| !(self.keep)(&channel.topic)) {
-            return;
+            return ControlFlow::Continue(());
+        }
+        let taken = self.allowance.take(message.data.len());
+        if let Some(source) = self.allowance.exceeded() {
+            self.failed = Some(McapError::TooLarge { path: self.path.into(), place: location, source });
+            return taken;
         }
         self.found.push(PendingMessage {
             channel_id,
@@ -165,6 +172,7 @@ impl<'a> Pass<'a> {
             },
             n_bytes: message.data.len(),
         });
+        ControlFlow::Continue(())
     }
 
     /// Sorts the messages by topic, now that all channels are known.
@@ -232,7 +240,7 @@ impl Visitor for Pass<'_> {
                     self.channel_order.push(id);
                 }
             }
-            Record::Message(message) => self.message(location, &message),
+            Record::Message(message) => return self.message(location, &message),
             Record::Chunk(_) => self.chunk_start = self.found.len(),
             Record::Attachment(attachment) => self.recording.attachments.push(Attachment {
                 name: attachment.name.into(),

@@ -1,12 +1,49 @@
-use super::{Finding, Findings};
+use super::findings::{Finding, Findings};
 use osteoflow_container::{
     Channel, ChunkHeader, ChunkIndex, Damage, Location, MESSAGE_HEADER_BYTES, Record, Statistics,
 };
 use std::collections::BTreeMap;
 
+/// Checks of a file's container, beside those of the reader, for commands that read items only.
+#[derive(Default)]
+pub(crate) struct Soundness {
+    container: Container,
+    findings: Findings,
+}
+
+impl Soundness {
+    pub(crate) fn record(&mut self, place: Location, record: &Record<'_>) {
+        self.container.record(place, record, &mut self.findings);
+    }
+
+    pub(crate) fn damage(&mut self, damage: &Damage) {
+        self.container.damage(damage);
+    }
+
+    /// What is not sound of a file without damage; damage has been reported, and explains the rest.
+    pub(crate) fn finish(self) -> Vec<Finding> {
+        let Self { container, mut findings } = self;
+        if container.finish(&mut findings).is_some() {
+            return Vec::new();
+        }
+        findings.take(&["habit"]);
+        findings.into_listed()
+    }
+}
+
+/// One sentence of these findings; `None` if there are none.
+pub(crate) fn summary_of(findings: &[Finding]) -> Option<String> {
+    let first = findings.first()?;
+    let more = match findings.len() {
+        1 => String::new(),
+        n => format!(", and {} more findings", n - 1),
+    };
+    Some(format!("the file is not sound: {first}{more}; `osteoflow validate` lists them"))
+}
+
 /// Checks of the MCAP format: descriptions before use, and correct indexes, counts and CRCs.
 #[derive(Default)]
-pub(super) struct Container {
+pub(crate) struct Container {
     header: bool,
     schemas: BTreeMap<u16, (String, String)>,
     channels: BTreeMap<u16, Channel>,
@@ -38,20 +75,20 @@ struct Chunk {
 }
 
 impl Container {
-    pub(super) fn n_messages(&self) -> u64 {
+    pub(crate) fn n_messages(&self) -> u64 {
         self.n_by_channel.values().sum()
     }
 
-    pub(super) fn n_chunks(&self) -> u64 {
+    pub(crate) fn n_chunks(&self) -> u64 {
         self.chunks.len() as u64
     }
 
-    pub(super) fn damage(&mut self, _: &Damage) {
+    pub(crate) fn damage(&mut self, _: &Damage) {
         self.damaged = true;
         self.open = None;
     }
 
-    pub(super) fn record(&mut self, place: Location, record: &Record<'_>, findings: &mut Findings) {
+    pub(crate) fn record(&mut self, place: Location, record: &Record<'_>, findings: &mut Findings) {
         if place.offset < self.last && !self.damaged {
             let what = "a channel is used here that only the summary describes";
             findings.add("description", Finding::new(place, what));
@@ -213,7 +250,7 @@ impl Container {
     }
 
     /// Compares the file with its summary; says what is missing of a damaged file.
-    pub(super) fn finish(mut self, findings: &mut Findings) -> Option<String> {
+    pub(crate) fn finish(mut self, findings: &mut Findings) -> Option<String> {
         self.close_chunk(findings);
         if let Some((at, summary_start)) = self.footer {
             let after_data = self.data_end.map(|at| at + 13);
