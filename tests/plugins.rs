@@ -166,9 +166,13 @@ fn a_manifest_lists_the_libraries_and_a_replay_reports_changed_ones() {
     assert_eq!(folder.says(&mut folder.command(&["validate", "out/run.mcap"])).0, 0);
     // The same library built with another constant.
     folder.toy(&format!("libtoy{DLL_SUFFIX}"), "2");
-    let (code, out, err) = replay();
-    assert_eq!(code, 4, "{out}{err}");
+    let (code, _, err) = replay();
     let other = sha256(&library);
+    assert!(code == 2 && err.contains(&format!("its SHA-256 is {other}")), "{err}");
+    // The user names it.
+    let named = ["replay", "--quiet", recording.to_str().unwrap(), "--plugin", library.to_str().unwrap()];
+    let (code, out, err) = folder.says(folder.command(&named).current_dir("/"));
+    assert_eq!(code, 4, "{out}{err}");
     let said = format!("plugin toy 1.2.3 was another library: sha256 {first}, here is 1.2.3 {other} (DIR/");
     assert!(err.contains(&said), "{err}");
     assert!(out.contains("first divergence: wire add.sum, item 0"), "{out}");
@@ -198,7 +202,9 @@ fn repro_repeats_a_failed_item_of_a_plugin() {
     assert_eq!((code, err.as_str()), (0, ""), "{out}");
     assert!(out.contains("a thousand is too much"), "{out}");
     folder.toy(&library, "0.5");
-    let (code, out, err) = folder.says(&mut folder.command(&["repro", "out/repro/add-0"]));
+    let (code, _, err) = folder.says(&mut folder.command(&["repro", "out/repro/add-0"]));
+    assert!(code == 2 && err.contains("its SHA-256 is"), "{err}");
+    let (code, out, err) = folder.says(&mut folder.command(&["repro", "out/repro/add-0", "--plugin", &library]));
     assert_eq!(code, 4, "{out}{err}");
     assert!(err.contains("plugin toy 1.2.3 was another library"), "{err}");
     // It has moved into a folder of plugins, where another of its name is not taken for it.
