@@ -71,7 +71,7 @@ impl Recover {
         let (n, of) = (report.bytes_lost(), report.n_bytes);
         let what = match report.is_whole() {
             true => "nothing is missing".into(),
-            false if n == 0 => "it is not whole".into(),
+            false if !report.unsound.is_empty() => "it is not whole".into(),
             false => format!("{n} of {of} bytes are lost"),
         };
         writeln!(out, "{} messages in {}; {what}", report.n_messages, self.to.display())?;

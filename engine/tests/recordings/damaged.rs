@@ -201,3 +201,36 @@ fn what_is_read_of_a_large_file_is_held_a_chunk_at_a_time() {
         assert!(asked.bytes_max < BUFFERS_BYTES, "{way} holds {} of {n_bytes} bytes", asked.bytes_max);
     }
 }
+
+#[test]
+fn no_command_answers_a_changed_bit_without_a_word() {
+    let mut bench = Bench::new();
+    let whole = fs::read(&bench.whole).unwrap();
+    let (path, out) = (bench.dir.path().join("damaged.mcap"), bench.dir.path().join("out.mcap"));
+    let mut draw = Draw(22);
+    let mut n_unsound = 0;
+    for _ in 0..rounds(700) {
+        let mut bytes = whole.clone();
+        let (at, bit) = (draw.below(bytes.len() as u64) as usize, draw.below(8));
+        bytes[at] ^= 1 << bit;
+        fs::write(&path, &bytes).unwrap();
+        let is_sound = |path: &Path| validate(path, &registry(), &mut |_, _| {}).is_ok_and(|report| report.is_sound());
+        if is_sound(&path) {
+            continue;
+        }
+        n_unsound += 1;
+        let what = format!("bit {bit} of byte {at} of {}", bytes.len());
+        let digest = digest(&path, &mut |_, _| {});
+        assert!(digest.is_err() || digest.is_ok_and(|report| report.incomplete.is_some()), "digest: {what}");
+        let diff = diff(&bench.whole, &path, &DiffOptions::default(), &mut |_, _| {});
+        assert!(diff.is_err() || diff.is_ok_and(|report| report.sides[1].incomplete.is_some()), "diff: {what}");
+        let opened = Recording::open(&path);
+        let says = |recording: Recording| recording.truncated.is_some() || recording.unsound.is_some();
+        assert!(opened.is_err() || opened.is_ok_and(says), "open: {what}");
+        let _ = fs::remove_file(&out);
+        let recovered = recover(&path, &out, &mut |_, _| {});
+        assert!(recovered.is_err() || recovered.is_ok_and(|report| !report.is_whole()), "recover: {what}");
+    }
+    assert_eq!(n_unsound, rounds(700), "a changed bit that nothing finds");
+    bench.n_answers += n_unsound;
+}
