@@ -63,7 +63,7 @@ pub fn read(
             return Err(Error::Usage(format!("{option} is for a CT, and {} is none", file.display())));
         }
     }
-    let bytes = fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?;
+    let bytes = input::read(file).map_err(without_cause)?;
     if bytes.starts_with(b"\x89MCAP") {
         return Ok(Content::Recording);
     }

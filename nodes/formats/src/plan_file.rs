@@ -16,10 +16,10 @@
 //! `proximal`, `lateral` and `posterior` are directions of any length. Every key may be missing, but not all of them; keys that are not
 //! read are noted. A file for several bones has such an object under each bone's name, as [`read_plan_of`] takes it.
 
-use crate::FileError;
+use crate::{FileError, input, json};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Unit, Vector3};
 use osteoflow_geometry::{
-    Anatomy, Axes, Corrections, NamedPoint, Plane, Planes, Points, Pose, SurgicalPlan, direction, matrix_rows,
+    Anatomy, Axes, Corrections, NamedPoint, Plane, Planes, Points, Pose, SurgicalPlan, TooFar, direction, matrix_rows,
     nearest_isometry,
 };
 use serde_json::{Map, Value, json};
@@ -41,7 +41,7 @@ pub struct PlanRead {
 /// # Errors
 /// [`FileError`] naming the key: a unit other than mm, a number that is none, a matrix that mirrors or scales.
 pub fn read_plan(path: &Path) -> Result<PlanRead, FileError> {
-    let text = std::fs::read_to_string(path).map_err(FileError::read(path))?;
+    let text = input::read_text(path)?;
     parse_plan(path, &text)
 }
 
@@ -50,7 +50,7 @@ pub fn read_plan(path: &Path) -> Result<PlanRead, FileError> {
 /// # Errors
 /// As [`read_plan`]; and if the file is for several bones, but not for this one.
 pub fn read_plan_of(path: &Path, bone: &str) -> Result<PlanRead, FileError> {
-    let text = std::fs::read_to_string(path).map_err(FileError::read(path))?;
+    let text = input::read_text(path)?;
     let root = parse_root(path, &text)?;
     if let Some(Value::Object(own)) = root.get(bone) {
         // What else a table of bones holds is not the plan's.
@@ -95,9 +95,13 @@ fn noted(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError> 
 
 fn parse_root(path: &Path, text: &str) -> Result<Map<String, Value>, FileError> {
     let text = text.trim_start_matches('\u{feff}');
-    let root: Value = serde_json::from_str(text).map_err(|error| {
+    let root: Value = json::parse(text).map_err(|error| {
         let place = format!("line {}, column {}", error.line(), error.column());
-        FileError::content(path, place, format!("this is no JSON (which knows no NaN and no comments): {error}"))
+        FileError::content(
+            path,
+            place,
+            format!("this is no JSON of a plan (which knows no NaN, no comments and no key twice): {error}"),
+        )
     })?;
     let Value::Object(root) = root else {
         return Err(FileError::content(path, "line 1", "a plan is a JSON object with keys such as \"landmarks\""));
@@ -251,6 +255,13 @@ impl Keys<'_> {
             .ok_or_else(|| self.fault(key, format!("{N} numbers are expected, found {value}")))
     }
 
+    /// A position, mm.
+    fn place(&self, key: &str, value: &Value) -> Result<Point3<f64>, FileError> {
+        let numbers: [f64; 3] = self.numbers(key, value)?;
+        TooFar::check(&numbers).map_err(|far| self.fault(key, far.to_string()))?;
+        Ok(numbers.into())
+    }
+
     fn rows<const ROWS: usize, const COLUMNS: usize>(
         &self,
         key: &str,
@@ -281,8 +292,8 @@ impl Keys<'_> {
             None => {}
             Some(Value::Object(named)) => {
                 for (name, value) in named {
-                    let place: [f64; 3] = self.numbers(&format!("{key}.{name}"), value)?;
-                    points.push(NamedPoint::new(name.as_str(), place.into()));
+                    let place = self.place(&format!("{key}.{name}"), value)?;
+                    points.push(NamedPoint::new(name.as_str(), place));
                 }
             }
             Some(_) => {
@@ -329,7 +340,7 @@ impl Keys<'_> {
         matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::from_fn(|row, column| rows[row][column]));
         let rotation = self.rigid(key, &matrix)?;
         let centre = match self.get("pca_axes_centre") {
-            Some(value) => self.numbers("pca_axes_centre", value)?.into(),
+            Some(value) => self.place("pca_axes_centre", value)?,
             None => {
                 let places: Vec<Point3<f64>> =
                     landmarks.positions().into_iter().chain(assessment.positions()).collect();
@@ -347,12 +358,12 @@ impl Keys<'_> {
             let vector = Vector3::from(self.numbers::<3>(key, value)?);
             Ok(Some(direction(vector).map_err(|error| self.fault(key, error.to_string()))?))
         };
-        let tip = self.get("malleolus_tip").map(|value| self.numbers::<3>("malleolus_tip", value)).transpose()?;
+        let tip = self.get("malleolus_tip").map(|value| self.place("malleolus_tip", value)).transpose()?;
         let (proximal, lateral, posterior) = (unit("proximal")?, unit("lateral")?, unit("posterior")?);
         let (Some(tip), Some(proximal), Some(lateral), Some(posterior)) = (tip, proximal, lateral, posterior) else {
             return Ok(None);
         };
-        Ok(Some(Anatomy { malleolus_tip: tip.into(), proximal, lateral, posterior }))
+        Ok(Some(Anatomy { malleolus_tip: tip, proximal, lateral, posterior }))
     }
 }
 

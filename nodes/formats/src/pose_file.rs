@@ -10,7 +10,7 @@
 //! An ITK transform takes points of the fixed image to the moving one, and 3D Slicer writes the inverse of the transform
 //! it shows; so the motion of a model onto another is the inverse of its file. Such files are LPS, as CT is here.
 
-use crate::FileError;
+use crate::{FileError, input, json};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Vector3};
 use osteoflow_geometry::{Correction, Nearest, nearest_isometry, nearest_rotation};
 use serde_json::Value;
@@ -39,7 +39,7 @@ pub struct PoseRead {
 /// [`FileError`] if the file cannot be read, holds no 16 numbers, or the matrix projects, mirrors, or is farther than
 /// [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from a rotation.
 pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    let bytes = input::read(path)?;
     if bytes.starts_with(b"\x89HDF") {
         return Err(fault(path, "byte 0", "an HDF5 transform is not read; save it as text (.tfm)"));
     }
@@ -57,7 +57,9 @@ pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
         }
         json if json.starts_with('{') => json_matrix(path, json)?,
         // A list may also be one that numpy printed, which is no JSON.
-        list if list.starts_with('[') && serde_json::from_str::<Value>(list).is_ok() => json_matrix(path, list)?,
+        list if list.starts_with('[') && serde_json::from_str::<serde::de::IgnoredAny>(list).is_ok() => {
+            json_matrix(path, list)?
+        }
         _ => text_matrix(path, text)?,
     };
     for row in 0..3 {
@@ -119,7 +121,7 @@ fn sixteen(path: &Path, numbers: &[f64]) -> Result<Matrix4<f64>, FileError> {
 }
 
 fn json_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
-    let value: Value = serde_json::from_str(text)
+    let value: Value = json::parse(text)
         .map_err(|error| fault(path, format!("line {}", error.line()), format!("no JSON: {error}")))?;
     let mut found = &value;
     // `t_target_source` of a run's results is an object with `matrix` in it.

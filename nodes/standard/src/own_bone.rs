@@ -56,8 +56,7 @@ impl OwnBone {
             return Ok((key, subject));
         };
         let content = |path: &FilePath| {
-            let bytes = std::fs::read(path).map_err(|error| format!("{} cannot be read: {error}", path.0.display()));
-            bytes.map(Arc::new).map_err(NodeError::new)
+            input::read(path.as_ref()).map(Arc::new).map_err(NodeError::from)
         };
         let name = name(bone.as_ref());
         let key = Key::Files { name, bone: content(bone)?, plan: content(plan)?, params: params.clone() };

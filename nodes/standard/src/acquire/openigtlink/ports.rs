@@ -6,7 +6,7 @@ use osteoflow_formats::{
     openigtlink::{Affine, Body, Fiducial, Message, PolyData, Position, Text, device_name},
 };
 use osteoflow_geometry::{
-    Cloud, Frame, Mesh, NamedPoint, Points, Pose, Region, StampNs, SurfaceOrigin,
+    Cloud, Frame, Mesh, NamedPoint, Points, Pose, Region, StampNs, SurfaceOrigin, TooFar,
     nalgebra::{Isometry3, Point3, Quaternion, Translation3},
     nearest_rotation,
 };
@@ -239,7 +239,7 @@ impl Port {
             return Err("it has no orientation; a pose needs one".into());
         };
         let rotation = nearest_rotation(Quaternion::new(w, x, y, z)).map_err(|error| error.to_string())?;
-        let at = finite(*position).ok_or("the position is not finite")?;
+        let at = near(*position).map_err(|why| format!("the position: {why}"))?;
         let isometry = Isometry3::from_parts(at.coords.into(), rotation.value);
         let correction = rotation.correction;
         let is_fine = correction.deviation <= SINGLE_PRECISION;
@@ -313,7 +313,7 @@ impl Port {
 
     fn points(&self, fiducials: &[Fiducial], device: &str, stamp_ns: StampNs) -> Result<Given, String> {
         let named = fiducials.iter().enumerate().map(|(k, fiducial)| {
-            let position = finite(fiducial.position).ok_or_else(|| format!("point {} is not finite", k + 1))?;
+            let position = near(fiducial.position).map_err(|why| format!("point {}: {why}", k + 1))?;
             let own = (!fiducial.name.is_empty()).then_some(fiducial.name.as_str());
             let name = self.label(device).filter(|_| fiducials.len() == 1).or(own).unwrap_or(device);
             let mut point = NamedPoint::new(name, self.turn * position);
@@ -331,8 +331,8 @@ impl Port {
         let [a, b] = corners else {
             return Err(format!("a region is two opposite corners, and {} points came", corners.len()));
         };
-        let (a, b) = finite(a.position).zip(finite(b.position)).ok_or("a corner is not finite")?;
-        let (a, b) = (self.turn * a, self.turn * b);
+        let corner = |c: &Fiducial| near(c.position).map_err(|why| format!("a corner: {why}"));
+        let (a, b) = (self.turn * corner(a)?, self.turn * corner(b)?);
         let (min, max) = (a.inf(&b), a.sup(&b));
         Ok(Emission::value(Region { frame: self.frame.clone(), min, max }).into())
     }
@@ -356,6 +356,13 @@ fn lost(message: &Message, device: &str) -> Option<String> {
     let valid = message.metadata("TransformValid")?.trim();
     let is_no = ["false", "0", "no"].iter().any(|no| valid.eq_ignore_ascii_case(no));
     is_no.then(|| format!("TransformValid is {valid}"))
+}
+
+/// A usable point.
+fn near(point: [f32; 3]) -> Result<Point3<f64>, String> {
+    let point = finite(point).ok_or("it is not finite")?;
+    TooFar::check(point.coords.as_slice()).map_err(|far| far.to_string())?;
+    Ok(point)
 }
 
 fn finite(point: [f32; 3]) -> Option<Point3<f64>> {
