@@ -7,7 +7,7 @@ use crate::commands::{
 };
 use anyhow::{Context, Result, anyhow};
 use osteoflow_formats::{
-    Space,
+    Space, input,
     mesh_file::MeshRead,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     picked_points::{PickedPoints, write_fcsv, write_mrk_json, write_points_csv},

@@ -11,6 +11,7 @@ use super::{
 };
 use crate::{
     activity::{Doing, Name},
+    panics,
     scheduler::Scheduler,
 };
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
@@ -161,7 +162,8 @@ impl Server<'_, '_> {
     fn answered(&mut self, node: usize, answer: Answer) {
         let Some(device) = self.device(node).filter(|device| device.asks.is_some()) else { return };
         let (asked, was_silent) = (device.asked.take(), std::mem::take(&mut device.reported_silent));
-        if let (Some(asked), true) = (asked, was_silent) {
+        // The end of a source is no sign of life.
+        if let (Some(asked), true, false) = (asked, was_silent, answer.is_end()) {
             let message = format!("it gave something again after {}", seconds(asked.elapsed()));
             self.run.warn(node, answer.item(), vec![message]);
         }
@@ -254,7 +256,9 @@ fn run_source(live: Live, asks: &Receiver<Ask>, answers: &Sender<LiveMessage>) {
     let Live { node, mut source, mut context, n_ports } = live;
     let name = Name::of(context.node());
     for Ask { item, stamp_ns } in asks {
-        let answer = Answer::of(name, &mut *source, &mut context, n_ports, item, stamp_ns);
+        // The run waits for an answer to each request, so a panic outside of the source's own call is one, too.
+        let answer = panics::catch(|| Answer::of(name, &mut *source, &mut context, n_ports, item, stamp_ns))
+            .unwrap_or_else(|panic| Answer::of_panic(item, stamp_ns, n_ports, panic));
         if answers.try_send(LiveMessage::Answered(node, answer)).is_err() {
             break;
         }

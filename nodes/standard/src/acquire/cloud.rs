@@ -1,6 +1,6 @@
 //! The kind `acquire.cloud`.
 
-use osteoflow_formats::mesh_or_cloud::read_mesh_or_cloud;
+use osteoflow_formats::{input, mesh_or_cloud::read_mesh_or_cloud};
 use osteoflow_geometry::{Cloud, nalgebra::Isometry3};
 use osteoflow_node::{
     Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,

@@ -1,5 +1,6 @@
 //! Messages to the payloads of declared ports.
 
+use super::super::frozen::Frozen;
 use osteoflow_formats::{
     Space,
     message_read::is_sensor_frame,
@@ -15,8 +16,6 @@ use osteoflow_payloads::{Flag, Text as TextPayload};
 
 /// Largest deviation of a rotation that is not reported: single precision leaves 2e-7.
 const SINGLE_PRECISION: f64 = 1e-6;
-/// Equal poses in a row that are reported: measurements differ in their last bits.
-const N_EQUAL: usize = 40;
 /// A cloud that is smaller than this is probably in metres.
 const SMALLEST_CLOUD_MM: f64 = 2.0;
 
@@ -44,6 +43,11 @@ pub struct PortParams {
     /// Unset: never.
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
+    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
+    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker, as a marker at rest
+    /// jitters by noise. 0: never, for a constant that is sent again and again.
+    #[schemars(range(min = 0.0, max = 3_600_000.0))]
+    pub frozen_after_ms: Option<f64>,
     /// Whether a pose that is exactly the identity means that the tool is lost, as some trackers send it. Unset: it does; a
     /// constant of a configuration may need false.
     pub identity_is_lost: Option<bool>,
@@ -77,8 +81,7 @@ pub(super) struct Port {
     pub(super) lost_after_ns: Option<StampNs>,
     pub(super) default: Option<bool>,
     identity_is_lost: bool,
-    /// The last pose as it came, and how often it came in a row.
-    last: Option<(Isometry3<f64>, usize)>,
+    frozen: Frozen,
     labels: Vec<String>,
     /// The rotation of coordinates in `ct` to LPS.
     turn: Isometry3<f64>,
@@ -157,7 +160,7 @@ impl Port {
             lost_after_ns,
             default: params.default,
             identity_is_lost: params.identity_is_lost.unwrap_or(true),
-            last: None,
+            frozen: Frozen::new(params.frozen_after_ms),
             labels: params.labels,
             turn,
             frame,
@@ -254,16 +257,10 @@ impl Port {
                 format!("{device} is lost: it is the identity; if that is its pose, set identity_is_lost = false");
             return Given { emission: Emission::Empty(reason), note };
         }
-        let n_equal = match &self.last {
-            Some((last, n)) if *last == isometry => n + 1,
-            _ => 1,
-        };
-        self.last = Some((isometry, n_equal));
-        let is_frozen = n_equal == N_EQUAL;
-        let note = note.or_else(|| {
-            is_frozen
-                .then(|| format!("{device}: {N_EQUAL} poses in a row are equal to the last bit; is the tool in view?"))
-        });
+        if let Some(frozen) = self.frozen.take(device, &isometry, stamp_ns) {
+            let note = frozen.is_first.then(|| frozen.reason.clone()).or(note);
+            return Given { emission: Emission::Empty(frozen.reason), note };
+        }
         let is_ct = |frame| Space::of(frame) == Space::Lps;
         // The turn by half is its own inverse.
         let isometry = if is_ct(&self.to) { self.turn * isometry } else { isometry };
