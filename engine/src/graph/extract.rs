@@ -31,7 +31,11 @@ pub(crate) fn whole(value: &Spanned, what: &str, min: u64, max: u64, faults: &mu
     {
         return Some(number);
     }
-    faults.push(wrong(value, what, &format!("a whole number of at least {min}")));
+    let takes = match max {
+        u64::MAX => format!("a whole number of at least {min}"),
+        max => format!("a whole number from {min} to {max}"),
+    };
+    faults.push(wrong(value, what, &takes));
     None
 }
 

@@ -122,7 +122,9 @@ fn items_later_than_promised_become_empties() {
     // At 10 the newest item of port 1 is 2; at 20 and at 30 it is the late item's empty at 18, so nothing is added.
     assert_eq!(report.results["other"], json!([3.0, 3.0, 7.0]));
     let messages: Vec<_> = report.warnings.iter().map(|w| w.message.as_str()).collect();
-    assert_eq!(messages, ["devices.p1: 2 items came late, by up to 0.000003 ms more than promised, and are empties"]);
+    let late = "devices.p1: 2 items came late, by up to 0.000003 ms more than promised, and are empties; the first was item 1, \
+                stamped 15 ns after 18 ns";
+    assert_eq!(messages, [late]);
     let stamps: Vec<_> = report.links.iter().map(|l| (l.sent, l.received, l.dropped)).collect();
     assert_eq!(stamps, [(4, 4, 0), (3, 3, 0), (4, 4, 0)]);
 }

@@ -11,7 +11,7 @@ use crate::mesh_query::MeshQuery;
 use crate::nearest::{Nearest, Threads};
 use crate::point_grid::{All, Nearby, PointGrid, cell_mm};
 use nalgebra::{Point3, Vector3};
-use osteoflow_geometry::{TooFar, Column, Frame, SurfaceOrigin};
+use osteoflow_geometry::{Column, Frame, SurfaceOrigin, TooFar};
 use std::{
     fmt,
     sync::{Arc, OnceLock},

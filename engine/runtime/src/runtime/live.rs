@@ -12,6 +12,7 @@ use super::{
 use crate::{
     activity::{Doing, Name},
     panics,
+    report::{Event, Warning},
     scheduler::Scheduler,
 };
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
@@ -204,7 +205,10 @@ impl Server<'_, '_> {
             if silent >= device.silent_after && !device.reported_silent {
                 device.reported_silent = true;
                 let message = format!("it has given nothing for {}; is the device connected and on?", seconds(silent));
-                self.run.warn(device.node, self.run.cell(device.node).n_items(), vec![message]);
+                let item = self.run.cell(device.node).n_items();
+                self.run.warn(device.node, item, vec![message.clone()]);
+                let node = self.run.plan.nodes[device.node].name.to_string();
+                self.run.event(&Event::Silent(&Warning { node, item, message }));
             }
         }
     }
