@@ -31,9 +31,10 @@ pub(crate) fn whole(value: &Spanned, what: &str, min: u64, max: u64, faults: &mu
     {
         return Some(number);
     }
-    let takes = match max {
-        u64::MAX => format!("a whole number of at least {min}"),
-        max => format!("a whole number from {min} to {max}"),
+    let is_too_large = matches!(value.value, Value::Int(number) if number > i128::from(max));
+    let takes = match is_too_large {
+        true => format!("a whole number from {min} to {max}"),
+        false => format!("a whole number of at least {min}"),
     };
     faults.push(wrong(value, what, &takes));
     None
