@@ -216,6 +216,40 @@ fn a_silent_live_source_is_reported_once_and_when_it_resumes() {
     assert_eq!(of("it has given nothing for "), of("it gave something again after "));
 }
 
+/// Requests a stop when the source has been silent after its first item.
+struct StopAtSilence(Arc<AtomicBool>);
+
+impl Observer for StopAtSilence {
+    fn event(&self, event: &Event<'_>) {
+        if let Event::Silent(warning) = event
+            && warning.item == 1
+        {
+            assert_eq!(warning.node, "scan");
+            self.0.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+#[test]
+fn the_end_of_a_silent_source_is_not_taken_for_an_item() {
+    let calls = json!([
+        { "stamp_ns": 1, "give": [[0, 5.0]] },
+        { "stamp_ns": 2, "give": [[0, 6.0]], "device": "waits for the end" },
+    ]);
+    let plan = PlanBuilder::new()
+        .source("scan", "toy.live", 1, json!({ "calls": calls, "silent_after_ms": 1 }))
+        .node("sink", "toy.add", json!({}), &[("a", "scan.p0", None)])
+        .result("all", "sink.out", true, false)
+        .plan();
+    let options = options(1);
+    let stop = StopAtSilence(options.cancelled.clone());
+    let report = run(&plan, &registry(), &options, &stop).unwrap();
+    assert_eq!(report.outcome, Outcome::Interrupted);
+    // The first item may be late, too, and then is one that resumes.
+    let of = |begin: &str| report.warnings.iter().filter(|w| w.message.starts_with(begin)).count();
+    assert_eq!(of("it has given nothing for "), of("it gave something again after ") + 1, "{:?}", report.warnings);
+}
+
 /// Opens a gate when the source has ended.
 struct OpenAtEnd<'a>(Gate, &'a str);
 
