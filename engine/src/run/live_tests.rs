@@ -250,6 +250,40 @@ fn the_end_of_a_silent_source_is_not_taken_for_an_item() {
     assert_eq!(of("it has given nothing for "), of("it gave something again after ") + 1, "{:?}", report.warnings);
 }
 
+/// Panics at the second item of a node, as a fault of the engine or of a listener would.
+struct PanicsAt(&'static str);
+
+impl Observer for PanicsAt {
+    fn event(&self, event: &Event<'_>) {
+        assert!(!matches!(event, Event::Fired { node, item: 1, .. } if *node == self.0), "no place at 1e45");
+    }
+}
+
+#[test]
+fn a_panic_outside_of_the_nodes_ends_the_run_on_every_thread_and_names_the_node() {
+    let given: Vec<_> = (0..50).map(|i| (i, 0, i as f64)).collect();
+    let live_plan = live("scan", 1, &given, json!({}));
+    let plain_plan = PlanBuilder::new().script("scan", 1, calls(&given));
+    for (is_live, builder) in [(true, live_plan), (false, plain_plan)] {
+        let plan = builder
+            .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
+            .node("second", "toy.add", json!({}), &[("a", "first.out", None)])
+            .result("all", "second.out", true, false)
+            .plan();
+        // A live source's answers are taken on a thread of their own, nodes fire on the workers.
+        for (node, workers) in [("scan", 1), ("scan", 8), ("first", 1), ("first", 2), ("second", 8)] {
+            let ran =
+                crate::runtime::panics::catch(|| run(&plan, &registry(), &options(workers), &PanicsAt(node)).map(drop));
+            let said = ran.unwrap_err();
+            let expected = format!("panicked: node \"{node}\": panicked at engine/src/run/live_tests.rs:");
+            assert!(
+                said.starts_with(&expected) && said.ends_with("no place at 1e45"),
+                "live {is_live}, {workers}: {said}"
+            );
+        }
+    }
+}
+
 /// Opens a gate when the source has ended.
 struct OpenAtEnd<'a>(Gate, &'a str);
 

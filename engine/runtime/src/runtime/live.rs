@@ -18,6 +18,8 @@ use crate::{
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use osteoflow_node::{AnySource, Context, StampNs};
 use std::{
+    panic::{AssertUnwindSafe, catch_unwind, resume_unwind},
+    sync::{Mutex, PoisonError},
     thread::JoinHandle,
     time::{Duration, Instant},
 };
@@ -86,12 +88,16 @@ struct Device {
 
 /// Runs a graph with live sources.
 pub(crate) fn run(run: &Runtime<'_>, scheduler: &Scheduler, sources: Vec<Live>) {
+    let panicked = Mutex::new(None);
     std::thread::scope(|scope| {
         let serve = std::thread::Builder::new().name("live".into());
         let served = serve.spawn_scoped(scope, || {
-            // If this thread panics, the workers must not wait for it.
-            let _guard = scheduler.guard();
-            Server { run, scheduler, devices: Vec::new(), stopped: None }.serve(sources);
+            let served = catch_unwind(AssertUnwindSafe(|| {
+                // If this thread panics, the workers must not wait for it.
+                let _guard = scheduler.guard();
+                Server { run, scheduler, devices: Vec::new(), stopped: None }.serve(sources);
+            }));
+            *panicked.lock().unwrap_or_else(PoisonError::into_inner) = served.err();
         });
         if let Err(error) = served {
             run.fail_live(&format!("the thread for live sources cannot be started: {error}"), scheduler);
@@ -100,6 +106,9 @@ pub(crate) fn run(run: &Runtime<'_>, scheduler: &Scheduler, sources: Vec<Live>) 
         let _over = Over(&run.mailbox);
         scheduler.run(run);
     });
+    if let Some(payload) = panicked.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        resume_unwind(payload);
+    }
 }
 
 struct Over<'a>(&'a Mailbox);
@@ -161,6 +170,7 @@ impl Server<'_, '_> {
     }
 
     fn answered(&mut self, node: usize, answer: Answer) {
+        let _stepping = self.run.stepping(node);
         let Some(device) = self.device(node).filter(|device| device.asks.is_some()) else { return };
         let (asked, was_silent) = (device.asked.take(), std::mem::take(&mut device.reported_silent));
         // The end of a source is no sign of life.
