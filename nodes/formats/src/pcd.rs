@@ -224,6 +224,7 @@ fn header(path: &Path, bytes: &[u8]) -> Result<Header, FileError> {
     let mut header = Header::default();
     let (mut sizes, mut types, mut counts) = (Vec::<usize>::new(), Vec::new(), None::<Vec<usize>>);
     let (mut names, mut width, mut height, mut points) = (Vec::<String>::new(), None, None, None);
+    let mut seen: Vec<String> = Vec::new();
     loop {
         let rest = &bytes[header.at..];
         header.line += 1;
@@ -244,6 +245,12 @@ fn header(path: &Path, bytes: &[u8]) -> Result<Header, FileError> {
             [word] => whole(word),
             _ => Err(fault(format!("{key} has {} values, one is expected", words.len()))),
         };
+        if !key.is_empty() && !key.starts_with('#') {
+            if seen.iter().any(|before| before == key) {
+                return Err(fault(format!("the header has a second line {key}")));
+            }
+            seen.push(key.to_owned());
+        }
         match key {
             "" | "VERSION" => {}
             _ if key.starts_with('#') => header.stated.take(line).map_err(&fault)?,

@@ -19,6 +19,9 @@ use std::path::Path;
 /// The keys under which a JSON object may hold the matrix, in the order in which they are looked for.
 const KEYS: [&str; 3] = ["T", "t_target_source", "matrix"];
 
+/// Keys that may state the unit of length.
+const UNITS: [&str; 2] = ["units", "unit"];
+
 const ITK_MARK: &str = "#Insight Transform File";
 
 /// A rigid motion read from a file.
@@ -126,6 +129,15 @@ fn json_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
     let mut found = &value;
     // `t_target_source` of a run's results is an object with `matrix` in it.
     while let Some(object) = found.as_object() {
+        let there: Vec<&str> = KEYS.into_iter().filter(|key| object.contains_key(*key)).collect();
+        if let [first, second, ..] = there[..] {
+            let message = format!("the keys {first} and {second} are both there; which of them is the pose?");
+            return Err(fault(path, "object", message));
+        }
+        if let Some((key, unit)) = object.iter().find(|(key, unit)| UNITS.contains(&key.as_str()) && **unit != "mm") {
+            let message = format!("a pose in JSON is in \"mm\", found {unit}; convert its translation to mm");
+            return Err(fault(path, format!("key \"{key}\""), message));
+        }
         found = KEYS.iter().find_map(|key| object.get(*key)).ok_or_else(|| {
             let keys: Vec<_> = object.keys().map(String::as_str).collect();
             let message = format!("none of the keys {} is there; there are: {}", KEYS.join(", "), keys.join(", "));
@@ -163,7 +175,11 @@ fn itk_matrix(path: &Path, text: &str) -> Result<Nearest<Matrix4<f64>>, FileErro
         ));
     }
     let numbers = |key: &str| -> Result<Vec<f64>, FileError> {
-        let words = line_of(key).0.unwrap_or_default().split_whitespace();
+        let (line, more) = line_of(key);
+        if more {
+            return Err(fault(path, key, format!("there are two lines \"{key}:\"; save one linear transform")));
+        }
+        let words = line.unwrap_or_default().split_whitespace();
         let number =
             |word: &str| word.parse::<f64>().map_err(|_| fault(path, key, format!("\"{word}\" is not a number")));
         words.map(number).collect()

@@ -182,3 +182,25 @@ fn quaternions_of_zero_and_nan_are_markers_that_were_not_seen() {
     assert!(said[0].contains("at 5 ns has an all-zero quaternion"), "{}", said[0]);
     assert!(said[1].contains("at 6 ns has a row without finite numbers"), "{}", said[1]);
 }
+
+#[test]
+fn what_a_pose_or_a_header_gives_twice_is_refused() {
+    let unit = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
+    let said = |text: String| in_file(text, |path| read_pose(path, 1.0).unwrap_err().to_string());
+    assert_says(
+        "two poses",
+        &said(format!("{{\"T\": {unit}, \"matrix\": {unit}}}")),
+        "object: ",
+        "the keys T and matrix",
+    );
+    assert_says("unit", &said(format!("{{\"T\": {unit}, \"unit\": \"m\"}}")), "key \"unit\": ", "found \"m\"");
+    assert_says("twice", &said(format!("{{\"T\": {unit},\n\"T\": {unit}}}")), "line 2", "key \"T\" is given twice");
+    let itk = "#Insight Transform File V1.0\nTransform: Euler3DTransform_double_3_3\nParameters: 0 0 0 0 0 0\nParameters: 1 0 0 0 0 0\n";
+    assert_says("ITK", &said(itk.into()), "Parameters: ", "two lines");
+    let fcsv = "# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n# columns = id,x,y,z,x,label\na,1,2,3,4,P1\n";
+    let said = parse_picked_points("a.fcsv".as_ref(), fcsv.as_bytes()).unwrap_err().to_string();
+    assert_says("fcsv", &said, "line 3: ", "column 5 is called \"x\" as one before it is");
+    let pcd = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nWIDTH 1\nDATA ascii\n0 0 0\n40 1 2\n";
+    let said = osteoflow_formats::mesh_or_cloud::read_mesh_or_cloud("a.pcd".as_ref(), pcd.as_bytes(), 1.0, "ct");
+    assert_says("PCD", &said.unwrap_err().to_string(), "line 6: ", "the header has a second line WIDTH");
+}

@@ -271,7 +271,12 @@ pub(super) fn fcsv(path: &Path, text: &str) -> Result<PickedPoints, FileError> {
                     }
                     space = Some(stated);
                 }
-                Some(("columns", value)) => columns = value.split(',').map(|name| name.trim().to_owned()).collect(),
+                Some(("columns", value)) => {
+                    columns = value.split(',').map(|name| name.trim().to_owned()).collect();
+                    if let Some((k, name)) = columns.iter().enumerate().find(|(k, name)| columns[..*k].contains(name)) {
+                        return Err(fault(format!("column {} is called \"{name}\" as one before it is", k + 1)));
+                    }
+                }
                 _ => {}
             }
             continue;
