@@ -356,7 +356,7 @@ impl Keys<'_> {
         };
         for (k, (name, key, value)) in named.iter().enumerate() {
             if named[..k].iter().any(|(other, ..)| other == name) {
-                return Err(self.fault(key, format!("plane \"{name}\" is given twice; name each plane once")));
+                return Err(self.fault(key, format!("the name {name} is given twice; name each plane once")));
             }
             let is_known = |key: &str| ["name", "matrix"].contains(&key) || is_remark(key);
             if let Some(other) = value.as_object().and_then(|entry| entry.keys().find(|other| !is_known(other))) {
@@ -526,7 +526,7 @@ mod tests {
                 format!(
                     "\"planes\": [{{\"name\": \"a\", \"matrix\": {identity}}}, {{\"name\": \"a\", \"matrix\": {identity}}}]"
                 ),
-                "key \"planes[1]\": plane \"a\" is given twice",
+                "key \"planes[1]\": the name a is given twice",
             ),
             (
                 format!("\"planes\": [{{\"matrix\": {identity}, \"unit\": \"m\"}}]"),
