@@ -66,7 +66,7 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
                 .get(..n_bytes)
                 .ok_or_else(|| cut(&format!("the data of {} points", header.n_points), n_bytes, body.len()))?;
             let n_left = body.len() - n_bytes;
-            if n_left > 0 && n_left % header.stride == 0 {
+            if n_left > 0 && n_left.is_multiple_of(header.stride) {
                 let message = format!(
                     "{} more points follow than the {} that the header counts; do header and data belong together?",
                     n_left / header.stride,

@@ -135,7 +135,7 @@ impl<'a> Ply<'a> {
                 return Err(FileError::content(path, format!("line {}", lines.line + 1), message));
             }
             let last = elements.last().and_then(|last| Some((&last.name, last.rows?.stride)));
-            if let Some((name, stride)) = last.filter(|(_, stride)| left.len() % stride == 0) {
+            if let Some((name, stride)) = last.filter(|(_, stride)| left.len().is_multiple_of(*stride)) {
                 let message = format!(
                     "{} more elements \"{name}\" follow than the header counts; do header and data belong together?",
                     left.len() / stride
