@@ -84,17 +84,17 @@ impl Port<'_> {
     }
 
     fn clouds(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
-        let (mut events, mut order) = (Vec::new(), StampOrder::default());
+        let (mut events, mut stamps) = (Vec::new(), Stamps::default());
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             let head = read_cloud_head(message).map_err(|error| self.at(topic, i, error))?;
-            order.take(head.stamp_ns, || self.message(topic, i));
+            stamps.add(message, i, format!("topic {topic}"), head.stamp_ns);
             self.found.corrections.entry(topic.into()).or_default().add(head.correction);
             let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
             let frame = self.renamed(&head.frame);
             let body = EventBody::Cloud { message: message.clone(), label: Some(label.into()), frame };
             events.push((head.stamp_ns, body));
         }
-        self.found.notes.extend(order.note(&format!("topic {topic}")));
+        self.found.notes.extend(stamps.notes());
         Ok(events)
     }
 
@@ -127,16 +127,16 @@ impl Port<'_> {
         let Some(calibration) = calibration else {
             return Err(self.missing(self.params.calibration.as_deref().unwrap_or_default(), None));
         };
-        let (mut events, mut order) = (Vec::new(), StampOrder::default());
+        let (mut events, mut stamps) = (Vec::new(), Stamps::default());
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             let (frame, stamp_ns) = read_image_head(message).map_err(|error| self.at(topic, i, error))?;
-            order.take(stamp_ns, || self.message(topic, i));
+            stamps.add(message, i, format!("topic {topic}"), stamp_ns);
             let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
             let frame = self.renamed(&frame);
             let (message, calibration) = (message.clone(), calibration.clone());
             events.push((stamp_ns, EventBody::Image { message, calibration, label: label.into(), frame }));
         }
-        self.found.notes.extend(order.note(&format!("topic {topic}")));
+        self.found.notes.extend(stamps.notes());
         Ok(events)
     }
 
@@ -160,7 +160,7 @@ impl Port<'_> {
             return self.static_poses(topic);
         }
         let (mut events, mut published_ns) = (Vec::new(), StampNs::MIN);
-        let mut orders: BTreeMap<String, StampOrder> = BTreeMap::new();
+        let mut stamps = Stamps::default();
         let mut poses = Vec::new();
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             let n_before = events.len() + poses.len();
@@ -180,14 +180,13 @@ impl Port<'_> {
                     }
                     Err(error @ PoseError::NotRigid { .. }) => return Err(self.at(topic, i, error)),
                 };
-                let what = format!("topic {topic}: t_{to}_{from}");
-                orders.entry(what).or_default().take(stamp_ns, || self.message(topic, i));
+                stamps.add(message, i, format!("topic {topic}: t_{to}_{from}"), stamp_ns);
             }
             if events.len() + poses.len() > n_before {
                 published_ns = published_ns.max(message.publish_time_ns);
             }
         }
-        self.found.notes.extend(orders.iter().filter_map(|(what, order)| order.note(what)));
+        self.found.notes.extend(stamps.notes());
         events.extend(self.unless_frozen(topic, poses));
         if events.is_empty() {
             return Err(self.no_such_transform(topic));
@@ -272,13 +271,13 @@ impl Port<'_> {
     }
 
     fn points(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
-        let (mut tips, mut order) = (Vec::new(), StampOrder::default());
+        let (mut tips, mut stamps) = (Vec::new(), Stamps::default());
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             let tip = read_pose_in_frame(message).map_err(|error| self.at(topic, i, error))?;
-            order.take(tip.stamp_ns, || self.message(topic, i));
+            stamps.add(message, i, format!("topic {topic}"), tip.stamp_ns);
             tips.push(tip);
         }
-        self.found.notes.extend(order.note(&format!("topic {topic}")));
+        self.found.notes.extend(stamps.notes());
         // Labels are in the order in which the points were touched.
         tips.sort_by_key(|tip| tip.stamp_ns);
         let events = tips.into_iter().enumerate().map(|(i, tip)| {
@@ -347,6 +346,27 @@ impl Port<'_> {
 
     fn fault(&self, message: String) -> NodeError {
         NodeError::new(format!("port \"{}\": {message}", self.declared.name))
+    }
+}
+
+/// The stamps of a topic's messages, by what they belong to.
+#[derive(Default)]
+struct Stamps(Vec<(StampNs, usize, String, StampNs)>);
+
+impl Stamps {
+    fn add(&mut self, message: &Message, index: usize, what: String, stamp_ns: StampNs) {
+        self.0.push((message.log_time_ns, index, what, stamp_ns));
+    }
+
+    /// Notes on stamps that run backwards in the order in which the messages were recorded, which is that of log times: a file
+    /// may hold them in another.
+    fn notes(mut self) -> Vec<String> {
+        self.0.sort_by_key(|(log_time_ns, index, ..)| (*log_time_ns, *index));
+        let mut orders: BTreeMap<&str, StampOrder> = BTreeMap::new();
+        for (_, index, what, stamp_ns) in &self.0 {
+            orders.entry(what).or_default().take(*stamp_ns, || format!("message {}", index + 1));
+        }
+        orders.iter().filter_map(|(what, order)| order.note(what)).collect()
     }
 }
 
