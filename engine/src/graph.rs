@@ -6,6 +6,7 @@ pub(crate) mod extract;
 pub(crate) mod grammar;
 pub(crate) mod header;
 mod interface;
+mod limits;
 mod merge;
 mod modules;
 mod parse;

@@ -160,8 +160,8 @@ impl Run {
         let progress = Progress::of_run(&plan, options.workers, global);
         let (of_run, folder) = (global.clone(), dir.to_path_buf());
         let ran = running::watch(progress, cancelled, move |progress| {
-            let report =
-                osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(running::run_error)?;
+            let shown = running::WithSilence { progress, is_quiet: of_run.quiet };
+            let report = osteoflow_engine::run::run(&plan, &registry, &options, &shown).map_err(running::run_error)?;
             progress.end();
             if let Some(serving) = &mut serving {
                 serving.ended(&report);

@@ -8,8 +8,8 @@ use super::{
 };
 use anyhow::{Context, Result, anyhow};
 use osteoflow_engine::{
-    panics::mark_helper_thread,
-    run::{RunError, RunOptions, files},
+    panics::{self, mark_helper_thread},
+    run::{Event, Observer, RunError, RunOptions, files},
 };
 use serde_json::json;
 use std::{
@@ -35,8 +35,14 @@ enum News<T> {
     SecondInterrupt,
 }
 
+/// Most workers. The largest machines have some hundred cores, and each worker has a stack of 8 MiB.
+const MAX_WORKERS: usize = 1024;
+
 /// Options common to all runs. Creates the pool of `workers` threads for parallel algorithms.
 pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>) -> Result<RunOptions> {
+    if let Some(workers) = workers.filter(|workers| workers.get() > MAX_WORKERS) {
+        return Err(UsageError(format!("--workers {workers}: at most {MAX_WORKERS} threads are started")).into());
+    }
     let options = options_alone(workers, cancelled);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(options.workers).start_handler(|_| mark_helper_thread());
     pool.build_global().context("no threads for the algorithms")?;
@@ -106,7 +112,10 @@ pub(crate) fn watch<T: Send + 'static>(
     listen(sender.clone(), cancelled, progress.clone(), busy.clone())?;
     let watched = progress.clone();
     let runner = thread::Builder::new().name("run".into()).spawn(move || {
-        let ended = work(&watched);
+        // The handler of Ctrl-C keeps a sender, so that a panic has to be sent as well: nothing else would end the wait.
+        let ended = panics::catch(|| work(&watched)).unwrap_or_else(|panic| {
+            Err(anyhow!("the engine {panic}; this is a bug, please report it with the command and its files"))
+        });
         let _ = sender.send(News::Ended(ended));
     });
     runner.context("no thread for the run")?;
@@ -150,6 +159,21 @@ fn listen<T: Send + 'static>(
     .context("the handler of Ctrl-C cannot be installed")
 }
 
+/// Shows the progress of a run, and on stderr at once that a live source is silent.
+pub(crate) struct WithSilence<'a> {
+    pub(crate) progress: &'a Progress,
+    pub(crate) is_quiet: bool,
+}
+
+impl Observer for WithSilence<'_> {
+    fn event(&self, event: &Event<'_>) {
+        if let (Event::Silent(warning), false) = (event, self.is_quiet) {
+            self.progress.println(&format!("node \"{}\": {}", warning.node, warning.message));
+        }
+        self.progress.event(event);
+    }
+}
+
 /// Converts an error: a node that cannot be built from its parameters is a fault of the graph.
 pub(crate) fn run_error(error: RunError) -> anyhow::Error {
     match error {
@@ -164,4 +188,25 @@ pub(crate) fn print_left_files(out_dir: &std::path::Path, global: &Global) {
     let (word, dir) = (global.paint_err("left", "1;33"), out_dir.display());
     let message = format!("{word}: the files are in {dir}; the end of {} may be missing", files::RECORDING);
     let _ = writeln!(terminal::stderr(), "{message}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_of_the_work_or_of_a_pool_thread_ends_the_wait_with_its_message_and_place() {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).start_handler(|_| mark_helper_thread()).build();
+        let pool = pool.expect("a pool");
+        let work = move |_: &Progress| -> Result<()> { pool.install(|| panic!("no place at 1e45")) };
+        let said = watch(Progress::hidden(), Arc::default(), work).map(|_| ()).expect_err("it panics").to_string();
+        assert!(said.starts_with("the engine panicked at ") && said.contains("running.rs:"), "{said}");
+        assert!(said.contains(": no place at 1e45; this is a bug"), "{said}");
+    }
+
+    #[test]
+    fn absurd_numbers_of_workers_are_refused_before_a_thread_starts() {
+        let said = options(NonZeroUsize::new(100_000), &Arc::default()).map(|_| ()).expect_err("too many").to_string();
+        assert_eq!(said, "--workers 100000: at most 1024 threads are started");
+    }
 }

@@ -7,7 +7,7 @@ use crate::commands::{
 };
 use anyhow::{Context, Result, anyhow};
 use osteoflow_formats::{
-    Space,
+    Space, input,
     mesh_file::MeshRead,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     picked_points::{PickedPoints, write_fcsv, write_mrk_json, write_points_csv},
@@ -63,7 +63,7 @@ pub fn read(
             return Err(Error::Usage(format!("{option} is for a CT, and {} is none", file.display())));
         }
     }
-    let bytes = fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?;
+    let bytes = input::read(file).map_err(without_cause)?;
     if bytes.starts_with(b"\x89MCAP") {
         return Ok(Content::Recording);
     }

@@ -43,6 +43,8 @@ pub enum Event<'a> {
     },
     /// The node warned.
     Warned(&'a Warning),
+    /// A live source is silent now; the warning that says so has been given as well.
+    Silent(&'a Warning),
     /// The node failed.
     Failed(&'a Refusal),
     /// A queue was enlarged because it was full and nothing could run.

@@ -25,6 +25,7 @@ use osteoflow_node::{
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
+    panic::{AssertUnwindSafe, catch_unwind, resume_unwind},
     path::Path,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
@@ -93,6 +94,8 @@ pub struct Runtime<'a> {
     answer_cache: Option<&'a dyn AnswerCache>,
     enlargements: Mutex<Vec<Enlargement>>,
     stall: Mutex<Option<Failure>>,
+    /// The node that was being stepped when the engine itself panicked, plus 1.
+    panicked: AtomicUsize,
     began: Instant,
     elapsed: Duration,
     readings: Option<BTreeMap<(usize, u64), Vec<ClockReading>>>,
@@ -101,6 +104,20 @@ pub struct Runtime<'a> {
     /// Number of live sources that are asked for their next answer.
     n_pending: AtomicUsize,
     pub(crate) mailbox: Mailbox,
+}
+
+/// A node that is being stepped.
+pub(crate) struct Stepping<'r> {
+    panicked: &'r AtomicUsize,
+    node: usize,
+}
+
+impl Drop for Stepping<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.panicked.store(self.node + 1, Ordering::Relaxed);
+        }
+    }
 }
 
 /// Maximum number of full and of empty links named in the message about a stuck graph.
@@ -204,6 +221,7 @@ impl<'a> Runtime<'a> {
             answer_cache,
             enlargements: Mutex::default(),
             stall: Mutex::default(),
+            panicked: AtomicUsize::new(0),
             began: Instant::now(),
             elapsed: Duration::ZERO,
             readings: replayed.readings,
@@ -224,13 +242,23 @@ impl<'a> Runtime<'a> {
     }
 
     /// Runs to the end. The outcome stays in the runtime; see [`Runtime::into_ended`].
+    ///
+    /// # Panics
+    /// If the engine itself, a tap or the observer panics on any thread; the message names the node that was being run. Panics
+    /// of nodes are their failures.
     pub fn run(&mut self) {
         self.began = Instant::now();
         let sources = std::mem::take(&mut *locked(&self.sources));
         let scheduler = Scheduler::new(self.cells.len(), self.n_workers, self.shuffle);
-        match sources.is_empty() {
+        let ran = catch_unwind(AssertUnwindSafe(|| match sources.is_empty() {
             true => scheduler.run(self),
             false => live::run(self, &scheduler, sources),
+        }));
+        if let Err(payload) = ran {
+            let said = panics::describe(payload);
+            let node = self.panicked.load(Ordering::Relaxed).checked_sub(1);
+            let node = node.map_or_else(String::new, |node| format!("node \"{}\": ", self.plan.nodes[node].name));
+            resume_unwind(Box::new(format!("{node}{said}")));
         }
         self.elapsed = self.began.elapsed();
     }
@@ -286,6 +314,11 @@ impl<'a> Runtime<'a> {
     pub(crate) fn rebuild(&self, node: usize) -> Result<Built, String> {
         let built = build(self.registry, &self.plan.nodes[node], self.plan.seed).map_err(|fault| fault.message)?;
         Ok(self.planned[node].into_node(built))
+    }
+
+    /// Notes the node if the engine panics before the guard is dropped.
+    pub(crate) fn stepping(&self, node: usize) -> Stepping<'_> {
+        Stepping { panicked: &self.panicked, node }
     }
 
     pub(crate) fn cancelled(&self) -> bool {
@@ -464,6 +497,7 @@ impl<'a> Runtime<'a> {
 
 impl Work for Runtime<'_> {
     fn step(&self, node: usize, turn: &mut Turn<'_>) -> Stepped {
+        let _stepping = self.stepping(node);
         let mut cell = locked(&self.cells[node]);
         if cell.is_live() {
             if cell.take_waits() {

@@ -1,6 +1,7 @@
 //! Synchronisation primitives of the scheduler, from the standard library. The model-checking test includes the
 //! scheduler's source with a module of the same names from a model checker.
 
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 pub(crate) use std::sync::{Condvar, Mutex, MutexGuard, PoisonError, atomic};
 
 /// Number of polls before a worker sleeps: some microseconds, less than a wake-up costs.
@@ -8,7 +9,18 @@ pub(crate) const LOOKS_BEFORE_SLEEP: usize = 200;
 
 /// Calls `work` with 0 on the calling thread and with 1.. on new threads, and returns when all have finished; `without`
 /// is called for each thread that could not be started.
+///
+/// # Panics
+/// With the first panic of `work`, on whichever thread, once all have finished.
 pub fn on_workers(n: usize, work: &(dyn Fn(usize) + Sync), without: &dyn Fn(usize, std::io::Error)) {
+    // A scope alone would replace the panic of another thread by a message of its own.
+    let panicked = Mutex::new(None);
+    let work = |worker| {
+        if let Err(payload) = catch_unwind(AssertUnwindSafe(|| work(worker))) {
+            panicked.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(payload);
+        }
+    };
+    let work = &work;
     std::thread::scope(|scope| {
         for worker in 1..n {
             // The stack size of the main thread, so that nodes run equally on every thread.
@@ -19,6 +31,9 @@ pub fn on_workers(n: usize, work: &(dyn Fn(usize) + Sync), without: &dyn Fn(usiz
         }
         work(0);
     });
+    if let Some(payload) = panicked.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        resume_unwind(payload);
+    }
 }
 
 /// Yields to other threads; a larger number waits longer.

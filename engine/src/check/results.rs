@@ -15,6 +15,9 @@ use crate::{
 /// The key that the engine writes when a run is refused.
 const REFUSED: &str = "refused";
 
+/// Most words with dots between them in a result's key: each is a level of `results.json`, and readers of JSON stop at 128.
+const MAX_PARTS: usize = 32;
+
 /// An entry of `[results]`.
 pub(super) struct Result {
     pub(super) key: String,
@@ -73,6 +76,13 @@ impl Check<'_> {
 
     fn key(&mut self, entry: &Entry, before: &[Entry]) {
         let key = &entry.key;
+        let n_parts = key.split('.').count();
+        if n_parts > MAX_PARTS {
+            let message = format!("a result's key has {n_parts} parts, at most {MAX_PARTS} are possible");
+            self.faults.push(
+                Fault::new(message).at(&entry.key_at, "too many").help("write fewer words with dots between them"),
+            );
+        }
         if key.split('.').any(str::is_empty) {
             let fault = Fault::new(format!("a result cannot be called {key:?}")).at(&entry.key_at, "a part is empty");
             self.faults.push(fault.help("write words with dots between them: \"poses.t_ct_world\""));

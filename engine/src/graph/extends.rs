@@ -1,4 +1,5 @@
 use super::{
+    limits::MAX_EXTENDS,
     merge::merge,
     parse::parse,
     plugins::{self, NamedPlugin},
@@ -8,6 +9,7 @@ use super::{
 };
 use crate::{
     fault::{Fault, SourceText, Span, Use},
+    hash::files::irregular,
     names::nearest,
 };
 use std::{
@@ -20,6 +22,9 @@ use std::{
 pub(super) fn read(path: &Path) -> Result<String, Box<Fault>> {
     let shown = tidy(path);
     let shown = shown.display();
+    if let Some(kind) = irregular(path) {
+        return Err(Box::new(Fault::new(format!("{shown} is {kind}; a graph file is needed"))));
+    }
     let bytes = fs::read(path).map_err(|error| match error.kind() {
         io::ErrorKind::NotFound => Fault::new(format!("there is no graph file {shown}")).help_if(nearest::file(path)),
         _ if path.is_dir() => Fault::new(format!("{shown} is a folder; a graph file is needed")),
@@ -104,6 +109,12 @@ impl<'f> Chain<'f> {
             let names: Vec<_> = self.seen[start..].iter().map(|(_, name)| name.display().to_string()).collect();
             let message = format!("files extend each other in a circle: {} -> {}", names.join(" -> "), names[0]);
             self.faults.push(Fault::new(message).at(&entry.value.at, "closes the circle").hides(&entry.value.at));
+            return Table::default();
+        }
+        if self.seen.len() == MAX_EXTENDS {
+            let fault = Fault::new(format!("more than {MAX_EXTENDS} files extend each other"));
+            let fault = fault.at(&entry.value.at, "one too many").help("does a program write these files?");
+            self.faults.push(fault.hides(&entry.value.at));
             return Table::default();
         }
         self.texts.push(base.clone());

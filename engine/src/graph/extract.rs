@@ -31,7 +31,12 @@ pub(crate) fn whole(value: &Spanned, what: &str, min: u64, max: u64, faults: &mu
     {
         return Some(number);
     }
-    faults.push(wrong(value, what, &format!("a whole number of at least {min}")));
+    let is_too_large = matches!(value.value, Value::Int(number) if number > i128::from(max));
+    let takes = match is_too_large {
+        true => format!("a whole number from {min} to {max}"),
+        false => format!("a whole number of at least {min}"),
+    };
+    faults.push(wrong(value, what, &takes));
     None
 }
 

@@ -5,6 +5,7 @@ use super::{
     extends::{self, Chain},
     extract, grammar, header,
     interface::{self, InputDecl, Interface, ParamDecl},
+    limits::MAX_MODULE_DEPTH,
     merge::merge_nodes,
     plugins::NamedPlugin,
     remove::Removed,
@@ -189,6 +190,11 @@ impl<'f> Flattener<'f> {
             let names: Vec<_> = files[start..].iter().map(|(_, name)| name.display().to_string()).collect();
             let message = format!("modules hold each other in a circle: {} -> {}", names.join(" -> "), shown.display());
             self.faults.push(Fault::new(message).at(at, "closes the circle"));
+            return None;
+        }
+        if files.len() > MAX_MODULE_DEPTH {
+            let fault = Fault::new(format!("modules are nested more than {MAX_MODULE_DEPTH} deep"));
+            self.faults.push(fault.at(at, "one too many").help("does a program write these files?"));
             return None;
         }
         files.push((same, shown));

@@ -1,5 +1,5 @@
 use super::{
-    syntax,
+    limits, syntax,
     tree::{Entry, Spanned, Table, Value},
 };
 use crate::fault::{Fault, SourceText, Span};
@@ -9,7 +9,8 @@ use toml::de::{DeTable, DeValue};
 /// The tree of a text, as far as it can be parsed; adds its syntax faults.
 pub(super) fn parse(source: &Arc<SourceText>, faults: &mut Vec<Fault>) -> Table {
     let (table, errors) = DeTable::parse_recoverable(&source.text);
-    let tree = convert_table(table.get_ref(), source, 0);
+    let mut tree = convert_table(table.get_ref(), source, 0);
+    limits::enforce(&mut tree, faults);
     faults.extend(syntax::faults(&errors, source, &tree));
     tree
 }

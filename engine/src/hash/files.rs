@@ -13,20 +13,22 @@ use std::{
 
 /// File hashes computed on a background thread.
 pub(crate) struct Hashes {
+    files: Vec<PathBuf>,
     thread: Option<JoinHandle<Vec<Json>>>,
     done: Vec<Json>,
 }
 
 impl Hashes {
     pub(crate) fn begin(files: &[PathBuf]) -> Self {
-        let files = files.to_vec();
-        Self { thread: Some(thread::spawn(move || hashes(&files))), done: Vec::new() }
+        let (files, all) = (files.to_vec(), files.to_vec());
+        Self { files: all, thread: Some(thread::spawn(move || hashes(&files))), done: Vec::new() }
     }
 
     /// Waits for all hashes.
     pub(crate) fn done(&mut self) -> &[Json] {
-        if let Some(hashes) = self.thread.take().and_then(|thread| thread.join().ok()) {
-            self.done = hashes;
+        if let Some(thread) = self.thread.take() {
+            let failed = |path: &PathBuf| error(path, "the thread that hashes it panicked");
+            self.done = thread.join().unwrap_or_else(|_| self.files.iter().map(failed).collect());
         }
         &self.done
     }
@@ -42,10 +44,37 @@ pub(crate) fn hashes(paths: &[PathBuf]) -> Vec<Json> {
                 files.retain(|file| known.insert(file.clone()));
                 out.extend(files.iter().map(|file| entry(file)));
             }
-            Err(error) => out.push(json!({ "path": path.display().to_string(), "error": error.to_string() })),
+            Err(cause) => out.push(error(path, &cause.to_string())),
         }
     }
     out
+}
+
+fn error(path: &Path, message: &str) -> Json {
+    json!({ "path": path.display().to_string(), "error": message })
+}
+
+/// What the path leads to, if that is neither a regular file nor a folder: a device may never end, and a pipe or socket would be
+/// waited for.
+pub(crate) fn irregular(path: &Path) -> Option<&'static str> {
+    let file_type = std::fs::metadata(path).ok()?.file_type();
+    if file_type.is_file() || file_type.is_dir() {
+        return None;
+    }
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        if file_type.is_char_device() || file_type.is_block_device() {
+            return Some("a device");
+        }
+        if file_type.is_fifo() {
+            return Some("a pipe");
+        }
+        if file_type.is_socket() {
+            return Some("a socket");
+        }
+    }
+    Some("no regular file")
 }
 
 /// Lists the file, or all files in the folder and its subfolders, sorted by name.
@@ -64,12 +93,15 @@ pub(crate) fn list(path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
 fn entry(path: &Path) -> Json {
     match sha256(path) {
         Ok((bytes, hash)) => json!({ "path": path.display().to_string(), "bytes": bytes, "sha256": hash.to_string() }),
-        Err(error) => json!({ "path": path.display().to_string(), "error": error.to_string() }),
+        Err(cause) => error(path, &cause.to_string()),
     }
 }
 
 /// Size and SHA-256 of a file.
 pub(crate) fn sha256(path: &Path) -> io::Result<(u64, Digest)> {
+    if let Some(kind) = irregular(path) {
+        return Err(io::Error::other(format!("it is {kind}, but a regular file is needed")));
+    }
     let mut file = File::open(path)?;
     let (mut hasher, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);
     loop {
@@ -97,5 +129,19 @@ mod tests {
         assert_eq!(of(0), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
         assert_eq!(of(1), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
         assert!(hashes[2]["error"].is_string());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_is_no_regular_file_is_not_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let (pipe, socket) = (dir.path().join("pipe"), dir.path().join("socket"));
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+        let hashes = hashes(&["/dev/zero".into(), dir.path().into()]);
+        let said: Vec<_> = hashes.iter().map(|entry| entry["error"].as_str().unwrap_or_default()).collect();
+        let needed = "but a regular file is needed";
+        let expected = ["a device", "a pipe", "a socket"].map(|kind| format!("it is {kind}, {needed}"));
+        assert_eq!(said, expected);
     }
 }

@@ -122,7 +122,9 @@ fn items_later_than_promised_become_empties() {
     // At 10 the newest item of port 1 is 2; at 20 and at 30 it is the late item's empty at 18, so nothing is added.
     assert_eq!(report.results["other"], json!([3.0, 3.0, 7.0]));
     let messages: Vec<_> = report.warnings.iter().map(|w| w.message.as_str()).collect();
-    assert_eq!(messages, ["devices.p1: 2 items came late, by up to 0.000003 ms more than promised, and are empties"]);
+    let late = "devices.p1: 2 items came late, by up to 0.000003 ms more than promised, and are empties; the first was item 1, \
+                stamped 12 ns after 15 ns";
+    assert_eq!(messages, [late]);
     let stamps: Vec<_> = report.links.iter().map(|l| (l.sent, l.received, l.dropped)).collect();
     assert_eq!(stamps, [(4, 4, 0), (3, 3, 0), (4, 4, 0)]);
 }
@@ -212,6 +214,74 @@ fn a_silent_live_source_is_reported_once_and_when_it_resumes() {
     let of = |begin: &str| report.warnings.iter().filter(|w| w.message.starts_with(begin)).count();
     assert!(of("it has given nothing for ") >= 1, "{:?}", report.warnings);
     assert_eq!(of("it has given nothing for "), of("it gave something again after "));
+}
+
+/// Requests a stop when the source has been silent after its first item.
+struct StopAtSilence(Arc<AtomicBool>);
+
+impl Observer for StopAtSilence {
+    fn event(&self, event: &Event<'_>) {
+        if let Event::Silent(warning) = event
+            && warning.item == 1
+        {
+            assert_eq!(warning.node, "scan");
+            self.0.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+#[test]
+fn the_end_of_a_silent_source_is_not_taken_for_an_item() {
+    let calls = json!([
+        { "stamp_ns": 1, "give": [[0, 5.0]] },
+        { "stamp_ns": 2, "give": [[0, 6.0]], "device": "waits for the end" },
+    ]);
+    let plan = PlanBuilder::new()
+        .source("scan", "toy.live", 1, json!({ "calls": calls, "silent_after_ms": 1 }))
+        .node("sink", "toy.add", json!({}), &[("a", "scan.p0", None)])
+        .result("all", "sink.out", true, false)
+        .plan();
+    let options = options(1);
+    let stop = StopAtSilence(options.cancelled.clone());
+    let report = run(&plan, &registry(), &options, &stop).unwrap();
+    assert_eq!(report.outcome, Outcome::Interrupted);
+    // The first item may be late, too, and then is one that resumes.
+    let of = |begin: &str| report.warnings.iter().filter(|w| w.message.starts_with(begin)).count();
+    assert_eq!(of("it has given nothing for "), of("it gave something again after ") + 1, "{:?}", report.warnings);
+}
+
+/// Panics at the second item of a node, as a fault of the engine or of a listener would.
+struct PanicsAt(&'static str);
+
+impl Observer for PanicsAt {
+    fn event(&self, event: &Event<'_>) {
+        assert!(!matches!(event, Event::Fired { node, item: 1, .. } if *node == self.0), "no place at 1e45");
+    }
+}
+
+#[test]
+fn a_panic_outside_of_the_nodes_ends_the_run_on_every_thread_and_names_the_node() {
+    let given: Vec<_> = (0..50).map(|i| (i, 0, i as f64)).collect();
+    let live_plan = live("scan", 1, &given, json!({}));
+    let plain_plan = PlanBuilder::new().script("scan", 1, calls(&given));
+    for (is_live, builder) in [(true, live_plan), (false, plain_plan)] {
+        let plan = builder
+            .node("first", "toy.add", json!({}), &[("a", "scan.p0", None)])
+            .node("second", "toy.add", json!({}), &[("a", "first.out", None)])
+            .result("all", "second.out", true, false)
+            .plan();
+        // A live source's answers are taken on a thread of their own, nodes fire on the workers.
+        for (node, workers) in [("scan", 1), ("scan", 8), ("first", 1), ("first", 2), ("second", 8)] {
+            let ran =
+                crate::runtime::panics::catch(|| run(&plan, &registry(), &options(workers), &PanicsAt(node)).map(drop));
+            let said = ran.unwrap_err();
+            let expected = format!("panicked: node \"{node}\": panicked at engine/src/run/live_tests.rs:");
+            assert!(
+                said.starts_with(&expected) && said.ends_with("no place at 1e45"),
+                "live {is_live}, {workers}: {said}"
+            );
+        }
+    }
 }
 
 /// Opens a gate when the source has ended.

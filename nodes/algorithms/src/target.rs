@@ -11,7 +11,7 @@ use crate::mesh_query::MeshQuery;
 use crate::nearest::{Nearest, Threads};
 use crate::point_grid::{All, Nearby, PointGrid, cell_mm};
 use nalgebra::{Point3, Vector3};
-use osteoflow_geometry::{Column, Frame, SurfaceOrigin};
+use osteoflow_geometry::{Column, Frame, SurfaceOrigin, TooFar};
 use std::{
     fmt,
     sync::{Arc, OnceLock},
@@ -60,6 +60,14 @@ pub enum TargetError {
         /// Index of the first such point.
         index: usize,
     },
+    /// A coordinate is beyond [`FARTHEST_MM`](osteoflow_geometry::FARTHEST_MM).
+    #[error("target point {index}: {far}")]
+    TooFar {
+        /// Index of the first such point.
+        index: usize,
+        /// Its coordinate.
+        far: TooFar,
+    },
     /// A stored index is not that of the points.
     #[error("the target's stored index is damaged: {what}; prepare the target again")]
     Damaged {
@@ -101,6 +109,9 @@ impl Target {
         let wild_normal = normals.as_ref().and_then(|n| n.iter().position(wild));
         if let Some(index) = wild_point.or(wild_normal) {
             return Err(TargetError::NotFinite { index });
+        }
+        if let Some((index, far)) = TooFar::first(&points) {
+            return Err(TargetError::TooFar { index, far });
         }
         let index = Arc::new(OnceLock::new());
         Ok(Self { frame, origin, points, normals, mesh: None, field: None, index })

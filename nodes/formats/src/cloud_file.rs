@@ -1,6 +1,6 @@
 //! Point clouds in files.
 
-use crate::{FileError, Space, mesh_or_cloud::shape_of, ply, write};
+use crate::{FileError, Space, input, mesh_or_cloud::shape_of, ply, write};
 use osteoflow_geometry::{Cloud, Frame};
 use std::path::Path;
 
@@ -27,7 +27,7 @@ pub struct CloudFileRead {
 /// # Errors
 /// [`FileError`] if the file cannot be read, is of no such format or is cut short.
 pub fn read_cloud(path: &Path, unit_mm: f64, frame: impl Into<Frame>) -> Result<CloudFileRead, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    let bytes = input::read(path)?;
     let mut shape = shape_of(path, &bytes)?;
     if let Some(faces) = &shape.faces {
         let message = format!("the file is a surface of {} faces; its vertices are taken as points", faces.len());
@@ -42,7 +42,7 @@ pub fn read_cloud(path: &Path, unit_mm: f64, frame: impl Into<Frame>) -> Result<
 /// # Errors
 /// [`FileError`] if the file cannot be read, is no PLY, is cut short or has no coordinates.
 pub fn read_cloud_ply(path: &Path, unit_mm: f64, frame: impl Into<Frame>) -> Result<CloudFileRead, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    let bytes = input::read(path)?;
     ply::shape(path, &bytes)?.into_cloud(path, unit_mm, frame.into())
 }
 

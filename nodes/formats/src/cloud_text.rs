@@ -2,7 +2,7 @@
 
 use crate::{
     FileError, scalar,
-    shape::{Shape, normal_columns},
+    shape::{Places, Shape, normal_columns},
     space::StatedSpace,
 };
 use nalgebra::Vector3;
@@ -158,7 +158,8 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
             named[3..].iter_mut().zip(["nx", "ny", "nz"]).for_each(|((name, _), normal)| *name = normal.into());
         }
     }
-    Ok(Shape { stated, notes, ..Shape::of_columns(named, final_places) })
+    let places = Places::Lines(rows.iter().map(|(_, number)| *number).collect());
+    Ok(Shape { stated, notes, places, ..Shape::of_columns(named, final_places) })
 }
 
 fn fault(path: &Path, line: usize, message: impl Into<String>) -> FileError {

@@ -13,6 +13,14 @@ pub enum FileError {
         /// The system's error.
         source: std::io::Error,
     },
+    /// The path leads to something else than a file.
+    #[error("{}: it is {kind}, but a regular file is needed; copy what it gives into a file", path.display())]
+    Kind {
+        /// The path.
+        path: PathBuf,
+        /// What it is.
+        kind: &'static str,
+    },
     /// The content of the file is invalid.
     #[error("{}: {place}: {message}", path.display())]
     Content {

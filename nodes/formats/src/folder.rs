@@ -59,14 +59,15 @@
 //! that is NaN is left out and counted in [`FolderStreams::notes`].
 
 use crate::{
-    FileError, LostPose,
+    FileError, LostPose, StampOrder,
     cloud_file::read_cloud,
+    input,
     mesh_file::{MeshRead, read_mesh},
     plan_file::{PlanRead, read_plan},
     poses_csv::read_poses,
 };
 use nalgebra::{Isometry3, Point3};
-use osteoflow_geometry::{Cloud, Corrections, Frame, NamedPoint, Pose, Region, StampNs, SurfaceOrigin};
+use osteoflow_geometry::{Cloud, Corrections, Frame, NamedPoint, Pose, Region, StampNs, SurfaceOrigin, TooFar};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -231,7 +232,7 @@ impl ProcedureFolder {
     /// [`FileError`], naming line and column of an unknown key, a wrong value or a missing file.
     pub fn open(path: &Path) -> Result<Self, FileError> {
         let path = if path.is_dir() { path.join(FILE_NAME) } else { path.to_owned() };
-        let text = std::fs::read_to_string(&path).map_err(FileError::read(&path))?;
+        let text = input::read_text(&path)?;
         let written: Written = toml::from_str(&text).map_err(|error| {
             let place = error.span().map_or_else(|| "line 1".into(), |span| place_of(&text, span.start));
             FileError::content(&path, place, error.message().trim())
@@ -336,7 +337,9 @@ impl ProcedureFolder {
         }
         for file in &written.poses {
             let mut corrections = Corrections::default();
-            for pose in read_poses(&self.resolve(&file.file), self.unit_mm(file.unit))? {
+            let read = read_poses(&self.resolve(&file.file), self.unit_mm(file.unit))?;
+            notes.extend(read.notes.iter().map(|note| format!("{}: {note}", file.file.display())));
+            for pose in read.poses {
                 let pose = pose.map(|pose| corrections.take(pose));
                 let (to, from, stamp_ns) = match &pose {
                     Ok(pose) => (&pose.to, &pose.from, pose.stamp_ns),
@@ -354,7 +357,9 @@ impl ProcedureFolder {
                 StylusRole::Assessment => "assessment",
                 StylusRole::Palpation => "palpation",
             };
-            for tip in read_tips(&self.resolve(&file.file), self.unit_mm(file.unit))? {
+            let (tips, note) = read_tips(&self.resolve(&file.file), self.unit_mm(file.unit))?;
+            notes.extend(note.map(|note| format!("{}: {note}", file.file.display())));
+            for tip in tips {
                 let body = FolderBody::Tip(file.frame.as_str().into(), tip.clone());
                 items.push(FolderItem { role: role.into(), stamp_ns: tip.stamp_ns, body });
             }
@@ -418,21 +423,30 @@ impl ProcedureFolder {
     }
 }
 
-/// Named points from CSV with the header `name,x,y,z` and, if known, `t_ns`; positions in `unit_mm`.
+/// Named points from CSV with the header `name,x,y,z` and, if known, `t_ns`; positions in `unit_mm`. With a note, if their
+/// stamps run backwards.
 ///
 /// # Errors
-/// [`FileError`], naming the line: a missing column, a word instead of a number, a point that is not finite.
-pub fn read_tips(path: &Path, unit_mm: f64) -> Result<Vec<NamedPoint>, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+/// [`FileError`], naming the line: a missing column, a word instead of a number, a point that is not finite or too far.
+pub fn read_tips(path: &Path, unit_mm: f64) -> Result<(Vec<NamedPoint>, Option<String>), FileError> {
+    let bytes = input::read(path)?;
     let table = crate::table::Table::parse(path, &bytes)?;
     let [name, x, y, z] = [table.column("name")?, table.column("x")?, table.column("y")?, table.column("z")?];
     let t_ns = table.column("t_ns").ok();
     let tip = |row: &crate::table::Row| {
         let position = Point3::new(row.finite(x)?, row.finite(y)?, row.finite(z)?) * unit_mm;
+        TooFar::check(position.coords.as_slice()).map_err(|far| row.fault(far.to_string()))?;
         let stamp_ns = t_ns.filter(|&k| !row.text(k).is_empty()).map_or(Ok(0), |k| row.whole(k))?;
         Ok(NamedPoint { stamp_ns, ..NamedPoint::new(row.named(name)?, position) })
     };
-    table.rows().map(|row| tip(&row)).collect()
+    let mut order = StampOrder::default();
+    let mut tips = Vec::new();
+    for row in table.rows() {
+        let tip = tip(&row)?;
+        order.take(tip.stamp_ns, || format!("line {}", row.line()));
+        tips.push(tip);
+    }
+    Ok((tips, order.note("points")))
 }
 
 /// Line and column of a byte in a text.

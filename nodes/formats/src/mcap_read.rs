@@ -23,6 +23,7 @@ mod pass;
 
 pub use error::McapError;
 
+use crate::input;
 use bag::Bag;
 use bytes::Bytes;
 use osteoflow_container::Reader;
@@ -113,6 +114,7 @@ impl Recording {
             return Self::open_bag(path, allow_truncated, &keep);
         }
         let name = path.display().to_string();
+        input::check(path)?;
         let reader = Reader::open(path).map_err(|source| McapError::Io { path: name.clone(), source })?;
         Pass::new(&name, allow_truncated, &keep).read(reader)
     }

@@ -1,9 +1,9 @@
 //! Triangle surfaces from STL and PLY files, and to STL.
 
 use crate::{
-    FileError, Space,
+    FileError, Space, input,
     mesh_or_cloud::{is_text, shape_of},
-    shape::Shape,
+    shape::{Places, Shape},
     space::StatedSpace,
     write,
 };
@@ -72,19 +72,20 @@ pub fn read_mesh(
     frame: impl Into<Frame>,
     origin: SurfaceOrigin,
 ) -> Result<MeshRead, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    let bytes = input::read(path)?;
     shape_of(path, &bytes)?.into_mesh(path, unit_mm, frame.into(), origin)
 }
 
 /// The surface in the bytes of an STL file.
 pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let mut notes = Vec::new();
-    let (points, faces) = stl_faces(path, bytes, &mut notes)?;
+    let (Corners { vertices: points, places, is_text, .. }, faces) = stl_faces(path, bytes, &mut notes)?;
+    let places = if is_text { Places::Lines(places) } else { Places::Bytes(places) };
     // The header of a binary file, or the first line of a text.
     let head = bytes[..bytes.len().min(80)].split(|&b| b == b'\n' || b == 0).next().unwrap_or_default();
     let stated = StatedSpace::of(&String::from_utf8_lossy(head))
         .map_err(|message| FileError::content(path, "header", message))?;
-    Ok(Shape { points, faces: Some(faces), stated, notes, ..Shape::default() })
+    Ok(Shape { points, faces: Some(faces), stated, notes, places, ..Shape::default() })
 }
 
 /// Writes a surface as binary STL, mm, in single precision; in frame `ct` it states LPS.
@@ -95,7 +96,7 @@ pub fn write_stl(path: &Path, mesh: &Mesh) -> Result<(), FileError> {
     std::fs::write(path, write::stl(mesh, Space::of(&mesh.frame), None)).map_err(FileError::write(path))
 }
 
-type Faces = (Vec<Point3<f64>>, Vec<[u32; 3]>);
+type Faces = (Corners, Vec<[u32; 3]>);
 
 /// A note on an implausible size; `what` names the surface or cloud.
 pub(crate) fn size_note(points: &[Point3<f64>], what: &str) -> Option<String> {
@@ -150,7 +151,15 @@ fn stl_faces(path: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<Faces
         }
         Some(expected) => {
             let extra = bytes.len() as u64 - expected;
-            notes.push(format!("{extra} bytes follow the last triangle and were not read"));
+            if extra.is_multiple_of(STL_FACE_BYTES as u64) {
+                let message = format!(
+                    "the header promises {} triangles, but {} more follow; is the header another file's?",
+                    n_promised.unwrap_or_default(),
+                    extra / STL_FACE_BYTES as u64
+                );
+                return Err(FileError::content(path, format!("byte {expected}"), message));
+            }
+            notes.push(format!("{extra} bytes follow the last triangle, from byte {expected} on, and were not read"));
             Ok(binary_stl(&bytes[STL_HEADER_BYTES..expected as usize]))
         }
     }
@@ -160,15 +169,19 @@ fn stl_faces(path: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<Faces
 #[derive(Default)]
 struct Corners {
     vertices: Vec<Point3<f64>>,
+    /// The line or byte at which each vertex comes first.
+    places: Vec<usize>,
+    is_text: bool,
     numbers: HashMap<[u64; 3], u32>,
 }
 
 impl Corners {
-    fn number(&mut self, place: [f64; 3]) -> u32 {
-        let place = place.map(|c| c + 0.0);
-        let Self { vertices, numbers } = self;
-        *numbers.entry(place.map(f64::to_bits)).or_insert_with(|| {
-            vertices.push(place.into());
+    fn number(&mut self, vertex: [f64; 3], place: usize) -> u32 {
+        let vertex = vertex.map(|c| c + 0.0);
+        let Self { vertices, places, numbers, .. } = self;
+        *numbers.entry(vertex.map(f64::to_bits)).or_insert_with(|| {
+            vertices.push(vertex.into());
+            places.push(place);
             vertices.len() as u32 - 1
         })
     }
@@ -176,48 +189,77 @@ impl Corners {
 
 fn binary_stl(bytes: &[u8]) -> Faces {
     let mut corners = Corners::default();
-    let faces = bytes.chunks_exact(STL_FACE_BYTES).map(|face| {
+    let faces = bytes.chunks_exact(STL_FACE_BYTES).enumerate().map(|(n, face)| {
+        let at = STL_HEADER_BYTES + n * STL_FACE_BYTES;
         let float = |k: usize| f64::from(f32::from_le_bytes(face[4 * k..4 * k + 4].try_into().expect("four bytes")));
         // The normal comes first; it follows from the corners and is not read.
-        [3, 6, 9].map(|k| corners.number([float(k), float(k + 1), float(k + 2)]))
+        [3, 6, 9].map(|k| corners.number([float(k), float(k + 1), float(k + 2)], at + 4 * k))
     });
     let faces = faces.collect();
-    (corners.vertices, faces)
+    (corners, faces)
 }
 
 fn ascii_stl(path: &Path, bytes: &[u8]) -> Result<Faces, FileError> {
-    let mut corners = Corners::default();
-    let (mut faces, mut open, mut closed) = (Vec::new(), Vec::new(), false);
+    let mut corners = Corners { is_text: true, ..Corners::default() };
+    let (mut faces, mut open, mut closed) = (Vec::new(), Vec::new(), true);
+    // The line of the facet that is open, and how many loops it has.
+    let mut facet: Option<(usize, usize)> = None;
     for (k, line) in bytes.split(|&b| b == b'\n').enumerate() {
         let fault = |message: String| FileError::content(path, format!("line {}", k + 1), message);
         let text = String::from_utf8_lossy(line).to_ascii_lowercase();
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
+        if let (Some((line, _)), Some(word @ ("facet" | "endsolid" | "solid"))) = (facet, words.first().copied()) {
+            return Err(fault(format!("\"{word}\" comes before the \"endfacet\" of the facet on line {line}")));
+        }
+        if closed && !matches!(words[..], [] | ["solid", ..]) {
+            return Err(fault(format!("\"{}\" is not within \"solid\" and \"endsolid\"", text.trim())));
+        }
         match words[..] {
+            ["vertex", ..] if facet.is_none() => return Err(fault("a vertex is not within a facet".into())),
             ["vertex", x, y, z] => {
                 let number = |word: &str| -> Result<f64, FileError> {
                     word.parse().map_err(|_| fault(format!("\"{word}\" is not a coordinate")))
                 };
-                open.push(corners.number([number(x)?, number(y)?, number(z)?]));
+                open.push(corners.number([number(x)?, number(y)?, number(z)?], k + 1));
             }
             ["vertex", ..] => {
                 return Err(fault(format!("a vertex has three numbers, this one has {}", words.len() - 1)));
             }
-            ["endloop" | "endfacet", ..] if open.is_empty() => {}
             ["endloop", ..] => match std::mem::take(&mut open)[..] {
-                [a, b, c] => faces.push([a, b, c]),
+                [a, b, c] => {
+                    faces.push([a, b, c]);
+                    facet = facet.map(|(line, n_loops)| (line, n_loops + 1));
+                }
                 ref other => return Err(fault(format!("a facet has three corners, this one has {}", other.len()))),
             },
+            ["endfacet", ..] => match facet.take() {
+                Some((_, 1)) if open.is_empty() => {}
+                Some((_, 1..)) => return Err(fault("a facet has one loop of three corners, this one has more".into())),
+                Some((line, 0)) if open.is_empty() => {
+                    return Err(fault(format!("the facet on line {line} has no corners")));
+                }
+                Some((line, 0)) => {
+                    return Err(fault(format!("the loop of the facet on line {line} has no \"endloop\"")));
+                }
+                None => return Err(fault("\"endfacet\" ends no facet".into())),
+            },
             ["endsolid", ..] => closed = true,
-            ["solid", ..] => closed = false,
-            [] | ["facet" | "outer", ..] => {}
+            ["solid", ..] if closed => closed = false,
+            ["solid", ..] => return Err(fault("\"solid\" comes before the \"endsolid\" of the one before".into())),
+            ["facet", ..] => facet = Some((k + 1, 0)),
+            [] | ["outer", ..] => {}
             _ => return Err(fault(format!("\"{}\" is no line of an ASCII STL", text.trim()))),
         }
+    }
+    if let Some((line, _)) = facet {
+        let message = "the facet has no \"endfacet\"; was the file cut short?";
+        return Err(FileError::content(path, format!("line {line}"), message));
     }
     if !closed {
         let place = format!("line {}", bytes.split(|&b| b == b'\n').count());
         return Err(FileError::content(path, place, "the file ends without \"endsolid\"; was it cut short?"));
     }
-    Ok((corners.vertices, faces))
+    Ok((corners, faces))
 }
 
 #[cfg(test)]
@@ -395,6 +437,45 @@ mod tests {
         let mut bytes = binary();
         bytes.extend([0; 7]);
         let back = read(&bytes).unwrap();
-        assert_eq!(back.notes, ["7 bytes follow the last triangle and were not read"]);
+        assert_eq!(back.notes, ["7 bytes follow the last triangle, from byte 284 on, and were not read"]);
+        bytes.resize(284 + 2 * STL_FACE_BYTES, 0);
+        let expected = "byte 284: the header promises 4 triangles, but 2 more follow";
+        assert!(error_message(&bytes).contains(expected), "{}", error_message(&bytes));
+    }
+
+    #[test]
+    fn an_ascii_facet_that_is_open_or_misplaced_is_refused_at_its_line() {
+        let facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 9 0 0\nvertex 0 9 0\nendloop\nendfacet\n";
+        let whole = format!("solid a\n{facet}endsolid a\n");
+        assert!(read(whole.as_bytes()).is_ok());
+        assert!(read(format!("{whole}solid b\n{facet}endsolid b\n").as_bytes()).is_ok(), "two solids");
+        for (text, expected) in [
+            (
+                whole.replace("endloop\nendfacet\n", ""),
+                "line 7: \"endsolid\" comes before the \"endfacet\" of the facet on line 2",
+            ),
+            (
+                whole.replace("endfacet\nendsolid a\n", ""),
+                "line 2: the facet has no \"endfacet\"; was the file cut short?",
+            ),
+            (
+                whole.replace("endfacet\n", facet),
+                "line 8: \"facet\" comes before the \"endfacet\" of the facet on line 2",
+            ),
+            (whole.replace("endloop\n", ""), "line 7: the loop of the facet on line 2 has no \"endloop\""),
+            (whole.replace("vertex 0 9 0\n", ""), "line 6: a facet has three corners, this one has 2"),
+            (format!("{whole}{facet}"), "line 10: \"facet normal 0 0 1\" is not within \"solid\" and \"endsolid\""),
+            (whole.replace("endsolid a\n", ""), "the file ends without \"endsolid\""),
+            (
+                whole.replace("solid a\n", "solid a\nfacet normal 0 0 1\nendfacet\n"),
+                "line 3: the facet on line 2 has no corners",
+            ),
+        ] {
+            assert!(
+                error_message(text.as_bytes()).contains(expected),
+                "{expected}\n{}",
+                error_message(text.as_bytes())
+            );
+        }
     }
 }

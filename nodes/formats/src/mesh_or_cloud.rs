@@ -202,8 +202,13 @@ mod tests {
         bytes.extend([40.0_f64, 1.0, 2.0].iter().flat_map(|c| c.to_le_bytes()));
         bytes.extend([7, 8, 9]);
         let MeshOrCloud::Cloud(found, _) = read(&bytes).unwrap() else { panic!("no cloud") };
-        assert_eq!(found.notes, ["2 bytes follow the last element and were not read"]);
+        assert_eq!(found.notes, ["2 bytes follow the last element, from byte 162 on, and were not read"]);
         assert_eq!(&*found.cloud.extras()[0].1, [7.0]);
+        bytes.resize(head.len() + 3 * 25, 0);
+        let expected = "byte 162: 2 more elements \"vertex\" follow than the header counts";
+        assert!(read(&bytes).unwrap_err().to_string().contains(expected), "{}", read(&bytes).unwrap_err());
+        let twice = ply("").replace("format ascii 1.0\n", "format ascii 1.0\nformat binary_little_endian 1.0\n");
+        assert!(said(twice.clone()).contains("line 3: the header has a second line \"format\""), "{}", said(twice));
     }
 
     #[test]
@@ -239,10 +244,84 @@ mod tests {
         assert_eq!(notes, ["1 of 3 points are not finite and were left out", size]);
     }
 
+    /// One point in each format, the last of them far away, and the place of that point.
+    fn far_points() -> Vec<(&'static str, Vec<u8>, &'static str)> {
+        let text = |text: &str| text.as_bytes().to_vec();
+        let ply_head = |format: &str| {
+            format!(
+                "ply\nformat {format} 1.0\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\nend_header\n"
+            )
+        };
+        let pcd_head =
+            |data: &str| format!("VERSION 0.7\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nWIDTH 2\nDATA {data}\n");
+        let vtk_head =
+            |data: &str| format!("# vtk DataFile Version 3.0\nt\n{data}\nDATASET POLYDATA\nPOINTS 2 double\n");
+        let points = [1.0, 2.0, 3.0, 4.0, -1e45, 6.0];
+        let little = |head: String| [head.as_bytes(), &points.map(f64::to_le_bytes).concat()].concat();
+        let big = |head: String| [head.as_bytes(), &points.map(f64::to_be_bytes).concat()].concat();
+        let vertex = |z: f32| [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 9.0, z];
+        let mut stl = vec![0; 80];
+        stl.extend(2_u32.to_le_bytes());
+        for z in [0.0, -1e30] {
+            stl.extend(vertex(z).iter().flat_map(|c: &f32| c.to_le_bytes()).chain([0, 0]));
+        }
+        vec![
+            ("PLY", text(&(ply_head("ascii") + "1 2 3\n\n4 -1e45 6\n")), "line 10"),
+            ("PLY", little(ply_head("binary_little_endian")), "byte"),
+            ("PLY", big(ply_head("binary_big_endian")), "byte"),
+            ("PCD", text(&(pcd_head("ascii") + "1 2 3\n# no\n4 -1e45 6\n")), "line 9"),
+            ("PCD", little(pcd_head("binary")), "byte"),
+            ("VTK", text(&(vtk_head("ASCII") + "1 2 3 4\n-1e45 6\n")), "line 6"),
+            ("VTK", big(vtk_head("BINARY")), "byte"),
+            ("OBJ", text("v 1 2 3\nvn 0 0 1\nv 4 -1e45 6\n"), "line 3"),
+            ("OFF", text("OFF\n2 0 0\n1 2 3\n# no\n4 -1e45 6\n"), "line 5"),
+            ("XYZ", text("# x y z\n1 2 3\n4 -1e45 6\n"), "line 3"),
+            ("CSV", text("x;y;z\n1;2;3\n4;-1e45;6\n"), "line 3"),
+            ("STL", stl, "byte 170"),
+            (
+                "STL",
+                text(
+                    "solid a\nfacet normal 0 0 1\nouter loop\nvertex 1 2 3\nvertex 4 -1e45 6\nvertex 0 9 0\nendloop\nendfacet\nendsolid\n",
+                ),
+                "line 5",
+            ),
+        ]
+    }
+
+    #[test]
+    fn a_coordinate_beyond_ten_kilometres_is_refused_with_its_place_and_value_in_every_format() {
+        for (format, bytes, place) in far_points() {
+            // The last point is at the end.
+            let place = if place == "byte" { format!("byte {}", bytes.len() - 24) } else { place.into() };
+            let said = read(&bytes).unwrap_err().to_string();
+            assert!(said.starts_with(&format!("a.file: {place}: the point (")), "{format}: {said}");
+            assert!(said.contains("the coordinate -1"), "{format}: {said}");
+            assert!(said.contains("e45 mm is farther") || said.contains("e30 mm is farther"), "{format}: {said}");
+        }
+        // The limit is one of millimetres: a file in metres is scaled first.
+        let said = read_mesh_or_cloud("a.xyz".as_ref(), b"1 2 3\n0 20000 0\n", 1000.0, "ct").unwrap_err().to_string();
+        assert!(
+            said.contains("line 2: the point (0.0, 20000.0, 0.0) in units of 1000 mm: the coordinate 20000000.0 mm"),
+            "{said}"
+        );
+        assert!(read_mesh_or_cloud("a.xyz".as_ref(), b"1 2 3\n0 2e7 0\n", 0.001, "ct").is_ok());
+        assert!(read(b"1 2 3\n0 1e7 0\n").is_ok(), "the limit itself");
+    }
+
+    #[test]
+    fn a_unit_that_the_file_states_is_heeded() {
+        let said = read(b"# 3D Slicer output. SPACE=LPS;UNIT=m\n0 0 0\n0.4 1 2\n").unwrap_err().to_string();
+        assert!(
+            said.contains("header: the file states UNIT=m, but is read in units of 1 mm; give unit_mm = 1000"),
+            "{said}"
+        );
+    }
+
     #[test]
     fn a_format_that_is_not_read_is_named() {
         let said = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
-        assert!(said(b"solid a\nvertex\n").contains("line 2: a vertex has three numbers"));
+        let open = b"solid a\nfacet normal 0 0 1\nouter loop\nvertex\n";
+        assert!(said(open).contains("line 4: a vertex has three numbers"), "{}", said(open));
         assert!(said(b"w 1 2 3\nw 1 2 3\n").contains("no column is called \"x\""), "{}", said(b"w 1 2 3\n"));
         assert!(said(b"").contains("byte 0: the file is empty"), "{}", said(b""));
         assert!(said(&[0; 200]).contains("no triangles"), "{}", said(&[0; 200]));

@@ -39,7 +39,7 @@ use foxglove::{
 use layout::Layout;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::{
-    Cloud, Correction, Frame, MM_PER_M, Nearest, Pose, Region, RigidError, StampNs, nearest_rotation,
+    Cloud, Correction, Frame, MM_PER_M, Nearest, Pose, Region, RigidError, StampNs, TooFar, nearest_rotation,
 };
 
 /// The schema of a point cloud.
@@ -224,13 +224,19 @@ fn cloud_of(message: Encoded<'_>) -> Result<CloudRead, MessageError> {
     let layout = Layout::of(&raw, big_endian)?;
     let n_points_in_message = layout.n_points;
     let (mut points, mut normals) = (Vec::with_capacity(n_points_in_message), Vec::new());
-    for bytes in raw.data.chunks_exact(layout.stride.max(1)).take(n_points_in_message) {
+    for (k, bytes) in raw.data.chunks_exact(layout.stride.max(1)).take(n_points_in_message).enumerate() {
         let at_m = layout.position.map(|field| field.value(bytes));
-        let point = Point3::from(Vector3::from(at_m) * MM_PER_M);
-        if !point.coords.iter().all(|c| c.is_finite()) {
+        if !at_m.iter().all(|c| c.is_finite()) {
             continue;
         }
-        points.push(pose.map_or(point, |t| t * point));
+        let point = Point3::from(Vector3::from(at_m) * MM_PER_M);
+        let point = pose.map_or(point, |t| t * point);
+        TooFar::check(point.coords.as_slice()).map_err(|far| MessageError::Point {
+            number: k + 1,
+            byte: k * layout.stride,
+            far,
+        })?;
+        points.push(point);
         if let Some(fields) = layout.normal {
             normals.push(Vector3::from(fields.map(|field| field.value(bytes))));
         }
@@ -238,7 +244,8 @@ fn cloud_of(message: Encoded<'_>) -> Result<CloudRead, MessageError> {
     let n_dropped = n_points_in_message - points.len();
     let stamp_ns = nanoseconds(raw.timestamp).unwrap_or(message.publish_time_ns);
     let (normals, notes) = unit_normals(normals);
-    let mut cloud = Cloud::new(raw.frame_id, points).expect("points that are not finite were left out");
+    let mut cloud =
+        Cloud::new(raw.frame_id, points).expect("points that are not finite were left out, and none is far");
     if let Some(mut normals) = normals.filter(|_| layout.normal.is_some()) {
         if let Some(t) = pose {
             normals.iter_mut().for_each(|normal| *normal = t * *normal);
@@ -342,7 +349,11 @@ pub fn procedure_region(recording: &Recording) -> Result<Option<Region>, Message
         let words = corners[k].split([' ', ',', ';', '\t', '[', ']']).filter(|w| !w.is_empty());
         let numbers: Vec<Option<f64>> = words.map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect();
         match numbers[..] {
-            [Some(x), Some(y), Some(z)] => Ok(Point3::new(x, y, z) * MM_PER_M),
+            [Some(x), Some(y), Some(z)] => {
+                let corner = Point3::new(x, y, z) * MM_PER_M;
+                TooFar::check(corner.coords.as_slice()).map_err(|far| fault(KEYS[k], far.to_string()))?;
+                Ok(corner)
+            }
             _ => Err(fault(KEYS[k], format!("\"{}\" is not three numbers", corners[k]))),
         }
     };

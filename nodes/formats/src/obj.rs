@@ -2,7 +2,7 @@
 
 use crate::{
     FileError, scalar,
-    shape::{Shape, fan},
+    shape::{Places, Shape, fan},
     space::StatedSpace,
 };
 use nalgebra::{Point3, Vector3};
@@ -32,7 +32,7 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
     let mut stated = StatedSpace::default();
     let (mut points, mut normals, mut faces) = (Vec::new(), Vec::<Vector3<f64>>::new(), Vec::new());
     let mut colours: [Vec<f64>; 3] = Default::default();
-    let (mut n_lines_or_points, mut corners) = (0, Vec::new());
+    let (mut n_lines_or_points, mut corners, mut places) = (0, Vec::new(), Vec::new());
     // The vertex farthest behind the end of those that precede it, and the line that names it.
     let mut farthest = (0, 0);
     let mut has_faces = false;
@@ -75,6 +75,7 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
                     return Err(fault(format!("the vertex has the weight {}; only 1 is read", numbers[3])));
                 }
                 points.push(Point3::new(x, y, z));
+                places.push(number);
                 if n >= 6 {
                     colours.iter_mut().zip(&numbers[n - 3..]).for_each(|(column, &value)| column.push(value));
                 }
@@ -121,7 +122,7 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
     if n_lines_or_points > 0 {
         notes.push(format!("{n_lines_or_points} elements \"l\" or \"p\" were left out"));
     }
-    let mut shape = Shape { stated, notes, ..Shape::default() };
+    let mut shape = Shape { stated, notes, places: Places::Lines(places), ..Shape::default() };
     if has_faces {
         shape.faces = Some(faces);
     } else {

@@ -2,7 +2,7 @@
 
 use crate::{
     FileError, scalar,
-    shape::{Shape, fan},
+    shape::{Places, Shape, fan},
     space::StatedSpace,
 };
 use nalgebra::{Point3, Vector3};
@@ -60,7 +60,7 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
         return Err(fault(path, number, message + "; was it cut short?"));
     }
     let mut shape = Shape { points: Vec::with_capacity(n_vertices), ..Shape::default() };
-    let mut normals = Vec::new();
+    let (mut normals, mut places) = (Vec::new(), Vec::with_capacity(n_vertices));
     let mut colours: [Vec<f64>; 3] = Default::default();
     let fixed = if has_normals { 6 } else { 3 };
     let mut numbers = Vec::new();
@@ -79,6 +79,7 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
             return Err(fault(path, number, message));
         }
         shape.points.push(Point3::new(numbers[0], numbers[1], numbers[2]));
+        places.push(number);
         if has_normals {
             normals.push(Vector3::new(numbers[3], numbers[4], numbers[5]));
         }
@@ -115,6 +116,7 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
         return Err(fault(path, number, format!("more follows than the {n_faces} faces that the file counts")));
     }
     shape.stated = stated;
+    shape.places = Places::Lines(places);
     shape.normals = has_normals.then_some(normals);
     if n_faces > 0 {
         shape.faces = Some(faces);

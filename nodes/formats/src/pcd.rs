@@ -3,7 +3,7 @@
 use crate::{
     FileError,
     scalar::{self, Rows, Scalar},
-    shape::Shape,
+    shape::{Places, Shape},
     space::StatedSpace,
 };
 use std::path::Path;
@@ -52,19 +52,30 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let cut = |what: &str, expected: usize, found: usize| {
         at_byte(format!("{what} needs {expected} bytes, but {found} are left; was the file cut short?"))
     };
-    let mut notes = Vec::new();
-    let mut trailing = |n: usize| {
+    let (mut notes, mut places) = (Vec::new(), Places::Order);
+    let mut trailing = |n: usize, end: usize| {
         if n > 0 {
-            notes.push(format!("{n} bytes follow the last point and were not read"));
+            let from = header.at + end;
+            notes.push(format!("{n} bytes follow the last point, from byte {from} on, and were not read"));
         }
     };
     let columns = match header.data.as_str() {
-        "ascii" => ascii(path, &header, body)?,
+        "ascii" => ascii(path, &header, body, &mut places)?,
         "binary" => {
             let points = body
                 .get(..n_bytes)
                 .ok_or_else(|| cut(&format!("the data of {} points", header.n_points), n_bytes, body.len()))?;
-            trailing(body.len() - n_bytes);
+            let n_left = body.len() - n_bytes;
+            if n_left > 0 && n_left.is_multiple_of(header.stride) {
+                let message = format!(
+                    "{} more points follow than the {} that the header counts; do header and data belong together?",
+                    n_left / header.stride,
+                    header.n_points
+                );
+                return Err(FileError::content(path, format!("byte {}", header.at + n_bytes), message));
+            }
+            trailing(n_left, n_bytes);
+            places = Places::Rows { first: header.at, stride: header.stride };
             let rows = Rows { bytes: points, stride: header.stride, big: false };
             columns(&header, |field, k| rows.column(field.scalar, field.offset + k * field.scalar.n_bytes()))
         }
@@ -83,7 +94,7 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
             }
             let packed =
                 body[8..].get(..n_packed).ok_or_else(|| cut("the compressed data", n_packed, body.len() - 8))?;
-            trailing(body.len() - 8 - n_packed);
+            trailing(body.len() - 8 - n_packed, 8 + n_packed);
             let unpacked = lzf(packed, n_unpacked).map_err(|(at, message)| {
                 FileError::content(
                     path,
@@ -114,8 +125,9 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
             )
         })
     };
-    let places = [place("x")?, place("y")?, place("z")?];
-    let mut shape = Shape::of_columns(columns, places);
+    let columns_of_points = [place("x")?, place("y")?, place("z")?];
+    let mut shape = Shape::of_columns(columns, columns_of_points);
+    shape.places = places;
     shape.stated = std::mem::take(&mut header.stated);
     shape.notes = header.notes;
     shape.notes.append(&mut notes);
@@ -154,7 +166,7 @@ fn colour_bits(scalar: Scalar, value: f64) -> u32 {
     }
 }
 
-fn ascii(path: &Path, header: &Header, body: &[u8]) -> Result<Vec<(String, Vec<f64>)>, FileError> {
+fn ascii(path: &Path, header: &Header, body: &[u8], places: &mut Places) -> Result<Vec<(String, Vec<f64>)>, FileError> {
     let width: usize = header.fields.iter().map(|field| field.count).sum();
     let fault = |line: usize, message: String| FileError::content(path, format!("line {line}"), message);
     // Each number takes a digit and a blank.
@@ -167,7 +179,7 @@ fn ascii(path: &Path, header: &Header, body: &[u8]) -> Result<Vec<(String, Vec<f
         return Err(fault(header.line, message));
     }
     let mut values: Vec<Vec<f64>> = vec![Vec::with_capacity(header.n_points); width];
-    let mut n_read = 0;
+    let (mut n_read, mut lines) = (0, Vec::with_capacity(header.n_points));
     for (line, number) in body.split(|&b| b == b'\n').zip(header.line + 1..) {
         let line = String::from_utf8_lossy(line);
         let line = line.trim();
@@ -178,6 +190,7 @@ fn ascii(path: &Path, header: &Header, body: &[u8]) -> Result<Vec<(String, Vec<f
             return Err(fault(number, format!("more than the {n_read} points follow that the header counts")));
         }
         n_read += 1;
+        lines.push(number);
         let mut words = line.split_ascii_whitespace();
         for (k, column) in values.iter_mut().enumerate() {
             let Some(word) = words.next() else {
@@ -196,6 +209,7 @@ fn ascii(path: &Path, header: &Header, body: &[u8]) -> Result<Vec<(String, Vec<f
             format!("the file ends after {n_read} of {} points; was it cut short?", header.n_points),
         ));
     }
+    *places = Places::Lines(lines);
     // The columns are taken in the order of the fields, padding as well.
     let mut values = values.into_iter();
     let mut by_field: Vec<Vec<Vec<f64>>> =
@@ -210,6 +224,7 @@ fn header(path: &Path, bytes: &[u8]) -> Result<Header, FileError> {
     let mut header = Header::default();
     let (mut sizes, mut types, mut counts) = (Vec::<usize>::new(), Vec::new(), None::<Vec<usize>>);
     let (mut names, mut width, mut height, mut points) = (Vec::<String>::new(), None, None, None);
+    let mut seen: Vec<String> = Vec::new();
     loop {
         let rest = &bytes[header.at..];
         header.line += 1;
@@ -230,6 +245,12 @@ fn header(path: &Path, bytes: &[u8]) -> Result<Header, FileError> {
             [word] => whole(word),
             _ => Err(fault(format!("{key} has {} values, one is expected", words.len()))),
         };
+        if !key.is_empty() && !key.starts_with('#') {
+            if seen.iter().any(|before| before == key) {
+                return Err(fault(format!("the header has a second line {key}")));
+            }
+            seen.push(key.to_owned());
+        }
         match key {
             "" | "VERSION" => {}
             _ if key.starts_with('#') => header.stated.take(line).map_err(&fault)?,

@@ -19,12 +19,12 @@ mod write;
 pub use write::{write_fcsv, write_mrk_json, write_planes_mrk_json, write_points_csv, write_roi_mrk_json};
 
 use crate::{
-    FileError, Space,
+    FileError, Space, input,
     mesh_or_cloud::{is_text, text as decoded},
     refused,
 };
 use nalgebra::{Point3, Rotation3, Unit, Vector3};
-use osteoflow_geometry::NamedPoint;
+use osteoflow_geometry::{NamedPoint, TooFar};
 use std::{collections::HashSet, path::Path, sync::Arc};
 
 /// The points, planes and boxes of a file; mm, LPS if the file states its space.
@@ -75,7 +75,7 @@ pub struct PickedRoi {
 /// # Errors
 /// [`FileError`] if the file cannot be read, or as [`parse_picked_points`].
 pub fn read_picked_points(path: &Path) -> Result<PickedPoints, FileError> {
-    parse_picked_points(path, &std::fs::read(path).map_err(FileError::read(path))?)
+    parse_picked_points(path, &input::read(path)?)
 }
 
 /// The points in the bytes of a file; `path` is used in messages only.
@@ -89,7 +89,7 @@ pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, Fi
     let refuse = |message: &str| Err(FileError::content(path, "byte 0", message));
     let picked = match start.first() {
         None => return refuse("the file is empty; was it written to the end?"),
-        Some(b'{') => slicer::json(path, bytes)?,
+        Some(b'{') => slicer::markups(path, bytes)?,
         Some(b'<') => text::meshlab(path, &decoded(path, bytes)?)?,
         _ if start.starts_with(b"ply") || start.starts_with(b"solid") => {
             return refuse("this is a surface or a cloud; give a list of points");
@@ -130,6 +130,7 @@ impl Collected {
         if !position.iter().all(|c| c.is_finite()) {
             return Err(format!("point \"{name}\" is at {position:?}; three finite numbers are expected"));
         }
+        TooFar::check(&position).map_err(|far| format!("point \"{name}\": {far}"))?;
         let name: Arc<str> = match name.trim() {
             "" => {
                 self.n_unnamed += 1;

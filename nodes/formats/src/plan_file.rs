@@ -16,10 +16,10 @@
 //! `proximal`, `lateral` and `posterior` are directions of any length. Every key may be missing, but not all of them; keys that are not
 //! read are noted. A file for several bones has such an object under each bone's name, as [`read_plan_of`] takes it.
 
-use crate::FileError;
+use crate::{FileError, input, json};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Unit, Vector3};
 use osteoflow_geometry::{
-    Anatomy, Axes, Corrections, NamedPoint, Plane, Planes, Points, Pose, SurgicalPlan, direction, matrix_rows,
+    Anatomy, Axes, Corrections, NamedPoint, Plane, Planes, Points, Pose, SurgicalPlan, TooFar, direction, matrix_rows,
     nearest_isometry,
 };
 use serde_json::{Map, Value, json};
@@ -41,7 +41,7 @@ pub struct PlanRead {
 /// # Errors
 /// [`FileError`] naming the key: a unit other than mm, a number that is none, a matrix that mirrors or scales.
 pub fn read_plan(path: &Path) -> Result<PlanRead, FileError> {
-    let text = std::fs::read_to_string(path).map_err(FileError::read(path))?;
+    let text = input::read_text(path)?;
     parse_plan(path, &text)
 }
 
@@ -50,7 +50,7 @@ pub fn read_plan(path: &Path) -> Result<PlanRead, FileError> {
 /// # Errors
 /// As [`read_plan`]; and if the file is for several bones, but not for this one.
 pub fn read_plan_of(path: &Path, bone: &str) -> Result<PlanRead, FileError> {
-    let text = std::fs::read_to_string(path).map_err(FileError::read(path))?;
+    let text = input::read_text(path)?;
     let root = parse_root(path, &text)?;
     if let Some(Value::Object(own)) = root.get(bone) {
         // What else a table of bones holds is not the plan's.
@@ -95,9 +95,13 @@ fn noted(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError> 
 
 fn parse_root(path: &Path, text: &str) -> Result<Map<String, Value>, FileError> {
     let text = text.trim_start_matches('\u{feff}');
-    let root: Value = serde_json::from_str(text).map_err(|error| {
+    let root: Value = json::parse(text).map_err(|error| {
         let place = format!("line {}, column {}", error.line(), error.column());
-        FileError::content(path, place, format!("this is no JSON (which knows no NaN and no comments): {error}"))
+        FileError::content(
+            path,
+            place,
+            format!("this is no JSON of a plan (which knows no NaN, no comments and no key twice): {error}"),
+        )
     })?;
     let Value::Object(root) = root else {
         return Err(FileError::content(path, "line 1", "a plan is a JSON object with keys such as \"landmarks\""));
@@ -119,6 +123,12 @@ const KEYS: [&str; 11] = [
     "phantom_marker_in_phantom",
     "camera_marker_nominal_C_T_Mc",
 ];
+
+/// Keys that state the unit of length, as [`names`] compares them.
+const UNITS: [&str; 4] = ["units", "unit", "lengthunit", "coordinateunits"];
+
+/// Keys that state the space, as [`names`] compares them.
+const SPACES: [&str; 3] = ["frame", "space", "coordinatesystem"];
 
 /// Keys for people.
 const REMARKS: [&str; 7] = ["$schema", "mesh", "name", "side", "description", "comment", "note"];
@@ -150,9 +160,20 @@ fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError
         axes,
     };
     let notes = plan.corrections.take().note().map(|note| format!("{}: {note}", path.display()));
-    let is_read = |key: &str| KEYS.contains(&key) || ["units", "unit", "frame"].contains(&key);
-    let unread = root.keys().filter(|key| !is_read(key) && !REMARKS.contains(&key.as_str()) && !key.ends_with("_note"));
-    Ok(PlanRead { plan: read, notes: notes.into_iter().collect(), unread: unread.cloned().collect() })
+    let is_read = |key: &str| KEYS.contains(&key) || names(key, &UNITS) || names(key, &SPACES);
+    let unread = root.keys().filter(|key| !is_read(key) && !is_remark(key));
+    let mut notes: Vec<String> = notes.into_iter().collect();
+    let anatomy = ["malleolus_tip", "proximal", "lateral", "posterior"];
+    let missing: Vec<&str> = anatomy.into_iter().filter(|key| plan.get(key).is_none()).collect();
+    if (1..anatomy.len()).contains(&missing.len()) {
+        notes.push(format!("{}: the anatomy is not used, for it lacks {}", path.display(), missing.join(", ")));
+    }
+    Ok(PlanRead { plan: read, notes, unread: unread.cloned().collect() })
+}
+
+/// Whether a key is for people.
+fn is_remark(key: &str) -> bool {
+    REMARKS.contains(&key) || key.ends_with("_note")
 }
 
 /// Writes a plan so that [`read_plan`] gives it back; planes whose place is unknown are left out.
@@ -198,6 +219,11 @@ pub fn plan_json(plan: &SurgicalPlan) -> Value {
     root
 }
 
+/// Whether a key is one of the names, in any case and with or without `_`.
+fn names(key: &str, names: &[&str]) -> bool {
+    names.contains(&key.replace('_', "").to_lowercase().as_str())
+}
+
 struct Keys<'a> {
     path: &'a Path,
     root: &'a Map<String, Value>,
@@ -215,7 +241,7 @@ impl Keys<'_> {
     }
 
     fn check_units(&self) -> Result<(), FileError> {
-        for key in ["units", "unit"] {
+        for (key, _) in self.root.iter().filter(|(key, _)| names(key, &UNITS)) {
             match self.get(key) {
                 None => {}
                 Some(Value::String(unit)) if unit == "mm" => {}
@@ -230,15 +256,23 @@ impl Keys<'_> {
 
     /// The frame, where it is stated, is CT's, in LPS.
     fn check_frame(&self) -> Result<(), FileError> {
-        let Some(frame) = self.get("frame") else { return Ok(()) };
+        for (key, frame) in self.root {
+            if names(key, &SPACES) && !frame.is_null() {
+                self.check_space(key, frame)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn check_space(&self, key: &str, frame: &Value) -> Result<(), FileError> {
         let text = frame.as_str().unwrap_or_default().to_lowercase();
         let has = |word: &str| text.split(|c: char| !c.is_alphanumeric()).any(|found| found == word);
         if has("ras") {
             let message = format!("a plan is in LPS, found {frame}; negate x and y of its points and poses");
-            return Err(self.fault("frame", message));
+            return Err(self.fault(key, message));
         }
         let is_known = has("ct") || has("lps");
-        is_known.then_some(()).ok_or_else(|| self.fault("frame", format!("a plan is in \"ct\" (LPS), found {frame}")))
+        is_known.then_some(()).ok_or_else(|| self.fault(key, format!("a plan is in \"ct\" (LPS), found {frame}")))
     }
 
     /// `N` finite numbers.
@@ -249,6 +283,13 @@ impl Keys<'_> {
         whole
             .and_then(|n| n.try_into().ok())
             .ok_or_else(|| self.fault(key, format!("{N} numbers are expected, found {value}")))
+    }
+
+    /// A position, mm.
+    fn place(&self, key: &str, value: &Value) -> Result<Point3<f64>, FileError> {
+        let numbers: [f64; 3] = self.numbers(key, value)?;
+        TooFar::check(&numbers).map_err(|far| self.fault(key, far.to_string()))?;
+        Ok(numbers.into())
     }
 
     fn rows<const ROWS: usize, const COLUMNS: usize>(
@@ -281,8 +322,8 @@ impl Keys<'_> {
             None => {}
             Some(Value::Object(named)) => {
                 for (name, value) in named {
-                    let place: [f64; 3] = self.numbers(&format!("{key}.{name}"), value)?;
-                    points.push(NamedPoint::new(name.as_str(), place.into()));
+                    let place = self.place(&format!("{key}.{name}"), value)?;
+                    points.push(NamedPoint::new(name.as_str(), place));
                 }
             }
             Some(_) => {
@@ -301,13 +342,28 @@ impl Keys<'_> {
             }
             Some(Value::Array(list)) => {
                 let keyed = list.iter().enumerate().map(|(k, value)| {
-                    let name = value["name"].as_str().map_or_else(|| format!("plane_{}", k + 1), str::to_owned);
-                    (name, format!("planes[{k}]"), value)
+                    let key = format!("planes[{k}]");
+                    let name = match value.get("name") {
+                        None | Some(Value::Null) => format!("plane_{}", k + 1),
+                        Some(Value::String(name)) => name.clone(),
+                        Some(other) => return Err(self.fault(&key, format!("a plane's name is a text, found {other}"))),
+                    };
+                    Ok((name, key, value))
                 });
-                keyed.collect()
+                keyed.collect::<Result<_, _>>()?
             }
             Some(_) => return Err(self.fault("planes", "a list of 4 x 4 matrices is expected")),
         };
+        for (k, (name, key, value)) in named.iter().enumerate() {
+            if named[..k].iter().any(|(other, ..)| other == name) {
+                return Err(self.fault(key, format!("the name {name} is given twice; name each plane once")));
+            }
+            let is_known = |key: &str| ["name", "matrix"].contains(&key) || is_remark(key);
+            if let Some(other) = value.as_object().and_then(|entry| entry.keys().find(|other| !is_known(other))) {
+                let message = format!("a plane has no key \"{other}\"; its keys are name and matrix");
+                return Err(self.fault(key, message));
+            }
+        }
         let plane = |(name, key, value): (String, String, &Value)| {
             let matrix = value.get("matrix").unwrap_or(value);
             Ok(Plane::new(name, self.isometry(&key, matrix)?))
@@ -329,7 +385,7 @@ impl Keys<'_> {
         matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::from_fn(|row, column| rows[row][column]));
         let rotation = self.rigid(key, &matrix)?;
         let centre = match self.get("pca_axes_centre") {
-            Some(value) => self.numbers("pca_axes_centre", value)?.into(),
+            Some(value) => self.place("pca_axes_centre", value)?,
             None => {
                 let places: Vec<Point3<f64>> =
                     landmarks.positions().into_iter().chain(assessment.positions()).collect();
@@ -347,12 +403,12 @@ impl Keys<'_> {
             let vector = Vector3::from(self.numbers::<3>(key, value)?);
             Ok(Some(direction(vector).map_err(|error| self.fault(key, error.to_string()))?))
         };
-        let tip = self.get("malleolus_tip").map(|value| self.numbers::<3>("malleolus_tip", value)).transpose()?;
+        let tip = self.get("malleolus_tip").map(|value| self.place("malleolus_tip", value)).transpose()?;
         let (proximal, lateral, posterior) = (unit("proximal")?, unit("lateral")?, unit("posterior")?);
         let (Some(tip), Some(proximal), Some(lateral), Some(posterior)) = (tip, proximal, lateral, posterior) else {
             return Ok(None);
         };
-        Ok(Some(Anatomy { malleolus_tip: tip.into(), proximal, lateral, posterior }))
+        Ok(Some(Anatomy { malleolus_tip: tip, proximal, lateral, posterior }))
     }
 }
 
@@ -450,6 +506,44 @@ mod tests {
             assert_eq!(plan.planes.planes.iter().map(|p| p.name.to_string()).collect::<Vec<_>>(), names);
             assert_eq!(plan.planes.planes[1].isometry().unwrap().translation.z, 7.0);
         }
+    }
+
+    #[test]
+    fn units_and_spaces_under_any_name_are_heeded_and_nothing_is_given_twice() {
+        let said = |text: &str| parse_plan("plan.json".as_ref(), text).unwrap_err().to_string();
+        let plan = |more: &str| format!("{{ \"landmarks\": {{ \"P1\": [1, 2, 3] }}, {more} }}");
+        let identity = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
+        for (more, expected) in [
+            ("\"unit\": \"m\"".to_owned(), "key \"unit\": a plan is in \"mm\", found \"m\""),
+            ("\"lengthUnit\": \"m\"".into(), "key \"lengthUnit\": a plan is in \"mm\""),
+            ("\"coordinateUnits\": \"m\"".into(), "key \"coordinateUnits\": a plan is in \"mm\""),
+            ("\"frame\": \"RAS\"".into(), "key \"frame\": a plan is in LPS, found \"RAS\""),
+            ("\"coordinateSystem\": \"RAS\"".into(), "key \"coordinateSystem\": a plan is in LPS"),
+            ("\"Space\": \"RAS\"".into(), "key \"Space\": a plan is in LPS"),
+            ("\"landmarks\": {}".into(), "column 47: this is no JSON of a plan"),
+            ("\"x\": { \"y\": 1, \"y\": 2 }".into(), "key \"y\" is given twice"),
+            (
+                format!(
+                    "\"planes\": [{{\"name\": \"a\", \"matrix\": {identity}}}, {{\"name\": \"a\", \"matrix\": {identity}}}]"
+                ),
+                "key \"planes[1]\": the name a is given twice",
+            ),
+            (
+                format!("\"planes\": [{{\"matrix\": {identity}, \"unit\": \"m\"}}]"),
+                "key \"planes[0]\": a plane has no key \"unit\"",
+            ),
+            (format!("\"planes\": [{{\"name\": 7, \"matrix\": {identity}}}]"), "a plane's name is a text, found 7"),
+            ("\"assessment\": { \"M1\": [1, 2, 1e8] }".into(), "key \"assessment.M1\": the coordinate 100000000.0 mm"),
+            (
+                "\"planes\": [[[1,0,0,0],[0,1,0,-1e45],[0,0,1,0],[0,0,0,1]]]".into(),
+                "key \"planes[0]\": the translation: the coordinate -1e45 mm",
+            ),
+        ] {
+            let said = said(&plan(&more));
+            assert!(said.contains(expected), "{expected}\n{said}");
+        }
+        let read = parse_plan("plan.json".as_ref(), &plan("\"proximal\": [0, 0, 1]")).unwrap();
+        assert!(read.notes[0].ends_with("the anatomy is not used, for it lacks malleolus_tip, lateral, posterior"));
     }
 
     #[test]

@@ -6,7 +6,7 @@
 use crate::{
     FileError,
     scalar::{self, Rows, Scalar},
-    shape::{Shape, fan, normal_columns},
+    shape::{Places, Shape, fan, normal_columns},
     space::StatedSpace,
 };
 use nalgebra::{Point3, Vector3};
@@ -49,7 +49,9 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
         }
     }
     shape.notes.append(&mut ply.notes);
-    shape.stated = ply.stated;
+    shape.stated = std::mem::take(&mut ply.stated);
+    let vertex = ply.elements.iter_mut().find(|element| element.name == "vertex");
+    shape.places = vertex.map(|vertex| std::mem::take(&mut vertex.places)).unwrap_or_default();
     Ok(shape)
 }
 
@@ -87,6 +89,8 @@ struct Element<'a> {
     properties: Vec<Property>,
     /// The bytes of a binary element of fixed size; the others are in the properties.
     rows: Option<Rows<'a>>,
+    /// Where each is in the file.
+    places: Places,
 }
 
 struct Property {
@@ -130,7 +134,16 @@ impl<'a> Ply<'a> {
                 let message = "more lines follow than the header counts; do header and data belong together?";
                 return Err(FileError::content(path, format!("line {}", lines.line + 1), message));
             }
-            notes.push(format!("{} bytes follow the last element and were not read", left.len()));
+            let last = elements.last().and_then(|last| Some((&last.name, last.rows?.stride)));
+            if let Some((name, stride)) = last.filter(|(_, stride)| left.len().is_multiple_of(*stride)) {
+                let message = format!(
+                    "{} more elements \"{name}\" follow than the header counts; do header and data belong together?",
+                    left.len() / stride
+                );
+                return Err(FileError::content(path, format!("byte {}", lines.at), message));
+            }
+            let (n, at) = (left.len(), lines.at);
+            notes.push(format!("{n} bytes follow the last element, from byte {at} on, and were not read"));
         }
         Ok(Self { elements, stated, notes })
     }
@@ -211,6 +224,7 @@ impl<'a> Element<'a> {
 
     fn read_ascii(&mut self, lines: &mut Lines) -> Result<(), FileError> {
         self.properties.iter_mut().for_each(|property| property.values.reserve(self.count));
+        let mut places = Vec::with_capacity(self.count);
         for index in 0..self.count {
             let text = loop {
                 match lines.next()? {
@@ -225,6 +239,7 @@ impl<'a> Element<'a> {
                     }
                 }
             };
+            places.push(lines.line);
             let mut words = text.split_ascii_whitespace();
             let mut number = |name: &str| -> Result<f64, FileError> {
                 let word = words.next().ok_or_else(|| lines.fault(format!("no value for property \"{name}\"")))?;
@@ -254,6 +269,7 @@ impl<'a> Element<'a> {
                 )));
             }
         }
+        self.places = Places::Lines(places);
         Ok(())
     }
 
@@ -273,10 +289,13 @@ impl<'a> Element<'a> {
             })?;
             lines.at += n;
             self.rows = Some(Rows { bytes, stride, big });
+            self.places = Places::Rows { first: lines.at - n, stride };
             return Ok(());
         }
         self.properties.iter_mut().for_each(|property| property.values.reserve(self.count));
+        let mut places = Vec::with_capacity(self.count);
         for index in 0..self.count {
+            places.push(lines.at);
             for property in &mut self.properties {
                 let cut = |lines: &Lines| {
                     lines.fault(format!(
@@ -303,6 +322,7 @@ impl<'a> Element<'a> {
                 }
             }
         }
+        self.places = Places::Bytes(places);
         Ok(())
     }
 }
@@ -325,6 +345,9 @@ fn header<'a>(lines: &mut Lines<'a>) -> Result<Header<'a>, FileError> {
         match text.split_ascii_whitespace().collect::<Vec<_>>()[..] {
             [] => {}
             ["comment" | "obj_info", ..] => stated.take(text).map_err(|message| lines.fault(message))?,
+            ["format", ..] if encoding.is_some() => {
+                return Err(lines.fault("the header has a second line \"format\"".into()));
+            }
             ["format", "ascii", ..] => encoding = Some(Encoding::Ascii),
             ["format", "binary_little_endian", ..] => encoding = Some(Encoding::Little),
             ["format", "binary_big_endian", ..] => encoding = Some(Encoding::Big),
@@ -333,7 +356,13 @@ fn header<'a>(lines: &mut Lines<'a>) -> Result<Header<'a>, FileError> {
                 if elements.iter().any(|element| element.name == name) {
                     return Err(lines.fault(format!("the header names element \"{name}\" twice")));
                 }
-                elements.push(Element { name: name.into(), count, properties: Vec::new(), rows: None });
+                elements.push(Element {
+                    name: name.into(),
+                    count,
+                    properties: Vec::new(),
+                    rows: None,
+                    places: Places::Order,
+                });
             }
             ["property", ref words @ .., name] => {
                 let kind = match *words {

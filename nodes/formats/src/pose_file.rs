@@ -10,7 +10,7 @@
 //! An ITK transform takes points of the fixed image to the moving one, and 3D Slicer writes the inverse of the transform
 //! it shows; so the motion of a model onto another is the inverse of its file. Such files are LPS, as CT is here.
 
-use crate::FileError;
+use crate::{FileError, input, json};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Vector3};
 use osteoflow_geometry::{Correction, Nearest, nearest_isometry, nearest_rotation};
 use serde_json::Value;
@@ -18,6 +18,9 @@ use std::path::Path;
 
 /// The keys under which a JSON object may hold the matrix, in the order in which they are looked for.
 const KEYS: [&str; 3] = ["T", "t_target_source", "matrix"];
+
+/// Keys that may state the unit of length.
+const UNITS: [&str; 2] = ["units", "unit"];
 
 const ITK_MARK: &str = "#Insight Transform File";
 
@@ -39,7 +42,7 @@ pub struct PoseRead {
 /// [`FileError`] if the file cannot be read, holds no 16 numbers, or the matrix projects, mirrors, or is farther than
 /// [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from a rotation.
 pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    let bytes = input::read(path)?;
     if bytes.starts_with(b"\x89HDF") {
         return Err(fault(path, "byte 0", "an HDF5 transform is not read; save it as text (.tfm)"));
     }
@@ -57,7 +60,9 @@ pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
         }
         json if json.starts_with('{') => json_matrix(path, json)?,
         // A list may also be one that numpy printed, which is no JSON.
-        list if list.starts_with('[') && serde_json::from_str::<Value>(list).is_ok() => json_matrix(path, list)?,
+        list if list.starts_with('[') && serde_json::from_str::<serde::de::IgnoredAny>(list).is_ok() => {
+            json_matrix(path, list)?
+        }
         _ => text_matrix(path, text)?,
     };
     for row in 0..3 {
@@ -119,11 +124,20 @@ fn sixteen(path: &Path, numbers: &[f64]) -> Result<Matrix4<f64>, FileError> {
 }
 
 fn json_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
-    let value: Value = serde_json::from_str(text)
+    let value: Value = json::parse(text)
         .map_err(|error| fault(path, format!("line {}", error.line()), format!("no JSON: {error}")))?;
     let mut found = &value;
     // `t_target_source` of a run's results is an object with `matrix` in it.
     while let Some(object) = found.as_object() {
+        let there: Vec<&str> = KEYS.into_iter().filter(|key| object.contains_key(*key)).collect();
+        if let [first, second, ..] = there[..] {
+            let message = format!("the keys {first} and {second} are both there; which of them is the pose?");
+            return Err(fault(path, "object", message));
+        }
+        if let Some((key, unit)) = object.iter().find(|(key, unit)| UNITS.contains(&key.as_str()) && **unit != "mm") {
+            let message = format!("a pose in JSON is in \"mm\", found {unit}; convert its translation to mm");
+            return Err(fault(path, format!("key \"{key}\""), message));
+        }
         found = KEYS.iter().find_map(|key| object.get(*key)).ok_or_else(|| {
             let keys: Vec<_> = object.keys().map(String::as_str).collect();
             let message = format!("none of the keys {} is there; there are: {}", KEYS.join(", "), keys.join(", "));
@@ -161,7 +175,11 @@ fn itk_matrix(path: &Path, text: &str) -> Result<Nearest<Matrix4<f64>>, FileErro
         ));
     }
     let numbers = |key: &str| -> Result<Vec<f64>, FileError> {
-        let words = line_of(key).0.unwrap_or_default().split_whitespace();
+        let (line, more) = line_of(key);
+        if more {
+            return Err(fault(path, key, format!("there are two lines \"{key}:\"; save one linear transform")));
+        }
+        let words = line.unwrap_or_default().split_whitespace();
         let number =
             |word: &str| word.parse::<f64>().map_err(|_| fault(path, key, format!("\"{word}\" is not a number")));
         words.map(number).collect()

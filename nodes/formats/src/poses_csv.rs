@@ -11,15 +11,24 @@
 //! all-zero quaternion, means that the marker was not seen. Columns may be in any order; further ones are ignored.
 
 use crate::{
-    FileError, LostPose,
+    FileError, LostPose, StampOrder, input,
     table::{Row, Table},
 };
 use nalgebra::{Isometry3, Quaternion, Translation3};
-use osteoflow_geometry::{Frame, Nearest, Pose, nearest_rotation};
-use std::path::Path;
+use osteoflow_geometry::{Frame, Nearest, Pose, TooFar, nearest_rotation};
+use std::{collections::BTreeMap, path::Path};
 
 /// The columns, in the order in which they are written.
 const COLUMNS: [&str; 10] = ["t_ns", "parent", "child", "x", "y", "z", "qx", "qy", "qz", "qw"];
+
+/// The rows of a poses file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PosesRead {
+    /// The poses in file order; a row in which the marker was not seen is a [`LostPose`].
+    pub poses: Vec<Result<Nearest<Pose>, LostPose>>,
+    /// Streams whose stamps run backwards, one sentence each.
+    pub notes: Vec<String>,
+}
 
 /// Reads the rows of a poses file, in file order; a row in which the marker was not seen is a [`LostPose`].
 ///
@@ -29,14 +38,27 @@ const COLUMNS: [&str; 10] = ["t_ns", "parent", "child", "x", "y", "z", "qx", "qy
 /// # Errors
 /// [`FileError`], naming the line: a missing column, a word instead of a number, a quaternion whose length is farther
 /// than [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from 1.
-pub fn read_poses(path: &Path, unit_mm: f64) -> Result<Vec<Result<Nearest<Pose>, LostPose>>, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+pub fn read_poses(path: &Path, unit_mm: f64) -> Result<PosesRead, FileError> {
+    let bytes = input::read(path)?;
     let table = Table::parse(path, &bytes)?;
     let mut columns = [0; COLUMNS.len()];
     for (column, name) in columns.iter_mut().zip(COLUMNS) {
         *column = table.column(name)?;
     }
-    table.rows().map(|row| pose(&row, columns, unit_mm)).collect()
+    let mut orders: BTreeMap<[String; 2], StampOrder> = BTreeMap::new();
+    let mut poses = Vec::new();
+    for row in table.rows() {
+        let read = pose(&row, columns, unit_mm)?;
+        let (to, from, stamp_ns) = match &read {
+            Ok(pose) => (&pose.value.to, &pose.value.from, pose.value.stamp_ns),
+            Err(lost) => (&lost.to, &lost.from, lost.stamp_ns),
+        };
+        let order = orders.entry([to.to_string(), from.to_string()]).or_default();
+        order.take(stamp_ns, || format!("line {}", row.line()));
+        poses.push(read);
+    }
+    let notes = orders.iter().filter_map(|([to, from], order)| order.note(&format!("t_{to}_{from}")));
+    Ok(PosesRead { poses, notes: notes.collect() })
 }
 
 fn pose(
@@ -63,9 +85,7 @@ fn pose(
     let rotation =
         nearest_rotation(quaternion).map_err(|error| row.fault(format!("{error}; are the columns qx,qy,qz,qw?")))?;
     let translation = Translation3::new(x * unit_mm, y * unit_mm, z * unit_mm);
-    if !translation.vector.iter().all(|c| c.is_finite()) {
-        return Err(row.fault(format!("the translation overflows with unit_mm = {unit_mm}")));
-    }
+    TooFar::check(translation.vector.as_slice()).map_err(|far| row.fault(format!("the translation: {far}")))?;
     Ok(Ok(rotation.map(|rotation| Pose::new(to, from, Isometry3::from_parts(translation, rotation)).at(stamp_ns))))
 }
 
@@ -95,7 +115,7 @@ mod tests {
     fn read(text: &str) -> Result<Vec<Result<Nearest<Pose>, LostPose>>, FileError> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
-        read_poses(file.path(), 1.0)
+        read_poses(file.path(), 1.0).map(|read| read.poses)
     }
 
     #[test]
@@ -107,7 +127,7 @@ mod tests {
         let poses: Vec<Pose> = (0..5).map(pose).collect();
         let file = tempfile::NamedTempFile::new().unwrap();
         write_poses(file.path(), &poses).unwrap();
-        let back = read_poses(file.path(), 1.0).unwrap().into_iter().map(|pose| pose.unwrap().value);
+        let back = read_poses(file.path(), 1.0).unwrap().poses.into_iter().map(|pose| pose.unwrap().value);
         let back: Vec<Pose> = back.collect();
         for (a, b) in back.iter().zip(&poses) {
             assert_eq!(
@@ -141,6 +161,19 @@ mod tests {
     }
 
     #[test]
+    fn stamps_that_run_backwards_are_noted_with_their_line_for_each_marker() {
+        let row = |t_ns: i64, child: &str| format!("{t_ns},world,{child},0,0,0,0,0,0,1\n");
+        let header = "t_ns,parent,child,x,y,z,qx,qy,qz,qw\n";
+        let text = format!("{header}{}{}{}{}", row(10, "a"), row(5, "b"), row(8, "a"), row(6, "b"));
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        let read = read_poses(file.path(), 1.0).unwrap();
+        assert_eq!(read.notes.len(), 1, "{:?}", read.notes);
+        let expected = "t_world_a: stamps run backwards once, first at line 4: 8 ns comes after 10 ns";
+        assert!(read.notes[0].starts_with(expected), "{}", read.notes[0]);
+    }
+
+    #[test]
     fn a_fault_names_its_line() {
         let header = "t_ns,parent,child,x,y,z,qx,qy,qz,qw\n";
         let good = "1,world,m,0,0,0,0,0,0,1\n";
@@ -153,6 +186,11 @@ mod tests {
             ),
             (format!("{header}{good}{good}1,world,m,0,0,up,0,0,0,1\n"), "line 4: z is \"up\", a number is expected"),
             (format!("{header}1,world,m,0,0,0,0,0,1\n"), "line 2: the header names 10 columns, this line has 9"),
+            (
+                format!("{header}{good}1,world,m,0,-1e45,0,0,0,0,1\n"),
+                "line 3: the translation: the coordinate -1e45 mm is farther than 1e7 mm (10 km)",
+            ),
+            (format!("qw,{header}1,{good}"), "line 1: column 11 is called \"qw\" as one before it is"),
             (format!("{header}1,,m,0,0,0,0,0,0,1\n"), "line 2: column \"parent\" is empty"),
             (format!("{header}1,world,m,0,0,0,10,20,30,1\n"), "line 2: the quaternion has length 37.4"),
             (

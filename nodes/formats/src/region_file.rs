@@ -13,16 +13,14 @@
 //! A point is in the region if it is in one of `keep`, or `keep` is empty, and in none of `cut`. An outline is what an eye sees
 //! inside the corners, as [`Shape::Outline`] says; with `eye`, `right` and `down` as above it is the camera itself.
 
-use crate::FileError;
+use crate::{FileError, input};
 use nalgebra::{Point2, Point3, Vector3};
-use osteoflow_geometry::{DrawnOn, DrawnRegion, Shape, direction};
+use osteoflow_geometry::{DrawnOn, DrawnRegion, FARTHEST_MM, Shape, direction};
 use serde::{Deserialize, Serialize};
 use std::{fs, path::Path};
 
 const FORMAT: &str = "osteoflow-region";
 const VERSION: u32 = 1;
-/// Largest coordinate that is taken for one in mm.
-const MAX_MM: f64 = 1e7;
 /// Largest deviation of `right` and `down` from unit length and a right angle.
 const MAX_SKEW: f64 = 1e-6;
 /// Most shapes, centres or corners: more than a hand draws.
@@ -67,7 +65,7 @@ enum WrittenShape {
 /// # Errors
 /// [`FileError`] as [`parse_region`], or if the file cannot be read.
 pub fn read_region(path: &Path) -> Result<DrawnRegion, FileError> {
-    let text = fs::read_to_string(path).map_err(FileError::read(path))?;
+    let text = input::read_text(path)?;
     parse_region(path, &text)
 }
 
@@ -199,12 +197,12 @@ impl WrittenShape {
 }
 
 fn usable(number: f64) -> bool {
-    number.abs() <= MAX_MM
+    number.abs() <= FARTHEST_MM
 }
 
 fn point(key: &str, at: [f64; 3]) -> Result<Point3<f64>, String> {
     let is_usable = at.iter().all(|c| usable(*c));
-    is_usable.then(|| at.into()).ok_or_else(|| format!("{key} {at:?} is not finite, or beyond {MAX_MM:e} mm"))
+    is_usable.then(|| at.into()).ok_or_else(|| format!("{key} {at:?} is not finite, or beyond {FARTHEST_MM:e} mm"))
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use crate::{
     space::StatedSpace,
 };
 use nalgebra::{Point3, Vector3};
-use osteoflow_geometry::{Cloud, Frame, Mesh, MeshError, SurfaceOrigin};
+use osteoflow_geometry::{Cloud, FARTHEST_MM, Frame, Mesh, MeshError, SurfaceOrigin, TooFar};
 use std::path::Path;
 
 /// The content of a file in its own unit and space, with points that may be NaN.
@@ -23,6 +23,33 @@ pub(crate) struct Shape {
     pub(crate) faces: Option<Vec<[u32; 3]>>,
     pub(crate) stated: StatedSpace,
     pub(crate) notes: Vec<String>,
+    /// Where the points are in the file.
+    pub(crate) places: Places,
+}
+
+/// Where each point is in the file, for errors.
+#[derive(Debug, Default)]
+pub(crate) enum Places {
+    /// Only their order is known.
+    #[default]
+    Order,
+    /// The line of each.
+    Lines(Vec<usize>),
+    /// The byte of each.
+    Bytes(Vec<usize>),
+    /// The byte of the first, and the bytes from one to the next.
+    Rows { first: usize, stride: usize },
+}
+
+impl Places {
+    fn of(&self, index: usize) -> String {
+        match self {
+            Self::Lines(lines) if index < lines.len() => format!("line {}", lines[index]),
+            Self::Bytes(bytes) if index < bytes.len() => format!("byte {}", bytes[index]),
+            Self::Rows { first, stride } => format!("byte {}", first + index * stride),
+            _ => format!("point {}", index + 1),
+        }
+    }
 }
 
 /// The names of the columns of normals that are in use.
@@ -55,9 +82,28 @@ impl Shape {
         Self { points, normals, extras: columns, ..Self::default() }
     }
 
+    /// Checks that the file states no other unit, and that no finite point is farther than [`FARTHEST_MM`] once it is in mm.
+    fn check_lengths(&self, path: &Path, unit_mm: f64) -> Result<(), FileError> {
+        self.stated.check_unit(unit_mm).map_err(|message| FileError::content(path, "header", message))?;
+        let far = |p: &Point3<f64>| TooFar::check((p.coords * unit_mm).as_slice()).err();
+        // A loop without branches is the fastest, and such points are rare.
+        let limit = FARTHEST_MM / unit_mm;
+        let is_near = |p: &Point3<f64>| (p.x.abs() <= limit) & (p.y.abs() <= limit) & (p.z.abs() <= limit);
+        if self.points.iter().fold(true, |near, p| near & is_near(p)) {
+            return Ok(());
+        }
+        let is_finite = |p: &Point3<f64>| p.coords.iter().all(|c| c.is_finite());
+        let mut finite = self.points.iter().enumerate().filter(|(_, p)| is_finite(p));
+        let Some((index, far)) = finite.find_map(|(index, p)| Some((index, far(p)?))) else { return Ok(()) };
+        let Point3 { coords: p } = self.points[index];
+        let unit = if unit_mm == 1.0 { String::new() } else { format!(" in units of {unit_mm} mm") };
+        let message = format!("the point ({:?}, {:?}, {:?}){unit}: {far}", p.x, p.y, p.z);
+        Err(FileError::content(path, self.places.of(index), message))
+    }
+
     /// Turns points and normals to LPS and points to mm, and gives the notes.
     fn place(&mut self, unit_mm: f64) -> (Space, Vec<String>) {
-        let StatedSpace { space, note } = std::mem::take(&mut self.stated);
+        let StatedSpace { space, note, .. } = std::mem::take(&mut self.stated);
         let sign = space.x_y_sign();
         let factors = Vector3::new(sign * unit_mm, sign * unit_mm, unit_mm);
         if factors != Vector3::repeat(1.0) {
@@ -76,6 +122,7 @@ impl Shape {
 
     /// The points that are finite, with their normals and further columns.
     pub(crate) fn into_cloud(mut self, path: &Path, unit_mm: f64, frame: Frame) -> Result<CloudFileRead, FileError> {
+        self.check_lengths(path, unit_mm)?;
         let n_points_in_file = self.points.len();
         let is_finite = |p: &Point3<f64>| p.x.is_finite() & p.y.is_finite() & p.z.is_finite();
         // No early end: a loop without branches is the fastest, and points that are not finite are rare.
@@ -91,9 +138,8 @@ impl Shape {
             return Err(FileError::content(path, "points", message));
         }
         let (space, mut notes) = self.place(unit_mm);
-        let mut cloud = Cloud::new(frame, self.points).map_err(|_| {
-            FileError::content(path, "points", format!("a coordinate overflows with unit_mm = {unit_mm}"))
-        })?;
+        let mut cloud = Cloud::new(frame, self.points)
+            .map_err(|error| FileError::content(path, "points", format!("{error} (unit_mm = {unit_mm})")))?;
         if let Some(normals) = self.normals {
             let (normals, normal_notes) = unit_normals(normals);
             notes.extend(normal_notes);
@@ -122,8 +168,9 @@ impl Shape {
             );
             return Err(FileError::content(path, "surface", message));
         };
+        self.check_lengths(path, unit_mm)?;
         let (space, mut notes) = self.place(unit_mm);
-        let vertices = self.points;
+        let (vertices, places) = (self.points, self.places);
         let n_faces = faces.len();
         let is_proper = |&[a, b, c]: &[u32; 3]| {
             // A corner that is not there is for the mesh to name.
@@ -134,11 +181,12 @@ impl Shape {
         let faces: Vec<[u32; 3]> = faces.into_iter().filter(is_proper).collect();
         let n_degenerate = n_faces - faces.len();
         let mesh = Mesh::new(frame, origin, vertices, faces).map_err(|error| {
-            let advice = match error {
-                MeshError::Empty => "give the bone's surface, not its points",
-                _ => "export the surface again",
+            let (place, advice) = match error {
+                MeshError::Empty => ("surface".into(), "give the bone's surface, not its points"),
+                MeshError::NotFinite { vertex } => (places.of(vertex), "export the surface again"),
+                _ => ("surface".into(), "export the surface again"),
             };
-            FileError::content(path, "surface", format!("{error}; {advice}"))
+            FileError::content(path, place, format!("{error}; {advice}"))
         })?;
         if n_degenerate > 0 {
             notes.push(format!("{n_degenerate} of {n_faces} faces have no area and were left out"));

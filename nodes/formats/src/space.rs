@@ -53,10 +53,12 @@ impl Space {
     }
 }
 
-/// The statements `SPACE=LPS` and `SPACE=RAS` in the comments of a file, as 3D Slicer writes them.
+/// The statements `SPACE=LPS`, `SPACE=RAS` and `UNIT=mm` in the comments of a file, as 3D Slicer writes them.
 #[derive(Debug, Default)]
 pub(crate) struct StatedSpace {
     pub(crate) space: Space,
+    /// The unit of length.
+    pub(crate) unit: Option<String>,
     pub(crate) note: Option<String>,
 }
 
@@ -73,13 +75,13 @@ impl StatedSpace {
     /// # Errors
     /// A message if it contradicts an earlier one.
     pub(crate) fn take(&mut self, comment: &str) -> Result<(), String> {
-        const KEY: &str = "SPACE=";
-        for (at, _) in comment.match_indices(KEY) {
-            if comment[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_') {
-                continue;
+        for unit in values(comment, "UNIT=").chain(values(comment, "UNITS=")) {
+            if let Some(first) = self.unit.as_ref().filter(|first| *first != unit) {
+                return Err(format!("UNIT={unit} contradicts UNIT={first} before it"));
             }
-            let rest = &comment[at + KEY.len()..];
-            let value = &rest[..rest.find(|c: char| !c.is_alphanumeric()).unwrap_or(rest.len())];
+            self.unit = Some(unit.into());
+        }
+        for value in values(comment, "SPACE=") {
             let space = match value {
                 "LPS" => Space::Lps,
                 "RAS" => Space::Ras,
@@ -97,6 +99,31 @@ impl StatedSpace {
         }
         Ok(())
     }
+
+    /// Checks the stated unit against the one that the file is read in.
+    ///
+    /// # Errors
+    /// A message, if it is another or unknown.
+    pub(crate) fn check_unit(&self, unit_mm: f64) -> Result<(), String> {
+        let Some(unit) = &self.unit else { return Ok(()) };
+        let known = [("mm", 1.0), ("cm", 10.0), ("m", 1000.0), ("um", 0.001)];
+        match known.into_iter().find(|(name, _)| name == unit) {
+            Some((_, stated_mm)) if stated_mm == unit_mm => Ok(()),
+            Some((_, stated_mm)) => Err(format!(
+                "the file states UNIT={unit}, but is read in units of {unit_mm} mm; give unit_mm = {stated_mm}"
+            )),
+            None => Err(format!("the file states UNIT={unit}, which is not mm, cm, m or um; write it in mm")),
+        }
+    }
+}
+
+/// The words behind each `key` that is a word of its own.
+fn values<'a>(comment: &'a str, key: &'static str) -> impl Iterator<Item = &'a str> {
+    let is_own = |at: usize| !comment[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
+    comment.match_indices(key).filter(move |(at, _)| is_own(*at)).map(move |(at, _)| {
+        let rest = &comment[at + key.len()..];
+        &rest[..rest.find(|c: char| !c.is_alphanumeric()).unwrap_or(rest.len())]
+    })
 }
 
 #[cfg(test)]
@@ -111,5 +138,18 @@ mod tests {
         assert_eq!(of("COLORSPACE=RAS, SPACED"), Ok((Space::Unknown, false)));
         assert_eq!(of("SPACE=scanner"), Ok((Space::Unknown, true)));
         assert_eq!(of("SPACE=RAS SPACE=LPS"), Err("SPACE=LPS contradicts SPACE=RAS before it".into()));
+    }
+
+    #[test]
+    fn a_stated_unit_is_that_of_the_reader_or_refused() {
+        let of = |text, unit_mm| StatedSpace::of(text).and_then(|stated| stated.check_unit(unit_mm));
+        assert_eq!(of("3D Slicer output. SPACE=RAS;UNIT=mm", 1.0), Ok(()));
+        assert_eq!(of("UNIT=m", 1000.0), Ok(()));
+        assert_eq!(of("no unit; LASTUNIT=m", 1.0), Ok(()));
+        let said = |text, unit_mm| of(text, unit_mm).unwrap_err();
+        assert!(said("UNIT=m", 1.0).ends_with("read in units of 1 mm; give unit_mm = 1000"));
+        assert!(said("UNIT=mm", 1000.0).ends_with("give unit_mm = 1"));
+        assert!(said("UNIT=inch", 1.0).contains("not mm, cm, m or um"));
+        assert_eq!(said("UNIT=m UNITS=mm", 1.0), "UNIT=mm contradicts UNIT=m before it");
     }
 }

@@ -32,7 +32,12 @@ impl<'a> Table<'a> {
             };
             FileError::content(path, format!("line {line}"), message)
         };
-        let header = reader.headers().map_err(fault)?.iter().map(String::from).collect();
+        let header: Vec<String> = reader.headers().map_err(fault)?.iter().map(String::from).collect();
+        let mut named = header.iter().enumerate().filter(|(_, name)| !name.is_empty());
+        if let Some((k, name)) = named.find(|(k, name)| header[..*k].contains(name)) {
+            let message = format!("column {} is called \"{name}\" as one before it is", k + 1);
+            return Err(FileError::content(path, "line 1", message));
+        }
         let mut records = Vec::new();
         for record in reader.records() {
             let record = record.map_err(fault)?;
@@ -91,6 +96,11 @@ impl<'a> Row<'a> {
             return Ok(value);
         }
         Err(self.fault(format!("{} is \"{}\", a number is expected", self.table.header[column], self.text(column))))
+    }
+
+    /// The row's place in the file.
+    pub(crate) fn line(&self) -> u64 {
+        self.line
     }
 
     pub(crate) fn fault(&self, message: String) -> FileError {

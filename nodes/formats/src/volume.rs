@@ -11,11 +11,11 @@ mod nifti;
 mod nrrd;
 mod numbers;
 
-use crate::FileError;
+use crate::{FileError, input};
 use flate2::read::MultiGzDecoder;
-use nalgebra::{Matrix3, Matrix4, Vector3};
+use nalgebra::{Matrix3, Matrix4, Point3, Vector3};
+use osteoflow_geometry::TooFar;
 use std::{
-    fs::File,
     io::Read,
     path::{Path, PathBuf},
 };
@@ -115,6 +115,15 @@ pub fn read_volume(path: &Path, options: &VolumeOptions) -> Result<VolumeRead, F
             format!("the axes of the voxels do not span space (lengths {lengths:?} mm); export the volume again");
         return Err(FileError::content(path, "geometry", message));
     }
+    let size = volume.size.map(|n| n.saturating_sub(1) as f64);
+    for corner in 0..8_usize {
+        let index = std::array::from_fn(|k| if corner >> k & 1 == 1 { size[k] } else { 0.0 });
+        let at = volume.t_lps_voxel.transform_point(&Point3::from(index));
+        TooFar::check(at.coords.as_slice()).map_err(|far| {
+            let message = format!("voxel {index:?} is at ({:?}, {:?}, {:?}) mm: {far}", at.x, at.y, at.z);
+            FileError::content(path, "geometry", message)
+        })?;
+    }
     if lengths.iter().any(|l| !(0.01..=20.0).contains(l)) {
         let [x, y, z] = lengths;
         read.notes.push(format!("voxels of {x} x {y} x {z} mm are hardly a CT's; is the unit of length right?"));
@@ -125,7 +134,7 @@ pub fn read_volume(path: &Path, options: &VolumeOptions) -> Result<VolumeRead, F
 /// The first bytes of a file, as many as tell its format.
 fn start_of(path: &Path) -> Result<Vec<u8>, FileError> {
     let mut start = Vec::new();
-    File::open(path).and_then(|file| file.take(132).read_to_end(&mut start)).map_err(FileError::read(path))?;
+    input::open(path)?.take(132).read_to_end(&mut start).map_err(FileError::read(path))?;
     Ok(start)
 }
 

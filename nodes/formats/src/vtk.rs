@@ -3,7 +3,7 @@
 use crate::{
     FileError,
     scalar::{self, Rows, Scalar},
-    shape::{Shape, fan},
+    shape::{Places, Shape, fan},
     space::StatedSpace,
 };
 use nalgebra::{Point3, Vector3};
@@ -17,7 +17,7 @@ pub(crate) const MARK: &[u8] = b"# vtk DataFile";
 /// Vertices that are NaN are kept for the cloud to drop. Normals of the points are read, and for a cloud also the scalars
 /// and fields of one number a point. Lines are left out with a note.
 pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
-    let mut file = Cursor { path, bytes, at: 0, line: 0, binary: false };
+    let mut file = Cursor { path, bytes, at: 0, line: 0, binary: false, lines: Vec::new() };
     file.line("the version")?;
     let title = file.line("the title")?;
     let stated = StatedSpace::of(&title).map_err(|message| file.fault(message))?;
@@ -52,8 +52,13 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
                 if std::mem::replace(&mut has_points, true) {
                     return Err(file.fault("there are two sections POINTS".into()));
                 }
-                let n = file.count(n)?;
-                let values = file.values(n, 3, file.kind(kind)?)?;
+                let (n, kind) = (file.count(n)?, file.kind(kind)?);
+                let first = file.at;
+                let values = file.values(n, 3, kind)?;
+                shape.places = match binary {
+                    true => Places::Rows { first, stride: 3 * kind.n_bytes() },
+                    false => Places::Lines(file.lines.iter().copied().step_by(3).collect()),
+                };
                 shape.points = values.chunks_exact(3).map(|p| Point3::new(p[0], p[1], p[2])).collect();
             }
             ("VERTICES" | "LINES" | "POLYGONS" | "TRIANGLE_STRIPS", [n, size]) => {
@@ -246,6 +251,8 @@ struct Cursor<'a> {
     /// Lines passed; of a binary file places are bytes.
     line: usize,
     binary: bool,
+    /// The lines of the numbers read last, of a text.
+    lines: Vec<usize>,
 }
 
 impl Cursor<'_> {
@@ -318,6 +325,7 @@ impl Cursor<'_> {
             return Ok(Rows { bytes, stride: size, big: true }.column(scalar, 0));
         }
         let mut values = Vec::with_capacity(n_values);
+        self.lines.clear();
         while values.len() < n_values {
             // A word at a time: many numbers are on a line, and a line may hold the end of one list and the next keyword.
             let rest = &self.bytes[self.at..];
@@ -337,6 +345,7 @@ impl Cursor<'_> {
                 FileError::content(self.path, line, format!("\"{word}\" is not a number"))
             })?;
             values.push(value);
+            self.lines.push(self.line + 1);
         }
         // To the end of the line, so that the next keyword begins one.
         let rest = &self.bytes[self.at..];

@@ -1,4 +1,4 @@
-use crate::{Column, Frame, StampNs, first_not_unit, rigid::first_not};
+use crate::{Column, Frame, StampNs, TooFar, first_not_unit};
 use nalgebra::{Isometry3, Point3, Vector3};
 use std::sync::Arc;
 
@@ -41,6 +41,14 @@ pub enum CloudError {
         /// The first such point.
         index: usize,
     },
+    /// A coordinate is beyond [`FARTHEST_MM`](crate::FARTHEST_MM).
+    #[error("point {index}: {far}")]
+    TooFar {
+        /// The first such point.
+        index: usize,
+        /// Its coordinate.
+        far: TooFar,
+    },
     /// A normal is not of length 1, or not finite.
     #[error("normal {index} has length {length} instead of 1")]
     Normal {
@@ -55,14 +63,16 @@ impl Cloud {
     /// A cloud of `points` in `frame`, without normals or a viewpoint.
     ///
     /// # Errors
-    /// [`CloudError::NotFinite`] if a coordinate is NaN or infinite.
+    /// [`CloudError::NotFinite`] if a coordinate is NaN or infinite, [`CloudError::TooFar`] if it is beyond
+    /// [`FARTHEST_MM`](crate::FARTHEST_MM).
     pub fn new(frame: impl Into<Frame>, points: impl Into<Column<Point3<f64>>>) -> Result<Self, CloudError> {
         Self::checked(frame.into(), points.into())
     }
 
     fn checked(frame: Frame, points: Column<Point3<f64>>) -> Result<Self, CloudError> {
-        if let Some(index) = first_not(&points, |p| p.x.is_finite() & p.y.is_finite() & p.z.is_finite()) {
-            return Err(CloudError::NotFinite { index });
+        if let Some((index, far)) = TooFar::first(&points) {
+            let is_finite = far.value_mm.is_finite();
+            return Err(if is_finite { CloudError::TooFar { index, far } } else { CloudError::NotFinite { index } });
         }
         Ok(Self { frame, stamp_ns: 0, label: None, viewpoint: None, points, normals: None, extras: Vec::new() })
     }
@@ -199,6 +209,12 @@ mod tests {
     fn a_point_that_is_not_finite_makes_no_cloud() {
         let points = vec![Point3::origin(), Point3::new(0.0, f64::NAN, 0.0)];
         assert_eq!(Cloud::new("camera", points), Err(CloudError::NotFinite { index: 1 }));
+    }
+
+    #[test]
+    fn a_point_beyond_ten_kilometres_makes_no_cloud() {
+        let error = Cloud::new("camera", vec![Point3::origin(), Point3::new(0.0, 1e45, 0.0)]).unwrap_err();
+        assert_eq!(error, CloudError::TooFar { index: 1, far: TooFar { value_mm: 1e45 } });
     }
 
     #[test]

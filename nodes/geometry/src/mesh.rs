@@ -1,4 +1,4 @@
-use crate::{Column, Frame};
+use crate::{Column, Frame, TooFar};
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -58,13 +58,22 @@ pub enum MeshError {
         /// The first such vertex.
         vertex: usize,
     },
+    /// A coordinate is beyond [`FARTHEST_MM`](crate::FARTHEST_MM).
+    #[error("vertex {vertex}: {far}")]
+    TooFar {
+        /// The first such vertex.
+        vertex: usize,
+        /// Its coordinate.
+        far: TooFar,
+    },
 }
 
 impl Mesh {
     /// A mesh of `faces` over `vertices` in `frame`.
     ///
     /// # Errors
-    /// [`MeshError`] if there are no faces, a face names a missing vertex, or a vertex is not finite.
+    /// [`MeshError`] if there are no faces, a face names a missing vertex, a vertex is not finite, or
+    /// beyond [`FARTHEST_MM`](crate::FARTHEST_MM).
     pub fn new(
         frame: impl Into<Frame>,
         origin: SurfaceOrigin,
@@ -83,8 +92,9 @@ impl Mesh {
         if faces.is_empty() {
             return Err(MeshError::Empty);
         }
-        if let Some(vertex) = vertices.iter().position(|v| !v.coords.iter().all(|c| c.is_finite())) {
-            return Err(MeshError::NotFinite { vertex });
+        if let Some((vertex, far)) = TooFar::first(&vertices) {
+            let is_finite = far.value_mm.is_finite();
+            return Err(if is_finite { MeshError::TooFar { vertex, far } } else { MeshError::NotFinite { vertex } });
         }
         let n_vertices = vertices.len();
         for (face, corners) in faces.iter().enumerate() {

@@ -19,6 +19,7 @@
 //! A quaternion counts four times because `q v q*` scales the displacement `Rv − v` by `‖q‖²`, and the displacement is up
 //! to twice the distance.
 
+use crate::TooFar;
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use std::fmt;
 
@@ -48,6 +49,9 @@ pub enum RigidError {
         /// `translation`, `quaternion` or `matrix`.
         what: &'static str,
     },
+    /// A translation is beyond [`FARTHEST_MM`](crate::FARTHEST_MM).
+    #[error("the translation: {0}")]
+    TooFar(#[from] TooFar),
     /// The rotation is zero, or too short to be scaled.
     #[error("the {what} is zero")]
     Zero {
@@ -203,11 +207,12 @@ fn millimetres(mm: f64) -> String {
 /// The rigid motion of a translation in mm and a quaternion in double precision, bit for bit.
 ///
 /// # Errors
-/// [`RigidError`] if a number is not finite, or the quaternion's length is farther than [`EXACT_ROTATION`] from 1.
+/// [`RigidError`] if a number is not finite, the translation is too far, or the quaternion's length is farther than [`EXACT_ROTATION`] from 1.
 pub fn exact_isometry(translation: Vector3<f64>, rotation: Quaternion<f64>) -> Result<Isometry3<f64>, RigidError> {
     if !translation.iter().all(|c| c.is_finite()) {
         return Err(RigidError::NotFinite { what: "translation" });
     }
+    TooFar::check(translation.as_slice())?;
     quaternion_correction(&rotation, EXACT_ROTATION)?;
     Ok(Isometry3::from_parts(translation.into(), UnitQuaternion::new_unchecked(rotation)))
 }
@@ -236,7 +241,7 @@ fn quaternion_correction(quaternion: &Quaternion<f64>, limit: f64) -> Result<Cor
 /// The rigid motion of a homogeneous matrix in double precision, translation in mm, such as one in `results.json`.
 ///
 /// # Errors
-/// [`RigidError`] if a number is not finite, or the matrix projects, mirrors, or is farther than [`EXACT_ROTATION`] from a
+/// [`RigidError`] if a number is not finite, the translation is too far, or the matrix projects, mirrors, or is farther than [`EXACT_ROTATION`] from a
 /// rotation.
 pub fn isometry_from_matrix(matrix: &Matrix4<f64>) -> Result<Isometry3<f64>, RigidError> {
     Ok(isometry_within(matrix, EXACT_ROTATION)?.value)
@@ -245,7 +250,7 @@ pub fn isometry_from_matrix(matrix: &Matrix4<f64>) -> Result<Isometry3<f64>, Rig
 /// The rigid motion nearest to a homogeneous matrix that may be rounded, translation in mm.
 ///
 /// # Errors
-/// [`RigidError`] if a number is not finite, or the matrix projects, mirrors, or is farther than [`ROUNDED_ROTATION`] from
+/// [`RigidError`] if a number is not finite, the translation is too far, or the matrix projects, mirrors, or is farther than [`ROUNDED_ROTATION`] from
 /// a rotation.
 pub fn nearest_isometry(matrix: &Matrix4<f64>) -> Result<Nearest<Isometry3<f64>>, RigidError> {
     isometry_within(matrix, ROUNDED_ROTATION)
@@ -261,6 +266,7 @@ fn isometry_within(matrix: &Matrix4<f64>, limit: f64) -> Result<Nearest<Isometry
     }
     let nearest = rotation_within(&matrix.fixed_view::<3, 3>(0, 0).into_owned(), limit)?;
     let translation = Translation3::new(matrix[(0, 3)], matrix[(1, 3)], matrix[(2, 3)]);
+    TooFar::check(translation.vector.as_slice())?;
     Ok(nearest.map(|rotation| Isometry3::from_parts(translation, UnitQuaternion::from_rotation_matrix(&rotation))))
 }
 

@@ -7,7 +7,7 @@ use crate::{
 };
 use osteoflow_geometry::{
     Axes, Cloud, Frame, Image, Intrinsics, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose, Region,
-    RigidError, SurfaceOrigin, check_rotation, exact_isometry, matrix_rows,
+    RigidError, SurfaceOrigin, TooFar, check_rotation, exact_isometry, matrix_rows,
     nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Vector3},
 };
 use osteoflow_node::{ColumnType, Display, DisplayContext, Payload, SchemaEntry, View, ViewError};
@@ -27,13 +27,14 @@ fn isometry(n: &[f64; 7]) -> Result<Isometry3<f64>, RigidError> {
     exact_isometry(Vector3::new(n[0], n[1], n[2]), Quaternion::new(n[6], n[3], n[4], n[5]))
 }
 
-/// Three finite numbers of that name.
+/// Three coordinates of that name.
 fn point(view: &View, name: &str) -> Result<Point3<f64>, ViewError> {
     let numbers = view.floats::<3>(name)?;
-    if numbers.iter().all(|c| c.is_finite()) {
-        return Ok(numbers.into());
+    if !numbers.iter().all(|c| c.is_finite()) {
+        return Err(invalid(format!("{name} is not finite")));
     }
-    Err(invalid(format!("{name} is not finite")))
+    TooFar::check(&numbers).map_err(|far| invalid(format!("{name}: {far}")))?;
+    Ok(numbers.into())
 }
 
 pub(crate) fn invalid(error: impl std::fmt::Display) -> ViewError {
@@ -260,6 +261,9 @@ impl Payload<Table> for Points {
         }
         if let Some(i) = positions.iter().position(|p| !p.iter().all(|c| c.is_finite())) {
             return Err(invalid(format!("point {i} \"{}\" is not finite", names[i])));
+        }
+        if let Some((i, far)) = TooFar::first(&positions) {
+            return Err(invalid(format!("point {i} \"{}\": {far}", names[i])));
         }
         let points = (0..names.len()).map(|i| NamedPoint {
             name: names[i].into(),

@@ -3,6 +3,7 @@
 pub mod cloud;
 pub mod folder;
 pub mod foxglove_ws;
+mod frozen;
 pub mod mcap;
 mod mcap_events;
 pub mod mcap_live;

@@ -1,6 +1,6 @@
 //! A bone of the user's own, for the kinds that simulate.
 
-use osteoflow_formats::{mesh_file::read_mesh, plan_file::read_plan_of};
+use osteoflow_formats::{input, mesh_file::read_mesh, plan_file::read_plan_of};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use osteoflow_node::{FilePath, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
 use osteoflow_simulation::{
@@ -55,10 +55,7 @@ impl OwnBone {
             let subject = LAST.get_or(key.clone(), || Ok(Subject::built_in(params)?))?;
             return Ok((key, subject));
         };
-        let content = |path: &FilePath| {
-            let bytes = std::fs::read(path).map_err(|error| format!("{} cannot be read: {error}", path.0.display()));
-            bytes.map(Arc::new).map_err(NodeError::new)
-        };
+        let content = |path: &FilePath| input::read(path.as_ref()).map(Arc::new).map_err(NodeError::from);
         let name = name(bone.as_ref());
         let key = Key::Files { name, bone: content(bone)?, plan: content(plan)?, params: params.clone() };
         let subject = LAST.get_or(key.clone(), || read_altered(bone.as_ref(), plan.as_ref(), params))?;

@@ -11,11 +11,15 @@ use super::{
 };
 use crate::{
     activity::{Doing, Name},
+    panics,
+    report::{Event, Warning},
     scheduler::Scheduler,
 };
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use osteoflow_node::{AnySource, Context, StampNs};
 use std::{
+    panic::{AssertUnwindSafe, catch_unwind, resume_unwind},
+    sync::{Mutex, PoisonError},
     thread::JoinHandle,
     time::{Duration, Instant},
 };
@@ -84,12 +88,16 @@ struct Device {
 
 /// Runs a graph with live sources.
 pub(crate) fn run(run: &Runtime<'_>, scheduler: &Scheduler, sources: Vec<Live>) {
+    let panicked = Mutex::new(None);
     std::thread::scope(|scope| {
         let serve = std::thread::Builder::new().name("live".into());
         let served = serve.spawn_scoped(scope, || {
-            // If this thread panics, the workers must not wait for it.
-            let _guard = scheduler.guard();
-            Server { run, scheduler, devices: Vec::new(), stopped: None }.serve(sources);
+            let served = catch_unwind(AssertUnwindSafe(|| {
+                // If this thread panics, the workers must not wait for it.
+                let _guard = scheduler.guard();
+                Server { run, scheduler, devices: Vec::new(), stopped: None }.serve(sources);
+            }));
+            *panicked.lock().unwrap_or_else(PoisonError::into_inner) = served.err();
         });
         if let Err(error) = served {
             run.fail_live(&format!("the thread for live sources cannot be started: {error}"), scheduler);
@@ -98,6 +106,9 @@ pub(crate) fn run(run: &Runtime<'_>, scheduler: &Scheduler, sources: Vec<Live>) 
         let _over = Over(&run.mailbox);
         scheduler.run(run);
     });
+    if let Some(payload) = panicked.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        resume_unwind(payload);
+    }
 }
 
 struct Over<'a>(&'a Mailbox);
@@ -159,9 +170,11 @@ impl Server<'_, '_> {
     }
 
     fn answered(&mut self, node: usize, answer: Answer) {
+        let _stepping = self.run.stepping(node);
         let Some(device) = self.device(node).filter(|device| device.asks.is_some()) else { return };
         let (asked, was_silent) = (device.asked.take(), std::mem::take(&mut device.reported_silent));
-        if let (Some(asked), true) = (asked, was_silent) {
+        // The end of a source is no sign of life.
+        if let (Some(asked), true, false) = (asked, was_silent, answer.is_end()) {
             let message = format!("it gave something again after {}", seconds(asked.elapsed()));
             self.run.warn(node, answer.item(), vec![message]);
         }
@@ -202,7 +215,10 @@ impl Server<'_, '_> {
             if silent >= device.silent_after && !device.reported_silent {
                 device.reported_silent = true;
                 let message = format!("it has given nothing for {}; is the device connected and on?", seconds(silent));
-                self.run.warn(device.node, self.run.cell(device.node).n_items(), vec![message]);
+                let item = self.run.cell(device.node).n_items();
+                self.run.warn(device.node, item, vec![message.clone()]);
+                let node = self.run.plan.nodes[device.node].name.to_string();
+                self.run.event(&Event::Silent(&Warning { node, item, message }));
             }
         }
     }
@@ -254,7 +270,9 @@ fn run_source(live: Live, asks: &Receiver<Ask>, answers: &Sender<LiveMessage>) {
     let Live { node, mut source, mut context, n_ports } = live;
     let name = Name::of(context.node());
     for Ask { item, stamp_ns } in asks {
-        let answer = Answer::of(name, &mut *source, &mut context, n_ports, item, stamp_ns);
+        // The run waits for an answer to each request, so a panic outside of the source's own call is one, too.
+        let answer = panics::catch(|| Answer::of(name, &mut *source, &mut context, n_ports, item, stamp_ns))
+            .unwrap_or_else(|panic| Answer::of_panic(item, stamp_ns, n_ports, panic));
         if answers.try_send(LiveMessage::Answered(node, answer)).is_err() {
             break;
         }

@@ -1,5 +1,5 @@
 use super::{Files, Quantity, Walker};
-use crate::{fault::Fault, graph::Spanned, names::nearest};
+use crate::{fault::Fault, graph::Spanned, hash::files::irregular, names::nearest};
 use serde_json::Value as Json;
 use std::path::{Component, Path, PathBuf};
 
@@ -22,6 +22,10 @@ impl Walker<'_> {
                 let label = if Path::new(text).is_absolute() { "not there".into() } else { relative(from) };
                 let missing = fault(format!("there is no file {shown}")).at(&value.at, label);
                 return Some(missing.help_if(nearest::file(&path)));
+            }
+            if let Some(kind) = irregular(&path) {
+                let wrong = fault(format!("{shown} is {kind}, but a file is needed")).at(&value.at, kind);
+                return Some(wrong.help("copy what it gives into a file"));
             }
             if path.is_file() && text.ends_with(['/', '\\']) {
                 let mixed = fault(format!("{shown} is a file, not a folder")).at(&value.at, "ends like a folder");

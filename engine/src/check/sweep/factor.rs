@@ -1,7 +1,7 @@
 //! Reads `[sweep.factor]`: a list of values, or a range of numbers.
 
 use super::{
-    MAX_RUNS, Reader,
+    Reader,
     spec::{Factor, Level},
 };
 use crate::{
@@ -9,6 +9,9 @@ use crate::{
     graph::{Entry, Spanned, Table, Value, extract, grammar},
 };
 use serde_json::Value as Json;
+
+/// Most values of a factor: each is compared with all others, and is a row of the tables.
+const MAX_LEVELS: usize = 10_000;
 
 impl Reader<'_> {
     pub(super) fn factor(&mut self, entry: &Entry) -> Option<Factor> {
@@ -40,6 +43,11 @@ impl Reader<'_> {
             self.faults.push(Fault::new(message).at(&values.value.at, "a list is needed"));
             return None;
         };
+        if items.len() > MAX_LEVELS {
+            let message = format!("{owner} has {} values, at most {MAX_LEVELS} are possible", items.len());
+            self.fault(&values.key_at, message, "too many", "split the sweep, or draw the values at random");
+            return None;
+        }
         let keyed = table.get("key").is_some() || table.get("keys").is_some();
         let keys = self.keys(table, owner, items.iter().any(|item| item.as_table().is_none()));
         let labels = match table.get("labels") {
@@ -86,7 +94,7 @@ impl Reader<'_> {
             }
         };
         let (from, to) = (number("from")?, number("to")?);
-        let n = table.get("n").and_then(|e| extract::whole(&e.value, "n", 2, MAX_RUNS as u64, self.faults));
+        let n = table.get("n").and_then(|e| extract::whole(&e.value, "n", 2, MAX_LEVELS as u64, self.faults));
         let Some(n) = n else {
             self.fault(&entry.key_at, format!("{owner} does not say how many values"), "no n", "add n = 5");
             return None;

@@ -12,6 +12,9 @@ pub enum McapError {
         /// What the system said.
         source: io::Error,
     },
+    /// The path leads to no file that can be read.
+    #[error(transparent)]
+    File(#[from] crate::FileError),
     /// The folder of a ROS 2 bag cannot be read.
     #[error("{path}: {reason}")]
     Bag {

@@ -1,3 +1,5 @@
+use osteoflow_geometry::TooFar;
+
 /// A message that cannot be read.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MessageError {
@@ -65,6 +67,16 @@ pub enum MessageError {
         stride: u32,
         /// The bytes behind the last whole point.
         rest: usize,
+    },
+    /// A point that is too far.
+    #[error("point {number}, at byte {byte} of the data: {far}")]
+    Point {
+        /// Its number, from 1.
+        number: usize,
+        /// Where it begins.
+        byte: usize,
+        /// Its coordinate.
+        far: TooFar,
     },
     /// A pose that is no rigid motion.
     #[error("the {what} cannot be used: {reason}")]

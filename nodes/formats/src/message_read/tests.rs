@@ -51,6 +51,12 @@ fn every_numeric_type_is_read_as_what_it_is() {
         let mut data = vec![3, 4];
         data.extend(&bytes);
         let raw = cloud_of(2 + n, &[("z", 0, 1), ("y", 1, 2), ("x", 2, code)], data);
+        if metres * 1000.0 > osteoflow_geometry::FARTHEST_MM {
+            let said = read(&raw).unwrap_err().to_string();
+            let far = format!("point 1, at byte 0 of the data: the coordinate {:?} mm is farther", metres * 1000.0);
+            assert!(said.starts_with(&far), "type {code}: {said}");
+            continue;
+        }
         let found = read(&raw).unwrap().cloud.points()[0];
         assert_eq!(found, Point3::new(metres * 1000.0, 4000.0, 3000.0), "type {code}");
     }
@@ -273,7 +279,7 @@ fn a_json_cloud_is_read_with_types_by_name_and_base64_of_either_alphabet() {
         let mut bytes = data.clone();
         bytes.push(0xFF);
         let text = format!(
-            r#"{{"point_stride":13,"data":"{}","fields":[{{"name":"x","type":7}},{{"name":"y","offset":4,"type":7}},
+            r#"{{"point_stride":13,"data":"{}","fields":[{{"name":"x","type":7}},{{"name":"y","offset":8,"type":7}},
             {{"name":"z","offset":8,"type":7}}]}}"#,
             engine.encode(&bytes)
         );

@@ -5,9 +5,9 @@
 //! coordinate system 0 is RAS and 1 is LPS; position status 2 is defined.
 
 use super::{Collected, PickedPlane, PickedPoints, PickedRoi, to_lps};
-use crate::{FileError, Space, scalar};
+use crate::{FileError, Space, json, scalar};
 use nalgebra::{Matrix3, Point3, Rotation3, Unit, Vector3};
-use osteoflow_geometry::{direction, nearest_isometry};
+use osteoflow_geometry::{TooFar, direction, nearest_isometry};
 use serde_json::Value;
 use std::path::Path;
 
@@ -30,8 +30,10 @@ fn space_of(value: &str) -> Result<Space, String> {
 const UNSTATED: &str = "the file states no coordinate system; its numbers are taken as they are";
 
 /// The markups in a `.mrk.json` file.
-pub(super) fn json(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError> {
-    let whole: Value = serde_json::from_slice(bytes).map_err(|error| {
+pub(super) fn markups(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError> {
+    let text = std::str::from_utf8(bytes)
+        .map_err(|error| FileError::content(path, format!("byte {}", error.valid_up_to()), "the file is no UTF-8"))?;
+    let whole: Value = json::parse(text).map_err(|error| {
         FileError::content(path, format!("line {} column {}", error.line(), error.column()), error.to_string())
     })?;
     let fault = |place: &str, message: &str| FileError::content(path, place, message);
@@ -175,9 +177,15 @@ impl<'a> Item<'a> {
         Ok(own.or(first).map_or(otherwise, |name| name.trim().to_owned()))
     }
 
+    /// Three coordinates.
+    fn place(&self, key: &str, space: Space) -> Result<Point3<f64>, FileError> {
+        let numbers = self.numbers(key)?;
+        TooFar::check(&numbers).map_err(|far| self.fault(key, far.to_string()))?;
+        Ok(to_lps(numbers, space))
+    }
+
     fn center(&self, space: Space) -> Result<Point3<f64>, FileError> {
-        let key = if self.has("center") { "center" } else { "origin" };
-        Ok(to_lps(self.numbers(key)?, space))
+        self.place(if self.has("center") { "center" } else { "origin" }, space)
     }
 
     /// The rotation from the box's or plane's own axes to LPS.
@@ -205,6 +213,9 @@ impl<'a> Item<'a> {
             let points = self.control_points()?;
             let positions = points.iter().map(Item::position).collect::<Result<Vec<_>, _>>()?;
             let defined: Vec<Point3<f64>> = positions.into_iter().flatten().map(|p| to_lps(p, space)).collect();
+            if let Some(far) = defined.iter().find_map(|p| TooFar::check(p.coords.as_slice()).err()) {
+                return Err(self.fault("controlPoints", far.to_string()));
+            }
             match defined[..] {
                 [] => return Ok(None),
                 [a, b, c] => {
@@ -230,7 +241,7 @@ impl<'a> Item<'a> {
             notes.push(format!("ROI \"{name}\" has no orientation; it is taken along the axes"));
             Rotation3::identity()
         };
-        let size_mm = Vector3::from(self.numbers("size")?);
+        let size_mm = self.place("size", Space::Lps)?.coords;
         if size_mm.iter().any(|&edge| edge <= 0.0) {
             return Err(self.fault("size", "three edges above 0 are expected"));
         }
@@ -260,7 +271,12 @@ pub(super) fn fcsv(path: &Path, text: &str) -> Result<PickedPoints, FileError> {
                     }
                     space = Some(stated);
                 }
-                Some(("columns", value)) => columns = value.split(',').map(|name| name.trim().to_owned()).collect(),
+                Some(("columns", value)) => {
+                    columns = value.split(',').map(|name| name.trim().to_owned()).collect();
+                    if let Some((k, name)) = columns.iter().enumerate().find(|(k, name)| columns[..*k].contains(name)) {
+                        return Err(fault(format!("column {} is called \"{name}\" as one before it is", k + 1)));
+                    }
+                }
                 _ => {}
             }
             continue;

@@ -13,12 +13,11 @@ mod image;
 mod series;
 
 use super::{Volume, VolumeRead, VoxelUnit};
-use crate::FileError;
+use crate::{FileError, input};
 use image::Image;
 use nalgebra::{Matrix4, Vector3};
 use series::{Series, choose};
 use std::{
-    fs::File,
     io::Read,
     path::{Path, PathBuf},
 };
@@ -35,7 +34,7 @@ pub(super) fn is_dicom(start: &[u8]) -> bool {
 
 /// The one layer in a file.
 pub(super) fn read_file(path: &Path) -> Result<VolumeRead, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::read(path))?;
+    let bytes = input::read(path)?;
     let image = Image::read(path, &bytes)?.ok_or_else(|| {
         FileError::content(path, "pixel data", "this DICOM file holds no image; give the folder of a CT series")
     })?;
@@ -65,13 +64,13 @@ pub(super) fn read_folder(path: &Path, choice: Option<&str>) -> Result<VolumeRea
     let (mut images, mut n_without_image, mut others) = (Vec::new(), 0, Vec::new());
     for file in files {
         let mut start = Vec::new();
-        File::open(&file).and_then(|f| f.take(132).read_to_end(&mut start)).map_err(FileError::read(&file))?;
+        input::open(&file)?.take(132).read_to_end(&mut start).map_err(FileError::read(&file))?;
         if !is_dicom(&start) {
             n_other += 1;
             others.push(file);
             continue;
         }
-        let bytes = std::fs::read(&file).map_err(FileError::read(&file))?;
+        let bytes = input::read(&file)?;
         match Image::read(&file, &bytes)? {
             Some(image) => images.push((file, image)),
             None => n_without_image += 1,
@@ -133,7 +132,7 @@ fn assemble(path: &Path, series: Series, mut notes: Vec<String>) -> Result<Volum
     let per_layer = first.n_columns * first.n_rows;
     let mut voxels = Vec::with_capacity(per_layer * order.images.len());
     for (file, image) in &order.images {
-        let bytes = std::fs::read(file).map_err(FileError::read(file))?;
+        let bytes = input::read(file)?;
         voxels.extend(image.voxels(file, &bytes, &mut notes)?);
     }
     notes.dedup();

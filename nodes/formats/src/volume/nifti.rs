@@ -6,11 +6,11 @@
 
 use super::numbers::{Encoding, StreamError, fill, read_voxels};
 use super::{Volume, VolumeRead, affine, assumed_unit, drain, gunzip, gzip_limit, n_voxels_and_bytes};
-use crate::FileError;
 use crate::scalar::Scalar;
-use nalgebra::{Matrix3, Matrix4, Quaternion, UnitQuaternion, Vector4};
+use crate::{FileError, input};
+use nalgebra::{Matrix3, Matrix4, Quaternion, Vector4};
+use osteoflow_geometry::nearest_rotation;
 use std::{
-    fs::File,
     io::{BufReader, Read},
     path::Path,
 };
@@ -103,7 +103,7 @@ struct Limits {
 
 /// Reads a .nii or .nii.gz file.
 pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
-    let file = File::open(path).map_err(FileError::read(path))?;
+    let file = input::open(path)?;
     let file_bytes = file.metadata().map_err(FileError::read(path))?.len();
     let mut reader = BufReader::with_capacity(1 << 16, file);
     let mut magic = [0u8; 2];
@@ -286,17 +286,20 @@ fn placement(
         let axes = std::array::from_fn(|c| std::array::from_fn(|r| rows[r][c]));
         scaled(affine(axes, std::array::from_fn(|r| rows[r][3]), RAS))
     });
-    let qform = (qform_code > 0 && is_spaced).then(|| {
+    let qform = (qform_code > 0 && is_spaced).then(|| -> Result<_, (&'static str, String)> {
         let [b, c, d] = std::array::from_fn(|k| header.float(256 + 4 * k, 352 + 8 * k));
         // A half turn has a = 0, which rounding can take below.
         let a = (1.0 - (b * b + c * c + d * d)).max(0.0).sqrt();
-        let turn = UnitQuaternion::from_quaternion(Quaternion::new(a, b, c, d)).to_rotation_matrix();
+        let turn = nearest_rotation(Quaternion::new(a, b, c, d))
+            .map_err(|error| ("quatern_b, quatern_c, quatern_d", format!("({b}, {c}, {d}): {error}")))?;
+        let turn = turn.value.to_rotation_matrix();
         let side = if header.pixdim(0) < 0.0 { -1.0 } else { 1.0 };
         let spacings = Matrix3::from_diagonal(&[spacing[0], spacing[1], side * spacing[2]].into());
         let axes: Matrix3<f64> = turn.matrix() * spacings;
         let columns = std::array::from_fn(|k| axes.column(k).into_owned().into());
-        scaled(affine(columns, std::array::from_fn(|k| header.float(268 + 4 * k, 376 + 8 * k)), RAS))
+        Ok(scaled(affine(columns, std::array::from_fn(|k| header.float(268 + 4 * k, 376 + 8 * k)), RAS)))
     });
+    let qform = qform.transpose()?;
     if let (Some(s), Some(q)) = (&sform, &qform) {
         let corner = |t: &Matrix4<f64>, c: usize| {
             let at: [f64; 3] = std::array::from_fn(|k| if c >> k & 1 == 0 { 0.0 } else { (size[k] - 1) as f64 });

@@ -5,8 +5,8 @@
 
 use super::numbers::{Encoding, StreamError, read_voxels};
 use super::{Volume, VolumeRead, affine, assumed_unit, drain, gunzip, gzip_limit, n_voxels_and_bytes};
-use crate::FileError;
 use crate::scalar::Scalar;
+use crate::{FileError, input};
 use std::{
     collections::HashMap,
     fs::File,
@@ -26,13 +26,13 @@ struct Header {
 
 /// The file that holds the data of a detached header; none if the data follow the header, or it cannot be read.
 pub(super) fn data_file(path: &Path) -> Option<PathBuf> {
-    let mut reader = BufReader::new(File::open(path).ok()?);
+    let mut reader = BufReader::new(input::open(path).ok()?);
     Header::read(path, &mut reader).ok()?.data_path(path)
 }
 
 /// Reads a .nrrd or .nhdr file.
 pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
-    let file = File::open(path).map_err(FileError::read(path))?;
+    let file = input::open(path)?;
     let mut reader = BufReader::new(file);
     let header = Header::read(path, &mut reader)?;
     let mut notes = Vec::new();
@@ -321,7 +321,7 @@ impl Header {
         if real.parent() != Some(&real_folder) {
             return refused("the data file is a link out of the header's folder; copy the data beside the header");
         }
-        let file = File::open(&real).map_err(FileError::read(&beside))?;
+        let file = input::open(&real)?;
         let n = length(&file).map_err(FileError::read(&beside))?;
         Ok((beside, BufReader::new(file), n))
     }
@@ -335,7 +335,10 @@ fn placement(
 ) -> Result<(nalgebra::Matrix4<f64>, bool), FileError> {
     let unit_mm = match header.get("space units") {
         None => 1.0,
-        Some((_, text)) => {
+        Some((line, text)) => {
+            if ["???", "none"].iter().any(|unit| text.contains(unit)) {
+                notes.push(format!("line {line}: the unit of length is not stated ({text}); millimetres were assumed"));
+            }
             let units: Vec<&str> = text.split('"').map(str::trim).filter(|u| !u.is_empty()).collect();
             let one = |unit: &str| match unit {
                 "mm" | "millimeter" | "millimeters" | "???" | "none" => Some(1.0),

@@ -1,6 +1,6 @@
 //! The kind `acquire.cloud`.
 
-use osteoflow_formats::mesh_or_cloud::read_mesh_or_cloud;
+use osteoflow_formats::{input, mesh_or_cloud::read_mesh_or_cloud};
 use osteoflow_geometry::{Cloud, nalgebra::Isometry3};
 use osteoflow_node::{
     Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
@@ -74,8 +74,7 @@ impl Source for CloudFile {
             return Ok(None);
         }
         let Params { path, frame, unit_mm, camera } = &self.params;
-        let bytes = std::fs::read(path.as_ref())
-            .map_err(|error| NodeError::new(format!("{}: cannot be read: {error}", path.as_ref().display())))?;
+        let bytes = input::read(path.as_ref())?;
         let (read, notes) = read_mesh_or_cloud(path.as_ref(), &bytes, *unit_mm, frame.as_str())?.into_cloud();
         notes.into_iter().for_each(|note| ctx.warn(note));
         let cloud = match camera {

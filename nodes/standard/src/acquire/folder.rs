@@ -1,10 +1,14 @@
 //! The kind `acquire.folder`.
 
 use super::{
+    frozen::{Frozen, FrozenPose},
     playback::{Event, Playback},
     procedure_ports::{ProcedureOut, ProcedurePort, ProcedurePorts},
 };
-use osteoflow_formats::folder::{FolderBody, FolderItem, ProcedureFolder};
+use osteoflow_formats::{
+    LostPose,
+    folder::{FolderBody, FolderItem, ProcedureFolder},
+};
 use osteoflow_geometry::Points;
 use osteoflow_node::{
     Context, Describe, Emission, FilePath, NodeError, OutputPorts, Outputs, ParamError, Source, schemars::JsonSchema,
@@ -23,7 +27,7 @@ kind = "acquire.folder"
 path = "procedure"
 "#)]
 pub struct Folder {
-    path: FilePath,
+    params: Params,
     playback: Option<Playback<Emission>>,
 }
 
@@ -34,6 +38,12 @@ pub struct Folder {
 pub struct Params {
     /// The folder with `procedure.toml`, or that file.
     pub path: FilePath,
+    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and its
+    /// poses are empties with the reason until they change. Unset: 2000, forty samples of a slow tracker, as a marker at rest
+    /// jitters by noise. 0: never.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 3_600_000.0))]
+    pub frozen_after_ms: Option<f64>,
 }
 
 /// An answer on one of the ports of a procedure.
@@ -58,11 +68,11 @@ impl Source for Folder {
     type Outputs = Out;
 
     fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self { path: params.path, playback: None })
+        Ok(Self { params, playback: None })
     }
 
     fn files(&self) -> Vec<PathBuf> {
-        ProcedureFolder::open(self.path.as_ref()).map_or_else(|_| Vec::new(), |folder| folder.named_files())
+        ProcedureFolder::open(self.params.path.as_ref()).map_or_else(|_| Vec::new(), |folder| folder.named_files())
     }
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
@@ -77,8 +87,19 @@ impl Source for Folder {
 
 impl Folder {
     fn open(&self, ctx: &mut Context) -> Result<Vec<Event<Emission>>, NodeError> {
-        let folder = ProcedureFolder::open(self.path.as_ref())?;
-        let streams = folder.streams()?;
+        let folder = ProcedureFolder::open(self.params.path.as_ref())?;
+        let mut streams = folder.streams()?;
+        let mut frozen = Frozen::new(self.params.frozen_after_ms);
+        for item in &mut streams.items {
+            let FolderBody::Pose(Ok(pose)) = &item.body else { continue };
+            let what = format!("t_{}_{}", pose.to, pose.from);
+            if let Some(FrozenPose { reason, is_first }) = frozen.take(&what, &pose.isometry, pose.stamp_ns) {
+                streams.notes.extend(is_first.then(|| reason.clone()));
+                let reason = format!("no new pose: {reason}");
+                let (to, from, stamp_ns) = (pose.to.clone(), pose.from.clone(), pose.stamp_ns);
+                item.body = FolderBody::Pose(Err(LostPose { to, from, stamp_ns, reason }));
+            }
+        }
         streams.notes.iter().for_each(|note| ctx.warn(note));
         let start_ns = streams.items.iter().map(|item| item.stamp_ns).find(|&stamp_ns| stamp_ns != 0).unwrap_or(0);
         let has = |role: &str| streams.items.iter().any(|item| item.role == role);

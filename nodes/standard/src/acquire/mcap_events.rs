@@ -1,8 +1,8 @@
 //! The events of one declared port over a recording.
 
-use super::{mcap::EventBody, mcap_ports::PortParams, playback::silences};
+use super::{frozen::Frozen, mcap::EventBody, mcap_ports::PortParams, playback::silences};
 use osteoflow_formats::{
-    PoseError,
+    PoseError, StampOrder,
     mcap_read::{Message, Recording},
     message_read::{
         Calibration, MessageError, MessageKind, procedure_region, read_calibration, read_cloud_head, read_image_head,
@@ -84,15 +84,17 @@ impl Port<'_> {
     }
 
     fn clouds(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
-        let mut events = Vec::new();
+        let (mut events, mut stamps) = (Vec::new(), Stamps::default());
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             let head = read_cloud_head(message).map_err(|error| self.at(topic, i, error))?;
+            stamps.add(message, i, format!("topic {topic}"), head.stamp_ns);
             self.found.corrections.entry(topic.into()).or_default().add(head.correction);
             let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
             let frame = self.renamed(&head.frame);
             let body = EventBody::Cloud { message: message.clone(), label: Some(label.into()), frame };
             events.push((head.stamp_ns, body));
         }
+        self.found.notes.extend(stamps.notes());
         Ok(events)
     }
 
@@ -125,14 +127,16 @@ impl Port<'_> {
         let Some(calibration) = calibration else {
             return Err(self.missing(self.params.calibration.as_deref().unwrap_or_default(), None));
         };
-        let mut events = Vec::new();
+        let (mut events, mut stamps) = (Vec::new(), Stamps::default());
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             let (frame, stamp_ns) = read_image_head(message).map_err(|error| self.at(topic, i, error))?;
+            stamps.add(message, i, format!("topic {topic}"), stamp_ns);
             let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
             let frame = self.renamed(&frame);
             let (message, calibration) = (message.clone(), calibration.clone());
             events.push((stamp_ns, EventBody::Image { message, calibration, label: label.into(), frame }));
         }
+        self.found.notes.extend(stamps.notes());
         Ok(events)
     }
 
@@ -156,26 +160,34 @@ impl Port<'_> {
             return self.static_poses(topic);
         }
         let (mut events, mut published_ns) = (Vec::new(), StampNs::MIN);
+        let mut stamps = Stamps::default();
+        let mut poses = Vec::new();
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
-            let n_before = events.len();
+            let n_before = events.len() + poses.len();
             for read in self.poses_of(topic, message).map_err(|error| self.at(topic, i, error))? {
-                events.push(match read {
+                let (to, from, stamp_ns) = match read {
                     Ok(pose) => {
                         let mut pose = self.found.corrections.entry(topic.into()).or_default().take(pose);
                         self.rename(&mut pose.to, &mut pose.from);
-                        (pose.stamp_ns, EventBody::Ready(Emission::value(pose)))
+                        let head = (pose.to.clone(), pose.from.clone(), pose.stamp_ns);
+                        poses.push(pose);
+                        head
                     }
                     Err(PoseError::Lost(mut lost)) => {
                         self.rename(&mut lost.to, &mut lost.from);
-                        (lost.stamp_ns, EventBody::Ready(Emission::Empty(lost.to_string())))
+                        events.push((lost.stamp_ns, EventBody::Ready(Emission::Empty(lost.to_string()))));
+                        (lost.to, lost.from, lost.stamp_ns)
                     }
                     Err(error @ PoseError::NotRigid { .. }) => return Err(self.at(topic, i, error)),
-                });
+                };
+                stamps.add(message, i, format!("topic {topic}: t_{to}_{from}"), stamp_ns);
             }
-            if events.len() > n_before {
+            if events.len() + poses.len() > n_before {
                 published_ns = published_ns.max(message.publish_time_ns);
             }
         }
+        self.found.notes.extend(stamps.notes());
+        events.extend(self.unless_frozen(topic, poses));
         if events.is_empty() {
             return Err(self.no_such_transform(topic));
         }
@@ -190,6 +202,25 @@ impl Port<'_> {
             events.extend(lost.into_iter().map(|(stamp, empty)| (stamp, EventBody::Ready(empty))));
         }
         Ok(events)
+    }
+
+    /// The poses of a topic in the order of their stamps, with empties in place of those of a frozen tracker.
+    fn unless_frozen(&mut self, topic: &str, mut poses: Vec<Pose>) -> Vec<(StampNs, EventBody)> {
+        poses.sort_by_key(|pose| pose.stamp_ns);
+        let mut frozen = Frozen::new(self.params.frozen_after_ms);
+        let mut event = |pose: Pose| {
+            let stamp_ns = pose.stamp_ns;
+            let what = format!("t_{}_{}", pose.to, pose.from);
+            let emission = match frozen.take(&what, &pose.isometry, stamp_ns) {
+                Some(found) => {
+                    self.found.notes.extend(found.is_first.then(|| format!("topic {topic}: {}", found.reason)));
+                    Emission::Empty(found.reason)
+                }
+                None => Emission::value(pose),
+            };
+            (stamp_ns, EventBody::Ready(emission))
+        };
+        poses.into_iter().map(&mut event).collect()
     }
 
     /// The transforms that hold from the beginning, whenever they were sent: constants, without a stamp. One that is sent
@@ -240,10 +271,13 @@ impl Port<'_> {
     }
 
     fn points(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
-        let mut tips = Vec::new();
+        let (mut tips, mut stamps) = (Vec::new(), Stamps::default());
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
-            tips.push(read_pose_in_frame(message).map_err(|error| self.at(topic, i, error))?);
+            let tip = read_pose_in_frame(message).map_err(|error| self.at(topic, i, error))?;
+            stamps.add(message, i, format!("topic {topic}"), tip.stamp_ns);
+            tips.push(tip);
         }
+        self.found.notes.extend(stamps.notes());
         // Labels are in the order in which the points were touched.
         tips.sort_by_key(|tip| tip.stamp_ns);
         let events = tips.into_iter().enumerate().map(|(i, tip)| {
@@ -303,12 +337,36 @@ impl Port<'_> {
     }
 
     fn at(&self, topic: &str, index: usize, error: impl std::fmt::Display) -> NodeError {
-        let n_messages = self.recording.messages(topic).len();
-        self.fault(format!("topic {topic}, message {} of {n_messages}: {error}", index + 1))
+        self.fault(format!("topic {topic}, {}: {error}", self.message(topic, index)))
+    }
+
+    fn message(&self, topic: &str, index: usize) -> String {
+        format!("message {} of {}", index + 1, self.recording.messages(topic).len())
     }
 
     fn fault(&self, message: String) -> NodeError {
         NodeError::new(format!("port \"{}\": {message}", self.declared.name))
+    }
+}
+
+/// The stamps of a topic's messages, by what they belong to.
+#[derive(Default)]
+struct Stamps(Vec<(StampNs, usize, String, StampNs)>);
+
+impl Stamps {
+    fn add(&mut self, message: &Message, index: usize, what: String, stamp_ns: StampNs) {
+        self.0.push((message.log_time_ns, index, what, stamp_ns));
+    }
+
+    /// Notes on stamps that run backwards in the order in which the messages were recorded, which is that of log times: a file
+    /// may hold them in another.
+    fn notes(mut self) -> Vec<String> {
+        self.0.sort_by_key(|(log_time_ns, index, ..)| (*log_time_ns, *index));
+        let mut orders: BTreeMap<&str, StampOrder> = BTreeMap::new();
+        for (_, index, what, stamp_ns) in &self.0 {
+            orders.entry(what).or_default().take(*stamp_ns, || format!("message {}", index + 1));
+        }
+        orders.iter().filter_map(|(what, order)| order.note(what)).collect()
     }
 }
 

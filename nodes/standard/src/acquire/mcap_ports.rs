@@ -27,6 +27,11 @@ pub struct PortParams {
     /// recording on any topic. Unset: never.
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
+    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
+    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker, as a marker at rest
+    /// jitters by noise. 0: never, for a constant that is sent again and again.
+    #[schemars(range(min = 0.0, max = 3_600_000.0))]
+    pub frozen_after_ms: Option<f64>,
     /// The metadata record that holds the region of interest, or the key named by `key`; such as `procedure`.
     pub metadata: Option<String>,
     /// The key of the metadata record whose value `true` means yes; anything else, or no such key, means no.

@@ -42,6 +42,9 @@ impl Source for File {
         }
         let read = read_plan(self.path.as_ref())?;
         read.notes.into_iter().for_each(|note| ctx.warn(note));
+        if read.plan.planes.planes.is_empty() {
+            ctx.warn(format!("{}: the plan has no planes, so no cut can be shown", self.path.0.display()));
+        }
         Ok(Some(read.plan.into()))
     }
 }

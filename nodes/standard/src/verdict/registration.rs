@@ -9,7 +9,7 @@ use osteoflow_algorithms::target::Target;
 use osteoflow_algorithms::trust::{
     self, Case, Ended, EvidenceParams, PredictParams, Reason, Registered, RuleParams, Seen, Tracking, Verdict,
 };
-use osteoflow_geometry::{Cloud, NamedPoint, Planes, Points, Pose};
+use osteoflow_geometry::{Cloud, NamedPoint, Plane, Planes, Points, Pose, nalgebra::Point3};
 use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Value, schemars::JsonSchema, serde::Deserialize,
 };
@@ -36,7 +36,7 @@ in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source
 pub struct Registration(Params);
 
 /// Parameters of [`Registration`].
-#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
@@ -46,6 +46,36 @@ pub struct Params {
     pub rules: RuleParams,
     /// Stated errors of the devices, for the predicted error.
     pub errors: PredictParams,
+    /// Largest distance of a planned plane's origin from the surface; beyond it a warning says that plan and bone hardly belong
+    /// together. 50 mm: the middle of a cut is inside the bone, and the widest, at the knee, is 90 mm wide.
+    #[schemars(range(min = 0.0, max = 10_000.0))]
+    pub max_plane_distance_mm: f64,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        let (examine, rules, errors) = Default::default();
+        Self { examine, rules, errors, max_plane_distance_mm: 50.0 }
+    }
+}
+
+impl Params {
+    /// Warnings about planned planes that are far from the bone.
+    fn far_planes(&self, planes: &Planes, target: &Target) -> Vec<String> {
+        let limit_mm = self.max_plane_distance_mm;
+        let far = planes.planes.iter().filter(|plane| {
+            let origin = plane.isometry().map(|t| Point3::from(t.translation.vector));
+            origin.is_some_and(|origin| target.nearest(&origin, limit_mm).is_none())
+        });
+        let message = |plane: &Plane| {
+            format!(
+                "plane \"{}\" is more than {limit_mm} mm from the bone's surface; is the plan of another bone, in RAS or in \
+                 another unit?",
+                plane.name
+            )
+        };
+        far.map(message).collect()
+    }
 }
 
 /// Inputs of [`Registration`].
@@ -116,7 +146,10 @@ impl Node for Registration {
         Ok(Self(params))
     }
 
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        if let Some(planes) = &i.planes {
+            self.0.far_planes(planes, &i.target).into_iter().for_each(|warning| ctx.warn(warning));
+        }
         let t_target_source = i.t_target_source.expect(&i.target.frame, &i.source.frame)?;
         let located: Vec<Points> = i.located.iter().flatten().cloned().collect();
         let located = if located.is_empty() { Vec::new() } else { in_one_list(&located)?.points.to_vec() };
@@ -149,7 +182,24 @@ impl Node for Registration {
             start: i.start.as_ref(),
             reasons: &lost,
         };
-        let Params { examine, rules, errors } = &self.0;
+        let Params { examine, rules, errors, .. } = &self.0;
         Ok(Out { verdict: trust::judge(&case, examine, rules, errors) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_geometry::{SurfaceOrigin, nalgebra::Isometry3};
+
+    #[test]
+    fn a_plane_far_from_the_bone_is_named() {
+        let points: Vec<Point3<f64>> = (0..100).map(|k| Point3::new(0.0, 0.0, f64::from(k))).collect();
+        let target = Target::new("ct", SurfaceOrigin::User, points, None).expect("a target");
+        let plane = |name: &str, x: f64| Plane::new(name, Isometry3::translation(x, 0.0, 50.0));
+        let planes = Planes::new("ct", vec![plane("distal", 49.0), plane("proximal", -51.0)]);
+        let said = Params::default().far_planes(&planes, &target);
+        assert_eq!(said.len(), 1, "{said:?}");
+        assert!(said[0].starts_with("plane \"proximal\" is more than 50 mm from the bone's surface"), "{}", said[0]);
     }
 }

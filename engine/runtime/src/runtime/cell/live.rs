@@ -51,6 +51,17 @@ impl Answer {
         self.firing.item
     }
 
+    /// Whether the source has ended without an item, or was stopped.
+    pub(crate) fn is_end(&self) -> bool {
+        matches!(self.answered, Ok(Ok(false)))
+    }
+
+    /// The failure of a source whose thread panicked.
+    pub(crate) fn of_panic(item: u64, stamp_ns: StampNs, n_ports: usize, panic: String) -> Self {
+        let firing = Firing { item, stamp_ns, timed: None };
+        Self { firing, emissions: vec![Emission::Silent; n_ports], warnings: Vec::new(), answered: Err(panic) }
+    }
+
     /// Asks the source.
     pub(crate) fn of(
         name: Name,
@@ -147,6 +158,9 @@ impl Cell {
                 continue;
             }
             let late_ns = output.floor.saturating_sub(stamp_ns);
+            if output.late.n_items == 0 {
+                output.late.first = (output.n_items(), stamp_ns, output.floor);
+            }
             output.late.n_items += 1;
             output.late.most_ns = output.late.most_ns.max(late_ns);
             if let Emission::Value(_) = emission {
@@ -163,10 +177,13 @@ impl Cell {
     pub(crate) fn late_warning(&self, plan: &Plan) -> Vec<(usize, Warning)> {
         let late = self.outputs.iter().filter(|output| output.late.n_items > 0);
         let message = |output: &Output| {
-            let Late { n_items, most_ns } = output.late;
+            let Late { n_items, most_ns, first: (item, stamp_ns, floor_ns) } = output.late;
             let items = if n_items == 1 { "item" } else { "items" };
             let (wire, most) = (plan.wire_name(output.id), milliseconds(most_ns));
-            format!("{wire}: {n_items} {items} came late, by up to {most} more than promised, and are empties")
+            format!(
+                "{wire}: {n_items} {items} came late, by up to {most} more than promised, and are empties; the first was item \
+                 {item}, stamped {stamp_ns} ns after {floor_ns} ns"
+            )
         };
         let warning = |message| Warning { node: self.context.node().to_owned(), item: self.item, message };
         late.map(|output| (self.index, warning(message(output)))).collect()

@@ -29,6 +29,8 @@ pub(crate) struct Late {
     pub(crate) n_items: u64,
     /// Largest delay beyond the promise.
     pub(crate) most_ns: StampNs,
+    /// The first: its number, its stamp, and the stamp up to which the wire was complete.
+    pub(crate) first: (u64, StampNs, StampNs),
 }
 
 impl Output {

@@ -137,6 +137,10 @@ impl Image {
                 0x5200_9229 | 0x5200_9230 => found.has_frames = true,
                 0x7fe0_0008 | 0x7fe0_0009 | 0x7fe0_0010 => found.has_pixels = true,
                 _ if USED.contains(&tag) && !is_items => {
+                    if found.value(tag).is_some() {
+                        let message = format!("{} is given twice; export the image again", shown(tag));
+                        return Err(FileError::content(path, format!("byte {}", set.start + at), message));
+                    }
                     found.values.push((tag, value[..value.len().min(256)].to_vec()))
                 }
                 _ => {}

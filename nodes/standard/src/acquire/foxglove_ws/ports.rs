@@ -1,6 +1,6 @@
 //! Messages of topics to the payloads of declared ports.
 
-use super::protocol::Channel;
+use super::{super::frozen::Frozen, protocol::Channel};
 use osteoflow_formats::{
     PoseError,
     message_read::{
@@ -38,6 +38,11 @@ pub struct PortParams {
     /// Unset: never.
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
+    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
+    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker, as a marker at rest
+    /// jitters by noise. 0: never, for a constant that is sent again and again.
+    #[schemars(range(min = 0.0, max = 3_600_000.0))]
+    pub frozen_after_ms: Option<f64>,
     /// What a `report/Flag` gives with the first item of another port: the protocol has no such message.
     pub default: Option<bool>,
 }
@@ -56,6 +61,7 @@ pub(super) struct Port {
     child: Option<String>,
     /// Constants of `tf_static`.
     held: Vec<Pose>,
+    frozen: Frozen,
     /// Corrections of rotations.
     pub(super) corrections: Corrections,
     /// Items so far.
@@ -98,6 +104,7 @@ impl Port {
             parent: params.parent,
             child: params.child,
             held: Vec::new(),
+            frozen: Frozen::new(params.frozen_after_ms),
             corrections: Corrections::default(),
             n: 0,
             name,
@@ -193,9 +200,18 @@ impl Port {
                     rename(frames, [&mut pose.to, &mut pose.from]);
                     if last_part(topic) == "tf_static" {
                         given.items.extend(self.constant(pose, &mut given.notes));
-                    } else {
-                        given.items.push((pose.stamp_ns, Emission::value(pose)));
+                        continue;
                     }
+                    let stamp_ns = pose.stamp_ns;
+                    let what = format!("t_{}_{}", pose.to, pose.from);
+                    let emission = match self.frozen.take(&what, &pose.isometry, stamp_ns) {
+                        Some(frozen) => {
+                            given.notes.extend(frozen.is_first.then(|| frozen.reason.clone()));
+                            Emission::Empty(frozen.reason)
+                        }
+                        None => Emission::value(pose),
+                    };
+                    given.items.push((stamp_ns, emission));
                 }
                 Err(PoseError::Lost(mut lost)) => {
                     rename(frames, [&mut lost.to, &mut lost.from]);

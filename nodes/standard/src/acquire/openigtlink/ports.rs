@@ -1,12 +1,13 @@
 //! Messages to the payloads of declared ports.
 
+use super::super::frozen::Frozen;
 use osteoflow_formats::{
     Space,
     message_read::is_sensor_frame,
     openigtlink::{Affine, Body, Fiducial, Message, PolyData, Position, Text, device_name},
 };
 use osteoflow_geometry::{
-    Cloud, Frame, Mesh, NamedPoint, Points, Pose, Region, StampNs, SurfaceOrigin,
+    Cloud, Frame, Mesh, NamedPoint, Points, Pose, Region, StampNs, SurfaceOrigin, TooFar,
     nalgebra::{Isometry3, Point3, Quaternion, Translation3},
     nearest_rotation,
 };
@@ -15,8 +16,6 @@ use osteoflow_payloads::{Flag, Text as TextPayload};
 
 /// Largest deviation of a rotation that is not reported: single precision leaves 2e-7.
 const SINGLE_PRECISION: f64 = 1e-6;
-/// Equal poses in a row that are reported: measurements differ in their last bits.
-const N_EQUAL: usize = 40;
 /// A cloud that is smaller than this is probably in metres.
 const SMALLEST_CLOUD_MM: f64 = 2.0;
 
@@ -44,6 +43,11 @@ pub struct PortParams {
     /// Unset: never.
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
+    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
+    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker, as a marker at rest
+    /// jitters by noise. 0: never, for a constant that is sent again and again.
+    #[schemars(range(min = 0.0, max = 3_600_000.0))]
+    pub frozen_after_ms: Option<f64>,
     /// Whether a pose that is exactly the identity means that the tool is lost, as some trackers send it. Unset: it does; a
     /// constant of a configuration may need false.
     pub identity_is_lost: Option<bool>,
@@ -77,8 +81,7 @@ pub(super) struct Port {
     pub(super) lost_after_ns: Option<StampNs>,
     pub(super) default: Option<bool>,
     identity_is_lost: bool,
-    /// The last pose as it came, and how often it came in a row.
-    last: Option<(Isometry3<f64>, usize)>,
+    frozen: Frozen,
     labels: Vec<String>,
     /// The rotation of coordinates in `ct` to LPS.
     turn: Isometry3<f64>,
@@ -157,7 +160,7 @@ impl Port {
             lost_after_ns,
             default: params.default,
             identity_is_lost: params.identity_is_lost.unwrap_or(true),
-            last: None,
+            frozen: Frozen::new(params.frozen_after_ms),
             labels: params.labels,
             turn,
             frame,
@@ -239,7 +242,7 @@ impl Port {
             return Err("it has no orientation; a pose needs one".into());
         };
         let rotation = nearest_rotation(Quaternion::new(w, x, y, z)).map_err(|error| error.to_string())?;
-        let at = finite(*position).ok_or("the position is not finite")?;
+        let at = near(*position).map_err(|why| format!("the position: {why}"))?;
         let isometry = Isometry3::from_parts(at.coords.into(), rotation.value);
         let correction = rotation.correction;
         let is_fine = correction.deviation <= SINGLE_PRECISION;
@@ -254,16 +257,10 @@ impl Port {
                 format!("{device} is lost: it is the identity; if that is its pose, set identity_is_lost = false");
             return Given { emission: Emission::Empty(reason), note };
         }
-        let n_equal = match &self.last {
-            Some((last, n)) if *last == isometry => n + 1,
-            _ => 1,
-        };
-        self.last = Some((isometry, n_equal));
-        let is_frozen = n_equal == N_EQUAL;
-        let note = note.or_else(|| {
-            is_frozen
-                .then(|| format!("{device}: {N_EQUAL} poses in a row are equal to the last bit; is the tool in view?"))
-        });
+        if let Some(frozen) = self.frozen.take(device, &isometry, stamp_ns) {
+            let note = frozen.is_first.then(|| frozen.reason.clone()).or(note);
+            return Given { emission: Emission::Empty(frozen.reason), note };
+        }
         let is_ct = |frame| Space::of(frame) == Space::Lps;
         // The turn by half is its own inverse.
         let isometry = if is_ct(&self.to) { self.turn * isometry } else { isometry };
@@ -313,7 +310,7 @@ impl Port {
 
     fn points(&self, fiducials: &[Fiducial], device: &str, stamp_ns: StampNs) -> Result<Given, String> {
         let named = fiducials.iter().enumerate().map(|(k, fiducial)| {
-            let position = finite(fiducial.position).ok_or_else(|| format!("point {} is not finite", k + 1))?;
+            let position = near(fiducial.position).map_err(|why| format!("point {}: {why}", k + 1))?;
             let own = (!fiducial.name.is_empty()).then_some(fiducial.name.as_str());
             let name = self.label(device).filter(|_| fiducials.len() == 1).or(own).unwrap_or(device);
             let mut point = NamedPoint::new(name, self.turn * position);
@@ -331,8 +328,8 @@ impl Port {
         let [a, b] = corners else {
             return Err(format!("a region is two opposite corners, and {} points came", corners.len()));
         };
-        let (a, b) = finite(a.position).zip(finite(b.position)).ok_or("a corner is not finite")?;
-        let (a, b) = (self.turn * a, self.turn * b);
+        let corner = |c: &Fiducial| near(c.position).map_err(|why| format!("a corner: {why}"));
+        let (a, b) = (self.turn * corner(a)?, self.turn * corner(b)?);
         let (min, max) = (a.inf(&b), a.sup(&b));
         Ok(Emission::value(Region { frame: self.frame.clone(), min, max }).into())
     }
@@ -356,6 +353,13 @@ fn lost(message: &Message, device: &str) -> Option<String> {
     let valid = message.metadata("TransformValid")?.trim();
     let is_no = ["false", "0", "no"].iter().any(|no| valid.eq_ignore_ascii_case(no));
     is_no.then(|| format!("TransformValid is {valid}"))
+}
+
+/// A usable point.
+fn near(point: [f32; 3]) -> Result<Point3<f64>, String> {
+    let point = finite(point).ok_or("it is not finite")?;
+    TooFar::check(point.coords.as_slice()).map_err(|far| far.to_string())?;
+    Ok(point)
 }
 
 fn finite(point: [f32; 3]) -> Option<Point3<f64>> {

@@ -251,12 +251,16 @@ fn an_exact_identity_is_a_lost_tool_unless_the_port_says_otherwise() {
 }
 
 #[test]
-fn a_pose_that_is_repeated_to_the_last_bit_is_reported_once() {
+fn a_pose_that_is_repeated_to_the_last_bit_is_lost_and_reported_once() {
     let frozen: Vec<_> = (0..100).map(|i| transform("StylusToReference", STAMP + i * 50 * MS, 1.0)).collect();
     let ran = sent(messages(&frozen), &[stylus()]);
     assert_eq!(ran.items.len(), 100);
-    let reports = ran.warnings.iter().filter(|w| w.contains("40 poses in a row are equal to the last bit")).count();
+    let frozen = "StylusToReference is frozen: its pose has been the same to the last bit";
+    let reports = ran.warnings.iter().filter(|w| w.contains(frozen)).count();
     assert_eq!(reports, 1, "{:?}", ran.warnings);
+    let poses = ran.of_port(0);
+    assert!((value::<Pose>(poses[39].1).isometry.translation.x - 1.0).abs() < 1e-5, "up to 2 s");
+    assert!(poses[40..].iter().all(|(_, emission)| reason(emission).starts_with(frozen)), "as for a lost marker");
 }
 
 #[test]
