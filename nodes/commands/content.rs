@@ -2,10 +2,10 @@
 
 use anyhow::anyhow;
 use osteoflow_formats::{
-    FileError,
+    FileError, input,
     picked_points::{PickedPoints, parse_picked_points},
 };
-use std::{fs, io::Read as _, path::Path};
+use std::{io::Read as _, path::Path};
 
 /// The error without its cause, which its message already names.
 pub(crate) fn without_cause(error: FileError) -> anyhow::Error {
@@ -41,7 +41,7 @@ pub(crate) fn picked_points(file: &Path, bytes: &[u8]) -> Option<Result<PickedPo
 /// Whether a file is an image in three dimensions: NIfTI, NRRD or DICOM.
 pub(crate) fn is_volume(file: &Path) -> bool {
     let mut head = [0; 352];
-    let n = fs::File::open(file).and_then(|mut file| file.read(&mut head)).unwrap_or(0);
+    let n = input::open(file).ok().and_then(|mut file| file.read(&mut head).ok()).unwrap_or(0);
     let head = &head[..n];
     let at = |from: usize, magic: &[&[u8]]| magic.iter().any(|m| head.get(from..from + m.len()) == Some(*m));
     // NIfTI and its gzip, NRRD, DICOM.

@@ -3,10 +3,10 @@ use super::{
     content::{is_volume, picked_points, without_cause},
     terminal,
 };
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use osteoflow_formats::{
-    FileError, Space,
+    FileError, Space, input,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     picked_points::{PickedPoints, parse_picked_points, write_fcsv, write_mrk_json, write_points_csv},
     write::{write_cloud, write_mesh},
@@ -17,7 +17,7 @@ use osteoflow_geometry::{
 };
 use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
 use serde_json::json;
-use std::{fs, io::Write, path::PathBuf};
+use std::{io::Write, path::PathBuf};
 
 /// Convert a file of points, a surface, picked points or a CT into another format.
 ///
@@ -70,7 +70,7 @@ impl Convert {
         if self.iso_hu.is_some() {
             return Err(UsageError(format!("{}: --iso-hu is for a CT", self.input.display())).into());
         }
-        let bytes = fs::read(&self.input).with_context(|| format!("{} cannot be read", self.input.display()))?;
+        let bytes = input::read(&self.input).map_err(without_cause)?;
         let (done, notes) = match self.picked(&bytes) {
             Some(picked) => self.points(picked.map_err(without_cause)?)?,
             None => self.shape(&bytes)?,

@@ -153,12 +153,12 @@ impl Reader<File> {
     /// # Errors
     /// If the file cannot be opened, or is no regular file.
     pub fn open(path: &Path) -> io::Result<Self> {
-        let file = File::open(path)?;
-        let metadata = file.metadata()?;
+        // Before it is opened, because opening a pipe waits for its writer.
+        let metadata = std::fs::metadata(path)?;
         if !metadata.is_file() {
             return Err(io::Error::other("it is no regular file; a recording is read from a file"));
         }
-        Ok(Self::new(file, metadata.len()))
+        Ok(Self::new(File::open(path)?, metadata.len()))
     }
 }
 

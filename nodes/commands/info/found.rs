@@ -4,6 +4,7 @@ use crate::commands::content::{is_volume, picked_points, without_cause};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_formats::{
     folder::ProcedureFolder,
+    input,
     mcap_read::{Message, Recording},
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     message_read::{read_cloud, read_pose_in_frame, read_transforms},
@@ -130,7 +131,7 @@ pub(super) fn look(file: &Path) -> Result<Found> {
     if is_volume(file) {
         return volume(file);
     }
-    let bytes = fs::read(file).map_err(|error| anyhow!("{}: cannot be read: {error}", file.display()))?;
+    let bytes = input::read(file).map_err(without_cause)?;
     if bytes.is_empty() {
         bail!("{}: the file is empty", file.display());
     }

@@ -21,8 +21,9 @@ use osteoflow_algorithms::{
 };
 use osteoflow_engine::store::{Key, Store};
 use osteoflow_formats::{
-    FileError, Space,
+    Space,
     cloud_file::CloudFileRead,
+    input,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     pose_file,
 };
@@ -34,7 +35,7 @@ use osteoflow_payloads::Table;
 use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde_json::{Value, json};
-use std::{fs, path::Path, sync::Arc, time::Instant};
+use std::{path::Path, sync::Arc, time::Instant};
 
 /// The frames of the two files.
 pub(super) const TARGET: &str = "target";
@@ -180,7 +181,7 @@ impl Inputs {
 }
 
 fn bytes(file: &Path) -> Result<Vec<u8>> {
-    fs::read(file).map_err(|source| without_cause(FileError::Io { path: file.into(), action: "read", source }))
+    input::read(file).map_err(without_cause)
 }
 
 /// The surface of the bone in a CT.

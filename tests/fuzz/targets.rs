@@ -1,0 +1,99 @@
+//! What is given hostile bytes: each target reads them as a file of a stranger, and may refuse them, but not panic.
+
+use osteoflow_engine::{Recording, check_text, recording::digest::digest, recover::recover, validate::validate};
+use osteoflow_formats::{
+    folder::ProcedureFolder, mcap_read, mesh_or_cloud::read_mesh_or_cloud, message_read, openigtlink, picked_points,
+    plan_file, pose_file, poses_csv, region_file, volume,
+};
+use std::{fs, path::Path};
+
+/// A target: its name, the endings of the files that it reads, and the reader, which is given a file of that name.
+pub(crate) struct Target {
+    pub(crate) name: &'static str,
+    /// Endings without the dot; the first byte chooses among several.
+    pub(crate) endings: &'static [&'static str],
+    pub(crate) read: fn(&Path, &[u8]),
+}
+
+pub(crate) const TARGETS: [Target; 11] = [
+    Target {
+        name: "surface_or_cloud",
+        endings: &["ply", "stl", "obj", "off", "vtk", "pcd", "csv", "xyz"],
+        read: surface_or_cloud,
+    },
+    Target {
+        name: "picked_points",
+        endings: &["json", "csv", "pp", "txt"],
+        read: |path, bytes| drop(picked_points::parse_picked_points(path, bytes)),
+    },
+    Target { name: "plan", endings: &["json"], read: |path, _| drop(plan_file::read_plan(path)) },
+    Target { name: "pose", endings: &["txt", "json", "tfm"], read: |path, _| drop(pose_file::read_pose(path, 1.0)) },
+    Target { name: "poses", endings: &["csv"], read: |path, _| drop(poses_csv::read_poses(path, 1.0)) },
+    Target { name: "region", endings: &["json"], read: |path, _| drop(region_file::read_region(path)) },
+    Target {
+        name: "volume",
+        endings: &["nii", "nrrd", "dcm"],
+        read: |path, _| drop(volume::read_volume(path, &Default::default())),
+    },
+    Target { name: "procedure", endings: &["toml"], read: |path, _| drop(ProcedureFolder::open(path)) },
+    Target { name: "openigtlink", endings: &["bin"], read: messages_of_openigtlink },
+    Target { name: "recording", endings: &["mcap"], read: recording },
+    Target { name: "graph", endings: &["toml"], read: graph },
+];
+
+fn surface_or_cloud(path: &Path, bytes: &[u8]) {
+    let _ = read_mesh_or_cloud(path, bytes, 1.0, "ct");
+}
+
+fn messages_of_openigtlink(_: &Path, bytes: &[u8]) {
+    let mut decoder = openigtlink::Decoder::default();
+    for piece in bytes.chunks(1000) {
+        decoder.push(piece);
+        while let Some(message) = decoder.next() {
+            drop(message);
+        }
+    }
+}
+
+/// A recording as this program reads its own, and as it reads those of others.
+fn recording(path: &Path, _: &[u8]) {
+    let registry = osteoflow_standard::registry();
+    let quiet = &mut |_, _| {};
+    let _ = digest(path, quiet);
+    let _ = validate(path, &registry, quiet);
+    let saved = path.with_extension("saved");
+    let _ = fs::remove_file(&saved);
+    let _ = recover(path, &saved, quiet);
+    if let Ok(recording) = Recording::open(path) {
+        for wire in recording.wires.keys() {
+            let _ = recording.items(wire, &recording.registry(&registry));
+        }
+    }
+    for allow_truncated in [false, true] {
+        let Ok(recording) = mcap_read::Recording::open(path, allow_truncated) else { continue };
+        for topic in recording.topics() {
+            for message in recording.messages(&topic.name) {
+                let _ = message_read::read_cloud(message);
+                let _ = message_read::read_transforms(message);
+                let _ = message_read::read_pose_in_frame(message);
+            }
+        }
+    }
+}
+
+fn graph(path: &Path, bytes: &[u8]) {
+    let _ = check_text(&String::from_utf8_lossy(bytes), path, &[], &osteoflow_standard::registry());
+}
+
+/// Reads the bytes as the file of a target, in this folder.
+pub(crate) fn read(target: &Target, bytes: &[u8], folder: &Path) {
+    let ending = target.endings[bytes.first().map_or(0, |byte| usize::from(*byte) % target.endings.len())];
+    read_as(target, ending, bytes, folder);
+}
+
+/// As [`read`], with this ending.
+pub(crate) fn read_as(target: &Target, ending: &str, bytes: &[u8], folder: &Path) {
+    let path = folder.join(format!("{}.{ending}", target.name));
+    fs::write(&path, bytes).expect("the folder can be written");
+    (target.read)(&path, bytes);
+}
