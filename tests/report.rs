@@ -54,7 +54,7 @@ fn screenshot(browser: &mut Browser, to: &Path) {
 /// The pixels of a view: the number of those that are not empty, and a checksum.
 fn pixels(browser: &mut Browser, view: usize) -> Value {
     browser.evaluate(&format!(
-        "(() => {{ const c = document.querySelectorAll('.view canvas')[{view}], gl = c.getContext('webgl'); \
+        "(() => {{ const c = document.querySelectorAll('.view')[{view}].querySelector('canvas'), gl = c.getContext('webgl2'); \
          const p = new Uint8Array(4 * c.width * c.height); gl.readPixels(0, 0, c.width, c.height, gl.RGBA, gl.UNSIGNED_BYTE, \
          p); let n = 0, h = 0; for (let k = 0; k < p.length; k += 4) if (p[k + 3]) {{ n++; h = (31 * h + 7 * k + p[k] + \
          256 * p[k + 1] + 65536 * p[k + 2]) >>> 0; }} return [n, h, c.width * c.height]; }})()"
@@ -90,9 +90,9 @@ fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
     let n_views = browser.evaluate("document.querySelectorAll('.view').length").as_u64().unwrap() as usize;
     assert_eq!(n_views, 5, "residuals, points, cuts, the fragment in place and carried back");
     for view in 0..n_views {
-        let select = format!("document.querySelectorAll('.view canvas')[{view}]");
-        browser.evaluate(&format!("{select}.scrollIntoView({{ block: 'center' }})"));
-        browser.wait_until(&format!("{select}.width > 300 && {select}.getContext('webgl') !== null"));
+        let select = format!("document.querySelectorAll('.view')[{view}].querySelector('canvas')");
+        browser.evaluate(&format!("document.querySelectorAll('.view')[{view}].scrollIntoView({{ block: 'center' }})"));
+        browser.wait_until(&format!("{select}?.width > 300 && {select}?.getContext('webgl2') != null"));
         browser.evaluate("new Promise((done) => setTimeout(done, 100))");
         let before = pixels(&mut browser, view);
         let filled = before[0].as_f64().unwrap() / before[2].as_f64().unwrap();

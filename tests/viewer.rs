@@ -324,6 +324,48 @@ fn a_viewer_that_does_not_read_never_holds_up_the_run() {
     assert_eq!(served.interrupt().code(), Some(0));
 }
 
+/// Runs the live procedure, and returns the messages of planes, of the verdict and of the run's end in the order in which they come.
+fn live_planes(sets: &[&str]) -> Vec<(String, Vec<u8>)> {
+    let out = tempfile::tempdir().unwrap();
+    let run = out.path().join("run");
+    let mut arguments = vec!["run", "graphs/variants/fibula_live.toml", "--serve", "--out", run.to_str().unwrap()];
+    sets.iter().for_each(|set| arguments.extend(["--set", set]));
+    let served = Served::start(&arguments);
+    let mut viewer = served.view();
+    let wanted = ["/view/planes.planes", "/exact/planes.planes", "/exact/verdict.verdict", "/viewer/state"];
+    while !wanted.iter().all(|topic| viewer.channels.contains_key(*topic)) {
+        viewer.next().unwrap();
+    }
+    viewer.subscribe(|topic| wanted.contains(&topic));
+    let mut got = Vec::new();
+    loop {
+        let (topic, _, data) = viewer.data().unwrap();
+        let state = (topic == "/viewer/state").then(|| serde_json::from_slice::<Value>(&data).unwrap());
+        if state.is_some_and(|state| state["state"] != "running") {
+            return got;
+        }
+        got.push((topic, data));
+    }
+}
+
+#[test]
+fn other_viewers_get_the_planes_of_a_live_run_once_it_is_trusted_and_none_of_one_that_is_not() {
+    let has_planes = |data: &[u8]| data.windows(7).any(|bytes| bytes == b"plane_1");
+    let all = live_planes(&["recording.rate=20"]);
+    let first = |wanted: &dyn Fn(&(String, Vec<u8>)) -> bool| all.iter().position(wanted);
+    let shown = first(&|(topic, data)| topic == "/view/planes.planes" && has_planes(data)).unwrap();
+    let judged = first(&|(topic, _)| topic == "/exact/verdict.verdict").unwrap();
+    let last_exact = all.iter().rposition(|(topic, _)| topic == "/exact/planes.planes").unwrap();
+    println!("planes were first shown by message {shown} of {}, the verdict was {judged}", all.len());
+    assert!(judged < shown, "planes were shown before they were judged");
+    assert!(shown < last_exact, "planes are shown while the run goes on, not at its end");
+
+    let refused = live_planes(&["recording.rate=20", "verdict.rules.max_misfit_mm=0.001", "results.require=trusted"]);
+    assert!(refused.iter().any(|(topic, _)| topic == "/exact/planes.planes"));
+    let n_shown = refused.iter().filter(|(topic, data)| topic == "/view/planes.planes" && has_planes(data)).count();
+    assert_eq!(n_shown, 0, "planes of an answer that is not trusted");
+}
+
 /// The page in a browser, without a word of complaint.
 fn open(browser: &mut Browser, served: &Served) {
     browser.events.clear();

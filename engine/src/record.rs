@@ -8,6 +8,7 @@
 //! Everything that a replay needs comes first in the file, and waiting items are written as a chunk several times a
 //! second: a run that is killed leaves a recording that can be read and replayed up to its last whole chunk.
 
+mod answers;
 mod frame_tree;
 mod layout;
 mod log;

@@ -30,6 +30,7 @@ const ARROWS: [(&str, &str, &[&str]); 17] = [
             "osteoflow-algorithms",
             "osteoflow-geometry",
             "osteoflow-statistics",
+            "osteoflow-viewer",
         ],
     ),
     ("osteoflow-viewer", "nodes/viewer", &["osteoflow-container", "osteoflow-engine"]),

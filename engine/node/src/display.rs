@@ -16,6 +16,8 @@ pub struct Display {
     /// Whether the message shows an answer of the run: it is then written when the run has ended, unless the run is
     /// refused.
     pub answer: bool,
+    /// The message that removes all that the channel has shown. Without one, an answer is not shown before the run has ended.
+    pub removal: Vec<u8>,
 }
 
 /// What a picture for viewers is made for, beside its payload.

@@ -56,6 +56,13 @@ impl Output {
         Ok(id)
     }
 
+    /// Sends a message to the listener alone.
+    pub(super) fn send(&self, header: MessageHeader, bytes: Vec<u8>) {
+        if let Some(listener) = &self.listener {
+            listener.message(header.channel_id, header.log_time, bytes);
+        }
+    }
+
     pub(super) fn write_message(&mut self, header: MessageHeader, data: Segments) -> io::Result<()> {
         if let Some(listener) = &self.listener {
             let mut bytes = Vec::with_capacity(data.len());

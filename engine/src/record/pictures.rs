@@ -1,6 +1,7 @@
 //! The messages for viewers beside the exact ones: channels `/view/<wire>`, and the transforms on `/run/frames`.
 
 use super::{
+    answers::Answers,
     frame_tree::FrameTree,
     layout::{Focus, Shown, layout},
     output::Output,
@@ -10,21 +11,15 @@ use crate::{
     recording::format::Topic,
 };
 use osteoflow_container::MessageHeader;
-use osteoflow_node::{Display, DisplayContext, Item, PortPayload, StampNs, Value};
+use osteoflow_node::{Body, Display, DisplayContext, Item, PortPayload, StampNs, Value};
 use serde_json::Value as Json;
 use std::{collections::BTreeMap, io};
-
-/// Maximum size of the pictures of answers that wait for the end of the run; later ones are left out and counted.
-const MAX_HELD_BYTES: usize = 64 << 20;
 
 /// The channels for viewers, and what they wait for.
 pub(super) struct Pictures {
     wires: BTreeMap<OutputId, Channel>,
     tree: FrameTree,
-    /// Pictures of answers. Whether a run is refused is known at its end only.
-    held: Vec<(MessageHeader, Vec<u8>)>,
-    n_held_bytes: usize,
-    n_left_out: usize,
+    answers: Answers,
 }
 
 /// The channel of a wire.
@@ -42,20 +37,23 @@ struct Channel {
 impl Pictures {
     /// Adds a channel for each recorded wire whose payload viewers can show.
     pub(super) fn begin(file: &mut Output, plan: &Plan) -> io::Result<Self> {
-        let mut wires = BTreeMap::new();
+        let (mut wires, mut answers) = (BTreeMap::new(), Answers::new(plan));
         for &id in plan.record.iter().filter(|_| plan.recording.views) {
             let output = &plan.nodes[id.node].outputs[id.port];
             let PortPayload::Type(ty) = output.payload else { continue };
             let Some(display) = ty.display() else { continue };
             let wire = plan.wire_name(id);
             let channel = add_channel(file, &Topic::View(&wire).name(), &display)?;
+            if display.answer {
+                answers.add(channel, &display.removal);
+            }
             let frames = &output.frames;
             let is_pose = frames.to.is_some() && frames.from.is_some();
             let frame = frames.frame.clone();
             wires.insert(id, Channel { id: channel, wire, display, frame, is_pose, first: None });
         }
         let tree = FrameTree::new(plan);
-        Ok(Self { wires, tree, held: Vec::new(), n_held_bytes: 0, n_left_out: 0 })
+        Ok(Self { wires, tree, answers })
     }
 
     /// Writes the picture of a value, or holds it until the end if it shows an answer.
@@ -77,26 +75,40 @@ impl Pictures {
         if !channel.display.answer {
             return file.write_message(head, picture.into());
         }
-        if self.n_held_bytes.saturating_add(picture.len()) > MAX_HELD_BYTES {
-            self.n_left_out += 1;
-        } else {
-            self.n_held_bytes += picture.len();
-            self.held.push((head, picture));
+        if let Some((head, picture)) = self.answers.hold((head, picture)) {
+            file.send(head, picture);
         }
         Ok(())
     }
 
+    /// Follows the verdict of the run, and removes what listeners were shown of an answer that has no value now.
+    pub(super) fn follow(&mut self, file: &Output, wire: OutputId, item: &Item, time_ns: u64) {
+        let lost = self.wires.get(&wire).filter(|_| matches!(item.body, Body::Empty(_)));
+        let lost = lost.and_then(|channel| self.answers.lost(channel.id, time_ns));
+        let judged = self.answers.judge(wire, item, time_ns);
+        lost.into_iter().chain(judged).for_each(|(head, picture)| file.send(head, picture));
+    }
+
     /// Writes the first transform of each wire of poses at `first_ns`, before everything else in the file, and the answers
-    /// if the run is `complete`. Returns what viewers cannot show.
-    pub(super) fn finish(&mut self, file: &mut Output, first_ns: u64, complete: bool) -> io::Result<Vec<String>> {
+    /// if the run is `complete`; else removes at `last_ns` those that listeners have. Returns what viewers cannot show.
+    pub(super) fn finish(
+        &mut self,
+        file: &mut Output,
+        (first_ns, last_ns): (u64, u64),
+        complete: bool,
+    ) -> io::Result<Vec<String>> {
         let mut notes = self.not_connected();
-        if !complete && !self.held.is_empty() {
-            let n = self.held.len() + self.n_left_out;
+        let (held, n_left_out) = self.answers.take_held();
+        if !complete {
+            self.answers.remove_all(last_ns).into_iter().for_each(|(head, removal)| file.send(head, removal));
+        }
+        if !complete && !held.is_empty() {
+            let n = held.len() + n_left_out;
             notes.push(format!("the run has no answer: {n} pictures of planes are not drawn"));
         } else {
-            self.held.drain(..).try_for_each(|(head, picture)| file.write_message(head, picture.into()))?;
-            if self.n_left_out > 0 {
-                let n = self.n_left_out;
+            held.into_iter().try_for_each(|(head, picture)| file.write_message(head, picture.into()))?;
+            if n_left_out > 0 {
+                let n = n_left_out;
                 notes.push(format!("{n} later pictures of planes are not drawn: no more than 64 MB wait for the end"));
             }
         }

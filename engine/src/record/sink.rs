@@ -238,7 +238,7 @@ impl Sink {
         // Viewers reject a time of zero; a run without any time is shown at its first nanoseconds.
         self.begin_time(FIRST_NS)?;
         let before_all = self.first_ns.saturating_sub(1).max(1);
-        let notes = self.pictures.finish(&mut self.file, before_all, complete)?;
+        let notes = self.pictures.finish(&mut self.file, (before_all, self.time_ns.unwrap_or(before_all)), complete)?;
         log.into_iter().try_for_each(|entry| self.log(entry))?;
         let warning = |message| LogEntry { node: None, item: 0, stamp_ns: None, level: LogLevel::Warning, message };
         notes.into_iter().map(warning).try_for_each(|entry| self.log(entry))
@@ -279,6 +279,7 @@ impl Sink {
             return Err(Stopped::TooLong { wire: name.clone(), number: item.number, n_bytes: parts.len() });
         }
         self.file.write_message(head(*exact), parts)?;
+        self.pictures.follow(&self.file, id, item, time_ns);
         match &item.body {
             Body::Value(value) => Ok(self.pictures.write(&mut self.file, id, (item, value), time_ns)?),
             Body::Empty(empty) if *empty.node == *self.nodes[*node] => {

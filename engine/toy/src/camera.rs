@@ -49,6 +49,7 @@ impl Payload<Cloud> for Cloud {
             schema_data: b"{\"type\":\"object\"}".to_vec(),
             message_encoding: "raw".into(),
             answer: false,
+            removal: Vec::new(),
         })
     }
 

@@ -58,5 +58,6 @@ fn json_display(schema_name: &str) -> Display {
         schema_data: b"{}".to_vec(),
         message_encoding: "json".into(),
         answer: false,
+        removal: Vec::new(),
     }
 }

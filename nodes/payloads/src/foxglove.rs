@@ -2,7 +2,7 @@
 
 mod scene;
 
-pub(crate) use scene::{mesh, named_points, planes, scene_schema, surface_points};
+pub(crate) use scene::{mesh, named_points, no_planes, planes, scene_schema, surface_points};
 
 use foxglove::{
     Encode,
@@ -38,6 +38,7 @@ fn schema<M: Encode>() -> Option<Display> {
         schema_data: schema.data.into_owned(),
         message_encoding: M::get_message_encoding(),
         answer: false,
+        removal: Vec::new(),
     })
 }
 

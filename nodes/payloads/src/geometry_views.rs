@@ -368,7 +368,7 @@ impl Payload<Table> for Planes {
     }
 
     fn display() -> Option<Display> {
-        Some(Display { answer: true, ..foxglove::scene_schema()? })
+        Some(Display { answer: true, removal: foxglove::no_planes()?, ..foxglove::scene_schema()? })
     }
 
     fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {

@@ -45,6 +45,10 @@ pub(crate) fn surface_points(
     None
 }
 
+pub(crate) fn no_planes() -> Option<Vec<u8>> {
+    None
+}
+
 pub(crate) fn planes(_: &Planes, _: &DisplayContext<'_>) -> Option<Vec<u8>> {
     None
 }

@@ -1,13 +1,12 @@
 //! The page: sections, figures, tables and views in one file that needs no network.
 
-use crate::{cell::Cell, chart::RESEARCH, format::number, scene::Scene};
+use crate::{cell::Cell, chart::RESEARCH, format::number, modules, scene::Scene};
 use osteoflow_draw::xml::escape;
 use osteoflow_engine::run::{Answer, Verdict};
-use serde_json::{Map, Value as Json};
+use serde_json::{Map, Value as Json, json};
 use std::fmt::Write;
 
 const STYLE: &str = include_str!("page.css");
-const VIEWER: &str = include_str!("viewer.js");
 
 /// Prefix of the file names of views.
 pub(crate) const VIEW: &str = "view-";
@@ -21,6 +20,30 @@ pub struct Figure {
     pub svg: String,
 }
 
+/// The frame of a view.
+struct View {
+    aspect: f64,
+    legend: String,
+    /// What there is where no view can be drawn.
+    instead: String,
+    /// Whether it has the views of the live page, and the verdict.
+    has_sides: bool,
+}
+
+/// Buttons of a view: key, title and word.
+const BUTTONS: [(&str, &str, &str); 3] =
+    [("+", "nearer (+)", "+"), ("-", "farther (-)", "\u{2212}"), ("0", "as at first (0)", "reset")];
+/// Those of the view that the live page has, too.
+const SIDES: [(&str, &str, &str); 5] = [
+    ("1", "key 1", "scanned side"),
+    ("2", "key 2", "lateral"),
+    ("3", "key 3", "anterior"),
+    ("4", "key 4", "along the bone"),
+    ("g", "key g", "see-through bone"),
+];
+const HOW: &str =
+    "Drag to turn, Shift and drag to move, click and scroll to zoom; arrow keys, + and \u{2212} do the same.";
+
 /// A page under construction.
 #[derive(Debug, Default)]
 pub(crate) struct Page {
@@ -30,9 +53,12 @@ pub(crate) struct Page {
     contents: Vec<(String, String)>,
     n_figures: usize,
     n_tables: usize,
-    n_views: usize,
+    /// What the views show.
+    views: Vec<Json>,
     /// Data that several views share, by name.
-    data: Map<String, Json>,
+    shared: Map<String, Json>,
+    /// The verdict by which views draw planes.
+    judged: Json,
     pub(crate) figures: Vec<Figure>,
 }
 
@@ -60,14 +86,19 @@ impl Page {
         self.contents.push((id, title.into()));
     }
 
+    /// Sets the verdict by which the views draw planes, as in `results.json`.
+    pub(crate) fn judge(&mut self, verdict: &Json) {
+        self.judged = verdict.clone();
+    }
+
     /// The verdict on the results: a shape and a colour for its answer, its reasons and what it assumes.
     pub(crate) fn verdict(&mut self, verdict: &Verdict) {
         let answer = verdict.answer();
-        // Readable without colours: a tick in a circle, an exclamation mark in a triangle, a cross in a square.
+        // Readable without colours: a tick in a circle, an exclamation mark in a triangle, a cross in an octagon, as on the live page.
         let shape = match answer {
             Answer::Trusted => "<circle cx=\"12\" cy=\"12\" r=\"10\"/><path d=\"M7 12.5l3.5 3.5L17 8.5\"/>",
             Answer::Doubtful => "<path d=\"M12 2.5L22.5 21h-21z\"/><path d=\"M12 9v6M12 17.5v1\"/>",
-            Answer::Refused => "<path d=\"M2.5 2.5h19v19h-19z\"/><path d=\"M7.5 7.5l9 9M16.5 7.5l-9 9\"/>",
+            Answer::Refused => "<path d=\"M8 2h8l6 6v8l-6 6H8l-6-6V8z\"/><path d=\"M7.5 7.5l9 9M16.5 7.5l-9 9\"/>",
         };
         let name = answer.name();
         let _ = writeln!(
@@ -147,38 +178,63 @@ impl Page {
         self.figures.push(Figure { name: name.into(), svg });
     }
 
-    /// Adds data that views share by this name.
-    pub(crate) fn share(&mut self, name: &str, data: Json) {
-        self.data.insert(name.into(), data);
+    /// Adds data that views share, once, and returns its name.
+    pub(crate) fn share(&mut self, data: Json) -> String {
+        if let Some((name, _)) = self.shared.iter().find(|(_, known)| **known == data) {
+            return name.clone();
+        }
+        let name = self.shared.len().to_string();
+        self.shared.insert(name.clone(), data);
+        name
     }
 
-    /// A view in three dimensions; a drawing from its initial viewpoint is also written as a file.
+    /// A view of a scene; a drawing from its initial viewpoint is also written as a file.
     pub(crate) fn view(&mut self, name: &str, scene: &Scene, caption: &str) {
         let name = format!("{VIEW}{name}");
+        let instead = format!("figures/{name}.svg shows the view from one side.");
+        let shown = View { aspect: scene.aspect, legend: scene.legend_html(), instead, has_sides: false };
+        self.view_box(&shown, scene.json(), caption);
+        self.figures.push(Figure { name, svg: scene.svg(caption, self.simulated) });
+    }
+
+    /// What the live page shows of the run; `drawing` is its drawing on paper.
+    pub(crate) fn picture(&mut self, picture: Json, drawing: Option<(&str, &Scene)>, legend: String, caption: &str) {
+        let instead = match drawing {
+            Some((name, _)) => format!("figures/{VIEW}{name}.svg shows the scan on the bone from one side."),
+            None => "It has no drawing.".into(),
+        };
+        self.view_box(&View { aspect: 1.6, legend, instead, has_sides: true }, json!({ "picture": picture }), caption);
+        if let Some((name, scene)) = drawing {
+            self.figures.push(Figure { name: format!("{VIEW}{name}"), svg: scene.svg(caption, self.simulated) });
+        }
+    }
+
+    fn view_box(&mut self, view: &View, content: Json, caption: &str) {
         self.n_figures += 1;
-        self.n_views += 1;
-        let (n, view) = (self.n_figures, self.n_views);
+        let (n, scene) = (self.n_figures, self.views.len());
+        self.views.push(content);
+        let button = |(key, title, word): &(&str, &str, &str)| {
+            format!("<button type=\"button\" data-do=\"{key}\" title=\"{title}\">{word}</button>")
+        };
+        let sides = match view.has_sides {
+            true => &SIDES[..],
+            false => &[],
+        };
+        let buttons: String = sides.iter().chain(&BUTTONS).map(button).collect();
+        let judged = if view.has_sides { "<div class=\"judged\"></div>" } else { "" };
+        let (about, instead) = (escape(caption), escape(&view.instead));
         let _ = writeln!(
             self.body,
-            "<figure id=\"figure-{n}\"><div class=\"view\" data-scene=\"scene-{view}\" style=\"aspect-ratio: {}\"><canvas \
-             tabindex=\"0\" role=\"img\" aria-label=\"{}\"></canvas><div class=\"bar\"><button type=\"button\" \
-             data-do=\"in\" title=\"nearer (+)\">+</button><button type=\"button\" data-do=\"out\" title=\"farther \
-             (-)\">\u{2212}</button><button type=\"button\" data-do=\"reset\" title=\"as at first (0)\">reset</button>\
-             </div><div class=\"scale\"><i></i><span></span></div><p class=\"fallback\" hidden>This browser has no WebGL: \
-             figures/{}.svg shows the view from one side.</p></div>{}<figcaption><b>Figure {n}.</b> {} \
-             <span class=\"how\">Drag to turn, Shift and drag to move, click and scroll to zoom; arrow keys, + and \
-             \u{2212} do the same.</span> <span class=\"words\">{}</span></figcaption><script type=\"application/json\" \
-             id=\"scene-{view}\">{}</script></figure>",
-            scene.aspect,
-            escape(caption),
-            escape(&name),
-            scene.legend_html(),
-            escape(caption),
+            "<figure id=\"figure-{n}\"><div class=\"view\" data-scene=\"{scene}\" style=\"aspect-ratio: {}\"><div \
+             class=\"holder\" data-about=\"{about}\"></div><div class=\"bar\">{buttons}</div><div \
+             class=\"scale\"><i></i><span></span></div><p class=\"fallback\" data-instead=\"{instead}\" hidden></p>\
+             <noscript><p class=\"fallback\">The view needs JavaScript. {instead}</p></noscript></div>{judged}{}<details \
+             class=\"layers\"><summary>Shown</summary><ul></ul></details><figcaption><b>Figure {n}.</b> {about} <span \
+             class=\"how\">{HOW}</span> <span class=\"words\">{}</span></figcaption></figure>",
+            view.aspect,
+            view.legend,
             self.words(),
-            in_script(&scene.json())
         );
-        let svg = scene.svg(caption, self.simulated);
-        self.figures.push(Figure { name, svg });
     }
 
     /// A table with right-aligned numbers.
@@ -225,9 +281,16 @@ impl Page {
         };
         let contents: String =
             self.contents.iter().map(|(id, title)| format!("<a href=\"#{id}\">{}</a> ", escape(title))).collect();
-        let data = in_script(&Json::Object(self.data));
-        // Nothing may be fetched, whatever the page contains.
-        let policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:";
+        let scripts = if self.views.is_empty() {
+            String::new()
+        } else {
+            let data = json!({ "views": self.views, "shared": self.shared, "verdict": self.judged });
+            let packed = |id: &str, text: &str| format!("<script type=\"text/plain\" id=\"{id}\">{text}</script>\n");
+            let [modules, data] = [packed("modules", &modules::packed()), packed("data", &modules::pack(&data))];
+            format!("{modules}{data}<script>\n{}</script>\n", modules::LOADER)
+        };
+        // Nothing may be fetched, whatever the page contains: its modules have addresses within it.
+        let policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline' blob:; img-src data:";
         let html = format!(
             "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta \
              http-equiv=\"Content-Security-Policy\" content=\"{policy}\">\n<meta name=\"viewport\" \
@@ -235,17 +298,12 @@ impl Page {
              rel=\"icon\" href=\"data:,\">\n<title>{title}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<header>\n\
              <h1>{title}</h1>\n<p class=\"subtitle\">{}</p>\n{simulated}<p class=\"research\">Research software, not a \
              medical device: {RESEARCH}.</p>\n<nav aria-label=\"sections\">{contents}</nav>\n</header>\n<main>\n{}</main>\n\
-             <script type=\"application/json\" id=\"data\">{data}</script>\n<script>\n{VIEWER}</script>\n</body>\n</html>\n",
+             {scripts}</body>\n</html>\n",
             escape(subtitle),
             self.body
         );
         (html, self.figures)
     }
-}
-
-/// JSON text inside a script element: escapes `<`, so that it cannot contain `</script>`.
-fn in_script(json: &Json) -> String {
-    json.to_string().replace('<', "\\u003c")
 }
 
 /// The drawing with its style rules limited to itself, as they would otherwise apply to the whole page.
@@ -271,10 +329,10 @@ mod tests {
     #[test]
     fn nothing_in_the_data_ends_its_script() {
         let mut page = Page::new("a <b>", true);
-        page.share("x", "</script><script>alert(1)</script>".into());
+        page.picture(json!({ "x": "</script><script>alert(1)</script>" }), None, String::new(), "</script>");
         page.text("<img src=x>");
         let (html, _) = page.finish("");
-        assert_eq!(html.matches("</script>").count(), 2, "one of the data, one of the viewer");
+        assert_eq!(html.matches("</script>").count(), 3, "the modules, the data and the loader");
         assert!(!html.contains("<img") && html.contains("a &lt;b&gt;"));
     }
 

@@ -1,7 +1,7 @@
 //! Reports of runs and sweeps: one self-contained page each.
 //!
 //! [`of_run`] reads the folder that `osteoflow run` writes (results, manifest, recording), [`of_sweep`] that of
-//! `osteoflow sweep`. A page holds figures as SVG, views in three dimensions with their viewer, tables, a methods paragraph,
+//! `osteoflow sweep`. A page holds figures as SVG, views in three dimensions with the scripts of the live page, tables, a methods paragraph,
 //! provenance and BibTeX. It fetches nothing, so it opens without a network. What cannot be shown is listed with the reason,
 //! such as a wire that was not recorded. Every figure and table is marked "research use only", and SIMULATED if no measured
 //! data was registered.
@@ -22,6 +22,7 @@ pub mod diagram;
 pub mod format;
 mod html;
 mod methods;
+mod modules;
 mod provenance;
 pub mod reproduction;
 mod run;

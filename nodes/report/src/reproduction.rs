@@ -20,7 +20,7 @@ use serde_json::Value;
 use std::collections::BTreeSet;
 
 /// The experiments: names of graphs in graphs/paper/, first those of the paper in its order, then ours.
-pub const EXPERIMENTS: [&str; 12] = [
+pub const EXPERIMENTS: [&str; 13] = [
     "calibration",
     "accuracy_camera",
     "accuracy_stylus",
@@ -33,6 +33,7 @@ pub const EXPERIMENTS: [&str; 12] = [
     "roi_extent",
     "readings",
     "error_terms",
+    "laser_detectors",
 ];
 
 /// The experiments about fragments, whose reports have maps of them (Fig. 7); elsewhere the two repeated runs for the maps

@@ -2,8 +2,10 @@
 
 mod answer;
 pub(crate) mod fragments;
+mod picture;
 mod predicted;
 mod slide;
+mod transforms;
 mod views;
 
 use crate::{
@@ -39,6 +41,7 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     if let Some(verdict) = &verdict {
         page.verdict(verdict);
     }
+    page.judge(&run.results["verdict"]);
     answer::table(&mut page, &run.results);
     outcome(&mut page, &run);
     if let Some(verdict) = &verdict {
@@ -49,10 +52,7 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     let refused = refused.map(|verdict| format!("the result is refused: {}", verdict.sentence()));
 
     page.section("Registration");
-    match &refused {
-        Some(why) => page.missing(views::SCAN, why),
-        None => views::residuals(&mut page, &run),
-    }
+    views::scan(&mut page, &run, refused.as_deref());
     convergence(&mut page, &run);
     slide::profile(&mut page, &run);
     page.section("Accuracy");

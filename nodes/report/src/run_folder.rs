@@ -58,6 +58,19 @@ impl RunFolder {
         differ.then(|| format!("{} holds other results than {}", files::RESULTS, files::RECORDING))
     }
 
+    /// The file of the recording.
+    ///
+    /// # Errors
+    /// The reason why there is none.
+    pub(crate) fn recording_path(&self) -> Result<&Path, String> {
+        self.recording.as_ref().map(|recording| recording.path.as_path()).map_err(Clone::clone)
+    }
+
+    /// The payloads that the recording may have.
+    pub(crate) fn registry(&self) -> &Registry {
+        &self.registry
+    }
+
     pub(crate) fn is_simulated(&self) -> bool {
         self.results["simulated"] == true
     }

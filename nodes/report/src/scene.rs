@@ -1,38 +1,31 @@
-//! A view in three dimensions for the page's viewer: meshes, points and lines, quantised to 16 bits.
+//! A view in three dimensions for the page: layers for its scripts, and the same content for an SVG drawing.
 
 mod drawing;
+pub(crate) mod packed;
 
 use crate::format::number;
-use base64::{Engine, engine::general_purpose::STANDARD};
 use drawing::{Drawn, Solid, Tint};
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use osteoflow_draw::xml::escape;
 use osteoflow_geometry::Mesh;
+use packed::{MAX_POINTS, indexed, levels, positions};
 use serde_json::{Value as Json, json};
-use std::{
-    collections::BTreeMap,
-    ops::{AddAssign, Div},
-};
 
-/// Blue over white to red (ColorBrewer's RdBu), safe for colour-blind readers.
-const DIVERGING: [&str; 7] = ["#2166ac", "#67a9cf", "#d1e5f0", "#f7f7f7", "#fddbc7", "#ef8a62", "#b2182b"];
+/// Blue over white to orange, as on the live page; they differ in lightness, too.
+const DIVERGING: [&str; 7] = ["#0073b2", "#529fc7", "#a5cbdd", "#f7f7f2", "#ecc4a1", "#e19151", "#d65e00"];
 
 /// Registered or planned.
 pub(crate) const BLUE: &str = "#0072b2";
 /// Measured or executed.
 pub(crate) const RED: &str = "#d55e00";
 /// The bone.
-pub(crate) const BONE: &str = "#c9c2b4";
-
-/// Meshes with more faces are simplified for the page.
-const MAX_FACES: usize = 60_000;
-/// Clouds with more points are thinned out by stride.
-const MAX_POINTS: usize = 40_000;
+pub(crate) const BONE: &str = "#d9cfbb";
 
 /// A view.
 #[derive(Debug, Clone)]
 pub(crate) struct Scene {
-    parts: Vec<Json>,
+    /// Layers of the view; each has a name, by which it can be hidden.
+    layers: Vec<Json>,
     /// The same content for the SVG drawing.
     drawn: Vec<Drawn>,
     legend: Vec<(String, String)>,
@@ -65,27 +58,33 @@ impl Scene {
         let aspect = (size.x / size.y.max(size.z)).clamp(1.6, 2.6);
         let half_width = 0.62 * size.x.max(size.y.max(size.z) * aspect);
         let centre = Point3::from(turn.transpose() * ((low + high) / 2.0));
-        Self { parts: Vec::new(), drawn: Vec::new(), legend: Vec::new(), ramp: None, centre, half_width, turn, aspect }
+        Self { layers: Vec::new(), drawn: Vec::new(), legend: Vec::new(), ramp: None, centre, half_width, turn, aspect }
     }
 
     /// Adds a surface that the page shares by name.
-    pub(crate) fn shared_mesh(&mut self, name: &str, mesh: &Mesh, colour: &str) {
-        self.parts.push(json!({ "type": "mesh", "data": name, "colour": colour }));
+    pub(crate) fn shared_mesh(&mut self, layer: &str, name: &str, mesh: &Mesh, colour: &str) {
+        self.layers.push(json!({ "name": layer, "type": "mesh", "shared": name, "colour": colour }));
         self.draw_mesh((mesh.vertices(), mesh.faces()), 1.0, Tint::Plain(colour.into()));
     }
 
-    /// Adds a surface; transparent if `opacity` is below 1.
-    pub(crate) fn mesh(&mut self, vertices: &[Point3<f64>], faces: &[[u32; 3]], colour: &str, opacity: f64) {
+    /// Adds a surface.
+    pub(crate) fn mesh(&mut self, layer: &str, vertices: &[Point3<f64>], faces: &[[u32; 3]], colour: &str) {
         let own = indexed(vertices, faces);
-        self.parts.push(json!({ "type": "mesh", "own": own, "colour": colour, "opacity": opacity }));
-        self.draw_mesh((vertices, faces), opacity, Tint::Plain(colour.into()));
+        self.layers.push(json!({ "name": layer, "type": "mesh", "own": own, "colour": colour }));
+        self.draw_mesh((vertices, faces), 1.0, Tint::Plain(colour.into()));
     }
 
     /// Adds a surface coloured by a signed value at each vertex, clamped to `max`.
-    pub(crate) fn coloured_mesh(&mut self, vertices: &[Point3<f64>], faces: &[[u32; 3]], values: &[f64], max: f64) {
+    pub(crate) fn coloured_mesh(
+        &mut self,
+        layer: &str,
+        (vertices, faces): (&[Point3<f64>], &[[u32; 3]]),
+        values: &[f64],
+        max: f64,
+    ) {
         let mut own = indexed(vertices, faces);
         own["values"] = levels(values, max).into();
-        self.parts.push(json!({ "type": "mesh", "own": own, "ramp": DIVERGING }));
+        self.layers.push(json!({ "name": layer, "type": "mesh", "own": own }));
         self.draw_mesh((vertices, faces), 1.0, Tint::Values(values.to_vec(), max));
     }
 
@@ -94,35 +93,60 @@ impl Scene {
         self.drawn.push(Drawn { what, tint });
     }
 
+    /// Adds planes with names, drawn as squares around their origins.
+    pub(crate) fn planes(&mut self, layer: &str, planes: &[(&str, Isometry3<f64>)], colour: &str) {
+        let rows: Vec<f64> = planes
+            .iter()
+            .flat_map(|(_, t)| t.translation.vector.iter().chain(t.rotation.coords.iter()).copied().collect::<Vec<_>>())
+            .collect();
+        let names: Vec<_> = planes.iter().map(|(name, _)| *name).collect();
+        let names = names.join("\n");
+        self.layers.push(json!({ "name": layer, "type": "planes", "rows": rows, "names": names, "colour": colour }));
+        for (_, t) in planes {
+            let corners = square(t);
+            self.draw_mesh((&corners, &[[0, 1, 2], [0, 2, 3]]), 0.22, Tint::Plain(colour.into()));
+            let edges = (0..4).flat_map(|k| [corners[k], corners[(k + 1) % 4]]).collect();
+            self.drawn.push(Drawn { what: Solid::Lines(edges), tint: Tint::Plain(colour.into()) });
+        }
+        for (name, t) in planes.iter().filter(|(name, _)| !name.is_empty()) {
+            let what = Solid::Tag(square(t)[0], (*name).into());
+            self.drawn.push(Drawn { what, tint: Tint::Plain(BONE.into()) });
+        }
+    }
+
     /// Adds points as balls.
-    pub(crate) fn points(&mut self, points: &[Point3<f64>], radius_mm: f64, colour: &str) {
-        self.parts.push(json!({ "type": "points", "own": positions(points), "colour": colour, "radius": radius_mm }));
+    pub(crate) fn points(&mut self, layer: &str, points: &[Point3<f64>], radius_mm: f64, colour: &str) {
+        let own = positions(points);
+        self.layers.push(json!({ "name": layer, "type": "balls", "own": own, "colour": colour, "radius": radius_mm }));
         let what = Solid::Points { points: points.to_vec(), radius_mm };
         self.drawn.push(Drawn { what, tint: Tint::Plain(colour.into()) });
     }
 
-    /// Adds points coloured by a signed value, clamped to `max`.
-    pub(crate) fn coloured_points(&mut self, points: &[Point3<f64>], values: &[f64], max: f64, radius_mm: f64) {
+    /// Adds points coloured by a signed value, clamped to `max`, to the drawing alone: the view has the clouds of the recording.
+    pub(crate) fn drawn_points(&mut self, points: &[Point3<f64>], values: &[f64], max: f64, radius_mm: f64) {
         let every = points.len().div_ceil(MAX_POINTS).max(1);
         let points: Vec<_> = points.iter().copied().step_by(every).collect();
         let values: Vec<_> = values.iter().copied().step_by(every).collect();
-        let mut own = positions(&points);
-        own["values"] = levels(&values, max).into();
-        self.parts.push(json!({ "type": "points", "own": own, "ramp": DIVERGING, "radius": radius_mm }));
         self.drawn.push(Drawn { what: Solid::Points { points, radius_mm }, tint: Tint::Values(values, max) });
     }
 
+    /// Adds a surface to the drawing alone.
+    pub(crate) fn drawn_mesh(&mut self, mesh: &Mesh, colour: &str) {
+        self.draw_mesh((mesh.vertices(), mesh.faces()), 1.0, Tint::Plain(colour.into()));
+    }
+
     /// Adds lines between pairs of points.
-    pub(crate) fn lines(&mut self, ends: &[Point3<f64>], colour: &str) {
+    pub(crate) fn lines(&mut self, layer: &str, ends: &[Point3<f64>], colour: &str) {
         if !ends.is_empty() {
-            self.parts.push(json!({ "type": "lines", "own": positions(ends), "colour": colour }));
+            let own = positions(ends);
+            self.layers.push(json!({ "name": layer, "type": "lines", "own": own, "colour": colour }));
             self.drawn.push(Drawn { what: Solid::Lines(ends.to_vec()), tint: Tint::Plain(colour.into()) });
         }
     }
 
     /// Adds a label beside a point.
-    pub(crate) fn tag(&mut self, at: &Point3<f64>, word: &str) {
-        self.parts.push(json!({ "type": "tag", "at": [at.x, at.y, at.z], "word": word }));
+    pub(crate) fn tag(&mut self, layer: &str, at: &Point3<f64>, word: &str) {
+        self.layers.push(json!({ "name": layer, "type": "tag", "at": [at.x, at.y, at.z], "word": word }));
         self.drawn.push(Drawn { what: Solid::Tag(*at, word.into()), tint: Tint::Plain(BONE.into()) });
     }
 
@@ -138,10 +162,13 @@ impl Scene {
 
     pub(crate) fn json(&self) -> Json {
         json!({
-            "parts": self.parts,
-            "centre": self.centre.coords.as_slice(),
-            "halfWidth": self.half_width,
-            "turn": self.turn.as_slice(),
+            "layers": self.layers,
+            "look": {
+                "centre": self.centre.coords.as_slice(),
+                "halfWidth": self.half_width,
+                "up": self.turn.row(1).iter().collect::<Vec<_>>(),
+                "from": self.turn.row(2).iter().collect::<Vec<_>>(),
+            },
         })
     }
 
@@ -154,7 +181,7 @@ impl Scene {
             let max = number(*max);
             out += &format!(
                 "<span>{} <span>\u{2212}{max}</span><i class=\"ramp\" role=\"img\" aria-label=\"from blue, minus {max} \
-                 mm, over white to red, {max} mm\" style=\"background: linear-gradient(to right, {})\"></i><span>+{max} \
+                 mm, over white to orange, {max} mm\" style=\"background: linear-gradient(to right, {})\"></i><span>+{max} \
                  mm</span></span>",
                 escape(what),
                 DIVERGING.join(", ")
@@ -172,100 +199,17 @@ pub(crate) fn round_up(value: f64) -> f64 {
     steps.into_iter().map(|step| step * power).find(|step| *step >= value * (1.0 - 1e-9)).unwrap_or(value)
 }
 
+/// Half the side of a drawn plane, mm, as on the live page.
+const PLANE_MM: f64 = 18.0;
+
+/// The corners of a plane's square.
+pub(crate) fn square(t: &Isometry3<f64>) -> [Point3<f64>; 4] {
+    [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| t * Point3::new(x * PLANE_MM, y * PLANE_MM, 0.0))
+}
+
 fn any_across(v: &Vector3<f64>) -> Vector3<f64> {
     let least = if v.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
     (least - v * v.dot(&least)).normalize()
-}
-
-/// Positions with 16 bits per coordinate, from their lowest corner in steps of `step` mm.
-fn positions(points: &[Point3<f64>]) -> Json {
-    let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-    for p in points {
-        (low, high) = (low.inf(&p.coords), high.sup(&p.coords));
-    }
-    if points.is_empty() {
-        (low, high) = (Vector3::zeros(), Vector3::zeros());
-    }
-    let step = ((high - low).max() / f64::from(u16::MAX)).max(1e-9);
-    let bytes: Vec<u8> = points
-        .iter()
-        .flat_map(|p| ((p.coords - low) / step).iter().map(|c| c.round() as u16).collect::<Vec<_>>())
-        .flat_map(u16::to_le_bytes)
-        .collect();
-    json!({ "positions": STANDARD.encode(bytes), "low": low.as_slice(), "step": step })
-}
-
-/// Values from `-max` to `max` with 8 bits each.
-fn levels(values: &[f64], max: f64) -> String {
-    let level = |v: &f64| (127.5 * (v / max).clamp(-1.0, 1.0) + 127.5).round() as u8;
-    STANDARD.encode(values.iter().map(level).collect::<Vec<_>>())
-}
-
-/// A surface for the page, simplified if it has many faces.
-pub(crate) fn surface(mesh: &Mesh) -> Json {
-    let (groups, faces) = thinned(mesh.vertices(), mesh.faces(), MAX_FACES);
-    let positions: Vec<_> = mesh.vertices().iter().map(|p| p.coords).collect();
-    let vertices: Vec<_> = groups.means(&positions).into_iter().map(Point3::from).collect();
-    indexed(&vertices, &faces)
-}
-
-/// A surface with all its faces, in the order of its vertices.
-fn indexed(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Json {
-    let mut data = positions(vertices);
-    let bytes: Vec<u8> = faces.iter().flatten().flat_map(|i| i.to_le_bytes()).collect();
-    data["faces"] = STANDARD.encode(bytes).into();
-    data
-}
-
-/// Groups of vertices that were merged.
-struct Groups {
-    /// The group of each vertex; if empty, every vertex is a group.
-    of_vertex: Option<Vec<u32>>,
-    n: usize,
-}
-
-impl Groups {
-    /// One value for each group: the mean of its vertices' values.
-    fn means<T: Copy + AddAssign + Div<f64, Output = T>>(&self, values: &[T]) -> Vec<T> {
-        let Some(of_vertex) = &self.of_vertex else { return values.to_vec() };
-        let mut sums: Vec<Option<(T, f64)>> = vec![None; self.n];
-        for (group, value) in of_vertex.iter().zip(values) {
-            match &mut sums[*group as usize] {
-                Some((sum, n)) => {
-                    *sum += *value;
-                    *n += 1.0;
-                }
-                none => *none = Some((*value, 1.0)),
-            }
-        }
-        sums.into_iter().flatten().map(|(sum, n)| sum / n).collect()
-    }
-}
-
-/// At max `max` faces: all if they are few, otherwise by merging vertices in cubes that grow until the faces are few enough.
-fn thinned(vertices: &[Point3<f64>], faces: &[[u32; 3]], max: usize) -> (Groups, Vec<[u32; 3]>) {
-    if faces.len() <= max {
-        return (Groups { of_vertex: None, n: vertices.len() }, faces.to_vec());
-    }
-    let corners = |face: &[u32; 3]| face.map(|v| vertices[v as usize]);
-    let area = |[a, b, c]: [Point3<f64>; 3]| 0.5 * (b - a).cross(&(c - a)).norm();
-    let area: f64 = faces.iter().map(|face| area(corners(face))).sum();
-    // A cube on a surface holds about two faces of half the area of its side.
-    let mut side = (2.0 * area / max as f64).sqrt().max(1e-6);
-    loop {
-        let mut cubes: BTreeMap<[i64; 3], u32> = BTreeMap::new();
-        let mut of_vertex = Vec::with_capacity(vertices.len());
-        for p in vertices {
-            let n = cubes.len() as u32;
-            of_vertex.push(*cubes.entry([p.x, p.y, p.z].map(|c| (c / side).floor() as i64)).or_insert(n));
-        }
-        let kept = faces.iter().map(|face| face.map(|v| of_vertex[v as usize]));
-        let kept: Vec<_> = kept.filter(|[a, b, c]| a != b && b != c && a != c).collect();
-        if kept.len() <= max {
-            return (Groups { of_vertex: Some(of_vertex), n: cubes.len() }, kept);
-        }
-        side *= 1.2;
-    }
 }
 
 /// The intersection of a surface with the xy plane of `t_mesh_plane`, as pairs of points.
@@ -293,7 +237,7 @@ mod tests {
     use nalgebra::Isometry3;
     use osteoflow_geometry::SurfaceOrigin;
 
-    fn grid(n: usize) -> Mesh {
+    pub(super) fn grid(n: usize) -> Mesh {
         let vertices: Vec<_> = (0..=n)
             .flat_map(|i| (0..=n).map(move |j| Point3::new(i as f64, j as f64, ((i * 7 + j) % 3) as f64 * 0.01)))
             .collect();
@@ -314,27 +258,6 @@ mod tests {
         for (end, expected) in ends.into_iter().zip([0.15, 0.15, 0.2, 1.0, 0.2, 15.0]) {
             assert!((end - expected).abs() < 1e-9, "{end} is not {expected}");
         }
-    }
-
-    #[test]
-    fn a_fine_mesh_is_simplified_and_stays_in_place() {
-        let mesh = grid(100);
-        let (groups, faces) = thinned(mesh.vertices(), mesh.faces(), 2000);
-        assert!((500..=2000).contains(&faces.len()), "{} faces", faces.len());
-        let vertices = groups.means(&mesh.vertices().iter().map(|p| p.coords).collect::<Vec<_>>());
-        assert!(vertices.iter().all(|p| p.z.abs() <= 0.021 && p.x >= 0.0 && p.x <= 100.0));
-        assert_eq!(thinned(mesh.vertices(), mesh.faces(), 20_000).1.len(), 20_000, "few enough: as it is");
-    }
-
-    #[test]
-    fn positions_are_quantised_within_half_a_step() {
-        let points = [Point3::new(-80.0, 3.0, -890.0), Point3::new(270.0, 3.5, -889.0)];
-        let json = positions(&points);
-        let bytes = STANDARD.decode(json["positions"].as_str().unwrap()).unwrap();
-        let step = json["step"].as_f64().unwrap();
-        assert!(step < 0.006, "350 mm in steps of {step} mm");
-        let back = f64::from(u16::from_le_bytes([bytes[6], bytes[7]])) * step + json["low"][0].as_f64().unwrap();
-        assert!((back - 270.0).abs() <= 0.5 * step);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 // What is under a place of the window: the nearest point of the bone in front, or a measured point of the scan. Double precision.
 
 import * as THREE from "three";
-import { MM } from "./scene.js";
+import { MM } from "./drawables.js";
 import { Surface, dot, minus, norm, plus } from "./surface.js";
 
 /** @typedef {import("./picks.js").Group} Group */

@@ -1,7 +1,7 @@
 // The camera, by what it has seen, and the axes of all frames.
 
 import * as THREE from "three";
-import { MM, label } from "./scene.js";
+import { MM, label } from "./drawables.js";
 
 /** @typedef {import("./message.js").Item} Item */
 /** @typedef {import("./frames.js").Frames} Frames */
@@ -68,12 +68,7 @@ export class Devices {
 
   /** @param {string} name @param {THREE.Object3D} object @param {string} frame */
   put(name, object, frame) {
-    const { scene } = this;
-    scene.remove(name);
-    object.matrixAutoUpdate = false;
-    scene.scene.add(object);
-    scene.drawn.set(name, { object, frame, payload: "device", shown: this.shown.get(name) ?? false, unknown: null });
-    scene.redraw();
+    this.scene.put(name, object, { frame, payload: "device", shown: this.shown.get(name) ?? false });
   }
 
   /** @param {Frames} frames */

@@ -5,6 +5,7 @@ import { Connection } from "./connection.js";
 import { Devices } from "./devices.js";
 import { GraphList } from "./graph.js";
 import { Frames } from "./frames.js";
+import { LayerList, showItem } from "./layers.js";
 import { readItem, readTransform } from "./message.js";
 import { Picking } from "./pick.js";
 import { RegionTool } from "./region.js";
@@ -28,7 +29,8 @@ const MAX_MESSAGES = 50;
 const element = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
 const frames = new Frames();
-const scene = new Scene(element("view"));
+const scene = new Scene(element("view"), { worker: new Worker("residual.js", { type: "module" }), isOrthographic: false });
+const layers = new LayerList(element("shown"), scene);
 const graph = new GraphList(element("graph"));
 const devices = new Devices(scene);
 const picking = new Picking(scene, element("picking"));
@@ -118,41 +120,6 @@ function showNumbers() {
   );
 }
 
-let listed = "";
-
-/** The list of what can be shown, with why something is not. */
-function showList() {
-  const rows = [...scene.drawn].map(([wire, { shown, object }]) => ({ wire, shown, why: object.userData.why ?? null }));
-  rows.sort((a, b) => (a.wire < b.wire ? -1 : 1));
-  const key = JSON.stringify(rows);
-  if (key === listed) return;
-  listed = key;
-  element("shown").replaceChildren(
-    ...rows.map(({ wire, shown, why }) => {
-      const entry = document.createElement("li");
-      const name = document.createElement("label");
-      const box = document.createElement("input");
-      box.type = "checkbox";
-      box.checked = shown;
-      box.onchange = () => {
-        const drawn = scene.drawn.get(wire);
-        if (drawn) drawn.shown = box.checked;
-        scene.choices.set(wire, box.checked);
-        scene.redraw();
-      };
-      name.append(box, ` ${wire}`);
-      entry.append(name);
-      if (why !== null) {
-        entry.className = "hidden";
-        const reason = document.createElement("small");
-        reason.textContent = why;
-        entry.append(reason);
-      }
-      return entry;
-    }),
-  );
-}
-
 /** @param {string} text */
 function log(text) {
   const entry = document.createElement("li");
@@ -228,24 +195,19 @@ function receive(channel, data) {
   const item = readItem(data);
   const payload = item.payload ?? channel.schemaName.split("@")[0];
   picking.item(wire, payload, item);
-  if (payload === "geometry/Pose") {
-    if (item.empty) frames.unknown.set(wire, item.empty.reason);
-    else frames.unknown.delete(wire);
-    scene.redraw();
-  } else if (payload === "report/Verdict") {
+  if (payload === "report/Verdict") {
     verdicts.set(wire, item.empty ? null : JSON.parse(String(item.fields.json)));
     judge();
   } else if (payload === "report/Flag" && wire.endsWith(".simulated") && !item.empty) {
     state.simulated = Object.values(item.fields)[0] === true;
     showState();
   } else {
-    scene.update(wire, payload, item);
+    showItem({ scene, frames }, wire, payload, item);
   }
 }
 
 /** The time of a recording has jumped: what comes next is all that is known. */
 function forget() {
-  listed = "";
   frames.clear();
   scene.clear();
   pending.clear();
@@ -317,7 +279,7 @@ function animate() {
     drawMs = scene.draw(frames);
     drawsAt = performance.now() + drawMs;
   }
-  showList();
+  layers.draw();
   graph.draw();
   // The renderer's own time depends on the graphics card, of which some machines have none.
   measure(performance.now() - began - drawMs);

@@ -1,7 +1,7 @@
 // How picked points, rulers and planes are drawn, in the coordinates of what they were picked on.
 
 import * as THREE from "three";
-import { MM, PLANE, PLANE_MM, POINT, label } from "./scene.js";
+import { MM, PLANE, PLANE_MM, POINT, label } from "./drawables.js";
 import { height, normalOf, sides } from "./picks.js";
 import { plus } from "./surface.js";
 

@@ -1,7 +1,7 @@
 // Where the view looks from while picking, and a scan with light and shade.
 
 import * as THREE from "three";
-import { BONE, MM } from "./scene.js";
+import { BONE, MM } from "./drawables.js";
 import { extent, shade } from "./shade.js";
 import { cross, dot, minus, norm, unit } from "./surface.js";
 

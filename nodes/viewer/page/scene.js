@@ -1,21 +1,14 @@
 // The view: surfaces, clouds, points, planes and frames, drawn where the frames are now.
 
 import * as THREE from "three";
+import { MM, addPoints, dispose, hatch, make, move } from "./drawables.js";
+import { Eye } from "./eye.js";
+import { ResidualColours } from "./residual_colours.js";
 import { OrbitControls } from "./three/OrbitControls.js";
 
 /** @typedef {import("./message.js").Item} Item */
 /** @typedef {import("./frames.js").Frames} Frames */
 /** @typedef {"trusted" | "doubtful" | "refused" | null} Answer */
-
-/** Millimetres in the scene's metres. */
-export const MM = 0.001;
-/** Half the side of a drawn plane, mm: a bone's width and some. */
-export const PLANE_MM = 18;
-/** Colours that differ in lightness too, for those who cannot tell red from green. */
-export const BONE = 0xd9cfbb, SCAN = 0x0072b2, PLANE = 0x8a3ffc, POINT = 0xd55e00;
-
-/** Residual at the ends of the colour scale, mm. */
-export const RESIDUAL_MM = 1;
 
 /**
  * What is drawn of a wire.
@@ -28,15 +21,18 @@ export const RESIDUAL_MM = 1;
  */
 
 export class Scene {
-  /** @param {HTMLElement} holder */
-  constructor(holder) {
+  /**
+   * @param {HTMLElement} holder
+   * @param {{worker: Worker | null, isOrthographic: boolean}} options the worker computes residuals; without one they come with the scans
+   */
+  constructor(holder, { worker, isOrthographic }) {
     this.holder = holder;
     this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     holder.append(this.renderer.domElement);
     this.scene = new THREE.Scene();
-    this.camera = new THREE.PerspectiveCamera(35, 1, 0.001, 20);
-    this.camera.position.set(0.3, 0.3, 0.3);
+    this.eye = new Eye(isOrthographic);
+    this.camera = this.eye.camera;
     const light = new THREE.DirectionalLight(0xffffff, 2.2);
     // Over the viewer's left shoulder, wherever the viewer is.
     light.position.set(-0.5, 0.6, 1);
@@ -60,17 +56,11 @@ export class Scene {
     this.isTurned = false;
     this.isGlass = false;
     this.isDirty = true;
+    /** Called when there is something to draw. */
+    this.asks = () => {};
     /** What is shown instead of everything else. @type {THREE.Object3D | null} */
     this.solo = null;
-    this.worker = new Worker("residual.js", { type: "module" });
-    this.worker.onmessage = ({ data }) => this.colour(data);
-    /** The surface that residuals are measured from. @type {string | null} */
-    this.surface = null;
-    /** What was asked last for each cloud. @type {Map<string, {key: string, question: number}>} */
-    this.asked = new Map();
-    this.questions = 0;
-    /** The distances of the points of each cloud from the surface, mm. @type {Map<string, Float32Array>} */
-    this.residuals = new Map();
+    this.colours = new ResidualColours(this, worker);
     /** Shows some of one frame alone, in its own coordinates: what is picked on does not move. @type {{frame: string, shows: (wire: string) => boolean} | null} */
     this.focus = null;
     new ResizeObserver(() => this.resize()).observe(holder);
@@ -81,19 +71,19 @@ export class Scene {
     const { clientWidth: width, clientHeight: height } = this.holder;
     if (width === 0 || height === 0) return;
     this.renderer.setSize(width, height);
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
+    this.eye.resize(width, height);
     this.redraw();
   }
 
-  redraw() { this.isDirty = true; }
+  redraw() {
+    this.isDirty = true;
+    this.asks();
+  }
 
   clear() {
     for (const wire of [...this.drawn.keys()]) this.remove(wire);
     this.axes = null;
-    this.surface = null;
-    this.asked.clear();
-    this.residuals.clear();
+    this.colours.clear();
     if (!this.isTurned) this.isLookedAt = false;
     this.redraw();
   }
@@ -146,14 +136,39 @@ export class Scene {
     this.drawn.set(wire, { object, frame, payload, shown, unknown });
     if (payload === "geometry/Mesh") this.glaze(object);
     if (payload === "geometry/Mesh" && !wire.startsWith("phantom")) {
-      const { vertices, faces } = item.columns;
-      this.surface = wire;
-      this.asked.clear();
-      this.worker.postMessage({ vertices: vertices.rows, faces: faces.rows });
+      this.colours.measureFrom(wire, item);
     }
     if (payload === "geometry/Cloud") object.userData.points = item.columns.points.rows;
     this.redraw();
   }
+
+  /**
+   * Draws an object that no item of a wire gave.
+   * @param {string} name
+   * @param {THREE.Object3D} object in the coordinates of the frame, mm
+   * @param {{frame: string, payload: string, shown: boolean}} layer
+   */
+  put(name, object, { frame, payload, shown }) {
+    this.remove(name);
+    object.matrixAutoUpdate = false;
+    this.scene.add(object);
+    this.drawn.set(name, { object, frame, payload, shown, unknown: null });
+    this.redraw();
+  }
+
+  /** Shows or hides a layer, as the user chose. @param {string} wire @param {boolean} shown */
+  choose(wire, shown) {
+    const drawn = this.drawn.get(wire);
+    if (drawn) drawn.shown = shown;
+    this.choices.set(wire, shown);
+    this.redraw();
+  }
+
+  /** The surface that residuals are measured from. */
+  get surface() { return this.colours.surface; }
+
+  /** The distances of the points of each cloud from the surface, mm. */
+  get residuals() { return this.colours.known; }
 
   /** @param {Answer} answer */
   judge(answer) {
@@ -179,8 +194,9 @@ export class Scene {
       drawn.object.matrix.copy(place.matrix).multiply(new THREE.Matrix4().makeScale(MM, MM, MM));
       if (drawn.payload === "geometry/Planes") hatch(drawn.object, this.answer === "doubtful");
     }
-    this.askForResiduals(frames);
+    this.colours.ask(frames);
     this.lookAtFirst(frames, root);
+    this.bringForth();
     const began = performance.now();
     this.renderer.render(this.scene, this.camera);
     return performance.now() - began;
@@ -207,45 +223,17 @@ export class Scene {
     if (this.isLookedAt) this.lookedAt = seen;
   }
 
-  /** Asks for the residuals of the clouds that are drawn, if a cloud or its place on the surface has changed. @param {Frames} frames */
-  askForResiduals(frames) {
-    const surface = this.surface === null ? undefined : this.drawn.get(this.surface);
-    if (!surface || this.focus) return;
-    const toSurface = frames.toRoot(surface.frame).matrix.clone().invert();
-    for (const [wire, { object, frame, payload }] of this.drawn) {
-      const { points } = object.userData;
-      if (payload !== "geometry/Cloud" || !points) continue;
-      const known = this.asked.get(wire);
-      if (!object.visible || frames.toRoot(frame).root !== frames.toRoot(surface.frame).root) continue;
-      const matrix = toSurface.clone().multiply(frames.toRoot(frame).matrix);
-      // From metres to millimetres.
-      const elements = matrix.elements.map((c, k) => (k >= 12 && k < 15 ? c / MM : c));
-      // To 10 nm: the rounding of a pose that goes there and back is no motion.
-      const key = `${object.id} ${elements.map((c) => c.toFixed(5))}`;
-      // One question at a time: of a stream the newest is asked next.
-      if (known?.key === key || (known && known.question >= 0)) continue;
-      const question = this.questions++;
-      this.asked.set(wire, { key, question });
-      this.worker.postMessage({ wire, question, points, matrix: elements });
+  /** Brings what is on a surface before it, so that the surface does not cover what is just inside, and names to their size. */
+  bringForth() {
+    this.camera.updateMatrixWorld();
+    const towards = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 2);
+    for (const { object } of this.drawn.values()) {
+      const { forthMm } = object.userData;
+      if (!forthMm || this.focus !== null) continue;
+      object.matrix.premultiply(new THREE.Matrix4().makeTranslation(towards.clone().multiplyScalar(forthMm * MM)));
     }
-  }
-
-  /** @param {{wire: string, question: number, residuals: Float32Array}} answer */
-  colour({ wire, question, residuals }) {
-    const asked = this.asked.get(wire);
-    const drawn = this.drawn.get(wire);
-    if (!asked || asked.question !== question || !drawn) return;
-    this.asked.set(wire, { ...asked, question: -1 });
-    const points = drawn.object.children[0];
-    if (!(points instanceof THREE.Points) || points.geometry.getAttribute("position").count !== residuals.length) return this.redraw();
-    this.residuals.set(wire, residuals);
-    const colours = new Float32Array(3 * residuals.length);
-    residuals.forEach((mm, k) => colours.set(residualColour(mm), 3 * k));
-    points.geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
-    points.material.vertexColors = true;
-    points.material.color.set(0xffffff);
-    points.material.needsUpdate = true;
-    this.redraw();
+    const scale = this.eye.nameScale();
+    if (scale !== 1) this.scene.traverse((part) => part.userData.size && part.scale.fromArray(part.userData.size).multiplyScalar(scale));
   }
 
   /** The frame that all is drawn in: that of most of what is drawn. @param {Frames} frames */
@@ -291,12 +279,8 @@ export class Scene {
     const length = box.getSize(new THREE.Vector3()).length();
     const [lateral, anterior, along] = this.directions(bone, frames);
     const from = side === "scan" ? this.scannedSide(bone, along) ?? lateral : { lateral, anterior, along }[side];
-    this.camera.up.copy(side === "along" ? anterior : along);
-    const distance = (0.55 * length) / Math.tan((this.camera.fov * Math.PI) / 360);
-    this.camera.position.copy(centre).addScaledVector(from, side === "along" ? 0.6 * length : distance);
-    this.camera.near = length / 500;
-    this.camera.far = length * 20;
-    this.camera.updateProjectionMatrix();
+    // Along the bone its breadth is seen, not its length.
+    this.eye.look(centre, from, side === "along" ? anterior : along, (side === "along" ? 0.19 : 0.55) * length, length);
     this.controls.target.copy(centre);
     this.controls.update();
     this.redraw();
@@ -405,17 +389,6 @@ export class Scene {
   }
 }
 
-/** Ends and middle of the scale: blue inside, white on the surface, orange outside; grey where there is none near. */
-const INSIDE = [0, 0.45, 0.7], ON = [0.97, 0.97, 0.95], OUTSIDE = [0.84, 0.37, 0], NONE = [0.55, 0.57, 0.6];
-
-/** @param {number} mm */
-function residualColour(mm) {
-  if (!Number.isFinite(mm)) return NONE;
-  const share = Math.min(Math.abs(mm) / RESIDUAL_MM, 1);
-  const end = mm < 0 ? INSIDE : OUTSIDE;
-  return ON.map((c, k) => c + share * (end[k] - c));
-}
-
 /** @param {string} wire @param {string} payload */
 function isShownAtFirst(wire, payload) {
   // Raw scans are drawn again where they belong, and a simulation's truths are for comparisons.
@@ -425,201 +398,3 @@ function isShownAtFirst(wire, payload) {
   const isPlan = payload === "geometry/Planes" && wire.startsWith("plan.");
   return !isRaw && !isTouched && !isPlan && !/true|marks|palpation|check_|phantom|planes_at_scan/.test(wire);
 }
-
-/**
- * @param {string} payload
- * @param {Item} item
- * @returns {{object: THREE.Object3D, unknown: string | null} | null}
- */
-function make(payload, item) {
-  switch (payload) {
-    case "geometry/Mesh": return { object: surface(item), unknown: null };
-    case "geometry/Cloud": return { object: cloud(item), unknown: null };
-    case "geometry/Planes": return planes(item);
-    case "geometry/Points": return { object: addPoints(new THREE.Group(), item), unknown: null };
-    default: return null;
-  }
-}
-
-/** Float32 positions relative to the first, which WebGL needs far from the origin; the object carries the rest.
- * @param {ArrayLike<number>} rows
- */
-function positions(rows) {
-  const origin = rows.length >= 3 ? [rows[0], rows[1], rows[2]] : [0, 0, 0];
-  const out = new Float32Array(rows.length);
-  for (let k = 0; k < rows.length; k++) out[k] = rows[k] - origin[k % 3];
-  return { origin, attribute: new THREE.BufferAttribute(out, 3) };
-}
-
-/** @param {THREE.Object3D} object @param {number[]} origin */
-function at(object, origin) {
-  const holder = new THREE.Group();
-  object.position.set(origin[0], origin[1], origin[2]);
-  holder.add(object);
-  return holder;
-}
-
-/** @param {Item} item */
-function surface(item) {
-  const { origin, attribute } = positions(/** @type {Float64Array} */ (item.columns.vertices.rows));
-  const geometry = new THREE.BufferGeometry().setAttribute("position", attribute);
-  geometry.setIndex(new THREE.BufferAttribute(/** @type {Uint32Array} */ (item.columns.faces.rows).slice(), 1));
-  geometry.computeVertexNormals();
-  const material = new THREE.MeshLambertMaterial({ color: BONE, side: THREE.DoubleSide });
-  return at(new THREE.Mesh(geometry, material), origin);
-}
-
-/** @param {Item} item */
-function cloud(item) {
-  const { origin, attribute } = positions(/** @type {Float64Array} */ (item.columns.points.rows));
-  const geometry = new THREE.BufferGeometry().setAttribute("position", attribute);
-  const material = new THREE.PointsMaterial({ color: SCAN, size: 2, sizeAttenuation: false });
-  return at(new THREE.Points(geometry, material), origin);
-}
-
-const BALL = new THREE.SphereGeometry(1.2, 16, 12);
-
-/**
- * Puts the points of an item into a group, beside those of other names that its wire gave before: the three laser points come one
- * by one.
- * @param {THREE.Object3D} group
- * @param {Item} item
- */
-function addPoints(group, item) {
-  const rows = /** @type {Float64Array} */ (item.columns.positions.rows);
-  const names = String(item.fields.names ?? "").split("\n");
-  /** @type {Map<string, number[]>} */
-  const places = (group.userData.places ??= new Map());
-  /** @type {Map<string, THREE.Object3D[]>} */
-  const parts = (group.userData.parts ??= new Map());
-  for (let k = 0; 3 * k < rows.length; k++) {
-    const text = names[k] ?? "";
-    places.set(text, [rows[3 * k], rows[3 * k + 1], rows[3 * k + 2]]);
-    let pair = parts.get(text);
-    if (!pair) {
-      pair = [new THREE.Mesh(BALL, new THREE.MeshLambertMaterial({ color: POINT })), label(text)];
-      parts.set(text, pair);
-      group.add(...pair);
-    }
-    for (const part of pair) part.position.set(rows[3 * k], rows[3 * k + 1], rows[3 * k + 2]);
-  }
-  return group;
-}
-
-/** @param {Item} item */
-function planes(item) {
-  const rows = /** @type {Float64Array} */ (item.columns.isometries.rows);
-  const names = String(item.fields.names ?? "").split("\n");
-  const reasons = String(item.fields.unknown ?? "").split("\n");
-  const group = new THREE.Group();
-  group.userData.names = item.fields.names;
-  let unknown = null;
-  for (let k = 0; 7 * k < rows.length; k++) {
-    const [x, y, z, i, j, l, w] = rows.subarray(7 * k, 7 * k + 7);
-    if (![x, y, z, i, j, l, w].every(Number.isFinite)) {
-      unknown ??= reasons[k] || "its place is unknown";
-      continue;
-    }
-    const square = new THREE.Mesh(
-      new THREE.PlaneGeometry(2 * PLANE_MM, 2 * PLANE_MM),
-      new THREE.MeshBasicMaterial({ color: PLANE, transparent: true, opacity: 0.35, side: THREE.DoubleSide, depthWrite: false }),
-    );
-    square.userData.isPlane = true;
-    const edge = new THREE.LineSegments(new THREE.EdgesGeometry(square.geometry), new THREE.LineBasicMaterial({ color: PLANE }));
-    const place = new THREE.Group();
-    place.position.set(x, y, z);
-    place.quaternion.set(i, j, l, w);
-    const name = label(names[k] ?? "");
-    name.position.set(PLANE_MM, PLANE_MM, 0);
-    place.add(square, edge, name);
-    group.add(place);
-  }
-  // One plane without a place hides none of the others.
-  return { object: group, unknown: group.children.length === 0 ? unknown ?? "there are no planes" : null };
-}
-
-/**
- * Moves planes that are drawn already. False if they are others, or one of them has no place now.
- * @param {Drawn} drawn
- * @param {Item} item
- */
-function move(drawn, item) {
-  const rows = /** @type {Float64Array} */ (item.columns.isometries.rows);
-  const { children, userData } = drawn.object;
-  if (userData.names !== item.fields.names || rows.length !== 7 * children.length || !rows.every(Number.isFinite)) return false;
-  children.forEach((place, k) => {
-    place.position.fromArray(rows, 7 * k);
-    place.quaternion.fromArray(rows, 7 * k + 3);
-  });
-  drawn.unknown = null;
-  return true;
-}
-
-/** @type {THREE.Texture | null} */
-let stripes = null;
-
-/** Planes of a doubtful answer are hatched. @param {THREE.Object3D} object @param {boolean} isDoubtful */
-function hatch(object, isDoubtful) {
-  object.traverse((part) => {
-    if (!(part instanceof THREE.Mesh) || !part.userData.isPlane || part.userData.isHatched === isDoubtful) return;
-    part.userData.isHatched = isDoubtful;
-    stripes ??= stripeTexture();
-    part.material.alphaMap = isDoubtful ? stripes : null;
-    part.material.opacity = isDoubtful ? 0.8 : 0.35;
-    part.material.needsUpdate = true;
-  });
-}
-
-function stripeTexture() {
-  const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = 64;
-  const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
-  context.fillRect(0, 0, 64, 64);
-  context.strokeStyle = "white";
-  context.lineWidth = 10;
-  for (let k = -64; k <= 64; k += 32) {
-    context.beginPath();
-    context.moveTo(k, 64);
-    context.lineTo(k + 64, 0);
-    context.stroke();
-  }
-  const texture = new THREE.CanvasTexture(canvas);
-  texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-  texture.repeat.set(4, 4);
-  return texture;
-}
-
-/** A name that faces the viewer. @param {string} text */
-export function label(text) {
-  const canvas = document.createElement("canvas");
-  const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
-  const font = "600 40px system-ui, sans-serif";
-  context.font = font;
-  canvas.width = Math.max(8, Math.ceil(context.measureText(text).width) + 16);
-  canvas.height = 52;
-  context.font = font;
-  context.lineWidth = 6;
-  context.strokeStyle = "white";
-  context.fillStyle = "#1f2328";
-  context.strokeText(text, 8, 40);
-  context.fillText(text, 8, 40);
-  const material = new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(canvas), depthTest: false, sizeAttenuation: false });
-  const sprite = new THREE.Sprite(material);
-  // In shares of the view's height. The parent's scale is that of millimetres.
-  const height = 0.022 / MM;
-  sprite.scale.set((height * canvas.width) / canvas.height, height, 1);
-  sprite.center.set(-0.05, 0.2);
-  return sprite;
-}
-
-/** @param {THREE.Object3D} object */
-function dispose(object) {
-  object.traverse((part) => {
-    if (part instanceof THREE.Mesh || part instanceof THREE.Points || part instanceof THREE.LineSegments) part.geometry.dispose();
-    const { material } = /** @type {any} */ (part);
-    if (!material) return;
-    if (part instanceof THREE.Sprite) material.map?.dispose();
-    material.dispose();
-  });
-}
-

@@ -7,14 +7,18 @@
 
 mod access;
 mod http;
+mod opened;
 mod page;
 mod playback;
 mod protocol;
 mod server;
+mod still;
 mod stream;
 
 pub use http::Answer;
+pub use page::{THREE_LICENSE, script};
 pub use playback::Playback;
 pub use protocol::PlaybackState;
 pub use server::{App, ServeOptions, Server, Watched};
+pub use still::{LastMessage, last_messages};
 pub use stream::{Stream, Totals};

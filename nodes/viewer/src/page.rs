@@ -26,6 +26,10 @@ const FILES: &[File] = &[
     ("changes.js", SCRIPT, include_str!("../page/changes.js")),
     ("graph.js", SCRIPT, include_str!("../page/graph.js")),
     ("scene.js", SCRIPT, include_str!("../page/scene.js")),
+    ("drawables.js", SCRIPT, include_str!("../page/drawables.js")),
+    ("eye.js", SCRIPT, include_str!("../page/eye.js")),
+    ("layers.js", SCRIPT, include_str!("../page/layers.js")),
+    ("residual_colours.js", SCRIPT, include_str!("../page/residual_colours.js")),
     ("devices.js", SCRIPT, include_str!("../page/devices.js")),
     ("surface.js", SCRIPT, include_str!("../page/surface.js")),
     ("picks.js", SCRIPT, include_str!("../page/picks.js")),
@@ -42,8 +46,16 @@ const FILES: &[File] = &[
     ("three/three.module.min.js", SCRIPT, include_str!("../page/three/three.module.min.js")),
     ("three/three.core.min.js", SCRIPT, include_str!("../page/three/three.core.min.js")),
     ("three/OrbitControls.js", SCRIPT, include_str!("../page/three/OrbitControls.js")),
-    ("three/LICENSE", "text/plain; charset=utf-8", include_str!("../page/three/LICENSE")),
+    ("three/LICENSE", "text/plain; charset=utf-8", THREE_LICENSE),
 ];
+
+/// The text of a script of the page, such as `scene.js`, for other pages that show the same.
+pub fn script(path: &str) -> Option<&'static str> {
+    FILES.iter().find(|(known, content_type, _)| *known == path && *content_type == SCRIPT).map(|(_, _, text)| *text)
+}
+
+/// The licence of three.js, which goes with every copy.
+pub const THREE_LICENSE: &str = include_str!("../page/three/LICENSE");
 
 /// The file at a path.
 pub(crate) fn file(path: &str) -> Option<Answer> {

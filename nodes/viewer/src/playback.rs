@@ -1,17 +1,15 @@
 //! A recording as a stream: at its own pace, stopped, or from any time.
 
 use crate::{
+    opened::{Entry, Messages, Opened, last_of_each},
     protocol::{self, PlaybackState},
     server::App,
     stream::{DROPS, Out, Stream, TIMING},
 };
-use osteoflow_container::{Damage, Location, MESSAGE_HEADER_BYTES, ReadError, Reader, Record, Visitor, damage_message};
-use osteoflow_engine::run::{ListenedChannel, Listener};
+use osteoflow_container::ReadError;
+use osteoflow_engine::run::Listener;
 use std::{
-    collections::BTreeMap,
-    fs::File,
     io,
-    ops::ControlFlow,
     path::Path,
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     thread,
@@ -22,16 +20,6 @@ use std::{
 const CLOCK: Duration = Duration::from_millis(200);
 /// Longest wait for the next message, so that the time advances through gaps.
 const STEP: Duration = Duration::from_millis(50);
-
-/// A message in the file.
-#[derive(Debug, Clone, Copy)]
-struct Entry {
-    log_time_ns: u64,
-    channel: u16,
-    /// Of its record.
-    location: Location,
-    n_bytes: u64,
-}
 
 /// Plays a recording into a stream.
 pub struct Playback {
@@ -60,13 +48,7 @@ impl Playback {
     /// # Errors
     /// [`ReadError`] if it cannot be read at all; a recording without messages is [`ReadError::Empty`].
     pub fn open(path: &Path, stream: Arc<Stream>) -> Result<Self, ReadError> {
-        let mut input = Reader::open(path)?;
-        let mut index = Index::default();
-        let end = input.read(&mut index)?;
-        let problem = damage_message(&index.damages, &end);
-        let Index { mut entries, channels, .. } = index;
-        // Stable: messages of one time stay in the order of the file.
-        entries.sort_by_key(|entry| entry.log_time_ns);
+        let Opened { messages, entries, channels, problem } = Opened::open(path)?;
         let (Some(first), Some(last)) = (entries.first(), entries.last()) else { return Err(ReadError::Empty) };
         // Constants are logged just before everything else, or at the beginning of all time.
         let start =
@@ -78,7 +60,7 @@ impl Playback {
         let state = PlaybackState { plays: false, ended: true, at_ns: range_ns.1, speed: 1.0 };
         let asked = Asked { state, seek_ns: Some(range_ns.1), ends: false };
         let control = Arc::new(Control { asked: Mutex::new(asked), changed: Condvar::new(), stream });
-        let player = Player { input, entries, next: 0, chunk: None, control: control.clone(), range_ns, adds_up };
+        let player = Player { messages, entries, next: 0, control: control.clone(), range_ns, adds_up };
         thread::Builder::new().name("playback".into()).spawn(move || player.run())?;
         Ok(Self { control, range_ns, problem })
     }
@@ -135,12 +117,10 @@ impl Control {
 
 /// The thread that reads and sends.
 struct Player {
-    input: Reader<File>,
+    messages: Messages,
     entries: Vec<Entry>,
     /// The next message to send.
     next: usize,
-    /// The unpacked chunk of the last message.
-    chunk: Option<(u64, Vec<u8>)>,
     control: Arc<Control>,
     range_ns: (u64, u64),
     /// Channels whose messages add up.
@@ -207,10 +187,7 @@ impl Player {
     /// Sends the last message of each channel up to a time, and all of those that add up.
     fn seek(&mut self, at_ns: u64) -> io::Result<()> {
         self.next = self.entries.partition_point(|entry| entry.log_time_ns <= at_ns);
-        let mut last: BTreeMap<u16, usize> = BTreeMap::new();
-        self.entries[..self.next].iter().enumerate().for_each(|(at, entry)| {
-            last.insert(entry.channel, at);
-        });
+        let last = last_of_each(&self.entries[..self.next]);
         let before = self.entries[..self.next].iter().enumerate();
         let added = before.filter(|(_, entry)| self.adds_up.contains(&entry.channel)).map(|(at, _)| at);
         let mut shown: Vec<usize> = last.into_values().chain(added).collect();
@@ -228,23 +205,7 @@ impl Player {
     }
 
     fn send(&mut self, entry: Entry) -> io::Result<()> {
-        let head = MESSAGE_HEADER_BYTES;
-        let data = match entry.location.in_chunk {
-            None => {
-                let at = entry.location.offset + head;
-                self.input.bytes_at(at, entry.n_bytes)?
-            }
-            Some(at) => {
-                let offset = entry.location.offset;
-                if self.chunk.as_ref().is_none_or(|(known, _)| *known != offset) {
-                    self.chunk = Some((offset, self.input.chunk_at(offset)?));
-                }
-                let records = self.chunk.as_ref().map_or(&[][..], |(_, records)| records);
-                let start = usize::try_from(at + head).map_err(io::Error::other)?;
-                let bytes = records.get(start..).and_then(|rest| rest.get(..entry.n_bytes as usize));
-                bytes.ok_or_else(|| io::Error::other("the file has changed"))?.to_vec()
-            }
-        };
+        let data = self.messages.data(entry)?;
         self.control.stream.message(entry.channel, entry.log_time_ns, data);
         Ok(())
     }
@@ -267,54 +228,5 @@ impl Player {
             "file",
         );
         self.control.stream.send_to_all(&Out::Text(status));
-    }
-}
-
-/// Where the messages are.
-#[derive(Default)]
-struct Index {
-    entries: Vec<Entry>,
-    schemas: BTreeMap<u16, (String, String, Arc<[u8]>)>,
-    channels: BTreeMap<u16, ListenedChannel>,
-    damages: Vec<Damage>,
-}
-
-impl Visitor for Index {
-    fn record(&mut self, location: Location, record: Record<'_>) -> ControlFlow<()> {
-        match record {
-            Record::Schema { id, name, encoding, data } => {
-                self.schemas.insert(id, (name.into(), encoding.into(), data.into()));
-            }
-            Record::Channel(channel) => {
-                let none = || (String::new(), String::new(), [].into());
-                let (schema_name, schema_encoding, schema) =
-                    self.schemas.get(&channel.schema_id).cloned().unwrap_or_else(none);
-                self.channels.insert(
-                    channel.id,
-                    ListenedChannel {
-                        id: channel.id,
-                        topic: channel.topic,
-                        encoding: channel.message_encoding,
-                        schema_name,
-                        schema_encoding,
-                        schema,
-                        metadata: channel.metadata,
-                    },
-                );
-            }
-            Record::Message(message) => self.entries.push(Entry {
-                log_time_ns: message.log_time,
-                channel: message.channel_id,
-                location,
-                n_bytes: message.data.len() as u64,
-            }),
-            _ => {}
-        }
-        ControlFlow::Continue(())
-    }
-
-    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
-        self.damages.push(damage);
-        ControlFlow::Continue(())
     }
 }

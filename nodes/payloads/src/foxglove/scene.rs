@@ -9,7 +9,7 @@ use osteoflow_geometry::{
     Frame, MM_PER_M, Mesh, PlanePlace, Planes, Points,
     nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3},
 };
-use osteoflow_node::{Display, DisplayContext};
+use osteoflow_node::{Display, DisplayContext, StampNs};
 use std::{collections::BTreeSet, f64::consts::FRAC_PI_2};
 
 /// Side of the square that a plane is drawn as: twice the width of a fibula with soft tissue left out.
@@ -92,6 +92,14 @@ pub(crate) fn planes(planes: &Planes, about: &DisplayContext<'_>) -> Option<Vec<
         }
     }
     update(entities, deletions)
+}
+
+/// Removes all planes, whenever they were shown.
+pub(crate) fn no_planes() -> Option<Vec<u8>> {
+    let all = i32::from(scene_entity_deletion::Type::All);
+    // Viewers keep what is later than the deletion.
+    let deletion = SceneEntityDeletion { timestamp: timestamp(StampNs::MAX), r#type: all, id: String::new() };
+    update(Vec::new(), vec![deletion])
 }
 
 /// Each point as a sphere with its name.

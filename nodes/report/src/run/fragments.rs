@@ -115,14 +115,14 @@ impl Maps {
             ),
         ] {
             let mut scene = Scene::looking(points, self.along, Vector3::zeros());
-            scene.mesh(&self.left.0, &self.left.1, BONE, 1.0);
-            scene.coloured_mesh(points, &self.faces, values, range_mm);
+            scene.mesh("rest of the bone", &self.left.0, &self.left.1, BONE);
+            scene.coloured_mesh("fragment", (points, &self.faces), values, range_mm);
             scene.key(BONE, "bone beyond the planned cuts");
             scene.ramp("executed fragment, signed distance from the planned one", range_mm);
             let DistanceSummary { n, mean_mm, sd_mm, max_mm, .. } = summary;
             let caption = format!(
                 "The executed fragment{of}, {what}, coloured by the signed distance of its vertices from the planned \
-                 fragment (red: outside it). Surface to surface, both ways: {} \u{b1} {} mm, at most {} mm (n = {n} points \
+                 fragment (orange: outside it). Surface to surface, both ways: {} \u{b1} {} mm, at most {} mm (n = {n} points \
                  of one pair of fragments).",
                 number(*mean_mm),
                 number(*sd_mm),

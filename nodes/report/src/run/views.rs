@@ -1,26 +1,27 @@
 //! Views of a run in three dimensions: scan on the surface, points, cuts.
 
-use super::{fine, fragments, registered};
+use super::{
+    fine, fragments,
+    picture::{Picture, RESIDUAL_MM},
+    registered,
+};
 use crate::{
     cell::Cell,
     chart::{Axis, Chart, Mark, Series},
     format::number,
     html::Page,
     run_folder::RunFolder,
-    scene::{self, BLUE, BONE, RED, Scene, round_up},
+    scene::{self, BLUE, BONE, RED, Scene, packed},
 };
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::{
     axes::principal_axes,
     mesh_query::MeshQuery,
     metrics::{CutReport, CutsReport, TrePoint, TreReport},
 };
-use osteoflow_geometry::{Axes, Cloud, Mesh, Plane, Planes, Points, Pose};
+use osteoflow_geometry::{Axes, Cloud, Mesh, Planes, Points, Pose};
 use osteoflow_statistics::quantile;
 use rayon::prelude::*;
-
-/// Name of the bone in the page's shared data.
-const SHARED_BONE: &str = "bone";
 
 /// Factor by which errors are enlarged.
 const ENLARGED: f64 = 20.0;
@@ -46,25 +47,54 @@ fn bone(run: &RunFolder) -> Result<Mesh, String> {
 
 /// Adds the bone to the scene; its data are written to the page only once.
 fn with_bone(page: &mut Page, scene: &mut Scene, bone: &Mesh) {
-    page.share(SHARED_BONE, scene::surface(bone));
-    scene.shared_mesh(SHARED_BONE, bone, BONE);
+    let shared = page.share(packed::surface(bone));
+    scene.shared_mesh("CT surface", &shared, bone, BONE);
     scene.key(BONE, "CT surface");
 }
 
-/// The scan on the CT surface, each point coloured by its distance outside (red) or inside (blue).
-pub(super) fn residuals(page: &mut Page, run: &RunFolder) {
-    let gathered = || -> Result<_, String> {
-        let bone = bone(run)?;
-        let node = registered(run).ok_or("the graph has no fine registration")?;
-        let scan: Cloud = run.input(node, "source")?;
-        let pose: Pose = run.value(&format!("{node}.t_target_source"))?;
-        let t = pose.expect(&bone.frame, &scan.frame).map_err(|e| e.to_string())?;
-        Ok((bone, scan, t))
-    };
-    let (bone, scan, t) = match gathered() {
-        Ok(gathered) => gathered,
-        Err(why) => return page.missing(SCAN, &why),
-    };
+/// What the live page shows at the end of the run, and the distances of the scan from the surface.
+pub(super) fn scan(page: &mut Page, run: &RunFolder, refused: Option<&str>) {
+    let registered = refused.map_or_else(|| residuals(run), |why| Err(why.into()));
+    let mut words = registered.as_ref().map_or_else(|_| AT_ITS_END.into(), |scan| scan.caption.clone());
+    match Picture::of(page, run) {
+        Ok(picture) => {
+            picture.thinned.iter().for_each(|thinned| words += &format!(" {thinned}"));
+            let drawing = registered.as_ref().ok().map(|scan| ("residuals", &scan.drawing));
+            page.picture(picture.json, drawing, residual_key(), &words);
+        }
+        Err(why) => page.missing(PICTURE, &why),
+    }
+    match registered {
+        Ok(scan) => histogram(page, &scan.values),
+        Err(why) => page.missing(SCAN, &why),
+    }
+}
+
+const PICTURE: &str = "What the live page shows of the run";
+const AT_ITS_END: &str = "The run at its end, as the live page shows it.";
+
+/// The colours of scans.
+fn residual_key() -> String {
+    let mut key = Scene::looking(&[], Vector3::x(), Vector3::z());
+    key.ramp("distance of the scan from the bone, grey: none within 5 mm", RESIDUAL_MM);
+    key.legend_html()
+}
+
+/// The registered scan on the CT surface.
+struct Scan {
+    drawing: Scene,
+    caption: String,
+    /// Signed distances from the surface, mm.
+    values: Vec<f64>,
+}
+
+/// The scan on the CT surface, each point coloured by its distance outside (orange) or inside (blue).
+fn residuals(run: &RunFolder) -> Result<Scan, String> {
+    let bone = bone(run)?;
+    let node = registered(run).ok_or("the graph has no fine registration")?;
+    let scan: Cloud = run.input(node, "source")?;
+    let pose: Pose = run.value(&format!("{node}.t_target_source"))?;
+    let t = pose.expect(&bone.frame, &scan.frame).map_err(|e| e.to_string())?;
     let points: Vec<Point3<f64>> = scan.points().iter().map(|p| t * p).collect();
     let query = MeshQuery::new(&bone);
     query.prepare();
@@ -81,15 +111,14 @@ pub(super) fn residuals(page: &mut Page, run: &RunFolder) {
         facing += normal;
     }
     if values.is_empty() {
-        return page.missing(SCAN, "the surface cannot be searched");
+        return Err("the surface cannot be searched".into());
     }
-    let mut sizes: Vec<f64> = values.iter().map(|v| v.abs()).collect();
-    let max = round_up(quantile(&mut sizes, 0.98));
     let along = principal_axes(&bone).columns.column(2).into_owned();
     let mut scene = Scene::looking(&shown, along, facing);
-    with_bone(page, &mut scene, &bone);
-    scene.coloured_points(&shown, &values, max, 0.2);
-    scene.ramp("scan, signed distance from the surface", max);
+    scene.drawn_mesh(&bone, BONE);
+    scene.key(BONE, "CT surface");
+    scene.drawn_points(&shown, &values, RESIDUAL_MM, 0.2);
+    scene.ramp("scan, signed distance from the surface", RESIDUAL_MM);
     let n = values.len();
     let mean = values.iter().sum::<f64>() / n as f64;
     let rms = (values.iter().map(|v| v * v).sum::<f64>() / n as f64).sqrt();
@@ -99,10 +128,9 @@ pub(super) fn residuals(page: &mut Page, run: &RunFolder) {
          is not the error of the registration: a slide along the bone is hardly visible here.",
         number(mean),
         number(rms),
-        number(max),
+        number(RESIDUAL_MM),
     );
-    page.view("residuals", &scene, &caption);
-    histogram(page, &values);
+    Ok(Scan { drawing: scene, caption, values })
 }
 
 fn histogram(page: &mut Page, values: &[f64]) {
@@ -198,11 +226,11 @@ fn points(page: &mut Page, run: &RunFolder, (report, planned, axes): (&TreReport
         Err(why) => page.missing("The bone behind the points", &why),
     }
     let far: Vec<_> = pairs.iter().flat_map(|(_, at, error)| [*at, at + error * ENLARGED]).collect();
-    scene.lines(&far, RED);
-    scene.points(&planned_at, 0.6, BLUE);
-    scene.points(&measured_at, 0.6, RED);
+    scene.lines("errors", &far, RED);
+    scene.points("planned", &planned_at, 0.6, BLUE);
+    scene.points("measured", &measured_at, 0.6, RED);
     for (point, at, _) in &pairs {
-        scene.tag(at, &format!("{} {} mm", point.name, number(point.norm)));
+        scene.tag("names", at, &format!("{} {} mm", point.name, number(point.norm)));
     }
     scene.key(BLUE, "planned");
     scene.key(RED, &format!("{source}, transformed to CT by the registration"));
@@ -276,22 +304,25 @@ pub(super) fn cuts(page: &mut Page, run: &RunFolder) {
         Err(why) => return page.missing(CUTS, &why),
     };
     let executed = planned.transformed(&planned.frame, &slip);
-    let corners: Vec<_> = planned.planes.iter().chain(executed.planes.iter()).filter_map(square).flatten().collect();
+    let corners: Vec<_> = planned
+        .planes
+        .iter()
+        .chain(executed.planes.iter())
+        .filter_map(|plane| plane.isometry())
+        .flat_map(scene::square)
+        .collect();
     let along = principal_axes(&bone).columns.column(2).into_owned();
     let mut scene = Scene::looking(&corners, along, Vector3::zeros());
     with_bone(page, &mut scene, &bone);
-    for (planes, colour) in [(&planned, BLUE), (&executed, RED)] {
-        for plane in planes.planes.iter() {
-            let Some(corners) = square(plane) else { continue };
-            if colour == BLUE {
-                scene.mesh(&corners, &[[0, 1, 2], [0, 2, 3]], colour, 0.22);
-            }
-            scene.lines(&edges(&corners), colour);
-            let at = plane.isometry().copied().unwrap_or_else(Isometry3::identity);
-            scene.lines(&scene::outline(&bone, &at, REACH_MM), colour);
-        }
+    for (layer, planes, colour) in [("planned", &planned, BLUE), ("executed", &executed, RED)] {
+        let known = planes.planes.iter().filter_map(|plane| Some((plane, *plane.isometry()?)));
+        // One name for both.
+        let named = known.map(|(plane, t)| (if colour == BLUE { &*plane.name } else { "" }, t));
+        let named: Vec<_> = named.collect();
+        scene.planes(layer, &named, colour);
+        let outlines: Vec<_> = named.iter().flat_map(|(_, t)| scene::outline(&bone, t, REACH_MM)).collect();
+        scene.lines(&format!("{layer}, on the bone"), &outlines, colour);
     }
-    planned.planes.iter().filter_map(|p| Some((p, square(p)?))).for_each(|(p, c)| scene.tag(&c[0], &p.name));
     scene.key(BLUE, "planned");
     scene.key(RED, "executed according to the registration");
     let caption = "Planned cuts (blue) and the cuts that the registration leads to (red), on the CT surface: each planned \
@@ -313,16 +344,4 @@ fn cut_table(page: &mut Page, report: &CutsReport) {
     };
     let rows: Vec<_> = report.cuts.iter().map(row).collect();
     page.table("Executed cuts against the planned ones, where each meets the bone's middle line.", &head, &rows);
-}
-
-/// A square around the plane's origin, 15 mm to each side.
-fn square(plane: &Plane) -> Option<Vec<Point3<f64>>> {
-    const HALF_MM: f64 = 15.0;
-    let t = plane.isometry()?;
-    let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
-    Some(corners.map(|(x, y)| t * Point3::new(x * HALF_MM, y * HALF_MM, 0.0)).to_vec())
-}
-
-fn edges(corners: &[Point3<f64>]) -> Vec<Point3<f64>> {
-    (0..corners.len()).flat_map(|k| [corners[k], corners[(k + 1) % corners.len()]]).collect()
 }

@@ -2,7 +2,7 @@
 //!
 //! Painter's algorithm: triangles, points and lines are drawn from the farthest to the nearest, by their middles.
 
-use super::{DIVERGING, Scene, thinned};
+use super::{DIVERGING, Scene, packed::thinned};
 use crate::{chart::disclaimer, format::number};
 use nalgebra::Point3;
 use osteoflow_draw::xml::escape;
@@ -289,16 +289,16 @@ mod tests {
         let square = |z: f64| [(-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0)].map(|(x, y)| Point3::new(x, y, z));
         let faces = [[0, 1, 2], [0, 2, 3]];
         let mut scene = Scene::looking(&square(0.0), Vector3::x(), Vector3::z());
-        scene.coloured_mesh(&square(3.0), &faces, &[0.5; 4], 0.5);
-        scene.mesh(&square(-3.0), &faces, BONE, 1.0);
-        scene.points(&square(-8.0), 0.5, "#0072b2");
+        scene.coloured_mesh("", (&square(3.0), &faces), &[0.5; 4], 0.5);
+        scene.mesh("", &square(-3.0), &faces, BONE);
+        scene.points("", &square(-8.0), 0.5, "#0072b2");
         scene.ramp("distance <mm>", 0.5);
         let svg = scene.svg("a view & its name", true);
         let parsed = roxmltree::Document::parse(&svg).expect("it is XML");
         let painted: Vec<_> = parsed.descendants().filter(|n| n.has_tag_name("path")).collect();
         let last = hex(rgb(DIVERGING[6]), 1.0);
         assert!(painted[0].attribute("stroke") == Some("#0072b2"), "the farthest first: {svg}");
-        assert_eq!(painted[2].attribute("fill"), Some(last.as_str()), "the red square nearest: {svg}");
+        assert_eq!(painted[2].attribute("fill"), Some(last.as_str()), "the orange square nearest: {svg}");
         assert_eq!(painted[2].attribute("d").map(|d| d.matches('M').count()), Some(2), "alike faces are one path");
         assert!(svg.contains("SIMULATED") && !svg.contains("NaN"));
     }
@@ -318,11 +318,11 @@ mod tests {
             .collect();
         let values: Vec<f64> = vertices.iter().map(|p| if p.x < 60.0 { -1.0 } else { 1.0 }).collect();
         let mut scene = Scene::looking(&vertices, Vector3::x(), Vector3::z());
-        scene.coloured_mesh(&vertices, &faces, &values, 1.0);
+        scene.coloured_mesh("", (&vertices, &faces), &values, 1.0);
         let svg = scene.svg("", false);
         let drawn = svg.matches('z').count();
         assert!((1000..=MAX_FACES + 50).contains(&drawn), "{drawn} faces of {}", faces.len());
-        let [blue, red] = [DIVERGING[0], DIVERGING[6]].map(|end| hex(rgb(end), 1.0));
-        assert!(svg.contains(&blue) && svg.contains(&red), "both ends of the ramp");
+        let [blue, orange] = [DIVERGING[0], DIVERGING[6]].map(|end| hex(rgb(end), 1.0));
+        assert!(svg.contains(&blue) && svg.contains(&orange), "both ends of the ramp");
     }
 }

@@ -1,0 +1,31 @@
+//! What viewers have of a recording that was played to its end: the last message of each channel.
+
+use crate::opened::{Opened, last_of_each};
+use osteoflow_container::ReadError;
+use osteoflow_engine::run::ListenedChannel;
+use std::path::Path;
+
+/// The last message of a channel.
+#[derive(Debug, Clone)]
+pub struct LastMessage {
+    /// The channel.
+    pub channel: ListenedChannel,
+    /// The bytes of the message.
+    pub data: Vec<u8>,
+}
+
+/// The last messages of the channels that `wants` chooses, in the order in which a viewer gets them. What is damaged is left out.
+///
+/// # Errors
+/// [`ReadError`] if the file cannot be read.
+pub fn last_messages(path: &Path, wants: impl Fn(&ListenedChannel) -> bool) -> Result<Vec<LastMessage>, ReadError> {
+    let mut opened = Opened::open(path)?;
+    let mut last: Vec<usize> = last_of_each(&opened.entries).into_values().collect();
+    last.sort_unstable();
+    let mut found = Vec::new();
+    for entry in last.into_iter().map(|at| opened.entries[at]) {
+        let Some(channel) = opened.channels.get(&entry.channel).filter(|channel| wants(channel)) else { continue };
+        found.push(LastMessage { channel: channel.clone(), data: opened.messages.data(entry)? });
+    }
+    Ok(found)
+}
