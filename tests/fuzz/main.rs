@@ -1,5 +1,4 @@
-//! Hostile bytes for every reader: a bounded number of mutated files from fixed seeds. `tests/fuzz/libfuzzer` has the same targets
-//! for a search that is guided by coverage (docs/security.md).
+//! Hostile bytes for every reader: a bounded number of mutated files from fixed seeds (docs/security.md).
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 #[path = "../common/mod.rs"]
@@ -141,19 +140,6 @@ fn no_reader_panics_on_hostile_bytes() {
                 fs::write(&kept, &bytes).unwrap();
                 panic!("{} panics in round {round}; the file is {}", target.name, kept.display());
             }
-        }
-    }
-}
-
-/// Writes the seeds for the search that is guided by coverage, into `OSTEOFLOW_FUZZ_CORPUS/TARGET`.
-#[test]
-fn seeds_are_written_where_they_are_asked_for() {
-    let Some(corpus) = std::env::var_os("OSTEOFLOW_FUZZ_CORPUS") else { return };
-    for target in &TARGETS {
-        let folder = Path::new(&corpus).join(target.name);
-        fs::create_dir_all(&folder).unwrap();
-        for (k, (ending, bytes)) in seeds(target).into_iter().enumerate() {
-            fs::write(folder.join(format!("{k}.{ending}")), bytes).unwrap();
         }
     }
 }

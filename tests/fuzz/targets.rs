@@ -10,7 +10,7 @@ use std::{fs, path::Path};
 /// A target: its name, the endings of the files that it reads, and the reader, which is given a file of that name.
 pub(crate) struct Target {
     pub(crate) name: &'static str,
-    /// Endings without the dot; the first byte chooses among several.
+    /// Endings without the dot.
     pub(crate) endings: &'static [&'static str],
     pub(crate) read: fn(&Path, &[u8]),
 }
@@ -85,13 +85,7 @@ fn graph(path: &Path, bytes: &[u8]) {
     let _ = check_text(&String::from_utf8_lossy(bytes), path, &[], &osteoflow_standard::registry());
 }
 
-/// Reads the bytes as the file of a target, in this folder.
-pub(crate) fn read(target: &Target, bytes: &[u8], folder: &Path) {
-    let ending = target.endings[bytes.first().map_or(0, |byte| usize::from(*byte) % target.endings.len())];
-    read_as(target, ending, bytes, folder);
-}
-
-/// As [`read`], with this ending.
+/// Reads the bytes as a file of the target with this ending, in this folder.
 pub(crate) fn read_as(target: &Target, ending: &str, bytes: &[u8], folder: &Path) {
     let path = folder.join(format!("{}.{ending}", target.name));
     fs::write(&path, bytes).expect("the folder can be written");
