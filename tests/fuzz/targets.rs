@@ -49,7 +49,7 @@ fn messages_of_openigtlink(_: &Path, bytes: &[u8]) {
     let mut decoder = openigtlink::Decoder::default();
     for piece in bytes.chunks(1000) {
         decoder.push(piece);
-        while let Some(message) = decoder.next() {
+        for message in decoder.by_ref() {
             drop(message);
         }
     }
