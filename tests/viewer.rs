@@ -324,8 +324,11 @@ fn a_viewer_that_does_not_read_never_holds_up_the_run() {
     assert_eq!(served.interrupt().code(), Some(0));
 }
 
+/// Topic and data of a message.
+type Received = (String, Vec<u8>);
+
 /// Runs the live procedure, and returns the messages of planes, of the verdict and of the run's end in the order in which they come.
-fn live_planes(sets: &[&str]) -> Vec<(String, Vec<u8>)> {
+fn live_planes(sets: &[&str]) -> Vec<Received> {
     let out = tempfile::tempdir().unwrap();
     let run = out.path().join("run");
     let mut arguments = vec!["run", "graphs/variants/fibula_live.toml", "--serve", "--out", run.to_str().unwrap()];
@@ -352,7 +355,7 @@ fn live_planes(sets: &[&str]) -> Vec<(String, Vec<u8>)> {
 fn other_viewers_get_the_planes_of_a_live_run_once_it_is_trusted_and_none_of_one_that_is_not() {
     let has_planes = |data: &[u8]| data.windows(7).any(|bytes| bytes == b"plane_1");
     let all = live_planes(&["recording.rate=20"]);
-    let first = |wanted: &dyn Fn(&(String, Vec<u8>)) -> bool| all.iter().position(wanted);
+    let first = |wanted: &dyn Fn(&Received) -> bool| all.iter().position(wanted);
     let shown = first(&|(topic, data)| topic == "/view/planes.planes" && has_planes(data)).unwrap();
     let judged = first(&|(topic, _)| topic == "/exact/verdict.verdict").unwrap();
     let last_exact = all.iter().rposition(|(topic, _)| topic == "/exact/planes.planes").unwrap();
