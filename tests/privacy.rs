@@ -81,6 +81,12 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     entries.flat_map(|path| if path.is_dir() { files(&path) } else { vec![path] }).collect()
 }
 
+/// The text without long runs of base64, in which any three letters occur by chance: scripts of the views, packed.
+fn without_packed(text: &str) -> String {
+    let is_packed = |c: char| c.is_ascii_alphanumeric() || "+/=".contains(c);
+    text.split_inclusive(|c| !is_packed(c)).filter(|run| run.len() < 1000).collect()
+}
+
 /// Runs a graph on the tagged series, and writes the report of the run.
 fn run_on_series(dir: &Path, out: &Path, sets: &[&str]) -> String {
     let series = dir.join("DOE_JOHN_4711").join("ct");
@@ -117,7 +123,7 @@ fn no_tag_of_a_patient_and_no_absolute_path_is_in_what_a_run_leaves() {
     let left = files(&out);
     assert!(left.len() >= 4, "{left:?}");
     for file in &left {
-        let text = String::from_utf8_lossy(&fs::read(file).unwrap()).into_owned();
+        let text = without_packed(&String::from_utf8_lossy(&fs::read(file).unwrap()));
         if let Some(secret) = secrets_in(&text).first() {
             let at = text.find(secret).unwrap();
             let near: String = text[..at].chars().rev().take(60).collect::<Vec<_>>().into_iter().rev().collect();

@@ -299,7 +299,7 @@ fn what_is_wrong_in_a_plugin_is_said_at_its_line() {
         assert!(failed.code == Some(2) && failed.stderr.contains(expected), "{set}: {}", failed.stderr);
     }
     assert_eq!(folder.run("graph.toml", &["--set", "relay.share=1"]).code, Some(0));
-    // The graph names an interpreter, which travels with the run.
+    // The graph names an interpreter.
     let graph = graph.replace("[\"bad.py\"]", &format!("[{{ file = \"bad.py\", interpreter = {:?} }}]", folder.1));
     folder.write("named.toml", &graph);
     let out = folder.path("named");
@@ -310,8 +310,12 @@ fn what_is_wrong_in_a_plugin_is_said_at_its_line() {
         .arg(&out)
         .output();
     assert!(ran.as_ref().unwrap().status.success(), "{}", String::from_utf8_lossy(&ran.unwrap().stderr));
-    let replayed = osteoflow().arg("replay").arg(&out).arg("--out").arg(folder.path("replayed")).output().unwrap();
+    // A replay starts no interpreter that only the recording names.
+    let replay = |python: &str| osteoflow().arg("replay").arg(&out).args(["--python", python]).output().unwrap();
+    let replayed = replay(folder.1.to_str().unwrap());
     assert!(replayed.status.success(), "{}", String::from_utf8_lossy(&replayed.stderr));
+    let refused = String::from_utf8(replay("/no/python").stderr).unwrap();
+    assert!(refused.contains("/no/python, cannot be started"), "{refused}");
     // An interpreter that is not there is named.
     let failed =
         osteoflow().arg("check").arg(folder.path("graph.toml")).args(["--python", "/no/python"]).output().unwrap();
