@@ -134,7 +134,9 @@ fn json_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
             let message = format!("the keys {first} and {second} are both there; which of them is the pose?");
             return Err(fault(path, "object", message));
         }
-        if let Some((key, unit)) = object.iter().find(|(key, unit)| UNITS.contains(&key.as_str()) && **unit != "mm") {
+        // `register` writes the unit of its angles, too.
+        let is_mm = |unit: &Value| *unit == "mm" || *unit == "mm, rad";
+        if let Some((key, unit)) = object.iter().find(|(key, unit)| UNITS.contains(&key.as_str()) && !is_mm(unit)) {
             let message = format!("a pose in JSON is in \"mm\", found {unit}; convert its translation to mm");
             return Err(fault(path, format!("key \"{key}\""), message));
         }

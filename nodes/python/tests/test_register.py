@@ -135,7 +135,7 @@ def test_files_are_read_and_written_in_every_format(files, tmp_path):
         osteoflow.write(tmp_path / "pose.txt", pose)
     with pytest.raises(osteoflow.UsageError, match="claims a space"):
         osteoflow.write(tmp_path / "other.fcsv", points)
-    with pytest.raises(osteoflow.OsteoflowError, match="none.ply cannot be read"):
+    with pytest.raises(osteoflow.OsteoflowError, match="none.ply: cannot be read"):
         osteoflow.read(tmp_path / "none.ply")
 
 
