@@ -42,7 +42,7 @@ impl Allowance {
     /// allocator adds.
     const OVERHEAD: u64 = 128;
 
-    /// An allowance of so many bytes.
+    /// An allowance of `limit` bytes.
     pub fn new(limit: u64) -> Self {
         Self { limit, used: 0 }
     }
