@@ -316,6 +316,7 @@ fn what_is_wrong_in_a_plugin_is_said_at_its_line() {
     assert!(replayed.status.success(), "{}", String::from_utf8_lossy(&replayed.stderr));
     let refused = String::from_utf8(replay("/no/python").stderr).unwrap();
     assert!(refused.contains("/no/python, cannot be started"), "{refused}");
+    assert!(refused.contains(&format!("add --python {}", folder.1.display())), "{refused}");
     // An interpreter that is not there is named.
     let failed =
         osteoflow().arg("check").arg(folder.path("graph.toml")).args(["--python", "/no/python"]).output().unwrap();

@@ -11,10 +11,12 @@ use crate::recording::{
     findings::Finding,
     format::{InputHashes, MetadataRecord, Outcome, Recovered, RunRecord, WireCounts},
     number_set::NumberSet,
+    too_large,
     wires::{Carries, Channels},
 };
 use osteoflow_container::{
-    Channel, Damage, End, Location, Message, MessageHeader, Progress, Reader, Record, Visitor, WriteOptions, Writer,
+    Allowance, Channel, Damage, End, Location, Message, MessageHeader, Progress, Reader, Record, Visitor, WriteOptions,
+    Writer,
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -121,6 +123,10 @@ pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<Recover
     let result = reader
         .read(&mut recovery)
         .map_err(failed)
+        .and_then(|end| {
+            too_large(from, &recovery.allowance, recovery.full_at, reader.n_bytes())?;
+            Ok(end)
+        })
         .and_then(|end| recovery.finish(from, &end, reader.n_bytes()).map_err(write_error));
     match result {
         Ok(report) if report.n_messages == 0 && !report.is_recording() => {
@@ -180,6 +186,9 @@ struct Recovery<'a> {
     recovered_before: Option<Recovered>,
     damages: Vec<Damage>,
     soundness: Soundness,
+    /// For the numbers of items that come out of order.
+    allowance: Allowance,
+    full_at: Option<Location>,
     n_messages: u64,
     n_unknown: u64,
     progress: Progress<'a>,
@@ -200,6 +209,8 @@ impl<'a> Recovery<'a> {
             recovered_before: None,
             damages: Vec::new(),
             soundness: Soundness::default(),
+            allowance: Allowance::from_env(),
+            full_at: None,
             n_messages: 0,
             n_unknown: 0,
             progress,
@@ -248,7 +259,11 @@ impl<'a> Recovery<'a> {
         if let Some(Carries::Exact(wire)) = self.channels.get(message.channel_id)
             && let Some(number) = codec::number(message.data)
         {
-            self.wires.entry(wire.name.clone()).or_default().insert(number);
+            let numbers = self.wires.entry(wire.name.clone()).or_default();
+            if number > numbers.len() {
+                let _ = self.allowance.take(0);
+            }
+            numbers.insert(number);
         }
         self.n_messages += 1;
         let Message { sequence, log_time, publish_time, data, .. } = *message;
@@ -350,6 +365,10 @@ impl Visitor for Recovery<'_> {
     fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
         self.soundness.record(place, &record);
         match self.write(record) {
+            Ok(()) if self.allowance.exceeded().is_some() => {
+                self.full_at = Some(place);
+                ControlFlow::Break(())
+            }
             Ok(()) => ControlFlow::Continue(()),
             Err(error) => {
                 self.failed = Some(error);

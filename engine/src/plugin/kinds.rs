@@ -204,7 +204,11 @@ impl Kinds {
                 None => match find(text, &places) {
                     Some(found) => match finder.permits(&found) {
                         // An interpreter is a program, too: the user's is taken.
-                        Ok(()) => known.add(finder, &found, interpreter.filter(|_| finder.only.is_none()), origin),
+                        Ok(()) if finder.only.is_none() => known.add(finder, &found, interpreter, origin),
+                        Ok(()) => {
+                            known.add(finder, &found, None, origin);
+                            known.name_interpreter(&found, interpreter);
+                        }
                         Err(why) => {
                             known.refused.push(Refused { path: found, why, origin, note: None, help: None });
                         }
@@ -350,6 +354,18 @@ impl Finder {
 }
 
 impl Known {
+    /// Adds to the refusal of a script which interpreter the recording names, and how the user names it.
+    fn name_interpreter(&mut self, script: &Path, interpreter: Option<&Path>) {
+        let refused = self.refused.iter_mut().find(|refused| refused.path == *script);
+        if let Some((refused, interpreter)) = refused.zip(interpreter) {
+            let interpreter = interpreter.display();
+            refused.help = Some(format!(
+                "the recording names the interpreter {interpreter}, which is not started without the user; if you trust \
+                 it, add --python {interpreter}"
+            ));
+        }
+    }
+
     /// Lets nodes fire in processes of their own.
     #[cfg(unix)]
     fn launch_by(&mut self, finder: &Finder, own: &Registry) {
