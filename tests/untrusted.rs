@@ -205,6 +205,29 @@ fn a_small_file_that_unpacks_to_much_is_refused_with_limit_and_place() {
     }
 }
 
+#[test]
+fn items_out_of_order_count_where_a_file_is_read_as_a_stream() {
+    let folder = Folder::new();
+    let path = folder.path("gaps.mcap");
+    let mut writer = Writer::new(File::create(&path).unwrap(), WriteOptions::default()).unwrap();
+    let channel = writer.add_channel(0, "/exact/scan.cloud", "osteoflow-view", &BTreeMap::new()).unwrap();
+    for k in 0..20_000_u64 {
+        // An empty item, the number of which leaves a gap (docs/recording.md, "The layout of a message").
+        let mut data = b"OSTEOVW1".to_vec();
+        data.extend([1_u64.to_le_bytes(), (2 * k + 1).to_le_bytes()].concat());
+        data.resize(64, 0);
+        let header = MessageHeader { channel_id: channel, sequence: k as u32, log_time: 1, publish_time: 1 };
+        writer.write_message(header, data.into()).unwrap();
+    }
+    writer.finish().unwrap();
+    for command in [&["digest", "gaps.mcap"][..], &["recover", "gaps.mcap", "saved.mcap"]] {
+        let output = folder.command(command).env("OSTEOFLOW_MAX_RECORDING_MB", "1").output().unwrap();
+        let err = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(1) && err.contains("more than 1 MB of memory"), "{command:?}: {err}");
+        assert!(!folder.path("saved.mcap").exists());
+    }
+}
+
 #[cfg(unix)]
 #[test]
 fn a_forged_sweep_cannot_write_outside_of_its_folder_and_has_one_file_for_each_run() {
