@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{assert_golden, build, is_slow_run, json, osteoflow_to_spawn, root};
+use common::{TOY_GRAPH as GRAPH, assert_golden, build, is_slow_run, json, osteoflow_to_spawn, root};
 use serde_json::{Value, json};
 use std::{
     env::consts::DLL_SUFFIX,
@@ -19,25 +19,6 @@ use std::{
 
 /// Time after which a test that waits for a line fails.
 const LIMIT: Duration = Duration::from_secs(120);
-
-const GRAPH: &str = r#"
-[graph]
-format = 1
-
-[node.give]
-kind   = "toy.give"
-number = 40
-
-[node.add]
-kind = "toy.add"
-in   = { number = "give.number" }
-
-[record]
-wires = ["*"]
-
-[results]
-sum = "add.sum"
-"#;
 
 /// A folder with a graph and the plugins compiled for it.
 struct Folder(tempfile::TempDir);

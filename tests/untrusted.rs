@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{build, json, osteoflow_to_spawn, root};
+use common::{TOY_GRAPH, build, json, osteoflow_to_spawn, root};
 use osteoflow_container::{Compression, MessageHeader, WriteOptions, Writer};
 use std::{
     collections::BTreeMap,
@@ -22,27 +22,6 @@ __attribute__((constructor)) static void osteoflow_test_loaded(void) {
     FILE *file = path ? fopen(path, "w") : NULL;
     if (file) fclose(file);
 }
-"#;
-
-const GRAPH: &str = r#"
-plugins = ["toy"]
-[graph]
-format = 1
-name   = "toy"
-
-[node.give]
-kind   = "toy.give"
-number = 40
-
-[node.add]
-kind = "toy.add"
-in   = { number = "give.number" }
-
-[record]
-wires = ["*"]
-
-[results]
-sum = "add.sum"
 "#;
 
 /// A folder, and commands in it.
@@ -92,7 +71,7 @@ impl Folder {
 #[test]
 fn commands_that_read_load_no_library_and_those_that_check_a_graph_do_unless_told_not_to() {
     let folder = Folder::new();
-    fs::write(folder.path("graph.toml"), GRAPH).unwrap();
+    fs::write(folder.path("graph.toml"), format!("plugins = [\"toy\"]\n{TOY_GRAPH}")).unwrap();
     if !folder.plugin("1") {
         return;
     }

@@ -15,6 +15,26 @@ use osteoflow_geometry::{
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
+/// A graph of the kinds of tests/plugins/toy.c, without the plugin's name.
+pub(crate) const TOY_GRAPH: &str = r#"
+[graph]
+format = 1
+
+[node.give]
+kind   = "toy.give"
+number = 40
+
+[node.add]
+kind = "toy.add"
+in   = { number = "give.number" }
+
+[record]
+wires = ["*"]
+
+[results]
+sum = "add.sum"
+"#;
+
 /// The command under test, in the workspace's folder, without the user's settings and store: a test never finds answers of
 /// another.
 pub(crate) fn osteoflow() -> Command {
