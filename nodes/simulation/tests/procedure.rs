@@ -369,8 +369,7 @@ fn what_cannot_be_simulated_is_refused_with_the_reason() {
 
 #[test]
 fn a_surgeon_who_points_again_leaves_fewer_holes_that_cannot_be_found() {
-    // Holes that count by themselves.
-    let first_tier = HoleParams { min_confidence_agreeing: 1.0, ..HoleParams::default() };
+    // Holes that are not found even where the plan may confirm them.
     let lost = |max_attempts| {
         let mut params = ProcedureParams::default();
         params.bone.shape_seed = 3;
@@ -378,11 +377,11 @@ fn a_surgeon_who_points_again_leaves_fewer_holes_that_cannot_be_found() {
         let subject = Subject::built_in(&params.bone).unwrap();
         let of_seed = |seed| {
             let Procedure { scan, laser, .. } = Procedure::simulate_for(&subject, &params, seed).unwrap();
-            laser.iter().filter(|cloud| cloud_difference(&scan, cloud, &first_tier).is_err()).count()
+            laser.iter().filter(|cloud| cloud_difference(&scan, cloud, &HoleParams::default()).is_err()).count()
         };
         (1..=30).map(of_seed).sum::<usize>()
     };
     let (once, thrice) = (lost(1), lost(3));
-    assert!(once >= 8, "{once} of 90 holes are not found, so that there is something to mend");
+    assert!(once >= 5, "{once} of 90 holes are not found, so that there is something to mend");
     assert!(thrice * 3 <= once * 2, "{thrice} of 90 holes are not found in three attempts, {once} in one");
 }
