@@ -21,6 +21,9 @@ mod worker;
 pub use crate::process::Launcher;
 #[cfg(unix)]
 pub use crate::process::child::signal_name;
+#[cfg(unix)]
+#[doc(hidden)]
+pub use crate::process::hostile;
 pub use description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
 pub use kinds::{Finder, Kinds, Known, Plugin, Refused, Scripts};
 pub use lent_check::check_lent_memory;

@@ -10,6 +10,8 @@
 #[cfg(unix)]
 pub(crate) mod child;
 #[cfg(unix)]
+pub mod hostile;
+#[cfg(unix)]
 pub(crate) mod segment;
 #[cfg(unix)]
 pub(crate) mod socket;

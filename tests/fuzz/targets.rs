@@ -1,5 +1,6 @@
 //! What is given hostile bytes: each target reads them as a file of a stranger, and may refuse them, but not panic.
 
+use crate::border;
 use osteoflow_engine::{Recording, check_text, recording::digest::digest, recover::recover, validate::validate};
 use osteoflow_formats::{
     folder::ProcedureFolder, mcap_read, mesh_or_cloud::read_mesh_or_cloud, message_read, openigtlink, picked_points,
@@ -15,7 +16,7 @@ pub(crate) struct Target {
     pub(crate) read: fn(&Path, &[u8]),
 }
 
-pub(crate) const TARGETS: [Target; 11] = [
+pub(crate) const TARGETS: &[Target] = &[
     Target {
         name: "surface_or_cloud",
         endings: &["ply", "stl", "obj", "off", "vtk", "pcd", "csv", "xyz"],
@@ -39,6 +40,10 @@ pub(crate) const TARGETS: [Target; 11] = [
     Target { name: "openigtlink", endings: &["bin"], read: messages_of_openigtlink },
     Target { name: "recording", endings: &["mcap"], read: recording },
     Target { name: "graph", endings: &["toml"], read: graph },
+    Target { name: "payload", endings: &["view"], read: border::payload },
+    Target { name: "plugin_description", endings: &["description"], read: border::plugin_description },
+    #[cfg(unix)]
+    Target { name: "process", endings: &["sent"], read: border::process },
 ];
 
 fn surface_or_cloud(path: &Path, bytes: &[u8]) {

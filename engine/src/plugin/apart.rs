@@ -290,18 +290,7 @@ impl Apart {
 
     fn value(&self, port: usize, place: Place) -> Result<Value, String> {
         let (output, payload) = &self.outputs[port];
-        let fault = |what: &str, error: &dyn std::fmt::Display| format!("output \"{output}\": {what}: {error}");
-        let item = self.views.item(place).map_err(|error| fault("it cannot be read", &error))?;
-        let (name, version) = item.payload.unwrap_or_default();
-        let ty = match payload {
-            PortPayload::Type(ty) => Some(*ty),
-            PortPayload::Any => self.types.iter().copied().find(|ty| ty.name == name),
-        };
-        let ty = ty.filter(|ty| (ty.name, ty.version) == (&*name, version));
-        let ty =
-            ty.ok_or_else(|| fault(&format!("{name}@{version}"), &format!("the port gives {}", payload.name())))?;
-        let view = item.body.map_err(|_| fault(ty.name, &"there is no value"))?;
-        ty.from_view(&view).map_err(|error| fault(ty.name, &error))
+        self.views.value(place, *payload, &self.types).map_err(|error| format!("output \"{output}\": {error}"))
     }
 }
 

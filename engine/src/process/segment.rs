@@ -3,7 +3,7 @@
 
 use super::wire::{NewSegment, Place};
 use crate::recording::codec::{self, CodecError, RecordedItem};
-use osteoflow_node::{Buffer, Item, PortPayload};
+use osteoflow_node::{Buffer, Item, PayloadType, PortPayload, Value, ViewError as NoPayload};
 use rustix::{
     fd::{AsFd, BorrowedFd, OwnedFd},
     fs, io,
@@ -217,6 +217,12 @@ pub(crate) enum ViewError {
     Short { segment: u32, has: usize, asked: u64 },
     #[error(transparent)]
     Item(#[from] CodecError),
+    #[error("{name}@{version}: the port gives {expected}")]
+    Type { name: String, version: u32, expected: &'static str },
+    #[error("{0}: there is no value")]
+    Empty(&'static str),
+    #[error("{0}: {1}")]
+    Payload(&'static str, NoPayload),
 }
 
 /// A column within a segment.
@@ -252,6 +258,25 @@ impl Views {
         let bytes = map.bytes().get(..n_bytes).ok_or_else(short)?;
         let borrow = |range| -> Buffer { Arc::new(Rows { map: map.clone(), range }) };
         Ok(codec::decode_borrowed(bytes, &borrow)?)
+    }
+
+    /// The value at a place, for an output of this payload.
+    pub(crate) fn value(
+        &self,
+        place: Place,
+        payload: PortPayload,
+        types: &[&'static PayloadType],
+    ) -> Result<Value, ViewError> {
+        let item = self.item(place)?;
+        let (name, version) = item.payload.unwrap_or_default();
+        let ty = match payload {
+            PortPayload::Type(ty) => Some(ty),
+            PortPayload::Any => types.iter().copied().find(|ty| ty.name == name),
+        };
+        let ty = ty.filter(|ty| (ty.name, ty.version) == (&*name, version));
+        let ty = ty.ok_or(ViewError::Type { name, version, expected: payload.name() })?;
+        let view = item.body.map_err(|_| ViewError::Empty(ty.name))?;
+        ty.from_view(&view).map_err(|error| ViewError::Payload(ty.name, error))
     }
 
     /// The segments of which something is still used.

@@ -55,8 +55,13 @@ impl Socket {
         let n_bytes = u32::try_from(bytes.len() - 4).ok().filter(|n| *n as usize <= MAX_BYTES);
         let n_bytes = n_bytes.ok_or_else(|| io::Error::other("the message is longer than 64 MiB"))?;
         bytes[..4].copy_from_slice(&n_bytes.to_le_bytes());
+        self.send_bytes(&bytes, fds)
+    }
+
+    /// Sends a whole message, with its length.
+    pub(super) fn send_bytes(&self, bytes: &[u8], fds: &[BorrowedFd<'_>]) -> io::Result<()> {
         let mut fds = fds.chunks(MAX_FDS);
-        let mut left = &bytes[..];
+        let mut left = bytes;
         while !left.is_empty() {
             let now = fds.next().unwrap_or_default();
             // Each part with descriptors carries one byte of the message at least.
