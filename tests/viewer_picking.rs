@@ -352,6 +352,34 @@ fn landmarks_clicked_where_the_plan_has_them_are_those_and_the_saved_plan_runs_f
     // The other one is as it was.
     let other: [f64; 3] = serde_json::from_value(planes_before[1]["origin"].clone()).unwrap();
     assert_eq!(saved.planes.planes[1].isometry().unwrap().translation.vector, Vector3::from(other));
+    // Loaded again, it is what was saved; another file is refused with the reason, and changes nothing.
+    let load = |browser: &mut Browser, text: &str| {
+        let text = json!(text);
+        browser.evaluate(&format!(
+            "(() => {{ const files = new DataTransfer(); files.items.add(new File([{text}], 'plan.json')); const input = \
+             document.getElementById('pick-load'); input.files = files.files; input.dispatchEvent(new Event('change')); }})()"
+        ));
+    };
+    press(browser, "#picking button[title^='take the plan']");
+    for (other, said) in [
+        ("[1]", "plan.json is not loaded: an object is expected"),
+        ("{", "plan.json is not loaded: it is no JSON"),
+        (r#"{ "landmarks": { "P1": [1, 2] } }"#, "landmarks.P1: 3 numbers are expected, found [1,2]"),
+        (r#"{ "units": "m", "landmarks": { "P1": [1, 2, 3] } }"#, "lengths in mm are expected, found m"),
+        ("{}", "it has no landmarks, assessment points or planes"),
+    ] {
+        let before = browser.evaluate("osteoflow.picking.history.now");
+        load(browser, other);
+        wait_for_text(browser, "pick-next", said);
+        assert_eq!(browser.evaluate("osteoflow.picking.history.now"), before, "{said}");
+    }
+    load(browser, &fs::read_to_string(folder.join("plan.json")).unwrap());
+    browser.wait_until("!document.getElementById('pick-next').textContent.includes('is not loaded')");
+    assert_eq!(picked(browser, "landmarks"), clicked);
+    assert_eq!(picked(browser, "assessment"), saved.assessment.points.to_vec());
+    let origin = browser.evaluate("osteoflow.picking.history.now.planes[0].origin");
+    let origin: [f64; 3] = serde_json::from_value(origin).unwrap();
+    assert!((Vector3::from(origin) - plane.translation.vector).norm() < 1e-9);
     assert_eq!(complaints(browser, &served), Vec::<String>::new());
 
     // The saved plan in a run from the command line is what it says.

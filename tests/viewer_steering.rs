@@ -495,9 +495,53 @@ fn a_kind_changed_and_a_lasso_drawn_on_the_page_are_the_runs_of_the_command_line
     browser.wait_until("osteoflow.scene.drawn.has('to_bone.cloud')");
     let shown = browser.evaluate("osteoflow.scene.drawn.get('to_bone.cloud').object.userData.points.length / 3");
     assert_eq!(shown, lassoed, "points that the run kept");
+    // Loaded again, it is the region that was drawn; one of another frame is refused with both frames.
+    browser.evaluate("document.getElementById('draw').click()");
+    browser.wait_until("osteoflow.region.isOpen && document.getElementById('region-load') !== null");
+    let load = |browser: &mut Browser, region: &Value| {
+        let text = json!(region.to_string());
+        browser.evaluate(&format!(
+            "(() => {{ const files = new DataTransfer(); files.items.add(new File([{text}], 'region.json')); const input = \
+             document.getElementById('region-load'); input.files = files.files; input.dispatchEvent(new Event('change')); }})()"
+        ));
+    };
+    let log = "document.querySelector('#log li').textContent";
+    for (key, value, said) in [
+        ("frame", json!("ct"), "the region was drawn in frame ct, but this cloud is in camera"),
+        ("format", json!("other"), "its format is not osteoflow-region"),
+        ("keep", json!([{ "shape": "ball" }]), "keep[0]: \"ball\" is no shape"),
+        (
+            "keep",
+            json!([{ "shape": "box", "min": [0, 0], "max": [1, 1, 1] }]),
+            "keep[0].min: 3 numbers are expected, found [0,0]",
+        ),
+        ("keep", json!([]), "it has no shapes"),
+    ] {
+        let mut other = saved.clone();
+        other[key] = value;
+        load(&mut browser, &other);
+        browser.wait_until(&format!("{log}.includes({})", json!(said)));
+        assert_eq!(browser.evaluate("osteoflow.region.shapes.length"), 0, "{said}");
+    }
+    load(&mut browser, &saved);
+    browser.wait_until("osteoflow.region.shapes.length > 0");
+    assert_eq!(count(&mut browser), lassoed);
+    browser.evaluate("document.getElementById('region-close').click()");
+
     let path = format!("crop.path={}", file.display());
     let again = bench.on_command_line("fibula.toml", &["crop.kind=crop.file", &path]);
     assert_eq!(again, bench.results(3));
+    // A fault in the file: the verdict of the run before is not that of the graph.
+    let good = bench.text("fibula.toml");
+    let file = bench.path("fibula.toml");
+    fs::write(&file, good.replace("[graph]", "[grap]")).unwrap();
+    browser.wait_until("document.getElementById('verdict').className === 'verdict old'");
+    let words = browser.evaluate("document.getElementById('verdict').textContent");
+    assert!(words.as_str().unwrap().starts_with("of the last run, not of the graph as it is now:"), "{words}");
+    assert_eq!(browser.evaluate("document.getElementById('problem').hidden"), false);
+    browser.wait_until("[...osteoflow.scene.drawn.values()].every(({ payload, object }) => payload !== 'geometry/Planes' || !object.visible)");
+    fs::write(&file, good).unwrap();
+    browser.wait_until("document.getElementById('verdict').className !== 'verdict old' && osteoflow.verdict !== null");
     let complaints = browser.complaints(Path::new("/none"));
     let own = served.page.trim_start_matches("http://").to_owned();
     let complaints: Vec<_> = complaints.iter().filter(|c| !c.contains(&own) && !c.contains("422")).collect();

@@ -301,6 +301,8 @@ impl Session {
                 }
                 let mut state = self.before.as_ref().map_or(json!({}), |(state, _)| state.clone());
                 state["problem"] = format!("the graph has a fault and was not run: {problem}").into();
+                // What is shown is of the run before.
+                state["outdated"] = self.before.is_some().into();
                 state["changes"] = changes.describe();
                 self.stream.publish(serve::STATE, &state);
                 let text = fs::read_to_string(changes.path()).unwrap_or_default();

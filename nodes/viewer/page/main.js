@@ -22,6 +22,8 @@ const GRAPH = "/viewer/graph";
 const NODES = "/viewer/nodes";
 /** Time without an item of a stream after which what it places is not drawn any more, ms. */
 const STALE_MS = 2000;
+/** What is said of the verdict of a run before the graph got a fault. */
+const OUTDATED = "of the last run, not of the graph as it is now:";
 /** Messages that the list shows. */
 const MAX_MESSAGES = 50;
 
@@ -68,8 +70,9 @@ function verdict() {
 function judge() {
   const waiting = !isOpen ? "not connected" : state.state === "running" || !isAtEnd ? "not judged yet" : "not judged";
   const now = verdict();
-  showVerdict(element("verdict"), now, waiting);
-  scene.judge(now?.answer ?? null);
+  // What the last run gave is no answer of a graph that has a fault since.
+  showVerdict(element("verdict"), now, waiting, state.outdated ? OUTDATED : null);
+  scene.judge(state.outdated ? null : now?.answer ?? null);
 }
 
 function showState() {

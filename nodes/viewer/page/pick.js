@@ -3,6 +3,7 @@
 import { Aim } from "./aim.js";
 import { Gestures } from "./gestures.js";
 import { drawPlanes, drawPoints, drawRulers } from "./marks.js";
+import { readPlan } from "./load.js";
 import { Panel } from "./pick_panel.js";
 import { lookAtCloud, lookFrom, shadeCloud, unshade } from "./pick_view.js";
 import { History, bearings, nextName, normalOf, placed, planeAcross, planJson } from "./picks.js";
@@ -118,6 +119,19 @@ export class Picking {
     this.base = JSON.stringify(shown);
     this.warning = "";
     this.history.set({ ...shown, bone, scan });
+    this.changed();
+  }
+
+  /** Takes the points and planes of a plan's file instead of what was picked, or says why not; can be undone. @param {string} text @param {string} name */
+  load(text, name) {
+    try {
+      const { bone, scan } = this.history.now;
+      const { tip, ...plan } = readPlan(text);
+      this.history.set({ ...plan, tip: this.anatomy() ? [] : tip, bone, scan });
+      this.warning = "";
+    } catch (error) {
+      this.warning = `${name} is not loaded: ${error instanceof Error ? error.message : error}`;
+    }
     this.changed();
   }
 

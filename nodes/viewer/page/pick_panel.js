@@ -1,5 +1,6 @@
 // The panel of what is picked: points with their rulers, planes with their sliders, what the next click does, saving.
 
+import { fileField } from "./load.js";
 import { MAX_DEG, height, placing, sides } from "./picks.js";
 import { norm, minus } from "./surface.js";
 
@@ -140,7 +141,8 @@ export class Panel {
     }
     const again = make("button", { textContent: "as shown", title: "take the plan that is shown", onclick: () => picking.again() });
     this.adds.replaceChildren(arm("landmarks", "+ landmark"), arm("assessment", "+ assessment"), arm("tip", "malleolus tip"),
-      make("button", { textContent: "+ plane", onclick: () => picking.addPlane() }), ...(picking.shown.picked().landmarks.length > 0 ? [again] : []));
+      make("button", { textContent: "+ plane", onclick: () => picking.addPlane() }), ...(picking.shown.picked().landmarks.length > 0 ? [again] : []),
+      fileField("pick-load", "saved earlier:", (text, name) => picking.load(text, name)));
   }
 
   /** @param {Group} group @param {string} name @param {(string | Node)[]} texts */

@@ -1,6 +1,7 @@
 // The region of interest, drawn by hand on a scan: lasso, box, slab, brush; kept or cut, with the points inside counted.
 
 import * as THREE from "three";
+import { fileField, readRegion } from "./load.js";
 import { post } from "./request.js";
 import { boxAround, longAxis, within } from "./shapes.js";
 
@@ -243,6 +244,17 @@ export class RegionTool {
     this.show();
   }
 
+  /** Takes the shapes of a file that was saved earlier, or says why not. @param {string} text @param {string} name */
+  load(text, name) {
+    if (!this.on) return;
+    try {
+      this.shapes = readRegion(text, this.on.frame);
+      this.count();
+    } catch (error) {
+      this.say(`${name} is not loaded: ${error instanceof Error ? error.message : error}`);
+    }
+  }
+
   async save() {
     if (!this.on) return;
     const { node, frame, rows } = this.on;
@@ -297,6 +309,7 @@ export class RegionTool {
         button("camera", "as the camera sees it", () => { this.look(); this.scene.redraw(); }),
       ),
       row(save, button("close", "close", () => this.close())),
+      row(fileField("region-load", "saved earlier:", (text, name) => this.load(text, name))),
       hint,
     );
     if (focused) document.getElementById(focused)?.focus();

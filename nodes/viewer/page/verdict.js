@@ -12,11 +12,12 @@ const SHAPES = {
  * @param {HTMLElement} holder
  * @param {any} verdict as in results.json, or null
  * @param {string} waiting what to say without one
+ * @param {string | null} old why it is not that of the graph now
  */
-export function showVerdict(holder, verdict, waiting) {
+export function showVerdict(holder, verdict, waiting, old = null) {
   const answer = verdict?.answer ?? null;
   const kind = answer !== null && Object.hasOwn(SHAPES, answer) ? answer : "unknown";
-  holder.className = `verdict ${kind}`;
+  holder.className = old === null ? `verdict ${kind}` : "verdict old";
   const shape = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   shape.setAttribute("viewBox", "0 0 32 32");
   shape.setAttribute("aria-hidden", "true");
@@ -24,6 +25,12 @@ export function showVerdict(holder, verdict, waiting) {
   const words = document.createElement("div");
   const head = document.createElement("strong");
   head.textContent = answer === null ? waiting : answer;
+  if (old !== null && answer !== null) {
+    const of = document.createElement("span");
+    of.className = "of";
+    of.textContent = old;
+    words.append(of);
+  }
   words.append(head);
   if (verdict?.sentence) words.append(` ${verdict.sentence}`);
   const reasons = (verdict?.reasons ?? []).filter((/** @type {any} */ reason) => reason.answer !== "trusted");

@@ -28,6 +28,7 @@ const FILES: &[File] = &[
     ("scene.js", SCRIPT, include_str!("../page/scene.js")),
     ("drawables.js", SCRIPT, include_str!("../page/drawables.js")),
     ("eye.js", SCRIPT, include_str!("../page/eye.js")),
+    ("load.js", SCRIPT, include_str!("../page/load.js")),
     ("layers.js", SCRIPT, include_str!("../page/layers.js")),
     ("residual_colours.js", SCRIPT, include_str!("../page/residual_colours.js")),
     ("devices.js", SCRIPT, include_str!("../page/devices.js")),

@@ -18,6 +18,8 @@ use std::{
 
 /// Interval at which the time is sent while the recording plays.
 const CLOCK: Duration = Duration::from_millis(200);
+/// Channel of the transforms that are written at the end, with a time before all others.
+const FRAMES: &str = "/run/frames";
 /// Longest wait for the next message, so that the time advances through gaps.
 const STEP: Duration = Duration::from_millis(50);
 
@@ -50,9 +52,11 @@ impl Playback {
     pub fn open(path: &Path, stream: Arc<Stream>) -> Result<Self, ReadError> {
         let Opened { messages, entries, channels, problem } = Opened::open(path)?;
         let (Some(first), Some(last)) = (entries.first(), entries.last()) else { return Err(ReadError::Empty) };
-        // Constants are logged just before everything else, or at the beginning of all time.
-        let start =
-            entries.iter().map(|entry| entry.log_time_ns).find(|ns| *ns > 1_000_000).unwrap_or(first.log_time_ns);
+        // Constants are logged with the first item, or at the beginning of all time; the transforms for viewers that read whole
+        // files come just before everything else, and with them alone there is nothing to see.
+        let is_shown = |entry: &&Entry| channels.get(&entry.channel).is_none_or(|channel| channel.topic != FRAMES);
+        let shown = || entries.iter().filter(is_shown).map(|entry| entry.log_time_ns);
+        let start = shown().find(|ns| *ns > 1_000_000).or_else(|| shown().next()).unwrap_or(first.log_time_ns);
         let range_ns = (start, last.log_time_ns);
         let adds = channels.values().filter(|channel| [TIMING, DROPS].contains(&&*channel.topic));
         let adds_up = adds.map(|channel| channel.id).collect();
