@@ -305,6 +305,23 @@ mod tests {
     }
 
     #[test]
+    fn the_sides_are_the_distances_between_the_points() {
+        let target = named(&[[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [0.0, 4.0, 0.0]]);
+        let source = named(&[[1.0, 1.0, 1.0], [1.0, 7.0, 9.0], [1.0, 7.0, 1.0]]);
+        let sides = three_point(&target, &source).unwrap().report.sides;
+        let side = |from: &str, to: &str, target_mm, source_mm, difference_mm| CoarseSide {
+            from: from.into(),
+            to: to.into(),
+            target_mm,
+            source_mm,
+            difference_mm,
+        };
+        let expected =
+            [side("P1", "P2", 5.0, 10.0, 5.0), side("P1", "P3", 4.0, 6.0, 2.0), side("P2", "P3", 3.0, 8.0, 5.0)];
+        assert_eq!(sides, expected);
+    }
+
+    #[test]
     fn a_shift_of_all_points_leaves_the_fre_unchanged() {
         let noisy = named(&[[0.4, 0.0, 100.0], [6.0, -6.3, 130.0], [-1.0, 1.0, 125.5]]);
         let here = three_point(&triangle(), &noisy).unwrap().report;
