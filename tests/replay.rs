@@ -45,7 +45,7 @@ fn recorded() -> (common::Ran, PathBuf) {
 
 #[test]
 fn shuffled_runs_on_any_number_of_workers_give_one_digest_and_replay_exactly() {
-    let n_runs = if is_slow_run() { 200 } else { 3 };
+    let n_runs = if is_slow_run() { 1000 } else { 3 };
     for graph in ["graphs/fibula.toml", RECORDED] {
         let mut first = None;
         for seed in 0..n_runs {
@@ -340,7 +340,7 @@ fn killed(dir: &Path, after: Duration) -> Option<PathBuf> {
 #[test]
 #[cfg(unix)]
 fn a_kill_at_any_instant_leaves_a_recording_that_is_read_and_replayed_up_to_its_last_chunk() {
-    let n_kills: u64 = if is_slow_run() { 100 } else { 10 };
+    let n_kills: u64 = if is_slow_run() { 1000 } else { 10 };
     let dir = tempfile::tempdir().unwrap();
     let (mut n_read, mut n_items) = (0, 0);
     for kill in 0..n_kills {
@@ -369,7 +369,9 @@ fn a_kill_at_any_instant_leaves_a_recording_that_is_read_and_replayed_up_to_its_
             }
         }
     }
-    assert!(n_read > 0 && n_items > 0, "{n_read} of {n_kills} were read, with {n_items} items");
+    let counted = format!("{n_kills} runs killed: {n_read} recordings read, with {n_items} items");
+    println!("{counted}");
+    assert!(n_read > 0 && n_items > 0, "{counted}");
 }
 
 #[test]
