@@ -204,6 +204,12 @@ fn items_out_of_order_count_where_a_file_is_read_as_a_stream() {
         let err = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(output.status.code() == Some(1) && err.contains("more than 1 MB of memory"), "{command:?}: {err}");
         assert!(!folder.path("saved.mcap").exists());
+        let output = folder.command(command).env("OSTEOFLOW_MAX_RECORDING_MB", "5 GB").output().unwrap();
+        let err = String::from_utf8(output.stderr).unwrap();
+        assert!(
+            output.status.code() == Some(1) && err.contains("is \"5 GB\", but a whole number"),
+            "{command:?}: {err}"
+        );
     }
 }
 
@@ -260,6 +266,43 @@ fn a_forged_sweep_cannot_write_outside_of_its_folder_and_has_one_file_for_each_r
     let (code, _, err) = folder.says(&resume);
     assert!(code == 1 && err.contains("not a folder"), "{err}");
     assert_eq!(fs::read_dir(&elsewhere).unwrap().count(), 1);
+}
+
+#[cfg(unix)]
+#[test]
+fn files_for_other_programs_are_not_written_through_links() {
+    use std::os::unix::fs::symlink;
+    let folder = Folder::new();
+    let graph = root().join("graphs/fibula.toml").display().to_string();
+    let mine = folder.path("mine");
+    fs::create_dir(&mine).unwrap();
+    let names = ["bone.stl", "landmarks.mrk.json", "planes.mrk.json", "scan.ply", "scan.vtk", "scan_to_ct.tfm"];
+    for name in names {
+        fs::write(mine.join(name), "mine").unwrap();
+    }
+    let run = ["run", &graph, "--out", "run", "--force", "--quiet"];
+    // Links with the names of the files, then one with that of the folder.
+    let links: [&dyn Fn(); 2] = [
+        &|| {
+            fs::create_dir_all(folder.path("run/export")).unwrap();
+            for name in names {
+                symlink(mine.join(name), folder.path("run/export").join(name)).unwrap();
+            }
+        },
+        &|| {
+            fs::remove_dir_all(folder.path("run/export")).unwrap();
+            symlink(&mine, folder.path("run/export")).unwrap();
+        },
+    ];
+    for link in links {
+        link();
+        let (code, _, err) = folder.says(&run);
+        assert_eq!(code, 0, "{err}");
+        for name in names {
+            assert_eq!(fs::read_to_string(mine.join(name)).unwrap(), "mine", "{name}");
+            assert!(fs::metadata(folder.path("run/export").join(name)).unwrap().len() > 100, "{name}");
+        }
+    }
 }
 
 #[test]

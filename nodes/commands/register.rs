@@ -302,6 +302,7 @@ impl Register {
         };
         let mut files = files::OutFiles::of(self)?;
         self.trace.iter().try_for_each(|file| refuse_existing(file))?;
+        running::check_workers(self.workers)?;
         let workers = self.workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
         let pool = Arc::new(pool.build().context("no threads for the registration")?);

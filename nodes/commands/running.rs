@@ -38,11 +38,17 @@ enum News<T> {
 /// Most workers. The largest machines have some hundred cores, and each worker has a stack of 8 MiB.
 const MAX_WORKERS: usize = 1024;
 
+/// Refuses more than [`MAX_WORKERS`].
+pub(crate) fn check_workers(workers: Option<NonZeroUsize>) -> Result<(), UsageError> {
+    match workers.filter(|workers| workers.get() > MAX_WORKERS) {
+        Some(workers) => Err(UsageError(format!("--workers {workers}: at most {MAX_WORKERS} threads are started"))),
+        None => Ok(()),
+    }
+}
+
 /// Options common to all runs. Creates the pool of `workers` threads for parallel algorithms.
 pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>) -> Result<RunOptions> {
-    if let Some(workers) = workers.filter(|workers| workers.get() > MAX_WORKERS) {
-        return Err(UsageError(format!("--workers {workers}: at most {MAX_WORKERS} threads are started")).into());
-    }
+    check_workers(workers)?;
     let options = options_alone(workers, cancelled);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(options.workers).start_handler(|_| mark_helper_thread());
     pool.build_global().context("no threads for the algorithms")?;

@@ -13,6 +13,8 @@ const SETTING: &str = "OSTEOFLOW_MAX_RECORDING_MB";
 pub struct Allowance {
     limit: u64,
     used: u64,
+    /// A setting that is no number; nothing is then allowed.
+    faulty: Option<String>,
 }
 
 /// The content of a file takes more memory than is allowed.
@@ -20,10 +22,15 @@ pub struct Allowance {
 pub struct TooLarge {
     /// The limit in bytes.
     pub limit: u64,
+    /// The setting, if it is no number.
+    pub faulty: Option<String>,
 }
 
 impl fmt::Display for TooLarge {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(found) = &self.faulty {
+            return write!(f, "{SETTING} is {found:?}, but a whole number of megabytes is expected");
+        }
         write!(
             f,
             "its content takes more than {} MB of memory; if this machine has more, set {SETTING} to that many megabytes",
@@ -44,13 +51,20 @@ impl Allowance {
 
     /// An allowance of `limit` bytes.
     pub fn new(limit: u64) -> Self {
-        Self { limit, used: 0 }
+        Self { limit, used: 0, faulty: None }
     }
 
-    /// The allowance that the environment sets. A setting that is no number counts as none.
+    /// The allowance that the environment sets. If the setting is no number, nothing is allowed, and [`TooLarge`] says so.
     pub fn from_env() -> Self {
-        let megabytes = std::env::var(SETTING).ok().and_then(|text| text.trim().parse::<u64>().ok());
-        Self::new(megabytes.map_or(Self::DEFAULT_BYTES, |megabytes| megabytes.saturating_mul(1 << 20)))
+        Self::of(std::env::var_os(SETTING).map(|set| set.to_string_lossy().into_owned()).as_deref())
+    }
+
+    fn of(set: Option<&str>) -> Self {
+        match set.map(str::trim).filter(|set| !set.is_empty()).map(|set| (set, set.parse::<u64>())) {
+            None => Self::new(Self::DEFAULT_BYTES),
+            Some((_, Ok(megabytes))) => Self::new(megabytes.saturating_mul(1 << 20)),
+            Some((found, Err(_))) => Self { faulty: Some(found.to_owned()), ..Self::new(0) },
+        }
     }
 
     /// Takes the memory of something that is kept, such as a message of `n_bytes`. Breaks if there is none left.
@@ -61,7 +75,7 @@ impl Allowance {
 
     /// Whether more was taken than is allowed.
     pub fn exceeded(&self) -> Option<TooLarge> {
-        (self.used > self.limit).then_some(TooLarge { limit: self.limit })
+        (self.used > self.limit).then(|| TooLarge { limit: self.limit, faulty: self.faulty.clone() })
     }
 }
 
@@ -77,5 +91,16 @@ mod tests {
         assert!(allowance.exceeded().unwrap().to_string().contains(SETTING));
         assert!(Allowance::new(1 << 20).take(1 << 20).is_break());
         assert!(Allowance::new(u64::MAX).take(usize::MAX).is_continue());
+    }
+
+    #[test]
+    fn a_setting_that_is_no_number_allows_nothing_and_is_named() {
+        assert_eq!(Allowance::of(None).limit, 4 << 30);
+        assert_eq!(Allowance::of(Some("")).limit, 4 << 30);
+        assert_eq!(Allowance::of(Some(" 64 ")).limit, 64 << 20);
+        let mut faulty = Allowance::of(Some("5 GB"));
+        assert!(faulty.take(0).is_break());
+        let said = faulty.exceeded().unwrap().to_string();
+        assert_eq!(said, "OSTEOFLOW_MAX_RECORDING_MB is \"5 GB\", but a whole number of megabytes is expected");
     }
 }

@@ -41,5 +41,13 @@ fn file_of(ctx: &Context, extension: &str) -> Result<Option<PathBuf>, NodeError>
     let Some(dir) = ctx.out_dir() else { return Ok(None) };
     std::fs::create_dir_all(dir)?;
     let number = if ctx.item() == 0 { String::new() } else { format!("-{}", ctx.item()) };
-    Ok(Some(dir.join(format!("{}{number}.{extension}", ctx.node()))))
+    not_a_link(dir.join(format!("{}{number}.{extension}", ctx.node()))).map(Some)
+}
+
+/// The path, where a link is removed: its target may be any file of the user.
+fn not_a_link(path: PathBuf) -> Result<PathBuf, NodeError> {
+    if path.is_symlink() {
+        std::fs::remove_file(&path)?;
+    }
+    Ok(path)
 }

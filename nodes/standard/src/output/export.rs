@@ -1,6 +1,6 @@
 //! The kind `output.export`.
 
-use super::{NOTICE, is_refused, lps};
+use super::{NOTICE, is_refused, lps, not_a_link};
 use osteoflow_algorithms::trust::Verdict;
 use osteoflow_formats::{
     Space,
@@ -10,7 +10,7 @@ use osteoflow_formats::{
 };
 use osteoflow_geometry::{Cloud, Mesh, Planes, Points, Pose};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
-use std::path::Path;
+use std::path::PathBuf;
 
 /// A registration as a folder that 3D Slicer and CloudCompare open beside the CT: LPS, mm, in the run's folder, named after the
 /// node.
@@ -65,39 +65,40 @@ impl Node for Export {
         let space = lps(&i.bone.frame, "the surface is", "name its frame ct")?;
         let Some(dir) = ctx.out_dir() else { return Ok(Out {}) };
         let number = if ctx.item() == 0 { String::new() } else { format!("-{}", ctx.item()) };
-        let dir = dir.join(format!("{}{number}", ctx.node()));
+        let dir = not_a_link(dir.join(format!("{}{number}", ctx.node())))?;
         std::fs::create_dir_all(&dir)?;
-        write_mesh(&dir.join("bone.stl"), &i.bone, space)?;
+        let file = |name: &str| not_a_link(dir.join(name));
+        write_mesh(&file("bone.stl")?, &i.bone, space)?;
         if let Some(landmarks) = &i.landmarks {
             landmarks.frame.expect(&i.bone.frame, "the landmarks")?;
-            write_mrk_json(&dir.join("landmarks.mrk.json"), &landmarks.points, space)?;
+            write_mrk_json(&file("landmarks.mrk.json")?, &landmarks.points, space)?;
         }
         if let Some(planes) = &i.planes {
             planes.frame.expect(&i.bone.frame, "the planes")?;
             let known: Vec<_> = planes.planes.iter().filter_map(|p| Some((p.name.clone(), *p.isometry()?))).collect();
-            write_planes_mrk_json(&dir.join("planes.mrk.json"), &known)?;
+            write_planes_mrk_json(&file("planes.mrk.json")?, &known)?;
         }
         let (Some(scan), Some(t_ct_scan)) = (&i.scan, &i.t_ct_scan) else {
             ctx.warn("the scan is not written, since it is not registered");
             return Ok(Out {});
         };
         if !is_refused(i.verdict.as_ref(), ctx) {
-            write_scan(&dir, scan, &t_ct_scan.clone().expect(&i.bone.frame, &scan.frame)?, space)?;
+            write_scan(&file, scan, &t_ct_scan.clone().expect(&i.bone.frame, &scan.frame)?, space)?;
         }
         Ok(Out {})
     }
 }
 
 fn write_scan(
-    dir: &Path,
+    file: &dyn Fn(&str) -> Result<PathBuf, NodeError>,
     scan: &Cloud,
     t_ct_scan: &osteoflow_geometry::nalgebra::Isometry3<f64>,
     space: Space,
 ) -> Result<(), NodeError> {
     let on_ct = scan.transformed("ct", t_ct_scan);
-    write_cloud(&dir.join("scan.ply"), &on_ct, space)?;
-    write_cloud(&dir.join("scan.vtk"), &on_ct, space)?;
+    write_cloud(&file("scan.ply")?, &on_ct, space)?;
+    write_cloud(&file("scan.vtk")?, &on_ct, space)?;
     let frames = format!("moves frame {} to frame ct, mm, LPS; the parameters are those of the inverse", scan.frame);
-    std::fs::write(dir.join("scan_to_ct.tfm"), itk_text(t_ct_scan, &[frames, NOTICE.into()]))?;
+    std::fs::write(file("scan_to_ct.tfm")?, itk_text(t_ct_scan, &[frames, NOTICE.into()]))?;
     Ok(())
 }
