@@ -10,7 +10,7 @@ pub(super) const MAX_NAME_BYTES: usize = 255;
 /// Longest text, bytes: several pages of documentation; a path has at most 4096.
 const MAX_TEXT_BYTES: usize = 1 << 14;
 
-/// Most files of which each extends the next: shipped variants have two, and each file is a layer to look through.
+/// Most files of which each extends the next: shipped variants have four, and each file is a layer to look through.
 pub(super) const MAX_EXTENDS: usize = 32;
 
 /// Most modules within each other: shipped graphs have one level.
