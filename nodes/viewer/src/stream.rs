@@ -1,7 +1,7 @@
 //! Channels with the last message of each, and the queues of the viewers.
 //!
 //! Publishing never waits: a viewer that reads too slowly loses messages of its own, the oldest first, but never the
-//! last one of a channel.
+//! last one of a channel. Clouds that are late are lost where a newer one waits, so that no viewer shows the past as the present.
 
 use crate::protocol::{self, Level};
 use osteoflow_engine::run::{ListenedChannel, Listener};
@@ -9,11 +9,15 @@ use serde_json::{Value, json};
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 /// Bytes that may wait for a viewer: two seconds of 20,000 points with normals at 20 Hz, twice.
 const MAX_WAITING_BYTES: usize = 64 << 20;
+/// How long a bulky message may wait where a newer one of its channel does, too.
+const MAX_WAIT: Duration = Duration::from_secs(1);
+/// Bytes of a bulky message. Smaller ones, such as poses and warnings, do not keep a viewer from the present.
+const BULKY: usize = 16 << 10;
 
 /// Channels of the server itself are numbered down from here, those of runs and recordings up from 1.
 const OWN_CHANNELS: u32 = u32::MAX;
@@ -250,7 +254,8 @@ pub(crate) struct Viewer {
 #[derive(Debug, Default)]
 struct Queue {
     control: VecDeque<Out>,
-    messages: VecDeque<Arc<Message>>,
+    /// With the time since when they wait.
+    messages: VecDeque<(Instant, Arc<Message>)>,
     n_bytes: usize,
     /// Number of waiting messages of each channel.
     n_of: BTreeMap<u32, usize>,
@@ -297,13 +302,8 @@ impl Viewer {
         }
         queue.n_bytes += message.data.len();
         *queue.n_of.entry(message.channel).or_default() += 1;
-        queue.messages.push_back(message.clone());
-        while queue.n_bytes > MAX_WAITING_BYTES {
-            let replaced = queue.messages.iter().position(|waiting| queue.n_of.get(&waiting.channel) > Some(&1));
-            let Some(dropped) = replaced.and_then(|at| queue.messages.remove(at)) else { break };
-            queue.n_dropped += 1;
-            queue.took(&dropped);
-        }
+        queue.messages.push_back((Instant::now(), message.clone()));
+        while queue.n_bytes > MAX_WAITING_BYTES && queue.leave_out(|_, _| true) {}
         drop(queue);
         self.filled.notify_one();
     }
@@ -324,8 +324,9 @@ impl Viewer {
         if queue.is_closed {
             return None;
         }
+        queue.leave_out_late(Instant::now());
         let mut out: Vec<Out> = queue.control.drain(..).collect();
-        if let Some(message) = queue.messages.pop_front() {
+        if let Some((_, message)) = queue.messages.pop_front() {
             queue.took(&message);
             let of_channel = |(_, channel): &(&u32, &u32)| **channel == message.channel;
             let subscriptions: Vec<u32> = queue.subscriptions.iter().filter(of_channel).map(|(id, _)| *id).collect();
@@ -357,6 +358,20 @@ impl Viewer {
 }
 
 impl Queue {
+    /// Leaves out the first message for which this holds and after which another of its channel waits.
+    fn leave_out(&mut self, may_go: impl Fn(Instant, &Message) -> bool) -> bool {
+        let is_replaced = |message: &Message| self.n_of.get(&message.channel) > Some(&1);
+        let at = self.messages.iter().position(|(since, message)| is_replaced(message) && may_go(*since, message));
+        let Some((_, message)) = at.and_then(|at| self.messages.remove(at)) else { return false };
+        self.n_dropped += 1;
+        self.took(&message);
+        true
+    }
+
+    fn leave_out_late(&mut self, now: Instant) {
+        while self.leave_out(|since, message| message.data.len() >= BULKY && now.duration_since(since) > MAX_WAIT) {}
+    }
+
     fn took(&mut self, message: &Message) {
         self.n_bytes -= message.data.len();
         if let Some(n) = self.n_of.get_mut(&message.channel) {
@@ -418,6 +433,26 @@ mod tests {
         assert_eq!(received(&viewer), [] as [u8; 0]);
         assert!(stream.subscribe(&viewer, 6, 1).is_err(), "a number twice");
         assert!(stream.subscribe(&viewer, 7, 3).is_err() && stream.subscribe(&viewer, 7, 70_000).is_err());
+    }
+
+    #[test]
+    fn late_clouds_are_left_out_where_a_newer_one_waits_and_nothing_else() {
+        let stream = Stream::default();
+        [1, 2, 3].into_iter().for_each(|id| stream.channel(channel(id)));
+        let viewer = stream.join();
+        [1, 2, 3].into_iter().for_each(|id| stream.subscribe(&viewer, id, id).unwrap());
+        // Clouds on the first channel, the only one of the second, poses on the third.
+        stream.message(2, 1, vec![20; BULKY]);
+        for k in 0..3 {
+            stream.message(1, 1, vec![10 + k; BULKY]);
+            stream.message(3, 1, vec![30 + k; BULKY - 1]);
+        }
+        viewer.queue().leave_out_late(Instant::now());
+        assert_eq!(viewer.queue().messages.len(), 7, "nothing is late");
+        viewer.queue().leave_out_late(Instant::now() + 2 * MAX_WAIT);
+        let (got, status) = received_and_status(&viewer);
+        assert_eq!(got, [20, 30, 31, 12, 32]);
+        assert!(status.contains("too slowly: 2 of "), "{status}");
     }
 
     #[test]
