@@ -123,7 +123,10 @@ fn column(name: &'static str, kind: ColumnType, width: u32, spoilt: u8, numbers:
     if spoilt == 6 {
         bytes.pop();
     }
-    let name = name.strip_suffix("/*").map_or(name.into(), |prefix| format!("{prefix}/{}", numbers.byte()).into());
+    let name = match name.strip_suffix("/*") {
+        Some(prefix) => format!("{prefix}/{}", numbers.byte()),
+        None => name.to_owned(),
+    };
     Column::new(name, kind, width, Arc::new(bytes))
 }
 
@@ -233,7 +236,7 @@ pub(crate) fn process(path: &Path, bytes: &[u8]) {
 
 /// What processes send that give a cloud and a pose.
 pub(crate) fn sent_by_processes() -> Vec<Vec<u8>> {
-    let points = (0..4).map(|n| Point3::new(f64::from(n), 2.0, 3.0)).collect();
+    let points: Vec<_> = (0..4).map(|n| Point3::new(f64::from(n), 2.0, 3.0)).collect();
     let cloud = Cloud::new("camera", points).expect("finite points");
     let pose = Pose::new("world", "camera", Isometry3::translation(1.0, 2.0, 3.0));
     let sent = [Value::new(cloud), Value::new(pose)].map(|value| {
