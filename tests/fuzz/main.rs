@@ -60,7 +60,7 @@ fn no_reader_panics_on_hostile_bytes() {
     let n_rounds = if common::is_slow_run() { 20_000 } else { 250 };
     for target in TARGETS {
         let folder = tempfile::tempdir().unwrap();
-        let seeds = seeds(target, &common::root());
+        let seeds = seeds(target, common::root());
         let mut rng = ChaCha8Rng::seed_from_u64(22);
         for round in 0..n_rounds {
             let (ending, seed) = &seeds[rng.random_range(0..seeds.len())];

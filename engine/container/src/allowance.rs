@@ -69,7 +69,7 @@ impl Allowance {
 
     /// Takes the memory of something that is kept, such as a message of `n_bytes`. Breaks if there is none left.
     pub fn take(&mut self, n_bytes: usize) -> ControlFlow<()> {
-        self.used = self.used.saturating_add(n_bytes as u64 + Self::OVERHEAD);
+        self.used = self.used.saturating_add(n_bytes as u64).saturating_add(Self::OVERHEAD);
         if self.used > self.limit { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
