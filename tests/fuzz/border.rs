@@ -1,6 +1,7 @@
 //! Hostile bytes at the border of plugins and processes: what a plugin describes, what it gives, what a process sends.
 #![allow(unsafe_code, reason = "passes views through their C form")]
 
+use crate::targets::REGISTRY;
 use osteoflow_engine::plugin::{
     InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription, hostile, provide,
 };
@@ -43,8 +44,7 @@ impl Numbers<'_> {
 
 /// The view of a payload: the first byte chooses which, the others make fields and columns.
 pub(crate) fn payload(_: &Path, bytes: &[u8]) {
-    let registry = osteoflow_standard::registry();
-    let types: Vec<_> = registry.payload_types().collect();
+    let types: Vec<_> = REGISTRY.payload_types().collect();
     let mut numbers = Numbers(bytes);
     let ty = types[usize::from(numbers.byte()) % types.len()];
     let view = view(ty.schema, &mut numbers);
@@ -171,7 +171,7 @@ fn across(ty: &'static PayloadType, mut view: abi::View, numbers: &mut Numbers<'
 /// What a plugin describes, as JSON, provided to the registry.
 pub(crate) fn plugin_description(_: &Path, bytes: &[u8]) {
     let Ok(description) = serde_json::from_slice::<PluginDescription>(bytes) else { return };
-    let mut registry = osteoflow_standard::registry();
+    let mut registry = REGISTRY.clone();
     let _ = provide(&mut registry, &description, &"0".repeat(64).into(), || Err("not loaded".into()));
     let _ = osteoflow_engine::check_text(
         "format = 1\n[nodes.a]\nkind = \"my.kind\"\nn = 3\n",
@@ -230,7 +230,7 @@ pub(crate) fn process(path: &Path, bytes: &[u8]) {
     let mut file = std::fs::File::options().read(true).write(true).create(true).truncate(true).open(path);
     let file = file.as_mut().expect("the folder can be written");
     file.write_all(memory).expect("the folder can be written");
-    let types: Vec<_> = osteoflow_standard::registry().payload_types().collect();
+    let types: Vec<_> = REGISTRY.payload_types().collect();
     let _ = hostile::read_messages(messages, file, &types);
 }
 

@@ -6,7 +6,11 @@ use osteoflow_formats::{
     folder::ProcedureFolder, mcap_read, mesh_or_cloud::read_mesh_or_cloud, message_read, openigtlink, picked_points,
     plan_file, pose_file, poses_csv, region_file, volume,
 };
-use std::{fs, path::Path};
+use osteoflow_node::Registry;
+use std::{fs, path::Path, sync::LazyLock};
+
+/// Made once: it takes longer than most readers.
+pub(crate) static REGISTRY: LazyLock<Registry> = LazyLock::new(osteoflow_standard::registry);
 
 /// A target: its name, the endings of the files that it reads, and the reader, which is given a file of that name.
 pub(crate) struct Target {
@@ -62,16 +66,15 @@ fn messages_of_openigtlink(_: &Path, bytes: &[u8]) {
 
 /// A recording as this program reads its own, and as it reads those of others.
 fn recording(path: &Path, _: &[u8]) {
-    let registry = osteoflow_standard::registry();
     let quiet = &mut |_, _| {};
     let _ = digest(path, quiet);
-    let _ = validate(path, &registry, quiet);
+    let _ = validate(path, &*REGISTRY, quiet);
     let saved = path.with_extension("saved");
     let _ = fs::remove_file(&saved);
     let _ = recover(path, &saved, quiet);
     if let Ok(recording) = Recording::open(path) {
         for wire in recording.wires.keys() {
-            let _ = recording.items(wire, &recording.registry(&registry));
+            let _ = recording.items(wire, &recording.registry(&REGISTRY));
         }
     }
     for allow_truncated in [false, true] {
@@ -87,7 +90,7 @@ fn recording(path: &Path, _: &[u8]) {
 }
 
 fn graph(path: &Path, bytes: &[u8]) {
-    let _ = check_text(&String::from_utf8_lossy(bytes), path, &[], &osteoflow_standard::registry());
+    let _ = check_text(&String::from_utf8_lossy(bytes), path, &[], &*REGISTRY);
 }
 
 /// Reads the bytes as a file of the target with this ending, in this folder.

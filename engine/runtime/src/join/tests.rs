@@ -365,6 +365,21 @@ fn join() -> impl Strategy<Value = Join> {
     ]
 }
 
+#[test]
+fn durations_are_written_in_the_unit_that_suits_them() {
+    for (ns, said) in [
+        (-5, "-5 ns"),
+        (999, "999 ns"),
+        (1_000, "0.001 ms"),
+        (12_500_000, "12.5 ms"),
+        (99_999_999, "100 ms"),
+        (100_000_000, "0.1 s"),
+        (2_050_000_000, "2.05 s"),
+    ] {
+        assert_eq!(span(ns), said);
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(600))]
 
