@@ -1,20 +1,19 @@
 //! Hostile bytes at the border of plugins and processes: what a plugin describes, what it gives, what a process sends.
 #![allow(unsafe_code, reason = "passes views through their C form")]
 
+use crate::seeds::MAX_SEED_BYTES;
 use crate::targets::REGISTRY;
+use osteoflow_algorithms::target::Target;
 use osteoflow_engine::plugin::{
     InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription, hostile, provide,
 };
-use osteoflow_geometry::{
-    Cloud, Pose,
-    nalgebra::{Isometry3, Point3},
-};
+use osteoflow_engine::{Recording, RunOptions, check, run};
+use osteoflow_geometry::{Cloud, Mesh, SurfaceOrigin, nalgebra::Point3};
 use osteoflow_node::{
-    CachePolicy, Column, ColumnType, DisplayContext, EntryType, Field, FrameEdge, Join, PayloadType, Role, SchemaEntry,
-    Value, View,
+    Body, CachePolicy, ColumnType, DisplayContext, FrameEdge, Join, PayloadType, Role, SchemaEntry, Value, View,
     abi::{self, IncomingView, OutgoingView, Ownership, schema::PayloadDescription},
 };
-use std::{io::Write, path::Path, sync::Arc};
+use std::{collections::BTreeMap, fs::File, io::Write, path::Path, sync::OnceLock};
 
 /// Numbers of the bytes, in their order; zeros when they have ended.
 struct Numbers<'a>(&'a [u8]);
@@ -31,103 +30,29 @@ impl Numbers<'_> {
     fn byte(&mut self) -> u8 {
         self.bytes::<1>()[0]
     }
-
-    /// Mostly a number that could be measured, otherwise any.
-    fn float(&mut self) -> f64 {
-        match self.byte() {
-            0 => f64::from_le_bytes(self.bytes()),
-            1 => 1.0,
-            _ => f64::from(i16::from_le_bytes(self.bytes())) / 64.0,
-        }
-    }
 }
 
-/// The view of a payload: the first byte chooses which, the others make fields and columns.
-pub(crate) fn payload(_: &Path, bytes: &[u8]) {
-    let types: Vec<_> = REGISTRY.payload_types().collect();
-    let mut numbers = Numbers(bytes);
-    let ty = types[usize::from(numbers.byte()) % types.len()];
-    let view = view(ty.schema, &mut numbers);
-    accept(ty, &view);
+/// The view of a payload, in the encoding of items, as the program takes it; then as a plugin gives it, with lies about its
+/// columns that the last bytes choose.
+pub(crate) fn payload(_: &Path, bytes: &[u8]) -> bool {
+    let Some((name, view)) = hostile::named_view(bytes) else { return false };
+    let Some(ty) = REGISTRY.payload_type(&name) else { return false };
+    let is_accepted = accept(ty, &view);
     if let Ok(outgoing) = OutgoingView::lent(view, ty.schema) {
-        across(ty, outgoing.view(), &mut numbers);
+        across(ty, outgoing.view(), &mut Numbers(&bytes[bytes.len().saturating_sub(40)..]));
     }
+    is_accepted
 }
 
 /// What is accepted is shown, written as a result, and accepted again.
-fn accept(ty: &'static PayloadType, view: &View) {
-    let Ok(value) = ty.from_view(view) else { return };
+fn accept(ty: &'static PayloadType, view: &View) -> bool {
+    let Ok(value) = ty.from_view(view) else { return false };
     let again = value.to_view();
     assert!(again.check(ty.schema).is_ok(), "the view of {ty:?} does not fit its schema");
     assert!(ty.from_view(&again).is_ok(), "{ty:?} is accepted once, but not again");
     let _ = value.to_display(&DisplayContext { stamp_ns: 1, wire: "node.port", edge: FrameEdge::Unplanned });
     let _ = (value.to_result(), value.display_centre(), value.n_bytes());
-}
-
-fn view(schema: &[SchemaEntry], numbers: &mut Numbers<'_>) -> View {
-    let mut view = View::new();
-    for entry in schema {
-        let spoilt = numbers.byte();
-        if spoilt == 1 {
-            continue;
-        }
-        let mut list = |n: usize| (0..n).map(|_| numbers.float()).collect::<Vec<_>>();
-        let field = match entry.ty {
-            _ if spoilt == 2 => Field::Int(i64::from_le_bytes(numbers.bytes())),
-            EntryType::Bool => Field::Bool(numbers.byte() > 127),
-            EntryType::Int => Field::Int(i64::from_le_bytes(numbers.bytes())),
-            EntryType::Float => Field::Float(numbers.float()),
-            EntryType::Floats(n) => Field::Floats(list(n as usize + usize::from(spoilt == 3))),
-            EntryType::FloatList => {
-                let n = if spoilt == 3 { 200 } else { usize::from(spoilt % 16) };
-                Field::Floats(list(n))
-            }
-            EntryType::Text => Field::Text(text(numbers)),
-            EntryType::Column { kind, width } => {
-                view.columns.push(column(entry.name, kind, width, spoilt, numbers));
-                continue;
-            }
-        };
-        view.head.push((entry.name.into(), field));
-    }
-    view
-}
-
-fn text(numbers: &mut Numbers<'_>) -> Arc<str> {
-    match numbers.byte() {
-        0 => String::from_utf8_lossy(&numbers.bytes::<40>()).into(),
-        1 => "".into(),
-        2 => "{\"a\": [1, null]}".into(),
-        n if n % 2 == 0 => "ct".into(),
-        _ => "world".into(),
-    }
-}
-
-fn column(name: &'static str, kind: ColumnType, width: u32, spoilt: u8, numbers: &mut Numbers<'_>) -> Column {
-    let (kind, width) = match spoilt {
-        3 => (ColumnType::U8, width),
-        4 => (kind, width.wrapping_add(u32::from(numbers.byte()))),
-        _ => (kind, width),
-    };
-    let n_rows = if spoilt == 5 { 300 } else { u32::from(spoilt % 24) };
-    let mut bytes = Vec::new();
-    for _ in 0..n_rows * width.min(64) {
-        match kind {
-            ColumnType::F64 => bytes.extend(numbers.float().to_le_bytes()),
-            ColumnType::F32 => bytes.extend((numbers.float() as f32).to_le_bytes()),
-            ColumnType::I64 => bytes.extend(i64::from(i16::from_le_bytes(numbers.bytes())).to_le_bytes()),
-            ColumnType::U32 => bytes.extend(u32::from(numbers.byte() % 32).to_le_bytes()),
-            ColumnType::U8 => bytes.push(numbers.byte()),
-        }
-    }
-    if spoilt == 6 {
-        bytes.pop();
-    }
-    let name = match name.strip_suffix("/*") {
-        Some(prefix) => format!("{prefix}/{}", numbers.byte()),
-        None => name.to_owned(),
-    };
-    Column::new(name, kind, width, Arc::new(bytes))
+    true
 }
 
 /// Receives the view as the program receives one of a plugin, with columns that are described wrongly.
@@ -168,20 +93,17 @@ fn across(ty: &'static PayloadType, mut view: abi::View, numbers: &mut Numbers<'
     }
 }
 
-/// What a plugin describes, as JSON, provided to the registry.
-pub(crate) fn plugin_description(_: &Path, bytes: &[u8]) {
-    let Ok(description) = serde_json::from_slice::<PluginDescription>(bytes) else { return };
+/// What a plugin describes, as JSON, provided to the registry, and a graph with its kinds.
+pub(crate) fn plugin_description(_: &Path, bytes: &[u8]) -> bool {
+    let Ok(description) = serde_json::from_slice::<PluginDescription>(bytes) else { return false };
     let mut registry = REGISTRY.clone();
-    let _ = provide(&mut registry, &description, &"0".repeat(64).into(), || Err("not loaded".into()));
-    let _ = osteoflow_engine::check_text(
-        "format = 1\n[nodes.a]\nkind = \"my.kind\"\nn = 3\n",
-        Path::new("graph.toml"),
-        &[],
-        &registry,
-    );
+    let provided = provide(&mut registry, &description, &"0".repeat(64).into(), || Err("not loaded".into()));
+    let graph = "[graph]\nformat = 1\n[node.s]\nkind = \"my.source\"\n[node.a]\nkind = \"my.kind\"\nn = 3\nin.pose = \"s.pose\"\n[results]\npoints = \"a.points\"\n";
+    let checked = osteoflow_engine::check_text(graph, Path::new("graph.toml"), &[], &registry);
+    provided.is_ok() && checked.is_ok()
 }
 
-/// A description with a kind and a payload of its own.
+/// A description with a source, a node and a payload of its own.
 pub(crate) fn description() -> String {
     let port = |name: &str, payload: &str| PortDescription {
         name: name.into(),
@@ -198,7 +120,7 @@ pub(crate) fn description() -> String {
         kind: "my.kind".into(),
         doc: "Counts.\n\nMore.".into(),
         params: serde_json::json!({"type": "object", "properties": {"n": {"type": "integer", "default": 2}}}),
-        example: "[nodes.a]\nkind = \"my.kind\"\n".into(),
+        example: "[node.a]\nkind = \"my.kind\"\n".into(),
         literature: vec!["paper2025".into()],
         role: Role::Node,
         constant: false,
@@ -211,38 +133,86 @@ pub(crate) fn description() -> String {
         }],
         outputs: OutputsDescription::Fixed(vec![port("points", "my/Points")]),
     };
+    let source = KindDescription {
+        kind: "my.source".into(),
+        params: serde_json::json!({"type": "object", "properties": {}}),
+        role: Role::Source,
+        inputs: Vec::new(),
+        outputs: OutputsDescription::Fixed(vec![port("pose", "geometry/Pose")]),
+        ..kind.clone()
+    };
     let description = PluginDescription {
         name: "mine".into(),
         version: "1".into(),
         sdk: "1".into(),
         compiler: "rustc".into(),
         abi: (1, 0),
-        kinds: vec![kind],
+        kinds: vec![source, kind],
         payloads: vec![PayloadDescription { name: "my/Points".into(), version: 1, schema: own.to_vec() }],
     };
     serde_json::to_string(&description).expect("a description is JSON")
 }
 
 /// What a process sends: the number of bytes of its messages (u32, little-endian), the messages, its shared memory.
-pub(crate) fn process(path: &Path, bytes: &[u8]) {
-    let Some((n_bytes, rest)) = bytes.split_first_chunk::<4>() else { return };
+pub(crate) fn process(path: &Path, bytes: &[u8]) -> bool {
+    let Some((n_bytes, rest)) = bytes.split_first_chunk::<4>() else { return false };
     let (messages, memory) = rest.split_at((u32::from_le_bytes(*n_bytes) as usize).min(rest.len()));
-    let mut file = std::fs::File::options().read(true).write(true).create(true).truncate(true).open(path);
-    let file = file.as_mut().expect("the folder can be written");
+    let file = File::options().read(true).write(true).create(true).truncate(true).open(path);
+    let mut file = file.expect("the folder can be written");
     file.write_all(memory).expect("the folder can be written");
     let types: Vec<_> = REGISTRY.payload_types().collect();
-    let _ = hostile::read_messages(messages, file, &types);
+    hostile::read_messages(messages, &file, &types).is_ok_and(|n_values| n_values > 0)
 }
 
-/// What processes send that give a cloud and a pose.
-pub(crate) fn sent_by_processes() -> Vec<Vec<u8>> {
-    let points: Vec<_> = (0..4).map(|n| Point3::new(f64::from(n), 2.0, 3.0)).collect();
-    let cloud = Cloud::new("camera", points).expect("finite points");
-    let pose = Pose::new("world", "camera", Isometry3::translation(1.0, 2.0, 3.0));
-    let sent = [Value::new(cloud), Value::new(pose)].map(|value| {
-        let (messages, memory) = hostile::messages_of(value).expect("memory to share");
+/// What processes send that give the values.
+pub(crate) fn sent(root: &Path) -> Vec<Vec<u8>> {
+    let sent = values(root).iter().map(|value| {
+        let (messages, memory) = hostile::messages_of(value.clone()).expect("memory to share");
         let n_bytes = (messages.len() as u32).to_le_bytes();
         [&n_bytes[..], &messages, &memory].concat()
     });
-    sent.to_vec()
+    sent.collect()
+}
+
+/// The values as items.
+pub(crate) fn items(root: &Path) -> Vec<Vec<u8>> {
+    values(root).iter().map(|value| hostile::messages_of(value.clone()).expect("memory to share").1).collect()
+}
+
+/// A small value of each payload that the recordings of some graphs have, and of the bulky ones.
+fn values(root: &Path) -> &'static [Value] {
+    static VALUES: OnceLock<Vec<Value>> = OnceLock::new();
+    VALUES.get_or_init(|| make_values(root))
+}
+
+fn make_values(root: &Path) -> Vec<Value> {
+    let corners = vec![Point3::origin(), Point3::new(9.0, 0.0, 0.0), Point3::new(0.0, 9.0, 0.0)];
+    let mut values: BTreeMap<&str, Value> = BTreeMap::new();
+    let bulky = [
+        Value::new(Cloud::new("camera", corners.clone()).expect("finite points")),
+        Value::new(Mesh::new("ct", SurfaceOrigin::User, corners.clone(), vec![[0, 1, 2]]).expect("a face")),
+        Value::new(Target::new("ct", SurfaceOrigin::User, corners, None).expect("finite points")),
+    ];
+    values.extend(bulky.map(|value| (value.ty().name, value)));
+    for graph in
+        ["fibula.toml", "variants/fibula_ruled.toml", "variants/fibula_slide.toml", "variants/fibula_rgb_spot.toml"]
+    {
+        let folder = tempfile::tempdir().expect("a folder for temporary files");
+        let sets = ["record.wires=[\"*\"]".to_owned()];
+        let plan = check(&root.join("graphs").join(graph), &sets, &*REGISTRY).expect("a shipped graph").plan;
+        let options =
+            RunOptions { workers: 1, out_dir: Some(folder.path().into()), record: true, ..RunOptions::default() };
+        run(&plan, &REGISTRY, &options, &()).expect("a shipped graph");
+        let recording = Recording::open(&folder.path().join("run.mcap")).expect("a recording");
+        for wire in recording.wires.keys() {
+            for item in recording.items(wire, &REGISTRY).expect("a sound recording") {
+                if let Body::Value(value) = item.body
+                    && value.n_bytes() < MAX_SEED_BYTES
+                {
+                    values.entry(value.ty().name).or_insert(value);
+                }
+            }
+        }
+    }
+    values.into_values().collect()
 }

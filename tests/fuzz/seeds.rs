@@ -1,13 +1,19 @@
 //! The files that hostile ones are made from.
 
-use crate::{border, targets::Target};
+#[cfg(unix)]
+use crate::border;
+use crate::targets::Target;
+use osteoflow_formats::openigtlink::{
+    Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, Text, TrackedTool,
+};
 use std::{
     fs,
     path::{Path, PathBuf},
 };
 
 /// Longer files are cut, so that many are tried.
-const MAX_SEED_BYTES: usize = 60_000;
+pub(crate) const MAX_SEED_BYTES: usize = 60_000;
+
 /// Files of the repository that a target reads, with their endings.
 pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
     let mut folders: Vec<PathBuf> = ["tests/data", "graphs"].iter().map(|folder| root.join(folder)).collect();
@@ -22,7 +28,12 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
     let ending = |path: &Path| path.extension().unwrap_or_default().to_string_lossy().into_owned();
     let read = |path: &PathBuf| {
         let mut bytes = fs::read(path).unwrap();
-        bytes.truncate(MAX_SEED_BYTES);
+        if bytes.len() > MAX_SEED_BYTES {
+            // At the end of a line, so that tables are whole.
+            let end =
+                bytes[..MAX_SEED_BYTES].iter().rposition(|byte| *byte == b'\n').map_or(MAX_SEED_BYTES, |at| at + 1);
+            bytes.truncate(end);
+        }
         (ending(path), bytes)
     };
     let mut seeds: Vec<_> =
@@ -51,9 +62,11 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
         ],
         "picked_points" => &[
             ("csv", "name,x,y,z\nP1,1,2,3\n"),
+            ("txt", "1 2 3\n4 5 6\n"),
             ("pp", "<PickedPoints><point x=\"1\" y=\"2\" z=\"3\" name=\"P1\" active=\"1\"/></PickedPoints>"),
         ],
         "pose" => &[
+            ("json", "[[1, 0, 0, 5], [0, 1, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]]"),
             ("txt", "1 0 0 5\n0 1 0 6\n0 0 1 7\n0 0 0 1\n"),
             (
                 "tfm",
@@ -62,25 +75,87 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
         ],
         "region" => &[(
             "json",
-            "{\"format\":\"osteoflow.region\",\"version\":1,\"frame\":\"camera\",\"keep\":[{\"box\":{\"center\":[0,0,0],\"size\":[1,1,1]}}]}",
+            r#"{ "format": "osteoflow-region", "version": 1, "units": "mm", "frame": "camera",
+                 "drawn_on": { "n_points": 20000, "n_inside": 15210 },
+                 "keep": [ { "shape": "outline", "eye": [0, 0, 0], "right": [1, 0, 0], "down": [0, 1, 0],
+                             "corners": [[-0.3, -0.1], [0.3, -0.1], [0.3, 0.1]] },
+                           { "shape": "box", "min": [-60, -40, 150], "max": [60, 40, 250] } ],
+                 "cut": [ { "shape": "brush", "centres": [[1, 2, 200], [3, 2, 200]], "radius": 4 },
+                          { "shape": "slab", "origin": [0, 0, 0], "direction": [0, 0, 1], "from": -50, "to": 50 } ] }"#,
         )],
         "volume" => &[(
             "nrrd",
             "NRRD0004\ntype: short\ndimension: 3\nspace: left-posterior-superior\nsizes: 2 2 2\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nkinds: domain domain domain\nendian: little\nencoding: raw\nspace origin: (0,0,0)\n\n0123456789abcdef",
         )],
-        "openigtlink" => &[("bin", "\0\u{1}TRANSFORM\0\0\0StylusToReference\0\0\0")],
         _ => &[],
     };
     seeds.extend(made.iter().map(|(ending, text)| ((*ending).to_owned(), text.as_bytes().to_vec())));
-    let border: Vec<Vec<u8>> = match target.name {
-        "payload" => (0..=255)
-            .map(|first| (0..400).map(|n| if n == 0 { first } else { (n * 37 + 90) as u8 }).collect())
-            .collect(),
+    let made: Vec<Vec<u8>> = match target.name {
+        "procedure" => {
+            let folder = root.join("tests/data/folder");
+            let text = fs::read_to_string(folder.join("procedure.toml")).unwrap();
+            let with_paths = text.lines().map(|line| match line.split('"').collect::<Vec<_>>()[..] {
+                [key, name, _] if key.trim_start().starts_with("file") => format!("file = {:?}", folder.join(name)),
+                _ => line.to_owned(),
+            });
+            vec![with_paths.collect::<Vec<_>>().join("\n").into_bytes()]
+        }
+        "volume" => vec![nifti()],
+        "openigtlink" => messages().iter().map(|message| message.to_bytes().unwrap()).collect(),
+        #[cfg(unix)]
+        "payload" => border::items(root),
+        #[cfg(unix)]
         "plugin_description" => vec![border::description().into_bytes()],
-        "process" => border::sent_by_processes(),
+        #[cfg(unix)]
+        "process" => border::sent(root),
         _ => Vec::new(),
     };
-    seeds.extend(border.into_iter().map(|bytes| (target.endings[0].to_owned(), bytes)));
+    seeds.extend(made.into_iter().map(|bytes| (target.endings[0].to_owned(), bytes)));
     assert!(!seeds.is_empty(), "{} has no seed", target.name);
     seeds
+}
+
+/// Two voxels in each direction, 1 mm apart, with an sform.
+fn nifti() -> Vec<u8> {
+    let mut bytes = vec![0; 352 + 16];
+    let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
+    put(0, &348_i32.to_le_bytes());
+    for (k, n) in [3_i16, 2, 2, 2, 1, 1, 1, 1].into_iter().enumerate() {
+        put(40 + 2 * k, &n.to_le_bytes());
+        put(76 + 4 * k, &1_f32.to_le_bytes());
+    }
+    put(70, &4_i16.to_le_bytes());
+    put(72, &16_i16.to_le_bytes());
+    put(108, &352_f32.to_le_bytes());
+    put(123, &[2]);
+    put(254, &1_i16.to_le_bytes());
+    [280, 300, 320].into_iter().for_each(|at| put(at, &1_f32.to_le_bytes()));
+    put(344, b"n+1\0");
+    bytes
+}
+
+/// A message of each kind, in both versions of the header.
+fn messages() -> Vec<Message> {
+    let affine = Affine([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0, 20.0, 30.0]);
+    let triangle = PolyData {
+        points: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        polygons: Cells::new([[0, 1, 2]]),
+        ..PolyData::default()
+    };
+    let bodies = [
+        Body::Transform(affine),
+        Body::Tracking(vec![TrackedTool { name: "Stylus".into(), kind: 1, matrix: affine }]),
+        Body::Positions(vec![Position {
+            name: String::new(),
+            position: [1.0; 3],
+            quaternion: Some([0.0, 0.0, 0.0, 1.0]),
+        }]),
+        Body::Points(vec![Fiducial::new("P1", [1.0, 2.0, 3.0])]),
+        Body::PolyData(triangle),
+        Body::Status(Status::new(Status::OK, "OK", "well")),
+        Body::Text(Text("text".into())),
+        Body::StartTracking { interval_ms: 50, coordinates: "Reference".into() },
+    ];
+    let versions = bodies.into_iter().map(|body| Message::new("StylusToReference", 1_750_000_000_000_000_000, body));
+    versions.flat_map(|message| [message.clone(), message.extended(7, vec![Metadata::new("key", "value")])]).collect()
 }

@@ -1,5 +1,6 @@
 //! What is given hostile bytes: each target reads them as a file of a stranger, and may refuse them, but not panic.
 
+#[cfg(unix)]
 use crate::border;
 use osteoflow_engine::{Recording, check_text, recording::digest::digest, recover::recover, validate::validate};
 use osteoflow_formats::{
@@ -17,7 +18,8 @@ pub(crate) struct Target {
     pub(crate) name: &'static str,
     /// Endings without the dot.
     pub(crate) endings: &'static [&'static str],
-    pub(crate) read: fn(&Path, &[u8]),
+    /// Whether the file is taken.
+    pub(crate) read: fn(&Path, &[u8]) -> bool,
 }
 
 pub(crate) const TARGETS: &[Target] = &[
@@ -29,73 +31,83 @@ pub(crate) const TARGETS: &[Target] = &[
     Target {
         name: "picked_points",
         endings: &["json", "csv", "pp", "txt"],
-        read: |path, bytes| drop(picked_points::parse_picked_points(path, bytes)),
+        read: |path, bytes| picked_points::parse_picked_points(path, bytes).is_ok(),
     },
-    Target { name: "plan", endings: &["json"], read: |path, _| drop(plan_file::read_plan(path)) },
-    Target { name: "pose", endings: &["txt", "json", "tfm"], read: |path, _| drop(pose_file::read_pose(path, 1.0)) },
-    Target { name: "poses", endings: &["csv"], read: |path, _| drop(poses_csv::read_poses(path, 1.0)) },
-    Target { name: "region", endings: &["json"], read: |path, _| drop(region_file::read_region(path)) },
+    Target { name: "plan", endings: &["json"], read: |path, _| plan_file::read_plan(path).is_ok() },
+    Target { name: "pose", endings: &["txt", "json", "tfm"], read: |path, _| pose_file::read_pose(path, 1.0).is_ok() },
+    Target { name: "poses", endings: &["csv"], read: |path, _| poses_csv::read_poses(path, 1.0).is_ok() },
+    Target { name: "region", endings: &["json"], read: |path, _| region_file::read_region(path).is_ok() },
     Target {
         name: "volume",
         endings: &["nii", "nrrd", "dcm"],
-        read: |path, _| drop(volume::read_volume(path, &Default::default())),
+        read: |path, _| volume::read_volume(path, &Default::default()).is_ok(),
     },
-    Target { name: "procedure", endings: &["toml"], read: |path, _| drop(ProcedureFolder::open(path)) },
+    Target { name: "procedure", endings: &["toml"], read: |path, _| ProcedureFolder::open(path).is_ok() },
     Target { name: "openigtlink", endings: &["bin"], read: messages_of_openigtlink },
     Target { name: "recording", endings: &["mcap"], read: recording },
     Target { name: "graph", endings: &["toml"], read: graph },
+    #[cfg(unix)]
     Target { name: "payload", endings: &["view"], read: border::payload },
+    #[cfg(unix)]
     Target { name: "plugin_description", endings: &["description"], read: border::plugin_description },
     #[cfg(unix)]
     Target { name: "process", endings: &["sent"], read: border::process },
 ];
 
-fn surface_or_cloud(path: &Path, bytes: &[u8]) {
-    let _ = read_mesh_or_cloud(path, bytes, 1.0, "ct");
+fn surface_or_cloud(path: &Path, bytes: &[u8]) -> bool {
+    read_mesh_or_cloud(path, bytes, 1.0, "ct").is_ok()
 }
 
-fn messages_of_openigtlink(_: &Path, bytes: &[u8]) {
-    let mut decoder = openigtlink::Decoder::default();
-    for piece in bytes.chunks(1000) {
-        decoder.push(piece);
-        for message in decoder.by_ref() {
-            drop(message);
-        }
+/// The bytes as they are, and as one message whose size and CRC are right: otherwise no changed content would be read.
+fn messages_of_openigtlink(_: &Path, bytes: &[u8]) -> bool {
+    let mut repaired = bytes.to_vec();
+    if let Some((header, body)) = repaired.split_at_mut_checked(openigtlink::HEADER_BYTES) {
+        header[42..50].copy_from_slice(&(body.len() as u64).to_be_bytes());
+        header[50..].copy_from_slice(&openigtlink::crc64(body).to_be_bytes());
     }
+    [bytes, &repaired].map(|bytes| {
+        let mut decoder = openigtlink::Decoder::default();
+        bytes.chunks(1000).fold(false, |is_read, piece| {
+            decoder.push(piece);
+            decoder.by_ref().fold(is_read, |is_read, message| is_read | message.is_ok())
+        })
+    }) == [true, true]
 }
 
 /// A recording as this program reads its own, and as it reads those of others.
-fn recording(path: &Path, _: &[u8]) {
+fn recording(path: &Path, _: &[u8]) -> bool {
     let quiet = &mut |_, _| {};
     let _ = digest(path, quiet);
     let _ = validate(path, &*REGISTRY, quiet);
     let saved = path.with_extension("saved");
     let _ = fs::remove_file(&saved);
     let _ = recover(path, &saved, quiet);
+    let mut is_read = false;
     if let Ok(recording) = Recording::open(path) {
         for wire in recording.wires.keys() {
-            let _ = recording.items(wire, &recording.registry(&REGISTRY));
+            is_read |= recording.items(wire, &recording.registry(&REGISTRY)).is_ok();
         }
     }
     for allow_truncated in [false, true] {
         let Ok(recording) = mcap_read::Recording::open(path, allow_truncated) else { continue };
         for topic in recording.topics() {
             for message in recording.messages(&topic.name) {
-                let _ = message_read::read_cloud(message);
-                let _ = message_read::read_transforms(message);
-                let _ = message_read::read_pose_in_frame(message);
+                is_read |= message_read::read_cloud(message).is_ok();
+                is_read |= message_read::read_transforms(message).is_ok();
+                is_read |= message_read::read_pose_in_frame(message).is_ok();
             }
         }
     }
+    is_read
 }
 
-fn graph(path: &Path, bytes: &[u8]) {
-    let _ = check_text(&String::from_utf8_lossy(bytes), path, &[], &*REGISTRY);
+fn graph(path: &Path, bytes: &[u8]) -> bool {
+    check_text(&String::from_utf8_lossy(bytes), path, &[], &*REGISTRY).is_ok()
 }
 
 /// Reads the bytes as a file of the target with this ending, in this folder.
-pub(crate) fn read_as(target: &Target, ending: &str, bytes: &[u8], folder: &Path) {
+pub(crate) fn read_as(target: &Target, ending: &str, bytes: &[u8], folder: &Path) -> bool {
     let path = folder.join(format!("{}.{ending}", target.name));
     fs::write(&path, bytes).expect("the folder can be written");
-    (target.read)(&path, bytes);
+    (target.read)(&path, bytes)
 }

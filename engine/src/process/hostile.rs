@@ -5,7 +5,8 @@ use super::{
     socket::{Received, Socket},
     wire::{Answer, Emitted, Ended, FromWorker},
 };
-use osteoflow_node::{Body, FiringDone, Item, PayloadType, PortPayload, Value};
+use crate::recording::codec;
+use osteoflow_node::{Body, FiringDone, Item, PayloadType, PortPayload, Value, View};
 use rustix::fd::{AsFd, BorrowedFd};
 use std::{
     fs::File,
@@ -49,6 +50,12 @@ fn read_all(mut socket: Socket, types: &[&'static PayloadType]) -> io::Result<us
     Ok(values.len())
 }
 
+/// The name of a payload, and its view, of an item as processes share it; `None` if it is damaged or has no value.
+pub fn named_view(item: &[u8]) -> Option<(String, View)> {
+    let item = codec::decode(item).ok()?;
+    Some((item.payload?.0, item.body.ok()?))
+}
+
 /// The messages of a process that gives this value, and its shared memory.
 ///
 /// # Errors
@@ -56,8 +63,10 @@ fn read_all(mut socket: Socket, types: &[&'static PayloadType]) -> io::Result<us
 pub fn messages_of(value: Value) -> io::Result<(Vec<u8>, Vec<u8>)> {
     let mut pool = Pool::default();
     let place = pool.put(&Item { stamp_ns: 0, number: 0, body: Body::Value(value) }, false)?;
-    let (new, fds) = pool.news();
+    let (mut new, fds) = pool.news();
     let memory = read(&fds[0], place.n_bytes)?;
+    // Segments are larger than the item; this one ends with it.
+    new[0].n_bytes = place.n_bytes;
     let said = [
         FromWorker::Built { max_delay_ns: 0, silent_after_ns: None },
         FromWorker::Log { level: 3, target: "node".into(), message: "a line".into() },

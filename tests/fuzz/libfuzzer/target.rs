@@ -30,7 +30,7 @@ static FOLDER: LazyLock<TempDir> = LazyLock::new(|| tempfile::tempdir().expect("
 fn try_bytes(bytes: &[u8]) -> Corpus {
     let Some((first, bytes)) = bytes.split_first() else { return Corpus::Reject };
     let ending = TARGET.endings[usize::from(*first) % TARGET.endings.len()];
-    read_as(*TARGET, ending, bytes, FOLDER.path());
+    let _ = read_as(*TARGET, ending, bytes, FOLDER.path());
     Corpus::Keep
 }
 

@@ -366,6 +366,12 @@ fn join() -> impl Strategy<Value = Join> {
 }
 
 #[test]
+fn a_stamp_port_takes_the_newest_up_to_the_stamp_and_not_a_later_one_that_is_nearer() {
+    let offers = [vec![V(30, 1.0), V(38, 2.0), V(41, 3.0)], vec![V(40, 10.0)]];
+    check(&[plain(stamp(15)), plain(stamp(15))], &offers, &["40: 2 10"]);
+}
+
+#[test]
 fn durations_are_written_in_the_unit_that_suits_them() {
     for (ns, said) in [
         (-5, "-5 ns"),
