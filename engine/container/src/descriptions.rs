@@ -93,3 +93,49 @@ impl Descriptions {
 fn meaning(channel: &Channel) -> (&str, u16, &str) {
     (&channel.topic, channel.schema_id, &channel.message_encoding)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn schema(id: u16, name: &'static str, data: &'static [u8]) -> Record<'static> {
+        Record::Schema { id, name, encoding: "enc", data }
+    }
+
+    fn channel(topic: &str, schema_id: u16) -> Record<'static> {
+        let metadata = BTreeMap::from([("key".to_owned(), "value".to_owned())]);
+        Record::Channel(Channel { id: 1, schema_id, topic: topic.into(), message_encoding: "json".into(), metadata })
+    }
+
+    #[test]
+    fn a_number_that_is_described_again_keeps_its_meaning_or_is_refused_with_both() {
+        let mut known = Descriptions::default();
+        assert!(known.has_schema(0) && !known.has_schema(1) && !known.has_channel(1));
+        for record in [schema(1, "Cloud", b"x"), channel("/scan", 1)] {
+            assert_eq!(known.check(&record), Ok(()));
+            known.add(&record);
+            assert_eq!(known.check(&record), Ok(()), "the same again");
+        }
+        assert!(known.has_schema(1) && known.has_channel(1));
+        let said = |record| known.check(&record).unwrap_err().to_string();
+        let other = said(schema(1, "Pose", b"x"));
+        assert!(other.contains("as \"Cloud\" (enc) and as \"Pose\" (enc)"), "{other}");
+        let other = said(channel("/laser", 1));
+        assert!(other.contains("as \"/scan\" (schema 1, json) and as \"/laser\" (schema 1, json)"), "{other}");
+        assert!(said(channel("/scan", 2)).contains("(schema 2, json)"));
+        let mut all = Descriptions::default();
+        all.append(known);
+        assert!(all.has_schema(1) && all.has_channel(1));
+    }
+
+    #[test]
+    fn descriptions_count_with_their_texts_and_metadata_up_to_the_limit() {
+        assert_eq!(n_bytes(&schema(1, "Cloud", b"1234567")), 5 + 3 + 7);
+        assert_eq!(n_bytes(&channel("/scan", 1)), 5 + 4 + 3 + 5);
+        let mut known = Descriptions { n_bytes: MAX_BYTES - 15, ..Descriptions::default() };
+        assert_eq!(known.check(&schema(1, "Cloud", b"1234567")), Ok(()));
+        known.add(&schema(1, "Cloud", b"1234567"));
+        let said = known.check(&schema(2, "a", b"")).unwrap_err().to_string();
+        assert!(said.contains("more than 268435456 bytes"), "{said}");
+    }
+}

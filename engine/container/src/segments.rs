@@ -109,3 +109,26 @@ impl From<Vec<u8>> for Segments {
         segments
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_bytes_stay_where_they_are_and_short_ones_are_gathered_in_order() {
+        let mut parts = Segments::default();
+        assert!(parts.is_empty());
+        for n in [1, MIN_SEGMENT_BYTES - 1, MIN_SEGMENT_BYTES, 2] {
+            parts.push(vec![n as u8; n]);
+        }
+        parts.push_shared(&(std::sync::Arc::new(vec![7_u8; MIN_SEGMENT_BYTES]) as SharedBytes));
+        let lengths: Vec<_> = parts.slices().map(<[u8]>::len).collect();
+        assert_eq!(lengths, [MIN_SEGMENT_BYTES, MIN_SEGMENT_BYTES, 2, MIN_SEGMENT_BYTES]);
+        assert_eq!(parts.len(), 3 * MIN_SEGMENT_BYTES + 2);
+        let all = parts.into_vec();
+        assert_eq!(
+            (all[0], all[1], all[MIN_SEGMENT_BYTES * 2], all.last()),
+            (1, (MIN_SEGMENT_BYTES - 1) as u8, 2, Some(&7))
+        );
+    }
+}

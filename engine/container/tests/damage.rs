@@ -25,6 +25,8 @@ struct Contents {
     from_summary: BTreeSet<u16>,
     /// CRC of the data as it is stored and as it is computed, and the offset of the record that stores it.
     data_crc: Option<(u32, Option<u32>, u64)>,
+    /// Messages by channel, as the summary counts them.
+    counts: BTreeMap<u16, u64>,
     last: u64,
 }
 
@@ -44,6 +46,7 @@ impl Visitor for Contents {
             }
             Record::Attachment(_) => self.attachments += 1,
             Record::Metadata { .. } => self.metadata += 1,
+            Record::Statistics(statistics) => self.counts = statistics.by_channel,
             Record::DataEnd { crc, computed } => self.data_crc = Some((crc, computed, location.offset)),
             _ => {}
         }
@@ -95,6 +98,14 @@ fn file(options: WriteOptions) -> Vec<u8> {
     }
     writer.write_metadata("last", &[("k".to_owned(), "v".to_owned())].into()).unwrap();
     writer.finish().unwrap()
+}
+
+#[test]
+fn the_summary_counts_the_messages_of_each_channel() {
+    let (found, _) = read(&file(chunked(Compression::None)));
+    let of = |topic: &str| found.channels.iter().find(|(_, known)| *known == topic).map(|(id, _)| *id).unwrap();
+    let half = u64::from(N_MESSAGES / 2);
+    assert_eq!(found.counts, BTreeMap::from([(of("/a"), u64::from(N_MESSAGES) - half), (of("/b"), half)]));
 }
 
 fn chunked(compression: Compression) -> WriteOptions {

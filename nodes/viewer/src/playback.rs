@@ -4,7 +4,7 @@ use crate::{
     opened::{Entry, Messages, Opened, last_of_each},
     protocol::{self, PlaybackState},
     server::App,
-    stream::{DROPS, Out, Stream, TIMING},
+    stream::{DROPS, FRAMES, Out, Stream, TIMING},
 };
 use osteoflow_container::ReadError;
 use osteoflow_engine::run::Listener;
@@ -18,8 +18,6 @@ use std::{
 
 /// Interval at which the time is sent while the recording plays.
 const CLOCK: Duration = Duration::from_millis(200);
-/// Channel of the transforms that are written at the end, with a time before all others.
-const FRAMES: &str = "/run/frames";
 /// Longest wait for the next message, so that the time advances through gaps.
 const STEP: Duration = Duration::from_millis(50);
 

@@ -25,6 +25,8 @@ const OWN_CHANNELS: u32 = u32::MAX;
 /// Channels of a run whose messages add up, and the one that has their sums.
 pub(crate) const TIMING: &str = "/run/timing";
 pub(crate) const DROPS: &str = "/run/drops";
+/// Channel of a run with the transforms for viewers, which a recording has at its end, with a time before all others.
+pub(crate) const FRAMES: &str = "/run/frames";
 const NODES: &str = "/viewer/nodes";
 
 /// What a node has done so far.
