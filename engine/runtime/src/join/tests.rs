@@ -369,6 +369,33 @@ fn join() -> impl Strategy<Value = Join> {
 fn a_stamp_port_takes_the_newest_up_to_the_stamp_and_not_a_later_one_that_is_nearer() {
     let offers = [vec![V(30, 1.0), V(38, 2.0), V(41, 3.0)], vec![V(40, 10.0)]];
     check(&[plain(stamp(15)), plain(stamp(15))], &offers, &["40: 2 10"]);
+    assert_eq!(
+        run(&[plain(stamp(15)), plain(stamp(15))], &offers, 0..).1,
+        [2, 0],
+        "the first and the last had no partner"
+    );
+}
+
+#[test]
+fn constants_do_not_wait_for_the_end_of_what_is_sampled() {
+    let mut joiner = Joiner::new("node".into(), vec![plain(Join::Once), plain(Join::Latest)]);
+    joiner.offer(0, items(&[V(3, 1.0)]).remove(0)).unwrap();
+    for item in items(&[V(2, 20.0), V(7, 70.0)]) {
+        joiner.offer(1, item).unwrap();
+    }
+    let Step::Activate(activation) = joiner.step() else { panic!("it waits") };
+    assert_eq!(describe(joiner.joined(), &activation), "3: 1 20");
+}
+
+#[test]
+fn only_a_node_in_lock_step_knows_which_item_it_lacks() {
+    let mut joiner = Joiner::new("node".into(), vec![plain(EACH), plain(EACH)]);
+    assert!(joiner.lacks_item());
+    joiner.offer(0, items(&[V(1, 1.0)]).remove(0)).unwrap();
+    assert!(joiner.lacks_item());
+    joiner.offer(1, items(&[V(1, 2.0)]).remove(0)).unwrap();
+    assert!(!joiner.lacks_item());
+    assert!(!Joiner::new("node".into(), vec![plain(EACH), plain(Join::Latest)]).lacks_item());
 }
 
 #[test]
