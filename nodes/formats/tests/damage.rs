@@ -440,7 +440,7 @@ fn no_damage_to_a_file_makes_its_reader_panic_or_ask_for_absurd_memory() {
     let ascii_stl = format!("solid a\n{facet}{facet}endsolid a\n").into_bytes();
     let mut binary_stl = vec![0; 80];
     binary_stl.extend(2_u32.to_le_bytes());
-    binary_stl.extend((0..100).map(|k| k * 7));
+    binary_stl.extend((0..100_u8).map(|k| k.wrapping_mul(7)));
     let poses = b"t_ns,parent,child,x,y,z,qx,qy,qz,qw\n1,world,m,0,0,0,0,0,0,1\n2,world,m,0,0,0,0,0,0,1\n".to_vec();
     let plan =
         br#"{"units":"mm","landmarks":{"P1":[1,2,3]},"planes":[[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]]}"#.to_vec();

@@ -53,7 +53,7 @@ impl Grid {
     }
 
     pub(super) fn new(spacing: f64, corner: Vector3<f64>, blocks: [usize; 3]) -> Self {
-        let cells = blocks.map(|n| (n * CELLS) as u64);
+        let cells = blocks.map(|n| n.saturating_mul(CELLS) as u64);
         Self { spacing, corner, blocks, per_mm: 1.0 / spacing, half: (0.5 * spacing) as f32, cells }
     }
 
