@@ -56,6 +56,17 @@ fn marks() -> Vec<NamedPoint> {
 
 /// The verdict on a scan at a pose, with landmarks located where they are planned.
 fn verdict(target: &Target, scan: &Cloud, pose: &Isometry3<f64>, located: &[NamedPoint]) -> Verdict {
+    measured_by_stylus(target, scan, pose, located, None)
+}
+
+/// The same, with the mean error that a stylus measured.
+fn measured_by_stylus(
+    target: &Target,
+    scan: &Cloud,
+    pose: &Isometry3<f64>,
+    located: &[NamedPoint],
+    measured_tre_mm: Option<f64>,
+) -> Verdict {
     let (landmarks, assessment) = (marks(), marks());
     let case = Case {
         registered: Registered { target, source: scan, t_target_source: pose, at: &[] },
@@ -65,7 +76,7 @@ fn verdict(target: &Target, scan: &Cloud, pose: &Isometry3<f64>, located: &[Name
         assessment: &assessment,
         planes: None,
         tracking: None,
-        measured_tre_mm: None,
+        measured_tre_mm,
         slide: None,
         check: &[],
         start: None,
@@ -175,17 +186,52 @@ fn the_noise_of_a_scan_is_found_without_the_surface() {
 fn a_scan_of_another_scale_is_told() {
     let (target, scan) = (target_of(&shaft()), scan_of(&shaft(), [15.0, 105.0], 9));
     let centre = Vector3::new(4.0, 0.0, 60.0);
-    let points: Vec<Point3<f64>> =
-        scan.points().iter().map(|p| Point3::from((p.coords - centre) * 1.05 + centre)).collect();
-    let larger = Cloud::new("scan", points).unwrap().seen_from(scan.viewpoint.unwrap());
-    let params = crate::icp::IcpParams::default();
-    let observer = &mut |_: &crate::icp::IcpStep| std::ops::ControlFlow::Continue(());
-    let method = crate::icp::Method::PointToPlane;
-    let fit = crate::icp::register(method, &target, &larger, &Isometry3::identity(), &params, observer).unwrap();
-    let verdict = verdict(&target, &larger, &fit.t_target_source, &marks());
-    assert_ne!(verdict.answer, Answer::Trusted, "{:?}", verdict.measured);
-    let scale = verdict.measured.unwrap().scale.unwrap();
+    let scaled = |factor: f64| {
+        let points: Vec<Point3<f64>> =
+            scan.points().iter().map(|p| Point3::from((p.coords - centre) * factor + centre)).collect();
+        let scan = Cloud::new("scan", points).unwrap().seen_from(scan.viewpoint.unwrap());
+        let params = crate::icp::IcpParams::default();
+        let observer = &mut |_: &crate::icp::IcpStep| std::ops::ControlFlow::Continue(());
+        let method = crate::icp::Method::PointToPlane;
+        let fit = crate::icp::register(method, &target, &scan, &Isometry3::identity(), &params, observer).unwrap();
+        verdict(&target, &scan, &fit.t_target_source, &marks())
+    };
+    let larger = scaled(1.05);
+    assert!(larger.answer != Answer::Trusted && rules(&larger).contains(&"scale"), "{:?}", larger.measured);
+    let scale = larger.measured.unwrap().scale.unwrap();
     assert!((scale.ratio - 1.05).abs() < 0.01, "{scale:?}");
+    // Surely another scale, but below the limit.
+    let within = scaled(1.015);
+    assert!(!rules(&within).contains(&"scale"), "{:?}", within.reasons);
+    let scale = within.measured.unwrap().scale.unwrap();
+    assert!(scale.ratio - 1.0 > 4.0 * scale.sd, "{scale:?}");
+}
+
+#[test]
+fn a_scan_on_the_side_that_its_camera_cannot_see_is_refused() {
+    let (target, scan) = (target_of(&shaft()), scan_of(&shaft(), [15.0, 105.0], 2));
+    let behind = scan.clone().seen_from(Isometry3::translation(-200.0, 0.0, 60.0));
+    let [seen, hidden] = [scan, behind].map(|scan| verdict(&target, &scan, &Isometry3::identity(), &marks()));
+    assert!(!rules(&seen).contains(&"facing_away"), "{:?}", seen.reasons);
+    assert!(rules(&hidden).contains(&"facing_away") && hidden.answer == Answer::Refused, "{:?}", hidden.reasons);
+    let share = hidden.measured.unwrap().facing_away.unwrap();
+    assert!(share > 0.9, "{share}");
+}
+
+#[test]
+fn what_the_stylus_measures_is_judged_by_its_limit() {
+    let (target, scan) = (target_of(&shaft()), scan_of(&shaft(), [15.0, 105.0], 2));
+    let limit = RuleParams::default().max_measured_tre_mm;
+    for (measured, expected) in [
+        (limit, Answer::Trusted),
+        (1.01 * limit, Answer::Doubtful),
+        (2.99 * limit, Answer::Doubtful),
+        (3.01 * limit, Answer::Refused),
+    ] {
+        let verdict = measured_by_stylus(&target, &scan, &Isometry3::identity(), &marks(), Some(measured));
+        assert_eq!(verdict.answer, expected, "{measured} mm: {:?}", verdict.reasons);
+        assert_eq!(rules(&verdict).contains(&"stylus"), expected != Answer::Trusted, "{measured} mm");
+    }
 }
 
 #[test]
