@@ -2,9 +2,20 @@
 
 #[cfg(unix)]
 use crate::border;
-use crate::targets::Target;
-use osteoflow_formats::openigtlink::{
-    Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, Text, TrackedTool,
+use crate::targets::{IMAGE_SIZE, MESSAGES, Target};
+use foxglove::{
+    Encode,
+    messages::{CameraCalibration, CompressedImage, RawImage},
+};
+use osteoflow_formats::{
+    mcap_read::Recording,
+    message_read::{CAMERA_CALIBRATION, COMPRESSED_IMAGE, RAW_IMAGE},
+    openigtlink::{Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, Text, TrackedTool},
+    recording_write::{Encoding, Layout, Stream, recording_bytes},
+};
+use osteoflow_geometry::{
+    Cloud, Pose,
+    nalgebra::{Isometry3, Point3, Vector3},
 };
 use std::{
     fs,
@@ -100,7 +111,8 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
             });
             vec![with_paths.collect::<Vec<_>>().join("\n").into_bytes()]
         }
-        "volume" => vec![nifti()],
+        "volume" => vec![nifti(), dicom()],
+        "message" => messages_of_recordings(),
         "openigtlink" => messages().iter().map(|message| message.to_bytes().unwrap()).collect(),
         #[cfg(unix)]
         "payload" => border::items(root),
@@ -110,7 +122,8 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
         "process" => border::sent(root),
         _ => Vec::new(),
     };
-    seeds.extend(made.into_iter().map(|bytes| (target.endings[0].to_owned(), bytes)));
+    let ending = |bytes: &[u8]| if bytes.get(128..132) == Some(b"DICM") { "dcm" } else { target.endings[0] };
+    seeds.extend(made.into_iter().map(|bytes| (ending(&bytes).to_owned(), bytes)));
     assert!(!seeds.is_empty(), "{} has no seed", target.name);
     seeds
 }
@@ -132,6 +145,113 @@ fn nifti() -> Vec<u8> {
     [280, 300, 320].into_iter().for_each(|at| put(at, &1_f32.to_le_bytes()));
     put(344, b"n+1\0");
     bytes
+}
+
+/// A slice of 2 x 2 voxels of CT, 1 mm apart, explicit little endian.
+fn dicom() -> Vec<u8> {
+    let mut bytes = vec![0; 128];
+    bytes.extend(b"DICM");
+    let elements: [(u32, &[u8; 2], &[u8]); 17] = [
+        (0x0002_0010, b"UI", b"1.2.840.10008.1.2.1\0"),
+        (0x0008_0016, b"UI", b"1.2.840.10008.5.1.4.1.1.2\0"),
+        (0x0008_0060, b"CS", b"CT"),
+        (0x0018_0050, b"DS", b"1.0 "),
+        (0x0020_000e, b"UI", b"1.2.3\0"),
+        (0x0020_0032, b"DS", b"0\\0\\0 "),
+        (0x0020_0037, b"DS", b"1\\0\\0\\0\\1\\0 "),
+        (0x0028_0002, b"US", &[1, 0]),
+        (0x0028_0004, b"CS", b"MONOCHROME2 "),
+        (0x0028_0010, b"US", &[2, 0]),
+        (0x0028_0011, b"US", &[2, 0]),
+        (0x0028_0030, b"DS", b"1\\1 "),
+        (0x0028_0100, b"US", &[16, 0]),
+        (0x0028_0101, b"US", &[16, 0]),
+        (0x0028_0102, b"US", &[15, 0]),
+        (0x0028_0103, b"US", &[0, 0]),
+        (0x7fe0_0010, b"OW", b"01234567"),
+    ];
+    for (tag, representation, value) in elements {
+        bytes.extend(((tag >> 16) as u16).to_le_bytes());
+        bytes.extend((tag as u16).to_le_bytes());
+        bytes.extend(representation);
+        if representation == b"OW" {
+            bytes.extend([0, 0]);
+            bytes.extend((value.len() as u32).to_le_bytes());
+        } else {
+            bytes.extend((value.len() as u16).to_le_bytes());
+        }
+        bytes.extend(value);
+    }
+    bytes
+}
+
+/// A message of each schema in each encoding that other programs write.
+fn messages_of_recordings() -> Vec<Vec<u8>> {
+    let at = 1_750_000_000_000_000_000;
+    let points = [[0.0, 0.0, 200.0], [1.0, 0.0, 201.0], [0.0, 1.0, 202.0]].map(Point3::from);
+    let normals = vec![-Vector3::z(); 3];
+    let cloud = Cloud::new("camera", points.to_vec()).unwrap().with_normals(normals).unwrap().at(at);
+    let pose = |name: &str| Pose::new("world", name, Isometry3::translation(1.0, 2.0, 3.0)).at(at);
+    let streams = [
+        ("/cloud", Stream::Clouds(vec![cloud])),
+        ("/tf", Stream::Transforms(vec![pose("bone_marker"), pose("camera_marker")])),
+        ("/tip", Stream::Tips(vec![("world".into(), at, Point3::new(1.0, 2.0, 3.0))])),
+    ];
+    let mut all = Vec::new();
+    let cdr = |big_endian| Encoding::Cdr { big_endian };
+    for encoding in [Encoding::Protobuf, Encoding::Json, cdr(false), cdr(true)] {
+        for transforms_per_message in [1, 2] {
+            let layout = Layout { encoding, transforms_per_message, ..Layout::default() };
+            let bytes = recording_bytes(&streams, &Default::default(), &[], &layout).unwrap();
+            let recording = Recording::from_bytes("seed", &bytes, false).unwrap();
+            for message in recording.topics().iter().flat_map(|topic| recording.messages(&topic.name)) {
+                all.push((
+                    message.schema_name.to_string(),
+                    message.message_encoding.to_string(),
+                    message.data.to_vec(),
+                ));
+            }
+        }
+    }
+    let [width, height] = IMAGE_SIZE;
+    let frame_id = || "camera".to_owned();
+    let pixels = vec![7; 3 * (width * height) as usize];
+    let mut packed = Vec::new();
+    let mut png = png::Encoder::new(&mut packed, width, height);
+    png.set_color(png::ColorType::Rgb);
+    png.write_header().unwrap().write_image_data(&pixels).unwrap();
+    let raw = RawImage {
+        width,
+        height,
+        encoding: "rgb8".into(),
+        step: 3 * width,
+        data: pixels.into(),
+        frame_id: frame_id(),
+        ..RawImage::default()
+    };
+    let compressed = CompressedImage {
+        data: packed.into(),
+        format: "png".into(),
+        frame_id: frame_id(),
+        ..CompressedImage::default()
+    };
+    let k = vec![5.0, 0.0, 2.0, 0.0, 5.0, 1.5, 0.0, 0.0, 1.0];
+    let calibration =
+        CameraCalibration { width, height, k: k.into(), frame_id: frame_id(), ..CameraCalibration::default() };
+    let mut protobuf = |schema: &str, encode: &dyn Fn(&mut Vec<u8>)| {
+        let mut data = Vec::new();
+        encode(&mut data);
+        all.push((schema.to_owned(), "protobuf".into(), data));
+    };
+    protobuf(RAW_IMAGE, &|data| raw.encode(data).unwrap());
+    protobuf(COMPRESSED_IMAGE, &|data| compressed.encode(data).unwrap());
+    protobuf(CAMERA_CALIBRATION, &|data| calibration.encode(data).unwrap());
+    let seed = |(schema, encoding, data): (String, String, Vec<u8>)| {
+        let is_its = |known: &(&str, &str)| *known == (schema.as_str(), encoding.as_str());
+        let first = MESSAGES.iter().position(is_its).unwrap_or_else(|| panic!("{schema} in {encoding} has no target"));
+        [vec![first as u8], data].concat()
+    };
+    all.into_iter().map(seed).collect()
 }
 
 /// A message of each kind, in both versions of the header.

@@ -4,9 +4,13 @@
 use crate::border;
 use osteoflow_engine::{Recording, check_text, recording::digest::digest, recover::recover, validate::validate};
 use osteoflow_formats::{
-    folder::ProcedureFolder, mcap_read, mesh_or_cloud::read_mesh_or_cloud, message_read, openigtlink, picked_points,
-    plan_file, pose_file, poses_csv, region_file, volume,
+    folder::ProcedureFolder,
+    mcap_read,
+    mesh_or_cloud::read_mesh_or_cloud,
+    message_read::{self, CAMERA_CALIBRATION, COMPRESSED_IMAGE, Calibration, MessageKind, RAW_IMAGE},
+    openigtlink, picked_points, plan_file, pose_file, poses_csv, region_file, volume,
 };
+use osteoflow_geometry::Intrinsics;
 use osteoflow_node::Registry;
 use std::{fs, path::Path, sync::LazyLock};
 
@@ -45,6 +49,7 @@ pub(crate) const TARGETS: &[Target] = &[
     Target { name: "procedure", endings: &["toml"], read: |path, _| ProcedureFolder::open(path).is_ok() },
     Target { name: "openigtlink", endings: &["bin"], read: messages_of_openigtlink },
     Target { name: "recording", endings: &["mcap"], read: recording },
+    Target { name: "message", endings: &["message"], read: |_, bytes| message(bytes).is_some() },
     Target { name: "graph", endings: &["toml"], read: graph },
     #[cfg(unix)]
     Target { name: "payload", endings: &["view"], read: border::payload },
@@ -72,6 +77,55 @@ fn messages_of_openigtlink(_: &Path, bytes: &[u8]) -> bool {
             decoder.by_ref().fold(is_read, |is_read, message| is_read | message.is_ok())
         })
     }) == [true, true]
+}
+
+/// The schemas of messages of other programs, with their encodings.
+pub(crate) const MESSAGES: [(&str, &str); 15] = [
+    ("foxglove.PointCloud", "protobuf"),
+    ("foxglove.PointCloud", "json"),
+    ("sensor_msgs/msg/PointCloud2", "cdr"),
+    ("foxglove.FrameTransform", "protobuf"),
+    ("foxglove.FrameTransform", "json"),
+    ("geometry_msgs/msg/TransformStamped", "cdr"),
+    ("foxglove.FrameTransforms", "protobuf"),
+    ("foxglove.FrameTransforms", "json"),
+    ("tf2_msgs/msg/TFMessage", "cdr"),
+    ("foxglove.PoseInFrame", "protobuf"),
+    ("foxglove.PoseInFrame", "json"),
+    ("geometry_msgs/msg/PoseStamped", "cdr"),
+    (RAW_IMAGE, "protobuf"),
+    (COMPRESSED_IMAGE, "protobuf"),
+    (CAMERA_CALIBRATION, "protobuf"),
+];
+
+/// The camera of the images among the seeds.
+pub(crate) const IMAGE_SIZE: [u32; 2] = [4, 3];
+
+/// A message within a recording of another program, without the file, whose CRCs keep changed content from its readers. The first
+/// byte chooses schema and encoding.
+fn message(bytes: &[u8]) -> Option<()> {
+    let (first, data) = bytes.split_first()?;
+    let (schema_name, message_encoding) = MESSAGES[usize::from(*first) % MESSAGES.len()];
+    let message =
+        || message_read::Encoded { schema_name, message_encoding, publish_time_ns: 1, data: data.to_vec().into() };
+    let Some(kind) = MessageKind::of(schema_name) else {
+        if schema_name == CAMERA_CALIBRATION {
+            return message_read::read_calibration(message()).ok().map(drop);
+        }
+        let intrinsics = Intrinsics { fx: 5.0, fy: 5.0, cx: 2.0, cy: 1.5 };
+        let camera = Calibration { frame: "camera".into(), size: IMAGE_SIZE, intrinsics };
+        let _ = message_read::read_image_head(message());
+        return message_read::read_image(message(), &camera).ok().map(drop);
+    };
+    let _ = message_read::stamp(message());
+    match kind {
+        MessageKind::Cloud => {
+            let _ = message_read::read_cloud_head(message());
+            message_read::read_cloud(message()).ok().map(drop)
+        }
+        MessageKind::Transform | MessageKind::Transforms => message_read::read_transforms(message()).ok().map(drop),
+        MessageKind::Pose => message_read::read_pose_in_frame(message()).ok().map(drop),
+    }
 }
 
 /// A recording as this program reads its own, and as it reads those of others.
