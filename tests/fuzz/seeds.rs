@@ -236,8 +236,7 @@ fn messages_of_recordings() -> Vec<Vec<u8>> {
         ..CompressedImage::default()
     };
     let k = vec![5.0, 0.0, 2.0, 0.0, 5.0, 1.5, 0.0, 0.0, 1.0];
-    let calibration =
-        CameraCalibration { width, height, k: k.into(), frame_id: frame_id(), ..CameraCalibration::default() };
+    let calibration = CameraCalibration { width, height, k, frame_id: frame_id(), ..CameraCalibration::default() };
     let mut protobuf = |schema: &str, encode: &dyn Fn(&mut Vec<u8>)| {
         let mut data = Vec::new();
         encode(&mut data);
